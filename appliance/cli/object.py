@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from appliance.cli.arguments import number, operand, operands, option, repeated, switch
-from appliance.cli.desk import library_root, measuring, refuse_damaged_frames, scan_in, writable, writing
+from appliance.cli.desk import library_root, measuring, scan_in, writable, writing
 from appliance.cli.kernels import compile_kernels
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json
 from appliance.cli.places import WithCalibration, WithRoot
@@ -16,8 +16,9 @@ from appliance.cli.places import WithCalibration, WithRoot
 if TYPE_CHECKING:
     from appliance.offline.origin import Wish
     from appliance.storage.objects import MemberScan, Places, StoredObject
+    from appliance.surface.mesh import Mesh
 
-PAGE = ".html"
+PAGE, TRIANGLES = ".html", (".stl", ".obj")
 SPACING_MM = 0.3
 """Distance of an object's points: that of a scan's in the middle of the volume is 0.16."""
 _NAME = "the object's name; a folder objects/NAME is made under the storage root"
@@ -96,7 +97,7 @@ class SolveObject(WithCalibration):
     )
     out: tuple[str, ...] = repeated(
         "--out",
-        "write one surface of all scans (.ply .e57 .las) or a page about it (.html); may be repeated",
+        "one surface of all scans as points (.ply .e57 .las) or mesh (.stl .obj), or a page about it (.html); may be repeated",
         metavar="FILE",
     )
     spacing: float = option(
@@ -141,38 +142,48 @@ def _writable(outs: Sequence[Path]) -> Sequence[Path]:
     """Return ``outs``. Raises UsageError for a file that cannot be written, before minutes of work."""
     from appliance.export.content import ExportError
     from appliance.export.files import SURFACE_SUFFIXES, checked_suffix, require_library
+    from appliance.surface.libraries import needed
 
     for out in outs:
         writable(out)
         try:
-            checked_suffix(out, (*SURFACE_SUFFIXES, PAGE), "an object")
+            checked_suffix(out, (*SURFACE_SUFFIXES, *TRIANGLES, PAGE), "an object")
         except ExportError as error:
             raise UsageError(f"--out {error}") from error
         require_library(out)
+        if out.suffix.lower() in TRIANGLES:
+            needed("skimage.measure", "scikit-image", "the mesh of an object")
     return outs
 
 
 def _write(root: Path, solved: StoredObject, wish: Wish, outs: Sequence[Path], spacing_mm: float) -> None:
     if not outs:
         return
-    from appliance.export.files import write_surface
+    from appliance.export.files import write_mesh, write_surface
     from appliance.offline.object_report import report_of
     from appliance.offline.objects import about_object, surface_of
     from appliance.report.page import write_report
+    from appliance.surface.object_mesh import VOXEL_MM, mesh_of_surface
 
     with Progress() as progress:
         surface = surface_of(root, solved, wish, progress, spacing_mm)
+        mesh: Mesh | None = None
         for out in outs:
             progress(f"writing {out.name}")
             with writing(out):
                 if out.suffix.lower() == PAGE:
                     write_report(out, report_of(solved, surface))
+                elif out.suffix.lower() in TRIANGLES:
+                    # Made when it is first wanted: it takes as long as everything before.
+                    mesh = mesh_of_surface(surface, max(VOXEL_MM, 2.0 * spacing_mm)) if mesh is None else mesh
+                    write_mesh(out, mesh, about_object(solved))
                 else:
                     write_surface(out, surface, about_object(solved))
 
 
 def _members(verb: WithRoot, root: Path, scans: Sequence[str]) -> tuple[MemberScan, ...]:
     from appliance.offline.objects import member_of
+    from appliance.storage.damage import refuse_damaged_frames
 
     found = []
     for scan in scans:

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from appliance import __version__
 from appliance.calibration.file import Calibration
 from appliance.export.content import OBJECT_FRAME, About
-from appliance.instrument import settings_of_scan
-from appliance.offline.origin import SourceScan, Wish, calibration_for, open_source
-from appliance.offline.reprocess import refuse_empty, reprocess, water_of_scan
+from appliance.offline.organised_scan import OrganisedScan, organised_scan
+from appliance.offline.origin import Chosen, SourceScan, Wish, calibration_for, open_source
+from appliance.offline.reprocess import water_of_scan
 from appliance.optics.rotation import matrix3
-from appliance.reconstruct.organised import OrganisedCloud, organised
+from appliance.reconstruct.organised import OrganisedCloud
 from appliance.registration.bow import PRIOR_MM, corrected, spread_mm
 from appliance.registration.graph import Edge, Placed
 from appliance.registration.pair import ReadyScan, ready
@@ -77,25 +77,23 @@ def _cloud_of(root: Path, name: str, member: MemberScan, wish: Wish) -> MemberCl
             f"{folder}: holds other frames than when it was added to object '{name}'; make the object anew"
         )
     source = open_source(folder, wish)
-    calibration = calibration_for(source, wish).calibration
+    chosen = calibration_for(source, wish)
+    calibration = chosen.calibration
     index = water_of_scan(source.scan, calibration).index
     key = hashlib.sha256(repr((member.frames_sha256, calibration.hash, index, __version__)).encode()).hexdigest()
     kept = objects.kept_cloud(root, name, member.name, key)
     if kept is None:
-        kept = _made(source, calibration)
+        kept = _made(source, chosen)
         objects.keep_cloud(root, name, member.name, key, kept)
     cloud = OrganisedCloud(kept["points_mm"], kept["sigma_mm"], kept["modulation_dn"], kept["ray_gap_mm"], kept["grey"])
     verdicts = tuple(str(one) for one in kept["verdicts"].tolist())
     return MemberCloud(member, cloud, calibration, index, verdicts)
 
 
-def _made(source: SourceScan, calibration: Calibration) -> dict[str, NDArray[Any]]:
-    settings = settings_of_scan(source.scan.manifest.record, source.rig)
-    made = reprocess(source.scan, calibration, settings, lambda _: None)
-    refuse_empty(source.scan.folder, made.empty)
-    bright = source.scan.frames["left"][made.pipeline.sequence.bright]
-    cloud = organised(made.cloud, np.ascontiguousarray(bright))
+def _made(source: SourceScan, chosen: Chosen) -> dict[str, NDArray[Any]]:
+    made = organised_scan(source, chosen, lambda _: None)
     verdicts = np.array([f"{fault.code.value}: {fault.detail}" for fault in made.faults], dtype=np.str_)
+    cloud = made.cloud
     return {
         "points_mm": cloud.points_mm,
         "sigma_mm": cloud.sigma_mm,
@@ -104,6 +102,11 @@ def _made(source: SourceScan, calibration: Calibration) -> dict[str, NDArray[Any
         "grey": cloud.grey,
         "verdicts": verdicts,
     }
+
+
+def ready_scan(made: OrganisedScan, calibration: Calibration) -> ReadyScan:
+    """Prepare a scan's points for ``register`` and ``solve``; ``calibration``: the one that they were made with."""
+    return ready(made.cloud, calibration.rig.left, made.water.index, light_of(calibration))
 
 
 def light_of(calibration: Calibration) -> NDArray[np.float64]:

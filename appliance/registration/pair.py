@@ -29,7 +29,7 @@ MAX_OUTLIERS, MAX_FRONT = 0.05, 0.02
 """Largest shares of patches that miss the other surface, and that hover before it."""
 LEAST_ALIKE = 0.6
 """Least correlation of paint where paint holds the pose; half of it where shape does."""
-AS_GOOD, AS_ALIKE = 0.02, 0.06
+AS_GOOD, AS_ALIKE = 0.04, 0.06
 """A pose whose share of contradictions is larger, and whose paint is less alike, by less than these is as good as the best one."""
 SLIDES_ROUGHLY = 3.0
 """Poses that the search by shape found and that planes hold less than this are all of one family: the first stands for them."""
@@ -94,11 +94,13 @@ def register(a: ReadyScan, b: ReadyScan, near: Rigid | None = None) -> Registere
     fits = [] if near is None else _fits(a, b, [Guess(near, 0.0, False)])
     if not any(_plausible(fit) for fit in fits):
         fits += _fits(a, b, guess_by_features(a.features, b.features))
-    if not any(_plausible(fit) for fit in fits):
+    # Paint that repeats has features that repeat: they may have led to one place of several, all of which the shape knows.
+    if a.repeats or b.repeats or not any(_plausible(fit) for fit in fits):
         fits += _fits_by_shape(a, b)
     if not fits:
         return RegisteredPair(None, PairRefusal.NOTHING_IN_COMMON, _words(PairRefusal.NOTHING_IN_COMMON, None))
-    fits = sorted(fits, key=_contradiction)
+    # Of those that may be believed the one that least contradicts; where there is none, the reason of the best of the others.
+    fits = sorted(fits, key=lambda fit: (not _plausible(fit), _contradiction(fit)))
     best = fits[0]
     refusal = _refused(best)
     if refusal is None:
@@ -142,7 +144,9 @@ def _contradiction(fit: Fit) -> float:
 
 
 def _as_good(other: Fit, best: Fit) -> bool:
-    if not _plausible(other) or other.overlap < 0.5 * best.overlap:
+    # Where there is no paint to decide, a place that slides explains what is seen as well as one that is held.
+    slides = best.alike is None and _refused(other) is PairRefusal.SLIDES
+    if not (_plausible(other) or slides) or other.overlap < 0.5 * best.overlap:
         return False
     if same(other.pose, best.pose, 1.0 + 5.0 * best.sigma_mm):
         return False

@@ -31,8 +31,8 @@ DEPTHS_MM = {
     "stones": 535.0,
     "board": 540.0,
 }
-UNEVEN = ("frustum", "shell", "stones")
-"""Shapes that hold every direction by themselves, seen from anywhere."""
+UNEVEN = ("shell", "stones")
+"""Shapes that hold every direction by themselves, seen from anywhere. A frustum is the same turned a quarter or half about, unless it is painted."""
 LEAST_OVERLAP = 0.4
 SIGMAS, MORE_MM = 3.0, 0.05
 """A pose is wrong where it is farther off than so many of its standard deviations, and this."""
@@ -89,7 +89,7 @@ def _row(number: int, seed: int, keep: Path | None) -> dict[str, Any]:
     patches = second.fine.patches
     common = patches.centre_mm.reshape(-1, 3)[on.source]
     overlap = len(on.source) / max(int(np.count_nonzero(patches.valid)), 1)
-    tells = shape in UNEVEN or shape == "board" or (paint in ("slight", "strong") and shape != "ballbar")
+    tells = shape in (*UNEVEN, "board") or (paint in ("slight", "strong") and shape != "ballbar")
     fit = pair.fit
     return {
         "shape": shape,

@@ -14,6 +14,7 @@ if TYPE_CHECKING:  # for editors and type checkers; at run time ``__getattr__`` 
     from appliance.calibration.file import CalibrationError as CalibrationError
     from appliance.calibration.file import load as load_calibration  # noqa: F401
     from appliance.export.content import ExportError as ExportError
+    from appliance.offline.objects import ready_scan as ready_scan
     from appliance.offline.organised_scan import OrganisedScan as OrganisedScan
     from appliance.offline.scripting import Dive as Dive
     from appliance.offline.scripting import ScanOfDive as ScanOfDive
@@ -22,6 +23,11 @@ if TYPE_CHECKING:  # for editors and type checkers; at run time ``__getattr__`` 
     from appliance.offline.scripting import open_scan as open_scan
     from appliance.optics.water import Water as Water
     from appliance.reconstruct.organised import OrganisedCloud as OrganisedCloud
+    from appliance.registration.pair import ReadyScan as ReadyScan
+    from appliance.registration.pair import RegisteredPair as RegisteredPair
+    from appliance.registration.pair import register as register
+    from appliance.registration.solve import Solved as Solved
+    from appliance.registration.solve import solve as solve
     from appliance.report.content import Report as Report
     from appliance.report.content import ReportBudget as ReportBudget
     from appliance.report.content import ReportNominal as ReportNominal
@@ -30,6 +36,8 @@ if TYPE_CHECKING:  # for editors and type checkers; at run time ``__getattr__`` 
     from appliance.report.content import ReportTerm as ReportTerm
     from appliance.report.content import ReportVerdict as ReportVerdict
     from appliance.report.page import write_report as write_report
+    from appliance.storage.objects import StoredObject as StoredObject
+    from appliance.storage.objects import read as open_object  # noqa: F401
     from appliance.storage.scan import ScanError as ScanError
     from appliance.surface.deviation import Deviation as Deviation
     from appliance.surface.deviation import deviations as deviations
@@ -47,14 +55,18 @@ if TYPE_CHECKING:  # for editors and type checkers; at run time ``__getattr__`` 
 _HOMES = {
     "appliance.calibration.file": ("Calibration", "CalibrationError", "load as load_calibration"),
     "appliance.export.content": ("ExportError",),
+    "appliance.offline.objects": ("ready_scan",),
     "appliance.offline.organised_scan": ("OrganisedScan",),
     "appliance.offline.scripting": ("Dive", "ScanOfDive", "export", "open_dive", "open_scan"),
     "appliance.optics.water": ("Water",),
     "appliance.reconstruct.organised": ("OrganisedCloud",),
+    "appliance.registration.pair": ("ReadyScan", "RegisteredPair", "register"),
+    "appliance.registration.solve": ("Solved", "solve"),
     "appliance.report.content": (
         "Report", "ReportBudget", "ReportNominal", "ReportPair", "ReportScan", "ReportTerm", "ReportVerdict",
     ),
     "appliance.report.page": ("write_report",),
+    "appliance.storage.objects": ("StoredObject", "read as open_object"),
     "appliance.storage.scan": ("ScanError",),
     "appliance.surface.deviation": ("Deviation", "deviations"),
     "appliance.surface.fusion": ("FusedCloud", "PlacedScan", "fuse"),
