@@ -29,6 +29,8 @@ MAX_OUTLIERS, MAX_FRONT = 0.05, 0.02
 """Largest shares of patches that miss the other surface, and that hover before it."""
 LEAST_ALIKE = 0.6
 """Least correlation of paint where paint holds the pose; half of it where shape does."""
+LEAST_ALIKE_REPEATING = 0.82
+"""The same where paint that repeats holds the pose: some squares farther it is still alike by up to 0.78 (a board of markers)."""
 AS_GOOD, AS_ALIKE = 0.04, 0.06
 """A pose whose share of contradictions is larger, and whose paint is less alike, by less than these is as good as the best one."""
 SLIDES_ROUGHLY = 3.0
@@ -105,7 +107,10 @@ def register(a: ReadyScan, b: ReadyScan, near: Rigid | None = None) -> Registere
     refusal = _refused(best)
     if refusal is None:
         others = fits[1:] + _repeated(a, b, best)
-        if any(_as_good(other, best) for other in others):
+        doubtful = (
+            bool(a.repeats or b.repeats) and best.paint_share > 0.5 and (best.alike or 0.0) < LEAST_ALIKE_REPEATING
+        )
+        if doubtful or any(_as_good(other, best) for other in others):
             refusal = PairRefusal.AMBIGUOUS
     return RegisteredPair(best, refusal, _words(refusal, best))
 
