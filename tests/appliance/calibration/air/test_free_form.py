@@ -173,5 +173,8 @@ def test_the_scale_of_the_print_is_doubt_of_the_base_and_of_nothing_else(case: C
     more = unsure.covariance - sure.covariance
     # A larger print makes everything larger: the base grows with it, and no picture shows it.
     assert more[19:22, 19:22] == pytest.approx(SCALE_SD**2 * np.outer(BASE_MM, BASE_MM), rel=0.01, abs=5e-6)
-    assert np.abs(np.diag(more)[:19]).max() < 1e-8
-    assert np.abs(np.diag(more)[22:]).max() < 1e-8
+    # Beside its own variance: how the inverse of a large matrix is rounded depends on the processor.
+    grown = np.abs(np.diag(more)) / np.diag(sure.covariance)
+    assert grown[:19].max() < 1e-6
+    assert grown[22:].max() < 1e-6
+    assert grown[19] > 1.0, "what the print's scale does to the base is millions of times that"
