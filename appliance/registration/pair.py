@@ -97,8 +97,9 @@ def register(a: ReadyScan, b: ReadyScan, near: Rigid | None = None) -> Registere
     if not any(_plausible(fit) for fit in fits):
         fits += _fits(a, b, guess_by_features(a.features, b.features))
     # Paint that repeats has features that repeat: they may have led to one place of several, all of which the shape knows.
-    if a.repeats or b.repeats or not any(_plausible(fit) for fit in fits):
-        fits += _fits_by_shape(a, b)
+    repeats = bool(a.repeats or b.repeats)
+    by_shape = _fits_by_shape(a, b) if repeats or not any(_plausible(fit) for fit in fits) else []
+    fits += by_shape
     if not fits:
         return RegisteredPair(None, PairRefusal.NOTHING_IN_COMMON, _words(PairRefusal.NOTHING_IN_COMMON, None))
     # Of those that may be believed the one that least contradicts; where there is none, the reason of the best of the others.
@@ -107,9 +108,9 @@ def register(a: ReadyScan, b: ReadyScan, near: Rigid | None = None) -> Registere
     refusal = _refused(best)
     if refusal is None:
         others = fits[1:] + _repeated(a, b, best)
-        doubtful = (
-            bool(a.repeats or b.repeats) and best.paint_share > 0.5 and (best.alike or 0.0) < LEAST_ALIKE_REPEATING
-        )
+        # A thing too small to be searched by shape (a ball bar) is the same turned half about, and so is a grid on it.
+        unlike = (best.alike or 0.0) < LEAST_ALIKE_REPEATING
+        doubtful = repeats and best.paint_share > 0.5 and (unlike or not by_shape)
         if doubtful or any(_as_good(other, best) for other in others):
             refusal = PairRefusal.AMBIGUOUS
     return RegisteredPair(best, refusal, _words(refusal, best))
