@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from appliance import __version__
-from appliance.registration.graph import rotation_vector
+from appliance.optics.rotation import rotation_vector
 from appliance.report.content import Report, ReportBudget, ReportPair, ReportScan, ReportTerm, ReportVerdict
 from appliance.storage.objects import ComparedScans, Places, ScanPlace, StoredObject
 from appliance.surface.fusion import FusedCloud

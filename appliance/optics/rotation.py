@@ -1,4 +1,4 @@
-"""Owns rotations as numbers: from a rotation vector to a matrix, and from a matrix to the value that a camera keeps."""
+"""Owns rotations as numbers: from a rotation vector to a matrix and back, and from a matrix to the value that a camera keeps."""
 
 from __future__ import annotations
 
@@ -24,6 +24,15 @@ def rotation_matrix(vector_rad: Array) -> Array:
     # Rodrigues: R = I + sin θ K + (1 − cos θ) K², where K a = (x, y, z) × a.
     K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return np.asarray(np.eye(3) + math.sin(angle) * K + (1.0 - math.cos(angle)) * K @ K)
+
+
+def rotation_vector(rotation: Array) -> Array:
+    """Return the vector (3,), rad, of a rotation matrix, for turns of less than 180°."""
+    axis = 0.5 * np.array(
+        [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
+    )
+    sine, cosine = float(np.linalg.norm(axis)), 0.5 * (float(np.trace(rotation)) - 1.0)
+    return axis if sine < 1e-12 else np.asarray(axis / sine * np.arctan2(sine, cosine))
 
 
 def matrix3(matrix: Array) -> Matrix3:

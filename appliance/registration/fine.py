@@ -14,7 +14,7 @@ Symbols: R, t  rotation and translation that map B's points into A's frame;  x  
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +33,6 @@ FIRST_GATE_MM, LAST_GATE_MM = 3.0, 0.25
 """Largest distance at which patches are taken for the same place, in the first round and the least in the last."""
 FEWEST = 120
 """Fewest patches in common."""
-FEWEST_CLUSTERS = 12
 NEIGHBOURS_ALIKE = 2.0
 """Standard deviation of a stiffness of noise, over that for independent patches: target planes are means of four."""
 EXTRA_MM = 0.006
@@ -144,10 +143,10 @@ class Prepared:
     paint: Paint
 
 
-def lay(a: Prepared, b: Prepared, pose: Rigid, gate_mm: float, chosen: NDArray[np.int64] | None = None) -> Laid:
-    """Lay B's patches (``chosen`` flat indices, by default all valid ones) upon A by ``pose``."""
+def lay(a: Prepared, b: Prepared, pose: Rigid, gate_mm: float) -> Laid:
+    """Lay all of B's patches upon A by ``pose``; patches farther than ``gate_mm`` from A's surface do not meet it."""
     pa, pb = a.patches, b.patches
-    index = np.flatnonzero(pb.valid) if chosen is None else chosen
+    index = np.flatnonzero(pb.valid)
     c, n = pb.centre_mm.reshape(-1, 3)[index], pb.normal.reshape(-1, 3)[index]
     x, m = pose.of(c), n @ pose.rotation.T
     cell = pa.cells(x)
@@ -388,20 +387,3 @@ def _clipped(values: Array) -> Array:
     """Return values about their median, at most three standard deviations of most of them away."""
     limit = 3.0 * _spread(values)
     return np.asarray(np.clip(values - np.median(values), -limit, limit))
-
-
-def swapped(fit: Fit) -> Fit:
-    """Return the same fit for B and A exchanged."""
-    inverse = fit.pose.inverse
-    # δ in A's frame is −R^T δ in B's.
-    turn = np.zeros((6, 6))
-    turn[:3, :3] = turn[3:, 3:] = -inverse.rotation
-    return replace(
-        fit,
-        pose=inverse,
-        middle_mm=inverse.of(fit.middle_mm),
-        stiffness=turn @ fit.stiffness @ turn.T,
-        covariance=turn @ fit.covariance @ turn.T,
-        directions=turn @ fit.directions,
-        bow=replace(fit.bow, response=turn @ fit.bow.response),
-    )

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from appliance.optics.rotation import rotation_matrix
+from appliance.optics.rotation import rotation_matrix, rotation_vector
 from appliance.registration.bow import NAMES, PRIOR_MM
 from appliance.registration.fine import Fit, Rigid
 from appliance.registration.patches import Array
@@ -197,15 +197,6 @@ def _jacobian(poses: Mapping[int, Rigid], edge: Edge) -> Array:
 def _moved(pose: Rigid, motion: Array) -> Rigid:
     turn = rotation_matrix(motion[:3])
     return Rigid(turn @ pose.rotation, turn @ pose.translation_mm + motion[3:])
-
-
-def rotation_vector(rotation: Array) -> Array:
-    """Return the vector (3,), rad, of a rotation matrix, for turns of less than 180°."""
-    axis = 0.5 * np.array(
-        [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
-    )
-    sine, cosine = float(np.linalg.norm(axis)), 0.5 * (float(np.trace(rotation)) - 1.0)
-    return axis if sine < 1e-12 else np.asarray(axis / sine * np.arctan2(sine, cosine))
 
 
 def _worst(solution: _Solution, members: Sequence[int], edges: Sequence[Edge], with_bow: bool) -> Edge | None:

@@ -62,7 +62,7 @@ def solve(scans: Sequence[ReadyScan], progress: Callable[[str, float], None], wi
 
 
 def middle_of(scan: ReadyScan) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    """Return the median (3,) of a scan\'s patches, its middle, mm; zero for a scan of none."""
+    """Return the median (3,) of a scan's patches, its middle, mm; zero for a scan of none."""
     patches = scan.fine.patches
     return np.asarray(np.median(patches.centre_mm[patches.valid], axis=0)) if patches.valid.any() else np.zeros(3)
 

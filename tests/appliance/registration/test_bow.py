@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from appliance.optics.rotation import rotation_vector
 from appliance.registration.bow import along_ray, corrected, shapes
 from appliance.registration.fine import Fit, refine
-from appliance.registration.graph import rotation_vector
 from appliance.registration.patches import patches_of
 from tests.support.views import PROJECTION, SeenView, between, view
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from appliance.optics.rotation import rotation_matrix
+from appliance.optics.rotation import rotation_matrix, rotation_vector
 from appliance.registration.bow import NAMES, BowNews
 from appliance.registration.fine import Fit, Rigid
-from appliance.registration.graph import Edge, place, rotation_vector
+from appliance.registration.graph import Edge, place
 
 STEP_MM = 60.0
 MIDDLE_MM = np.array([30.0, 0.0, 500.0])
