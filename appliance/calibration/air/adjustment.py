@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibration.air.free_form import adjust_with_field
-from appliance.calibration.air.linearised import SHAPES, VALUES, BoardView, bend_of, each_changed, moved, slopes
+from appliance.calibration.air.joint import BoardTolerance, adjust
+from appliance.calibration.air.linearised import VALUES, BoardView
 from appliance.calibration.field import AirField
-from appliance.calibration.parameters import AIR, COUNT, rig_with
 from appliance.optics.model import HousedCamera, StereoRig
 from appliance.optics.pinhole import Lens
 from appliance.optics.port import Port
@@ -35,9 +35,6 @@ FEW = 0.2
 """Share of a view's corners that may be bad; with more, the view is bad."""
 HALF = 0.55
 """A view with less than this part of the corners that the fullest view has is remarked upon."""
-STEPS_AT_MOST = 30
-SMALL = 1e-4
-"""The adjustment has converged when no parameter moves by more than this share of its standard deviation."""
 NO_PORT = Port((0.0, 0.0, 1.0), 0.0, 0.0, 1.0)
 
 
@@ -46,18 +43,6 @@ __all__ = ["AirCalibration", "AirCalibrationError", "BoardTolerance", "BoardView
 
 class AirCalibrationError(Exception):
     """The views do not suffice for a calibration in air; the text says why and what to do."""
-
-
-@dataclass(frozen=True, slots=True)
-class BoardTolerance:
-    """Standard deviations of a board's departures from its drawing."""
-
-    scale: float = 1e-5
-    """Standard deviation of the print's scale, relative; every length measured later has this error."""
-    bow_mm: float = 0.1
-    """Standard deviation of each shape that the board may have (``linearised.Bend``). The bow is how far the middle stands
-    back: z = bow (1 − 2 r²/a²), a half the board's width. Shapes are adjusted: twenty views tell them to micrometres, and
-    0.01 mm of bow left unnoticed would cost half a pixel of principal distance."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,7 +120,7 @@ def calibrate_air(
                 f"{len(usable)} usable views of the board; {MIN_VIEWS} are needed; record more ({reasons})"
             )
         rig, boards = _start(usable, width_px, height_px)
-        adjusted = _adjust(rig, boards, usable, allowed)
+        adjusted = adjust(rig, boards, usable, allowed)
         residuals = adjusted.residuals
         per_view = np.array([float(np.sqrt(np.mean(e**2))) for e in residuals])
         worst = int(np.argmax(per_view))
@@ -241,65 +226,3 @@ def _start(views: Sequence[BoardView], width_px: int, height_px: int) -> tuple[S
     t = np.median(shifts_mm, axis=0)
     right = replace(cameras[1], rotation=matrix3(R), translation_mm=(float(t[0]), float(t[1]), float(t[2])))
     return StereoRig(cameras[0], right), poses[0]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Adjusted:
-    rig: StereoRig
-    boards: list[tuple[Array, Array]]
-    shapes_mm: Array
-    """(``SHAPES``,): amounts of the board's shapes."""
-    information: Array
-    """(22 + ``SHAPES``)² for unit noise: the 22 parameters of ``NAMES[AIR]``, then the shapes."""
-    by_scale: Array
-    """(22,): what the parameters change by with the scale of the board, which no picture of it can tell."""
-    residuals: list[Array]
-    """(n, 4) per view: left u, v, right u, v."""
-
-
-def _adjust(
-    rig: StereoRig, boards: list[tuple[Array, Array]], views: Sequence[BoardView], tolerance: BoardTolerance
-) -> _Adjusted:
-    """Adjust by Gauss–Newton over the rig, the board's shapes, and the boards' places."""
-    bend, shapes = bend_of(views), np.zeros(SHAPES)
-    noise_px = 0.0
-    m = VALUES + SHAPES
-    for _ in range(STEPS_AT_MOST):
-        # Gauss-Newton with the poses eliminated (Schur complement): with A the derivatives by rig and shapes and B those
-        # by one board's pose, the reduced normal matrix is Σ AᵀA − (BᵀA)ᵀ (BᵀB)⁻¹ BᵀA. 27 unknowns remain instead of 27
-        # + 6 n.
-        information, gradient, by_scale = np.zeros((m, m)), np.zeros(m), np.zeros(m)
-        # The shapes' prior in units of the noise, which the first step does not know yet: they then are free.
-        information[VALUES:, VALUES:] = np.eye(SHAPES) * (noise_px / tolerance.bow_mm) ** 2
-        gradient[VALUES:] = -information[VALUES:, VALUES:] @ shapes
-        changed = each_changed(rig)
-        blocks, residuals = [], []
-        for view, board in zip(views, boards, strict=True):
-            found = slopes(rig, changed, board, view, bend, shapes)
-            A, B, residual = found.by_rig, found.by_place, found.residual
-            # How the rig would answer to a larger print, by the same elimination: d rig / d scale = −N⁻¹ (reduced Aᵀ
-            # ∂e/∂scale).
-            BB, BA, Br = B.T @ B, B.T @ A, B.T @ residual
-            information += A.T @ A - BA.T @ np.linalg.solve(BB, BA)
-            gradient += A.T @ residual - BA.T @ np.linalg.solve(BB, Br)
-            by_scale -= A.T @ found.by_scale - BA.T @ np.linalg.solve(BB, B.T @ found.by_scale)
-            # Kept for the back substitution: pose = (BᵀB)⁻¹ (Bᵀr − BᵀA · step).
-            blocks.append((BB, BA, Br))
-            residuals.append(np.concatenate([part.reshape(-1, 2) for part in np.split(residual, 2)], 1))
-        step = np.linalg.solve(information, gradient)
-        full = np.zeros(COUNT)
-        full[AIR] = step[:VALUES]
-        rig = rig_with(rig, full)
-        shapes = shapes + step[VALUES:]
-        boards = [
-            moved(board, np.asarray(np.linalg.solve(BB, Br - BA @ step), np.float64))
-            for board, (BB, BA, Br) in zip(boards, blocks, strict=True)
-        ]
-        noise_px = float(np.median([np.sqrt(np.mean(e**2)) for e in residuals]))
-        # Converged in standard deviations, not in units: a step that is small against what is known changes nothing.
-        sd = np.sqrt(np.diag(np.linalg.inv(information))) * noise_px
-        if float(np.max(np.abs(step) / sd)) < SMALL:
-            break
-    return _Adjusted(
-        rig, boards, shapes, information, np.asarray(np.linalg.solve(information, by_scale)[:VALUES]), residuals
-    )

@@ -45,6 +45,8 @@ class BoardDesign:
     square_mm: float = 18.0
     marker_mm: float = 13.5
     dictionary: int = cv2.aruco.DICT_5X5_250
+    legacy: bool = False
+    """The layout of OpenCV before 4.6: with an even number of squares down, the first square is a marker's, not a dark one."""
 
     def __str__(self) -> str:
         """Spell the board in the form that ``parse_board`` reads."""
@@ -58,7 +60,9 @@ class BoardDesign:
     def pattern(self) -> cv2.aruco.CharucoBoard:
         """Return OpenCV's board."""
         dictionary = cv2.aruco.getPredefinedDictionary(self.dictionary)
-        return cv2.aruco.CharucoBoard((self.across, self.down), self.square_mm, self.marker_mm, dictionary)
+        board = cv2.aruco.CharucoBoard((self.across, self.down), self.square_mm, self.marker_mm, dictionary)
+        board.setLegacyPattern(self.legacy)
+        return board
 
 
 def parse_board(text: str) -> BoardDesign:
@@ -123,7 +127,7 @@ def find_corners(image: Image, design: BoardDesign) -> dict[int, Array] | NoBoar
     extent = np.ptp(corners, axis=0)
     if float(extent[0] * extent[1]) < MIN_SPREAD * image.size:
         return NoBoard("the board is small in the {side} image; bring it nearer")
-    return _refined(image, design, corners, ids)
+    return refined(image, design, corners, ids)
 
 
 def _detected(image: Image, design: BoardDesign) -> tuple[Array, NDArray[np.intp]]:
@@ -143,9 +147,9 @@ def _detected(image: Image, design: BoardDesign) -> tuple[Array, NDArray[np.intp
     return np.asarray(corners, np.float64).reshape(-1, 2), np.ravel(np.asarray(ids, np.intp))
 
 
-def _refined(image: Image, design: BoardDesign, corners: Array, ids: NDArray[np.intp]) -> dict[int, Array] | NoBoard:
-    """Return each corner once more, with a window as large as the markers around it leave room for; those whose
-    window would leave the image are left out."""
+def refined(image: Image, design: BoardDesign, corners: Array, ids: NDArray[np.intp]) -> dict[int, Array] | NoBoard:
+    """Return each corner (n, 2) once more, by its number, with a window as large as the markers around it leave room for;
+    those whose window would leave the image (h, w) are left out."""
     flat_mm = np.asarray(design.pattern().getChessboardCorners(), np.float64)[ids, :2]
     to_px = np.asarray(cv2.findHomography(flat_mm, corners)[0], np.float64)
     if to_px.shape != (3, 3):

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from appliance.calibration.air.adjustment import BoardView
 
 Array = NDArray[np.float64]
+Sighting = tuple[Array, Array]
+"""Corners of a board (n, 3) in mm, and where one camera sees them, (n, 2) px."""
 
 REGIONS = (
     ("at the top left", "at the top", "at the top right"),
@@ -34,7 +36,7 @@ LEANS = {
     "with its top edge away": (1, -1.0),
     "with its bottom edge away": (1, 1.0),
 }
-"""Component of the board's slope as the left camera sees it, and its sign."""
+"""Component of the board's slope as the camera sees it, and its sign."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,8 +51,16 @@ class Coverage:
 
 def coverage(views: Sequence[BoardView], width_px: int, height_px: int) -> Coverage:
     """Determine what ``views`` cover and what they lack."""
+    left = [(view.corners_mm, view.left_px) for view in views]
+    return covered(left, [(view.corners_mm, view.right_px) for view in views], left, width_px, height_px)
+
+
+def covered(
+    left: Sequence[Sighting], right: Sequence[Sighting], leant: Sequence[Sighting], width_px: int, height_px: int
+) -> Coverage:
+    """Determine what each camera's own sightings cover, and which leans are missing among ``leant``."""
     corners, missing = {}, []
-    for side, seen in (("left", [v.left_px for v in views]), ("right", [v.right_px for v in views])):
+    for side, seen in (("left", [px for _, px in left]), ("right", [px for _, px in right])):
         counts = np.zeros((3, 3), np.int64)
         for uv in seen:
             column = np.clip(uv[:, 0] * 3 // width_px, 0, 2).astype(np.intp)
@@ -66,7 +76,7 @@ def coverage(views: Sequence[BoardView], width_px: int, height_px: int) -> Cover
                 places.append(f"near the {edge} edge")
         if places:
             missing.append(f"no corners yet {', '.join(places)} of the {side} image")
-    slopes = [slope for slope in (_slope(view, width_px, height_px) for view in views) if slope is not None]
+    slopes = [slope for slope in (_slope(*one, width_px, height_px) for one in leant) if slope is not None]
     least = np.tan(np.radians(LEAST_LEAN_DEG))
     leans = [name for name, (axis, sign) in LEANS.items() if not any(sign * s[axis] > least for s in slopes)]
     if leans:
@@ -74,12 +84,11 @@ def coverage(views: Sequence[BoardView], width_px: int, height_px: int) -> Cover
     return Coverage(corners, tuple(missing))
 
 
-def _slope(view: BoardView, width_px: int, height_px: int) -> Array | None:
-    """Estimate the slope of the board's distance along the left image's x and y, (2,); ``None`` where it cannot be
-    told."""
+def _slope(corners_mm: Array, seen_px: Array, width_px: int, height_px: int) -> Array | None:
+    """Estimate the slope of the board's distance along the image's x and y, (2,); ``None`` where it cannot be told."""
     f_px = GUESSED_PRINCIPAL_DISTANCE * width_px
     lens = np.array([[f_px, 0.0, (width_px - 1) / 2], [0.0, f_px, (height_px - 1) / 2], [0.0, 0.0, 1.0]])
-    done, turn, _ = cv2.solvePnP(view.corners_mm, view.left_px.reshape(-1, 1, 2), lens, np.zeros(5))
+    done, turn, _ = cv2.solvePnP(corners_mm, seen_px.reshape(-1, 1, 2), lens, np.zeros(5))
     if not done:
         return None
     normal = np.asarray(cv2.Rodrigues(turn)[0], np.float64)[:, 2]

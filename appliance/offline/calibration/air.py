@@ -267,7 +267,7 @@ def _picture(path: Path, wanted_px: tuple[int, int]) -> Image:
         )
     _check_size(path, stated_px, wanted_px)
     # Unchanged, so that 16 bits or colours are refused by name instead of being turned into grey.
-    with _quiet_decoder():
+    with quiet_decoder():
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if image is None:
         raise PicturesError(f"{path}: is no picture, or damaged; bring it back from a copy, or remove the pair")
@@ -282,7 +282,7 @@ def _picture(path: Path, wanted_px: tuple[int, int]) -> Image:
 
 
 @contextmanager
-def _quiet_decoder() -> Iterator[None]:
+def quiet_decoder() -> Iterator[None]:
     """Inside, OpenCV writes nothing of its own to stderr about a damaged file: we say it, once, with the file's name."""
     before = cv2.utils.logging.getLogLevel()
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)

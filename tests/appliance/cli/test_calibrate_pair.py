@@ -1,0 +1,140 @@
+"""``kingfisher calibrate pair`` calibrates two cameras of others from their pictures by one command, or says why not."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from appliance.calibration.file import load
+from appliance.cli import main
+from appliance.optics.pinhole import Lens
+from tests.support.any_boards import BASE_MM, F_PX, HEIGHT_PX, WIDTH_PX, Printed, poses, write_pairs
+
+COUNT = 7
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Seven pairs of a board of the old layout, the last of them far; one camera has an eighth view alone."""
+    folder = tmp_path_factory.mktemp("theirs")
+    where = poses(COUNT + 1, 3)
+    far = poses(1, 5, 560.0, 570.0)
+    write_pairs(folder, Printed(), [*where[: COUNT - 1], *far, where[COUNT]])
+    (folder / f"v{COUNT}_right.png").unlink()
+    return folder
+
+
+def run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, Any, str]:
+    code = main(["calibrate", "pair", *words, "--square-mm", "15", "--json"])
+    said = capsys.readouterr()
+    return code, json.loads(said.out) if said.out else None, said.err
+
+
+def test_a_folder_of_others_becomes_a_calibration(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "mine.json"
+    code, report, said = run(capsys, str(recorded), "--out", str(out))
+    assert code == 0
+    assert report["board"].startswith("11x8 squares of 15 mm, markers of 11")
+    assert report["board"].endswith("DICT_5X5_50, layout before OpenCV 4.6")
+    assert report["pairs"] == [f"v{k}" for k in range(COUNT)]
+    assert report["left_out"] == []
+    assert report["residual_px"] < 0.08
+    assert report["views"][-1]["remarks"] == ["only the left camera has it"]
+    assert "of the left picture" in report["views"][COUNT - 1]["remarks"][0]
+    for f_px, sd_px in zip(report["principal_distance_px"], report["principal_distance_sd_px"], strict=True):
+        assert abs(f_px - F_PX) < max(5.0 * sd_px, 1.0)
+        assert sd_px < 3.0
+    assert report["baseline_mm"] == pytest.approx(BASE_MM, rel=5e-3)
+    assert "coverage is poor: no corners yet" in said
+
+    start = load(out)
+    assert (start.method, start.rig_serial) == ("air", recorded.name)
+    assert any("layout before OpenCV 4.6" in text for text in start.made_from)
+    assert (start.rig.left.width_px, start.rig.left.height_px) == (WIDTH_PX, HEIGHT_PX)
+    for path in report["pictures"]:
+        assert cv2.imread(path) is not None
+
+
+def test_opencv_reads_the_same_cameras(recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A point of space goes to the same pixels by OpenCV's own projection with the file for it."""
+    out = tmp_path / "mine.json"
+    _, report, _ = run(capsys, str(recorded), "--out", str(out), "--board", "8x11", "--marker-mm", "11.25")
+    store = cv2.FileStorage(report["opencv_file"], cv2.FILE_STORAGE_READ)
+    point = np.array([[12.0, -7.0, 350.0]])
+    camera = load(out).rig.right
+    local = (point - np.array(camera.translation_mm)) @ np.array(camera.rotation)
+    ours = Lens(camera.lens.f_px, camera.lens.c_px, camera.lens.distortion).to_pixels(local[:, :2] / local[:, 2:])
+    R, T, M, D = (store.getNode(name).mat() for name in ("R", "T", "M2", "D2"))
+    theirs, _ = cv2.projectPoints(point, cv2.Rodrigues(R)[0], T, M, D)
+    assert np.allclose(np.ravel(theirs), np.ravel(ours), atol=1e-6)
+    assert T[0, 0] < 0.0
+
+
+def test_people_are_told_what_was_found(recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["calibrate", "pair", str(recorded), "--square-mm", "15", "--out", str(tmp_path / "a.json"), "--flat"]
+    assert main(arguments) == 0
+    said = capsys.readouterr().out
+    assert "layout before OpenCV 4.6" in said
+    assert "7 of 8 views used" in said
+    assert "left and right in their names" in said
+    assert "0.000, 0.000, 0.000 mm" in said.replace("-0.000", "0.000"), "flat"
+
+
+def test_cameras_the_wrong_way_round_and_a_picture_of_another_size_are_named(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "pictures"
+    shutil.copytree(recorded, folder)
+    cv2.imwrite(str(folder / "v0_left.png"), np.zeros((300, 400), np.uint8))
+    image = cv2.imread(str(folder / "v1_left.png"), cv2.IMREAD_UNCHANGED)
+    assert image is not None
+    cv2.imwrite(str(folder / "v1_left.png"), np.ascontiguousarray(image[:, ::-1]))
+    code, report, said = run(capsys, str(folder), "--left", "v*_right.png", "--right", "v*_left.png")
+    assert code == 0
+    assert report["exchanged"]
+    assert "left and right are exchanged" in said
+    assert report["left_out"] == [
+        "v0_left.png: 400x300 px, the other pictures have 720x540 px",
+        "1: the right picture is mirrored; give it as the camera saw it",
+    ]
+    assert report["pairs"] == ["2", "3", "4", "5", "6"]
+
+
+@pytest.mark.parametrize(
+    ("words", "message", "code"),
+    [
+        (["--board", "12x8"], "--board 12x8: the markers seen (5X5) lie as on a board of 11 squares across", 1),
+        (["--left", "v*_left.png"], "--left and --right belong together", 2),
+        (["--marker-mm", "16"], "allowed are sizes below --square-mm 15", 2),
+        (["--left", "v0*_left.png", "--right", "v*_right.png"], "tells a left picture from the right one", 2),
+    ],
+)
+def test_what_cannot_be_is_named(
+    words: list[str], message: str, code: int, recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert (
+        main(["calibrate", "pair", str(recorded), "--square-mm", "15", "--out", str(tmp_path / "a.json"), *words])
+        == code
+    )
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "a.json").exists()
+
+
+def test_the_size_of_a_square_must_be_told(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["calibrate", "pair", str(recorded)]) == 2
+    assert "no picture tells how large a board is" in capsys.readouterr().err
+
+
+def test_an_impossible_number_of_squares_is_refused(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["calibrate", "pair", str(recorded), "--square-mm", "15", "--board", "2x8"])
+    assert ended.value.code == 2
+    assert "2x8: allowed are two numbers 3..60" in capsys.readouterr().err
