@@ -8,7 +8,7 @@ interpolated.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from appliance.capture.sync import SyncMap
@@ -90,6 +90,25 @@ def audit(ledger: Ledger) -> Fault | None:
         or _times(ledger)
         or _apart(ledger)
     )
+
+
+def agreed_frames(ledger: Ledger) -> int:
+    """Return how many of the first frames all four witnesses agree on, however the rest of the sequence ended; 0 for none."""
+    most = min(
+        len(ledger.flips), len(ledger.pulses), *(len(frames) for frames in ledger.frames.values()), ledger.expected
+    )
+    for count in range(most, 0, -1):
+        # What a sequence of so many frames would have been told: nothing that came later can make an earlier frame right.
+        begun = replace(
+            ledger,
+            expected=count,
+            flips=ledger.flips[:count],
+            pulses=ledger.pulses[:count],
+            frames={side: frames[:count] for side, frames in ledger.frames.items()},
+        )
+        if audit(begun) is None:
+            return count
+    return 0
 
 
 def _flips(ledger: Ledger) -> Fault | None:

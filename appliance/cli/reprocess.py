@@ -1,0 +1,213 @@
+"""Owns the verbs ``reprocess`` and ``season``: all scans of an archive worked through anew, and one page about what came of it."""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+import time
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from appliance.cli.arguments import Verb, number, operand, option, switch, whole
+from appliance.cli.desk import measuring, writable, writing
+from appliance.cli.kernels import LINE_EVERY_S, compile_kernels
+from appliance.cli.output import Exit, Progress, UsageError, say, say_json
+from appliance.storage.archive import scan_folders
+from appliance.storage.atomic import replace_file
+from appliance.storage.filesystem import LocalFileSystem
+from appliance.storage.library import LibraryFolder
+from appliance.storage.lock import hold_lock
+
+if TYPE_CHECKING:  # brings NumPy and the kernels
+    from appliance.offline.anew.coordinator import Worked
+    from appliance.offline.anew.local import LocalEngine
+    from appliance.offline.anew.many import ManyEngine
+    from appliance.offline.anew.task import Job
+
+LIMIT_S = 600.0
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reprocess(Verb):
+    """Work through every scan below SOURCE that has no result yet; FAILED if one has none afterwards."""
+
+    source: Path = operand("SOURCE", "storage root, packed or not", parse=Path)
+    out: Path | None = option(
+        "--out", "folder of results, one below it for each calibration, program and setting", parse=Path, metavar="DIR"
+    )
+    calibration: Path | None = option("--calibration", "default: each scan's own", parse=Path, metavar="FILE")
+    foreign_calibration: bool = switch("--foreign-calibration", "also if it is another instrument's")
+    temperature_c: float | None = option(
+        "--temperature-c", "of the water, instead of what was recorded", parse=number(-2, 40)
+    )
+    salinity_psu: float | None = option(
+        "--salinity-psu", "of the water, together with its temperature", parse=number(0, 45)
+    )
+    list: Path | None = option(
+        "--list", "which artefacts some scans show, as for `evaluate`", parse=Path, metavar="LIST"
+    )
+    table_only: bool = switch("--table-only", "no clouds: rows of the table only")
+    all: bool = switch("--all", "also the rejected ones")
+    workers: int | None = option(
+        "--workers", "processes on this computer (default: its cores)", parse=whole(1, 256), metavar="N", either="where"
+    )
+    scheduler: str | None = option(
+        "--scheduler", "address of a scheduler of Dask's: work on its workers", metavar="ADDRESS", either="where"
+    )
+    limit_s: float = option(
+        "--limit-s", "time for one scan before it is begun again (600)", default=LIMIT_S, parse=number(1, 86_400)
+    )
+
+    @property
+    def says_news(self) -> bool:
+        """True: how far it is matters for hours, also where no terminal is."""
+        return True
+
+    def run(self) -> Exit:
+        """Raises UsageError, StorageError, CalibrationError, SchedulerError, MissingLibraryError."""
+        if self.out is None:
+            raise UsageError("--out is missing; give the folder for the results")
+        if (self.temperature_c is None) != (self.salinity_psu is None):
+            raise UsageError("--temperature-c and --salinity-psu: give both or neither")
+        if not (self.source / LibraryFolder.SCANS.value).is_dir():
+            raise UsageError(f"SOURCE {self.source}: no storage root; give the folder that holds scans/")
+        measuring(self.calibration)
+        begun_s = time.monotonic()
+        if self.scheduler is None:
+            compile_kernels()  # once, before any worker starts: each of them would compile the same minute
+        from appliance.offline.anew.results import Results
+
+        made, settings = self._jobs()
+        results = Results.of(self.out.absolute(), settings)
+        jobs = [job(str(results.folder)) for job in made]
+        with hold_lock(results.folder):
+            swept = results.sweep()
+            worked, started_s = self._work(jobs, begun_s)
+            swept += results.sweep()
+            table = results.write_table((*worked.rows, *worked.left))
+        self._tell(
+            worked,
+            {
+                "key": results.key,
+                "table": str(table),
+                "drafts_swept": swept,
+                "start_s": started_s,
+                "s": time.monotonic() - begun_s,
+            },
+        )
+        return (
+            Exit.OK
+            if len(worked.rows) == len(jobs) and not any(row["state"] == "failed" for row in worked.rows)
+            else Exit.FAILED
+        )
+
+    def _jobs(self) -> tuple[Sequence[Callable[[str], Job]], dict[str, object]]:
+        """Return what makes each job, given the folder of results, and the settings that the key stands for."""
+        from appliance.calibration import file as calibration_file
+        from appliance.offline.anew.task import Job, program_digits
+        from appliance.offline.evaluation import ListError, read_list
+
+        shelves = (LibraryFolder.SCANS, LibraryFolder.REJECTED) if self.all else (LibraryFolder.SCANS,)
+        water = (
+            None if self.temperature_c is None or self.salinity_psu is None else (self.temperature_c, self.salinity_psu)
+        )
+        try:
+            scans = None if self.list is None else read_list(self.list)
+        except ListError as error:
+            raise UsageError(str(error)) from error
+        listed = {} if scans is None else {Path(one.scan).name.lstrip("0"): one for one in scans.entries}
+        calibration = None if self.calibration is None else str(self.calibration.absolute())
+        settings: dict[str, object] = {
+            "calibration": None if self.calibration is None else calibration_file.load(self.calibration).hash,
+            "foreign": self.foreign_calibration,
+            "water": water,
+            "clouds": not self.table_only,
+            "program": program_digits(),
+            "list": None if scans is None else repr(scans),
+        }
+
+        def made(folder: Path) -> Callable[[str], Job]:
+            return lambda results: Job(
+                str(folder.absolute()), results, calibration, self.foreign_calibration, water, not self.table_only, program_digits(),
+                listed.get(folder.name.lstrip("0")), 0.0 if scans is None else scans.reference_mm,
+            )  # fmt: skip
+
+        return [made(folder) for folder in scan_folders(self.source, shelves)], settings
+
+    def _engine(self) -> AbstractContextManager[LocalEngine] | AbstractContextManager[ManyEngine]:
+        from appliance.offline.anew.local import LocalEngine
+        from appliance.offline.anew.many import ManyEngine
+
+        if self.scheduler is not None:
+            return ManyEngine(self.scheduler, self.limit_s)
+        return LocalEngine(self.workers or len(os.sched_getaffinity(0)), self.limit_s)
+
+    def _work(self, jobs: Sequence[Job], begun_s: float) -> tuple[Worked, float]:
+        from appliance.offline.anew.coordinator import work_through_all
+
+        with Progress() as progress, self._engine() as engine:
+            started_s = time.monotonic() - begun_s
+            return work_through_all(jobs, engine, _Said(progress)), started_s
+
+    def _tell(self, worked: Worked, facts: dict[str, object]) -> None:
+        failed = [row for row in worked.rows if row["state"] == "failed"]
+        counts = {
+            "done": len(worked.rows) - len(failed),
+            "failed": len(failed),
+            "left": len(worked.left),
+            "lost_workers": worked.lost,
+        }
+        if self.json:
+            say_json({**counts, **facts, "stopped": worked.stopped, "rows": [*worked.rows, *worked.left]})
+            return
+        for row in (*failed, *worked.left):
+            say(f"{row['scan']}  {'failed' if row['state'] == 'failed' else 'left for the next call'}: {row['reason']}")
+        if worked.stopped is not None:
+            say(f"stopped: {worked.stopped}")
+        say(f"{counts['done']} done, {counts['failed']} failed, {counts['left']} left; {facts['table']}")
+
+
+class _Said:
+    """Says how far it is: on a terminal in one line, elsewhere in lines some seconds apart."""
+
+    def __init__(self, progress: Progress) -> None:
+        self._progress = progress
+        self._next_s = time.monotonic() + LINE_EVERY_S
+
+    def __call__(self, done: int, of: int, left_s: float | None) -> None:
+        left = "" if left_s is None else f", {_time(left_s)} left"
+        self._progress(f"{done} of {of} scans{left}", done / of if of else None)
+        if not os.isatty(2) and time.monotonic() > self._next_s:
+            self._next_s = time.monotonic() + LINE_EVERY_S
+            log.info("%d of %d scans%s", done, of, left)
+
+
+def _time(seconds: float) -> str:
+    minutes = math.ceil(seconds / 60.0)
+    return f"{seconds:.0f} s" if seconds < 90 else f"{minutes} min" if minutes < 90 else f"{minutes / 60:.1f} h"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Season(Verb):
+    """One page about a table: lengths over time, health of the calibration, water, refused scans and why."""
+
+    table: Path = operand("TABLE", "table.csv of `kingfisher reprocess`", parse=Path)
+    out: Path | None = option("--out", "default: season.html here", parse=Path, metavar="FILE")
+
+    def run(self) -> Exit:
+        """Raises UsageError, ResultsError, StorageError."""
+        from appliance.offline.anew.results import read_table
+        from appliance.offline.anew.season import season_page
+
+        page = self.out or Path("season.html")
+        writable(page)
+        rows = read_table(self.table)
+        with writing(page):
+            replace_file(LocalFileSystem(), page, season_page(rows, str(self.table)).encode())
+        say_json({"page": str(page), "scans": len(rows)}) if self.json else say(f"{page}  {len(rows)} scans")
+        return Exit.OK

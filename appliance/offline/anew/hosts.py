@@ -1,0 +1,68 @@
+"""Owns that the kernels of a host are compiled once, before any of its workers takes a scan.
+
+Workers of one host wait for each other (``kernel_build`` holds a lock in the folder of the kernels), so that the first one compiles on all
+cores and the others find them ready. With a cold cache in every worker nothing was finished after seven minutes.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import subprocess
+import sys
+import time
+from functools import cache
+from typing import Any
+
+from appliance import kernel_cache
+from appliance.kernel_build import CompileError, compile_pieces, missing
+from appliance.kernel_cache import Origin
+
+MOST_S = 1800.0
+"""The longest that a host may take; a slow one with one core takes some minutes."""
+
+
+def warm_host() -> float:
+    """Compile what this host's cache lacks, or wait until another process has; return the seconds that took.
+
+    Afterwards this process uses that cache. Raises CompileError, OSError.
+    """
+    begun_s = time.monotonic()
+    cache = kernel_cache.use()  # before any kernel is imported
+    from appliance.worker.warm import PIECES
+
+    # Whoever set NUMBA_CACHE_DIR keeps that folder up to date (ADR 0019).
+    if cache.origin is Origin.GIVEN or not missing(cache.path, PIECES):
+        return time.monotonic() - begun_s
+    # In a process of its own: workers of dask's are daemons, which may not start the processes that compile side by side.
+    program = [sys.executable, "-m", __name__]
+    done = subprocess.run(program, env=os.environ.copy(), capture_output=True, text=True, timeout=MOST_S, check=False)
+    if done.returncode:
+        raise CompileError(f"kernels could not be compiled: {done.stderr.strip()[-500:]}")
+    return time.monotonic() - begun_s
+
+
+@cache
+def _warmed() -> float:
+    return warm_host()
+
+
+def warmed_attempt(job: bytes) -> dict[str, Any]:
+    """Do a pickled job (``task.attempt``) after this host's kernels are there; only a process's first one waits for them.
+
+    Pickled, because the module of jobs brings kernels, which must be told where their cache is before they are imported.
+    """
+    _warmed()
+    from appliance.offline.anew.task import attempt
+
+    return attempt(pickle.loads(job))
+
+
+def _compile() -> None:
+    from appliance.worker.warm import PIECES
+
+    compile_pieces(kernel_cache.use().path, PIECES)
+
+
+if __name__ == "__main__":
+    _compile()

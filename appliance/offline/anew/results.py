@@ -1,0 +1,187 @@
+"""Owns where results of reprocessing lie, and that there is one of each, whole, whoever else was making the same one.
+
+    <out>/<key>/settings.json          what the key stands for
+    <out>/<key>/results/<name>/        row.json, and cloud.ply where clouds were asked for; published by one rename
+    <out>/<key>/failed/<name>.json     why there is no result; tried again by the next call
+    <out>/<key>/drafts/<name>.<host>.<process>.<number>/   being made
+    <out>/<key>/table.csv              all rows
+
+A name is the scan's number and the checksum of its manifest, so that scans of several instruments do not meet. Any number of processes,
+on any number of machines that see the folder, may make results at once: the first rename wins, and the others see it.
+"""
+
+from __future__ import annotations
+
+import csv
+import errno
+import hashlib
+import io
+import json
+import os
+import socket
+import time
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from appliance.storage.archive import remove_folder
+from appliance.storage.atomic import StorageError, refused, replace_file, write_new
+from appliance.storage.filesystem import Bytes, LocalFileSystem
+from appliance.storage.manifest import FILE_NAME
+
+ROW, CLOUD, TABLE, SETTINGS = "row.json", "cloud.ply", "table.csv", "settings.json"
+KEY_DIGITS, NAME_DIGITS = 16, 12
+OLD_DRAFT_S = 6 * 3600.0
+"""A draft of another machine that is older is nobody's; two hours would be enough for the slowest scan."""
+COLUMNS = (
+    "scan", "state", "reason", "recorded", "points", "coverage_percent", "distance_mm", "noise_mm", "gap_mm", "exposure",
+    "spoilt", "faults", "verdicts", "e_l_percent", "length_error_mm", "artefact", "temperature_c", "salinity_psu", "water_index",
+    "calibration", "same_calibration", "recorded_by_version", "cpu_s", "wall_s", "peak_mb", "host", "cloud_sha256", "folder",
+)  # fmt: skip
+"""Columns of the table, which are keys of a row; what is not known is empty."""
+Row = dict[str, Any]
+
+
+class ResultsError(Exception):
+    """A folder of results cannot be used; the text says which and why."""
+
+
+@dataclass(frozen=True, slots=True)
+class Results:
+    """Results of one key below ``out``. Every method raises StorageError for what the disk refuses."""
+
+    folder: Path
+
+    @classmethod
+    def of(cls, out: Path, settings: Mapping[str, Any]) -> Results:
+        """Return the results made with ``settings`` (JSON-ready), their folder made where it is not there."""
+        text = json.dumps(settings, indent=1, sort_keys=True) + "\n"
+        results = cls(out / hashlib.sha256(text.encode()).hexdigest()[:KEY_DIGITS])
+        with refused("cannot make", results.folder):
+            for name in ("results", "failed", "drafts"):
+                (results.folder / name).mkdir(parents=True, exist_ok=True)
+        if not (results.folder / SETTINGS).exists():
+            replace_file(LocalFileSystem(), results.folder / SETTINGS, text.encode())
+        return results
+
+    @property
+    def key(self) -> str:
+        """Digits that stand for calibration, program and settings."""
+        return self.folder.name
+
+    def row(self, name: str) -> Row | None:
+        """Return the published result's row; ``None`` where there is none."""
+        try:
+            found: Row = json.loads((self.folder / "results" / name / ROW).read_bytes())
+        except (FileNotFoundError, NotADirectoryError):
+            return None
+        except (OSError, ValueError) as error:
+            raise StorageError(
+                "cannot read", self.folder / "results" / name / ROW, str(error), "move it away"
+            ) from error
+        return found
+
+    def publish(self, name: str, row: Row, cloud: tuple[Bytes, ...] | None) -> Row:
+        """Publish a result, whole, by one rename; where another process was first, what that one published is returned."""
+        fs = LocalFileSystem()
+        draft = self.folder / "drafts" / f"{name}.{socket.gethostname()}.{os.getpid()}.{time.monotonic_ns()}"
+        target = self.folder / "results" / name
+        with refused("cannot make", draft):
+            fs.make_folder(draft)
+        try:
+            if cloud is not None:
+                row = {**row, "cloud_sha256": write_new(fs, draft / CLOUD, cloud).sha256}
+            write_new(fs, draft / ROW, (_encoded(row),))
+            with refused("cannot publish", target):
+                fs.sync_folder(draft)
+                try:
+                    draft.rename(target)
+                except OSError as error:
+                    # rename(2) refuses a folder that is not empty: of two who are done at once, one gets the name.
+                    if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
+                        raise
+                fs.sync_folder(target.parent)
+        finally:
+            if draft.exists():
+                with suppress(StorageError):  # a full disk; the sweeper removes what stays
+                    remove_folder(fs, draft)
+        published = self.row(name)
+        if published is None:
+            raise StorageError("cannot publish", target, "it is not there after its rename", "call again")
+        with suppress(FileNotFoundError):
+            (self.folder / "failed" / f"{name}.json").unlink()
+        return published
+
+    def publish_failure(self, name: str, row: Row) -> Row:
+        """Write down why there is no result."""
+        replace_file(LocalFileSystem(), self.folder / "failed" / f"{name}.json", _encoded(row))
+        return row
+
+    def sweep(self) -> int:
+        """Remove drafts of processes that are gone, and answer how many."""
+        swept = 0
+        probe = self.folder / "drafts" / f".now.{os.getpid()}"
+        with refused("cannot sweep", self.folder / "drafts"):
+            # The time as the disk's own machine tells it: clocks of several machines need not agree.
+            probe.touch()
+            now_s = probe.stat().st_mtime
+            probe.unlink()
+            drafts = [path for path in (self.folder / "drafts").iterdir() if path.is_dir()]
+        for draft in drafts:
+            *_, host, process, _ = draft.name.rsplit(".", 3)
+            with suppress(StorageError, FileNotFoundError):
+                here = host == socket.gethostname() and process.isdigit()
+                gone = here and not _alive(int(process))
+                if gone or now_s - draft.stat().st_mtime > OLD_DRAFT_S:
+                    remove_folder(LocalFileSystem(), draft)
+                    swept += 1
+        return swept
+
+    def write_table(self, rows: Iterable[Row]) -> Path:
+        """Write the table, whole or not at all, in the order of the scans' numbers."""
+        text = io.StringIO()
+        writer = csv.DictWriter(text, COLUMNS, extrasaction="ignore", lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(sorted(rows, key=lambda row: (row["scan"], row.get("folder") or "")))
+        path = self.folder / TABLE
+        replace_file(LocalFileSystem(), path, text.getvalue().encode())
+        return path
+
+
+def name_of(folder: Path) -> str:
+    """Return the name of a scan's result. A manifest that cannot be read has a name, too: of the folder alone."""
+    try:
+        digest = hashlib.sha256((folder / FILE_NAME).read_bytes()).hexdigest()[:NAME_DIGITS]
+    except OSError:
+        digest = "unreadable"
+    return f"{folder.name}-{digest}"
+
+
+def read_table(path: Path) -> list[dict[str, str]]:
+    """Return the rows of a table, each a text by column; missing columns are empty. Raises ResultsError."""
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            reader = csv.DictReader(file)
+            if not {"scan", "state"} <= set(reader.fieldnames or ()):
+                raise ResultsError(f"TABLE {path}: is no table of `kingfisher reprocess`: give its {TABLE}")
+            return [{name: (row.get(name) or "") for name in COLUMNS} for row in reader]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise ResultsError(
+            f"TABLE {path}: cannot be read ({error}); give a {TABLE} of `kingfisher reprocess`"
+        ) from error
+
+
+def _encoded(row: Row) -> bytes:
+    return (json.dumps(row, indent=1, sort_keys=True, ensure_ascii=False) + "\n").encode()
+
+
+def _alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        pass
+    return True

@@ -1,0 +1,124 @@
+"""Owns the stored scans that the archive is measured on: drawn scenes of both simulated worlds, as folders an instrument could have left.
+
+A scan's folder is drawn once and kept, whole or not at all, so that an interrupted drawing goes on where it was.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from appliance.calibration import file as calibration_file
+from appliance.config import default_rig_path, parse_rig
+from appliance.scan.exposure import Exposure
+from appliance.storage.filesystem import LocalFileSystem
+from appliance.storage.record import ScanRecord, SequenceInfo
+from appliance.storage.scan import ScanOrigin, write_raw
+from bench.outside.draws import scene_world
+from bench.outside.scan import SEQUENCE
+from bench.outside.stated import stated_truth
+from bench.outside.world import Frames, chosen_exposure, expose
+from hw_sim.outside import ALL
+
+FULL_PX, SMALL_PX = (1600, 1200), (200, 150)
+FAMILIES = {"ordinary": (), "outside": ALL}
+SEED = 4711
+"""Seed of the draws; nothing in the product was chosen on them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """One drawn scan and what it shows."""
+
+    folder: Path
+    world: str
+    object: str
+    texture: str
+    attenuation_per_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Taken:
+    frames: Frames
+    exposure: Exposure
+    origin: ScanOrigin
+    calibration_hash: str
+    water: Mapping[str, float | None]
+
+
+def drawn_scans(
+    root: Path, world: str, count: int, size_px: tuple[int, int], say: Callable[[str], None]
+) -> list[Drawn]:
+    """Return ``count`` stored scans of ``world`` (``ordinary`` or ``outside``) below ``root``/scans, drawn where they are not there."""
+    found = []
+    for number in range(count):
+        folder = root / "scans" / f"{number + 1:06d}"
+        drawn = scene_world(SEED, number, FAMILIES[world], (8, 6)).scene
+        if not folder.exists():
+            say(f"{world} {number + 1} of {count}")
+            _store(folder, _take(world, number, size_px))
+        found.append(Drawn(folder, world, drawn.object, drawn.texture, drawn.water.attenuation_per_m))
+    return found
+
+
+def repeated_scans(root: Path, count: int, different: int, say: Callable[[str], None]) -> list[Path]:
+    """Return ``count`` small stored scans, of ``different`` drawn ones in turn: for what depends on how many there are."""
+    taken = [_take("ordinary", number, SMALL_PX) for number in range(different)]
+    folders = []
+    for number in range(count):
+        folder = root / "scans" / f"{number + 1:06d}"
+        if not folder.exists():
+            say(f"small {number + 1} of {count}")
+            _store(folder, taken[number % different])
+        folders.append(folder)
+    return folders
+
+
+def _take(world: str, number: int, size_px: tuple[int, int]) -> _Taken:
+    drawn = scene_world(SEED, number, FAMILIES[world], size_px)
+    renderer = drawn.renderer()
+    exposure = chosen_exposure(renderer, SEQUENCE)
+    stated = stated_truth(drawn.rig, drawn.scene)
+    rig_text = _rig_text(size_px)
+    rig = parse_rig(rig_text, "the packaged rig file")
+    serials = (rig.camera.left.serial, rig.camera.right.serial)
+    calibration = replace(stated.calibration, rig_serial=rig.rig.serial, camera_serials=serials)
+    encoded = calibration_file.encode(calibration)
+    water = {
+        "temperature_c": stated.water.temperature_c,
+        "salinity_psu": stated.water.salinity_psu,
+        "wavelength_nm": stated.water.wavelength_nm,
+        "index": stated.water.index,
+    }
+    origin = ScanOrigin(encoded, rig_text.encode())
+    return _Taken(expose(renderer, SEQUENCE, exposure), exposure, origin, calibration_file.decode(encoded).hash, water)
+
+
+def _store(folder: Path, taken: _Taken) -> None:
+    record = ScanRecord(
+        sequence=SequenceInfo.of(SEQUENCE),
+        rig_hash="ab" * 32,
+        calibration_hash=taken.calibration_hash,
+        software_version="0.1.0",
+        wall_time=f"2031-05-06T07:{int(folder.name) // 60 % 60:02d}:{int(folder.name) % 60:02d}+00:00",
+        clock_trusted=True,
+        recorded_ns=int(folder.name) * 5_000_000_000,
+        exposure=taken.exposure,
+        water=taken.water,
+    )
+    draft = folder.with_name(f".{folder.name}")
+    shutil.rmtree(draft, ignore_errors=True)
+    draft.parent.mkdir(parents=True, exist_ok=True)
+    write_raw(LocalFileSystem(), draft, folder.name, taken.frames, record, taken.origin)
+    draft.rename(folder)
+
+
+def _rig_text(size_px: tuple[int, int]) -> str:
+    """Return the packaged rig file with cameras of that size."""
+    text = default_rig_path().read_text(encoding="utf-8")
+    for name, full, wanted in zip(("width_px", "height_px"), FULL_PX, size_px, strict=True):
+        text = re.sub(rf"(?m)^{name} = {full}\b", f"{name} = {wanted}", text)
+    return text

@@ -1,0 +1,311 @@
+"""Packed scans: the same bytes come back, a damaged one is found, and no source goes that was not compared."""
+
+from __future__ import annotations
+
+import errno
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from appliance.storage import archive, packed
+from appliance.storage import label as labels
+from appliance.storage import scan as stored
+from appliance.storage.archive import Copied, pack_scan, problems_of, remove_source, unpack_scan
+from appliance.storage.atomic import StorageError
+from appliance.storage.damage import damaged_frames, frames_as_they_are
+from appliance.storage.filesystem import FileSystem, LocalFileSystem
+from appliance.storage.library import Library, LibraryFolder, entry_of
+from appliance.storage.manifest import Decision
+from appliance.storage.scan import ScanError, read_frame
+from tests.appliance.storage.scenes import FRAMES, ORIGIN, PREVIEW, BadDisk, cloud, frames, record, second_sequence
+
+FS = LocalFileSystem()
+SCANS = (LibraryFolder.SCANS,)
+JLS = "frames_left.npy.jls"
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+@pytest.fixture
+def source(tmp_path: Path) -> Path:
+    """A complete scan with both exposures."""
+    folder = tmp_path / "from" / "scans" / "000001"
+    folder.parent.mkdir(parents=True)
+    raw = stored.write_raw(FS, folder, "000001", frames(), record(), ORIGIN)
+    told = record(second=second_sequence())
+    both = stored.add_second(FS, folder, raw, frames(1), told)
+    stored.finish(FS, folder, both, Decision.KEPT, told, cloud(), PREVIEW)
+    labels.write(FS, folder, labels.Label("bollard 3"))
+    return folder
+
+
+@pytest.fixture
+def there(tmp_path: Path) -> Path:
+    """A folder in which the packed scan is to lie."""
+    archive.make_shelves(FS, tmp_path / "archive", SCANS)
+    return tmp_path / "archive" / "scans" / "000001"
+
+
+def moved(fs: FileSystem, source: Path, target: Path) -> None:
+    pack_scan(fs, source, target)
+    remove_source(fs, source, target)
+
+
+def flip(path: Path, at: int) -> None:
+    data = bytearray(path.read_bytes())
+    data[at] ^= 0x10
+    path.write_bytes(data)
+
+
+# ------------------------------------------------------------------------------------- there and back
+
+
+def test_a_packed_scan_comes_back_byte_for_byte(source: Path, there: Path, tmp_path: Path) -> None:
+    before = content(source)
+    assert pack_scan(FS, source, there) is Copied.WRITTEN
+    assert content(source) == before, "the source is only read"
+    assert not list(there.glob("*.npy"))
+    back = tmp_path / "back" / "scans" / "000001"
+    archive.make_shelves(FS, tmp_path / "back", SCANS)
+    assert unpack_scan(FS, there, back) is Copied.WRITTEN
+    assert content(back) == before
+
+
+def test_whatever_opens_scans_opens_packed_ones(source: Path, there: Path) -> None:
+    pack_scan(FS, source, there)
+    plain, opened = stored.load(source), stored.load(there)
+    assert opened.manifest == plain.manifest
+    assert opened.second is not None
+    for side in ("left", "right"):
+        assert np.array_equal(opened.frames[side], frames()[side])
+        assert np.array_equal(opened.second[side], frames(1)[side])
+        # Kernels are compiled for arrays that can be written, and for no others.
+        assert opened.frames[side].flags.writeable
+        assert opened.frames[side].flags.c_contiguous
+    assert entry_of(there, checksums=True).ok
+    assert Library(there.parent.parent).load("1").manifest == plain.manifest
+    assert not list(there.glob("*.npy")), "reading leaves nothing"
+
+
+def test_smooth_pictures_take_less_room(tmp_path: Path) -> None:
+    v, u = np.mgrid[0:60, 0:80]
+    smooth = np.stack([(u + k * v) // 2 % 200 for k in range(FRAMES)]).astype(np.uint8)
+    folder = tmp_path / "000001"
+    stored.write_raw(FS, folder, "000001", {"left": smooth, "right": smooth}, record())
+    pack_scan(FS, folder, tmp_path / "000002")
+    assert (tmp_path / "000002" / JLS).stat().st_size < (folder / "frames_left.npy").stat().st_size / 3
+
+
+# --------------------------------------------------------------------------------------- one frame
+
+
+@pytest.mark.parametrize("k", range(FRAMES))
+def test_one_frame_is_read_although_all_others_are_destroyed(source: Path, there: Path, k: int) -> None:
+    pack_scan(FS, source, there)
+    index = packed.read_index(there / JLS)
+    data = bytearray((there / JLS).read_bytes())
+    for other in set(range(FRAMES)) - {k}:
+        start, end = index.offsets[other : other + 2]
+        data[start:end] = bytes(end - start)
+    (there / JLS).write_bytes(data)
+    assert np.array_equal(read_frame(there, "left", k), frames()["left"][k])
+    assert np.array_equal(read_frame(source, "left", k), frames()["left"][k])
+    with pytest.raises(ScanError, match="frame"):
+        read_frame(there, "left", (k + 1) % FRAMES)
+
+
+def test_one_frame_of_the_second_exposure_and_one_that_is_not_there(source: Path, there: Path) -> None:
+    pack_scan(FS, source, there)
+    assert np.array_equal(read_frame(there, "right", 1, second=True), frames(1)["right"][1])
+    with pytest.raises(ScanError, match=f"no frame {FRAMES}; allowed are 0 to {FRAMES - 1}"):
+        read_frame(there, "left", FRAMES)
+
+
+def test_a_damaged_pixel_of_a_plain_frame_is_noticed(source: Path) -> None:
+    flip(source / "frames_left.npy", 128 + 5)
+    with pytest.raises(ScanError, match="frame bright is damaged"):
+        read_frame(source, "left", 0)
+
+
+# ------------------------------------------------------------------------------------------ damage
+
+
+def test_every_flipped_byte_of_a_packed_file_is_found(source: Path, there: Path) -> None:
+    pack_scan(FS, source, there)
+    good = (there / JLS).read_bytes()
+    manifest = stored.manifest_of(there)
+    assert stored.wrong_files(there, manifest, checksums=True) == {}
+    assert problems_of(there) == {}
+    for at in range(len(good)):
+        flip(there / JLS, at)
+        assert list(stored.wrong_files(there, manifest, checksums=True)) == ["frames_left.npy"], at
+        (there / JLS).write_bytes(good)
+
+
+@pytest.mark.parametrize("length", [0, 5, 11, 40, -1])
+def test_a_packed_file_that_is_cut_off_is_found_by_its_length(source: Path, there: Path, length: int) -> None:
+    pack_scan(FS, source, there)
+    (there / JLS).write_bytes((there / JLS).read_bytes()[:length])
+    assert "frames_left.npy" in stored.wrong_files(there, stored.manifest_of(there), checksums=False)
+    with pytest.raises(ScanError, match=r"frames_left\.npy"):
+        stored.load(there)
+
+
+def test_a_packed_file_of_another_scan_is_found(source: Path, there: Path, tmp_path: Path) -> None:
+    pack_scan(FS, source, there)
+    other = tmp_path / "000007"
+    stored.write_raw(FS, other, "000007", frames(9), record())
+    pack_scan(FS, other, tmp_path / "000008")
+    (there / JLS).write_bytes((tmp_path / "000008" / JLS).read_bytes())
+    assert "of other frames" in problems_of(there)["frames_left.npy"]
+
+
+def test_verifying_decodes_and_does_not_believe_the_packed_files_own_checksum(source: Path, there: Path) -> None:
+    """As a codec would that is not lossless: everything about the file fits but what it decodes to."""
+    pack_scan(FS, source, there)
+    index = packed.read_index(there / JLS)
+    wrong = np.array(index.frames())
+    wrong[1, 0, 0] ^= 1
+    (there / JLS).write_bytes(b"".join(packed.pack(index.header, wrong, index.stamp, JLS)))
+    assert stored.wrong_files(there, stored.manifest_of(there), checksums=True) == {}
+    assert problems_of(there) == {"frames_left.npy": "decodes to other frames"}
+    with pytest.raises(ScanError, match="nothing was removed"):
+        remove_source(FS, source, there)
+    assert source.is_dir()
+
+
+def test_a_damaged_frame_is_named_and_the_others_are_left(source: Path, there: Path) -> None:
+    pack_scan(FS, source, there)
+    index = packed.read_index(there / JLS)
+    flip(there / JLS, (index.offsets[1] + index.offsets[2]) // 2)
+    manifest = stored.manifest_of(there)
+    (found,) = damaged_frames(there, manifest)
+    assert (found.file, found.frames) == ("frames_left.npy", (1,))
+    left = frames_as_they_are(there, manifest, "frames_left.npy")
+    assert [np.array_equal(left[k], frames()["left"][k]) for k in range(FRAMES)] == [True, False, True]
+
+
+def test_a_packed_file_whose_index_is_gone_has_lost_all_frames(source: Path, there: Path) -> None:
+    pack_scan(FS, source, there)
+    flip(there / JLS, 0)
+    (found,) = damaged_frames(there, stored.manifest_of(there))
+    assert found.frames == tuple(range(FRAMES))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"height_px": 0}, {"height_px": 70_000}, {"width_px": "10"}, {"streams": []}, {"streams": [1, 2]}, {"crc32": [1, 2, 3]}, {"stream_crc32": []},
+        {"length": 10**15}, {"header_bytes": 10**9}, {"sha256": None}, {"streams": [10**12, 1, 1]},
+    ],
+)  # fmt: skip
+def test_an_index_that_says_nonsense_is_refused(source: Path, there: Path, change: dict[str, object]) -> None:
+    pack_scan(FS, source, there)
+    data = (there / JLS).read_bytes()
+    length = int.from_bytes(data[8:12], "little")
+    text = json.dumps({**json.loads(data[12 : 12 + length]), **change}).encode()
+    (there / JLS).write_bytes(data[:8] + len(text).to_bytes(4, "little") + text + data[12 + length :])
+    with pytest.raises(packed.PackedError, match="index is damaged"):
+        packed.read_index(there / JLS)
+
+
+def test_a_damaged_stream_never_comes_before_the_codec(source: Path, there: Path) -> None:
+    """The codec believes the size in a stream's own head, and takes gigabytes and minutes for a damaged one."""
+    pack_scan(FS, source, there)
+    index = packed.read_index(there / JLS)
+    data = bytearray((there / JLS).read_bytes())
+    head = data.index(b"\xff\xf7\x00\x0b\x08", index.offsets[1])  # start of frame, 8 bits; then the height
+    assert int.from_bytes(data[head + 5 : head + 7], "big") == 8
+    data[head + 6] = 9
+    (there / JLS).write_bytes(data)
+    with pytest.raises(ScanError, match="frame 1 is damaged"):
+        read_frame(there, "left", 1)
+
+
+def test_pixels_that_are_not_those_that_were_packed_are_refused(source: Path, there: Path) -> None:
+    pack_scan(FS, source, there)
+    data = (there / JLS).read_bytes()
+    index = packed.read_index(there / JLS)
+    other = f"{int(index.crc32[1], 16) ^ 1:08x}"
+    (there / JLS).write_bytes(data.replace(index.crc32[1].encode(), other.encode()))
+    with pytest.raises(ScanError, match="frame 1 decodes to other pixels"):
+        read_frame(there, "left", 1)
+
+
+def test_a_damaged_source_is_not_packed(source: Path, there: Path) -> None:
+    flip(source / "frames_right.npy", 200)
+    with pytest.raises(ScanError, match=r"frames_right\.npy.*not packed"):
+        pack_scan(FS, source, there)
+    assert not there.exists()
+
+
+# ----------------------------------------------------------------------------- resumed, and removed
+
+
+def test_packing_again_changes_nothing_but_the_label(source: Path, there: Path) -> None:
+    pack_scan(FS, source, there)
+    before = content(there)
+    assert pack_scan(FS, source, there) is Copied.ALREADY
+    assert content(there) == before
+    labels.write(FS, source, labels.Label("bollard 4"))
+    assert pack_scan(FS, source, there) is Copied.ALREADY
+    assert labels.read(there).name == "bollard 4"
+
+
+def test_another_scan_of_the_same_number_is_refused(source: Path, there: Path, tmp_path: Path) -> None:
+    pack_scan(FS, source, there)
+    other = tmp_path / "other" / "000001"
+    other.parent.mkdir()
+    stored.write_raw(FS, other, "000001", frames(9), record())
+    with pytest.raises(ScanError, match="is another scan than"):
+        pack_scan(FS, other, there)
+
+
+def test_packing_that_is_refused_at_any_call_leaves_the_source_and_no_half_scan(
+    source: Path, there: Path, tmp_path: Path
+) -> None:
+    """The disk refuses at each call in turn, packing and removing; afterwards everything is there once, and the next try ends well."""
+    before = content(source)
+    counting = BadDisk()
+    moved(counting, source, tmp_path / "counted")
+    calls = len(counting.calls)
+    assert calls > 40
+    archive.remove_folder(FS, tmp_path / "counted")
+    for bad in range(calls):
+        source.mkdir()
+        for name, data in before.items():
+            (source / name).write_bytes(data)
+        disk = BadDisk(bad, error=errno.ENOSPC)
+        with pytest.raises(StorageError):
+            moved(disk, source, there)
+        if source.exists():
+            assert content(source) == before, f"half a source after call {bad}"
+        else:
+            assert problems_of(there) == {}, f"removed without a whole copy at call {bad}"
+        if there.exists():
+            assert problems_of(there) == {}, f"half a scan after call {bad}"
+        archive.make_shelves(FS, there.parent.parent, SCANS)
+        archive.finish_removals(FS, source.parent.parent, SCANS)
+        assert {path.name for path in there.parent.iterdir()} <= {"000001"}
+        if source.exists():
+            moved(FS, source, there)
+        assert list(source.parent.iterdir()) == []
+        assert problems_of(there) == {}
+        archive.remove_folder(FS, there)
+
+
+@pytest.mark.parametrize("name", ["cloud.ply", "label.json", "manifest.json", "calibration.json"])
+def test_no_source_is_removed_whose_copy_lacks_a_byte(source: Path, there: Path, name: str) -> None:
+    pack_scan(FS, source, there)
+    data = (there / name).read_bytes()
+    (there / name).write_bytes(data[:-1])
+    with pytest.raises(ScanError, match="nothing was removed"):
+        remove_source(FS, source, there)
+    (there / name).unlink()
+    with pytest.raises(ScanError, match="nothing was removed"):
+        remove_source(FS, source, there)
+    assert source.is_dir()

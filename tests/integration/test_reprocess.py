@@ -1,0 +1,107 @@
+"""An archive worked through anew as somebody types it: packed scans, damaged ones, another water, and a second call."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from appliance.calibration import file as calibration_file
+from appliance.offline.anew.results import read_table
+from appliance.storage.scan import ScanOrigin
+from hw_sim.scene import Scene
+from tests.support.commands import ROOT, Shell, kingfisher
+from tests.support.rendered import render_scan
+from tests.support.stored import store
+from tests.support.truth import true_calibration
+
+WIDTH_PX, HEIGHT_PX = 200, 150
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A packed archive of three scans, of which the second was damaged after it was packed."""
+    base = tmp_path_factory.mktemp("archive")
+    scan = render_scan(Scene("frustum", texture="checker"), "nominal", 3, WIDTH_PX, 16)
+    rig = (ROOT / "appliance" / "rigs" / "kingfisher.toml").read_text(encoding="utf-8")
+    rig = rig.replace("width_px = 1600", f"width_px = {WIDTH_PX}").replace(
+        "height_px = 1200", f"height_px = {HEIGHT_PX}"
+    )
+    calibration = replace(true_calibration(scan.renderer.truth), rig_serial="KF-0001", camera_serials=None)
+    origin = ScanOrigin(calibration_file.encode(calibration), rig.encode())
+    for name in ("000001", "000002", "000003"):
+        (base / "root" / "scans").mkdir(parents=True, exist_ok=True)
+        store(scan, base / "root" / "scans" / name, origin=origin)
+    assert kingfisher("archive", "pack", base / "root", "--out", base / "packed").code == 0
+    damaged = base / "packed" / "scans" / "000002" / "frames_left.npy.jls"
+    data = bytearray(damaged.read_bytes())
+    data[-100] ^= 1
+    damaged.write_bytes(data)
+    return base
+
+
+def test_every_scan_has_one_result_or_a_reason_and_a_second_call_does_nothing_but_what_failed(
+    root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    desk = Shell(capsys)
+    said = desk("reprocess", root / "packed", "--out", tmp_path / "out", "--workers", "1", "--json").document
+    assert (said["done"], said["failed"], said["left"]) == (2, 1, 0)
+    table = {row["scan"]: row for row in read_table(Path(said["table"]))}
+    assert sorted(table) == ["000001", "000002", "000003"]
+    assert "frames_left.npy: damaged" in table["000002"]["reason"]
+    assert int(table["000001"]["points"]) > 1000
+    results = Path(said["table"]).parent / "results"
+    assert len(list(results.iterdir())) == 2
+
+    # The points of the frames that were packed are those of the frames as they were recorded, byte for byte.
+    assert desk("reconstruct", root / "root" / "scans" / "000001", "--out", tmp_path / "x.ply").code == 0
+    (cloud,) = results.glob("000001-*/cloud.ply")
+    assert cloud.read_bytes() == (tmp_path / "x.ply").read_bytes()
+
+    # Somebody brings the damaged one back; nothing else is done again.
+    before = {path: path.stat().st_mtime_ns for path in results.glob("*/*")}
+    shutil.copytree(root / "packed", tmp_path / "packed")
+    shutil.rmtree(tmp_path / "packed" / "scans" / "000002")
+    shutil.copytree(root / "root" / "scans" / "000002", tmp_path / "packed" / "scans" / "000002")
+    again = desk("reprocess", tmp_path / "packed", "--out", tmp_path / "out", "--workers", "1", "--json")
+    assert again.code == 0
+    assert again.document["key"] == said["key"]
+    assert len(list(results.iterdir())) == 3
+    assert {path: path.stat().st_mtime_ns for path in before} == before
+    assert list((results.parent / "failed").iterdir()) == []
+    assert desk("season", said["table"], "--out", tmp_path / "season.html").code == 0
+    assert "<h2>Refused scans</h2><p>None." in (tmp_path / "season.html").read_text(encoding="utf-8")
+
+
+def test_another_water_is_another_key_and_gives_other_points(
+    root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    desk = Shell(capsys)
+    water = ("--temperature-c", "4", "--salinity-psu", "35")
+    said = desk(
+        "reprocess", root / "root", "--out", tmp_path / "out", "--workers", "1", "--table-only", "--json", *water
+    ).document
+    assert {row["salinity_psu"] for row in said["rows"]} == {35.0}
+    assert all(row["water_index"] > 1.339 for row in said["rows"])
+    assert not list(Path(said["table"]).parent.glob("results/*/cloud.ply"))
+    settings = json.loads((Path(said["table"]).parent / "settings.json").read_text(encoding="utf-8"))
+    assert settings["water"] == [4.0, 35.0]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("{root}/root",), "--out is missing"),
+        (("{root}/root/scans", "--out", "x"), "give the folder that holds scans/"),
+        (("{root}/root", "--out", "x", "--salinity-psu", "35"), "give both or neither"),
+    ],
+)
+def test_wrong_words_end_in_one_line(
+    root: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], said: str
+) -> None:
+    done = Shell(capsys)("reprocess", *(word.format(root=root) for word in words))
+    assert done.code == 2
+    assert said in done.error
