@@ -1,0 +1,73 @@
+"""Owns the verb ``import``: images that some other rig took, as points or as a scan folder."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from appliance.cli.arguments import Verb, operand, option, switch
+from appliance.cli.desk import writable, writing
+from appliance.cli.kernels import compile_kernels
+from appliance.cli.listing import say_report
+from appliance.cli.output import Exit, Progress, UsageError, say
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Import(Verb):
+    """Points of images that another rig took, by a description of what they show (docs/foreign.md)."""
+
+    description: Path | None = operand("DESCRIPTION", "what the images show (TOML)", parse=Path, optional=True)
+    out: Path | None = option(
+        "--out",
+        "a cloud: .ply .e57 .las .npz (default: NAME.ply here); a folder: a scan like our own",
+        parse=Path,
+        metavar="FILE",
+    )
+    as_described: bool = switch("--as-described", "import it also where the images contradict the description")
+    guess: Path | None = option(
+        "--guess",
+        "write a first description of the images in that folder, by looking at them",
+        parse=Path,
+        metavar="FOLDER",
+    )
+
+    def run(self) -> Exit:
+        if (self.guess is None) == (self.description is None):
+            raise UsageError("import: give a description, or --guess FOLDER to have one written; one of them")
+        if self.guess is not None:
+            return self._guess(self.guess)
+        assert self.description is not None
+        out = self.out or Path(f"{self.description.stem}.ply")
+        folder = out.suffix == ""
+        if not folder:
+            writable(out)
+        with Progress() as progress:
+            compile_kernels()
+            from appliance.export.content import ExportError
+            from appliance.export.files import SCAN_SUFFIXES, checked_suffix
+            from appliance.offline.foreign_import import import_cloud, import_scan
+
+            if not folder:
+                try:
+                    checked_suffix(out, SCAN_SUFFIXES, "a cloud")
+                except ExportError as error:
+                    raise UsageError(f"--out {error}") from error
+            with writing(out):
+                make = import_scan if folder else import_cloud
+                report = make(self.description, out, progress, as_described=self.as_described)
+        say_report(report, as_json=self.json)
+        return Exit.OK
+
+    def _guess(self, folder: Path) -> Exit:
+        from appliance.foreign.guess import guess_description
+
+        out = self.out or folder / "description.toml"
+        if out.exists():
+            raise UsageError(f"--out {out}: is there already; give another name with --out FILE")
+        writable(out)
+        with Progress() as progress:
+            text = guess_description(folder, out.parent, progress)
+        with writing(out):
+            out.write_text(text, encoding="utf-8")
+        say(str(out))
+        return Exit.OK

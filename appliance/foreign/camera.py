@@ -1,0 +1,114 @@
+"""Owns one camera of a foreign set after decoding: coordinates with their noise, edges masked, and a picture of what it saw."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.foreign.decode import Measured, NoCoordinate, PlacedAxis, measure, place
+from appliance.foreign.description import Description
+from appliance.foreign.images import ImageSet
+from appliance.foreign.order import Shows
+from appliance.foreign.phase import Floats
+
+MAD_TO_SIGMA = 1.4826
+JUMP_STEPS, BEND_STEPS, EDGE_SIGMAS = 6.0, 1.5, 8.0
+"""A pixel sees two surfaces where its coordinate jumps by so many times what it usually changes by, or bends by so many times that;
+its noise may have so many standard deviations besides."""
+_DIFFERENCES = 4
+_OF_DIFFERENCE = 1.0 / 70.0
+"""Variance of a fourth difference a − 4b + 6c − 4d + e is 70 times that of a coordinate: its inverse. Curvature does not count in it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DecodedCamera:
+    """One camera's images, decoded. Mappings are keyed ``x`` and ``y``; maps are (h, w)."""
+
+    images: ImageSet
+    measured: Mapping[str, Measured]
+    placed: Mapping[str, PlacedAxis]
+    grey: NDArray[np.uint8]
+    """Picture of what the camera saw in even light: the bright image, else the mean of the sines, else the brightest of each pixel."""
+
+    @property
+    def valid(self) -> NDArray[np.bool_]:
+        """(h, w) bool: all coordinates are there."""
+        return np.asarray(np.logical_and.reduce([one.reason == NoCoordinate.VALID for one in self.placed.values()]))
+
+    def share_valid(self) -> float:
+        """Return the share of the pixels with light that have all coordinates; 0 where there is no light."""
+        lit = np.logical_and.reduce([one.reason != NoCoordinate.WEAK for one in self.placed.values()])
+        return float(self.valid.sum() / lit.sum()) if lit.any() else 0.0
+
+
+def decode_camera(images: ImageSet, description: Description) -> DecodedCamera:
+    """Decode one camera's images. Raises ForeignError."""
+    measured = {axis.name: measure(images, axis) for axis in description.axes}
+    placed = {axis.name: place(measured[axis.name], axis) for axis in description.axes}
+    return DecodedCamera(images, measured, placed, _picture(images, measured))
+
+
+def placed_again(camera: DecodedCamera, description: Description) -> DecodedCamera:
+    """Return the camera with coordinates by another convention that reads the same images; phase steps are turned, not fitted again."""
+    placed = {axis.name: place(camera.measured[axis.name], axis) for axis in description.axes}
+    return DecodedCamera(camera.images, camera.measured, placed, camera.grey)
+
+
+def _picture(images: ImageSet, measured: Mapping[str, Measured]) -> NDArray[np.uint8]:
+    bright = images.image(Shows.BRIGHT)
+    fits = [fit for one in measured.values() for fit in one.fits]
+    seen = bright if bright is not None else fits[0].offset if fits else images.images.max(axis=0)
+    return np.asarray(np.clip(np.rint(seen * np.float32(255.0 / images.white)), 0.0, 255.0), np.uint8)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CleanAxis:
+    """Coordinates of one direction without edges, with their noise."""
+
+    coordinate_px: Floats
+    """(h, w) float32; NaN where there is none."""
+    sigma_px: Floats
+    """(h, w) float32: standard deviation by noise, in px of the pattern."""
+    step_px: float
+    """Usual change from a pixel to the next, in either direction of the image."""
+
+
+def clean(placed: PlacedAxis) -> CleanAxis:
+    """Mask the edges of one direction and estimate its noise from neighbours, in inverse proportion to the modulation."""
+    coordinate = placed.coordinate_px
+    typical_px, step_px = _noise(coordinate), _usual_step(coordinate)
+    jump_px, bend_px = JUMP_STEPS * step_px + EDGE_SIGMAS * typical_px, BEND_STEPS * step_px + EDGE_SIGMAS * typical_px
+    edge = np.zeros(coordinate.shape, np.bool_)
+    for along in (0, 1):
+        values = coordinate if along else coordinate.T
+        marks = edge if along else edge.T
+        step = np.diff(values, axis=1)
+        # Missing neighbours (NaN) say nothing.
+        with np.errstate(invalid="ignore"):
+            far = np.abs(step) > jump_px
+            marks[:, 1:] |= far
+            marks[:, :-1] |= far
+            marks[:, 1:-1] |= np.abs(np.diff(step, axis=1)) > bend_px
+    kept = np.where(edge, np.float32(np.nan), coordinate)
+    modulation = np.maximum(placed.modulation, np.float32(1e-3))
+    usual = float(np.median(modulation[np.isfinite(kept)])) if np.isfinite(kept).any() else 1.0
+    return CleanAxis(kept, np.asarray(typical_px * usual / modulation, np.float32), step_px)
+
+
+def _noise(coordinate: Floats) -> float:
+    """Return the usual standard deviation of a coordinate from its differences along the rows; 0 where there are none."""
+    high = np.diff(coordinate, n=_DIFFERENCES, axis=1)
+    known = np.abs(high[np.isfinite(high)])
+    return float(MAD_TO_SIGMA * np.median(known) * _OF_DIFFERENCE**0.5) if known.size else 0.0
+
+
+def _usual_step(coordinate: Floats) -> float:
+    steps = []
+    for along in (0, 1):
+        step = np.abs(np.diff(coordinate, axis=along))
+        known = step[np.isfinite(step)]
+        steps.append(float(np.median(known)) if known.size else 0.0)
+    return max(*steps, 1e-3)

@@ -1,0 +1,404 @@
+"""Owns the description of a foreign set of images: which image is what, and by which convention it is to be read.
+
+Symbols of a direction: e = p + ½ is the distance of pattern coordinate p from the edge of the pattern, in px; its phase is
+φ = 2π e / period + start. Step k shows A + B cos(φ + sign · step_k). Stripe number i of the code covers e from
+offset + i · stripe to offset + (i + 1) · stripe. ``docs/foreign.md`` has the language by examples.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from appliance.foreign.order import ShownImage, Shows, numbered, parse_order
+from appliance.foreign.problem import ForeignError, Table
+
+MAX_BYTES = 1_000_000
+LEAST_STEPS, MOST_STEPS = 3, 16
+MOST_BITS = 16
+MOST_PERIODS = 8
+LEAST_PERIOD_PX, MOST_PX = 2.0, 65536.0
+SIDES = ("left", "right")
+CHANNELS = ("grey", "red", "green", "blue")
+
+
+@dataclass(frozen=True, slots=True)
+class AxisConvention:
+    """Convention by which the images of one direction are read."""
+
+    name: str
+    """``x`` (vertical stripes, varying along the columns) or ``y``."""
+    size_px: float
+    """Length of the pattern along it."""
+    periods_px: tuple[float, ...]
+    """Fringe periods; empty: stripes of the code alone."""
+    steps_deg: tuple[tuple[float, ...], ...]
+    """Phase steps of each period in the order of its images, as they are written."""
+    sign: int = 1
+    """1: a step adds to the phase; −1: it takes away."""
+    start_deg: float = 0.0
+    """Phase at the edge of the pattern, of all periods."""
+    bits: int = 0
+    """Number of images of the code; 0: there is none."""
+    inverses: bool = False
+    """True if each of them has its inverse."""
+    stripe_px: float = 0.0
+    """Width of the code's finest stripes."""
+    code_offset_px: float = 0.0
+    """Edge of the pattern at which stripe 0 begins."""
+    plain_binary: bool = False
+    """True if numbers are written in plain binary instead of Gray code."""
+    fine_first: bool = False
+    """True if the first image has the finest stripes."""
+    inverted: bool = False
+    """True if a bright stripe is a bit that is not set."""
+
+    @property
+    def period_px(self) -> float:
+        """The period that makes the coordinate: the finest one; of a code alone, its stripe."""
+        return min(self.periods_px, default=self.stripe_px)
+
+    @property
+    def finest(self) -> int:
+        """Number of the finest period."""
+        return self.periods_px.index(self.period_px)
+
+    @property
+    def signed_deg(self) -> tuple[tuple[float, ...], ...]:
+        """Phase steps with their sign."""
+        return tuple(tuple(self.sign * step for step in steps) for steps in self.steps_deg)
+
+
+@dataclass(frozen=True, slots=True)
+class ImageFiles:
+    """Places of one camera's images, relative to the description."""
+
+    patterns: tuple[str, ...]
+    """Names with wildcards, in order; each stands for its files in natural order (2 before 10)."""
+    by_word: tuple[tuple[str, tuple[str, ...]], ...] = ()
+    """Names for each kind of image (``gray-x``), in place of ``patterns``."""
+
+
+@dataclass(frozen=True, slots=True)
+class Medium:
+    """Medium between cameras and object."""
+
+    index: float | None = None
+    """Refractive index of the water relative to air; ``None``: it follows from temperature and salinity, or it is air."""
+    temperature_c: float | None = None
+    salinity_psu: float = 0.0
+    wavelength_nm: float = 530.0
+
+    @property
+    def is_air(self) -> bool:
+        """True if nothing was said of water."""
+        return self.index is None and self.temperature_c is None
+
+
+@dataclass(frozen=True, slots=True)
+class Ports:
+    """The cameras' plane windows."""
+
+    distance_mm: float
+    thickness_mm: float
+    glass_index: float
+    normals: tuple[tuple[float, float, float], tuple[float, float, float]] = ((0.0, 0.0, 1.0), (0.0, 0.0, 1.0))
+
+
+@dataclass(frozen=True, slots=True)
+class Description:
+    """A foreign set of images, as somebody describes it."""
+
+    name: str
+    folder: Path
+    """Folder that names are relative to."""
+    files: dict[str, ImageFiles]
+    """Files by side; ``right`` is not there where a projector takes its place."""
+    order: tuple[ShownImage, ...] | None
+    """Kinds of the images in order; ``None``: ``files`` says it by kind."""
+    channel: str
+    white: float | None
+    """Grey value of saturation; ``None``: it follows from the images."""
+    projector_px: tuple[int, int]
+    axes: tuple[AxisConvention, ...]
+    cameras: Table
+    """Everything said about the cameras (``cameras.py`` reads it)."""
+    medium: Medium = Medium()
+    ports: Ports | None = None
+    near_mm: float | None = None
+    far_mm: float | None = None
+
+    @property
+    def one_direction(self) -> bool:
+        """True if only one pattern coordinate is there."""
+        return len(self.axes) == 1
+
+    def axis(self, name: str) -> AxisConvention | None:
+        """Return the convention of a direction; ``None`` where it has no images."""
+        return next((axis for axis in self.axes if axis.name == name), None)
+
+    def with_axis(self, axis: AxisConvention) -> Description:
+        """Return the description with another convention for that direction."""
+        return replace(self, axes=tuple(axis if one.name == axis.name else one for one in self.axes))
+
+
+def load_description(path: Path) -> Description:
+    """Read and check a description. Raises ForeignError for whatever the file holds."""
+    try:
+        with path.open("rb") as file:
+            raw = file.read(MAX_BYTES + 1)
+    except OSError as error:
+        raise ForeignError(f"{path}: {error.strerror or error}; give the description of the images (TOML)") from error
+    if len(raw) > MAX_BYTES:
+        raise ForeignError(f"{path}: larger than {MAX_BYTES} bytes; give the description of the images (TOML)")
+    try:
+        text = raw.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise ForeignError(f"{path}: byte {error.start} is not UTF-8; save it as UTF-8 text") from error
+    return parse_description(text, path.parent, path.stem, str(path))
+
+
+def parse_description(text: str, folder: Path, name: str, source: str) -> Description:
+    """Read a description from ``text``; file names are relative to ``folder``. Raises ForeignError, which begins with ``source``."""
+    try:
+        content = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise ForeignError(f"{source}: {error}; correct that line (TOML 1.0)") from error
+    try:
+        return _described(Table("", content), folder, name)
+    except ForeignError as error:
+        raise ForeignError(f"{source}: {error}") from error
+
+
+def _described(top: Table, folder: Path, name: str) -> Description:
+    top.only("name", "images", "projector", "x", "y", "cameras", "water", "ports", "range")
+    images, projector, cameras = (_needed(top, key) for key in ("images", "projector", "cameras"))
+    projector.only("width_px", "height_px")
+    size_px = (projector.whole("width_px", 2, int(MOST_PX)), projector.whole("height_px", 2, int(MOST_PX)))
+    images.only("left", "right", "order", "channel", "white")
+    files = {side: _files(images, side) for side in SIDES if side == "left" or side in images.content}
+    order, shown = _order(images, files)
+    axes = []
+    for axis_name, length in zip("xy", size_px, strict=True):
+        mine = [one for one in shown if one.axis == axis_name]
+        table = top.table(axis_name)
+        if mine and table is None:
+            raise ForeignError(
+                f"[{axis_name}] is missing: {mine[0].word} is among the images; say how it is to be read"
+            )
+        if table is not None and not mine:
+            raise ForeignError(f"[{axis_name}] is there, and no image of {axis_name}; name its images or take it out")
+        if table is not None:
+            axes.append(_axis(table, axis_name, float(length), mine))
+    if not axes:
+        raise ForeignError(
+            f"no image has stripes ({', '.join(sorted({one.word for one in shown}))}); name some, for example gray-x"
+        )
+    ranges = top.table("range") or Table("range.", {})
+    ranges.only("near_mm", "far_mm")
+    near_mm, far_mm = (ranges.optional(key, 1.0, 1e6) for key in ("near_mm", "far_mm"))
+    if near_mm is not None and far_mm is not None and near_mm >= far_mm:
+        raise ForeignError(f"range.near_mm is {near_mm:g}; allowed: less than far_mm = {far_mm:g}; exchange them")
+    return Description(
+        top.text("name", name), folder, files, order, images.choice("channel", CHANNELS, "grey"),
+        images.optional("white", 1.0, 1e6), size_px, tuple(axes), cameras, _medium(top.table("water")), _ports(top.table("ports")),
+        near_mm, far_mm,
+    )  # fmt: skip
+
+
+def _needed(top: Table, key: str) -> Table:
+    table = top.table(key)
+    if table is None:
+        raise ForeignError(
+            f"[{key}] is missing; add it (`kingfisher import --guess FOLDER` writes a first description)"
+        )
+    return table
+
+
+def _names(table: Table, key: str) -> tuple[str, ...]:
+    value = table.content.get(key)
+    items = [value] if isinstance(value, str) else value
+    if not isinstance(items, list) or not items or not all(isinstance(item, str) and item for item in items):
+        raise table.wrong(key, 'a name, with wildcards if you like ("left/*.png"), or a list of names', "correct it")
+    return tuple(items)
+
+
+def _files(images: Table, side: str) -> ImageFiles:
+    value = images.content.get(side)
+    if isinstance(value, dict):
+        table = Table(f"images.{side}.", value)
+        if not value:
+            raise images.wrong(side, "names of images", "name some")
+        return ImageFiles((), tuple((word, _names(table, word)) for word in value))
+    return ImageFiles(_names(images, side))
+
+
+def _order(images: Table, files: dict[str, ImageFiles]) -> tuple[tuple[ShownImage, ...] | None, tuple[ShownImage, ...]]:
+    """Return what the images show in order (``None`` where it is said by kind), and one image of each kind and number."""
+    by_word = [bool(one.by_word) for one in files.values()]
+    if all(by_word):
+        if "order" in images.content:
+            raise images.wrong("order", "nothing, where images are named by kind", "take it out")
+        # How many files a name stands for is not known yet: one of each kind stands for all.
+        words = [word for word, _ in files["left"].by_word]
+        if "right" in files and sorted(words) != sorted(word for word, _ in files["right"].by_word):
+            raise ForeignError("images.right names other kinds of images than images.left; name the same")
+        return None, numbered(words, "images.left")
+    if any(by_word):
+        raise ForeignError(
+            "images.left and images.right: one names images by kind and the other in order; name both alike"
+        )
+    order = parse_order(images.text("order"), "images.order")
+    return order, order
+
+
+def _axis(table: Table, name: str, size_px: float, mine: list[ShownImage]) -> AxisConvention:
+    table.only(
+        "period_px", "fringes", "steps", "steps_deg", "sign", "start_deg", "gray", "stripe_px", "code_offset_px", "code", "code_order",
+        "code_inverted",
+    )  # fmt: skip
+    has_sines, has_code = (any(one.shows is what for one in mine) for what in (Shows.SINE, Shows.GRAY))
+    periods_px: tuple[float, ...] = ()
+    steps_deg: tuple[tuple[float, ...], ...] = ()
+    if has_sines:
+        periods_px = _periods(table, size_px)
+        named = 1 + max(one.period for one in mine if one.shows is Shows.SINE)
+        if named != len(periods_px):
+            raise ForeignError(
+                f"{name} has {len(periods_px)} periods, and its images are of {named}; name sine-{name}, sine-{name}2, … for each"
+            )
+        steps_deg = tuple(_steps(table) for _ in periods_px)
+    elif any(key in table.content for key in ("period_px", "fringes", "steps", "steps_deg")):
+        raise ForeignError(
+            f"{name} has a period or steps, and no sine-{name} is among the images; name them or take it out"
+        )
+    if has_sines and not has_code and len(periods_px) == 1 and periods_px[0] < size_px:
+        raise ForeignError(
+            f"{name} has one period of {periods_px[0]:g} px on {size_px:g} px and no gray-{name}: nothing tells one fringe from the "
+            "next; name the images of a code, or of further periods"
+        )
+    sign = 1 if table.choice("sign", ("+", "-"), "+") == "+" else -1
+    gray = table.choice("gray", ("ordinary", "complementary"), "ordinary")
+    stripe_px = 0.0
+    if has_code:
+        usual = min(periods_px) * (1.0 if gray == "ordinary" else 0.5) if has_sines else None
+        if usual is None and "gray" in table.content:
+            raise table.wrong("gray", "nothing, where there are no sine images", f"write {name}.stripe_px instead")
+        stripe_px = table.number("stripe_px", 0.5, MOST_PX, usual)
+        if has_sines and stripe_px > 1.01 * min(periods_px):
+            raise table.wrong(
+                "stripe_px",
+                f"up to the finest period, {min(periods_px):g} px",
+                "wider stripes do not number the fringes",
+            )
+    elif "gray" in table.content or "stripe_px" in table.content:
+        raise ForeignError(f"{name}.gray is there, and no gray-{name} is among the images; name them or take it out")
+    return AxisConvention(
+        name, size_px, periods_px, steps_deg, sign, table.number("start_deg", -360.0, 360.0, 0.0),
+        sum(one.shows is Shows.GRAY for one in mine), any(one.shows is Shows.INVERSE for one in mine), stripe_px,
+        table.number("code_offset_px", -MOST_PX, MOST_PX, 0.0), table.choice("code", ("gray", "binary"), "gray") == "binary",
+        table.choice("code_order", ("coarse-first", "fine-first"), "coarse-first") == "fine-first", table.flag("code_inverted"),
+    )  # fmt: skip
+
+
+def _periods(table: Table, size_px: float) -> tuple[float, ...]:
+    if ("period_px" in table.content) == ("fringes" in table.content):
+        raise ForeignError(
+            f"{table.name}period_px or {table.name}fringes (their number across the pattern): give one of them"
+        )
+    if "fringes" in table.content:
+        periods_px = tuple(size_px / count for count in table.numbers("fringes", 0.01, size_px / LEAST_PERIOD_PX))
+    else:
+        periods_px = table.numbers("period_px", LEAST_PERIOD_PX, MOST_PX)
+    if len(periods_px) > MOST_PERIODS:
+        raise table.wrong("period_px", f"up to {MOST_PERIODS} periods", "leave some out")
+    if any(abs(a - b) < 1e-9 for a, b in pairwise(sorted(periods_px))):
+        raise table.wrong("period_px", "different periods", "leave one out")
+    return periods_px
+
+
+def _steps(table: Table) -> tuple[float, ...]:
+    if "steps_deg" not in table.content:
+        count = table.whole("steps", LEAST_STEPS, MOST_STEPS)
+        return tuple(360.0 * k / count for k in range(count))
+    if "steps" in table.content:
+        raise ForeignError(f"{table.name}steps and {table.name}steps_deg are both there; give one of them")
+    steps_deg = table.numbers("steps_deg", -3600.0, 3600.0)
+    if not LEAST_STEPS <= len(steps_deg) <= MOST_STEPS:
+        raise table.wrong("steps_deg", f"{LEAST_STEPS} to {MOST_STEPS} steps", "name all of one period")
+    return steps_deg
+
+
+def _medium(water: Table | None) -> Medium:
+    if water is None:
+        return Medium()
+    water.only("index", "temperature_c", "salinity_psu", "wavelength_nm")
+    index, temperature_c = water.optional("index", 1.0, 1.6), water.optional("temperature_c", -2.0, 40.0)
+    if (index is None) == (temperature_c is None):
+        raise ForeignError("water.index or water.temperature_c: give one of them; for air take [water] out")
+    return Medium(
+        index, temperature_c, water.number("salinity_psu", 0.0, 45.0, 0.0), water.number("wavelength_nm", 380.0, 750.0, 530.0)
+    )  # fmt: skip
+
+
+def _ports(ports: Table | None) -> Ports | None:
+    if ports is None:
+        return None
+    ports.only("distance_mm", "thickness_mm", "glass_index", "left_normal", "right_normal")
+    found: list[tuple[float, float, float]] = []
+    for key in ("left_normal", "right_normal"):
+        x, y, z = (0.0, 0.0, 1.0) if key not in ports.content else _three(ports, key)
+        length = (x * x + y * y + z * z) ** 0.5
+        if length < 1e-6 or z < 0.5 * length:
+            raise ports.wrong(key, "a vector towards the water, in the camera's own frame", "correct its sign")
+        found.append((x / length, y / length, z / length))
+    return Ports(
+        ports.number("distance_mm", 0.0, 1000.0), ports.number("thickness_mm", 0.0, 100.0), ports.number("glass_index", 1.0, 3.0),
+        (found[0], found[1]),
+    )  # fmt: skip
+
+
+def _three(table: Table, key: str) -> tuple[float, float, float]:
+    values = table.numbers(key, -1e6, 1e6)
+    if len(values) != 3:
+        raise table.wrong(key, "three numbers", "correct it")
+    return values[0], values[1], values[2]
+
+
+def counted(description: Description, images: tuple[ShownImage, ...]) -> Description:
+    """Return the description with the numbers of bits of the ``images`` that are really there. Raises ForeignError where a direction has
+    other numbers of steps, bits or inverses than its convention allows."""
+    axes = []
+    for axis in description.axes:
+        mine = [one for one in images if one.axis == axis.name]
+        for period, steps in enumerate(axis.steps_deg):
+            found = sum(one.shows is Shows.SINE and one.period == period for one in mine)
+            if found != len(steps):
+                raise ForeignError(
+                    f"{found} images are sine-{axis.name}{period + 1 if period else ''}, and {axis.name} has {len(steps)} steps; "
+                    "name as many images as steps"
+                )
+        bits = sum(one.shows is Shows.GRAY for one in mine)
+        inverses = sum(one.shows is Shows.INVERSE for one in mine)
+        if inverses not in (0, bits):
+            raise ForeignError(
+                f"{bits} images are gray-{axis.name} and {inverses} ~gray-{axis.name}; each needs its inverse, or none"
+            )
+        if bits > MOST_BITS:
+            raise ForeignError(f"{bits} images are gray-{axis.name}; allowed are up to {MOST_BITS}; name others -")
+        covered_px = axis.code_offset_px + axis.stripe_px * 2**bits
+        if bits and (covered_px < 0.5 * axis.size_px):
+            raise ForeignError(
+                f"{bits} images of gray-{axis.name} with stripes of {axis.stripe_px:g} px number {covered_px:g} px of the pattern's "
+                f"{axis.size_px:g}; correct {axis.name}.stripe_px, {axis.name}.gray or the order"
+            )
+        axes.append(replace(axis, bits=bits, inverses=bool(inverses)))
+    return replace(description, axes=tuple(axes))
+
+
+def as_plain(value: Any) -> Any:
+    """Return arrays of a file as what TOML would have held: lists and numbers."""
+    return value.tolist() if hasattr(value, "tolist") else value

@@ -1,0 +1,94 @@
+"""Owns which image files of a folder belong to which camera: by folders of their own, or by their names."""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from appliance.foreign.images import SUFFIXES, natural_key
+from appliance.foreign.problem import ForeignError
+
+LEAST_IMAGES, MOST_FILES = 3, 2000
+_RIGHT = re.compile(r"(^|[^a-z])(right|r|cam1|camera1|cam2|camera2)([^a-z]|$)|right", re.IGNORECASE)
+_LEFT = re.compile(r"(^|[^a-z])(left|l|cam0|camera0)([^a-z]|$)|left", re.IGNORECASE)
+
+
+@dataclass(frozen=True, slots=True)
+class CameraFiles:
+    """The images of one camera."""
+
+    side: str
+    """``left`` or ``right``."""
+    pattern: str
+    """Name of the files with wildcards, relative to the folder."""
+    files: tuple[Path, ...]
+    """The files themselves, in natural order."""
+
+
+def camera_files(folder: Path) -> list[CameraFiles]:
+    """Return the images of the one or two cameras below ``folder``, the left one first. Raises ForeignError."""
+    if not folder.is_dir():
+        raise ForeignError(f"{folder}: is no folder; give the one with the images")
+    found = [path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES and path.is_file()]
+    if not LEAST_IMAGES <= len(found) <= MOST_FILES:
+        raise ForeignError(
+            f"{folder}: {len(found)} images are in it; allowed are {LEAST_IMAGES} to {MOST_FILES}; give the folder of one set"
+        )
+    names = [str(path.relative_to(folder)) for path in found]
+    best: dict[str, list[str]] | None = None
+    for groups in _groupings(names):
+        sizes = {len(group) for group in groups.values()}
+        if len(groups) <= 2 and len(sizes) == 1 and sizes.pop() >= LEAST_IMAGES:
+            # Two cameras are likelier than one whose images are named in two ways.
+            if len(groups) == 2:
+                best = groups
+                break
+            best = best or groups
+    if best is None:
+        raise ForeignError(
+            f"{folder}: which of its {len(names)} images are of which camera cannot be told by their names; put those of each camera into "
+            "a folder of its own, left and right"
+        )
+    patterns = sorted(best, key=natural_key)
+    if (
+        len(patterns) == 2
+        and (_RIGHT.search(patterns[0]) or _LEFT.search(patterns[1]))
+        and not _LEFT.search(patterns[0])
+    ):
+        patterns.reverse()
+    return [
+        CameraFiles(side, pattern, tuple(folder / name for name in sorted(best[pattern], key=natural_key)))
+        for side, pattern in zip(("left", "right"), patterns, strict=False)
+    ]
+
+
+def _groupings(names: list[str]) -> Iterator[dict[str, list[str]]]:
+    """Yield ways to group names, each by the pattern that all of a group share."""
+    by_folder: dict[str, list[str]] = defaultdict(list)
+    for name in names:
+        path = Path(name)
+        by_folder[str(path.with_name(f"*{path.suffix}"))].append(name)
+    yield dict(by_folder)
+    # One of the numbers in a name counts the images: the last one, or the one before, …
+    for place in range(1, 5):
+        groups: dict[str, list[str]] = defaultdict(list)
+        for name in names:
+            numbers = list(re.finditer(r"\d+", name))
+            if len(numbers) < place:
+                break
+            at = numbers[-place]
+            groups[f"{name[: at.start()]}*{name[at.end() :]}"].append(name)
+        else:
+            yield dict(groups)
+    # Whatever stands between a word for left or right: 00_left.png, bright_R.png.
+    sides: dict[str, list[str]] = defaultdict(list)
+    for name in names:
+        found = list(re.finditer(r"left|right|(?<![a-z])[lr](?![a-z])", name, re.IGNORECASE))
+        if not found:
+            return
+        at = found[-1]
+        sides[f"*{at[0]}*{Path(name).suffix}" if at.start() else f"{at[0]}*{Path(name).suffix}"].append(name)
+    yield dict(sides)

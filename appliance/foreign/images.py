@@ -1,0 +1,152 @@
+"""Owns the images of a foreign set: which files a description means, and their grey values.
+
+Any format that OpenCV reads, 8 or 16 bits, grey or colour; files of one name with wildcards come in natural order (2 before 10).
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.foreign.description import Description, ImageFiles
+from appliance.foreign.order import ShownImage, Shows, numbered
+from appliance.foreign.problem import ForeignError
+
+SUFFIXES = (".png", ".bmp", ".tif", ".tiff", ".jpg", ".jpeg", ".pgm", ".ppm", ".pnm", ".webp", ".jp2", ".exr", ".hdr")
+FULL_SCALES = (255.0, 1023.0, 4095.0, 16383.0, 65535.0)
+"""Grey values of saturation that sensors have."""
+CHANNEL_NUMBER = {"blue": 0, "green": 1, "red": 2}
+LOSSY = (".jpg", ".jpeg", ".webp")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImageSet:
+    """One camera's images."""
+
+    shown: tuple[ShownImage, ...]
+    files: tuple[Path, ...]
+    images: NDArray[Any]
+    """(n, h, w) uint8 or uint16."""
+    white: float
+    """Grey value from which on a pixel is saturated."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(h, w)."""
+        return int(self.images.shape[1]), int(self.images.shape[2])
+
+    def find(self, shows: Shows, axis: str = "", index: int = 0, period: int = 0) -> int | None:
+        """Return the number of an image; ``None`` where there is none."""
+        wanted = ShownImage(shows, axis, index, period)
+        return self.shown.index(wanted) if wanted in self.shown else None
+
+    def image(self, shows: Shows, axis: str = "", index: int = 0, period: int = 0) -> NDArray[Any] | None:
+        """Return an image (h, w); ``None`` where there is none."""
+        number = self.find(shows, axis, index, period)
+        return None if number is None else self.images[number]
+
+
+def natural_key(text: str) -> list[tuple[int, int, str]]:
+    """Return what sorts names as people do: ``a2`` before ``a10``."""
+    parts = re.split(r"(\d+)", text)
+    return [(0, int(part), "") if part.isdigit() else (1, 0, part.lower()) for part in parts if part]
+
+
+def read_side(description: Description, side: str) -> ImageSet:
+    """Read the images of one camera. Raises ForeignError for files that are missing, of different sizes, or no images."""
+    files, shown = _named(description, side)
+    return read_images(files, shown, description.channel, description.white)
+
+
+def read_images(
+    files: tuple[Path, ...], shown: tuple[ShownImage, ...], channel: str, white: float | None = None
+) -> ImageSet:  # fmt: skip
+    """Read ``files``, of which ``shown`` says what each shows; images that show something else are left out. Raises ForeignError."""
+    kept = [k for k, one in enumerate(shown) if one.shows is not Shows.OTHER]
+    images: NDArray[Any] | None = None
+    for n, k in enumerate(kept):
+        image = read_image(files[k], channel)
+        if images is None:
+            images = np.empty((len(kept), *image.shape), image.dtype)
+        if image.shape != images.shape[1:] or image.dtype != images.dtype:
+            raise ForeignError(
+                f"{files[k]}: {image.shape[1]} x {image.shape[0]} px {image.dtype}, and {files[kept[0]].name} has {images.shape[2]} x "
+                f"{images.shape[1]} px {images.dtype}; images of one camera must be alike: name others with -"
+            )
+        images[n] = image
+    if images is None:
+        raise ForeignError("all images are named -; name what they show")
+    brightest = float(images.max())
+    scale = white or next(one for one in FULL_SCALES if brightest <= one)
+    return ImageSet(tuple(shown[k] for k in kept), tuple(files[k] for k in kept), images, scale)
+
+
+def read_image(path: Path, channel: str) -> NDArray[Any]:
+    """Return one image (h, w) uint8 or uint16. Raises ForeignError."""
+    try:
+        raw = np.fromfile(path, np.uint8)
+    except OSError as error:
+        raise ForeignError(f"{path}: {error.strerror or error}; correct the name") from error
+    try:
+        image = cv2.imdecode(raw, cv2.IMREAD_UNCHANGED) if raw.size else None
+    except cv2.error:
+        image = None
+    if image is None:
+        raise ForeignError(f"{path}: no image that can be read; allowed: {', '.join(SUFFIXES[:9])}; convert it")
+    if image.dtype not in (np.uint8, np.uint16):
+        raise ForeignError(f"{path}: grey values are {image.dtype}; allowed: 8 or 16 bits; convert it")
+    if image.ndim == 2:
+        return np.asarray(image)
+    if channel == "grey":
+        # A grey picture that was saved in colour has three equal channels.
+        return np.asarray(cv2.cvtColor(np.ascontiguousarray(image[..., :3]), cv2.COLOR_BGR2GRAY))
+    return np.ascontiguousarray(image[..., CHANNEL_NUMBER[channel]])
+
+
+def _named(description: Description, side: str) -> tuple[tuple[Path, ...], tuple[ShownImage, ...]]:
+    """Return the files of one camera and what they show."""
+    wanted = description.files[side]
+    if description.order is None:
+        return _by_word(description, side, wanted)
+    key = f"images.{side}"
+    found = [path for pattern in wanted.patterns for path in matching(description.folder, pattern, key)]
+    if len(found) != len(description.order):
+        raise ForeignError(
+            f"{key}: {len(found)} files ({found[0].name} to {found[-1].name}), and images.order names {len(description.order)} images; "
+            "name as many, with - for what shows something else"
+        )
+    return tuple(found), description.order
+
+
+def _by_word(
+    description: Description, side: str, wanted: ImageFiles
+) -> tuple[tuple[Path, ...], tuple[ShownImage, ...]]:
+    files, words = [], []
+    for word, patterns in wanted.by_word:
+        key = f"images.{side}.{word}"
+        found = [path for pattern in patterns for path in matching(description.folder, pattern, key)]
+        files += found
+        words += [word] * len(found)
+    return tuple(files), numbered(words, f"images.{side}")
+
+
+def matching(folder: Path, pattern: str, key: str) -> list[Path]:
+    """Return the files that a name with wildcards means, in natural order. Raises ForeignError where there is none."""
+    place = Path(pattern)
+    try:
+        if place.is_absolute():
+            found = list(Path(place.anchor).glob(str(place.relative_to(place.anchor))))
+        else:
+            found = list(folder.glob(pattern))
+    except (ValueError, NotImplementedError, OSError) as error:
+        raise ForeignError(f"{key}: {pattern!r:.80} is no name of files ({error}); correct it") from error
+    files = sorted((path for path in found if path.is_file()), key=lambda path: natural_key(str(path)))
+    if not files:
+        raise ForeignError(f"{key}: no file is called {pattern!r:.80} in {folder.absolute()}; correct the name")
+    return files

@@ -1,0 +1,109 @@
+"""Owns the errors of importing: one line that names the thing, its value, what is allowed, and what to do."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+
+class ForeignError(Exception):
+    """A description cannot be followed, or its images are not there or show something else; says which, why and what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table of a description, of which every key must be read: what nobody knows is an error."""
+
+    name: str
+    """Its name with a dot behind it (``projector.``); empty for the whole file."""
+    content: Mapping[str, Any]
+
+    def wrong(self, key: str, allowed: str, remedy: str) -> ForeignError:
+        """Return the error for a key whose value is not allowed."""
+        return ForeignError(f"{self.name}{key} is {self.content.get(key)!r:.80}; allowed: {allowed}; {remedy}")
+
+    def only(self, *known: str) -> None:
+        """Raises ForeignError for the first key that is none of those ``known``, with the nearest one."""
+        for key in self.content:
+            if key not in known:
+                near = difflib.get_close_matches(key, known, 1)
+                hint = f"did you mean {near[0]}?" if near else f"known here: {', '.join(known)}"
+                raise ForeignError(f"{self.name}{key}: unknown key; {hint}")
+
+    def table(self, key: str) -> Table | None:
+        """Return the table below ``key``; ``None`` where there is none."""
+        value = self.content.get(key)
+        if value is None:
+            return None
+        if not isinstance(value, Mapping):
+            raise self.wrong(key, "a table", f"write [{self.name}{key}]")
+        return Table(f"{self.name}{key}.", value)
+
+    def text(self, key: str, default: str | None = None) -> str:
+        """Return a text. Raises ForeignError where it is missing without ``default``."""
+        value = self.content.get(key, default)
+        if not isinstance(value, str):
+            raise self.wrong(key, "a text", "put it between quotation marks")
+        return value
+
+    def choice(self, key: str, allowed: Collection[str], default: str) -> str:
+        """Return one of the words ``allowed``."""
+        value = self.content.get(key, default)
+        if value not in allowed:
+            raise self.wrong(key, ", ".join(allowed), "choose one of them")
+        return str(value)
+
+    def flag(self, key: str) -> bool:
+        """Return true or false; false where nothing is said."""
+        value = self.content.get(key, False)
+        if not isinstance(value, bool):
+            raise self.wrong(key, "true or false", "write it without quotation marks")
+        return value
+
+    def number(self, key: str, low: float, high: float, default: float | None = None) -> float:
+        """Return a number ``low`` to ``high``. Raises ForeignError where it is missing without ``default``."""
+        return _number(self, key, self.content.get(key, default), low, high)
+
+    def optional(self, key: str, low: float, high: float) -> float | None:
+        """Return a number ``low`` to ``high``; ``None`` where nothing is said."""
+        return self.number(key, low, high) if key in self.content else None
+
+    def whole(self, key: str, low: int, high: int) -> int:
+        """Return a whole number ``low`` to ``high``."""
+        value = self.number(key, low, high)
+        if value != int(value):
+            raise self.wrong(key, f"a whole number {low}..{high}", "correct it")
+        return int(value)
+
+    def numbers(self, key: str, low: float, high: float) -> tuple[float, ...]:
+        """Return a list of numbers ``low`` to ``high``; one number is a list of one."""
+        value = self.content.get(key)
+        items = value if isinstance(value, Sequence) and not isinstance(value, str) else [value]
+        if not items:
+            raise self.wrong(key, f"numbers {low:g}..{high:g}", "name at least one")
+        return tuple(_number(self, key, item, low, high) for item in items)
+
+    def matrix(self, key: str, rows: int, columns: int) -> tuple[tuple[float, ...], ...]:
+        """Return a matrix of ``rows`` × ``columns`` finite numbers, written row by row."""
+        shape = f"{rows} rows of {columns} numbers"
+        value = self.content.get(key)
+        if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != rows:
+            raise self.wrong(key, shape, "write [[…], […], …]")
+        for row in value:
+            if not isinstance(row, Sequence) or isinstance(row, str) or len(row) != columns:
+                raise self.wrong(key, shape, "write [[…], […], …]")
+        return tuple(tuple(_number(self, key, item, -1e9, 1e9) for item in row) for row in value)
+
+
+def _number(table: Table, key: str, value: object, low: float, high: float) -> float:
+    allowed = f"a number {low:g}..{high:g}"
+    if value is None:
+        raise ForeignError(f"{table.name}{key} is missing; allowed: {allowed}; add it")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise table.wrong(key, allowed, "write a number")
+    if not low <= value <= high:
+        raise table.wrong(key, allowed, "correct it")
+    return float(value)

@@ -1,0 +1,70 @@
+"""Owns the way from a description to decoded cameras whose conventions were tested."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from appliance.foreign.arrangement import examine_arrangement
+from appliance.foreign.assumptions import ExaminedAssumption, Outcome, examine_axis, examine_references
+from appliance.foreign.camera import DecodedCamera, decode_camera
+from appliance.foreign.cameras import ForeignRig, read_rig
+from appliance.foreign.description import SIDES, Description, counted, load_description
+from appliance.foreign.images import read_side
+from appliance.foreign.problem import ForeignError
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ForeignScan:
+    """A foreign set that was read and decoded, and what its images say of its description."""
+
+    description: Description
+    rig: ForeignRig
+    cameras: Mapping[str, DecodedCamera]
+    """``left`` and, unless a projector takes its place, ``right``."""
+    tested: tuple[ExaminedAssumption, ...]
+
+    @property
+    def wrong(self) -> tuple[ExaminedAssumption, ...]:
+        """Assumptions that the images contradict."""
+        return tuple(one for one in self.tested if one.outcome is Outcome.WRONG)
+
+
+def read_foreign(path: Path, progress: Callable[[str], None]) -> ForeignScan:
+    """Read what the description at ``path`` describes, decode it and test it. Raises ForeignError."""
+    said = load_description(path)
+    sets = {}
+    for side in said.files:
+        progress(f"reading {side}")
+        sets[side] = read_side(said, side)
+    description = counted(said, sets["left"].shown)
+    if "right" in sets and set(sets["right"].shown) != set(sets["left"].shown):
+        raise ForeignError(f"{path}: left and right have other images; name the same for both")
+    sizes_px = {side: (one.shape[1], one.shape[0]) for side, one in sets.items()}
+    sizes_px.setdefault("right", description.projector_px)
+    rig = read_rig(description, sizes_px)
+    cameras, tested = {}, []
+    for side, images in sets.items():
+        progress(f"decoding {side}")
+        cameras[side] = decode_camera(images, description)
+        found = examine_references(cameras[side])
+        for axis in description.axes:
+            found += examine_axis(cameras[side], axis)
+        tested += [ExaminedAssumption(f"{side}: {one.about}", one.outcome, one.text) for one in found]
+    progress("testing the cameras")
+    if all(one.outcome is not Outcome.WRONG for one in tested):
+        # Of coordinates that are wrong, nothing could be told about the cameras.
+        tested.append(examine_arrangement(description, rig, cameras))
+    else:
+        tested.append(
+            ExaminedAssumption(
+                "arrangement of the cameras", Outcome.NOT_JUDGED, "what the images show is described wrongly"
+            )
+        )
+    return ForeignScan(description, rig, cameras, tuple(tested))
+
+
+def both_sides(cameras: Mapping[str, DecodedCamera]) -> list[str]:
+    """Return the names of the cameras that are there, the left one first."""
+    return [side for side in SIDES if side in cameras]

@@ -1,0 +1,181 @@
+"""Owns the import of images that another rig took: a file of points, or a scan folder like our own, and the report of both."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from appliance import __version__
+from appliance.calibration.file import Calibration, encode
+from appliance.config import Rig, default_rig_path, load_rig, rig_text
+from appliance.export.content import CAMERA_FRAME, About
+from appliance.export.files import SCAN_SUFFIXES, checked_suffix, require_library, write_scan
+from appliance.foreign.assumptions import Outcome
+from appliance.foreign.own_form import own_frames, own_sequence
+from appliance.foreign.points import ForeignCloud, find_points
+from appliance.foreign.problem import ForeignError
+from appliance.foreign.reading import ForeignScan, read_foreign
+from appliance.optics.model import HousedCamera
+from appliance.optics.water import Water
+from appliance.processing.judges import JUDGES
+from appliance.reconstruct.quality import QualityLimits
+from appliance.scan.sides import SIDES, of_side
+from appliance.storage.atomic import StorageError
+from appliance.storage.filesystem import LocalFileSystem
+from appliance.storage.manifest import Decision
+from appliance.storage.record import ScanRecord, SequenceInfo
+from appliance.storage.scan import ScanOrigin, finish, write_raw
+
+METHOD = "foreign"
+"""Method of a calibration that was made by others."""
+LEAST_SHARE = 0.05
+"""Least share of the left pixels with coordinates that become points: fewer are there by chance."""
+LEAST_WITHIN = 0.5
+"""Least share of the points that lie within the instrument's own depths, for a scan folder."""
+
+
+def import_cloud(
+    path: Path, out: Path, progress: Callable[[str], None], *, as_described: bool = False
+) -> dict[str, Any]:
+    """Write the points of the images that the description at ``path`` describes; the suffix of ``out`` says how.
+
+    Raises ForeignError, also where the images contradict the description (unless ``as_described``) and where hardly any points
+    are left; ExportError, MissingLibraryError, StorageError.
+    """
+    suffix = checked_suffix(out, SCAN_SUFFIXES, "a cloud")
+    require_library(out)
+    scan, found = _found(path, progress, as_described)
+    progress("writing")
+    notes = [f"index {scan.rig.index:.5f}, {'air' if scan.rig.in_air else 'water'}, imported by software {__version__}"]
+    notes += [found.unchecked] if found.unchecked else []
+    notes += [f"warning {one}" for one in scan.wrong]
+    write_scan(out, found.cloud, About(scan.description.name, CAMERA_FRAME, tuple(notes)))
+    unit = "m" if suffix in (".e57", ".las") else "mm"
+    return {"file": str(out), "format": suffix.removeprefix("."), "unit": unit, **_report(scan, found)}
+
+
+def import_scan(
+    path: Path, out: Path, progress: Callable[[str], None], *, as_described: bool = False
+) -> dict[str, Any]:
+    """Make the scan folder ``out`` of images that have our own form. Raises as ``import_cloud``, and ForeignError for another form."""
+    if out.exists():
+        raise ForeignError(f"--out {out}: is there already; give the name of a folder that is not")
+    scan, found = _found(path, progress, as_described)
+    images = {side: camera.images for side, camera in scan.cameras.items()}
+    sequence = own_sequence(scan.description, images["left"])
+    if isinstance(sequence, str):
+        raise ForeignError(f"{path}: no scan folder can be made: {sequence}; write a cloud with --out {out.name}.ply")
+    if scan.wrong:
+        raise ForeignError(f"{path}: no scan folder can be made of images that are described wrongly; correct it")
+    limits = QualityLimits()
+    depth_mm = found.cloud.points_mm[..., 2][found.cloud.mask]
+    within = float(np.mean((depth_mm > limits.min_depth_mm) & (depth_mm < limits.max_depth_mm)))
+    if within < LEAST_WITHIN:
+        raise ForeignError(
+            f"{path}: no scan folder can be made: {100 * within:.0f} % of the points lie in the instrument's depths of "
+            f"{limits.min_depth_mm:g} to {limits.max_depth_mm:g} mm; write a cloud with --out {out.name}.ply"
+        )
+    progress("writing")
+    calibration = _calibration(scan)
+    rig = _rig(scan, calibration)
+    frames = {side: own_frames(sequence, scan.description, one) for side, one in images.items()}
+    water = calibration.water
+    record = ScanRecord(
+        SequenceInfo.of(sequence), rig.rig_hash, calibration.hash, __version__, None, False, 0,
+        water={
+            "salinity_psu": water.salinity_psu, "temperature_c": water.temperature_c, "wavelength_nm": water.wavelength_nm,
+            "index": water.index,
+        },
+    )  # fmt: skip
+    files = LocalFileSystem()
+    origin = ScanOrigin(encode(calibration), rig_text(rig).encode())
+    try:
+        manifest = write_raw(files, out, out.name, frames, record, origin)
+        finish(files, out, manifest, Decision.KEPT, record)
+    except OSError as error:
+        raise StorageError(
+            "cannot write", out, error.strerror or str(error), "give another folder with --out"
+        ) from error
+    return {"folder": str(out), "frames": len(sequence), "period_px": sequence.period_px, **_report(scan, found)}
+
+
+def _found(path: Path, progress: Callable[[str], None], as_described: bool) -> tuple[ForeignScan, ForeignCloud]:
+    scan = read_foreign(path, progress)
+    if scan.wrong and not as_described:
+        said = "; ".join(f"{one.about}: {one.text}" for one in scan.wrong)
+        raise ForeignError(
+            f"{path}: the images contradict it: {said}; correct it, or import it all the same with --as-described"
+        )
+    progress("finding points")
+    found = find_points(scan.description, scan.rig, scan.cameras["left"], scan.cameras.get("right"))
+    if found.points == 0 or found.points < LEAST_SHARE * found.lit:
+        raise ForeignError(
+            f"{path}: {found.points} points are left of {found.lit} left pixels with coordinates, between {found.depths_mm[0]:.0f} and "
+            f"{found.depths_mm[1]:.0f} mm; check the cameras' numbers, cameras.unit, [water] and [ports], and [range]"
+        )
+    return scan, found
+
+
+def _report(scan: ForeignScan, found: ForeignCloud) -> dict[str, Any]:
+    cloud, there = found.cloud, found.cloud.mask
+    gaps_mm = cloud.ray_gap_mm[there]
+    said = {outcome: [one for one in scan.tested if one.outcome is outcome] for outcome in Outcome}
+    needed = "needs four steps of 90° in two directions with bright and dark"
+    if not isinstance(own_sequence(scan.description, scan.cameras["left"].images), str):
+        needed = "is asked when the scan folder is reconstructed"
+    return {
+        "points": found.points,
+        "coverage_percent": 100.0 * found.points / found.lit,
+        "decoded_percent": {side: 100.0 * camera.share_valid() for side, camera in scan.cameras.items()},
+        "distance_mm": float(np.median(cloud.points_mm[..., 2][there])),
+        "noise_mm": float(np.nanmedian(cloud.sigma_mm[there])) if np.isfinite(cloud.sigma_mm[there]).any() else None,
+        "gap_mm": float(np.median(gaps_mm)) if np.isfinite(gaps_mm).any() else None,
+        "unchecked": found.unchecked,
+        "index": scan.rig.index,
+        "baseline_mm": float(np.linalg.norm(scan.rig.rig.right.translation_mm)),
+        "fits": [one.about for one in said[Outcome.FITS]],
+        "wrong": [f"{one.about}: {one.text}" for one in said[Outcome.WRONG]],
+        "not_judged": [
+            *(f"{one.about}: {one.text}" for one in said[Outcome.NOT_JUDGED]),
+            *(f"{judge.name}: {needed}" for judge in JUDGES),
+        ],
+    }
+
+
+def _calibration(scan: ForeignScan) -> Calibration:
+    """Return the calibration file that says what the description says of the cameras."""
+    if scan.rig.calibration is not None:
+        return scan.rig.calibration
+    medium = scan.description.medium
+    straight = all(camera.lens_in_water for camera in (scan.rig.rig.left, scan.rig.rig.right))
+    if not straight and medium.temperature_c is None:
+        raise ForeignError(
+            "no scan folder can be made: behind ports the index of a scan folder follows from temperature and salinity; give "
+            "water.temperature_c in place of water.index"
+        )
+    water = Water(
+        20.0 if medium.temperature_c is None else medium.temperature_c, medium.salinity_psu, medium.wavelength_nm
+    )
+    return Calibration(scan.description.name, METHOD, "unknown", ("images of another rig",), water, scan.rig.rig)
+
+
+def _rig(scan: ForeignScan, calibration: Calibration) -> Rig:
+    """Return the packaged rig with the foreign cameras and projector in place of its own."""
+    rig = load_rig(default_rig_path())
+    serials = calibration.camera_serials or tuple(f"{scan.description.name} {side}" for side in SIDES)
+
+    def camera(side: str, serial: str) -> Any:
+        seen: HousedCamera = of_side(scan.rig.rig, side)
+        return replace(of_side(rig.camera, side), serial=serial, width_px=seen.width_px, height_px=seen.height_px)
+
+    width_px, height_px = scan.description.projector_px
+    return replace(
+        rig,
+        rig=replace(rig.rig, name=scan.description.name, serial=calibration.rig_serial),
+        camera=replace(rig.camera, left=camera("left", serials[0]), right=camera("right", serials[1])),
+        projector=replace(rig.projector, width_px=width_px, height_px=height_px),
+    )

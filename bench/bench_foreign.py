@@ -1,0 +1,100 @@
+"""Image sets of six foreign conventions by the simulator: how complete and how accurate their points are, and which wrong words are named."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from time import process_time
+
+import numpy as np
+
+from appliance.foreign.guess import guess_description
+from appliance.foreign.points import find_points
+from appliance.foreign.problem import ForeignError
+from appliance.foreign.reading import ForeignScan, read_foreign
+from bench.result import Measured
+from tests.support.foreign_sets import CONVENTIONS, Convention, ForeignSet, make_set
+from tests.support.truth import left_to_rig
+
+WIDTH_PX = 800
+OUTLIER_MM = 1.0
+LEAST_PERCENT, LEAST_COARSE_PERCENT = 97.0, 88.0
+MOST_MM, MOST_COARSE_MM = 0.05, 0.4
+WRONG: tuple[tuple[str, str, str], ...] = (
+    ("eight-steps", 'sign = "-"', 'sign = "+"'),
+    ("eight-steps", "start_deg = 180", "start_deg = 0"),
+    ("eight-steps", 'gray = "complementary"', 'gray = "ordinary"'),
+    ("half-off", "code_offset_px = -32", "code_offset_px = 0"),
+    ("half-off", "steps = 4", "steps_deg = [0, 180, 90, 270]"),
+    ("three-steps", "steps = 3", 'steps_deg = [0, 240, 120]'),
+    ("three-steps", "bright dark", "dark bright"),
+    ("three-steps", "steps = 3", "steps = 3\ncode_inverted = true"),
+    ("periods", "[49, 48, 42]", "[42, 48, 49]"),
+    ("inverses", "gray-x ~gray-x", "~gray-x gray-x"),
+    ("inverses", "[x]\n", '[x]\ncode_order = "fine-first"\n'),
+    ("two-directions", "[0, 180, 90, 270]", "[0, 90, 180, 270]"),
+    ("two-directions", 'left = "left/', 'left = "right/'),
+)  # fmt: skip
+"""Convention, what its description says, and a wrong word in its place."""
+
+
+def measure() -> Iterator[Measured]:
+    """Every convention as described and as guessed, and every wrong word."""
+    with tempfile.TemporaryDirectory() as root:
+        made = {one.name: make_set(one, Path(root) / one.name, WIDTH_PX) for one in CONVENTIONS}
+        for one in CONVENTIONS:
+            yield from _measured(one, made[one.name])
+        named = [_is_named(made[name], before, after) for name, before, after in WRONG]
+        yield Measured("wrong words that are named", float(sum(named)), f"of {len(named)}", at_least=float(len(named)))
+        refused = sum(bool(read_foreign(one.description, _silent).wrong) for one in made.values())
+        yield Measured("right descriptions that are refused", float(refused), f"of {len(made)}", at_most=0.0)
+
+
+def _measured(one: Convention, made: ForeignSet) -> Iterator[Measured]:
+    begin_s = process_time()
+    complete, rms_mm, outliers = _judged(made, read_foreign(made.description, _silent))
+    cpu_s = process_time() - begin_s
+    yield Measured(
+        f"{one.name}: points of what all see",
+        complete,
+        "%",
+        at_least=LEAST_COARSE_PERCENT if one.coarse else LEAST_PERCENT,
+    )
+    yield Measured(
+        f"{one.name}: distance from the surface", rms_mm, "mm", at_most=MOST_COARSE_MM if one.coarse else MOST_MM
+    )
+    yield Measured(f"{one.name}: points farther away than {OUTLIER_MM:g} mm", outliers, "ppm")
+    yield Measured(f"{one.name}: CPU, tests and points", cpu_s, "s")
+    guess = made.description.with_name("guess.toml")
+    guess.write_text(guess_description(made.description.parent, guess.parent, _silent), encoding="utf-8")
+    guessed, _, _ = _judged(made, read_foreign(guess, _silent))
+    yield Measured(
+        f"{one.name}: points by a guess", guessed, "%", at_least=LEAST_COARSE_PERCENT if one.coarse else LEAST_PERCENT
+    )
+
+
+def _judged(made: ForeignSet, scan: ForeignScan) -> tuple[float, float, float]:
+    """Return completeness in percent, median distance from the true surface in mm, and outliers in ppm."""
+    found = find_points(scan.description, scan.rig, scan.cameras["left"], scan.cameras["right"])
+    seen, there = made.renderer.view("left", 0.0).seen_by_all, found.cloud.mask
+    points_mm = left_to_rig(made.renderer.truth, found.cloud.points_mm[there])
+    distance_mm = np.abs(made.renderer.surface(0.0).distance_mm(points_mm))
+    complete = 100.0 * float((there & seen).sum()) / float(seen.sum())
+    return complete, float(np.median(distance_mm)), 1e6 * float(np.mean(distance_mm > OUTLIER_MM))
+
+
+def _is_named(made: ForeignSet, before: str, after: str) -> bool:
+    """Tell whether a wrong word in place of a right one is called wrong."""
+    changes = [(before, after)]
+    if before.startswith("left = "):
+        # Both names, or one camera's images would be there twice.
+        changes = [('left = "left/', 'left = "xx/'), ('right = "right/', 'right = "left/'), ("xx/", "right/")]
+    try:
+        return bool(read_foreign(made.described(*changes), _silent).wrong)
+    except ForeignError:
+        return False
+
+
+def _silent(_: str) -> None:
+    """Say nothing about the progress."""

@@ -1,0 +1,148 @@
+"""Cameras of others: the same rig from OpenCV's files, matrices in the description and our own file; and what is wrong is named."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from appliance.foreign.cameras import ForeignRig, inverted, lens_of, read_rig
+from appliance.foreign.description import parse_description
+from appliance.foreign.problem import ForeignError
+
+SIZES = {"left": (640, 480), "right": (640, 480)}
+M1 = np.array([[800.0, 0, 320], [0, 810, 240], [0, 0, 1]])
+M2 = np.array([[790.0, 0, 310], [0, 795, 250], [0, 0, 1]])
+D1, D2 = np.array([[-0.1, 0.05, 0.001, -0.002, 0.01]]), np.array([[-0.08, 0.02, 0.0, 0.0]])
+R = cv2.Rodrigues(np.array([0.01, -0.2, 0.03]))[0]
+T = np.array([[-100.0], [2.0], [10.0]])
+HEAD = """
+[images]
+left = "l*"
+right = "r*"
+order = "gray-x*8"
+[projector]
+width_px = 1024
+height_px = 768
+[x]
+stripe_px = 4
+"""
+
+
+def rig(folder: Path, cameras: str, more: str = "") -> ForeignRig:
+    return read_rig(parse_description(f"{HEAD}[cameras]\n{cameras}\n{more}", folder, "set", "set.toml"), SIZES)
+
+
+def written(path: Path, **values: Any) -> None:
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    for name, value in values.items():
+        storage.write(name, value)
+    storage.release()
+
+
+def projected(found: ForeignRig, point_mm: tuple[float, float, float]) -> np.ndarray[Any, Any]:
+    return np.concatenate(
+        [camera.project(np.array(point_mm), found.index) for camera in (found.rig.left, found.rig.right)]
+    )
+
+
+def expected(point_mm: tuple[float, float, float], scale: float = 1.0) -> np.ndarray[Any, Any]:
+    """As OpenCV itself projects."""
+    point = np.array([point_mm])
+    left = cv2.projectPoints(point, np.zeros(3), np.zeros(3), M1, D1)[0].ravel()
+    right = cv2.projectPoints(point, cv2.Rodrigues(R)[0], scale * T, M2, D2)[0].ravel()
+    return np.concatenate([left, right])
+
+
+@pytest.mark.parametrize("name", ["stereo.yml", "stereo.xml", "stereo.json"])
+def test_opencvs_files_project_as_opencv_does(tmp_path: Path, name: str) -> None:
+    written(tmp_path / name, M1=M1, D1=D1, M2=M2, D2=D2, R=R, T=T)
+    found = rig(tmp_path, f'files = "{name}"')
+    assert found.in_air
+    for point in ((0.0, 0.0, 500.0), (60.0, -40.0, 700.0), (-80.0, 50.0, 400.0)):
+        np.testing.assert_allclose(projected(found, point), expected(point), atol=1e-6)
+
+
+def test_other_names_units_and_several_files(tmp_path: Path) -> None:
+    written(tmp_path / "intrinsics.yml", cameraMatrix1=M1, distCoeffs1=D1, cameraMatrix2=M2, distCoeffs2=D2)
+    written(tmp_path / "extrinsics.yml", R=R, T=0.001 * T, R1=np.eye(3), Q=np.eye(4))
+    found = rig(tmp_path, 'files = ["intrinsics.yml", "extrinsics.yml"]\nunit = "m"')
+    np.testing.assert_allclose(projected(found, (10.0, 20.0, 600.0)), expected((10.0, 20.0, 600.0)), atol=1e-6)
+    written(tmp_path / "left.yml", camera_matrix=M1, distortion_coefficients=D1)
+    written(tmp_path / "right.yml", camera_matrix=M2, distortion_coefficients=D2)
+    single = rig(tmp_path, 'files = ["right.yml", "left.yml", "extrinsics.yml"]\nunit = "m"')
+    assert single.rig == found.rig
+    np.savez(tmp_path / "all.npz", mtxL=M1, distL=D1, mtxR=M2, distR=D2, R=R, T=T)
+    assert rig(tmp_path, 'files = "all.npz"').rig.left == found.rig.left
+    written(tmp_path / "odd.yml", eye_a=M1, eye_b=M2, twist=cv2.Rodrigues(R)[0], shift=T)
+    names = '[cameras.names]\nleft_matrix = "eye_a"\nright_matrix = "eye_b"\nrotation = "twist"\ntranslation = "shift"'
+    odd = rig(tmp_path, 'files = "odd.yml"', names)
+    np.testing.assert_allclose(odd.rig.right.rotation, found.rig.right.rotation, atol=1e-9)
+
+
+def test_matrices_in_the_description(tmp_path: Path) -> None:
+    text = (
+        f"rotation = {R.tolist()}\ntranslation = {T.ravel().tolist()}\n[cameras.left]\nmatrix = {M1.tolist()}\n"
+        f"distortion = {D1.ravel().tolist()}\n[cameras.right]\nmatrix = {M2.tolist()}\ndistortion = {D2.ravel().tolist()}"
+    )
+    found = rig(tmp_path, text)
+    np.testing.assert_allclose(projected(found, (10.0, 20.0, 600.0)), expected((10.0, 20.0, 600.0)), atol=1e-6)
+    turned = inverted(found.rig)
+    np.testing.assert_allclose(turned.right.translation_mm, T.ravel(), atol=1e-9)
+    np.testing.assert_allclose(inverted(turned).right.translation_mm, found.rig.right.translation_mm, atol=1e-9)
+
+
+def test_water_bends_rays_behind_ports_only(tmp_path: Path) -> None:
+    written(tmp_path / "s.yml", M1=M1, D1=D1, M2=M2, D2=D2, R=R, T=T)
+    ports = "[ports]\ndistance_mm = 20\nthickness_mm = 5\nglass_index = 1.5\n"
+    wet = rig(tmp_path, 'files = "s.yml"', f"{ports}[water]\nindex = 1.333")
+    pinhole = rig(tmp_path, 'files = "s.yml"', "[water]\ntemperature_c = 20")
+    point = (100.0, 0.0, 600.0)
+    assert pinhole.index == pytest.approx(1.335, abs=0.002)
+    np.testing.assert_allclose(projected(pinhole, point), expected(point), atol=1e-6)
+    # Water magnifies: the point is seen farther from the centre, by 4/3 far away and less near the port.
+    assert 1.2 < (projected(wet, point)[0] - 320.0) / (expected(point)[0] - 320.0) < 1.34
+
+
+def test_longer_lens_models_are_replaced_where_that_is_exact_enough() -> None:
+    short = np.array([-0.1, 0.02, 0.001, -0.001, 0.003])
+    size_px = (640, 480)
+    long = np.concatenate([short, [0.0005, 0.0, 0.0]])
+    lens = lens_of(M1, long, size_px, "left")
+    point = np.array([[0.3, -0.2, 1.0]])
+    wanted = cv2.projectPoints(point, np.zeros(3), np.zeros(3), M1, long)[0].ravel()
+    np.testing.assert_allclose(lens.to_pixels(point[0, :2]), wanted, atol=0.05)
+    with pytest.raises(ForeignError, match="differs from the nearest one of five by"):
+        lens_of(M1, np.array([-0.1, 0.02, 0.05, -0.04, 0.003, 0.0, 0.0, 0.0, 0.3, 0.2, -0.3, 0.4]), size_px, "left")
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"R": 2.0 * R}, "is no rotation"),
+        ({"T": 0.0 * T}, "translation is zero"),
+        ({"M1": None}, "have no left_matrix under a name that is known (s.yml: D1, M2"),
+        (
+            {"M2": M2 * np.array([[1.0], [1.0], [1.0]]) + np.array([[0, 0, 5000.0], [0, 0, 0], [0, 0, 0]])},
+            "lies far outside of images",
+        ),
+        ({"D1": np.zeros((1, 3))}, "left distortion has 3 values; allowed are 4, 5, 8, 12, 14"),
+    ],
+)
+def test_cameras_that_cannot_be_are_refused(tmp_path: Path, change: dict[str, Any], said: str) -> None:
+    values = {"M1": M1, "D1": D1, "M2": M2, "D2": D2, "R": R, "T": T, **change}
+    written(tmp_path / "s.yml", **{name: value for name, value in values.items() if value is not None})
+    with pytest.raises(ForeignError) as error:
+        rig(tmp_path, 'files = "s.yml"')
+    assert said in str(error.value)
+
+
+def test_a_file_that_is_none_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ForeignError, match=r"there is no file .*none.yml"):
+        rig(tmp_path, 'files = "none.yml"')
+    (tmp_path / "text.yml").write_text("camera: [1, 2")
+    with pytest.raises(ForeignError, match="not readable as OpenCV"):
+        rig(tmp_path, 'files = "text.yml"')

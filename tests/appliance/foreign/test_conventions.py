@@ -1,0 +1,119 @@
+"""Six foreign conventions, from image files to points that lie on the true surface; and each wrong word is noticed and named."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from appliance.cli.output import Exit
+from tests.support.commands import Shell
+from tests.support.foreign_sets import CONVENTIONS, ForeignSet, convention
+from tests.support.truth import left_to_rig
+
+Sets = Callable[[str], ForeignSet]
+NEEDS_FOUR_STEPS = "needs four steps of 90° in two directions with bright and dark"
+
+
+def judged(made: ForeignSet, points_mm: NDArray[np.float32], there: NDArray[np.bool_]) -> tuple[float, float]:
+    """Completeness against what all three eyes see, and the median distance from the true surface in mm."""
+    seen = made.renderer.view("left", 0.0).seen_by_all
+    distance = made.renderer.surface(0.0).distance_mm(left_to_rig(made.renderer.truth, points_mm[there]))
+    return float((there & seen).sum() / seen.sum()), float(np.median(np.abs(distance)))
+
+
+def points_of(grid: Mapping[str, NDArray[np.float32]]) -> NDArray[np.float32]:
+    return np.stack([grid[f"{axis}_mm"] for axis in "xyz"], -1)
+
+
+@pytest.mark.parametrize("name", [one.name for one in CONVENTIONS])
+def test_points_of_another_rig_lie_on_the_surface(shell: Shell, foreign_set: Sets, tmp_path: Path, name: str) -> None:
+    made, wanted = foreign_set(name), convention(name)
+    out = tmp_path / "cloud.npz"
+    said = shell("import", made.description, "--out", out, "--json")
+    assert (said.code, said.err) == (Exit.OK, "")
+    report = said.document
+    with np.load(out) as grid:
+        there = grid["mask"]
+        complete, off_mm = judged(made, points_of(grid), there)
+        sigma_mm = float(np.median(grid["sigma_mm"][there]))
+    assert report["points"] == int(there.sum()) > 10_000
+    assert complete > (0.85 if wanted.coarse else 0.96)
+    assert off_mm < (0.6 if wanted.coarse else 0.08)
+    # What is said of the noise is of the size of the errors.
+    assert 0.2 < sigma_mm / off_mm < 8.0
+    assert report["wrong"] == []
+    # With one direction nothing has checked the points, and the report says so.
+    assert (report["unchecked"] is not None) == wanted.one_direction
+    assert (report["gap_mm"] is None) == wanted.one_direction
+    assert any(line.startswith("motion: ") for line in report["not_judged"])
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "said"),
+    [
+        ("eight-steps", [('sign = "-"', 'sign = "+"')], 'the phase runs the other way: x.sign = "-" fits'),
+        ("half-off", [("code_offset_px = -32", "")], "the code is half a period off: x.code_offset_px = -32 fits"),
+        ("eight-steps", [("start_deg = 180", "start_deg = 90")], "the phase begins elsewhere: x.start_deg = 180 fits"),
+        ("eight-steps", [('gray = "complementary"', "")], "half a period wide: x.stripe_px = 16 fits"),
+        ("three-steps", [("steps = 3", "steps = 3\ncode_inverted = true")], "100 % with x.code_inverted = false"),
+        ("three-steps", [("steps = 3", 'steps = 3\ncode_order = "fine-first"')], 'with x.code_order = "coarse-first"'),
+        ("three-steps", [("bright dark", "dark bright")], "they are exchanged"),
+        ("two-directions", [("[0, 180, 90, 270]", "[0, 90, 180, 270]")], "x.steps_deg = [0, 180, 90, 270] leaves"),
+        ("periods", [("[49, 48, 42]", "[42, 48, 49]")], "with x.period_px = [20.898, 21.3333, 24.381]"),
+        ("inverses", [("gray-x ~gray-x", "~gray-x gray-x")], "x.code_inverted = true"),
+    ],
+)  # fmt: skip
+def test_a_wrong_word_is_named_with_what_fits(
+    shell: Shell, foreign_set: Sets, tmp_path: Path, name: str, changes: list[tuple[str, str]], said: str
+) -> None:
+    described = foreign_set(name).described(*changes)
+    found = shell("import", described, "--out", tmp_path / "cloud.ply")
+    assert found.code == Exit.FAILED
+    assert said in found.error
+    assert not (tmp_path / "cloud.ply").exists()
+
+
+def test_exchanged_cameras_are_noticed_where_rays_must_meet(shell: Shell, foreign_set: Sets, tmp_path: Path) -> None:
+    made = foreign_set("two-directions")
+    described = made.described(
+        ('left = "left/', 'left = "xx/'), ('right = "right/', 'right = "left/'), ("xx/", "right/")
+    )
+    found = shell("import", described, "--out", tmp_path / "cloud.ply")
+    assert found.code == Exit.FAILED
+    assert "left and right are exchanged" in found.error
+
+
+def test_what_one_direction_cannot_tell_is_not_judged(shell: Shell, foreign_set: Sets, tmp_path: Path) -> None:
+    found = shell("import", foreign_set("eight-steps").description, "--out", tmp_path / "cloud.npz", "--json")
+    arrangement = [line for line in found.document["not_judged"] if line.startswith("arrangement of the cameras")]
+    assert len(arrangement) == 1
+    assert "one direction cannot tell" in arrangement[0]
+    assert f"light: {NEEDS_FOUR_STEPS}" in found.document["not_judged"]
+
+
+def test_a_wrong_word_may_be_insisted_on(shell: Shell, foreign_set: Sets, tmp_path: Path) -> None:
+    # Phases of both cameras are wrong alike: points are there, and the file says what the images say against them.
+    described = foreign_set("eight-steps").described(("start_deg = 180", "start_deg = 130"))
+    out = tmp_path / "cloud.ply"
+    assert shell("import", described, "--out", out).code == Exit.FAILED
+    assert shell("import", described, "--out", out, "--as-described").code == Exit.OK
+    header = out.read_bytes().partition(b"end_header")[0]
+    assert b"the phase begins elsewhere" in header
+    assert b"unchecked" in header
+
+
+@pytest.mark.parametrize("name", [one.name for one in CONVENTIONS])
+def test_a_guess_is_a_description_that_works(shell: Shell, foreign_set: Sets, tmp_path: Path, name: str) -> None:
+    folder = foreign_set(name).description.parent
+    guess = tmp_path / "guess.toml"
+    assert shell("import", "--guess", folder, "--out", guess).code == Exit.OK
+    said = shell("import", guess, "--out", tmp_path / "cloud.npz", "--json")
+    assert said.code == Exit.OK, said.err
+    with np.load(tmp_path / "cloud.npz") as grid:
+        complete, off_mm = judged(foreign_set(name), points_of(grid), grid["mask"])
+    assert complete > (0.85 if convention(name).coarse else 0.95)
+    assert off_mm < (0.6 if convention(name).coarse else 0.08)

@@ -1,0 +1,131 @@
+"""A description says what it means, and each word that cannot be followed is refused with its name, its value and what would do."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from appliance.foreign.description import AxisConvention, Description, parse_description
+from appliance.foreign.images import natural_key
+from appliance.foreign.order import parse_order
+from appliance.foreign.problem import ForeignError
+
+WHOLE = """
+[images]
+left = "left/*.png"
+right = "right/*.png"
+order = "bright dark gray-x*5 sine-x*4"
+[projector]
+width_px = 512
+height_px = 384
+[x]
+period_px = 16
+steps = 4
+[cameras]
+files = ["stereo.yml"]
+"""
+
+
+def parsed(*changes: tuple[str, str]) -> Description:
+    text = WHOLE
+    for before, after in changes:
+        assert before in text
+        text = text.replace(before, after)
+    return parse_description(text, Path(), "set", "set.toml")
+
+
+def axis_of(*changes: tuple[str, str]) -> AxisConvention:
+    axis = parsed(*changes).axis("x")
+    assert axis is not None
+    return axis
+
+
+def test_an_order_is_what_it_spells_out() -> None:
+    words = [one.word for one in parse_order("bright (gray-x ~gray-x)*2 sine-x*3 - sine-y2", "order")]
+    assert words == ["bright", "gray-x", "~gray-x", "gray-x", "~gray-x", "sine-x", "sine-x", "sine-x", "-", "sine-y2"]
+    numbers = [one.index for one in parse_order("(gray-x ~gray-x)*2 sine-x*3", "order")]
+    assert numbers == [0, 0, 1, 1, 0, 1, 2]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("gray-x*6 wobble", "'wobble' is no image; allowed: bright, dark"),
+        ("gray", "'gray' is no image"),
+        ("~sine-x", "'~sine-x' is no image"),
+        ("bright bright", "names bright twice"),
+        ("(gray-x", "a bracket is opened that is not closed"),
+        ("gray-x)", "a bracket is closed that was not opened"),
+        ("*3", "*3 stands behind nothing"),
+        ("gray-x*0", "repeats 0 times"),
+        ("gray-x*9999", "repeats 9999 times"),
+        ("sine-x0", "names period 0"),
+        ("(" * 60 + "gray-x" + ")" * 60, "opens 60 brackets"),
+        ("gray-x, sine-x", "', sine-x' is no image"),
+    ],
+)
+def test_an_order_that_cannot_be_read_says_where(text: str, said: str) -> None:
+    with pytest.raises(ForeignError) as error:
+        parse_order(text, "images.order")
+    assert said in str(error.value)
+    assert "images.order" in str(error.value)
+
+
+def test_names_come_as_people_count() -> None:
+    assert sorted(["a10.png", "a2.png", "B1.png", "a02b.png"], key=natural_key) == [
+        "a2.png",
+        "a02b.png",
+        "a10.png",
+        "B1.png",
+    ]
+
+
+def test_conventions_in_one_word() -> None:
+    plain = axis_of()
+    assert (plain.period_px, plain.stripe_px, plain.sign) == (16.0, 16.0, 1)
+    assert plain.steps_deg == ((0.0, 90.0, 180.0, 270.0),)
+    assert axis_of(("steps = 4", 'steps = 4\ngray = "complementary"')).stripe_px == 8.0
+    backwards = axis_of(("steps = 4", 'steps_deg = [0, 120, 240, 90]\nsign = "-"'))
+    assert backwards.signed_deg == ((0.0, -120.0, -240.0, -90.0),)
+    several = axis_of(("bright dark gray-x*5 sine-x*4", "sine-x*4 sine-x2*4"), ("period_px = 16", "fringes = [8, 9]"))
+    assert several.periods_px[0] == 64.0
+    assert several.periods_px[1] == pytest.approx(512 / 9)
+    assert several.finest == 1
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (("steps = 4", "steps = 2"), "x.steps is 2; allowed: a number 3..16"),
+        (("steps = 4", "steps = 3.5"), "x.steps is 3.5; allowed: a whole number 3..16"),
+        (("steps = 4", "steps = 4\nsteps_deg = [0, 1, 2]"), "are both there"),
+        (("steps = 4", "steps_deg = [0, 90]"), "x.steps_deg is [0, 90]; allowed: 3 to 16 steps"),
+        (("steps = 4", 'steps = 4\nsign = "minus"'), "x.sign is 'minus'; allowed: +, -"),
+        (("steps = 4", "steps = 4\nstripe_px = 32"), "x.stripe_px is 32; allowed: up to the finest period, 16 px"),
+        (("steps = 4", "step = 4"), "x.step: unknown key; did you mean steps?"),
+        (("period_px = 16", ""), "x.period_px or x.fringes"),
+        (("period_px = 16", "period_px = true"), "x.period_px is True; allowed: a number"),
+        (("period_px = 16", "period_px = nan"), "x.period_px is nan; allowed: a number"),
+        (("[x]", "[y]"), "[x] is missing: gray-x is among the images"),
+        (("[cameras]", "[y]\nperiod_px = 4\nsteps = 3\n[cameras]"), "[y] is there, and no image of y"),
+        (("gray-x*5 ", ""), "nothing tells one fringe from the next"),
+        (("sine-x*4", "sine-x*4 sine-x2*4"), "x has 1 periods, and its images are of 2"),
+        (("[projector]", "[screen]"), "screen: unknown key"),
+        (("width_px = 512", 'width_px = "512"'), "projector.width_px is '512'; allowed: a number"),
+        (('left = "left/*.png"', "left = 3"), "images.left is 3; allowed: a name, with wildcards"),
+        (('order = "', 'channel = "cyan"\norder = "'), "images.channel is 'cyan'; allowed: grey, red, green, blue"),
+        (
+            ("[cameras]", "[range]\nnear_mm = 500\nfar_mm = 400\n[cameras]"),
+            "range.near_mm is 500; allowed: less than far_mm = 400",
+        ),
+        (("[cameras]", "[water]\n[cameras]"), "water.index or water.temperature_c: give one of them"),
+        (("[cameras]", "[ports]\ndistance_mm = 30\nthickness_mm = 5\n[cameras]"), "ports.glass_index is missing"),
+        (("[images]", "[images"), "correct that line (TOML 1.0)"),
+    ],
+)
+def test_a_word_that_cannot_be_followed_is_named(change: tuple[str, str], said: str) -> None:
+    with pytest.raises(ForeignError) as error:
+        parsed(change)
+    assert str(error.value).startswith("set.toml: ")
+    assert said in str(error.value)

@@ -1,0 +1,108 @@
+"""Phases of any number of steps, against closed forms, and against the instrument's own four-step kernels on its own images."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from appliance.foreign.camera import decode_camera
+from appliance.foreign.description import AxisConvention, Description, ImageFiles
+from appliance.foreign.images import ImageSet
+from appliance.foreign.order import parse_order
+from appliance.foreign.phase import fit_sine, step_weights
+from appliance.foreign.problem import ForeignError, Table
+from appliance.patterns.sequence import PatternSequence, build_sequence
+from appliance.reconstruct.decode.decoder import CameraDecoder
+from tests.support.synthetic import calibration, frames, plane_points, projector
+
+NORMAL = np.array([0.05, -0.02, 0.998])
+
+
+def ideal(turns: NDArray[np.float64], steps_deg: tuple[float, ...]) -> list[NDArray[np.float64]]:
+    """A = 100, B = 60."""
+    return [100.0 + 60.0 * np.cos(2 * np.pi * turns + math.radians(step)) for step in steps_deg]
+
+
+@pytest.mark.parametrize(
+    "steps_deg",
+    [
+        (0.0, 120.0, 240.0),
+        (0.0, -120.0, -240.0),
+        (0.0, 90.0, 180.0, 270.0),
+        (270.0, 0.0, 180.0, 90.0),
+        (0.0, 90.0, 180.0),
+        (15.0, 80.0, 160.0, 200.0, 333.0),
+        tuple(360.0 * k / 16 for k in range(16)),
+    ],
+)
+def test_any_steps_tell_the_phase(steps_deg: tuple[float, ...]) -> None:
+    turns = np.linspace(-0.499, 0.499, 4000).reshape(40, 100)
+    fit = fit_sine(ideal(turns, steps_deg), steps_deg, 255.0)
+    np.testing.assert_allclose(fit.turns, turns, atol=3e-6)
+    np.testing.assert_allclose(fit.modulation, 60.0, rtol=1e-5)
+    np.testing.assert_allclose(fit.offset, 100.0, rtol=1e-5)
+    assert (fit.misfit is None) == (len(steps_deg) == 3)
+    if fit.misfit is not None:
+        assert float(fit.misfit.max()) < 1e-3
+
+
+def test_noise_makes_the_error_that_the_steps_allow() -> None:
+    # σ_φ = σ √(2/N) / B for N steps evenly around the circle (Surrel, Appl. Opt. 35 (1996) 51).
+    random = np.random.default_rng(5)
+    turns = np.zeros((200, 200))
+    for count in (3, 5, 12):
+        steps_deg = tuple(360.0 * k / count for k in range(count))
+        noisy = [image + random.normal(0.0, 2.0, image.shape) for image in ideal(turns, steps_deg)]
+        fit = fit_sine(noisy, steps_deg, 255.0)
+        assert float(fit.turns.std()) * 2 * math.pi == pytest.approx(2.0 * math.sqrt(2 / count) / 60.0, rel=0.03)
+        if fit.misfit is not None:
+            assert float(np.sqrt(np.mean(fit.misfit**2))) == pytest.approx(2.0, rel=0.03)
+
+
+@pytest.mark.parametrize("steps_deg", [(0.0, 1.0, 2.0), (0.0, 180.0, 360.0), (0.0, 360.0, 720.0, 90.0)])
+def test_steps_that_tell_no_phase_are_refused(steps_deg: tuple[float, ...]) -> None:
+    with pytest.raises(ForeignError, match="too near to each other"):
+        step_weights(steps_deg)
+
+
+def own(sequence: PatternSequence, stack: NDArray[np.uint8]) -> tuple[Description, ImageSet]:
+    """The instrument's own images, described as if they were another's."""
+    bits = [len([p for p in sequence.patterns if p.name.startswith(f"gray-{axis}")]) for axis in "xy"]
+    order = parse_order(f"bright dark gray-x*{bits[0]} sine-x*4 gray-y*{bits[1]} sine-y*4", "order")
+    steps = ((0.0, 90.0, 180.0, 270.0),)
+    period = float(sequence.period_px)
+    axes = tuple(
+        AxisConvention(name, float(size), (period,), steps, bits=n, stripe_px=0.5 * period)
+        for name, size, n in zip("xy", (sequence.width_px, sequence.height_px), bits, strict=True)
+    )
+    files = {"left": ImageFiles(("*",))}
+    said = Description("own", Path(), files, order, "grey", None, (1024, 768), axes, Table("", {}))
+    return said, ImageSet(order, (), stack, 255.0)
+
+
+@pytest.mark.parametrize("period_px", [16, 32, 64])
+def test_our_own_images_give_the_same_coordinates_as_our_own_kernels(period_px: int) -> None:
+    cal = calibration()
+    sequence = build_sequence(period_px)
+    points = plane_points(cal.rig.left, NORMAL, 520.0)
+    pq = projector(cal).project(points, 1.334)
+    random = np.random.default_rng(period_px)
+    light = frames(sequence, pq)
+    stack = np.clip(np.rint(light + random.normal(0.0, 1.2, light.shape)), 0, 255).astype(np.uint8)
+    decoder = CameraDecoder(sequence, 400, 300)
+    for k in range(len(sequence)):
+        decoder.push(stack, k)
+    decoder.finish()
+    description, images = own(sequence, stack)
+    camera = decode_camera(images, description)
+    both = np.isfinite(decoder.p_px) & camera.valid
+    assert both.sum() > 0.95 * np.isfinite(decoder.p_px).sum() > 50_000
+    # 2e-6 of a pattern of 1024 px: the two differ by the rounding of float32, not by a formula.
+    for name, mine in (("x", decoder.p_px), ("y", decoder.q_px)):
+        np.testing.assert_allclose(camera.placed[name].coordinate_px[both], mine[both], atol=2e-3 * period_px / 16)
+        off = camera.placed[name].coordinate_px[both] - mine[both]
+        assert float(np.sqrt(np.mean(np.square(off)))) < 1.5e-5 * period_px
