@@ -5,7 +5,7 @@ coordinates px, angles never appear (rotations are matrices).
 
 Schema 2 is schema 1 with an image correction in a camera, schema 3 has also a ray shift, or lenses calibrated in water.
 Each is written only where it is needed: a program that knows none of these must refuse such a file, not read past what
-it does not know. Beside these, ``air_covariance``, ``air_field`` and ``camera_serials`` may be there in any schema: they make no
+it does not know. Beside these, ``air_covariance``, ``air_field``, ``depth_error_mm2`` and ``camera_serials`` may be there in any schema: they make no
 points, and a program that does not know them may pass over them.
 """
 
@@ -18,6 +18,8 @@ from typing import Any, cast
 
 import numpy as np
 
+from appliance.calibration.depth_error import COUNT as DEPTH_ERRORS
+from appliance.calibration.depth_error import Rows
 from appliance.calibration.field import AIR_VALUES, EYES, AirField
 from appliance.checksummed_file import ChecksumError, checked_content, digest, with_checksum
 from appliance.optics.correction import ImageCorrection, node_count
@@ -64,6 +66,9 @@ class Calibration:
     air_field: AirField | None = None
     """The lenses' fields as boards in air tell of them: with it, the prior of an adjustment with an image correction.
     ``None``: not known, as in files made before it was written down."""
+    depth_error_mm2: Rows | None = None
+    """Covariance (n, n) of the smooth depth error that all its scans share (``calibration.depth_error``), as the adjustment in water left
+    it; ``None``: not known, as in files made before it was written down."""
     camera_serials: tuple[str, str] | None = None
     """Serial numbers of the left and the right camera; ``None``: not known, as in files made before they were written
     down."""
@@ -109,6 +114,7 @@ def decode(data: bytes, name: str = "calibration") -> Calibration:
         residual_px=None if residual is None else reader.number(content, "residual_px", 0.0, 1e6),
         air_covariance=reader.covariance(content),
         air_field=reader.air_field(content),
+        depth_error_mm2=reader.depth_error(content),
         camera_serials=reader.serials(content),
     )
 
@@ -154,6 +160,8 @@ def _content(calibration: Calibration) -> dict[str, Any]:
     if calibration.air_field is not None:
         field = calibration.air_field
         content["air_field"] = {"intervals": list(field.intervals), "mean": list(field.mean), "root": field.text}
+    if calibration.depth_error_mm2 is not None:
+        content["depth_error_mm2"] = [list(row) for row in calibration.depth_error_mm2]
     if calibration.camera_serials is not None:
         content["camera_serials"] = dict(zip(("left", "right"), calibration.camera_serials, strict=True))
     return content
@@ -289,9 +297,18 @@ class _Reader:
         does not know it may pass over it."""
         if "air_covariance" not in content:
             return None
-        key = "air_covariance"
-        rows = self.sequence(content, key, AIR_VALUES)
-        matrix = tuple(self.numbers({key: row}, key, AIR_VALUES, -1e12, 1e12) for row in rows)
+        return self._matrix(content, "air_covariance", AIR_VALUES)
+
+    def depth_error(self, content: dict[str, Any]) -> Rows | None:
+        """Return the covariance of the shared depth error; ``None``: the file has none. No point depends on it, as on the one from air."""
+        if "depth_error_mm2" not in content:
+            return None
+        return self._matrix(content, "depth_error_mm2", DEPTH_ERRORS)
+
+    def _matrix(self, content: dict[str, Any], key: str, size: int) -> tuple[tuple[float, ...], ...]:
+        """Return a covariance (size, size)."""
+        rows = self.sequence(content, key, size)
+        matrix = tuple(self.numbers({key: row}, key, size, -1e12, 1e12) for row in rows)
         C = np.array(matrix)
         sd = np.sqrt(np.maximum(np.diag(C), 1e-300))  # units differ by many powers of ten
         if not np.array_equal(C, C.T) or np.linalg.eigvalsh(C / np.outer(sd, sd))[0] <= 0.0:

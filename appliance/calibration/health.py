@@ -10,6 +10,8 @@ amplitudes  least squares over the patches seen, with their standard deviations 
             the image so has wide standard deviations instead of a wrong verdict. Where the stated water changes, the height
             may change with it, as imperfect calibrations do. What backscatter may do wrongly has known shapes, and is
             adjusted along with the amplitudes.
+overlaps    of many scans of one object tell of a depth error that all share, which gaps do not see; their word is kept beside, and
+            alarms where it is clear.
 sum         scores (amplitudes in standard deviations, with their direction) are added up by Crosier's multivariate CUSUM: a
             big change alarms at once, a small one when it stays; scatter does not, and an offset of one standard deviation
             hardly ever.
@@ -65,6 +67,10 @@ HEIGHT_PER_INDEX_UM = 600.0
 MOST_POINTS = 200
 """Scans kept for looking back."""
 MOST_ANSWERS = 20
+MOST_OBJECTS = 50
+"""Objects kept for looking back."""
+OVERLAP_LIMIT = 4.0
+"""Score of an object's overlaps that alarms: calibrated rigs of the world ``outside`` have 0.4 to 1.6 (docs/objects.md)."""
 OFFSET_SHARE = 0.05
 """Uncertainty of an accepted change as a share of it: turns and shifts of the same amplitude differ a little with
 distance."""
@@ -120,6 +126,25 @@ class Reference:
 
 
 @dataclass(frozen=True, slots=True)
+class OverlapNews:
+    """The word of one object's overlaps on the smooth depth error that all its scans share (``calibration.depth_error``)."""
+
+    object: str
+    scans: int
+    bend_um: float
+    """RMS over the view of the error found."""
+    sigma_um: float
+    """RMS over the view of what is left uncertain of it."""
+    score: float
+    """Distance from what the calibration states, in standard deviations; about 1 is usual."""
+
+    @property
+    def alarm(self) -> bool:
+        """Tell whether the calibration is not what it was."""
+        return self.score > OVERLAP_LIMIT
+
+
+@dataclass(frozen=True, slots=True)
 class HealthTrend:
     """Everything remembered about one calibration."""
 
@@ -133,6 +158,8 @@ class HealthTrend:
     """Finding in words, until somebody answered it."""
     answers: tuple[str, ...] = ()
     """Length checks after which an alarm was taken back."""
+    overlaps: tuple[OverlapNews, ...] = ()
+    """Words of objects' overlaps, the latest of each object, oldest first."""
 
     def alarmed(self, text: str) -> HealthTrend:
         """Return the trend with these words for its finding."""
@@ -216,6 +243,18 @@ def answered(trend: HealthTrend, answer: str) -> HealthTrend:
         alarm=None,
         answers=(*trend.answers, answer)[-MOST_ANSWERS:],
     )
+
+
+def told_by_overlaps(trend: HealthTrend, news: OverlapNews) -> HealthTrend:
+    """Return the trend after an object was solved; what the same object told before is replaced."""
+    others = tuple(one for one in trend.overlaps if one.object != news.object)
+    alarm = trend.alarm
+    if alarm is None and news.alarm:
+        alarm = (
+            f"scans of object {news.object} overlap as if all were bent by {news.bend_um:.0f} ± {news.sigma_um:.0f} µm: "
+            f"{news.score:.1f} times what the calibration states"
+        )
+    return replace(trend, alarm=alarm, overlaps=(*others, news)[-MOST_OBJECTS:])
 
 
 def found_from_deg(gaps: PatchGaps, covariance: Array) -> tuple[float, float, float] | None:

@@ -22,7 +22,14 @@ from appliance.calibration.file import Calibration
 from appliance.calibration.judgement import Estimate, judged, systematic_px, warnings_about
 from appliance.calibration.recordings import ArtefactKind, NotConverged, Recording, RecordingError, thinned
 from appliance.calibration.water.artefact import Place, first_place
-from appliance.calibration.water.expected import Columns, Doubt, Expected, expected, warnings_about_expected
+from appliance.calibration.water.expected import (
+    Columns,
+    Doubt,
+    Expected,
+    expected,
+    expected_depth_error_mm2,
+    warnings_about_expected,
+)
 from appliance.calibration.water.slopes import NodeBasis, NodeSlopes, Slopes
 from appliance.calibration.water.start import check_start
 from appliance.optics.correction import INTERVALS, ImageCorrection, node_count
@@ -220,6 +227,9 @@ def adjust(
     )
     ahead = expected(rig, bar, doubt, problem.columns)
     warnings += warnings_about_expected(ahead, recordings, rest, not hidden)
+    shared = expected_depth_error_mm2(rig, bar.water.index, doubt, problem.columns)
+    # Rounding leaves the two halves of a product of matrices a last digit apart.
+    shared = 0.5 * (shared + shared.T) + 1e-7 * np.eye(len(shared))
     calibration = replace(
         start,
         method=f"bundle, {rung.value}",
@@ -229,6 +239,7 @@ def adjust(
         residual_px=rms,
         air_covariance=None,
         air_field=None,
+        depth_error_mm2=tuple(tuple(row) for row in shared.tolist()),
     )
     return BundleResult(calibration, per_recording, systematic, ahead, estimates, warnings, tuple(costs))
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibration import parameters
+from appliance.calibration.depth_error import BORDER, DISTANCE_MM, coefficients_of
 from appliance.calibration.recordings import ArtefactKind, Recording
 from appliance.calibration.water.shapes import nearest_points
 from appliance.optics.correction import basis_matrix
@@ -18,6 +19,8 @@ Array = NDArray[np.float64]
 
 DEPTHS = (0.93, 1.0, 1.07)
 """Depths of the bars and planes, as shares of the distance of the volume's middle."""
+SHARED_DEPTHS = (0.92, 1.0, 1.09, 1.17)
+"""Depths at which the depth error that all scans share is looked at: those of hand-held scans of large things."""
 ROLLS_DEG, LEANS_DEG = (0.0, 45.0, 90.0, -45.0), (0.0, 35.0, -35.0)
 """Each depth has a bar of each roll; the lean (out of the picture's plane) changes from one to the next."""
 PLANE_HALF_MM = (100.0, 75.0)
@@ -90,6 +93,23 @@ def expected(rig: StereoRig, bar: Recording, doubt: Doubt, columns: Columns) -> 
     diagonal = 2.0 * float(np.hypot(*PLANE_HALF_MM))
     return Expected(
         100.0 * SURE * float(np.sqrt(variance.max())), 100.0 * FLAT_RANGE * float(np.sqrt(max(flat))) / diagonal
+    )
+
+
+def expected_depth_error_mm2(rig: StereoRig, water_index: float, doubt: Doubt, columns: Columns) -> Array:
+    """Return the covariance (n, n), mm², of the smooth depth error that all scans of ``rig`` share (``calibration.depth_error``)."""
+    u, v = np.meshgrid(np.linspace(-BORDER, BORDER, 11), np.linspace(-0.75 * BORDER, 0.75 * BORDER, 9))
+    ray = np.stack([u.ravel(), v.ravel(), np.ones(u.size)], axis=1)
+    points = np.concatenate([share * DISTANCE_MM * ray for share in SHARED_DEPTHS])
+    by_all, by_pixel, by_water = _slopes(rig, water_index, points, columns, len(doubt.covariance))
+    seen = np.abs(by_pixel).sum(axis=1) > 0.0
+    # What a point moves aside on the ray's own surface changes no distance: depth alone.
+    depth = coefficients_of(points[seen], by_all[seen, 2])
+    of_water = coefficients_of(points[seen], by_water[seen, 2] + by_all[seen, 2] @ doubt.by_index) * doubt.index_sd
+    # What is left misplaces each place by itself; those of one ray at all depths are one place.
+    each = coefficients_of(points[seen], np.diag(by_pixel[seen, 2])) * doubt.rest_px
+    return np.asarray(
+        depth @ doubt.covariance @ depth.T + np.outer(of_water, of_water) + len(SHARED_DEPTHS) * each @ each.T
     )
 
 

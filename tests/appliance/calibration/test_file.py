@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from appliance.calibration.depth_error import COUNT
 from appliance.calibration.design import Design, design_calibration
 from appliance.calibration.file import Calibration, CalibrationError, decode, encode, load
 from appliance.calibration.water.printed import PrintedCamera
@@ -75,6 +76,19 @@ def test_a_field_of_rays_and_a_lens_in_water_are_carried_by_schema_3(calibration
         assert json.loads(encode(rich))["schema"] == 3
         assert decode(encode(rich)) == rich
     assert json.loads(encode(calibration))["schema"] == 1, "older programs can read what they understand"
+
+
+def test_what_is_stated_of_the_shared_depth_error_is_kept_and_must_be_a_covariance(calibration: Calibration) -> None:
+    half = np.random.default_rng(4).normal(0.0, 0.01, (COUNT, COUNT))
+    rows = half @ half.T + 1e-6 * np.eye(COUNT)
+    stated = tuple(tuple(row) for row in (0.5 * (rows + rows.T)).tolist())
+    rich = replace(calibration, depth_error_mm2=stated)
+    assert decode(encode(rich)) == rich
+    assert rich.hash != calibration.hash
+    assert decode(encode(calibration)).depth_error_mm2 is None
+    wrong = replace(calibration, depth_error_mm2=(*stated[:-1], (0.0,) * COUNT))
+    with pytest.raises(CalibrationError, match=r"depth_error_mm2 .* a symmetric, positive definite matrix"):
+        decode(encode(wrong))
 
 
 def test_the_misprinted_model_has_no_file(calibration: Calibration) -> None:

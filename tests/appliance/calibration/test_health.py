@@ -10,7 +10,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from appliance.calibration.health import LEARNT_SCANS, HealthTrend, answered, judge
+from appliance.calibration.health import (
+    LEARNT_SCANS,
+    MOST_OBJECTS,
+    OVERLAP_LIMIT,
+    HealthTrend,
+    OverlapNews,
+    answered,
+    judge,
+    told_by_overlaps,
+)
 from appliance.calibration.patches import PatchGaps
 from appliance.calibration.water.bundle import Rung
 from appliance.optics.water import Water
@@ -174,3 +183,21 @@ def test_a_change_that_the_seen_corner_cannot_tell_is_no_alarm_and_no_certainty(
 
 def test_the_water_of_the_tests_is_that_of_the_calibration() -> None:
     assert calibrated(SEED).truth.n_water == pytest.approx(WATER.index, abs=1e-9)
+
+
+def test_overlaps_that_bend_all_scans_alarm_once_and_the_latest_word_of_each_object_is_kept() -> None:
+    usual = OverlapNews("hull", 20, 9.0, 4.0, OVERLAP_LIMIT)
+    bent = OverlapNews("hull", 26, 62.0, 5.0, OVERLAP_LIMIT + 0.1)
+    trend = told_by_overlaps(HealthTrend(), usual)
+    assert trend.alarm is None
+    after = told_by_overlaps(trend, bent)
+    assert after.overlaps == (bent,)
+    assert after.alarm is not None
+    assert "object hull" in after.alarm
+    assert "62 ± 5 µm" in after.alarm
+    # An alarm stands until a length check answers it, whatever is told meanwhile.
+    assert told_by_overlaps(after, usual).alarm == after.alarm
+    assert answered(after, "ball bar").alarm is None
+    for k in range(MOST_OBJECTS):
+        after = told_by_overlaps(after, replace(usual, object=f"{k}"))
+    assert [one.object for one in after.overlaps] == [f"{k}" for k in range(MOST_OBJECTS)]

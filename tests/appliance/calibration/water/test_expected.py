@@ -11,9 +11,17 @@ import pytest
 from numpy.typing import NDArray
 
 from appliance.calibration import parameters
+from appliance.calibration.depth_error import BORDER, COUNT, along_ray, coefficients_of, shapes
 from appliance.calibration.design import Design, design_calibration
 from appliance.calibration.recordings import ArtefactKind, Recording
-from appliance.calibration.water.expected import Columns, Doubt, Expected, expected, warnings_about_expected
+from appliance.calibration.water.expected import (
+    Columns,
+    Doubt,
+    Expected,
+    expected,
+    expected_depth_error_mm2,
+    warnings_about_expected,
+)
 from appliance.optics.correction import ImageCorrection
 from appliance.optics.model import HousedCamera, StereoRig
 from appliance.optics.ray_shift import RayShift
@@ -251,3 +259,56 @@ def test_the_remedy_is_for_what_is_missing(bars: int, rest_px: float, known: boo
     assert said.startswith(
         f"lengths may be wrong by 0.081 % (at most {most} % is usual), planes bent by 0.063 % of their size (at most 0.05 %): {remedy}"
     )
+
+
+def test_coefficients_are_those_that_made_a_depth_error_whatever_overlaps_absorb() -> None:
+    rng = np.random.default_rng(3)
+    z = rng.uniform(480.0, 570.0, 400)
+    points = z[:, None] * np.column_stack([rng.uniform(-BORDER, BORDER, (400, 2)), np.ones(400)])
+    true = rng.normal(size=COUNT) * 0.02
+    error = shapes(points) @ true
+    np.testing.assert_allclose(coefficients_of(points, error), true, atol=1e-10)
+    absorbed = 0.3 + 0.002 * points[:, 0] - 0.001 * points[:, 1] + 0.002 * (z - 525.0)
+    np.testing.assert_allclose(coefficients_of(points, error + absorbed), true, atol=1e-10)
+    assert along_ray(points)[:, 2] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("column", [0, 4, 9, 21, len(ACTIVE) + 20, GROUPS[2].start + 9])
+def test_the_shared_depth_error_is_that_of_triangulating_with_another_rig(column: int) -> None:
+    sd = 1e-3
+    u, v = np.meshgrid(np.linspace(-BORDER, BORDER, 11), np.linspace(-0.75 * BORDER, 0.75 * BORDER, 9))
+    points = np.concatenate(
+        [
+            far * np.column_stack([u.ravel(), v.ravel(), np.ones(u.size)])
+            for far in (0.92 * 525.0, 525.0, 1.09 * 525.0, 1.17 * 525.0)
+        ]
+    )
+    seen = RIG.left.project(points, WATER.index), RIG.right.project(points, WATER.index)
+    both = np.isfinite(np.column_stack(seen)).all(axis=1)
+    seen = seen[0][both], seen[1][both]
+    x = np.zeros(SIZE)
+    x[column] = sd
+    off = met(changed(x), seen, WATER.index) - met(changed(np.zeros(SIZE)), seen, WATER.index)
+    expected_mm = coefficients_of(points[both], off[:, 2])
+    covariance = np.zeros((SIZE, SIZE))
+    covariance[column, column] = sd**2
+    stated = expected_depth_error_mm2(RIG, WATER.index, Doubt(covariance, np.zeros(SIZE), 0.0, 0.0), COLUMNS)
+    np.testing.assert_allclose(
+        np.sqrt(np.diag(stated)), np.abs(expected_mm), rtol=0.02, atol=0.01 * np.abs(expected_mm).max()
+    )
+    strongest = int(np.abs(expected_mm).argmax())
+    signs = np.sign(stated[strongest]) * np.sign(expected_mm[strongest])
+    clear = np.abs(expected_mm) > 0.3 * np.abs(expected_mm).max()
+    np.testing.assert_array_equal(signs[clear], np.sign(expected_mm)[clear])
+
+
+def test_what_is_left_in_pixels_and_the_water_add_to_the_shared_depth_error() -> None:
+    nothing = Doubt(np.zeros((SIZE, SIZE)), np.zeros(SIZE), 0.0, 0.0)
+    bare = expected_depth_error_mm2(RIG, WATER.index, nothing, COLUMNS)
+    assert not bare.any()
+    rest = expected_depth_error_mm2(RIG, WATER.index, replace(nothing, rest_px=0.02), COLUMNS)
+    water = expected_depth_error_mm2(RIG, WATER.index, replace(nothing, index_sd=1e-4), COLUMNS)
+    assert np.linalg.matrix_rank(water, tol=1e-12) == 1
+    assert np.diag(rest).min() > 0.0
+    double = expected_depth_error_mm2(RIG, WATER.index, replace(nothing, rest_px=0.04), COLUMNS)
+    np.testing.assert_allclose(double, 4.0 * rest)
