@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.registration.features import Features
-from appliance.registration.fine import Rigid
 from appliance.registration.pair import ReadyScan
 from appliance.registration.patches import Array
+from appliance.registration.rigid import Rigid
 
 VOTERS = 400
 """Features of a scan that vote, its strongest ones."""

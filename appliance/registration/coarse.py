@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from appliance.optics.rotation import rotation_matrix
 from appliance.registration.features import Features
-from appliance.registration.fine import Prepared, Rigid
+from appliance.registration.fine import Prepared
 from appliance.registration.patches import Array
+from appliance.registration.rigid import Rigid
 
 RATIO = 0.85
 """Largest distance to the best match, over that to the second best (Lowe 2004)."""

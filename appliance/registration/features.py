@@ -43,22 +43,36 @@ def features_of(cloud: OrganisedCloud, most: int = MOST) -> Features:
         if factor == 1
         else cv2.resize(cloud.grey, None, fx=1 / factor, fy=1 / factor, interpolation=cv2.INTER_AREA)
     )
-    even = cv2.createCLAHE(4.0, (8, 8)).apply(small)
+    marks = marks_of(np.asarray(small, np.uint8), most)
+    points = points_below(cloud.points_mm, (marks.uv_px + 0.5) * factor - 0.5)
+    kept = np.flatnonzero(np.isfinite(points[:, 2]))
+    kept = kept[np.argsort(-marks.strength[kept])][:most]
+    return Features(points[kept], marks.descriptors[kept], marks.strength[kept])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PictureMarks:
+    """n features of a picture, before anything is known of the points below them."""
+
+    uv_px: Array
+    """(n, 2): column and row."""
+    descriptors: NDArray[np.float32]
+    """(n, 128), as in ``Features``."""
+    strength: Array
+
+
+def marks_of(picture: NDArray[np.uint8], most: int) -> PictureMarks:
+    """Find some 2 × ``most`` features of a picture (h, w) uint8, in no order."""
+    even = cv2.createCLAHE(4.0, (8, 8)).apply(picture)
     sift: Any = cv2.SIFT_create  # type: ignore[attr-defined]  # the stubs do not know it
     found, descriptors = sift(nfeatures=2 * most, contrastThreshold=0.02).detectAndCompute(even, None)
     if descriptors is None or not len(found):
-        return Features(np.empty((0, 3)), np.empty((0, 128), np.float32), np.empty(0))
-    uv = (np.array([key.pt for key in found]) + 0.5) * factor - 0.5
-    points = _below(cloud.points_mm, uv)
-    strength = np.array([key.response for key in found])
-    kept = np.flatnonzero(np.isfinite(points[:, 2]))
-    kept = kept[np.argsort(-strength[kept])][:most]
-    chosen = descriptors[kept]
-    chosen = np.sqrt(chosen / np.maximum(chosen.sum(axis=1, keepdims=True), 1e-6)).astype(np.float32)
-    return Features(points[kept], chosen, strength[kept])
+        return PictureMarks(np.empty((0, 2)), np.empty((0, 128), np.float32), np.empty(0))
+    chosen = np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-6)).astype(np.float32)
+    return PictureMarks(np.array([key.pt for key in found]), chosen, np.array([key.response for key in found]))
 
 
-def _below(points_mm: NDArray[np.float32], uv: Array) -> Array:
+def points_below(points_mm: NDArray[np.float32], uv: Array) -> Array:
     """Return (n, 3) the points at pixels (n, 2), linear between their four neighbours; NaN where one is missing or far."""
     h, w = points_mm.shape[:2]
     u0, v0 = np.floor(uv[:, 0]).astype(int), np.floor(uv[:, 1]).astype(int)

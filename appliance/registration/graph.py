@@ -15,10 +15,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from appliance.calibration.depth_error import COUNT
 from appliance.optics.rotation import rotation_matrix, rotation_vector
-from appliance.registration.bow import NAMES, PRIOR_MM
-from appliance.registration.fine import Fit, Rigid
+from appliance.registration.bow import PRIOR_MM2
+from appliance.registration.fine import Fit
 from appliance.registration.patches import Array
+from appliance.registration.rigid import Rigid
 
 FLOOR_MM = 0.015
 """Standard deviation that every pair has besides its own: what calibrations leave between places of the image."""
@@ -57,19 +59,26 @@ class Placed:
     variance_factor: float
     """Mean squared discrepancy over its variance; above 1 the covariances are scaled by it."""
     bow_mm: Array
-    """(7,): the shared depth error (``bow.NAMES``)."""
+    """(k,): coefficients of the shared depth error (``calibration.depth_error``)."""
     bow_covariance: Array
-    """(7, 7)."""
+    """(k, k)."""
     bending_mm: Mapping[int, float]
     """Standard deviation of each scan's middle by the shared error alone: what may bend the object."""
     bending_unaided_mm: Mapping[int, float]
     """The same with what was known of the shared error before any overlap."""
 
 
-def place(count: int, edges: Sequence[Edge], middles_mm: Mapping[int, Array], with_bow: bool = True) -> Placed:
+def place(
+    count: int,
+    edges: Sequence[Edge],
+    middles_mm: Mapping[int, Array],
+    with_bow: bool = True,
+    known_mm2: Array = PRIOR_MM2,
+) -> Placed:
     """Place ``count`` scans by ``edges``; ``middles_mm``: the middle (3,) of each scan's points in its own frame.
 
-    ``with_bow``: the shared depth error is estimated, too; else it is taken for zero, and its whole prior is in the budget.
+    ``with_bow``: the shared depth error is estimated, too; else it is taken for zero, and its whole prior is in the budget. ``known_mm2``:
+    that prior, the covariance (k, k) of its coefficients before any overlap is seen.
     The largest set of connected scans is placed, in the frame of its first scan.
     """
     kept = list(edges)
@@ -77,13 +86,13 @@ def place(count: int, edges: Sequence[Edge], middles_mm: Mapping[int, Array], wi
     while True:
         members = _largest(count, kept)
         inside = [edge for edge in kept if edge.first in members]
-        solution = _solve(members, inside, with_bow)
-        worst = _worst(solution, members, inside, with_bow)
+        solution = _solve(members, inside, with_bow, known_mm2)
+        worst = _worst(solution, members, inside, with_bow, known_mm2)
         if worst is None:
             break
         wrong.append(worst)
         kept = [edge for edge in kept if edge is not worst]
-    return _described(solution, members, inside, tuple(wrong), middles_mm)
+    return _described(solution, members, inside, tuple(wrong), middles_mm, known_mm2, with_bow)
 
 
 def _largest(count: int, edges: Sequence[Edge]) -> list[int]:
@@ -119,12 +128,12 @@ def _weight(fit: Fit) -> Array:
     return np.asarray(np.linalg.inv(fit.covariance + FLOOR_MM**2 / 6.0 * np.eye(6)))
 
 
-def _solve(members: Sequence[int], edges: Sequence[Edge], with_bow: bool) -> _Solution:
+def _solve(members: Sequence[int], edges: Sequence[Edge], with_bow: bool, known_mm2: Array) -> _Solution:
     poses = _spanned(members, edges)
     column = {scan: 6 * k for k, scan in enumerate(members[1:])}
-    size, m = 6 * max(len(members) - 1, 0), len(NAMES)
+    size, m = 6 * max(len(members) - 1, 0), COUNT
     bow = np.zeros(m)
-    prior = np.diag(1.0 / np.square(PRIOR_MM))
+    prior = np.linalg.inv(known_mm2)
     weights = [_weight(edge.fit) for edge in edges]
     for _ in range(ROUNDS):
         H, g = np.zeros((size + m, size + m)), np.zeros(size + m)
@@ -199,7 +208,9 @@ def _moved(pose: Rigid, motion: Array) -> Rigid:
     return Rigid(turn @ pose.rotation, turn @ pose.translation_mm + motion[3:])
 
 
-def _worst(solution: _Solution, members: Sequence[int], edges: Sequence[Edge], with_bow: bool) -> Edge | None:
+def _worst(
+    solution: _Solution, members: Sequence[int], edges: Sequence[Edge], with_bow: bool, known_mm2: Array
+) -> Edge | None:
     """Return the pair without which the others agree best, where they contradict each other beyond chance."""
     bridges = {id(edge) for edge in _bridges(members, edges)}
     suspects = [
@@ -212,7 +223,7 @@ def _worst(solution: _Solution, members: Sequence[int], edges: Sequence[Edge], w
     best: tuple[float, Edge] | None = None
     for k in suspects:
         rest = [edge for number, edge in enumerate(edges) if number != k]
-        left = float(_solve(members, rest, with_bow).squared.sum())
+        left = float(_solve(members, rest, with_bow, known_mm2).squared.sum())
         if best is None or left < best[0]:
             best = (left, edges[k])
     return None if best is None else best[1]
@@ -234,14 +245,16 @@ def _described(
     edges: Sequence[Edge],
     wrong: tuple[Edge, ...],
     middles_mm: Mapping[int, Array],
+    known_mm2: Array,
+    with_bow: bool,
 ) -> Placed:
-    m = len(NAMES)
+    m = COUNT
     size = len(solution.hessian) - m
     factor = float(solution.squared.sum()) / solution.freedom if solution.freedom > 0 else 1.0
     scale = max(factor, 1.0)
     joint = np.asarray(np.linalg.inv(solution.hessian), np.float64)
-    bow_covariance = joint[size:, size:]
-    prior = np.diag(np.square(PRIOR_MM))
+    # Without an estimate nothing is known of the shared error but what was known before.
+    bow_covariance = joint[size:, size:] if with_bow else known_mm2
     # Given the coefficients, places follow them by this: the poses that the pairs' own responses lead to.
     follow = (
         -np.linalg.solve(solution.hessian[:size, :size], solution.hessian[:size, size:]) if size else np.zeros((0, m))
@@ -258,7 +271,7 @@ def _described(
         by_bow = about @ follow[at]
         covariance[scan] = about @ own[at, at] @ about.T + by_bow @ bow_covariance @ by_bow.T
         bending[scan] = float(np.sqrt(np.trace(by_bow[3:] @ bow_covariance @ by_bow[3:].T)))
-        unaided[scan] = float(np.sqrt(np.trace(by_bow[3:] @ prior @ by_bow[3:].T)))
+        unaided[scan] = float(np.sqrt(np.trace(by_bow[3:] @ known_mm2 @ by_bow[3:].T)))
     return Placed(
         poses=solution.poses,
         covariance=covariance,

@@ -16,9 +16,10 @@ from appliance.reconstruct.organised import OrganisedCloud
 from appliance.registration.albedo import Paint, paint_of
 from appliance.registration.coarse import Guess, guess_by_features, guess_by_shape, same
 from appliance.registration.features import Features, features_of
-from appliance.registration.fine import Fit, Prepared, Rigid, refine
+from appliance.registration.fine import Fit, Prepared, refine
 from appliance.registration.patches import Array, Projection, coarser, patches_of, projection_of
 from appliance.registration.repeats import repeats_of
+from appliance.registration.rigid import Rigid
 
 HELD = 5.0
 """Least stiffness of the softest direction, in standard deviations of what noise alone would make of it."""
@@ -34,7 +35,9 @@ LEAST_ALIKE_REPEATING = 0.82
 AS_GOOD, AS_ALIKE = 0.04, 0.06
 """A pose whose share of contradictions is larger, and whose paint is less alike, by less than these is as good as the best one."""
 SLIDES_ROUGHLY = 3.0
-"""Poses that the search by shape found and that planes hold less than this are all of one family: the first stands for them."""
+"""Poses that the search by shape found and that planes hold less than this slide: others like them stand for one family, and for few."""
+MOST_SLIDING = 4
+"""Sliding poses that are tried: a bar may lie either way round, and each way slides about its axis."""
 COARSE = 3
 """Patches a side that the search by shape joins."""
 
@@ -111,7 +114,7 @@ def register(a: ReadyScan, b: ReadyScan, near: Rigid | None = None) -> Registere
         # A thing too small to be searched by shape (a ball bar) is the same turned half about, and so is a grid on it.
         unlike = (best.alike or 0.0) < LEAST_ALIKE_REPEATING
         doubtful = repeats and best.paint_share > 0.5 and (unlike or not by_shape)
-        if doubtful or any(_as_good(other, best) for other in others):
+        if doubtful or any(_as_good(other, best, repeats=repeats and best.paint_share > 0.5) for other in others):
             refusal = PairRefusal.AMBIGUOUS
     return RegisteredPair(best, refusal, _words(refusal, best))
 
@@ -129,16 +132,16 @@ def _fits(a: ReadyScan, b: ReadyScan, guesses: list[Guess]) -> list[Fit]:
 def _fits_by_shape(a: ReadyScan, b: ReadyScan) -> list[Fit]:
     """Search by shape and refine what was found."""
     chosen: list[Guess] = []
-    slides = False
+    sliding = 0
     for guess in guess_by_shape(a.coarse, b.coarse):
         # From four millimetres down to one: planes alone first, since paint leads only from near by.
         rough = refine(a.coarse, b.coarse, guess.pose, gate_mm=4.0, with_paint=False)
         if rough is None or rough.outliers > 0.3:
             continue
         if rough.held.min() < SLIDES_ROUGHLY:
-            if slides:
+            if sliding == MOST_SLIDING:
                 continue
-            slides = True
+            sliding += 1
         chosen.append(Guess(rough.pose, guess.support, False))
     return _fits(a, b, chosen)
 
@@ -149,14 +152,16 @@ def _contradiction(fit: Fit) -> float:
     return fit.outliers + 2.0 * fit.front + fit.unmet + unlike - 0.1 * min(fit.overlap, 1.0)
 
 
-def _as_good(other: Fit, best: Fit) -> bool:
-    # Where there is no paint to decide, a place that slides explains what is seen as well as one that is held.
-    slides = best.alike is None and _refused(other) is PairRefusal.SLIDES
+def _as_good(other: Fit, best: Fit, *, repeats: bool) -> bool:
+    # Where there is no paint to decide, or paint that repeats, a place that slides explains what is seen as well as one that is held.
+    slides = (best.alike is None or repeats) and _refused(other) is PairRefusal.SLIDES
     if not (_plausible(other) or slides) or other.overlap < 0.5 * best.overlap:
         return False
     if same(other.pose, best.pose, 1.0 + 5.0 * best.sigma_mm):
         return False
-    if best.alike is not None and other.alike is not None and other.alike < best.alike - AS_ALIKE:
+    less_alike = best.alike is not None and other.alike is not None and other.alike < best.alike - AS_ALIKE
+    # Paint that repeats is very alike in wrong places, too: against a place that slides it does not decide.
+    if less_alike and not slides:
         return False
     return other.outliers + other.front + other.unmet < best.outliers + best.front + best.unmet + AS_GOOD
 

@@ -8,9 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from appliance.registration import candidates
-from appliance.registration.fine import Rigid
+from appliance.registration.bow import known_before
 from appliance.registration.graph import Edge, Placed, place
 from appliance.registration.pair import PairRefusal, ReadyScan, RegisteredPair, register
+from appliance.registration.patches import Array
+from appliance.registration.rigid import Rigid
 
 PLACES = 3
 """Largest number of pairs per scan that are added because places predict an overlap."""
@@ -30,15 +32,23 @@ class Solved:
     """Scans as one object, by their number in the order given."""
 
     placed: Placed
+    aided: Placed
+    """The same with the shared depth error estimated; where that was wanted, it is ``placed``."""
     compared: tuple[Compared, ...]
     left_out: Mapping[int, str]
     """Why each scan that has no place has none."""
 
 
-def solve(scans: Sequence[ReadyScan], progress: Callable[[str, float], None], with_bow: bool = True) -> Solved:
+def solve(
+    scans: Sequence[ReadyScan],
+    progress: Callable[[str, float], None],
+    with_bow: bool = False,
+    stated_mm2: Array | None = None,
+) -> Solved:
     """Place ``scans``, in the order in which they were taken. ``progress``: told what is being done, and how much is done (0..1).
 
-    Pairs: each scan with the next, with those its features vote for, then with all that the places found so far put beside it.
+    ``with_bow``: the depth error that all scans share is estimated and believed; ``stated_mm2``: what their calibration states of it
+    (``Calibration.depth_error_mm2``). Pairs: each scan with the next, with those its features vote for, then with all that the places found so far put beside it.
     """
     wanted: dict[tuple[int, int], Rigid | None] = dict.fromkeys(candidates.by_time(len(scans)))
     wanted |= dict.fromkeys(candidates.by_features([scan.features for scan in scans]))
@@ -53,12 +63,13 @@ def solve(scans: Sequence[ReadyScan], progress: Callable[[str, float], None], wi
 
     compare(wanted, 0.0)
     middles = {k: middle_of(scan) for k, scan in enumerate(scans)}
-    placed = place(len(scans), edges_of(compared), middles, with_bow)
+    placed = place(len(scans), edges_of(compared), middles, with_bow, known_before(stated_mm2))
     more = candidates.by_place(scans, placed.poses, tried)
     compare(_thinned(more), 0.5)
     progress("closing loops", 1.0)
-    placed = place(len(scans), edges_of(compared), middles, with_bow)
-    return Solved(placed, tuple(compared), _left_out(len(scans), placed, compared))
+    aided = place(len(scans), edges_of(compared), middles, True, known_before(stated_mm2))
+    placed = aided if with_bow else place(len(scans), edges_of(compared), middles, False, known_before(stated_mm2))
+    return Solved(placed, aided, tuple(compared), _left_out(len(scans), placed, compared))
 
 
 def middle_of(scan: ReadyScan) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:

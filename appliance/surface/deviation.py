@@ -72,7 +72,7 @@ def deviations(
     """
     if not limit_mm > 0.0:
         raise ValueError(f"limit_mm is {limit_mm}; it must be above 0")
-    samples, face_of, reach_mm = _sampled(nominal)
+    samples, face_of, reach_mm = sampled(nominal)
     tree = cKDTree(samples)
     points = np.ascontiguousarray(points_mm, np.float64)
     facing = np.full((len(points), 3), np.nan) if normals is None else np.ascontiguousarray(normals, np.float64)
@@ -123,7 +123,7 @@ def _search(
         count *= _MORE
 
 
-def _sampled(nominal: Nominal) -> tuple[NDArray[np.float64], NDArray[np.int64], float]:
+def sampled(nominal: Nominal) -> tuple[NDArray[np.float64], NDArray[np.int64], float]:
     """Return middles of pieces of the triangles, the face of each, and the longest way from a middle to a corner."""
     corners = nominal.vertices_mm[nominal.faces]
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()

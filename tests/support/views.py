@@ -11,10 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.calibration.file import Calibration
 from appliance.reconstruct.organised import OrganisedCloud
-from appliance.registration.fine import Rigid
 from appliance.registration.pair import ReadyScan, ready_with
 from appliance.registration.patches import projection_of
+from appliance.registration.rigid import Rigid
 from hw_sim.objects import shapes, texture
 from hw_sim.objects.motion import pose_matrix
 from tests.support import synthetic
@@ -40,10 +41,12 @@ class SeenView:
         return ready_with(self.cloud, PROJECTION, LIGHT_MM)
 
 
-def view(name: str, pose: tuple[float, ...], paint: str = "slight", seed: int = 1) -> SeenView:
-    """What the left camera sees of an object at ``pose`` [x, y, z, rx_deg, ry_deg, rz_deg] in its frame; ``paint``: one of the
-    simulated world's textures."""
-    camera = CALIBRATION.rig.left
+def view(
+    name: str, pose: tuple[float, ...], paint: str = "slight", seed: int = 1, calibration: Calibration = CALIBRATION
+) -> SeenView:
+    """What the left camera of ``calibration`` sees of an object at ``pose`` [x, y, z, rx_deg, ry_deg, rz_deg] in its frame; ``paint``: one
+    of the simulated world's textures."""
+    camera = calibration.rig.left
     v, u = np.mgrid[0 : camera.height_px, 0 : camera.width_px].astype(float)
     origin, direction = camera.rays(np.stack([u, v], -1).reshape(-1, 2), synthetic.WATER.index)
     R, t = pose_matrix(pose)

@@ -7,14 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from appliance.calibration.depth_error import COUNT, along_ray, shapes
 from appliance.optics.rotation import rotation_vector
-from appliance.registration.bow import along_ray, corrected, shapes
+from appliance.registration.bow import PRIOR_MM2, bow_score, corrected, known_before, spread_mm
 from appliance.registration.fine import Fit, refine
 from appliance.registration.patches import patches_of
 from tests.support.views import PROJECTION, SeenView, between, view
 
 POSES = (0.0, 0.0, 545.0, 5.0, -8.0, 12.0), (30.0, -20.0, 520.0, -4.0, 6.0, 75.0)
-SHARED_MM = np.array([0.06, 0.0, -0.03, 0.0, 0.0, 0.0, 0.0])
+SHARED_MM = np.zeros(COUNT)
+SHARED_MM[[0, 2]] = 0.06, -0.03
 
 
 @pytest.fixture(scope="module")
@@ -75,3 +77,38 @@ def test_patches_lie_on_a_bent_surface_and_not_inside_of_it() -> None:
     assert np.count_nonzero(on) > 100
     # Their means lie 1.7 mm squared over 12 radii, some 12 µm, inside.
     assert abs(float(np.mean(away[on] - 15.0))) < 0.004
+
+
+def test_an_estimate_scores_one_where_what_was_known_is_right_and_more_where_it_is_not() -> None:
+    rng = np.random.default_rng(2)
+    half = rng.normal(0.0, 0.01, (COUNT, COUNT))
+    known = known_before(half @ half.T)
+    # Overlaps tell four directions well and the others not at all.
+    told = np.linalg.inv(np.linalg.inv(known) + np.diag([1e6] * 4 + [0.0] * (COUNT - 4)))
+    root = np.linalg.cholesky(known)
+
+    def estimate(true: np.ndarray[tuple[int, ...], np.dtype[np.float64]], noise_mm: float) -> float | None:
+        measured = np.zeros(COUNT)
+        measured[:4] = true[:4] + noise_mm * rng.normal(size=4)
+        return bow_score(told @ (1e6 * measured), known, told)
+
+    scores = []
+    for _ in range(200):
+        score = estimate(root @ rng.normal(size=COUNT), 1e-3)
+        assert score is not None
+        scores.append(score)
+    assert 0.85 < float(np.sqrt(np.mean(np.square(scores)))) < 1.15
+    bent = estimate(8.0 * root @ np.ones(COUNT), 0.0)
+    assert bent is not None
+    assert bent > 5.0
+    assert bow_score(np.zeros(COUNT), known, 0.999 * known) is None, "nothing was told"
+
+
+def test_what_was_known_is_the_calibrations_word_and_a_little_more_or_what_is_usual() -> None:
+    assert known_before(None) is PRIOR_MM2
+    stated = np.diag(np.full(COUNT, 1e-4))
+    np.testing.assert_allclose(np.diag(known_before(stated)), 1e-4 + 0.006**2)
+    # A bow of 30 µm at the border, seen over the view: u² has a mean square of a fifth, 0.6 of it by the lattice's ends.
+    one = np.zeros((COUNT, COUNT))
+    one[0, 0] = 0.030**2
+    assert 0.012 < spread_mm(one) < 0.020

@@ -7,14 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from appliance.calibration.depth_error import COUNT
 from appliance.optics.rotation import rotation_matrix, rotation_vector
-from appliance.registration.bow import NAMES, BowNews
-from appliance.registration.fine import Fit, Rigid
+from appliance.registration.bow import BowNews
+from appliance.registration.fine import Fit
 from appliance.registration.graph import Edge, place
+from appliance.registration.rigid import Rigid
 
 STEP_MM = 60.0
 MIDDLE_MM = np.array([30.0, 0.0, 500.0])
-NO_NEWS = BowNews(np.zeros((6, len(NAMES))), np.zeros((len(NAMES),) * 2), np.zeros(len(NAMES)))
+NO_NEWS = BowNews(np.zeros((6, COUNT)), np.zeros((COUNT, COUNT)), np.zeros(COUNT))
 
 
 def true_pose(k: int) -> Rigid:
@@ -127,7 +129,7 @@ def test_pairs_that_disagree_more_than_they_state_make_all_places_less_certain()
 
 def test_the_shared_error_is_estimated_where_pairs_tell_of_it_and_budgeted_where_not() -> None:
     # A coefficient of 1 mm would turn each step by 0.2 mm at the lever's end; two pairs taken with the instrument turned tell of it.
-    response = np.zeros((6, len(NAMES)))
+    response = np.zeros((6, COUNT))
     response[1, 0] = 12.0
     true_mm = 0.03
 
@@ -147,4 +149,6 @@ def test_the_shared_error_is_estimated_where_pairs_tell_of_it_and_budgeted_where
     assert aided.bow_mm[0] == pytest.approx(true_mm, rel=0.1)
     assert off_mm(aided.poses[8], 8) < 0.05
     assert aided.bending_mm[8] < 0.1 * aided.bending_unaided_mm[8]
+    without = place(9, told, middles(9), with_bow=False)
     assert off_mm(place(9, [*chain], middles(9), with_bow=False).poses[8], 8) > 1.0
+    assert without.bending_mm == without.bending_unaided_mm, "what was not estimated is not known any better"

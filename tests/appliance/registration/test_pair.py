@@ -7,13 +7,15 @@ from functools import cache
 import numpy as np
 import pytest
 
-from appliance.registration.fine import Rigid, refine
+from appliance.registration.fine import refine
 from appliance.registration.pair import PairRefusal, RegisteredPair, register
+from appliance.registration.rigid import Rigid
 from tests.support.views import SeenView, between, displacement_mm, view
 
 SHELL = (0.0, 0.0, 545.0, 5.0, -8.0, 12.0), (40.0, -25.0, 550.0, -4.0, 6.0, 25.0)
 PIPE = (40.0, 0.0, 560.0, 0.0, 6.0, 20.0), (-30.0, 10.0, 570.0, 12.0, 0.0, 28.0)
 SMOOTH_MAIN = (300.0, 0.0, 580.0, 0.0, 6.0, 10.0), (240.0, 0.0, 575.0, 10.0, 0.0, 5.0)
+HALF_ABOUT = (0.0, 0.0, 530.0, 3.0, -5.0, 10.0), (4.0, 2.0, 535.0, -3.0, 2.0, 190.0)
 PLANE = (0.0, 0.0, 522.0, 8.0, 12.0, 0.0), (30.0, 20.0, 530.0, 0.0, 2.0, 10.0)
 
 
@@ -74,6 +76,15 @@ def test_a_pipe_is_said_to_slide_along_its_axis_or_to_turn_about_it() -> None:
 
 def test_printed_squares_are_not_believed_one_square_farther() -> None:
     assert not registered("plane", "checker", PLANE).accepted
+
+
+@pytest.mark.parametrize("paint", ["checker", "labels"])
+def test_a_ball_bar_with_printed_squares_is_not_taken_for_itself_turned_half_about(paint: str) -> None:
+    pair = registered("ballbar", paint, HALF_ABOUT)
+    assert pair.refusal is PairRefusal.AMBIGUOUS
+    assert pair.fit is not None
+    assert pair.fit.alike is not None
+    assert pair.fit.alike > 0.9, "the paint tells nothing"
 
 
 def test_a_frustum_that_looks_the_same_turned_half_about_is_not_guessed() -> None:

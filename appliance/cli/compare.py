@@ -1,0 +1,190 @@
+"""Owns the verbs that compare: a scan, or an object, with what it was to be."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from appliance.cli.arguments import number, operand, option, repeated
+from appliance.cli.desk import library_root, measuring, whole_scan, writable, writing
+from appliance.cli.kernels import compile_kernels
+from appliance.cli.output import Exit, Progress, UsageError, say, say_json
+from appliance.cli.places import WithCalibration
+
+if TYPE_CHECKING:
+    from appliance.export.content import About
+    from appliance.offline.comparing import NominalSurface
+    from appliance.offline.origin import Wish
+    from appliance.registration.rigid import Rigid
+    from appliance.storage.objects import StoredObject
+    from appliance.surface.fusion import FusedCloud
+
+_PLACE = 6
+_NOMINAL = "a drawing in mm (.stl .obj .ply), or the name of another object"
+
+
+def _six(text: str) -> tuple[float, ...]:
+    try:
+        values = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        values = ()
+    if len(values) != _PLACE or not all(abs(value) < 1e5 for value in values):
+        raise argparse.ArgumentTypeError(
+            f"{text}: allowed are six numbers with commas: x,y,z in mm and the turn as axis times angle in degrees"
+        )
+    return values
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Comparing(WithCalibration):
+    out: tuple[str, ...] = repeated(
+        "--out",
+        "points with their deviation, in the drawing's frame (.ply .e57 .las), or a page with map and histogram (.html); may be repeated",
+        metavar="FILE",
+    )
+    tolerance: float | None = option(
+        "--tolerance", "mm that a deviation may have: more is counted", parse=number(0.001, 100.0, "mm"), metavar="MM"
+    )
+    limit: float = option(
+        "--limit",
+        "mm beyond which a point is none of the drawing's (5)",
+        default=5.0,
+        parse=number(0.1, 100.0, "mm"),
+        metavar="MM",
+    )
+    start: tuple[float, ...] | None = option(
+        "--start",
+        "roughly where it lies in the drawing's frame, instead of searching: x,y,z in mm, turn as axis times angle in degrees",
+        parse=_six,
+        metavar="X,Y,Z,RX,RY,RZ",
+    )
+    spacing: float = option(
+        "--spacing",
+        "mm between the points that are compared (0.3)",
+        default=0.3,
+        parse=number(0.02, 20.0, "mm"),
+        metavar="MM",
+    )
+
+    def compared(self, nominal: NominalSurface, surface: FusedCloud, about: About, stored: StoredObject | None) -> Exit:
+        """Compare, write what was asked for, and say what came of it."""
+        from appliance.offline.comparing import compare, figures_of, write_comparison
+
+        with Progress() as progress:
+            progress(f"laying it onto {nominal.name}")
+            found = compare(surface, nominal, self.limit, self._start())
+            for out in self.out:
+                progress(f"writing {out}")
+                with writing(Path(out)):
+                    write_comparison(Path(out), found, about, self.tolerance, stored)
+        figures = figures_of(found, self.tolerance)
+        if self.json:
+            say_json(figures)
+            return Exit.OK
+        summary = found.deviation.summary
+        say(
+            f"{about.title} against {nominal.name}: {summary.points} points, {summary.beyond} of them farther than {self.limit:g} mm"
+        )
+        if summary.rms_mm is not None:
+            say(
+                f"deviation: mean {summary.mean_mm:+.3f}, RMS {summary.rms_mm:.3f}, {summary.least_mm:+.3f} to {summary.most_mm:+.3f} mm"
+            )
+        if self.tolerance is not None:
+            say(f"out of ± {self.tolerance:g} mm: {figures['out_of_tolerance_percent']:.2f} %")
+        for one in found.warnings:
+            say(f"warning: {one}")
+        return Exit.OK
+
+    def checked(self) -> None:
+        """Raises UsageError for files that cannot be written, before minutes of work."""
+        from appliance.export.content import ExportError
+        from appliance.export.files import SURFACE_SUFFIXES, checked_suffix, require_library
+
+        for out in map(Path, self.out):
+            writable(out)
+            try:
+                checked_suffix(out, (*SURFACE_SUFFIXES, ".html"), "a comparison")
+            except ExportError as error:
+                raise UsageError(f"--out {error}") from error
+            require_library(out)
+
+    def _start(self) -> Rigid | None:
+        import numpy as np
+
+        from appliance.optics.rotation import rotation_matrix
+        from appliance.registration.rigid import Rigid
+
+        if self.start is None:
+            return None
+        return Rigid(rotation_matrix(np.radians(self.start[3:])), np.array(self.start[:3]))
+
+    def surface_named(self, named: str, root: Path, wish: Wish, progress: Progress) -> NominalSurface:
+        """Return the drawing or the object called ``named``. Raises NominalError, ObjectError."""
+        from appliance.offline.comparing import NominalSurface
+        from appliance.offline.objects import surface_of
+        from appliance.storage import objects
+        from appliance.surface.nominal import SUFFIXES, nominal_of_mesh, read_nominal
+        from appliance.surface.object_mesh import VOXEL_MM, mesh_of_surface
+
+        path = Path(named)
+        if path.suffix.lower() in SUFFIXES or path.exists():
+            return NominalSurface(path.name, read_nominal(path))
+        other = objects.read(root, named)
+        mesh = mesh_of_surface(surface_of(root, other, wish, progress, self.spacing), max(VOXEL_MM, 2.0 * self.spacing))
+        return NominalSurface(f"object {other.name}", nominal_of_mesh(mesh), mesh.sigma_mm)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CompareObject(_Comparing):
+    """The distances of a solved object's surface from a drawing, or from another object."""
+
+    name: str = operand("NAME", "the object's name")
+    nominal: str = operand("NOMINAL", _NOMINAL)
+
+    def run(self) -> Exit:
+        from appliance.offline.objects import about_object, surface_of
+        from appliance.storage import objects
+
+        wish = self.wish()
+        measuring(wish.calibration)
+        self.checked()
+        root = library_root(wish)
+        stored = objects.read(root, self.name)
+        compile_kernels()
+        with Progress() as progress:
+            nominal = self.surface_named(self.nominal, root, wish, progress)
+            surface = surface_of(root, stored, wish, progress, self.spacing)
+        return self.compared(nominal, surface, about_object(stored), stored)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CompareScan(_Comparing):
+    """The distances of one scan's points from a drawing, or from an object."""
+
+    scan: str = operand("SCAN", "its number or its folder")
+    nominal: str = operand("NOMINAL", _NOMINAL)
+
+    def run(self) -> Exit:
+        import numpy as np
+
+        from appliance.export.content import CAMERA_FRAME, About
+        from appliance.offline.organised_scan import organised_scan
+        from appliance.offline.origin import calibration_for, open_source
+        from appliance.surface.fusion import PlacedScan, fuse
+
+        wish = self.wish()
+        measuring(wish.calibration)
+        self.checked()
+        root = library_root(wish)
+        with Progress() as progress:
+            folder = whole_scan(wish, self.scan)
+            compile_kernels()
+            nominal = self.surface_named(self.nominal, root, wish, progress)
+            source = open_source(folder, wish)
+            made = organised_scan(source, calibration_for(source, wish), progress)
+            # One scan has no other to be placed beside.
+            placed = PlacedScan(made.cloud, np.eye(3), np.zeros(3), pose_sigma_mm=0.0)
+            surface = fuse([placed], self.spacing)
+        return self.compared(nominal, surface, About(f"scan {source.scan.manifest.scan_id}", CAMERA_FRAME), None)

@@ -1,0 +1,192 @@
+"""Owns the comparison of measured points with a nominal surface: laid onto it by their shape, then how far each lies from it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from appliance.export.content import About
+from appliance.export.files import write_surface
+from appliance.offline.object_report import report_of
+from appliance.optics.rotation import rotation_vector
+from appliance.registration.reference import LaidOnto, OrientedPoints, lay_onto
+from appliance.registration.rigid import Rigid
+from appliance.report.content import Report, ReportNominal
+from appliance.report.page import write_report
+from appliance.storage.objects import StoredObject
+from appliance.surface.deviation import Deviation, deviations, sampled
+from appliance.surface.fusion import FusedCloud
+from appliance.surface.nominal import Nominal
+
+PAGE = ".html"
+_MOST_SHOWN = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NominalSurface:
+    """A surface that others are compared with."""
+
+    name: str
+    triangles: Nominal
+    sigma_mm: NDArray[np.float32] | None = None
+    """(v,) of its vertices, where it was measured itself; ``None``: it is exact."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """Points that were laid onto a nominal surface, with how far they lie from it."""
+
+    surface: FusedCloud
+    """Points in their own frame."""
+    laid: LaidOnto
+    nominal: str
+    deviation: Deviation
+    """One for each point, positive outside; its sigma has that of the place and of a measured nominal surface in it."""
+    warnings: tuple[str, ...]
+
+    @property
+    def in_nominal_frame(self) -> FusedCloud:
+        """The points in the nominal surface's frame."""
+        pose = self.laid.pose
+        return replace(
+            self.surface,
+            points_mm=pose.of(self.surface.points_mm.astype(np.float64)).astype(np.float32),
+            normals=(self.surface.normals @ pose.rotation.T).astype(np.float32),
+        )
+
+
+def compare(surface: FusedCloud, nominal: NominalSurface, limit_mm: float, start: Rigid | None = None) -> Comparison:
+    """Lay ``surface`` onto ``nominal`` by shape alone and return how far each point lies from it.
+
+    ``limit_mm``: points farther off are counted and have no deviation. ``start``: where it lies within some millimetres; ``None``: it is
+    searched for. Raises SurfaceMatchError where most of it fits nowhere.
+    """
+    samples_mm, face_of, _ = sampled(nominal.triangles)
+    of_samples = np.zeros(len(samples_mm))
+    if nominal.sigma_mm is not None:
+        of_samples = nominal.sigma_mm[nominal.triangles.faces[face_of]].mean(axis=1).astype(np.float64)
+    laid = lay_onto(
+        OrientedPoints(
+            surface.points_mm.astype(np.float64),
+            surface.normals.astype(np.float64),
+            surface.sigma_mm.astype(np.float64),
+        ),
+        OrientedPoints(samples_mm, nominal.triangles.face_normals[face_of], of_samples),
+        start,
+    )
+    points = laid.pose.of(surface.points_mm.astype(np.float64))
+    normals = surface.normals.astype(np.float64) @ laid.pose.rotation.T
+    variance = surface.sigma_mm.astype(np.float64) ** 2 + laid.sigma_at(points, normals) ** 2
+    if nominal.sigma_mm is not None:
+        variance += of_samples[cKDTree(samples_mm).query(points)[1]] ** 2
+    deviation = deviations(
+        points.astype(np.float32),
+        np.sqrt(variance).astype(np.float32),
+        nominal.triangles,
+        normals.astype(np.float32),
+        limit_mm,
+    )
+    return Comparison(surface, laid, nominal.name, deviation, _warnings(laid))
+
+
+def _warnings(laid: LaidOnto) -> tuple[str, ...]:
+    found = [
+        f"{_words(one)}: nothing in its shape holds it there; no deviation depends on it, but the place on the nominal surface does"
+        for one in laid.free
+    ]
+    if laid.elsewhere:
+        poses = "; ".join(_pose_words(one, laid.pose) for one in laid.elsewhere[:_MOST_SHOWN])
+        found.append(
+            f"it fits as well in {len(laid.elsewhere)} or more other places ({poses}): the thing is symmetric, or its repeated parts are; "
+            "choose one with --start"
+        )
+    return tuple(found)
+
+
+def _words(direction: NDArray[np.float64]) -> str:
+    """Return a direction of motion in words, in the nominal surface's frame."""
+    turn, shift = direction[:3], direction[3:]
+    if np.linalg.norm(shift) >= np.linalg.norm(turn):
+        return f"slides along {_vector(shift)}"
+    return f"turns about {_vector(turn)}"
+
+
+def _vector(of: NDArray[np.float64]) -> str:
+    unit = of / max(float(np.linalg.norm(of)), 1e-12)
+    # A direction and its opposite are one.
+    unit = unit * (-1.0 if unit[np.abs(unit).argmax()] < 0.0 else 1.0)
+    return "(" + ", ".join(f"{one + 0.0:.2f}" for one in unit) + ")"
+
+
+def _pose_words(other: Rigid, best: Rigid) -> str:
+    turn = rotation_vector(best.inverse.then(other).rotation)
+    angle = float(np.degrees(np.linalg.norm(turn)))
+    if angle < 1.0:
+        return f"{np.linalg.norm(other.translation_mm - best.translation_mm):.1f} mm beside"
+    return f"turned by {angle:.0f}° about {_vector(turn)}"
+
+
+def write_comparison(
+    path: Path, found: Comparison, about: About, tolerance_mm: float | None, stored: StoredObject | None
+) -> None:
+    """Write a comparison: points with their deviation (.ply .e57 .las) in the nominal surface's frame, or a page (.html).
+
+    ``stored``: the object that the points are of, for the page's scans. Raises ExportError, StorageError, MissingLibraryError.
+    """
+    if path.suffix.lower() == PAGE:
+        write_report(path, _report(found, about, tolerance_mm, stored))
+        return
+    in_frame = replace(about, frame=f"frame of {found.nominal}", notes=(*about.notes, *found.warnings))
+    write_surface(path, found.in_nominal_frame, in_frame, found.deviation.deviation_mm)
+
+
+def _report(found: Comparison, about: About, tolerance_mm: float | None, stored: StoredObject | None) -> Report:
+    nominal = ReportNominal(found.nominal, found.deviation, tolerance_mm)
+    whole = Report(about.title) if stored is None or stored.places is None else report_of(stored, found.surface)
+    return replace(
+        whole,
+        title=f"{about.title} against {found.nominal}",
+        about={
+            **whole.about,
+            "Compared with": found.nominal,
+            "Laid onto it": f"within {1000.0 * found.laid.scatter_mm:.0f} µm scatter",
+        },
+        surface=found.surface,
+        nominal=nominal,
+        warnings=(*found.warnings, *whole.warnings),
+    )
+
+
+def figures_of(found: Comparison, tolerance_mm: float | None) -> Mapping[str, Any]:
+    """Return a comparison in numbers, JSON-ready; lengths in mm."""
+    summary, laid = found.deviation.summary, found.laid
+    near = np.abs(found.deviation.deviation_mm)
+    return {
+        "nominal": found.nominal,
+        "points": summary.points,
+        "beyond_limit": summary.beyond,
+        "limit_mm": summary.limit_mm,
+        "mean_mm": summary.mean_mm,
+        "sd_mm": summary.sd_mm,
+        "rms_mm": summary.rms_mm,
+        "least_mm": summary.least_mm,
+        "most_mm": summary.most_mm,
+        "percentiles_mm": {f"{percent:g}": value for percent, value in summary.percentiles_mm},
+        "within_2_sigma_percent": summary.within_2_sigma_percent,
+        "tolerance_mm": tolerance_mm,
+        # A point beyond the limit has no deviation and is out of every tolerance.
+        "out_of_tolerance_percent": None
+        if tolerance_mm is None
+        else 100.0 * (1.0 - float((near <= tolerance_mm).mean())),
+        "rotation": laid.pose.rotation.tolist(),
+        "translation_mm": laid.pose.translation_mm.tolist(),
+        "scatter_mm": laid.scatter_mm,
+        "fitting_percent": 100.0 * laid.fitting,
+        "warnings": list(found.warnings),
+    }

@@ -1,0 +1,123 @@
+"""How much of a scan the one before has seen: a share that is right, none, or no word where nobody can tell."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from appliance.reconstruct.quality import CloudSummary
+from appliance.reconstruct.table import Cloud
+from appliance.registration.overlap import CoarseView, coarse_view, compare
+from appliance.scan.overlap import Overlap
+from tests.support.views import PROJECTION, SeenView, between, view
+
+STRIDE_PX = 3
+WITHIN = 0.04
+"""A diver is told whole percents; a twentieth of a view changes nothing."""
+
+
+@cache
+def seen(name: str, paint: str, pose: tuple[float, ...], seed: int) -> SeenView:
+    return view(name, pose, paint, seed)
+
+
+@cache
+def coarse(name: str, paint: str, pose: tuple[float, ...], seed: int) -> CoarseView:
+    """What the worker keeps of a scan; the other picture is of the same place, with noise of its own."""
+    cloud = seen(name, paint, pose, seed).cloud
+    mask = np.zeros(cloud.shape, bool)
+    mask[::STRIDE_PX, ::STRIDE_PX] = cloud.mask[::STRIDE_PX, ::STRIDE_PX]
+    pixel = np.flatnonzero(mask)
+    other = np.zeros(len(pixel), np.float32)
+    points = Cloud(
+        cloud.points_mm.reshape(-1, 3)[pixel], np.zeros(len(pixel), np.uint8), other, other, cloud.sigma_mm.ravel()[pixel],
+        pixel.astype(np.uint32), CloudSummary(len(pixel), None, None, None, None),
+    )  # fmt: skip
+    others = np.stack([seen(name, paint, pose, seed + 100).cloud.grey])
+    return coarse_view(points, STRIDE_PX, cloud.grey, others, PROJECTION)
+
+
+def said(first: CoarseView, second: CoarseView) -> Overlap:
+    *waits, overlap = compare(first, second)
+    assert waits == [None] * len(waits), "nothing but the last word is an answer"
+    assert overlap is not None
+    return overlap
+
+
+def true_share(first: SeenView, second: SeenView) -> float:
+    """By the nearest neighbours of all points, at the true poses."""
+    a = first.cloud.points_mm[first.cloud.mask]
+    b = between(first, second).of(second.cloud.points_mm[second.cloud.mask][::20].astype(np.float64))
+    distance, _ = cKDTree(a).query(b, distance_upper_bound=3.0)
+    return float(np.isfinite(distance).mean())
+
+
+def main_at(x_mm: float, turn: float = 0.0) -> tuple[float, ...]:
+    return (x_mm, 4.0 * turn, 560.0 + 6.0 * turn, 2.0 * turn, -3.0 * turn, 3.0 * turn)
+
+
+@pytest.mark.parametrize("step_mm", [70.0, 150.0])
+def test_along_a_painted_main_the_share_is_the_true_one(step_mm: float) -> None:
+    first, second = (
+        ("main", "slight", main_at(x, turn), seed) for x, turn, seed in ((-20.0, 0.0, 1), (-20.0 + step_mm, 1.0, 2))
+    )
+    share = said(coarse(*first), coarse(*second)).share
+    assert share is not None
+    assert share == pytest.approx(true_share(seen(*first), seen(*second)), abs=WITHIN)
+
+
+@pytest.mark.parametrize("x_mm", [-340.0])
+def test_two_painted_places_that_have_nothing_in_common_are_said_to_have_nothing(x_mm: float) -> None:
+    overlap = said(coarse("main", "slight", main_at(-20.0), 1), coarse("main", "slight", main_at(x_mm, 1.0), 2))
+    assert overlap.none
+
+
+@pytest.mark.parametrize("x_mm", [240.0, -340.0])
+def test_a_bare_pipe_slides_and_gives_no_number_whatever_is_in_common(x_mm: float) -> None:
+    """Not even that nothing is: the smooth places of two views lie upon each other as well as one place does."""
+    overlap = said(coarse("main", "none", main_at(290.0), 1), coarse("main", "none", main_at(x_mm, 1.0), 2))
+    assert overlap.share is None
+
+
+@pytest.mark.parametrize("shift_mm", [21.0, 400.0])
+def test_a_print_that_repeats_gives_no_wrong_number(shift_mm: float) -> None:
+    first = ("plane", "checker", (0.0, 0.0, 522.0, 8.0, 12.0, 0.0), 1)
+    second = ("plane", "checker", (min(shift_mm, 180.0), 0.0, 525.0, 8.0, 10.0, 0.0), 2)
+    share = said(coarse(*first), coarse(*second)).share
+    assert share is None or share == pytest.approx(true_share(seen(*first), seen(*second)), abs=WITHIN)
+
+
+def test_noise_and_what_drifts_by_are_no_marks() -> None:
+    """A picture full of what is not there again would say that nothing is in common."""
+    rng = np.random.default_rng(5)
+    made = coarse("main", "none", main_at(290.0), 1)
+    # Blurred noise: as many features as paint has, in each picture others.
+    noise = [
+        np.clip(60.0 + 300.0 * cv2.GaussianBlur(rng.normal(size=made.pictures[0].shape), (0, 0), 2.0), 0, 255).astype(
+            np.uint8
+        )
+        for _ in range(4)
+    ]
+    drifting = [
+        CoarseView(made.points_mm, made.sigma_mm, made.stride_px, (noise[k], noise[k + 1]), made.reduced, PROJECTION)
+        for k in (0, 2)
+    ]
+    assert said(*drifting).share is None
+    still = [
+        CoarseView(made.points_mm, made.sigma_mm, made.stride_px, (noise[k], noise[k]), made.reduced, PROJECTION)
+        for k in (0, 2)
+    ]
+    assert said(*still).none, "marks that stay do tell"
+
+
+def test_a_scan_of_nothing_tells_nothing() -> None:
+    made = coarse("main", "slight", main_at(-20.0), 1)
+    nothing = np.full_like(made.points_mm, np.nan)
+    dark = np.zeros_like(made.pictures[0])
+    empty = CoarseView(nothing, nothing[..., 0], made.stride_px, (dark, dark), made.reduced, PROJECTION)
+    for first, second in ((made, empty), (empty, made), (empty, empty)):
+        assert said(first, second).share is None
