@@ -8,10 +8,10 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from bench.merge import pairs, row
+from bench.merge import large, pairs, row
 from bench.result import Measured
 
-PAIRS, ROW = "pairs", "row"
+PAIRS, ROW, LARGE = "pairs", "row", "large"
 
 
 def measure() -> Iterable[Measured]:
@@ -21,7 +21,7 @@ def measure() -> Iterable[Measured]:
 
 
 def main(arguments: list[str]) -> int:
-    """``./dev bench merge --seed S [--parts pairs,row] [--pairs N] [--rigs SET] [--size WxH] [--keep DIR] [--json F]``."""
+    """``./dev bench merge --seed S [--parts pairs,row,large] [--pairs N] [--rigs SET] [--size WxH] [--calibrated N] [--keep DIR] [--json F]``."""
     parser = argparse.ArgumentParser(prog="./dev bench merge", description=__doc__)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--parts", default=f"{PAIRS},{ROW}", help=f"default: {PAIRS},{ROW}")
@@ -30,6 +30,13 @@ def main(arguments: list[str]) -> int:
         "--rigs", default="outside", metavar="SET", help="set that the row's rig is drawn from (outside)"
     )
     parser.add_argument("--size", default="800x600", metavar="WxH", help="of the row's images (800x600)")
+    parser.add_argument(
+        "--calibrated",
+        type=int,
+        default=0,
+        metavar="N",
+        help="rigs of `outside`, calibrated, that the row is taken with, too (0)",
+    )
     parser.add_argument("--keep", type=Path, help="keep the views there; they are taken from there the next time")
     parser.add_argument("--json", type=Path, help="write everything there")
     wanted = parser.parse_args(arguments)
@@ -40,8 +47,10 @@ def main(arguments: list[str]) -> int:
         found += figures
     if ROW in wanted.parts.split(","):
         width, height = (int(part) for part in wanted.size.split("x"))
-        figures, whole[ROW] = row.measure(wanted.seed, wanted.rigs, (width, height), wanted.keep)
+        figures, whole[ROW] = row.measure(wanted.seed, wanted.rigs, (width, height), wanted.keep, wanted.calibrated)
         found += figures
+    if LARGE in wanted.parts.split(","):
+        found += large.measure(wanted.seed, wanted.keep)
     for one in found:
         print(one.line())
     if wanted.json is not None:

@@ -11,8 +11,9 @@ from scipy.optimize import least_squares
 
 from appliance.offline.objects import light_of
 from appliance.optics.rotation import rotation_matrix
-from appliance.registration.fine import Rigid, lay
+from appliance.registration.fine import lay
 from appliance.registration.pair import ReadyScan, ready, register
+from appliance.registration.rigid import Rigid
 from bench.merge.views import Array, PlacedView, Wanted, view_of
 from bench.progress import Progress
 from bench.result import Measured

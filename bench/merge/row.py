@@ -11,11 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from appliance.calibration.depth_error import COUNT, along_ray, shapes
 from appliance.optics.rotation import rotation_matrix
 from appliance.reconstruct.organised import OrganisedCloud
-from appliance.registration.bow import along_ray, shapes
+from appliance.registration.bow import bow_score, known_before
 from appliance.registration.graph import Placed, place
 from appliance.registration.solve import Compared, edges_of, middle_of, solve
+from bench.merge.calibrated import Distortion, distortion
 from bench.merge.pairs import angles_deg, ready_of
 from bench.merge.views import Array, PlacedView, Wanted, view_of
 from bench.progress import Progress
@@ -26,15 +28,19 @@ FORTH, BACK = 14, 12
 END_MM = 400.0
 TURNED_DEG = 50.0
 DISTANCE_MM = 585.0
-SHARED_MM = np.array([0.030, 0.0, -0.015, 0.009, 0.0, 0.009, 0.0])
+SHARED_MM = np.zeros(COUNT)
+SHARED_MM[:7] = [0.030, 0.0, -0.015, 0.009, 0.0, 0.009, 0.0]
 """A bow of 30 µm across the view, and what comes with it."""
 LENGTH_MM = 600.0
 
 
 def measure(
-    seed: int, rig_set: str, size_px: tuple[int, int], keep: Path | None
+    seed: int, rig_set: str, size_px: tuple[int, int], keep: Path | None, calibrated: int = 0
 ) -> tuple[list[Measured], list[dict[str, Any]]]:
-    """Return figures of one row of scans, and the rows of a table."""
+    """Return figures of one row of scans, and the rows of a table.
+
+    ``calibrated``: so many rigs of the world ``outside`` are calibrated, from four recordings, and the row is taken with each.
+    """
     wanted = drawn(seed, rig_set, size_px)
     progress = Progress(len(wanted))
     views: list[PlacedView] = []
@@ -43,20 +49,31 @@ def measure(
         views.append(view)
     found: list[Measured] = []
     rows: list[dict[str, Any]] = []
-    for name, shared in (("as they are", np.zeros(7)), ("with a shared bow of 30 um", SHARED_MM)):
-        bent = [replace(view, cloud=_bent(view.cloud, shared)) for view in views]
+    kinds: list[tuple[str, Array, Distortion | None]] = [
+        ("as they are", np.zeros(COUNT), None),
+        ("with a shared bow of 30 um", SHARED_MM, None),
+    ]
+    kinds += [
+        (f"as rig {seed + k} calibrates itself", np.zeros(COUNT), distortion(seed + k, 4)) for k in range(calibrated)
+    ]
+    for name, shared, own in kinds:
+        stated = None if own is None else own.stated_mm2
+        scale = 1.0 if own is None else own.scale
+        bent = [replace(view, cloud=_bent(view.cloud if own is None else own.of(view.cloud), shared)) for view in views]
         begun = time.process_time()
         scans = [ready_of(view) for view in bent]
         prepared = time.process_time()
-        solved = solve(scans, lambda *_: None)
+        solved = solve(scans, lambda *_: None, with_bow=True, stated_mm2=stated)
         done = time.process_time()
         found.append(Measured(f"{name}: CPU to prepare {len(scans)} scans", prepared - begun, "s"))
         found.append(Measured(f"{name}: CPU for {len(solved.compared)} pairs and the graph", done - prepared, "s"))
         found.append(Measured(f"{name}: scans placed", len(solved.placed.poses), f"of {len(scans)}"))
         middles = {k: middle_of(scan) for k, scan in enumerate(scans)}
-        plain = place(len(scans), edges_of(solved.compared), middles, with_bow=False)
+        known = known_before(stated)
+        plain = place(len(scans), edges_of(solved.compared), middles, with_bow=False, known_mm2=known)
         for how, placed in (("estimated", solved.placed), ("not estimated", plain)):
-            row = {"scans": name, "bow": how, **_judged(placed, views, middles, solved.compared)}
+            row = {"scans": name, "bow": how, **_judged(placed, views, middles, solved.compared, scale)}
+            row["score"] = bow_score(placed.bow_mm, known, placed.bow_covariance) if how == "estimated" else None
             rows.append(row)
             said = f"{name}, bow {how}"
             bound = 0.02 if how == "estimated" else None
@@ -69,8 +86,9 @@ def measure(
 
 
 def _judged(
-    placed: Placed, views: list[PlacedView], middles: dict[int, Array], compared: tuple[Compared, ...]
+    placed: Placed, views: list[PlacedView], middles: dict[int, Array], compared: tuple[Compared, ...], scale: float
 ) -> dict[str, Any]:
+    """Return a row of the table; ``scale`` is the single scans' own, which merging is not blamed for."""
     first = min(placed.poses)
     at, true = {}, {}
     for k, pose in placed.poses.items():
@@ -79,14 +97,15 @@ def _judged(
     off = {k: float(np.linalg.norm(at[k] - true[k])) for k in at}
     pairs = [(i, j) for i in at for j in at if i < j and np.linalg.norm(true[i] - true[j]) > LENGTH_MM]
     lengths = [
-        100.0 * abs(float(np.linalg.norm(at[i] - at[j]) / np.linalg.norm(true[i] - true[j])) - 1.0) for i, j in pairs
+        100.0 * abs(float(np.linalg.norm(at[i] - at[j]) / np.linalg.norm(true[i] - true[j])) / scale - 1.0)
+        for i, j in pairs
     ]
     return {
         "worst_mm": max(off.values()),
         "rms_mm": float(np.sqrt(np.mean(np.square(list(off.values()))))),
         "length_percent": float(np.sqrt(np.mean(np.square(lengths)))) if lengths else float("nan"),
         "sigma_mm": max(float(np.sqrt(np.trace(one[3:, 3:]))) for one in placed.covariance.values()),
-        "budget_mm": max((placed.bending_mm if placed.bow_mm.any() else placed.bending_unaided_mm).values()),
+        "budget_mm": max(placed.bending_mm.values()),
         "bow_um": [1000.0 * value for value in placed.bow_mm.tolist()],
         "variance_factor": placed.variance_factor,
         "pairs": len(compared),
@@ -105,13 +124,21 @@ def _bent(cloud: OrganisedCloud, shared: Array) -> OrganisedCloud:
 
 def drawn(seed: int, rig_set: str, size_px: tuple[int, int]) -> list[Wanted]:
     """Return the views: forth along the main, then back with the main turned about its axis."""
+    return [
+        Wanted("main", "slight", pose, rig_set, seed, k, size_px)
+        for k, pose in enumerate(poses_along(seed, FORTH, BACK))
+    ]
+
+
+def poses_along(seed: int, forth: int, back: int) -> list[tuple[float, ...]]:
+    """Return poses [x, y, z, rx_deg, ry_deg, rz_deg] of the main: so many views forth along it, and back with it turned about its axis."""
     rng = np.random.default_rng([5, seed])
-    along = [*np.linspace(-END_MM, END_MM, FORTH), *np.linspace(END_MM, -END_MM, BACK)]
-    turned = [0.0] * FORTH + [TURNED_DEG] * BACK
-    wanted = []
-    for k, (x, turn) in enumerate(zip(along, turned, strict=True)):
+    along = [*np.linspace(-END_MM, END_MM, forth), *np.linspace(END_MM, -END_MM, back)]
+    turned = [0.0] * forth + [TURNED_DEG] * back
+    poses = []
+    for x, turn in zip(along, turned, strict=True):
         hand = rotation_matrix(np.radians(rng.normal(size=3) * (5.0, 5.0, 4.0)))
         R = hand @ rotation_matrix(np.array([np.radians(turn), 0.0, 0.0]))
         t = np.array([0.0, 0.0, DISTANCE_MM]) + rng.normal(size=3) * (6.0, 6.0, 8.0) - R @ np.array([x, 0.0, 0.0])
-        wanted.append(Wanted("main", "slight", tuple(map(float, (*t, *angles_deg(R)))), rig_set, seed, k, size_px))
-    return wanted
+        poses.append(tuple(map(float, (*t, *angles_deg(R)))))
+    return poses

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from appliance.calibration.file import Calibration
 from appliance.reconstruct.organised import OrganisedCloud, organised
 from appliance.reconstruct.pipeline import Pipeline
-from appliance.registration.fine import Rigid
+from appliance.registration.rigid import Rigid
 from appliance.scan.exposure import Exposure
 from bench.outside.scan import SEQUENCE, data_sheet
 from bench.outside.stated import stated_truth

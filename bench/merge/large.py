@@ -1,0 +1,141 @@
+"""Owns what forty scans of full size cost: placing them, one surface, its mesh and its deviations, each in a process of its own.
+
+The scans are ideal ones (exact rays, noise drawn along them), since their frames would take an hour to render; what they cost is the same.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import resource
+import tempfile
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from appliance.offline.objects import light_of
+from appliance.reconstruct.organised import OrganisedCloud
+from appliance.registration.pair import ready
+from appliance.registration.rigid import Rigid
+from appliance.registration.solve import solve
+from appliance.surface.deviation import deviations
+from appliance.surface.fusion import FusedCloud, PlacedScan, fuse
+from appliance.surface.nominal import nominal_of_mesh
+from appliance.surface.object_mesh import mesh_of_surface
+from bench.merge.row import poses_along
+from bench.result import Measured
+from bench.spread import spread
+from tests.support import synthetic
+from tests.support.views import view
+
+FORTH, BACK = 21, 19
+SIZE_PX = (1600, 1200)
+SPACING_MM = 0.3
+SOLVE_CPU_S = 240.0
+MEMORY_MB = 1500.0
+
+
+def measure(seed: int, keep: Path | None) -> list[Measured]:
+    """Return processor time and largest memory of each step."""
+    with tempfile.TemporaryDirectory() as own:
+        folder = keep or Path(own)
+        poses = poses_along(seed, FORTH, BACK)
+        list(spread(partial(_seen, folder=folder, seed=seed), list(enumerate(poses))))
+        count = len(poses)
+        found: list[Measured] = []
+        steps: list[tuple[str, Callable[[Path, int], dict[str, float]], float | None]] = [
+            ("placing", _place, SOLVE_CPU_S),
+            ("one surface", _fuse, None),
+            ("its mesh", _mesh, None),
+            ("its deviations", _deviate, None),
+        ]
+        for name, step, limit in steps:
+            # A process each: the largest memory of a process never gets smaller.
+            with multiprocessing.get_context("spawn").Pool(1) as pool:
+                said = pool.apply_async(partial(_measured, step), (folder, count)).get(timeout=3600.0)
+            found.append(Measured(f"{count} scans of full size, {name}: CPU", said.pop("cpu_s"), "s", at_most=limit))
+            found.append(Measured(f"{name}: largest memory", said.pop("memory_mb"), "MB", at_most=MEMORY_MB))
+            found += [Measured(f"{name}: {what}", value, "") for what, value in said.items()]
+        return found
+
+
+def _measured(step: Callable[[Path, int], dict[str, float]], folder: Path, count: int) -> dict[str, float]:
+    # Once on little, so that compiling is not measured.
+    step(folder, 2)
+    begun = time.process_time()
+    said = step(folder, count)
+    cpu_s = time.process_time() - begun
+    return {**said, "cpu_s": cpu_s, "memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0}
+
+
+def _file(folder: Path, number: int) -> Path:
+    return folder / f"large-{number}.npz"
+
+
+def _seen(item: tuple[int, tuple[float, ...]], folder: Path, seed: int) -> None:
+    number, pose = item
+    file = _file(folder, number)
+    if file.exists():
+        return
+    seen = view("main", pose, "slight", 1000 * seed + number, synthetic.calibration(*SIZE_PX))
+    cloud = seen.cloud
+    draft = file.with_suffix(".draft")
+    with draft.open("wb") as opened:
+        np.savez(
+            opened, points=cloud.points_mm, sigma=cloud.sigma_mm, grey=cloud.grey,
+            rotation=seen.place.rotation, translation=seen.place.translation_mm,
+        )  # fmt: skip
+    draft.replace(file)
+
+
+def _read(folder: Path, number: int) -> tuple[OrganisedCloud, Rigid]:
+    with np.load(_file(folder, number)) as kept:
+        sigma = kept["sigma"]
+        nothing = np.full(sigma.shape, np.nan, np.float32)
+        cloud = OrganisedCloud(kept["points"], sigma, nothing, nothing, kept["grey"])
+        return cloud, Rigid(kept["rotation"], kept["translation"])
+
+
+def _place(folder: Path, count: int) -> dict[str, float]:
+    calibration = synthetic.calibration(*SIZE_PX)
+    scans, points = [], 0
+    for number in range(count):
+        cloud, _ = _read(folder, number)
+        points += int(cloud.mask.sum())
+        scans.append(ready(cloud, calibration.rig.left, synthetic.WATER.index, light_of(calibration)))
+    solved = solve(scans, lambda *_: None)
+    return {"points a scan": points / count, "pairs": len(solved.compared), "placed": len(solved.placed.poses)}
+
+
+def _placed(folder: Path, number: int) -> PlacedScan:
+    cloud, place = _read(folder, number)
+    return PlacedScan(cloud, place.rotation, place.translation_mm)
+
+
+def _fuse(folder: Path, count: int) -> dict[str, float]:
+    surface = fuse((_placed(folder, number) for number in range(count)), SPACING_MM)
+    np.savez(
+        folder / "surface.npz",
+        **{name: getattr(surface, name) for name in ("points_mm", "normals", "sigma_mm", "grey", "views")},
+    )
+    return {"points": len(surface.grey)}
+
+
+def _surface(folder: Path, count: int) -> FusedCloud:
+    with np.load(folder / "surface.npz") as kept:
+        every = max(1, FORTH + BACK - count)
+        return FusedCloud(*(kept[name][::every] for name in ("points_mm", "normals", "sigma_mm", "grey", "views")))
+
+
+def _mesh(folder: Path, count: int) -> dict[str, float]:
+    mesh = mesh_of_surface(_surface(folder, count), 2.0 * SPACING_MM)
+    return {"triangles": len(mesh.faces)}
+
+
+def _deviate(folder: Path, count: int) -> dict[str, float]:
+    surface = _surface(folder, count)
+    nominal = nominal_of_mesh(mesh_of_surface(_surface(folder, 2), 4.0))
+    found = deviations(surface.points_mm, surface.sigma_mm, nominal, surface.normals)
+    return {"points compared": found.summary.points}
