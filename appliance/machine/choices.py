@@ -1,4 +1,4 @@
-"""Owns what the diver may choose: exposure, fringe period and water, the steps of each, and what one key changes."""
+"""Owns what the diver may choose: exposure, fringe period, water and object, the steps of each, and what one key changes."""
 
 from __future__ import annotations
 
@@ -29,6 +29,10 @@ class Choices:
     """The water's temperature, stated by the diver: the instrument has no sensor for it."""
     language: str = "en"
     """Language of the screens; one of ``LANGUAGES``."""
+    object: int | None = None
+    """Number of the object that scans belong to from now on; ``None``: of none."""
+    objects: int = 0
+    """Largest number that was ever given to an object here."""
 
     @property
     def salt(self) -> bool:
@@ -82,6 +86,22 @@ def warmer(chosen: Choices, by: int) -> Choices:
 def another_language(chosen: Choices, by: int) -> Choices:
     """Choose the next language; stays at the ends."""
     return replace(chosen, language=_moved(sorted({*LANGUAGES, chosen.language}), chosen.language, by))
+
+
+def another_object(draft: Choices, chosen: Choices, used: int | None, by: int) -> Choices:
+    """Choose, upwards, no object, the one that is ``chosen`` now, or a new one; stays at the ends.
+
+    ``used``: the largest number that the scans on the disk carry. While it is not known (``None``), no new one is offered: a
+    number that is given twice would join two things at the desk.
+    """
+    steps: list[int | None] = [None]
+    if chosen.object is not None:
+        steps.append(chosen.object)
+    if used is not None:
+        steps.append(max(chosen.objects, used) + 1)
+    # The disk may have told of more numbers while a new one was being looked at.
+    wanted = _moved(steps, draft.object if draft.object in steps else steps[-1], by)
+    return replace(draft, object=wanted, objects=max(chosen.objects, wanted or 0))
 
 
 def _moved(steps: list[T], at: T, by: int) -> T:

@@ -41,6 +41,8 @@ class Arm:
     exposure: Exposure
     second: bool = False
     """True for the second sequence of the scan in hand, whose first one stays where it is."""
+    object: int | None = None
+    """Number of the object that the scan belongs to."""
 
 
 @dataclass(frozen=True, slots=True)

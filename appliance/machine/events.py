@@ -16,6 +16,7 @@ from appliance.machine.words import Label
 from appliance.ranging.reach import Range
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.overlap import Overlap
 from drivers.api import Key, Telemetry
 
 if TYPE_CHECKING:
@@ -112,6 +113,13 @@ class StorageCounted:
 
 
 @dataclass(frozen=True, slots=True)
+class ObjectsCounted:
+    """The scans on the disk were looked at: the largest number of an object that one of them carries, 0 if none does."""
+
+    largest: int
+
+
+@dataclass(frozen=True, slots=True)
 class BootFinished:
     """Everything that can be opened was tried once."""
 
@@ -188,6 +196,14 @@ class Judged:
     """Exposure proposed for the next scan, if not that of this one."""
     second: Exposure | None = None
     """Exposure by which a second sequence of the same scene would add something; ``None``: one exposure serves."""
+
+
+@dataclass(frozen=True, slots=True)
+class OverlapTold:
+    """It is known how much of the scan lies on the one before of its object; it may come after the scan was saved."""
+
+    number: int
+    overlap: Overlap
 
 
 @dataclass(frozen=True, slots=True)
@@ -306,6 +322,7 @@ Event = (
     | ConditionCleared
     | Told
     | StorageCounted
+    | ObjectsCounted
     | BootFinished
     | PartTested
     | PartBusy
@@ -317,6 +334,7 @@ Event = (
     | CoarseReady
     | FullReady
     | Judged
+    | OverlapTold
     | PairMerged
     | PairFailed
     | ReconstructionFailed

@@ -22,6 +22,7 @@ class Row(Enum):
     PERIOD = "PERIOD"
     WATER = "WATER"
     CALIBRATION = "CALIBRATION"
+    OBJECT = "OBJECT"
     GALLERY = "GALLERY"
     LANGUAGE = "LANGUAGE"
     ABOUT = "ABOUT"
@@ -45,6 +46,7 @@ ROWS: Mapping[Page, tuple[Row, ...]] = MappingProxyType(
                 Row.PERIOD,
                 Row.WATER,
                 Row.CALIBRATION,
+                Row.OBJECT,
                 Row.GALLERY,
                 Row.LANGUAGE,
                 Row.ABOUT,
@@ -57,7 +59,7 @@ ROWS: Mapping[Page, tuple[Row, ...]] = MappingProxyType(
 )
 PAGES = {Row.WATER: Page.WATER, Row.ABOUT: Page.ABOUT}
 """Rows of the main page that lead to another page."""
-VALUES = (Row.EXPOSURE, Row.PERIOD, Row.WATER_KIND, Row.WATER_TEMPERATURE, Row.LANGUAGE)
+VALUES = (Row.EXPOSURE, Row.PERIOD, Row.WATER_KIND, Row.WATER_TEMPERATURE, Row.OBJECT, Row.LANGUAGE)
 """Rows whose value is changed with UP and DOWN after SCAN."""
 
 
@@ -164,6 +166,8 @@ def _changed(machine: Machine, menu: Menu, draft: Choices, key: Key) -> Choices:
             return choices.other_water(draft, offers)
         case Row.WATER_TEMPERATURE:
             return choices.warmer(draft, by)
+        case Row.OBJECT:
+            return choices.another_object(draft, machine.choices, machine.objects_used, by)
         case Row.LANGUAGE:
             return choices.another_language(draft, by)
         case _:

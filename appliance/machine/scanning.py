@@ -71,8 +71,12 @@ def arm(machine: Machine) -> Result:
     second = scan.second if scan is not None and scan.adding is not None else None
     if scan is not None and second is not None:
         machine = replace(machine, scan=replace(scan, adding=number))
+    if second is None:
+        machine = replace(machine, overlap_of=None, overlap=None)
     machine = enter(replace(machine, captures=number), State.ARMED, machine.settings.arm_s)
-    return machine, (do.Arm(number, machine.choices.period_px, second or machine.exposure, second is not None),)
+    # A ball bar that the calibration wants is no part of the wreck.
+    of = machine.choices.object if machine.calibrating is None else None
+    return machine, (do.Arm(number, machine.choices.period_px, second or machine.exposure, second is not None, of),)
 
 
 def add(machine: Machine, scan: ScanInHand) -> Result:
@@ -132,7 +136,7 @@ def finished(machine: Machine, number: int) -> Result:
         machine = enter(machine, State.RECONSTRUCT, machine.settings.reconstruct_s)
         return machine, (do.StartReconstruction(number),)
     machine = enter(machine, State.CHECK, machine.settings.reconstruct_s)
-    machine = replace(machine, scan=ScanInHand(number, machine.exposure))
+    machine = replace(machine, scan=ScanInHand(number, machine.exposure), overlap_of=number)
     return machine, (do.StoreRaw(number), do.StartReconstruction(number))
 
 
@@ -290,6 +294,7 @@ def review_key(machine: Machine, key: Key) -> Result:
 def drop(machine: Machine, reason: str) -> Result:
     """Put a scan that is not wanted, or worthless, among the rejected ones. From SAFE there is no way but SAFE."""
     scan = machine.scan
+    machine = replace(machine, overlap_of=None, overlap=None)
     after: tuple[do.Effect, ...] = ()
     if machine.stopping is not None:
         # The end waited for this scan's save only: with nothing left to save it follows at once.

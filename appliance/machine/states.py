@@ -19,6 +19,7 @@ from appliance.patterns.sequence import PERIODS_PX, build_sequence
 from appliance.ranging.reach import Range, Reach
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault
+from appliance.scan.overlap import Overlap
 from drivers.api import Key
 
 if TYPE_CHECKING:  # carried from the worker to the screens, never read here: no kernels are needed to decide
@@ -365,6 +366,10 @@ class Machine:
     cooling_left: bool = False
     """The diver left COOLING although it is still hot."""
     scan: ScanInHand | None = None
+    overlap_of: int | None = None
+    """Number of the Capture effect whose overlap is shown: the latest scan's, unless it was rejected."""
+    overlap: Overlap | None = None
+    """Its overlap with the scan before, until the next one is begun; ``None``: nothing was said of it."""
     stuck: frozenset[Key] = frozenset()
     back_from: State | None = None
     """State in which the latest press of BACK began: held on into another state, it means nothing there."""
@@ -387,6 +392,8 @@ class Machine:
     scans: int = 0
     last_scan: str | None = None
     scans_left: int | None = None
+    objects_used: int | None = None
+    """Largest number of an object that scans on the disk carry; ``None`` until the disk has told."""
     just_saved: str | None = None
     """Scan to confirm as SAVED on the screen, until the next key."""
     stopping: Ending | None = None

@@ -71,6 +71,8 @@ def _react(machine: Machine, event: on.Event) -> Result:
             return replace(machine, notice=Notice(fault, NoticeKind.NEWS)), ()
         case on.StorageCounted(scans, last_scan, scans_left):
             return _counted(machine, scans, last_scan, scans_left), ()
+        case on.ObjectsCounted(largest):
+            return replace(machine, objects_used=largest), ()
         case on.BootFinished():
             return start.booted(machine)
         case on.PartTested():
@@ -91,6 +93,9 @@ def _react(machine: Machine, event: on.Event) -> Result:
             return scanning.reconstruction(machine, event)
         case on.Judged():
             return scanning.judged(machine, event), ()
+        case on.OverlapTold(number, overlap):
+            # Also where the diver kept it before this was known.
+            return (replace(machine, overlap=overlap), ()) if number == machine.overlap_of else (machine, ())
         case on.PairMerged():
             return scanning.merged(machine, event)
         case on.PairFailed(number, fault):
@@ -157,6 +162,9 @@ def _settle(before: Machine, after: Machine, wanted: tuple[do.Effect, ...]) -> R
         since_ns = after.now_ns if after.lasers_off_since_ns is None else after.lasers_off_since_ns
         # What was measured ends with the light.
         after = replace(after, lasers_off_since_ns=since_ns, range=None, reach=Reach.UNKNOWN)
+    if before.choices.object != after.choices.object:
+        # What was said was said of the other object.
+        after = replace(after, overlap_of=None, overlap=None)
     lit = live_after is not None and live_after[0].light
     if lit is not after.thermal.lit:
         after = replace(after, thermal=replace(after.thermal, lit=lit))

@@ -98,6 +98,8 @@ class Text(Enum):
     COARSE_FRINGES = ("COARSE", "GROB")
     WATER = ("WATER", "WASSER")
     CALIBRATE = ("CALIBRATION", "KALIBRIERUNG")
+    OBJECT = ("OBJECT", "OBJEKT")
+    NO_OBJECT = ("NONE", "KEINS")
     LANGUAGE = ("LANGUAGE", "SPRACHE")
     ENGLISH = ("ENGLISH", "ENGLISCH")
     GERMAN = ("GERMAN", "DEUTSCH")
@@ -122,6 +124,12 @@ class Text(Enum):
     NO_PICTURE = ("NO PICTURE", "KEIN BILD DA")
     DAMAGED = ("DAMAGED", "BESCHÄDIGT")
     DATE = ("TAKEN", "DATUM")
+
+    # Many scans of one object
+    OVERLAP = ("OVERLAP", "ÜBERLAPP")
+    OVERLAP_UNSURE = ("OVERLAP NOT SURE", "ÜBERLAPP UNKLAR")
+    NO_OVERLAP = ("NO OVERLAP:", "KEIN ÜBERLAPP:")
+    GO_BACK = ("GO BACK", "ZURÜCK")
 
     # Beside numbers
     TAKEN = ("SCANS", "SCANS")

@@ -26,7 +26,7 @@ from appliance.reconstruct.decode.specks import mask_specks
 from appliance.reconstruct.images import ScanImages
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.quality import CloudSummary
-from appliance.reconstruct.table import Found
+from appliance.reconstruct.table import Cloud, Found
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.sides import SIDES, of_side
@@ -239,6 +239,10 @@ class SequenceProcessor:
     def finished(self) -> bool:
         """The full cloud was found, and nothing begun since."""
         return self._full is not None
+
+    def cloud(self, found: Found) -> Cloud:
+        """Return a copy of the points that a step has just found."""
+        return self._pipeline.table.cloud(found)
 
     def hold(self) -> ProcessedSequence:
         """Return a copy of this sequence, for a second one to be merged with. Raises ValueError unless ``finished``."""

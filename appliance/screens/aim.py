@@ -58,6 +58,9 @@ def draw_aim(canvas: Canvas, view: AimView, language: Language) -> None:
         _plate(canvas, numbered(view.exposure, language), 62, top + 10)
     if view.water is not None:
         _plate(canvas, worded(view.water, language), right + 62, top + 10)
+    if view.overlap is not None:
+        ground, ink = (theme.YELLOW, theme.INK) if view.overlap.warns else (theme.INK, theme.WHITE)
+        _plate(canvas, worded(view.overlap.words, language), 10, top + height - _PLATE_PX - 10, ground, ink)
     _temperature(canvas, view, top + 10)
     _numbers(canvas, view, language)
 

@@ -8,6 +8,7 @@ from appliance.screens.canvas import Align, Canvas
 from appliance.screens.cloud import CloudPainter
 from appliance.screens.column import Figure, draw_figures, draw_verdict, figures, known
 from appliance.screens.frame import alerts_top, draw_title, room_between
+from appliance.screens.texts import worded
 from appliance.screens.theme import BAR_PX, BOLD, CAPTION, REGULAR, TITLE
 from appliance.screens.views import ReviewView
 
@@ -32,6 +33,9 @@ def draw_review(canvas: Canvas, cloud: CloudPainter, view: ReviewView, language:
         _legend(canvas, cloud.range, view, language)
     if view.coarse:
         draw_coarse(canvas, view, language)
+    elif view.overlap is not None:
+        colour = theme.YELLOW if view.overlap.warns else theme.WHITE
+        draw_title(canvas, worded(view.overlap.words, language), view.keys, language, colour)
     top = draw_verdict(canvas, view.grade, view.lengths_doubtful, _VERDICT_TOP_PX, language) + 4
     rows = figures(view.points, view.coverage_percent, view.noise_mm, view.distance_mm)
     time = Figure(Text.TIME, known(view.duration_s, "{:.1f}"), "s")

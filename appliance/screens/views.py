@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from appliance.calibration.guide import Session, Step
 from appliance.machine.alerts import Alert
+from appliance.machine.overlaps import OverlapSaid
 from appliance.machine.states import Calibrating
 from appliance.machine.words import Label, Text
 from appliance.ranging.marks import Marks
@@ -109,6 +110,8 @@ class AimView(View):
     """Places where the laser dots are going to be seen; ``None``: no marks are drawn."""
     water: Text | None = None
     """Word for the water that the refractive index is computed for."""
+    overlap: OverlapSaid | None = None
+    """Words about the overlap of the latest scan with the one before; ``None``: nothing is said."""
     insist: bool = False
     """SCAN was pressed outside the measuring volume; pressed once more it records."""
     scan_allowed: bool = True
@@ -175,6 +178,8 @@ class ReviewView(View):
     """Time in seconds from the key press to this picture; ``None`` where it is not known."""
     lengths_doubtful: bool = False
     """Lengths are not to be trusted: no grade stands alone."""
+    overlap: OverlapSaid | None = None
+    """Words about the overlap with the scan before; ``None``: nothing is said."""
     turn: int = 0
     """Number of steps by which the diver turned the cloud: positive to the right, negative to the left."""
     keys: KeyLabels = field(

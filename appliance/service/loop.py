@@ -93,6 +93,7 @@ class Service:
             watchdog.beaten(self.machine, worker_answers=self._parts.scans.worker.answers)
 
         self._parts.scans.test_storage()
+        self._parts.scans.count_objects()
         while self._quit is None:
             beat()
         watchdog.stopping()

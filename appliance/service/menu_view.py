@@ -29,6 +29,7 @@ WORDS = {
     Row.WATER: Text.WATER,
     Row.CALIBRATION: Text.CALIBRATE,
     Row.GALLERY: Text.GALLERY,
+    Row.OBJECT: Text.OBJECT,
     Row.LANGUAGE: Text.LANGUAGE,
     Row.ABOUT: Text.ABOUT,
     Row.POWER_OFF: Text.POWER_OFF,
@@ -79,6 +80,10 @@ def value_of(row: Row, machine: Machine, facts: Facts | None) -> Label:
             value = Text.SALT if chosen.salt else Text.FRESH
         case Row.WATER_TEMPERATURE:
             value = f"{chosen.water_c:g} °C"
+        case Row.OBJECT:
+            number = chosen.object
+            began = number is not None and number > machine.choices.objects
+            value = Text.NO_OBJECT if number is None else (str(number), Text.NEW) if began else str(number)
         case Row.LANGUAGE:
             value = LANGUAGES.get(chosen.language, Text.ENGLISH)
         case Row.VERSION:

@@ -144,6 +144,9 @@ class SequenceRecorder:
         # The witnesses of time first: where a frame is missing, looking at its pixels says nothing.
         fault = report.fault or self._lasers_seen()
         if fault is not None:
+            # Where a laser shone in the images, no frame is what it should be.
+            if report.fault is not None:
+                scans.keep_incomplete(report, report.fault, self._inputs.temperatures_c())
             scans.drop()
             return on.CaptureFailed(number, fault)
         scans.recorded(report, self._inputs.temperatures_c())
@@ -171,8 +174,10 @@ class SequenceRecorder:
         scans.preview = None
         self._parts.devices.expose(wanted.exposure)
         # Memory before devices: a camera that is armed may write as soon as a pulse comes.
-        begin = scans.begin_second if wanted.second else scans.begin
-        fault = begin(wanted.number, wanted.exposure)
+        if wanted.second:
+            fault = scans.begin_second(wanted.number, wanted.exposure)
+        else:
+            fault = scans.begin(wanted.number, wanted.exposure, wanted.object)
         recorder = self._recorder(wanted.exposure)
         if fault is None and recorder is None:
             fault = Fault(FaultCode.INTERNAL, "a capture was wanted without all devices")

@@ -51,7 +51,8 @@ class ScanRoom:
     def __init__(self, library: Library, room: Room | None, reserve_bytes: int, clock: Clock) -> None:
         """``room``: the library's file system, where it allocates space; without one, space is only counted."""
         self._library, self._room = library, room
-        self._reserve_bytes = reserve_bytes
+        self.reserve_bytes = reserve_bytes
+        """Space that nothing of a scan may take."""
         self._clock = clock
         self._counted_ns = 0
         self._scan_bytes = 1
@@ -82,7 +83,7 @@ class ScanRoom:
         Raises StorageError where the scans cannot be listed.
         """
         fault = self._refused()
-        left = self._library.scans_left(self._scan_bytes, self._reserve_bytes)
+        left = self._library.scans_left(self._scan_bytes, self.reserve_bytes)
         # What cannot be allocated is not free, whatever the disk's own count says.
         if fault is not None and fault.code is FaultCode.STORAGE_FULL:
             left = 0

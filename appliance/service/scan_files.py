@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import cv2
@@ -19,9 +19,13 @@ from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.sides import SIDES
 from appliance.service.room import ScanRoom
 from appliance.service.scan_in_memory import ScanInMemory
+from appliance.storage import incomplete
 from appliance.storage.atomic import StorageError, replace_file
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.library import Library, PendingScan
+from appliance.storage.object_numbers import largest_number
+from appliance.storage.record import ScanRecord
+from appliance.storage.scan import ScanOrigin
 from drivers.api import Clock
 
 log = logging.getLogger("kingfisher")
@@ -99,6 +103,26 @@ class ScanFiles:
             return self._not_saved(scan, error)
         return [on.Rejected(scan.number, pending.scan_id), *self.count()]
 
+    def keep_incomplete(
+        self, frames: Mapping[str, NDArray[np.uint8]], record: ScanRecord, origin: ScanOrigin, fault: Fault
+    ) -> list[on.Event]:
+        """Keep what was recorded before ``fault``, if there is room beside the next scan; nobody is told but the log."""
+        try:
+            kept = incomplete.keep(
+                self._fs,
+                self._library.root,
+                frames,
+                record,
+                origin,
+                f"{fault.code.value}: {fault.detail}",
+                self._room.reserve_bytes,
+            )
+        except (StorageError, ValueError) as error:
+            log.warning("the incomplete recording was not kept: %s", error)
+            return []
+        log.info("an incomplete recording was kept: %s", kept)
+        return self.count()
+
     def test(self) -> list[on.Event]:
         """Answer PartTested: whether the disk takes a file and gives it back."""
         probe = self._library.root / PROBE
@@ -111,6 +135,14 @@ class ScanFiles:
         except (StorageError, OSError) as error:
             return _test_failed(str(error))
         return [*counted, on.PartTested(Part.STORAGE, True, self._room.summary)]
+
+    def count_objects(self) -> list[on.Event]:
+        """Answer ObjectsCounted; where manifests cannot be listed, what the diver's choices remember counts alone."""
+        try:
+            return [on.ObjectsCounted(largest_number(self._library))]
+        except OSError as error:
+            log.warning("numbers of objects are not looked up: %s", error)
+            return [on.ObjectsCounted(0)]
 
     def count(self) -> list[on.Event]:
         """Answer StorageCounted, or nothing where the scans cannot be listed."""

@@ -33,6 +33,8 @@ class ScanInMemory:
     number: int
     begun_ns: int
     exposure: Exposure
+    belongs_to: int | None = None
+    """Number of its object."""
     record: ScanRecord | None = None
     origin: ScanOrigin | None = None
     """The calibration and the rig it was recorded with, from the last frame on."""

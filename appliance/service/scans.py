@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 import appliance
 from appliance.calibration.file import Calibration
+from appliance.capture.ledger import Ledger, agreed_frames
 from appliance.capture.scan import CaptureReport
 from appliance.capture.store import FrameStore
 from appliance.config import Rig
@@ -26,7 +27,7 @@ from appliance.instrument import exposure_of, noise_of, origin_of, settings_of, 
 from appliance.machine import events as on
 from appliance.optics.water import Water
 from appliance.patterns.response import Response
-from appliance.patterns.sequence import PatternSequence
+from appliance.patterns.sequence import Direction, PatternSequence
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault, FaultCode
@@ -148,9 +149,9 @@ class ScanController:
         scan = self.scan
         return (scan is None or scan.raw is None or scan.raw.done()) and not self.busy
 
-    def begin(self, number: int, exposure: Exposure) -> Fault | None:
+    def begin(self, number: int, exposure: Exposure, belongs_to: int | None = None) -> Fault | None:
         """Make room in memory for a new scan's frames; a fault when the previous ones are still only there, or there is no room
-        for new ones on the disk. Call when ``settled``."""
+        for new ones on the disk. ``belongs_to``: the number of its object. Call when ``settled``."""
         if self.room.missing is not None:
             return self.room.missing
         scan = self.scan
@@ -161,9 +162,9 @@ class ScanController:
             except (StorageError, ValueError, TimeoutError) as error:
                 return Fault(FaultCode.NOT_SAVED, f"the previous scan's frames are not on the disk: {error}")
             self._write_trend(scan)
-        self.scan = ScanInMemory(number, self._clock.now_ns(), exposure)
+        self.scan = ScanInMemory(number, self._clock.now_ns(), exposure, belongs_to)
         # Told before the first frame, so that the worker decodes each one while the next is exposed.
-        self.worker.begin(number, self._settings_at(exposure))
+        self.worker.begin(number, self._settings_at(exposure), belongs_to)
         return None
 
     def begin_second(self, number: int, exposure: Exposure) -> Fault | None:
@@ -191,14 +192,38 @@ class ScanController:
                 second.exposure, second.begun_ns, temperatures_c, report.ledger.as_dict(), (self._ledger_verdict(),)
             )
             return
-        date = self.calendar.today()
         ledger = report.ledger
         scan.times_s["first_pattern"] = scan.since_begun_s(ledger.flips[0].time_ns)
         # By the frames' own times: this line runs when all of it was audited.
         arrived_ns = max(frames[-1].received_ns for frames in ledger.frames.values())
         scan.times_s["recording"] = scan.since_begun_s(arrived_ns)
         scan.origin = self._origin
-        scan.record = ScanRecord(
+        scan.record = self._record(scan, ledger, temperatures_c, self._ledger_verdict())
+
+    def keep_incomplete(self, report: CaptureReport, fault: Fault, temperatures_c: dict[str, float | None]) -> None:
+        """Keep the first frames of a sequence that broke, where the rig file asks for it and they hold a whole direction.
+
+        Call before ``drop``; the frames are written from where they are, and ``busy`` keeps others away meanwhile. A second sequence
+        is not kept: the first one is a whole scan.
+        """
+        scan = self.scan
+        if not self._rig.storage.keep_incomplete or scan is None or scan.second is not None:
+            return
+        count = agreed_frames(report.ledger)
+        if count <= self.sequence.axis(Direction.X).sine[-1]:
+            return
+        record = self._record(
+            scan, report.ledger, temperatures_c, Verdict("ledger", False, {"frames": float(count)}, fault.detail)
+        )
+        frames: dict[str, NDArray[np.uint8]] = {side: self.store.frames(side)[:count] for side in SIDES}
+        self._disk.ask(partial(self._files.keep_incomplete, frames, record, self._origin, fault))
+
+    def _record(
+        self, scan: ScanInMemory, ledger: Ledger, temperatures_c: dict[str, float | None], verdict: Verdict
+    ) -> ScanRecord:
+        """Return what is written down of a sequence that has just ended, as it should or not."""
+        date = self.calendar.today()
+        return ScanRecord(
             sequence=SequenceInfo.of(self.sequence),
             rig_hash=self._rig.rig_hash,
             calibration_hash=self._calibration.hash,
@@ -208,6 +233,7 @@ class ScanController:
             recorded_ns=scan.begun_ns,
             response_hash=None if self._response is None else self._response.hash,
             exposure=scan.exposure,
+            object=scan.belongs_to,
             water={
                 "temperature_c": self.water.temperature_c,
                 "salinity_psu": self.water.salinity_psu,
@@ -216,7 +242,7 @@ class ScanController:
             },
             temperatures_c=temperatures_c,
             ledger=ledger.as_dict(),
-            verdicts=(self._ledger_verdict(),),
+            verdicts=(verdict,),
         )
 
     def _ledger_verdict(self) -> Verdict:
@@ -255,6 +281,7 @@ class ScanController:
                 scan.enter(verdict)
             if scan.second is not None and not scan.second.merged:
                 self.drop()
+            self.worker.keep()
             self._disk.ask(partial(self._files.publish, scan, preview))
 
     def reject(self, number: int, reason: str) -> None:
@@ -285,6 +312,10 @@ class ScanController:
     def test_storage(self) -> None:
         """Answer PartTested: whether the disk takes a file and gives it back."""
         self._disk.ask(self._files.test)
+
+    def count_objects(self) -> None:
+        """Answer ObjectsCounted."""
+        self._disk.ask(self._files.count_objects)
 
     def count(self) -> None:
         """Answer StorageCounted."""

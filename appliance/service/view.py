@@ -12,6 +12,7 @@ import appliance
 from appliance.calibration.guide import HELD
 from appliance.machine import safety, start, thermal
 from appliance.machine.alerts import RULES, alert_of, lengths_doubtful, on_screen
+from appliance.machine.overlaps import overlap_said
 from appliance.machine.permissions import refusal
 from appliance.machine.states import Calibrating, Device, Machine, Part, State
 from appliance.machine.texts import labels
@@ -97,6 +98,7 @@ def _view(machine: Machine, around: Surroundings) -> AnyView:
                 gauge=_gauge(machine),
                 marks=around.marks,
                 water=Text.SALT if machine.choices.salt else Text.FRESH,
+                overlap=overlap_said(machine),
                 insist=machine.insists_until_ns is not None,
                 scan_allowed=refusal(machine) is None,
                 alerts=shown,
@@ -145,7 +147,7 @@ def _review(machine: Machine, around: Surroundings, full: bool) -> ReviewView:
     cloud = around.scan.cloud if around.scan is not None else None
     if cloud is None:
         return ReviewView(
-            points_mm=NO_POINTS, values=NO_VALUES, coarse=True, grade=Grade.BAD, points=0,
+            overlap=overlap_said(machine), points_mm=NO_POINTS, values=NO_VALUES, coarse=True, grade=Grade.BAD, points=0,
             coverage_percent=None, noise_mm=None, distance_mm=None, duration_s=None, alerts=on_screen(machine),
         )  # fmt: skip
     # The coarse cloud is what a small screen can show; the numbers are those of the full one as soon as it is there.
@@ -164,6 +166,7 @@ def _review(machine: Machine, around: Surroundings, full: bool) -> ReviewView:
         noise_mm=s.noise_mm,
         distance_mm=s.distance_mm,
         duration_s=duration_s,
+        overlap=overlap_said(machine),
         turn=machine.scan.turn if machine.scan is not None else 0,
         alerts=on_screen(machine),
     )

@@ -21,6 +21,7 @@ from appliance.worker.process import (
     CloudReady,
     PairJudged,
     ReconstructionWorker,
+    ScanCompared,
     ScanJudged,
     ScanSpoiled,
     SequenceIdentified,
@@ -63,9 +64,12 @@ class WorkerReports:
         return [] if scan is None or scan.number != report.scan else self._entered(report, scan)
 
     def _entered(
-        self, report: CloudReady | ScanJudged | PairJudged | ScanSpoiled, scan: ScanInMemory
+        self, report: CloudReady | ScanJudged | PairJudged | ScanSpoiled | ScanCompared, scan: ScanInMemory
     ) -> list[on.Event]:
         match report:
+            case ScanCompared(_, overlap, cpu_s):
+                scan.times_s["overlap_cpu"] = cpu_s
+                return [on.OverlapTold(scan.number, overlap)]
             case CloudReady():
                 return self._cloud(report, scan)
             case ScanJudged():

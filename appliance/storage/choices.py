@@ -31,6 +31,8 @@ _RANGES: dict[str, tuple[float, float]] = {
     "salinity_psu": (0.0, 45.0),
     "water_c": (COLDEST_C, WARMEST_C),
 }
+MOST_OBJECTS = 999_999
+"""Largest number of an object that is believed."""
 
 
 class ChoicesFile:
@@ -81,6 +83,14 @@ class ChoicesFile:
             raise ValueError(
                 f"period_px {values['period_px']!r}, language {values['language']!r}; they are not offered"
             )
+        number, numbers = values["object"], values["objects"]
+        whole = all(
+            isinstance(one, int) and not isinstance(one, bool) for one in (numbers, 0 if number is None else number)
+        )
+        if not whole or not 0 <= numbers <= MOST_OBJECTS or (number is not None and not 1 <= number <= numbers):
+            raise ValueError(
+                f"object {number!r} of objects {numbers!r}; allowed are 1..{MOST_OBJECTS}, and none above the second"
+            )
         return replace(
             self._standard,
             exposure=Exposure(int(values["exposure_us"]), float(values["gain_db"])),
@@ -88,6 +98,8 @@ class ChoicesFile:
             salinity_psu=float(values["salinity_psu"]),
             water_c=float(values["water_c"]),
             language=str(values["language"]),
+            object=number,
+            objects=numbers,
         )
 
 
@@ -99,4 +111,6 @@ def _spelled(choices: Choices) -> dict[str, Any]:
         "salinity_psu": choices.salinity_psu,
         "water_c": choices.water_c,
         "language": choices.language,
+        "object": choices.object,
+        "objects": choices.objects,
     }

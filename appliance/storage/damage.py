@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from appliance.storage import scan as stored
 from appliance.storage.manifest import Manifest
+from appliance.storage.packed import PackedError, packed_path, read_index
 from appliance.storage.scan import RAW_FILES, SECOND_FILES, ScanError, frame_checks
 
 HEADER_BYTES = 128
@@ -62,6 +64,8 @@ def frames_as_they_are(folder: Path, manifest: Manifest, file: str) -> NDArray[n
         raise ScanError(
             f"{folder / file}: nothing is left that says how large its frames are; bring it back from a copy"
         )
+    if stored.is_packed(folder, file):
+        return _unpacked(packed_path(folder / file), (count, *shape))
     pixels = count * shape[0] * shape[1]
     frames = np.zeros(pixels, np.uint8)
     try:
@@ -75,6 +79,22 @@ def frames_as_they_are(folder: Path, manifest: Manifest, file: str) -> NDArray[n
     return frames.reshape(count, *shape)
 
 
+def _unpacked(path: Path, shape: tuple[int, int, int]) -> NDArray[np.uint8]:
+    """Return the frames of a packed file that can be decoded; the others are 0."""
+    frames = np.zeros(shape, np.uint8)
+    try:
+        index = read_index(path)
+    except (PackedError, OSError):
+        return frames
+    if (index.count, index.height_px, index.width_px) != shape:
+        return frames
+    for k in range(shape[0]):
+        # Each frame is a stream of its own: a damaged one takes no other with it.
+        with suppress(PackedError, OSError):
+            frames[k] = index.frame(k)
+    return frames
+
+
 def _which(folder: Path, manifest: Manifest, file: str) -> tuple[int, ...] | None:
     count = len(manifest.record.sequence.patterns)
     shape = _shape(folder, manifest, count)
@@ -82,6 +102,8 @@ def _which(folder: Path, manifest: Manifest, file: str) -> tuple[int, ...] | Non
     if shape is not None and known is not None and len(known) == count:
         found = frame_checks(frames_as_they_are(folder, manifest, file))
         return tuple(k for k in range(count) if found[k] != known[k])
+    if stored.is_packed(folder, file):
+        return None
     try:
         length = (folder / file).stat().st_size
     except OSError:
@@ -98,6 +120,12 @@ def _shape(folder: Path, manifest: Manifest, count: int) -> tuple[int, int] | No
     length."""
     for file in (*RAW_FILES, *SECOND_FILES):
         if file not in manifest.files:
+            continue
+        if stored.is_packed(folder, file):
+            with suppress(PackedError, OSError):
+                index = read_index(packed_path(folder / file))
+                if index.count == count and index.stamp == manifest.files[file]:
+                    return index.height_px, index.width_px
             continue
         try:
             with (folder / file).open("rb") as opened:

@@ -257,6 +257,11 @@ class Library:
         """Return the number of published scans."""
         return sum(1 for _ in self._folders(LibraryFolder.SCANS))
 
+    def newest_first(self) -> list[Path]:
+        """Return the folders of all scans, wherever they lie, those that were taken last first."""
+        folders = [folder for shelf in LibraryFolder for folder in self._folders(shelf)]
+        return sorted(folders, key=_number, reverse=True)
+
     def ids(self) -> list[str]:
         """Return numbers of all published scans, the oldest first."""
         return [folder.name for folder in self._sorted(LibraryFolder.SCANS)]

@@ -20,6 +20,8 @@ from appliance.storage.shape import ShapeError, shaped
 
 SCHEMA = 1
 FILE_NAME = "manifest.json"
+INCOMPLETE_NAME = "incomplete.json"
+"""The file that stands in its place where a scan broke off (``incomplete``): such a folder is no scan."""
 MAX_BYTES = 16 * 1024 * 1024
 
 
@@ -109,6 +111,11 @@ def read(folder: Path) -> Manifest:
         with path.open("rb") as file:
             data = file.read(MAX_BYTES + 1)
     except FileNotFoundError:
+        if (folder / INCOMPLETE_NAME).exists():
+            raise ManifestError(
+                f"{folder}: an incomplete recording is no scan, and nothing is measured, evaluated or calibrated with it; "
+                "`kingfisher rescue` makes an unchecked cloud of it"
+            ) from None
         raise ManifestError(f"{path}: missing") from None
     except OSError as error:
         raise ManifestError(f"{path}: {error.strerror or error}") from error

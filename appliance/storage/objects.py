@@ -66,6 +66,8 @@ class ScanPlace:
     """Share of ``sigma_mm`` that the shared depth error has: what may bend the object without any residual."""
     bending_unaided_mm: float
     """The same with what was known of that error before the scans' overlaps told of it."""
+    bending_aided_mm: float
+    """The same with what an estimate from the overlaps leaves of it, if that is believed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,10 +100,16 @@ class Places:
     warnings: tuple[str, ...]
     shared_error_mm: tuple[float, ...]
     """Coefficients of the depth error that all scans share (appliance.registration.bow)."""
-    shared_error_sigma_mm: tuple[float, ...]
+    shared_error_spread_mm: float
+    """Standard deviation of that error in the points as they are, RMS over the view: after the estimate where it is taken out, else
+    what the calibration leaves."""
+    shared_error_aided_mm: float
+    """The same after the estimate."""
     shared_error_removed: bool
     """The points are to be corrected by it."""
     variance_factor: float
+    shared_error_score: float | None = None
+    """Distance of the estimate from what was known before, in standard deviations; ``None``: the overlaps tell nothing of it."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -50,6 +50,8 @@ end_header
 """
 _REMARK = re.compile(rb"comment salvaged: ([ -~]{1,2000})\n")
 """Header line that says what is wrong with the cloud as a whole; only where something is."""
+_UNCHECKED = re.compile(rb"comment unchecked: ([ -~]{1,2000})\n")
+"""Header line of a cloud whose points nothing has checked, and why."""
 _NUMBERS = re.compile(rb"comment body crc32 ([0-9a-f]{8})\nelement vertex (\d{1,10})\n")
 
 
@@ -83,11 +85,13 @@ class StoredCloud:
     sigma_mm: NDArray[np.float32]
     salvaged: str | None = None
     """Made of damaged frames: what was lost. Such a cloud may be looked at and measures nothing."""
+    unchecked: str | None = None
+    """Made of one direction: why nothing has checked its points. Such a cloud, too, measures nothing."""
 
 
-def encode_ply(cloud: PointCloud, salvaged: str | None = None) -> tuple[bytes, Bytes]:
-    """Return the header and body of the file; ``salvaged`` is written into it. Raises ValueError where lengths differ or
-    a coordinate is not finite."""
+def encode_ply(cloud: PointCloud, salvaged: str | None = None, unchecked: str | None = None) -> tuple[bytes, Bytes]:
+    """Return the header and body of the file; ``salvaged`` and ``unchecked`` are written into it. Raises ValueError where lengths
+    differ or a coordinate is not finite."""
     n = len(cloud.points_mm)
     if cloud.points_mm.shape != (n, 3):
         raise ValueError(f"points_mm has shape {cloud.points_mm.shape}; (n, 3) is needed")
@@ -115,15 +119,15 @@ def encode_ply(cloud: PointCloud, salvaged: str | None = None) -> tuple[bytes, B
             block[name] = column[rows]
         # The checksum is computed while the block is in the cache.
         crc = zlib.crc32(raw[rows.start * POINT.itemsize : rows.stop * POINT.itemsize], crc)
-    return _header(crc, n, salvaged), raw
+    return _header(crc, n, salvaged, unchecked), raw
 
 
-def _header(crc: int, points: int, salvaged: str | None) -> bytes:
+def _header(crc: int, points: int, salvaged: str | None, unchecked: str | None) -> bytes:
     # The header is ASCII by the format's definition; names of files may hold anything.
-    plain = "" if salvaged is None else salvaged.encode("ascii", "replace").decode("ascii")[:2000]
-    return _HEADER.format(crc=crc, points=points, remark=f"comment salvaged: {plain}\n" if plain else "").encode(
-        "ascii"
-    )
+    said = {"salvaged": salvaged, "unchecked": unchecked}
+    plain = {name: (words or "").encode("ascii", "replace").decode("ascii")[:2000] for name, words in said.items()}
+    remark = "".join(f"comment {name}: {words}\n" for name, words in plain.items() if words)
+    return _HEADER.format(crc=crc, points=points, remark=remark).encode("ascii")
 
 
 def write_ply(path: Path, cloud: PointCloud) -> None:
@@ -138,12 +142,13 @@ def read_ply(path: Path) -> StoredCloud:
     except OSError as error:
         raise PlyError(f"{path}: {error.strerror or error}") from error
     # Only the head is searched: the same words may occur among the points.
-    numbers, remark = _NUMBERS.search(raw[:4096]), _REMARK.search(raw[:4096])
+    numbers = _NUMBERS.search(raw[:8192])
     if numbers is None:
         raise PlyError(f"{path}: not a cloud of this instrument (no checksum and point count in its header)")
     crc, n = int(numbers[1], 16), int(numbers[2])
-    said = None if remark is None else remark[1].decode("ascii")
-    header = _header(crc, n, said)
+    found = (pattern.search(raw[:8192]) for pattern in (_REMARK, _UNCHECKED))
+    salvaged, unchecked = (None if one is None else one[1].decode("ascii") for one in found)
+    header = _header(crc, n, salvaged, unchecked)
     # The header is made anew and compared: whatever is wrong with any byte of it is noticed.
     if not raw.startswith(header):
         raise PlyError(f"{path}: damaged header")
@@ -161,5 +166,6 @@ def read_ply(path: Path) -> StoredCloud:
         points["modulation"].copy(),
         points["ray_gap"].copy(),
         points["sigma"].copy(),
-        said,
+        salvaged,
+        unchecked,
     )

@@ -66,6 +66,8 @@ class ScanRecord:
     """Hash of the projector's response that the patterns were drawn for; ``None``: codes, not light, were the sine."""
     exposure: Exposure | None = None
     """Exposure of the left camera; the right one's differs as the rig file says. ``None``: as the rig file has it."""
+    object: int | None = None
+    """Number of the object that the diver said it belongs to; ``None``: of none, or from before there were such numbers."""
     water: Mapping[str, float | None] = field(default_factory=dict)
     """Water it was reconstructed in: ``salinity_psu``, ``temperature_c``, ``wavelength_nm``, ``index``."""
     temperatures_c: Mapping[str, float | None] = field(default_factory=dict)
@@ -80,5 +82,5 @@ class ScanRecord:
     """Monotonic, from ``recorded_ns``: ``first_pattern`` is on the scene, ``recording``: the last frame is in memory,
     ``coarse`` and ``full``: that cloud is ready to be shown, ``saved``: raw frames and ledger survive a loss of power.
     ``pair``: the cloud of two exposures is ready; it includes the time the diver took to ask for it.
-    ``coarse_cpu``, ``full_cpu`` and ``judged_cpu`` are the worker's CPU time for that step alone. What did not happen is not there.
+    ``coarse_cpu``, ``full_cpu``, ``judged_cpu`` and ``overlap_cpu`` are the worker's CPU time for that step alone. What did not happen is not there.
     """

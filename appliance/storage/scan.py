@@ -5,6 +5,9 @@ decides. ``finish``: cloud and preview, then the manifest that lists them. In be
 of a second exposure. Each manifest replaces the one before atomically, so that at any instant the folder holds a manifest
 and every file it lists, or no manifest at all.
 
+At a desk a file of frames may lie in its packed form instead (``appliance.storage.packed``); the manifest is the same, and
+whatever opens the scan reads it as it reads others.
+
 Scans of version 0.1.0 as it was until November 2026 have neither an origin nor checksums of single frames; they are read
 like all others.
 """
@@ -14,16 +17,18 @@ from __future__ import annotations
 import io
 import re
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from appliance.scan.sides import SIDES
 from appliance.storage import manifest as form
-from appliance.storage.atomic import checked_stamp, discard, draft_of, refused, replace_file, write_new
+from appliance.storage.atomic import Stamp, checked_stamp, discard, draft_of, refused, replace_file, write_new
 from appliance.storage.filesystem import Bytes, FileSystem
 from appliance.storage.manifest import Decision, Manifest, ManifestError, Stage
+from appliance.storage.packed import Packed, PackedError, packed_path, read_index
 from appliance.storage.record import ScanRecord
 
 if TYPE_CHECKING:  # NumPy is loaded where pixels and points are: a list of scans touches none
@@ -79,7 +84,7 @@ class ScanOrigin:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StoredScan:
-    """A scan as it lies on disk. ``frames`` by side: (n, h, w) uint8, mapped, read-only."""
+    """A scan as it lies on disk. ``frames`` by side: (n, h, w) uint8, mapped; in memory where they were packed."""
 
     folder: Path
     manifest: Manifest
@@ -114,7 +119,7 @@ def write_raw(
     _check(frames, record)
     with refused("cannot make", folder):
         fs.make_folder(folder)
-    files = {frames_file(side): write_new(fs, folder / frames_file(side), _npy(frames[side])) for side in SIDES}
+    files = {frames_file(side): write_new(fs, folder / frames_file(side), npy_parts(frames[side])) for side in SIDES}
     if origin is not None:
         for name, content in ((CALIBRATION, origin.calibration), (RIG, origin.rig)):
             files[name] = write_new(fs, folder / name, (content,))
@@ -149,7 +154,7 @@ def add_second(
     for side in SIDES:
         name = second_frames_file(side)
         discard(fs, folder / name)
-        files[name] = write_new(fs, folder / name, _npy(frames[side]))
+        files[name] = write_new(fs, folder / name, npy_parts(frames[side]))
         checks[name] = frame_checks(frames[side])
     with refused("cannot make durable", folder):
         fs.sync_folder(folder)
@@ -221,6 +226,11 @@ def wrong_files(folder: Path, manifest: Manifest, *, checksums: bool) -> dict[st
     needed = RAW_FILES if manifest.record.second is None else (*RAW_FILES, *SECOND_FILES)
     wrong = {name: "not in the manifest" for name in needed if name not in manifest.files}
     for name, stamp in sorted(manifest.files.items()):
+        if is_packed(folder, name):
+            problem = _wrong_packed(packed_path(folder / name), stamp, checksums=checksums)
+            if problem is not None:
+                wrong[name] = problem
+            continue
         try:
             length = (folder / name).stat().st_size
             if length != stamp.length:
@@ -232,6 +242,30 @@ def wrong_files(folder: Path, manifest: Manifest, *, checksums: bool) -> dict[st
         except OSError as error:
             wrong[name] = error.strerror or str(error)
     return wrong
+
+
+def is_packed(folder: Path, name: str) -> bool:
+    """Return True if the file of frames ``name`` lies in ``folder`` in its packed form only."""
+    frames = name in RAW_FILES or name in SECOND_FILES
+    return frames and not (folder / name).exists() and packed_path(folder / name).exists()
+
+
+def _wrong_packed(path: Path, stamp: Stamp, *, checksums: bool) -> str | None:
+    """Return what is wrong with a packed file whose frames must be those of ``stamp``; nothing is decoded."""
+    try:
+        index = read_index(path)
+        length = path.stat().st_size
+        if length != index.length_bytes:
+            return f"packed: {length} bytes instead of {index.length_bytes}"
+        if index.stamp != stamp:
+            return "packed: of other frames"
+        if checksums and not index.whole():
+            return "damaged (its checksum does not fit)"
+    except PackedError as error:
+        return f"packed: {error}"
+    except OSError as error:
+        return error.strerror or str(error)
+    return None
 
 
 def manifest_of(folder: Path) -> Manifest:
@@ -254,10 +288,10 @@ def load(folder: Path, *, only_raw: bool = False) -> StoredScan:
     if wrong:
         raise ScanError(f"{folder}: {'; '.join(f'{name}: {what}' for name, what in wrong.items())}")
     count = len(manifest.record.sequence.patterns)
-    frames = {side: _mapped(folder / frames_file(side), count) for side in SIDES}
+    frames = {side: map_frames(folder / frames_file(side), count) for side in SIDES}
     second = None
     if manifest.record.second is not None:
-        second = {side: _mapped(folder / second_frames_file(side), count) for side in SIDES}
+        second = {side: map_frames(folder / second_frames_file(side), count) for side in SIDES}
     return StoredScan(folder, manifest, frames, second)
 
 
@@ -265,7 +299,7 @@ def read_header(data: bytes) -> tuple[int, tuple[int, int, int]] | None:
     """Return the length of the header of a file of frames that begins with ``data``, and (n, h, w); ``None`` for anything
     else.
 
-    It is compared with the one that ``_npy`` writes, nothing in it is executed.
+    It is compared with the one that ``npy_parts`` writes, nothing in it is executed.
     """
     found = _HEADER.match(data[:_HEADER_BYTES])
     if found is None:
@@ -273,10 +307,58 @@ def read_header(data: bytes) -> tuple[int, tuple[int, int, int]] | None:
     return 10 + int.from_bytes(found[1], "little"), (int(found[2]), int(found[3]), int(found[4]))
 
 
-def _mapped(path: Path, count: int) -> NDArray[np.uint8]:
-    """Return the frames of a file, mapped. What is written to them stays in memory and never reaches the file."""
+def read_frame(folder: Path, side: str, k: int, *, second: bool = False) -> NDArray[np.uint8]:
+    """Return frame ``k`` of one camera, (h, w) uint8, compared with its checksum where the manifest has one.
+
+    Nothing else of the frames is read, packed or not. ``second``: of the second exposure. Raises ScanError, MissingLibraryError.
+    """
     import numpy as np
 
+    manifest = manifest_of(folder)
+    name = second_frames_file(side) if second else frames_file(side)
+    names = manifest.record.sequence.patterns
+    if not 0 <= k < len(names):
+        raise ScanError(f"{folder}: there is no frame {k}; allowed are 0 to {len(names) - 1}")
+    if is_packed(folder, name):
+        frame = _frame_of_packed(packed_path(folder / name), k, len(names))
+    else:
+        frame = np.array(map_frames(folder / name, len(names))[k])
+    known = manifest.frame_crc32.get(name)
+    if known is not None and frame_checks(frame[None])[0] != known[k]:
+        raise ScanError(f"{folder / name}: frame {names[k]} is damaged (its checksum does not fit)")
+    return frame
+
+
+def _frame_of_packed(path: Path, k: int, count: int) -> NDArray[np.uint8]:
+    with _as_scan_error(path):
+        return _index_of(path, count).frame(k)
+
+
+def _index_of(path: Path, count: int) -> Packed:
+    index = read_index(path)
+    if index.count != count:
+        raise PackedError(f"has {index.count} frames instead of {count}")
+    return index
+
+
+@contextmanager
+def _as_scan_error(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except PackedError as error:
+        raise ScanError(f"{path}: {error}") from error
+    except OSError as error:
+        raise ScanError(f"{path}: not readable as frames ({error})") from error
+
+
+def map_frames(path: Path, count: int) -> NDArray[np.uint8]:
+    """Return the ``count`` frames of a file, (n, h, w) uint8: mapped, or decoded into memory where it is packed. What is written to
+    them never reaches the file. Raises ScanError, MissingLibraryError."""
+    import numpy as np
+
+    if is_packed(path.parent, path.name):
+        with _as_scan_error(packed_path(path)):
+            return _index_of(packed_path(path), count).frames()
     try:
         # The header is compared by bytes, not parsed by NumPy: its header is a Python literal, and a damaged one may be
         # anything.
@@ -294,7 +376,7 @@ def _mapped(path: Path, count: int) -> NDArray[np.uint8]:
         raise ScanError(f"{path}: not readable as frames ({error})") from error
 
 
-def _npy(frames: NDArray[np.uint8]) -> tuple[Bytes, Bytes]:
+def npy_parts(frames: NDArray[np.uint8]) -> tuple[Bytes, Bytes]:
     """Return the header and body of an .npy file (NumPy format 1.0), without a copy of the pixels."""
     import numpy as np
 
@@ -314,7 +396,7 @@ def frames_bytes(frames: int, width_px: int, height_px: int) -> int:
     """Return the length of the file with one camera's frames."""
     import numpy as np
 
-    header, _ = _npy(np.empty((frames, height_px, width_px), np.uint8))
+    header, _ = npy_parts(np.empty((frames, height_px, width_px), np.uint8))
     return len(header) + frames * width_px * height_px
 
 

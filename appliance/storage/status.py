@@ -9,6 +9,7 @@ from typing import Any
 
 from appliance.calibration.guide import STEPS
 from appliance.machine.alerts import alerts
+from appliance.machine.overlaps import overlap_said
 from appliance.machine.states import Answer, Device, Machine
 from appliance.machine.texts import labels
 from appliance.machine.words import english
@@ -39,6 +40,8 @@ def describe(
         "scans": machine.scans,
         "scans_left": machine.scans_left,
         "last_scan": machine.last_scan,
+        "object": machine.choices.object,
+        "overlap": _overlap(machine),
         "range": _range(machine),
         "calibration": _calibration(machine),
         "gallery": gallery,
@@ -77,6 +80,12 @@ def _calibration(machine: Machine) -> dict[str, Any] | None:
         "in_use": session.in_use,
         "kept": session.kept,
     }
+
+
+def _overlap(machine: Machine) -> str | None:
+    """Return what the screen says of the latest scan's overlap; ``None``: nothing."""
+    said = overlap_said(machine)
+    return None if said is None else english(said.words)
 
 
 def _range(machine: Machine) -> dict[str, Any] | None:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from appliance.reconstruct.table import Found
 from appliance.scan.acquisition import AcquisitionSettings
+from appliance.scan.overlap import Overlap
 from appliance.scan.verdict import Judgement
 
 
@@ -21,6 +22,8 @@ class Begin:
     settings: AcquisitionSettings
     second: bool = False
     """True if the frames are the second exposure of the scan begun last, and lie in the second place of the store."""
+    belongs_to: int | None = None
+    """Number of the scan's object: it is compared with the scan before where that is of the same one, or both are of none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +44,11 @@ class Finish:
 @dataclass(frozen=True, slots=True)
 class Drop:
     """The order to the worker: nobody wants the sequence any more."""
+
+
+@dataclass(frozen=True, slots=True)
+class Keep:
+    """The order to the worker: the diver keeps the scan begun last, and the next one is to be compared with it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,6 +133,15 @@ class BracketJudged:
 
 
 @dataclass(frozen=True, slots=True)
+class OverlapFound:
+    """The worker's report, some time after the full cloud: how much of the scan lies on the one before."""
+
+    ticket: int
+    overlap: Overlap
+    cpu_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class SequenceFailed:
     """The worker's report: the frames are not what was agreed; the next sequence's may be."""
 
@@ -139,7 +156,7 @@ class Crashed:
     text: str
 
 
-ToWorker = Begin | FrameStored | Finish | Drop | CloudCopied | Ping
+ToWorker = Begin | FrameStored | Finish | Drop | Keep | CloudCopied | Ping
 FromWorker = (
     Ready
     | Loaded
@@ -150,6 +167,7 @@ FromWorker = (
     | CloudFound
     | SequenceJudged
     | BracketJudged
+    | OverlapFound
     | SequenceFailed
     | Crashed
 )

@@ -18,6 +18,7 @@ from appliance.reconstruct.table import POINT_BYTES, Cloud, Found, PointTable
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.noise import TYPICAL_PAIR, StereoNoise
+from appliance.scan.overlap import Overlap
 from appliance.scan.sides import SIDES
 from appliance.scan.verdict import Judgement
 from appliance.worker.child import ChildGone, ChildProcess
@@ -32,7 +33,9 @@ from appliance.worker.messages import (
     FrameStored,
     FromWorker,
     GoingOn,
+    Keep,
     Loaded,
+    OverlapFound,
     PatternsIdentified,
     Ping,
     Pong,
@@ -150,6 +153,15 @@ class PairJudged:
 
 
 @dataclass(frozen=True, slots=True)
+class ScanCompared:
+    """It is known how much of a scan lies on the one before."""
+
+    scan: int
+    overlap: Overlap
+    cpu_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class WorkerFailed:
     """The worker is being started again, or has given up."""
 
@@ -158,7 +170,9 @@ class WorkerFailed:
     fault: Fault
 
 
-WorkerEvent = WorkerReady | SequenceIdentified | CloudReady | ScanJudged | ScanSpoiled | PairJudged | WorkerFailed
+WorkerEvent = (
+    WorkerReady | SequenceIdentified | CloudReady | ScanJudged | ScanSpoiled | PairJudged | ScanCompared | WorkerFailed
+)
 
 
 class ReconstructionWorker:
@@ -193,6 +207,7 @@ class ReconstructionWorker:
         self._scan: int | None = None
         self._settings = AcquisitionSettings(noise=order.noise)
         self._second: AcquisitionSettings | None = None
+        self._belongs_to: int | None = None
         """Settings of the scan's second sequence; ``None``: there is none, or not yet."""
         self._knows_first = False
         """This process found the scan's full cloud: a second sequence can follow without the frames of the first."""
@@ -264,8 +279,9 @@ class ReconstructionWorker:
         self._child.stop()
         self._start_again()
 
-    def begin(self, scan: int, settings: AcquisitionSettings | None = None) -> None:
-        """A new scan's frames will follow, taken so (``None``: as always)."""
+    def begin(self, scan: int, settings: AcquisitionSettings | None = None, belongs_to: int | None = None) -> None:
+        """A new scan's frames will follow, taken so (``None``: as always). ``belongs_to``: number of its object."""
+        self._belongs_to = belongs_to
         self._settings = settings or AcquisitionSettings(noise=self.order.noise)
         self._scan, self._finishing, self._missed, self._attempts = scan, False, False, 1
         self._second, self._knows_first = None, False
@@ -273,7 +289,14 @@ class ReconstructionWorker:
         if not self._child.runs:
             self._fruitless = 0
             self._start_again()
-        self._send(Begin(self._ticket, self._settings))
+        self._send(Begin(self._ticket, self._settings, belongs_to=belongs_to))
+
+    def keep(self) -> None:
+        """The diver keeps the scan begun last: the next one is compared with it.
+
+        A process that was started since knows nothing of it; then nothing is said of the next one.
+        """
+        self._send(Keep())
 
     def begin_second(self, scan: int, settings: AcquisitionSettings) -> None:
         """A second sequence's frames will follow, of the ``scan`` begun last, whose first ones are still in the store.
@@ -358,7 +381,7 @@ class ReconstructionWorker:
                 return self._restart(f"it failed: {text}")
             case (
                 GoingOn(ticket) | PatternsIdentified(ticket) | Spoiled(ticket) | CloudFound(ticket) | SequenceJudged(ticket)
-                | BracketJudged(ticket) | SequenceFailed(ticket)
+                | BracketJudged(ticket) | OverlapFound(ticket) | SequenceFailed(ticket)
             ) as message:  # fmt: skip
                 return self._event_of(self._scan, message) if ticket == self._ticket else None
             case _:
@@ -382,6 +405,8 @@ class ReconstructionWorker:
                 if self._finishing:
                     self._await_cloud()  # it got so far; what follows may be more than on other scans
                 return ScanJudged(scan, judgements, cpu_s)
+            case OverlapFound(_, overlap, cpu_s):
+                return ScanCompared(scan, overlap, cpu_s)
             case CloudFound(_, full, found, cpu_s):
                 return self._cloud_found(scan, full, found, cpu_s)
             case BracketJudged(_, found, second, pair, cpu_s):
@@ -437,7 +462,7 @@ class ReconstructionWorker:
             self._tell_frames()
 
     def _tell_first(self) -> None:
-        self._send(Begin(self._ticket, self._settings))
+        self._send(Begin(self._ticket, self._settings, belongs_to=self._belongs_to))
         self._tell_frames()
 
     def _tell_frames(self) -> None:

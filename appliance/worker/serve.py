@@ -53,7 +53,9 @@ from appliance.worker.messages import (
     FrameStored,
     FromWorker,
     GoingOn,
+    Keep,
     Loaded,
+    OverlapFound,
     PatternsIdentified,
     Ping,
     Pong,
@@ -63,6 +65,7 @@ from appliance.worker.messages import (
     Spoiled,
     ToWorker,
 )
+from appliance.worker.neighbours import Neighbours
 from appliance.worker.warm import compiler_watched, what_an_empty_scan_does_not_run
 
 NICENESS = 5
@@ -133,8 +136,9 @@ def _work(
                 run()
             remaining = ()
         pipe.send(Ready())
+        neighbours = Neighbours(calibration, water, sequence, pipeline.coarse_stride)
         try:
-            Server(pipe, processor, store, remaining).serve()
+            Server(pipe, processor, store, remaining, neighbours).serve()
         except (EOFError, OSError):
             raise
         except Exception as error:  # the one place where it can still be named
@@ -201,9 +205,12 @@ class Server:
         processor: SequenceProcessor,
         store: FrameStore,
         left: Iterable[Callable[[], object]] = (),
+        neighbours: Neighbours | None = None,
     ) -> None:
-        """``left``: what remains to be loaded; done piece by piece while nothing else is, then said to be ``Loaded``."""
+        """``left``: what remains to be loaded; done piece by piece while nothing else is, then said to be ``Loaded``. ``neighbours``: what
+        scans are compared by; ``None``: they are not."""
         self._pipe, self._processor, self._store = pipe, processor, store
+        self._neighbours = neighbours
         self._left: deque[Callable[[], object]] | None = deque(left)
         """``None``: all of it is loaded, and that was said."""
         self._in_hand = False
@@ -230,21 +237,34 @@ class Server:
                 self._say(SequenceFailed(self._ticket, str(error)))
 
     def _hear(self) -> ToWorker:
-        """Return the next message; while there is none, and no sequence in hand, load what is left."""
-        while self._left is not None and not self._in_hand and not self._pipe.poll(0.0):
-            if self._left:
-                self._left.popleft()()
-            else:
-                self._left = None
-                self._say(Loaded())
+        """Return the next message; while there is none, and no sequence in hand, load what is left, then compare scans."""
+        while not self._in_hand and not self._pipe.poll(0.0) and self._did_one_piece():
+            pass
         message: ToWorker = self._pipe.recv()
         return message
 
+    def _did_one_piece(self) -> bool:
+        """Do a piece of what can wait; returns False where there is none."""
+        if self._left:
+            self._left.popleft()()
+        elif self._left is not None:
+            self._left = None
+            self._say(Loaded())
+        elif self._neighbours is not None and self._neighbours.waits:
+            compared = self._neighbours.go_on()
+            if compared is not None:
+                self._say(OverlapFound(self._ticket, compared.overlap, compared.cpu_s))
+        else:
+            return False
+        return True
+
     def _do(self, message: ToWorker) -> None:
         match message:
-            case Begin(ticket, settings, second):
+            case Begin(ticket, settings, second, belongs_to):
                 self._ticket, self._failed, self._second = ticket, False, second
                 self._in_hand = True
+                if self._neighbours is not None and not second:
+                    self._neighbours.begin(belongs_to)
                 if not second:
                     self._first = None
                 elif self._first is None:
@@ -263,6 +283,8 @@ class Server:
             case Drop():
                 # What still comes of this sequence (frames on their way, Finish) is passed over until the next Begin.
                 self._failed, self._in_hand = True, False
+            case Keep() if self._neighbours is not None:
+                self._neighbours.keep()
             case Ping():
                 self._say(Pong())
             case _:
@@ -286,6 +308,8 @@ class Server:
                 case Identified():
                     self._say(PatternsIdentified(self._ticket))
                 case CoarseFound(found):
+                    if self._neighbours is not None:
+                        self._neighbours.coarse(self._processor.cloud(found))
                     self._say(CloudFound(self._ticket, full=False, found=found, cpu_s=spent_s))
                     begun_s += spent_s
                     if not self._await_taken():
@@ -303,6 +327,9 @@ class Server:
                     if [one.fault for one in judgements] != [one.fault for one in reported]:
                         self._say(SequenceJudged(self._ticket, judgements, 0.0))
                     self._say(CloudFound(self._ticket, full=True, found=found, cpu_s=spent_s - told_s))
+                    # Copied in the time that the parent takes for the points.
+                    if self._neighbours is not None:
+                        self._neighbours.whole(self._store.frames("left"))
                     self._await_taken()
 
     def _work_through_first(self) -> ProcessedSequence:

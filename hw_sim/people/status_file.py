@@ -75,6 +75,7 @@ CONDITIONS: Mapping[str, tuple[int, Callable[[Status, list[str]], bool]]] = {
     "gallery": (2, lambda status, words: _gallery(status, words[0], words[1])),
     "reach": (1, lambda status, words: _table(status.get("range")).get("word") == words[0]),
     "scans": (1, lambda status, words: str(status.get("scans")) == words[0]),
+    "overlap": (1, lambda status, words: _like([str(status.get("overlap"))], " ".join(words))),
     "step": (1, lambda status, words: _calibration(status, "step", words[0])),
     "result": (1, lambda status, words: _calibration(status, "result", words[0])),
 }

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from hw_sim.latest import Latest
 from hw_sim.light.lasers import add_laser
 from hw_sim.light.uneven import UnevenLight
+from hw_sim.objects.print import Ink
 from hw_sim.optics.camera_traits import CameraTraits
 from hw_sim.optics.geometry import GREY, LIT, MIDDLE_MM, Geometry, Pose
 from hw_sim.optics.light_engine import FRAME_S, SOFTEST_PX, flashed_between
@@ -65,10 +66,12 @@ class Renderer:
     The refractive index is that of ``truth``; the scene's water gives attenuation, backscatter and blur.
     """
 
-    def __init__(self, truth: TrueRig, scene: Scene) -> None:
+    def __init__(self, truth: TrueRig, scene: Scene, ink: Ink | None = None) -> None:
+        """Stand before ``scene``. ``ink`` is what is printed on the board, as ``board_print`` draws it; ``None``: that."""
         self.truth = truth
+        self._ink = ink
         self._scene = scene
-        self._stage = Stage(truth, scene.outside.projector, scene.outside.surfaces)
+        self._stage = Stage(truth, scene.outside.projector, scene.outside.surfaces, ink)
         self._responses = {kind: response(kind) for kind in RESPONSES}
         self._backscatters: dict[str, Latest[float, Backscatter]] = {camera: Latest() for camera in CAMERAS}
         self._veils: dict[str, Latest[tuple[object, ...], Veil]] = {camera: Latest() for camera in CAMERAS}
@@ -89,7 +92,7 @@ class Renderer:
     def scene(self, scene: Scene) -> None:
         before, now = self._scene.outside, scene.outside
         if (now.projector, now.surfaces) != (before.projector, before.surfaces):
-            self._stage = Stage(self.truth, now.projector, now.surfaces)
+            self._stage = Stage(self.truth, now.projector, now.surfaces, self._ink)
             self._veils = {camera: Latest() for camera in CAMERAS}
             self._backscatters = {camera: Latest() for camera in CAMERAS}
         self._scene = scene

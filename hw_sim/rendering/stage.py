@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from hw_sim.latest import Latest
 from hw_sim.objects.finish import Finish
 from hw_sim.objects.motion import object_pose
-from hw_sim.objects.print import board_print
+from hw_sim.objects.print import Ink, board_print
 from hw_sim.objects.shapes import NAMES, RADIUS, SIZES, VARIED
 from hw_sim.objects.texture import NAMES as TEXTURES
 from hw_sim.objects.texture import noise_lattice
@@ -40,7 +40,10 @@ MOST_INSTANTS = 4
 class Stage:
     """One rig before whatever scene is named. All methods may be called by several threads at once."""
 
-    def __init__(self, truth: TrueRig, engine: LightEngine | None = None, coat: Finish | None = None) -> None:
+    def __init__(
+        self, truth: TrueRig, engine: LightEngine | None = None, coat: Finish | None = None, ink: Ink | None = None
+    ) -> None:
+        """Stand before the scene. ``ink`` is what is printed on the board, as ``board_print`` draws it; ``None``: that."""
         self.eyes = {name: truth.eye(name).packed(truth.n_water) for name in (*CAMERAS, "projector")}
         """Packed as in ``optics.trace``."""
         self._engine, self._coat = engine, coat
@@ -48,7 +51,7 @@ class Stage:
         self._shapes_px = {name: (truth.eye(name).height_px, truth.eye(name).width_px) for name in CAMERAS}
         self._sizes = truth.artefacts.sizes()
         self._lattice = noise_lattice()
-        self._ink = board_print()
+        self._ink = board_print() if ink is None else ink
         self._rays: Latest[str, Array] = Latest(keep=len(CAMERAS))
         self._tables: Latest[str, Array] = Latest(keep=len(CAMERAS))
         self._geometries: dict[str, Latest[tuple[object, ...], Geometry]] = {name: Latest() for name in CAMERAS}

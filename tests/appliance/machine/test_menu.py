@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
+from appliance.calibration.guide import Step
 from appliance.machine import effects as do
 from appliance.machine import events as on
+from appliance.machine import scanning
 from appliance.machine.choices import Choices, offers_of
 from appliance.machine.menu import Row, row_of, shown
-from appliance.machine.states import Machine, Page, Settings, State, boot
+from appliance.machine.states import Calibrating, Machine, Page, Settings, State, boot
 from appliance.scan.exposure import Exposure
 from drivers.api import Key
 from tests.appliance.machine.english import labels
@@ -132,3 +136,40 @@ def test_a_gallery_entered_from_the_menu_leads_back_there() -> None:
     assert machine.state is State.GALLERY
     assert press(machine, Key.BACK).state is State.MENU
     assert press(machine, Key.BACK, Key.BACK).state is State.AIM
+
+
+def test_an_object_is_begun_by_its_next_number_and_scans_carry_it_until_it_is_ended() -> None:
+    machine = press(at(run(offered(), on.ObjectsCounted(4)), Row.OBJECT), Key.SCAN, Key.UP)
+    assert shown(machine).object == 5, "scans on the disk carry up to 4"
+    machine, effects = after(machine, on.KeyPressed(Key.SCAN))
+    assert effects == [do.RememberChoices(machine.choices)]
+    assert (machine.choices.object, machine.choices.objects) == (5, 5)
+    _, effects = after(press(machine, Key.BACK), on.KeyPressed(Key.SCAN))
+    assert do.Arm(1, 16, Exposure(12_000), object=5) in effects
+    ended = press(machine, Key.SCAN, Key.DOWN, Key.SCAN)
+    assert ended.choices.object is None
+    again = press(ended, Key.SCAN, Key.UP)
+    assert shown(again).object == 6, "a number is never given twice"
+    assert press(again, Key.BACK).choices.objects == 5, "one that was not begun is not used up"
+
+
+def test_a_running_object_is_kept_or_followed_by_the_next() -> None:
+    machine = press(at(run(offered(), on.ObjectsCounted(0)), Row.OBJECT), Key.SCAN, Key.UP, Key.SCAN, Key.SCAN)
+    assert shown(machine).object == 1
+    assert shown(press(machine, Key.UP, Key.UP, Key.UP)).object == 2
+    assert shown(press(machine, Key.DOWN, Key.DOWN)).object is None
+
+
+def test_no_object_is_begun_before_the_disk_has_told_which_numbers_are_used() -> None:
+    machine = press(at(offered(), Row.OBJECT), Key.SCAN)
+    assert Key.UP not in labels(machine)
+    assert shown(press(machine, Key.UP)).object is None
+
+
+def test_recordings_of_a_calibration_belong_to_no_object() -> None:
+    chosen = replace(BALTIC, object=3, objects=3)
+    machine = replace(aim(), choices=chosen, calibrating=Calibrating(Step.M1))
+    _, effects = scanning.arm(machine)
+    assert [effect.object for effect in effects if isinstance(effect, do.Arm)] == [None]
+    _, effects = scanning.arm(replace(aim(), choices=chosen))
+    assert [effect.object for effect in effects if isinstance(effect, do.Arm)] == [3]

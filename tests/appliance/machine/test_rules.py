@@ -27,11 +27,13 @@ def without_numbers(text: str) -> str:
 
 def rows(language: str) -> set[tuple[Severity, str, str]]:
     """Gravity, headline and action of every row of a page."""
-    found, severity = set(), Severity.INFO
+    found: set[tuple[Severity, str, str]] = set()
+    severity: Severity | None = None
     for line in (PAGES / f"alarms.{language}.md").read_text(encoding="utf-8").splitlines():
         if line.startswith("## "):
-            severity = SEVERITIES[re.split(r"\W", line[3:])[0]]
-        elif line.startswith("| **"):
+            # Words that are no messages have a section of their own.
+            severity = SEVERITIES.get(re.split(r"\W", line[3:])[0])
+        elif severity is not None and line.startswith("| **"):
             _, headline, _, action, *_ = (cell.strip() for cell in line.split("|"))
             found.add((severity, without_numbers(headline.strip("*")), action))
     return found

@@ -17,6 +17,7 @@ from appliance.ranging.reach import Range
 from appliance.reconstruct.quality import CloudSummary
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.overlap import NO_OVERLAP, UNKNOWN, Overlap
 from drivers.api import Key, LaserState, Telemetry
 from tests.support.typed import built
 
@@ -164,7 +165,7 @@ def hot_while_aiming() -> Machine:
 
 
 def gallery_from_the_menu() -> Machine:
-    return run(in_menu(*(Key.DOWN,) * 4, Key.SCAN), on.ScansListed(("000002", "000001")))
+    return run(in_menu(*(Key.DOWN,) * 5, Key.SCAN), on.ScansListed(("000002", "000001")))
 
 
 def outside_the_volume() -> Machine:
@@ -251,6 +252,7 @@ EVENTS: st.SearchStrategy[on.Event] = st.one_of(
     built(on.ConditionCleared, st.sampled_from(list(FaultCode))),
     built(on.Told, built(Fault, st.sampled_from([FaultCode.RESTARTED, FaultCode.SCAN_RECOVERED]))),
     built(on.StorageCounted, _numbers, st.none(), st.sampled_from([None, 0, 5])),
+    built(on.ObjectsCounted, st.sampled_from([0, 7])),
     built(on.BootFinished),
     built(on.PartTested, st.sampled_from(list(Part)), st.booleans()),
     built(on.PartBusy, st.sampled_from(list(Part))),
@@ -268,6 +270,7 @@ EVENTS: st.SearchStrategy[on.Event] = st.one_of(
         st.sampled_from([None, Exposure(8_000), Exposure(16_000, 4.0)]),
         st.sampled_from([None, Exposure(3_200)]),
     ),
+    built(on.OverlapTold, _numbers, st.sampled_from([UNKNOWN, NO_OVERLAP, Overlap(0.62)])),
     built(on.PairMerged, _numbers, _summaries, _warnings),
     built(on.PairFailed, _numbers, _faults),
     built(on.ReconstructionFailed, _numbers, _faults),
@@ -300,6 +303,9 @@ EVERY_EVENT: list[on.Event] = [
     *(on.ConditionCleared(code) for code in FaultCode),
     on.Told(Fault(FaultCode.RESTARTED)),
     on.StorageCounted(1, "000001", 0),
+    *(on.OverlapTold(number, overlap) for number in (0, 1) for overlap in (UNKNOWN, NO_OVERLAP, Overlap(0.62))),
+    on.ObjectsCounted(0),
+    on.ObjectsCounted(7),
     on.BootFinished(),
     *(on.PartTested(part, passed) for part in Part for passed in (True, False)),
     *(on.PartBusy(part) for part in Part),
@@ -341,9 +347,13 @@ STARTS: tuple[Callable[[], Machine], ...] = (
     outside_the_volume,
     lambda: in_menu(Key.SCAN),
     lambda: in_menu(Key.DOWN, Key.DOWN, Key.DOWN),
-    lambda: in_menu(*(Key.DOWN,) * 4),
-    lambda: in_menu(*(Key.DOWN,) * 7, Key.SCAN),
-    lambda: in_menu(*(Key.DOWN,) * 7, Key.SCAN, Key.DOWN),
+    lambda: in_menu(*(Key.DOWN,) * 5),
+    lambda: in_menu(*(Key.DOWN,) * 4, Key.SCAN),
+    lambda: run(
+        aim(), on.ObjectsCounted(2), *(on.KeyPressed(key) for key in (Key.UP, *(Key.DOWN,) * 4, Key.SCAN, Key.UP))
+    ),
+    lambda: in_menu(*(Key.DOWN,) * 8, Key.SCAN),
+    lambda: in_menu(*(Key.DOWN,) * 8, Key.SCAN, Key.DOWN),
     lambda: asked(aim()),
     lambda: about_to_switch_off(aim()),
     lambda: about_to_switch_off(boot(0)),

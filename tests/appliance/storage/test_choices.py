@@ -15,7 +15,7 @@ from appliance.scan.fault import FaultCode
 from appliance.storage.choices import FILE, ChoicesFile
 
 RIG = Choices(Exposure(12_000), 16, 0.0, 20.0)
-CHOSEN = Choices(Exposure(16_000, 4.0), 32, 35.0, 7.0, "de")
+CHOSEN = Choices(Exposure(16_000, 4.0), 32, 35.0, 7.0, "de", 3, 4)
 
 
 def test_what_was_chosen_is_there_after_a_restart(tmp_path: Path) -> None:
@@ -55,6 +55,10 @@ def test_a_damaged_file_is_a_condition_and_the_rig_files_values_hold(tmp_path: P
         ("gain_db", "4"),
         ("language", "fr"),
         ("salinity_psu", None),
+        ("object", 1),
+        ("object", "1"),
+        ("objects", -1),
+        ("objects", None),
     ],
 )
 def test_a_sealed_value_out_of_range_is_not_taken(tmp_path: Path, name: str, value: object) -> None:

@@ -19,6 +19,7 @@ PLACE = ScanPlace(
     covariance=tuple(tuple(0.0 for _ in range(6)) for _ in range(6)),
     bending_mm=0.01,
     bending_unaided_mm=0.4,
+    bending_aided_mm=0.05,
 )
 PLACES = Places(
     calibrations=("ab" * 32,),
@@ -28,7 +29,8 @@ PLACES = Places(
     left_out={"000002": "slides"},
     warnings=("look here",),
     shared_error_mm=(0.0,) * 7,
-    shared_error_sigma_mm=(0.01,) * 7,
+    shared_error_spread_mm=0.02,
+    shared_error_aided_mm=0.005,
     shared_error_removed=False,
     variance_factor=1.0,
 )

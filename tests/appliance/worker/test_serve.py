@@ -18,8 +18,10 @@ from appliance.patterns.sequence import build_sequence
 from appliance.processing.procedure import SequenceProcessor
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.scan.acquisition import AcquisitionSettings
+from appliance.scan.overlap import Overlap
 from appliance.scan.sides import SIDES
-from appliance.worker.messages import Begin, Drop, Finish, FrameStored, Loaded, Ping, Pong, Spoiled
+from appliance.worker.messages import Begin, Drop, Finish, FrameStored, Loaded, OverlapFound, Ping, Pong, Spoiled
+from appliance.worker.neighbours import NeighbourAnswer, Neighbours
 from appliance.worker.serve import Server
 from appliance.worker.warm import compiler_watched
 from tests.support import synthetic
@@ -29,7 +31,9 @@ TIMEOUT_S = 60.0
 
 
 @contextmanager
-def serving(left: list[Callable[[], object]], *first: object) -> Iterator[Connection]:
+def serving(
+    left: list[Callable[[], object]], *first: object, neighbours: Neighbours | None = None
+) -> Iterator[Connection]:
     """The parent's end of a server for dark frames, told ``first`` before it listens."""
     calibration, sequence = synthetic.calibration(WIDTH_PX, HEIGHT_PX), build_sequence(16)
     ours, theirs = multiprocessing.Pipe()
@@ -37,7 +41,7 @@ def serving(left: list[Callable[[], object]], *first: object) -> Iterator[Connec
         FrameStore(len(sequence), HEIGHT_PX, WIDTH_PX) as store,
         Pipeline(calibration, synthetic.WATER, sequence) as pipeline,
     ):
-        server = Server(theirs, SequenceProcessor(pipeline, calibration, synthetic.WATER), store, left)
+        server = Server(theirs, SequenceProcessor(pipeline, calibration, synthetic.WATER), store, left, neighbours)
         for message in first:
             ours.send(message)
 
@@ -102,3 +106,46 @@ def test_what_had_to_be_compiled_is_told_from_what_was_there() -> None:
     with compiler_watched() as compiled:
         new(np.zeros(2))
         assert not compiled()
+
+
+class Recorded(Neighbours):
+    """Comparisons of as many pieces as are given, each of which waits to be let through."""
+
+    def __init__(self, pieces: int) -> None:
+        super().__init__(synthetic.calibration(WIDTH_PX, HEIGHT_PX), synthetic.WATER, build_sequence(16), 4)
+        self.pieces, self.done = pieces, 0
+        self.reached, self.go = threading.Semaphore(0), threading.Semaphore(0)
+
+    @property
+    def waits(self) -> bool:
+        return self.done < self.pieces
+
+    def begin(self, belongs_to: int | None) -> None:
+        self.pieces = 0
+
+    def go_on(self) -> NeighbourAnswer | None:
+        self.reached.release()
+        assert self.go.acquire(timeout=TIMEOUT_S)
+        self.done += 1
+        return NeighbourAnswer(Overlap(0.5), 0.1) if self.done == self.pieces else None
+
+
+def test_scans_are_compared_in_the_pauses_and_the_answer_is_told() -> None:
+    neighbours = Recorded(3)
+    with serving([], neighbours=neighbours) as pipe:
+        assert heard(pipe) == Loaded()
+        for _ in range(3):
+            neighbours.go.release()
+        assert heard(pipe) == OverlapFound(0, Overlap(0.5), 0.1)
+
+
+def test_a_scan_that_begins_waits_for_one_piece_of_a_comparison_at_most_and_ends_it() -> None:
+    neighbours = Recorded(100)
+    with serving([], neighbours=neighbours) as pipe:
+        assert heard(pipe) == Loaded()
+        assert neighbours.reached.acquire(timeout=TIMEOUT_S)
+        pipe.send(Begin(1, AcquisitionSettings(), belongs_to=2))
+        pipe.send(Ping())
+        neighbours.go.release()
+        assert heard(pipe) == Pong()
+        assert neighbours.done == 1

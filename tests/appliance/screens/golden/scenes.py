@@ -9,6 +9,7 @@ from types import MappingProxyType
 from appliance.calibration.guide import USED, AdjustmentSummary, RecordingCheck, Refusal, Session, Step, Verified
 from appliance.machine.alerts import RULES, Alert, alert_of
 from appliance.machine.failure import Failure, FailureKind
+from appliance.machine.overlaps import OverlapSaid
 from appliance.machine.states import Calibrating, Task
 from appliance.machine.words import Label, Text
 from appliance.ranging.reach import Reach
@@ -85,6 +86,7 @@ AIM = AimView(
     exposure="12 ms", water=Text.SALT, gauge=Gauge(503.0, -4.0, Reach.OK), marks=seabed.marks(),
     keys=_AIM_KEYS,
 )  # fmt: skip
+NO_OVERLAP = OverlapSaid((Text.NO_OVERLAP, Text.GO_BACK), warns=True)
 _POINTS = seabed.cloud()
 REVIEW = ReviewView(
     points_mm=_POINTS, values=_POINTS[:, 2], coarse=False, grade=Grade.GOOD, points=1_312_409,
@@ -103,6 +105,7 @@ MAIN_ROWS = (
     MenuRow(Text.FRINGES, Text.FINE),
     MenuRow(Text.WATER, (Text.SALT, "12.5 °C")),
     MenuRow(Text.CALIBRATE),
+    MenuRow(Text.OBJECT, "3"),
     MenuRow(Text.GALLERY),
     MenuRow(Text.LANGUAGE, Text.ENGLISH),
     MenuRow(Text.ABOUT),
@@ -156,8 +159,8 @@ SCENES: Mapping[str, Scene] = MappingProxyType(
         ),
         "aim": Scene(AIM, "Both live pictures; the laser dots give distance and tilt."),
         "aim-closer": Scene(
-            replace(AIM, gauge=Gauge(588.0, 17.0, Reach.CLOSER), exposure="8 ms", water=Text.FRESH),
-            "Too far away, and slanted.",
+            replace(AIM, gauge=Gauge(588.0, 17.0, Reach.CLOSER), exposure="8 ms", water=Text.FRESH, overlap=NO_OVERLAP),
+            "Too far away, and slanted; the scan that was kept last has nothing in common with the one before.",
         ),
         "aim-insist": Scene(
             replace(AIM, gauge=Gauge(421.0, None, Reach.BACK), insist=True),
@@ -200,7 +203,11 @@ SCENES: Mapping[str, Scene] = MappingProxyType(
         "capture": Scene(CaptureView(keys=keys(back=Text.STOP)), "The sequence is recorded. Drawn before its first pattern, and not again before its last one."),
         "check": Scene(CheckView(keys=keys(back=Text.HOLD_REDO)), "Whether every frame shows its pattern; the diver may move."),
         "reconstruct": Scene(ReconstructView(keys=keys(back=Text.HOLD_REDO)), "Points are computed.", 0.9),
-        "review": Scene(REVIEW, "The cloud by depth, gently turning, or turned by the diver; the verdict and its numbers.", 1.2),
+        "review": Scene(
+            replace(REVIEW, overlap=OverlapSaid((Text.OVERLAP, "62 %"))),
+            "The cloud by depth, gently turning, or turned by the diver; the verdict and its numbers, and above them the overlap with the scan before.",
+            1.2,
+        ),
         "review-coarse": Scene(
             replace(REVIEW, coarse=True, grade=Grade.USABLE, points=20_412, noise_mm=0.071), "A coarse cloud comes first.", 0.4
         ),
@@ -211,9 +218,9 @@ SCENES: Mapping[str, Scene] = MappingProxyType(
         ),
         "review-moved": Scene(
             replace(
-                REVIEW, grade=Grade.BAD, alerts=(MOVED,), keys=keys(scan=Text.KEEP, back=Text.HOLD_REDO, up=Text.TURN, down=(Text.EXPOSE, "8 ms"))
+                REVIEW, grade=Grade.BAD, alerts=(MOVED,), overlap=NO_OVERLAP, keys=keys(scan=Text.KEEP, back=Text.HOLD_REDO, up=Text.TURN, down=(Text.EXPOSE, "8 ms"))
             ),
-            "A scan that moved is never called good.", 0.4,
+            "A scan that moved is never called good; and nothing joins this one to the scan before.", 0.4,
         ),
         "review-no-points": Scene(
             replace(NO_POINTS, alerts=(alert(FaultCode.RECONSTRUCTION_FAILED), alert(FaultCode.TOO_DARK))),
@@ -226,10 +233,12 @@ SCENES: Mapping[str, Scene] = MappingProxyType(
         ),
         "menu-changing": Scene(
             MenuView(
-                title=Text.MENU, rows=MAIN_ROWS, selected=0, changing=True,
+                title=Text.MENU,
+                rows=tuple(MenuRow(row.text, ("4", Text.NEW)) if row.text is Text.OBJECT else row for row in MAIN_ROWS),
+                selected=4, changing=True,
                 keys=keys(scan=Text.OK, back=Text.CANCEL, up=Text.ARROW_UP, down=Text.ARROW_DOWN),
             ),
-            "A value is being changed; it holds once it is taken.",
+            "A value is being changed, and holds once it is taken: scans carry the next object's number from then on.",
         ),
         "menu-alert": Scene(
             MenuView(

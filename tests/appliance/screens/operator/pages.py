@@ -53,7 +53,46 @@ def alarms(language: Language) -> str:
             effect = _effect(RULES[code], language)
             told.append(f"| **{headline}** | {pick(language, *MEANINGS[code])} | {action} | {effect} |")
         lines += dict.fromkeys(told)  # what reads alike is one row
+    lines += _overlaps(language)
     return "\n".join(lines) + "\n"
+
+
+def _overlaps(language: Language) -> list[str]:
+    """The words about many scans of one object, which are no alarms."""
+    words = worded((Text.NO_OVERLAP, Text.GO_BACK), language), worded((Text.OVERLAP, "62 %"), language)
+    none, some = (f"| **{said}** " for said in words)
+    unsure = f"| **{worded(Text.OVERLAP_UNSURE, language)}** "
+    return [
+        "",
+        pick(language, "## Many scans, one object", "## Viele Scans, ein Objekt"),
+        "",
+        pick(
+            language,
+            "OBJECT in the menu starts a numbered object, or ends it. After each scan the screen compares it with the one before.",
+            "OBJEKT im Menü beginnt ein nummeriertes Objekt oder beendet es. Nach jedem Scan vergleicht ihn die Anzeige mit dem davor.",
+        ),
+        "",
+        pick(language, "| words | meaning | do |", "| Worte | Bedeutung | tun |"),
+        "|---|---|---|",
+        some
+        + pick(
+            language,
+            "| So much of this scan lies on the one before. | Half is good; below 25 % it is yellow: go on in smaller steps. |",
+            "| So viel von diesem Scan liegt auf dem davor. | Die Hälfte ist gut; unter 25 % ist es gelb: in kleineren Schritten weiter. |",
+        ),
+        none
+        + pick(
+            language,
+            "| Nothing joins this scan to the one before. | Scan again from half-way back. |",
+            "| Nichts verbindet diesen Scan mit dem davor. | Auf halbem Weg zurück noch einmal scannen. |",
+        ),
+        unsure
+        + pick(
+            language,
+            "| A smooth pipe or a grid looks alike everywhere. | Have a weld, a flange or a mark in both scans. |",
+            "| Ein glattes Rohr oder ein Gitter sieht überall gleich aus. | Schweißnaht, Flansch oder Marke in beiden Scans haben. |",
+        ),
+    ]
 
 
 def _effect(rule: Rule, language: Language) -> str:
