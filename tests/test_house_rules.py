@@ -334,6 +334,7 @@ RULES = [
             "hw_sim/timing/calendar.py": "the simulated one begins today",
             "appliance/cli/calibrate.py": "the date in a calibration file",
             "appliance/cli/calibrate_air.py": "the same",
+            "appliance/cli/calibrate_pair.py": "the same",
         },
     ),
     Rule(

@@ -7,12 +7,17 @@ from appliance.calibration.recordings import RecordingError
 from appliance.cli.output import Exit, UsageError
 from appliance.config import ConfigError
 from appliance.export.content import ExportError
+from appliance.foreign.problem import ForeignError
 from appliance.kernel_build import CompileError
+from appliance.offline.anew.many import SchedulerError
+from appliance.offline.anew.results import ResultsError
+from appliance.registration.reference import SurfaceMatchError
 from appliance.storage.atomic import StorageError
 from appliance.storage.library import UnknownScan
 from appliance.storage.objects import ObjectError
 from appliance.storage.scan import ScanError
 from appliance.surface.libraries import MissingLibraryError
+from appliance.surface.nominal import NominalError
 from drivers.api import DeviceError
 
 
@@ -31,9 +36,14 @@ def exit_code_of(error: Exception) -> Exit | None:
             | RecordingError()
             | ExportError()
             | MissingLibraryError()
+            | ForeignError()
             | ObjectError()
+            | NominalError()
+            | SurfaceMatchError()
             | DeviceError()
             | CompileError()
+            | ResultsError()
+            | SchedulerError()
         ):
             return Exit.FAILED
         case _:  # errors of a simulated world, which nothing here knows by name, bring their own

@@ -46,6 +46,17 @@ class ShowHealth(WithRoot):
                     "alarm": trend.alarm,
                     "answers": list(trend.answers),
                     "reference_scans": taught,
+                    "overlaps": [
+                        {
+                            "object": one.object,
+                            "scans": one.scans,
+                            "bend_um": one.bend_um,
+                            "sigma_um": one.sigma_um,
+                            "score": one.score,
+                            "alarm": one.alarm,
+                        }
+                        for one in trend.overlaps
+                    ],
                     "scans": [
                         {
                             "scan": point.scan,
@@ -69,6 +80,11 @@ class ShowHealth(WithRoot):
         say(f"alarm       {trend.alarm or 'none'}")
         for answer in trend.answers:
             say(f"accepted    {answer}")
+        for one in trend.overlaps:
+            say(
+                f"overlaps    object {one.object}, {one.scans} scans: bent by {one.bend_um:.0f} ± {one.sigma_um:.0f} µm, score {one.score:.1f}"
+                f"{'  ALARM' if one.alarm else ''}"
+            )
         if trend.points:
             say(_points(trend))
         return Exit.OK

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from appliance.cli.arguments import number, operand, operands, option, repeated, switch
+from appliance.cli.arguments import number, operand, operands, option, repeated, switch, whole
 from appliance.cli.desk import library_root, measuring, scan_in, writable, writing
 from appliance.cli.kernels import compile_kernels
-from appliance.cli.output import Exit, Progress, UsageError, say, say_json
+from appliance.cli.output import Exit, Progress, UsageError, complain, say, say_json
 from appliance.cli.places import WithCalibration, WithRoot
 
 if TYPE_CHECKING:
@@ -22,6 +22,7 @@ PAGE, TRIANGLES = ".html", (".stl", ".obj")
 SPACING_MM = 0.3
 """Distance of an object's points: that of a scan's in the middle of the volume is 0.16."""
 _NAME = "the object's name; a folder objects/NAME is made under the storage root"
+_TAKEN_AS = "all scans that the instrument took as object N, in their order, besides those named; what it has already is left out"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,6 +33,7 @@ class NewObject(WithRoot):
     scans: tuple[str, ...] = operands(
         "SCAN", "their numbers or folders, in the order they were taken", at_least_one=False
     )
+    taken_as: int | None = option("--taken-as", _TAKEN_AS, default=None, parse=whole(1, 999_999), metavar="N")
 
     def run(self) -> Exit:
         from appliance.storage import objects
@@ -40,7 +42,7 @@ class NewObject(WithRoot):
         root = library_root(self.wish())
         if folder_of(root, self.name).exists():
             raise UsageError(f"object '{self.name}': there is one under {root}; add to it with `kingfisher object add`")
-        made = with_scans(StoredObject(self.name), _members(self, root, self.scans))
+        made = with_scans(StoredObject(self.name), _members(self, root, self.scans, self.taken_as))
         objects.write(root, made)
         _say_object(made, as_json=self.json)
         return Exit.OK
@@ -51,13 +53,17 @@ class AddToObject(WithRoot):
     """More scans for an object."""
 
     name: str = operand("NAME", _NAME)
-    scans: tuple[str, ...] = operands("SCAN", "their numbers or folders", at_least_one=True)
+    scans: tuple[str, ...] = operands("SCAN", "their numbers or folders", at_least_one=False)
+    taken_as: int | None = option("--taken-as", _TAKEN_AS, parse=whole(1, 999_999), metavar="N")
 
     def run(self) -> Exit:
         from appliance.storage import objects
 
+        if not self.scans and self.taken_as is None:
+            raise UsageError("which scans? Give their numbers or folders, or --taken-as N")
         root = library_root(self.wish())
-        added = objects.with_scans(objects.read(root, self.name), _members(self, root, self.scans))
+        stored = objects.read(root, self.name)
+        added = objects.with_scans(stored, _members(self, root, self.scans, self.taken_as, stored.scans))
         objects.write(root, added)
         _say_object(added, as_json=self.json)
         return Exit.OK
@@ -95,6 +101,7 @@ class SolveObject(WithCalibration):
     scans: tuple[str, ...] = operands(
         "SCAN", "scans to add first; the object is made if it is not there", at_least_one=False
     )
+    taken_as: int | None = option("--taken-as", _TAKEN_AS, parse=whole(1, 999_999), metavar="N")
     out: tuple[str, ...] = repeated(
         "--out",
         "one surface of all scans as points (.ply .e57 .las) or mesh (.stl .obj), or a page about it (.html); may be repeated",
@@ -103,9 +110,9 @@ class SolveObject(WithCalibration):
     spacing: float = option(
         "--spacing", "mm between its points (0.3)", default=SPACING_MM, parse=number(0.02, 20.0, "mm"), metavar="MM"
     )
-    without_estimate: bool = switch(
-        "--without-estimate",
-        "take the depth error that all scans share for zero instead of estimating it from their overlaps",
+    with_estimate: bool = switch(
+        "--with-estimate",
+        "believe what the overlaps say of the depth error that all scans share, and take it out of the points",
     )
 
     def run(self) -> Exit:
@@ -118,24 +125,48 @@ class SolveObject(WithCalibration):
         root = library_root(wish)
         found = (
             StoredObject(self.name)
-            if self.scans and not folder_of(root, self.name).exists()
+            if (self.scans or self.taken_as is not None) and not folder_of(root, self.name).exists()
             else objects.read(root, self.name)
         )
-        if self.scans:
-            found = with_scans(found, _members(self, root, self.scans))
+        added = _members(self, root, self.scans, self.taken_as, found.scans)
+        if added:
+            found = with_scans(found, added)
             objects.write(root, found)
         compile_kernels()
         from appliance.offline.objects import solve_object
 
         with Progress() as progress:
-            solved = solve_object(root, found, wish, progress, with_shared_error=not self.without_estimate)
+            solved = solve_object(root, found, wish, progress, with_shared_error=self.with_estimate)
         objects.write(root, solved)
+        _tell_health(root, solved, as_json=self.json)
         placed = solved.places is not None and len(solved.places.places) >= 2
         if placed:
             _write(root, solved, wish, outs, self.spacing)
         _say_object(solved, as_json=self.json)
         # Nothing is lost where a scan is left out, but whoever calls this from a program must notice.
         return Exit.OK if placed else Exit.FAILED
+
+
+def _tell_health(root: Path, solved: StoredObject, *, as_json: bool) -> None:
+    """Write what the overlaps tell of the calibration beside what its scans told; the instrument reads it at its next start."""
+    from appliance.calibration.health import told_by_overlaps
+    from appliance.offline.objects import overlap_news
+    from appliance.storage.atomic import StorageError
+    from appliance.storage.health import HealthFile
+    from appliance.storage.lock import hold_lock
+
+    told = overlap_news(solved)
+    if told is None:
+        return
+    calibration_hash, news = told
+    try:
+        # The running service keeps the trend in memory and would write it over this.
+        with hold_lock(root):
+            file = HealthFile(root, calibration_hash)
+            file.write(told_by_overlaps(file.read(), news))
+    except StorageError as error:
+        # The object is solved and kept: what it says of the calibration can be written by solving it again.
+        complain(f"not written to the calibration's health: {error}", as_json=as_json)
 
 
 def _writable(outs: Sequence[Path]) -> Sequence[Path]:
@@ -181,7 +212,10 @@ def _write(root: Path, solved: StoredObject, wish: Wish, outs: Sequence[Path], s
                     write_surface(out, surface, about_object(solved))
 
 
-def _members(verb: WithRoot, root: Path, scans: Sequence[str]) -> tuple[MemberScan, ...]:
+def _members(
+    verb: WithRoot, root: Path, scans: Sequence[str], taken_as: int | None, have: Sequence[MemberScan] = ()
+) -> tuple[MemberScan, ...]:
+    """Return the named scans, then those of the instrument's object ``taken_as`` that are neither named nor had. Raises UsageError."""
     from appliance.offline.objects import member_of
     from appliance.storage.damage import refuse_damaged_frames
 
@@ -190,7 +224,29 @@ def _members(verb: WithRoot, root: Path, scans: Sequence[str]) -> tuple[MemberSc
         folder = scan_in(verb.wish(), scan)
         refuse_damaged_frames(folder)
         found.append(member_of(root, folder))
+    known = {one.frames_sha256 for one in (*have, *found)}
+    for scan in _taken_as(root, taken_as):
+        folder = scan_in(verb.wish(), scan)
+        refuse_damaged_frames(folder)
+        member = member_of(root, folder)
+        if member.frames_sha256 not in known:
+            found.append(member)
     return tuple(found)
+
+
+def _taken_as(root: Path, number: int | None) -> Sequence[str]:
+    """Return the scans of an object by the number that the diver began it under. Raises UsageError for one that no scan carries."""
+    if number is None:
+        return ()
+    from appliance.storage.library import Library
+    from appliance.storage.object_numbers import numbers, scans_of
+
+    library = Library(root)
+    scans = scans_of(library, number)
+    if not scans:
+        known = ", ".join(str(one) for one in numbers(library)) or "none; name the scans instead"
+        raise UsageError(f"--taken-as {number}: no scan under {root} was taken as that object; there are {known}")
+    return scans
 
 
 def _say_object(stored: StoredObject, *, as_json: bool) -> None:
@@ -214,20 +270,30 @@ def _say_object(stored: StoredObject, *, as_json: bool) -> None:
 def lines_of(places: Places) -> list[str]:
     """Return what solving found, for people: places, then pairs that were refused, then warnings and the bending budget."""
     lines = [
-        f"{'middle of':<10} {'x':>9} {'y':>9} {'z mm':>9} {'± mm':>7}   of it what may bend, mm (without the estimate)"
+        f"{'middle of':<10} {'x':>9} {'y':>9} {'z mm':>9} {'± mm':>7}   of it what may bend, mm (with the overlaps' estimate)"
     ]
     for name, place in places.places.items():
         x, y, z = place.middle_mm
         lines.append(
-            f"{name:<10} {x:9.2f} {y:9.2f} {z:9.2f} {place.sigma_mm:7.3f}   {place.bending_mm:.3f} ({place.bending_unaided_mm:.3f})"
+            f"{name:<10} {x:9.2f} {y:9.2f} {z:9.2f} {place.sigma_mm:7.3f}   {place.bending_mm:.3f} ({place.bending_aided_mm:.3f})"
         )
     lines += [f"{name:<10} left out: {why}" for name, why in places.left_out.items()]
     used = [pair for pair in places.pairs if pair.used]
     lines.append(f"{len(used)} of {len(places.pairs)} pairs used")
     lines += [f"  {pair.first} - {pair.second}: {pair.text}" for pair in places.pairs if not pair.used]
     lines += [f"warning: {one}" for one in places.warnings]
-    error = ", ".join(f"{1000.0 * value:.0f}" for value in places.shared_error_mm)
+    if places.shared_error_score is not None:
+        from appliance.calibration.health import OVERLAP_LIMIT
+
+        lines.append(
+            f"overlaps and calibration agree: {places.shared_error_score:.1f} times what is stated"
+            if places.shared_error_score <= OVERLAP_LIMIT
+            else f"warning: the overlaps bend the depth by {places.shared_error_score:.1f} times what the calibration states: calibrate "
+            "again, or check it with the ball bar"
+        )
     lines.append(
-        f"depth error that all scans share, µm: {error}; {'taken out of the points' if places.shared_error_removed else 'not taken out'}"
+        f"depth error that all scans share, RMS over the view: {1000.0 * places.shared_error_spread_mm:.0f} µm are left open, "
+        f"{1000.0 * places.shared_error_aided_mm:.0f} with the overlaps' estimate, which is "
+        f"{'taken out of the points' if places.shared_error_removed else 'not believed (--with-estimate)'}"
     )
     return lines

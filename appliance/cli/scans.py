@@ -37,13 +37,14 @@ class ListScans(WithRoot):
                     _state(entry),
                     _when(entry),
                     _points(entry),
+                    _object(entry),
                     f"{entry.size_bytes / 1e6:.1f}",
                     entry.label.name or "-",
                     "; ".join(filter(None, (_note(entry), entry.label.note))),
                 )
                 for entry in entries
             ]
-            say(table(("SCAN", "STATE", "TIME", "POINTS", "MB", "NAME", "NOTE"), rows))
+            say(table(("SCAN", "STATE", "TIME", "POINTS", "OBJECT", "MB", "NAME", "NOTE"), rows))
         return Exit.OK
 
 
@@ -133,6 +134,7 @@ def _brief(entry: ScanEntry) -> dict[str, Any]:
         "wall_time": None if record is None else record.wall_time,
         "clock_trusted": None if record is None else record.clock_trusted,
         "points": _point_count(entry),
+        "object": None if record is None else record.object,
         "size_bytes": entry.size_bytes,
         "name": entry.label.name,
         "note": entry.label.note,
@@ -162,6 +164,11 @@ def _points(entry: ScanEntry) -> str:
 def _point_count(entry: ScanEntry) -> int | None:
     points = None if entry.manifest is None else entry.manifest.record.cloud.get("points")
     return None if points is None else round(points)
+
+
+def _object(entry: ScanEntry) -> str:
+    number = None if entry.manifest is None else entry.manifest.record.object
+    return "-" if number is None else str(number)
 
 
 def _note(entry: ScanEntry) -> str:

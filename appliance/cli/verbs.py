@@ -42,7 +42,10 @@ VERBS: tuple[Listed | Group, ...] = (
     Listed("sim", "run the instrument in a simulated world", "sim:Sim"),
     Listed("check", "open every device once and report", "instrument:Check"),
     Listed("reconstruct", "reconstruct a stored scan from its raw frames", "reconstruct:Reconstruct"),
+    Listed("rescue", "an unchecked cloud of a recording that broke after its first direction", "rescue:Rescue"),
     Listed("export", "a stored scan's points or mesh as a file for other programs", "export:Export"),
+    Listed("compare", "how far a scan's points lie from a drawing or an object", "compare:CompareScan"),
+    Listed("import", "points of images that another rig took, by a description of them", "foreign:Import"),
     Listed("evaluate", "measure artefacts in stored scans, after VDI/VDE 2634", "evaluate:Evaluate"),
     Group(
         "scans",
@@ -70,8 +73,23 @@ VERBS: tuple[Listed | Group, ...] = (
             Listed("add", "add scans to an object", "object:AddToObject"),
             Listed("show", "where its scans lie, how certain that is, what was refused", "object:ShowObject"),
             Listed("solve", "find where its scans lie relative to each other", "object:SolveObject"),
+            Listed("compare", "how far its surface lies from a drawing or another object", "compare:CompareObject"),
         ),
     ),
+    Group(
+        "archive",
+        "keep scans in a third of the room, lossless",
+        (
+            Listed(
+                "pack", "pack the scans of a storage root; none is removed that was not compared", "archive:PackArchive"
+            ),
+            Listed("verify", "decode every frame and compare its bytes", "archive:VerifyArchive"),
+            Listed("unpack", "bring scans back, byte for byte", "archive:UnpackArchive"),
+            Listed("frame", "one frame of a scan as a picture; no other is decoded", "archive:ReadFrame"),
+        ),
+    ),
+    Listed("reprocess", "all scans of an archive anew, on this computer or on many", "reprocess:Reprocess"),
+    Listed("season", "one page about a table of reprocessed scans", "reprocess:Season"),
     Group(
         "calibration",
         "look at calibrations",
@@ -110,6 +128,9 @@ VERBS: tuple[Listed | Group, ...] = (
         "make calibrations",
         (
             Listed("air", "lenses and stereo pose, from pictures of a board in air", "calibrate_air:CalibrateAir"),
+            Listed(
+                "pair", "any two cameras in air, from anybody's pictures of a board", "calibrate_pair:CalibratePair"
+            ),
             Listed("water", "calibrate from scans of ball bars and planes in water", "calibrate:CalibrateWater"),
             Listed(
                 "restore",

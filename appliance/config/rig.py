@@ -144,6 +144,8 @@ class StorageRig:
     root: Annotated[Path, BeforeValidator(_path)]
     reserve_mb: Annotated[_Whole, Field(ge=0, le=1_000_000)] = 500
     """Space that scans never use, so that logs, updates and the save in progress always fit."""
+    keep_incomplete: bool = False
+    """Keep what was recorded of a scan that broke after its first direction, apart from the scans (``storage/incomplete.py``)."""
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)

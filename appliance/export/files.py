@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
 
 from appliance.export.content import (
     About,
@@ -62,11 +66,16 @@ def write_scan(path: Path, cloud: OrganisedCloud, about: About) -> None:
     _write_points(path, points_of_scan(cloud), about)
 
 
-def write_surface(path: Path, cloud: FusedCloud, about: About) -> None:
-    """Write the points of a fused surface (``SURFACE_SUFFIXES``). Raises ExportError, StorageError,
-    ValueError, and MissingLibraryError where the format's library is absent."""
+def write_surface(path: Path, cloud: FusedCloud, about: About, deviation_mm: NDArray[np.float32] | None = None) -> None:
+    """Write the points of a fused surface (``SURFACE_SUFFIXES``), with ``deviation_mm`` (n,) as a further column where it is given.
+
+    Raises ExportError, StorageError, ValueError, and MissingLibraryError where the format's library is absent.
+    """
     checked_suffix(path, SURFACE_SUFFIXES, "a surface of points")
-    _write_points(path, points_of_surface(cloud), about)
+    points = points_of_surface(cloud)
+    if deviation_mm is not None:
+        points = replace(points, more={**points.more, "deviation_mm": deviation_mm})
+    _write_points(path, points, about)
 
 
 def write_mesh(path: Path, mesh: Mesh, about: About) -> None:

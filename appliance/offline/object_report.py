@@ -76,7 +76,9 @@ def _budget(places: Places) -> ReportBudget | None:
         ReportTerm(
             "depth error that all scans share",
             farthest.bending_mm,
-            f"estimated from the overlaps; {farthest.bending_unaided_mm:.3f} mm without them",
+            f"estimated from the overlaps; {farthest.bending_unaided_mm:.3f} mm without them"
+            if places.shared_error_removed
+            else f"what the calibration leaves open; {farthest.bending_aided_mm:.3f} mm if the overlaps' estimate were believed",
         ),
     )
     return ReportBudget(

@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 
 from appliance import __version__
 from appliance.calibration.file import Calibration
+from appliance.calibration.health import OverlapNews
 from appliance.export.content import OBJECT_FRAME, About
 from appliance.offline.organised_scan import OrganisedScan, organised_scan
 from appliance.offline.origin import Chosen, SourceScan, Wish, calibration_for, open_source
 from appliance.offline.reprocess import water_of_scan
 from appliance.optics.rotation import matrix3
 from appliance.reconstruct.organised import OrganisedCloud
-from appliance.registration.bow import PRIOR_MM, corrected, spread_mm
+from appliance.registration.bow import bow_score, corrected, known_before, spread_mm
 from appliance.registration.graph import Edge, Placed
 from appliance.registration.pair import ReadyScan, ready
 from appliance.registration.solve import Compared, Solved, middle_of, solve
@@ -29,8 +30,6 @@ from appliance.storage.objects import ComparedScans, MemberScan, ObjectError, Pl
 from appliance.surface.fusion import POSE_SIGMA_MM, FusedCloud, PlacedScan, fuse
 
 Progress = Callable[[str, float | None], None]
-WORTH_REMOVING = 0.7
-"""The shared depth error is taken out where that leaves less than this share of what may bend the object."""
 CLEAR_FACTOR = 4.0
 """Variance factor from which on the pairs contradict each other by more than they state."""
 
@@ -115,11 +114,11 @@ def light_of(calibration: Calibration) -> NDArray[np.float64]:
 
 
 def solve_object(
-    root: Path, stored_object: StoredObject, wish: Wish, progress: Progress, *, with_shared_error: bool = True
+    root: Path, stored_object: StoredObject, wish: Wish, progress: Progress, *, with_shared_error: bool = False
 ) -> StoredObject:
     """Find where every scan of an object lies and return the object with its places, not yet written.
 
-    ``with_shared_error``: the depth error that all scans share is estimated from their overlaps. Raises ObjectError for fewer than two
+    ``with_shared_error``: the depth error that all scans share is estimated from their overlaps, and taken out. Raises ObjectError for fewer than two
     scans; ScanError, CalibrationError.
     """
     if len(stored_object.scans) < 2:
@@ -128,13 +127,19 @@ def solve_object(
         )
     scans: list[ReadyScan] = []
     clouds: list[tuple[str, str, float, tuple[str, ...]]] = []
+    used: list[Calibration] = []
     for member in clouds_of(
         root, stored_object, wish, lambda what, part: progress(what, None if part is None else 0.5 * part)
     ):
         scans.append(ready(member.cloud, member.calibration.rig.left, member.water_index, light_of(member.calibration)))
+        used.append(member.calibration)
         clouds.append((member.scan.name, member.calibration.hash, member.water_index, member.verdicts))
-    solved = solve(scans, lambda what, part: progress(what, 0.5 + 0.5 * part), with_shared_error)
-    return replace(stored_object, places=_places(solved, scans, clouds, with_shared_error))
+    # Scans of several calibrations share no error that one of them states.
+    calibrations = {one.hash: one.depth_error_mm2 for one in used}
+    known = next(iter(calibrations.values())) if len(calibrations) == 1 else None
+    stated = None if known is None else np.array(known)
+    solved = solve(scans, lambda what, part: progress(what, 0.5 + 0.5 * part), with_shared_error, stated)
+    return replace(stored_object, places=_places(solved, scans, clouds, with_shared_error, known_before(stated)))
 
 
 def _places(
@@ -142,28 +147,29 @@ def _places(
     scans: Sequence[ReadyScan],
     clouds: Sequence[tuple[str, str, float, tuple[str, ...]]],
     with_shared_error: bool,
+    known_mm2: NDArray[np.float64],
 ) -> Places:
     placed = solved.placed
     named = [one[0] for one in clouds]
-    bending = max(placed.bending_mm.values(), default=0.0)
-    unaided = max(placed.bending_unaided_mm.values(), default=0.0)
-    removed = with_shared_error and unaided > 0.0 and bending < WORTH_REMOVING * unaided
+    aided = solved.aided
     calibrations = tuple(dict.fromkeys(one[1] for one in clouds))
     return Places(
         calibrations=calibrations,
         water_index=tuple(one[2] for one in clouds),
-        places={named[k]: _place(placed, k, middle_of(scans[k])) for k in sorted(placed.poses)},
+        places={named[k]: _place(placed, aided, k, middle_of(scans[k])) for k in sorted(placed.poses)},
         pairs=tuple(_pair(one, placed, named) for one in solved.compared),
         left_out={named[k]: text for k, text in solved.left_out.items()},
         warnings=_warnings(solved, clouds, calibrations),
-        shared_error_mm=tuple(placed.bow_mm.tolist()),
-        shared_error_sigma_mm=tuple(np.sqrt(np.diag(placed.bow_covariance)).tolist()),
-        shared_error_removed=removed,
+        shared_error_mm=tuple(aided.bow_mm.tolist()),
+        shared_error_spread_mm=spread_mm(placed.bow_covariance),
+        shared_error_aided_mm=spread_mm(aided.bow_covariance),
+        shared_error_removed=with_shared_error,
         variance_factor=placed.variance_factor,
+        shared_error_score=bow_score(aided.bow_mm, known_mm2, aided.bow_covariance),
     )
 
 
-def _place(placed: Placed, k: int, middle_mm: NDArray[np.float64]) -> ScanPlace:
+def _place(placed: Placed, aided: Placed, k: int, middle_mm: NDArray[np.float64]) -> ScanPlace:
     pose, covariance = placed.poses[k], placed.covariance[k]
     x, y, z = pose.translation_mm.tolist()
     across, down, away = pose.of(middle_mm).tolist()
@@ -175,6 +181,8 @@ def _place(placed: Placed, k: int, middle_mm: NDArray[np.float64]) -> ScanPlace:
         covariance=tuple(tuple(row) for row in covariance.tolist()),
         bending_mm=placed.bending_mm[k],
         bending_unaided_mm=placed.bending_unaided_mm[k],
+        # A pair that only one of both graphs finds wrong may leave a scan in one and out of the other.
+        bending_aided_mm=aided.bending_mm.get(k, placed.bending_unaided_mm[k]),
     )
 
 
@@ -252,9 +260,24 @@ def surface_of(
     Raises ObjectError for an object that is not solved; ScanError, CalibrationError.
     """
     places = stored_object.places
-    # What all scans share no number of them makes smaller: its standard deviation is the last estimate's, or the prior where none was.
-    known = PRIOR_MM if places is None or not places.shared_error_removed else places.shared_error_sigma_mm
-    return fuse(placed_scans(root, stored_object, wish, progress), spacing_mm, spread_mm(np.array(known)))
+    # What all scans share no number of them makes smaller.
+    common_mm = 0.0 if places is None else places.shared_error_spread_mm
+    return fuse(placed_scans(root, stored_object, wish, progress), spacing_mm, common_mm)
+
+
+def overlap_news(stored_object: StoredObject) -> tuple[str, OverlapNews] | None:
+    """Return the hash of the calibration that an object's scans share and what their overlaps tell of it; ``None``: nothing."""
+    places = stored_object.places
+    if places is None or places.shared_error_score is None or len(places.calibrations) != 1:
+        return None
+    found = np.array(places.shared_error_mm)
+    return places.calibrations[0], OverlapNews(
+        object=stored_object.name,
+        scans=len(places.places),
+        bend_um=1000.0 * spread_mm(np.outer(found, found)),
+        sigma_um=1000.0 * places.shared_error_aided_mm,
+        score=places.shared_error_score,
+    )
 
 
 def about_object(stored_object: StoredObject) -> About:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from appliance.offline.salvage import Salvaged
 from appliance.optics.water import Water
 from appliance.reconstruct.pipeline import Cloud
 from appliance.scan.fault import Fault
+from appliance.scan.verdict import Judgement
 from appliance.storage import scan as stored
 from appliance.storage.atomic import replace_file
 from appliance.storage.filesystem import Bytes, LocalFileSystem
@@ -87,6 +88,17 @@ def _stored_cloud(scan: stored.StoredScan, *parts: Bytes) -> str:
     return f"{stored.CLOUD}: {problem}; {'made again, byte for byte' if same else 'these are not the points it had'}"
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class WorkedThrough:
+    """One sequence, or both that a scan has, as the instrument would have worked them through."""
+
+    cloud: Cloud
+    water: Water
+    faults: tuple[Fault, ...]
+    """Faults that are held against the scan."""
+    judgements: tuple[Judgement, ...]
+
+
 def cloud_of_scan(
     scan: stored.StoredScan,
     rig: Rig,
@@ -98,6 +110,18 @@ def cloud_of_scan(
 
     Raises ScanError, also where no points are left.
     """
+    worked = work_through(scan, rig, calibration, progress, salvaged)
+    return worked.cloud, worked.water, worked.faults
+
+
+def work_through(
+    scan: stored.StoredScan,
+    rig: Rig,
+    calibration: Calibration,
+    progress: Callable[[str], None],
+    salvaged: Salvaged | None = None,
+) -> WorkedThrough:
+    """Reconstruct and judge a scan, one sequence or both. Raises ScanError, also where no points are left."""
     record = scan.manifest.record
     settings = settings_of_scan(record, rig)
     if salvaged is not None:
@@ -107,10 +131,10 @@ def cloud_of_scan(
         reprocessed = reprocess(scan, calibration, settings, progress)
         # No file for a cloud without points: it would look like a result.
         refuse_empty(scan.folder, reprocessed.empty)
-        return reprocessed.cloud, reprocessed.water, reprocessed.faults
+        return WorkedThrough(reprocessed.cloud, reprocessed.water, reprocessed.faults, reprocessed.judgements)
     both = (settings, settings_of(rig, record.second.exposure))
     pair = reprocess_bracket(scan, scan.second, both, calibration, progress)
     if pair.cloud is None:
         raise stored.ScanError(f"{scan.folder}: {pair.pair.verdict.text}")
     refuse_empty(scan.folder, pair.empty)
-    return pair.cloud, pair.water, pair.faults
+    return WorkedThrough(pair.cloud, pair.water, pair.faults, (*pair.first, *pair.second, pair.pair))

@@ -81,7 +81,7 @@ def _tiles(report: Report) -> str:
     if report.budget is not None:
         tiles.append(
             (
-                f"Uncertainty over {report.budget.over_mm:g} mm",
+                f"Uncertainty over {report.budget.over_mm:.0f} mm",
                 f"± {_mm(2 * report.budget.combined_mm)}",
                 "two standard deviations",
             )
@@ -154,7 +154,7 @@ def _budget(budget: ReportBudget) -> str:
     rows = _rows((html.escape(term.what), _mm(term.value_mm), html.escape(term.how)) for term in budget.terms)
     statement = f"<p>{html.escape(budget.statement)}</p>" if budget.statement else ""
     return (
-        f"<section><h2>Uncertainty over {budget.over_mm:g} mm</h2>{statement}<table><thead><tr><th>Contribution</th><th>Standard "
+        f"<section><h2>Uncertainty over {budget.over_mm:.0f} mm</h2>{statement}<table><thead><tr><th>Contribution</th><th>Standard "
         f"uncertainty</th><th>Source</th></tr></thead><tbody>{rows}</tbody><tfoot><tr><th>All together</th><th>{_mm(budget.combined_mm)}"
         f"</th><th>twice that, ± {_mm(2 * budget.combined_mm)}, covers some 95 %</th></tr></tfoot></table></section>"
     )

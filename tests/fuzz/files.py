@@ -38,7 +38,7 @@ from appliance.optics.water import Water
 from appliance.patterns.response import Response
 from appliance.ranging.beams import Pointers
 from appliance.scan.exposure import Exposure
-from appliance.storage import counter
+from appliance.storage import counter, packed
 from appliance.storage import label as labels
 from appliance.storage import manifest as form
 from appliance.storage.atomic import Stamp, StorageError
@@ -50,6 +50,7 @@ from appliance.storage.health import HealthFile
 from appliance.storage.label import LabelError
 from appliance.storage.library import Library, LibraryFolder
 from appliance.storage.manifest import Decision, Manifest, ManifestError, Stage
+from appliance.storage.packed import PackedError
 from appliance.storage.ply import PlyError, encode_ply, read_ply
 from appliance.storage.scan import ScanError
 from tests.appliance.storage.scenes import cloud, frames, record
@@ -269,6 +270,26 @@ def _read_label(data: bytes, scratch: Path) -> None:
         assert text is None or (0 < len(text) <= longest and "\n" not in text and "\x1b" not in text)
 
 
+def _packed_file() -> bytes:
+    pictures = frames()["left"]
+    header, body = b"a header", pictures.tobytes()
+    stamp = Stamp(len(header) + len(body), hashlib.sha256(header + body).hexdigest())
+    return b"".join(bytes(part) for part in packed.pack(header, pictures, stamp, "frames_left.npy"))
+
+
+PACKED = _packed_file()
+
+
+def _read_packed(data: bytes, scratch: Path) -> None:
+    path = scratch / "frames_left.npy.jls"
+    path.write_bytes(data)
+    index = packed.read_index(path)
+    for k in range(index.count):
+        frame = index.frame(k)
+        assert f"{zlib.crc32(frame.tobytes()):08x}" == index.crc32[k], "no pixels but those that were packed"
+    index.whole()
+
+
 def _count(chance: Random) -> bytes:
     number = chance.choice((b"1", b"42", b"999999999999", b"0", b"000007", "٣".encode(), b"1" * 40))
     line = number + b" %08x\n" % zlib.crc32(number)
@@ -407,5 +428,6 @@ TARGETS = (
     Target("manifest", "a scan's manifest", lambda c: _sealed(c, MANIFEST, ("files", "record", "../x")), _read_manifest,
            (ManifestError,), "manifest.json", cost=3.0),
     Target("cloud", "a scan's cloud", _ply, _read_cloud, (PlyError,), "cloud.ply", cost=2.0),
+    Target("packed", "a packed file of frames", lambda c: damaged(c, PACKED, (PACKED,)), _read_packed, (PackedError,), cost=2.0),
     Target("scan", "a scan's whole folder", _folder, _open, (ScanError,), "000001", cost=10.0),
 )  # fmt: skip

@@ -19,9 +19,10 @@ def store(
     exposure_ms: float | None = None,
     gain_db: float = 0.0,
     origin: ScanOrigin | None = None,
+    belongs_to: int | None = None,
 ) -> Path:
     """The raw frames and the manifest of a scan, in a new folder, with the water of its scene. ``origin``: calibration and rig
-    that it carries with it."""
+    that it carries with it. ``belongs_to``: the number of its object."""
     water = scan.renderer.scene.water
     record = ScanRecord(
         sequence=SequenceInfo.of(scan.sequence),
@@ -33,6 +34,7 @@ def store(
         recorded_ns=1,
         response_hash=response_hash,
         exposure=None if exposure_ms is None else Exposure(round(1000.0 * exposure_ms), gain_db),
+        object=belongs_to,
         water={
             "temperature_c": water.temperature_c,
             "salinity_psu": water.salinity_psu,

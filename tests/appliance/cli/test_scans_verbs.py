@@ -38,7 +38,7 @@ def damage(root: Path, scan_id: str) -> None:
 def test_list_shows_each_scan_with_its_state(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["scans", "list", "--root", str(root)]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0].split() == ["SCAN", "STATE", "TIME", "POINTS", "MB", "NAME", "NOTE"]
+    assert lines[0].split() == ["SCAN", "STATE", "TIME", "POINTS", "OBJECT", "MB", "NAME", "NOTE"]
     assert lines[1].split()[:2] == ["000001", "saved"]
     assert "2031-05-06T07:08:09+00:00 ?" in lines[1]
     assert "20" in lines[1]

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from appliance.calibration.file import encode
 from appliance.cli.main import main
@@ -14,6 +15,7 @@ from appliance.storage import objects
 from appliance.storage.ply import PlyError, read_ply
 from hw_sim.objects.motion import pose_matrix
 from hw_sim.scene import Scene
+from tests.support.drawn import drawing
 from tests.support.rendered import render_scan
 from tests.support.stored import store
 from tests.support.truth import complete_calibration, left_to_rig
@@ -24,6 +26,8 @@ POSES = {
     "000003": (60.0, 10.0, 540.0, 4.0, 2.0, 5.0),
 }
 BARE = "000004"
+NUMBERS = {"000001": 2, "000003": 2, BARE: 3}
+"""Objects that the diver said they belong to."""
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +38,7 @@ def dive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     scenes[BARE] = Scene(object="plane", texture="none", ambient=0.01)
     for name, scene in scenes.items():
         scan = render_scan(scene, "realistic", 5, 400, 16)
-        store(scan, root / "scans" / name, exposure_ms=12.0)
+        store(scan, root / "scans" / name, exposure_ms=12.0, belongs_to=NUMBERS.get(name))
         truth = scan.renderer.truth
     (root / "calibration").mkdir()
     (root / "calibration" / "truth.json").write_bytes(encode(complete_calibration(truth)))
@@ -103,6 +107,35 @@ def test_what_is_asked_of_an_unknown_object_or_one_scan_is_refused_in_a_line(
     assert "is in it already" in capsys.readouterr().err
 
 
+def members(root: Path, name: str) -> list[str]:
+    return [one.name for one in objects.read(root, name).scans]
+
+
+def test_the_scans_of_an_object_of_the_dive_are_collected_by_its_number(
+    dive: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(dive, "new", "two", "--taken-as", "2") == 0
+    assert members(dive, "two") == ["000001", "000003"]
+    assert run(dive, "add", "two", "000002", "--taken-as", "2") == 0
+    assert members(dive, "two") == ["000001", "000003", "000002"], "what it has is not added again"
+    assert run(dive, "add", "two", "--taken-as", "3") == 0
+    assert members(dive, "two")[-1] == BARE
+    capsys.readouterr()
+    assert run(dive, "new", "none", "--taken-as", "7") == 2
+    assert "there are 2, 3" in capsys.readouterr().err
+    assert run(dive, "add", "two") == 2
+    assert "--taken-as" in capsys.readouterr().err
+    assert main(["scans", "list", "--json", "--root", str(dive)]) == 0
+    assert {one["scan"]: one["object"] for one in json.loads(capsys.readouterr().out)} == {"000002": None, **NUMBERS}
+
+
+def test_one_call_solves_what_was_taken_as_an_object(dive: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = dive / "taken.ply"
+    assert run(dive, "solve", "taken", "--taken-as", "2", "--out", str(out), *calibrated(dive)) == 0
+    assert set(objects.read(dive, "taken").places.places) == {"000001", "000003"}  # type: ignore[union-attr]
+    assert out.stat().st_size > 100_000
+
+
 def test_scans_that_slide_alone_end_with_an_error_and_say_why(dive: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(dive, "new", "apart", "000001", BARE) == 0
     assert run(dive, "solve", "apart", *calibrated(dive)) == 1
@@ -110,3 +143,58 @@ def test_scans_that_slide_alone_end_with_an_error_and_say_why(dive: Path, capsys
     assert "left out" in shown
     assert run(dive, "show") == 0
     assert "apart" in capsys.readouterr().out
+
+
+def test_a_solved_object_and_a_scan_are_compared_with_a_drawing(dive: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    vertices, faces = drawing("shell", (-106.0, -81.0, -42.0), (106.0, 81.0, 13.0))
+    # The drawing has a shallow dimple that the shell has not: there the shell stands out.
+    dimple_mm = 0.8 * np.exp(-((vertices[:, 0] - 20.0) ** 2 + vertices[:, 1] ** 2) / (2.0 * 8.0**2))
+    dimple_mm *= vertices[:, 2] < np.median(vertices[:, 2])
+    vertices[:, 2] += dimple_mm
+    file, out, page = dive / "shell.stl", dive / "off.ply", dive / "off.html"
+    trimesh.Trimesh(vertices, faces, process=False).export(file)
+    assert run(dive, "new", "drawn", "000001", "000002") == 0
+    assert run(dive, "solve", "drawn", *calibrated(dive)) == 0
+    capsys.readouterr()
+    given = (str(file), "--root", str(dive), "--json", "--spacing", "0.8", *calibrated(dive))
+    assert (
+        main(["object", "compare", "drawn", "--tolerance", "0.3", "--out", str(out), "--out", str(page), *given]) == 0
+    )
+    said = json.loads(capsys.readouterr().out)
+    assert said["fitting_percent"] > 95.0
+    assert said["warnings"] == []
+    assert said["rms_mm"] < 0.15
+    assert 0.4 < said["percentiles_mm"]["99.5"] < 0.7, "of the dimple"
+    assert 0.5 < said["out_of_tolerance_percent"] < 5.0
+    with out.open("rb") as opened:
+        read = trimesh.load(opened, file_type="ply").metadata["_ply_raw"]["vertex"]["data"]
+    at, off = np.stack([read[axis] for axis in "xyz"], 1), read["deviation_mm"]
+    # In the drawing's frame, and positive where the shell stands out of the drawing.
+    inside = np.hypot(at[:, 0] - 20.0, at[:, 1]) < 3.0
+    assert 0.6 < np.median(off[inside]) < 0.85
+    assert abs(np.nanmedian(off[np.hypot(at[:, 0] - 20.0, at[:, 1]) > 30.0])) < 0.02
+    assert "shell.stl" in page.read_text()
+
+    # An object may stand for a drawing, and a scan be compared with it.
+    assert main(["compare", "000003", "drawn", *given[1:]]) == 0
+    measured = json.loads(capsys.readouterr().out)
+    assert measured["nominal"] == "object drawn"
+    # Nine tenths of a millimetre between its pixels: most of it follows the surface, and borders do not.
+    low, high = measured["percentiles_mm"]["16"], measured["percentiles_mm"]["84"]
+    assert 0.5 * (high - low) < 0.06
+
+
+def test_what_cannot_be_compared_is_refused_in_a_line(dive: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    wrong = dive / "wrong.stl"
+    trimesh.creation.box((40.0, 40.0, 40.0)).export(wrong)
+    more = ("--root", str(dive), *calibrated(dive))
+    assert main(["compare", "000001", str(wrong), *more]) == 1
+    assert "must: is it the same thing, in mm" in capsys.readouterr().err
+    assert main(["compare", "000001", str(dive / "none.stl"), *more]) == 1
+    assert "none.stl: cannot be read" in capsys.readouterr().err
+    assert main(["compare", "000001", "nobody", *more]) == 1
+    assert "object 'nobody': there is none" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main(["compare", "000001", str(wrong), "--start", "1,2,3", *more])
+    assert "allowed are six numbers" in capsys.readouterr().err
+    assert main(["compare", "000001", str(wrong), "--out", str(dive / "x.stl"), *more]) == 2
