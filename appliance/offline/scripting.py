@@ -45,6 +45,11 @@ class ScanOfDive:
         """The scan's manifest, read anew: what was recorded, how, and what was found then. Raises ScanError."""
         return manifest_of(self.folder)
 
+    @property
+    def calibration(self) -> Calibration:
+        """The calibration its points are made with where no other is given. Raises CalibrationError, ScanError."""
+        return calibration_for(open_source(self.folder, self.wish), self.wish).calibration
+
     def points(
         self,
         calibration: Calibration | Path | str | None = None,

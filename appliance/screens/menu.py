@@ -47,10 +47,12 @@ def _row(
     if changing:
         # UP and DOWN change it: the marks are those beside the keys.
         large = TITLE - 6 if height > 40 else said
+        # No larger than the value's own box, which is what they stand out from.
+        mark, lower = (TITLE + 8, 5.0) if height > 40 else (TITLE - 6, 2.0)
         width = min(room - 72, canvas.measure(value, large, BLACK)) + 112
         canvas.box(right - width, top, width, height - 5, theme.AQUA, 12)
-        canvas.words("▲", right - width + 8, baseline + 5, TITLE + 8, BLACK, theme.INK)
-        canvas.words("▼", right - 8, baseline + 5, TITLE + 8, BLACK, theme.INK, Align.RIGHT)
+        canvas.words("▲", right - width + 8, baseline + lower, mark, BLACK, theme.INK)
+        canvas.words("▼", right - 8, baseline + lower, mark, BLACK, theme.INK, Align.RIGHT)
         canvas.words(value, right - width / 2, baseline, large, BLACK, theme.INK, Align.CENTRE, width - 104)
         value_px = width
     else:

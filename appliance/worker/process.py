@@ -206,8 +206,9 @@ class ReconstructionWorker:
         """Processor time when the deadline was set."""
         self._scan: int | None = None
         self._settings = AcquisitionSettings(noise=order.noise)
-        self._second: AcquisitionSettings | None = None
         self._belongs_to: int | None = None
+        """Number of the scan's object; ``None``: it is part of none."""
+        self._second: AcquisitionSettings | None = None
         """Settings of the scan's second sequence; ``None``: there is none, or not yet."""
         self._knows_first = False
         """This process found the scan's full cloud: a second sequence can follow without the frames of the first."""

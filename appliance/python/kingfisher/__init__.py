@@ -14,6 +14,9 @@ if TYPE_CHECKING:  # for editors and type checkers; at run time ``__getattr__`` 
     from appliance.calibration.file import CalibrationError as CalibrationError
     from appliance.calibration.file import load as load_calibration  # noqa: F401
     from appliance.export.content import ExportError as ExportError
+    from appliance.offline.comparing import Comparison as Comparison
+    from appliance.offline.comparing import NominalSurface as NominalSurface
+    from appliance.offline.comparing import compare as compare
     from appliance.offline.objects import ready_scan as ready_scan
     from appliance.offline.organised_scan import OrganisedScan as OrganisedScan
     from appliance.offline.scripting import Dive as Dive
@@ -26,6 +29,7 @@ if TYPE_CHECKING:  # for editors and type checkers; at run time ``__getattr__`` 
     from appliance.registration.pair import ReadyScan as ReadyScan
     from appliance.registration.pair import RegisteredPair as RegisteredPair
     from appliance.registration.pair import register as register
+    from appliance.registration.reference import SurfaceMatchError as SurfaceMatchError
     from appliance.registration.solve import Solved as Solved
     from appliance.registration.solve import solve as solve
     from appliance.report.content import Report as Report
@@ -55,12 +59,14 @@ if TYPE_CHECKING:  # for editors and type checkers; at run time ``__getattr__`` 
 _HOMES = {
     "appliance.calibration.file": ("Calibration", "CalibrationError", "load as load_calibration"),
     "appliance.export.content": ("ExportError",),
+    "appliance.offline.comparing": ("Comparison", "NominalSurface", "compare"),
     "appliance.offline.objects": ("ready_scan",),
     "appliance.offline.organised_scan": ("OrganisedScan",),
     "appliance.offline.scripting": ("Dive", "ScanOfDive", "export", "open_dive", "open_scan"),
     "appliance.optics.water": ("Water",),
     "appliance.reconstruct.organised": ("OrganisedCloud",),
     "appliance.registration.pair": ("ReadyScan", "RegisteredPair", "register"),
+    "appliance.registration.reference": ("SurfaceMatchError",),
     "appliance.registration.solve": ("Solved", "solve"),
     "appliance.report.content": (
         "Report", "ReportBudget", "ReportNominal", "ReportPair", "ReportScan", "ReportTerm", "ReportVerdict",

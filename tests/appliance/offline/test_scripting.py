@@ -152,4 +152,7 @@ def test_the_notebook_runs_from_the_first_cell_to_the_last(
                 exec(compile("".join(cell["source"]), f"cell {k}", "exec"), names)
     assert f"{len(dive[1])} points" in said.getvalue()
     assert "seen 2 times" in said.getvalue()
+    # A plane by itself slides along itself.
+    assert "accepted: False" in said.getvalue()
+    assert "1 placed, left out: [" in said.getvalue()
     assert {"first.stl", "first.npz", "first.html"} == {path.name for path in tmp_path.iterdir()}
