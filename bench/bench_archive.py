@@ -10,15 +10,16 @@ import tempfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from bench.archive import chaos
+from bench.archive import chaos, scaling
 from bench.archive.ratio import figures, packed_scans
-from bench.archive.scenes import FAMILIES, FULL_PX, drawn_scans, repeated_scans
+from bench.archive.scenes import FAMILIES, FULL_PX, SMALL_PX, drawn_scans, repeated_scans
 from bench.result import Measured
 
 FEW = 6
 SMALL, DIFFERENT = 300, 12
-RATIO, CHAOS = "ratio", "chaos"
-PARTS = (RATIO, CHAOS)
+FULL, DIFFERENT_FULL = 40, 6
+RATIO, CHAOS, SCALING = "ratio", "chaos", "scaling"
+PARTS = (RATIO, CHAOS, SCALING)
 
 
 def measure() -> Iterable[Measured]:
@@ -31,7 +32,9 @@ def main(arguments: Sequence[str]) -> int:
     """The command line: ``./dev bench archive --help``."""
     parser = argparse.ArgumentParser(prog="./dev bench archive", description=__doc__)
     parser.add_argument(
-        "--parts", default=RATIO, help=f"of {', '.join(PARTS)}; default: {RATIO}; chaos mounts a small disk, as root"
+        "--parts",
+        default=RATIO,
+        help=f"of {', '.join(PARTS)}; default: {RATIO}; chaos mounts a small disk, as root; scaling wants two idle cores",
     )
     parser.add_argument("--count", type=int, default=36, help="full-size scans of each world (36: six of each object)")
     parser.add_argument(
@@ -59,7 +62,12 @@ def _part(part: str, worlds: Sequence[str], count: int, keep: Path) -> Iterable[
         for world in worlds:
             yield from _ratio(world, count, keep)
         return
-    repeated_scans(keep / "small", SMALL, DIFFERENT, _say)
+    if part == SCALING:
+        repeated_scans(keep / "full", FULL, DIFFERENT_FULL, FULL_PX, _say)
+        with tempfile.TemporaryDirectory(dir=keep) as scratch:
+            yield from scaling.measure(keep / "full", Path(scratch), _say)
+        return
+    repeated_scans(keep / "small", SMALL, DIFFERENT, SMALL_PX, _say)
     with tempfile.TemporaryDirectory() as scratch:
         yield from chaos.measure(keep / "small", Path(scratch), _say)
 

@@ -64,14 +64,19 @@ def drawn_scans(
     return found
 
 
-def repeated_scans(root: Path, count: int, different: int, say: Callable[[str], None]) -> list[Path]:
-    """Return ``count`` small stored scans, of ``different`` drawn ones in turn: for what depends on how many there are."""
-    taken = [_take("ordinary", number, SMALL_PX) for number in range(different)]
+def repeated_scans(
+    root: Path, count: int, different: int, size_px: tuple[int, int], say: Callable[[str], None]
+) -> list[Path]:
+    """Return ``count`` stored scans, of ``different`` drawn ones in turn: for what depends on how many there are."""
+    folders = [root / "scans" / f"{number + 1:06d}" for number in range(count)]
+    if all(folder.exists() for folder in folders):
+        return folders
+    taken = [_take("ordinary", number, size_px) for number in range(different)]
     folders = []
     for number in range(count):
         folder = root / "scans" / f"{number + 1:06d}"
         if not folder.exists():
-            say(f"small {number + 1} of {count}")
+            say(f"scan {number + 1} of {count}")
             _store(folder, taken[number % different])
         folders.append(folder)
     return folders

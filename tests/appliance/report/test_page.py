@@ -186,6 +186,7 @@ def red_pixels(picture: Path) -> int:
 browser = pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed (apt-get install chromium)")
 
 
+@pytest.mark.libraries
 @browser
 @pytest.mark.parametrize("options", [(), ("--disable-3d-apis",)], ids=["turned", "without-webgl"])
 def test_a_browser_shows_the_surface_without_errors_and_without_a_network(
@@ -199,6 +200,7 @@ def test_a_browser_shows_the_surface_without_errors_and_without_a_network(
     assert red_pixels(tmp_path / "seen.png") > 30_000
 
 
+@pytest.mark.libraries
 @browser
 def test_a_page_that_asks_for_something_is_noticed(tmp_path: Path) -> None:
     (tmp_path / "asks.html").write_text(
@@ -209,6 +211,7 @@ def test_a_page_that_asks_for_something_is_noticed(tmp_path: Path) -> None:
     assert "Uncaught Error: no" in console
 
 
+@pytest.mark.libraries
 @browser
 def test_what_is_shown_first_is_the_turning_view_and_on_paper_the_picture(report: Report, tmp_path: Path) -> None:
     write_report(tmp_path / "report.html", report)
