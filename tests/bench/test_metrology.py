@@ -35,6 +35,7 @@ def row(rung: str, seed: int, e_lb: float | None, missing: tuple[str, ...] = ())
     }
 
 
+@pytest.mark.dive
 def test_from_wires_to_numbers_a_bundle_beats_a_pinhole() -> None:
     done: list[str] = []
     rows = {r.rung: as_json(r) for r in examine("realistic", 3, 800, 600, SMALL, done.append)}

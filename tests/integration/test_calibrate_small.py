@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import pytest
+
 from appliance.calibration.guide import Refusal, Step
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.config import load_rig
@@ -41,6 +43,7 @@ end
 """
 
 
+@pytest.mark.dive
 def test_recordings_are_refused_and_accepted_with_words(tmp_path: Path) -> None:
     script = tmp_path / "dive.script"
     script.write_text(DIVE)

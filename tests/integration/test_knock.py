@@ -60,6 +60,7 @@ def dive(root: Path, script: str) -> Rig:
     return rig
 
 
+@pytest.mark.dive
 def test_a_knock_between_scans(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     root = tmp_path / "dive"
     assert run(dive(root, DIVE)) == 0

@@ -40,6 +40,7 @@ def dive(rig: Rig) -> Path:
     return library.entry(last).folder
 
 
+@pytest.mark.dive
 def test_response_and_noise_measured_under_water_are_used_from_the_next_start_on(tmp_path: Path) -> None:
     script = tmp_path / "dive.script"
     script.write_text(DIVE)
