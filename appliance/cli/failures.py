@@ -11,6 +11,7 @@ from appliance.foreign.problem import ForeignError
 from appliance.kernel_build import CompileError
 from appliance.offline.anew.many import SchedulerError
 from appliance.offline.anew.results import ResultsError
+from appliance.offline.pull.source import PullError
 from appliance.registration.reference import SurfaceMatchError
 from appliance.storage.atomic import StorageError
 from appliance.storage.library import UnknownScan
@@ -44,6 +45,7 @@ def exit_code_of(error: Exception) -> Exit | None:
             | CompileError()
             | ResultsError()
             | SchedulerError()
+            | PullError()
         ):
             return Exit.FAILED
         case _:  # errors of a simulated world, which nothing here knows by name, bring their own

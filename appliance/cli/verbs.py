@@ -76,6 +76,7 @@ VERBS: tuple[Listed | Group, ...] = (
             Listed("compare", "how far its surface lies from a drawing or another object", "compare:CompareObject"),
         ),
     ),
+    Listed("pull", "scans off an instrument: what is not here, compared, nothing deleted", "pull:Pull"),
     Group(
         "archive",
         "keep scans in a third of the room, lossless",

@@ -58,6 +58,13 @@ class AllocatingFileSystem(FileSystem, Protocol):
         """Write an existing file anew from its start, into the blocks it has; ``sync`` cuts it to what was written."""
 
 
+class AppendingFileSystem(FileSystem, Protocol):
+    """A file system on which a file that was begun can be gone on with. Every call raises OSError on failure."""
+
+    def append(self, path: Path) -> WritableFile:
+        """Go on behind the end of an existing file."""
+
+
 class _LocalFile:
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor
@@ -122,6 +129,9 @@ class LocalFileSystem:
 
     def reopen(self, path: Path) -> WritableFile:
         return _LocalFileAnew(os.open(path, os.O_WRONLY | os.O_CLOEXEC))
+
+    def append(self, path: Path) -> WritableFile:
+        return _LocalFile(os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC))
 
     def free_bytes(self, path: Path) -> int:
         answer = os.statvfs(path)

@@ -169,17 +169,11 @@ def load(folder: Path) -> IncompleteRecording:
     path = folder / form.INCOMPLETE_NAME
     try:
         with path.open("rb") as file:
-            content = checked_content(file.read(form.MAX_BYTES + 1), form.MAX_BYTES)
-        if content.get("kind") != KIND or content.get("schema") != form.SCHEMA:
-            raise ScanError(f"{path}: not of an incomplete recording that this version reads")
-        manifest = shaped(Manifest, content)
-        missing = tuple(str(name) for name in content.get("missing", ()))
+            manifest, missing = decode(file.read(form.MAX_BYTES + 1), str(path))
     except FileNotFoundError:
         raise ScanError(f"{folder}: not an incomplete recording (no {form.INCOMPLETE_NAME} in it)") from None
     except OSError as error:
         raise ScanError(f"{path}: {error.strerror or error}") from error
-    except (ChecksumError, ShapeError) as error:
-        raise ScanError(f"{path}: {error}") from error
     count = len(manifest.record.sequence.patterns) - len(missing)
     if missing != manifest.record.sequence.patterns[count:]:
         raise ScanError(f"{path}: the missing frames are not the last of the sequence")
@@ -187,6 +181,18 @@ def load(folder: Path) -> IncompleteRecording:
         _compare(folder / name, manifest.files.get(name))
     frames = {side: map_frames(folder / frames_file(side), count) for side in SIDES}
     return IncompleteRecording(StoredScan(folder, manifest, frames), missing)
+
+
+def decode(data: bytes, name: str) -> tuple[Manifest, tuple[str, ...]]:
+    """Return the manifest in the bytes of ``incomplete.json``, and the patterns whose frames are missing. Raises ScanError naming
+    ``name``."""
+    try:
+        content = checked_content(data, form.MAX_BYTES)
+        if content.get("kind") != KIND or content.get("schema") != form.SCHEMA:
+            raise ScanError(f"{name}: not of an incomplete recording that this version reads")
+        return shaped(Manifest, content), tuple(str(one) for one in content.get("missing", ()))
+    except (ChecksumError, ShapeError) as error:
+        raise ScanError(f"{name}: {error}") from error
 
 
 def _compare(path: Path, stamp: Stamp | None) -> None:

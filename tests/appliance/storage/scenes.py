@@ -121,6 +121,10 @@ class BadDisk(LocalFileSystem):
         self._count(f"reopen {path.name}")
         return _BadFile(self, super().reopen(path), path.name)
 
+    def append(self, path: Path) -> WritableFile:
+        self._count(f"append {path.name}")
+        return _BadFile(self, super().append(path), path.name)
+
     def sync_folder(self, path: Path) -> None:
         self._count(f"sync_folder {path.name}")
         super().sync_folder(path)

@@ -1,0 +1,182 @@
+"""Owns the verb ``pull``: scans off an instrument, or off its disk, onto a desk."""
+
+from __future__ import annotations
+
+import logging
+import os
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from appliance.cli.arguments import Verb, number, operand, option, switch, whole
+from appliance.cli.kernels import LINE_EVERY_S
+from appliance.cli.output import Exit, Progress, UsageError, say, say_json
+from appliance.offline.pull.pulling import HowFar, Open, Pulled, pull
+from appliance.offline.pull.source import FolderSource, Source
+from appliance.offline.pull.ssh import ANSWER_S, PORT, Host, SshLink
+from appliance.offline.pull.taking import PullOutcome
+from appliance.storage.atomic import refused
+from appliance.storage.filesystem import LocalFileSystem
+from appliance.storage.library import LibraryFolder
+from appliance.storage.lock import hold_lock
+
+ROOTS = (".", "lib/kingfisher", "var/lib/kingfisher")
+"""Places of the scans below a folder that is given: the storage root itself, the instrument's data partition, its whole disk."""
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pull(Verb):
+    """Take what is on the instrument and not in DIR; FAILED if anything finished there is not here afterwards."""
+
+    host: str = operand("HOST", "[user@]address of the instrument, or a folder: its mounted disk, a copy")
+    dir: Path = operand(
+        "DIR", "storage root at the desk, made where it is not there; one for each instrument", parse=Path
+    )
+    identity: Path | None = option("--identity", "private key (default: those of ssh)", parse=Path, metavar="FILE")
+    port: int | None = option("--port", f"of the instrument ({PORT})", parse=whole(1, 65_535), metavar="N")
+    known_hosts: Path | None = option(
+        "--known-hosts", "file of the host keys that were seen (default: that of ssh)", parse=Path, metavar="FILE"
+    )
+    timeout_s: float = option(
+        "--timeout-s", f"longest silence of the link ({ANSWER_S:g})", default=ANSWER_S, parse=number(2, 3600)
+    )
+    all: bool = switch("--all", "also the rejected ones")
+
+    @property
+    def says_news(self) -> bool:
+        """True: how far it is matters for an hour, also where no terminal is."""
+        return True
+
+    def run(self) -> Exit:
+        """Raises UsageError, PullError, StorageError, MissingLibraryError."""
+        opened = self._opened()
+        target = self._target()
+        with hold_lock(target), Progress() as progress:
+            begun_s = time.monotonic()
+            # An Event that nobody sets: it waits, and Ctrl-C ends the wait.
+            waiting = threading.Event()
+            done = pull(
+                opened, target, LocalFileSystem(), every=self.all, far=_Said(progress),
+                wait=lambda seconds: _told_wait(waiting, seconds),
+            )  # fmt: skip
+        self._tell(done, time.monotonic() - begun_s)
+        return Exit.OK if done.whole else Exit.FAILED
+
+    def _opened(self) -> Open:
+        """Return how the instrument is reached. Raises UsageError."""
+        if "/" in self.host or Path(self.host).is_dir():
+            root = _root_below(Path(self.host))
+            if self.identity is not None or self.port is not None:
+                raise UsageError(
+                    f"HOST {self.host}: a folder; --identity and --port are for an instrument on the network"
+                )
+            if root.resolve() == self.dir.resolve():
+                raise UsageError(f"DIR {self.dir}: is where the scans are read from; give another folder")
+
+            @contextmanager
+            def mounted() -> Iterator[Source]:
+                yield FolderSource(root)
+
+            return mounted
+        if self.host.startswith("-") or not self.host.isprintable() or " " in self.host or not self.host:
+            raise UsageError(f"HOST {self.host!r}: give an address, [user@]address, or the path of a folder")
+        if self.identity is not None and not self.identity.is_file():
+            raise UsageError(f"--identity {self.identity}: no such file; give the private key's")
+        return SshLink(Host(self.host, self.port, self.identity, self.known_hosts), self.timeout_s)
+
+    def _target(self) -> Path:
+        """Return DIR, which is a folder then. Raises UsageError, StorageError."""
+        target = self.dir.absolute()
+        if target.exists() and not target.is_dir():
+            raise UsageError(f"DIR {self.dir}: is a file; give a folder")
+        if not target.parent.is_dir():
+            raise UsageError(f"DIR {self.dir}: there is no folder {target.parent}; make it first")
+        with refused("cannot make", target):
+            target.mkdir(exist_ok=True)
+        if not os.access(target, os.W_OK | os.X_OK):
+            raise UsageError(f"DIR {self.dir}: this user may not write there; give another folder, or change its owner")
+        return target
+
+    def _tell(self, done: Pulled, took_s: float) -> None:
+        counts = {outcome: len(done.of(outcome)) for outcome in PullOutcome}
+        if self.json:
+            say_json(
+                {
+                    **{outcome.name.lower(): count for outcome, count in counts.items()},
+                    "being_written": done.being_written,
+                    "bytes": done.taken_bytes,
+                    "links": done.links,
+                    "s": took_s,
+                    "items": [
+                        {
+                            "path": one.what,
+                            "outcome": one.outcome.name.lower(),
+                            "reason": one.reason,
+                            "bytes": one.size_bytes,
+                        }
+                        for one in done.of(*PullOutcome)
+                    ],
+                }
+            )
+            return
+        for one in done.of(PullOutcome.LATER, PullOutcome.DIFFERS, PullOutcome.FAILED):
+            say(f"{one.what}  {one.outcome.value}: {one.reason}")
+        if done.being_written:
+            say(f"{done.being_written} still being written or undecided there; left for next time")
+        told = ", ".join(f"{count} {outcome.value}" for outcome, count in counts.items() if count)
+        say(f"{told or 'nothing there'}; {done.taken_bytes / 1e6:.1f} MB in {_time(took_s)}")
+
+
+def _root_below(folder: Path) -> Path:
+    """Return the storage root below a folder. Raises UsageError."""
+    for root in ROOTS:
+        if (folder / root / LibraryFolder.SCANS.value).is_dir():
+            return folder / root
+    raise UsageError(
+        f"HOST {folder}: no scans there; give the folder that holds scans/, or the instrument's mounted disk"
+    )
+
+
+def _told_wait(waiting: threading.Event, seconds: float) -> None:
+    log.warning("the link broke; trying again in %g s", seconds)
+    waiting.wait(seconds)
+
+
+class _Said:
+    """Says how far it is and how long it will take: on a terminal in one line, elsewhere in lines some seconds apart."""
+
+    def __init__(self, progress: Progress) -> None:
+        self._progress = progress
+        self._begun_s: float | None = None
+        self._next_s = time.monotonic() + LINE_EVERY_S
+
+    def __call__(self, far: HowFar) -> None:
+        now_s = time.monotonic()
+        if not far.done_bytes:
+            self._begun_s = None
+        elif self._begun_s is None:
+            self._begun_s = now_s
+        left = ""
+        if self._begun_s is not None and now_s > self._begun_s + 1.0:
+            rate = far.done_bytes / (now_s - self._begun_s)
+            left = f", {rate / 1e6:.1f} MB/s, {_time(max(0, far.of_bytes - far.done_bytes) / rate)} left"
+        sizes = f", {far.done_bytes / 1e6:.0f} of {far.of_bytes / 1e6:.0f} MB" if far.of_bytes else ""
+        text = f"{far.doing}, {far.done} of {far.of}{sizes}{left}"
+        self._progress(text)
+        if not os.isatty(2) and now_s > self._next_s:
+            self._next_s = now_s + LINE_EVERY_S
+            log.info("%s", text)
+
+
+def _time(seconds: float) -> str:
+    return (
+        f"{seconds:.0f} s"
+        if seconds < 90
+        else f"{seconds / 60:.0f} min"
+        if seconds < 5400
+        else f"{seconds / 3600:.1f} h"
+    )

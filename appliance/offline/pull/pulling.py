@@ -1,0 +1,269 @@
+"""Owns a whole call: what is there and not here, one recording after the other, and that a link that breaks is opened again.
+
+An attempt looks at everything anew and skips what is done, so that a second attempt, a second call and a call after a loss of power
+are the same thing. Nothing is deleted or replaced at either end.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+
+from appliance.offline.pull.source import NAME, LinkLost, NotThere, PullError, RemoteEntry, Source, Unreadable, text_of
+from appliance.offline.pull.taking import FoundRecording, NotYet, PullOutcome, already_here_bytes, find, present, take
+from appliance.storage import calibrations, incomplete, objects
+from appliance.storage.atomic import refused, replace_file
+from appliance.storage.filesystem import AppendingFileSystem
+from appliance.storage.library import LibraryFolder
+
+ATTEMPTS = 6
+"""Number of times in a row that a link is opened without anything coming over it, before the call ends."""
+WAITS_S = (1.0, 2.0, 4.0, 8.0, 15.0)
+"""Waits before the second attempt, the third, …"""
+SMALL_BYTES = 50_000_000
+"""Largest file beside the scans that is taken."""
+DEEPEST = 4
+MOST_SMALL = 20_000
+INSTRUMENT = "instrument"
+"""Folder here with what the instrument says of itself: its rig file."""
+RIG_PLACES = (f"../{INSTRUMENT}/rig.toml", f"{INSTRUMENT}/rig.toml", "../../etc/kingfisher/rig.toml")
+"""Places of the rig file: as the instrument's server shows it, in what was pulled before, and on the instrument's own disk."""
+_SMALL = (".json", ".html", ".toml")
+_SCAN = re.compile(r"\d{6,12}(-\d+)?")
+_BEING_WRITTEN = re.compile(r"\.\d{6,12}(-\d+)?")
+_TRASHES = tuple(shelf.value for shelf in LibraryFolder)
+
+Open = Callable[[], AbstractContextManager[Source]]
+
+
+@dataclass(frozen=True, slots=True)
+class Came:
+    """Result of one recording or one file beside them."""
+
+    what: str
+    outcome: PullOutcome
+    reason: str = ""
+    size_bytes: int = 0
+
+
+@dataclass(slots=True)
+class Pulled:
+    """Result of a call."""
+
+    came: dict[str, Came] = field(default_factory=dict)
+    """Results by path below the storage root."""
+    being_written: int = 0
+    """Recordings that are still being written there, or wait for the diver's decision."""
+    taken_bytes: int = 0
+    """Bytes that came over the link."""
+    links: int = 0
+    """Number of times that a link was opened."""
+    seen: dict[str, FoundRecording] = field(default_factory=dict)
+    """Recordings that were looked at and are not here: over a bad link, a thousand manifests are not read twice."""
+
+    @property
+    def progress(self) -> tuple[int, int, int]:
+        return self.taken_bytes, len(self.came), len(self.seen)
+
+    def of(self, *outcomes: PullOutcome) -> list[Came]:
+        """Return what came out so, by path."""
+        return [one for _, one in sorted(self.came.items()) if one.outcome in outcomes]
+
+    @property
+    def whole(self) -> bool:
+        """True if everything that is finished there is here."""
+        return not self.of(PullOutcome.DIFFERS, PullOutcome.FAILED, PullOutcome.LATER)
+
+
+@dataclass(frozen=True, slots=True)
+class HowFar:
+    """State of a call."""
+
+    doing: str
+    done: int
+    of: int
+    """Recordings."""
+    done_bytes: int
+    of_bytes: int
+
+
+def pull(
+    opened: Open,
+    target: Path,
+    fs: AppendingFileSystem,
+    *,
+    every: bool,
+    far: Callable[[HowFar], None],
+    wait: Callable[[float], None],
+) -> Pulled:
+    """Take what is finished there and not here to the storage root ``target``, which is there. ``every``: also rejected scans.
+
+    Raises PullError where nothing can be had from there, also when the link breaks again and again; StorageError. Everything that
+    was taken before stays, and so do the drafts.
+    """
+    done = Pulled()
+    empty = 0
+    while True:
+        before = done.progress
+        try:
+            done.links += 1
+            with opened() as source:
+                _attempt(source, target, fs, done, every=every, far=far)
+            return done
+        except LinkLost as lost:
+            # Counted as long as nothing comes: a link that breaks every minute still ends the work one day.
+            empty = empty + 1 if done.progress == before else 1
+            if empty >= ATTEMPTS:
+                whole = len(done.of(PullOutcome.TAKEN))
+                raise PullError(
+                    f"{lost}; tried {ATTEMPTS} times. {whole} scans and {done.taken_bytes / 1e6:.1f} MB were taken and stay; "
+                    "call again, and it goes on there"
+                ) from lost
+            wait(WAITS_S[min(empty, len(WAITS_S)) - 1])
+
+
+def _attempt(
+    source: Source,
+    target: Path,
+    fs: AppendingFileSystem,
+    done: Pulled,
+    *,
+    every: bool,
+    far: Callable[[HowFar], None],
+) -> None:
+    shelves = [LibraryFolder.SCANS.value, incomplete.FOLDER] + ([LibraryFolder.REJECTED.value] if every else [])
+    paths = list(_recordings(source, shelves, done))
+    _beside(source, target, fs, done)
+    wanted: list[FoundRecording] = []
+    for k, path in enumerate(paths):
+        far(HowFar(f"looking at {path}", k, len(paths), 0, 0))
+        if path in done.came:
+            continue
+        try:
+            found = done.seen[path] if path in done.seen else find(source, path)
+            there = _here(target, path)
+            if there is None:
+                # Once it was taken, it is looked at again: what changed meanwhile is not missed.
+                done.seen[path] = found
+                wanted.append(found)
+            else:
+                present(found, source, fs, there)
+        except NotYet as why:
+            done.came[path] = Came(path, why.outcome, str(why))
+    of_bytes = sum(max(0, one.size_bytes - already_here_bytes(target / one.path)) for one in wanted)
+    begun_bytes = done.taken_bytes
+    for k, one in enumerate(wanted):
+        _make(fs, (target / one.path).parent)
+
+        def came(length: int, k: int = k, path: str = one.path) -> None:
+            done.taken_bytes += length
+            far(HowFar(f"taking {path}", k, len(wanted), done.taken_bytes - begun_bytes, of_bytes))
+
+        try:
+            take(one, source, fs, target / one.path, came)
+            done.came[one.path] = Came(one.path, PullOutcome.TAKEN, "", one.size_bytes)
+        except NotYet as why:
+            done.came[one.path] = Came(one.path, why.outcome, str(why))
+
+
+def _recordings(source: Source, shelves: list[str], done: Pulled) -> Iterator[str]:
+    """Give the paths of what is finished there, and count what is not."""
+    done.being_written = 0
+    for shelf in shelves:
+        try:
+            entries = source.listing(shelf)
+        except NotThere:
+            if shelf == LibraryFolder.SCANS.value:
+                raise PullError(
+                    "there is no folder `scans` there; give the folder that holds it, or another host"
+                ) from None
+            continue
+        except Unreadable as error:
+            raise PullError(f"the list of scans cannot be read there: {error}") from error
+        for one in entries:
+            if one.folder and _SCAN.fullmatch(one.name):
+                yield f"{shelf}/{one.name}"
+            elif one.folder and _BEING_WRITTEN.fullmatch(one.name):
+                done.being_written += 1
+
+
+def _here(target: Path, path: str) -> Path | None:
+    """Return where a recording lies here already: at its place, or, a scan, wherever somebody put it since."""
+    shelf, _, name = path.partition("/")
+    shelves = (shelf,) if shelf == incomplete.FOLDER else (shelf, *_TRASHES)
+    return next((folder for one in shelves if (folder := target / one / name).is_dir()), None)
+
+
+# --------------------------------------------------------------------- calibrations, objects, rig file
+
+
+def _beside(source: Source, target: Path, fs: AppendingFileSystem, done: Pulled) -> None:
+    """Take the small files beside the scans. One that is another here goes beside it, under a name with its checksum."""
+    files: dict[str, str] = {}
+    for folder in (calibrations.FOLDER, objects.FOLDER):
+        files.update((path, path) for path in _small_files(source, folder, done))
+    for place in RIG_PLACES:
+        parent, _, name = place.rpartition("/")
+        try:
+            if any(one.name == name and not one.folder for one in source.listing(parent)):
+                files[f"{INSTRUMENT}/{name}"] = place
+                break
+        except (NotThere, Unreadable):
+            continue
+    for path, place in files.items():
+        if path not in done.came:
+            done.came[path] = _one_beside(source, place, path, target, fs, done)
+
+
+def _one_beside(source: Source, place: str, path: str, target: Path, fs: AppendingFileSystem, done: Pulled) -> Came:
+    try:
+        data = text_of(source, place, SMALL_BYTES)
+    except NotThere:
+        return Came(path, PullOutcome.LATER, f"{path}: was moved there meanwhile")
+    except Unreadable as error:
+        return Came(path, PullOutcome.FAILED, f"cannot be read there: {error}")
+    done.taken_bytes += len(data)
+    plain = target / path
+    other = plain.with_name(f"{plain.stem}.{hashlib.sha256(data).hexdigest()[:12]}{plain.suffix}")
+    for copy in (plain, other):
+        with refused("cannot read", copy):
+            if not copy.exists():
+                _make(fs, copy.parent)
+                replace_file(fs, copy, data)
+                return Came(path, PullOutcome.TAKEN, "" if copy == plain else f"as {other.name}", len(data))
+            if copy.read_bytes() == data:
+                return Came(path, PullOutcome.ALREADY)
+    return Came(path, PullOutcome.DIFFERS, f"{other} is here with other content; move it away")
+
+
+def _small_files(source: Source, folder: str, done: Pulled, depth: int = 1) -> Iterator[str]:
+    try:
+        entries: Mapping[str, RemoteEntry] = {one.name: one for one in source.listing(folder)}
+    except NotThere:
+        return
+    except Unreadable as error:
+        done.came[folder] = Came(folder, PullOutcome.FAILED, f"cannot be read there: {error}")
+        return
+    if len(entries) > MOST_SMALL:
+        done.came[folder] = Came(
+            folder, PullOutcome.FAILED, f"{len(entries)} names there; at most {MOST_SMALL} are taken"
+        )
+        return
+    for name, one in entries.items():
+        if not NAME.fullmatch(name):
+            continue
+        if one.folder and depth < DEEPEST:
+            yield from _small_files(source, f"{folder}/{name}", done, depth + 1)
+        elif not one.folder and PurePosixPath(name).suffix in _SMALL:
+            yield f"{folder}/{name}"
+
+
+def _make(fs: AppendingFileSystem, folder: Path) -> None:
+    for one in reversed([one for one in (folder, *folder.parents) if not one.exists()]):
+        with refused("cannot make", one):
+            fs.make_folder(one)
+            fs.sync_folder(one.parent)
