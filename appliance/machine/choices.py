@@ -33,6 +33,8 @@ class Choices:
     """Number of the object that scans belong to from now on; ``None``: of none."""
     objects: int = 0
     """Largest number that was ever given to an object here."""
+    transfer: bool = False
+    """Scans may be taken off by whoever has a key. Never remembered: a dive does not begin with an open door."""
 
     @property
     def salt(self) -> bool:
@@ -102,6 +104,11 @@ def another_object(draft: Choices, chosen: Choices, used: int | None, by: int) -
     # The disk may have told of more numbers while a new one was being looked at.
     wanted = _moved(steps, draft.object if draft.object in steps else steps[-1], by)
     return replace(draft, object=wanted, objects=max(chosen.objects, wanted or 0))
+
+
+def other_transfer(chosen: Choices, by: int) -> Choices:
+    """Choose that scans may be taken off, upwards, or that they may not; stays at the ends."""
+    return replace(chosen, transfer=by > 0)
 
 
 def _moved(steps: list[T], at: T, by: int) -> T:

@@ -149,6 +149,13 @@ class RememberChoices:
 
 
 @dataclass(frozen=True, slots=True)
+class SwitchTransfer:
+    """Scans may be taken off from now on, or not any more; while they may, answer TransferTold."""
+
+    to_on: bool
+
+
+@dataclass(frozen=True, slots=True)
 class UsePeriod:
     """Patterns, frame memory and worker for another fringe period; a scan armed meanwhile waits for it."""
 
@@ -209,6 +216,7 @@ Effect = (
     | BeginSession
     | CancelCalibration
     | RememberChoices
+    | SwitchTransfer
     | UsePeriod
     | UseWater
     | ListGallery

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from appliance.calibration.guide import RecordingCheck, Session
 from appliance.machine.failure import Failure
 from appliance.machine.states import Device, Part
+from appliance.machine.transfer import Transfer
 from appliance.machine.words import Label
 from appliance.ranging.reach import Range
 from appliance.scan.exposure import Exposure
@@ -117,6 +118,13 @@ class ObjectsCounted:
     """The scans on the disk were looked at: the largest number of an object that one of them carries, 0 if none does."""
 
     largest: int
+
+
+@dataclass(frozen=True, slots=True)
+class TransferTold:
+    """The program that serves scans to desks told something new."""
+
+    transfer: Transfer
 
 
 @dataclass(frozen=True, slots=True)
@@ -323,6 +331,7 @@ Event = (
     | Told
     | StorageCounted
     | ObjectsCounted
+    | TransferTold
     | BootFinished
     | PartTested
     | PartBusy

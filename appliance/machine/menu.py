@@ -24,12 +24,17 @@ class Row(Enum):
     CALIBRATION = "CALIBRATION"
     OBJECT = "OBJECT"
     GALLERY = "GALLERY"
+    TRANSFER = "TRANSFER"
     LANGUAGE = "LANGUAGE"
     ABOUT = "ABOUT"
     POWER_OFF = "POWER OFF"
 
     WATER_KIND = "WATER KIND"
     WATER_TEMPERATURE = "WATER TEMPERATURE"
+
+    TRANSFER_SWITCH = "TRANSFER SWITCH"
+    ADDRESS = "ADDRESS"
+    KEYS = "KEYS"
 
     VERSION = "VERSION"
     SERIAL_NUMBER = "SERIAL NUMBER"
@@ -48,19 +53,28 @@ ROWS: Mapping[Page, tuple[Row, ...]] = MappingProxyType(
                 Row.CALIBRATION,
                 Row.OBJECT,
                 Row.GALLERY,
+                Row.TRANSFER,
                 Row.LANGUAGE,
                 Row.ABOUT,
                 Row.POWER_OFF,
             ),
         ),
         Page.WATER: (Row.WATER_KIND, Row.WATER_TEMPERATURE),
+        Page.TRANSFER: (Row.TRANSFER_SWITCH, Row.ADDRESS, Row.KEYS),
         Page.ABOUT: (Row.VERSION, Row.SERIAL_NUMBER, Row.CALIBRATED, Row.SALINITY, Row.DISK),
     }
 )
-PAGES = {Row.WATER: Page.WATER, Row.ABOUT: Page.ABOUT}
+PAGES = {Row.WATER: Page.WATER, Row.TRANSFER: Page.TRANSFER, Row.ABOUT: Page.ABOUT}
 """Rows of the main page that lead to another page."""
-VALUES = (Row.EXPOSURE, Row.PERIOD, Row.WATER_KIND, Row.WATER_TEMPERATURE, Row.OBJECT, Row.LANGUAGE)
+VALUES = (
+    *(Row.EXPOSURE, Row.PERIOD, Row.WATER_KIND, Row.WATER_TEMPERATURE, Row.OBJECT, Row.LANGUAGE),
+    Row.TRANSFER_SWITCH,
+)
 """Rows whose value is changed with UP and DOWN after SCAN."""
+
+
+TOLD = (*ROWS[Page.ABOUT], Row.ADDRESS, Row.KEYS)
+"""Rows that only tell something: SCAN does nothing on them."""
 
 
 def open_menu(machine: Machine) -> Result:
@@ -117,7 +131,8 @@ def may_move(machine: Machine, key: Key) -> bool:
 
 def may_choose(machine: Machine) -> bool:
     """Tell whether SCAN does anything on the selected row."""
-    return machine.menu is not None and (machine.menu.draft is not None or machine.menu.page is not Page.ABOUT)
+    menu = machine.menu
+    return menu is not None and (menu.draft is not None or row_of(menu) not in TOLD)
 
 
 def verb(machine: Machine) -> Text:
@@ -168,6 +183,8 @@ def _changed(machine: Machine, menu: Menu, draft: Choices, key: Key) -> Choices:
             return choices.warmer(draft, by)
         case Row.OBJECT:
             return choices.another_object(draft, machine.choices, machine.objects_used, by)
+        case Row.TRANSFER_SWITCH:
+            return choices.other_transfer(draft, by)
         case Row.LANGUAGE:
             return choices.another_language(draft, by)
         case _:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from appliance.calibration.guide import RecordingCheck, Session, Step
 from appliance.machine.choices import Choices, Offers
 from appliance.machine.failure import Failure
+from appliance.machine.transfer import NOT_TOLD, Transfer
 from appliance.machine.words import Label
 from appliance.patterns.sequence import PERIODS_PX, build_sequence
 from appliance.ranging.reach import Range, Reach
@@ -263,6 +264,7 @@ class Page(Enum):
 
     MAIN = "MAIN"
     WATER = "WATER"
+    TRANSFER = "TRANSFER"
     ABOUT = "ABOUT"
 
 
@@ -394,6 +396,8 @@ class Machine:
     scans_left: int | None = None
     objects_used: int | None = None
     """Largest number of an object that scans on the disk carry; ``None`` until the disk has told."""
+    transfer: Transfer = NOT_TOLD
+    """The transfer of scans to a desk, while it is switched on."""
     just_saved: str | None = None
     """Scan to confirm as SAVED on the screen, until the next key."""
     stopping: Ending | None = None

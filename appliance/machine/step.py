@@ -17,6 +17,7 @@ from appliance.machine.conditions import cleared, device_down, device_up, judge,
 from appliance.machine.moves import Result
 from appliance.machine.permissions import may_lase, may_light, may_shine, refusal
 from appliance.machine.states import Device, Ending, Machine, Notice, NoticeKind, State
+from appliance.machine.transfer import NOT_TOLD
 from appliance.ranging.reach import Reach, reach_of
 from appliance.scan.fault import Fault, FaultCode
 
@@ -73,6 +74,9 @@ def _react(machine: Machine, event: on.Event) -> Result:
             return _counted(machine, scans, last_scan, scans_left), ()
         case on.ObjectsCounted(largest):
             return replace(machine, objects_used=largest), ()
+        case on.TransferTold(transfer):
+            # What was told of a transfer that was switched off since is of no interest.
+            return (replace(machine, transfer=transfer), ()) if machine.choices.transfer else (machine, ())
         case on.BootFinished():
             return start.booted(machine)
         case on.PartTested():
@@ -165,6 +169,8 @@ def _settle(before: Machine, after: Machine, wanted: tuple[do.Effect, ...]) -> R
     if before.choices.object != after.choices.object:
         # What was said was said of the other object.
         after = replace(after, overlap_of=None, overlap=None)
+    if before.choices.transfer and not after.choices.transfer:
+        after = replace(after, transfer=NOT_TOLD)
     lit = live_after is not None and live_after[0].light
     if lit is not after.thermal.lit:
         after = replace(after, thermal=replace(after.thermal, lit=lit))
@@ -180,6 +186,8 @@ def _taken(before: Machine, after: Machine) -> tuple[do.Effect, ...]:
         effects.append(do.UsePeriod(is_now.period_px))
     if (is_now.salinity_psu, is_now.water_c) != (was.salinity_psu, was.water_c):
         effects.append(do.UseWater(is_now.salinity_psu, is_now.water_c))
+    if is_now.transfer is not was.transfer:
+        effects.append(do.SwitchTransfer(is_now.transfer))
     if is_now != was:
         effects.append(do.RememberChoices(is_now))
     return tuple(effects)

@@ -35,6 +35,7 @@ from appliance.service.ranging import RangingController
 from appliance.service.recording import DrawnPatterns
 from appliance.service.scans import MeasuringSetup, ScanController, ScanStorage
 from appliance.service.starts import installation, recovered, this_run
+from appliance.service.transfer import TransferSwitch
 from appliance.service.watchdog import Watchdog
 from appliance.storage.beams import BeamsFile
 from appliance.storage.choices import ChoicesFile
@@ -100,7 +101,7 @@ def run(rig: Rig) -> int:
         devices = stack.enter_context(Devices(rig, wires, patterns.load))
         status = StatusFile(rig.storage.root, os.getpid(), appliance.__version__)
         gallery = GalleryController(library, scans.submit)
-        parts = Parts(devices, scans, calibrating, gallery, ranging, aiming)
+        parts = Parts(devices, scans, calibrating, gallery, ranging, aiming, TransferSwitch(os.environ))
         beginning = Beginning(choices, conditions, news)
         service = Service(rig, parts, patterns, painter, status, wires.clock, beginning, lambda: stopping.reason)
         ended = service.run(Watchdog(manager, rig.storage.root, installation(Path(sys.prefix))))

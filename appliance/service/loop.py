@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import assert_never
 
@@ -68,7 +69,9 @@ class Service:
         self._status = status
         self._clock = clock
         self._stop_reason = stop_reason
-        self.machine: Machine = boot(clock.now_ns(), machine_settings(rig, chosen))
+        self.machine: Machine = boot(
+            clock.now_ns(), machine_settings(rig, replace(chosen, transfer=parts.transfer.wanted))
+        )
         self._inbox: list[on.Event] = []
         """Events for the next heartbeat. Everybody who works within one adds to the same list: it is emptied, never replaced."""
         self._inputs = Inputs(parts.devices, parts.ranging)
@@ -136,6 +139,7 @@ class Service:
         events += parts.gallery.poll()
         events += parts.ranging.poll()
         events += parts.aiming.poll()
+        events += parts.transfer.poll(self._clock.now_ns(), wanted=self.machine.choices.transfer)
         events += self._live.switch_lasers_on()
         if not self._boot_told and parts.devices.all_tried:
             self._boot_told = True
@@ -208,6 +212,8 @@ class Service:
                 self._parts.calibrating.cancel()
             case do.RememberChoices():
                 self._parts.scans.submit(partial(self._remember, effect.choices))
+            case do.SwitchTransfer():
+                self._parts.transfer.switch(effect.to_on)
             case do.UsePeriod():
                 self._recorder.want_period(effect.period_px)
             case do.UseWater():

@@ -9,6 +9,7 @@ from appliance.machine import menu
 from appliance.machine.alerts import alerts, on_screen
 from appliance.machine.menu import Row
 from appliance.machine.states import Answer, Machine, Menu, OffQuestion, Page
+from appliance.machine.transfer import Serving
 from appliance.machine.words import Label, Text
 from appliance.screens.views import MenuRow, MenuView
 
@@ -22,7 +23,7 @@ class Facts:
     """The day of the calibration; or that there never was one."""
 
 
-TITLES = {Page.MAIN: Text.MENU, Page.WATER: Text.WATER, Page.ABOUT: Text.ABOUT}
+TITLES = {Page.MAIN: Text.MENU, Page.WATER: Text.WATER, Page.TRANSFER: Text.TRANSFER, Page.ABOUT: Text.ABOUT}
 WORDS = {
     Row.EXPOSURE: Text.EXPOSURE,
     Row.PERIOD: Text.FRINGES,
@@ -35,6 +36,10 @@ WORDS = {
     Row.POWER_OFF: Text.POWER_OFF,
     Row.WATER_KIND: Text.WATER_KIND,
     Row.WATER_TEMPERATURE: Text.WATER_TEMPERATURE,
+    Row.TRANSFER: Text.TRANSFER,
+    Row.TRANSFER_SWITCH: Text.TRANSFER,
+    Row.ADDRESS: Text.ADDRESS,
+    Row.KEYS: Text.TRANSFER_KEYS,
     Row.VERSION: Text.VERSION,
     Row.SERIAL_NUMBER: Text.SERIAL_NUMBER,
     Row.CALIBRATED: Text.CALIBRATED,
@@ -66,6 +71,9 @@ def menu_view(machine: Machine, facts: Facts | None) -> MenuView:
 FRINGES = {16: Text.FINE, 32: Text.MEDIUM, 64: Text.COARSE_FRINGES}
 
 
+SERVING = {Serving.STARTING: Text.STARTING, Serving.ON: Text.ON, Serving.FAILED: Text.TRANSFER_FAILED}
+
+
 def value_of(row: Row, machine: Machine, facts: Facts | None) -> Label:
     """Return what is chosen; while it is being changed, what it would be."""
     chosen = menu.shown(machine)
@@ -86,6 +94,16 @@ def value_of(row: Row, machine: Machine, facts: Facts | None) -> Label:
             value = Text.NO_OBJECT if number is None else (str(number), Text.NEW) if began else str(number)
         case Row.LANGUAGE:
             value = LANGUAGES.get(chosen.language, Text.ENGLISH)
+        case Row.TRANSFER:
+            value = Text.ON if chosen.transfer else Text.OFF
+        case Row.TRANSFER_SWITCH:
+            begun = chosen.transfer and machine.choices.transfer
+            word = SERVING[machine.transfer.serving] if begun else Text.ON
+            value = word if chosen.transfer else Text.OFF
+        case Row.ADDRESS if machine.transfer.serving is Serving.ON:
+            value = machine.transfer.address or Text.NO_NETWORK
+        case Row.KEYS if machine.transfer.serving is Serving.ON and machine.transfer.keys is not None:
+            value = str(machine.transfer.keys) if machine.transfer.keys else Text.PLUG_STICK_IN
         case Row.VERSION:
             value = appliance.__version__
         case Row.DISK:

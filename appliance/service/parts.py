@@ -11,6 +11,7 @@ from appliance.service.devices import Devices
 from appliance.service.gallery import GalleryController
 from appliance.service.ranging import RangingController
 from appliance.service.scans import ScanController
+from appliance.service.transfer import TransferSwitch
 from appliance.storage.choices import ChoicesFile
 
 
@@ -24,6 +25,7 @@ class Parts:
     gallery: GalleryController
     ranging: RangingController
     aiming: AimingController
+    transfer: TransferSwitch
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,6 +27,8 @@ status     what is installed, in use and on trial
 uninstall  everything but scans, calibrations and the rig file; --purge takes them as well
 """
 ROOT_FREE_MB = 1500
+TRANSFER_USER = "kingfisher-pull"
+"""As ``kingfisher.sysusers`` and ``kingfisher-sshd.conf`` call it."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -112,7 +114,11 @@ def uninstall(layout: Layout, *, purge: bool) -> None:
     """Take the program away. Data stay unless ``purge``."""
     with versions.locked(layout):
         if target.runs_systemd(layout):
-            units = [file.source for file in placed.FILES if file.source.endswith(".service")]
+            units = [
+                file.source
+                for file in placed.FILES
+                if Path(file.source).suffix in (".service", ".path") and "@" not in file.source
+            ]
             loaded = [unit for unit in units if layout.at(placed.UNITS / unit).exists()]
             if loaded:
                 target.systemctl(layout, "disable", "--now", *loaded)
@@ -167,10 +173,13 @@ def _system(layout: Layout) -> None:
     """Let the operating system take notice of what was placed or taken away."""
     if layout.at("/etc/sysusers.d/kingfisher.conf").exists():
         target.run(layout, ["systemd-sysusers"])
+        _no_password(layout)
     if not target.runs_systemd(layout):
         return
     target.systemctl(layout, "daemon-reload")
     target.run(layout, ["systemd-tmpfiles", "--create"])
+    if layout.at(placed.UNITS / placed.TRANSFER).exists():
+        target.systemctl(layout, "restart", placed.TRANSFER)
     if target.UDEV.exists():
         target.run(layout, ["udevadm", "control", "--reload"])
         target.run(layout, ["udevadm", "trigger"])
@@ -179,6 +188,13 @@ def _system(layout: Layout) -> None:
     target.systemctl(layout, "try-restart", "systemd-journald.service")
     if layout.at("/boot/grub/grub.cfg").exists() and shutil.which("update-grub") is not None:
         target.run(layout, ["update-grub"])
+
+
+def _no_password(layout: Layout) -> None:
+    """Give the user of the transfer a password that nothing fits: sshd lets a locked account in with no key either."""
+    shadow = layout.at("/etc/shadow")
+    if shadow.exists() and f"\n{TRANSFER_USER}:!" in shadow.read_text(encoding="utf-8"):
+        target.run(layout, ["usermod", "--password", "*", TRANSFER_USER])
 
 
 def _await_outcome(layout: Layout, name: str) -> None:

@@ -9,7 +9,8 @@ from kingfisher_setup import durable
 from kingfisher_setup.layout import PROGRAM, Layout
 
 UNITS = Path("/etc/systemd/system")
-ENABLED = ("kingfisher.service",)
+TRANSFER = "kingfisher-transfer.path"
+ENABLED = ("kingfisher.service", TRANSFER)
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +27,9 @@ FILES = (
     Placed("kingfisher.service", UNITS / "kingfisher.service"),
     Placed("kingfisher-safe.service", UNITS / "kingfisher-safe.service"),
     Placed("kingfisher-trial.service", UNITS / "kingfisher-trial.service"),
+    Placed("kingfisher-transfer.path", UNITS / "kingfisher-transfer.path"),
+    Placed("kingfisher-transfer.service", UNITS / "kingfisher-transfer.service"),
+    Placed("kingfisher-keys@.service", UNITS / "kingfisher-keys@.service"),
     Placed("data-disk.conf", UNITS / "var-lib-kingfisher.mount.d" / "kingfisher.conf"),
     Placed("kingfisher.sysusers", Path("/etc/sysusers.d/kingfisher.conf")),
     Placed("kingfisher.tmpfiles", Path("/etc/tmpfiles.d/kingfisher.conf")),
@@ -39,6 +43,7 @@ LINKS = {
     **{UNITS / "multi-user.target.wants" / unit: str(UNITS / unit) for unit in ENABLED},
     Path("/usr/local/bin/kingfisher"): str(PROGRAM / "current" / "bin" / "kingfisher"),
     Path("/usr/local/sbin/kingfisher-setup"): str(PROGRAM / "rescue" / "install"),
+    Path("/usr/local/sbin/kingfisher-transfer"): str(PROGRAM / "current" / "systemd" / "transfer"),
 }
 
 

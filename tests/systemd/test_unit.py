@@ -12,9 +12,9 @@ import pytest
 from appliance.cli import main
 
 SYSTEMD = Path(__file__).parents[2] / "systemd"
-UNITS = sorted(path.name for path in SYSTEMD.glob("*.service"))
+UNITS = sorted(path.name for path in (*SYSTEMD.glob("*.service"), *SYSTEMD.glob("*.path")))
 SERVICE = SYSTEMD / "kingfisher.service"
-MOST_EXPOSED = {"kingfisher.service": 1.5, "kingfisher-safe.service": 1.5}
+MOST_EXPOSED = {"kingfisher.service": 1.5, "kingfisher-safe.service": 1.5, "kingfisher-transfer.service": 3.5}
 """Of 10. The watch over a trial is root by trade."""
 ON_INSTRUMENT = re.compile(r"^(Exec\w+=[-+!@:]*)/opt/kingfisher/\S+", re.MULTILINE)
 """Programs that are not installed on the machine that tests."""

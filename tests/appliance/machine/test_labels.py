@@ -92,7 +92,7 @@ def refused_in_safe() -> Machine:
         (lambda: in_menu(DOWN, DOWN), {SCAN: "OPEN", BACK: "BACK", UP: "▲", DOWN: "▼"}),
         (lambda: in_menu(*(DOWN,) * 9), {SCAN: "OPEN", BACK: "BACK", UP: "▲"}),
         (lambda: in_menu(DOWN, SCAN), {SCAN: "OK", BACK: "CANCEL", UP: "▲"}),
-        (lambda: in_menu(*(DOWN,) * 7, SCAN), {BACK: "BACK", DOWN: "▼"}),
+        (lambda: in_menu(*(DOWN,) * 8, SCAN), {BACK: "BACK", DOWN: "▼"}),
     ],
 )
 def test_what_stands_beside_the_keys(way: Callable[[], Machine], expected: dict[Key, str]) -> None:

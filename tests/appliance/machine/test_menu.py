@@ -13,10 +13,13 @@ from appliance.machine import scanning
 from appliance.machine.choices import Choices, offers_of
 from appliance.machine.menu import Row, row_of, shown
 from appliance.machine.states import Calibrating, Machine, Page, Settings, State, boot
+from appliance.machine.transfer import NOT_TOLD, Serving, Transfer
+from appliance.machine.words import Text
 from appliance.scan.exposure import Exposure
+from appliance.service.menu_view import value_of
 from drivers.api import Key
 from tests.appliance.machine.english import labels
-from tests.appliance.machine.walks import PARTS, SECOND_NS, UPS, after, aim, in_gallery, in_menu, run
+from tests.appliance.machine.walks import PARTS, SECOND_NS, SERVED, UPS, after, aim, in_gallery, in_menu, run
 
 STEPS = (Exposure(5_000), Exposure(8_000), Exposure(12_000), Exposure(16_000))
 BALTIC = Choices(Exposure(12_000), 16, 7.0, 11.6)
@@ -173,3 +176,48 @@ def test_recordings_of_a_calibration_belong_to_no_object() -> None:
     assert [effect.object for effect in effects if isinstance(effect, do.Arm)] == [None]
     _, effects = scanning.arm(replace(aim(), choices=chosen))
     assert [effect.object for effect in effects if isinstance(effect, do.Arm)] == [3]
+
+
+# -------------------------------------------------------------------------------- scans for a desk
+
+
+def transferring() -> Machine:
+    machine = press(at(offered(), Row.TRANSFER), Key.SCAN)
+    return press(machine, Key.SCAN, Key.UP, Key.SCAN)
+
+
+def test_the_transfer_is_off_until_it_is_switched_on_and_that_is_taken() -> None:
+    machine = press(at(offered(), Row.TRANSFER), Key.SCAN)
+    assert value_of(Row.TRANSFER, machine, None) is Text.OFF
+    looked_at = press(machine, Key.SCAN, Key.UP, Key.BACK)
+    assert not looked_at.choices.transfer
+    taken, effects = after(machine, *(on.KeyPressed(key) for key in (Key.SCAN, Key.UP, Key.SCAN)))
+    assert effects.count(do.SwitchTransfer(to_on=True)) == 1
+    assert value_of(Row.TRANSFER_SWITCH, taken, None) is Text.STARTING
+    off, effects = after(taken, *(on.KeyPressed(key) for key in (Key.SCAN, Key.DOWN, Key.SCAN)))
+    assert do.SwitchTransfer(to_on=False) in effects
+    assert value_of(Row.TRANSFER_SWITCH, off, None) is Text.OFF
+
+
+def test_the_diver_reads_where_it_is_served_and_for_how_many_keys() -> None:
+    def said(told: Transfer) -> tuple[object, ...]:
+        machine = run(transferring(), on.TransferTold(told))
+        return tuple(value_of(row, machine, None) for row in (Row.TRANSFER_SWITCH, Row.ADDRESS, Row.KEYS))
+
+    assert said(Transfer(Serving.ON, "169.254.3.4", 2)) == (Text.ON, "169.254.3.4", "2")
+    assert said(Transfer(Serving.ON, None, 0)) == (Text.ON, Text.NO_NETWORK, Text.PLUG_STICK_IN)
+    assert said(Transfer(Serving.ON, None, None)) == (Text.ON, Text.NO_NETWORK, "")
+    assert said(Transfer(Serving.FAILED)) == (Text.TRANSFER_FAILED, "", "")
+
+
+def test_what_was_told_of_the_transfer_is_gone_when_it_is_off() -> None:
+    machine = run(transferring(), on.TransferTold(SERVED))
+    off = press(machine, Key.SCAN, Key.DOWN, Key.SCAN)
+    late = run(off, on.TransferTold(SERVED))
+    assert (off.transfer, late.transfer) == (NOT_TOLD, NOT_TOLD)
+
+
+def test_address_and_keys_are_read_and_not_opened() -> None:
+    machine = press(transferring(), Key.DOWN)
+    assert labels(machine) == {Key.BACK: "BACK", Key.UP: "▲", Key.DOWN: "▼"}
+    assert press(machine, Key.SCAN) == machine

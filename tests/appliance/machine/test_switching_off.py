@@ -132,11 +132,11 @@ def test_without_an_answer_it_stays_on() -> None:
 
 
 def test_the_question_of_the_menu_is_the_same_one_and_leads_back_to_its_row() -> None:
-    machine = in_menu(*(Key.DOWN,) * 8, Key.SCAN)
+    machine = in_menu(*(Key.DOWN,) * 9, Key.SCAN)
     assert machine.off_question is not None
     assert labels(machine) == labels(asked(aim()))
     back = run(machine, on.KeyPressed(Key.SCAN))
-    assert (back.state, back.menu, back.off_question) == (State.MENU, in_menu(*(Key.DOWN,) * 8).menu, None)
+    assert (back.state, back.menu, back.off_question) == (State.MENU, in_menu(*(Key.DOWN,) * 9).menu, None)
     assert run(machine, *HOLD_BACK).state is State.MENU
 
 

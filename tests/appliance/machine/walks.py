@@ -13,6 +13,7 @@ from appliance.machine import events as on
 from appliance.machine.failure import Failure, FailureKind
 from appliance.machine.states import Device, Machine, Part, State, boot
 from appliance.machine.step import step
+from appliance.machine.transfer import NOT_TOLD, Serving, Transfer
 from appliance.ranging.reach import Range
 from appliance.reconstruct.quality import CloudSummary
 from appliance.scan.exposure import Exposure
@@ -22,6 +23,7 @@ from drivers.api import Key, LaserState, Telemetry
 from tests.support.typed import built
 
 SECOND_NS = 1_000_000_000
+SERVED = Transfer(Serving.ON, "192.168.1.7", 2)
 SUMMARY = CloudSummary(1000, coverage_percent=70.0, distance_mm=500.0, noise_mm=0.03, gap_mm=0.02)
 HOT = Fault(FaultCode.HOT, "case 61 °C, limit 60 °C", {"temperature_c": 61.0}, "case")
 MISSING = Fault(FaultCode.FRAME_MISSING, "left frame 9", {"received": 23, "expected": 24})
@@ -253,6 +255,7 @@ EVENTS: st.SearchStrategy[on.Event] = st.one_of(
     built(on.Told, built(Fault, st.sampled_from([FaultCode.RESTARTED, FaultCode.SCAN_RECOVERED]))),
     built(on.StorageCounted, _numbers, st.none(), st.sampled_from([None, 0, 5])),
     built(on.ObjectsCounted, st.sampled_from([0, 7])),
+    built(on.TransferTold, st.sampled_from([NOT_TOLD, SERVED])),
     built(on.BootFinished),
     built(on.PartTested, st.sampled_from(list(Part)), st.booleans()),
     built(on.PartBusy, st.sampled_from(list(Part))),
@@ -306,6 +309,7 @@ EVERY_EVENT: list[on.Event] = [
     *(on.OverlapTold(number, overlap) for number in (0, 1) for overlap in (UNKNOWN, NO_OVERLAP, Overlap(0.62))),
     on.ObjectsCounted(0),
     on.ObjectsCounted(7),
+    on.TransferTold(SERVED),
     on.BootFinished(),
     *(on.PartTested(part, passed) for part in Part for passed in (True, False)),
     *(on.PartBusy(part) for part in Part),
@@ -352,8 +356,9 @@ STARTS: tuple[Callable[[], Machine], ...] = (
     lambda: run(
         aim(), on.ObjectsCounted(2), *(on.KeyPressed(key) for key in (Key.UP, *(Key.DOWN,) * 4, Key.SCAN, Key.UP))
     ),
-    lambda: in_menu(*(Key.DOWN,) * 8, Key.SCAN),
-    lambda: in_menu(*(Key.DOWN,) * 8, Key.SCAN, Key.DOWN),
+    lambda: run(in_menu(*(Key.DOWN,) * 6, Key.SCAN, Key.SCAN, Key.UP, Key.SCAN), on.TransferTold(SERVED)),
+    lambda: in_menu(*(Key.DOWN,) * 9, Key.SCAN),
+    lambda: in_menu(*(Key.DOWN,) * 9, Key.SCAN, Key.DOWN),
     lambda: asked(aim()),
     lambda: about_to_switch_off(aim()),
     lambda: about_to_switch_off(boot(0)),

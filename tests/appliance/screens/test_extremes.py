@@ -13,6 +13,7 @@ from appliance.machine.alerts import Alert, alert_of, alerts
 from appliance.machine.choices import COLDEST_C, WARMEST_C
 from appliance.machine.menu import ROWS
 from appliance.machine.states import Menu, Notice, NoticeKind, Page, boot
+from appliance.machine.transfer import Serving, Transfer
 from appliance.machine.words import Language, Text
 from appliance.ranging.reach import Reach
 from appliance.scan.exposure import Exposure, Span, ladder
@@ -118,6 +119,14 @@ def test_the_largest_and_the_smallest_numbers_fit(painter: Painter, name: str, l
     assert not complaints(painter.canvas, view, lines, may_be_cut=False)
 
 
+TRANSFERS = (
+    Transfer(Serving.ON, f"2001:db8:{'1' * 4}::{'2' * 4}:{'3' * 4}", 32),
+    Transfer(Serving.FAILED, None, None),
+    Transfer(Serving.ON, None, 0),
+    Transfer(Serving.ON, "fe80::211:22ff:fe33:4455", 0),
+)
+
+
 @pytest.mark.parametrize("language", list(Language))
 @pytest.mark.parametrize("page", list(Page))
 def test_every_row_of_every_page_of_the_menu_fits_with_every_value(
@@ -133,11 +142,16 @@ def test_every_row_of_every_page_of_the_menu_fits_with_every_value(
             salinity, celsius = waters[k % len(waters)]
             choices = replace(
                 start.choices, exposure=exposures[k % len(exposures)], salinity_psu=salinity, water_c=celsius,
-                period_px=(16, 32, 64, 128)[k % 4], language=("en", "de")[k % 2],
+                period_px=(16, 32, 64, 128)[k % 4], language=("en", "de")[k % 2], transfer=k % 3 > 0,
             )  # fmt: skip
             for draft in (None, choices):
                 machine = replace(
-                    start, choices=choices, menu=Menu(page, row, draft), scans=98_765, scans_left=(98_765, None)[k % 2]
+                    start,
+                    choices=choices,
+                    menu=Menu(page, row, draft),
+                    scans=98_765,
+                    scans_left=(98_765, None)[k % 2],
+                    transfer=TRANSFERS[k % len(TRANSFERS)],
                 )
                 view = menu_view(machine, facts[k % 2])
                 _, lines = written(painter, view)

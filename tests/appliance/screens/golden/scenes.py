@@ -107,6 +107,7 @@ MAIN_ROWS = (
     MenuRow(Text.CALIBRATE),
     MenuRow(Text.OBJECT, "3"),
     MenuRow(Text.GALLERY),
+    MenuRow(Text.TRANSFER, Text.OFF),
     MenuRow(Text.LANGUAGE, Text.ENGLISH),
     MenuRow(Text.ABOUT),
     MenuRow(Text.POWER_OFF),
@@ -247,6 +248,16 @@ SCENES: Mapping[str, Scene] = MappingProxyType(
                 selected=3, alerts=(LOST, WARM), keys=_MENU_KEYS,
             ),
             "With an alert the rows stand closer, and a long page goes on above and below.",
+        ),
+        "menu-transfer": Scene(
+            MenuView(
+                title=Text.TRANSFER, selected=0, keys=keys(scan=Text.CHANGE, back=Text.BACK, down=Text.ARROW_DOWN),
+                rows=(
+                    MenuRow(Text.TRANSFER, Text.ON), MenuRow(Text.ADDRESS, "169.254.113.27"),
+                    MenuRow(Text.TRANSFER_KEYS, Text.PLUG_STICK_IN),
+                ),
+            ),
+            "Scans may be taken to a desk; nobody has a key yet.",
         ),
         "menu-about": Scene(
             MenuView(

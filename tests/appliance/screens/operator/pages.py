@@ -170,7 +170,8 @@ def index() -> str:
 | key map | [keys](keys.en.md) | [Tasten](keys.de.md) |
 | alarm list | [alarms](alarms.en.md) | [Alarme](alarms.de.md) |
 | all screens | [screens](../screens.md) | |
+| taking scans to a desk | [transfer](transfer.en.md) | [Übertragung](transfer.de.md) |
 
-All of it is made from the instrument's own tables by `{COMMAND}`; a test notices when it no longer says what the
+All of it but the last is made from the instrument's own tables by `{COMMAND}`; a test notices when it no longer says what the
 instrument does. The card is 148 × 210 mm at 300 px per inch.
 """

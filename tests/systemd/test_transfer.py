@@ -1,0 +1,159 @@
+"""Keys and sticks of the transfer, and that its units and its server's settings are what the documents promise."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from kingfisher_transfer import addresses, keys, stick
+from kingfisher_transfer.keys import KeysError
+
+SYSTEMD = Path(__file__).parents[2] / "systemd"
+needs_keygen = pytest.mark.skipif(shutil.which("ssh-keygen") is None, reason="openssh-client is not installed")
+ED25519 = "ssh-ed25519 AAAAC3NzaC1lZDI1NTE5AAAAIOMqqnkVzrm0SdG6UOoqKLsabgH5C9okWi0dh2l9GKJl anna@desk"
+OTHER = "ssh-ed25519 AAAAC3NzaC1lZDI1NTE5AAAAIJPnXHpGi7uRB2Qm0dNPRPhzZQAHZwAUGLbBlMDWDTsg bert@desk"
+FINGERPRINTS = ("SHA256:FqIYYW6jEc5NVy6vNYaUdNF4sUHBXnBIaRcVrDh2f8k", "")
+
+
+@needs_keygen
+def test_keys_are_enrolled_once_listed_and_forgotten(tmp_path: Path) -> None:
+    path = tmp_path / "authorized_keys"
+    assert keys.enrolled(path) == []
+    data = f"# of the office\n\n{ED25519}\r\n{OTHER}\n{OTHER}\n".encode()
+    assert [key.comment for key in keys.enrol(path, data)] == ["anna@desk", "bert@desk"]
+    assert keys.enrol(path, data) == []
+    assert path.read_text() == f"{ED25519}\n{OTHER}\n"
+    assert path.stat().st_mode & 0o777 == 0o644, "sshd reads it as the user who comes in"
+    first = keys.enrolled(path)[0]
+    assert re.fullmatch(r"SHA256:[A-Za-z0-9+/]{43}", first.fingerprint)
+    assert keys.forget(path, {first.fingerprint}) == [first]
+    assert path.read_text() == f"{OTHER}\n"
+
+
+@needs_keygen
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (b"-----BEGIN OPENSSH PRIVATE KEY-----\n", "line 1: a private key; never give it away"),
+        (f'command="sh" {ED25519}'.encode(), "line 1: no public key"),
+        (f"{ED25519}\nssh-dss {ED25519.split()[1]} x\n".encode(), "line 2: no public key"),
+        (b"ssh-ed25519 " + b"A" * 68 + b" x\n", "ssh-keygen takes it for no key"),
+        (ED25519.replace("IOMqq", "IO").encode(), "ssh-keygen takes it for no key"),
+        (b"ssh-ed25519 short x", "no public key"),
+        (b"\x00\xff" * 400, "no public key"),
+        (b"#" * (keys.MOST_BYTES + 1), "at most"),
+    ],
+)
+def test_one_bad_line_and_no_key_of_the_file_is_enrolled(tmp_path: Path, data: bytes, said: str) -> None:
+    path = tmp_path / "authorized_keys"
+    keys.enrol(path, OTHER.encode())
+    with pytest.raises(KeysError, match=re.escape(said)):
+        keys.enrol(path, data)
+    assert path.read_text() == f"{OTHER}\n"
+
+
+@needs_keygen
+def test_a_short_rsa_key_is_refused(tmp_path: Path) -> None:
+    for bits, fine in ((2048, False), (3072, True)):
+        made = tmp_path / f"rsa{bits}"
+        subprocess.run(["ssh-keygen", "-q", "-t", "rsa", "-b", str(bits), "-N", "", "-f", made], check=True, timeout=60)
+        data = made.with_suffix(".pub").read_bytes()
+        if fine:
+            assert len(keys.parsed(data)) == 1
+        else:
+            with pytest.raises(KeysError, match="at least 3072"):
+                keys.parsed(data)
+
+
+@needs_keygen
+def test_what_stands_in_a_comment_never_becomes_a_line_of_its_own(tmp_path: Path) -> None:
+    path = tmp_path / "authorized_keys"
+    keys.enrol(path, f'{ED25519} \x1b[2J "quoted" é'.encode())
+    assert path.read_text() == f"{ED25519}-2J-quoted\n"
+
+
+@needs_keygen
+def test_a_stick_enrols_and_forgets(tmp_path: Path) -> None:
+    plugged, path = tmp_path / "stick", tmp_path / "authorized_keys"
+    plugged.mkdir()
+    assert stick.of_folder(plugged, path) == ""
+    (plugged / "kingfisher-keys.pub").write_text(f"{ED25519}\n{OTHER}\n")
+    assert stick.of_folder(plugged, path).startswith("2 keys enrolled, SHA256:")
+    assert stick.of_folder(plugged, path) == "all its keys are enrolled already"
+    (plugged / "kingfisher-keys.pub").rename(plugged / "kingfisher-forget.pub")
+    assert stick.of_folder(plugged, path).startswith("2 keys forgotten")
+    assert path.read_text() == ""
+
+
+@needs_keygen
+def test_a_stick_makes_nobody_read_the_instruments_own_files(tmp_path: Path) -> None:
+    plugged, secret = tmp_path / "stick", tmp_path / "secret"
+    plugged.mkdir()
+    secret.write_text(ED25519)
+    for make in (
+        lambda at: at.symlink_to(secret),
+        lambda at: os.mkfifo(at),
+        lambda at: at.mkdir(),
+    ):
+        path = plugged / "kingfisher-keys.pub"
+        make(path)
+        with pytest.raises(KeysError):
+            stick.of_folder(plugged, tmp_path / "authorized_keys")
+        path.rmdir() if path.is_dir() else path.unlink()
+    assert not (tmp_path / "authorized_keys").exists()
+
+
+def test_addresses_of_the_link_alone_come_last() -> None:
+    told = (
+        "fe80000000000000021122fffe334455 02 40 20 80     eth0\n"
+        "20010db8000000000000000000000007 02 40 00 00     eth0\n"
+        "00000000000000000000000000000001 01 80 10 80       lo\n"
+    )
+    assert addresses.of_inet6(told) == ["2001:db8::7", "fe80::211:22ff:fe33:4455"]
+
+
+# ---------------------------------------------------------------------------------- units and settings
+
+
+def test_nothing_of_it_runs_before_the_note_is_there() -> None:
+    for name in ("kingfisher-transfer.service", "kingfisher-keys@.service"):
+        unit = (SYSTEMD / name).read_text()
+        assert "\nConditionPathExists=/run/kingfisher/transfer-on\n" in unit
+        assert "[Install]" not in unit
+    # The folder of the note is in memory: it is gone with the power.
+    assert "RuntimeDirectory=kingfisher\n" in (SYSTEMD / "kingfisher.service").read_text()
+
+
+def test_it_gets_what_nobody_else_wants() -> None:
+    lines = (SYSTEMD / "kingfisher-transfer.service").read_text().splitlines()
+    assert {"Nice=19", "CPUWeight=idle", "IOSchedulingClass=idle", "IOWeight=1"} <= set(lines)
+
+
+def test_the_user_who_comes_in_reads_and_owns_nothing() -> None:
+    users = (SYSTEMD / "kingfisher.sysusers").read_text()
+    settings = (SYSTEMD / "kingfisher-sshd.conf").read_text()
+    (user,) = re.findall(r"^AllowUsers (\S+)$", settings, re.MULTILINE)
+    assert f"\nm {user} kingfisher\n" in users
+    # What the appliance writes its group may read and not write.
+    assert "\nUMask=0027\n" in (SYSTEMD / "kingfisher.service").read_text()
+
+
+def test_paths_of_units_settings_and_program_are_the_same() -> None:
+    from appliance.offline.pull.ssh import PORT, SERVED, USER
+    from kingfisher_transfer.serving import Places
+
+    places = Places()
+    settings = (SYSTEMD / "kingfisher-sshd.conf").read_text()
+    unit = (SYSTEMD / "kingfisher-transfer.service").read_text()
+    assert f"\nHostKey {places.host_key}\n" in settings
+    assert f"\nAuthorizedKeysFile {places.authorized}\n" in settings
+    assert f"\nPort {PORT}\n" in settings
+    assert f"\nAllowUsers {USER}\n" in settings
+    (root,) = re.findall(r"^ChrootDirectory (\S+)$", settings, re.MULTILINE)
+    assert f"\nBindReadOnlyPaths=/var/lib/kingfisher:{root}/{SERVED}\n" in unit
+    assert places.config == SYSTEMD / "kingfisher-sshd.conf"
