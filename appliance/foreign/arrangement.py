@@ -1,5 +1,6 @@
 """Owns the test of which camera is which: left and right exchanged, or R and T written the other way round.
 
+Of a camera and a projector also: where the code begins on it.
 Points are made of every so many pixels, as described and otherwise. With two directions, rays of true pairs meet only as the cameras
 really stand. With one direction they meet whatever is said, and only where they meet, before the cameras or nowhere, tells
 anything: cameras that look towards each other find a mirrored world as well, which nothing here can tell from the true one.
@@ -8,12 +9,14 @@ anything: cameras that look towards each other find a mirrored world as well, wh
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from itertools import product
+from typing import Any
 
 import numpy as np
 
 from appliance.foreign.assumptions import ExaminedAssumption, Outcome
-from appliance.foreign.camera import DecodedCamera
+from appliance.foreign.camera import DecodedCamera, placed_again
 from appliance.foreign.cameras import ForeignRig, inverted
 from appliance.foreign.decode import PlacedAxis
 from appliance.foreign.description import Description
@@ -22,7 +25,7 @@ from appliance.foreign.points import find_points
 from appliance.foreign.problem import ForeignError
 from appliance.optics.model import HousedCamera, StereoRig
 
-COARSE_WIDTH_PX = 320
+COARSE_WIDTH_PX = 160
 GOOD, POOR = 0.4, 0.25
 """Share of the left pixels with coordinates that have a point: an arrangement with so many is right, one with fewer is doubtful."""
 CLEARLY = 2.0
@@ -34,6 +37,7 @@ NAME = "arrangement of the cameras"
 class _Tried:
     share: float
     text: str
+    instead: Mapping[str, Any] = field(default_factory=dict)
 
 
 def examine_arrangement(
@@ -54,11 +58,15 @@ def examine_arrangement(
     if right is not None and left.grey.shape == right.grey.shape:
         text = "left and right are exchanged: name the images of one for the other"
         others.append(_Tried(_share(description, coarse_rig, right, left), text))
+    for text, other in _centred(description) if right is None else []:
+        placed = _coarse(rig, {"left": placed_again(cameras["left"], other)})[1]["left"]
+        instead = {f"{axis.name}.code_offset_px": axis.code_offset_px for axis in other.axes}
+        others.append(_Tried(_share(other, coarse_rig, placed, None), text, instead))
     best = max(others, key=lambda one: one.share)
     if best.share > max(CLEARLY * here, POOR):
         return ExaminedAssumption(
             NAME, Outcome.WRONG,
-            f"{100 * here:.0f} % of the left pixels have a point, and {100 * best.share:.0f} % if {best.text}",
+            f"{100 * here:.0f} % of the left pixels have a point, and {100 * best.share:.0f} % if {best.text}", best.instead,
         )  # fmt: skip
     if here < POOR:
         return ExaminedAssumption(
@@ -77,6 +85,27 @@ def examine_arrangement(
         NAME, Outcome.FITS,
         f"{100 * here:.0f} % of the left pixels have a point; {100 * best.share:.0f} % if {best.text.partition(':')[0]}",
     )  # fmt: skip
+
+
+def _centred(description: Description) -> list[tuple[str, Description]]:
+    """Return the description with codes that begin elsewhere: of 2ⁿ stripes on a projector of fewer px, programs use the first ones or
+    those in the middle."""
+    found = []
+    choices = []
+    for axis in description.axes:
+        beyond_px = axis.stripe_px * 2**axis.bits - axis.size_px if axis.bits else 0.0
+        choices.append(
+            [axis.code_offset_px] + ([0.0 if axis.code_offset_px else -0.5 * beyond_px] if beyond_px > 0.0 else [])
+        )
+    for offsets in list(product(*choices))[1:]:
+        other = description
+        said = []
+        for axis, offset_px in zip(description.axes, offsets, strict=True):
+            other = other.with_axis(replace(axis, code_offset_px=offset_px))
+            if offset_px != axis.code_offset_px:
+                said.append(f"{axis.name}.code_offset_px = {offset_px:g}")
+        found.append((" and ".join(said), other))
+    return found
 
 
 def _share(description: Description, rig: ForeignRig, left: DecodedCamera, right: DecodedCamera | None) -> float:

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.foreign.camera import DecodedCamera
-from appliance.foreign.code import stripe_numbers
+from appliance.foreign.code import LEAST_BITS, CodeBits, numbered_stripes, stripe_numbers
 from appliance.foreign.decode import Measured, by_periods, chance_misfit
 from appliance.foreign.description import AxisConvention
 from appliance.foreign.order import Shows
@@ -28,6 +28,8 @@ from appliance.foreign.phase import Floats
 
 SAMPLES = 400_000
 """Number of pixels that are asked, in whole lines along the direction."""
+LEAST_RUN_PX = 3.0
+"""Least mean distance of the borders of an image of the code, for its order to be told by neighbouring pixels."""
 LEAST_CHANGES = 200
 """Number of borders between stripes from which on something is concluded."""
 CLEARLY_BETTER, GOOD_CODE = 0.25, 0.6
@@ -77,6 +79,7 @@ def examine_axis(camera: DecodedCamera, axis: AxisConvention) -> list[ExaminedAs
     if found.bits is None:
         return [*said, _periods(found, axis), *_across(camera, axis)]
     lines = _Lines.of(found, axis)
+    said += _resolution(found.bits, axis)
     code = _code(lines, axis)
     said.append(code)
     if found.fits and code.outcome is not Outcome.WRONG:
@@ -110,6 +113,7 @@ class _Lines:
 
     bits: NDArray[np.bool_]
     """(bits, n, length)."""
+    left_out: tuple[int, int]
     turns: Floats | None
     usable: NDArray[np.bool_]
 
@@ -123,19 +127,46 @@ class _Lines:
             return np.ascontiguousarray(along[..., step // 2 :: step, :])
 
         turns = lines(found.fits[axis.finest].turns) if found.fits else None
-        return cls(lines(found.bits.bits), turns, lines(~(found.weak | found.saturated)))
+        return cls(lines(found.bits.bits), found.bits.left_out, turns, lines(~(found.weak | found.saturated)))
 
 
-def _continuity(lines: _Lines, axis: AxisConvention) -> tuple[float, int]:
+def _resolution(code: CodeBits, axis: AxisConvention) -> list[ExaminedAssumption]:
+    """Say how many images of the code the camera cannot resolve, and what its finest stripes are."""
+    count = sum(code.left_out)
+    if not count:
+        return []
+    _, stripe_px = numbered_stripes(code.bits[:, :1, :1], code.left_out, replace(axis, periods_px=()))
+    return [
+        ExaminedAssumption(
+            f"resolution of {axis.name}", Outcome.NOT_JUDGED,
+            f"{count} of {axis.bits} images of the code have stripes that the camera cannot tell apart, and are left out: stripes of "
+            f"{stripe_px:g} px are used",
+        )
+    ]  # fmt: skip
+
+
+def _wide_enough(lines: _Lines) -> NDArray[np.bool_]:
+    """Return the bits without the images at either end whose stripes are hardly wider than a pixel: numbers leap at their borders."""
+    both = lines.usable[:, 1:] & lines.usable[:, :-1]
+    pixels = np.count_nonzero(both)
+    wide = [bool(LEAST_RUN_PX * np.count_nonzero((bit[:, 1:] != bit[:, :-1]) & both) <= pixels) for bit in lines.bits]
+    if sum(wide) < LEAST_BITS:
+        return lines.bits
+    first, last = wide.index(True), wide[::-1].index(True)
+    return lines.bits[first : len(wide) - last]
+
+
+def _continuity(lines: _Lines, bits: NDArray[np.bool_], axis: AxisConvention) -> tuple[float, int]:
     """Return the share of the borders at which the number changes by one, and how many borders there are."""
-    step = np.diff(stripe_numbers(lines.bits, axis), axis=1)[lines.usable[:, 1:] & lines.usable[:, :-1]]
+    step = np.diff(stripe_numbers(bits, axis), axis=1)[lines.usable[:, 1:] & lines.usable[:, :-1]]
     changes = np.abs(step[step != 0])
     return (float(np.mean(changes == 1)) if changes.size else 0.0), int(changes.size)
 
 
 def _code(lines: _Lines, axis: AxisConvention) -> ExaminedAssumption:
     about = f"code of {axis.name}"
-    share, changes = _continuity(lines, axis)
+    bits = _wide_enough(lines)
+    share, changes = _continuity(lines, bits, axis)
     if changes < LEAST_CHANGES or axis.bits < 3:
         return ExaminedAssumption(
             about, Outcome.NOT_JUDGED, f"{changes} borders of stripes are seen; {LEAST_CHANGES} are needed"
@@ -153,7 +184,7 @@ def _code(lines: _Lines, axis: AxisConvention) -> ExaminedAssumption:
     best, best_share = axis, share
     for flags in product((False, True), repeat=3):
         other = replace(axis, fine_first=flags[0], inverted=flags[1], plain_binary=flags[2])
-        its_share, its_changes = _continuity(lines, other)
+        its_share, its_changes = _continuity(lines, bits, other)
         # Of several that fit alike, the one nearest to what was said.
         if its_share > best_share + CLEARLY_BETTER and its_changes >= LEAST_CHANGES // 4:
             best, best_share = other, its_share
@@ -182,9 +213,9 @@ def _code(lines: _Lines, axis: AxisConvention) -> ExaminedAssumption:
 
 def _phase_against_code(lines: _Lines, axis: AxisConvention) -> list[ExaminedAssumption]:
     assert lines.turns is not None
-    period, stripe = axis.period_px, axis.stripe_px
-    about = f"sign of {axis.name}"
-    number = stripe_numbers(lines.bits, axis).astype(np.float32)
+    period, about = axis.period_px, f"sign of {axis.name}"
+    whole, stripe = numbered_stripes(lines.bits, lines.left_out, axis)
+    number = whole.astype(np.float32)
     usable = lines.usable
     both = usable[:, 1:] & usable[:, :-1]
     changes = np.count_nonzero((np.diff(number, axis=1) != 0) & both)

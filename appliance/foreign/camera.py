@@ -95,7 +95,8 @@ def clean(placed: PlacedAxis) -> CleanAxis:
     kept = np.where(edge, np.float32(np.nan), coordinate)
     modulation = np.maximum(placed.modulation, np.float32(1e-3))
     usual = float(np.median(modulation[np.isfinite(kept)])) if np.isfinite(kept).any() else 1.0
-    return CleanAxis(kept, np.asarray(typical_px * usual / modulation, np.float32), step_px)
+    sigma_px = np.hypot(np.float32(typical_px * usual) / modulation, np.float32(placed.drawn_px))
+    return CleanAxis(kept, np.asarray(sigma_px, np.float32), step_px)
 
 
 def _noise(coordinate: Floats) -> float:

@@ -6,10 +6,8 @@ frame in that of the left one. Lengths become mm by ``cameras.unit``.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -18,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from appliance.calibration import file as calibration_file
+from appliance.foreign.camera_files import numbers_from_files
 from appliance.foreign.description import Description, Medium, Ports, as_plain
 from appliance.foreign.problem import ForeignError, Table
 from appliance.optics.model import HousedCamera, StereoRig
@@ -33,25 +32,11 @@ NO_PORT = Port((0.0, 0.0, 1.0), 0.0, 0.0, 1.0)
 MOST_FIT_PX = 0.1
 """Largest error in px with which a lens model of more than five values is replaced by one of five."""
 GRID = 25
-NAMES: Mapping[str, tuple[str, ...]] = {
-    "left_matrix": ("m1", "k1", "kl", "ml", "cameramatrix1", "cameramatrixl", "cameramatrixleft", "leftcameramatrix", "intrinsic1",
-                    "intrinsicleft", "leftintrinsic", "leftk", "kleft", "camk", "camerak", "cammatrix", "caml", "mtx1", "mtxl", "cameraint"),
-    "right_matrix": ("m2", "k2", "kr", "mr", "cameramatrix2", "cameramatrixr", "cameramatrixright", "rightcameramatrix", "intrinsic2",
-                     "intrinsicright", "rightintrinsic", "rightk", "kright", "projk", "projectork", "projmatrix", "camr", "mtx2", "mtxr",
-                     "projint"),
-    "left_distortion": ("d1", "dl", "distcoeffs1", "distcoeffsl", "distcoeffsleft", "leftdistcoeffs", "distortion1", "distortionleft",
-                        "leftdistortion", "leftd", "dleft", "distortioncoefficients1", "leftdistortioncoefficients", "camkc", "camerad",
-                        "dist1", "distl", "distcoeff1", "distcoeffs", "camd", "camdist"),
-    "right_distortion": ("d2", "dr", "distcoeffs2", "distcoeffsr", "distcoeffsright", "rightdistcoeffs", "distortion2", "distortionright",
-                         "rightdistortion", "rightd", "dright", "distortioncoefficients2", "rightdistortioncoefficients", "projkc",
-                         "projectord", "dist2", "distr", "distcoeff2", "projd", "projdist"),
-    "rotation": ("r", "rotation", "rotationmatrix", "rlr", "stereor", "rstereo", "r12"),
-    "translation": ("t", "translation", "translationvector", "tlr", "stereot", "tstereo", "t12", "tvec"),
-}  # fmt: skip
-"""Names under which programs write the same thing, without what is neither letter nor digit."""
-ONE_CAMERA = {"matrix": ("cameramatrix", "k", "m", "intrinsic", "intrinsicmatrix", "mtx"), "distortion": (
-    "distortioncoefficients", "distcoeffs", "d", "distortion", "dist", "distcoeff")}  # fmt: skip
-"""The same in a file of one camera alone."""
+MOST = 1e9
+"""Numbers of cameras are smaller than this."""
+MOST_BESIDE = 2.5
+"""Largest distance of a principal point beside its image, in sizes of it: projectors shift theirs by half a picture, and a cropped image
+may lie where it likes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +58,7 @@ def read_rig(description: Description, sizes_px: Mapping[str, tuple[int, int]]) 
         return _our_own(description, table, sizes_px)
     table.only("files", "names", "unit", "left", "right", "rotation", "translation")
     unit_mm = UNITS_MM[table.choice("unit", tuple(UNITS_MM), "mm")]
-    found = _from_files(description, table) if "files" in table.content else _from_tables(table)
+    found = numbers_from_files(description.folder, table) if "files" in table.content else _from_tables(table)
     index, in_air = index_of(description.medium)
     matrices = {side: _matrix(found, f"{side}_matrix", 3, 3) for side in ("left", "right")}
     R, T = _matrix(found, "rotation", 3, 3), unit_mm * np.ravel(_any(found, "translation", 3))
@@ -117,7 +102,7 @@ def lens_of(matrix: Array, distortion: Array, size_px: tuple[int, int], side: st
             f"cameras: {side} matrix {matrix.round(3).tolist()} has no two focal lengths, or a skew; name another one"
         )
     width_px, height_px = size_px
-    if not (-0.5 * width_px < c_px[0] < 1.5 * width_px and -0.5 * height_px < c_px[1] < 1.5 * height_px):
+    if not all(-MOST_BESIDE * size < c < (1.0 + MOST_BESIDE) * size for c, size in zip(c_px, size_px, strict=True)):
         raise ForeignError(
             f"cameras: the {side} principal point {c_px[0]:.0f}, {c_px[1]:.0f} lies far outside of images of {width_px} x {height_px} px; "
             "the calibration is of other images, or left and right are exchanged"
@@ -205,117 +190,14 @@ def _from_tables(table: Table) -> dict[str, Any]:
     return found
 
 
-def _from_files(description: Description, table: Table) -> dict[str, Any]:
-    value = table.content["files"]
-    names = [value] if isinstance(value, str) else value
-    if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
-        raise table.wrong("files", "the name of a file, or a list of names", "correct it")
-    aliases = table.table("names") or Table("cameras.names.", {})
-    aliases.only(*NAMES)
-    found: dict[str, Any] = {}
-    seen: dict[str, list[str]] = {}
-    for name in names:
-        path = description.folder / name
-        values = numbers_in(path)
-        seen[name] = list(values)
-        plain = {re.sub(r"[^a-z0-9]", "", key.lower()): key for key in values}
-        for wanted, spelled in NAMES.items():
-            if wanted in aliases.content:
-                if aliases.text(wanted) in values:
-                    found[wanted] = values[aliases.text(wanted)]
-                continue
-            hit = next((plain[one] for one in spelled if one in plain), None)
-            if hit is not None:
-                found.setdefault(wanted, values[hit])
-        _one_camera(path, values, plain, found)
-    missing = [name for name in NAMES if name not in found and not name.endswith("distortion")]
-    if missing:
-        there = "; ".join(f"{name}: {', '.join(keys[:20]) or 'no matrices'}" for name, keys in seen.items())
-        raise ForeignError(
-            f"cameras.files have no {', '.join(missing)} under a name that is known ({there}); say which is which under [cameras.names], "
-            f'for example {missing[0]} = "NAME"'
-        )
-    for side in ("left", "right"):
-        found.setdefault(f"{side}_distortion", [])
-    return found
-
-
-def _one_camera(path: Path, values: Mapping[str, Any], plain: Mapping[str, str], found: dict[str, Any]) -> None:
-    """Add what a file of one camera says; its name says which camera it is, or the order of the files does."""
-    for kind, spelled in ONE_CAMERA.items():
-        hit = next((plain[one] for one in spelled if one in plain), None)
-        if hit is None or any(values[hit] is one for one in found.values()):
-            continue
-        stem = path.stem.lower()
-        sides = [side for side, words in (("left", ("left", "_l", "cam0")), ("right", ("right", "_r", "cam1", "proj")))
-                 if any(word in stem for word in words)]  # fmt: skip
-        order = sides or [side for side in ("left", "right") if f"{side}_{kind}" not in found]
-        if order:
-            found.setdefault(f"{order[0]}_{kind}", values[hit])
-
-
-def numbers_in(path: Path) -> dict[str, Any]:
-    """Return the matrices and vectors of a file by name: OpenCV's YAML, XML or JSON, or NumPy's .npz. Raises ForeignError."""
-    if not path.is_file():
-        raise ForeignError(f"cameras.files: there is no file {path}; correct the name")
-    if path.suffix.lower() == ".npz":
-        try:
-            with np.load(path, allow_pickle=False) as content:
-                return {
-                    name: np.asarray(content[name], np.float64)
-                    for name in content.files
-                    if content[name].dtype.kind in "fiu"
-                }
-        except (OSError, ValueError, TypeError) as error:
-            raise ForeignError(f"{path}: not readable as .npz ({error}); give OpenCV's YAML") from error
-    try:
-        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
-        opened = storage.isOpened()
-    except (cv2.error, SystemError) as error:
-        raise ForeignError(
-            f"{path}: not readable as OpenCV's YAML, XML or JSON ({str(error).strip()[-120:]}); correct it"
-        ) from error
-    if not opened:
-        raise ForeignError(
-            f"{path}: not readable as OpenCV's YAML, XML or JSON; YAML must begin with %YAML:1.0; or give the matrices in the description"
-        )
-    found: dict[str, Any] = {}
-    try:
-        _collect(storage.root(), found, "")
-    finally:
-        storage.release()
-    return found
-
-
-def _collect(node: Any, found: dict[str, Any], before: str) -> None:
-    for key in node.keys():  # noqa: SIM118 (no dictionary)
-        child = node.getNode(key)
-        name = f"{before}{key}"
-        if child.isMap():
-            try:
-                matrix = child.mat()
-            except cv2.error:
-                matrix = None
-            if matrix is not None:
-                found[name] = np.asarray(matrix, np.float64)
-            else:
-                _collect(child, found, f"{name}.")
-        elif (
-            child.isSeq()
-            and child.size()
-            and all(child.at(k).isReal() or child.at(k).isInt() for k in range(child.size()))
-        ):
-            found[name] = np.array([child.at(k).real() for k in range(child.size())])
-
-
 def _any(found: Mapping[str, Any], name: str, size: int | None) -> Array:
     """Return numbers of any shape. Raises ForeignError for something else, or another number of them than ``size``."""
     key = name.replace("_", ".") if name.startswith(("left", "right")) else name
     try:
         values = np.asarray(as_plain(found.get(name)), np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         values = np.array(np.nan)
-    if not np.isfinite(values).all() or (size is not None and values.size != size):
+    if not np.all(np.abs(values) < MOST) or (size is not None and values.size != size):
         raise ForeignError(
             f"cameras.{key} is {found.get(name)!r:.80}; allowed: {size or 'a list of'} numbers; correct it"
         )

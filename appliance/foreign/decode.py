@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.foreign.code import CodeBits, read_bits, stripe_numbers
+from appliance.foreign.code import CodeBits, numbered_stripes, read_bits
 from appliance.foreign.description import AxisConvention
 from appliance.foreign.images import ImageSet
 from appliance.foreign.order import Shows
@@ -35,6 +35,10 @@ UNSURE_PERIODS = 0.36
 MAX_PERIODS_MISFIT = 0.09
 """Largest disagreement of the phases of several periods, as root mean square in turns."""
 FRINGES_AT_MOST = 4096
+DRAWN = 0.008
+"""Error of a coordinate between two borders of a stripe, as a share of it: measured on rendered sets with stripes of 4 and 8 px."""
+MOST_SKIPPED = 2
+"""Largest change of a stripe's number at a border that a coordinate is drawn from: one stripe in between may be too narrow to be seen."""
 
 
 class NoCoordinate(IntEnum):
@@ -70,6 +74,8 @@ class PlacedAxis:
     """(h, w), values of ``NoCoordinate``."""
     modulation: Floats
     """(h, w): in grey values; of a code alone, half of its contrast."""
+    drawn_px: float = 0.0
+    """Standard deviation of coordinates that were drawn between the borders of stripes, besides their noise."""
 
 
 def measure(images: ImageSet, axis: AxisConvention) -> Measured:
@@ -105,8 +111,10 @@ def least_modulation(fit: SineFit, steps: int, white: float) -> float:
 def place(found: Measured, axis: AxisConvention, *, repaired: bool = True) -> PlacedAxis:
     """Make coordinates by the convention of ``axis``; ``repaired``: borders of wide stripes ask their neighbours."""
     reason = np.zeros(found.weak.shape, np.uint8)
+    drawn_px = 0.0
     if not found.fits:
-        coordinate_px, contradiction = _by_code_alone(found, axis)
+        coordinate_px, contradiction, stripe_px = _by_code_alone(found, axis)
+        drawn_px = DRAWN * stripe_px
         assert found.bits is not None
         modulation = np.float32(0.5) * found.bits.contrast
     else:
@@ -125,28 +133,28 @@ def place(found: Measured, axis: AxisConvention, *, repaired: bool = True) -> Pl
     reason[found.weak] = NoCoordinate.WEAK
     reason[found.saturated] = NoCoordinate.SATURATED
     coordinate_px[reason != NoCoordinate.VALID] = np.nan
-    return PlacedAxis(coordinate_px, reason, modulation)
+    return PlacedAxis(coordinate_px, reason, modulation, drawn_px)
 
 
-def offset_periods(found: Measured, axis: AxisConvention) -> tuple[Floats, Floats]:
-    """Return the middle m of each pixel's stripe in periods, and off, its phase less that middle, −½ … ½."""
+def offset_periods(found: Measured, axis: AxisConvention) -> tuple[Floats, Floats, float]:
+    """Return the middle m of each pixel's stripe in periods; off, its phase less that middle, −½ … ½; the stripes' width in px."""
     assert found.bits is not None
-    number = stripe_numbers(found.bits.bits, axis)
-    middle = ((number + np.float32(0.5)) * np.float32(axis.stripe_px) + np.float32(axis.code_offset_px)) / np.float32(
+    number, stripe_px = numbered_stripes(found.bits.bits, found.bits.left_out, axis)
+    middle = ((number + np.float32(0.5)) * np.float32(stripe_px) + np.float32(axis.code_offset_px)) / np.float32(
         axis.period_px
     )
     off = found.fits[axis.finest].turns - np.float32(axis.start_deg / 360.0) - middle
     off -= np.floor(off + np.float32(0.5))
-    return middle, off
+    return middle, off, stripe_px
 
 
 def _by_code(
     found: Measured, axis: AxisConvention, usable: NDArray[np.bool_], repaired: bool
 ) -> tuple[Floats, NDArray[np.bool_]]:
-    middle, off = offset_periods(found, axis)
+    middle, off, stripe_px = offset_periods(found, axis)
     period = np.float32(axis.period_px)
     coordinate_px = period * (middle + off) - np.float32(0.5)
-    limit = 0.5 * axis.stripe_px / axis.period_px + SLACK_PERIODS
+    limit = 0.5 * stripe_px / axis.period_px + SLACK_PERIODS
     if limit < 0.5 - 0.3 * SLACK_PERIODS:
         return coordinate_px, np.abs(off) > limit
     if not repaired:
@@ -233,10 +241,15 @@ def _fringes(axis: AxisConvention) -> int:
     return min(math.ceil(axis.size_px / axis.period_px) + 1, FRINGES_AT_MOST)
 
 
-def _by_code_alone(found: Measured, axis: AxisConvention) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return coordinates of a code without sines: between two borders of stripes along the image, linear; else the stripe's middle."""
-    assert found.bits is not None
-    number = stripe_numbers(found.bits.bits, axis)
+def _by_code_alone(found: Measured, axis: AxisConvention) -> tuple[Floats, NDArray[np.bool_], float]:
+    """Return coordinates of a code without sines: between two borders of stripes along the image, linear; else the stripe's middle.
+
+    Besides, what contradicts (nothing does) and the stripes' width in px.
+    """
+    code = found.bits
+    assert code is not None
+    assert code.borders is not None
+    number, stripe_px = numbered_stripes(code.bits, code.left_out, axis)
     turned = axis.name == "y"
     rows = np.ascontiguousarray(number.T if turned else number)
     usable = np.ascontiguousarray(~found.weak.T if turned else ~found.weak)
@@ -249,10 +262,15 @@ def _by_code_alone(found: Measured, axis: AxisConvention) -> tuple[Floats, NDArr
     last = np.minimum.accumulate(np.where(changed[:, 1:], place, width - 1)[:, ::-1], axis=1)[:, ::-1]
     before = np.take_along_axis(rows, np.maximum(first - 1, 0), 1) - rows
     behind = np.take_along_axis(rows, np.minimum(last + 1, width - 1), 1) - rows
-    # A border to stripe i + 1 lies at (i + 1) stripes: between it and the one on the run's other side the coordinate is linear.
-    known = usable & (np.abs(before) == 1) & (behind == -before)
-    share = (place - first + np.float32(0.5)) / (last - first + 1)
-    within = np.where(known, np.float32(0.5) + behind * (share - np.float32(0.5)), np.float32(0.5))
-    along_px = (rows + within) * np.float32(axis.stripe_px)
+    # Between stripes i and i + 1 lies the border i + 1; where one is too narrow to be seen, i and i + 2, it is the middle of both.
+    begin = first - 1 + np.take_along_axis(code.borders, np.clip(first - 1, 0, width - 2), 1)
+    end = last + np.take_along_axis(code.borders, np.clip(last, 0, width - 2), 1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        known = usable & (before * behind < 0) & (np.abs(before) <= MOST_SKIPPED) & (np.abs(behind) <= MOST_SKIPPED)
+        share = np.clip((place - begin) / (end - begin), 0.0, 1.0)
+        within = np.float32(0.5) + np.float32(0.5) * (before + share * (behind - before))
+        within = np.where(known & np.isfinite(within), within, np.float32(0.5))
+    along_px = (rows + within) * np.float32(stripe_px)
     found_px = np.asarray(along_px.T if turned else along_px, np.float32)
-    return np.ascontiguousarray(found_px) + np.float32(axis.code_offset_px - 0.5), np.zeros(number.shape, np.bool_)
+    coordinate_px = np.ascontiguousarray(found_px) + np.float32(axis.code_offset_px - 0.5)
+    return coordinate_px, np.zeros(number.shape, np.bool_), stripe_px

@@ -12,8 +12,13 @@ from appliance.foreign.images import SUFFIXES, natural_key
 from appliance.foreign.problem import ForeignError
 
 LEAST_IMAGES, MOST_FILES = 3, 2000
-_RIGHT = re.compile(r"(^|[^a-z])(right|r|cam1|camera1|cam2|camera2)([^a-z]|$)|right", re.IGNORECASE)
-_LEFT = re.compile(r"(^|[^a-z])(left|l|cam0|camera0)([^a-z]|$)|left", re.IGNORECASE)
+_RIGHT = re.compile(r"(^|[^a-z])(right|r|slave)([^a-z]|$)|right", re.IGNORECASE)
+_LEFT = re.compile(r"(^|[^a-z])(left|l|master)([^a-z]|$)|left", re.IGNORECASE)
+_SIDE = re.compile(
+    r"left|right|master|slave|(?:cam(?:era)?|view|sensor)[_-]?\d+|(?<![a-z])[lrc]\d?(?![a-z0-9])", re.IGNORECASE
+)
+_ASIDE = re.compile(r"calib|chess|board|checker|charuco|result|output|depth|mask", re.IGNORECASE)
+"""Folders and files beside a sequence, left out where the names tell nothing otherwise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,15 +43,7 @@ def camera_files(folder: Path) -> list[CameraFiles]:
             f"{folder}: {len(found)} images are in it; allowed are {LEAST_IMAGES} to {MOST_FILES}; give the folder of one set"
         )
     names = [str(path.relative_to(folder)) for path in found]
-    best: dict[str, list[str]] | None = None
-    for groups in _groupings(names):
-        sizes = {len(group) for group in groups.values()}
-        if len(groups) <= 2 and len(sizes) == 1 and sizes.pop() >= LEAST_IMAGES:
-            # Two cameras are likelier than one whose images are named in two ways.
-            if len(groups) == 2:
-                best = groups
-                break
-            best = best or groups
+    best = _best(names) or _best([name for name in names if not _ASIDE.search(name)])
     if best is None:
         raise ForeignError(
             f"{folder}: which of its {len(names)} images are of which camera cannot be told by their names; put those of each camera into "
@@ -63,6 +60,19 @@ def camera_files(folder: Path) -> list[CameraFiles]:
         CameraFiles(side, pattern, tuple(folder / name for name in sorted(best[pattern], key=natural_key)))
         for side, pattern in zip(("left", "right"), patterns, strict=False)
     ]
+
+
+def _best(names: list[str]) -> dict[str, list[str]] | None:
+    """Return the images of one or two cameras by the pattern of their names; ``None`` where the names do not tell."""
+    best: dict[str, list[str]] | None = None
+    for groups in _groupings(names):
+        sizes = {len(group) for group in groups.values()}
+        if 1 <= len(groups) <= 2 and len(sizes) == 1 and sizes.pop() >= LEAST_IMAGES:
+            # Two cameras are likelier than one whose images are named in two ways.
+            if len(groups) == 2:
+                return groups
+            best = best or groups
+    return best
 
 
 def _groupings(names: list[str]) -> Iterator[dict[str, list[str]]]:
@@ -83,10 +93,10 @@ def _groupings(names: list[str]) -> Iterator[dict[str, list[str]]]:
             groups[f"{name[: at.start()]}*{name[at.end() :]}"].append(name)
         else:
             yield dict(groups)
-    # Whatever stands between a word for left or right: 00_left.png, bright_R.png.
+    # Whatever stands about a word for one of two cameras: 00_left.png, bright_R.png, cam0_gray_03.png.
     sides: dict[str, list[str]] = defaultdict(list)
     for name in names:
-        found = list(re.finditer(r"left|right|(?<![a-z])[lr](?![a-z])", name, re.IGNORECASE))
+        found = list(_SIDE.finditer(name))
         if not found:
             return
         at = found[-1]

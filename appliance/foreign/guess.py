@@ -1,16 +1,16 @@
 """Owns a first description of images that nobody has described: which files belong together, and what each of them shows.
 
-What is looked at, of each pixel over the whole sequence: an image of a code is near the pixel's darkest or brightest value, a sine
-is often between; stripes of X change along the rows and those of Y along the columns; how often they change tells a period from
-another one, and the order of the bits. Then the guess is tested like any other description, and what fits instead is taken over.
+What each image looks like is ``appearance``'s; how often its stripes change tells a period from another one, and the order of the bits.
+Then the guess is tested like any other description, and what fits instead is taken over.
 
-Sizes cannot be seen: the projector's is a guess, which scales the pattern and moves no point of two cameras.
+Sizes cannot be seen: the projector's is a guess, which scales the pattern and moves no point of two cameras. Of one camera it is the
+size whose middle is nearest to the projector's principal point.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibration import file as calibration_file
+from appliance.foreign.appearance import Seen, looked_at
+from appliance.foreign.arrangement import examine_arrangement
 from appliance.foreign.assumptions import MOST_MISFIT, Outcome, equal_steps, examine_axis, measured_steps, misfit
 from appliance.foreign.camera import decode_camera
-from appliance.foreign.cameras import numbers_in
+from appliance.foreign.camera_files import SUFFIXES as CAMERA_SUFFIXES
+from appliance.foreign.camera_files import numbers_from_files, numbers_in
+from appliance.foreign.cameras import read_rig
 from appliance.foreign.description import (
     LEAST_STEPS,
     MOST_PERIODS,
@@ -33,30 +37,20 @@ from appliance.foreign.description import (
 from appliance.foreign.files import CameraFiles, camera_files
 from appliance.foreign.images import ImageSet, read_images
 from appliance.foreign.order import numbered
+from appliance.foreign.periods import periods_by_phases
 from appliance.foreign.problem import ForeignError, Table
 
 GUESSED_PX = (1024, 768)
-LINES = 48
-"""Lines across, and down, of which each image's changes are counted."""
-LEAST_RANGE = 0.15
-"""Least swing of a pixel that is asked, over that of the liveliest ones."""
-BETWEEN = (0.2, 0.8)
-SINE_BETWEEN = 0.2
-"""Share of the pixels between a fifth and four fifths of their range from which on an image is a sine: 0.41 are expected of one, 0.03 of fine stripes."""
-EVEN = 0.1
-"""An image whose pixels are nearer to their ends than this, on an average, is bright or dark all over."""
-OPPOSITE = -0.75
-MOST_FRINGES = 256
 ROUNDS = 4
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Seen:
-    """Appearance of one image."""
-
-    word: str
-    changes: float
-    """Changes from dark to bright or back, over all lines."""
+MOST_FINER = 6
+"""A code's finest stripes are up to 2 to this power finer than fringes beside it."""
+PROJECTORS_PX = (
+    (608, 684), (640, 480), (640, 360), (800, 600), (854, 480), (848, 480), (912, 1140), (1024, 768), (1280, 800), (1280, 720), (1280, 1024),
+    (1366, 768), (1400, 1050), (1440, 900), (1600, 1200), (1920, 1080), (1920, 1200), (2560, 1600), (3840, 2160),
+)  # fmt: skip
+"""Sizes that projectors have; of equal widths the commonest one first."""
+METRES_BELOW = 3.0
+"""A translation shorter than this is in metres."""
 
 
 def guess_description(folder: Path, beside: Path, progress: Callable[[str], None]) -> str:
@@ -64,7 +58,7 @@ def guess_description(folder: Path, beside: Path, progress: Callable[[str], None
     cameras = camera_files(folder)
     progress("looking at the images")
     channel, images = _stack(cameras[0].files)
-    seen = _looked_at(images)
+    seen = looked_at(_side_by_side(images, cameras, channel))
     order = " ".join(_joined([one.word for one in seen]))
     axes = [axis for axis in (_axis(name, seen, images) for name in "xy") if axis is not None]
     if not axes:
@@ -72,6 +66,13 @@ def guess_description(folder: Path, beside: Path, progress: Callable[[str], None
             f"{folder}: none of {len(seen)} images looks like stripes ({order}); give a folder with a whole sequence"
         )
     words = _with_periods(seen, axes, images)
+    rig_table = _cameras(folder)
+    codes = [axis.stripe_px for axis in axes if not axis.periods_px]
+    # Programs draw stripes of equal widths in both directions.
+    axes = [axis if axis.periods_px else replace(axis, stripe_px=min(codes)) for axis in axes]
+    sizes_px = _projectors_px(folder, rig_table) if len(cameras) == 1 else ()
+    if sizes_px:
+        axes = _sized(axes, sizes_px[0])
     size_px = (
         round(axes[0].size_px) if axes[0].name == "x" else GUESSED_PX[0],
         round(axes[-1].size_px) if axes[-1].name == "y" else GUESSED_PX[1],
@@ -87,10 +88,14 @@ def guess_description(folder: Path, beside: Path, progress: Callable[[str], None
         None,
         size_px,
         tuple(axes),
-        Table("cameras.", {}),
+        Table("cameras.", rig_table),
     )
     progress("testing what was guessed")
-    fitted, notes = _fitted(description, read_images(cameras[0].files, shown, channel))
+    left = read_images(cameras[0].files, shown, channel)
+    fitted, notes = _fitted(description, left)
+    if len(cameras) == 1 and rig_table:
+        fitted, more = _on_projector(fitted, left, sizes_px)
+        notes += more
     return _text(fitted, cameras, beside, folder, " ".join(_joined(words)), notes)
 
 
@@ -106,83 +111,17 @@ def _stack(files: Sequence[Path]) -> tuple[str, NDArray[Any]]:
     return channel, read_images(tuple(files), shown, channel).images
 
 
-def _looked_at(images: NDArray[Any]) -> list[_Seen]:
-    low, high = images.min(axis=0).astype(np.float32), images.max(axis=0).astype(np.float32)
-    swing = high - low
-    usable = swing > max(LEAST_RANGE * float(np.quantile(swing, 0.98)), 4.0)
-    if np.count_nonzero(usable) < 1000:
-        raise ForeignError(
-            f"the images hardly differ: {np.count_nonzero(usable)} pixels change; give a folder with a whole sequence"
-        )
-    height, width = swing.shape
-    across, down = slice(None, None, max(1, height // LINES)), slice(None, None, max(1, width // LINES))
-    rows, columns = usable[across], usable.T[down]
-    seen: list[_Seen] = []
-    before: NDArray[np.float32] | None = None
-    for image in images:
-        share = (image.astype(np.float32) - low) / np.maximum(swing, np.float32(1.0))
-        along_x, along_y = share[across], share.T[down]
-        # Lines both ways: those of one way alone meet stripes of the other one at few places of a period.
-        values = np.concatenate([along_x[rows], along_y[columns]])
-        kind = _kind(values)
-        if kind in ("bright", "dark"):
-            seen.append(_Seen(kind, 0.0))
-            before = None
-            continue
-        sides = _changes(along_x, rows) * height / LINES, _changes(along_y, columns) * width / LINES
-        axis = "x" if _gradient(along_x, rows) >= _gradient(along_y, columns) else "y"
-        centred = values - np.float32(0.5)
-        inverse = (
-            kind == "gray" and before is not None and seen[-1].word == f"gray-{axis}" and
-            float(np.corrcoef(before, centred)[0, 1]) < OPPOSITE
-        )  # fmt: skip
-        seen.append(_Seen(f"{'~' if inverse else ''}{kind}-{axis}", sides[0 if axis == "x" else 1]))
-        before = None if inverse else centred
-    return _one_of_each(seen)
+def _side_by_side(images: NDArray[Any], cameras: Sequence[CameraFiles], channel: str) -> NDArray[Any]:
+    """Return the images of the first camera, and of the second one beside them: coarsest stripes are even where one camera sees few."""
+    if len(cameras) == 1:
+        return images
+    shown = numbered(["sine-x"] * len(images), "images")
+    other = read_images(cameras[1].files, shown, channel).images
+    height_px = min(images.shape[1], other.shape[1])
+    return np.concatenate([images[:, :height_px], other[:, :height_px].astype(images.dtype)], axis=2)
 
 
-def _kind(values: NDArray[np.float32]) -> str:
-    """Return what an image shows by its pixels' values (n,), 0 at their darkest and 1 at their brightest."""
-    mean = float(values.mean())
-    if mean > 1.0 - EVEN:
-        return "bright"
-    if mean < EVEN:
-        return "dark"
-    return "sine" if float(np.mean((values > BETWEEN[0]) & (values < BETWEEN[1]))) > SINE_BETWEEN else "gray"
-
-
-def _one_of_each(seen: list[_Seen]) -> list[_Seen]:
-    """Return what was seen with one bright and one dark image at most, and inverses everywhere or nowhere."""
-    for kind in ("bright", "dark"):
-        places = [k for k, one in enumerate(seen) if one.word == kind]
-        for k in places[1:]:
-            seen[k] = _Seen("-", 0.0)
-    for axis in "xy":
-        plain = sum(one.word == f"gray-{axis}" for one in seen)
-        inverse = sum(one.word == f"~gray-{axis}" for one in seen)
-        if inverse and inverse != plain:
-            seen = [
-                _Seen(one.word.removeprefix("~"), one.changes) if one.word == f"~gray-{axis}" else one for one in seen
-            ]
-    return seen
-
-
-def _changes(share: NDArray[np.float32], usable: NDArray[np.bool_]) -> float:
-    """Return how often lines (n, length) cross the middle, by pixels that are clearly above or below it."""
-    clear = usable & (np.abs(share - np.float32(0.5)) > np.float32(0.15))
-    count = 0
-    for line, known in zip(share > np.float32(0.5), clear, strict=True):
-        count += int(np.count_nonzero(np.diff(line[known].astype(np.int8))))
-    return float(count)
-
-
-def _gradient(share: NDArray[np.float32], usable: NDArray[np.bool_]) -> float:
-    step = np.abs(np.diff(share, axis=1))
-    both = usable[:, 1:] & usable[:, :-1]
-    return float(step[both].mean()) if both.any() else 0.0
-
-
-def _axis(name: str, seen: list[_Seen], images: NDArray[Any]) -> AxisConvention | None:
+def _axis(name: str, seen: list[Seen], images: NDArray[Any]) -> AxisConvention | None:
     """Return the convention of a direction as far as it can be seen."""
     gray = [one for one in seen if one.word == f"gray-{name}"]
     groups = _groups(name, seen, images)
@@ -191,13 +130,18 @@ def _axis(name: str, seen: list[_Seen], images: NDArray[Any]) -> AxisConvention 
         return None
     stripe_px, fine_first = 0.0, False
     if gray:
-        fine_first = gray[0].changes > gray[-1].changes
-        # 2ⁿ stripes cover the pattern: how many of them the projector really has cannot be seen.
-        size_px = float(2 ** round(np.log2(size_px)))
+        # Stripes finer than pixels change seldom: where most changes are seen, there is the fine end.
+        fine_first = int(np.argmax([one.changes for one in gray])) < (len(gray) - 1) / 2
+        # 2ⁿ stripes cover the pattern: how many of them the projector really has cannot be seen. Of ten or more images without fringes the
+        # finest stripes are a pixel wide.
+        size_px = float(2 ** (round(np.log2(size_px)) if groups else max(round(np.log2(size_px)), len(gray))))
         stripe_px = max(size_px / 2 ** len(gray), 0.5)
-    finest = max((one.changes for one in gray), default=0.0)
-    periods_px = _periods([np.mean([seen[k].changes for k in group]) for group in groups], finest, stripe_px, size_px)
+    finest = _finest_changes(gray, fine_first)
     steps_deg = tuple(_steps(images[group]) for group in groups)
+    if stripe_px:
+        periods_px = _beside_code([np.mean([seen[k].changes for k in group]) for group in groups], finest, stripe_px)
+    else:
+        periods_px = periods_by_phases([images[group] for group in groups], steps_deg, name, size_px)
     inverses = any(one.word == f"~gray-{name}" for one in seen)
     return AxisConvention(
         name,
@@ -211,7 +155,7 @@ def _axis(name: str, seen: list[_Seen], images: NDArray[Any]) -> AxisConvention 
     )
 
 
-def _groups(name: str, seen: list[_Seen], images: NDArray[Any]) -> list[list[int]]:
+def _groups(name: str, seen: list[Seen], images: NDArray[Any]) -> list[list[int]]:
     """Return the numbers of the sine images of each period: as many steps as fit a sine, one period after the other."""
     sines = [k for k, one in enumerate(seen) if one.word == f"sine-{name}"]
     count = len(sines)
@@ -236,23 +180,19 @@ def _strong(images: NDArray[Any]) -> NDArray[np.float64]:
     return np.asarray(stack[:, swing > 0.5 * float(np.quantile(swing, 0.9))])
 
 
-def _periods(changes: list[Any], finest: float, stripe_px: float, size_px: float) -> tuple[float, ...]:
-    if not changes:
-        return ()
-    if stripe_px:
-        # The finest image of a Gray code changes every two stripes, and a sine every half period.
-        stripes = [0.25 * float(one) / max(finest, 1e-6) for one in changes]
-        return tuple(stripe_px / min((1.0, 0.5, 0.25), key=lambda share: abs(np.log(one / share))) for one in stripes)
-    if len(changes) == 1:
-        return (size_px,)
-    # Whole numbers of fringes across the pattern in the proportion that was counted.
-    ratios = np.asarray(changes, np.float64) / max(changes)
-    counts = np.arange(len(changes), MOST_FRINGES)
-    misfit = [float(np.abs(n * ratios - np.rint(n * ratios)).max()) + 1e-3 * n for n in counts]
-    fringes = np.maximum(np.rint(counts[int(np.argmin(misfit))] * ratios), 1.0)
-    if len(set(fringes.tolist())) != len(changes):
-        fringes = np.arange(len(changes), 0, -1.0)
-    return tuple(float(size_px / one) for one in fringes)
+def _beside_code(changes: list[Any], finest: float, stripe_px: float) -> tuple[float, ...]:
+    """Return periods by how often images change: the finest of a Gray code every two stripes, and a sine every half period."""
+    stripes = [0.25 * float(one) / max(finest, 1e-6) for one in changes]
+    shares = [0.5**k for k in range(MOST_FINER + 1)]
+    return tuple(stripe_px / min(shares, key=lambda share: abs(np.log(max(one, 1e-9) / share))) for one in stripes)
+
+
+def _finest_changes(gray: list[Seen], fine_first: bool) -> float:
+    """Return how often the finest image would change if the camera resolved it: from the image that is seen to change most."""
+    if not gray:
+        return 0.0
+    k = int(np.argmax([one.changes for one in gray]))
+    return gray[k].changes * 2.0 ** (k if fine_first else len(gray) - 1 - k)
 
 
 def _steps(images: NDArray[Any]) -> tuple[float, ...]:
@@ -262,7 +202,7 @@ def _steps(images: NDArray[Any]) -> tuple[float, ...]:
     return equal if count == LEAST_STEPS or misfit(stack, equal) < MOST_MISFIT else measured_steps(stack)
 
 
-def _with_periods(seen: list[_Seen], axes: list[AxisConvention], images: NDArray[Any]) -> list[str]:
+def _with_periods(seen: list[Seen], axes: list[AxisConvention], images: NDArray[Any]) -> list[str]:
     words = [one.word for one in seen]
     for axis in axes:
         groups = _groups(axis.name, seen, images)
@@ -339,7 +279,7 @@ def _text(
     said += [f"width_px = {description.projector_px[0]}", f"height_px = {description.projector_px[1]}"]
     for axis in description.axes:
         said += ["", *_axis_text(axis)]
-    said += ["", "[cameras]", *_cameras_text(folder, name), "", "# [water]", "# index = 1.335", ""]
+    said += ["", "[cameras]", *_cameras_text(description.cameras.content, name), "", "# [water]", "# index = 1.335", ""]
     return "\n".join(said)
 
 
@@ -362,11 +302,26 @@ def _axis_text(axis: AxisConvention) -> list[str]:
     return said
 
 
-def _cameras_text(folder: Path, name: Callable[[str], str]) -> list[str]:
-    """Return what the folder has about cameras: a calibration of ours, else files with matrices."""
+def _cameras_text(table: Mapping[str, Any], name: Callable[[str], str]) -> list[str]:
+    """Return the lines of [cameras]."""
+    if "calibration" in table:
+        return [f'calibration = "{name(table["calibration"])}"']
+    if not table:
+        return ['# files = ["stereo.yml"]  # OpenCV: M1 D1 M2 D2 R T; nothing was found here', 'unit = "mm"']
+    return [
+        f"files = [{', '.join(chr(34) + name(one) + chr(34) for one in table['files'])}]",
+        f'unit = "{table["unit"]}"  # of the translation',
+    ]
+
+
+# ------------------------------------------------------------------------------------------------ cameras, projector
+
+
+def _cameras(folder: Path) -> dict[str, Any]:
+    """Return what the folder has about cameras, as [cameras] would say it: a calibration of ours, else files with matrices."""
     files = []
     for path in sorted(folder.rglob("*")):
-        if not path.is_file() or path.suffix.lower() not in (".yml", ".yaml", ".xml", ".json", ".npz"):
+        if not path.is_file() or path.suffix.lower() not in CAMERA_SUFFIXES:
             continue
         relative = str(path.relative_to(folder))
         if path.suffix == ".json":
@@ -375,15 +330,70 @@ def _cameras_text(folder: Path, name: Callable[[str], str]) -> list[str]:
             except calibration_file.CalibrationError:
                 pass
             else:
-                return [f'calibration = "{name(relative)}"']
+                return {"calibration": relative}
         try:
-            if any(np.size(value) == 9 for value in numbers_in(path).values()):
+            if any(np.size(value) in (9, 12) for value in numbers_in(path).values()):
                 files.append(relative)
         except ForeignError:
             continue
-    if files:
-        return [
-            f"files = [{', '.join(chr(34) + name(one) + chr(34) for one in files)}]",
-            'unit = "mm"  # of the translation',
-        ]
-    return ['# files = ["stereo.yml"]  # OpenCV: M1 D1 M2 D2 R T; nothing was found here', 'unit = "mm"']
+    if not files:
+        return {}
+    numbers = _numbers(folder, {"files": files})
+    short = "translation" in numbers and float(np.linalg.norm(numbers["translation"])) < METRES_BELOW
+    return {"files": files, "unit": "m" if short else "mm"}
+
+
+def _numbers(folder: Path, table: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the numbers of both cameras; nothing where they are not all there."""
+    try:
+        return numbers_from_files(folder, Table("cameras.", table)) if "files" in table else {}
+    except ForeignError:
+        return {}
+
+
+def _projectors_px(folder: Path, table: Mapping[str, Any]) -> tuple[tuple[int, int], ...]:
+    """Return the sizes whose middle column is nearest to the projector's principal point, the commonest one first."""
+    matrix = _numbers(folder, table).get("right_matrix")
+    if matrix is None:
+        return (GUESSED_PX,)
+    width_px = 2.0 * float(np.reshape(matrix, (3, 3))[0, 2]) + 1.0
+    nearest_px = min((width for width, _ in PROJECTORS_PX), key=lambda width: abs(width - width_px))
+    return tuple(size for size in PROJECTORS_PX if size[0] == nearest_px)
+
+
+def _sized(axes: Sequence[AxisConvention], size_px: tuple[int, int]) -> list[AxisConvention]:
+    """Return the directions on a projector of that size: a code's stripes are whole powers of two of its px."""
+    found = []
+    for axis in axes:
+        size = float(size_px["xy".index(axis.name)])
+        scale = size / axis.size_px
+        if axis.bits:
+            scale = max(2.0 ** (np.ceil(np.log2(size)) - axis.bits), 1.0) / axis.stripe_px
+        periods_px = tuple(scale * one for one in axis.periods_px)
+        found.append(replace(axis, size_px=size, periods_px=periods_px, stripe_px=scale * axis.stripe_px))
+    return found
+
+
+def _on_projector(
+    description: Description, images: ImageSet, sizes_px: Sequence[tuple[int, int]]
+) -> tuple[Description, list[str]]:
+    """Return the description with the projector's size and the begin of the code that make points, and what could not be told."""
+    height_px, width_px = images.shape
+    notes: list[str] = []
+    for size_px in sizes_px:
+        axes = tuple(_sized(description.axes, size_px))
+        tried = replace(description, axes=axes, projector_px=size_px)
+        try:
+            rig = read_rig(tried, {"left": (width_px, height_px), "right": size_px})
+            found = examine_arrangement(tried, rig, {"left": decode_camera(images, tried)})
+        except ForeignError as error:
+            return description, [str(error)]
+        if found.outcome is not Outcome.WRONG:
+            return tried, [] if found.outcome is Outcome.FITS else [str(found)]
+        if found.instead:
+            for axis in axes:
+                offset_px = found.instead[f"{axis.name}.code_offset_px"]
+                tried = tried.with_axis(replace(axis, code_offset_px=offset_px))
+            return tried, []
+        notes = notes or [str(found)]
+    return description, notes

@@ -22,7 +22,7 @@ from appliance.foreign.phase import Floats
 from appliance.foreign.problem import ForeignError
 from appliance.optics.epipolar import CurveError
 from appliance.optics.model import HousedCamera, StereoRig
-from appliance.optics.rays import ray_lattice
+from appliance.optics.rays import ray_lattice, usual_step_px
 from appliance.reconstruct.match import fill_inverse_map, right_maps
 from appliance.reconstruct.one_direction import UNCHECKED, OneDirectionError, OneDirectionLimits, match_along_curves
 from appliance.reconstruct.organised import OrganisedCloud, organised
@@ -147,7 +147,12 @@ def _two_directions(
     lit[~known.any(axis=1)] = 0
     left_maps = LeftMaps(p1, q1, half_dn, left.grey, left.grey, lit, np.float32(1.0), variance1)
     plane_mm = _plane_mm(depths_mm)
-    rays = rays_of(ray_lattice(cameras[0], rig.index, plane_mm), ray_lattice(cameras[1], rig.index, plane_mm), width)
+    step_px = min(usual_step_px(camera) for camera in cameras)
+    try:
+        first, second = (ray_lattice(camera, rig.index, plane_mm, step_px) for camera in cameras)
+    except ValueError as error:
+        raise ForeignError(f"cameras: {error}") from error
+    rays = rays_of(first, second, width)
     table = PointTable(width * height)
     factors = sigma_factors(16, TYPICAL_PAIR)  # for its footprints alone: noise is the maps' own
     pieces = ((0, 0),)

@@ -31,7 +31,7 @@ class Table:
             if key not in known:
                 near = difflib.get_close_matches(key, known, 1)
                 hint = f"did you mean {near[0]}?" if near else f"known here: {', '.join(known)}"
-                raise ForeignError(f"{self.name}{key}: unknown key; {hint}")
+                raise ForeignError(f"{self.name}{key:.60}: unknown key; {hint}")
 
     def table(self, key: str) -> Table | None:
         """Return the table below ``key``; ``None`` where there is none."""
@@ -102,8 +102,13 @@ def _number(table: Table, key: str, value: object, low: float, high: float) -> f
     allowed = f"a number {low:g}..{high:g}"
     if value is None:
         raise ForeignError(f"{table.name}{key} is missing; allowed: {allowed}; add it")
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+    if (
+        isinstance(value, bool)
+        or not isinstance(value, int | float)
+        or (isinstance(value, float) and not math.isfinite(value))
+    ):
         raise table.wrong(key, allowed, "write a number")
+    # Whole numbers may be longer than any float.
     if not low <= value <= high:
         raise table.wrong(key, allowed, "correct it")
     return float(value)

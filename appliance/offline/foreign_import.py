@@ -48,7 +48,8 @@ def import_cloud(
     """
     suffix = checked_suffix(out, SCAN_SUFFIXES, "a cloud")
     require_library(out)
-    scan, found = _found(path, progress, as_described)
+    scan = _read(path, progress, as_described)
+    found = _found(path, scan, progress)
     progress("writing")
     notes = [f"index {scan.rig.index:.5f}, {'air' if scan.rig.in_air else 'water'}, imported by software {__version__}"]
     notes += [found.unchecked] if found.unchecked else []
@@ -64,13 +65,14 @@ def import_scan(
     """Make the scan folder ``out`` of images that have our own form. Raises as ``import_cloud``, and ForeignError for another form."""
     if out.exists():
         raise ForeignError(f"--out {out}: is there already; give the name of a folder that is not")
-    scan, found = _found(path, progress, as_described)
+    scan = _read(path, progress, as_described)
     images = {side: camera.images for side, camera in scan.cameras.items()}
     sequence = own_sequence(scan.description, images["left"])
     if isinstance(sequence, str):
         raise ForeignError(f"{path}: no scan folder can be made: {sequence}; write a cloud with --out {out.name}.ply")
     if scan.wrong:
         raise ForeignError(f"{path}: no scan folder can be made of images that are described wrongly; correct it")
+    found = _found(path, scan, progress)
     limits = QualityLimits()
     depth_mm = found.cloud.points_mm[..., 2][found.cloud.mask]
     within = float(np.mean((depth_mm > limits.min_depth_mm) & (depth_mm < limits.max_depth_mm)))
@@ -103,13 +105,17 @@ def import_scan(
     return {"folder": str(out), "frames": len(sequence), "period_px": sequence.period_px, **_report(scan, found)}
 
 
-def _found(path: Path, progress: Callable[[str], None], as_described: bool) -> tuple[ForeignScan, ForeignCloud]:
+def _read(path: Path, progress: Callable[[str], None], as_described: bool) -> ForeignScan:
     scan = read_foreign(path, progress)
     if scan.wrong and not as_described:
         said = "; ".join(f"{one.about}: {one.text}" for one in scan.wrong)
         raise ForeignError(
             f"{path}: the images contradict it: {said}; correct it, or import it all the same with --as-described"
         )
+    return scan
+
+
+def _found(path: Path, scan: ForeignScan, progress: Callable[[str], None]) -> ForeignCloud:
     progress("finding points")
     found = find_points(scan.description, scan.rig, scan.cameras["left"], scan.cameras.get("right"))
     if found.points == 0 or found.points < LEAST_SHARE * found.lit:
@@ -117,7 +123,7 @@ def _found(path: Path, progress: Callable[[str], None], as_described: bool) -> t
             f"{path}: {found.points} points are left of {found.lit} left pixels with coordinates, between {found.depths_mm[0]:.0f} and "
             f"{found.depths_mm[1]:.0f} mm; check the cameras' numbers, cameras.unit, [water] and [ports], and [range]"
         )
-    return scan, found
+    return found
 
 
 def _report(scan: ForeignScan, found: ForeignCloud) -> dict[str, Any]:

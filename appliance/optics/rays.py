@@ -27,9 +27,17 @@ class RayLattice:
     """Shape (rows, columns, 4) float32: x0, y0 in mm, sx, sy; node (j, i) belongs to pixel (i·step, j·step)."""
 
 
-def ray_lattice(camera: HousedCamera, water_index: float, plane_z_mm: float) -> RayLattice:
-    """Trace the lattice of one camera. Raises ValueError when a ray runs parallel to the plane."""
-    step_px = max(1, camera.width_px // LATTICE_NODES_ACROSS)
+def usual_step_px(camera: HousedCamera) -> int:
+    """Return the distance of the nodes that a camera's width wants."""
+    return max(1, camera.width_px // LATTICE_NODES_ACROSS)
+
+
+def ray_lattice(camera: HousedCamera, water_index: float, plane_z_mm: float, step_px: int | None = None) -> RayLattice:
+    """Trace the lattice of one camera, every ``step_px`` px or as its width wants it; two lattices that work together have equal steps.
+
+    Raises ValueError when a ray runs parallel to the plane.
+    """
+    step_px = step_px or usual_step_px(camera)
     columns = (camera.width_px - 1) // step_px + 2
     rows = (camera.height_px - 1) // step_px + 2
     v, u = np.mgrid[0:rows, 0:columns].astype(np.float64) * step_px

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tests.fuzz import camera, console, files, lines
+from tests.fuzz import camera, console, files, foreign, lines
 from tests.fuzz.target import Target
 
-TARGETS: tuple[Target, ...] = (*camera.TARGETS, *lines.TARGETS, *files.TARGETS, *console.TARGETS)
+TARGETS: tuple[Target, ...] = (*camera.TARGETS, *lines.TARGETS, *files.TARGETS, *foreign.TARGETS, *console.TARGETS)

@@ -9,7 +9,7 @@ import pytest
 from tests.support.commands import Shell
 from tests.support.foreign_sets import ForeignSet, convention, make_set
 
-WIDTH_PX = 320
+WIDTH_PX = 240
 
 
 @pytest.fixture(scope="session")

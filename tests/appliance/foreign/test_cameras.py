@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 from appliance.foreign.cameras import ForeignRig, inverted, lens_of, read_rig
 from appliance.foreign.description import parse_description
@@ -146,3 +149,69 @@ def test_a_file_that_is_none_is_named(tmp_path: Path) -> None:
     (tmp_path / "text.yml").write_text("camera: [1, 2")
     with pytest.raises(ForeignError, match="not readable as OpenCV"):
         rig(tmp_path, 'files = "text.yml"')
+
+
+FLAT = ", ".join(f"{one:.12g}" for one in np.ravel(M1))
+WORLD_R, WORLD_T = cv2.Rodrigues(np.array([0.2, 0.1, -0.3]))[0], np.array([[20.0], [-30.0], [900.0]])
+
+
+def tutorial(folder: Path) -> None:
+    written(folder / "c.yml", cam1_intrinsics=M1, cam1_distorsion=D1, cam2_intrinsics=M2, cam2_distorsion=D2, R=R, T=T)
+
+
+def camera_and_projector(folder: Path) -> None:
+    written(folder / "c.xml", cam_K=M1, cam_kc=D1, proj_K=M2, proj_kc=D2, R=R, T=T, cam_error=0.2, stereo_error=0.3)
+
+
+def matlab(folder: Path) -> None:
+    values = {"KK_left": M1, "kc_left": D1.T, "KK_right": M2, "kc_right": D2, "om": cv2.Rodrigues(R)[0], "T": T}
+    savemat(folder / "c.mat", {**values, "nx": 640, "title": "rig"}, do_compression=True)
+
+
+def plain_json(folder: Path) -> None:
+    left, right = ({"camera_matrix": K.tolist(), "dist_coeffs": D.ravel().tolist()} for K, D in ((M1, D1), (M2, D2)))
+    content = {"left": left, "right": right, "R": R.tolist(), "T": T.ravel().tolist(), "image_size": [640, 480]}
+    (folder / "c.json").write_text(json.dumps(content))
+
+
+def counted_from_nought(folder: Path) -> None:
+    np.savez(folder / "c.npz", K0=M1, D0=D1, K1=M2, D1=D2, R=R, T=T)
+
+
+def poses(folder: Path) -> None:
+    for n, (K, D, turn, way) in enumerate(((M1, D1, WORLD_R, WORLD_T), (M2, D2, R @ WORLD_R, R @ WORLD_T + T))):
+        (folder / f"cam_{n}").mkdir()
+        storage = cv2.FileStorage(str(folder / f"cam_{n}" / "c.xml"), cv2.FILE_STORAGE_WRITE)
+        storage.startWriteStruct("Camera", cv2.FileNode_MAP)
+        for name, value in (("Matrix", K), ("Distortion", D), ("Rotation", turn), ("Translation", way)):
+            storage.write(name, value)
+        storage.endWriteStruct()
+        storage.release()
+
+
+@pytest.mark.parametrize("write", [tutorial, camera_and_projector, matlab, plain_json, counted_from_nought, poses])
+def test_what_other_programs_call_their_numbers_is_known(write: Callable[[Path], None], tmp_path: Path) -> None:
+    write(tmp_path)
+    files = [str(path.relative_to(tmp_path)) for path in sorted(tmp_path.rglob("c.*"))]
+    found = rig(tmp_path, f"files = {files}")
+    point = (30.0, -20.0, 650.0)
+    np.testing.assert_allclose(projected(found, point), expected(point), atol=1e-6)
+
+
+def test_matrices_of_projection_are_taken_apart(tmp_path: Path) -> None:
+    first, second = M1 @ np.hstack([WORLD_R, WORLD_T]), -2.5 * M2 @ np.hstack([R @ WORLD_R, R @ WORLD_T + T])
+    np.savez(tmp_path / "c.npz", P1=first, P2=second)
+    found = rig(tmp_path, 'files = "c.npz"')
+    point = np.array([30.0, -20.0, 650.0])
+    world = WORLD_R.T @ (point - WORLD_T.ravel())
+    for camera, matrix in ((found.rig.left, first), (found.rig.right, second)):
+        seen = matrix @ np.append(world, 1.0)
+        np.testing.assert_allclose(camera.project(point, 1.0), seen[:2] / seen[2], atol=1e-6)
+
+
+def test_a_principal_point_beside_the_image_is_a_shifted_lens(tmp_path: Path) -> None:
+    shifted = M2 + np.array([[0, 0, 0], [0, 0, 450.0], [0, 0, 0]])
+    written(tmp_path / "c.yml", M1=M1, D1=D1, M2=shifted, D2=D2, R=R, T=T)
+    point = (10.0, 20.0, 600.0)
+    wanted = expected(point) + np.array([0.0, 0.0, 0.0, 450.0])
+    np.testing.assert_allclose(projected(rig(tmp_path, 'files = "c.yml"'), point), wanted, atol=1e-6)

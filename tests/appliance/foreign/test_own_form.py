@@ -9,6 +9,9 @@ import numpy as np
 import pytest
 
 from appliance.cli.output import Exit
+from appliance.foreign.description import counted, parse_description
+from appliance.foreign.images import ImageSet
+from appliance.foreign.own_form import own_sequence
 from appliance.storage.ply import read_ply
 from tests.support.commands import Shell
 from tests.support.foreign_sets import ForeignSet
@@ -36,18 +39,56 @@ def test_two_directions_of_four_steps_become_a_scan_folder(shell: Shell, foreign
     assert "is there already" in again.error
 
 
-@pytest.mark.parametrize(
-    ("name", "reason"),
-    [
-        ("three-steps", "fringes of one direction only"),
-        ("half-off", "fringes of one direction only"),
-        ("inverses", "it has no bright and dark image"),
-    ],
-)
-def test_another_form_is_no_scan_folder(
-    shell: Shell, foreign_set: Sets, tmp_path: Path, name: str, reason: str
-) -> None:
-    said = shell("import", foreign_set(name).description, "--out", tmp_path / "000001")
+def test_another_form_is_no_scan_folder(shell: Shell, foreign_set: Sets, tmp_path: Path) -> None:
+    said = shell("import", foreign_set("inverses").description, "--out", tmp_path / "000001")
     assert said.code == Exit.FAILED
-    assert reason in said.error
+    assert "no scan folder can be made: it has no bright and dark image" in said.error
     assert not (tmp_path / "000001").exists()
+
+
+OWN = """
+[images]
+left = "l*"
+right = "r*"
+order = "bright dark gray-x*7 sine-x*4 gray-y*7 sine-y*4"
+[projector]
+width_px = 1024
+height_px = 768
+[x]
+period_px = 16
+steps = 4
+gray = "complementary"
+[y]
+period_px = 16
+steps = 4
+gray = "complementary"
+[cameras]
+"""
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ((), ""),
+        ((("gray-x*7", "gray-x*6"),), "x: 6 images of its code, and 7 are needed"),
+        ((("bright dark", ""),), "it has no bright and dark image"),
+        ((("gray-y*7 sine-y*4", ""), ("[y]\nperiod_px = 16\nsteps = 4\ngray = \"complementary\"\n", "")), "fringes of one direction only, x"),
+        ((("sine-x*4", "sine-x*3"), ("steps = 4\ngray = \"complementary\"\n[y]", "steps = 3\ngray = \"complementary\"\n[y]")),
+         "x: its 3 steps are not the four of 0°, 90°, 180°, 270°"),
+        ((("steps = 4\ngray = \"complementary\"\n[y]", "steps = 4\n[y]"),), "x: its code does not number half periods from the edge"),
+        ((('right = "r*"\n', ""),), "there is no second camera"),
+    ],
+)  # fmt: skip
+def test_the_reason_why_a_set_is_no_scan_of_our_form_is_named(
+    changes: tuple[tuple[str, str], ...], reason: str
+) -> None:
+    text = OWN
+    for before, after in changes:
+        assert before in text
+        text = text.replace(before, after, 1)
+    said = parse_description(text, Path(), "own", "own.toml")
+    assert said.order is not None
+    images = ImageSet(said.order, (), np.zeros((len(said.order), 2, 2), np.uint8), 255.0)
+    found = own_sequence(counted(said, said.order), images)
+    assert isinstance(found, str) == bool(reason)
+    assert reason in str(found)
