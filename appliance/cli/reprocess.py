@@ -137,7 +137,16 @@ class Reprocess(Verb):
                 listed.get(folder.name.lstrip("0")), 0.0 if scans is None else scans.reference_mm,
             )  # fmt: skip
 
-        return [made(folder) for folder in scan_folders(self.source, shelves)], settings
+        folders = list(scan_folders(self.source, shelves))
+        if not folders:
+            raise UsageError(
+                f"SOURCE {self.source}: there is no scan in it{'' if self.all else '; --all takes the rejected ones, too'}"
+            )
+        if unknown := sorted(listed.keys() - {folder.name.lstrip("0") for folder in folders}):
+            raise UsageError(
+                f"--list {self.list}: scan {', '.join(unknown)} is not below {self.source}; name the scans by their numbers"
+            )
+        return [made(folder) for folder in folders], settings
 
     def _engine(self) -> AbstractContextManager[LocalEngine] | AbstractContextManager[ManyEngine]:
         from appliance.offline.anew.local import LocalEngine

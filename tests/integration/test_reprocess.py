@@ -14,11 +14,21 @@ from appliance.offline.anew.results import read_table
 from appliance.storage.scan import ScanOrigin
 from hw_sim.scene import Scene
 from tests.support.commands import ROOT, Shell, kingfisher
-from tests.support.rendered import render_scan
+from tests.support.rendered import RenderedScan, render_scan
 from tests.support.stored import store
 from tests.support.truth import true_calibration
 
 WIDTH_PX, HEIGHT_PX = 200, 150
+
+
+def origin_of(scan: RenderedScan, width_px: int, height_px: int) -> ScanOrigin:
+    """Return the calibration that states the truth, and the packaged rig file with cameras of that size."""
+    rig = (ROOT / "appliance" / "rigs" / "kingfisher.toml").read_text(encoding="utf-8")
+    rig = rig.replace("width_px = 1600", f"width_px = {width_px}").replace(
+        "height_px = 1200", f"height_px = {height_px}"
+    )
+    calibration = replace(true_calibration(scan.renderer.truth), rig_serial="KF-0001", camera_serials=None)
+    return ScanOrigin(calibration_file.encode(calibration), rig.encode())
 
 
 @pytest.fixture(scope="module")
@@ -26,12 +36,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A packed archive of three scans, of which the second was damaged after it was packed."""
     base = tmp_path_factory.mktemp("archive")
     scan = render_scan(Scene("frustum", texture="checker"), "nominal", 3, WIDTH_PX, 16)
-    rig = (ROOT / "appliance" / "rigs" / "kingfisher.toml").read_text(encoding="utf-8")
-    rig = rig.replace("width_px = 1600", f"width_px = {WIDTH_PX}").replace(
-        "height_px = 1200", f"height_px = {HEIGHT_PX}"
-    )
-    calibration = replace(true_calibration(scan.renderer.truth), rig_serial="KF-0001", camera_serials=None)
-    origin = ScanOrigin(calibration_file.encode(calibration), rig.encode())
+    origin = origin_of(scan, WIDTH_PX, HEIGHT_PX)
     for name in ("000001", "000002", "000003"):
         (base / "root" / "scans").mkdir(parents=True, exist_ok=True)
         store(scan, base / "root" / "scans" / name, origin=origin)
@@ -105,3 +110,63 @@ def test_wrong_words_end_in_one_line(
     done = Shell(capsys)("reprocess", *(word.format(root=root) for word in words))
     assert done.code == 2
     assert said in done.error
+
+
+LISTED = 'artefact = "frustum"\ntop_mm = 81.0\nbase_mm = 120.0\n'
+
+
+def one_scan(folder: Path, root: Path) -> tuple[object, ...]:
+    """Return the words that work ``folder`` through, a scan's, in a storage root of its own below ``root``."""
+    (root / "one" / "scans").mkdir(parents=True)
+    shutil.copytree(folder, root / "one" / "scans" / "000003")
+    (root / "list.toml").write_text(f'[[scan]]\nscan = "{folder}"\n{LISTED}', encoding="utf-8")
+    return (
+        "reprocess",
+        root / "one",
+        "--out",
+        root / "out",
+        "--workers",
+        "1",
+        "--table-only",
+        "--json",
+        "--list",
+        root / "list.toml",
+    )
+
+
+def test_an_artefact_that_is_not_found_has_its_reason_in_the_table(
+    root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Images of 200 x 150 pixels are too small for it."""
+    desk = Shell(capsys)
+    words = one_scan(root / "root" / "scans" / "000003", tmp_path)
+    (row,) = desk(*words).document["rows"]
+    assert desk("evaluate", tmp_path / "list.toml", "--out", tmp_path / "x.html").code == 1
+    (said,) = json.loads((tmp_path / "x.json").read_text(encoding="utf-8"))["scans"]
+    assert row["reason"] == f"not evaluated: {said['reason']}"
+    assert row["state"] == "done"
+
+    (tmp_path / "list.toml").write_text(f'[[scan]]\nscan = "7"\n{LISTED}', encoding="utf-8")
+    refused = desk(*words)
+    assert (refused.code, "scan 7 is not below" in refused.error) == (2, True)
+
+
+@pytest.mark.dive
+def test_lengths_are_those_that_evaluate_says(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    desk = Shell(capsys)
+    scan = render_scan(Scene("frustum"), "nominal", 3, 400, 16)
+    folder = tmp_path / "scans" / "000003"
+    folder.parent.mkdir()
+    store(scan, folder, origin=origin_of(scan, 400, 300))
+    (row,) = desk(*one_scan(folder, tmp_path)).document["rows"]
+    assert desk("evaluate", tmp_path / "list.toml", "--out", tmp_path / "x.html").code == 0
+    (said,) = json.loads((tmp_path / "x.json").read_text(encoding="utf-8"))["scans"]
+    assert row["e_l_percent"] == max(abs(length["e_l_percent"]) for length in said["lengths"])
+    assert row["e_l_percent"] > 0.5  # its top is narrower than the list says
+
+
+def test_a_root_without_scans_is_no_result(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "scans").mkdir()
+    refused = Shell(capsys)("reprocess", tmp_path, "--out", tmp_path / "out")
+    assert (refused.code, "there is no scan in it" in refused.error) == (2, True)
+    assert not (tmp_path / "out").exists()

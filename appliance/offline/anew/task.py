@@ -18,6 +18,7 @@ from typing import Any
 import appliance
 from appliance import __version__
 from appliance.calibration.file import Calibration, CalibrationError
+from appliance.evaluation.points import NotFound
 from appliance.instrument import exposures_label
 from appliance.machine.alerts import RULES
 from appliance.offline.anew.results import Results, Row, name_of
@@ -143,6 +144,8 @@ def _lengths(listed: ListedScan, reference_mm: float, source: SourceScan, wish: 
     scans = ScanList((listed,), None, reference_mm)
     evaluation = run_evaluation(scans, (source,), calibration_for(source, wish).calibration, lambda *_: None)
     (item,) = evaluation.items
+    if isinstance(item.result.fit, NotFound):
+        return {"artefact": listed.artefact.value, "reason": f"not evaluated: {item.result.fit.reason}"}
     errors = [one.measured_mm - one.calibrated_mm for one in item.result.lengths]
     worst = item.result.worst_e_l
     return {
