@@ -125,6 +125,10 @@ class ClockReading:
         return self.host_received_ns - self.host_sent_ns
 
 
+FeatureValue = bool | float | str
+"""Value of a camera's feature; of an enumeration its symbol."""
+
+
 @dataclass(frozen=True, slots=True)
 class CameraSpec:
     """One camera of the rig.
@@ -137,6 +141,14 @@ class CameraSpec:
     name: str
     serial: str
     trigger_source: str | None = None
+    pixel_format: str = "Mono8"
+    """The PFNC name of what the camera sends; more than 8 bits are reduced to the upper 8."""
+    offset_x_px: int | None = None
+    """First column on the sensor; ``None``: the image lies in its middle."""
+    offset_y_px: int | None = None
+    features: tuple[tuple[str, FeatureValue], ...] = ()
+    """Features by their SFNC or maker's names, in order, that take the place of built-in settings or follow them; a leading ``?``: may
+    be missing."""
 
 
 class Camera(Protocol):

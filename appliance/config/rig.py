@@ -66,6 +66,15 @@ class CameraRig:
     """Grey value of no light."""
     firmware: _Text | None = None
     """The version that this instrument was tested with; another one is named by ``kingfisher check``."""
+    trigger_source: _Text | None = None
+    """Input that the board's trigger line is wired to, as the camera calls it; ``None``: the first line that it offers."""
+    pixel_format: Literal["Mono8", "Mono10", "Mono10p", "Mono10Packed", "Mono12", "Mono12p", "Mono12Packed"] = "Mono8"
+    """Format on the wire; of more than 8 bits the upper 8 are used."""
+    offset_x_px: Annotated[_Whole, Field(ge=0, le=8192)] | None = None
+    """First column on the sensor; ``None``: the image lies in its middle."""
+    offset_y_px: Annotated[_Whole, Field(ge=0, le=8192)] | None = None
+    features: Mapping[str, bool | int | float | str] = field(default_factory=dict, hash=False)
+    """Settings of this maker's cameras by their names, in order (``drivers.camera.setup``); a leading ``?``: may be missing."""
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
@@ -246,7 +255,11 @@ class Rig:
         return _sha256(
             {
                 "rig": self.rig.serial,
-                "cameras": [[c.serial, c.width_px, c.height_px] for c in (self.camera.left, self.camera.right)],
+                "cameras": [
+                    # A place on the sensor that the file names is the lens's, too; the middle is the usual.
+                    [c.serial, c.width_px, c.height_px, *(o for o in (c.offset_x_px, c.offset_y_px) if o is not None)]
+                    for c in (self.camera.left, self.camera.right)
+                ],
                 "projector": [self.projector.width_px, self.projector.height_px],
             }
         )

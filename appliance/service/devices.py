@@ -103,7 +103,11 @@ class Devices:
                 yield grabber
 
     def _open_camera(self, side: str) -> AbstractContextManager[Camera]:
-        spec = drivers_rig.CameraSpec(f"camera.{side}", self._camera_rig(side).serial)
+        camera = self._camera_rig(side)
+        spec = drivers_rig.CameraSpec(
+            f"camera.{side}", camera.serial, camera.trigger_source, camera.pixel_format, camera.offset_x_px, camera.offset_y_px,
+            tuple(camera.features.items()),
+        )  # fmt: skip
         return drivers_rig.open_camera(spec, self._wires, self._rig.camera.kind)
 
     def _camera_rig(self, side: str) -> CameraRig:

@@ -26,7 +26,10 @@ from drivers.camera.bootstrap import read_identification, read_stream_needs, rea
 from drivers.camera.control import ControlChannel, ControlCounters, ControlRefused
 from drivers.camera.description import read_description
 from drivers.camera.features import Features
+from drivers.camera.pixels import FORMATS
+from drivers.camera.setup import CameraSetup
 from drivers.camera.stream import StreamCounters, StreamGeometry, StreamReader
+from drivers.camera.transfers import transfers_of
 from drivers.camera.usb import UsbCamera, default_backend, find_camera
 
 CLOCK_READINGS = 4
@@ -60,6 +63,13 @@ class UsbVisionCamera:
         control.set_limits(technology.max_command_size, technology.max_answer_size, who.max_response_time_s)
         self._sirm = technology.sirm_address
         self._features = Features(spec.name, read_description(control, spec.name, who.manifest_address), control)
+        if spec.pixel_format not in FORMATS:
+            raise DeviceRefused(
+                spec.name, f"pixel_format {spec.pixel_format!r} is none of {', '.join(FORMATS)}", "Correct the rig file"
+            )
+        self._format = FORMATS[spec.pixel_format]
+        self._setup = CameraSetup(spec, self._features)
+        self._in_pieces = False
         speed = host_speed_mbps if host_speed_mbps is not None else technology.link_speed_mbps
         self._identity = CameraIdentity(who.vendor, who.model, who.serial, who.firmware, speed)
 
@@ -134,15 +144,21 @@ class UsbVisionCamera:
     def configure(self, settings: CameraSettings) -> CameraSettings:
         """Apply ``settings`` and return what the camera really set; a running stream is started anew.
 
-        Hardware trigger on every rising edge, Mono8, automatic functions off. Raises DeviceRefused, DeviceGone.
+        The first time everything that decides about an image is set (``drivers.camera.setup``); later only what differs: exposure and gain,
+        or all again for another size. Raises DeviceRefused, DeviceGone.
         """
         with self._lock:
             was_running = self._reader is not None
             if was_running:
                 self._halt()
-            self._apply_format(settings)
-            self._apply_trigger()
-            self._settings = self._apply_light(settings)
+            before = self._settings
+            if before is None:
+                self._setup.load_defaults()
+            if before is not None and (before.width_px, before.height_px) == (settings.width_px, settings.height_px):
+                self._settings = self._setup.light(settings)
+            else:
+                self._settings = None
+                self._settings = self._setup.apply(settings)
             if was_running:
                 self.start()
             return self._settings
@@ -231,6 +247,10 @@ class UsbVisionCamera:
         except DeviceGone as error:
             return Health(self._spec.name, False, error.message, details)
         details["temperature"] = "unknown" if temperature is None else f"{temperature:.1f} °C"
+        if self._setup.notes:
+            details["not offered"] = ", ".join(self._setup.notes)
+        if self._in_pieces:
+            details["transfers"] = "images come in pieces of 1 MiB: whole ones failed"
         details["control retries"] = str(self._control.counters.retries)
         if self.link_is_fast is False:
             return Health(
@@ -243,53 +263,6 @@ class UsbVisionCamera:
 
     # ----------------------------------------------------------------------------------------------- settings
 
-    def _apply_format(self, settings: CameraSettings) -> None:
-        features = self._features
-        self._choose_if_offered("AcquisitionMode", "Continuous")
-        features.choose("PixelFormat", "Mono8")
-        # Offsets first: they limit the size that is allowed.
-        self._set_optional_number("OffsetX", 0)
-        self._set_optional_number("OffsetY", 0)
-        for feature, wanted in (("Width", settings.width_px), ("Height", settings.height_px)):
-            got = features.set_number(feature, wanted)
-            if got != wanted:
-                raise DeviceRefused(
-                    self._spec.name, f"{feature}: asked for {wanted} px, got {got:g} px", "Correct the rig's size"
-                )
-
-    def _apply_trigger(self) -> None:
-        features = self._features
-        self._choose_if_offered("TriggerSelector", "FrameStart")
-        source = self._spec.trigger_source
-        if source is None:
-            lines = [symbol for symbol in features.choices("TriggerSource") if symbol.startswith("Line")]
-            if not lines:
-                raise DeviceRefused(self._spec.name, "offers no line as trigger source", "Use a triggerable camera")
-            source = lines[0]
-        features.choose("TriggerSource", source)
-        self._choose_if_offered("TriggerActivation", "RisingEdge")
-        features.choose("TriggerMode", "On")
-
-    def _apply_light(self, settings: CameraSettings) -> CameraSettings:
-        features = self._features
-        self._choose_if_offered("ExposureAuto", "Off")
-        self._choose_if_offered("GainAuto", "Off")
-        self._choose_if_offered("ExposureMode", "Timed")
-        exposure_us = features.set_number("ExposureTime", settings.exposure_us)
-        gain_db = 0.0
-        if features.has("Gain"):
-            self._choose_if_offered("GainSelector", "All")
-            gain_db = features.set_number("Gain", settings.gain_db)
-        elif settings.gain_db != 0.0:
-            raise DeviceRefused(self._spec.name, "has no gain to set", "Set gain_db = 0 in the rig file")
-        return CameraSettings(settings.width_px, settings.height_px, exposure_us, gain_db)
-
-    def _choose_if_offered(self, feature: str, symbol: str) -> None:
-        """Set an enumeration that not every camera has; one that has it must accept the symbol or lack it."""
-        features = self._features
-        if features.has(feature) and symbol in features.choices(feature) and features.writable(feature):
-            features.choose(feature, symbol)
-
     def _set_optional_number(self, feature: str, value: float) -> None:
         if self._features.has(feature) and self._features.writable(feature):
             self._features.set_number(feature, value)
@@ -297,43 +270,63 @@ class UsbVisionCamera:
     # ------------------------------------------------------------------------------------------------- stream
 
     def _prepare_stream(self, settings: CameraSettings) -> StreamReader:
-        """Set the transfer sizes of a disabled stream: the image in ONE transfer, straight into the slot."""
+        """Set the transfer sizes of a disabled stream: the image in ONE transfer, straight into the slot.
+
+        Where that failed before, in pieces of 1 MiB, as most programs read: not every camera and host takes more at a time.
+        """
         needs = read_stream_needs(self._control, self._sirm)
         pixels = settings.width_px * settings.height_px
-        if needs.payload_size != pixels:
+        payload_size = self._format.payload_size(pixels)
+        if payload_size is None:
             raise DeviceRefused(
                 self._spec.name,
-                f"wants to send {needs.payload_size} bytes for an image of {pixels}",
+                f"{pixels} pixels cannot be packed as {self._format.name}",
+                "Choose Mono8, or another size",
+            )
+        if needs.payload_size != payload_size:
+            raise DeviceRefused(
+                self._spec.name,
+                f"wants to send {needs.payload_size} bytes for an image of {payload_size}",
                 "Switch off chunk data and padding in the camera",
             )
-        transfer_size = -(-needs.payload_size // needs.alignment) * needs.alignment
-        largest = max(needs.leader_size, needs.trailer_size, u3v.LEADER_SIZE)
+        # Some cameras do not know their sizes yet when they were just plugged in, and say 0; one packet holds each.
+        leader_size = _whole(needs.leader_size or u3v.SUPERSPEED_PACKET, needs.alignment)
+        trailer_size = _whole(needs.trailer_size or u3v.SUPERSPEED_PACKET, needs.alignment)
+        largest = max(leader_size, trailer_size, u3v.LEADER_SIZE)
+        transfers = transfers_of(payload_size, needs.alignment, u3v.PIECE if self._in_pieces else None)
         geometry = StreamGeometry(
             width_px=settings.width_px,
             height_px=settings.height_px,
-            payload_size=pixels,
-            transfer_size=transfer_size,
-            packet_buffer_size=-(-largest // u3v.SUPERSPEED_PACKET) * u3v.SUPERSPEED_PACKET,
+            format=self._format,
+            payload_size=payload_size,
+            transfers=transfers.sizes,
+            packet_buffer_size=_whole(largest, u3v.SUPERSPEED_PACKET),
         )
         pipe = self._usb.stream()
         reader = StreamReader(self._spec.name, pipe, geometry, self._clock)
         reader.flush()
         for register, value in (
-            (u3v.SIRM_MAX_LEADER_SIZE, needs.leader_size),
-            (u3v.SIRM_MAX_TRAILER_SIZE, needs.trailer_size),
-            (u3v.SIRM_PAYLOAD_TRANSFER_SIZE, transfer_size),
-            (u3v.SIRM_PAYLOAD_TRANSFER_COUNT, 1),
-            (u3v.SIRM_FINAL_TRANSFER1_SIZE, 0),
-            (u3v.SIRM_FINAL_TRANSFER2_SIZE, 0),
+            (u3v.SIRM_MAX_LEADER_SIZE, leader_size),
+            (u3v.SIRM_MAX_TRAILER_SIZE, trailer_size),
+            (u3v.SIRM_PAYLOAD_TRANSFER_SIZE, transfers.size),
+            (u3v.SIRM_PAYLOAD_TRANSFER_COUNT, transfers.count),
+            (u3v.SIRM_FINAL_TRANSFER1_SIZE, transfers.final_1),
+            (u3v.SIRM_FINAL_TRANSFER2_SIZE, transfers.final_2),
         ):
             self._control.write_u32(self._sirm + register, value)
-        reader.clear_halt()
+        reader.reset_endpoint()
         return reader
 
     def _halt(self) -> None:
         """Stop the acquisition and disable the stream, whatever state the camera is in."""
-        self._reader = None
+        reader, self._reader = self._reader, None
+        if reader is not None and reader.whole_transfers_fail:
+            self._in_pieces = True
         if self._features.writable("AcquisitionStop"):
             self._features.execute("AcquisitionStop")
         self._control.write_u32(self._sirm + u3v.SIRM_CONTROL, 0)
         self._set_optional_number("TLParamsLocked", 0)
+
+
+def _whole(size: int, unit: int) -> int:
+    return -(-size // unit) * unit

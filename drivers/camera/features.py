@@ -5,16 +5,27 @@ Source of the names: GenICam Standard Features Naming Convention 2.7.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 from genicam import genapi
 
-from drivers.api import DeviceRefused
+from drivers.api import DeviceRefused, FeatureValue
 from drivers.camera.control import ControlChannel
 from drivers.camera.references import WrongReference, check_references
 
 _NUMBERS, _CHOICE, _COMMAND = (genapi.IInteger, genapi.IFloat), (genapi.IEnumeration,), (genapi.ICommand,)
+_VALUES = (*_NUMBERS, *_CHOICE, genapi.IBoolean)
 _REMEDY = "Check the rig's camera settings against the camera's manual"
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Allowed values of a number, now. ``step`` is 1 where any value between them is allowed."""
+
+    low: float
+    high: float
+    step: float
 
 
 class _Port(genapi.AbstractPort):  # type: ignore[misc]  # the package has no types
@@ -107,6 +118,55 @@ class Features:
         except genapi.GenericException as error:
             allowed = " ".join(self.choices(feature)) or "nothing"
             raise self._refused(feature, f"{symbol} refused, allowed: {allowed}", error) from error
+
+    def limits(self, feature: str) -> Limits:
+        """Return what an integer or float feature may be in the present state."""
+        node = self._node(feature, _NUMBERS)
+        try:
+            step = float(node.inc) if isinstance(node, genapi.IInteger) else 1.0
+            return Limits(float(node.min), float(node.max), step)
+        except genapi.GenericException as error:
+            raise self._refused(feature, "cannot be read", error) from error
+
+    def value(self, feature: str) -> FeatureValue:
+        """Return what the camera holds, whatever kind of feature it is: of an enumeration its symbol."""
+        node = self._node(feature, _VALUES)
+        try:
+            # Asked anew: a description may let us keep what was written.
+            if isinstance(node, genapi.IEnumeration):
+                return str(node.get_current_entry(False, True).symbolic)
+            if isinstance(node, genapi.IBoolean):
+                return bool(node.get_value(False, True))
+            return float(node.get_value(False, True))
+        except genapi.GenericException as error:
+            raise self._refused(feature, "cannot be read", error) from error
+
+    def set_value(self, feature: str, value: FeatureValue) -> None:
+        """Write a feature of whatever kind; the value must be of that kind."""
+        node = self._node(feature, _VALUES)
+        if isinstance(node, genapi.IBoolean) and isinstance(value, bool):
+            try:
+                node.value = value
+            except genapi.GenericException as error:
+                raise self._refused(feature, f"{value} refused", error) from error
+        elif isinstance(node, genapi.IEnumeration) and isinstance(value, str):
+            self.choose(feature, value)
+        elif isinstance(node, _NUMBERS) and isinstance(value, int | float) and not isinstance(value, bool):
+            self.set_number(feature, value)
+        else:
+            kind = (
+                "true or false"
+                if isinstance(node, genapi.IBoolean)
+                else "a number"
+                if isinstance(node, _NUMBERS)
+                else "a name"
+            )
+            raise DeviceRefused(self._device, f"{feature} = {value!r}: it must be {kind}", _REMEDY)
+
+    def forget(self) -> None:
+        """Ask the camera anew for everything: its state was changed as a whole."""
+        for node in self._map.nodes:
+            node.node.invalidate_node()
 
     def execute(self, feature: str) -> None:
         """Run a command feature."""

@@ -18,6 +18,7 @@ from drivers.camera.packets import (
     parse_leader,
     parse_trailer,
 )
+from drivers.camera.pixels import PixelFormat
 from drivers.camera.usb import (
     StreamPipe,
     TransferBuffer,
@@ -47,11 +48,17 @@ class StreamGeometry:
 
     width_px: int
     height_px: int
+    format: PixelFormat
     payload_size: int
-    transfer_size: int
-    """Size of the one payload transfer: the payload, rounded up to the camera's alignment."""
+    transfers: tuple[int, ...]
+    """Sizes of the payload's transfers, multiples of the camera's alignment; usually one."""
     packet_buffer_size: int
     """Memory for a leader or trailer: what the camera may send, in whole packets."""
+
+    @property
+    def transfer_size(self) -> int:
+        """Bytes of all transfers of an image, padding included."""
+        return sum(self.transfers)
 
 
 @dataclass(slots=True)
@@ -81,14 +88,22 @@ class StreamReader:
         self._geometry = geometry
         self._clock = clock
         self._scratch = transfer_buffer(np.zeros(geometry.packet_buffer_size, np.uint8))
-        padded = geometry.transfer_size != geometry.width_px * geometry.height_px
-        # Only for image sizes that are no multiple of the camera's alignment.
+        padded = geometry.transfer_size != geometry.width_px * geometry.height_px or geometry.format.reduce is not None
+        # Only for image sizes that are no multiple of the camera's alignment, and for more than 8 bits.
         self._bounce = transfer_buffer(np.zeros(geometry.transfer_size, np.uint8)) if padded else None
         # One maximal packet more than a payload: whatever is left of a frame ends in it with a short packet.
         self._waste: TransferBuffer | None = None
         self._pending: bytes | None = None
         self._since_ns: int | None = None
+        self._payloads_failed = 0
         self.counters = StreamCounters()
+
+    @property
+    def whole_transfers_fail(self) -> bool:
+        """True when images that came as one large transfer failed and none was whole: pieces may be what is needed."""
+        one = len(self._geometry.transfers) == 1
+        whole = self.counters.frames - self.counters.damaged_frames - self.counters.timeouts
+        return one and self._payloads_failed > 0 and whole == 0
 
     def flush(self) -> None:
         """Drop what is queued in the pipe. Raises DeviceGone."""
@@ -191,8 +206,8 @@ class StreamReader:
 
     def _unexpected(self, leader: Leader) -> str:
         geometry = self._geometry
-        if leader.pixel_format != u3v.PIXEL_FORMAT_MONO8:
-            return f"pixel format {leader.pixel_format:#010x}, expected Mono8"
+        if leader.pixel_format != geometry.format.code:
+            return f"pixel format {leader.pixel_format:#010x}, expected {geometry.format.name}"
         if (leader.width_px, leader.height_px) != (geometry.width_px, geometry.height_px) or leader.x_padding:
             return (
                 f"image of {leader.width_px} x {leader.height_px} with padding {leader.x_padding}, "
@@ -238,22 +253,35 @@ class StreamReader:
     def _read_payload(self, target: TransferBuffer) -> tuple[int, str]:
         """Number of image bytes that came, and the problem if they are not all."""
         buffer = target if self._bounce is None else self._bounce
-        try:
-            count = self._read(buffer, PAYLOAD_TIMEOUT_S)
-        except TransferTimeout:
-            return 0, "no payload"
-        except TransferOverflow:
-            return 0, "payload longer than the image"
-        except TransferError as error:
-            return 0, f"payload failed ({error})"
+        count, problem = 0, ""
+        for size in self._geometry.transfers:
+            try:
+                got = self._read(buffer[count : count + size].view(TransferBuffer), PAYLOAD_TIMEOUT_S)
+            except TransferTimeout:
+                problem = "no payload"
+            except TransferOverflow:
+                problem = "payload longer than the image"
+            except TransferError as error:
+                problem = f"payload failed ({error})"
+            if problem:
+                self._payloads_failed += 1
+                return 0, problem
+            count += got
+            if got < size:
+                break  # a short packet ends an image that is not whole
         head = buffer[: u3v.LEADER_SIZE].tobytes() if count == u3v.LEADER_SIZE else b""
         if is_leader(head):
             self._pending = head
             return 0, "the next leader came instead of the payload"
         # Padding up to the camera's transfer size is no part of the image.
         count = min(count, self._geometry.payload_size)
-        if self._bounce is not None:
+        if count < self._geometry.payload_size:
+            self._payloads_failed += 1
+        reduce = self._geometry.format.reduce
+        if self._bounce is not None and reduce is None:
             target[:count] = self._bounce[:count]
+        elif self._bounce is not None and reduce is not None and count == self._geometry.payload_size:
+            reduce(self._bounce[:count], target)
         return count, ""
 
     def _read_trailer(self) -> tuple[Trailer | None, str]:
@@ -286,6 +314,17 @@ class StreamReader:
             raise
         except Unplugged as error:
             raise self._gone() from error
+
+    def reset_endpoint(self) -> None:
+        """Halt the stream endpoint and clear it: one that an earlier program left halted may take a clear alone for nothing.
+
+        Raises DeviceGone.
+        """
+        try:
+            self._pipe.set_halt()
+        except Unplugged as error:
+            raise self._gone() from error
+        self.clear_halt()
 
     def clear_halt(self) -> None:
         """Make the stream endpoint usable again. Raises DeviceGone."""

@@ -127,11 +127,12 @@ TRAILER_MAGIC = 0x54563355
 LEADER_SIZE = 52
 TRAILER_SIZE = 32
 PAYLOAD_TYPE_IMAGE = 1
-PIXEL_FORMAT_MONO8 = 0x01080001
-"""PFNC: Mono8."""
 
 SUPERSPEED_PACKET = 1024
 """Largest bulk packet at SuperSpeed; a transfer's buffer is a multiple of it, or the transfer may overflow."""
+
+PIECE = 1 << 20
+"""Largest transfer that every camera and host takes, as far as is known: what most programs ask for."""
 
 # ------------------------------------------------------------------------------------------------ speed
 

@@ -29,6 +29,8 @@ _STRING_TIMEOUT_MS = 500
 _DESCRIPTOR_STRING = 0x03
 _GET_DESCRIPTOR = 0x06
 _DEVICE_TO_HOST = 0x80
+_HOST_TO_ENDPOINT, _SET_FEATURE, _ENDPOINT_HALT = 0x02, 0x03, 0x00
+"""USB 2.0, tables 9-2, 9-4 and 9-6."""
 _ENGLISH_US = 0x0409
 _ENDPOINT_IN = 0x80
 _TRANSFER_TYPE_MASK = 0x03
@@ -49,6 +51,10 @@ class TransferStalled(TransferError):
 
 class TransferOverflow(TransferError):
     """The device sent more than was asked for; the excess is lost."""
+
+
+class TransferRefused(TransferError):
+    """The host does not take a transfer of this length."""
 
 
 class Unplugged(Exception):
@@ -95,6 +101,9 @@ class StreamPipe(Protocol):
     def read_into(self, buffer: TransferBuffer, timeout_s: float) -> int:
         """One transfer into ``buffer``; the number of bytes that came. Raises TransferError, Unplugged."""
 
+    def set_halt(self) -> None:
+        """Ask the device to halt the endpoint, as far as it does. Raises Unplugged."""
+
     def clear_halt(self) -> None:
         """Raises Unplugged."""
 
@@ -111,6 +120,9 @@ def _translate(error: usb.core.USBError) -> Exception:
         return TransferStalled(str(error))
     if error.errno == errno.EOVERFLOW:
         return TransferOverflow(str(error))
+    if error.errno in (errno.ENOMEM, errno.EINVAL):
+        # The kernel has no room for a transfer this long (usbfs_memory_mb), or the controller takes none.
+        return TransferRefused(str(error))
     # ENODEV says so; EIO, EPROTO and ESHUTDOWN are what a hub reports in the instant before it notices.
     return Unplugged(str(error))
 
@@ -335,6 +347,17 @@ class _Pipe:
         except usb.core.USBError as error:
             raise _translate(error) from error
         return int(count)
+
+    def set_halt(self) -> None:
+        nothing = transfer_buffer(np.zeros(0, np.uint8))
+        try:
+            self._backend.ctrl_transfer(
+                self._handle, _HOST_TO_ENDPOINT, _SET_FEATURE, _ENDPOINT_HALT, self._in, nothing, _STRING_TIMEOUT_MS
+            )
+        except usb.core.USBError as error:
+            # A device may refuse it; then there is nothing to be cleared either.
+            if error.errno == errno.ENODEV:
+                raise Unplugged(str(error)) from error
 
     def clear_halt(self) -> None:
         try:

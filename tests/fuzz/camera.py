@@ -28,6 +28,7 @@ from drivers.camera.descriptors import MalformedDescriptor, find_device_info, pa
 from drivers.camera.features import Features
 from drivers.camera.gencp import MalformedPacket, parse_answer, parse_pending, parse_written, status_name
 from drivers.camera.packets import MalformedStreamPacket, parse_leader, parse_trailer
+from drivers.camera.pixels import FORMATS
 from drivers.camera.stream import StreamGeometry, StreamReader
 from drivers.camera.usb import TransferError, TransferOverflow, TransferStalled, Unplugged
 from tests.drivers.camera.test_control import Memory
@@ -291,7 +292,7 @@ def _read_packet(data: bytes, _: Path) -> None:
 
 
 PAYLOAD = bytes(range(256)) * (PIXELS // 256)
-GEOMETRY = StreamGeometry(WIDTH, HEIGHT, PIXELS, PIXELS, PACKET)
+GEOMETRY = StreamGeometry(WIDTH, HEIGHT, FORMATS["Mono8"], PIXELS, (PIXELS,), PACKET)
 
 
 def _transfers(chance: Random) -> list[bytes | str]:

@@ -160,6 +160,42 @@ def test_a_calibration_outlives_a_new_exposure_but_not_another_camera() -> None:
     assert parse_rig(changed("width_px = 1600", "width_px = 800")).optical_hash != rig.optical_hash
 
 
+FEATURES = """
+trigger_source = "Line3"
+pixel_format = "Mono12p"
+offset_x_px = 16
+[camera.left.features]
+TriggerOverlap = "ReadOut"
+BlackLevelSelector = "All"
+BlackLevel = 1.0
+"?GammaEnable" = false
+[camera.right]
+"""
+
+
+def test_what_a_makers_cameras_need_keeps_its_order_and_its_kinds_also_when_it_is_written_down() -> None:
+    rig = parse_rig(changed("[camera.right]\n", FEATURES))
+    for one in (rig, parse_rig(rig_text(rig))):
+        left = one.camera.left
+        assert (left.trigger_source, left.pixel_format, left.offset_x_px, left.offset_y_px) == (
+            "Line3",
+            "Mono12p",
+            16,
+            None,
+        )
+        assert list(left.features.items()) == [
+            ("TriggerOverlap", "ReadOut"), ("BlackLevelSelector", "All"), ("BlackLevel", 1.0), ("?GammaEnable", False),
+        ]  # fmt: skip
+        assert isinstance(left.features["?GammaEnable"], bool)
+        assert one.rig_hash == rig.rig_hash
+    plain = parse_rig(changed("[camera.right]\n", FEATURES.replace("offset_x_px = 16", "")))
+    assert plain.optical_hash == parse_rig(default_rig_path().read_text(encoding="utf-8")).optical_hash
+    assert rig.optical_hash != plain.optical_hash, "another part of the lens's picture"
+    words = str(refusal(changed("[camera.right]\n", FEATURES.replace("Mono12p", "Mono16"))))
+    assert "camera.left.pixel_format" in words
+    assert "Mono12Packed" in words
+
+
 def test_the_rig_cannot_be_changed() -> None:
     rig = parse_rig(PACKAGED)
     with pytest.raises(FrozenInstanceError):

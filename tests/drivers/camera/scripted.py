@@ -9,7 +9,7 @@ import errno
 import io
 import struct
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 from typing import Any
 
@@ -31,12 +31,21 @@ CHOICES = {
     "GainAuto": ("Continuous", "Off"),
     "ExposureMode": ("TriggerWidth", "Timed"),
     "GainSelector": ("DigitalAll", "All"),
+    "UserSetSelector": ("UserSet1", "Default"),
+    "DeviceLinkThroughputLimitMode": ("On", "Off"),
+    "TestPattern": ("Stripes", "Off"),
+    "LineSelector": ("Line0", "Line1", "Line2"),
+    "LineMode": ("Output", "Input"),
+    "TriggerOverlap": ("Off", "PreviousFrame", "ReadOut"),
 }
 WHOLE = {"Width": (8, 1600, 8), "Height": (2, 1200, 2), "OffsetX": (0, 800, 8), "OffsetY": (0, 600, 2)}
-WHOLE |= {"TLParamsLocked": (0, 1, 1)}
+WHOLE |= {"TLParamsLocked": (0, 1, 1), "BinningHorizontal": (1, 4, 1), "BinningVertical": (1, 4, 1)}
+WHOLE |= {"DeviceLinkThroughputLimit": (1, 450_000_000, 1)}
 FLOATS = {"ExposureTime": (10.0, 16_000.0), "Gain": (0.0, 12.0), "DeviceTemperature": (-40.0, 120.0)}
-COMMANDS = ("AcquisitionStart", "AcquisitionStop")
-FEATURE_NAMES = (*CHOICES, *WHOLE, *FLOATS, *COMMANDS)
+FLOATS |= {"Gamma": (0.25, 4.0), "BlackLevel": (0.0, 16.0), "TriggerDelay": (0.0, 1e6)}
+FLAGS = ("ReverseX", "ReverseY", "AcquisitionFrameRateEnable", "GammaEnable")
+COMMANDS = ("AcquisitionStart", "AcquisitionStop", "UserSetLoad")
+FEATURE_NAMES = (*CHOICES, *WHOLE, *FLOATS, *FLAGS, *COMMANDS)
 ADDRESS = {name: FEATURES + 4 * k for k, name in enumerate(FEATURE_NAMES)}
 OF_ADDRESS = {
     **{address: name for name, address in ADDRESS.items()},
@@ -67,6 +76,8 @@ def description(lacking: tuple[str, ...] = (), choices: dict[str, tuple[str, ...
             low, high, step = WHOLE[name]
             limits = f"<Min>{low}</Min><Max>{high}</Max><Inc>{step}</Inc>"
             features.append(f"<Integer Name='{name}'><pValue>{name}Reg</pValue>{limits}</Integer>")
+        elif name in FLAGS:
+            features.append(f"<Boolean Name='{name}'><pValue>{name}Reg</pValue></Boolean>")
         elif name in FLOATS:
             limits = "<Min>{}</Min><Max>{}</Max>".format(*FLOATS[name])
             features.append(f"<Float Name='{name}'><pValue>{name}Reg</pValue>{limits}</Float>")
@@ -125,6 +136,12 @@ class ScriptedCamera:
         self.set(MANIFEST, struct.pack("<QIIQQ40x", 1, 0x0001_0000, int(zipped) << 10, FILE, len(data)))
         self.set(FILE, data)
         self.set_feature("DeviceTemperature", 41.5)
+        # As a camera wakes up that somebody else used: every flag is set, and pixels are added up.
+        for name in (*FLAGS, "BinningHorizontal", "BinningVertical"):
+            self.set_feature(name, 1 if name in FLAGS else 2)
+        self.set_feature("Gamma", 0.5)
+        self.when: dict[str, Callable[[], None]] = {}
+        """What else happens when a register is written."""
 
     def needs(self, payload: int = 64 * 48, alignment_bits: int = 10, leader: int = 52, trailer: int = 32) -> None:
         self.set(SIRM, struct.pack("<IIQII", alignment_bits << 24, 0, payload, leader, trailer))
@@ -144,7 +161,7 @@ class ScriptedCamera:
         if name in FLOATS:
             return float(struct.unpack("<f", raw)[0])
         value = int.from_bytes(raw, "little")
-        return CHOICES[name][value] if name in CHOICES else value
+        return CHOICES[name][value] if name in CHOICES else bool(value) if name in FLAGS else value
 
     # ---- the bus
 
@@ -190,6 +207,9 @@ class ScriptedCamera:
     def ctrl_transfer(
         self, handle: Any, kind: int, request: int, value: int, index: int, data: Any, timeout_ms: int
     ) -> int:
+        if (kind, request, value) == (0x02, 0x03, 0):  # USB 2.0, 9.4.9: SET_FEATURE(ENDPOINT_HALT)
+            self.log.append(("set halt", index))
+            return 0
         text = "KF-CAM-L".encode("utf-16-le")
         data[: len(text) + 2] = np.frombuffer(bytes([len(text) + 2, 3]) + text, np.uint8)
         return len(text) + 2
@@ -223,6 +243,8 @@ class ScriptedCamera:
         if name in self.rounding:
             data = struct.pack("<I", self.rounding[name])
         self.set(address, data)
+        if name in self.when:
+            self.when[name]()
         if name == "latch":
             self.clock.advance_s(self.latches_take_s.pop(0) if self.latches_take_s else 1e-4)
             self.set(0x1F0, struct.pack("<Q", self.clock.now_ns() - 500_000_000))
@@ -237,6 +259,8 @@ class ScriptedCamera:
                 self.clock.advance_s(timeout_ms * 1e-3)
                 raise usb.core.USBTimeoutError("nothing", -7, errno.ETIMEDOUT)
             answer = self.stream.pop(0)
+            if len(answer) > len(memoryview(data)):
+                raise usb.core.USBError("overflow", -8, errno.EOVERFLOW)
         memoryview(data)[: len(answer)] = answer
         return len(answer)
 

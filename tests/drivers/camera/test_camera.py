@@ -44,8 +44,8 @@ def streaming() -> tuple[ScriptedCamera, UsbVisionCamera]:
 HALTED = [("AcquisitionStop", 1), ("SIRM control", 0), ("TLParamsLocked", 0)]
 STARTED = [("TLParamsLocked", 1), ("SIRM control", 1), ("latch", 1), ("AcquisitionStart", 1)]
 PREPARED = [
-    *(("SIRM leader", 52), ("SIRM trailer", 32), ("SIRM transfer", 3072), ("SIRM transfers", 1)),
-    *(("SIRM final 1", 0), ("SIRM final 2", 0), ("clear halt", 0x82)),
+    *(("SIRM leader", 1024), ("SIRM trailer", 1024), ("SIRM transfer", 3072), ("SIRM transfers", 1)),
+    *(("SIRM final 1", 0), ("SIRM final 2", 0), ("set halt", 0x82), ("clear halt", 0x82)),
 ]
 
 
@@ -140,18 +140,145 @@ def test_every_setting_that_decides_about_an_image_is_made() -> None:
     device.set_feature("OffsetY", 8)
     assert camera.configure(SETTINGS) == SETTINGS
     wanted = {
-        "AcquisitionMode": "Continuous", "PixelFormat": "Mono8", "OffsetX": 0, "OffsetY": 0, "Width": 64, "Height": 48,
+        "AcquisitionMode": "Continuous", "PixelFormat": "Mono8", "OffsetX": 400, "OffsetY": 300, "Width": 64, "Height": 48,
         "TriggerSelector": "FrameStart", "TriggerSource": "Line1", "TriggerActivation": "RisingEdge", "TriggerMode": "On",
         "ExposureAuto": "Off", "GainAuto": "Off", "ExposureMode": "Timed", "GainSelector": "All",
-        "ExposureTime": 8000.0, "Gain": 3.0,
+        "ExposureTime": 8000.0, "Gain": 3.0, "UserSetSelector": "Default", "DeviceLinkThroughputLimitMode": "Off",
+        "BinningHorizontal": 1, "BinningVertical": 1, "ReverseX": False, "ReverseY": False, "TestPattern": "Off",
+        "AcquisitionFrameRateEnable": False, "LineSelector": "Line1", "LineMode": "Input", "TriggerOverlap": "ReadOut",
+        "TriggerDelay": 0.0, "GammaEnable": False,
     }  # fmt: skip
     assert {name: device.feature(name) for name in wanted} == wanted
-    order = [name for name, _ in device.log if name in wanted]
+    order = [name for name, _ in device.log if name in wanted or name == "UserSetLoad"]
     for before, behind in (
-        ("OffsetX", "Width"), ("OffsetY", "Height"), ("TriggerSelector", "TriggerSource"),
-        ("TriggerSource", "TriggerMode"), ("ExposureAuto", "ExposureTime"), ("GainAuto", "Gain"), ("GainSelector", "Gain"),
+        ("UserSetSelector", "UserSetLoad"), ("UserSetLoad", "DeviceLinkThroughputLimitMode"), ("BinningHorizontal", "Width"),
+        ("PixelFormat", "Width"), ("OffsetX", "Width"), ("OffsetY", "Height"), ("TriggerSelector", "TriggerSource"),
+        ("LineSelector", "LineMode"), ("TriggerSource", "TriggerOverlap"), ("ExposureAuto", "ExposureTime"),
+        ("GainAuto", "Gain"), ("GainSelector", "Gain"),
     ):  # fmt: skip
         assert order.index(before) < order.index(behind), f"{before} comes before {behind}"
+    # The image lies in the sensor's middle only once its size is known.
+    assert device.log.index(("Width", 64)) < device.log.index(("OffsetX", 400))
+    assert camera.health().details["not offered"] == (
+        "no DecimationHorizontal, no DecimationVertical, no ChunkModeActive, no TestImageSelector, no LineInverter, no OverlapMode, "
+        "no BlackLevelAuto, no LUTEnable"
+    )
+
+
+def test_every_other_trigger_is_switched_off_and_the_exposures_mode_is_written_once_the_trigger_is_on() -> None:
+    device, camera = opened()
+    camera.configure(SETTINGS)
+    told = [(name, value) for name, value in device.log if name in ("TriggerSelector", "TriggerMode", "ExposureMode")]
+    frame_start, other, off, on, timed = 1, 0, 0, 1, 1
+    assert told[:4] == [
+        ("TriggerSelector", other), ("TriggerMode", off), ("TriggerSelector", frame_start), ("TriggerMode", off),
+    ]  # fmt: skip
+    assert told[4:7] == [("TriggerSelector", frame_start), ("TriggerMode", on), ("ExposureMode", timed)]
+
+
+def test_what_was_saved_in_the_camera_is_unloaded_once_and_an_exposure_alone_sets_nothing_else() -> None:
+    device, camera = opened()
+    camera.configure(SETTINGS)
+    assert [name for name, _ in device.log].count("UserSetLoad") == 1
+    device.log.clear()
+    camera.configure(CameraSettings(64, 48, 4000.0, 1.0))
+    assert {name for name, _ in device.log} == {
+        *("ExposureMode", "ExposureAuto", "ExposureTime", "GainAuto", "GainSelector", "Gain"),
+    }  # fmt: skip
+    device.log.clear()
+    camera.configure(CameraSettings(128, 48, 4000.0, 1.0))
+    assert "TriggerOverlap" in [name for name, _ in device.log]
+    assert "UserSetLoad" not in [name for name, _ in device.log]
+
+
+def test_a_link_that_has_only_a_limit_gets_the_highest() -> None:
+    device, camera = opened(xml=description(lacking=("DeviceLinkThroughputLimitMode",)))
+    camera.configure(SETTINGS)
+    assert device.feature("DeviceLinkThroughputLimit") == 450_000_000
+
+
+def test_without_a_switch_for_gamma_it_is_set_to_one() -> None:
+    device, camera = opened(xml=description(lacking=("GammaEnable",)))
+    camera.configure(SETTINGS)
+    assert device.feature("Gamma") == 1.0
+    device, camera = opened()
+    camera.configure(SETTINGS)
+    assert device.feature("Gamma") == 0.5
+
+
+@pytest.mark.parametrize(
+    ("name", "held", "said"),
+    [
+        ("ReverseX", 1, "ReverseX is True after it was set to False"),
+        ("BinningVertical", 2, "BinningVertical is 2.0 after it was set to 1"),
+        ("TriggerOverlap", 0, "TriggerOverlap is Off after it was set to ReadOut"),
+        ("OffsetX", 8, "OffsetX: asked for 400 px, got 8 px"),
+    ],
+)
+def test_what_a_camera_does_not_take_is_refused_with_name_and_values(name: str, held: int, said: str) -> None:
+    _, camera = opened(lambda device: device.rounding.update({name: held}))
+    with pytest.raises(DeviceRefused, match=said):
+        camera.configure(SETTINGS)
+    with pytest.raises(DeviceRefused, match=r"before it was configured"):
+        camera.start()
+
+
+def test_a_setting_that_a_later_one_changed_is_noticed() -> None:
+    device, camera = opened()
+    device.when["GammaEnable"] = lambda: device.set_feature("ReverseY", 1)
+    with pytest.raises(DeviceRefused, match="ReverseY is True after it was set to False"):
+        camera.configure(SETTINGS)
+
+
+def spec_with(**features: bool | float | str) -> CameraSpec:
+    return CameraSpec("camera.left", "KF-CAM-L", features=tuple(features.items()))
+
+
+def test_a_rig_files_features_take_the_place_of_built_in_ones_or_follow_them_in_order() -> None:
+    device, camera = opened(spec=spec_with(TriggerOverlap="PreviousFrame", BlackLevel=1.5, Gamma=1.0))
+    camera.configure(SETTINGS)
+    assert (device.feature("TriggerOverlap"), device.feature("BlackLevel")) == ("PreviousFrame", 1.5)
+    names = [name for name, _ in device.log]
+    assert names.index("TriggerOverlap") < names.index("ExposureTime") < names.index("BlackLevel")
+    assert names.count("TriggerOverlap") == 1
+    # Behind a selector of the table a feature belongs to it.
+    device, camera = opened(spec=spec_with(LineSelector="Line2", LineMode="Output"))
+    camera.configure(SETTINGS)
+    assert [value for name, value in device.log if name == "LineMode"] == [1.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("features", "said"),
+    [
+        ({"Sharpening": 1.0}, "has no feature Sharpening"),
+        ({"Gain": 3.0}, r"Gain = 3.0 stands under features.*Use the key gain_db"),
+        ({"?Width": 64}, r"Width = 64 stands under features.*Use the key width_px"),
+        ({"TriggerOverlap": 2}, "TriggerOverlap = 2: it must be a name"),
+        ({"ReverseX": "yes"}, "ReverseX = 'yes': it must be true or false"),
+        ({"BlackLevel": True}, "BlackLevel = True: it must be a number"),
+        ({"BlackLevel": 17.0}, "BlackLevel: 17 refused, allowed 0..16"),
+    ],
+)
+def test_features_that_a_camera_does_not_have_or_take_are_refused(
+    features: dict[str, bool | float | str], said: str
+) -> None:
+    with pytest.raises(DeviceRefused, match=said):
+        opened(spec=spec_with(**features))[1].configure(SETTINGS)
+
+
+def test_a_marked_feature_may_be_missing() -> None:
+    _, camera = opened(spec=spec_with(**{"?Sharpening": 1.0}))
+    camera.configure(SETTINGS)
+    assert "no Sharpening" in camera.health().details["not offered"]
+
+
+def test_a_place_on_the_sensor_is_the_rig_files_or_the_middle() -> None:
+    device, camera = opened(spec=CameraSpec("camera.left", "KF-CAM-L", offset_x_px=24, offset_y_px=0))
+    camera.configure(SETTINGS)
+    assert (device.feature("OffsetX"), device.feature("OffsetY")) == (24, 0)
+    _, camera = opened(spec=CameraSpec("camera.left", "KF-CAM-L", offset_x_px=804))
+    with pytest.raises(DeviceRefused, match=r"OffsetX: 804 refused, allowed 0\.\.800 in steps of 8"):
+        camera.configure(SETTINGS)
 
 
 def test_what_a_camera_made_of_its_settings_is_what_is_returned() -> None:
@@ -180,7 +307,24 @@ def test_the_trigger_comes_from_the_line_that_the_rig_file_names_or_the_first_th
 def test_a_camera_without_the_optional_features_is_configured_all_the_same() -> None:
     optional = (
         *("AcquisitionMode", "OffsetX", "OffsetY", "TriggerSelector", "TriggerActivation", "ExposureAuto"),
-        *("GainAuto", "ExposureMode", "GainSelector", "TLParamsLocked"),
+        *(
+            "GainAuto",
+            "ExposureMode",
+            "GainSelector",
+            "TLParamsLocked",
+            "UserSetSelector",
+            "DeviceLinkThroughputLimitMode",
+        ),
+        *("DeviceLinkThroughputLimit", "BinningHorizontal", "BinningVertical", "ReverseX", "ReverseY", "TestPattern"),
+        *(
+            "AcquisitionFrameRateEnable",
+            "LineSelector",
+            "LineMode",
+            "TriggerOverlap",
+            "TriggerDelay",
+            "GammaEnable",
+            "Gamma",
+        ),
     )
     device, camera = opened(xml=description(lacking=optional))
     assert camera.configure(SETTINGS) == SETTINGS
@@ -236,7 +380,7 @@ def test_an_image_is_one_transfer_of_whole_units(size: tuple[int, int], alignmen
 def test_there_is_room_for_the_longest_leader_and_trailer_in_whole_packets(
     leader: int, trailer: int, buffer: int
 ) -> None:
-    device, camera = opened(lambda device: device.needs(leader=leader, trailer=trailer))
+    device, camera = opened(lambda device: device.needs(leader=leader, trailer=trailer, alignment_bits=0))
     camera.configure(SETTINGS)
     camera.start()
     assert ("SIRM leader", leader) in device.log
@@ -244,6 +388,49 @@ def test_there_is_room_for_the_longest_leader_and_trailer_in_whole_packets(
     device.stream_buffers.clear()
     camera.next_frame(np.zeros((48, 64), np.uint8), 0.1)
     assert device.stream_buffers == [buffer]
+
+
+@pytest.mark.parametrize(
+    ("leader", "trailer", "bits", "told"),
+    [(52, 32, 10, (1024, 1024)), (52, 32, 6, (64, 64)), (1025, 32, 10, (2048, 1024)), (0, 0, 0, (1024, 1024)), (0, 0, 11, (2048, 2048))],
+)  # fmt: skip
+def test_leader_and_trailer_are_told_in_whole_units_also_where_the_camera_does_not_know_them_yet(
+    leader: int, trailer: int, bits: int, told: tuple[int, int]
+) -> None:
+    device, camera = opened(lambda device: device.needs(leader=leader, trailer=trailer, alignment_bits=bits))
+    camera.configure(SETTINGS)
+    camera.start()
+    assert [dict(device.log)[name] for name in ("SIRM leader", "SIRM trailer")] == list(told)
+
+
+def test_images_that_never_come_whole_in_one_transfer_come_in_pieces_from_the_next_start_on() -> None:
+    size = CameraSettings(1600, 1200, 8000.0, 0.0)
+    device, camera = opened(lambda device: device.needs(1600 * 1200))
+    camera.configure(size)
+    camera.start()
+    pixels = np.random.default_rng(3).integers(0, 256, (1200, 1600), np.uint8)
+    leader, payload, trailer = frame_of(pixels.tobytes(), size=(1600, 1200))
+    device.stream = [leader, payload[: 1 << 20], payload[1 << 20 :], trailer]
+    slot = np.zeros((1200, 1600), np.uint8)
+    assert camera.next_frame(slot, 0.1).status is not FrameStatus.COMPLETE
+    device.log.clear()
+    camera.start()
+    transfers = [("SIRM transfer", 1 << 20), ("SIRM transfers", 1), ("SIRM final 1", 871_424), ("SIRM final 2", 0)]
+    assert [entry for entry in device.log if entry in transfers] == transfers
+    device.stream = [leader, payload[: 1 << 20], payload[1 << 20 :], trailer]
+    assert camera.next_frame(slot, 0.1).status is FrameStatus.COMPLETE
+    np.testing.assert_array_equal(slot, pixels)
+    assert "pieces" in camera.health().details["transfers"]
+
+
+def test_one_frame_that_was_whole_keeps_whole_transfers() -> None:
+    device, camera = streaming()
+    slot = np.zeros((48, 64), np.uint8)
+    device.stream = [*frame_of(bytes(3072)), *frame_of(bytes(100), 10)]
+    assert camera.next_frame(slot, 0.1).status is FrameStatus.COMPLETE
+    assert camera.next_frame(slot, 0.1).status is FrameStatus.TRUNCATED
+    camera.start()
+    assert "transfers" not in camera.health().details
 
 
 @pytest.mark.parametrize("payload", [64 * 48 - 1, 64 * 48 + 16])
@@ -255,9 +442,17 @@ def test_more_than_the_pixels_or_less_is_refused_before_anything_streams(payload
     assert not any(entry in device.log for entry in STARTED)
 
 
-def frame_of(pixels: bytes, block: int = 9, stamp_ns: int = 10**15) -> list[bytes]:
-    leader = struct.pack("<4sHHQHHQIIIIIHH", b"U3VL", 0, 52, block, 0, 1, stamp_ns, 0x01080001, 64, 48, 0, 0, 0, 0)
-    return [leader, pixels, struct.pack("<4sHHQHHQI", b"U3VT", 0, 32, block, 0, 0, 3072, 48)]
+def frame_of(
+    pixels: bytes,
+    block: int = 9,
+    stamp_ns: int = 10**15,
+    size: tuple[int, int] = (64, 48),
+    code: int = 0x01080001,
+    valid: int | None = None,
+) -> list[bytes]:
+    leader = struct.pack("<4sHHQHHQIIIIIHH", b"U3VL", 0, 52, block, 0, 1, stamp_ns, code, *size, 0, 0, 0, 0)
+    count = size[0] * size[1] if valid is None else valid
+    return [leader, pixels, struct.pack("<4sHHQHHQI", b"U3VT", 0, 32, block, 0, 0, count, size[1])]
 
 
 def test_frames_are_counted_from_each_start_on() -> None:
@@ -411,3 +606,28 @@ def test_closing_a_camera_that_does_not_stream_asks_it_nothing() -> None:
     device, camera = configured()
     camera.close()
     assert device.log == []
+
+
+# ------------------------------------------------------------------------------------------- more than 8 bits
+
+
+def test_twelve_packed_bits_become_eight_on_their_way_into_the_slot() -> None:
+    device, camera = opened(
+        lambda device: device.needs(64 * 48 * 3 // 2),
+        xml=description(choices={"PixelFormat": ("Mono16", "Mono12p")}),
+        spec=CameraSpec("camera.left", "KF-CAM-L", pixel_format="Mono12p"),
+    )
+    camera.configure(SETTINGS)
+    camera.start()
+    device.stream = frame_of(bytes((0x5A, 0x7C, 0xE1)) * (64 * 24), code=0x010C0047, valid=4608)
+    slot = np.zeros((48, 64), np.uint8)
+    frame = camera.next_frame(slot, 0.1)
+    assert frame.status is FrameStatus.COMPLETE, frame.detail
+    assert slot[5, :4].tolist() == [0xC5, 0xE1, 0xC5, 0xE1]
+    device.stream = frame_of(bytes(64 * 48), 10)
+    assert "expected Mono12p" in camera.next_frame(slot, 0.1).detail
+
+
+def test_a_format_that_is_no_grey_is_refused_before_anything_is_set() -> None:
+    with pytest.raises(DeviceRefused, match=r"pixel_format 'BGR8' is none of Mono8, Mono10"):
+        opened(spec=CameraSpec("camera.left", "KF-CAM-L", pixel_format="BGR8"))

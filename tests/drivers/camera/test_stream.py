@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from drivers.api import DeviceGone, Frame, FrameStatus
+from drivers.camera.pixels import FORMATS
 from drivers.camera.stream import StreamGeometry, StreamReader
 from drivers.camera.usb import (
     TransferBuffer,
@@ -25,6 +26,7 @@ from tests.drivers.clock import SteppedClock
 WIDTH, HEIGHT = 64, 48  # 3 packets of 1024: the payload ends without a short packet, as 1600 x 1200 does
 PIXELS = WIDTH * HEIGHT
 PACKET = 1024
+MONO8 = FORMATS["Mono8"]
 
 
 class Pipe:
@@ -64,6 +66,9 @@ class Pipe:
                 break
         return done
 
+    def set_halt(self) -> None:
+        """A device that takes no request to halt."""
+
     def clear_halt(self) -> None:
         self.halts_cleared += 1
 
@@ -90,7 +95,7 @@ class Bench:
     def __init__(self, transfer_size: int = PIXELS) -> None:
         self.clock = SteppedClock()
         self.pipe = Pipe(self.clock)
-        geometry = StreamGeometry(WIDTH, HEIGHT, PIXELS, transfer_size, PACKET)
+        geometry = StreamGeometry(WIDTH, HEIGHT, MONO8, PIXELS, (transfer_size,), PACKET)
         self.reader = StreamReader("camera.left", self.pipe, geometry, self.clock)
         self.slot = np.zeros((HEIGHT, WIDTH), np.uint8)
 
@@ -364,7 +369,7 @@ class Endless(Pipe):
 def test_a_pipe_that_never_runs_dry_keeps_neither_a_flush_nor_a_search_for_ever() -> None:
     clock = SteppedClock()
     pipe = Endless(clock, b"noise")
-    reader = StreamReader("camera.left", pipe, StreamGeometry(WIDTH, HEIGHT, PIXELS, PIXELS, PACKET), clock)
+    reader = StreamReader("camera.left", pipe, StreamGeometry(WIDTH, HEIGHT, MONO8, PIXELS, (PIXELS,), PACKET), clock)
     reader.flush()
     assert 100 < pipe.reads < 1000
     assert reader.next_frame(np.zeros((HEIGHT, WIDTH), np.uint8), 0.5).status is FrameStatus.TIMEOUT

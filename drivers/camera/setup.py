@@ -1,0 +1,342 @@
+"""Owns the order in which a camera is set before it streams, and that each setting is what was asked for.
+
+A camera may wake up in any state: binned, mirrored, limited, triggered by another line. So everything that decides about an image
+is set at each opening, one after the other, and read back. The order matters: some features may only be written, or only act, once others have their
+values (SFNC 2.7; the makers' manuals say which). What a camera does not offer is noted; what it holds otherwise than asked is refused.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from drivers.api import CameraSettings, CameraSpec, DeviceRefused, FeatureValue
+from drivers.camera.features import Features
+
+OWN_KEYS = {
+    "Width": "width_px",
+    "Height": "height_px",
+    "OffsetX": "offset_x_px",
+    "OffsetY": "offset_y_px",
+    "PixelFormat": "pixel_format",
+    "ExposureTime": "exposure_ms",
+    "Gain": "gain_db",
+}
+"""Features that have a key of their own in the rig file."""
+MAY_BE_MISSING = "?"
+"""Mark before the name of a feature that not every camera of a kind has."""
+_TOLERANCE, _EXPOSURE_TOLERANCE_US, _GAIN_TOLERANCE_DB = 0.01, 20.0, 0.11
+"""Rounding that is taken: of any number as a share of it, of an exposure, and of a gain, whose steps may be 0.1 dB or coarser ones of a table."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Setting:
+    """One feature and its value. ``choices``: of several symbols the first that is offered; none: the value as it is."""
+
+    feature: str
+    value: FeatureValue
+    choices: tuple[str, ...] = ()
+
+
+_FRAME_START = "FrameStart"
+_FORMAT = (
+    _Setting("BinningHorizontal", 1),
+    _Setting("BinningVertical", 1),
+    _Setting("DecimationHorizontal", 1),
+    _Setting("DecimationVertical", 1),
+    _Setting("ReverseX", value=False),
+    _Setting("ReverseY", value=False),
+)
+"""Before the size, whose limits follow from them."""
+_PLAIN = (
+    _Setting("ChunkModeActive", value=False),
+    _Setting("TestPattern", "Off"),
+    _Setting("TestImageSelector", "Off"),
+    _Setting("AcquisitionMode", "Continuous"),
+    # Without a trigger it would be the camera's own pace; with one it makes some cameras skip triggers.
+    _Setting("AcquisitionFrameRateEnable", value=False),
+)
+_INPUT = (_Setting("LineMode", "Input"), _Setting("LineInverter", value=False))
+_LIGHT_FIRST = (_Setting("ExposureMode", "Timed"), _Setting("ExposureAuto", "Off"))
+_TONE = (
+    _Setting("BlackLevelAuto", "Off"),
+    _Setting("GammaEnable", value=False),
+    _Setting("LUTEnable", value=False),
+)
+
+
+class CameraSetup:
+    """Sets one camera; used by the thread that configures it.
+
+    Every method raises DeviceRefused, which names the feature, the value and the remedy, and DeviceGone.
+    """
+
+    def __init__(self, spec: CameraSpec, features: Features) -> None:
+        """Refuses ``spec.features`` that have keys of their own in the rig file."""
+        self._name = spec.name
+        self._spec = spec
+        self._features = features
+        self._missing: dict[str, str] = {}
+        self._wanted: dict[str, FeatureValue] = {}
+        self._instead, self._after = self._sorted(spec.features)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What this camera does not offer of the settings, in the order in which they were wanted."""
+        return tuple(self._missing.values())
+
+    def load_defaults(self) -> None:
+        """Bring the camera into its maker's default state: what an owner saved in it counts no more. At opening only."""
+        features = self._features
+        if not (features.has("UserSetSelector") and features.has("UserSetLoad")):
+            self._note("UserSetLoad", "no user sets")
+        elif "Default" not in features.choices("UserSetSelector") or not features.writable("UserSetSelector"):
+            self._note("UserSetLoad", "no user set Default")
+        else:
+            features.choose("UserSetSelector", "Default")
+            features.execute("UserSetLoad")
+            features.forget()
+
+    def apply(self, settings: CameraSettings) -> CameraSettings:
+        """Set everything, in order, and return what the camera made of exposure and gain."""
+        self._wanted.clear()
+        self._format(settings)
+        self._trigger()
+        made = self.light(settings)
+        for one in _TONE:
+            self._set(one)
+        if not self._features.has("GammaEnable") or self._holds("GammaEnable", value=True):
+            self._set(_Setting("Gamma", 1.0))
+        for extra in self._after:
+            self._set_extra(extra)
+            if not extra[0].startswith("Trigger"):
+                self._wanted.pop(extra[0], None)  # what was set of it stands behind another selector now
+        if self._features.has("TriggerSelector"):
+            self._features.choose("TriggerSelector", _FRAME_START)
+        self._verify()
+        return made
+
+    def light(self, settings: CameraSettings) -> CameraSettings:
+        """Set exposure and gain alone, and return what the camera made of them."""
+        features = self._features
+        for one in _LIGHT_FIRST:
+            self._set(one)
+        exposure_us = features.set_number("ExposureTime", settings.exposure_us)
+        self._near("ExposureTime", settings.exposure_us, exposure_us, _EXPOSURE_TOLERANCE_US, "µs", "exposure_ms")
+        self._set(_Setting("GainAuto", "Off"))
+        gain_db = 0.0
+        if features.has("Gain"):
+            self._set(_Setting("GainSelector", "All", ("All", "AnalogAll")))
+            gain_db = features.set_number("Gain", settings.gain_db)
+            self._near("Gain", settings.gain_db, gain_db, _GAIN_TOLERANCE_DB, "dB", "gain_db")
+        elif settings.gain_db != 0.0:
+            raise DeviceRefused(self._name, "has no gain to set", "Set gain_db = 0 in the rig file")
+        return CameraSettings(settings.width_px, settings.height_px, exposure_us, gain_db)
+
+    # ------------------------------------------------------------------------------------------- the order
+
+    def _format(self, settings: CameraSettings) -> None:
+        features = self._features
+        self._throughput()
+        for one in _FORMAT:
+            self._set(one)
+        features.choose("PixelFormat", self._spec.pixel_format)
+        self._wanted["PixelFormat"] = self._spec.pixel_format
+        # Offsets first: they limit the size that is allowed.
+        for offset in ("OffsetX", "OffsetY"):
+            if features.has(offset) and features.writable(offset):
+                features.set_number(offset, 0)
+        for feature, wanted in (("Width", settings.width_px), ("Height", settings.height_px)):
+            got = features.set_number(feature, wanted)
+            if got != wanted:
+                raise DeviceRefused(
+                    self._name, f"{feature}: asked for {wanted} px, got {got:g} px", "Correct the rig's size"
+                )
+            self._wanted[feature] = wanted
+        self._offset("OffsetX", self._spec.offset_x_px)
+        self._offset("OffsetY", self._spec.offset_y_px)
+        for one in _PLAIN:
+            self._set(one)
+
+    def _throughput(self) -> None:
+        """Let the camera send as fast as it can: a limit would make it drop triggers at 60 Hz."""
+        features = self._features
+        mode = "DeviceLinkThroughputLimitMode"
+        if mode in self._instead or (features.has(mode) and "Off" in features.choices(mode)):
+            self._set(_Setting(mode, "Off"))
+        elif features.has("DeviceLinkThroughputLimit") and features.writable("DeviceLinkThroughputLimit"):
+            self._set(_Setting("DeviceLinkThroughputLimit", features.limits("DeviceLinkThroughputLimit").high))
+
+    def _offset(self, feature: str, wanted_px: int | None) -> None:
+        """Set the image's place on the sensor. ``None``: its middle, where lenses draw best."""
+        features = self._features
+        if not features.has(feature):
+            if wanted_px:
+                raise DeviceRefused(
+                    self._name, f"has no {feature} to set to {wanted_px} px", f"Leave out {OWN_KEYS[feature]}"
+                )
+            return
+        limits = features.limits(feature)
+        middle_px = int(limits.high / 2 // limits.step * limits.step)
+        value = middle_px if wanted_px is None else wanted_px
+        if features.number(feature) != value:
+            got = features.set_number(feature, value)
+            if got != value:
+                raise DeviceRefused(
+                    self._name, f"{feature}: asked for {value} px, got {got:g} px",
+                    f"Correct {OWN_KEYS[feature]}: 0 to {limits.high:g} in steps of {limits.step:g}",
+                )  # fmt: skip
+        self._wanted[feature] = value
+
+    def _trigger(self) -> None:
+        """Make each pulse on the board's line one frame, and nothing else."""
+        features = self._features
+        source = self._source()
+        if features.has("TriggerSelector"):
+            # One that is left on waits for a signal that never comes, or starts frames of its own.
+            for selector in features.choices("TriggerSelector"):
+                features.choose("TriggerSelector", selector)
+                if features.writable("TriggerMode"):
+                    features.choose("TriggerMode", "Off")
+        if features.has("LineSelector") and source in features.choices("LineSelector"):
+            features.choose("LineSelector", source)
+            for one in _INPUT:
+                self._set(one)
+        self._set(_Setting("TriggerSelector", _FRAME_START))
+        features.choose("TriggerSource", source)
+        self._wanted["TriggerSource"] = source
+        self._set(_Setting("TriggerActivation", "RisingEdge"))
+        # Without it a trigger during read-out is ignored: 60 Hz become 30.
+        self._set(_Setting("TriggerOverlap", "ReadOut", ("ReadOut", "PreviousFrame")))
+        self._set(_Setting("OverlapMode", "On"))
+        self._set(_Setting("TriggerDelay", 0.0))
+        # Before the exposure's mode: on some cameras it acts only on what is triggered already.
+        features.choose("TriggerMode", "On")
+        self._wanted["TriggerMode"] = "On"
+
+    def _source(self) -> str:
+        named = self._spec.trigger_source
+        if named is not None:
+            return named
+        lines = [symbol for symbol in self._features.choices("TriggerSource") if symbol.startswith("Line")]
+        if not lines:
+            raise DeviceRefused(self._name, "offers no line as trigger source", "Use a triggerable camera")
+        return lines[0]
+
+    # ------------------------------------------------------------------------------------------- one setting
+
+    def _sorted(
+        self, extras: Sequence[tuple[str, FeatureValue]]
+    ) -> tuple[dict[str, tuple[FeatureValue, bool]], list[tuple[str, FeatureValue, bool]]]:
+        """Return what takes the place of a built-in setting, and what follows after all of them, with whether it may be missing.
+
+        What stands behind a selector in the table belongs to it, and follows with it.
+        """
+        instead: dict[str, tuple[FeatureValue, bool]] = {}
+        after: list[tuple[str, FeatureValue, bool]] = []
+        selected = False
+        for marked, value in extras:
+            name = marked.removeprefix(MAY_BE_MISSING)
+            if name in OWN_KEYS:
+                raise DeviceRefused(
+                    self._name, f"{name} = {value!r} stands under features", f"Use the key {OWN_KEYS[name]} for it"
+                )
+            selected = selected or name.endswith("Selector")
+            optional = marked != name
+            if name in _BUILT_IN and not selected:
+                instead[name] = (value, optional)
+            else:
+                after.append((name, value, optional))
+        return instead, after
+
+    def _set(self, setting: _Setting) -> None:
+        """Set what not every camera has."""
+        name, value = setting.feature, setting.value
+        features = self._features
+        if name in self._instead:
+            value, optional = self._instead[name]
+            self._set_extra((name, value, optional))
+            self._wanted[name] = value
+            return
+        if not features.has(name):
+            self._note(name, f"no {name}")
+            return
+        if isinstance(value, str):
+            offered = features.choices(name)
+            wanted = next((one for one in setting.choices or (value,) if one in offered), None)
+            if wanted is None:
+                self._note(name, f"{name} without {value}: stays {features.choice(name)}")
+                return
+            value = wanted
+        self._write(name, value)
+        self._wanted[name] = value
+
+    def _set_extra(self, extra: tuple[str, FeatureValue, bool]) -> None:
+        """Set what the rig file asks for."""
+        name, value, optional = extra
+        if optional and not self._features.has(name):
+            self._note(name, f"no {name}")
+            return
+        self._write(name, value)
+
+    def _write(self, name: str, value: FeatureValue) -> None:
+        features = self._features
+        if features.has(name) and not features.writable(name):
+            if self._holds(name, value):
+                return
+            raise DeviceRefused(
+                self._name,
+                f"{name} is {features.value(name)} and cannot be written; it must be {value}",
+                f'Set it by the maker\'s program and save it, or give "{name}" another value under features of this camera',
+            )
+        # Also what it holds already: on some cameras a mode acts only when it is written after what it depends on.
+        features.set_value(name, value)
+        if not self._holds(name, value):
+            raise self._differs(name, value)
+
+    def _holds(self, name: str, value: FeatureValue) -> bool:
+        """Tell whether the camera holds this value, numbers within what it may round."""
+        if not self._features.has(name):
+            return False
+        held = self._features.value(name)
+        if isinstance(value, bool | str) or isinstance(held, bool | str):
+            return held == value
+        return abs(held - value) <= _TOLERANCE * abs(value)
+
+    def _near(self, name: str, wanted: float, got: float, most: float, unit: str, key: str) -> None:
+        if abs(got - wanted) > max(most, _TOLERANCE * abs(wanted)):
+            raise DeviceRefused(
+                self._name,
+                f"{name}: asked for {wanted:g} {unit}, got {got:g} {unit}",
+                f"Choose a {key} that the camera has",
+            )
+
+    def _verify(self) -> None:
+        """Read everything once more: a later setting may have changed an earlier one."""
+        for name, value in self._wanted.items():
+            if not self._holds(name, value):
+                raise self._differs(name, value)
+
+    def _differs(self, name: str, value: FeatureValue) -> DeviceRefused:
+        return DeviceRefused(
+            self._name,
+            f"{name} is {self._features.value(name)} after it was set to {value}",
+            "Check the rig's camera settings against the camera's manual",
+        )
+
+    def _note(self, name: str, text: str) -> None:
+        self._missing[name] = text
+
+
+_BUILT_IN = {
+    *(one.feature for one in (*_FORMAT, *_PLAIN, *_INPUT, *_LIGHT_FIRST, *_TONE)),
+    *(
+        "DeviceLinkThroughputLimitMode",
+        "DeviceLinkThroughputLimit",
+        "TriggerActivation",
+        "TriggerOverlap",
+        "OverlapMode",
+    ),
+    *("TriggerDelay", "Gamma", "GainAuto"),
+}
+"""Settings of the order whose values a rig file may replace, in their place."""
