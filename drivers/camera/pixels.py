@@ -62,7 +62,7 @@ class PixelFormat:
     group: int
     """Pixels that are packed together: an image has a whole number of groups."""
     reduce: Callable[[Bytes, Bytes], None] | None
-    """From the bytes of an image to its pixels, both 1-D; ``None``: they are the same."""
+    """Makes an image's pixels of its bytes, both 1-D; ``None``: they are the same."""
 
     def payload_size(self, pixels: int) -> int | None:
         """Return the bytes of an image of so many pixels; ``None`` where they are no whole number of groups."""
@@ -83,4 +83,4 @@ FORMATS: Mapping[str, PixelFormat] = MappingProxyType(
         )
     }
 )
-"""By their names; what else a camera may send is colour, or no image."""
+"""Formats by their names; what else a camera may send is colour, or no image."""

@@ -47,7 +47,7 @@ _FORMAT = (
     _Setting("ReverseX", value=False),
     _Setting("ReverseY", value=False),
 )
-"""Before the size, whose limits follow from them."""
+"""Settings that come before the size, whose limits follow from them."""
 _PLAIN = (
     _Setting("ChunkModeActive", value=False),
     _Setting("TestPattern", "Off"),
@@ -82,7 +82,7 @@ class CameraSetup:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What this camera does not offer of the settings, in the order in which they were wanted."""
+        """Settings that this camera does not offer, in the order in which they were wanted."""
         return tuple(self._missing.values())
 
     def load_defaults(self) -> None:
