@@ -7,6 +7,7 @@ import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Any
 
 
 class Status(IntEnum):
@@ -77,6 +78,10 @@ class Memory:
         """Add a read-only IEEE 754 number."""
         self.add(Register(address, 4, lambda: struct.pack("<f", read())))
 
+    def f64(self, address: int, read: Callable[[], float], write: Callable[[float], None]) -> None:
+        """Add an IEEE 754 number of 64 bits."""
+        self._number("<d", address, read, write)
+
     def text(self, address: int, length: int, text: str) -> None:
         """Add a constant string, padded with NUL."""
         self.blob(address, text.encode("ascii").ljust(length, b"\0")[:length])
@@ -86,7 +91,7 @@ class Memory:
         self.add(Register(address, len(data), lambda: data, None, whole=False))
 
     def _number(
-        self, form: str, address: int, read: Callable[[], int] | None, write: Callable[[int], None] | None
+        self, form: str, address: int, read: Callable[[], float] | None, write: Callable[[Any], None] | None
     ) -> None:
         def pack() -> bytes:
             return struct.pack(form, read()) if read is not None else b""

@@ -20,12 +20,13 @@ from hw_sim.timing.world_time import WorldTime
 
 READOUT_NS = 14_000_000
 """The whole sensor; rows are read one after the other. 71 frames a second at most."""
-MEMORY_BLOCKS = 32
 ROOM_BLOCKS = 4
 """A host with fewer unread blocks keeps up; far from what overruns the memory."""
 CONTINUOUS, SINGLE_FRAME, MULTI_FRAME = 0, 1, 2
 LINE0, SOFTWARE = 0, 8
-RISING, FALLING = 0, 1
+NOWHERE = 99
+"""A line that nothing is wired to."""
+RISING, FALLING, BOTH_EDGES = 0, 1, 2
 TIMED, TRIGGER_WIDTH = 1, 2
 AUTO_OFF, AUTO_CONTINUOUS = 0, 2
 AUTO_EXPOSURE_US, AUTO_GAIN_TENTH_DB = 14_000, 120
@@ -71,11 +72,30 @@ class Settings:
     gain_tenth_db: int = 0
     exposure_auto: int = AUTO_OFF
     gain_auto: int = AUTO_OFF
+    readout_ns: int = READOUT_NS
+    """Duration of the readout of the whole sensor."""
+    link_limit_ns: int = 0
+    """A limit of the link's throughput stretches the readout to at least this."""
+    overlaps: bool = True
+    """An exposure may begin while the last one is read out, by ``overlap_ns`` at most."""
+    overlap_ns: int | None = None
+    least_period_ns: int = 0
+    """No exposure begins sooner than this after the last one began."""
+    trigger_delay_ns: int = 0
+    width_offset_ns: int = 0
+    """The sensor adds this to the width of a pulse."""
+    held_by: int | None = None
+    """Source of another trigger that must come before a frame may; ``None``: there is no such trigger."""
+    frames_each: int | None = None
+    """Number of frames that each of those triggers allows; ``None``: all until the acquisition ends."""
 
     @classmethod
     def at_power_on(cls, state: PowerOn) -> Settings:
         """The settings that a camera wakes up with."""
-        return cls(**{name: state.register(name) for name in CHOICES})
+        settings = cls()
+        for name in CHOICES:
+            setattr(settings, name, state.register(name))
+        return settings
 
     @property
     def used_exposure_us(self) -> int:
@@ -129,6 +149,9 @@ class Shutter:
         """Number of the free run that goes on; those before it have ended."""
         self._block_id = 0
         self._left: int | None = None
+        self._allowed: int | None = None
+        """Number of frames that the trigger before the frames' own still allows; ``None``: any."""
+        self._begun_ns = -(10**18)
         self.exposing_until_ns = 0
         self._readout_until_ns = 0
         self._link_free_ns = 0
@@ -158,6 +181,8 @@ class Shutter:
         self.acquiring = True
         self._block_id = 0
         self._left = {SINGLE_FRAME: 1, MULTI_FRAME: s.frame_count}.get(s.acquisition_mode)
+        self._allowed = None if s.held_by is None else 0
+        self._begun_ns = -(10**18)
         self.trigger_mode_changed()
 
     def stop(self) -> None:
@@ -169,14 +194,35 @@ class Shutter:
     def line0(self, time_ns: int, width_ns: int, shot: Shot) -> None:
         """Take a pulse of the trigger line that rises at ``time_ns``."""
         s = self.settings
+        if s.held_by == LINE0 and self._allowed == 0:
+            self._let_frames_begin(time_ns, shot)
+            return
         if not s.trigger_on or s.trigger_source != LINE0:
             return
-        start_ns = time_ns + (width_ns if s.trigger_activation == FALLING else 0)
+        start_ns = time_ns + (width_ns if s.trigger_activation == FALLING else 0) + s.trigger_delay_ns
         late = self._faults.strike(self._name, "delayed", frame=shot.frame)
         if late is not None:
             start_ns += int(late.amount * 1e6)
-        duration_ns = width_ns if s.exposure_mode == TRIGGER_WIDTH else s.used_exposure_us * 1000
+        by_width = s.exposure_mode == TRIGGER_WIDTH
+        duration_ns = width_ns + s.width_offset_ns if by_width else s.used_exposure_us * 1000
         self._at(start_ns, lambda t: self._trigger(Exposure(t, duration_ns, s.used_gain_db, shot)))
+        if s.trigger_activation == BOTH_EDGES:
+            self._at(start_ns + width_ns, lambda t: self._trigger(Exposure(t, duration_ns, s.used_gain_db, shot)))
+
+    def _let_frames_begin(self, time_ns: int, shot: Shot) -> None:
+        """Take the trigger that comes before the frames' own."""
+        s = self.settings
+        self._allowed = s.frames_each
+        if not s.trigger_on and self._allowed == 1:
+            duration_ns = s.used_exposure_us * 1000
+            self._at(time_ns, lambda t: self._trigger(Exposure(t, duration_ns, s.used_gain_db, shot)))
+        elif not s.trigger_on:
+            self.trigger_mode_changed()
+
+    def software_hold(self) -> None:
+        """Take the host's command for the trigger that comes before the frames' own."""
+        if self.settings.held_by == SOFTWARE and self._allowed == 0:
+            self._let_frames_begin(self._time.now_ns(), Shot(0, self._block_id, None))
 
     def software(self) -> None:
         """Take the host's trigger command."""
@@ -220,9 +266,12 @@ class Shutter:
         if not self.acquiring:
             return
         # A trigger is ignored while the sensor is exposed, or if its image would be ready before the last one is read out.
-        if exposure.start_ns < self.exposing_until_ns or end_ns < self._readout_until_ns:
+        if exposure.start_ns < self.exposing_until_ns or end_ns < self._readout_until_ns or not self._lets(exposure):
             self.ignored += 1
             return
+        self._begun_ns = exposure.start_ns
+        if self._allowed is not None:
+            self._allowed -= 1
         block_id = self._block_id
         self._block_id += 1
         if self._left is not None:
@@ -230,12 +279,23 @@ class Shutter:
             # The last of its acquisition ends it; what is exposed still comes.
             self.acquiring = self._left > 0
         self.exposing_until_ns = end_ns
-        self._readout_until_ns = end_ns + int(READOUT_NS * self._rows())
+        s = self.settings
+        self._readout_until_ns = end_ns + max(int(s.readout_ns * self._rows()), s.link_limit_ns)
         self._at(end_ns, lambda _: self._exposed(block_id, exposure))
+
+    def _lets(self, exposure: Exposure) -> bool:
+        """Tell whether overlap, frame rate and another trigger let this exposure begin."""
+        s = self.settings
+        earliest_ns = self._begun_ns + s.least_period_ns
+        if not s.overlaps:
+            earliest_ns = max(earliest_ns, self._readout_until_ns)
+        elif s.overlap_ns is not None:
+            earliest_ns = max(earliest_ns, self._readout_until_ns - s.overlap_ns)
+        return exposure.start_ns >= earliest_ns and self._allowed != 0
 
     def _exposed(self, block_id: int, exposure: Exposure) -> None:
         # Overrun: with the memory full the image is lost, but its block id is used up.
-        latent = self._image(exposure) if self._held + self._unread() < MEMORY_BLOCKS else None
+        latent = self._image(exposure) if self._held + self._unread() < self._power_on.memory_blocks else None
         free_ns = max(self._readout_until_ns, self._link_free_ns)
         if latent is None:
             # Behind those that wait for the link: block ids leave in order.

@@ -10,17 +10,20 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hw_sim.clocks import Clocks, Wander
 from hw_sim.devices import u3v_descriptors as usb
 from hw_sim.devices import u3v_registers
 from hw_sim.devices.board import Shot
+from hw_sim.devices.feature_book import FeatureBook
 from hw_sim.devices.gencp_memory import Refused, Status
+from hw_sim.devices.picture import payload
 from hw_sim.devices.power_on import POLITE, PowerOn
 from hw_sim.devices.shutter import ROOM_BLOCKS, Exposure, Latent, Settings, Shutter, Taken
 from hw_sim.devices.u3v_control import MAX_COMMAND, ControlChannel
 from hw_sim.devices.u3v_descriptors import Identity, Speed
-from hw_sim.devices.u3v_stream import OVERRUN, Block, Overflow, Region, Setup, StreamPipe
+from hw_sim.devices.u3v_stream import OVERRUN, Block, Overflow, Region, Setup, StreamPipe, StreamRules
 from hw_sim.devices.usb_standard import Stall as Stall
 from hw_sim.faults import FaultBook
 from hw_sim.timing.world_time import WorldTime
@@ -52,7 +55,8 @@ class U3vCamera:
     ) -> None:
         """``clocks``: how trigger and clock err beyond a constant, and what a time stamp is the time of; ``None``: as the
         ordinary ones, which stamp the start of an exposure."""
-        self.name, self.sensor = name, sensor
+        """``sensor``: columns and rows of the picture that ``expose`` makes; a maker's sensor has a border around it."""
+        self.name = name
         self._time, self._faults = time, faults
         self.power_on = power_on
         self.temperature_c = temperature_c
@@ -65,23 +69,34 @@ class U3vCamera:
         self._jitter = np.random.default_rng([seed, *serial.encode(), 1])
         self._wander = None if clocks is None else Wander(clocks, (seed, *serial.encode(), 2))
         self._stamps_at_end = clocks is not None and clocks.stamps_at_end == 1
-        guid = f"{usb.VENDOR_ID:04X}{int(rng.integers(0, 2**32)):08X}"
-        self.identity = Identity(
-            *("Kingfisher", "KFC1920", "KFC", "1.0", f"{sensor[0]}x{sensor[1]} mono"), guid, serial, serial
-        )
+        maker = power_on.maker
+        self.book = None if maker is None else FeatureBook(maker, sensor, power_on.saved, self)
+        """The values of a maker's features; ``None`` for the usual camera."""
+        self.rules = StreamRules() if maker is None else maker.stream
+        self.sensor = sensor if self.book is None else self.book.sensor
+        self.usb_ids = (usb.VENDOR_ID, usb.PRODUCT_ID) if maker is None else (maker.vendor_id, maker.product_id)
+        """USB numbers of vendor and product."""
+        guid = f"{self.usb_ids[0]:04X}{int(rng.integers(0, 2**32)):08X}"
+        names = ("Kingfisher", "KFC1920", "KFC") if maker is None else (maker.vendor, maker.model, maker.family)
+        self.identity = Identity(*names, "1.0", f"{self.sensor[0]}x{self.sensor[1]} mono", guid, serial, serial)
         self.speed = Speed.SUPER
         self.plugged = True
         self.enumeration = 0
         """Counts how often it appeared on the bus; a handle is good for one of them."""
+        self.region: Region
+        self._pipe = StreamPipe()
         self.shutter = Shutter(
             *(name, time, faults, expose, self._send),
             unread=lambda: self._pipe.blocks,
             link_ns=lambda: int(self.region.payload_bytes / self.speed.bytes_per_s * 1e9),
-            rows=lambda: self.region.height / sensor[1],
+            rows=lambda: self.region.height / sensor[1] if self.book is None else self.book.rows,
             power_on=power_on,
         )
-        self._pipe = StreamPipe()
+        self.streaming = False
         self._power_up()
+        if power_on.left_halted:
+            self._halted.add(usb.STREAM_IN)
+            self._stuck.add(usb.STREAM_IN)
         self._memory = u3v_registers.build(self)
         self._control = ControlChannel(time, self._memory, self._write_duration_ns)
 
@@ -93,11 +108,18 @@ class U3vCamera:
         self.user_name = self.identity.user_name.encode().ljust(64, b"\0")
         self._configuration = 1
         self._halted: set[int] = set()
+        self._stuck: set[int] = set()
+        """Endpoints that stay halted until the host has halted them itself."""
+        self.once_enabled = False
+        """The stream was enabled since the camera powered up."""
         self._swapped: Block | None = None
         """Lets the next one pass."""
         self._overrun_told = False
         self._pipe.clear()
         self.shutter.power_up()
+        if self.book is not None:
+            self.book.load(self.power_on.saved)
+            self.features_changed("")
 
     def refresh(self, time_ns: int) -> None:
         """Look again at the faults: the camera may leave the bus, come back, or come back slower."""
@@ -132,6 +154,8 @@ class U3vCamera:
         """Execute AcquisitionStart. Raises Refused."""
         if usb.STREAM_IN in self._halted:
             raise Refused(Status.STREAM_ENDPOINT_HALTED)
+        if self.power_on.needs_lock and self.book is not None and not self.book.number("TLParamsLocked"):
+            raise Refused(Status.ACCESS_DENIED)
         self._overrun_told = False
         if not self.acquiring:
             self._swapped = None
@@ -143,11 +167,22 @@ class U3vCamera:
 
     def software_trigger(self) -> None:
         """Execute TriggerSoftware."""
-        self.shutter.software()
+        if self.book is None or self.book.software_trigger_is_for_frames():
+            self.shutter.software()
+        else:
+            self.shutter.software_hold()
 
     def trigger_mode_changed(self) -> None:
         """Note that TriggerMode was written."""
         self.shutter.trigger_mode_changed()
+
+    def features_changed(self, name: str) -> None:
+        """Let sensor and stream follow a maker's features, of which ``name`` was written."""
+        if self.book is not None:
+            self.region = self.book.region
+            self.shutter.settings = self.book.settings()
+            if name == "TriggerMode":
+                self.shutter.trigger_mode_changed()
 
     def restart(self) -> None:
         """Reset the camera (DeviceReset, or the cable): everything is forgotten, and it is another device on the bus."""
@@ -161,7 +196,8 @@ class U3vCamera:
         if on and not self.streaming:
             if usb.STREAM_IN in self._halted:
                 raise Refused(Status.STREAM_ENDPOINT_HALTED)
-            self.setup.check(self.region.payload_bytes)
+            self.setup.check(self.region, self.rules)
+            self.once_enabled = True
         if on != self.streaming:
             if not self.power_on.keeps_stale:
                 self._pipe.clear()
@@ -169,14 +205,14 @@ class U3vCamera:
             self.streaming = on
 
     def _write_duration_ns(self, address: int) -> int:
-        return ARMING_NS if address == u3v_registers.ACQUISITION_START else 0
+        return ARMING_NS if address == u3v_registers.start_address(self.book) else 0
 
     # ------------------------------------------------------------------------------------------ frames
 
     @property
     def room(self) -> bool:
         """The host reads fast enough."""
-        return self._pipe.blocks < ROOM_BLOCKS
+        return self._pipe.blocks < min(ROOM_BLOCKS, self.power_on.memory_blocks)
 
     def line0(self, time_ns: int, width_ns: int, shot: Shot) -> None:
         """Take a pulse of the trigger line."""
@@ -201,8 +237,7 @@ class U3vCamera:
             return
         self._overrun_told = False
         r = self.region
-        pixels = taken.latent.image[r.offset_y : r.offset_y + r.height, r.offset_x : r.offset_x + r.width]
-        block = Block(taken.block_id, time_ns, r, np.ascontiguousarray(pixels).reshape(-1).data)
+        block = Block(taken.block_id, time_ns, r, self._payload(taken.latent.image, taken.block_id))
         frame, count = taken.exposure.shot.frame, taken.exposure.shot.count
         if self._strikes("intermittent", None, frame):
             return
@@ -216,6 +251,13 @@ class U3vCamera:
         if self._swapped is not None:
             self._put(self._swapped)
             self._swapped = None
+
+    def _payload(self, image: NDArray[np.uint8], block_id: int) -> bytes | memoryview:
+        r = self.region
+        if self.book is None:
+            pixels = image[r.offset_y : r.offset_y + r.height, r.offset_x : r.offset_x + r.width]
+            return np.ascontiguousarray(pixels).reshape(-1).data
+        return r.with_chunks(payload(image, self.sensor, self.book.processing, r), block_id)
 
     def _changes_places(self, frame: int | None, count: int | None) -> bool:
         """Return whether a frame changes places with the next one.
@@ -251,7 +293,7 @@ class U3vCamera:
 
     def device_descriptor(self) -> bytes:
         """Return the device descriptor: 18 bytes."""
-        return usb.device(self.speed)
+        return usb.device(self.speed, self.usb_ids)
 
     def configuration_descriptor(self) -> bytes:
         """Return the configuration descriptor with everything in it."""
@@ -283,7 +325,7 @@ class U3vCamera:
     def _descriptor(self, kind: int, index: int) -> bytes | None:
         match kind:
             case 1:
-                return usb.device(self.speed)
+                return usb.device(self.speed, self.usb_ids)
             case 2:
                 return usb.configuration(self.speed) if index == 0 else None
             case 3:
@@ -308,6 +350,7 @@ class U3vCamera:
                 return True
             case 0x02, 0x03 if value == _ENDPOINT_HALT:
                 self._halted.add(index)
+                self._stuck.discard(index)
                 if index == usb.STREAM_IN:
                     self._pipe.clear()
                 return True
@@ -316,7 +359,8 @@ class U3vCamera:
 
     def clear_halt(self, endpoint: int) -> None:
         """Do CLEAR_FEATURE(ENDPOINT_HALT)."""
-        self._halted.discard(endpoint)
+        if endpoint not in self._stuck:
+            self._halted.discard(endpoint)
 
     def write(self, endpoint: int, data: bytes) -> int:
         """Do a bulk OUT transfer; return the bytes taken. Raises Stall."""
@@ -342,6 +386,9 @@ class U3vCamera:
                 buffer[: len(ack)] = ack
                 return len(ack), True
             case usb.STREAM_IN:
+                largest = self.power_on.largest_transfer_bytes
+                if largest is not None and len(buffer) > largest:
+                    raise Stall
                 filled, done = self._pipe.read(buffer, self.speed.bulk_packet)
                 if filled:
                     self._time.condition.notify_all()

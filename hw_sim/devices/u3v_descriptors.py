@@ -57,14 +57,14 @@ class Identity:
         )
 
 
-def device(speed: Speed) -> bytes:
-    """Return the device descriptor. The USB serial number is the GUID, as U3V wants it."""
+def device(speed: Speed, ids: tuple[int, int]) -> bytes:
+    """Return the device descriptor; ``ids``: numbers of vendor and product. The USB serial number is the GUID, as U3V wants it."""
     # USB 3.2, device descriptor: a SuperSpeed device gives the packet size of endpoint 0 as a power of two: 2⁹.
     usb, packet0 = (0x0300, 9) if speed is Speed.SUPER else (0x0210, 64)
     return struct.pack(
         "<BBHBBBBHHHBBBB",
         *(18, _DEVICE, usb, _MISCELLANEOUS, 0x02, 0x01, packet0),
-        *(VENDOR_ID, PRODUCT_ID, DEVICE_VERSION, 2, 3, 1, 1),
+        *(*ids, DEVICE_VERSION, 2, 3, 1, 1),
     )
 
 

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 from importlib import resources
 from typing import Protocol
 
-from hw_sim.devices import u3v_control
+from hw_sim.devices import feature_registers, feature_xml, u3v_control
+from hw_sim.devices.feature_book import FeatureBook
 from hw_sim.devices.gencp_memory import Memory, Refused, Register, Status
 from hw_sim.devices.power_on import PowerOn
 from hw_sim.devices.shutter import (
@@ -30,8 +31,9 @@ from hw_sim.devices.shutter import (
     Settings,
 )
 from hw_sim.devices.u3v_descriptors import GENCP_VERSION, U3V_VERSION, Identity, Speed
-from hw_sim.devices.u3v_stream import ALIGNMENT_LOG2, LEADER_BYTES, MONO8, TRAILER_BYTES, Region, Setup
+from hw_sim.devices.u3v_stream import LEADER_BYTES, MONO8, Region, Setup, StreamRules
 
+MAKERS_FEATURES = 0x20_1000
 MANIFEST, SBRM, SIRM, EIRM, FEATURES, XML = 0x8000, 0x1_0000, 0x1_1000, 0x1_2000, 0x20_0000, 0x80_0000
 FIRMWARE_VERSION = "1.2.0"
 ACQUISITION_START, ACQUISITION_STOP = FEATURES + 0x104, FEATURES + 0x108
@@ -53,6 +55,9 @@ class CameraCore(Protocol):
     sensor: tuple[int, int]
     user_name: bytes
     streaming: bool
+    once_enabled: bool
+    book: FeatureBook | None
+    rules: StreamRules
 
     @property
     def settings(self) -> Settings: ...
@@ -73,6 +78,8 @@ class CameraCore(Protocol):
     def software_trigger(self) -> None: ...
 
     def trigger_mode_changed(self) -> None: ...
+
+    def features_changed(self, name: str) -> None: ...
 
     def restart(self) -> None: ...
 
@@ -96,28 +103,50 @@ def zipped_description(lacks: tuple[str, ...] = ()) -> bytes:
 
     The features it ``lacks`` bear a name of the maker's own, as in cameras that do not follow the naming convention.
     """
-    xml = resources.files(__package__).joinpath("u3v_camera.xml").read_bytes()
+    return _zipped(_without(resources.files(__package__).joinpath("u3v_camera.xml").read_bytes(), lacks), "KFC1920")
+
+
+def _without(xml: bytes, lacks: tuple[str, ...]) -> bytes:
     for name in lacks:
         for before, after in (('Name="%s"', 'Name="Maker%s"'), ("<pFeature>%s<", "<pFeature>Maker%s<")):
             xml = xml.replace((before % name).encode(), (after % name).encode())
+        xml = xml.replace(b"<pSelected>%s<" % name.encode(), b"<pSelected>Maker%s<" % name.encode())
+    return xml
+
+
+def _zipped(xml: bytes, model: str) -> bytes:
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr(zipfile.ZipInfo("Kingfisher_KFC1920.xml", _XML_TIME), xml, zipfile.ZIP_DEFLATED)
+        archive.writestr(zipfile.ZipInfo(f"Kingfisher_{model}.xml", _XML_TIME), xml, zipfile.ZIP_DEFLATED)
     return packed.getvalue()
 
 
 def build(core: CameraCore) -> Memory:
     """Return all memory of a camera."""
     memory = Memory()
-    description = zipped_description(core.power_on.lacks)
+    book = core.book
+    if book is None:
+        description = zipped_description(core.power_on.lacks)
+    else:
+        xml = feature_xml.description(book.maker, MAKERS_FEATURES)
+        description = _zipped(_without(xml, core.power_on.lacks), book.maker.family.replace(" ", ""))
     _bootstrap(memory, core)
     _manifest(memory, description)
     _technology(memory, core)
     _stream_interface(memory, core)
     _event_interface(memory)
-    _features(memory, core)
+    if book is None:
+        _features(memory, core)
+    else:
+        feature_registers.lay_out(memory, book, core, MAKERS_FEATURES)
+    _own_registers(memory, core)
     memory.blob(XML, description + bytes(-len(description) % 4))
     return memory
+
+
+def start_address(book: FeatureBook | None) -> int:
+    """Return the address of AcquisitionStart."""
+    return ACQUISITION_START if book is None else feature_xml.addresses(book.maker, MAKERS_FEATURES)["AcquisitionStart"]
 
 
 def _version(version: tuple[int, int]) -> int:
@@ -198,11 +227,14 @@ def _stream_interface(memory: Memory, core: CameraCore) -> None:
     def control(value: int) -> None:
         core.stream(bool(value & 1))
 
-    memory.u32(SIRM + 0x00, lambda: ALIGNMENT_LOG2 << 24)
+    def required(size: Callable[[], int]) -> Callable[[], int]:
+        return lambda: 0 if core.rules.sizes_once_enabled and not core.once_enabled else size()
+
+    memory.u32(SIRM + 0x00, lambda: core.rules.alignment_log2 << 24)
     memory.u32(SIRM + 0x04, lambda: int(core.streaming), control)
     memory.u64(SIRM + 0x08, lambda: core.region.payload_bytes)
-    memory.u32(SIRM + 0x10, lambda: LEADER_BYTES)
-    memory.u32(SIRM + 0x14, lambda: TRAILER_BYTES)
+    memory.u32(SIRM + 0x10, required(lambda: LEADER_BYTES))
+    memory.u32(SIRM + 0x14, required(lambda: core.region.trailer_bytes))
     for offset, name in (
         (0x18, "max_leader"),
         (0x1C, "size"),
@@ -278,13 +310,6 @@ def _features(memory: Memory, core: CameraCore) -> None:
     def only(value: int) -> Callable[[int], None]:
         return Limits(value, value).check
 
-    def command(action: Callable[[], None]) -> Callable[[int], None]:
-        def write(value: int) -> None:
-            if value & 1:
-                action()
-
-        return write
-
     # The camera's own features; u3v_camera.xml names the same addresses.
     memory.u32(base + 0x000, *width())
     memory.u32(base + 0x004, *shape("height", lambda r: Limits(2, sensor_height - r.offset_y, 2)))
@@ -297,21 +322,33 @@ def _features(memory: Memory, core: CameraCore) -> None:
     memory.u32(base + 0x020, lambda: sensor_width - core.region.offset_x)
     memory.u32(base + 0x024, lambda: sensor_height - core.region.offset_y)
     memory.u32(base + 0x100, *setting("acquisition_mode", Limits(0, MULTI_FRAME), locked=True))
-    memory.u32(ACQUISITION_START, None, command(core.start))
-    memory.u32(ACQUISITION_STOP, None, command(core.stop))
+    memory.u32(ACQUISITION_START, None, _command(core.start))
+    memory.u32(ACQUISITION_STOP, None, _command(core.stop))
     memory.u32(base + 0x10C, *setting("frame_count", Limits(1, 65_535), locked=True))
     memory.u32(base + 0x110, *setting("frame_rate_mhz", Limits(1_000, 60_000)))
     memory.u32(base + 0x114, lambda: int(core.acquiring))
     memory.u32(base + 0x200, *setting("trigger_on", (0, 1), then=core.trigger_mode_changed))
     memory.u32(base + 0x204, *setting("trigger_source", (LINE0, SOFTWARE)))
     memory.u32(base + 0x208, *setting("trigger_activation", (RISING, FALLING)))
-    memory.u32(base + 0x20C, None, command(core.software_trigger))
+    memory.u32(base + 0x20C, None, _command(core.software_trigger))
     memory.u32(base + 0x210, lambda: 0, only(0))
     memory.u32(base + 0x300, *setting("exposure_mode", (TIMED, TRIGGER_WIDTH)))
     memory.u32(base + 0x304, *manual("exposure_us", "exposure_auto", Limits(20, 1_000_000)))
     memory.u32(base + 0x308, *manual("gain_tenth_db", "gain_auto", Limits(0, 240)))
     memory.u32(base + 0x30C, *setting("exposure_auto", (AUTO_OFF, AUTO_CONTINUOUS)))
     memory.u32(base + 0x310, *setting("gain_auto", (AUTO_OFF, AUTO_CONTINUOUS)))
-    memory.f32(base + 0x400, core.temperature_c)
-    memory.text(base + 0x420, 32, FIRMWARE_VERSION)
-    memory.u32(base + 0x500, None, command(core.restart))
+
+
+def _own_registers(memory: Memory, core: CameraCore) -> None:
+    """Lay out what every personality has: temperature, version and reset, as ``u3v_camera.xml`` names them."""
+    memory.f32(FEATURES + 0x400, core.temperature_c)
+    memory.text(FEATURES + 0x420, 32, FIRMWARE_VERSION)
+    memory.u32(FEATURES + 0x500, None, _command(core.restart))
+
+
+def _command(action: Callable[[], None]) -> Callable[[int], None]:
+    def write(value: int) -> None:
+        if value & 1:
+            action()
+
+    return write

@@ -11,7 +11,10 @@ from hw_sim.devices.gencp_memory import Refused, Status
 LEADER_BYTES, TRAILER_BYTES = 52, 32
 ALIGNMENT_LOG2 = 3
 LEADER_MAGIC, TRAILER_MAGIC = b"U3VL", b"U3VT"
-IMAGE = 0x0001
+IMAGE, IMAGE_WITH_CHUNKS = 0x0001, 0x4001
+IMAGE_CHUNK, FRAME_CHUNK = 0x0001, 0x0002
+CHUNK_TAIL = struct.Struct("<II")
+"""USB3 Vision 1.0, chunk data: behind the bytes of each chunk come its number and its length."""
 MONO8 = 0x01080001
 OVERRUN = 0xA101
 
@@ -21,18 +24,55 @@ class Overflow(Exception):
 
 
 @dataclass(frozen=True, slots=True)
+class StreamRules:
+    """The demands of a camera's stream interface."""
+
+    alignment_log2: int = ALIGNMENT_LOG2
+    """Transfers are multiples of two to this power."""
+    aligned_leader: bool = False
+    """The sizes of leader and trailer must be such multiples, too."""
+    sizes_once_enabled: bool = False
+    """The required sizes of leader and trailer read 0 until the stream was enabled for the first time."""
+
+
+@dataclass(frozen=True, slots=True)
 class Region:
-    """The part of the sensor that is read out."""
+    """The part of the sensor that is read out, and how its pixels are written down."""
 
     width: int
     height: int
     offset_x: int
     offset_y: int
+    pixel_format: int = MONO8
+    chunks: bool = False
+    """A chunk with the frame's number follows the image."""
+
+    @property
+    def bits(self) -> int:
+        """Bits of a pixel on the wire: the third byte of its number (PFNC 2.0)."""
+        return self.pixel_format >> 16 & 0xFF
+
+    @property
+    def image_bytes(self) -> int:
+        """Bytes of an image; the last one may be filled up."""
+        return -(-self.width * self.height * self.bits // 8)
 
     @property
     def payload_bytes(self) -> int:
-        """Bytes of an image of 8 bits per pixel."""
-        return self.width * self.height
+        """Bytes of a payload: the image, and its chunks."""
+        return self.image_bytes + (2 * CHUNK_TAIL.size + 8 if self.chunks else 0)
+
+    @property
+    def trailer_bytes(self) -> int:
+        """Bytes of the trailer."""
+        return TRAILER_BYTES + (4 if self.chunks else 0)
+
+    def with_chunks(self, image: bytes, number: int) -> bytes:
+        """Return a payload: the image, and a chunk with the frame's number where that is wanted."""
+        if not self.chunks:
+            return image
+        tails = CHUNK_TAIL.pack(IMAGE_CHUNK, len(image)), CHUNK_TAIL.pack(FRAME_CHUNK, 8)
+        return image + tails[0] + struct.pack("<Q", number) + tails[1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,19 +92,22 @@ class Block:
         if self.spoilt_leader is not None:
             return self.spoilt_leader
         r = self.region
+        kind = IMAGE_WITH_CHUNKS if r.chunks else IMAGE
         # USB3 Vision 1.0, image leader: magic, reserved, size, block id, reserved, payload type, timestamp; then the image's
         # shape.
-        head = struct.pack("<4sHHQHHQ", LEADER_MAGIC, 0, LEADER_BYTES, self.block_id, 0, IMAGE, self.camera_time_ns)
-        return head + struct.pack("<IIIIIHH", MONO8, r.width, r.height, r.offset_x, r.offset_y, 0, 0)
+        head = struct.pack("<4sHHQHHQ", LEADER_MAGIC, 0, LEADER_BYTES, self.block_id, 0, kind, self.camera_time_ns)
+        return head + struct.pack("<IIIIIHH", r.pixel_format, r.width, r.height, r.offset_x, r.offset_y, 0, 0)
 
     def trailer(self) -> bytes:
-        """Return the trailer: 32 bytes, which say how much of the payload is valid."""
+        """Return the trailer: 32 bytes, with chunks 36, which say how much of the payload is valid."""
         if self.spoilt_trailer is not None:
             return self.spoilt_trailer
         # USB3 Vision 1.0, image trailer: magic, reserved, size, block id, status, reserved; then valid bytes and rows.
-        head = struct.pack("<4sHHQHH", TRAILER_MAGIC, 0, TRAILER_BYTES, self.block_id, self.status, 0)
-        rows = len(self.payload) // self.region.width
-        return head + struct.pack("<QI", len(self.payload), rows)
+        r = self.region
+        head = struct.pack("<4sHHQHH", TRAILER_MAGIC, 0, r.trailer_bytes, self.block_id, self.status, 0)
+        rows = min(len(self.payload) * 8 // (r.width * r.bits), r.height)
+        # The layout of the chunks never changes while the stream runs, so its number is always the same.
+        return head + struct.pack("<QI", len(self.payload), rows) + (struct.pack("<I", 1) if r.chunks else b"")
 
 
 @dataclass(slots=True)
@@ -78,13 +121,16 @@ class Setup:
     final1: int = 0
     final2: int = 0
 
-    def check(self, payload_bytes: int) -> None:
-        """Check that a block of that size fits into the transfers. Raises Refused."""
-        if any(length % (1 << ALIGNMENT_LOG2) for length in (self.size, self.final1, self.final2)):
+    def check(self, region: Region, rules: StreamRules) -> None:
+        """Check that a block of that region fits into the transfers. Raises Refused."""
+        step = 1 << rules.alignment_log2
+        if any(length % step for length in (self.size, self.final1, self.final2)):
             raise Refused(Status.PAYLOAD_SIZE_NOT_ALIGNED)
+        if rules.aligned_leader and (self.max_leader % step or self.max_trailer % step):
+            raise Refused(Status.REGISTERS_INCONSISTENT)
         # USB3 Vision 1.0, SIRM: equal transfers, then up to two final ones.
         room = self.size * self.count + self.final1 + self.final2
-        if room < payload_bytes or self.max_leader < LEADER_BYTES or self.max_trailer < TRAILER_BYTES:
+        if room < region.payload_bytes or self.max_leader < LEADER_BYTES or self.max_trailer < region.trailer_bytes:
             raise Refused(Status.REGISTERS_INCONSISTENT)
 
     def transfers(self) -> list[int]:

@@ -15,6 +15,8 @@ from pathlib import Path
 import pytest
 
 import hw_sim.devices
+from hw_sim.devices import feature_xml
+from hw_sim.devices.makers import MAKERS
 from hw_sim.wires.umockdev.testbed import Testbed
 from hw_sim.wires.umockdev.usbfs import Urb, UsbDevice
 from hw_sim.wires.umockdev.usbmon import Usbmon
@@ -184,7 +186,12 @@ def test_aravis_streams_without_a_loss(world: World, bed: Testbed) -> None:
 # ---------------------------------------------------------------------------------------------- GenApi reads
 
 
-def test_the_description_is_valid_by_the_schema_of_genapi(tmp_path: Path) -> None:
+@pytest.mark.parametrize("personality", ["usual", *MAKERS])
+def test_the_description_is_valid_by_the_schema_of_genapi(tmp_path: Path, personality: str) -> None:
+    xml = XML
+    if personality in MAKERS:
+        xml = tmp_path / f"{personality}.xml"
+        xml.write_bytes(feature_xml.description(MAKERS[personality], 0x20_1000))
     schema = tmp_path / "GenApiSchema_Version_1_1.xsd"
     program = shutil.which("arv-test-0.8")
     if program is None:
@@ -192,7 +199,7 @@ def test_the_description_is_valid_by_the_schema_of_genapi(tmp_path: Path) -> Non
             "arv-test-0.8, which carries the schema, is not installed; ./dev test --stage=libraries installs it"
         )
     schema.write_text(foreign(None, "gresource", "extract", program, f"/org/aravis/{schema.name}"))
-    assert foreign(None, "xmllint", "--noout", "--schema", schema, XML) == "", "and nothing to say"
+    assert foreign(None, "xmllint", "--noout", "--schema", schema, xml) == "", "and nothing to say"
 
 
 def test_two_implementations_of_genapi_read_the_same(world: World, bed: Testbed) -> None:

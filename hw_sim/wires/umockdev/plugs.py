@@ -5,7 +5,7 @@ from __future__ import annotations
 from types import ModuleType
 
 from hw_sim.devices.u3v_camera import U3vCamera
-from hw_sim.devices.u3v_descriptors import PRODUCT_ID, VENDOR_ID, Speed
+from hw_sim.devices.u3v_descriptors import Speed
 from hw_sim.wires.umockdev.hidraw_node import PHYS
 from hw_sim.wires.umockdev.tree import SysDevice
 
@@ -52,8 +52,8 @@ def camera(device: U3vCamera, port: int, address: int) -> SysDevice:
             "devpath": str(port),
             "speed": _MBIT[device.speed],
             "bConfigurationValue": "1",
-            "idVendor": f"{VENDOR_ID:04x}",
-            "idProduct": f"{PRODUCT_ID:04x}",
+            "idVendor": f"{device.usb_ids[0]:04x}",
+            "idProduct": f"{device.usb_ids[1]:04x}",
             "manufacturer": device.identity.vendor,
             "product": device.identity.model,
             "serial": device.identity.guid,

@@ -1,0 +1,537 @@
+"""Owns three personalities of the camera: what FLIR's, Basler's and Allied Vision's cameras start with, allow and insist on.
+
+They imitate manners, not electronics. Where a value was read, its source stands beside it; what is marked "estimate" is what
+cameras of that kind commonly do, chosen so that a careless host is caught.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from hw_sim.devices.features import AnyFeature, Choice, Press, Real, Shown, Switch, Value, Whole, numbered, split_key
+from hw_sim.devices.u3v_stream import StreamRules
+
+PIXEL_FORMATS = {
+    "Mono8": 0x01080001,
+    "Mono10": 0x01100003,
+    "Mono10p": 0x010A0046,
+    "Mono12": 0x01100005,
+    "Mono12p": 0x010C0047,
+    "Mono16": 0x01100007,
+}
+"""Numbers of the pixel format naming convention (PFNC 2.0), grey formats."""
+DEVICE, IMAGE, ACQUISITION, ANALOG = "DeviceControl", "ImageFormatControl", "AcquisitionControl", "AnalogControl"
+DIGITAL_IO, CHUNK, USER_SET, TRANSPORT = (
+    "DigitalIOControl",
+    "ChunkDataControl",
+    "UserSetControl",
+    "TransportLayerControl",
+)
+LUT = "LUTControl"
+DEFAULT_SET, OWNERS_SET = "Default", "UserSet1"
+FRAME_START = "FrameStart"
+
+
+@dataclass(frozen=True, slots=True)
+class Maker:
+    """The camera of a maker: data only; ``feature_book.py`` gives it life."""
+
+    vendor: str
+    model: str
+    family: str
+    vendor_id: int
+    """USB vendor number: Point Grey/FLIR, Basler and Allied Vision as the USB implementers' list has them."""
+    product_id: int
+    border_px: tuple[int, int]
+    """Columns and rows that the sensor has beyond the picture of the world, half of them on each side."""
+    readout_ns: int
+    """Time to read the whole sensor: the reciprocal of the highest frame rate."""
+    trigger_line: str
+    """The input that the board's pulse is wired to."""
+    overlap: tuple[str, str] | None
+    """Feature and word that let an exposure begin while the last one is read out; ``None``: it always may."""
+    black_dn: float
+    """Grey values of 8 bits for one unit of BlackLevel."""
+    width_offset_us: int
+    """The sensor adds this to the width of the pulse in exposure mode TriggerWidth."""
+    mode_after_source: bool
+    """ExposureMode acts as it was asked for only if TriggerMode and TriggerSource stood before it was written."""
+    stream: StreamRules
+    features: tuple[AnyFeature, ...]
+
+    def settable(self) -> dict[str, Choice | Whole | Real | Switch]:
+        """Return the features that have a value, by name."""
+        return {f.name: f for f in self.features if not isinstance(f, Press | Shown)}
+
+
+def _common(
+    *,
+    step_px: tuple[int, int, int, int],
+    formats: tuple[str, ...],
+    selectors: tuple[str, ...],
+    selector: str,
+    lines: tuple[str, ...],
+    line_modes: Mapping[str, str],
+    source: str,
+    activations: tuple[str, ...],
+    autos: str,
+    black: tuple[float, float, float],
+    gamma: float,
+    exposure_us: float,
+    most_gain_db: float,
+    throughput: tuple[int, int],
+    decimates: bool,
+) -> tuple[AnyFeature, ...]:
+    """Return the features that all three have, as the SFNC names them; the arguments are where they differ.
+
+    ``step_px``: of width, height and both offsets. ``throughput``: factory value and highest, bytes per second.
+    """
+    width, height, x, y = step_px
+    least, start, most = black
+    mono8 = PIXEL_FORMATS["Mono8"]
+    return (
+        Whole(
+            name="DeviceLinkThroughputLimit",
+            category=DEVICE,
+            tip="Bytes per second that the camera sends at most; the sensor is read no faster.",
+            factory=throughput[0],
+            low=1_000_000,
+            high=throughput[1],
+            unit="Bps",
+        ),
+        Shown(name="SensorWidth", category=IMAGE, tip="Columns of the sensor.", unit="px"),
+        Shown(name="SensorHeight", category=IMAGE, tip="Rows of the sensor.", unit="px"),
+        Shown(name="WidthMax", category=IMAGE, tip="Columns after binning and decimation.", unit="px"),
+        Shown(name="HeightMax", category=IMAGE, tip="Rows after binning and decimation.", unit="px"),
+        *(
+            Whole(
+                name=name,
+                category=IMAGE,
+                tip=tip,
+                factory=8192 if low else 0,
+                low=low,
+                high=8192,
+                step=step,
+                unit="px",
+                shapes=True,
+                computed=True,
+            )
+            for name, tip, step, low in (
+                ("Width", "Columns of the image.", width, 16),
+                ("Height", "Rows of the image.", height, height),
+                ("OffsetX", "First column.", x, 0),
+                ("OffsetY", "First row.", y, 0),
+            )
+        ),
+        *(
+            Whole(name=name, category=IMAGE, tip=f"{verb} as many.", factory=1, low=1, high=4, shapes=True)
+            for name, verb in (
+                ("BinningHorizontal", "Joins columns,"),
+                ("BinningVertical", "Joins rows,"),
+                *(
+                    (("DecimationHorizontal", "Keeps one column of"), ("DecimationVertical", "Keeps one row of"))
+                    if decimates
+                    else ()
+                ),
+            )
+        ),
+        Switch(name="ReverseX", category=IMAGE, tip="Mirrors left and right.", factory=False, shapes=True),
+        Switch(name="ReverseY", category=IMAGE, tip="Mirrors top and bottom.", factory=False, shapes=True),
+        Choice(
+            name="PixelFormat",
+            category=IMAGE,
+            tip="Format of a pixel on the wire.",
+            words={"Mono8": mono8, **{word: PIXEL_FORMATS[word] for word in formats}},
+            factory="Mono8",
+            shapes=True,
+        ),
+        Choice(
+            name="TestPattern",
+            category=IMAGE,
+            tip="Sends a drawn picture instead of the sensor's.",
+            words=numbered("Off", "GreyHorizontalRamp", "GreyVerticalRamp"),
+            factory="Off",
+        ),
+        Choice(
+            name="AcquisitionMode",
+            category=ACQUISITION,
+            tip="How many frames an acquisition has.",
+            words=numbered("Continuous", "SingleFrame", "MultiFrame"),
+            factory="Continuous",
+            shapes=True,
+        ),
+        Whole(
+            name="AcquisitionFrameCount",
+            category=ACQUISITION,
+            tip="Frames in mode MultiFrame.",
+            factory=1,
+            low=1,
+            high=65_535,
+        ),
+        Whole(
+            name="AcquisitionBurstFrameCount",
+            category=ACQUISITION,
+            tip="Frames that a FrameBurstStart trigger allows.",
+            factory=1,
+            low=1,
+            high=1023,
+        ),
+        Press(name="AcquisitionStart", category=ACQUISITION, tip="Starts the acquisition."),
+        Press(name="AcquisitionStop", category=ACQUISITION, tip="Ends the acquisition."),
+        Switch(
+            name="AcquisitionFrameRateEnable",
+            category=ACQUISITION,
+            tip="No two frames come sooner than AcquisitionFrameRate says, triggered ones neither.",
+            factory=False,
+        ),
+        Real(
+            name="AcquisitionFrameRate",
+            category=ACQUISITION,
+            tip="Rate of a free-running acquisition, and limit of a triggered one.",
+            factory=30.0,
+            low=1.0,
+            high=200.0,
+            unit="Hz",
+        ),
+        Choice(
+            name="TriggerSelector",
+            category=ACQUISITION,
+            tip="Which trigger the trigger features are about.",
+            words=numbered(*selectors),
+            factory=selector,
+        ),
+        Choice(
+            name="TriggerMode",
+            category=ACQUISITION,
+            tip="Whether that trigger is waited for.",
+            selector="TriggerSelector",
+            words=numbered("Off", "On"),
+            factory="Off",
+        ),
+        Choice(
+            name="TriggerSource",
+            category=ACQUISITION,
+            tip="Where the trigger comes from.",
+            selector="TriggerSelector",
+            words={**numbered(*lines), "Software": 16},
+            factory=source,
+        ),
+        Choice(
+            name="TriggerActivation",
+            category=ACQUISITION,
+            tip="Edge of the line that triggers.",
+            selector="TriggerSelector",
+            words=numbered(*activations),
+            factory="RisingEdge",
+        ),
+        Real(
+            name="TriggerDelay",
+            category=ACQUISITION,
+            tip="Time from the trigger to what it starts.",
+            selector="TriggerSelector",
+            factory=0.0,
+            low=0.0,
+            high=1_000_000.0,
+            unit="us",
+        ),
+        Press(
+            name="TriggerSoftware",
+            category=ACQUISITION,
+            tip="Triggers, if the source is Software.",
+            selector="TriggerSelector",
+        ),
+        Choice(
+            name="ExposureMode",
+            category=ACQUISITION,
+            tip="What ends an exposure.",
+            words=numbered("Timed", "TriggerWidth"),
+            factory="Timed",
+        ),
+        Choice(
+            name="ExposureAuto",
+            category=ACQUISITION,
+            tip="Whether the camera chooses the exposure time.",
+            words=numbered("Off", "Once", "Continuous"),
+            factory=autos,
+        ),
+        Real(
+            name="ExposureTime",
+            category=ACQUISITION,
+            tip="Duration of an exposure in mode Timed.",
+            factory=exposure_us,
+            low=20.0,
+            high=1_000_000.0,
+            unit="us",
+            auto="ExposureAuto",
+        ),
+        Choice(
+            name="GainSelector",
+            category=ANALOG,
+            tip="Which gain the gain features are about.",
+            words=numbered("All"),
+            factory="All",
+        ),
+        Choice(
+            name="GainAuto",
+            category=ANALOG,
+            tip="Whether the camera chooses the gain.",
+            words=numbered("Off", "Once", "Continuous"),
+            factory=autos,
+        ),
+        Real(
+            name="Gain",
+            category=ANALOG,
+            tip="Amplification.",
+            selector="GainSelector",
+            factory=0.0,
+            low=0.0,
+            high=most_gain_db,
+            unit="dB",
+            auto="GainAuto",
+        ),
+        Choice(
+            name="BlackLevelSelector",
+            category=ANALOG,
+            tip="Which black level is meant.",
+            words=numbered("All"),
+            factory="All",
+        ),
+        Real(
+            name="BlackLevel",
+            category=ANALOG,
+            tip="Added to every pixel.",
+            selector="BlackLevelSelector",
+            factory=start,
+            low=least,
+            high=most,
+        ),
+        Real(name="Gamma", category=ANALOG, tip="Exponent of the grey values.", factory=gamma, low=0.25, high=4.0),
+        Choice(
+            name="LineSelector",
+            category=DIGITAL_IO,
+            tip="Which line the line features are about.",
+            words=numbered(*lines),
+            factory=lines[0],
+        ),
+        Choice(
+            name="LineMode",
+            category=DIGITAL_IO,
+            tip="Whether the line is an input or an output.",
+            selector="LineSelector",
+            words=numbered("Input", "Output"),
+            factory="Input",
+            differing=line_modes,
+        ),
+        Switch(
+            name="LineInverter",
+            category=DIGITAL_IO,
+            tip="A rising edge counts as a falling one.",
+            selector="LineSelector",
+            factory=False,
+        ),
+        Switch(
+            name="ChunkModeActive",
+            category=CHUNK,
+            tip="Appends data to the pixels of each payload.",
+            factory=False,
+            shapes=True,
+        ),
+        Choice(
+            name="UserSetSelector",
+            category=USER_SET,
+            tip="Which set of values the commands are about.",
+            words=numbered(DEFAULT_SET, OWNERS_SET),
+            factory=DEFAULT_SET,
+        ),
+        Press(name="UserSetLoad", category=USER_SET, tip="Takes over all values of the set."),
+        Shown(name="PayloadSize", category=TRANSPORT, tip="Bytes of a payload.", unit="B"),
+        Whole(
+            name="TLParamsLocked",
+            category=TRANSPORT,
+            tip="Set by the host while the stream runs: locks what changes the payload.",
+            factory=0,
+            low=0,
+            high=1,
+        ),
+    )
+
+
+def _limit_mode() -> Choice:
+    return Choice(
+        name="DeviceLinkThroughputLimitMode",
+        category=DEVICE,
+        tip="Whether DeviceLinkThroughputLimit counts.",
+        words=numbered("Off", "On"),
+        factory="On",
+    )
+
+
+BLACKFLY = Maker(
+    vendor="FLIR",
+    model="Blackfly S BFS-U3-19S4M",
+    family="BFS",
+    vendor_id=0x1E10,
+    product_id=0x4000,
+    border_px=(16, 40),  # 1616 x 1240, FLIR's page of the BFS-U3-19S4M
+    readout_ns=7_630_000,  # 131 frames per second, the same page
+    trigger_line="Line0",  # the opto-isolated input, the same page
+    # Off in the factory: 40 Hz triggers gave 20 frames per second until ReadOut (flir_camera_driver, issue 102).
+    overlap=("TriggerOverlap", "ReadOut"),
+    black_dn=2.55,  # BlackLevel is in percent of the full scale
+    width_offset_us=14,  # estimate: Pregius sensors add some lines' time
+    mode_after_source=False,
+    # An alignment field of 0 is legal (aravis, issue 261). Point Grey cameras say 0 for the sizes of leader and trailer until
+    # the stream was enabled once (aravis, pull request 72).
+    stream=StreamRules(alignment_log2=0, sizes_once_enabled=True),
+    features=(
+        *_common(
+            step_px=(4, 2, 4, 2),  # estimate
+            formats=("Mono10p", "Mono12p", "Mono16"),
+            selectors=("AcquisitionStart", FRAME_START, "FrameBurstStart"),
+            selector=FRAME_START,
+            lines=("Line0", "Line1", "Line2", "Line3"),
+            line_modes={"Line1": "Output"},
+            source="Line0",
+            activations=("RisingEdge", "FallingEdge", "AnyEdge"),
+            autos="Continuous",  # Blackfly S manual, as is GammaEnable
+            black=(0.0, 0.0, 10.0),  # estimate
+            gamma=0.8,  # estimate: what SpinView shows of a camera out of its box
+            exposure_us=5_000.0,
+            most_gain_db=47.0,
+            throughput=(380_000_000, 380_000_000),
+            decimates=True,
+        ),
+        Choice(
+            name="TriggerOverlap",
+            category=ACQUISITION,
+            tip="Whether a trigger is taken while the last frame is read out.",
+            selector="TriggerSelector",
+            words=numbered("Off", "ReadOut"),
+            factory="Off",
+        ),
+        Switch(name="GammaEnable", category=ANALOG, tip="Whether Gamma counts.", factory=True),
+        Switch(
+            name="LUTEnable",
+            category=LUT,
+            tip="Sends the values through a table, which brightens the dark ones.",
+            factory=False,
+        ),
+    ),
+)
+"""A FLIR Blackfly S."""
+
+ACE = Maker(
+    vendor="Basler",
+    model="a2A1920-160umBAS",
+    family="ace 2",
+    vendor_id=0x2676,
+    product_id=0xBA02,
+    border_px=(320, 0),  # 1920 x 1200, Basler's page of the a2A1920-160um
+    readout_ns=6_250_000,  # about 160 frames per second, the same page
+    trigger_line="Line1",  # the opto-isolated input, the same page
+    # The dart overlaps by OverlapMode, the ace by itself (Basler's documentation, overlapping image acquisition).
+    overlap=("OverlapMode", "On"),
+    black_dn=1.0,  # BlackLevel is in grey values of 8 bits
+    width_offset_us=28,  # "C4" of the ace's manual; its size here is an estimate
+    mode_after_source=True,  # ace U3 manual, exposure mode
+    stream=StreamRules(),
+    features=(
+        *_common(
+            step_px=(8, 2, 4, 2),  # estimate
+            formats=("Mono10", "Mono10p", "Mono12", "Mono12p"),
+            selectors=("FrameBurstStart", FRAME_START),
+            selector="FrameBurstStart",  # estimate: the harsher one; models differ
+            lines=("Line1", "Line2", "Line3"),
+            line_modes={"Line2": "Output"},
+            source="Software",  # estimate: models differ
+            activations=("RisingEdge", "FallingEdge", "AnyEdge"),
+            autos="Off",
+            black=(0.0, 0.0, 32.0),  # estimate
+            gamma=1.0,
+            exposure_us=5_000.0,
+            most_gain_db=48.0,
+            # The dart comes with 67 frames per second of 1936 x 1216, which are 158 MB/s (Basler's page of the daA1920-160um).
+            throughput=(158_000_000, 400_000_000),
+            decimates=True,
+        ),
+        _limit_mode(),
+        Choice(
+            name="OverlapMode",
+            category=ACQUISITION,
+            tip="Whether an exposure may begin while the last frame is read out.",
+            words=numbered("Off", "On"),
+            factory="On",
+        ),
+        Real(
+            name="ExposureOverlapTimeMax",
+            category=ACQUISITION,
+            tip="In mode TriggerWidth an exposure begins no sooner than this before the end of the last readout.",
+            factory=100_000.0,
+            low=0.0,
+            high=1_000_000.0,
+            unit="us",
+        ),
+    ),
+)
+"""A Basler ace 2, with the dart's throughput limit and OverlapMode."""
+
+ALVIUM = Maker(
+    vendor="Allied Vision",
+    model="1800 U-240m",
+    family="Alvium",
+    vendor_id=0x1AB2,
+    product_id=0x0001,
+    border_px=(336, 16),  # 1936 x 1216, Allied Vision's page of the 1800 U-240
+    readout_ns=9_500_000,  # above 100 frames per second, the same page
+    trigger_line="Line0",
+    overlap=None,
+    black_dn=0.0625,  # BlackLevel is in grey values of 12 bits
+    width_offset_us=20,  # the Alvium's guide names an offset; its size here is an estimate
+    mode_after_source=False,
+    # SI_INFO 0x0a000000, and transfers that are no multiples are refused (aravis, issues 209 and 314, pull request 214).
+    stream=StreamRules(alignment_log2=10, aligned_leader=True),
+    features=(
+        *_common(
+            step_px=(8, 2, 8, 2),  # estimate
+            formats=("Mono10", "Mono10p", "Mono12", "Mono12p"),
+            selectors=("AcquisitionStart", "AcquisitionEnd", FRAME_START, "ExposureStart", "ExposureActive"),
+            selector="AcquisitionStart",  # Alvium features reference
+            lines=("Line0", "Line1", "Line2", "Line3"),
+            line_modes={"Line2": "Output", "Line3": "Output"},  # estimate
+            source="Software",  # Alvium features reference
+            activations=("RisingEdge", "FallingEdge", "AnyEdge"),
+            autos="Off",
+            black=(0.0, 0.0, 255.0),
+            gamma=1.0,
+            exposure_us=5_000.0,
+            most_gain_db=24.0,
+            throughput=(200_000_000, 450_000_000),  # Alvium features reference
+            decimates=False,
+        ),
+        _limit_mode(),
+    ),
+)
+"""An Allied Vision Alvium."""
+
+MAKERS: Mapping[str, Maker] = {"blackfly": BLACKFLY, "ace": ACE, "alvium": ALVIUM}
+"""The personalities by the name that the world's options give them."""
+
+
+def check_saved(maker: Maker, saved: Mapping[str, Value]) -> None:
+    """Check an owner's set of values. Raises ValueError, naming the feature and what is allowed."""
+    settable = maker.settable()
+    for key, value in saved.items():
+        name, word = split_key(key)
+        feature = settable.get(name)
+        if feature is None:
+            near = difflib.get_close_matches(name, settable, 1)
+            remedy = f"did you mean '{near[0]}'?" if near else f"known are {', '.join(sorted(settable))}"
+            raise ValueError(f"saved: {maker.model} has no feature '{name}'; {remedy}")
+        if word is not None:
+            selector = None if feature.selector is None else settable[feature.selector]
+            if not isinstance(selector, Choice) or word not in selector.words:
+                allowed = ", ".join(selector.words) if isinstance(selector, Choice) else "none"
+                raise ValueError(f"saved: {name}[{word}]; allowed in brackets are {allowed}")
+        feature.code(value)
