@@ -34,7 +34,7 @@ class Ledger:
     start_sequence: int | None
     """Vertical-blank number planned for the first pattern; ``None`` where the display has no counter."""
     start_vsync: int | None
-    """The board's number of that blank; ``None`` when the board was never armed."""
+    """The board's number of the blank of its light; ``None`` when the board was never armed."""
     delay_us: int
     flips: tuple[Flip, ...]
     pulses: tuple[Pulse, ...]
@@ -42,6 +42,8 @@ class Ledger:
     sync: SyncMap | None
     clocks: Mapping[str, ClockReading] = field(default_factory=dict, hash=False)
     """The cameras' clocks as read before the sequence; a camera that cannot be asked is missing."""
+    latency_blanks: int = 0
+    """Blanks from a flip to its light, as the rig file states them."""
 
     def as_dict(self) -> dict[str, Any]:
         """Return the ledger JSON-ready, for the manifest."""
@@ -51,6 +53,7 @@ class Ledger:
             "start_sequence": self.start_sequence,
             "start_vsync": self.start_vsync,
             "trigger_delay_us": self.delay_us,
+            "latency_blanks": self.latency_blanks,
             "flips": [{"sequence": f.sequence, "time_ns": f.time_ns} for f in self.flips],
             "pulses": [{"index": p.index, "vsync": p.vsync, "board_time_us": p.board_time_us} for p in self.pulses],
             "frames": {
@@ -236,8 +239,9 @@ def _flips_against_pulses(ledger: Ledger) -> Fault | None:
         return Fault(FaultCode.SYNC_LOST, "the board's vertical sync was never matched to the projector's", {}, "board")
     for flip, pulse in zip(ledger.flips, ledger.pulses, strict=True):
         # Board time → host time by the matched vertical syncs, then pulse minus flip minus the delay that was asked
-        # for: zero but for jitter.
-        after_ns = ledger.sync.host_ns(pulse.board_time_us) - flip.time_ns - ledger.delay_us * 1000
+        # for and the projector's latency: zero but for jitter.
+        expected_ns = flip.time_ns + ledger.delay_us * 1000 + ledger.latency_blanks * ledger.period_ns
+        after_ns = ledger.sync.host_ns(pulse.board_time_us) - expected_ns
         if abs(after_ns) > MAX_FLIP_PHASE * ledger.period_ns:
             return Fault(
                 FaultCode.PROJECTOR_TIMING,

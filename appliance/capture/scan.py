@@ -47,6 +47,8 @@ class ScanSettings:
     refresh_hz: float
     exposure_us: int
     trigger_delay_us: int
+    latency_blanks: int = 0
+    """Blanks from a flip to its light."""
 
     @property
     def timeouts(self) -> Timeouts:
@@ -207,6 +209,7 @@ class ScanRecorder:
         sequence's length and the margin of ``Timeouts``.
         """
         period_ns, timeouts = 1e9 / self._settings.refresh_hz, self._settings.timeouts
+        latency = self._settings.latency_blanks
         begun_ns = self._clock.now_ns()
         recordings, events = arming.recordings, arming.events
         flips: list[Flip] = []
@@ -224,12 +227,11 @@ class ScanRecorder:
             # The board needs the vertical sync at which it begins, and the first flip must be on its way by then:
             # blanks that passed while it was asked are added.
             lead = LEAD_BLANKS + round((self._clock.now_ns() - flip.time_ns) / period_ns)
-            self._board.arm(
-                len(sequence), found.count + lead, self._settings.trigger_delay_us, self._settings.exposure_us
-            )
+            first_light = found.count + lead + latency
+            self._board.arm(len(sequence), first_light, self._settings.trigger_delay_us, self._settings.exposure_us)
             sync.append(found)
             start.append(None if flip.sequence is None else flip.sequence + lead)
-            start.append(found.count + lead)
+            start.append(first_light)
             return (flip.sequence or 0) + lead
 
         try:
@@ -240,7 +242,7 @@ class ScanRecorder:
             whole = len(flips) == len(sequence)
             for side in SIDES:
                 if whole:
-                    self._grabbers[side].wait(recordings[side], "done", timeouts.collect_s)
+                    self._grabbers[side].wait(recordings[side], "done", timeouts.collect_s + latency * period_ns / 1e9)
         except SyncError as error:
             fault = Fault(FaultCode.SYNC_LOST, str(error), {}, "board")
         except DeviceError as error:
@@ -264,6 +266,7 @@ class ScanRecorder:
             start_sequence=start[0] if start else None,
             start_vsync=start[1] if start else None,
             delay_us=self._settings.trigger_delay_us,
+            latency_blanks=latency,
             flips=tuple(flips),
             pulses=tuple(pulses),
             frames={side: tuple(r.frames) for side, r in recordings.items()},

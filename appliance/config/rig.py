@@ -118,6 +118,12 @@ class OutputRig:
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
+class ProjectorRig(OutputRig):
+    latency_blanks: Annotated[_Whole, Field(ge=0, le=5)] = 0
+    """Vertical blanks from a flip until the projector throws its picture: controllers that buffer a frame show it one later."""
+
+
+@dataclass(frozen=True, slots=True, config=_CONFIG)
 class DisplayRig(OutputRig):
     language: Literal["en", "de"] = "en"
     """Language of everything the diver reads."""
@@ -229,7 +235,7 @@ class Rig:
     camera: Cameras
     board: BoardRig
     keys: KeysRig
-    projector: OutputRig
+    projector: ProjectorRig
     display: DisplayRig
     scan: ScanRig
     water: WaterRig

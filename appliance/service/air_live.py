@@ -144,7 +144,10 @@ def _takes(rig: Rig, wires: Wires, lit: bool) -> Iterator[Callable[[], tuple[Ima
         projector.show(PICTURES)
 
     settings = ScanSettings(
-        rig.projector.refresh_hz, int(1000.0 * rig.camera.left.exposure_ms), rig.board.trigger_delay_us
+        rig.projector.refresh_hz,
+        int(1000.0 * rig.camera.left.exposure_ms),
+        rig.board.trigger_delay_us,
+        rig.projector.latency_blanks,
     )
     left = rig.camera.left
     with FrameStore(PICTURES, left.height_px, left.width_px) as store, Devices(rig, wires, load) as devices:

@@ -201,6 +201,7 @@ class SequenceRecorder:
             refresh_hz=self._rig.projector.refresh_hz,
             exposure_us=exposure.time_us,
             trigger_delay_us=self._rig.board.trigger_delay_us,
+            latency_blanks=self._rig.projector.latency_blanks,
         )
         return ScanRecorder(ready, board, projector, self._clock, settings)
 

@@ -51,7 +51,7 @@ def bench() -> Iterator[Bench]:
 
 
 @contextmanager
-def bench_of(name: str, refresh_hz: float, idle_speed: float) -> Iterator[Bench]:
+def bench_of(name: str, refresh_hz: float, idle_speed: float, latency_blanks: int = 0) -> Iterator[Bench]:
     with ExitStack() as stack:
         options = WorldOptions(
             *(name, "realistic", 1, WIDTH, HEIGHT, "plane"), idle_speed=idle_speed, refresh_hz=refresh_hz, stills=True
@@ -69,7 +69,7 @@ def bench_of(name: str, refresh_hz: float, idle_speed: float) -> Iterator[Bench]
         projector = outputs.open_projector()
         projector.load([*pictures(build_sequence(16)), np.zeros((768, 1024), np.uint8)])
         projector.show(N)
-        course = ScanSettings(refresh_hz, 12000, 500)
+        course = ScanSettings(refresh_hz, 12000, 500, latency_blanks)
         grabbers = {}
         for side in ("left", "right"):
             spec = drivers_rig.CameraSpec(f"camera.{side}", f"KF-CAM-{side[0].upper()}")
@@ -90,6 +90,20 @@ def test_a_clean_scan_has_every_frame_of_both_cameras_and_no_fault(bench: Bench)
     bright, dark = bench.store.frames("left")[:2]
     assert np.median(bright) > 100 > 20 > np.median(dark)
     assert len(report.ledger.pulses) == len(report.ledger.flips) == N
+
+
+@pytest.mark.parametrize(("latency_blanks", "bright_at"), [(1, 0), (0, 1)])
+def test_a_projector_that_buffers_a_frame_is_waited_for_where_the_rig_file_knows_it(
+    latency_blanks: int, bright_at: int
+) -> None:
+    with bench_of(f"latency-{latency_blanks}", 60.0, 2.0, latency_blanks) as late:
+        late.world.fault("projector wrong")
+        report = late.record()
+        assert report.fault is None, "the images alone can tell"
+        assert report.ledger.as_dict()["latency_blanks"] == latency_blanks
+        light = [float(np.median(frame)) for frame in late.store.frames("left")[:3]]
+        assert int(np.argmax(light)) == bright_at
+        assert light[bright_at + 1] < 20
 
 
 def test_an_exposure_holds_from_the_next_scan_on_in_both_cameras(bench: Bench) -> None:

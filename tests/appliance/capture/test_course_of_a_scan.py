@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import cast
 
@@ -14,6 +14,7 @@ import pytest
 from numpy.typing import NDArray
 
 from appliance.capture.grabber import Grabber
+from appliance.capture.ledger import audit
 from appliance.capture.scan import Arming, CaptureReport, ScanRecorder, ScanSettings, device_fault
 from appliance.capture.store import FrameStore
 from appliance.patterns.sequence import build_sequence
@@ -220,13 +221,13 @@ class Bench:
     def record(self, abort: Callable[[], Fault | None] = lambda: None) -> CaptureReport:
         return self.recorder().record(SEQUENCE, self.store, lambda side, k: self.arrived.append((side, k)), abort)
 
-    def recorder(self) -> ScanRecorder:
+    def recorder(self, latency_blanks: int = 0) -> ScanRecorder:
         return ScanRecorder(
             self.grabbers,
             cast("Board", ScriptedBoard(self.script)),
             cast("Projector", ScriptedProjector(self.script)),
             self.script.clock,
-            ScanSettings(HZ, EXPOSURE_US, DELAY_US),
+            ScanSettings(HZ, EXPOSURE_US, DELAY_US, latency_blanks),
         )
 
 
@@ -270,6 +271,19 @@ def test_a_scan_in_which_nothing_goes_wrong(bench: Bench) -> None:
     assert {side: len(frames) for side, frames in ledger.frames.items()} == {"left": N, "right": N}
     assert report.board_events == (BEAT,), "kept for whoever watches the board"
     assert 0.0 < report.recording_s < 20.0
+
+
+def test_pulses_wait_for_a_projector_that_throws_its_light_later_than_the_flip(bench: Bench) -> None:
+    report = bench.recorder(2).record(SEQUENCE, bench.store, lambda side, k: None, lambda: None)
+    assert report.fault is None
+    ledger = report.ledger
+    assert ledger.start_sequence is not None
+    assert ledger.start_vsync is not None
+    assert ledger.start_vsync - IDLE_VSYNC == ledger.start_sequence - IDLE_SEQUENCE + 2
+    # The same pulses for a projector that is said to have no latency are two blanks from their flips.
+    fault = audit(replace(ledger, latency_blanks=0))
+    assert fault is not None
+    assert (fault.code, fault.numbers["shift_frames"]) == (FaultCode.PROJECTOR_TIMING, 2)
 
 
 @pytest.mark.parametrize(
