@@ -1,9 +1,9 @@
 """Owns the phase of any number of steps: least squares over sine images whose steps are known.
 
 Image k shows I_k = A + B cos(φ + δ_k) = A + C cos δ_k − S sin δ_k with C = B cos φ and S = B sin φ: linear in A, C and S, so that
-their best values are fixed weights times the images (the pseudo-inverse of the columns 1, cos δ_k, −sin δ_k). Four steps of 90° give
-C = (I0 − I2) / 2 and S = (I3 − I1) / 2, which is what the instrument's own kernels compute of its own sequences
-(``appliance/reconstruct/decode/phase.py``; ``docs/adr/0057-foreign-frames-are-decoded-beside-our-own.md``).
+their best values are fixed weights times the images (the pseudo-inverse of the columns 1, cos δ_k, −sin δ_k). The kernel that does it
+stands beside the instrument's own for four steps (``appliance/reconstruct/decode/steps.py``;
+``docs/adr/0057-foreign-frames-are-decoded-beside-our-own.md``).
 Source: Greivenkamp, Opt. Eng. 23 (1984) 350.
 """
 
@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.foreign.problem import ForeignError
+from appliance.reconstruct.decode.steps import fit_steps
 
 Floats = NDArray[np.float32]
 
@@ -56,22 +57,17 @@ def step_weights(steps_deg: tuple[float, ...]) -> NDArray[np.float64]:
 
 def fit_sine(images: list[NDArray[Any]], steps_deg: tuple[float, ...], white: float) -> SineFit:
     """Fit the ``images`` (h, w) of the steps ``steps_deg``, whose saturated grey value is ``white``. Raises ForeignError."""
-    weights = step_weights(steps_deg).astype(np.float32)
-    count, shape = len(images), images[0].shape
+    # To twelve digits: weights of four steps of 90° are halves and noughts then, and exact.
+    weights = np.round(step_weights(steps_deg), 12).astype(np.float32)
     angles = np.deg2rad(np.asarray(steps_deg, np.float64))
-    cosines, sines = np.cos(angles).astype(np.float32), np.sin(angles).astype(np.float32)
-    turns, modulation, offset = (np.empty(shape, np.float32) for _ in range(3))
-    misfit = np.empty(shape, np.float32) if count > 3 else None
+    columns = np.stack([np.cos(angles), np.sin(angles)]).astype(np.float32)
+    count, shape = len(images), images[0].shape
+    found = np.empty((4, *shape), np.float32)
     saturated = np.empty(shape, np.bool_)
     for begin in range(0, shape[0], ROWS_AT_ONCE):
         rows = slice(begin, begin + ROWS_AT_ONCE)
         block = np.stack([image[rows] for image in images]).astype(np.float32)
-        mean, cosine, sine = np.tensordot(weights, block, 1)
-        turns[rows] = np.arctan2(sine, cosine) * np.float32(0.5 / np.pi)
-        modulation[rows] = np.hypot(cosine, sine)
-        offset[rows] = mean
-        saturated[rows] = (block >= white).any(axis=0)
-        if misfit is not None:
-            left = block - mean - cosines[:, None, None] * cosine + sines[:, None, None] * sine
-            misfit[rows] = np.sqrt(np.square(left).sum(axis=0) / np.float32(count - 3))
-    return SineFit(turns, modulation, offset, misfit, saturated)
+        part = np.empty((4, *block.shape[1:]), np.float32)
+        fit_steps(block, weights, columns, np.float32(white), part, saturated[rows])
+        found[:, rows] = part
+    return SineFit(found[0], found[1], found[2], found[3] if count > 3 else None, saturated)

@@ -45,6 +45,19 @@ _C0, _C1, _C2, _C3, _C4, _C5, _C6 = ATAN_TURNS
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
+def turns_of(cosine: np.float32, sine: np.float32) -> np.float32:
+    """Return atan2(sine, cosine)/2π in turns, −½ … ½, within 6e-8; 0 where both are 0."""
+    # atan on the first octant, then folded out by the symmetries of the circle.
+    a, b = abs(cosine), abs(sine)
+    t = min(a, b) / max(max(a, b), _TINY)
+    t2 = t * t
+    r = t * (_C0 + t2 * (_C1 + t2 * (_C2 + t2 * (_C3 + t2 * (_C4 + t2 * (_C5 + t2 * _C6))))))
+    r = _QUARTER - r if b > a else r
+    r = _HALF - r if cosine < _ZERO else r
+    return -r if sine < _ZERO else r
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
 def phase(
     i0: NDArray[np.uint8], i1: NDArray[np.uint8], i2: NDArray[np.uint8], i3: NDArray[np.uint8], s: NDArray[np.float32]
 ) -> None:
@@ -55,14 +68,7 @@ def phase(
     """
     for x in range(i0.size):
         cosine, sine = np.float32(i0[x]) - np.float32(i2[x]), np.float32(i3[x]) - np.float32(i1[x])
-        # atan on the first octant, then folded out by the symmetries of the circle.
-        a, b = abs(cosine), abs(sine)
-        t = min(a, b) / max(max(a, b), _TINY)
-        t2 = t * t
-        r = t * (_C0 + t2 * (_C1 + t2 * (_C2 + t2 * (_C3 + t2 * (_C4 + t2 * (_C5 + t2 * _C6))))))
-        r = _QUARTER - r if b > a else r
-        r = _HALF - r if cosine < _ZERO else r
-        s[COORDINATE + x] = -r if sine < _ZERO else r
+        s[COORDINATE + x] = turns_of(cosine, sine)
         s[MODULATION_HALF_DN + x] = np.sqrt(cosine * cosine + sine * sine)
 
 

@@ -17,6 +17,8 @@ from appliance.foreign.phase import fit_sine, step_weights
 from appliance.foreign.problem import ForeignError, Table
 from appliance.patterns.sequence import PatternSequence, build_sequence
 from appliance.reconstruct.decode.decoder import CameraDecoder
+from appliance.reconstruct.decode.phase import phase
+from appliance.reconstruct.scratch import COORDINATE, DECODING_SIZE, MODULATION_HALF_DN
 from tests.support.synthetic import calibration, frames, plane_points, projector
 
 NORMAL = np.array([0.05, -0.02, 0.998])
@@ -48,6 +50,22 @@ def test_any_steps_tell_the_phase(steps_deg: tuple[float, ...]) -> None:
     assert (fit.misfit is None) == (len(steps_deg) == 3)
     if fit.misfit is not None:
         assert float(fit.misfit.max()) < 1e-3
+
+
+def test_four_steps_of_ours_give_the_phase_of_our_own_kernel_byte_for_byte() -> None:
+    random = np.random.default_rng(9)
+    images = random.integers(0, 256, (4, 60, 700)).astype(np.uint8)
+    images[:, :20] //= 40  # many equal values: noughts, and phases on the axes
+    fit = fit_sine(list(images), (0.0, 90.0, 180.0, 270.0), 255.0)
+    places = np.zeros(DECODING_SIZE, np.float32)
+    for row in range(60):
+        phase(images[0, row], images[1, row], images[2, row], images[3, row], places)
+        own = places[COORDINATE : COORDINATE + 700]
+        assert np.array_equal(
+            own.view(np.uint32) << 1, fit.turns[row].view(np.uint32) << 1
+        )  # but for the sign of nought
+        assert np.array_equal(places[MODULATION_HALF_DN : MODULATION_HALF_DN + 700], 2.0 * fit.modulation[row])
+    assert np.array_equal(fit.saturated, (images == 255).any(axis=0))
 
 
 def test_noise_makes_the_error_that_the_steps_allow() -> None:
