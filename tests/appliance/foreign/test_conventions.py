@@ -1,4 +1,4 @@
-"""Six foreign conventions, from image files to points that lie on the true surface; and each wrong word is noticed and named."""
+"""Foreign conventions, from image files to points that lie on the true surface; and each wrong word is noticed and named."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from appliance.cli.output import Exit
 from appliance.foreign.problem import ForeignError
 from appliance.offline.foreign_import import import_cloud
 from tests.support.commands import Shell
-from tests.support.foreign_sets import CONVENTIONS, ForeignSet, convention
+from tests.support.foreign_sets import ForeignSet, convention
 from tests.support.truth import left_to_rig
 
 Sets = Callable[[str], ForeignSet]
@@ -32,7 +32,8 @@ def points_of(grid: Mapping[str, NDArray[np.float32]]) -> NDArray[np.float32]:
     return np.stack([grid[f"{axis}_mm"] for axis in "xyz"], -1)
 
 
-@pytest.mark.parametrize("name", [one.name for one in CONVENTIONS])
+# The other two are measured by the benchmark; the strangers' sets have a code alone, and several periods.
+@pytest.mark.parametrize("name", ["three-steps", "eight-steps", "half-off", "two-directions"])
 def test_points_of_another_rig_lie_on_the_surface(foreign_set: Sets, tmp_path: Path, name: str) -> None:
     made, wanted = foreign_set(name), convention(name)
     out = tmp_path / "cloud.npz"
@@ -42,8 +43,8 @@ def test_points_of_another_rig_lie_on_the_surface(foreign_set: Sets, tmp_path: P
         complete, off_mm = judged(made, points_of(grid), there)
         sigma_mm = float(np.median(grid["sigma_mm"][there]))
     assert report["points"] == int(there.sum()) > 10_000
-    assert complete > (0.85 if wanted.coarse else 0.94)
-    assert off_mm < (0.6 if wanted.coarse else 0.08)
+    assert complete > 0.94
+    assert off_mm < 0.08
     # What is said of the noise is of the size of the errors.
     assert 0.2 < sigma_mm / off_mm < 8.0
     assert report["wrong"] == []
@@ -106,14 +107,14 @@ def test_a_wrong_word_may_be_insisted_on(shell: Shell, foreign_set: Sets, tmp_pa
     assert b"unchecked" in header
 
 
-@pytest.mark.parametrize("name", ["half-off", "two-directions"])
-def test_a_guess_is_a_description_that_works(shell: Shell, foreign_set: Sets, tmp_path: Path, name: str) -> None:
-    folder = foreign_set(name).description.parent
+def test_a_guess_is_a_description_that_works(shell: Shell, foreign_set: Sets, tmp_path: Path) -> None:
+    made = foreign_set("two-directions")
+    folder = made.description.parent
     guess = tmp_path / "guess.toml"
     assert shell("import", "--guess", folder, "--out", guess).code == Exit.OK
     said = shell("import", guess, "--out", tmp_path / "cloud.npz", "--json")
     assert said.code == Exit.OK, said.err
     with np.load(tmp_path / "cloud.npz") as grid:
-        complete, off_mm = judged(foreign_set(name), points_of(grid), grid["mask"])
-    assert complete > (0.85 if convention(name).coarse else 0.94)
-    assert off_mm < (0.6 if convention(name).coarse else 0.08)
+        complete, off_mm = judged(made, points_of(grid), grid["mask"])
+    assert complete > 0.94
+    assert off_mm < 0.08
