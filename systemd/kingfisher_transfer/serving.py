@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -51,7 +52,9 @@ def serve(places: Places, ready: Callable[[], None], stopping: threading.Event) 
     for _ in range(TRIES):
         # -D: stays in this unit, so that it ends with it. -e: says what it has to say to the journal.
         try:
-            server = subprocess.Popen([SSHD, "-D", "-e", "-f", str(places.config)], stdin=subprocess.DEVNULL)
+            server = subprocess.Popen(
+                [SSHD, "-D", "-e", "-f", str(places.config)], stdin=subprocess.DEVNULL, env={"PATH": os.defpath}
+            )
         except OSError as error:
             return _failed(places, f"{SSHD}: {error.strerror}; install openssh-server", ready, stopping)
         try:

@@ -6,6 +6,7 @@ import os
 import re
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -108,6 +109,45 @@ def test_a_stick_makes_nobody_read_the_instruments_own_files(tmp_path: Path) -> 
     assert not (tmp_path / "authorized_keys").exists()
 
 
+WITHOUT_NETLINK = """
+import ctypes, errno, socket, struct, sys
+sys.path.insert(0, sys.argv[1])
+from kingfisher_transfer import addresses
+there = addresses.of_this_machine()
+def instruction(code, yes, no, value):
+    return struct.pack("HBBI", code, yes, no, value)
+# seccomp(2): socket(AF_NETLINK) fails with EAFNOSUPPORT, as under RestrictAddressFamilies=; all else is allowed.
+program = b"".join((
+    instruction(0x20, 0, 0, 0), instruction(0x15, 0, 3, 41), instruction(0x20, 0, 0, 16),
+    instruction(0x15, 0, 1, socket.AF_NETLINK), instruction(0x06, 0, 0, 0x00050000 | errno.EAFNOSUPPORT),
+    instruction(0x06, 0, 0, 0x7FFF0000),
+))
+held = ctypes.create_string_buffer(program)
+class Filter(ctypes.Structure):
+    _fields_ = [("length", ctypes.c_ushort), ("program", ctypes.c_void_p)]
+libc = ctypes.CDLL(None, use_errno=True)
+assert libc.prctl(38, 1, 0, 0, 0) == 0
+assert libc.prctl(22, 2, ctypes.byref(Filter(6, ctypes.addressof(held)))) == 0
+try:
+    socket.if_nameindex()
+except OSError as error:
+    assert error.errno == errno.EAFNOSUPPORT
+else:
+    raise AssertionError("netlink is not refused here")
+assert addresses.of_this_machine() == there
+"""
+
+
+@pytest.mark.skipif(os.uname().machine != "x86_64", reason="the number of socket(2) is that of x86-64")
+def test_addresses_are_found_without_netlink_which_the_unit_forbids() -> None:
+    """The C library lists interfaces by netlink: the transfer died of it in its first second."""
+    assert "NETLINK" not in (SYSTEMD / "kingfisher-transfer.service").read_text()
+    done = subprocess.run(
+        [sys.executable, "-I", "-c", WITHOUT_NETLINK, SYSTEMD], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == 0, done.stderr
+
+
 def test_addresses_of_the_link_alone_come_last() -> None:
     told = (
         "fe80000000000000021122fffe334455 02 40 20 80     eth0\n"
@@ -157,3 +197,37 @@ def test_paths_of_units_settings_and_program_are_the_same() -> None:
     (root,) = re.findall(r"^ChrootDirectory (\S+)$", settings, re.MULTILINE)
     assert f"\nBindReadOnlyPaths=/var/lib/kingfisher:{root}/{SERVED}\n" in unit
     assert places.config == SYSTEMD / "kingfisher-sshd.conf"
+
+
+@pytest.mark.libraries
+@needs_keygen
+@pytest.mark.skipif(os.geteuid() != 0, reason="mounting needs root")
+@pytest.mark.parametrize("make", [("mkfs.vfat",), ("mke2fs", "-q", "-F", "-t", "ext4", "-d")])
+def test_a_real_stick_is_mounted_read_and_let_go(tmp_path: Path, make: tuple[str, ...]) -> None:
+    if shutil.which(make[0]) is None:
+        pytest.skip(f"{make[0]} is not installed")
+    kind = make[0].removeprefix("mkfs.") if "." in make[0] else "ext4"
+    if not re.search(rf"\t{kind}$", Path("/proc/filesystems").read_text(), re.MULTILINE):
+        pytest.skip(f"this kernel has no {kind}")
+    plugged, image, path = tmp_path / "stick", tmp_path / "stick.img", tmp_path / "authorized_keys"
+    plugged.mkdir()
+    (plugged / "kingfisher-keys.pub").write_text(f"{ED25519}\n")
+    with image.open("wb") as file:
+        file.truncate(8 << 20)
+    subprocess.run([*make, *([plugged] if "-d" in make else []), image], check=True, timeout=30, capture_output=True)
+    if make[0] == "mkfs.vfat":
+        copy = ["mcopy", "-i", image, plugged / "kingfisher-keys.pub", "::/"]
+        if shutil.which("mcopy") is None:
+            pytest.skip("mtools is not installed")
+        subprocess.run(copy, check=True, timeout=30)
+    before = image.read_bytes()
+    device = subprocess.run(
+        ["losetup", "--find", "--show", image], check=True, timeout=30, capture_output=True, text=True
+    ).stdout.strip()
+    try:
+        assert stick.of_device(Path(device), path).startswith("1 keys enrolled, SHA256:")
+        assert device not in Path("/proc/mounts").read_text()
+    finally:
+        subprocess.run(["losetup", "--detach", device], check=True, timeout=30)
+    assert path.read_text() == f"{ED25519}\n"
+    assert image.read_bytes() == before, "a stick is never written to"
