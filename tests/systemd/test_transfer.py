@@ -214,9 +214,10 @@ def test_a_real_stick_is_mounted_read_and_let_go(tmp_path: Path, make: tuple[str
     (plugged / "kingfisher-keys.pub").write_text(f"{ED25519}\n")
     with image.open("wb") as file:
         file.truncate(8 << 20)
-    subprocess.run([*make, *([plugged] if "-d" in make else []), image], check=True, timeout=30, capture_output=True)
+    given = [str(plugged)] if "-d" in make else []
+    subprocess.run([*make, *given, str(image)], check=True, timeout=30, capture_output=True)
     if make[0] == "mkfs.vfat":
-        copy = ["mcopy", "-i", image, plugged / "kingfisher-keys.pub", "::/"]
+        copy = ["mcopy", "-i", str(image), str(plugged / "kingfisher-keys.pub"), "::/"]
         if shutil.which("mcopy") is None:
             pytest.skip("mtools is not installed")
         subprocess.run(copy, check=True, timeout=30)

@@ -257,6 +257,11 @@ def test_the_disk_refuses_at_each_call_in_turn_and_no_half_scan_is_ever_seen(the
     scan(only, "000001")
     calls = BadDisk()
     pulled(FolderSource(only), tmp_path / "counted", calls)
+    published_at = calls.calls.index("rename .000001.pulling 000001")
+    durable = {call.removeprefix("sync ") for call in calls.calls[:published_at] if call.startswith("sync ")}
+    assert durable >= set(content(only / "scans" / "000001")) - {"manifest.json"}
+    assert calls.calls[published_at - 1] == "sync_folder .000001.pulling"
+    assert calls.calls[published_at + 1] == "sync_folder scans"
     for k in range(len(calls.calls)):
         here = tmp_path / f"desk{k}"
         with pytest.raises(StorageError):

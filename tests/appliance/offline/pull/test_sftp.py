@@ -104,6 +104,12 @@ def test_each_wrong_answer_is_one_of_the_promised_errors(said: tuple[bytes, ...]
         list(source.read("f", 0, 100))
 
 
+def test_a_length_that_cannot_be_is_not_waited_for() -> None:
+    endless = server(VERSION, struct.pack(">IB", 0xFFFFFFFF, 102), ends=False)
+    with pytest.raises(LinkLost, match="a message of 4294967295 bytes"), endless as source:
+        source.listing("scans")
+
+
 def test_a_silent_server_is_given_up() -> None:
     with pytest.raises(LinkLost, match=r"nothing came for 0.05 s"), server(VERSION, ends=False) as source:
         source.listing("scans")
