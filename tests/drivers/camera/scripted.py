@@ -43,7 +43,7 @@ WHOLE |= {"TLParamsLocked": (0, 1, 1), "BinningHorizontal": (1, 4, 1), "BinningV
 WHOLE |= {"DeviceLinkThroughputLimit": (1, 450_000_000, 1)}
 FLOATS = {"ExposureTime": (10.0, 16_000.0), "Gain": (0.0, 12.0), "DeviceTemperature": (-40.0, 120.0)}
 FLOATS |= {"Gamma": (0.25, 4.0), "BlackLevel": (0.0, 16.0), "TriggerDelay": (0.0, 1e6)}
-FLAGS = ("ReverseX", "ReverseY", "AcquisitionFrameRateEnable", "GammaEnable")
+FLAGS = ("ReverseX", "ReverseY", "AcquisitionFrameRateEnable", "GammaEnable", "LineInverter")
 COMMANDS = ("AcquisitionStart", "AcquisitionStop", "UserSetLoad")
 FEATURE_NAMES = (*CHOICES, *WHOLE, *FLOATS, *FLAGS, *COMMANDS)
 ADDRESS = {name: FEATURES + 4 * k for k, name in enumerate(FEATURE_NAMES)}
@@ -140,6 +140,7 @@ class ScriptedCamera:
         for name in (*FLAGS, "BinningHorizontal", "BinningVertical"):
             self.set_feature(name, 1 if name in FLAGS else 2)
         self.set_feature("Gamma", 0.5)
+        self.set_feature("TriggerDelay", 100.0)
         self.when: dict[str, Callable[[], None]] = {}
         """What else happens when a register is written."""
 

@@ -146,7 +146,7 @@ def test_every_setting_that_decides_about_an_image_is_made() -> None:
         "ExposureTime": 8000.0, "Gain": 3.0, "UserSetSelector": "Default", "DeviceLinkThroughputLimitMode": "Off",
         "BinningHorizontal": 1, "BinningVertical": 1, "ReverseX": False, "ReverseY": False, "TestPattern": "Off",
         "AcquisitionFrameRateEnable": False, "LineSelector": "Line1", "LineMode": "Input", "TriggerOverlap": "ReadOut",
-        "TriggerDelay": 0.0, "GammaEnable": False,
+        "TriggerDelay": 0.0, "GammaEnable": False, "LineInverter": False,
     }  # fmt: skip
     assert {name: device.feature(name) for name in wanted} == wanted
     order = [name for name, _ in device.log if name in wanted or name == "UserSetLoad"]
@@ -160,7 +160,7 @@ def test_every_setting_that_decides_about_an_image_is_made() -> None:
     # The image lies in the sensor's middle only once its size is known.
     assert device.log.index(("Width", 64)) < device.log.index(("OffsetX", 400))
     assert camera.health().details["not offered"] == (
-        "no DecimationHorizontal, no DecimationVertical, no ChunkModeActive, no TestImageSelector, no LineInverter, no OverlapMode, "
+        "no DecimationHorizontal, no DecimationVertical, no ChunkModeActive, no TestImageSelector, no OverlapMode, "
         "no BlackLevelAuto, no LUTEnable"
     )
 
