@@ -76,6 +76,8 @@ class Bus:
             power_on=PowerOn(personality=personality, **options),
         )
         self._request = 0
+        self.announced = 0
+        """Commands that the camera said would take longer."""
         self._count = 0
         self.nodes = NodeMap()
         self.nodes.load_xml_from_string(self.description())
@@ -116,6 +118,7 @@ class Bus:
             _, status, answer, _, number = struct.unpack_from("<IHHHH", raw)
             assert number == self._request
             if answer == 0x0805:
+                self.announced += 1
                 continue
             if status:
                 raise GencpError(status)

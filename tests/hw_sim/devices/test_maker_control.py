@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import struct
 from collections.abc import Callable
 from typing import Any
 
@@ -17,7 +19,7 @@ from hw_sim.devices.usb_standard import Stall
 from hw_sim.options import OptionError, WorldOptions
 from tests.hw_sim.conftest import Bench, HandTime
 from tests.hw_sim.devices.bus import SIRM, Bus, Sizes, careful
-from tests.hw_sim.devices.host import U3vHost
+from tests.hw_sim.devices.host import GencpError, U3vHost
 
 PERSONALITIES = ("blackfly", "ace", "alvium")
 NOT_ALIGNED, INCONSISTENT, HALTED, DENIED, INVALID = 0xA003, 0xA004, 0xA002, 0x8006, 0x8002
@@ -135,13 +137,20 @@ def test_a_camera_that_needs_the_lock_does_not_start_without_it(hand_time: HandT
     assert bus.stream() == 0
     assert bus.refusal("AcquisitionStart", 1) == DENIED
     bus.set(TLParamsLocked=1)
+    assert bus.announced == 1, "a start takes longer than the response time"
     assert bus.refusal("AcquisitionStart", 1) == 0
+    assert bus.announced == 2
 
 
 def test_an_exposure_time_that_the_camera_chooses_is_read_only(hand_time: HandTime) -> None:
     bus = Bus(hand_time, "blackfly")
     with pytest.raises(AccessException):
         bus.set(ExposureTime=8000.0)
+    place = re.search(r'Name="ExposureTimeReg">.*?<Address>(\w+)<', bus.description(), re.DOTALL)
+    assert place is not None
+    with pytest.raises(GencpError) as caught:
+        bus.write(int(place[1], 16), struct.pack("<d", 8000.0))
+    assert caught.value.args[0] == DENIED, "by the camera itself, too"
     bus.set(ExposureAuto="Off", ExposureTime=8000.5)
     assert bus.get("ExposureTime") == 8000.5
 

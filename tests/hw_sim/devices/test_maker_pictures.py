@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from hw_sim.devices.picture import Processing, payload
+from hw_sim.devices.u3v_stream import Region
 from tests.hw_sim.conftest import HandTime
 from tests.hw_sim.devices.bus import BORDERS, COLUMNS, ROWS, Bus, careful, picture
 
@@ -84,6 +86,13 @@ def test_gamma_and_table_bend_the_grey_values(hand_time: HandTime, values: dict[
     assert np.abs(bus.image() - 255 * (picture() / 255) ** exponent).max() <= 0.51
 
 
+def test_what_saturates_is_the_highest_code_whatever_the_black_level() -> None:
+    light = np.full((1, 16), 255, np.uint8)
+    region = Region(16, 1, 0, 0)
+    assert set(payload(light, (16, 1), Processing(black_dn=0.0), region)) == {255}
+    assert set(payload(light, (16, 1), Processing(black_dn=0.0, gamma=2.0), region)) == {255}
+
+
 def test_a_drawn_picture_comes_instead_of_the_sensors(hand_time: HandTime) -> None:
     bus = Bus(hand_time, "alvium")
     careful(bus, "alvium")
@@ -133,8 +142,13 @@ def test_chunks_follow_the_image_and_lengthen_payload_and_trailer(hand_time: Han
     bus.start()
     bus.pulses(2)
     frame = bus.frames()[-1]
+    bus.stop()
     assert struct.unpack_from("<H", frame.leader, 18)[0] == 0x4001, "image with chunks"
     size = COLUMNS * ROWS
     assert frame.payload[:size] == picture().tobytes()
     assert struct.unpack_from("<IIQII", frame.payload, size) == (1, size, 1, 2, 8), "and number 1 is the frame's"
     assert struct.unpack_from("<H", frame.trailer, 6)[0] == len(frame.trailer) == 36
+    bus.set(Width=16)
+    bus.start()
+    bus.pulses(1)
+    assert struct.unpack_from("<QI", bus.frames()[-1].trailer, 20) == (16 * ROWS + 24, ROWS), "chunks are no rows"

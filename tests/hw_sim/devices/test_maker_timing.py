@@ -156,7 +156,10 @@ def test_a_small_memory_loses_what_the_host_does_not_read_and_says_so(hand_time:
     bus = Bus(hand_time, "ace", memory_blocks=2)
     careful(bus, "ace")
     assert taken(bus) == 3
+    room = [bus.camera.room]
     bus.pulses(5)
+    room.append(bus.camera.room)
+    assert room == [True, False], "a world in lock step waits here for its host"
     frames = bus.frames()
     assert [f.status for f in frames] == [0, 0, 0xA101], "DATA_OVERRUN"
     assert frames[-1].valid == 0
