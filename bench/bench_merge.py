@@ -8,10 +8,10 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from bench.merge import large, pairs, row
+from bench.merge import guide, large, pairs, row
 from bench.result import Measured
 
-PAIRS, ROW, LARGE = "pairs", "row", "large"
+PAIRS, ROW, LARGE, GUIDE = "pairs", "row", "large", "guide"
 
 
 def measure() -> Iterable[Measured]:
@@ -21,7 +21,7 @@ def measure() -> Iterable[Measured]:
 
 
 def main(arguments: list[str]) -> int:
-    """``./dev bench merge --seed S [--parts pairs,row,large] [--pairs N] [--rigs SET] [--size WxH] [--calibrated N] [--keep DIR] [--json F]``."""
+    """``./dev bench merge --seed S [--parts pairs,row,large,guide] [--pairs N] [--rigs SET] [--size WxH] [--calibrated N] [--keep DIR] [--json F]``."""
     parser = argparse.ArgumentParser(prog="./dev bench merge", description=__doc__)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--parts", default=f"{PAIRS},{ROW}", help=f"default: {PAIRS},{ROW}")
@@ -29,7 +29,7 @@ def main(arguments: list[str]) -> int:
     parser.add_argument(
         "--rigs", default="outside", metavar="SET", help="set that the row's rig is drawn from (outside)"
     )
-    parser.add_argument("--size", default="800x600", metavar="WxH", help="of the row's images (800x600)")
+    parser.add_argument("--size", default="800x600", metavar="WxH", help="of the images of row and guide (800x600)")
     parser.add_argument(
         "--calibrated",
         type=int,
@@ -51,6 +51,10 @@ def main(arguments: list[str]) -> int:
         found += figures
     if LARGE in wanted.parts.split(","):
         found += large.measure(wanted.seed, wanted.keep)
+    if GUIDE in wanted.parts.split(","):
+        width, height = (int(part) for part in wanted.size.split("x"))
+        figures, whole[GUIDE] = guide.measure(wanted.seed, (width, height))
+        found += figures
     for one in found:
         print(one.line())
     if wanted.json is not None:

@@ -10,13 +10,13 @@ from pathlib import Path
 
 from appliance.capture.store import FrameStore
 from appliance.scan.sides import SIDES
+from appliance.worker.order import WorkOrder
 from appliance.worker.process import (
     CloudReady,
     ReconstructionWorker,
     ScanJudged,
     SequenceIdentified,
     WorkerReady,
-    WorkOrder,
 )
 from bench.result import Measured
 from bench.scan_frames import ScanFrames

@@ -17,6 +17,7 @@ from appliance.machine.words import Label
 from appliance.ranging.reach import Range
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.guidance import Guidance
 from appliance.scan.overlap import Overlap
 from drivers.api import Key, Telemetry
 
@@ -215,6 +216,16 @@ class OverlapTold:
 
 
 @dataclass(frozen=True, slots=True)
+class Guided:
+    """A live picture was looked at: what a scan from there would have in common with the one that was kept."""
+
+    guidance: Guidance | None
+    """``None``: it cannot be told."""
+    taken_ns: int
+    """Time of the picture."""
+
+
+@dataclass(frozen=True, slots=True)
 class PairMerged:
     """The second sequence shows the same as the first: the scan's cloud is that of both."""
 
@@ -344,6 +355,7 @@ Event = (
     | FullReady
     | Judged
     | OverlapTold
+    | Guided
     | PairMerged
     | PairFailed
     | ReconstructionFailed

@@ -20,6 +20,7 @@ from appliance.patterns.sequence import PERIODS_PX, build_sequence
 from appliance.ranging.reach import Range, Reach
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault
+from appliance.scan.guidance import Guidance
 from appliance.scan.overlap import Overlap
 from drivers.api import Key
 
@@ -372,6 +373,10 @@ class Machine:
     """Number of the Capture effect whose overlap is shown: the latest scan's, unless it was rejected."""
     overlap: Overlap | None = None
     """Its overlap with the scan before, until the next one is begun; ``None``: nothing was said of it."""
+    guidance: Guidance | None = None
+    """Guidance to the next view, while the diver aims with an object; ``None``: there is none, or it is too old."""
+    guided_ns: int = 0
+    """Time at which what it says was seen."""
     stuck: frozenset[Key] = frozenset()
     back_from: State | None = None
     """State in which the latest press of BACK began: held on into another state, it means nothing there."""

@@ -14,6 +14,7 @@ from appliance.machine import acknowledge, asking, calibrate, gallery, keys, saf
 from appliance.machine import effects as do
 from appliance.machine import events as on
 from appliance.machine.conditions import cleared, device_down, device_up, judge, raised
+from appliance.machine.guiding import guides
 from appliance.machine.moves import Result
 from appliance.machine.permissions import may_lase, may_light, may_shine, refusal
 from appliance.machine.states import Device, Ending, Machine, Notice, NoticeKind, State
@@ -100,6 +101,9 @@ def _react(machine: Machine, event: on.Event) -> Result:
         case on.OverlapTold(number, overlap):
             # Also where the diver kept it before this was known.
             return (replace(machine, overlap=overlap), ()) if number == machine.overlap_of else (machine, ())
+        case on.Guided(guidance, taken_ns):
+            # One that could not be told does not unsay the one before, which goes by its age.
+            return (machine if guidance is None else replace(machine, guidance=guidance, guided_ns=taken_ns)), ()
         case on.PairMerged():
             return scanning.merged(machine, event)
         case on.PairFailed(number, fault):
@@ -168,9 +172,11 @@ def _settle(before: Machine, after: Machine, wanted: tuple[do.Effect, ...]) -> R
         after = replace(after, lasers_off_since_ns=since_ns, range=None, reach=Reach.UNKNOWN)
     if before.choices.object != after.choices.object:
         # What was said was said of the other object.
-        after = replace(after, overlap_of=None, overlap=None)
+        after = replace(after, overlap_of=None, overlap=None, guidance=None)
     if before.choices.transfer and not after.choices.transfer:
         after = replace(after, transfer=NOT_TOLD)
+    if after.guidance is not None and not guides(after):
+        after = replace(after, guidance=None)
     lit = live_after is not None and live_after[0].light
     if lit is not after.thermal.lit:
         after = replace(after, thermal=replace(after.thermal, lit=lit))

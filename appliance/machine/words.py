@@ -138,6 +138,8 @@ class Text(Enum):
     OVERLAP_UNSURE = ("OVERLAP NOT SURE", "ÜBERLAPP UNKLAR")
     NO_OVERLAP = ("NO OVERLAP:", "KEIN ÜBERLAPP:")
     GO_BACK = ("GO BACK", "ZURÜCK")
+    TURN_BACK = ("GO BACK", "UMKEHREN")
+    SCAN_NOW = ("SCAN NOW", "SCANNEN")
 
     # Beside numbers
     TAKEN = ("SCANS", "SCANS")

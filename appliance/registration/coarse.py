@@ -54,7 +54,7 @@ class Guess:
 
 def guess_by_features(a: Features, b: Features, most: int = 3, seed: int = 0) -> list[Guess]:
     """Return at most ``most`` distinct poses that enough features agree on, the best first."""
-    pairs = _matches(a, b)
+    pairs = matches(a.descriptors, b.descriptors)
     if len(pairs) < ENOUGH_INLIERS:
         return []
     p, q = a.points_mm[pairs[:, 0]], b.points_mm[pairs[:, 1]]
@@ -89,11 +89,11 @@ def guess_by_features(a: Features, b: Features, most: int = 3, seed: int = 0) ->
     return sorted(guesses, key=lambda one: -one.support)
 
 
-def _matches(a: Features, b: Features) -> NDArray[np.int64]:
-    """Return (n, 2) numbers of features that are each other's best match, and better than the second by ``RATIO``."""
-    if len(a.points_mm) < 3 or len(b.points_mm) < 3:
+def matches(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.int64]:
+    """Return (n, 2) numbers of descriptors (…, 128) that are each other's best match, and better than the second by ``RATIO``."""
+    if len(a) < 3 or len(b) < 3:
         return np.empty((0, 2), np.int64)
-    alike = a.descriptors @ b.descriptors.T
+    alike = a @ b.T
     two = np.argpartition(-alike, 1, axis=1)[:, :2]
     of_two = np.take_along_axis(alike, two, axis=1)
     first = two[np.arange(len(two)), of_two.argmax(1)]

@@ -20,7 +20,7 @@ from appliance.reconstruct.organised import OrganisedCloud
 from appliance.reconstruct.table import Cloud
 from appliance.registration.albedo import Paint
 from appliance.registration.coarse import Guess, guess_by_features, guess_by_shape
-from appliance.registration.features import Features, marks_of, points_below
+from appliance.registration.features import Features, PictureMarks, marks_of, points_below
 from appliance.registration.fine import Prepared, refine
 from appliance.registration.patches import Array, Projection, patches_of
 from appliance.registration.rigid import Rigid
@@ -66,13 +66,27 @@ class CoarseView:
     """Pixels of the full picture per pixel of these."""
     projection: Projection
     """Projection of the full picture."""
+    _marks: tuple[PictureMarks, ...] = ()
+    """Features of the pictures that were searched so far."""
     _features: Features | None = None
     _shape: Prepared | None = None
+    _surface: tuple[Array, Array] | None = None
+    _told: float | None = None
+
+    def search(self) -> Iterator[None]:
+        """Get the features ready, piece by piece: a picture takes 0.1 s."""
+        for picture in self.pictures[len(self._marks) :]:
+            self._marks = (*self._marks, marks_of(picture, MOST_MARKS))
+            yield None
+        self.features()
 
     def features(self) -> Features:
         """Return the marks that both pictures have, with the points below."""
         if self._features is None:
-            one, other = (marks_of(picture, MOST_MARKS) for picture in self.pictures)
+            one, other = (
+                *self._marks,
+                *(marks_of(picture, MOST_MARKS) for picture in self.pictures[len(self._marks) :]),
+            )
             uv_px = (one.uv_px + 0.5) * self.reduced - 0.5
             points = points_below(self.points_mm, uv_px / self.stride_px)
             kept = np.flatnonzero(
@@ -95,8 +109,35 @@ class CoarseView:
             self._shape = Prepared(patches, Paint(unknown, np.full((*unknown.shape, 3), np.nan), unknown))
         return self._shape
 
+    def surface(self) -> tuple[Array, Array]:
+        """Return points (n, 3) of the coarse cloud, mm, and the unit normals (n, 3) there, towards the camera."""
+        if self._surface is None:
+            p = self.points_mm.astype(np.float64)
+            across, down = np.full_like(p, np.nan), np.full_like(p, np.nan)
+            across[:, 1:-1], down[1:-1] = p[:, 2:] - p[:, :-2], p[2:] - p[:-2]
+            normal = np.cross(across, down)
+            normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
+            normal *= -np.sign((normal * p).sum(-1, keepdims=True))
+            whole = np.isfinite(normal).all(-1)
+            self._surface = p[whole], normal[whole]
+        return self._surface
+
+    def faintest(self) -> float:
+        """Return the grey value of the bright picture that all but a twentieth of the points had."""
+        valid = np.isfinite(self.points_mm[..., 2])
+        picture = self.pictures[0]
+        row, column = (np.nonzero(valid)[k] * self.stride_px / self.reduced for k in (0, 1))
+        h, w = picture.shape
+        seen = picture[np.minimum(row.astype(int), h - 1), np.minimum(column.astype(int), w - 1)]
+        return float(np.percentile(seen, 5.0)) if len(seen) else 0.0
+
     def told(self) -> float:
         """Return the share of the points that have marks around them which would be known again: each is there once."""
+        if self._told is None:
+            self._told = self._marked()
+        return self._told
+
+    def _marked(self) -> float:
         valid = np.isfinite(self.points_mm[..., 2])
         if not valid.any():
             return 0.0
@@ -133,9 +174,9 @@ def coarse_view(
 
 def compare(a: CoarseView, b: CoarseView) -> Iterator[Overlap | None]:
     """Find how much of ``b`` lies on ``a``; yields ``None`` after each piece of work, at most some 0.1 s, and the answer last."""
-    a.features()
+    yield from a.search()
     yield None
-    b.features()
+    yield from b.search()
     yield None
     guesses = guess_by_features(a.features(), b.features())
     if guesses:

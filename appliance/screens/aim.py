@@ -12,6 +12,7 @@ from appliance.screens import theme
 from appliance.screens.canvas import Align, Canvas
 from appliance.screens.frame import alerts_top, draw_title, room_between, words_of
 from appliance.screens.gauge import draw_gauge
+from appliance.screens.guidance import draw_guidance
 from appliance.screens.marks import draw_marks
 from appliance.screens.texts import numbered, worded
 from appliance.screens.theme import BLACK, BODY, BOLD, CAPTION, REGULAR, TITLE
@@ -58,7 +59,10 @@ def draw_aim(canvas: Canvas, view: AimView, language: Language) -> None:
         _plate(canvas, numbered(view.exposure, language), 62, top + 10)
     if view.water is not None:
         _plate(canvas, worded(view.water, language), right + 62, top + 10)
-    if view.overlap is not None:
+    if view.guidance is not None:
+        draw_guidance(canvas, view.guidance, 0, top, width, height, language)
+    elif view.overlap is not None:
+        # Of the scan before; two percentages at once would be taken for each other.
         ground, ink = (theme.YELLOW, theme.INK) if view.overlap.warns else (theme.INK, theme.WHITE)
         _plate(canvas, worded(view.overlap.words, language), 10, top + height - _PLATE_PX - 10, ground, ink)
     _temperature(canvas, view, top + 10)

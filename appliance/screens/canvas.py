@@ -54,6 +54,26 @@ void main() {
     colour = vec4(paint.rgb, paint.a * clamp(0.5 - distance, 0.0, 1.0));
 }
 """
+_ARROW = """
+#version 330
+uniform vec4 box;
+uniform vec4 fill;
+uniform vec4 edge;
+uniform float edge_width;
+uniform vec2 toward;  // of length 1
+in vec2 inside;
+out vec4 colour;
+void main() {
+    vec2 p = inside - 0.5 * box.zw;
+    p = vec2(dot(p, toward), abs(p.y * toward.x - p.x * toward.y));  // along and beside
+    float s = box.z;
+    vec2 shaft = abs(p - vec2(-0.20 * s, 0.0)) - vec2(0.26 * s, 0.12 * s);
+    float head = max(-p.x, 0.64 * (p.x - 0.46 * s) + 0.77 * p.y);  // a flank's normal has length 1
+    float distance = min(max(shaft.x, shaft.y), head);  // negative inside
+    vec4 paint = mix(edge, fill, clamp(0.5 - (distance + edge_width), 0.0, 1.0));
+    colour = vec4(paint.rgb, paint.a * clamp(0.5 - distance, 0.0, 1.0));
+}
+"""
 _WORDS = """
 #version 330
 uniform sampler2D mask;
@@ -160,6 +180,7 @@ class Canvas:
         self.framebuffer = self._keep(context.framebuffer([target]))
         self._picture = np.empty((size_px[1], size_px[0], 3), np.uint8)
         self._box, self._box_quad = self._program(_BOX)
+        self._arrow, self._arrow_quad = self._program(_ARROW)
         self._letters, self._letters_quad = self._program(_WORDS)
         self._image, self._image_quad = self._program(_IMAGE)
         self._water, self._water_quad = self._program(_WATER)
@@ -216,6 +237,25 @@ class Canvas:
         program["radii"] = tuple(r * self.scale for r in radii)
         self._place(program, left, top, width, height)
         self._box_quad.render(moderngl.TRIANGLE_STRIP, vertices=4)
+
+    def arrow(
+        self,
+        x: float,
+        y: float,
+        size: float,
+        toward: tuple[float, float],
+        fill: Colour,
+        edge: Colour,
+        edge_width: float,
+    ) -> None:
+        """Draw an arrow around (x, y), ``size`` long, that points ``toward`` right and down (of length 1)."""
+        program = self._arrow
+        program["fill"] = fill.as_tuple()
+        program["edge"] = edge.as_tuple()
+        program["edge_width"] = edge_width * self.scale
+        program["toward"] = toward
+        self._place(program, x - size / 2, y - size / 2, size, size)
+        self._arrow_quad.render(moderngl.TRIANGLE_STRIP, vertices=4)
 
     def words(
         self,

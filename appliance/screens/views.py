@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from appliance.calibration.guide import Session, Step
 from appliance.machine.alerts import Alert
+from appliance.machine.guiding import GuidanceSaid
 from appliance.machine.overlaps import OverlapSaid
 from appliance.machine.states import Calibrating
 from appliance.machine.words import Label, Text
@@ -112,6 +113,8 @@ class AimView(View):
     """Word for the water that the refractive index is computed for."""
     overlap: OverlapSaid | None = None
     """Words about the overlap of the latest scan with the one before; ``None``: nothing is said."""
+    guidance: GuidanceSaid | None = None
+    """Words about the overlap that a scan from here would have, and the way to a better one, in place of ``overlap``; ``None``: nothing is said."""
     insist: bool = False
     """SCAN was pressed outside the measuring volume; pressed once more it records."""
     scan_allowed: bool = True

@@ -11,6 +11,9 @@ from appliance.machine import events as on
 from appliance.scan.sides import SIDES
 from appliance.service.parts import Parts
 
+GUIDES = "left"
+"""Camera whose frame clouds are in."""
+
 
 class LiveViews:
     """Switches live views on and off and takes their images. Called by the heartbeat only."""
@@ -21,9 +24,11 @@ class LiveViews:
         self.images: dict[str, NDArray[np.uint8]] = {}
         """The latest image of each camera, (h, w) uint8, by side; nothing of a camera that is lost."""
         self._number = dict.fromkeys(SIDES, 0)
+        self._guided: int | None = None
+        """Number of the object that the diver is guided for; ``None``: there is none, or nothing lights it."""
 
-    def begin(self, wanted: do.GoLive, *, aiming: bool) -> None:
-        """Light and fire the cameras as ``wanted``, with the lasers off; ``aiming``: the diver aims by it."""
+    def begin(self, wanted: do.GoLive, *, aiming: bool, belongs_to: int | None) -> None:
+        """Light and fire the cameras as ``wanted``, with the lasers off; ``aiming``: the diver aims by it, at an object of that number."""
         devices, scans = self._parts.devices, self._parts.scans
         shown = len(scans.sequence) + (1 if wanted.light else 0)  # behind the patterns: dark, live light
         devices.expose(wanted.exposure)
@@ -44,12 +49,14 @@ class LiveViews:
         # The lasers go on later, by `switch_lasers_on`: the first images are the proof that they were off (ADR 0024).
         self._parts.ranging.live(wanted.lasers, calibration, index)
         self._inbox += self._parts.aiming.live(wanted.light and aiming, calibration, index)
+        self._guided = belongs_to if wanted.light and aiming else None
 
     def end(self) -> None:
         """Make everything dark: projector, lasers, and no image is asked for."""
         devices = self._parts.devices
         self._parts.ranging.stop()
         self._inbox += self._parts.aiming.stop()
+        self._guided = None
         with devices.projector.watched(self._inbox):
             if devices.projector.value is not None:
                 devices.projector.value.show(len(self._parts.scans.sequence))
@@ -76,6 +83,9 @@ class LiveViews:
                 self._number[side], self.images[side] = latest
                 self._parts.ranging.see(side, latest[1])
                 self._parts.aiming.see(side, *latest)
+                if side == GUIDES and self._guided is not None:
+                    # It takes one now and then; those between are of no interest.
+                    self._parts.scans.worker.look(latest[1], self._guided)
             elif camera.value is None:
                 # Its numbers begin anew when it comes back, and an old image must not be taken for a live one.
                 self.images.pop(side, None)

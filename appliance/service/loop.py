@@ -174,7 +174,8 @@ class Service:
     def _execute(self, effect: do.Effect) -> None:
         match effect:
             case do.GoLive():
-                self._live.begin(effect, aiming=self.machine.state is State.AIM)
+                aiming = self.machine.state is State.AIM
+                self._live.begin(effect, aiming=aiming, belongs_to=self.machine.choices.object)
             case do.StopLive():
                 self._live.end()
             case do.LightsOff():

@@ -44,7 +44,8 @@ from appliance.storage.atomic import StorageError
 from appliance.storage.library import Library
 from appliance.storage.record import ScanRecord, SecondSequence, SequenceInfo
 from appliance.storage.room import Room
-from appliance.worker.process import ReconstructionWorker, WorkLimits, WorkOrder
+from appliance.worker.order import WorkLimits, WorkOrder
+from appliance.worker.process import ReconstructionWorker
 from drivers.api import Calendar, Clock
 
 Answer = TypeVar("Answer")

@@ -12,6 +12,7 @@ import appliance
 from appliance.calibration.guide import HELD
 from appliance.machine import safety, start, thermal
 from appliance.machine.alerts import RULES, alert_of, lengths_doubtful, on_screen
+from appliance.machine.guiding import guidance_said
 from appliance.machine.overlaps import overlap_said
 from appliance.machine.permissions import refusal
 from appliance.machine.states import Calibrating, Device, Machine, Part, State
@@ -99,6 +100,7 @@ def _view(machine: Machine, around: Surroundings) -> AnyView:
                 marks=around.marks,
                 water=Text.SALT if machine.choices.salt else Text.FRESH,
                 overlap=overlap_said(machine),
+                guidance=guidance_said(machine),
                 insist=machine.insists_until_ns is not None,
                 scan_allowed=refusal(machine) is None,
                 alerts=shown,

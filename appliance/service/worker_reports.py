@@ -17,6 +17,7 @@ from appliance.service.health import CalibrationWatch
 from appliance.service.scan_in_memory import ScanInMemory
 from appliance.service.windows import WindowWatch
 from appliance.verdict.window import Windows
+from appliance.worker.looking import LiveLookedAt
 from appliance.worker.process import (
     CloudReady,
     PairJudged,
@@ -60,6 +61,8 @@ class WorkerReports:
             case SequenceIdentified():
                 # The machine compares the number by itself; nothing of the scan in hand is changed.
                 return [on.PatternsRight(report.scan)]
+            case LiveLookedAt(guidance, taken_ns):
+                return [on.Guided(guidance, taken_ns)]
         # The worker may still report on a scan that was dropped or published meanwhile: nobody wants that any more.
         return [] if scan is None or scan.number != report.scan else self._entered(report, scan)
 

@@ -9,6 +9,7 @@ from typing import Any
 
 from appliance.calibration.guide import STEPS
 from appliance.machine.alerts import alerts
+from appliance.machine.guiding import guidance_said
 from appliance.machine.overlaps import overlap_said
 from appliance.machine.states import Answer, Device, Machine
 from appliance.machine.texts import labels
@@ -42,6 +43,7 @@ def describe(
         "last_scan": machine.last_scan,
         "object": machine.choices.object,
         "overlap": _overlap(machine),
+        "guidance": _guidance(machine),
         "range": _range(machine),
         "calibration": _calibration(machine),
         "gallery": gallery,
@@ -86,6 +88,15 @@ def _overlap(machine: Machine) -> str | None:
     """Return what the screen says of the latest scan's overlap; ``None``: nothing."""
     said = overlap_said(machine)
     return None if said is None else english(said.words)
+
+
+def _guidance(machine: Machine) -> dict[str, Any] | None:
+    """Return what the screen says of the place that the diver aims at, and the direction of its arrow; ``None``: nothing."""
+    said = guidance_said(machine)
+    if said is None:
+        return None
+    toward = None if said.toward is None else [round(part, 2) for part in said.toward]
+    return {"words": english(said.words), "toward": toward}
 
 
 def _range(machine: Machine) -> dict[str, Any] | None:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from appliance.reconstruct.table import Found
 from appliance.scan.acquisition import AcquisitionSettings
+from appliance.scan.guidance import Guidance
 from appliance.scan.overlap import Overlap
 from appliance.scan.verdict import Judgement
 
@@ -49,6 +50,18 @@ class Drop:
 @dataclass(frozen=True, slots=True)
 class Keep:
     """The order to the worker: the diver keeps the scan begun last, and the next one is to be compared with it."""
+
+
+@dataclass(frozen=True, slots=True)
+class LookAt:
+    """The order to the worker: the diver aims at what the live picture in the shared memory shows, and wants to be guided."""
+
+    number: int
+    """Counts these orders; the answer carries it."""
+    shape: tuple[int, int]
+    """Height and width of the picture, px."""
+    belongs_to: int
+    """Number of the object that the next scan will be of."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,6 +155,16 @@ class OverlapFound:
 
 
 @dataclass(frozen=True, slots=True)
+class LookedAt:
+    """The worker's report: a live picture was looked at. None comes where a scan began meanwhile."""
+
+    number: int
+    guidance: Guidance | None
+    """``None``: it cannot be told."""
+    cpu_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class SequenceFailed:
     """The worker's report: the frames are not what was agreed; the next sequence's may be."""
 
@@ -156,7 +179,7 @@ class Crashed:
     text: str
 
 
-ToWorker = Begin | FrameStored | Finish | Drop | Keep | CloudCopied | Ping
+ToWorker = Begin | FrameStored | Finish | Drop | Keep | LookAt | CloudCopied | Ping
 FromWorker = (
     Ready
     | Loaded
@@ -168,6 +191,7 @@ FromWorker = (
     | SequenceJudged
     | BracketJudged
     | OverlapFound
+    | LookedAt
     | SequenceFailed
     | Crashed
 )

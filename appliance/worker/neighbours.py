@@ -72,6 +72,10 @@ class Neighbours:
         if self._new is not None:
             self._kept, self._kept_object = self._new, self._object
 
+    def kept(self, belongs_to: int) -> CoarseView | None:
+        """Return the scan that was kept last where it is of that object; ``None``: there is none."""
+        return self._kept if self._kept_object == belongs_to else None
+
     @property
     def waits(self) -> bool:
         """There is a piece of work left."""

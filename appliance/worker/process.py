@@ -11,17 +11,20 @@ from dataclasses import dataclass
 from multiprocessing.shared_memory import SharedMemory
 from types import TracebackType
 
-from appliance.calibration.file import Calibration, encode
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.calibration.file import encode
 from appliance.capture.store import FrameStore
-from appliance.optics.water import Water
-from appliance.reconstruct.table import POINT_BYTES, Cloud, Found, PointTable
+from appliance.reconstruct.table import Cloud, Found, PointTable
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.fault import Fault, FaultCode
-from appliance.scan.noise import TYPICAL_PAIR, StereoNoise
 from appliance.scan.overlap import Overlap
 from appliance.scan.sides import SIDES
 from appliance.scan.verdict import Judgement
 from appliance.worker.child import ChildGone, ChildProcess
+from appliance.worker.live_picture import LivePicture, shared_bytes
+from appliance.worker.looking import LiveLookedAt, Looking
 from appliance.worker.messages import (
     Begin,
     BracketJudged,
@@ -35,6 +38,7 @@ from appliance.worker.messages import (
     GoingOn,
     Keep,
     Loaded,
+    LookedAt,
     OverlapFound,
     PatternsIdentified,
     Ping,
@@ -45,6 +49,7 @@ from appliance.worker.messages import (
     Spoiled,
     ToWorker,
 )
+from appliance.worker.order import WorkLimits, WorkOrder
 from appliance.worker.serve import work
 from appliance.worker.usage import cpu_s, own_memory_mb
 from drivers.api import Clock
@@ -62,37 +67,6 @@ COMPUTING_SHARE = 0.05
 """Share of the time that a worker uses a processor if it gets on; one that hangs uses none."""
 PROGRESS_CHECK_S, PROGRESS_CPU_S = 2.0, 0.1
 """Time between two looks at a start, and the processor time that it takes meanwhile if it gets on."""
-
-
-@dataclass(frozen=True, slots=True)
-class WorkOrder:
-    """Everything a worker must know to reconstruct scans; another order needs another worker."""
-
-    calibration: Calibration
-    water: Water
-    period_px: int
-    projector_width_px: int
-    projector_height_px: int
-    noise: StereoNoise = TYPICAL_PAIR
-    """Noise of the cameras as they are set."""
-
-
-@dataclass(frozen=True, slots=True)
-class WorkLimits:
-    """The bounds of what a worker may take; beyond, it is started again."""
-
-    start_s: float = 240.0
-    """A cold start without compiled kernels takes most of a minute, and more on a busy machine."""
-    cloud_s: float = 10.0
-    """Longest time from one step to the next of those that lead from the last frame to the full cloud; a hundred times what they take."""
-    computing_s: float = 60.0
-    """The same where it is seen to compute: on a processor that is throttled, or shared."""
-    alive_s: float = 5.0
-    """Longest time from a question to its answer while it has nothing to do."""
-    memory_mb: float = 1000.0
-    """Largest memory of its own, MB; the shared frames do not count. Compensating a scan of 1600 × 1200 takes 740."""
-    start_memory_mb: float = 1500.0
-    """The same until it is ready: without compiled kernels, the compiler is in it, too."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,7 +145,15 @@ class WorkerFailed:
 
 
 WorkerEvent = (
-    WorkerReady | SequenceIdentified | CloudReady | ScanJudged | ScanSpoiled | PairJudged | ScanCompared | WorkerFailed
+    WorkerReady
+    | SequenceIdentified
+    | CloudReady
+    | ScanJudged
+    | ScanSpoiled
+    | PairJudged
+    | ScanCompared
+    | LiveLookedAt
+    | WorkerFailed
 )
 
 
@@ -188,7 +170,7 @@ class ReconstructionWorker:
         left = order.calibration.rig.left
         self._capacity = left.width_px * left.height_px
         # Room for a point in every left pixel, allocated once: no cloud can be too large for it.
-        self._results = SharedMemory(create=True, size=self._capacity * POINT_BYTES)
+        self._results = SharedMemory(create=True, size=shared_bytes(self._capacity))
         self._child = ChildProcess("kf-reconstruct", work)
         self._starting = False
         self._deadline_ns: int | None = None
@@ -220,6 +202,7 @@ class ReconstructionWorker:
         """The worker was started again since the scan began: it must be told of all frames once more."""
         self._attempts = 0
         self._fruitless = 0
+        self._looking = Looking()
         self._not_started: str | None = None
         """Reason why there is no process although there should be one."""
         self.restarts = 0
@@ -287,10 +270,25 @@ class ReconstructionWorker:
         self._scan, self._finishing, self._missed, self._attempts = scan, False, False, 1
         self._second, self._knows_first = None, False
         self._ticket += 1
+        self._looking.stop()
         if not self._child.runs:
             self._fruitless = 0
             self._start_again()
         self._send(Begin(self._ticket, self._settings, belongs_to=belongs_to))
+
+    def look(self, picture: NDArray[np.uint8], belongs_to: int) -> bool:
+        """Hand over the latest live picture, (h, w) uint8, of a diver who aims at the next scan of an object; ``LiveLookedAt`` answers, unless a scan
+        begins before.
+
+        Returns False where it was not taken: the process is not ready, has something else to do, still looks at the last one, or has taken as much
+        of a processor as it may.
+        """
+        now_ns = self._clock.now_ns()
+        if not self._looking.may(now_ns) or not self._child.runs or self._starting or self._finishing:
+            return False
+        shape = LivePicture(self._results.buf, self._capacity).put(picture)
+        self._send(self._looking.ask(shape, belongs_to, now_ns))
+        return True
 
     def keep(self) -> None:
         """The diver keeps the scan begun last: the next one is compared with it.
@@ -378,6 +376,8 @@ class ReconstructionWorker:
                 return None
             case Pong():
                 return None
+            case LookedAt() as answer:
+                return self._looking.answered(answer)
             case Crashed(text):
                 return self._restart(f"it failed: {text}")
             case (
@@ -529,6 +529,7 @@ class ReconstructionWorker:
 
     def _start(self) -> None:
         order = self.order
+        self._looking.stop()
         self._child.start(
             encode(order.calibration),
             order.water,

@@ -42,6 +42,7 @@ from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.noise import StereoNoise
 from appliance.scan.sides import SIDES
 from appliance.scan.verdict import Judgement, Verdict
+from appliance.worker.live_picture import LivePicture
 from appliance.worker.messages import (
     Begin,
     BracketJudged,
@@ -55,6 +56,7 @@ from appliance.worker.messages import (
     GoingOn,
     Keep,
     Loaded,
+    LookAt,
     OverlapFound,
     PatternsIdentified,
     Ping,
@@ -66,6 +68,7 @@ from appliance.worker.messages import (
     ToWorker,
 )
 from appliance.worker.neighbours import Neighbours
+from appliance.worker.onlooker import Onlooker
 from appliance.worker.warm import compiler_watched, what_an_empty_scan_does_not_run
 
 NICENESS = 5
@@ -138,7 +141,9 @@ def _work(
         pipe.send(Ready())
         neighbours = Neighbours(calibration, water, sequence, pipeline.coarse_stride)
         try:
-            Server(pipe, processor, store, remaining, neighbours).serve()
+            onlooker = Onlooker(calibration, water, neighbours)
+            picture = LivePicture(memory.buf, left.width_px * left.height_px)
+            Server(pipe, processor, store, remaining, neighbours, (onlooker, picture)).serve()
         except (EOFError, OSError):
             raise
         except Exception as error:  # the one place where it can still be named
@@ -206,11 +211,14 @@ class Server:
         store: FrameStore,
         left: Iterable[Callable[[], object]] = (),
         neighbours: Neighbours | None = None,
+        aiming: tuple[Onlooker, LivePicture] | None = None,
     ) -> None:
         """``left``: what remains to be loaded; done piece by piece while nothing else is, then said to be ``Loaded``. ``neighbours``: what
-        scans are compared by; ``None``: they are not."""
+        scans are compared by; ``None``: they are not. ``aiming``: what live pictures are looked at by, and where they lie; ``None``: they
+        are not."""
         self._pipe, self._processor, self._store = pipe, processor, store
         self._neighbours = neighbours
+        self._aiming = aiming
         self._left: deque[Callable[[], object]] | None = deque(left)
         """``None``: all of it is loaded, and that was said."""
         self._in_hand = False
@@ -237,7 +245,8 @@ class Server:
                 self._say(SequenceFailed(self._ticket, str(error)))
 
     def _hear(self) -> ToWorker:
-        """Return the next message; while there is none, and no sequence in hand, load what is left, then compare scans."""
+        """Return the next message; while there is none, and no sequence in hand, load what is left, then compare scans, then look at what the
+        diver aims at."""
         while not self._in_hand and not self._pipe.poll(0.0) and self._did_one_piece():
             pass
         message: ToWorker = self._pipe.recv()
@@ -254,6 +263,11 @@ class Server:
             compared = self._neighbours.go_on()
             if compared is not None:
                 self._say(OverlapFound(self._ticket, compared.overlap, compared.cpu_s))
+        elif self._aiming is not None and self._aiming[0].waits:
+            # Last: a scan's own answer is awaited by who has just kept it.
+            looked = self._aiming[0].go_on()
+            if looked is not None:
+                self._say(looked)
         else:
             return False
         return True
@@ -265,6 +279,8 @@ class Server:
                 self._in_hand = True
                 if self._neighbours is not None and not second:
                     self._neighbours.begin(belongs_to)
+                if self._aiming is not None:
+                    self._aiming[0].begin()
                 if not second:
                     self._first = None
                 elif self._first is None:
@@ -285,6 +301,9 @@ class Server:
                 self._failed, self._in_hand = True, False
             case Keep() if self._neighbours is not None:
                 self._neighbours.keep()
+            case LookAt(shape=shape) if self._aiming is not None:
+                onlooker, picture = self._aiming
+                onlooker.look(message, picture.copy(shape))
             case Ping():
                 self._say(Pong())
             case _:

@@ -19,14 +19,13 @@ from appliance.capture.store import FrameStore
 from appliance.scan.sides import SIDES
 from appliance.storage.library import Library, PendingScan
 from appliance.storage.record import SequenceInfo
+from appliance.worker.order import WorkLimits, WorkOrder
 from appliance.worker.process import (
     CloudReady,
     ReconstructionWorker,
     ScanJudged,
     SequenceIdentified,
     WorkerReady,
-    WorkLimits,
-    WorkOrder,
 )
 from bench.warm_worker import FRAME_S, START_TIMEOUT_S, peak_memory_mb
 from bench.whole_scan.scenes import TimedScene

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hw_sim.people import commands, status_file
+from hw_sim.people.follower import follow
 from hw_sim.people.operator import PRESS_S, Operator
 
 if TYPE_CHECKING:
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
 
 KEYS = ("scan", "back", "up", "down")
 GRAMMAR = (
-    f"allowed are: wait|never {'|'.join(status_file.CONDITIONS)} WORDS S, pause S, press KEY [S], end, "
+    f"allowed are: wait|never {'|'.join(status_file.CONDITIONS)} WORDS S, pause S, press KEY [S], follow MM S, end, "
     + ", ".join(" ".join(filter(None, (verb, words))) for verb, (words, _) in commands.HELP.items())
 )
 
@@ -79,6 +80,10 @@ def _check(step: Step) -> None:
                 raise ValueError(f"key '{key}'; allowed are {', '.join(KEYS)}")
             for seconds in hold:
                 _seconds(seconds)
+        case "follow", (step_mm, seconds):
+            _seconds(seconds)
+            if not 0.0 < float(step_mm) <= 100.0:
+                raise ValueError(f"a step of {step_mm} mm; allowed are 0..100")
         case "end", ():
             pass
         case _:
@@ -125,6 +130,9 @@ class Diver(Operator):
                 self.sleep(float(words[0]))
             case "press":
                 self.press(words[0], float(words[1]) if len(words) > 1 else PRESS_S)
+            case "follow":
+                if not follow(self, float(words[0]), float(words[1])) and not self.over:
+                    raise ScriptError(f"{step}: after {words[1]} s the guidance is {self.status().get('guidance')}")
             case "end":
                 if not self.switch_off() and not self.over:
                     raise ScriptError(f"{step}: the state is still {self.status().get('state')}")

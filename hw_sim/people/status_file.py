@@ -76,6 +76,7 @@ CONDITIONS: Mapping[str, tuple[int, Callable[[Status, list[str]], bool]]] = {
     "reach": (1, lambda status, words: _table(status.get("range")).get("word") == words[0]),
     "scans": (1, lambda status, words: str(status.get("scans")) == words[0]),
     "overlap": (1, lambda status, words: _like([str(status.get("overlap"))], " ".join(words))),
+    "guidance": (1, lambda status, words: _like([str(_table(status.get("guidance")).get("words"))], " ".join(words))),
     "step": (1, lambda status, words: _calibration(status, "step", words[0])),
     "result": (1, lambda status, words: _calibration(status, "result", words[0])),
 }

@@ -19,7 +19,7 @@ from appliance.service.app import run
 from appliance.service.keys import KeyReader
 from appliance.storage.choices import ChoicesFile
 from appliance.storage.library import Library
-from appliance.worker import process
+from appliance.worker import order, process
 from drivers.api import KeyEvent, KeyPress
 
 MOST_PICTURES = 2
@@ -65,7 +65,7 @@ def test_a_period_is_chosen_scanned_with_and_remembered(tmp_path: Path, monkeypa
         return events
 
     # The machine that runs tests may be busy with others.
-    monkeypatch.setattr(process, "WorkLimits", partial(process.WorkLimits, cloud_s=55.0))
+    monkeypatch.setattr(process, "WorkLimits", partial(order.WorkLimits, cloud_s=55.0))
     monkeypatch.setattr(Painter, "draw", drawn)
     monkeypatch.setattr(KeyReader, "take", taken)
     script = tmp_path / "dive.script"

@@ -18,6 +18,7 @@ from appliance.ranging.reach import Range
 from appliance.reconstruct.quality import CloudSummary
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.guidance import LOST, Guidance
 from appliance.scan.overlap import NO_OVERLAP, UNKNOWN, Overlap
 from drivers.api import Key, LaserState, Telemetry
 from tests.support.typed import built
@@ -274,6 +275,7 @@ EVENTS: st.SearchStrategy[on.Event] = st.one_of(
         st.sampled_from([None, Exposure(3_200)]),
     ),
     built(on.OverlapTold, _numbers, st.sampled_from([UNKNOWN, NO_OVERLAP, Overlap(0.62)])),
+    built(on.Guided, st.sampled_from([None, LOST, Guidance(Overlap(0.62), (1.0, 0.0))]), st.integers(0, 10**13)),
     built(on.PairMerged, _numbers, _summaries, _warnings),
     built(on.PairFailed, _numbers, _faults),
     built(on.ReconstructionFailed, _numbers, _faults),
@@ -307,6 +309,7 @@ EVERY_EVENT: list[on.Event] = [
     on.Told(Fault(FaultCode.RESTARTED)),
     on.StorageCounted(1, "000001", 0),
     *(on.OverlapTold(number, overlap) for number in (0, 1) for overlap in (UNKNOWN, NO_OVERLAP, Overlap(0.62))),
+    *(on.Guided(guidance, 1) for guidance in (None, LOST, Guidance(Overlap(0.62), (1.0, 0.0)))),
     on.ObjectsCounted(0),
     on.ObjectsCounted(7),
     on.TransferTold(SERVED),

@@ -14,7 +14,7 @@ from appliance.patterns.sequence import build_sequence
 from appliance.scan.fault import FaultCode
 from appliance.service.scans import MeasuringSetup, ScanController, ScanStorage
 from appliance.storage.library import Library
-from appliance.worker.process import WorkLimits
+from appliance.worker.order import WorkLimits
 from drivers.native import MonotonicClock
 from drivers.wall_clock import KernelCalendar
 

@@ -13,6 +13,8 @@ from appliance.machine import events as on
 from appliance.machine.failure import Failure, FailureKind
 from appliance.machine.states import Answer, Calibrating, Device, OffQuestion, Task, boot
 from appliance.ranging.reach import Range, Reach
+from appliance.scan.guidance import Guidance
+from appliance.scan.overlap import Overlap
 from appliance.storage.status import StatusFile, describe
 from tests.appliance.machine.walks import MISSING, aim, capturing, run
 
@@ -55,6 +57,14 @@ def test_a_distance_is_told_in_whole_millimetres_and_degrees_with_its_word(tmp_p
     alone = describe(replace(machine, range=Range(433.2, None, 1.04, 1), reach=Reach.BACK), 1, "0.1.0")["range"]
     assert alone == {"distance_mm": 433, "tilt_deg": None, "sigma_mm": 1.0, "dots": 1, "word": "BACK"}
     assert describe(replace(machine, range=None), 1, "0.1.0")["range"] is None
+
+
+def test_where_to_aim_is_told_in_words_with_the_arrows_direction() -> None:
+    machine = replace(aim(), guidance=Guidance(Overlap(0.2), (-0.8, 0.6)))
+    assert describe(machine, 1, "0.1.0")["guidance"] == {"words": "20 %: GO BACK", "toward": [-0.8, 0.6]}
+    there = replace(machine, guidance=Guidance(Overlap(0.5)))
+    assert describe(there, 1, "0.1.0")["guidance"] == {"words": "50 %: SCAN NOW", "toward": None}
+    assert describe(aim(), 1, "0.1.0")["guidance"] is None
 
 
 def test_what_is_asked_before_switching_off_and_the_answer_that_is_selected(tmp_path: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -17,27 +19,32 @@ from tests.support.views import CALIBRATION, view
 STRIDE_PX = 3
 SEQUENCE = build_sequence(16)
 MOST_PIECES = 12
+PLACES_MM = (0.0, 70.0, -330.0)
+"""Places along the main: the second 70 mm from the first, the third far off."""
+
+
+@cache
+def scan_at(number: int) -> tuple[Cloud, NDArray[np.uint8]]:
+    """Coarse cloud and left frames of one of the places along a painted main."""
+    pose = (PLACES_MM[number], 0.0, 560.0, 0.0, 0.0, float(number))
+    first, other = (view("main", pose, "slight", seed).cloud for seed in (number, number + 100))
+    mask = np.zeros(first.shape, bool)
+    mask[::STRIDE_PX, ::STRIDE_PX] = first.mask[::STRIDE_PX, ::STRIDE_PX]
+    pixel = np.flatnonzero(mask)
+    nothing = np.zeros(len(pixel), np.float32)
+    cloud = Cloud(
+        first.points_mm.reshape(-1, 3)[pixel], nothing.astype(np.uint8), nothing, nothing,
+        first.sigma_mm.ravel()[pixel], pixel.astype(np.uint32), CloudSummary(len(pixel), None, None, None, None),
+    )  # fmt: skip
+    frames = np.broadcast_to(other.grey, (len(SEQUENCE), *other.grey.shape)).copy()
+    frames[SEQUENCE.bright] = first.grey
+    return cloud, frames
 
 
 @pytest.fixture(scope="module")
 def scans() -> list[tuple[Cloud, NDArray[np.uint8]]]:
-    """Coarse cloud and left frames of three places along a painted main: the second 70 mm from the first, the third far off."""
-    made = []
-    for number, x in enumerate((0.0, 70.0, -330.0)):
-        pose = (x, 0.0, 560.0, 0.0, 0.0, float(number))
-        first, other = (view("main", pose, "slight", seed).cloud for seed in (number, number + 100))
-        mask = np.zeros(first.shape, bool)
-        mask[::STRIDE_PX, ::STRIDE_PX] = first.mask[::STRIDE_PX, ::STRIDE_PX]
-        pixel = np.flatnonzero(mask)
-        nothing = np.zeros(len(pixel), np.float32)
-        cloud = Cloud(
-            first.points_mm.reshape(-1, 3)[pixel], nothing.astype(np.uint8), nothing, nothing,
-            first.sigma_mm.ravel()[pixel], pixel.astype(np.uint32), CloudSummary(len(pixel), None, None, None, None),
-        )  # fmt: skip
-        frames = np.broadcast_to(other.grey, (len(SEQUENCE), *other.grey.shape)).copy()
-        frames[SEQUENCE.bright] = first.grey
-        made.append((cloud, frames))
-    return made
+    """Scans of all places."""
+    return [scan_at(number) for number in range(len(PLACES_MM))]
 
 
 @pytest.fixture

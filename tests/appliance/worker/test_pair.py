@@ -23,6 +23,7 @@ from appliance.scan.fault import FaultCode
 from appliance.scan.noise import TYPICAL_PAIR
 from appliance.scan.sides import SIDES
 from appliance.scan.verdict import Judgement
+from appliance.worker.order import WorkOrder
 from appliance.worker.process import (
     CloudReady,
     PairJudged,
@@ -30,7 +31,6 @@ from appliance.worker.process import (
     ScanJudged,
     SequenceIdentified,
     WorkerReady,
-    WorkOrder,
 )
 from hw_sim.scene import Scene
 from tests.appliance.worker.test_worker import RealClock

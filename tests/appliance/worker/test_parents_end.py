@@ -24,8 +24,10 @@ from appliance.reconstruct.table import Found, PointTable
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.guidance import LOST
 from appliance.scan.verdict import Judgement, Verdict
 from appliance.worker import process, usage
+from appliance.worker.looking import LiveLookedAt
 from appliance.worker.messages import (
     Begin,
     BracketJudged,
@@ -37,6 +39,8 @@ from appliance.worker.messages import (
     FrameStored,
     GoingOn,
     Loaded,
+    LookAt,
+    LookedAt,
     PatternsIdentified,
     Ping,
     Pong,
@@ -45,6 +49,7 @@ from appliance.worker.messages import (
     SequenceJudged,
     Spoiled,
 )
+from appliance.worker.order import WorkOrder
 from appliance.worker.process import (
     CloudReady,
     PairJudged,
@@ -54,7 +59,6 @@ from appliance.worker.process import (
     SequenceIdentified,
     WorkerFailed,
     WorkerReady,
-    WorkOrder,
 )
 from tests.drivers.output.kernel import Time
 from tests.support import synthetic
@@ -571,3 +575,59 @@ def test_a_process_that_loads_for_ever_is_started_again(desk: Desk) -> None:
     assert desk.after(desk.worker.limits.start_s + 1.0) is None, "it is asked"
     desk.cpu_s += 300.0
     assert isinstance(desk.after(desk.worker.limits.alive_s + 1.0), WorkerFailed)
+
+
+# ------------------------------------------------------------------------------------------ live pictures
+
+PICTURE = np.full((300, 400), 9, np.uint8)
+
+
+def test_one_live_picture_at_a_time_is_handed_over_and_its_answer_says_when_it_was_taken(desk: Desk) -> None:
+    assert not desk.worker.look(PICTURE, 3), "not before it is ready"
+    desk.ready()
+    assert desk.worker.look(PICTURE, 3)
+    assert desk.told() == [LookAt(1, (300, 400), 3)]
+    taken_ns = desk.time.ns
+    desk.time.sleep_s(1.0)
+    assert not desk.worker.look(PICTURE, 3), "the first one is still looked at"
+    assert desk.told() == []
+    assert desk.after(0.2, LookedAt(1, LOST, 0.1)) == LiveLookedAt(LOST, taken_ns, 0.1)
+    assert desk.worker.look(PICTURE, 3)
+    assert desk.told() == [LookAt(2, (300, 400), 3)]
+    assert desk.after(0.0, LookedAt(1, LOST, 0.1)) is None, "said twice"
+    desk.time.sleep_s(5.1)
+    assert desk.worker.look(PICTURE, 3), "an answer that does not come is not waited for for ever"
+
+
+def test_looking_takes_a_third_of_a_processor_at_most(desk: Desk) -> None:
+    desk.ready()
+    assert desk.worker.look(PICTURE, 3)
+    desk.after(0.3, LookedAt(1, None, 0.3))
+    desk.time.sleep_s(0.55)
+    assert not desk.worker.look(PICTURE, 3), "0.3 s in every 0.9 s"
+    desk.time.sleep_s(0.1)
+    assert desk.worker.look(PICTURE, 3)
+    desk.after(0.1, LookedAt(2, None, 0.01))
+    assert not desk.worker.look(PICTURE, 3), "nor more often than twice and a half a second"
+    desk.time.sleep_s(0.35)
+    assert desk.worker.look(PICTURE, 3)
+
+
+def test_a_scan_that_begins_awaits_no_guidance_and_none_is_asked_for_while_its_points_are_computed(desk: Desk) -> None:
+    desk.ready()
+    assert desk.worker.look(PICTURE, 3)
+    desk.worker.begin(7)
+    assert desk.after(0.0, LookedAt(1, LOST, 0.1)) is None, "of the place before"
+    desk.worker.finish()
+    assert not desk.worker.look(PICTURE, 3)
+    assert desk.after(0.0, CloudFound(1, True, Found(((0, 0),), SUMMARY), 0.3)) is not None
+    assert desk.worker.look(PICTURE, 3)
+
+
+def test_a_process_that_was_started_again_owes_no_answer(desk: Desk) -> None:
+    desk.ready()
+    assert desk.worker.look(PICTURE, 3)
+    assert failed(desk.after(0.0, Ends(1)), "ended with code 1") is None
+    assert not desk.worker.look(PICTURE, 3)
+    assert desk.after(0.0, Ready()) == WorkerReady()
+    assert desk.worker.look(PICTURE, 3)

@@ -20,8 +20,22 @@ from appliance.reconstruct.pipeline import Pipeline
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.overlap import Overlap
 from appliance.scan.sides import SIDES
-from appliance.worker.messages import Begin, Drop, Finish, FrameStored, Loaded, OverlapFound, Ping, Pong, Spoiled
+from appliance.worker.live_picture import LivePicture, shared_bytes
+from appliance.worker.messages import (
+    Begin,
+    Drop,
+    Finish,
+    FrameStored,
+    Loaded,
+    LookAt,
+    LookedAt,
+    OverlapFound,
+    Ping,
+    Pong,
+    Spoiled,
+)
 from appliance.worker.neighbours import NeighbourAnswer, Neighbours
+from appliance.worker.onlooker import Onlooker
 from appliance.worker.serve import Server
 from appliance.worker.warm import compiler_watched
 from tests.support import synthetic
@@ -32,7 +46,10 @@ TIMEOUT_S = 60.0
 
 @contextmanager
 def serving(
-    left: list[Callable[[], object]], *first: object, neighbours: Neighbours | None = None
+    left: list[Callable[[], object]],
+    *first: object,
+    neighbours: Neighbours | None = None,
+    aiming: tuple[Onlooker, LivePicture] | None = None,
 ) -> Iterator[Connection]:
     """The parent's end of a server for dark frames, told ``first`` before it listens."""
     calibration, sequence = synthetic.calibration(WIDTH_PX, HEIGHT_PX), build_sequence(16)
@@ -41,7 +58,9 @@ def serving(
         FrameStore(len(sequence), HEIGHT_PX, WIDTH_PX) as store,
         Pipeline(calibration, synthetic.WATER, sequence) as pipeline,
     ):
-        server = Server(theirs, SequenceProcessor(pipeline, calibration, synthetic.WATER), store, left, neighbours)
+        server = Server(
+            theirs, SequenceProcessor(pipeline, calibration, synthetic.WATER), store, left, neighbours, aiming
+        )
         for message in first:
             ours.send(message)
 
@@ -149,3 +168,76 @@ def test_a_scan_that_begins_waits_for_one_piece_of_a_comparison_at_most_and_ends
         neighbours.go.release()
         assert heard(pipe) == Pong()
         assert neighbours.done == 1
+
+
+class Watched(Onlooker):
+    """Looks of as many pieces as are given, each of which waits to be let through."""
+
+    def __init__(self, pieces: int) -> None:
+        calibration = synthetic.calibration(WIDTH_PX, HEIGHT_PX)
+        super().__init__(calibration, synthetic.WATER, Recorded(0))
+        self.pieces, self.done, self.number = pieces, 0, 0
+        self.pictures: list[NDArray[np.uint8]] = []
+        self.reached, self.go = threading.Semaphore(0), threading.Semaphore(0)
+
+    @property
+    def waits(self) -> bool:
+        return bool(self.pictures) and self.done < self.pieces
+
+    def begin(self) -> None:
+        self.pieces = 0
+
+    def look(self, order: LookAt, picture: NDArray[np.uint8]) -> None:
+        self.number = order.number
+        self.pictures.append(picture)
+
+    def go_on(self) -> LookedAt | None:
+        self.reached.release()
+        assert self.go.acquire(timeout=TIMEOUT_S)
+        self.done += 1
+        return LookedAt(self.number, None, 0.1) if self.done == self.pieces else None
+
+
+def shown(picture: NDArray[np.uint8]) -> LivePicture:
+    """The place of a live picture, which shows ``picture``."""
+    place = LivePicture(memoryview(bytearray(shared_bytes(10))), 10)
+    place.put(picture)
+    return place
+
+
+def test_a_live_picture_is_looked_at_in_the_pauses_and_the_answer_is_told() -> None:
+    onlooker, picture = Watched(3), np.arange(12, dtype=np.uint8).reshape(3, 4)
+    with serving([], aiming=(onlooker, shown(picture))) as pipe:
+        assert heard(pipe) == Loaded()
+        pipe.send(LookAt(5, (3, 4), 1))
+        for _ in range(3):
+            onlooker.go.release()
+        assert heard(pipe) == LookedAt(5, None, 0.1)
+        np.testing.assert_array_equal(onlooker.pictures, [picture])
+
+
+def test_a_scan_that_begins_waits_for_one_piece_of_a_look_at_most_and_ends_it() -> None:
+    onlooker = Watched(100)
+    with serving([], aiming=(onlooker, shown(np.zeros((3, 4), np.uint8)))) as pipe:
+        assert heard(pipe) == Loaded()
+        pipe.send(LookAt(5, (3, 4), 1))
+        assert onlooker.reached.acquire(timeout=TIMEOUT_S)
+        pipe.send(Begin(1, AcquisitionSettings(), belongs_to=2))
+        pipe.send(Ping())
+        onlooker.go.release()
+        assert heard(pipe) == Pong()
+        assert onlooker.done == 1
+
+
+def test_a_scan_is_compared_before_what_is_aimed_at_is_looked_at() -> None:
+    neighbours, onlooker = Recorded(2), Watched(1)
+    place = shown(np.zeros((3, 4), np.uint8))
+    with serving([], neighbours=neighbours, aiming=(onlooker, place)) as pipe:
+        assert heard(pipe) == Loaded()
+        assert neighbours.reached.acquire(timeout=TIMEOUT_S)
+        pipe.send(LookAt(5, (3, 4), 1))
+        onlooker.go.release()
+        for _ in range(2):
+            neighbours.go.release()
+        assert heard(pipe) == OverlapFound(0, Overlap(0.5), 0.1)
+        assert heard(pipe) == LookedAt(5, None, 0.1)

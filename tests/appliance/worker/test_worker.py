@@ -21,6 +21,7 @@ from appliance.capture.store import FrameStore
 from appliance.patterns.sequence import build_sequence
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.scan.sides import SIDES
+from appliance.worker.order import WorkLimits, WorkOrder
 from appliance.worker.process import (
     CloudReady,
     ReconstructionWorker,
@@ -28,8 +29,6 @@ from appliance.worker.process import (
     SequenceIdentified,
     WorkerFailed,
     WorkerReady,
-    WorkLimits,
-    WorkOrder,
 )
 from tests.support import synthetic
 

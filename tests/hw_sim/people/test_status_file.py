@@ -17,6 +17,7 @@ STATUS = {
     "keys": {"scan": "REPEAT"},
     "devices": {"keys": "lost"},
     "scans": 3,
+    "guidance": {"words": "50 %: SCAN NOW", "toward": None},
     "calibration": None,
 }
 
@@ -33,6 +34,7 @@ STATUS = {
         ("label scan REPEAT", "label back REPEAT"),
         ("device keys lost", "device board lost"),
         ("scans 3", "scans 4"),
+        ("guidance *SCAN NOW", "guidance *GO BACK"),
     ],
 )
 def test_what_is_there_is_seen_and_nothing_else(seen: str, not_seen: str) -> None:

@@ -9,11 +9,13 @@ from types import MappingProxyType
 from appliance.calibration.guide import USED, AdjustmentSummary, RecordingCheck, Refusal, Session, Step, Verified
 from appliance.machine.alerts import RULES, Alert, alert_of
 from appliance.machine.failure import Failure, FailureKind
+from appliance.machine.guiding import GuidanceSaid
 from appliance.machine.overlaps import OverlapSaid
 from appliance.machine.states import Calibrating, Task
 from appliance.machine.words import Label, Text
 from appliance.ranging.reach import Reach
 from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.guidance import Move
 from appliance.screens.views import (
     AimView,
     AnyView,
@@ -87,6 +89,9 @@ AIM = AimView(
     keys=_AIM_KEYS,
 )  # fmt: skip
 NO_OVERLAP = OverlapSaid((Text.NO_OVERLAP, Text.GO_BACK), warns=True)
+GO_BACK = GuidanceSaid(("25 %:", Text.TURN_BACK), Move.GO_BACK, (-0.95, 0.31))
+GO_ON = GuidanceSaid(("80 %:", Text.GO_ON), Move.GO_ON, (0.6, -0.8))
+ENOUGH = GuidanceSaid(("50 %:", Text.GOOD), Move.SCAN_NOW)
 _POINTS = seabed.cloud()
 REVIEW = ReviewView(
     points_mm=_POINTS, values=_POINTS[:, 2], coarse=False, grade=Grade.GOOD, points=1_312_409,
@@ -164,16 +169,17 @@ SCENES: Mapping[str, Scene] = MappingProxyType(
             "Too far away, and slanted; the scan that was kept last has nothing in common with the one before.",
         ),
         "aim-insist": Scene(
-            replace(AIM, gauge=Gauge(421.0, None, Reach.BACK), insist=True),
-            "SCAN was pressed outside the volume: once more records all the same.",
+            replace(AIM, gauge=Gauge(421.0, None, Reach.BACK), insist=True, guidance=ENOUGH),
+            "SCAN was pressed outside the volume: once more records all the same. What it would have in common with the scan that was kept is right.",
         ),
         "aim-no-dots": Scene(
-            replace(AIM, gauge=Gauge(None, None, Reach.UNKNOWN), temperature_c=None, scans_left=None, exposure=None),
-            "No dot is seen, no sensor answers: unknown is a dash, never a zero.",
+            replace(AIM, gauge=Gauge(None, None, Reach.UNKNOWN), temperature_c=None, scans_left=None, exposure=None, guidance=GO_BACK),
+            "No dot is seen, no sensor answers: unknown is a dash, never a zero. A scan from here would have 25 % in common with the one that was kept; the arrow "
+            "shows the way to more.",
         ),
         "aim-warning": Scene(
-            replace(AIM, right=None, scan_allowed=False, alerts=(LOST, WARM)),
-            "A camera is lost: its picture is gone, SCAN is dim, the band says what to do.",
+            replace(AIM, right=None, scan_allowed=False, alerts=(LOST, WARM), guidance=GO_ON),
+            "A camera is lost: its picture is gone, SCAN is dim, the band says what to do. Most has been scanned: the arrow shows the way on.",
         ),
         "aim-too-dark": Scene(
             replace(AIM, alerts=(alert(FaultCode.AIM_DARK),)),

@@ -92,6 +92,20 @@ def _overlaps(language: Language) -> list[str]:
             "| A smooth pipe or a grid looks alike everywhere. | Have a weld, a flange or a mark in both scans. |",
             "| Ein glattes Rohr oder ein Gitter sieht überall gleich aus. | Schweißnaht, Flansch oder Marke in beiden Scans haben. |",
         ),
+        f"| **{worded(('25 %:', Text.TURN_BACK), language)}**, **{worded(('80 %:', Text.GO_ON), language)}** "
+        + pick(
+            language,
+            "| While aiming: so much would a scan from here have in common with the one that was kept. | Follow the arrow. |",
+            "| Beim Zielen: So viel hätte ein Scan von hier mit dem behaltenen gemeinsam. | Dem Pfeil folgen. |",
+        ),
+        f"| **{worded(('50 %:', Text.SCAN_NOW), language)}** "
+        + pick(language, "| Half is good. | Scan. |", "| Die Hälfte ist gut. | Scannen. |"),
+        f"| **{worded(Text.TURN_BACK, language)}** "
+        + pick(
+            language,
+            "| Nothing of the kept scan is in sight. | Go back to where it was taken. |",
+            "| Vom behaltenen Scan ist nichts zu sehen. | Dorthin zurück, wo er gemacht wurde. |",
+        ),
     ]
 
 

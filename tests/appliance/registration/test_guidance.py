@@ -1,0 +1,157 @@
+"""While aiming: the overlap that a scan from here would have, and the way to a good one, or no word where nobody can tell."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from appliance.registration.guidance import Guide, Sight, camera_pose, long_axis
+from appliance.registration.overlap import CoarseView
+from appliance.registration.patches import projection_of
+from appliance.scan.guidance import Guidance, Move
+from appliance.worker.live_picture import reduced
+from hw_sim.objects.motion import pose_matrix
+from tests.appliance.registration.test_overlap import coarse, main_at, seen, true_share
+from tests.support import synthetic
+from tests.support.views import CALIBRATION, PROJECTION, between
+
+SIGHT = Sight(
+    CALIBRATION.rig.left, synthetic.WATER.index, PROJECTION,
+    projection_of(CALIBRATION.rig.right, synthetic.WATER.index),
+)  # fmt: skip
+KEPT = ("main", "slight", main_at(-20.0), 1)
+WITHIN = 0.08
+
+
+@cache
+def live(name: str, paint: str, pose: tuple[float, ...], seed: int) -> NDArray[np.uint8]:
+    return reduced(seen(name, paint, pose, seed).cloud.grey)
+
+
+def again(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The same some tenths of a second later: two pixels on, with other noise."""
+    noise = np.random.default_rng(8).normal(size=picture.shape)
+    return np.clip(np.roll(picture, 2, axis=1) + noise, 0, 255).astype(np.uint8)
+
+
+def said(kept: CoarseView, *pictures: NDArray[np.uint8]) -> Guidance | None:
+    """What is said of the last of some live pictures."""
+    guide, last = Guide(SIGHT), None
+    for picture in pictures:
+        *waits, last = [*guide.look(kept, picture)]
+        assert not any(waits), "nothing but the last word is an answer"
+    return last
+
+
+@pytest.mark.parametrize(("step_mm", "move"), [(45.0, Move.GO_ON), (105.0, Move.SCAN_NOW), (150.0, Move.GO_BACK)])
+def test_the_overlap_of_a_scan_from_here_is_told_and_the_way_to_a_good_one(step_mm: float, move: Move) -> None:
+    here = ("main", "slight", main_at(-20.0 + step_mm, 1.0), 2)
+    told = said(coarse(*KEPT), live(*here))
+    assert told is not None
+    assert told.expected.share == pytest.approx(true_share(seen(*KEPT), seen(*here)), abs=WITHIN)
+    assert told.move is move
+    if move is Move.SCAN_NOW:
+        assert told.toward is None
+    else:
+        # The main has gone to the right: so has what was scanned, and new surface comes from the left.
+        assert told.toward is not None
+        assert told.toward[0] * (1.0 if move is Move.GO_BACK else -1.0) > 0.95
+        assert np.hypot(*told.toward) == pytest.approx(1.0)
+
+
+def test_over_the_kept_place_itself_no_way_is_better_than_another() -> None:
+    told = said(coarse(*KEPT), live("main", "slight", main_at(-20.0), 2))
+    assert told is not None
+    assert (told.move, told.toward) == (Move.GO_ON, None)
+    assert told.expected.share == pytest.approx(1.0, abs=0.03)
+
+
+def test_the_way_on_leads_along_a_main_and_not_off_it() -> None:
+    aside = (35.0, 30.0, 560.0, 0.0, 0.0, 0.0)
+    told = said(coarse(*KEPT), live("main", "slight", aside, 2))
+    assert told is not None
+    assert told.move is Move.GO_ON
+    assert told.toward is not None
+    assert told.toward[0] < -0.95
+
+
+def test_two_live_pictures_that_know_each_other_but_not_the_kept_scan_send_back() -> None:
+    first = live("main", "slight", main_at(-340.0, 1.0), 2)
+    far = [first, again(first)]
+    assert said(coarse(*KEPT), far[0]) is None, "one picture may be blurred"
+    told = said(coarse(*KEPT), *far)
+    assert told is not None
+    assert told.move is Move.GO_BACK
+    assert told.expected.none
+
+
+def test_after_a_scan_the_picture_of_before_is_no_witness() -> None:
+    kept, guide = coarse(*KEPT), Guide(SIGHT)
+    first = live("main", "slight", main_at(-340.0, 1.0), 2)
+    far = [first, again(first)]
+    list(guide.look(kept, far[0]))
+    guide.forget()
+    assert [*guide.look(kept, far[1])][-1] is None
+
+
+def test_of_a_bare_pipe_nothing_is_said() -> None:
+    first = live("main", "none", main_at(330.0, 1.0), 2)
+    pictures = [first, again(first)]
+    assert said(coarse("main", "none", main_at(290.0), 1), *pictures) is None
+    assert said(coarse(*KEPT), *pictures) is None, "nor where the kept place was painted"
+
+
+def test_a_print_that_repeats_gives_no_wrong_number() -> None:
+    first = ("plane", "checker", (0.0, 0.0, 522.0, 8.0, 12.0, 0.0), 1)
+    second = ("plane", "checker", (21.0, 0.0, 525.0, 8.0, 10.0, 0.0), 2)
+    told = said(coarse(*first), live(*second), live(*second))
+    true = true_share(seen(*first), seen(*second))
+    assert told is None or told.expected.share == pytest.approx(true, abs=WITHIN)
+
+
+def test_in_the_dark_and_in_noise_nothing_is_said() -> None:
+    dark = np.full((360, 480), 3, np.uint8)
+    rng = np.random.default_rng(3)
+    noise = [rng.integers(0, 255, dark.shape, np.uint8) for _ in range(2)]
+    assert said(coarse(*KEPT), dark, dark) is None
+    assert said(coarse(*KEPT), *noise) is None
+
+
+def test_the_camera_is_posed_through_the_flat_port_within_a_millimetre() -> None:
+    kept, here = seen(*KEPT), seen("main", "slight", main_at(60.0, 1.0), 2)
+    points = kept.cloud.points_mm[kept.cloud.mask][::400].astype(np.float64)
+    true = between(here, kept)
+    uv = CALIBRATION.rig.left.project(true.of(points), synthetic.WATER.index)
+    rng = np.random.default_rng(4)
+    inside = ((uv > 0) & (uv < (639, 479))).all(axis=1)
+    points, uv = points[inside], uv[inside] + rng.normal(size=(inside.sum(), 2)) * 0.3
+    wrong = rng.permutation(len(uv))[: len(uv) // 3]
+    uv[wrong] = rng.uniform((0, 0), (639, 479), (len(wrong), 2))
+    pose = camera_pose(SIGHT, points, uv)
+    assert pose is not None
+    assert np.linalg.norm(pose.of(points) - true.of(points), axis=1).max() < 1.0
+    assert camera_pose(SIGHT, points[:9], uv[:9]) is None, "too few"
+
+
+def test_marks_that_tell_of_two_places_tell_of_none() -> None:
+    kept = seen(*KEPT)
+    points = kept.cloud.points_mm[kept.cloud.mask][::300].astype(np.float64)
+    uv = CALIBRATION.rig.left.project(points, synthetic.WATER.index)
+    R, _ = pose_matrix((0.0, 0.0, 0.0, 0.0, 0.0, 2.0))
+    other = CALIBRATION.rig.left.project(points @ R.T + np.array([40.0, 0.0, 0.0]), synthetic.WATER.index)
+    half = np.arange(len(points)) % 5 < 3
+    assert camera_pose(SIGHT, points, np.where(half[:, None], uv, other)) is None
+    few = np.arange(len(points)) % 5 < 4
+    assert camera_pose(SIGHT, points, np.where(few[:, None], uv, other)) is not None
+
+
+def test_what_is_about_as_long_as_wide_has_no_axis() -> None:
+    lit = np.zeros((60, 80), bool)
+    lit[20:40, :] = True
+    axis = long_axis(lit)
+    assert axis is not None
+    assert abs(axis[0]) == pytest.approx(1.0)
+    assert long_axis(np.ones((60, 80), bool)) is None
