@@ -38,6 +38,8 @@ FACING = 0.15
 """Least cosine between a point's normal and its ray from which the camera sees it."""
 FADED = 0.5
 """A cell is lit where it has this share of the grey value that all but a twentieth of the kept scan's points had."""
+BRIGHT_PERCENT = 95.0
+"""Percentile of a picture's cells by which its exposure is told from another's."""
 LEAST_LIT_DN = 8.0
 LEAST_OWN = 0.5
 """The kept scan covers more than that of its own light, or it tells nothing of others."""
@@ -143,8 +145,10 @@ class Guide:
     def _lit(self, kept: CoarseView, picture: NDArray[np.uint8]) -> NDArray[np.bool_]:
         """Return which cells (h, w) of the picture show something that a scan would find points on."""
         size = (CELLS, round(CELLS * picture.shape[0] / picture.shape[1]))
-        grey = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
-        return np.asarray(grey > max(LEAST_LIT_DN, FADED * kept.faintest()))
+        grey, theirs = (cv2.resize(one, size, interpolation=cv2.INTER_AREA) for one in (picture, kept.pictures[0]))
+        # The diver may have chosen another exposure since.
+        brighter = float(np.percentile(grey, BRIGHT_PERCENT)) / max(1.0, float(np.percentile(theirs, BRIGHT_PERCENT)))
+        return np.asarray(grey > max(LEAST_LIT_DN, FADED * brighter * kept.faintest()))
 
     def _way(self, lit: NDArray[np.bool_], y: Array, share: float) -> tuple[float, float] | None:
         """Return the direction of a good view."""
@@ -166,7 +170,7 @@ class Guide:
         """Return the share of the lit picture that has marks around it which the picture before had, too: with such marks an overlap would show."""
         pairs = matches(before.descriptors, marks.descriptors)
         count = np.zeros(picture.shape, np.float32)
-        at = np.rint(marks.uv_px[pairs[:, 1]]).astype(int)
+        at = np.clip(np.rint(marks.uv_px[pairs[:, 1]]).astype(int), 0, (picture.shape[1] - 1, picture.shape[0] - 1))
         np.add.at(count, (at[:, 1], at[:, 0]), 1.0)
         side = 2 * round(AROUND_PX * picture.shape[1] / 1600.0) + 1
         around = cv2.boxFilter(count, -1, (side, side), normalize=False, borderType=cv2.BORDER_CONSTANT)
@@ -205,10 +209,14 @@ def _agreed(sight: Sight, points_mm: Array, seen: Array, uv_px: Array) -> tuple[
     depth_mm = float(np.median(points_mm[:, 2]))
     per_px = float(np.diff(sight.directions(step, depth_mm)[:, 0])[0])
     # Of one pixel's rays the pinhole is true at one depth only; the rest is for the refinement.
-    good, turn, shift, _ = cv2.solvePnPRansac(
-        points_mm, seen, np.eye(3), None, iterationsCount=SAMPLES, reprojectionError=ROUGH_PX * sight.px * per_px,
-        confidence=0.999, flags=cv2.SOLVEPNP_AP3P,
-    )  # fmt: skip
+    try:
+        good, turn, shift, _ = cv2.solvePnPRansac(
+            points_mm, seen, np.eye(3), None, iterationsCount=SAMPLES, reprojectionError=ROUGH_PX * sight.px * per_px,
+            confidence=0.999, flags=cv2.SOLVEPNP_AP3P,
+        )  # fmt: skip
+    except cv2.error:
+        # Points that all lie in one place, or on a line: then no pose is to be had, which is no fault of anybody's.
+        return None
     if not good:
         return None
     pose = Rigid(np.asarray(cv2.Rodrigues(turn)[0], np.float64), np.asarray(shift, np.float64).ravel())

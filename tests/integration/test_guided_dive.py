@@ -47,7 +47,7 @@ wait overlap OVERLAP* 60
 press scan
 wait scans 2 60
 wait state AIM 60
-object main 0 2 556 2 2 -2        # carried along by the current: too far
+object main -20 2 556 2 2 -2        # carried along by the current: too far
 follow {STEP_MM} 60               # back
 press scan
 wait state REVIEW 90
@@ -91,9 +91,8 @@ def test_who_follows_the_arrow_takes_scans_that_overlap_by_half(tmp_path: Path) 
     poses = [(250.0, 3.0, 553.0, 1.0, -2.0, 1.0), *followed]
     assert len(scans.ids()) == len(poses) == 3
     # The main lies along x: on means to its smaller x, back to its larger.
-    assert [round(pose[0]) for pose in poses[1:]] != [215, 0], "the diver went somewhere"
     assert poses[1][0] < 200.0
-    assert poses[2][0] > 0.0
+    assert poses[2][0] > -20.0
     truth = true_rig(rig.rig.wires_options)
     clouds = []
     for scan, pose in zip(scans.ids(), poses, strict=True):

@@ -69,6 +69,25 @@ def test_over_the_kept_place_itself_no_way_is_better_than_another() -> None:
     assert told.expected.share == pytest.approx(1.0, abs=0.03)
 
 
+def test_another_exposure_changes_no_percentage() -> None:
+    picture = live("main", "slight", main_at(85.0, 1.0), 2)
+    shares = []
+    for gain in (0.5, 1.0):
+        told = said(coarse(*KEPT), np.rint(gain * picture).astype(np.uint8))
+        assert told is not None
+        shares.append(told.expected.share)
+    assert shares[0] == pytest.approx(shares[1], abs=0.03)
+
+
+def test_points_on_a_line_tell_no_pose() -> None:
+    x = np.linspace(-80.0, 80.0, 30)
+    points = np.column_stack([x, np.zeros(30), np.full(30, 550.0)])
+    uv = CALIBRATION.rig.left.project(points, synthetic.WATER.index)
+    found = camera_pose(SIGHT, points, uv)
+    assert found is None or np.linalg.norm(found.of(points) - points, axis=1).max() < 5.0
+    assert camera_pose(SIGHT, np.repeat(points[:1], 30, axis=0), np.repeat(uv[:1], 30, axis=0)) is None
+
+
 def test_the_way_on_leads_along_a_main_and_not_off_it() -> None:
     aside = (35.0, 30.0, 560.0, 0.0, 0.0, 0.0)
     told = said(coarse(*KEPT), live("main", "slight", aside, 2))
