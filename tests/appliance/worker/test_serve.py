@@ -227,6 +227,9 @@ def test_a_scan_that_begins_waits_for_one_piece_of_a_look_at_most_and_ends_it() 
         onlooker.go.release()
         assert heard(pipe) == Pong()
         assert onlooker.done == 1
+        pipe.send(Drop())
+        onlooker.go.release()
+        assert not onlooker.reached.acquire(timeout=0.2), "not even when that scan is over"
 
 
 def test_a_scan_is_compared_before_what_is_aimed_at_is_looked_at() -> None:
