@@ -139,7 +139,7 @@ def test_in_the_dark_and_in_noise_nothing_is_said() -> None:
     assert said(coarse(*KEPT), *noise) is None
 
 
-def test_the_camera_is_posed_through_the_flat_port_within_a_millimetre() -> None:
+def test_the_camera_is_posed_through_the_flat_port_within_a_fifth_of_a_millimetre() -> None:
     kept, here = seen(*KEPT), seen("main", "slight", main_at(60.0, 1.0), 2)
     points = kept.cloud.points_mm[kept.cloud.mask][::400].astype(np.float64)
     true = between(here, kept)
@@ -151,7 +151,7 @@ def test_the_camera_is_posed_through_the_flat_port_within_a_millimetre() -> None
     uv[wrong] = rng.uniform((0, 0), (639, 479), (len(wrong), 2))
     pose = camera_pose(SIGHT, points, uv)
     assert pose is not None
-    assert np.linalg.norm(pose.of(points) - true.of(points), axis=1).max() < 1.0
+    assert np.linalg.norm(pose.of(points) - true.of(points), axis=1).max() < 0.2
     assert camera_pose(SIGHT, points[:9], uv[:9]) is None, "too few"
 
 
