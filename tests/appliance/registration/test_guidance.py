@@ -116,6 +116,7 @@ def test_after_a_scan_the_picture_of_before_is_no_witness() -> None:
     assert [*guide.look(kept, far[1])][-1] is None
 
 
+@pytest.mark.dive  # four more views, half of this file's time
 def test_of_a_bare_pipe_nothing_is_said() -> None:
     first = live("main", "none", main_at(330.0, 1.0), 2)
     pictures = [first, again(first)]
@@ -123,6 +124,7 @@ def test_of_a_bare_pipe_nothing_is_said() -> None:
     assert said(coarse(*KEPT), *pictures) is None, "nor where the kept place was painted"
 
 
+@pytest.mark.dive  # four more views, half of this file's time
 def test_a_print_that_repeats_gives_no_wrong_number() -> None:
     first = ("plane", "checker", (0.0, 0.0, 522.0, 8.0, 12.0, 0.0), 1)
     second = ("plane", "checker", (21.0, 0.0, 525.0, 8.0, 10.0, 0.0), 2)
