@@ -296,8 +296,6 @@ class CameraSetup:
 
     def _holds(self, name: str, value: FeatureValue) -> bool:
         """Tell whether the camera holds this value, numbers within what it may round."""
-        if not self._features.has(name):
-            return False
         held = self._features.value(name)
         if isinstance(value, bool | str) or isinstance(held, bool | str):
             return held == value

@@ -223,10 +223,27 @@ def test_what_a_camera_does_not_take_is_refused_with_name_and_values(name: str, 
         camera.start()
 
 
-def test_a_setting_that_a_later_one_changed_is_noticed() -> None:
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("ReverseY", 1, "ReverseY is True after it was set to False"),
+        ("PixelFormat", 0, "PixelFormat is Mono16 after it was set to Mono8"),
+        ("TriggerSource", 2, "TriggerSource is Line2 after it was set to Line1"),
+        ("TriggerMode", 0, "TriggerMode is Off after it was set to On"),
+        ("Height", 46, "Height is 46.0 after it was set to 48"),
+        ("OffsetX", 0, "OffsetX is 0.0 after it was set to 400"),
+    ],
+)
+def test_a_setting_that_a_later_one_changed_is_noticed(name: str, value: int, said: str) -> None:
     device, camera = opened()
-    device.when["GammaEnable"] = lambda: device.set_feature("ReverseY", 1)
-    with pytest.raises(DeviceRefused, match="ReverseY is True after it was set to False"):
+    device.when["GammaEnable"] = lambda: device.set_feature(name, value)
+    with pytest.raises(DeviceRefused, match=said):
+        camera.configure(SETTINGS)
+
+
+def test_a_rig_files_own_feature_is_read_back_too() -> None:
+    _, camera = opened(lambda device: device.rounding.update(BlackLevel=0), spec=spec_with(BlackLevel=1.5))
+    with pytest.raises(DeviceRefused, match=r"BlackLevel is 0\.0 after it was set to 1\.5"):
         camera.configure(SETTINGS)
 
 
