@@ -10,7 +10,7 @@ from appliance.screens.texts import worded
 from appliance.screens.theme import BAR_PX, BLACK, BODY, BOLD, TITLE
 from appliance.screens.views import MenuRow, MenuView
 
-_ROW_PX, _LEFT_PX, _PAD_PX = 32.0, 24.0, 20.0
+_ROW_PX, _LEFT_PX, _PAD_PX = 31.0, 24.0, 20.0
 """The least height of a row: with an alert all of a page's rows stay on the screen, closer together."""
 _TALL_ROW_PX = 62.0
 

@@ -92,7 +92,7 @@ def ends_of_a_dive(tmp_path: Path, *, allocated: bool) -> Iterator[tuple[Dive, P
                 yield dive, disk.survivors(tmp_path / "after", fate) / ROOT, f"power cut before call {cut_at}"
 
 
-@pytest.mark.parametrize("allocated", [False, True])
+@pytest.mark.parametrize("allocated", [False, pytest.param(True, marks=pytest.mark.dive)])
 def test_power_cut_before_every_single_call_of_a_dive(tmp_path: Path, allocated: bool) -> None:
     ends = recovered = set_aside = 0
     for dive, root, when in ends_of_a_dive(tmp_path, allocated=allocated):

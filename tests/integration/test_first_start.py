@@ -15,6 +15,8 @@ from appliance.cli.simrig import simulator_kernels
 from appliance.kernel_build import Piece, compile_pieces
 from appliance.worker.warm import PIECES
 
+pytestmark = pytest.mark.dive
+
 SCRIPT = "wait state AIM 120\nend\n"
 
 

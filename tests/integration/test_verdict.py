@@ -10,6 +10,8 @@ from appliance.scan.verdict import Verdict
 from appliance.service.app import run
 from appliance.storage.library import Library, LibraryFolder
 
+pytestmark = pytest.mark.dive
+
 DIVE = """
 wait state AIM 90
 fault camera.right stuck frame=7

@@ -201,6 +201,7 @@ def shown_stripes(shown: NDArray[np.uint8]) -> set[bool]:
     return {True, False} if (green > 180).mean() > 0.2 and (green < 60).mean() > 0.2 else set()
 
 
+@pytest.mark.dive
 @pytest.mark.parametrize("how", ["q", "Ctrl-C in the terminal"])
 def test_each_way_to_quit_ends_the_service_cleanly(how: str, screen: Xvfb, tmp_path: Path) -> None:
     root = tmp_path / "quit"

@@ -96,6 +96,7 @@ def assert_quiet(said: list[HealthJudgement], judged: int) -> None:
     assert max(point.total for point in points) < 4.0, [(round(p.score, 1), round(p.total, 1)) for p in points]
 
 
+@pytest.mark.dive
 def test_ten_normal_scans_and_then_a_knock() -> None:
     """Two of the twelve are of a ball bar, which shows too little of the image to be judged. The knock is found by the second scan."""
     instrument, trend, said = normal("modelled", 12)

@@ -386,7 +386,7 @@ def test_the_pad_is_found_by_its_identity_where_no_rule_names_it(tmp_path: Path)
 
 
 def test_it_needs_the_standard_library_alone() -> None:
-    ours = {"kingfisher_safe", "kingfisher_setup", "drivers"}
+    ours = {"kingfisher_safe", "kingfisher_setup", "kingfisher_transfer", "drivers"}
     files = [
         *SYSTEMD.glob("kingfisher_*/*.py"),
         SYSTEMD / "safe-screen",

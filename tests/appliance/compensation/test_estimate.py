@@ -167,6 +167,7 @@ def test_what_is_expected_is_the_deviation_of_points_over_what_they_had_been_exp
     assert moved.said.error_after == pytest.approx(float(over), rel=1e-4)
 
 
+@pytest.mark.dive
 def test_compensated_scans_that_err_more_than_a_fifth_beyond_one_at_rest_are_refused_with_the_reason(
     still: Corrected,
 ) -> None:

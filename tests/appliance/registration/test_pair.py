@@ -74,6 +74,7 @@ def test_a_pipe_is_said_to_slide_along_its_axis_or_to_turn_about_it() -> None:
     assert np.linalg.norm(soft.T @ along) > 0.9
 
 
+@pytest.mark.dive
 def test_printed_squares_are_not_believed_one_square_farther() -> None:
     assert not registered("plane", "checker", PLANE).accepted
 
@@ -87,6 +88,7 @@ def test_a_ball_bar_with_printed_squares_is_not_taken_for_itself_turned_half_abo
     assert pair.fit.alike > 0.9, "the paint tells nothing"
 
 
+@pytest.mark.dive
 def test_a_frustum_that_looks_the_same_turned_half_about_is_not_guessed() -> None:
     assert registered("frustum", "none", SHELL).refusal is PairRefusal.AMBIGUOUS
 
@@ -98,6 +100,7 @@ def test_different_things_have_nothing_in_common() -> None:
     assert pair.refusal in (PairRefusal.NOTHING_IN_COMMON, PairRefusal.CONTRADICTS, PairRefusal.TOO_LITTLE)
 
 
+@pytest.mark.dive
 def test_the_stated_covariance_is_that_of_the_errors() -> None:
     """Five draws of noise: the poses scatter about the truth by no more than stated."""
     squared = []

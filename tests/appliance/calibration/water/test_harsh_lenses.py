@@ -27,6 +27,8 @@ from tests.support.calibrating import (
     start_of,
 )
 
+pytestmark = pytest.mark.dive
+
 SEED = 10_001
 NONE = slice(0, 0)
 

@@ -31,6 +31,8 @@ from tests.support.calibrating import (
 )
 from tests.support.truth import WATER
 
+pytestmark = pytest.mark.dive
+
 SALT = Water(WATER.temperature_c, 35.0, WATER.wavelength_nm)
 SEED = 1
 QUICK = LadderSettings(BundleSettings(points_per_recording=600), SearchSettings(points_per_recording=120))

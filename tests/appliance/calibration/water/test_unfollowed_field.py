@@ -19,6 +19,8 @@ from hw_sim.truth import TrueRig, project
 from tests.support import calibrating
 from tests.support.calibrating import Errors
 
+pytestmark = pytest.mark.dive
+
 AMPLITUDE_PX, PERIOD_PX = 0.25, 90.0
 """Of ripples on both windows: the correction's intervals are 100 px wide."""
 
