@@ -37,7 +37,7 @@ def _row(
 ) -> None:
     left, right = _LEFT_PX, canvas.width - _LEFT_PX
     name, said = (BODY + 2, BODY) if height > 40 else (BODY - 2, BODY - 4)
-    baseline = top + (height - 5) / 2 + 0.36 * said
+    baseline = top + (height - 5) / 2 + 0.36 * (said if height > 40 else name)
     if selected:
         canvas.box(left, top, right - left, height - 5, theme.WHITE, 12)
     ink = theme.INK if selected else theme.WHITE
