@@ -53,7 +53,8 @@ def description(maker: Maker, base: int) -> bytes:
 
 
 def _identifier(text: str) -> str:
-    return "".join(letter for letter in text if letter.isalnum())
+    plain = "".join(letter for letter in text if letter.isalnum())
+    return plain if plain[0].isalpha() else f"M{plain}"  # the schema wants a letter first
 
 
 def _tag(name: str) -> str:
