@@ -2,7 +2,7 @@
 
 The same full-size scans three ways: in a plain loop of one process, which is the work itself; by `kingfisher reprocess` with processes of its
 own; and with a scheduler and workers of Dask. Everything that takes part is confined to one core, or to two, the scheduler too. Starting up
-is left out and told apart: rates count from the first published result to the last.
+is left out and told apart: rates count from the tenth published result, when every worker has loaded its program, to the last.
 """
 
 from __future__ import annotations
@@ -23,6 +23,8 @@ from bench.result import Measured
 
 MOST_OVERHEAD_PERCENT, LEAST_SCALING, MOST_WORKER_MB = 2.0, 1.8, 1500.0
 LONGEST_S = 900.0
+SETTLED = 10
+"""Results after which every worker is at work."""
 _POLL_S = 0.02
 _HZ = os.sysconf("SC_CLK_TCK")
 
@@ -33,7 +35,7 @@ class _Run:
 
     count: int
     wall_s: float
-    """Between the first published result and the last."""
+    """Between the ``SETTLED``-th published result and the last."""
     cpu_s: float
     """Of all processes that took part, between the same."""
     start_s: float
@@ -42,11 +44,11 @@ class _Run:
 
     @property
     def cpu_per_scan_s(self) -> float:
-        return self.cpu_s / (self.count - 1)
+        return self.cpu_s / (self.count - SETTLED)
 
     @property
     def per_s(self) -> float:
-        return (self.count - 1) / self.wall_s
+        return (self.count - SETTLED) / self.wall_s
 
 
 def measure(source: Path, scratch: Path, say: Callable[[str], None]) -> Iterator[Measured]:
@@ -55,6 +57,8 @@ def measure(source: Path, scratch: Path, say: Callable[[str], None]) -> Iterator
     if len(cores) < 2:
         yield Measured("throughput of two cores over one", float("nan"), "", why="this machine has one core")
         return
+    for frames in source.glob("scans/*/frames_*.npy"):
+        frames.read_bytes()  # from memory for all, or the first one pays for the disk
     runs: dict[str, _Run] = {}
     for name, wanted, way in (
         ("plain loop", 1, _loop), ("processes", 1, _processes), ("processes", 2, _processes), ("Dask", 1, _dask), ("Dask", 2, _dask),
@@ -148,7 +152,8 @@ def _timed(command: Sequence[str], source: Path, out: Path, others: Sequence[int
     count = sum(1 for _ in (source / "scans").iterdir())
     out.mkdir(parents=True, exist_ok=True)
     begun_s = time.monotonic()
-    first: tuple[float, float] | None = None
+    first_s: float | None = None
+    settled: tuple[float, float] | None = None
     last = (0.0, 0.0)
     seen = 0
     with (out / "said.log").open("ab") as log:
@@ -162,16 +167,22 @@ def _timed(command: Sequence[str], source: Path, out: Path, others: Sequence[int
         now = sum(1 for _ in out.glob("*/results/*"))
         if now > seen:
             seen, last = now, (time.monotonic(), _cpu_s([program.pid, *others]))
-            first = first or last
+            first_s = first_s or last[0]
+            if settled is None and seen >= SETTLED:
+                settled = last
         time.sleep(_POLL_S)
     rows = [json.loads(path.read_bytes()) for path in out.glob("*/results/*/row.json")]
-    if program.returncode or len(rows) != count or first is None:
+    if program.returncode or len(rows) != count or first_s is None or settled is None:
         raise RuntimeError(
             f"{' '.join(command)}: code {program.returncode}, {len(rows)} of {count}; see {out / 'said.log'}"
         )
     mean_s = sum(row["wall_s"] for row in rows) / count
     return _Run(
-        count, last[0] - first[0], last[1] - first[1], first[0] - begun_s - mean_s, max(row["peak_mb"] for row in rows)
+        count,
+        last[0] - settled[0],
+        last[1] - settled[1],
+        first_s - begun_s - mean_s,
+        max(row["peak_mb"] for row in rows),
     )
 
 
