@@ -1,8 +1,8 @@
 """Owns what working an archive through costs beside the work itself: overhead of the engines, two cores against one, memory.
 
-The same full-size scans three ways: in a plain loop of one process, which is the work itself; by `kingfisher reprocess` with processes of its
-own; and with a scheduler and workers of Dask. Everything that takes part is confined to one core, or to two, the scheduler too. Starting up
-is left out and told apart: rates count from the tenth published result, when every worker has loaded its program, to the last.
+The same full-size scans by `kingfisher reprocess` with processes of its own, and with a scheduler and workers of Dask, in turns. Everything
+that takes part is confined to one core, or to two, the scheduler too. Starting up is left out and told apart: rates count from the tenth
+published result, when every worker has loaded its program, to the last.
 """
 
 from __future__ import annotations
@@ -18,11 +18,13 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from statistics import median
 
 from bench.result import Measured
 
 MOST_OVERHEAD_PERCENT, LEAST_SCALING, MOST_WORKER_MB = 2.0, 1.8, 1500.0
 LONGEST_S = 900.0
+ROUNDS = 3
 SETTLED = 10
 """Results after which every worker is at work."""
 _POLL_S = 0.02
@@ -31,82 +33,71 @@ _HZ = os.sysconf("SC_CLK_TCK")
 
 @dataclass(frozen=True, slots=True)
 class _Run:
-    """One way through all scans."""
+    """One way through all scans, from the ``SETTLED``-th published result to the last."""
 
-    count: int
+    results: int
     wall_s: float
-    """Between the ``SETTLED``-th published result and the last."""
     cpu_s: float
-    """Of all processes that took part, between the same."""
+    """Of all processes that took part."""
+    beside_cpu_s: float
+    """Of those among them that work no scan through: who gives the work out."""
+    busy_s: float
+    """Sum of what the scans took their workers, by the clock."""
     start_s: float
     """Until the first result, less what that scan took."""
     peak_mb: float
 
     @property
-    def cpu_per_scan_s(self) -> float:
-        return self.cpu_s / (self.count - SETTLED)
-
-    @property
     def per_s(self) -> float:
-        return (self.count - SETTLED) / self.wall_s
+        return self.results / self.wall_s
+
+    def overhead_percent(self, workers: int) -> float:
+        """Return the share of the workers' time that no scan had, and of the processor time that others took."""
+        idle = 1.0 - self.busy_s / (workers * self.wall_s)
+        return 100.0 * (idle + self.beside_cpu_s / self.cpu_s)
 
 
 def measure(source: Path, scratch: Path, say: Callable[[str], None]) -> Iterator[Measured]:
-    """Work ``source`` through five times below ``scratch``. Needs two cores that nothing else uses."""
+    """Work ``source`` through ``ROUNDS`` times each way below ``scratch``. Needs two cores that nothing else uses."""
     cores = sorted(os.sched_getaffinity(0))[:2]
     if len(cores) < 2:
         yield Measured("throughput of two cores over one", float("nan"), "", why="this machine has one core")
         return
     for frames in source.glob("scans/*/frames_*.npy"):
         frames.read_bytes()  # from memory for all, or the first one pays for the disk
-    runs: dict[str, _Run] = {}
-    for name, wanted, way in (
-        ("plain loop", 1, _loop), ("processes", 1, _processes), ("processes", 2, _processes), ("Dask", 1, _dask), ("Dask", 2, _dask),
-    ):  # fmt: skip
-        say(f"{name}, {wanted} core{'s' * (wanted > 1)}")
-        out = scratch / f"{name.replace(' ', '-')}-{wanted}"
-        with ExitStack() as stack:
-            here = os.sched_getaffinity(0)
-            stack.callback(os.sched_setaffinity, 0, here)
-            os.sched_setaffinity(0, set(cores[:wanted]))  # inherited by everything that is started
-            runs[f"{name} {wanted}"] = way(source, out, wanted, stack)
-        shutil.rmtree(out)
-    plain = runs["plain loop 1"]
-    yield Measured("scans", plain.count, "")
-    yield Measured("plain loop: processor time a scan", plain.cpu_per_scan_s, "s")
-    yield Measured("plain loop: time a scan", 1.0 / plain.per_s, "s")
-    for name in ("processes", "Dask"):
-        one, two = runs[f"{name} 1"], runs[f"{name} 2"]
-        yield Measured(f"{name}: starting up, one worker", one.start_s, "s")
+    runs: dict[tuple[str, int], list[_Run]] = {}
+    ways = {"processes": _processes, "Dask": _dask}
+    for turn in range(ROUNDS):
+        for name, way in ways.items():
+            for wanted in (1, 2):
+                say(f"{turn + 1} of {ROUNDS}: {name}, {wanted} core{'s' * (wanted > 1)}")
+                out = scratch / f"{name}-{wanted}-{turn}"
+                with ExitStack() as stack:
+                    stack.callback(os.sched_setaffinity, 0, os.sched_getaffinity(0))
+                    os.sched_setaffinity(0, set(cores[:wanted]))  # inherited by everything that is started
+                    runs.setdefault((name, wanted), []).append(way(source, out, wanted, stack))
+                shutil.rmtree(out)
+    yield Measured("scans", sum(1 for _ in (source / "scans").iterdir()), "")
+    one_s = median(run.cpu_s / run.results for run in runs["processes", 1])
+    yield Measured("processor time a scan", one_s, "s")
+    for name in ways:
+        alone, both = runs[name, 1], runs[name, 2]
+        yield Measured(f"{name}: starting up", median(run.start_s for run in (*alone, *both)), "s")
+        for workers, some in ((1, alone), (2, both)):
+            percent = median(run.overhead_percent(workers) for run in some)
+            title = f"{name}: overhead on {workers} core{'s' * (workers > 1)}"
+            yield Measured(title, percent, "%", at_most=MOST_OVERHEAD_PERCENT)
+        scaling = [two.per_s / one.per_s for one, two in zip(alone, both, strict=True)]
         yield Measured(
-            f"{name}: processor time beside the work",
-            100.0 * (one.cpu_per_scan_s / plain.cpu_per_scan_s - 1.0),
-            "%",
-            at_most=MOST_OVERHEAD_PERCENT,
-        )
-        yield Measured(f"{name}: time beside the work, one core", 100.0 * (plain.per_s / one.per_s - 1.0), "%")
-        yield Measured(f"{name}: throughput of two cores over one", two.per_s / one.per_s, "", at_least=LEAST_SCALING)
-        yield Measured(
-            f"{name}: memory of a worker at most", max(one.peak_mb, two.peak_mb), "MB", at_most=MOST_WORKER_MB
-        )
-
-
-def _loop(source: Path, out: Path, _: int, __: ExitStack) -> _Run:
-    """Time the work itself: ``attempt`` for one scan after the other, nothing else."""
-    code = (
-        "import sys\nfrom pathlib import Path\nfrom appliance import kernel_cache\nkernel_cache.use()\n"
-        "from appliance.offline.anew.task import Job, attempt, program_digits\n"
-        "for folder in sorted(Path(sys.argv[1], 'scans').iterdir()):\n"
-        "    row = attempt(Job(str(folder), sys.argv[2], None, False, None, True, program_digits()))\n"
-        "    assert row['state'] == 'done', row\n"
-    )
-    for name in ("results", "failed", "drafts"):
-        (out / "loop" / name).mkdir(parents=True)
-    return _timed([sys.executable, "-c", code, str(source), str(out / "loop")], source, out, [])
+            f"{name}: throughput of two cores over one", median(scaling), "", at_least=LEAST_SCALING,
+            spread=(min(scaling), max(scaling)),
+        )  # fmt: skip
+        peak_mb = max(run.peak_mb for run in (*alone, *both))
+        yield Measured(f"{name}: memory of a worker at most", peak_mb, "MB", at_most=MOST_WORKER_MB)
 
 
 def _processes(source: Path, out: Path, workers: int, _: ExitStack) -> _Run:
-    return _timed([*_command(source, out), "--workers", str(workers)], source, out, [])
+    return _timed([*_command(source, out), "--workers", str(workers)], source, out, [], [])
 
 
 def _dask(source: Path, out: Path, workers: int, stack: ExitStack) -> _Run:
@@ -125,7 +116,8 @@ def _dask(source: Path, out: Path, workers: int, stack: ExitStack) -> _Run:
                          "--memory-limit", "3GB", "--death-timeout", "60", "--local-directory", str(out / "dask"))
             )
         )  # fmt: skip
-    return _timed([*_command(source, out), "--scheduler", address], source, out, [one.pid for one in started])
+    scheduler, *working = (one.pid for one in started)
+    return _timed([*_command(source, out), "--scheduler", address], source, out, working, [scheduler])
 
 
 def _command(source: Path, out: Path) -> list[str]:
@@ -147,14 +139,14 @@ def _running(out: Path, module: str, *words: str) -> Iterator[subprocess.Popen[b
             process.wait(timeout=20)
 
 
-def _timed(command: Sequence[str], source: Path, out: Path, others: Sequence[int]) -> _Run:
-    """Run ``command`` to its end and time what it publishes. ``others``: processes that take part, too."""
+def _timed(command: Sequence[str], source: Path, out: Path, workers: Sequence[int], others: Sequence[int]) -> _Run:
+    """Run ``command`` to its end and time what it publishes. ``workers``: processes that work scans through, where they are not its
+    own children; ``others``: who takes part besides."""
     count = sum(1 for _ in (source / "scans").iterdir())
     out.mkdir(parents=True, exist_ok=True)
     begun_s = time.monotonic()
     first_s: float | None = None
-    settled: tuple[float, float] | None = None
-    last = (0.0, 0.0)
+    at: dict[int, _Moment] = {}
     seen = 0
     with (out / "said.log").open("ab") as log:
         program = subprocess.Popen(command, stdout=log, stderr=log)
@@ -166,24 +158,44 @@ def _timed(command: Sequence[str], source: Path, out: Path, others: Sequence[int
             )
         now = sum(1 for _ in out.glob("*/results/*"))
         if now > seen:
-            seen, last = now, (time.monotonic(), _cpu_s([program.pid, *others]))
-            first_s = first_s or last[0]
-            if settled is None and seen >= SETTLED:
-                settled = last
+            seen = now
+            total_s = _cpu_s([program.pid, *workers, *others])
+            # The program's own processes are its workers, unless others are.
+            beside_s = _cpu_s([program.pid, *others]) if workers else _own_cpu_s(program.pid)
+            at[seen] = _Moment(time.monotonic(), total_s, beside_s)
+            first_s = first_s or at[seen].time_s
         time.sleep(_POLL_S)
-    rows = [json.loads(path.read_bytes()) for path in out.glob("*/results/*/row.json")]
-    if program.returncode or len(rows) != count or first_s is None or settled is None:
+    paths = sorted(out.glob("*/results/*/row.json"), key=lambda path: path.stat().st_mtime_ns)
+    rows = [json.loads(path.read_bytes()) for path in paths]
+    begins = min((number for number in at if number >= SETTLED), default=None)
+    if program.returncode or len(rows) != count or first_s is None or begins is None:
         raise RuntimeError(
             f"{' '.join(command)}: code {program.returncode}, {len(rows)} of {count}; see {out / 'said.log'}"
         )
-    mean_s = sum(row["wall_s"] for row in rows) / count
+    begin, end = at[begins], at[max(at)]
     return _Run(
-        count,
-        last[0] - settled[0],
-        last[1] - settled[1],
-        first_s - begun_s - mean_s,
-        max(row["peak_mb"] for row in rows),
+        results=max(at) - begins,
+        wall_s=end.time_s - begin.time_s,
+        cpu_s=end.cpu_s - begin.cpu_s,
+        beside_cpu_s=end.beside_cpu_s - begin.beside_cpu_s,
+        busy_s=sum(row["wall_s"] for row in rows[begins : max(at)]),
+        start_s=first_s - begun_s - sum(row["wall_s"] for row in rows) / count,
+        peak_mb=max(row["peak_mb"] for row in rows),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class _Moment:
+    """When a result was seen, and what processes had taken by then."""
+
+    time_s: float
+    cpu_s: float
+    beside_cpu_s: float
+
+
+def _own_cpu_s(process: int) -> float:
+    words = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+    return (int(words[11]) + int(words[12])) / _HZ
 
 
 def _cpu_s(roots: Sequence[int]) -> float:
