@@ -13,7 +13,10 @@ from bench.curves import draw_run
 from bench.document import ENDURANCE, TABLES
 
 
-@pytest.mark.parametrize(("scans", "size"), [(2, "400x300"), pytest.param(20, "1600x1200", marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    ("scans", "size"),
+    [pytest.param(2, "400x300", marks=pytest.mark.dive), pytest.param(20, "1600x1200", marks=pytest.mark.long)],
+)
 def test_a_dive_in_real_time_loses_no_frame(tmp_path: Path, scans: int, size: str) -> None:
     log = dive(tmp_path, scans, size)
     said = {number.key: number for number in judged(log)}

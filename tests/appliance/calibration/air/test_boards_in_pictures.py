@@ -96,6 +96,7 @@ def test_the_covariance_says_how_wrong_the_parameters_are(truth: TrueRig, air: A
         assert np.all(np.abs(found - wanted) < 5.0 * sd[8 * k : 8 * k + 8])
 
 
+@pytest.mark.dive
 @pytest.mark.long
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("seed", [3, 5])
@@ -173,6 +174,7 @@ def test_a_corner_beside_glare_is_left_out_alone(views: list[BoardView]) -> None
     assert len(air.views[2].left_px) == len(spoilt) - 1
 
 
+@pytest.mark.dive
 @pytest.mark.long
 @pytest.mark.timeout(900)
 def test_a_pinhole_in_water_measures_there_and_fails_in_salt_water() -> None:
