@@ -75,8 +75,8 @@ class Sight:
         return np.asarray(((seen > 0.0) & (seen < (wide - 1, high - 1))).all(axis=1).reshape(h, w))
 
     @property
-    def px(self) -> float:
-        """Pixels of this camera in one of 1600 across."""
+    def pixels_per_1600th(self) -> float:
+        """Return how many of this camera's pixels are one of a picture 1600 across."""
         return self.camera.width_px / 1600.0
 
     def directions(self, uv_px: Array, depth_mm: float) -> Array:
@@ -185,7 +185,7 @@ def camera_pose(sight: Sight, points_mm: Array, uv_px: Array) -> Rigid | None:
         return None
     depth_mm = float(np.median(points_mm[:, 2]))
     seen = sight.directions(uv_px, depth_mm)
-    near_px = NEAR_PX * sight.px
+    near_px = NEAR_PX * sight.pixels_per_1600th
     first = _agreed(sight, points_mm, seen, uv_px)
     if first is None:
         return None
@@ -211,7 +211,7 @@ def _agreed(sight: Sight, points_mm: Array, seen: Array, uv_px: Array) -> tuple[
     # Of one pixel's rays the pinhole is true at one depth only; the rest is for the refinement.
     try:
         good, turn, shift, _ = cv2.solvePnPRansac(
-            points_mm, seen, np.eye(3), None, iterationsCount=SAMPLES, reprojectionError=ROUGH_PX * sight.px * per_px,
+            points_mm, seen, np.eye(3), None, iterationsCount=SAMPLES, reprojectionError=ROUGH_PX * sight.pixels_per_1600th * per_px,
             confidence=0.999, flags=cv2.SOLVEPNP_AP3P,
         )  # fmt: skip
     except cv2.error:
@@ -220,15 +220,15 @@ def _agreed(sight: Sight, points_mm: Array, seen: Array, uv_px: Array) -> tuple[
     if not good:
         return None
     pose = Rigid(np.asarray(cv2.Rodrigues(turn)[0], np.float64), np.asarray(shift, np.float64).ravel())
-    limit_px = ROUGH_PX * sight.px
+    limit_px = ROUGH_PX * sight.pixels_per_1600th
     for _ in range(STEPS):
         off = _off_px(sight.projection, pose, points_mm, uv_px)
         agree = off < limit_px
         if np.count_nonzero(agree) < ENOUGH_INLIERS:
             return None
         pose = _stepped(sight.projection, pose, points_mm[agree], uv_px[agree])
-        limit_px = max(NEAR_PX * sight.px, 0.6 * limit_px)
-    agree = _off_px(sight.projection, pose, points_mm, uv_px) < NEAR_PX * sight.px
+        limit_px = max(NEAR_PX * sight.pixels_per_1600th, 0.6 * limit_px)
+    agree = _off_px(sight.projection, pose, points_mm, uv_px) < NEAR_PX * sight.pixels_per_1600th
     return (pose, agree) if np.count_nonzero(agree) >= ENOUGH_INLIERS else None
 
 

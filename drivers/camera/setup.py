@@ -111,8 +111,9 @@ class CameraSetup:
             self._set_extra(extra)
             if not extra[0].startswith("Trigger"):
                 self._wanted.pop(extra[0], None)  # what was set of it stands behind another selector now
-        if self._features.has("TriggerSelector"):
-            self._features.choose("TriggerSelector", _FRAME_START)
+        for name in self._instead.keys() - self._wanted.keys() - self._missing.keys():
+            self._set(_Setting(name, self._instead[name][0]))  # its place in the order was passed over on this camera
+        self._set(_Setting("TriggerSelector", _FRAME_START))
         self._verify()
         return made
 
@@ -192,7 +193,7 @@ class CameraSetup:
         """Make each pulse on the board's line one frame, and nothing else."""
         features = self._features
         source = self._source()
-        if features.has("TriggerSelector"):
+        if features.writable("TriggerSelector"):
             # One that is left on waits for a signal that never comes, or starts frames of its own.
             for selector in features.choices("TriggerSelector"):
                 features.choose("TriggerSelector", selector)
@@ -255,8 +256,8 @@ class CameraSetup:
         features = self._features
         if name in self._instead:
             value, optional = self._instead[name]
-            self._set_extra((name, value, optional))
-            self._wanted[name] = value
+            if self._set_extra((name, value, optional)):
+                self._wanted[name] = value
             return
         if not features.has(name):
             self._note(name, f"no {name}")
@@ -271,13 +272,14 @@ class CameraSetup:
         self._write(name, value)
         self._wanted[name] = value
 
-    def _set_extra(self, extra: tuple[str, FeatureValue, bool]) -> None:
-        """Set what the rig file asks for."""
+    def _set_extra(self, extra: tuple[str, FeatureValue, bool]) -> bool:
+        """Set what the rig file asks for; False where the camera lacks it and may."""
         name, value, optional = extra
         if optional and not self._features.has(name):
             self._note(name, f"no {name}")
-            return
+            return False
         self._write(name, value)
+        return True
 
     def _write(self, name: str, value: FeatureValue) -> None:
         features = self._features

@@ -377,13 +377,13 @@ BLACKFLY = Maker(
     border_px=(16, 40),  # 1616 x 1240, FLIR's page of the BFS-U3-19S4M
     readout_ns=7_630_000,  # 131 frames per second, the same page
     trigger_line="Line0",  # the opto-isolated input, the same page
-    # Off in the factory: 40 Hz triggers gave 20 frames per second until ReadOut (flir_camera_driver, issue 102).
+    # Off in the factory: 40 Hz triggers gave 20 frames per second until ReadOut (reported of ROS' flir_camera_driver).
     overlap=("TriggerOverlap", "ReadOut"),
     black_dn=2.55,  # BlackLevel is in percent of the full scale
     width_offset_us=14,  # estimate: Pregius sensors add some lines' time
     mode_after_source=False,
-    # An alignment field of 0 is legal (aravis, issue 261). Point Grey cameras say 0 for the sizes of leader and trailer until
-    # the stream was enabled once (aravis, pull request 72).
+    # An alignment field of 0 is legal, and Point Grey cameras say 0 for the sizes of leader and trailer until the stream was
+    # enabled once (both reported of Aravis).
     stream=StreamRules(alignment_log2=0, sizes_once_enabled=True),
     features=(
         *_common(
@@ -490,7 +490,7 @@ ALVIUM = Maker(
     black_dn=0.0625,  # BlackLevel is in grey values of 12 bits
     width_offset_us=20,  # the Alvium's guide names an offset; its size here is an estimate
     mode_after_source=False,
-    # SI_INFO 0x0a000000, and transfers that are no multiples are refused (aravis, issues 209 and 314, pull request 214).
+    # SI_INFO 0x0a000000, and transfers that are no multiples are refused (reported of Aravis).
     stream=StreamRules(alignment_log2=10, aligned_leader=True),
     features=(
         *_common(

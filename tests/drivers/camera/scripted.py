@@ -60,13 +60,19 @@ OF_ADDRESS = {
 }
 
 
-def description(lacking: tuple[str, ...] = (), choices: dict[str, tuple[str, ...]] | None = None) -> str:
-    """GenICam XML with the features that are not lacking."""
+def description(
+    lacking: tuple[str, ...] = (), choices: dict[str, tuple[str, ...]] | None = None, fixed: tuple[str, ...] = ()
+) -> str:
+    """GenICam XML with the features that are not lacking; those that are fixed can be read only."""
     offered = CHOICES | (choices or {})
     features, registers = [], []
     for name in (name for name in FEATURE_NAMES if name not in lacking):
         place = f"<Address>{ADDRESS[name]}</Address><Length>4</Length>"
-        access, kind, more = "RW", "IntReg", "<Sign>Unsigned</Sign><Endianess>LittleEndian</Endianess>"
+        access, kind, more = (
+            "RO" if name in fixed else "RW",
+            "IntReg",
+            "<Sign>Unsigned</Sign><Endianess>LittleEndian</Endianess>",
+        )
         if name in offered:
             entries = "".join(
                 f"<EnumEntry Name='{e}'><Value>{k}</Value></EnumEntry>" for k, e in enumerate(offered[name])

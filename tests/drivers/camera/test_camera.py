@@ -255,6 +255,7 @@ def test_a_rig_files_features_take_the_place_of_built_in_ones_or_follow_them_in_
     device, camera = opened(spec=spec_with(TriggerOverlap="PreviousFrame", BlackLevel=1.5, Gamma=1.0))
     camera.configure(SETTINGS)
     assert (device.feature("TriggerOverlap"), device.feature("BlackLevel")) == ("PreviousFrame", 1.5)
+    assert device.feature("Gamma") == 1.0, "also where gamma is off, and nobody would have set it"
     names = [name for name, _ in device.log]
     assert names.index("TriggerOverlap") < names.index("ExposureTime") < names.index("BlackLevel")
     assert names.count("TriggerOverlap") == 1
@@ -283,10 +284,34 @@ def test_features_that_a_camera_does_not_have_or_take_are_refused(
         opened(spec=spec_with(**features))[1].configure(SETTINGS)
 
 
-def test_a_marked_feature_may_be_missing() -> None:
-    _, camera = opened(spec=spec_with(**{"?Sharpening": 1.0}))
+@pytest.mark.parametrize(
+    ("name", "value"), [("Sharpening", 1.0), ("GammaEnable", False), ("TriggerOverlap", "ReadOut")]
+)
+def test_a_marked_feature_may_be_missing(name: str, value: bool | float | str) -> None:
+    """One of the maker's own, and those that the order sets by itself."""
+    _, camera = opened(xml=description(lacking=(name,)), spec=spec_with(**{f"?{name}": value}))
     camera.configure(SETTINGS)
-    assert "no Sharpening" in camera.health().details["not offered"]
+    assert f"no {name}" in camera.health().details["not offered"]
+    _, camera = opened(xml=description(lacking=(name,)), spec=spec_with(**{name: value}))
+    with pytest.raises(DeviceRefused, match=f"has no feature {name}"):
+        camera.configure(SETTINGS)
+
+
+def test_a_selector_with_nothing_to_select_is_left_alone() -> None:
+    xml = description(choices={"TriggerSelector": ("FrameStart",)}, fixed=("TriggerSelector",))
+    device, camera = opened(xml=xml)
+    camera.configure(SETTINGS)
+    assert ("TriggerMode", 1) in device.log
+    assert "TriggerSelector" not in [name for name, _ in device.log]
+
+
+def test_what_cannot_be_written_is_taken_where_it_is_right_and_refused_where_it_is_not() -> None:
+    _, camera = opened(xml=description(fixed=("ReverseX",)))
+    with pytest.raises(DeviceRefused, match="ReverseX is True and cannot be written; it must be False"):
+        camera.configure(SETTINGS)
+    device, camera = opened(xml=description(fixed=("ReverseX",)))
+    device.set_feature("ReverseX", 0)
+    camera.configure(SETTINGS)
 
 
 def test_a_place_on_the_sensor_is_the_rig_files_or_the_middle() -> None:
