@@ -305,6 +305,13 @@ def test_a_selector_with_nothing_to_select_is_left_alone() -> None:
     assert "TriggerSelector" not in [name for name, _ in device.log]
 
 
+def test_whatever_a_rig_file_selected_the_frames_trigger_is_selected_in_the_end() -> None:
+    device, camera = opened(spec=spec_with(TriggerSelector="AcquisitionStart", TriggerDelay=0.0))
+    camera.configure(SETTINGS)
+    assert device.feature("TriggerSelector") == "FrameStart"
+    assert [value for name, value in device.log if name == "TriggerSelector"][-2:] == [0, 1]
+
+
 def test_what_cannot_be_written_is_taken_where_it_is_right_and_refused_where_it_is_not() -> None:
     _, camera = opened(xml=description(fixed=("ReverseX",)))
     with pytest.raises(DeviceRefused, match="ReverseX is True and cannot be written; it must be False"):
