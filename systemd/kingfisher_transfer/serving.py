@@ -44,7 +44,10 @@ class Places:
 
 
 def serve(places: Places, ready: Callable[[], None], stopping: threading.Event) -> int:
-    """Serve until the note is gone or ``stopping`` is set; returns the exit code. ``ready``: the server runs."""
+    """Serve until the note is gone or ``stopping`` is set; returns the exit code.
+
+    ``ready`` is called once the status says how it stands: that the server runs, or why it cannot.
+    """
     try:
         make_host_key(places.host_key)
     except KeysError as error:
@@ -83,11 +86,10 @@ def make_host_key(path: Path) -> None:
 def _failed(places: Places, reason: str, ready: Callable[[], None], stopping: threading.Event) -> int:
     """Tell that it cannot be served, until the note is gone; returns the exit code."""
     # Ended, the note would start the unit again at once, and the screen would flicker between two words.
+    _tell(places, "failed", reason)
     ready()
-    while places.note.exists():
+    while places.note.exists() and not stopping.wait(LOOK_S):
         _tell(places, "failed", reason)
-        if stopping.wait(LOOK_S):
-            break
     return 1
 
 
@@ -102,10 +104,10 @@ def _watch(
             return True
         if server.poll() is not None:
             return False
+        _tell(places, "on", "")
         if not told and time.monotonic() - since_s > LOOK_S / 2:
             ready()
             told = True
-        _tell(places, "on", "")
 
 
 def _tell(places: Places, state: str, reason: str) -> None:

@@ -206,9 +206,6 @@ def test_everything_comes_through_the_server(
 
 
 def test_the_screen_is_told_where_and_for_how_many(served: Served) -> None:
-    deadline_s = time.monotonic() + 10
-    while not served.places.status.exists() and time.monotonic() < deadline_s:
-        time.sleep(0.1)
     told = json.loads(served.places.status.read_text())
     assert (told["state"], told["keys"]) == ("on", 1)
     assert served.places.host_key.stat().st_mode & 0o777 == 0o600
@@ -240,7 +237,12 @@ def test_a_server_that_cannot_start_is_told_and_not_tried_for_ever(top: Path) ->
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         with serving_at(top, int(taken.getsockname()[1])) as places:
-            told = json.loads(places.status.read_text())
+            # A slow machine may see each of the three servers run for a moment.
+            deadline_s = time.monotonic() + 30
+            while (told := json.loads(places.status.read_text()))[
+                "state"
+            ] != "failed" and time.monotonic() < deadline_s:
+                time.sleep(0.1)
             assert told["state"] == "failed"
             assert "sshd ends by itself" in told["reason"]
 
