@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from appliance.calibration.water.start import METHOD as IN_AIR
 from appliance.calibration.water.start import check_start
 from appliance.capture.timeouts import Timeouts
 from appliance.config import Rig, rig_text
+from appliance.config.checks import into_light_us
 from appliance.config.rig import CameraRig
 from appliance.machine.choices import Choices, offers_of
 from appliance.machine.states import Settings, TemperatureLimits
@@ -273,9 +275,28 @@ def settings_of_scan(record: ScanRecord, rig: Rig) -> AcquisitionSettings:
 def exposures_of(rig: Rig) -> tuple[Exposure, ...]:
     """Return the exposures that may be proposed to the diver, from dark to bright."""
     scan = rig.scan
-    times_ms = scan.exposures_ms or STEPS_MS
+    times_ms = scan.exposures_ms or _whole_sub_frames_ms(rig) or STEPS_MS
     span = Span(scan.shortest_exposure_ms, scan.longest_exposure_ms, scan.most_gain_db, times_ms)
-    return ladder(rig.projector.refresh_hz, rig.board.trigger_delay_us, rig.camera.left.gain_db, span)
+    return ladder(rig.projector.refresh_hz, into_light_us(rig), rig.camera.left.gain_db, span)
+
+
+def _whole_sub_frames_ms(rig: Rig) -> tuple[float, ...]:
+    """Return the exposures that a projector of sub-frames leaves; empty: its rig file names none."""
+    projector = rig.projector
+    if projector.sub_frames == 1:
+        return ()
+    return tuple(round(k * projector.sub_frame_ms, 3) for k in range(1, projector.sub_frames + 1))
+
+
+def _allowed(rig: Rig, choices: Choices) -> Choices:
+    """Return choices of before with an exposure that this rig file allows: the nearest, where it names some and theirs is none of them."""
+    if rig.scan.exposures_ms is None and rig.projector.sub_frames == 1:
+        return choices
+    steps = [exposure_of(rig), *exposures_of(rig)]
+    chosen = choices.exposure
+    if chosen.time_us in {one.time_us for one in steps}:
+        return choices
+    return replace(choices, exposure=min(steps, key=lambda one: abs(math.log(one.light / chosen.light))))
 
 
 def origin_of(rig: Rig, calibration: Calibration) -> ScanOrigin:
@@ -292,7 +313,7 @@ def standard_choices(rig: Rig) -> Choices:
 def machine_settings(rig: Rig, choices: Choices | None = None) -> Settings:
     """Return what the rig file says to the machine. ``choices``: what the diver chose before the start, if it is remembered."""
     limits = rig.limits
-    choices = choices or standard_choices(rig)
+    choices = standard_choices(rig) if choices is None else _allowed(rig, choices)
     width_px, height_px = rig.projector.width_px, rig.projector.height_px
     offered = [period_px for period_px in PERIODS_PX if period_px <= min(width_px, height_px)]
     sequences = {period_px: len(build_sequence(period_px, width_px, height_px)) for period_px in offered}

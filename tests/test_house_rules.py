@@ -423,7 +423,6 @@ RULES = [
             "appliance/screens/colours.py": "the palette: every screen draws with it, and it belongs to none",
             "drivers/camera_families/": "one family is one file, found by its name",
             "drivers/errors.py": "raised by every driver",
-            "drivers/output/spec.py": "the two outputs as the rig file has them, for all of the package",
             "drivers/registered_wires.py": "the only list of wires",
         },
     ),

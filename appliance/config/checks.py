@@ -9,6 +9,13 @@ from appliance.config.rig import OutputRig, Rig
 from drivers.camera_families import USUAL, families
 from drivers.registered_wires import NATIVE, REGISTERED
 
+BOUNDARY_US = 100
+"""Largest distance of a trigger from the beginning of a sub-frame."""
+WHOLE_MS = 0.02
+"""Largest difference of an exposure from whole sub-frames: what rounding to hundredths of a millisecond makes, and a little more."""
+MOST_DELAY_US = 15_000
+"""Largest delay that the board takes (ARM)."""
+
 
 @dataclass(frozen=True, slots=True)
 class Complaint:
@@ -78,9 +85,9 @@ def complaints(rig: Rig) -> Iterator[Complaint]:
 
 def _exposures_fit(rig: Rig) -> Iterator[Complaint]:
     period_ms = 1000.0 / rig.projector.refresh_hz
-    delay_ms = rig.board.trigger_delay_us / 1000.0
+    delay_ms = into_light_us(rig) / 1000.0
     # The exposure must end before the next pattern is on the screen: it begins trigger_delay_us after the vertical
-    # sync.
+    # sync, and light that begins later ends later.
     longest_ms = period_ms - delay_ms
     for side, camera in (("left", rig.camera.left), ("right", rig.camera.right)):
         if camera.exposure_ms > longest_ms:
@@ -99,6 +106,50 @@ def _exposures_fit(rig: Rig) -> Iterator[Complaint]:
             "is none of scan.exposures_ms",
             ", ".join(f"{one:g}" for one in allowed_ms),
             "choose one of them, or measure this one with `kingfisher measure exposures`",
+        )
+    if rig.projector.sub_frames > 1:
+        yield from _whole_sub_frames(rig)
+
+
+def into_light_us(rig: Rig) -> int:
+    """Return how long after a picture's light begins an exposure does: the trigger's delay, less the light's own where that is known and not
+    longer."""
+    delay_us, begins_us = rig.board.trigger_delay_us, rig.projector.light_begins_us
+    return delay_us - begins_us if delay_us >= begins_us else delay_us
+
+
+def _whole_sub_frames(rig: Rig) -> Iterator[Complaint]:
+    """Yield what is exposed for other than whole sub-frames: there each grey has another weight than in the rest."""
+    projector, delay_us = rig.projector, rig.board.trigger_delay_us
+    step_ms = projector.sub_frame_ms
+    begins_us = [projector.light_begins_us + round(1000.0 * k * step_ms) for k in range(projector.sub_frames)]
+    if min(abs(delay_us - begins) for begins in begins_us) > BOUNDARY_US:
+        yield Complaint(
+            "board.trigger_delay_us",
+            delay_us,
+            f"is not where one of projector.sub_frames {projector.sub_frames} begins",
+            ", ".join(str(one) for one in begins_us if one <= MOST_DELAY_US) + f" us, each to {BOUNDARY_US} us",
+            "begin with a sub-frame, or measure the projector with `kingfisher bringup projector`",
+        )
+    left_ms, right_ms = rig.camera.left.exposure_ms, rig.camera.right.exposure_ms
+    asked = [("camera.left.exposure_ms", left_ms), *(("scan.exposures_ms", one) for one in rig.scan.exposures_ms or ())]
+    for key, exposure_ms in asked:
+        count = round(exposure_ms / step_ms)
+        if count < 1 or abs(exposure_ms - count * step_ms) > WHOLE_MS:
+            yield Complaint(
+                key,
+                exposure_ms,
+                f"is no multiple of a sub-frame of {step_ms:.3f} ms",
+                ", ".join(f"{k * step_ms:.3f}" for k in range(1, projector.sub_frames + 1)),
+                "choose one of them, or correct projector.sub_frames",
+            )
+    if right_ms != left_ms:
+        yield Complaint(
+            "camera.right.exposure_ms",
+            right_ms,
+            "differs from camera.left.exposure_ms",
+            f"{left_ms:g}, as on the left",
+            "set both alike: what a camera needs more is its gain_db",
         )
 
 

@@ -121,6 +121,17 @@ class OutputRig:
 class ProjectorRig(OutputRig):
     latency_blanks: Annotated[_Whole, Field(ge=0, le=5)] = 0
     """Vertical blanks from a flip until the projector throws its picture: controllers that buffer a frame show it one later."""
+    light_begins_us: Annotated[_Whole, Field(ge=0, le=15000)] = 0
+    """Time from that blank until its light begins, where the light goes on beyond the next blank."""
+    channels: Literal["green", "all"] = "green"
+    """Channels that a picture is drawn into: a projector that shows red, green and blue with one lamp gets the same in all."""
+    sub_frames: Annotated[_Whole, Field(ge=1, le=8)] = 1
+    """Equal sub-frames that a frame's light consists of; only whole ones give every grey its weight."""
+
+    @property
+    def sub_frame_ms(self) -> float:
+        """Length of a sub-frame."""
+        return 1000.0 / self.refresh_hz / self.sub_frames
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager
+from dataclasses import replace
 from types import TracebackType
 from typing import Any, Self
 
@@ -33,7 +34,8 @@ class Devices:
         self._timeouts = Timeouts(rig.projector.refresh_hz)
         self._load_projector = load_projector
         self._executor = ThreadPoolExecutor(4, "kf-open")
-        self._outputs = drivers_rig.open_outputs(_output(rig.projector), _output(rig.display), wires)
+        projector = replace(_output(rig.projector), all_channels=rig.projector.channels == "all")
+        self._outputs = drivers_rig.open_outputs(projector, _output(rig.display), wires)
         clock = wires.clock
         self.cameras: dict[str, DeviceSupervisor[Grabber]] = {
             "left": DeviceSupervisor(Device.CAMERA_LEFT, lambda: self._camera("left"), clock, self._executor),

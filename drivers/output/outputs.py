@@ -55,7 +55,7 @@ class Outputs:
 
     def open_projector(self) -> PatternProjector[Any]:
         """The projector, lit and black; one that was opened before is closed first. Raises DeviceError."""
-        return PatternProjector(self._surface(PROJECTOR))
+        return PatternProjector(self._surface(PROJECTOR), all_channels=self._specs[PROJECTOR].all_channels)
 
     def open_display(self) -> PictureDisplay[Any]:
         """The display, lit and black; one that was opened before is closed first. Raises DeviceError."""

@@ -25,8 +25,11 @@ GREEN = 1
 class PatternProjector(Generic[P]):
     """``drivers.api.Projector`` on any surface. Frames lie in its memory, so that playing copies nothing."""
 
-    def __init__(self, surface: Surface[P]) -> None:
+    def __init__(self, surface: Surface[P], *, all_channels: bool = False) -> None:
+        """Play on ``surface``: in green, or with ``all_channels`` the same in blue, green and red, for a projector that makes three
+        sub-frames of one colour out of them."""
         self._surface = surface
+        self._channels = slice(0, 3) if all_channels else slice(GREEN, GREEN + 1)
         self._timeout_s = max(FLIP_TIMEOUT_S, FLIP_PERIODS / surface.refresh_hz)
         self._black = surface.create_picture()
         self._frames: list[P] = []
@@ -37,10 +40,10 @@ class PatternProjector(Generic[P]):
         return self._surface.size_px
 
     def load(self, frames: Sequence[NDArray[np.uint8]]) -> None:
-        """Copy frames, (height, width) uint8 of green light each, into scan-out buffers 0..n-1.
+        """Copy frames, (height, width) uint8 each, into scan-out buffers 0..n-1.
 
-        Shows black from then on, so that no frame changes while it lights the scene. Red and blue stay 0. Raises
-        ValueError on a frame of another shape or type, DeviceError.
+        Shows black from then on, so that no frame changes while it lights the scene. Red and blue stay 0, unless all
+        channels are drawn into. Raises ValueError on a frame of another shape or type, DeviceError.
         """
         width, height = self._surface.size_px
         for index, frame in enumerate(frames):
@@ -54,7 +57,7 @@ class PatternProjector(Generic[P]):
             self._frames.append(self._surface.create_picture())
         pixels = np.zeros((height, width, 4), np.uint8)
         for picture, frame in zip(self._frames, frames, strict=False):
-            pixels[:, :, GREEN] = frame
+            pixels[:, :, self._channels] = frame[:, :, None]
             picture.write(pixels)
         self._loaded = len(frames)
 

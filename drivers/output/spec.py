@@ -27,3 +27,5 @@ class OutputSpec:
     width_px: int
     height_px: int
     refresh_hz: float
+    all_channels: bool = False
+    """Draw what a projector plays into red, green and blue alike; else into green alone."""

@@ -12,7 +12,8 @@ from pydantic import ValidationError
 
 from appliance.config import ConfigError, default_rig_path, parse_rig
 from appliance.config.rig import LimitsRig
-from appliance.instrument import exposures_of
+from appliance.instrument import exposures_of, machine_settings, standard_choices
+from appliance.scan.exposure import Exposure
 
 PACKAGED = default_rig_path().read_text(encoding="utf-8")
 RIG = parse_rig(PACKAGED)
@@ -203,3 +204,83 @@ def test_a_refusal_names_key_value_range_and_remedy_in_this_order(old: str, new:
     with pytest.raises(ConfigError) as caught:
         parse_rig(PACKAGED.replace(old, new, 1), "rig.toml")
     assert str(caught.value) == f"CONFIG: {said}"
+
+
+def pattern_mode(
+    delay_us: int = 500, left_ms: float = 11.11, right_ms: float = 11.11, begins_us: int = 500, more: str = ""
+) -> str:
+    """Return a rig file of a projector with three sub-frames of 5.556 ms."""
+    text = PACKAGED.replace("trigger_delay_us = 500", f"trigger_delay_us = {delay_us}")
+    for exposure_ms in (left_ms, right_ms):
+        text = text.replace("exposure_ms = 12.0", f"exposure_ms = {exposure_ms}", 1)
+    text = text.replace("[display]", f"sub_frames = 3\nlight_begins_us = {begins_us}\n\n[display]", 1)
+    return text.replace("[water]", f"{more}\n\n[water]", 1)
+
+
+def test_what_a_projector_of_sub_frames_is_exposed_for_are_whole_ones() -> None:
+    rig = parse_rig(pattern_mode())
+    assert [one.time_us for one in exposures_of(rig) if one.gain_db == 0.0] == [5556, 11111]
+    assert exposures_of(parse_rig(pattern_mode(more="exposures_ms = [11.11]")))[0].time_us == 11110
+    for left_ms, taken in (
+        (11.0, False),
+        (11.09, False),
+        (11.1, True),
+        (11.13, True),
+        (11.14, False),
+        (5.56, True),
+        (0.06, False),
+    ):
+        text = pattern_mode(left_ms=left_ms, right_ms=left_ms)
+        if taken:
+            assert parse_rig(text).camera.left.exposure_ms == left_ms
+            continue
+        with pytest.raises(ConfigError) as caught:
+            parse_rig(text)
+        assert caught.value.headline == f"camera.left.exposure_ms {left_ms:g} is no multiple of a sub-frame of 5.556 ms"
+        assert "allowed: 5.556, 11.111, 16.667; choose one of them, or correct projector.sub_frames" in str(
+            caught.value
+        )
+    with pytest.raises(ConfigError, match=r"scan\.exposures_ms 8 is no multiple of a sub-frame"):
+        parse_rig(pattern_mode(more="exposures_ms = [8.0, 11.11]"))
+    with pytest.raises(
+        ConfigError, match=r"camera\.right\.exposure_ms 5\.56 differs .*allowed: 11\.11, as on the left; set both alike"
+    ):
+        parse_rig(pattern_mode(right_ms=5.56))
+
+
+def test_a_trigger_begins_with_a_sub_frame() -> None:
+    for delay_us, taken in ((399, False), (400, True), (600, True), (601, False), (6056, True), (6157, False)):
+        text = pattern_mode(delay_us, 5.56, 5.56)
+        if taken:
+            assert parse_rig(text).board.trigger_delay_us == delay_us
+            continue
+        with pytest.raises(ConfigError) as caught:
+            parse_rig(text)
+        assert (
+            caught.value.headline
+            == f"board.trigger_delay_us {delay_us} is not where one of projector.sub_frames 3 begins"
+        )
+        assert "allowed: 500, 6056, 11611 us, each to 100 us; begin with a sub-frame" in str(caught.value)
+
+
+def test_an_exposure_may_last_as_much_longer_as_its_light_begins_later() -> None:
+    late = PACKAGED.replace("trigger_delay_us = 500", "trigger_delay_us = 6000")
+    with pytest.raises(ConfigError, match=r"> 10\.66"):
+        parse_rig(late)
+    rig = parse_rig(late.replace("[display]", "light_begins_us = 6000\n\n[display]", 1))
+    assert exposures_of(rig)[-1].time_us == 16_000
+    # A trigger before the light begins gains nothing: what was shown before is seen first.
+    early = PACKAGED.replace("trigger_delay_us = 500", "trigger_delay_us = 3000")
+    begins = parse_rig(early.replace("[display]", "light_begins_us = 6000\n\n[display]", 1))
+    assert exposures_of(begins) == exposures_of(parse_rig(early))
+    assert exposures_of(begins)[-1].time_us == 12_000
+
+
+def test_an_exposure_of_before_that_is_not_allowed_any_more_becomes_the_nearest() -> None:
+    rig = parse_rig(pattern_mode())
+    before = replace(standard_choices(rig), exposure=Exposure(10_000))
+    assert machine_settings(rig, before).choices.exposure == Exposure(11_110)
+    assert machine_settings(rig, replace(before, exposure=Exposure(5_556, 2.0))).choices.exposure == Exposure(
+        5_556, 2.0
+    )
+    assert machine_settings(RIG, before).choices.exposure == Exposure(10_000)

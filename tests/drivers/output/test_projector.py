@@ -223,3 +223,12 @@ def test_a_picture_that_does_not_fit_is_refused_and_nothing_changes(bad: NDArray
     with pytest.raises(ValueError, match=r"the display takes \(2, 3, 3\) uint8"):
         PictureDisplay(lamp).present(bad, 0.5)
     assert lamp.shown == []
+
+
+@pytest.mark.parametrize(("all_channels", "drawn"), [(False, [0, 7, 0, 0]), (True, [7, 7, 7, 0])])
+def test_a_picture_is_drawn_into_green_or_into_all_channels(all_channels: bool, drawn: list[int]) -> None:
+    lamp = Lamp()
+    projector = PatternProjector(lamp, all_channels=all_channels)
+    projector.load([np.full((2, 3), 7, np.uint8)])
+    projector.show(0)
+    assert lamp.shown[-1].pixels.reshape(-1, 4).tolist() == [drawn] * 6
