@@ -38,6 +38,7 @@ FORBIDDEN = [
     Forbidden("unaware-product", "appliance.capture", "hw_sim"),
     Forbidden("unaware-product", "drivers.camera", "hw_sim"),
     Forbidden("drivers-below", "drivers.board", "appliance.capture"),
+    Forbidden("firmware-alone", "drivers.board.firmware", "drivers.board.line"),
     Forbidden("concrete-drivers", "appliance.capture", "drivers.camera"),
     Forbidden("concrete-drivers", "appliance.machine", "drivers.rig"),
     Forbidden("data-flow", "appliance.patterns", "appliance.capture"),

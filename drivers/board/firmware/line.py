@@ -1,0 +1,111 @@
+"""Owns the sentence of the serial line on the board's side: checksum, framing, and commands out of any bytes.
+
+Source: ``docs/protocols/board.md``. Runs under MicroPython and CPython alike.
+"""
+
+from array import array
+
+LONGEST = 160
+"""Bytes of a line with ``$`` and CR LF."""
+LARGEST_NUMBER = 65535
+
+
+def _table() -> array:  # type: ignore[type-arg]
+    """Return CRC-16/CCITT-FALSE of each single byte: 512 bytes of memory instead of eight turns for every byte."""
+    table = array("H")
+    for byte in range(256):
+        crc = byte << 8
+        for _ in range(8):
+            crc = (crc << 1 ^ 0x1021 if crc & 0x8000 else crc << 1) & 0xFFFF
+        table.append(crc)
+    return table
+
+
+_CRC = _table()
+
+
+def crc16(data: bytes) -> int:
+    """Return CRC-16/CCITT-FALSE: polynomial 0x1021, initial value 0xFFFF, not reflected, no final XOR."""
+    crc = 0xFFFF
+    table = _CRC
+    for byte in data:
+        crc = (crc << 8 & 0xFF00) ^ table[crc >> 8 ^ byte]
+    return crc
+
+
+def sentence(kind: str, number: int, words: list[str]) -> bytes:
+    """Return one line with checksum and line end. The words are the board's own: printable, none with ``,`` ``$`` ``*``."""
+    body = ",".join([kind, str(number)] + words).encode()
+    return b"$" + body + b"*" + f"{crc16(body):04X}".encode() + b"\r\n"
+
+
+class Command:
+    """A command with a valid checksum: its number, its verb and its arguments as text."""
+
+    def __init__(self, number: int, verb: str, arguments: list[str]) -> None:
+        self.number = number
+        self.verb = verb
+        self.arguments = arguments
+
+    def same_as(self, other: "Command | None") -> bool:
+        """Tell whether the host has sent this command again."""
+        return (
+            other is not None
+            and self.number == other.number
+            and self.verb == other.verb
+            and self.arguments == other.arguments
+        )
+
+
+class CommandFinder:
+    """Finds commands in whatever arrives; begins anew at each ``$`` and keeps at most one line."""
+
+    def __init__(self) -> None:
+        self._line = bytearray(LONGEST)
+        self._length = 0
+
+    def feed(self, data: bytes) -> list[Command]:
+        """Return the commands that ``data`` completes; everything else is garbage and forgotten."""
+        found: list[Command] = []
+        for byte in data:
+            if byte == 0x24:
+                self._line[0] = byte
+                self._length = 1
+            elif self._length:
+                self._line[self._length] = byte
+                self._length += 1
+                if byte == 0x0A:
+                    command = parsed(bytes(self._line[: self._length]))
+                    self._length = 0
+                    if command is not None:
+                        found.append(command)
+                elif self._length == LONGEST:
+                    self._length = 0
+        return found
+
+
+def parsed(line: bytes) -> Command | None:
+    """Return the command in ``line``, which runs from ``$`` to its line feed; ``None`` for anything else."""
+    if len(line) < 9 or line[-2:] != b"\r\n" or line[-7:-6] != b"*":
+        return None
+    body = line[1:-7]
+    if line[-6:-2] != f"{crc16(body):04X}".encode():
+        return None
+    for byte in body:
+        if not 0x20 <= byte <= 0x7E or byte == 0x2A:
+            return None
+    words = body.decode().split(",")
+    if len(words) < 3 or words[0] != "C":
+        return None
+    number = decimal(words[1], LARGEST_NUMBER)
+    if number is None:
+        return None
+    return Command(number, words[2], words[3:])
+
+
+def decimal(text: str, largest: int) -> int | None:
+    """Return the number that ``text`` writes with up to ten digits and nothing else, 0..``largest``; else ``None``."""
+    if not text.isdigit() or len(text) > 10:
+        return None
+    number = int(text)
+    return number if number <= largest else None

@@ -1,0 +1,131 @@
+"""Owns the boards that must keep the protocol: the simulator's, and the firmware under CPython and under MicroPython."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from typing import Protocol
+
+import serial
+
+from hw_sim import wires
+from hw_sim.devices.board import Board
+from hw_sim.timing.world_time import WorldClock
+from hw_sim.world import World, WorldOptions
+from tests.drivers.board.firmware.desk import Desk
+from tests.hw_sim.devices.bench import Bench, bench
+from tests.support.micropython import ROOT, MicroPython
+
+FILES = [
+    *(ROOT / "drivers" / "board" / "firmware" / name for name in ("hardware.py", "line.py", "core.py")),
+    ROOT / "tests" / "drivers" / "board" / "firmware" / "desk.py",
+]
+
+
+class Target(Protocol):
+    """A board as a host has it."""
+
+    def exchange(self, data: bytes, time_us: int) -> bytes:
+        """Send ``data``, let ``time_us`` of the board's time pass, return what it said."""
+
+    def sync(self, there: bool) -> None:
+        """Connect or disconnect the projector's video signal."""
+
+
+class _Simulated:
+    """The simulator's board on a bench, in time that stands still in between."""
+
+    def __init__(self, made: Bench, board: Board) -> None:
+        self._bench, self._board = made, board
+        self._there = True
+        made.on_blank = self._blank
+
+    def _blank(self, time_ns: int) -> None:
+        if self._there:
+            self._board.vsync(time_ns)
+        else:
+            self._board.no_vsync(time_ns)
+
+    def exchange(self, data: bytes, time_us: int) -> bytes:
+        self._board.receive(data)
+        self._bench.run_s(time_us * 1e-6)
+        return self._board.take(self._board.waiting)
+
+    def sync(self, there: bool) -> None:
+        self._there = there
+
+
+@contextmanager
+def simulated() -> Iterator[Target]:
+    with bench() as made:
+        sensors = {"TBOARD": "-", "LEAK": "0"}
+        board = Board(made.time, made.faults, lambda *_: None, lambda name: sensors.get(name, "21.5"), 1)
+        made.changed.append(board.refresh)
+        board.open = True
+        # The port is open now: the reset is heard.
+        made.faults.add("board wrong how=reset")
+        yield _Simulated(made, board)
+
+
+class _Wired:
+    """The board of a whole simulated instrument behind pyserial."""
+
+    def __init__(self, world: World, port: serial.SerialBase) -> None:
+        self._port, self._clock = port, WorldClock(world.time)
+
+    def exchange(self, data: bytes, time_us: int) -> bytes:
+        self._port.write(data)
+        self._clock.sleep_s(time_us * 1e-6)
+        return bytes(self._port.read(self._port.in_waiting))
+
+    def sync(self, there: bool) -> None:
+        raise AssertionError("whoever has only the wire cannot pull the projector's cable")
+
+
+@contextmanager
+def wired() -> Iterator[Target]:
+    options = WorldOptions(world="conformance", width_px=160, height_px=120, object="plane", idle_speed=2.0)
+    with World(options) as world, wires.open({"world": options.world}):
+        port = serial.serial_for_url(f"kfsim://{options.world}/board", timeout=1.0)
+        try:
+            world.fault("board wrong how=reset")
+            yield _Wired(world, port)
+        finally:
+            port.close()
+
+
+@contextmanager
+def cpython() -> Iterator[Target]:
+    yield Desk()
+
+
+class _Inside:
+    """The firmware within MicroPython's virtual machine."""
+
+    def __init__(self, machine: MicroPython) -> None:
+        self._machine = machine
+        machine.run("from tests.drivers.board.firmware.desk import Desk; desk = Desk()")
+
+    def exchange(self, data: bytes, time_us: int) -> bytes:
+        said = ast.literal_eval(self._machine.run(f"print(desk.exchange({data!r}, {time_us}))"))
+        assert isinstance(said, bytes)
+        return said
+
+    def sync(self, there: bool) -> None:
+        self._machine.run(f"desk.sync({there})")
+
+
+@contextmanager
+def micropython() -> Iterator[Target]:
+    with MicroPython(FILES) as machine:
+        yield _Inside(machine)
+
+
+WIRED = "simulator through its wires"
+TARGETS: dict[str, Callable[[], AbstractContextManager[Target]]] = {
+    "simulator": simulated,
+    WIRED: wired,
+    "firmware in CPython": cpython,
+    "firmware in MicroPython": micropython,
+}
