@@ -29,6 +29,7 @@ from appliance.machine.states import Settings, TemperatureLimits
 from appliance.optics.model import HousedCamera
 from appliance.optics.pinhole import Lens
 from appliance.optics.port import Port
+from appliance.optics.volume import WorkingVolume
 from appliance.optics.water import Water
 from appliance.patterns.response import Response
 from appliance.patterns.sequence import PERIODS_PX, build_sequence
@@ -81,7 +82,7 @@ def calibration_of(rig: Rig) -> tuple[Calibration, tuple[Fault, ...]]:
 def _usable(rig: Rig, path: Path) -> tuple[Calibration | None, Misfit | None]:
     """Return a file's calibration, and why this instrument cannot measure with it."""
     try:
-        calibration = load(path)
+        calibration = _of_volume(load(path), rig)
     except CalibrationError as error:
         return None, Misfit(str(error))
     if calibration.method == IN_AIR:
@@ -96,10 +97,10 @@ def start_of(rig: Rig, path: Path | None = None) -> Calibration:
     """
     in_air = rig.storage.root / AIR_FILE
     if path is not None:
-        start = load(path)
+        start = _of_volume(load(path), rig)
         problem = _of_another(start, rig)  # the size is compared with that of the scans, and so are the cameras
     elif in_air.exists():
-        start = load(in_air)
+        start = _of_volume(load(in_air), rig)
         problem = misfit(start, rig)
     else:
         start, problem = calibration_of(rig)[0], None
@@ -170,7 +171,13 @@ def design_of(rig: Rig) -> Calibration:
         d.port_index,
     )
     left = rig.camera.left
-    return design_calibration(design, rig.rig.serial, left.width_px, left.height_px, water_of(rig))
+    return design_calibration(design, rig.rig.serial, left.width_px, left.height_px, water_of(rig), volume_of(rig))
+
+
+def volume_of(rig: Rig) -> WorkingVolume:
+    """Return the range in which the housing measures."""
+    stated = rig.volume
+    return WorkingVolume(stated.nearest_mm, stated.working_mm, stated.farthest_mm)
 
 
 def pointers_of(rig: Rig) -> Pointers | None:
@@ -190,7 +197,7 @@ def live_light_of(rig: Rig) -> NDArray[np.uint8]:
     lens = Lens((f_px, f_px), ((out.width_px - 1) / 2.0, (out.height_px - 1) / 2.0))
     port = Port((0.0, 0.0, 1.0), d.port_distance_mm, d.port_thickness_mm, d.port_index)
     projector = HousedCamera(out.width_px, out.height_px, lens, port)
-    return live_light(projector, pointers_of(rig), water_of(rig).index)
+    return live_light(projector, pointers_of(rig), water_of(rig).index, volume_of(rig))
 
 
 def water_of(rig: Rig) -> Water:
@@ -328,6 +335,7 @@ def machine_settings(rig: Rig, choices: Choices | None = None) -> Settings:
             "projector": TemperatureLimits(limits.projector_warm_c, limits.projector_hot_c, limits.projector_off_c),
         },
         supply_low_v=limits.supply_low_v,
+        volume=volume_of(rig),
     )
 
 
@@ -342,6 +350,14 @@ def owner_of(rig: Rig) -> Owner:
     left, right = rig.camera.left, rig.camera.right
     sizes_px = ((left.width_px, left.height_px), (right.width_px, right.height_px))
     return Owner(rig.rig.serial, sizes_px, (left.serial, right.serial))
+
+
+def _of_volume(calibration: Calibration, rig: Rig) -> Calibration:
+    """Return the calibration with the volume that the rig file states: the file is its home, a calibration only carries it along."""
+    volume = volume_of(rig)
+    if calibration.rig.volume == volume:
+        return calibration
+    return replace(calibration, rig=replace(calibration.rig, volume=volume))
 
 
 def _of_another(calibration: Calibration, rig: Rig) -> str | None:

@@ -192,8 +192,8 @@ MAY_BE_EQUAL: Mapping[str, frozenset[str]] = {
     ),
     CHANCE: frozenset(
         {
-            "150 BALL_DISTANCE_MM = BEGIN_MM",
-            "150 FRUSTUM_BASE_MM = BEGIN_MM",
+            "150 BALL_DISTANCE_MM = _BEGIN_MM",
+            "150 FRUSTUM_BASE_MM = _BEGIN_MM",
             "3 BOARD_SCALE = _BOARD_STEPS",
             "7 (PLANE, BALLBAR, FRUSTUM, PIPE, SHELL, STONES, BOARD, MAIN) = PLANE_POINTS",
             "3 EDGE_MM = EDGE_MM",

@@ -11,6 +11,7 @@ from appliance.calibration.file import Calibration
 from appliance.optics.model import HousedCamera, Matrix3, StereoRig
 from appliance.optics.pinhole import Lens
 from appliance.optics.port import Port
+from appliance.optics.volume import STANDARD, WorkingVolume
 from appliance.optics.water import Water
 
 METHOD = "design"
@@ -29,7 +30,14 @@ class Design:
     port_index: float
 
 
-def design_calibration(design: Design, rig_serial: str, width_px: int, height_px: int, water: Water) -> Calibration:
+def design_calibration(
+    design: Design,
+    rig_serial: str,
+    width_px: int,
+    height_px: int,
+    water: Water,
+    volume: WorkingVolume = STANDARD,
+) -> Calibration:
     """Return the calibration of an instrument built exactly to the drawing; its method, ``design``, says it was not
     measured."""
     f_px = design.principal_distance_mm * 1000.0 / design.pixel_um
@@ -55,7 +63,7 @@ def design_calibration(design: Design, rig_serial: str, width_px: int, height_px
         made_at="unknown",
         made_from=("the optical design in the rig file",),
         water=water,
-        rig=StereoRig(HousedCamera(width_px, height_px, lens, port), right),
+        rig=StereoRig(HousedCamera(width_px, height_px, lens, port), right, volume),
     )
 
 

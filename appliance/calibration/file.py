@@ -5,14 +5,14 @@ coordinates px, angles never appear (rotations are matrices).
 
 Schema 2 is schema 1 with an image correction in a camera, schema 3 has also a ray shift, or lenses calibrated in water.
 Each is written only where it is needed: a program that knows none of these must refuse such a file, not read past what
-it does not know. Beside these, ``air_covariance``, ``air_field``, ``depth_error_mm2`` and ``camera_serials`` may be there in any schema: they make no
+it does not know. Beside these, ``air_covariance``, ``air_field``, ``depth_error_mm2``, ``camera_serials`` and ``volume`` may be there in any schema: they make no
 points, and a program that does not know them may pass over them.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, cast
 
@@ -27,6 +27,7 @@ from appliance.optics.model import HousedCamera, Matrix3, StereoRig
 from appliance.optics.pinhole import Lens
 from appliance.optics.port import Port
 from appliance.optics.ray_shift import RayShift
+from appliance.optics.volume import STANDARD, WorkingVolume
 from appliance.optics.water import Water
 
 Matrix22 = tuple[tuple[float, ...], ...]
@@ -110,7 +111,7 @@ def decode(data: bytes, name: str = "calibration") -> Calibration:
             reader.number(water, "salinity_psu", 0.0, 45.0),
             reader.number(water, "wavelength_nm", 380.0, 750.0),
         ),
-        rig=StereoRig(reader.camera(cameras, "left"), reader.camera(cameras, "right")),
+        rig=StereoRig(reader.camera(cameras, "left"), reader.camera(cameras, "right"), reader.volume(content)),
         residual_px=None if residual is None else reader.number(content, "residual_px", 0.0, 1e6),
         air_covariance=reader.covariance(content),
         air_field=reader.air_field(content),
@@ -164,6 +165,9 @@ def _content(calibration: Calibration) -> dict[str, Any]:
         content["depth_error_mm2"] = [list(row) for row in calibration.depth_error_mm2]
     if calibration.camera_serials is not None:
         content["camera_serials"] = dict(zip(("left", "right"), calibration.camera_serials, strict=True))
+    if calibration.rig.volume != STANDARD:
+        # The standard one is not spelled out, so that calibrations made before there were others keep their hash.
+        content["volume"] = asdict(calibration.rig.volume)
     return content
 
 
@@ -291,6 +295,17 @@ class _Reader:
         across, down = (int(n) for n in self.numbers(table, "intervals", 2, 1, MAX_INTERVALS))
         count = 2 * node_count((across, down))
         return (across, down), self.numbers(table, values, count, -100.0, 100.0)
+
+    def volume(self, content: dict[str, Any]) -> WorkingVolume:
+        """Return the measuring volume; that of the standard housing where the file has none."""
+        if "volume" not in content:
+            return STANDARD
+        table = self.table(content, "volume")
+        numbers = [self.number(table, key, 1.0, 10_000.0) for key in ("nearest_mm", "working_mm", "farthest_mm")]
+        try:
+            return WorkingVolume(*numbers)
+        except ValueError as error:
+            raise self.fail("volume", table, str(error)) from error
 
     def covariance(self, content: dict[str, Any]) -> Matrix22 | None:
         """Return the covariance of the calibration in air; ``None``: the file has none. No point depends on it: a program that

@@ -38,7 +38,7 @@ WATER_INDEX = "water index"
 TURNS = tuple(f"right camera's turn {axis} (rad)" for axis in "xyz")
 FIELD_NODES = (12, 9)
 FIELD_DEPTHS_MM = (460.0, 525.0, 590.0)
-"""Depths of the lattice over the image on which amplitudes are normalised, inside the measuring volume."""
+"""Depths, of the standard housing, of the lattice over the image on which amplitudes are normalised, inside the measuring volume."""
 INDEX_STEP = 1e-5
 
 
@@ -74,7 +74,7 @@ def pairs_in_volume(rig: StereoRig, water_index: float) -> tuple[Array, Array]:
     uv = np.stack([u, v], -1).reshape(-1, 2)
     origin, direction = left.rays(uv, water_index)
     seen = []
-    for depth_mm in FIELD_DEPTHS_MM:
+    for depth_mm in (rig.volume.scaled(mm) for mm in FIELD_DEPTHS_MM):
         points = origin + direction * ((depth_mm - origin[:, 2:]) / direction[:, 2:])
         other = right.project(points, water_index)
         with np.errstate(invalid="ignore"):
@@ -93,6 +93,7 @@ class GapModes:
         self._rig = rig
         self.water_index = water_index
         self.size_px = (rig.left.width_px, rig.left.height_px)
+        self.volume = rig.volume
         self.field_px = pairs_in_volume(rig, water_index)
         """Matched pixels, (n, 2) of each camera, over which amplitudes are normalised."""
         if len(self.field_px[0]) < 4 * len(MODES):

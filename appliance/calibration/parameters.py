@@ -43,9 +43,10 @@ def rig_with(rig: StereoRig, x: Array) -> StereoRig:
     turned = np.asarray(rig.right.rotation) @ rotation_matrix(x[22:25])
     shifted = np.asarray(rig.right.translation_mm) + x[25:28]
     right = _camera_with(rig.right, x[3:6], x[14:22])
-    return StereoRig(
-        _camera_with(rig.left, x[0:3], x[6:14]),
-        replace(right, rotation=matrix3(turned), translation_mm=_triple(shifted)),
+    return replace(
+        rig,
+        left=_camera_with(rig.left, x[0:3], x[6:14]),
+        right=replace(right, rotation=matrix3(turned), translation_mm=_triple(shifted)),
     )
 
 

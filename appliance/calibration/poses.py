@@ -8,12 +8,14 @@ judged (``docs/calibrate-under-water.md``). Angles are in the rig frame, which f
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibration.guide import RecordingCheck, Refusal, Step
 from appliance.optics.model import StereoRig
+from appliance.optics.volume import WorkingVolume
 
 Array = NDArray[np.float64]
 
@@ -24,8 +26,8 @@ LEVEL_DEG = 15.0
 HALF_UP_DEG = 45.0
 """Angle against the horizontal below which a bar is lying, and above which it is upright."""
 MOST_PLANE_TILT_DEG = 35.0
-NEAR_MM, FAR_MM = (430.0, 515.0), (530.0, 620.0)
-"""Distances of the two planes from the projection centres, along the instrument's axis."""
+_PLANES_MM = MappingProxyType({Step.M3: (430.0, 470.0, 515.0), Step.M4: (530.0, 570.0, 620.0)})
+"""Distances of the two planes from the standard housing's projection centres, along its axis: least, wanted and most."""
 LEAST_FILL_PERCENT = 45.0
 """Share of the left picture that the plane must cover."""
 RADIUS_OFF, LENGTH_OFF = 0.1, 0.03
@@ -57,6 +59,22 @@ class FoundPlane:
     points: int
     fill_percent: float
     """Part of the left picture that it covers."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlaneReach:
+    """Place of a plane before the instrument, along its axis from between the projection centres."""
+
+    nearest_mm: float
+    wanted_mm: float
+    farthest_mm: float
+
+
+def plane_place(step: Step, volume: WorkingVolume) -> PlaneReach:
+    """Return where the plane of ``step`` (M3 or M4) belongs before a housing of that volume; a bar, anywhere in it."""
+    if step not in _PLANES_MM:
+        return PlaneReach(volume.nearest_mm, volume.working_mm, volume.farthest_mm)
+    return PlaneReach(*(volume.scaled(mm) for mm in _PLANES_MM[step]))
 
 
 def rig_axes(rig: StereoRig) -> tuple[Array, Array]:
@@ -116,7 +134,8 @@ def judge_plane(step: Step, plane: FoundPlane, rig: StereoRig) -> RecordingCheck
 
     if plane.rms_mm > MOST_RMS_MM["plane"]:
         return check(Refusal.BAD_FIT, plane.rms_mm)
-    near, far = NEAR_MM if step is Step.M3 else FAR_MM
+    where = plane_place(step, rig.volume)
+    near, far = where.nearest_mm, where.farthest_mm
     if distance_mm < near:
         return check(Refusal.TOO_NEAR, distance_mm)
     if distance_mm > far:

@@ -19,7 +19,7 @@ from appliance.calibration.file import Calibration, CalibrationError, encode, lo
 from appliance.cli.output import UsageError
 from appliance.cli.simrig import SIMULATOR
 from appliance.config import Rig
-from appliance.instrument import CALIBRATION_FILE, KEPT, NOISE_FILE, RESPONSE_FILE
+from appliance.instrument import CALIBRATION_FILE, KEPT, NOISE_FILE, RESPONSE_FILE, volume_of
 from appliance.optics.model import HousedCamera, StereoRig
 from appliance.optics.pinhole import Lens
 from appliance.optics.port import Port
@@ -63,7 +63,7 @@ def true_calibration(rig: Rig) -> Calibration:
         made_at="unknown",
         made_from=(f"the simulated true rig: {told['set']}",),
         water=Water(rig.water.temperature_c, rig.water.salinity_psu, rig.water.wavelength_nm),
-        rig=StereoRig(_camera(left, left), _camera(right, left)),
+        rig=StereoRig(_camera(left, left), _camera(right, left), volume_of(rig)),
         camera_serials=(rig.camera.left.serial, rig.camera.right.serial),
     )
 

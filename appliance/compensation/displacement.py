@@ -4,7 +4,7 @@ A **displacement field** says, for every pixel of one camera and every frame, ho
 pixel shows at the reference time, and by how much of a period its phase changed. Both follow exactly from the motion at nodes a
 twentieth of the image apart, at three depths; between nodes the field is bilinear, and in depth a parabola in
 
-    t = linear in 1/z, −1 at ``NEAR_MM`` and 1 at ``FAR_MM``.
+    t = linear in 1/z, −1 at ``NEAR_MM`` and 1 at ``FAR_MM`` of the standard housing.
 
 The depth of a pixel follows from its pattern column p by the same nodes: p is a parabola in t, too.
 
@@ -24,12 +24,13 @@ from numpy.typing import NDArray
 
 from appliance.compensation.prior import LEVER_MM
 from appliance.optics.model import HousedCamera
+from appliance.optics.volume import STANDARD, WorkingVolume
 
 Array = NDArray[np.float64]
 
 NODES_ACROSS = 20
 NEAR_MM, FAR_MM = 420.0, 640.0
-"""Depths of t = −1 and 1."""
+"""Depths of t = −1 and 1 in the standard housing."""
 P_OF_T, Q_OF_T, FIRST_FRAME = 0, 3, 6
 """Places of a node's coefficients: the parabolas of p and q, then those of the frames, one after the other."""
 FRAME_COEFFICIENTS = 9
@@ -59,6 +60,7 @@ def displacement_field(
     centre_mm: Array,
     directions: tuple[int, ...],
     period_px: float,
+    volume: WorkingVolume = STANDARD,
 ) -> DisplacementField:
     """Return the field of n frames whose scene is displaced by ``motion_mm`` (n, 6) against the reference time.
 
@@ -69,7 +71,8 @@ def displacement_field(
     rows = (camera.height_px - 1) // step_px + 2
     v, u = np.mgrid[0:rows, 0:columns].astype(np.float64) * step_px
     origin, direction = camera.rays(np.stack([u, v], -1), water_index)
-    inverse = 0.5 * np.array([2.0 / NEAR_MM, 1.0 / NEAR_MM + 1.0 / FAR_MM, 2.0 / FAR_MM])
+    near_mm, far_mm = volume.scaled(NEAR_MM), volume.scaled(FAR_MM)
+    inverse = 0.5 * np.array([2.0 / near_mm, 1.0 / near_mm + 1.0 / far_mm, 2.0 / far_mm])
     points = np.stack([origin + direction * ((1.0 / k - origin[..., 2:]) / direction[..., 2:]) for k in inverse])
     shown = projector.project(points, water_index)
     table = [_parabola(shown[..., 0]), _parabola(shown[..., 1])]

@@ -87,7 +87,14 @@ def compensate(
     def solve(side: str) -> LeftMaps:
         camera = of_side(rig, side)
         field = displacement_field(
-            camera, motion.projector.camera, water.index, moved_mm, motion.centre_mm, axes, float(sequence.period_px)
+            camera,
+            motion.projector.camera,
+            water.index,
+            moved_mm,
+            motion.centre_mm,
+            axes,
+            float(sequence.period_px),
+            rig.volume,
         )
         px_per_mm = camera.lens.f_px[0] * water.index / float(motion.centre_mm[2])
         return _redecode(images, side, motion, followed, field, motion.lateral_sd_mm * px_per_mm)
@@ -141,7 +148,7 @@ def _redecode(
         sources = with_albedo(sequence, nearer, terms, field, lateral_sd_px)
         terms = _probed(sources, field, gains, terms, solved)
     solve_rows(sources, field, gains, terms, 0, height, 1, solved, np.zeros((2, 2)))
-    jump_px, bend_px = edge_limits_px(sequence.period_px, width)
+    jump_px, bend_px = edge_limits_px(sequence.period_px, width, sequence.width_px)
     drop_edges(solved.p_px, solved.q_px, jump_px, bend_px)
     drop_new_borders(solved.p_px, solved.q_px, decoder.p_px)
     return LeftMaps(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -48,6 +49,7 @@ def complaints(rig: Rig) -> Iterator[Complaint]:
             f'correct it; usually it is "{USUAL}", and may be left out',
         )
     yield from _exposures_fit(rig)
+    yield from _volume_is_seen(rig)
     if rig.camera.left.serial == rig.camera.right.serial:
         yield Complaint(
             "camera.right.serial",
@@ -150,6 +152,31 @@ def _whole_sub_frames(rig: Rig) -> Iterator[Complaint]:
             "differs from camera.left.exposure_ms",
             f"{left_ms:g}, as on the left",
             "set both alike: what a camera needs more is its gain_db",
+        )
+
+
+def _volume_is_seen(rig: Rig) -> Iterator[Complaint]:
+    """The volume has an order, and the cameras as drawn look into it."""
+    volume = rig.volume
+    if not volume.nearest_mm < volume.working_mm < volume.farthest_mm:
+        yield Complaint(
+            "volume.working_mm",
+            volume.working_mm,
+            "not between volume.nearest_mm and volume.farthest_mm",
+            "nearest_mm < working_mm < farthest_mm",
+            "state the distances that the housing was built for",
+        )
+        return
+    if rig.design.toe_in_deg <= 0.0:
+        return
+    crossing_mm = 0.5 * rig.design.baseline_mm / math.tan(math.radians(rig.design.toe_in_deg))
+    if not volume.nearest_mm <= crossing_mm <= volume.farthest_mm:
+        yield Complaint(
+            "volume.working_mm",
+            volume.working_mm,
+            f"does not fit [design], whose cameras' axes cross at {crossing_mm:.0f} mm",
+            f"a volume that holds this distance; it is {volume.nearest_mm:g}..{volume.farthest_mm:g} mm",
+            "state [volume] for this housing, or correct design.baseline_mm and design.toe_in_deg",
         )
 
 

@@ -16,6 +16,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, ConfigDict, Field, Strict
 from pydantic.dataclasses import dataclass
 
+from appliance.optics.volume import STANDARD
 from drivers.camera_families import USUAL
 
 # A misspelt key must not pass for a default, and TOML has words for inf and nan, which lie within no range.
@@ -190,6 +191,19 @@ class DesignRig:
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
+class VolumeRig:
+    """``[volume]`` (optional): between which distances the housing measures, along its axis from between the projection centres.
+
+    Without it, those of the standard housing.
+    """
+
+    nearest_mm: Annotated[_Real, Field(ge=50.0, le=3000.0)] = STANDARD.nearest_mm
+    working_mm: Annotated[_Real, Field(ge=50.0, le=3000.0)] = STANDARD.working_mm
+    """Distance that is aimed for; what else belongs to the housing's size goes with it."""
+    farthest_mm: Annotated[_Real, Field(ge=50.0, le=3000.0)] = STANDARD.farthest_mm
+
+
+@dataclass(frozen=True, slots=True, config=_CONFIG)
 class LasersRig:
     """``[lasers]`` (optional): the two pointers as drawn, in the rig frame; the left one mirrors the right one.
 
@@ -202,7 +216,7 @@ class LasersRig:
     """Place where the right beam leaves its window."""
     aim_x_mm: Annotated[_Real, Field(ge=0.0, le=200.0)]
     aim_y_mm: Annotated[_Real, Field(ge=-200.0, le=200.0)]
-    aim_z_mm: Annotated[_Real, Field(ge=300.0, le=1000.0)]
+    aim_z_mm: Annotated[_Real, Field(ge=50.0, le=3000.0)]
     """A point of the right beam in the middle of the volume."""
     tolerance_deg: Annotated[_Real, Field(ge=0.01, le=1.0)] = 0.3
     """Standard deviation of how a beam leans against the drawing, to each side."""
@@ -252,6 +266,7 @@ class Rig:
     water: WaterRig
     storage: StorageRig
     design: DesignRig
+    volume: VolumeRig = field(default_factory=VolumeRig)
     limits: LimitsRig = field(default_factory=LimitsRig)
     lasers: LasersRig | None = None
     """Laser pointers; ``None``: none are fitted, and no distance is shown."""

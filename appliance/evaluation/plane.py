@@ -93,7 +93,7 @@ def fit_plane(cloud: PointSource) -> PlaneFit | NotFound:
     rows = finite_rows(cloud.points_mm)
     if rows.size < LEAST_POINTS:
         return NotFound(
-            f"the cloud has only {rows.size} points; bring the plane into the light of the projector, 500 mm away, or see whether the calibration is of this instrument"
+            f"the cloud has only {rows.size} points; bring the plane into the light of the projector, at the working distance, or see whether the calibration is of this instrument"
         )
     points = cloud.points_mm[rows].astype(np.float64)
     plane = _most_agreed(points[thinned(points, CELL_MM)])

@@ -16,6 +16,7 @@ from appliance.machine.choices import Choices, Offers
 from appliance.machine.failure import Failure
 from appliance.machine.transfer import NOT_TOLD, Transfer
 from appliance.machine.words import Label
+from appliance.optics.volume import STANDARD, WorkingVolume
 from appliance.patterns.sequence import PERIODS_PX, build_sequence
 from appliance.ranging.reach import Range, Reach
 from appliance.scan.exposure import Exposure
@@ -155,6 +156,8 @@ class Settings:
     """Time for which the question whether to switch off waits for an answer."""
     insist_s: float = 10.0
     """Time for which SCAN outside the measuring volume waits to be pressed again."""
+    volume: WorkingVolume = STANDARD
+    """Range in which the housing measures."""
 
     def light_s(self, period_px: int) -> float:
         """Return for how long a sequence shines."""

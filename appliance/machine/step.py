@@ -125,7 +125,9 @@ def _react(machine: Machine, event: on.Event) -> Result:
         case on.Ranged(measured):
             # The word keeps a memory (hysteresis), so that it does not flicker where the distance lies at a
             # limit.
-            return replace(machine, range=measured, reach=reach_of(measured, machine.reach)), ()
+            return replace(
+                machine, range=measured, reach=reach_of(measured, machine.reach, machine.settings.volume)
+            ), ()
         case on.ScansListed(scans):
             return gallery.listed(machine, scans)
         case on.StopRequested():

@@ -29,6 +29,10 @@ class Words:
         """Return the phrase as that language has it."""
         return self.german if language is Language.GERMAN else self.english
 
+    def filled(self, language: Language, *numbers: float) -> str:
+        """Return an entry that has places for numbers as that language has it, with ``numbers`` in them."""
+        return self.in_language(language).format(*numbers)
+
 
 @unique
 class Text(Enum):
@@ -172,8 +176,7 @@ class Text(Enum):
     PLANE = ("PLANE", "EBENE")
     LYING = ("LYING, ONE END 35° NEARER", "LIEGEND, EIN ENDE 35° NÄHER")
     UPRIGHT = ("UPRIGHT, ONE END 35° NEARER", "STEHEND, EIN ENDE 35° NÄHER")
-    PLANE_NEAR = ("470 mm AWAY, FILLS THE PICTURE", "470 mm VOR DEM GERÄT, BILDFÜLLEND")
-    PLANE_FAR = ("570 mm AWAY, FILLS THE PICTURE", "570 mm VOR DEM GERÄT, BILDFÜLLEND")
+    PLANE_AWAY = ("{:.0f} mm AWAY, FILLS THE PICTURE", "{:.0f} mm VOR DEM GERÄT, BILDFÜLLEND")
     LEVEL = ("SLANTED, BOTH ENDS EQUALLY FAR", "SCHRÄG, BEIDE ENDEN GLEICH WEIT")
     FRONT = ("FRONT", "VORN")
     FROM_ABOVE = ("ABOVE", "VON OBEN")
@@ -209,8 +212,7 @@ class Text(Enum):
     IN_DEPTH_20_50 = ("IN DEPTH; 20° TO 50° IS RIGHT", "IN DIE TIEFE; RICHTIG: 20° BIS 50°")
     IN_DEPTH_15 = ("IN DEPTH; UP TO 15° IS RIGHT", "IN DIE TIEFE; RICHTIG: BIS 15°")
     PLANE_35 = ("UP TO 35° IS RIGHT", "RICHTIG: BIS 35°")
-    NEAR_RANGE = ("430 TO 515 mm IS RIGHT", "RICHTIG: 430 BIS 515 mm")
-    FAR_RANGE = ("530 TO 620 mm IS RIGHT", "RICHTIG: 530 BIS 620 mm")
+    RIGHT_RANGE = ("{:.0f} TO {:.0f} mm IS RIGHT", "RICHTIG: {:.0f} BIS {:.0f} mm")
     FILL_45 = ("45 % IS NEEDED", "45 % NÖTIG")
     STILL_AND_AGAIN = ("HOLD STILL, RECORD AGAIN", "STILLHALTEN, NOCH EINMAL")
     RECORD_AGAIN = ("RECORD IT AGAIN", "NOCH EINMAL AUFNEHMEN")
@@ -278,6 +280,10 @@ class Text(Enum):
     def in_language(self, language: Language) -> str:
         """Return the entry as that language has it."""
         return self.german if language is Language.GERMAN else self.english
+
+    def filled(self, language: Language, *numbers: float) -> str:
+        """Return an entry that has places for numbers as that language has it, with ``numbers`` in them."""
+        return self.in_language(language).format(*numbers)
 
 
 STEP_NAMES: Mapping[Step, Text] = {

@@ -105,7 +105,7 @@ def _made(source: SourceScan, chosen: Chosen) -> dict[str, NDArray[Any]]:
 
 def ready_scan(made: OrganisedScan, calibration: Calibration) -> ReadyScan:
     """Prepare a scan's points for ``register`` and ``solve``; ``calibration``: the one that they were made with."""
-    return ready(made.cloud, calibration.rig.left, made.water.index, light_of(calibration))
+    return ready(made.cloud, calibration.rig.left, made.water.index, light_of(calibration), calibration.rig.volume)
 
 
 def light_of(calibration: Calibration) -> NDArray[np.float64]:
@@ -131,7 +131,15 @@ def solve_object(
     for member in clouds_of(
         root, stored_object, wish, lambda what, part: progress(what, None if part is None else 0.5 * part)
     ):
-        scans.append(ready(member.cloud, member.calibration.rig.left, member.water_index, light_of(member.calibration)))
+        scans.append(
+            ready(
+                member.cloud,
+                member.calibration.rig.left,
+                member.water_index,
+                light_of(member.calibration),
+                member.calibration.rig.volume,
+            )
+        )
         used.append(member.calibration)
         clouds.append((member.scan.name, member.calibration.hash, member.water_index, member.verdicts))
     # Scans of several calibrations share no error that one of them states.
@@ -239,7 +247,9 @@ def placed_scans(root: Path, stored_object: StoredObject, wish: Wish, progress: 
     for member in clouds_of(root, kept, wish, progress):
         place, cloud = places.places[member.scan.name], member.cloud
         if places.shared_error_removed:
-            points = corrected(cloud.points_mm.astype(np.float64), shared).astype(np.float32)
+            points = corrected(cloud.points_mm.astype(np.float64), shared, member.calibration.rig.volume).astype(
+                np.float32
+            )
             cloud = replace(cloud, points_mm=points)
         yield PlacedScan(
             cloud, np.array(place.rotation), np.array(place.translation_mm), _beside_others(places, member.scan.name)

@@ -11,6 +11,7 @@ from appliance.optics.correction import SUBSTITUTIONS, TOLERANCE_PX, ImageCorrec
 from appliance.optics.pinhole import Lens
 from appliance.optics.port import Port, air_directions, water_rays
 from appliance.optics.ray_shift import RayShift
+from appliance.optics.volume import STANDARD, WorkingVolume
 
 Array = NDArray[np.float64]
 Matrix3 = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
@@ -94,6 +95,8 @@ class StereoRig:
 
     left: HousedCamera
     right: HousedCamera
+    volume: WorkingVolume = STANDARD
+    """Range in which they measure, as the rig file states it."""
 
     def volume_centre_mm(self, water_index: float) -> Array:
         """Return the point (3,) in the left camera frame, in mm, where the two central rays come nearest: the middle of the

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.optics.model import HousedCamera
+from appliance.optics.volume import STANDARD, WorkingVolume
 from appliance.ranging.beams import PointerBeam
 from appliance.ranging.rig_frame import RigFrame
 
@@ -21,9 +22,8 @@ Array = NDArray[np.float64]
 
 COARSE_PX = 400
 """Width of the image in which dots are looked for; larger ones are averaged down to it."""
-NEAREST_MM, FARTHEST_MM = 350.0, 720.0
-"""Depths in the rig frame between which a dot is looked for."""
-DEPTH_STEP_MM = 2.0
+_NEAREST_MM, _FARTHEST_MM = 350.0, 720.0
+_DEPTH_STEP_MM = 2.0
 BAND_SIGMAS = 3.5
 BAND_PX = 2.0
 """Width in coarse px to each side of the beam's curve that is searched, too: what a dot's own width and texture do."""
@@ -50,12 +50,29 @@ class Candidate:
     """Height of the dot over the brightest around it."""
 
 
+def dot_range_mm(volume: WorkingVolume) -> tuple[float, float]:
+    """Return the depths in the rig frame between which a dot is looked for: well before and behind the volume."""
+    return volume.scaled(_NEAREST_MM), volume.scaled(_FARTHEST_MM)
+
+
+def dot_depths_mm(volume: WorkingVolume) -> Array:
+    """Return depths (n,) over that range, so close that a beam between two of them is straight in every picture."""
+    return np.arange(*dot_range_mm(volume), volume.scaled(_DEPTH_STEP_MM))
+
+
 class Lane:
     """The part of one camera's image in which one beam's dot can be."""
 
-    def __init__(self, camera: HousedCamera, frame: RigFrame, water_index: float, beam: PointerBeam) -> None:
+    def __init__(
+        self,
+        camera: HousedCamera,
+        frame: RigFrame,
+        water_index: float,
+        beam: PointerBeam,
+        volume: WorkingVolume = STANDARD,
+    ) -> None:
         self._step = step = max(1, camera.width_px // COARSE_PX)
-        z = np.arange(NEAREST_MM, FARTHEST_MM, DEPTH_STEP_MM)
+        z = dot_depths_mm(volume)
         curve = camera.project(frame.to_left(beam.at(z)), water_index)
         # How many px a mm across the beam is: from a neighbour line, so that no pinhole is assumed.
         aside = camera.project(frame.to_left(beam.at(z) + np.array([0.0, 1.0, 0.0])), water_index)

@@ -13,22 +13,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.optics.model import HousedCamera
+from appliance.optics.volume import STANDARD, WorkingVolume
 from appliance.patterns.sequence import BRIGHT_CODE, DARK_CODE
 from appliance.ranging.beams import Pointers
-from appliance.ranging.dots import FARTHEST_MM, NEAREST_MM
+from appliance.ranging.dots import dot_depths_mm
 
 LEAN_SIGMAS = 3.0
 AROUND_MM = 5.0
 """Around a dot's middle: what it is compared with."""
-DEPTH_STEP_MM = 2.0
 
 
-def live_light(projector: HousedCamera, pointers: Pointers | None, water_index: float) -> NDArray[np.uint8]:
+def live_light(
+    projector: HousedCamera, pointers: Pointers | None, water_index: float, volume: WorkingVolume = STANDARD
+) -> NDArray[np.uint8]:
     """Return the codes (h, w) uint8 of the live views' light. ``projector`` as drawn, its frame the rig's."""
     picture = np.full((projector.height_px, projector.width_px), BRIGHT_CODE, np.uint8)
     if pointers is None:
         return picture
-    z = np.arange(NEAREST_MM, FARTHEST_MM, DEPTH_STEP_MM)
+    z = dot_depths_mm(volume)
     for beam in pointers.beams():
         at = projector.project(beam.at(z), water_index)
         aside = projector.project(beam.at(z) + np.array([1.0, 0.0, 0.0]), water_index)

@@ -8,13 +8,10 @@ import numpy as np
 
 from appliance.optics.model import StereoRig
 from appliance.ranging.beams import PointerBeam
-from appliance.ranging.reach import FARTHEST_MM, NEAREST_MM
 from appliance.ranging.rig_frame import RigFrame
 
 Place = tuple[float, float]
 """Position in shares of a picture's width and height, from its upper left corner."""
-WORKING_MM = 500.0
-"""The distance that is aimed for: the middle of the measuring volume."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +34,7 @@ class Marks:
 def marks_of(rig: StereoRig, frame: RigFrame, water_index: float, beams: tuple[PointerBeam, PointerBeam]) -> Marks:
     """Return the marks for beams as they are known now, by the calibration in use, through the windows and the
     water."""
-    z_mm = np.array([NEAREST_MM, WORKING_MM, FARTHEST_MM])
+    z_mm = np.array([rig.volume.nearest_mm, rig.volume.working_mm, rig.volume.farthest_mm])
     sides = []
     for camera in (rig.left, rig.right):
         tracks = []

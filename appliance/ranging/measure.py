@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from appliance.optics.model import StereoRig
 from appliance.ranging.beams import DOT_SD_MM, PointerBeam
-from appliance.ranging.dots import FARTHEST_MM, NEAREST_MM, Candidate, Lane
+from appliance.ranging.dots import Candidate, Lane, dot_range_mm
 from appliance.ranging.marks import Marks, marks_of
 from appliance.ranging.other_camera import OtherCamera
 from appliance.ranging.reach import Range
@@ -133,6 +133,7 @@ class Ranger:
         self._measured = measured
         self._gap_mm = GAP_MM if measured else DRAWN_GAP_MM
         self._step = max(1.0, rig.left.width_px / 400.0)
+        self._range_mm = dot_range_mm(rig.volume)
         self._beams = list(beams)
         self._lanes = [self._lanes_of(beam) for beam in beams]
         self._other_camera = OtherCamera(rig, self.frame, water_index)
@@ -181,7 +182,7 @@ class Ranger:
             if dot is None or dot.cameras < 2 or not self._measured:
                 continue
             beam = self._beams[number] = self._beams[number].taught(np.array(dot.place_mm))
-            before, z = self._seen_by[number], np.array([NEAREST_MM, FARTHEST_MM])
+            before, z = self._seen_by[number], np.array(self._range_mm)
             # A lane costs far more than a dot: it is made anew only when the beam has moved, or narrowed, by a
             # noticeable amount.
             moved = np.abs(beam.at(z) - before.at(z)).max() > REBUILD_MM
@@ -203,7 +204,10 @@ class Ranger:
 
     def _lanes_of(self, beam: PointerBeam) -> tuple[Lane, Lane]:
         rig, frame, index = self._rig, self.frame, self._index
-        return Lane(rig.left, frame, index, beam), Lane(rig.right, frame, index, beam)
+        return (
+            Lane(rig.left, frame, index, beam, rig.volume),
+            Lane(rig.right, frame, index, beam, rig.volume),
+        )
 
     def _find(self, number: int, images: Images) -> _Found:
         """Return candidates for one pointer's dot."""
@@ -258,7 +262,7 @@ class Ranger:
         z = float(place[2])
         if not self._measured and min(a.contrast_dn, b.contrast_dn) < DRAWN_LEAST_DN:
             return None
-        if gap_mm > self._gap_mm or not NEAREST_MM <= z <= FARTHEST_MM:
+        if gap_mm > self._gap_mm or not self._range_mm[0] <= z <= self._range_mm[1]:
             return None
         off_mm, sd_mm = float(np.linalg.norm((beam.at(np.array(z)) - place)[:2])), float(beam.sd_mm(np.array(z)))
         own_mm = DOT_SD_MM if self._measured else DRAWN_SD_MM
@@ -276,13 +280,13 @@ class Ranger:
 
     def _single(self, beam: PointerBeam, one: _Sighted) -> Dot | None:
         """Return the point where the ray of one camera meets the beam."""
-        ends = beam.at(np.array([NEAREST_MM, FARTHEST_MM]))
+        ends = beam.at(np.array(self._range_mm))
         # One ray and the beam, which takes the place of the other camera: the same intersection with the beam's
         # uncertainty in it.
         along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
         place, gap_mm, sine = _nearest(ends[0], along, one.start_mm, one.ahead)
         z = float(place[2])
-        if not NEAREST_MM <= z <= FARTHEST_MM:
+        if not self._range_mm[0] <= z <= self._range_mm[1]:
             return None
         sd_mm = float(beam.sd_mm(np.array(z)))
         if gap_mm > MOST_SIGMAS * math.hypot(sd_mm, DOT_SD_MM):

@@ -11,16 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.optics.model import StereoRig
-from appliance.ranging.dots import COARSE_PX, EDGE_PX, FARTHEST_MM, contrast_of
+from appliance.ranging.dots import COARSE_PX, EDGE_PX, contrast_of, dot_range_mm
 from appliance.ranging.rig_frame import RigFrame
 
 Array = NDArray[np.float64]
 
-BEGIN_MM = 150.0
-"""Depth in the rig frame from which the ray is searched; what is nearer is out of focus and before one camera alone."""
-NEAR_MM, FAR_MM = 330.0, 620.0
-"""Depths between which the other camera must see the ray; nearer and farther, as far as its picture goes."""
-STEP_MM = 4.0
+_BEGIN_MM = 150.0
+"""Depth, of the standard housing, in the rig frame from which the ray is searched; what is nearer is out of focus and before one camera alone."""
+_NEAR_MM, _FAR_MM = 330.0, 620.0
+"""Depths, of the standard housing, between which the other camera must see the ray; nearer and farther, as far as its picture goes."""
+_STEP_MM = 4.0
 HALF_PX = 3
 """Half width of the band that is looked at along the ray's image, coarse px: a calibration's error, and the size of what is looked for."""
 LIKE = 0.25
@@ -32,6 +32,10 @@ class OtherCamera:
 
     def __init__(self, rig: StereoRig, frame: RigFrame, water_index: float) -> None:
         self._cameras, self._frame, self._index = (rig.left, rig.right), frame, water_index
+        volume = rig.volume
+        farthest_mm = dot_range_mm(volume)[1]
+        self._depths_mm = np.arange(volume.scaled(_BEGIN_MM), farthest_mm, volume.scaled(_STEP_MM))
+        self._in_volume = (self._depths_mm >= volume.scaled(_NEAR_MM)) & (self._depths_mm <= volume.scaled(_FAR_MM))
 
     def sees_nothing_like(
         self, side: int, start_mm: Array, ahead: Array, images: tuple[NDArray[np.uint8], NDArray[np.uint8]],
@@ -41,15 +45,14 @@ class OtherCamera:
         the direction ``ahead`` (3,), rig frame, as far as the volume goes, and sees nothing of ``LIKE`` times the
         contrast."""
         camera, image = self._cameras[1 - side], images[1 - side]
-        z_mm = np.arange(BEGIN_MM, FARTHEST_MM, STEP_MM)
+        z_mm = self._depths_mm
         way = start_mm + ((z_mm - start_mm[2]) / ahead[2])[:, None] * ahead
         step = max(1, camera.width_px // COARSE_PX)
         seen = (camera.project(self._frame.to_left(way), self._index) + 0.5) / step - 0.5
         h, w = camera.height_px // step, camera.width_px // step
         inside = np.asarray(np.isfinite(seen).all(axis=1))
         inside &= ((seen >= EDGE_PX) & (seen <= (w - 1 - EDGE_PX, h - 1 - EDGE_PX))).all(axis=1)
-        in_volume = (z_mm >= NEAR_MM) & (z_mm <= FAR_MM)
-        if not inside[in_volume].all():
+        if not inside[self._in_volume].all():
             return False
         seen = seen[inside]
         x0, y0 = (int(v) for v in np.floor(seen.min(axis=0)) - EDGE_PX)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-NEAREST_MM, FARTHEST_MM = 440.0, 560.0
-"""Limits of the measuring volume: 120 mm around the working distance of 500 mm."""
+from appliance.optics.volume import STANDARD, WorkingVolume
+
 HYSTERESIS_MM = 4.0
 """A word stays until the distance is so far beyond its limit: hands tremble by 1 to 2 mm."""
 
@@ -36,14 +36,18 @@ class Reach(Enum):
     """No dot is seen: nobody knows."""
 
 
-def reach_of(measured: Range | None, before: Reach = Reach.UNKNOWN) -> Reach:
-    """Return the word for a distance; ``before``, the word shown now, is kept while the distance is within
+def reach_of(measured: Range | None, before: Reach = Reach.UNKNOWN, volume: WorkingVolume = STANDARD) -> Reach:
+    """Return the word for a distance in a housing's volume; ``before``, the word shown now, is kept while the distance is within
     ``HYSTERESIS_MM`` of the limit it crossed."""
     if measured is None:
         return Reach.UNKNOWN
     distance_mm = measured.distance_mm
-    least = NEAREST_MM + (HYSTERESIS_MM if before is Reach.BACK else -HYSTERESIS_MM if before is Reach.OK else 0.0)
-    most = FARTHEST_MM + (HYSTERESIS_MM if before is Reach.OK else -HYSTERESIS_MM if before is Reach.CLOSER else 0.0)
+    least = volume.nearest_mm + (
+        HYSTERESIS_MM if before is Reach.BACK else -HYSTERESIS_MM if before is Reach.OK else 0.0
+    )
+    most = volume.farthest_mm + (
+        HYSTERESIS_MM if before is Reach.OK else -HYSTERESIS_MM if before is Reach.CLOSER else 0.0
+    )
     if distance_mm < least:
         return Reach.BACK
     return Reach.CLOSER if distance_mm > most else Reach.OK

@@ -34,11 +34,12 @@ def first_direction_cloud(
     direction has none. What the projector's response bends coordinates by stays in them; it moves both cameras' alike. Raises ValueError
     for too few frames, OneDirectionError.
     """
-    kept = limits or QualityLimits()
+    volume = calibration.rig.volume
+    kept = (limits or QualityLimits()).of(volume)
     needed = sequence.axis(Direction.X).sine[-1] + 1
     decoded = {side: _decoded(frames[side], sequence, needed) for side in SIDES}
     left = decoded["left"]
-    jump_px, bend_px = edge_limits_px(sequence.period_px, left.p_px.shape[1])
+    jump_px, bend_px = edge_limits_px(sequence.period_px, left.p_px.shape[1], sequence.width_px)
     found = match_along_curves(
         left.p_px,
         decoded["right"].p_px,
@@ -53,7 +54,7 @@ def first_direction_cloud(
             float(jump_px),
             float(bend_px),
             kept.max_sigma_mm,
-            kept.max_step_mm * 1600.0 / left.p_px.shape[1],
+            volume.scaled(kept.max_step_mm) * 1600.0 / left.p_px.shape[1],
             kept.min_neighbours,
         ),
     )

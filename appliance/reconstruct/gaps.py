@@ -23,7 +23,8 @@ SAMPLES = 5_000
 """Number of left pixels that are asked: a hundred in each patch of a lit image, so that noise is a tenth of that of a point."""
 MAX_GAP_MM = np.float32(20.0)
 """Largest gap in mm; beyond, it is a false match: no camera that still sees the fringes is knocked so far."""
-MIN_DEPTH_MM, MAX_DEPTH_MM = np.float32(300.0), np.float32(900.0)
+_DEPTHS_MM = (300.0, 900.0)
+"""Depths of the standard housing between which gaps are taken."""
 _NAN = np.float32(np.nan)
 _COLUMNS = 5
 
@@ -35,6 +36,7 @@ def _sample(
     right: RightMaps,
     rays: Rays,
     stride: int,
+    depths_mm: tuple[np.float32, np.float32],
     found: NDArray[np.float32],
 ) -> int:
     """Write u, v, u', v' in px and the signed gap in mm of every ``stride``-th pixel that has a match; return how many."""
@@ -50,7 +52,7 @@ def _sample(
         triangulate_row(rays, y, 0, stride, s, s, n)
         # Limits are wider than those of points: a knock shows in what they would leave out.
         for x in range(n):
-            if not (MIN_DEPTH_MM < s[Z + x] < MAX_DEPTH_MM):
+            if not (depths_mm[0] < s[Z + x] < depths_mm[1]):
                 continue
             # n = (ax, ay, 1) × (bx, by, 1).
             ax, ay, bx, by = s[SX1 + x], s[SY1 + x], s[SX2 + x], s[SY2 + x]
@@ -73,6 +75,8 @@ class GapSampler:
         self._stride = max(1, round((width_px * height_px / SAMPLES) ** 0.5))
         most = -(-width_px // self._stride) * -(-height_px // self._stride)
         self._found = np.empty((most, _COLUMNS), np.float32)
+        low, high = _DEPTHS_MM
+        self._depths_mm = np.float32(modes.volume.scaled(low)), np.float32(modes.volume.scaled(high))
 
     def measure(
         self,
@@ -82,6 +86,6 @@ class GapSampler:
         rays: Rays,
     ) -> PatchGaps:
         """Return the gaps of a decoded scan; ``right`` with its inverse map filled."""
-        count = int(_sample(p_px, q_px, right, rays, self._stride, self._found))
+        count = int(_sample(p_px, q_px, right, rays, self._stride, self._depths_mm, self._found))
         found = self._found[:count].astype(np.float64)
         return average(self._modes, found[:, 0:2], found[:, 2:4], 1000.0 * found[:, 4])

@@ -102,8 +102,9 @@ class Pipeline:
         """The bend of this scan's coordinates; ``None``: not measured yet."""
         self._noisier = np.float32(1.0)
         """Factor by which taking it out multiplied the variance of the scan's coordinates."""
-        self._limits = limits or QualityLimits()
-        self._pixel_mm = 0.16 * 1600.0 / left.width_px
+        volume = calibration.rig.volume
+        self._limits = (limits or QualityLimits()).of(volume)
+        self._pixel_mm = volume.scaled(0.16) * 1600.0 / left.width_px
         self._veil: VeilFringes | None = None
         self._frames: dict[str, NDArray[np.uint8]] = {}
         self._bright: NDArray[np.uint8] | None = None

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.optics.volume import WorkingVolume
 from appliance.reconstruct.select import Points
 
 
@@ -18,11 +19,18 @@ class QualityLimits:
     """Rays of a true correspondence pass at a few hundredths of a millimetre; calibration drift adds to it."""
     max_sigma_mm: float = 0.5
     min_depth_mm: float = 380.0
+    """Depths, here and below, of the standard housing; ``of`` takes them to another."""
     max_depth_mm: float = 680.0
     max_step_mm: float = 1.5
     """Allowed distance in depth to the median of the 3 × 3 neighbours at full resolution; scales with the pixel."""
     min_neighbours: int = 5
     """Least number of neighbours, of eight; fewer is a fragment of an edge."""
+
+    def of(self, volume: WorkingVolume) -> QualityLimits:
+        """Return the same limits for a housing of that volume, given those for the standard one."""
+        return replace(
+            self, min_depth_mm=volume.scaled(self.min_depth_mm), max_depth_mm=volume.scaled(self.max_depth_mm)
+        )
 
 
 @dataclass(frozen=True, slots=True)

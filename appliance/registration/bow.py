@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from appliance.calibration.depth_error import BORDER, DISTANCE_MM, POWERS, along_ray, shapes
+from appliance.optics.volume import STANDARD, WorkingVolume
 from appliance.registration.patches import Array
 
 _USUAL_MM = {2: 0.030, 3: 0.020, 4: 0.010, 5: 0.007}
@@ -67,27 +68,30 @@ def bow_score(found_mm: Array, known_mm2: Array, left_mm2: Array) -> float | Non
 
 
 def spread_mm(covariance_mm2: Array) -> float:
-    """Return the RMS depth over the view that coefficients of this covariance (k, k) may have, at 525 mm."""
+    """Return the RMS depth over the view that coefficients of this covariance (k, k) may have, at 525 mm in the standard housing, and
+    at as much in proportion in any other."""
     u, v = np.meshgrid(np.linspace(-1.0, 1.0, 9), np.linspace(-0.75, 0.75, 7))
     points = DISTANCE_MM * np.stack([BORDER * u, BORDER * v, np.ones_like(u)], axis=-1)
     of_view = shapes(points)
     return float(np.sqrt(np.einsum("...i,ij,...j->...", of_view, covariance_mm2, of_view).mean()))
 
 
-def corrected(points_mm: Array, coefficients_mm: Array) -> Array:
+def corrected(points_mm: Array, coefficients_mm: Array, volume: WorkingVolume = STANDARD) -> Array:
     """Return points (…, 3) of a scan's own frame with the shared error taken out."""
-    error = shapes(points_mm) @ coefficients_mm
+    error = shapes(points_mm, volume) @ coefficients_mm
     return np.asarray(points_mm - along_ray(points_mm) * error[..., None])
 
 
-def derivatives(normal_a: Array, at_a_mm: Array, at_b_mm: Array, rotation: Array) -> Array:
+def derivatives(
+    normal_a: Array, at_a_mm: Array, at_b_mm: Array, rotation: Array, volume: WorkingVolume = STANDARD
+) -> Array:
     """Return ∂r/∂c (n, k): how the distance of B's patches from A's planes changes with the shared error.
 
     ``at_a_mm``: the places (n, 3) in A's frame, ``at_b_mm``: the same in B's, ``rotation``: from B's frame into A's.
     """
     of_b = (normal_a * (along_ray(at_b_mm) @ rotation.T)).sum(-1)
     of_a = (normal_a * along_ray(at_a_mm)).sum(-1)
-    return np.asarray(of_b[:, None] * shapes(at_b_mm) - of_a[:, None] * shapes(at_a_mm))
+    return np.asarray(of_b[:, None] * shapes(at_b_mm, volume) - of_a[:, None] * shapes(at_a_mm, volume))
 
 
 def news_of(J: Array, S_inverse: Array, B: Array, w: Array, r: Array, overdispersion: float) -> BowNews:

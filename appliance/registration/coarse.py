@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.optics.rotation import rotation_matrix
+from appliance.optics.volume import WorkingVolume
 from appliance.registration.features import Features
 from appliance.registration.fine import Prepared
 from appliance.registration.patches import Array
@@ -34,6 +35,7 @@ SOURCES = 260
 """Patches that lead each start of the search by shape."""
 FEWEST_SOURCES = 50
 SHIFTS_MM = (-110.0, -55.0, 0.0, 55.0, 110.0)
+"""Starts of the search of scans of the standard housing."""
 ROLLS_DEG = (0.0, 30.0, -30.0, 60.0, -60.0, 90.0, -90.0, 120.0, -120.0, 150.0, -150.0, 180.0)
 ITERATIONS = 16
 WIDE_MM, NARROW_MM = 35.0, 1.5
@@ -135,7 +137,7 @@ def guess_by_shape(a: Prepared, b: Prepared, near: Rigid | None = None, most: in
     c, n = pb.centre_mm.reshape(-1, 3)[source], pb.normal.reshape(-1, 3)[source]
     middle_a = np.median(pa.centre_mm[pa.valid], axis=0)
     middle_b = np.median(c, axis=0)
-    rotation, shift = _starts(middle_a, middle_b, near)
+    rotation, shift = _starts(middle_a, middle_b, near, pa.projection.volume)
     gates = np.geomspace(WIDE_MM, NARROW_MM, ITERATIONS)
     share = np.zeros(len(rotation))
     for step, gate in enumerate(gates):
@@ -164,13 +166,14 @@ def _spread_over_normals(normal: Array, valid: NDArray[np.int64]) -> NDArray[np.
     return np.asarray(valid[np.sort(chosen)])
 
 
-def _starts(middle_a: Array, middle_b: Array, near: Rigid | None) -> tuple[Array, Array]:
+def _starts(middle_a: Array, middle_b: Array, near: Rigid | None, volume: WorkingVolume) -> tuple[Array, Array]:
     if near is not None:
         rolls: tuple[float, ...] = (0.0, 12.0, -12.0)
         shifts: tuple[float, ...] = (-30.0, 0.0, 30.0)
         base, to = near.rotation, near.of(middle_b)
     else:
-        rolls, shifts, base, to = ROLLS_DEG, SHIFTS_MM, np.eye(3), middle_a
+        rolls, base, to = ROLLS_DEG, np.eye(3), middle_a
+        shifts = tuple(volume.scaled(shift) for shift in SHIFTS_MM)
     rotations, translations = [], []
     for roll in rolls:
         turn = rotation_matrix(np.array([0.0, 0.0, np.radians(roll)])) @ base

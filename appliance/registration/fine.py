@@ -220,7 +220,7 @@ def _judged(a: Prepared, b: Prepared, pose: Rigid, with_paint: bool) -> Fit | No
 def _bow(system: System, laid: Laid, b: Prepared, pose: Rigid, resistance: Resistance) -> BowNews:
     at_b = b.patches.centre_mm.reshape(-1, 3)[laid.source]
     B = np.zeros((len(system.r), COUNT))
-    B[: len(at_b)] = derivatives(laid.normal_a, laid.x_mm, at_b, pose.rotation)
+    B[: len(at_b)] = derivatives(laid.normal_a, laid.x_mm, at_b, pose.rotation, b.patches.projection.volume)
     J = 0.5 * (system.J + system.Z)
     # Residuals of a tile err together: so many times are sums of them more uncertain than of independent ones.
     independent = np.einsum("ni,ni,n->", J, J, (system.w * system.r) ** 2)

@@ -12,6 +12,7 @@ from enum import Enum
 import numpy as np
 
 from appliance.optics.model import HousedCamera
+from appliance.optics.volume import STANDARD, WorkingVolume
 from appliance.reconstruct.organised import OrganisedCloud
 from appliance.registration.albedo import Paint, paint_of
 from appliance.registration.coarse import Guess, guess_by_features, guess_by_shape, same
@@ -79,9 +80,15 @@ class RegisteredPair:
         return self.refusal is None
 
 
-def ready(cloud: OrganisedCloud, camera: HousedCamera, water_index: float, light_mm: Array) -> ReadyScan:
+def ready(
+    cloud: OrganisedCloud,
+    camera: HousedCamera,
+    water_index: float,
+    light_mm: Array,
+    volume: WorkingVolume = STANDARD,
+) -> ReadyScan:
     """Prepare a scan for registration. ``light_mm``: where the projector's light comes from, in the left camera's frame."""
-    return ready_with(cloud, projection_of(camera, water_index), light_mm)
+    return ready_with(cloud, projection_of(camera, water_index, volume), light_mm)
 
 
 def ready_with(cloud: OrganisedCloud, projection: Projection, light_mm: Array) -> ReadyScan:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.optics.model import HousedCamera
+from appliance.optics.volume import STANDARD, WorkingVolume
 from appliance.reconstruct.organised import OrganisedCloud
 
 Array = NDArray[np.float64]
@@ -49,7 +50,7 @@ MAX_AROUND_MM = 0.6
 BRIDGED_SIGMA_MM = 0.5
 """Standard deviation of a bridged patch: so much that only its grey value counts."""
 DEPTHS_MM = (330.0, 420.0, 520.0, 640.0, 780.0)
-"""Depths between which the projection is interpolated."""
+"""Depths of the standard housing between which the projection is interpolated."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,6 +66,8 @@ class Projection:
     spread: Array
     size_px: tuple[int, int]
     """(h, w)."""
+    volume: WorkingVolume = STANDARD
+    """Range of the housing that it was fitted for."""
 
     def pixels(self, points_mm: Array) -> Array:
         """Return (…, 2) column and row, px, of points (…, 3) in the camera's frame; NaN for points that are not before it."""
@@ -87,20 +90,21 @@ def _cubic(a: Array, b: Array, t: Array) -> Array:
     )  # fmt: skip
 
 
-def projection_of(camera: HousedCamera, water_index: float) -> Projection:
-    """Fit the projection of a camera in water of ``water_index`` to its own refracted rays."""
+def projection_of(camera: HousedCamera, water_index: float, volume: WorkingVolume = STANDARD) -> Projection:
+    """Fit the projection of a camera in water of ``water_index`` to its own refracted rays, over the depths of its housing."""
+    depths_mm = [volume.scaled(depth) for depth in DEPTHS_MM]
     u, v = np.meshgrid(np.linspace(0, camera.width_px - 1, 24), np.linspace(0, camera.height_px - 1, 18))
     uv = np.stack([u.ravel(), v.ravel()], axis=1)
     origin, direction = camera.rays(uv, water_index)
     points = np.concatenate(
-        [origin + direction * ((depth - origin[:, 2]) / direction[:, 2])[:, None] for depth in DEPTHS_MM]
+        [origin + direction * ((depth - origin[:, 2]) / direction[:, 2])[:, None] for depth in depths_mm]
     )
-    seen = np.tile(uv, (len(DEPTHS_MM), 1))
+    seen = np.tile(uv, (len(depths_mm), 1))
     value = np.stack([points[:, 0] / points[:, 2], points[:, 1] / points[:, 2], 1.0 / points[:, 2]], axis=1)
     centre, spread = np.asarray(value.mean(axis=0)), np.asarray(value.std(axis=0))
     a, b, t = ((value - centre) / spread).T
     terms = np.asarray(np.linalg.lstsq(_cubic(a, b, t), seen, rcond=None)[0], np.float64)
-    return Projection(terms, centre, spread, (camera.height_px, camera.width_px))
+    return Projection(terms, centre, spread, (camera.height_px, camera.width_px), volume)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from appliance.calibration.guide import HELD, STEPS, UNITS, USED, RecordingCheck, Refusal, Session, Step, Verified
+from appliance.calibration.poses import plane_place
 from appliance.calibration.recordings import ArtefactKind
 from appliance.machine.failure import FailureKind
 from appliance.machine.states import Task
@@ -30,8 +31,8 @@ _TICKS_PX = 24.0
 _HOLD = {
     Step.M1: (Text.LYING, Text.FROM_ABOVE),
     Step.M2: (Text.UPRIGHT, Text.FROM_THE_SIDE),
-    Step.M3: (Text.PLANE_NEAR, Text.FROM_THE_SIDE),
-    Step.M4: (Text.PLANE_FAR, Text.FROM_THE_SIDE),
+    Step.M3: (Text.PLANE_AWAY, Text.FROM_THE_SIDE),
+    Step.M4: (Text.PLANE_AWAY, Text.FROM_THE_SIDE),
     Step.VERIFY: (Text.LEVEL, Text.FROM_ABOVE),
 }
 _VERDICTS = {
@@ -59,7 +60,7 @@ def draw_calibrate(canvas: Canvas, view: CalibrateView, language: Language, time
     bottom = alerts_top(canvas, view.alerts) + (-4 if view.alerts else 8)
     free = bottom - _latest_px(view)
     if view.step in HELD:
-        _how(canvas, view.step, free, language)
+        _how(canvas, view, free, language)
         _live(canvas, view, free, language)
     elif view.step is Step.SOLVE:
         _solve(canvas, view, free, language)
@@ -118,7 +119,7 @@ def refusal_words(check: RecordingCheck) -> tuple[Text, Text]:
             return Text.TILT_LESS, right
         case Refusal.TOO_NEAR | Refusal.TOO_FAR:
             what = Text.TOO_NEAR if check.refusal is Refusal.TOO_NEAR else Text.TOO_FAR
-            return what, Text.NEAR_RANGE if check.step is Step.M3 else Text.FAR_RANGE
+            return what, Text.RIGHT_RANGE
         case Refusal.NOT_FILLED:
             return Text.NOT_FILLED, Text.FILL_45
         case Refusal.MOVED:
@@ -127,14 +128,15 @@ def refusal_words(check: RecordingCheck) -> tuple[Text, Text]:
             return Text.WRONG_PATTERN, Text.RECORD_AGAIN
 
 
-def _how(canvas: Canvas, step: Step, bottom: float, language: Language) -> None:
+def _how(canvas: Canvas, view: CalibrateView, bottom: float, language: Language) -> None:
     """Draw two sketches side by side, and the same in words; smaller where what is below needs the room."""
+    step = view.step
     words, depth = _HOLD[step]
     # 92 px are the caption below the sketches and two lines of words.
     size = min(_SKETCH_PX, bottom - _TOP_PX - 92.0)
     for slot, picture, left, caption in (
         ("sketch.front", sketch_front(step), 8.0, Text.FRONT),
-        ("sketch.depth", sketch_depth(step), 204.0, depth),
+        ("sketch.depth", sketch_depth(step, view.volume), 204.0, depth),
     ):
         canvas.image(slot, picture, left, _TOP_PX, _SKETCH_PX, size)
         canvas.words(
@@ -143,7 +145,8 @@ def _how(canvas: Canvas, step: Step, bottom: float, language: Language) -> None:
         )  # fmt: skip
     # The words and the drawing say the same from two tables: this holds them together.
     assert (depth is Text.FROM_THE_SIDE) == (step in FROM_THE_SIDE)
-    lines = words.in_language(language).split(", ")
+    numbers = (plane_place(step, view.volume).wanted_mm,) if HELD[step] is ArtefactKind.PLANE else ()
+    lines = words.filled(language, *numbers).split(", ")
     for number, line in enumerate(lines):
         canvas.words(
             line,
@@ -201,7 +204,11 @@ def _latest(canvas: Canvas, view: CalibrateView, bottom: float, language: Langua
         # An angle is written without the space that SI puts before other units.
         number = "" if check.number is None else f"{check.number:.3g} {UNITS[check.refusal]}".replace(" °", "°")
         number = numbered(number, language)
-        _band(canvas, theme.YELLOW, words.in_language(language), why.in_language(language), number, bottom)
+        numbers: tuple[float, ...] = ()
+        if why is Text.RIGHT_RANGE:
+            place = plane_place(check.step, view.volume)
+            numbers = (place.nearest_mm, place.farthest_mm)
+        _band(canvas, theme.YELLOW, words.in_language(language), why.filled(language, *numbers), number, bottom)
     elif view.step is Step.SOLVE:
         said = Text.SOME_SECONDS.in_language(language)
         canvas.words(said, canvas.width / 2, bottom - 16, CAPTION, REGULAR, theme.MUTED, Align.CENTRE)

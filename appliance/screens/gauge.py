@@ -10,16 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.machine.words import Language, Text
-from appliance.ranging.reach import FARTHEST_MM, NEAREST_MM, Reach
+from appliance.optics.volume import WorkingVolume
+from appliance.ranging.reach import Reach
 from appliance.screens import theme
 from appliance.screens.canvas import Align, Canvas
 from appliance.screens.theme import BLACK, BODY, BOLD, CAPTION, TITLE
 from appliance.screens.views import Gauge
 
-GAUGE_MM = (380.0, 620.0)
 SCALE_PX = (208.0, 492.0)
 """Left and right end of the scale."""
-MIDDLE_MM = 500.0
+_BEYOND_MM = 60.0
+"""Length by which the scale goes on to both sides of the standard housing's volume."""
 ADVICE = {
     Reach.CLOSER: (Text.CLOSER, theme.YELLOW),
     Reach.OK: (Text.OK, theme.GREEN),
@@ -40,13 +41,13 @@ def draw_gauge(canvas: Canvas, gauge: Gauge | None, middle: float, language: Lan
         canvas.words(hint, (left + right) / 2, middle + 10, CAPTION + 2, BOLD, theme.YELLOW, Align.CENTRE, right - left)
     else:
         # Without a dot the scale has no mark: its place is used to say what makes one.
-        _scale(canvas, word, middle)
+        _scale(canvas, word, middle, WorkingVolume() if gauge is None else gauge.volume)
     distance_mm = None if gauge is None else gauge.distance_mm
     if word is not None:
         said = ADVICE[word][0].in_language(language)
         canvas.words(said, 16, middle + 13, TITLE - 4, BLACK, colour, max_width=left - 32)
-    if distance_mm is not None:
-        low, high = GAUGE_MM
+    if gauge is not None and distance_mm is not None:
+        low, high = _ends_mm(gauge.volume)
         # Held at the end of the scale, while the number beside it goes on: the mark shows the way back.
         at = left + (min(max(distance_mm, low), high) - low) / (high - low) * (right - left)
         canvas.box(at - 11, middle - 25, 22, 50, theme.INK, 11)
@@ -62,18 +63,24 @@ def draw_gauge(canvas: Canvas, gauge: Gauge | None, middle: float, language: Lan
     canvas.words(said, canvas.width - 14, middle + 12, BODY, BOLD, theme.WHITE, Align.RIGHT)
 
 
-def _scale(canvas: Canvas, word: Reach | None, middle: float) -> None:
+def _ends_mm(volume: WorkingVolume) -> tuple[float, float]:
+    """Return the distances at the left and the right end of the scale."""
+    beyond_mm = volume.scaled(_BEYOND_MM)
+    return volume.nearest_mm - beyond_mm, volume.farthest_mm + beyond_mm
+
+
+def _scale(canvas: Canvas, word: Reach | None, middle: float, volume: WorkingVolume) -> None:
     """Draw the scale: its bright part is the measuring volume, hollow while the object is not in it."""
     left, right = SCALE_PX
-    low, high = GAUGE_MM
+    low, high = _ends_mm(volume)
     per_mm = (right - left) / (high - low)
     canvas.box(left, middle - 4, right - left, 8, theme.LINE, 4)
     inside = word is Reach.OK
-    x, width = left + (NEAREST_MM - low) * per_mm, (FARTHEST_MM - NEAREST_MM) * per_mm
+    x, width = left + (volume.nearest_mm - low) * per_mm, (volume.farthest_mm - volume.nearest_mm) * per_mm
     canvas.box(
         x, middle - 13, width, 26, theme.GREEN if inside else theme.INK, 8, theme.GREEN if inside else theme.MUTED, 3
     )
-    canvas.box(left + (MIDDLE_MM - low) * per_mm - 2, middle - 13, 4, 26, theme.INK if inside else theme.MUTED)
+    canvas.box(left + (volume.working_mm - low) * per_mm - 2, middle - 13, 4, 26, theme.INK if inside else theme.MUTED)
 
 
 # By whole degrees, so that an icon is drawn anew only where it would look different.

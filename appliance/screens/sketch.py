@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibration.guide import HELD, Step
+from appliance.calibration.poses import plane_place
 from appliance.calibration.recordings import ArtefactKind
+from appliance.optics.volume import STANDARD, STANDARD_MM, WorkingVolume
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
@@ -21,19 +23,18 @@ SCALE = 2
 BALL_MM, HALF_BAR_MM = 15.0, 75.0
 PLANE_MM = (125.0, 100.0)
 FIELD_MM = 265.0
-"""Width in mm that the sketch shows at a distance of 500 mm: the instrument's field and a margin."""
-VOLUME_MM = (440.0, 580.0)
+"""Width in mm that the sketch shows at the working distance: the instrument's field and a margin."""
 _INK, _LINE, _SOFT, _BODY, _BRIGHT = 14, 70, 44, 150, 235
 _POSES: Mapping[Step, tuple[float, float, float, float]] = MappingProxyType(
     {
         Step.M1: (505.0, 0.0, 35.0, 12.0),
         Step.M2: (515.0, 0.0, -35.0, 90.0),
-        Step.M3: (470.0, 10.0, 0.0, 0.0),
-        Step.M4: (570.0, -10.0, 0.0, 0.0),
+        Step.M3: (plane_place(Step.M3, STANDARD).wanted_mm, 10.0, 0.0, 0.0),
+        Step.M4: (plane_place(Step.M4, STANDARD).wanted_mm, -10.0, 0.0, 0.0),
         Step.VERIFY: (515.0, 0.0, 0.0, -45.0),
     }
 )
-"""Distance in mm, and turns about x, y, z in degrees, one after the other."""
+"""Distance in mm before the standard housing, and turns about x, y, z in degrees, one after the other."""
 FROM_THE_SIDE = frozenset({Step.M2, Step.M3, Step.M4})
 """Steps whose tilt in depth shows from the side; that of the others from above."""
 
@@ -41,8 +42,8 @@ FROM_THE_SIDE = frozenset({Step.M2, Step.M3, Step.M4})
 def sketch_front(step: Step) -> Picture:
     """Return (h, w) uint8: what the instrument sees, in true perspective. ``step`` is one that records."""
     points, radii = _shape(step)
-    # Pinhole: an object of FIELD_MM at 500 mm is as wide as the sketch.
-    focal = SCALE * SIZE_PX[0] * 500.0 / FIELD_MM
+    # Pinhole: an object of FIELD_MM at the working distance is as wide as the sketch.
+    focal = SCALE * SIZE_PX[0] * STANDARD_MM / FIELD_MM
     middle = 0.5 * SCALE * np.array(SIZE_PX)
     seen = middle + focal * points[:, :2] / points[:, 2:]
     picture = _empty()
@@ -60,14 +61,16 @@ def sketch_front(step: Step) -> Picture:
     return _reduced(picture)
 
 
-def sketch_depth(step: Step) -> Picture:
+def sketch_depth(step: Step, volume: WorkingVolume = STANDARD) -> Picture:
     """Return (h, w) uint8: the instrument on the left, the water to the right, from above or from the side."""
     points, radii = _shape(step)
     other = points[:, 1] if step in FROM_THE_SIDE else points[:, 0]
     scale = SCALE * SIZE_PX[0] / 360.0
     at = np.stack([(points[:, 2] - 300.0) * scale, 0.5 * SCALE * SIZE_PX[1] + other * scale], -1)
     picture = _empty()
-    near, far = (round((mm - 300.0) * scale) for mm in VOLUME_MM)
+    # All is drawn for the standard housing; objects for a smaller one are smaller, and it is the same drawing.
+    ends_mm = (mm * STANDARD_MM / volume.working_mm for mm in (volume.nearest_mm, volume.farthest_mm))
+    near, far = (round((mm - 300.0) * scale) for mm in ends_mm)
     cv2.rectangle(picture, (near, 20 * SCALE), (far, (SIZE_PX[1] - 20) * SCALE), (_SOFT,), -1)
     middle = SCALE * SIZE_PX[1] // 2
     cv2.rectangle(picture, (0, middle - 26 * SCALE), (16 * SCALE, middle + 26 * SCALE), (_BODY,), -1)

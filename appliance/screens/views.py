@@ -21,6 +21,7 @@ from appliance.machine.guiding import GuidanceSaid
 from appliance.machine.overlaps import OverlapSaid
 from appliance.machine.states import Calibrating
 from appliance.machine.words import Label, Text
+from appliance.optics.volume import STANDARD, WorkingVolume
 from appliance.ranging.marks import Marks
 from appliance.ranging.reach import Reach
 from drivers.api import Key
@@ -91,6 +92,8 @@ class Gauge:
     tilt_deg: float | None
     """Positive where the right side of the surface is farther away."""
     word: Reach
+    volume: WorkingVolume = STANDARD
+    """Range in which the housing measures."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -259,6 +262,8 @@ class CalibrateView(View):
     gauge: Gauge | None = None
     """Reading of the laser dots, drawn like that of ``AimView``, and so are the marks."""
     marks: Marks | None = None
+    volume: WorkingVolume = STANDARD
+    """Range in which the housing measures: where planes are to be held."""
 
     @property
     def step(self) -> Step:

@@ -131,6 +131,7 @@ def _view(machine: Machine, around: Surroundings) -> AnyView:
                 scan_allowed=at.step not in HELD or refusal(machine) is None,
                 marks=around.marks,
                 gauge=_gauge(machine),
+                volume=machine.settings.volume,
                 alerts=shown,
             )
         case State.COOLING:
@@ -189,8 +190,8 @@ def _gauge(machine: Machine) -> Gauge | None:
         return None
     measured = machine.range
     if measured is None:
-        return Gauge(None, None, machine.reach)
-    return Gauge(measured.distance_mm, measured.tilt_deg, machine.reach)
+        return Gauge(None, None, machine.reach, machine.settings.volume)
+    return Gauge(measured.distance_mm, measured.tilt_deg, machine.reach, machine.settings.volume)
 
 
 def _cooling(machine: Machine) -> CoolingView:

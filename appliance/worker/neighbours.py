@@ -35,7 +35,7 @@ class Neighbours:
 
     def __init__(self, calibration: Calibration, water: Water, sequence: PatternSequence, stride_px: int) -> None:
         """``stride_px``: distance of a coarse cloud's points."""
-        self._projection = projection_of(calibration.rig.left, water.index)
+        self._projection = projection_of(calibration.rig.left, water.index, calibration.rig.volume)
         self._sequence, self._stride_px = sequence, stride_px
         self._coarse: Cloud | None = None
         self._kept: CoarseView | None = None

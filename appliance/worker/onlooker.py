@@ -34,7 +34,7 @@ class Onlooker:
 
     def __init__(self, calibration: Calibration, water: Water, neighbours: Neighbours) -> None:
         rig = calibration.rig
-        left, right = (projection_of(camera, water.index) for camera in (rig.left, rig.right))
+        left, right = (projection_of(camera, water.index, rig.volume) for camera in (rig.left, rig.right))
         self._guide = Guide(Sight(rig.left, water.index, left, right))
         self._neighbours = neighbours
         self._look: _Look | None = None

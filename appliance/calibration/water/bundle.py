@@ -330,10 +330,11 @@ class _Problem:
             replace(rig.right, correction=self._correction(rig.right, x[self._right_nodes])),
         )
         if not self._field:
-            return StereoRig(*corrected)
-        return StereoRig(
-            replace(corrected[0], ray_shift=_ray_shift(rig.left, x[self._left_shifts])),
-            replace(corrected[1], ray_shift=_ray_shift(rig.right, x[self._right_shifts])),
+            return replace(rig, left=corrected[0], right=corrected[1])
+        return replace(
+            rig,
+            left=replace(corrected[0], ray_shift=_ray_shift(rig.left, x[self._left_shifts])),
+            right=replace(corrected[1], ray_shift=_ray_shift(rig.right, x[self._right_shifts])),
         )
 
     @property

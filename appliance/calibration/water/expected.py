@@ -24,6 +24,7 @@ SHARED_DEPTHS = (0.92, 1.0, 1.09, 1.17)
 ROLLS_DEG, LEANS_DEG = (0.0, 45.0, 90.0, -45.0), (0.0, 35.0, -35.0)
 """Each depth has a bar of each roll; the lean (out of the picture's plane) changes from one to the next."""
 PLANE_HALF_MM = (100.0, 75.0)
+"""Half of the part of a plane that is looked at in the standard housing."""
 PLANE_POINTS = (9, 7)
 CAP = 0.6
 """Share of a ball's radius over which seven points stand for what is seen of it."""
@@ -90,7 +91,7 @@ def expected(rig: StereoRig, bar: Recording, doubt: Doubt, columns: Columns) -> 
         mean_square = np.mean(np.sum((heights @ covariance) * heights, axis=1))
         of_water = aside @ ((by_water + by_all @ doubt.by_index) @ normal) * doubt.index_sd
         flat.append(mean_square + np.mean(of_water**2) + rest_px**2 * np.mean((by_pixel @ normal) ** 2))
-    diagonal = 2.0 * float(np.hypot(*PLANE_HALF_MM))
+    diagonal = 2.0 * rig.volume.scaled(float(np.hypot(*PLANE_HALF_MM)))
     return Expected(
         100.0 * SURE * float(np.sqrt(variance.max())), 100.0 * FLAT_RANGE * float(np.sqrt(max(flat))) / diagonal
     )
@@ -100,14 +101,15 @@ def expected_depth_error_mm2(rig: StereoRig, water_index: float, doubt: Doubt, c
     """Return the covariance (n, n), mm², of the smooth depth error that all scans of ``rig`` share (``calibration.depth_error``)."""
     u, v = np.meshgrid(np.linspace(-BORDER, BORDER, 11), np.linspace(-0.75 * BORDER, 0.75 * BORDER, 9))
     ray = np.stack([u.ravel(), v.ravel(), np.ones(u.size)], axis=1)
-    points = np.concatenate([share * DISTANCE_MM * ray for share in SHARED_DEPTHS])
+    points = np.concatenate([share * rig.volume.scaled(DISTANCE_MM) * ray for share in SHARED_DEPTHS])
     by_all, by_pixel, by_water = _slopes(rig, water_index, points, columns, len(doubt.covariance))
     seen = np.abs(by_pixel).sum(axis=1) > 0.0
     # What a point moves aside on the ray's own surface changes no distance: depth alone.
-    depth = coefficients_of(points[seen], by_all[seen, 2])
-    of_water = coefficients_of(points[seen], by_water[seen, 2] + by_all[seen, 2] @ doubt.by_index) * doubt.index_sd
+    depth = coefficients_of(points[seen], by_all[seen, 2], rig.volume)
+    by_index = by_water[seen, 2] + by_all[seen, 2] @ doubt.by_index
+    of_water = coefficients_of(points[seen], by_index, rig.volume) * doubt.index_sd
     # What is left misplaces each place by itself; those of one ray at all depths are one place.
-    each = coefficients_of(points[seen], np.diag(by_pixel[seen, 2])) * doubt.rest_px
+    each = coefficients_of(points[seen], np.diag(by_pixel[seen, 2]), rig.volume) * doubt.rest_px
     return np.asarray(
         depth @ doubt.covariance @ depth.T + np.outer(of_water, of_water) + len(SHARED_DEPTHS) * each @ each.T
     )
@@ -183,7 +185,10 @@ def _bars(rig: StereoRig, water_index: float, length_mm: float, radius_mm: float
 def _planes(rig: StereoRig, water_index: float) -> tuple[list[Array], Array]:
     """Return grids (n, 3) of planes across the view, and their normal (3,)."""
     middle, axes = _axes(rig, water_index)
-    u, v = (np.linspace(-half, half, n) for half, n in zip(PLANE_HALF_MM, PLANE_POINTS, strict=True))
+    u, v = (
+        np.linspace(-rig.volume.scaled(half), rig.volume.scaled(half), n)
+        for half, n in zip(PLANE_HALF_MM, PLANE_POINTS, strict=True)
+    )
     flat = np.stack(np.meshgrid(u, v), -1).reshape(-1, 2) @ axes[:2]
     return [middle + (depth - 1.0) * float(middle @ axes[2]) * axes[2] + flat for depth in DEPTHS], axes[2]
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from appliance.calibration.file import Calibration
 from appliance.calibration.recordings import ArtefactKind, Recording, RecordingError, thinned
 from appliance.calibration.water.shapes import fit_plane, fit_sphere, nearest_points
-from appliance.optics.model import HousedCamera, StereoRig
+from appliance.optics.model import HousedCamera
 
 Array = NDArray[np.float64]
 
@@ -106,7 +106,7 @@ def search_distances(
         reach = 2.0 * step
     if valley is None:
         raise ValueError("search without a step width; give at least one in steps_mm")
-    found = StereoRig(_with_distance(rig.left, float(best[0])), _with_distance(rig.right, float(best[1])))
+    found = replace(rig, left=_with_distance(rig.left, float(best[0])), right=_with_distance(rig.right, float(best[1])))
     lengths, ranges = _errors(used, _rays(found.left, used, 0), _rays(found.right, used, 1), chosen)
     warnings = tuple(
         f"{side} interface distance {d:.2f} mm is at the limit of the search; widen it, or the port is not as modelled"

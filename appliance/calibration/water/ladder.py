@@ -25,7 +25,7 @@ from appliance.calibration.water.pinhole import calibrate_pinhole_in_water, mapp
 from appliance.calibration.water.printed import PrintedCamera
 from appliance.calibration.water.residuals import Residuals, residuals_of
 from appliance.calibration.water.start import check_start
-from appliance.optics.model import HousedCamera, StereoRig
+from appliance.optics.model import HousedCamera
 
 __all__ = ["LadderResult", "LadderSettings", "Method", "calibrate"]
 
@@ -165,7 +165,7 @@ def _searched(
     if method is Method.RMD:
         return search_with_operator(recordings, start, settings)
     # Eq. 1 as printed is for comparison: its distances are far from the true ones, so it needs a wider search.
-    rig = StereoRig(_printed(start.rig.left), _printed(start.rig.right))
+    rig = replace(start.rig, left=_printed(start.rig.left), right=_printed(start.rig.right))
     wide = replace(settings, reach_mm=PRINTED_REACH_MM, steps_mm=(PRINTED_STEP_MM, *settings.steps_mm))
     found = search_distances(recordings, replace(start, rig=rig), wide)
     return replace(found, calibration=replace(found.calibration, method="search of distances, Eq. 1 as printed"))

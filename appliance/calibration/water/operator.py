@@ -54,7 +54,7 @@ def with_operator(recordings: Sequence[Recording], calibration: Calibration) -> 
         flat = points - (points @ normal - offset)[:, None] * normal
         seen["left"].append((plane.left_px, plane.left_px - rig.left.project(flat, plane.water.index)))
         seen["right"].append((plane.right_px, plane.right_px - rig.right.project(flat, plane.water.index)))
-    return StereoRig(_operator(rig.left, seen["left"]), _operator(rig.right, seen["right"]))
+    return replace(rig, left=_operator(rig.left, seen["left"]), right=_operator(rig.right, seen["right"]))
 
 
 def _operator(camera: HousedCamera, seen: Sequence[tuple[Array, Array]]) -> HousedCamera:

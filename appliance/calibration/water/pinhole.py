@@ -19,30 +19,32 @@ from appliance.calibration.air.adjustment import BoardView, calibrate_air
 from appliance.calibration.file import Calibration
 from appliance.optics.model import IDENTITY, HousedCamera, StereoRig
 from appliance.optics.pinhole import Lens, distort
+from appliance.optics.volume import WorkingVolume
 from appliance.optics.water import Water
 
 Array = NDArray[np.float64]
 
 DEPTHS_MM = (430.0, 480.0, 530.0, 580.0)
-"""Depths along the rays, from the window: the measuring volume."""
+"""Depths along the rays, from the window, of the standard housing: its measuring volume and some more behind it."""
 GRID = (25, 19)
 METHOD = "pinhole in water"
 
 
 def mapped_through_ports(start: Calibration, water: Water) -> Calibration:
     """Return the pinholes nearest to the refracted rays of ``start``, lens by lens; right in ``water`` only."""
-    rig = StereoRig(_mapped(start.rig.left, water), _mapped(start.rig.right, water))
+    volume = start.rig.volume
+    left, right = (_mapped(camera, volume, water) for camera in (start.rig.left, start.rig.right))
     return replace(
         start,
         method="pinhole, mapped through the ports as drawn",
         water=water,
-        rig=rig,
+        rig=replace(start.rig, left=left, right=right),
         residual_px=None,
         air_covariance=None,
     )
 
 
-def _mapped(camera: HousedCamera, water: Water) -> HousedCamera:
+def _mapped(camera: HousedCamera, volume: WorkingVolume, water: Water) -> HousedCamera:
     bare = replace(camera, rotation=IDENTITY, translation_mm=(0.0, 0.0, 0.0))
     v, u = np.meshgrid(
         np.linspace(0.0, camera.height_px - 1.0, GRID[1]),
@@ -51,7 +53,7 @@ def _mapped(camera: HousedCamera, water: Water) -> HousedCamera:
     )
     uv = np.stack([u.ravel(), v.ravel()], -1)
     origin, direction = bare.rays(uv, water.index)
-    points = np.concatenate([origin + s * direction for s in DEPTHS_MM])
+    points = np.concatenate([origin + volume.scaled(s) * direction for s in DEPTHS_MM])
     wanted = np.tile(uv, (len(DEPTHS_MM), 1))
     f_px, ratio = camera.lens.f_px[0], camera.lens.f_px[1] / camera.lens.f_px[0]
 

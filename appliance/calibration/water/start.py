@@ -7,7 +7,6 @@ from dataclasses import replace
 from appliance.calibration.air.adjustment import AirCalibration
 from appliance.calibration.file import Calibration
 from appliance.calibration.recordings import RecordingError
-from appliance.optics.model import StereoRig
 
 METHOD = "air"
 
@@ -26,7 +25,7 @@ def start_from_air(
         drawn,
         method=METHOD,
         made_from=made_from,
-        rig=StereoRig(left, right),
+        rig=replace(drawn.rig, left=left, right=right),
         residual_px=air.residual_px,
         air_covariance=tuple(tuple(float(v) for v in row) for row in symmetric),
         air_field=air.field,

@@ -1,4 +1,4 @@
-"""Owns decoding: 20 to 24 frames of one camera become pattern coordinates (p, q), modulation and a reason where not.
+"""Owns decoding: the frames of one camera become pattern coordinates (p, q), modulation and a reason where not.
 
 Frames are worked on in the order of the sequence: the references give the Gray threshold and the illuminated part of each
 row, beyond which nothing is read or written again; the last Gray image of a direction gives its half periods, for which seven
@@ -51,10 +51,10 @@ class Mask(IntEnum):
     """The pixel lies at a jump of the coordinates and sees two surfaces."""
 
 
-def edge_limits_px(period_px: int, width_px: int) -> tuple[np.float32, np.float32]:
-    """Return how much a coordinate may jump to the next pixel, and bend there, for a camera of ``width_px``."""
+def edge_limits_px(period_px: int, width_px: int, pattern_px: int) -> tuple[np.float32, np.float32]:
+    """Return how much a coordinate may jump to the next pixel, and bend there, for a camera of ``width_px`` and patterns of ``pattern_px``."""
     # A pixel spans about 0.63 pattern px at full resolution, more on a small camera; steep surfaces double it.
-    step_px = 1024.0 / width_px
+    step_px = float(pattern_px) / width_px
     noise_px = period_px / 45.0
     return np.float32(4.0 * step_px + 4.0 * noise_px), np.float32(0.9 * step_px + 2.5 * noise_px)
 
@@ -169,7 +169,7 @@ class CameraDecoder:
             self._closed,
         )
         # What fails now loses the other direction's coordinate, too.
-        jump_px, bend_px = edge_limits_px(self._sequence.period_px, self._shape[1])
+        jump_px, bend_px = edge_limits_px(self._sequence.period_px, self._shape[1], self._sequence.width_px)
         mine_px, other_px = (self.p_px, self.q_px) if direction is Direction.X else (self.q_px, self.p_px)
         close_axis(
             s0, s1, s2, s3, half_period, self.illuminated_columns, axis, jump_px, bend_px, other_px, mine_px,

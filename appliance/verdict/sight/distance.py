@@ -33,7 +33,8 @@ left of long fringes in the illuminated water, which is near."""
 CLEAR_DN = 250.0
 """No image of a window may be brighter anywhere; nor of any place where the right camera might see it, for what is saturated
 there may be the window itself, and the likest of the other places is then a wrong fringe."""
-NEAREST_MM, FARTHEST_MM = 250.0, 1500.0
+_NEAREST_MM, _FARTHEST_MM = 250.0, 1500.0
+"""Depths, of the standard housing, between which windows are looked for."""
 STEP_PX = 1.5
 """Distance from depth to depth, as the right camera sees it: a fifth of a fringe."""
 LEAST_LIKE = 0.25
@@ -135,9 +136,10 @@ def _tiled(image: Floats) -> Floats:
 def candidate_depths_mm(rig: StereoRig, water_index: float) -> Array:
     """Return depths so close to each other that the right camera sees the image's middle move by ``STEP_PX`` of a
     small image's."""
-    near, far = 1.0 / NEAREST_MM, 1.0 / FARTHEST_MM
+    nearest_mm, farthest_mm = rig.volume.scaled(_NEAREST_MM), rig.volume.scaled(_FARTHEST_MM)
+    near, far = 1.0 / nearest_mm, 1.0 / farthest_mm
     middle = np.array([[0.5 * (rig.left.width_px - 1), 0.5 * (rig.left.height_px - 1)]])
-    ends = seen_at_depths(rig, water_index, middle, np.array([NEAREST_MM, FARTHEST_MM]))[0, :, 0]
+    ends = seen_at_depths(rig, water_index, middle, np.array([nearest_mm, farthest_mm]))[0, :, 0]
     count = int(abs(ends[1] - ends[0]) * WIDTH_PX / rig.left.width_px / STEP_PX) + 2
     return np.asarray(1.0 / np.linspace(near, far, count))
 

@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 
 NAME = "water"
 MIN_ENTRY_MM = 195.0
-"""Rays that enter the beam nearer to the projector's window tell little: there, the backscatter depends on the beam's very edge."""
+"""Rays of the standard housing that enter the beam nearer to the projector's window tell little: there, the backscatter depends on the beam's very edge."""
 MIN_CELLS = 12
 MODEL_SHARE, MODEL_DN = 0.02, 0.05
 """Standard deviation of the model of single scattering, relative and absolute, beside the cells' own scatter."""
@@ -135,7 +135,9 @@ def judge_water(
         if halo > 0.0 and sample.backscatter_share is not None:
             sample = replace(sample, backscatter_share=max(sample.backscatter_share - halo, 0.0))
             numbers["veil_percent"], numbers["halo_percent"] = _percent(sample.backscatter_share), 100.0 * halo
-        found = fit_attenuation(cells, gathered, images.noise.left.black_dn, sample.flicker_dn)
+        found = fit_attenuation(
+            cells, gathered, images.noise.left.black_dn, sample.flicker_dn, rig.volume.scaled(MIN_ENTRY_MM)
+        )
         if found is not None:
             numbers["attenuation_per_m"] = found.per_m
             numbers["attenuation_sigma_per_m"] = found.sigma_per_m
@@ -145,10 +147,12 @@ def judge_water(
     return WaterJudgement(judgement=Judgement(verdict, fault), **numbers)
 
 
-def fit_attenuation(cells: Cells, gathered: GatheredLight, black_dn: float, flicker_dn: float) -> Attenuation | None:
+def fit_attenuation(
+    cells: Cells, gathered: GatheredLight, black_dn: float, flicker_dn: float, min_entry_mm: float = MIN_ENTRY_MM
+) -> Attenuation | None:
     """Return attenuation and strength of the backscatter that explain its growth over the cells; ``None`` where that
     says too little."""
-    use = gathered.enters_mm >= MIN_ENTRY_MM
+    use = gathered.enters_mm >= min_entry_mm
     if np.count_nonzero(use) < MIN_CELLS:
         return None
     sigma = np.sqrt(cells.sigma_dn**2 + (MODEL_SHARE * cells.backscatter_dn) ** 2 + MODEL_DN**2)[use]

@@ -17,6 +17,7 @@ from appliance.calibration.file import Calibration, CalibrationError, decode, en
 from appliance.calibration.water.printed import PrintedCamera
 from appliance.checksummed_file import with_checksum
 from appliance.optics.ray_shift import RayShift
+from appliance.optics.volume import STANDARD, WorkingVolume
 from appliance.optics.water import Water
 
 DESIGN = Design(11.5, 4.5, 230.0, 12.41, 30.0, 5.0, 1.77)
@@ -89,6 +90,19 @@ def test_what_is_stated_of_the_shared_depth_error_is_kept_and_must_be_a_covarian
     wrong = replace(calibration, depth_error_mm2=(*stated[:-1], (0.0,) * COUNT))
     with pytest.raises(CalibrationError, match=r"depth_error_mm2 .* a symmetric, positive definite matrix"):
         decode(encode(wrong))
+
+
+def test_a_volume_of_its_own_is_kept_and_the_standard_one_changes_no_file(calibration: Calibration) -> None:
+    """Calibrations made before a housing could state its volume keep their hash, which names them in every scan."""
+    assert b"volume" not in encode(calibration)
+    assert decode(encode(calibration)).rig.volume == STANDARD
+    small = replace(calibration, rig=replace(calibration.rig, volume=WorkingVolume(264.0, 300.0, 336.0)))
+    assert decode(encode(small)) == small
+    assert small.hash != calibration.hash
+    content = {key: value for key, value in json.loads(encode(small)).items() if key != "sha256"}
+    content["volume"]["working_mm"] = 700.0
+    with pytest.raises(CalibrationError, match="nearest < working < farthest"):
+        decode(with_checksum(content))
 
 
 def test_the_misprinted_model_has_no_file(calibration: Calibration) -> None:

@@ -13,6 +13,7 @@ from appliance.calibration.poses import FoundBar, FoundPlane, judge_bar, judge_p
 from appliance.calibration.recordings import ArtefactKind
 from appliance.calibration.water.ladder import Method, calibrate
 from appliance.calibration.water.start import start_from_air
+from appliance.optics.volume import WorkingVolume
 from tests.support.calibrating import (
     CALIBRATION_PLANES,
     DESIGN,
@@ -82,6 +83,20 @@ def test_a_bar_that_will_not_do_is_named_with_its_number(
 @pytest.mark.parametrize(("step", "distance_mm"), [(Step.M3, 470.0), (Step.M4, 570.0)])
 def test_planes_as_they_should_be(step: Step, distance_mm: float, tilt_deg: float) -> None:
     assert judge_plane(step, plane(distance_mm, tilt_deg), RIG).refusal is None
+
+
+@pytest.mark.parametrize(
+    ("step", "distance_mm", "refusal"),
+    [
+        (Step.M3, 282.0, None),
+        (Step.M4, 342.0, None),
+        (Step.M3, 470.0, Refusal.TOO_FAR),
+        (Step.M4, 310.0, Refusal.TOO_NEAR),
+    ],
+)
+def test_planes_before_a_smaller_housing_belong_nearer(step: Step, distance_mm: float, refusal: Refusal | None) -> None:
+    small = replace(RIG, volume=WorkingVolume(264.0, 300.0, 336.0))
+    assert judge_plane(step, plane(distance_mm), small).refusal is refusal
 
 
 @pytest.mark.parametrize(

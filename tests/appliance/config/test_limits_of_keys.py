@@ -32,17 +32,19 @@ RANGES: dict[str, tuple[float, float]] = {
     "design.port_index": (1.0, 3.0), "design.projector_principal_distance_mm": (1.0, 500.0),
     "design.projector_pixel_um": (0.5, 100.0),
     "lasers.x_mm": (0.0, 500.0), "lasers.y_mm": (-500.0, 500.0), "lasers.z_mm": (-200.0, 300.0),
-    "lasers.aim_x_mm": (0.0, 200.0), "lasers.aim_y_mm": (-200.0, 200.0), "lasers.aim_z_mm": (300.0, 1000.0),
+    "lasers.aim_x_mm": (0.0, 200.0), "lasers.aim_y_mm": (-200.0, 200.0), "lasers.aim_z_mm": (50.0, 3000.0),
     "lasers.tolerance_deg": (0.01, 1.0),
     "limits.case_warm_c": (0.0, 100.0), "limits.case_hot_c": (0.0, 100.0), "limits.case_off_c": (0.0, 110.0),
     "limits.projector_warm_c": (0.0, 120.0), "limits.projector_hot_c": (0.0, 120.0), "limits.projector_off_c": (0.0, 130.0),
     "limits.supply_low_v": (0.0, 60.0),
     "ball_bar.length_mm": (20.0, 1000.0), "ball_bar.length_sd_mm": (0.0001, 1.0), "ball_bar.radius_mm": (5.0, 40.0),
     "ball_bar.radius_sd_mm": (0.0001, 1.0),
+    "volume.nearest_mm": (50.0, 3000.0), "volume.working_mm": (50.0, 3000.0), "volume.farthest_mm": (50.0, 3000.0),
 }  # fmt: skip
 OPTIONAL = {
     "full_well_e": 13_000.0, "read_noise_e": 20.0, "black_level_dn": 2.0, "shortest_exposure_ms": 2.0,
     "longest_exposure_ms": 16.0, "most_gain_db": 12.0, "reserve_mb": 500, "tolerance_deg": 0.3,
+    "nearest_mm": 440.0, "working_mm": 500.0, "farthest_mm": 560.0,
 }  # fmt: skip
 """Keys of the packaged file that may be left out, and what they are then."""
 

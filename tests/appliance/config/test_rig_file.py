@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 
 from appliance.config import ConfigError, Rig, default_rig_path, load_rig, parse_rig, rig_text
+from appliance.instrument import volume_of
+from appliance.optics.volume import STANDARD
 
 PACKAGED = default_rig_path().read_text(encoding="utf-8")
 
@@ -123,6 +125,23 @@ def test_every_broken_rule_between_keys_is_listed() -> None:
     said = str(refusal(text))
     assert "camera.right.serial" in said
     assert "limits.case_warm_c 61 >= 60 (allowed: below case_hot_c)" in said
+
+
+def test_a_volume_that_the_cameras_do_not_look_into_is_refused() -> None:
+    """A rig file of another housing that does not state its volume would draw, search and judge as the standard one."""
+    said = str(refusal(changed("baseline_mm = 230.0", "baseline_mm = 120.0")))
+    assert "volume.working_mm 500 does not fit [design], whose cameras' axes cross at 273 mm" in said
+    assert "state [volume] for this housing" in said
+    assert refusal(changed("working_mm = 500.0", "working_mm = 570.0")).key == "volume.working_mm"
+
+
+def test_a_rig_file_without_a_volume_is_of_the_standard_housing() -> None:
+    without = "".join(
+        part for part in PACKAGED.splitlines(keepends=True)
+        if not part.startswith(("[volume]", "nearest_mm", "working_mm", "farthest_mm"))
+    )  # fmt: skip
+    assert volume_of(parse_rig(without)) == STANDARD == volume_of(parse_rig(PACKAGED))
+    assert parse_rig(without).optical_hash == parse_rig(PACKAGED).optical_hash
 
 
 def test_a_file_of_thousands_of_wrong_keys_is_refused_in_a_message_that_ends() -> None:

@@ -154,7 +154,10 @@ def test_of_outliers_no_more_are_removed_than_the_guideline_allows() -> None:
 @pytest.mark.parametrize(
     ("keep", "words"),
     [
-        (lambda x, y: x < -200.0, "the cloud has only 0 points; bring the frustum into the light, 500 mm away"),
+        (
+            lambda x, y: x < -200.0,
+            "the cloud has only 0 points; bring the frustum into the light, at the working distance",
+        ),
         (lambda x, y: (x < -60.0) & (y < 0.0), "top and plate of the frustum were not both found"),
         (lambda x, y: (x < 18.0) | (x > 42.0), "only 3 of the frustum's four sides were found"),
         (lambda x, y: np.maximum(np.abs(x), np.abs(y)) > 25.0, "top and plate of the frustum were not both found"),

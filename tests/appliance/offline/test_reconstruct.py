@@ -110,7 +110,8 @@ def test_calibration_show_and_nominal(rig: Rig, tmp_path: Path) -> None:
 def test_a_lens_calibrated_in_water_has_no_port_to_show(rig: Rig, tmp_path: Path) -> None:
     drawn = design_of(rig)
     assert describe_calibration(rig, write_nominal_calibration(rig, None))["interface_distance_mm"] is not None
-    wet = StereoRig(*(replace(camera, lens_in_water=True) for camera in (drawn.rig.left, drawn.rig.right)))
+    left, right = (replace(camera, lens_in_water=True) for camera in (drawn.rig.left, drawn.rig.right))
+    wet = StereoRig(left, right)
     path = tmp_path / "wet.json"
     path.write_bytes(encode(replace(drawn, method="pinhole, in water", rig=wet)))
     described = describe_calibration(rig, path)

@@ -4,6 +4,7 @@ import itertools
 
 import pytest
 
+from appliance.optics.volume import WorkingVolume
 from appliance.ranging.reach import Range, Reach, reach_of
 
 
@@ -17,6 +18,13 @@ def at(distance_mm: float) -> Range:
 )
 def test_the_measuring_volume_is_60_mm_to_either_side_of_500(distance_mm: float, word: Reach) -> None:
     assert reach_of(at(distance_mm)) is word
+
+
+@pytest.mark.parametrize(
+    ("distance_mm", "word"), [(250.0, Reach.BACK), (270.0, Reach.OK), (330.0, Reach.OK), (350.0, Reach.CLOSER)]
+)
+def test_another_housing_has_another_range(distance_mm: float, word: Reach) -> None:
+    assert reach_of(at(distance_mm), volume=WorkingVolume(264.0, 300.0, 336.0)) is word
 
 
 def test_without_a_dot_no_word_is_invented() -> None:

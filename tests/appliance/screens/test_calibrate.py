@@ -8,11 +8,13 @@ import pytest
 from numpy.typing import NDArray
 
 from appliance.calibration.guide import HELD, USED, AdjustmentSummary, RecordingCheck, Refusal, Session, Step, Verified
+from appliance.calibration.poses import plane_place
 from appliance.calibration.recordings import ArtefactKind
 from appliance.machine.alerts import Alert, Severity
 from appliance.machine.failure import Failure, FailureKind
 from appliance.machine.states import Calibrating, Task
 from appliance.machine.words import Language, Text
+from appliance.optics.volume import STANDARD, WorkingVolume
 from appliance.scan.fault import FaultCode
 from appliance.screens import theme
 from appliance.screens.calibrate import refusal_words
@@ -79,6 +81,22 @@ def test_each_refusal_has_words_of_its_own_and_they_fit(context: moderngl.Contex
                     assert canvas.measure(why.in_language(language), theme.CAPTION, theme.BOLD) <= 520
             assert len(said) == len(Refusal)
         canvas.close()
+
+
+def test_distances_are_those_of_the_housing(painter: Painter) -> None:
+    """The words and the sketch of a plane, the advice on one that is too far, and the scale while aiming."""
+    small = WorkingVolume(264.0, 300.0, 336.0)
+    far = Calibrating(Step.M3, latest=RecordingCheck(Step.M3, Refusal.TOO_FAR, 400.0))
+    for at in (Calibrating(Step.M3), far):
+        pictures = [
+            painter.draw(CalibrateView(at=at, session=Session(), left=None, right=None, volume=volume), 0.0).copy()
+            for volume in (STANDARD, WorkingVolume(), small)
+        ]
+        assert (pictures[0] == pictures[1]).all()
+        assert (pictures[0] != pictures[2]).any()
+    assert Text.PLANE_AWAY.filled(Language.ENGLISH, plane_place(Step.M3, small).wanted_mm).startswith("282 mm AWAY")
+    place = plane_place(Step.M4, small)
+    assert Text.RIGHT_RANGE.filled(Language.GERMAN, place.nearest_mm, place.farthest_mm) == "RICHTIG: 318 BIS 372 mm"
 
 
 def test_a_missing_plane_is_not_called_a_missing_bar() -> None:

@@ -19,7 +19,8 @@ from appliance.machine.states import State
 from appliance.machine.states import boot as machine_at_boot
 from appliance.machine.texts import labels as machine_labels
 from appliance.machine.words import Language, Text
-from appliance.ranging.reach import Range, reach_of
+from appliance.optics.volume import WorkingVolume
+from appliance.ranging.reach import Range, Reach, reach_of
 from appliance.scan.fault import FaultCode
 from appliance.screens import theme
 from appliance.screens.canvas import MAX_WORDS, Canvas
@@ -329,6 +330,15 @@ def test_the_gauge_warns_outside_the_volume(painter: Painter, distance_mm: float
     band = drawn(painter, replace(AIM, gauge=gauge(distance_mm)))[64:118]
     is_yellow = (np.abs(band.astype(int) - (255, 210, 31)).max(axis=2) < 20).sum() > 150
     assert is_yellow == yellow
+
+
+def test_the_scale_is_that_of_the_housing(painter: Painter) -> None:
+    """300 mm in a housing for 300 mm look as 500 mm do in one for 500 mm, but for the number."""
+    small = WorkingVolume(264.0, 300.0, 336.0)
+    scale = np.s_[64:118, 190:500]
+    mine = drawn(painter, replace(AIM, gauge=Gauge(300.0, None, Reach.OK, small)))[scale]
+    assert (mine == drawn(painter, replace(AIM, gauge=Gauge(500.0, None, Reach.OK)))[scale]).all()
+    assert (mine != drawn(painter, replace(AIM, gauge=Gauge(300.0, None, Reach.OK)))[scale]).any()
 
 
 def test_the_marker_goes_right_with_distance(painter: Painter) -> None:

@@ -68,7 +68,7 @@ def with_surfaces(rig: StereoRig, x: Array) -> StereoRig:
                 ray_shift=RayShift(WIDTH_PX, HEIGHT_PX, SHIFTS, tuple(shift.tolist())),
             )
         )
-    return StereoRig(*cameras)
+    return StereoRig(cameras[0], cameras[1])
 
 
 RIG = with_surfaces(START, np.zeros(SIZE))

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from appliance.machine.alerts import Severity
 from appliance.machine.words import Language, Text
-from appliance.ranging.reach import FARTHEST_MM, NEAREST_MM
+from appliance.optics.volume import STANDARD
 from appliance.screens import theme
 from appliance.screens.canvas import Align, Canvas
 from appliance.screens.frame import words_of
@@ -29,7 +29,7 @@ def steps(language: Language) -> tuple[str, ...]:
     def say(text: Text) -> str:
         return text.in_language(language)
 
-    near, far = f"{NEAREST_MM:.0f}", f"{FARTHEST_MM:.0f}"
+    near, far = f"{STANDARD.nearest_mm:.0f}", f"{STANDARD.farthest_mm:.0f}"
     if language is Language.GERMAN:
         return (
             f"Einschalten, warten auf {say(Text.ALL_READY)}.",
