@@ -41,6 +41,11 @@ VERBS: tuple[Listed | Group, ...] = (
     Listed("run", "run the instrument", "instrument:Run"),
     Listed("sim", "run the instrument in a simulated world", "sim:Sim"),
     Listed("check", "open every device once and report", "instrument:Check"),
+    Group(
+        "bringup",
+        "measure a new instrument before its first scan",
+        (Listed("projector", "its light, latency, exposures, raster, by its own cameras", "bringup:BringupProjector"),),
+    ),
     Listed("reconstruct", "reconstruct a stored scan from its raw frames", "reconstruct:Reconstruct"),
     Listed("rescue", "an unchecked cloud of a recording that broke after its first direction", "rescue:Rescue"),
     Listed("export", "a stored scan's points or mesh as a file for other programs", "export:Export"),

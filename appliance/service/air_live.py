@@ -151,7 +151,7 @@ def _takes(rig: Rig, wires: Wires, lit: bool) -> Iterator[Callable[[], tuple[Ima
     )
     left = rig.camera.left
     with FrameStore(PICTURES, left.height_px, left.width_px) as store, Devices(rig, wires, load) as devices:
-        grabbers, board, projector = _opened(devices, wires.clock)
+        grabbers, board, projector = opened(devices, wires.clock)
         recorder = ScanRecorder(grabbers, board, projector, wires.clock, settings)
 
         def take() -> tuple[Image, Image] | Fault:
@@ -164,7 +164,7 @@ def _takes(rig: Rig, wires: Wires, lit: bool) -> Iterator[Callable[[], tuple[Ima
         yield take
 
 
-def _opened(devices: Devices, clock: Clock) -> tuple[dict[str, Grabber], Board, Projector]:
+def opened(devices: Devices, clock: Clock) -> tuple[dict[str, Grabber], Board, Projector]:
     """Return cameras, board and projector, once all are there. Raises DeviceError with the reason of what is not."""
     wanted: list[DeviceSupervisor[Any]] = [*devices.cameras.values(), devices.board, devices.projector]
     end_ns = clock.now_ns() + int(OPEN_TIMEOUT_S * 1e9)

@@ -1,0 +1,133 @@
+"""Owns the instrument on the bench: pictures are played and recorded through the shipped drivers, as any scan is, and given out as images."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.bringup.bench import MOST_FRAMES, Image, Shot
+from appliance.bringup.finding import BringupError
+from appliance.capture.grabber import Grabber
+from appliance.capture.scan import ScanRecorder, ScanSettings
+from appliance.capture.store import FrameStore
+from appliance.config import Rig
+from appliance.scan.fault import Fault
+from appliance.scan.sides import SIDES
+from appliance.service.air_live import opened
+from appliance.service.devices import Devices
+from appliance.storage.lock import hold_lock
+from drivers import rig as drivers_rig
+from drivers.api import Board, Flip, Projector, Wires
+
+TRIES = 3
+"""Recordings of one take: a late flip or a lost frame happens, the same fault thrice is one."""
+
+
+class _Ordered:
+    """A projector that plays its pictures in another order than they were loaded in; dark is the last of them."""
+
+    def __init__(self, projector: Projector, order: Sequence[int]) -> None:
+        self._projector, self._order = projector, order
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        return self._projector.size_px
+
+    def load(self, frames: Sequence[NDArray[np.uint8]]) -> None:
+        self._projector.load(frames)
+
+    def show(self, index: int) -> Flip:
+        return self._projector.show(self._order[index])
+
+    def play(
+        self, indices: Sequence[int], idle: int, start: Callable[[Flip], int | None], abort: Callable[[], bool]
+    ) -> list[Flip]:
+        flips = self._projector.play([self._order[k] for k in indices], self._order[idle], start, abort)
+        # Told as numbers of the sequence: whoever compares them counts frames, not pictures.
+        return [replace(flip, index=k) for k, flip in enumerate(flips)]
+
+
+class LightBench:
+    """``appliance.bringup.bench.Bench`` on the devices of a rig."""
+
+    def __init__(self, rig: Rig, wires: Wires, store: FrameStore) -> None:
+        self._rig, self._wires, self._store = rig, wires, store
+        self._stack: ExitStack | None = None
+        self._all_channels: bool | None = None
+        self._devices: tuple[dict[str, Grabber], Board, Projector] | None = None
+        self._loaded = 0
+
+    @property
+    def refresh_hz(self) -> float:
+        return self._rig.projector.refresh_hz
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        return self._rig.projector.width_px, self._rig.projector.height_px
+
+    def load(self, pictures: Sequence[Image], *, all_channels: bool) -> None:
+        """See ``Bench.load``. All devices are opened anew where the channels change."""
+        if self._devices is None or all_channels is not self._all_channels:
+            self.close()
+            self._open(all_channels)
+        assert self._devices is not None
+        dark = np.zeros((self._rig.projector.height_px, self._rig.projector.width_px), np.uint8)
+        self._devices[2].load([*pictures, dark])
+        self._loaded = len(pictures)
+
+    def take(self, order: Sequence[int], shot: Shot) -> Mapping[str, Image]:
+        """See ``Bench.take``. Images are views into the frame store: the next take overwrites them."""
+        assert self._devices is not None, "pictures are loaded first"
+        grabbers, board, projector = self._devices
+        played = _Ordered(projector, [*order, self._loaded])
+        settings = ScanSettings(self.refresh_hz, shot.exposure_us, shot.delay_us, shot.blanks)
+        recorder = ScanRecorder(grabbers, board, played, self._wires.clock, settings)
+        # Taken over at the cameras' next start, which each recording is.
+        for grabber in grabbers.values():
+            grabber.expose(float(shot.exposure_us), shot.gain_db)
+        fault: Fault | None = None
+        for _ in range(TRIES):
+            report = recorder.record(order, self._store, lambda _side, _index: None, lambda: None)
+            fault = report.fault
+            if fault is None:
+                return {side: self._store.frames(side)[: len(order)] for side in SIDES}
+        assert fault is not None
+        raise BringupError(
+            f"{TRIES} recordings failed one after the other: {fault.code.value}: {fault.detail}; ask `kingfisher check`"
+        )
+
+    def close(self) -> None:
+        """Give the devices back. Idempotent."""
+        if self._stack is not None:
+            self._stack.close()
+        self._stack, self._devices = None, None
+
+    def _open(self, all_channels: bool) -> None:
+        projector = replace(self._rig.projector, channels="all" if all_channels else "green")
+        self._stack, self._all_channels = ExitStack(), all_channels
+        devices = self._stack.enter_context(Devices(replace(self._rig, projector=projector), self._wires, _nothing))
+        self._devices = opened(devices, self._wires.clock)
+
+
+def _nothing(_projector: Projector) -> None:
+    """Load nothing: each measurement brings its own pictures."""
+
+
+@contextmanager
+def light_bench(rig: Rig) -> Iterator[LightBench]:
+    """Inside: the bench on the rig's devices, which no instrument may be using. Raises DeviceError, BringupError, StorageError."""
+    left = rig.camera.left
+    with (
+        hold_lock(rig.storage.root),
+        drivers_rig.open_wires(rig.rig.wires, rig.rig.wires_options) as wires,
+        FrameStore(MOST_FRAMES, left.height_px, left.width_px) as store,
+    ):
+        bench = LightBench(rig, wires, store)
+        try:
+            yield bench
+        finally:
+            bench.close()
