@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 from hw_sim.devices.power_on import Cameras, PowerOn
 from hw_sim.light.daylight import Daylight
 from hw_sim.objects.motion import Motion
+from hw_sim.optics.beamer import Beamer
 from hw_sim.optics.fog import Fog
 from hw_sim.outside import ALL, FAMILIES, Outside, draw_outside
 from hw_sim.scene import Imaging, Scene
@@ -52,6 +53,7 @@ class WorldOptions:
     drift: Mapping[str, Any] = field(default_factory=dict)
     fog: Mapping[str, Any] = field(default_factory=dict)
     outside: Mapping[str, Any] = field(default_factory=dict)
+    projector: str | Mapping[str, Any] = "ideal"
     cameras: Mapping[str, Any] = field(default_factory=dict)
     serials: Mapping[str, str] = field(default_factory=dict)
     pace: str = "lockstep"
@@ -84,6 +86,7 @@ class WorldOptions:
                 Calendar(lambda: 0, self.date)
             except ValueError as error:
                 raise OptionError(f"date: {error}") from error
+        self.beamer()
         for side in ("left", "right"):
             self.power_on(side)
         for side, serial in self.serials.items():
@@ -104,6 +107,26 @@ class WorldOptions:
             return _made(PowerOn, f"cameras {side}", _made(Cameras, "cameras", self.cameras).of(side))
         except (TypeError, ValueError) as error:
             raise OptionError(f"cameras {side}: {error}") from error
+
+    def beamer(self) -> Beamer:
+        """Return the projector. Raises OptionError."""
+        given = {"kind": self.projector} if isinstance(self.projector, str) else self.projector
+        if not isinstance(given, Mapping):
+            raise OptionError(
+                f'projector = {given!r:.80}; give the name of a kind, or a table with kind = "…" and more'
+            )
+        try:
+            beamer = _made(Beamer, "projector", given)
+        except OptionError:
+            raise
+        except (TypeError, ValueError) as error:
+            raise OptionError(f"projector: {error}") from error
+        if "response" in self.imaging and (beamer.kind != "ideal" or beamer.gamma is not None):
+            raise OptionError(
+                f"imaging response '{self.imaging['response']}' and projector kind '{beamer.kind}' both say what light a code "
+                "makes; leave response out, and give the projector a gamma of 1..3 if it is not proportional"
+            )
+        return beamer
 
     def scene(self) -> Scene:
         """Return the scene that these options describe. Raises OptionError."""

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from hw_sim import registry
 from hw_sim.devices.board import Board, Shot
 from hw_sim.devices.cable import Cable
-from hw_sim.devices.card import Card
+from hw_sim.devices.card import PROJECTOR_SIZE, Card
 from hw_sim.devices.head import Flip, Output
 from hw_sim.devices.keypad import Keypad
 from hw_sim.devices.shutter import Exposure, Latent
@@ -32,6 +32,8 @@ from hw_sim.in_dive import NOTICED_K, REFERENCE_C, in_dive
 from hw_sim.light.daylight import Daylight
 from hw_sim.mount_shift import MountShift, with_mount_shifted
 from hw_sim.objects.motion import Motion, swayed_s
+from hw_sim.optics.beamer import ProjectorTruth, ShownFrame, Signal, slices_of
+from hw_sim.optics.projector import response
 from hw_sim.options import OptionError, WorldOptions, options_from
 from hw_sim.punctuality import Punctuality
 from hw_sim.rendering.exposure_worker import ExposureWorker, PendingImage
@@ -67,6 +69,10 @@ class _Interval:
     begin_ns: int
     light: NDArray[np.uint8] | None = None
     """Copied when somebody needs it."""
+    signal: Signal | None = None
+    """The same of all channels, where the projector is none that shows green at once."""
+    dark: bool = False
+    """The projector's lamp did not burn."""
 
 
 class World:
@@ -83,7 +89,13 @@ class World:
         if cable is not None and o.pace != "realtime":
             raise OptionError(f"pace '{o.pace}' with a computer outside; its clock is the real one: choose realtime")
         self.cable = cable
-        scene = o.scene()
+        scene, beamer = o.scene(), o.beamer()
+        self._beamer = None if beamer.usual else beamer
+        if cable is not None and self._beamer is not None:
+            raise OptionError(
+                f"projector '{beamer.kind}' with a computer outside, whose cable has green only; leave it out"
+            )
+        self._beamer_truth = ProjectorTruth(beamer, 1e6 / o.refresh_hz, response(scene.imaging.response))
         self._rig = _true_rig(o, scene)
         self._scene = scene
         self._warm_k = scene.water.temperature_c - REFERENCE_C
@@ -109,8 +121,10 @@ class World:
             self.keypad = Keypad(self.time, self.faults, o.seed)
             self.cameras = {side: self._camera(side) for side in SIDES}
             self.board.vsync(self.time.blank_ns)  # the console has been on the projector since boot
-        self._intervals: deque[_Interval] = deque([_Interval(START_NS)], maxlen=KEPT_INTERVALS)
-        self._shown_before: NDArray[np.uint8] | None = None
+        self._intervals: deque[_Interval] = deque(
+            [_Interval(START_NS)], maxlen=KEPT_INTERVALS + (0 if self._beamer is None else self._beamer.latency + 1)
+        )
+        self._shown_before: NDArray[np.uint8] | Signal | None = None
         self._late_flip: Flip | None = None
         self.punctuality = Punctuality()
         """Delays of the host, and of the world."""
@@ -261,7 +275,8 @@ class World:
             self.faults.clear()
 
     def scanned_out(self, head: str) -> NDArray[np.uint8]:
-        """Return what a head scans out: ``projector``: (768, 1024) uint8 that lights the scene now; ``display``: (h, w, 3) uint8 RGB."""
+        """Return what a head scans out: ``projector``: (768, 1024) uint8 that lights the scene now (where the projector has a latency,
+        that is the picture of so many blanks ago; green alone, and where on the raster it lights); ``display``: (h, w, 3) uint8 RGB."""
         with self.time.condition:
             match head:
                 case "projector":
@@ -275,6 +290,11 @@ class World:
         """Return (h, w) uint8, not to be changed: the image that a camera (``left``, ``right``) took last; ``None`` before one."""
         with self.time.condition:
             return self._seen.get(side)
+
+    @property
+    def projector_truth(self) -> ProjectorTruth:
+        """The values that measuring the projector would have to find."""
+        return self._beamer_truth
 
     @property
     def surface(self) -> Surface:
@@ -311,13 +331,15 @@ class World:
         before = self._intervals[-1]
         wrong = self.faults.active("projector", "wrong") is not None
         # Light that an exposure still needs must be copied before the flip overwrites it.
-        if wrong or any(camera.shutter.exposing_until_ns > time_ns for camera in self.cameras.values()):
+        if self._beamer is not None:
+            self._hold(before)  # it may light later than anybody knows now
+        elif wrong or any(camera.shutter.exposing_until_ns > time_ns for camera in self.cameras.values()):
             self._light(before)
         frame = self.board.upcoming_frame()
         if frame is not None:
             self.faults.reach(frame, time_ns)
             wrong = self.faults.active("projector", "wrong") is not None
-        self._shown_before = self._projected() if wrong else None
+        self._shown_before = self._scanned() if wrong else None
         waiting = (self.card.pending(Output.PROJECTOR), self.card.pending(Output.DISPLAY))
         self.punctuality.blank(self.time.blank_late_ns, frame is not None, *waiting)
         self.card.vblank(time_ns, Output.PROJECTOR if self._flip_is_late(frame) else None)
@@ -339,12 +361,30 @@ class World:
         return True
 
     def _light(self, interval: _Interval) -> NDArray[np.uint8]:
-        """Return (768, 1024) codes that light the scene during the present interval."""
+        """Return (768, 1024) codes that light the scene during the present interval, the latest: those of green."""
         if interval.light is None:
-            shown = self._projected() if self._shown_before is None else self._shown_before
             dark = self.faults.active("projector", "off") is not None
+            if self._beamer is None:
+                shown = np.asarray(self._scanned() if self._shown_before is None else self._shown_before)
+            else:
+                self._hold(interval)
+                number = len(self._intervals) - 1 - self._beamer.latency
+                signal = self._intervals[number].signal if number >= 0 else None
+                shown = np.zeros(PROJECTOR_SIZE[::-1], np.uint8) if signal is None else self._beamer.lights(signal)
             interval.light = np.zeros_like(shown) if dark else shown
         return interval.light
+
+    def _hold(self, interval: _Interval) -> None:
+        """Keep what is scanned out during the present interval, for the projector to show when it does."""
+        if interval.signal is None:
+            shown = self._scanned() if self._shown_before is None else self._shown_before
+            assert isinstance(shown, tuple)
+            interval.signal = shown
+            interval.dark = self.faults.active("projector", "off") is not None
+
+    def _scanned(self) -> NDArray[np.uint8] | Signal:
+        """Return what comes out of the cable: green, or all channels where the projector looks at them."""
+        return self._projected() if self._beamer is None else self.card.projected_colours()
 
     @property
     def _driven(self) -> bool:
@@ -379,15 +419,7 @@ class World:
         if live and self.options.pace == "attended" and latest is not None and not latest.ready:
             return latest  # nobody looks at a live view that comes minutes late
         end_ns = exposure.start_ns + exposure.duration_ns
-        slices, until_ns = [], end_ns
-        self._light(self._intervals[-1])
-        # From the end of the exposure backwards: each interval lights the part of it that it overlaps.
-        for interval in reversed(self._intervals):
-            begin_ns = max(interval.begin_ns, exposure.start_ns)
-            if until_ns > begin_ns and interval.light is not None:
-                since_s, frame_s = (begin_ns - interval.begin_ns) / 1e9, self.time.period_ns / 1e9
-                slices.append(LightSlice(interval.light, (until_ns - begin_ns) / 1e9, since_s, frame_s))
-            until_ns = min(until_ns, interval.begin_ns)
+        slices = self._slices(exposure.start_ns, end_ns)
         clock_s = (exposure.start_ns - START_NS + exposure.duration_ns / 2) / 1e9
         moment_s = swayed_s(self._scene.motion, clock_s) if live else 0.0
         if not live:
@@ -400,7 +432,7 @@ class World:
         frame = exposure.shot.frame
         made = self._exposure_worker.make(
             side,
-            lambda: self._image(side, slices[::-1], moment_s, exposure_s, gain_db, lasers, seed, clock_s, frame),
+            lambda: self._image(side, slices, moment_s, exposure_s, gain_db, lasers, seed, clock_s, frame),
         )
         if made is not None:
             self._latest[side] = made
@@ -408,6 +440,24 @@ class World:
                 self._recorded[side] = made
             made.when_ready(lambda: self._seen.update({side: made.image}))
         return made
+
+    def _slices(self, start_ns: int, end_ns: int) -> Sequence[LightSlice]:
+        """Return what lit an exposure that has ended, from its start on."""
+        frame_s = self.time.period_ns / 1e9
+        if self._beamer is not None:
+            self._hold(self._intervals[-1])
+            frames = [ShownFrame(i.begin_ns, i.signal, i.dark) for i in self._intervals if i.signal is not None]
+            return slices_of(self._beamer, frames, start_ns, end_ns, frame_s)
+        slices, until_ns = [], end_ns
+        self._light(self._intervals[-1])
+        # From the end of the exposure backwards: each interval lights the part of it that it overlaps.
+        for interval in reversed(self._intervals):
+            begin_ns = max(interval.begin_ns, start_ns)
+            if until_ns > begin_ns and interval.light is not None:
+                since_s = (begin_ns - interval.begin_ns) / 1e9
+                slices.append(LightSlice(interval.light, (until_ns - begin_ns) / 1e9, since_s, frame_s))
+            until_ns = min(until_ns, interval.begin_ns)
+        return slices[::-1]
 
     def _image(
         self,

@@ -177,14 +177,34 @@ class Card:
         crtc = self.crtc(Output.PROJECTOR)
         if crtc is None:
             return np.zeros((height, width), np.uint8)
-        green = crtc.colour(1)
-        if green.shape != (height, width):
+        return self._at_the_projector(crtc.colour(1))
+
+    def projected_colours(self) -> tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.uint8]]:
+        """Return copies of red, green and blue as ``projected`` does green; one array stands for all that are equal."""
+        width, height = PROJECTOR_SIZE
+        crtc = self.crtc(Output.PROJECTOR)
+        if crtc is None:
+            black = np.zeros((height, width), np.uint8)
+            return black, black, black
+        red, green, blue = (crtc.colour(channel) for channel in range(3))
+        if np.array_equal(red, green):
+            red = green
+        if np.array_equal(blue, green):
+            blue = green
+        elif np.array_equal(blue, red):
+            blue = red
+        shown = {id(codes): self._at_the_projector(codes) for codes in (red, green, blue)}
+        return shown[id(red)], shown[id(green)], shown[id(blue)]
+
+    def _at_the_projector(self, codes: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        width, height = PROJECTOR_SIZE
+        if codes.shape != (height, width):
             # The beamer's scaler repeats or drops pixels, as cheap ones do.
-            rows, columns = (np.arange(n) * m // n for n, m in zip((height, width), green.shape, strict=True))
-            green = green[rows[:, None], columns]
+            rows, columns = (np.arange(n) * m // n for n, m in zip((height, width), codes.shape, strict=True))
+            codes = codes[rows[:, None], columns]
         # Anything but Full may leave with codes 16..235, as drivers choose for monitors of video: fringes lose contrast.
         full = self.connectors[95].broadcast_rgb == RGB_FULL
-        return green if full else LIMITED_RANGE[green]
+        return codes if full else LIMITED_RANGE[codes]
 
     def displayed(self) -> NDArray[np.uint8]:
         """Return an (h, w, 3) uint8 RGB copy of the diver's display; black in its own size while it is dark."""

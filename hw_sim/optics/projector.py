@@ -13,6 +13,8 @@ Away from the focus the light spreads further, like heat: in proportion to the s
 from __future__ import annotations
 
 import math
+import zlib
+from collections.abc import Hashable
 from dataclasses import dataclass
 
 import cv2
@@ -62,6 +64,10 @@ class LightSlice:
     """Time from its vertical blank to the beginning of this slice; matters to ``light_engine`` alone."""
     frame_s: float = 1.0 / 60.0
     """Time from one vertical blank to the next."""
+
+    def key(self) -> tuple[Hashable, ...]:
+        """Return what is equal where the light is."""
+        return zlib.crc32(self.image.tobytes()), round(self.duration_s, 6)
 
 
 def light_between(slices: tuple[LightSlice, ...], begin_s: float, end_s: float, table: Light) -> Light | None:

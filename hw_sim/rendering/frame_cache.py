@@ -7,7 +7,6 @@ the same image, to its noise. Where the noise of one sequence and the next matte
 from __future__ import annotations
 
 import threading
-import zlib
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Sequence
 
@@ -39,7 +38,7 @@ class FrameCache:
         frame: int | None,
     ) -> Hashable:
         """Return a key that is equal for equal images. ``frame``: of the sequence; no camera gives two frames the same noise."""
-        light = tuple((zlib.crc32(part.image.tobytes()), round(part.duration_s, 6)) for part in slices)
+        light = tuple(part.key() for part in slices)
         return camera, scene, light, round(exposure_s, 6), gain_db, lasers, frame
 
     def get(self, key: Hashable, make: Callable[[], Image]) -> Image:

@@ -18,9 +18,10 @@ from hw_sim.latest import Latest
 from hw_sim.light.lasers import add_laser
 from hw_sim.light.uneven import UnevenLight
 from hw_sim.objects.print import Ink
+from hw_sim.optics.beamer import BeamerSlice, beamed_between
 from hw_sim.optics.camera_traits import CameraTraits
 from hw_sim.optics.geometry import GREY, LIT, MIDDLE_MM, Geometry, Pose
-from hw_sim.optics.light_engine import FRAME_S, SOFTEST_PX, flashed_between
+from hw_sim.optics.light_engine import FRAME_S, SOFTEST_PX, LightEngine, flashed_between
 from hw_sim.optics.projector import FAR_MM, SPREAD_FAR_PX, LightSlice, collect, light_between, response, soften
 from hw_sim.optics.view import Surface, TrueView
 from hw_sim.rendering.sensor import FULL_WELL_E, Sensor
@@ -212,11 +213,22 @@ class Renderer:
     ) -> Picture | None:
         """Return what the projector emits between two times of an exposure that began at ``clock_s``, in seconds of white."""
         response, engine = self._responses[scene.imaging.response], scene.outside.projector
+        # Both cameras see the same frame: its number goes by the clock, not by the camera.
+        frame, seed = round(clock_s / FRAME_S), self.truth.seed
+        beamed = [part for part in slices if isinstance(part, BeamerSlice)]
+        if beamed:
+            lamp = engine or LightEngine()
+            return beamed_between(
+                beamed,
+                begin_s,
+                end_s,
+                response,
+                lamp,
+                lambda k, at_s: lamp.brightness(frame + k, lit_for_s + at_s, seed),
+            )
         if engine is None:
             return light_between(slices, begin_s, end_s, response)
-        # Both cameras see the same frame: its number goes by the clock, not by the camera.
-        frame = round(clock_s / FRAME_S)
-        return flashed_between(engine, slices, begin_s, end_s, response, frame, lit_for_s, self.truth.seed)
+        return flashed_between(engine, slices, begin_s, end_s, response, frame, lit_for_s, seed)
 
     def _add_instant(
         self,

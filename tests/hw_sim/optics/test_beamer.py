@@ -1,0 +1,197 @@
+"""The electronics of real projectors: windows of light, bit planes, latency, rasters, and what measuring them would have to find."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hw_sim.optics.beamer import COLOUR_WEIGHTS, KINDS, Beamer, ProjectorTruth, ShownFrame, beamed_between, slices_of
+from hw_sim.optics.light_engine import LightEngine
+from hw_sim.optics.projector import BLACK, response
+from hw_sim.options import OptionError, WorldOptions, options_from
+
+FRAME_US = 50_000.0 / 3.0
+FRAME_NS = 16_666_667
+ALL = "RGB"
+
+
+def truth(**given: Any) -> ProjectorTruth:
+    return ProjectorTruth(Beamer(**given), FRAME_US, response("linear"))
+
+
+def picture(code: int) -> np.ndarray[Any, np.dtype[np.uint8]]:
+    return np.full((768, 1024), code, np.uint8)
+
+
+def test_video_shows_colours_in_turn_and_green_for_45_percent() -> None:
+    windows = truth(kind="video").windows_us
+    assert [w.channel for w in windows] == list("GRGB")
+    green_us = sum(w.end_us - w.begin_us for w in windows if w.channel == "G")
+    assert green_us / FRAME_US == pytest.approx(0.45)
+    ends = [windows[0].begin_us - 100.0, *(w.end_us for w in windows)]
+    assert all(w.begin_us > end for w, end in zip(windows, ends, strict=False)), "dark between, and late"
+    assert windows[-1].end_us < FRAME_US + 120.0
+    once = truth(kind="video", order="RGB").windows_us
+    assert once[1].end_us - once[1].begin_us == pytest.approx(0.45 * FRAME_US)
+
+
+def test_a_colour_that_is_not_drawn_is_dark_and_drawn_ones_have_the_weights_of_their_leds() -> None:
+    video = truth(kind="video")
+    for window in video.windows_us:
+        span = window.begin_us, window.end_us - window.begin_us
+        white, black = video.light_of_codes(*span, ALL)[[255, 0]]
+        weight = COLOUR_WEIGHTS["RGB".index(window.channel)]
+        assert white == pytest.approx(weight * span[1], rel=1e-4)
+        assert black == pytest.approx(weight * BLACK * span[1], rel=1e-3)
+        if window.channel != "G":
+            assert video.light_of_codes(*span, "G")[255] == pytest.approx(weight * BLACK * span[1], rel=1e-3)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+@pytest.mark.parametrize("first", [0, 1, 2])
+def test_whole_sub_frames_of_equal_channels_are_exact_and_parts_are_not(count: int, first: int) -> None:
+    pattern = truth(kind="pattern")
+    begin_us = pattern.windows_us[first].begin_us
+    exposure_us = count * FRAME_US / 3.0
+    assert pattern.residual(begin_us, exposure_us) < 1e-4 or first + count > 3
+    assert pattern.linear(begin_us, exposure_us) == (first + count <= 3)
+    assert not pattern.linear(begin_us, exposure_us - 0.4 * FRAME_US / 3.0), "a part of a sub-frame weighs bits wrongly"
+    if first + count > 3:
+        assert pattern.foreign(begin_us, exposure_us) > 0.2, "the rest is of the next picture"
+
+
+def test_a_window_of_half_a_frame_is_right_anywhere_within_two_repeats() -> None:
+    repeats = truth(kind="repeats")
+    late_us = repeats.windows_us[0].begin_us
+    for delay_us in np.linspace(late_us, late_us + FRAME_US / 2.0, 9):
+        assert repeats.residual(float(delay_us), FRAME_US / 2.0) < 1e-4
+        assert repeats.linear(float(delay_us), FRAME_US / 2.0)
+    assert not repeats.linear(late_us + 1000.0, 5000.0)
+
+
+def test_a_short_exposure_weighs_bits_wrongly_unless_the_projector_is_ideal() -> None:
+    for kind in KINDS:
+        made = truth(kind=kind)
+        begin_us = made.windows_us[0].begin_us + 300.0
+        assert made.linear(begin_us, 2000.0) == (kind == "ideal")
+        assert not made.linear(begin_us - 3000.0, 2000.0), "before the light"
+
+
+def test_a_gamma_is_not_linear() -> None:
+    bent = truth(kind="pattern", gamma=2.2)
+    assert not bent.linear(bent.windows_us[0].begin_us, FRAME_US)
+    light = bent.light_of_codes(bent.windows_us[0].begin_us, FRAME_US)
+    share = (light[128] - light[0]) / (light[255] - light[0])
+    assert share == pytest.approx((128 / 255) ** 2.2, abs=0.003)
+
+
+@pytest.mark.parametrize("latency", [0, 1, 3])
+def test_an_exposure_sees_the_frames_that_light_while_it_lasts(latency: int) -> None:
+    beamer = Beamer("pattern", latency_blanks=latency, late_us=200.0)
+    frames = [ShownFrame(k * FRAME_NS, (picture(10 * k + 5),) * 3) for k in range(6)]
+    start_ns, end_ns = 4 * FRAME_NS + 100_000, 5 * FRAME_NS + 5_000_000
+    slices = slices_of(beamer, frames, start_ns, end_ns, FRAME_NS / 1e9)
+    shown = [int(part.image[0, 0]) for part in slices]
+    assert shown == [10 * (k - latency) + 5 for k in (3, 4, 5)]
+    durations_us = [part.duration_s * 1e6 for part in slices]
+    assert durations_us == pytest.approx([100.0, FRAME_US, 4800.0], abs=0.01)
+    assert [part.since_blank_s * 1e6 for part in slices] == pytest.approx([FRAME_US - 100.0, 0.0, 0.0], abs=0.01)
+    early = slices_of(beamer, frames[:1], -3 * FRAME_NS, 1_000_000, FRAME_NS / 1e9)
+    assert sum(part.duration_s for part in early) == pytest.approx(0.051, abs=1e-6)
+    assert not early[0].image.any(), "dark before the world began"
+
+
+def test_a_frame_in_pieces_adds_up_and_lamps_that_were_off_are_dark() -> None:
+    beamer = Beamer("video")
+    signal = (picture(40), picture(90), picture(200))
+    frames = [ShownFrame(k * FRAME_NS, signal) for k in range(4)]
+    start_ns, end_ns = FRAME_NS + 3_000_000, 3 * FRAME_NS + 9_000_000
+    table = response("linear")
+
+    def light(begin_s: float, until_s: float) -> float:
+        slices = slices_of(beamer, frames, start_ns, end_ns, FRAME_NS / 1e9)
+        got = beamed_between(slices, begin_s, until_s, table, LightEngine(), lambda k, at_s: 1.0)
+        return 0.0 if got is None else float(got[0, 0])
+
+    whole_s = (end_ns - start_ns) / 1e9
+    cuts = np.linspace(0.0, whole_s, 8)
+    assert sum(light(a, b) for a, b in pairwise(cuts)) == pytest.approx(light(0.0, whole_s), rel=1e-5)
+    dark = [ShownFrame(f.begin_ns, f.signal, dark=True) for f in frames]
+    slices = slices_of(beamer, dark, start_ns, end_ns, FRAME_NS / 1e9)
+    got = beamed_between(slices, 0.0, whole_s, table, LightEngine(), lambda k, at_s: 1.0)
+    assert got is not None
+    assert float(got.max()) < 2 * BLACK * whole_s
+
+
+def test_turned_and_scaled_pictures_light_elsewhere() -> None:
+    codes = np.zeros((768, 1024), np.uint8)
+    codes[100, 30] = 255
+    for mirrored, upside_down, row, column in (
+        (True, False, 100, 1023 - 30),
+        (False, True, 767 - 100, 30),
+        (True, True, 667, 993),
+    ):
+        lit = Beamer(mirrored=mirrored, upside_down=upside_down).lights((codes, codes, codes))
+        assert divmod(int(lit.argmax()), 1024) == (row, column)
+        assert lit.max() == 255
+    checker = (np.indices((768, 1024)).sum(axis=0) % 2 * 255).astype(np.uint8)
+    through = Beamer(scaled=(912, 1140)).lights((checker, checker, checker)).astype(float)
+    assert through.std() < 0.6 * checker.astype(float).std(), "a checker of single pixels greys"
+    wide = np.tile((np.arange(1024) // 32 % 2 * 255).astype(np.uint8), (768, 1))
+    through = Beamer(scaled=(912, 1140)).lights((wide, wide, wide)).astype(float)
+    assert np.abs(through - wide).mean() < 6.0, "stripes of 32 px stay where they are"
+    assert np.abs(np.roll(through, 32, axis=1) - wide).mean() > 200.0
+
+
+def test_the_projector_of_the_ordinary_world_is_usual_and_no_other() -> None:
+    assert Beamer().usual
+    assert options_from({"projector": {"kind": "ideal"}}).beamer().usual
+    assert Beamer(latency_blanks=0, late_us=0.0).usual
+    for made in (
+        Beamer("video", order="GRB"),
+        Beamer(latency_blanks=1),
+        Beamer(late_us=5.0),
+        Beamer(gamma=2.2),
+        Beamer(scaled=(800, 600)),
+        Beamer(mirrored=True),
+        Beamer(upside_down=True),
+    ):
+        assert not made.usual
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ("vidio", "kind = 'vidio'; allowed are ideal, video, pattern, repeats; choose"),
+        (7, "projector = 7; give the name of a kind, or a table"),
+        ({"kind": "video", "latency_blanks": 4}, "latency_blanks = 4; allowed are whole numbers 0..3; leave it out"),
+        ({"kind": "video", "latency_blanks": True}, "latency_blanks = True; allowed are whole numbers"),
+        ({"late_us": "soon"}, "late_us = 'soon'; allowed are numbers 0..1000"),
+        (
+            {"kind": "pattern", "order": "RG"},
+            "order = 'RG' of kind 'pattern'; allowed: 3 of the letters RGB; leave it out for RGB",
+        ),
+        ({"kind": "video", "order": "GXB"}, "order = 'GXB' of kind 'video'; allowed: 1 to 6 of the letters RGB"),
+        ({"kind": "repeats", "order": "GB"}, "allowed: 2 of the letters G"),
+        ({"gamma": 0.4}, "gamma = 0.4; allowed are numbers 1..3"),
+        ({"scaled": [912]}, r"scaled = \(912,\); allowed are two whole numbers 240..4096"),
+        ({"mirrored": 1}, "mirrored = 1; allowed are true and false"),
+        ({"colour_weights": [1, 2, 3]}, "colour_weights = .* allowed are three numbers 0..1"),
+        ({"colour_weights": 1.0}, "colour_weights = 1.0; allowed are three numbers 0..1"),
+        ({"mirored": True}, "unknown 'mirored'; did you mean 'mirrored'"),
+    ],
+)
+def test_what_a_projector_cannot_be_is_told(given: str | Mapping[str, Any] | int, told: str) -> None:
+    with pytest.raises(OptionError, match=re.compile(told)):
+        options_from({"projector": given})
+
+
+def test_two_sayings_of_what_light_a_code_makes_are_refused() -> None:
+    with pytest.raises(OptionError, match="imaging response 'linear' and projector kind 'video' both say"):
+        WorldOptions(projector="video", imaging={"response": "linear"})
+    WorldOptions(projector={"mirrored": True}, imaging={"response": "linear"})
