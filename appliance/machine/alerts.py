@@ -173,6 +173,12 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
             Words("NOTHING SEEN", "NICHTS ZU SEHEN"),
             Words("GO CLOSER; IS LIGHT COVERED?", "NÄHER HERAN; LICHT VERDECKT?"),
         ),
+        FaultCode.SIDES_EXCHANGED: Rule(
+            _W,
+            Words("LEFT IS RIGHT", "LINKS IST RECHTS"),
+            Words("EXCHANGE SERIALS IN RIG FILE", "NUMMERN IN RIG-DATEI TAUSCHEN"),
+            spoils_points=True,
+        ),
         FaultCode.SCAN_POOR: Rule(
             _W,
             Words("POOR, CAUSE ?", "SCHLECHT, WARUM?"),

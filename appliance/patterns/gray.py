@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 
 def bit_count(size_px: int, period_px: int) -> int:
-    """Return the number of Gray-code images that number all half periods over ``size_px``: 7, 6, 5 for 16, 32, 64 on 1024."""
+    """Return the number of Gray-code images that number all half periods over ``size_px``: 7, 6, 5 for 16, 32, 64 on 1024,
+    and one more of each on 1280."""
     # Rounded up: a rest of a period at the far edge has its own number.
     half_periods = -(-2 * size_px // period_px)
     return max(1, (half_periods - 1).bit_length())

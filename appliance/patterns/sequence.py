@@ -154,7 +154,7 @@ class PatternSequence:
 
 
 def build_sequence(period_px: int, width_px: int = 1024, height_px: int = 768) -> PatternSequence:
-    """Return the sequence for a fringe period: 24, 22 or 20 frames for 16, 32 or 64 px on 1024 × 768.
+    """Return the sequence for a fringe period: 24, 22 or 20 frames for 16, 32 or 64 px on 1024 × 768, one more on 1280 × 720.
 
     Any period ≥ 4 px is accepted here (also no power of two); the rig file restricts what a diver may choose.
     Raises ValueError for a period outside 4..size.

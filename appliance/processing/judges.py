@@ -21,6 +21,8 @@ from appliance.verdict.fringes import NAME as FRINGES
 from appliance.verdict.fringes import judge_fringes
 from appliance.verdict.light.judge import judge_light
 from appliance.verdict.motion.judge import judge_motion
+from appliance.verdict.sides import NAME as SIDES_NAME
+from appliance.verdict.sides import judge_sides
 from appliance.verdict.sight.judge import look
 from appliance.verdict.water.judge import judge_water
 from appliance.verdict.window import look_at_windows
@@ -112,6 +114,11 @@ def _judge_motion(given: JudgeInput, _: Earlier) -> Judgement:
     return judge_motion(given.images, given.cloud, given.rig, given.water_index, means, runs).judgement
 
 
+def _judge_sides(given: JudgeInput, _: Earlier) -> Judgement:
+    """Judge which camera is the left one, by pixels that see the same."""
+    return judge_sides(*given.pipeline.matches(), given.rig, given.water_index)
+
+
 JUDGES = (
     Judge("light", _judge_light),
     Judge(FRINGES, _judge_fringes),
@@ -119,6 +126,7 @@ JUDGES = (
     Judge("sight", _look),
     Judge("windows", _look_at_windows, needs=("motion",)),
     Judge("motion", _judge_motion),
+    Judge(SIDES_NAME, _judge_sides),
 )
 """Judges in the order in which their verdicts are told and stored."""
 

@@ -78,6 +78,27 @@ class GapSampler:
         low, high = _DEPTHS_MM
         self._depths_mm = np.float32(modes.volume.scaled(low)), np.float32(modes.volume.scaled(high))
 
+    def matches(
+        self,
+        p_px: NDArray[np.float32],
+        q_px: NDArray[np.float32],
+        right: RightMaps,
+        rays: Rays,
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return matched pixels (n, 2) of both cameras, the sample that ``measure`` averages."""
+        found = self._sampled(p_px, q_px, right, rays)
+        return found[:, 0:2], found[:, 2:4]
+
+    def _sampled(
+        self,
+        p_px: NDArray[np.float32],
+        q_px: NDArray[np.float32],
+        right: RightMaps,
+        rays: Rays,
+    ) -> NDArray[np.float64]:
+        count = int(_sample(p_px, q_px, right, rays, self._stride, self._depths_mm, self._found))
+        return self._found[:count].astype(np.float64)
+
     def measure(
         self,
         p_px: NDArray[np.float32],
@@ -86,6 +107,5 @@ class GapSampler:
         rays: Rays,
     ) -> PatchGaps:
         """Return the gaps of a decoded scan; ``right`` with its inverse map filled."""
-        count = int(_sample(p_px, q_px, right, rays, self._stride, self._depths_mm, self._found))
-        found = self._found[:count].astype(np.float64)
+        found = self._sampled(p_px, q_px, right, rays)
         return average(self._modes, found[:, 0:2], found[:, 2:4], 1000.0 * found[:, 4])

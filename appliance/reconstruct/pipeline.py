@@ -92,6 +92,8 @@ class Pipeline:
         seen = self._decoders["right"]
         self._right = right_maps(seen.p_px, seen.q_px, seen.modulation_half_dn, sequence.width_px, sequence.height_px)
         self._gaps = _sampler(calibration, water)
+        # Another one for ``matches``, which may be asked for beside the full cloud: each has a buffer of its own.
+        self._asked = _sampler(calibration, water)
         # Every second pixel fills the inverse map of a large image; a small one needs all.
         self._inverse_stride = 2 if right.width_px >= 800 else 1
         self._noise, self._ripple = noise, STILL
@@ -169,7 +171,8 @@ class Pipeline:
                     f"{width_px} x {height_px} px; make another pipeline"
                 )
         self._rays, self._rig, self._index = _rays(calibration, water), calibration.rig, water.index
-        self._gaps = GapSampler(GapModes(calibration.rig, water.index))
+        modes = GapModes(calibration.rig, water.index)
+        self._gaps, self._asked = GapSampler(modes), GapSampler(modes)
 
     def coarse(self) -> Cloud:
         """Return the coarse cloud. Call once per scan, after the last frame and before ``full``."""
@@ -300,6 +303,13 @@ class Pipeline:
         if self._veil is not None:
             gaps = without_veil(gaps, self._veil.gaps, (decoder.p_px.shape[1], decoder.p_px.shape[0]))
         return replace(found, gaps=gaps)
+
+    def matches(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return a sample of matched pixels (n, 2) of both cameras, whatever their rays do; call after ``coarse``."""
+        if self._asked is None:
+            return np.empty((0, 2)), np.empty((0, 2))
+        decoder = self._decoders["left"]
+        return self._asked.matches(decoder.p_px, decoder.q_px, self._right, self._rays)
 
     def sample(self, stride: int, any_depth: bool = False) -> Cloud:
         """Return every ``stride``-th left pixel's point, also where its rays miss each other by far; call after ``coarse``.

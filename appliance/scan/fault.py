@@ -61,6 +61,8 @@ class FaultCode(Enum):
     """Most of what a scan sees is farther than is measured (distance_mm)."""
     NOTHING_SEEN = "NOTHING_SEEN"
     """A scan in which the projector's light meets nothing."""
+    SIDES_EXCHANGED = "SIDES_EXCHANGED"
+    """The pictures of the left camera are those of the right one (gap_mm, exchanged_mm)."""
     SCAN_POOR = "SCAN_POOR"
     """Too few points, or too noisy ones, and no judge knows why."""
     AMBIENT = "AMBIENT"

@@ -88,6 +88,12 @@ def find_causes(
     ``judgements``: all of the scan; ``summary``: of its best cloud; ``present``: how it was exposed; ``steps``: how it
     could be. Pure: the same verdicts give the same causes, whether they come from the judges or from a manifest.
     """
+    exchanged = next(
+        (one.fault for one in judgements if one.fault and one.fault.code is FaultCode.SIDES_EXCHANGED), None
+    )
+    if exchanged is not None:
+        # Whatever else is said of points that are made of exchanged pictures follows from that.
+        return (Cause(exchanged, ALL, certain=True),)
     of = {one.verdict.name: one for one in judgements}
     found = _once(sorted(_all(of, summary, present, steps), key=lambda cause: -cause.share))
     found += [

@@ -286,3 +286,12 @@ def test_an_exposure_of_before_that_is_not_allowed_any_more_becomes_the_nearest(
         5_556, 2.0
     )
     assert machine_settings(RIG, before).choices.exposure == Exposure(10_000)
+
+
+def test_the_machine_counts_the_frames_of_the_projector_that_is_fitted() -> None:
+    """Times and timeouts of a capture follow from the count, and so does what a screen says of it."""
+    compact = replace(RIG, projector=replace(RIG.projector, width_px=1280, height_px=720))
+    assert machine_settings(RIG).frames == {16: 24, 32: 22, 64: 20}
+    settings = machine_settings(compact)
+    assert settings.frames == {16: 25, 32: 23, 64: 21}
+    assert settings.light_s(16) == pytest.approx(25 / 60)

@@ -57,7 +57,11 @@ def test_what_doubts_lengths_or_spoils_points_is_no_scan_to_call_good() -> None:
     assert {code for code, rule in RULES.items() if rule.doubts_lengths} == {
         *(C.UNCALIBRATED, C.LENGTH_ERROR, C.VERIFY_CALIBRATION)
     }
-    assert {code for code, rule in RULES.items() if rule.spoils_points} == {C.MOVED, C.LIGHT_FLICKERS}
+    assert {code for code, rule in RULES.items() if rule.spoils_points} == {
+        C.MOVED,
+        C.LIGHT_FLICKERS,
+        C.SIDES_EXCHANGED,
+    }
 
 
 @pytest.mark.parametrize(

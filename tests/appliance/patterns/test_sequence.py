@@ -54,6 +54,18 @@ def test_each_period_that_is_offered_saves_an_image_in_either_direction_and_step
     )
 
 
+def test_a_wider_projector_needs_one_image_more_and_its_codes_still_number_every_pixel() -> None:
+    """1280 × 720, as DLP3010: 160 and 90 half periods of 16 px need 8 and 7 bits."""
+    sequences = [build_sequence(period_px, 1280, 720) for period_px in PERIODS_PX]
+    assert [len(sequence) for sequence in sequences] == [25, 23, 21]
+    for sequence in sequences:
+        for direction in Direction:
+            axis = sequence.axis(direction)
+            bits = np.stack([sequence.patterns[k].codes() > 128 for k in axis.gray]).astype(np.int64)
+            half = inverse_gray(len(axis.gray))[(bits << np.arange(len(axis.gray))[::-1, None]).sum(axis=0)]
+            np.testing.assert_array_equal(half, 2 * np.arange(axis.size_px) // sequence.period_px)
+
+
 def test_every_frame_is_named_once_and_references_come_first() -> None:
     sequence = build_sequence(16)
     names = [pattern.name for pattern in sequence.patterns]

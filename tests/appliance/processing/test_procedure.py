@@ -77,6 +77,19 @@ def test_verdicts_are_stored_under_the_names_of_the_table_in_its_order(processor
     assert [name for name in names if name in judges] == judges
 
 
+def test_exchanged_cameras_are_the_first_cause_and_the_only_one(pipeline: Pipeline, still: RenderedScan) -> None:
+    """Too few points, at mirrored depths and with gaps, all follow from it."""
+    made = SequenceProcessor(pipeline, true_calibration(still.renderer.truth), WATER)
+    made.begin(AcquisitionSettings())
+    assert len(list(made.push_all({"left": still.frames["right"], "right": still.frames["left"]}))) == N
+    full = made.run()
+    assert full is not None
+    faults = [one.fault.code for one in full.judgements if one.fault is not None]
+    assert faults == [FaultCode.SIDES_EXCHANGED]
+    verdict = next(one.verdict for one in full.judgements if one.verdict.name == "sides")
+    assert verdict.passed is False
+
+
 def test_who_needs_another_judge_needs_one_that_needs_none() -> None:
     needs = {judge.name: judge.needs for judge in JUDGES}
     assert len(needs) == len(JUDGES), "every name once"

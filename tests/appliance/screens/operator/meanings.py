@@ -34,6 +34,7 @@ MEANINGS: Mapping[F, tuple[str, str]] = MappingProxyType(
         F.SCAN_NEAR: ("What was scanned is nearer than is measured.", "Was gescannt wurde, ist näher, als gemessen wird."),
         F.SCAN_FAR: ("What was scanned is farther than is measured.", "Was gescannt wurde, ist ferner, als gemessen wird."),
         F.NOTHING_SEEN: ("The projector's light met nothing.", "Das Licht des Projektors traf auf nichts."),
+        F.SIDES_EXCHANGED: ("The left camera's pictures are the right one's.", "Die Bilder der linken Kamera sind die der rechten."),
         F.SCAN_POOR: ("Too few points, and no cause was found.", "Zu wenige Punkte, und kein Grund wurde gefunden."),
         F.LIGHT_FLICKERS: ("Other light changes and makes points wrong.", "Fremdes Licht flackert und verfälscht Punkte."),
         F.FRINGES_BENT: ("This exposure bends the fringes; points are noisier.", "Diese Belichtung biegt die Streifen; mehr Rauschen."),
