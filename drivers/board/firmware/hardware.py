@@ -30,7 +30,7 @@ class BoardHardware:
     def start(self, skip: int, every: int, pulses: int | None, delay_us: int, width_us: int) -> None:
         """Fire on the sync after the next ``skip`` ones and on each ``every``-th behind it, ``pulses`` times or for ever.
 
-        Replaces what was being fired; waits up to 16 ms until a pulse that has begun is over.
+        Replaces what was being fired; a pulse that has begun keeps its width.
         """
         raise NotImplementedError
 

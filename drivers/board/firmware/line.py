@@ -61,39 +61,40 @@ class CommandFinder:
     """Finds commands in whatever arrives; begins anew at each ``$`` and keeps at most one line."""
 
     def __init__(self) -> None:
-        self._line = bytearray(LONGEST)
-        self._length = 0
+        self._line = b""
 
     def feed(self, data: bytes) -> list[Command]:
         """Return the commands that ``data`` completes; everything else is garbage and forgotten."""
         found: list[Command] = []
-        for byte in data:
-            if byte == 0x24:
-                self._line[0] = byte
-                self._length = 1
-            elif self._length:
-                self._line[self._length] = byte
-                self._length += 1
-                if byte == 0x0A:
-                    command = parsed(bytes(self._line[: self._length]))
-                    self._length = 0
-                    if command is not None:
-                        found.append(command)
-                elif self._length == LONGEST:
-                    self._length = 0
+        # Cut by the interpreter's own C: byte by byte, a long line would cost a third of the answer's 20 ms.
+        pieces = data.split(b"$")
+        for i in range(len(pieces)):
+            if i:
+                self._line = b"$"
+            if self._line:
+                self._go_on(pieces[i], found)
         return found
+
+    def _go_on(self, piece: bytes, found: list[Command]) -> None:
+        end = piece.find(b"\n") + 1
+        if not end:
+            self._line += piece
+            if len(self._line) >= LONGEST:
+                self._line = b""
+            return
+        command = parsed(self._line + piece[:end])
+        self._line = b""
+        if command is not None:
+            found.append(command)
 
 
 def parsed(line: bytes) -> Command | None:
     """Return the command in ``line``, which runs from ``$`` to its line feed; ``None`` for anything else."""
-    if len(line) < 9 or line[-2:] != b"\r\n" or line[-7:-6] != b"*":
+    if not 9 <= len(line) <= LONGEST or line[-2:] != b"\r\n" or line[-7:-6] != b"*":
         return None
     body = line[1:-7]
-    if line[-6:-2] != f"{crc16(body):04X}".encode():
+    if min(body) < 0x20 or max(body) > 0x7E or b"*" in body or line[-6:-2] != f"{crc16(body):04X}".encode():
         return None
-    for byte in body:
-        if not 0x20 <= byte <= 0x7E or byte == 0x2A:
-            return None
     words = body.decode().split(",")
     if len(words) < 3 or words[0] != "C":
         return None

@@ -28,8 +28,6 @@ class DeskHardware(BoardHardware):
         self._pending: list[int] = []
         self._pulses: list[int] = []
         self._job: tuple[int, int, int, int] | None = None
-        self._high_until_us = 0
-        self._width_us = 0
         self._lasers = (False, False)
         self._lost = False
 
@@ -46,7 +44,6 @@ class DeskHardware(BoardHardware):
             while self._pending and self._pending[0] <= self.time_us:
                 self._pending.pop(0)
                 self._pulses.append(self.time_us)
-                self._high_until_us = self.time_us + self._width_us
 
     def _next_event_us(self) -> int:
         due_us = (self.time_us // PERIOD_US + 1) * PERIOD_US
@@ -85,9 +82,7 @@ class DeskHardware(BoardHardware):
 
     def start(self, skip: int, every: int, pulses: int | None, delay_us: int, width_us: int) -> None:
         self.stop()
-        self.advance(max(self.time_us, self._high_until_us))
         self._job = (self._edges + 1 + skip, every, 1 << 32 if pulses is None else pulses, delay_us)
-        self._width_us = width_us
 
     def stop(self) -> None:
         self._job = None
