@@ -10,8 +10,15 @@ Line = namedtuple("Line", ("name", "gpio", "header_pin", "direction", "at_reset"
 ``direction`` of ``in out i2c``, ``at_reset`` what holds the level before the firmware runs."""
 
 LINES = (
-    Line("SDA", 4, 6, "i2c", "pull-up 4.7 k", "data of the coil chip, I2C0"),
-    Line("SCL", 5, 7, "i2c", "pull-up 4.7 k", "clock of the coil chip, I2C0"),
+    Line(
+        "SDA",
+        4,
+        6,
+        "i2c",
+        "pull-up 4.7 k",
+        "data of the coil chip, I2C0; LDC3114: through a level shifter to its 1.8 V",
+    ),
+    Line("SCL", 5, 7, "i2c", "pull-up 4.7 k", "clock of the coil chip, I2C0; LDC3114: through a level shifter"),
     Line("COILS_READY", 6, 9, "in", "pull-up 10 k", "INTB of the coil chip: low when a conversion is ready"),
     Line(
         "COILS_POWER",
@@ -21,6 +28,7 @@ LINES = (
         "pull-up 10 k",
         "LPWRB of an LDC3114 (high: normal power), or SD of an LDC1614 (low: on)",
     ),
+    Line("SERVICE", 22, 29, "in", "pull-up inside", "to ground at reset: the firmware does not start"),
     Line("LED", 25, None, "out", "none", "status light on the module: on while a key is pressed"),
 )
 

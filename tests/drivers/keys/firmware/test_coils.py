@@ -1,0 +1,147 @@
+"""When a coil's count is a press: drift, noise, held keys, and coils that fail."""
+
+from __future__ import annotations
+
+import pytest
+
+from drivers.keys.firmware.coils import LONGEST_PRESS, TRIES, CoilFollower
+from drivers.keys.report import parse_report
+from tests.drivers.keys.firmware.desk import RESTING, PadDesk
+
+SCAN, UP = 0x01, 0x04
+
+
+@pytest.fixture
+def desk() -> PadDesk:
+    made = PadDesk()
+    made.run(3000)
+    return made
+
+
+def pressed(desk: PadDesk, time_ms: int) -> set[int]:
+    """Return all masks of pressed keys that were reported within that time."""
+    return {report[1] for _, report in desk.run(time_ms)}
+
+
+@pytest.mark.parametrize("raises", [True, False], ids=["count rises", "count falls"])
+def test_a_finger_is_a_press_whichever_way_the_chip_counts(raises: bool) -> None:
+    desk = PadDesk()
+    desk.hardware.press_raises = raises
+    desk.run(3000)
+    desk.finger(0, True)
+    desk.run(300)
+    assert pressed(desk, 1000) == {SCAN}
+    assert desk.hardware.lit
+    desk.finger(0, False)
+    desk.run(300)
+    assert pressed(desk, 1000) == {0}
+    assert not desk.hardware.lit
+
+
+@pytest.mark.parametrize("ppm_s", [-40.0, -5.0, 5.0, 40.0])
+def test_drift_is_no_press_and_presses_are_heard_all_the_same(ppm_s: float) -> None:
+    desk = PadDesk()
+    desk.hardware.drift_ppm_s = ppm_s
+    assert pressed(desk, 120_000) == {0}, "4800 ppm of drift, sixteen thresholds"
+    desk.finger(0, True)
+    desk.run(200)
+    assert pressed(desk, 500) == {SCAN}
+    desk.finger(0, False)
+    desk.run(500)
+    assert pressed(desk, 1000) == {0}
+
+
+def test_a_key_that_is_held_stays_pressed_for_the_stuck_keys_time(desk: PadDesk) -> None:
+    desk.finger(0, True)
+    desk.run(300)
+    assert pressed(desk, 40_000) == {SCAN}
+    desk.finger(0, False)
+    desk.run(300)
+    assert pressed(desk, 1000) == {0}
+
+
+def test_a_step_that_stays_is_a_new_rest_after_a_minute_and_the_key_works_again(desk: PadDesk) -> None:
+    desk.finger(0, True)
+    desk.run(70_000)
+    assert pressed(desk, 1000) == {0}
+    # The dent is gone again: beyond the rest on the other side.
+    desk.finger(0, False)
+    desk.run(2000)
+    desk.finger(0, True)
+    desk.run(300)
+    assert pressed(desk, 500) == {SCAN}
+    assert LONGEST_PRESS * 12 < 70_000
+
+
+def test_a_key_that_was_held_at_power_on_works_once_it_was_released() -> None:
+    desk = PadDesk()
+    desk.hardware.bend_ppm[0] = 900
+    desk.finger(0, True)
+    assert pressed(desk, 3000) == {0}
+    desk.finger(0, False)
+    desk.run(500)
+    desk.finger(0, True)
+    desk.run(300)
+    assert pressed(desk, 500) == {SCAN}
+
+
+def test_loud_coils_have_a_higher_threshold(desk: PadDesk) -> None:
+    desk.hardware.noise_ppm = 120
+    desk.run(20_000)
+    assert pressed(desk, 60_000) == {0}
+    assert desk.core._coils[0].threshold() / 256 > RESTING[0] * 300e-6 * 1.05
+
+
+def test_a_trembling_finger_does_not_make_the_key_flutter() -> None:
+    follower = CoilFollower()
+    for _ in range(200):
+        follower.follow(4_000_000, True)
+    changes = 0
+    for i in range(100):
+        before = follower.pressed
+        # From 220 to 340 ppm: around the press threshold of 300, above that of the release.
+        follower.follow(4_000_000 + (880 if i % 2 else 1360), True)
+        changes += follower.pressed != before
+    assert changes == 1
+
+
+def test_a_coil_that_stops_is_faulty_and_not_pressed_and_comes_back(desk: PadDesk) -> None:
+    desk.finger(2, True)
+    desk.run(300)
+    desk.hardware.broken[2] = True
+    report = parse_report(desk.run(300)[-1][1])
+    assert {key.name for key in report.faulty} == {"UP"}
+    assert not report.pressed
+    desk.finger(2, False)
+    desk.hardware.broken[2] = False
+    desk.run(600)
+    assert not parse_report(desk.run(300)[-1][1]).faulty
+    desk.finger(2, True)
+    desk.run(300)
+    assert pressed(desk, 500) == {UP}
+
+
+def test_fewer_samples_than_that_make_no_fault() -> None:
+    follower = CoilFollower()
+    for _ in range(50):
+        follower.follow(4_000_000, True)
+    for _ in range(TRIES - 1):
+        follower.follow(None, True)
+    assert not follower.faulty
+    follower.follow(4_000_000, True)
+    for _ in range(TRIES - 1):
+        follower.follow(None, True)
+    assert not follower.faulty
+    follower.follow(None, True)
+    assert follower.faulty
+
+
+def test_a_change_that_usb_did_not_take_is_told_later_and_no_number_is_lost(desk: PadDesk) -> None:
+    before = desk.run(500)[-1][1][2]
+    desk.hardware.listening = False
+    desk.finger(0, True)
+    assert desk.run(1000) == []
+    desk.hardware.listening = True
+    first = desk.run(20)[0][1]
+    assert first[1] == SCAN
+    assert first[2] == (before + 1) % 256
