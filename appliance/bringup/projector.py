@@ -7,7 +7,7 @@ light comes. Nothing is judged by a single image or by one camera.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from appliance.bringup.finding import BringupError
 from appliance.bringup.light import SLICE_US, LightTiming, Profile, latency_of, light_within, sub_frames_of, timing_of
 from appliance.bringup.orientation import SeenPicture, marker_pictures, see_orientation
 from appliance.bringup.raster import LINES, LineLight, checker, compare_lines, line_pictures
-from appliance.bringup.response_check import ResponseShape, judge_response, ramp_codes, shuffled
+from appliance.bringup.response_check import ResponseShape, Shape, judge_response, ramp_codes, shuffled
 
 Say = Callable[[str, float], None]
 BIT_CODES = (255, 128, 64, 32, 16, 8, 4, 2, 1)
@@ -32,6 +32,10 @@ RAMP_CODES = 62
 """Number of codes in a take: with white and black of its own, as many frames as it may have."""
 MORE_LIGHT = 1.5
 """Least ratio of light with all channels to that of green alone from which they may be sub-frames of one lamp."""
+ALL_OF_IT = 0.98
+"""Share of a frame's light from which an exposure is taken to hold all of it."""
+CURVES_ALIKE, FEWEST_ALIKE = 0.01, 4
+"""Largest distance of two curves that are one, share of white; and how many exposures must have it where none holds all light."""
 HOPELESS = 0.06
 """RMS distance from a straight line of a first pass from which no second one is taken."""
 LEAST_HZ, MOST_HZ = 35.0, 240.0
@@ -100,6 +104,7 @@ def measure_projector(bench: Bench, gain_db: float, say: Say) -> ProjectorMeasur
         begins_us = first_us + trial.delay_us
         return light_within(profiles[255], begins_us, begins_us + trial.exposure_us)
 
+    responses = _confirmed(responses, ramps, light_of, float(profiles[255].sum()))
     offer = offered(responses, light_of)
     best = Trial(offer.delay_us, offer.exposures_us[-1]) if offer is not None else _brightest(responses)
     say("orientation", 0.88)
@@ -240,6 +245,36 @@ def _responses(
         mean = (passes[0] + passes[1]) / 2.0
         ramps[trial] = (mean - mean[0]) / max(float(mean[-1] - mean[0]), 1e-9)
     return shapes, ramps
+
+
+def _confirmed(
+    responses: Mapping[Trial, ResponseShape],
+    ramps: Mapping[Trial, NDArray[np.float64]],
+    light_of: Callable[[Trial], float],
+    whole: float,
+) -> dict[Trial, ResponseShape]:
+    """Return the responses, curved ones only where the lamp itself is curved so: like an exposure that holds all of its light."""
+    full = [trial for trial, shape in responses.items() if shape.usable and light_of(trial) > ALL_OF_IT * whole]
+    # Cut bit planes may look smooth by chance; but then each exposure has a curve of its own, and steady lamps have one.
+    reference = max(full, key=light_of, default=None) or _alike(responses, ramps)
+    confirmed = {}
+    for trial, shape in responses.items():
+        own = shape.shape is Shape.CURVED and (
+            reference is None
+            or float(np.abs(ramps[trial] - ramps[reference]).max()) > CURVES_ALIKE + 1.5 * shape.repeat_rms
+        )
+        confirmed[trial] = replace(shape, shape=Shape.BIT_PLANES) if own else shape
+    return confirmed
+
+
+def _alike(responses: Mapping[Trial, ResponseShape], ramps: Mapping[Trial, NDArray[np.float64]]) -> Trial | None:
+    """Return a trial whose curve is that of most others, where none holds all of the light; ``None``: there is no such curve."""
+    curved = [trial for trial, shape in responses.items() if shape.usable]
+    for trial in curved:
+        like = sum(float(np.abs(ramps[trial] - ramps[other]).max()) < CURVES_ALIKE for other in curved)
+        if like >= max(FEWEST_ALIKE, 0.5 * len(responses)):
+            return trial
+    return None
 
 
 def _ramp(images: Image) -> NDArray[np.float64]:

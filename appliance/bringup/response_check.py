@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 STRAIGHT = 0.01
 """Largest RMS distance from a straight line, as a share of white."""
-MOST_OFF = 0.025
-"""Largest distance of a single code from it."""
+MOST_OFF = 0.01
+"""Largest distance of a single code from it, beyond what passes differ by."""
 REPEATS = 0.01
 """Largest RMS difference of two passes."""
 FALLS_SIGMAS, FALLS = 4.0, 0.002
@@ -87,7 +87,7 @@ def judge_response(
     rising = falls <= max(FALLS, FALLS_SIGMAS * repeat_rms / 2.0)
     if repeat_rms > REPEATS:
         shape = Shape.RESTLESS
-    elif rising and line_rms < STRAIGHT and line_most < MOST_OFF:
+    elif rising and line_rms < STRAIGHT and line_most < MOST_OFF + 1.5 * repeat_rms:
         shape = Shape.STRAIGHT
     elif not rising or min(smooth_rms, power_rms) > SMOOTH:
         shape = Shape.BIT_PLANES

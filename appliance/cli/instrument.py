@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import faulthandler
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from appliance.cli.kernels import find_kernels
 from appliance.cli.output import Exit, Progress, say, say_json, table
 from appliance.cli.places import WithRig, WithRoot
 from appliance.config import Rig
 from appliance.process_start import importing
+
+if TYPE_CHECKING:
+    from drivers.api import Health
 
 # The service is imported when it starts: it brings drivers and compiled kernels, which must be found before.
 
@@ -53,7 +57,24 @@ class Check(WithRig):
                 for h in found
             ]
             say(table(("DEVICE", "", *(fact.upper() for fact in facts), "WHAT IT IS, OR WHAT IS WRONG"), rows))
+            say("")
+            say(table(("BUS", "WHAT IS THERE"), _buses(found)))
         return Exit.OK if all(h.ok for h in found) else Exit.FAILED
+
+
+def _buses(found: Sequence[Health]) -> list[tuple[str, str]]:
+    """Return what is on each bus, one line each, the bus named in its first."""
+    rows: list[tuple[str, str]] = []
+    for name, device in (
+        ("cameras", "camera.left"),
+        ("serial ports", "board"),
+        ("HID", "keys"),
+        ("video", "projector"),
+    ):
+        details = next((one.details for one in found if one.device == device), {})
+        lines = details.get("there", "nothing").split("; ")
+        rows += [(name if k == 0 else "", line) for k, line in enumerate(lines)]
+    return rows
 
 
 def serve(rig: Rig) -> Exit:

@@ -12,6 +12,10 @@ from appliance.service.devices import Devices
 from appliance.storage.lock import holder
 from drivers import rig as drivers_rig
 from drivers.api import DeviceError, DeviceRefused, Health, Projector
+from drivers.inventory import OnTheBuses, on_the_buses
+
+THERE, NOTHING = "there", "nothing"
+"""Name in a device's details of what its bus has, and what it says where that is nothing."""
 
 
 def check(rig: Rig) -> list[Health]:
@@ -27,6 +31,9 @@ def check(rig: Rig) -> list[Health]:
     found: list[Health] = []
     wanted = _wanted_firmware(rig)
     with drivers_rig.open_wires(rig.rig.wires, rig.rig.wires_options) as wires:
+        # Before any device is opened: a card has one master, and a camera that is in use does not tell its number.
+        outputs = (rig.projector, rig.display)
+        there = on_the_buses(wires, [one.card for one in outputs if one.kind == "kms" and one.card is not None])
 
         def nothing_to_load(projector: Projector) -> None:
             projector.load([np.zeros((rig.projector.height_px, rig.projector.width_px), np.uint8)])
@@ -40,7 +47,16 @@ def check(rig: Rig) -> list[Health]:
                         found.append(_compared(_health(name, device), wanted.get(name)))
                 except DeviceError as error:
                     found.append(Health(name, False, f"{error.message}. {error.remedy}"))
-    return found
+    return [
+        replace(one, details={**one.details, THERE: "; ".join(_there(one.device, there)) or NOTHING}) for one in found
+    ]
+
+
+def _there(device: str, there: OnTheBuses) -> tuple[str, ...]:
+    """Return what is on the bus that ``device`` belongs on."""
+    if device.startswith("camera."):
+        return there.cameras
+    return {"board": there.ports, "keys": there.hid}.get(device, there.connectors)
 
 
 def _wanted_firmware(rig: Rig) -> Mapping[str, str | None]:

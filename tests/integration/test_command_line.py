@@ -36,11 +36,17 @@ def checked(shell: Shell, folder: Path, *faults: str, change: Callable[[str], st
 def test_the_simulated_devices_pass_the_check_and_identify_themselves() -> None:
     said = kingfisher("check", "--rig", SMALL_RIG)
     assert said.code == 0, said.out + said.err
-    header, *lines = said.out.splitlines()
+    devices, _, buses = said.out.partition("\n\n")
+    header, *lines = devices.splitlines()
     assert header.split()[:4] == ["DEVICE", "SERIAL", "LINK", "FIRMWARE"]
     rows = {line.split()[0]: line.split()[1] for line in lines}
     assert rows == dict.fromkeys(["camera.left", "camera.right", "board", "keys", "projector", "display"], "ok")
     assert lines[0].split()[:6] == ["camera.left", "ok", "KF-CAM-L", "5000", "Mbit/s", "1.0"]
+    assert "KF-CAM-L (USB3 Vision, bus" in buses
+    assert "KF-CAM-R (USB3 Vision, bus" in buses
+    assert "1209:4b46" in buses
+    assert "HDMI-A-1 on /dev/dri/card0 (1024×768 60.00 Hz" in buses
+    assert "DP-1 on /dev/dri/card0 (800×480 60.00 Hz" in buses
 
 
 def test_the_check_names_what_is_wrong_with_each_device(shell: Shell, tmp_path: Path) -> None:
@@ -56,6 +62,10 @@ def test_the_check_names_what_is_wrong_with_each_device(shell: Shell, tmp_path: 
     assert "KF-CAM-L" in said["camera.left"]["summary"]  # which is there in its place
     assert "480 Mbit/s" in said["camera.right"]["summary"]
     assert said["camera.right"]["details"]["serial"] == "KF-CAM-R"
+    assert "KF-CAM-L (USB3 Vision" in said["camera.left"]["details"]["there"], (
+        "what could be meant stands beside what is missing"
+    )
+    assert said["keys"]["details"]["there"] == "nothing"
     assert "firmware 1.4.2; the rig file wants 2.0" in said["board"]["summary"]
     assert all(". " in said[name]["summary"] for name in ("camera.left", "camera.right", "board", "keys"))  # a remedy
 

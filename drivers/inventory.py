@@ -1,0 +1,100 @@
+"""Owns the list of what is on the buses, whatever the rig file wants: cameras, serial ports, HID devices, connectors.
+
+Nothing is opened for use and nothing is changed; a camera is asked for its serial number, a card for its connectors.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import serial.tools.list_ports
+import usb.core
+
+from drivers.api import DeviceError, Wires
+from drivers.camera.usb import default_backend, find_cameras
+from drivers.output.card import Card
+
+MOST = 32
+"""Number of things of one kind that are listed: a broken hub may enumerate without end."""
+
+
+@dataclass(frozen=True, slots=True)
+class OnTheBuses:
+    """Things that are there, each in one line of words; a bus that could not be asked says why in its line."""
+
+    cameras: tuple[str, ...] = ()
+    ports: tuple[str, ...] = ()
+    hid: tuple[str, ...] = ()
+    connectors: tuple[str, ...] = ()
+
+
+def on_the_buses(wires: Wires, cards: Sequence[str]) -> OnTheBuses:
+    """List what ``wires`` lead to, and the connectors of ``cards`` (``/dev/dri/card0``). Never raises for a device."""
+    return OnTheBuses(
+        tuple(_limited(_cameras(wires.usb_backend))),
+        tuple(_limited(_ports())),
+        tuple(_limited(_hid(wires.hidraw))),
+        tuple(line for card in dict.fromkeys(cards) for line in _limited(_connectors(wires, card))),
+    )
+
+
+def _limited(lines: Iterator[str]) -> Iterator[str]:
+    for number, line in enumerate(lines):
+        if number == MOST:
+            yield f"and more than {MOST}"
+            return
+        yield line
+
+
+def _cameras(backend: Any) -> Iterator[str]:
+    try:
+        for camera in find_cameras(backend or default_backend()):
+            speed = "" if camera.link_speed_mbps is None else f", {camera.link_speed_mbps} Mbit/s"
+            # Without a number it is permission, or another program: just what whoever reads this wants to know.
+            serial_number = camera.serial or f"serial number not readable ({camera.unreadable or 'none'})"
+            yield f"{serial_number} (USB3 Vision, {camera.location}{speed})"
+    except (DeviceError, usb.core.USBError) as error:
+        yield f"USB could not be asked: {error}"
+
+
+def _ports() -> Iterator[str]:
+    for port in sorted(serial.tools.list_ports.comports(), key=lambda one: str(one.device)):
+        # Ports of the mainboard have no USB identity, and are there whether anything is plugged in or not.
+        if port.vid is None:
+            continue
+        number = f", serial {port.serial_number}" if port.serial_number else ""
+        yield f"{port.device} ({port.vid:04x}:{port.pid:04x} {port.product or 'without a name'}{number})"
+
+
+def _hid(hidraw: Any) -> Iterator[str]:
+    try:
+        for entry in hidraw.enumerate(0, 0):
+            name = entry.get("product_string") or "without a name"
+            path = entry.get("path", b"")
+            yield f"{entry['vendor_id']:04x}:{entry['product_id']:04x} {name} ({path.decode(errors='replace')})"
+    except OSError as error:
+        yield f"HID devices could not be asked: {error}"
+
+
+def _connectors(wires: Wires, path: str) -> Iterator[str]:
+    try:
+        card = Card(wires.open_card(path), wires.clock)
+    except (DeviceError, OSError) as error:
+        yield f"{path} could not be opened: {error}"
+        return
+    try:
+        card.scan()
+        for connector in card.connectors():
+            if not connector.connected:
+                yield f"{connector.name} on {path} (nothing plugged in)"
+                continue
+            modes = ", ".join(dict.fromkeys(str(mode) for mode in connector.modes))
+            yield f"{connector.name} on {path} ({modes or 'offers no mode'})"
+    except OSError as error:
+        yield f"{path} could not be asked: {error}"
+    finally:
+        with contextlib.suppress(OSError):
+            card.close()
