@@ -20,6 +20,7 @@ class DeskHardware(BoardHardware):
         self.synced = True
         self.stuck_left = False
         self.sent = bytearray()
+        self.fired: list[int] = []
         self.fed = 0
         self.beats = 0
         self._received = b""
@@ -44,6 +45,7 @@ class DeskHardware(BoardHardware):
             while self._pending and self._pending[0] <= self.time_us:
                 self._pending.pop(0)
                 self._pulses.append(self.time_us)
+                self.fired.append(self.time_us)
 
     def _next_event_us(self) -> int:
         due_us = (self.time_us // PERIOD_US + 1) * PERIOD_US
@@ -118,8 +120,8 @@ class DeskHardware(BoardHardware):
 class Desk:
     """A core on its desk; ``exchange`` is all that a host needs."""
 
-    def __init__(self) -> None:
-        self.hardware = DeskHardware()
+    def __init__(self, hardware: DeskHardware | None = None) -> None:
+        self.hardware = hardware or DeskHardware()
         self.core = BoardCore(self.hardware, "KF-DESK-1", "POWER")
 
     def exchange(self, data: bytes, time_us: int) -> bytes:

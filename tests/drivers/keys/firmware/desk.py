@@ -22,6 +22,7 @@ class PadDeskHardware(PadHardware):
         self.down = [False] * 4
         self.bend_ppm = [0.0] * 4
         self.drift_ppm_s = 0.0
+        self.offset_ppm = [0.0] * 4
         self.noise_ppm = 10
         self.broken = [False] * 4
         self.press_raises = True
@@ -55,7 +56,7 @@ class PadDeskHardware(PadHardware):
     def counts(self) -> list[int | None]:
         found: list[int | None] = []
         for i in range(4):
-            ppm = self.drift_ppm_s * self.time_ms / 1000 + self._noise()
+            ppm = self.drift_ppm_s * self.time_ms / 1000 + self.offset_ppm[i] + self._noise()
             ppm += self.bend_ppm[i] if self.press_raises else -self.bend_ppm[i]
             found.append(None if self.broken[i] else int(RESTING[i] * (1 + ppm / 1_000_000)))
         return found

@@ -8,6 +8,8 @@ from drivers.keys.firmware.coils import LONGEST_PRESS, TRIES, CoilFollower
 from drivers.keys.report import parse_report
 from tests.drivers.keys.firmware.desk import RESTING, PadDesk
 
+pytestmark = pytest.mark.hardware
+
 SCAN, UP = 0x01, 0x04
 
 
@@ -145,3 +147,14 @@ def test_a_change_that_usb_did_not_take_is_told_later_and_no_number_is_lost(desk
     first = desk.run(20)[0][1]
     assert first[1] == SCAN
     assert first[2] == (before + 1) % 256
+
+
+def test_a_coil_that_comes_back_rests_where_it_is_then(desk: PadDesk) -> None:
+    desk.hardware.broken[0] = True
+    desk.run(300)
+    desk.hardware.offset_ppm[0] = 3000.0
+    desk.hardware.broken[0] = False
+    assert pressed(desk, 2000) == {0}
+    desk.finger(0, True)
+    desk.run(300)
+    assert pressed(desk, 500) == {SCAN}
