@@ -231,6 +231,9 @@ class ChipHardware(BoardHardware):
             if chip.part == "SHT40":
                 self._begin_sht40(chip)
                 time.sleep_ms(SHT40_READY_MS)  # type: ignore[attr-defined]
+                # Fetched once here, so that the board's temperature has a value from the first heartbeat on.
+                self._humidity(chip)
+                time.sleep_ms(SHT40_READY_MS)  # type: ignore[attr-defined]
                 return True
             raw = self._bus.readfrom_mem(chip.address, sensors.TMP117_IDENTITY, 2)
         except OSError:

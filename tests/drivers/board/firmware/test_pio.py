@@ -23,6 +23,7 @@ VSYNC, TRIGGER = gpio("VSYNC"), gpio("TRIGGER")
 GATE, PULSE = 0, 1
 WAITS = 2
 """Between a sync and its pulse: that for the pin, and that for the flag."""
+PIO0_BASE = 0x50200000
 PIO0 = 6
 """Function of a GPIO."""
 INPUT_ENABLED = 0x40
@@ -62,10 +63,10 @@ class Chip:
         self._chip.gpio[TRIGGER].set_input_value(bool(level))
 
     def write(self, offset: int, value: int) -> None:
-        self._block.write_uint32(offset, value)
+        self._chip.write_uint32(PIO0_BASE + offset, value)
 
     def read(self, offset: int) -> int:
-        return int(self._block.read_uint32(offset))
+        return int(self._chip.read_uint32(PIO0_BASE + offset))
 
     def sync(self, level: int) -> None:
         self._chip.gpio[VSYNC].set_input_value(bool(level))

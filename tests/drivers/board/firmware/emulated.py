@@ -1,0 +1,252 @@
+"""Owns MicroPython's modules for the RP2040 on an emulated one: ``machine``, ``rp2``, ``usb.device`` and the clock.
+
+PIO, pins and PIO registers are the emulator's, clock by clock; watchdog, converters, sensors' bus and USB are models of what the
+firmware asks of them. Python takes two microseconds for each access to the chip.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from array import array
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import pytest
+
+from drivers.board.firmware.pins import gpio
+from drivers.board.firmware.sensors import crc8
+from tests.drivers.board.firmware.test_pio import CLOCK_HZ, PIO0_BASE, TRIGGER, US, VSYNC, Chip
+
+ACCESS_CYCLES = 2 * US
+PERIOD_US, SYNC_WIDTH_US = 16_667, 124
+TIMER, WATCHDOG_SCRATCH, IO_BANK0 = 0x40054000, 0x4005800C, 0x40014000
+POWER_ON, WATCHDOG = 1, 3
+
+
+def _sht40(temperature: int, humidity: int) -> bytes:
+    words = [temperature.to_bytes(2, "big"), humidity.to_bytes(2, "big")]
+    return b"".join(word + bytes([crc8(word)]) for word in words)
+
+
+class Emulated:
+    """One chip with a video signal on it, whose time passes by what the firmware does."""
+
+    def __init__(self) -> None:
+        self.chip = Chip()
+        self.synced = True
+        self.scratch = 0
+        self.reset_cause = POWER_ON
+        self.fed = 0
+        self.adc = {gpio("SUPPLY_SENSE"): 43_500}
+        self.levels: dict[int, int] = {}
+        self.sensors: dict[int, bytes] = {0x48: b"\x0f\xa0", 0x49: b"\x0c\x80", 0x44: _sht40(0x6666, 0x7333)}
+        self.heard = b""
+        self.said = b""
+        self.listening = True
+        self.next_sync = PERIOD_US * US
+
+    def pass_cycles(self, cycles: int) -> None:
+        """Let the chip's clock run, and the syncs come."""
+        end = self.chip.now + cycles
+        while self.chip.now < end:
+            edge = min(end, self.next_sync)
+            if edge > self.chip.now:
+                self.chip.run(edge - self.chip.now)
+            if self.chip.now == self.next_sync:
+                phase = self.next_sync // US % PERIOD_US
+                self.chip.sync(int(phase == 0 and self.synced))
+                self.next_sync += (SYNC_WIDTH_US if phase == 0 else PERIOD_US - SYNC_WIDTH_US) * US
+
+    # ---- mem32
+
+    def __getitem__(self, address: int) -> int:
+        self.pass_cycles(ACCESS_CYCLES)
+        if address == TIMER + 0x0C:
+            return self.chip.now // US & 0xFFFFFFFF
+        if address == TIMER + 0x08:
+            return self.chip.now // US >> 32
+        if address == WATCHDOG_SCRATCH:
+            return self.scratch
+        return self.chip.read(address - PIO0_BASE)
+
+    def __setitem__(self, address: int, value: int) -> None:
+        self.pass_cycles(ACCESS_CYCLES)
+        if address == WATCHDOG_SCRATCH:
+            self.scratch = value
+        else:
+            assert address >= PIO0_BASE
+            self.chip.write(address - PIO0_BASE, value)
+
+
+class _Emit:
+    """What the firmware uses of ``rp2.PIOASMEmit``, with the fields that a program of 1.27 has on RP2040."""
+
+    def __init__(self, **settings: Any) -> None:
+        self.settings = settings
+        self.prog: list[Any] = [array("H"), -1, 0, settings]
+        self._turn = 0
+
+    def start_pass(self, turn: int) -> None:
+        self._turn = turn
+        self._count = 0
+
+    def wrap_target(self) -> None:
+        self.prog[2] = self._count
+
+    def word(self, word: int) -> None:
+        self._count += 1
+        if self._turn:
+            self.prog[0].append(word)
+
+
+def modules(emulated: Emulated) -> dict[str, ModuleType]:
+    """Return the modules that ``chip.py`` imports, on ``emulated``."""
+    chip = emulated.chip
+    used = 0
+
+    class StateMachine:
+        def __init__(self, number: int, prog: Any, **settings: Any) -> None:
+            self._number = number
+            self.init(prog, **settings)
+
+        def init(self, prog: Any, freq: int = -1, **settings: Any) -> None:
+            nonlocal used
+            if prog[1] < 0:
+                prog[1], used = used, used + len(prog[0])
+                assert used <= 32
+            pins = {"divider": 1 if freq < 0 else CLOCK_HZ // freq}
+            if "jmp_pin" in settings:
+                pins["jmp_pin"] = settings["jmp_pin"].number
+            assert "in_base" not in settings or settings["in_base"].number == VSYNC
+            assert "set_base" not in settings or settings["set_base"].number == TRIGGER
+            assert (prog[3].get("out_shiftdir") == 1) is ("in_base" in settings), "GATE shifts to the right"
+            chip.load(self._number, SimpleNamespace(words=prog[0], wrap_target=prog[2]), prog[1], **pins)  # type: ignore[arg-type]
+            while self.tx_fifo():
+                chip.write(
+                    0xD8 + 0x18 * self._number, 0x8080
+                )  # PULL without waiting: MicroPython empties the FIFOs here
+
+        def active(self, on: int) -> None:
+            chip.enable(chip.enabled | 1 << self._number if on else chip.enabled & ~(1 << self._number))
+            emulated.pass_cycles(ACCESS_CYCLES)
+
+        def put(self, word: int) -> None:
+            chip.put(self._number, [word])
+            emulated.pass_cycles(ACCESS_CYCLES)
+
+        def get(self) -> int:
+            return chip.read(0x20 + 4 * self._number)
+
+        def rx_fifo(self) -> int:
+            return chip.read(0x0C) >> 8 * self._number + 4 & 0xF
+
+        def tx_fifo(self) -> int:
+            return chip.read(0x0C) >> 8 * self._number & 0xF
+
+        def exec(self, word: int) -> None:
+            chip.write(0xD8 + 0x18 * self._number, word)
+            emulated.pass_cycles(ACCESS_CYCLES)
+
+    class Pin:
+        IN, OUT, PULL_DOWN, PULL_UP = 0, 1, 2, 1
+
+        def __init__(self, number: int, mode: int = 0, pull: int | None = None, value: int = 0) -> None:
+            self.number = number
+            if mode == self.OUT:
+                emulated.levels[number] = value
+
+        def value(self, level: int | None = None) -> int:
+            emulated.pass_cycles(ACCESS_CYCLES)
+            if level is not None:
+                emulated.levels[self.number] = int(level)
+            if self.number == TRIGGER:
+                return chip.scope[-1][1] if chip.scope else 0
+            return emulated.levels.get(self.number, 0)
+
+        def toggle(self) -> None:
+            emulated.levels[self.number] ^= 1
+
+    class ADC:
+        def __init__(self, pin: Pin) -> None:
+            self._pin = pin
+
+        def read_u16(self) -> int:
+            laser = {gpio("LASER_LEFT_SENSE"): "LASER_LEFT", gpio("LASER_RIGHT_SENSE"): "LASER_RIGHT"}.get(
+                self._pin.number
+            )
+            if laser is not None:
+                return 20_000 * emulated.levels[gpio(laser)]
+            return emulated.adc[self._pin.number]
+
+    class I2C:
+        def __init__(self, *_: Any, **__: Any) -> None:
+            pass
+
+        def readfrom_mem(self, address: int, register: int, count: int) -> bytes:
+            if address not in emulated.sensors:
+                raise OSError(5)
+            return b"\x01\x17" if register == 0x0F else emulated.sensors[address]
+
+        def readfrom(self, address: int, count: int) -> bytes:
+            return self.readfrom_mem(address, 0, count)
+
+        def writeto(self, address: int, data: bytes) -> None:
+            self.readfrom_mem(address, 0, 0)
+
+    class WDT:
+        def __init__(self, timeout: int) -> None:
+            assert timeout <= 8388
+
+        def feed(self) -> None:
+            emulated.fed += 1
+
+    class CDCInterface:
+        def __init__(self, timeout: int, txbuf: int, rxbuf: int) -> None:
+            assert timeout == 0
+            assert txbuf < 64
+
+        @property
+        def dtr(self) -> bool:
+            return emulated.listening
+
+        def read(self, count: int) -> bytes | None:
+            heard, emulated.heard = emulated.heard[:count], emulated.heard[count:]
+            return heard or None
+
+        def write(self, data: bytes) -> int:
+            taken = data[:40]
+            emulated.said += taken
+            return len(taken)
+
+    machine, rp2, usb_device, cdc = (ModuleType(name) for name in ("machine", "rp2", "usb.device", "usb.device.cdc"))
+    vars(machine).update(
+        {"Pin": Pin, "ADC": ADC, "I2C": I2C, "WDT": WDT, "mem32": emulated, "WDT_RESET": WATCHDOG},
+        freq=lambda hz: None,
+        reset_cause=lambda: emulated.reset_cause,
+    )
+    pio = SimpleNamespace(SHIFT_RIGHT=1, OUT_LOW=2, JOIN_RX=2)
+    vars(rp2).update(StateMachine=StateMachine, PIOASMEmit=_Emit, PIO=pio)
+    identity: dict[str, Any] = {}
+    vars(usb_device).update(
+        get=lambda: SimpleNamespace(init=lambda *_, **words: identity.update(words)), cdc=cdc, identity=identity
+    )
+    vars(cdc).update(CDCInterface=CDCInterface)
+    return {"machine": machine, "rp2": rp2, "usb.device": usb_device, "usb.device.cdc": cdc}
+
+
+def install(emulated: Emulated, patch: pytest.MonkeyPatch) -> Any:
+    """Import ``chip.py`` on ``emulated`` and return the module; ``patch`` takes everything back."""
+    import usb
+
+    made = modules(emulated)
+    for name, module in made.items():
+        patch.setitem(sys.modules, name, module)
+    patch.setattr(usb, "device", made["usb.device"], raising=False)
+    patch.setattr(time, "sleep_us", lambda us: emulated.pass_cycles(us * US), raising=False)
+    patch.setattr(time, "sleep_ms", lambda ms: emulated.pass_cycles(ms * 1000 * US), raising=False)
+    patch.delitem(sys.modules, "drivers.board.firmware.chip", raising=False)
+    import drivers.board.firmware.chip as module
+
+    patch.delitem(sys.modules, "drivers.board.firmware.chip")
+    return module
