@@ -72,6 +72,18 @@ def test_an_armed_series_leaves_the_pins_as_it_was_ordered_and_is_told_as_it_was
     assert [w for _, _, verb, *w in said if verb == "DONE"] == [["3"]]
 
 
+def test_a_second_series_knows_nothing_of_the_syncs_after_the_first(board: Board, host: Host) -> None:
+    assert host.ask("ARM", 1, host.count() + 3, 300, 1000)[0] == "A"
+    host.listen(80_000)
+    scope = board.emulated.chip.scope
+    assert len(scope) == 2
+    start = host.count() + 3
+    assert host.ask("ARM", 1, start, 300, 1000)[0] == "A"
+    assert [int(words[1]) for words in host.reports(60_000, "PULSE")] == [start]
+    assert len(scope) == 4
+    assert abs((scope[2][0] // US - 300 + 1) % PERIOD_US) <= 1
+
+
 def test_a_series_armed_within_a_live_pulse_lets_it_end(board: Board, host: Host) -> None:
     host.ask("LIVE", 1, 0, 12_000)
     host.listen(40_000)
