@@ -28,6 +28,8 @@ ROUNDS = 3
 SETTLED = 10
 """Results after which every worker is at work."""
 _POLL_S = 0.02
+QUIET = {"DASK_DISTRIBUTED__ADMIN__TICK__INTERVAL": "1s", "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False"}
+"""What docs/archive.md has scheduler and workers started with."""
 _HZ = os.sysconf("SC_CLK_TCK")
 
 
@@ -127,7 +129,7 @@ def _command(source: Path, out: Path) -> list[str]:
 @contextmanager
 def _running(out: Path, module: str, *words: str) -> Iterator[subprocess.Popen[bytes]]:
     with (out / "dask.log").open("ab") as log:
-        process = subprocess.Popen([sys.executable, "-m", module, *words], stdout=log, stderr=log)
+        process = subprocess.Popen([sys.executable, "-m", module, *words], stdout=log, stderr=log, env=os.environ | QUIET)
     try:
         yield process
     finally:

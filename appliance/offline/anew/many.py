@@ -24,6 +24,10 @@ CONNECT_S = 30.0
 SCHEDULER_BACK_S = 600.0
 """Time that a scheduler may stay away before the work is given up."""
 RETRY_S = 1.0
+LOOK_S = 5.0
+"""Between two questions to the scheduler about its workers; until then a new one waits. Each costs both of them milliseconds."""
+UNASKED_S = 60.0
+"""Between two reports about all workers that the client fetches of its own accord; nobody reads them here."""
 PER_THREAD = 2
 """Scans in work for each thread of the workers: one that is done, and one that waits beside it."""
 MOST_IN_WORK = 10_000
@@ -50,6 +54,7 @@ class ManyEngine:
 
     def __init__(self, address: str, limit_s: float) -> None:
         self._dask = needed("distributed", "distributed", "--scheduler")
+        self._settings = needed("dask.config", "distributed", "--scheduler")
         self._address = address
         self._limit_s = limit_s
         self._numbers = itertools.count(1)
@@ -68,7 +73,7 @@ class ManyEngine:
     def room(self) -> int:
         """Do what ``Engine`` promises."""
         now_s = time.monotonic()
-        if not self._threads or now_s > self._asked_s + RETRY_S:
+        if now_s > self._asked_s + (LOOK_S if self._threads else RETRY_S):
             self._asked_s = now_s
             try:
                 workers = self._client.scheduler_info(n_workers=-1)["workers"].values()
@@ -163,7 +168,8 @@ class ManyEngine:
 
     def _connected(self, timeout_s: float) -> Any:
         try:
-            client: Any = self._dask.Client(self._address, timeout=timeout_s, name="kingfisher-reprocess")
+            with self._settings.set({"distributed.client.scheduler-info-interval": f"{UNASKED_S:.0f}s"}):
+                client: Any = self._dask.Client(self._address, timeout=timeout_s, name="kingfisher-reprocess")
         except (OSError, TimeoutError, ValueError) as error:
             raise SchedulerError(
                 f"--scheduler {self._address}: cannot be reached ({error}); start one with `dask scheduler`"
@@ -174,7 +180,7 @@ class ManyEngine:
         """Wait for a scheduler at the same address. What was in work comes back."""
         until_s, never = time.monotonic() + SCHEDULER_BACK_S, threading.Event()
         self._back += [Ended(work.job, None, "the scheduler was lost", counts=False) for work in self._in_work.values()]
-        self._in_work, self._threads = {}, 0
+        self._in_work, self._threads, self._asked_s = {}, 0, 0.0
         self._client.close(timeout=END_S)
         while True:
             try:
