@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import Any
 
 from appliance.capture.sync import SyncMap
@@ -21,6 +22,8 @@ CLOCKS_PPM = 200.0
 """Rate by which two clocks of 100 ppm each may drift apart, where a sequence is so long that this is more."""
 MAX_APART_NS = 500_000
 """First exposures of left and right, by the host's clock, beyond what reading the cameras' clocks leaves open."""
+LEAST_REGULAR = 3
+"""Frames of which two steps between them can be alike."""
 MAX_FLIP_PHASE = 0.4
 """Pulse minus flip minus trigger delay, in periods."""
 
@@ -192,14 +195,38 @@ def frame_fault(ledger: Ledger, side: str) -> Fault | None:
                 device,
             )
     if len(arrived) != ledger.expected or len(ids) != len(arrived) or ids[-1] - ids[0] != len(ids) - 1:
-        where = _first_gap(ledger, side, arrived)
-        return Fault(
-            FaultCode.FRAME_MISSING,
-            f"{device}: {len(arrived)} of {ledger.expected} frames arrived; the first gap is at frame {where}",
-            {"frame": where, "received": min(len(arrived), ledger.expected - 1), "expected": ledger.expected},
-            device,
-        )
+        return _missing(ledger, side, arrived)
     return None
+
+
+def _missing(ledger: Ledger, side: str, arrived: Sequence[Frame]) -> Fault:
+    """Name the want of frames: of all, of all but each n-th, or of some; the first two are no chance, and come again."""
+    device = f"camera.{side}"
+    said = f"{device}: {len(arrived)} of {ledger.expected} frames arrived"
+    where = _first_gap(ledger, side, arrived) if arrived else 0
+    numbers = {"frame": where, "received": min(len(arrived), ledger.expected - 1), "expected": ledger.expected}
+    every = _every(ledger, arrived)
+    if len(ledger.pulses) == ledger.expected and not arrived:
+        remedy = "check the trigger cable and trigger_source of this camera"
+        return Fault(FaultCode.CAMERA_SILENT, f"{said} of as many pulses; {remedy}", numbers, device)
+    if every is not None:
+        remedy = "its exposures do not overlap with reading out, or its frame rate or throughput is limited: look at its features"
+        said = f"{said}, one for every {every} pulses; {remedy}"
+        return Fault(FaultCode.CAMERA_TOO_SLOW, said, {**numbers, "every": every}, device)
+    return Fault(FaultCode.FRAME_MISSING, f"{said}; the first gap is at frame {where}", numbers, device)
+
+
+def _every(ledger: Ledger, arrived: Sequence[Frame]) -> int | None:
+    """Return how many pulses a camera needs for each of its frames, by its clock; ``None`` where they lie otherwise.
+
+    A camera that is still busy ignores a pulse, and takes the next one that finds it ready.
+    """
+    times_ns = [frame.camera_time_ns for frame in arrived if frame.camera_time_ns is not None]
+    if len(times_ns) < max(LEAST_REGULAR, len(arrived)):
+        return None
+    steps = {round((after - before) / ledger.period_ns) for before, after in pairwise(times_ns)}
+    every = min(steps)
+    return every if len(steps) == 1 and every > 1 and len(times_ns) == -(-ledger.expected // every) else None
 
 
 def _first_gap(ledger: Ledger, side: str, arrived: Sequence[Frame]) -> int:

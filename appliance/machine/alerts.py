@@ -96,6 +96,20 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
         FaultCode.FRAME_CORRUPT: Rule(
             _W, _INCOMPLETE, _REPEAT, Words("FRAME DAMAGED", "BILD BESCHÄDIGT"), spoils_scan=True
         ),
+        FaultCode.CAMERA_TOO_SLOW: Rule(
+            _W,
+            Words("{side}CAM SLOW", "{side}KAMERA TRÄGE"),
+            Words("ASHORE: CHECK RIG FILE", "AN LAND: EINSTELLUNG PRÜFEN"),
+            Words("CAMERA SLOW", "KAMERA TRÄGE"),
+            spoils_scan=True,
+        ),
+        FaultCode.CAMERA_SILENT: Rule(
+            _W,
+            Words("{side}CAM SILENT", "{side}KAMERA STUMM"),
+            Words("REPEAT; CHECK TRIGGER CABLES", "NOCHMAL; TRIGGERKABEL PRÜFEN"),
+            Words("CAMERA SILENT", "KAMERA STUMM"),
+            spoils_scan=True,
+        ),
         FaultCode.CAMERA_STUCK: Rule(
             _W,
             Words("{side}CAM STUCK", "{side}KAMERA HÄNGT"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import replace
 from types import TracebackType
 from typing import Any, Self
@@ -21,7 +21,7 @@ from appliance.scan.sides import of_side
 from appliance.service.device_supervisor import DeviceRejected, DeviceSupervisor
 from appliance.service.keys import KeyReader
 from drivers import rig as drivers_rig
-from drivers.api import Board, Camera, CameraSettings, Display, Projector, Wires
+from drivers.api import Board, Camera, CameraSettings, DeviceRefused, Display, Projector, Wires
 
 
 class Devices:
@@ -93,16 +93,25 @@ class Devices:
 
     @contextmanager
     def _camera(self, side: str) -> Iterator[Grabber]:
+        with ExitStack() as stack:
+            try:
+                camera, settings = self._configured(side, stack)
+            except DeviceRefused as error:  # it is there: its plug is not what to look at
+                said = f"{error.message}; {error.remedy}"
+                raise DeviceRejected(error.device, said, error.remedy, FaultCode.CAMERA_REFUSED) from error
+            yield stack.enter_context(Grabber(side, camera, self._wires.clock, settings, self._timeouts))
+
+    def _configured(self, side: str, stack: ExitStack) -> tuple[Camera, CameraSettings]:
+        """Return a camera that is open until ``stack`` closes, and its settings. Raises DeviceError."""
         spec = self._camera_rig(side)
-        with self._open_camera(side) as camera:
-            slow = camera.slow_link
-            if slow is not None:
-                # At 480 Mbit/s a frame of 1.92 MB takes 32 ms at the very least; the projector's period is 16.7 ms.
-                raise DeviceRejected(f"camera.{side}", slow, "Check connector and cable", FaultCode.CAMERA_SLOW_LINK)
-            settings = CameraSettings(spec.width_px, spec.height_px, 1000.0 * spec.exposure_ms, spec.gain_db)
-            camera.configure(settings)
-            with Grabber(side, camera, self._wires.clock, settings, self._timeouts) as grabber:
-                yield grabber
+        camera = stack.enter_context(self._open_camera(side))
+        slow = camera.slow_link
+        if slow is not None:
+            # At 480 Mbit/s a frame of 1.92 MB takes 32 ms at the very least; the projector's period is 16.7 ms.
+            raise DeviceRejected(f"camera.{side}", slow, "Check connector and cable", FaultCode.CAMERA_SLOW_LINK)
+        settings = CameraSettings(spec.width_px, spec.height_px, 1000.0 * spec.exposure_ms, spec.gain_db)
+        camera.configure(settings)
+        return camera, settings
 
     def _open_camera(self, side: str) -> AbstractContextManager[Camera]:
         camera = self._camera_rig(side)

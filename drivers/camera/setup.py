@@ -79,6 +79,7 @@ class CameraSetup:
         self._missing: dict[str, str] = {}
         self._wanted: dict[str, FeatureValue] = {}
         self._instead, self._after = self._sorted(spec.features)
+        self._source_feature = self._instead.pop("TriggerSource", (None, False))[0]
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -217,8 +218,14 @@ class CameraSetup:
 
     def _source(self) -> str:
         named = self._spec.trigger_source
-        if named is not None:
-            return named
+        under_features = self._source_feature
+        if named is not None and under_features not in (None, named):
+            raise DeviceRefused(
+                self._name, f"TriggerSource is {under_features!r} under features and trigger_source is {named!r}",
+                "Leave one of them out",
+            )  # fmt: skip
+        if named is not None or under_features is not None:
+            return str(under_features if named is None else named)
         lines = [symbol for symbol in self._features.choices("TriggerSource") if symbol.startswith("Line")]
         if not lines:
             raise DeviceRefused(self._name, "offers no line as trigger source", "Use a triggerable camera")
@@ -337,6 +344,6 @@ _BUILT_IN = {
         "TriggerOverlap",
         "OverlapMode",
     ),
-    *("TriggerDelay", "Gamma", "GainAuto"),
+    *("TriggerDelay", "TriggerSource", "Gamma", "GainAuto"),
 }
 """Settings of the order whose values a rig file may replace, in their place."""

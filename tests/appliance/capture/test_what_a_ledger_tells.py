@@ -77,10 +77,38 @@ def test_cameras_that_count_from_different_numbers_lack_no_frame_for_that() -> N
     assert fault.numbers["frame"] == 9
 
 
-def test_a_camera_that_sent_nothing_lacks_the_first_frame() -> None:
+def test_a_camera_that_took_nothing_of_all_pulses_was_not_triggered() -> None:
     fault = audit(with_frames(clean(), "right", []))
     assert fault is not None
-    assert fault.detail == f"camera.right: 0 of {N} frames arrived; the first gap is at frame 0"
+    assert (fault.code, fault.device, fault.numbers["received"]) == (FaultCode.CAMERA_SILENT, "camera.right", 0)
+    assert fault.detail.startswith(f"camera.right: 0 of {N} frames arrived of as many pulses; check the trigger cable")
+
+
+@pytest.mark.parametrize("first", [0, 1])
+@pytest.mark.parametrize("every", [2, 3, 8])
+def test_a_camera_that_takes_each_nth_pulse_alone_is_too_slow(every: int, first: int) -> None:
+    """It uses no block id up for a pulse that finds it busy; its clock tells which it took."""
+    frames = [replace(f, block_id=5 + n) for n, f in enumerate(clean().frames["right"][first::every])]
+    fault = audit(with_frames(clean(), "right", frames))
+    assert fault is not None
+    assert (fault.code, fault.device, fault.numbers["every"]) == (FaultCode.CAMERA_TOO_SLOW, "camera.right", every)
+    assert f"one for every {every} pulses" in fault.detail
+    assert fault.numbers["frame"] == (0 if first else 1)
+
+
+@pytest.mark.parametrize("taken", [[0, 2, 4], [0, 2, 4, 6, 8, 11], [0, 23], list(range(23))])
+def test_frames_that_lie_otherwise_are_missing_and_no_word_is_said_of_the_camera(taken: list[int]) -> None:
+    frames = [replace(clean().frames["right"][k], block_id=5 + n) for n, k in enumerate(taken)]
+    fault = audit(with_frames(clean(), "right", frames))
+    assert fault is not None
+    assert fault.code is FaultCode.FRAME_MISSING
+
+
+def test_without_the_cameras_clock_nothing_is_said_of_its_pace() -> None:
+    frames = [replace(f, block_id=5 + n, camera_time_ns=None) for n, f in enumerate(clean().frames["right"][::2])]
+    fault = audit(replace(with_frames(clean(), "right", frames), clocks={}))
+    assert fault is not None
+    assert fault.code is FaultCode.FRAME_MISSING
 
 
 def test_a_frame_too_many_is_not_told_as_all_of_them() -> None:

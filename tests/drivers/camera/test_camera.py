@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -351,6 +352,19 @@ def test_the_trigger_comes_from_the_line_that_the_rig_file_names_or_the_first_th
     _, camera = opened(xml=description(choices={"TriggerSource": ("Software", "Counter0End")}))
     with pytest.raises(DeviceRefused, match="offers no line as trigger source"):
         camera.configure(SETTINGS)
+
+
+def test_the_boards_line_may_stand_under_features_but_not_as_another_one() -> None:
+    device, camera = opened(spec=spec_with(TriggerSource="Line2"))
+    for _ in range(2):
+        camera.configure(SETTINGS)
+        assert device.feature("TriggerSource") == "Line2"
+    twice = replace(spec_with(TriggerSource="Line2"), trigger_source="Line1")
+    with pytest.raises(
+        DeviceRefused, match=r"'Line2' under features and trigger_source is 'Line1'.*Leave one of them out"
+    ):
+        opened(spec=twice)[1].configure(SETTINGS)
+    opened(spec=replace(twice, trigger_source="Line2"))[1].configure(SETTINGS)
 
 
 def test_a_camera_without_the_optional_features_is_configured_all_the_same() -> None:

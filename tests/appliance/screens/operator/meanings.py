@@ -41,6 +41,8 @@ MEANINGS: Mapping[F, tuple[str, str]] = MappingProxyType(
         F.AMBIENT: ("Daylight or a torch outshines the projector.", "Tageslicht oder eine Lampe überstrahlt den Projektor."),
         F.CAMERA_LOST: ("A camera does not answer; it is tried again.", "Eine Kamera antwortet nicht; sie wird weiter gesucht."),
         F.CAMERA_SLOW_LINK: ("A camera's cable is not making full contact.", "Das Kabel einer Kamera hat keinen vollen Kontakt."),
+        F.CAMERA_TOO_SLOW: ("A camera takes only some of the pictures.", "Eine Kamera nimmt nur einen Teil der Bilder auf."),
+        F.CAMERA_SILENT: ("A camera took no picture at all.", "Eine Kamera nahm kein einziges Bild auf."),
         F.CAMERA_REFUSED: ("A camera does not take its settings.", "Eine Kamera nimmt ihre Einstellungen nicht an."),
         F.PROJECTOR_LOST: ("The projector cannot be driven.", "Der Projektor lässt sich nicht ansteuern."),
         F.DISPLAY_LOST: ("The display cannot be driven.", "Die Anzeige lässt sich nicht ansteuern."),
