@@ -129,7 +129,9 @@ def _command(source: Path, out: Path) -> list[str]:
 @contextmanager
 def _running(out: Path, module: str, *words: str) -> Iterator[subprocess.Popen[bytes]]:
     with (out / "dask.log").open("ab") as log:
-        process = subprocess.Popen([sys.executable, "-m", module, *words], stdout=log, stderr=log, env=os.environ | QUIET)
+        process = subprocess.Popen(
+            [sys.executable, "-m", module, *words], stdout=log, stderr=log, env=os.environ | QUIET
+        )
     try:
         yield process
     finally:
