@@ -206,6 +206,7 @@ def _missing(ledger: Ledger, side: str, arrived: Sequence[Frame]) -> Fault:
     where = _first_gap(ledger, side, arrived) if arrived else 0
     numbers = {"frame": where, "received": min(len(arrived), ledger.expected - 1), "expected": ledger.expected}
     every = _every(ledger, arrived)
+    # To repeat the scan helps against chance alone: these two are settings or wiring, and come again each time.
     if len(ledger.pulses) == ledger.expected and not arrived:
         remedy = "check the trigger cable and trigger_source of this camera"
         return Fault(FaultCode.CAMERA_SILENT, f"{said} of as many pulses; {remedy}", numbers, device)
@@ -224,6 +225,7 @@ def _every(ledger: Ledger, arrived: Sequence[Frame]) -> int | None:
     times_ns = [frame.camera_time_ns for frame in arrived if frame.camera_time_ns is not None]
     if len(times_ns) < max(LEAST_REGULAR, len(arrived)):
         return None
+    # Block ids cannot tell it: a pulse that was ignored uses none up.
     steps = {round((after - before) / ledger.period_ns) for before, after in pairwise(times_ns)}
     every = min(steps)
     return every if len(steps) == 1 and every > 1 and len(times_ns) == -(-ledger.expected // every) else None

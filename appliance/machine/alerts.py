@@ -80,6 +80,8 @@ _I, _W, _C = Severity.INFO, Severity.WARNING, Severity.CRITICAL
 _INCOMPLETE = Words("INCOMPLETE {received:.0f}/{expected:.0f}", "UNVOLLSTÄNDIG {received:.0f}/{expected:.0f}")
 _REPEAT = Words("REPEAT", "NOCHMAL")
 _CONNECTOR = Words("CHECK CONNECTOR", "STECKER PRÜFEN")
+_RIG_FILE = Words("ASHORE: CHECK RIG FILE", "AN LAND: EINSTELLUNG PRÜFEN")
+_TRIGGER = Words("REPEAT; CHECK TRIGGER CABLES", "NOCHMAL; TRIGGERKABEL PRÜFEN")
 
 RULES: Mapping[FaultCode, Rule] = MappingProxyType(
     {
@@ -97,17 +99,11 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
             _W, _INCOMPLETE, _REPEAT, Words("FRAME DAMAGED", "BILD BESCHÄDIGT"), spoils_scan=True
         ),
         FaultCode.CAMERA_TOO_SLOW: Rule(
-            _W,
-            Words("{side}CAM SLOW", "{side}KAMERA TRÄGE"),
-            Words("ASHORE: CHECK RIG FILE", "AN LAND: EINSTELLUNG PRÜFEN"),
-            Words("CAMERA SLOW", "KAMERA TRÄGE"),
+            *(_W, Words("{side}CAM SLOW", "{side}KAMERA TRÄGE"), _RIG_FILE, Words("CAMERA SLOW", "KAMERA TRÄGE")),
             spoils_scan=True,
         ),
         FaultCode.CAMERA_SILENT: Rule(
-            _W,
-            Words("{side}CAM SILENT", "{side}KAMERA STUMM"),
-            Words("REPEAT; CHECK TRIGGER CABLES", "NOCHMAL; TRIGGERKABEL PRÜFEN"),
-            Words("CAMERA SILENT", "KAMERA STUMM"),
+            *(_W, Words("{side}CAM SILENT", "{side}KAMERA STUMM"), _TRIGGER, Words("CAMERA SILENT", "KAMERA STUMM")),
             spoils_scan=True,
         ),
         FaultCode.CAMERA_STUCK: Rule(
@@ -121,7 +117,7 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
         FaultCode.SYNC_LOST: Rule(
             _W,
             Words("SYNC LOST", "KEIN GLEICHTAKT"),
-            Words("REPEAT; CHECK TRIGGER CABLES", "NOCHMAL; TRIGGERKABEL PRÜFEN"),
+            _TRIGGER,
             spoils_scan=True,
         ),
         FaultCode.LATE_FLIP: Rule(_W, Words("PROJECTOR LATE", "PROJEKTOR SPÄT"), _REPEAT, spoils_scan=True),
@@ -228,7 +224,7 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
         FaultCode.CAMERA_REFUSED: Rule(
             _W,
             Words("{side}CAM REFUSED", "{side}KAMERA GESTÖRT"),
-            Words("ASHORE: CHECK RIG FILE", "AN LAND: EINSTELLUNG PRÜFEN"),
+            _RIG_FILE,
             Words("CAMERA REFUSED", "KAMERA GESTÖRT"),
             blocks_scan=True,
             stops_capture=True,

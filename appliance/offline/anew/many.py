@@ -25,9 +25,9 @@ SCHEDULER_BACK_S = 600.0
 """Time that a scheduler may stay away before the work is given up."""
 RETRY_S = 1.0
 LOOK_S = 5.0
-"""Between two questions to the scheduler about its workers; until then a new one waits. Each costs both of them milliseconds."""
+"""Pause between two questions to the scheduler about its workers; until then a new one waits. Each costs both of them milliseconds."""
 UNASKED_S = 60.0
-"""Between two reports about all workers that the client fetches of its own accord; nobody reads them here."""
+"""Pause between two reports about all workers that the client fetches of its own accord; nobody reads them here."""
 PER_THREAD = 2
 """Scans in work for each thread of the workers: one that is done, and one that waits beside it."""
 MOST_IN_WORK = 10_000
