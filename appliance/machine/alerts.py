@@ -114,12 +114,7 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
             spoils_scan=True,
         ),
         FaultCode.PATTERN_WRONG: Rule(_W, Words("WRONG PATTERN", "FALSCHES MUSTER"), _REPEAT, spoils_scan=True),
-        FaultCode.SYNC_LOST: Rule(
-            _W,
-            Words("SYNC LOST", "KEIN GLEICHTAKT"),
-            _TRIGGER,
-            spoils_scan=True,
-        ),
+        FaultCode.SYNC_LOST: Rule(_W, Words("SYNC LOST", "KEIN GLEICHTAKT"), _TRIGGER, spoils_scan=True),
         FaultCode.LATE_FLIP: Rule(_W, Words("PROJECTOR LATE", "PROJEKTOR SPÄT"), _REPEAT, spoils_scan=True),
         FaultCode.PROJECTOR_TIMING: Rule(
             _W,
