@@ -86,6 +86,7 @@ def _connectors(wires: Wires, path: str) -> Iterator[str]:
         yield f"{path} could not be opened: {error}"
         return
     try:
+        # Lists of the kernel, no probing: that would need mastery of the card, which a running program has.
         card.scan()
         for connector in card.connectors():
             if not connector.connected:

@@ -115,6 +115,7 @@ def _grey(measured: ProjectorMeasured) -> Finding:
             "grey", True, said, limits, numbers={"line_percent": 100.0 * shape.line_rms, "exposures": float(len(times))}
         )
     shapes = list(measured.responses.values())
+    # The most frequent shape is what is wrong; single ones come of windows that hold next to nothing.
     kinds = Counter(shape.shape for shape in shapes)
     best = min(shapes, key=lambda one: one.line_rms, default=None)
     seen = ", ".join(f"{count} {kind.value}" for kind, count in kinds.most_common())

@@ -6,7 +6,9 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from appliance.bringup.light import SLICE_US, LightTiming
+import numpy as np
+
+from appliance.bringup.light import SLICE_US, LightTiming, Profile, light_within
 from appliance.bringup.response_check import ResponseShape
 from appliance.scan.exposure import STEPS_MS
 
@@ -16,6 +18,12 @@ USUAL_DELAY_US = 500
 MOST_DELAY_US = 15_000
 MARGIN_US = 100
 """Time between the end of an exposure and the next picture's light."""
+FEWEST = 6
+"""Number of combinations that are measured however little the light of single bits promises."""
+UNPROMISING = 0.06
+"""Worst distance from a straight line, as single bits foretell it, from which a combination is not tried: dim bits are uncertain by some percent."""
+NOT_ADDED = 0.1
+"""Largest difference of all bits together from white, as a share."""
 BRIGHTER = 1.1
 """Least ratio of light from one offered exposure to the next: where the lamp is dark, longer ones bring nothing."""
 
@@ -59,6 +67,33 @@ def trials(timing: LightTiming, sub_frames: int, period_us: float) -> tuple[Tria
             if fits and delay_us <= MOST_DELAY_US:
                 found.add(Trial(delay_us, exposure_us))
     return tuple(sorted(found, key=lambda one: (one.delay_us, one.exposure_us)))
+
+
+def promising(wanted: Sequence[Trial], profiles: Mapping[int, Profile], first_us: float) -> tuple[Trial, ...]:
+    """Return those of ``wanted`` that may be straight by the light of each bit in their window, and at least a few.
+
+    ``profiles`` are those of codes, from the blank of the flip on; delays count from ``first_us``. Where a bit was not measured, or bits do
+    not add up to white, nothing can be foretold, and all are returned.
+    """
+    bits = [2**k for k in range(8)]
+    if any(bit not in profiles for bit in bits) or len(wanted) <= FEWEST:
+        return tuple(wanted)
+    together = sum(float(profiles[bit].sum()) for bit in bits)
+    if abs(together - float(profiles[255].sum())) > NOT_ADDED * together:
+        return tuple(wanted)
+    # A code is the sum of its bits, each as bright as the window lets it through.
+    codes = np.arange(256)
+    off = {}
+    for trial in wanted:
+        begins_us = first_us + trial.delay_us
+        weights = [light_within(profiles[bit], begins_us, begins_us + trial.exposure_us) for bit in bits]
+        light = sum(weight * ((codes >> k) & 1) for k, weight in enumerate(weights))
+        line = np.polyval(np.polyfit(codes, light, 1), codes)
+        off[trial] = float(np.abs(light - line).max()) / max(sum(weights), 1e-9)
+    # Never none: what is refused must have been seen, or its remedy could not say by how much.
+    ranked = sorted(off, key=lambda trial: off[trial])
+    kept = {trial for k, trial in enumerate(ranked) if k < FEWEST or off[trial] < UNPROMISING}
+    return tuple(trial for trial in wanted if trial in kept)
 
 
 def offered(measured: Mapping[Trial, ResponseShape], light_of: Callable[[Trial], float]) -> Offer | None:

@@ -96,6 +96,7 @@ def exchanged(left: SeenPicture, right: SeenPicture) -> bool | None:
     """Return whether left and right camera are exchanged; ``None``: it cannot be told."""
     if left.scale_ratio is None or right.scale_ratio is None or left.orientation is not right.orientation:
         return None
+    # Of two ratios, since a plane that stands askew changes both cameras' alike.
     difference = math.log(left.scale_ratio / right.scale_ratio)
     return None if abs(difference) < SURE else difference < 0.0
 

@@ -26,6 +26,7 @@ def plot(
     xs = np.concatenate([x for x, _ in curves.values()])
     ys = np.concatenate([y for _, y in curves.values()])
     low = np.array([xs.min(), min(0.0, float(ys.min()))])
+    # A flat curve has no height of its own: without a least span, its noise would fill the picture.
     span = np.maximum(np.array([xs.max(), ys.max()]) - low, 1e-9)
 
     def place(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.int32]:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.bringup.bench import MOST_FRAMES, Bench, Image, Shot, lit_part, mean_levels
-from appliance.bringup.exposures import MOST_US, Offer, Trial, offered, trials
+from appliance.bringup.exposures import MOST_US, Offer, Trial, offered, promising, trials
 from appliance.bringup.finding import BringupError
 from appliance.bringup.light import SLICE_US, LightTiming, Profile, latency_of, light_within, sub_frames_of, timing_of
 from appliance.bringup.orientation import SeenPicture, marker_pictures, see_orientation
@@ -22,8 +22,9 @@ from appliance.bringup.response_check import ResponseShape, Shape, judge_respons
 
 Say = Callable[[str, float], None]
 BIT_CODES = (255, 128, 64, 32, 16, 8, 4, 2, 1)
-FLASHES_EACH = 4
-"""Frames of a code in the sweep: one before, its own, and two that its light may still reach."""
+WHITE_FRAMES, CODE_FRAMES = 4, 2
+"""Frames of white in the sweep: one before, its own, and two that its light may still reach; and of other codes, whose frame is known
+by then: their own, and the one that light may overhang into."""
 FLASH_FRAMES = 24
 FLASH_DELAY_US = 500
 LAST_DELAY_US = 15_000
@@ -90,13 +91,18 @@ def measure_projector(bench: Bench, gain_db: float, say: Say) -> ProjectorMeasur
         # Equal sub-frames are one lamp thrice; another number of equal ones would be chance, and unequal ones are colours.
         if all_frames > 1 and float(both[255].sum()) > MORE_LIGHT * float(profiles[255].sum()):
             channels, sub_frames, timing, profiles = "all", all_frames, all_timing, both
+    wanted = promising(trials(timing, sub_frames, period_us), profiles, timing.latency_blanks * period_us)
     responses, ramps = _responses(
-        bench, timing, sub_frames, channels, lambda part: say("grey of each exposure", 0.42 + 0.45 * part)
+        bench, timing, wanted, channels, lambda part: say("grey of each exposure", 0.42 + 0.45 * part)
     )
     if sub_frames > 1 and not any(shape.usable for shape in responses.values()):
         sub_frames = 1
         responses, ramps = _responses(
-            bench, timing, 1, channels, lambda part: say("grey of each exposure", 0.6 + 0.27 * part)
+            bench,
+            timing,
+            trials(timing, 1, period_us),
+            channels,
+            lambda part: say("grey of each exposure", 0.6 + 0.27 * part),
         )
     first_us = timing.latency_blanks * period_us
 
@@ -127,6 +133,7 @@ def _latency(bench: Bench, period_us: float) -> tuple[int, dict[str, NDArray[np.
         if not part.any():
             part = np.ones(images.shape[1:], np.bool_)
         found[side], parts[side] = latency_of(mean_levels(images, part)), part
+    # One projector, one latency: where cameras disagree, one of them counts its frames from another trigger.
     if len(set(found.values())) > 1:
         raise BringupError(
             f"the cameras see the light {' and '.join(f'{blanks} blanks ({side})' for side, blanks in found.items())} after the flip: one of "
@@ -167,8 +174,8 @@ def _swept(
     period_us = 1e6 / bench.refresh_hz
     dark = len(codes)
     ahead = 1 if latency > 0 else 0
-    order = [k for code in range(len(codes)) for k in (code, *[dark] * (FLASHES_EACH - 1))]
-    order = [*order, dark]
+    # Dark between any two codes: light that goes on beyond a blank is then its own code's.
+    order = [0, *[dark] * (WHITE_FRAMES - 1), *(k for code in range(1, len(codes)) for k in (code, dark)), dark, dark]
     whole = [slice_us for slice_us in range(0, LAST_DELAY_US + 1, SLICE_US) if slice_us < period_us]
     behind = max(0, int(np.ceil((period_us - whole[-1]) / SLICE_US)) - 1)
     shots = [Shot(delay, SLICE_US, gain_db, latency - ahead) for delay in whole]
@@ -185,12 +192,20 @@ def _swept(
         # Longer exposures from the last delay on: each has one slice more than the one before.
         first = len(whole) - 1
         slices[:, first + 1 :] = np.diff(slices[:, first:], axis=1)
-        by_side[side] = slices.reshape(len(codes), FLASHES_EACH, -1)
+        by_side[side] = slices
     profiles = {}
+    mean = np.mean(list(by_side.values()), axis=0)
     for k, code in enumerate(codes):
-        mean = np.mean([one[k] for one in by_side.values()], axis=0)
-        profiles[code] = _joined(mean, period_us, latency - ahead)
-    begins = [timing_of(_joined(one[0], period_us, latency - ahead), period_us).begins_us for one in by_side.values()]
+        # White tells in which frame its light is; that of other codes is looked at from there on.
+        first = 0 if k == 0 else WHITE_FRAMES + CODE_FRAMES * (k - 1) + ahead
+        count, blanks = (WHITE_FRAMES, latency - ahead) if k == 0 else (CODE_FRAMES, latency)
+        profiles[code] = _joined(mean[first : first + count], period_us, blanks)
+    longest = max(len(profile) for profile in profiles.values())
+    profiles = {code: np.pad(profile, (0, longest - len(profile))) for code, profile in profiles.items()}
+    begins = [
+        timing_of(_joined(one[:WHITE_FRAMES], period_us, latency - ahead), period_us).begins_us
+        for one in by_side.values()
+    ]
     return profiles, float(begins[-1] - begins[0])
 
 
@@ -218,13 +233,12 @@ def _sub_frames(profiles: Mapping[int, Profile], timing: LightTiming, period_us:
 
 
 def _responses(
-    bench: Bench, timing: LightTiming, sub_frames: int, channels: str, say: Callable[[float], None]
+    bench: Bench, timing: LightTiming, wanted: Sequence[Trial], channels: str, say: Callable[[float], None]
 ) -> tuple[dict[Trial, ResponseShape], dict[Trial, NDArray[np.float64]]]:
     """Measure the response of each trial twice, in two disorders."""
     codes = ramp_codes(RAMP_CODES)
     bench.load(_flat(bench.size_px, [int(code) for code in codes]), all_channels=channels == "all")
     white, black = len(codes) - 1, 0
-    wanted = trials(timing, sub_frames, 1e6 / bench.refresh_hz)
     shapes, ramps = {}, {}
     for number, trial in enumerate(wanted):
         passes = []
@@ -319,6 +333,7 @@ def measure_orientation(
     bench: Bench, blanks: int, best: Trial, channels: str
 ) -> tuple[dict[str, SeenPicture], dict[str, Image]]:
     """Tell which way round each camera sees the picture, and photograph an L, by name. Raises BringupError, DeviceError."""
+    # In one take: nothing must move between the halves that are compared.
     pictures = marker_pictures(bench.size_px)
     bench.load(pictures, all_channels=channels == "all")
     frames = bench.take(range(len(pictures)), Shot(best.delay_us, best.exposure_us, blanks=blanks))

@@ -46,6 +46,7 @@ def compare_lines(first: NDArray[np.float64], second: NDArray[np.float64]) -> Li
     x = np.linspace(-1.0, 1.0, len(mean))
     # The lens and the scene make a slow course, which a parabola follows; what beats does not.
     smooth = np.polyval(np.polyfit(x, mean, 2), x)
+    # Relative to the mean line: how bright lines are is the exposure's business.
     scale = max(float(np.abs(smooth).mean()), 1e-9)
     # Two passes differ by twice the noise of their mean, in squares by four times.
     noise = float(np.sqrt(np.mean(((first - second) / 2.0) ** 2))) / scale

@@ -52,7 +52,7 @@ class ResponseShape:
     repeat_rms: float
     """RMS difference of the two passes."""
     falls: float
-    """Largest fall from a code to the next higher one, share of white; 0 where it never falls."""
+    """Largest fall from a code to any higher one, share of white; 0 where it never falls."""
     power: float
     """Exponent of the power of the code that fits best."""
     light_dn: float
@@ -80,7 +80,8 @@ def judge_response(
     repeat_rms = float(np.sqrt(np.mean((shares[0] - shares[1]) ** 2)))
     off = mean - np.polyval(np.polyfit(x, mean, 1), x)
     line_rms, line_most = float(np.sqrt(np.mean(off**2))), float(np.abs(off).max())
-    falls = float(max(0.0, -np.diff(mean).min()))
+    # Against the highest code so far, not the last one: many small falls are one.
+    falls = float((np.maximum.accumulate(mean) - mean).max())
     power = _power(x, mean)
     smooth_rms = float(np.sqrt(np.mean((mean - np.polyval(np.polyfit(x, mean, SMOOTH_DEGREE), x)) ** 2)))
     power_rms = float(np.sqrt(np.mean((mean - x**power) ** 2)))

@@ -65,6 +65,12 @@ class BringupProjector(WithRig):
         report = {
             "good": good,
             "findings": [one.as_dict() for one in findings],
+            "light": {
+                "latency_blanks": measured.timing.latency_blanks,
+                "begins_us": measured.timing.begins_us,
+                "ends_us": measured.timing.ends_us,
+                "windows_us": [[one.begins_us, one.ends_us] for one in measured.timing.windows],
+            },
             "keys": {f"{place.table}.{place.key}": value for place, value in keys.items()},
             "rig_file": str(path) if kept is not None else None,
             "before": None if kept is None else str(kept),
@@ -78,6 +84,45 @@ class BringupProjector(WithRig):
                 say(f"[{place.table}] {place.key} = {list(value) if isinstance(value, tuple) else value}")
             say(f"written into {path}; as it was: {kept}" if kept is not None else "the rig file was not changed")
         return Exit.OK if good else Exit.FAILED
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BringupTrigger(WithRig):
+    """Fire 64 triggers as the rig file says and count what board and cameras make of them; FAILED where anything is missing."""
+
+    def run(self) -> Exit:
+        rig = self.read_rig()
+        find_kernels()
+        import numpy as np
+
+        from appliance.bringup.bench import Shot
+        from appliance.bringup.triggers import PULSES, FiredFrames, judge_triggers
+        from appliance.service.light_bench import light_bench
+        from drivers.api import FrameStatus
+
+        black = np.zeros((rig.projector.height_px, rig.projector.width_px), np.uint8)
+        shot = Shot(rig.board.trigger_delay_us, round(1000.0 * rig.camera.left.exposure_ms), rig.camera.left.gain_db)
+        with Progress() as progress, light_bench(rig) as bench:
+            # Black: what the frames show is of no interest here, and a lit wall would only warm the lamp.
+            bench.load([black], all_channels=False)
+            progress("firing")
+            ledger = bench.record([0] * PULSES, shot).ledger
+        cameras = {
+            side: FiredFrames(
+                tuple(one.camera_time_ns for one in frames if one.status is FrameStatus.COMPLETE),
+                # A frame that never came is no bad one: counting tells about those.
+                tuple(
+                    one.status.value for one in frames if one.status not in (FrameStatus.COMPLETE, FrameStatus.TIMEOUT)
+                ),
+            )
+            for side, frames in ledger.frames.items()
+        }
+        findings = judge_triggers(len(ledger.pulses), cameras, ledger.period_ns)
+        if self.json:
+            say_json([one.as_dict() for one in findings])
+        else:
+            say_findings(findings)
+        return Exit.OK if all(one.ok for one in findings) else Exit.FAILED
 
 
 def say_findings(findings: tuple[Finding, ...]) -> None:

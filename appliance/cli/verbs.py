@@ -44,7 +44,12 @@ VERBS: tuple[Listed | Group, ...] = (
     Group(
         "bringup",
         "measure a new instrument before its first scan",
-        (Listed("projector", "its light, latency, exposures, raster, by its own cameras", "bringup:BringupProjector"),),
+        (
+            Listed("trigger", "64 pulses, and what board and cameras make of them", "bringup:BringupTrigger"),
+            Listed(
+                "projector", "its light, latency, exposures, raster, by its own cameras", "bringup:BringupProjector"
+            ),
+        ),
     ),
     Listed("reconstruct", "reconstruct a stored scan from its raw frames", "reconstruct:Reconstruct"),
     Listed("rescue", "an unchecked cloud of a recording that broke after its first direction", "rescue:Rescue"),

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from appliance.bringup.bench import MOST_FRAMES, Image, Shot
 from appliance.bringup.finding import BringupError
 from appliance.capture.grabber import Grabber
-from appliance.capture.scan import ScanRecorder, ScanSettings
+from appliance.capture.scan import CaptureReport, ScanRecorder, ScanSettings
 from appliance.capture.store import FrameStore
 from appliance.config import Rig
 from appliance.scan.fault import Fault
@@ -81,6 +81,18 @@ class LightBench:
 
     def take(self, order: Sequence[int], shot: Shot) -> Mapping[str, Image]:
         """See ``Bench.take``. Images are views into the frame store: the next take overwrites them."""
+        fault: Fault | None = None
+        for _ in range(TRIES):
+            fault = self.record(order, shot).fault
+            if fault is None:
+                return {side: self._store.frames(side)[: len(order)] for side in SIDES}
+        assert fault is not None
+        raise BringupError(
+            f"{TRIES} recordings failed one after the other: {fault.code.value}: {fault.detail}; ask `kingfisher bringup trigger`"
+        )
+
+    def record(self, order: Sequence[int], shot: Shot) -> CaptureReport:
+        """Record ``order`` once and return what all witnesses said, whatever it was. Pictures must have been loaded."""
         assert self._devices is not None, "pictures are loaded first"
         grabbers, board, projector = self._devices
         played = _Ordered(projector, [*order, self._loaded])
@@ -89,16 +101,7 @@ class LightBench:
         # Taken over at the cameras' next start, which each recording is.
         for grabber in grabbers.values():
             grabber.expose(float(shot.exposure_us), shot.gain_db)
-        fault: Fault | None = None
-        for _ in range(TRIES):
-            report = recorder.record(order, self._store, lambda _side, _index: None, lambda: None)
-            fault = report.fault
-            if fault is None:
-                return {side: self._store.frames(side)[: len(order)] for side in SIDES}
-        assert fault is not None
-        raise BringupError(
-            f"{TRIES} recordings failed one after the other: {fault.code.value}: {fault.detail}; ask `kingfisher check`"
-        )
+        return recorder.record(order, self._store, lambda _side, _index: None, lambda: None)
 
     def close(self) -> None:
         """Give the devices back. Idempotent."""

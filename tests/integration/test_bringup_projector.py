@@ -9,10 +9,12 @@ import pytest
 
 from appliance.cli import main
 from appliance.config import load_rig
+from hw_sim.options import options_from
+from hw_sim.world import World
 
-pytestmark = [pytest.mark.hardware, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.hardware, pytest.mark.timeout(900)]
 SMALL = Path(__file__).parents[2] / "hw_sim" / "rigs" / "small.toml"
-WIDTH_PX, HEIGHT_PX = 192, 128
+WIDTH_PX, HEIGHT_PX = 96, 72
 
 
 def rig_file(folder: Path, world: str) -> Path:
@@ -63,3 +65,26 @@ def test_the_packaged_rig_file_is_never_changed(capsys: pytest.CaptureFixture[st
         "the packaged rig file is never changed; give the instrument's, or measure with --dry-run"
         in capsys.readouterr().err
     )
+
+
+@pytest.mark.parametrize(("kind", "channels", "sub_frames"), [('"repeats"', "green", 2), ('"video"', "green", None)])
+def test_each_kind_of_projector_is_measured_as_it_is_built(
+    kind: str, channels: str, sub_frames: int | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig = rig_file(tmp_path, f"projector = {kind}\n")
+    with World(options_from(load_rig(rig).rig.wires_options)) as world:
+        assert main(["bringup", "projector", "--rig", str(rig), "--json"]) == 0
+        truth = world.projector_truth
+    said = json.loads(capsys.readouterr().out)
+    now = load_rig(rig)
+    assert now.projector.latency_blanks == truth.latency_blanks == 1
+    assert now.projector.channels == channels
+    assert sub_frames is None or now.projector.sub_frames == sub_frames
+    # No exposure that is offered is false: each sees light that is linear in the code, of its own picture.
+    drawn = "RGB" if channels == "all" else "G"
+    assert now.scan.exposures_ms
+    for time_ms in now.scan.exposures_ms:
+        assert truth.linear(now.board.trigger_delay_us, 1000.0 * time_ms, drawn), time_ms
+    lit = [one for one in truth.windows_us if one.channel in drawn]
+    assert said["light"]["begins_us"] == pytest.approx(lit[0].begin_us, abs=250.0)
+    assert said["light"]["ends_us"] == pytest.approx(lit[-1].end_us, abs=250.0)

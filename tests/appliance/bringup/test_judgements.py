@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from appliance.bringup.bench import lit_part
-from appliance.bringup.exposures import Trial, offered, trials
+from appliance.bringup.exposures import FEWEST, Trial, offered, promising, trials
 from appliance.bringup.finding import BringupError
 from appliance.bringup.light import LightTiming, latency_of, light_within, sub_frames_of, timing_of, windows_of
 from appliance.bringup.raster import LINES, checker, compare_lines, line_pictures
@@ -38,6 +38,8 @@ def test_the_first_lit_frame_is_the_latency(at: int) -> None:
     assert latency_of(levels) == at, "the light goes on beyond a blank"
     levels[at + 1] = 2.0 + 148.0 * 0.02
     assert latency_of(levels) == at
+    levels += np.tile([0.3, -0.3, 0.0], 8)
+    assert latency_of(levels) == at, "noise is no flash"
 
 
 def test_a_flash_that_is_none_or_too_long_is_refused() -> None:
@@ -82,6 +84,9 @@ def test_equal_parts_of_a_frame_are_counted(count: int) -> None:
     assert sub_frames_of(bits, 0.0, PERIOD_US) == count
     # One bit that comes in the first part only: parts are not equal.
     assert sub_frames_of([*bits, slices((500.0, 2_500.0))], 0.0, PERIOD_US) == 1
+    # The same course, a fifth dimmer in the last part.
+    lights = np.interp(np.arange(200), [0, (count - 1) * step / 250.0, (count - 1) * step / 250.0 + 1], [1.0, 1.0, 0.8])
+    assert sub_frames_of([bit * lights for bit in bits], 0.0, PERIOD_US) == 1
     assert sub_frames_of([slices((0.0, PERIOD_US))], 0.0, PERIOD_US) == 1, "steady light repeats with any number"
     assert sub_frames_of([np.zeros(200)], 0.0, PERIOD_US) == 1
 
@@ -99,6 +104,7 @@ def grey(curve: NDArray[np.float64], noise: float = 0.0, seed: int = 1) -> NDArr
         ((CODES / 255.0) ** 0.45, Shape.GAMMA),
         (CODES / 255.0 + 0.05 * (CODES >= 128), Shape.BIT_PLANES),
         (CODES / 255.0 - 0.02 * (CODES % 32 >= 16), Shape.BIT_PLANES),
+        (np.sin(0.6 * np.pi * CODES / 255.0), Shape.BIT_PLANES),
     ],
 )
 def test_grey_is_straight_curved_gamma_or_cut(curve: NDArray[np.float64], shape: Shape) -> None:
@@ -158,7 +164,10 @@ def test_lines_that_differ_beat_and_a_slow_course_does_not() -> None:
     found = compare_lines(beating + noise[0], beating + noise[1])
     assert found.scaled
     assert found.beating == pytest.approx(0.043, abs=0.01)
-    assert not compare_lines(smooth + 50 * noise[0], smooth + 50 * noise[1]).told
+    dim = compare_lines(beating**9 + 80 * noise[0], beating**9 + 80 * noise[1])
+    assert dim.beating > 0.2
+    assert not dim.told
+    assert not dim.scaled
 
 
 def test_lines_are_single_and_a_checker_alternates() -> None:
@@ -235,3 +244,20 @@ def test_what_cannot_be_edited_by_lines_is_left_to_a_person(old: str, new: str, 
 def test_what_makes_no_rig_file_is_refused() -> None:
     with pytest.raises(BringupError, match=r"what was measured makes no rig file: CONFIG: projector\.latency_blanks 9"):
         with_keys(PACKAGED, {KeyValue("projector", "latency_blanks"): 9})
+
+
+def test_what_single_bits_foretell_to_be_cut_is_not_tried() -> None:
+    """Bits one after the other, the largest first, within 1 to 9 ms: an exposure of a part of that loses some."""
+    at, profiles = 1_000.0, {}
+    for bit in range(7, -1, -1):
+        length = 8_000.0 * 2**bit / 255.0
+        profiles[2**bit] = slices((at, at + length))
+        at += length
+    profiles[255] = np.asarray(sum(profiles.values()), np.float64)
+    wanted = [Trial(500, 250 * k) for k in range(8, 60)]
+    kept = promising(wanted, profiles, 0.0)
+    assert {one.exposure_us for one in kept} >= {one.exposure_us for one in wanted if one.exposure_us >= 8_500}
+    assert len(kept) < 0.7 * len(wanted)
+    assert promising(wanted[:FEWEST], profiles, 0.0) == tuple(wanted[:FEWEST]), "a few are always tried"
+    del profiles[4]
+    assert promising(wanted, profiles, 0.0) == tuple(wanted), "a bit that was not measured may be anywhere"
