@@ -214,3 +214,13 @@ def test_the_picture_that_lights_is_the_one_of_a_blank_ago(make_bench: MakeBench
     assert seen[0] == 0
     assert seen[-1] == 250
     assert 2 <= seen.count(0) <= 4, "three blanks, unless a blank passed between call and look"
+
+
+def test_pictures_that_no_exposure_saw_are_kept_until_they_light(make_bench: MakeBench) -> None:
+    rig = Rig(make_bench, {"kind": "pattern", "latency_blanks": 2})
+    rig.card.fbs[0][1][:, :, :3] = 255
+    (black,) = rig.draw(grey(0))
+    # The recorder shows the first buffer until its first pulse, and no camera looks before.
+    seen = rig.light([black] * 4, 120, 5556)
+    assert seen[:2].min() > 0.9 * seen.max() > 10.0
+    assert seen[2:].max() < 0.05 * seen.max()
