@@ -6,17 +6,29 @@ Source of the names: GenICam Standard Features Naming Convention 2.7.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 from genicam import genapi
 
 from drivers.api import DeviceRefused, FeatureValue
-from drivers.camera.control import ControlChannel
 from drivers.camera.references import WrongReference, check_references
 
 _NUMBERS, _CHOICE, _COMMAND = (genapi.IInteger, genapi.IFloat), (genapi.IEnumeration,), (genapi.ICommand,)
 _VALUES = (*_NUMBERS, *_CHOICE, genapi.IBoolean)
 _REMEDY = "Check the rig's camera settings against the camera's manual"
+
+_OLDER_NAMES = {"ExposureTime": "ExposureTimeAbs", "TriggerDelay": "TriggerDelayAbs"}
+"""Names of SFNC 1.x, in the same unit, which many cameras with GigE Vision still have instead of today's."""
+
+
+class RegisterMemory(Protocol):
+    """A camera's register memory, over whatever bus."""
+
+    def read(self, address: int, count: int) -> bytes:
+        """``count`` bytes from ``address``. Raises DeviceGone, DeviceRefused."""
+
+    def write(self, address: int, data: bytes) -> None:
+        """Write ``data`` at ``address``. Raises DeviceGone, DeviceRefused."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,37 +41,38 @@ class Limits:
 
 
 class _Port(genapi.AbstractPort):  # type: ignore[misc]  # the package has no types
-    """GenApi's view of the register memory. Exceptions of the channel pass through GenApi unchanged."""
+    """GenApi's view of the register memory, whose exceptions pass through GenApi unchanged."""
 
-    def __init__(self, control: ControlChannel) -> None:
+    def __init__(self, memory: RegisterMemory) -> None:
         super().__init__()
-        self._control = control
+        self._memory = memory
 
     def get_access_mode(self) -> Any:
         return genapi.EAccessMode.RW
 
     def read(self, address: int, length: int) -> bytes:
-        return self._control.read(address, length)
+        return self._memory.read(address, length)
 
     def write(self, address: int, data: bytes) -> None:
-        self._control.write(address, bytes(data))
+        self._memory.write(address, bytes(data))
 
 
 class Features:
     """The node map of one camera. Not safe for several threads at a time; its owner takes care of that.
 
     Every method raises DeviceRefused, naming the feature, the value and what is allowed, when the camera lacks the
-    feature or refuses the value, and passes DeviceGone of the control channel on.
+    feature or refuses the value, and passes DeviceGone of the register memory on. A feature that has only its name of SFNC 1.x is
+    found under today's.
     """
 
-    def __init__(self, device: str, xml: str, control: ControlChannel) -> None:
+    def __init__(self, device: str, xml: str, memory: RegisterMemory) -> None:
         self._device = device
         self._map = genapi.NodeMap()
         try:
             check_references(xml)
             self._map.load_xml_from_string(xml)
             # Held by the map: GenApi keeps only a bare pointer to the port.
-            self._map.connect(_Port(control), "Device")
+            self._map.connect(_Port(memory), "Device")
         except (genapi.GenericException, WrongReference) as error:
             raise DeviceRefused(
                 device, f"its description cannot be loaded ({_short(error)})", "Update the camera's firmware"
@@ -177,8 +190,12 @@ class Features:
             raise self._refused(feature, "cannot be executed", error) from error
 
     def _find(self, feature: str) -> Any:
+        found = self._get(feature)
+        return self._get(_OLDER_NAMES[feature]) if found is None and feature in _OLDER_NAMES else found
+
+    def _get(self, name: str) -> Any:
         try:
-            return self._map.get_node(feature)
+            return self._map.get_node(name)
         except genapi.GenericException:
             return None
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import os
 import queue
+import signal
 import subprocess
 import sys
 import threading
+from collections.abc import Sequence
 from types import TracebackType
 from typing import Any, Self
 
@@ -17,12 +19,16 @@ END_TIMEOUT_S = 20.0
 
 
 class Client:
-    """A context manager: ``python -m tests.libraries.clients.<name> arguments`` under umockdev's preload library."""
+    """A context manager: ``python -m tests.libraries.clients.<name> arguments``, under umockdev's preload library where there is a test bed.
 
-    def __init__(self, bed: Testbed, name: str, *arguments: object) -> None:
+    ``within`` are words before them: a program that runs it in some surroundings, and becomes it.
+    """
+
+    def __init__(self, bed: Testbed | None, name: str, *arguments: object, within: Sequence[str] = ()) -> None:
+        self._killed = False
         self._process = subprocess.Popen(
-            [sys.executable, "-m", f"tests.libraries.clients.{name}", *map(str, arguments)],
-            env={**os.environ, **bed.environment},
+            [*within, sys.executable, "-m", f"tests.libraries.clients.{name}", *map(str, arguments)],
+            env={**os.environ, **({} if bed is None else bed.environment)},
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
@@ -50,8 +56,23 @@ class Client:
         self._process.stdin.close()
         code = self._process.wait(END_TIMEOUT_S)
         self._thread.join(END_TIMEOUT_S)
-        if error is None:
+        if error is None and not self._killed:
             assert code == 0, f"ended with {code}"
+
+    @property
+    def pid(self) -> int:
+        """Of the program."""
+        return self._process.pid
+
+    def kill(self) -> None:
+        """Let it end on the spot, as if its power were cut."""
+        self._killed = True
+        self._process.kill()
+        self._process.wait(END_TIMEOUT_S)
+
+    def freeze(self) -> None:
+        """Let it stand still: everything stays open and nothing answers."""
+        self._process.send_signal(signal.SIGSTOP)
 
     def expect(self, key: str, value: object = None, timeout_s: float = 30.0) -> dict[str, Any]:
         """The next line with that key (and value); what comes before it is skipped."""

@@ -1,4 +1,4 @@
-"""Measures what two full-size cameras at 60 Hz cost on device nodes: ``./dev run python -m tests.libraries.rate [frames]``.
+"""Measures what two full-size cameras at 60 Hz cost on device nodes: ``./dev run python -m tests.libraries.rate [frames [family]]``.
 
 CPU times judge; the rate that was reached says more about what else the machine had to do.
 """
@@ -9,6 +9,7 @@ import json
 import sys
 import time
 
+from drivers.camera_families import USUAL
 from hw_sim.wires.umockdev.testbed import Testbed
 from hw_sim.world import World, WorldOptions
 from tests.libraries.client import Client
@@ -18,7 +19,7 @@ SIZE = (1600, 1200)
 WARM_UP = 3
 
 
-def measure(frames: int) -> dict[str, float]:
+def measure(frames: int, kind: str = USUAL) -> dict[str, float]:
     """Figures of one run with that many frames of each camera."""
     width, height = SIZE
     options = WorldOptions(
@@ -27,7 +28,7 @@ def measure(frames: int) -> dict[str, float]:
     with World(options) as world, Testbed(world) as bed:
         with world.time.condition:
             world.board.receive(line("LIVE,1,500,1000"))
-        cameras = (width, height)
+        cameras = ("--kind", kind, width, height)
         with Client(bed, "cameras", *cameras, WARM_UP, "KF-CAM-L", "KF-CAM-R") as client:
             client.expect("cpu_s", timeout_s=120)  # makes the images, one for each camera
         begin_s, world_s = time.monotonic(), time.process_time()
@@ -47,5 +48,5 @@ def measure(frames: int) -> dict[str, float]:
 
 
 if __name__ == "__main__":
-    found = measure(int(sys.argv[1]) if len(sys.argv) > 1 else 300)
+    found = measure(int(sys.argv[1]) if len(sys.argv) > 1 else 300, *sys.argv[2:3])
     sys.stdout.write(json.dumps({name: round(value, 3) for name, value in found.items()}, indent=1) + "\n")

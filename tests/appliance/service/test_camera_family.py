@@ -170,10 +170,12 @@ def test_a_family_that_is_not_there_is_refused_by_name_and_nothing_is_imported(
     with pytest.raises(ConfigError) as caught:
         rig_of(kind, tmp_path)
     assert caught.value.key == "camera.kind"
-    assert str(caught.value).startswith(f'CONFIG: camera.kind "{kind}" is no family of cameras; allowed: usb3vision; ')
+    assert str(caught.value).startswith(
+        f'CONFIG: camera.kind "{kind}" is no family of cameras; allowed: aravis, usb3vision; '
+    )
     asked: list[str] = []
     with monkeypatch.context() as patched:
         patched.setattr(importlib, "import_module", asked.append)
-        with pytest.raises(DeviceRefused, match="allowed: usb3vision"):
+        with pytest.raises(DeviceRefused, match="allowed: aravis, usb3vision"):
             open_by_kind(CameraSpec("camera.left", "KF-CAM-L"), None, kind)  # type: ignore[arg-type]  # is not reached
     assert asked == []

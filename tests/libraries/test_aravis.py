@@ -1,0 +1,421 @@
+"""The family ``aravis``: on our simulated cameras over USB, on Aravis' own fake camera, and on its cameras with GigE Vision over a network."""
+
+from __future__ import annotations
+
+import ctypes
+import itertools
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from threading import Thread
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.api import Camera, CameraSettings, CameraSpec, DeviceGone, DeviceRefused, Frame, FrameStatus
+from drivers.aravis import AravisCamera, library
+from drivers.aravis.camera import find_device
+from drivers.aravis.stream import LEAST_BUFFERS
+from drivers.native import MonotonicClock
+from hw_sim.wires.umockdev.testbed import Testbed
+from hw_sim.world import World, WorldOptions
+from tests.libraries.client import Client
+from tests.libraries.clients import network
+from tests.libraries.instrument import rig_file
+from tests.libraries.test_devices import triggered
+
+pytestmark = pytest.mark.libraries
+
+FULL = (1600, 1200)
+SMALL = (320, 240)
+WHOLE = (512, 256)
+"""An image of whole kilobytes in every format."""
+KIND = ("--kind", "aravis")
+CLOCK = MonotonicClock()
+WIDTH, EXPOSURE_TIME_US = 0x100, 0x120
+"""Registers of the fake camera's own description."""
+PERIOD_S = 4
+STRIPES = 255
+"""Grey values of its picture."""
+
+
+# --------------------------------------------------------------------------------------- our cameras, over USB
+
+
+def test_aravis_reads_both_cameras_at_once(world: World, bed: Testbed) -> None:
+    world.view("left")
+    triggered(world)
+    with Client(bed, "cameras", *KIND, 400, 300, 20, "KF-CAM-L", "KF-CAM-R") as client:
+        for _ in range(2):
+            opened = client.expect("opened")
+            assert (opened["model"], opened["mbps"]) == ("KFC1920", 5000)
+        for _ in range(2):
+            read = client.expect("read", timeout_s=60)
+            assert (read["met"], read["gaps"]) == ({"complete": 20}, 0)
+            assert read["brightest"] > 0, "pixels came, not only headers"
+        client.expect("cpu_s")
+
+
+def test_a_camera_that_is_unplugged_is_gone_for_aravis_too_and_comes_back(world: World, bed: Testbed) -> None:
+    triggered(world)
+    with Client(bed, "cameras", *KIND, 400, 300, 40, "KF-CAM-L") as client:
+        client.expect("started")
+        world.fault("camera.left off")
+        why = client.expect("gone")["why"]
+        assert "Check the connector; the camera is opened again by itself" in why, why
+        failed = client.expect("failed")["failed"]
+        assert "KF-CAM-L not found; there are KF-CAM-R" in failed
+        world.clear_faults()
+        client.expect("opened")
+        assert client.expect("read", timeout_s=60)["met"]["complete"] == 40
+
+
+@contextmanager
+def alvium() -> Iterator[Testbed]:
+    """A left camera of another maker: with 12 bits, and with transfers in multiples of 1024 bytes alone."""
+    width, height = WHOLE
+    options = WorldOptions(
+        world="bits", width_px=width, height_px=height, pace="realtime", stills=True, truth="modelled", noise=False,
+        ambient=0.2, cameras={"left": {"personality": "alvium"}},
+    )  # fmt: skip
+    with World(options) as world, Testbed(world) as bed:
+        triggered(world)
+        yield bed
+
+
+@pytest.mark.parametrize("pixel_format", ["Mono10p", "Mono12p", "Mono12"])
+def test_more_than_eight_bits_become_the_same_eight_as_by_our_own_family(pixel_format: str) -> None:
+    """The same still scene through both families."""
+    sums = []
+    with alvium() as bed:
+        for kind in ("usb3vision", "aravis"):
+            words = ("--kind", kind, "--format", pixel_format, "--source", "Line0")
+            with Client(bed, "cameras", *words, *WHOLE, 5, "KF-CAM-L") as client:
+                sums.append(client.expect("read", timeout_s=20)["sum"])
+                client.expect("cpu_s")
+    assert sums[0] == sums[1] > 0
+
+
+def test_a_size_that_the_camera_does_not_send_through_aravis_is_refused_with_the_way_out() -> None:
+    with alvium() as bed, Client(bed, "cameras", *KIND, "--source", "Line0", 400, 200, 5, "KF-CAM-L") as client:
+        why = client.expect("refused")["refused"]
+        assert "images of 80000 bytes, which are no multiple of its 1024" in why
+        assert why.endswith('Choose another size of the image, or kind = "usb3vision"')
+
+
+def test_the_checkup_names_each_camera_and_the_slow_one(world: World, bed: Testbed, tmp_path: Path) -> None:
+    """``kingfisher check`` with the packaged rig file, of which the family is changed."""
+    world.fault("camera.right slow")
+    (tmp_path / "root").mkdir()
+    rig = rig_file(tmp_path, (400, 300))
+    text, changed = re.subn('kind = "usb3vision"', 'kind = "aravis"', rig.read_text(encoding="utf-8"))
+    assert changed == 1
+    rig.write_text(text, encoding="utf-8")
+    done = subprocess.run(
+        [sys.executable, "-m", "appliance.cli", "check", "--rig", str(rig), "--json"],
+        env={**os.environ, **bed.environment},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    found = {entry["device"]: entry for entry in json.loads(done.stdout)}
+    assert {name for name, entry in found.items() if not entry["ok"]} == {"camera.right"}
+    left, right = found["camera.left"]["details"], found["camera.right"]["details"]
+    assert (left["serial"], left["link"], right["link"]) == ("KF-CAM-L", "5000 Mbit/s", "480 Mbit/s")
+    assert re.match(r"Aravis 0\.8\.\d+, USB3Vision at ", left["through"])
+    assert float(left["temperature"].removesuffix(" °C")) > 0.0
+
+
+# -------------------------------------------------------------------------------------- Aravis' fake camera
+
+
+class Fake:
+    """The fake camera of this process, behind the driver; the test has the camera's own side."""
+
+    def __init__(self, **spec: Any) -> None:
+        self._aravis = network.library()
+        self._aravis.arv_fake_device_get_fake_camera.restype = ctypes.c_void_p
+        self._aravis.arv_fake_device_get_fake_camera.argtypes = (ctypes.c_void_p,)
+        device = find_device("camera.left", "Fake_1", library.library("camera.left"))
+        self._camera = self._aravis.arv_fake_device_get_fake_camera(device.handle)
+        self.device = device
+        self.driver = AravisCamera(CameraSpec("camera.left", "1", **spec), device, CLOCK)
+
+    def line(self, rate_hz: float) -> None:
+        """The line that triggers it is pulsed so often."""
+        self._aravis.arv_fake_camera_set_trigger_frequency(self._camera, rate_hz)
+
+    def put(self, register: int, value: int) -> None:
+        """Change a register behind the driver's back."""
+        self._aravis.arv_fake_camera_write_register(self._camera, register, value)
+
+    def get(self, register: int) -> int:
+        """What the camera holds."""
+        return int.from_bytes(self.device.read(register, 4), "big")
+
+
+@contextmanager
+def faked(size: tuple[int, int] = SMALL, rate_hz: float = 60.0, **spec: Any) -> Iterator[Fake]:
+    """A fake camera, set."""
+    fake = Fake(**spec)
+    with fake.driver as camera:
+        fake.line(rate_hz)
+        assert camera.configure(settings(size)) == settings(size)
+        yield fake
+
+
+def settings(size: tuple[int, int]) -> CameraSettings:
+    """With the exposure at which the fake camera's picture is not scaled."""
+    return CameraSettings(*size, 10_000.0, 0.0)
+
+
+def slot_of(size: tuple[int, int]) -> Any:
+    return np.zeros(size[::-1], np.uint8)
+
+
+def frames(camera: Camera, size: tuple[int, int], count: int) -> list[tuple[Frame, int]]:
+    """Each with its first pixel: the fake camera draws diagonal stripes that move by one pixel with each frame."""
+    slot = slot_of(size)
+    found = []
+    for _ in range(count):
+        frame = camera.next_frame(slot, 2.0)
+        for pixel in ((0, 3), (5, 0), (size[1] - 1, size[0] - 1)):
+            assert slot[pixel] == (int(slot[0, 0]) + sum(pixel)) % STRIPES
+        found.append((frame, int(slot[0, 0])))
+    return found
+
+
+def lost(taken: Sequence[tuple[Frame, int]]) -> int:
+    """Frames that are missing between the first and the last, by the numbers of both wire and pixels, which agree."""
+    assert {frame.status for frame, _ in taken} == {FrameStatus.COMPLETE}
+    ids = [frame.block_id for frame, _ in taken if frame.block_id is not None]
+    assert len(ids) == len(taken)
+    for (one, other), (before, after) in zip(
+        itertools.pairwise(ids), itertools.pairwise(pixel for _, pixel in taken), strict=True
+    ):
+        assert (other - one) % STRIPES == (after - before) % STRIPES
+        assert other > one
+    return ids[-1] - ids[0] + 1 - len(ids)
+
+
+def test_the_fake_camera_is_found_and_says_who_it_is() -> None:
+    with faked() as fake:
+        who = fake.driver.identity
+        assert (who.vendor, who.model, who.serial, who.link_speed_mbps) == ("Aravis", "Fake", "1", None)
+        health = fake.driver.health()
+        assert health.ok
+        assert health.details["through"].startswith(f"Aravis {who.firmware}, Fake")
+        assert "no user sets" in health.details["not offered"]
+        assert fake.driver.temperature_c() is None
+        assert fake.driver.read_clock() is None, "its registers have a frequency and no time"
+        assert fake.driver.slow_link is None
+
+
+def test_the_settings_are_in_the_camera_under_the_names_of_older_conventions() -> None:
+    with faked(size=(640, 480)) as fake:
+        assert (fake.get(WIDTH), fake.get(EXPOSURE_TIME_US)) == (640, 10_000)
+        assert fake.driver.configure(CameraSettings(640, 480, 7500.0, 0.0)).exposure_us == 7500.0
+        assert fake.get(EXPOSURE_TIME_US) == 7500
+        with pytest.raises(DeviceRefused, match="has no gain to set"):
+            fake.driver.configure(CameraSettings(640, 480, 7500.0, 6.0))
+
+
+@pytest.mark.parametrize(
+    ("spec", "size", "match"),
+    [
+        ({"pixel_format": "Mono10p"}, SMALL, "PixelFormat: Mono10p refused, allowed: .*Mono8"),
+        ({"trigger_source": "Line7"}, SMALL, "TriggerSource: Line7 refused, allowed: Line0 Software"),
+        ({}, (4096, 1200), "Width"),
+        ({"features": (("NoSuchThing", 1.0),)}, SMALL, "has no feature NoSuchThing"),
+    ],
+)
+def test_what_the_camera_does_not_take_is_refused_by_name(
+    spec: dict[str, Any], size: tuple[int, int], match: str
+) -> None:
+    with Fake(**spec).driver as camera, pytest.raises(DeviceRefused, match=match):
+        camera.configure(settings(size))
+
+
+def test_frames_come_in_order_with_the_cameras_time_and_again_after_a_stop() -> None:
+    with faked() as fake:
+        camera = fake.driver
+        for _ in range(2):
+            camera.start()
+            taken = frames(camera, SMALL, 20)
+            assert lost(taken) == 0
+            stamps_ns = [frame.camera_time_ns or 0 for frame, _ in taken]
+            assert (stamps_ns[-1] - stamps_ns[0]) / 19 == pytest.approx(1e9 / 60, rel=0.2)
+            camera.stop()
+            camera.stop()
+        with pytest.raises(DeviceRefused, match="asked for a frame while stopped"):
+            camera.next_frame(slot_of(SMALL), 0.1)
+
+
+def test_a_running_stream_begins_anew_at_another_start_and_at_another_size() -> None:
+    with faked() as fake:
+        camera = fake.driver
+        camera.start()
+        before = frames(camera, SMALL, 5)[-1][0].block_id
+        camera.start()
+        after = frames(camera, SMALL, 5)[0][0].block_id
+        assert before is not None
+        assert after is not None
+        assert after > before
+        camera.configure(settings((640, 480)))
+        assert lost(frames(camera, (640, 480), 5)) == 0
+
+
+def test_without_a_trigger_the_wait_ends_when_it_was_to_end_and_at_a_stop() -> None:
+    with faked() as fake:
+        camera = fake.driver
+        camera.start()
+        fake.line(1 / PERIOD_S)
+        for _ in range(PERIOD_S):
+            # Until the long period has begun: its frames come at whole multiples of it.
+            begin_s = time.monotonic()
+            frame = camera.next_frame(slot_of(SMALL), 0.6)
+            if frame.status is FrameStatus.TIMEOUT:
+                break
+        assert 0.6 <= time.monotonic() - begin_s < 1.2
+        assert (frame.status, frame.block_id, frame.camera_time_ns) == (FrameStatus.TIMEOUT, None, None)
+        reader = Thread(target=lambda: camera.next_frame(slot_of(SMALL), 30.0))
+        reader.start()
+        camera.stop()
+        reader.join(2 * PERIOD_S)
+        assert time.monotonic() - begin_s < 3 * PERIOD_S
+        assert not reader.is_alive()
+
+
+def test_an_image_of_another_size_than_asked_for_is_damaged_and_the_next_is_not() -> None:
+    with faked() as fake:
+        fake.driver.start()
+        frames(fake.driver, SMALL, 2)
+        fake.put(WIDTH, 160)
+        met = [fake.driver.next_frame(slot_of(SMALL), 2.0) for _ in range(6)]
+        assert met[-1].status is FrameStatus.CORRUPT
+        assert met[-1].detail == "image of 160 x 240, expected 320 x 240"
+        assert met[-1].block_id is not None
+        fake.put(WIDTH, 320)
+        assert [fake.driver.next_frame(slot_of(SMALL), 2.0).status for _ in range(6)][-1] is FrameStatus.COMPLETE
+
+
+def test_a_reader_that_is_late_finds_as_many_frames_as_there_are_buffers_and_then_a_gap() -> None:
+    with faked(FULL) as fake:
+        fake.driver.start()
+        time.sleep(6 * LEAST_BUFFERS / 60.0)
+        taken = frames(fake.driver, FULL, LEAST_BUFFERS + 4)
+        stamps_ns = [frame.camera_time_ns or 0 for frame, _ in taken]
+        steps = np.diff(stamps_ns) * 60e-9
+        assert np.argmax(steps) == LEAST_BUFFERS - 1
+        assert steps[LEAST_BUFFERS - 1] > 2 * LEAST_BUFFERS
+
+
+@pytest.mark.parametrize(
+    "slot", [np.zeros((10, 10), np.uint8), np.zeros((240, 320), np.uint16), np.zeros((320, 240), np.uint8).T]
+)
+def test_an_array_that_cannot_take_a_frame_is_refused(slot: Any) -> None:
+    with faked() as fake:
+        fake.driver.start()
+        with pytest.raises(ValueError, match=r"slot of shape|C-contiguous"):
+            fake.driver.next_frame(slot, 1.0)
+
+
+def test_two_cameras_at_60_hz_and_full_size_lose_no_frame_in_three_seconds() -> None:
+    with faked(FULL) as left, faked(FULL) as right:
+        met: dict[str, list[tuple[Frame, int]]] = {}
+
+        def read(side: str, camera: Camera) -> None:
+            camera.start()
+            met[side] = frames(camera, FULL, 180)
+
+        threads = [Thread(target=read, args=(side, fake.driver)) for side, fake in (("left", left), ("right", right))]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join(30.0)
+        assert {side: lost(taken) for side, taken in met.items()} == {"left": 0, "right": 0}
+
+
+def test_a_register_that_is_no_whole_word_is_cut_out_of_those_around_it() -> None:
+    with faked() as fake:
+        whole = fake.device.read(0x48, 16)
+        assert whole.startswith(b"Aravis")
+        assert fake.device.read(0x4B, 5) == whole[3:8]
+        assert len(fake.device.read(0, 2000)) == 2000
+
+
+def test_a_camera_that_is_not_there_is_gone_and_a_fake_one_is_no_news() -> None:
+    with pytest.raises(
+        DeviceGone, match=r"serial number KF-CAM-X not found; (Aravis sees no camera|there are)"
+    ) as caught:
+        AravisCamera.open(CameraSpec("camera.left", "KF-CAM-X"), CLOCK)
+    assert "Fake" not in str(caught.value)
+
+
+def test_without_the_library_the_remedy_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(library, "FILE", "libaravis-0.0.so.0")
+    library.loaded.cache_clear()
+    try:
+        with pytest.raises(DeviceRefused, match=r"libaravis-0\.0\.so\.0.*apt install libaravis-0\.8-0"):
+            AravisCamera.open(CameraSpec("camera.left", "1"), CLOCK)
+    finally:
+        library.loaded.cache_clear()
+
+
+# ------------------------------------------------------------------------------------ GigE Vision, over a loop
+
+
+@contextmanager
+def networked(rate_hz: float, *serials: str) -> Iterator[tuple[Client, tuple[str, ...]]]:
+    """Cameras on a network of their own, and the words that bring a program into it."""
+    if shutil.which("unshare") is None or subprocess.run(["unshare", "-rn", "true"], check=False).returncode != 0:
+        pytest.skip("this machine lets nobody make a network of his own (unshare -rn)")
+    loop = 'ip link set lo up && ip addr add 127.0.0.2/8 dev lo && exec "$@"'
+    with Client(None, "network", rate_hz, *serials, within=("unshare", "-rn", "sh", "-c", loop, "sh")) as cameras:
+        cameras.expect("ready", len(serials))
+        yield cameras, ("nsenter", "-t", str(cameras.pid), "-U", "-n", "--preserve-credentials")
+
+
+def test_two_network_cameras_are_read_without_a_loss_while_their_numbers_go_round() -> None:
+    with networked(60.0, "GV-L", "GV-R") as (_, within):
+        words = (*KIND, "--source", "Software", 640, 480, 300, "GV-L", "GV-R")
+        with Client(None, "cameras", *words, within=within) as client:
+            for _ in range(2):
+                read = client.expect("read", timeout_s=60)
+                assert (read["met"], read["gaps"]) == ({"complete": 300}, 0)
+                assert read["first"] < 0xFFFF < read["last"], "sixteen bits went round"
+                assert read["brightest"] == network.MODULUS - 1
+            client.expect("cpu_s")
+
+
+def test_a_network_camera_that_falls_silent_is_gone() -> None:
+    with networked(20.0, "GV-L") as (cameras, within):
+        words = (*KIND, "--source", "Software", 320, 240, 4000, "GV-L")
+        with Client(None, "cameras", *words, within=within) as client:
+            client.expect("started")
+            # A process that stands still keeps its network: the camera falls silent, its cable stays.
+            cameras.freeze()
+            assert "no longer answers over the network" in client.expect("gone", timeout_s=30)["why"]
+            assert "GV-L not found; Aravis sees no camera" in client.expect("failed", timeout_s=30)["failed"]
+            client.kill()
+            cameras.kill()
+
+
+def test_a_network_camera_that_another_program_controls_is_refused() -> None:
+    with networked(20.0, "GV-L") as (_, within):
+        words = (*KIND, "--source", "Software", 320, 240, 4000, "GV-L")
+        with Client(None, "cameras", *words, within=within) as first:
+            first.expect("started")
+            with Client(None, "cameras", *words, within=within) as second:
+                assert "another program controls the camera. Stop it" in second.expect("failed")["failed"]
+                second.kill()
+            first.kill()
