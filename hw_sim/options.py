@@ -9,8 +9,10 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any, TypeVar
 
 from hw_sim.devices.power_on import Cameras, PowerOn
+from hw_sim.drawings import DRAWINGS, USUAL, Drawing
 from hw_sim.light.daylight import Daylight
 from hw_sim.objects.motion import Motion
+from hw_sim.objects.shapes import DEFAULT_POSE
 from hw_sim.optics.beamer import Beamer
 from hw_sim.optics.fog import Fog
 from hw_sim.outside import ALL, FAMILIES, Outside, draw_outside
@@ -67,8 +69,11 @@ class WorldOptions:
     window: bool = False
     console: bool = False
     stills: bool = False
+    housing: str = USUAL
 
     def __post_init__(self) -> None:
+        if self.housing not in DRAWINGS:
+            raise OptionError(f"housing '{self.housing}'; allowed are {', '.join(DRAWINGS)}")
         if self.pace not in PACES:
             raise OptionError(f"pace '{self.pace}'; allowed are {', '.join(PACES)}")
         if self.medium not in MEDIA:
@@ -128,12 +133,22 @@ class WorldOptions:
             )
         return beamer
 
+    def drawing(self) -> Drawing:
+        """Return what the housing was built to."""
+        return DRAWINGS[self.housing]
+
+    def _pose(self) -> Pose | None:
+        """Return where the object is held; ``None``: at the usual place of the usual housing."""
+        if self.object_pose is not None or self.housing == USUAL or self.object not in DEFAULT_POSE:
+            return self.object_pose
+        return self.drawing().pose(self.object)
+
     def scene(self) -> Scene:
         """Return the scene that these options describe. Raises OptionError."""
         try:
             return Scene(
                 self.object,
-                self.object_pose,
+                self._pose(),
                 self.texture,
                 _made(Water, "water", self.water) if self.medium == "water" else AIR,
                 self.ambient,

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hw_sim.drawings import DRAWINGS, USUAL, Drawing
 from hw_sim.objects.shapes import (
     BALL_DISTANCE_MM,
     BOARD_BOW,
@@ -26,20 +27,13 @@ from hw_sim.objects.shapes import (
     SIZES_OUTSIDE,
 )
 from hw_sim.optics.aberrations import Aberrations, flawed
-from hw_sim.optics.trace import FIELD, FIELD_ORDER, HAS_FIELD, PACKED, pixels_of, rays_of, refract
+from hw_sim.optics.projector import FOCUS_MM
+from hw_sim.optics.trace import FIELD, FIELD_ORDER, FOCUS, HAS_FIELD, PACKED, pixels_of, rays_of, refract
 from hw_sim.outside import Outside, draw_outside
 from hw_sim.workshop import drawn_tolerances
 
 Array = NDArray[np.float64]
 
-CENTRE_MM = 522.5
-"""The two axes cross here: z in the rig frame."""
-TOE_IN_DEG = 12.41
-HALF_BASELINE_MM = 115.0
-LASER_X_MM, LASER_Y_MM, LASER_Z_MM = 40.0, 0.0, 30.0
-"""The right pointer's beam leaves its window here, rig frame; the left one's mirrors it."""
-LASER_AIM_X_MM = 20.0
-"""Distance from the axis at which the beams meet the plane in the middle of the volume, both at the height of the axis."""
 SETS = ("nominal", "realistic", "hard", "paper", "modelled", "outside")
 
 
@@ -82,6 +76,8 @@ class TrueEye:
     """Cosine coefficients in px, FIELD_ORDER² (row = order in v) for u, then for v: see ``optics.trace.lens_field``."""
     aberrations: Aberrations | None = None
     """Flaws of the world ``outside``; ``None``: none."""
+    focus_mm: float = FOCUS_MM
+    """Distance, z in the rig frame, at which a projector is sharp."""
 
     def packed(self, n_water: float) -> Array:
         """Return the array (PACKED,) float64 that compiled tracing reads; longer for an eye with flaws."""
@@ -92,6 +88,7 @@ class TrueEye:
         eye[21:24] = self.port.normal
         eye[24:27] = self.port.outer_normal
         eye[27:33] = (self.port.d_mm, self.port.th_mm, self.port.n_g, n_water, self.width_px, self.height_px)
+        eye[FOCUS] = self.focus_mm
         if self.lens_field is not None:
             eye[HAS_FIELD] = 1.0
             eye[FIELD:] = self.lens_field
@@ -247,8 +244,10 @@ def _amounts_of(kind: str, seed: int) -> _Amounts | None:
     return _AMOUNTS.get(kind)
 
 
-def draw_truth(kind: str, seed: int, width_px: int, height_px: int, n_water: float) -> TrueRig:
-    """Return the true rig of a set (``SETS``) or of a ``truth.toml`` (a path); other image sizes bin the nominal pixel.
+def draw_truth(
+    kind: str, seed: int, width_px: int, height_px: int, n_water: float, drawing: Drawing = DRAWINGS[USUAL]
+) -> TrueRig:
+    """Return the true rig of a set (``SETS``), built to ``drawing``, or of a ``truth.toml`` (a path); other image sizes bin the nominal pixel.
 
     Raises ValueError for an unknown set, OSError for an unreadable file.
     """
@@ -258,10 +257,9 @@ def draw_truth(kind: str, seed: int, width_px: int, height_px: int, n_water: flo
     if amounts is None:
         raise ValueError(f"truth '{kind}'; allowed are {', '.join(SETS)} or the path of a truth.toml")
     rng = np.random.default_rng([seed, 20])
-    toe = math.radians(TOE_IN_DEG)
-    binning = 1600.0 / width_px
-    # 11.5 mm lenses on pixels of 4.5 µm; below, 16.9 mm on the projector's pixels of 10.8 µm.
-    f_px = 11.5 / 0.0045 / binning
+    toe = math.radians(drawing.toe_in_deg)
+    binning = drawing.camera_px / width_px
+    f_px = drawing.focal_mm / drawing.pixel_mm / binning
     camera = TrueEye(
         width_px,
         height_px,
@@ -270,20 +268,30 @@ def draw_truth(kind: str, seed: int, width_px: int, height_px: int, n_water: flo
         (0.0,) * 5,
         (),
         (0.0,) * 3,
-        TruePort(),
+        TruePort(d_mm=drawing.port_mm),
     )
-    f_projector = 16.9 / 0.0108
-    projector = replace(camera, width_px=1024, height_px=768, f_px=(f_projector, f_projector), c_px=(511.5, 383.5))
-    left = _disturb(replace(camera, R=_turn_y(toe), t_mm=(-HALF_BASELINE_MM, 0.0, 0.0)), amounts, rng, binning)
-    right = _disturb(replace(camera, R=_turn_y(-toe), t_mm=(HALF_BASELINE_MM, 0.0, 0.0)), amounts, rng, binning)
+    f_projector = drawing.projector_focal_mm / drawing.projector_pixel_mm
+    columns, rows = drawing.projector_px
+    projector = replace(
+        camera,
+        width_px=columns,
+        height_px=rows,
+        f_px=(f_projector, f_projector),
+        c_px=((columns - 1) / 2, (rows - 1) / 2),
+        focus_mm=drawing.centre_mm,
+    )
+    left = _disturb(replace(camera, R=_turn_y(toe), t_mm=(-drawing.half_baseline_mm, 0.0, 0.0)), amounts, rng, binning)
+    right = _disturb(replace(camera, R=_turn_y(-toe), t_mm=(drawing.half_baseline_mm, 0.0, 0.0)), amounts, rng, binning)
     beamer = _disturb(replace(projector, R=_turn_y(0.0), t_mm=(0.0, 0.0, 0.0)), amounts, rng, 1.0)
     beams = []
     for side in (-1.0, 1.0):
         lean = np.radians(rng.normal(0.0, 0.2 if amounts.mount_deg else 0.0, 2))
-        beams.append(_pointer(side, lean, n_water))
+        beams.append(_pointer(side, lean, n_water, drawing))
     made = np.random.default_rng([seed, 21]).normal(0.0, 1.0, 2) * amounts.artefact_mm
     board = np.random.default_rng([seed, 23]).normal(0.0, 1.0, 2) * (amounts.board_mm, amounts.board_scale)
-    artefacts = Artefacts(BALL_DISTANCE_MM + float(made[0]), float(made[1]), float(board[0]), 1.0 + float(board[1]))
+    artefacts = Artefacts(
+        drawing.ball_distance_mm + float(made[0]), float(made[1]), float(board[0]), 1.0 + float(board[1])
+    )
     rig = TrueRig(seed, kind, n_water, left, right, beamer, (beams[0], beams[1]), artefacts)
     return with_flaws(rig, draw_outside(seed)) if kind == "outside" else rig
 
@@ -305,12 +313,13 @@ def with_flaws(rig: TrueRig, outside: Outside) -> TrueRig:
     return rig
 
 
-def _pointer(side: float, lean_rad: Array, n_water: float) -> Laser:
+def _pointer(side: float, lean_rad: Array, n_water: float, drawing: Drawing) -> Laser:
     """Return the pointer left (−1) or right (+1) of the projector, turned in its mount by ``lean_rad`` (x, y) against its window,
     which is perpendicular to the beam as drawn: the window bends what leans (air, then water: its plane faces drop out).
     """
-    origin = np.array([side * LASER_X_MM, LASER_Y_MM, LASER_Z_MM])
-    drawn = np.array([side * LASER_AIM_X_MM, 0.0, CENTRE_MM]) - origin
+    x_mm, y_mm, z_mm = drawing.laser_mm
+    origin = np.array([side * x_mm, y_mm, z_mm])
+    drawn = np.array([side * drawing.laser_aim_x_mm, 0.0, drawing.centre_mm]) - origin
     drawn /= np.linalg.norm(drawn)
     right = np.cross([0.0, 1.0, 0.0], drawn)
     right /= np.linalg.norm(right)
@@ -386,6 +395,7 @@ def load_truth(path: Path, n_water: float) -> TrueRig:
             TruePort(**{**port, "normal": tuple(port["normal"])}),
             _flat_field(table.get("lens_field")),
             Aberrations.from_dict(table["aberrations"]) if "aberrations" in table else None,
+            table.get("focus_mm", FOCUS_MM),
         )
     beams = [Laser(tuple(b["origin_mm"]), tuple(b["direction"])) for b in data["lasers"]]
     return TrueRig(
@@ -431,7 +441,7 @@ def _disturb(eye: TrueEye, a: _Amounts, rng: np.random.Generator, binning: float
     normal /= np.linalg.norm(normal)
     port = TruePort(
         _triple(normal),
-        30.0 + rng.uniform(-a.d_mm, a.d_mm),
+        eye.port.d_mm + rng.uniform(-a.d_mm, a.d_mm),
         5.0 + rng.uniform(-a.th_mm, a.th_mm),
         1.77 + rng.uniform(-a.n_g, a.n_g),
         a.wedge_deg,
@@ -484,6 +494,7 @@ def _eye_dict(eye: TrueEye) -> dict[str, Any]:
             "wedge_direction_deg": port.wedge_direction_deg,
         },
         "lens_field": _field_dict(eye.lens_field),
+        **({} if eye.focus_mm == FOCUS_MM else {"focus_mm": eye.focus_mm}),
         **flaws,
     }
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from hw_sim import registry
 from hw_sim.devices.board import Board, Shot
 from hw_sim.devices.cable import Cable
-from hw_sim.devices.card import PROJECTOR_SIZE, Card
+from hw_sim.devices.card import Card
 from hw_sim.devices.head import Flip, Output
 from hw_sim.devices.keypad import Keypad
 from hw_sim.devices.shutter import Exposure, Latent
@@ -112,7 +112,7 @@ class World:
         self._housing = Housing(scene.water.temperature_c, o.medium)
         self._warmed_ns = START_NS
         with self.time.condition:
-            self.card = Card(self.time.condition.notify_all, o.refresh_hz)
+            self.card = Card(self.time.condition.notify_all, o.refresh_hz, projector_px=o.drawing().projector_px)
             self.board = Board(
                 *(self.time, self.faults, self._fire, self._sensor, o.seed),
                 period_ns=self.time.period_ns if cable is None else cable.period_ns,
@@ -370,7 +370,9 @@ class World:
                 self._hold(interval)
                 number = len(self._intervals) - 1 - self._beamer.latency
                 signal = self._intervals[number].signal if number >= 0 else None
-                shown = np.zeros(PROJECTOR_SIZE[::-1], np.uint8) if signal is None else self._beamer.lights(signal)
+                shown = (
+                    np.zeros(self.card.projector_px[::-1], np.uint8) if signal is None else self._beamer.lights(signal)
+                )
             interval.light = np.zeros_like(shown) if dark else shown
         return interval.light
 
@@ -546,7 +548,7 @@ def true_rig(options: Mapping[str, Any]) -> TrueRig:
 def _true_rig(o: WorldOptions, scene: Scene) -> TrueRig:
     n_water = scene.index
     wet = (
-        draw_truth(o.truth, o.seed, o.width_px, o.height_px, n_water)
+        draw_truth(o.truth, o.seed, o.width_px, o.height_px, n_water, o.drawing())
         if o.truth in SETS
         else _stored_truth(Path(o.truth), n_water)
     )

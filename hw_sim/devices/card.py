@@ -17,6 +17,7 @@ from hw_sim.devices import drm_abi as abi
 from hw_sim.devices.head import (
     LIMITED_RANGE,
     MODES,
+    PROJECTOR_MODES,
     RGB_AUTOMATIC,
     RGB_FULL,
     Connector,
@@ -35,11 +36,23 @@ PROJECTOR_SIZE = (1024, 768)
 class Card:
     """The card and its two monitors. ``notify`` is called when something may be waited for."""
 
-    def __init__(self, notify: Callable[[], None], refresh_hz: float = 60.0, *, copies: bool = False) -> None:
-        """``copies``: it scans out a copy of its own, made when it is told to, as virtual and USB cards do."""
+    def __init__(
+        self,
+        notify: Callable[[], None],
+        refresh_hz: float = 60.0,
+        *,
+        copies: bool = False,
+        projector_px: tuple[int, int] = PROJECTOR_SIZE,
+    ) -> None:
+        """``copies``: it scans out a copy of its own, made when it is told to, as virtual and USB cards do. ``projector_px``: raster of
+        the projector's chip."""
         self.notify = notify
         self.copies = copies
-        self.modes = {output: tuple(slower_mode(mode, refresh_hz) for mode in modes) for output, modes in MODES.items()}
+        self.projector_px = projector_px
+        offered = {**MODES, Output.PROJECTOR: PROJECTOR_MODES[projector_px]}
+        self.modes = {
+            output: tuple(slower_mode(mode, refresh_hz) for mode in modes) for output, modes in offered.items()
+        }
         """The modes that each monitor can show."""
         self.connectors = {
             95: Connector(Output.PROJECTOR, 95, 94, abi.CONNECTOR_HDMI_A, 1, (0, 0), broadcast_rgb=RGB_AUTOMATIC),
@@ -173,7 +186,7 @@ class Card:
 
     def projected(self) -> NDArray[np.uint8]:
         """Return a (768, 1024) uint8 copy: green as it leaves the cable, after the connector's range and the beamer's scaler."""
-        width, height = PROJECTOR_SIZE
+        width, height = self.projector_px
         crtc = self.crtc(Output.PROJECTOR)
         if crtc is None:
             return np.zeros((height, width), np.uint8)
@@ -181,7 +194,7 @@ class Card:
 
     def projected_colours(self) -> tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.uint8]]:
         """Return copies of red, green and blue as ``projected`` does green; one array stands for all that are equal."""
-        width, height = PROJECTOR_SIZE
+        width, height = self.projector_px
         crtc = self.crtc(Output.PROJECTOR)
         if crtc is None:
             black = np.zeros((height, width), np.uint8)
@@ -197,7 +210,7 @@ class Card:
         return shown[id(red)], shown[id(green)], shown[id(blue)]
 
     def _at_the_projector(self, codes: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        width, height = PROJECTOR_SIZE
+        width, height = self.projector_px
         if codes.shape != (height, width):
             # The beamer's scaler repeats or drops pixels, as cheap ones do.
             rows, columns = (np.arange(n) * m // n for n, m in zip((height, width), codes.shape, strict=True))

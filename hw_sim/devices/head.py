@@ -88,6 +88,16 @@ MODES: dict[Output, tuple[Modeinfo, ...]] = {
     ),
 }
 
+PROJECTOR_MODES = {
+    (1024, 768): MODES[Output.PROJECTOR],
+    # CEA-861, VIC 4, and the smaller one that a scaler takes as well.
+    (1280, 720): (
+        abi.mode("1280x720", 74_250, (1280, 1390, 1430, 1650), (720, 725, 730, 750), abi.PHSYNC | abi.PVSYNC, True),
+        MODES[Output.PROJECTOR][2],
+    ),
+}
+"""Modes of a projector, by the raster of its chip."""
+
 
 @dataclass(slots=True)
 class Connector:

@@ -26,7 +26,7 @@ from hw_sim.optics.light_engine import LightEngine
 from hw_sim.optics.projector import FAR_MM, FOCUS_MM
 from hw_sim.optics.shadow import BLOCK_PX, block_start, by_map, into, map_pixels, nearest, shaded, shadow_map
 from hw_sim.optics.table import OUTSIDE, fit_table, look_up
-from hw_sim.optics.trace import DISTANCE, GLASS, HEIGHT, INNER, ROTATION, THICKNESS, WATER, WIDTH, rays_of
+from hw_sim.optics.trace import DISTANCE, FOCUS, GLASS, HEIGHT, INNER, ROTATION, THICKNESS, WATER, WIDTH, rays_of
 
 Array = NDArray[np.float64]
 
@@ -90,10 +90,12 @@ def lamp_of(eye: Array, engine: LightEngine | None = None) -> Lamp:
     bright = (map_rays[..., 3:] @ axis)[..., None] ** 4
     if engine is not None and engine.hot_spot > 0.0:
         bright = engine.field(at, eye[WIDTH], eye[HEIGHT])[..., None]
-    window = np.concatenate([map_rays[..., :3], bright], -1).astype(np.float32)
     # Rays near the axis diverge from a point this far behind the outer face: depths count by the ratio of the indices.
     n_water, distance_mm, thickness_mm, glass = eye[WATER], eye[DISTANCE], eye[THICKNESS], eye[GLASS]
     depth_mm = n_water * (distance_mm + thickness_mm / glass) * float(eye[INNER + 2])
+    # A lamp that is focused nearer is as much weaker: white is as bright in the middle of any volume.
+    nearer = (MIDDLE_MM * float(eye[FOCUS]) / FOCUS_MM + depth_mm) / (MIDDLE_MM + depth_mm)
+    window = np.concatenate([map_rays[..., :3], nearer * nearer * bright], -1).astype(np.float32)
     return Lamp(eye, fit_table(eye), map_rays, window, depth_mm)
 
 
@@ -209,5 +211,5 @@ def _trace(
                     spread = (MIDDLE_MM + depth_mm) / (length + depth_mm)
                     out[LIT] = grey * facing * spread * spread * origin[3] * math.exp(-per_mm * length)
                     # Defocus like heat: softness is the square of the distance from the focus.
-                    away = (wz - FOCUS_MM) / FAR_MM
+                    away = (wz - lamp[FOCUS]) / FAR_MM
                     out[SOFT] = min(away * away, 1.0)

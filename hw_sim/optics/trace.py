@@ -27,7 +27,9 @@ Array = NDArray[np.float64]
 
 # Layout of a packed eye.
 FOCAL, CENTRE, BROWN, ROTATION, POSITION, INNER, OUTER = 0, 2, 4, 9, 18, 21, 24
-DISTANCE, THICKNESS, GLASS, WATER, WIDTH, HEIGHT, HAS_FIELD, FIELD = 27, 28, 29, 30, 31, 32, 33, 34
+DISTANCE, THICKNESS, GLASS, WATER, WIDTH, HEIGHT, HAS_FIELD, FOCUS, FIELD = (
+    27, 28, 29, 30, 31, 32, 33, 34, 35
+)  # fmt: skip
 FIELD_ORDER = 4
 PACKED = FIELD + 2 * FIELD_ORDER * FIELD_ORDER
 # What follows is there only for an eye with flaws (``optics.aberrations``), in the order of ``Aberrations``.

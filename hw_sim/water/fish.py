@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hw_sim.optics.geometry import GREY, LIT, MIDDLE_MM, SOFT, Geometry, Lamp, P, Q
-from hw_sim.optics.projector import FAR_MM, FOCUS_MM
+from hw_sim.optics.projector import FAR_MM
 from hw_sim.optics.shadow import nearest
 from hw_sim.optics.table import OUTSIDE, look_up
-from hw_sim.optics.trace import HEIGHT, WIDTH
+from hw_sim.optics.trace import FOCUS, HEIGHT, WIDTH
 from hw_sim.water.drift import School
 
 Array = NDArray[np.float64]
@@ -129,5 +129,5 @@ def _before(
                 # Lit as the object is: see optics.geometry.
                 spread = (MIDDLE_MM + depth_mm) / (length + depth_mm)
                 out[LIT] = grey * facing * spread * spread * start[3] * math.exp(-per_mm * length)
-                away = (wz - FOCUS_MM) / FAR_MM
+                away = (wz - lamp[FOCUS]) / FAR_MM
                 out[SOFT] = min(away * away, 1.0)

@@ -21,10 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hw_sim.optics.geometry import CHANNELS, GREY, LIT, MIDDLE_MM, SOFT, Geometry, Lamp, P, Q
-from hw_sim.optics.projector import FAR_MM, FOCUS_MM, collect
+from hw_sim.optics.projector import FAR_MM, collect
 from hw_sim.optics.shadow import nearest
 from hw_sim.optics.table import OUTSIDE, look_up
-from hw_sim.optics.trace import DISTANCE, FOCAL, GLASS, HEIGHT, THICKNESS, WATER, WIDTH, project_point
+from hw_sim.optics.trace import DISTANCE, FOCAL, FOCUS, GLASS, HEIGHT, THICKNESS, WATER, WIDTH, project_point
 from hw_sim.water.drift import BUBBLE, Specks
 
 Array = NDArray[np.float64]
@@ -154,7 +154,7 @@ def _place(
                 if not first[nearest(q), nearest(p)] < length - 1.0:
                     spread = (MIDDLE_MM + depth_mm) / (length + depth_mm)
                     light = grey * spread * spread * start[3] * math.exp(-per_mm * length)
-                    away = (z - FOCUS_MM) / FAR_MM
+                    away = (z - lamp[FOCUS]) / FAR_MM
                     soft = min(away * away, 1.0)
         # Large specks cross several fringes, so the pattern is sampled all over them.
         wide = radius[i] * lamp[FOCAL] / (lamp_behind + length / lamp[WATER])

@@ -29,7 +29,7 @@ class Room:
 
 ROOMS = {
     "display": Room(800, 480, 3),
-    "projector": Room(1024, 768, 1),
+    "projector": Room(1280, 768, 1),
     "left": Room(400, 300, 1),
     "right": Room(400, 300, 1),
 }
