@@ -250,10 +250,10 @@ def test_frames_come_in_order_with_the_cameras_time_and_again_after_a_stop() -> 
         camera = fake.driver
         for _ in range(2):
             camera.start()
-            taken = frames(camera, SMALL, 20)
+            taken = frames(camera, SMALL, 200)  # more than there are buffers for this size
             assert lost(taken) == 0
             stamps_ns = [frame.camera_time_ns or 0 for frame, _ in taken]
-            assert (stamps_ns[-1] - stamps_ns[0]) / 19 == pytest.approx(1e9 / 60, rel=0.2)
+            assert (stamps_ns[-1] - stamps_ns[0]) / 199 == pytest.approx(1e9 / 60, rel=0.2)
             camera.stop()
             camera.stop()
         with pytest.raises(DeviceRefused, match="asked for a frame while stopped"):
@@ -287,12 +287,17 @@ def test_without_a_trigger_the_wait_ends_when_it_was_to_end_and_at_a_stop() -> N
                 break
         assert 0.6 <= time.monotonic() - begin_s < 1.2
         assert (frame.status, frame.block_id, frame.camera_time_ns) == (FrameStatus.TIMEOUT, None, None)
-        reader = Thread(target=lambda: camera.next_frame(slot_of(SMALL), 30.0))
+        late = camera.next_frame(slot_of(SMALL), 2.0 * PERIOD_S)
+        assert late.status is FrameStatus.COMPLETE, "the next one is a whole period away"
+        met: list[Frame] = []
+        reader = Thread(target=lambda: met.append(camera.next_frame(slot_of(SMALL), PERIOD_S - 1.0)))
         reader.start()
+        time.sleep(0.3)
+        stopped_s = time.monotonic()
         camera.stop()
         reader.join(2 * PERIOD_S)
-        assert time.monotonic() - begin_s < 3 * PERIOD_S
-        assert not reader.is_alive()
+        assert [one.status for one in met] == [FrameStatus.TIMEOUT]
+        assert (met[0].received_ns * 1e-9) - stopped_s < 1.0, "the reader was let go, not waited for"
 
 
 def test_an_image_of_another_size_than_asked_for_is_damaged_and_the_next_is_not() -> None:
@@ -358,7 +363,7 @@ def test_a_camera_that_is_not_there_is_gone_and_a_fake_one_is_no_news() -> None:
         DeviceGone, match=r"serial number KF-CAM-X not found; (Aravis sees no camera|there are)"
     ) as caught:
         AravisCamera.open(CameraSpec("camera.left", "KF-CAM-X"), CLOCK)
-    assert "Fake" not in str(caught.value)
+    assert not re.search(r"there are (.*, )?1\b", str(caught.value))
 
 
 def test_without_the_library_the_remedy_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
