@@ -223,12 +223,12 @@ def _every(ledger: Ledger, arrived: Sequence[Frame]) -> int | None:
     A camera that is still busy ignores a pulse, and takes the next one that finds it ready.
     """
     times_ns = [frame.camera_time_ns for frame in arrived if frame.camera_time_ns is not None]
-    if len(times_ns) < max(LEAST_REGULAR, len(arrived)):
+    if len(times_ns) < LEAST_REGULAR:
         return None
     # Block ids cannot tell it: a pulse that was ignored uses none up.
     steps = {round((after - before) / ledger.period_ns) for before, after in pairwise(times_ns)}
     every = min(steps)
-    return every if len(steps) == 1 and every > 1 and len(times_ns) == -(-ledger.expected // every) else None
+    return every if len(steps) == 1 and every > 1 and len(arrived) == -(-ledger.expected // every) else None
 
 
 def _first_gap(ledger: Ledger, side: str, arrived: Sequence[Frame]) -> int:

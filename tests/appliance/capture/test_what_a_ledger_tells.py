@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from appliance.capture.ledger import Ledger, audit
+from appliance.capture.ledger import Ledger, audit, frame_fault
 from appliance.scan.fault import FaultCode
 from drivers.api import Flip, Frame, FrameStatus, Pulse
 from tests.appliance.capture.test_ledger import BOARD_START_US, PERIOD_NS, N, clean, with_frames
@@ -96,10 +96,19 @@ def test_a_camera_that_takes_each_nth_pulse_alone_is_too_slow(every: int, first:
     assert fault.numbers["frame"] == (0 if first else 1)
 
 
-@pytest.mark.parametrize("taken", [[0, 2, 4], [0, 2, 4, 6, 8, 11], [0, 23], list(range(23))])
+@pytest.mark.parametrize(
+    "taken", [[0, 2, 4], [0, 2, 4, 6, 8, 11], [0, 23], list(range(23)), [*range(0, 11, 2), *range(13, 24, 2)]]
+)
 def test_frames_that_lie_otherwise_are_missing_and_no_word_is_said_of_the_camera(taken: list[int]) -> None:
     frames = [replace(clean().frames["right"][k], block_id=5 + n) for n, k in enumerate(taken)]
     fault = audit(with_frames(clean(), "right", frames))
+    assert fault is not None
+    assert fault.code is FaultCode.FRAME_MISSING
+
+
+def test_a_camera_that_sent_nothing_of_a_sequence_that_ended_early_is_not_called_silent() -> None:
+    ledger = with_frames(clean(), "right", [])
+    fault = frame_fault(replace(ledger, pulses=ledger.pulses[:5]), "right")
     assert fault is not None
     assert fault.code is FaultCode.FRAME_MISSING
 
