@@ -111,6 +111,7 @@ def test_an_instrument_with_used_cameras_of_each_maker_is_checked_and_scans(tmp_
         ("ace", {"TriggerSelector": "FrameBurstStart", "TriggerMode": "On"}, "CAMERA_SILENT", "trigger_source"),
         ("blackfly", {"TriggerActivation": "FallingEdge"}, "SYNC_LOST", "12.00 ms late"),
         ("blackfly", {"TriggerDelay": 3000.0}, "SYNC_LOST", "3.00 ms late"),
+        ("alvium", {"ReverseX": True}, "PATTERN_WRONG", "does not show the sequence"),
         ("blackfly", {"TestPattern": "GreyHorizontalRamp"}, "CAMERA_STUCK", "shows the same image"),
     ],
 )  # fmt: skip
