@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from appliance.bringup.finding import BringupError
 from appliance.calibration.file import CalibrationError
 from appliance.calibration.recordings import RecordingError
 from appliance.cli.output import Exit, UsageError
@@ -31,6 +32,7 @@ def exit_code_of(error: Exception) -> Exit | None:
             return Exit.USAGE
         case (
             StorageError()
+            | BringupError()
             | UnknownScan()
             | ScanError()
             | CalibrationError()

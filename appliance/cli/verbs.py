@@ -51,6 +51,14 @@ VERBS: tuple[Listed | Group, ...] = (
             ),
         ),
     ),
+    Group(
+        "firmware",
+        "lay out what goes onto the trigger board and the key pad",
+        (
+            Listed("board", "the trigger board's, for the instrument of the rig file", "firmware:BoardFirmware"),
+            Listed("keys", "the key pad's, for the instrument of the rig file", "firmware:KeysFirmware"),
+        ),
+    ),
     Listed("reconstruct", "reconstruct a stored scan from its raw frames", "reconstruct:Reconstruct"),
     Listed("rescue", "an unchecked cloud of a recording that broke after its first direction", "rescue:Rescue"),
     Listed("export", "a stored scan's points or mesh as a file for other programs", "export:Export"),

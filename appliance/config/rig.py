@@ -96,10 +96,15 @@ class BoardRig:
     live_every_vsyncs: Annotated[_Whole, Field(ge=1, le=60)]
     firmware: _Text | None = None
     """The version that this instrument was tested with; another one is named by ``kingfisher check``."""
+    vendor_id: Annotated[_Whole, Field(ge=0, le=0xFFFF)] = 0x1209
+    """USB identity: what the firmware is given when it is laid out, and what the udev rules look for."""
+    product_id: Annotated[_Whole, Field(ge=0, le=0xFFFF)] = 0x4B42
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
 class KeysRig:
+    """``[keys]``: the key pad, by the USB identity that firmware, udev rules, driver and safe screen take from here."""
+
     vendor_id: Annotated[_Whole, Field(ge=0, le=0xFFFF)]
     product_id: Annotated[_Whole, Field(ge=0, le=0xFFFF)]
     firmware: _Text | None = None
@@ -128,6 +133,9 @@ class ProjectorRig(OutputRig):
     """Channels that a picture is drawn into: a projector that shows red, green and blue with one lamp gets the same in all."""
     sub_frames: Annotated[_Whole, Field(ge=1, le=8)] = 1
     """Equal sub-frames that a frame's light consists of; only whole ones give every grey its weight."""
+
+    sync: Literal["negative", "positive"] | None = None
+    """Polarity of the vertical sync that the board taps; ``None``: that of the published timing of the mode."""
 
     @property
     def sub_frame_ms(self) -> float:

@@ -114,6 +114,9 @@ def question(language: str, off_selected: bool) -> Notice:
     )
 
 
+SHIPPED_KEYS = (0x1209, 0x4B46)
+
+
 @dataclass(frozen=True, slots=True)
 class Outputs:
     """What of the rig file the safe screen needs; ``None`` where it cannot be read."""
@@ -123,6 +126,8 @@ class Outputs:
     projector: str | None = None
     board: str = "/dev/kingfisher-board"
     language: str = "en"
+    keys: tuple[int, int] = SHIPPED_KEYS
+    """USB vendor and product of the key pad."""
 
 
 def outputs(rig: Path) -> Outputs:
@@ -137,9 +142,19 @@ def outputs(rig: Path) -> Outputs:
             str(projector["connector"]),
             str(content["board"]["url"]),
             str(display.get("language", "en")),
+            _keys(content.get("keys")),
         )
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return Outputs()
+
+
+def _keys(table: object) -> tuple[int, int]:
+    """Identity of the key pad; the shipped one where the table names none: the outputs are wanted all the same."""
+    if isinstance(table, dict):
+        vendor, product = table.get("vendor_id"), table.get("product_id")
+        if isinstance(vendor, int) and isinstance(product, int):
+            return vendor, product
+    return SHIPPED_KEYS
 
 
 def _last_words(path: Path) -> Cause | None:

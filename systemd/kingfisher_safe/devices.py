@@ -160,16 +160,16 @@ def keys_down(report: bytes) -> int | None:
     return report[1] & ~report[3] if check == report[-1] else None
 
 
-def find_keys(devices: Path = Path("/dev"), hidraw: Path = Path("/sys/class/hidraw")) -> Path | None:
-    """The key pad by its name from the udev rule, else by its identity; ``None`` while it is not there."""
+def find_keys(
+    identity: tuple[int, int], devices: Path = Path("/dev"), hidraw: Path = Path("/sys/class/hidraw")
+) -> Path | None:
+    """The key pad by its name from the udev rule, else by its USB vendor and product; ``None`` while it is not there."""
     named = devices / "kingfisher-keys"
     if named.exists():
         return named
     for entry in sorted(hidraw.glob("hidraw*")):
         with contextlib.suppress(OSError):
-            if (
-                "00001209:00004B46"
-                in (entry / "device" / "uevent").read_text(encoding="ascii", errors="replace").upper()
-            ):
+            told = (entry / "device" / "uevent").read_text(encoding="ascii", errors="replace").upper()
+            if "{:08X}:{:08X}".format(*identity) in told:
                 return devices / entry.name
     return None

@@ -150,7 +150,7 @@ def main(environment: Mapping[str, str] = os.environ) -> int:
         _say("the board did not confirm that lasers are off")
     why = cause(LAST_WORDS, environment.get("MONITOR_UNIT", SERVICE), journal())
     screens = Screens(rig.cards, rig.display, rig.projector)
-    keys = devices.Keys(devices.find_keys)
+    keys = devices.Keys(partial(devices.find_keys, rig.keys))
     try:
         asked = stay(why, screens, rig.language, Tries(Path(environment.get("RUNTIME_DIRECTORY", "/run"))), keys)
     finally:

@@ -10,7 +10,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from kingfisher_setup import build, placed, target, trial, versions
+from kingfisher_setup import build, identities, placed, target, trial, versions
 from kingfisher_setup.durable import remove_tree
 from kingfisher_setup.errors import SetupError
 from kingfisher_setup.layout import Layout
@@ -23,6 +23,7 @@ TEXT = """Put Kingfisher on an instrument (Debian 12 or later), take a new versi
 install    the version of this source tree; where one is in use, like upgrade
 upgrade    the same on trial: it stays if it passes its self-test, else the version in use now comes back by itself
 rollback   the version before the one in use
+rules      the device rules anew, after the USB identity of board or key pad was changed in the rig file
 status     what is installed, in use and on trial
 uninstall  everything but scans, calibrations and the rig file; --purge takes them as well
 """
@@ -57,6 +58,8 @@ def _change(layout: Layout, arguments: argparse.Namespace) -> int:
             return trial.watch(layout)
         case "rollback":
             rollback(layout)
+        case "rules":
+            rules(layout)
         case "uninstall":
             uninstall(layout, purge=arguments.purge)
         case _:
@@ -108,6 +111,19 @@ def rollback(layout: Layout) -> None:
         _system(layout)
     target.systemctl(layout, "restart", "--no-block", "kingfisher.service")
     _say(f"{name} is in use again")
+
+
+def rules(layout: Layout) -> None:
+    """Make the device rules from the rig file and let udev take them. Raises SetupError where the file names no identities."""
+    with versions.locked(layout):
+        now = versions.current(layout)
+        if now is None:
+            raise SetupError("nothing is installed; `systemd/install install` makes the rules with everything else")
+        found = identities.named(layout.rig)
+        changed = placed.place_rules(layout, now)
+        _devices(layout)
+    said = ", ".join(f"{table} {vendor:04x}:{product:04x}" for table, (vendor, product) in found.items())
+    _say(f"{said}: the rules " + ("name them now" if changed else "named them already"))
 
 
 def uninstall(layout: Layout, *, purge: bool) -> None:
@@ -180,14 +196,21 @@ def _system(layout: Layout) -> None:
     target.run(layout, ["systemd-tmpfiles", "--create"])
     if layout.at(placed.UNITS / placed.TRANSFER).exists():
         target.systemctl(layout, "restart", placed.TRANSFER)
+    _devices(layout)
+    target.systemctl(layout, "try-restart", "systemd-journald.service")
+    if layout.at("/boot/grub/grub.cfg").exists() and shutil.which("update-grub") is not None:
+        target.run(layout, ["update-grub"])
+
+
+def _devices(layout: Layout) -> None:
+    """Let udev read its rules again and apply them to what is plugged in."""
+    if not layout.live:
+        return
     if target.UDEV.exists():
         target.run(layout, ["udevadm", "control", "--reload"])
         target.run(layout, ["udevadm", "trigger"])
     else:
         _say("udev does not run: its rules count from the next start")
-    target.systemctl(layout, "try-restart", "systemd-journald.service")
-    if layout.at("/boot/grub/grub.cfg").exists() and shutil.which("update-grub") is not None:
-        target.run(layout, ["update-grub"])
 
 
 def _no_password(layout: Layout) -> None:
@@ -220,7 +243,7 @@ def _grammar() -> argparse.ArgumentParser:
         prog="kingfisher-setup", description=TEXT, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument(
-        "verb", choices=("install", "upgrade", "rollback", "status", "uninstall", "watch"), metavar="VERB"
+        "verb", choices=("install", "upgrade", "rollback", "rules", "status", "uninstall", "watch"), metavar="VERB"
     )
     parser.add_argument("--root", type=Path, default=Path("/"), metavar="DIR", help="a mounted image (default: /)")
     parser.add_argument("--wheels", type=Path, metavar="DIR", help="the packages as wheels (default: from PyPI)")

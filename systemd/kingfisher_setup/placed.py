@@ -6,9 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from kingfisher_setup import durable
+from kingfisher_setup.identities import named_or_shipped, with_identities
 from kingfisher_setup.layout import PROGRAM, Layout
 
 UNITS = Path("/etc/systemd/system")
+RULES = "70-kingfisher.rules"
 TRANSFER = "kingfisher-transfer.path"
 ENABLED = ("kingfisher.service", TRANSFER)
 
@@ -35,7 +37,7 @@ FILES = (
     Placed("kingfisher.tmpfiles", Path("/etc/tmpfiles.d/kingfisher.conf")),
     Placed("kingfisher.modules", Path("/etc/modules-load.d/kingfisher.conf")),
     Placed("kingfisher.journald", Path("/etc/systemd/journald.conf.d/kingfisher.conf")),
-    Placed("70-kingfisher.rules", Path("/etc/udev/rules.d/70-kingfisher.rules")),
+    Placed(RULES, Path("/etc/udev/rules.d") / RULES),
     Placed("kingfisher.grub", Path("/etc/default/grub.d/kingfisher.cfg"), Path("/etc/default/grub.d")),
 )
 
@@ -59,7 +61,7 @@ def place(layout: Layout, version: str) -> bool:
         if not source.exists() or (file.only_beside is not None and not layout.at(file.only_beside).is_dir()):
             durable.remove(target)
         else:
-            durable.write(target, source.read_bytes())
+            durable.write(target, _content(layout, source))
     for link, to in LINKS.items():
         if link.parent.name.endswith(".wants") and not layout.at(to).exists():
             durable.remove(layout.at(link))
@@ -68,10 +70,27 @@ def place(layout: Layout, version: str) -> bool:
     return _state(layout) != before
 
 
+def place_rules(layout: Layout, version: str) -> bool:
+    """Make the device rules of ``version`` anew from the rig file; whether that changed them."""
+    target = layout.at(next(file.target for file in FILES if file.source == RULES))
+    before = target.read_bytes() if target.is_file() else None
+    content = _content(layout, layout.version(version) / "systemd" / RULES)
+    durable.write(target, content)
+    return content != before
+
+
 def take_away(layout: Layout) -> None:
     """All of them."""
     for target in (*LINKS, *(file.target for file in FILES)):
         durable.remove(layout.at(target))
+
+
+def _content(layout: Layout, source: Path) -> bytes:
+    """What is placed of a file: the file, but for the device rules, which name what the rig file names."""
+    content = source.read_bytes()
+    if source.name != RULES:
+        return content
+    return with_identities(content.decode("utf-8"), named_or_shipped(layout.rig)).encode("utf-8")
 
 
 def _state(layout: Layout) -> dict[Path, bytes | None]:

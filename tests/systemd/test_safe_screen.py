@@ -378,8 +378,30 @@ def test_the_pad_is_found_by_its_identity_where_no_rule_names_it(tmp_path: Path)
     for folder, identity in ((other, "0003:0000046D:0000C31C"), (ours, "0003:00001209:00004B46")):
         folder.mkdir(parents=True)
         (folder / "uevent").write_text(f"DRIVER=hid-generic\nHID_ID={identity}\n")
-    assert devices.find_keys(tmp_path / "dev", tmp_path / "sys") == tmp_path / "dev" / "hidraw1"
-    assert devices.find_keys(tmp_path / "dev", tmp_path / "nothing") is None
+    dev, sys_class = tmp_path / "dev", tmp_path / "sys"
+    assert devices.find_keys((0x1209, 0x4B46), dev, sys_class) == dev / "hidraw1"
+    assert devices.find_keys((0x046D, 0xC31C), dev, sys_class) == dev / "hidraw0"
+    assert devices.find_keys((0x1209, 0x4B47), dev, sys_class) is None
+    assert devices.find_keys((0x1209, 0x4B46), dev, tmp_path / "nothing") is None
+
+
+@pytest.mark.parametrize(
+    ("written", "identity"),
+    [
+        ("product_id = 0x0007", (0x1209, 7)),
+        ("", (0x1209, 0x4B46)),
+        ('product_id = "7"', (0x1209, 0x4B46)),
+    ],
+)
+def test_the_pads_identity_is_the_rig_files_and_a_wrong_one_costs_no_display(
+    tmp_path: Path, written: str, identity: tuple[int, int]
+) -> None:
+    rig = tmp_path / "rig.toml"
+    shipped = (SYSTEMD.parent / "appliance" / "rigs" / "kingfisher.toml").read_text()
+    rig.write_text(shipped.replace("product_id = 0x4B46", written))
+    found = cause.outputs(rig)
+    assert found.keys == identity
+    assert found.display == DISPLAY
 
 
 # ------------------------------------------------------------------------------ what it needs

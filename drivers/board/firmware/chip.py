@@ -11,11 +11,11 @@ import rp2
 import usb.device
 from usb.device.cdc import CDCInterface
 
-from drivers.board.firmware import pins, pio, sensors
+from drivers.board.firmware import instrument, pins, pio, sensors
 from drivers.board.firmware.hardware import BoardHardware
 from drivers.board.firmware.outbox import Outbox
 
-VENDOR, PRODUCT, RELEASE = 0x1209, 0x4B42, 0x0200
+RELEASE = 0x0200
 CLOCK_HZ = 125_000_000
 """Set on both chips: a multiple of the stamps' 5 MHz, so that no divider has a fraction."""
 WATCHDOG_MS = 2000
@@ -66,8 +66,8 @@ def serial_port(serial: str) -> CDCInterface:
     usb.device.get().init(
         port,
         builtin_driver=False,
-        id_vendor=VENDOR,
-        id_product=PRODUCT,
+        id_vendor=instrument.VENDOR,
+        id_product=instrument.PRODUCT,
         bcd_device=RELEASE,
         # Two interfaces of one function: interface association (USB 2.0 ECN).
         device_class=0xEF,
@@ -128,7 +128,7 @@ class ChipHardware(BoardHardware):
         )
         self._gate = rp2.StateMachine(_GATE, self._programs[0], in_base=self._vsync)
         self._pulse = rp2.StateMachine(_PULSE, self._programs[1], set_base=self._trigger)
-        if not pins.SYNC_RISES:
+        if not instrument.SYNC_RISES:
             machine.mem32[_IO_BANK0[name] + 8 * pins.gpio("VSYNC") + 4] |= _INPUT_INVERTED
         self._stamps = [self._stamping(_SYNCS, self._vsync), self._stamping(_PULSES, self._trigger)]
         self._port = serial_port(serial)

@@ -54,11 +54,14 @@ LINES = (
 CAMERA_OUTPUTS = (("left", "TRIGGER", "1A", "1Y"), ("right", "TRIGGER", "2A", "2Y"))
 """Camera, line, input and output of the 74HCT125. One line and one chip: the cameras' edges differ by less than 1 ns
 before the cables, and no fault of the firmware triggers one camera without the other."""
-CAMERA_SERIES_OHM = 220
-"""Resistor in each camera's line: some 10 mA at most into the opto-isolator of a camera behind a 5 V gate."""
-
-SYNC_RISES = True
-"""The sync begins with a rising edge at the pin (720p); ``False`` for 1024x768 at 60 Hz, whose sync is negative."""
+CAMERA_GATE_V = 5.0
+"""Supply of that chip."""
+CAMERA_OPTO_V = 1.5
+"""Forward voltage of the light-emitting diode in a camera's opto-isolated input."""
+CAMERA_OPTO_MA = (3.5, 7.0)
+"""Current that such an input wants (FLIR, Blackfly S: input current of OPTOIN)."""
+CAMERA_SERIES_OHM = 680
+"""Resistor in each camera's line: 5.1 mA into such an input, and within its range at any supply, diode and gate."""
 
 LASER_SENSE_MV_PER_MA = 20.0
 """INA180A1 (20 V/V) over 1 ohm."""

@@ -9,12 +9,12 @@ import machine
 import usb.device
 from usb.device.hid import HIDInterface
 
-from drivers.keys.firmware import pins
+from drivers.keys.firmware import instrument, pins
 from drivers.keys.firmware.hardware import PadHardware
 from drivers.keys.firmware.ldc import COILS, CoilChip, found_on
 from drivers.keys.firmware.report import DESCRIPTOR
 
-VENDOR, PRODUCT, RELEASE = 0x1209, 0x4B46, 0x0200
+RELEASE = 0x0200
 WATCHDOG_MS = 2000
 START_MS = 50
 RETRY_MS = 1000
@@ -39,12 +39,12 @@ class ChipPad(PadHardware):
         )
         self._chip = self._found()
         self._retry_ms = 0
-        self._hid = HIDInterface(DESCRIPTOR, binterval=4)
+        self._hid = HIDInterface(DESCRIPTOR)
         usb.device.get().init(
             self._hid,
             builtin_driver=False,
-            id_vendor=VENDOR,
-            id_product=PRODUCT,
+            id_vendor=instrument.VENDOR,
+            id_product=instrument.PRODUCT,
             bcd_device=RELEASE,
             manufacturer_str="Kingfisher",
             product_str="Key pad",
