@@ -22,7 +22,7 @@ RANGES: dict[str, tuple[float, float]] = {
     "camera.left.gain_db": (0.0, 48.0), "camera.left.full_well_e": (500.0, 1e6), "camera.left.read_noise_e": (0.0, 1e3),
     "camera.left.black_level_dn": (0.0, 64.0),
     "board.trigger_delay_us": (0, 15_000), "board.live_every_vsyncs": (1, 60),
-    "keys.vendor_id": (0, 0xFFFF), "keys.product_id": (0, 0xFFFF),
+    "board.vendor_id": (0, 0xFFFF), "board.product_id": (0, 0xFFFF), "keys.vendor_id": (0, 0xFFFF), "keys.product_id": (0, 0xFFFF),
     "projector.width_px": (64, 8192), "projector.height_px": (64, 8192), "projector.refresh_hz": (1.0, 240.0),
     "scan.shortest_exposure_ms": (0.05, 10.0), "scan.longest_exposure_ms": (2.0, 16.6), "scan.most_gain_db": (0.0, 48.0),
     "water.salinity_psu": (0.0, 45.0), "water.temperature_c": (-2.0, 40.0), "water.wavelength_nm": (400.0, 700.0),

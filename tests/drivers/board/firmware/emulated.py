@@ -21,6 +21,8 @@ from tests.drivers.board.firmware.test_pio import CLOCK_HZ, PIO0_BASE, TRIGGER, 
 ACCESS_CYCLES = 2 * US
 PERIOD_US, SYNC_WIDTH_US = 16_667, 124
 TIMER, WATCHDOG_SCRATCH, IO_BANK0 = 0x40054000, 0x4005800C, 0x40014000
+VSYNC_CTRL = IO_BANK0 + 8 * VSYNC + 4
+"""Function and overrides of the sync's pin (RP2040 datasheet, table 285): bits 16 and 17 turn its input over."""
 POWER_ON, WATCHDOG = 1, 3
 
 
@@ -35,6 +37,8 @@ class Emulated:
     def __init__(self) -> None:
         self.chip = Chip()
         self.synced = True
+        self.sync_rises = True
+        """What the projector's mode does at the pin; the firmware has to know it."""
         self.scratch = 0
         self.reset_cause = POWER_ON
         self.fed = 0
@@ -55,7 +59,7 @@ class Emulated:
                 self.chip.run(edge - self.chip.now)
             if self.chip.now == self.next_sync:
                 phase = self.next_sync // US % PERIOD_US
-                self.chip.sync(int(phase == 0 and self.synced))
+                self.chip.sync(int((phase == 0 and self.synced) is self.sync_rises))
                 self.next_sync += (SYNC_WIDTH_US if phase == 0 else PERIOD_US - SYNC_WIDTH_US) * US
 
     # ---- mem32
@@ -68,12 +72,16 @@ class Emulated:
             return self.chip.now // US >> 32
         if address == WATCHDOG_SCRATCH:
             return self.scratch
+        if address == VSYNC_CTRL:
+            return self.chip.control(VSYNC)
         return self.chip.read(address - PIO0_BASE)
 
     def __setitem__(self, address: int, value: int) -> None:
         self.pass_cycles(ACCESS_CYCLES)
         if address == WATCHDOG_SCRATCH:
             self.scratch = value
+        elif address == VSYNC_CTRL:
+            self.chip.set_control(VSYNC, value)
         else:
             assert address >= PIO0_BASE
             self.chip.write(address - PIO0_BASE, value)

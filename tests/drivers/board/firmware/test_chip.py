@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from drivers.board.firmware import pins
+from drivers.board.firmware import instrument, pins
 from drivers.board.firmware.core import BoardCore
-from tests.drivers.board.firmware.emulated import PERIOD_US, WATCHDOG, Emulated, install
+from tests.drivers.board.firmware.emulated import PERIOD_US, SYNC_WIDTH_US, WATCHDOG, Emulated, install
 from tests.drivers.board.firmware.test_conformance import Host, framed
 from tests.drivers.board.firmware.test_pio import US
 
@@ -41,6 +41,7 @@ class Board:
 @pytest.fixture
 def board(monkeypatch: pytest.MonkeyPatch) -> Board:
     emulated = Emulated()
+    emulated.sync_rises = instrument.SYNC_RISES
     return Board(emulated, install(emulated, monkeypatch))
 
 
@@ -70,6 +71,27 @@ def test_an_armed_series_leaves_the_pins_as_it_was_ordered_and_is_told_as_it_was
     sync_of_first_us = int(sync_us) + 5 * PERIOD_US
     assert abs(told[0][2] - sync_of_first_us - 700) <= 1, "sync and pulse are stamped by one clock"
     assert [w for _, _, verb, *w in said if verb == "DONE"] == [["3"]]
+
+
+@pytest.mark.parametrize(
+    ("rises", "told", "late_us"),
+    [(True, True, 0), (False, False, 0), (False, True, SYNC_WIDTH_US)],
+    ids=["positive", "negative", "negative, told the other"],
+)
+def test_pulses_follow_the_edge_that_begins_the_sync_where_the_firmware_is_told_its_sign(
+    monkeypatch: pytest.MonkeyPatch, rises: bool, told: bool, late_us: int
+) -> None:
+    emulated = Emulated()
+    emulated.sync_rises = rises
+    monkeypatch.setattr(instrument, "SYNC_RISES", told)
+    host = Host(Board(emulated, install(emulated, monkeypatch)), wired=False)
+    host.listen(60_000)
+    host.ask("ARM", 2, host.count() + 4, 700, 2000)
+    host.listen(140_000)
+    rises_us = [rise / US for rise in emulated.chip.rises()]
+    assert len(rises_us) == 2
+    # The wrong edge is the sync's end: everything comes late by its width, and nothing else tells.
+    assert all(abs((at_us - 700 - late_us + 1) % PERIOD_US - 1) < 0.1 for at_us in rises_us), rises_us
 
 
 def test_a_second_series_knows_nothing_of_the_syncs_after_the_first(board: Board, host: Host) -> None:
@@ -138,6 +160,7 @@ def test_the_sensors_are_those_that_answer(board: Board, host: Host) -> None:
 
 def test_a_chip_that_is_not_there_at_the_start_is_not_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
     emulated = Emulated()
+    emulated.sync_rises = instrument.SYNC_RISES
     del emulated.sensors[0x48]
     board = Board(emulated, install(emulated, monkeypatch))
     assert Host(board, wired=False).ask("INFO")[4] == "TCASE+TBOARD+LEAK+HUM+SUPPLY"

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import pytest
 
 from tests.drivers.board.firmware.targets import TARGETS, WIRED, Target
-from tests.support.micropython import missing
+from tests.support.micropython import require
 
 pytestmark = pytest.mark.hardware
 
@@ -83,9 +83,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 def host(request: pytest.FixtureRequest) -> Iterator[Host]:
     name = str(request.param)
     if "MicroPython" in name:
-        reason = missing()
-        if reason is not None:
-            pytest.skip(reason)
+        require()
     with TARGETS[name]() as target:
         yield Host(target, name == WIRED)
 

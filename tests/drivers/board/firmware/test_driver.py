@@ -19,7 +19,7 @@ from drivers.board.board import BoardRefused
 from drivers.board.reports import Refusal
 from drivers.native import MonotonicClock
 from tests.drivers.board.firmware.targets import Target, cpython, micropython
-from tests.support.micropython import missing
+from tests.support.micropython import require
 
 pytestmark = pytest.mark.hardware
 
@@ -84,9 +84,7 @@ MACHINES = ["CPython", "MicroPython"]
 def machine(name: str) -> AbstractContextManager[Target]:
     if name == "CPython":
         return cpython()
-    reason = missing()
-    if reason is not None:
-        pytest.skip(reason)
+    require()
     return micropython()
 
 

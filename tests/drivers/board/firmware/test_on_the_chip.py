@@ -14,7 +14,7 @@ from drivers.board.firmware.outbox import Outbox
 from tests.drivers.board.firmware.desk import Desk
 from tests.drivers.board.firmware.targets import FILES
 from tests.drivers.board.firmware.test_conformance import framed
-from tests.support.micropython import ROOT, MicroPython, missing
+from tests.support.micropython import ROOT, MicroPython, require
 
 pytestmark = pytest.mark.hardware
 
@@ -48,9 +48,7 @@ def test_the_compiled_files_are_small(folder: Path, tmp_path: Path) -> None:
 
 
 def test_the_core_leaves_most_of_the_heap() -> None:
-    reason = missing()
-    if reason is not None:
-        pytest.skip(reason)
+    require()
     with MicroPython(FILES) as machine:
         machine.run("import gc; gc.collect(); before = gc.mem_alloc()")
         machine.run("from tests.drivers.board.firmware.desk import Desk; desk = Desk()")

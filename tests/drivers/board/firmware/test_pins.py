@@ -39,6 +39,18 @@ def test_both_cameras_hang_on_one_line_of_the_board() -> None:
     assert {camera: line for camera, line, _, _ in board.CAMERA_OUTPUTS} == {"left": "TRIGGER", "right": "TRIGGER"}
 
 
+def test_the_current_into_a_cameras_opto_isolator_is_within_its_range_at_every_corner() -> None:
+    least_ma, most_ma = board.CAMERA_OPTO_MA
+    nominal_ma = 1000.0 * (board.CAMERA_GATE_V - board.CAMERA_OPTO_V) / board.CAMERA_SERIES_OHM
+    assert least_ma < nominal_ma < most_ma
+    # USB's supply is good to 5 %, diodes have 1.2 to 1.7 V, a 74HCT gives up to 0.4 V of its supply at 5 mA, resistors are good to 1 %.
+    weakest_ma = 1000.0 * (0.95 * board.CAMERA_GATE_V - 0.4 - 1.7) / (1.01 * board.CAMERA_SERIES_OHM)
+    strongest_ma = 1000.0 * (1.05 * board.CAMERA_GATE_V - 1.2) / (0.99 * board.CAMERA_SERIES_OHM)
+    assert least_ma < weakest_ma < strongest_ma < most_ma
+    e12 = (10, 12, 15, 18, 22, 27, 33, 39, 47, 56, 68, 82)
+    assert board.CAMERA_SERIES_OHM in {value * 10**power for value in e12 for power in range(5)}
+
+
 def test_the_coils_are_the_keys_of_the_report() -> None:
     assert [coil.channel for coil in pad.COILS] == [0, 1, 2, 3]
     assert [coil.bit for coil in pad.COILS] == [bit for _, bit in KEY_BITS]

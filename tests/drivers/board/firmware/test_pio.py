@@ -68,6 +68,12 @@ class Chip:
     def read(self, offset: int) -> int:
         return int(self._chip.read_uint32(PIO0_BASE + offset))
 
+    def control(self, pin: int) -> int:
+        return int(self._chip.gpio[pin].ctrl)
+
+    def set_control(self, pin: int, value: int) -> None:
+        self._chip.gpio[pin].ctrl = value
+
     def sync(self, level: int) -> None:
         self._chip.gpio[VSYNC].set_input_value(bool(level))
 

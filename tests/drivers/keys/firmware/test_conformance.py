@@ -20,7 +20,7 @@ from drivers.keys.report import parse_report
 from hw_sim.devices.keypad import REPORT_DESCRIPTOR, Keypad
 from tests.drivers.keys.firmware.desk import PadDesk
 from tests.hw_sim.devices.bench import Bench, bench
-from tests.support.micropython import ROOT, MicroPython, missing
+from tests.support.micropython import ROOT, MicroPython, require
 
 pytestmark = pytest.mark.hardware
 
@@ -88,9 +88,7 @@ class _Inside:
 
 @contextmanager
 def micropython() -> Iterator[Target]:
-    reason = missing()
-    if reason is not None:
-        pytest.skip(reason)
+    require()
     with MicroPython(FILES) as machine:
         yield _Inside(machine)
 
