@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from appliance.cli.arguments import Verb, number, operand, option, switch, whole
+from appliance.cli.arguments import Verb, number, operand, option, part_of, switch, whole
 from appliance.cli.desk import measuring, writable, writing
 from appliance.cli.kernels import LINE_EVERY_S, compile_kernels
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json
@@ -20,7 +20,6 @@ from appliance.storage.archive import scan_folders
 from appliance.storage.atomic import replace_file
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.library import LibraryFolder
-from appliance.storage.lock import hold_lock
 
 if TYPE_CHECKING:  # brings NumPy and the kernels
     from appliance.offline.anew.coordinator import Worked
@@ -50,6 +49,9 @@ class Reprocess(Verb):
     )
     list: Path | None = option(
         "--list", "which artefacts some scans show, as for `evaluate`", parse=Path, metavar="LIST"
+    )
+    part: tuple[int, int] | None = option(
+        "--part", "only the K-th of N parts of the scans: several calls share an archive", parse=part_of, metavar="K/N"
     )
     table_only: bool = switch("--table-only", "no clouds: rows of the table only")
     all: bool = switch("--all", "also the rejected ones")
@@ -85,7 +87,7 @@ class Reprocess(Verb):
         made, settings = self._jobs()
         results = Results.of(self.out.absolute(), settings)
         jobs = [job(str(results.folder)) for job in made]
-        with hold_lock(results.folder):
+        with results.call(f"{self.source.resolve()} {self.part}"):
             swept = results.sweep()
             worked, started_s = self._work(jobs, begun_s)
             swept += results.sweep()
@@ -109,7 +111,8 @@ class Reprocess(Verb):
     def _jobs(self) -> tuple[Sequence[Callable[[str], Job]], dict[str, object]]:
         """Return what makes each job, given the folder of results, and the settings that the key stands for."""
         from appliance.calibration import file as calibration_file
-        from appliance.offline.anew.task import Job, program_digits
+        from appliance.offline.anew.program import program_digits
+        from appliance.offline.anew.task import Job
         from appliance.offline.evaluation import ListError, read_list
 
         shelves = (LibraryFolder.SCANS, LibraryFolder.REJECTED) if self.all else (LibraryFolder.SCANS,)
@@ -122,8 +125,9 @@ class Reprocess(Verb):
             raise UsageError(str(error)) from error
         listed = {} if scans is None else {Path(one.scan).name.lstrip("0"): one for one in scans.entries}
         calibration = None if self.calibration is None else str(self.calibration.absolute())
+        digits = None if self.calibration is None else calibration_file.load(self.calibration).hash
         settings: dict[str, object] = {
-            "calibration": None if self.calibration is None else calibration_file.load(self.calibration).hash,
+            "calibration": digits,
             "foreign": self.foreign_calibration,
             "water": water,
             "clouds": not self.table_only,
@@ -133,7 +137,7 @@ class Reprocess(Verb):
 
         def made(folder: Path) -> Callable[[str], Job]:
             return lambda results: Job(
-                str(folder.absolute()), results, calibration, self.foreign_calibration, water, not self.table_only, program_digits(),
+                str(folder.absolute()), results, calibration, digits, self.foreign_calibration, water, not self.table_only, program_digits(),
                 listed.get(folder.name.lstrip("0")), 0.0 if scans is None else scans.reference_mm,
             )  # fmt: skip
 
@@ -146,20 +150,25 @@ class Reprocess(Verb):
             raise UsageError(
                 f"--list {self.list}: scan {', '.join(unknown)} is not below {self.source}; name the scans by their numbers"
             )
+        if self.part is not None:
+            number, of = self.part
+            folders = folders[number - 1 :: of]
+            if not folders:
+                raise UsageError(f"--part {number}/{of}: there are fewer scans than parts; give fewer parts")
         return [made(folder) for folder in folders], settings
 
-    def _engine(self) -> AbstractContextManager[LocalEngine] | AbstractContextManager[ManyEngine]:
+    def _engine(self, like: Job) -> AbstractContextManager[LocalEngine] | AbstractContextManager[ManyEngine]:
         from appliance.offline.anew.local import LocalEngine
         from appliance.offline.anew.many import ManyEngine
 
         if self.scheduler is not None:
-            return ManyEngine(self.scheduler, self.limit_s)
+            return ManyEngine(self.scheduler, self.limit_s, like)
         return LocalEngine(self.workers or len(os.sched_getaffinity(0)), self.limit_s)
 
     def _work(self, jobs: Sequence[Job], begun_s: float) -> tuple[Worked, float]:
         from appliance.offline.anew.coordinator import work_through_all
 
-        with Progress() as progress, self._engine() as engine:
+        with Progress() as progress, self._engine(jobs[0]) as engine:
             started_s = time.monotonic() - begun_s
             return work_through_all(jobs, engine, _Said(progress)), started_s
 
@@ -169,16 +178,20 @@ class Reprocess(Verb):
             "done": len(worked.rows) - len(failed),
             "failed": len(failed),
             "left": len(worked.left),
+            "not_begun": worked.not_begun,
             "lost_workers": worked.lost,
+            "left_out": dict(worked.left_out),
         }
         if self.json:
             say_json({**counts, **facts, "stopped": worked.stopped, "rows": [*worked.rows, *worked.left]})
             return
+        for place, reason in worked.left_out.items():
+            say(f"{place}  got no more scans: {reason}")
         for row in (*failed, *worked.left):
             say(f"{row['scan']}  {'failed' if row['state'] == 'failed' else 'left for the next call'}: {row['reason']}")
         if worked.stopped is not None:
             say(f"stopped: {worked.stopped}")
-        say(f"{counts['done']} done, {counts['failed']} failed, {counts['left']} left; {facts['table']}")
+        say(f"{counts['done']} done, {counts['failed']} failed, {counts['left'] + counts['not_begun']} left; {facts['table']}")
 
 
 class _Said:

@@ -229,6 +229,28 @@ def _of_the_scan(scan: SourceScan) -> Chosen:
     )
 
 
+def unrecorded(folder: Path, wish: Wish) -> tuple[str, ...]:
+    """Return what decides about a scan's points and is neither in its manifest nor in ``wish``, in words; mostly nothing.
+
+    Files that it carries and that are damaged are passed over, and a scan that names no calibration takes the one in use under its
+    storage root, which changes.
+    """
+    try:
+        manifest = stored.manifest_of(folder)
+    except ScanError:
+        return ()
+    problems = {name: lost(folder, manifest, name) for name in (CALIBRATION, RIG) if name in manifest.files}
+    found = [f"{name}: {problem}" for name, problem in problems.items() if problem is not None]
+    carried = CALIBRATION in manifest.files and problems[CALIBRATION] is None
+    root = wish.root or root_of(folder)
+    if wish.calibration is None and not carried and manifest.record.calibration_hash is None and root is not None:
+        try:
+            found.append(f"in use: {load(root / FOLDER / CURRENT).hash}")
+        except CalibrationError as error:
+            found.append(f"in use: {error}")
+    return tuple(found)
+
+
 def _of_the_hash(scan: SourceScan) -> Iterator[Chosen]:
     """Yield calibrations of the hash that the scan's manifest names, from wherever they may be kept."""
     wanted = scan.scan.manifest.record.calibration_hash

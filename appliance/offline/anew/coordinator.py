@@ -1,24 +1,33 @@
 """Owns that every scan of an archive is worked through once: what is in work, what is tried again, and how long it will still take.
 
 Who does the work is an ``Engine``: processes of this computer (``local``) or of many (``many``). At no time is more in work than an engine
-has room for, so that nothing is queued without bound; what an engine loses comes back and is given out again.
+has room for, so that nothing is queued without bound; what an engine loses comes back and is given out again. A place (a worker, or
+this computer) that refuses one scan after another gets no more of them, and the others go on.
 """
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
 from appliance.offline.anew.results import Row
-from appliance.offline.anew.task import AGAIN, DONE, FAILED, Job
+from appliance.offline.anew.task import AGAIN, BLAME, DONE, FAILED, OF_HOST, OF_MACHINE, OF_SCAN, Job
 
 TRIES = 3
 """Times that a scan is given out because a machine failed under it, before it is left for the next call."""
 TROUBLES_IN_A_ROW = 8
-"""Number of refusals one after another that end the work: that many, and no result between them, are no accident of one scan: the disk is full for all."""
+"""Number of refusals of one place, and no result of it between them, that are no accident of one scan: it gets no more. Where every place
+has refused, that many of them together end the work: the disk is full for all."""
+TROUBLES_OF_EACH = 2
+"""Refusals in a row of each place then, at least: one that has not said anything yet may be able to."""
+PLACELESS_S = 600.0
+"""Time that there may be nobody to do anything, before the work is given up."""
+LEFT_OUT_S = 60.0
+"""The same where all that were there were left out: others may be about to come."""
 POLL_S = 0.5
 
 
@@ -32,10 +41,16 @@ class Ended:
     trouble: str = ""
     counts: bool = True
     """False where the scan cannot be to blame: a scheduler was started again."""
+    place: str = ""
+    """Who did it, as the engine names its places; empty where that is not known."""
 
 
 class Engine(Protocol):
     """Does jobs. ``close`` ends everything that it started."""
+
+    @property
+    def others_may_come(self) -> bool:
+        """True where there may be more places later than now."""
 
     def room(self) -> int:
         """Return how many more jobs it takes now."""
@@ -45,6 +60,12 @@ class Engine(Protocol):
 
     def ended(self, timeout_s: float) -> list[Ended]:
         """Return what ended, as soon as something did, and after ``timeout_s`` at the latest."""
+
+    def places(self) -> Mapping[str, str | None]:
+        """Return who may get jobs now, by name, and who gets none, with the reason."""
+
+    def leave_out(self, place: str, reason: str) -> None:
+        """Give ``place`` no more jobs."""
 
     def close(self) -> None:
         """End, also what is in work."""
@@ -60,8 +81,12 @@ class Worked:
     """Rows of those for which machines failed: they are tried again by the next call."""
     lost: int
     """Times that a job came back because its worker was gone."""
+    left_out: Mapping[str, str]
+    """Places that got no more scans after a while, or never any, with the reason."""
     stopped: str | None
     """Reason why the rest was not begun; ``None``: everything was."""
+    not_begun: int
+    """Number of jobs that this concerns."""
 
 
 @dataclass(slots=True)
@@ -72,7 +97,15 @@ class _State:
     left: list[Row] = field(default_factory=list)
     lost: int = 0
     in_a_row: int = 0
+    """Refusals since the last result of anybody."""
+    of_place: dict[str, int] = field(default_factory=dict)
+    """Refusals of each place since its own last result."""
+    last: str = ""
+    """Reason of the last refusal."""
+    left_out: dict[str, str] = field(default_factory=dict)
     in_work: int = 0
+    alone_s: float | None = None
+    """Since when there is no place at all."""
 
 
 Said = Callable[[int, int, float | None], None]
@@ -94,29 +127,60 @@ def work_through_all(
             state.in_work += 1
         for one in engine.ended(POLL_S):
             state.in_work -= 1
-            _take(one, state)
-        if state.in_a_row >= TROUBLES_IN_A_ROW:
-            stopped = str(state.left[-1]["reason"] if state.left else "one refusal after another")
-        done = len(state.rows) + len(state.left)
+            _take(one, state, engine)
         passed_s = now_s() - begun_s
+        stopped = stopped or _hopeless(state, engine, passed_s)
+        done = len(state.rows) + len(state.left)
         said(done, len(jobs), passed_s / done * (len(jobs) - done) if done else None)
-    return Worked(tuple(state.rows), tuple(state.left), state.lost, stopped)
+    return Worked(tuple(state.rows), tuple(state.left), state.lost, state.left_out, stopped, len(state.waiting))
 
 
-def _take(one: Ended, state: _State) -> None:
+def _take(one: Ended, state: _State, engine: Engine) -> None:
     number = state.tries[one.job.folder]
     if one.row is not None and one.row["state"] in (DONE, FAILED):
         state.rows.append(one.row)
         state.in_a_row = 0
+        state.of_place.pop(one.place, None)
         return
     if one.row is None:
         state.lost += 1
-    reason = one.trouble if one.row is None else str(one.row["reason"])
+        reason, blame = one.trouble, OF_SCAN
+    else:
+        reason, blame = str(one.row["reason"]), str(one.row.get(BLAME, OF_MACHINE))
+        host = str(one.row.get("host", ""))
+        reason = reason if host in reason else f"{host}: {reason}"
     # Death of a worker is nothing that the next scan shares; a refusal of the disk is.
-    state.in_a_row += one.row is not None
-    if not one.counts:
+    if blame != OF_SCAN:
+        _refused(one.place, reason, blame, state, engine)
+    if not one.counts or blame == OF_HOST:
         state.waiting.append((one.job, number))
-    elif number < TRIES and state.in_a_row < TROUBLES_IN_A_ROW:
+    elif number < TRIES:
         state.waiting.append((one.job, number + 1))
     else:
         state.left.append({"scan": one.job.name, "folder": one.job.folder, "state": AGAIN, "reason": reason})
+
+
+def _refused(place: str, reason: str, blame: str, state: _State, engine: Engine) -> None:
+    state.in_a_row, state.last = state.in_a_row + 1, reason
+    state.of_place[place] = state.of_place.get(place, 0) + 1
+    if blame == OF_HOST or state.of_place[place] >= TROUBLES_IN_A_ROW:
+        # Whoever refuses within milliseconds would otherwise get, and refuse, all scans while the others work on one.
+        engine.leave_out(place, reason)
+
+
+def _hopeless(state: _State, engine: Engine, now_s: float) -> str | None:
+    """Return why nothing more should be begun; ``None`` where somebody may still do it."""
+    places = engine.places()
+    state.left_out |= {place: reason for place, reason in places.items() if reason is not None}
+    able = [place for place, reason in places.items() if reason is None]
+    if able:
+        state.alone_s = None
+        each = all(state.of_place.get(place, 0) >= TROUBLES_OF_EACH for place in able)
+        return state.last if each and state.in_a_row >= TROUBLES_IN_A_ROW else None
+    state.alone_s = now_s if state.alone_s is None else state.alone_s
+    waited_s = now_s - state.alone_s if engine.others_may_come else math.inf
+    if state.left_out and waited_s >= LEFT_OUT_S:
+        return f"nobody is left who can do it: {'; '.join(sorted(set(state.left_out.values())))}"
+    if waited_s >= PLACELESS_S:
+        return f"there was no worker for {PLACELESS_S:.0f} s; start one with `dask worker`, and call again"
+    return None

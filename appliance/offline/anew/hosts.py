@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import pickle
+import socket
 import subprocess
 import sys
 import time
@@ -17,7 +18,10 @@ from typing import Any
 from appliance import kernel_cache
 from appliance.kernel_build import CompileError, compile_pieces, missing
 from appliance.kernel_cache import Origin
+from appliance.surface.libraries import needed
 
+WORKER = "worker"
+"""Key of a row: the address of the worker that answered; it is published nowhere."""
 MOST_S = 1800.0
 """The longest that a host may take; a slow one with one core takes some minutes."""
 
@@ -47,15 +51,27 @@ def _warmed() -> float:
     return warm_host()
 
 
+def greeting(job: bytes) -> str | None:
+    """Return why the worker that this runs on can do no job like the pickled one, after its host's kernels are there; ``None``: it can."""
+    try:
+        _warmed()
+        from appliance.offline.anew.task import unfit
+
+        return unfit(pickle.loads(job))
+    except (CompileError, OSError, ImportError, subprocess.SubprocessError) as error:
+        return f"{socket.gethostname()}: {type(error).__name__}: {error}"
+
+
 def warmed_attempt(job: bytes) -> dict[str, Any]:
-    """Do a pickled job (``task.attempt``) after this host's kernels are there; only a process's first one waits for them.
+    """Do a pickled job (``task.attempt``) on a worker of Dask's, after this host's kernels are there; only a process's first one waits.
 
     Pickled, because the module of jobs brings kernels, which must be told where their cache is before they are imported.
     """
     _warmed()
     from appliance.offline.anew.task import attempt
 
-    return attempt(pickle.loads(job))
+    worker = needed("distributed", "distributed", "a worker").get_worker()
+    return {**attempt(pickle.loads(job)), WORKER: worker.address}
 
 
 def _compile() -> None:

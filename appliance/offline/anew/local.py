@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import multiprocessing
 import time
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
@@ -19,6 +20,8 @@ from appliance.offline.anew.task import Job
 MOST_MB = 3000
 """Memory of a process that is replaced before its next scan; one that works scans through one by one stays below 1500."""
 END_S = 10.0
+HERE = "this computer"
+"""Name of the only place."""
 
 
 @dataclass(slots=True)
@@ -34,6 +37,7 @@ class LocalEngine:
 
     def __init__(self, processes: int, limit_s: float) -> None:
         self._limit_s = limit_s
+        self._left_out: str | None = None
         # Not fork: it copies locks that other threads hold, and none of the threads that would release them.
         self._context = multiprocessing.get_context("spawn")
         self._workers = [self._begun() for _ in range(processes)]
@@ -49,8 +53,24 @@ class LocalEngine:
         """Numbers of the processes, in order."""
         return [worker.process.pid or 0 for worker in self._workers]
 
+    @property
+    def others_may_come(self) -> bool:
+        """False: it is this computer alone."""
+        return False
+
+    def places(self) -> Mapping[str, str | None]:
+        """Do what ``Engine`` promises: all processes are one place, for they share everything that refuses."""
+        return {HERE: self._left_out}
+
+    def leave_out(self, place: str, reason: str) -> None:
+        """Do what ``Engine`` promises."""
+        del place
+        self._left_out = reason
+
     def room(self) -> int:
         """Do what ``Engine`` promises."""
+        if self._left_out is not None:
+            return 0
         return sum(worker.job is None for worker in self._workers)
 
     def start(self, job: Job) -> None:
@@ -99,7 +119,7 @@ class LocalEngine:
         worker.job = None
         if row.get("peak_mb", 0) > MOST_MB:
             self._replace(worker)
-        return Ended(job, row)
+        return Ended(job, row, place=HERE)
 
     def _replace(self, worker: _Worker) -> None:
         worker.process.kill()

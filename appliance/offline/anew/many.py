@@ -3,7 +3,7 @@
 Workers are started by ``dask worker ADDRESS --nthreads 1``, on computers with the same program and the same paths. A worker that dies
 is missed by the scheduler, which gives its scans to others. One that hangs is noticed here: a scan that takes too long is given to
 another worker besides, and whoever publishes first is right. When the scheduler itself is lost, everything in work comes back, and goes
-out again as soon as there is one at the same address.
+out again as soon as there is one at the same address. Each worker is asked once whether it can do such scans at all, before it gets any.
 """
 
 from __future__ import annotations
@@ -12,11 +12,12 @@ import itertools
 import pickle
 import threading
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 from appliance.offline.anew.coordinator import Ended
-from appliance.offline.anew.hosts import warmed_attempt
+from appliance.offline.anew.hosts import MOST_S, WORKER, greeting, warmed_attempt
 from appliance.offline.anew.task import Job
 from appliance.surface.libraries import needed
 
@@ -44,24 +45,41 @@ class _InWork:
     job: Job
     begun_s: float
     futures: list[Any] = field(default_factory=list)
+    only: frozenset[str] | None = None
+    """Workers that alone may do it; ``None``: any."""
+
+
+@dataclass(slots=True)
+class _Worker:
+    """One worker, as its scheduler knows it now."""
+
+    threads: int
+    asked: Any
+    """Future of its answer whether it can do such scans."""
+    asked_s: float
+    able: bool = False
+    reason: str | None = None
+    """Why it gets no scans."""
 
 
 class ManyEngine:
     """Workers of the scheduler at ``address``; a job that takes longer than ``limit_s`` is begun once more elsewhere. A context manager.
 
-    Raises MissingLibraryError, SchedulerError.
+    ``like``: a job as all of them are. Raises MissingLibraryError, SchedulerError.
     """
 
-    def __init__(self, address: str, limit_s: float) -> None:
+    def __init__(self, address: str, limit_s: float, like: Job) -> None:
         self._dask = needed("distributed", "distributed", "--scheduler")
         self._settings = needed("dask.config", "distributed", "--scheduler")
         self._address = address
         self._limit_s = limit_s
+        self._like = pickle.dumps(like)
         self._numbers = itertools.count(1)
         self._in_work: dict[str, _InWork] = {}
         self._back: list[Ended] = []
         self._something = threading.Event()
-        self._threads, self._asked_s = 0, 0.0
+        self._workers: dict[str, _Worker] = {}
+        self._looked_s = 0.0
         self._client = self._connected(CONNECT_S)
 
     def __enter__(self) -> ManyEngine:
@@ -70,17 +88,74 @@ class ManyEngine:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    @property
+    def others_may_come(self) -> bool:
+        """True: a worker may join at any time."""
+        return True
+
+    def places(self) -> Mapping[str, str | None]:
+        """Do what ``Engine`` promises, by the workers' addresses; one that has not answered yet may be able to."""
+        return {address: worker.reason for address, worker in self._workers.items()}
+
+    def leave_out(self, place: str, reason: str) -> None:
+        """Do what ``Engine`` promises."""
+        if place in self._workers:
+            self._workers[place].able, self._workers[place].reason = False, reason
+
     def room(self) -> int:
         """Do what ``Engine`` promises."""
         now_s = time.monotonic()
-        if now_s > self._asked_s + (LOOK_S if self._threads else RETRY_S):
-            self._asked_s = now_s
+        if now_s > self._looked_s + (LOOK_S if self._able() else RETRY_S):
+            self._looked_s = now_s
+            self._look(now_s)
+        self._hear_greetings(now_s)
+        threads = sum(self._workers[address].threads for address in self._able())
+        return min(MOST_IN_WORK, PER_THREAD * threads) - len(self._in_work)
+
+    def _able(self) -> list[str]:
+        return [address for address, worker in self._workers.items() if worker.able]
+
+    def _look(self, now_s: float) -> None:
+        """Ask the scheduler who is there, greet the new ones, and take back what only those could do that are gone."""
+        try:
+            threads: dict[str, int] = self._client.nthreads()
+        except (OSError, TypeError, KeyError, RuntimeError):
+            return
+        for address in self._workers.keys() - threads.keys():
+            del self._workers[address]
+        for address in threads.keys() - self._workers.keys():
             try:
-                workers = self._client.scheduler_info(n_workers=-1)["workers"].values()
-                self._threads = sum(int(worker["nthreads"]) for worker in workers)
-            except (OSError, TypeError, KeyError, RuntimeError):
-                self._threads = 0
-        return min(MOST_IN_WORK, PER_THREAD * self._threads) - len(self._in_work)
+                asked = self._submitted(greeting, self._like, "greeting", [address])
+            except Exception:  # the client closes in this moment: asked again after it has connected
+                return
+            self._workers[address] = _Worker(threads[address], asked, now_s)
+        for folder, work in list(self._in_work.items()):
+            if work.only is not None and not work.only & threads.keys():
+                self._cancel(work.futures)
+                self._back.append(Ended(work.job, None, "the workers that could do it are gone", counts=False))
+                del self._in_work[folder]
+
+    def _hear_greetings(self, now_s: float) -> None:
+        for worker in self._workers.values():
+            if worker.able or worker.reason is not None:
+                continue
+            match worker.asked.status:
+                case "finished":
+                    try:
+                        worker.reason = worker.asked.result(timeout=ASK_S)
+                    except Exception as error:  # it went while its answer was fetched: the next look says so
+                        worker.reason = f"{type(error).__name__}: {error}"
+                    worker.able = worker.reason is None
+                case "pending" if now_s < worker.asked_s + MOST_S:
+                    pass
+                case "pending":
+                    worker.reason = f"no answer after {MOST_S:.0f} s"
+                case "error":
+                    # Not even the question could be understood there: the program is missing, or of another form.
+                    trouble = worker.asked.exception(timeout=ASK_S)
+                    worker.reason = f"{type(trouble).__name__}: {trouble}; install the same kingfisher[desk] there"
+                case _:
+                    pass  # with its scheduler
 
     def start(self, job: Job) -> None:
         """Do what ``Engine`` promises."""
@@ -123,7 +198,7 @@ class ManyEngine:
                     ) as error:  # the worker that held the row may be gone by now: it is read from the disk then
                         return Ended(work.job, None, f"{type(error).__name__}: {error}", counts=False)
                     self._cancel([one for one in work.futures if one is not future])
-                    return Ended(work.job, row)
+                    return Ended(work.job, row, place=str(row.pop(WORKER, "")))
                 case "error":
                     trouble = future.exception(timeout=ASK_S)
                     self._cancel([one for one in work.futures if one is not future])
@@ -137,16 +212,26 @@ class ManyEngine:
         return None
 
     def _submit(self, work: _InWork, workers: list[str] | None = None) -> None:
-        # The job is an argument by its place: dask takes some by name for itself, `key` among them.
-        name = f"{work.job.name}-{next(self._numbers)}-{time.monotonic_ns()}"
-        only = {} if workers is None else {"workers": workers, "allow_other_workers": False}
+        if workers is None:
+            able = self._able()
+            # Named only where there is somebody to be avoided: the scheduler takes longer over names.
+            workers = None if len(able) == len(self._workers) else able
         try:
             # Not a plugin of the workers: to register one waits for all of them, also for one that hangs.
-            future = self._client.submit(warmed_attempt, pickle.dumps(work.job), key=name, pure=False, **only)
+            future = self._submitted(warmed_attempt, pickle.dumps(work.job), work.job.name, workers)
         except Exception:  # the client closes in this moment: the job comes back where it is looked for
             return
-        future.add_done_callback(lambda _: self._something.set())
         work.futures.append(future)
+        # Only the first one counts: where it is in vain to wait for that one, there may be no copy.
+        work.only = frozenset(workers) if workers is not None and len(work.futures) == 1 else None
+
+    def _submitted(self, what: Any, argument: bytes, name: str, workers: list[str] | None) -> Any:
+        # The argument has no name: dask takes some by name for itself, `key` among them.
+        key = f"{name}-{next(self._numbers)}-{time.monotonic_ns()}"
+        only = {} if workers is None else {"workers": workers, "allow_other_workers": False}
+        future = self._client.submit(what, argument, key=key, pure=False, **only)
+        future.add_done_callback(lambda _: self._something.set())
+        return future
 
     def _copy_overdue(self) -> None:
         """Begin once more elsewhere what has been in work for too long; the first one to publish is right."""
@@ -157,12 +242,11 @@ class ManyEngine:
             return
         try:
             held = self._client.processing()
-            everybody = list(self._client.scheduler_info(n_workers=-1)["workers"])
         except Exception:  # no answer: asked again in a moment
             return
         for work in late:
             keys = {future.key for future in work.futures}
-            others = [one for one in everybody if not keys & set(held.get(one, ()))]
+            others = [one for one in self._able() if not keys & set(held.get(one, ()))]
             if others:
                 self._submit(work, others)
 
@@ -180,7 +264,7 @@ class ManyEngine:
         """Wait for a scheduler at the same address. What was in work comes back."""
         until_s, never = time.monotonic() + SCHEDULER_BACK_S, threading.Event()
         self._back += [Ended(work.job, None, "the scheduler was lost", counts=False) for work in self._in_work.values()]
-        self._in_work, self._threads, self._asked_s = {}, 0, 0.0
+        self._in_work, self._workers, self._looked_s = {}, {}, 0.0
         self._client.close(timeout=END_S)
         while True:
             try:

@@ -5,9 +5,11 @@
     <out>/<key>/failed/<name>.json     why there is no result; tried again by the next call
     <out>/<key>/drafts/<name>.<host>.<process>.<number>/   being made
     <out>/<key>/table.csv              all rows
+    <out>/<key>/calls/<digits>/        locks of calls, each for its part of its source
 
-A name is the scan's number and the checksum of its manifest, so that scans of several instruments do not meet. Any number of processes,
-on any number of machines that see the folder, may make results at once: the first rename wins, and the others see it.
+A name is the scan's number and a checksum of its manifest and of what else decides about its points, so that scans of several
+instruments do not meet. Any number of processes, on any number of machines that see the folder, may make results at once: the first
+rename wins, and the others see it.
 """
 
 from __future__ import annotations
@@ -19,9 +21,10 @@ import io
 import json
 import os
 import socket
+import threading
 import time
-from collections.abc import Iterable, Mapping
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,12 +32,15 @@ from typing import Any
 from appliance.storage.archive import remove_folder
 from appliance.storage.atomic import StorageError, refused, replace_file, write_new
 from appliance.storage.filesystem import Bytes, LocalFileSystem
+from appliance.storage.lock import hold_lock
 from appliance.storage.manifest import FILE_NAME
 
 ROW, CLOUD, TABLE, SETTINGS = "row.json", "cloud.ply", "table.csv", "settings.json"
 KEY_DIGITS, NAME_DIGITS = 16, 12
 OLD_DRAFT_S = 6 * 3600.0
 """A draft of another machine that is older is nobody's; two hours would be enough for the slowest scan."""
+TABLE_WAIT_S, TABLE_RETRY_S = 300.0, 0.2
+"""Longest wait for another call that writes the table, which reads every row: minutes for a million."""
 COLUMNS = (
     "scan", "state", "reason", "recorded", "points", "coverage_percent", "distance_mm", "noise_mm", "gap_mm", "exposure",
     "spoilt", "faults", "verdicts", "e_l_percent", "length_error_mm", "artefact", "temperature_c", "salinity_psu", "water_index",
@@ -139,24 +145,85 @@ class Results:
                     swept += 1
         return swept
 
+    @contextmanager
+    def call(self, part: str) -> Iterator[None]:
+        """Hold the lock of ``part``, which names a source and what of it: two calls for the same one are refused with StorageError."""
+        folder = self.folder / "calls" / hashlib.sha256(part.encode()).hexdigest()[:NAME_DIGITS]
+        with hold_lock(folder):
+            yield
+
     def write_table(self, rows: Iterable[Row]) -> Path:
-        """Write the table, whole or not at all, in the order of the scans' numbers."""
-        text = io.StringIO()
-        writer = csv.DictWriter(text, COLUMNS, extrasaction="ignore", lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(sorted(rows, key=lambda row: (row["scan"], row.get("folder") or "")))
-        path = self.folder / TABLE
-        replace_file(LocalFileSystem(), path, text.getvalue().encode())
+        """Write the table of all that has a result or a failure under this key, and of those of this call's ``rows`` that have neither.
+
+        Whole or not at all, in the order of the scans' numbers. Failures of scans that became others since are removed. Several calls
+        may be done at once: each waits until the one before has written.
+        """
+        with self._table_lock():
+            named = {str(row["folder"]): row.get("result") for row in rows}
+            found = list(self._current_rows(named))
+            known = {str(row["folder"]) for row in found}
+            found += [row for row in rows if row.get("result") is None and str(row["folder"]) not in known]
+            text = io.StringIO()
+            writer = csv.DictWriter(text, COLUMNS, extrasaction="ignore", lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(sorted(found, key=lambda row: (row["scan"], row.get("folder") or "")))
+            path = self.folder / TABLE
+            replace_file(LocalFileSystem(), path, text.getvalue().encode())
         return path
 
+    def _current_rows(self, named: Mapping[str, str | None]) -> Iterator[Row]:
+        """Yield the published rows. ``named``: by the folders that were just worked on, which result is now theirs."""
+        with refused("cannot list", self.folder):
+            results = sorted(path.name for path in (self.folder / "results").iterdir())
+            failures = sorted(path for path in (self.folder / "failed").iterdir() if path.suffix == ".json")
 
-def name_of(folder: Path) -> str:
-    """Return the name of a scan's result. A manifest that cannot be read has a name, too: of the folder alone."""
+        def current(row: Row, name: str) -> bool:
+            now = named.get(str(row["folder"]))
+            return now is None or now == name
+
+        for name in results:
+            row = self.row(name)
+            if row is not None and current(row, name):
+                yield row
+        done = set(results)
+        for path in failures:
+            with refused("cannot read", path), suppress(FileNotFoundError, ValueError):
+                row = json.loads(path.read_bytes())
+                if path.stem in done or not current(row, path.stem):
+                    path.unlink()
+                else:
+                    yield row
+
+    @contextmanager
+    def _table_lock(self) -> Iterator[None]:
+        until_s, never = time.monotonic() + TABLE_WAIT_S, threading.Event()
+        with ExitStack() as held:
+            while True:
+                try:
+                    held.enter_context(hold_lock(self.folder))
+                    break
+                except StorageError:
+                    if time.monotonic() > until_s:
+                        raise
+                never.wait(TABLE_RETRY_S)
+            yield
+
+
+def name_of(folder: Path, beside: Sequence[str] = ()) -> str:
+    """Return the name of a scan's result, which follows its manifest and what is ``beside`` it.
+
+    A folder without a manifest has a name, too: of the folder alone. Raises FileNotFoundError where there is no such folder, OSError where
+    it cannot be read.
+    """
     try:
-        digest = hashlib.sha256((folder / FILE_NAME).read_bytes()).hexdigest()[:NAME_DIGITS]
-    except OSError:
-        digest = "unreadable"
-    return f"{folder.name}-{digest}"
+        digest = hashlib.sha256((folder / FILE_NAME).read_bytes())
+    except FileNotFoundError:
+        if not folder.is_dir():
+            raise
+        return f"{folder.name}-unreadable"
+    for text in beside:
+        digest.update(b"\0" + text.encode())
+    return f"{folder.name}-{digest.hexdigest()[:NAME_DIGITS]}"
 
 
 def read_table(path: Path) -> list[dict[str, str]]:

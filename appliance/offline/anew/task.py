@@ -1,39 +1,54 @@
 """Owns one scan worked through anew: a job in, a row out, whoever runs it, and as often as somebody does.
 
 Nothing here knows of pools or networks. What is wrong with the scan itself is a result, written down with its reason; what is
-wrong with the machine (a full disk, no memory, another program) is ``AGAIN``: somebody else may do it, or the same one later.
+wrong with the machine (a full disk, no memory, another program, a folder that it does not see) is ``AGAIN``: somebody else may do
+it, or the same one later. The row then says whom to blame.
 """
 
 from __future__ import annotations
 
-import hashlib
+import logging
+import os
 import resource
 import socket
 import time
+import traceback
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
 from typing import Any
 
-import appliance
-from appliance import __version__
-from appliance.calibration.file import Calibration, CalibrationError
+from appliance.calibration.file import Calibration, CalibrationError, load
 from appliance.evaluation.points import NotFound
 from appliance.instrument import exposures_label
 from appliance.machine.alerts import RULES
-from appliance.offline.anew.results import Results, Row, name_of
+from appliance.offline.anew.program import program_digits
+from appliance.offline.anew.results import SETTINGS, Results, Row, name_of
 from appliance.offline.evaluation import ListedScan, ScanList, run_evaluation
-from appliance.offline.origin import SourceScan, Wish, calibration_for, open_source
+from appliance.offline.origin import SourceScan, Wish, calibration_for, open_source, unrecorded
 from appliance.offline.reconstruct import work_through
 from appliance.storage.atomic import StorageError
 from appliance.storage.damage import refuse_damaged_frames
 from appliance.storage.packed import PackedError
 from appliance.storage.ply import encode_ply
 from appliance.storage.scan import ScanError
+from appliance.surface.libraries import MissingLibraryError
 
 DONE, FAILED, AGAIN = "done", "failed", "again"
 """States of a row; one that is to be tried again is never published."""
+BLAME = "blame"
+"""Key of a row that is to be tried again: whose fault it is."""
+OF_HOST, OF_SCAN, OF_MACHINE = "host", "scan", "machine"
+"""``OF_HOST``: no scan can be done there; ``OF_SCAN``: that one scan cannot be done now; ``OF_MACHINE``: what may pass, or not."""
 _MB = 1024.0
+log = logging.getLogger(__name__)
+
+
+class _Unfit(Exception):
+    """Nothing can be done on this host; the text says why and what to do."""
+
+
+class _Gone(Exception):
+    """The scan is not where it was."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,12 +61,14 @@ class Job:
     """Folder of the results of this key."""
     calibration: str | None
     """Calibration file; ``None``: each scan's own."""
+    calibration_hash: str | None
+    """What that file holds: results are published under this hash."""
     foreign: bool
     water: tuple[float, float] | None
     """Temperature in °C and salinity in psu that take the place of the recorded ones."""
     clouds: bool
     program: str
-    """Digits of the program that is to do it (``program_digits``)."""
+    """The program that is to do it (``program_digits``)."""
     listed: ListedScan | None = None
     """The artefact that the scan shows; ``None``: none that is known."""
     reference_mm: float = 0.0
@@ -63,39 +80,101 @@ class Job:
 
 
 def attempt(job: Job) -> Row:
-    """Work one scan through, publish its result and return the row; never raises what the machine or the scan is to blame for."""
+    """Work one scan through, publish its result and return the row; raises nothing but what ends a process."""
     try:
         return _row(job)
+    except (_Unfit, MissingLibraryError, ImportError) as error:
+        return again(job, str(error), OF_HOST)
+    except _Gone as error:
+        return again(job, str(error), OF_SCAN)
     except (StorageError, OSError, MemoryError) as error:
-        return {"scan": job.name, "folder": job.folder, "state": AGAIN, "reason": f"{type(error).__name__}: {error}"}
+        return again(job, f"{type(error).__name__}: {error}", OF_MACHINE)
+
+
+def again(job: Job, reason: str, blame: str) -> Row:
+    """Return the row of a scan that this host could not do; it is published nowhere."""
+    host = socket.gethostname()
+    return {"scan": job.name, "folder": job.folder, "state": AGAIN, "reason": reason, "host": host, BLAME: blame}
+
+
+def unfit(job: Job) -> str | None:
+    """Return why this host can do no job like ``job``, and what to do; ``None`` where it can. Cheap enough for every scan."""
+    host, mine = socket.gethostname(), program_digits()
+    if job.program != mine:
+        # Results of two programs under one key would be neither's.
+        return f"{host} has another version: {mine}; the call was made by {job.program}; install the same one everywhere"
+    if not (Path(job.results) / SETTINGS).is_file():
+        return f"{host} does not see --out {Path(job.results).parent}; mount it there under the same path"
+    shelf = Path(job.folder).parent
+    # A folder that waits for its disk to be mounted is there, and empty.
+    if not shelf.is_dir() or _empty(shelf):
+        return f"{host} sees no scans in {shelf}; mount SOURCE there under the same path"
+    if job.calibration is not None:
+        try:
+            seen = load(Path(job.calibration)).hash
+        except CalibrationError as error:
+            return f"{host} cannot use --calibration: {error}; let it see the file under the same path"
+        if seen != job.calibration_hash:
+            return f"{host} sees another calibration in {job.calibration}; let it see the same file, and call again"
+    return None
+
+
+def _empty(folder: Path) -> bool:
+    with os.scandir(folder) as entries:  # not iterdir, which lists all of them first
+        return next(entries, None) is None
 
 
 def _row(job: Job) -> Row:
-    if job.program != program_digits():
-        # Results of two programs under one key would be neither's.
-        raise OSError(f"{socket.gethostname()} has another version of kingfisher; install the same one everywhere")
-    results, folder = Results(Path(job.results)), Path(job.folder)
-    name = name_of(folder)
+    problem = unfit(job)
+    if problem is not None:
+        raise _Unfit(problem)
+    results, folder, host = Results(Path(job.results)), Path(job.folder), socket.gethostname()
+    name = _name(job, folder)
     published = results.row(name)
     if published is not None:
         return published
     begun_s, begun_cpu_s = time.monotonic(), time.process_time()
-    row: Row = {"scan": folder.name, "folder": str(folder), "host": socket.gethostname()}
+    row: Row = {"scan": folder.name, "folder": str(folder), "host": host, "result": name}
     try:
         found, cloud = _worked_through(job, folder)
     except (ScanError, CalibrationError, PackedError) as error:
-        return results.publish_failure(name, {**row, "state": FAILED, "reason": str(error)})
-    times = {
-        "cpu_s": round(time.process_time() - begun_cpu_s, 3),
-        "wall_s": round(time.monotonic() - begun_s, 3),
-        "peak_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / _MB),
-    }
-    return results.publish(name, {**row, "state": DONE, **found, **times}, cloud)
+        failure = {**row, "state": FAILED, "reason": str(error)}
+    except (StorageError, OSError, MemoryError, MissingLibraryError, ImportError):
+        raise
+    except Exception as error:
+        # A mistake of the program's: it ends this scan, and neither the process nor the others.
+        log.exception("%s: unexpected %s", folder, type(error).__name__)
+        told = "".join(traceback.format_exception(error))
+        reason = f"unexpected {type(error).__name__}: {error}"
+        failure = {**row, "state": FAILED, "reason": reason, "traceback": told}
+    else:
+        times = {
+            "cpu_s": round(time.process_time() - begun_cpu_s, 3),
+            "wall_s": round(time.monotonic() - begun_s, 3),
+            "peak_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / _MB),
+        }
+        return results.publish(name, {**row, "state": DONE, **found, **times}, cloud)
+    # A disk that went away meanwhile looks like a damaged scan: only one that is still there as it was is to blame itself.
+    if _name(job, folder) != name:
+        raise _Gone(f"{host}: {folder} changed while it was worked through: {failure['reason']}")
+    return results.publish_failure(name, failure)
+
+
+def _name(job: Job, folder: Path) -> str:
+    """Return the name of the scan's result: of its manifest, and of what decides about its points and is not in there."""
+    try:
+        return name_of(folder, unrecorded(folder, _wish(job)))
+    except FileNotFoundError as error:
+        raise _Gone(f"{socket.gethostname()}: {folder} is not there any more") from error
+
+
+def _wish(job: Job) -> Wish:
+    return Wish(calibration=None if job.calibration is None else Path(job.calibration), foreign=job.foreign)
 
 
 def _worked_through(job: Job, folder: Path) -> tuple[Row, Any]:
     refuse_damaged_frames(folder)
-    wish = Wish(calibration=None if job.calibration is None else Path(job.calibration), foreign=job.foreign)
+    wish = _wish(job)
     source = open_source(folder, wish)
     chosen = calibration_for(source, wish)
     if job.water is not None:
@@ -157,13 +236,3 @@ def _lengths(listed: ListedScan, reference_mm: float, source: SourceScan, wish: 
 
 def _passed(passed: bool | None) -> str:
     return "-" if passed is None else "yes" if passed else "no"
-
-
-@cache
-def program_digits() -> str:
-    """Return the version with digits that change with any file of the product: results of two programs have different keys."""
-    digest = hashlib.sha256()
-    top = Path(appliance.__file__).parent
-    for path in sorted(top.rglob("*.py")):
-        digest.update(path.relative_to(top).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
-    return f"{__version__}-{digest.hexdigest()[:12]}"

@@ -5,21 +5,33 @@ from __future__ import annotations
 import errno
 import json
 import os
+import re
+import shutil
 import signal
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 
+import cv2
+import numba
+import numpy as np
 import pytest
 
+from appliance.calibration import file as calibration_file
 from appliance.offline.anew import results as module
-from appliance.offline.anew.coordinator import TRIES, TROUBLES_IN_A_ROW, Ended, work_through_all
+from appliance.offline.anew import task
+from appliance.offline.anew.coordinator import LEFT_OUT_S, TRIES, TROUBLES_IN_A_ROW, Ended, work_through_all
 from appliance.offline.anew.local import LocalEngine
 from appliance.offline.anew.results import COLUMNS, Results, ResultsError, Row, name_of, read_table
-from appliance.offline.anew.task import AGAIN, DONE, FAILED, Job, attempt, program_digits
+from appliance.offline.anew.program import program_digits, program_text
+from appliance.offline.anew.task import AGAIN, BLAME, DONE, FAILED, OF_HOST, OF_MACHINE, OF_SCAN, Job, attempt
 from appliance.storage.atomic import StorageError
+from appliance.storage.scan import ScanError
+from hw_sim.truth import draw_truth
+from tests.support.truth import true_calibration
 
 SETTINGS = {"calibration": None, "program": "1"}
 
@@ -30,7 +42,7 @@ def results(tmp_path: Path) -> Results:
 
 
 def job(number: int, folder: Path = Path("/nowhere")) -> Job:
-    return Job(str(folder / f"{number:06d}"), "", None, False, None, False, program_digits())
+    return Job(str(folder / f"{number:06d}"), "", None, None, False, None, False, program_digits())
 
 
 def row(number: int, **more: object) -> Row:
@@ -120,15 +132,18 @@ def test_a_scans_name_follows_its_manifest_and_not_how_its_frames_are_kept(tmp_p
     assert name_of(tmp_path / "a" / "000001") == name_of(tmp_path / "b" / "000001")
     (tmp_path / "b" / "000001" / "manifest.json").write_text("{ }")
     assert name_of(tmp_path / "a" / "000001") != name_of(tmp_path / "b" / "000001")
+    (tmp_path / "c" / "000009").mkdir(parents=True)
     assert name_of(tmp_path / "c" / "000009") == "000009-unreadable"
+    with pytest.raises(FileNotFoundError):
+        name_of(tmp_path / "d" / "000009")
 
 
 def test_the_table_has_every_row_in_order_and_is_read_back(results: Results, tmp_path: Path) -> None:
     path = results.write_table(
-        [row(2, points=5, faults='MOTION: "quick", 3 mm'), row(1, state=FAILED, reason="damaged\nframes")]
+        [row(2, points=5, faults='MOTION: "quick", 3 mm'), row(1, state=AGAIN, reason="full\ndisk")]
     )
     first, second = read_table(path)
-    assert (first["scan"], first["state"], first["reason"]) == ("000001", FAILED, "damaged\nframes")
+    assert (first["scan"], first["state"], first["reason"]) == ("000001", AGAIN, "full\ndisk")
     assert (second["points"], second["faults"]) == ("5", 'MOTION: "quick", 3 mm')
     assert set(first) == set(COLUMNS)
     (tmp_path / "x.csv").write_text("a,b\n1,2\n")
@@ -140,25 +155,49 @@ def test_the_table_has_every_row_in_order_and_is_read_back(results: Results, tmp
 
 
 class Scripted:
-    """An engine of two places that ends each job as the script says; it counts what it was given."""
+    """An engine of two places in each of ``names`` that ends each job as the script says; it counts what it was given.
 
-    def __init__(self, end: Callable[[Job, int], Ended]) -> None:
-        self._end, self._held = end, list[Job]()
+    ``slow``: places that answer only every so many times.
+    """
+
+    others_may_come = False
+
+    def __init__(
+        self,
+        end: Callable[[Job, int], Ended],
+        names: tuple[str, ...] = ("",),
+        slow: Mapping[str, int] = MappingProxyType({}),
+    ) -> None:
+        self._end, self._slow, self._turn = end, slow, 0
+        self._held: dict[str, list[Job]] = {name: [] for name in names}
+        self._out: dict[str, str] = {}
         self.given: dict[str, int] = {}
         self.most = 0
 
+    def places(self) -> Mapping[str, str | None]:
+        return {name: self._out.get(name) for name in self._held}
+
+    def leave_out(self, place: str, reason: str) -> None:
+        self._out[place] = reason
+
     def room(self) -> int:
-        return 2 - len(self._held)
+        return sum(2 - len(held) for name, held in self._held.items() if name not in self._out)
 
     def start(self, job: Job) -> None:
-        self._held.append(job)
+        name = next(name for name, held in self._held.items() if len(held) < 2 and name not in self._out)
+        self._held[name].append(job)
         self.given[job.name] = self.given.get(job.name, 0) + 1
-        self.most = max(self.most, len(self._held))
+        self.most = max(self.most, len(self._held[name]))
 
     def ended(self, timeout_s: float) -> list[Ended]:
         del timeout_s
-        held, self._held = self._held, []
-        return [self._end(job, self.given[job.name]) for job in held]
+        self._turn += 1
+        found = []
+        for name, held in self._held.items():
+            if self._turn % self._slow.get(name, 1) == 0:
+                found += [replace(self._end(job, self.given[job.name]), place=name) for job in held]
+                held.clear()
+        return found
 
     def close(self) -> None: ...
 
@@ -209,8 +248,67 @@ def test_a_lost_scheduler_counts_against_no_scan() -> None:
 def test_a_full_disk_ends_the_work_early_and_says_so() -> None:
     engine = Scripted(lambda one, _: Ended(one, {"scan": one.name, "state": AGAIN, "reason": "the disk is full"}))
     worked = work_through_all(JOBS, engine, silent)
-    assert worked.stopped == "the disk is full"
+    assert worked.stopped is not None
+    assert "the disk is full" in worked.stopped
     assert sum(engine.given.values()) <= TROUBLES_IN_A_ROW + 2
+    assert worked.not_begun + len(worked.left) == len(JOBS)
+
+
+def test_a_disk_that_is_full_for_four_places_ends_the_work_after_a_few_of_each() -> None:
+    engine = Scripted(lambda one, _: Ended(one, {"scan": one.name, "state": AGAIN, "reason": "full"}), ("a", "b", "c", "d"))
+    assert work_through_all(JOBS, engine, silent).stopped == "full"
+    assert sum(engine.given.values()) <= 2 * TROUBLES_IN_A_ROW
+
+
+@pytest.mark.parametrize("blame", [OF_HOST, OF_MACHINE])
+def test_one_bad_place_that_refuses_in_an_instant_ends_nothing_and_is_named(blame: str) -> None:
+    class OneBad(Scripted):
+        """Gives jobs to the bad one first, which answers forty times while the good one answers once."""
+
+        def ended(self, timeout_s: float) -> list[Ended]:
+            return [
+                replace(one, row={"scan": one.job.name, "state": AGAIN, "reason": "another version", "host": "old", BLAME: blame})
+                if one.place == "bad"
+                else one
+                for one in super().ended(timeout_s)
+            ]
+
+    engine = OneBad(lambda one, _: done(one), ("bad", "good"), {"good": 40})
+    worked = work_through_all(JOBS, engine, silent)
+    assert worked.stopped is None
+    assert dict(worked.left_out) == {"bad": "old: another version"}
+    if blame == OF_HOST:
+        assert sorted(one["scan"] for one in worked.rows) == [one.name for one in JOBS], "it counts against no scan"
+    else:
+        assert len(worked.rows) + len(worked.left) == len(JOBS)
+        assert len(worked.left) <= TROUBLES_IN_A_ROW / TRIES
+
+
+def test_scans_that_are_gone_one_after_another_leave_nobody_out() -> None:
+    gone = {one.name for one in JOBS[:12]}
+
+    def end(one: Job, n: int) -> Ended:
+        del n
+        row = {"scan": one.name, "state": AGAIN, "reason": "gone", BLAME: OF_SCAN}
+        return Ended(one, row) if one.name in gone else done(one)
+
+    worked = work_through_all(JOBS, Scripted(end), silent)
+    assert (len(worked.rows), {one["scan"] for one in worked.left}, worked.left_out) == (18, gone, {})
+
+
+def test_where_all_are_left_out_others_are_waited_for_and_not_for_ever() -> None:
+    class Open(Scripted):
+        others_may_come = True
+
+    bad = {"state": AGAIN, "reason": "no SOURCE", BLAME: OF_HOST}
+    clock = iter(range(10_000))
+    engine = Open(lambda one, _: Ended(one, {"scan": one.name, **bad}), ("a", "b"))
+    worked = work_through_all(JOBS, engine, silent, lambda: float(next(clock)))
+    assert worked.stopped is not None
+    assert "nobody is left who can do it" in worked.stopped
+    assert "no SOURCE" in worked.stopped
+    assert worked.not_begun == len(JOBS)
+    assert next(clock) > LEFT_OUT_S
 
 
 def test_single_refusals_between_results_stop_nothing() -> None:
@@ -225,19 +323,129 @@ def test_single_refusals_between_results_stop_nothing() -> None:
 # ------------------------------------------------------------------------------------------- the task
 
 
+def broken(tmp_path: Path) -> Path:
+    """A shelf with a scan whose manifest is none."""
+    (tmp_path / "scans" / "000001").mkdir(parents=True)
+    (tmp_path / "scans" / "000001" / "manifest.json").write_text("{")
+    return tmp_path / "scans"
+
+
 def test_what_is_wrong_with_a_scan_is_a_result_with_its_reason(results: Results, tmp_path: Path) -> None:
-    (tmp_path / "000001").mkdir()
-    (tmp_path / "000001" / "manifest.json").write_text("{")
-    found = attempt(replace(job(1, tmp_path), results=str(results.folder)))
+    found = attempt(replace(job(1, broken(tmp_path)), results=str(results.folder)))
     assert found["state"] == FAILED
     assert "not readable as JSON" in found["reason"]
     assert len(list((results.folder / "failed").iterdir())) == 1
 
 
 def test_another_program_does_not_write_under_this_ones_key(results: Results, tmp_path: Path) -> None:
-    found = attempt(replace(job(1, tmp_path), results=str(results.folder), program="0.0.9-abc"))
-    assert found["state"] == AGAIN
+    found = attempt(replace(job(1, broken(tmp_path)), results=str(results.folder), program="0.0.9-abc"))
+    assert (found["state"], found[BLAME]) == (AGAIN, OF_HOST)
     assert "another version" in found["reason"]
+
+
+def test_a_host_that_does_not_see_the_scans_publishes_no_failure_and_is_named(results: Results, tmp_path: Path) -> None:
+    """Neither where nothing is mounted, nor where the folder waits for its disk."""
+    host = os.uname().nodename
+    for _ in ("not there", "empty"):
+        found = attempt(replace(job(1, tmp_path / "scans"), results=str(results.folder)))
+        assert (found["state"], found[BLAME]) == (AGAIN, OF_HOST)
+        assert f"{host} sees no scans in {tmp_path / 'scans'}; mount SOURCE there" in found["reason"]
+        (tmp_path / "scans").mkdir(exist_ok=True)
+    gone = attempt(replace(job(2, broken(tmp_path)), results=str(results.folder)))
+    assert (gone["state"], gone[BLAME]) == (AGAIN, OF_SCAN)
+    assert f"{host}: {tmp_path / 'scans' / '000002'} is not there any more" in gone["reason"]
+    assert list((results.folder / "failed").iterdir()) == []
+
+
+def test_a_host_that_does_not_see_the_results_or_the_calibration_is_named_before_it_works(
+    results: Results, tmp_path: Path
+) -> None:
+    one = replace(job(1, broken(tmp_path)), results=str(results.folder))
+    found = attempt(replace(one, results=str(tmp_path / "nowhere" / "key")))
+    assert found[BLAME] == OF_HOST
+    assert f"does not see --out {tmp_path / 'nowhere'}" in found["reason"]
+    found = attempt(replace(one, calibration=str(tmp_path / "none.json"), calibration_hash="ab"))
+    assert found[BLAME] == OF_HOST
+    assert "cannot use --calibration" in found["reason"]
+    encoded = calibration_file.encode(true_calibration(draw_truth("nominal", 1, 64, 48, 1.34)))
+    (tmp_path / "other.json").write_bytes(encoded)
+    found = attempt(replace(one, calibration=str(tmp_path / "other.json"), calibration_hash="ab"))
+    assert found[BLAME] == OF_HOST
+    assert "sees another calibration" in found["reason"]
+    assert list((results.folder / "failed").iterdir()) == []
+
+
+def test_a_scan_that_goes_while_it_is_worked_through_is_no_failure(
+    results: Results, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shelf = broken(tmp_path)
+
+    def unmounted(folder: Path) -> None:
+        shutil.rmtree(shelf)
+        raise ScanError(f"{folder / 'frames_left.npy'}: missing")
+
+    monkeypatch.setattr(task, "refuse_damaged_frames", unmounted)
+    found = attempt(replace(job(1, shelf), results=str(results.folder)))
+    assert (found["state"], found[BLAME]) == (AGAIN, OF_SCAN)
+    assert list((results.folder / "failed").iterdir()) == []
+
+
+def test_a_mistake_of_the_program_is_a_row_with_its_type_and_text_and_the_log_has_the_rest(
+    results: Results, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def wrong(_: Path) -> None:
+        raise ValueError("operands could not be broadcast")
+
+    monkeypatch.setattr(task, "refuse_damaged_frames", wrong)
+    found = attempt(replace(job(1, broken(tmp_path)), results=str(results.folder)))
+    assert (found["state"], found["reason"]) == (FAILED, "unexpected ValueError: operands could not be broadcast")
+    assert "in wrong" in caplog.text
+    (path,) = (results.folder / "failed").iterdir()
+    assert "in wrong" in json.loads(path.read_text())["traceback"]
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), SystemExit(1)])
+def test_what_ends_a_process_ends_it(
+    results: Results, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException
+) -> None:
+    def ends(_: Path) -> None:
+        raise error
+
+    monkeypatch.setattr(task, "refuse_damaged_frames", ends)
+    with pytest.raises(type(error)):
+        attempt(replace(job(1, broken(tmp_path)), results=str(results.folder)))
+    assert list((results.folder / "failed").iterdir()) == []
+
+
+def test_too_little_memory_is_the_machines_fault(
+    results: Results, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def wants(_: Path) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(task, "refuse_damaged_frames", wants)
+    found = attempt(replace(job(1, broken(tmp_path)), results=str(results.folder)))
+    assert (found["state"], found[BLAME]) == (AGAIN, OF_MACHINE)
+    assert list((results.folder / "failed").iterdir()) == []
+
+
+# ------------------------------------------------------------------------------------------- the program
+
+
+def test_another_library_or_rig_file_is_another_program(tmp_path: Path) -> None:
+    (tmp_path / "rigs").mkdir()
+    (tmp_path / "a.py").write_text("1")
+    (tmp_path / "rigs" / "kingfisher.toml").write_text("width_px = 1600")
+    before = program_text(tmp_path, {"numpy": "2.2.0", "numba": "0.61.0"})
+    assert program_text(tmp_path, {"numpy": "2.2.0", "numba": "0.61.0"}) == before
+    assert program_text(tmp_path, {"numpy": "2.2.1", "numba": "0.61.0"}) != before
+    (tmp_path / "rigs" / "kingfisher.toml").write_text("width_px = 1601")
+    assert program_text(tmp_path, {"numpy": "2.2.0", "numba": "0.61.0"}) != before
+
+
+def test_the_program_names_the_libraries_that_compute() -> None:
+    for name, module in (("numpy", np), ("numba", numba), ("opencv-python-headless", cv2)):
+        assert re.search(rf"\b{name} {re.escape(module.__version__)}", program_digits()), name
 
 
 # ---------------------------------------------------------------------------------- local processes
