@@ -223,12 +223,14 @@ class Season(Verb):
 
     def run(self) -> Exit:
         """Raises UsageError, ResultsError, StorageError."""
-        from appliance.offline.anew.results import read_table
+        from appliance.offline.anew.results import TABLE, read_table
         from appliance.offline.anew.season import season_page
 
         page = self.out or Path("season.html")
         writable(page)
         rows = read_table(self.table)
+        if not rows:
+            raise UsageError(f"TABLE {self.table}: has no scan in it; give the {TABLE} of a finished `kingfisher reprocess`")
         with writing(page):
             replace_file(LocalFileSystem(), page, season_page(rows, str(self.table)).encode())
         say_json({"page": str(page), "scans": len(rows)}) if self.json else say(f"{page}  {len(rows)} scans")

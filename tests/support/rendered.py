@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -15,7 +15,7 @@ from appliance.patterns.sequence import Direction, PatternSequence, build_sequen
 from appliance.reconstruct.pipeline import Cloud, Pipeline
 from hw_sim.rendering.render import LightSlice, Renderer
 from hw_sim.scene import Scene
-from hw_sim.truth import draw_truth
+from hw_sim.truth import TrueRig, draw_truth
 from tests.support.truth import WATER, left_to_rig, true_calibration
 
 EXPOSURE_S = 0.012
@@ -62,13 +62,16 @@ def render_scan(
     response: Response | None = None,
     frame_s: float = 0.0,
     gain_db: float = 0.0,
+    change: Callable[[TrueRig], TrueRig] | None = None,
 ) -> RenderedScan:
     """Both cameras' frames of a scene, ``frame_s`` after one another (0: the hands are at rest, and the frames
     ``FRAME_S`` apart by the clock of daylight and drift).
 
-    A smaller ``height_px`` is a strip out of the middle; ``response``: the projector's, that the patterns are drawn for.
+    A smaller ``height_px`` is a strip out of the middle; ``response``: the projector's, that the patterns are drawn for;
+    ``change``: what became of the drawn rig since.
     """
     truth = draw_truth(truth_set, seed, width_px, height_px or width_px * 3 // 4, scene.water.index)
+    truth = truth if change is None else change(truth)
     renderer = Renderer(truth, scene)
     sequence = build_sequence(period_px)
 

@@ -23,6 +23,10 @@ _MOST_COLOURS = len(_COLOURS)
 _MOST_LISTED = 60
 _SHOWN_DIGITS = 12
 _TICKS = 5
+_BINS = 400
+"""Places along a chart; where several scans of a group share one, the lowest and the highest are drawn."""
+_KIND_LETTERS = 90
+_REFUSED = "#c2281d"
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +49,7 @@ def season_page(rows: Sequence[Cells], source: str) -> str:
         _tiles(rows, done, spoilt, failed),
         (
             "<h2>Lengths over time</h2><section><p>What the artefacts of the list were measured as, less what their certificates say. A step "
-            "is a knock or a new calibration; a slope is a housing that moves.</p></section>"
+            "is a knock or a new calibration; a slope is a housing that moves. Red marks below each chart are refused scans.</p></section>"
         ),
         _chart(_points(rows, "length_error_mm", lambda row: row["artefact"], 1000.0), "length error, µm", rows),
         (
@@ -64,7 +68,7 @@ def season_page(rows: Sequence[Cells], source: str) -> str:
             _points(
                 rows,
                 "temperature_c",
-                lambda row: f"{_number(row['salinity_psu']):g} psu" if row["salinity_psu"] else "",
+                lambda row: "" if (salinity := _number(row["salinity_psu"])) is None else f"{salinity:g} psu",
                 1.0,
             ),
             "water, °C",
@@ -144,12 +148,16 @@ def _chart(points: Sequence[_Point], what: str, rows: Sequence[Cells]) -> str:
     lines = []
     for k in range(round((high - low) / step) + 1):
         value = low + k * step
+        ink = "#8a97a4" if abs(value) < step / 2 and low < 0.0 < high else "#d5dde5"
         lines.append(
-            f'<line x1="{_LEFT}" x2="{_WIDE - _RIGHT}" y1="{y(value):.1f}" y2="{y(value):.1f}" stroke="#d5dde5"/>'
+            f'<line x1="{_LEFT}" x2="{_WIDE - _RIGHT}" y1="{y(value):.1f}" y2="{y(value):.1f}" stroke="{ink}"/>'
         )
+        said = f"{0.0 if abs(value) < step / 2 else value:.6g}"
         lines.append(
-            f'<text x="{_LEFT - 8}" y="{y(value) + 4:.1f}" text-anchor="end">{value:.6g}</text>'.replace(">-", ">−")
+            f'<text x="{_LEFT - 8}" y="{y(value) + 4:.1f}" text-anchor="end">{said.replace("-", "−")}</text>'
         )
+    marks = sorted({f"{x(at):.1f}" for at, row in enumerate(rows) if _is_refused(row)}, key=float)
+    lines += [f'<path d="M{at} {_HIGH - _BOTTOM + 1}v6" stroke="{_REFUSED}" stroke-width="2"/>' for at in marks]
     for k in range(_TICKS + 1):
         at = round(k * (len(rows) - 1) / _TICKS)
         if k and at == round((k - 1) * (len(rows) - 1) / _TICKS):
@@ -164,7 +172,7 @@ def _chart(points: Sequence[_Point], what: str, rows: Sequence[Cells]) -> str:
         )
     dots = [
         f'<circle cx="{x(one.at):.1f}" cy="{y(one.value):.1f}" r="3" fill="{colour[one.group]}" fill-opacity=".75"><title>{html.escape(one.words)}</title></circle>'
-        for one in points
+        for one in _thinned(points, len(rows))
     ]
     named = groups if groups != [""] else []
     shown = " ".join(
@@ -179,6 +187,22 @@ def _chart(points: Sequence[_Point], what: str, rows: Sequence[Cells]) -> str:
     )
 
 
+def _thinned(points: Sequence[_Point], scans: int) -> list[_Point]:
+    """Return the points that are drawn: of a whole archive the extremes of each place and group, for nothing that stands out may be lost."""
+    bins: dict[tuple[int, str], list[_Point]] = {}
+    for one in points:
+        bins.setdefault((one.at * _BINS // scans if scans > _BINS else one.at, one.group), []).append(one)
+    found = []
+    for some in bins.values():
+        low, high = min(some, key=lambda one: one.value), max(some, key=lambda one: one.value)
+        found += [low] if low is high else [low, high]
+    return found
+
+
+def _is_refused(row: Cells) -> bool:
+    return row["state"] != "done" or row["spoilt"] == "True"
+
+
 def _refused(failed: Sequence[Cells], spoilt: Sequence[Cells]) -> str:
     if not failed and not spoilt:
         return "<h2>Refused scans</h2><p>None.</p>"
@@ -186,7 +210,7 @@ def _refused(failed: Sequence[Cells], spoilt: Sequence[Cells]) -> str:
     counted = "".join(
         f"<tr><td>{html.escape(reason)}</td><td>{count}</td></tr>" for reason, count in reasons.most_common()
     )
-    listed = [(row, row["reason"] or row["faults"]) for row in (*failed, *spoilt)]
+    listed = [(row, _told(row)) for row in sorted((*failed, *spoilt), key=lambda row: row["scan"])]
     each = "".join(
         f"<tr><td>{html.escape(row['scan'])}</td><td>{html.escape(row['recorded'][:16].replace('T', ' ')) or '–'}</td><td>{html.escape(why)}</td></tr>"
         for row, why in listed[:_MOST_LISTED]
@@ -195,17 +219,24 @@ def _refused(failed: Sequence[Cells], spoilt: Sequence[Cells]) -> str:
         f'<p class="note">and {len(listed) - _MOST_LISTED} more, in the table</p>' if len(listed) > _MOST_LISTED else ""
     )
     return (
-        f"<h2>Refused scans, and why</h2><table><thead><tr><th>reason</th><th>scans</th></tr></thead><tbody>{counted}</tbody></table>"
+        f"<h2>Refused scans, and why</h2><table><thead><tr><th>reason</th><th>scans</th></tr></thead><tbody>{counted}</tbody></table><h2>Each of them</h2>"
         f"<table><thead><tr><th>scan</th><th>recorded</th><th>what was found</th></tr></thead><tbody>{each}</tbody></table>{more}"
     )
 
 
+def _told(row: Cells) -> str:
+    """Return why a scan is refused, without its folder, which is in the table."""
+    if row["faults"] and not row["reason"]:
+        return row["faults"]
+    return row["reason"].replace(f"{row['folder']}/", "").removeprefix(row["folder"]).lstrip(": ") or "not known"
+
+
 def _kind(row: Cells) -> str:
-    """Return a reason's kind: the faults' names, or what follows the scan's folder in an error."""
+    """Return a reason's kind: the faults' names, or how an error begins, without the numbers of that one scan."""
     if row["faults"] and not row["reason"]:
         return ", ".join(sorted({part.partition(":")[0].strip() for part in row["faults"].split(";") if ":" in part}))
-    text = row["reason"].removeprefix(row["folder"]).lstrip(": /")
-    return text.partition(";")[0][:80] or "not known"
+    text = _told(row).partition(";")[0].partition(" (")[0]
+    return text if len(text) <= _KIND_LETTERS else f"{text[:_KIND_LETTERS].rpartition(' ')[0]} …"
 
 
 def _number(text: str) -> float | None:

@@ -30,7 +30,7 @@ from appliance.storage.atomic import StorageError
 from appliance.storage.damage import refuse_damaged_frames
 from appliance.storage.packed import PackedError
 from appliance.storage.ply import encode_ply
-from appliance.storage.scan import ScanError
+from appliance.storage.scan import ScanError, manifest_of
 from appliance.surface.libraries import MissingLibraryError
 
 DONE, FAILED, AGAIN = "done", "failed", "again"
@@ -134,7 +134,7 @@ def _row(job: Job) -> Row:
     if published is not None:
         return published
     begun_s, begun_cpu_s = time.monotonic(), time.process_time()
-    row: Row = {"scan": folder.name, "folder": str(folder), "host": host, "result": name}
+    row: Row = {"scan": folder.name, "folder": str(folder), "host": host, "result": name, "recorded": _recorded(folder)}
     try:
         found, cloud = _worked_through(job, folder)
     except (ScanError, CalibrationError, PackedError) as error:
@@ -168,6 +168,14 @@ def _name(job: Job, folder: Path) -> str:
         raise _Gone(f"{socket.gethostname()}: {folder} is not there any more") from error
 
 
+def _recorded(folder: Path) -> str | None:
+    """Return when a scan was taken, as its manifest says; also for one whose frames cannot be used."""
+    try:
+        return manifest_of(folder).record.wall_time
+    except ScanError:
+        return None
+
+
 def _wish(job: Job) -> Wish:
     return Wish(calibration=None if job.calibration is None else Path(job.calibration), foreign=job.foreign)
 
@@ -182,7 +190,6 @@ def _worked_through(job: Job, folder: Path) -> tuple[Row, Any]:
     worked = work_through(source.scan, source.rig, chosen.calibration, lambda _: None)
     record, summary = source.scan.manifest.record, worked.cloud.summary
     found: Row = {
-        "recorded": record.wall_time,
         "points": summary.points,
         "coverage_percent": summary.coverage_percent,
         "distance_mm": summary.distance_mm,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
 import subprocess
 from dataclasses import replace
 from pathlib import Path
@@ -28,9 +27,9 @@ from appliance.surface.deviation import deviations
 from appliance.surface.fusion import FusedCloud, PlacedScan, fuse
 from appliance.surface.mesh import mesh_of_scan
 from appliance.surface.nominal import nominal_of
+from tests.support.browser import CHROMIUM, browse, browser
 from tests.support.solids import Ball, Box, looking, seen
 
-CHROMIUM = shutil.which("chromium")
 BALL = Ball((0.0, 0.0, 0.0), 15.0)
 RED = (178, 24, 43)
 """The colour of the largest deviation."""
@@ -158,32 +157,11 @@ def test_a_thinned_mesh_is_still_the_surface() -> None:
 # ------------------------------------------------------------------------------------------- in a browser
 
 
-def browse(file: Path, folder: Path, *options: str) -> tuple[str, list[str]]:
-    """Open a page in Chromium, without a network; return its console, and every address that it asked for."""
-    assert CHROMIUM is not None
-    words = [
-        CHROMIUM, "--headless=new", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--hide-scrollbars",
-        "--disable-background-networking", "--disable-component-update", "--disable-sync", "--no-first-run", "--enable-logging=stderr",
-        "--host-resolver-rules=MAP * ~NOTFOUND", "--virtual-time-budget=20000", "--window-size=1200,1600", f"--user-data-dir={folder / 'profile'}",
-        f"--log-net-log={folder / 'net.json'}", *options, file.as_uri(),
-    ]  # fmt: skip
-    done = subprocess.run(words, capture_output=True, text=True, timeout=240, check=False)
-    assert done.returncode == 0, done.stderr[-2000:]
-    # One event a line; what the browser asks for by itself (the time, updates) has no page as its origin.
-    events = (folder / "net.json").read_text(errors="replace").splitlines()
-    pages = [line for line in events if '"initiator":"' in line and '"initiator":"not an origin"' not in line]
-    asked = [url for line in pages for url in re.findall(r'"url":"((?:https?|wss?|ftp):[^"]*)"', line)]
-    return "\n".join(line for line in done.stderr.splitlines() if "CONSOLE" in line), asked
-
-
 def red_pixels(picture: Path) -> int:
     image = cv2.imread(str(picture))
     assert image is not None
     blue, green, red = (image[..., k].astype(int) for k in range(3))
     return int(np.count_nonzero((red > 2 * green) & (red > 2 * blue) & (red > 90)))
-
-
-browser = pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed (apt-get install chromium)")
 
 
 @pytest.mark.libraries

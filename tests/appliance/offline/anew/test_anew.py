@@ -29,6 +29,7 @@ from appliance.offline.anew.results import COLUMNS, Results, ResultsError, Row, 
 from appliance.offline.anew.program import program_digits, program_text
 from appliance.offline.anew.task import AGAIN, BLAME, DONE, FAILED, OF_HOST, OF_MACHINE, OF_SCAN, Job, attempt
 from appliance.storage.atomic import StorageError
+from appliance.storage.lock import hold_lock
 from appliance.storage.scan import ScanError
 from hw_sim.truth import draw_truth
 from tests.support.truth import true_calibration
@@ -149,6 +150,58 @@ def test_the_table_has_every_row_in_order_and_is_read_back(results: Results, tmp
     (tmp_path / "x.csv").write_text("a,b\n1,2\n")
     with pytest.raises(ResultsError, match="is no table"):
         read_table(tmp_path / "x.csv")
+
+
+def test_a_call_for_one_part_keeps_the_rows_of_the_others(results: Results) -> None:
+    for number in (1, 2):
+        results.publish(f"{number:06d}-a", row(number, result=f"{number:06d}-a"), None)
+    results.publish_failure("000003-a", row(3, state=FAILED, reason="damaged", result="000003-a"))
+    path = results.write_table([row(1, result="000001-a"), row(4, state=AGAIN, reason="full")])
+    assert [(one["scan"], one["state"]) for one in read_table(path)] == [
+        ("000001", DONE), ("000002", DONE), ("000003", FAILED), ("000004", AGAIN),
+    ]  # fmt: skip
+
+
+def test_a_scan_that_became_another_one_is_in_the_table_once_and_its_old_failure_is_gone(results: Results) -> None:
+    results.publish("000001-a", row(1, result="000001-a", points=5), None)
+    results.publish("000001-b", row(1, result="000001-b", points=7), None)
+    results.publish_failure("000002-a", row(2, state=FAILED, result="000002-a"))
+    results.publish("000002-b", row(2, result="000002-b", points=8), None)
+    table = results.write_table([row(1, result="000001-b"), row(2, result="000002-b")])
+    assert [(one["scan"], one["points"]) for one in read_table(table)] == [("000001", "7"), ("000002", "8")]
+    assert list((results.folder / "failed").iterdir()) == []
+
+
+def test_a_scan_that_has_a_result_of_before_is_not_called_refused_by_the_disk(results: Results) -> None:
+    results.publish("000001-a", row(1, result="000001-a"), None)
+    table = results.write_table([row(1, state=AGAIN, reason="full")])
+    assert [one["state"] for one in read_table(table)] == [DONE]
+
+
+def test_two_calls_may_share_the_work_and_not_the_same_part_of_it(results: Results) -> None:
+    with results.call("/a (1, 2)"):
+        with results.call("/a (2, 2)"):
+            pass
+        with pytest.raises(StorageError, match="another instance"), results.call("/a (1, 2)"):
+            pass
+
+
+def test_who_is_done_second_waits_until_the_first_one_has_written_the_table(
+    results: Results, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    results.publish("000001-a", row(1, result="000001-a"), None)
+    written: list[Path] = []
+    writer = threading.Thread(target=lambda: written.append(results.write_table([])))
+    with hold_lock(results.folder):
+        writer.start()
+        writer.join(timeout=0.5)
+        assert written == []
+        results.publish("000002-a", row(2, result="000002-a"), None)
+    writer.join(timeout=30)
+    assert [one["scan"] for one in read_table(written[0])] == ["000001", "000002"]
+    monkeypatch.setattr(module, "TABLE_WAIT_S", 0.1)
+    with hold_lock(results.folder), pytest.raises(StorageError, match="another instance"):
+        results.write_table([])
 
 
 # -------------------------------------------------------------------------------------- coordinator

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
+import shutil
 import signal
 import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,11 +19,16 @@ import pytest
 
 from appliance.offline.anew.coordinator import work_through_all
 from appliance.offline.anew.many import ManyEngine, SchedulerError
-from appliance.offline.anew.results import Results
-from appliance.offline.anew.task import FAILED, Job, program_digits
+from appliance.offline.anew.program import program_digits
+from appliance.offline.anew.results import Results, Row
+from appliance.offline.anew.task import DONE, Job
+from hw_sim.scene import Scene
 from tests.support.commands import ROOT
+from tests.support.rendered import render_scan
+from tests.support.stored import origin_of, store
 
 COUNT = 60
+WIDTH_PX = 200
 
 
 @dataclass
@@ -41,16 +48,19 @@ class Cluster:
             "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", str(self.port), "--no-dashboard"
         )
 
-    def worker(self) -> subprocess.Popen[bytes]:
+    def worker(self, tree: Path = ROOT, without: Path | None = None) -> subprocess.Popen[bytes]:
+        """Start a worker with the program of ``tree``; ``without``: it sees an empty folder there (as root)."""
         words = ("--nthreads", "1", "--no-nanny", "--no-dashboard", "--local-directory", str(self.folder))
-        return self._run("distributed.cli.dask_worker", self.address, *words)
+        blind = ("unshare", "--mount", "sh", "-c", f'mount -t tmpfs none "{without}" && exec "$@"', "sh")
+        before = () if without is None else blind
+        return self._run("distributed.cli.dask_worker", self.address, *words, tree=tree, before=before)
 
-    def _run(self, module: str, *words: str) -> subprocess.Popen[bytes]:
-        # A folder of kernels that somebody else keeps up to date: nothing here needs any, and nothing is compiled.
-        environment = {**os.environ, "NUMBA_CACHE_DIR": str(self.folder)}
+    def _run(
+        self, module: str, *words: str, tree: Path = ROOT, before: tuple[str, ...] = ()
+    ) -> subprocess.Popen[bytes]:
         with (self.folder / "log").open("ab") as log:
             process = subprocess.Popen(
-                [sys.executable, "-m", module, *words], cwd=ROOT, env=environment, stdout=log, stderr=log
+                [*before, sys.executable, "-m", module, *words], cwd=tree, stdout=log, stderr=log
             )
         self.started.append(process)
         return process
@@ -68,37 +78,60 @@ def cluster(tmp_path: Path) -> Iterator[Cluster]:
         process.wait(timeout=30)
 
 
-def made(folder: Path, results: Results, count: int) -> list[Job]:
-    """Jobs of folders that are no scans, so that each is a failure with its reason, and quick: what is tested is who does it."""
-    jobs = []
-    for number in range(count):
-        scan = folder / "scans" / f"{number:06d}"
-        scan.mkdir(parents=True)
-        (scan / "manifest.json").write_text("{" + str(number))
-        jobs.append(Job(str(scan), str(results.folder), None, False, None, False, program_digits()))
-    return jobs
+@pytest.fixture(scope="module")
+def scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A shelf of small scans that are the same but for their numbers: each gives the same points."""
+    scan = render_scan(Scene("frustum", texture="checker"), "nominal", 3, WIDTH_PX, 16)
+    shelf = tmp_path_factory.mktemp("archive") / "scans"
+    shelf.mkdir()
+    origin = origin_of(scan.renderer.truth, WIDTH_PX, WIDTH_PX * 3 // 4)
+    for number in range(COUNT):
+        store(scan, shelf / f"{number + 1:06d}", origin=origin)
+    return shelf
+
+
+def made(scans: Path, results: Results, count: int) -> list[Job]:
+    """A job of each of the first ``count`` scans, with its cloud."""
+    digits = program_digits()
+    return [
+        Job(str(folder), str(results.folder), None, None, False, None, True, digits)
+        for folder in sorted(scans.iterdir())[:count]
+    ]
+
+
+def assert_each_once_and_whole(results: Results, jobs: list[Job], rows: Sequence[Row]) -> None:
+    assert sorted(row["scan"] for row in rows) == [job.name for job in jobs]
+    assert {row["state"] for row in rows} == {DONE}
+    folders = sorted((results.folder / "results").iterdir())
+    assert [folder.name.partition("-")[0] for folder in folders] == [job.name for job in jobs]
+    clouds = {hashlib.sha256((folder / "cloud.ply").read_bytes()).hexdigest() for folder in folders}
+    assert len(clouds) == 1, "the same frames give the same points, whoever worked them through"
+    assert min(int(row["points"]) for row in rows) > 1000
+    assert {row["cloud_sha256"] for row in rows} == clouds
+    assert list((results.folder / "failed").iterdir()) == []
 
 
 @pytest.mark.long
-def test_a_worker_that_hangs_before_the_work_begins_keeps_nobody_from_it(cluster: Cluster, tmp_path: Path) -> None:
+def test_a_worker_that_hangs_before_the_work_begins_keeps_nobody_from_it(cluster: Cluster, scans: Path, tmp_path: Path) -> None:
     results = Results.of(tmp_path / "out", {"a": 1})
     cluster.scheduler()
     hanging, _ = cluster.worker(), cluster.worker()
-    with ManyEngine(cluster.address, limit_s=5.0) as engine:
-        until_s = time.monotonic() + 60.0
+    jobs = made(scans, results, 10)
+    with ManyEngine(cluster.address, 5.0, jobs[0]) as engine:
+        until_s = time.monotonic() + 240.0
         while engine.room() < 4 and time.monotonic() < until_s:
             engine.ended(0.2)
         assert engine.room() == 4, "both are there"
         os.kill(hanging.pid, signal.SIGSTOP)
-    with ManyEngine(cluster.address, limit_s=5.0) as engine:
-        worked = work_through_all(made(tmp_path, results, 10), engine, lambda *_: None)
-    assert len(worked.rows) == 10
+    with ManyEngine(cluster.address, 20.0, jobs[0]) as engine:
+        worked = work_through_all(jobs, engine, lambda *_: None)
+    assert_each_once_and_whole(results, jobs, worked.rows)
 
 
 @pytest.mark.long
-def test_nothing_is_lost_whoever_dies_and_whoever_hangs(cluster: Cluster, tmp_path: Path) -> None:
+def test_nothing_is_lost_whoever_dies_and_whoever_hangs(cluster: Cluster, scans: Path, tmp_path: Path) -> None:
     results = Results.of(tmp_path / "out", {"a": 1})
-    jobs = made(tmp_path, results, COUNT)
+    jobs = made(scans, results, COUNT)
     scheduler = cluster.scheduler()
     workers = [cluster.worker() for _ in range(3)]
     blows: list[str] = []
@@ -119,16 +152,47 @@ def test_nothing_is_lost_whoever_dies_and_whoever_hangs(cluster: Cluster, tmp_pa
             scheduler = cluster.scheduler()
             workers.append(cluster.worker())
 
-    with ManyEngine(cluster.address, limit_s=5.0) as engine:
+    with ManyEngine(cluster.address, 20.0, jobs[0]) as engine:
         worked = work_through_all(jobs, engine, hurt)
     assert blows == ["killed", "stopped", "scheduler"]
-    assert sorted(row["scan"] for row in worked.rows) == [job.name for job in jobs]
-    assert {row["state"] for row in worked.rows} == {FAILED}
+    assert_each_once_and_whole(results, jobs, worked.rows)
     assert worked.left == ()
-    assert len(list((results.folder / "failed").iterdir())) == COUNT
+
+
+@pytest.mark.long
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to hide a folder from one process")
+def test_three_hosts_that_can_do_nothing_are_named_and_keep_nobody_from_it(
+    cluster: Cluster, scans: Path, tmp_path: Path
+) -> None:
+    """One has another version, one has none at all, one does not see the scans; they refuse in an instant."""
+    results = Results.of(tmp_path / "out", {"a": 1})
+    jobs = made(scans, results, 20)
+    other, none = tmp_path / "other", tmp_path / "none"
+    for package in ("appliance", "drivers"):
+        shutil.copytree(ROOT / package, other / package, ignore=shutil.ignore_patterns("__pycache__"))
+    (other / "appliance" / "optics" / "water.py").open("a").write("\n# Another version.\n")
+    (none / "appliance").mkdir(parents=True)
+    (none / "appliance" / "__init__.py").touch()
+    cluster.scheduler()
+    for _ in range(2):
+        cluster.worker(tree=other)
+        cluster.worker(tree=none)
+        cluster.worker(without=scans)
+    cluster.worker()
+    with ManyEngine(cluster.address, 60.0, jobs[0]) as engine:
+        worked = work_through_all(jobs, engine, lambda *_: None)
+        until_s = time.monotonic() + 240.0
+        while sum(reason is not None for reason in engine.places().values()) < 6 and time.monotonic() < until_s:
+            engine.room()
+            time.sleep(0.5)
+        reasons = sorted(reason for reason in engine.places().values() if reason is not None)
+    assert_each_once_and_whole(results, jobs, worked.rows)
+    assert (worked.stopped, worked.left, worked.not_begun) == (None, (), 0)
+    for words in ("has another version", "ImportError", f"sees no scans in {scans}"):
+        assert sum(words in reason for reason in reasons) == 2, reasons
 
 
 def test_a_scheduler_that_is_not_there_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("appliance.offline.anew.many.CONNECT_S", 0.5)
     with pytest.raises(SchedulerError, match=r"cannot be reached .* start one with `dask scheduler`"):
-        ManyEngine("tcp://127.0.0.1:9", limit_s=5.0)
+        ManyEngine("tcp://127.0.0.1:9", 5.0, Job("", "", None, None, False, None, False, ""))
