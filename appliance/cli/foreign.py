@@ -7,7 +7,7 @@ from pathlib import Path
 
 from appliance.cli.arguments import Verb, operand, option, switch
 from appliance.cli.desk import writable, writing
-from appliance.cli.kernels import compile_kernels
+from appliance.cli.kernels import compile_point_kernels, find_kernels
 from appliance.cli.listing import say_report
 from appliance.cli.output import Exit, Progress, UsageError, say
 
@@ -41,17 +41,17 @@ class Import(Verb):
         folder = out.suffix == ""
         if not folder:
             writable(out)
-        with Progress() as progress:
-            compile_kernels()
-            from appliance.export.content import ExportError
-            from appliance.export.files import SCAN_SUFFIXES, checked_suffix
-            from appliance.offline.foreign_import import import_cloud, import_scan
+        find_kernels()  # before whatever has some is imported
+        from appliance.export.content import ExportError
+        from appliance.offline.foreign_import import check_import, import_cloud, import_scan
 
-            if not folder:
-                try:
-                    checked_suffix(out, SCAN_SUFFIXES, "a cloud")
-                except ExportError as error:
-                    raise UsageError(f"--out {error}") from error
+        try:
+            # Before a minute of compiling: a wrong word is the usual end of a first try.
+            check_import(self.description, out)
+        except ExportError as error:
+            raise UsageError(f"--out {error}") from error
+        with Progress() as progress:
+            compile_point_kernels()
             with writing(out):
                 make = import_scan if folder else import_cloud
                 report = make(self.description, out, progress, as_described=self.as_described)
@@ -59,7 +59,10 @@ class Import(Verb):
         return Exit.OK
 
     def _guess(self, folder: Path) -> Exit:
+        find_kernels()
         from appliance.foreign.guess import guess_description
+        from appliance.storage.atomic import replace_file
+        from appliance.storage.filesystem import LocalFileSystem
 
         out = self.out or folder / "description.toml"
         if out.exists():
@@ -68,6 +71,6 @@ class Import(Verb):
         with Progress() as progress:
             text = guess_description(folder, out.parent, progress)
         with writing(out):
-            out.write_text(text, encoding="utf-8")
+            replace_file(LocalFileSystem(), out, text.encode())
         say(str(out))
         return Exit.OK

@@ -42,6 +42,14 @@ def compile_kernels(more: Callable[[], Iterable[tuple[str, str]]] = tuple) -> No
     _compile(cache, pieces)
 
 
+def compile_point_kernels() -> None:
+    """Have compiled what makes points of coordinates, without anything that judges a scan: most of what imported images need."""
+    cache = kernel_cache.use()
+    with importing():
+        from appliance.worker.warm import POINT_PIECES
+    _compile(cache, POINT_PIECES)
+
+
 def _compile(cache: KernelCache, pieces: Sequence[Piece]) -> None:
     # Whoever set NUMBA_CACHE_DIR keeps that folder up to date (ADR 0019).
     if cache.origin is Origin.GIVEN or not missing(cache.path, pieces):

@@ -15,6 +15,8 @@ from appliance.surface.mesh import Mesh
 from appliance.surface.normals import normals
 
 MM_PER_M = 1000.0
+MOST_CHARACTERS, MOST_OF_MARK = 200, 2000
+"""Longest line, and longest mark: as long as in the instrument's own clouds (``appliance.storage.ply``)."""
 CAMERA_FRAME = "left camera frame (x right, y down, z forward)"
 OBJECT_FRAME = "object frame"
 
@@ -33,11 +35,23 @@ class About:
     """Frame of reference, in words."""
     notes: tuple[str, ...] = ()
     """Further lines: calibration, water, warnings."""
+    marks: tuple[str, ...] = ()
+    """Whatever spoils the whole, each with its word in front (``unchecked: …``): in every format these very words, never shortened to
+    a line's length, so that one search finds them in any file."""
 
     def lines(self, unit: str) -> list[str]:
-        """Return all of it as ASCII lines of at most 200 characters, with the ``unit`` of lengths in the file."""
+        """Return all of it as ASCII lines, with the ``unit`` of lengths in the file; but for marks, of at most 200 characters."""
         said = [f"{self.title}: unit {unit}, {self.frame}", *self.notes]
-        return [" ".join(line.encode("ascii", "replace").decode("ascii").split())[:200] for line in said]
+        first, *others = [_plain(line)[:MOST_CHARACTERS] for line in said]
+        return [first, *self.mark_lines(), *others]
+
+    def mark_lines(self) -> list[str]:
+        """Return the marks alone, as they stand among the lines."""
+        return [_plain(mark)[:MOST_OF_MARK] for mark in self.marks]
+
+
+def _plain(line: str) -> str:
+    return " ".join(line.encode("ascii", "replace").decode("ascii").split())
 
 
 @dataclass(frozen=True, slots=True, eq=False)

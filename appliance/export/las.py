@@ -1,8 +1,8 @@
 """Owns the LAS file: metres, as its coordinate system says, in steps of 0.1 µm.
 
 LAS 1.4, point format 6; x, y and z are whole numbers of 1e-7 m from an offset, which reaches 214 m. Grey is the intensity, spread to 16 bit as
-the standard wants. Sigma, normals and further columns are extra bytes, whose descriptions name their unit. The
-coordinate system is a local one in OGC WKT, since nobody knows where on Earth a dive was.
+the standard wants. Sigma, normals and further columns are extra bytes, whose descriptions name their unit. What is said of all points
+is the standard's text area, line by line. The coordinate system is a local one in OGC WKT, since nobody knows where on Earth a dive was.
 Source: ASPRS, "LAS Specification 1.4 - R15" (2019). Written by laspy (BSD).
 """
 
@@ -21,6 +21,9 @@ _LOCAL = (
 )
 _TO_16_BIT = 257
 """255 becomes 65535."""
+_TEXT_AREA = ("LASF_Spec", 3)
+"""Whose record, and its number, of the description in words: ASCII that ends with a zero, at most 65535 bytes (section 3.3)."""
+_MOST_TEXT = 65_534
 _NAME, _DESCRIPTION = 31, 31
 """Longest texts of an extra dimension: 32 bytes with a final zero."""
 
@@ -41,6 +44,8 @@ def encode_las(points: ExportedPoints, about: About) -> bytes:
     title, frame = (text.replace('"', "'") for text in (about.lines("m")[0], about.frame))
     header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(_LOCAL.format(title=title, frame=frame)))
     header.global_encoding.wkt = True
+    text = "\n".join(about.lines("m")).encode("ascii")[:_MOST_TEXT] + b"\0"
+    header.vlrs.append(laspy.vlrs.VLR(*_TEXT_AREA, "what is said of all points", text))
     known = finite(points.normals)
     extra = {
         "sigma_m": (points.sigma_mm.astype(np.float64) / MM_PER_M, "standard deviation, metre"),

@@ -21,7 +21,7 @@ from appliance.reconstruct.organised import OrganisedCloud
 
 def encode_npz(cloud: OrganisedCloud, about: About) -> bytes:
     """Return the archive, compressed."""
-    said = {"title": about.title, "frame": about.frame, "unit": "mm", "notes": list(about.notes)}
+    said = {"title": about.title, "frame": about.frame, "unit": "mm", "notes": [*about.mark_lines(), *about.notes]}
     made = io.BytesIO()
     np.savez_compressed(
         made,

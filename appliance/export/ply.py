@@ -41,7 +41,9 @@ def encode_surface(points: ExportedPoints, about: About, faces: NDArray[np.int32
     for name, values in points.more.items():
         rows[name] = values
     header = ["ply", "format binary_little_endian 1.0"]
-    header += [f"comment Kingfisher {line}" for line in about.lines("mm")]
+    marks = about.mark_lines()
+    # Marks stand as in the instrument's own clouds, behind "comment" alone: one reader knows both.
+    header += [f"comment {'' if line in marks else 'Kingfisher '}{line}" for line in about.lines("mm")]
     header += ["comment sigma: standard deviation in mm", f"element vertex {n}"]
     header += [f"property {word} {name}" for name, _, word in columns]
     triangles = np.zeros(0 if faces is None else len(faces), _FACE)

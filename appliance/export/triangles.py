@@ -37,7 +37,8 @@ def encode_stl(mesh: Mesh, about: About) -> tuple[bytes, bytes]:
 
 def encode_obj(mesh: Mesh, about: About) -> list[bytes]:
     """Return an OBJ file in pieces. Places have six decimals, of which the float32 behind them knows four or five."""
-    head = "".join(f"# Kingfisher {line}\n" for line in about.lines("mm")) + "o mesh\n"
+    marks = about.mark_lines()
+    head = "".join(f"# {'' if line in marks else 'Kingfisher '}{line}\n" for line in about.lines("mm")) + "o mesh\n"
     shade = mesh.grey.astype(np.float64)[:, None] / 255.0
     places = np.concatenate([mesh.vertices_mm.astype(np.float64), np.repeat(shade, 3, axis=1)], axis=1)
     # Indices begin with 1; each vertex has the normal of the same number.

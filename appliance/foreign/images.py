@@ -6,7 +6,7 @@ Any format that OpenCV reads, 8 or 16 bits, grey or colour; files of one name wi
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -60,8 +60,17 @@ def natural_key(text: str) -> list[tuple[int, int, str]]:
 
 def read_side(description: Description, side: str) -> ImageSet:
     """Read the images of one camera. Raises ForeignError for files that are missing, of different sizes, or no images."""
-    files, shown = _named(description, side)
+    files, shown = named_files(description, side)
     return read_images(files, shown, description.channel, description.white)
+
+
+def first_of_side(description: Description, side: str) -> ImageSet:
+    """Return what all images of one camera show, with the first one of them alone: its size and kind are those of all. Raises
+    ForeignError for files that are missing, or a first one that is no image."""
+    files, shown = named_files(description, side)
+    kept = [k for k, one in enumerate(shown) if one.shows is not Shows.OTHER]
+    first = read_images(files[: kept[0] + 1], shown[: kept[0] + 1], description.channel, description.white)
+    return replace(first, shown=tuple(shown[k] for k in kept), files=tuple(files[k] for k in kept))
 
 
 def read_images(
@@ -109,8 +118,8 @@ def read_image(path: Path, channel: str) -> NDArray[Any]:
     return np.ascontiguousarray(image[..., CHANNEL_NUMBER[channel]])
 
 
-def _named(description: Description, side: str) -> tuple[tuple[Path, ...], tuple[ShownImage, ...]]:
-    """Return the files of one camera and what they show."""
+def named_files(description: Description, side: str) -> tuple[tuple[Path, ...], tuple[ShownImage, ...]]:
+    """Return the files of one camera and what they show. Raises ForeignError for files that are missing, too few or too many."""
     wanted = description.files[side]
     if description.order is None:
         return _by_word(description, side, wanted)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from appliance import __version__
 from appliance.calibration.file import Calibration, encode
@@ -15,20 +17,23 @@ from appliance.config import Rig, default_rig_path, load_rig, rig_text
 from appliance.export.content import CAMERA_FRAME, About
 from appliance.export.files import SCAN_SUFFIXES, checked_suffix, require_library, write_scan
 from appliance.foreign.assumptions import Outcome
+from appliance.foreign.description import Description
+from appliance.foreign.images import ImageSet
 from appliance.foreign.own_form import own_frames, own_sequence
 from appliance.foreign.points import ForeignCloud, find_points
 from appliance.foreign.problem import ForeignError
-from appliance.foreign.reading import ForeignScan, read_foreign
+from appliance.foreign.reading import ForeignScan, look_first, read_foreign
 from appliance.optics.model import HousedCamera
 from appliance.optics.water import Water
+from appliance.patterns.sequence import PatternSequence
 from appliance.processing.judges import JUDGES
 from appliance.reconstruct.quality import QualityLimits
 from appliance.scan.sides import SIDES, of_side
-from appliance.storage.atomic import StorageError
+from appliance.storage.atomic import StorageError, draft_of, move_folder
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.manifest import Decision
 from appliance.storage.record import ScanRecord, SequenceInfo
-from appliance.storage.scan import ScanOrigin, finish, write_raw
+from appliance.storage.scan import ScanOrigin, discard_raw, finish, write_raw
 
 METHOD = "foreign"
 """Method of a calibration that was made by others."""
@@ -36,6 +41,24 @@ LEAST_SHARE = 0.05
 """Least share of the left pixels with coordinates that become points: fewer are there by chance."""
 LEAST_WITHIN = 0.5
 """Least share of the points that lie within the instrument's own depths, for a scan folder."""
+
+
+def check_import(path: Path, out: Path) -> None:
+    """Refuse whatever can be refused at once: names, words, images that are not there, cameras' numbers, and what ``out`` cannot be.
+
+    ``out`` without a suffix is a scan folder. Nothing is decoded, and no kernel is needed. Raises ForeignError, ExportError,
+    MissingLibraryError.
+    """
+    if out.suffix:
+        checked_suffix(out, SCAN_SUFFIXES, "a cloud")
+        require_library(out)
+    description, images = look_first(path)
+    if not out.suffix:
+        if out.exists():
+            raise ForeignError(f"--out {out}: is there already; give the name of a folder that is not")
+        if not out.absolute().parent.is_dir():
+            raise ForeignError(f"--out {out}: there is no folder {out.parent}; make it first, or give another one")
+        _own_sequence(path, out, description, images["left"])
 
 
 def import_cloud(
@@ -51,10 +74,10 @@ def import_cloud(
     scan = _read(path, progress, as_described)
     found = _found(path, scan, progress)
     progress("writing")
-    notes = [f"index {scan.rig.index:.5f}, {'air' if scan.rig.in_air else 'water'}, imported by software {__version__}"]
-    notes += [found.unchecked] if found.unchecked else []
-    notes += [f"warning {one}" for one in scan.wrong]
-    write_scan(out, found.cloud, About(scan.description.name, CAMERA_FRAME, tuple(notes)))
+    note = f"index {scan.rig.index:.5f}, {'air' if scan.rig.in_air else 'water'}, imported by software {__version__}"
+    marks = [found.unchecked] if found.unchecked else []
+    marks += [f"wrong: {one.about}: {one.text}" for one in scan.wrong]
+    write_scan(out, found.cloud, About(scan.description.name, CAMERA_FRAME, (note,), tuple(marks)))
     unit = "m" if suffix in (".e57", ".las") else "mm"
     return {"file": str(out), "format": suffix.removeprefix("."), "unit": unit, **_report(scan, found)}
 
@@ -63,13 +86,10 @@ def import_scan(
     path: Path, out: Path, progress: Callable[[str], None], *, as_described: bool = False
 ) -> dict[str, Any]:
     """Make the scan folder ``out`` of images that have our own form. Raises as ``import_cloud``, and ForeignError for another form."""
-    if out.exists():
-        raise ForeignError(f"--out {out}: is there already; give the name of a folder that is not")
+    check_import(path, out)
     scan = _read(path, progress, as_described)
     images = {side: camera.images for side, camera in scan.cameras.items()}
-    sequence = own_sequence(scan.description, images["left"])
-    if isinstance(sequence, str):
-        raise ForeignError(f"{path}: no scan folder can be made: {sequence}; write a cloud with --out {out.name}.ply")
+    sequence = _own_sequence(path, out, scan.description, images["left"])
     if scan.wrong:
         raise ForeignError(f"{path}: no scan folder can be made of images that are described wrongly; correct it")
     found = _found(path, scan, progress)
@@ -93,16 +113,30 @@ def import_scan(
             "index": water.index,
         },
     )  # fmt: skip
-    files = LocalFileSystem()
-    origin = ScanOrigin(encode(calibration), rig_text(rig).encode())
-    try:
-        manifest = write_raw(files, out, out.name, frames, record, origin)
-        finish(files, out, manifest, Decision.KEPT, record)
-    except OSError as error:
-        raise StorageError(
-            "cannot write", out, error.strerror or str(error), "give another folder with --out"
-        ) from error
+    _publish(out, frames, record, ScanOrigin(encode(calibration), rig_text(rig).encode()))
     return {"folder": str(out), "frames": len(sequence), "period_px": sequence.period_px, **_report(scan, found)}
+
+
+def _publish(out: Path, frames: Mapping[str, NDArray[np.uint8]], record: ScanRecord, origin: ScanOrigin) -> None:
+    """Make the scan folder ``out``, whole or not at all: beside it, under a name that nobody takes for a scan, then by one rename."""
+    files, draft = LocalFileSystem(), draft_of(out)
+    if draft.exists():
+        discard_raw(files, draft)  # of an attempt that was interrupted
+    try:
+        manifest = write_raw(files, draft, out.name, frames, record, origin)
+        finish(files, draft, manifest, Decision.KEPT, record)
+        move_folder(files, draft, out)
+    except BaseException:
+        with suppress(StorageError):
+            discard_raw(files, draft)
+        raise
+
+
+def _own_sequence(path: Path, out: Path, description: Description, images: ImageSet) -> PatternSequence:
+    found = own_sequence(description, images)
+    if isinstance(found, str):
+        raise ForeignError(f"{path}: no scan folder can be made: {found}; write a cloud with --out {out.name}.ply")
+    return found
 
 
 def _read(path: Path, progress: Callable[[str], None], as_described: bool) -> ForeignScan:

@@ -95,8 +95,10 @@ def _run_pair() -> None:
         fuse(surface, wall, wall, found, (1.0, 1.0))
 
 
+POINT_PIECES = (Piece("matching and triangulation", "appliance.worker.warm:find_points"),)
+"""All that points need where the images were decoded by something else."""
 PIECES = (
-    Piece("matching and triangulation", "appliance.worker.warm:find_points"),
+    *POINT_PIECES,
     Piece("motion compensation", "appliance.worker.warm:compensate_wall"),
     Piece("changing light", "appliance.verdict.light.fit:warm_up"),
     Piece("pattern identity", "appliance.worker.warm:judge_patterns"),

@@ -126,7 +126,7 @@ def las_columns(raw: bytes) -> dict[str, NDArray[Any]]:
     bounds = struct.unpack_from("<6d", raw, 179)
     (count,) = struct.unpack_from("<Q", raw, 247)
     extra: list[tuple[str, str]] = []
-    place, texts = header, b""
+    place, texts, area = header, b"", b""
     for _ in range(vlrs):
         user, record, size = struct.unpack_from("<2x16sHH", raw, place)
         body = raw[place + 54 : place + 54 + size]
@@ -134,6 +134,8 @@ def las_columns(raw: bytes) -> dict[str, NDArray[Any]]:
             for k in range(0, size, 192):
                 assert body[k + 2] == 9, "data type 9: float"
                 extra.append((body[k + 4 : k + 36].rstrip(b"\0").decode(), "<f4"))
+        if (user.rstrip(b"\0"), record) == (b"LASF_Spec", 3):
+            area = body
         texts += body
         place += 54 + size
     fixed = [("x", "<i4"), ("y", "<i4"), ("z", "<i4"), ("intensity", "<u2"), ("returns", "u1"), ("rest", "V15")]
@@ -142,7 +144,13 @@ def las_columns(raw: bytes) -> dict[str, NDArray[Any]]:
     out = {name: rows[name] for name in ("intensity", "returns", *(name for name, _ in extra))}
     xyz = np.stack([rows[axis] * scales[k] + offsets[k] for k, axis in enumerate("xyz")], 1)
     np.testing.assert_allclose([bounds[1], bounds[3], bounds[5]], xyz.min(axis=0), atol=1e-7)
-    return {**out, "xyz": xyz, "texts": np.frombuffer(texts, np.uint8), "scales": np.array(scales)}
+    return {
+        **out,
+        "xyz": xyz,
+        "texts": np.frombuffer(texts, np.uint8),
+        "text area": np.frombuffer(area, np.uint8),
+        "scales": np.array(scales),
+    }
 
 
 def test_las_is_in_metres_and_a_micrometre_survives(surface: FusedCloud, tmp_path: Path) -> None:
@@ -158,6 +166,24 @@ def test_las_is_in_metres_and_a_micrometre_survives(surface: FusedCloud, tmp_pat
     texts = read["texts"].tobytes()
     assert b'UNIT["metre",1.0]' in texts
     assert b"standard deviation, metre" in texts
+
+
+def test_what_spoils_a_cloud_is_said_in_the_same_words_in_every_file(cloud: OrganisedCloud, tmp_path: Path) -> None:
+    """Whoever looks for ``unchecked: `` finds it, whatever the suffix, and however long the line is."""
+    mark = f"unchecked: one direction only{', and more' * 30}"
+    spoilt = replace(ABOUT, marks=(mark, "wrong: a start"))
+    for suffix in (".ply", ".las", ".e57", ".npz"):
+        write_scan(tmp_path / f"ball{suffix}", cloud, spoilt)
+    write_mesh(tmp_path / "ball.obj", mesh_of_scan(cloud), spoilt)
+    header = (tmp_path / "ball.ply").read_bytes().partition(b"end_header")[0].decode().splitlines()
+    assert {f"comment {mark}", "comment wrong: a start", "comment Kingfisher calibration abc"} <= set(header)
+    text_area = las_columns((tmp_path / "ball.las").read_bytes())["text area"].tobytes()
+    assert text_area.endswith(b"\0")
+    assert {mark, "wrong: a start", "calibration abc"} <= set(text_area[:-1].decode().split("\n"))
+    assert f"; {mark}; wrong: a start; " in read_e57(tmp_path / "ball.e57").description
+    with np.load(tmp_path / "ball.npz") as archive:
+        assert json.loads(str(archive["about"]))["notes"] == [mark, "wrong: a start", *ABOUT.notes]
+    assert {f"# {mark}", "# wrong: a start"} <= set((tmp_path / "ball.obj").read_text().splitlines()[:10])
 
 
 def test_the_archive_keeps_the_grid(cloud: OrganisedCloud, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -14,6 +15,7 @@ from appliance.cli.output import Exit
 from appliance.foreign.problem import ForeignError
 from appliance.offline.foreign_import import import_cloud
 from tests.support.commands import Shell
+from tests.support.e57 import read_e57
 from tests.support.foreign_sets import ForeignSet, convention
 from tests.support.truth import left_to_rig
 
@@ -96,15 +98,29 @@ def test_what_one_direction_cannot_tell_is_not_judged(shell: Shell, foreign_set:
     assert f"light: {NEEDS_FOUR_STEPS}" in found.document["not_judged"]
 
 
-def test_a_wrong_word_may_be_insisted_on(shell: Shell, foreign_set: Sets, tmp_path: Path) -> None:
+def said_in(path: Path) -> str:
+    """The words that a cloud's file has about all of it."""
+    match path.suffix:
+        case ".npz":
+            with np.load(path) as grid:
+                return "\n".join(json.loads(str(grid["about"]))["notes"])
+        case ".e57":
+            return read_e57(path).description.replace("; ", "\n")
+        case _:
+            return path.read_bytes()[:8192].decode("ascii", "replace").replace("comment ", "\n")
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".las", ".e57", ".npz"])
+def test_a_wrong_word_may_be_insisted_on_and_the_file_tells(foreign_set: Sets, tmp_path: Path, suffix: str) -> None:
     # Phases of both cameras are wrong alike: points are there, and the file says what the images say against them.
     described = foreign_set("eight-steps").described(("start_deg = 180", "start_deg = 130"))
-    out = tmp_path / "cloud.ply"
-    assert shell("import", described, "--out", out).code == Exit.FAILED
-    assert shell("import", described, "--out", out, "--as-described").code == Exit.OK
-    header = out.read_bytes().partition(b"end_header")[0]
-    assert b"the phase begins elsewhere" in header
-    assert b"unchecked" in header
+    out = tmp_path / f"cloud{suffix}"
+    with pytest.raises(ForeignError, match="contradict it"):
+        import_cloud(described, out, lambda _: None)
+    import_cloud(described, out, lambda _: None, as_described=True)
+    said = said_in(out)
+    assert "\nwrong: left: start of x: the phase begins elsewhere: x.start_deg = 180 fits" in said
+    assert "unchecked: fringes of one direction only" in said
 
 
 def test_a_guess_is_a_description_that_works(shell: Shell, foreign_set: Sets, tmp_path: Path) -> None:
