@@ -48,6 +48,11 @@ def measure(count: int, seed: int, keep: Path | None) -> tuple[list[Measured], l
     for row in spread(partial(_row, seed=seed, keep=keep), range(count)):
         progress.step(f"pair {len(rows) + 1} of {count}")
         rows.append(row)
+    return figures(rows), rows
+
+
+def figures(rows: list[dict[str, Any]]) -> list[Measured]:
+    """Return what the pairs show. An accepted pair that truly shares nothing is wrong, whatever it states."""
     accepted = [row for row in rows if row["accepted"]]
     wrong = [row for row in accepted if row["error_mm"] > SIGMAS * row["sigma_mm"] + MORE_MM]
     solvable = [row for row in rows if row["solvable"]]
@@ -64,7 +69,7 @@ def measure(count: int, seed: int, keep: Path | None) -> tuple[list[Measured], l
         Measured("pairs that nothing holds, refused", sum(not r["accepted"] for r in sliding), f"of {len(sliding)}"),
         Measured("CPU to prepare a view, median", _median([r["ready_s"] for r in rows]), "s"),
         Measured("CPU a pair, median", _median([r["pair_s"] for r in rows]), "s"),
-    ], rows  # fmt: skip
+    ]  # fmt: skip
 
 
 def _median(values: list[float]) -> float:
@@ -86,10 +91,7 @@ def _row(number: int, seed: int, keep: Path | None) -> dict[str, Any]:
     pair = register(first, second)
     done = time.process_time()
     true = views[1].place.then(views[0].place.inverse)
-    on = lay(first.fine, second.fine, true, 1.0)
-    patches = second.fine.patches
-    common = patches.centre_mm.reshape(-1, 3)[on.source]
-    overlap = len(on.source) / max(int(np.count_nonzero(patches.valid)), 1)
+    judged, overlap = judged_on(first, second, true)
     tells = shape in (*UNEVEN, "board") or (paint in ("slight", "strong") and shape != "ballbar")
     fit = pair.fit
     return {
@@ -100,11 +102,22 @@ def _row(number: int, seed: int, keep: Path | None) -> dict[str, Any]:
         "solvable": tells and overlap >= LEAST_OVERLAP,
         "accepted": pair.accepted,
         "refusal": None if pair.refusal is None else pair.refusal.value,
-        "error_mm": None if fit is None or not len(common) else off_mm(fit.pose, true, common),
+        "error_mm": None if fit is None else off_mm(fit.pose, true, judged),
         "sigma_mm": None if fit is None else fit.sigma_mm,
         "ready_s": 0.5 * (prepared - begun),
         "pair_s": done - prepared,
     }
+
+
+def judged_on(first: ReadyScan, second: ReadyScan, true: Rigid) -> tuple[Array, float]:
+    """Return the points (n, 3) of the second view that a pose is judged by, in its frame, and the share of it that truly lies on the first.
+
+    Points of the overlap; where there truly is none, all: a pose that was accepted there is off by that much.
+    """
+    patches = second.fine.patches
+    on = lay(first.fine, second.fine, true, 1.0).source
+    centres = patches.centre_mm.reshape(-1, 3)[on] if len(on) else patches.centre_mm[patches.valid]
+    return centres, len(on) / max(int(np.count_nonzero(patches.valid)), 1)
 
 
 def ready_of(view: PlacedView) -> ReadyScan:
