@@ -71,10 +71,11 @@ class _Comparing(WithCalibration):
     def compared(self, nominal: NominalSurface, surface: FusedCloud, about: About, stored: StoredObject | None) -> Exit:
         """Compare, write what was asked for, and say what came of it."""
         from appliance.offline.comparing import compare, figures_of, write_comparison
+        from appliance.offline.object_errors import errors_of
 
         with Progress() as progress:
             progress(f"laying it onto {nominal.name}")
-            found = compare(surface, nominal, self.limit, self._start())
+            found = compare(surface, nominal, self.limit, self._start(), None if stored is None else errors_of(stored))
             for out in self.out:
                 progress(f"writing {out}")
                 with writing(Path(out)):
@@ -123,6 +124,7 @@ class _Comparing(WithCalibration):
     def surface_named(self, named: str, root: Path, wish: Wish, progress: Progress) -> NominalSurface:
         """Return the drawing or the object called ``named``. Raises NominalError, ObjectError."""
         from appliance.offline.comparing import NominalSurface
+        from appliance.offline.object_errors import errors_of, laid_onto_something
         from appliance.offline.objects import surface_of
         from appliance.storage import objects
         from appliance.surface.nominal import SUFFIXES, nominal_of_mesh, read_nominal
@@ -132,7 +134,9 @@ class _Comparing(WithCalibration):
         if path.suffix.lower() in SUFFIXES or path.exists():
             return NominalSurface(path.name, read_nominal(path))
         other = objects.read(root, named)
-        mesh = mesh_of_surface(surface_of(root, other, wish, progress, self.spacing), max(VOXEL_MM, 2.0 * self.spacing))
+        # What the two are laid onto each other by, no error of the other's frame is left in.
+        surface = laid_onto_something(surface_of(root, other, wish, progress, self.spacing), errors_of(other))
+        mesh = mesh_of_surface(surface, max(VOXEL_MM, 2.0 * self.spacing))
         return NominalSurface(f"object {other.name}", nominal_of_mesh(mesh), mesh.sigma_mm)
 
 

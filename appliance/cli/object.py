@@ -255,7 +255,8 @@ def _say_object(stored: StoredObject, *, as_json: bool) -> None:
 
         from appliance.storage.objects import StoredObject as Kind
 
-        say_json(TypeAdapter(Kind).dump_python(stored, mode="json"))
+        # The joint errors are for programs that compute lengths (import kingfisher), and megabytes of text for everybody else.
+        say_json(TypeAdapter(Kind).dump_python(stored, mode="json", exclude={"places": {"joint"}}))
         return
     say(f"object {stored.name}: {len(stored.scans)} scans")
     if stored.places is None:

@@ -81,10 +81,15 @@ def points_of_scan(cloud: OrganisedCloud) -> ExportedPoints:
 
 
 def points_of_surface(cloud: FusedCloud) -> ExportedPoints:
-    """Return the points of a fused surface, with the number of scans that saw each."""
-    return ExportedPoints(
-        cloud.points_mm, cloud.sigma_mm, cloud.grey, cloud.normals, {"views": cloud.views.astype(np.float32)}
-    )
+    """Return the points of a fused surface, with the number of scans that saw each, and the shares of sigma where they are known."""
+    more = {"views": cloud.views.astype(np.float32)}
+    if cloud.shares is not None:
+        more |= {
+            "sigma_beside_mm": cloud.shares.beside_mm,
+            "sigma_place_mm": cloud.shares.place_mm,
+            "sigma_bending_mm": cloud.shares.bending_mm,
+        }
+    return ExportedPoints(cloud.points_mm, cloud.sigma_mm, cloud.grey, cloud.normals, more)
 
 
 def points_of_mesh(mesh: Mesh) -> ExportedPoints:

@@ -1,4 +1,4 @@
-"""Owns the E57 file: metres, one scan entry, normals by the registered extension and sigma by one of our own.
+"""Owns the E57 file: metres, one scan entry, normals by the registered extension, sigma and further columns by one of our own.
 
 Places are single-precision floats: 0.06 µm at 1 m. Readers that know neither extension pass over both. The file's GUID is made of
 its content, so that the same points give the same file.
@@ -20,7 +20,9 @@ from appliance.surface.libraries import needed
 
 NORMALS = ("nor", "http://www.libe57.org/E57_NOR_surface_normals.txt")
 OWN = ("kf", "urn:kingfisher:e57:1")
-"""Prefix and name of our extension: ``sigma``, the standard deviation of a point in metres."""
+"""Prefix and name of our extension: ``sigma``, the standard deviation of a point in metres, and further columns by their names: those in mm without
+it and in metres, like everything in the file (``deviation_mm`` is ``kf:deviation``)."""
+_MM = "_mm"
 _AXES = ("X", "Y", "Z")
 _GREY = (0.0, 255.0)
 
@@ -37,6 +39,7 @@ def write_e57(path: Path, points: ExportedPoints, about: About) -> None:
         "intensity": points.grey.astype(np.float32),
         **{f"nor:normal{axis}": known[:, k] for k, axis in enumerate(_AXES)},
         f"{OWN[0]}:sigma": points.sigma_mm / np.float32(MM_PER_M),
+        **dict(_further(name, values) for name, values in points.more.items()),
     }
     try:
         file = library.ImageFile(str(path), "w")
@@ -47,6 +50,11 @@ def write_e57(path: Path, points: ExportedPoints, about: About) -> None:
     except library.E57Exception as error:
         # Its own errors are no OSErrors, although a full disk is what most of them are.
         raise OSError(None, f"the E57 library could not write: {error}") from error
+
+
+def _further(name: str, values: NDArray[np.float32]) -> tuple[str, NDArray[np.float32]]:
+    in_metres = name.endswith(_MM)
+    return f"{OWN[0]}:{name.removesuffix(_MM)}", values / np.float32(MM_PER_M) if in_metres else values
 
 
 def _fill(library: Any, file: Any, columns: dict[str, NDArray[np.float32]], about: About) -> None:

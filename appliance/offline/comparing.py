@@ -13,18 +13,24 @@ from scipy.spatial import cKDTree
 
 from appliance.export.content import About
 from appliance.export.files import write_surface
+from appliance.offline.object_errors import laid_onto_something
 from appliance.offline.object_report import report_of
 from appliance.optics.rotation import rotation_vector
+from appliance.registration.joint import JointErrors
 from appliance.registration.reference import LaidOnto, OrientedPoints, lay_onto
 from appliance.registration.rigid import Rigid
 from appliance.report.content import Report, ReportNominal
 from appliance.report.page import write_report
 from appliance.storage.objects import StoredObject
-from appliance.surface.deviation import Deviation, deviations, sampled
+from appliance.surface.deviation import LIMIT_MM, Deviation, deviations, sampled
 from appliance.surface.fusion import FusedCloud
 from appliance.surface.nominal import Nominal
 
 PAGE = ".html"
+SURE = 2.0
+"""Standard deviations beyond which a deviation is one."""
+DOUBTFUL_PERCENT = 5.0
+"""Share of points whose deviation may be the object's bending from which on that is said; by chance some of 5 % are beyond two standard deviations."""
 _MOST_SHOWN = 3
 
 
@@ -43,29 +49,38 @@ class Comparison:
     """Points that were laid onto a nominal surface, with how far they lie from it."""
 
     surface: FusedCloud
-    """Points in their own frame."""
+    """Points in their own frame; sigma and its shares as they are once it lies on the nominal surface."""
     laid: LaidOnto
     nominal: str
     deviation: Deviation
-    """One for each point, positive outside; its sigma has that of the place and of a measured nominal surface in it."""
+    """One for each point, positive outside; its sigma has everything in it: the point's, its scan's place, what may bend the object, how it is laid
+    onto the nominal surface, and a measured nominal surface's own."""
     warnings: tuple[str, ...]
 
     @property
     def in_nominal_frame(self) -> FusedCloud:
-        """The points in the nominal surface's frame."""
+        """The points in the nominal surface's frame, with the sigma of their deviations."""
         pose = self.laid.pose
         return replace(
             self.surface,
             points_mm=pose.of(self.surface.points_mm.astype(np.float64)).astype(np.float32),
             normals=(self.surface.normals @ pose.rotation.T).astype(np.float32),
+            sigma_mm=self.deviation.sigma_mm,
         )
 
 
-def compare(surface: FusedCloud, nominal: NominalSurface, limit_mm: float, start: Rigid | None = None) -> Comparison:
+def compare(
+    surface: FusedCloud,
+    nominal: NominalSurface,
+    limit_mm: float = LIMIT_MM,
+    start: Rigid | None = None,
+    errors: JointErrors | None = None,
+) -> Comparison:
     """Lay ``surface`` onto ``nominal`` by shape alone and return how far each point lies from it.
 
     ``limit_mm``: points farther off are counted and have no deviation. ``start``: where it lies within some millimetres; ``None``: it is
-    searched for. Raises SurfaceMatchError where most of it fits nowhere.
+    searched for. ``errors``: those of the object that it is the surface of (``errors_of``): each point's sigma then has those of its scan's place and of the
+    object's bending, as far as laying it onto ``nominal`` does not take them away. Raises SurfaceMatchError where most of it fits nowhere.
     """
     samples_mm, face_of, _ = sampled(nominal.triangles)
     of_samples = np.zeros(len(samples_mm))
@@ -75,16 +90,19 @@ def compare(surface: FusedCloud, nominal: NominalSurface, limit_mm: float, start
         OrientedPoints(
             surface.points_mm.astype(np.float64),
             surface.normals.astype(np.float64),
-            surface.sigma_mm.astype(np.float64),
+            surface.beside_mm.astype(np.float64),
         ),
         OrientedPoints(samples_mm, nominal.triangles.face_normals[face_of], of_samples),
         start,
     )
     points = laid.pose.of(surface.points_mm.astype(np.float64))
     normals = surface.normals.astype(np.float64) @ laid.pose.rotation.T
+    nearest = cKDTree(samples_mm).query(points, distance_upper_bound=limit_mm)
+    surface = laid_onto_something(surface, errors, np.isfinite(nearest[0]))
     variance = surface.sigma_mm.astype(np.float64) ** 2 + laid.sigma_at(points, normals) ** 2
     if nominal.sigma_mm is not None:
-        variance += of_samples[cKDTree(samples_mm).query(points)[1]] ** 2
+        # Far from it there is no sample, and no deviation either.
+        variance += np.append(of_samples, 0.0)[nearest[1]] ** 2
     deviation = deviations(
         points.astype(np.float32),
         np.sqrt(variance).astype(np.float32),
@@ -92,7 +110,24 @@ def compare(surface: FusedCloud, nominal: NominalSurface, limit_mm: float, start
         normals.astype(np.float32),
         limit_mm,
     )
-    return Comparison(surface, laid, nominal.name, deviation, _warnings(laid))
+    return Comparison(surface, laid, nominal.name, deviation, (*_warnings(laid), *_bent(surface, deviation)))
+
+
+def _bent(surface: FusedCloud, deviation: Deviation) -> tuple[str, ...]:
+    """Return a warning where deviations beyond a point's other uncertainty may be the object's bending and nothing else."""
+    if surface.shares is None:
+        return ()
+    bending, off = surface.shares.bending_mm.astype(np.float64), np.abs(deviation.deviation_mm.astype(np.float64))
+    there = np.isfinite(off)
+    without = np.sqrt(np.maximum(deviation.sigma_mm.astype(np.float64) ** 2 - bending**2, 0.0))
+    doubtful = there & (off > SURE * without) & (off <= SURE * deviation.sigma_mm)
+    share = 100.0 * float(np.count_nonzero(doubtful)) / max(int(np.count_nonzero(there)), 1)
+    if share < DOUBTFUL_PERCENT:
+        return ()
+    return (
+        f"{share:.0f} % of the deviations are within what may bend the object (± {SURE * float(bending[there].max()):.3f} mm at most, two standard "
+        "deviations, once it is laid on): they do not tell the thing from the calibration's own error",
+    )
 
 
 def _warnings(laid: LaidOnto) -> tuple[str, ...]:
@@ -177,6 +212,8 @@ def figures_of(found: Comparison, tolerance_mm: float | None) -> Mapping[str, An
         "rms_mm": summary.rms_mm,
         "least_mm": summary.least_mm,
         "most_mm": summary.most_mm,
+        "sigma_mm": _median(found.deviation.sigma_mm),
+        "bending_mm": None if found.surface.shares is None else _median(found.surface.shares.bending_mm),
         "percentiles_mm": {f"{percent:g}": value for percent, value in summary.percentiles_mm},
         "within_2_sigma_percent": summary.within_2_sigma_percent,
         "tolerance_mm": tolerance_mm,
@@ -190,3 +227,7 @@ def figures_of(found: Comparison, tolerance_mm: float | None) -> Mapping[str, An
         "fitting_percent": 100.0 * laid.fitting,
         "warnings": list(found.warnings),
     }
+
+
+def _median(values: NDArray[np.float32]) -> float | None:
+    return float(np.median(values)) if len(values) else None

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from appliance import __version__
+from appliance.offline.object_errors import length_between
 from appliance.optics.rotation import rotation_vector
 from appliance.report.content import Report, ReportBudget, ReportPair, ReportScan, ReportTerm, ReportVerdict
 from appliance.storage.objects import ComparedScans, Places, ScanPlace, StoredObject
@@ -29,7 +32,7 @@ def report_of(stored_object: StoredObject, surface: FusedCloud) -> Report:
         },
         scans=[_scan(one.name, places) for one in stored_object.scans],
         pairs=[_pair(one) for one in places.pairs],
-        budget=_budget(places),
+        budget=_budget(stored_object, places),
         surface=surface,
         warnings=places.warnings,
     )
@@ -37,17 +40,27 @@ def report_of(stored_object: StoredObject, surface: FusedCloud) -> Report:
 
 def _scan(name: str, places: Places) -> ReportScan:
     warnings = tuple(one.partition(": ")[2] for one in places.warnings if one.startswith(f"scan {name}: "))
-    place = places.places.get(name)
+    cloud, place = places.clouds.get(name), places.places.get(name)
+    known = ReportScan(name, ReportVerdict.REFUSED, places.left_out.get(name, ""), warnings=warnings)
+    if cloud is not None:
+        known = replace(
+            known,
+            recorded=cloud.recorded,
+            points=cloud.points,
+            distance_mm=cloud.distance_mm,
+            sigma_mm=cloud.sigma_mm,
+            ray_gap_mm=cloud.ray_gap_mm,
+        )
     if place is None:
-        return ReportScan(name, ReportVerdict.REFUSED, places.left_out.get(name, ""), warnings=warnings)
+        return known
     turn = np.degrees(rotation_vector(np.array(place.rotation)))
-    return ReportScan(
-        name=name,
+    return replace(
+        known,
         verdict=ReportVerdict.DOUBTFUL if warnings else ReportVerdict.GOOD,
+        reason="",
         position_mm=place.translation_mm,
         rotation_deg=(float(turn[0]), float(turn[1]), float(turn[2])),
         pose_sigma_mm=place.sigma_mm,
-        warnings=warnings,
     )
 
 
@@ -59,33 +72,39 @@ def _pair(pair: ComparedScans) -> ReportPair:
         verdict=verdict,
         reason="" if pair.used else pair.text,
         overlap_percent=pair.overlap_percent,
+        matches=pair.matches,
         residual_mm=pair.discrepancy_mm,
         sigma_mm=pair.sigma_mm,
+        sigma_deg=pair.sigma_deg,
     )
 
 
-def _budget(places: Places) -> ReportBudget | None:
-    """Return the uncertainty of the distance between the first scan's middle and that of the farthest one; ``None`` for one scan."""
-    if len(places.places) < 2:
+def _budget(stored_object: StoredObject, places: Places) -> ReportBudget | None:
+    """Return the uncertainty of the distance between the first scan's middle and that of the farthest one; ``None`` for one scan, and where the
+    object was solved before joint errors were kept."""
+    if len(places.places) < 2 or places.joint is None:
         return None
-    first = next(iter(places.places.values()))
-    farthest = max(places.places.values(), key=lambda place: _apart_mm(first, place))
-    others = float(np.sqrt(max(farthest.sigma_mm**2 - farthest.bending_mm**2, 0.0)))
+    names = list(places.places)
+    first = places.places[names[0]]
+    name = max(names, key=lambda one: _apart_mm(first, places.places[one]))
+    farthest = places.places[name]
+    length = length_between(stored_object, names[0], first.middle_mm, name, farthest.middle_mm)
     terms = (
-        ReportTerm("pairs of scans, along the graph", others, "residuals of the overlaps, robust by tiles"),
+        ReportTerm("places of the scans", length.places_mm, "pairs along the graph: residuals of the overlaps, robust by tiles"),
         ReportTerm(
             "depth error that all scans share",
-            farthest.bending_mm,
-            f"estimated from the overlaps; {farthest.bending_unaided_mm:.3f} mm without them"
+            length.bending_mm,
+            "what the overlaps' estimate leaves of it"
             if places.shared_error_removed
-            else f"what the calibration leaves open; {farthest.bending_aided_mm:.3f} mm if the overlaps' estimate were believed",
+            else "what the calibration leaves open",
         ),
     )
     return ReportBudget(
-        over_mm=_apart_mm(first, farthest),
+        over_mm=length.length_mm,
         terms=terms,
-        combined_mm=farthest.sigma_mm,
-        statement="Scale and single points are the calibration's: see its evaluation.",
+        combined_mm=length.sigma_mm,
+        statement=f"Of the distance from the middle of scan {names[0]} to that of scan {name}, which may bend sideways by {farthest.bending_mm:.3f} mm "
+        f"({farthest.bending_aided_mm:.3f} mm if the overlaps' estimate were believed). Scale and single points are the calibration's: see its evaluation.",
     )
 
 

@@ -15,6 +15,7 @@ from appliance import __version__
 from appliance.calibration.file import Calibration
 from appliance.calibration.health import OverlapNews
 from appliance.export.content import OBJECT_FRAME, About
+from appliance.offline.object_errors import errors_of, in_the_frame, packed
 from appliance.offline.organised_scan import OrganisedScan, organised_scan
 from appliance.offline.origin import Chosen, SourceScan, Wish, calibration_for, open_source
 from appliance.offline.reprocess import water_of_scan
@@ -22,11 +23,12 @@ from appliance.optics.rotation import matrix3
 from appliance.reconstruct.organised import OrganisedCloud
 from appliance.registration.bow import bow_score, corrected, known_before, spread_mm
 from appliance.registration.graph import Edge, Placed
+from appliance.registration.joint import joint_errors
 from appliance.registration.pair import ReadyScan, ready
 from appliance.registration.solve import Compared, Solved, middle_of, solve
 from appliance.storage import objects
 from appliance.storage import scan as stored
-from appliance.storage.objects import ComparedScans, MemberScan, ObjectError, Places, ScanPlace, StoredObject
+from appliance.storage.objects import CloudFacts, ComparedScans, MemberScan, ObjectError, Places, ScanPlace, StoredObject
 from appliance.surface.fusion import POSE_SIGMA_MM, FusedCloud, PlacedScan, fuse
 
 Progress = Callable[[str, float | None], None]
@@ -44,6 +46,8 @@ class MemberCloud:
     water_index: float
     verdicts: tuple[str, ...]
     """Faults that were held against the scan, in words."""
+    recorded: str | None
+    """Wall time of the recording."""
 
 
 def member_of(root: Path, folder: Path) -> MemberScan:
@@ -86,7 +90,7 @@ def _cloud_of(root: Path, name: str, member: MemberScan, wish: Wish) -> MemberCl
         objects.keep_cloud(root, name, member.name, key, kept)
     cloud = OrganisedCloud(kept["points_mm"], kept["sigma_mm"], kept["modulation_dn"], kept["ray_gap_mm"], kept["grey"])
     verdicts = tuple(str(one) for one in kept["verdicts"].tolist())
-    return MemberCloud(member, cloud, calibration, index, verdicts)
+    return MemberCloud(member, cloud, calibration, index, verdicts, source.scan.manifest.record.wall_time)
 
 
 def _made(source: SourceScan, chosen: Chosen) -> dict[str, NDArray[Any]]:
@@ -128,6 +132,7 @@ def solve_object(
     scans: list[ReadyScan] = []
     clouds: list[tuple[str, str, float, tuple[str, ...]]] = []
     used: list[Calibration] = []
+    facts: dict[str, CloudFacts] = {}
     for member in clouds_of(
         root, stored_object, wish, lambda what, part: progress(what, None if part is None else 0.5 * part)
     ):
@@ -141,13 +146,29 @@ def solve_object(
             )
         )
         used.append(member.calibration)
+        facts[member.scan.name] = _facts(member)
         clouds.append((member.scan.name, member.calibration.hash, member.water_index, member.verdicts))
     # Scans of several calibrations share no error that one of them states.
     calibrations = {one.hash: one.depth_error_mm2 for one in used}
     known = next(iter(calibrations.values())) if len(calibrations) == 1 else None
     stated = None if known is None else np.array(known)
     solved = solve(scans, lambda what, part: progress(what, 0.5 + 0.5 * part), with_shared_error, stated)
-    return replace(stored_object, places=_places(solved, scans, clouds, with_shared_error, known_before(stated)))
+    places = _places(solved, scans, clouds, with_shared_error, known_before(stated))
+    # Of several calibrations the first's: what they differ by is in no budget, and said.
+    joint = packed(joint_errors(solved.placed, used[0].rig.volume), list(places.places))
+    return replace(stored_object, places=replace(places, joint=joint, clouds=facts))
+
+
+def _facts(member: MemberCloud) -> CloudFacts:
+    cloud = member.cloud
+    gap = np.abs(cloud.ray_gap_mm[np.isfinite(cloud.ray_gap_mm)])
+    return CloudFacts(
+        points=int(cloud.mask.sum()),
+        distance_mm=float(np.median(cloud.points_mm[..., 2][cloud.mask])),
+        sigma_mm=float(np.median(cloud.sigma_mm[cloud.mask])),
+        ray_gap_mm=float(np.median(gap)) if len(gap) else None,
+        recorded=member.recorded,
+    )
 
 
 def _places(
@@ -209,6 +230,8 @@ def _pair(one: Compared, placed: Placed, named: Sequence[str]) -> ComparedScans:
         overlap_percent=None if fit is None else 100.0 * fit.overlap,
         sigma_mm=fit.sigma_mm if fit is not None and one.pair.accepted else None,
         discrepancy_mm=placed.discrepancy_mm.get((one.first, one.second)),
+        sigma_deg=fit.sigma_deg if fit is not None and one.pair.accepted else None,
+        matches=one.matches,
     )
 
 
@@ -265,14 +288,14 @@ def _beside_others(places: Places, scan: str) -> float:
 def surface_of(
     root: Path, stored_object: StoredObject, wish: Wish, progress: Progress, spacing_mm: float
 ) -> FusedCloud:
-    """Return one surface of all scans that have a place, a point about every ``spacing_mm``.
+    """Return one surface of all scans that have a place, a point about every ``spacing_mm``, with sigma in the object's frame.
 
     Raises ObjectError for an object that is not solved; ScanError, CalibrationError.
     """
-    places = stored_object.places
-    # What all scans share no number of them makes smaller.
-    common_mm = 0.0 if places is None else places.shared_error_spread_mm
-    return fuse(placed_scans(root, stored_object, wish, progress), spacing_mm, common_mm)
+    places, errors = stored_object.places, errors_of(stored_object)
+    # Where errors are not known point by point: what all scans share no number of them makes smaller.
+    common_mm = 0.0 if places is None or errors is not None else places.shared_error_spread_mm
+    return in_the_frame(fuse(placed_scans(root, stored_object, wish, progress), spacing_mm, common_mm), errors)
 
 
 def overlap_news(stored_object: StoredObject) -> tuple[str, OverlapNews] | None:

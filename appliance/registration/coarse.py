@@ -107,6 +107,13 @@ def matches(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.int64]
     return np.stack([rows, first[rows]], axis=1)
 
 
+def count_in_common(a: Features, b: Features, pose: Rigid) -> int:
+    """Return how many features of two scans match and lie on each other where ``pose`` puts B."""
+    pairs = matches(a.descriptors, b.descriptors)
+    off = pose.of(b.points_mm[pairs[:, 1]]) - a.points_mm[pairs[:, 0]]
+    return int(np.count_nonzero((off**2).sum(axis=1) < NEAR_MM**2))
+
+
 def _kabsch(p: Array, q: Array) -> tuple[Array, Array]:
     """Return the rotations (k, 3, 3) and translations (k, 3) that bring points q (k, n, 3) to p (Kabsch 1976)."""
     pm, qm = p.mean(axis=1), q.mean(axis=1)

@@ -80,6 +80,11 @@ class Fit:
         """RMS displacement over the overlap that the covariance allows."""
         return float(np.sqrt(max(np.trace(self.covariance), 0.0)))
 
+    @property
+    def sigma_deg(self) -> float:
+        """Standard deviation of the turn, in its weakest direction."""
+        return float(np.degrees(np.sqrt(max(np.linalg.eigvalsh(self.covariance[:3, :3])[-1], 0.0)) / self.lever_mm))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prepared:

@@ -66,6 +66,10 @@ class Placed:
     """Standard deviation of each scan's middle by the shared error alone: what may bend the object."""
     bending_unaided_mm: Mapping[int, float]
     """The same with what was known of the shared error before any overlap."""
+    joint_covariance: Array
+    """(6 n, 6 n) of the places of all n scans in ascending order, turns about the object's origin (rad) and shifts (mm); without the shared error."""
+    follow: Array
+    """(6 n, k): how these places follow the coefficients of the shared error, rad and mm per mm."""
 
 
 def place(
@@ -289,4 +293,7 @@ def _described(
         bow_covariance=bow_covariance,
         bending_mm=bending,
         bending_unaided_mm=unaided,
+        # The first scan is the frame: it is where it is.
+        joint_covariance=np.pad(own, ((6 * bool(members), 0), (6 * bool(members), 0))),
+        follow=np.pad(follow, ((6 * bool(members), 0), (0, 0))),
     )

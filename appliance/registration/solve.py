@@ -9,6 +9,7 @@ import numpy as np
 
 from appliance.registration import candidates
 from appliance.registration.bow import known_before
+from appliance.registration.coarse import count_in_common
 from appliance.registration.graph import Edge, Placed, place
 from appliance.registration.pair import PairRefusal, ReadyScan, RegisteredPair, register
 from appliance.registration.patches import Array
@@ -25,6 +26,8 @@ class Compared:
     first: int
     second: int
     pair: RegisteredPair
+    matches: int | None = None
+    """Features that both show, where the pair's pose lays them on each other; ``None``: it was not accepted."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,7 +62,7 @@ def solve(
         for number, ((first, second), near) in enumerate(sorted(pairs.items(), key=lambda item: item[0])):
             progress(f"comparing scans {first + 1} and {second + 1}", share + 0.5 * number / max(len(pairs), 1))
             tried.add((first, second))
-            compared.append(Compared(first, second, register(scans[first], scans[second], near)))
+            compared.append(_compared(scans, first, second, near))
 
     compare(wanted, 0.0)
     middles = {k: middle_of(scan) for k, scan in enumerate(scans)}
@@ -70,6 +73,14 @@ def solve(
     aided = place(len(scans), edges_of(compared), middles, True, known_before(stated_mm2))
     placed = aided if with_bow else place(len(scans), edges_of(compared), middles, False, known_before(stated_mm2))
     return Solved(placed, aided, tuple(compared), _left_out(len(scans), placed, compared))
+
+
+def _compared(scans: Sequence[ReadyScan], first: int, second: int, near: Rigid | None) -> Compared:
+    pair = register(scans[first], scans[second], near)
+    if not pair.accepted or pair.fit is None:
+        return Compared(first, second, pair)
+    common = count_in_common(scans[first].features, scans[second].features, pair.fit.pose)
+    return Compared(first, second, pair, common)
 
 
 def middle_of(scan: ReadyScan) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:

@@ -58,8 +58,9 @@ class ReportPair:
     """Features that both scans show."""
     residual_mm: float | None = None
     sigma_mm: float | None = None
-    """Standard deviation of the translation between both, in its weakest direction."""
+    """Standard deviation of the displacement that their pose leaves over the overlap, RMS."""
     sigma_deg: float | None = None
+    """Standard deviation of the turn between both, in its weakest direction."""
 
 
 @dataclass(frozen=True, slots=True)

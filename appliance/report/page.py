@@ -215,16 +215,17 @@ def _pairs(scans: Sequence[ReportScan], pairs: Sequence[ReportPair]) -> str:
         if drawing
         else ""
     )
-    head = ("Pair", "Verdict", "Overlap", "Features", "Residual", "Translation", "Rotation", "Remarks")
+    head = ("Pair", "Verdict", "Overlap", "Features", "Residual", "Displacement", "Rotation", "Remarks")
     return f"<section><h2>Pairs of scans</h2>{figure}{_table(head, rows, 'pairs')}</section>"
 
 
 _READING = (
     '<section class="reading"><h2>How to read this</h2><p><b>Sigma</b> is the standard deviation of a point: of one scan along its ray, '
-    "of the fused surface along its normal. It holds the noise of the scans and the uncertainty of their places; what all scans have in common "
-    "(calibration, water) is in the uncertainty over a length, and in no number of scans made smaller. <b>Ray gap</b> is how far the rays of both "
+    "of the fused surface along its normal, in the object's frame: the noise of the scans, the uncertainty of their places, and by how much the object may be "
+    "<b>bent</b> there by what all scans have in common, which no number of them makes smaller and no residual shows. Near by, most of the last two cancels. "
+    "<b>Ray gap</b> is how far the rays of both "
     "cameras pass each other: the check of the calibration that every point brings with it. The <b>residual</b> of a pair tells how well both "
-    "scans lie on each other, and nothing about sliding along a pipe or a plane; the uncertainties of translation and rotation do. "
+    "scans lie on each other, and nothing about sliding along a pipe or a plane; the uncertainties of displacement and rotation do. "
     "<b>Deviations</b> are along the nominal surface's normal, positive outside.</p></section>"
 )
 

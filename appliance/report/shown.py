@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,6 +51,8 @@ def shown(report: Report) -> ShownSurface | None:
     if surface is None or not len(surface.grey):
         return None
     found = [_grey(surface.grey), _sigma(surface.sigma_mm)]
+    if surface.shares is not None:
+        found.append(replace(_sigma(surface.shares.bending_mm), name="Bending"))
     if nominal is not None:
         deviation = nominal.deviation.deviation_mm
         near = np.abs(deviation[np.isfinite(deviation)])

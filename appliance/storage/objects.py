@@ -8,6 +8,7 @@ Scans stay where they are; nothing here is needed to read them.
 
 from __future__ import annotations
 
+import base64
 import io
 import re
 import zipfile
@@ -84,6 +85,65 @@ class ComparedScans:
     sigma_mm: float | None
     discrepancy_mm: float | None
     """Distance between the pair's own pose and the places, RMS over the overlap; of a pair that is used."""
+    sigma_deg: float | None = None
+    """Standard deviation of the turn between both, in its weakest direction; of an accepted pair."""
+    matches: int | None = None
+    """Features that both show and that the pair's pose lays on each other; of an accepted pair."""
+
+
+@dataclass(frozen=True, slots=True)
+class CloudFacts:
+    """What a scan's cloud is like, as it was made for the object."""
+
+    points: int
+    distance_mm: float
+    """Median of its points' distances from the left camera, along its axis."""
+    sigma_mm: float
+    """Median of its points' sigma."""
+    ray_gap_mm: float | None
+    """Median of the sizes of its points' ray gaps; ``None``: it has none."""
+    recorded: str | None
+    """Wall time of the recording as the instrument had it."""
+
+
+@dataclass(frozen=True, slots=True)
+class PackedMatrix:
+    """A matrix in little room: little-endian float32, row by row, in base64."""
+
+    rows: int
+    columns: int
+    base64: str
+
+    @classmethod
+    def of(cls, matrix: NDArray[np.floating]) -> PackedMatrix:
+        """Pack a matrix (rows, columns)."""
+        raw = matrix.astype("<f4").tobytes()
+        return cls(matrix.shape[0], matrix.shape[1], base64.b64encode(raw).decode("ascii"))
+
+    def array(self) -> NDArray[np.float64]:
+        """Return it as (rows, columns) float64. Raises ObjectError for text of another length."""
+        import numpy as np
+
+        try:
+            raw = base64.b64decode(self.base64, validate=True)
+            return np.frombuffer(raw, "<f4").reshape(self.rows, self.columns).astype(np.float64)
+        except ValueError as error:
+            raise ObjectError(
+                f"a matrix of {self.rows} x {self.columns} numbers is damaged ({error}); solve the object again"
+            ) from error
+
+
+@dataclass(frozen=True, slots=True)
+class JointPlaces:
+    """How the errors of all places hang together (``appliance.registration.joint`` says what each is)."""
+
+    scans: tuple[str, ...]
+    """Names in the order of the rows."""
+    own_root: PackedMatrix
+    follow: PackedMatrix
+    shared_root: PackedMatrix
+    working_mm: float
+    """Working distance of the housing, which the shapes of the shared error scale with."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,6 +170,10 @@ class Places:
     variance_factor: float
     shared_error_score: float | None = None
     """Distance of the estimate from what was known before, in standard deviations; ``None``: the overlaps tell nothing of it."""
+    joint: JointPlaces | None = None
+    """``None``: solved by a version that did not keep it."""
+    clouds: Mapping[str, CloudFacts] = field(default_factory=dict)
+    """Of every scan, also of those without a place."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,12 +1,17 @@
 """Owns one surface of many scans: placed, their points fused by their variances, and what the fused sigma means.
 
-**Sigma** of a fused point is the standard deviation of its depth along the normal, in the object's frame:
+**Sigma** of a fused point is the standard deviation of its depth along the normal, as ``fuse`` knows it: relative to the points around it, and
+what all scans have in common:
 
     a point in its scan    σ_n² = σ² (cos² θ + sin² θ / 9)     σ along the ray, θ between ray and normal; across the ray a point
                                                               errs by a third of sigma at most (docs/uncertainty.md)
     the scan there         σ_n² + pose_sigma_mm²              the pose is common to all points of a scan
     of all scans           1 / Σ 1 / (σ_n² + pose²)           one term a scan, however many of its pixels are there
     the fused point        √(that + common_mm²)               what all scans have in common: the calibration, the water
+
+Where the errors of all places are known (``appliance.registration.joint``), ``with_places`` makes it that of the object's frame: by how much a point
+may lie elsewhere with its whole scan, and by how much the object may be bent there. Its shares are kept, since neighbours have these two in common: a hole's
+diameter does not depend on them, the distance of two flanges does.
 
 Pixels of one scan are averaged, since that makes the surface smoother, and sigma does not claim anything for it: they share the
 pose, ripple and part of their noise. So sigma is right where a disc holds about one pixel of a scan, and too large beyond.
@@ -18,7 +23,7 @@ Points whose normal is not known (alone, or at the border of nothing) are left o
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -55,6 +60,18 @@ class PlacedScan:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class SigmaShares:
+    """Shares of the points' sigma, each (n,) float32 in mm along the normal; sigma is the root of the sum of their squares."""
+
+    beside_mm: NDArray[np.float32]
+    """Relative to the points around: noise, and places of scans beside each other."""
+    place_mm: NDArray[np.float32]
+    """By the place of the scan in the object."""
+    bending_mm: NDArray[np.float32]
+    """By the depth error that all scans share: what may bend the object without any residual."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class FusedCloud:
     """Points of one surface, in the object's frame; all arrays have the same length n."""
 
@@ -63,13 +80,29 @@ class FusedCloud:
     normals: NDArray[np.float32]
     """(n, 3) float32, unit vectors towards where the surface was seen from."""
     sigma_mm: NDArray[np.float32]
-    """(n,) float32: standard deviation along the normal, as the module's head says."""
+    """(n,) float32: standard deviation along the normal, as the module's head says: in the object's frame where ``shares`` are known."""
     grey: NDArray[np.uint8]
     """(n,) uint8: mean of the scans' grey values, by their variances."""
     views: NDArray[np.uint16]
     """(n,) uint16: the number of scans that saw the point."""
     left_out: int = 0
     """Points of the scans that have no normal and so take no part."""
+    first_scan: NDArray[np.uint16] | None = None
+    """(n,) uint16: number of the first scan that saw the point, from 0 in the order in which they were fused; ``None``: not kept."""
+    shares: SigmaShares | None = None
+    """``None``: sigma is that relative to the points around, and what is common."""
+
+    @property
+    def beside_mm(self) -> NDArray[np.float32]:
+        """(n,) float32: standard deviation relative to the points around."""
+        return self.sigma_mm if self.shares is None else self.shares.beside_mm
+
+
+def with_places(cloud: FusedCloud, place_mm: NDArray[np.floating], bending_mm: NDArray[np.floating]) -> FusedCloud:
+    """Return a fused surface whose sigma is that in the object's frame. ``place_mm`` and ``bending_mm`` (n,): its further shares, along the normals."""
+    place, bending = place_mm.astype(np.float32), bending_mm.astype(np.float32)
+    beside = cloud.beside_mm
+    return replace(cloud, sigma_mm=np.sqrt(beside**2 + place**2 + bending**2), shares=SigmaShares(beside, place, bending))
 
 
 def fuse(
@@ -132,13 +165,17 @@ class _Surface:
         self._spacing_mm = spacing_mm
         self._depth_mm = max(_DEPTH_MM, _DEPTH_SPACINGS * spacing_mm)
         self._count = self._cell_count = 0
+        self._counts: list[int] = []
+        """Number of discs after each scan: discs are founded in order, and never go."""
         self._cells = _empty_cells(_FIRST_CELLS)
         self._discs = _empty_discs()
 
     def add(self, points: PointsOfScan) -> None:
-        n = len(points.grey)
-        if n == 0:
-            return
+        if n := len(points.grey):
+            self._add(points, n)
+        self._counts.append(self._count)
+
+    def _add(self, points: PointsOfScan, n: int) -> None:
         self._make_room(n)
         owner = np.empty(n, np.int32)
         done = 0
@@ -176,6 +213,7 @@ class _Surface:
             grey=np.rint(discs.grey[:n]).astype(np.uint8),
             views=discs.views[:n].copy(),
             left_out=left_out,
+            first_scan=np.repeat(np.arange(len(self._counts), dtype=np.uint16), np.diff([0, *self._counts])),
         )
 
 

@@ -121,7 +121,8 @@ def _blocks(cloud: FusedCloud, voxel_mm: float) -> Iterator[_Block]:
         if not len(of):
             continue
         places = cloud.points_mm[of].astype(np.float64) / voxel_mm - first
-        sigma = np.maximum(cloud.sigma_mm[of], np.float32(1e-4))
+        # Neighbours are weighed by what they do not have in common.
+        sigma = np.maximum(cloud.beside_mm[of], np.float32(1e-4))
         yield first, places, cloud.normals[of], 1.0 / sigma**2, of
 
 
