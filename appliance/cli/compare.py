@@ -37,6 +37,14 @@ def _six(text: str) -> tuple[float, ...]:
     return values
 
 
+def _is_file(nominal: str) -> bool:
+    """Tell whether ``nominal`` is a drawing's file, and no object's name."""
+    from appliance.surface.nominal import SUFFIXES
+
+    path = Path(nominal)
+    return path.suffix.lower() in SUFFIXES or path.exists()
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Comparing(WithCalibration):
     out: tuple[str, ...] = repeated(
@@ -98,10 +106,17 @@ class _Comparing(WithCalibration):
             say(f"warning: {one}")
         return Exit.OK
 
-    def checked(self) -> None:
-        """Raises UsageError for files that cannot be written, before minutes of work."""
+    def checked(self, nominal: str) -> None:
+        """Raises UsageError for files that cannot be written, and MissingLibraryError where what reads ``nominal`` or writes them is absent: before
+        minutes of work."""
         from appliance.export.content import ExportError
         from appliance.export.files import SURFACE_SUFFIXES, checked_suffix, require_library
+        from appliance.surface.libraries import needed
+
+        if _is_file(nominal):
+            needed("trimesh", "trimesh", "a nominal surface")
+        else:
+            needed("skimage.measure", "scikit-image", "the mesh of an object")
 
         for out in map(Path, self.out):
             writable(out)
@@ -127,11 +142,11 @@ class _Comparing(WithCalibration):
         from appliance.offline.object_errors import errors_of, laid_onto_something
         from appliance.offline.objects import surface_of
         from appliance.storage import objects
-        from appliance.surface.nominal import SUFFIXES, nominal_of_mesh, read_nominal
+        from appliance.surface.nominal import nominal_of_mesh, read_nominal
         from appliance.surface.object_mesh import VOXEL_MM, mesh_of_surface
 
         path = Path(named)
-        if path.suffix.lower() in SUFFIXES or path.exists():
+        if _is_file(named):
             return NominalSurface(path.name, read_nominal(path))
         other = objects.read(root, named)
         # What the two are laid onto each other by, no error of the other's frame is left in.
@@ -153,7 +168,7 @@ class CompareObject(_Comparing):
 
         wish = self.wish()
         measuring(wish.calibration)
-        self.checked()
+        self.checked(self.nominal)
         root = library_root(wish)
         stored = objects.read(root, self.name)
         compile_kernels()
@@ -180,7 +195,7 @@ class CompareScan(_Comparing):
 
         wish = self.wish()
         measuring(wish.calibration)
-        self.checked()
+        self.checked(self.nominal)
         root = library_root(wish)
         with Progress() as progress:
             folder = whole_scan(wish, self.scan)

@@ -5,22 +5,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
-from appliance.cli.arguments import number, operand, operands, option, repeated, switch, whole
-from appliance.cli.desk import library_root, measuring, scan_in, writable, writing
+from appliance.cli.arguments import operand, operands, option, switch, whole
+from appliance.cli.desk import library_root, measuring, scan_in
 from appliance.cli.kernels import compile_kernels
+from appliance.cli.object_files import ObjectFiles
 from appliance.cli.output import Exit, Progress, UsageError, complain, say, say_json
-from appliance.cli.places import WithCalibration, WithRoot
+from appliance.cli.places import WithRoot
 
 if TYPE_CHECKING:
-    from appliance.offline.origin import Wish
     from appliance.storage.objects import MemberScan, Places, StoredObject
-    from appliance.surface.mesh import Mesh
 
-PAGE, TRIANGLES = ".html", (".stl", ".obj")
-SPACING_MM = 0.3
-"""Distance of an object's points: that of a scan's in the middle of the volume is 0.16."""
+LEAST_SCANS = 2
+"""Placed scans that make an object."""
 _NAME = "the object's name; a folder objects/NAME is made under the storage root"
 _TAKEN_AS = "all scans that the instrument took as object N, in their order, besides those named; what it has already is left out"
 
@@ -94,22 +92,16 @@ class ShowObject(WithRoot):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SolveObject(WithCalibration):
+class SolveObject(ObjectFiles):
     """Find where every scan of an object lies relative to the first, or why it is left out."""
+
+    codes: ClassVar[Sequence[Exit]] = (Exit.LEFT_OUT,)
 
     name: str = operand("NAME", _NAME)
     scans: tuple[str, ...] = operands(
         "SCAN", "scans to add first; the object is made if it is not there", at_least_one=False
     )
     taken_as: int | None = option("--taken-as", _TAKEN_AS, parse=whole(1, 999_999), metavar="N")
-    out: tuple[str, ...] = repeated(
-        "--out",
-        "one surface of all scans as points (.ply .e57 .las) or mesh (.stl .obj), or a page about it (.html); may be repeated",
-        metavar="FILE",
-    )
-    spacing: float = option(
-        "--spacing", "mm between its points (0.3)", default=SPACING_MM, parse=number(0.02, 20.0, "mm"), metavar="MM"
-    )
     with_estimate: bool = switch(
         "--with-estimate",
         "believe what the overlaps say of the depth error that all scans share, and take it out of the points",
@@ -118,7 +110,7 @@ class SolveObject(WithCalibration):
     def run(self) -> Exit:
         wish = self.wish()
         measuring(wish.calibration)
-        outs = _writable([Path(one) for one in self.out])
+        outs = self.checked_outs([Path(one) for one in self.out])
         from appliance.storage import objects
         from appliance.storage.objects import StoredObject, folder_of, with_scans
 
@@ -139,12 +131,41 @@ class SolveObject(WithCalibration):
             solved = solve_object(root, found, wish, progress, with_shared_error=self.with_estimate)
         objects.write(root, solved)
         _tell_health(root, solved, as_json=self.json)
-        placed = solved.places is not None and len(solved.places.places) >= 2
-        if placed:
-            _write(root, solved, wish, outs, self.spacing)
+        placed = 0 if solved.places is None else len(solved.places.places)
+        if placed >= LEAST_SCANS:
+            self.write(root, solved, wish, outs)
         _say_object(solved, as_json=self.json)
-        # Nothing is lost where a scan is left out, but whoever calls this from a program must notice.
-        return Exit.OK if placed else Exit.FAILED
+        if placed < LEAST_SCANS:
+            return Exit.FAILED
+        # What was placed is written, and whoever calls this from a program must notice what was not.
+        return Exit.OK if placed == len(solved.scans) else Exit.LEFT_OUT
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExportObject(ObjectFiles):
+    """Files of a solved object, without solving it again."""
+
+    name: str = operand("NAME", _NAME)
+
+    def run(self) -> Exit:
+        wish = self.wish()
+        measuring(wish.calibration)
+        outs = self.checked_outs([Path(one) for one in self.out or (f"{self.name}.ply",)])
+        from appliance.offline.object_errors import errors_of
+        from appliance.storage import objects
+
+        root = library_root(wish)
+        solved = objects.read(root, self.name)
+        # Says at once where it is not solved.
+        errors_of(solved)
+        compile_kernels()
+        self.write(root, solved, wish, outs)
+        if self.json:
+            say_json({"object": solved.name, "files": [str(out) for out in outs]})
+        else:
+            for out in outs:
+                say(str(out))
+        return Exit.OK
 
 
 def _tell_health(root: Path, solved: StoredObject, *, as_json: bool) -> None:
@@ -167,49 +188,6 @@ def _tell_health(root: Path, solved: StoredObject, *, as_json: bool) -> None:
     except StorageError as error:
         # The object is solved and kept: what it says of the calibration can be written by solving it again.
         complain(f"not written to the calibration's health: {error}", as_json=as_json)
-
-
-def _writable(outs: Sequence[Path]) -> Sequence[Path]:
-    """Return ``outs``. Raises UsageError for a file that cannot be written, before minutes of work."""
-    from appliance.export.content import ExportError
-    from appliance.export.files import SURFACE_SUFFIXES, checked_suffix, require_library
-    from appliance.surface.libraries import needed
-
-    for out in outs:
-        writable(out)
-        try:
-            checked_suffix(out, (*SURFACE_SUFFIXES, *TRIANGLES, PAGE), "an object")
-        except ExportError as error:
-            raise UsageError(f"--out {error}") from error
-        require_library(out)
-        if out.suffix.lower() in TRIANGLES:
-            needed("skimage.measure", "scikit-image", "the mesh of an object")
-    return outs
-
-
-def _write(root: Path, solved: StoredObject, wish: Wish, outs: Sequence[Path], spacing_mm: float) -> None:
-    if not outs:
-        return
-    from appliance.export.files import write_mesh, write_surface
-    from appliance.offline.object_report import report_of
-    from appliance.offline.objects import about_object, surface_of
-    from appliance.report.page import write_report
-    from appliance.surface.object_mesh import VOXEL_MM, mesh_of_surface
-
-    with Progress() as progress:
-        surface = surface_of(root, solved, wish, progress, spacing_mm)
-        mesh: Mesh | None = None
-        for out in outs:
-            progress(f"writing {out.name}")
-            with writing(out):
-                if out.suffix.lower() == PAGE:
-                    write_report(out, report_of(solved, surface))
-                elif out.suffix.lower() in TRIANGLES:
-                    # Made when it is first wanted: it takes as long as everything before.
-                    mesh = mesh_of_surface(surface, max(VOXEL_MM, 2.0 * spacing_mm)) if mesh is None else mesh
-                    write_mesh(out, mesh, about_object(solved))
-                else:
-                    write_surface(out, surface, about_object(solved))
 
 
 def _members(

@@ -26,6 +26,8 @@ class Exit(IntEnum):
     """The diver's script of ``kingfisher sim`` did not come to its end."""
     DAMAGED = 4
     """``scans verify`` found a damaged scan."""
+    LEFT_OUT = 5
+    """``object solve`` placed some scans and left others out."""
     INTERRUPTED = 130
     """Ctrl-C."""
 

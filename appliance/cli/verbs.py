@@ -91,9 +91,11 @@ VERBS: tuple[Listed | Group, ...] = (
             Listed("add", "add scans to an object", "object:AddToObject"),
             Listed("show", "where its scans lie, how certain that is, what was refused", "object:ShowObject"),
             Listed("solve", "find where its scans lie relative to each other", "object:SolveObject"),
+            Listed("export", "its surface, mesh, scans or page as files, without solving again", "object:ExportObject"),
             Listed("compare", "how far its surface lies from a drawing or another object", "compare:CompareObject"),
         ),
     ),
+    Listed("report", "one page about the scans of a dive", "report:DiveReport"),
     Listed("pull", "scans off an instrument: what is not here, compared, nothing deleted", "pull:Pull"),
     Group(
         "archive",

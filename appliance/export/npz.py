@@ -12,8 +12,10 @@ from __future__ import annotations
 
 import io
 import json
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from appliance.export.content import About
 from appliance.reconstruct.organised import OrganisedCloud
@@ -23,16 +25,20 @@ def encode_npz(cloud: OrganisedCloud, about: About) -> bytes:
     """Return the archive, compressed."""
     said = {"title": about.title, "frame": about.frame, "unit": "mm", "notes": [*about.mark_lines(), *about.notes]}
     made = io.BytesIO()
-    np.savez_compressed(
-        made,
-        x_mm=cloud.points_mm[..., 0],
-        y_mm=cloud.points_mm[..., 1],
-        z_mm=cloud.points_mm[..., 2],
-        sigma_mm=cloud.sigma_mm,
-        ray_gap_mm=cloud.ray_gap_mm,
-        modulation_dn=cloud.modulation_dn,
-        grey=cloud.grey,
-        mask=cloud.mask,
-        about=np.array(json.dumps(said, ensure_ascii=False)),
-    )
+    whole: dict[str, Any] = {**arrays_of(cloud), "about": np.array(json.dumps(said, ensure_ascii=False))}
+    np.savez_compressed(made, **whole)
     return made.getvalue()
+
+
+def arrays_of(cloud: OrganisedCloud) -> dict[str, NDArray[Any]]:
+    """Return the arrays of a scan, each (h, w), by their names."""
+    return {
+        "x_mm": cloud.points_mm[..., 0],
+        "y_mm": cloud.points_mm[..., 1],
+        "z_mm": cloud.points_mm[..., 2],
+        "sigma_mm": cloud.sigma_mm,
+        "ray_gap_mm": cloud.ray_gap_mm,
+        "modulation_dn": cloud.modulation_dn,
+        "grey": cloud.grey,
+        "mask": cloud.mask,
+    }

@@ -29,8 +29,8 @@ from appliance.surface.nominal import Nominal
 PAGE = ".html"
 SURE = 2.0
 """Standard deviations beyond which a deviation is one."""
-DOUBTFUL_PERCENT = 5.0
-"""Share of points whose deviation may be the object's bending from which on that is said; by chance some of 5 % are beyond two standard deviations."""
+DOUBTFUL_PERCENT = 10.0
+"""Share of points whose deviation may be the object's bending from which on that is said: some of 5 % are beyond two standard deviations by chance."""
 _MOST_SHOWN = 3
 
 

@@ -43,6 +43,8 @@ class ReportScan:
     """Rotation vector of its placement: axis times angle in degrees."""
     pose_sigma_mm: float | None = None
     warnings: Sequence[str] = ()
+    picture_png: bytes | None = None
+    """The scan as its left camera sees it (``report.still.picture_of_scan``)."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import html
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -45,6 +46,7 @@ def page(report: Report) -> str:
         "" if report.nominal is None or full is None else _nominal(report.nominal, full),
         "" if report.budget is None else _budget(report.budget),
         _scans(report.scans),
+        _pictures(report.scans),
         _pairs(report.scans, report.pairs),
         _READING,
     ]
@@ -191,6 +193,18 @@ def _scans(scans: Sequence[ReportScan]) -> str:
         "Remarks",
     )
     return f"<section><h2>Scans</h2>{_table(head, rows, 'scans')}</section>"
+
+
+def _pictures(scans: Sequence[ReportScan]) -> str:
+    shown_ = [(scan, scan.picture_png) for scan in scans if scan.picture_png is not None]
+    if not shown_:
+        return ""
+    figures = "".join(
+        f'<figure><img alt="scan {html.escape(scan.name)}" src="data:image/png;base64,{base64.b64encode(png).decode()}">'
+        f"<figcaption><b>{html.escape(scan.name)}</b> {_given(scan.points, _count)} points</figcaption></figure>"
+        for scan, png in shown_
+    )
+    return f'<section><h2>Pictures</h2><p class="note">As the left camera sees them; dark is near, yellow far, within each picture.</p><div class="pictures">{figures}</div></section>'
 
 
 def _pairs(scans: Sequence[ReportScan], pairs: Sequence[ReportPair]) -> str:

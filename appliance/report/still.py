@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.report.content import Vector
-from appliance.report.shown import Colouring, ShownSurface, coloured
+from appliance.report.shown import SEQUENTIAL, Colouring, ShownSurface, coloured
 
 WIDTH_PX, HEIGHT_PX = 1400, 900
+_SCAN_PX = (480, 360)
 _MARGIN = 0.06
 _BAR_PX = 50
 LEAST_PX = 450
@@ -74,23 +75,46 @@ def still(shown: ShownSurface, colouring: Colouring, up: Vector) -> str:
     )
 
 
+def picture_of_scan(points_mm: NDArray[np.float32], grey: NDArray[np.uint8]) -> bytes:
+    """Return a PNG file of one scan's points (n, 3), n at least 1, as its left camera sees them: colour by depth, brightness by ``grey`` (n,)."""
+    points = points_mm.astype(np.float64)
+    across, down = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]
+    wide, high = (max(float(np.ptp(one)), 1e-6) for one in (across, down))
+    px = (1 - 2 * _MARGIN) * min(_SCAN_PX[0] / wide, _SCAN_PX[1] / high)
+    column = _SCAN_PX[0] / 2 + (across - (across.min() + across.max()) / 2) * px
+    row = _SCAN_PX[1] / 2 + (down - (down.min() + down.max()) / 2) * px
+    low, far = (float(value) for value in np.percentile(points[:, 2], (2, 98)))
+    by_depth = coloured(Colouring("Depth", points_mm[:, 2], low, max(far, low + 0.1), "mm", SEQUENTIAL))
+    bright = np.clip(grey / max(float(np.percentile(grey, 98)), 1.0), 0.0, 1.0)
+    image = _splats(column, row, -points[:, 2], by_depth * (_AMBIENT + (1 - _AMBIENT) * bright)[:, None], _SCAN_PX)
+    done, data = cv2.imencode(".png", np.ascontiguousarray(image[:, :, ::-1]))
+    if not done:
+        raise ValueError("the picture could not be encoded as PNG")
+    return bytes(data)
+
+
 def _splats(
-    column: NDArray[np.float64], row: NDArray[np.float64], depth: NDArray[np.float64], rgb: NDArray[np.float64]
+    column: NDArray[np.float64],
+    row: NDArray[np.float64],
+    depth: NDArray[np.float64],
+    rgb: NDArray[np.float64],
+    size_px: tuple[int, int] = (WIDTH_PX, HEIGHT_PX),
 ) -> NDArray[np.uint8]:
-    """Draw points as squares, the nearer ones over the farther ones."""
+    """Draw points as squares, the nearer ones (of larger ``depth``) over the farther ones."""
+    width, height = size_px
     # Squares as large as the way between points, so that the surface is closed: from the area that they cover.
     covered = len(np.unique((row / 8).astype(np.int64) * 10_000 + (column / 8).astype(np.int64))) * 64.0
     half = int(np.clip(math.ceil(0.75 * math.sqrt(covered / len(column))), 1, 12))
     order = np.argsort(depth)
-    image = np.full((HEIGHT_PX, WIDTH_PX, 3), 255, np.uint8)
-    nearest = np.full((HEIGHT_PX, WIDTH_PX), -np.inf)
+    image = np.full((height, width, 3), 255, np.uint8)
+    nearest = np.full((height, width), -np.inf)
     x, y = np.rint(column[order]).astype(np.int64), np.rint(row[order]).astype(np.int64)
     near, colour = depth[order], np.clip(rgb[order], 0, 255).astype(np.uint8)
     for dy in range(-half, half + 1):
         for dx in range(-half, half + 1):
-            i, j = np.clip(y + dy, 0, HEIGHT_PX - 1), np.clip(x + dx, 0, WIDTH_PX - 1)
+            i, j = np.clip(y + dy, 0, height - 1), np.clip(x + dx, 0, width - 1)
             # Of several values for one pixel NumPy keeps the last, which is the nearest here.
-            layer = np.full((HEIGHT_PX, WIDTH_PX), -1, np.int64)
+            layer = np.full((height, width), -1, np.int64)
             layer[i, j] = np.arange(len(x))
             of = layer[layer >= 0]
             where = np.nonzero(layer >= 0)

@@ -35,6 +35,8 @@ figcaption, .note, small { color: var(--muted); font-size: 13px; }
 .beside { display: grid; grid-template-columns: minmax(0, 3fr) minmax(0, 2fr); gap: 30px; align-items: start; }
 .chart { display: block; width: 100%; height: auto; }
 .net { max-width: 760px; margin: 0 auto 10px; }
+.pictures { display: grid; grid-template-columns: repeat(auto-fill, minmax(240px, 1fr)); gap: 14px; }
+.pictures img { display: block; width: 100%; height: auto; border: 1px solid var(--line); border-radius: 8px; }
 .wide { overflow-x: auto; }
 table { width: 100%; border-collapse: collapse; font-size: 13.5px; font-variant-numeric: tabular-nums; }
 th { text-align: left; font-weight: 600; }
@@ -71,6 +73,7 @@ tfoot th { border-top: 2px solid var(--ink); border-bottom: 0; }
   .chip { padding: 0 5pt; }
   .tile { padding: 6pt 9pt; }
   .tile b { font-size: 14pt; }
+  .pictures { grid-template-columns: repeat(3, 1fr); gap: 8pt; }
   .wide { overflow: visible; }
   table { font-size: 7.6pt; }
   thead { display: table-header-group; }

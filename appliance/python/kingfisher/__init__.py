@@ -17,6 +17,8 @@ if TYPE_CHECKING:  # for editors and type checkers; at run time ``__getattr__`` 
     from appliance.offline.comparing import Comparison as Comparison
     from appliance.offline.comparing import NominalSurface as NominalSurface
     from appliance.offline.comparing import compare as compare
+    from appliance.offline.object_scripting import ObjectOfDive as ObjectOfDive
+    from appliance.offline.object_scripting import open_object as open_object
     from appliance.offline.objects import ready_scan as ready_scan
     from appliance.offline.organised_scan import OrganisedScan as OrganisedScan
     from appliance.offline.scripting import Dive as Dive
@@ -26,10 +28,13 @@ if TYPE_CHECKING:  # for editors and type checkers; at run time ``__getattr__`` 
     from appliance.offline.scripting import open_scan as open_scan
     from appliance.optics.water import Water as Water
     from appliance.reconstruct.organised import OrganisedCloud as OrganisedCloud
+    from appliance.registration.joint import JointErrors as JointErrors
+    from appliance.registration.joint import LengthSigma as LengthSigma
     from appliance.registration.pair import ReadyScan as ReadyScan
     from appliance.registration.pair import RegisteredPair as RegisteredPair
     from appliance.registration.pair import register as register
     from appliance.registration.reference import SurfaceMatchError as SurfaceMatchError
+    from appliance.registration.rigid import Rigid as Rigid
     from appliance.registration.solve import Solved as Solved
     from appliance.registration.solve import solve as solve
     from appliance.report.content import Report as Report
@@ -40,8 +45,8 @@ if TYPE_CHECKING:  # for editors and type checkers; at run time ``__getattr__`` 
     from appliance.report.content import ReportTerm as ReportTerm
     from appliance.report.content import ReportVerdict as ReportVerdict
     from appliance.report.page import write_report as write_report
+    from appliance.storage.objects import ObjectError as ObjectError
     from appliance.storage.objects import StoredObject as StoredObject
-    from appliance.storage.objects import read as open_object  # noqa: F401
     from appliance.storage.scan import ScanError as ScanError
     from appliance.surface.deviation import Deviation as Deviation
     from appliance.surface.deviation import deviations as deviations
@@ -60,19 +65,22 @@ _HOMES = {
     "appliance.calibration.file": ("Calibration", "CalibrationError", "load as load_calibration"),
     "appliance.export.content": ("ExportError",),
     "appliance.offline.comparing": ("Comparison", "NominalSurface", "compare"),
+    "appliance.offline.object_scripting": ("ObjectOfDive", "open_object"),
     "appliance.offline.objects": ("ready_scan",),
     "appliance.offline.organised_scan": ("OrganisedScan",),
     "appliance.offline.scripting": ("Dive", "ScanOfDive", "export", "open_dive", "open_scan"),
     "appliance.optics.water": ("Water",),
     "appliance.reconstruct.organised": ("OrganisedCloud",),
+    "appliance.registration.joint": ("JointErrors", "LengthSigma"),
     "appliance.registration.pair": ("ReadyScan", "RegisteredPair", "register"),
     "appliance.registration.reference": ("SurfaceMatchError",),
+    "appliance.registration.rigid": ("Rigid",),
     "appliance.registration.solve": ("Solved", "solve"),
     "appliance.report.content": (
         "Report", "ReportBudget", "ReportNominal", "ReportPair", "ReportScan", "ReportTerm", "ReportVerdict",
     ),
     "appliance.report.page": ("write_report",),
-    "appliance.storage.objects": ("StoredObject", "read as open_object"),
+    "appliance.storage.objects": ("ObjectError", "StoredObject"),
     "appliance.storage.scan": ("ScanError",),
     "appliance.surface.deviation": ("Deviation", "deviations"),
     "appliance.surface.fusion": ("FusedCloud", "PlacedScan", "fuse"),

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
+import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial import cKDTree
 
 from appliance.calibration.file import encode
 from appliance.cli.main import main
@@ -64,7 +69,7 @@ def test_scans_of_a_shell_are_placed_and_a_bare_plane_is_left_out(
     capsys.readouterr()
     out = dive / "find.ply"
     code = run(dive, "solve", "find", "000003", BARE, "--out", str(out), "--spacing", "1", "--json", *calibrated(dive))
-    assert code == 0
+    assert code == 5, "a scan is left out, and a program notices"
     solved = objects.read(dive, "find")
     assert solved.places is not None
     assert sorted(solved.places.places) == sorted(POSES)
@@ -90,6 +95,120 @@ def test_scans_of_a_shell_are_placed_and_a_bare_plane_is_left_out(
     assert out.stat().st_size > 100_000
     with pytest.raises(PlyError):
         read_ply(out)  # a surface of many scans does not pass for one scan's cloud
+
+
+def test_a_solved_object_is_written_again_in_every_form_without_solving(
+    dive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(dive, "new", "kept", "000001", "000002", "000003") == 0
+    assert run(dive, "export", "kept", "--out", str(tmp_path / "x.ply"), *calibrated(dive)) == 1
+    assert "is not solved: kingfisher object solve 'kept'" in capsys.readouterr().err
+    solved_out = tmp_path / "solved.ply"
+    assert run(dive, "solve", "kept", "--out", str(solved_out), "--spacing", "1", *calibrated(dive)) == 0
+    file = dive / "objects" / "kept" / "object.json"
+    before = file.read_bytes()
+    capsys.readouterr()
+    outs = [tmp_path / name for name in ("points.las", "grids.npz", "page.html")]
+    words = [word for out in outs for word in ("--out", str(out))]
+    assert run(dive, "export", "kept", *words, "--spacing", "1", "--json", *calibrated(dive)) == 0
+    assert json.loads(capsys.readouterr().out)["files"] == [str(out) for out in outs]
+    again, mesh = tmp_path / "again.ply", tmp_path / "mesh.ply"
+    assert run(dive, "export", "kept", "--out", str(again), "--spacing", "1", *calibrated(dive)) == 0
+    assert again.read_bytes() == solved_out.read_bytes()
+    closed = ("--mesh", "--close-holes", "30", "--spacing", "1")
+    assert run(dive, "export", "kept", "--out", str(mesh), *closed, *calibrated(dive)) == 0
+    assert file.read_bytes() == before
+
+    with mesh.open("rb") as opened:
+        read = trimesh.load(opened, file_type="ply", process=False)
+    vertices = read.metadata["_ply_raw"]["vertex"]["data"]
+    assert len(read.faces) > 5_000
+    assert {"sigma", "red", "nx"} <= set(vertices.dtype.names)
+    measured = np.isfinite(vertices["sigma"])
+    assert 0.0 < np.median(vertices["sigma"][measured]) < 0.2
+    assert vertices["red"].max() > 60
+
+    # Each scan's grid, put where it lies, is on the surface of all of them.
+    places = objects.read(dive, "kept").places
+    assert places is not None
+    with again.open("rb") as opened:
+        points = trimesh.load(opened, file_type="ply").metadata["_ply_raw"]["vertex"]["data"]
+    surface = np.stack([points[axis] for axis in "xyz"], 1)
+    np.testing.assert_allclose(
+        points["sigma"] ** 2,
+        points["sigma_beside_mm"] ** 2 + points["sigma_place_mm"] ** 2 + points["sigma_bending_mm"] ** 2,
+        rtol=1e-4,
+    )
+    assert np.median(points["sigma_bending_mm"]) > 0.005, "the usual bow of a calibration that states none"
+    with np.load(outs[1]) as grids:
+        assert grids["scans"].tolist() == sorted(POSES)
+        assert json.loads(str(grids["about"]))["unit"] == "mm"
+        for name in POSES:
+            grid = np.stack([grids[f"{name}/{axis}_mm"] for axis in "xyz"], -1)
+            assert grid.shape == (300, 400, 3)
+            at = grid[grids[f"{name}/mask"]] @ grids[f"{name}/rotation"].T + grids[f"{name}/translation_mm"]
+            assert np.median(cKDTree(surface).query(at[::50])[0]) < 1.0
+            np.testing.assert_allclose(grids[f"{name}/place_covariance"], places.places[name].covariance)
+            assert np.isfinite(grids[f"{name}/sigma_mm"][grids[f"{name}/mask"]]).all()
+
+
+def test_the_notebook_about_objects_runs_from_the_first_cell_to_the_last(
+    dive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert run(dive, "new", "book", "000001", "000002") == 0
+    assert run(dive, "solve", "book", *calibrated(dive)) == 0
+    notebook = json.loads((Path(__file__).parents[3] / "docs/notebooks/first_object.ipynb").read_text())
+    monkeypatch.setenv("KINGFISHER_DIVE", str(dive))
+    monkeypatch.setenv("KINGFISHER_OBJECT", "book")
+    monkeypatch.setenv("KINGFISHER_CALIBRATION", str(dive / "calibration" / "truth.json"))
+    monkeypatch.chdir(tmp_path)
+    said = io.StringIO()
+    names: dict[str, Any] = {}
+    with contextlib.redirect_stdout(said):
+        for k, cell in enumerate(notebook["cells"]):
+            if cell["cell_type"] == "code":
+                exec(compile("".join(cell["source"]), f"cell {k}", "exec"), names)
+    text = said.getvalue()
+    assert "accepted: True" in text
+    # The same two scans by the verb, and by hand.
+    (off_um,) = re.findall(r"led from where the object has it: ([0-9.]+) µm", text)
+    assert float(off_um) < 20.0
+    (laid_um,) = re.findall(r"laid on within ([0-9]+) µm", text)
+    assert float(laid_um) < 30.0, "moved by a millimetre, and back"
+    apart, sigma_um = re.findall(r"([0-9.]+) mm, sigma ([0-9]+) µm", text)[0]
+    assert 25.0 < float(apart) < 90.0
+    assert 0.0 < float(sigma_um) < 200.0
+    assert {"object.ply", "coarse.ply"} == {path.name for path in tmp_path.iterdir()}
+
+
+def test_the_page_says_of_every_scan_and_pair_what_they_are_like(dive: Path, tmp_path: Path) -> None:
+    out = tmp_path / "page.html"
+    assert run(dive, "new", "said", "000001", "000002", BARE) == 0
+    assert run(dive, "solve", "said", "--out", str(out), "--spacing", "2", *calibrated(dive)) == 5
+    page = out.read_text()
+    rows = page[page.index('<table class="scans">') : page.index('<table class="pairs">')].split("<tr>")[2:]
+    for row, name in zip(rows, ("000001", "000002", BARE), strict=True):
+        cells = [re.sub(r"<[^>]*>", "", cell) for cell in row.split("<td>")]
+        assert cells[1] == name
+        points, distance, sigma, gap = cells[3:7]
+        assert int(points.replace("\u202f", "")) > 10_000
+        assert 450 < float(distance.removesuffix(" mm")) < 650
+        assert 2.0 < float(sigma.removesuffix(" µm")) < 300.0
+        assert 1.0 < float(gap.removesuffix(" µm")) < 300.0
+        assert "2031-05-06" in cells[10]
+    (pair,) = [row for row in page[page.index('<table class="pairs">') :].split("<tr>") if "000001</b> – <b>000002" in row]
+    cells = [re.sub(r"<[^>]*>", "", cell) for cell in pair.split("<td>")]
+    assert int(cells[4]) > 10, "features in common"
+    assert 0.0 < float(cells[7].removeprefix("± ").removesuffix("°")) < 0.1
+    assert "Uncertainty over" in page
+
+
+def test_options_of_meshes_are_refused_where_none_is_written(dive: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(dive, "new", "meshless", "000001", "000002") == 0
+    assert run(dive, "solve", "meshless", "--out", "x.las", "--close-holes", "5", *calibrated(dive)) == 2
+    assert "--close-holes: is for meshes, and none is written" in capsys.readouterr().err
+    assert run(dive, "solve", "meshless", "--mesh", *calibrated(dive)) == 2
+    assert "give --out FILE.ply --mesh" in capsys.readouterr().err
 
 
 def test_what_is_asked_of_an_unknown_object_or_one_scan_is_refused_in_a_line(

@@ -1,0 +1,100 @@
+"""Owns what the page about a dive says: each scan as it was judged, what is held against it, and its cloud as a picture."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from appliance import __version__
+from appliance.report.content import Report, ReportScan, ReportVerdict
+from appliance.report.still import picture_of_scan
+from appliance.storage import scan as stored
+from appliance.storage.library import ScanEntry
+
+_SHOWN_DIGITS = 12
+
+
+def report_of_dive(root: Path, entries: Sequence[ScanEntry], progress: Callable[[str, float], None]) -> Report:
+    """Return the page's content for scans under a storage root, in their order. A scan that cannot be read is on the page, with its problem."""
+    scans = []
+    for number, entry in enumerate(entries):
+        progress(f"scan {entry.scan_id}", number / max(len(entries), 1))
+        scans.append(_scan(entry))
+    records = [entry.manifest.record for entry in entries if entry.manifest is not None]
+    dates = sorted(one.wall_time for one in records if one.wall_time is not None)
+    points = sum(one.points or 0 for one in scans)
+    return Report(
+        title=f"Dive {root.absolute().name}",
+        subtitle=f"{len(entries)} scans, {points / 1e6:.1f} million points",
+        about={
+            "Recorded": " to ".join(dict.fromkeys((dates[0], dates[-1]))) if dates else "at an unknown time",
+            "Calibration": _each(one.calibration_hash for one in records) or "none",
+            "Refractive index of the water": _each(
+                f"{index:.5f}" for one in records if (index := one.water.get("index")) is not None
+            )
+            or "–",
+            "Objects": _each(f"{one.object}" for one in records if one.object is not None) or "none",
+            "Software": f"Kingfisher {__version__}; recorded by {_each(one.software_version for one in records) or '–'}",
+        },
+        scans=scans,
+        warnings=_warnings(entries, scans),
+    )
+
+
+def _each(values: Iterable[str | None]) -> str:
+    """Return what occurs among ``values``, each once and shortened, in the order of appearance."""
+    return ", ".join(dict.fromkeys(one[:_SHOWN_DIGITS] for one in values if one is not None))
+
+
+def _scan(entry: ScanEntry) -> ReportScan:
+    name = entry.scan_id if entry.label.name is None else f"{entry.scan_id} {entry.label.name}"
+    if entry.manifest is None:
+        return ReportScan(name, ReportVerdict.REFUSED, "damaged", warnings=entry.problems)
+    record = entry.manifest.record
+    failed = [f"{one.name}: {one.text}" if one.text else one.name for one in record.verdicts if one.passed is False]
+    count = record.cloud.get("points")
+    found = ReportScan(
+        name=name,
+        verdict=ReportVerdict.DOUBTFUL if failed else ReportVerdict.GOOD,
+        reason="" if record.object is None else f"object {record.object}",
+        recorded=record.wall_time if record.clock_trusted or record.wall_time is None else f"{record.wall_time} (clock not set)",
+        points=None if count is None else round(count),
+        sigma_mm=record.cloud.get("noise_mm"),
+        ray_gap_mm=record.cloud.get("gap_mm"),
+        warnings=(*failed, *entry.problems, *((entry.label.note,) if entry.label.note else ())),
+    )
+    if entry.problems:
+        return replace(found, verdict=ReportVerdict.REFUSED)
+    try:
+        cloud = stored.load(entry.folder).cloud()
+    except stored.ScanError as error:
+        return replace(found, verdict=ReportVerdict.REFUSED, warnings=(*found.warnings, str(error)))
+    if cloud is None or not len(cloud.points_mm):
+        # Its frames are whole: its points can be made again.
+        return replace(found, verdict=ReportVerdict.REFUSED, warnings=(*found.warnings, "raw frames only: kingfisher reconstruct"))
+    return replace(
+        found,
+        points=len(cloud.points_mm),
+        distance_mm=float(np.median(cloud.points_mm[:, 2])),
+        sigma_mm=float(np.median(cloud.sigma_mm)),
+        ray_gap_mm=float(np.median(np.abs(cloud.ray_gap_mm))),
+        picture_png=picture_of_scan(cloud.points_mm, cloud.intensity),
+    )
+
+
+def _warnings(entries: Sequence[ScanEntry], scans: Sequence[ReportScan]) -> list[str]:
+    said = []
+    for verdict, words in (
+        (ReportVerdict.REFUSED, "without points that can be used"),
+        (ReportVerdict.DOUBTFUL, "with something held against them"),
+    ):
+        names = [one.name for one in scans if one.verdict is verdict]
+        if names:
+            said.append(f"{len(names)} of {len(scans)} scans {words}: {', '.join(names)}")
+    used = {entry.manifest.record.calibration_hash for entry in entries if entry.manifest is not None} - {None}
+    if len(used) > 1:
+        said.append(f"{len(used)} calibrations: points of different ones do not lie on each other")
+    return said

@@ -1,0 +1,82 @@
+"""Owns what a script at the desk does with an object that ``kingfisher object`` keeps: its places, placed points, surface, errors and lengths."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from appliance.offline.comparing import Comparison, NominalSurface, compare
+from appliance.offline.object_errors import errors_of, length_between
+from appliance.offline.objects import placed_scans, surface_of
+from appliance.offline.origin import Wish
+from appliance.offline.scripting import open_dive
+from appliance.registration.joint import JointErrors, LengthSigma
+from appliance.registration.rigid import Rigid
+from appliance.storage import objects
+from appliance.storage.objects import StoredObject
+from appliance.surface.deviation import LIMIT_MM
+from appliance.surface.fusion import SPACING_MM, FusedCloud, PlacedScan
+
+Doing = Callable[[str, float | None], None]
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectOfDive:
+    """One object under a storage root; its file is read anew whenever it is asked for. Everything is in the object's frame, mm."""
+
+    root: Path
+    name: str
+    wish: Wish
+
+    @property
+    def stored(self) -> StoredObject:
+        """The record: scans, places, pairs, warnings. Raises ObjectError."""
+        return objects.read(self.root, self.name)
+
+    @property
+    def errors(self) -> JointErrors | None:
+        """Errors of all places as they hang together; ``None`` where an earlier version solved it. Raises ObjectError where it is not solved."""
+        return errors_of(self.stored)
+
+    def placed_scans(self, progress: Doing = lambda *_: None) -> Iterator[PlacedScan]:
+        """Yield the scans that have a place, one at a time. Raises ObjectError, ScanError, CalibrationError."""
+        return placed_scans(self.root, self.stored, self.wish, progress)
+
+    def surface(self, spacing_mm: float = SPACING_MM, progress: Doing = lambda *_: None) -> FusedCloud:
+        """Return one surface of all placed scans, a point about every ``spacing_mm``. Raises ObjectError, ScanError, CalibrationError."""
+        return surface_of(self.root, self.stored, self.wish, progress, spacing_mm)
+
+    def length(
+        self, first: str, at_first_mm: Sequence[float], second: str, at_second_mm: Sequence[float]
+    ) -> LengthSigma:
+        """Return the distance between a point of scan ``first`` and one of ``second``, with its standard deviation. Raises ObjectError."""
+        return length_between(self.stored, first, at_first_mm, second, at_second_mm)
+
+    def compare(
+        self, nominal: NominalSurface, spacing_mm: float = SPACING_MM, limit_mm: float = LIMIT_MM, start: Rigid | None = None
+    ) -> Comparison:
+        """Lay its surface onto ``nominal`` and return the deviations, with the object's own errors in their sigma. Raises SurfaceMatchError, and
+        what ``surface`` raises."""
+        return compare(self.surface(spacing_mm), nominal, limit_mm, start, self.errors)
+
+
+def open_object(
+    root: Path | str,
+    name: str,
+    rig: Path | str | None = None,
+    calibration: Path | str | None = None,
+    *,
+    current_calibration: bool = False,
+    foreign_calibration: bool = False,
+) -> ObjectOfDive:
+    """Return the object of that name under a storage root. The options are those of ``open_dive``; ``calibration``: the file of another one than each scan's
+    own, as ``--calibration``. Raises ObjectError, NotADirectoryError, ConfigError."""
+    dive = open_dive(
+        root, rig, current_calibration=current_calibration, foreign_calibration=foreign_calibration
+    )
+    wish = dive.wish if calibration is None else replace(dive.wish, calibration=Path(calibration), current=False)
+    found = ObjectOfDive(dive.root, name, wish)
+    # Read and thrown away: a wrong name is better said now than at the first points.
+    objects.read(found.root, name)
+    return found
