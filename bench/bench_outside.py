@@ -1,4 +1,4 @@
-"""What the instrument is worth in the harsher simulated world ``outside``: scenes, milk, calibration health, part by part."""
+"""What the instrument is worth in the harsher simulated world ``outside``: scenes, milk, calibration health, part by part and seed by seed."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ import argparse
 import json
 import sys
 from collections.abc import Iterator, Sequence
+from datetime import date
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from bench.outside.noise import WAYS
-from bench.outside.page import compact, write_page
+from bench.outside.page import write_page
 from bench.outside.parts import PARTS, measure_part
+from bench.outside.record import added, compact, read
 from bench.progress import Progress
 from bench.result import Measured
 from bench.runner import machine
@@ -47,9 +48,16 @@ def main(arguments: Sequence[str]) -> int:
         default=USUAL_NOISE,
         help="what the instrument knows of its cameras' noise: what it measured, or their data sheet; default: %(default)s",
     )
-    parser.add_argument("--json", type=Path, default=OUT, help="added to if it is there; default: %(default)s")
     parser.add_argument(
-        "--write-docs", action="store_true", help=f"measure nothing; write {PAGE} from --json and {BEFORE}"
+        "--json",
+        type=Path,
+        default=OUT,
+        help="added to if it is there, each part and seed by itself; default: %(default)s",
+    )
+    parser.add_argument(
+        "--write-docs",
+        action="store_true",
+        help=f"measure nothing; write what --json has into {PAGE}, {BEFORE} beside it; tables of other parts and seeds stay",
     )
     parser.add_argument("--write-before", action="store_true", help=f"measure nothing; write {BEFORE} from --json")
     wanted = parser.parse_args(arguments)
@@ -57,7 +65,7 @@ def main(arguments: Sequence[str]) -> int:
         write_page(wanted.json, BEFORE, PAGE, PICTURES)
         return 0
     if wanted.write_before:
-        content = compact(json.loads(wanted.json.read_text(encoding="utf-8")))
+        content = compact(read(wanted.json))
         BEFORE.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
         return 0
     names = wanted.parts.split(",")
@@ -76,7 +84,7 @@ def run(
 ) -> bool:
     """Part by part; the file is written after each, so that what is done is kept. True when every bound was kept."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    content = _before(path, seed)
+    content = {**(read(path) if path.exists() else {"parts": {}}), "machine": machine()}
     kept = True
     for done, name in enumerate(names):
         progress = Progress(1)
@@ -89,21 +97,13 @@ def run(
         sys.stdout.writelines(number.line() + "\n" for number in found)
         sys.stdout.flush()
         kept = kept and all(number.kept for number in found)
-        content["noise"] = noise
-        content["parts"][name] = {"measured": [number.as_dict() for number in found], "data": data}
+        many = PARTS[name].count if count is None else count
+        said = {"count": many, "noise": noise, "measured_on": date.today().isoformat(), "data": data}
+        content = added(content, name, seed, found, said)
         draft = path.with_name(f".{path.name}")
         draft.write_text(json.dumps(content) + "\n", encoding="utf-8")
         draft.replace(path)
     return kept
-
-
-def _before(path: Path, seed: int) -> dict[str, Any]:
-    """Return what the file holds of that seed; of another one nothing is left standing beside this one's."""
-    if path.exists():
-        content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        if content.get("seed") == seed:
-            return content
-    return {"machine": machine(), "seed": seed, "parts": {}}
 
 
 def _show(progress: Progress, done: int, parts: int, what: str, share: float) -> None:

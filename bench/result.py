@@ -26,6 +26,8 @@ class Measured:
     """Why there is no value (NaN)."""
     spread: tuple[float, float] | None = None
     """First and ninth tenth of the values whose median this is."""
+    share: tuple[int, int] | None = None
+    """Of a count or a rate: how many, of how many; so that figures of several parts can be added up."""
 
     @property
     def kept(self) -> bool:
@@ -63,4 +65,5 @@ class Measured:
             "kept": bool(self.kept),
             "why": self.why,
             "spread": None if self.spread is None else [float(value) for value in self.spread],
+            "share": None if self.share is None else list(self.share),
         }

@@ -12,7 +12,7 @@ import numpy as np
 from appliance.scan.fault import FaultCode
 from bench.outside.kept import Row
 from bench.result import Measured
-from bench.verdict.binomial import out_of
+from bench.verdict.binomial import tally
 
 HONEST = 1.5
 """A scan whose errors are more than so many times what is expected needs a verdict that says why."""
@@ -24,6 +24,9 @@ FALSE_ALARMS = {
     "window": FaultCode.WINDOW,
 }
 """Faults that no drawn scene has: each frame shows the pattern it should, light is steady, windows are clean."""
+CALIBRATION = "the calibration's health"
+"""What no scan with a true calibration may raise an alarm of, followed from scan to scan of one instrument."""
+SOFT = "soft scenes"
 
 
 def is_soft(row: Row) -> bool:
@@ -37,7 +40,7 @@ def of_scenes(rows: Sequence[Row]) -> list[Measured]:
     accepted = [row for row in rigid if row["accepted"]]
     found = [
         Measured("scenes that are rigid", len(rigid), ""),
-        Measured("accepted", len(accepted), ""),
+        tally("accepted", len(accepted), len(rigid)),
         Measured("completeness, median of accepted", median(rows_of(accepted, "complete_percent")), "%"),
         Measured("completeness, median of all", median(rows_of(rigid, "complete_percent")), "%"),
         Measured("outliers over 1 mm in accepted scans", ppm(accepted), "ppm", at_most=MOST_PPM),
@@ -46,21 +49,28 @@ def of_scenes(rows: Sequence[Row]) -> list[Measured]:
             "error over sigma, median of accepted", median(rows_of(accepted, "error_over_sigma")), "",
             at_most=MEDIAN_MOST, at_least=MEDIAN_LEAST,
         ),
-        Measured("of these above 1.5 and nothing said", len(unsaid(accepted)), "scans", at_most=0.0),
+        tally("of these above 1.5 and nothing said", len(unsaid(accepted)), len(accepted), at_most=0.0),
         Measured("noise, median of accepted", median(rows_of(accepted, "rms_um")), "µm"),
     ]  # fmt: skip
-    for name, code in FALSE_ALARMS.items():
-        alarms = sum(code.value in row["faults"] for row in rigid)
-        found.append(Measured(f"false alarms of {name}", alarms, out_of(len(rigid), alarms), at_most=0.0))
+    found += false_alarms(rigid)
     if soft:
         taken = [row for row in soft if row["accepted"]]
         found += [
-            Measured("soft scenes", len(soft), ""),
-            Measured("soft scenes that are accepted", len(taken), ""),
+            Measured(SOFT, len(soft), ""),
+            tally("soft scenes that are accepted", len(taken), len(soft)),
             Measured("outliers over 1 mm in these", ppm(taken), "ppm"),
             Measured("error over sigma in these, median", median(rows_of(taken, "error_over_sigma")), ""),
+            *false_alarms(soft, f"{SOFT}: "),
         ]
     return found
+
+
+def false_alarms(rows: Sequence[Row], of: str = "") -> list[Measured]:
+    """Return how many of these scans raise a fault that no drawn scene has; ``of``: what their names begin with."""
+    return [
+        tally(f"{of}false alarms of {name}", sum(code.value in row["faults"] for row in rows), len(rows), at_most=0.0)
+        for name, code in FALSE_ALARMS.items()
+    ]
 
 
 def of_families(rows: Mapping[str, Sequence[Row]], few: int) -> list[dict[str, Any]]:

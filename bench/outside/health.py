@@ -22,7 +22,7 @@ from appliance.calibration.gaps import MODES
 from appliance.calibration.health import LIMIT, SCANS_TO_FIND, HealthJudgement, HealthTrend, judge
 from appliance.calibration.patches import PatchGaps
 from bench.outside.draws import drawn_scene, joined
-from bench.outside.figures import FALSE_ALARMS, median, rows_of
+from bench.outside.figures import CALIBRATION, false_alarms, median, rows_of
 from bench.outside.kept import Row, kept_row, kept_scan
 from bench.outside.noise import WAYS
 from bench.outside.scan import SEQUENCE, row_of, worked_through
@@ -30,6 +30,7 @@ from bench.outside.stated import stated_truth
 from bench.outside.world import World, world_with
 from bench.result import Measured
 from bench.spread import spread
+from bench.verdict.binomial import tally
 from bench.verdict.parts import Say
 from hw_sim.mount_shift import MountShift, with_mount_shifted
 from hw_sim.outside import ALL
@@ -63,31 +64,29 @@ def measure(
 def figures(rows: dict[int, list[Row]], each: int) -> list[Measured]:
     """Return the figures of the rows of each rig, of which the first ``each`` are normal scans."""
     normal = [row for found in rows.values() for row in found[:each]]
-    told, judged, largest, late, unsaid = 0, 0, 0.0, [], 0
+    told, doubted, judged, largest, late, unsaid = 0, 0, 0, 0.0, [], 0
     for rig, found in rows.items():
         said = list(followed(found))
         judged += sum(one.point is not None for one in said[:each])
         totals = [one.point.total for one in said[:each] if one.point is not None]
         largest = max([largest, *totals])
         told += any(one.alarm for one in said[:each])
+        doubted += sum(bool(one.alarm) for one in said[:each])
         if not any(one.alarm for one in said[:each]):
             after = [one for one in said[each:] if one.point is not None][:SCANS_TO_FIND]
             late.append(any(one.alarm for one in after))
             unsaid += len(after) == SCANS_TO_FIND and not late[-1] and all(_sees(one, rig % 3) for one in after)
     measured = [
-        Measured(f"rigs whose calibration is doubted, of {len(rows)} with {each} normal scans each", told, "", at_most=0.0),
-        Measured("normal scans that are judged", judged, f"of {len(normal)}"),
+        tally(f"rigs whose calibration is doubted, with {each} normal scans each", told, len(rows), at_most=0.0),
+        tally("normal scans that are judged", judged, len(normal)),
         Measured("largest sum of a normal scan", largest, f"of {LIMIT:g}", at_most=LIMIT),
-        Measured(f"knocks of {KNOCK_DEG:g}° found within three judged scans", sum(late), f"of {len(late)}", at_least=float(len(late))),
-        Measured("knocks missed though each scan says that it would find them", unsaid, f"of {len(late)}", at_most=0.0),
+        tally(f"knocks of {KNOCK_DEG:g}° found within three judged scans", sum(late), len(late), at_least=float(len(late))),
+        tally("knocks missed though each scan says that it would find them", unsaid, len(late), at_most=0.0),
     ]  # fmt: skip
     measured += _turned_figures([list(_seen(found[:each])) for found in rows.values()])
-    for name, code in FALSE_ALARMS.items():
-        alarms = sum(code.value in row["faults"] for row in normal)
-        measured.append(Measured(f"false alarms of {name}", alarms, f"of {len(normal)}", at_most=0.0))
-    measured.append(
-        Measured("MOVED at rest", sum("MOVED" in row["faults"] for row in normal), f"of {len(normal)}", at_most=0.0)
-    )
+    measured += false_alarms(normal)
+    measured.append(tally(f"false alarms of {CALIBRATION}", doubted, len(normal), at_most=0.0))
+    measured.append(tally("MOVED at rest", sum("MOVED" in row["faults"] for row in normal), len(normal), at_most=0.0))
     measured.append(Measured("completeness, median", median(rows_of(normal, "complete_percent")), "%"))
     measured.append(Measured("error over sigma, median", median(rows_of(normal, "error_over_sigma")), ""))
     return measured
@@ -139,14 +138,10 @@ def _turned_figures(instruments: Sequence[Sequence[PatchGaps]]) -> list[Measured
                 found[axis] += at.alarm is not None
                 silent += at.alarm is None and all(sees)
     measured = [
-        Measured(
-            f"turns of {KNOCK_DEG:g}° about {name}, in the gaps of normal scans, found within three",
-            number,
-            f"of {tried}",
-        )
-        for name, number in zip("xyz", found, strict=True)
+        tally(f"turns of {KNOCK_DEG:g}° about {name}, in the gaps of normal scans, found within three", count, tried)
+        for name, count in zip("xyz", found, strict=True)
     ]
-    measured.append(Measured("of these not found though each scan says it would be", silent, f"of {3 * tried}"))
+    measured.append(tally("of these not found though each scan says it would be", silent, 3 * tried))
     return measured
 
 

@@ -2,82 +2,151 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
-from bench.outside.figures import is_soft
-from bench.outside.kept import Row
+from bench.outside.figures import CALIBRATION, FALSE_ALARMS, SOFT
 from bench.outside.parts import PARTS
 from bench.outside.picture import draw_families, draw_scene, draw_scenes
+from bench.outside.record import Content, read, shown
+from bench.verdict.binomial import percent, tally
 
-BEGIN, END = "<!-- figures: written by ./dev bench outside --write-docs -->", "<!-- end of figures -->"
 SCENE = 10_001, 3
 """Seed and number of the scene that is shown."""
-Content = Mapping[str, Any]
+TOGETHER = "together"
+"""The region of what is counted over several parts."""
+SEED = re.compile(r"^<!-- seed (\d+) -->$", re.MULTILINE)
+
+
+def begin(name: str) -> str:
+    """The mark above what is written of the part ``name``."""
+    return f"<!-- {name}: written by ./dev bench outside --write-docs -->"
+
+
+def end(name: str) -> str:
+    """The mark below it."""
+    return f"<!-- end of {name} -->"
 
 
 def write_page(data: Path, before: Path, page: Path, pictures: Path) -> None:
-    """Write the figures of ``data`` between the page's marks, those of ``before`` beside them where that file is there, and the
-    pictures. Raises ValueError for a page without marks."""
-    now = json.loads(data.read_text(encoding="utf-8"))
-    old = json.loads(before.read_text(encoding="utf-8")) if before.exists() else {"parts": {}}
+    """Write what ``data`` has into the page, ``before`` beside it where that file has the same part, and the pictures.
+
+    A table is that of one part and one seed: those of others stay as they are. Raises ValueError for a page without a part's marks;
+    it is left as it was.
+    """
+    now = read(data)
+    old = read(before) if before.exists() else {"parts": {}}
     text = page.read_text(encoding="utf-8")
-    if BEGIN not in text or END not in text:
-        raise ValueError(f"{page}: no place for figures; needed are the lines {BEGIN!r} and {END!r}")
-    head, rest = text.split(BEGIN, 1)
-    tail = rest.split(END, 1)[1]
-    page.write_text(f"{head}{BEGIN}\n\n{tables(now, old)}\n{END}{tail}", encoding="utf-8")
-    draw_scene(pictures / "outside-scene.png", *SCENE)
-    if "scenes" in now["parts"]:
-        earlier, found = old["parts"].get("scenes", {}).get("data", {}), now["parts"]["scenes"]["data"]
-        draw_families(pictures / "outside-families.png", earlier.get("families", []), found["families"])
-        draw_scenes(pictures / "outside-scenes.png", earlier.get("scenes", []), shown(found["rows"]["all"]))
+    for name, seeds in now["parts"].items():
+        head, inside, tail = _parted(text, name, page)
+        blocks = _blocks(inside) | {int(seed): block(name, seed, one, old) for seed, one in seeds.items()}
+        about = PARTS[name].about
+        lines = [f"### {about[:1].upper()}{about[1:]}", ""]
+        for seed, lines_of in sorted(blocks.items()):
+            lines += [f"<!-- seed {seed} -->", lines_of.strip(), ""]
+        text = "\n".join([head, "", *lines, tail])
+    counted = together(now)
+    if counted:
+        head, _, tail = _parted(text, TOGETHER, page)
+        text = "\n".join([head, "", *counted, "", tail])
+    page.write_text(text, encoding="utf-8")
+    for seed, one in now["parts"].get("scenes", {}).items():
+        if "rows" in one["data"]:
+            earlier, found = _same(old, "scenes", seed).get("data", {}), one["data"]
+            draw_scene(pictures / "outside-scene.png", *SCENE)
+            draw_families(pictures / "outside-families.png", earlier.get("families", []), found["families"])
+            draw_scenes(pictures / "outside-scenes.png", earlier.get("scenes", []), shown(found["rows"]["all"]))
 
 
-def tables(now: Content, old: Content) -> str:
-    """Return the tables of all parts, in the order of ``PARTS``."""
-    lines = [f"Seed {now['seed']}" + (f"; of the product before, seed {old['seed']}." if "seed" in old else "."), ""]
-    for name, entry in PARTS.items():
-        part = now["parts"].get(name)
-        if part is None:
-            continue
-        lines += [f"### {entry.about[:1].upper()}{entry.about[1:]}", ""]
-        lines += _figures(part["measured"], old["parts"].get(name, {}).get("measured", []))
-        if name == "scenes":
-            earlier = old["parts"].get(name, {}).get("data", {}).get("families", [])
-            lines += ["", *_families(part["data"]["families"], earlier)]
-        lines.append("")
+def block(name: str, seed: str, part: Content, old: Content) -> str:
+    """Return what the page says of one part and seed: how and when it was measured, and its tables."""
+    command = f"`./dev bench outside --parts {name} --seed {seed} --count {part['count']}`"
+    earlier = _same(old, name, seed)
+    lines = [f"Seed {seed}: {command}, measured on {part['measured_on']}.", ""]
+    lines += _figures(part["measured"], earlier.get("measured"))
+    families = part["data"].get("families")
+    if families:
+        lines += ["", *_families(families, earlier.get("data", {}).get("families", []))]
     return "\n".join(lines)
 
 
-def compact(content: Content) -> dict[str, Any]:
-    """Return the content without most of what is known of single scans and rigs, small enough to be kept beside the page."""
-    parts = {}
-    for name, part in content["parts"].items():
-        kept = {k: v for k, v in part["data"].items() if k == "families"}
-        if name == "scenes":
-            kept["scenes"] = shown(part["data"]["rows"]["all"])
-        parts[name] = {"measured": part["measured"], "data": kept}
-    return {**content, "parts": parts}
+def together(content: Content) -> list[str]:
+    """Return how many of all normal scans raise a false alarm, soft scenes among them: drawn scenes and scans of the part ``health`` of every
+    seed there is. Empty unless both parts are there. Soft scenes are those of a sample, where the scenes' own were not looked at."""
+    parts = content["parts"]
+    if not {"scenes", "health"} <= parts.keys():
+        return []
+    asked = [*_measured(parts, "scenes"), *_measured(parts, "health")]
+    if not any(one["name"].startswith(f"{SOFT}: ") for one in asked):
+        asked += [one for one in _measured(parts, "sample") if one["name"].startswith(f"{SOFT}: ")]
+    lines = [
+        "### False alarms in all normal scans up to 2 /m",
+        "",
+        "| | target | scenes, soft scenes, health | now |",
+        "|---|---|---:|---:|",
+    ]
+    for name in (*FALSE_ALARMS, CALIBRATION):
+        shares = [one["share"] for one in asked if one["name"].endswith(f"false alarms of {name}") and one.get("share")]
+        count, of = (sum(share[k] for share in shares) for k in (0, 1))
+        one = tally(f"false alarms of {name}", count, of, at_most=0.0).as_dict()
+        parted = " + ".join(f"{share[0]} of {share[1]}" for share in shares)
+        lines.append(f"| {one['name']} | {_target(one)} | {parted} | {_now(one)} |")
+    return lines
 
 
-def shown(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """Return what the picture of all scenes shows of them, without the soft ones."""
-    keys = ("attenuation_per_m", "complete_percent", "error_over_sigma", "accepted")
-    return [{key: row[key] for key in keys} for row in rows if not is_soft(row)]
+def _measured(parts: Content, name: str) -> list[Content]:
+    return [one for part in parts.get(name, {}).values() for one in part["measured"]]
 
 
-def _figures(now: Sequence[Content], old: Sequence[Content]) -> list[str]:
+def _parted(text: str, name: str, page: Path) -> tuple[str, str, str]:
+    """Return a page up to the mark above a part's figures, these, and the rest from the mark below on. Raises ValueError where marks are
+    missing."""
+    head, above, rest = text.partition(begin(name))
+    inside, below, tail = rest.partition(end(name))
+    if not above or not below:
+        raise ValueError(
+            f"{page}: no place for the figures of {name!r}; needed are the lines {begin(name)!r} and {end(name)!r}"
+        )
+    return head + above, inside, below + tail
+
+
+def _blocks(inside: str) -> dict[int, str]:
+    """Return what a part's region has now, by seed."""
+    _, *parted = SEED.split(inside)
+    return {int(seed): lines for seed, lines in zip(parted[::2], parted[1::2], strict=True)}
+
+
+def _same(old: Content, name: str, seed: str) -> Content:
+    """Return what the product before had of that part and seed; of another seed's there is nothing to compare with."""
+    found: Content = old["parts"].get(name, {}).get(seed, {})
+    return found
+
+
+def _figures(now: Sequence[Content], old: Sequence[Content] | None) -> list[str]:
+    """Return one table; it has a column of the product before where that was measured, too."""
+    if old is None:
+        lines = ["| | target | now |", "|---|---|---:|"]
+        return lines + [f"| {one['name']} | {_target(one)} | {_now(one)} |" for one in now]
     before = {one["name"]: one["value"] for one in old}
     lines = ["| | target | the product before | now |", "|---|---|---:|---:|"]
     for one in now:
-        missed = "" if one["kept"] else " **missed**"
-        lines.append(
-            f"| {one['name']} | {_target(one)} | {_short(before.get(one['name']))} | {_short(one['value'])} {one['unit']}{missed} |"
-        )
+        lines.append(f"| {one['name']} | {_target(one)} | {_short(before.get(one['name']))} | {_now(one)} |")
     return lines
+
+
+def _now(one: Content) -> str:
+    """Return the cell of a figure: with as many digits as tell it from a bound that it misses, which is said; or why there is none."""
+    if one["value"] is None:
+        return f"— ({one['why']})" if one["why"] else "—"
+    value, bounds = float(one["value"]), (one["at_least"], one["at_most"])
+    share = one.get("share")
+    text = percent(share[0] / share[1]) if share and one["unit"].startswith("%") else _short(value)
+    for digits in range(4, 12):
+        if one["kept"] or float(text) not in bounds:
+            break
+        text = f"{value:.{digits}g}"
+    return f"{text} {one['unit']}".rstrip() + ("" if one["kept"] else " **missed**")
 
 
 def _target(one: Content) -> str:
@@ -92,7 +161,7 @@ def _target(one: Content) -> str:
 def _families(now: Sequence[Content], old: Sequence[Content]) -> list[str]:
     before = {one["name"]: one for one in old}
     lines = [
-        "The same scenes with each family alone; in brackets the product before:",
+        "The same scenes with each family alone" + ("; in brackets the product before:" if before else ":"),
         "",
         "| family | scenes | accepted | complete % | outliers ppm, all scans | error over sigma | largest | rms µm | faults |",
         "|---|---:|---:|---:|---:|---:|---:|---:|---|",

@@ -67,6 +67,7 @@ PARTS = MappingProxyType(
             2,
             noise=True,
         ),
+        "sample": Entry("bench.outside.sample", "some of these scenes again, and all soft ones", 30, 1, noise=True),
         "milk": Entry("bench.outside.milk", "completeness in water like diluted milk", 8, 1, noise=True),
         "rigs": Entry("bench.outside.rigs", "calibrated rigs: lengths, planes, and whether misses are announced", 8, 1),
         "health": Entry(
@@ -77,6 +78,12 @@ PARTS = MappingProxyType(
         ),
         "identity": Entry(
             "bench.verdict.identity", "wrong orders of frames are found and rightly named", 60, 1, world=OUTSIDE
+        ),
+        "compensation": Entry(
+            "bench.outside.compensation",
+            "hands' movement undone: how far what is shown errs, and what is refused",
+            40,
+            1,
         ),
         "causes": Entry(
             "bench.verdict.causes", "the first reason that is given for a bad scan is a true one", 80, 1, world=OUTSIDE

@@ -9,7 +9,7 @@ from typing import Any
 
 from appliance.calibration.health import LIMIT
 from bench.outside.draws import scene_world
-from bench.outside.figures import of_families, of_scenes
+from bench.outside.figures import CALIBRATION, of_families, of_scenes
 from bench.outside.health import followed
 from bench.outside.kept import Row, kept_row, kept_scan
 from bench.outside.noise import WAYS
@@ -17,7 +17,7 @@ from bench.outside.scan import SEQUENCE, row_of, worked_through
 from bench.outside.stated import stated_truth
 from bench.result import Measured
 from bench.spread import spread
-from bench.verdict.binomial import out_of
+from bench.verdict.binomial import tally
 from bench.verdict.parts import Say
 from hw_sim.outside import ALL
 
@@ -51,13 +51,17 @@ def watched(rows: Sequence[Row]) -> list[Measured]:
     instruments: dict[int, list[Row]] = {}
     for row in rows:
         instruments.setdefault(row["rig_seed"], []).append(row)
-    told, largest = 0, 0.0
+    told, doubted, judged, largest = 0, 0, 0, 0.0
     for scans in instruments.values():
         said = list(followed(scans))
         told += any(one.alarm for one in said)
+        doubted += sum(bool(one.alarm) for one in said)
+        judged += sum(one.point is not None for one in said)
         largest = max([largest, *(one.point.total for one in said if one.point is not None)])
     return [
-        Measured("instruments whose calibration is doubted", told, out_of(len(instruments), told), at_most=0.0),
+        tally("instruments whose calibration is doubted", told, len(instruments), at_most=0.0),
+        tally(f"false alarms of {CALIBRATION}", doubted, len(rows), at_most=0.0),
+        tally("scans that are judged by the watch over the calibration", judged, len(rows)),
         Measured("largest sum of the watch over the calibration", largest, f"of {LIMIT:g}", at_most=LIMIT),
     ]
 

@@ -14,7 +14,7 @@ from typing import Any
 
 from appliance.screens.views import Grade
 from bench.result import Measured
-from bench.verdict.binomial import counted, limits
+from bench.verdict.binomial import counted, rate, tally
 from bench.verdict.causes_scenes import Base, Spoilt, draw_base, grid_of
 from bench.verdict.causes_truth import FACTOR_OF, Outcome, Truth
 from bench.verdict.parts import Say
@@ -71,7 +71,7 @@ def _blamed(here: Outcome) -> str | None:
 
 
 def figures(rows: Sequence[Row]) -> list[Measured]:
-    """The rates, and the lower end of their interval."""
+    """The rates, each with its interval."""
     bad = [row for row in rows if row["grade"] == Grade.BAD.value]
     right = sum(row["right"] for row in bad)
     mending = sum(row["blamed"] in row["mends"] for row in bad)
@@ -79,18 +79,14 @@ def figures(rows: Sequence[Row]) -> list[Measured]:
     unknown = sum(row["reasons"][:1] == ["SCAN_POOR"] for row in bad)
     good = [row for row in rows if row["grade"] == Grade.GOOD.value]
     warned = sum(bool(row["reasons"]) for row in good)
-    low = 100.0 * limits(right, len(bad))[0] if bad else float("nan")
-    share = 100.0 * right / len(bad) if bad else float("nan")
-    mended = 100.0 * mending / len(bad) if bad else float("nan")
     return [
         Measured("scenes", float(len(rows)), "scenes"),
-        Measured("of these bad", float(len(bad)), "scenes"),
-        Measured("first reason is a true one", share, "%", at_least=RIGHT_PERCENT, key="causes_right_percent"),
-        Measured("the same, lower end of the 95 % interval", low, "%"),
-        Measured("first reason is one that mends the scan by itself, if any does", mended, "%"),
-        Measured("bad without a reason", float(silent), "scenes", at_most=0.0, key="causes_silent"),
-        Measured("bad, and said that the cause is not known", float(unknown), "scenes"),
-        Measured("good, and yet warned of something", float(warned), "scenes"),
+        tally("of these bad", len(bad), len(rows)),
+        rate("first reason is a true one", right, len(bad), at_least=RIGHT_PERCENT, key="causes_right_percent"),
+        rate("first reason is one that mends the scan by itself, if any does", mending, len(bad)),
+        tally("bad without a reason", silent, len(bad), at_most=0.0, key="causes_silent"),
+        tally("bad, and said that the cause is not known", unknown, len(bad)),
+        tally("good, and yet warned of something", warned, len(good)),
     ]
 
 

@@ -26,7 +26,7 @@ from appliance.verdict.identity.evidence import Witness
 from appliance.verdict.identity.judge import judge_identity
 from appliance.verdict.identity.lines import take_lines
 from bench.result import Measured
-from bench.verdict.binomial import counted
+from bench.verdict.binomial import rate, tally
 from bench.verdict.outside import noise_of, recorded_scan
 from bench.verdict.worlds import ORDINARY
 from hw_sim.light.daylight import Daylight
@@ -46,7 +46,9 @@ VISIBLE = 0.05
 SHARES = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.001)
 """Bins of the curve."""
 FILLING = 0.2
-"""Share of the image that an object fills that is not small."""
+"""Share of the image that an object fills that is not small: there every visible wrong order should be found."""
+NAMED_PERCENT = 97.0
+"""Of the wrong orders that are found should be rightly named."""
 NAMED_OF_EACH = 4
 """Wrong orders of each kind and scan whose name is asked for too; found is asked of all."""
 WIDTH_PX = 400
@@ -299,77 +301,53 @@ def _figures(rows: Sequence[Mapping[str, Any]]) -> list[Measured]:
     found = [one for row in rows for one in row["found"]]
     visible = [one for one in found if one[2] >= VISIBLE]
     named = [one for row in rows for one in row["named"]]
-    out = [
-        Measured(
-            "identity: false alarms on good scans", len(alarms), "scans", at_most=0.0, key="identity_false_alarms"
-        ),
-        Measured("identity: good scans with enough to judge", _percent(good, rows), "%"),
-        Measured(
-            "identity: CPU of a good scan, 2 x 400x300",
-            1e3 * _median([row["cpu_s"] for row in rows]),
-            "ms",
-            at_most=20.0,
-        ),
-        *(
-            Measured(
-                f"identity: found where visible, {name}",
-                _percent([one for one in mine if one[3]], mine),
-                "%",
-                at_least=100.0,
-                key=f"identity_found_{name}_percent",
-            )
-            for name in ("still", "moving")
-            if (mine := _visible(rows, name))
-        ),
-        Measured(
-            "identity: found, Gray images of one direction swapped",
-            _percent([one for one in visible if one[3] and one[4]], [one for one in visible if one[4]]),
-            "%",
-        ),
-        Measured(
-            "identity: seen and rightly named", _percent([one for one in named if one[3]], named), "%", at_least=95.0
-        ),
-    ]
     filling = [
         one
         for row in rows
         for one in row["found"]
         if one[2] >= VISIBLE and row["seen_percent"][SIDES.index(one[0])] >= 100.0 * FILLING
     ]
-    found_there, named_there = sum(one[3] for one in filling), [one for one in named if one[5] >= FILLING]
-    right_there = sum(one[3] for one in named_there)
-    out += [
-        Measured(
-            f"identity: found where the object fills a fifth of the image: {counted(found_there, len(filling))}",
-            100.0 * found_there / max(len(filling), 1), "%",
+    relabelled = [one for one in visible if one[4]]
+    cpu_ms = 1e3 * _median([row["cpu_s"] for row in rows])
+    out = [
+        tally(
+            "identity: false alarms on good scans", len(alarms), len(good), at_most=0.0, key="identity_false_alarms"
         ),
-        Measured(
-            f"identity: rightly named there: {counted(right_there, len(named_there))}",
-            100.0 * right_there / max(len(named_there), 1), "%",
+        rate("identity: good scans with enough to judge", len(good), len(rows)),
+        Measured("identity: CPU of a good scan, 2 x 400x300", cpu_ms, "ms", at_most=20.0),
+        *(
+            _found(f"where visible, {name}", mine, 100.0, f"identity_found_{name}_percent")
+            for name in ("still", "moving")
+            if (mine := _visible(rows, name))
         ),
+        _found("where the object fills a fifth of the image", filling, 100.0),
+        _found("Gray images of one direction swapped", relabelled),
+        _named("seen and rightly named", named, NAMED_PERCENT),
+        _named("rightly named where the object fills a fifth", [one for one in named if one[5] >= FILLING], NAMED_PERCENT),
     ]  # fmt: skip
     for name in sorted({name for row in rows for name in row["classes"]} - {"still", "moving"}):
-        mine = _visible(rows, name)
-        out.append(
-            Measured(f"identity: found where visible, {name}", _percent([one for one in mine if one[3]], mine), "%")
-        )
+        out.append(_found(f"where visible, {name}", _visible(rows, name)))
     for kind in sorted({one[0] for one in named}):
-        mine = [one for one in named if one[0] == kind]
-        out.append(Measured(f"identity: rightly named, {kind}", _percent([one for one in mine if one[3]], mine), "%"))
+        out.append(_named(f"rightly named, {kind}", [one for one in named if one[0] == kind]))
     for low, high in pairwise(SHARES):
         mine = [one for one in found if low <= one[2] < high]
-        label = f"identity: found, shown on {100 * low:g} to {100 * min(high, 1.0):g} %"
-        out.append(Measured(label, _percent([one for one in mine if one[3]], mine), "%"))
+        out.append(_found(f"shown on {100 * low:g} to {100 * min(high, 1.0):g} %", mine))
     return out
+
+
+def _found(what: str, orders: Sequence[Any], at_least: float | None = None, key: str | None = None) -> Measured:
+    """How many of these wrong orders the frames alone tell."""
+    return rate(f"identity: found, {what}", sum(one[3] for one in orders), len(orders), at_least=at_least, key=key)
+
+
+def _named(what: str, orders: Sequence[Any], at_least: float | None = None) -> Measured:
+    """How many of these wrong orders are called what they are."""
+    return rate(f"identity: {what}", sum(one[3] for one in orders), len(orders), at_least=at_least)
 
 
 def _visible(rows: Sequence[Mapping[str, Any]], name: str) -> list[Any]:
     """What was visible in scans of a class."""
     return [one for row in rows if name in row["classes"] for one in row["found"] if one[2] >= VISIBLE]
-
-
-def _percent(part: Sequence[Any], of: Sequence[Any]) -> float:
-    return 100.0 * len(part) / len(of) if of else float("nan")
 
 
 def _median(values: Sequence[float]) -> float:

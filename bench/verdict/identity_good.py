@@ -18,7 +18,7 @@ import numpy as np
 from appliance.patterns.sequence import build_sequence
 from appliance.verdict.identity.judge import judge_identity
 from bench.result import Measured
-from bench.verdict.binomial import limits
+from bench.verdict.binomial import rate, tally
 from bench.verdict.kept_scans import Scans, Take
 from bench.verdict.motion import case_of
 from bench.verdict.motion_cases import Case
@@ -98,9 +98,8 @@ def _figures(rows: Sequence[Row]) -> list[Measured]:
         alarms = sum(row.passed is False for row in mine)
         name = f"identity: {len(mine)} good scans, {kind}"
         found += [
-            Measured(f"{name}: called wrong", alarms, "scans", at_most=0.0, key=f"identity_good_{kind}_alarms"),
-            Measured(f"{name}: called wrong, at most", 100.0 * limits(alarms, len(mine))[1], "%"),
-            Measured(f"{name}: judged", 100.0 * sum(row.passed is not None for row in mine) / len(mine), "%"),
+            tally(f"{name}: called wrong", alarms, len(mine), at_most=0.0, key=f"identity_good_{kind}_alarms"),
+            rate(f"{name}: judged", sum(row.passed is not None for row in mine), len(mine)),
             Measured(f"{name}: largest doubt of those that pass", _largest(mine), ""),
         ]
     for name in sorted({name for row in rows for name in row.classes}):

@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 
 from bench.result import Measured
-from bench.verdict.binomial import counted
+from bench.verdict.binomial import rate, tally
 from bench.verdict.motion_cases import KINDS
 
 HARMFUL, HARMLESS, LOST = 0.10, 0.05, 0.10
 """Noise added, as a fraction; and a share of the points whose loss is harm, too."""
+REFUSED_PERCENT, COMPENSATED_MOST = 99.0, 1.2
+"""Of harmful scans must be refused; and so many times as at rest may those err that are shown compensated."""
 GROUPS = {"untextured": ("none",), "slight": ("slight",), "textured": ("strong", "checker")}
 DISTURBANCES = ("flicker", "waves", "specks", "turbid", "dark", "period 16", "period 32", "period 64", "small")
 Row = Mapping[str, Any]
@@ -40,37 +42,50 @@ def refused(row: Row, take: str = "moving") -> bool:
     return row[take]["passed"] is False
 
 
+def compensated(row: Row) -> bool:
+    """Refused by the verdict, and then shown with its movement undone: neither lost nor shown as it was recorded."""
+    return bool(row.get("compensated"))
+
+
 def figures(rows: Rows, cpu_ms: float) -> list[Measured]:
-    """What the targets ask for, each with exact limits in its name."""
+    """What the targets ask for, each with its limits; what is shown compensated is counted apart."""
     judged = [row for row in rows if row["at_rest"]["passed"] is not None]
     alarms = sum(refused(row, "at_rest") for row in judged)
-    found = [
-        Measured(f"motion: at rest and refused: {counted(alarms, len(judged))}", alarms, "scans", at_most=0,
-                 key="motion_false_alarms")
-    ]  # fmt: skip
+    found = [tally("motion: at rest and refused", alarms, len(judged), at_most=0.0, key="motion_false_alarms")]
     hands = [row for row in rows if row["kind"] != "fish"]
+    fish = [row for row in rows if row["kind"] == "fish"]
+    gross = [row for row in hands if harmful(row) and row["added_percent"] > 20.0]
+    calm = [row for row in hands if harmless(row)]
     asked: list[tuple[str, Rows, float | None, float | None]] = [
-        ("adding over 10 %", [row for row in hands if harmful(row)], 99.0, None),
-        ("adding over 20 %", [row for row in hands if harmful(row) and row["added_percent"] > 20.0], None, None),
-        ("adding under 5 %", [row for row in hands if harmless(row)], None, 0.0),
-        (
-            "adding under 5 %, nine tenths kept",
-            [row for row in hands if harmless(row) and keeps_points(row)],
-            None,
-            0.0,
-        ),
-        ("fish adding over 10 %", [row for row in rows if row["kind"] == "fish" and harmful(row)], None, None),
-        ("fish adding under 5 %", [row for row in rows if row["kind"] == "fish" and harmless(row)], None, None),
+        ("adding over 10 %", [row for row in hands if harmful(row)], REFUSED_PERCENT, None),
+        ("adding over 20 %", gross, None, None),
+        ("adding under 5 %", calm, None, 0.0),
+        ("adding under 5 %, nine tenths kept", [row for row in calm if keeps_points(row)], None, 0.0),
+        ("fish adding over 10 %", [row for row in fish if harmful(row)], None, None),
+        ("fish adding under 5 %", [row for row in fish if harmless(row)], None, None),
     ]
     for what, mine, at_least, at_most in asked:
         mine = [row for row in mine if row["moving"]["passed"] is not None]
-        share = 100.0 * sum(map(refused, mine)) / len(mine) if mine else math.nan
-        words = counted(sum(map(refused, mine)), len(mine))
-        bounds = (at_least, at_most) if mine else (None, None)
-        why = None if mine else "there was none"
-        found.append(Measured(f"motion: refused, of those {what}: {words}", share, "%", bounds[1], bounds[0], why=why))
-    left = sum(row["moving"]["passed"] is None for row in hands if harmful(row))
-    found.append(Measured("motion: adding over 10 %, too few points left to be judged", left, "scans"))
+        stopped = [row for row in mine if refused(row)]
+        name = f"motion: refused, of those {what}"
+        found.append(rate(name, len(stopped), len(mine), at_most=at_most, at_least=at_least))
+        if stopped:
+            shown = f"motion: shown compensated, of those refused {what}"
+            found.append(tally(shown, sum(map(compensated, stopped)), len(stopped)))
+    undone = [row for row in hands if compensated(row)]
+    known = [row["compensated_over_rest"] for row in undone if row["compensated_over_rest"] is not None]
+    beyond = sum(one > COMPENSATED_MOST for one in known)
+    found.append(
+        tally(
+            f"motion: shown compensated and erring over {COMPENSATED_MOST:g} times as at rest",
+            beyond,
+            len(known),
+            at_most=0.0,
+        )
+    )
+    left = [row for row in hands if harmful(row)]
+    unjudged = sum(row["moving"]["passed"] is None for row in left)
+    found.append(tally("motion: adding over 10 %, too few points left to be judged", unjudged, len(left)))
     ratio = ratios(hands)
     found.append(
         Measured(

@@ -32,6 +32,24 @@ def test_a_miss_that_nothing_was_said_of_breaks_the_bound_and_an_announced_one_d
     assert of({}, "all: that miss one and do not say so").kept
 
 
+def test_each_rig_must_keep_its_length_and_a_good_median_excuses_none() -> None:
+    rows = {"all": [*[a_rig()] * 7, a_rig(0.03)]}
+    assert not of(rows, "all, 10 recordings: E_Lb of the worst of 8").kept
+    assert of(rows, "all, 4 recordings: E_Lb of the worst of 8").kept
+    assert of(rows, "all, 10 recordings: E_Lb, median").at_most is None
+    announced = {"all": [*[a_rig()] * 7, a_rig(0.03, ("lengths may be wrong",))]}
+    assert of(announced, "all, 10 recordings: E_Lb of the worst of 8, announced").kept
+
+
+def test_a_dive_with_a_warmer_case_must_keep_the_lengths_as_well() -> None:
+    warmer = a_rig()
+    for number in ("4", "10"):
+        warmer[number]["E_Lb_later"] = 0.0276
+    rows = {"all": [a_rig(), warmer]}
+    assert not of(rows, "all, 10 recordings: E_Lb of the worst in a case 4 K warmer").kept
+    assert of(rows, "all, 4 recordings: E_Lb of the worst in a case 4 K warmer").kept
+
+
 def test_a_warning_of_a_good_ordinary_rig_is_a_false_alarm() -> None:
     false = of({"ordinary": [a_rig(), a_rig(warnings=("lengths may be wrong",))]}, "ordinary: that keep all and warn")
     assert (false.value, false.kept) == (2.0, False)

@@ -8,6 +8,8 @@ import numpy as np
 
 from appliance.calibration.health import LIMIT
 from appliance.calibration.patches import COUNT
+from bench.outside.draws import scene_world
+from bench.outside.sample import numbers_of
 from bench.outside.scenes import watched
 
 
@@ -30,7 +32,20 @@ def test_an_instrument_whose_rays_miss_each_other_is_doubted_and_its_neighbour_i
     found = figures([a_row(1, 0.0), a_row(2, 200.0), a_row(1, 0.0), a_row(2, 200.0)])
     assert found["instruments whose calibration is doubted"] == 1.0
     assert found["largest sum of the watch over the calibration"] > LIMIT
+    assert 1.0 <= found["false alarms of the calibration's health"] <= 2.0
+    assert found["scans that are judged by the watch over the calibration"] == 4.0
 
 
 def test_scans_that_tell_nothing_of_the_calibration_raise_no_doubt() -> None:
     assert figures([{"rig_seed": 1, "gaps": None}])["instruments whose calibration is doubted"] == 0.0
+
+
+def test_a_sample_has_rigid_scenes_from_all_over_the_report_and_its_soft_ones() -> None:
+    numbers = numbers_of(30, 1)
+    families = {number: scene_world(1, number).families for number in (*numbers, *range(10))}
+    soft = [number for number in numbers if "soft" in families[number]]
+    assert len(numbers) - len(soft) == 30
+    assert len(soft) == 20
+    assert numbers[0] < 10
+    assert max(number for number in numbers if number not in soft) >= 190
+    assert len(set(numbers)) == len(numbers)

@@ -1,0 +1,53 @@
+"""Owns the file that a measurement of the world ``outside`` is kept in: what was measured of each part, by its seed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from bench.outside.figures import is_soft
+from bench.outside.kept import Row
+from bench.result import Measured
+
+Content = Mapping[str, Any]
+
+
+def read(path: Path) -> dict[str, Any]:
+    """Return a measurement's file: of each part, by its seed, what was measured. Raises OSError, and ValueError for another file."""
+    content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    parts = content.get("parts") if isinstance(content, dict) else None
+    seeds = [seed for part in parts.values() for seed in part] if isinstance(parts, dict) else []
+    if not isinstance(parts, dict) or not all(seed.isdigit() for seed in seeds):
+        raise ValueError(
+            f"{path}: no measurement by parts and seeds; allowed: files of ./dev bench outside --json. Name another file"
+        )
+    return content
+
+
+def added(content: Content, name: str, seed: int, measured: Sequence[Measured], part: Content) -> dict[str, Any]:
+    """Return the content with these figures of a part and a seed in it, in place of what it had of both; all else stays. ``part``: what else
+    is said of them: ``count``, ``noise``, ``measured_on`` and ``data``, ready for JSON."""
+    mine = {**part, "measured": [one.as_dict() for one in measured]}
+    seeds = {**content["parts"].get(name, {}), str(seed): mine}
+    return {**content, "parts": {**content["parts"], name: seeds}}
+
+
+def compact(content: Content) -> dict[str, Any]:
+    """Return the content without most of what is known of single scans and rigs, small enough to be kept beside the page."""
+    parts: dict[str, Any] = {}
+    for name, seeds in content["parts"].items():
+        parts[name] = {}
+        for seed, part in seeds.items():
+            kept = {k: v for k, v in part["data"].items() if k == "families"}
+            if name == "scenes":
+                kept["scenes"] = shown(part["data"]["rows"]["all"])
+            parts[name][seed] = {**part, "data": kept}
+    return {**content, "parts": parts}
+
+
+def shown(rows: Sequence[Row]) -> list[dict[str, Any]]:
+    """Return what the picture of all scenes shows of them, without the soft ones."""
+    keys = ("attenuation_per_m", "complete_percent", "error_over_sigma", "accepted")
+    return [{key: row[key] for key in keys} for row in rows if not is_soft(row)]
