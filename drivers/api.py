@@ -11,7 +11,7 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -151,6 +151,25 @@ class CameraSpec:
     be missing."""
 
 
+@dataclass(frozen=True, slots=True)
+class HeldSetting:
+    """One setting as it was asked for, and as the camera holds it."""
+
+    feature: str
+    wanted: FeatureValue | None
+    """Value that was asked for; ``None``: only what it is was asked."""
+    held: FeatureValue | None
+    """Value that was read back; ``None``: the camera has no such feature."""
+
+
+@runtime_checkable
+class ReadsBack(Protocol):
+    """A camera that can be asked what it holds of its settings. Not every family can."""
+
+    def read_back(self) -> tuple[HeldSetting, ...]:
+        """Return every setting that ``configure`` made, in its order, as the camera holds it now. Raises DeviceGone."""
+
+
 class Camera(Protocol):
     """A hardware-triggered camera: all that the service asks of one, of whatever family (``drivers.camera_families``).
 
@@ -189,6 +208,15 @@ class Camera(Protocol):
 
 
 # -------------------------------------------------------------------------------------------- board
+
+
+@dataclass(frozen=True, slots=True)
+class BoardTime:
+    """The board's clock, read at some moment between two of the host's."""
+
+    board_time_us: int
+    host_sent_ns: int
+    host_received_ns: int
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -68,7 +69,16 @@ def projector_page(
         )
     parts.append("<h2>What was seen</h2>" + "".join(figure(caption, data) for caption, data in pictures.values()))
     # All of them, not only the good: who asks for help is asked for these first.
-    trials = [
+    trials = trials_of(measured)
+    parts.append(
+        "<h2>Every exposure that was tried</h2>" + (rows(trials) if trials else "<p>None fits into the light.</p>")
+    )
+    return "".join(parts) + PAGE_END
+
+
+def trials_of(measured: ProjectorMeasured) -> list[dict[str, Any]]:
+    """Return every delay and exposure that was tried and what it sees, a row each."""
+    return [
         {
             "delay, µs": trial.delay_us,
             "exposure, ms": trial.exposure_us / 1000.0,
@@ -80,10 +90,6 @@ def projector_page(
         }
         for trial, shape in measured.responses.items()
     ]
-    parts.append(
-        "<h2>Every exposure that was tried</h2>" + (rows(trials) if trials else "<p>None fits into the light.</p>")
-    )
-    return "".join(parts) + PAGE_END
 
 
 def findings_table(findings: Sequence[Finding]) -> str:

@@ -6,10 +6,13 @@ import copy
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from appliance.bringup.finding import BringupError
 from appliance.config import ConfigError, parse_rig
+from appliance.storage.atomic import replace_file
+from appliance.storage.filesystem import LocalFileSystem
 
 _HEADER = re.compile(r"^\s*\[(?P<name>[^\[\]]+)\]\s*(#.*)?$")
 
@@ -44,6 +47,17 @@ def with_keys(text: str, values: Mapping[KeyValue, Value]) -> str:
     except ConfigError as error:
         raise BringupError(f"what was measured makes no rig file: {error}") from error
     return new
+
+
+def replace_rig(path: Path, old: str, new: str) -> Path:
+    """Replace a rig file and return where its old text is kept: beside it, under the first free number. Raises StorageError."""
+    number = 1
+    while (kept := path.with_name(f"{path.name}.before-{number}")).exists():
+        number += 1
+    # The copy first: at any instant one of the two files has the old text.
+    replace_file(LocalFileSystem(), kept, old.encode())
+    replace_file(LocalFileSystem(), path, new.encode())
+    return kept
 
 
 def _content(text: str) -> dict[str, Any] | None:

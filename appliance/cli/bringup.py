@@ -39,7 +39,7 @@ class BringupProjector(WithRig):
         from appliance.bringup.finding import BringupError
         from appliance.bringup.page import PAGE, pictures_of, projector_page
         from appliance.bringup.projector import measure_projector
-        from appliance.bringup.rig_edit import with_keys
+        from appliance.bringup.rig_edit import replace_rig, with_keys
         from appliance.service.light_bench import light_bench
 
         # Read before the long measurement, so that a file that cannot be edited is known by then.
@@ -93,31 +93,12 @@ class BringupTrigger(WithRig):
     def run(self) -> Exit:
         rig = self.read_rig()
         find_kernels()
-        import numpy as np
-
-        from appliance.bringup.bench import Shot
-        from appliance.bringup.triggers import PULSES, FiredFrames, judge_triggers
+        from appliance.service.bringup.trigger import fired, trigger_findings
         from appliance.service.light_bench import light_bench
-        from drivers.api import FrameStatus
 
-        black = np.zeros((rig.projector.height_px, rig.projector.width_px), np.uint8)
-        shot = Shot(rig.board.trigger_delay_us, round(1000.0 * rig.camera.left.exposure_ms), rig.camera.left.gain_db)
         with Progress() as progress, light_bench(rig) as bench:
-            # Black: what the frames show is of no interest here, and a lit wall would only warm the lamp.
-            bench.load([black], all_channels=False)
             progress("firing")
-            ledger = bench.record([0] * PULSES, shot).ledger
-        cameras = {
-            side: FiredFrames(
-                tuple(one.camera_time_ns for one in frames if one.status is FrameStatus.COMPLETE),
-                # A frame that never came is no bad one: counting tells about those.
-                tuple(
-                    one.status.value for one in frames if one.status not in (FrameStatus.COMPLETE, FrameStatus.TIMEOUT)
-                ),
-            )
-            for side, frames in ledger.frames.items()
-        }
-        findings = judge_triggers(len(ledger.pulses), cameras, ledger.period_ns)
+            findings = trigger_findings(fired(bench, rig).ledger)
         if self.json:
             say_json([one.as_dict() for one in findings])
         else:
@@ -141,14 +122,3 @@ def write_page(folder: Path, name: str, page: str, pictures: dict[str, tuple[str
         for file, data in files.items():
             replace_file(LocalFileSystem(), folder / file, data)
     return [folder / file for file in files]
-
-
-def replace_rig(path: Path, old: str, new: str) -> Path:
-    """Replace a rig file and return where its old text is kept: beside it, under the first free number. Raises StorageError."""
-    number = 1
-    while (kept := path.with_name(f"{path.name}.before-{number}")).exists():
-        number += 1
-    # The copy first: at any instant one of the two files has the old text.
-    replace_file(LocalFileSystem(), kept, old.encode())
-    replace_file(LocalFileSystem(), path, new.encode())
-    return kept

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +11,7 @@ from appliance.config import Rig
 from appliance.service.devices import Devices
 from appliance.storage.lock import holder
 from drivers import rig as drivers_rig
-from drivers.api import DeviceError, DeviceRefused, Health, Projector
+from drivers.api import DeviceError, DeviceRefused, Health, Projector, Wires
 from drivers.inventory import OnTheBuses, on_the_buses
 
 THERE, NOTHING = "there", "nothing"
@@ -28,28 +28,40 @@ def check(rig: Rig) -> list[Health]:
     running = holder(rig.storage.root)
     if running is not None:
         raise DeviceRefused("instrument", f"is running (process {running})", "Stop it first: systemctl stop kingfisher")
-    found: list[Health] = []
-    wanted = _wanted_firmware(rig)
     with drivers_rig.open_wires(rig.rig.wires, rig.rig.wires_options) as wires:
         # Before any device is opened: a card has one master, and a camera that is in use does not tell its number.
-        outputs = (rig.projector, rig.display)
-        there = on_the_buses(wires, [one.card for one in outputs if one.kind == "kms" and one.card is not None])
-
-        def nothing_to_load(projector: Projector) -> None:
-            projector.load([np.zeros((rig.projector.height_px, rig.projector.width_px), np.uint8)])
-
-        with Devices(rig, wires, nothing_to_load) as devices:
-            for name, opened in devices.openers().items():
-                try:
-                    # Closed again before the next one: what fails at one device must not keep the others from being
-                    # asked.
-                    with opened() as device:
-                        found.append(_compared(_health(name, device), wanted.get(name)))
-                except DeviceError as error:
-                    found.append(Health(name, False, f"{error.message}. {error.remedy}"))
+        there = whatever_is_there(rig, wires)
+        found = ask_devices(rig, wires)
     return [
         replace(one, details={**one.details, THERE: "; ".join(_there(one.device, there)) or NOTHING}) for one in found
     ]
+
+
+def whatever_is_there(rig: Rig, wires: Wires) -> OnTheBuses:
+    """List what is on the buses, and on the graphics cards that the rig file names. Never raises for a device."""
+    outputs = (rig.projector, rig.display)
+    return on_the_buses(wires, [one.card for one in outputs if one.kind == "kms" and one.card is not None])
+
+
+def ask_devices(rig: Rig, wires: Wires, only: Collection[str] | None = None) -> list[Health]:
+    """Open each device, or ``only`` those of these names, one after the other; what each says, or why it does not."""
+    found: list[Health] = []
+    wanted = _wanted_firmware(rig)
+
+    def nothing_to_load(projector: Projector) -> None:
+        projector.load([np.zeros((rig.projector.height_px, rig.projector.width_px), np.uint8)])
+
+    with Devices(rig, wires, nothing_to_load) as devices:
+        for name, opened in devices.openers().items():
+            if only is not None and name not in only:
+                continue
+            try:
+                # Closed again before the next one: what fails at one device must not keep the others from being asked.
+                with opened() as device:
+                    found.append(_compared(_health(name, device), wanted.get(name)))
+            except DeviceError as error:
+                found.append(Health(name, False, f"{error.message}. {error.remedy}"))
+    return found
 
 
 def _there(device: str, there: OnTheBuses) -> tuple[str, ...]:

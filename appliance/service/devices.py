@@ -34,8 +34,8 @@ class Devices:
         self._timeouts = Timeouts(rig.projector.refresh_hz)
         self._load_projector = load_projector
         self._executor = ThreadPoolExecutor(4, "kf-open")
-        projector = replace(_output(rig.projector), all_channels=rig.projector.channels == "all")
-        self._outputs = drivers_rig.open_outputs(projector, _output(rig.display), wires)
+        projector = replace(output_spec(rig.projector), all_channels=rig.projector.channels == "all")
+        self._outputs = drivers_rig.open_outputs(projector, output_spec(rig.display), wires)
         clock = wires.clock
         self.cameras: dict[str, DeviceSupervisor[Grabber]] = {
             "left": DeviceSupervisor(Device.CAMERA_LEFT, lambda: self._camera("left"), clock, self._executor),
@@ -69,8 +69,8 @@ class Devices:
         wires, rig = self._wires, self._rig
         keys = drivers_rig.KeysSpec(rig.keys.vendor_id, rig.keys.product_id)
         return {
-            "camera.left": lambda: self._open_camera("left"),
-            "camera.right": lambda: self._open_camera("right"),
+            "camera.left": lambda: self.open_camera("left"),
+            "camera.right": lambda: self.open_camera("right"),
             "board": lambda: drivers_rig.open_board(drivers_rig.BoardSpec(rig.board.url), wires),
             "keys": lambda: drivers_rig.open_keys(keys, wires),
             "projector": self._projector,
@@ -104,7 +104,7 @@ class Devices:
     def _configured(self, side: str, stack: ExitStack) -> tuple[Camera, CameraSettings]:
         """Return a camera that is open until ``stack`` closes, and its settings. Raises DeviceError."""
         spec = self._camera_rig(side)
-        camera = stack.enter_context(self._open_camera(side))
+        camera = stack.enter_context(self.open_camera(side))
         slow = camera.slow_link
         if slow is not None:
             # At 480 Mbit/s a frame of 1.92 MB takes 32 ms at the very least; the projector's period is 16.7 ms.
@@ -113,7 +113,8 @@ class Devices:
         camera.configure(settings)
         return camera, settings
 
-    def _open_camera(self, side: str) -> AbstractContextManager[Camera]:
+    def open_camera(self, side: str) -> AbstractContextManager[Camera]:
+        """Open one camera once, for whoever only wants to look at it: it is not set."""
         camera = self._camera_rig(side)
         spec = drivers_rig.CameraSpec(
             f"camera.{side}", camera.serial, camera.trigger_source, camera.pixel_format, camera.offset_x_px, camera.offset_y_px,
@@ -161,7 +162,8 @@ class Devices:
         yield projector
 
 
-def _output(spec: OutputRig) -> drivers_rig.OutputSpec:
+def output_spec(spec: OutputRig) -> drivers_rig.OutputSpec:
+    """Return what is to be opened for an output of the rig file."""
     return drivers_rig.OutputSpec(
         drivers_rig.OutputKind(spec.kind), spec.card, spec.connector, spec.width_px, spec.height_px, spec.refresh_hz
     )

@@ -85,7 +85,7 @@ class LightBench:
         for _ in range(TRIES):
             fault = self.record(order, shot).fault
             if fault is None:
-                return {side: self._store.frames(side)[: len(order)] for side in SIDES}
+                return {side: self.frames(side, len(order)) for side in SIDES}
         assert fault is not None
         raise BringupError(
             f"{TRIES} recordings failed one after the other: {fault.code.value}: {fault.detail}; ask `kingfisher bringup trigger`"
@@ -102,6 +102,10 @@ class LightBench:
         for grabber in grabbers.values():
             grabber.expose(float(shot.exposure_us), shot.gain_db)
         return recorder.record(order, self._store, lambda _side, _index: None, lambda: None)
+
+    def frames(self, side: str, count: int) -> Image:
+        """Return the first ``count`` images (count, h, w) of the last recording: a view, which the next one overwrites."""
+        return self._store.frames(side)[:count]
 
     def close(self) -> None:
         """Give the devices back. Idempotent."""
@@ -123,12 +127,19 @@ def _nothing(_projector: Projector) -> None:
 @contextmanager
 def light_bench(rig: Rig) -> Iterator[LightBench]:
     """Inside: the bench on the rig's devices, which no instrument may be using. Raises DeviceError, BringupError, StorageError."""
-    left = rig.camera.left
     with (
         hold_lock(rig.storage.root),
         drivers_rig.open_wires(rig.rig.wires, rig.rig.wires_options) as wires,
-        FrameStore(MOST_FRAMES, left.height_px, left.width_px) as store,
+        bench_on(rig, wires) as bench,
     ):
+        yield bench
+
+
+@contextmanager
+def bench_on(rig: Rig, wires: Wires) -> Iterator[LightBench]:
+    """Inside: the same for whoever holds the instrument's lock and its wires already. Raises DeviceError, BringupError."""
+    left = rig.camera.left
+    with FrameStore(MOST_FRAMES, left.height_px, left.width_px) as store:
         bench = LightBench(rig, wires, store)
         try:
             yield bench

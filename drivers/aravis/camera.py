@@ -21,6 +21,7 @@ from drivers.api import (
     DeviceRefused,
     Frame,
     Health,
+    HeldSetting,
 )
 from drivers.aravis.buses import bus_of
 from drivers.aravis.device import AravisDevice
@@ -169,6 +170,11 @@ class AravisCamera:
         """End acquisition. Idempotent. Raises DeviceGone, DeviceRefused."""
         with self._lock:
             self._halt()
+
+    def read_back(self) -> tuple[HeldSetting, ...]:
+        """Return what the camera holds of its settings, as ``ReadsBack`` says. Raises DeviceGone, DeviceRefused."""
+        with self._lock:
+            return self._setup.read_back()
 
     def temperature_c(self) -> float | None:
         """Temperature of the camera, ``None`` where it has no sensor. Raises DeviceGone."""

@@ -14,6 +14,7 @@ from drivers.api import (
     BoardBooted,
     BoardEvent,
     BoardLost,
+    BoardTime,
     Clock,
     DeviceError,
     DeviceGone,
@@ -210,6 +211,15 @@ class TriggerBoard:
             )
         except MalformedLine as error:
             raise self._nonsense("VSYNC", error) from error
+
+    def read_clock(self) -> BoardTime:
+        """The board's clock now, bracketed by host time; it needs no vertical sync. Raises DeviceGone, DeviceRefused."""
+        answer, sent_ns, received_ns = self._ask("PING")
+        (time_us,) = self._fields(answer, 1)
+        try:
+            return BoardTime(parse_uint(time_us, MAX_TIME_US), sent_ns, received_ns)
+        except MalformedLine as error:
+            raise self._nonsense("PING", error) from error
 
     def arm(self, pulses: int, at_vsync: int, delay_us: int, width_us: int) -> None:
         """Fire ``pulses`` (1..64), one per vertical sync from number ``at_vsync`` on, each ``delay_us`` (0..15000)

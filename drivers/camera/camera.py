@@ -20,6 +20,7 @@ from drivers.api import (
     DeviceRefused,
     Frame,
     Health,
+    HeldSetting,
 )
 from drivers.camera import u3v
 from drivers.camera.bootstrap import read_identification, read_stream_needs, read_technology
@@ -198,6 +199,11 @@ class UsbVisionCamera:
         """End acquisition. Idempotent. Raises DeviceGone, DeviceRefused."""
         with self._lock:
             self._halt()
+
+    def read_back(self) -> tuple[HeldSetting, ...]:
+        """Return what the camera holds of its settings, as ``ReadsBack`` says. Raises DeviceGone, DeviceRefused."""
+        with self._lock:
+            return self._setup.read_back()
 
     def temperature_c(self) -> float | None:
         """Temperature of the camera, ``None`` where it has no sensor. Raises DeviceGone."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from drivers.api import CameraSettings, CameraSpec, DeviceRefused, FeatureValue
+from drivers.api import CameraSettings, CameraSpec, DeviceRefused, FeatureValue, HeldSetting
 from drivers.camera.features import Features
 
 OWN_KEYS = {
@@ -38,6 +38,7 @@ class _Setting:
     choices: tuple[str, ...] = ()
 
 
+_LIGHT = ("ExposureTime", "Gain")
 _FRAME_START = "FrameStart"
 _FORMAT = (
     _Setting("BinningHorizontal", 1),
@@ -85,6 +86,14 @@ class CameraSetup:
     def notes(self) -> tuple[str, ...]:
         """Settings that this camera does not offer, in the order in which they were wanted."""
         return tuple(self._missing.values())
+
+    def read_back(self) -> tuple[HeldSetting, ...]:
+        """Return every setting of the last ``apply``, in its order, as the camera holds it now; then what it does not offer."""
+        features = self._features
+        made = [HeldSetting(name, wanted, features.value(name)) for name, wanted in self._wanted.items()]
+        # Of the light only what the camera made of it counts: exposures come in steps.
+        light = [HeldSetting(name, None, features.value(name)) for name in _LIGHT if features.has(name)]
+        return (*made, *light, *(HeldSetting(name, None, None) for name in self._missing))
 
     def load_defaults(self) -> None:
         """Bring the camera into its maker's default state: what an owner saved in it counts no more. At opening only."""

@@ -57,6 +57,10 @@ class Outputs:
         """The projector, lit and black; one that was opened before is closed first. Raises DeviceError."""
         return PatternProjector(self._surface(PROJECTOR), all_channels=self._specs[PROJECTOR].all_channels)
 
+    def close_projector(self) -> None:
+        """Darken the projector's output and keep its card: nobody else lights it meanwhile. Idempotent."""
+        self._close(PROJECTOR)
+
     def open_display(self) -> PictureDisplay[Any]:
         """The display, lit and black; one that was opened before is closed first. Raises DeviceError."""
         return PictureDisplay(self._surface(DISPLAY))

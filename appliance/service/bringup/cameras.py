@@ -1,0 +1,138 @@
+"""Owns the step ``cameras``: each one's link and settings, and what both see with their caps on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from appliance.bringup.bench import Image
+from appliance.bringup.camera_check import DarkSeen, judge_dark, judge_link, judge_settings, see_dark
+from appliance.bringup.finding import Finding
+from appliance.bringup.guide import StepOutcome
+from appliance.bringup.person import MOST_ASKED, numbered
+from appliance.bringup.plots import png
+from appliance.bringup.triggers import PULSES
+from appliance.instrument import noise_of
+from appliance.scan.sides import SIDES, of_side
+from appliance.service.bringup.trigger import fired, trigger_findings
+from appliance.service.bringup.workplace import Workplace, refusal
+from appliance.service.checkup import ask_devices
+from appliance.service.devices import Devices
+from appliance.service.light_bench import bench_on
+from drivers.api import Camera, CameraSettings, DeviceError, HeldSetting, Projector, ReadsBack
+
+DARK_FRAMES = 16
+"""Frames of which a pixel's noise is known to a fifth, and that of all of them exactly."""
+PATIENCE_S = 60.0
+PAUSE_S = 0.5
+SHORT_US = 500
+"""Exposure in which there is next to no light; pulses of 500 µs pass every opto-coupler."""
+STRETCHED = 8
+"""Factor by which a dark picture is brightened for the page."""
+
+
+def cameras_step(at: Workplace) -> StepOutcome:
+    """Do the step. Raises DeviceError, BringupError."""
+    names = [f"camera.{side}" for side in SIDES]
+    asked = ask_devices(at.rig, at.wires, names)
+    findings = [
+        Finding(one.device, one.ok, one.summary, "what `kingfisher check` wants", "" if one.ok else one.summary)
+        for one in asked
+    ]
+    tables: dict[str, tuple[Mapping[str, object], ...]] = {}
+    for health in asked:
+        tables[f"{health.device}, as it says"] = tuple({"": key, "is": text} for key, text in health.details.items())
+    # Without both there is nothing to be set, and no picture to be taken.
+    if not all(one.ok for one in findings):
+        return StepOutcome(tuple(findings), tables)
+    for side in SIDES:
+        found, held = _set_up(at, side)
+        findings += found
+        if held:
+            tables[f"camera.{side}, settings read back"] = tuple(
+                {"feature": one.feature, "asked for": one.wanted, "is": _shown(one)} for one in held
+            )
+    if not all(one.ok for one in findings):
+        return StepOutcome(tuple(findings), tables)
+    more, pictures = _dark(at)
+    return StepOutcome((*findings, *more), tables, pictures)
+
+
+def _set_up(at: Workplace, side: str) -> tuple[list[Finding], tuple[HeldSetting, ...]]:
+    """Set one camera as every scan does, and return what it holds."""
+    spec = of_side(at.rig.camera, side)
+
+    def nothing_to_load(_projector: Projector) -> None:
+        """The projector is not opened here."""
+
+    with Devices(at.rig, at.wires, nothing_to_load) as devices:
+        try:
+            with devices.open_camera(side) as camera:
+                link = judge_link(side, camera.identity.link_speed_mbps, camera.slow_link)
+                if not link.ok:
+                    return [link], ()
+                camera.configure(CameraSettings(spec.width_px, spec.height_px, 1000.0 * spec.exposure_ms, spec.gain_db))
+                held = _held(camera)
+        except DeviceError as error:
+            return [refusal(error)], ()
+    if held is None:
+        said = "this family of cameras cannot be asked for its settings"
+        return [link, Finding(f"camera.{side} settings", True, said)], ()
+    return [link, *judge_settings(side, held)], held
+
+
+def _held(camera: Camera) -> tuple[HeldSetting, ...] | None:
+    return camera.read_back() if isinstance(camera, ReadsBack) else None
+
+
+def _shown(one: HeldSetting) -> str:
+    if one.held is None:
+        return "not offered"
+    return f"{one.held:g}" if isinstance(one.held, float) else str(one.held)
+
+
+def _dark(at: Workplace) -> tuple[list[Finding], dict[str, tuple[str, bytes]]]:
+    """Return what covered cameras see, and pictures of it."""
+    clock = at.wires.clock
+    with bench_on(at.rig, at.wires) as bench:
+        for turn in range(MOST_ASKED):
+            at.person.tell(numbered("put the caps on both lenses", turn))
+            until_ns = clock.now_ns() + int(PATIENCE_S * 1e9)
+            while True:
+                at.say("waiting for dark images", None)
+                short: dict[str, Image] = {}
+                # Both lengths: what a longer exposure adds is light, what both have is the black level.
+                for exposure_us in (SHORT_US, None):
+                    report = fired(bench, at.rig, exposure_us)
+                    if report.fault is not None:
+                        # No picture without a trigger: which is wrong is what the next step would say, word for word.
+                        return list(trigger_findings(report.ledger)), {}
+                    frames = {side: bench.frames(side, PULSES)[-DARK_FRAMES:] for side in SIDES}
+                    short = short or {side: images.copy() for side, images in frames.items()}
+                seen = {side: see_dark(images, short[side]) for side, images in frames.items()}
+                last = {side: images[-1].copy() for side, images in frames.items()}
+                if all(one.covered for one in seen.values()):
+                    return _judged(at, seen), _pictures(last)
+                if clock.now_ns() > until_ns:
+                    break
+                clock.sleep_s(PAUSE_S)
+    return _judged(at, seen), _pictures(last)
+
+
+def _judged(at: Workplace, seen: Mapping[str, DarkSeen]) -> list[Finding]:
+    noise = noise_of(at.rig)
+    found: list[Finding] = []
+    for side, one in seen.items():
+        found += judge_dark(side, one, of_side(at.rig.camera, side).black_level_dn, of_side(noise, side).read_dn)
+    return found
+
+
+def _pictures(last: Mapping[str, Image]) -> dict[str, tuple[str, bytes]]:
+    return {
+        f"dark_{side}.png": (
+            f"Covered, {STRETCHED} times brighter ({side} camera)",
+            png(np.minimum(image.astype(np.uint16) * STRETCHED, 255).astype(np.uint8)),
+        )
+        for side, image in last.items()
+    }

@@ -1,0 +1,206 @@
+"""Owns the step ``endurance``: both cameras record at the projector's rate for minutes, and every pulse, frame and stamp is counted.
+
+The board fires 64 reported pulses, is armed anew, and so on; the cameras stream through all of it. Frames are written over each
+other in one slot: how many there are would fill any memory, and what they show is of no interest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+from numpy.lib.stride_tricks import as_strided
+from numpy.typing import NDArray
+
+from appliance.bringup.endurance_check import Endured, SideEndured, judge_endurance
+from appliance.bringup.finding import BringupError
+from appliance.bringup.guide import StepOutcome
+from appliance.bringup.triggers import PULSES
+from appliance.capture.grabber import Grabber, SideRecording
+from appliance.capture.timeouts import Timeouts
+from appliance.service.air_live import opened
+from appliance.service.bringup.workplace import Workplace
+from appliance.service.devices import Devices
+from drivers.api import (
+    Board,
+    BoardBooted,
+    BoardEvent,
+    BoardLost,
+    Clock,
+    DeviceError,
+    FrameStatus,
+    Projector,
+    Pulse,
+    PulsesDone,
+    Telemetry,
+    VsyncLost,
+)
+from drivers.board import TriggerBoard
+
+LEAD_SYNCS = 3
+"""Syncs between arming and the first pulse: time for the answer to travel."""
+IDLE_S = 1.5
+"""Time in which a camera that is idle has told its temperature, and the board its heartbeat."""
+MOST_EVENTS = 400
+
+
+@dataclass(slots=True)
+class _Fired:
+    """Counts of the board's part."""
+
+    asked: int = 0
+    reported: int = 0
+    ended_by: str | None = None
+    latest: Telemetry | None = field(default=None)
+
+    def take(self, event: BoardEvent | None) -> bool:
+        """Take note of an event; True where the series is over."""
+        match event:
+            case Pulse():
+                self.reported += 1
+            case Telemetry():
+                self.latest = event
+            case BoardBooted(cause=cause):
+                self.ended_by = f"the board restarted ({cause})"
+            case BoardLost(reason=reason):
+                self.ended_by = f"the board was lost ({reason})"
+            case VsyncLost():
+                self.ended_by = "the board saw no more vertical syncs"
+            case _:
+                pass
+        return isinstance(event, PulsesDone) or self.ended_by is not None
+
+
+def endurance_step(at: Workplace) -> StepOutcome:
+    """Do the step. Raises DeviceError, BringupError."""
+    rig, clock = at.rig, at.wires.clock
+    black = np.zeros((rig.projector.height_px, rig.projector.width_px), np.uint8)
+
+    def load(projector: Projector) -> None:
+        projector.load([black])
+        projector.show(0)
+
+    with Devices(rig, at.wires, load) as devices:
+        grabbers, board, _ = opened(devices, clock)
+        series = max(1, round(60.0 * at.minutes * rig.projector.refresh_hz / PULSES))
+        before_c = _temperatures(grabbers, board, clock)
+        lost_before = _lost_reports(board)
+        slots = _one_slot(rig.camera.left.height_px, rig.camera.left.width_px, PULSES * series)
+        recordings = {side: grabber.record(slots[side], lambda _index: None) for side, grabber in grabbers.items()}
+        begun_ns = clock.now_ns()
+        try:
+            seen = _fire(at, board, grabbers, recordings, series)
+            passed_s = (clock.now_ns() - begun_ns) / 1e9
+        finally:
+            with suppress(DeviceError):
+                board.stop()
+            _end(grabbers, recordings, Timeouts(rig.projector.refresh_hz))
+        after_c = _temperatures(grabbers, board, clock)
+        endured = Endured(
+            minutes=passed_s / 60.0,
+            wanted_minutes=at.minutes,
+            pulses=seen.asked,
+            reported=seen.reported,
+            lost_reports=_lost_reports(board) - lost_before,
+            cameras={side: _endured(one) for side, one in recordings.items()},
+            before_c=before_c,
+            after_c=after_c,
+            ended_by=seen.ended_by,
+        )
+    warm_c = {"projector": rig.limits.projector_warm_c, "case": rig.limits.case_warm_c}
+    return StepOutcome(judge_endurance(endured, warm_c))
+
+
+def _one_slot(height_px: int, width_px: int, count: int) -> dict[str, NDArray[np.uint8]]:
+    """Return ``count`` images (count, h, w) for each camera that all lie in the same memory."""
+    found = {}
+    for side in ("left", "right"):
+        image = np.zeros((height_px, width_px), np.uint8)
+        found[side] = as_strided(image, (count, height_px, width_px), (0, *image.strides), writeable=True)
+    return found
+
+
+def _fire(
+    at: Workplace,
+    board: Board,
+    grabbers: Mapping[str, Grabber],
+    recordings: Mapping[str, SideRecording],
+    series: int,
+) -> _Fired:
+    """Fire series after series until all are done, or something ends it. Raises DeviceError, BringupError."""
+    rig, clock = at.rig, at.wires.clock
+    timeouts = Timeouts(rig.projector.refresh_hz)
+    for side, grabber in grabbers.items():
+        if not grabber.wait(recordings[side], "ready", timeouts.ready_s):
+            raise BringupError(f"camera.{side} did not start within {timeouts.ready_s:g} s; ask `kingfisher check`")
+    fired = _Fired()
+    exposure_us = round(1000.0 * rig.camera.left.exposure_ms)
+    series_s = PULSES / rig.projector.refresh_hz + timeouts.margin_s
+    for number in range(series):
+        at.say("endurance", number / series)
+        board.arm(PULSES, board.vsync().count + LEAD_SYNCS, rig.board.trigger_delay_us, exposure_us)
+        fired.asked += PULSES
+        until_ns = clock.now_ns() + int(series_s * 1e9)
+        while not fired.take(board.next_event(timeouts.pulse_s)):
+            if clock.now_ns() > until_ns:
+                fired.ended_by = "the board did not say that it was done"
+                break
+        # A board may say so with its last pulse's rising edge: until that has ended it is busy.
+        clock.sleep_s(exposure_us / 1e6 + 0.001)
+        broken = next((side for side, one in recordings.items() if one.done and not one.complete), None)
+        if broken is not None and fired.ended_by is None and number < series - 1:
+            fired.ended_by = f"camera.{broken}"
+        if fired.ended_by is not None:
+            break
+    else:
+        for side, grabber in grabbers.items():
+            grabber.wait(recordings[side], "done", timeouts.collect_s)
+    return fired
+
+
+def _end(grabbers: Mapping[str, Grabber], recordings: Mapping[str, SideRecording], timeouts: Timeouts) -> None:
+    for side, recording in recordings.items():
+        if not recording.done:
+            grabbers[side].cancel(recording)
+            grabbers[side].wait(recording, "done", timeouts.collect_s)
+
+
+def _endured(recording: SideRecording) -> SideEndured:
+    """Return what became of one camera's frames."""
+    whole = [one for one in recording.frames if one.status is FrameStatus.COMPLETE]
+    ids = [one.block_id for one in whole if one.block_id is not None]
+    # A recording that was ended from outside closes with a frame that never came: no fault of this camera.
+    bad = [one.status.value for one in recording.frames if one.status is not FrameStatus.COMPLETE]
+    if recording.cancelled and bad and recording.frames[-1].status is FrameStatus.TIMEOUT:
+        bad.pop()
+    return SideEndured(
+        whole=len(whole),
+        bad=tuple(bad),
+        without_stamp=sum(one.camera_time_ns is None for one in whole),
+        gaps=sum(after - before != 1 for before, after in pairwise(ids)),
+        lost=recording.lost,
+    )
+
+
+def _temperatures(grabbers: Mapping[str, Grabber], board: Board, clock: Clock) -> dict[str, float | None]:
+    """Return temperatures by place, as cameras that are idle and the board's next heartbeat have them."""
+    latest: Telemetry | None = None
+    until_ns = clock.now_ns() + int(IDLE_S * 1e9)
+    for _ in range(MOST_EVENTS):
+        event = board.next_event(IDLE_S / 4.0)
+        latest = event if isinstance(event, Telemetry) else latest
+        if clock.now_ns() > until_ns and (latest is not None or event is None):
+            break
+    places: dict[str, float | None] = {
+        "projector": None if latest is None else latest.temperature_projector_c,
+        "case": None if latest is None else latest.temperature_case_c,
+        "board": None if latest is None else latest.temperature_board_c,
+    }
+    return {**places, **{f"camera.{side}": grabber.temperature_c for side, grabber in grabbers.items()}}
+
+
+def _lost_reports(board: Board) -> int:
+    return board.counters.lost_reports if isinstance(board, TriggerBoard) else 0
