@@ -41,7 +41,7 @@ class BoardHeard:
     lost_reports: int
     damaged_lines: int
     lasers: Mapping[str, tuple[LaserState, LaserState, LaserState]]
-    """By side: read-backs before it was switched on, while it was, and after."""
+    """Read-backs by side: before it was switched on, while it was, and after."""
     fitted: frozenset[str]
     """Sensors that the board says it has."""
     sensors: Mapping[str, float | None]

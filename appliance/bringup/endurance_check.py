@@ -43,7 +43,7 @@ class Endured:
     """Temperatures by place before the run; ``None``: not known."""
     after_c: Mapping[str, float | None]
     ended_by: str | None = None
-    """What ended the run before its time; ``None``: nothing."""
+    """Event that ended the run before its time; ``None``: none did."""
 
 
 def judge_endurance(seen: Endured, warm_c: Mapping[str, float]) -> tuple[Finding, ...]:

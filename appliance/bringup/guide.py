@@ -69,7 +69,7 @@ OF_THE_PROJECTOR = ("raster", "sides", "latency", "light", "skew")
 
 @dataclass(frozen=True, slots=True)
 class StepOutcome:
-    """What came of one step."""
+    """Findings of one step, and what the page shows of it."""
 
     findings: tuple[Finding, ...]
     tables: Mapping[str, tuple[Mapping[str, Any], ...]] = field(default_factory=dict, hash=False)

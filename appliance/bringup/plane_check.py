@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,9 +14,10 @@ from appliance.bringup.plane_ripple import CYCLES, CoordinateRipple, SmoothPlane
 from appliance.bringup.response_check import ResponseShape, Shape, judge_response
 from appliance.evaluation.flatness import Flatness
 from appliance.patterns.sequence import Direction, PatternSequence
+from appliance.scan.exposure import Exposure
 
-LIMITS_PER_PERIOD = (1.0 / 800.0, 1.0 / 800.0, 1.0 / 320.0)
-"""Largest amplitudes at one, two and four cycles a period, in periods. The last is that of a response like a power of 1.5, which scans straighten."""
+LIMITS_PER_PERIOD = (1.0 / 800.0, 1.0 / 800.0, 1.0 / 128.0)
+"""Largest amplitudes at one, two and four cycles a period, in periods. The last is larger, as each scan straightens it."""
 MOST_SATURATED = 0.01
 SATURATED_DN = 254
 LEAST_FILLED = 0.3
@@ -41,9 +42,11 @@ class PlaneSeen:
     """Number under which it is stored."""
     period_px: int
     ripple: Mapping[str, CoordinateRipple]
-    """By camera and coordinate, ``left x``."""
+    """Ripple by camera and coordinate, ``left x``."""
     filled: Mapping[str, float]
     """Share of each camera's pixels that have both coordinates."""
+    exposure: Exposure
+    """Exposure that it was taken with."""
     saturated: Mapping[str, float]
     """Share of the lit pixels of each camera's brightest image that are saturated."""
     response: ResponseShape | None
@@ -59,6 +62,20 @@ class PlaneSeen:
 def judge_plane(seen: PlaneSeen) -> tuple[Finding, ...]:
     """Judge a scan of a plane: light, response, ripple, flatness, and what the instrument's own judges say."""
     return (_filled(seen), _clipping(seen), _response(seen), *_ripples(seen), _flat(seen), _judges(seen))
+
+
+def next_exposure(exposures: Sequence[Exposure], now: Exposure, saturated: float) -> Exposure | None:
+    """Return the exposure to try after one that saturated so much of the lit image; ``None``: none is needed, or none is left.
+
+    ``exposures`` are those that the rig file allows. Half of the light at most: how far beyond saturation it was, nobody knows.
+    """
+    if saturated <= MOST_SATURATED:
+        return None
+    darker = sorted((one for one in exposures if one.light < now.light), key=lambda one: one.light)
+    halves = [one for one in darker if one.light <= 0.5 * now.light]
+    if halves:
+        return halves[-1]
+    return darker[0] if darker else None
 
 
 def curve_of(
@@ -119,11 +136,11 @@ def _filled(seen: PlaneSeen) -> Finding:
 def _clipping(seen: PlaneSeen) -> Finding:
     side, most = max(seen.saturated.items(), key=lambda one: one[1])
     ok = most <= MOST_SATURATED
-    said = f"{100.0 * most:.1f} % of what is lit in the {side} image is saturated"
+    said = f"{100.0 * most:.1f} % of what is lit in the {side} image is saturated at {seen.exposure.label}"
     remedy = (
         ""
         if ok
-        else "clipping: a shorter of the allowed exposures (exposure_ms of both cameras), less gain, a duller plane"
+        else "clipping: every allowed exposure is too long for this plane: less gain_db, shorter exposures_ms, a duller plane, no lamp on it"
     )
     return Finding(
         "clipping", ok, said, f"up to {100.0 * MOST_SATURATED:g} %", remedy, {"saturated_percent": 100.0 * most}

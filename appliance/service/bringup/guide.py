@@ -38,12 +38,12 @@ _ALONE: Mapping[str, Callable[[Workplace], StepOutcome]] = {
     "endurance": endurance_step,
     "plane": plane_step,
 }
-"""What does each step that has a measurement of its own."""
+"""Recordings of the steps that have a measurement of their own."""
 
 
 @dataclass(frozen=True, slots=True)
 class GuideOptions:
-    """What the guide is asked for."""
+    """Wishes for one call of the guide."""
 
     only: tuple[str, ...] = ()
     """Steps to be done and no others; empty: on from the first that is not good."""
@@ -57,7 +57,7 @@ class GuideOptions:
 
 @dataclass(frozen=True, slots=True)
 class Walked:
-    """What came of one call."""
+    """Outcome of one call."""
 
     good: bool
     """Every step that was asked for is good; without ``only``: all twelve are."""

@@ -11,7 +11,7 @@ import appliance
 from appliance.bringup.finding import BringupError
 from appliance.bringup.guide import StepOutcome
 from appliance.bringup.person import MOST_ASKED, numbered
-from appliance.bringup.plane_check import SATURATED_DN, PlaneSeen, curve_of, judge_curve, judge_plane
+from appliance.bringup.plane_check import SATURATED_DN, PlaneSeen, curve_of, judge_curve, judge_plane, next_exposure
 from appliance.bringup.plane_ripple import CoordinateRipple, SmoothPlane, ripple_of, smooth_plane
 from appliance.bringup.plots import plot, png
 from appliance.bringup.response_check import ResponseShape
@@ -20,10 +20,11 @@ from appliance.capture.store import FrameStore
 from appliance.evaluation.flatness import Flatness, flatness
 from appliance.evaluation.plane import fit_plane
 from appliance.evaluation.points import NotFound
-from appliance.instrument import calibration_of, exposure_of, origin_of, response_of, with_measured_noise
+from appliance.instrument import calibration_of, exposure_of, exposures_of, origin_of, response_of, with_measured_noise
 from appliance.offline.reconstruct import work_through
 from appliance.patterns.sequence import Direction, PatternSequence
 from appliance.reconstruct.decode.decoder import CameraDecoder
+from appliance.scan.exposure import Exposure
 from appliance.scan.sides import SIDES
 from appliance.service.air_live import opened
 from appliance.service.bringup.projector import wall
@@ -61,12 +62,13 @@ def plane_step(at: Workplace) -> StepOutcome:
         response = response_of(at.rig)
         patterns = DrawnPatterns(gl, at.rig, at.rig.scan.period_px, response)
         sequence = patterns.sequence
+        exposure = exposure_of(at.rig)
         for turn in range(MOST_ASKED):
             at.person.ask(numbered(wall(at), turn))
-            report, frames = _recorded(at, patterns)
+            report, frames, exposure = _exposed(at, patterns, exposure)
             if all(_lit(one, sequence).mean() >= LEAST_LIT for one in frames.values()):
                 break
-    scan_id = _stored(at, report, frames, sequence, None if response is None else response.hash)
+    scan_id = _stored(at, report, frames, sequence, exposure, None if response is None else response.hash)
     at.say("decoding", None)
     sides = {side: _decoded(sequence, frames[side]) for side in SIDES}
     shape, curve = (None, None) if response is not None else _response(sequence, frames, sides)
@@ -75,6 +77,7 @@ def plane_step(at: Workplace) -> StepOutcome:
         scan=scan_id,
         period_px=sequence.period_px,
         ripple=_ripples(sides, sequence.period_px),
+        exposure=exposure,
         filled={side: one.filled for side, one in sides.items()},
         saturated={side: one.saturated for side, one in sides.items()},
         response=shape,
@@ -91,10 +94,24 @@ def plane_step(at: Workplace) -> StepOutcome:
     return StepOutcome(judge_plane(seen), {}, pictures)
 
 
-def _recorded(at: Workplace, patterns: DrawnPatterns) -> tuple[CaptureReport, Frames]:
+def _exposed(at: Workplace, patterns: DrawnPatterns, exposure: Exposure) -> tuple[CaptureReport, Frames, Exposure]:
+    """Record the plane with the longest of the allowed exposures that does not saturate it, and return which that was."""
+    allowed = exposures_of(at.rig)
+    report, frames = _recorded(at, patterns, exposure)
+    # The rig file's exposure is that of the dive; a white plane in air is brighter than most of what lies under water.
+    for _ in allowed:
+        saturated = max(_saturated(one, patterns.sequence) for one in frames.values())
+        darker = next_exposure(allowed, exposure, saturated)
+        if darker is None:
+            break
+        exposure = darker
+        report, frames = _recorded(at, patterns, exposure)
+    return report, frames, exposure
+
+
+def _recorded(at: Workplace, patterns: DrawnPatterns, exposure: Exposure) -> tuple[CaptureReport, Frames]:
     """Record one sequence whose witnesses all agree. Raises DeviceError, BringupError."""
     rig, sequence = at.rig, patterns.sequence
-    exposure = exposure_of(rig)
     settings = ScanSettings(
         rig.projector.refresh_hz, exposure.time_us, rig.board.trigger_delay_us, rig.projector.latency_blanks
     )
@@ -104,6 +121,7 @@ def _recorded(at: Workplace, patterns: DrawnPatterns) -> tuple[CaptureReport, Fr
         Devices(rig, at.wires, patterns.load) as devices,
     ):
         grabbers, board, projector = opened(devices, at.wires.clock)
+        devices.expose(exposure)
         recorder = ScanRecorder(grabbers, board, projector, at.wires.clock, settings)
         fault = None
         for _ in range(TRIES):
@@ -124,8 +142,19 @@ def _lit(frames: NDArray[np.uint8], sequence: PatternSequence) -> NDArray[np.boo
     return np.asarray(bright - dark >= LIT_DN)
 
 
+def _saturated(frames: NDArray[np.uint8], sequence: PatternSequence) -> float:
+    """Return the share of what the projector lights that is saturated in its white light."""
+    lit = _lit(frames, sequence)
+    return float(((frames[sequence.bright] >= SATURATED_DN) & lit).sum() / max(1, int(lit.sum())))
+
+
 def _stored(
-    at: Workplace, report: CaptureReport, frames: Frames, sequence: PatternSequence, response_hash: str | None
+    at: Workplace,
+    report: CaptureReport,
+    frames: Frames,
+    sequence: PatternSequence,
+    exposure: Exposure,
+    response_hash: str | None,
 ) -> str:
     """Store the scan among the instrument's others, and return its number. Raises StorageError."""
     library = Library(at.rig.storage.root)
@@ -141,7 +170,7 @@ def _stored(
         clock_trusted=date.kept,
         recorded_ns=at.wires.clock.now_ns(),
         response_hash=response_hash,
-        exposure=exposure_of(at.rig),
+        exposure=exposure,
         water={
             "temperature_c": water.temperature_c,
             "salinity_psu": water.salinity_psu,
@@ -163,12 +192,10 @@ def _decoded(sequence: PatternSequence, frames: NDArray[np.uint8]) -> _SideDecod
         Direction.X: smooth_plane(decoder.p_px, sequence.period_px),
         Direction.Y: smooth_plane(decoder.q_px, sequence.period_px),
     }
-    lit = _lit(frames, sequence)
-    saturated = frames[sequence.bright] >= SATURATED_DN
     return _SideDecoded(
         {direction: plane for direction, plane in found.items() if plane is not None},
         float(np.isfinite(decoder.p_px).mean()),
-        float((saturated & lit).sum() / max(1, int(lit.sum()))),
+        _saturated(frames, sequence),
     )
 
 
