@@ -115,7 +115,7 @@ class Pipeline:
         """Scratch rows of ``sample``, which may be asked for beside the full cloud."""
         self.crew = Crew(helpers)
         """Threads that work on its scans."""
-        self.coarse_stride = max(1, int((left.width_px * left.height_px / COARSE_POINTS) ** 0.5))
+        self.coarse_stride = coarse_stride_px(left.width_px, left.height_px)
 
     def __enter__(self) -> Pipeline:
         return self
@@ -425,6 +425,11 @@ class Pipeline:
             max_step_mm=np.float32(limits.max_step_mm * self._pixel_mm / 0.16 * stride),
             min_neighbours=np.float32(limits.min_neighbours if stride == 1 else MIN_COARSE_NEIGHBOURS),
         )
+
+
+def coarse_stride_px(width_px: int, height_px: int) -> int:
+    """Return the distance of a coarse cloud's points in a left image of that size."""
+    return max(1, int((width_px * height_px / COARSE_POINTS) ** 0.5))
 
 
 def _rays(calibration: Calibration, water: Water) -> Rays:

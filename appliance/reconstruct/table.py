@@ -15,6 +15,8 @@ from appliance.reconstruct.select import Points
 Column = TypeVar("Column", bound=np.generic)
 _XYZ_BYTES, _FLOAT_BYTES, _PIXEL_BYTES = 12, 4, 4
 POINT_BYTES = _XYZ_BYTES + 2 * _FLOAT_BYTES + _PIXEL_BYTES + 2
+CLOUD_BYTES = _XYZ_BYTES + 3 * _FLOAT_BYTES + _PIXEL_BYTES + 1
+"""Bytes of one point of a ``Cloud``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,20 +83,30 @@ class PointTable:
         points.pixel[:n], points.intensity[:n] = cloud.pixel, cloud.intensity
         return Found(((0, n),), cloud.summary, cloud.gaps)
 
-    def cloud(self, found: Found) -> Cloud:
-        """Copy the points out, in one piece."""
+    def cloud(self, found: Found, block: NDArray[np.uint8] | None = None) -> Cloud:
+        """Copy the points out, in one piece: into ``block``, ``CLOUD_BYTES`` for each at least, or into memory of their own."""
+        count = sum(stop - first for first, stop in found.pieces)
+        # Columns of four bytes first, so that all are aligned.
+        ends = np.cumsum([_XYZ_BYTES, _FLOAT_BYTES, _FLOAT_BYTES, _FLOAT_BYTES, _PIXEL_BYTES, 1]) * count
+        places: list[NDArray[np.uint8] | None] = [None] * len(ends)
+        if block is not None:
+            places[:] = np.split(block[: ends[-1]], ends[:-1])
 
-        def join(column: NDArray[Column]) -> NDArray[Column]:
-            return np.concatenate([column[first:stop] for first, stop in found.pieces])
+        def join(column: NDArray[Column], place: NDArray[np.uint8] | None) -> NDArray[Column]:
+            into = None if place is None else place.view(column.dtype).reshape(count, *column.shape[1:])
+            return np.concatenate([column[first:stop] for first, stop in found.pieces], out=into)
 
         points = self.points
+        xyz, modulation, gap, sigma, pixel, intensity = places
+        modulation_dn = np.empty(count, np.float32) if modulation is None else modulation.view(np.float32)
+        half_dn = np.concatenate([points.modulation_half_dn[first:stop] for first, stop in found.pieces])
         return Cloud(
-            points_mm=join(points.xyz_mm),
-            intensity=join(points.intensity),
-            modulation_dn=join(points.modulation_half_dn) * np.float32(0.5),
-            ray_gap_mm=join(points.gap_mm),
-            sigma_mm=join(points.sigma_mm),
-            pixel=join(points.pixel),
+            points_mm=join(points.xyz_mm, xyz),
+            intensity=join(points.intensity, intensity),
+            modulation_dn=np.multiply(half_dn, np.float32(0.5), out=modulation_dn),
+            ray_gap_mm=join(points.gap_mm, gap),
+            sigma_mm=join(points.sigma_mm, sigma),
+            pixel=join(points.pixel, pixel),
             summary=found.summary,
             gaps=found.gaps,
         )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import threading
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from types import TracebackType
@@ -10,6 +12,9 @@ from typing import Self, TypeVar
 from appliance.machine import events as on
 
 Answer = TypeVar("Answer")
+NICENESS = 10
+"""Steps of priority behind the heartbeat, and so behind the worker, too: where processors are short, the diver has the cloud first, and the frames are durable
+at about the same time, since both have to be done."""
 
 
 class DiskQueue:
@@ -19,7 +24,7 @@ class DiskQueue:
     """
 
     def __init__(self) -> None:
-        self._executor = ThreadPoolExecutor(1, "kf-storage")
+        self._executor = ThreadPoolExecutor(1, "kf-storage", initializer=_step_back)
         self._answers: list[Future[list[on.Event]]] = []
 
     def __enter__(self) -> Self:
@@ -48,3 +53,9 @@ class DiskQueue:
         done = [answer for answer in self._answers if answer.done()]
         self._answers = [answer for answer in self._answers if not answer.done()]
         return [answer.result() for answer in done]
+
+
+def _step_back() -> None:
+    """Let other threads go first; Linux has a priority for each."""
+    thread = threading.get_native_id()
+    os.setpriority(os.PRIO_PROCESS, thread, os.getpriority(os.PRIO_PROCESS, thread) + NICENESS)

@@ -26,12 +26,15 @@ from appliance.worker.process import (
     ScanJudged,
     ScanSpoiled,
     SequenceIdentified,
+    WorkerEvent,
     WorkerFailed,
     WorkerReady,
 )
 from drivers.api import Clock
 
 log = logging.getLogger("kingfisher")
+MOST_REPORTS = 8
+"""Largest number of reports read at one heartbeat; a scan has four."""
 
 
 class WorkerReports:
@@ -47,11 +50,21 @@ class WorkerReports:
         """The worker is warm, or it cannot be: nothing more is to be waited for at the start."""
 
     def read(self, scan: ScanInMemory | None) -> list[on.Event]:
-        """Return what the worker's next report means; ``scan`` is the one in hand, which is changed by it."""
-        # One report for each heartbeat: it may bring a cloud, which is copied, and the next heartbeat comes soon.
+        """Return what the worker's next reports mean; ``scan`` is the one in hand, which is changed by them."""
         report = self._worker.poll()
         if report is None:
             return [on.PartBusy(Part.WORKER)] if self._worker.gets_on() else []
+        events = self._meant(report, scan)
+        for _ in range(MOST_REPORTS - 1):
+            if not _only_tells(report):
+                break
+            report = self._worker.poll()
+            if report is None:
+                break
+            events += self._meant(report, scan)
+        return events
+
+    def _meant(self, report: WorkerEvent, scan: ScanInMemory | None) -> list[on.Event]:
         match report:
             case WorkerReady():
                 self.settled = True
@@ -162,3 +175,16 @@ class WorkerReports:
         log.warning("second exposure of %s not added: %s", scan.second.exposure.label, fault.detail)
         self._drop()
         return on.PairFailed(number, fault)
+
+
+def _only_tells(report: WorkerEvent) -> bool:
+    """Tell whether another report may be read at the same heartbeat.
+
+    A full cloud was copied, which took its time, and the next heartbeat comes soon; and what ends a scan, or the process, is
+    answered by the machine before anything else is heard.
+    """
+    match report:
+        case SequenceIdentified() | ScanJudged() | CloudReady(full=False):
+            return True
+        case _:
+            return False

@@ -17,8 +17,8 @@ LONGEST_PX = 480
 PICTURE_BYTES = LONGEST_PX * LONGEST_PX
 
 
-def shared_bytes(capacity: int) -> int:
-    """Return the size of the memory for ``capacity`` points and one live picture."""
+def behind_picture(capacity: int) -> int:
+    """Return where the picture's place ends, in bytes from the beginning of the memory for ``capacity`` points."""
     return capacity * POINT_BYTES + PICTURE_BYTES
 
 
@@ -32,7 +32,7 @@ def reduced(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 class LivePicture:
-    """The picture's place in ``memory``, which has ``shared_bytes(capacity)``."""
+    """The picture's place in ``memory``, which has at least ``behind_picture(capacity)`` bytes."""
 
     def __init__(self, memory: memoryview | None, capacity: int) -> None:
         """Raises ValueError where the memory was closed (``None``)."""

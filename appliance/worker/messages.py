@@ -66,7 +66,7 @@ class LookAt:
 
 @dataclass(frozen=True, slots=True)
 class CloudCopied:
-    """The order to the worker: the cloud was copied, and its memory may be used again."""
+    """The order to the worker: the full cloud was copied, and its memory may be used again."""
 
     ticket: int
 
@@ -115,7 +115,7 @@ class Spoiled:
 
 @dataclass(frozen=True, slots=True)
 class CloudFound:
-    """The worker's report: a cloud is in the shared memory; ``CloudCopied`` is awaited."""
+    """The worker's report: a cloud is in its place in the shared memory; for a full one ``CloudCopied`` is awaited."""
 
     ticket: int
     full: bool

@@ -16,14 +16,15 @@ from numpy.typing import NDArray
 
 from appliance.calibration.file import encode
 from appliance.capture.store import FrameStore
-from appliance.reconstruct.table import Cloud, Found, PointTable
+from appliance.reconstruct.table import Cloud, Found
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.overlap import Overlap
 from appliance.scan.sides import SIDES
 from appliance.scan.verdict import Judgement
 from appliance.worker.child import ChildGone, ChildProcess
-from appliance.worker.live_picture import LivePicture, shared_bytes
+from appliance.worker.cloud_memory import CloudMemory
+from appliance.worker.live_picture import LivePicture
 from appliance.worker.looking import LiveLookedAt, Looking
 from appliance.worker.messages import (
     Begin,
@@ -51,6 +52,7 @@ from appliance.worker.messages import (
 )
 from appliance.worker.order import WorkLimits, WorkOrder
 from appliance.worker.serve import work
+from appliance.worker.shared_points import SharedPoints
 from appliance.worker.usage import cpu_s, own_memory_mb
 from drivers.api import Clock
 
@@ -61,6 +63,8 @@ MOST_ATTEMPTS = 2
 MOST_FRUITLESS_STARTS = 4
 """Largest number of starts in a row without a cloud in between; then the worker stays down until the next scan begins."""
 POLL_S = 0.002
+MOST_PASSED_OVER = 32
+"""Largest number of messages that one poll passes over because nothing is to be told of them; a scan has some ten."""
 PING_S = 1.0
 """Time between two questions to a worker with nothing to do whether it is there."""
 COMPUTING_SHARE = 0.05
@@ -168,9 +172,9 @@ class ReconstructionWorker:
         self.limits = limits or WorkLimits()
         """May be replaced at any time; what it can still ask for is fixed when it starts."""
         left = order.calibration.rig.left
-        self._capacity = left.width_px * left.height_px
-        # Room for a point in every left pixel, allocated once: no cloud can be too large for it.
-        self._results = SharedMemory(create=True, size=shared_bytes(self._capacity))
+        self._points = SharedPoints(left.width_px, left.height_px)
+        self._results = SharedMemory(create=True, size=self._points.size_bytes)
+        self._clouds = CloudMemory(self._points.capacity)
         self._child = ChildProcess("kf-reconstruct", work)
         self._starting = False
         self._deadline_ns: int | None = None
@@ -286,7 +290,7 @@ class ReconstructionWorker:
         now_ns = self._clock.now_ns()
         if not self._looking.may(now_ns) or not self._child.runs or self._starting or self._finishing:
             return False
-        shape = LivePicture(self._results.buf, self._capacity).put(picture)
+        shape = LivePicture(self._results.buf, self._points.capacity).put(picture)
         self._send(self._looking.ask(shape, belongs_to, now_ns))
         return True
 
@@ -356,15 +360,24 @@ class ReconstructionWorker:
         """
         if not self._child.runs:
             return self._restart(self._not_started) if self._not_started is not None else None
-        try:
-            message = self._child.receive()
-        except ChildGone as gone:
-            return self._restart(str(gone))
-        now_ns = self._clock.now_ns()
-        if message is None:
-            return self._check_answer(now_ns) or self._check_memory(now_ns)
-        # Whatever it says is a sign of life.
-        self._alive_ns, self._ping_sent = now_ns, False
+        # What needs no answer is passed over here and now: at a heartbeat for each, an answer behind ten of them would come 0.2 s late.
+        for _ in range(MOST_PASSED_OVER):
+            try:
+                message = self._child.receive()
+            except ChildGone as gone:
+                return self._restart(str(gone))
+            now_ns = self._clock.now_ns()
+            if message is None:
+                return self._check_answer(now_ns) or self._check_memory(now_ns)
+            # Whatever it says is a sign of life.
+            self._alive_ns, self._ping_sent = now_ns, False
+            event = self._heard(message)
+            if event is not None:
+                return event
+        return None
+
+    def _heard(self, message: object) -> WorkerEvent | None:
+        """Note what the process said, and return what is to be told of it."""
         match message:
             case Ready():
                 self._deadline_ns, self._starting = None, False
@@ -509,17 +522,18 @@ class ReconstructionWorker:
 
     def _cloud_found(self, scan: int, full: bool, found: Found, cpu_s: float) -> CloudReady:
         # No reference to the memory may outlive this call: it could not be closed.
-        cloud = PointTable(self._capacity, self._results.buf).cloud(found)
+        if not full:
+            return CloudReady(scan, full, self._points.coarse(self._results.buf).cloud(found), cpu_s)
+        cloud = self._clouds.copied(self._points.full(self._results.buf), found)
         self._send(CloudCopied(self._ticket))
-        if full:
-            self._finishing, self._deadline_ns, self._fruitless = False, None, 0
-            self._knows_first = True
+        self._finishing, self._deadline_ns, self._fruitless = False, None, 0
+        self._knows_first = True
         return CloudReady(scan, full, cloud, cpu_s)
 
     def _bracket_judged(
         self, scan: int, found: Found | None, second: tuple[Judgement, ...], pair: Judgement, cpu_s: float
     ) -> PairJudged:
-        cloud = None if found is None else PointTable(self._capacity, self._results.buf).cloud(found)
+        cloud = None if found is None else self._clouds.copied(self._points.full(self._results.buf), found)
         self._send(CloudCopied(self._ticket))
         self._finishing, self._deadline_ns, self._fruitless, self._knows_first = False, None, 0, True
         return PairJudged(scan, second, pair, cloud, cpu_s)

@@ -69,6 +69,7 @@ from appliance.worker.messages import (
 )
 from appliance.worker.neighbours import Neighbours
 from appliance.worker.onlooker import Onlooker
+from appliance.worker.shared_points import SharedPoints
 from appliance.worker.warm import compiler_watched, what_an_empty_scan_does_not_run
 
 NICENESS = 5
@@ -118,9 +119,8 @@ def _work(
     headroom_mb: float,
 ) -> None:
     left = calibration.rig.left
-    with Pipeline(
-        calibration, water, sequence, table=PointTable(left.width_px * left.height_px, memory.buf), noise=noise
-    ) as pipeline:
+    points = SharedPoints(left.width_px, left.height_px)
+    with Pipeline(calibration, water, sequence, table=points.full(memory.buf), noise=noise) as pipeline:
         processor = SequenceProcessor(pipeline, calibration, water)
         # So that the first real scan is as fast as the others.
         with _missing("scipy.linalg"):
@@ -142,8 +142,9 @@ def _work(
         neighbours = Neighbours(calibration, water, sequence, pipeline.coarse_stride)
         try:
             onlooker = Onlooker(calibration, water, neighbours)
-            picture = LivePicture(memory.buf, left.width_px * left.height_px)
-            Server(pipe, processor, store, remaining, neighbours, (onlooker, picture)).serve()
+            picture = LivePicture(memory.buf, points.capacity)
+            coarse = points.coarse(memory.buf)
+            Server(pipe, processor, store, coarse, remaining, neighbours, (onlooker, picture)).serve()
         except (EOFError, OSError):
             raise
         except Exception as error:  # the one place where it can still be named
@@ -209,14 +210,16 @@ class Server:
         pipe: Connection,
         processor: SequenceProcessor,
         store: FrameStore,
+        coarse: PointTable,
         left: Iterable[Callable[[], object]] = (),
         neighbours: Neighbours | None = None,
         aiming: tuple[Onlooker, LivePicture] | None = None,
     ) -> None:
-        """``left``: what remains to be loaded; done piece by piece while nothing else is, then said to be ``Loaded``. ``neighbours``: what
+        """``coarse``: where coarse clouds are left for the parent. ``left``: what remains to be loaded; done piece by piece while nothing else is, then said to be ``Loaded``. ``neighbours``: what
         scans are compared by; ``None``: they are not. ``aiming``: what live pictures are looked at by, and where they lie; ``None``: they
         are not."""
         self._pipe, self._processor, self._store = pipe, processor, store
+        self._coarse = coarse
         self._neighbours = neighbours
         self._aiming = aiming
         self._left: deque[Callable[[], object]] | None = deque(left)
@@ -327,12 +330,12 @@ class Server:
                 case Identified():
                     self._say(PatternsIdentified(self._ticket))
                 case CoarseFound(found):
+                    coarse = self._processor.cloud(found)
                     if self._neighbours is not None:
-                        self._neighbours.coarse(self._processor.cloud(found))
-                    self._say(CloudFound(self._ticket, full=False, found=found, cpu_s=spent_s))
+                        self._neighbours.coarse(coarse)
+                    # Out of the way of the full cloud, so that nobody waits until the parent has seen this one.
+                    self._say(CloudFound(self._ticket, full=False, found=self._coarse.put(coarse), cpu_s=spent_s))
                     begun_s += spent_s
-                    if not self._await_taken():
-                        return
                 case OneJudged():
                     self._say(GoingOn(self._ticket))
                 case AllJudged(judgements, cpu_s):
@@ -350,6 +353,9 @@ class Server:
                     if self._neighbours is not None:
                         self._neighbours.whole(self._store.frames("left"))
                     self._await_taken()
+                    return
+            if self._is_unwanted():
+                return
 
     def _work_through_first(self) -> ProcessedSequence:
         """Do without a word what was left of the first sequence: all of it, where this process was started since.
@@ -383,19 +389,33 @@ class Server:
         self._say(BracketJudged(self._ticket, found, judgements, pair, time.process_time() - begun_s))
         self._await_taken()
 
-    def _await_taken(self) -> bool:
-        """Wait until what was found was copied; returns False when nobody wants it any more."""
+    def _is_unwanted(self) -> bool:
+        """Tell whether the parent has dropped the sequence in work, or begun another one; never waits."""
+        while self._pipe.poll(0.0):
+            if self._ends_work(self._pipe.recv()):
+                return True
+        return False
+
+    def _await_taken(self) -> None:
+        """Wait until what was found was copied, or nobody wants it any more."""
         while True:
             # The parent copies at its next heartbeat; until then the table in shared memory must stay as it is.
             message: ToWorker = self._pipe.recv()
-            match message:
-                case CloudCopied(ticket) if ticket == self._ticket:
-                    return True
-                case Begin() | Drop():
-                    # Read here, but meant for `serve`, which does it next.
-                    self._put_back.append(message)
-                    return False
-                case Ping():
-                    self._say(Pong())
-                case _:
-                    pass
+            if message == CloudCopied(self._ticket) or self._ends_work(message):
+                return
+
+    def _ends_work(self, message: ToWorker) -> bool:
+        """Do what a message wants that was read in the midst of a sequence; returns True where it ends the work on it."""
+        match message:
+            case Begin() | Drop():
+                # Read here, but meant for `serve`, which does it next.
+                self._put_back.append(message)
+                return True
+            case Keep():
+                # There is nothing to keep before all is done.
+                self._put_back.append(message)
+            case Ping():
+                self._say(Pong())
+            case _:
+                pass
+        return False

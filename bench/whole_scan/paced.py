@@ -10,13 +10,14 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 from appliance.capture.store import FrameStore
 from appliance.scan.sides import SIDES
+from appliance.service.disk import DiskQueue
 from appliance.storage.library import Library, PendingScan
 from appliance.storage.record import SequenceInfo
 from appliance.worker.order import WorkLimits, WorkOrder
@@ -101,9 +102,7 @@ class _Heard:
 class PacedWorker:
     """A warm worker for one scene, and a disk beside it. Made by ``paced_worker``."""
 
-    def __init__(
-        self, scene: TimedScene, process: ReconstructionWorker, library: Library, disk: ThreadPoolExecutor
-    ) -> None:
+    def __init__(self, scene: TimedScene, process: ReconstructionWorker, library: Library, disk: DiskQueue) -> None:
         self._scene, self._process, self._library, self._disk = scene, process, library, disk
         self._clock = MonotonicClock()
         self._record = plain_record(sequence=SequenceInfo.of(scene.sequence))
@@ -198,7 +197,7 @@ def paced_worker(scene: TimedScene, disk: Path) -> Iterator[PacedWorker]:
         )  # fmt: skip
         library = Library(Path(stack.enter_context(tempfile.TemporaryDirectory(dir=disk))) / "storage")
         library.prepare()
-        writer = stack.enter_context(ThreadPoolExecutor(1, "bench-disk"))
+        writer = stack.enter_context(DiskQueue())
         process = stack.enter_context(ReconstructionWorker(order, store, MonotonicClock(), LIMITS))
         if process.wait(START_TIMEOUT_S) != WorkerReady():
             raise RuntimeError("the worker did not start")

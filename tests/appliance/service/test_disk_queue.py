@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 
@@ -81,3 +82,11 @@ def test_what_a_task_raises_is_raised_where_its_answer_is_fetched() -> None:
         with pytest.raises(OSError, match="the disk is gone"):
             wait_until_answered(queue)
         assert not queue.busy
+
+
+def test_the_disk_steps_back_behind_whoever_computes_what_the_diver_waits_for() -> None:
+    def priority() -> int:
+        return os.getpriority(os.PRIO_PROCESS, threading.get_native_id())
+
+    with DiskQueue() as queue:
+        assert queue.submit(priority).result(10.0) == priority() + 10

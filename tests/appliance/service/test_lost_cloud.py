@@ -183,3 +183,12 @@ def test_a_scan_processed_again_has_its_cloud_and_four_times_in_order(desk: Scan
     sequence_s = times_s["recording"] - times_s["first_pattern"]
     assert sequence_s == pytest.approx(len(SEQUENCE) * PERIOD_NS / 1e9), "from the first pattern to the last frame"
     assert times_s["full"] <= times_s["recording"] + waited_s + 0.5
+
+
+def test_all_that_the_worker_has_said_of_a_scan_is_heard_at_two_heartbeats(desk: ScanController) -> None:
+    """The display paces heartbeats: with one report at each, the full cloud would wait for four pictures more."""
+    record(desk, 1, halfway=lambda: None)
+    CLOCK.sleep_s(2.0)  # it is done by now, and nobody has listened
+    events = desk.poll() + desk.poll()
+    of_the_worker = (on.PatternsRight, on.CoarseReady, on.Judged, on.FullReady)
+    assert [type(event) for event in events if isinstance(event, of_the_worker)] == list(of_the_worker)

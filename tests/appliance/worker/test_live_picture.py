@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from appliance.reconstruct.table import POINT_BYTES
-from appliance.worker.live_picture import LONGEST_PX, LivePicture, shared_bytes
+from appliance.worker.live_picture import LONGEST_PX, LivePicture, behind_picture
 
 CAPACITY = 5_000
 
@@ -17,7 +17,7 @@ CAPACITY = 5_000
 def test_what_is_put_is_copied_in_its_own_shape_and_no_point_is_touched(
     shape: tuple[int, int], small: tuple[int, int]
 ) -> None:
-    memory = memoryview(bytearray([7]) * shared_bytes(CAPACITY))
+    memory = memoryview(bytearray([7]) * behind_picture(CAPACITY))
     v, u = np.mgrid[0 : shape[0], 0 : shape[1]] / max(shape)
     picture = (100.0 + 60.0 * u + 90.0 * v).astype(np.uint8)
     ours, theirs = LivePicture(memory, CAPACITY), LivePicture(memory, CAPACITY)

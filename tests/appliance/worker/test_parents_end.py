@@ -20,13 +20,14 @@ import pytest
 
 from appliance.capture.store import FrameStore
 from appliance.reconstruct.quality import CloudSummary
-from appliance.reconstruct.table import Found, PointTable
+from appliance.reconstruct.table import Found
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.guidance import LOST
 from appliance.scan.verdict import Judgement, Verdict
 from appliance.worker import process, usage
+from appliance.worker.live_picture import LivePicture
 from appliance.worker.looking import LiveLookedAt
 from appliance.worker.messages import (
     Begin,
@@ -60,6 +61,7 @@ from appliance.worker.process import (
     WorkerFailed,
     WorkerReady,
 )
+from appliance.worker.shared_points import SharedPoints
 from tests.drivers.output.kernel import Time
 from tests.support import synthetic
 
@@ -211,11 +213,12 @@ def test_a_scan_from_its_first_frame_to_its_full_cloud(desk: Desk) -> None:
     coarse = desk.after(0.0, CloudFound(1, False, Found(((0, 0),), SUMMARY), 0.1))
     assert isinstance(coarse, CloudReady)
     assert (coarse.scan, coarse.full, coarse.cpu_s, coarse.cloud.points_mm.shape) == (7, False, 0.1, (0, 3))
-    assert desk.told() == [CloudCopied(1)]
+    assert desk.told() == [], "nobody waits until the coarse one was seen"
     assert desk.after(0.0, SequenceJudged(1, (SAID,), 0.2)) == ScanJudged(7, (SAID,), 0.2)
     full = desk.after(0.0, CloudFound(1, True, Found(((0, 0),), SUMMARY), 0.3))
     assert isinstance(full, CloudReady)
     assert full.full
+    assert desk.told() == [CloudCopied(1)]
     assert desk.after(3600.0, Pong()) is None, "nothing more is awaited"
     assert desk.worker.restarts == 0
 
@@ -529,15 +532,37 @@ def test_who_has_no_heartbeat_waits_and_gets_the_first_event_or_none(desk: Desk)
     failed(desk.worker.wait(0.5), "of what came after")
 
 
-def test_the_points_are_those_in_the_shared_memory(desk: Desk) -> None:
+def test_an_answer_behind_ten_that_need_none_comes_at_the_same_heartbeat(desk: Desk) -> None:
     desk.ready()
     desk.worker.begin(7)
-    table = PointTable(300 * 400, desk.worker._results.buf)
-    table.points.xyz_mm[5:8] = np.arange(9, dtype=np.float32).reshape(3, 3)
-    event = desk.after(0.0, CloudFound(1, False, Found(((5, 7), (7, 8)), SUMMARY), 0.0))
-    del table
-    assert isinstance(event, CloudReady)
-    assert event.cloud.points_mm.ravel().tolist() == list(range(9))
+    desk.worker.finish()
+    said = SequenceJudged(1, (SAID,), 0.2)
+    assert desk.after(0.0, *[GoingOn(1)] * 10, said, said) == ScanJudged(7, (SAID,), 0.2)
+    assert desk.worker.poll() == ScanJudged(7, (SAID,), 0.2), "one event at a time"
+    assert desk.worker.poll() is None
+
+
+def test_the_points_are_those_in_the_shared_memory_and_each_cloud_has_its_place(desk: Desk) -> None:
+    desk.ready()
+    desk.worker.begin(7)
+    memory, places = desk.worker._results.buf, SharedPoints(400, 300)
+    full, coarse = places.full(memory), places.coarse(memory)
+    for table, offset in ((full, 0), (coarse, 100)):
+        table.points.xyz_mm[:] = 7.0
+        table.points.intensity[:] = 7
+        table.points.xyz_mm[5:8] = offset + np.arange(9, dtype=np.float32).reshape(3, 3)
+    LivePicture(memory, places.capacity).put(np.full((480, 480), 9, np.uint8))
+    # What is written to one place is not seen in another: all that was written last is still there.
+    assert (full.points.intensity == 7).all()
+    assert (coarse.points.xyz_mm[8:] == 7.0).all()
+    del full, coarse, table, memory
+    found = Found(((5, 7), (7, 8)), SUMMARY)
+    early = desk.after(0.0, CloudFound(1, False, found, 0.0))
+    late = desk.after(0.0, CloudFound(1, True, found, 0.0))
+    assert isinstance(early, CloudReady)
+    assert isinstance(late, CloudReady)
+    assert early.cloud.points_mm.ravel().tolist() == list(range(100, 109))
+    assert late.cloud.points_mm.ravel().tolist() == list(range(9))
 
 
 def test_a_process_that_still_loads_is_waited_for_and_has_compiled_before(desk: Desk) -> None:

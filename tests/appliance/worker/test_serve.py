@@ -17,10 +17,11 @@ from appliance.capture.store import FrameStore
 from appliance.patterns.sequence import build_sequence
 from appliance.processing.procedure import SequenceProcessor
 from appliance.reconstruct.pipeline import Pipeline
+from appliance.reconstruct.table import PointTable
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.overlap import Overlap
 from appliance.scan.sides import SIDES
-from appliance.worker.live_picture import LivePicture, shared_bytes
+from appliance.worker.live_picture import LivePicture, behind_picture
 from appliance.worker.messages import (
     Begin,
     Drop,
@@ -58,9 +59,8 @@ def serving(
         FrameStore(len(sequence), HEIGHT_PX, WIDTH_PX) as store,
         Pipeline(calibration, synthetic.WATER, sequence) as pipeline,
     ):
-        server = Server(
-            theirs, SequenceProcessor(pipeline, calibration, synthetic.WATER), store, left, neighbours, aiming
-        )
+        processor, coarse = SequenceProcessor(pipeline, calibration, synthetic.WATER), PointTable(WIDTH_PX * HEIGHT_PX)
+        server = Server(theirs, processor, store, coarse, left, neighbours, aiming)
         for message in first:
             ours.send(message)
 
@@ -200,7 +200,7 @@ class Watched(Onlooker):
 
 def shown(picture: NDArray[np.uint8]) -> LivePicture:
     """The place of a live picture, which shows ``picture``."""
-    place = LivePicture(memoryview(bytearray(shared_bytes(10))), 10)
+    place = LivePicture(memoryview(bytearray(behind_picture(10))), 10)
     place.put(picture)
     return place
 

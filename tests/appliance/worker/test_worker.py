@@ -249,14 +249,19 @@ def hold_before_full(worker: ReconstructionWorker) -> CloudReady:
     end_s = time.monotonic() + PATIENCE_S
     while True:
         hold(worker)
-        event = worker.poll()
-        if isinstance(event, CloudReady):
-            assert not event.full
-            return event
-        assert event is None or isinstance(event, SequenceIdentified)
+        coarse: CloudReady | None = None
+        while (event := worker.poll()) is not None:
+            if isinstance(event, CloudReady):
+                coarse = None if event.full else event
+                if event.full:  # it was held too late: once more
+                    worker.reprocess(event.scan)
+            else:
+                assert isinstance(event, SequenceIdentified | ScanJudged)
+        if coarse is not None:
+            return coarse
         assert time.monotonic() < end_s
         signal_worker(worker, signal.SIGCONT)
-        time.sleep(0.01)
+        time.sleep(0.001)
 
 
 @pytest.mark.parametrize(
