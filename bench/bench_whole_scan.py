@@ -55,6 +55,8 @@ class Effort:
     scans: int = 9
     rounds: int = 5
     """Of the procedure judge by judge."""
+    traced: int = 7
+    """Number of scans of which the most typical one is drawn."""
     folder: Path = FOLDER
     """Where the scenes' frames are kept."""
     scenes: Sequence[str] = NAMES
@@ -143,7 +145,8 @@ def _timed(scene: TimedScene, decoded: TimedScene, effort: Effort, out: Path) ->
             slower.append(machine_factor(decoded))
         if scene.name == DISC:
             # Behind the scans that count: to sample the worker's clock costs a little of the processor that it wants.
-            timeline.draw(out / "timeline.png", WORDS[DISC], scene.sequence, worker.scan(traced=True))
+            traced = [worker.scan(traced=True) for _ in range(effort.traced)]
+            timeline.draw(out / "timeline.png", WORDS[DISC], scene.sequence, timeline.typical(traced))
         peak_mb, own_peak_mb = worker.peak_mb, worker.own_peak_mb
     with by_part.procedure(scene) as procedure:
         for _ in range(effort.rounds):

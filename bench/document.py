@@ -118,6 +118,7 @@ TABLES: dict[str, tuple[tuple[str, str, str], ...]] = {
         ("endurance_screen_hz", "new pictures on the display between sequences", "Hz"),
         ("coarse_latency_ms", "last frame to coarse cloud", "ms"),
         ("full_latency_ms", "last frame to full cloud", "ms"),
+        ("full_latency_p95_ms", "the same, 95 %", "ms"),
         ("saved_latency_ms", "last frame to raw frames durable", "ms"),
         ("service_memory_mb", "service and simulated world at the last scan", "MB"),
         ("service_growth_mb", "its growth since the tenth scan", "MB"),

@@ -19,6 +19,8 @@ INK, FAINT, WHITE = (40, 40, 40), (225, 225, 225), (255, 255, 255)
 BOTH, ALONG_X, ALONG_Y = (150, 150, 150), (170, 120, 40), (60, 140, 60)
 """Frames of no direction, of the x block and of the y block: grey, blue, green."""
 BUSY, CAME, DISK = (40, 110, 220), (60, 60, 60), (150, 60, 150)
+LEGEND = (("bright and dark", BOTH), ("x block", ALONG_X), ("y block", ALONG_Y))
+"""What the colours of the recording mean; the other rows say it themselves."""
 FONT = cv2.FONT_HERSHEY_SIMPLEX
 BEFORE_MS, BEHIND_MS = 25.0, 15.0
 """Room before the last frame and behind the full cloud in the panel that shows what happens between them."""
@@ -48,6 +50,14 @@ def draw(path: Path, title: str, sequence: PatternSequence, scan: PacedScan) -> 
         "from the last frame to the full cloud", spans, scan.trace, -BEFORE_MS, scan.full_ms + BEHIND_MS
     )  # fmt: skip
     cv2.imwrite(str(path), np.vstack([whole, near]))
+
+
+def typical(scans: Sequence[PacedScan]) -> PacedScan:
+    """Return the one of ``scans`` whose answers came nearest to their medians, by ratios. Raises ValueError without scans."""
+    if not scans:
+        raise ValueError("no scan was traced; trace at least one to draw")
+    came = np.log([[scan.coarse_ms, scan.verdict_ms, scan.full_ms, scan.durable_ms] for scan in scans])
+    return scans[int(np.abs(came - np.median(came, axis=0)).sum(1).argmin())]
 
 
 def spans_of(sequence: PatternSequence, scan: PacedScan) -> list[Span]:
@@ -84,6 +94,13 @@ def _panel(
         return LEFT_PX + int(across_px * min(max((at_ms - from_ms) / (to_ms - from_ms), 0.0), 1.0))
 
     _write(image, title, (12, 26), 0.6)
+    legend_px = WIDTH_PX - RIGHT_PX
+    for words, colour in reversed(LEGEND):
+        (word_px, _), _ = cv2.getTextSize(words, FONT, 0.5, 1)
+        legend_px -= word_px + 24
+        cv2.rectangle(image, (legend_px, 14), (legend_px + 14, 28), colour, -1)
+        _write(image, words, (legend_px + 20, 26))
+        legend_px -= 16
     for mark_ms in _marks(from_ms, to_ms):
         cv2.line(image, (x_of(mark_ms), top_px), (x_of(mark_ms), bottom_px), FAINT, 1)
         _write(image, f"{mark_ms:.0f}", (x_of(mark_ms) - 12, bottom_px + 18))

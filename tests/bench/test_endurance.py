@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
-from bench.bench_endurance import dive, judged
+from bench.bench_endurance import MOST_FULL_MS, dive, judged
 from bench.curves import draw_run
-from bench.document import ENDURANCE, TABLES
+from bench.document import ENDURANCE, TABLES, row
 
 
 @pytest.mark.parametrize(
@@ -57,3 +57,10 @@ def test_a_stage_that_one_scan_has_not_reached_is_not_counted_as_anothers() -> N
     assert said["full_latency_p95_ms"].value == pytest.approx(100.0 + 0.7 * 400.0)
     assert not said["full_latency_p95_ms"].kept
     assert "saved_latency_ms" not in said
+
+
+def test_the_table_of_a_hundred_scans_says_what_the_slowest_take_and_that_it_is_too_long() -> None:
+    key = "full_latency_p95_ms"
+    (words, unit) = next((words, unit) for name, words, unit in TABLES[ENDURANCE] if name == key)
+    said = {key: 304.0, "bounds": {key: {"at_most": MOST_FULL_MS}}}
+    assert row(said, key, words, unit) == "| the same, 95 % | 304 | | ms | ≤ 120 **missed** |"

@@ -18,7 +18,7 @@ from bench.result import Measured
 from bench.runner import note_latest
 from bench.whole_scan.paced import PacedScan, cpu_ms
 from bench.whole_scan.scenes import DISC
-from bench.whole_scan.timeline import ALONG_X, ALONG_Y, BOTH, BUSY, draw, spans_of
+from bench.whole_scan.timeline import ALONG_X, ALONG_Y, BOTH, BUSY, draw, spans_of, typical
 
 OF_A_MOVING_SCAN = {
     "compensation_target_machine_ms",
@@ -97,6 +97,17 @@ def test_the_cpu_time_of_another_process_is_that_of_all_of_its_threads() -> None
         cpu_ms(None)
 
 
+def test_the_scan_that_is_drawn_is_no_outlier() -> None:
+    def scan(coarse_ms: float, verdict_ms: float, full_ms: float, durable_ms: float) -> PacedScan:
+        return PacedScan(coarse_ms, verdict_ms, full_ms, durable_ms, 1.0, 90.0, 30.0, 0.0, 30.0, 1, ())
+
+    usual, stalled, slow_disk = scan(28, 70, 100, 300), scan(33, 225, 258, 293), scan(28, 69, 101, 900)
+    others = [scan(25, 62, 95, 290), scan(31, 75, 110, 320)]
+    assert typical([stalled, others[0], usual, slow_disk, others[1]]) is usual
+    with pytest.raises(ValueError, match="at least one"):
+        typical([])
+
+
 def test_the_picture_shows_frames_before_the_last_one_ends_and_answers_after_it(tmp_path: Path) -> None:
     sequence = build_sequence(16)
     trace = tuple((float(t), 0.0 if t < 0 else float(t)) for t in range(-420, 90))
@@ -116,4 +127,7 @@ def test_the_picture_shows_frames_before_the_last_one_ends_and_answers_after_it(
     assert picture is not None
     busy = (picture == BUSY).all(-1)
     upper, lower = np.split(busy, 2)
+    # Squares beside the title say what the colours of the recording are.
+    legend = picture[:44, 700:].reshape(-1, 3)
+    assert all((legend == colour).all(-1).sum() > 100 for colour in (BOTH, ALONG_X, ALONG_Y))
     assert 0 < upper.sum() < lower.sum(), "what came after the last frame is drawn larger below"
