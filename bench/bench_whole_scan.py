@@ -7,7 +7,9 @@ CPU and clock times are divided by the same quotient, taken anew after each scan
 
 from __future__ import annotations
 
+import argparse
 import math
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -16,10 +18,13 @@ from pathlib import Path
 from appliance.worker.order import WorkLimits
 from bench import references
 from bench.bench_reconstruction import NUMPY_THERE_MS, OPENCV_THERE_MS
+from bench.document import AGAINST
 from bench.result import Measured
+from bench.runner import Benchmark, run
 from bench.timing import cpu_ms, median_of
 from bench.whole_scan import parts as by_part
 from bench.whole_scan import timeline
+from bench.whole_scan.against import NoComparison, compared, other_tree, table
 from bench.whole_scan.paced import PacedScan, paced_worker
 from bench.whole_scan.scenes import DISC, FOLDER, NAMES, WORDS, TimedScene, timed_scene
 
@@ -78,6 +83,49 @@ class Timed:
 def measure() -> Iterator[Measured]:
     OUT.mkdir(parents=True, exist_ok=True)
     yield from measured_with(Effort(), OUT)
+
+
+def main(arguments: Sequence[str]) -> int:
+    """The command line: ``./dev bench whole_scan --against REV``."""
+    parser = argparse.ArgumentParser(
+        prog="./dev bench whole_scan",
+        description="CPU time of each part of a scan over that of another revision: both run in turns on the same frames.",
+    )
+    parser.add_argument(
+        "--against", metavar="REV", required=True, help="a revision of this repository, as git names it"
+    )
+    parser.add_argument("--rounds", type=int, default=12, help="default: %(default)s")
+    parser.add_argument(
+        "--scenes", default=",".join(NAMES), help="names with commas between; default: all, %(default)s"
+    )
+    wanted = parser.parse_args(arguments)
+    scenes = wanted.scenes.split(",")
+    for name in scenes:
+        if name not in NAMES:
+            parser.error(f"--scenes: {name!r} is no scene; allowed: {', '.join(NAMES)}")
+    if wanted.rounds < 1:
+        parser.error(f"--rounds is {wanted.rounds}; at least 1 is needed")
+
+    found: list[Measured] = []
+    try:
+        sys.stdout.write(
+            f"{wanted.against}: its tree is made, and its kernels are compiled, which takes minutes the first time\n"
+        )
+        theirs = other_tree(wanted.against)
+    except NoComparison as error:
+        sys.stderr.write(f"{error}\n")
+        return 2
+
+    def measured() -> Iterator[Measured]:
+        for number in compared(theirs, wanted.rounds, scenes):
+            found.append(number)
+            yield number
+
+    paired = Benchmark("whole_scan_against", f"each part of a scan, CPU over that of {theirs.revision[:8]}", measured)
+    kept = run([paired], OUT, sys.stdout.write)
+    if kept:
+        (OUT / AGAINST).write_text(table(theirs.revision, wanted.rounds, found), encoding="utf-8")
+    return 0 if kept else 1
 
 
 def measured_with(effort: Effort, out: Path) -> Iterator[Measured]:

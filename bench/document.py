@@ -11,6 +11,16 @@ WHOLE_BEGIN, WHOLE_END = (
     "<!-- whole scan: ./dev bench whole_scan, ./dev bench --write-docs -->",
     "<!-- end of whole scan -->",
 )
+AGAINST_BEGIN, AGAINST_END = (
+    "<!-- against: ./dev bench whole_scan --against REV, ./dev bench --write-docs -->",
+    "<!-- end of against -->",
+)
+COMPILE_BEGIN, COMPILE_END = (
+    "<!-- compiling: ./dev bench compile, ./dev bench --write-docs -->",
+    "<!-- end of compiling -->",
+)
+AGAINST, COMPILING = "whole_scan_against.md", "compile.md"
+"""Tables that their benches write beside ``latest.json``, whole."""
 TIMELINE = "timeline.png"
 WHOLE_SCAN: dict[str, tuple[tuple[str, str, str], ...]] = {
     "The disc, 1.4 million points: on the machine of the targets": (
@@ -51,6 +61,7 @@ BY_SCENE: dict[str, tuple[tuple[str, str], ...]] = {
         ("part_water_cpu_ms", "water"),
         ("part_sight_cpu_ms", "sight"),
         ("part_motion_cpu_ms", "motion"),
+        ("part_sides_cpu_ms", "left and right"),
         ("part_windows_cpu_ms", "windows"),
         ("part_causes_weighed_cpu_ms", "causes weighed"),
         ("part_compensation_cpu_ms", "compensation"),
@@ -176,6 +187,10 @@ def write_figures(latest: Path, document: Path) -> None:
             (document.parent / "pictures" / TIMELINE).write_bytes(picture.read_bytes())
     if BEGIN not in text or any(key in said for rows in TABLES.values() for key, _, _ in rows):
         text = _replaced(document, text, (BEGIN, END), [on, *_with_targets(said, TABLES)])
+    for marks, name in (((AGAINST_BEGIN, AGAINST_END), AGAINST), ((COMPILE_BEGIN, COMPILE_END), COMPILING)):
+        made = latest.parent / name
+        if made.exists():
+            text = _replaced(document, text, marks, made.read_text(encoding="utf-8").splitlines())
     document.write_text(text, encoding="utf-8")
 
 

@@ -5,20 +5,17 @@ Whatever goes wrong here ends the process with a last message that names it; the
 
 from __future__ import annotations
 
-import ctypes
 import gc
 import os
-import resource
 import signal
 import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from functools import partial
 from multiprocessing.connection import Connection
 from multiprocessing.shared_memory import SharedMemory
-from pathlib import Path
 
 import numpy as np
 
@@ -69,14 +66,12 @@ from appliance.worker.messages import (
 )
 from appliance.worker.neighbours import Neighbours
 from appliance.worker.onlooker import Onlooker
+from appliance.worker.own_memory import give_back_memory, limit_memory, share_freed_memory
 from appliance.worker.shared_points import SharedPoints
 from appliance.worker.warm import compiler_watched, what_an_empty_scan_does_not_run
 
 NICENESS = 5
 """Priority of the process, behind the heartbeat and the cameras."""
-
-M_ARENA_MAX = -8
-"""glibc's number of that option (malloc.h)."""
 
 
 def work(
@@ -166,40 +161,6 @@ def _missing(module: str) -> Iterator[None]:
         yield
     finally:
         del sys.modules[module]
-
-
-def share_freed_memory() -> None:
-    """Let all threads of this process take memory from one heap, so that what one of them has freed serves the other.
-
-    glibc gives each thread a heap of its own, which keeps 10 MB and more of what judges needed in passing. Elsewhere than with glibc nothing
-    happens.
-    """
-    with suppress(AttributeError, OSError):
-        ctypes.CDLL(None).mallopt(M_ARENA_MAX, 1)
-
-
-def give_back_memory() -> None:
-    """Give pages that were needed to make tables and to load kernels, and that nothing lies in any more, back to the machine.
-
-    glibc keeps what was freed between two things that stay: 40 MB after the start. Elsewhere than with glibc nothing happens.
-    """
-    with suppress(AttributeError, OSError):
-        ctypes.CDLL(None).malloc_trim(0)
-
-
-def limit_memory(headroom_mb: float) -> None:
-    """Let the kernel refuse private memory beyond what this process has now; what it shares with others does not count.
-
-    Faster than the parent's own measure: an allocation out of proportion fails here, before the machine runs out.
-    """
-    status = Path("/proc/self/status").read_text(encoding="ascii", errors="replace")
-    held = next((int(line.split()[1]) * 1024 for line in status.splitlines() if line.startswith("VmData:")), None)
-    if held is None:
-        return
-    _, hard = resource.getrlimit(resource.RLIMIT_DATA)
-    wanted = held + int(headroom_mb * 1e6)
-    if hard == resource.RLIM_INFINITY or wanted < hard:
-        resource.setrlimit(resource.RLIMIT_DATA, (wanted, hard))
 
 
 class Server:

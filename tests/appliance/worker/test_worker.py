@@ -392,7 +392,7 @@ def test_too_much_memory_is_named_and_ends(worker: ReconstructionWorker) -> None
 HUNGRY = """
 import numpy as np
 from multiprocessing.shared_memory import SharedMemory
-from appliance.worker.serve import limit_memory
+from appliance.worker.own_memory import limit_memory
 limit_memory(100.0)
 shared = SharedMemory(create=True, size=300_000_000)
 shared.buf[:10] = bytes(10)

@@ -1,0 +1,169 @@
+"""What a first run compiles: every kernel into an empty folder, on all processors at once, piece by piece and kernel by kernel.
+
+Processor time of all processes, importing included; it is what somebody waits for with a new clone, divided by the processors.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import queue
+import select
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from appliance.cli.simrig import simulator_kernels
+from appliance.kernel_build import PIECE_S
+from appliance.worker.warm import PIECES
+from bench.document import COMPILING
+from bench.result import Measured
+from bench.runner import machine
+
+OUT = Path("bench/out")
+TARGET_CPU_S = 48.0
+"""Half of what it was when that was asked for."""
+LISTED = 5
+"""Number of the dearest kernels that the table names of each piece."""
+END_S = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Compiled:
+    """What one piece cost."""
+
+    what: str
+    cpu_s: float
+    kernels: Sequence[tuple[str, float]]
+    """Names with their module, and processor time without that of what they call, s."""
+
+
+def measure() -> Iterator[Measured]:
+    OUT.mkdir(parents=True, exist_ok=True)
+    pieces = [(piece.what, piece.function) for piece in PIECES]
+    begun_s = time.monotonic()
+    done = compiled([*pieces, *simulator_kernels()], len(os.sched_getaffinity(0)))
+    taken_s = time.monotonic() - begun_s
+    (OUT / COMPILING).write_text(table(done, len(pieces), taken_s), encoding="utf-8")
+    yield from figures(done, taken_s)
+
+
+def compiled(pieces: Sequence[tuple[str, str]], processes: int) -> list[Compiled]:
+    """Compile ``pieces`` (what for, function) into an empty folder, as many at once; in their order. Raises RuntimeError."""
+    left: queue.SimpleQueue[int] = queue.SimpleQueue()
+    for number in range(len(pieces)):
+        left.put(number)
+    done: dict[int, Compiled] = {}
+    failed: list[str] = []
+    with tempfile.TemporaryDirectory() as folder:
+        environment = dict(os.environ, NUMBA_CACHE_DIR=folder)
+
+        def work() -> None:
+            command = [sys.executable, "-m", "bench.compiling.pieces"]
+            with subprocess.Popen(
+                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0, env=environment
+            ) as process:
+                try:
+                    while not failed:
+                        number = left.get_nowait()
+                        what, function = pieces[number]
+                        answer = _asked(process, function)
+                        done[number] = Compiled(
+                            what, answer["cpu_s"], [(name, own_s) for name, own_s in answer["kernels"]]
+                        )
+                except queue.Empty:
+                    pass
+                except (OSError, ValueError) as error:
+                    failed.append(f"{what}: {error}")
+                finally:
+                    process.kill()
+
+        threads = [threading.Thread(target=work, name=f"bench-compile-{k}") for k in range(processes)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join(len(pieces) * PIECE_S)
+    if failed or len(done) < len(pieces):
+        raise RuntimeError(f"not all kernels could be compiled: {'; '.join(failed) or 'one did not end'}")
+    return [done[number] for number in range(len(pieces))]
+
+
+def _asked(process: subprocess.Popen[bytes], function: str) -> dict[str, Any]:
+    assert process.stdin is not None
+    assert process.stdout is not None
+    process.stdin.write(f"{function}\n".encode())
+    line = b""
+    until_s = time.monotonic() + PIECE_S
+    # A long answer may come in parts.
+    while not line.endswith(b"\n"):
+        if not select.select([process.stdout], [], [], max(until_s - time.monotonic(), 0.0))[0]:
+            raise ValueError(f"not compiled within {PIECE_S:.0f} s")
+        part = process.stdout.read(65_536)
+        if not part:
+            raise ValueError("the compiling process ended; what it said stands above")
+        line += part
+    answer: dict[str, Any] = json.loads(line)
+    return answer
+
+
+def figures(done: Sequence[Compiled], taken_s: float) -> Iterator[Measured]:
+    """Yield the whole, the pieces and what numba compiles of its own."""
+    whole_s = sum(piece.cpu_s for piece in done)
+    yield Measured("all kernels compiled, processor time", whole_s, "s CPU", at_most=TARGET_CPU_S, key="compile_cpu_s")
+    yield Measured("by the clock", taken_s, "s", key="compile_wall_s")
+    own = [own_s for piece in done for name, own_s in piece.kernels if name.startswith("numba.")]
+    yield Measured(f"of it numba's own array functions, {len(own)}", sum(own), "s CPU", key="compile_of_numba_cpu_s")
+    yield Measured("functions compiled", sum(len(piece.kernels) for piece in done), "", key="compile_functions")
+    for piece in done:
+        yield Measured(
+            f"{piece.what}: {_words(dearest(piece))}",
+            piece.cpu_s,
+            "s CPU",
+            key=f"compile_{piece.what.replace(' ', '_')}_cpu_s",
+        )
+
+
+def dearest(piece: Compiled) -> Sequence[tuple[str, float, int]]:
+    """Return short name, processor time and number of forms of the dearest functions of a piece, the dearest first."""
+    spent_s: Mapping[str, list[float]] = defaultdict(list)
+    for name, own_s in piece.kernels:
+        spent_s[name].append(own_s)
+    ranked = sorted(((sum(took_s), name, len(took_s)) for name, took_s in spent_s.items()), reverse=True)
+    return [(_short(name), taken_s, forms) for taken_s, name, forms in ranked[:LISTED]]
+
+
+def table(done: Sequence[Compiled], of_the_product: int, taken_s: float) -> str:
+    """Return the table of ``docs/performance.md``; the first ``of_the_product`` pieces are the product's, the others the simulator's."""
+    on, whole_s = machine(), sum(piece.cpu_s for piece in done)
+    ours_s = sum(piece.cpu_s for piece in done[:of_the_product])
+    kept = "" if whole_s <= TARGET_CPU_S else " **missed**"
+    lines = [
+        f"On {on['processor']}, {on['processors']} processors: {whole_s:.0f} s of CPU (≤ {TARGET_CPU_S:.0f}{kept}), {ours_s:.0f} of them the product's, and {taken_s:.0f} s by the clock.",
+        "",
+        "| Piece | s CPU | functions | the dearest in it, s CPU without what they call (× forms) |",
+        "|---|---:|---:|---|",
+    ]
+    lines += [
+        f"| {piece.what} | {piece.cpu_s:.1f} | {len(piece.kernels)} | {_words(dearest(piece), code='`')} |"
+        for piece in done
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _words(kernels: Sequence[tuple[str, float, int]], code: str = "") -> str:
+    return ", ".join(
+        f"{code}{name}{code} {own_s:.1f}{'' if forms == 1 else f' (× {forms})'}" for name, own_s, forms in kernels
+    )
+
+
+def _short(name: str) -> str:
+    """Return the last part of the module and the function's own name, without what only says where it is nested."""
+    module, _, function = name.replace(".<locals>", "").rpartition(".")
+    return f"{module.rpartition('.')[2]}.{function}"

@@ -1,0 +1,58 @@
+"""Owns one process of a first run: compiles the pieces that it is told, as ``./dev`` does, and says what each kernel cost.
+
+    python -m bench.compiling.pieces        with an empty folder in NUMBA_CACHE_DIR
+
+Reads ``package.module:function`` line by line and answers in JSON: the processor time of the piece, importing included, and of each kernel
+without that of the functions it calls, which numba compiles in between.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import sys
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+from numba.core import event
+
+
+@dataclass
+class Kernels(event.Listener):
+    """Hears when numba begins and ends a function."""
+
+    own_s: list[tuple[str, float]] = field(default_factory=list)
+    """Module and name of each function that was compiled, and its own processor time."""
+    _open: list[tuple[float, float]] = field(default_factory=list)
+    """Of each function under way: when it began, and what those within it have taken, s."""
+
+    def on_start(self, event: Any) -> None:
+        """Note that a function is begun, perhaps within another."""
+        self._open.append((time.thread_time(), 0.0))
+
+    def on_end(self, event: Any) -> None:
+        """Note what it took."""
+        begun_s, inner_s = self._open.pop()
+        taken_s = time.thread_time() - begun_s
+        if self._open:
+            self._open[-1] = (self._open[-1][0], self._open[-1][1] + taken_s)
+        function = event.data["dispatcher"].py_func
+        self.own_s.append((f"{function.__module__}.{function.__qualname__}", taken_s - inner_s))
+
+
+def main() -> None:
+    """Answer until nothing more is asked."""
+    for line in sys.stdin:
+        begun_s = time.process_time()
+        module, _, function = line.strip().partition(":")
+        kernels = Kernels()
+        with event.install_listener("numba:compile", kernels):
+            getattr(importlib.import_module(module), function)()
+        answer = {"cpu_s": time.process_time() - begun_s, "kernels": kernels.own_s}
+        sys.stdout.write(json.dumps(answer) + "\n")
+        sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,272 @@
+"""Owns the comparison of two revisions part by part: another one's program in a tree of its own, both run in turns on the same frames.
+
+A ratio is taken within each round and the median of those is reported: what disturbs one round disturbs both its parts. Each side is a process
+that does everything in one thread.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from bench.result import Measured
+from bench.timing import median_of
+from bench.whole_scan import parts
+from bench.whole_scan.scenes import DISC, FOLDER, NAMES
+
+TREES = Path(".cache/against")
+KEPT_TREES = 2
+"""Trees of other revisions that stay, with their compiled kernels: the latest ones."""
+GIT_TIMEOUT_S, COMPILE_TIMEOUT_S, START_TIMEOUT_S, ROUND_TIMEOUT_S, STOP_TIMEOUT_S = 60.0, 1200.0, 600.0, 120.0, 10.0
+ONE_SIDE = Path(__file__).with_name("one_side.py")
+UNTIL_VERDICT = (
+    parts.LAST_PAIR,
+    parts.IDENTITY,
+    parts.COARSE,
+    "light",
+    "fringes",
+    "water",
+    "sight",
+    "motion",
+    "sides",
+    "windows",
+    parts.WEIGHING,
+)
+SUMS: dict[str, Sequence[str]] = {
+    "verdict": UNTIL_VERDICT,
+    "complete": (*UNTIL_VERDICT, parts.COMPENSATION, parts.FULL),
+    "complete_scan": (parts.RECORDING, *UNTIL_VERDICT, parts.COMPENSATION, parts.FULL),
+}
+"""By the name in a key: last frame to verdict, to full cloud, and the whole scan. A part that a side or a scene has not counts nothing."""
+
+
+SAME = ("points", "judgements")
+HEADS = ((DISC, "disc"), ("pipe", "pipe"), ("turbid", "shell in turbid water"), ("moving", "moving, compensated"))
+ROWS = {
+    parts.RECORDING: "while recording: 23 pairs",
+    **{part: part for part in UNTIL_VERDICT},
+    parts.BACKSCATTER: "of the coarse cloud, what lies behind backscatter",
+    parts.COMPENSATION: "compensation",
+    parts.FULL: "full cloud",
+    "verdict": "last frame to verdict",
+    "complete": "last frame to full cloud",
+    "complete_scan": "whole scan",
+}
+"""Rows of the table, and their words."""
+
+
+class NoComparison(Exception):
+    """The other revision cannot be run; the text says why, and what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tree:
+    """A source tree, and the environment in which Python runs its program."""
+
+    root: Path
+    revision: str
+    environment: Mapping[str, str]
+
+
+def compared(
+    theirs: Tree, rounds: int, scenes: Sequence[str] = NAMES, width_px: int = 1600, folder: Path = FOLDER
+) -> Iterator[Measured]:
+    """Yield, for each scene and part, this tree's CPU time over that of ``theirs``. Raises NoComparison, ValueError."""
+    if rounds < 1:
+        raise ValueError(f"rounds is {rounds}; at least 1 is needed")
+    ours = Tree(Path.cwd(), "", dict(os.environ, PYTHONPATH=str(Path.cwd())))
+    for scene in scenes:
+        arguments = (scene, str(width_px), str(folder.absolute()))
+        with ExitStack() as stack:
+            # Theirs first: frames that are not there yet are drawn once, by whoever comes first.
+            other = stack.enter_context(Side(theirs, arguments))
+            own = stack.enter_context(Side(ours, arguments))
+            turns = [_turn(own, other, own_first=bool(k % 2)) for k in range(rounds)]
+        yield from ratios(scene, theirs.revision, turns)
+        both = own.found.keys() & other.found.keys()
+        differ = sorted(name for name in both if own.found[name] != other.found[name])
+        for what, equal in (("points", "points" not in differ), ("judgements", not set(differ) - {"points"})):
+            words = f"{scene}: {what} the same to the last byte (1: yes)"
+            yield Measured(
+                f"{words}; not {', '.join(differ)}" if differ else words,
+                float(equal),
+                "",
+                key=key_of(scene, f"same_{what}"),
+            )
+
+
+def ratios(
+    scene: str, revision: str, turns: Sequence[tuple[Mapping[str, float], Mapping[str, float]]]
+) -> Iterator[Measured]:
+    """Yield the medians of ``turns``: what each part took here and there, ms CPU, in each round."""
+    asked: dict[str, Sequence[str]] = {part: (part,) for part in turns[0][0] if part in turns[0][1]} | SUMS
+    for name, of in asked.items():
+        both = [
+            (sum(own.get(part, 0.0) for part in of), sum(other.get(part, 0.0) for part in of)) for own, other in turns
+        ]
+        # What takes next to nothing on either side has no ratio worth telling.
+        if all(other_ms >= 1.0 for _, other_ms in both):
+            words = f"{scene}, {name}: CPU over that of {revision[:8]}"
+            yield median_of(words, [own_ms / other_ms for own_ms, other_ms in both], "times", key_of(scene, name))
+
+
+def table(revision: str, rounds: int, measured: Sequence[Measured]) -> str:
+    """Return the ratios as a table with a column for each scene; what a scene has not is a dash."""
+    said = {number.key: number.value for number in measured}
+    lines = [
+        f"CPU time over that of revision {revision[:8]}: both run in turns on the same frames, in processes of one thread each; medians of {rounds} rounds.",
+        "",
+        f"| ratio | {' | '.join(head for _, head in HEADS)} |",
+        "|---|" + "---:|" * len(HEADS),
+    ]
+    for part, words in ROWS.items():
+        values = [said.get(key_of(scene, part)) for scene, _ in HEADS]
+        if any(value is not None for value in values):
+            lines.append(f"| {words} | {' | '.join('—' if value is None else f'{value:.2f}' for value in values)} |")
+    for what in SAME:
+        values = [said.get(key_of(scene, f"same_{what}")) for scene, _ in HEADS]
+        lines.append(f"| {what} the same to the last byte | {' | '.join(_yes(value) for value in values)} |")
+    return "\n".join(lines) + "\n"
+
+
+def _yes(value: float | None) -> str:
+    return "—" if value is None else "yes" if value else "no"
+
+
+def key_of(scene: str, part: str) -> str:
+    """Return a ratio's name in ``latest.json``."""
+    return f"{'' if scene == DISC else f'{scene}_'}against_{part.replace('of it: ', '').replace(' ', '_')}"
+
+
+def other_tree(revision: str, trees: Path = TREES) -> Tree:
+    """Make the tree of ``revision`` unless it is there, compile its kernels, and return it. Raises NoComparison."""
+    try:
+        commit = _git("rev-parse", "--verify", "--end-of-options", f"{revision}^{{commit}}").decode().strip()
+        inside = _git("ls-tree", "--name-only", commit, "bench/whole_scan/parts.py")
+    except subprocess.CalledProcessError as error:
+        said = error.stderr.decode(errors="replace").strip()
+        raise NoComparison(
+            f"--against {revision}: git knows no such revision ({said}); give one of `git log`"
+        ) from error
+    if not inside:
+        raise NoComparison(
+            f"--against {revision}: it has no parts of a scan to compare (bench/whole_scan/parts.py); give a later one"
+        )
+    root = trees.absolute() / commit[:12]
+    if not root.is_dir():
+        trees.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=trees) as making:
+            packed = Path(making) / "tree.tar"
+            packed.write_bytes(_git("archive", commit))
+            shutil.unpack_archive(packed, Path(making) / "tree", "tar", filter="data")
+            (Path(making) / "tree").rename(root)
+    root.touch()
+    for old in sorted((one for one in trees.iterdir() if one.is_dir()), key=lambda one: one.stat().st_mtime)[
+        :-KEPT_TREES
+    ]:
+        shutil.rmtree(old)
+    environment = {key: value for key, value in os.environ.items() if not key.startswith("NUMBA_")}
+    environment["PYTHONPATH"] = str(root)
+    folder = _python(root, environment, ("-m", "appliance.kernel_cache"), GIT_TIMEOUT_S).strip()
+    environment["NUMBA_CACHE_DIR"] = folder
+    Path(folder).mkdir(parents=True, exist_ok=True, mode=0o700)
+    _python(root, environment, ("-m", "bench.kernels"), COMPILE_TIMEOUT_S)
+    return Tree(root, commit, environment)
+
+
+class Side:
+    """One revision's program with a scene loaded. A context manager. Raises NoComparison where it does not answer."""
+
+    def __init__(self, tree: Tree, arguments: Sequence[str]) -> None:
+        self._tree, self._arguments = tree, arguments
+        self._errors = tempfile.TemporaryFile()  # noqa: SIM115 (closed with the process)
+        self._process: subprocess.Popen[bytes] | None = None
+        self.found: dict[str, str] = {}
+        """Digests of what it finds in the scene."""
+
+    def __enter__(self) -> Side:
+        command = [sys.executable, "-P", str(ONE_SIDE.absolute()), *self._arguments]
+        try:
+            self._process = subprocess.Popen(
+                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._errors, bufsize=0,
+                cwd=self._tree.root, env=dict(self._tree.environment),
+            )  # fmt: skip
+            self.found = self._answer(START_TIMEOUT_S)
+        except BaseException:
+            self._stop()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stop()
+
+    def round(self) -> dict[str, float]:
+        """Let it take one scan; what each part took, ms CPU."""
+        process = self._process
+        assert process is not None, "inside the context"
+        assert process.stdin is not None
+        process.stdin.write(b"\n")
+        return {part: float(taken_ms) for part, taken_ms in self._answer(ROUND_TIMEOUT_S).items()}
+
+    def _answer(self, timeout_s: float) -> Any:
+        process = self._process
+        assert process is not None
+        assert process.stdout is not None
+        if not select.select([process.stdout], [], [], timeout_s)[0]:
+            raise NoComparison(f"{self._tree.root} gave no answer within {timeout_s:.0f} s")
+        line = process.stdout.readline()
+        if not line:
+            self._errors.seek(0)
+            said = self._errors.read().decode(errors="replace").strip().splitlines()
+            raise NoComparison(f"the program in {self._tree.root} ended: {said[-1] if said else 'without a word'}")
+        return json.loads(line)
+
+    def _stop(self) -> None:
+        process, self._process = self._process, None
+        if process is not None:
+            for pipe in (process.stdin, process.stdout):
+                if pipe is not None:
+                    pipe.close()
+            try:
+                process.wait(STOP_TIMEOUT_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait(STOP_TIMEOUT_S)
+        self._errors.close()
+
+
+def _turn(own: Side, other: Side, *, own_first: bool) -> tuple[dict[str, float], dict[str, float]]:
+    if own_first:
+        mine = own.round()
+        return mine, other.round()
+    theirs = other.round()
+    return own.round(), theirs
+
+
+def _git(*arguments: str) -> bytes:
+    return subprocess.run(("git", *arguments), check=True, capture_output=True, timeout=GIT_TIMEOUT_S).stdout
+
+
+def _python(root: Path, environment: Mapping[str, str], arguments: Sequence[str], timeout_s: float) -> str:
+    command = (sys.executable, *arguments)
+    try:
+        ran = subprocess.run(
+            command, cwd=root, env=dict(environment), capture_output=True, text=True, timeout=timeout_s, check=True
+        )
+    except (subprocess.CalledProcessError, subprocess.TimeoutExpired) as error:
+        said = str(getattr(error, "stderr", "") or "").strip().splitlines()
+        raise NoComparison(f"{' '.join(arguments)} failed in {root}: {said[-1] if said else error}") from error
+    return ran.stdout
