@@ -32,7 +32,11 @@ TARGET_CPU_S = 48.0
 """Half of what it was when that was asked for."""
 LISTED = 5
 """Number of the dearest kernels that the table names of each piece."""
-END_S = 10.0
+STAGES = {
+    "nopython_type_inference": "finding types",
+    "native_lowering": "machine code, LLVM's work and numba's way there",
+}
+"""The dearest stages, as numba calls them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +47,8 @@ class Compiled:
     cpu_s: float
     kernels: Sequence[tuple[str, float]]
     """Names with their module, and processor time without that of what they call, s."""
+    stages_s: Mapping[str, float]
+    """Processor time by numba's own name of each stage of its work."""
 
 
 def measure() -> Iterator[Measured]:
@@ -76,7 +82,10 @@ def compiled(pieces: Sequence[tuple[str, str]], processes: int) -> list[Compiled
                         what, function = pieces[number]
                         answer = _asked(process, function)
                         done[number] = Compiled(
-                            what, answer["cpu_s"], [(name, own_s) for name, own_s in answer["kernels"]]
+                            what,
+                            answer["cpu_s"],
+                            [(name, own_s) for name, own_s in answer["kernels"]],
+                            answer["stages"],
                         )
                 except queue.Empty:
                     pass
@@ -121,6 +130,9 @@ def figures(done: Sequence[Compiled], taken_s: float) -> Iterator[Measured]:
     own = [own_s for piece in done for name, own_s in piece.kernels if name.startswith("numba.")]
     yield Measured(f"of it numba's own array functions, {len(own)}", sum(own), "s CPU", key="compile_of_numba_cpu_s")
     yield Measured("functions compiled", sum(len(piece.kernels) for piece in done), "", key="compile_functions")
+    for name, key in STAGES.items():
+        spent_s = sum(piece.stages_s.get(name, 0.0) for piece in done)
+        yield Measured(f"of it {key}", spent_s, "s CPU", key=f"compile_{key.partition(',')[0].replace(' ', '_')}_cpu_s")
     for piece in done:
         yield Measured(
             f"{piece.what}: {_words(dearest(piece))}",
@@ -146,6 +158,7 @@ def table(done: Sequence[Compiled], of_the_product: int, taken_s: float) -> str:
     kept = "" if whole_s <= TARGET_CPU_S else " **missed**"
     lines = [
         f"On {on['processor']}, {on['processors']} processors: {whole_s:.0f} s of CPU (≤ {TARGET_CPU_S:.0f}{kept}), {ours_s:.0f} of them the product's, and {taken_s:.0f} s by the clock.",
+        f"Finding types takes {_stage_s(done, 0):.0f} s of them, machine code (numba's way there and LLVM's work) {_stage_s(done, 1):.0f} s.",
         "",
         "| Piece | s CPU | functions | the dearest in it, s CPU without what they call (× forms) |",
         "|---|---:|---:|---|",
@@ -155,6 +168,10 @@ def table(done: Sequence[Compiled], of_the_product: int, taken_s: float) -> str:
         for piece in done
     ]
     return "\n".join(lines) + "\n"
+
+
+def _stage_s(done: Sequence[Compiled], number: int) -> float:
+    return sum(piece.stages_s.get(list(STAGES)[number], 0.0) for piece in done)
 
 
 def _words(kernels: Sequence[tuple[str, float, int]], code: str = "") -> str:

@@ -3,7 +3,7 @@
     python -m bench.compiling.pieces        with an empty folder in NUMBA_CACHE_DIR
 
 Reads ``package.module:function`` line by line and answers in JSON: the processor time of the piece, importing included, and of each kernel
-without that of the functions it calls, which numba compiles in between.
+and each stage without that of the functions it calls, which numba compiles in between.
 """
 
 from __future__ import annotations
@@ -41,15 +41,38 @@ class Kernels(event.Listener):
         self.own_s.append((f"{function.__module__}.{function.__qualname__}", taken_s - inner_s))
 
 
+@dataclass
+class Stages(event.Listener):
+    """Hears when numba begins and ends a stage of its work on a function."""
+
+    own_s: dict[str, float] = field(default_factory=dict)
+    """Processor time of each stage, without that of other functions which are compiled within it."""
+    _open: list[tuple[float, float]] = field(default_factory=list)
+
+    def on_start(self, event: Any) -> None:
+        """Note that a stage is begun."""
+        self._open.append((time.thread_time(), 0.0))
+
+    def on_end(self, event: Any) -> None:
+        """Note what it took."""
+        begun_s, inner_s = self._open.pop()
+        taken_s = time.thread_time() - begun_s
+        if self._open:
+            self._open[-1] = (self._open[-1][0], self._open[-1][1] + taken_s)
+        # numba adds the function's name in brackets.
+        name = str(event.data["name"]).partition(" ")[0]
+        self.own_s[name] = self.own_s.get(name, 0.0) + taken_s - inner_s
+
+
 def main() -> None:
     """Answer until nothing more is asked."""
     for line in sys.stdin:
         begun_s = time.process_time()
         module, _, function = line.strip().partition(":")
-        kernels = Kernels()
-        with event.install_listener("numba:compile", kernels):
+        kernels, stages = Kernels(), Stages()
+        with event.install_listener("numba:compile", kernels), event.install_listener("numba:run_pass", stages):
             getattr(importlib.import_module(module), function)()
-        answer = {"cpu_s": time.process_time() - begun_s, "kernels": kernels.own_s}
+        answer = {"cpu_s": time.process_time() - begun_s, "kernels": kernels.own_s, "stages": stages.own_s}
         sys.stdout.write(json.dumps(answer) + "\n")
         sys.stdout.flush()
 
