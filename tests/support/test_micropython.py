@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -14,7 +15,7 @@ def test_without_the_machine_a_test_is_skipped_at_a_desk_and_fails_in_ci(
     ci: str, outcome: type[BaseException], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("CI", ci)
-    monkeypatch.setattr(micropython.shutil, "which", lambda _: "/usr/bin/node")
+    monkeypatch.setattr(shutil, "which", lambda _: "/usr/bin/node")
     monkeypatch.setattr(micropython, "MODULE", micropython.ROOT / "nowhere" / "micropython.mjs")
     with pytest.raises(outcome, match=r"nowhere/micropython\.mjs: \./dev test --stage=hardware fetches it"):
         micropython.require()
@@ -22,7 +23,7 @@ def test_without_the_machine_a_test_is_skipped_at_a_desk_and_fails_in_ci(
 
 def test_with_it_nothing_happens(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CI", "true")
-    monkeypatch.setattr(micropython.shutil, "which", lambda _: "/usr/bin/node")
+    monkeypatch.setattr(shutil, "which", lambda _: "/usr/bin/node")
     monkeypatch.setattr(micropython, "MODULE", Path(__file__))
     micropython.require()
     assert micropython.missing() is None

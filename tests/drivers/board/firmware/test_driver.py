@@ -115,6 +115,9 @@ def test_ten_thousand_commands_among_garbage_are_all_answered(made: str) -> None
                 assert seen.board_now_us >= last.board_now_us
                 last = seen
         counters = board.counters
+        print(
+            f"{made}: {counters.retries} of {COMMANDS} commands asked again, {counters.garbage_bytes} bytes of garbage"
+        )
         assert counters.garbage_bytes > 10_000, "there was garbage"
         assert counters.retries < COMMANDS / 100
         assert counters.lost_reports == 0
