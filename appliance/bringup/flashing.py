@@ -14,7 +14,7 @@ from appliance.config.rig import ProjectorRig, Rig
 Part = Literal["board", "keys"]
 
 LIBRARIES: Mapping[Part, str] = {"board": "usb-device-cdc@0.1.2", "keys": "usb-device-hid@0.2.0"}
-"""What each firmware needs of micropython-lib, in the version of its manifest there."""
+"""Library of micropython-lib that each firmware needs, in the version of its manifest there."""
 INSTRUMENT = "instrument.py"
 START = "main.py"
 
@@ -31,7 +31,7 @@ SYNCS: Mapping[tuple[int, int, int], bool] = {
     (1280, 960, 60): POSITIVE,
     (1280, 1024, 60): POSITIVE,
 }
-"""Whether the vertical sync is positive, by width, height and rate of a mode whose published timings all agree about it
+"""Sign of the vertical sync, by width, height and rate of a mode whose published timings all agree about it
 (VESA DMT 1.13, CTA-861). They do not about 1280x800, 1920x1080 or 1920x1200: reduced blanking, or the other standard, has the
 other sign."""
 

@@ -31,7 +31,7 @@ def missing() -> str | None:
 
 def require() -> None:
     """Skip the calling test where the machine cannot run; in continuous integration (``CI=true``) fail it instead: there nobody
-    would see that half of the conformance suite was left out."""
+    would see that a third of the conformance suites was left out."""
     reason = missing()
     if reason is None:
         return

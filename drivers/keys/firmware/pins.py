@@ -39,7 +39,7 @@ COILS = (Coil(0, "SCAN", 0x01), Coil(1, "BACK", 0x02), Coil(2, "UP", 0x04), Coil
 
 LDC3114_ADDRESS = 0x2A
 LDC1614_ADDRESS = 0x2A
-"""Address while the pin ADDR is low. Both chips have the same address: the identity registers tell them apart."""
+"""The LDC3114's only address, and the LDC1614's while its pin ADDR is low: the identity registers tell them apart."""
 I2C_NUMBER, I2C_HZ, I2C_TIMEOUT_US = 0, 400_000, 2000
 
 

@@ -119,6 +119,7 @@ def test_ten_thousand_commands_among_garbage_are_all_answered(made: str) -> None
             f"{made}: {counters.retries} of {COMMANDS} commands asked again, {counters.garbage_bytes} bytes of garbage"
         )
         assert counters.garbage_bytes > 10_000, "there was garbage"
+        # None on an idle computer; an answer that a busy one was late to relay is asked for again, as on an instrument.
         assert counters.retries < COMMANDS / 100
         assert counters.lost_reports == 0
 
