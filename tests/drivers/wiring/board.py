@@ -139,7 +139,7 @@ def _trigger(sheet: Sheet, pico: Pico) -> None:
 def _lasers(sheet: Sheet, pico: Pico) -> None:
     red = COLOURS["laser"]
     sheet.box(340, 534, 150, 180, "74HC08", ["enable and gate"])
-    sheet.box(340, 738, 150, 128, "74HC123", ["stays open"])
+    sheet.box(340, 738, 150, 128, "74HC123", ["one-shot"])
     for name, y, gates, side in (
         ("LASER_LEFT", 590, ("1A (1)", "1B (2)", "1Y (3)"), "left"),
         ("LASER_RIGHT", 668, ("2A (4)", "2B (5)", "2Y (6)"), "right"),
@@ -158,16 +158,16 @@ def _lasers(sheet: Sheet, pico: Pico) -> None:
         sheet.text(32, y + 31, "return: the 1 Ω on the right", size=10)
         sheet.end()
     sheet.begin("LASER_BEAT")
-    x, y = _begun(sheet, pico, "LASER_BEAT", 780, 604)
-    sheet.wire((x, y), (490, y), colour=red)
-    sheet.text(484, y + 4, "1B (2)", at="end")
+    x, beat_y = _begun(sheet, pico, "LASER_BEAT", 780, 604)
+    sheet.wire((x, beat_y), (490, beat_y), colour=red)
+    sheet.text(484, beat_y + 4, "1B (2)", at="end")
     sheet.text(484, 834, "1Q (13)", at="end")
     sheet.wire((490, 830), (520, 830), (520, 612), colour=red)
     sheet.dot(520, 690, red)
     sheet.lines(
         24, 770,
         ["74HC123: 1A (1) to ground, 1CLR (3) to 3.3 V,", "220 k from 15 to 3.3 V, 1 µF from 14 to 15;",
-         "1Q drops some 100 ms after the last edge. Both: 3.3 V, 100 nF,", "unused inputs to ground.", "Enable pins of the drivers: 10 k to ground."],
+         "1Q drops some 100 ms after the last edge.", "Both chips: 3.3 V, 100 nF, unused inputs to", "ground. Drivers' enable pins: 10 k to ground."],
         size=10,
     )  # fmt: skip
     sheet.end()

@@ -89,10 +89,10 @@ def test_the_parts_behind_the_board_are_drawn_as_the_data_say() -> None:
     above, below = (float(text.removesuffix(" k")) for text in sorted(t for t in supply if t.endswith(" k"))[::-1])
     assert (above + below) / below == board.SUPPLY_DIVIDER
     for side in ("LEFT", "RIGHT"):
-        said = texts(group("wiring-board.svg", f"LASER_{side}_SENSE"))
-        assert "INA180A1" in said
-        assert "1 Ω" in said
-        assert f"{board.LASER_SENSE_MV_PER_MA:g} mV per mA" in said
+        sensed = texts(group("wiring-board.svg", f"LASER_{side}_SENSE"))
+        assert "INA180A1" in sensed
+        assert "1 Ω" in sensed
+        assert f"{board.LASER_SENSE_MV_PER_MA:g} mV per mA" in sensed
 
 
 @pytest.mark.parametrize("chip", ["LDC3114", "LDC1614"])
