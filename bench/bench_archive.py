@@ -10,7 +10,7 @@ import tempfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from bench.archive import chaos, scaling
+from bench.archive import chaos, cost, scaling
 from bench.archive.ratio import figures, packed_scans
 from bench.archive.scenes import FAMILIES, FULL_PX, SMALL_PX, drawn_scans, repeated_scans
 from bench.result import Measured
@@ -18,8 +18,8 @@ from bench.result import Measured
 FEW = 6
 SMALL, DIFFERENT = 300, 12
 FULL, DIFFERENT_FULL = 40, 6
-RATIO, CHAOS, SCALING = "ratio", "chaos", "scaling"
-PARTS = (RATIO, CHAOS, SCALING)
+RATIO, CHAOS, COST, SCALING = "ratio", "chaos", "cost", "scaling"
+PARTS = (RATIO, CHAOS, COST, SCALING)
 
 
 def measure() -> Iterable[Measured]:
@@ -49,6 +49,7 @@ def main(arguments: Sequence[str]) -> int:
     for part in wanted.parts.split(","):
         if part not in PARTS:
             parser.error(f"--parts: {part!r} is unknown; allowed are {', '.join(PARTS)}")
+        wanted.keep.mkdir(parents=True, exist_ok=True)
         for one in _part(part, wanted.worlds.split(","), wanted.count, wanted.keep):
             found.append(one)
             print(one.line(), flush=True)
@@ -61,6 +62,10 @@ def _part(part: str, worlds: Sequence[str], count: int, keep: Path) -> Iterable[
     if part == RATIO:
         for world in worlds:
             yield from _ratio(world, count, keep)
+        return
+    if part == COST:
+        with tempfile.TemporaryDirectory(dir=keep) as scratch:
+            yield from cost.measure(Path(scratch), _say)
         return
     if part == SCALING:
         repeated_scans(keep / "full", FULL, DIFFERENT_FULL, FULL_PX, _say)

@@ -28,7 +28,14 @@ ROUNDS = 3
 SETTLED = 10
 """Results after which every worker is at work."""
 _POLL_S = 0.02
-QUIET = {"DASK_DISTRIBUTED__ADMIN__TICK__INTERVAL": "1s", "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False"}
+QUIET = {
+    "DASK_DISTRIBUTED__ADMIN__TICK__INTERVAL": "1s",
+    "DASK_DISTRIBUTED__ADMIN__SYSTEM_MONITOR__INTERVAL": "10s",
+    "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False",
+    "DASK_DISTRIBUTED__WORKER__MEMORY__MONITOR_INTERVAL": "2s",
+    "DASK_DISTRIBUTED__SCHEDULER__ACTIVE_MEMORY_MANAGER__START": "False",
+    "DASK_DISTRIBUTED__SCHEDULER__WORK_STEALING_INTERVAL": "1s",
+}
 """What docs/archive.md has scheduler and workers started with."""
 _HZ = os.sysconf("SC_CLK_TCK")
 
@@ -109,12 +116,12 @@ def _dask(source: Path, out: Path, workers: int, stack: ExitStack) -> _Run:
     address = f"tcp://127.0.0.1:{port}"
     out.mkdir(parents=True)
     started = [
-        stack.enter_context(_running(out, "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard"))
+        stack.enter_context(running(out, "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard"))
     ]  # fmt: skip
     for _ in range(workers):
         started.append(
             stack.enter_context(
-                _running(out, "distributed.cli.dask_worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard",
+                running(out, "distributed.cli.dask_worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard",
                          "--memory-limit", "3GB", "--death-timeout", "60", "--local-directory", str(out / "dask"))
             )
         )  # fmt: skip
@@ -127,7 +134,8 @@ def _command(source: Path, out: Path) -> list[str]:
 
 
 @contextmanager
-def _running(out: Path, module: str, *words: str) -> Iterator[subprocess.Popen[bytes]]:
+def running(out: Path, module: str, *words: str) -> Iterator[subprocess.Popen[bytes]]:
+    """Run a module of Dask's with the settings that watch little; its words go to a log in ``out``."""
     with (out / "dask.log").open("ab") as log:
         process = subprocess.Popen(
             [sys.executable, "-m", module, *words], stdout=log, stderr=log, env=os.environ | QUIET
@@ -165,7 +173,7 @@ def _timed(command: Sequence[str], source: Path, out: Path, workers: Sequence[in
             seen = now
             total_s = _cpu_s([program.pid, *workers, *others])
             # The program's own processes are its workers, unless others are.
-            beside_s = _cpu_s([program.pid, *others]) if workers else _own_cpu_s(program.pid)
+            beside_s = _cpu_s([program.pid, *others]) if workers else own_cpu_s(program.pid)
             at[seen] = _Moment(time.monotonic(), total_s, beside_s)
             first_s = first_s or at[seen].time_s
         time.sleep(_POLL_S)
@@ -197,7 +205,8 @@ class _Moment:
     beside_cpu_s: float
 
 
-def _own_cpu_s(process: int) -> float:
+def own_cpu_s(process: int) -> float:
+    """Return the processor time of one process, without its children."""
     words = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
     return (int(words[11]) + int(words[12])) / _HZ
 

@@ -43,6 +43,8 @@ class Ended:
     """False where the scan cannot be to blame: a scheduler was started again."""
     place: str = ""
     """Who did it, as the engine names its places; empty where that is not known."""
+    together: bool = False
+    """True where it was lost together with others, each of which may be to blame: it is given out alone then, to find out."""
 
 
 class Engine(Protocol):
@@ -53,10 +55,13 @@ class Engine(Protocol):
         """True where there may be more places later than now."""
 
     def room(self) -> int:
-        """Return how many more jobs it takes now."""
+        """Return how many more times it takes jobs now."""
 
-    def start(self, job: Job) -> None:
-        """Take a job; there is room for it."""
+    def at_once(self, waiting: int) -> int:
+        """Return how many of ``waiting`` jobs it takes at once, at least one: of quick ones several, for each time has its cost."""
+
+    def start(self, jobs: Sequence[Job]) -> None:
+        """Take jobs; there is room for them."""
 
     def ended(self, timeout_s: float) -> list[Ended]:
         """Return what ended, as soon as something did, and after ``timeout_s`` at the latest."""
@@ -98,6 +103,8 @@ class _State:
     lost: int = 0
     in_a_row: int = 0
     """Refusals since the last result of anybody."""
+    alone: set[str] = field(default_factory=set)
+    """Folders of jobs that are given out alone."""
     of_place: dict[str, int] = field(default_factory=dict)
     """Refusals of each place since its own last result."""
     last: str = ""
@@ -121,10 +128,9 @@ def work_through_all(
     stopped: str | None = None
     while state.in_work or (state.waiting and stopped is None):
         while state.waiting and stopped is None and engine.room() > 0:
-            job, number = state.waiting.popleft()
-            state.tries[job.folder] = number
-            engine.start(job)
-            state.in_work += 1
+            some = _next(state, engine.at_once(len(state.waiting)))
+            engine.start(some)
+            state.in_work += len(some)
         for one in engine.ended(POLL_S):
             state.in_work -= 1
             _take(one, state, engine)
@@ -133,6 +139,21 @@ def work_through_all(
         done = len(state.rows) + len(state.left)
         said(done, len(jobs), passed_s / done * (len(jobs) - done) if done else None)
     return Worked(tuple(state.rows), tuple(state.left), state.lost, state.left_out, stopped, len(state.waiting))
+
+
+def _next(state: _State, most: int) -> list[Job]:
+    """Take jobs that are given out together off those that wait."""
+    found: list[Job] = []
+    while state.waiting and len(found) < most:
+        job, number = state.waiting[0]
+        if found and job.folder in state.alone:
+            break
+        state.waiting.popleft()
+        state.tries[job.folder] = number
+        found.append(job)
+        if job.folder in state.alone:
+            break
+    return found
 
 
 def _take(one: Ended, state: _State, engine: Engine) -> None:
@@ -152,7 +173,9 @@ def _take(one: Ended, state: _State, engine: Engine) -> None:
     # Death of a worker is nothing that the next scan shares; a refusal of the disk is.
     if blame != OF_SCAN:
         _refused(one.place, reason, blame, state, engine)
-    if not one.counts or blame == OF_HOST:
+    if one.together:
+        state.alone.add(one.job.folder)
+    if one.together or not one.counts or blame == OF_HOST:
         state.waiting.append((one.job, number))
     elif number < TRIES:
         state.waiting.append((one.job, number + 1))

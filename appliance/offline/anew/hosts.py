@@ -62,16 +62,17 @@ def greeting(job: bytes) -> str | None:
         return f"{socket.gethostname()}: {type(error).__name__}: {error}"
 
 
-def warmed_attempt(job: bytes) -> dict[str, Any]:
-    """Do a pickled job (``task.attempt``) on a worker of Dask's, after this host's kernels are there; only a process's first one waits.
+def warmed_attempts(jobs: bytes) -> list[dict[str, Any]]:
+    """Do pickled jobs one after another (``task.attempt``) on a worker of Dask's, after this host's kernels are there; return their rows.
 
-    Pickled, because the module of jobs brings kernels, which must be told where their cache is before they are imported.
+    Only a process's first one waits. Pickled, because the module of jobs brings kernels, which must be told where their cache is before
+    they are imported.
     """
     _warmed()
     from appliance.offline.anew.task import attempt
 
     worker = needed("distributed", "distributed", "a worker").get_worker()
-    return {**attempt(pickle.loads(job)), WORKER: worker.address}
+    return [{**attempt(job), WORKER: worker.address} for job in pickle.loads(jobs)]
 
 
 def _compile() -> None:

@@ -12,12 +12,13 @@ import itertools
 import pickle
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from appliance.offline.anew.coordinator import Ended
-from appliance.offline.anew.hosts import MOST_S, WORKER, greeting, warmed_attempt
+from appliance.offline.anew.hosts import MOST_S, WORKER, greeting, warmed_attempts
+from appliance.offline.anew.results import Row
 from appliance.offline.anew.task import Job
 from appliance.surface.libraries import needed
 
@@ -30,7 +31,12 @@ LOOK_S = 5.0
 UNASKED_S = 60.0
 """Pause between two reports about all workers that the client fetches of its own accord; nobody reads them here."""
 PER_THREAD = 2
-"""Scans in work for each thread of the workers: one that is done, and one that waits beside it."""
+"""Tasks in work for each thread of the workers: one that is done, and one that waits beside it."""
+TASK_S = 4.0
+"""Scans that are quicker share a task until it takes about so long: scheduler, worker and caller need some 10 ms a task."""
+MOST_AT_ONCE = 8
+TASKS_LEFT = 4
+"""Tasks of each thread that shall be left when so many share one, so that all threads end at about the same time."""
 MOST_IN_WORK = 10_000
 COPIES = 3
 ASK_S, END_S = 30.0, 10.0
@@ -42,7 +48,7 @@ class SchedulerError(Exception):
 
 @dataclass(slots=True)
 class _InWork:
-    job: Job
+    jobs: tuple[Job, ...]
     begun_s: float
     futures: list[Any] = field(default_factory=list)
     only: frozenset[str] | None = None
@@ -80,6 +86,7 @@ class ManyEngine:
         self._something = threading.Event()
         self._workers: dict[str, _Worker] = {}
         self._looked_s = 0.0
+        self._scan_s: float | None = None
         self._client = self._connected(CONNECT_S)
 
     def __enter__(self) -> ManyEngine:
@@ -132,7 +139,7 @@ class ManyEngine:
         for folder, work in list(self._in_work.items()):
             if work.only is not None and not work.only & threads.keys():
                 self._cancel(work.futures)
-                self._back.append(Ended(work.job, None, "the workers that could do it are gone", counts=False))
+                self._back += [Ended(job, None, "the workers that could do it are gone", counts=False) for job in work.jobs]
                 del self._in_work[folder]
 
     def _hear_greetings(self, now_s: float) -> None:
@@ -157,10 +164,16 @@ class ManyEngine:
                 case _:
                     pass  # with its scheduler
 
-    def start(self, job: Job) -> None:
+    def at_once(self, waiting: int) -> int:
+        """Do what ``Engine`` promises: by how long the last ones took."""
+        threads = sum(self._workers[address].threads for address in self._able())
+        fits = 1 if self._scan_s is None else int(TASK_S / max(self._scan_s, TASK_S / MOST_AT_ONCE))
+        return max(1, min(fits, waiting // (TASKS_LEFT * max(1, threads))))
+
+    def start(self, jobs: Sequence[Job]) -> None:
         """Do what ``Engine`` promises."""
-        work = _InWork(job, time.monotonic())
-        self._in_work[job.folder] = work
+        work = _InWork(tuple(jobs), time.monotonic())
+        self._in_work[jobs[0].folder] = work
         self._submit(work)
 
     def ended(self, timeout_s: float) -> list[Ended]:
@@ -173,9 +186,9 @@ class ManyEngine:
         found, self._back = self._back, []
         for folder, work in list(self._in_work.items()):
             ended = self._ended(work)
-            if ended is not None:
+            if ended:
                 del self._in_work[folder]
-                found.append(ended)
+                found += ended
         self._copy_overdue()
         return found
 
@@ -186,30 +199,42 @@ class ManyEngine:
         self._in_work = {}
         self._client.close(timeout=END_S)
 
-    def _ended(self, work: _InWork) -> Ended | None:
+    def _ended(self, work: _InWork) -> list[Ended]:
+        """Return what became of each job of a task; nothing while it is in work."""
         alive = []
         for future in work.futures:
             match future.status:
                 case "finished":
                     try:
-                        row = future.result(timeout=ASK_S)
+                        rows = future.result(timeout=ASK_S)
                     except (
                         Exception
-                    ) as error:  # the worker that held the row may be gone by now: it is read from the disk then
-                        return Ended(work.job, None, f"{type(error).__name__}: {error}", counts=False)
+                    ) as error:  # the worker that held the rows may be gone by now: they are read from the disk then
+                        trouble = f"{type(error).__name__}: {error}"
+                        return [Ended(job, None, trouble, counts=False) for job in work.jobs]
                     self._cancel([one for one in work.futures if one is not future])
-                    return Ended(work.job, row, place=str(row.pop(WORKER, "")))
+                    self._learn(rows)
+                    pairs = zip(work.jobs, rows, strict=True)
+                    return [Ended(job, row, place=str(row.pop(WORKER, ""))) for job, row in pairs]
                 case "error":
-                    trouble = future.exception(timeout=ASK_S)
+                    error = future.exception(timeout=ASK_S)
                     self._cancel([one for one in work.futures if one is not future])
-                    return Ended(work.job, None, f"{type(trouble).__name__}: {trouble}")
+                    trouble = f"{type(error).__name__}: {error}"
+                    return [Ended(job, None, trouble, together=len(work.jobs) > 1) for job in work.jobs]
                 case "pending":
                     alive.append(future)
                 case _:
                     pass  # cancelled or lost, with its scheduler
         if not alive:
-            return Ended(work.job, None, "the scheduler forgot it", counts=False)
-        return None
+            return [Ended(job, None, "the scheduler forgot it", counts=False) for job in work.jobs]
+        return []
+
+    def _learn(self, rows: Sequence[Row]) -> None:
+        """Remember how long scans take, the last ones most."""
+        for row in rows:
+            taken_s = row.get("wall_s")
+            if taken_s is not None:
+                self._scan_s = taken_s if self._scan_s is None else 0.8 * self._scan_s + 0.2 * taken_s
 
     def _submit(self, work: _InWork, workers: list[str] | None = None) -> None:
         if workers is None:
@@ -218,7 +243,7 @@ class ManyEngine:
             workers = None if len(able) == len(self._workers) else able
         try:
             # Not a plugin of the workers: to register one waits for all of them, also for one that hangs.
-            future = self._submitted(warmed_attempt, pickle.dumps(work.job), work.job.name, workers)
+            future = self._submitted(warmed_attempts, pickle.dumps(work.jobs), work.jobs[0].name, workers)
         except Exception:  # the client closes in this moment: the job comes back where it is looked for
             return
         work.futures.append(future)
@@ -236,6 +261,7 @@ class ManyEngine:
     def _copy_overdue(self) -> None:
         """Begin once more elsewhere what has been in work for too long; the first one to publish is right."""
         now_s = time.monotonic()
+        # A task of several is over after a few seconds: one scan's limit is enough for it, too.
         late = [work for work in self._in_work.values() if now_s > work.begun_s + self._limit_s * len(work.futures)]
         late = [work for work in late if len(work.futures) < COPIES]
         if not late:
@@ -263,7 +289,7 @@ class ManyEngine:
     def _connect_again(self) -> None:
         """Wait for a scheduler at the same address. What was in work comes back."""
         until_s, never = time.monotonic() + SCHEDULER_BACK_S, threading.Event()
-        self._back += [Ended(work.job, None, "the scheduler was lost", counts=False) for work in self._in_work.values()]
+        self._back += [Ended(job, None, "the scheduler was lost", counts=False) for work in self._in_work.values() for job in work.jobs]
         self._in_work, self._workers, self._looked_s = {}, {}, 0.0
         self._client.close(timeout=END_S)
         while True:

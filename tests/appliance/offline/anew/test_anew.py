@@ -10,7 +10,7 @@ import shutil
 import signal
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -210,7 +210,7 @@ def test_who_is_done_second_waits_until_the_first_one_has_written_the_table(
 class Scripted:
     """An engine of two places in each of ``names`` that ends each job as the script says; it counts what it was given.
 
-    ``slow``: places that answer only every so many times.
+    ``slow``: places that answer only every so many times; ``several``: jobs that it takes at once.
     """
 
     others_may_come = False
@@ -220,7 +220,10 @@ class Scripted:
         end: Callable[[Job, int], Ended],
         names: tuple[str, ...] = ("",),
         slow: Mapping[str, int] = MappingProxyType({}),
+        several: int = 1,
     ) -> None:
+        self._several = several
+        self.together: list[list[str]] = []
         self._end, self._slow, self._turn = end, slow, 0
         self._held: dict[str, list[Job]] = {name: [] for name in names}
         self._out: dict[str, str] = {}
@@ -236,10 +239,15 @@ class Scripted:
     def room(self) -> int:
         return sum(2 - len(held) for name, held in self._held.items() if name not in self._out)
 
-    def start(self, job: Job) -> None:
+    def at_once(self, waiting: int) -> int:
+        return min(self._several, waiting)
+
+    def start(self, jobs: Sequence[Job]) -> None:
         name = next(name for name, held in self._held.items() if len(held) < 2 and name not in self._out)
-        self._held[name].append(job)
-        self.given[job.name] = self.given.get(job.name, 0) + 1
+        self._held[name] += jobs
+        self.together.append([job.name for job in jobs])
+        for job in jobs:
+            self.given[job.name] = self.given.get(job.name, 0) + 1
         self.most = max(self.most, len(self._held[name]))
 
     def ended(self, timeout_s: float) -> list[Ended]:
@@ -291,6 +299,31 @@ def test_a_scan_that_kills_every_worker_is_left_with_a_reason_and_the_others_are
     assert len(worked.rows) == 29
     assert [(one["scan"], one["state"], one["reason"]) for one in worked.left] == [("000007", AGAIN, "code -9")]
     assert engine.given["000007"] == TRIES
+
+
+def test_a_scan_that_kills_its_worker_takes_none_with_it_that_shared_its_task() -> None:
+    killer = "000007"
+
+    class Killed(Scripted):
+        """Everything that is in work when the killer is ends with it."""
+
+        def ended(self, timeout_s: float) -> list[Ended]:
+            found = super().ended(timeout_s)
+            by_name = {one.job.name: one for one in found}
+            lost = [names for names in self.together[-2:] if killer in names and killer in by_name]
+            for names in lost:
+                for name in names:
+                    by_name[name] = Ended(by_name[name].job, None, "code -9", together=len(names) > 1)
+            return list(by_name.values())
+
+    engine = Killed(lambda one, _: done(one), several=5)
+    worked = work_through_all(JOBS, engine, silent)
+    assert sorted(one["scan"] for one in worked.rows) == [one.name for one in JOBS if one.name != killer]
+    assert [one["scan"] for one in worked.left] == [killer]
+    assert engine.given[killer] == TRIES + 1
+    assert max(count for name, count in engine.given.items() if name != killer) == 2
+    assert max(len(names) for names in engine.together) == 5
+    assert [names for names in engine.together if killer in names][1:] == [[killer]] * TRIES
 
 
 def test_a_lost_scheduler_counts_against_no_scan() -> None:
@@ -538,12 +571,12 @@ def test_processes_that_are_killed_or_stopped_lose_nothing(folder: Path, results
 
 def test_a_process_that_hangs_is_ended_and_its_scan_comes_back(folder: Path, results: Results) -> None:
     with LocalEngine(1, limit_s=30.0) as warm:  # its process has loaded everything by then
-        warm.start(replace(job(1, folder), results=str(results.folder)))
+        warm.start([replace(job(1, folder), results=str(results.folder))])
         assert [one.row is not None for one in warm.ended(60.0)] == [True]
         (process,) = warm.process_ids
         os.kill(process, signal.SIGSTOP)
         warm._limit_s = 0.5
-        warm.start(replace(job(2, folder), results=str(results.folder)))
+        warm.start([replace(job(2, folder), results=str(results.folder))])
         ended: list[Ended] = []
         until_s = time.monotonic() + 30.0
         while not ended and time.monotonic() < until_s:
