@@ -10,6 +10,8 @@ import tempfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from appliance.storage.archive import pack_scan
+from appliance.storage.filesystem import LocalFileSystem
 from bench.archive import chaos, cost, scaling
 from bench.archive.ratio import figures, packed_scans
 from bench.archive.scenes import FAMILIES, FULL_PX, SMALL_PX, drawn_scans, repeated_scans
@@ -19,7 +21,8 @@ FEW = 6
 SMALL, DIFFERENT = 300, 12
 FULL, DIFFERENT_FULL = 40, 6
 RATIO, CHAOS, COST, SCALING = "ratio", "chaos", "cost", "scaling"
-PARTS = (RATIO, CHAOS, COST, SCALING)
+PACKED, FULL_PACKED, ROUNDS_PACKED = "packed", 24, 2
+PARTS = (RATIO, CHAOS, COST, SCALING, PACKED)
 
 
 def measure() -> Iterable[Measured]:
@@ -34,7 +37,7 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument(
         "--parts",
         default=RATIO,
-        help=f"of {', '.join(PARTS)}; default: {RATIO}; chaos mounts a small disk, as root; scaling wants two idle cores",
+        help=f"of {', '.join(PARTS)}; default: {RATIO}; chaos mounts a small disk, as root; scaling and packed want two idle cores",
     )
     parser.add_argument("--count", type=int, default=36, help="full-size scans of each world (36: six of each object)")
     parser.add_argument(
@@ -66,6 +69,15 @@ def _part(part: str, worlds: Sequence[str], count: int, keep: Path) -> Iterable[
     if part == COST:
         with tempfile.TemporaryDirectory(dir=keep) as scratch:
             yield from cost.measure(Path(scratch), _say)
+        return
+    if part == PACKED:
+        folders = repeated_scans(keep / "full", FULL, DIFFERENT_FULL, FULL_PX, _say)[:FULL_PACKED]
+        shelf = keep / "full-packed" / "scans"
+        shelf.mkdir(parents=True, exist_ok=True)
+        for folder in folders:
+            pack_scan(LocalFileSystem(), folder, shelf / folder.name)
+        with tempfile.TemporaryDirectory(dir=keep) as scratch:
+            yield from scaling.measure(shelf.parent, Path(scratch), _say, ROUNDS_PACKED)
         return
     if part == SCALING:
         repeated_scans(keep / "full", FULL, DIFFERENT_FULL, FULL_PX, _say)

@@ -191,7 +191,9 @@ class Reprocess(Verb):
             say(f"{row['scan']}  {'failed' if row['state'] == 'failed' else 'left for the next call'}: {row['reason']}")
         if worked.stopped is not None:
             say(f"stopped: {worked.stopped}")
-        say(f"{counts['done']} done, {counts['failed']} failed, {counts['left'] + counts['not_begun']} left; {facts['table']}")
+        say(
+            f"{counts['done']} done, {counts['failed']} failed, {counts['left'] + counts['not_begun']} left; {facts['table']}"
+        )
 
 
 class _Said:
@@ -230,7 +232,9 @@ class Season(Verb):
         writable(page)
         rows = read_table(self.table)
         if not rows:
-            raise UsageError(f"TABLE {self.table}: has no scan in it; give the {TABLE} of a finished `kingfisher reprocess`")
+            raise UsageError(
+                f"TABLE {self.table}: has no scan in it; give the {TABLE} of a finished `kingfisher reprocess`"
+            )
         with writing(page):
             replace_file(LocalFileSystem(), page, season_page(rows, str(self.table)).encode())
         say_json({"page": str(page), "scans": len(rows)}) if self.json else say(f"{page}  {len(rows)} scans")

@@ -7,7 +7,9 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from statistics import median
 
+from appliance.scan.sides import SIDES
 from appliance.storage import scan as stored
 from appliance.storage.archive import Copied, pack_scan
 from appliance.storage.filesystem import LocalFileSystem
@@ -29,6 +31,8 @@ class PackedScan:
     packed_bytes: int
     pack_cpu_s: float
     open_cpu_s: float
+    frame_cpu_s: float
+    """Of one frame had alone, median."""
 
     @property
     def ratio(self) -> float:
@@ -50,10 +54,18 @@ def packed_scans(drawn: Sequence[Drawn], archive: Path, say: Callable[[str], Non
         begun_s = time.process_time()
         stored.load(target)
         open_s = time.process_time() - begun_s
+        frame_s = median(_frame_cpu_s(target, side, k) for side in SIDES for k in range(0, 24, 4))
         sizes = [sum(path.stat().st_size for path in folder.glob("frames_*")) for folder in (one.folder, target)]
-        found.append(PackedScan(one, sizes[0], sizes[1], pack_s, open_s))
+        found.append(PackedScan(one, sizes[0], sizes[1], pack_s, open_s, frame_s))
         say(f"{one.world} {one.folder.name} {one.object}: {found[-1].ratio:.2f}")
     return found
+
+
+def _frame_cpu_s(folder: Path, side: str, k: int) -> float:
+    """Return the processor time of one frame of a packed scan: its manifest, index, stream and checksum, and nothing else."""
+    begun_s = time.process_time()
+    stored.read_frame(folder, side, k)
+    return time.process_time() - begun_s
 
 
 def figures(scans: Sequence[PackedScan], *, bound: bool) -> Iterator[Measured]:
@@ -74,3 +86,5 @@ def figures(scans: Sequence[PackedScan], *, bound: bool) -> Iterator[Measured]:
     yield Measured(f"{world}: {DIVE_SCANS} scans, packed", held * each, "GB")
     yield Measured(f"{world}: packing and comparing", sum(one.pack_cpu_s for one in scans) / len(scans), "CPU s a scan")
     yield Measured(f"{world}: opening a packed scan", sum(one.open_cpu_s for one in scans) / len(scans), "CPU s a scan")
+    frame_ms = 1000.0 * median(one.frame_cpu_s for one in scans)
+    yield Measured(f"{world}: one frame of a packed scan", frame_ms, "CPU ms")

@@ -66,20 +66,20 @@ class _Run:
         return 100.0 * (idle + self.beside_cpu_s / self.cpu_s)
 
 
-def measure(source: Path, scratch: Path, say: Callable[[str], None]) -> Iterator[Measured]:
-    """Work ``source`` through ``ROUNDS`` times each way below ``scratch``. Needs two cores that nothing else uses."""
+def measure(source: Path, scratch: Path, say: Callable[[str], None], rounds: int = ROUNDS) -> Iterator[Measured]:
+    """Work ``source``, packed or not, through ``rounds`` times each way below ``scratch``. Needs two cores that nothing else uses."""
     cores = sorted(os.sched_getaffinity(0))[:2]
     if len(cores) < 2:
         yield Measured("throughput of two cores over one", float("nan"), "", why="this machine has one core")
         return
-    for frames in source.glob("scans/*/frames_*.npy"):
+    for frames in source.glob("scans/*/frames_*"):
         frames.read_bytes()  # from memory for all, or the first one pays for the disk
     runs: dict[tuple[str, int], list[_Run]] = {}
     ways = {"processes": _processes, "Dask": _dask}
-    for turn in range(ROUNDS):
+    for turn in range(rounds):
         for name, way in ways.items():
             for wanted in (1, 2):
-                say(f"{turn + 1} of {ROUNDS}: {name}, {wanted} core{'s' * (wanted > 1)}")
+                say(f"{turn + 1} of {rounds}: {name}, {wanted} core{'s' * (wanted > 1)}")
                 out = scratch / f"{name}-{wanted}-{turn}"
                 with ExitStack() as stack:
                     stack.callback(os.sched_setaffinity, 0, os.sched_getaffinity(0))

@@ -30,9 +30,9 @@ SET, SEED = "modelled", 3
 KNOCKED_ON, CALIBRATED_ON = 8, 15
 KNOCK = MountShift("right", yaw_deg=0.03, pitch_deg=0.01)
 DARK, MOVED, DAMAGED = (9, 30), (21,), (14, 35)
-TREMOR_MM = (1.5, 1.5, 1.0)
+TREMOR_MM = (4.0, 4.0, 3.0)
 OTHERS = ("shell", "pipe", "stones")
-WINDOW_PX = (1200, 2300)
+WINDOW_PX = (1200, 2560)
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +59,9 @@ def draw_season(folder: Path) -> Season:
         if number in DAMAGED:
             _damage(shelf / f"{number:06d}" / "frames_left.npy")
         if frustum:
-            listed.append(f'[[scan]]\nscan = "{number}"\nartefact = "frustum"\ntop_mm = {FRUSTUM_TOP_MM}\nbase_mm = {FRUSTUM_BASE_MM}\n')
+            listed.append(
+                f'[[scan]]\nscan = "{number}"\nartefact = "frustum"\ntop_mm = {FRUSTUM_TOP_MM}\nbase_mm = {FRUSTUM_BASE_MM}\n'
+            )
     artefacts = folder / "artefacts.toml"
     artefacts.write_text("\n".join(listed), encoding="utf-8")
     return Season(shelf.parent, artefacts)
@@ -89,7 +91,14 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def _taken(number: int, day: int, frustum: bool) -> RenderedScan:
-    pose = (4.0 * (number % 5 - 2), 3.0 * (number % 7 - 3), 540.0 + number % 4, 5.0 - number % 3, -8.0 + number % 6, 12.0)
+    pose = (
+        4.0 * (number % 5 - 2),
+        3.0 * (number % 7 - 3),
+        540.0 + number % 4,
+        5.0 - number % 3,
+        -8.0 + number % 6,
+        12.0,
+    )
     scene = Scene(
         "frustum" if frustum else OTHERS[number // 2 % len(OTHERS)],
         pose=pose if frustum else None,

@@ -112,7 +112,9 @@ def test_scans_that_take_the_calibration_in_use_are_done_anew_when_it_is_another
             true_calibration(scan.renderer.truth), rig_serial="KF-0001", camera_serials=None, made_at=made_at
         )
         (tmp_path / "root" / "calibration" / CURRENT).write_bytes(calibration_file.encode(calibration))
-        said = desk("reprocess", tmp_path / "root", "--out", tmp_path / "out", "--workers", "1", "--table-only", "--json")
+        said = desk(
+            "reprocess", tmp_path / "root", "--out", tmp_path / "out", "--workers", "1", "--table-only", "--json"
+        )
         (row,) = said.document["rows"]
         assert row["state"] == "done", row
         (in_table,) = read_table(Path(said.document["table"]))
@@ -132,7 +134,9 @@ def test_a_scan_whose_rig_file_was_damaged_is_done_anew_when_it_is_whole(
     names = []
     for content in (whole, whole[:-1], whole):
         rig.write_bytes(content)
-        said = desk("reprocess", tmp_path / "root", "--out", tmp_path / "out", "--workers", "1", "--table-only", "--json")
+        said = desk(
+            "reprocess", tmp_path / "root", "--out", tmp_path / "out", "--workers", "1", "--table-only", "--json"
+        )
         names.append(said.document["rows"][0]["result"])
         assert len(read_table(Path(said.document["table"]))) == 1
     assert names[0] == names[2]

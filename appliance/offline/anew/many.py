@@ -139,7 +139,9 @@ class ManyEngine:
         for folder, work in list(self._in_work.items()):
             if work.only is not None and not work.only & threads.keys():
                 self._cancel(work.futures)
-                self._back += [Ended(job, None, "the workers that could do it are gone", counts=False) for job in work.jobs]
+                self._back += [
+                    Ended(job, None, "the workers that could do it are gone", counts=False) for job in work.jobs
+                ]
                 del self._in_work[folder]
 
     def _hear_greetings(self, now_s: float) -> None:
@@ -289,7 +291,11 @@ class ManyEngine:
     def _connect_again(self) -> None:
         """Wait for a scheduler at the same address. What was in work comes back."""
         until_s, never = time.monotonic() + SCHEDULER_BACK_S, threading.Event()
-        self._back += [Ended(job, None, "the scheduler was lost", counts=False) for work in self._in_work.values() for job in work.jobs]
+        self._back += [
+            Ended(job, None, "the scheduler was lost", counts=False)
+            for work in self._in_work.values()
+            for job in work.jobs
+        ]
         self._in_work, self._workers, self._looked_s = {}, {}, 0.0
         self._client.close(timeout=END_S)
         while True:

@@ -153,9 +153,7 @@ def _chart(points: Sequence[_Point], what: str, rows: Sequence[Cells]) -> str:
             f'<line x1="{_LEFT}" x2="{_WIDE - _RIGHT}" y1="{y(value):.1f}" y2="{y(value):.1f}" stroke="{ink}"/>'
         )
         said = f"{0.0 if abs(value) < step / 2 else value:.6g}"
-        lines.append(
-            f'<text x="{_LEFT - 8}" y="{y(value) + 4:.1f}" text-anchor="end">{said.replace("-", "−")}</text>'
-        )
+        lines.append(f'<text x="{_LEFT - 8}" y="{y(value) + 4:.1f}" text-anchor="end">{said.replace("-", "−")}</text>')
     marks = sorted({f"{x(at):.1f}" for at, row in enumerate(rows) if _is_refused(row)}, key=float)
     lines += [f'<path d="M{at} {_HIGH - _BOTTOM + 1}v6" stroke="{_REFUSED}" stroke-width="2"/>' for at in marks]
     for k in range(_TICKS + 1):
@@ -212,7 +210,7 @@ def _refused(failed: Sequence[Cells], spoilt: Sequence[Cells]) -> str:
     )
     listed = [(row, _told(row)) for row in sorted((*failed, *spoilt), key=lambda row: row["scan"])]
     each = "".join(
-        f"<tr><td>{html.escape(row['scan'])}</td><td>{html.escape(row['recorded'][:16].replace('T', ' ')) or '–'}</td><td>{html.escape(why)}</td></tr>"
+        f"<tr><td>{html.escape(row['scan'])}</td><td style='white-space:nowrap'>{html.escape(row['recorded'][:16].replace('T', ' ')) or '–'}</td><td>{html.escape(why)}</td></tr>"
         for row, why in listed[:_MOST_LISTED]
     )
     more = (

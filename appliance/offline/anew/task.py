@@ -102,7 +102,9 @@ def unfit(job: Job) -> str | None:
     host, mine = socket.gethostname(), program_digits()
     if job.program != mine:
         # Results of two programs under one key would be neither's.
-        return f"{host} has another version: {mine}; the call was made by {job.program}; install the same one everywhere"
+        return (
+            f"{host} has another version: {mine}; the call was made by {job.program}; install the same one everywhere"
+        )
     if not (Path(job.results) / SETTINGS).is_file():
         return f"{host} does not see --out {Path(job.results).parent}; mount it there under the same path"
     shelf = Path(job.folder).parent

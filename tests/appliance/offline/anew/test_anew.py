@@ -25,8 +25,8 @@ from appliance.offline.anew import results as module
 from appliance.offline.anew import task
 from appliance.offline.anew.coordinator import LEFT_OUT_S, TRIES, TROUBLES_IN_A_ROW, Ended, work_through_all
 from appliance.offline.anew.local import LocalEngine
-from appliance.offline.anew.results import COLUMNS, Results, ResultsError, Row, name_of, read_table
 from appliance.offline.anew.program import program_digits, program_text
+from appliance.offline.anew.results import COLUMNS, Results, ResultsError, Row, name_of, read_table
 from appliance.offline.anew.task import AGAIN, BLAME, DONE, FAILED, OF_HOST, OF_MACHINE, OF_SCAN, Job, attempt
 from appliance.storage.atomic import StorageError
 from appliance.storage.lock import hold_lock
@@ -341,7 +341,9 @@ def test_a_full_disk_ends_the_work_early_and_says_so() -> None:
 
 
 def test_a_disk_that_is_full_for_four_places_ends_the_work_after_a_few_of_each() -> None:
-    engine = Scripted(lambda one, _: Ended(one, {"scan": one.name, "state": AGAIN, "reason": "full"}), ("a", "b", "c", "d"))
+    engine = Scripted(
+        lambda one, _: Ended(one, {"scan": one.name, "state": AGAIN, "reason": "full"}), ("a", "b", "c", "d")
+    )
     assert work_through_all(JOBS, engine, silent).stopped == "full"
     assert sum(engine.given.values()) <= 2 * TROUBLES_IN_A_ROW
 
@@ -353,7 +355,16 @@ def test_one_bad_place_that_refuses_in_an_instant_ends_nothing_and_is_named(blam
 
         def ended(self, timeout_s: float) -> list[Ended]:
             return [
-                replace(one, row={"scan": one.job.name, "state": AGAIN, "reason": "another version", "host": "old", BLAME: blame})
+                replace(
+                    one,
+                    row={
+                        "scan": one.job.name,
+                        "state": AGAIN,
+                        "reason": "another version",
+                        "host": "old",
+                        BLAME: blame,
+                    },
+                )
                 if one.place == "bad"
                 else one
                 for one in super().ended(timeout_s)

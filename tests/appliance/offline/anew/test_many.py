@@ -112,7 +112,9 @@ def assert_each_once_and_whole(results: Results, jobs: list[Job], rows: Sequence
 
 
 @pytest.mark.long
-def test_a_worker_that_hangs_before_the_work_begins_keeps_nobody_from_it(cluster: Cluster, scans: Path, tmp_path: Path) -> None:
+def test_a_worker_that_hangs_before_the_work_begins_keeps_nobody_from_it(
+    cluster: Cluster, scans: Path, tmp_path: Path
+) -> None:
     results = Results.of(tmp_path / "out", {"a": 1})
     cluster.scheduler()
     hanging, _ = cluster.worker(), cluster.worker()

@@ -125,14 +125,19 @@ def test_every_refused_scan_is_there_with_its_reason_and_marked_where_it_was_tak
     assert "5 of 8 1 spoilt, 2 without points" in words
     assert "frames_left.npy: damaged 2" in words, "counted by its kind"
     assert "BLURRED, MOTION 1" in words
-    assert "000005 2031-05-05 09:12 frames_left.npy: damaged (its checksum does not fit) in sine-x-180; bring it back" in words
+    assert (
+        "000005 2031-05-05 09:12 frames_left.npy: damaged (its checksum does not fit) in sine-x-180; bring it back"
+        in words
+    )
     assert "000007 2031-05-07 09:12 MOTION: the hands moved by 3 mm; BLURRED: edges of 4 px" in words
     marks = [float(x) for x in re.findall(r'<path d="M([\d.]+) ', chart(page, "ray gap, µm"))]
     assert marks == [pytest.approx(62 + (k - 0.5) * 986 / 8, abs=0.1) for k in (2, 5, 7)]
 
 
 def test_a_season_without_any_result_says_why() -> None:
-    page = season_page([cells(1, state="failed", reason="x: missing", points="", gap_mm="", noise_mm="", temperature_c="")], "t.csv")
+    page = season_page(
+        [cells(1, state="failed", reason="x: missing", points="", gap_mm="", noise_mm="", temperature_c="")], "t.csv"
+    )
     assert page.count("Nothing in the table.") == 4
     assert "x: missing" in page
     assert "0 of 1" in page
