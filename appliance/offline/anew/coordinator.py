@@ -138,7 +138,10 @@ def work_through_all(
         stopped = stopped or _hopeless(state, engine, passed_s)
         done = len(state.rows) + len(state.left)
         said(done, len(jobs), passed_s / done * (len(jobs) - done) if done else None)
-    return Worked(tuple(state.rows), tuple(state.left), state.lost, state.left_out, stopped, len(state.waiting))
+        if stopped is not None and engine.others_may_come and not _able(engine):
+            break  # what is still given out waits for somebody, too
+    not_begun = len(jobs) - len(state.rows) - len(state.left)
+    return Worked(tuple(state.rows), tuple(state.left), state.lost, state.left_out, stopped, not_begun)
 
 
 def _next(state: _State, most: int) -> list[Job]:
@@ -191,11 +194,14 @@ def _refused(place: str, reason: str, blame: str, state: _State, engine: Engine)
         engine.leave_out(place, reason)
 
 
+def _able(engine: Engine) -> list[str]:
+    return [place for place, reason in engine.places().items() if reason is None]
+
+
 def _hopeless(state: _State, engine: Engine, now_s: float) -> str | None:
     """Return why nothing more should be begun; ``None`` where somebody may still do it."""
-    places = engine.places()
-    state.left_out |= {place: reason for place, reason in places.items() if reason is not None}
-    able = [place for place, reason in places.items() if reason is None]
+    state.left_out |= {place: reason for place, reason in engine.places().items() if reason is not None}
+    able = _able(engine)
     if able:
         state.alone_s = None
         each = all(state.of_place.get(place, 0) >= TROUBLES_OF_EACH for place in able)

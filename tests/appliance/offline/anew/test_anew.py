@@ -23,7 +23,14 @@ import pytest
 from appliance.calibration import file as calibration_file
 from appliance.offline.anew import results as module
 from appliance.offline.anew import task
-from appliance.offline.anew.coordinator import LEFT_OUT_S, TRIES, TROUBLES_IN_A_ROW, Ended, work_through_all
+from appliance.offline.anew.coordinator import (
+    LEFT_OUT_S,
+    PLACELESS_S,
+    TRIES,
+    TROUBLES_IN_A_ROW,
+    Ended,
+    work_through_all,
+)
 from appliance.offline.anew.local import LocalEngine
 from appliance.offline.anew.program import program_digits, program_text
 from appliance.offline.anew.results import COLUMNS, Results, ResultsError, Row, name_of, read_table
@@ -417,6 +424,26 @@ def test_single_refusals_between_results_stop_nothing() -> None:
     assert (len(worked.rows), worked.stopped) == (30, None)
 
 
+def test_workers_that_go_for_good_end_the_work_also_while_they_hold_scans() -> None:
+    class Gone(Scripted):
+        """Both places vanish with what they were given, after four results."""
+
+        others_may_come = True
+
+        def places(self) -> Mapping[str, str | None]:
+            return {} if sum(self.given.values()) > 4 else super().places()
+
+        def ended(self, timeout_s: float) -> list[Ended]:
+            return super().ended(timeout_s) if self.places() else []
+
+    clock = iter(range(10_000))
+    worked = work_through_all(JOBS, Gone(lambda one, _: done(one), ("a", "b")), silent, lambda: float(next(clock)))
+    assert worked.stopped is not None
+    assert "there was no worker for 600 s" in worked.stopped
+    assert (len(worked.rows), worked.not_begun) == (4, len(JOBS) - 4)
+    assert next(clock) > PLACELESS_S
+
+
 # ------------------------------------------------------------------------------------------- the task
 
 
@@ -541,8 +568,8 @@ def test_another_library_or_rig_file_is_another_program(tmp_path: Path) -> None:
 
 
 def test_the_program_names_the_libraries_that_compute() -> None:
-    for name, module in (("numpy", np), ("numba", numba), ("opencv-python-headless", cv2)):
-        assert re.search(rf"\b{name} {re.escape(module.__version__)}", program_digits()), name
+    for name, library in (("numpy", np), ("numba", numba), ("opencv-python-headless", cv2)):
+        assert re.search(rf"\b{name} {re.escape(library.__version__)}", program_digits()), name
 
 
 # ---------------------------------------------------------------------------------- local processes

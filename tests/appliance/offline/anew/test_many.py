@@ -172,7 +172,8 @@ def test_three_hosts_that_can_do_nothing_are_named_and_keep_nobody_from_it(
     other, none = tmp_path / "other", tmp_path / "none"
     for package in ("appliance", "drivers"):
         shutil.copytree(ROOT / package, other / package, ignore=shutil.ignore_patterns("__pycache__"))
-    (other / "appliance" / "optics" / "water.py").open("a").write("\n# Another version.\n")
+    changed = other / "appliance" / "optics" / "water.py"
+    changed.write_text(changed.read_text(encoding="utf-8") + "\n# Another version.\n", encoding="utf-8")
     (none / "appliance").mkdir(parents=True)
     (none / "appliance" / "__init__.py").touch()
     cluster.scheduler()
