@@ -15,6 +15,9 @@ from appliance.cli.arguments import Verb, collect, declare
 from appliance.cli.output import Exit, UsageError, complain, log_lines
 from appliance.cli.verbs import VERBS, Listed
 
+_MISSING = "the following arguments are required: "
+_VALUELESS = re.compile(r"argument ([^:]+): expected (?:one|at least one) arguments?")
+"""What argparse says of what is missing; Python 3.11 to 3.13 in the same words."""
 _NEGATIVE = re.compile(r"-\.?\d.*")
 """A value that begins with a minus, and no option: none of ours begins with a digit."""
 
@@ -83,8 +86,38 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         # argparse failed, so that nothing was parsed: whether JSON is wanted can only be looked for among the words.
-        complain(f"{message}; see `{self.prog} --help`", as_json="--json" in sys.argv[1:])
+        complain(f"{self._in_our_words(message)}; see `{self.prog} --help`", as_json="--json" in sys.argv[1:])
         raise SystemExit(Exit.USAGE)
+
+    def _in_our_words(self, message: str) -> str:
+        """Return what is missing with what it is, where argparse only counts arguments; any other message as it is."""
+        missing = message.removeprefix(_MISSING)
+        if missing != message:
+            named = {_placeholder(action): action for action in self._actions if not action.option_strings}
+            return "; ".join(f"{name} is missing, give it: {_meaning(named.get(name))}" for name in missing.split(", "))
+        valueless = _VALUELESS.fullmatch(message)
+        if valueless is None:
+            return message
+        option = next(
+            (one for one in self._actions if valueless[1] in ("/".join(one.option_strings), _placeholder(one))), None
+        )
+        return f"{valueless[1]} {_placeholder(option)}: the value is missing; {_meaning(option)}"
+
+
+def _placeholder(action: argparse.Action | None) -> str:
+    """Return the word that stands for the value in ``--help``."""
+    metavar = None if action is None else action.metavar
+    if isinstance(metavar, str):
+        return metavar
+    return "VALUE" if action is None else action.dest.upper()
+
+
+def _meaning(action: argparse.Action | None) -> str:
+    """Return what a value is, as ``--help`` says it, or those that it may be."""
+    choices = None if action is None else action.choices
+    if choices is not None:
+        return f"one of {', '.join(map(str, choices))}"
+    return (None if action is None else action.help) or "one word"
 
 
 def _parser() -> _Parser:

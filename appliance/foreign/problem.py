@@ -73,7 +73,7 @@ class Table:
 
     def whole(self, key: str, low: int, high: int) -> int:
         """Return a whole number ``low`` to ``high``."""
-        value = self.number(key, low, high)
+        value = _number(self, key, self.content.get(key), low, high, "a whole number")
         if value != int(value):
             raise self.wrong(key, f"a whole number {low}..{high}", "correct it")
         return int(value)
@@ -98,8 +98,8 @@ class Table:
         return tuple(tuple(_number(self, key, item, -1e9, 1e9) for item in row) for row in value)
 
 
-def _number(table: Table, key: str, value: object, low: float, high: float) -> float:
-    allowed = f"a number {low:g}..{high:g}"
+def _number(table: Table, key: str, value: object, low: float, high: float, what: str = "a number") -> float:
+    allowed = f"{what} {low:g}..{high:g}"
     if value is None:
         raise ForeignError(f"{table.name}{key} is missing; allowed: {allowed}; add it")
     if (

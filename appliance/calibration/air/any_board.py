@@ -58,6 +58,9 @@ ALONG = 0.9
 """Least cosine between a marker's edges and the squares': without it, a board of which one corner is seen fits sheared."""
 LEAST_SPREAD = 0.005
 """Least part of the image inside the corners' bounding box, below which they are too near together to tell anything."""
+SMALL_SPREAD = 0.15
+"""Part of the image inside the corners' bounding box below which somebody is told: a board that fills an eighth of the picture is used,
+by what it tells, and tells a third as much of the lens as one that fills it."""
 SIZE_OFF = 0.1
 """Largest difference between the markers' size as told and as seen, in parts of a square."""
 THRESHOLD_WINDOWS = (300, 32)

@@ -20,9 +20,16 @@ from numpy.typing import NDArray
 
 from appliance.calibration import file as calibration_file
 from appliance.calibration.air.adjustment import AirCalibrationError, FittedView
-from appliance.calibration.air.any_board import FoundBoard, Wanted, find_corners_of, search_board, spread_of
+from appliance.calibration.air.any_board import (
+    SMALL_SPREAD,
+    FoundBoard,
+    Wanted,
+    find_corners_of,
+    search_board,
+    spread_of,
+)
 from appliance.calibration.air.any_views import AnyCalibration, calibrate_any, view_of
-from appliance.calibration.air.board import MIN_SPREAD, NoBoard
+from appliance.calibration.air.board import NoBoard
 from appliance.calibration.air.coverage import Coverage, Sighting, covered
 from appliance.calibration.air.joint import BoardTolerance
 from appliance.calibration.air.linearised import BoardView
@@ -45,6 +52,8 @@ EXCHANGED = (
     "left and right are exchanged: the camera called right stands to the left of the other; name the pictures the other way round "
     "(--left, --right) before anything is measured with them"
 )
+MOST_NAMED = 4
+"""Most views that a warning names one by one."""
 FRESH = Water(20.0, 0.0, 530.0)
 """A file names a water; no window and no water takes part here."""
 
@@ -151,7 +160,7 @@ def _look(
                 continue
             seen[side] = found
             spread = spread_of(np.stack(list(found.values())), image.shape)
-            if spread < MIN_SPREAD:
+            if spread < SMALL_SPREAD:
                 small.append(f"the board fills {100 * spread:.2g} % of the {side} picture")
         view = view_of(pair.name, board_mm, seen.get("left"), seen.get("right"))
         if len(view.corners_mm):
@@ -218,6 +227,12 @@ def _report(found: AnyCalibration, looked: _Looked, seen: Coverage) -> dict[str,
     way, shifts = baseline / baseline_mm, slice(19, 22)
     R, T = _opencv_pose(air.rig)
     warnings = [f"coverage is poor: {text}" for text in seen.missing]
+    small = [view.name for view in air.views if looked.remarks[view.name]]
+    if small:
+        warnings.append(
+            f"the board is small in {len(small)} of {len(air.views)} views ({', '.join(small[:MOST_NAMED])}{', …' if len(small) > MOST_NAMED else ''}): "
+            f"below {100 * SMALL_SPREAD:g} % of the picture a view counts by the little that it tells; bring the board nearer"
+        )
     if found.exchanged:
         warnings.insert(0, EXCHANGED)
     return {

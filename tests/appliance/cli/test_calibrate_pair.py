@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -21,10 +22,10 @@ COUNT = 7
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Seven pairs of a board of the old layout, the last of them far; one camera has an eighth view alone."""
+    """Seven pairs of a board of the old layout; in the last one it fills an eighth of the picture; one camera has an eighth view alone."""
     folder = tmp_path_factory.mktemp("theirs")
     where = poses(COUNT + 1, 3)
-    far = poses(1, 5, 560.0, 570.0)
+    far = poses(1, 5, 470.0, 475.0)
     write_pairs(folder, Printed(), [*where[: COUNT - 1], *far, where[COUNT]])
     (folder / f"v{COUNT}_right.png").unlink()
     return folder
@@ -48,7 +49,10 @@ def test_a_folder_of_others_becomes_a_calibration(
     assert report["left_out"] == []
     assert report["residual_px"] < 0.08
     assert report["views"][-1]["remarks"] == ["only the left camera has it"]
-    assert "of the left picture" in report["views"][COUNT - 1]["remarks"][0]
+    small = re.fullmatch(r"the board fills ([\d.]+) % of the left picture", report["views"][COUNT - 1]["remarks"][0])
+    assert small is not None
+    assert float(small[1]) == pytest.approx(12.5, abs=1.2)
+    assert f"the board is small in 1 of {COUNT + 1} views (v{COUNT - 1}): " in said
     for f_px, sd_px in zip(report["principal_distance_px"], report["principal_distance_sd_px"], strict=True):
         assert abs(f_px - F_PX) < max(5.0 * sd_px, 1.0)
         assert sd_px < 3.0

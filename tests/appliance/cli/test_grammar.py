@@ -57,6 +57,28 @@ def test_wrong_words_are_one_line_and_exit_code_2(
     assert words in error
 
 
+@pytest.mark.parametrize(
+    ("argv", "said"),
+    [
+        (
+            ["rescue"],
+            "RECORDING is missing, give it: its number under ROOT/incomplete, or its folder; see `kingfisher rescue",
+        ),
+        (["pull", "pi"], "DIR is missing, give it: storage root at the desk"),
+        (["rescue", "1", "--out"], "--out FILE: the value is missing; write the cloud there (PLY); see"),
+        (["scans"], "VERB is missing, give it: one of list, show,"),
+    ],
+)
+def test_what_is_missing_is_said_with_what_it_is(
+    argv: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert code_of(argv) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert "arguments are required" not in error
+    assert error.count("\n") == 1
+
+
 def test_help_lists_the_exit_codes(capsys: pytest.CaptureFixture[str]) -> None:
     assert code_of(["--help"]) == 0
     text = capsys.readouterr().out

@@ -97,7 +97,8 @@ def test_conventions_in_one_word() -> None:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (("steps = 4", "steps = 2"), "x.steps is 2; allowed: a number 3..16"),
+        (("steps = 4", "steps = 2"), "x.steps is 2; allowed: a whole number 3..16"),
+        (("steps = 4", 'steps = "4"'), "x.steps is '4'; allowed: a whole number 3..16; write a number"),
         (("steps = 4", "steps = 3.5"), "x.steps is 3.5; allowed: a whole number 3..16"),
         (("steps = 4", "steps = 4\nsteps_deg = [0, 1, 2]"), "are both there"),
         (("steps = 4", "steps_deg = [0, 90]"), "x.steps_deg is [0, 90]; allowed: 3 to 16 steps"),
@@ -112,7 +113,7 @@ def test_conventions_in_one_word() -> None:
         (("gray-x*5 ", ""), "nothing tells one fringe from the next"),
         (("sine-x*4", "sine-x*4 sine-x2*4"), "x has 1 periods, and its images are of 2"),
         (("[projector]", "[screen]"), "screen: unknown key"),
-        (("width_px = 512", 'width_px = "512"'), "projector.width_px is '512'; allowed: a number"),
+        (("width_px = 512", 'width_px = "512"'), "projector.width_px is '512'; allowed: a whole number"),
         (('left = "left/*.png"', "left = 3"), "images.left is 3; allowed: a name, with wildcards"),
         (('order = "', 'channel = "cyan"\norder = "'), "images.channel is 'cyan'; allowed: grey, red, green, blue"),
         (
