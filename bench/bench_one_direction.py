@@ -1,12 +1,19 @@
-"""Does one direction of fringes measure as completely and as finely as two on scenes at rest? Scans of the simulated world, both ways."""
+"""Does one direction of fringes measure as completely and as finely as two on scenes at rest? Scans of the simulated world, both ways: of
+our own four steps, and of three, five and eight as others project them."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Iterable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
+import numpy as np
+
+from appliance.foreign.points import find_points
+from appliance.foreign.reading import read_foreign
 from appliance.reconstruct.first_direction import first_direction_cloud
 from appliance.reconstruct.one_direction import NoPoint
 from appliance.reconstruct.pipeline import Pipeline
@@ -16,8 +23,9 @@ from bench.turbidity.scan import noise_of, set_water
 from bench.verdict.kept_scans import kept_scan
 from hw_sim.scene import Scene
 from hw_sim.water.medium import turbid
+from tests.support.foreign_sets import HIGH, Convention, ForeignSet, Pattern, even, make_set, sines, stripes
 from tests.support.rendered import judge
-from tests.support.truth import true_calibration
+from tests.support.truth import left_to_rig, true_calibration
 
 FOLDER = Path(".cache/scenes")
 TRUTH_SET, SEED, PERIOD_PX = "modelled", 12_007, 16
@@ -28,6 +36,12 @@ SCENES = {
     "stones": Scene("stones", texture="strong"),
     "shell in water of 0.6 /m": Scene("shell", texture="slight", water=turbid(0.6)),
 }
+STEPS = (3, 5, 8)
+OTHERS_PERIOD_PX, OTHERS_BITS = 32, 6
+OTHERS_ORDER = "bright dark sine-x*{steps} gray-x*6 sine-y*{steps} gray-y*6"
+OTHERS_AXIS = '[{axis}]\nperiod_px = 32\nsteps = {steps}\ngray = "complementary"\n'
+FAR_MM = 1.0
+"""Distance from the surface from which on a point is no noise."""
 WITHIN = 0.05
 """Largest share by which one direction may fall behind."""
 
@@ -61,3 +75,54 @@ def measure() -> Iterable[Measured]:
         yield Measured(f"{name}: farther off than 1 mm, one direction", one.outliers_ppm, "ppm")
         yield Measured(f"{name}: several crossings", 1e6 * found.count(NoPoint.SEVERAL) / found.reason.size, "ppm")
         yield Measured(f"{name}: CPU of decoding and matching, one direction", 1000.0 * cpu_s, "ms")
+    for steps in STEPS:
+        yield from _of_steps(steps)
+
+
+def _of_steps(steps: int) -> Iterable[Measured]:
+    """The same of another rig's images with so many steps, in air: described as two directions, and the second one left out."""
+    convention = Convention(f"{steps} steps", partial(_patterns, steps), "", one_direction=False)
+    with TemporaryDirectory() as folder:
+        made = make_set(convention, Path(folder), WIDTH_PX, described=_described(steps, "xy"))
+        complete, rms_mm, far_ppm = {}, {}, {}
+        for name in ("xy", "x"):
+            made.description.write_text(_described(steps, name), encoding="utf-8")
+            complete[name], rms_mm[name], far_ppm[name] = _judged(made)
+    yield Measured(f"{steps} steps: completeness, two directions", complete["xy"], "%")
+    yield Measured(f"{steps} steps: completeness, one direction", complete["x"], "%")
+    yield Measured(f"{steps} steps: one over two", complete["x"] / complete["xy"], "", at_least=1.0 - WITHIN)
+    yield Measured(f"{steps} steps: noise, two directions", 1000.0 * rms_mm["xy"], "um")
+    yield Measured(f"{steps} steps: noise, one direction", 1000.0 * rms_mm["x"], "um")
+    yield Measured(f"{steps} steps: one over two", rms_mm["x"] / rms_mm["xy"], "", at_most=1.0 + WITHIN)
+    yield Measured(f"{steps} steps: farther off than 1 mm, two directions", far_ppm["xy"], "ppm")
+    yield Measured(f"{steps} steps: farther off than 1 mm, one direction", far_ppm["x"], "ppm")
+
+
+def _patterns(steps: int) -> list[Pattern]:
+    found = [even(HIGH), even(0)]
+    for axis in "xy":
+        found += [*sines(axis, OTHERS_PERIOD_PX, steps), *stripes(axis, OTHERS_PERIOD_PX / 2, OTHERS_BITS)]
+    return found
+
+
+def _described(steps: int, axes: str) -> str:
+    order = OTHERS_ORDER.format(steps=steps)
+    if axes == "x":
+        order = order.replace("sine-y", "-").replace("gray-y", "-")
+    return (
+        f'[images]\nleft = "left/*.png"\nright = "right/*.png"\norder = "{order}"\n[projector]\nwidth_px = 1024\nheight_px = 768\n'
+        + "".join(OTHERS_AXIS.format(axis=axis, steps=steps) for axis in axes)
+        + '[cameras]\nfiles = ["stereo.yml"]\n'
+    )
+
+
+def _judged(made: ForeignSet) -> tuple[float, float, float]:
+    """Return completeness in percent of what all see, the root mean square distance of points from the surface, and ppm that are far."""
+    scan = read_foreign(made.description, lambda _: None)
+    cloud = find_points(scan.description, scan.rig, scan.cameras["left"], scan.cameras["right"]).cloud
+    seen = made.renderer.view("left", 0.0).seen_by_all
+    points_mm = left_to_rig(made.renderer.truth, cloud.points_mm[cloud.mask])
+    off_mm = np.abs(made.renderer.surface(0.0).distance_mm(points_mm))
+    near = off_mm < FAR_MM
+    complete = 100.0 * float((cloud.mask & seen).sum()) / float(seen.sum())
+    return complete, float(np.sqrt(np.mean(np.square(off_mm[near])))), 1e6 * float(np.mean(~near))

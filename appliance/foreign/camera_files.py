@@ -1,8 +1,9 @@
 """Owns the numbers in other people's camera files: what they are called there, and how they are read.
 
-OpenCV's YAML, XML and JSON; YAML and JSON of other programs with plain lists; NumPy's .npz; MATLAB's .mat. Two cameras are ``1`` and
-``2``, left and right, camera and projector, or counted from 0. In place of R and T each camera may have its own rotation and
-translation (a point of the world into the camera: x = R X + T), or a projection matrix of 3 x 4.
+OpenCV's YAML, XML and JSON; YAML and JSON of other programs with plain lists; NumPy's .npz; MATLAB's .mat; one matrix a file, as .npy,
+.txt or .csv, which is called as the file is; text of ``name = numbers``. Two cameras are ``1`` and ``2``, left and right, camera and projector, or counted from 0. In place of R and T each camera may have its own rotation and
+translation (a point of the world into the camera: x = R X + T), or a projection matrix of 3 x 4, or the rectification that brings
+both to one plane. Other programs' ways are ``camera_dialects``'s.
 """
 
 from __future__ import annotations
@@ -17,17 +18,21 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.foreign.camera_dialects import in_opencvs_names
 from appliance.foreign.matlab import MatlabError, matlab_arrays
+from appliance.foreign.plain_yaml import YamlError, parse_yaml
 from appliance.foreign.problem import ForeignError, Table
 
 Array = NDArray[np.float64]
 
-SUFFIXES = (".yml", ".yaml", ".xml", ".json", ".npz", ".mat")
+SUFFIXES = (".yml", ".yaml", ".xml", ".json", ".npz", ".mat", ".npy", ".txt", ".csv")
 MAX_BYTES = 4_000_000
 MOST_DEEP = 8
 """Most levels of tables in one another."""
-LEAST_NUMBERS = 3
-"""Fewer of them are neither matrix nor vector."""
+MOST_NUMBERS = 20_000
+"""More of them are no camera's."""
+LEAST_LISTED = 3
+"""Fewer numbers under a name are not worth a mention: neither matrix nor vector."""
 _MATRIX = (
     "m", "k", "kk", "cameramatrix", "camera", "cameraint", "intrinsic", "intrinsics", "intrinsicmatrix", "cammatrix", "mtx", "matrix",
     "int", "cam", "kmatrix",
@@ -55,7 +60,8 @@ _BETWEEN: Mapping[str, tuple[str, ...]] = {
 _ONE: Mapping[str, tuple[str, ...]] = {
     "matrix": ("cameramatrix", "k", "m", "kk", "intrinsic", "intrinsics", "intrinsicmatrix", "mtx"),
     "distortion": ("distortioncoefficients", "distcoeffs", "distcoeff", "distortion", "d", "dist", "kc"),
-    "rotation": _ROTATION, "translation": _TRANSLATION,
+    "rotation": _ROTATION, "translation": _TRANSLATION, "projection": _PROJECTION,
+    "rectification": ("rectificationmatrix", "rectification", "rrect"),
 }  # fmt: skip
 """Names in a file of one camera alone."""
 _FILES_OF: Mapping[str, re.Pattern[str]] = {
@@ -64,8 +70,11 @@ _FILES_OF: Mapping[str, re.Pattern[str]] = {
 }
 """Words in the name of a file of one camera, or in that of its folder."""
 WANTED = ("left_matrix", "right_matrix", "left_distortion", "right_distortion", "rotation", "translation")
+_NAMED_LINE = re.compile(r"(?P<name>[A-Za-z_][\w.-]*)\s*[=:]\s*(?P<numbers>.*)")
+_NUMBER_BREAKS = re.compile(r"[\[\](){},;]")
 _SHAPES: Mapping[str, tuple[int, ...]] = {
-    "matrix": (9,), "rotation": (9, 3), "translation": (3,), "projection": (12,),
+    "matrix": (9,), "rotation": (9, 3), "translation": (3,), "projection": (12,), "rectification": (9,),
+    "distortion": (3, 4, 5, 6, 8, 12, 14),
 }  # fmt: skip
 """Numbers that each of them may have; something else under its name is something else."""
 
@@ -83,7 +92,7 @@ def numbers_from_files(folder: Path, table: Table) -> dict[str, Any]:
     for name in names:
         path = folder / name
         values = numbers_in(path)
-        seen[name] = list(values)
+        seen[name] = [key for key, numbers in values.items() if numbers.size >= LEAST_LISTED]
         for wanted in WANTED:
             if wanted in aliases.content and aliases.text(wanted) in values:
                 found[wanted] = values[aliases.text(wanted)]
@@ -92,6 +101,7 @@ def numbers_from_files(folder: Path, table: Table) -> dict[str, Any]:
             if key not in aliases.content:
                 found.setdefault(key, numbers)
         _one_camera(name, plain, found)
+    _from_rectified(found)
     _from_projections(found)
     _from_poses(found)
     missing = [name for name in WANTED if name not in found and not name.endswith("distortion")]
@@ -156,6 +166,28 @@ def _one_camera(name: str, plain: Mapping[str, Array], found: dict[str, Any]) ->
         found.setdefault(f"{side}_{kind}", numbers)
 
 
+def _from_rectified(found: dict[str, Any]) -> None:
+    """Make R and T of what brings both cameras to one plane: rotations R1 and R2, and P = K' (I | t) of each, t along the baseline.
+
+    x' = R1 x_left, and x' + t2 − t1 = R2 x_right: R = R2ᵀ R1, T = R2ᵀ (t2 − t1). ROS writes cameras so, OpenCV's ``stereoRectify``, too.
+    """
+    for side in ("left", "right"):
+        if "rotation" in found or f"{side}_projection" not in found:
+            return
+        if f"{side}_rectification" not in found and f"{side}_rotation" in found and f"{side}_translation" not in found:
+            found[f"{side}_rectification"] = found.pop(f"{side}_rotation")
+    if not {"left_rectification", "right_rectification"} <= set(found):
+        return
+    first, second = (np.asarray(found[f"{side}_rectification"], np.float64).reshape(3, 3) for side in ("left", "right"))
+    shifts = []
+    for side in ("left", "right"):
+        projection = np.asarray(found[f"{side}_projection"], np.float64).reshape(3, 4)
+        if abs(np.linalg.det(projection[:, :3])) < 1e-9:
+            return
+        shifts.append(np.linalg.solve(projection[:, :3], projection[:, 3]))
+    found["rotation"], found["translation"] = second.T @ first, second.T @ (shifts[1] - shifts[0])
+
+
 def _from_projections(found: dict[str, Any]) -> None:
     """Take projection matrices apart where there are no camera matrices: P = K (R | t)."""
     if "left_matrix" in found or "right_matrix" in found or not {"left_projection", "right_projection"} <= set(found):
@@ -199,41 +231,73 @@ def numbers_in(path: Path) -> dict[str, Array]:
         raise ForeignError(f"{path}: {error.strerror or error}; correct the name") from error
     if len(raw) > MAX_BYTES:
         raise ForeignError(f"{path}: larger than {MAX_BYTES} bytes; give the file of the cameras' numbers")
+    content: Mapping[str, Any]
     match path.suffix.lower():
-        case ".npz":
-            return _npz(path)
+        case ".npz" | ".npy":
+            content = _numpy(path)
         case ".mat":
-            return _mat(path, raw)
+            content = _mat(path, raw)
         case ".json":
-            return _json(path, raw)
+            content = _json(path, raw)
+        case ".txt" | ".csv":
+            content = _text(path, raw)
         case _:
-            return _opencv(path, raw)
+            content = _opencv(path, raw)
+    words = {name: value for name, value in content.items() if isinstance(value, str)}
+    return in_opencvs_names(str(path), _numeric(content), words)
 
 
-def _npz(path: Path) -> dict[str, Array]:
+def _numpy(path: Path) -> dict[str, Any]:
     try:
-        with np.load(path, allow_pickle=False) as content:
-            arrays = {name: content[name] for name in content.files}
+        content = np.load(path, allow_pickle=False)
+        if isinstance(content, np.ndarray):
+            return {path.stem: content}
+        with content:
+            return {name: content[name] for name in content.files}
     except Exception as error:  # whatever a damaged archive makes zipfile raise
-        raise ForeignError(f"{path}: not readable as .npz ({str(error)[:120]}); give OpenCV's YAML") from error
-    return _numeric(arrays)
+        raise ForeignError(f"{path}: not readable as NumPy's file ({str(error)[:120]}); give OpenCV's YAML") from error
 
 
-def _mat(path: Path, raw: bytes) -> dict[str, Array]:
+def _text(path: Path, raw: bytes) -> dict[str, Any]:
+    """Return ``name = numbers`` or ``name: numbers`` of each line; of numbers alone one matrix, which is called as the file is."""
+    found: dict[str, Any] = {}
+    rows: list[list[float]] = []
+    for line in raw.decode("utf-8", "replace").splitlines():
+        named = _NAMED_LINE.fullmatch(line.strip())
+        words = _NUMBER_BREAKS.sub(" ", named["numbers"] if named else line.partition("#")[0]).split()
+        try:
+            numbers = [float(word) for word in words]
+        except ValueError:
+            continue
+        if named and numbers:
+            found[named["name"]] = numbers
+        elif numbers:
+            rows.append(numbers)
+    if rows and len({len(row) for row in rows}) == 1:
+        found.setdefault(path.stem, rows)
+    if not found:
+        raise ForeignError(
+            f"{path}: no line is NAME = NUMBERS, and it is no matrix; give OpenCV's YAML, or write the matrices under [cameras.left] and "
+            "[cameras.right]"
+        )
+    return found
+
+
+def _mat(path: Path, raw: bytes) -> dict[str, Any]:
     try:
-        return _numeric(matlab_arrays(raw))
+        return dict(matlab_arrays(raw))
     except MatlabError as error:
         raise ForeignError(f"{path}: not readable as MATLAB's .mat: {error}; or give OpenCV's YAML") from error
 
 
-def _json(path: Path, raw: bytes) -> dict[str, Array]:
+def _json(path: Path, raw: bytes) -> dict[str, Any]:
     try:
         content = json.loads(raw.decode("utf-8"))
     except (ValueError, RecursionError) as error:
         raise ForeignError(f"{path}: not readable as JSON ({str(error)[:120]}); correct it") from error
     if not isinstance(content, dict):
         raise ForeignError(f"{path}: holds no names; give an object with the matrices")
-    return _numeric(dict(_flat(content, "", 0)))
+    return dict(_flat(content, "", 0))
 
 
 def _flat(content: Mapping[str, Any], before: str, depth: int) -> Iterator[tuple[str, Any]]:
@@ -260,15 +324,15 @@ def _numeric(content: Mapping[str, Any]) -> dict[str, Array]:
             continue
         try:
             array = np.asarray(value)
-            if array.dtype.kind in "fiu" and array.size >= LEAST_NUMBERS:
+            if array.dtype.kind in "fiu" and 1 <= array.size <= MOST_NUMBERS:
                 found[name] = np.asarray(array, np.float64)
         except (TypeError, ValueError, OverflowError):
             continue
     return found
 
 
-def _opencv(path: Path, raw: bytes) -> dict[str, Array]:
-    text = raw.decode("utf-8", "replace").replace("\0", " ")
+def _opencv(path: Path, raw: bytes) -> dict[str, Any]:
+    plain = text = raw.decode("utf-8", "replace").replace("\0", " ")
     if path.suffix.lower() in (".yml", ".yaml") and not text.lstrip().startswith("%YAML"):
         # Other programs' YAML lacks OpenCV's first line.
         text = f"%YAML:1.0\n---\n{text.lstrip().removeprefix('---')}"
@@ -276,6 +340,8 @@ def _opencv(path: Path, raw: bytes) -> dict[str, Array]:
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
         opened = storage.isOpened()
     except (cv2.error, SystemError) as error:
+        if path.suffix.lower() != ".xml":
+            return _yaml(path, plain)
         raise ForeignError(
             f"{path}: not readable as OpenCV's YAML or XML ({str(error).strip()[-120:]}); correct it"
         ) from error
@@ -288,7 +354,20 @@ def _opencv(path: Path, raw: bytes) -> dict[str, Array]:
         raise ForeignError(f"{path}: a matrix in it is damaged ({str(error).strip()[-120:]}); correct it") from error
     finally:
         storage.release()
-    return _numeric(found)
+    return found
+
+
+def _yaml(path: Path, text: str) -> dict[str, Any]:
+    """Return what YAML holds that OpenCV does not read."""
+    try:
+        content = parse_yaml(text)
+    except (YamlError, RecursionError) as error:
+        raise ForeignError(f"{path}: not readable as OpenCV's YAML, nor as plain YAML ({error}); correct it") from error
+    if not isinstance(content, dict):
+        raise ForeignError(
+            f"{path}: not readable as OpenCV's YAML: it holds no names; or give the matrices in the description"
+        )
+    return dict(_flat(content, "", 0))
 
 
 def _collect(node: Any, found: dict[str, Any], before: str, depth: int) -> None:
@@ -303,6 +382,10 @@ def _collect(node: Any, found: dict[str, Any], before: str, depth: int) -> None:
                 _collect(child, found, f"{name}.", depth + 1)
         elif child.isSeq():
             found[name] = _listed(child, 0)
+        elif child.isString():
+            found[name] = child.string()
+        elif child.isReal() or child.isInt():
+            found[name] = child.real()
 
 
 def _listed(node: Any, depth: int) -> Any:

@@ -32,6 +32,8 @@ NO_PORT = Port((0.0, 0.0, 1.0), 0.0, 0.0, 1.0)
 MOST_FIT_PX = 0.1
 """Largest error in px with which a lens model of more than five values is replaced by one of five."""
 GRID = 25
+LEAST_BASELINE_MM = 1.0
+"""Least distance of two cameras: what is nearer is in another unit."""
 MOST = 1e9
 """Numbers of cameras are smaller than this."""
 MOST_BESIDE = 2.5
@@ -68,6 +70,11 @@ def read_rig(description: Description, sizes_px: Mapping[str, tuple[int, int]]) 
     R = u @ vt  # Written with few digits, it is not quite a rotation.
     if float(np.linalg.norm(T)) < 1e-6:
         raise ForeignError("cameras: translation is zero; name the vector between both cameras")
+    if float(np.linalg.norm(T)) < LEAST_BASELINE_MM:
+        raise ForeignError(
+            f"cameras: the two are {float(np.linalg.norm(T)):.2g} mm apart; allowed: {LEAST_BASELINE_MM:g} mm and more; say in which unit the "
+            'translation is: cameras.unit = "m"'
+        )
     cameras = []
     for side, rotation, t_mm in (("left", np.eye(3), np.zeros(3)), ("right", R.T, -R.T @ T)):
         width_px, height_px = sizes_px[side]

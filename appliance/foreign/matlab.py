@@ -1,7 +1,7 @@
-"""Owns the matrices in a MATLAB file: the numeric arrays of its top level, versions 5 to 7.
+"""Owns the matrices in a MATLAB file: the numeric arrays of its top level and of its structures, versions 5 to 7.
 
-scipy's reader ends the process on damaged files; this one reads what calibrations consist of and checks every length. Structures,
-cells, texts and sparse arrays are passed over. Source: MAT-File Format, The MathWorks, chapter 1 (Level 5).
+scipy's reader ends the process on damaged files; this one reads what calibrations consist of and checks every length. Cells, texts and
+sparse arrays are passed over, of an array of structures all but the first; objects are refused, since only MATLAB knows what is in them. Source: MAT-File Format, The MathWorks, chapter 1 (Level 5).
 """
 
 from __future__ import annotations
@@ -21,6 +21,11 @@ _INT8, _UINT32, _INT32, _MATRIX, _COMPRESSED = 1, 6, 5, 14, 15
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 """NumPy's name of each storage type."""
 _NUMERIC_CLASSES = range(6, 16)
+_STRUCTURE, _OPAQUE = 2, 17
+"""Classes of a structure, and of an object of MATLAB's own."""
+MOST_DEEP = 6
+"""Most levels of structures in one another."""
+MOST_FIELD_CHARACTERS = 256
 _COMPLEX, _CLASS = 0x0800, 0xFF
 
 
@@ -29,17 +34,20 @@ class MatlabError(ValueError):
 
 
 def matlab_arrays(raw: bytes) -> dict[str, NDArray[np.float64]]:
-    """Return the real numeric arrays of two dimensions by name. Raises MatlabError."""
+    """Return the real numeric arrays of two dimensions by name; those of structures as STRUCTURE.FIELD. Raises MatlabError."""
     if len(raw) < HEADER_BYTES or raw[126:128] not in (b"IM", b"MI"):
         raise MatlabError("it has no header of MATLAB 5 to 7 (7.3 is another format: save with -v7)")
     order = "<" if raw[126:128] == b"IM" else ">"
     found: dict[str, NDArray[np.float64]] = {}
+    objects = 0
     for kind, data in _elements(raw[HEADER_BYTES:], order):
-        if kind == _COMPRESSED:
-            for inner, content in _elements(_inflated(data), order):
-                _add(found, inner, content, order)
-        else:
-            _add(found, kind, data, order)
+        elements = _elements(_inflated(data), order) if kind == _COMPRESSED else iter([(kind, data)])
+        for inner, content in elements:
+            objects += _add(found, inner, content, order, "", 0)
+    if objects and not any(numbers.size >= 9 for numbers in found.values()):
+        raise MatlabError(
+            "it holds an object, which only MATLAB reads: save it as a structure, s = toStruct(stereoParams); save('stereo.mat', 's', '-v7')"
+        )
     return found
 
 
@@ -71,26 +79,62 @@ def _inflated(data: bytes) -> bytes:
     return unpacked
 
 
-def _add(found: dict[str, NDArray[np.float64]], kind: int, data: bytes, order: str) -> None:
-    """Add an array: elements for its flags, its sizes, its name and its real part, in that order."""
+def _add(
+    found: dict[str, NDArray[np.float64]],
+    kind: int,
+    data: bytes,
+    order: str,
+    before: str,
+    depth: int,
+    named: str | None = None,
+) -> int:
+    """Add an array: elements for its flags, its sizes, its name and its real part or its fields, in that order.
+
+    ``named``: as a field of a structure, whose name is not its own. Returns the number of objects of MATLAB's own that it is or holds.
+    """
     if kind != _MATRIX:
-        return
-    parts = _elements(data, order)
-    try:
-        (flags_kind, flags), (sizes_kind, sizes), (name_kind, name), (numbers_kind, numbers) = (
-            next(parts) for _ in range(4)
-        )
-    except (StopIteration, RuntimeError):
-        return
-    if (flags_kind, sizes_kind, name_kind) != (_UINT32, _INT32, _INT8) or len(flags) < 4 or len(sizes) != 8:
-        return
-    (flag,) = struct.unpack_from(f"{order}I", flags)
+        return 0
+    parts = list(_elements(data, order))
+    if not parts or parts[0][0] != _UINT32 or len(parts[0][1]) < 4:
+        return 0
+    (flag,) = struct.unpack_from(f"{order}I", parts[0][1])
+    if flag & _CLASS == _OPAQUE:
+        return 1
+    if len(parts) < 4:
+        return 0
+    (sizes_kind, sizes), (name_kind, name), (numbers_kind, numbers) = parts[1:4]
+    if (sizes_kind, name_kind) != (_INT32, _INT8) or len(sizes) != 8:
+        return 0
+    called = f"{before}{named if named is not None else name.decode('ascii', 'replace')}"
+    if flag & _CLASS == _STRUCTURE and depth < MOST_DEEP:
+        return _add_fields(found, parts[3:], order, called, depth)
     if flag & _CLASS not in _NUMERIC_CLASSES or flag & _COMPLEX or numbers_kind not in _NUMBERS:
-        return
+        return 0
     dtype = np.dtype(f"{order}{_NUMBERS[numbers_kind]}")
     rows, columns = struct.unpack(f"{order}ii", sizes)
     if rows < 0 or columns < 0 or rows * columns * dtype.itemsize != len(numbers):
         raise MatlabError(f"an array of {rows} x {columns} numbers has {len(numbers)} bytes")
     # Column by column.
     values = np.frombuffer(numbers, dtype).reshape(columns, rows).T
-    found[name.decode("ascii", "replace")] = np.array(values, np.float64)
+    found[called] = np.array(values, np.float64)
+    return 0
+
+
+def _add_fields(
+    found: dict[str, NDArray[np.float64]], parts: list[tuple[int, bytes]], order: str, called: str, depth: int
+) -> int:
+    """Add the fields of a structure: ``parts`` are the length of a field's name, all names, and an array for each."""
+    if len(parts) < 2 or parts[0][0] != _INT32 or len(parts[0][1]) != 4 or parts[1][0] != _INT8:
+        return 0
+    (length,) = struct.unpack(f"{order}i", parts[0][1])
+    names = parts[1][1]
+    if not 1 <= length <= MOST_FIELD_CHARACTERS or len(names) % length:
+        raise MatlabError(f"names of fields have {length} characters each, and {len(names)} together")
+    fields = [
+        names[k : k + length].partition(b"\0")[0].decode("ascii", "replace") for k in range(0, len(names), length)
+    ]
+    # Of several structures in an array the first one's fields come first.
+    return sum(
+        _add(found, kind, data, order, f"{called}.", depth + 1, field)
+        for field, (kind, data) in zip(fields, parts[2:], strict=False)
+    )

@@ -182,9 +182,14 @@ def true_rig(convention: Convention, width_px: int, height_px: int, scene: Scene
 
 
 def make_set(
-    convention: Convention, folder: Path, width_px: int = 400, object_name: str = "pipe", seed: int = 3
+    convention: Convention,
+    folder: Path,
+    width_px: int = 400,
+    object_name: str = "pipe",
+    seed: int = 3,
+    described: str | None = None,
 ) -> ForeignSet:
-    """Render a convention's images of a simulated scene into ``folder``, and write their description."""
+    """Render a convention's images of a simulated scene into ``folder``, and write their description, or what is ``described``."""
     water = Water() if convention.water else Water(attenuation_per_m=0.0, backscatter=0.0, blur_px_per_m=0.0)
     scene = Scene(object=object_name, water=water)
     height_px = width_px * 3 // 4
@@ -220,6 +225,9 @@ def make_set(
     cameras = 'calibration = "calibration.json"' if convention.water else 'files = ["stereo.yml"]'
     named = f'left = "{sides["left"]}"\nright = "{sides["right"]}"\n{convention.text}\n'
     description = folder / f"{convention.name}.toml"
+    if described is not None:
+        description.write_text(described, encoding="utf-8")
+        return ForeignSet(description, renderer)
     description.write_text(
         f"[images]\n{named}[projector]\nwidth_px = {WIDTH}\nheight_px = {HEIGHT}\n{AXES[convention.name]}[cameras]\n{cameras}\n",
         encoding="utf-8",
