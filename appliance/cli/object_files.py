@@ -59,7 +59,10 @@ class ObjectFiles(WithCalibration):
         meshes = [out for out in outs if self._meshed(out)]
         if meshes:
             needed("skimage.measure", "scikit-image", "the mesh of an object")
-        for given, what in ((self.mesh, "--mesh: is for .ply files"), (self.close_holes is not None, "--close-holes: is for meshes")):
+        for given, what in (
+            (self.mesh, "--mesh: is for .ply files"),
+            (self.close_holes is not None, "--close-holes: is for meshes"),
+        ):
             if given and not meshes:
                 raise UsageError(f"{what}, and none is written; give --out FILE.ply --mesh, or --out FILE.stl")
         return outs

@@ -34,13 +34,18 @@ class DiveReport(WithRoot):
         library = Library(root)
         entries = [library.entry(scan) for scan in self.scans] or library.entries()
         if not entries:
-            raise UsageError(f"--root {root}: holds no scans; give the storage root of a dive, the folder that holds scans/")
+            raise UsageError(
+                f"--root {root}: holds no scans; give the storage root of a dive, the folder that holds scans/"
+            )
         with Progress() as progress:
             report = report_of_dive(root, entries, progress)
             with writing(out):
                 write_report(out, report)
         if self.json:
-            words = {"file": str(out), "scans": [{"scan": one.name, "verdict": one.verdict.value} for one in report.scans]}
+            words = {
+                "file": str(out),
+                "scans": [{"scan": one.name, "verdict": one.verdict.value} for one in report.scans],
+            }
             say_json({**words, "warnings": list(report.warnings)})
             return Exit.OK
         for line in report.warnings:

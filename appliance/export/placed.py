@@ -71,4 +71,5 @@ def _write(path: Path, grids: Iterable[PlacedGrid], about: About) -> None:
 
 def _add(archive: zipfile.ZipFile, name: str, values: NDArray[Any]) -> None:
     with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
-        np.lib.format.write_array(member, np.ascontiguousarray(values), allow_pickle=False)
+        # In order C, which a view of one axis is not; a text stays without an axis.
+        np.lib.format.write_array(member, np.asarray(values, order="C"), allow_pickle=False)

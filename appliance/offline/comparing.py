@@ -124,10 +124,12 @@ def _bent(surface: FusedCloud, deviation: Deviation) -> tuple[str, ...]:
     share = 100.0 * float(np.count_nonzero(doubtful)) / max(int(np.count_nonzero(there)), 1)
     if share < DOUBTFUL_PERCENT:
         return ()
-    return (
-        f"{share:.0f} % of the deviations are within what may bend the object (± {SURE * float(bending[there].max()):.3f} mm at most, two standard "
-        "deviations, once it is laid on): they do not tell the thing from the calibration's own error",
+    most_mm = SURE * float(bending[there].max())
+    said = (
+        f"{share:.0f} % of the deviations are within what may bend the object (± {most_mm:.3f} mm at most, two standard deviations, once it "
+        "is laid on): they do not tell the thing from the calibration's own error"
     )
+    return (said,)
 
 
 def _warnings(laid: LaidOnto) -> tuple[str, ...]:

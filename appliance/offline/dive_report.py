@@ -60,7 +60,9 @@ def _scan(entry: ScanEntry) -> ReportScan:
         name=name,
         verdict=ReportVerdict.DOUBTFUL if failed else ReportVerdict.GOOD,
         reason="" if record.object is None else f"object {record.object}",
-        recorded=record.wall_time if record.clock_trusted or record.wall_time is None else f"{record.wall_time} (clock not set)",
+        recorded=record.wall_time
+        if record.clock_trusted or record.wall_time is None
+        else f"{record.wall_time} (clock not set)",
         points=None if count is None else round(count),
         sigma_mm=record.cloud.get("noise_mm"),
         ray_gap_mm=record.cloud.get("gap_mm"),
@@ -74,7 +76,9 @@ def _scan(entry: ScanEntry) -> ReportScan:
         return replace(found, verdict=ReportVerdict.REFUSED, warnings=(*found.warnings, str(error)))
     if cloud is None or not len(cloud.points_mm):
         # Its frames are whole: its points can be made again.
-        return replace(found, verdict=ReportVerdict.REFUSED, warnings=(*found.warnings, "raw frames only: kingfisher reconstruct"))
+        return replace(
+            found, verdict=ReportVerdict.REFUSED, warnings=(*found.warnings, "raw frames only: kingfisher reconstruct")
+        )
     return replace(
         found,
         points=len(cloud.points_mm),

@@ -42,7 +42,9 @@ def errors_of(stored_object: StoredObject) -> JointErrors | None:
     if kept is None:
         return None
     if kept.scans != tuple(places.places):
-        raise ObjectError(f"object '{stored_object.name}': its errors are of other scans than its places; solve it again")
+        raise ObjectError(
+            f"object '{stored_object.name}': its errors are of other scans than its places; solve it again"
+        )
     scale = kept.working_mm / STANDARD.working_mm
     return JointErrors(
         poses=tuple(Rigid(np.array(one.rotation), np.array(one.translation_mm)) for one in places.places.values()),
@@ -62,11 +64,15 @@ def length_between(
     """
     errors = errors_of(stored_object)
     if errors is None:
-        raise ObjectError(f"object '{stored_object.name}' was solved by an earlier version: kingfisher object solve '{stored_object.name}'")
+        raise ObjectError(
+            f"object '{stored_object.name}' was solved by an earlier version: kingfisher object solve '{stored_object.name}'"
+        )
     names = [] if stored_object.places is None else list(stored_object.places.places)
     for name in (first, second):
         if name not in names:
-            raise ObjectError(f"object '{stored_object.name}': scan {name} has no place; those with one are {', '.join(names)}")
+            raise ObjectError(
+                f"object '{stored_object.name}': scan {name} has no place; those with one are {', '.join(names)}"
+            )
     return errors.of_length(names.index(first), np.array(at_first_mm), names.index(second), np.array(at_second_mm))
 
 
@@ -77,7 +83,9 @@ def in_the_frame(cloud: FusedCloud, errors: JointErrors | None) -> FusedCloud:
     return with_places(cloud, *errors.sigma_along(cloud.points_mm, cloud.normals, cloud.first_scan))
 
 
-def laid_onto_something(cloud: FusedCloud, errors: JointErrors | None, on_it: NDArray[np.bool_] | None = None) -> FusedCloud:
+def laid_onto_something(
+    cloud: FusedCloud, errors: JointErrors | None, on_it: NDArray[np.bool_] | None = None
+) -> FusedCloud:
     """Return the surface with the sigma that is left once it lies on something by its shape; ``on_it`` (n,): points that lie there, all by default."""
     if errors is None or cloud.first_scan is None:
         return cloud

@@ -90,7 +90,9 @@ def _budget(stored_object: StoredObject, places: Places) -> ReportBudget | None:
     farthest = places.places[name]
     length = length_between(stored_object, names[0], first.middle_mm, name, farthest.middle_mm)
     terms = (
-        ReportTerm("places of the scans", length.places_mm, "pairs along the graph: residuals of the overlaps, robust by tiles"),
+        ReportTerm(
+            "places of the scans", length.places_mm, "pairs along the graph: residuals of the overlaps, robust by tiles"
+        ),
         ReportTerm(
             "depth error that all scans share",
             length.bending_mm,

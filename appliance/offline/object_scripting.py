@@ -54,7 +54,11 @@ class ObjectOfDive:
         return length_between(self.stored, first, at_first_mm, second, at_second_mm)
 
     def compare(
-        self, nominal: NominalSurface, spacing_mm: float = SPACING_MM, limit_mm: float = LIMIT_MM, start: Rigid | None = None
+        self,
+        nominal: NominalSurface,
+        spacing_mm: float = SPACING_MM,
+        limit_mm: float = LIMIT_MM,
+        start: Rigid | None = None,
     ) -> Comparison:
         """Lay its surface onto ``nominal`` and return the deviations, with the object's own errors in their sigma. Raises SurfaceMatchError, and
         what ``surface`` raises."""
@@ -72,9 +76,7 @@ def open_object(
 ) -> ObjectOfDive:
     """Return the object of that name under a storage root. The options are those of ``open_dive``; ``calibration``: the file of another one than each scan's
     own, as ``--calibration``. Raises ObjectError, NotADirectoryError, ConfigError."""
-    dive = open_dive(
-        root, rig, current_calibration=current_calibration, foreign_calibration=foreign_calibration
-    )
+    dive = open_dive(root, rig, current_calibration=current_calibration, foreign_calibration=foreign_calibration)
     wish = dive.wish if calibration is None else replace(dive.wish, calibration=Path(calibration), current=False)
     found = ObjectOfDive(dive.root, name, wish)
     # Read and thrown away: a wrong name is better said now than at the first points.

@@ -28,7 +28,15 @@ from appliance.registration.pair import ReadyScan, ready
 from appliance.registration.solve import Compared, Solved, middle_of, solve
 from appliance.storage import objects
 from appliance.storage import scan as stored
-from appliance.storage.objects import CloudFacts, ComparedScans, MemberScan, ObjectError, Places, ScanPlace, StoredObject
+from appliance.storage.objects import (
+    CloudFacts,
+    ComparedScans,
+    MemberScan,
+    ObjectError,
+    Places,
+    ScanPlace,
+    StoredObject,
+)
 from appliance.surface.fusion import POSE_SIGMA_MM, FusedCloud, PlacedScan, fuse
 
 Progress = Callable[[str, float | None], None]

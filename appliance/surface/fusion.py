@@ -102,7 +102,9 @@ def with_places(cloud: FusedCloud, place_mm: NDArray[np.floating], bending_mm: N
     """Return a fused surface whose sigma is that in the object's frame. ``place_mm`` and ``bending_mm`` (n,): its further shares, along the normals."""
     place, bending = place_mm.astype(np.float32), bending_mm.astype(np.float32)
     beside = cloud.beside_mm
-    return replace(cloud, sigma_mm=np.sqrt(beside**2 + place**2 + bending**2), shares=SigmaShares(beside, place, bending))
+    return replace(
+        cloud, sigma_mm=np.sqrt(beside**2 + place**2 + bending**2), shares=SigmaShares(beside, place, bending)
+    )
 
 
 def fuse(

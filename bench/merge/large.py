@@ -1,4 +1,4 @@
-"""Owns what forty scans of full size cost: placing them, one surface, its mesh and its deviations, each in a process of its own.
+"""Owns what forty scans of full size cost: placing them, one surface, its mesh, its deviations and its files, each in a process of its own.
 
 The scans are ideal ones (exact rays, noise drawn along them), since their frames would take an hour to render; what they cost is the same.
 """
@@ -9,12 +9,16 @@ import multiprocessing
 import resource
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
+from appliance.export.content import OBJECT_FRAME, About
+from appliance.export.files import write_mesh, write_surface
+from appliance.export.placed import PlacedGrid, write_placed
 from appliance.offline.objects import light_of
 from appliance.reconstruct.organised import OrganisedCloud
 from appliance.registration.pair import ready
@@ -22,6 +26,7 @@ from appliance.registration.rigid import Rigid
 from appliance.registration.solve import solve
 from appliance.surface.deviation import deviations
 from appliance.surface.fusion import FusedCloud, PlacedScan, fuse
+from appliance.surface.mesh import Mesh
 from appliance.surface.nominal import nominal_of_mesh
 from appliance.surface.object_mesh import mesh_of_surface
 from bench.merge.row import poses_along
@@ -35,6 +40,8 @@ SIZE_PX = (1600, 1200)
 SPACING_MM = 0.3
 SOLVE_CPU_S = 240.0
 MEMORY_MB = 1500.0
+LITTLE = 2
+ABOUT = About("pipe", OBJECT_FRAME)
 
 
 def measure(seed: int, keep: Path | None) -> list[Measured]:
@@ -50,6 +57,9 @@ def measure(seed: int, keep: Path | None) -> list[Measured]:
             ("one surface", _fuse, None),
             ("its mesh", _mesh, None),
             ("its deviations", _deviate, None),
+            ("its points as PLY, E57 and LAS", _write_points, None),
+            ("its mesh as PLY, STL and OBJ", _write_meshes, None),
+            ("its scans as NPZ", _write_grids, None),
         ]
         for name, step, limit in steps:
             # A process each: the largest memory of a process never gets smaller.
@@ -63,7 +73,7 @@ def measure(seed: int, keep: Path | None) -> list[Measured]:
 
 def _measured(step: Callable[[Path, int], dict[str, float]], folder: Path, count: int) -> dict[str, float]:
     # Once on little, so that compiling is not measured.
-    step(folder, 2)
+    step(folder, LITTLE)
     begun = time.process_time()
     said = step(folder, count)
     cpu_s = time.process_time() - begun
@@ -131,6 +141,7 @@ def _surface(folder: Path, count: int) -> FusedCloud:
 
 def _mesh(folder: Path, count: int) -> dict[str, float]:
     mesh = mesh_of_surface(_surface(folder, count), 2.0 * SPACING_MM)
+    np.savez(folder / "mesh.npz", **{one.name: getattr(mesh, one.name) for one in fields(mesh)})
     return {"triangles": len(mesh.faces)}
 
 
@@ -139,3 +150,38 @@ def _deviate(folder: Path, count: int) -> dict[str, float]:
     nominal = nominal_of_mesh(mesh_of_surface(_surface(folder, 2), 4.0))
     found = deviations(surface.points_mm, surface.sigma_mm, nominal, surface.normals)
     return {"points compared": found.summary.points}
+
+
+def _write_points(folder: Path, count: int) -> dict[str, float]:
+    surface, size = _surface(folder, count), 0.0
+    for suffix in (".ply", ".e57", ".las"):
+        path = folder / f"points{suffix}"
+        write_surface(path, surface, ABOUT)
+        size += path.stat().st_size / 1e6
+    return {"MB": size}
+
+
+def _write_meshes(folder: Path, count: int) -> dict[str, float]:
+    with np.load(folder / "mesh.npz") as kept:
+        mesh = Mesh(**{name: kept[name] for name in kept.files})
+    # The first call is only there to have everything loaded.
+    mesh = mesh if count > LITTLE else replace(mesh, faces=mesh.faces[:1000])
+    size = 0.0
+    for suffix in (".ply", ".stl", ".obj"):
+        path = folder / f"mesh{suffix}"
+        write_mesh(path, mesh, ABOUT)
+        size += path.stat().st_size / 1e6
+    return {"MB": size}
+
+
+def _write_grids(folder: Path, count: int) -> dict[str, float]:
+    def grids() -> Iterator[PlacedGrid]:
+        for number in range(count):
+            cloud, place = _read(folder, number)
+            yield PlacedGrid(
+                f"{number + 1:06}", cloud, place.rotation, place.translation_mm, np.zeros((6, 6)), np.zeros(3)
+            )
+
+    path = folder / "grids.npz"
+    write_placed(path, grids(), ABOUT)
+    return {"MB": path.stat().st_size / 1e6}

@@ -61,7 +61,9 @@ def test_what_is_held_against_a_scan_is_said_and_makes_it_doubtful(root: Path) -
     entry = Library(root).entry("000001")
     assert entry.manifest is not None
     verdicts = (Verdict("motion", False, {}, "moved by 0.4 mm"), Verdict("water", True), Verdict("sight", None))
-    judged = replace(entry, manifest=replace(entry.manifest, record=replace(entry.manifest.record, verdicts=verdicts, object=3)))
+    judged = replace(
+        entry, manifest=replace(entry.manifest, record=replace(entry.manifest.record, verdicts=verdicts, object=3))
+    )
     report = report_of_dive(root, [judged], lambda *_: None)
     (scan,) = report.scans
     assert scan.verdict is ReportVerdict.DOUBTFUL
@@ -71,7 +73,9 @@ def test_what_is_held_against_a_scan_is_said_and_makes_it_doubtful(root: Path) -
     assert "object 3" in text
 
 
-def test_a_page_of_no_scans_or_by_a_wrong_name_is_refused(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_page_of_no_scans_or_by_a_wrong_name_is_refused(
+    root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["report", "--root", str(tmp_path)]) == 2
     assert "holds no scans" in capsys.readouterr().err
     assert main(["report", "--root", str(root), "--out", str(tmp_path / "dive.pdf")]) == 2

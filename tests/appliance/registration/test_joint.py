@@ -155,7 +155,9 @@ def test_points_err_along_their_normals_by_what_is_stated_before_and_after_the_o
     errors = joint_errors(middling(tried))
     off = np.array(
         [
-            ((np.concatenate([measured(placed, k, own[scan == k], shared) for k in range(SCANS)]) - at) * normals).sum(1)
+            ((np.concatenate([measured(placed, k, own[scan == k], shared) for k in range(SCANS)]) - at) * normals).sum(
+                1
+            )
             for placed, shared in tried
         ]
     )
