@@ -8,10 +8,10 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from bench.merge import guide, large, pairs, row
+from bench.merge import dive, guide, large, loops, overlaps, pairs, row
 from bench.result import Measured
 
-PAIRS, ROW, LARGE, GUIDE = "pairs", "row", "large", "guide"
+PAIRS, ROW, LARGE, GUIDE, DIVE, LOOPS, OVERLAPS = "pairs", "row", "large", "guide", "dive", "loops", "overlaps"
 
 
 def measure() -> Iterable[Measured]:
@@ -21,15 +21,21 @@ def measure() -> Iterable[Measured]:
 
 
 def main(arguments: list[str]) -> int:
-    """``./dev bench merge --seed S [--parts pairs,row,large,guide] [--pairs N] [--rigs SET] [--size WxH] [--calibrated N] [--keep DIR] [--json F]``."""
+    """``./dev bench merge --seed S [--parts pairs,row,large,guide,dive,loops,overlaps] [--pairs N] [--rigs SET] [--size WxH] [--calibrated N] [--keep DIR] [--json F]``."""
     parser = argparse.ArgumentParser(prog="./dev bench merge", description=__doc__)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--parts", default=f"{PAIRS},{ROW}", help=f"default: {PAIRS},{ROW}")
     parser.add_argument("--pairs", type=int, default=300, metavar="N", help="drawn pairs (300)")
+    parser.add_argument("--overlaps", type=int, metavar="N", help="pairs of each paint of the part overlaps (35)")
     parser.add_argument(
         "--rigs", default="outside", metavar="SET", help="set that the row's rig is drawn from (outside)"
     )
-    parser.add_argument("--size", default="800x600", metavar="WxH", help="of the images of row and guide (800x600)")
+    parser.add_argument(
+        "--size",
+        default="800x600",
+        metavar="WxH",
+        help="of the images of row, guide, dive, loops and overlaps (800x600)",
+    )
     parser.add_argument(
         "--calibrated",
         type=int,
@@ -54,6 +60,15 @@ def main(arguments: list[str]) -> int:
     if GUIDE in wanted.parts.split(","):
         width, height = (int(part) for part in wanted.size.split("x"))
         figures, whole[GUIDE] = guide.measure(wanted.seed, (width, height))
+        found += figures
+    width, height = (int(part) for part in wanted.size.split("x"))
+    if DIVE in wanted.parts.split(","):
+        found += dive.measure(wanted.seed, (width, height), wanted.keep)
+    if LOOPS in wanted.parts.split(","):
+        figures, whole[LOOPS] = loops.measure(wanted.seed, (width, height), wanted.keep)
+        found += figures
+    if OVERLAPS in wanted.parts.split(","):
+        figures, whole[OVERLAPS] = overlaps.measure(wanted.seed, (width, height), wanted.overlaps)
         found += figures
     for one in found:
         print(one.line())

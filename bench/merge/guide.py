@@ -134,12 +134,13 @@ def drawn(seed: int, size_px: tuple[int, int]) -> list[Place]:
         rng = np.random.default_rng(seed)
         for number, x in enumerate(KEPT_AT_MM):
             sign = -1.0 if number % 2 else 1.0
-            live = tuple(_held(rng, x + sign * along) for along in ALONG_MM)
-            places.append(Place(texture, _held(rng, x), live, number, size_px))
+            live = tuple(held(rng, x + sign * along) for along in ALONG_MM)
+            places.append(Place(texture, held(rng, x), live, number, size_px))
     return places
 
 
-def _held(rng: np.random.Generator, x_mm: float) -> Pose:
+def held(rng: np.random.Generator, x_mm: float) -> Pose:
+    """Return the main's pose as hands hold the instrument before ``x_mm`` of it."""
     turned = rng.normal(size=3) * 4.0
     R, _ = pose_matrix((0.0, 0.0, 0.0, *map(float, turned)))
     at = np.array([0.0, 0.0, DISTANCE_MM]) + rng.normal(size=3) * (6.0, 6.0, 15.0) + R @ np.array([x_mm, 0.0, 0.0])
@@ -150,7 +151,8 @@ def _held(rng: np.random.Generator, x_mm: float) -> Pose:
 
 def looked(place: Place) -> list[Row]:
     """Take the kept scan and the live pictures of one place, and let the worker's own code say what it knows."""
-    kept, of_kept, sight = _kept(place)
+    kept, points_of_kept, sight = kept_scan(place)
+    of_kept = cKDTree(points_of_kept)
     guide = Guide(sight)
     light = live_light_of(load_rig(default_sim_rig()))
     rows = []
@@ -184,7 +186,8 @@ def looked(place: Place) -> list[Row]:
     return rows
 
 
-def _kept(place: Place) -> tuple[CoarseView, cKDTree, Sight]:
+def kept_scan(place: Place) -> tuple[CoarseView, Array, Sight]:
+    """Take the scan at ``place.kept``; return what the worker keeps of it, its points (n, 3) in the object's frame, and what the guide sees by."""
     scene = Scene(object="main", pose=place.kept, texture=place.texture, ambient=AMBIENT)
     world = world_of(scene, 1, (), truth_set="realistic", size_px=place.size_px)
     stated = stated_truth(world.rig, scene)
@@ -198,7 +201,7 @@ def _kept(place: Place) -> tuple[CoarseView, cKDTree, Sight]:
         others = frames["left"][list(SEQUENCE.axis(Direction.X).sine)]
         kept = coarse_view(coarse, pipeline.coarse_stride, frames["left"][SEQUENCE.bright], others, projection)
         points = pipeline.full().points_mm.copy()
-    of_kept = cKDTree(_in_the_object(left_to_rig(world.rig, points), place.kept))
+    of_kept = _in_the_object(left_to_rig(world.rig, points), place.kept)
     rig = stated.calibration.rig
     return kept, of_kept, Sight(rig.left, stated.water.index, projection, projection_of(rig.right, stated.water.index))
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from appliance.export.content import CAMERA_FRAME, About, ExportError
 from appliance.export.files import write_mesh, write_scan, write_surface
 from appliance.reconstruct.organised import OrganisedCloud
-from appliance.surface.fusion import FusedCloud, PlacedScan, fuse
+from appliance.surface.fusion import FusedCloud, PlacedScan, fuse, with_places
 from appliance.surface.libraries import MissingLibraryError
 from appliance.surface.mesh import mesh_of_scan
 from appliance.surface.normals import normals
@@ -184,6 +184,31 @@ def test_what_spoils_a_cloud_is_said_in_the_same_words_in_every_file(cloud: Orga
     with np.load(tmp_path / "ball.npz") as archive:
         assert json.loads(str(archive["about"]))["notes"] == [mark, "wrong: a start", *ABOUT.notes]
     assert {f"# {mark}", "# wrong: a start"} <= set((tmp_path / "ball.obj").read_text().splitlines()[:10])
+
+
+def test_deviations_and_shares_of_sigma_are_columns_of_every_format_of_points(
+    surface: FusedCloud, tmp_path: Path
+) -> None:
+    n = len(surface.grey)
+    placed = with_places(surface, np.linspace(0.001, 0.02, n), np.linspace(0.5, 0.1, n))
+    off = np.linspace(-1.0, 1.0, n).astype(np.float32)
+    off[:5] = np.nan
+    for suffix in (".ply", ".e57", ".las"):
+        write_surface(tmp_path / f"off{suffix}", placed, ABOUT, off)
+    with (tmp_path / "off.ply").open("rb") as opened:
+        of_ply = trimesh.load(opened, file_type="ply").metadata["_ply_raw"]["vertex"]["data"]
+    of_las = las_columns((tmp_path / "off.las").read_bytes())
+    of_e57 = read_e57(tmp_path / "off.e57").columns
+    assert placed.shares is not None
+    for name, values in (
+        ("deviation", off), ("sigma_bending", placed.shares.bending_mm), ("sigma_place", placed.shares.place_mm),
+        ("sigma_beside", placed.shares.beside_mm),
+    ):  # fmt: skip
+        np.testing.assert_allclose(of_ply[f"{name}_mm"], values)
+        np.testing.assert_allclose(of_las[f"{name}_mm"], values)
+        np.testing.assert_allclose(1000.0 * of_e57[f"kf:{name}"], values, rtol=1e-6)
+    np.testing.assert_allclose(1000.0 * of_e57["kf:sigma"], placed.sigma_mm, rtol=1e-6)
+    np.testing.assert_array_equal(of_e57["kf:views"], placed.views)
 
 
 def test_the_archive_keeps_the_grid(cloud: OrganisedCloud, tmp_path: Path) -> None:

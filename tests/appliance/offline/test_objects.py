@@ -6,6 +6,7 @@ import contextlib
 import io
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,9 @@ import pytest
 import trimesh
 from scipy.spatial import cKDTree
 
-from appliance.calibration.file import encode
+from appliance.calibration.depth_error import COUNT
+from appliance.calibration.file import encode, load
+from appliance.calibration.health import OVERLAP_LIMIT
 from appliance.cli.main import main
 from appliance.storage import objects
 from appliance.storage.ply import PlyError, read_ply
@@ -258,6 +261,37 @@ def test_one_call_solves_what_was_taken_as_an_object(dive: Path, capsys: pytest.
     assert run(dive, "solve", "taken", "--taken-as", "2", "--out", str(out), *calibrated(dive)) == 0
     assert set(objects.read(dive, "taken").places.places) == {"000001", "000003"}  # type: ignore[union-attr]
     assert out.stat().st_size > 100_000
+
+
+@pytest.mark.dive
+@pytest.mark.parametrize(("wrong_by", "alarms"), [(0.0, False), (0.008, True)])
+def test_what_overlaps_tell_of_the_calibration_goes_into_its_health(
+    dive: Path, capsys: pytest.CaptureFixture[str], wrong_by: float, alarms: bool
+) -> None:
+    """Ten micrometres are stated. One lens's third-order distortion is wrong by 0.008, which bends the depth by some tenths of a millimetre."""
+    true = load(dive / "calibration" / "truth.json")
+    lens = true.rig.right.lens
+    k1, *others = lens.distortion
+    right = replace(true.rig.right, lens=replace(lens, distortion=(k1 + wrong_by, *others)))
+    stated = tuple(tuple(row) for row in (0.01**2 * np.eye(COUNT)).tolist())
+    bent = replace(true, rig=replace(true.rig, right=right), depth_error_mm2=stated)
+    used = dive / "calibration" / "current.json"
+    used.write_bytes(encode(bent))
+    name = f"bent {wrong_by}"
+    try:
+        words = ("--calibration", str(used), "--foreign-calibration", "--json")
+        assert run(dive, "solve", name, *sorted(POSES), *words) == 0
+        score = json.loads(capsys.readouterr().out)["places"]["shared_error_score"]
+        assert (score > OVERLAP_LIMIT) is alarms
+        assert main(["health", "show", "--root", str(dive), "--json"]) == 0
+        shown = json.loads(capsys.readouterr().out)
+    finally:
+        used.unlink()
+    assert [one["object"] for one in shown["overlaps"]] == [name]
+    assert shown["overlaps"][0]["score"] == pytest.approx(score)
+    assert (shown["alarm"] is not None) is alarms
+    if alarms:
+        assert f"scans of object {name} overlap as if all were bent" in shown["alarm"]
 
 
 def test_scans_that_slide_alone_end_with_an_error_and_say_why(dive: Path, capsys: pytest.CaptureFixture[str]) -> None:

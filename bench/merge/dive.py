@@ -1,0 +1,107 @@
+"""Owns a dive of hand-held scans along the water main, stored as the instrument stores them, and one call at the desk that makes an object of them.
+
+Each scan is rendered, held still while its patterns run; ``object solve`` reads its raw frames and does everything else.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import tempfile
+import time
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from appliance.calibration.file import encode
+from appliance.cli.main import main
+from appliance.registration.rigid import Rigid
+from appliance.storage import objects
+from bench.merge.row import poses_along
+from bench.merge.views import AMBIENT, EXPOSURE
+from bench.outside.scan import SEQUENCE
+from bench.outside.stated import stated_truth
+from bench.outside.world import expose, world_of
+from bench.result import Measured
+from bench.spread import spread
+from hw_sim.objects.motion import pose_matrix
+from hw_sim.scene import Scene
+from tests.support.rendered import RenderedScan
+from tests.support.stored import store
+from tests.support.truth import left_to_rig
+
+SCANS = 14
+RIG_SET = "realistic"
+NAME, FILES = "pipe", ("object.e57", "object.stl", "report.html")
+MOST_SIGMAS = 3.0
+
+
+def measure(seed: int, size_px: tuple[int, int], keep: Path | None) -> list[Measured]:
+    """Return how many scans are placed, how far the farthest is off, and what one call takes. Its files stay in ``keep``."""
+    poses = poses_along(seed, SCANS, 0)
+    with tempfile.TemporaryDirectory() as own:
+        root = keep or Path(own)
+        (root / "scans").mkdir(parents=True, exist_ok=True)
+        list(spread(partial(_stored, root=root, seed=seed, size_px=size_px), list(enumerate(poses, 1))))
+        scene = _scene(poses[0])
+        rig = world_of(scene, seed, (), truth_set=RIG_SET, size_px=size_px).rig
+        calibration = root / "calibration.json"
+        calibration.write_bytes(encode(stated_truth(rig, scene).calibration))
+        names = [f"{number:06}" for number in range(1, SCANS + 1)]
+        name = NAME if not (root / "objects" / NAME).exists() else f"{NAME} {len(objects.names(root)) + 1}"
+        words = ["object", "solve", name, *names, "--root", str(root), "--calibration", str(calibration)]
+        words += ["--foreign-calibration", *(word for one in FILES for word in ("--out", str(root / one)))]
+        begun = time.process_time()
+        with contextlib.redirect_stdout(io.StringIO()):
+            code = int(main(words))
+        spent = time.process_time() - begun
+        places = objects.read(root, name).places
+        if places is None:
+            return [Measured("dive: scans placed", 0.0, f"of {SCANS}", at_least=SCANS)]
+        origin = left_to_rig(rig, np.zeros((1, 3)))[0]
+        axes = Rigid((left_to_rig(rig, np.eye(3)) - origin).T, origin)
+        off_mm, sigmas, apart_mm = [], [], []
+        of_first: Rigid | None = None
+        for name_of, place in places.places.items():
+            R, t = pose_matrix(poses[int(name_of) - 1])
+            into_object = axes.then(Rigid(R.T, -R.T @ t))
+            of_first = into_object if of_first is None else of_first
+            mine = Rigid(np.array(place.rotation), np.array(place.translation_mm))
+            middle = mine.inverse.of(np.array(place.middle_mm))
+            true = into_object.then(of_first.inverse).of(middle)
+            off_mm.append(float(np.linalg.norm(np.array(place.middle_mm) - true)))
+            sigmas.append(place.sigma_mm)
+            apart_mm.append(float(np.linalg.norm(true - np.array(places.places[names[0]].middle_mm))))
+        farthest = int(np.argmax(apart_mm))
+        return [
+            Measured("dive: scans placed by one call", len(off_mm), f"of {SCANS}", at_least=SCANS),
+            Measured("dive: exit code", code, "", at_most=0.0),
+            Measured("dive: farthest scan's way from the first", apart_mm[farthest], "mm"),
+            Measured("dive: farthest scan off", 1000.0 * off_mm[farthest], "um"),
+            Measured("dive: stated of it, with what may bend it", 1000.0 * sigmas[farthest], "um"),
+            Measured(
+                "dive: largest error over stated",
+                max(off / sigma for off, sigma in zip(off_mm[1:], sigmas[1:], strict=True)),
+                "standard deviations",
+                at_most=MOST_SIGMAS,
+            ),
+            Measured("dive: CPU of one call, raw frames to files", spent, "s"),
+            *(Measured(f"dive: {one}", (root / one).stat().st_size / 1e6, "MB") for one in FILES),
+        ]
+
+
+def _scene(pose: tuple[float, ...]) -> Scene:
+    a, b, c, d, e, f = pose
+    return Scene(object="main", pose=(a, b, c, d, e, f), texture="slight", ambient=AMBIENT)
+
+
+def _stored(item: tuple[int, tuple[float, ...]], root: Path, seed: int, size_px: tuple[int, int]) -> None:
+    number, pose = item
+    folder = root / "scans" / f"{number:06}"
+    if folder.exists():
+        return
+    world = world_of(_scene(pose), seed, (), truth_set=RIG_SET, size_px=size_px)
+    renderer = world.renderer()
+    frames = expose(renderer, SEQUENCE, EXPOSURE, number=number)
+    store(RenderedScan(renderer, SEQUENCE, frames), folder, exposure_ms=EXPOSURE.time_us / 1000.0)

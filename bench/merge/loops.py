@@ -1,0 +1,151 @@
+"""Owns what loops and overlaps notice: pairs that were made wrong in a row of scans, and a depth error that the calibration does not state.
+
+The row is placed once. Then a pair is given another pose, or all pairs are given what a shared error would do to them (by their own
+derivatives, which ``tests/appliance/registration/test_bow.py`` holds against real registrations), and the graph is solved again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from appliance.calibration.health import OVERLAP_LIMIT
+from appliance.optics.rotation import rotation_matrix
+from appliance.registration.bow import PRIOR_MM2, bow_score, known_before
+from appliance.registration.graph import Edge, place
+from appliance.registration.rigid import Rigid
+from appliance.registration.solve import edges_of, middle_of, solve
+from bench.merge.pairs import ready_of
+from bench.merge.row import drawn
+from bench.merge.views import Array, view_of
+from bench.progress import Progress
+from bench.result import Measured
+from bench.spread import spread
+
+RIG_SET = "realistic"
+TRIES = 6
+"""Pairs that are made wrong in each way, one at a time."""
+REPEAT_MM = 12.0
+"""Side of a square of the simulated world's grid, by which paint repeats."""
+SHIFTS_MM = (0.3, 0.5, 1.0, 2.0)
+STATED_SHARE = 0.36
+"""Variance that the calibration states, over the usual one: what rigs state that calibrated themselves in water."""
+TIMES = (0.0, 1.0, 2.0, 4.0, 6.0, 8.0)
+"""Injected errors, in standard deviations of what is stated."""
+DRAWS = 12
+
+
+def measure(
+    seed: int, size_px: tuple[int, int], keep: Path | None
+) -> tuple[list[Measured], dict[str, list[dict[str, Any]]]]:
+    """Return figures, and the rows of both tables."""
+    wanted = drawn(seed, RIG_SET, size_px)
+    progress = Progress(len(wanted))
+    scans = []
+    for view in spread(partial(view_of, keep=keep), wanted):
+        progress.step(f"view {len(scans) + 1} of {len(wanted)}")
+        scans.append(ready_of(view))
+    solved = solve(scans, lambda *_: None)
+    middles = {k: middle_of(scan) for k, scan in enumerate(scans)}
+    edges = list(solved.placed.used)
+    bridges = {(edge.first, edge.second) for edge in solved.placed.unchecked}
+    looped = [edge for edge in edges if (edge.first, edge.second) not in bridges]
+    figures = [
+        Measured("loops: scans placed", len(solved.placed.poses), f"of {len(scans)}"),
+        Measured("loops: pairs accepted, of them in no loop", len(edges), f"{len(bridges)}"),
+        Measured("loops: right pairs taken out of the row as it is", len(edges_of(solved.compared)) - len(edges), ""),
+    ]
+    wrong_rows = _wrong(seed, edges, looped, middles)
+    for row in wrong_rows:
+        figures.append(Measured(f"loops: {row['made wrong by']}, found", row["found"], f"of {row['tried']}"))
+    power = _power(seed, len(scans), edges, middles)
+    for row in power:
+        figures.append(
+            Measured(
+                f"health: error of {row['times']:g} stated sigma, alarms", row["alarms"], f"of {row['draws']}",
+                at_most=0.0 if row["times"] <= 1.0 else None,
+            )
+        )  # fmt: skip
+        figures.append(Measured("health: the same, score in the median", row["score"], ""))
+    return figures, {"wrong": wrong_rows, "power": power}
+
+
+def _wrong(seed: int, edges: list[Edge], looped: list[Edge], middles: dict[int, Array]) -> list[dict[str, Any]]:
+    rng = np.random.default_rng([31, seed])
+    ways = [("half a turn about the view", None), ("one repeat of the paint", REPEAT_MM)]
+    ways += [(f"a shift of {shift:g} mm", shift) for shift in SHIFTS_MM]
+    count, rows = max(max(edge.first, edge.second) for edge in edges) + 1, []
+    for name, shift_mm in ways:
+        found = others = 0
+        missed_mm: list[float] = []
+        chosen = [looped[k] for k in rng.choice(len(looped), min(TRIES, len(looped)), replace=False)]
+        for edge in chosen:
+            made = _made_wrong(edge, shift_mm, rng)
+            placed = place(count, [made if one is edge else one for one in edges], middles, with_bow=False)
+            taken = [one is made for one in placed.wrong]
+            found += any(taken)
+            others += len(taken) - sum(taken)
+            if not any(taken):
+                missed_mm.append(placed.discrepancy_mm.get((edge.first, edge.second), float("nan")))
+        rows.append(
+            {
+                "made wrong by": name,
+                "tried": len(chosen),
+                "found": found,
+                "right pairs taken out": others,
+                "left in, discrepancy at most mm": max(missed_mm, default=None),
+            }
+        )
+    return rows
+
+
+def _made_wrong(edge: Edge, shift_mm: float | None, rng: np.random.Generator) -> Edge:
+    pose, at = edge.fit.pose, edge.fit.middle_mm
+    if shift_mm is None:
+        turn = rotation_matrix(np.array([0.0, 0.0, np.pi]))
+        return replace(
+            edge, fit=replace(edge.fit, pose=Rigid(turn @ pose.rotation, turn @ (pose.translation_mm - at) + at))
+        )
+    # In the image's plane, where a slide or a repeat goes.
+    way = rng.normal(size=2)
+    shift = shift_mm * np.array([*(way / np.linalg.norm(way)), 0.0])
+    return replace(edge, fit=replace(edge.fit, pose=Rigid(pose.rotation, pose.translation_mm + shift)))
+
+
+def _power(seed: int, count: int, edges: list[Edge], middles: dict[int, Array]) -> list[dict[str, Any]]:
+    rng = np.random.default_rng([32, seed])
+    known = known_before(STATED_SHARE * PRIOR_MM2)
+    root = np.linalg.cholesky(STATED_SHARE * PRIOR_MM2)
+    rows = []
+    for times in TIMES:
+        scores = []
+        for _ in range(DRAWS if times else 1):
+            shared = times * (root @ rng.normal(size=len(root)))
+            placed = place(count, [_bent(edge, shared) for edge in edges], middles, with_bow=True, known_mm2=known)
+            scores.append(bow_score(placed.bow_mm, known, placed.bow_covariance))
+        told = [score for score in scores if score is not None]
+        rows.append(
+            {
+                "times": times,
+                "draws": len(scores),
+                "told": len(told),
+                "score": float(np.median(told)) if told else float("nan"),
+                "alarms": sum(score > OVERLAP_LIMIT for score in told),
+            }
+        )
+    return rows
+
+
+def _bent(edge: Edge, shared_mm: Array) -> Edge:
+    """Return the pair as it would be with a shared error in both scans' points."""
+    fit = edge.fit
+    delta = fit.bow.response @ shared_mm
+    turn = rotation_matrix(delta[:3] / fit.lever_mm)
+    at = fit.middle_mm
+    pose = Rigid(turn @ fit.pose.rotation, turn @ (fit.pose.translation_mm - at) + at + delta[3:])
+    news = replace(fit.bow, gradient=fit.bow.gradient - fit.bow.information @ shared_mm)
+    return replace(edge, fit=replace(fit, pose=pose, bow=news))
