@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import argparse
 import math
-from collections.abc import Iterable
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.result import Measured
 from bench.veil.photons import follow
+from bench.veil.table import PERIODS_PX, Checked, write_page
 from hw_sim.rendering.stage import Stage
 from hw_sim.truth import draw_truth
 from hw_sim.water.medium import Water
@@ -19,46 +23,78 @@ from hw_sim.water.veil import Veil
 WIDTH_PX, HEIGHT_PX = 400, 300
 PIXELS = ((101, 150), (201, 70), (201, 150))
 """Column and row of the rays that are followed."""
-PERIODS_PX = (16.0, 32.0, 64.0)
 END_Z_MM = 522.5
 WATERS = ((1.0, 0.7, 1.10, 3.5835), (3.0, 0.8, 1.10, 3.5835), (3.0, 0.8, 1.06, 3.4))
 """Beam attenuation, 1/m, how much of it is scattering, and the particles' index and slope."""
 PHOTONS = 120_000
+PAGE = Path("docs/outside-world.md")
 Picture = NDArray[np.float32]
 
 
 def measure() -> Iterable[Measured]:
     """The simulator's veil against photons: how bright, how much brighter than by single scattering, and the fringes in rows."""
+    return figures(checked())
+
+
+def main(arguments: Sequence[str]) -> int:
+    """The command line: ``./dev bench veil --help``."""
+    parser = argparse.ArgumentParser(prog="./dev bench veil", description=__doc__)
+    parser.add_argument("--photons", type=int, default=PHOTONS, help="along each ray; default: %(default)s")
+    parser.add_argument("--write-docs", action="store_true", help=f"write the table of {PAGE}, too")
+    wanted = parser.parse_args(arguments)
+    if not 1_000 <= wanted.photons <= 100_000_000:
+        parser.error(f"--photons {wanted.photons}: allowed are 1000 to 100000000")
+    rows = list(checked(wanted.photons))
+    found = list(figures(rows))
+    sys.stdout.writelines(number.line() + "\n" for number in found)
+    if wanted.write_docs:
+        write_page(rows, PAGE)
+    return 0 if all(number.kept for number in found) else 1
+
+
+def checked(photons: int = PHOTONS) -> Iterator[Checked]:
+    """Follow ``photons`` along each of ``PIXELS`` through each of ``WATERS``, and draw the same."""
     stage = Stage(draw_truth("realistic", 1, WIDTH_PX, HEIGHT_PX, Water().index))
     rays = stage.rays("left")
     black = (END_Z_MM - rays[..., 2]) / rays[..., 5]
     rows = np.arange(768.0)[:, None]
+    # The photons' light has no pixels; the simulator's are, with their lens, squares of two px.
+    drawn = np.sinc(2.0 / np.array(PERIODS_PX))
     for per_m, share, index, slope in WATERS:
         particles = Particles(share, index, slope)
-        veils = {
-            "single": Veil(rays, stage.lamp, Particles(0.0, index, slope), per_m, defocus=False),
-            "all": Veil(rays, stage.lamp, particles, per_m, defocus=False),
-        }
-        white = {name: veil.seen(np.ones((768, 1024), np.float32), black) for name, veil in veils.items()}
-        contrast = {(name, p): _contrast(veil, rows, p, black) for name, veil in veils.items() for p in PERIODS_PX}
+        veils = (
+            Veil(rays, stage.lamp, Particles(0.0, index, slope), per_m, defocus=False),
+            Veil(rays, stage.lamp, particles, per_m, defocus=False),
+        )
+        white = veils[1].seen(np.ones((768, 1024), np.float32), black)
+        contrast = [[_contrast(veil, rows, period, black) for period in PERIODS_PX] for veil in veils]
         for u, v in PIXELS:
-            what = f"{per_m:g}/m, n {index:g}, at {u},{v}"
-            tally = follow(rays[v, u], stage.lamp, particles, per_m, END_Z_MM, np.array(PERIODS_PX), PHOTONS, seed=1)
-            more, made = tally.white[1] / tally.white[0], float(white["all"][v, u]) * veils["all"].unit_mm_per_sr
+            tally = follow(rays[v, u], stage.lamp, particles, per_m, END_Z_MM, np.array(PERIODS_PX), photons, seed=1)
+            more, made = tally.white[1] / tally.white[0], float(white[v, u]) * veils[1].unit_mm_per_sr
+            single, every = (tuple(float(one) for one in np.array(of) * drawn) for of in tally.contrasts)
+            simulated = [tuple(float(picture[v, u]) for picture in of) for of in contrast]
             # A turn by less than the photons know is none for them: their single scattering has a little more light.
-            yield Measured(f"{what}: photons, all over single", more, "", spread=_around(more, tally.errors[0] * more))
-            yield Measured(f"{what}: simulator over photons", made / tally.white[1], "", at_least=0.85, at_most=1.15)
-            for k, period in enumerate(PERIODS_PX):
-                for order, name in enumerate(("single", "all")):
-                    # The photons' light has no pixels; the simulator's are, with their lens, squares of two px.
-                    drawn = tally.contrasts[order][k] * float(np.sinc(2.0 / period))
-                    simulated = float(contrast[name, period][v, u])
-                    said = f"{what}, {period:g} px, {name}"
-                    spread = _around(drawn, tally.errors[1][k]) if order else None
-                    yield Measured(f"{said}: photons' contrast", drawn, "", spread=spread)
-                    yield Measured(
-                        f"{said}: simulator's less photons'", simulated - drawn, "", at_least=-0.06, at_most=0.06
-                    )
+            yield Checked(
+                per_m, index, (u, v), more, tally.errors[0] * more, made / tally.white[1],
+                (single, every), (simulated[0], simulated[1]), tally.errors[1],
+            )  # fmt: skip
+
+
+def figures(rows: Iterable[Checked]) -> Iterator[Measured]:
+    """Return what is judged of each ray."""
+    for row in rows:
+        what = f"{row.per_m:g}/m, n {row.index:g}, at {row.pixel[0]},{row.pixel[1]}"
+        yield Measured(f"{what}: photons, all over single", row.more, "", spread=_around(row.more, row.more_error))
+        yield Measured(f"{what}: simulator over photons", row.over, "", at_least=0.85, at_most=1.15)
+        for k, period in enumerate(PERIODS_PX):
+            for order, name in enumerate(("single", "all")):
+                drawn, simulated = row.photons[order][k], row.simulated[order][k]
+                said = f"{what}, {period:g} px, {name}"
+                spread = _around(drawn, row.errors[k]) if order else None
+                yield Measured(f"{said}: photons' contrast", drawn, "", spread=spread)
+                yield Measured(
+                    f"{said}: simulator's less photons'", simulated - drawn, "", at_least=-0.06, at_most=0.06
+                )
 
 
 def _contrast(veil: Veil, coordinate: NDArray[np.float64], period_px: float, ends_mm: NDArray[np.float64]) -> Picture:
