@@ -1,13 +1,14 @@
 """Owns the part ``compensation``: what undoing the movement of this world's hands is worth, and whether what it spoils is refused.
 
 The named hands before the named objects, and drawn ones (``bench.verdict.compensation_cases``), each with all families and with the
-calibration that states the truth, against the same scan at rest.
+calibration that states the truth, against the same scan at rest; 400 × 300 px.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,26 +18,27 @@ from bench.result import Measured
 from bench.spread import spread
 from bench.verdict.binomial import tally
 from bench.verdict.compensation import Judge, median, of, worse
-from bench.verdict.compensation_cases import Case, drawn_case, named_cases
+from bench.verdict.compensation_cases import SMALL_PX, Case, drawn_case, named_cases
 from bench.verdict.parts import Say
 from bench.verdict.worlds import OUTSIDE
 
 MOST_OVER_REST = 1.2
 """What is shown compensated may err so many times as at rest."""
 NAMED = 9
-"""Of the named scans; they are of 800 × 600 px, and a look of fewer scans than these has drawn ones only."""
+"""Of the named scans. A look at fewer drawn ones than these has none of them."""
 PIPE = "pipe"
 
 
 def measure(count: int, seed: int, say: Say, keep: Path | None = None) -> tuple[list[Measured], dict[str, Any]]:
     """Return how far ``count`` drawn scans and the nine named ones err that are shown compensated, and how many are refused instead."""
-    cases = [drawn_case(seed, number) for number in range(count)]
-    cases += named_cases(seed) if count >= NAMED else []
+    named = [replace(case, width_px=SMALL_PX) for case in named_cases(seed)] if count >= NAMED else []
+    cases = [*named, *(drawn_case(seed, number) for number in range(count))]
     rows: list[Row] = []
     for done, row in enumerate(spread(partial(_row, keep=keep), cases), 1):
         say(f"compensation: {done} of {len(cases)}", done / len(cases))
         rows.append(row)
-    return figures(rows[count:], rows[:count]), {"named": rows[count:], "drawn": rows[:count]}
+    first = len(named)
+    return figures(rows[:first], rows[first:]), {"named": rows[:first], "drawn": rows[first:]}
 
 
 def figures(named: Sequence[Row], drawn: Sequence[Row]) -> list[Measured]:

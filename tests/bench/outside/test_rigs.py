@@ -39,6 +39,8 @@ def test_each_rig_must_keep_its_length_and_a_good_median_excuses_none() -> None:
     assert of(rows, "all, 10 recordings: E_Lb, median").at_most is None
     announced = {"all": [*[a_rig()] * 7, a_rig(0.03, ("lengths may be wrong",))]}
     assert of(announced, "all, 10 recordings: E_Lb of the worst of 8, announced").kept
+    another_is_silent = {"all": [*[a_rig()] * 6, a_rig(0.03), a_rig(0.04, ("lengths may be wrong",))]}
+    assert not of(another_is_silent, "all, 10 recordings: E_Lb of the worst of 8").kept
 
 
 def test_a_dive_with_a_warmer_case_must_keep_the_lengths_as_well() -> None:
