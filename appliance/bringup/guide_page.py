@@ -35,6 +35,12 @@ def guide_page(state: GuideState, rig_text: str, pictures: Mapping[str, bytes]) 
     return "".join(parts) + PAGE_END
 
 
+def side_by_side(name: str, columns: Mapping[str, Mapping[str, str]]) -> tuple[Mapping[str, object], ...]:
+    """Return the rows of a table with one column for each of ``columns``, and every key that one of them has under ``name``."""
+    keys = dict.fromkeys(key for column in columns.values() for key in column)
+    return tuple({name: key, **{title: column.get(key) for title, column in columns.items()}} for key in keys)
+
+
 def _next(state: GuideState) -> str:
     """Return what is to be done now, in words: whoever opens the page wants that first."""
     for step in STEPS:
@@ -66,9 +72,12 @@ def _summary(state: GuideState) -> str:
             }
         )
     # Marked after the cells were escaped: the words are ours.
+    table_html = rows(lines)
+    for step in STEPS:
+        if step.name in state.steps:
+            table_html = table_html.replace(f"<td>{step.name}</td>", f'<td><a href="#{step.name}">{step.name}</a></td>')
     return (
-        rows(lines)
-        .replace("<td>WRONG</td>", '<td class="no">WRONG</td>')
+        table_html.replace("<td>WRONG</td>", '<td class="no">WRONG</td>')
         .replace("<td>good</td>", '<td class="good">good</td>')
         .replace("<td>not yet</td>", '<td class="yet">not yet</td>')
     )
@@ -76,7 +85,7 @@ def _summary(state: GuideState) -> str:
 
 def _step(number: int, step: GuideStep, record: StepRecord, pictures: Mapping[str, bytes]) -> str:
     word = '<span class="good">good</span>' if record.good else '<span class="no">WRONG</span>'
-    parts = [f"<h2>{number}. {html.escape(step.title)} ({step.name}): {word}</h2>"]
+    parts = [f'<h2 id="{step.name}">{number}. {html.escape(step.title)} ({step.name}): {word}</h2>']
     if record.findings:
         parts.append(findings_table(record.findings))
         numbers = [

@@ -94,13 +94,15 @@ def trials_of(measured: ProjectorMeasured) -> list[dict[str, Any]]:
 
 def findings_table(findings: Sequence[Finding]) -> str:
     """Return the findings as a table, what is wrong marked."""
+    # Columns that would be empty are left out: the page is read on small screens, too.
+    limits, remedies = any(one.limits for one in findings), any(one.remedy for one in findings)
     lines = [
         {
             "": "good" if one.ok else "WRONG",
             "check": one.name,
             "seen": one.said,
-            "limits": one.limits,
-            "do": one.remedy or None,
+            **({"limits": one.limits} if limits else {}),
+            **({"do": one.remedy or None} if remedies else {}),
         }
         for one in findings
     ]

@@ -10,6 +10,7 @@ from appliance.bringup.bench import Image
 from appliance.bringup.camera_check import DarkSeen, judge_dark, judge_link, judge_settings, see_dark
 from appliance.bringup.finding import Finding
 from appliance.bringup.guide import StepOutcome
+from appliance.bringup.guide_page import side_by_side
 from appliance.bringup.person import MOST_ASKED, numbered
 from appliance.bringup.plots import png
 from appliance.bringup.triggers import PULSES
@@ -40,19 +41,19 @@ def cameras_step(at: Workplace) -> StepOutcome:
         Finding(one.device, one.ok, one.summary, "what `kingfisher check` wants", "" if one.ok else one.summary)
         for one in asked
     ]
-    tables: dict[str, tuple[Mapping[str, object], ...]] = {}
-    for health in asked:
-        tables[f"{health.device}, as it says"] = tuple({"": key, "is": text} for key, text in health.details.items())
+    tables: dict[str, tuple[Mapping[str, object], ...]] = {
+        "As they say": side_by_side("", {one.device: one.details for one in asked})
+    }
     # Without both there is nothing to be set, and no picture to be taken.
     if not all(one.ok for one in findings):
         return StepOutcome(tuple(findings), tables)
+    read: dict[str, dict[str, str]] = {}
     for side in SIDES:
         found, held = _set_up(at, side)
         findings += found
-        if held:
-            tables[f"camera.{side}, settings read back"] = tuple(
-                {"feature": one.feature, "asked for": one.wanted, "is": _shown(one)} for one in held
-            )
+        read[f"camera.{side}"] = {one.feature: _shown(one) for one in held}
+    if any(read.values()):
+        tables["Settings, read back"] = side_by_side("feature", read)
     if not all(one.ok for one in findings):
         return StepOutcome(tuple(findings), tables)
     more, pictures = _dark(at)
@@ -89,7 +90,9 @@ def _held(camera: Camera) -> tuple[HeldSetting, ...] | None:
 def _shown(one: HeldSetting) -> str:
     if one.held is None:
         return "not offered"
-    return f"{one.held:g}" if isinstance(one.held, float) else str(one.held)
+    held = f"{one.held:g}" if isinstance(one.held, float) else str(one.held)
+    # Asked for and held are nearly always the same; where not, both are wanted.
+    return held if one.wanted in (None, one.held) else f"{held} (asked for {one.wanted})"
 
 
 def _dark(at: Workplace) -> tuple[list[Finding], dict[str, tuple[str, bytes]]]:

@@ -1,0 +1,81 @@
+"""How the guide speaks with a person: one line on stderr, an Enter as the answer, and what happens where nobody answers."""
+
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from appliance.bringup.person import GivenUp
+from appliance.cli import main
+from appliance.cli.bringup_guide import AtTheTerminal, _line
+
+
+def piped(sent: bytes, *, closed: bool = True) -> tuple[io.TextIOBase, Callable[[], None]]:
+    """A pipe's end to read from, with bytes in it, and how to close it."""
+    read, write = os.pipe()
+    os.write(write, sent)
+    if closed:
+        os.close(write)
+    stream = os.fdopen(read)
+
+    def close() -> None:
+        stream.close()
+        if not closed:
+            os.close(write)
+
+    return stream, close
+
+
+def test_each_question_takes_one_line_of_what_was_typed_ahead() -> None:
+    stream, close = piped(b"\nyes\n\n")
+    lines = io.StringIO()
+    person = AtTheTerminal(stream, lines)  # type: ignore[arg-type]
+    for _ in range(3):
+        person.ask("put the caps on")
+    assert lines.getvalue() == 3 * "DO: put the caps on; then press Enter\n"
+    with pytest.raises(GivenUp, match="call again to go on"):
+        person.ask("put the caps on")
+    close()
+
+
+def test_what_the_software_sees_for_itself_is_told_and_waits_for_nobody() -> None:
+    lines = io.StringIO()
+    AtTheTerminal(io.StringIO(""), lines).tell("press SCAN once and let it go")
+    assert lines.getvalue() == "DO: press SCAN once and let it go\n"
+
+
+def test_the_end_of_the_input_is_giving_up_also_where_no_file_is_behind_it() -> None:
+    with pytest.raises(GivenUp, match="the input ended"):
+        AtTheTerminal(io.StringIO("yes"), io.StringIO()).ask("stand it before a wall")
+
+
+def test_nobody_is_waited_for_without_end() -> None:
+    stream, close = piped(b"half a li", closed=False)
+    assert _line(stream, 0.05) is None  # type: ignore[arg-type]
+    close()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ([], "--rig: not given"),
+        (["--rig", "RIG"], "--out: not given"),
+        (["--rig", "RIG", "--out", "RIG"], "is a file; give a folder"),
+        (["--rig", "RIG", "--out", "new", "--only", "pads"], "no such step; allowed are board, pad, vsync"),
+        (["--rig", "RIG", "--out", "new", "--again", "all"], "no such step"),
+    ],
+)
+def test_wrong_arguments_are_told_before_anything_is_opened(
+    arguments: list[str], said: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    from appliance.config import default_rig_path
+
+    given = [str(default_rig_path()) if one == "RIG" else one for one in arguments]
+    given = [str(tmp_path / one) if one == "new" else one for one in given]
+    assert main(["bringup", "guide", *given]) == 2
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "new").exists()
