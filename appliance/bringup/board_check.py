@@ -66,6 +66,7 @@ def judge_beats(beats_us: Sequence[int], lost_reports: int, damaged_lines: int) 
     if len(beats_us) < 2:
         said = f"{len(beats_us)} heartbeats were heard"
         return Finding("heartbeats", False, said, limits, "flash the board's firmware anew", numbers)
+    # By the board's own clock: when a line reached the host says more about the host.
     steps_ms = [(after - before) / 1000.0 for before, after in pairwise(beats_us)]
     numbers["longest_ms"] = longest_ms = max(steps_ms)
     said = f"{len(beats_us)} heartbeats, {longest_ms:.0f} ms apart at most; {lost_reports} reports lost, {damaged_lines} lines damaged"
@@ -95,6 +96,7 @@ def judge_clock(readings: Sequence[BoardTime]) -> Finding:
     unsure_ppm = (bracket_ns(first) + bracket_ns(last)) / 2.0 / passed_ns * 1e6
     numbers: dict[str, float | None] = {"drift_ppm": drift_ppm, "uncertainty_ppm": unsure_ppm}
     said = f"the board's clock runs {drift_ppm:+.1f} ± {unsure_ppm:.1f} ppm against the host's"
+    # What the brackets leave open speaks for the board: it is not its fault.
     ok = abs(drift_ppm) - unsure_ppm <= MOST_DRIFT_PPM
     remedy = (
         "" if ok else "let the board run from its crystal, not from an RC oscillator; check the clock in its firmware"
@@ -105,6 +107,7 @@ def judge_clock(readings: Sequence[BoardTime]) -> Finding:
 def judge_laser(side: str, states: tuple[LaserState, LaserState, LaserState]) -> Finding:
     """Judge the read-backs of one laser before, while and after it was switched on; the other one was off."""
     other = "right" if side == "left" else "left"
+    # A read-back of the other laser tells a wire at the wrong pin from one that is broken.
     own = [_on(state, side) for state in states]
     strange = [_on(state, other) for state in states]
     name = f"laser.{side}"
@@ -133,6 +136,7 @@ def judge_sensor(name: str, fitted: bool, value: float | None, supply_low_v: flo
         low = supply_low_v
     limits = f"{low:g}..{high:g} {unit}"
     word = f"sensor.{name}"
+    # Nobody needs every sensor, and which are there is the builder's word in the firmware.
     if not fitted:
         return Finding(word, True, "not fitted, says the board", limits)
     if value is None:

@@ -64,6 +64,7 @@ def see_dark(frames: Image, short: Image) -> DarkSeen:
     variance = np.maximum(squares / len(frames) - mean**2, 0.0) * len(frames) / (len(frames) - 1)
     level_dn = float(np.median(mean))
     hot = mean > level_dn + HOT_DN
+    # In parts: a leak beside the lens lights one corner, and the median of all knows nothing of it.
     rows, columns = (np.linspace(0, size, PARTS + 1).astype(int) for size in mean.shape)
     # Medians: a hot pixel is no light.
     parts = [
@@ -167,6 +168,7 @@ def judge_settings(side: str, held: Sequence[HeldSetting]) -> tuple[Finding, Fin
         f"set them under [{name}.features] of the rig file, in an order that this camera takes" if wrong else "",
         {"settings": float(len(made)), "different": float(len(wrong))},
     )
+    # Whoever asked for it is told all the same: scans take grey values for light.
     bent = _bent(held)
     remedy = (
         f'set "{bent[0]}" under [{name}.features]: GammaEnable = false, Gamma = 1.0, LUTEnable = false' if bent else ""

@@ -82,6 +82,7 @@ def _side(seen: Endured, side: str) -> Finding:
         "gaps": float(one.gaps),
     }
     said = f"{one.whole} whole frames of {seen.pulses} pulses"
+    # A camera that is gone lacks frames, too: the cause is told, not the effect.
     if one.lost is not None:
         remedy = "check its cable and supply; see the kernel's log for USB resets (dmesg)"
         return Finding(name, False, f"{said}; the camera was lost: {one.lost}", limits, remedy, numbers)
@@ -91,6 +92,7 @@ def _side(seen: Endured, side: str) -> Finding:
             "DeviceLinkThroughputLimit below the port's speed"
         )
         return Finding(name, False, f"{said}; {len(one.bad)} arrived {_counted(one.bad)}", limits, remedy, numbers)
+    # Ids tell a frame that was lost on the way from a pulse that made none; both want another cable first.
     if one.gaps or one.whole != seen.pulses:
         remedy = (
             "frames are lost between camera and computer: another cable or port; a trigger is missed: see step trigger"

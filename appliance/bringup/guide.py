@@ -92,6 +92,7 @@ def step_of(name: str) -> GuideStep:
 
 def inputs_of(content: Mapping[str, Any], step: GuideStep) -> dict[str, Any]:
     """Return the keys of a rig file's ``content`` that a step depends on, by dotted name, with their values."""
+    # Raw, as it is written: a default that a later version changes is no change of this file.
     flat = dict(_flattened(content, ""))
     return {
         name: value

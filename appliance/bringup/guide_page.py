@@ -26,6 +26,7 @@ def guide_page(state: GuideState, rig_text: str, pictures: Mapping[str, bytes]) 
         record = state.steps.get(step.name)
         if record is not None:
             parts.append(_step(number, step, record, pictures))
+    # Last, since it is long and only wanted where the findings leave something open.
     for title, lines in state.about.items():
         parts.append(f"<h2>{html.escape(title)}</h2><pre>{html.escape(chr(10).join(lines) or 'nothing')}</pre>")
     parts.append(
@@ -88,6 +89,7 @@ def _step(number: int, step: GuideStep, record: StepRecord, pictures: Mapping[st
     parts = [f'<h2 id="{step.name}">{number}. {html.escape(step.title)} ({step.name}): {word}</h2>']
     if record.findings:
         parts.append(findings_table(record.findings))
+        # Sentences round their numbers; whoever helps wants all digits.
         numbers = [
             {"number": f"{one.name}: {name}", "value": value}
             for one in record.findings

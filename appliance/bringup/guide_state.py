@@ -82,6 +82,7 @@ def read_state(data: bytes, name: str) -> GuideState:
     remedy = "move it away to begin anew, or give another folder with --out"
     try:
         content = json.loads(data)
+        # Before anything else is looked for: another version's file is no damaged one.
         if content["schema"] != SCHEMA:
             raise BringupError(
                 f"{name}: schema {content['schema']!r:.20}; this program writes and reads {SCHEMA}; {remedy}"

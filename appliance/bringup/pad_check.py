@@ -43,6 +43,7 @@ def judge_key(tried: KeyTried, faulty: bool = False) -> Finding:
     """Judge one key."""
     name = f"key.{tried.key}"
     numbers: dict[str, float | None] = {"presses": float(tried.pressed.count(tried.key)), "held_s": tried.held_s}
+    # Once each: a coil that bounces is its own finding, not many others.
     others = sorted({one for one in tried.pressed if one != tried.key})
     if not tried.pressed:
         remedy = (
@@ -51,6 +52,7 @@ def judge_key(tried: KeyTried, faulty: bool = False) -> Finding:
             else "check its coil's wires and its target's distance; lower the threshold in the pad's firmware"
         )
         return Finding(name, False, "was not pressed, or the pad did not notice", LIMITS, remedy, numbers)
+    # From the most to the least telling: exchanged wires explain everything that follows.
     if tried.key not in tried.pressed:
         remedy = f"exchange the coils' wires: {tried.key} answers as {' and '.join(others)}"
         return Finding(name, False, f"{' and '.join(others)} answered instead", LIMITS, remedy, numbers)

@@ -85,6 +85,7 @@ def curve_of(
 
     ``frames`` (count, h, w) are one camera's of a sequence drawn without a response. n is 0 where too little was seen.
     """
+    # By code, not by phase: what a code makes of light is the same wherever it is drawn.
     edges = np.linspace(0.0, 256.0, CODES + 1)
     counts, sums = np.zeros((2, CODES)), np.zeros((2, CODES))
     codes = np.zeros(CODES)
@@ -99,6 +100,7 @@ def curve_of(
             code = np.interp(plane.smooth_px[use], np.arange(len(table)), table)
             share = (frames[number][at][use] - dark[use]) / span[use]
             part = np.clip(np.digitize(code, edges) - 1, 0, CODES - 1)
+            # Two halves of one image stand for two passes: what differs between them is no response.
             half = plane.rows[use] % 2
             np.add.at(counts, (half, part), 1.0)
             np.add.at(sums, (half, part), share)
@@ -149,6 +151,7 @@ def _clipping(seen: PlaneSeen) -> Finding:
 
 def _response(seen: PlaneSeen) -> Finding:
     limits = "straight, or one smooth curve that scans straighten"
+    # Fringes that blur away leave next to no codes but the middle ones.
     shape = seen.response
     if shape is None:
         return Finding(

@@ -62,6 +62,7 @@ def smooth_plane(coordinate_px: NDArray[np.float32], period_px: int) -> SmoothPl
     rows, columns = rows[::step], columns[::step]
     if len(rows) < FEWEST_PIXELS:
         return None
+    # From -1 to 1: powers of hundreds of pixels would leave the fit no digits.
     height, width = coordinate_px.shape
     x, y = 2.0 * columns / width - 1.0, 2.0 * rows / height - 1.0
     terms = np.column_stack([x**i * y**j for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)])
@@ -90,6 +91,7 @@ def ripple_of(plane: SmoothPlane, period_px: int) -> CoordinateRipple:
     solved, *_ = np.linalg.lstsq(regressors, plane.residual_px, rcond=None)
     rest = plane.residual_px - regressors @ solved
     noise_px = float(np.sqrt((rest**2).sum() / max(1, len(rest) - regressors.shape[1])))
+    # Of a cosine and a sine the length: where in the fringe a ripple begins is of no interest.
     one, two, four = (float(np.hypot(*solved[2 * k : 2 * k + 2])) for k in range(len(CYCLES)))
     # Both of a pair have the variance 2 σ²/n.
     return CoordinateRipple((one, two, four), noise_px, noise_px * (2.0 / len(rest)) ** 0.5, len(rest))

@@ -43,6 +43,7 @@ def _stamps(name: str, pulses_us: Sequence[int], times_ns: Sequence[int | None])
         "drift_ppm": drift_ppm,
     }
     said = f"exposures follow pulses to {jitter_us:.1f} µs; the clocks run {drift_ppm:+.0f} ppm apart"
+    # Jitter first: a stamp that jumps bends the line that the drift is read from.
     if jitter_us > MOST_JITTER_US:
         worst = int(away_us.argmax())
         remedy = (

@@ -57,6 +57,7 @@ def judge_stamps_of_syncs(stamps: Sequence[tuple[int, int]], refresh_hz: float) 
     away_us = float(np.abs(times_us - period_us * numbers - begin_us).max())
     rate_hz = 1e6 / float(period_us)
     rate_ok, jitter_ok = abs(rate_hz - refresh_hz) <= MOST_OFF_HZ, away_us <= MOST_JITTER_US
+    # A whole multiple or a half is the tap's fault, anything else the mode's.
     factor = rate_hz / refresh_hz
     remedy = f"set refresh_hz of [projector] to the rate of the mode, or choose a mode of {refresh_hz:g} Hz"
     if not rate_ok and abs(factor - round(factor)) < 0.02 and factor > 1.5:
@@ -76,6 +77,7 @@ def judge_stamps_of_syncs(stamps: Sequence[tuple[int, int]], refresh_hz: float) 
 
 
 def _count(seen: VsyncSeen) -> Finding:
+    # Not a share: one sync that is lost or too many puts every later picture into the wrong frame.
     ok = seen.syncs == seen.blanks and seen.blanks > 0
     said = f"{seen.syncs} syncs in {seen.blanks} blanks of the graphics card"
     remedy = ""

@@ -70,6 +70,7 @@ class BringupGuide(WithRig):
         except BringupError as error:
             complain(str(error), as_json=self.json)
             return Exit.FAILED
+        # On stderr, where errors are looked for: findings are results, this is why there are no more.
         if walked.stopped is not None:
             complain(walked.stopped, as_json=self.json)
         if self.json:

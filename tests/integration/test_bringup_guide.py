@@ -107,7 +107,8 @@ def test_a_good_instrument_comes_from_the_box_to_the_first_plane_and_on_after_an
         ("laser.right off", "board", "laser.right", "shunt amplifier"),
         ("sensor.HUM off", "board", "sensor.HUM", "does not answer"),
         ("board off", "board", "board", "cable"),
-        ("keys off", "pad", "keys", "cable"),
+        ("keypad off", "pad", "keys", "cable"),
+        ("key.up stuck", "pad", "coils", "shorted"),
         ("camera.left off", "cameras", "camera.left", ""),
     ],
 )

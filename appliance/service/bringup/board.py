@@ -93,6 +93,7 @@ def _listened(board: TriggerBoard, at: Workplace) -> tuple[list[int], list[Board
             boots.append(event.cause)
             beats.clear()
             readings.clear()
+        # Seldom enough that questions and heartbeats do not wait for each other.
         if clock.now_ns() - asked_ns > ASKED_EVERY_S * 1e9:
             asked_ns = clock.now_ns()
             readings.append(board.read_clock())

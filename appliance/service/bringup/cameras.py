@@ -68,6 +68,7 @@ def _set_up(at: Workplace, side: str) -> tuple[list[Finding], tuple[HeldSetting,
         """The projector is not opened here."""
 
     with Devices(at.rig, at.wires, nothing_to_load) as devices:
+        # One by itself: a camera that refuses a setting must not hide what the other one holds.
         try:
             with devices.open_camera(side) as camera:
                 link = judge_link(side, camera.identity.link_speed_mbps, camera.slow_link)
@@ -124,6 +125,7 @@ def _dark(at: Workplace) -> tuple[list[Finding], dict[str, tuple[str, bytes]]]:
 
 
 def _judged(at: Workplace, seen: Mapping[str, DarkSeen]) -> list[Finding]:
+    # At the gain of the rig file, at which the pictures were taken.
     noise = noise_of(at.rig)
     found: list[Finding] = []
     for side, one in seen.items():

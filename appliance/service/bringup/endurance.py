@@ -90,6 +90,7 @@ def endurance_step(at: Workplace) -> StepOutcome:
         lost_before = _lost_reports(board)
         slots = _one_slot(rig.camera.left.height_px, rig.camera.left.width_px, PULSES * series)
         recordings = {side: grabber.record(slots[side], lambda _index: None) for side, grabber in grabbers.items()}
+        # From here on the cameras wait for pulses: whatever happens, they are let go.
         begun_ns = clock.now_ns()
         try:
             seen = _fire(at, board, grabbers, recordings, series)
@@ -150,6 +151,7 @@ def _fire(
                 break
         # A board may say so with its last pulse's rising edge: until that has ended it is busy.
         clock.sleep_s(exposure_us / 1e6 + 0.001)
+        # The first bad frame ends a recording; more pulses would count against a camera that no longer listens.
         broken = next((side for side, one in recordings.items() if one.done and not one.complete), None)
         if broken is not None and fired.ended_by is None and number < series - 1:
             fired.ended_by = f"camera.{broken}"

@@ -35,6 +35,7 @@ class GuideFolder:
             return GuideState()
         with refused("cannot read", path), path.open("rb") as file:
             data = file.read(MOST_BYTES + 1)
+        # One byte more than allowed was read: so it is known without reading it all.
         if len(data) > MOST_BYTES:
             raise BringupError(f"{path}: is no state of a bring-up ({len(data)} bytes); move it away to begin anew")
         return read_state(data, str(path))

@@ -134,6 +134,7 @@ class _Walk:
     def _wanted(self) -> Iterator[GuideStep]:
         """Yield what is to be done, each once, in the order of the guide."""
         for step in STEPS:
+            # Here and not before: what stands is asked anew after each step that may have changed the rig file.
             if self.options.only and step.name not in self.options.only:
                 continue
             anew = step.name in self.options.again or step.name in self.options.only
@@ -154,6 +155,7 @@ class _Walk:
             record = StepRecord.of(outcome, when, duration_s, inputs_of(content, step_of(name)))
             self.state = self.state.with_step(name, record)
             self.done.append(name)
+        # Kept before it is told: whoever sees it and switches off has it.
         self._keep()
         for name in outcomes:
             self.told(name, self.state.steps[name])
@@ -178,6 +180,7 @@ class _Walk:
 def _outcomes(step: GuideStep, at: Workplace) -> dict[str, StepOutcome]:
     """Do a step, and those that are read from the same measurement; what ends it early is a finding like any other. Raises GivenUp."""
     try:
+        # One measurement for five steps: each by itself would take two minutes again.
         if step.name in OF_THE_PROJECTOR:
             return projector_steps(at)
         return {step.name: _ALONE[step.name](at)}

@@ -56,6 +56,7 @@ class _Listener:
             match event:
                 case KeyPress(key=key):
                     pressed.append(key.value)
+                # A finger that slips answers twice: what comes shortly after still belongs to it.
                 case KeyRelease(key=key, held_s=held):
                     released.append(key.value)
                     held_s = held if key is wanted else held_s

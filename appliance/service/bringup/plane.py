@@ -225,6 +225,7 @@ def _worked_through(at: Workplace, scan_id: str) -> tuple[Flatness | None, str, 
     """Return how flat the stored scan's cloud is, else why that is not known, and what the judges hold against it."""
     rig = with_measured_noise(at.rig)
     calibration, conditions = calibration_of(rig)
+    # The drawing's geometry would make a cloud, too, whose flatness says nothing about the instrument.
     if conditions:
         return None, "there is no calibration yet; calibrate next (docs/calibration.md)", ()
     scan = stored.load(Library(rig.storage.root).entry(scan_id).folder)
@@ -233,6 +234,7 @@ def _worked_through(at: Workplace, scan_id: str) -> tuple[Flatness | None, str, 
     except ScanError as error:
         return None, str(error), (str(error),)
     faults = tuple(f"{fault.code.value}: {fault.detail}" for fault in worked.faults)
+    # Faults of the judges are told beside it: a scan that they refuse may still be flat.
     fit = fit_plane(worked.cloud)
     if isinstance(fit, NotFound):
         return None, fit.reason, faults

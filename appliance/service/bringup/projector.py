@@ -24,6 +24,7 @@ def projector_steps(at: Workplace) -> dict[str, StepOutcome]:
     """Do the measurement; the outcome of each step of the projector. Raises DeviceError, BringupError, GivenUp, StorageError."""
     rig = at.rig
     text = at.rig_file.read_text(encoding="utf-8")
+    # The text was read before minutes of measuring: a file that cannot be read is known by then.
     with bench_on(rig, at.wires) as bench:
         _before_white(at, bench)
         measured = measure_projector(bench, rig.scan.most_gain_db, at.say)
@@ -59,6 +60,7 @@ def _lit(at: Workplace, bench: LightBench) -> bool:
     """Tell whether both cameras see the projector's light at all."""
     width, height = bench.size_px
     bench.load([np.full((height, width), code, np.uint8) for code in (0, 255)], all_channels=False)
+    # The latency is not known yet: enough frames of each that it does not matter.
     shot = Shot(at.rig.board.trigger_delay_us, round(1000.0 * at.rig.camera.left.exposure_ms))
     seen = bench.take([0] * WHITE_FRAMES + [1] * WHITE_FRAMES, shot)
     levels = [mean_levels(images, np.ones(images.shape[1:], np.bool_)) for images in seen.values()]

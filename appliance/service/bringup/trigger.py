@@ -47,6 +47,7 @@ def trigger_findings(ledger: Ledger) -> tuple[Finding, ...]:
         )
         for side, frames in ledger.frames.items()
     }
+    # In this order: which pulse made which frame is known only where both are as many.
     counted = judge_triggers(len(ledger.pulses), cameras, ledger.period_ns)
     # Only of as many frames as pulses is it known which belongs to which.
     whole = {side: one.times_ns for side, one in cameras.items() if len(one.times_ns) == len(ledger.pulses) == PULSES}

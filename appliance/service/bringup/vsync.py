@@ -37,6 +37,7 @@ def vsync_step(at: Workplace) -> StepOutcome:
         projector = outputs.open_projector()
         projector.load([black, black])
         projector.show(0)
+        # A splitter that has just got a new mode sends nothing, or something else, for a while.
         wires.clock.sleep_s(SETTLED_S)
         stamps = _stamps(board, wires.clock, 0.4 * period_ns / 1e9)
         if not stamps:
@@ -47,6 +48,7 @@ def vsync_step(at: Workplace) -> StepOutcome:
             rate = judge_stamps_of_syncs(stamps, rig.projector.refresh_hz)
             remedy = "the board must see the video that the graphics card sends, not one that a converter makes anew"
             return StepOutcome((*rate, Finding("count", False, str(error), "as many syncs as blanks", remedy)))
+        # Dark while the card is still ours: given back, the console would light it again.
         outputs.close_projector()
         stopped_after_ms = _stopped(board, wires.clock)
     seen = VsyncSeen(
@@ -77,6 +79,7 @@ def _stamps(board: Board, clock: Clock, pause_s: float) -> list[tuple[int, int]]
     while clock.now_ns() < until_ns:
         seen = _ask(board)
         if seen is not None:
+            # Asked more often than syncs come: the same one again is no second one.
             found[seen.count] = seen.board_time_us
         clock.sleep_s(pause_s)
     return list(found.items())
@@ -115,6 +118,7 @@ def _stopped(board: Board, clock: Clock) -> float | None:
     begun_ns = latest_ns = clock.now_ns()
     count: int | None = None
     while clock.now_ns() - begun_ns < STOPPED_WITHIN_S * 1e9:
+        # A board may say that there are none, or go on telling the last one: both are an end.
         seen = _ask(board)
         if seen is None or (seen.count == count and clock.now_ns() - latest_ns > QUIET_S * 1e9):
             return (latest_ns - begun_ns) / 1e6

@@ -19,7 +19,7 @@ def named(findings: tuple[Finding, ...]) -> dict[str, Finding]:
     return {one.name: one for one in findings}
 
 
-def wrong(finding: Finding, said: str, remedy: str) -> None:
+def expect_wrong(finding: Finding, said: str, remedy: str) -> None:
     """It is wrong, and says what and what to do."""
     assert not finding.ok
     assert said in finding.said
@@ -36,10 +36,10 @@ def test_heartbeats_every_half_second_are_good() -> None:
 
 
 def test_a_missing_heartbeat_a_lost_report_and_silence_are_told() -> None:
-    wrong(judge_beats([0, 500_000, 1_500_000], 0, 0), "1000 ms apart", "USB port")
-    wrong(judge_beats([0, 500_000, 1_000_000], 1, 0), "1 reports lost", "USB port")
-    wrong(judge_beats([0, 500_000, 1_000_000], 0, 2), "2 lines damaged", "supply")
-    wrong(judge_beats([0], 0, 0), "1 heartbeats", "flash")
+    expect_wrong(judge_beats([0, 500_000, 1_500_000], 0, 0), "1000 ms apart", "USB port")
+    expect_wrong(judge_beats([0, 500_000, 1_000_000], 1, 0), "1 reports lost", "USB port")
+    expect_wrong(judge_beats([0, 500_000, 1_000_000], 0, 2), "2 lines damaged", "supply")
+    expect_wrong(judge_beats([0], 0, 0), "1 heartbeats", "flash")
 
 
 def clock(ppm: float, bracket_us: float = 100.0) -> list[BoardTime]:
@@ -66,26 +66,26 @@ def test_a_clocks_drift_is_measured_within_what_its_brackets_leave_open() -> Non
 
 
 def test_a_clock_of_an_oscillator_without_crystal_is_told_and_no_wide_bracket_is_mistaken_for_it() -> None:
-    wrong(judge_clock(clock(400.0)), "ppm against the host", "crystal")
+    expect_wrong(judge_clock(clock(400.0)), "ppm against the host", "crystal")
     assert judge_clock(clock(30.0, bracket_us=20_000.0)).ok
     assert not judge_clock([]).ok
 
 
 def test_a_laser_is_off_on_off_by_itself() -> None:
     assert judge_laser("left", (OFF, LEFT, OFF)).ok
-    wrong(judge_laser("left", (OFF, OFF, OFF)), "off, off, off", "shunt amplifier")
-    wrong(judge_laser("left", (OFF, LEFT, LEFT)), "off, on, on", "conducts while it is off")
-    wrong(judge_laser("right", (OFF, LEFT, OFF)), "the left one answered instead", "exchange")
-    wrong(judge_laser("right", (OFF, BOTH, OFF)), "the left one came on as well", "bridge")
+    expect_wrong(judge_laser("left", (OFF, OFF, OFF)), "off, off, off", "shunt amplifier")
+    expect_wrong(judge_laser("left", (OFF, LEFT, LEFT)), "off, on, on", "conducts while it is off")
+    expect_wrong(judge_laser("right", (OFF, LEFT, OFF)), "the left one answered instead", "exchange")
+    expect_wrong(judge_laser("right", (OFF, BOTH, OFF)), "the left one came on as well", "bridge")
 
 
 def test_each_sensor_is_named_with_its_range() -> None:
     assert judge_sensor("TCASE", True, 21.5).ok
     assert judge_sensor("HUM", False, None).ok, "what is not fitted is no fault"
-    wrong(judge_sensor("HUM", True, None), "does not answer", "wires")
-    wrong(judge_sensor("TPROJ", True, -127.0), "-127 °C is not plausible", "type")
-    wrong(judge_sensor("LEAK", True, 1.0), "1 (0 dry, 1 wet)", "dry the electrodes")
-    wrong(judge_sensor("SUPPLY", True, 10.0, supply_low_v=10.8), "10 V", "divider")
+    expect_wrong(judge_sensor("HUM", True, None), "does not answer", "wires")
+    expect_wrong(judge_sensor("TPROJ", True, -127.0), "-127 °C is not plausible", "type")
+    expect_wrong(judge_sensor("LEAK", True, 1.0), "1 (0 dry, 1 wet)", "dry the electrodes")
+    expect_wrong(judge_sensor("SUPPLY", True, 10.0, supply_low_v=10.8), "10 V", "divider")
 
 
 # ------------------------------------------------------------------------------------------ pad
@@ -102,15 +102,15 @@ def test_each_sensor_is_named_with_its_range() -> None:
     ],
 )
 def test_a_key_that_is_wrong_is_told_from_the_others(tried: KeyTried, said: str, remedy: str) -> None:
-    wrong(judge_key(tried), said, remedy)
+    expect_wrong(judge_key(tried), said, remedy)
 
 
 def test_coils_and_reports_are_judged_by_themselves() -> None:
     good = KeyTried("scan", ("scan",), ("scan",), 0.15)
     found = named(judge_pad(PadHeard((good,), frozenset({"back"}), 3, 0, 0)))
     assert found["key.scan"].ok
-    wrong(found["coils"], "back", "shorted")
-    wrong(found["reports"], "3 reports lost", "USB cable")
+    expect_wrong(found["coils"], "back", "shorted")
+    expect_wrong(found["reports"], "3 reports lost", "USB cable")
     assert all(one.ok for one in judge_pad(PadHeard((good,), frozenset(), 0, 0, 0)))
 
 
@@ -127,7 +127,7 @@ def syncs(hz: float = 60.0, late_us: float = 0.0, count: int = 100) -> tuple[tup
 )
 def test_a_rate_that_is_not_the_rig_files_is_told(hz: float, remedy: str) -> None:
     rate, jitter = judge_stamps_of_syncs(syncs(hz), 60.0)
-    wrong(rate, f"{hz:.3f} Hz", remedy)
+    expect_wrong(rate, f"{hz:.3f} Hz", remedy)
     assert jitter.ok
 
 
@@ -137,12 +137,12 @@ def test_a_rate_within_a_tenth_is_good_and_one_late_stamp_is_jitter() -> None:
     assert jitter.ok
     rate, jitter = judge_stamps_of_syncs(syncs(late_us=9.0), 60.0)
     assert rate.ok
-    wrong(jitter, "away from an even beat", "stamp syncs in hardware")
+    expect_wrong(jitter, "away from an even beat", "stamp syncs in hardware")
 
 
 def test_no_syncs_at_all_lead_to_the_tap() -> None:
     for one in judge_stamps_of_syncs((), 60.0):
-        wrong(one, "0 syncs", "tap")
+        expect_wrong(one, "0 syncs", "tap")
 
 
 def vsync(syncs_seen: int = 600, stopped_after_ms: float | None = 20.0) -> dict[str, Finding]:
@@ -151,9 +151,9 @@ def vsync(syncs_seen: int = 600, stopped_after_ms: float | None = 20.0) -> dict[
 
 def test_syncs_are_as_many_as_blanks_and_end_with_the_picture() -> None:
     assert all(one.ok for one in vsync().values())
-    wrong(vsync(601)["count"], "601 syncs in 600 blanks", "noise is counted")
-    wrong(vsync(598)["count"], "598 syncs in 600 blanks", "missed")
-    wrong(vsync(stopped_after_ms=None)["stop"], "go on", "splitter")
+    expect_wrong(vsync(601)["count"], "601 syncs in 600 blanks", "noise is counted")
+    expect_wrong(vsync(598)["count"], "598 syncs in 600 blanks", "missed")
+    expect_wrong(vsync(stopped_after_ms=None)["stop"], "go on", "splitter")
 
 
 def test_the_edge_is_said_to_be_unknown() -> None:
@@ -180,14 +180,14 @@ def test_a_constant_offset_and_two_crystals_drift_are_good() -> None:
 
 def test_jitter_and_a_clock_of_another_unit_are_told() -> None:
     found = stamps(late_ns=60_000)
-    wrong(found, "exposures follow pulses to", "opto-coupler")
+    expect_wrong(found, "exposures follow pulses to", "opto-coupler")
     assert "frame 30 is the worst" in found.remedy
-    wrong(stamps(ppm=20_000.0), "ppm apart", "unit of the camera's time stamps")
+    expect_wrong(stamps(ppm=20_000.0), "ppm apart", "unit of the camera's time stamps")
 
 
 def test_a_camera_without_a_clock_is_no_fault_but_lists_of_other_lengths_are() -> None:
     assert judge_stamps([0, 1], {"left": [None, None]})[0].ok
-    wrong(judge_stamps(list(range(64)), {"left": list(range(63))})[0], "cannot be compared", "first see")
+    expect_wrong(judge_stamps(list(range(64)), {"left": list(range(63))})[0], "cannot be compared", "first see")
 
 
 # ------------------------------------------------------------------------------------------ endurance
@@ -231,11 +231,11 @@ def test_every_pulse_a_whole_stamped_frame_is_good() -> None:
 )
 def test_what_minutes_bring_out_is_told_by_camera(left: SideEndured, said: str, remedy: str) -> None:
     found = endured(left)
-    wrong(found["camera.left"], said, remedy)
+    expect_wrong(found["camera.left"], said, remedy)
     assert found["camera.right"].ok
 
 
 def test_a_lost_stamp_heat_and_an_early_end_are_told() -> None:
-    wrong(endured(reported=6399)["pulses"], "6399 of 6400", "USB port")
-    wrong(endured(after_c=55.0)["warmth.case"], "55.0 °C", "heat")
-    wrong(endured(ended="the board restarted (BROWNOUT)")["run"], "BROWNOUT", "findings below")
+    expect_wrong(endured(reported=6399)["pulses"], "6399 of 6400", "USB port")
+    expect_wrong(endured(after_c=55.0)["warmth.case"], "55.0 °C", "heat")
+    expect_wrong(endured(ended="the board restarted (BROWNOUT)")["run"], "BROWNOUT", "findings below")
