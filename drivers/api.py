@@ -462,6 +462,9 @@ class Wires(Protocol):
     @property
     def calendar(self) -> Calendar: ...
 
+    def cards(self) -> Sequence[str]:
+        """Paths of all graphics cards that there are."""
+
     def open_card(self, path: str) -> CardNode: ...
 
 

@@ -14,7 +14,7 @@ import serial.tools.list_ports
 import usb.core
 
 from drivers.api import DeviceError, Wires
-from drivers.camera.usb import default_backend, find_cameras
+from drivers.camera_families import USUAL, lister
 from drivers.output.card import Card
 
 MOST = 32
@@ -31,10 +31,12 @@ class OnTheBuses:
     connectors: tuple[str, ...] = ()
 
 
-def on_the_buses(wires: Wires, cards: Sequence[str]) -> OnTheBuses:
-    """List what ``wires`` lead to, and the connectors of ``cards`` (``/dev/dri/card0``). Never raises for a device."""
+def on_the_buses(wires: Wires, kind: str = USUAL, named: Sequence[str] = ()) -> OnTheBuses:
+    """List what ``wires`` lead to: cameras as the family ``kind`` sees them, and the connectors of every card that there is, and of those that
+    the rig file has ``named`` (``/dev/dri/card0``). Never raises for a device."""
+    cards = (*named, *wires.cards())
     return OnTheBuses(
-        tuple(_limited(_cameras(wires.usb_backend))),
+        tuple(_limited(_cameras(wires, kind))),
         tuple(_limited(_ports())),
         tuple(_limited(_hid(wires.hidraw))),
         tuple(line for card in dict.fromkeys(cards) for line in _limited(_connectors(wires, card))),
@@ -49,15 +51,14 @@ def _limited(lines: Iterator[str]) -> Iterator[str]:
         yield line
 
 
-def _cameras(backend: Any) -> Iterator[str]:
+def _cameras(wires: Wires, kind: str) -> Iterator[str]:
+    # A family that lists nothing of its own is most likely one on USB.
+    own = lister(kind) or lister(USUAL)
+    assert own is not None
     try:
-        for camera in find_cameras(backend or default_backend()):
-            speed = "" if camera.link_speed_mbps is None else f", {camera.link_speed_mbps} Mbit/s"
-            # Without a number it is permission, or another program: just what whoever reads this wants to know.
-            serial_number = camera.serial or f"serial number not readable ({camera.unreadable or 'none'})"
-            yield f"{serial_number} (USB3 Vision, {camera.location}{speed})"
+        yield from own(wires)
     except (DeviceError, usb.core.USBError) as error:
-        yield f"USB could not be asked: {error}"
+        yield f"cameras of kind {kind} could not be asked: {error}"
 
 
 def _ports() -> Iterator[str]:

@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import hidraw
@@ -41,6 +42,10 @@ class NativeWires:
         self.hidraw: Any = hidraw
         self.clock: Clock = MonotonicClock()
         self.calendar: Calendar = KernelCalendar()
+
+    def cards(self) -> tuple[str, ...]:
+        """Paths of all graphics cards that this machine has, by name."""
+        return tuple(sorted(str(path) for path in Path("/dev/dri").glob("card*")))
 
     def open_card(self, path: str) -> CardNode:
         """The DRM node at ``path``. Raises DeviceGone, DeviceRefused."""

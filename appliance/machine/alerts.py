@@ -114,6 +114,13 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
             spoils_scan=True,
         ),
         FaultCode.PATTERN_WRONG: Rule(_W, Words("WRONG PATTERN", "FALSCHES MUSTER"), _REPEAT, spoils_scan=True),
+        FaultCode.PICTURE_MIRRORED: Rule(
+            _W,
+            Words("{side}CAM MIRROR", "{side}GESPIEGELT"),
+            Words("ASHORE: TURN PICTURE BACK", "AN LAND: BILD ZURÜCKDREHEN"),
+            Words("PICTURE MIRRORED", "BILD GESPIEGELT"),
+            spoils_scan=True,
+        ),
         FaultCode.SYNC_LOST: Rule(_W, Words("SYNC LOST", "KEIN GLEICHTAKT"), _TRIGGER, spoils_scan=True),
         FaultCode.LATE_FLIP: Rule(_W, Words("PROJECTOR LATE", "PROJEKTOR SPÄT"), _REPEAT, spoils_scan=True),
         FaultCode.PROJECTOR_TIMING: Rule(
@@ -199,6 +206,12 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
             _W,
             Words("FRINGES BENT", "STREIFEN KRUMM"),
             Words("TRY ANOTHER EXPOSURE", "ANDERE BELICHTUNG"),
+        ),
+        FaultCode.GREY_BENT: Rule(
+            _W,
+            Words("{side}CAM GAMMA", "{side}KAMERA GAMMA"),
+            Words("ASHORE: GAMMA AND LUT OFF", "AN LAND: GAMMA UND LUT AUS"),
+            Words("CAMERA GAMMA", "KAMERA-GAMMA"),
         ),
         FaultCode.AMBIENT: Rule(
             _W,

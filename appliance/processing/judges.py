@@ -16,9 +16,12 @@ from appliance.reconstruct.crew import WorkItem, WorkList
 from appliance.reconstruct.images import ScanImages
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.table import Cloud
+from appliance.scan.fault import FaultCode
 from appliance.scan.verdict import Judgement
 from appliance.verdict.fringes import NAME as FRINGES
 from appliance.verdict.fringes import judge_fringes
+from appliance.verdict.grey import NAME as GREY
+from appliance.verdict.grey import judge_grey
 from appliance.verdict.light.judge import judge_light
 from appliance.verdict.motion.judge import judge_motion
 from appliance.verdict.sides import NAME as SIDES_NAME
@@ -27,6 +30,8 @@ from appliance.verdict.sight.judge import look
 from appliance.verdict.water.judge import judge_water
 from appliance.verdict.window import look_at_windows
 
+CHANGES = frozenset({FaultCode.MOVED, FaultCode.LIGHT_FLICKERS})
+"""Faults by which one image of a sequence has another light than the next."""
 SIGHT_POINTS = 7_500
 """Left pixels that are asked at what depth, near or far, they see something."""
 
@@ -114,6 +119,13 @@ def _judge_motion(given: JudgeInput, _: Earlier) -> Judgement:
     return judge_motion(given.images, given.cloud, given.rig, given.water_index, means, runs).judgement
 
 
+def _judge_grey(given: JudgeInput, earlier: Earlier) -> Judgement | None:
+    """Judge the cameras' grey; nothing where something moved, or other light changed: either makes sines that do not belong to the bright."""
+    if any(one is not None and one.fault is not None and one.fault.code in CHANGES for one in earlier.values()):
+        return None
+    return judge_grey({side: one.sample for side, one in given.gathered.items()}, given.images.sequence)
+
+
 def _judge_sides(given: JudgeInput, _: Earlier) -> Judgement:
     """Judge which camera is the left one, by pixels that see the same."""
     return judge_sides(*given.pipeline.matches(), given.rig, given.water_index)
@@ -126,6 +138,7 @@ JUDGES = (
     Judge("sight", _look),
     Judge("windows", _look_at_windows, needs=("motion",)),
     Judge("motion", _judge_motion),
+    Judge(GREY, _judge_grey, needs=("motion", "light")),
     Judge(SIDES_NAME, _judge_sides),
 )
 """Judges in the order in which their verdicts are told and stored."""

@@ -38,9 +38,10 @@ def check(rig: Rig) -> list[Health]:
 
 
 def whatever_is_there(rig: Rig, wires: Wires) -> OnTheBuses:
-    """List what is on the buses, and on the graphics cards that the rig file names. Never raises for a device."""
+    """List what is on the buses, and on every graphics card. Never raises for a device."""
     outputs = (rig.projector, rig.display)
-    return on_the_buses(wires, [one.card for one in outputs if one.kind == "kms" and one.card is not None])
+    named = [one.card for one in outputs if one.kind == "kms" and one.card is not None]
+    return on_the_buses(wires, rig.camera.kind, named)
 
 
 def ask_devices(rig: Rig, wires: Wires, only: Collection[str] | None = None) -> list[Health]:

@@ -69,8 +69,8 @@ class Devices:
         wires, rig = self._wires, self._rig
         keys = drivers_rig.KeysSpec(rig.keys.vendor_id, rig.keys.product_id)
         return {
-            "camera.left": lambda: self.open_camera("left"),
-            "camera.right": lambda: self.open_camera("right"),
+            "camera.left": lambda: self._set_up("left"),
+            "camera.right": lambda: self._set_up("right"),
             "board": lambda: drivers_rig.open_board(drivers_rig.BoardSpec(rig.board.url), wires),
             "keys": lambda: drivers_rig.open_keys(keys, wires),
             "projector": self._projector,
@@ -103,15 +103,26 @@ class Devices:
 
     def _configured(self, side: str, stack: ExitStack) -> tuple[Camera, CameraSettings]:
         """Return a camera that is open until ``stack`` closes, and its settings. Raises DeviceError."""
-        spec = self._camera_rig(side)
         camera = stack.enter_context(self.open_camera(side))
         slow = camera.slow_link
         if slow is not None:
             # At 480 Mbit/s a frame of 1.92 MB takes 32 ms at the very least; the projector's period is 16.7 ms.
             raise DeviceRejected(f"camera.{side}", slow, "Check connector and cable", FaultCode.CAMERA_SLOW_LINK)
-        settings = CameraSettings(spec.width_px, spec.height_px, 1000.0 * spec.exposure_ms, spec.gain_db)
+        settings = self._settings(side)
         camera.configure(settings)
         return camera, settings
+
+    @contextmanager
+    def _set_up(self, side: str) -> Iterator[Camera]:
+        """Inside: a camera that took its settings, unless its link is slow, which it says by itself."""
+        with self.open_camera(side) as camera:
+            if camera.slow_link is None:
+                camera.configure(self._settings(side))
+            yield camera
+
+    def _settings(self, side: str) -> CameraSettings:
+        spec = self._camera_rig(side)
+        return CameraSettings(spec.width_px, spec.height_px, 1000.0 * spec.exposure_ms, spec.gain_db)
 
     def open_camera(self, side: str) -> AbstractContextManager[Camera]:
         """Open one camera once, for whoever only wants to look at it: it is not set."""

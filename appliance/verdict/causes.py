@@ -94,6 +94,10 @@ def find_causes(
     if exchanged is not None:
         # Whatever else is said of points that are made of exchanged pictures follows from that.
         return (Cause(exchanged, ALL, certain=True),)
+    bent = next((one.fault for one in judgements if one.fault and one.fault.code is FaultCode.GREY_BENT), None)
+    if bent is not None:
+        # Light, water and noise are told from grey values, which mean nothing then; the points themselves may be good.
+        return (Cause(bent, 0.0, certain=True),)
     of = {one.verdict.name: one for one in judgements}
     found = _once(sorted(_all(of, summary, present, steps), key=lambda cause: -cause.share))
     found += [

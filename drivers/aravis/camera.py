@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Iterator
 from contextlib import suppress
 from types import TracebackType
 from typing import Self
@@ -217,6 +218,9 @@ class AravisCamera:
             details["not offered"] = ", ".join(self._setup.notes)
         if self.slow_link is not None:
             return Health(self._spec.name, False, f"link slow: {details['link']}. Check connector and cable", details)
+        if self._setup.bends_grey:
+            bent = f"{' and '.join(self._setup.bends_grey)}: grey values are not proportional to light. Take that out of features"
+            return Health(self._spec.name, False, bent, details)
         return Health(self._spec.name, True, details["model"], details)
 
     # ------------------------------------------------------------------------------------------------- stream
@@ -302,6 +306,27 @@ def _found(name: str, serial: str, aravis: Aravis) -> AravisDevice:
         )
     others = f"there are {', '.join(sorted(seen))}" if seen else "Aravis sees no camera"
     raise DeviceGone(name, f"serial number {serial} not found; {others}", "Check the connector and the rig's serial")
+
+
+def listed_cameras(aravis: Aravis) -> Iterator[str]:
+    """Yield what Aravis sees, but for the camera of its own: serial number, how it speaks, and where; a camera that cannot be asked says why."""
+    with aravis.finding:
+        for listed in aravis.cameras():
+            if listed.protocol == BUILT_IN:
+                continue
+            try:
+                own = _asked_serial(aravis, listed)
+            except DeviceError as error:
+                own = f"serial number not readable ({error.message})"
+            protocol = {"USB3Vision": "USB3 Vision", "GigEVision": "GigE Vision"}.get(listed.protocol, listed.protocol)
+            yield f"{own or 'no serial number'} ({protocol}, {listed.address or listed.id})"
+
+
+def _asked_serial(aravis: Aravis, listed: Listed) -> str:
+    if listed.protocol != "USB3Vision" or aravis.serial_of(listed.id) is not None:
+        return _own_serial(aravis, listed, None)
+    with AravisDevice("cameras", aravis, listed) as device:
+        return _own_serial(aravis, listed, device)
 
 
 def _own_serial(aravis: Aravis, listed: Listed, device: AravisDevice | None) -> str:

@@ -265,6 +265,9 @@ class UsbVisionCamera:
                 f"link slow: {details['link']}; 5000 are needed. Check connector and cable",
                 details,
             )
+        if self._setup.bends_grey:
+            bent = f"{' and '.join(self._setup.bends_grey)}: grey values are not proportional to light. Take that out of features"
+            return Health(self._spec.name, False, bent, details)
         return Health(self._spec.name, True, details["model"], details)
 
     # ----------------------------------------------------------------------------------------------- settings

@@ -7,7 +7,7 @@ values (SFNC 2.7; the makers' manuals say which). What a camera does not offer i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from drivers.api import CameraSettings, CameraSpec, DeviceRefused, FeatureValue, HeldSetting
@@ -78,6 +78,7 @@ class CameraSetup:
         self._spec = spec
         self._features = features
         self._missing: dict[str, str] = {}
+        self._bends_grey: tuple[str, ...] = ()
         self._wanted: dict[str, FeatureValue] = {}
         self._instead, self._after = self._sorted(spec.features)
         self._source_feature = self._instead.pop("TriggerSource", (None, False))[0]
@@ -86,6 +87,11 @@ class CameraSetup:
     def notes(self) -> tuple[str, ...]:
         """Settings that this camera does not offer, in the order in which they were wanted."""
         return tuple(self._missing.values())
+
+    @property
+    def bends_grey(self) -> tuple[str, ...]:
+        """Features that make grey values no longer proportional to light, as the camera holds them: somebody asked for it under features."""
+        return self._bends_grey
 
     def read_back(self) -> tuple[HeldSetting, ...]:
         """Return every setting of the last ``apply``, in its order, as the camera holds it now; then what it does not offer."""
@@ -125,6 +131,7 @@ class CameraSetup:
             self._set(_Setting(name, self._instead[name][0]))  # its place in the order was passed over on this camera
         self._set(_Setting("TriggerSelector", _FRAME_START))
         self._verify()
+        self._bends_grey = tuple(self._look_at_grey())
         return made
 
     def light(self, settings: CameraSettings) -> CameraSettings:
@@ -339,6 +346,14 @@ class CameraSetup:
             f"{name} is {self._features.value(name)} after it was set to {value}",
             "Check the rig's camera settings against the camera's manual",
         )
+
+    def _look_at_grey(self) -> Iterator[str]:
+        features = self._features
+        switched_off = features.has("GammaEnable") and self._holds("GammaEnable", value=False)
+        if features.has("Gamma") and not switched_off and not self._holds("Gamma", 1.0):
+            yield f"Gamma is {features.number('Gamma'):g}"
+        if features.has("LUTEnable") and self._holds("LUTEnable", value=True):
+            yield "LUTEnable is on"
 
     def _note(self, name: str, text: str) -> None:
         self._missing[name] = text

@@ -1,7 +1,8 @@
 """Owns which families of cameras there are: each module of this package is one, named by ``kind`` of ``[camera]``.
 
 Such a module has a function ``open_camera(spec, wires)`` that finds, opens and identifies one camera, and returns it as a context
-manager that gives a ``drivers.api.Camera``. It raises DeviceGone (not there) and DeviceRefused (not usable). It is imported when
+manager that gives a ``drivers.api.Camera``. It raises DeviceGone (not there) and DeviceRefused (not usable). If it has a function
+``list_cameras(wires)`` besides, that yields a line of words for each camera it sees, whatever the rig file wants. It is imported when
 a rig file names it; a name that is no module of this package is never imported (``docs/adr/0036-a-camera-family-is-a-module.md``).
 """
 
@@ -9,6 +10,7 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
+from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Protocol
 
@@ -27,6 +29,12 @@ class OpenCamera(Protocol):
     def __call__(self, spec: CameraSpec, wires: Wires) -> AbstractContextManager[Camera]: ...
 
 
+class ListCameras(Protocol):
+    """Function that a family's module may offer: what it sees, serial number first, and how to reach it. Raises DeviceError."""
+
+    def __call__(self, wires: Wires) -> Iterator[str]: ...
+
+
 def families() -> tuple[str, ...]:
     """The names that ``kind`` may have."""
     return tuple(sorted(one.name for one in pkgutil.iter_modules(__path__) if not one.name.startswith("_")))
@@ -41,4 +49,12 @@ def opener(kind: str) -> OpenCamera:
             f'Correct kind of [camera]; usually it is "{USUAL}"',
         )
     found: OpenCamera = importlib.import_module(f"{__name__}.{kind}").open_camera
+    return found
+
+
+def lister(kind: str) -> ListCameras | None:
+    """Return the function that lists cameras of a family; ``None``: the family, or such a function, is not there."""
+    if kind not in families():
+        return None
+    found: ListCameras | None = getattr(importlib.import_module(f"{__name__}.{kind}"), "list_cameras", None)
     return found

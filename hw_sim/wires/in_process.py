@@ -45,6 +45,10 @@ class SimWires:
         self.clock = WorldClock(world.time)
         self.calendar = world.calendar
 
+    def cards(self) -> tuple[str, ...]:
+        """Paths of all cards: the one, unless it is gone."""
+        return (CARD,) if self._world.card.there else ()
+
     def open_card(self, path: str) -> SimCardNode:
         """Open the one card that there is. Raises FileNotFoundError for another path, and while it is gone."""
         if path != CARD or not self._world.card.there:

@@ -30,7 +30,8 @@ def listed(
 ) -> OnTheBuses:
     monkeypatch.setattr("serial.tools.list_ports.comports", lambda: ports)
     wires = SimpleNamespace(usb_backend=usb_backend, hidraw=hid, clock=SteppedClock(), open_card=open_card)
-    return on_the_buses(wires, ["/dev/dri/card0", "/dev/dri/card0"])
+    wires.cards = lambda: ("/dev/dri/card0", "/dev/dri/card1")
+    return on_the_buses(wires, "usb3vision", ["/dev/dri/card0", "/dev/dri/card0"])
 
 
 def gone(path: str) -> object:
@@ -48,11 +49,12 @@ def test_a_bus_that_cannot_be_asked_says_why(monkeypatch: pytest.MonkeyPatch) ->
         ports=[],
         open_card=gone,
     )
-    assert found.cameras == ("USB could not be asked: [Errno None] busy",)
+    assert found.cameras == ("cameras of kind usb3vision could not be asked: [Errno None] busy",)
     assert found.ports == ()
     assert found.hid == ("HID devices could not be asked: no permission",)
-    (line,) = found.connectors
-    assert line.startswith("/dev/dri/card0 could not be opened:"), "one card is asked once"
+    first, second = found.connectors
+    assert first.startswith("/dev/dri/card0 could not be opened:"), "one card is asked once"
+    assert second.startswith("/dev/dri/card1 could not be opened:"), "a card that no rig file names is asked as well"
 
 
 def test_what_has_no_usb_identity_is_no_board(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -111,7 +111,11 @@ def test_an_instrument_with_used_cameras_of_each_maker_is_checked_and_scans(tmp_
         ("ace", {"TriggerSelector": "FrameBurstStart", "TriggerMode": "On"}, "CAMERA_SILENT", "trigger_source"),
         ("blackfly", {"TriggerActivation": "FallingEdge"}, "SYNC_LOST", "12.00 ms late"),
         ("blackfly", {"TriggerDelay": 3000.0}, "SYNC_LOST", "3.00 ms late"),
-        ("alvium", {"ReverseX": True}, "PATTERN_WRONG", "does not show the sequence"),
+        ("alvium", {"ReverseX": True}, "PICTURE_MIRRORED", "sees the picture mirrored left to right"),
+        ("blackfly", {"ReverseX": True, "ReverseY": True}, "PICTURE_MIRRORED", "sees the picture turned by 180°"),
+        ("ace", {"Gamma": 0.45}, "GREY_BENT", "bends grey. Under features of camera.left set Gamma = 1.0"),
+        ("blackfly", {"GammaEnable": True, "Gamma": 0.8}, "GREY_BENT", "bends grey. Under features of camera.left"),
+        ("blackfly", {"LUTEnable": True}, "GREY_BENT", "LUTEnable = false"),
         ("blackfly", {"TestPattern": "GreyHorizontalRamp"}, "CAMERA_STUCK", "shows the same image"),
     ],
 )  # fmt: skip

@@ -1,7 +1,7 @@
 """Owns the explanations of a camera's frames: which of them is taken for which pattern, and which speaks best.
 
 A swap, frames that all come one late or one early, and a repeat with everything after it one late put frames and patterns
-into another order, under which no doubt is left; the missing pattern of a late sequence is foretold by the others, since four sines
+into another order, under which no doubt is left; so is a picture that lies the wrong way round, once it is read backwards; the missing pattern of a late sequence is foretold by the others, since four sines
 add up in pairs. A frame that repeats another, or an image that stays, is seen in the
 frames themselves.
 """
@@ -45,7 +45,21 @@ class What(Enum):
     """``frame`` shows what ``other`` shows."""
     STILL = "still"
     """All frames from ``frame`` on show the same image."""
+    MIRRORED = "mirrored left to right"
+    """All frames are as planned, each row read from its end."""
+    UPSIDE_DOWN = "mirrored top to bottom"
+    """The same of each column."""
+    TURNED = "turned by 180°"
+    """Both."""
     UNEXPLAINED = "unexplained"
+
+
+WAYS_ROUND = {
+    What.MIRRORED: (Direction.X,),
+    What.UPSIDE_DOWN: (Direction.Y,),
+    What.TURNED: (Direction.X, Direction.Y),
+}
+"""Directions whose lines run backwards where a picture lies the wrong way round."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,6 +209,16 @@ def _ordered(
         yield Explanation(What.LATE, first), np.where(straight < first, straight, straight + 1), last
     bright = Witness({along: _with(lines, lines.high) for along, lines in witness.lines.items()}, sequence, noise)
     yield Explanation(What.EARLY, 0), np.where(straight == 0, n, straight - 1), bright
+    for what, backwards in WAYS_ROUND.items():
+        turned = {
+            along: _backwards(lines) if along in backwards else lines for along, lines in witness.lines.items()
+        }
+        yield Explanation(what, 0), straight, Witness(turned, sequence, noise)
+
+
+def _backwards(lines: Lines) -> Lines:
+    values, low, high = (np.ascontiguousarray(part[..., ::-1]) for part in (lines.values, lines.low, lines.high))
+    return Lines(lines.along, values, low, high, np.ascontiguousarray(lines.illuminated[..., ::-1]))
 
 
 def _thinned(lines: Lines, every: int) -> Lines:

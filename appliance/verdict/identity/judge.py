@@ -15,7 +15,7 @@ from appliance.scan.noise import FULL_DN, TYPICAL_PAIR, CameraNoise, StereoNoise
 from appliance.scan.sides import SIDES, of_side
 from appliance.scan.verdict import Judgement, Verdict
 from appliance.verdict.identity.evidence import DECIDED, MIN_FRINGE, LineEvidence, Witness
-from appliance.verdict.identity.explain import Explanation, What, explain, still
+from appliance.verdict.identity.explain import WAYS_ROUND, Explanation, What, explain, still
 from appliance.verdict.identity.lines import Lines, can_follow, take_lines
 
 NAME = "identity"
@@ -93,7 +93,7 @@ def judge_identity(
 
     Passed: every frame is its pattern. None: too little of the projector's light is seen to say so, or too much moves.
     Failed, with a fault: ``CAMERA_STUCK`` (device), ``PROJECTOR_TIMING`` (shift_frames), ``PATTERN_WRONG`` (frame;
-    device projector if both cameras say it), ``PROJECTOR_DARK`` (only where the illuminated water would have been
+    device projector if both cameras say it), ``PICTURE_MIRRORED`` (device, likewise), ``PROJECTOR_DARK`` (only where the illuminated water would have been
     seen). Numbers: ``doubt``, the largest of all doubts, which alarm from 1 on; of each camera the same, the samples
     with fringes, and the projector's light; ``parallax_percent``, by which both see the stripes beside their place, to
     opposite sides. Raises ValueError for a number of frames that is not the sequence's.
@@ -253,8 +253,19 @@ def _fault(cameras: list[_Camera]) -> Fault | None:
     first = (explained or wrong)[0]
     explanation = first.explanation
     assert explanation is not None
-    device = "projector" if len(wrong) == len(cameras) > 1 else first.device
-    return _named(explanation, first, device)
+    everybody = len(wrong) == len(cameras) > 1
+    if explanation.what in WAYS_ROUND:
+        return _turned(explanation.what, first.device if not (everybody and _alike(wrong)) else "projector")
+    return _named(explanation, first, "projector" if everybody else first.device)
+
+
+def _turned(what: What, device: str) -> Fault:
+    """Return the fault of a picture that lies the wrong way round: in one camera, or, where all see it so, in the projector."""
+    if device == "projector":
+        detail = f"both cameras see the picture {what.value}: switch rear projection, ceiling projection and flips off in the projector"
+    else:
+        detail = f"{device} sees the picture {what.value}: switch its ReverseX and ReverseY off under features, or mount it the right way round"
+    return Fault(FaultCode.PICTURE_MIRRORED, detail, device=device)
 
 
 def _alike(wrong: list[_Camera]) -> bool:
@@ -307,6 +318,6 @@ def _named(explanation: Explanation, camera: _Camera, device: str) -> Fault:
             detail = f"{device} shows the patterns of frames {frame} and {other} in each other's place"
         case What.REPEATED:
             detail = f"frame {frame} of {device} repeats frame {other}"
-        case What.UNEXPLAINED:
+        case _:
             detail = f"{device} does not show the sequence; the first doubt is about frame {frame}"
     return Fault(FaultCode.PATTERN_WRONG, detail, numbers, device)

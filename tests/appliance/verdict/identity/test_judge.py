@@ -113,6 +113,41 @@ def test_swapped_neighbours_are_named(board: Takes) -> None:
         assert_named(board, (i, i + 1))
 
 
+TURNS = {
+    "mirrored left to right": lambda frames: frames[:, :, ::-1],
+    "mirrored top to bottom": lambda frames: frames[:, ::-1],
+    "turned by 180°": lambda frames: frames[:, ::-1, ::-1],
+}
+
+
+@pytest.mark.parametrize("how", TURNS)
+@pytest.mark.parametrize("side", SIDES)
+def test_a_camera_that_turns_its_picture_is_named_with_the_way_it_does(board: Takes, how: str, side: str) -> None:
+    frames = {name: takes[0] for name, takes in board.items()}
+    frames[side] = np.ascontiguousarray(TURNS[how](frames[side]))
+    judgement = judge_identity(frames, SEQUENCE)
+    assert code(judgement) is FaultCode.PICTURE_MIRRORED
+    assert judgement.fault is not None
+    assert judgement.fault.device == f"camera.{side}"
+    assert judgement.fault.detail.startswith(f"camera.{side} sees the picture {how}: switch its ReverseX")
+
+
+@pytest.mark.parametrize("how", TURNS)
+def test_what_both_cameras_see_turned_is_the_projectors_doing(board: Takes, how: str) -> None:
+    frames = {name: np.ascontiguousarray(TURNS[how](takes[0])) for name, takes in board.items()}
+    judgement = judge_identity(frames, SEQUENCE)
+    assert judgement.fault is not None
+    assert (judgement.fault.code, judgement.fault.device) == (FaultCode.PICTURE_MIRRORED, "projector")
+    assert how in judgement.fault.detail
+    assert "rear projection" in judgement.fault.detail
+
+
+def test_a_wrong_order_of_a_mirrored_picture_is_no_mere_mirror(board: Takes) -> None:
+    frames = {name: takes[0] for name, takes in board.items()}
+    frames["left"] = np.ascontiguousarray(frames["left"][swapped(3, 4), :, ::-1])
+    assert code(judge_identity(frames, SEQUENCE)) is FaultCode.PATTERN_WRONG
+
+
 @pytest.mark.long
 def test_any_two_swapped_frames_are_named(board: Takes) -> None:
     for pair in combinations(range(N), 2):
