@@ -12,6 +12,7 @@ import pytest
 
 from drivers.board.firmware import pins as board
 from drivers.keys.firmware import pins as keys
+from tests.drivers.board.firmware.desk import Desk
 from tests.drivers.wiring.plans import FOLDER, PLANS
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -120,3 +121,14 @@ def test_a_line_without_a_place_on_the_plan_stops_the_drawing(monkeypatch: pytes
     monkeypatch.setattr(board, "LINES", (*board.LINES, line))
     with pytest.raises(ValueError, match="no place on the plan for HEATER"):
         PLANS["wiring-board.svg"]()
+
+
+def test_the_lines_to_paste_are_obeyed_by_the_firmware() -> None:
+    page = (FOLDER.parent / "build" / "wiring.md").read_text(encoding="utf-8")
+    lines = re.findall(r"`(\$C,\d+,([A-Z]+)[^`]*)`", page)
+    assert [verb for _, verb in lines] == ["INFO", "VSYNC", "SENSE", "LASER", "LASER"]
+    desk = Desk()
+    desk.exchange(b"", 100_000)
+    for line, verb in lines:
+        said = desk.exchange(line.encode() + b"\r\n", 20_000).decode()
+        assert re.search(rf"\$A,\d+,{verb}", said), line
