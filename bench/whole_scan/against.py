@@ -133,11 +133,15 @@ def table(revision: str, rounds: int, measured: Sequence[Measured]) -> str:
     for part, words in ROWS.items():
         values = [said.get(key_of(scene, part)) for scene, _ in HEADS]
         if any(value is not None for value in values):
-            lines.append(f"| {words} | {' | '.join('—' if value is None else f'{value:.2f}' for value in values)} |")
+            lines.append(f"| {words} | {' | '.join(_ratio(value) for value in values)} |")
     for what in SAME:
         values = [said.get(key_of(scene, f"same_{what}")) for scene, _ in HEADS]
         lines.append(f"| {what} the same to the last byte | {' | '.join(_yes(value) for value in values)} |")
     return "\n".join(lines) + "\n"
+
+
+def _ratio(value: float | None) -> str:
+    return "—" if value is None else f"{value:.2f}" if value >= 0.095 else f"{value:.1g}"
 
 
 def _yes(value: float | None) -> str:
