@@ -218,7 +218,9 @@ def common_of_neighbours(
     found = np.zeros(ends.size)
     value = rest * contrast
     # Each pixel learns its block, and its value is clipped: one edge must not outweigh a block.
-    block = np.full(rest.size, -1)
+    block = np.empty(rest.size, np.intp)
+    for at in range(rest.size):
+        block[at] = -1
     begin = 0
     for k in range(ends.size):
         for at in order[begin : ends[k]]:
@@ -265,7 +267,7 @@ def stripe_levels(
     """Return the level of each image in ``numbers``: half way between the medians of its dark and of its illuminated
     stripes, from dark (0) to bright (1); NaN where fewer than ``least`` pixels are either. ``grey`` (images, n) and
     what ``pixels`` of them have as ``contrast``."""
-    found = np.full(numbers.size, np.nan)
+    found = np.empty(numbers.size)
     count, black, shares = np.empty(2 * BINS + 1, np.int64), np.empty(pixels.size), np.empty(pixels.size)
     bins = np.empty(pixels.size, np.int64)
     for i in range(pixels.size):
@@ -329,7 +331,9 @@ def regress(value: Floats, terms: Floats, contrast: Floats, weight: Floats) -> t
     for again in range(ROUNDS):
         inverse = _inverse(_ridged(normal))
         coefficients = _times(inverse, right)
-        residual[:] = value
+        # A loop: assigning an array to an array compiles a second of text, for the message that their shapes differ.
+        for j in range(n):
+            residual[j] = value[j]
         for a in range(size):
             for j in range(n):
                 residual[j] -= coefficients[a] * terms[a, j]
@@ -403,7 +407,7 @@ def quantile_of(values: Floats, share: float) -> float:
                 inside[n] = values[i]
                 n += 1
         values, rank = inside, rank - below
-    ordered = np.sort(values)
+    ordered = _in_order(values)
     if not aside > 0.0:
         return float(ordered[rank])
     following = np.inf
@@ -414,6 +418,19 @@ def quantile_of(values: Floats, share: float) -> float:
         for i in range(asked.size):
             following = min(following, asked[i] if asked[i] > ordered[rank] else np.inf)
     return float(ordered[rank] + aside * (following - ordered[rank]))
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _in_order(values: Floats) -> Floats:
+    """Return ``values`` (n,) sorted: a few, or as many as lie so near to each other that they are next to equal."""
+    ordered = values.copy()
+    for i in range(1, ordered.size):
+        value, at = ordered[i], i
+        while at > 0 and value < ordered[at - 1]:
+            ordered[at] = ordered[at - 1]
+            at -= 1
+        ordered[at] = value
+    return ordered
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
