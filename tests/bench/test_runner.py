@@ -142,3 +142,18 @@ def test_the_table_of_the_health_is_replaced_as_a_whole(tmp_path: Path) -> None:
         write_health(out, docs)
     assert document.read_text() == f"before\n{HEALTH_BEGIN}\n\n| new |\n\n{HEALTH_END}\nafter\n"
     assert (docs / "pictures" / "calibration-health.png").read_bytes() == b"picture"
+
+
+def test_what_was_just_measured_gets_into_the_document_also_where_a_bound_was_missed(
+    package: Path, tmp_path: Path
+) -> None:
+    benchmark(package, "bad", "yield Measured('time', 304.0, 'ms', at_most=120.0, key='full_latency_p95_ms')")
+    benchmark(package, "other", "raise RuntimeError('not asked for')")
+    docs = tmp_path / "docs"
+    docs.mkdir()
+    (docs / "performance.md").write_text(f"{BEGIN}\nold\n{END}\n")
+    assert main(["bad", "--write-docs"], "measured_here", tmp_path / "out", docs) == 1
+    assert "| the same, 95 % | 304 | | ms | ≤ 120 **missed** |" in (docs / "performance.md").read_text()
+    (docs / "performance.md").write_text(f"{BEGIN}\nold\n{END}\n")
+    assert main(["--write-docs"], "measured_here", tmp_path / "out", docs) == 0, "nothing is measured"
+    assert "| 304 |" in (docs / "performance.md").read_text()
