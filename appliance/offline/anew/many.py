@@ -219,9 +219,9 @@ class ManyEngine:
                     pairs = zip(work.jobs, rows, strict=True)
                     return [Ended(job, row, place=str(row.pop(WORKER, ""))) for job, row in pairs]
                 case "error":
-                    error = future.exception(timeout=ASK_S)
+                    raised = future.exception(timeout=ASK_S)
                     self._cancel([one for one in work.futures if one is not future])
-                    trouble = f"{type(error).__name__}: {error}"
+                    trouble = f"{type(raised).__name__}: {raised}"
                     return [Ended(job, None, trouble, together=len(work.jobs) > 1) for job in work.jobs]
                 case "pending":
                     alive.append(future)

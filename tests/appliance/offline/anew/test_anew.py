@@ -355,37 +355,34 @@ def test_a_disk_that_is_full_for_four_places_ends_the_work_after_a_few_of_each()
     assert sum(engine.given.values()) <= 2 * TROUBLES_IN_A_ROW
 
 
+class SomeBad(Scripted):
+    """Every place but ``good`` refuses with ``blame``, forty times while the good one answers once; they are given jobs first."""
+
+    def __init__(self, blame: str, bad: Sequence[str]) -> None:
+        super().__init__(lambda one, _: done(one), (*bad, "good"), {"good": 40})
+        self._blame = blame
+
+    def ended(self, timeout_s: float) -> list[Ended]:
+        refusal = {"state": AGAIN, "reason": "no memory", "host": "old", BLAME: self._blame}
+        return [
+            one if one.place == "good" else replace(one, row={"scan": one.job.name, **refusal})
+            for one in super().ended(timeout_s)
+        ]
+
+
 @pytest.mark.parametrize("blame", [OF_HOST, OF_MACHINE])
-def test_one_bad_place_that_refuses_in_an_instant_ends_nothing_and_is_named(blame: str) -> None:
-    class OneBad(Scripted):
-        """Gives jobs to the bad one first, which answers forty times while the good one answers once."""
-
-        def ended(self, timeout_s: float) -> list[Ended]:
-            return [
-                replace(
-                    one,
-                    row={
-                        "scan": one.job.name,
-                        "state": AGAIN,
-                        "reason": "another version",
-                        "host": "old",
-                        BLAME: blame,
-                    },
-                )
-                if one.place == "bad"
-                else one
-                for one in super().ended(timeout_s)
-            ]
-
-    engine = OneBad(lambda one, _: done(one), ("bad", "good"), {"good": 40})
-    worked = work_through_all(JOBS, engine, silent)
+def test_bad_places_that_refuse_in_an_instant_end_nothing_and_are_named(blame: str) -> None:
+    worked = work_through_all(JOBS, SomeBad(blame, ("bad", "worse")), silent)
     assert worked.stopped is None
-    assert dict(worked.left_out) == {"bad": "old: another version"}
-    if blame == OF_HOST:
-        assert sorted(one["scan"] for one in worked.rows) == [one.name for one in JOBS], "it counts against no scan"
-    else:
-        assert len(worked.rows) + len(worked.left) == len(JOBS)
-        assert len(worked.left) <= TROUBLES_IN_A_ROW / TRIES
+    assert dict(worked.left_out) == {"bad": "old: no memory", "worse": "old: no memory"}
+    assert len(worked.rows) + len(worked.left) == len(JOBS)
+    assert len(worked.left) <= (0 if blame == OF_HOST else 2 * TROUBLES_IN_A_ROW / TRIES)
+
+
+def test_what_a_host_cannot_do_counts_against_no_scan_however_many_hosts_there_are() -> None:
+    worked = work_through_all(JOBS[:1], SomeBad(OF_HOST, [f"bad{k}" for k in range(2 * TRIES)]), silent)
+    assert [one["state"] for one in worked.rows] == [DONE]
+    assert len(worked.left_out) == 2 * TRIES
 
 
 def test_scans_that_are_gone_one_after_another_leave_nobody_out() -> None:
