@@ -192,7 +192,7 @@ class Reprocess(Verb):
         if worked.stopped is not None:
             say(f"stopped: {worked.stopped}")
         say(
-            f"{counts['done']} done, {counts['failed']} failed, {counts['left'] + counts['not_begun']} left; {facts['table']}"
+            f"{counts['done']} done, {counts['failed']} failed, {len(worked.left) + worked.not_begun} left; {facts['table']}"
         )
 
 
