@@ -41,12 +41,12 @@ class PackedScan:
 
 
 def packed_scans(drawn: Sequence[Drawn], archive: Path, say: Callable[[str], None]) -> list[PackedScan]:
-    """Pack each scan into ``archive``, anew where it is there already."""
+    """Pack each scan into ``archive``, which is made anew."""
     found = []
+    shutil.rmtree(archive, ignore_errors=True)  # of a call that was interrupted
     archive.mkdir(parents=True, exist_ok=True)
     for one in drawn:
         target = archive / one.folder.name
-        shutil.rmtree(target, ignore_errors=True)
         begun_s = time.process_time()
         if pack_scan(LocalFileSystem(), one.folder, target) is not Copied.WRITTEN:
             raise RuntimeError(f"{target} was not written")

@@ -32,6 +32,7 @@ KNOCK = MountShift("right", yaw_deg=0.03, pitch_deg=0.01)
 DARK, MOVED, DAMAGED = (9, 30), (21,), (14, 35)
 TREMOR_MM = (4.0, 4.0, 3.0)
 OTHERS = ("shell", "pipe", "stones")
+MOST_S = 1800.0
 WINDOW_PX = (1200, 2560)
 
 
@@ -120,7 +121,7 @@ def _damage(path: Path) -> None:
 
 
 def _said(folder: Path, *words: object) -> Any:
-    done = kingfisher(*words, cwd=folder)
+    done = kingfisher(*words, cwd=folder, most_s=MOST_S)
     if not done.out:
         raise RuntimeError(f"kingfisher {words[0]}: {done.err}")
     return done.document

@@ -43,14 +43,14 @@ class Said:
         return lines[0]
 
 
-def kingfisher(*words: object, cwd: Path = ROOT, most_bytes: int | None = None) -> Said:
-    """What the program said, in a process of its own; it can make no file larger than ``most_bytes``."""
+def kingfisher(*words: object, cwd: Path = ROOT, most_bytes: int | None = None, most_s: float = 240.0) -> Said:
+    """What the program said, in a process of its own; it can make no file larger than ``most_bytes``, and takes ``most_s`` at most."""
     done = subprocess.run(
         [sys.executable, "-m", "appliance.cli", *map(str, words)],
         cwd=cwd,
         capture_output=True,
         text=True,
-        timeout=240,
+        timeout=most_s,
         check=False,
         preexec_fn=None
         if most_bytes is None
