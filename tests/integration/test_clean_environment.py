@@ -117,8 +117,11 @@ def desk(tmp_path: Path) -> Desk:
         shutil.copytree(ROOT / name, tree / name, ignore=shutil.ignore_patterns("__pycache__"))
     pip = [sys.executable, "-m", "pip", "--disable-pip-version-check"]
     alone = ["--no-deps", "--no-index"]
-    run = {"check": True, "timeout": 280, "cwd": tmp_path, "stdout": subprocess.DEVNULL}
-    subprocess.run([*pip, "wheel", *alone, "--no-build-isolation", "-w", str(tmp_path), str(tree)], **run)
+
+    def call(*words: str) -> None:
+        subprocess.run([*pip, *words], check=True, timeout=280, cwd=tmp_path, stdout=subprocess.DEVNULL)
+
+    call("wheel", *alone, "--no-build-isolation", "-w", str(tmp_path), str(tree))
     shutil.rmtree(tree)
     (wheel,) = tmp_path.glob("kingfisher-*.whl")
     venv.create(tmp_path / "venv", with_pip=False)
@@ -126,7 +129,8 @@ def desk(tmp_path: Path) -> Desk:
     (packages,) = (tmp_path / "venv").glob("lib/python*/site-packages")
     for distribution in sorted(required("kingfisher", "desk")):
         bring(distribution, packages)
-    subprocess.run([*pip, "--python", str(python), "install", *alone, f"{wheel}[desk]"], **run)
+    call("--python", str(python), "install", *alone, f"{wheel}[desk]")
+    call("--python", str(python), "check")
     (tmp_path / "elsewhere").mkdir()
     return Desk(python, tmp_path / "elsewhere")
 
