@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import numba
@@ -86,13 +87,11 @@ def measure() -> Iterator[Measured]:
             for block, out, full in zip(blocks, found, saturated, strict=True):
                 one(block, weights, columns, WHITE, out, full)
 
-        compiling_ms = cpu_ms(lambda whole=whole, kernel=kernel: whole(kernel))  # type: ignore[misc]
+        compiling_ms = cpu_ms(partial(whole, kernel))
         whole(fit_steps)
         pairs = [(_of(whole, fit_steps), _of(whole, kernel)) for _ in range(PAIRS)]
         general, special = np.array(pairs).T
-        all_of_it = [
-            cpu_ms(lambda images=images, steps=steps_deg: fit_sine(list(images), steps, 255.0)) for _ in range(PAIRS)
-        ]  # type: ignore[misc]
+        all_of_it = [cpu_ms(partial(fit_sine, list(images), steps_deg, float(WHITE))) for _ in range(PAIRS)]
         yield median_of(f"{count} steps: one kernel for any number", general, "ms")
         yield median_of(f"{count} steps: a kernel of its own", special, "ms")
         yield median_of(f"{count} steps: general over special, paired", general / special, "")
@@ -103,7 +102,7 @@ def measure() -> Iterator[Measured]:
 
 
 def _of(whole: Callable[[Kernel], None], kernel: Kernel) -> float:
-    return cpu_ms(lambda: whole(kernel))
+    return cpu_ms(partial(whole, kernel))
 
 
 def _ours(images: NDArray[np.uint8], general: NDArray[Any], whole: Callable[[Kernel], None]) -> Iterator[Measured]:

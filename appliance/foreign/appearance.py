@@ -71,6 +71,9 @@ def looked_at(images: NDArray[Any]) -> list[Seen]:
     looks = _looks(images)
     begin, pairs = _pairs(looks)
     if pairs < LEAST_PAIRS:
+        apart = _pairs_apart(looks)
+        if apart:
+            return _one_of_each(_apart(looks, apart))
         return _one_of_each(_single(looks))
     inside = looks[begin : begin + 2 * pairs]
     words = _paired(inside)
@@ -150,6 +153,60 @@ def _pairs(looks: Sequence[_Look]) -> tuple[int, int]:
         if count > best[1] and codes >= LEAST_PAIRS - 1:
             best = begin, count
     return best
+
+
+def _pairs_apart(looks: Sequence[_Look]) -> list[tuple[int, int]]:
+    """Return images with their inverses where these follow as a block: all of a direction, or of both; empty where there are none."""
+    codes = [k for k, look in enumerate(looks) if look.kind == "gray"]
+    found: list[tuple[int, int]] = []
+    used: set[int] = set()
+    for k in codes:
+        if k in used:
+            continue
+        partner = next((j for j in codes if j > k + 1 and j not in used and _are_inverse(looks[k], looks[j])), None)
+        if partner is not None:
+            found.append((k, partner))
+            used |= {k, partner}
+    pairs: list[tuple[int, int]] = []
+    for distance in sorted({j - k for k, j in found}):
+        # Of one block, all are as far from their inverses; what is not is chance, or one of four steps.
+        blocks: list[list[int]] = []
+        for k in (k for k, j in found if j - k == distance):
+            # A block is as long as its inverses are away; behind them another one may follow.
+            if not blocks or k >= blocks[-1][0] + distance:
+                blocks.append([])
+            blocks[-1].append(k)
+        for mine in blocks:
+            if len(mine) >= LEAST_PAIRS:
+                pairs += [(k, k + distance) for k in _whole_block(looks, mine, distance)]
+    return sorted(pairs)
+
+
+def _whole_block(looks: Sequence[_Look], mine: Sequence[int], distance: int) -> range:
+    """Return the images of a block with inverses: also those at its fine end, which the camera cannot resolve, and even ones at its coarse
+    end, where it sees half of the pattern."""
+    first, last = min(mine), max(mine)
+    for _ in range(2):
+        if first > 0 and looks[first - 1].even and _are_inverse(looks[first - 1], looks[first - 1 + distance]):
+            first -= 1
+        if (
+            last + 1 + distance < len(looks)
+            and looks[last + 1].even
+            and _are_inverse(looks[last + 1], looks[last + 1 + distance])
+        ):
+            last += 1
+    if looks[max(mine)].changes > looks[min(mine)].changes:
+        return range(first, max(last + 1, min(first + distance, len(looks) - distance)))
+    return range(min(first, max(0, last + 1 - distance)), last + 1)
+
+
+def _apart(looks: Sequence[_Look], pairs: Sequence[tuple[int, int]]) -> list[Seen]:
+    """Return what images show of which some have inverses elsewhere: those as if they stood side by side."""
+    seen = _single(looks)
+    words = _paired([looks[k] for pair in pairs for k in pair])
+    for k, word in zip((k for pair in pairs for k in pair), words, strict=True):
+        seen[k] = Seen(word, looks[k].changes)
+    return seen
 
 
 def _paired(looks: Sequence[_Look]) -> list[str]:

@@ -43,6 +43,9 @@ MOST_MISFIT = 0.6
 """Allowed misfit of the steps, as a share of the modulation: a bent response of the projector alone makes up to 0.35."""
 GOOD_OF_CHANCE, POOR_OF_CHANCE = 0.45, 0.8
 """Disagreement of the phases of several periods over that of phases that have nothing to do with each other: good below, wrong above."""
+FEW, START_DEG, NEARLY, FINER_DEG = 3000, 15, 1.3, (-6.0, -3.0, 0.0, 3.0, 6.0)
+"""Pixels that are asked where the phases of several periods begin, the steps in which it is searched, how much worse the sign that was
+said may do, and the finer steps about the best one."""
 ACROSS = 2.0
 
 
@@ -392,11 +395,53 @@ def _periods(found: Measured, axis: AxisConvention) -> ExaminedAssumption:
             f"their phases are {360 * here:.1f}° apart, and {360 * others[best]:.1f}° with {axis.name}.period_px = "
             f"[{', '.join(f'{one:g}' for one in wanted)}]", {"periods_px": tuple(wanted)},
         )  # fmt: skip
+    sign, start_deg, left = _other_begin(found, axis)
+    if left < min(GOOD_OF_CHANCE * chance, 0.6 * here):
+        words = [f'{axis.name}.sign = "{"+" if sign * axis.sign > 0 else "-"}"'] if sign < 0 else []
+        words.append(f"{axis.name}.start_deg = {start_deg:g}")
+        return ExaminedAssumption(
+            about, Outcome.WRONG,
+            f"their phases are {360 * here:.1f}° apart, and {360 * left:.1f}° with {' and '.join(words)}",
+            {"sign": sign * axis.sign, "start_deg": start_deg},
+        )  # fmt: skip
     text = f"their phases are {360 * here:.1f}° apart, and would be {360 * chance:.1f}° by chance"
     if here > POOR_OF_CHANCE * chance:
         text += f": check {axis.name}.period_px or {axis.name}.fringes, and the order of the images"
         return ExaminedAssumption(about, Outcome.WRONG, text)
     return ExaminedAssumption(about, Outcome.NOT_JUDGED, text)
+
+
+def _other_begin(found: Measured, axis: AxisConvention) -> tuple[int, float, float]:
+    """Return the sign and the start with which the phases of several periods agree best, and by how much they then disagree, in turns.
+
+    All periods begin alike at the edge of the pattern: another start moves each by another part of its period.
+    """
+    usable = np.flatnonzero(~(found.weak | found.saturated))
+    few = usable[:: max(1, usable.size // FEW)]
+    if not few.size:
+        return 1, axis.start_deg, 1.0
+    nothing = np.zeros((1, few.size), np.bool_)
+
+    def left_with(sign: int, start_deg: float) -> float:
+        fits = tuple(
+            replace(fit, turns=np.float32(sign) * fit.turns.ravel()[few][None], modulation=fit.modulation.ravel()[few][None],
+                    offset=fit.offset.ravel()[few][None], misfit=None, saturated=nothing)
+            for fit in found.fits
+        )  # fmt: skip
+        _, left = by_periods(
+            replace(found, fits=fits, weak=nothing, saturated=nothing), replace(axis, start_deg=start_deg)
+        )
+        return float(np.median(left))
+
+    coarse = {(sign, float(start)): left_with(sign, start) for sign in (1, -1) for start in range(0, 360, START_DEG)}
+    sign, start = min(coarse, key=lambda one: coarse[one])
+    # The same sign where it does nearly as well: of two cameras a pattern that is mirrored makes the same points.
+    mine = min((one for one in coarse if one[0] == 1), key=lambda one: coarse[one])
+    if coarse[mine] < NEARLY * coarse[sign, start]:
+        sign, start = mine
+    fine = {(start + off) % 360.0: left_with(sign, start + off) for off in FINER_DEG}
+    best = min(fine, key=lambda one: fine[one])
+    return sign, best, fine[best]
 
 
 def _across(camera: DecodedCamera, axis: AxisConvention) -> list[ExaminedAssumption]:

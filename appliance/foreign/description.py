@@ -7,13 +7,14 @@ offset + i · stripe to offset + (i + 1) · stripe. ``docs/foreign.md`` has the 
 
 from __future__ import annotations
 
+import re
 import tomllib
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from appliance.foreign.order import ShownImage, Shows, numbered, parse_order
+from appliance.foreign.order import MOST_IMAGES, ShownImage, Shows, numbered, parse_order
 from appliance.foreign.problem import ForeignError, Table
 
 MAX_BYTES = 1_000_000
@@ -80,6 +81,8 @@ class ImageFiles:
     """Names with wildcards, in order; each stands for its files in natural order (2 before 10)."""
     by_word: tuple[tuple[str, tuple[str, ...]], ...] = ()
     """Names for each kind of image (``gray-x``), in place of ``patterns``."""
+    turns: tuple[str, ...] = ()
+    """Sides in whose turn the files come, again and again, where those of both cameras are named together."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,8 +181,11 @@ def _described(top: Table, folder: Path, name: str) -> Description:
     images, projector, cameras = (_needed(top, key) for key in ("images", "projector", "cameras"))
     projector.only("width_px", "height_px")
     size_px = (projector.whole("width_px", 2, int(MOST_PX)), projector.whole("height_px", 2, int(MOST_PX)))
-    images.only("left", "right", "order", "channel", "white")
-    files = {side: _files(images, side) for side in SIDES if side == "left" or side in images.content}
+    images.only("left", "right", "both", "sides", "order", "channel", "white")
+    if "both" in images.content or "sides" in images.content:
+        files = _together(images)
+    else:
+        files = {side: _files(images, side) for side in SIDES if side == "left" or side in images.content}
     order, shown = _order(images, files)
     axes = []
     for axis_name, length in zip("xy", size_px, strict=True):
@@ -234,6 +240,24 @@ def _files(images: Table, side: str) -> ImageFiles:
             raise images.wrong(side, "names of images", "name some")
         return ImageFiles((), tuple((word, _names(table, word)) for word in value))
     return ImageFiles(_names(images, side))
+
+
+def _together(images: Table) -> dict[str, ImageFiles]:
+    """Return the files of both cameras that are named together, and whose turn it is: ``left right``, or ``left*11 right*11``."""
+    if "left" in images.content or "right" in images.content:
+        raise ForeignError("images.both and images.left, right: give names for both together, or for each")
+    turns: list[str] = []
+    for word in images.text("sides", "left right").split():
+        found = re.fullmatch(r"(left|right)(?:\*(\d{1,3}))?", word)
+        if found is None or not 1 <= int(found[2] or 1) <= MOST_IMAGES:
+            raise images.wrong(
+                "sides", "left and right, with * and a number: left right, or left*11 right*11", "correct it"
+            )
+        turns += [found[1]] * int(found[2] or 1)
+    if turns.count("left") != turns.count("right") or len(turns) > 2 * MOST_IMAGES:
+        raise images.wrong("sides", "as many left as right", "correct it")
+    names = _names(images, "both")
+    return {side: ImageFiles(names, (), tuple(turns)) for side in SIDES}
 
 
 def _order(images: Table, files: dict[str, ImageFiles]) -> tuple[tuple[ShownImage, ...] | None, tuple[ShownImage, ...]]:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from appliance.foreign.images import SUFFIXES, natural_key
+from appliance.foreign.frames import PAGED, STACKS, SUFFIXES, Frame, arrays_in, frames_in
+from appliance.foreign.images import natural_key
 from appliance.foreign.problem import ForeignError
 
 LEAST_IMAGES, MOST_FILES = 3, 2000
@@ -29,37 +30,77 @@ class CameraFiles:
     """``left`` or ``right``."""
     pattern: str
     """Name of the files with wildcards, relative to the folder."""
-    files: tuple[Path, ...]
-    """The files themselves, in natural order."""
+    files: tuple[Frame, ...]
+    """The images themselves, in natural order."""
+    sides: str = ""
+    """Whose turn it is in a sequence of both cameras, in the words of a description; empty: ``pattern`` is of this camera alone."""
 
 
 def camera_files(folder: Path) -> list[CameraFiles]:
     """Return the images of the one or two cameras below ``folder``, the left one first. Raises ForeignError."""
     if not folder.is_dir():
         raise ForeignError(f"{folder}: is no folder; give the one with the images")
+    stacks = _stacks(folder)
+    if stacks is not None:
+        return stacks
     found = [path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES and path.is_file()]
     if not LEAST_IMAGES <= len(found) <= MOST_FILES:
         raise ForeignError(
             f"{folder}: {len(found)} images are in it; allowed are {LEAST_IMAGES} to {MOST_FILES}; give the folder of one set"
         )
     names = [str(path.relative_to(folder)) for path in found]
-    best = _best(names) or _best([name for name in names if not _ASIDE.search(name)])
+    # What lies beside a sequence first goes; where everything is called so, it is the sequence.
+    best = _best([name for name in names if not _ASIDE.search(name)]) or _best(names)
     if best is None:
         raise ForeignError(
             f"{folder}: which of its {len(names)} images are of which camera cannot be told by their names; put those of each camera into "
             "a folder of its own, left and right"
         )
-    patterns = sorted(best, key=natural_key)
-    if (
-        len(patterns) == 2
-        and (_RIGHT.search(patterns[0]) or _LEFT.search(patterns[1]))
-        and not _LEFT.search(patterns[0])
-    ):
-        patterns.reverse()
     return [
-        CameraFiles(side, pattern, tuple(folder / name for name in sorted(best[pattern], key=natural_key)))
-        for side, pattern in zip(("left", "right"), patterns, strict=False)
+        CameraFiles(side, pattern, tuple(Frame(folder / name) for name in sorted(best[pattern], key=natural_key)))
+        for side, pattern in zip(("left", "right"), _left_first(best), strict=False)
     ]
+
+
+def _left_first(names: Iterable[str]) -> list[str]:
+    ordered = sorted(names, key=natural_key)
+    if len(ordered) == 2 and (_RIGHT.search(ordered[0]) or _LEFT.search(ordered[1])) and not _LEFT.search(ordered[0]):
+        ordered.reverse()
+    return ordered
+
+
+def _stacks(folder: Path) -> list[CameraFiles] | None:
+    """Return the one or two stacks of images below ``folder``; ``None`` where there is none, or more than that."""
+    found: dict[str, tuple[Frame, ...]] = {}
+    for path in sorted(folder.rglob("*")):
+        if path.suffix.lower() not in (*STACKS, *PAGED) or not path.is_file():
+            continue
+        name = str(path.relative_to(folder))
+        for array in arrays_in(path) if path.suffix.lower() == ".npz" else ("",):
+            try:
+                frames = frames_in(path, array)
+            except ForeignError:
+                continue  # no stack of images
+            if len(frames) >= LEAST_IMAGES:
+                found[f"{name}#{array}" if array else name] = frames
+    if not 1 <= len(found) <= 2 or len({len(frames) for frames in found.values()}) != 1:
+        return None
+    return [
+        CameraFiles(side, name, found[name]) for side, name in zip(("left", "right"), _left_first(found), strict=False)
+    ]
+
+
+def taken_in_turns(camera: CameraFiles) -> Iterator[list[CameraFiles]]:
+    """Yield the ways in which two cameras may share one sequence: by turns, and one after the other."""
+    count = len(camera.files)
+    if count % 2 or count < 2 * LEAST_IMAGES:
+        return
+    half = count // 2
+    for sides, left, right in (
+        ("left right", camera.files[::2], camera.files[1::2]),
+        (f"left*{half} right*{half}", camera.files[:half], camera.files[half:]),
+    ):
+        yield [CameraFiles(side, camera.pattern, files, sides) for side, files in (("left", left), ("right", right))]
 
 
 def _best(names: list[str]) -> dict[str, list[str]] | None:
@@ -96,9 +137,11 @@ def _groupings(names: list[str]) -> Iterator[dict[str, list[str]]]:
     # Whatever stands about a word for one of two cameras: 00_left.png, bright_R.png, cam0_gray_03.png.
     sides: dict[str, list[str]] = defaultdict(list)
     for name in names:
-        found = list(_SIDE.finditer(name))
+        path = Path(name)
+        found = list(_SIDE.finditer(path.name))
         if not found:
             return
         at = found[-1]
-        sides[f"*{at[0]}*{Path(name).suffix}" if at.start() else f"{at[0]}*{Path(name).suffix}"].append(name)
+        # A wildcard stands for no part of a folder's name.
+        sides[str(path.with_name(f"{'*' if at.start() else ''}{at[0]}*{path.suffix}"))].append(name)
     yield dict(sides)

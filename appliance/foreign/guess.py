@@ -10,11 +10,10 @@ size whose middle is nearest to the projector's principal point.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -34,8 +33,9 @@ from appliance.foreign.description import (
     Description,
     ImageFiles,
 )
-from appliance.foreign.files import CameraFiles, camera_files
-from appliance.foreign.images import ImageSet, read_images
+from appliance.foreign.files import CameraFiles, camera_files, taken_in_turns
+from appliance.foreign.frames import Frame, raw_images
+from appliance.foreign.images import CHANNEL_NUMBER, ImageSet, read_images
 from appliance.foreign.order import numbered
 from appliance.foreign.periods import periods_by_phases
 from appliance.foreign.problem import ForeignError, Table
@@ -49,13 +49,44 @@ PROJECTORS_PX = (
     (1366, 768), (1400, 1050), (1440, 900), (1600, 1200), (1920, 1080), (1920, 1200), (2560, 1600), (3840, 2160),
 )  # fmt: skip
 """Sizes that projectors have; of equal widths the commonest one first."""
+MATRICES, SINGLES = (9, 12), (3, 4, 5, 8, 9, 12, 14)
+"""Numbers that a file of cameras has somewhere; and those of one with a single matrix or vector."""
+SINGLE_SUFFIXES = (".npy", ".txt", ".csv")
 METRES_BELOW = 3.0
 """A translation shorter than this is in metres."""
 
 
 def guess_description(folder: Path, beside: Path, progress: Callable[[str], None]) -> str:
     """Return the text of a description of the images below ``folder``, for a file in the folder ``beside``. Raises ForeignError."""
-    cameras = camera_files(folder)
+    named = camera_files(folder)
+    best: _Guessed | None = None
+    refused: ForeignError | None = None
+    for cameras in [named] if len(named) == 2 else [named, *taken_in_turns(named[0])]:
+        try:
+            guessed = _guessed(folder, cameras, beside, progress)
+        except ForeignError as error:
+            refused = refused or error
+            continue
+        if best is None or guessed.wrong < best.wrong:
+            best = guessed
+        if not guessed.wrong:
+            break
+    if best is None:
+        assert refused is not None
+        raise refused
+    return best.text
+
+
+@dataclass(frozen=True, slots=True)
+class _Guessed:
+    """A description of one way to share the files among cameras."""
+
+    text: str
+    wrong: int
+    """Number of assumptions that the images contradict whatever is said."""
+
+
+def _guessed(folder: Path, cameras: Sequence[CameraFiles], beside: Path, progress: Callable[[str], None]) -> _Guessed:
     progress("looking at the images")
     channel, images = _stack(cameras[0].files)
     seen = looked_at(_side_by_side(images, cameras, channel))
@@ -92,18 +123,19 @@ def guess_description(folder: Path, beside: Path, progress: Callable[[str], None
     )
     progress("testing what was guessed")
     left = read_images(cameras[0].files, shown, channel)
-    fitted, notes = _fitted(description, left)
+    fitted, notes, wrong = _fitted(description, left)
     if len(cameras) == 1 and rig_table:
         fitted, more = _on_projector(fitted, left, sizes_px)
         notes += more
-    return _text(fitted, cameras, beside, folder, " ".join(_joined(words)), notes)
+        wrong += any(f": {Outcome.WRONG.value}: " in one for one in more)
+    return _Guessed(_text(fitted, cameras, beside, folder, " ".join(_joined(words)), notes), wrong)
 
 
-def _stack(files: Sequence[Path]) -> tuple[str, NDArray[Any]]:
+def _stack(files: Sequence[Frame]) -> tuple[str, NDArray[Any]]:
     """Return the channel with the most to see, and the images in it."""
-    first = cv2.imdecode(np.fromfile(files[len(files) // 2], np.uint8), cv2.IMREAD_UNCHANGED)
+    first = raw_images([files[len(files) // 2]])[0]
     channel = "grey"
-    if first is not None and first.ndim == 3:
+    if first.ndim == 3 and first.shape[2] >= len(CHANNEL_NUMBER):
         spread = [float(first[..., k].std()) for k in range(3)]
         if max(spread) > 1.05 * min(spread):
             channel = ("blue", "green", "red")[int(np.argmax(spread))]
@@ -215,13 +247,15 @@ def _with_periods(seen: list[Seen], axes: list[AxisConvention], images: NDArray[
     return [word if word[-1] not in "xy" or word[-1] in known else "-" for word in words]
 
 
-def _fitted(description: Description, images: ImageSet) -> tuple[Description, list[str]]:
-    """Return the description with what fits its images instead of what was guessed, and what could not be told."""
+def _fitted(description: Description, images: ImageSet) -> tuple[Description, list[str], int]:
+    """Return the description with what fits its images instead of what was guessed, what could not be told, and how much of it is wrong."""
     notes: dict[str, str] = {}
+    wrong = 0
     for _ in range(ROUNDS):
         camera = decode_camera(images, description)
         changed = False
         notes.clear()
+        wrong = 0
         for axis in description.axes:
             for one in examine_axis(camera, axis):
                 if one.outcome is Outcome.WRONG and one.instead:
@@ -229,9 +263,10 @@ def _fitted(description: Description, images: ImageSet) -> tuple[Description, li
                     changed = True
                 elif one.outcome is not Outcome.FITS:
                     notes[one.about] = one.text
+                    wrong += one.outcome is Outcome.WRONG
         if not changed:
             break
-    return description, [f"{about}: {text}" for about, text in notes.items()]
+    return description, [f"{about}: {text}" for about, text in notes.items()], wrong
 
 
 # ------------------------------------------------------------------------------------------------- text
@@ -271,7 +306,12 @@ def _text(
 
     said = ["# Guessed by looking at the images; read it before it is believed. docs/foreign.md explains every word."]
     said += [f"# {note}" for note in notes]
-    said += ["", "[images]", *(f'{one.side} = "{name(one.pattern)}"' for one in cameras), f'order = "{order}"']
+    said += ["", "[images]"]
+    if cameras[0].sides:
+        said += [f'both = "{name(cameras[0].pattern)}"', f'sides = "{cameras[0].sides}"  # or right first']
+    else:
+        said += [f'{one.side} = "{name(one.pattern)}"' for one in cameras]
+    said.append(f'order = "{order}"')
     said += [f'channel = "{description.channel}"'] if description.channel != "grey" else []
     if len(cameras) == 1:
         said.append("# Of one camera only: the projector must be calibrated, and takes the right camera's place.")
@@ -332,7 +372,8 @@ def _cameras(folder: Path) -> dict[str, Any]:
             else:
                 return {"calibration": relative}
         try:
-            if any(np.size(value) in (9, 12) for value in numbers_in(path).values()):
+            wanted = SINGLES if path.suffix.lower() in SINGLE_SUFFIXES else MATRICES
+            if any(np.size(value) in wanted for value in numbers_in(path).values()):
                 files.append(relative)
         except ForeignError:
             continue

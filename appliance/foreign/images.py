@@ -1,6 +1,7 @@
 """Owns the images of a foreign set: which files a description means, and their grey values.
 
-Any format that OpenCV reads, 8 or 16 bits, grey or colour; files of one name with wildcards come in natural order (2 before 10).
+Any format that OpenCV reads, pages of a TIFF and NumPy's stacks (``frames``), 8 or 16 bits, grey or colour; files of one name with
+wildcards come in natural order (2 before 10).
 """
 
 from __future__ import annotations
@@ -15,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.foreign.description import Description, ImageFiles
+from appliance.foreign.frames import Frame, frames_in, raw_images, split_name
 from appliance.foreign.order import ShownImage, Shows, numbered
 from appliance.foreign.problem import ForeignError
 
-SUFFIXES = (".png", ".bmp", ".tif", ".tiff", ".jpg", ".jpeg", ".pgm", ".ppm", ".pnm", ".webp", ".jp2", ".exr", ".hdr")
 FULL_SCALES = (255.0, 1023.0, 4095.0, 16383.0, 65535.0)
 """Grey values of saturation that sensors have."""
 CHANNEL_NUMBER = {"blue": 0, "green": 1, "red": 2}
@@ -30,7 +31,7 @@ class ImageSet:
     """One camera's images."""
 
     shown: tuple[ShownImage, ...]
-    files: tuple[Path, ...]
+    files: tuple[Frame, ...]
     images: NDArray[Any]
     """(n, h, w) uint8 or uint16."""
     white: float
@@ -74,18 +75,19 @@ def first_of_side(description: Description, side: str) -> ImageSet:
 
 
 def read_images(
-    files: tuple[Path, ...], shown: tuple[ShownImage, ...], channel: str, white: float | None = None
+    files: tuple[Frame, ...], shown: tuple[ShownImage, ...], channel: str, white: float | None = None
 ) -> ImageSet:  # fmt: skip
     """Read ``files``, of which ``shown`` says what each shows; images that show something else are left out. Raises ForeignError."""
     kept = [k for k, one in enumerate(shown) if one.shows is not Shows.OTHER]
     images: NDArray[Any] | None = None
+    raw = raw_images([files[k] for k in kept])
     for n, k in enumerate(kept):
-        image = read_image(files[k], channel)
+        image = _grey(files[k], raw[n], channel)
         if images is None:
             images = np.empty((len(kept), *image.shape), image.dtype)
         if image.shape != images.shape[1:] or image.dtype != images.dtype:
             raise ForeignError(
-                f"{files[k]}: {image.shape[1]} x {image.shape[0]} px {image.dtype}, and {files[kept[0]].name} has {images.shape[2]} x "
+                f"{files[k].path.parent / files[k].name}: {image.shape[1]} x {image.shape[0]} px {image.dtype}, and {files[kept[0]].name} has {images.shape[2]} x "
                 f"{images.shape[1]} px {images.dtype}; images of one camera must be alike: name others with -"
             )
         images[n] = image
@@ -96,38 +98,42 @@ def read_images(
     return ImageSet(tuple(shown[k] for k in kept), tuple(files[k] for k in kept), images, scale)
 
 
-def read_image(path: Path, channel: str) -> NDArray[Any]:
+def read_image(frame: Frame, channel: str) -> NDArray[Any]:
     """Return one image (h, w) uint8 or uint16. Raises ForeignError."""
-    try:
-        raw = np.fromfile(path, np.uint8)
-    except OSError as error:
-        raise ForeignError(f"{path}: {error.strerror or error}; correct the name") from error
-    try:
-        image = cv2.imdecode(raw, cv2.IMREAD_UNCHANGED) if raw.size else None
-    except cv2.error:
-        image = None
-    if image is None:
-        raise ForeignError(f"{path}: no image that can be read; allowed: {', '.join(SUFFIXES[:9])}; convert it")
+    return _grey(frame, raw_images([frame])[0], channel)
+
+
+def _grey(frame: Frame, image: NDArray[Any], channel: str) -> NDArray[Any]:
     if image.dtype not in (np.uint8, np.uint16):
-        raise ForeignError(f"{path}: grey values are {image.dtype}; allowed: 8 or 16 bits; convert it")
+        raise ForeignError(f"{frame.path}: grey values are {image.dtype}; allowed: 8 or 16 bits; convert it")
     if image.ndim == 2:
         return np.asarray(image)
+    if image.shape[2] < 3:
+        # Grey with transparency, or one channel.
+        return np.ascontiguousarray(image[..., 0])
     if channel == "grey":
         # A grey picture that was saved in colour has three equal channels.
         return np.asarray(cv2.cvtColor(np.ascontiguousarray(image[..., :3]), cv2.COLOR_BGR2GRAY))
     return np.ascontiguousarray(image[..., CHANNEL_NUMBER[channel]])
 
 
-def named_files(description: Description, side: str) -> tuple[tuple[Path, ...], tuple[ShownImage, ...]]:
+def named_files(description: Description, side: str) -> tuple[tuple[Frame, ...], tuple[ShownImage, ...]]:
     """Return the files of one camera and what they show. Raises ForeignError for files that are missing, too few or too many."""
     wanted = description.files[side]
     if description.order is None:
         return _by_word(description, side, wanted)
-    key = f"images.{side}"
-    found = [path for pattern in wanted.patterns for path in matching(description.folder, pattern, key)]
+    key = f"images.{'both' if wanted.turns else side}"
+    found = [frame for pattern in wanted.patterns for frame in matching(description.folder, pattern, key)]
+    if wanted.turns:
+        if len(found) % len(wanted.turns):
+            raise ForeignError(
+                f"{key}: {len(found)} images, which are no whole number of turns of {len(wanted.turns)}; correct images.sides, or name the "
+                "images that belong to it"
+            )
+        found = [frame for k, frame in enumerate(found) if wanted.turns[k % len(wanted.turns)] == side]
     if len(found) != len(description.order):
         raise ForeignError(
-            f"{key}: {len(found)} files ({found[0].name} to {found[-1].name}), and images.order names {len(description.order)} images; "
+            f"{key}: {len(found)} {'images' if wanted.turns else 'files'} ({found[0].name} to {found[-1].name}), and images.order names {len(description.order)} images; "
             "name as many, with - for what shows something else"
         )
     return tuple(found), description.order
@@ -135,8 +141,9 @@ def named_files(description: Description, side: str) -> tuple[tuple[Path, ...], 
 
 def _by_word(
     description: Description, side: str, wanted: ImageFiles
-) -> tuple[tuple[Path, ...], tuple[ShownImage, ...]]:
-    files, words = [], []
+) -> tuple[tuple[Frame, ...], tuple[ShownImage, ...]]:
+    files: list[Frame] = []
+    words: list[str] = []
     for word, patterns in wanted.by_word:
         key = f"images.{side}.{word}"
         found = [path for pattern in patterns for path in matching(description.folder, pattern, key)]
@@ -145,8 +152,9 @@ def _by_word(
     return tuple(files), numbered(words, f"images.{side}")
 
 
-def matching(folder: Path, pattern: str, key: str) -> list[Path]:
-    """Return the files that a name with wildcards means, in natural order. Raises ForeignError where there is none."""
+def matching(folder: Path, named: str, key: str) -> list[Frame]:
+    """Return the images of the files that a name with wildcards means, in natural order. Raises ForeignError where there is none."""
+    pattern, array = split_name(named)
     place = Path(pattern)
     try:
         if place.is_absolute():
@@ -158,4 +166,4 @@ def matching(folder: Path, pattern: str, key: str) -> list[Path]:
     files = sorted((path for path in found if path.is_file()), key=lambda path: natural_key(str(path)))
     if not files:
         raise ForeignError(f"{key}: no file is called {pattern!r:.80} in {folder.absolute()}; correct the name")
-    return files
+    return [frame for path in files for frame in frames_in(path, array)]

@@ -125,6 +125,24 @@ R: [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
 """
 
 
+KALIBR = """cam0:
+  camera_model: pinhole
+  distortion_coeffs: [-0.1, 0.05, 0.001, -0.002]
+  distortion_model: radtan
+  intrinsics: [800.0, 810.0, 320.0, 240.0]
+cam1:
+  T_cn_cnm1:
+  - [1.0, 0.0, 0.0, -0.1]
+  - [0.0, 1.0, 0.0, 0.0]
+  - [0.0, 0.0, 1.0, 0.0]
+  - [0.0, 0.0, 0.0, 1.0]
+  camera_model: pinhole
+  intrinsics: [800.0, 810.0, 320.0,
+    240.0]
+"""
+MIDDLEBURY = "cam0=[900 0 311; 0 900 254; 0 0 1]\ncam1=[900 0 342; 0 900 254; 0 0 1]\ndoffs=31\nbaseline=193\n"
+
+
 def _written() -> tuple[tuple[str, bytes], ...]:
     """Files as their own programs write them."""
     found = []
@@ -140,12 +158,21 @@ def _written() -> tuple[tuple[str, bytes], ...]:
     archive, matlab = io.BytesIO(), io.BytesIO()
     np.savez(archive, M1=K, D1=D, M2=K, D2=D, R=R, T=T)
     savemat(matlab, {"KK_left": K, "kc_left": D, "KK_right": K, "kc_right": D, "R": R, "T": T, "rig": {"n": [1, 2, 3]}})
+    structure, single = io.BytesIO(), io.BytesIO()
+    one = {"IntrinsicMatrix": K.T, "RadialDistortion": D[0, :2], "TangentialDistortion": D[0, 2:4]}
+    rig = {"CameraParameters1": one, "CameraParameters2": one, "RotationOfCamera2": R.T, "TranslationOfCamera2": T.T}
+    savemat(structure, {"s": rig})
+    np.save(single, K)
     return (
         *found,
         (".json", plain),
         (".yaml", ROS.encode()),
         (".npz", archive.getvalue()),
         (".mat", matlab.getvalue()),
+        (".mat", structure.getvalue()),
+        (".yaml", KALIBR.encode()),
+        (".txt", MIDDLEBURY.encode()),
+        (".npy", single.getvalue()),
     )
 
 

@@ -6,10 +6,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from appliance.foreign.guess import guess_description
+from appliance.foreign.problem import ForeignError
 from appliance.offline.foreign_import import import_cloud
 from tests.support.strangers import (
     Bench,
@@ -21,6 +23,7 @@ from tests.support.strangers import (
     photographs,
     save,
     sine,
+    view,
     with_inverses,
     with_projector,
     without_distortion,
@@ -114,7 +117,133 @@ def three_steps_of_a_part(folder: Path) -> None:
     (folder / "extrinsics.yaml").write_text(f"R: [{rows}]\nT: [{', '.join(f'{one:.9g}' for one in bench.T)}]\n")
 
 
+BRIGHT_DARK = [flat(250, SIZE), flat(0, SIZE)]
+FOUR = (0.0, 90.0, 180.0, 270.0)
+
+
+def usual() -> list[Image]:
+    """Bright, dark, a code of stripes a period wide, four steps."""
+    return [*BRIGHT_DARK, *gray("x", SIZE, 5, 20.0), *sine("x", SIZE, 20.0, FOUR)]
+
+
+def opencv(bench: Bench, folder: Path) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    yaml(
+        folder / "stereo.yml", M1=bench.left.K, D1=bench.left.D, M2=bench.right.K, D2=bench.right.D, R=bench.R, T=bench.T
+    )  # fmt: skip
+
+
+def seen(bench: Bench, patterns: Sequence[Image]) -> list[list[Image]]:
+    return [photographs(camera, bench.projector, patterns, n) for n, camera in enumerate((bench.left, bench.right))]
+
+
+def pictures_of_a_laptops_projector(folder: Path) -> None:
+    """8-bit JPEG in colour, darker towards the corners, gamma of the projector and of the camera."""
+    bench = pair(WIDTH_PX, SIZE)
+    shown = [np.clip(np.rint(255 * (one / 255.0) ** 2.2), 0, 255).astype(np.uint8) for one in usual()]
+    for side, images in zip(("left", "right"), seen(bench, shown), strict=True):
+        for k, image in enumerate(images):
+            v, u = (np.mgrid[0 : image.shape[0], 0 : image.shape[1]].T / image.shape[::-1] - 0.5).T[:2]
+            light = np.stack([0.8 * image, 0.97 * image, 0.9 * image], -1) * (1.0 - 0.7 * (u**2 + v**2))[..., None]
+            save(folder / side / f"IMG_{k + 1:04d}.JPG", np.rint(255 * (light / 255) ** (1 / 2.2)).astype(np.uint8))
+    opencv(bench, folder)
+
+
+def both_cameras_by_turns(folder: Path) -> None:
+    """Numbers without zeros before them, even ones of the left camera, odd ones of the right one."""
+    bench = pair(WIDTH_PX, SIZE)
+    for n, images in enumerate(seen(bench, usual())):
+        for k, image in enumerate(images):
+            save(folder / f"frame{2 * k + n}.png", image)
+    opencv(bench, folder)
+
+
+def one_camera_after_the_other(folder: Path) -> None:
+    """1 to 11 of the left camera, 12 to 22 of the right one."""
+    bench = pair(WIDTH_PX, SIZE)
+    for n, images in enumerate(seen(bench, usual())):
+        for k, image in enumerate(images):
+            save(folder / f"{11 * n + k + 1}.png", image)
+    opencv(bench, folder)
+
+
+def pages_of_a_tiff(folder: Path) -> None:
+    """12 bits, at the upper end of 16."""
+    bench = pair(WIDTH_PX, SIZE)
+    opencv(bench, folder)
+    for side, images in zip(("left", "right"), seen(bench, usual()), strict=True):
+        assert cv2.imwritemulti(str(folder / f"{side}.tif"), [one.astype(np.uint16) * np.uint16(256) for one in images])
+
+
+def stacks_of_numpy(folder: Path) -> None:
+    """Both cameras in one archive; as MATLAB's programs have them, the number of the image comes last."""
+    bench = pair(WIDTH_PX, SIZE)
+    opencv(bench, folder)
+    left, right = seen(bench, usual())
+    np.savez_compressed(
+        folder / "frames.npz", right=np.stack(right, -1), left=np.stack(left, -1), exposure=np.array([3.0])
+    )
+
+
+def inverses_behind_all(folder: Path) -> None:
+    """Ten bits of X, nine of Y, then the inverses of all of them; down to stripes finer than pixels."""
+    bench = pair(WIDTH_PX, SIZE)
+    codes = [*gray("x", SIZE, 10), *gray("y", SIZE, 9)]
+    patterns = [*BRIGHT_DARK, *codes, *((250 - one).astype(np.uint8) for one in codes)]
+    taken(bench, folder, patterns, ("c0_{k}.png", "c1_{k}.png"))
+    opencv(bench, folder)
+
+
+def inverses_behind_each(folder: Path) -> None:
+    """The bits of a direction, then their inverses; of both directions the same number."""
+    bench = pair(WIDTH_PX, SIZE)
+    patterns = []
+    for axis in "xy":
+        codes = gray(axis, SIZE, 7, 5.0)
+        patterns += [*codes, *((250 - one).astype(np.uint8) for one in codes)]
+    taken(bench, folder, patterns, ("c0_{k}.png", "c1_{k}.png"))
+    opencv(bench, folder)
+
+
+def cameras_above_each_other(folder: Path) -> None:
+    """Stripes of rows alone, and pictures of a board beside them; no dark image but one at the end."""
+    height_px, f_px = WIDTH_PX * 3 // 4, 1.35 * WIDTH_PX
+    bench = Bench(
+        view(WIDTH_PX, height_px, f_px, (0.0, 0.0, 0.0), D=(-0.08, 0.03, 0.0005, -0.0004, 0.0)),
+        view(WIDTH_PX, height_px, 1.02 * f_px, (3.0, 150.0, 6.0), (-0.25, 0.01, 0.01)),
+        view(*SIZE, 1.25 * SIZE[0], (-40.0, 70.0, -10.0), (-0.12, -0.06, 0.0)),
+    )
+    patterns = [*gray("y", SIZE, 5, 20.0), *sine("y", SIZE, 20.0, FOUR), flat(0, SIZE)]
+    taken(bench, folder, patterns, ("scene/c0/{k}.png", "scene/c1/{k}.png"))
+    taken(bench, folder, [flat(250, SIZE)] * 7, ("checkerboard/c0/{k}.png", "checkerboard/c1/{k}.png"))
+    opencv(bench, folder / "checkerboard")
+
+
+def names_that_are_times(folder: Path) -> None:
+    """Two periods of which one has a fringe less; names are nothing but times."""
+    bench = pair(WIDTH_PX, SIZE)
+    patterns = [one for fringes in (16, 15) for one in sine("x", SIZE, 640 / fringes, FOUR)]
+    for n, images in enumerate(seen(bench, patterns)):
+        for k, image in enumerate(images):
+            save(
+                folder
+                / "AB"[n]
+                / f"2023-05-17_14-{58 + k // 6 - 60 * (k // 12):02d}-{k % 6 * 9 + n:02d}.{137 * k % 1000:03d}.png",
+                image,
+            )
+    opencv(bench, folder)
+
+
 CASES = (
+    Case(pictures_of_a_laptops_projector, ('channel = "green"', 'order = "bright dark gray-x*5 sine-x*4"'), 80.0, 0.25),
+    Case(both_cameras_by_turns, ('both = "*.png"', 'sides = "left right"'), 80.0, 0.12),
+    Case(one_camera_after_the_other, ('both = "*.png"', 'sides = "left*11 right*11"'), 80.0, 0.12),
+    Case(pages_of_a_tiff, ('left = "left.tif"', 'order = "bright dark gray-x*5 sine-x*4"'), 80.0, 0.12),
+    Case(stacks_of_numpy, ('left = "frames.npz#left"', 'right = "frames.npz#right"'), 80.0, 0.12),
+    Case(inverses_behind_all, ('order = "bright dark gray-x*10 gray-y*9 ~gray-x*10 ~gray-y*9"',), 80.0, 0.1),
+    Case(inverses_behind_each, ('order = "gray-x*7 ~gray-x*7 gray-y*7 ~gray-y*7"',), 80.0, 0.15),
+    Case(cameras_above_each_other, ('order = "gray-y*5 sine-y*4 dark"', 'left = "scene/c0/*.png"'), 80.0, 0.12),
+    Case(names_that_are_times, ("steps = 4", 'left = "A/*.png"'), 80.0, 0.2),
     Case(stripes_of_one_pixel, ('"(gray-x ~gray-x)*10 (gray-y ~gray-y)*9 bright dark"', 'left = "pattern_cam1_im*.png"'), 80.0, 0.1,
          "of 10 images of the code have stripes that the camera cannot tell apart, and are left out: stripes of 2 px are used"),
     Case(one_camera_and_a_projector, ("width_px = 640\nheight_px = 480", "code_offset_px = -192", "code_offset_px = -16"), 80.0, 0.06),
@@ -142,3 +271,22 @@ def test_a_strangers_folder_needs_no_more_than_a_guess(tmp_path: Path, case: Cas
     assert off_mm < case.at_most_mm
     assert 0.5 < sigma_mm / off_mm < 6.0
     assert case.notes in " ".join(report["not_judged"])
+
+
+def test_several_periods_that_begin_elsewhere_are_named(tmp_path: Path) -> None:
+    """Steps from the last to the first, described as from the first: phases run the other way, from another start. Seen from the pattern's
+    other edge they run along again, and only the start is left to be named."""
+    bench = pair(WIDTH_PX, SIZE)
+    patterns = [one for fringes in (16, 15) for one in sine("x", SIZE, 640 / fringes, FOUR[::-1])]
+    taken(bench, tmp_path, patterns, ("l{k}.png", "r{k}.png"))
+    opencv(bench, tmp_path)
+    described = tmp_path / "set.toml"
+    described.write_text(
+        '[images]\nleft = "l*.png"\nright = "r*.png"\norder = "sine-x*4 sine-x2*4"\n[projector]\nwidth_px = 640\nheight_px = 480\n'
+        '[x]\nfringes = [16, 15]\nsteps = 4\n[cameras]\nfiles = "stereo.yml"\n'
+    )
+    with pytest.raises(ForeignError, match=r"and 0\.\d° with x.start_deg = (87|90|93); right"):
+        import_cloud(described, tmp_path / "cloud.npz", lambda _: None)
+    described.write_text(described.read_text().replace("steps = 4", "steps = 4\nstart_deg = 90"))
+    report = import_cloud(described, tmp_path / "cloud.npz", lambda _: None)
+    assert report["coverage_percent"] > 90.0
