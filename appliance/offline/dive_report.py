@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from appliance import __version__
-from appliance.report.content import Report, ReportScan, ReportVerdict
+from appliance.report.content import Report, ReportScan, ReportVerdict, when
 from appliance.report.still import picture_of_scan
 from appliance.storage import scan as stored
 from appliance.storage.library import ScanEntry
+from appliance.storage.record import ScanRecord
 
 _SHOWN_DIGITS = 12
 
@@ -30,7 +31,9 @@ def report_of_dive(root: Path, entries: Sequence[ScanEntry], progress: Callable[
         title=f"Dive {root.absolute().name}",
         subtitle=f"{len(entries)} scans, {points / 1e6:.1f} million points",
         about={
-            "Recorded": " to ".join(dict.fromkeys((dates[0], dates[-1]))) if dates else "at an unknown time",
+            "Recorded": " to ".join(dict.fromkeys((when(dates[0]), when(dates[-1]))))
+            if dates
+            else "at an unknown time",
             "Calibration": _each(one.calibration_hash for one in records) or "none",
             "Refractive index of the water": _each(
                 f"{index:.5f}" for one in records if (index := one.water.get("index")) is not None
@@ -42,6 +45,12 @@ def report_of_dive(root: Path, entries: Sequence[ScanEntry], progress: Callable[
         scans=scans,
         warnings=_warnings(entries, scans),
     )
+
+
+def _when(record: ScanRecord) -> str | None:
+    if record.wall_time is None:
+        return None
+    return when(record.wall_time) + ("" if record.clock_trusted else " (clock not set)")
 
 
 def _each(values: Iterable[str | None]) -> str:
@@ -60,9 +69,7 @@ def _scan(entry: ScanEntry) -> ReportScan:
         name=name,
         verdict=ReportVerdict.DOUBTFUL if failed else ReportVerdict.GOOD,
         reason="" if record.object is None else f"object {record.object}",
-        recorded=record.wall_time
-        if record.clock_trusted or record.wall_time is None
-        else f"{record.wall_time} (clock not set)",
+        recorded=_when(record),
         points=None if count is None else round(count),
         sigma_mm=record.cloud.get("noise_mm"),
         ray_gap_mm=record.cloud.get("gap_mm"),

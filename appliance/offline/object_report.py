@@ -9,7 +9,7 @@ import numpy as np
 from appliance import __version__
 from appliance.offline.object_errors import length_between
 from appliance.optics.rotation import rotation_vector
-from appliance.report.content import Report, ReportBudget, ReportPair, ReportScan, ReportTerm, ReportVerdict
+from appliance.report.content import Report, ReportBudget, ReportPair, ReportScan, ReportTerm, ReportVerdict, when
 from appliance.storage.objects import ComparedScans, Places, ScanPlace, StoredObject
 from appliance.surface.fusion import FusedCloud
 
@@ -45,7 +45,7 @@ def _scan(name: str, places: Places) -> ReportScan:
     if cloud is not None:
         known = replace(
             known,
-            recorded=cloud.recorded,
+            recorded=None if cloud.recorded is None else when(cloud.recorded),
             points=cloud.points,
             distance_mm=cloud.distance_mm,
             sigma_mm=cloud.sigma_mm,

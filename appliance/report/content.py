@@ -13,6 +13,11 @@ from appliance.surface.mesh import Mesh
 Vector = tuple[float, float, float]
 
 
+def when(wall_time: str) -> str:
+    """Return an ISO 8601 time as it has room in a table: date, hours and minutes, by the clock of the instrument."""
+    return wall_time[:16].replace("T", " ")
+
+
 class ReportVerdict(Enum):
     """The answer to whether something may be relied on."""
 

@@ -56,39 +56,56 @@ def measure(seed: int, size_px: tuple[int, int], keep: Path | None) -> list[Meas
         with contextlib.redirect_stdout(io.StringIO()):
             code = int(main(words))
         spent = time.process_time() - begun
-        places = objects.read(root, name).places
-        if places is None:
-            return [Measured("dive: scans placed", 0.0, f"of {SCANS}", at_least=SCANS)]
-        origin = left_to_rig(rig, np.zeros((1, 3)))[0]
-        axes = Rigid((left_to_rig(rig, np.eye(3)) - origin).T, origin)
-        off_mm, sigmas, apart_mm = [], [], []
-        of_first: Rigid | None = None
-        for name_of, place in places.places.items():
-            R, t = pose_matrix(poses[int(name_of) - 1])
-            into_object = axes.then(Rigid(R.T, -R.T @ t))
-            of_first = into_object if of_first is None else of_first
-            mine = Rigid(np.array(place.rotation), np.array(place.translation_mm))
-            middle = mine.inverse.of(np.array(place.middle_mm))
-            true = into_object.then(of_first.inverse).of(middle)
-            off_mm.append(float(np.linalg.norm(np.array(place.middle_mm) - true)))
-            sigmas.append(place.sigma_mm)
-            apart_mm.append(float(np.linalg.norm(true - np.array(places.places[names[0]].middle_mm))))
-        farthest = int(np.argmax(apart_mm))
         return [
-            Measured("dive: scans placed by one call", len(off_mm), f"of {SCANS}", at_least=SCANS),
             Measured("dive: exit code", code, "", at_most=0.0),
-            Measured("dive: farthest scan's way from the first", apart_mm[farthest], "mm"),
-            Measured("dive: farthest scan off", 1000.0 * off_mm[farthest], "um"),
-            Measured("dive: stated of it, with what may bend it", 1000.0 * sigmas[farthest], "um"),
-            Measured(
-                "dive: largest error over stated",
-                max(off / sigma for off, sigma in zip(off_mm[1:], sigmas[1:], strict=True)),
-                "standard deviations",
-                at_most=MOST_SIGMAS,
-            ),
+            *judged(root, name, seed, size_px),
             Measured("dive: CPU of one call, raw frames to files", spent, "s"),
-            *(Measured(f"dive: {one}", (root / one).stat().st_size / 1e6, "MB") for one in FILES),
+            *(
+                Measured(f"dive: {one}", (root / one).stat().st_size / 1e6, "MB")
+                for one in FILES
+                if (root / one).exists()
+            ),
         ]
+
+
+def judged(root: Path, name: str, seed: int, size_px: tuple[int, int]) -> list[Measured]:
+    """Return how many scans of the object are placed, and how far they are off."""
+    places = objects.read(root, name).places
+    if places is None:
+        return [Measured("dive: scans placed by one call", 0.0, f"of {SCANS}", at_least=SCANS)]
+    poses = poses_along(seed, SCANS, 0)
+    rig = world_of(_scene(poses[0]), seed, (), truth_set=RIG_SET, size_px=size_px).rig
+    origin = left_to_rig(rig, np.zeros((1, 3)))[0]
+    axes = Rigid((left_to_rig(rig, np.eye(3)) - origin).T, origin)
+
+    def true_of(scan: str) -> Rigid:
+        R, t = pose_matrix(poses[int(scan) - 1])
+        return axes.then(Rigid(R.T, -R.T @ t))
+
+    names = list(places.places)
+    frame = true_of(names[0]).inverse
+    off_mm, apart_mm = [], []
+    for scan, place in places.places.items():
+        at = np.array(place.middle_mm)
+        mine = Rigid(np.array(place.rotation), np.array(place.translation_mm)).inverse.of(at)
+        off_mm.append(float(np.linalg.norm(at - true_of(scan).then(frame).of(mine))))
+        apart_mm.append(float(np.linalg.norm(at - np.array(places.places[names[0]].middle_mm))))
+    sigma_mm = [place.sigma_mm for place in places.places.values()]
+    own_mm = [float(np.sqrt(max(one.sigma_mm**2 - one.bending_mm**2, 0.0))) for one in places.places.values()]
+    farthest = int(np.argmax(apart_mm))
+    return [
+        Measured("dive: scans placed by one call", len(names), f"of {SCANS}", at_least=SCANS),
+        Measured("dive: farthest scan's way from the first", apart_mm[farthest], "mm"),
+        Measured("dive: farthest scan off", 1000.0 * off_mm[farthest], "um"),
+        Measured("dive: stated of it, with what may bend it", 1000.0 * sigma_mm[farthest], "um"),
+        Measured("dive: stated of it by the pairs alone", 1000.0 * own_mm[farthest], "um"),
+        Measured(
+            "dive: largest error over stated",
+            max((off / sigma for off, sigma in zip(off_mm[1:], sigma_mm[1:], strict=True)), default=float("nan")),
+            "standard deviations",
+            at_most=MOST_SIGMAS,
+        ),
+    ]
 
 
 def _scene(pose: tuple[float, ...]) -> Scene:

@@ -17,10 +17,11 @@ from appliance.calibration.health import OVERLAP_LIMIT
 from appliance.optics.rotation import rotation_matrix
 from appliance.registration.bow import PRIOR_MM2, bow_score, known_before
 from appliance.registration.graph import Edge, place
+from appliance.registration.pair import ReadyScan
 from appliance.registration.rigid import Rigid
 from appliance.registration.solve import edges_of, middle_of, solve
 from bench.merge.pairs import ready_of
-from bench.merge.row import drawn
+from bench.merge.row import FORTH, drawn
 from bench.merge.views import Array, view_of
 from bench.progress import Progress
 from bench.result import Measured
@@ -43,12 +44,17 @@ def measure(
     seed: int, size_px: tuple[int, int], keep: Path | None
 ) -> tuple[list[Measured], dict[str, list[dict[str, Any]]]]:
     """Return figures, and the rows of both tables."""
-    wanted = drawn(seed, RIG_SET, size_px)
+    wanted = drawn(seed, RIG_SET, size_px)[:FORTH]
     progress = Progress(len(wanted))
-    scans = []
+    scans: list[ReadyScan] = []
     for view in spread(partial(view_of, keep=keep), wanted):
         progress.step(f"view {len(scans) + 1} of {len(wanted)}")
         scans.append(ready_of(view))
+    return noticed(seed, scans)
+
+
+def noticed(seed: int, scans: list[ReadyScan]) -> tuple[list[Measured], dict[str, list[dict[str, Any]]]]:
+    """Return figures and tables of scans in a row, as ``measure`` takes them."""
     solved = solve(scans, lambda *_: None)
     middles = {k: middle_of(scan) for k, scan in enumerate(scans)}
     edges = list(solved.placed.used)

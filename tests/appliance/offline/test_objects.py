@@ -124,7 +124,7 @@ def test_a_solved_object_is_written_again_in_every_form_without_solving(
     assert file.read_bytes() == before
 
     with mesh.open("rb") as opened:
-        read = trimesh.load(opened, file_type="ply", process=False)
+        read: Any = trimesh.load(opened, file_type="ply", process=False)
     vertices = read.metadata["_ply_raw"]["vertex"]["data"]
     assert len(read.faces) > 5_000
     assert {"sigma", "red", "nx"} <= set(vertices.dtype.names)
@@ -271,8 +271,8 @@ def test_what_overlaps_tell_of_the_calibration_goes_into_its_health(
     """Ten micrometres are stated. One lens's third-order distortion is wrong by 0.008, which bends the depth by some tenths of a millimetre."""
     true = load(dive / "calibration" / "truth.json")
     lens = true.rig.right.lens
-    k1, *others = lens.distortion
-    right = replace(true.rig.right, lens=replace(lens, distortion=(k1 + wrong_by, *others)))
+    k1, k2, p1, p2, k3 = lens.distortion
+    right = replace(true.rig.right, lens=replace(lens, distortion=(k1 + wrong_by, k2, p1, p2, k3)))
     stated = tuple(tuple(row) for row in (0.01**2 * np.eye(COUNT)).tolist())
     bent = replace(true, rig=replace(true.rig, right=right), depth_error_mm2=stated)
     used = dive / "calibration" / "current.json"
