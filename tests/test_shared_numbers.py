@@ -254,7 +254,6 @@ MAY_BE_EQUAL: Mapping[str, frozenset[str]] = {
             "12 _AROUND = AROUND_MM",
             "160 NEAR_GLARE_PX = COARSE_WIDTH_PX",
             "24 MOST_STEPS = _STEPS",
-            "3 _NUMBERS = LEAST_NUMBERS",
             "8 LIT_DN = LEAST_LIT_DN",
             "9 ROTATION = rotation",
             "0.25 LONGEST_WAIT_S = POLL_S",
