@@ -106,6 +106,6 @@ def _stop(seen: VsyncSeen) -> Finding:
 def _edge(seen: VsyncSeen) -> Finding:
     said = (
         f"which edge is counted cannot be told by the board's protocol; syncs are dated {seen.phase_us:+.0f} µs after the kernel's flips. The "
-        "wrong edge makes every exposure late by the pulse's width (some 120 µs): look at pin and edge with an oscilloscope"
+        "wrong one shifts every exposure by the pulse's width (some 120 µs): compare sync of [projector] with an oscilloscope"
     )
     return Finding("edge", True, said, "the leading edge", "", {"phase_us": seen.phase_us})

@@ -68,9 +68,7 @@ def judge_grey(samples: Mapping[str, Sample], sequence: PatternSequence) -> Judg
             f"camera.{side} sees the mean of the fringes at {mine:.2f} of its light and camera.{other} at {others:.2f} (linear: up to {PROPORTIONAL:.2f}): "
             f"it bends grey. Under features of camera.{side} set Gamma = 1.0, GammaEnable and LUTEnable = false, and no Gamma above 1 in camera.{other}"
         )
-        return Judgement(
-            Verdict(NAME, False, numbers, text), Fault(FaultCode.GREY_BENT, text, device=f"camera.{side}")
-        )
+        return Judgement(Verdict(NAME, False, numbers, text), Fault(FaultCode.GREY_BENT, text, device=f"camera.{side}"))
     if all(abs(one) <= least for one in apart.values()):
         return Judgement(Verdict(NAME, True, numbers, "both cameras see grey alike"))
     return Judgement(Verdict(NAME, None, numbers, "what changes between the images hides how the cameras see grey"))

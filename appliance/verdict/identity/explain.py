@@ -210,9 +210,7 @@ def _ordered(
     bright = Witness({along: _with(lines, lines.high) for along, lines in witness.lines.items()}, sequence, noise)
     yield Explanation(What.EARLY, 0), np.where(straight == 0, n, straight - 1), bright
     for what, backwards in WAYS_ROUND.items():
-        turned = {
-            along: _backwards(lines) if along in backwards else lines for along, lines in witness.lines.items()
-        }
+        turned = {along: _backwards(lines) if along in backwards else lines for along, lines in witness.lines.items()}
         yield Explanation(what, 0), straight, Witness(turned, sequence, noise)
 
 

@@ -34,6 +34,7 @@ def line(*parts: object) -> bytes:
 def polite(sequence: int, verb: str, fields: list[str]) -> list[bytes]:
     answers = {
         "INFO": ["1.4", "KF-B-1", "TPROJ+LEAK"],
+        "PING": ["5001234"],
         "VSYNC": ["300", "5000000", "5001234"],
         "LASER": fields,
         "STOP": [],
@@ -118,6 +119,24 @@ def test_a_vertical_sync_is_bracketed_by_host_time() -> None:
         after = time.monotonic_ns()
         assert (got.count, got.board_time_us, got.board_now_us) == (300, 5_000_000, 5_001_234)
         assert before <= got.host_sent_ns < got.host_received_ns <= after
+
+
+def test_its_clock_is_read_without_a_vertical_sync_and_bracketed_by_host_time() -> None:
+    with connected() as (far, board):
+        before = time.monotonic_ns()
+        got = board.read_clock()
+        after = time.monotonic_ns()
+        assert got.board_time_us == 5_001_234
+        assert before <= got.host_sent_ns < got.host_received_ns <= after
+        assert [verb for _, verb, _ in far.commands] == ["PING"]
+
+
+def test_a_clock_that_is_none_is_refused() -> None:
+    def nonsense(sequence: int, verb: str, fields: list[str]) -> list[bytes]:
+        return [line("A", sequence, "PING", "soon")] if verb == "PING" else polite(sequence, verb, fields)
+
+    with connected(nonsense) as (_, board), pytest.raises(DeviceRefused, match="answered PING with nonsense"):
+        board.read_clock()
 
 
 def test_arming_sends_its_four_numbers() -> None:

@@ -396,6 +396,19 @@ def test_a_camera_without_the_optional_features_is_configured_all_the_same() -> 
     assert not {name for name, _ in device.log} & set(optional)
 
 
+def test_what_a_camera_holds_now_is_read_back_beside_what_was_asked_for() -> None:
+    device, camera = opened(xml=description(lacking=("ReverseX",)))
+    camera.configure(SETTINGS)
+    device.set_feature("GammaEnable", 1)
+    held = {one.feature: (one.wanted, one.held) for one in camera.read_back()}
+    assert held["TriggerMode"] == ("On", "On")
+    assert held["Width"] == (SETTINGS.width_px, SETTINGS.width_px)
+    # Changed behind our back: what it is now counts, not what it was when it was set.
+    assert held["GammaEnable"] == (False, True)
+    assert held["ExposureTime"] == (None, SETTINGS.exposure_us)
+    assert held["ReverseX"] == (None, None)
+
+
 def test_a_choice_that_a_camera_does_not_offer_is_left_as_it_is() -> None:
     device, camera = opened(xml=description(choices={"ExposureMode": ("TriggerWidth",)}))
     camera.configure(SETTINGS)

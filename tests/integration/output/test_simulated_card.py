@@ -172,6 +172,21 @@ def test_closing_darkens_and_the_card_can_be_opened_again(simulated: tuple[World
         assert not world.scanned_out("projector").any()
 
 
+def test_a_projector_alone_goes_dark_while_its_card_and_the_display_stay(simulated: tuple[World, Wires]) -> None:
+    world, wires = simulated
+    with Outputs(PROJECTOR, DISPLAY, wires) as outputs:
+        projector, display = outputs.open_projector(), outputs.open_display()
+        projector.load(codes(1))
+        projector.show(0)
+        outputs.close_projector()
+        outputs.close_projector()
+        assert not world.scanned_out("projector").any()
+        red = np.zeros((480, 800, 3), np.uint8)
+        red[..., 0] = 200
+        display.present(red, 1.0)
+        assert (world.scanned_out("display")[..., 0] == 200).all()
+
+
 def test_a_flip_that_the_card_completes_late_is_late_in_the_flips(rig: Rig) -> None:
     """The board is armed, so that the world waits for the flips: what is late is the card, not this machine."""
     rig.projector.load(codes(25))
