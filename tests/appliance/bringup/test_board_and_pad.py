@@ -224,6 +224,7 @@ def test_every_pulse_a_whole_stamped_frame_is_good() -> None:
     [
         (SideEndured(6399, ("discarded",), 0, 0), "1 arrived discarded (1x)", "usbfs_memory_mb"),
         (SideEndured(6398, (), 0, 2), "with 2 gaps", "another cable"),
+        (SideEndured(6400, (), 0, 1), "with 1 gaps", "another cable"),
         (SideEndured(6399, (), 0, 0), "6399 whole frames of 6400", "lost between"),
         (SideEndured(6400, (), 3, 0), "3 without a time", "firmware"),
         (SideEndured(70, (), 0, 0, "unplugged"), "the camera was lost: unplugged", "dmesg"),

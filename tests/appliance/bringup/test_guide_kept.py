@@ -65,13 +65,17 @@ def test_a_key_that_came_or_went_counts_as_changed() -> None:
     state = kept("cameras")
     assert not state.stands(step_of("cameras"), changed("camera.left", "trigger_source", "Line3"))
     assert not state.stands(step_of("cameras"), changed("camera.left", "features", {"Gamma": 0.5}))
+    with_line = changed("camera.left", "trigger_source", "Line3")
+    assert not kept("cameras", content=with_line).stands(step_of("cameras"), RIG)
 
 
 def test_keys_that_the_guide_finds_itself_undo_only_what_rests_on_them() -> None:
     for name in ("cameras", "trigger", "raster", "endurance"):
-        assert kept(name).stands(step_of(name), changed("board", "trigger_delay_us", 4000)), name
+        for table, key, value in (("board", "trigger_delay_us", 4000), ("camera.left", "exposure_ms", 5.0)):
+            assert kept(name).stands(step_of(name), changed(table, key, value)), (name, key)
     for name in ("light", "plane"):
-        assert not kept(name).stands(step_of(name), changed("board", "trigger_delay_us", 4000)), name
+        for table, key, value in (("board", "trigger_delay_us", 4000), ("camera.left", "exposure_ms", 5.0)):
+            assert not kept(name).stands(step_of(name), changed(table, key, value)), (name, key)
 
 
 def test_a_step_that_is_not_good_never_stands_and_nothing_found_is_not_good() -> None:
@@ -98,7 +102,7 @@ def test_a_damaged_state_is_refused_with_what_to_do(data: bytes) -> None:
 
 
 def test_the_page_has_numbers_limits_remedy_pictures_and_the_rig_file_and_no_markup_of_others() -> None:
-    page = guide_page(kept("vsync", good=False), "[rig]\nname = '<b>'\n", {"light.png": b"\x89PNG light"})
+    page = guide_page(kept("board", good=False), "[rig]\nname = '<b>'\n", {"light.png": b"\x89PNG light"})
     for text in (
         "60.001 Hz",
         "60 ± 0.1 Hz",
