@@ -213,6 +213,21 @@ class FaultBook:
             f.sentence for f in self._faults if f.begins_ns > now_ns or f.waits_for_frame or f.in_force(now_ns)
         )
 
+    def mend(self, component: str, verb: str) -> int:
+        """Repair what is broken of that kind and nothing else, and return how many sentences that was. Raises FaultSyntaxError for a kind that
+        there is not, or that is not broken."""
+        kind_name, _, part = component.partition(".")
+        if (kind_name, verb) not in KINDS or part not in PARTS.get(kind_name, ("",)):
+            raise FaultSyntaxError(f"mend '{component} {verb}' is not supported; supported: {supported()}")
+        left = [one for one in self._faults if (one.component, one.verb) != (component, verb)]
+        mended = len(self._faults) - len(left)
+        if not mended:
+            broken = "; ".join(self.sentences) or "nothing"
+            raise FaultSyntaxError(f"mend '{component} {verb}': that is not broken; broken is: {broken}")
+        self._faults = left
+        self._changed(self._now_ns())
+        return mended
+
     def clear(self) -> None:
         """Repair everything."""
         self._faults.clear()

@@ -158,7 +158,7 @@ class WorldOptions:
                 _made(Daylight, "daylight", self.daylight),
                 _made(Drift, "drift", self.drift),
                 _made(Fog, "fog", self.fog),
-                _outside(self.outside),
+                outside=_outside(self.outside),
             )
         except (TypeError, ValueError) as error:
             raise OptionError(f"scene: {error}") from error

@@ -56,6 +56,8 @@ class Scene:
     """Snow, bubbles and fish in the water between."""
     fog: Fog = field(default_factory=Fog)
     """A fogged or scratched place on the cameras' windows."""
+    capped: frozenset[str] = frozenset()
+    """Cameras whose lens has its cap on: ``left``, ``right``."""
     outside: Outside = field(default_factory=Outside)
     """The families of harsher physics that are switched on, with their strengths."""
 
@@ -64,6 +66,8 @@ class Scene:
             if value not in allowed:
                 raise ValueError(f"{what} '{value}'; allowed are {', '.join(allowed)}")
 
+        if not self.capped <= {"left", "right"}:
+            raise ValueError(f"capped {sorted(self.capped)}; allowed are left and right")
         if self.pose is not None and len(self.pose) != 6:
             raise ValueError(f"object_pose {self.pose}; give six numbers: x, y, z in mm, rx, ry, rz in degrees")
         if not 0.0 <= self.ambient <= 10.0:

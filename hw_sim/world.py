@@ -32,7 +32,7 @@ from hw_sim.in_dive import NOTICED_K, REFERENCE_C, in_dive
 from hw_sim.light.daylight import Daylight
 from hw_sim.mount_shift import MountShift, with_mount_shifted
 from hw_sim.objects.motion import Motion, swayed_s
-from hw_sim.optics.beamer import ProjectorTruth, ShownFrame, Signal, slices_of
+from hw_sim.optics.beamer import Beamer, ProjectorTruth, ShownFrame, Signal, slices_of
 from hw_sim.optics.projector import response
 from hw_sim.options import OptionError, WorldOptions, options_from
 from hw_sim.punctuality import Punctuality
@@ -121,9 +121,7 @@ class World:
             self.keypad = Keypad(self.time, self.faults, o.seed)
             self.cameras = {side: self._camera(side) for side in SIDES}
             self.board.vsync(self.time.blank_ns)  # the console has been on the projector since boot
-        self._intervals: deque[_Interval] = deque(
-            [_Interval(START_NS)], maxlen=KEPT_INTERVALS + (0 if self._beamer is None else self._beamer.latency + 1)
-        )
+        self._intervals: deque[_Interval] = deque([_Interval(START_NS)], maxlen=_most_intervals(self._beamer))
         self._shown_before: NDArray[np.uint8] | Signal | None = None
         self._late_flip: Flip | None = None
         self.punctuality = Punctuality()
@@ -239,6 +237,24 @@ class World:
         """Change how the water dims, scatters back and blurs, from the next image on. Its index stays that of the start."""
         self.set_scene(replace(self.scene, water=water))
 
+    def set_caps(self, *sides: str) -> None:
+        """Put caps on the lenses of the cameras ``sides`` (``left``, ``right``), and off all others, from the next image on. Raises ValueError."""
+        self.set_scene(replace(self.scene, capped=frozenset(sides)))
+
+    def set_projector(self, beamer: Beamer) -> None:
+        """Set the projector's electronics otherwise, as somebody does in its menu, from the next blank on. Raises OptionError where a computer outside
+        drives it."""
+        if self.cable is not None:
+            raise OptionError(
+                f"projector '{beamer.kind}' with a computer outside, whose cable has green only; leave it as it is"
+            )
+        with self.time.condition:
+            self._beamer = None if beamer.usual else beamer
+            self._beamer_truth = replace(self._beamer_truth, beamer=beamer)
+            # What was scanned out is held in another shape; a blank's worth of black stands for it.
+            self._intervals = deque([_Interval(self._intervals[-1].begin_ns)], maxlen=_most_intervals(self._beamer))
+            self._shown_before = None
+
     def set_pace(self, pace: str) -> None:
         """Change how world time passes from now on: ``realtime``, ``attended`` or ``lockstep``. Raises OptionError."""
         self.options = replace(self.options, pace=pace)
@@ -268,6 +284,11 @@ class World:
         """A sequence is armed, or its images are still being made."""
         with self.time.condition:
             return self.armed is not None or self.developing
+
+    def mend(self, component: str, verb: str) -> None:
+        """Repair one thing, like ``laser.left`` that is ``off``. Raises FaultSyntaxError where that is not broken."""
+        with self.time.condition:
+            self.faults.mend(component, verb)
 
     def clear_faults(self) -> None:
         """Repair everything."""
@@ -534,6 +555,10 @@ class World:
                 return f"{SUPPLY_V:.2f}"
             case _:
                 return f"{self._housing.temperature_c(name):.1f}"
+
+
+def _most_intervals(beamer: Beamer | None) -> int:
+    return KEPT_INTERVALS + (0 if beamer is None else beamer.latency + 1)
 
 
 def true_rig(options: Mapping[str, Any]) -> TrueRig:

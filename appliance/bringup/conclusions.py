@@ -159,7 +159,7 @@ def _sides(measured: ProjectorMeasured) -> Finding:
         return Finding(
             "sides",
             True,
-            "which camera is left cannot be told here: take a flat wall at half a metre",
+            "which camera is left cannot be told here: take a flat wall at half a metre, and a picture that is not turned",
             limits,
             "",
             ratios,

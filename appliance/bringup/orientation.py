@@ -93,11 +93,20 @@ def see_orientation(frames: Image, width_px: int) -> SeenPicture:
 
 
 def exchanged(left: SeenPicture, right: SeenPicture) -> bool | None:
-    """Return whether left and right camera are exchanged; ``None``: it cannot be told."""
+    """Return whether left and right camera are exchanged; ``None``: it cannot be told.
+
+    A picture that both see mirrored is taken for mirrored by the projector, as cameras mirror only where they are told to. One that is turned by 180° may be
+    turned by either.
+    """
     if left.scale_ratio is None or right.scale_ratio is None or left.orientation is not right.orientation:
         return None
     # Of two ratios, since a plane that stands askew changes both cameras' alike.
     difference = math.log(left.scale_ratio / right.scale_ratio)
+    if left.orientation is Orientation.TURNED:
+        return None
+    if left.orientation is Orientation.MIRRORED:
+        # What is left in the picture lies right on the wall.
+        difference = -difference
     return None if abs(difference) < SURE else difference < 0.0
 
 

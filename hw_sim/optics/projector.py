@@ -16,6 +16,7 @@ import math
 import zlib
 from collections.abc import Hashable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numba
@@ -92,6 +93,21 @@ def soften(light: Light, water_blur_px: float, spread_far_px: float = SPREAD_FAR
     ``water_blur_px`` is the sigma by which the water spreads the light on its way, in projector px; ``spread_far_px``
     what the lens adds at ``FAR_MM`` (0: it has no focus to lose).
     """
+    least, most, _, _ = cv2.minMaxLoc(light)
+    if least == most:
+        # Blur is linear: a flat picture of any light is that of one, which most of what a measurement shows is.
+        return np.asarray(_soft_flat(light.shape, water_blur_px, spread_far_px) * np.float32(most), np.float32)
+    return _softened(light, water_blur_px, spread_far_px)
+
+
+@lru_cache(maxsize=4)
+def _soft_flat(shape: tuple[int, ...], water_blur_px: float, spread_far_px: float) -> Light:
+    flat = _softened(np.ones(shape, np.float32), water_blur_px, spread_far_px)
+    flat.flags.writeable = False
+    return flat
+
+
+def _softened(light: Light, water_blur_px: float, spread_far_px: float) -> Light:
     around = np.zeros((light.shape[0] + 2 * PAD, light.shape[1] + 2 * PAD), np.float32)
     around[PAD:-PAD, PAD:-PAD] = light
     # Below 0.15 px a Gaussian is narrower than its own sampling: it changes nothing.

@@ -5,6 +5,7 @@ A value is written in ``name=amount`` words, a vector as ``x,y,z``; ``off`` stan
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
@@ -16,6 +17,7 @@ from hw_sim.faults import parse
 from hw_sim.light.daylight import Daylight
 from hw_sim.mount_shift import parse as parse_knock
 from hw_sim.objects.motion import Motion
+from hw_sim.optics.beamer import Beamer
 from hw_sim.optics.fog import Fog
 from hw_sim.people import computer
 from hw_sim.timing import calendar
@@ -31,7 +33,10 @@ SURROUNDINGS = {"motion": Motion(), "water": Water(), "daylight": Daylight(), "d
 """Commands that change a field of the scene of the same name, with that field's defaults."""
 HELP: Mapping[str, tuple[str, str]] = {
     "fault": ("SENTENCE", "break something: fault camera.left off, fault board wrong how=reset"),
+    "mend": ("THING", "repair one thing and nothing else: mend laser.left off, mend projector wrong"),
     "clear": ("", "repair everything that is broken"),
+    "cap": ("left|right|both on|off", "a cap is put on a camera's lens, or taken off"),
+    "projector": ("AMOUNTS", "in the projector's menu: projector mirrored=false gamma=off latency_blanks=1"),
     "worker": ("kill|hang", "the process that computes points dies, or hangs"),
     "power": ("cut", "the service ends without a word, as when the battery is pulled; begin again with another start"),
     "disk": (
@@ -67,6 +72,12 @@ def check(verb: str, words: tuple[str, ...]) -> bool:
     match verb, words:
         case "fault", (_, *_):
             parse(" ".join(words))
+        case "mend", (_, _):
+            pass
+        case "cap", (("left" | "right" | "both"), ("on" | "off")):
+            pass
+        case "projector", (_, *_):
+            adjusted(Beamer(), words)
         case (("worker" | "disk" | "power"), _):
             computer.check((verb, *words))
         case "date", (word,):
@@ -90,8 +101,16 @@ def do(world: World, verb: str, words: tuple[str, ...], status: Path) -> None:
     match verb:
         case "fault":
             world.fault(" ".join(words))
+        case "mend":
+            world.mend(*words)
         case "clear":
             world.clear_faults()
+        case "cap":
+            sides = {"left", "right"} if words[0] == "both" else {words[0]}
+            capped = world.scene.capped
+            world.set_caps(*(capped | sides if words[1] == "on" else capped - sides))
+        case "projector":
+            world.set_projector(adjusted(world.projector_truth.beamer, words))
         case "worker" | "disk" | "power":
             computer.happen((verb, *words), status)
         case "date":
@@ -109,6 +128,25 @@ def do(world: World, verb: str, words: tuple[str, ...], status: Path) -> None:
                 raise CommandError("the picture cannot be written")
         case _:
             world.set_scene(replace(world.scene, **{verb: changed(getattr(world.scene, verb), verb, words)}))
+
+
+def adjusted(beamer: Beamer, words: Sequence[str]) -> Beamer:
+    """Return a projector with ``words`` like ``gamma=2.2`` in their places, values as in a rig file; ``off`` is the usual one. Raises ValueError."""
+    usual = Beamer(beamer.kind)
+    amounts: dict[str, Any] = {}
+    for word in words:
+        name, sign, text = word.partition("=")
+        known = {one.name for one in fields(usual)}
+        if not sign or name not in known:
+            raise ValueError(
+                f"projector: '{word}' is not understood; allowed are any of {', '.join(sorted(known))} = value, or = off"
+            )
+        try:
+            value = getattr(usual, name) if text == "off" else tomllib.loads(f"value = {text}")["value"]
+        except tomllib.TOMLDecodeError:
+            value = text
+        amounts[name] = tuple(value) if isinstance(value, list) else value
+    return replace(beamer, **amounts)
 
 
 def changed(value: Value, what: str, words: Sequence[str]) -> Value:

@@ -132,6 +132,8 @@ class Renderer:
         clock_s = time_s if clock_s is None else clock_s
         scene = self._scene
         eye = self.truth.eye(camera)
+        if camera in scene.capped:
+            return np.zeros((eye.height_px, eye.width_px), np.float32)
         # Motion blur: the exposure is the mean of a few instants, each with the light that fell in its share of the time.
         count = self._instants(camera, scene, time_s, exposure_s)
         at_rest = not scene.moves or time_s <= 0.0

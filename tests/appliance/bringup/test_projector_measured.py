@@ -162,7 +162,7 @@ def test_coarse_cameras_do_not_judge_the_raster() -> None:
 )
 def test_a_picture_that_lies_wrong_is_named(mirrored: bool, upside_down: bool, said: str, remedy: str) -> None:
     findings = seen_anew(but(STEADY, mirrored=mirrored, upside_down=upside_down))
-    assert "orientation" in wrong(findings)
+    assert wrong(findings) == {"orientation"}, "whoever mirrors exchanges no cameras"
     assert said in findings["orientation"].said
     assert remedy in findings["orientation"].remedy
 
@@ -173,6 +173,10 @@ def test_exchanged_cameras_are_named() -> None:
     findings = seen_anew(but(STEADY, exchanged=True))
     assert wrong(findings) == {"sides"}
     assert "exchange the serials" in findings["sides"].remedy
+
+
+def test_exchanged_cameras_before_a_mirrored_picture_are_both_named() -> None:
+    assert wrong(seen_anew(but(STEADY, mirrored=True, exchanged=True))) == {"orientation", "sides"}
 
 
 def test_a_camera_that_exposes_late_is_named() -> None:
