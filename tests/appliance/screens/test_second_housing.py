@@ -1,0 +1,115 @@
+"""Every screen of the second housing, by its rig file alone: its distances, its reach, its number of images, and nothing cut or covered."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from appliance.calibration.guide import HELD, ArtefactKind, RecordingCheck, Refusal, Session, Step
+from appliance.cli.simrig import default_sim_rig
+from appliance.config import Rig, load_rig
+from appliance.instrument import machine_settings
+from appliance.machine.alerts import alert_of
+from appliance.machine.states import Calibrating, State, boot
+from appliance.machine.words import Language
+from appliance.optics.volume import WorkingVolume
+from appliance.ranging.reach import Range, Reach, reach_of
+from appliance.scan.fault import Fault, FaultCode
+from appliance.screens.painter import Painter
+from appliance.screens.views import AimView, AnyView, CalibrateView, GalleryView, ReviewView
+from appliance.service.view import Surroundings, view_of
+from tests.appliance.screens.golden.scenes import SCENES
+from tests.appliance.screens.test_legible import DATA, complaints, written
+
+WORKING_MM = 300.0
+FARTHEST_SAID_MM = 0.6 * 620.0
+"""The farthest place of any plane, as docs/adr/0065 makes this housing's of the standard one's."""
+NOTHING = Surroundings(left=None, right=None, temperature_c=None, scan=None)
+
+
+@pytest.fixture(scope="module")
+def rig() -> Rig:
+    return load_rig(default_sim_rig().with_name("compact.toml"))
+
+
+def said_mm(painter: Painter, view: AnyView, time_s: float) -> set[float]:
+    """Lengths in mm of 100 and more that are written: distances, not errors."""
+    _, lines = written(painter, view, time_s)
+    alone = {float(line.words) for line in lines if re.fullmatch(r"\d{3}", line.words)}
+    pairs = [pair for line in lines for pair in re.findall(r"(\d{3,4})(?:\D{1,5}(\d{3,4}))?\s*mm", line.words)]
+    return alone | {float(one) for pair in pairs for one in pair if one}
+
+
+def of_this_housing(view: AnyView, volume: WorkingVolume) -> AnyView:
+    """The view as this housing's machine gives it: the rig file's volume, and distances that occur there."""
+    match view:
+        case AimView() if view.gauge is not None and view.gauge.distance_mm is not None:
+            return replace(
+                view, gauge=replace(view.gauge, distance_mm=volume.scaled(view.gauge.distance_mm), volume=volume)
+            )
+        case AimView() if view.gauge is not None:
+            return replace(view, gauge=replace(view.gauge, volume=volume))
+        case CalibrateView() if view.gauge is not None and view.gauge.distance_mm is not None:
+            gauge = replace(view.gauge, distance_mm=volume.scaled(view.gauge.distance_mm), volume=volume)
+            return replace(view, gauge=gauge, volume=volume)
+        case CalibrateView():
+            return replace(view, volume=volume)
+        case ReviewView():
+            far_mm = None if view.distance_mm is None else volume.scaled(view.distance_mm)
+            scale = np.float32(volume.scaled(1.0))
+            return replace(view, points_mm=view.points_mm * scale, values=view.values * scale, distance_mm=far_mm)
+        case GalleryView() if view.distance_mm is not None:
+            return replace(view, distance_mm=volume.scaled(view.distance_mm))
+        case _:
+            return view
+
+
+@pytest.mark.parametrize("language", list(Language))
+def test_no_screen_says_a_distance_of_the_other_housing(painter: Painter, rig: Rig, language: Language) -> None:
+    volume = machine_settings(rig).volume
+    painter.language = language
+    standard: set[float] = set()
+    for name, scene in SCENES.items():
+        standard |= said_mm(painter, replace(scene.view, alerts=()), scene.time_s)
+        view = replace(of_this_housing(scene.view, volume), alerts=())
+        assert all(mm <= FARTHEST_SAID_MM for mm in said_mm(painter, view, scene.time_s)), name
+        _, lines = written(painter, view, scene.time_s)
+        assert not complaints(painter.canvas, view, lines, may_be_cut=name in DATA), name
+    assert max(standard) > 560.0, "or nothing was looked for"
+
+
+@pytest.mark.parametrize(("step", "away_mm"), [(Step.M3, 282.0), (Step.M4, 342.0)])
+def test_the_guide_of_the_calibration_asks_for_this_housings_distances(
+    painter: Painter, rig: Rig, step: Step, away_mm: float
+) -> None:
+    assert HELD[step] is ArtefactKind.PLANE
+    machine = replace(boot(0, machine_settings(rig)), state=State.CALIBRATE, calibrating=Calibrating(step))
+    view = view_of(machine, NOTHING)
+    assert said_mm(painter, view, 0.0) == {away_mm}
+    refused = RecordingCheck(step, Refusal.TOO_NEAR, 200.0, 2000)
+    view = view_of(replace(machine, calibrating=replace(Calibrating(step), latest=refused), session=Session()), NOTHING)
+    low, high = {Step.M3: (258.0, 309.0), Step.M4: (318.0, 372.0)}[step]
+    assert {low, high} <= said_mm(painter, view, 0.0)
+
+
+def test_aiming_is_right_at_300_mm_and_too_far_where_the_other_housing_works(rig: Rig) -> None:
+    machine = replace(boot(0, machine_settings(rig)), state=State.AIM, lasers_off_since_ns=None)
+    for mm, reach in ((WORKING_MM, Reach.OK), (500.0, Reach.CLOSER), (200.0, Reach.BACK)):
+        measured = Range(mm, 0.0, 1.0, 2)
+        view = view_of(replace(machine, range=measured), NOTHING)
+        assert isinstance(view, AimView)
+        assert view.gauge is not None
+        volume = view.gauge.volume
+        assert (volume.nearest_mm, volume.working_mm, volume.farthest_mm) == (265.0, WORKING_MM, 335.0)
+        assert reach_of(measured, Reach.UNKNOWN, volume) is reach
+
+
+@pytest.mark.parametrize(("period_px", "images"), [(16, 25), (32, 23), (64, 21)])
+def test_a_scan_that_lost_an_image_is_counted_by_this_housings_sequence(rig: Rig, period_px: int, images: int) -> None:
+    frames = machine_settings(rig).frames
+    assert frames[period_px] == images
+    lost = Fault(FaultCode.FRAME_MISSING, numbers={"received": images - 1.0, "expected": float(frames[period_px])})
+    assert alert_of(lost).headline == f"INCOMPLETE {images - 1}/{images}"
