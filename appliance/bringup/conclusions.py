@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from appliance.bringup.exposures import Trial
 from appliance.bringup.finding import Finding
-from appliance.bringup.orientation import Orientation, exchanged
+from appliance.bringup.orientation import Orientation, SeenPicture, exchanged
 from appliance.bringup.projector import ProjectorMeasured
-from appliance.bringup.raster import MOST_BEATING
+from appliance.bringup.raster import MOST_BEATING, LineLight
 from appliance.bringup.response_check import STRAIGHT, Shape
 from appliance.bringup.rig_edit import KeyValue
 
@@ -35,7 +35,7 @@ def conclusions(measured: ProjectorMeasured, refresh_hz: float) -> tuple[Finding
         _grey(measured),
         _orientation(measured),
         _sides(measured),
-        _raster(measured),
+        raster_finding(measured.lines, measured.seen),
     )
 
 
@@ -170,17 +170,16 @@ def _sides(measured: ProjectorMeasured) -> Finding:
     return Finding("sides", True, "left and right are as in the rig file", limits, "", ratios)
 
 
-def _raster(measured: ProjectorMeasured) -> Finding:
-    resolved = [one.px_per_px for one in measured.seen.values()]
+def raster_finding(lines: Mapping[str, LineLight], seen: Mapping[str, SeenPicture]) -> Finding:
+    """Return what single ``lines``, by direction, say of the picture's raster, by cameras that have ``seen`` the picture so large."""
+    resolved = [one.px_per_px for one in seen.values()]
     numbers: dict[str, float | None] = {
-        **{f"{name}_beating_percent": 100.0 * line.beating for name, line in measured.lines.items()},
+        **{f"{name}_beating_percent": 100.0 * line.beating for name, line in lines.items()},
         "camera_px_per_projector_px": min((one for one in resolved if one is not None), default=None),
     }
     limits = f"single lines alike to {100.0 * MOST_BEATING:g} %"
     # Not told is no fault: the picture may be right, and the checker's photograph is on the page for a person.
-    if any(one is None or one < LEAST_RESOLVED for one in resolved) or not all(
-        one.told for one in measured.lines.values()
-    ):
+    if any(one is None or one < LEAST_RESOLVED for one in resolved) or not all(one.told for one in lines.values()):
         return Finding(
             "raster",
             True,
@@ -189,7 +188,7 @@ def _raster(measured: ProjectorMeasured) -> Finding:
             "",
             numbers,
         )
-    scaled: Sequence[str] = [name for name, line in measured.lines.items() if line.scaled]
+    scaled: Sequence[str] = [name for name, line in lines.items() if line.scaled]
     if scaled:
         said = f"single {' and '.join(scaled)} are not equally bright: the projector scales its picture"
         remedy = (

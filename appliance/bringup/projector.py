@@ -95,7 +95,8 @@ def measure_projector(bench: Bench, gain_db: float, say: Say) -> ProjectorMeasur
     responses, ramps = _responses(
         bench, timing, wanted, channels, lambda part: say("grey of each exposure", 0.42 + 0.45 * part)
     )
-    if sub_frames > 1 and not any(shape.usable for shape in responses.values()):
+    # Whole sub-frames that show a gamma are no wrong guess: exposures that cut them would only hide it behind cut bits.
+    if sub_frames > 1 and not any(one.usable or one.shape is Shape.GAMMA for one in responses.values()):
         sub_frames = 1
         responses, ramps = _responses(
             bench,

@@ -19,7 +19,7 @@ pytestmark = [pytest.mark.hardware, pytest.mark.timeout(1800)]
 SMALL = Path(__file__).parents[2] / "hw_sim" / "rigs" / "small.toml"
 WIDTH_PX, HEIGHT_PX = 128, 96
 PLANE_MM = 540
-MOST_CALLS = 8
+MOST_CALLS = 7
 ORDER = (
     "board",
     "pad",

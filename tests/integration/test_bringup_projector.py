@@ -7,8 +7,12 @@ from pathlib import Path
 
 import pytest
 
+from appliance.bringup.conclusions import raster_finding
+from appliance.bringup.exposures import Trial
+from appliance.bringup.projector import measure_lines, measure_orientation
 from appliance.cli import main
 from appliance.config import load_rig
+from appliance.service.light_bench import light_bench
 from hw_sim.options import options_from
 from hw_sim.world import World
 
@@ -17,13 +21,14 @@ SMALL = Path(__file__).parents[2] / "hw_sim" / "rigs" / "small.toml"
 WIDTH_PX, HEIGHT_PX = 96, 72
 
 
-def rig_file(folder: Path, world: str) -> Path:
+def rig_file(folder: Path, world: str, size_px: tuple[int, int] = (WIDTH_PX, HEIGHT_PX)) -> Path:
     """A rig in air before a plane, with small cameras; ``world`` are further options of the world."""
     text = SMALL.read_text(encoding="utf-8").replace("/var/tmp/kingfisher-sim", str(folder / "root"))
-    text = text.replace("width_px = 400", f"width_px = {WIDTH_PX}").replace(
-        "height_px = 300", f"height_px = {HEIGHT_PX}"
+    width_px, height_px = size_px
+    text = text.replace("width_px = 400", f"width_px = {width_px}").replace(
+        "height_px = 300", f"height_px = {height_px}"
     )
-    text = text.replace("pixel_um = 18.0", f"pixel_um = {4.5 * 1600 / WIDTH_PX}")
+    text = text.replace("pixel_um = 18.0", f"pixel_um = {4.5 * 1600 / width_px}")
     plane = 'object = "plane"\nobject_pose = [0, 0, 540, 0, 0, 0]\nmedium = "air"\nstills = true\nidle_speed = 4.0\n'
     path = folder / "rig.toml"
     path.write_text(text.replace("[rig.wires_options]", f"[rig.wires_options]\n{plane}{world}", 1), encoding="utf-8")
@@ -67,7 +72,10 @@ def test_the_packaged_rig_file_is_never_changed(capsys: pytest.CaptureFixture[st
     )
 
 
-@pytest.mark.parametrize(("kind", "channels", "sub_frames"), [('"repeats"', "green", 2), ('"video"', "green", None)])
+@pytest.mark.parametrize(
+    ("kind", "channels", "sub_frames"),
+    [('"repeats"', "green", 2), ('"video"', "green", None), ('"pattern"', "all", 3)],
+)
 def test_each_kind_of_projector_is_measured_as_it_is_built(
     kind: str, channels: str, sub_frames: int | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -88,3 +96,46 @@ def test_each_kind_of_projector_is_measured_as_it_is_built(
     lit = [one for one in truth.windows_us if one.channel in drawn]
     assert said["light"]["begins_us"] == pytest.approx(lit[0].begin_us, abs=250.0)
     assert said["light"]["ends_us"] == pytest.approx(lit[-1].end_us, abs=250.0)
+
+
+@pytest.mark.parametrize(
+    ("world", "named", "said", "remedy"),
+    [
+        ('{ kind = "ideal", gamma = 2.2 }', "grey", "like a power of 2.2", "switch gamma off in the projector"),
+        ('{ kind = "ideal", mirrored = true }', "orientation", "both cameras see the picture mirrored left to right", "rear projection off"),
+    ],
+)  # fmt: skip
+def test_a_projector_that_was_set_up_wrong_is_refused_and_named_and_nothing_that_is_right(
+    world: str, named: str, said: str, remedy: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig = rig_file(tmp_path, f"projector = {world}\n")
+    before = rig.read_text(encoding="utf-8")
+    assert main(["bringup", "projector", "--rig", str(rig), "--json"]) == 1
+    report = json.loads(capsys.readouterr().out)
+    wrong = {one["name"]: one for one in report["findings"] if not one["ok"]}
+    assert set(wrong) == {named}
+    assert said in wrong[named]["said"]
+    assert remedy in wrong[named]["remedy"]
+    assert report["keys"] == {}
+    assert rig.read_text(encoding="utf-8") == before
+
+
+@pytest.mark.parametrize(("scaled", "beats"), [("[912, 1140]", True), (None, False)])
+def test_a_picture_that_is_scaled_to_another_panel_is_told_by_cameras_that_resolve_it(
+    scaled: str | None, beats: bool, tmp_path: Path
+) -> None:
+    """The two measurements that are concerned, on their own: a whole one with cameras of this size takes minutes."""
+    rig = rig_file(
+        tmp_path, f'projector = {{ kind = "ideal"{f", scaled = {scaled}" if scaled else ""} }}\n', (800, 600)
+    )
+    best = Trial(500, 8_000)
+    with light_bench(load_rig(rig)) as bench:
+        seen, _ = measure_orientation(bench, 0, best, "green")
+        lines, _ = measure_lines(bench, 0, best, "green")
+    raster = raster_finding(lines, seen)
+    assert raster.ok is not beats, raster
+    if beats:
+        assert "the projector scales its picture" in raster.said
+        assert "raster of its panel" in raster.remedy
+    else:
+        assert raster.said.startswith("single lines are equally bright"), raster

@@ -27,6 +27,7 @@ from tests.support.truth import left_to_rig, true_calibration
 
 pytestmark = pytest.mark.hardware
 WIDTH, HEIGHT = 400, 300
+LARGE_PX = (1200, 900)
 KEPT = """
 wait state AIM 90
 press scan
@@ -53,20 +54,32 @@ LEFT_BEHIND: Mapping[str, dict[str, Any]] = {
 }
 """What the last owner of these cameras saved in them."""
 NAMES = {"blackfly": "FLIR Blackfly S", "ace": "Basler a2A1920", "alvium": "Allied Vision 1800 U"}
-SOURCE = {"blackfly": None, "ace": "Line1", "alvium": None}
+SOURCE = {"usual": None, "blackfly": None, "ace": "Line1", "alvium": None}
 
 
 def instrument(
-    folder: Path, maker: str, script: str, saved: Mapping[str, Any], left: Mapping[str, Any]
+    folder: Path,
+    maker: str,
+    script: str,
+    saved: Mapping[str, Any],
+    left: Mapping[str, Any],
+    size_px: tuple[int, int] = (WIDTH, HEIGHT),
+    also: Mapping[str, Any] | None = None,
 ) -> tuple[Rig, TrueRig]:
-    """Return a rig whose two cameras are of that maker, and its truth; ``left``: features of the left one in the rig file."""
+    """Return a rig whose two cameras are of that maker, and its truth; ``left``: features of the left one in the rig file; ``also``: what else
+    is peculiar about how both cameras power up."""
     path = folder / "dive.script"
     path.write_text(script)
     options = SimOptions(
-        root=folder / "root", object_name="pipe", truth="nominal", seed=11, size=f"{WIDTH}x{HEIGHT}", script=path
+        root=folder / "root",
+        object_name="pipe",
+        truth="nominal",
+        seed=11,
+        size=f"{size_px[0]}x{size_px[1]}",
+        script=path,
     )
     rig = simulated(load_rig(default_sim_rig()), options)
-    power_on = {side: {"personality": maker, "saved": dict(saved)} for side in ("left", "right")}
+    power_on = {side: {"personality": maker, "saved": dict(saved), **(also or {})} for side in ("left", "right")}
     rig = replace(rig, rig=replace(rig.rig, wires_options={**rig.rig.wires_options, "cameras": power_on}))
     cameras = replace(
         rig.camera,
@@ -142,3 +155,27 @@ def test_a_setting_that_contradicts_the_order_is_refused_and_nobody_looks_for_a_
     rig, _ = instrument(tmp_path, maker, NOT_EVEN_OPENED.format(code="CAMERA_REFUSED"), {}, features)
     assert run(rig) == 0
     assert any(told in one.getMessage() for one in caplog.records), [one.getMessage() for one in caplog.records]
+
+
+def test_an_instrument_whose_host_refuses_whole_images_scans_in_pieces(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Images of more than a MiB behind a host controller that takes no longer transfer: the diver notices nothing of it."""
+    caplog.set_level("INFO")
+    rig, truth = instrument(
+        tmp_path, "usual", KEPT, {}, {}, size_px=LARGE_PX, also={"largest_transfer_bytes": 1024 * 1024}
+    )
+    assert LARGE_PX[0] * LARGE_PX[1] > 1024 * 1024
+    assert run(rig) == 0
+    library = Library(rig.storage.root)
+    last = library.last_id()
+    assert last is not None
+    entry = library.load(last)
+    cloud = entry.cloud()
+    assert cloud is not None
+    surface = Renderer(truth, options_from(rig.rig.wires_options).scene()).surface(0.0)
+    distance = surface.distance_mm(left_to_rig(truth, cloud.points_mm))
+    assert len(distance) > 300_000
+    assert np.sqrt(np.mean(distance**2)) < 0.06
+    lost = [one.getMessage() for one in caplog.records if "CAMERA_LOST" in one.getMessage()]
+    assert not lost, lost

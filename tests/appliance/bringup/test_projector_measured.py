@@ -129,6 +129,16 @@ def test_a_gamma_is_named_with_its_exponent(power: float) -> None:
     assert "switch gamma off" in findings["grey"].remedy
 
 
+def test_a_gamma_behind_equal_sub_frames_is_named_as_such() -> None:
+    half_us = PERIOD_US / 2.0
+    twice = joined(*(planes_in(120.0 + k * half_us, (k + 1) * half_us - 80.0) for k in range(2)))
+    found, findings = measured(Model(twice, latency=1, gamma=2.2))
+    assert found.sub_frames == 2
+    assert wrong(findings) == {"grey"}
+    assert "a power of 2.2" in findings["grey"].said
+    assert "switch gamma off" in findings["grey"].remedy
+
+
 def test_a_restless_lamp_is_named() -> None:
     _, findings = measured(but(STEADY, unrest=0.05))
     assert wrong(findings) >= {"grey"}
