@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from appliance.calibration.guide import HELD, ArtefactKind, RecordingCheck, Refusal, Session, Step
+from appliance.calibration.guide import HELD, RecordingCheck, Refusal, Session, Step
+from appliance.calibration.recordings import ArtefactKind
 from appliance.cli.simrig import default_sim_rig
 from appliance.config import Rig, load_rig
 from appliance.instrument import machine_settings
