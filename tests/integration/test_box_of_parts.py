@@ -13,7 +13,7 @@ import pytest
 from appliance.config import load_rig
 from hw_sim.options import options_from
 from hw_sim.world import World
-from tests.support.builder import Builder
+from tests.support.box_builder import BoxBuilder
 
 pytestmark = [pytest.mark.hardware, pytest.mark.timeout(1800)]
 SMALL = Path(__file__).parents[2] / "hw_sim" / "rigs" / "small.toml"
@@ -70,14 +70,14 @@ def copied_from_another(folder: Path) -> Path:
 
 
 @contextmanager
-def box_of_parts(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Builder]:
+def box_of_parts(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[BoxBuilder]:
     """The parts as they were put together; they stay as they are from one call to the next."""
     rig = copied_from_another(folder)
     with World(options_from(load_rig(rig).rig.wires_options)) as world:
-        yield Builder(world, rig, folder / "out", monkeypatch)
+        yield BoxBuilder(world, rig, folder / "out", monkeypatch)
 
 
-def mend(builder: Builder, step: str, finding: dict[str, Any]) -> str:
+def mend(builder: BoxBuilder, step: str, finding: dict[str, Any]) -> str:
     """Do what one finding says, by its words alone; return what that was. Fails for advice about something that is not wrong."""
     said, remedy = finding["said"], finding["remedy"]
     if step == "board" and finding["name"] == "laser.left":

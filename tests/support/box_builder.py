@@ -43,7 +43,7 @@ class _Ears(io.TextIOBase):
 
 
 @dataclass
-class Builder:
+class BoxBuilder:
     """Stands at the instrument of ``world``, whose rig file is ``rig``."""
 
     world: World
