@@ -37,6 +37,8 @@ press scan
 wait state AIM 60
 end
 """
+PATIENT = KEPT.replace("AIM 90", "AIM 600").replace(" 60", " 600")
+"""The same of large images on a machine that is busy with other things."""
 REFUSED = """
 wait state AIM 90
 press scan
@@ -163,7 +165,7 @@ def test_an_instrument_whose_host_refuses_whole_images_scans_in_pieces(
     """Images of more than a MiB behind a host controller that takes no longer transfer: the diver notices nothing of it."""
     caplog.set_level("INFO")
     rig, truth = instrument(
-        tmp_path, "usual", KEPT, {}, {}, size_px=LARGE_PX, also={"largest_transfer_bytes": 1024 * 1024}
+        tmp_path, "usual", PATIENT, {}, {}, size_px=LARGE_PX, also={"largest_transfer_bytes": 1024 * 1024}
     )
     assert LARGE_PX[0] * LARGE_PX[1] > 1024 * 1024
     assert run(rig) == 0
