@@ -17,7 +17,7 @@ from appliance.cli.verbs import VERBS, Listed
 
 _MISSING = "the following arguments are required: "
 _VALUELESS = re.compile(r"argument ([^:]+): expected (?:one|at least one) arguments?")
-"""What argparse says of what is missing; Python 3.11 to 3.13 in the same words."""
+"""Argparse's words for what is missing, as Python 3.11 has them."""
 _NEGATIVE = re.compile(r"-\.?\d.*")
 """A value that begins with a minus, and no option: none of ours begins with a digit."""
 

@@ -22,7 +22,7 @@ _LOCAL = (
 _TO_16_BIT = 257
 """255 becomes 65535."""
 _TEXT_AREA = ("LASF_Spec", 3)
-"""Whose record, and its number, of the description in words: ASCII that ends with a zero, at most 65535 bytes (section 3.3)."""
+"""User and number of the record with the description in words: ASCII that ends with a zero, at most 65535 bytes (section 3.3)."""
 _MOST_TEXT = 65_534
 _NAME, _DESCRIPTION = 31, 31
 """Longest texts of an extra dimension: 32 bytes with a final zero."""

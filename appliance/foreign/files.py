@@ -33,7 +33,7 @@ class CameraFiles:
     files: tuple[Frame, ...]
     """The images themselves, in natural order."""
     sides: str = ""
-    """Whose turn it is in a sequence of both cameras, in the words of a description; empty: ``pattern`` is of this camera alone."""
+    """Turns of the cameras in a sequence of both, in the words of a description; empty: ``pattern`` is of this camera alone."""
 
 
 def camera_files(folder: Path) -> list[CameraFiles]:

@@ -37,7 +37,7 @@ class Frame:
 
     @property
     def name(self) -> str:
-        """What people call it."""
+        """Name of the file, with array and page."""
         array = f"#{self.array}" if self.array else ""
         return f"{self.path.name}{array}" + ("" if self.page is None else f"[{self.page}]")
 
