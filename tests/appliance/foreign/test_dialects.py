@@ -227,7 +227,9 @@ def _text(folder: Path, name: str, text: str) -> list[str]:
 def test_an_object_of_matlabs_own_says_how_to_save_it(tmp_path: Path) -> None:
     """``save stereo.mat stereoParams``: an array of class 17, which nobody but MATLAB reads."""
     flags = struct.pack("<IIII", 6, 8, 17, 0)
-    names = b"".join(struct.pack("<II", 1, len(text)) + text.ljust(16, b"\0") for text in (b"stereoParams", b"MCOS", b"x"))
+    names = b"".join(
+        struct.pack("<II", 1, len(text)) + text.ljust(16, b"\0") for text in (b"stereoParams", b"MCOS", b"x")
+    )
     body = flags + names
     header = b"MATLAB 5.0 MAT-file".ljust(124) + struct.pack("<H", 0x0100) + b"IM"
     (tmp_path / "stereo.mat").write_bytes(header + struct.pack("<II", 14, len(body)) + body)
