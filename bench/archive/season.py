@@ -30,7 +30,7 @@ SET, SEED = "modelled", 3
 KNOCKED_ON, CALIBRATED_ON = 8, 15
 KNOCK = MountShift("right", yaw_deg=0.03, pitch_deg=0.01)
 DARK, MOVED, DAMAGED = (9, 30), (21,), (14, 35)
-TREMOR_MM = (4.0, 4.0, 3.0)
+TREMOR_MM = (1.5, 1.5, 1.0)
 OTHERS = ("shell", "pipe", "stones")
 MOST_S = 1800.0
 WINDOW_PX = (1200, 2560)
