@@ -56,7 +56,7 @@ class _InWork:
 
 
 @dataclass(slots=True)
-class _Worker:
+class _Member:
     """One worker, as its scheduler knows it now."""
 
     threads: int
@@ -84,7 +84,7 @@ class ManyEngine:
         self._in_work: dict[str, _InWork] = {}
         self._back: list[Ended] = []
         self._something = threading.Event()
-        self._workers: dict[str, _Worker] = {}
+        self._workers: dict[str, _Member] = {}
         self._looked_s = 0.0
         self._scan_s: float | None = None
         self._client = self._connected(CONNECT_S)
@@ -135,7 +135,7 @@ class ManyEngine:
                 asked = self._submitted(greeting, self._like, "greeting", [address])
             except Exception:  # the client closes in this moment: asked again after it has connected
                 return
-            self._workers[address] = _Worker(threads[address], asked, now_s)
+            self._workers[address] = _Member(threads[address], asked, now_s)
         for folder, work in list(self._in_work.items()):
             if work.only is not None and not work.only & threads.keys():
                 self._cancel(work.futures)
