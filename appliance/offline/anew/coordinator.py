@@ -112,7 +112,7 @@ class _State:
     left_out: dict[str, str] = field(default_factory=dict)
     in_work: int = 0
     alone_s: float | None = None
-    """Since when there is no place at all."""
+    """Time of the clock at which the last place went; ``None``: there is one."""
 
 
 Said = Callable[[int, int, float | None], None]
@@ -210,6 +210,7 @@ def _hopeless(state: _State, engine: Engine, now_s: float) -> str | None:
     waited_s = now_s - state.alone_s if engine.others_may_come else math.inf
     if state.left_out and waited_s >= LEFT_OUT_S:
         return f"nobody is left who can do it: {'; '.join(sorted(set(state.left_out.values())))}"
+    # Longer where nobody was left out: workers come back one by one after a scheduler was started again.
     if waited_s >= PLACELESS_S:
         return f"there was no worker for {PLACELESS_S:.0f} s; start one with `dask worker`, and call again"
     return None

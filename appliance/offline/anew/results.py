@@ -158,6 +158,7 @@ class Results:
         Whole or not at all, in the order of the scans' numbers. Failures of scans that became others since are removed. Several calls
         may be done at once: each waits until the one before has written.
         """
+        # Listed under the lock: whoever writes last has seen what everybody before published.
         with self._table_lock():
             named = {str(row["folder"]): row.get("result") for row in rows}
             found = list(self._current_rows(named))
@@ -189,6 +190,7 @@ class Results:
         for path in failures:
             with refused("cannot read", path), suppress(FileNotFoundError, ValueError):
                 row = json.loads(path.read_bytes())
+                # A process that died between its rename and its tidying leaves a failure beside a result.
                 if path.stem in done or not current(row, path.stem):
                     path.unlink()
                 else:

@@ -62,7 +62,7 @@ class Job:
     calibration: str | None
     """Calibration file; ``None``: each scan's own."""
     calibration_hash: str | None
-    """What that file holds: results are published under this hash."""
+    """Hash of that file, under which results are published."""
     foreign: bool
     water: tuple[float, float] | None
     """Temperature in °C and salinity in psu that take the place of the recorded ones."""
@@ -116,6 +116,7 @@ def unfit(job: Job) -> str | None:
             seen = load(Path(job.calibration)).hash
         except CalibrationError as error:
             return f"{host} cannot use --calibration: {error}; let it see the file under the same path"
+        # The key was made from the caller's file: one that was exchanged meanwhile would be published under a wrong key.
         if seen != job.calibration_hash:
             return f"{host} sees another calibration in {job.calibration}; let it see the same file, and call again"
     return None
