@@ -56,6 +56,7 @@ class ObjectFiles(WithCalibration):
             except ExportError as error:
                 raise UsageError(f"--out {error}") from error
             require_library(out)
+        # An option that would do nothing is a word that was meant otherwise.
         meshes = [out for out in outs if self._meshed(out)]
         if meshes:
             needed("skimage.measure", "scikit-image", "the mesh of an object")
@@ -79,6 +80,7 @@ class ObjectFiles(WithCalibration):
         from appliance.surface.object_mesh import VOXEL_MM, mesh_of_surface
 
         with Progress() as progress:
+            # Pages, points and meshes are of one surface: it is fused once, or never.
             surface = mesh = None
             for out in outs:
                 if out.suffix.lower() == GRIDS:

@@ -32,6 +32,7 @@ class DiveReport(WithRoot):
 
         root = self.existing_root()
         library = Library(root)
+        # In the order in which they were typed; without any, in that of their numbers.
         entries = [library.entry(scan) for scan in self.scans] or library.entries()
         if not entries:
             raise UsageError(

@@ -53,6 +53,7 @@ def write_e57(path: Path, points: ExportedPoints, about: About) -> None:
 
 
 def _further(name: str, values: NDArray[np.float32]) -> tuple[str, NDArray[np.float32]]:
+    # One unit in the whole file: a reader cannot know which columns differ.
     in_metres = name.endswith(_MM)
     return f"{OWN[0]}:{name.removesuffix(_MM)}", values / np.float32(MM_PER_M) if in_metres else values
 

@@ -30,7 +30,7 @@ from appliance.storage.filesystem import LocalFileSystem
 
 SUFFIX = ".npz"
 _LEVEL = 1
-"""Of deflate: noise is not made smaller by trying harder."""
+"""Level of deflate: noise is not made smaller by trying harder."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

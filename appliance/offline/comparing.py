@@ -119,6 +119,7 @@ def _bent(surface: FusedCloud, deviation: Deviation) -> tuple[str, ...]:
         return ()
     bending, off = surface.shares.bending_mm.astype(np.float64), np.abs(deviation.deviation_mm.astype(np.float64))
     there = np.isfinite(off)
+    # Whose deviation noise, place and laying on explain is no case for the bending.
     without = np.sqrt(np.maximum(deviation.sigma_mm.astype(np.float64) ** 2 - bending**2, 0.0))
     doubtful = there & (off > SURE * without) & (off <= SURE * deviation.sigma_mm)
     share = 100.0 * float(np.count_nonzero(doubtful)) / max(int(np.count_nonzero(there)), 1)

@@ -20,6 +20,7 @@ _SHOWN_DIGITS = 12
 
 def report_of_dive(root: Path, entries: Sequence[ScanEntry], progress: Callable[[str, float], None]) -> Report:
     """Return the page's content for scans under a storage root, in their order. A scan that cannot be read is on the page, with its problem."""
+    # One at a time: a cloud is let go before the next is read.
     scans = []
     for number, entry in enumerate(entries):
         progress(f"scan {entry.scan_id}", number / max(len(entries), 1))
@@ -105,6 +106,7 @@ def _warnings(entries: Sequence[ScanEntry], scans: Sequence[ReportScan]) -> list
         names = [one.name for one in scans if one.verdict is verdict]
         if names:
             said.append(f"{len(names)} of {len(scans)} scans {words}: {', '.join(names)}")
+    # Scans without points have no calibration, which is no second one.
     used = {entry.manifest.record.calibration_hash for entry in entries if entry.manifest is not None} - {None}
     if len(used) > 1:
         said.append(f"{len(used)} calibrations: points of different ones do not lie on each other")

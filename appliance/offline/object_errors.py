@@ -45,6 +45,7 @@ def errors_of(stored_object: StoredObject) -> JointErrors | None:
         raise ObjectError(
             f"object '{stored_object.name}': its errors are of other scans than its places; solve it again"
         )
+    # Only the working distance scales the shapes; the rest of the range is made up in proportion.
     scale = kept.working_mm / STANDARD.working_mm
     return JointErrors(
         poses=tuple(Rigid(np.array(one.rotation), np.array(one.translation_mm)) for one in places.places.values()),
@@ -89,6 +90,7 @@ def laid_onto_something(
     """Return the surface with the sigma that is left once it lies on something by its shape; ``on_it`` (n,): points that lie there, all by default."""
     if errors is None or cloud.first_scan is None:
         return cloud
+    # What lies beside it has no say in how it is laid on.
     rows = np.arange(len(cloud.grey)) if on_it is None else np.flatnonzero(on_it)
     rows = rows[:: max(1, len(rows) // _LAID)]
     return in_the_frame(cloud, errors.settled(cloud.points_mm[rows], cloud.normals[rows], cloud.first_scan[rows]))

@@ -110,6 +110,7 @@ def matches(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.int64]
 def count_in_common(a: Features, b: Features, pose: Rigid) -> int:
     """Return how many features of two scans match and lie on each other where ``pose`` puts B."""
     pairs = matches(a.descriptors, b.descriptors)
+    # Descriptors alone match by chance, and where paint repeats.
     off = pose.of(b.points_mm[pairs[:, 1]]) - a.points_mm[pairs[:, 0]]
     return int(np.count_nonzero((off**2).sum(axis=1) < NEAR_MM**2))
 

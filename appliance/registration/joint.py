@@ -36,9 +36,9 @@ class LengthSigma:
 
     length_mm: float
     places_mm: float
-    """By the places, as the pairs leave them."""
+    """Share of the places, as the pairs leave them."""
     bending_mm: float
-    """By the depth error that all scans share: in the places, and in the two points."""
+    """Share of the depth error that all scans have in common: in the places, and in the two points."""
 
     @property
     def sigma_mm(self) -> float:
@@ -98,6 +98,7 @@ class JointErrors:
 
         ``points_mm`` and ``normals`` (n, 3), ``scan`` (n,): some thousand points over the surface, in the object's frame.
         """
+        # Nothing to lie on anything by: the errors stay what they are.
         if not len(points_mm):
             return self
         x, n = np.asarray(points_mm, np.float64), np.asarray(normals, np.float64)
@@ -126,6 +127,7 @@ class JointErrors:
     def _by_shared(self, x: Array, directions: Array, motion: Array, scan: int) -> Array:
         """Return (n, k): displacement along ``directions`` per mm of each coefficient, by the place and in the scan itself."""
         pose = self.poses[scan]
+        # The shapes are those of the scan's own view, whatever its place.
         own = pose.inverse.of(x)
         ray = (directions * (along_ray(own) @ pose.rotation.T)).sum(axis=1)
         return np.asarray(ray[:, None] * shapes(own, self.volume) - motion @ self.follow[6 * scan : 6 * scan + 6])

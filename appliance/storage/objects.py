@@ -93,7 +93,7 @@ class ComparedScans:
 
 @dataclass(frozen=True, slots=True)
 class CloudFacts:
-    """What a scan's cloud is like, as it was made for the object."""
+    """Figures of a scan's cloud, as it was made for the object."""
 
     points: int
     distance_mm: float
@@ -135,7 +135,7 @@ class PackedMatrix:
 
 @dataclass(frozen=True, slots=True)
 class JointPlaces:
-    """How the errors of all places hang together (``appliance.registration.joint`` says what each is)."""
+    """The errors of all places as they hang together (``appliance.registration.joint`` says what each is)."""
 
     scans: tuple[str, ...]
     """Names in the order of the rows."""
@@ -173,7 +173,7 @@ class Places:
     joint: JointPlaces | None = None
     """``None``: solved by a version that did not keep it."""
     clouds: Mapping[str, CloudFacts] = field(default_factory=dict)
-    """Of every scan, also of those without a place."""
+    """Figures of every scan's cloud, also of those without a place."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -66,9 +66,9 @@ class SigmaShares:
     beside_mm: NDArray[np.float32]
     """Relative to the points around: noise, and places of scans beside each other."""
     place_mm: NDArray[np.float32]
-    """By the place of the scan in the object."""
+    """Share of the scan's place in the object."""
     bending_mm: NDArray[np.float32]
-    """By the depth error that all scans share: what may bend the object without any residual."""
+    """Share of the depth error that all scans have in common: what may bend the object without any residual."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,6 +101,7 @@ class FusedCloud:
 def with_places(cloud: FusedCloud, place_mm: NDArray[np.floating], bending_mm: NDArray[np.floating]) -> FusedCloud:
     """Return a fused surface whose sigma is that in the object's frame. ``place_mm`` and ``bending_mm`` (n,): its further shares, along the normals."""
     place, bending = place_mm.astype(np.float32), bending_mm.astype(np.float32)
+    # Its own sigma stays the share that neighbours do not have in common, also where it is called twice.
     beside = cloud.beside_mm
     return replace(
         cloud, sigma_mm=np.sqrt(beside**2 + place**2 + bending**2), shares=SigmaShares(beside, place, bending)
