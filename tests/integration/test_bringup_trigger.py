@@ -40,7 +40,8 @@ BLACKFLY = 'cameras = { left = { personality = "blackfly" }, right = { personali
 
 def test_a_frame_comes_for_each_pulse(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     found = said(tmp_path, capsys)
-    assert [one["said"] for one in found.values()] == [
+    assert all(one["ok"] for one in found.values())
+    assert [found[name]["said"] for name in ("pulses", "camera.left", "camera.right")] == [
         "the board fired 64 of 64 pulses",
         "64 frames of 64 pulses, one a period",
         "64 frames of 64 pulses, one a period",
