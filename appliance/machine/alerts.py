@@ -81,6 +81,10 @@ _INCOMPLETE = Words("INCOMPLETE {received:.0f}/{expected:.0f}", "UNVOLLSTÄNDIG 
 _REPEAT = Words("REPEAT", "NOCHMAL")
 _CONNECTOR = Words("CHECK CONNECTOR", "STECKER PRÜFEN")
 _RIG_FILE = Words("ASHORE: CHECK RIG FILE", "AN LAND: EINSTELLUNG PRÜFEN")
+_RESTART = Words("REPEAT; RESTART IF AGAIN", "NOCHMAL; SONST NEU STARTEN")
+_LAMP = Words("CHECK LAMP AND VIDEO CABLE", "LAMPE UND VIDEOKABEL PRÜFEN")
+_TURN = Words("ASHORE: TURN PICTURE BACK", "AN LAND: BILD ZURÜCKDREHEN")
+_NO_GAMMA = Words("ASHORE: GAMMA AND LUT OFF", "AN LAND: GAMMA UND LUT AUS")
 _TRIGGER = Words("REPEAT; CHECK TRIGGER CABLES", "NOCHMAL; TRIGGERKABEL PRÜFEN")
 
 RULES: Mapping[FaultCode, Rule] = MappingProxyType(
@@ -115,26 +119,13 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
         ),
         FaultCode.PATTERN_WRONG: Rule(_W, Words("WRONG PATTERN", "FALSCHES MUSTER"), _REPEAT, spoils_scan=True),
         FaultCode.PICTURE_MIRRORED: Rule(
-            _W,
-            Words("{side}CAM MIRROR", "{side}GESPIEGELT"),
-            Words("ASHORE: TURN PICTURE BACK", "AN LAND: BILD ZURÜCKDREHEN"),
-            Words("PICTURE MIRRORED", "BILD GESPIEGELT"),
+            *(_W, Words("{side}CAM MIRROR", "{side}GESPIEGELT"), _TURN, Words("PICTURE MIRRORED", "BILD GESPIEGELT")),
             spoils_scan=True,
         ),
         FaultCode.SYNC_LOST: Rule(_W, Words("SYNC LOST", "KEIN GLEICHTAKT"), _TRIGGER, spoils_scan=True),
         FaultCode.LATE_FLIP: Rule(_W, Words("PROJECTOR LATE", "PROJEKTOR SPÄT"), _REPEAT, spoils_scan=True),
-        FaultCode.PROJECTOR_TIMING: Rule(
-            _W,
-            Words("PROJECTOR TIMING", "PROJEKTORTAKT"),
-            Words("REPEAT; RESTART IF AGAIN", "NOCHMAL; SONST NEU STARTEN"),
-            spoils_scan=True,
-        ),
-        FaultCode.PROJECTOR_DARK: Rule(
-            _W,
-            Words("PROJECTOR DARK", "PROJEKTOR DUNKEL"),
-            Words("CHECK LAMP AND VIDEO CABLE", "LAMPE UND VIDEOKABEL PRÜFEN"),
-            spoils_scan=True,
-        ),
+        FaultCode.PROJECTOR_TIMING: Rule(_W, Words("PROJECTOR TIMING", "PROJEKTORTAKT"), _RESTART, spoils_scan=True),
+        FaultCode.PROJECTOR_DARK: Rule(_W, Words("PROJECTOR DARK", "PROJEKTOR DUNKEL"), _LAMP, spoils_scan=True),
         FaultCode.PULSE_MISSING: Rule(
             _W,
             Words("PULSES {received:.0f}/{expected:.0f}", "PULSE {received:.0f}/{expected:.0f}"),
@@ -203,15 +194,10 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
             spoils_points=True,
         ),
         FaultCode.FRINGES_BENT: Rule(
-            _W,
-            Words("FRINGES BENT", "STREIFEN KRUMM"),
-            Words("TRY ANOTHER EXPOSURE", "ANDERE BELICHTUNG"),
+            _W, Words("FRINGES BENT", "STREIFEN KRUMM"), Words("TRY ANOTHER EXPOSURE", "ANDERE BELICHTUNG")
         ),
         FaultCode.GREY_BENT: Rule(
-            _W,
-            Words("{side}CAM GAMMA", "{side}KAMERA GAMMA"),
-            Words("ASHORE: GAMMA AND LUT OFF", "AN LAND: GAMMA UND LUT AUS"),
-            Words("CAMERA GAMMA", "KAMERA-GAMMA"),
+            _W, Words("{side}CAM GAMMA", "{side}KAMERA GAMMA"), _NO_GAMMA, Words("CAMERA GAMMA", "KAMERA-GAMMA")
         ),
         FaultCode.AMBIENT: Rule(
             _W,

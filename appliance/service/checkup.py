@@ -40,6 +40,7 @@ def check(rig: Rig) -> list[Health]:
 def whatever_is_there(rig: Rig, wires: Wires) -> OnTheBuses:
     """List what is on the buses, and on every graphics card. Never raises for a device."""
     outputs = (rig.projector, rig.display)
+    # Named ones too, which may be no cards of this machine: their lines say why they could not be asked.
     named = [one.card for one in outputs if one.kind == "kms" and one.card is not None]
     return on_the_buses(wires, rig.camera.kind, named)
 

@@ -116,6 +116,7 @@ class Devices:
     def _set_up(self, side: str) -> Iterator[Camera]:
         """Inside: a camera that took its settings, unless its link is slow, which it says by itself."""
         with self.open_camera(side) as camera:
+            # Setting it is half of the check: what a camera refuses is known before the first scan.
             if camera.slow_link is None:
                 camera.configure(self._settings(side))
             yield camera

@@ -59,6 +59,7 @@ def judge_grey(samples: Mapping[str, Sample], sequence: PatternSequence) -> Judg
     if left is None or right is None:
         return Judgement(Verdict(NAME, None, numbers, "too little is well lit to compare the cameras' grey"))
     apart = {d: left.of[d] - right.of[d] for d in Direction}
+    # Few pixels with much noise must accuse nobody.
     least = max(MOST_APART, SURE * math.hypot(left.error, right.error))
     # What a movement or a lamp makes is another thing in each direction; a camera bends both alike.
     if all(one > least for one in apart.values()) or all(one < -least for one in apart.values()):
@@ -75,11 +76,13 @@ def judge_grey(samples: Mapping[str, Sample], sequence: PatternSequence) -> Judg
 
 
 def _share(sample: Sample, sequence: PatternSequence) -> _Share | None:
+    # What is faint is noise, and at the top of the scale every camera bends grey by clipping it.
     lit = (sample.contrast_dn >= LEAST_LIGHT_DN) & (sample.top_dn <= MOST_DN)
     count = int(np.count_nonzero(lit))
     if count < FEWEST:
         return None
     dark_dn, light_dn = sample.dark_dn[lit], sample.contrast_dn[lit]
+    # Each direction by itself: what changes between the images is another thing in either.
     of, errors = {}, []
     for direction in Direction:
         steps: NDArray[np.float32] = sample.grey[list(sequence.axis(direction).sine)][:, lit].astype(np.float32)

@@ -209,6 +209,7 @@ def _ordered(
         yield Explanation(What.LATE, first), np.where(straight < first, straight, straight + 1), last
     bright = Witness({along: _with(lines, lines.high) for along, lines in witness.lines.items()}, sequence, noise)
     yield Explanation(What.EARLY, 0), np.where(straight == 0, n, straight - 1), bright
+    # No wrong order, but the right one read from the other end: where nothing else is wrong, all doubts end with it.
     for what, backwards in WAYS_ROUND.items():
         turned = {along: _backwards(lines) if along in backwards else lines for along, lines in witness.lines.items()}
         yield Explanation(what, 0), straight, Witness(turned, sequence, noise)

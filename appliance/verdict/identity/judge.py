@@ -253,6 +253,7 @@ def _fault(cameras: list[_Camera]) -> Fault | None:
     first = (explained or wrong)[0]
     explanation = first.explanation
     assert explanation is not None
+    # What all see alike is the projector's; of a picture that lies wrong only if it lies wrong in the same way.
     everybody = len(wrong) == len(cameras) > 1
     if explanation.what in WAYS_ROUND:
         return _turned(explanation.what, first.device if not (everybody and _alike(wrong)) else "projector")
