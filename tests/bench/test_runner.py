@@ -46,6 +46,7 @@ def test_kept_bounds_end_with_zero_and_a_record(package: Path, tmp_path: Path) -
             "kept": True,
             "why": None,
             "spread": None,
+            "share": None,
         }
     ]
 
