@@ -320,6 +320,9 @@ def spoken(event: on.Event) -> tuple[int, str] | None:
             return logging.WARNING, f"scan {number} of this start is not saved: {fault_text(fault)}"
         case on.ReconstructionFailed(number, fault):
             return logging.WARNING, f"scan {number} of this start was not reconstructed: {fault_text(fault)}"
+        case on.Judged(number, warnings) if warnings:
+            # What the screen has room for names the fault; what to do about it in full stands here.
+            return logging.INFO, f"scan {number} of this start: {'; '.join(fault_text(one) for one in warnings)}"
         case _:
             return None
 

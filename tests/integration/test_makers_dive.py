@@ -137,6 +137,7 @@ def test_an_instrument_with_used_cameras_of_each_maker_is_checked_and_scans(tmp_
 def test_a_wrong_setting_is_named_by_what_it_does(
     tmp_path: Path, maker: str, features: dict[str, Any], code: str, told: str, caplog: pytest.LogCaptureFixture
 ) -> None:
+    caplog.set_level("INFO")
     rig, _ = instrument(tmp_path, maker, REFUSED.format(code=code), {}, features)
     assert run(rig) == 0
     lines = [one.getMessage() for one in caplog.records if code in one.getMessage()]

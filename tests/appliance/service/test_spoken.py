@@ -76,6 +76,13 @@ def test_a_failed_scan_is_told_with_its_fault_and_its_numbers() -> None:
     assert fault_text(Fault(FaultCode.INTERNAL)) == "INTERNAL"
 
 
+def test_what_is_held_against_a_scan_is_told_with_its_remedy() -> None:
+    bent = Fault(FaultCode.GREY_BENT, "set Gamma = 1.0", device="camera.left")
+    line = (logging.INFO, "scan 3 of this start: GREY_BENT of camera.left: set Gamma = 1.0")
+    assert spoken(on.Judged(3, (bent,))) == line
+    assert spoken(on.Judged(3)) is None
+
+
 def test_what_the_console_sees_is_written_in_words() -> None:
     status = {
         "state": "REVIEW",
