@@ -56,7 +56,9 @@ def test_a_gamma_in_one_camera_is_named_with_the_camera_and_what_to_set(exponent
 
 
 @pytest.mark.parametrize(
-    "lamp", [straight, power(2.2), power(0.6), lambda share: 0.5 * share + 0.5 * (share > 0.5)], ids=str
+    "lamp",
+    [straight, power(2.2), power(0.6), lambda share: 0.5 * share + 0.5 * (share > 0.5)],
+    ids=["straight", "gamma 2.2", "gamma 0.6", "a cut bit plane"],
 )
 def test_whatever_the_projector_makes_of_a_code_is_no_cameras_doing(lamp: Curve) -> None:
     found = judged(recorded(1, lamp=lamp), recorded(2, lamp=lamp, light=0.5, ambient=0.2))
