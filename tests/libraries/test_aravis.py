@@ -133,6 +133,7 @@ def test_the_checkup_names_each_camera_and_the_slow_one(world: World, bed: Testb
     assert (left["serial"], left["link"], right["link"]) == ("KF-CAM-L", "5000 Mbit/s", "480 Mbit/s")
     assert re.match(r"Aravis 0\.8\.\d+, USB3Vision at ", left["through"])
     assert float(left["temperature"].removesuffix(" °C")) > 0.0
+    assert re.search(r"KF-CAM-L \(USB3 Vision, .*; KF-CAM-R \(USB3 Vision, ", left["there"]), left["there"]
 
 
 # -------------------------------------------------------------------------------------- Aravis' fake camera
@@ -400,6 +401,22 @@ def test_two_network_cameras_are_read_without_a_loss_while_their_numbers_go_roun
                 assert read["first"] < 0xFFFF < read["last"], "sixteen bits went round"
                 assert read["brightest"] == network.MODULUS - 1
             client.expect("cpu_s")
+
+
+LISTED = """
+from drivers.aravis.camera import listed_cameras
+from drivers.aravis.library import library
+print(*listed_cameras(library("cameras")), sep="\\n")
+"""
+
+
+def test_network_cameras_are_listed_whatever_the_rig_file_wants_and_the_fake_one_is_not() -> None:
+    with networked(20.0, "GV-L", "GV-R") as (_, within):
+        done = subprocess.run(
+            [*within, sys.executable, "-c", LISTED], capture_output=True, text=True, timeout=60, check=False
+        )
+        assert done.returncode == 0, done.stderr
+        assert sorted(done.stdout.splitlines()) == ["GV-L (GigE Vision, 127.0.0.1)", "GV-R (GigE Vision, 127.0.0.2)"]
 
 
 def test_a_network_camera_that_falls_silent_is_gone() -> None:
