@@ -37,8 +37,8 @@ press scan
 wait state AIM 60
 end
 """
-PATIENT = KEPT.replace("AIM 90", "AIM 600").replace(" 60", " 600")
-"""The same of large images on a machine that is busy with other things."""
+PATIENT = KEPT.replace("AIM 90", "AIM 600\npause 3", 1).replace(" 60", " 600")
+"""The same of large images on a machine that is busy with other things, by a diver who has seen live pictures before he scans."""
 REFUSED = """
 wait state AIM 90
 press scan
