@@ -117,9 +117,6 @@ class Service:
         # Behind the tick: what the machine wanted in this heartbeat is begun in the same one.
         for event in self._recorder.go_on():
             self._handle(event)
-        # And what that left: the points of a scan that has just been played need not wait until the display has shown a picture.
-        for event in self._left():
-            self._handle(event)
         self._tell_status()
         self._draw()
 
@@ -130,15 +127,10 @@ class Service:
 
     # --------------------------------------------------------------------------------- what happened
 
-    def _left(self) -> list[on.Event]:
-        """Take what effects have left in the inbox."""
-        events = list(self._inbox)
-        self._inbox.clear()
-        return events
-
     def _gather(self) -> list[on.Event]:
         # What the last beat left comes first: it happened before anything that is read now.
-        events = self._left()
+        events = list(self._inbox)
+        self._inbox.clear()
         parts = self._parts
         events += parts.devices.poll()
         events += self._inputs.poll()
