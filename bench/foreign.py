@@ -14,7 +14,7 @@ import sys
 import tempfile
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import IO, Any
 
 ENVIRONMENT = Path(".cache/peers")
 PACKAGES = ("opencv-contrib-python-headless==5.0.0.93", "fringes==2.1.0")
@@ -104,19 +104,29 @@ class Peer:
             raise PeerFailed(f"it gave no {wanted}: {self._last_words() or line!r}") from error
 
     def _last_words(self) -> str:
-        self._errors.seek(0)
-        said = self._errors.read().decode(errors="replace").strip().splitlines()
-        return said[-1] if said else ""
+        return last_words(self._errors)
 
     def _stop(self) -> None:
         process, self._process = self._process, None
-        if process is not None:
-            for pipe in (process.stdin, process.stdout):
-                if pipe is not None:
-                    pipe.close()
-            try:
-                process.wait(STOP_TIMEOUT_S)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait(STOP_TIMEOUT_S)
-        self._errors.close()
+        end_process(process, self._errors)
+
+
+def last_words(errors: IO[bytes]) -> str:
+    """Return the last line that a process wrote to ``errors``, or an empty text."""
+    errors.seek(0)
+    said = errors.read().decode(errors="replace").strip().splitlines()
+    return said[-1] if said else ""
+
+
+def end_process(process: subprocess.Popen[bytes] | None, errors: IO[bytes]) -> None:
+    """Close what leads to a process (``None``: it was never started), wait until it ends, kill it if it does not, and close ``errors``."""
+    if process is not None:
+        for pipe in (process.stdin, process.stdout):
+            if pipe is not None:
+                pipe.close()
+        try:
+            process.wait(STOP_TIMEOUT_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait(STOP_TIMEOUT_S)
+    errors.close()

@@ -20,6 +20,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from bench.foreign import end_process, last_words
 from bench.result import Measured
 from bench.timing import median_of
 from bench.whole_scan import parts
@@ -28,7 +29,7 @@ from bench.whole_scan.scenes import DISC, FOLDER, NAMES
 TREES = Path(".cache/against")
 KEPT_TREES = 2
 """Trees of other revisions that stay, with their compiled kernels: the latest ones."""
-GIT_TIMEOUT_S, COMPILE_TIMEOUT_S, START_TIMEOUT_S, ROUND_TIMEOUT_S, STOP_TIMEOUT_S = 60.0, 1200.0, 600.0, 120.0, 10.0
+GIT_TIMEOUT_S, COMPILE_TIMEOUT_S, START_TIMEOUT_S, ROUND_TIMEOUT_S = 60.0, 1200.0, 600.0, 120.0
 ONE_SIDE = Path(__file__).with_name("one_side.py")
 UNTIL_VERDICT = (
     parts.LAST_PAIR,
@@ -233,23 +234,14 @@ class Side:
             raise NoComparison(f"{self._tree.root} gave no answer within {timeout_s:.0f} s")
         line = process.stdout.readline()
         if not line:
-            self._errors.seek(0)
-            said = self._errors.read().decode(errors="replace").strip().splitlines()
-            raise NoComparison(f"the program in {self._tree.root} ended: {said[-1] if said else 'without a word'}")
+            raise NoComparison(
+                f"the program in {self._tree.root} ended: {last_words(self._errors) or 'without a word'}"
+            )
         return json.loads(line)
 
     def _stop(self) -> None:
         process, self._process = self._process, None
-        if process is not None:
-            for pipe in (process.stdin, process.stdout):
-                if pipe is not None:
-                    pipe.close()
-            try:
-                process.wait(STOP_TIMEOUT_S)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait(STOP_TIMEOUT_S)
-        self._errors.close()
+        end_process(process, self._errors)
 
 
 def _turn(own: Side, other: Side, *, own_first: bool) -> tuple[dict[str, float], dict[str, float]]:
