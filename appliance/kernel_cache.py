@@ -30,6 +30,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from appliance.distribution import DISTRIBUTION
+
 VARIABLE = "NUMBA_CACHE_DIR"
 CPU_VARIABLES = ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES")
 COMPLETE = "complete"
@@ -38,7 +40,6 @@ MARKS = "pieces"
 """Folder of marks, one of each piece that was compiled here (``kernel_build``)."""
 _PRIVATE = 0o700
 _PROGRAM = Path(__file__).parent
-_DISTRIBUTION = "kingfisher"
 _CALLERS = frozenset({"reconstruct", "compensation"})
 """Packages whose files without kernels decide which kinds of arrays the kernels beside them are given."""
 
@@ -129,7 +130,7 @@ def _kernel_files() -> Iterator[tuple[str, Path]]:
 def _packages() -> list[str]:
     """Return the packages that came with this one, and this one, where they lie side by side."""
     try:
-        named = (metadata.distribution(_DISTRIBUTION).read_text("top_level.txt") or "").split()
+        named = (metadata.distribution(DISTRIBUTION).read_text("top_level.txt") or "").split()
     except metadata.PackageNotFoundError:
         named = []
     return sorted(name for name in {*named, _PROGRAM.name} if (_PROGRAM.parent / name).is_dir())

@@ -7,7 +7,8 @@ from pathlib import Path
 
 from appliance import __version__
 from appliance.cli.arguments import Verb, option, switch
-from appliance.cli.output import Exit, UsageError, say, say_json
+from appliance.cli.output import Exit, UsageError, complain, say, say_json
+from appliance.distribution import other_program
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -15,10 +16,13 @@ class Version(Verb):
     """The program's version."""
 
     def run(self) -> Exit:
+        other = other_program()
         if self.json:
-            say_json({"version": __version__})
+            say_json({"version": __version__, "other_program": other})
         else:
             say(f"kingfisher {__version__}")
+            if other is not None:
+                complain(other, as_json=False)
         return Exit.OK
 
 

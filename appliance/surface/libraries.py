@@ -8,8 +8,7 @@ from __future__ import annotations
 import importlib
 from types import ModuleType
 
-EXTRA = "kingfisher[desk]"
-"""Name that pip is asked for: the extra of ``pyproject.toml`` that has all of them."""
+from appliance.distribution import EXTRA, other_program
 
 
 class MissingLibraryError(Exception):
@@ -27,5 +26,8 @@ def needed(module: str, package: str, what: str) -> ModuleType:
         lacking = error.name or module
         # Where the library is there and lacks something of its own, that is named, and not the library.
         missing = package if lacking.partition(".")[0] == module.partition(".")[0] else lacking
-        raise MissingLibraryError(f"{what} needs {missing}: pip install '{EXTRA}'") from error
+        # Whoever asked pip for `kingfisher` has got that one instead.
+        raise MissingLibraryError(
+            "; ".join(filter(None, (f"{what} needs {missing}: pip install '{EXTRA}'", other_program())))
+        ) from error
     return found

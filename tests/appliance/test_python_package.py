@@ -75,7 +75,7 @@ def test_from_a_wheel_it_lies_beside_the_program(tree: Path, python: Path, tmp_p
         sys.executable, "-m", "pip", "--disable-pip-version-check", "wheel", "--no-deps", "--no-index", "--no-build-isolation",
         "-w", tmp_path / "wheels", tree, cwd=tmp_path,
     )  # fmt: skip
-    (wheel,) = (tmp_path / "wheels").glob("kingfisher-*.whl")
+    (wheel,) = (tmp_path / "wheels").glob("kingfisher_3d-*.whl")
     shutil.rmtree(tree)
     early, package, program = installed(python, tmp_path, wheel)
     assert early == "False"

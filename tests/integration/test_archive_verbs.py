@@ -129,7 +129,7 @@ def test_without_the_codec_one_line_says_what_to_install(
     monkeypatch.setitem(sys.modules, "imagecodecs", None)
     said = desk("archive", "verify", tmp_path / "archive")
     assert said.code == 1
-    assert "needs imagecodecs: pip install 'kingfisher[desk]'" in said.error
+    assert "needs imagecodecs: pip install 'kingfisher-3d[desk]'" in said.error
     assert desk("scans", "verify", "--root", tmp_path / "archive").code == 0, "that decodes nothing"
 
 

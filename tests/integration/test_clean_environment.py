@@ -1,4 +1,4 @@
-"""Everything that a desk does with an archive, from a wheel, in an environment with nothing but the locked packages that ``kingfisher[desk]`` requires."""
+"""Everything that a desk does with an archive, from a wheel, in an environment with nothing but the locked packages that ``kingfisher-3d[desk]`` requires."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ import numpy as np
 import pytest
 from packaging.requirements import Requirement
 
+from appliance.distribution import DISTRIBUTION
 from appliance.offline.anew.results import read_table
 from appliance.storage.scan import manifest_of
 from hw_sim.scene import Scene
@@ -123,11 +124,11 @@ def desk(tmp_path: Path) -> Desk:
 
     call("wheel", *alone, "--no-build-isolation", "-w", str(tmp_path), str(tree))
     shutil.rmtree(tree)
-    (wheel,) = tmp_path.glob("kingfisher-*.whl")
+    (wheel,) = tmp_path.glob("kingfisher_3d-*.whl")
     venv.create(tmp_path / "venv", with_pip=False)
     python = tmp_path / "venv/bin/python"
     (packages,) = (tmp_path / "venv").glob("lib/python*/site-packages")
-    for distribution in sorted(required("kingfisher", "desk")):
+    for distribution in sorted(required(DISTRIBUTION, "desk")):
         bring(distribution, packages)
     call("--python", str(python), "install", *alone, f"{wheel}[desk]")
     call("--python", str(python), "check")

@@ -162,7 +162,7 @@ class ManyEngine:
                 case "error":
                     # Not even the question could be understood there: the program is missing, or of another form.
                     trouble = worker.asked.exception(timeout=ASK_S)
-                    worker.reason = f"{type(trouble).__name__}: {trouble}; install the same kingfisher[desk] there"
+                    worker.reason = f"{type(trouble).__name__}: {trouble}; install the same Kingfisher with its desk libraries there"
                 case _:
                     pass  # with its scheduler
 

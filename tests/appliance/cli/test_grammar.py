@@ -31,7 +31,7 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["version"]) == 0
     assert capsys.readouterr().out == "kingfisher 0.1.0\n"
     assert main(["version", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == {"version": "0.1.0"}
+    assert json.loads(capsys.readouterr().out) == {"version": "0.1.0", "other_program": None}
 
 
 @pytest.mark.parametrize(

@@ -261,7 +261,7 @@ def test_a_library_that_is_absent_is_named_with_the_remedy(
 
     monkeypatch.setattr(importlib, "import_module", absent)
     for suffix, package in ((".e57", "pye57"), (".las", "laspy")):
-        with pytest.raises(MissingLibraryError, match=rf"needs {package}: pip install 'kingfisher\[desk\]'"):
+        with pytest.raises(MissingLibraryError, match=rf"needs {package}: pip install 'kingfisher-3d\[desk\]'"):
             write_scan(tmp_path / f"ball{suffix}", cloud, ABOUT)
     assert not list(tmp_path.iterdir()), "nothing half made is left"
 

@@ -1,0 +1,74 @@
+"""Nobody is told to install `kingfisher` from PyPI, which is somebody else's program; where it is installed, one sentence says so."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from appliance.distribution import DISTRIBUTION, EXTRA, other_program
+from appliance.surface.libraries import MissingLibraryError, needed
+
+ROOT = Path(__file__).parents[2]
+SOMEBODY_ELSES = re.compile(
+    r"(?<![\w/.-])kingfisher(?:\[[a-z,]+\]|[=~><]=[0-9])|pip3? install (?:-\S+ )*['\"]?kingfisher(?![\w-])"
+)
+"""The name as pip is asked for it, with an extra or a version, or after ``pip install``."""
+
+
+def installed(folder: Path, packages: str) -> None:
+    """Leave a distribution called kingfisher 0.5.0 in ``folder``, with these packages of the top level."""
+    info = folder / "kingfisher-0.5.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: kingfisher\nVersion: 0.5.0\nSummary: Download FASTQ\n")
+    (info / "top_level.txt").write_text(packages)
+
+
+def test_no_page_tells_to_install_somebody_elses_program() -> None:
+    assert SOMEBODY_ELSES.search("pip install 'kingfisher[desk]'")
+    assert SOMEBODY_ELSES.search("pip install -U kingfisher")
+    assert not SOMEBODY_ELSES.search("pip install 'kingfisher-3d[desk]'")
+    tracked = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    pages = [
+        name
+        for name in tracked.split("\0")
+        if name.endswith((".md", ".ipynb", ".toml", ".py", ".html", ".txt", "/dev", "/build"))
+    ]
+    assert len(pages) > 1000
+    own = Path(__file__).relative_to(ROOT).as_posix()
+    telling = [
+        name for name in pages
+        if name not in (own, "CHANGELOG.md") and (ROOT / name).exists() and SOMEBODY_ELSES.search((ROOT / name).read_text(encoding="utf-8"))
+    ]  # fmt: skip
+    assert telling == []
+
+
+def test_the_name_is_that_of_the_project_file() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert project["name"] == DISTRIBUTION != "kingfisher"
+    assert f"{DISTRIBUTION}[desk]" == EXTRA
+    assert "desk" in project["optional-dependencies"]
+
+
+def test_somebody_elses_program_beside_this_one_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert other_program() is None
+    monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
+    installed(tmp_path, "kingfisher\n")
+    said = other_program()
+    assert said is not None
+    assert "0.5.0: Download FASTQ" in said
+    assert f"pip uninstall kingfisher, then install {DISTRIBUTION} again" in said
+    with pytest.raises(MissingLibraryError) as refused:
+        needed("no_such_library", "no-such-library", "a page")
+    assert f"pip install '{EXTRA}'" in str(refused.value)
+    assert str(refused.value).endswith(said)
+
+
+def test_this_program_under_its_former_name_is_not_another(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
+    installed(tmp_path, "appliance\ndrivers\nhw_sim\nkingfisher\n")
+    assert other_program() is None
