@@ -61,7 +61,7 @@ def test_printing_the_version_loads_nothing_else_of_the_product() -> None:
     mine = {name for name in loaded("version") if name.partition(".")[0] in ("appliance", "drivers")}
     assert mine == {
         "appliance", "appliance.cli", "appliance.cli.main", "appliance.cli.arguments", "appliance.cli.output",
-        "appliance.cli.verbs", "appliance.cli.installation",
+        "appliance.cli.verbs", "appliance.cli.installation", "appliance.distribution",
     }  # fmt: skip
 
 
