@@ -19,10 +19,14 @@ class ShowCalibration(WithRoot):
     file: Path | None = operand("FILE", None, parse=Path, optional=True)
 
     def run(self) -> Exit:
-        rig = self.rooted_rig()
+        rig, root, file = self.rooted_rig(), self.named_root(), self.file
+        from appliance.instrument import CALIBRATION_FILE
         from appliance.offline.calibration.files import describe_calibration
 
-        content = describe_calibration(rig, self.file)
+        if file is None and root is not None and self.rig is None:
+            # Whoever names a root asks for what lies there, whichever instrument the packaged rig file draws.
+            file = root / CALIBRATION_FILE
+        content = describe_calibration(rig, file)
         say_report(content, as_json=self.json)
         return Exit.OK
 

@@ -8,8 +8,7 @@ from pathlib import Path
 
 from appliance.calibration import file as calibration_file
 from appliance.cli.output import UsageError
-from appliance.cli.places import scan_folder
-from appliance.config import default_rig_path, load_rig
+from appliance.cli.places import root_of_rig, scan_folder
 from appliance.offline.origin import Wish
 from appliance.storage.atomic import StorageError, remedy_for
 from appliance.storage.damage import refuse_damaged_frames
@@ -36,10 +35,8 @@ def scan_in(wish: Wish, scan: str) -> Path:
 
 
 def library_root(wish: Wish) -> Path:
-    """Return the storage root in which numbers of scans are looked up. Raises ConfigError."""
-    if wish.root is not None:
-        return wish.root
-    return (wish.rig or load_rig(default_rig_path())).storage.root
+    """Return the storage root in which numbers of scans are looked up. Raises ConfigError, UsageError."""
+    return wish.root or root_of_rig(wish.rig)
 
 
 def place_of(listed: Path, scan: str) -> str:

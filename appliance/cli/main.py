@@ -3,28 +3,32 @@
 from __future__ import annotations
 
 import argparse
+import difflib
 import os
 import re
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, NoReturn
 
 from appliance import __version__
 from appliance.cli.arguments import Verb, collect, declare
 from appliance.cli.output import Exit, UsageError, complain, log_lines
-from appliance.cli.verbs import VERBS, Listed
+from appliance.cli.verbs import SECTIONS, VERBS, Group, Listed
 
 _MISSING = "the following arguments are required: "
 _VALUELESS = re.compile(r"argument ([^:]+): expected (?:one|at least one) arguments?")
 """Argparse's words for what is missing, as Python 3.11 has them."""
+_NO_CHOICE = re.compile(r"argument ([^:]+): invalid choice: '(.*)' \(choose from .*\)", re.DOTALL)
 _NEGATIVE = re.compile(r"-\.?\d.*")
 """A value that begins with a minus, and no option: none of ours begins with a digit."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Parse, run the verb, return the exit code. Errors end as one line on stderr."""
-    typed = _parser().parse_args(argv)
+    words = list(sys.argv[1:] if argv is None else argv)
+    # `kingfisher help export` is what people try who come from git.
+    typed = _parser().parse_args([*words[1:], "--help"] if words[:1] == ["help"] else words)
     kind: type[Verb] = typed.verb
     verb = collect(kind, typed)
     try:
@@ -82,7 +86,19 @@ class _Parser(argparse.ArgumentParser):
             self.epilog = _exit_codes(*verb.codes)
             declare(verb, self)
             self.set_defaults(verb=verb)
-        return super().parse_known_args(args, namespace)
+        typed, beyond = super().parse_known_args(args, namespace)
+        if beyond:
+            # Here and not in the parser above, which knows nothing of this verb's options.
+            self.error("; ".join(map(self._not_known, beyond)))
+        return typed, beyond
+
+    def _not_known(self, word: str) -> str:
+        option = word.partition("=")[0]
+        if not option.startswith("-"):
+            return f"{word}: one word too many"
+        return f"{option}: no such option" + _meant(
+            option, (text for one in self._actions for text in one.option_strings)
+        )
 
     def error(self, message: str) -> NoReturn:
         # argparse failed, so that nothing was parsed: whether JSON is wanted can only be looked for among the words.
@@ -95,6 +111,15 @@ class _Parser(argparse.ArgumentParser):
         if missing != message:
             named = {_placeholder(action): action for action in self._actions if not action.option_strings}
             return "; ".join(f"{name} is missing, give it: {_meaning(named.get(name))}" for name in missing.split(", "))
+        unknown = _NO_CHOICE.fullmatch(message)
+        if unknown is not None:
+            action = next(
+                one for one in self._actions if unknown[1] in ("/".join(one.option_strings), _placeholder(one))
+            )
+            allowed = [str(one) for one in action.choices or ()]
+            near = _meant(unknown[2], allowed)
+            # A long list says less than one near word.
+            return f"{unknown[1]} {unknown[2]}: there is none" + (near or f"; there are: {', '.join(allowed)}")
         valueless = _VALUELESS.fullmatch(message)
         if valueless is None:
             return message
@@ -102,6 +127,12 @@ class _Parser(argparse.ArgumentParser):
             (one for one in self._actions if valueless[1] in ("/".join(one.option_strings), _placeholder(one))), None
         )
         return f"{valueless[1]} {_placeholder(option)}: the value is missing; {_meaning(option)}"
+
+
+def _meant(word: str, there: Iterable[str]) -> str:
+    """Return a question for what a mistyped word is near to; empty where it is near to nothing."""
+    near = difflib.get_close_matches(word, list(there), n=2)
+    return f"; did you mean {' or '.join(near)}?" if near else ""
 
 
 def _placeholder(action: argparse.Action | None) -> str:
@@ -123,24 +154,33 @@ def _meaning(action: argparse.Action | None) -> str:
 def _parser() -> _Parser:
     top = _Parser(
         prog="kingfisher",
-        description="Handheld underwater 3D scanner.",
-        epilog=_exit_codes(Exit.SCRIPT_FAILED, Exit.DAMAGED),
+        description=_overview(),
+        epilog=_exit_codes(Exit.SCRIPT_FAILED, Exit.DAMAGED, Exit.LEFT_OUT),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     top.add_argument("--version", action="version", version=f"kingfisher {__version__}")
     commands = top.add_subparsers(required=True, metavar="VERB", parser_class=_Parser)
     for one in VERBS:
         if isinstance(one, Listed):
-            _add(commands, one)
+            commands.add_parser(one.name, description=one.text, listed=one)
             continue
-        group = commands.add_parser(one.name, help=one.text, epilog=_exit_codes())
+        group = commands.add_parser(one.name, description=one.text, epilog=_exit_codes())
         inner = group.add_subparsers(required=True, metavar="VERB", parser_class=_Parser)
         for listed in one.verbs:
-            _add(inner, listed)
+            inner.add_parser(listed.name, help=listed.text, description=listed.text, listed=listed)
     return top
 
 
-def _add(where: argparse._SubParsersAction[_Parser], listed: Listed) -> None:
-    where.add_parser(listed.name, help=listed.text, description=listed.text, listed=listed)
+def _overview() -> str:
+    """Return all verbs with a line each, under their headings."""
+    lines = ["Handheld underwater 3D scanner. `kingfisher help VERB` says more of one."]
+    named = {one.name: one for one in VERBS}
+    for heading, names in SECTIONS.items():
+        lines += ["", f"{heading}:"]
+        for one in map(named.__getitem__, names):
+            more = f" ({', '.join(verb.name for verb in one.verbs)})" if isinstance(one, Group) else ""
+            lines.append(f"  {one.name:<12} {one.text}{more}")
+    return "\n".join(lines)
 
 
 def _exit_codes(*of: Exit) -> str:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from appliance.cli.arguments import Verb, option, switch
 from appliance.cli.output import UsageError
+from appliance.storage.root import VARIABLE, standing_root, where_none_was_found
 
 if TYPE_CHECKING:  # imported where they are needed: a verb that needs neither loads neither
     from appliance.config import Rig
@@ -31,19 +33,29 @@ class WithRig(Verb):
 class WithRoot(WithRig):
     """A verb of what lies under a storage root."""
 
-    root: Path | None = option("--root", "storage root (default: the rig file's)", parse=Path, metavar="PATH")
+    root: Path | None = option(
+        "--root",
+        f"storage root (default: the one you stand in, {VARIABLE}, the rig file's)",
+        parse=Path,
+        metavar="PATH",
+    )
+
+    def named_root(self) -> Path | None:
+        """Return the root that was given with ``--root``, else, without ``--rig``, the one that the folder one stands in or the environment
+        names; ``None``: the rig file says it. Raises UsageError."""
+        return given_root(self.root) if self.root is not None else None if self.rig is not None else _standing()
 
     def existing_root(self) -> Path:
-        """Return the root that was given, else the rig file's. Where one is given, no rig file is read. Raises
-        UsageError."""
-        return self.read_rig().storage.root if self.root is None else given_root(self.root)
+        """Return ``named_root``, else the rig file's, which is read only then. Raises ConfigError, UsageError."""
+        if self.root is not None:
+            return given_root(self.root)
+        return root_of_rig(None if self.rig is None else self.read_rig())
 
     def rooted_rig(self) -> Rig:
-        """Return the rig with the root that was given. Raises ConfigError, UsageError."""
+        """Return the rig with ``named_root``. Raises ConfigError, UsageError."""
         rig = self.read_rig()
-        if self.root is None:
-            return rig
-        return replace(rig, storage=replace(rig.storage, root=given_root(self.root)))
+        root = self.named_root()
+        return rig if root is None else replace(rig, storage=replace(rig.storage, root=root))
 
     def new_root(self) -> Path | None:
         """Return the root that was given, which is made if it is not there. Raises UsageError for a file."""
@@ -94,6 +106,34 @@ def given_root(root: Path) -> Path:
     if not root.is_dir():
         raise UsageError(f"--root {root}: no such folder; give the storage root that holds scans/")
     return root
+
+
+def root_of_rig(rig: Rig | None) -> Path:
+    """Return the storage root where ``--root`` names none: that of the rig file that was given; where none was (``None``), the one around the
+    folder one stands in, else that of ``KINGFISHER_ROOT``, else the packaged rig file's.
+
+    Raises UsageError for a packaged one that is not there, as on every computer that is no instrument.
+    """
+    if rig is not None:
+        return rig.storage.root
+    found = _standing()
+    if found is not None:
+        return found
+    from appliance.config import default_rig_path, load_rig
+
+    root = load_rig(default_rig_path()).storage.root
+    if not root.is_dir():
+        raise UsageError(
+            f"no storage root: {where_none_was_found(os.environ)}, and {root} is not there; give --root PATH"
+        )
+    return root
+
+
+def _standing() -> Path | None:
+    try:
+        return standing_root(os.environ)
+    except NotADirectoryError as error:
+        raise UsageError(str(error)) from error
 
 
 def scan_folder(scan: str) -> Path | None:

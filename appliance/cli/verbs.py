@@ -100,7 +100,7 @@ VERBS: tuple[Listed | Group, ...] = (
     Listed("pull", "scans off an instrument: what is not here, compared, nothing deleted", "pull:Pull"),
     Group(
         "archive",
-        "keep scans in a third of the room, lossless",
+        "keep scans in a third of the space, lossless",
         (
             Listed(
                 "pack", "pack the scans of a storage root; none is removed that was not compared", "archive:PackArchive"
@@ -110,7 +110,7 @@ VERBS: tuple[Listed | Group, ...] = (
             Listed("frame", "one frame of a scan as a picture; no other is decoded", "archive:ReadFrame"),
         ),
     ),
-    Listed("reprocess", "all scans of an archive anew, on this computer or on many", "reprocess:Reprocess"),
+    Listed("reprocess", "reprocess the scans of an archive, on this computer or on many", "reprocess:Reprocess"),
     Listed("season", "one page about a table of reprocessed scans", "reprocess:Season"),
     Group(
         "calibration",
@@ -164,4 +164,15 @@ VERBS: tuple[Listed | Group, ...] = (
     Listed("warm", "compile the kernels for this processor (an installation does)", "installation:Warm"),
     Listed("version", "print the version", "installation:Version"),
 )
-"""All verbs and groups, in the order of ``kingfisher --help``."""
+"""All verbs and groups."""
+SECTIONS = {
+    "the instrument": ("run", "sim", "check", "bringup", "firmware"),
+    "scans": ("scans", "pull", "archive"),
+    "points, meshes, deviations": (
+        "reconstruct", "export", "compare", "object", "report", "evaluate", "import", "rescue",
+    ),
+    "calibration": ("calibrate", "calibration", "measure", "health"),
+    "a whole archive": ("reprocess", "season"),
+    "this program": ("warm", "version"),
+}  # fmt: skip
+"""Headings of ``kingfisher --help`` with the verbs and groups below them, in that order."""

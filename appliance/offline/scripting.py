@@ -6,6 +6,7 @@ of the command line: one sentence that says what is wrong and what to do.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -21,6 +22,7 @@ from appliance.reconstruct.organised import OrganisedCloud
 from appliance.storage.damage import refuse_damaged_frames
 from appliance.storage.library import Library, ScanEntry
 from appliance.storage.manifest import Manifest
+from appliance.storage.root import standing_root, where_none_was_found
 from appliance.storage.scan import manifest_of
 from appliance.surface.fusion import FusedCloud
 from appliance.surface.mesh import Mesh
@@ -110,18 +112,21 @@ class Dive:
 
 
 def open_dive(
-    root: Path | str,
+    root: Path | str | None = None,
     rig: Path | str | None = None,
     *,
     current_calibration: bool = False,
     foreign_calibration: bool = False,
 ) -> Dive:
-    """Return the dive under a storage root: the folder that holds ``scans/``.
+    """Return the dive under a storage root: the folder that holds ``scans/``; ``None``: the one around the working directory, else that of the
+    environment variable ``KINGFISHER_ROOT``.
 
     ``rig``: the rig file of the instrument, for scans of before November 2026, which carry none. ``current_calibration``: the one in
     use under the root instead of each scan's own; ``foreign_calibration``: also one of another instrument. Raises NotADirectoryError, ConfigError.
     """
-    place = Path(root)
+    place = standing_root(os.environ) if root is None else Path(root)
+    if place is None:
+        raise NotADirectoryError(f"no storage root: {where_none_was_found(os.environ)}; give open_dive(root)")
     if not place.is_dir():
         raise NotADirectoryError(f"{place}: no such folder; give the storage root that holds scans/")
     return Dive(place, _wish(rig, place, current=current_calibration, foreign=foreign_calibration))

@@ -219,7 +219,7 @@ class Library:
         folder = self._find_on(LibraryFolder.TRASH, scan_id)
         if folder is None:
             raise UnknownScan(
-                f"no scan {scan_id!r} in the trash of {self.root}; `kingfisher scans list --trash` shows it"
+                f"no scan {scan_id!r} in the trash of {self.root}; `kingfisher scans list --trash --root {self.root}` shows it"
             )
         return self._moved(folder, self._shelf(_belongs(folder)) / folder.name)
 
@@ -312,7 +312,9 @@ class Library:
             folder = self._find_on(shelf, scan_id)
             if folder is not None:
                 return shelf, folder
-        raise UnknownScan(f"no scan {scan_id!r} under {self.root}; `kingfisher scans list --all` shows what there is")
+        raise UnknownScan(
+            f"no scan {scan_id!r} under {self.root}; `kingfisher scans list --all --root {self.root}` shows what there is"
+        )
 
     def _find_on(self, shelf: LibraryFolder, scan_id: str) -> Path | None:
         for folder in self._sorted(shelf):

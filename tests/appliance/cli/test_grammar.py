@@ -11,8 +11,9 @@ from pathlib import Path
 import pytest
 
 from appliance.cli import main
-from appliance.cli.output import Progress, UsageError, log_lines
+from appliance.cli.output import Exit, Progress, UsageError, log_lines
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated, with_simulated_wires
+from appliance.cli.verbs import SECTIONS, VERBS
 from appliance.config import default_rig_path, load_rig, parse_rig
 from hw_sim.options import options_from
 from hw_sim.truth import SETS
@@ -37,7 +38,7 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("argv", "words"),
     [
-        (["scn"], "run"),
+        (["fly"], "run"),
         (["scans"], "VERB"),
         (["scans", "list", "--al"], "--al"),
         (["sim", "--object", "fish"], "pipe"),
@@ -79,12 +80,41 @@ def test_what_is_missing_is_said_with_what_it_is(
     assert error.count("\n") == 1
 
 
-def test_help_lists_the_exit_codes(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_lists_every_verb_under_a_heading_and_every_exit_code(capsys: pytest.CaptureFixture[str]) -> None:
     assert code_of(["--help"]) == 0
     text = capsys.readouterr().out
-    for verb in ("run", "sim", "scans", "reconstruct", "check", "calibration", "version"):
-        assert verb in text
-    assert "4 damaged" in " ".join(text.split())
+    assert sorted(verb for verbs in SECTIONS.values() for verb in verbs) == sorted(one.name for one in VERBS)
+    for heading, verbs in SECTIONS.items():
+        below = text.partition(f"\n{heading}:\n")[2].partition("\n\n")[0]
+        assert [line.split()[0] for line in below.splitlines()] == list(verbs)
+    assert text.endswith(f"exit codes: {', '.join(f'{one} {one.name.lower()}' for one in Exit)}\n".replace("_", " "))
+    assert code_of(["help"]) == 0
+    assert capsys.readouterr().out == text
+    assert code_of(["help", "scans", "list"]) == 0
+    assert "--trash" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("argv", "near", "words"),
+    [
+        (["exprot"], "export", "VERB exprot"),
+        (["scans", "lst"], "list", "VERB lst"),
+        (["scans", "list", "--rooot=/x"], "--root", "--rooot: no such option"),
+        (["compare", "1", "a.stl", "--tolerence", "0.1"], "--tolerance", "0.1: one word too many"),
+        (["version", "1"], None, "1: one word too many"),
+        (["scans", "xyzzy"], None, "there are: list, show"),
+    ],
+)
+def test_a_misspelled_word_is_answered_with_what_is_near(
+    argv: list[str], near: str | None, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert code_of(argv) == 2
+    error = capsys.readouterr().err
+    assert words in error
+    assert (f"did you mean {near}?" in error) == (near is not None)
+    assert "choose from" not in error
+    assert len(error) < 250
+    assert error.count("\n") == 1
 
 
 @pytest.mark.parametrize("verb", [["run"], ["check"], ["sim"], ["scans", "list"], ["calibration", "show"]])
