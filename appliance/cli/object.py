@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
@@ -34,15 +34,18 @@ class NewObject(WithRoot):
     taken_as: int | None = option("--taken-as", _TAKEN_AS, default=None, parse=whole(1, 999_999), metavar="N")
 
     def run(self) -> Exit:
-        from appliance.storage import objects
-        from appliance.storage.objects import StoredObject, folder_of, with_scans
+        from appliance.storage.objects import StoredObject
 
         root = library_root(self.wish())
-        if folder_of(root, self.name).exists():
-            raise UsageError(f"object '{self.name}': there is one under {root}; add to it with `kingfisher object add`")
-        made = with_scans(StoredObject(self.name), _members(self, root, self.scans, self.taken_as))
-        objects.write(root, made)
-        _say_object(made, as_json=self.json)
+
+        def none_yet(now: StoredObject | None) -> StoredObject:
+            if now is not None:
+                raise UsageError(
+                    f"object '{self.name}': there is one under {root}; add to it with `kingfisher object add`"
+                )
+            return StoredObject(self.name)
+
+        _say_object(_added(self, root, none_yet), as_json=self.json)
         return Exit.OK
 
 
@@ -60,9 +63,7 @@ class AddToObject(WithRoot):
         if not self.scans and self.taken_as is None:
             raise UsageError("which scans? Give their numbers or folders, or --taken-as N")
         root = library_root(self.wish())
-        stored = objects.read(root, self.name)
-        added = objects.with_scans(stored, _members(self, root, self.scans, self.taken_as, stored.scans))
-        objects.write(root, added)
+        added = _added(self, root, lambda now: objects.read(root, self.name) if now is None else now)
         _say_object(added, as_json=self.json)
         return Exit.OK
 
@@ -112,24 +113,20 @@ class SolveObject(ObjectFiles):
         measuring(wish.calibration)
         outs = self.checked_outs([Path(one) for one in self.out])
         from appliance.storage import objects
-        from appliance.storage.objects import StoredObject, folder_of, with_scans
+        from appliance.storage.objects import StoredObject
 
         root = library_root(wish)
-        found = (
-            StoredObject(self.name)
-            if (self.scans or self.taken_as is not None) and not folder_of(root, self.name).exists()
-            else objects.read(root, self.name)
-        )
-        added = _members(self, root, self.scans, self.taken_as, found.scans)
-        if added:
-            found = with_scans(found, added)
-            objects.write(root, found)
+        if self.scans or self.taken_as is not None:
+            found = _added(self, root, lambda now: StoredObject(self.name) if now is None else now)
+        else:
+            found = objects.read(root, self.name)
         compile_kernels()
         from appliance.offline.objects import solve_object
 
         with Progress() as progress:
-            solved = solve_object(root, found, wish, progress, with_shared_error=self.with_estimate)
-        objects.write(root, solved)
+            answer = solve_object(root, found, wish, progress, with_shared_error=self.with_estimate)
+        # What was added in these minutes stays.
+        solved = objects.update(root, self.name, lambda now: objects.published(now, answer))
         _tell_health(root, solved, as_json=self.json)
         placed = 0 if solved.places is None else len(solved.places.places)
         if placed >= LEAST_SCANS:
@@ -158,6 +155,7 @@ class ExportObject(ObjectFiles):
         solved = objects.read(root, self.name)
         # Says at once where it is not solved.
         errors_of(solved)
+        _warn_of_added(solved, as_json=self.json)
         compile_kernels()
         self.write(root, solved, wish, outs)
         if self.json:
@@ -166,6 +164,16 @@ class ExportObject(ObjectFiles):
             for out in outs:
                 say(str(out))
         return Exit.OK
+
+
+def _warn_of_added(solved: StoredObject, *, as_json: bool) -> None:
+    """Say which scans are in no file, since they were added after the others were placed."""
+    from appliance.storage.objects import ADDED_SINCE
+
+    left_out = {} if solved.places is None else solved.places.left_out
+    since = ", ".join(name for name, why in left_out.items() if why == ADDED_SINCE)
+    if since:
+        complain(f"object '{solved.name}': without {since}, {ADDED_SINCE}", as_json=as_json)
 
 
 def _tell_health(root: Path, solved: StoredObject, *, as_json: bool) -> None:
@@ -190,26 +198,36 @@ def _tell_health(root: Path, solved: StoredObject, *, as_json: bool) -> None:
         complain(f"not written to the calibration's health: {error}", as_json=as_json)
 
 
-def _members(
-    verb: WithRoot, root: Path, scans: Sequence[str], taken_as: int | None, have: Sequence[MemberScan] = ()
-) -> tuple[MemberScan, ...]:
-    """Return the named scans, then those of the instrument's object ``taken_as`` that are neither named nor had. Raises UsageError."""
+def _added(
+    verb: NewObject | AddToObject | SolveObject, root: Path, begin: Callable[[StoredObject | None], StoredObject]
+) -> StoredObject:
+    """Return the object with the verb's scans added, those named and those of the instrument's object ``taken_as`` that it has not.
+
+    ``begin``: the object to add to, of what is stored under its name. Raises what it raises, UsageError, ScanError, ObjectError.
+    """
+    from appliance.storage import objects
+    from appliance.storage.objects import with_scans
+
+    stored = begin(objects.read(root, verb.name) if objects.exists(root, verb.name) else None)
+    named = tuple(_member(verb, root, scan) for scan in verb.scans)
+    taken = [_member(verb, root, scan) for scan in _taken_as(root, verb.taken_as)]
+
+    def more(stored: StoredObject) -> StoredObject:
+        have = {one.frames_sha256 for one in (*stored.scans, *named)}
+        return with_scans(stored, (*named, *(one for one in taken if one.frames_sha256 not in have)))
+
+    more(stored)  # a scan that is refused leaves no folder behind
+    return objects.update(root, verb.name, lambda now: more(begin(now)))
+
+
+def _member(verb: WithRoot, root: Path, scan: str) -> MemberScan:
+    """Return a scan as a member of an object. Raises UsageError, ScanError."""
     from appliance.offline.objects import member_of
     from appliance.storage.damage import refuse_damaged_frames
 
-    found = []
-    for scan in scans:
-        folder = scan_in(verb.wish(), scan)
-        refuse_damaged_frames(folder)
-        found.append(member_of(root, folder))
-    known = {one.frames_sha256 for one in (*have, *found)}
-    for scan in _taken_as(root, taken_as):
-        folder = scan_in(verb.wish(), scan)
-        refuse_damaged_frames(folder)
-        member = member_of(root, folder)
-        if member.frames_sha256 not in known:
-            found.append(member)
-    return tuple(found)
+    folder = scan_in(verb.wish(), scan)
+    refuse_damaged_frames(folder)
+    return member_of(root, folder)
 
 
 def _taken_as(root: Path, number: int | None) -> Sequence[str]:

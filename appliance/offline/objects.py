@@ -335,4 +335,5 @@ def about_object(stored_object: StoredObject) -> About:
         notes.append(
             f"farthest scan placed within {widest.sigma_mm:.3f} mm (one standard deviation), of it {widest.bending_mm:.3f} mm bending"
         )
+    notes += [f"without {name}: {why}" for name, why in places.left_out.items()]
     return About(stored_object.name, OBJECT_FRAME, (*notes, *places.warnings))

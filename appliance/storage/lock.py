@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,11 +12,13 @@ from pathlib import Path
 from appliance.storage.atomic import StorageError, refused, remedy_for
 
 FILE_NAME = "lock"
+_LOOK_S = 0.02
+"""Time in seconds between two looks at a lock that is waited for."""
 
 
 @contextmanager
-def hold_lock(root: Path) -> Iterator[None]:
-    """Hold the lock of ``root``; the kernel releases it however the process ends. Raises StorageError if it is taken."""
+def hold_lock(root: Path, wait_s: float = 0.0) -> Iterator[None]:
+    """Hold the lock of ``root``; the kernel releases it however the process ends. Raises StorageError if it is taken, and still is after ``wait_s``."""
     path = root / "run" / FILE_NAME
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -24,9 +27,7 @@ def hold_lock(root: Path) -> Iterator[None]:
         raise StorageError("cannot open", path, error.strerror or str(error), remedy_for(error)) from error
     try:
         try:
-            # flock belongs to the open file: it ends with the process, also with a killed one. A file with a number in
-            # it would outlive it.
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            _take(descriptor, time.monotonic() + wait_s)
         except OSError as error:
             owner = os.read(descriptor, 32).decode("ascii", "replace").strip() or "unknown"
             raise StorageError(
@@ -39,6 +40,18 @@ def hold_lock(root: Path) -> Iterator[None]:
         yield
     finally:
         os.close(descriptor)
+
+
+def _take(descriptor: int, until_s: float) -> None:
+    while True:
+        try:
+            # flock belongs to the open file: it ends with the process, also with a killed one. A file with a number in
+            # it would outlive it.
+            return fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            if time.monotonic() >= until_s:
+                raise
+        time.sleep(_LOOK_S)
 
 
 def holder(root: Path) -> str | None:

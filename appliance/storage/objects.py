@@ -2,8 +2,10 @@
 
     <root>/objects/<name>/object.json     checksummed; replaced as a whole
     <root>/objects/<name>/clouds/*.npz    each scan's cloud on its pixel grid; may be deleted, and is made again when it is needed
+    <root>/objects/<name>/run/lock        held for as long as one of these files is written, never while something is computed
 
-Scans stay where they are; nothing here is needed to read them.
+Scans stay where they are; nothing here is needed to read them. An object is changed by ``update`` alone: who has read it, and worked for minutes,
+changes what is stored by then.
 """
 
 from __future__ import annotations
@@ -12,7 +14,8 @@ import base64
 import io
 import re
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,8 +23,9 @@ from typing import TYPE_CHECKING, Any
 from pydantic import TypeAdapter, ValidationError
 
 from appliance.checksummed_file import checked_content, with_checksum
-from appliance.storage.atomic import StorageError, discard, draft_of, refused, replace_file
+from appliance.storage.atomic import StorageError, refused, replace_file
 from appliance.storage.filesystem import LocalFileSystem
+from appliance.storage.lock import hold_lock
 
 if TYPE_CHECKING:  # a list of objects needs no NumPy
     import numpy as np
@@ -32,6 +36,10 @@ FILE = "object.json"
 CLOUDS = "clouds"
 SCHEMA = 1
 MAX_BYTES = 50_000_000
+ADDED_SINCE = "added after the others were placed: kingfisher object solve"
+"""Reason why a scan has no place yet."""
+_LOCK_S = 30.0
+"""The longest that another process is waited for: writing a file takes it a second or so."""
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._-]{0,63}")
 
 
@@ -183,7 +191,7 @@ class StoredObject:
     name: str
     scans: tuple[MemberScan, ...] = ()
     places: Places | None = None
-    """``None``: not solved since scans were added."""
+    """``None``: never solved. Scans that were added since are left out of them (``ADDED_SINCE``)."""
     schema: int = field(default=SCHEMA)
 
 
@@ -234,19 +242,35 @@ def read(root: Path, name: str) -> StoredObject:
         ) from error
 
 
-def write(root: Path, stored: StoredObject) -> None:
-    """Write an object; it is durable on return. Raises StorageError, ObjectError."""
-    fs, folder = LocalFileSystem(), folder_of(root, stored.name)
+def exists(root: Path, name: str) -> bool:
+    """Return whether there is an object of that name, also a damaged one. Raises ObjectError for an impossible name."""
+    return (folder_of(root, name) / FILE).exists()
+
+
+def update(root: Path, name: str, change: Callable[[StoredObject | None], StoredObject]) -> StoredObject:
+    """Replace an object by ``change`` of what is stored now (``None``: there is none), under its lock; return it, durable.
+
+    Raises what ``change`` raises, StorageError, ObjectError.
+    """
+    fs, folder = LocalFileSystem(), folder_of(root, name)
     with refused("cannot make", folder):
         for one in (folder.parent, folder):
             if not one.is_dir():
-                fs.make_folder(one)
+                one.mkdir(exist_ok=True)
                 fs.sync_folder(one.parent)
-    replace_file(fs, folder / FILE, with_checksum(_OBJECT.dump_python(stored, mode="json")))
+    with hold_lock(folder, _LOCK_S):
+        changed = change(read(root, name) if exists(root, name) else None)
+        replace_file(fs, folder / FILE, with_checksum(_OBJECT.dump_python(changed, mode="json")))
+    return changed
+
+
+def write(root: Path, stored: StoredObject) -> None:
+    """Write an object in the place of whatever is stored under its name; it is durable on return. Raises StorageError, ObjectError."""
+    update(root, stored.name, lambda _: stored)
 
 
 def with_scans(stored: StoredObject, added: tuple[MemberScan, ...]) -> StoredObject:
-    """Return the object with scans added, no longer solved. Raises ObjectError for a scan that it has already."""
+    """Return the object with scans added; they have no place yet. Raises ObjectError for a scan that it has already."""
     have = {one.frames_sha256: one.name for one in stored.scans}
     taken = {one.name for one in stored.scans}
     for scan in added:
@@ -260,7 +284,40 @@ def with_scans(stored: StoredObject, added: tuple[MemberScan, ...]) -> StoredObj
             )
         have[scan.frames_sha256] = scan.name
         taken.add(scan.name)
-    return replace(stored, scans=(*stored.scans, *added), places=None)
+    return _with_places(replace(stored, scans=(*stored.scans, *added)), stored.places)
+
+
+def published(now: StoredObject | None, solved: StoredObject) -> StoredObject:
+    """Return the object as it is stored now with the places that were found for what it was before; scans that were added meanwhile have none yet.
+
+    Raises ObjectError where it was made again meanwhile, or solved with more scans: what is stored is worth more then.
+    """
+    if now is None or not set(solved.scans) <= set(now.scans):
+        raise ObjectError(
+            f"object '{solved.name}': was made again while it was solved; its places are not kept: solve it once more"
+        )
+    more = sorted(_answered(now.places) - _answered(solved.places))
+    if more:
+        raise ObjectError(
+            f"object '{solved.name}': was solved with {', '.join(more)}, too, meanwhile; those places are kept, and these are not"
+        )
+    return _with_places(now, solved.places)
+
+
+def _answered(places: Places | None) -> set[str]:
+    """Return the scans that have a place, or a reason of their own for having none."""
+    if places is None:
+        return set()
+    return {*places.places, *(name for name, why in places.left_out.items() if why != ADDED_SINCE)}
+
+
+def _with_places(stored: StoredObject, places: Places | None) -> StoredObject:
+    """Return the object with ``places``, of which the scans that they say nothing of are left out."""
+    if places is None:
+        return replace(stored, places=None)
+    answered = _answered(places)
+    since = {one.name: ADDED_SINCE for one in stored.scans if one.name not in answered}
+    return replace(stored, places=replace(places, left_out={**places.left_out, **since}))
 
 
 # ------------------------------------------------------------------------------------------------ kept clouds
@@ -290,9 +347,8 @@ def keep_cloud(root: Path, name: str, scan: str, key: str, arrays: Mapping[str, 
     buffer = io.BytesIO()
     values: dict[str, Any] = {"key": np.array(key), **arrays}
     np.savez(buffer, **values)
-    try:
+    # Two that make the same cloud at once write the same draft.
+    with suppress(OSError, StorageError), hold_lock(folder.parent, _LOCK_S):
         if not folder.is_dir():
             fs.make_folder(folder)
         replace_file(fs, path, buffer.getbuffer())
-    except (OSError, StorageError):
-        discard(fs, draft_of(path))

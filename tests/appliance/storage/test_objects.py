@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,7 +13,15 @@ import numpy as np
 import pytest
 
 from appliance.storage import objects
-from appliance.storage.objects import ComparedScans, MemberScan, ObjectError, Places, ScanPlace, StoredObject
+from appliance.storage.objects import (
+    ADDED_SINCE,
+    ComparedScans,
+    MemberScan,
+    ObjectError,
+    Places,
+    ScanPlace,
+    StoredObject,
+)
 
 PLACE = ScanPlace(
     rotation=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
@@ -43,10 +55,70 @@ def test_an_object_comes_back_as_it_was_written(tmp_path: Path) -> None:
     assert objects.names(tmp_path) == ["hull 3"]
 
 
-def test_adding_scans_forgets_places_that_were_found_without_them(tmp_path: Path) -> None:
-    more = objects.with_scans(OBJECT, (MemberScan("000002", "scans/000002", ("cc",)),))
-    assert [one.name for one in more.scans] == ["000001", "000002"]
-    assert more.places is None
+def scan(number: int) -> MemberScan:
+    return MemberScan(f"{number:06d}", f"scans/{number:06d}", (f"of {number}",))
+
+
+def with_more(*numbers: int) -> Callable[[StoredObject | None], StoredObject]:
+    added = tuple(scan(number) for number in numbers)
+    return lambda now: objects.with_scans(StoredObject("hull 3") if now is None else now, added)
+
+
+def solved(*numbers: int) -> StoredObject:
+    places = {f"{number:06d}": PLACE for number in numbers}
+    return StoredObject("hull 3", tuple(map(scan, numbers)), replace(PLACES, places=places, left_out={}))
+
+
+def test_added_scans_have_no_place_yet_and_the_others_keep_theirs(tmp_path: Path) -> None:
+    objects.write(tmp_path, solved(1, 2))
+    objects.update(tmp_path, "hull 3", with_more(3))
+    places = objects.read(tmp_path, "hull 3").places
+    assert places is not None
+    assert sorted(places.places) == ["000001", "000002"]
+    assert places.left_out == {"000003": ADDED_SINCE}
+
+
+def test_a_scan_that_is_added_while_the_object_is_solved_is_not_lost(tmp_path: Path) -> None:
+    objects.update(tmp_path, "hull 3", with_more(1, 2))
+    objects.update(tmp_path, "hull 3", with_more(3))
+    stored = objects.update(tmp_path, "hull 3", lambda now: objects.published(now, solved(1, 2)))
+    assert stored == objects.read(tmp_path, "hull 3")
+    assert [one.name for one in stored.scans] == ["000001", "000002", "000003"]
+    assert stored.places is not None
+    assert sorted(stored.places.places) == ["000001", "000002"]
+    assert stored.places.left_out == {"000003": ADDED_SINCE}
+
+
+def test_scans_that_are_added_at_once_are_all_in_the_object(tmp_path: Path) -> None:
+    objects.update(tmp_path, "hull 3", with_more(1))
+    together = threading.Barrier(3, timeout=20.0)
+
+    def add(number: int) -> None:
+        add_one = with_more(number)
+
+        def slowly(now: StoredObject | None) -> StoredObject:
+            time.sleep(0.02)  # between reading and writing, where the others read
+            return add_one(now)
+
+        together.wait()
+        objects.update(tmp_path, "hull 3", slowly)
+
+    with ThreadPoolExecutor(3) as pool:
+        list(pool.map(add, (2, 3, 4)))
+    assert sorted(one.name for one in objects.read(tmp_path, "hull 3").scans) == [f"{k:06d}" for k in (1, 2, 3, 4)]
+
+
+def test_places_do_not_replace_those_of_more_scans_or_of_an_object_that_was_made_again(tmp_path: Path) -> None:
+    objects.write(tmp_path, solved(1, 2, 3))
+    with pytest.raises(ObjectError, match="was solved with 000003, too, meanwhile"):
+        objects.update(tmp_path, "hull 3", lambda now: objects.published(now, solved(1, 2)))
+    assert objects.read(tmp_path, "hull 3") == solved(1, 2, 3)
+    for now in (None, solved(1, 3)):
+        with pytest.raises(ObjectError, match="was made again while it was solved"):
+            objects.published(now, solved(1, 2))
+    again = replace(solved(1, 2), scans=(scan(1), replace(scan(2), frames_sha256=("other frames",))))
+    with pytest.raises(ObjectError, match="was made again"):
+        objects.published(again, solved(1, 2))
 
 
 def test_a_scan_is_not_taken_twice_under_whatever_name(tmp_path: Path) -> None:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import errno
 import os
+import threading
 import zlib
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -104,6 +106,11 @@ def test_one_process_holds_a_root_and_others_are_told_which(tmp_path: Path) -> N
         with pytest.raises(StorageError, match=said), hold_lock(tmp_path):
             pass
     assert holder(tmp_path) is None, "and nobody does now"
+    with ExitStack() as held:
+        held.enter_context(hold_lock(tmp_path))
+        threading.Timer(0.1, held.close).start()
+        with hold_lock(tmp_path, wait_s=20.0):
+            assert holder(tmp_path) == str(os.getpid()), "who waits gets it"
     (tmp_path / "run" / "lock").write_text("1234567890\n")  # of an earlier process, with more digits
     with hold_lock(tmp_path):
         assert holder(tmp_path) == str(os.getpid())
