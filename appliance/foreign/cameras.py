@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -55,9 +56,9 @@ class ForeignRig:
 def read_rig(description: Description, sizes_px: Mapping[str, tuple[int, int]]) -> ForeignRig:
     """Return the rig of a description; ``sizes_px`` are (width, height) by side. Raises ForeignError."""
     table = description.cameras
-    if "calibration" in table.content:
-        table.only("calibration")
-        return _our_own(description, table, sizes_px)
+    ours = _calibration_in(description.folder, table)
+    if ours is not None:
+        return _our_own(description, *ours, sizes_px)
     table.only("files", "names", "unit", "left", "right", "rotation", "translation")
     unit_mm = UNITS_MM[table.choice("unit", tuple(UNITS_MM), "mm")]
     found = numbers_from_files(description.folder, table) if "files" in table.content else _from_tables(table)
@@ -148,14 +149,32 @@ def _fitted(lens: Lens, matrix: Array, distortion: Array, size_px: tuple[int, in
     return replace(lens, distortion=_five(fit.x))
 
 
-def _our_own(description: Description, table: Table, sizes_px: Mapping[str, tuple[int, int]]) -> ForeignRig:
-    path = description.folder / table.text("calibration")
+def _calibration_in(folder: Path, table: Table) -> tuple[Path, calibration_file.Calibration] | None:
+    """Return the calibration file of ours that ``cameras.calibration``, or ``cameras.files`` alone, name; ``None`` where none is named."""
+    files = table.content.get("files")
+    listed = [files] if isinstance(files, str) else files
     try:
-        calibration = calibration_file.load(path)
+        if "calibration" in table.content:
+            table.only("calibration")
+            path = folder / table.text("calibration")
+            return path, calibration_file.load(path)
+        if isinstance(listed, list) and len(listed) == 1 and str(listed[0]).lower().endswith(".json"):
+            path = folder / str(listed[0])
+            found = path, calibration_file.load(path)
+            table.only("files")
+            return found
     except calibration_file.CalibrationError as error:
-        raise ForeignError(str(error)) from error
-    if description.ports is not None:
-        raise ForeignError(f"[ports] is there, and {path.name} has its own; take [ports] out")
+        if "calibration" in table.content:
+            raise ForeignError(str(error)) from error
+    return None
+
+
+def _our_own(
+    description: Description,
+    path: Path,
+    calibration: calibration_file.Calibration,
+    sizes_px: Mapping[str, tuple[int, int]],
+) -> ForeignRig:
     for side, camera in (("left", calibration.rig.left), ("right", calibration.rig.right)):
         if (camera.width_px, camera.height_px) != sizes_px[side]:
             raise ForeignError(
@@ -163,10 +182,28 @@ def _our_own(description: Description, table: Table, sizes_px: Mapping[str, tupl
                 f"{sizes_px[side][1]} px; give the calibration of these images"
             )
     index, in_air = index_of(description.medium)
+    if all(_has_no_window(camera) for camera in (calibration.rig.left, calibration.rig.right)):
+        # Of `calibrate pair`: like OpenCV's files it knows neither windows nor water.
+        cameras = []
+        for side, camera in (("left", calibration.rig.left), ("right", calibration.rig.right)):
+            port, straight = _port(description.ports, side, in_air)
+            cameras.append(replace(camera, port=port, lens_in_water=straight))
+        return ForeignRig(StereoRig(cameras[0], cameras[1]), index, in_air)
+    if description.ports is not None:
+        raise ForeignError(f"[ports] is there, and {path.name} has its own; take [ports] out")
     if in_air:
         # Made in water unless somebody says so: our own files know theirs.
         index, in_air = calibration.water.index, False
     return ForeignRig(calibration.rig, index, in_air, calibration)
+
+
+def _has_no_window(camera: HousedCamera) -> bool:
+    return (
+        camera.port.distance_mm == camera.port.thickness_mm == 0.0
+        and camera.correction is None
+        and camera.ray_shift is None
+        and not camera.lens_in_water
+    )
 
 
 def _port(ports: Ports | None, side: str, in_air: bool) -> tuple[Port, bool]:

@@ -165,8 +165,11 @@ def search_board(
                 every = [first, *(find_markers(other, family) for n, other in chosen if n != name)]
                 return _described(every, family, wanted)
     seen = ", ".join(f"{count} of {family}" for family, count in most.items() if count) or "no marker of any"
+    where = f"{len(chosen)} pictures"
+    if len(chosen) < len(pictures):
+        where = f"the {len(chosen)} of {len(pictures)} pictures that were looked at ({', '.join(name for name, _ in chosen)})"
     raise BoardNotFoundError(
-        f"no ChArUco board in {len(chosen)} pictures; tried were the dictionaries {', '.join(FAMILIES)}, each in the layout "
+        f"no ChArUco board in {where}; tried were the dictionaries {', '.join(FAMILIES)}, each in the layout "
         f"of before and since OpenCV 4.6, and {SQUARES[0]} to {SQUARES[1]} squares across; seen were {seen}; give sharp, "
         f"evenly lit pictures of a ChArUco board whose markers count from 0 (chessboards without markers are not read)"
     )

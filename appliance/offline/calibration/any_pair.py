@@ -6,6 +6,7 @@ Written are a calibration file as all are (``calibration.file``), the same for O
 from __future__ import annotations
 
 import hashlib
+import logging
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -46,6 +47,8 @@ from appliance.storage.filesystem import LocalFileSystem
 
 Array = NDArray[np.float64]
 
+log = logging.getLogger(__name__)
+
 FLAT_MM = 1e-6
 """Standard deviation of the shapes of a board that is known to be flat."""
 EXCHANGED = (
@@ -82,6 +85,8 @@ def calibrate_pictures(
     """
     every = [path for pair in pictures.pairs for path in (pair.left, pair.right) if path is not None]
     size_px, wrong = common_size(every)
+    for reason in wrong.values():
+        log.warning("not used: %s", reason)
     good = [path for path in every if path not in wrong]
     board = search_board([(path.name, partial(read_grey, path)) for path in good], wanted, progress)
     looked = _look(pictures.pairs, board, wrong, progress)

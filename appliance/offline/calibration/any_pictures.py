@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -119,19 +120,23 @@ def named_pictures(folder: Path, patterns: Patterns | None) -> NamedPictures:
 
 
 def common_size(pictures: Iterable[Path]) -> tuple[tuple[int, int], dict[Path, str]]:
-    """Return the width and height that most pictures have, and of each other picture why it is not used. Raises PicturesError."""
+    """Return the width and height that most pictures have, and of each other picture why it is not used: another size, or damage, since
+    each is decoded once. Raises PicturesError."""
     sizes: dict[Path, tuple[int, int]] = {}
     wrong: dict[Path, str] = {}
     for path in pictures:
-        stated = size_px(_bytes(path))
+        data = _bytes(path)
+        stated = size_px(data)
         if stated is None:
-            wrong[path] = f"{path.name}: is no picture, or damaged ({KNOWN} is read)"
+            wrong[path] = f"{path}: is no picture, or damaged ({KNOWN} is read); bring it back from a copy"
         elif not (
             min(stated) >= LEAST_SIDE_PX and max(stated) <= MOST_SIDE_PX and stated[0] * stated[1] <= MOST_PIXELS
         ):
             wrong[path] = (
                 f"{path.name}: {stated[0]}x{stated[1]} px; {LEAST_SIDE_PX} to {MOST_SIDE_PX} px a side are read"
             )
+        elif _decoded(data) is None:
+            wrong[path] = f"{path}: is damaged and cannot be decoded; bring it back from a copy"
         else:
             sizes[path] = stated
     if not sizes:
@@ -145,10 +150,9 @@ def common_size(pictures: Iterable[Path]) -> tuple[tuple[int, int], dict[Path, s
 
 def read_grey(path: Path) -> Image:
     """Return a picture (h, w) uint8: colours become grey, more than 8 bits become 8. Raises PicturesError, StorageError."""
-    with quiet_decoder():
-        image = cv2.imdecode(np.frombuffer(_bytes(path), np.uint8), cv2.IMREAD_UNCHANGED)
+    image = _decoded(_bytes(path))
     if image is None:
-        raise PicturesError(f"{path.name}: is no picture, or damaged")
+        raise PicturesError(f"{path}: is no picture, or damaged; bring it back from a copy")
     if image.ndim == 3:
         image = cv2.cvtColor(image, cv2.COLOR_BGRA2GRAY if image.shape[2] == 4 else cv2.COLOR_BGR2GRAY)
     if image.dtype != np.uint8:
@@ -157,11 +161,20 @@ def read_grey(path: Path) -> Image:
     return np.ascontiguousarray(np.rint(image), np.uint8)
 
 
+def _decoded(data: bytes) -> NDArray[Any] | None:
+    """Return the picture that a file's bytes hold, as it is stored; ``None`` where it cannot be decoded."""
+    with quiet_decoder():
+        try:
+            return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+        except cv2.error:
+            return None
+
+
 def _bytes(path: Path) -> bytes:
     with refused("cannot read", path), path.open("rb") as file:
         data = file.read(MOST_BYTES + 1)
     if len(data) > MOST_BYTES:
-        raise PicturesError(f"{path.name}: larger than {MOST_BYTES} bytes; give the pictures as recorded")
+        raise PicturesError(f"{path}: larger than {MOST_BYTES} bytes; give the pictures as recorded")
     return data
 
 

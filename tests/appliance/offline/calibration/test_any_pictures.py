@@ -103,11 +103,14 @@ def test_a_picture_of_another_size_and_a_damaged_one_are_named(tmp_path: Path) -
     other, damaged = folder / "2_right.png", folder / "3_left.png"
     cv2.imwrite(str(other), GREY[:, :90])
     damaged.write_bytes(b"\x89PNG nothing")
+    cut = folder / "4_left.png"
+    cut.write_bytes((folder / "1_left.png").read_bytes()[:-30])
     size, wrong = common_size(sorted(folder.iterdir()))
     assert size == (100, 80)
     assert wrong == {
         other: "2_right.png: 90x80 px, the other pictures have 100x80 px",
-        damaged: "3_left.png: is no picture, or damaged (PNG, TIFF, BMP, PGM or JPEG is read)",
+        damaged: f"{damaged}: is no picture, or damaged (PNG, TIFF, BMP, PGM or JPEG is read); bring it back from a copy",
+        cut: f"{cut}: is damaged and cannot be decoded; bring it back from a copy",
     }
     with pytest.raises(PicturesError, match="is no picture"):
         common_size([damaged])
