@@ -7,17 +7,21 @@ prior. Boards are eliminated one by one (Schur complement), so that the number o
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.calibration.air.coverage import check_tilts
 from appliance.calibration.air.free_form import adjust_with_field
 from appliance.calibration.air.joint import BoardTolerance, adjust
 from appliance.calibration.air.linearised import VALUES, BoardView
+from appliance.calibration.determined import UndeterminedError
 from appliance.calibration.field import AirField
+from appliance.calibration.parameters import AIR, NAMES
 from appliance.optics.model import HousedCamera, StereoRig
 from appliance.optics.pinhole import Lens
 from appliance.optics.port import Port
@@ -35,6 +39,10 @@ FEW = 0.2
 """Share of a view's corners that may be bad; with more, the view is bad."""
 HALF = 0.55
 """A view with less than this part of the corners that the fullest view has is remarked upon."""
+ONE_ROW = 1e-3
+"""Spread of corners across their longest direction, as a share of that along it, below which they are in one row."""
+VAGUE = 0.05
+"""Standard deviation of a principal distance, as a share of it, from which on it counts as not determined."""
 NO_PORT = Port((0.0, 0.0, 1.0), 0.0, 0.0, 1.0)
 
 
@@ -43,6 +51,39 @@ __all__ = ["AirCalibration", "AirCalibrationError", "BoardTolerance", "BoardView
 
 class AirCalibrationError(Exception):
     """The views do not suffice for a calibration in air; the text says why and what to do."""
+
+
+@contextmanager
+def determined_by(views: Sequence[BoardView], width_px: int, height_px: int) -> Iterator[None]:
+    """Raise AirCalibrationError that names what ``views`` lack: at once where tilts are missing, else where the adjustment inside
+    leaves something free."""
+    tilts, enough = check_tilts(views, width_px, height_px)
+    # Of too few views their number is said first.
+    if not enough and len(views) >= MIN_VIEWS:
+        raise AirCalibrationError(f"tilt missing: {tilts}")
+    try:
+        yield
+    except UndeterminedError as error:
+        raise AirCalibrationError(
+            f"the views do not determine {', '.join(error.names)}: {tilts}; hold it near and far, and in every corner"
+        ) from error
+    except cv2.error as error:
+        raise AirCalibrationError(
+            f"OpenCV finds no lens that fits the views ({' '.join(str(error).split())[:120]}): {tilts}"
+        ) from error
+
+
+def check_certain(rig: StereoRig, covariance: Array) -> None:
+    """Raise UndeterminedError where ``covariance`` (22, 22) leaves a principal distance or the baseline open."""
+    base_mm = float(np.linalg.norm(rig.right.translation_mm))
+    known = {0: rig.left.lens.f_px[0], 8: rig.right.lens.f_px[0], **dict.fromkeys((19, 20, 21), base_mm)}
+    vague = [
+        f"{NAMES[AIR][k]} better than ± {np.sqrt(covariance[k, k]):.3g} of {of:.4g}"
+        for k, of in known.items()
+        if not np.sqrt(covariance[k, k]) < VAGUE * abs(of)
+    ]
+    if vague:
+        raise UndeterminedError(vague)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,17 +139,36 @@ def calibrate_air(
     """Calibrate the pair in air from boards (twenty or so, tilted by up to 35°, filling the images).
 
     Square pixels are assumed. ``tolerance`` ``None``: that of a good board. ``with_field``: adjust the lenses' fields, too,
-    which takes a second. Raises AirCalibrationError when too few views remain.
+    which takes a second. Raises AirCalibrationError when too few views remain, or these do not determine the cameras.
     """
-    allowed = tolerance or BoardTolerance()
     usable, left_out = [], []
     for view in views:
         if len(view.corners_mm) < MIN_CORNERS:
             left_out.append(
                 f"{view.name}: {len(view.corners_mm)} corners seen by both cameras, {MIN_CORNERS} are needed"
             )
+        elif in_one_row(view.corners_mm):
+            left_out.append(f"{view.name}: the corners seen by both cameras are in one row; show more of the board")
         else:
             usable.append(view)
+    with determined_by(usable, width_px, height_px):
+        return _calibrated(usable, left_out, (width_px, height_px), tolerance or BoardTolerance(), with_field)
+
+
+def in_one_row(corners_mm: Array) -> bool:
+    """Tell whether corners (n, 3) lie on one line, about which the board's turn cannot be seen."""
+    across = np.linalg.svd(corners_mm - corners_mm.mean(axis=0), compute_uv=False)
+    return bool(across[1] < ONE_ROW * across[0])
+
+
+def _calibrated(
+    usable: list[BoardView],
+    left_out: list[str],
+    size_px: tuple[int, int],
+    allowed: BoardTolerance,
+    with_field: bool,
+) -> AirCalibration:
+    width_px, height_px = size_px
     most = max((len(view.corners_mm) for view in usable), default=0)
     remarks = {view.name: _thin(view, most) for view in usable}
     # Outliers are taken out one view at a time, the worst first, and everything is adjusted anew: one bad view bends
@@ -154,6 +214,7 @@ def calibrate_air(
     squares = float(sum(np.sum(e**2) for e in residuals))
     variance = squares / (4 * corners - VALUES - 6 * len(usable))
     covariance = np.asarray(np.linalg.inv(adjusted.information)[:22, :22] * variance, np.float64)
+    check_certain(adjusted.rig, covariance)
     # Scale of the print: no image tells it, and every parameter that is a length follows it. It enters as one fully
     # correlated error.
     covariance += allowed.scale**2 * np.outer(adjusted.by_scale, adjusted.by_scale)

@@ -25,17 +25,19 @@ from appliance.calibration.air.adjustment import (
     AirCalibration,
     AirCalibrationError,
     FittedView,
+    check_certain,
+    determined_by,
+    in_one_row,
 )
 from appliance.calibration.air.joint import Adjusted, BoardTolerance, adjust
 from appliance.calibration.air.linearised import VALUES, BoardView, bend_of, each_changed, slopes
+from appliance.calibration.air.pairing import Pairing, Place, pair_up
 from appliance.optics.model import HousedCamera, StereoRig
 from appliance.optics.pinhole import Lens
 from appliance.optics.rotation import matrix3, rotation_matrix
 from appliance.scan.sides import SIDES
 
 Array = NDArray[np.float64]
-Place = tuple[Array, Array]
-"""Rotation (3, 3) and translation (3,) in mm, board to camera."""
 
 MIN_PAIRS = 3
 """Fewest views that both cameras have: the pose between them is the pairs' alone."""
@@ -53,8 +55,6 @@ MOVED = 0.5
 """A board moved between the exposures if each camera by itself would leave less than this part of the residual."""
 TO_SD = 1.4826
 """Standard deviation of a normal distribution in units of its median absolute value."""
-EXCHANGED = 0.3
-"""A pair is exchanged if its pose is so near the inverse of the usual one, in units of the baseline."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,13 +78,17 @@ def view_of(
 ) -> BoardView:
     """Return a view of a board with corners (n, 3): what each camera found, by number; NaN where it found none.
 
-    A camera with fewer corners than tell its place counts as having no view.
+    A camera with fewer corners than tell its place, or with a single row of them, counts as having no view.
     """
-    both = [{} if found is None or len(found) < MIN_CORNERS else found for found in (left, right)]
+    both = [{} if found is None or not _tell_place(board_mm[list(found)]) else found for found in (left, right)]
     numbers = sorted(both[0].keys() | both[1].keys())
     nowhere = np.full(2, np.nan)
     left_px, right_px = (np.array([found.get(n, nowhere) for n in numbers]).reshape(-1, 2) for found in both)
     return BoardView(name, board_mm[numbers], left_px, right_px)
+
+
+def _tell_place(corners_mm: Array) -> bool:
+    return len(corners_mm) >= MIN_CORNERS and not in_one_row(corners_mm)
 
 
 def has(view: BoardView, side: str) -> NDArray[np.bool_]:
@@ -97,21 +101,24 @@ def calibrate_any(
 ) -> AnyCalibration:
     """Calibrate two cameras in air from views of ``view_of``. Square pixels are assumed.
 
-    ``tolerance`` ``None``: that of a good board. Raises AirCalibrationError when too few views remain.
+    ``views`` are in the order of their pictures. ``tolerance`` ``None``: that of a good board. Raises AirCalibrationError when too few
+    views remain, when a picture is missing among them, or when they do not determine the cameras.
     """
-    allowed = tolerance or BoardTolerance()
     usable = [view for view in views if len(view.corners_mm)]
+    with determined_by(usable, width_px, height_px):
+        return _calibrated(usable, width_px, height_px, tolerance or BoardTolerance())
+
+
+def _calibrated(usable: list[BoardView], width_px: int, height_px: int, allowed: BoardTolerance) -> AnyCalibration:
     left_out: list[str] = []
     remarks: dict[str, tuple[str, ...]] = {view.name: _alone(view) for view in usable}
     while True:
         _check_enough(usable, left_out)
         start = _start(usable, width_px, height_px)
-        if start.exchanged:
-            left_out += [
-                f"{name}: its left and right pictures are exchanged; name them the other way round"
-                for name in start.exchanged
-            ]
-            usable = [view for view in usable if view.name not in start.exchanged]
+        wrong = _wrong_pairs(start.pairing)
+        if wrong:
+            left_out += wrong.values()
+            usable = [view for view in usable if view.name not in wrong]
             continue
         adjusted, noise = _adjusted(start, usable, allowed)
         spread = np.array([_rms(e) for e in adjusted.residuals])
@@ -134,7 +141,7 @@ def calibrate_any(
                 most = float(np.nanmax(np.abs(adjusted.residuals[k][bad])))
                 remarks[usable[k].name] += (f"{np.count_nonzero(bad)} corners left out, up to {most:.2f} px off",)
                 usable[k] = _without(usable[k], bad)
-        usable = [view for view in usable if len(view.corners_mm) >= MIN_CORNERS]
+        usable = [view for view in usable if len(view.corners_mm)]
     return _result(adjusted, usable, noise, allowed, left_out, remarks)
 
 
@@ -162,35 +169,49 @@ def _check_enough(views: Sequence[BoardView], left_out: Sequence[str]) -> None:
 class _Start:
     rig: StereoRig
     boards: list[Place]
-    exchanged: frozenset[str]
-    """Pairs that show the cameras' pose the other way round."""
+    pairing: Pairing
 
 
 def _start(views: Sequence[BoardView], width_px: int, height_px: int) -> _Start:
-    """Return OpenCV's separate calibrations, each from all that its camera saw, and the median relative pose of the pairs."""
+    """Return OpenCV's separate calibrations, each from all that its camera saw, and the relative pose of the pairs that agree."""
     left, at_left = _lens([(v, has(v, "left"), v.left_px) for v in views], width_px, height_px)
     right, at_right = _lens([(v, has(v, "right"), v.right_px) for v in views], width_px, height_px)
-    turns, shifts_mm, names = [], [], []
-    for view in views:
-        if view.name in at_left and view.name in at_right:
-            (Rl, tl), (Rr, tr) = at_left[view.name], at_right[view.name]
-            # Board → right → left must be board → left: R R_right = R_left, R t_right + t = t_left.
-            turns.append(np.ravel(cv2.Rodrigues(Rl @ Rr.T)[0]))
-            shifts_mm.append(tl - Rl @ Rr.T @ tr)
-            names.append(view.name)
-    R, t = rotation_matrix(np.median(turns, axis=0)), np.asarray(np.median(shifts_mm, axis=0), np.float64)
-    back = -R.T @ t
-    base_mm = float(np.linalg.norm(t))
-    exchanged = frozenset(
-        name
-        for name, shift in zip(names, shifts_mm, strict=True)
-        if np.linalg.norm(shift - back) < EXCHANGED * base_mm < np.linalg.norm(shift - t)
-    )
+    pairing = pair_up(views, at_left, at_right, right.lens.f_px[0], width_px)
+    R, t = pairing.rotation, pairing.shift_mm
     rig = StereoRig(left, replace(right, rotation=matrix3(R), translation_mm=(float(t[0]), float(t[1]), float(t[2]))))
     boards = [
         at_left[v.name] if v.name in at_left else (R @ at_right[v.name][0], R @ at_right[v.name][1] + t) for v in views
     ]
-    return _Start(rig, boards, exchanged)
+    return _Start(rig, boards, pairing)
+
+
+def _wrong_pairs(pairing: Pairing) -> dict[str, str]:
+    """Return why pairs are not used, by name. Raises AirCalibrationError where a picture is missing, or hardly any pairs agree."""
+    places = "the left and the right picture show the board at different places"
+    elsewhere = pairing.elsewhere_px
+    if elsewhere and (pairing.further_on or pairing.agreeing < MIN_PAIRS):
+        name, far_px = next(iter(elsewhere.items()))
+        later, side = ("later", "left") if pairing.further_on > 0 else ("earlier", "right")
+        why = (
+            f"from there on left pictures belong to right ones {abs(pairing.further_on)} {later}, so a {side} picture is missing there or before; "
+            "add it, or remove the other one of its pair, and number the pictures after it anew"
+            if pairing.further_on
+            else f"only {pairing.agreeing} agree on how the cameras stand to each other, {MIN_PAIRS} must; give pictures that were taken at "
+            "the same moment"
+        )
+        raise AirCalibrationError(
+            f"pair {name}: {places}, {far_px:.0f} px apart, and so do {len(elsewhere) - 1} other pairs: {why}"
+        )
+    return {
+        **{
+            name: f"{name}: its left and right pictures are exchanged; name them the other way round"
+            for name in pairing.exchanged
+        },
+        **{
+            name: f"{name}: {places}, {far_px:.0f} px apart; they were not taken at the same moment"
+            for name, far_px in elsewhere.items()
+        },
+    }
 
 
 def _lens(
@@ -304,7 +325,11 @@ def _far(residual: Array) -> NDArray[np.bool_]:
 
 
 def _without(view: BoardView, bad: NDArray[np.bool_]) -> BoardView:
-    return BoardView(view.name, view.corners_mm[~bad], view.left_px[~bad], view.right_px[~bad])
+    """Return a view without its ``bad`` corners (n,), and without a camera whose other corners do not tell its place."""
+    corners_mm, both = view.corners_mm[~bad], [view.left_px[~bad], view.right_px[~bad]]
+    told = [px if _tell_place(corners_mm[np.isfinite(px[:, 0])]) else np.full_like(px, np.nan) for px in both]
+    seen = np.isfinite(told[0][:, 0]) | np.isfinite(told[1][:, 0])
+    return BoardView(view.name, corners_mm[seen], told[0][seen], told[1][seen])
 
 
 # ------------------------------------------------------------------------------------------ result
@@ -327,6 +352,7 @@ def _result(
     count = np.count_nonzero(np.isfinite(every))
     variance = float(np.nansum(every**2)) / (count - VALUES - 6 * len(views))
     covariance = np.asarray(np.linalg.inv(adjusted.information)[:VALUES, :VALUES] * variance, np.float64)
+    check_certain(adjusted.rig, covariance)
     # Scale of the print: no image tells it, and every parameter that is a length follows it.
     covariance += allowed.scale**2 * np.outer(adjusted.by_scale, adjusted.by_scale)
     fitted = []

@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibration.air.adjustment import BoardView
+from appliance.calibration.air.linearised import BoardView
+from appliance.scan.sides import SIDES
 
 Array = NDArray[np.float64]
 Sighting = tuple[Array, Array]
@@ -28,6 +29,9 @@ EDGE_SHARE = 1 / 8
 ENOUGH_CORNERS = 6
 """Least number of corners in a region, over all views."""
 LEAST_LEAN_DEG = 12.0
+LEAST_TILT_DEG, LEAST_TILTS = 5.0, 2
+"""A board that leans by less tells no principal distance: it might as well be larger and farther away. Principal distance and point are
+three numbers, and each other tilt gives two equations (Zhang 2000)."""
 GUESSED_PRINCIPAL_DISTANCE = 1.6
 """Principal distance in image widths that is assumed: good enough to tell how a board leans."""
 LEANS = {
@@ -82,6 +86,37 @@ def covered(
     if leans:
         missing.append(f"no board yet {' or '.join(leans)}: lean it by 20° to 35°")
     return Coverage(corners, tuple(missing))
+
+
+def check_tilts(views: Sequence[BoardView], width_px: int, height_px: int) -> tuple[str, bool]:
+    """Return in words how boards lean before each camera, and whether that is enough for a principal distance at all.
+
+    A corner that a camera does not see is NaN.
+    """
+    words, enough = [], True
+    for side in SIDES:
+        seen = [(view.corners_mm, view.left_px if side == "left" else view.right_px) for view in views]
+        told: list[Array] = []
+        # Each tilt that is none of those before it; the first is that of a board that faces the camera.
+        tilts: list[Array] = [np.zeros(2)]
+        for corners_mm, px in seen:
+            there = np.isfinite(px[:, 0])
+            slope = _slope(corners_mm[there], px[there], width_px, height_px) if there.any() else None
+            if slope is None:
+                continue
+            told.append(slope)
+            if all(np.linalg.norm(slope - other) > np.tan(np.radians(LEAST_TILT_DEG)) for other in tilts):
+                tilts.append(slope)
+        leans_deg = np.degrees(np.arctan(np.linalg.norm(np.array([*told, *([] if told else tilts)]), axis=1)))
+        words.append(
+            f"before the {side} camera the board leans in {len(tilts) - 1} different ways by {LEAST_TILT_DEG:g}° or more "
+            f"({leans_deg.min():.1f}° to {leans_deg.max():.1f}° in {len(told)} views)"
+        )
+        enough &= len(tilts) > LEAST_TILTS
+    return (
+        f"{', '.join(words)}; {LEAST_TILTS} ways are needed and more are better: lean the board by 20° to 35° to each side",
+        enough,
+    )
 
 
 def _slope(corners_mm: Array, seen_px: Array, width_px: int, height_px: int) -> Array | None:

@@ -11,7 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibration.air.linearised import SHAPES, VALUES, BoardView, bend_of, each_changed, moved, slopes
+from appliance.calibration.air.linearised import PLACE, SHAPES, VALUES, BoardView, bend_of, each_changed, moved, slopes
+from appliance.calibration.determined import solved
 from appliance.calibration.field import EYES, INTERVALS, AirField, FieldPrior
 from appliance.calibration.parameters import AIR, COUNT, rig_with
 from appliance.optics.correction import basis_matrix, node_count
@@ -67,12 +68,14 @@ def adjust_with_field(
             BJ, cross = _across(s.by_place, s.by_rig, basis), _across(s.by_rig, s.by_rig, basis)
             hessian[:first] += cross
             hessian[first:, :first] += cross[:, first:].T
-            hessian -= BJ.T @ np.linalg.solve(BB, BJ)
-            gradient -= _across(r[:, None], s.by_rig, basis)[0] - BJ.T @ np.linalg.solve(BB, Br)
             scaled = s.by_scale
-            by_scale += _across(scaled[:, None], s.by_rig, basis)[0] - BJ.T @ np.linalg.solve(BB, s.by_place.T @ scaled)
-            blocks.append((BB, BJ, Br))
-            squares += float(r @ r - Br @ np.linalg.solve(BB, Br))
+            right = np.column_stack([BJ, Br, s.by_place.T @ scaled])
+            of_place = solved(BB, right, [f"{view.name}: {name}" for name in PLACE])
+            hessian -= BJ.T @ of_place[:, :m]
+            gradient -= _across(r[:, None], s.by_rig, basis)[0] - BJ.T @ of_place[:, m]
+            by_scale += _across(scaled[:, None], s.by_rig, basis)[0] - BJ.T @ of_place[:, m + 1]
+            blocks.append(of_place)
+            squares += float(r @ r - Br @ of_place[:, m])
         prior.refit(hessian / noise_px**2, gradient / noise_px**2, x, ROUNDS)
         whole = hessian / noise_px**2 + prior.information
         covariance = np.linalg.inv(whole)
@@ -85,8 +88,8 @@ def adjust_with_field(
         noise_px = float(np.sqrt(left / count))
         x = x + step
         places = [
-            moved(place, np.asarray(np.linalg.solve(BB, Br - BJ @ step), np.float64))
-            for place, (BB, BJ, Br) in zip(places, blocks, strict=True)
+            moved(place, of_place[:, m] - of_place[:, :m] @ step)
+            for place, of_place in zip(places, blocks, strict=True)
         ]
     covariance = np.linalg.inv(hessian / noise_px**2 + prior.information)
     # No picture tells the scale of the print: one fully correlated error of all values, as in the plain adjustment.

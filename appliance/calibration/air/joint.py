@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibration.air.linearised import (
+    PLACE,
     SHAPES,
     VALUES,
     BoardView,
@@ -21,12 +22,16 @@ from appliance.calibration.air.linearised import (
     moved,
     slopes,
 )
-from appliance.calibration.parameters import AIR, COUNT, rig_with
+from appliance.calibration.determined import solved
+from appliance.calibration.parameters import AIR, COUNT, NAMES, rig_with
 from appliance.optics.model import StereoRig
 
 Array = NDArray[np.float64]
 
+UNKNOWNS = (*NAMES[AIR], *(f"the board's {shape}" for shape in ("bow", "saddle", "twist", "S across", "S down")))
 STEPS_AT_MOST = 30
+LEAST_NOISE_PX = 1e-3
+"""Least noise that the shapes' prior is weighed by: a prior of no weight determines nothing."""
 SMALL = 1e-4
 """The adjustment has converged when no parameter moves by more than this share of its standard deviation."""
 
@@ -71,18 +76,15 @@ def adjust(
 
     ``weights`` (4 n,) of each view are one over the noise of each coordinate, in units of the usual noise, and zero where the
     camera did not see the corner (its pixel is then NaN); ``None``: every camera saw every corner, all equally well.
+    Raises UndeterminedError for views that leave something free.
     """
     bend, shapes = bend_of(views), np.zeros(SHAPES)
-    noise_px = 0.0
     m = VALUES + SHAPES
     for _ in range(STEPS_AT_MOST):
         # Gauss-Newton with the poses eliminated (Schur complement): with A the derivatives by rig and shapes and B those
         # by one board's pose, the reduced normal matrix is Σ AᵀA − (BᵀA)ᵀ (BᵀB)⁻¹ BᵀA. 27 unknowns remain instead of 27
         # + 6 n.
         information, gradient, by_scale = np.zeros((m, m)), np.zeros(m), np.zeros(m)
-        # The shapes' prior in units of the noise, which the first step does not know yet: they then are free.
-        information[VALUES:, VALUES:] = np.eye(SHAPES) * (noise_px / tolerance.bow_mm) ** 2
-        gradient[VALUES:] = -information[VALUES:, VALUES:] @ shapes
         changed = each_changed(rig)
         blocks, residuals, spread_px = [], [], []
         for k, (view, board) in enumerate(zip(views, boards, strict=True)):
@@ -96,29 +98,31 @@ def adjust(
             spread_px.append(float(np.sqrt(np.mean(spread**2))))
             # How the rig would answer to a larger print, by the same elimination: d rig / d scale = −N⁻¹ (reduced Aᵀ
             # ∂e/∂scale).
-            BB, BA, Br = B.T @ B, B.T @ A, B.T @ residual
-            information += A.T @ A - BA.T @ np.linalg.solve(BB, BA)
-            gradient += A.T @ residual - BA.T @ np.linalg.solve(BB, Br)
-            by_scale -= A.T @ found.by_scale - BA.T @ np.linalg.solve(BB, B.T @ found.by_scale)
+            BA = B.T @ A
+            right = np.column_stack([BA, B.T @ residual, B.T @ found.by_scale])
+            place = solved(B.T @ B, right, [f"{view.name}: {name}" for name in PLACE])
+            information += A.T @ A - BA.T @ place[:, :m]
+            gradient += A.T @ residual - BA.T @ place[:, m]
+            by_scale -= A.T @ found.by_scale - BA.T @ place[:, m + 1]
             # Kept for the back substitution: pose = (BᵀB)⁻¹ (Bᵀr − BᵀA · step).
-            blocks.append((BB, BA, Br))
-        step = np.linalg.solve(information, gradient)
+            blocks.append(place)
+        noise_px = float(np.median(spread_px))
+        # The shapes' prior in units of the noise. Without it a board of three rows of corners leaves one shape free: an S
+        # down such a board is a lean of it.
+        prior = np.eye(SHAPES) * (max(noise_px, LEAST_NOISE_PX) / tolerance.bow_mm) ** 2
+        information[VALUES:, VALUES:] += prior
+        gradient[VALUES:] -= prior @ shapes
+        step = solved(information, gradient, UNKNOWNS)
         full = np.zeros(COUNT)
         full[AIR] = step[:VALUES]
         rig = rig_with(rig, full)
         shapes = shapes + step[VALUES:]
-        boards = [
-            moved(board, np.asarray(np.linalg.solve(BB, Br - BA @ step), np.float64))
-            for board, (BB, BA, Br) in zip(boards, blocks, strict=True)
-        ]
-        noise_px = float(np.median(spread_px))
+        boards = [moved(board, place[:, m] - place[:, :m] @ step) for board, place in zip(boards, blocks, strict=True)]
         # Converged in standard deviations, not in units: a step that is small against what is known changes nothing.
-        sd = np.sqrt(np.diag(np.linalg.inv(information))) * noise_px
+        sd = np.sqrt(np.diag(solved(information, np.eye(m), UNKNOWNS))) * noise_px
         if float(np.max(np.abs(step) / sd)) < SMALL:
             break
-    return Adjusted(
-        rig, boards, shapes, information, np.asarray(np.linalg.solve(information, by_scale)[:VALUES]), residuals
-    )
+    return Adjusted(rig, boards, shapes, information, solved(information, by_scale, UNKNOWNS)[:VALUES], residuals)
 
 
 def _weighted(found: ViewSlopes, weights: Array) -> ViewSlopes:

@@ -17,6 +17,8 @@ Array = NDArray[np.float64]
 VALUES = 22
 SHAPES = 5
 """Bow, saddle, twist, and an S along each side of the board."""
+PLACE = tuple(f"the board's {name}" for name in ("turn x", "turn y", "turn z", "shift x", "shift y", "shift z"))
+"""Names of the six values of a board's place."""
 SHAPE_STEP_MM, SCALE_STEP = 1e-3, 1e-5
 _BOARD_STEPS = np.array([1e-6] * 3 + [1e-3] * 3)
 

@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.calibration.determined import UndeterminedError, solved
 from appliance.patterns.response import CODES, Response, phase_error_rad
 from appliance.patterns.sequence import Direction, PatternSequence
 from appliance.patterns.sine import AMPLITUDE_CODE, MEAN_CODE, STEPS, fringe
@@ -171,8 +172,15 @@ class _Sums:
         self.count += light.size
 
     def solve(self) -> tuple[NDArray[np.float64], float]:
-        """Return the coefficients and the RMS residual."""
-        b = np.asarray(np.linalg.solve(self._matrix, self._vector), np.float64)
+        """Return the coefficients and the RMS residual. Raises ResponseError where the angles do not tell them."""
+        names = [f"harmonic {k}" for k in range(len(self._vector))]
+        try:
+            b = solved(self._matrix, self._vector, names)
+        except UndeterminedError as error:
+            raise ResponseError(
+                f"the scan does not show enough codes of its fringes to tell {', '.join(error.names)}; fill the image with a plane "
+                "that many fringes fall on"
+            ) from error
         # Σ(light − basis b)² = Σ light² − bᵀv at the minimum, without a second pass over the pixels.
         unexplained = self._squares - float(np.dot(b, self._vector))
         return b, math.sqrt(max(unexplained, 0.0) / self.count)

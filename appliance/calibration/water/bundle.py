@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibration import parameters
+from appliance.calibration.determined import UndeterminedError, solved
 from appliance.calibration.field import AirField, FieldPrior
 from appliance.calibration.file import Calibration
 from appliance.calibration.judgement import Estimate, judged, systematic_px, warnings_about
@@ -37,6 +38,7 @@ from appliance.optics.model import HousedCamera, StereoRig
 from appliance.optics.ray_shift import INTERVALS as SHIFT_INTERVALS
 from appliance.optics.ray_shift import RayShift
 from appliance.optics.water import Water
+from appliance.scan.sides import SIDES
 
 Array = NDArray[np.float64]
 
@@ -145,7 +147,22 @@ def adjust(
     points take seconds. Raises RecordingError for recordings that cannot be used or do not suffice, ValueError for a
     missing covariance.
     """
-    chosen = settings or BundleSettings()
+    try:
+        return _adjusted(recordings, start, rung, air_covariance, settings or BundleSettings())
+    except UndeterminedError as error:
+        raise RecordingError(
+            f"the recordings do not determine {', '.join(error.names)}; record planes that fill the image and bars whose balls are seen "
+            "from many sides"
+        ) from error
+
+
+def _adjusted(
+    recordings: Sequence[Recording],
+    start: Calibration,
+    rung: Rung,
+    air_covariance: Array | None,
+    chosen: BundleSettings,
+) -> BundleResult:
     if not any(r.kind is ArtefactKind.BALL_BAR for r in recordings):
         raise RecordingError("no recording of a ball bar; planes alone leave every length unknown; record a ball bar")
     check_start(start)
@@ -155,7 +172,7 @@ def adjust(
     costs = [cost]
     refits = REFITS if problem.windows is not None else 0
     for _ in range(chosen.steps_at_most):
-        step = -np.linalg.solve(hessian, gradient)
+        step = -solved(hessian, gradient, problem.names)
         # Newton decrement: the length of the step in standard deviations of the posterior, over all parameters
         # together.
         still_to_go = math.sqrt(max(float(-gradient @ step), 0.0))
@@ -183,7 +200,7 @@ def adjust(
             f"the adjustment did not converge in {chosen.steps_at_most} steps; check the certificates, the water and "
             f"which points belong to which sphere"
         )
-    covariance = np.asarray(np.linalg.inv(hessian), np.float64)
+    covariance = solved(hessian, np.eye(problem.size), problem.names)
     rig = problem.rig(x)
     counts = problem.active
     estimates = judged(
@@ -336,6 +353,17 @@ class _Problem:
             left=replace(corrected[0], ray_shift=_ray_shift(rig.left, x[self._left_shifts])),
             right=replace(corrected[1], ray_shift=_ray_shift(rig.right, x[self._right_shifts])),
         )
+
+    @property
+    def names(self) -> list[str]:
+        """Names of all unknowns, in order."""
+        named = [parameters.NAMES[k] for k in self.active]
+        nodes = (self._left_nodes, self._right_nodes, self._left_shifts, self._right_shifts)
+        for what, part in zip(("image correction", "ray shift"), (nodes[:2], nodes[2:]), strict=True):
+            named += [f"{side} {what}" for side, at in zip(SIDES, part, strict=True) for _ in range(at.stop - at.start)]
+        for recording, at in zip(self.recordings, self._slices, strict=True):
+            named += [f"the place of {recording.name}"] * (at.stop - at.start)
+        return named
 
     @property
     def has_nodes(self) -> bool:

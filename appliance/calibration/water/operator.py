@@ -22,6 +22,9 @@ from appliance.optics.model import HousedCamera, StereoRig
 
 Array = NDArray[np.float64]
 
+LEAST_POINTS = 100
+"""Ten for each coefficient."""
+
 
 def search_with_operator(
     recordings: Sequence[Recording], start: Calibration, settings: SearchSettings | None = None
@@ -59,6 +62,12 @@ def with_operator(recordings: Sequence[Recording], calibration: Calibration) -> 
 
 def _operator(camera: HousedCamera, seen: Sequence[tuple[Array, Array]]) -> HousedCamera:
     uv, missing = (np.concatenate(parts) for parts in zip(*seen, strict=True))
+    there = np.isfinite(missing).all(axis=1)
+    uv, missing = uv[there], missing[there]
+    if len(uv) < LEAST_POINTS:
+        raise RecordingError(
+            f"{len(uv)} points of the planes lie in the water before a camera; {LEAST_POINTS} are needed; check the start, and record again"
+        )
     coefficients = np.linalg.lstsq(cubic(_unit(camera, uv)), missing, rcond=None)[0]
     columns, rows = INTERVALS
     v, u = np.meshgrid(

@@ -12,6 +12,7 @@ from appliance.calibration.air.adjustment import AirCalibration
 from appliance.calibration.file import Calibration, decode, encode
 from appliance.calibration.recordings import Recording, RecordingError
 from appliance.calibration.water.bundle import BundleResult, BundleSettings, Rung, adjust
+from appliance.calibration.water.shapes import fit_plane, triangulate
 from appliance.optics.water import Water
 from hw_sim.truth import TrueRig
 from tests.support.calibrating import (
@@ -166,3 +167,18 @@ def test_same_recordings_same_calibration(realistic: Case) -> None:
 def test_a_recording_with_too_few_points_is_refused(realistic: Case) -> None:
     with pytest.raises(RecordingError, match="at least 30 are needed"):
         record_plane(realistic.truth, CALIBRATION_BARS[0], "scrap", 20, 0.0, 1)
+
+
+def test_a_plane_seen_along_one_line_is_named(realistic: Case) -> None:
+    """About that line the plane may turn as it likes."""
+    bar, plane = realistic.recordings[0], realistic.recordings[-1]
+    along = np.linspace(100.0, 1500.0, len(plane.left_px))
+    line = replace(plane, left_px=np.stack([along, np.full(len(along), 600.0)], -1))
+    rig = realistic.start.rig
+    points = triangulate(rig, plane.left_px, plane.right_px, plane.water.index)
+    normal, offset = fit_plane(points)
+    origin, direction = rig.left.rays(line.left_px, plane.water.index)
+    on = origin + ((offset - origin @ normal) / (direction @ normal))[:, None] * direction
+    line = replace(line, right_px=rig.right.project(on, plane.water.index))
+    with pytest.raises(RecordingError, match=f"do not determine the place of {plane.name}"):
+        adjust([bar, line], realistic.start, Rung.PORTS)
