@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
 from appliance.cli.arguments import Verb, operand, operands, option, switch
+from appliance.cli.desk import writable, writing
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json
 from appliance.cli.places import scan_folder
 from appliance.scan.sides import SIDES
 from appliance.storage.archive import (
+    BesideFile,
     Copied,
     copy_beside,
     finish_removals,
@@ -23,7 +25,7 @@ from appliance.storage.archive import (
     scan_folders,
     unpack_scan,
 )
-from appliance.storage.atomic import replace_file
+from appliance.storage.atomic import make_folders, replace_file
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.library import Library, LibraryFolder
 from appliance.storage.lock import hold_lock
@@ -46,14 +48,16 @@ class PackArchive(Verb):
         source, archive = _root("SOURCE", self.source), _target(self.out, self.source)
         shelves = _shelves(every=self.all)
         fs = LocalFileSystem()
+        make_folders(fs, archive)
         with ExitStack() as held:
-            make_shelves(fs, archive, shelves)
             held.enter_context(hold_lock(archive))
+            make_shelves(fs, archive, shelves)
+            left: dict[str, str] = {}
             if self.remove:
                 # No instrument may write there meanwhile; without removals it may, since only finished scans are read.
                 held.enter_context(hold_lock(source))
-                finish_removals(fs, source, shelves)
-            copy_beside(fs, source, archive)
+                left = finish_removals(fs, source, shelves)
+            different = copy_beside(fs, source, archive)
 
             def pack(folder: Path) -> Copied:
                 target = archive / folder.parent.name / folder.name
@@ -62,7 +66,8 @@ class PackArchive(Verb):
                     remove_source(fs, folder, target)
                 return done
 
-            return _each(scan_folders(source, shelves), "packing", pack, archive, as_json=self.json)
+            told = _Told(different, left, as_json=self.json)
+            return _each(scan_folders(source, shelves), "packing", pack, archive, told)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,14 +83,15 @@ class UnpackArchive(Verb):
         archive, out = _root("ARCHIVE", self.archive), _target(self.out, self.archive)
         shelves, fs = _shelves(every=True), LocalFileSystem()
         folders = _wanted(archive, self.scans)
-        make_shelves(fs, out, shelves)
+        make_folders(fs, out)
         with hold_lock(out):
-            copy_beside(fs, archive, out)
+            make_shelves(fs, out, shelves)
+            different = copy_beside(fs, archive, out)
 
             def unpack(folder: Path) -> Copied:
                 return unpack_scan(fs, folder, out / folder.parent.name / folder.name)
 
-            return _each(folders, "unpacking", unpack, out, as_json=self.json)
+            return _each(folders, "unpacking", unpack, out, _Told(different, {}, as_json=self.json))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -139,12 +145,14 @@ class ReadFrame(Verb):
         if self.pattern not in names:
             raise UsageError(f"PATTERN {self.pattern}: this scan has {', '.join(names)}")
         out = self.out or Path(f"{folder.name}-{self.side}-{self.pattern}.png")
+        writable(out)
         if out.suffix.lower() != ".png":
             raise UsageError(f"--out {out}: the picture is a PNG; give {out.with_suffix('.png')}")
         frame = read_frame(folder, self.side, names.index(self.pattern))
         import cv2  # late: the other verbs need no pictures
 
-        replace_file(LocalFileSystem(), out, cv2.imencode(".png", frame)[1].tobytes())
+        with writing(out):
+            replace_file(LocalFileSystem(), out, cv2.imencode(".png", frame)[1].tobytes())
         height_px, width_px = frame.shape
         facts = {"file": str(out), "width_px": width_px, "height_px": height_px}
         if self.json:
@@ -154,9 +162,21 @@ class ReadFrame(Verb):
         return Exit.OK
 
 
-def _each(folders: Sequence[Path], doing: str, work: Callable[[Path], Copied], out: Path, *, as_json: bool) -> Exit:
+@dataclass(frozen=True, slots=True)
+class _Told:
+    """Facts that a report has beside those of the scans."""
+
+    different: Sequence[BesideFile]
+    left: Mapping[str, str]
+    """Why leftovers of removals stay, by folder."""
+    as_json: bool
+
+
+def _each(folders: Sequence[Path], doing: str, work: Callable[[Path], Copied], out: Path, told: _Told) -> Exit:
     """Do ``work`` with each scan and tell what came of it; a scan that cannot be used does not keep the others from it."""
-    found: list[dict[str, Any]] = []
+    found: list[dict[str, Any]] = [
+        {"scan": name, "done": "failed", "reason": reason, "bytes": 0} for name, reason in told.left.items()
+    ]
     with Progress() as progress:
         for k, folder in enumerate(folders):
             progress(f"{doing} {folder.name}", k / len(folders))
@@ -172,9 +192,12 @@ def _each(folders: Sequence[Path], doing: str, work: Callable[[Path], Copied], o
     held = sum(one["bytes"] for one in found if one["reason"] is None)
     there = sum(one["bytes_there"] for one in found if one["reason"] is None)
     count = {what: sum(one["done"] == what for one in found) for what in (*(done.value for done in Copied), "failed")}
-    if as_json:
+    if told.as_json:
         say_json(
             {
+                "different": [
+                    {"path": one.path, "copy": None if one.copy is None else str(one.copy)} for one in told.different
+                ],
                 **{name.replace(" ", "_"): number for name, number in count.items()},
                 "bytes": held,
                 "bytes_there": there,
@@ -182,11 +205,19 @@ def _each(folders: Sequence[Path], doing: str, work: Callable[[Path], Copied], o
             }
         )
     else:
+        for other in told.different:
+            say(f"{other.path}  DIFFERS: {_kept(other)}")
         for one in failed:
             say(f"{one['scan']}  failed: {one['reason']}")
         sizes = f"{held / MB:.1f} MB are {there / MB:.1f} MB there" if held else "nothing to do"
         say(f"{', '.join(f'{number} {name}' for name, number in count.items())}; {sizes}")
-    return Exit.FAILED if failed else Exit.OK
+    return Exit.FAILED if failed or any(one.copy is None for one in told.different) else Exit.OK
+
+
+def _kept(other: BesideFile) -> str:
+    if other.copy is None:
+        return "is there twice with other content; move away the one with a checksum in its name, and call again"
+    return f"the one there stays; the one from here lies beside it as {other.copy.name}"
 
 
 def _wanted(archive: Path, scans: Sequence[str]) -> list[Path]:

@@ -6,7 +6,8 @@ An archive is a storage root like any other, with the frames of its scans packed
     <archive>/scans/.000123.packing   being written; the next call removes it
     <source>/scans/.000123.archived   a source that was compared and is being removed; the next call goes on with it
 
-One process writes to an archive (``appliance.storage.lock``).
+Nothing that is there is replaced, in an archive or in a root that is unpacked into: people work in both. One process writes to each
+(``appliance.storage.lock``).
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
+from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 
@@ -23,15 +25,17 @@ from appliance.storage import scan as stored
 from appliance.storage.atomic import (
     Stamp,
     StorageError,
+    add_beside,
     checked_stamp,
     discard,
+    make_folders,
     move_folder,
     refused,
     replace_file,
     write_new,
 )
 from appliance.storage.filesystem import Bytes, FileSystem
-from appliance.storage.library import LibraryFolder
+from appliance.storage.library import LibraryFolder, by_number
 from appliance.storage.packed import PackedError, packed_path
 from appliance.storage.scan import RAW_FILES, SECOND_FILES, ScanError
 
@@ -48,38 +52,52 @@ class Copied(Enum):
     ALREADY = "already there"
 
 
+@dataclass(frozen=True, slots=True)
+class BesideFile:
+    """A calibration's or object's file that is another one in the source and in the target."""
+
+    path: str
+    """Its path below both storage roots; the target's own was left alone."""
+    copy: Path | None
+    """The source's, in the target; ``None`` where that name has other content, too."""
+
+
 def scan_folders(root: Path, shelves: Iterable[LibraryFolder]) -> list[Path]:
     """Return the folders of all scans on those shelves of ``root``, in order. Raises StorageError."""
     found: list[Path] = []
     for shelf in shelves:
         with refused("cannot list", root / shelf.value), suppress(FileNotFoundError):
-            children = sorted((root / shelf.value).iterdir())
+            children = sorted((root / shelf.value).iterdir(), key=lambda one: by_number(one.name))
             found += [one for one in children if _SCAN.fullmatch(one.name) and one.is_dir()]
     return found
 
 
 def make_shelves(fs: FileSystem, root: Path, shelves: Iterable[LibraryFolder]) -> None:
-    """Make the folders that scans come into, and remove what an interrupted call left half written. Raises StorageError."""
+    """Make the folders that scans come into, and remove what an interrupted call left half written. Raises StorageError.
+
+    Under the lock of ``root`` alone: what another call has half written is no leftover.
+    """
     for folder in (root, *(root / shelf.value for shelf in shelves)):
-        if not folder.is_dir():
-            with refused("cannot make", folder):
-                fs.make_folder(folder)
-                fs.sync_folder(folder.parent)
+        make_folders(fs, folder)
         for draft in _hidden(folder, _DRAFT):
             remove_folder(fs, draft)
 
 
-def copy_beside(fs: FileSystem, source: Path, target: Path) -> None:
-    """Copy calibrations and objects from one storage root to another; only what differs is written. Raises StorageError."""
+def copy_beside(fs: FileSystem, source: Path, target: Path) -> list[BesideFile]:
+    """Copy calibrations and objects from one storage root to another, and return what is another one there. Raises StorageError.
+
+    Nothing is replaced: the target's calibration stays in use, and what was worked out in it stays; the source's file lies beside it.
+    """
+    different = []
     for name in _BESIDE:
         for path in sorted((source / name).rglob("*.json")):
-            copy = target / path.relative_to(source)
             with refused("cannot copy", path):
                 content = path.read_bytes()
-                if copy.is_file() and copy.read_bytes() == content:
-                    continue
-                copy.parent.mkdir(parents=True, exist_ok=True)
-            replace_file(fs, copy, content)
+            plain = target / path.relative_to(source)
+            copy, _ = add_beside(fs, plain, content)
+            if copy != plain:
+                different.append(BesideFile(path.relative_to(source).as_posix(), copy))
+    return different
 
 
 def pack_scan(fs: FileSystem, source: Path, target: Path) -> Copied:
@@ -150,18 +168,33 @@ def remove_source(fs: FileSystem, source: Path, copy: Path) -> None:
 
     Raises ScanError, and nothing is removed, where anything differs; StorageError.
     """
-    _refuse_difference(source, copy)
+    compared = _refuse_difference(source, copy)
     leaving = source.with_name(f".{source.name}.{_LEAVING}")
     # Under its new name it is in no list, so that half of it is never taken for a scan; what is left is removed by the next call.
     move_folder(fs, source, leaving)
+    with refused("cannot list", leaving):
+        now = sorted(path.name for path in leaving.iterdir())
+    if now != [path.name for path in compared]:
+        move_folder(fs, leaving, source)
+        raise ScanError(f"{source}: was changed while it was compared; nothing was removed: call again")
     remove_folder(fs, leaving)
 
 
-def finish_removals(fs: FileSystem, root: Path, shelves: Iterable[LibraryFolder]) -> None:
-    """Remove what is left of sources whose removal was interrupted: they were compared before. Raises StorageError."""
+def finish_removals(fs: FileSystem, root: Path, shelves: Iterable[LibraryFolder]) -> dict[str, str]:
+    """Remove what is left of sources whose removal was interrupted: they were compared before. Raises StorageError.
+
+    Returns what is left alone, by folder, and why: something in it that no call has ever packed.
+    """
+    left = {}
     for shelf in shelves:
         for folder in _hidden(root / shelf.value, _LEAVING):
-            remove_folder(fs, folder)
+            try:
+                _files(folder)
+            except ScanError as error:
+                left[folder.name] = f"{error}. The scan itself was packed and compared before"
+            else:
+                remove_folder(fs, folder)
+    return left
 
 
 def remove_folder(fs: FileSystem, folder: Path) -> None:
@@ -174,7 +207,10 @@ def remove_folder(fs: FileSystem, folder: Path) -> None:
 
 
 def _present(fs: FileSystem, source: Path, target: Path) -> Copied:
-    """Return ALREADY where ``target`` is the scan of ``source``; its label follows the source's. Raises ScanError, StorageError."""
+    """Return ALREADY where ``target`` is the scan of ``source``; a label or another file that it lacks is added.
+
+    Raises ScanError, also where such a file is another one at both ends, and StorageError.
+    """
     ours, theirs = (folder / form.FILE_NAME for folder in (source, target))
     with refused("cannot compare", target):
         same = theirs.is_file() and ours.read_bytes() == theirs.read_bytes()
@@ -184,14 +220,22 @@ def _present(fs: FileSystem, source: Path, target: Path) -> Copied:
     wrong = stored.wrong_files(target, manifest, checksums=False)
     if wrong:
         raise ScanError(f"{target}: {_told(wrong)}; move it away, and call again")
+    other = []
     for path in _files(source):
-        # Names and notes are written after the dive, also after the scan was packed.
+        # Names and notes are written after the dive, also after the scan was packed, and in an archive as well.
         if path.name not in manifest.files and not path.name.endswith(packed.SUFFIX) and path.name != form.FILE_NAME:
             with refused("cannot copy", path):
                 content, copy = path.read_bytes(), target / path.name
-                differs = not copy.is_file() or copy.read_bytes() != content
-            if differs:
+                there = copy.read_bytes() if copy.exists() else None
+            if there is None:
                 replace_file(fs, copy, content)
+            elif there != content:
+                other.append(path.name)
+    if other:
+        raise ScanError(
+            f"{', '.join(other)} DIFFERS at both ends, and was left alone ({source}, {target}); make it the same at both, or move away "
+            "the one that is not wanted"
+        )
     return Copied.ALREADY
 
 
@@ -205,9 +249,10 @@ def _published(fs: FileSystem, source: Path, draft: Path, target: Path) -> Copie
     return Copied.WRITTEN
 
 
-def _refuse_difference(source: Path, copy: Path) -> None:
-    """Raises ScanError where a file of ``source`` has not the same bytes in ``copy``, frames as they decode."""
-    for path in _files(source):
+def _refuse_difference(source: Path, copy: Path) -> list[Path]:
+    """Return the files of ``source``. Raises ScanError where one has not the same bytes in ``copy``, frames as they decode."""
+    files = _files(source)
+    for path in files:
         name = path.name.removesuffix(packed.SUFFIX)
         try:
             frames = name in (*RAW_FILES, *SECOND_FILES)
@@ -216,6 +261,7 @@ def _refuse_difference(source: Path, copy: Path) -> None:
             raise ScanError(f"{copy / name}: cannot be compared with {path} ({error}); nothing was removed") from error
         if not same:
             raise ScanError(f"{copy / name}: is not what {path} is; nothing was removed")
+    return files
 
 
 def _stamp(path: Path, *, frames: bool) -> Stamp:
@@ -257,8 +303,15 @@ def _draft(target: Path) -> Path:
 
 
 def _files(folder: Path) -> list[Path]:
+    """Return all that is in a scan's folder. Raises ScanError where anything is no file: it would not be packed."""
     with refused("cannot list", folder):
-        return sorted(path for path in folder.iterdir() if path.is_file())
+        found = sorted(folder.iterdir())
+        other = [path.name for path in found if not path.is_file()]
+    if other:
+        raise ScanError(
+            f"{folder}: {', '.join(other)}: no file, and only files are packed; move it out, and call again"
+        )
+    return found
 
 
 def _hidden(folder: Path, ending: str) -> list[Path]:

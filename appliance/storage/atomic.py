@@ -17,6 +17,8 @@ from pathlib import Path
 from appliance.storage.filesystem import Bytes, FileSystem, WritableFile
 
 _BLOCK = 4 * 1024 * 1024
+CHECKSUM_DIGITS = 12
+"""Digits of the checksum in the name of a file whose own name was taken by other content."""
 _OWNER = "this user may not: check the owner and the mode of the folder, or use another folder"
 _REMEDIES = {
     errno.ENOSPC: "the disk is full: free space on it, or use another folder",
@@ -30,6 +32,7 @@ _REMEDIES = {
     errno.ENAMETOOLONG: "the name is too long: give a shorter one",
     errno.EIO: "the disk fails: copy what is on it, and replace it",
     errno.EMFILE: "too many files are open in this process: start it again",
+    errno.ENOTEMPTY: "something else was put into the folder: move it out",
 }
 
 
@@ -173,6 +176,35 @@ def move_folder(fs: FileSystem, source: Path, target: Path) -> None:
         fs.sync_folder(target.parent)
         if source.parent != target.parent:
             fs.sync_folder(source.parent)
+
+
+def make_folders(fs: FileSystem, folder: Path) -> None:
+    """Make a folder and those above it that are missing; all their names are durable on return. Raises StorageError."""
+    # Each new folder is an entry in the one above it, which must be durable, too: from above to below.
+    for one in reversed([one for one in (folder, *folder.parents) if not one.is_dir()]):
+        with refused("cannot make", one):
+            with suppress(FileExistsError):  # another process was first
+                fs.make_folder(one)
+            fs.sync_folder(one.parent)
+
+
+def add_beside(fs: FileSystem, path: Path, data: bytes) -> tuple[Path | None, bool]:
+    """Write a file that comes from elsewhere, and replace nothing: where ``path`` has other content, under a name with a checksum.
+
+    Returns the file that has the content now, and whether it was written; ``None`` where that name has other content, too.
+    Raises StorageError.
+    """
+    other = path.with_name(f"{path.stem}.{hashlib.sha256(data).hexdigest()[:CHECKSUM_DIGITS]}{path.suffix}")
+    for copy in (path, other):
+        with refused("cannot read", copy):
+            there = copy.read_bytes() if copy.exists() else None
+        if there is None:
+            make_folders(fs, copy.parent)
+            replace_file(fs, copy, data)
+            return copy, True
+        if there == data:
+            return copy, False
+    return None, False
 
 
 def checked_stamp(path: Path) -> Stamp:

@@ -28,7 +28,7 @@ from appliance.calibration import file as calibration_file
 from appliance.calibration.file import Calibration, CalibrationError
 from appliance.calibration.guide import Session
 from appliance.checksummed_file import checked_content, with_checksum
-from appliance.storage.atomic import StorageError, move_folder, refused, remedy_for, replace_file
+from appliance.storage.atomic import StorageError, make_folders, move_folder, remedy_for, replace_file
 from appliance.storage.filesystem import FileSystem, LocalFileSystem
 
 SCHEMA = 1
@@ -123,7 +123,7 @@ class Calibrations:
 
     def write(self, session: Session) -> Session:
         """Make the session durable; answers it as it lies on the disk now."""
-        self._make(self.folder / "session")
+        make_folders(self._fs, self.folder / "session")
         kept = replace(session, in_use=False)  # never written down
         content = {"schema": SCHEMA, "rig_serial": self._serial, **_plain(asdict(kept))}
         replace_file(self._fs, self.folder / "session" / SESSION, with_checksum(content))
@@ -133,7 +133,7 @@ class Calibrations:
         self, calibration: Calibration, session: Session, report: Mapping[str, bytes] = MappingProxyType({})
     ) -> Session:
         """Make a solved calibration durable with its ``report``'s files (by name), then the session that speaks of it."""
-        self._make(self.folder / "session")
+        make_folders(self._fs, self.folder / "session")
         for name, data in report.items():
             replace_file(self._fs, self.folder / "session" / name, data)
         # The session comes last: until it speaks of them, these files mean nothing, whenever the power goes.
@@ -155,7 +155,7 @@ class Calibrations:
         if before is not None:
             # Kept, and named, before it is replaced: after a loss of power at any point there is a way back (ADR 0020).
             session = self.write(replace(session, kept=self._keep(before, date)))
-        self._make(self.folder)
+        make_folders(self._fs, self.folder)
         replace_file(self._fs, self.current, data)
         return self.session()
 
@@ -176,7 +176,7 @@ class Calibrations:
         """Put a calibration in use that no session made; answers where the file of before is kept, if there was one."""
         before = _bytes(self.current)
         kept = None if before is None else self._keep(before, date)
-        self._make(self.folder)
+        make_folders(self._fs, self.folder)
         replace_file(self._fs, self.current, calibration_file.encode(calibration))
         return None if kept is None else self.folder / "kept" / kept
 
@@ -206,28 +206,20 @@ class Calibrations:
         """Put the session away and begin a new one."""
         folder = self.folder / "session"
         if folder.is_dir():
-            self._make(self.folder / "sessions")
+            make_folders(self._fs, self.folder / "sessions")
             move_folder(self._fs, folder, self.folder / "sessions" / f"{_next(self.folder / 'sessions'):04d}")
         return self.session()
 
     def _keep(self, data: bytes, date: str) -> str:
         """Name of the kept file with these bytes, which is written where there is none."""
         folder = self.folder / "kept"
-        self._make(folder)
+        make_folders(self._fs, folder)
         for path in sorted(folder.glob("*.json")):
             if _bytes(path) == data:
                 return path.name
         path = folder / f"{_next(folder):04d}-{date}.json"
         replace_file(self._fs, path, data)
         return path.name
-
-    def _make(self, folder: Path) -> None:
-        # Each new folder is an entry in the one above it, which must be durable, too: from above to below.
-        missing = [one for one in (folder, *folder.parents) if not one.exists()]
-        for one in reversed(missing):
-            with refused("cannot make", one):
-                self._fs.make_folder(one)
-                self._fs.sync_folder(one.parent)
 
 
 def _next(folder: Path) -> int:

@@ -14,6 +14,7 @@ may read.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -295,7 +296,7 @@ class Library:
                 yield child
 
     def _sorted(self, shelf: LibraryFolder) -> list[Path]:
-        return sorted(self._folders(shelf), key=lambda folder: (_number(folder), folder.name))
+        return sorted(self._folders(shelf), key=lambda folder: by_number(folder.name))
 
     def _numbers(self) -> Iterator[int]:
         for shelf in LibraryFolder:
@@ -359,6 +360,12 @@ def entry_of(folder: Path, *, checksums: bool) -> ScanEntry:
         if checksums:  # no damage to the scan: told where every byte is looked at
             found.append(str(error))
     return ScanEntry(whole.name, shelf, folder, manifest, tuple(found), size_bytes, label)
+
+
+def by_number(name: str) -> tuple[float, str]:
+    """Return what orders the names of scans as they were taken, 1000000 after 999999; a name of another form comes last."""
+    found = _FOLDER.fullmatch(name)
+    return (math.inf if found is None else int(found[1])), name
 
 
 def _number(folder: Path) -> int:

@@ -141,3 +141,91 @@ def test_a_scan_with_a_file_nobody_knows_is_archived_with_it(root: Path, tmp_pat
     assert (there / "diary.txt").read_text() == "north side"
     assert (there / "frames_left.npy.partial").read_bytes() == b"1234"
     assert stored.manifest_of(there).scan_id == "000001"
+
+
+# -------------------------------------------------------------------------- nothing that is there is replaced
+
+
+def test_what_was_worked_out_in_an_archive_is_still_there_after_the_next_pack(
+    root: Path, tmp_path: Path, desk: Shell
+) -> None:
+    packed, path = tmp_path / "archive", Path("objects") / "hull" / "object.json"
+    (root / path).parent.mkdir(parents=True)
+    (root / path).write_text("two scans")
+    assert desk("archive", "pack", root, "--out", packed).code == 0
+    (packed / path).write_text("solved, three scans")
+    for call in ("the next one", "and one more"):
+        said = desk("archive", "pack", root, "--out", packed)
+        assert said.code == 0, call
+        assert (packed / path).read_text() == "solved, three scans", call
+        (copy,) = (packed / path).parent.glob("object.*.json")
+        assert copy.read_text() == "two scans"
+        assert f"{path}  DIFFERS: " in said.out
+        assert copy.name in said.out
+    assert desk("archive", "pack", root, "--out", packed, "--json").document["different"] == [
+        {"path": str(path), "copy": str(copy)}
+    ]
+    copy.write_text("something else")
+    said = desk("archive", "pack", root, "--out", packed)
+    assert (said.code, copy.read_text()) == (1, "something else")
+    assert "move away the one with a checksum in its name" in said.out
+
+
+def test_the_calibration_in_use_stays_in_use_where_an_old_scan_is_unpacked(
+    root: Path, tmp_path: Path, desk: Shell
+) -> None:
+    packed, back = tmp_path / "archive", tmp_path / "back"
+    (root / "calibration" / "current.json").write_text("of last year")
+    desk("archive", "pack", root, "--out", packed)
+    (back / "calibration").mkdir(parents=True)
+    (back / "calibration" / "current.json").write_text("of today")
+    said = desk("archive", "unpack", packed, "1", "--out", back)
+    assert said.code == 0
+    assert "calibration/current.json  DIFFERS" in said.out
+    assert (back / "calibration" / "current.json").read_text() == "of today"
+    (copy,) = (back / "calibration").glob("current.*.json")
+    assert copy.read_text() == "of last year", "scans find their calibration by its hash, under whatever name"
+
+
+def test_a_leftover_with_a_folder_in_it_is_told_and_keeps_no_other_scan_from_being_packed(
+    root: Path, tmp_path: Path, desk: Shell
+) -> None:
+    """As an earlier version left it: half removed under a hidden name, for a folder was in it."""
+    left = root / "scans" / ".000007.archived"
+    (left / "notes").mkdir(parents=True)
+    (left / "notes" / "log.txt").write_text("north side")
+    (left / "preview.png").write_bytes(b"x")
+    said = desk("archive", "pack", root, "--out", tmp_path / "archive", "--remove")
+    assert said.code == 1
+    assert f".000007.archived  failed: {left}: notes: no file, and only files are packed; move it out" in said.out
+    assert "3 written, 0 already there, 1 failed" in said.out
+    assert {path.name for path in left.iterdir()} == {"notes", "preview.png"}, "nobody removes what was not compared"
+    assert [path.name for path in (root / "scans").iterdir()] == [left.name]
+    (left / "notes").rename(tmp_path / "notes")
+    assert desk("archive", "pack", root, "--out", tmp_path / "archive", "--remove").code == 0
+    assert list((root / "scans").iterdir()) == []
+
+
+@pytest.mark.parametrize("verb", ["pack", "unpack"])
+def test_a_second_call_takes_nothing_away_from_one_that_is_still_writing(
+    root: Path, tmp_path: Path, desk: Shell, verb: str
+) -> None:
+    out = tmp_path / "out"
+    half = out / "scans" / ".000002.packing" / "manifest.json"
+    half.parent.mkdir(parents=True)
+    half.write_text("{")
+    with hold_lock(out):
+        assert desk("archive", verb, root, "--out", out).code == 1
+        assert half.exists()
+    assert desk("archive", verb, root, "--out", out).code == 0
+    assert not half.parent.exists()
+
+
+def test_a_frame_for_a_folder_that_is_not_there_is_refused_by_the_name_that_was_typed(
+    root: Path, tmp_path: Path, desk: Shell
+) -> None:
+    out = tmp_path / "pictures" / "dark.png"
+    said = desk("archive", "frame", root / "scans" / "000001", "left", "dark", "--out", out)
+    assert said.code == 2
+    assert f"--out {out}: there is no folder {out.parent}" in said.error
+    assert ".draft" not in said.error

@@ -6,7 +6,6 @@ are the same thing. Nothing is deleted or replaced at either end.
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
@@ -16,7 +15,7 @@ from pathlib import Path, PurePosixPath
 from appliance.offline.pull.source import NAME, LinkLost, NotThere, PullError, RemoteEntry, Source, Unreadable, text_of
 from appliance.offline.pull.taking import FoundRecording, NotYet, PullOutcome, already_here_bytes, find, present, take
 from appliance.storage import calibrations, incomplete, objects
-from appliance.storage.atomic import refused, replace_file
+from appliance.storage.atomic import add_beside, make_folders
 from appliance.storage.filesystem import AppendingFileSystem
 from appliance.storage.library import LibraryFolder
 
@@ -157,7 +156,7 @@ def _attempt(
     of_bytes = sum(max(0, one.size_bytes - already_here_bytes(target / one.path)) for one in wanted)
     begun_bytes = done.taken_bytes
     for k, one in enumerate(wanted):
-        _make(fs, (target / one.path).parent)
+        make_folders(fs, (target / one.path).parent)
 
         def came(length: int, k: int = k, path: str = one.path) -> None:
             done.taken_bytes += length
@@ -227,17 +226,14 @@ def _one_beside(source: Source, place: str, path: str, target: Path, fs: Appendi
     except Unreadable as error:
         return Came(path, PullOutcome.FAILED, f"cannot be read there: {error}")
     done.taken_bytes += len(data)
-    plain = target / path
-    other = plain.with_name(f"{plain.stem}.{hashlib.sha256(data).hexdigest()[:12]}{plain.suffix}")
-    for copy in (plain, other):
-        with refused("cannot read", copy):
-            if not copy.exists():
-                _make(fs, copy.parent)
-                replace_file(fs, copy, data)
-                return Came(path, PullOutcome.TAKEN, "" if copy == plain else f"as {other.name}", len(data))
-            if copy.read_bytes() == data:
-                return Came(path, PullOutcome.ALREADY)
-    return Came(path, PullOutcome.DIFFERS, f"{other} is here with other content; move it away")
+    copy, written = add_beside(fs, target / path, data)
+    if copy is None:
+        return Came(
+            path, PullOutcome.DIFFERS, "is here twice with other content; move away the one with a checksum in its name"
+        )
+    if not written:
+        return Came(path, PullOutcome.ALREADY)
+    return Came(path, PullOutcome.TAKEN, "" if copy == target / path else f"as {copy.name}", len(data))
 
 
 def _small_files(source: Source, folder: str, done: Pulled, depth: int = 1) -> Iterator[str]:
@@ -260,10 +256,3 @@ def _small_files(source: Source, folder: str, done: Pulled, depth: int = 1) -> I
             yield from _small_files(source, f"{folder}/{name}", done, depth + 1)
         elif not one.folder and PurePosixPath(name).suffix in _SMALL:
             yield f"{folder}/{name}"
-
-
-def _make(fs: AppendingFileSystem, folder: Path) -> None:
-    for one in reversed([one for one in (folder, *folder.parents) if not one.exists()]):
-        with refused("cannot make", one):
-            fs.make_folder(one)
-            fs.sync_folder(one.parent)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -246,14 +247,19 @@ def test_a_damaged_source_is_not_packed(source: Path, there: Path) -> None:
 # ----------------------------------------------------------------------------- resumed, and removed
 
 
-def test_packing_again_changes_nothing_but_the_label(source: Path, there: Path) -> None:
+def test_packing_again_adds_a_label_and_replaces_none(source: Path, there: Path) -> None:
+    label = (source / labels.FILE_NAME).read_bytes()
+    (source / labels.FILE_NAME).unlink()
     pack_scan(FS, source, there)
+    (source / labels.FILE_NAME).write_bytes(label)
+    assert pack_scan(FS, source, there) is Copied.ALREADY
+    assert labels.read(there).name == "bollard 3"
     before = content(there)
     assert pack_scan(FS, source, there) is Copied.ALREADY
-    assert content(there) == before
     labels.write(FS, source, labels.Label("bollard 4"))
-    assert pack_scan(FS, source, there) is Copied.ALREADY
-    assert labels.read(there).name == "bollard 4"
+    with pytest.raises(ScanError, match=r"label\.json DIFFERS at both ends"):
+        pack_scan(FS, source, there)
+    assert content(there) == before, "people name scans in an archive, too"
 
 
 def test_another_scan_of_the_same_number_is_refused(source: Path, there: Path, tmp_path: Path) -> None:
@@ -309,3 +315,51 @@ def test_no_source_is_removed_whose_copy_lacks_a_byte(source: Path, there: Path,
     with pytest.raises(ScanError, match="nothing was removed"):
         remove_source(FS, source, there)
     assert source.is_dir()
+
+
+@pytest.mark.parametrize("inside", ["a folder", "an empty folder", "a link to a folder", "a pipe"])
+def test_a_source_with_something_in_it_that_is_not_packed_stays_whole_under_its_own_name(
+    source: Path, there: Path, tmp_path: Path, inside: str
+) -> None:
+    pack_scan(FS, source, there)
+    notes, elsewhere = source / "notes", tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    match inside:
+        case "a link to a folder":
+            notes.symlink_to(elsewhere)
+        case "a pipe":
+            os.mkfifo(notes)
+        case _:
+            notes.mkdir()
+    if inside == "a folder":
+        (notes / "log.txt").write_text("north side")
+    before = sorted(source.iterdir())
+    for work in (lambda: pack_scan(FS, source, there), lambda: remove_source(FS, source, there)):
+        with pytest.raises(ScanError, match="notes: no file, and only files are packed; move it out"):
+            work()
+    assert sorted(source.iterdir()) == before
+    assert list(source.parent.iterdir()) == [source]
+
+
+def test_a_file_that_came_while_a_source_was_compared_is_not_removed_with_it(source: Path, there: Path) -> None:
+    pack_scan(FS, source, there)
+
+    class Late(LocalFileSystem):
+        """Somebody writes a note in the moment in which the compared source gets its hidden name."""
+
+        def rename(self, source: Path, target: Path) -> None:
+            if target.name.startswith("."):
+                (source / "note.txt").write_text("wait")
+            super().rename(source, target)
+
+    with pytest.raises(ScanError, match="was changed while it was compared; nothing was removed"):
+        remove_source(Late(), source, there)
+    assert (source / "note.txt").read_text() == "wait"
+    assert stored.wrong_files(source, stored.manifest_of(source), checksums=True) == {}
+
+
+def test_scans_come_in_the_order_of_their_numbers_beyond_six_digits(tmp_path: Path) -> None:
+    names = ["000002", "000010", "000010-2", "999999", "1000000", "10000000"]
+    for name in reversed(names):
+        (tmp_path / "scans" / name).mkdir(parents=True)
+    assert [one.name for one in archive.scan_folders(tmp_path, SCANS)] == names
