@@ -284,6 +284,14 @@ def unchecked_generator(source: Source) -> Iterator[Breach]:
             yield call.lineno, f"{name}() hands on fields of any type: use tests.support.typed.built"
 
 
+def open_match(source: Source) -> Iterator[Breach]:
+    for node in ast.walk(source.tree):
+        if isinstance(node, ast.Match):
+            last = node.cases[-1]
+            if last.guard is not None or not isinstance(last.pattern, ast.MatchAs) or last.pattern.pattern is not None:
+                yield node.lineno, "what fits no case passes in silence: end with `case unknown: assert_never(unknown)`"
+
+
 def leans_on_measurements(source: Source) -> Iterator[Breach]:
     for node in ast.walk(source.tree):
         match node:
@@ -469,6 +477,12 @@ RULES = [
         good=("built(Fault, st.just('x'))", "st.just(1)"),
         packages=("tests",),
         except_in={"tests/support/typed.py": "it checks what was built"},
+    ),
+    Rule(
+        open_match,
+        bad=("match x:\n    case 1: f()", "match x:\n    case 1: f()\n    case _ if g: h()"),
+        good=("match x:\n    case 1: f()\n    case _: pass", "match x:\n    case 1: f()\n    case y: assert_never(y)"),
+        packages=("appliance", "drivers"),
     ),
     Rule(
         leans_on_measurements,

@@ -22,6 +22,7 @@ from appliance.calibration.depth_error import COUNT as DEPTH_ERRORS
 from appliance.calibration.depth_error import Rows
 from appliance.calibration.field import AIR_VALUES, EYES, AirField
 from appliance.checksummed_file import ChecksumError, checked_content, digest, with_checksum
+from appliance.one_line import one_line
 from appliance.optics.correction import ImageCorrection, node_count
 from appliance.optics.model import HousedCamera, Matrix3, StereoRig
 from appliance.optics.pinhole import Lens
@@ -74,6 +75,8 @@ class Calibration:
     """Serial numbers of the left and the right camera; ``None``: not known, as in files made before they were written
     down."""
 
+    __repr__ = one_line
+
     @property
     def hash(self) -> str:
         """SHA-256 of the content, hexadecimal."""
@@ -120,10 +123,10 @@ def decode(data: bytes, name: str = "calibration") -> Calibration:
     )
 
 
-def load(path: Path) -> Calibration:
+def load(path: Path | str) -> Calibration:
     """Read a calibration file. Raises CalibrationError also for a missing or unreadable file."""
     try:
-        data = path.read_bytes()
+        data = Path(path).read_bytes()
     except OSError as error:
         raise CalibrationError(
             f"calibration {path}: cannot be read ({error.strerror}); calibrate, or copy the instrument's file there"

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 from types import MappingProxyType
+from typing import assert_never
 
 import numpy as np
 
@@ -86,6 +87,8 @@ class Result:
                 return {"top": top.used, "plate": plate.used, **named}
             case NotFound():
                 return {}
+            case unknown:
+                assert_never(unknown)
 
     @property
     def worst_e_l(self) -> float | None:
@@ -140,6 +143,8 @@ def evaluate(
                 for k, value in enumerate(measured)
             )
             return Result(artefact, frustum, lengths)
+        case unknown:
+            assert_never(unknown)
 
 
 def _noise_of_ball(cloud: PointSource, used: Used) -> float | None:

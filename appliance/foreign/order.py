@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from enum import Enum
+from typing import assert_never
 
 from appliance.foreign.problem import ForeignError
 
@@ -55,6 +56,8 @@ class ShownImage:
                 return f"{'~' if self.shows is Shows.INVERSE else ''}gray-{self.axis}"
             case Shows.SINE:
                 return f"sine-{self.axis}{self.period + 1 if self.period else ''}"
+            case unknown:
+                assert_never(unknown)
 
 
 def parse_order(text: str, key: str) -> tuple[ShownImage, ...]:

@@ -5,6 +5,8 @@ Such a set becomes a scan folder that everything else accepts; of any other one 
 
 from __future__ import annotations
 
+from typing import assert_never
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -62,6 +64,8 @@ def own_frames(sequence: PatternSequence, description: Description, images: Imag
                 # Images before the most significant bit that is needed are dark all over.
                 bit = axis.bits - len(mine) + pattern.index
                 frames.append(images.image(Shows.GRAY, axis.name, axis.bits - 1 - bit if axis.fine_first else bit))
+            case unknown:
+                assert_never(unknown)
     return np.stack([one for one in frames if one is not None])
 
 

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from types import MappingProxyType
+from typing import assert_never
 
 from appliance.machine.states import Machine, NoticeKind, State
 from appliance.machine.words import Language, Words
@@ -497,6 +498,8 @@ def _notice(machine: Machine) -> Alert | None:
             said, why = _FAILED, _AGAIN
         case NoticeKind.FAILURE | NoticeKind.NEWS:
             return plain
+        case unknown:
+            assert_never(unknown)
     return replace(
         plain,
         headline=said.english,

@@ -133,4 +133,6 @@ def _calibrate(machine: Machine) -> dict[Key, Label]:
             meant[Key.SCAN] = Text.RESTORE
         case None:
             pass
+        case unknown:
+            assert_never(unknown)
     return meant

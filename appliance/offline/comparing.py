@@ -11,10 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from appliance.argument_types import refuse_wrong_fields
 from appliance.export.content import About
 from appliance.export.files import write_surface
 from appliance.offline.object_errors import laid_onto_something
 from appliance.offline.object_report import report_of
+from appliance.one_line import one_line
 from appliance.optics.rotation import rotation_vector
 from appliance.registration.joint import JointErrors
 from appliance.registration.reference import LaidOnto, OrientedPoints, lay_onto
@@ -34,6 +36,7 @@ DOUBTFUL_PERCENT = 10.0
 _MOST_SHOWN = 3
 
 
+@refuse_wrong_fields
 @dataclass(frozen=True, slots=True, eq=False)
 class NominalSurface:
     """A surface that others are compared with."""
@@ -42,6 +45,8 @@ class NominalSurface:
     triangles: Nominal
     sigma_mm: NDArray[np.float32] | None = None
     """(v,) of its vertices, where it was measured itself; ``None``: it is exact."""
+
+    __repr__ = one_line
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,6 +61,8 @@ class Comparison:
     """One for each point, positive outside; its sigma has everything in it: the point's, its scan's place, what may bend the object, how it is laid
     onto the nominal surface, and a measured nominal surface's own."""
     warnings: tuple[str, ...]
+
+    __repr__ = one_line
 
     @property
     def in_nominal_frame(self) -> FusedCloud:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from appliance.argument_types import refuse_wrong_types
 from appliance.offline.comparing import Comparison, NominalSurface, compare
 from appliance.offline.object_errors import errors_of, length_between
 from appliance.offline.objects import placed_scans, surface_of
@@ -14,7 +15,7 @@ from appliance.offline.scripting import open_dive
 from appliance.registration.joint import JointErrors, LengthSigma
 from appliance.registration.rigid import Rigid
 from appliance.storage import objects
-from appliance.storage.objects import StoredObject
+from appliance.storage.objects import ObjectError, StoredObject
 from appliance.surface.deviation import LIMIT_MM
 from appliance.surface.fusion import SPACING_MM, FusedCloud, PlacedScan
 
@@ -23,7 +24,7 @@ Doing = Callable[[str, float | None], None]
 
 @dataclass(frozen=True, slots=True)
 class ObjectOfDive:
-    """One object under a storage root; its file is read anew whenever it is asked for. Everything is in the object's frame, mm."""
+    """One object under a storage root; its file is read whenever it is asked for. Everything is in the object's frame, mm."""
 
     root: Path
     name: str
@@ -39,20 +40,24 @@ class ObjectOfDive:
         """Errors of all places as they hang together; ``None`` where an earlier version solved it. Raises ObjectError where it is not solved."""
         return errors_of(self.stored)
 
+    @refuse_wrong_types
     def placed_scans(self, progress: Doing = lambda *_: None) -> Iterator[PlacedScan]:
         """Yield the scans that have a place, one at a time. Raises ObjectError, ScanError, CalibrationError."""
         return placed_scans(self.root, self.stored, self.wish, progress)
 
+    @refuse_wrong_types
     def surface(self, spacing_mm: float = SPACING_MM, progress: Doing = lambda *_: None) -> FusedCloud:
         """Return one surface of all placed scans, a point about every ``spacing_mm``. Raises ObjectError, ScanError, CalibrationError."""
         return surface_of(self.root, self.stored, self.wish, progress, spacing_mm)
 
+    @refuse_wrong_types
     def length(
         self, first: str, at_first_mm: Sequence[float], second: str, at_second_mm: Sequence[float]
     ) -> LengthSigma:
         """Return the distance between a point of scan ``first`` and one of ``second``, with its standard deviation. Raises ObjectError."""
         return length_between(self.stored, first, at_first_mm, second, at_second_mm)
 
+    @refuse_wrong_types
     def compare(
         self,
         nominal: NominalSurface,
@@ -60,9 +65,18 @@ class ObjectOfDive:
         limit_mm: float = LIMIT_MM,
         start: Rigid | None = None,
     ) -> Comparison:
-        """Lay its surface onto ``nominal`` and return the deviations, with the object's own errors in their sigma. Raises SurfaceMatchError, and
+        """Align its surface to ``nominal`` and return the deviations, with the object's own errors in their sigma. Raises SurfaceMatchError, and
         what ``surface`` raises."""
         return compare(self.surface(spacing_mm), nominal, limit_mm, start, self.errors)
+
+    def __repr__(self) -> str:
+        """Return one line; it never raises, whatever lies in the file."""
+        try:
+            stored = self.stored
+        except ObjectError as error:
+            return f"<object {self.name}: {error}>"
+        placed = "not solved" if stored.places is None else f"{len(stored.places.places)} placed"
+        return f"<object {self.name}: {len(stored.scans)} scans, {placed}>"
 
 
 def open_object(

@@ -26,6 +26,14 @@ class OrganisedScan:
     faults: tuple[Fault, ...]
     """The faults that are held against the scan; its points are there all the same."""
 
+    def __repr__(self) -> str:
+        """Return one line: how many points, and their median sigma."""
+        sigma_mm = self.sigma_mm
+        said = [f"{len(sigma_mm):,} points"]
+        if len(sigma_mm):
+            said.append(f"{1000.0 * float(np.median(sigma_mm)):.0f} µm")
+        return f"<{', '.join((*said, *(fault.code.value for fault in self.faults)))}>"
+
     @property
     def points_mm(self) -> NDArray[np.float32]:
         """(n, 3) float32: the points alone, in the order of their pixels; left camera frame."""

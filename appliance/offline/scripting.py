@@ -1,4 +1,4 @@
-"""Owns what a script at the desk works with: a dive's scans, and their points made anew as one wishes. ``import kingfisher`` names it.
+"""Owns what a script at the desk works with: a dive's scans, their frames, and points made of them as one wishes. ``import kingfisher`` names it.
 
 Everything that is returned is of the classes that the program itself uses, arrays are NumPy's with units in their names, and errors are those
 of the command line: one sentence that says what is wrong and what to do.
@@ -9,9 +9,15 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from datetime import datetime
 from pathlib import Path
+from typing import Literal, assert_never
 
-from appliance.calibration.file import Calibration
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.argument_types import refuse_wrong_types
+from appliance.calibration.file import Calibration, CalibrationError, encode
 from appliance.config import load_rig
 from appliance.export.content import CAMERA_FRAME, OBJECT_FRAME, About
 from appliance.export.files import write_mesh, write_scan, write_surface
@@ -19,11 +25,15 @@ from appliance.offline.organised_scan import OrganisedScan, organised_scan
 from appliance.offline.origin import Chosen, Wish, calibration_for, open_source, refuse_misfit
 from appliance.optics.water import Water
 from appliance.reconstruct.organised import OrganisedCloud
+from appliance.scan.exposure import Exposure
+from appliance.storage import scan as stored
+from appliance.storage.atomic import replace_file
 from appliance.storage.damage import refuse_damaged_frames
+from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.library import Library, ScanEntry
 from appliance.storage.manifest import Manifest
 from appliance.storage.root import standing_root, where_none_was_found
-from appliance.storage.scan import manifest_of
+from appliance.storage.scan import ScanError, manifest_of
 from appliance.surface.fusion import FusedCloud
 from appliance.surface.mesh import Mesh
 
@@ -44,14 +54,44 @@ class ScanOfDive:
 
     @property
     def manifest(self) -> Manifest:
-        """The scan's manifest, read anew: what was recorded, how, and what was found then. Raises ScanError."""
+        """The scan's manifest, read from the disk each time: what was recorded, how, and what was found then. Raises ScanError."""
         return manifest_of(self.folder)
+
+    @property
+    def time(self) -> datetime | None:
+        """Time at which it was taken, as the instrument's clock had it (``manifest.record.clock_trusted``); ``None``: it had none. Raises ScanError."""
+        wall_time = self.manifest.record.wall_time
+        return None if wall_time is None else datetime.fromisoformat(wall_time)
+
+    @property
+    def object(self) -> int | None:
+        """Number of the object that the diver said it belongs to; ``None``: of none. Raises ScanError."""
+        return self.manifest.record.object
+
+    @property
+    def exposure(self) -> Exposure | None:
+        """Exposure of the left camera; ``None``: as the rig file has it. Raises ScanError."""
+        return self.manifest.record.exposure
 
     @property
     def calibration(self) -> Calibration:
         """The calibration its points are made with where no other is given. Raises CalibrationError, ScanError."""
         return calibration_for(open_source(self.folder, self.wish), self.wish).calibration
 
+    @refuse_wrong_types
+    def frames(self, side: Literal["left", "right"] = "left", *, second: bool = False) -> NDArray[np.uint8]:
+        """Return the raw frames of one camera, (n, h, w) uint8, packed or not; ``manifest.record.sequence.patterns`` names them.
+
+        Every byte is compared with its checksum first. ``second``: of the second exposure. Raises ScanError, MissingLibraryError.
+        """
+        refuse_damaged_frames(self.folder)
+        scan = stored.load(self.folder, only_raw=True)
+        frames = scan.second if second else scan.frames
+        if frames is None:
+            raise ScanError(f"{self.folder}: has one exposure; take second=False")
+        return frames[side]
+
+    @refuse_wrong_types
     def points(
         self,
         calibration: Calibration | Path | str | None = None,
@@ -84,6 +124,18 @@ class ScanOfDive:
             source = replace(source, scan=replace(source.scan, manifest=told))
         return organised_scan(source, chosen, progress)
 
+    def __repr__(self) -> str:
+        """Return one line; it never raises, whatever lies in the folder."""
+        try:
+            numbers = self.manifest.record.cloud
+        except ScanError as error:
+            return f"<scan {self.name}: {error}>"
+        points, noise_mm = numbers.get("points"), numbers.get("noise_mm")
+        said = ["no points" if points is None else f"{points:,.0f} points"]
+        if noise_mm is not None:
+            said.append(f"{1000.0 * noise_mm:.0f} µm")
+        return f"<scan {self.name}: {', '.join(said)}>"
+
 
 @dataclass(frozen=True, slots=True)
 class Dive:
@@ -100,15 +152,21 @@ class Dive:
         """Return the list that ``kingfisher scans list`` prints."""
         return Library(self.root).entries()
 
+    @refuse_wrong_types
     def scan(self, number: int | str) -> ScanOfDive:
-        """Return a scan by its number, wherever under the root it lies. Raises UnknownScan."""
+        """Return a scan by its number, wherever under the root it lies; ``dive[7]`` is the same. Raises UnknownScan."""
         return ScanOfDive(Library(self.root).entry(str(number)).folder, self.wish)
+
+    __getitem__ = scan
 
     def __iter__(self) -> Iterator[ScanOfDive]:
         return iter(self.scans())
 
     def __len__(self) -> int:
         return len(self.entries())
+
+    def __repr__(self) -> str:
+        return f"<dive {self.root}: {len(self)} scans>"
 
 
 def open_dive(
@@ -140,6 +198,17 @@ def open_scan(folder: Path | str, rig: Path | str | None = None, *, foreign_cali
     return scan
 
 
+def save_calibration(calibration: Calibration, path: Path | str) -> None:
+    """Write a calibration, for ``load_calibration``, ``--calibration`` and other instruments' desks. Never replaces a file.
+
+    Raises CalibrationError where there is one of that name, StorageError.
+    """
+    target = Path(path)
+    if target.exists():
+        raise CalibrationError(f"{target}: is there already, and a calibration is never replaced; give a new name")
+    replace_file(LocalFileSystem(), target, encode(calibration))
+
+
 def export(
     what: OrganisedScan | OrganisedCloud | FusedCloud | Mesh,
     path: Path | str,
@@ -165,6 +234,8 @@ def export(
             write_scan(target, what.cloud, about)
         case OrganisedCloud():
             write_scan(target, what, about)
+        case unknown:
+            assert_never(unknown)
 
 
 def _wish(rig: Path | str | None, root: Path | None, *, current: bool = False, foreign: bool = False) -> Wish:

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from appliance.argument_types import refuse_wrong_fields
 
+
+@refuse_wrong_fields
 @dataclass(frozen=True, slots=True)
 class Water:
     """The water around the instrument, and the wavelength of the light that travels through it."""

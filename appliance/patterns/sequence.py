@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 from itertools import zip_longest
+from typing import assert_never
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,6 +63,8 @@ class Pattern:
                 return f"gray-{self.direction.value}-{self.index}"
             case Kind.SINE:
                 return f"sine-{self.direction.value}-{STEP_DEG * self.index}"
+            case unknown:
+                assert_never(unknown)
 
     def codes(self, response: Response | None = None) -> NDArray[np.uint8]:
         """Return the 8-bit codes along the varying axis: shape (size_px,) uint8. Gray stripes use the bright code.
@@ -79,6 +82,8 @@ class Pattern:
             case Kind.SINE:
                 draw = sine_codes if response is None else response.sine_codes
                 return draw(self.size_px, self.period_px, self.index)
+            case unknown:
+                assert_never(unknown)
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.one_line import one_line
 from appliance.reconstruct.table import Cloud
 
 
@@ -25,6 +26,8 @@ class OrganisedCloud:
     ray_gap_mm: NDArray[np.float32]
     grey: NDArray[np.uint8]
     """The left camera's bright frame, also where there are no points."""
+
+    __repr__ = one_line
 
     @property
     def mask(self) -> NDArray[np.bool_]:

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibration.depth_error import along_ray, shapes
+from appliance.one_line import one_line
 from appliance.optics.volume import STANDARD, WorkingVolume
 from appliance.registration.graph import Placed
 from appliance.registration.patches import Array
@@ -59,6 +60,8 @@ class JointErrors:
     shared_root: Array
     """(k, q): root of the covariance of c, mm²."""
     volume: WorkingVolume = STANDARD
+
+    __repr__ = one_line
 
     def sigma_along(
         self, points_mm: NDArray[np.floating], directions: NDArray[np.floating], scan: NDArray[np.integer]

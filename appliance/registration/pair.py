@@ -11,6 +11,7 @@ from enum import Enum
 
 import numpy as np
 
+from appliance.one_line import one_line
 from appliance.optics.model import HousedCamera
 from appliance.optics.volume import STANDARD, WorkingVolume
 from appliance.reconstruct.organised import OrganisedCloud
@@ -63,6 +64,8 @@ class ReadyScan:
     features: Features
     repeats: tuple[Array, ...]
 
+    __repr__ = one_line
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RegisteredPair:
@@ -73,6 +76,8 @@ class RegisteredPair:
     refusal: PairRefusal | None
     text: str
     """Finding in words: how closely they are placed, or why not and what would help."""
+
+    __repr__ = one_line
 
     @property
     def accepted(self) -> bool:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from appliance.one_line import one_line
 from appliance.registration.patches import Array
 
 
@@ -17,6 +18,8 @@ class Rigid:
     """(3, 3)."""
     translation_mm: Array
     """(3,)."""
+
+    __repr__ = one_line
 
     def of(self, points_mm: Array) -> Array:
         """Return the moved points (…, 3)."""

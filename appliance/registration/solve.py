@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from appliance.one_line import one_line
 from appliance.registration import candidates
 from appliance.registration.bow import known_before
 from appliance.registration.coarse import count_in_common
@@ -40,6 +41,8 @@ class Solved:
     compared: tuple[Compared, ...]
     left_out: Mapping[int, str]
     """Why each scan that has no place has none."""
+
+    __repr__ = one_line
 
 
 def solve(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import assert_never
 
 from appliance.calibration.guide import HELD, STEPS, UNITS, USED, RecordingCheck, Refusal, Session, Step, Verified
 from appliance.calibration.poses import plane_place
@@ -126,6 +127,8 @@ def refusal_words(check: RecordingCheck) -> tuple[Text, Text]:
             return Text.MOVED, Text.STILL_AND_AGAIN
         case Refusal.WRONG_PATTERN:
             return Text.WRONG_PATTERN, Text.RECORD_AGAIN
+        case unknown:
+            assert_never(unknown)
 
 
 def _how(canvas: Canvas, view: CalibrateView, bottom: float, language: Language) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import assert_never
 
 from appliance.machine.alerts import Alert, Severity, in_full
 from appliance.machine.words import Language, Text
@@ -185,3 +186,5 @@ def alert_colours(severity: Severity, time_s: float) -> tuple[theme.Colour, them
             return theme.YELLOW, theme.INK, theme.YELLOW
         case Severity.INFO:
             return theme.PANEL, theme.WHITE, theme.LINE
+        case unknown:
+            assert_never(unknown)

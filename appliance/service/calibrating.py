@@ -8,7 +8,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from types import TracebackType
-from typing import Self
+from typing import Self, assert_never
 
 from appliance.calibration.file import Calibration, CalibrationError
 from appliance.calibration.guide import RecordingCheck, Session, Step, Verified
@@ -171,6 +171,8 @@ class CalibrationController:
                 events.append(on.CalibrationFailed(_failure(error, reason, about)))
             case None:
                 pass
+            case unknown:
+                assert_never(unknown)
         return events
 
     @property

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import replace
+from typing import assert_never
 
 from appliance.machine import events as on
 from appliance.machine.states import Part
@@ -76,6 +77,8 @@ class WorkerReports:
                 return [on.PatternsRight(report.scan)]
             case LiveLookedAt(guidance, taken_ns):
                 return [on.Guided(guidance, taken_ns)]
+            case _:
+                pass  # about one scan
         # The worker may still report on a scan that was dropped or published meanwhile: nobody wants that any more.
         return [] if scan is None or scan.number != report.scan else self._entered(report, scan)
 
@@ -97,6 +100,8 @@ class WorkerReports:
                     return []
                 scan.enter(judgement.verdict)
                 return [on.ReconstructionFailed(scan.number, judgement.fault)]
+            case unknown:
+                assert_never(unknown)
 
     def _cloud(self, ready: CloudReady, scan: ScanInMemory) -> list[on.Event]:
         stage = "full" if ready.full else "coarse"

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from appliance.one_line import one_line
 from appliance.surface.nominal import Nominal
 
 LIMIT_MM = 5.0
@@ -56,6 +57,8 @@ class Deviation:
     sigma_mm: NDArray[np.float32]
     """(n,) float32: that of the points."""
     summary: DeviationSummary
+
+    __repr__ = one_line
 
 
 def deviations(

@@ -29,6 +29,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.argument_types import refuse_wrong_fields
+from appliance.one_line import one_line
 from appliance.reconstruct.organised import OrganisedCloud
 from appliance.surface.normals import normals
 from appliance.surface.surfels import EMPTY, CellTable, Discs, PointsOfScan, absorb, assign, rehash
@@ -46,6 +48,7 @@ _FIRST_CELLS = 1 << 16
 _ROOM_STEP = 1.3
 
 
+@refuse_wrong_fields
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedScan:
     """One scan and where it is: its points p are at rotation · p + translation in the object's frame."""
@@ -57,6 +60,8 @@ class PlacedScan:
     """(3,) float64."""
     pose_sigma_mm: float = POSE_SIGMA_MM
     """Standard deviation of where the placement puts the scan's points, along their normals."""
+
+    __repr__ = one_line
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,6 +96,8 @@ class FusedCloud:
     """(n,) uint16: number of the first scan that saw the point, from 0 in the order in which they were fused; ``None``: not kept."""
     shares: SigmaShares | None = None
     """``None``: sigma is that relative to the points around, and what is common."""
+
+    __repr__ = one_line
 
     @property
     def beside_mm(self) -> NDArray[np.float32]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.one_line import one_line
 from appliance.reconstruct.organised import OrganisedCloud
 from appliance.surface.normals import normals
 from appliance.surface.steps import connected
@@ -26,6 +27,8 @@ class Mesh:
     """(n,) float32: of a scan's mesh along the ray, of an object's along the normal."""
     grey: NDArray[np.uint8]
     """(n,) uint8."""
+
+    __repr__ = one_line
 
 
 def mesh_of_scan(cloud: OrganisedCloud) -> Mesh:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.one_line import one_line
 from appliance.surface.libraries import needed
 from appliance.surface.mesh import Mesh
 
@@ -39,6 +40,8 @@ class Nominal:
     """(m, 3, 3): pseudonormal of each face's edges, from corner k to the next; of any length."""
     corner_normals: NDArray[np.float64]
     """(v, 3): pseudonormal of each vertex; of any length."""
+
+    __repr__ = one_line
 
 
 def nominal_of(vertices_mm: NDArray[Any], faces: NDArray[Any]) -> Nominal:

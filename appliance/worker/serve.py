@@ -16,6 +16,7 @@ from contextlib import contextmanager
 from functools import partial
 from multiprocessing.connection import Connection
 from multiprocessing.shared_memory import SharedMemory
+from typing import assert_never
 
 import numpy as np
 
@@ -315,6 +316,8 @@ class Server:
                         self._neighbours.whole(self._store.frames("left"))
                     self._await_taken()
                     return
+                case unknown:
+                    assert_never(unknown)
             if self._is_unwanted():
                 return
 

@@ -17,8 +17,8 @@ import kingfisher
 before = set(__import__("sys").modules)
 from kingfisher import fuse, open_dive, Mesh
 import appliance.surface.fusion, appliance.offline.scripting, appliance.surface.mesh
-assert fuse is appliance.surface.fusion.fuse
-assert open_dive is appliance.offline.scripting.open_dive
+assert fuse.__wrapped__ is appliance.surface.fusion.fuse
+assert open_dive.__wrapped__ is appliance.offline.scripting.open_dive
 assert Mesh is appliance.surface.mesh.Mesh
 print("numba" in before, kingfisher.__file__, appliance.__file__)
 """

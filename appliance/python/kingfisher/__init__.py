@@ -1,18 +1,39 @@
-"""Owns the names that scripts and notebooks use: ``import kingfisher``. Each is loaded when it is first asked for.
+"""Open what dives left on the disk: points as NumPy arrays in mm, objects of many scans, meshes, deviations, files for other programs.
 
-They are the program's own classes and functions under one roof; docs/python.md shows what to do with them. Before the first of
-them is loaded, compiled kernels are looked for, as the command line does: numba asks for their folder when a kernel is defined.
+    dive = kingfisher.open_dive("ROOT")           the folder that holds scans/
+    scan = dive[7]                                <scan 000007: 282,679 points, 21 µm>
+    made = scan.points()                          made.points_mm (n, 3), made.sigma_mm (n,)
+    kingfisher.export(made, "scan.e57")
+
+The names, each with a help of its own, in ``kingfisher.__all__``:
+
+    scans          open_dive open_scan Dive ScanOfDive OrganisedScan OrganisedCloud Water
+    calibrations   load_calibration save_calibration Calibration
+    registration   ready_scan register solve ReadyScan RegisteredPair Rigid Solved
+    objects        open_object ObjectOfDive StoredObject JointErrors LengthSigma
+    surfaces       PlacedScan fuse FusedCloud normals mesh_of_scan mesh_of_surface Mesh
+    deviations     read_nominal nominal_of_mesh compare deviations Nominal NominalSurface Comparison Deviation
+    files          export Report ReportBudget ReportNominal ReportPair ReportScan ReportTerm ReportVerdict write_report
+    errors         CalibrationError ConfigError ExportError MissingLibraryError NominalError ObjectError ScanError StorageError
+                   SurfaceMatchError UnknownScan; a wrong type is a TypeError, a folder that is not there a NotADirectoryError
+
+Each is loaded when it is first asked for. They are the program's own classes and functions under one roof; functions compare their
+arguments with their annotations first. Before the first of them is loaded, compiled kernels are looked for, as the command line does: numba asks
+for their folder when a kernel is defined.
 """
 
 from __future__ import annotations
 
+import functools
 import importlib
+import inspect
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # for editors and type checkers; at run time ``__getattr__`` finds each by the table below
     from appliance.calibration.file import Calibration as Calibration
     from appliance.calibration.file import CalibrationError as CalibrationError
     from appliance.calibration.file import load as load_calibration  # noqa: F401
+    from appliance.config import ConfigError as ConfigError
     from appliance.export.content import ExportError as ExportError
     from appliance.offline.comparing import Comparison as Comparison
     from appliance.offline.comparing import NominalSurface as NominalSurface
@@ -26,6 +47,7 @@ if TYPE_CHECKING:  # for editors and type checkers; at run time ``__getattr__`` 
     from appliance.offline.scripting import export as export
     from appliance.offline.scripting import open_dive as open_dive
     from appliance.offline.scripting import open_scan as open_scan
+    from appliance.offline.scripting import save_calibration as save_calibration
     from appliance.optics.water import Water as Water
     from appliance.reconstruct.organised import OrganisedCloud as OrganisedCloud
     from appliance.registration.joint import JointErrors as JointErrors
@@ -45,6 +67,8 @@ if TYPE_CHECKING:  # for editors and type checkers; at run time ``__getattr__`` 
     from appliance.report.content import ReportTerm as ReportTerm
     from appliance.report.content import ReportVerdict as ReportVerdict
     from appliance.report.page import write_report as write_report
+    from appliance.storage.atomic import StorageError as StorageError
+    from appliance.storage.library import UnknownScan as UnknownScan
     from appliance.storage.objects import ObjectError as ObjectError
     from appliance.storage.objects import StoredObject as StoredObject
     from appliance.storage.scan import ScanError as ScanError
@@ -53,9 +77,11 @@ if TYPE_CHECKING:  # for editors and type checkers; at run time ``__getattr__`` 
     from appliance.surface.fusion import FusedCloud as FusedCloud
     from appliance.surface.fusion import PlacedScan as PlacedScan
     from appliance.surface.fusion import fuse as fuse
+    from appliance.surface.libraries import MissingLibraryError as MissingLibraryError
     from appliance.surface.mesh import Mesh as Mesh
     from appliance.surface.mesh import mesh_of_scan as mesh_of_scan
     from appliance.surface.nominal import Nominal as Nominal
+    from appliance.surface.nominal import NominalError as NominalError
     from appliance.surface.nominal import nominal_of_mesh as nominal_of_mesh
     from appliance.surface.nominal import read_nominal as read_nominal
     from appliance.surface.normals import normals as normals
@@ -63,12 +89,13 @@ if TYPE_CHECKING:  # for editors and type checkers; at run time ``__getattr__`` 
 
 _HOMES = {
     "appliance.calibration.file": ("Calibration", "CalibrationError", "load as load_calibration"),
+    "appliance.config": ("ConfigError",),
     "appliance.export.content": ("ExportError",),
     "appliance.offline.comparing": ("Comparison", "NominalSurface", "compare"),
     "appliance.offline.object_scripting": ("ObjectOfDive", "open_object"),
     "appliance.offline.objects": ("ready_scan",),
     "appliance.offline.organised_scan": ("OrganisedScan",),
-    "appliance.offline.scripting": ("Dive", "ScanOfDive", "export", "open_dive", "open_scan"),
+    "appliance.offline.scripting": ("Dive", "ScanOfDive", "export", "open_dive", "open_scan", "save_calibration"),
     "appliance.optics.water": ("Water",),
     "appliance.reconstruct.organised": ("OrganisedCloud",),
     "appliance.registration.joint": ("JointErrors", "LengthSigma"),
@@ -80,12 +107,15 @@ _HOMES = {
         "Report", "ReportBudget", "ReportNominal", "ReportPair", "ReportScan", "ReportTerm", "ReportVerdict",
     ),
     "appliance.report.page": ("write_report",),
+    "appliance.storage.atomic": ("StorageError",),
+    "appliance.storage.library": ("UnknownScan",),
     "appliance.storage.objects": ("ObjectError", "StoredObject"),
     "appliance.storage.scan": ("ScanError",),
     "appliance.surface.deviation": ("Deviation", "deviations"),
     "appliance.surface.fusion": ("FusedCloud", "PlacedScan", "fuse"),
+    "appliance.surface.libraries": ("MissingLibraryError",),
     "appliance.surface.mesh": ("Mesh", "mesh_of_scan"),
-    "appliance.surface.nominal": ("Nominal", "nominal_of_mesh", "read_nominal"),
+    "appliance.surface.nominal": ("Nominal", "NominalError", "nominal_of_mesh", "read_nominal"),
     "appliance.surface.normals": ("normals",),
     "appliance.surface.object_mesh": ("mesh_of_surface",),
 }  # fmt: skip
@@ -97,18 +127,35 @@ _FOUND = {
 }
 
 __version__ = importlib.import_module("appliance").__version__
+__all__ = [*sorted(_FOUND), "__version__"]
 
 
 def __getattr__(name: str) -> Any:
     """Return one of the names above. Raises AttributeError for any other."""
     if name not in _FOUND:
-        raise AttributeError(f"module 'kingfisher' has no attribute {name!r}; there are: {', '.join(sorted(_FOUND))}")
+        from appliance.distribution import other_program
+
+        there = f"module 'kingfisher' has no attribute {name!r}; there are: {', '.join(sorted(_FOUND))}"
+        raise AttributeError("; ".join(filter(None, (there, other_program()))))
+    return _loaded(name)
+
+
+@functools.cache
+def _loaded(name: str) -> Any:
     from appliance import kernel_cache
 
     kernel_cache.use()
     module, attribute = _FOUND[name]
-    return getattr(importlib.import_module(module), attribute)
+    found = getattr(importlib.import_module(module), attribute)
+    if not inspect.isfunction(found):
+        return found
+    from appliance.argument_types import refuse_wrong_types
+
+    checked = refuse_wrong_types(found, name)
+    # As what it is known by here, it is found again by pickles, too.
+    checked.__module__, checked.__name__, checked.__qualname__ = __name__, name, name
+    return checked
 
 
 def __dir__() -> list[str]:
-    return sorted((*_FOUND, "__version__"))
+    return __all__

@@ -163,7 +163,7 @@ def test_the_notebook_about_objects_runs_from_the_first_cell_to_the_last(
     assert run(dive, "new", "book", "000001", "000002") == 0
     assert run(dive, "solve", "book", *calibrated(dive)) == 0
     notebook = json.loads((Path(__file__).parents[3] / "docs/notebooks/first_object.ipynb").read_text())
-    monkeypatch.setenv("KINGFISHER_DIVE", str(dive))
+    monkeypatch.setenv("KINGFISHER_ROOT", str(dive))
     monkeypatch.setenv("KINGFISHER_OBJECT", "book")
     monkeypatch.setenv("KINGFISHER_CALIBRATION", str(dive / "calibration" / "truth.json"))
     monkeypatch.chdir(tmp_path)

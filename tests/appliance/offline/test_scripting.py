@@ -5,9 +5,13 @@ from __future__ import annotations
 import ast
 import contextlib
 import importlib
+import inspect
 import io
 import json
+import pydoc
+import re
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +20,9 @@ import pytest
 import trimesh
 from numpy.typing import NDArray
 
-from appliance.calibration.file import CalibrationError, encode
+from appliance.calibration.file import CalibrationError, encode, load
 from appliance.instrument import design_of
-from appliance.offline.scripting import export, open_dive, open_scan
+from appliance.offline.scripting import export, open_dive, open_scan, save_calibration
 from appliance.optics.water import Water
 from appliance.storage.calibrations import Calibrations
 from appliance.storage.library import UnknownScan
@@ -78,6 +82,35 @@ def test_another_calibration_and_other_water_give_other_points(
         scan.points(calibration=larger)
 
 
+def test_a_scan_says_what_is_known_about_it(dive: tuple[Path, NDArray[np.float32]]) -> None:
+    opened = open_dive(dive[0])
+    scan = opened[1]
+    assert scan == opened.scan("000001")
+    stored = np.load(scan.folder / "frames_right.npy")
+    assert scan.manifest.record.sequence.patterns[0] == "bright"
+    np.testing.assert_array_equal(scan.frames("right"), stored)
+    assert not np.array_equal(scan.frames(), stored)
+    with pytest.raises(ScanError, match="has one exposure"):
+        scan.frames(second=True)
+    record = scan.manifest.record
+    assert scan.time == (None if record.wall_time is None else datetime.fromisoformat(record.wall_time))
+    assert (scan.object, scan.exposure) == (record.object, record.exposure)
+    made = scan.points()
+    assert re.fullmatch(rf"<scan 000001: ({len(dive[1]):,}|no) points.*>", repr(scan))
+    assert repr(opened) == f"<dive {dive[0]}: 1 scans>"
+    assert re.fullmatch(rf"<{len(dive[1]):,} points, \d+ µm>", repr(made))
+
+
+def test_a_calibration_is_written_once_and_read_again(tmp_path: Path) -> None:
+    made = design_of(small_rig(tmp_path))
+    save_calibration(made, str(tmp_path / "mine.json"))
+    assert load(str(tmp_path / "mine.json")) == made
+    before = (tmp_path / "mine.json").read_bytes()
+    with pytest.raises(CalibrationError, match="never replaced"):
+        save_calibration(replace(made, made_at="2031-01-01"), tmp_path / "mine.json")
+    assert (tmp_path / "mine.json").read_bytes() == before
+
+
 def test_each_kind_of_result_is_written(dive: tuple[Path, NDArray[np.float32]], tmp_path: Path) -> None:
     made = open_dive(dive[0]).scan(1).points()
     mesh = mesh_of_scan(made.cloud)
@@ -125,9 +158,36 @@ def test_every_name_of_the_package_is_the_programs_own() -> None:
     assert typed.keys() == set(dir(package)) - {"__version__"}, "type checkers see what there is"
     for name, (module, attribute) in typed.items():
         assert module is not None
-        assert getattr(package, name) is getattr(importlib.import_module(module), attribute), name
+        own = getattr(importlib.import_module(module), attribute)
+        assert inspect.unwrap(getattr(package, name)) is own, name
     with pytest.raises(AttributeError, match="no attribute 'opendive'; there are: Calibration"):
         _ = package.opendive
+
+
+def test_help_lists_every_name() -> None:
+    package = importlib.import_module("kingfisher")
+    doc = package.__doc__ or ""
+    assert doc.startswith("Open what dives left on the disk")
+    for name in set(package.__all__) - {"__version__"}:
+        assert re.search(rf"\b{name}\b", doc), name
+    # What `help` prints for a module without `__all__` has no name that it loads when it is asked for.
+    text = pydoc.plain(pydoc.render_doc(package))
+    for name in ("open_dive(", "export(", "class Dive(", "class ScanOfDive("):
+        assert f"\n    {name}" in text
+
+
+def test_the_page_calls_functions_as_they_are() -> None:
+    package = importlib.import_module("kingfisher")
+    called = re.findall(r"`(\w+)\(([^`]*)\)`", (ROOT / "docs/python.md").read_text())
+    of_package = [(name, words) for name, words in called if name in package.__all__]
+    assert len(of_package) > 15
+    for name, words in of_package:
+        parameters = inspect.signature(getattr(package, name)).parameters
+        for k, word in enumerate(filter(None, re.split(r", (?![^(]*\))", words))):
+            if word != "…":
+                named = word.partition("=")[0]
+                assert named in parameters, f"{name}: {named}"
+                assert "=" in word or list(parameters)[k] == named, f"{name}: {named} is not number {k}"
 
 
 def test_the_page_about_it_names_what_there_is() -> None:
@@ -142,7 +202,7 @@ def test_the_notebook_runs_from_the_first_cell_to_the_last(
     dive: tuple[Path, NDArray[np.float32]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     notebook = json.loads((ROOT / "docs/notebooks/first_scan.ipynb").read_text())
-    monkeypatch.setenv("KINGFISHER_DIVE", str(dive[0]))
+    monkeypatch.setenv("KINGFISHER_ROOT", str(dive[0]))
     monkeypatch.chdir(tmp_path)
     said = io.StringIO()
     names: dict[str, Any] = {}
