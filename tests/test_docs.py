@@ -82,3 +82,30 @@ def test_every_scenario_is_in_the_list_of_faults() -> None:
     scenarios = sorted(path.name for path in (ROOT / "tests" / "scenarios").glob("*.scn"))
     assert scenarios
     assert [name for name in scenarios if listed.count(f"scenarios/{name})") != 1] == []
+
+
+MEASURED = (
+    "accuracy", "archive", "architecture", "boot", "calibration", "calibration-health", "causes", "compensation", "exposure", "foreign",
+    "identity", "motion", "objects", "one-direction", "performance", "phase-bias", "ranging", "thermal", "turbidity", "uncertainty",
+)  # fmt: skip
+FIGURES = re.compile(r"\*Figures of \d{4}-\d\d-\d\d(?: to \d{4}-\d\d-\d\d)? \([0-9a-f]{8}(?: to [0-9a-f]{8})?\)\.\*")
+A_NUMBER = re.compile(r"\|[^|a-zA-Z]*\d[^|]*(?=\|)")
+
+
+@pytest.mark.parametrize("page", MEASURED)
+def test_every_table_of_figures_says_of_which_day_and_version_it_is(page: str) -> None:
+    lines = (ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8").splitlines()
+    dated = 0
+    for k, line in enumerate(lines):
+        if line.startswith("|---") and lines[k - 1].startswith("|"):
+            end = next((j for j in range(k, len(lines)) if not lines[j].startswith("|")), len(lines))
+            rows = lines[k + 1 : end]
+            below = next((text for text in lines[end:] if text.strip()), "")
+            if (
+                len(rows) > 1
+                and all(A_NUMBER.search(row) for row in rows)
+                and not lines[k - 1].startswith("| files of")
+            ):
+                assert FIGURES.fullmatch(below), f"{page}: {lines[k - 1]}"
+            dated += FIGURES.fullmatch(below) is not None
+    assert dated

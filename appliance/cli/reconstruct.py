@@ -37,7 +37,7 @@ class Reconstruct(WithCalibration):
             salvaged = salvage(folder) if self.salvage else None
             source = open_source(folder, wish, None if salvaged is None else salvaged.scan)
             chosen = calibration_for(source, wish)
-            # Without --out nothing is written; the name is only what an error would speak of.
+            # The name that the cloud gets without --out, too, so that an error speaks of that file.
             with writing(self.out or Path(f"{folder.name}.ply")):
                 report = reconstruct_scan(source, chosen, self.out, progress, salvaged)
         say_report(report, as_json=self.json)

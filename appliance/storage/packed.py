@@ -11,7 +11,7 @@
     32 bytes    sha256 of everything before
 
 Checksums are those of the decoded pixels: the same frames provably give the same points, whatever packed them. The codec is
-``imagecodecs``, of the desk; an instrument neither packs nor reads what is packed.
+``imagecodecs``, of the desk: an instrument knows the form and has no codec, so that it neither packs nor reads what is packed.
 """
 
 from __future__ import annotations
