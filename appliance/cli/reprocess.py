@@ -1,4 +1,4 @@
-"""Owns the verbs ``reprocess`` and ``season``: all scans of an archive worked through anew, and one page about what came of it."""
+"""Owns the verbs ``reprocess`` and ``season``: all scans of an archive reprocessed, and one page about what came of it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Owns the comparison of measured points with a nominal surface: laid onto it by their shape, then how far each lies from it."""
+"""Owns the comparison of measured points with a nominal surface: aligned to it by their shape, then how far each lies from it."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class NominalSurface:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Comparison:
-    """Points that were laid onto a nominal surface, with how far they lie from it."""
+    """Points that were aligned to a nominal surface, with how far they lie from it."""
 
     surface: FusedCloud
     """Points in their own frame; sigma and its shares as they are once it lies on the nominal surface."""

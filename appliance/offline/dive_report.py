@@ -1,4 +1,4 @@
-"""Owns what the page about a dive says: each scan as it was judged, what is held against it, and its cloud as a picture."""
+"""Owns what the page about a dive says: each scan as it was judged, its warnings, and its cloud as a picture."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def report_of_dive(root: Path, entries: Sequence[ScanEntry], progress: Callable[
     dates = sorted(one.wall_time for one in records if one.wall_time is not None)
     points = sum(one.points or 0 for one in scans)
     return Report(
-        title=f"Dive {root.absolute().name}",
+        title=_title(root.absolute().name),
         subtitle=f"{len(entries)} scans, {points / 1e6:.1f} million points",
         about={
             "Recorded": " to ".join(dict.fromkeys((when(dates[0]), when(dates[-1]))))
@@ -97,11 +97,15 @@ def _scan(entry: ScanEntry) -> ReportScan:
     )
 
 
+def _title(name: str) -> str:
+    return name.capitalize() if name.lower().startswith("dive") else f"Dive {name}"
+
+
 def _warnings(entries: Sequence[ScanEntry], scans: Sequence[ReportScan]) -> list[str]:
     said = []
     for verdict, words in (
         (ReportVerdict.REFUSED, "without points that can be used"),
-        (ReportVerdict.DOUBTFUL, "with something held against them"),
+        (ReportVerdict.DOUBTFUL, "with warnings"),
     ):
         names = [one.name for one in scans if one.verdict is verdict]
         if names:

@@ -24,7 +24,7 @@ class OrganisedScan:
     water: Water
     """Water in which it was reconstructed."""
     faults: tuple[Fault, ...]
-    """The faults that are held against the scan; its points are there all the same."""
+    """Warnings about the scan; its points are there all the same."""
 
     def __repr__(self) -> str:
         """Return one line: how many points, and their median sigma."""

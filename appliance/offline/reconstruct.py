@@ -95,7 +95,7 @@ class WorkedThrough:
     cloud: Cloud
     water: Water
     faults: tuple[Fault, ...]
-    """Faults that are held against the scan."""
+    """Warnings about the scan."""
     judgements: tuple[Judgement, ...]
 
 
@@ -106,7 +106,7 @@ def cloud_of_scan(
     progress: Callable[[str], None],
     salvaged: Salvaged | None = None,
 ) -> tuple[Cloud, Water, tuple[Fault, ...]]:
-    """Return the cloud of one sequence, or of both that the scan has, its water, and what is held against it.
+    """Return the cloud of one sequence, or of both that the scan has, its water, and warnings.
 
     Raises ScanError, also where no points are left.
     """

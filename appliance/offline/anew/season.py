@@ -23,6 +23,8 @@ _MOST_COLOURS = len(_COLOURS)
 _MOST_LISTED = 60
 _SHOWN_DIGITS = 12
 _TICKS = 5
+_MOST_NAMED = 10
+"""Scans up to which each has its number below the chart; their dates are as wide as a tenth of it."""
 _BINS = 400
 """Places along a chart; where several scans of a group share one, the lowest and the highest are drawn."""
 _KIND_LETTERS = 90
@@ -93,7 +95,10 @@ def _head(rows: Sequence[Cells], source: str) -> str:
         + (f" and {len(calibrations) - 3} more" if len(calibrations) > 3 else ""),
         "Table": source,
     }
-    listed = "".join(f"<div><dt>{name}</dt><dd>{html.escape(text)}</dd></div>" for name, text in facts.items())
+    # A path may break at its slashes, and not within "table.csv".
+    listed = "".join(
+        f"<div><dt>{name}</dt><dd>{html.escape(text).replace('/', '/<wbr>')}</dd></div>" for name, text in facts.items()
+    )
     return f"<header><h1>Season at a glance</h1><p>{len(rows)} scans</p><dl>{listed}</dl></header>"
 
 
@@ -156,11 +161,10 @@ def _chart(points: Sequence[_Point], what: str, rows: Sequence[Cells]) -> str:
         lines.append(f'<text x="{_LEFT - 8}" y="{y(value) + 4:.1f}" text-anchor="end">{said.replace("-", "−")}</text>')
     marks = sorted({f"{x(at):.1f}" for at, row in enumerate(rows) if _is_refused(row)}, key=float)
     lines += [f'<path d="M{at} {_HIGH - _BOTTOM + 1}v6" stroke="{_REFUSED}" stroke-width="2"/>' for at in marks]
-    for k in range(_TICKS + 1):
-        at = round(k * (len(rows) - 1) / _TICKS)
-        if k and at == round((k - 1) * (len(rows) - 1) / _TICKS):
-            continue
-        anchor = "start" if k == 0 else "end" if k == _TICKS else "middle"
+    last = len(rows) - 1
+    places = range(len(rows)) if len(rows) <= _MOST_NAMED else [round(k * last / _TICKS) for k in range(_TICKS + 1)]
+    for at in places:
+        anchor = "start" if at == 0 else "end" if at == last else "middle"
         day = rows[at]["recorded"][:10]
         lines.append(
             f'<text x="{x(at):.1f}" y="{_HIGH - 22}" text-anchor="{anchor}">{html.escape(rows[at]["scan"])}</text>'

@@ -83,3 +83,8 @@ def test_a_page_of_no_scans_or_by_a_wrong_name_is_refused(
     assert "a page is written as .html" in capsys.readouterr().err
     assert main(["report", "000009", "--root", str(root)]) == 1
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("folder", "title"), [("dive", "Dive"), ("dive-7", "Dive-7"), ("wreck", "Dive wreck")])
+def test_the_title_says_dive_once(folder: str, title: str) -> None:
+    assert report_of_dive(Path("/somewhere") / folder, [], lambda *_: None).title == title

@@ -89,6 +89,16 @@ def test_each_calibration_has_its_colour_and_is_named_once() -> None:
     assert (caption.count("aaaaaaaaaaaa"), caption.count("bbbbbbbbbbbb")) == (1, 1)
 
 
+@pytest.mark.parametrize(
+    ("count", "named"), [(1, [1]), (2, [1, 2]), (7, [1, 2, 3, 4, 5, 6, 7]), (21, [1, 5, 9, 13, 17, 21])]
+)
+def test_of_few_scans_none_lacks_its_number(count: int, named: list[int]) -> None:
+    page = season_page([cells(number) for number in range(1, count + 1)], "/a/table.csv")
+    drawing = chart(page, "ray gap, µm")
+    assert [int(text) for text in re.findall(r">(\d{6})</text>", drawing)] == named
+    assert "/<wbr>a/<wbr>table.csv" in page
+
+
 def test_of_a_large_archive_what_stands_out_is_drawn() -> None:
     rows = [cells(1, gap_mm=0.007 + 0.0001 * (k % 7)) | {"scan": f"{k:06d}"} for k in range(1, 20_001)]
     rows[12_345] |= {"gap_mm": "0.09"}
