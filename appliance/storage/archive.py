@@ -12,15 +12,14 @@ Nothing that is there is replaced, in an archive or in a root that is unpacked i
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 
-from appliance.storage import calibrations, objects, packed
 from appliance.storage import manifest as form
+from appliance.storage import packed
 from appliance.storage import scan as stored
 from appliance.storage.atomic import (
     Stamp,
@@ -36,12 +35,12 @@ from appliance.storage.atomic import (
 )
 from appliance.storage.filesystem import Bytes, FileSystem
 from appliance.storage.library import LibraryFolder, by_number
+from appliance.storage.names import CALIBRATIONS, OBJECTS, scan_number
 from appliance.storage.packed import PackedError, packed_path
 from appliance.storage.scan import RAW_FILES, SECOND_FILES, ScanError
 
 _DRAFT, _LEAVING = "packing", "archived"
-_SCAN = re.compile(r"\d{6,12}(-\d+)?")
-_BESIDE = (calibrations.FOLDER, objects.FOLDER)
+_BESIDE = (CALIBRATIONS, OBJECTS)
 """Folders of a storage root whose JSON files go with its scans: old scans name their calibration only by its hash."""
 
 
@@ -68,7 +67,7 @@ def scan_folders(root: Path, shelves: Iterable[LibraryFolder]) -> list[Path]:
     for shelf in shelves:
         with refused("cannot list", root / shelf.value), suppress(FileNotFoundError):
             children = sorted((root / shelf.value).iterdir(), key=lambda one: by_number(one.name))
-            found += [one for one in children if _SCAN.fullmatch(one.name) and one.is_dir()]
+            found += [one for one in children if scan_number(one.name) is not None and one.is_dir()]
     return found
 
 
@@ -317,7 +316,7 @@ def _files(folder: Path) -> list[Path]:
 def _hidden(folder: Path, ending: str) -> list[Path]:
     if not folder.is_dir():
         return []
-    return sorted(one for one in folder.glob(f".*.{ending}") if _SCAN.fullmatch(one.name[1 : -len(ending) - 1]))
+    return sorted(one for one in folder.glob(f".*.{ending}") if scan_number(one.name[1 : -len(ending) - 1]) is not None)
 
 
 def _told(wrong: dict[str, str]) -> str:

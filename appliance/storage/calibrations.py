@@ -30,14 +30,13 @@ from appliance.calibration.guide import Session
 from appliance.checksummed_file import checked_content, with_checksum
 from appliance.storage.atomic import StorageError, make_folders, move_folder, remedy_for, replace_file
 from appliance.storage.filesystem import FileSystem, LocalFileSystem
+from appliance.storage.names import CALIBRATIONS, CURRENT_CALIBRATION, is_kept_calibration
 
 SCHEMA = 1
-FOLDER = "calibration"
-CURRENT, AIR, SOLVED, SESSION = "current.json", "air.json", "solved.json", "session.json"
+FOLDER, CURRENT = CALIBRATIONS, CURRENT_CALIBRATION
+AIR, SOLVED, SESSION = "air.json", "solved.json", "session.json"
 MAX_BYTES = 1024 * 1024
 _SESSION = TypeAdapter(Session)
-_KEPT = re.compile(r"\d{4,9}-[\w-]{1,40}\.json")
-"""Name of a kept file, and of nothing outside its folder."""
 
 
 class SessionError(Exception):
@@ -88,7 +87,7 @@ class Calibrations:
         # Compared, not remembered: a flag could be lost between the two files, and would be wrong after a file was
         # copied in by hand.
         in_use = session.solved is not None and _bytes(self.current) == _bytes(self.solved)
-        named = session.kept is not None and _KEPT.fullmatch(session.kept) is not None
+        named = session.kept is not None and is_kept_calibration(session.kept)
         checked = session.verified
         if checked is not None and not in_use and checked.checked != self.in_use:
             # Another calibration was put in use since: what is known of the one of then says nothing.

@@ -31,6 +31,7 @@ from appliance.storage.atomic import (
 )
 from appliance.storage.filesystem import FileSystem
 from appliance.storage.manifest import Decision, Manifest, Stage
+from appliance.storage.names import scan_number
 from appliance.storage.record import ScanRecord
 from appliance.storage.scan import (
     CALIBRATION,
@@ -54,7 +55,7 @@ FOLDER = "incomplete"
 MOST = 50
 """Most recordings that are kept: 2.7 GB. Such a rig has another trouble than lost scans."""
 KIND = "incomplete recording"
-_NAME = re.compile(r"\.?(\d{6})")
+_NAME = re.compile(r"\.?([0-9]{6})")
 _OTHER_BYTES = 1_000_000
 
 
@@ -159,7 +160,7 @@ def _remove(fs: FileSystem, draft: Path) -> None:
 def find(root: Path, recording: str) -> Path:
     """Return the folder of a recording by its number. Raises ScanError."""
     folder = root / FOLDER / recording.zfill(6)
-    if not recording.isdigit() or not folder.is_dir():
+    if scan_number(folder.name) is None or not folder.is_dir():
         raise ScanError(f"no incomplete recording {recording!r} under {root / FOLDER}; give its number or its folder")
     return folder
 
@@ -190,7 +191,11 @@ def decode(data: bytes, name: str) -> tuple[Manifest, tuple[str, ...]]:
         content = checked_content(data, form.MAX_BYTES)
         if content.get("kind") != KIND or content.get("schema") != form.SCHEMA:
             raise ScanError(f"{name}: not of an incomplete recording that this version reads")
-        return shaped(Manifest, content), tuple(str(one) for one in content.get("missing", ()))
+        return form.checked_names(shaped(Manifest, content), name), tuple(
+            str(one) for one in content.get("missing", ())
+        )
+    except form.ManifestError as error:
+        raise ScanError(str(error)) from error
     except (ChecksumError, ShapeError) as error:
         raise ScanError(f"{name}: {error}") from error
 

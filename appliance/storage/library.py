@@ -15,7 +15,6 @@ may read.
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -30,6 +29,7 @@ from appliance.storage.atomic import StorageError, move_folder, refused, replace
 from appliance.storage.filesystem import FileSystem, LocalFileSystem
 from appliance.storage.label import NO_LABEL, Label, LabelError
 from appliance.storage.manifest import Decision, Manifest, ManifestError
+from appliance.storage.names import scan_number
 from appliance.storage.record import ScanRecord
 
 if TYPE_CHECKING:  # NumPy is loaded where pixels and points are: a list of scans touches none
@@ -37,9 +37,6 @@ if TYPE_CHECKING:  # NumPy is loaded where pixels and points are: a list of scan
     from numpy.typing import NDArray
 
     from appliance.storage.ply import PointCloud
-
-_FOLDER = re.compile(r"\.?(\d{6,12})(-\d+)?")
-"""A scan's folder; the ending tells apart two of the same number that were set aside."""
 
 
 class LibraryFolder(Enum):
@@ -292,7 +289,7 @@ class Library:
             except FileNotFoundError:
                 return
         for child in children:
-            if _FOLDER.fullmatch(child.name) and child.name.startswith(".") == hidden and child.is_dir():
+            if child.name.startswith(".") == hidden and _numbered(child) is not None and child.is_dir():
                 yield child
 
     def _sorted(self, shelf: LibraryFolder) -> list[Path]:
@@ -350,8 +347,7 @@ def entry_of(folder: Path, *, checksums: bool) -> ScanEntry:
         return ScanEntry(whole.name, shelf, folder, None, (str(error),), size_bytes)
     wrong = scan.wrong_files(folder, manifest, checksums=checksums)
     found = [f"{name}: {what}" for name, what in wrong.items()]
-    named = _FOLDER.fullmatch(whole.name)
-    if named is not None and manifest.scan_id != named[1]:
+    if _numbered(whole) not in (None, manifest.scan_id):
         found.append(f"its manifest is of scan {manifest.scan_id}")
     label = NO_LABEL
     try:
@@ -364,15 +360,20 @@ def entry_of(folder: Path, *, checksums: bool) -> ScanEntry:
 
 def by_number(name: str) -> tuple[float, str]:
     """Return what orders the names of scans as they were taken, 1000000 after 999999; a name of another form comes last."""
-    found = _FOLDER.fullmatch(name)
-    return (math.inf if found is None else int(found[1])), name
+    found = scan_number(name.removeprefix("."))
+    return (math.inf if found is None else int(found)), name
 
 
 def _number(folder: Path) -> int:
-    found = _FOLDER.fullmatch(folder.name)
+    found = _numbered(folder)
     if found is None:
         raise ValueError(f"{folder} is no scan's folder")
-    return int(found[1])
+    return int(found)
+
+
+def _numbered(folder: Path) -> str | None:
+    """Return the number in a folder's name, hidden or not; ``None`` where it is no scan's."""
+    return scan_number(folder.name.removeprefix("."))
 
 
 def _size(folder: Path) -> int:

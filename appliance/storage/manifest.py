@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, SupportsFloat, SupportsIndex
 
 from appliance.storage.atomic import Stamp
+from appliance.storage.names import NameShapeError, component, is_component
 from appliance.storage.record import ScanRecord
 from appliance.storage.shape import ShapeError, shaped
 
@@ -97,10 +98,20 @@ def decode(data: bytes, name: str) -> Manifest:
         manifest = shaped(Manifest, content)
     except ShapeError as error:
         raise ManifestError(f"{name}: {error}") from None
+    return checked_names(manifest, name)
+
+
+def checked_names(manifest: Manifest, name: str) -> Manifest:
+    """Return ``manifest``. Raises ManifestError naming ``name`` where it names something that no part of a path may be called."""
+    # Scans are copied around and come from strangers, too: a name must not lead out of the scan's folder, nor out of one that is named
+    # after the scan.
+    try:
+        component(manifest.scan_id, "scan_id")
+    except NameShapeError as error:
+        raise ManifestError(f"{name}: {error}") from None
     for file_name in manifest.files:
-        # Scans are copied around and come from strangers, too: a name must not lead out of the scan's folder.
-        if Path(file_name).name != file_name or file_name in {FILE_NAME, "", ".."} or "\0" in file_name:
-            raise ManifestError(f"{name}: {file_name!r} is not the name of a file beside it")
+        if not is_component(file_name) or file_name == FILE_NAME:
+            raise ManifestError(f"{name}: {file_name!r:.60} is not the name of a file beside it")
     return manifest
 
 

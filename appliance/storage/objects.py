@@ -12,26 +12,26 @@ from __future__ import annotations
 
 import base64
 import io
-import re
 import zipfile
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from pathlib import Path
+from functools import cache
+from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
-
-from pydantic import TypeAdapter, ValidationError
 
 from appliance.checksummed_file import checked_content, with_checksum
 from appliance.storage.atomic import StorageError, refused, replace_file
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.lock import hold_lock
+from appliance.storage.names import OBJECTS, NameShapeError, component, is_object
 
-if TYPE_CHECKING:  # a list of objects needs no NumPy
+if TYPE_CHECKING:  # a list of objects needs no NumPy, and an unknown name no pydantic
     import numpy as np
     from numpy.typing import NDArray
+    from pydantic import TypeAdapter
 
-FOLDER = "objects"
+FOLDER = OBJECTS
 FILE = "object.json"
 CLOUDS = "clouds"
 SCHEMA = 1
@@ -40,7 +40,6 @@ ADDED_SINCE = "added after the others were placed: kingfisher object solve"
 """Reason why a scan has no place yet."""
 _LOCK_S = 30.0
 """The longest that another process is waited for: writing a file takes it a second or so."""
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._-]{0,63}")
 
 
 class ObjectError(Exception):
@@ -195,12 +194,16 @@ class StoredObject:
     schema: int = field(default=SCHEMA)
 
 
-_OBJECT = TypeAdapter(StoredObject)
+@cache
+def _form() -> TypeAdapter[StoredObject]:
+    from pydantic import TypeAdapter
+
+    return TypeAdapter(StoredObject)
 
 
 def checked_name(name: str) -> str:
     """Return ``name``. Raises ObjectError for one that cannot name a folder everywhere."""
-    if _NAME.fullmatch(name) is None or name.endswith((" ", ".")):
+    if not is_object(name):
         raise ObjectError(
             f"object '{name}': allowed are 1 to 64 letters, digits, blanks and . _ -, beginning with a letter or digit and not ending "
             "with a blank or a dot"
@@ -215,7 +218,7 @@ def folder_of(root: Path, name: str) -> Path:
 
 def names(root: Path) -> list[str]:
     """Return the names of all objects under a storage root, in order."""
-    return sorted(path.parent.name for path in (root / FOLDER).glob(f"*/{FILE}"))
+    return sorted(path.parent.name for path in (root / FOLDER).glob(f"*/{FILE}") if is_object(path.parent.name))
 
 
 def read(root: Path, name: str) -> StoredObject:
@@ -235,11 +238,27 @@ def read(root: Path, name: str) -> StoredObject:
         content = checked_content(data, MAX_BYTES)
         if content.get("schema") != SCHEMA:
             raise ValueError(f"schema {content.get('schema')!r:.20}; this version reads schema {SCHEMA}")
-        return _OBJECT.validate_python(content)
-    except (ValidationError, ValueError) as error:
+        # The folder's name is the object's, also where somebody renamed it: what is written next must not go to another's folder.
+        return replace(_checked(_form().validate_python(content)), name=name)
+    except ValueError as error:  # pydantic's, too
         raise ObjectError(
             f"{path}: damaged ({str(error).splitlines()[0]}); the scans are untouched: move the folder away and make the object again"
         ) from error
+
+
+def _checked(stored: StoredObject) -> StoredObject:
+    """Return ``stored``. Raises NameShapeError for a name in it that no part of a path may be called: clouds are kept under those of scans."""
+    for scan in stored.scans:
+        component(scan.name, "a scan's name")
+        if ".." in PurePosixPath(scan.folder).parts or "\0" in scan.folder:
+            raise NameShapeError(
+                f"the folder of scan {scan.name} is {scan.folder!r:.60}; allowed is one below the root, or an absolute one"
+            )
+    if stored.places is not None:
+        pairs = (name for pair in stored.places.pairs for name in (pair.first, pair.second))
+        for name in (*stored.places.places, *stored.places.left_out, *stored.places.clouds, *pairs):
+            component(name, "a scan's name")
+    return stored
 
 
 def exists(root: Path, name: str) -> bool:
@@ -260,7 +279,7 @@ def update(root: Path, name: str, change: Callable[[StoredObject | None], Stored
                 fs.sync_folder(one.parent)
     with hold_lock(folder, _LOCK_S):
         changed = change(read(root, name) if exists(root, name) else None)
-        replace_file(fs, folder / FILE, with_checksum(_OBJECT.dump_python(changed, mode="json")))
+        replace_file(fs, folder / FILE, with_checksum(_form().dump_python(changed, mode="json")))
     return changed
 
 

@@ -6,18 +6,18 @@ are the same thing. Nothing is deleted or replaced at either end.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
-from appliance.offline.pull.source import NAME, LinkLost, NotThere, PullError, RemoteEntry, Source, Unreadable, text_of
+from appliance.offline.pull.source import LinkLost, NotThere, PullError, RemoteEntry, Source, Unreadable, text_of
 from appliance.offline.pull.taking import FoundRecording, NotYet, PullOutcome, already_here_bytes, find, present, take
-from appliance.storage import calibrations, incomplete, objects
+from appliance.storage import incomplete
 from appliance.storage.atomic import add_beside, make_folders
 from appliance.storage.filesystem import AppendingFileSystem
 from appliance.storage.library import LibraryFolder
+from appliance.storage.names import CALIBRATIONS, OBJECTS, is_component, scan_number
 
 ATTEMPTS = 6
 """Number of times in a row that a link is opened without anything coming over it, before the call ends."""
@@ -32,8 +32,6 @@ INSTRUMENT = "instrument"
 RIG_PLACES = (f"../{INSTRUMENT}/rig.toml", f"{INSTRUMENT}/rig.toml", "../../etc/kingfisher/rig.toml")
 """Places of the rig file: as the instrument's server shows it, in what was pulled before, and on the instrument's own disk."""
 _SMALL = (".json", ".html", ".toml")
-_SCAN = re.compile(r"\d{6,12}(-\d+)?")
-_BEING_WRITTEN = re.compile(r"\.\d{6,12}(-\d+)?")
 _TRASHES = tuple(shelf.value for shelf in LibraryFolder)
 
 Open = Callable[[], AbstractContextManager[Source]]
@@ -184,9 +182,9 @@ def _recordings(source: Source, shelves: list[str], done: Pulled) -> Iterator[st
         except Unreadable as error:
             raise PullError(f"the list of scans cannot be read there: {error}") from error
         for one in entries:
-            if one.folder and _SCAN.fullmatch(one.name):
+            if one.folder and scan_number(one.name) is not None:
                 yield f"{shelf}/{one.name}"
-            elif one.folder and _BEING_WRITTEN.fullmatch(one.name):
+            elif one.folder and one.name.startswith(".") and scan_number(one.name[1:]) is not None:
                 done.being_written += 1
 
 
@@ -203,7 +201,7 @@ def _here(target: Path, path: str) -> Path | None:
 def _beside(source: Source, target: Path, fs: AppendingFileSystem, done: Pulled) -> None:
     """Take the small files beside the scans. One that is another here goes beside it, under a name with its checksum."""
     files: dict[str, str] = {}
-    for folder in (calibrations.FOLDER, objects.FOLDER):
+    for folder in (CALIBRATIONS, OBJECTS):
         files.update((path, path) for path in _small_files(source, folder, done))
     for place in RIG_PLACES:
         parent, _, name = place.rpartition("/")
@@ -250,7 +248,7 @@ def _small_files(source: Source, folder: str, done: Pulled, depth: int = 1) -> I
         )
         return
     for name, one in entries.items():
-        if not NAME.fullmatch(name):
+        if not is_component(name):
             continue
         if one.folder and depth < DEEPEST:
             yield from _small_files(source, f"{folder}/{name}", done, depth + 1)

@@ -6,7 +6,6 @@ Paths are relative to the storage root there, with ``/`` between names. Nothing 
 from __future__ import annotations
 
 import errno
-import re
 import stat
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -14,8 +13,6 @@ from pathlib import Path
 from typing import Protocol
 
 BLOCK_BYTES = 1024 * 1024
-NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._+-]{0,99}")
-"""Names that are taken: none of them leads out of its folder, is hidden, or is read as an option by another program."""
 _GONE = (errno.ENOENT, errno.ENOTDIR)
 _LINK = (errno.EIO, errno.ENODEV, errno.ENXIO, errno.ESTALE, errno.ENOTCONN, errno.EHOSTDOWN, errno.ETIMEDOUT)
 """Errors of a network folder or a stick whose cable moved; a disk that fails gives the first of them, too."""

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 
-from appliance.offline.pull.source import NAME, NotThere, RemoteEntry, Source, Unreadable, text_of
+from appliance.offline.pull.source import NotThere, RemoteEntry, Source, Unreadable, text_of
 from appliance.storage import incomplete, packed
 from appliance.storage import label as labels
 from appliance.storage import manifest as form
@@ -23,6 +23,7 @@ from appliance.storage.archive import problems_of
 from appliance.storage.atomic import Stamp, StorageError, checked_stamp, discard, move_folder, refused, replace_file
 from appliance.storage.filesystem import AppendingFileSystem
 from appliance.storage.manifest import Manifest, ManifestError
+from appliance.storage.names import is_component
 from appliance.storage.scan import ScanError
 
 DRAFT = "pulling"
@@ -82,7 +83,7 @@ def find(source: Source, path: str) -> FoundRecording:
         raise NotYet(PullOutcome.FAILED, f"{path}: has no manifest there; look at it on the instrument") from None
     except Unreadable as error:
         raise NotYet(PullOutcome.FAILED, f"cannot be read there: {error}") from error
-    files = tuple(one for one in entries if not one.folder and NAME.fullmatch(one.name))
+    files = tuple(one for one in entries if not one.folder and is_component(one.name))
     if len(files) > MOST_FILES:
         raise NotYet(PullOutcome.FAILED, f"{path}: {len(files)} files; a recording has at most {MOST_FILES}")
     stamps = _stamps(about, about_name, path)
@@ -319,9 +320,6 @@ def _stamps(about: bytes, name: str, path: str) -> dict[str, Stamp]:
         raise NotYet(PullOutcome.FAILED, f"its manifest cannot be used there: {error}") from error
     if manifest.scan_id != Path(path).name.partition("-")[0]:
         raise NotYet(PullOutcome.FAILED, f"{path}: its manifest is of scan {manifest.scan_id}")
-    odd = [one for one in manifest.files if not NAME.fullmatch(one)]
-    if odd:
-        raise NotYet(PullOutcome.FAILED, f"{path}: its manifest names {odd[0]!r:.60}, which is no name of a file here")
     return dict(manifest.files)
 
 

@@ -1,0 +1,66 @@
+"""Owns which names become part of a path, wherever they come from: a manifest, an object, an archive, another root, another computer.
+
+What lies on a disk was not always written by this program. So a name is looked at where it is read, before anybody joins it to a folder:
+it is one component, neither hidden nor read as an option by other programs, and a folder of every file system can be called so.
+"""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+
+CALIBRATIONS, CURRENT_CALIBRATION = "calibration", "current.json"
+"""Folder below a storage root with its calibrations, and the file in it that is in use."""
+OBJECTS = "objects"
+"""Folder below a storage root with its objects."""
+MOST_CHARACTERS, MOST_BYTES = 100, 200
+"""Longest name: file systems take 255 bytes, of which our own endings and drafts need some."""
+_RESERVED = frozenset('/\\:*?"<>|')
+"""Separators here and elsewhere, and what Windows refuses."""
+_SCAN_FOLDER = re.compile(r"([0-9]{6,12})(-[0-9]{1,9})?")
+_OBJECT = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._-]{0,63}")
+_KEPT = re.compile(r"[0-9]{4,9}-[A-Za-z0-9_-]{1,40}\.json")
+
+
+class NameShapeError(ValueError):
+    """A name cannot be part of a path; the text says which and what is allowed."""
+
+
+def component(name: str, what: str) -> str:
+    """Return ``name``, which is one component of a path. ``what`` it is the name of is for the message. Raises NameShapeError."""
+    if not is_component(name):
+        raise NameShapeError(
+            f"{what} is {name!r:.60}; allowed are 1 to {MOST_CHARACTERS} characters that can be read, none of {' '.join(sorted(_RESERVED))}, "
+            "not beginning with a dot, a dash or a blank and not ending with a dot or a blank"
+        )
+    return name
+
+
+def is_component(name: str) -> bool:
+    """Return True if ``name`` is one component of a path that is neither hidden nor looks like an option."""
+    return (
+        0 < len(name) <= MOST_CHARACTERS
+        and name.isprintable()
+        and _RESERVED.isdisjoint(name)
+        and len(name.encode("utf-8", "replace")) <= MOST_BYTES
+        and not name.startswith((".", "-", " ", "~"))
+        and not name.endswith((".", " "))
+        # Two spellings of one name would be two folders here and one elsewhere.
+        and unicodedata.is_normalized("NFC", name)
+    )
+
+
+def scan_number(folder: str) -> str | None:
+    """Return the number in the name of a scan's folder; ``None`` for any other. The ending of ``000007-2`` tells apart two of one number."""
+    found = _SCAN_FOLDER.fullmatch(folder)
+    return None if found is None else found[1]
+
+
+def is_object(name: str) -> bool:
+    """Return True if ``name`` can name an object, whose folder and files are called so."""
+    return _OBJECT.fullmatch(name) is not None and not name.endswith((" ", "."))
+
+
+def is_kept_calibration(name: str) -> bool:
+    """Return True if ``name`` is that of a kept calibration, and of nothing outside its folder."""
+    return _KEPT.fullmatch(name) is not None
