@@ -12,13 +12,12 @@ from numpy.typing import NDArray
 
 from appliance.calibration import owner
 from appliance.calibration.design import Design, design_calibration
-from appliance.calibration.file import Calibration, CalibrationError, encode, load
+from appliance.calibration.file import IN_AIR, Calibration, CalibrationError, encode, load
 from appliance.calibration.noise_file import CameraFigures, NoiseFileError
 from appliance.calibration.noise_file import load as load_noise
 from appliance.calibration.owner import Misfit, Owner
 from appliance.calibration.response.file import ResponseFileError
 from appliance.calibration.response.file import load as load_response
-from appliance.calibration.water.start import METHOD as IN_AIR
 from appliance.calibration.water.start import check_start
 from appliance.capture.timeouts import Timeouts
 from appliance.config import Rig, rig_text

@@ -1,6 +1,6 @@
-"""Owns how a process of the instrument begins: without processor time, and heat, that nobody gains anything from.
+"""Owns how a process of the instrument begins, without processor time and heat that nobody gains anything from; and how it is interrupted.
 
-Both helpers come before the modules that they concern are imported, and neither changes a result.
+Both helpers for the beginning come before the modules that they concern are imported, and neither changes a result.
 """
 
 from __future__ import annotations
@@ -38,3 +38,26 @@ def importing() -> Iterator[None]:
     finally:
         gc.freeze()
         gc.enable()
+
+
+def interrupts(error: BaseException) -> bool:
+    """Return True if ``error`` is an interruption (Ctrl-C), or was made of one.
+
+    It may strike between any two bytecodes of the main thread. Within a callback of a compiled library it arrives as what that library
+    makes of it: inside numba's unpickling, as ``SystemError: … returned a result with an exception set``.
+    """
+    seen: set[int] = set()
+    at: BaseException | None = error
+    while at is not None and id(at) not in seen:
+        if isinstance(at, KeyboardInterrupt):
+            return True
+        seen.add(id(at))
+        # The interpreter's own error has the interruption as its cause; any other error may well have happened while one was handled.
+        at = at.__cause__ if isinstance(at, SystemError) else None
+    return False
+
+
+def raise_if_interrupted(error: BaseException) -> None:
+    """Raises KeyboardInterrupt where ``error`` was made of one, for whoever writes errors down as results."""
+    if interrupts(error):
+        raise KeyboardInterrupt from error

@@ -38,6 +38,8 @@ SCHEMA = 1
 SCHEMA_WITH_CORRECTION = 2
 SCHEMA_WITH_RAYS = 3
 SCHEMAS = (SCHEMA, SCHEMA_WITH_CORRECTION, SCHEMA_WITH_RAYS)
+IN_AIR = "air"
+"""Method of a calibration in air, which only calibrating in water begins with."""
 MAX_INTERVALS = 64
 MAX_BYTES = 16 * 1024 * 1024
 

@@ -38,6 +38,8 @@ MB = 1e6
 class PackArchive(Verb):
     """Pack every scan of a storage root into an archive; FAILED if one could not be, after all others were."""
 
+    kernels: ClassVar[bool] = False
+
     source: Path = operand("SOURCE", "storage root with the scans", parse=Path)
     out: Path | None = option("--out", "the archive, made where it is not there", parse=Path, metavar="ARCHIVE")
     all: bool = switch("--all", "also the rejected ones")
@@ -74,6 +76,8 @@ class PackArchive(Verb):
 class UnpackArchive(Verb):
     """Bring scans of an archive back, byte for byte as they were; FAILED if one could not be, after all others were."""
 
+    kernels: ClassVar[bool] = False
+
     archive: Path = operand("ARCHIVE", "storage root with packed scans", parse=Path)
     scans: Sequence[str] = operands("SCAN", "numbers (default: all)", at_least_one=False)
     out: Path | None = option("--out", "storage root, made where it is not there", parse=Path, metavar="ROOT")
@@ -98,6 +102,7 @@ class UnpackArchive(Verb):
 class VerifyArchive(Verb):
     """Decode every frame and compare it with the checksum of before it was packed; DAMAGED if any does not fit."""
 
+    kernels: ClassVar[bool] = False
     codes: ClassVar[Sequence[Exit]] = (Exit.DAMAGED,)
 
     archive: Path = operand("ARCHIVE", "storage root, packed or not", parse=Path)
@@ -128,6 +133,8 @@ class VerifyArchive(Verb):
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReadFrame(Verb):
     """One frame of one scan as a picture; no other is decoded."""
+
+    kernels: ClassVar[bool] = False
 
     scan: str = operand("SCAN", "its folder, packed or not")
     side: str = operand("SIDE", "left or right")

@@ -40,6 +40,8 @@ class Verb:
     """Exit codes that only this verb has, for ``--help``."""
     service: ClassVar[bool] = False
     """True if the verb is the instrument itself: it says its news, and an error that ends it is kept for the safe screen."""
+    kernels: ClassVar[bool] = True
+    """False: nothing that the verb may import has compiled kernels, so that nobody looks where they are kept."""
 
     json: bool = field(
         default=False,

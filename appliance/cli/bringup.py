@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 from appliance.cli.arguments import option, switch
 from appliance.cli.desk import writing
-from appliance.cli.kernels import find_kernels
 from appliance.cli.output import Exit, Progress, UsageError, complain, say, say_json, table
 from appliance.cli.places import WithRig
 from appliance.storage.atomic import replace_file
@@ -34,7 +33,6 @@ class BringupProjector(WithRig):
         # Before minutes of measuring, not after them.
         if self.out is not None and self.out.exists() and not self.out.is_dir():
             raise UsageError(f"--out {self.out}: is a file; give a folder, which is made if it is not there")
-        find_kernels()
         from appliance.bringup.conclusions import conclusions, keys_of
         from appliance.bringup.finding import BringupError
         from appliance.bringup.page import PAGE, pictures_of, projector_page
@@ -92,7 +90,6 @@ class BringupTrigger(WithRig):
 
     def run(self) -> Exit:
         rig = self.read_rig()
-        find_kernels()
         from appliance.service.bringup.trigger import fired, trigger_findings
         from appliance.service.light_bench import light_bench
 

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 from appliance.cli.arguments import number, option, repeated
 from appliance.cli.bringup import say_findings
-from appliance.cli.kernels import find_kernels
 from appliance.cli.output import Exit, Progress, UsageError, complain, say, say_json
 from appliance.cli.places import WithRig
 
@@ -54,7 +53,6 @@ class BringupGuide(WithRig):
         if self.out.exists() and not self.out.is_dir():
             raise UsageError(f"--out {self.out}: is a file; give a folder, which is made if it is not there")
         self.read_rig()
-        find_kernels()
         from appliance.bringup.finding import BringupError
         from appliance.bringup.guide import NAMES
         from appliance.service.bringup.guide import GuideOptions, walk

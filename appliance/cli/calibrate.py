@@ -8,16 +8,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from appliance.calibration import file as calibration_file
 from appliance.calibration.water.method import BY_SCANS, Method
 from appliance.cli.arguments import number, operand, option, separated, switch
-from appliance.cli.desk import place_of, whole_scan, writable, writing
+from appliance.cli.desk import place_of, scan_in, whole_scan, writable, writing
 from appliance.cli.kernels import compile_kernels
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json
 from appliance.cli.places import WithRoot
-from appliance.offline.origin import instrument_of, open_source, refuse_misfit
 from appliance.storage.atomic import replace_file
-from appliance.storage.calibrations import Calibrations, SessionError
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.lock import hold_lock
 
@@ -70,13 +67,22 @@ class CalibrateWater(WithRoot):
             raise UsageError(f"--out {target}: exists already; a calibration is never replaced; give a new name")
         if data.absolute() == self.list.absolute():
             raise UsageError(f"--out {target}: {data} is the list itself; give another name")
-        compile_kernels()  # before anything brings compiled kernels
-        from appliance.instrument import refuse_drawing, start_of
-        from appliance.offline.calibration.water import check_list, run_water_calibration
-        from appliance.offline.evaluation import ListError, read_list
+        from appliance.offline.scan_list import ListError, read_list
 
         try:
             scans = read_list(self.list)
+        except ListError as error:
+            raise UsageError(str(error)) from error
+        for entry in scans.entries:  # a wrong number is told before minutes of compiling, and of comparing checksums
+            scan_in(wish, place_of(self.list, entry.scan))
+        compile_kernels()
+        from appliance.calibration import file as calibration_file
+        from appliance.instrument import refuse_drawing, start_of
+        from appliance.offline.calibration.water import check_list, run_water_calibration
+        from appliance.offline.origin import instrument_of, open_source, refuse_misfit
+        from appliance.storage.calibrations import Calibrations
+
+        try:
             check_list(scans)
         except ListError as error:
             raise UsageError(str(error)) from error
@@ -145,13 +151,16 @@ class RestoreCalibration(WithRoot):
 
     def run(self) -> Exit:
         rig = self.rooted_rig()
+        from appliance.calibration.file import load
+        from appliance.storage.calibrations import Calibrations, SessionError
+
         now = datetime.now(UTC).isoformat(timespec="seconds")
         with hold_lock(rig.storage.root):
             try:
                 path = Calibrations(rig.storage.root, rig.rig.serial).bring_back(self.name, _day(now))
             except SessionError as error:
                 raise UsageError(f"calibrate restore: {error}") from error
-        found = calibration_file.load(path)
+        found = load(path)
         if self.json:
             say_json({"file": str(path), "calibration": found.hash, "method": found.method, "made_at": found.made_at})
         else:

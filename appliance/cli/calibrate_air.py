@@ -9,14 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from appliance.cli.arguments import number, operand, option, switch, whole
-from appliance.cli.desk import writable, writing
-from appliance.cli.kernels import find_kernels
+from appliance.cli.desk import existing, writable, writing
 from appliance.cli.output import Exit, Progress, UsageError, complain, say, say_json, table
 from appliance.cli.places import WithRoot
-from appliance.config import Rig
 
-if TYPE_CHECKING:  # imported inside the verb: `scans list` can do without
+if TYPE_CHECKING:  # imported inside the verb: a wrong word can do without
     from appliance.calibration.air.board import BoardDesign
+    from appliance.config import Rig
 
 log = logging.getLogger(__name__)
 
@@ -58,14 +57,15 @@ class CalibrateAir(WithRoot):
 
     def run(self) -> Exit:
         rig = self.rooted_rig()
-        find_kernels()
+        writable(self.out)
+        if not self.live:  # which makes it
+            existing("FOLDER", self.folder, "the pictures of the board")
         from appliance.calibration.air.adjustment import AirCalibrationError
         from appliance.calibration.air.board import BoardDesign, BoardError, parse_board
         from appliance.offline.calibration.air import PicturesError, calibrate_folder
         from appliance.offline.calibration.air import install as install_air
         from appliance.offline.calibration.view_folder import FolderError, read_session
 
-        writable(self.out)
         target = self.out or self.folder / DEFAULT_NAME
         try:
             design = None if self.board is None else parse_board(self.board)

@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from appliance.cli.arguments import Verb, number, operand, option, switch
-from appliance.cli.desk import writable, writing
-from appliance.cli.kernels import find_kernels
+from appliance.cli.desk import existing, writable, writing
 from appliance.cli.output import Exit, Progress, UsageError, complain, say, say_json, table
 
 log = logging.getLogger(__name__)
@@ -59,14 +58,14 @@ class CalibratePair(Verb):
             raise UsageError("--left and --right belong together; give both, or neither")
         if self.marker_mm is not None and self.marker_mm >= self.square_mm:
             raise UsageError(f"--marker-mm {self.marker_mm:g}: allowed are sizes below --square-mm {self.square_mm:g}")
-        find_kernels()
+        writable(self.out)
+        existing("FOLDER", self.folder, "the pictures of the board")
         from appliance.calibration.air.adjustment import AirCalibrationError
         from appliance.calibration.air.any_board import BoardNotFoundError, Wanted
         from appliance.offline.calibration.air import PicturesError
         from appliance.offline.calibration.any_pair import calibrate_pictures
         from appliance.offline.calibration.any_pictures import Patterns, named_pictures
 
-        writable(self.out)
         target = self.out or self.folder / DEFAULT_NAME
         patterns = None if self.left is None or self.right is None else Patterns(self.left, self.right)
         across, down = self.board or (None, None)

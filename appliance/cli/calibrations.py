@@ -10,6 +10,7 @@ from appliance.cli.desk import writable, writing
 from appliance.cli.listing import say_report
 from appliance.cli.output import Exit, UsageError, say, say_json
 from appliance.cli.places import WithRoot
+from appliance.storage.names import CALIBRATIONS, CURRENT_CALIBRATION
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -20,12 +21,15 @@ class ShowCalibration(WithRoot):
 
     def run(self) -> Exit:
         rig, root, file = self.rooted_rig(), self.named_root(), self.file
-        from appliance.instrument import CALIBRATION_FILE
-        from appliance.offline.calibration.files import describe_calibration
-
         if file is None and root is not None and self.rig is None:
             # Whoever names a root asks for what lies there, whichever instrument the packaged rig file draws.
-            file = root / CALIBRATION_FILE
+            file = root / CALIBRATIONS / CURRENT_CALIBRATION
+        if file is not None:
+            from appliance.calibration.file import load
+
+            load(file)  # one that cannot be read is told before what describes it is loaded
+        from appliance.offline.calibration.files import describe_calibration
+
         content = describe_calibration(rig, file)
         say_report(content, as_json=self.json)
         return Exit.OK
@@ -39,10 +43,10 @@ class NominalCalibration(WithRoot):
 
     def run(self) -> Exit:
         rig = self.rooted_rig()
+        writable(self.out)
         from appliance.instrument import CALIBRATION_FILE
         from appliance.offline.calibration.files import write_nominal_calibration
 
-        writable(self.out)
         path = self.out or rig.storage.root / CALIBRATION_FILE.with_name("nominal.json")
         if path.exists():
             raise UsageError(f"--out {path}: exists already; a calibration is never replaced; give a new name")

@@ -7,12 +7,14 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json
 from appliance.cli.simrig import SimOptions, simulated
-from appliance.config import Rig
 from appliance.storage.library import Library, UnknownScan
+
+if TYPE_CHECKING:
+    from appliance.config import Rig
 
 OPTION = "chaos"
 """Name of the option of the simulated world (docs/protocols/world.md)."""

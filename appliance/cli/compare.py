@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from appliance.cli.arguments import number, operand, option, repeated
-from appliance.cli.desk import library_root, measuring, whole_scan, writable, writing
+from appliance.cli.desk import library_root, measuring, scan_in, whole_scan, writable, writing
 from appliance.cli.kernels import compile_kernels
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json
 from appliance.cli.places import WithCalibration
@@ -16,7 +16,7 @@ from appliance.cli.places import WithCalibration
 if TYPE_CHECKING:
     from appliance.export.content import About
     from appliance.offline.comparing import NominalSurface
-    from appliance.offline.origin import Wish
+    from appliance.offline.wish import Wish
     from appliance.registration.rigid import Rigid
     from appliance.storage.objects import StoredObject
     from appliance.surface.fusion import FusedCloud
@@ -39,10 +39,11 @@ def _six(text: str) -> tuple[float, ...]:
 
 def _is_file(nominal: str) -> bool:
     """Tell whether ``nominal`` is a drawing's file, and no object's name."""
-    from appliance.surface.nominal import SUFFIXES
+    from appliance.export.suffixes import MESH_SUFFIXES
 
     path = Path(nominal)
-    return path.suffix.lower() in SUFFIXES or path.exists()
+    # A drawing is read from the formats that meshes are written in.
+    return path.suffix.lower() in MESH_SUFFIXES or path.exists()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -106,17 +107,19 @@ class _Comparing(WithCalibration):
             say(f"warning: {one}")
         return Exit.OK
 
-    def checked(self, nominal: str) -> None:
-        """Raises UsageError for files that cannot be written, and MissingLibraryError where what reads ``nominal`` or writes them is absent: before
+    def checked(self, nominal: str, root: Path) -> None:
+        """Raises ObjectError for an object under ``root`` that is not there, UsageError for files that cannot be written, and MissingLibraryError where what reads ``nominal`` or writes them is absent: before
         minutes of work."""
-        from appliance.export.content import ExportError
-        from appliance.export.files import SURFACE_SUFFIXES, checked_suffix, require_library
-        from appliance.surface.libraries import needed
+        from appliance.export.suffixes import SURFACE_SUFFIXES, ExportError, checked_suffix, require_library
+        from appliance.surface.libraries import require
 
         if _is_file(nominal):
-            needed("trimesh", "trimesh", "a nominal surface")
+            require("trimesh", "trimesh", "a nominal surface")
         else:
-            needed("skimage.measure", "scikit-image", "the mesh of an object")
+            require("skimage.measure", "scikit-image", "the mesh of an object")
+            from appliance.storage import objects
+
+            objects.read(root, nominal)
 
         for out in map(Path, self.out):
             writable(out)
@@ -163,15 +166,16 @@ class CompareObject(_Comparing):
     nominal: str = operand("NOMINAL", _NOMINAL)
 
     def run(self) -> Exit:
-        from appliance.offline.objects import about_object, surface_of
         from appliance.storage import objects
 
         wish = self.wish()
         measuring(wish.calibration)
-        self.checked(self.nominal)
         root = library_root(wish)
+        self.checked(self.nominal, root)
         stored = objects.read(root, self.name)
         compile_kernels()
+        from appliance.offline.objects import about_object, surface_of
+
         with Progress() as progress:
             nominal = self.surface_named(self.nominal, root, wish, progress)
             surface = surface_of(root, stored, wish, progress, self.spacing)
@@ -186,20 +190,21 @@ class CompareScan(_Comparing):
     nominal: str = operand("NOMINAL", _NOMINAL)
 
     def run(self) -> Exit:
-        import numpy as np
-
-        from appliance.export.content import CAMERA_FRAME, About
-        from appliance.offline.organised_scan import organised_scan
-        from appliance.offline.origin import calibration_for, open_source
-        from appliance.surface.fusion import PlacedScan, fuse
-
         wish = self.wish()
         measuring(wish.calibration)
-        self.checked(self.nominal)
         root = library_root(wish)
+        scan_in(wish, self.scan)
+        self.checked(self.nominal, root)
         with Progress() as progress:
             folder = whole_scan(wish, self.scan)
             compile_kernels()
+            import numpy as np
+
+            from appliance.export.content import CAMERA_FRAME, About
+            from appliance.offline.organised_scan import organised_scan
+            from appliance.offline.origin import calibration_for, open_source
+            from appliance.surface.fusion import PlacedScan, fuse
+
             nominal = self.surface_named(self.nominal, root, wish, progress)
             source = open_source(folder, wish)
             made = organised_scan(source, calibration_for(source, wish), progress)

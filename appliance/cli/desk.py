@@ -1,4 +1,7 @@
-"""Owns what the desk asks for before it works: a scan whose frames are whole, a file to write."""
+"""Owns what the desk asks for before it works: a scan whose frames are whole, a file to write.
+
+Whatever a wrong word could need is imported where it is needed: a mistake is told before anything that computes is loaded.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +9,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from appliance.calibration import file as calibration_file
 from appliance.cli.output import UsageError
 from appliance.cli.places import root_of_rig, scan_folder
-from appliance.offline.origin import Wish
+from appliance.offline.wish import Wish
 from appliance.storage.atomic import StorageError, remedy_for
-from appliance.storage.damage import refuse_damaged_frames
 from appliance.storage.library import Library
 
 CLOUD_SUFFIX = ".ply"
@@ -25,6 +26,8 @@ def whole_scan(wish: Wish, scan: str) -> Path:
     not be whole. Raises UnknownScan, ScanError, UsageError.
     """
     folder = scan_in(wish, scan)
+    from appliance.storage.damage import refuse_damaged_frames
+
     refuse_damaged_frames(folder)
     return folder
 
@@ -46,13 +49,21 @@ def place_of(listed: Path, scan: str) -> str:
 
 def measuring(calibration: Path | None) -> None:
     """Raises UsageError for a ``--calibration`` in air: what the windows do is not in it. Raises CalibrationError."""
-    from appliance.calibration.water.start import METHOD as IN_AIR  # brings OpenCV, which `scans list` can do without
+    if calibration is None:
+        return
+    from appliance.calibration.file import IN_AIR, load
 
-    if calibration is not None and calibration_file.load(calibration).method == IN_AIR:
+    if load(calibration).method == IN_AIR:
         raise UsageError(
             f"--calibration {calibration}: is one in air, which only calibrating in water begins with; "
             "give one made in water (`kingfisher calibrate water`)"
         )
+
+
+def existing(what: str, folder: Path, holds: str) -> None:
+    """Raises UsageError where ``folder``, the operand ``what``, is none; ``holds``: what it is to hold, for the remedy."""
+    if not folder.is_dir():
+        raise UsageError(f"{what} {folder}: no such folder; give the one that holds {holds}")
 
 
 def writable(out: Path | None) -> None:

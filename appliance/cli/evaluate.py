@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from appliance.cli.arguments import operand, option
-from appliance.cli.desk import measuring, place_of, whole_scan, writable, writing
+from appliance.cli.desk import measuring, place_of, scan_in, whole_scan, writable, writing
 from appliance.cli.kernels import compile_kernels
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json, table
 from appliance.cli.places import WithCalibration
-from appliance.offline.origin import instrument_of, one_calibration, open_source
 from appliance.storage.atomic import replace_file
 from appliance.storage.filesystem import LocalFileSystem
 
@@ -42,14 +41,19 @@ class Evaluate(WithCalibration):
         for path in (page, data):
             writable(path)
         measuring(wish.calibration)
-        compile_kernels()  # before anything brings compiled kernels
-        from appliance.evaluation.report import as_html, as_json
-        from appliance.offline.evaluation import ListError, read_list, run_evaluation
+        from appliance.offline.scan_list import ListError, read_list
 
         try:
             scans = read_list(self.list)
         except ListError as error:
             raise UsageError(str(error)) from error
+        for entry in scans.entries:  # a wrong number is told before minutes of compiling, and of comparing checksums
+            scan_in(wish, place_of(self.list, entry.scan))
+        compile_kernels()
+        from appliance.evaluation.report import as_html, as_json
+        from appliance.offline.evaluation import run_evaluation
+        from appliance.offline.origin import instrument_of, one_calibration, open_source
+
         with Progress() as progress:
             sources = []
             for k, entry in enumerate(scans.entries):

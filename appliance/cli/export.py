@@ -11,7 +11,6 @@ from appliance.cli.kernels import compile_kernels
 from appliance.cli.listing import say_report
 from appliance.cli.output import Exit, Progress, UsageError
 from appliance.cli.places import WithCalibration
-from appliance.offline.origin import calibration_for, open_source
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,8 +24,7 @@ class Export(WithCalibration):
     )
 
     def run(self) -> Exit:
-        from appliance.export.content import ExportError
-        from appliance.export.files import MESH_SUFFIXES, SCAN_SUFFIXES, checked_suffix
+        from appliance.export.suffixes import MESH_SUFFIXES, SCAN_SUFFIXES, ExportError, checked_suffix
 
         wish = self.wish()
         writable(self.out)
@@ -44,6 +42,7 @@ class Export(WithCalibration):
             folder = whole_scan(wish, self.scan)
             compile_kernels()
             from appliance.offline.export import export_scan
+            from appliance.offline.origin import calibration_for, open_source
 
             source = open_source(folder, wish)
             out = self.out or Path(f"{folder.name}.ply")

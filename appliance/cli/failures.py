@@ -1,55 +1,52 @@
-"""Owns which errors end a verb with which exit code; imported when there is one, since it loads whoever may raise."""
+"""Owns which errors end a verb with which exit code, known by their names, so that telling a mistake loads nobody who may make one."""
 
 from __future__ import annotations
 
-from appliance.bringup.finding import BringupError
-from appliance.calibration.file import CalibrationError
-from appliance.calibration.recordings import RecordingError
-from appliance.cli.output import Exit, UsageError
-from appliance.config import ConfigError
-from appliance.export.content import ExportError
-from appliance.foreign.problem import ForeignError
-from appliance.kernel_build import CompileError
-from appliance.offline.anew.many import SchedulerError
-from appliance.offline.anew.results import ResultsError
-from appliance.offline.pull.source import PullError
-from appliance.registration.reference import SurfaceMatchError
-from appliance.storage.atomic import StorageError
-from appliance.storage.library import UnknownScan
-from appliance.storage.objects import ObjectError
-from appliance.storage.scan import ScanError
-from appliance.surface.libraries import MissingLibraryError
-from appliance.surface.nominal import NominalError
-from drivers.api import DeviceError
+from appliance.cli.output import Exit
+
+CONFIG = "appliance.config.load:ConfigError"
+STORAGE = "appliance.storage.atomic:StorageError"
+DEVICE = "drivers.errors:DeviceError"
+# A rig file is typed by a person, too, so that an error in it is one of usage.
+USAGE = frozenset((CONFIG, "appliance.cli.output:UsageError"))
+FAILED = frozenset(
+    (
+        STORAGE,
+        DEVICE,
+        "appliance.bringup.finding:BringupError",
+        "appliance.calibration.file:CalibrationError",
+        "appliance.calibration.recordings:RecordingError",
+        "appliance.cli.output:OutputError",
+        "appliance.export.suffixes:ExportError",
+        "appliance.foreign.problem:ForeignError",
+        "appliance.kernel_build:CompileError",
+        "appliance.offline.anew.many:SchedulerError",
+        "appliance.offline.anew.results:ResultsError",
+        "appliance.offline.pull.source:PullError",
+        "appliance.registration.reference:SurfaceMatchError",
+        "appliance.storage.library:UnknownScan",
+        "appliance.storage.objects:ObjectError",
+        "appliance.storage.scan:ScanError",
+        "appliance.surface.libraries:MissingLibraryError",
+        "appliance.surface.nominal:NominalError",
+    )
+)
+"""Errors whose text is for the person at the keyboard, as ``module:class``."""
 
 
-def exit_code_of(error: Exception) -> Exit | None:
+def exit_code_of(error: BaseException) -> Exit | None:
     """Return the exit code of an error whose text is for the person at the keyboard; ``None``: a fault of the
     program."""
-    match error:
-        # A rig file is typed by a person, too, so that an error in it is one of usage.
-        case ConfigError() | UsageError():
-            return Exit.USAGE
-        case (
-            StorageError()
-            | BringupError()
-            | UnknownScan()
-            | ScanError()
-            | CalibrationError()
-            | RecordingError()
-            | ExportError()
-            | MissingLibraryError()
-            | ForeignError()
-            | ObjectError()
-            | NominalError()
-            | SurfaceMatchError()
-            | DeviceError()
-            | CompileError()
-            | ResultsError()
-            | SchedulerError()
-            | PullError()
-        ):
-            return Exit.FAILED
-        case _:  # errors of a simulated world, which nothing here knows by name, bring their own
-            code: int | None = getattr(error, "exit_code", None)
-            return None if code is None else Exit(code)
+    if is_one_of(error, USAGE):
+        return Exit.USAGE
+    if is_one_of(error, FAILED):
+        return Exit.FAILED
+    # Errors of a simulated world, which nothing here knows by name, bring their own.
+    code: int | None = getattr(error, "exit_code", None)
+    return None if code is None else Exit(code)
+
+
+def is_one_of(error: BaseException, names: frozenset[str]) -> bool:
+    """Return True if ``error`` is of one of the classes ``names`` (``module:class``), or of one derived from them."""
+    # Whatever was raised is imported; asking for its class instead would import everything else that might have been.
+    return any(f"{kind.__module__}:{kind.__qualname__}" in names for kind in type(error).__mro__)

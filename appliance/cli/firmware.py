@@ -5,25 +5,30 @@ from __future__ import annotations
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
-from appliance.bringup.flashing import Part, commands, instrument_values, laid_out
 from appliance.cli.arguments import option
 from appliance.cli.desk import writing
 from appliance.cli.output import Exit, UsageError, say, say_json
 from appliance.cli.places import WithRig
+
+if TYPE_CHECKING:  # brings pydantic, which `--help` can do without
+    from appliance.bringup.flashing import Part
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _LayOut(WithRig):
     """A verb that lays out one firmware."""
 
+    kernels: ClassVar[bool] = False
     part: ClassVar[Part]
 
     out: Path | None = option("--out", "default: build/board or build/keys", parse=Path, metavar="FOLDER")
 
     def run(self) -> Exit:
         rig = self.read_rig()
+        from appliance.bringup.flashing import commands, instrument_values, laid_out
+
         folder = self.out or Path("build") / self.part
         files = laid_out(self.part, rig)
         _check(folder, files)

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from appliance.cli.arguments import Verb, operand, option, switch
-from appliance.cli.desk import writable, writing
-from appliance.cli.kernels import compile_point_kernels, find_kernels
+from appliance.cli.desk import existing, writable, writing
+from appliance.cli.kernels import compile_point_kernels
 from appliance.cli.listing import say_report
 from appliance.cli.output import Exit, Progress, UsageError, say
 
@@ -41,15 +41,20 @@ class Import(Verb):
         folder = out.suffix == ""
         if not folder:
             writable(out)
-        find_kernels()  # before whatever has some is imported
-        from appliance.export.content import ExportError
-        from appliance.offline.foreign_import import check_import, import_cloud, import_scan
+        from appliance.export.suffixes import SCAN_SUFFIXES, ExportError, checked_suffix, require_library
+        from appliance.foreign.description import load_description
 
         try:
-            # Before a minute of compiling: a wrong word is the usual end of a first try.
-            check_import(self.description, out)
+            if not folder:
+                checked_suffix(out, SCAN_SUFFIXES, "a cloud")
+                require_library(out)
         except ExportError as error:
             raise UsageError(f"--out {error}") from error
+        # A wrong word is the usual end of a first try: told before anything that computes is loaded, and before a minute of compiling.
+        load_description(self.description)
+        from appliance.offline.foreign_import import check_import, import_cloud, import_scan
+
+        check_import(self.description, out)
         with Progress() as progress:
             compile_point_kernels()
             with writing(out):
@@ -59,15 +64,15 @@ class Import(Verb):
         return Exit.OK
 
     def _guess(self, folder: Path) -> Exit:
-        find_kernels()
+        out = self.out or folder / "description.toml"
+        if out.exists():
+            raise UsageError(f"--out {out}: is there already; give another name with --out FILE")
+        existing("--guess", folder, "the images")
+        writable(out)
         from appliance.foreign.guess import guess_description
         from appliance.storage.atomic import replace_file
         from appliance.storage.filesystem import LocalFileSystem
 
-        out = self.out or folder / "description.toml"
-        if out.exists():
-            raise UsageError(f"--out {out}: is there already; give another name with --out FILE")
-        writable(out)
         with Progress() as progress:
             text = guess_description(folder, out.parent, progress)
         with writing(out):

@@ -5,18 +5,16 @@ from __future__ import annotations
 import json as json_form
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
-from appliance.calibration import file as calibration_file
-from appliance.calibration.file import Calibration
-from appliance.calibration.gaps import MODES
-from appliance.calibration.health import LEARNT_SCANS, UNMEASURED, HealthTrend, answered
 from appliance.cli.arguments import number_above, operand, option
 from appliance.cli.output import Exit, UsageError, say, say_json, table
 from appliance.cli.places import WithRoot
-from appliance.config import Rig
-from appliance.storage.health import HealthFile
-from appliance.storage.lock import hold_lock
+
+if TYPE_CHECKING:  # imported in the verbs, after what a wrong word needs
+    from appliance.calibration.file import Calibration
+    from appliance.calibration.health import HealthTrend
+    from appliance.config import Rig
 
 SHOWN = 20
 """Latest scans in the table; ``--json`` has all that are remembered."""
@@ -29,10 +27,16 @@ MAX_BYTES = 64_000_000
 class ShowHealth(WithRoot):
     """The trend of the calibration in use."""
 
+    kernels: ClassVar[bool] = False
+
     def run(self) -> Exit:
         """Raises CalibrationError where there is none."""
         rig = self.rooted_rig()
         calibration = _in_use(rig)
+        from appliance.calibration.gaps import MODES
+        from appliance.calibration.health import LEARNT_SCANS, UNMEASURED
+        from appliance.storage.health import HealthFile
+
         trend = HealthFile(rig.storage.root, calibration.hash).read()
         measured = calibration.method not in UNMEASURED
         taught = len(trend.reference.rests_um)
@@ -94,6 +98,8 @@ class ShowHealth(WithRoot):
 class AcceptHealth(WithRoot):
     """Take an alarm back, as the length check in ``report`` (of ``kingfisher evaluate``) found the lengths right."""
 
+    kernels: ClassVar[bool] = False
+
     report: Path = operand("REPORT", "the .json that `kingfisher evaluate` wrote", parse=Path)
     at_most_percent: float = option(
         "--at-most-percent",
@@ -115,6 +121,10 @@ class AcceptHealth(WithRoot):
                 f"REPORT {self.report}: largest E_L of the ball bar is {worst:.3f} %; allowed are up to {self.at_most_percent:g} %: "
                 "calibrate again, or state another limit with --at-most-percent"
             )
+        from appliance.calibration.health import answered
+        from appliance.storage.health import HealthFile
+        from appliance.storage.lock import hold_lock
+
         # The running service keeps the trend in memory and would write it over this answer.
         with hold_lock(root):
             file = HealthFile(root, calibration.hash)
@@ -133,10 +143,10 @@ class AcceptHealth(WithRoot):
 
 
 def _in_use(rig: Rig) -> Calibration:
-    # The service is imported here: it brings drivers and compiled kernels, which a wrong argument need not wait for.
-    from appliance.instrument import CALIBRATION_FILE
+    from appliance.calibration.file import load
+    from appliance.storage.names import CALIBRATIONS, CURRENT_CALIBRATION
 
-    return calibration_file.load(rig.storage.root / CALIBRATION_FILE)
+    return load(rig.storage.root / CALIBRATIONS / CURRENT_CALIBRATION)
 
 
 def _content(report: Path, calibration_hash: str) -> dict[str, Any]:
@@ -181,6 +191,8 @@ def _recorded_since(report: Path, content: dict[str, Any], trend: HealthTrend) -
 
 
 def _points(trend: HealthTrend) -> str:
+    from appliance.calibration.gaps import MODES
+
     rows = []
     for point in trend.points[-SHOWN:]:
         amplitudes = [

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 from appliance import __version__
 from appliance.cli.arguments import Verb, option, switch
@@ -14,6 +15,8 @@ from appliance.distribution import other_program
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Version(Verb):
     """The program's version."""
+
+    kernels: ClassVar[bool] = False
 
     def run(self) -> Exit:
         other = other_program()
@@ -30,6 +33,8 @@ class Version(Verb):
 class Warm(Verb):
     """Compile the kernels for this processor, or for the common level, as an installation does."""
 
+    kernels: ClassVar[bool] = False
+
     out: Path | None = option("--out", "default: within the installed environment", parse=Path, metavar="DIR")
     common: bool = switch("--common", "for every x86-64-v3 processor instead of this one: for images")
 
@@ -37,9 +42,12 @@ class Warm(Verb):
         from appliance import kernel_build, kernel_cache
         from appliance.cli.kernels import CompileProgress
         from appliance.storage.atomic import remedy_for
-        from appliance.worker.warm import PIECES
 
         target = self.out or kernel_cache.shipped_folder()
+        if target.exists() and not target.is_dir():
+            raise UsageError(f"--out {target}: is a file; give a folder, which is made if it is not there")
+        from appliance.worker.warm import PIECES
+
         with CompileProgress() as progress:
             try:
                 folder = kernel_build.build(target, PIECES, progress, kernel_cache.COMMON if self.common else None)

@@ -7,16 +7,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
-from appliance.cli.kernels import find_kernels
 from appliance.cli.output import Exit, Progress, say, say_json, table
 from appliance.cli.places import WithRig, WithRoot
-from appliance.config import Rig
 from appliance.process_start import importing
 
 if TYPE_CHECKING:
+    from appliance.config import Rig
     from drivers.api import Health
 
-# The service is imported when it starts: it brings drivers and compiled kernels, which must be found before.
+# The service is imported when it starts: it brings drivers and compiled kernels, which a wrong word can do without.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,7 +29,6 @@ class Run(WithRoot):
         rig, root = self.read_rig(), self.new_root()
         if root is not None:
             rig = replace(rig, storage=replace(rig.storage, root=root))
-        find_kernels()
         return serve(rig)
 
 
@@ -40,7 +38,6 @@ class Check(WithRig):
 
     def run(self) -> Exit:
         rig = self.read_rig()
-        find_kernels()
         from appliance.service.checkup import check
 
         with Progress() as progress:

@@ -7,21 +7,18 @@ at most ten seconds apart.
 from __future__ import annotations
 
 import logging
-import sys
 from collections.abc import Callable, Iterable, Sequence
 from types import TracebackType
 from typing import TextIO
 
 from appliance import kernel_cache
+from appliance.cli import output
+from appliance.cli.output import Progress
 from appliance.kernel_build import CompileError, Compiling, Piece, compile_pieces, missing
 from appliance.kernel_cache import KernelCache, Origin
 from appliance.process_start import importing
 
-LINE_EVERY_S = 8.0
-"""Least time in seconds between two lines where there is no terminal; calls come every second."""
-
 log = logging.getLogger(__name__)
-"""Logger for what makes somebody wait: heard from every verb (``output.log_lines``)."""
 service_log = logging.getLogger("kingfisher")
 
 
@@ -62,26 +59,17 @@ def _compile(cache: KernelCache, pieces: Sequence[Piece]) -> None:
 
 
 class CompileProgress:
-    """Says how far the compiler is. A context manager; call it with each ``Compiling``."""
+    """Says how far the compiler is, from its beginning on. A context manager; call it with each ``Compiling``."""
 
-    def __init__(self, stream: TextIO | None = None, line: Callable[[str], None] = log.info) -> None:
-        self._stream = stream or sys.stderr
+    def __init__(self, stream: TextIO | None = None, line: Callable[[str], None] = output.log.info) -> None:
         self._line = line
-        self._shown = 0
-        self._next_s = 0.0
-        self._last: Compiling | None = None
+        self._last = Compiling(0, 0, (), 0.0)
+        self._begun = False
+        self._progress = Progress(stream, lambda: self._last.seconds, line, after_s=(0.0, 0.0))
 
     def __call__(self, now: Compiling) -> None:
-        self._last = now
-        text = _sentence(now)
-        if self._stream.isatty():
-            # Padded to the length of the line before, else the rest of a longer one would stay behind it.
-            self._stream.write("\r" + text.ljust(self._shown))
-            self._stream.flush()
-            self._shown = len(text)
-        elif now.seconds >= self._next_s:
-            self._line(text)
-            self._next_s = now.seconds + LINE_EVERY_S
+        self._last, self._begun = now, True
+        self._progress(_sentence(now))
 
     def __enter__(self) -> CompileProgress:
         return self
@@ -89,10 +77,8 @@ class CompileProgress:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._shown:
-            self._stream.write("\r" + " " * self._shown + "\r")
-            self._stream.flush()
-        if self._last is not None and kind is None:
+        self._progress.__exit__()
+        if self._begun and kind is None:
             self._line(f"compiled in {self._last.seconds:.0f} s")
 
 

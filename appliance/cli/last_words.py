@@ -7,9 +7,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from appliance.config import ConfigError
-from appliance.storage.atomic import StorageError
-from drivers.api import DeviceError
+from appliance.cli.failures import CONFIG, DEVICE, STORAGE, is_one_of
 
 FILE_NAME = "last-words.json"
 """Name of the file in the service's run-time folder, which is memory: a full disk is one of the errors."""
@@ -38,18 +36,11 @@ def last_words(environment: Mapping[str, str]) -> Iterator[None]:
 
 
 def _kind(error: Exception) -> str:
-    match error:
-        case ConfigError():
-            return "config"
-        case StorageError():
-            return "storage"
-        case DeviceError():
-            return "device"
-        case _:
-            return "program"
+    kinds = {"config": CONFIG, "storage": STORAGE, "device": DEVICE}
+    return next((kind for kind, name in kinds.items() if is_one_of(error, frozenset((name,)))), "program")
 
 
 def _text(error: Exception) -> str:
     said = " ".join(str(error).split())
-    named = said if isinstance(error, ConfigError | StorageError | DeviceError) else f"{type(error).__name__}: {said}"
+    named = said if _kind(error) != "program" else f"{type(error).__name__}: {said}"
     return named[:MOST_CHARACTERS]

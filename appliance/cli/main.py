@@ -8,12 +8,12 @@ import os
 import re
 import sys
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any, NoReturn
 
 from appliance import __version__
 from appliance.cli.arguments import Verb, collect, declare
-from appliance.cli.output import Exit, UsageError, complain, log_lines
+from appliance.cli.output import Exit, complain, flush, log_lines, use_any_encoding
 from appliance.cli.verbs import SECTIONS, VERBS, Group, Listed
 
 _MISSING = "the following arguments are required: "
@@ -26,30 +26,46 @@ _NEGATIVE = re.compile(r"-\.?\d.*")
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Parse, run the verb, return the exit code. Errors end as one line on stderr."""
+    use_any_encoding()
     words = list(sys.argv[1:] if argv is None else argv)
-    # `kingfisher help export` is what people try who come from git.
-    typed = _parser().parse_args([*words[1:], "--help"] if words[:1] == ["help"] else words)
-    kind: type[Verb] = typed.verb
-    verb = collect(kind, typed)
+    # Argparse failed or has not begun, then: whether JSON is wanted can only be looked for among the words.
+    as_json = "--json" in words
     try:
-        with log_lines(as_json=verb.json, service=verb.says_news), _last_words(verb):
-            return verb.run()
-    except UsageError as error:
-        complain(str(error), as_json=verb.json)
-        return Exit.USAGE
+        try:
+            return _run(words)
+        finally:
+            flush()  # help and version, too: a full disk is told here, and not by the interpreter at its end
     except BrokenPipeError:
-        sys.stderr.close()  # the reader of stdout went away: not our failure, and nobody to tell
+        with suppress(OSError):
+            sys.stdout.close()  # the reader of stdout went away: not our failure, and nobody to tell
         return Exit.OK
     except KeyboardInterrupt:
         return Exit.INTERRUPTED
     except Exception as error:
-        from appliance.cli.failures import exit_code_of  # brings everybody who may raise
+        from appliance.cli.failures import exit_code_of
+        from appliance.process_start import interrupts
 
+        if interrupts(error):
+            return Exit.INTERRUPTED
         code = exit_code_of(error)
         if code is None:
             raise
-        complain(str(error), as_json=verb.json)
+        complain(str(error), as_json=as_json)
         return code
+
+
+def _run(words: Sequence[str]) -> Exit:
+    # `kingfisher help export` is what people try who come from git.
+    typed = _parser().parse_args([*words[1:], "--help"] if words[:1] == ["help"] else words)
+    kind: type[Verb] = typed.verb
+    verb = collect(kind, typed)
+    with log_lines(as_json=verb.json, service=verb.says_news), _last_words(verb):
+        if kind.kernels:
+            from appliance.cli.kernels import find_kernels
+
+            # Before any verb, since numba takes the folder of its cache from the first kernel that is imported, wherever that is.
+            find_kernels()
+        return verb.run()
 
 
 @contextmanager

@@ -8,12 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from appliance.cli.arguments import operand, operands, option, switch
-from appliance.cli.desk import whole_scan, writable, writing
+from appliance.cli.desk import scan_in, whole_scan, writable, writing
 from appliance.cli.kernels import compile_kernels
 from appliance.cli.listing import say_report
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json, table
 from appliance.cli.places import WithRoot
-from appliance.offline.origin import instrument_of, open_source
 from appliance.scan.sides import of_side
 from appliance.storage.atomic import replace_file
 from appliance.storage.filesystem import LocalFileSystem
@@ -33,20 +32,21 @@ class MeasureResponse(WithRoot):
     def run(self) -> Exit:
         wish = self.wish()
         writable(self.out)
-        compile_kernels()  # before anything brings compiled kernels
+        _never_replaced(self.out)
+        scan_in(wish, self.scan)
+        compile_kernels()
         from appliance.calibration.response.file import encode
         from appliance.calibration.response.measure import ResponseError
         from appliance.instrument import RESPONSE_FILE
         from appliance.offline.measuring import response_of_scan
+        from appliance.offline.origin import instrument_of, open_source
 
-        # Asked again below for the default place, which is known only once the scan has said of which instrument it is.
-        _never_replaced(self.out)
         with Progress() as progress:
             progress("comparing checksums")
             source = open_source(whole_scan(wish, self.scan), wish)
             folder, rig = source.scan.folder, instrument_of((source,), wish)
             path = self.out or rig.storage.root / RESPONSE_FILE
-            _never_replaced(path)
+            _never_replaced(path)  # once more: the default place is known only now
             # Below, missing folders are made: a root that was mistyped would become a new instrument's without a word.
             if not rig.storage.root.is_dir():
                 raise UsageError(
@@ -83,11 +83,13 @@ class MeasureNoise(WithRoot):
 
     def run(self) -> Exit:
         wish = self.wish()
-        compile_kernels()  # before anything brings compiled kernels
+        scan_in(wish, self.scan)
+        compile_kernels()
         from appliance.calibration.noise_file import encode
         from appliance.calibration.photon_transfer import NoiseError
         from appliance.instrument import NOISE_FILE
         from appliance.offline.measuring import noise_of_scan, noise_to_store
+        from appliance.offline.origin import instrument_of, open_source
 
         with Progress() as progress:
             progress("comparing checksums")
@@ -143,8 +145,11 @@ class MeasureExposures(WithRoot):
 
     def run(self) -> Exit:
         wish = self.wish()
-        compile_kernels()  # before anything brings compiled kernels
+        for scan in self.scans:
+            scan_in(wish, scan)
+        compile_kernels()
         from appliance.offline.measuring import exposure_found
+        from appliance.offline.origin import instrument_of, open_source
 
         with Progress() as progress:
             sources = []

@@ -148,11 +148,12 @@ class ExportObject(ObjectFiles):
         wish = self.wish()
         measuring(wish.calibration)
         outs = self.checked_outs([Path(one) for one in self.out or (f"{self.name}.ply",)])
-        from appliance.offline.object_errors import errors_of
         from appliance.storage import objects
 
         root = library_root(wish)
         solved = objects.read(root, self.name)
+        from appliance.offline.object_errors import errors_of
+
         # Says at once where it is not solved.
         errors_of(solved)
         _warn_of_added(solved, as_json=self.json)
@@ -209,8 +210,11 @@ def _added(
     from appliance.storage.objects import with_scans
 
     stored = begin(objects.read(root, verb.name) if objects.exists(root, verb.name) else None)
-    named = tuple(_member(verb, root, scan) for scan in verb.scans)
-    taken = [_member(verb, root, scan) for scan in _taken_as(root, verb.taken_as)]
+    # All of them are looked up before the first byte is read, and before what reads them is imported.
+    folders = [scan_in(verb.wish(), scan) for scan in verb.scans]
+    folders_taken = [scan_in(verb.wish(), scan) for scan in _taken_as(root, verb.taken_as)]
+    named = tuple(_member(root, folder) for folder in folders)
+    taken = [_member(root, folder) for folder in folders_taken]
 
     def more(stored: StoredObject) -> StoredObject:
         have = {one.frames_sha256 for one in (*stored.scans, *named)}
@@ -220,12 +224,11 @@ def _added(
     return objects.update(root, verb.name, lambda now: more(begin(now)))
 
 
-def _member(verb: WithRoot, root: Path, scan: str) -> MemberScan:
-    """Return a scan as a member of an object. Raises UsageError, ScanError."""
+def _member(root: Path, folder: Path) -> MemberScan:
+    """Return a scan as a member of an object. Raises ScanError."""
     from appliance.offline.objects import member_of
     from appliance.storage.damage import refuse_damaged_frames
 
-    folder = scan_in(verb.wish(), scan)
     refuse_damaged_frames(folder)
     return member_of(root, folder)
 

@@ -14,7 +14,7 @@ from appliance.cli.places import WithCalibration
 
 if TYPE_CHECKING:
     from appliance.export.placed import PlacedGrid
-    from appliance.offline.origin import Wish
+    from appliance.offline.wish import Wish
     from appliance.storage.objects import StoredObject
 
 PAGE, GRIDS, TRIANGLES = ".html", ".npz", (".stl", ".obj")
@@ -45,9 +45,8 @@ class ObjectFiles(WithCalibration):
 
     def checked_outs(self, outs: Sequence[Path]) -> Sequence[Path]:
         """Return ``outs``. Raises UsageError for a file that cannot be written, and MissingLibraryError, before minutes of work."""
-        from appliance.export.content import ExportError
-        from appliance.export.files import SURFACE_SUFFIXES, checked_suffix, require_library
-        from appliance.surface.libraries import needed
+        from appliance.export.suffixes import SURFACE_SUFFIXES, ExportError, checked_suffix, require_library
+        from appliance.surface.libraries import require
 
         for out in outs:
             writable(out)
@@ -59,7 +58,7 @@ class ObjectFiles(WithCalibration):
         # An option that would do nothing is a word that was meant otherwise.
         meshes = [out for out in outs if self._meshed(out)]
         if meshes:
-            needed("skimage.measure", "scikit-image", "the mesh of an object")
+            require("skimage.measure", "scikit-image", "the mesh of an object")
         for given, what in (
             (self.mesh, "--mesh: is for .ply files"),
             (self.close_holes is not None, "--close-holes: is for meshes"),

@@ -1,17 +1,30 @@
-"""Owns what the command line prints: results on stdout, progress and errors on stderr, one line per error."""
+"""Owns what the command line prints: results on stdout, progress and errors on stderr, one line per error.
+
+Texts come from manifests, objects and names of files that strangers wrote. All text goes out through here (``plain``), so that no
+character of theirs moves a cursor, turns the direction of writing, or begins a line.
+"""
 
 from __future__ import annotations
 
+import io
 import json
 import logging
+import re
 import sys
 import time
+import unicodedata
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from enum import IntEnum
 from typing import Any, TextIO
 
 PROGRESS_AFTER_S = 1.0
+LINE_AFTER_S, LINE_EVERY_S = 4.0, 8.0
+"""Time in seconds before the first line of progress, and between two, where there is no terminal; calls come every second or two."""
+_ODD = re.compile(r"[^ -~]")
+
+log = logging.getLogger(__name__)
+"""Logger for what makes somebody wait: heard from every verb (``log_lines``)."""
 
 
 class Exit(IntEnum):
@@ -36,9 +49,69 @@ class UsageError(Exception):
     """An argument cannot be used; the text names it, its value, what is allowed and the remedy."""
 
 
+class OutputError(Exception):
+    """Results cannot be written to standard output; the text says why."""
+
+
+def plain(text: str, *, lines: bool = False) -> str:
+    r"""Return ``text`` with every character that is not to be read as ``\uXXXX``, which is JSON's way, too.
+
+    ``lines``: line ends stay.
+    """
+    return _ODD.sub(lambda found: _readable(found[0], lines=lines), text)
+
+
+def _readable(one: str, *, lines: bool) -> str:
+    # Not printable are Unicode's controls, formats, surrogates, unassigned ones and line ends; and blanks of other widths, which may stay.
+    if one.isprintable() or unicodedata.category(one) == "Zs" or (lines and one == "\n"):
+        return one
+    return _escaped(one)
+
+
+def _escaped(one: str) -> str:
+    units = one.encode("utf-16-be", "surrogatepass")
+    return "".join(f"\\u{units[k]:02x}{units[k + 1]:02x}" for k in range(0, len(units), 2))
+
+
+def use_any_encoding() -> None:
+    """Let what the terminal's encoding has no character for go out as an escape, as on stderr, instead of an error."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")
+
+
 def say(text: str) -> None:
-    """Print one result on stdout."""
-    sys.stdout.write(text + "\n")
+    """Print one result on stdout. Raises OutputError, BrokenPipeError."""
+    with _writing():
+        stdout().write(plain(text, lines=True) + "\n")
+
+
+def flush() -> None:
+    """Have what was said written. Raises OutputError, BrokenPipeError."""
+    if sys.stdout is not None:
+        with _writing():
+            sys.stdout.flush()
+
+
+def stdout() -> TextIO:
+    """Return standard output. Raises OutputError where it was closed before the program began."""
+    if sys.stdout is None:
+        raise OutputError("results cannot be written: standard output is closed; open it, or send it to a file")
+    return sys.stdout
+
+
+@contextmanager
+def _writing() -> Iterator[None]:
+    try:
+        yield
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        # What is left in the buffer would be tried again at the program's end, with a traceback.
+        with suppress(OSError):
+            sys.stdout.close()
+        raise OutputError(
+            f"results cannot be written to standard output: {error.strerror or error}; send it elsewhere"
+        ) from error
 
 
 def say_json(value: Any) -> None:
@@ -49,12 +122,16 @@ def say_json(value: Any) -> None:
 def complain(text: str, *, as_json: bool) -> None:
     """Print one error on stderr, in one line."""
     line = " ".join(text.split())
-    sys.stderr.write((json.dumps({"error": line}, ensure_ascii=False) if as_json else f"kingfisher: {line}") + "\n")
+    # Where stderr is closed or full there is nobody to tell; the exit code says it.
+    with suppress(OSError, AttributeError):
+        sys.stderr.write(
+            plain(json.dumps({"error": line}, ensure_ascii=False) if as_json else f"kingfisher: {line}") + "\n"
+        )
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return columns padded to their widest cell; the last one is not padded."""
-    lines = [list(header), *(list(row) for row in rows)]
+    """Return columns padded to their widest cell, each row in one line; the last column is not padded."""
+    lines = [[plain(cell) for cell in row] for row in (header, *rows)]
     widths = [max(len(line[k]) for line in lines) for k in range(len(header))]
     widths[-1] = 0
     return "\n".join(
@@ -65,42 +142,59 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 @contextmanager
 def log_lines(*, as_json: bool, service: bool) -> Iterator[None]:
     """Inside, what the program logs goes to stderr, one line each: warnings, and of a service its news, too."""
-    log = logging.getLogger()
-    before = log.level
+    root = logging.getLogger()
+    before = root.level
     handler = logging.StreamHandler()
-    handler.setFormatter(_JsonLine() if as_json else logging.Formatter("kingfisher: %(message)s"))
-    log.addHandler(handler)
-    log.setLevel(logging.INFO if service else logging.WARNING)
-    compiler = logging.getLogger("appliance.cli.kernels")
-    compiler.setLevel(logging.INFO)  # a minute of silence is a warning of its own
+    handler.setFormatter(_JsonLine() if as_json else _PlainLine("kingfisher: %(message)s"))
+    root.addHandler(handler)
+    root.setLevel(logging.INFO if service else logging.WARNING)
+    log.setLevel(logging.INFO)  # a minute of silence is a warning of its own
     try:
         yield
     finally:
-        compiler.setLevel(logging.NOTSET)
-        log.setLevel(before)
-        log.removeHandler(handler)
+        log.setLevel(logging.NOTSET)
+        root.setLevel(before)
+        root.removeHandler(handler)
 
 
 class _JsonLine(logging.Formatter):
     def format(self, record: logging.LogRecord) -> str:
-        return json.dumps({record.levelname.lower(): record.getMessage()}, ensure_ascii=False)
+        return plain(json.dumps({record.levelname.lower(): record.getMessage()}, ensure_ascii=False))
+
+
+class _PlainLine(logging.Formatter):
+    def format(self, record: logging.LogRecord) -> str:
+        return plain(super().format(record), lines=True)
 
 
 class Progress:
-    """A line on a terminal for work that takes more than a second; nothing anywhere else. A context manager."""
+    """Says what work is at: on a terminal in one line that changes, elsewhere in lines some seconds apart. A context manager."""
 
-    def __init__(self, stream: TextIO | None = None, now_s: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        stream: TextIO | None = None,
+        now_s: Callable[[], float] = time.monotonic,
+        line: Callable[[str], None] = log.info,
+        after_s: tuple[float, float] = (PROGRESS_AFTER_S, LINE_AFTER_S),
+    ) -> None:
+        """``after_s``: nothing is said before so many seconds on a terminal, and so many elsewhere."""
         self._stream = stream or sys.stderr
         self._now_s = now_s
-        self._start_s = now_s()
+        self._line = line
+        self._terminal = self._stream is not None and self._stream.isatty()
+        self._next_s = now_s() + after_s[0 if self._terminal else 1]
         self._shown = 0
 
     def __call__(self, what: str, fraction: float | None = None) -> None:
         """Say what is being done now, and how much of the whole is done (0..1)."""
-        # In a file or a pipe a line that rewrites itself would be one long line of carriage returns.
-        if not self._stream.isatty() or self._now_s() - self._start_s < PROGRESS_AFTER_S:
+        if self._now_s() < self._next_s:
             return
-        text = what if fraction is None else f"{what} {100 * fraction:3.0f} %"
+        text = plain(what if fraction is None else f"{what} {100 * fraction:3.0f} %")
+        if not self._terminal:
+            # In a file or a pipe a line that rewrites itself would be one long line of carriage returns.
+            self._line(text)
+            self._next_s = self._now_s() + LINE_EVERY_S
+            return
         self._stream.write("\r" + text.ljust(self._shown))
         self._stream.flush()
         self._shown = len(text)

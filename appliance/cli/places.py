@@ -13,7 +13,7 @@ from appliance.storage.root import VARIABLE, standing_root, where_none_was_found
 
 if TYPE_CHECKING:  # imported where they are needed: a verb that needs neither loads neither
     from appliance.config import Rig
-    from appliance.offline.origin import Wish
+    from appliance.offline.wish import Wish
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,12 +67,11 @@ class WithRoot(WithRig):
 
     def wish(self) -> Wish:
         """Return what was asked for beside a scan. Reads a rig file only where one was given. Raises ConfigError, UsageError."""
-        from appliance.config import load_rig
-        from appliance.offline.origin import Wish
+        from appliance.offline.wish import Wish
 
         return Wish(
             # Not the packaged rig file instead: a scan brings its own, and a default would pass for somebody's wish.
-            rig=None if self.rig is None else load_rig(self.rig),
+            rig=None if self.rig is None else self.read_rig(),
             root=None if self.root is None else given_root(self.root),
         )
 

@@ -10,9 +10,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 from appliance.cli.arguments import Verb, number, operand, option, switch, whole
-from appliance.cli.kernels import LINE_EVERY_S
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json
 from appliance.offline.pull.pulling import HowFar, Open, Pulled, pull
 from appliance.offline.pull.source import FolderSource, Source
@@ -32,6 +32,8 @@ log = logging.getLogger(__name__)
 class Pull(Verb):
     """Take what is on the instrument and not in DIR; FAILED if anything finished there is not here afterwards."""
 
+    kernels: ClassVar[bool] = False
+
     host: str = operand("HOST", "[user@]address of the instrument, or a folder: its mounted disk, a copy")
     dir: Path = operand(
         "DIR", "storage root at the desk, made where it is not there; one for each instrument", parse=Path
@@ -45,11 +47,6 @@ class Pull(Verb):
         "--timeout-s", f"longest silence of the link ({ANSWER_S:g})", default=ANSWER_S, parse=number(2, 3600)
     )
     all: bool = switch("--all", "also the rejected ones")
-
-    @property
-    def says_news(self) -> bool:
-        """True: how far it is matters for an hour, also where no terminal is."""
-        return True
 
     def run(self) -> Exit:
         """Raises UsageError, PullError, StorageError, MissingLibraryError."""
@@ -147,12 +144,11 @@ def _told_wait(waiting: threading.Event, seconds: float) -> None:
 
 
 class _Said:
-    """Says how far it is and how long it will take: on a terminal in one line, elsewhere in lines some seconds apart."""
+    """Says how far it is and how long it will take."""
 
     def __init__(self, progress: Progress) -> None:
         self._progress = progress
         self._begun_s: float | None = None
-        self._next_s = time.monotonic() + LINE_EVERY_S
 
     def __call__(self, far: HowFar) -> None:
         now_s = time.monotonic()
@@ -165,11 +161,7 @@ class _Said:
             rate = far.done_bytes / (now_s - self._begun_s)
             left = f", {rate / 1e6:.1f} MB/s, {_time(max(0, far.of_bytes - far.done_bytes) / rate)} left"
         sizes = f", {far.done_bytes / 1e6:.0f} of {far.of_bytes / 1e6:.0f} MB" if far.of_bytes else ""
-        text = f"{far.doing}, {far.done} of {far.of}{sizes}{left}"
-        self._progress(text)
-        if not os.isatty(2) and now_s > self._next_s:
-            self._next_s = now_s + LINE_EVERY_S
-            log.info("%s", text)
+        self._progress(f"{far.doing}, {far.done} of {far.of}{sizes}{left}")
 
 
 def _time(seconds: float) -> str:

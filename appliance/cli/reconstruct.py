@@ -11,7 +11,6 @@ from appliance.cli.kernels import compile_kernels
 from appliance.cli.listing import say_report
 from appliance.cli.output import Exit, Progress
 from appliance.cli.places import WithCalibration
-from appliance.offline.origin import calibration_for, instrument_of, one_calibration, open_source
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,6 +30,7 @@ class Reconstruct(WithCalibration):
             # Salvaging wants damaged scans, and looks for the damage by itself.
             folder = scan_in(wish, self.scan) if self.salvage else whole_scan(wish, self.scan)
             compile_kernels()
+            from appliance.offline.origin import calibration_for, open_source
             from appliance.offline.reconstruct import reconstruct_scan
             from appliance.offline.salvage import salvage
 
@@ -58,9 +58,12 @@ class MergeScans(WithCalibration):
         measuring(wish.calibration)
         with Progress() as progress:
             progress("comparing checksums")
+            for scan in (self.first, self.second):
+                scan_in(wish, scan)  # both, before every byte of one is read
             first, second = (whole_scan(wish, scan) for scan in (self.first, self.second))
             compile_kernels()
             from appliance.offline.merging import merge_scans
+            from appliance.offline.origin import instrument_of, one_calibration, open_source
 
             sources = (open_source(first, wish), open_source(second, wish))
             instrument_of(sources, wish)  # refuses two

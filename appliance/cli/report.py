@@ -26,8 +26,6 @@ class DiveReport(WithRoot):
         writable(out)
         if out.suffix.lower() != PAGE:
             raise UsageError(f"--out {out}: a page is written as {PAGE}; give {out.with_suffix(PAGE).name}")
-        from appliance.offline.dive_report import report_of_dive
-        from appliance.report.page import write_report
         from appliance.storage.library import Library
 
         root = self.existing_root()
@@ -38,6 +36,9 @@ class DiveReport(WithRoot):
             raise UsageError(
                 f"--root {root}: holds no scans; give the storage root of a dive, the folder that holds scans/"
             )
+        from appliance.offline.dive_report import report_of_dive
+        from appliance.report.page import write_report
+
         with Progress() as progress:
             report = report_of_dive(root, entries, progress)
             with writing(out):

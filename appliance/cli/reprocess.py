@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 import os
 import time
@@ -10,13 +9,12 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from appliance.cli.arguments import Verb, number, operand, option, part_of, switch, whole
 from appliance.cli.desk import measuring, writable, writing
-from appliance.cli.kernels import LINE_EVERY_S, compile_kernels
+from appliance.cli.kernels import compile_kernels
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json
-from appliance.storage.archive import scan_folders
 from appliance.storage.atomic import replace_file
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.library import LibraryFolder
@@ -26,9 +24,9 @@ if TYPE_CHECKING:  # brings NumPy and the kernels
     from appliance.offline.anew.local import LocalEngine
     from appliance.offline.anew.many import ManyEngine
     from appliance.offline.anew.task import Job
+    from appliance.offline.scan_list import ListedScan, ScanList
 
 LIMIT_S = 600.0
-log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,11 +63,6 @@ class Reprocess(Verb):
         "--limit-s", "time for one scan before it is begun again (600)", default=LIMIT_S, parse=number(1, 86_400)
     )
 
-    @property
-    def says_news(self) -> bool:
-        """True: how far it is matters for hours, also where no terminal is."""
-        return True
-
     def run(self) -> Exit:
         """Raises UsageError, StorageError, CalibrationError, SchedulerError, MissingLibraryError."""
         if self.out is None:
@@ -79,12 +72,13 @@ class Reprocess(Verb):
         if not (self.source / LibraryFolder.SCANS.value).is_dir():
             raise UsageError(f"SOURCE {self.source}: no storage root; give the folder that holds scans/")
         measuring(self.calibration)
+        folders, scans = self._scans()
         begun_s = time.monotonic()
         if self.scheduler is None:
             compile_kernels()  # once, before any worker starts: each of them would compile the same minute
         from appliance.offline.anew.results import Results
 
-        made, settings = self._jobs()
+        made, settings = self._jobs(folders, scans)
         results = Results.of(self.out.absolute(), settings)
         jobs = [job(str(results.folder)) for job in made]
         with results.call(f"{self.source.resolve()} {self.part}"):
@@ -108,22 +102,47 @@ class Reprocess(Verb):
             else Exit.FAILED
         )
 
-    def _jobs(self) -> tuple[Sequence[Callable[[str], Job]], dict[str, object]]:
+    def _scans(self) -> tuple[Sequence[Path], ScanList | None]:
+        """Return the folders of this call's scans, and the list of artefacts where there is one. Raises UsageError, before any work."""
+        from appliance.storage.archive import scan_folders
+
+        scans = None
+        if self.list is not None:
+            from appliance.offline.scan_list import ListError, read_list
+
+            try:
+                scans = read_list(self.list)
+            except ListError as error:
+                raise UsageError(str(error)) from error
+        shelves = (LibraryFolder.SCANS, LibraryFolder.REJECTED) if self.all else (LibraryFolder.SCANS,)
+        folders = list(scan_folders(self.source, shelves))
+        if not folders:
+            raise UsageError(
+                f"SOURCE {self.source}: there is no scan in it{'' if self.all else '; --all takes the rejected ones, too'}"
+            )
+        if unknown := sorted(_listed(scans).keys() - {folder.name.lstrip("0") for folder in folders}):
+            raise UsageError(
+                f"--list {self.list}: scan {', '.join(unknown)} is not below {self.source}; name the scans by their numbers"
+            )
+        if self.part is not None:
+            number, of = self.part
+            folders = folders[number - 1 :: of]
+            if not folders:
+                raise UsageError(f"--part {number}/{of}: there are fewer scans than parts; give fewer parts")
+        return folders, scans
+
+    def _jobs(
+        self, folders: Sequence[Path], scans: ScanList | None
+    ) -> tuple[Sequence[Callable[[str], Job]], dict[str, object]]:
         """Return what makes each job, given the folder of results, and the settings that the key stands for."""
         from appliance.calibration import file as calibration_file
         from appliance.offline.anew.program import program_digits
         from appliance.offline.anew.task import Job
-        from appliance.offline.evaluation import ListError, read_list
 
-        shelves = (LibraryFolder.SCANS, LibraryFolder.REJECTED) if self.all else (LibraryFolder.SCANS,)
         water = (
             None if self.temperature_c is None or self.salinity_psu is None else (self.temperature_c, self.salinity_psu)
         )
-        try:
-            scans = None if self.list is None else read_list(self.list)
-        except ListError as error:
-            raise UsageError(str(error)) from error
-        listed = {} if scans is None else {Path(one.scan).name.lstrip("0"): one for one in scans.entries}
+        listed = _listed(scans)
         calibration = None if self.calibration is None else str(self.calibration.absolute())
         digits = None if self.calibration is None else calibration_file.load(self.calibration).hash
         settings: dict[str, object] = {
@@ -141,20 +160,6 @@ class Reprocess(Verb):
                 listed.get(folder.name.lstrip("0")), 0.0 if scans is None else scans.reference_mm,
             )  # fmt: skip
 
-        folders = list(scan_folders(self.source, shelves))
-        if not folders:
-            raise UsageError(
-                f"SOURCE {self.source}: there is no scan in it{'' if self.all else '; --all takes the rejected ones, too'}"
-            )
-        if unknown := sorted(listed.keys() - {folder.name.lstrip("0") for folder in folders}):
-            raise UsageError(
-                f"--list {self.list}: scan {', '.join(unknown)} is not below {self.source}; name the scans by their numbers"
-            )
-        if self.part is not None:
-            number, of = self.part
-            folders = folders[number - 1 :: of]
-            if not folders:
-                raise UsageError(f"--part {number}/{of}: there are fewer scans than parts; give fewer parts")
         return [made(folder) for folder in folders], settings
 
     def _engine(self, like: Job) -> AbstractContextManager[LocalEngine] | AbstractContextManager[ManyEngine]:
@@ -196,19 +201,20 @@ class Reprocess(Verb):
         )
 
 
+def _listed(scans: ScanList | None) -> dict[str, ListedScan]:
+    """Return the entries of a list by the scan's number without leading zeros."""
+    return {} if scans is None else {Path(one.scan).name.lstrip("0"): one for one in scans.entries}
+
+
 class _Said:
-    """Says how far it is: on a terminal in one line, elsewhere in lines some seconds apart."""
+    """Says how far it is, and how long it will take."""
 
     def __init__(self, progress: Progress) -> None:
         self._progress = progress
-        self._next_s = time.monotonic() + LINE_EVERY_S
 
     def __call__(self, done: int, of: int, left_s: float | None) -> None:
         left = "" if left_s is None else f", {_time(left_s)} left"
         self._progress(f"{done} of {of} scans{left}", done / of if of else None)
-        if not os.isatty(2) and time.monotonic() > self._next_s:
-            self._next_s = time.monotonic() + LINE_EVERY_S
-            log.info("%d of %d scans%s", done, of, left)
 
 
 def _time(seconds: float) -> str:
@@ -219,6 +225,8 @@ def _time(seconds: float) -> str:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Season(Verb):
     """One page about a table: lengths over time, health of the calibration, water, refused scans and why."""
+
+    kernels: ClassVar[bool] = False
 
     table: Path = operand("TABLE", "table.csv of `kingfisher reprocess`", parse=Path)
     out: Path | None = option("--out", "default: season.html here", parse=Path, metavar="FILE")

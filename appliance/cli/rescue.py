@@ -11,7 +11,6 @@ from appliance.cli.kernels import compile_kernels
 from appliance.cli.listing import say_report
 from appliance.cli.output import Exit, Progress
 from appliance.cli.places import WithCalibration, scan_folder
-from appliance.offline.origin import calibration_for, open_source
 from appliance.storage import incomplete
 
 
@@ -31,6 +30,7 @@ class Rescue(WithCalibration):
             folder = scan_folder(self.recording) or incomplete.find(library_root(wish), self.recording)
             recording = incomplete.load(folder)
             compile_kernels()
+            from appliance.offline.origin import calibration_for, open_source
             from appliance.offline.rescue import rescue_recording
 
             source = open_source(folder, wish, recording.scan)

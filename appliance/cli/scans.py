@@ -20,6 +20,8 @@ EVERY = "also those rejected, set aside or in the trash"
 class ListScans(WithRoot):
     """All scans, damaged ones marked. ``all``: also those rejected, set aside or in the trash; ``trash``: only these."""
 
+    kernels: ClassVar[bool] = False
+
     all: bool = switch("--all", EVERY, either="shelves")
     trash: bool = switch("--trash", "only those in the trash", either="shelves")
 
@@ -52,6 +54,8 @@ class ListScans(WithRoot):
 class ShowScan(WithRoot):
     """Everything a scan's manifest says."""
 
+    kernels: ClassVar[bool] = False
+
     scan: str = operand("SCAN", "its number or its folder")
 
     def run(self) -> Exit:
@@ -81,6 +85,7 @@ class VerifyScans(WithRoot):
     ``scans``: numbers under the root, or folders, wherever they were copied to.
     """
 
+    kernels: ClassVar[bool] = False
     codes: ClassVar[Sequence[Exit]] = (Exit.DAMAGED,)
 
     scans: Sequence[str] = operands("SCAN", "numbers or folders (default: all)", at_least_one=False)

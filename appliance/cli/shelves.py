@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import ClassVar
 
 from appliance.cli.arguments import operand, operands
 from appliance.cli.output import Exit, UsageError, say, say_json
@@ -20,6 +21,8 @@ from appliance.storage.lock import hold_lock
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NameScan(WithRoot):
     """Call a scan something; an empty text takes the name away."""
+
+    kernels: ClassVar[bool] = False
 
     scan: str = operand("SCAN", "its number")
     text: str = operand("NAME", f"up to {LONGEST_NAME} characters; empty: none")
@@ -34,6 +37,8 @@ class NameScan(WithRoot):
 class NoteScan(WithRoot):
     """Write a note about a scan; an empty text takes it away."""
 
+    kernels: ClassVar[bool] = False
+
     scan: str = operand("SCAN", "its number")
     text: str = operand("NOTE", f"up to {LONGEST_NOTE} characters; empty: none")
 
@@ -47,6 +52,8 @@ class NoteScan(WithRoot):
 class TrashScans(WithRoot):
     """Put scans away."""
 
+    kernels: ClassVar[bool] = False
+
     scans: Sequence[str] = operands("SCAN", "numbers", at_least_one=True)
 
     def run(self) -> Exit:
@@ -58,6 +65,8 @@ class TrashScans(WithRoot):
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RestoreScans(WithRoot):
     """Take scans out of the trash."""
+
+    kernels: ClassVar[bool] = False
 
     scans: Sequence[str] = operands("SCAN", "numbers", at_least_one=True)
 

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from appliance.cli.arguments import option, repeated, switch, whole
 from appliance.cli.chaos import Chaos, chaos
@@ -26,7 +26,9 @@ from appliance.cli.simrig import (
     simulator_kernels,
     with_simulated_wires,
 )
-from appliance.config import Rig, load_rig
+
+if TYPE_CHECKING:  # brings pydantic, which `--help` can do without
+    from appliance.config import Rig
 
 SEED = whole(0, 999_999_999)
 
@@ -55,6 +57,8 @@ class Sim(WithRoot):
     window: bool = switch("--window", "show both screens in windows; the keyboard is the key pad")
 
     def run(self) -> Exit:
+        from appliance.config import load_rig
+
         rig = load_rig(self.rig or default_sim_rig())
         options = SimOptions(
             root=self.new_root(),

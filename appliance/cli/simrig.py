@@ -12,10 +12,12 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from appliance.cli.output import UsageError
-from appliance.config import Rig
+
+if TYPE_CHECKING:
+    from appliance.config import Rig
 
 SIMULATOR = "hw_sim"
 OBJECTS = ("plane", "ballbar", "frustum", "pipe", "shell", "stones", "board", "main")

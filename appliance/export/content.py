@@ -21,10 +21,6 @@ CAMERA_FRAME = "left camera frame (x right, y down, z forward)"
 OBJECT_FRAME = "object frame"
 
 
-class ExportError(Exception):
-    """A file cannot be made; the text says which, why, and what to do."""
-
-
 @dataclass(frozen=True, slots=True)
 class About:
     """Description of a file in it, as far as its format has room; ASCII, since most formats have nothing else."""

@@ -1,4 +1,4 @@
-"""Owns which suffix means which format, for points and for meshes, and that a file is there whole or not at all."""
+"""Owns how points and meshes become files, by their suffix, each whole or not at all."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from appliance.export.content import (
     About,
     ExportedPoints,
-    ExportError,
     points_of_mesh,
     points_of_scan,
     points_of_surface,
@@ -21,40 +20,13 @@ from appliance.export.e57 import write_e57
 from appliance.export.las import encode_las
 from appliance.export.npz import encode_npz
 from appliance.export.ply import encode_surface
+from appliance.export.suffixes import MESH_SUFFIXES, SCAN_SUFFIXES, SURFACE_SUFFIXES, checked_suffix
 from appliance.export.triangles import encode_obj, encode_stl
 from appliance.reconstruct.organised import OrganisedCloud
 from appliance.storage.atomic import replace_by, replace_file
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.surface.fusion import FusedCloud
-from appliance.surface.libraries import needed
 from appliance.surface.mesh import Mesh
-
-SCAN_SUFFIXES = (".ply", ".e57", ".las", ".npz")
-SURFACE_SUFFIXES = (".ply", ".e57", ".las")
-MESH_SUFFIXES = (".ply", ".stl", ".obj")
-
-
-def checked_suffix(path: Path, allowed: tuple[str, ...], what: str) -> str:
-    """Return the suffix of ``path`` in lower case. Raises ExportError for one that is none of those ``allowed`` for ``what``."""
-    suffix = path.suffix.lower()
-    if suffix not in allowed:
-        raise ExportError(
-            f"{path}: {what} is written as {', '.join(allowed)}, not as {path.suffix or 'a file without suffix'}; "
-            f"give for example {path.with_suffix(allowed[0]).name}"
-        )
-    return suffix
-
-
-def require_library(path: Path) -> None:
-    """Raises MissingLibraryError where the library that writes files with the suffix of ``path`` is absent: before minutes of work."""
-    libraries = {
-        ".e57": ("pye57", "an E57 file"),
-        ".las": ("laspy", "a LAS file"),
-        ".html": ("plotly", "a page with a surface that can be turned"),
-    }
-    if path.suffix.lower() in libraries:
-        module, what = libraries[path.suffix.lower()]
-        needed(module, module, what)
 
 
 def write_scan(path: Path, cloud: OrganisedCloud, about: About) -> None:

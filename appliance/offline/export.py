@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from appliance.export.content import CAMERA_FRAME, About
-from appliance.export.files import MESH_SUFFIXES, SCAN_SUFFIXES, checked_suffix, write_mesh, write_scan
+from appliance.export.files import write_mesh, write_scan
+from appliance.export.suffixes import MESH_SUFFIXES, SCAN_SUFFIXES, checked_suffix
 from appliance.offline.organised_scan import organised_scan
 from appliance.offline.origin import Chosen, SourceScan
 from appliance.surface.mesh import mesh_of_scan

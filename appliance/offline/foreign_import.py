@@ -15,7 +15,8 @@ from appliance import __version__
 from appliance.calibration.file import Calibration, encode
 from appliance.config import Rig, default_rig_path, load_rig, rig_text
 from appliance.export.content import CAMERA_FRAME, About
-from appliance.export.files import SCAN_SUFFIXES, checked_suffix, require_library, write_scan
+from appliance.export.files import write_scan
+from appliance.export.suffixes import SCAN_SUFFIXES, checked_suffix, require_library
 from appliance.foreign.assumptions import Outcome
 from appliance.foreign.description import Description
 from appliance.foreign.images import ImageSet

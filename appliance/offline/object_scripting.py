@@ -10,8 +10,8 @@ from appliance.argument_types import refuse_wrong_types
 from appliance.offline.comparing import Comparison, NominalSurface, compare
 from appliance.offline.object_errors import errors_of, length_between
 from appliance.offline.objects import placed_scans, surface_of
-from appliance.offline.origin import Wish
 from appliance.offline.scripting import open_dive
+from appliance.offline.wish import Wish
 from appliance.registration.joint import JointErrors, LengthSigma
 from appliance.registration.rigid import Rigid
 from appliance.storage import objects

@@ -17,8 +17,9 @@ from appliance.calibration.health import OverlapNews
 from appliance.export.content import OBJECT_FRAME, About
 from appliance.offline.object_errors import errors_of, in_the_frame, packed
 from appliance.offline.organised_scan import OrganisedScan, organised_scan
-from appliance.offline.origin import Chosen, SourceScan, Wish, calibration_for, open_source
+from appliance.offline.origin import Chosen, SourceScan, calibration_for, open_source
 from appliance.offline.reprocess import water_of_scan
+from appliance.offline.wish import Wish
 from appliance.optics.rotation import matrix3
 from appliance.reconstruct.organised import OrganisedCloud
 from appliance.registration.bow import bow_score, corrected, known_before, spread_mm

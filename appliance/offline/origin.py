@@ -12,35 +12,19 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from appliance.calibration import owner as belonging
-from appliance.calibration.file import Calibration, CalibrationError, decode, load
+from appliance.calibration.file import IN_AIR, Calibration, CalibrationError, decode, load
 from appliance.calibration.owner import Owner
 from appliance.config import ConfigError, Rig, default_rig_path, load_rig, parse_rig
+from appliance.offline.wish import Wish, root_of
 from appliance.scan.sides import SIDES, of_side
 from appliance.storage import scan as stored
 from appliance.storage.calibrations import CURRENT, FOLDER
-from appliance.storage.library import LibraryFolder
 from appliance.storage.manifest import Manifest
 from appliance.storage.scan import CALIBRATION, RIG, ScanError, StoredScan
 
 FOREIGN_OPTION = "--foreign-calibration"
 SHOWN_DIGITS = 12
 """Digits of a hash that people are shown."""
-
-
-@dataclass(frozen=True, slots=True)
-class Wish:
-    """The options that were given beside the scan itself; ``None``: nothing was said."""
-
-    rig: Rig | None = None
-    """Rig file of ``--rig``."""
-    root: Path | None = None
-    """Storage root of ``--root``."""
-    calibration: Path | None = None
-    """A calibration file that takes the place of the scan's own."""
-    current: bool = False
-    """The calibration in use under the storage root takes its place."""
-    foreign: bool = False
-    """One of another instrument is used all the same."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,16 +52,6 @@ class Chosen:
     calibration: Calibration
     whose: str
     """Source of the calibration, in words."""
-
-
-def root_of(folder: Path) -> Path | None:
-    """Return the storage root that a scan's folder lies in: ROOT of ROOT/scans/000001; ``None`` where it was copied
-    elsewhere."""
-    whole = folder.absolute()
-    root = whole.parent.parent
-    # A folder called `scans` may be anywhere; one with `calibration` beside it is a storage root.
-    inside = whole.parent.name in {shelf.value for shelf in LibraryFolder} and (root / FOLDER).is_dir()
-    return root if inside else None
 
 
 def open_source(folder: Path, wish: Wish, scan: StoredScan | None = None) -> SourceScan:
@@ -168,8 +142,6 @@ def misfit(calibration: Calibration, scan: SourceScan, *, foreign: bool = False,
     as the scan, the rig file given for it or the calibration that its manifest names say whose it is. ``start``: it is
     what a calibration begins with.
     """
-    from appliance.calibration.water.start import METHOD as IN_AIR  # brings OpenCV
-
     option = "--start" if start else "--calibration"
     remedy = f"give the one of the instrument that recorded it with {option} FILE"
     for side in SIDES:

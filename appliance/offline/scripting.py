@@ -22,7 +22,8 @@ from appliance.config import load_rig
 from appliance.export.content import CAMERA_FRAME, OBJECT_FRAME, About
 from appliance.export.files import write_mesh, write_scan, write_surface
 from appliance.offline.organised_scan import OrganisedScan, organised_scan
-from appliance.offline.origin import Chosen, Wish, calibration_for, open_source, refuse_misfit
+from appliance.offline.origin import Chosen, calibration_for, open_source, refuse_misfit
+from appliance.offline.wish import Wish
 from appliance.optics.water import Water
 from appliance.reconstruct.organised import OrganisedCloud
 from appliance.scan.exposure import Exposure

@@ -38,6 +38,7 @@ def component(name: str, what: str) -> str:
 
 def is_component(name: str) -> bool:
     """Return True if ``name`` is one component of a path that is neither hidden nor looks like an option."""
+    # `isprintable` takes no NUL, no line end, no escape code, and none of the marks that turn the direction of writing.
     return (
         0 < len(name) <= MOST_CHARACTERS
         and name.isprintable()

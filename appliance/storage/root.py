@@ -6,15 +6,15 @@ Only for what is done with stored scans. An instrument keeps its scans where its
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Mapping
 from pathlib import Path
+
+from appliance.storage.names import scan_number
 
 VARIABLE = "KINGFISHER_ROOT"
 _SCANS = "scans"
 _BESIDE = ("calibration", "next-id")
 """Folder and file of which one lies beside ``scans/`` on every instrument's disk."""
-_SCAN = re.compile(r"\d{6,12}")
 
 
 def is_root(folder: Path) -> bool:
@@ -24,7 +24,7 @@ def is_root(folder: Path) -> bool:
     try:
         if any((folder / name).exists() for name in _BESIDE):
             return scans.is_dir()
-        return any(_SCAN.fullmatch(entry.name) for entry in os.scandir(scans))
+        return any(scan_number(entry.name) is not None for entry in os.scandir(scans))
     except OSError:  # none, a file, or closed to us
         return False
 

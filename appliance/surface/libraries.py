@@ -6,6 +6,7 @@ So they are imported where they are used, by what is asked for there and by noth
 from __future__ import annotations
 
 import importlib
+import importlib.util
 from types import ModuleType
 
 from appliance.distribution import EXTRA, other_program
@@ -13,6 +14,12 @@ from appliance.distribution import EXTRA, other_program
 
 class MissingLibraryError(Exception):
     """A library of the desk is not installed; the text says what it is needed for, and how to get it."""
+
+
+def require(module: str, package: str, what: str) -> None:
+    """Raises MissingLibraryError where ``package`` is absent, before minutes of work; nothing is imported."""
+    if importlib.util.find_spec(module.partition(".")[0]) is None:
+        raise MissingLibraryError(f"{what} needs {package}: pip install '{EXTRA}'")
 
 
 def needed(module: str, package: str, what: str) -> ModuleType:

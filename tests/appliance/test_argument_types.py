@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from appliance.argument_types import fits, named, refuse_wrong_types, shown
 from appliance.offline.comparing import NominalSurface
 from appliance.offline.object_scripting import ObjectOfDive
-from appliance.offline.origin import Wish
 from appliance.offline.scripting import Dive, ScanOfDive
+from appliance.offline.wish import Wish
 from appliance.optics.water import Water
 from appliance.reconstruct.organised import OrganisedCloud
 from appliance.registration.rigid import Rigid

@@ -9,8 +9,9 @@ import pytest
 
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.config import Rig, load_rig
-from appliance.offline.origin import Wish, calibration_for, open_source
+from appliance.offline.origin import calibration_for, open_source
 from appliance.offline.reconstruct import reconstruct_scan
+from appliance.offline.wish import Wish
 from appliance.scan.verdict import Verdict
 from appliance.service.app import run
 from appliance.storage.library import Library, LibraryFolder

@@ -26,8 +26,7 @@ import llvmlite.binding as llvm
 import numpy as np
 
 from appliance.calibration import file as calibration_file
-from appliance.calibration.file import Calibration
-from appliance.calibration.water.start import METHOD as IN_AIR
+from appliance.calibration.file import IN_AIR, Calibration
 from appliance.config import load_rig
 from appliance.instrument import design_of
 from appliance.optics.correction import ImageCorrection, node_count

@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from appliance.calibration.air.adjustment import AirCalibration
-from appliance.calibration.file import Calibration
+from appliance.calibration.file import IN_AIR, Calibration
 from appliance.calibration.recordings import RecordingError
-
-METHOD = "air"
 
 
 def start_from_air(
@@ -23,7 +21,7 @@ def start_from_air(
     symmetric = 0.5 * (air.covariance + air.covariance.T)
     return replace(
         drawn,
-        method=METHOD,
+        method=IN_AIR,
         made_from=made_from,
         rig=replace(drawn.rig, left=left, right=right),
         residual_px=air.residual_px,

@@ -23,9 +23,11 @@ from appliance.instrument import exposures_label
 from appliance.machine.alerts import RULES
 from appliance.offline.anew.program import program_digits
 from appliance.offline.anew.results import SETTINGS, Results, Row, name_of
-from appliance.offline.evaluation import ListedScan, ScanList, run_evaluation
-from appliance.offline.origin import SourceScan, Wish, calibration_for, open_source, unrecorded
+from appliance.offline.evaluation import run_evaluation
+from appliance.offline.origin import SourceScan, calibration_for, open_source, unrecorded
 from appliance.offline.reconstruct import work_through
+from appliance.offline.scan_list import ListedScan, ScanList
+from appliance.offline.wish import Wish
 from appliance.storage.atomic import StorageError
 from appliance.storage.damage import refuse_damaged_frames
 from appliance.storage.packed import PackedError

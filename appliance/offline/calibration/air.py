@@ -24,9 +24,9 @@ from appliance.calibration.air.adjustment import AirCalibration, AirCalibrationE
 from appliance.calibration.air.board import BoardDesign, NoBoard, find_board
 from appliance.calibration.air.coverage import Coverage, coverage
 from appliance.calibration.air.pictures import coverage_picture, residual_picture
-from appliance.calibration.file import Calibration, CalibrationError
+from appliance.calibration.file import IN_AIR, Calibration, CalibrationError
 from appliance.calibration.parameters import AIR, NAMES
-from appliance.calibration.water.start import METHOD, start_from_air
+from appliance.calibration.water.start import start_from_air
 from appliance.config import Rig
 from appliance.instrument import design_of
 from appliance.offline.calibration.picture_size import KNOWN, size_px
@@ -189,7 +189,7 @@ def install(rig: Rig, file: Path) -> tuple[Path, Path | None]:
     Raises CalibrationError for another instrument's, StorageError.
     """
     start = calibration_file.load(file)
-    if start.method != METHOD or start.rig_serial != rig.rig.serial:
+    if start.method != IN_AIR or start.rig_serial != rig.rig.serial:
         raise CalibrationError(
             f"{file} is of instrument {start.rig_serial}, method {start.method}; wanted is one in air of {rig.rig.serial}"
         )

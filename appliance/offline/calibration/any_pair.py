@@ -35,9 +35,8 @@ from appliance.calibration.air.coverage import Coverage, Sighting, covered
 from appliance.calibration.air.joint import BoardTolerance
 from appliance.calibration.air.linearised import BoardView
 from appliance.calibration.air.pictures import coverage_picture, residual_picture
-from appliance.calibration.file import Calibration
+from appliance.calibration.file import IN_AIR, Calibration
 from appliance.calibration.parameters import AIR, NAMES
-from appliance.calibration.water.start import METHOD
 from appliance.offline.calibration.any_pictures import AnyPair, NamedPictures, common_size, read_grey
 from appliance.optics.model import StereoRig
 from appliance.optics.water import Water
@@ -199,7 +198,7 @@ def _calibration(
     symmetric = 0.5 * (air.covariance + air.covariance.T)
     return Calibration(
         rig_serial=name,
-        method=METHOD,
+        method=IN_AIR,
         made_at=made_at.astimezone(UTC).isoformat(timespec="seconds"),
         made_from=(f"board {board}", *(looked.made_from[view.name] for view in air.views)),
         water=FRESH,

@@ -15,8 +15,8 @@ from appliance.config import Rig
 from appliance.evaluation.points import NotFound
 from appliance.evaluation.result import Artefact
 from appliance.offline.calibration.recordings import cameras_of, recording_of_scan
-from appliance.offline.evaluation import ListedScan, ListError, ScanList
 from appliance.offline.origin import SourceScan
+from appliance.offline.scan_list import ListedScan, ListError, ScanList
 
 RECONSTRUCTED = 0.8
 """The part of the progress that the scans get."""

@@ -34,7 +34,7 @@ if TYPE_CHECKING:  # for editors and type checkers; at run time ``__getattr__`` 
     from appliance.calibration.file import CalibrationError as CalibrationError
     from appliance.calibration.file import load as load_calibration  # noqa: F401
     from appliance.config import ConfigError as ConfigError
-    from appliance.export.content import ExportError as ExportError
+    from appliance.export.suffixes import ExportError as ExportError
     from appliance.offline.comparing import Comparison as Comparison
     from appliance.offline.comparing import NominalSurface as NominalSurface
     from appliance.offline.comparing import compare as compare
@@ -90,7 +90,7 @@ if TYPE_CHECKING:  # for editors and type checkers; at run time ``__getattr__`` 
 _HOMES = {
     "appliance.calibration.file": ("Calibration", "CalibrationError", "load as load_calibration"),
     "appliance.config": ("ConfigError",),
-    "appliance.export.content": ("ExportError",),
+    "appliance.export.suffixes": ("ExportError",),
     "appliance.offline.comparing": ("Comparison", "NominalSurface", "compare"),
     "appliance.offline.object_scripting": ("ObjectOfDive", "open_object"),
     "appliance.offline.objects": ("ready_scan",),

@@ -10,8 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from appliance.calibration.file import load
-from appliance.calibration.water.start import METHOD
+from appliance.calibration.file import IN_AIR, load
 from appliance.cli import main
 from appliance.config import parse_rig
 from appliance.instrument import calibration_of
@@ -74,7 +73,7 @@ def test_a_folder_becomes_a_start_for_water(
     assert report["baseline_sd_mm"] < 0.1
 
     start = load(out)
-    assert (start.method, start.rig_serial) == (METHOD, "KF-SIM")
+    assert (start.method, start.rig_serial) == (IN_AIR, "KF-SIM")
     assert start.air_covariance is not None
     assert start.rig.left.port.distance_mm == 30.0, "ports are as drawn"
     assert load(tmp_path / "root" / "calibration" / "air.json") == start

@@ -14,7 +14,7 @@ from appliance.evaluation.acceptance import Certificate, Kept, Quantity, Symbol,
 from appliance.evaluation.ball_bar import BallBar
 from appliance.evaluation.points import NotFound
 from appliance.evaluation.result import Artefact, Length, Result, evaluate
-from appliance.offline.evaluation import ListError, read_list
+from appliance.offline.scan_list import ListError, read_list
 from tests.appliance.evaluation.test_fits import CENTRE, RADIUS_MM, Array, Points, board, cap
 
 OTHER = CENTRE + np.array([-120.0, 60.0, 30.0])

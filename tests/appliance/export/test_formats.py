@@ -16,8 +16,9 @@ import pytest
 import trimesh
 from numpy.typing import NDArray
 
-from appliance.export.content import CAMERA_FRAME, About, ExportError
+from appliance.export.content import CAMERA_FRAME, About
 from appliance.export.files import write_mesh, write_scan, write_surface
+from appliance.export.suffixes import ExportError
 from appliance.reconstruct.organised import OrganisedCloud
 from appliance.surface.fusion import FusedCloud, PlacedScan, fuse, with_places
 from appliance.surface.libraries import MissingLibraryError

@@ -14,7 +14,7 @@ import pytest
 
 from appliance import kernel_cache
 from appliance.cli.output import Exit
-from appliance.export.content import ExportError
+from appliance.export.suffixes import ExportError
 from appliance.foreign.problem import ForeignError
 from appliance.offline.foreign_import import check_import
 from tests.support.commands import ROOT, Shell

@@ -12,7 +12,8 @@ from appliance.calibration.file import encode, load
 from appliance.config import Rig, load_rig
 from appliance.config.load import default_rig_path
 from appliance.offline.merging import merge_scans, merged_cloud_of
-from appliance.offline.origin import Wish, one_calibration, open_source
+from appliance.offline.origin import one_calibration, open_source
+from appliance.offline.wish import Wish
 from appliance.storage import scan as stored
 from appliance.storage.ply import read_ply
 from appliance.storage.scan import ScanError

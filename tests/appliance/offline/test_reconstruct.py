@@ -12,8 +12,9 @@ from appliance.calibration.file import CalibrationError, encode
 from appliance.config import Rig
 from appliance.instrument import CALIBRATION_FILE, calibration_of, design_of
 from appliance.offline.calibration.files import describe_calibration, write_nominal_calibration
-from appliance.offline.origin import Wish, calibration_for, open_source
+from appliance.offline.origin import calibration_for, open_source
 from appliance.offline.reconstruct import reconstruct_scan
+from appliance.offline.wish import Wish
 from appliance.optics.model import StereoRig
 from appliance.storage.calibrations import Calibrations
 from appliance.storage.ply import read_ply

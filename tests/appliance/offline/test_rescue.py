@@ -11,8 +11,9 @@ from appliance.calibration.file import encode
 from appliance.config import Rig
 from appliance.config.spell import rig_text
 from appliance.instrument import design_of
-from appliance.offline.origin import Wish, calibration_for, open_source
+from appliance.offline.origin import calibration_for, open_source
 from appliance.offline.rescue import rescue_recording
+from appliance.offline.wish import Wish
 from appliance.storage import incomplete
 from appliance.storage import scan as stored
 from appliance.storage.filesystem import LocalFileSystem

@@ -17,8 +17,9 @@ from appliance.config import Rig, load_rig
 from appliance.config.load import default_rig_path
 from appliance.instrument import design_of
 from appliance.machine import events as on
-from appliance.offline.origin import Wish, calibration_for, open_source
+from appliance.offline.origin import calibration_for, open_source
 from appliance.offline.reconstruct import reconstruct_scan
+from appliance.offline.wish import Wish
 from appliance.patterns.sequence import PatternSequence, build_sequence
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.scan.exposure import Exposure
