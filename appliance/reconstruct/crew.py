@@ -28,8 +28,11 @@ class Crew:
     def __init__(self, helpers: int = 1) -> None:
         self.helpers = helpers
         self._pool = ThreadPoolExecutor(helpers, "kf-decode") if helpers else None
-        self._changed = threading.Condition()
+        # The lock itself is entered and left, which takes one step of the interpreter each; a condition's own way takes several, and an
+        # interruption between them would leave it locked for ever.
+        self._lock = threading.Lock()
         """Guards what follows, and the state of all tasks."""
+        self._changed = threading.Condition(self._lock)
         self._open: deque[WorkItem[object]] = deque()
         """Tasks that nobody has begun."""
 
@@ -51,7 +54,7 @@ class Crew:
 
     def add(self, task: WorkItem[object]) -> None:
         """Let whoever is free begin ``task``."""
-        with self._changed:
+        with self._lock:
             self._open.append(task)
             self._changed.notify_all()
         if self._pool is not None:
@@ -59,31 +62,66 @@ class Crew:
 
     def take(self, task: WorkItem[object]) -> bool:
         """Take ``task`` off the list, for the caller to do or to drop; False where somebody has begun it."""
-        with self._changed:
+        with self._lock:
             if task not in self._open:
                 return False
-            self._open.remove(task)
+            self._take(task)
             return True
 
     def ended(self, task: WorkItem[object]) -> None:
         """Note that ``task`` is done, and wake who waits for it."""
-        with self._changed:
+        with self._lock:
             task.is_done = True
             self._changed.notify_all()
 
-    def await_or_take(self, task: WorkItem[object], *, helping: bool) -> WorkItem[object] | None:
-        """Wait until ``task`` is done, and return None; or return another one that the caller is to do meanwhile.
+    def await_or_help(self, task: WorkItem[object], *, helping: bool) -> bool:
+        """Wait until ``task`` is done, and return True; or do another one meanwhile, and return False.
 
         Raises TimeoutError after ``MOST_S``.
         """
-        with self._changed:
-            if not self._changed.wait_for(lambda: task.is_done or (helping and self._open), MOST_S):
+        other: WorkItem[object] | None = None
+        try:
+            with self._lock:
+                if not self._changed.wait_for(lambda: task.is_done or (helping and self._open), MOST_S):
+                    raise TimeoutError(f"a part of the reconstruction has not ended for {MOST_S:g} s")
+                if task.is_done:
+                    return True
+                other = self._open[0]
+                self._take(other)
+            other.do()
+        except BaseException:
+            if other is not None:
+                self.end_left(other)
+            raise
+        return False
+
+    def await_end(self, task: WorkItem[object]) -> None:
+        """Wait until nobody is at ``task``. Raises TimeoutError after ``MOST_S``."""
+        with self._lock:
+            # Nobody has taken what an interruption kept from being added.
+            if task.taken_by is not None and not self._changed.wait_for(lambda: task.is_done, MOST_S):
                 raise TimeoutError(f"a part of the reconstruction has not ended for {MOST_S:g} s")
-            return None if task.is_done else self._open.popleft()
+
+    def end_left(self, task: WorkItem[object]) -> None:
+        """Note that ``task`` is done where this thread has taken it and left it: an interruption (Ctrl-C) may strike between the taking and
+        the work, or between the work and its end, and others would wait for it."""
+        with self._lock:
+            if task.taken_by == threading.get_ident() and not task.is_done and task not in self._open:
+                task.raised = RuntimeError("it was interrupted; begin the scan again")
+                task.is_done = True
+                self._changed.notify_all()
+
+    def _take(self, task: WorkItem[object]) -> None:
+        """Take an open task; ``_lock`` is held."""
+        # Before it is off the list: whoever is interrupted in between has left it open.
+        task.taken_by = threading.get_ident()
+        self._open.remove(task)
 
     def _help(self) -> None:
-        with self._changed:
-            task = self._open.popleft() if self._open else None
+        with self._lock:
+            task = self._open[0] if self._open else None
+            if task is not None:
+                self._take(task)
         # None: the caller has begun it meanwhile.
         if task is not None:
             task.do()
@@ -97,8 +135,11 @@ class WorkItem(Generic[T]):
         self._work: Callable[[], T] | None = work
         """None once it is done or dropped: what it holds of a scan, and whatever points at this task, is free then."""
         self._returned: T | None = None
-        self._raised: BaseException | None = None
+        self.raised: BaseException | None = None
+        """Error that the work, or what became of it, ended with; raised where the answer is awaited."""
         self.is_done = False
+        self.taken_by: int | None = None
+        """Thread that has taken it off the list; ``None``: nobody has."""
         self.cpu_s = 0.0
         """Processor time of the thread that did it, once it is done."""
 
@@ -110,7 +151,7 @@ class WorkItem(Generic[T]):
         try:
             self._returned = work()
         except BaseException as error:  # it is raised where the answer is awaited
-            self._raised = error
+            self.raised = error
         del work
         self.cpu_s = time.thread_time() - begun_s
         self._crew.ended(cast(WorkItem[object], self))
@@ -122,28 +163,33 @@ class WorkItem(Generic[T]):
         """
         crew, itself = self._crew, cast(WorkItem[object], self)
         self.do_unless_begun()
-        while (other := crew.await_or_take(itself, helping=helping)) is not None:
-            other.do()
-        if self._raised is not None:
-            raise self._raised
+        while not crew.await_or_help(itself, helping=helping):
+            pass
+        if self.raised is not None:
+            raise self.raised
         return cast(T, self._returned)
 
     def do_unless_begun(self) -> None:
         """Do the work here and now unless somebody has begun it."""
-        if self._crew.take(cast(WorkItem[object], self)):
-            self.do()
+        itself = cast(WorkItem[object], self)
+        try:
+            if self._crew.take(itself):
+                self.do()
+        except BaseException:
+            self._crew.end_left(itself)
+            raise
 
     def drop(self) -> None:
         """Let nobody begin it any more."""
         crew, itself = self._crew, cast(WorkItem[object], self)
         if crew.take(itself):
             self._work = None
-            self._raised = RuntimeError("its scan was given up before this was begun; begin the scan again")
+            self.raised = RuntimeError("its scan was given up before this was begun; begin the scan again")
             crew.ended(itself)
 
     def await_end(self) -> None:
         """Wait until nobody is at it; what it raised is nobody's concern any more."""
-        self._crew.await_or_take(cast(WorkItem[object], self), helping=False)
+        self._crew.await_end(cast(WorkItem[object], self))
 
 
 class WorkList:

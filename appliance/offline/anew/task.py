@@ -28,6 +28,7 @@ from appliance.offline.origin import SourceScan, calibration_for, open_source, u
 from appliance.offline.reconstruct import work_through
 from appliance.offline.scan_list import ListedScan, ScanList
 from appliance.offline.wish import Wish
+from appliance.process_start import raise_if_interrupted
 from appliance.storage.atomic import StorageError
 from appliance.storage.damage import refuse_damaged_frames
 from appliance.storage.packed import PackedError
@@ -147,6 +148,7 @@ def _row(job: Job) -> Row:
     except (StorageError, OSError, MemoryError, MissingLibraryError, ImportError):
         raise
     except Exception as error:
+        raise_if_interrupted(error)
         # A mistake of the program's: it ends this scan, and neither the process nor the others.
         log.exception("%s: unexpected %s", folder, type(error).__name__)
         told = "".join(traceback.format_exception(error))

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import gc
+import linecache
+import sys
 import threading
 import time
 import weakref
 from collections.abc import Iterator
 from functools import partial
+from types import FrameType
+from typing import Any
 
 import pytest
 
+from appliance.reconstruct import crew as crew_module
 from appliance.reconstruct.crew import Crew, WorkItem
 
 TIMEOUT_S = 20.0
@@ -184,3 +189,48 @@ def test_a_task_tells_what_its_own_thread_spent(pair: Crew) -> None:
         working.answer()
     # While this thread waited, the other one spent nearly all that it spent at all.
     assert waiting.cpu_s < 0.5 * working.cpu_s
+
+
+def interrupted_at(line: int, helpers: int) -> bool:
+    """Work through some tasks, one of which asks for others, with Ctrl-C in the ``line``-th line of crew.py that this thread comes to.
+
+    Returns whether it came so far.
+    """
+    left = line
+
+    def trace(frame: FrameType, event: str, arg: object) -> Any:
+        nonlocal left
+        if frame.f_code.co_filename != crew_module.__file__:
+            return None
+        # A lock is entered and left in one step each, between which nothing interrupts; tracing stops there twice all the same.
+        if event == "line" and "with self._lock" not in linecache.getline(crew_module.__file__, frame.f_lineno):
+            left -= 1
+            if left == 0:
+                raise KeyboardInterrupt
+        return trace
+
+    crew = Crew(helpers)
+    begun_s = time.monotonic()
+    before = sys.gettrace()
+    try:
+        with crew.tasks() as tasks:
+            sys.settrace(trace)
+            try:
+                first = tasks.add(lambda: sum(crew.each(abs, (-1, -2))))
+                second = tasks.add(lambda: 3)
+                assert (first.answer(helping=True), second.answer()) == (3, 3)
+            finally:
+                sys.settrace(before)
+    except KeyboardInterrupt:
+        pass
+    assert time.monotonic() - begun_s < TIMEOUT_S
+    crew.close()
+    return left <= 0
+
+
+@pytest.mark.parametrize("helpers", [0, 1])
+def test_ctrl_c_in_any_line_ends_the_work_at_once(helpers: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Between taking a task off the list and doing it, it was waited for a quarter of an hour."""
+    monkeypatch.setattr(crew_module, "MOST_S", 2.0)
+    lines = next(line for line in range(1, 400) if not interrupted_at(line, helpers))
+    assert lines > 60
