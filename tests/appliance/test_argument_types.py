@@ -60,6 +60,14 @@ def test_every_public_function_refuses_what_it_does_not_want(name: str) -> None:
         function(*own, nonsense=1)
 
 
+@pytest.mark.parametrize("name", [*FUNCTIONS, *METHODS])
+def test_every_path_may_be_a_text(name: str) -> None:
+    hints = get_type_hints(inspect.unwrap(FUNCTIONS.get(name) or METHODS[name]))
+    for parameter in inspect.signature(FUNCTIONS.get(name) or METHODS[name]).parameters:
+        hint = hints.get(parameter)
+        assert fits("a.txt", hint) or not fits(Path("a.txt"), hint), f"{name}: {parameter}"
+
+
 @pytest.mark.parametrize(
     ("call", "said"),
     [
