@@ -63,7 +63,7 @@ VERBS: tuple[Listed | Group, ...] = (
     Listed("reconstruct", "reconstruct a stored scan from its raw frames", "reconstruct:Reconstruct"),
     Listed("rescue", "an unchecked cloud of a recording that broke after its first direction", "rescue:Rescue"),
     Listed("export", "a stored scan's points or mesh as a file for other programs", "export:Export"),
-    Listed("compare", "how far a scan's points lie from a drawing or an object", "compare:CompareScan"),
+    Listed("compare", "how far a scan's points lie from a CAD model or an object", "compare:CompareScan"),
     Listed("import", "points of images that another rig took, by a description of them", "foreign:Import"),
     Listed("evaluate", "measure artefacts in stored scans, after VDI/VDE 2634", "evaluate:Evaluate"),
     Group(
@@ -93,7 +93,7 @@ VERBS: tuple[Listed | Group, ...] = (
             Listed("show", "where its scans lie, how certain that is, what was refused", "object:ShowObject"),
             Listed("solve", "find where its scans lie relative to each other", "object:SolveObject"),
             Listed("export", "its surface, mesh, scans or page as files, without solving again", "object:ExportObject"),
-            Listed("compare", "how far its surface lies from a drawing or another object", "compare:CompareObject"),
+            Listed("compare", "how far its surface lies from a CAD model or another object", "compare:CompareObject"),
         ),
     ),
     Listed("report", "one page about the scans of a dive", "report:DiveReport"),
