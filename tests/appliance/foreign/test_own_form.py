@@ -76,6 +76,7 @@ gray = "complementary"
         ((("sine-x*4", "sine-x*3"), ("steps = 4\ngray = \"complementary\"\n[y]", "steps = 3\ngray = \"complementary\"\n[y]")),
          "x: its 3 steps are not the four of 0°, 90°, 180°, 270°"),
         ((("steps = 4\ngray = \"complementary\"\n[y]", "steps = 4\n[y]"),), "x: its code does not number half periods from the edge"),
+        ((("steps = 4\ngray", "steps = 4\ncode_offset_px = 8\ngray"),), "x: its code does not number half periods from the edge"),
         ((('right = "r*"\n', ""),), "there is no second camera"),
     ],
 )  # fmt: skip

@@ -1,0 +1,70 @@
+"""Where decoding ends: beyond the pattern, at disagreeing periods, at white."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from appliance.foreign.camera import decode_camera
+from appliance.foreign.decode import Measured, NoCoordinate, by_periods
+from appliance.foreign.description import AxisConvention, Description, ImageFiles
+from appliance.foreign.frames import Frame
+from appliance.foreign.images import ImageSet, read_images
+from appliance.foreign.order import parse_order
+from appliance.foreign.phase import SineFit
+from appliance.foreign.problem import Table
+
+SIZE_PX, PERIOD_PX, BITS = 1024, 32, 6
+
+
+def test_a_code_that_goes_on_beyond_the_projector_makes_no_coordinates() -> None:
+    """Six bits number twice the pattern: what lies more than a quarter of a period beyond it is something else."""
+    edge_px = np.arange(0.25, 2.0 * SIZE_PX, 2.0)
+    number = (edge_px / PERIOD_PX).astype(int)
+    lines = [120.0 + 100.0 * np.cos(2 * np.pi * edge_px / PERIOD_PX + 0.5 * np.pi * k) for k in range(4)]
+    lines += [np.where((number ^ (number >> 1)) >> bit & 1, 220.0, 20.0) for bit in reversed(range(BITS))]
+    images = np.repeat(np.rint(lines).astype(np.uint8)[:, None], 5, axis=1)
+    shown = parse_order(f"sine-x*4 gray-x*{BITS}", "order")
+    axis = AxisConvention("x", SIZE_PX, (PERIOD_PX,), ((0.0, 90.0, 180.0, 270.0),), bits=BITS, stripe_px=PERIOD_PX)
+    files = {"left": ImageFiles(("*",))}
+    description = Description("", Path(), files, shown, "grey", None, (SIZE_PX, 768), (axis,), Table("", {}))
+    placed = decode_camera(ImageSet(shown, (), images, 255.0), description).placed["x"]
+    valid = placed.reason[2] == NoCoordinate.VALID
+    assert np.allclose(placed.coordinate_px[2, valid], edge_px[valid] - 0.5, atol=0.5)
+    assert valid[edge_px < SIZE_PX + 6.0].all()
+    assert not valid[edge_px > SIZE_PX + 10.0].any()
+
+
+@pytest.mark.parametrize("count", [3, 5])
+def test_phases_disagree_by_their_root_mean_square_however_many_there_are(count: int) -> None:
+    """A limit in turns means the same for five periods as for three."""
+    periods = tuple(1024.0 / n for n in (49, 48, 42, 40, 37)[:count])
+    axis = AxisConvention("x", 1024, periods, ((0.0, 90.0, 180.0, 270.0),) * count)
+    edge_px, off = np.full((1, 1), 600.0), 0.05
+    fits = []
+    for k, period in enumerate(periods):
+        turns = np.asarray(edge_px / period + (off if k else 0.0), np.float32)
+        none = np.zeros_like(turns)
+        fits.append(SineFit(turns - np.floor(turns), none + 50, none + 100, None, none > 0))
+    nothing = np.zeros((1, 1), np.bool_)
+    coordinate_px, misfit = by_periods(Measured(tuple(fits), None, nothing, nothing), axis)
+    assert float(misfit[0, 0]) == pytest.approx(off, abs=2e-3)
+    assert float(coordinate_px[0, 0]) == pytest.approx(599.5, abs=0.1)
+
+
+@pytest.mark.parametrize(("brightest", "white"), [(255, 255.0), (200, 255.0)])
+def test_the_brightest_of_eight_bits_is_white(tmp_path: Path, brightest: int, white: float) -> None:
+    """Else saturated pixels pass for good ones, four times below white."""
+    path = tmp_path / "a.png"
+    cv2.imwrite(str(path), np.full((4, 4), brightest, np.uint8))
+    assert read_images((Frame(path),), parse_order("bright", "order"), "grey").white == white
+
+
+@pytest.mark.parametrize("brightest", [1023, 4095, 65535])
+def test_the_brightest_of_more_bits_is_white(tmp_path: Path, brightest: int) -> None:
+    path = tmp_path / "a.png"
+    cv2.imwrite(str(path), np.full((4, 4), brightest, np.uint16))
+    assert read_images((Frame(path),), parse_order("bright", "order"), "grey").white == brightest
