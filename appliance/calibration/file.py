@@ -18,6 +18,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from appliance.bounded_file import read_bounded
 from appliance.calibration.depth_error import COUNT as DEPTH_ERRORS
 from appliance.calibration.depth_error import Rows
 from appliance.calibration.field import AIR_VALUES, EYES, AirField
@@ -128,7 +129,7 @@ def decode(data: bytes, name: str = "calibration") -> Calibration:
 def load(path: Path | str) -> Calibration:
     """Read a calibration file. Raises CalibrationError also for a missing or unreadable file."""
     try:
-        data = Path(path).read_bytes()
+        data = read_bounded(Path(path), MAX_BYTES)
     except OSError as error:
         raise CalibrationError(
             f"calibration {path}: cannot be read ({error.strerror}); calibrate, or copy the instrument's file there"

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from appliance.bounded_file import read_bounded
 from appliance.checksummed_file import ChecksumError, checked_content
 
 MAX_BYTES = 64 * 1024
@@ -46,7 +47,7 @@ class MeasuredFile:
         """Return a file's bytes and its name for messages; ``None`` where there is no such file. Raises ``error``."""
         name = f"{self.what} {path}"
         try:
-            return path.read_bytes(), name
+            return read_bounded(path, MAX_BYTES), name
         except FileNotFoundError:
             return None
         except OSError as error:

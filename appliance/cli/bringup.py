@@ -42,7 +42,7 @@ class BringupProjector(WithRig):
 
         # Read before the long measurement, so that a file that cannot be edited is known by then.
         path = None if self.rig is None else self.rig
-        text = "" if path is None else path.read_text(encoding="utf-8")
+        text = "" if path is None else path.read_text(encoding="utf-8-sig")
         try:
             with Progress() as progress, light_bench(rig) as bench:
                 measured = measure_projector(bench, rig.scan.most_gain_db, progress)

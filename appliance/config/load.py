@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import difflib
 import json
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from importlib import resources
@@ -14,6 +13,7 @@ from typing import Any, get_type_hints
 from pydantic import TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
+from appliance.bounded_file import parse_toml, read_text
 from appliance.config.checks import Complaint, complaints
 from appliance.config.rig import Rig
 
@@ -62,17 +62,11 @@ def load_rig(path: Path | str) -> Rig:
     """Read and check a rig file. Raises ConfigError, never anything else, for whatever the file holds."""
     path = Path(path)
     try:
-        with path.open("rb") as file:
-            # One byte more than is allowed: enough to know, whatever /dev/zero or a film is called here.
-            raw = file.read(_MAX_BYTES + 1)
+        text = read_text(path, _MAX_BYTES)
     except OSError as error:
         raise ConfigError(
             f"{path}: {error.strerror or error}", "a readable rig file", "give another one with --rig PATH"
         ) from error
-    if len(raw) > _MAX_BYTES:
-        raise ConfigError(f"{path}: larger than {_MAX_BYTES} bytes", "a rig file", "give another one with --rig PATH")
-    try:
-        text = raw.decode("utf-8")
     except UnicodeDecodeError as error:
         raise ConfigError(
             f"{path}: byte {error.start} is not UTF-8", "a text file in UTF-8", "restore the file from its copy"
@@ -83,8 +77,8 @@ def load_rig(path: Path | str) -> Rig:
 def parse_rig(text: str, source: str = "rig file") -> Rig:
     """Read a rig from text like ``load_rig``; ``source`` names it in messages."""
     try:
-        content = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # TOMLDecodeError, and int() on thousands of digits
+        content = parse_toml(text)
+    except ValueError as error:
         raise ConfigError(f"{source}: {error}", "TOML 1.0", "correct that line") from error
     return rig_from_mapping(content, source)
 

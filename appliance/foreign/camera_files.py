@@ -18,6 +18,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.bounded_file import read_bounded
+from appliance.foreign.arrays import ArrayError, array_heads, load_array
 from appliance.foreign.camera_dialects import in_opencvs_names
 from appliance.foreign.matlab import MatlabError, matlab_arrays
 from appliance.foreign.plain_yaml import YamlError, parse_yaml
@@ -31,6 +33,8 @@ MOST_DEEP = 8
 """Most levels of tables in one another."""
 MOST_NUMBERS = 20_000
 """More of them are no camera's."""
+MOST = 1e9
+"""Numbers of cameras are smaller than this."""
 LEAST_LISTED = 3
 """Fewer numbers under a name are not worth a mention: neither matrix nor vector."""
 _MATRIX = (
@@ -101,6 +105,11 @@ def numbers_from_files(folder: Path, table: Table) -> dict[str, Any]:
             if key not in aliases.content:
                 found.setdefault(key, numbers)
         _one_camera(name, plain, found)
+    for key, numbers in found.items():
+        if not np.all(np.abs(np.asarray(numbers)) < MOST):
+            raise ForeignError(
+                f"cameras.files: {key.replace('_', ' ')} is {np.ravel(numbers).tolist()!r:.80}; allowed are finite numbers below {MOST:g}; correct it"
+            )
     _from_rectified(found)
     _from_projections(found)
     _from_poses(found)
@@ -223,14 +232,12 @@ def _from_poses(found: dict[str, Any]) -> None:
 
 def numbers_in(path: Path) -> dict[str, Array]:
     """Return the matrices and vectors of a file by name; those in tables as TABLE.NAME. Raises ForeignError."""
-    if not path.is_file():
-        raise ForeignError(f"cameras.files: there is no file {path}; correct the name")
     try:
-        raw = path.read_bytes()
+        raw = read_bounded(path, MAX_BYTES)
+    except FileNotFoundError as error:
+        raise ForeignError(f"cameras.files: there is no file {path}; correct the name") from error
     except OSError as error:
-        raise ForeignError(f"{path}: {error.strerror or error}; correct the name") from error
-    if len(raw) > MAX_BYTES:
-        raise ForeignError(f"{path}: larger than {MAX_BYTES} bytes; give the file of the cameras' numbers")
+        raise ForeignError(f"{path}: {error.strerror or error}; give the file of the cameras' numbers") from error
     content: Mapping[str, Any]
     match path.suffix.lower():
         case ".npz" | ".npy":
@@ -248,21 +255,20 @@ def numbers_in(path: Path) -> dict[str, Array]:
 
 
 def _numpy(path: Path) -> dict[str, Any]:
+    """Return the arrays that may be a camera's by name; others are not even unpacked."""
     try:
-        content = np.load(path, allow_pickle=False)
-        if isinstance(content, np.ndarray):
-            return {path.stem: content}
-        with content:
-            return {name: content[name] for name in content.files}
-    except Exception as error:  # whatever a damaged archive makes zipfile raise
-        raise ForeignError(f"{path}: not readable as NumPy's file ({str(error)[:120]}); give OpenCV's YAML") from error
+        heads = array_heads(path)
+        few = [name for name, head in heads.items() if head.size <= MOST_NUMBERS]
+        return {name or path.stem: load_array(path, name, MAX_BYTES) for name in few}
+    except ArrayError as error:
+        raise ForeignError(f"{path}: {error}; give OpenCV's YAML") from error
 
 
 def _text(path: Path, raw: bytes) -> dict[str, Any]:
     """Return ``name = numbers`` or ``name: numbers`` of each line; of numbers alone one matrix, which is called as the file is."""
     found: dict[str, Any] = {}
     rows: list[list[float]] = []
-    for line in raw.decode("utf-8", "replace").splitlines():
+    for line in raw.decode("utf-8-sig", "replace").splitlines():
         named = _NAMED_LINE.fullmatch(line.strip())
         words = _NUMBER_BREAKS.sub(" ", named["numbers"] if named else line.partition("#")[0]).split()
         try:
@@ -292,7 +298,7 @@ def _mat(path: Path, raw: bytes) -> dict[str, Any]:
 
 def _json(path: Path, raw: bytes) -> dict[str, Any]:
     try:
-        content = json.loads(raw.decode("utf-8"))
+        content = json.loads(raw.decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:
         raise ForeignError(f"{path}: not readable as JSON ({str(error)[:120]}); correct it") from error
     if not isinstance(content, dict):
@@ -332,7 +338,7 @@ def _numeric(content: Mapping[str, Any]) -> dict[str, Array]:
 
 
 def _opencv(path: Path, raw: bytes) -> dict[str, Any]:
-    plain = text = raw.decode("utf-8", "replace").replace("\0", " ")
+    plain = text = raw.decode("utf-8-sig", "replace").replace("\0", " ")
     if path.suffix.lower() in (".yml", ".yaml") and not text.lstrip().startswith("%YAML"):
         # Other programs' YAML lacks OpenCV's first line.
         text = f"%YAML:1.0\n---\n{text.lstrip().removeprefix('---')}"

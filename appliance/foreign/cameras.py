@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from appliance.calibration import file as calibration_file
-from appliance.foreign.camera_files import numbers_from_files
+from appliance.foreign.camera_files import MOST, numbers_from_files
 from appliance.foreign.description import Description, Medium, Ports, as_plain
 from appliance.foreign.problem import ForeignError, Table
 from appliance.optics.model import HousedCamera, StereoRig
@@ -35,8 +35,6 @@ MOST_FIT_PX = 0.1
 GRID = 25
 LEAST_BASELINE_MM = 1.0
 """Least distance of two cameras: what is nearer is in another unit."""
-MOST = 1e9
-"""Numbers of cameras are smaller than this."""
 MOST_BESIDE = 2.5
 """Largest distance of a principal point beside its image, in sizes of it: projectors shift theirs by half a picture, and a cropped image
 may lie where it likes."""

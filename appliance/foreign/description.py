@@ -8,12 +8,12 @@ offset + i · stripe to offset + (i + 1) · stripe. ``docs/foreign.md`` has the 
 from __future__ import annotations
 
 import re
-import tomllib
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from appliance.bounded_file import parse_toml, read_text
 from appliance.foreign.order import MOST_IMAGES, ShownImage, Shows, numbered, parse_order
 from appliance.foreign.problem import ForeignError, Table
 
@@ -151,14 +151,9 @@ class Description:
 def load_description(path: Path) -> Description:
     """Read and check a description. Raises ForeignError for whatever the file holds."""
     try:
-        with path.open("rb") as file:
-            raw = file.read(MAX_BYTES + 1)
+        text = read_text(path, MAX_BYTES)
     except OSError as error:
         raise ForeignError(f"{path}: {error.strerror or error}; give the description of the images (TOML)") from error
-    if len(raw) > MAX_BYTES:
-        raise ForeignError(f"{path}: larger than {MAX_BYTES} bytes; give the description of the images (TOML)")
-    try:
-        text = raw.decode("utf-8")
     except UnicodeDecodeError as error:
         raise ForeignError(f"{path}: byte {error.start} is not UTF-8; save it as UTF-8 text") from error
     return parse_description(text, path.parent, path.stem, str(path))
@@ -167,8 +162,8 @@ def load_description(path: Path) -> Description:
 def parse_description(text: str, folder: Path, name: str, source: str) -> Description:
     """Read a description from ``text``; file names are relative to ``folder``. Raises ForeignError, which begins with ``source``."""
     try:
-        content = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
+        content = parse_toml(text)
+    except ValueError as error:
         raise ForeignError(f"{source}: {error}; correct that line (TOML 1.0)") from error
     try:
         return _described(Table("", content), folder, name)

@@ -16,12 +16,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.bounded_file import read_bounded, refuse_irregular
+from appliance.foreign.arrays import ArrayError, array_heads, load_array
+from appliance.foreign.picture_size import size_px
 from appliance.foreign.problem import ForeignError
 
 SUFFIXES = (".png", ".bmp", ".tif", ".tiff", ".jpg", ".jpeg", ".pgm", ".ppm", ".pnm", ".webp", ".jp2", ".exr", ".hdr")
 STACKS = (".npy", ".npz")
 PAGED = (".tif", ".tiff")
 MOST_PAGES = 400
+MOST_FILE_BYTES, MOST_STACK_BYTES, MOST_PIXELS = 1 << 29, 1 << 31, 200_000_000
+"""Largest file of one image, largest array once it is unpacked, and largest image."""
 _ARRAY = re.compile(r"(?P<file>.+\.npz)#(?P<array>.+)", re.IGNORECASE)
 
 
@@ -53,14 +58,15 @@ def frames_in(path: Path, array: str = "") -> tuple[Frame, ...]:
     count: int | None = None
     suffix = path.suffix.lower()
     if suffix in PAGED:
+        _refuse_other_files(path)
         try:
             pages = cv2.imcount(str(path))
         except cv2.error:
             pages = 1  # whoever reads it says what is wrong
         count = pages if pages > 1 else None
     elif suffix in STACKS:
-        stack = _stack(path, array)
-        count = None if stack.ndim == 2 else len(stack)
+        _, shape = _stack_shape(path, array)
+        count = None if len(shape) == 2 else shape[2 if _images_last(shape) else 0]
     if count is not None and count > MOST_PAGES:
         raise ForeignError(f"{path}: {count} images; allowed are up to {MOST_PAGES}; give one sequence a file")
     return (Frame(path, None, array),) if count is None else tuple(Frame(path, k, array) for k in range(count))
@@ -69,9 +75,8 @@ def frames_in(path: Path, array: str = "") -> tuple[Frame, ...]:
 def arrays_in(path: Path) -> tuple[str, ...]:
     """Return the names of the arrays in an ``.npz`` that may be stacks of images; none where it is something else."""
     try:
-        with np.load(path, allow_pickle=False) as content:
-            return tuple(name for name in content.files if content[name].ndim >= 3)
-    except Exception:  # whatever a damaged archive makes zipfile raise: it is no stack
+        return tuple(name for name, head in array_heads(path).items() if len(head.shape) >= 3)
+    except ArrayError:
         return ()
 
 
@@ -95,8 +100,14 @@ def _read(frame: Frame) -> NDArray[Any]:
     image = None
     try:
         if frame.page is None:
-            raw = np.fromfile(frame.path, np.uint8)
-            image = cv2.imdecode(raw, cv2.IMREAD_UNCHANGED) if raw.size else None
+            raw = read_bounded(frame.path, MOST_FILE_BYTES)
+            stated = size_px(raw)
+            # A decoder makes room for as many pixels as a few bytes promise.
+            if stated is not None and stated[0] * stated[1] > MOST_PIXELS:
+                raise ForeignError(
+                    f"{frame.path}: {stated[0]} x {stated[1]} px; allowed are up to {MOST_PIXELS} pixels; cut it"
+                )
+            image = cv2.imdecode(np.frombuffer(raw, np.uint8), cv2.IMREAD_UNCHANGED) if raw else None
         else:
             done, pages = cv2.imreadmulti(str(frame.path), start=frame.page, count=1, flags=cv2.IMREAD_UNCHANGED)
             image = pages[0] if done and len(pages) else None
@@ -111,25 +122,40 @@ def _read(frame: Frame) -> NDArray[Any]:
     return np.asarray(image)
 
 
+def _refuse_other_files(path: Path) -> None:
+    try:
+        refuse_irregular(path)
+    except OSError as error:
+        raise ForeignError(f"{path}: {error.strerror or error}; correct the name") from error
+
+
 def _stack(path: Path, array: str) -> NDArray[Any]:
     """Return the array of a file, its images along the first dimension; one image is (h, w)."""
+    name, shape = _stack_shape(path, array)
     try:
-        content = np.load(path, mmap_mode="r", allow_pickle=False)
-        names = [] if isinstance(content, np.ndarray) else list(content.files)
-        if not isinstance(content, np.ndarray) and (array in names or (not array and len(names) == 1)):
-            with content:
-                content = np.asarray(content[array or names[0]])
-    except Exception as error:  # whatever a damaged file makes NumPy and zipfile raise
+        content = load_array(path, name, MOST_STACK_BYTES)
+    except ArrayError as error:
+        raise ForeignError(f"{path}: {error}") from error
+    return np.moveaxis(content, 2, 0) if _images_last(shape) else content
+
+
+def _stack_shape(path: Path, array: str) -> tuple[str, tuple[int, ...]]:
+    """Return the name and the shape of the array that is meant, by its header. Raises ForeignError."""
+    try:
+        heads = array_heads(path)
+    except ArrayError as error:
+        raise ForeignError(f"{path}: {error}; save it anew, without objects") from error
+    name = array or (next(iter(heads)) if len(heads) == 1 else "")
+    if name not in heads:
+        said = f"has no array {array}" if array else f"has {len(heads)} arrays"
+        raise ForeignError(f"{path}: {said} ({', '.join(list(heads)[:20])[:200]}); name one of them: {path.name}#NAME")
+    shape = heads[name].shape
+    if len(shape) not in (2, 3, 4) or 0 in shape:
         raise ForeignError(
-            f"{path}: not readable as NumPy's file ({str(error)[:120]}); save it anew, without objects"
-        ) from error
-    if not isinstance(content, np.ndarray):
-        said = f"has no array {array}" if array else f"has {len(names)} arrays"
-        raise ForeignError(f"{path}: {said} ({', '.join(names[:20])[:200]}); name one of them: {path.name}#NAME")
-    if content.ndim not in (2, 3, 4):
-        raise ForeignError(
-            f"{path}: an array of {content.ndim} dimensions; allowed: (n, h, w), or (n, h, w, 3) of colours; save it so"
+            f"{path}: an array of shape {shape!s:.60}; allowed: (n, h, w), or (n, h, w, 3) of colours; save it so"
         )
-    if content.ndim == 3 and content.shape[2] < min(content.shape[:2]):
-        return np.moveaxis(content, 2, 0)
-    return np.asarray(content)
+    return name, shape
+
+
+def _images_last(shape: tuple[int, ...]) -> bool:
+    return len(shape) == 3 and shape[2] < min(shape[:2])

@@ -6,13 +6,13 @@ Read alone, without anything that computes: a wrong word in it is the usual end 
 from __future__ import annotations
 
 import json
-import math
-import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from appliance.bounded_file import parse_toml, read_text
+from appliance.checksummed_file import is_number
 from appliance.evaluation.acceptance import Symbol
 from appliance.evaluation.flatness import REFERENCE_MM
 from appliance.evaluation.result import LENGTHS, Artefact
@@ -61,13 +61,10 @@ class ScanList:
 def read_list(path: Path) -> ScanList:
     """Read a list, TOML or (by its name) JSON: ``docs/evaluation.md``. Raises ListError."""
     try:
-        data = path.read_bytes()
+        text = read_text(path, MOST_BYTES)
+        content = json.loads(text) if path.suffix == ".json" else parse_toml(text)
     except OSError as error:
         raise ListError(f"LIST {path}: cannot be read ({error.strerror}); give the list of scans") from error
-    if len(data) > MOST_BYTES:
-        raise ListError(f"LIST {path}: {len(data)} bytes; allowed are {MOST_BYTES}; give the list of scans")
-    try:
-        content = json.loads(data) if path.suffix == ".json" else tomllib.loads(data.decode())
     except (ValueError, RecursionError) as error:
         raise ListError(f"LIST {path}: not readable ({error}); see docs/evaluation.md") from error
     if not isinstance(content, dict):
@@ -88,6 +85,18 @@ def read_list(path: Path) -> ScanList:
         _number(path, "reference_mm", reference, REFERENCE_RANGE_MM),
         {LIMITS[key]: _number(path, f"limits.{key}", value, LIMIT_MM) for key, value in limits.items()},
     )
+
+
+def refuse_repeats(path: Path, entries: Sequence[ListedScan], folders: Sequence[Path]) -> None:
+    """Raise ListError for an artefact that the list at ``path`` names twice in one of the scans' ``folders``: it would count twice."""
+    seen: dict[tuple[Path, Artefact], int] = {}
+    for k, (entry, folder) in enumerate(zip(entries, folders, strict=True)):
+        before = seen.setdefault((folder.resolve(), entry.artefact), k)
+        if before != k:
+            raise ListError(
+                f"LIST {path}: scan[{k}] ({entry.scan!r:.60}) is scan[{before}] ({entries[before].scan!r:.60}) once more, with the same "
+                f"artefact {entry.artefact.value}, and would count twice; remove one of them"
+            )
 
 
 def _entry(path: Path, k: int, table: dict[str, Any]) -> ListedScan:
@@ -136,8 +145,8 @@ def _text(path: Path, table: dict[str, Any], key: str) -> str | None:
 def _number(path: Path, key: str, value: object, allowed: tuple[float, float]) -> float:
     low, high = allowed
     # TOML has true, inf and nan; Python counts true among the integers.
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise ListError(f"LIST {path}: {key} is {value!r}; allowed are numbers {low:g}..{high:g}; correct it")
+    if not is_number(value):
+        raise ListError(f"LIST {path}: {key} is {value!r:.60}; allowed are numbers {low:g}..{high:g}; correct it")
     if not low <= value <= high:
         raise ListError(f"LIST {path}: {key} is {value:g}; allowed are {low:g}..{high:g}; correct it")
     return float(value)

@@ -133,7 +133,7 @@ class Outputs:
 def outputs(rig: Path) -> Outputs:
     """Read leniently: the rig file may be what is wrong."""
     try:
-        content: Mapping[str, Any] = tomllib.loads(rig.read_text(encoding="utf-8"))
+        content: Mapping[str, Any] = tomllib.loads(rig.read_text(encoding="utf-8-sig"))
         display, projector = content["display"], content["projector"]
         cards = dict.fromkeys(str(part["card"]) for part in (display, projector))
         return Outputs(

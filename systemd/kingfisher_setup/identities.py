@@ -22,7 +22,7 @@ _IDENTITY = re.compile(r'(ATTRS?\{idVendor\}==")([0-9a-f]{4})(", ATTRS?\{idProdu
 def named(rig: Path) -> dict[str, Identity]:
     """Return the identities of a rig file. Raises SetupError for a file, or a number, that cannot be one."""
     try:
-        content: Mapping[str, Any] = tomllib.loads(rig.read_text(encoding="utf-8"))
+        content: Mapping[str, Any] = tomllib.loads(rig.read_text(encoding="utf-8-sig"))
     except (OSError, ValueError, RecursionError) as error:
         raise SetupError(f"{rig}: {error}; correct the rig file") from error
     found = {}

@@ -19,6 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.bounded_file import read_bounded
 from appliance.calibration import file as calibration_file
 from appliance.calibration.air.adjustment import AirCalibration, AirCalibrationError, BoardView, calibrate_air
 from appliance.calibration.air.board import BoardDesign, NoBoard, find_board
@@ -28,8 +29,8 @@ from appliance.calibration.file import IN_AIR, Calibration, CalibrationError
 from appliance.calibration.parameters import AIR, NAMES
 from appliance.calibration.water.start import start_from_air
 from appliance.config import Rig
+from appliance.foreign.picture_size import KNOWN, size_px
 from appliance.instrument import design_of
-from appliance.offline.calibration.picture_size import KNOWN, size_px
 from appliance.offline.calibration.view_folder import LEFT, RIGHT
 from appliance.patterns.sequence import build_sequence
 from appliance.scan.sides import SIDES
@@ -253,13 +254,12 @@ def _check_size(path: Path, found_px: tuple[int, int], wanted_px: tuple[int, int
 def _picture(path: Path, wanted_px: tuple[int, int]) -> Image:
     """Read a picture of the wanted size, or refuse it before it is decoded: a small file may promise more pixels than there is memory."""
     longest = _LEAST_BYTES + _BYTES_PER_PIXEL * wanted_px[0] * wanted_px[1]
-    with refused("cannot read", path), path.open("rb") as file:
-        data = file.read(longest + 1)
-    if len(data) > longest:
+    try:
+        data = read_bounded(path, longest)
+    except OSError as error:
         raise PicturesError(
-            f"{path}: larger than {longest} bytes, which {wanted_px[0]}x{wanted_px[1]} px never are; "
-            "give the pictures as recorded"
-        )
+            f"{path}: {error.strerror or error}; pictures of {wanted_px[0]}x{wanted_px[1]} px are wanted; give them as recorded"
+        ) from error
     stated_px = size_px(data)
     if stated_px is None:
         raise PicturesError(

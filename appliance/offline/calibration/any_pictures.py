@@ -17,8 +17,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.bounded_file import read_bounded
+from appliance.foreign.picture_size import KNOWN, size_px
 from appliance.offline.calibration.air import KINDS, PicturesError, quiet_decoder
-from appliance.offline.calibration.picture_size import KNOWN, size_px
 from appliance.scan.noise import FULL_DN
 from appliance.storage.atomic import refused
 
@@ -171,11 +172,10 @@ def _decoded(data: bytes) -> NDArray[Any] | None:
 
 
 def _bytes(path: Path) -> bytes:
-    with refused("cannot read", path), path.open("rb") as file:
-        data = file.read(MOST_BYTES + 1)
-    if len(data) > MOST_BYTES:
-        raise PicturesError(f"{path}: larger than {MOST_BYTES} bytes; give the pictures as recorded")
-    return data
+    try:
+        return read_bounded(path, MOST_BYTES)
+    except OSError as error:
+        raise PicturesError(f"{path}: {error.strerror or error}; give the pictures as recorded") from error
 
 
 # ------------------------------------------------------------------------------------------ names

@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.bounded_file import read_bounded
 from appliance.calibration.air.board import BoardDesign, BoardError, parse_board
 from appliance.storage.atomic import move_folder, refused, replace_file, write_new
 from appliance.storage.filesystem import LocalFileSystem
@@ -24,6 +25,7 @@ Image = NDArray[np.uint8]
 
 SESSION = "board.json"
 SCHEMA = 1
+MOST_BYTES = 64 * 1024
 LEFT, RIGHT = "left.png", "right.png"
 
 
@@ -89,10 +91,10 @@ class ViewFolder:
 def read_session(folder: Path) -> tuple[str, BoardDesign] | None:
     """Return instrument and board of a folder that ``--live`` filled; ``None`` for any other. Raises FolderError."""
     path = folder / SESSION
-    if not path.is_file():
+    if not path.exists():
         return None
     try:
-        content = json.loads(path.read_bytes())
+        content = json.loads(read_bounded(path, MOST_BYTES))
         if content["schema"] != SCHEMA:
             raise FolderError(f"{path}: schema {content['schema']!r}; this version reads {SCHEMA}; give another folder")
         return str(content["rig_serial"]), parse_board(str(content["board"]))

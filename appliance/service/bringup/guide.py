@@ -174,7 +174,7 @@ class _Walk:
         return self.state.stands(step, tomllib.loads(self._rig_text()))
 
     def _rig_text(self) -> str:
-        return self.rig_file.read_text(encoding="utf-8")
+        return self.rig_file.read_text(encoding="utf-8-sig")
 
 
 def _outcomes(step: GuideStep, at: Workplace) -> dict[str, StepOutcome]:

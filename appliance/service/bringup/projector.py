@@ -23,7 +23,7 @@ LEAST_LIGHT_DN = 4.0
 def projector_steps(at: Workplace) -> dict[str, StepOutcome]:
     """Do the measurement; the outcome of each step of the projector. Raises DeviceError, BringupError, GivenUp, StorageError."""
     rig = at.rig
-    text = at.rig_file.read_text(encoding="utf-8")
+    text = at.rig_file.read_text(encoding="utf-8-sig")
     # The text was read before minutes of measuring: a file that cannot be read is known by then.
     with bench_on(rig, at.wires) as bench:
         _before_white(at, bench)

@@ -105,6 +105,18 @@ def test_errors_are_those_of_the_truth(bench: tuple[Path, TrueRig]) -> None:
     assert said["about"]["operator"] == "Ada & Co"
 
 
+def test_a_scan_listed_twice_is_refused_before_it_counts_twice(
+    bench: tuple[Path, TrueRig], capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, _ = bench
+    (folder / "report.html").unlink(missing_ok=True)
+    plane = '[[scan]]\nscan = "{}"\nartefact = "plane"\n'
+    assert evaluate(folder, plane.format("./plane") + plane.format(folder / "ballbar" / ".." / "plane")) == 2
+    assert "scan[1] ('" in (said := capsys.readouterr().err)
+    assert "is scan[0] ('./plane') once more" in said
+    assert not (folder / "report.html").exists()
+
+
 def test_a_wrong_calibration_cannot_hide_its_errors(bench: tuple[Path, TrueRig]) -> None:
     """Ports tilted by 0.3° and moved by 3 mm: on the instrument no point would pass, here the errors are measured."""
     folder, truth = bench

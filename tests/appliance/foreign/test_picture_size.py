@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 import pytest
 
+from appliance.foreign.picture_size import size_px
 from appliance.offline.calibration.air import Pair, PicturesError, read_pair
-from appliance.offline.calibration.picture_size import size_px
 
 
 @pytest.mark.parametrize("kind", [".png", ".tif", ".bmp", ".pgm", ".jpg", ".ppm"])

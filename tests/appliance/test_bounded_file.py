@@ -1,0 +1,188 @@
+"""Whatever a person names is read only if it is a regular file of a sensible size, and refused at once by whoever reads it."""
+
+from __future__ import annotations
+
+import os
+import struct
+import tracemalloc
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from appliance.bounded_file import parse_toml, read_bounded, read_text
+from appliance.calibration import file as calibration_file
+from appliance.calibration.noise_file import load as load_noise
+from appliance.config import default_rig_path, load_rig
+from appliance.foreign.camera_files import numbers_from_files, numbers_in
+from appliance.foreign.description import load_description
+from appliance.foreign.frames import Frame, frames_in, raw_images
+from appliance.foreign.problem import ForeignError, Table
+from appliance.offline.calibration.air import Pair, read_pair
+from appliance.offline.calibration.any_pictures import common_size, read_grey
+from appliance.offline.calibration.view_folder import read_session
+from appliance.offline.scan_list import ListError, read_list
+
+READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
+    "rig file": ("rig.toml", load_rig),
+    "description": ("set.toml", load_description),
+    "list": ("list.toml", read_list),
+    "list in JSON": ("list.json", read_list),
+    "calibration": ("calibration.json", calibration_file.load),
+    "noise": ("noise.json", load_noise),
+    "session": ("board.json", lambda path: read_session(path.parent)),
+    **{f"cameras {suffix}": (f"stereo{suffix}", numbers_in) for suffix in (".yml", ".xml", ".json", ".npz", ".npy", ".mat", ".txt", ".csv")},
+    "image": ("a.png", lambda path: raw_images([Frame(path)])),
+    "pages": ("a.tif", frames_in),
+    "stack": ("a.npy", frames_in),
+    "stacks": ("a.npz", frames_in),
+    "board": ("a_left.png", lambda path: read_pair(Pair("a", path, path.with_name("b")), 64, 64)),
+    "picture": ("left.png", read_grey),
+    "pictures": ("left.png", lambda path: common_size([path])),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("reader", READERS)
+@pytest.mark.parametrize(("kind", "words"), [("pipe", "it is a pipe"), ("device", "it is a device")])
+def test_pipes_and_devices_are_refused_at_once(reader: str, kind: str, words: str, tmp_path: Path) -> None:
+    name, read = READERS[reader]
+    path = tmp_path / name
+    if kind == "pipe":
+        os.mkfifo(path)
+    else:
+        path.symlink_to("/dev/zero")
+    with pytest.raises(Exception, match=words) as raised:
+        read(path)
+    assert type(raised.value).__module__.startswith("appliance."), "in our own words"
+    assert str(path) in str(raised.value)
+
+
+@pytest.mark.parametrize("reader", [one for one in READERS if one not in ("pages", "stack", "stacks")])
+def test_what_is_too_large_is_refused_before_it_is_read(reader: str, tmp_path: Path) -> None:
+    name, read = READERS[reader]
+    path = tmp_path / name
+    with path.open("wb") as file:
+        file.truncate(1 << 40)
+    with pytest.raises(Exception, match=r"larger than \d+ bytes") as raised:
+        read(path)
+    assert type(raised.value).__module__.startswith("appliance.")
+
+
+def test_a_file_that_grows_while_it_is_read_is_bounded(tmp_path: Path) -> None:
+    path = tmp_path / "a"
+    path.write_bytes(b"12345")
+    assert read_bounded(path, 5) == b"12345"
+    with pytest.raises(OSError, match="larger than 4 bytes"):
+        read_bounded(path, 4)
+    with pytest.raises(OSError, match="larger than 4 bytes"):
+        read_bounded(Path("/proc/self/status"), 4)  # whose size is stated as nothing
+
+
+def test_texts_saved_with_a_byte_order_mark_are_read(tmp_path: Path) -> None:
+    mark = b"\xef\xbb\xbf"
+    rig = tmp_path / "rig.toml"
+    rig.write_bytes(mark + default_rig_path().read_bytes())
+    assert load_rig(rig) == load_rig(default_rig_path())
+    for name, text in (
+        ("a.txt", "M1 = 1 2 3"),
+        ("a.json", '{"M1": [1, 2, 3]}'),
+        ("a.yml", "%YAML:1.0\n---\nM1: [1, 2, 3]\n"),
+        ("b.yml", "M1:\n- 1\n- 2\n- 3\n"),
+    ):
+        (tmp_path / name).write_bytes(mark + text.encode())
+        assert numbers_in(tmp_path / name)["M1"].tolist() == [1.0, 2.0, 3.0], name
+    listed = tmp_path / "list.toml"
+    listed.write_bytes(mark + b'[[scan]]\nscan = "1"\nartefact = "plane"\n')
+    assert len(read_list(listed).entries) == 1
+    assert read_text(listed, 100).startswith("[[scan]]")
+
+
+NOT_NUMBERS = ["nan", "inf", "-inf", "1e400", "1" + 400 * "0", "0x" + 5000 * "f"]
+
+
+@pytest.mark.parametrize("number", NOT_NUMBERS)
+@pytest.mark.parametrize(
+    ("reader", "key", "text"),
+    [
+        ("list", "length_mm", '[[scan]]\nscan = "1"\nartefact = "ball-bar"\nlength_mm = {}\n'),
+        ("list", "reference_mm", 'reference_mm = {}\n[[scan]]\nscan = "1"\nartefact = "plane"\n'),
+        ("rig file", "case_hot_c", "[limits]\ncase_hot_c = {}\n"),
+        ("description", "width_px", '[images]\nleft = "a*"\norder = "bright"\n[projector]\nwidth_px = {}\n[cameras]\n'),
+    ],
+)
+def test_numbers_that_are_none_are_refused_in_words(
+    reader: str, key: str, text: str, number: str, tmp_path: Path
+) -> None:
+    name, read = READERS[reader]
+    path = tmp_path / name
+    path.write_text(text.format(number))
+    with pytest.raises(Exception, match=rf"{key}\b.*allowed") as raised:
+        read(path)
+    assert type(raised.value).__module__.startswith("appliance.")
+    assert len(str(raised.value)) < 4000, "the number is not repeated"
+
+
+def test_a_long_whole_number_in_a_list_in_json_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "list.json"
+    path.write_text(f'{{"scan": [{{"scan": "1", "artefact": "ball-bar", "length_mm": 1{400 * "0"}}}]}}')
+    with pytest.raises(ListError, match=r"allowed are numbers 1\.\.2000"):
+        read_list(path)
+
+
+@pytest.mark.parametrize("number", ["nan", "inf", "1e400", "1e12"])
+@pytest.mark.parametrize(("name", "text"), [("s.txt", "{k} = {v}\n"), ("s.json", '"{k}": [{v}],')])
+def test_cameras_numbers_that_are_none_are_named(name: str, text: str, number: str, tmp_path: Path) -> None:
+    """Of rectified cameras, whose R and T are made of other numbers first."""
+    values = {
+        "M1": "1,0,0,0,1,0,0,0,1", "M2": "1,0,0,0,1,0,0,0,1", "R1": "1,0,0,0,1,0,0,0,1", "T1": "0,0,0", "R2": "1,0,0,0,1,0,0,0,1",
+        "T2": "0,0,0", "P1": "1,0,0,0,0,1,0,0,0,0,1,0", "P2": f"1,0,0,{number},0,1,0,0,0,0,1,0",
+    }  # fmt: skip
+    written = "".join(text.format(k=k, v=v) for k, v in values.items())
+    spelt = written.replace("nan", "NaN").replace("inf", "Infinity")
+    (tmp_path / name).write_text(f"{{{spelt.rstrip(',')}}}" if name.endswith(".json") else written)
+    with pytest.raises(
+        ForeignError, match=r"cameras.files: right projection is .*; allowed are finite numbers below 1e\+09"
+    ):
+        numbers_from_files(tmp_path, Table("cameras.", {"files": name}))
+
+
+def test_whole_numbers_of_toml_have_64_bits() -> None:
+    assert parse_toml("a = 9223372036854775807\nb = [-9223372036854775808]") == {"a": 2**63 - 1, "b": [-(2**63)]}
+    with pytest.raises(ValueError, match=r"t\.b is a whole number of 64 bits"):
+        parse_toml("[t]\nb = [1, 9223372036854775808]")
+
+
+def test_an_archive_of_zeros_is_refused_by_its_headers(tmp_path: Path) -> None:
+    """Six gigabytes in a file of kilobytes: its shape is told by a header of a hundred bytes."""
+    path = tmp_path / "stack.npz"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("left.npy", "w") as member:
+        np.lib.format.write_array_header_1_0(
+            member, {"descr": "|u1", "fortran_order": False, "shape": (60, 10_000, 10_000)}
+        )
+        member.write(bytes(1 << 25))
+    tracemalloc.start()
+    frames = frames_in(path)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 1 << 22, "nothing but the header is unpacked"
+    assert len(frames) == 60
+    with pytest.raises(ForeignError, match=r"array left unpacks to 6 GB; allowed are 2\.15 GB"):
+        raw_images(frames)
+    assert numbers_in(path) == {}, "none of so many numbers is a camera's"
+
+
+def test_a_picture_that_promises_more_pixels_than_there_is_memory_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.png"
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + struct.pack(">I4sIIBBBBB", 13, b"IHDR", 20_000, 20_000, 8, 0, 0, 0, 0))
+    with pytest.raises(ForeignError, match="20000 x 20000 px; allowed are up to 200000000 pixels"):
+        raw_images([Frame(path)])
+
+
+def test_a_header_that_states_its_own_length_is_not_believed(tmp_path: Path) -> None:
+    path = tmp_path / "stack.npz"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("left.npy", b"\x93NUMPY\x02\x00" + (1 << 31).to_bytes(4, "little") + bytes(1 << 16))
+    with pytest.raises(ForeignError, match="not readable as NumPy's file"):
+        frames_in(path)
