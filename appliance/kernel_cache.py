@@ -6,8 +6,9 @@ after everything that goes into a kernel. What an installation has compiled (``k
 where numba refuses to read; it is copied to a place that can be written, once per start of the machine. A source tree has its
 kernels in ``.cache/numba`` beside its packages, whichever command needs them (``python -m appliance.kernel_cache`` names it).
 
-numba runs whatever machine code it finds in its folder. So a folder is only used when nobody but this user can have
-written to it: it belongs to the user, is closed to everybody else, and lies where others cannot exchange it.
+numba runs whatever machine code it finds in its folder. So a folder is only used when nobody but this user and root can have
+written to it, or can exchange it later: it belongs to the user, is closed to everybody else, and every folder above it belongs to
+the user or to root, and is sticky (as /tmp is) where others may write to it.
 
 Kernels are compiled for one processor. An image that is made here and started there brings them for a level of processors
 that is common enough (``COMMON``), and they are used where none were compiled for the processor itself.
@@ -169,7 +170,8 @@ def use(shipped: Path | None = None, writable: Path | None = None) -> KernelCach
         writable = Path(given).parent
     source, compiled_for = _shipped(shipped or shipped_folder())
     for base in (writable or writable_folder(os.environ), _last_resort()):
-        folder = base / source.name
+        # Without links from here on: what is looked at is what numba reads.
+        folder = base.resolve() / source.name
         try:
             origin = _fill(folder, source)
         except OSError:
@@ -230,20 +232,29 @@ def _fill(folder: Path, source: Path) -> Origin:
 def _refuse_unless_private(folder: Path) -> None:
     """Raises PermissionError unless ``folder`` is a real folder of this user that nobody else can look into or replace.
 
-    A folder above it that everybody may write to must be sticky, as /tmp is: else a stranger may exchange what lies in it
-    between this look and numba's reading.
+    Whoever may rename what lies in a folder above it could exchange it between this look and numba's reading.
     """
     found = folder.lstat()
     if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.geteuid() or stat.S_IMODE(found.st_mode) & 0o077:
         raise PermissionError(
             f"{folder}: kernels are read only from a folder that belongs to this user, with mode 0700"
         )
-    for above in folder.resolve().parents:
-        mode = above.stat().st_mode
-        if mode & stat.S_IWOTH and not mode & stat.S_ISVTX:
-            raise PermissionError(
-                f"{above}: everybody may exchange what lies in this folder; kernels there are not read"
-            )
+    for above in folder.parents:
+        about = above.lstat()
+        if others_may_exchange(about.st_uid, about.st_mode, os.geteuid()):
+            raise PermissionError(f"{above}: others may exchange what lies in this folder; kernels there are not read")
+
+
+def others_may_exchange(owner: int, mode: int, user: int) -> bool:
+    """Return True if somebody else than ``user`` and root may rename what of theirs lies in a folder of ``owner`` with ``mode``.
+
+    A link in the place of a folder counts as one that others may exchange, since what it leads to was not looked at.
+    """
+    if not stat.S_ISDIR(mode) or owner not in (0, user):
+        return True
+    # In a sticky folder an entry is renamed by its own owner or by the folder's, and by nobody else. Its group is not asked: on a Debian
+    # the groups that share a folder of root's are those of its administrators.
+    return bool(mode & stat.S_IWOTH) and not mode & stat.S_ISVTX
 
 
 def _try_writing(folder: Path) -> None:

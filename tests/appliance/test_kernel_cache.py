@@ -176,6 +176,38 @@ def test_kernels_in_a_folder_that_anybody_may_exchange_are_not_used(last_resort:
     assert used().path != last_resort
 
 
+def test_kernels_below_a_folder_that_somebody_else_made_beforehand_are_not_used(last_resort: Path) -> None:
+    """Its owner may rename what others keep in it, sticky or not."""
+    above = last_resort.parent
+    above.mkdir()
+    above.chmod(0o1777)
+    if os.geteuid() != 0:
+        pytest.skip("only root can make a folder of somebody else's")
+    os.chown(above, 65534, 65534)
+    cache = used()
+    assert not cache.path.is_relative_to(above)
+    assert cache.origin is Origin.EMPTY
+
+
+@pytest.mark.parametrize(
+    ("owner", "mode", "exchanged"),
+    [
+        (0, 0o40755, False),
+        (0, 0o41777, False),  # /tmp
+        (0, 0o40777, True),
+        (0, 0o42775, False),  # of Debian's administrators
+        (1000, 0o40700, False),
+        (1000, 0o41777, False),
+        (1000, 0o40777, True),
+        (1001, 0o40700, True),
+        (1001, 0o41777, True),
+        (1000, 0o120777, True),  # a link
+    ],
+)
+def test_a_folder_above_belongs_to_root_or_this_user(owner: int, mode: int, exchanged: bool) -> None:
+    assert kernel_cache.others_may_exchange(owner, mode, 1000) is exchanged
+
+
 def test_the_last_resort_is_private_and_used_again(last_resort: Path) -> None:
     first = used()
     assert (first.path, first.path.lstat().st_mode & 0o777) == (last_resort, 0o700)
