@@ -15,7 +15,7 @@ from typing import ClassVar
 from appliance.cli.arguments import Verb, number, operand, option, switch, whole
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json
 from appliance.offline.pull.pulling import HowFar, Open, Pulled, pull
-from appliance.offline.pull.source import FolderSource, Source
+from appliance.offline.pull.source import FolderSource, Source, is_linked
 from appliance.offline.pull.ssh import ANSWER_S, PORT, Host, SshLink
 from appliance.offline.pull.taking import PullOutcome
 from appliance.storage.atomic import refused
@@ -131,7 +131,8 @@ class Pull(Verb):
 def _root_below(folder: Path) -> Path:
     """Return the storage root below a folder. Raises UsageError."""
     for root in ROOTS:
-        if (folder / root / LibraryFolder.SCANS.value).is_dir():
+        scans = f"{root}/{LibraryFolder.SCANS.value}"
+        if (folder / scans).is_dir() and not is_linked(folder, scans):
             return folder / root
     raise UsageError(
         f"HOST {folder}: no scans there; give the folder that holds scans/, or the instrument's mounted disk"

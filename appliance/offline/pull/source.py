@@ -63,6 +63,7 @@ class FolderSource:
 
     def listing(self, folder: str) -> list[RemoteEntry]:
         found = []
+        self._refuse_links(folder)
         with _Told(self._root / folder):
             for path in sorted((self._root / folder).iterdir()):
                 about = path.lstat()  # a link is neither file nor folder: it could lead anywhere
@@ -72,11 +73,28 @@ class FolderSource:
         return found
 
     def read(self, path: str, start: int, end: int) -> Iterator[bytes]:
+        self._refuse_links(path)
         with _Told(self._root / path), (self._root / path).open("rb") as file:
             file.seek(start)
             while start < end and (block := file.read(min(BLOCK_BYTES, end - start))):
                 start += len(block)
                 yield block
+
+    def _refuse_links(self, path: str) -> None:
+        if is_linked(self._root, path):
+            raise Unreadable(
+                f"{self._root / path}: leads over a link, which could lead anywhere on this computer; not followed"
+            )
+
+
+def is_linked(root: Path, path: str) -> bool:
+    """Return True if a component of ``path`` below ``root`` is a link: on a strange disk it may lead to the desk's own files."""
+    at = root
+    for part in Path(path).parts:
+        at = at / part
+        if at.is_symlink():
+            return True
+    return False
 
 
 class _Told:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import pytest
 
 from appliance.cli import main
 from appliance.offline.pull.pulling import ATTEMPTS, HowFar
-from appliance.offline.pull.source import FolderSource, PullError, RemoteEntry
+from appliance.offline.pull.source import FolderSource, PullError, RemoteEntry, Unreadable
 from appliance.offline.pull.taking import PullOutcome, draft_folder
 from appliance.storage import archive, incomplete, packed
 from appliance.storage import label as labels
@@ -288,6 +289,24 @@ def test_names_that_lead_out_of_the_folder_are_not_followed(there: Path, here: P
     pulled(HostileSource(there), here)
     assert not list(tmp_path.rglob("*evil*"))
     assert not (here / "scans" / "000001" / ".ssh").exists()
+
+
+@pytest.mark.parametrize("linked", ["calibration", "scans", "objects"])
+def test_a_linked_folder_on_a_strange_disk_does_not_lead_to_the_desks_own_files(
+    linked: str, there: Path, here: Path, tmp_path: Path
+) -> None:
+    own = tmp_path / "own"
+    own.mkdir()
+    (own / "secret.json").write_text("{}", encoding="utf-8")
+    shutil.rmtree(there / linked, ignore_errors=True)
+    (there / linked).symlink_to(own)
+    source = FolderSource(there)
+    for ask in (lambda: source.listing(linked), lambda: list(source.read(f"{linked}/secret.json", 0, 10))):
+        with pytest.raises(Unreadable, match="over a link"):
+            ask()
+    if linked != "scans":
+        pulled(source, here)
+    assert not list(tmp_path.glob("desk/**/secret*"))
 
 
 def test_how_far_it_is_is_told_in_bytes_that_are_missing(there: Path, here: Path) -> None:
