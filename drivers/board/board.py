@@ -34,6 +34,7 @@ from drivers.board.line import (
     parse_line,
     parse_uint,
 )
+from drivers.board.port_users import other_users
 from drivers.board.queue import EventQueue
 from drivers.board.reports import (
     MAX_COUNT,
@@ -135,6 +136,7 @@ class TriggerBoard:
         self._late_answers = 0
         self._retries = 0
         self._closing = threading.Event()
+        self._url = spec.url
         self._port = _open_port(spec)
         # Not 0: the board repeats its answer to a number it has just seen, which may be from an earlier program.
         self._sequence = (clock.now_ns() // 1_000_000) % SEQUENCE_MODULUS
@@ -312,10 +314,16 @@ class TriggerBoard:
                     # The board took our number for an earlier command's and executed nothing: another number.
                     sequence = self._advance()
                     sent_ns = self._clock.now_ns()
+        silent = f"no answer to {verb} in {ATTEMPTS} attempts of {ANSWER_TIMEOUT_S * 1000:.0f} ms"
+        others = " and ".join(other_users(self._url))
+        if others:
+            raise DeviceGone(
+                self._name, f"{silent}; {others} has {self._url} open, too", "Stop it: it takes the answers"
+            )
         raise DeviceGone(
             self._name,
-            f"no answer to {verb} in {ATTEMPTS} attempts of {ANSWER_TIMEOUT_S * 1000:.0f} ms",
-            "Check the board's cable; it is opened again by itself",
+            silent,
+            "Check the board's cable, and that no other program reads its port; it is opened again by itself",
         )
 
     def _advance(self) -> int:
@@ -457,4 +465,10 @@ def _not_opened(spec: BoardSpec, error: Exception) -> DeviceError:
         return DeviceRefused(spec.name, f"another program uses {spec.url}", "Stop it, then try again")
     if isinstance(error, ValueError):
         return DeviceRefused(spec.name, f"{spec.url} is no port ({error})", "Correct url of [board] in the rig file")
+    if number == 2:
+        return DeviceGone(
+            spec.name,
+            f"{spec.url} cannot be opened: it is not there",
+            "Plug the board in, or correct url of [board] in the rig file",
+        )
     return DeviceGone(spec.name, f"{spec.url} cannot be opened ({error})", "Check the board's cable")

@@ -7,12 +7,14 @@ import errno
 import os
 import re
 import select
+import subprocess
 import termios
 import threading
 import time
 import tty
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 import serial
@@ -187,6 +189,17 @@ def test_a_board_that_never_answers_is_gone_in_bounded_time() -> None:
         with pytest.raises(DeviceGone, match="no answer to STOP in 3 attempts"):
             board.stop()
         assert time.monotonic() - begin < 0.6
+
+
+def test_a_program_that_reads_the_port_without_a_lock_is_named_and_not_the_cable() -> None:
+    with connected() as (far, board):
+        far.respond = lambda *_: []  # its answers come to the other reader
+        with Path(far.url).open("rb", buffering=0) as port, subprocess.Popen(["sleep", "60"], stdin=port) as reader:
+            with pytest.raises(DeviceGone) as caught:
+                board.stop()
+            reader.kill()
+    assert f"sleep (process {reader.pid}) has {far.url} open, too" in caught.value.message
+    assert "cable" not in str(caught.value)
 
 
 def test_a_late_answer_is_not_taken_for_the_next_ones() -> None:
@@ -458,5 +471,6 @@ def test_a_url_that_is_no_port_is_told_with_the_entry_to_correct() -> None:
 
 
 def test_a_path_without_a_board_is_one_clear_error() -> None:
-    with pytest.raises(DeviceGone, match="/dev/no-such-board cannot be opened"):
+    with pytest.raises(DeviceGone, match="/dev/no-such-board cannot be opened: it is not there") as caught:
         TriggerBoard.open(BoardSpec("/dev/no-such-board"), MonotonicClock())
+    assert "url of [board]" in caught.value.remedy
