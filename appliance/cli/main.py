@@ -13,7 +13,7 @@ from typing import Any, NoReturn
 
 from appliance import __version__
 from appliance.cli.arguments import Verb, collect, declare
-from appliance.cli.output import Exit, complain, flush, log_lines, use_any_encoding
+from appliance.cli.output import Exit, complain, flush, log_lines, use_any_encoding, write
 from appliance.cli.verbs import SECTIONS, VERBS, Group, Listed
 
 _MISSING = "the following arguments are required: "
@@ -115,6 +115,13 @@ class _Parser(argparse.ArgumentParser):
         return f"{option}: no such option" + _meant(
             option, (text for one in self._actions for text in one.option_strings)
         )
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        # The base class says nothing where help cannot be written.
+        if file is sys.stdout and message:
+            write(message)
+        else:
+            super()._print_message(message, file)
 
     def error(self, message: str) -> NoReturn:
         # argparse failed, so that nothing was parsed: whether JSON is wanted can only be looked for among the words.

@@ -81,13 +81,18 @@ def use_any_encoding() -> None:
 
 def say(text: str) -> None:
     """Print one result on stdout. Raises OutputError, BrokenPipeError."""
+    write(text + "\n")
+
+
+def write(text: str) -> None:
+    """Write text, its line ends included, to stdout. Raises OutputError, BrokenPipeError."""
     with _writing():
-        stdout().write(plain(text, lines=True) + "\n")
+        stdout().write(plain(text, lines=True))
 
 
 def flush() -> None:
     """Have what was said written. Raises OutputError, BrokenPipeError."""
-    if sys.stdout is not None:
+    if sys.stdout is not None and not sys.stdout.closed:
         with _writing():
             sys.stdout.flush()
 
@@ -122,11 +127,16 @@ def say_json(value: Any) -> None:
 def complain(text: str, *, as_json: bool) -> None:
     """Print one error on stderr, in one line."""
     line = " ".join(text.split())
-    # Where stderr is closed or full there is nobody to tell; the exit code says it.
-    with suppress(OSError, AttributeError):
+    if sys.stderr is None:
+        return
+    try:
         sys.stderr.write(
             plain(json.dumps({"error": line}, ensure_ascii=False) if as_json else f"kingfisher: {line}") + "\n"
         )
+    except OSError:
+        # There is nobody to tell, and the exit code says it: what is left in the buffer would turn that into another one.
+        with suppress(OSError):
+            sys.stderr.close()
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from appliance.cli.output import Exit
+from appliance.cli.verbs import Listed
 from appliance.storage.library import Library
 from tests.appliance.cli.test_loaded import EVERY
 from tests.appliance.storage.scenes import PREVIEW, cloud, frames, record
@@ -113,6 +114,13 @@ MORE = {
 """Second mistakes, where another one than the scan's number is usual; by the words that come first."""
 ALL = {words: one for words, one in (MISTAKES | MORE).items() if one is not None}
 
+WITHOUT_KERNELS = {
+    "firmware board", "firmware keys", "scans list", "scans show", "scans verify", "scans name", "scans note", "scans trash",
+    "scans restore", "pull", "archive pack", "archive verify", "archive unpack", "archive frame", "season", "health show",
+    "health accept", "warm", "version",
+}  # fmt: skip
+"""Verbs that import nothing with kernels, however long they work; `warm` says itself where they go."""
+
 CODE = """
 import contextlib, io, json, os, sys, time
 opened = []
@@ -120,6 +128,7 @@ sys.addaudithook(lambda event, given: opened.append(str(given[0])) if event == "
 from appliance.cli import main
 for words, typed in json.load(sys.stdin).items():
     opened.clear()
+    os.environ.pop("NUMBA_CACHE_DIR", None)
     before, begun_s, told = set(sys.modules), time.process_time(), io.StringIO()
     with contextlib.redirect_stderr(told):
         try:
@@ -127,7 +136,7 @@ for words, typed in json.load(sys.stdin).items():
         except SystemExit as end:
             code = end.code
     print(json.dumps({
-        "words": words, "code": code, "told": told.getvalue(), "loaded": sorted(set(sys.modules) - before),
+        "words": words, "code": code, "kernels": os.environ.get("NUMBA_CACHE_DIR"), "told": told.getvalue(), "loaded": sorted(set(sys.modules) - before),
         "opened": [name for name in opened if os.path.basename(name).startswith(sys.argv[1])], "cpu_s": time.process_time() - begun_s,
     }))
 """
@@ -164,9 +173,22 @@ def test_the_first_mistake_is_told_in_one_line_before_anything_that_computes_is_
     words: str, told: dict[str, dict[str, object]]
 ) -> None:
     wanted, found = ALL[words], told[words]
-    assert (found["code"], str(found["told"]).count("\n")) == (wanted.code, 1), found["told"]
-    assert wanted.says in str(found["told"])
+    # The instrument's own verbs say where they found kernels, which is no mistake.
+    lines = [line for line in str(found["told"]).splitlines() if not line.startswith("kingfisher: kernels:")]
+    assert (found["code"], len(lines)) == (wanted.code, 1), found["told"]
+    assert wanted.says in lines[0]
     loaded = found["loaded"]
     assert isinstance(loaded, list)
     assert not {name.partition(".")[0] for name in loaded} & set(HEAVY)
     assert found["opened"] == []
+
+
+@pytest.mark.parametrize(("words", "listed"), EVERY, ids=lambda one: " ".join(one) if isinstance(one, tuple) else "")
+def test_the_kernels_folder_is_set_before_any_verb_that_may_import_some(
+    words: tuple[str, ...], listed: Listed, told: dict[str, dict[str, object]]
+) -> None:
+    """Where it was set after the first import, all was compiled twice, and the second time into ``__pycache__``."""
+    found = told.get(" ".join(words))
+    verb = listed.load()
+    assert verb.kernels is (" ".join(words) not in WITHOUT_KERNELS)
+    assert found is None or (found["kernels"] is not None) is verb.kernels
