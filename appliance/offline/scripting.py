@@ -75,6 +75,12 @@ class ScanOfDive:
         return self.manifest.record.exposure
 
     @property
+    def warnings(self) -> tuple[str, ...]:
+        """Warnings that the diver had about it, in words, with the judge's name in front; mostly none. Raises ScanError."""
+        failed = [one for one in self.manifest.record.verdicts if one.passed is False]
+        return tuple(f"{one.name}: {one.text}" if one.text else one.name for one in failed)
+
+    @property
     def calibration(self) -> Calibration:
         """The calibration its points are made with where no other is given. Raises CalibrationError, ScanError."""
         return calibration_for(open_source(self.folder, self.wish), self.wish).calibration

@@ -24,11 +24,13 @@ from appliance.calibration.file import CalibrationError, encode, load
 from appliance.instrument import design_of
 from appliance.offline.scripting import export, open_dive, open_scan, save_calibration
 from appliance.optics.water import Water
+from appliance.scan.verdict import Verdict
 from appliance.storage.calibrations import Calibrations
-from appliance.storage.library import UnknownScan
+from appliance.storage.library import Library, UnknownScan
 from appliance.storage.scan import ScanError
 from appliance.surface.fusion import PlacedScan, fuse
 from appliance.surface.mesh import mesh_of_scan
+from tests.appliance.storage.scenes import frames, record
 from tests.support.planes import small_rig, store_plane
 
 ROOT = Path(__file__).parents[3]
@@ -95,10 +97,24 @@ def test_a_scan_says_what_is_known_about_it(dive: tuple[Path, NDArray[np.float32
     record = scan.manifest.record
     assert scan.time == (None if record.wall_time is None else datetime.fromisoformat(record.wall_time))
     assert (scan.object, scan.exposure) == (record.object, record.exposure)
+    assert scan.warnings == ()
     made = scan.points()
     assert re.fullmatch(rf"<scan 000001: ({len(dive[1]):,}|no) points.*>", repr(scan))
     assert repr(opened) == f"<dive {dive[0]}: 1 scans>"
     assert re.fullmatch(rf"<{len(dive[1]):,} points, \d+ µm>", repr(made))
+
+
+def test_what_the_diver_was_warned_of_is_said(tmp_path: Path) -> None:
+    library = Library(tmp_path)
+    library.prepare()
+    judged = (
+        Verdict("motion", False, {}, "MOVED: 0.4 px"),
+        Verdict("ledger", True),
+        Verdict("light", False),
+        Verdict("sides", None),
+    )
+    library.begin(frames(1), record(verdicts=judged)).publish(record(verdicts=judged))
+    assert open_dive(tmp_path)[1].warnings == ("motion: MOVED: 0.4 px", "light")
 
 
 def test_a_calibration_is_written_once_and_read_again(tmp_path: Path) -> None:
