@@ -18,7 +18,7 @@ from bench.result import Measured
 from tests.support.foreign_sets import CONVENTIONS, Convention, ForeignSet, make_set
 from tests.support.truth import left_to_rig
 
-WIDTH_PX = 800
+WIDTH_PX, HALF_WIDTH_PX = 800, 400
 OUTLIER_MM = 1.0
 LEAST_PERCENT, LEAST_COARSE_PERCENT = 97.0, 95.0
 """Share of the pixels that all eyes see: at 800 px, a ring of one to two pixels about each edge is 1 % to 3 % of them. Of stripes alone the
@@ -28,6 +28,8 @@ MOST_PIXELS = 0.1
 NORMAL_MEDIAN = 0.6745
 MOST_OF_NOISE = 2.0
 """Median distance over that of normal noise of the size that the points say; phases of three steps have ripple of the projector besides."""
+MOST_OF_STRIPES = 1.3
+"""The same of stripes alone, whose points say the error of their borders."""
 MOST_OUTLIERS_PPM = 500.0
 WRONG: tuple[tuple[str, str, str], ...] = (
     ("eight-steps", 'sign = "-"', 'sign = "+"'),
@@ -53,6 +55,8 @@ def measure() -> Iterator[Measured]:
         made = {one.name: make_set(one, Path(root) / one.name, WIDTH_PX) for one in CONVENTIONS}
         for one in CONVENTIONS:
             yield from _measured(one, made[one.name])
+            if one.coarse:
+                yield from _at_half_size(one, make_set(one, Path(root) / f"{one.name}-half", HALF_WIDTH_PX))
         named = [_is_named(made[name], before, after) for name, before, after in WRONG]
         yield Measured("wrong words that are named", float(sum(named)), f"of {len(named)}", at_least=float(len(named)))
         refused = sum(bool(read_foreign(one.description, _silent).wrong) for one in made.values())
@@ -80,6 +84,18 @@ def _measured(one: Convention, made: ForeignSet) -> Iterator[Measured]:
     guess.write_text(guess_description(made.description.parent, guess.parent, _silent), encoding="utf-8")
     guessed = _judged(made, read_foreign(guess, _silent))
     yield Measured(f"{one.name}: points by a guess", guessed.complete_percent, "%", at_least=least_percent)
+
+
+def _at_half_size(one: Convention, made: ForeignSet) -> Iterator[Measured]:
+    """Stripes that the simulator's pixels sample at a point: it does not take the mean of a pattern that is finer than they are, so that
+    borders lie a tenth of a pixel off instead of a hundredth. The points must say so."""
+    found = _judged(made, read_foreign(made.description, _silent))
+    name = f"{one.name}, images {HALF_WIDTH_PX} px wide"
+    yield Measured(
+        f"{name}: distance in pixels of disparity", found.off_mm / found.pixel_mm, "px", at_most=2.0 * MOST_PIXELS
+    )
+    of_noise = found.off_mm / (NORMAL_MEDIAN * found.noise_mm)
+    yield Measured(f"{name}: distance over that of such noise", of_noise, "", at_most=MOST_OF_STRIPES)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.foreign.decode import Measured, NoCoordinate, PlacedAxis, measure, place
+from appliance.foreign.decode import DRAWN, Measured, NoCoordinate, PlacedAxis, measure, place
 from appliance.foreign.description import Description
 from appliance.foreign.images import ImageSet
 from appliance.foreign.order import Shows
@@ -18,7 +18,13 @@ MAD_TO_SIGMA = 1.4826
 JUMP_STEPS, BEND_STEPS, EDGE_SIGMAS = 6.0, 1.5, 8.0
 """A pixel sees two surfaces where its coordinate jumps by so many times what it usually changes by, or bends by so many times that;
 its noise may have so many standard deviations besides."""
+RIPPLE_STRIPES = (0.5, 1.0, 1.5, 2.0)
+"""Distances in stripes over which coordinates drawn between their borders are compared."""
+CUT = 8.0
+"""Differences count as so many times their median at most."""
 _DIFFERENCES = 4
+_BINOMIAL = (1.0, -4.0, 6.0, -4.0, 1.0)
+_EVERY = 3
 _OF_DIFFERENCE = 1.0 / 70.0
 """Variance of a fourth difference a − 4b + 6c − 4d + e is 70 times that of a coordinate: its inverse. Curvature does not count in it."""
 
@@ -95,7 +101,10 @@ def clean(placed: PlacedAxis) -> CleanAxis:
     kept = np.where(edge, np.float32(np.nan), coordinate)
     modulation = np.maximum(placed.modulation, np.float32(1e-3))
     usual = float(np.median(modulation[np.isfinite(kept)])) if np.isfinite(kept).any() else 1.0
-    sigma_px = np.hypot(np.float32(typical_px * usual) / modulation, np.float32(placed.drawn_px))
+    sigma_px = np.float32(typical_px * usual) / modulation
+    if placed.stripe_px:
+        drawn_px = max(DRAWN * placed.stripe_px, _ripple(kept, placed.stripe_px / step_px))
+        sigma_px = np.hypot(sigma_px, np.float32(drawn_px))
     return CleanAxis(kept, np.asarray(sigma_px, np.float32), step_px)
 
 
@@ -104,6 +113,26 @@ def _noise(coordinate: Floats) -> float:
     high = np.diff(coordinate, n=_DIFFERENCES, axis=1)
     known = np.abs(high[np.isfinite(high)])
     return float(MAD_TO_SIGMA * np.median(known) * _OF_DIFFERENCE**0.5) if known.size else 0.0
+
+
+def _ripple(coordinate: Floats, width: float) -> float:
+    """Return the usual standard deviation of coordinates that were drawn between borders of stripes ``width`` camera pixels apart.
+
+    A line from border to border has no fourth difference from pixel to pixel, however wrong the borders are; over whole stripes it has.
+    """
+    found = [0.0]
+    for lag in sorted({max(1, round(stripes * width)) for stripes in RIPPLE_STRIPES}):
+        for values in (coordinate[::_EVERY], coordinate.T[::_EVERY]):
+            if values.shape[1] > _DIFFERENCES * lag:
+                high = np.zeros_like(values[:, _DIFFERENCES * lag :])
+                for k, factor in enumerate(_BINOMIAL):
+                    high += np.float32(factor) * values[:, k * lag : values.shape[1] - (_DIFFERENCES - k) * lag]
+                size = np.abs(high[np.isfinite(high)])
+                if size.size:
+                    # Root mean square, since such errors are many or none; what an object's edges make of it is cut.
+                    cut = np.minimum(size, np.float32(CUT) * np.median(size))
+                    found.append(float(np.sqrt(np.mean(np.square(cut, dtype=np.float64)) * _OF_DIFFERENCE)))
+    return max(found)
 
 
 def _usual_step(coordinate: Floats) -> float:

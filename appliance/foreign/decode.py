@@ -74,8 +74,8 @@ class PlacedAxis:
     """(h, w), values of ``NoCoordinate``."""
     modulation: Floats
     """(h, w): in grey values; of a code alone, half of its contrast."""
-    drawn_px: float = 0.0
-    """Standard deviation of coordinates that were drawn between the borders of stripes, besides their noise."""
+    stripe_px: float = 0.0
+    """Width of the stripes between whose borders coordinates were drawn; 0: fringes make them."""
 
 
 def measure(images: ImageSet, axis: AxisConvention) -> Measured:
@@ -111,10 +111,9 @@ def least_modulation(fit: SineFit, steps: int, white: float) -> float:
 def place(found: Measured, axis: AxisConvention, *, repaired: bool = True) -> PlacedAxis:
     """Make coordinates by the convention of ``axis``; ``repaired``: borders of wide stripes ask their neighbours."""
     reason = np.zeros(found.weak.shape, np.uint8)
-    drawn_px = 0.0
+    stripe_px = 0.0
     if not found.fits:
         coordinate_px, contradiction, stripe_px = _by_code_alone(found, axis)
-        drawn_px = DRAWN * stripe_px
         assert found.bits is not None
         modulation = np.float32(0.5) * found.bits.contrast
     else:
@@ -133,7 +132,7 @@ def place(found: Measured, axis: AxisConvention, *, repaired: bool = True) -> Pl
     reason[found.weak] = NoCoordinate.WEAK
     reason[found.saturated] = NoCoordinate.SATURATED
     coordinate_px[reason != NoCoordinate.VALID] = np.nan
-    return PlacedAxis(coordinate_px, reason, modulation, drawn_px)
+    return PlacedAxis(coordinate_px, reason, modulation, stripe_px)
 
 
 def offset_periods(found: Measured, axis: AxisConvention) -> tuple[Floats, Floats, float]:

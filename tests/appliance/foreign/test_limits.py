@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from appliance.foreign.camera import decode_camera
+from appliance.foreign.camera import clean, decode_camera
 from appliance.foreign.decode import Measured, NoCoordinate, by_periods
 from appliance.foreign.description import AxisConvention, Description, ImageFiles
 from appliance.foreign.frames import Frame
@@ -68,3 +68,31 @@ def test_the_brightest_of_more_bits_is_white(tmp_path: Path, brightest: int) -> 
     path = tmp_path / "a.png"
     cv2.imwrite(str(path), np.full((4, 4), brightest, np.uint16))
     assert read_images((Frame(path),), parse_order("bright", "order"), "grey").white == brightest
+
+
+@pytest.mark.parametrize(("samples", "most_pixels"), [(1, 0.5), (32, 0.03)])
+def test_stripes_of_three_pixels_say_their_own_error(samples: int, most_pixels: float) -> None:
+    """Between its borders a coordinate is a straight line, which no neighbour contradicts: a third of the error was said.
+
+    A pixel that is the mean over its area places borders to a hundredth of it; one that samples a point does not, and says so.
+    """
+    step_px, stripe_px, bits, height, width = 2.47, 8, 7, 24, 360
+    u = np.arange(width)[:, None] + (np.arange(samples) + 0.5) / samples - 0.5
+    start_px = np.linspace(20.0, 26.0, height)
+    number = ((start_px[:, None, None] + step_px * u) / stripe_px).astype(int)
+    stack, blur = [], np.exp(-0.5 * (np.arange(-2, 3) / 0.4) ** 2)
+    for bit in reversed(range(bits)):
+        lit = ((number ^ (number >> 1)) >> bit & 1).mean(axis=2)
+        seen = np.stack([np.convolve(np.pad(row, 2, "edge"), blur / blur.sum(), "valid") for row in lit])
+        stack += [np.rint(20.0 + 200.0 * one).astype(np.uint8) for one in (seen, 1.0 - seen)]
+    shown = parse_order(f"(gray-x ~gray-x)*{bits}", "order")
+    axis = AxisConvention("x", SIZE_PX, (), (), bits=bits, inverses=True, stripe_px=stripe_px)
+    files = {"left": ImageFiles(("*",))}
+    description = Description("", Path(), files, shown, "grey", None, (SIZE_PX, 768), (axis,), Table("", {}))
+    found = clean(decode_camera(ImageSet(shown, (), np.stack(stack), 255.0), description).placed["x"])
+    off_px = found.coordinate_px - (start_px[:, None] + step_px * np.arange(width) - 0.5)
+    inner = np.isfinite(off_px) & (np.abs(np.arange(width) - width / 2) < 0.45 * width)
+    error_px = float(np.sqrt(np.mean(off_px[inner] ** 2)))
+    assert error_px < most_pixels * step_px
+    assert error_px < 1.3 * float(np.sqrt(np.mean(found.sigma_px[inner] ** 2)))
+    assert float(np.median(found.sigma_px[inner])) < max(2.0 * error_px, 0.01 * stripe_px)
