@@ -6,7 +6,7 @@ import json as json_form
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from appliance.calibration.water.method import BY_SCANS, Method
 from appliance.cli.arguments import number, operand, option, separated, switch
@@ -146,6 +146,8 @@ class CalibrateWater(WithRoot):
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RestoreCalibration(WithRoot):
     """Put a calibration of before in use again; what was in use is kept, so that the same verb undoes it."""
+
+    kernels: ClassVar[bool] = False
 
     name: str | None = operand("NAME", "a file of calibration/kept (default: the last one)", optional=True)
 

@@ -72,6 +72,8 @@ class AddToObject(WithRoot):
 class ShowObject(WithRoot):
     """Show where the scans of an object lie, how certain that is, and what was refused; without NAME list all objects."""
 
+    kernels: ClassVar[bool] = False
+
     name: str | None = operand("NAME", _NAME, optional=True)
 
     def run(self) -> Exit:

@@ -117,7 +117,7 @@ ALL = {words: one for words, one in (MISTAKES | MORE).items() if one is not None
 WITHOUT_KERNELS = {
     "firmware board", "firmware keys", "scans list", "scans show", "scans verify", "scans name", "scans note", "scans trash",
     "scans restore", "pull", "archive pack", "archive verify", "archive unpack", "archive frame", "season", "health show",
-    "health accept", "warm", "version",
+    "health accept", "calibrate restore", "object show", "warm", "version",
 }  # fmt: skip
 """Verbs that import nothing with kernels, however long they work; `warm` says itself where they go."""
 
