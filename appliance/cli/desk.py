@@ -15,7 +15,7 @@ from appliance.offline.wish import Wish
 from appliance.storage.atomic import StorageError, remedy_for
 from appliance.storage.library import Library
 
-CLOUD_SUFFIX = ".ply"
+CLOUD_SUFFIX, PAGE_SUFFIX = ".ply", ".html"
 
 
 def whole_scan(wish: Wish, scan: str) -> Path:
@@ -76,6 +76,13 @@ def writable(out: Path | None) -> None:
         raise UsageError(f"--out {out}: is no ordinary file and would be replaced by one; give the name of a file")
     if not out.absolute().parent.is_dir():
         raise UsageError(f"--out {out}: there is no folder {out.parent}; make it first, or give another one")
+
+
+def writable_page(out: Path) -> None:
+    """Raises UsageError for a name that ``writable`` refuses or that promises another format than a page."""
+    writable(out)
+    if out.suffix.lower() != PAGE_SUFFIX:
+        raise UsageError(f"--out {out}: a page is written as {PAGE_SUFFIX}; give {out.with_suffix(PAGE_SUFFIX).name}")
 
 
 def writable_cloud(out: Path | None) -> None:

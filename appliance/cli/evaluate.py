@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from appliance.cli.arguments import operand, option
-from appliance.cli.desk import measuring, place_of, scan_in, whole_scan, writable, writing
+from appliance.cli.desk import measuring, place_of, scan_in, whole_scan, writable, writable_page, writing
 from appliance.cli.kernels import compile_kernels
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json, table
 from appliance.cli.places import WithCalibration
@@ -38,8 +38,8 @@ class Evaluate(WithCalibration):
             )
         if data.absolute() == self.list.absolute():
             raise UsageError(f"--out {page}: {data} is the list itself; give another name")
-        for path in (page, data):
-            writable(path)
+        writable_page(page)
+        writable(data)
         measuring(wish.calibration)
         from appliance.offline.scan_list import ListError, read_list, refuse_repeats
 

@@ -6,11 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from appliance.cli.arguments import operands, option
-from appliance.cli.desk import writable, writing
+from appliance.cli.desk import writable_page, writing
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json
 from appliance.cli.places import WithRoot
-
-PAGE = ".html"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -23,9 +21,7 @@ class DiveReport(WithRoot):
     def run(self) -> Exit:
         """Raises UnknownScan, UsageError, StorageError."""
         out = self.out or Path("dive.html")
-        writable(out)
-        if out.suffix.lower() != PAGE:
-            raise UsageError(f"--out {out}: a page is written as {PAGE}; give {out.with_suffix(PAGE).name}")
+        writable_page(out)
         from appliance.storage.library import Library
 
         root = self.existing_root()

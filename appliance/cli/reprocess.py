@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 from appliance.cli.arguments import Verb, number, operand, option, part_of, switch, whole
-from appliance.cli.desk import measuring, writable, writing
+from appliance.cli.desk import measuring, writable_page, writing
 from appliance.cli.kernels import compile_kernels
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json
 from appliance.storage.atomic import replace_file
@@ -237,7 +237,7 @@ class Season(Verb):
         from appliance.offline.anew.season import season_page
 
         page = self.out or Path("season.html")
-        writable(page)
+        writable_page(page)
         rows = read_table(self.table)
         if not rows:
             raise UsageError(

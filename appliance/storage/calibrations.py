@@ -186,7 +186,7 @@ class Calibrations:
         that is damaged.
         """
         now = _bytes(self.current)
-        files = sorted((self.folder / "kept").glob("*.json"))
+        files = sorted((self.folder / "kept").glob("*.json"), key=lambda path: (_leading(path.name), path.name))
         others = [path for path in files if (path.name == name if name is not None else _bytes(path) != now)]
         if not others:
             there = ", ".join(path.name for path in files) or "none"
@@ -224,10 +224,16 @@ class Calibrations:
 def _next(folder: Path) -> int:
     """Return the number after the largest in a folder."""
     try:
-        found = [int(match[0]) for path in folder.iterdir() if (match := re.match(r"\d{1,9}", path.name))]
+        found = [_leading(path.name) for path in folder.iterdir()]
     except OSError as error:
         raise StorageError("cannot list", folder, error.strerror or str(error), remedy_for(error)) from error
     return max(found, default=0) + 1
+
+
+def _leading(name: str) -> int:
+    """Return the number that a name begins with; 0 where it begins with none."""
+    found = re.match(r"\d{1,9}", name)
+    return 0 if found is None else int(found[0])
 
 
 def _bytes(path: Path) -> bytes | None:

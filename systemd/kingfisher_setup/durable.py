@@ -19,21 +19,33 @@ def sync_folder(path: Path) -> None:
         os.close(descriptor)
 
 
+def make_folder(path: Path) -> None:
+    """Make a folder and those above it that are missing, each durable before the next."""
+    for one in reversed([one for one in (path, *path.parents) if not one.is_dir()]):
+        one.mkdir(exist_ok=True)
+        sync_folder(one.parent)
+
+
+def publish(draft: Path, path: Path) -> None:
+    """Give a file that is written its name, in place of the one that has it; content first, then the name."""
+    with draft.open("rb") as file:
+        os.fsync(file.fileno())  # through any descriptor of a file: its content is durable, whoever wrote it
+    draft.replace(path)
+    sync_folder(path.parent)
+
+
 def write(path: Path, content: bytes, mode: int = 0o644) -> None:
     """Replace (or make) a file. A file that has this content already is left alone."""
     with contextlib.suppress(OSError):
         if path.read_bytes() == content and not path.is_symlink():
             return
-    path.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(path.parent)
     draft = path.with_name(f".{path.name}.draft")
     draft.unlink(missing_ok=True)
     with open(os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as file:  # noqa: PTH123
         file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
     draft.chmod(mode)  # whatever the umask
-    draft.replace(path)
-    sync_folder(path.parent)
+    publish(draft, path)
 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
@@ -54,7 +66,7 @@ def point(link: Path, target: str) -> None:
     """Let ``link`` lead to ``target``, at once and durably."""
     if link.is_symlink() and os.readlink(link) == target:  # noqa: PTH115
         return
-    link.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(link.parent)
     draft = link.with_name(f".{link.name}.draft")
     draft.unlink(missing_ok=True)
     draft.symlink_to(target)

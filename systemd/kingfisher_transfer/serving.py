@@ -18,6 +18,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from kingfisher_setup import durable
 from kingfisher_transfer import addresses, keys
 from kingfisher_transfer.keys import KeysError
 
@@ -70,17 +71,27 @@ def serve(places: Places, ready: Callable[[], None], stopping: threading.Event) 
 
 def make_host_key(path: Path) -> None:
     """Make the instrument's host key where there is none: each instrument has its own, made on it. Raises KeysError."""
-    if path.exists() and path.with_name(f"{path.name}.pub").exists():
+    if path.exists() and path.stat().st_size and _public(path).exists():
         return
-    path.unlink(missing_ok=True)  # half of a pair, after a loss of power
-    path.parent.mkdir(parents=True, exist_ok=True)
+    draft = path.with_name(f".{path.name}.draft")
+    durable.make_folder(path.parent)
+    for half in (draft, _public(draft)):  # after a loss of power; ssh-keygen would ask whether to replace it
+        half.unlink(missing_ok=True)
     try:
         subprocess.run(
-            ["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-C", "kingfisher", "-f", str(path)],
+            ["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-C", "kingfisher", "-f", str(draft)],
             stdin=subprocess.DEVNULL, capture_output=True, timeout=KEYGEN_S, check=True,
         )  # fmt: skip
+        # The key that decides comes last: whoever finds it finds both.
+        durable.publish(_public(draft), _public(path))
+        durable.publish(draft, path)
     except (OSError, subprocess.SubprocessError) as error:
         raise KeysError(f"no host key: {error}; is openssh-server installed?") from error
+
+
+def _public(key: Path) -> Path:
+    """Return the file of the public half, as ssh-keygen names it."""
+    return key.with_name(f"{key.name}.pub")
 
 
 def _failed(places: Places, reason: str, ready: Callable[[], None], stopping: threading.Event) -> int:

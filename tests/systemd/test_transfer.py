@@ -13,6 +13,7 @@ import pytest
 
 from kingfisher_transfer import addresses, keys, stick
 from kingfisher_transfer.keys import KeysError
+from kingfisher_transfer.serving import make_host_key
 
 SYSTEMD = Path(__file__).parents[2] / "systemd"
 needs_keygen = pytest.mark.skipif(shutil.which("ssh-keygen") is None, reason="openssh-client is not installed")
@@ -107,6 +108,48 @@ def test_a_stick_makes_nobody_read_the_instruments_own_files(tmp_path: Path) -> 
             stick.of_folder(plugged, tmp_path / "authorized_keys")
         path.rmdir() if path.is_dir() else path.unlink()
     assert not (tmp_path / "authorized_keys").exists()
+
+
+@needs_keygen
+def test_a_stick_is_mounted_for_reading_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Seen from the program that mounts: one of that name stands before the system's."""
+    plugged, programs, heard = tmp_path / "stick", tmp_path / "bin", tmp_path / "heard"
+    plugged.mkdir()
+    programs.mkdir()
+    (plugged / "kingfisher-keys.pub").write_text(f"{ED25519}\n")
+    for name, does in (("mount", 'cp "$6"/* "$7"'), ("umount", 'rm "$2"/*')):
+        (programs / name).write_text(f'#!/bin/sh\necho "${{0##*/}} $*" >> {heard}\n{does}\n')
+        (programs / name).chmod(0o755)
+    monkeypatch.setenv("PATH", f"{programs}:{os.environ['PATH']}")
+    assert stick.of_device(plugged, tmp_path / "authorized_keys").startswith("1 keys enrolled")
+    mounted, let_go = heard.read_text().splitlines()
+    words = mounted.split()
+    assert set(words[words.index("-o") + 1].split(",")) == {"ro", "nosuid", "nodev", "noexec"}
+    assert let_go == f"umount -- {words[-1]}"
+
+
+def whole_pair(key: Path) -> bool:
+    """The private half gives the public one that lies beside it."""
+    said = subprocess.run(["ssh-keygen", "-y", "-f", key], capture_output=True, text=True, timeout=60, check=False)
+    return bool(said.stdout) and said.stdout.split()[:2] == key.with_suffix(".pub").read_text().split()[:2]
+
+
+@needs_keygen
+@pytest.mark.parametrize("left", [(), ("key",), ("key.pub",), ("key", "key.pub"), (".key.draft",), (".key.draft.pub",)])
+def test_half_a_host_key_of_a_power_cut_does_not_end_the_transfer_for_good(
+    tmp_path: Path, left: tuple[str, ...]
+) -> None:
+    key = tmp_path / "state" / "key"
+    for name in left:  # names that were durable before their content was
+        key.parent.mkdir(exist_ok=True)
+        (key.parent / name).write_bytes(b"")
+    make_host_key(key)
+    assert whole_pair(key)
+    assert {path.name for path in key.parent.iterdir()} == {"key", "key.pub"}
+    assert key.stat().st_mode & 0o777 == 0o600
+    before = key.read_bytes()
+    make_host_key(key)
+    assert key.read_bytes() == before, "a host key is made once"
 
 
 WITHOUT_NETLINK = """

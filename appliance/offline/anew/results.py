@@ -19,6 +19,7 @@ import errno
 import hashlib
 import io
 import json
+import math
 import os
 import socket
 import threading
@@ -32,6 +33,7 @@ from typing import Any
 from appliance.storage.archive import remove_folder
 from appliance.storage.atomic import StorageError, refused, replace_file, write_new
 from appliance.storage.filesystem import Bytes, LocalFileSystem
+from appliance.storage.library import by_number
 from appliance.storage.lock import hold_lock
 from appliance.storage.manifest import FILE_NAME
 
@@ -47,6 +49,12 @@ COLUMNS = (
     "calibration", "same_calibration", "recorded_by_version", "cpu_s", "wall_s", "peak_mb", "host", "cloud_sha256", "folder",
 )  # fmt: skip
 """Columns of the table, which are keys of a row; what is not known is empty."""
+NUMBERS = (
+    "points", "coverage_percent", "distance_mm", "noise_mm", "gap_mm", "e_l_percent", "length_error_mm", "temperature_c", "salinity_psu",
+    "water_index", "cpu_s", "wall_s", "peak_mb",
+)  # fmt: skip
+MOST = 1e12
+"""Largest number in a table that is believed; sums and axes of larger ones would not be finite."""
 Row = dict[str, Any]
 
 
@@ -167,7 +175,7 @@ class Results:
             text = io.StringIO()
             writer = csv.DictWriter(text, COLUMNS, extrasaction="ignore", lineterminator="\n")
             writer.writeheader()
-            writer.writerows(sorted(found, key=lambda row: (row["scan"], row.get("folder") or "")))
+            writer.writerows(sorted(found, key=_order))
             path = self.folder / TABLE
             replace_file(LocalFileSystem(), path, text.getvalue().encode())
         return path
@@ -229,17 +237,42 @@ def name_of(folder: Path, beside: Sequence[str] = ()) -> str:
 
 
 def read_table(path: Path) -> list[dict[str, str]]:
-    """Return the rows of a table, each a text by column; missing columns are empty. Raises ResultsError."""
+    """Return the rows of a table in the order of the scans' numbers, each a text by column; missing columns are empty.
+
+    Raises ResultsError, also for numbers that no scan has.
+    """
     try:
         with path.open(encoding="utf-8", newline="") as file:
             reader = csv.DictReader(file)
             if not {"scan", "state"} <= set(reader.fieldnames or ()):
                 raise ResultsError(f"TABLE {path}: is no table of `kingfisher reprocess`: give its {TABLE}")
-            return [{name: (row.get(name) or "") for name in COLUMNS} for row in reader]
+            rows = []
+            for row in reader:
+                cells = {name: (row.get(name) or "") for name in COLUMNS}
+                for name in NUMBERS:
+                    if _beyond(cells[name]):
+                        raise ResultsError(
+                            f"TABLE {path}: line {reader.line_num}: {name} {cells[name]:.40}: allowed are -{MOST:g} to {MOST:g}; correct it"
+                        )
+                rows.append(cells)
+            return sorted(rows, key=_order)
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise ResultsError(
             f"TABLE {path}: cannot be read ({error}); give a {TABLE} of `kingfisher reprocess`"
         ) from error
+
+
+def _order(row: Mapping[str, Any]) -> tuple[float, str, str]:
+    """Return what orders rows by the number of their scan: of several instruments, those of one number by their folders."""
+    return *by_number(str(row["scan"])), str(row.get("folder") or "")
+
+
+def _beyond(text: str) -> bool:
+    """True for a number that is larger than any of a scan; other text is for the reader of the cell."""
+    try:
+        return MOST < abs(float(text)) < math.inf
+    except ValueError:
+        return False
 
 
 def _encoded(row: Row) -> bytes:

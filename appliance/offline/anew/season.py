@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from statistics import median
 
 from appliance.report.style import STYLE
+from appliance.storage.library import by_number
 
 Cells = Mapping[str, str]
 _POLICY = "default-src 'none'; style-src 'unsafe-inline'"
@@ -138,7 +139,10 @@ def _chart(points: Sequence[_Point], what: str, rows: Sequence[Cells]) -> str:
     if not points:
         return '<p class="note">Nothing in the table.</p>'
     low, high = min(one.value for one in points), max(one.value for one in points)
-    step = _round_step((high - low) / _TICKS or abs(high) / _TICKS or 1.0)
+    largest = max(abs(low), abs(high))
+    # Of numbers that differ in their last digits alone, or are hardly more than nothing, an axis would have no length.
+    rough = max((high - low) / _TICKS, 1e-9 * largest) if high > low else largest / _TICKS or 1.0
+    step = _round_step(max(rough, 1e-12))
     low, high = step * math.floor(low / step), step * math.ceil(high / step)
     high = high if high > low else low + step
 
@@ -212,7 +216,7 @@ def _refused(failed: Sequence[Cells], spoilt: Sequence[Cells]) -> str:
     counted = "".join(
         f"<tr><td>{html.escape(reason)}</td><td>{count}</td></tr>" for reason, count in reasons.most_common()
     )
-    listed = [(row, _told(row)) for row in sorted((*failed, *spoilt), key=lambda row: row["scan"])]
+    listed = [(row, _told(row)) for row in sorted((*failed, *spoilt), key=lambda row: by_number(row["scan"]))]
     each = "".join(
         f"<tr><td>{html.escape(row['scan'])}</td><td style='white-space:nowrap'>{html.escape(row['recorded'][:16].replace('T', ' ')) or '–'}</td><td>{html.escape(why)}</td></tr>"
         for row, why in listed[:_MOST_LISTED]

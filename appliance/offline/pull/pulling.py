@@ -16,7 +16,7 @@ from appliance.offline.pull.taking import FoundRecording, NotYet, PullOutcome, a
 from appliance.storage import incomplete
 from appliance.storage.atomic import add_beside, make_folders
 from appliance.storage.filesystem import AppendingFileSystem
-from appliance.storage.library import LibraryFolder
+from appliance.storage.library import LibraryFolder, by_number
 from appliance.storage.names import CALIBRATIONS, OBJECTS, is_component, scan_number
 
 ATTEMPTS = 6
@@ -68,7 +68,7 @@ class Pulled:
 
     def of(self, *outcomes: PullOutcome) -> list[Came]:
         """Return what came out so, by path."""
-        return [one for _, one in sorted(self.came.items()) if one.outcome in outcomes]
+        return [one for _, one in sorted(self.came.items(), key=_by_shelf) if one.outcome in outcomes]
 
     @property
     def whole(self) -> bool:
@@ -181,11 +181,17 @@ def _recordings(source: Source, shelves: list[str], done: Pulled) -> Iterator[st
             continue
         except Unreadable as error:
             raise PullError(f"the list of scans cannot be read there: {error}") from error
-        for one in entries:
+        for one in sorted(entries, key=lambda entry: by_number(entry.name)):
             if one.folder and scan_number(one.name) is not None:
                 yield f"{shelf}/{one.name}"
             elif one.folder and one.name.startswith(".") and scan_number(one.name[1:]) is not None:
                 done.being_written += 1
+
+
+def _by_shelf(came: tuple[str, Came]) -> tuple[str, tuple[float, str]]:
+    """Return what orders results by their folder, and scans of one by their numbers."""
+    folder, _, name = came[0].rpartition("/")
+    return folder, by_number(name)
 
 
 def _here(target: Path, path: str) -> Path | None:

@@ -212,7 +212,7 @@ def _listed(found: FoundRecording) -> bytes:
 
 def _require_room(found: FoundRecording, fs: AppendingFileSystem, draft: Path) -> None:
     with refused("cannot ask for the room on", draft):
-        here = sum(path.stat().st_size for path in draft.iterdir())
+        here = sum(path.stat().st_size for path in draft.iterdir() if path.name != _WANTED)
         missing = found.size_bytes - here + ROOM_LEFT_BYTES - fs.free_bytes(draft)
     if missing > 0:
         raise StorageError(

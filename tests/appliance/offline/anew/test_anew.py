@@ -117,7 +117,7 @@ def test_drafts_of_the_dead_are_swept_and_those_of_the_living_stay(results: Resu
     for name in (
         f"000001-a.{host}.{os.getpid()}.1",
         f"000002-a.{host}.{gone}.2",
-        "000003-a.elsewhere.7.3",
+        f"000003-a.elsewhere.{gone}.3",  # its process lives there, whoever has the number here
         "000004-a.elsewhere.7.4",
     ):
         (drafts / name).mkdir()
@@ -157,6 +157,24 @@ def test_the_table_has_every_row_in_order_and_is_read_back(results: Results, tmp
     (tmp_path / "x.csv").write_text("a,b\n1,2\n")
     with pytest.raises(ResultsError, match="is no table"):
         read_table(tmp_path / "x.csv")
+
+
+def test_the_table_is_in_the_order_of_the_scans_numbers_beyond_six_digits(results: Results, tmp_path: Path) -> None:
+    numbers = [999_998, 1_000_000, 1_000_001, 999_999]
+    path = results.write_table([row(number) for number in numbers])
+    assert [int(one["scan"]) for one in read_table(path)] == sorted(numbers)
+    assert [int(line.split(",")[0]) for line in path.read_text().splitlines()[1:]] == sorted(numbers)
+    head, *lines = path.read_text().splitlines()
+    (tmp_path / "old.csv").write_text("\n".join([head, *reversed(lines)]))  # earlier versions sorted text
+    assert [int(one["scan"]) for one in read_table(tmp_path / "old.csv")] == sorted(numbers)
+
+
+@pytest.mark.parametrize("value", ["1e308", "-1e308", "1.1e12"])
+def test_a_number_that_no_scan_has_is_refused_with_its_line_and_column(results: Results, value: str) -> None:
+    path = results.write_table([row(1, noise_mm=0.02), row(2, noise_mm=value)])
+    with pytest.raises(ResultsError, match=rf"line 3: noise_mm {value}: allowed are -1e\+12 to 1e\+12"):
+        read_table(path)
+    assert len(read_table(results.write_table([row(1, noise_mm=1e12), row(2, noise_mm="nan")]))) == 2
 
 
 def test_a_call_for_one_part_keeps_the_rows_of_the_others(results: Results) -> None:

@@ -81,6 +81,27 @@ def test_each_dot_is_where_its_number_is(errors_mm: tuple[float, ...]) -> None:
     assert all(14 <= y <= 190 for _, y, _, _ in found), "within the frame"
 
 
+@pytest.mark.parametrize("pair", [(-1e12, 1e12), (5e-324, 1e-323), (0.0, 5e-324), (1e12, 1e12 + 2e-4), (0.0, 0.0)])
+def test_numbers_of_any_size_have_an_axis_with_round_numbers(pair: tuple[float, float]) -> None:
+    page = season_page([cells(k + 1, length_error_mm=value, temperature_c=value) for k, value in enumerate(pair)], "t")
+    for what in ("length error, µm", "water, °C"):
+        assert all(14.0 <= y <= 190.0 for _, y, _, _ in dots(chart(page, what)))
+        assert 2 <= chart(page, what).count('text-anchor="end"') <= 16
+
+
+def test_refused_scans_come_in_the_order_of_their_numbers() -> None:
+    page = season_page([cells(number, state="failed", reason="dark") for number in (1_000_000, 999_999)], "t")
+    listed = page[page.index("Each of them") :]
+    assert listed.index("999999") < listed.index("1000000")
+
+
+def test_a_page_under_another_formats_name_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    said = Shell(capsys)("season", tmp_path / "table.csv", "--out", tmp_path / "s.pdf")
+    assert said.code == 2
+    assert "a page is written as .html; give s.html" in said.error
+    assert not (tmp_path / "s.pdf").exists()
+
+
 def test_each_calibration_has_its_colour_and_is_named_once() -> None:
     rows = [cells(k, calibration=("a" if k < 7 else "b") * 64, gap_mm=0.007 if k < 7 else 0.09) for k in range(1, 11)]
     page = season_page(rows, "t.csv")

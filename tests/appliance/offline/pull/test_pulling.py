@@ -13,10 +13,11 @@ import pytest
 from appliance.cli import main
 from appliance.offline.pull.pulling import ATTEMPTS, HowFar
 from appliance.offline.pull.source import FolderSource, PullError, RemoteEntry, Unreadable
-from appliance.offline.pull.taking import PullOutcome, draft_folder
+from appliance.offline.pull.taking import ROOM_LEFT_BYTES, PullOutcome, draft_folder, find, take
 from appliance.storage import archive, incomplete, packed
 from appliance.storage import label as labels
 from appliance.storage.atomic import StorageError
+from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.library import Library, LibraryFolder
 from tests.appliance.offline.pull.instrument import (
     FS,
@@ -356,3 +357,36 @@ def test_what_cannot_be_meant_is_said_before_anything_is_made(
     assert main(["pull", *typed]) == 2
     assert words in capsys.readouterr().err
     assert os.listdir(tmp_path) == []  # noqa: PTH208
+
+
+@pytest.mark.parametrize("lacking_bytes", [0, 1])
+def test_a_recording_is_taken_only_where_it_leaves_some_room_on_the_disk(
+    there: Path, here: Path, lacking_bytes: int
+) -> None:
+    """Not to the last byte: whatever else is written there afterwards needs some."""
+    wanted = find(FolderSource(there), "scans/000001")
+
+    class Small(LocalFileSystem):
+        def free_bytes(self, path: Path) -> int:
+            del path
+            return wanted.size_bytes + ROOM_LEFT_BYTES - lacking_bytes
+
+    target = here / "scans" / "000001"
+    target.parent.mkdir(parents=True)
+    if lacking_bytes:
+        with pytest.raises(StorageError, match=r"the disk lacks 0\.0 MB"):
+            take(wanted, FolderSource(there), Small(), target, lambda _: None)
+    else:
+        take(wanted, FolderSource(there), Small(), target, lambda _: None)
+        assert content(target) == content(there / "scans" / "000001")
+    assert target.exists() is not bool(lacking_bytes)
+
+
+def test_scans_beyond_six_digits_are_taken_in_the_order_of_their_numbers(there: Path, here: Path) -> None:
+    for number in ("1000000", "999999"):
+        scan(there, number, 7)
+    seen: list[str] = []
+    done = pulled(FolderSource(there), here, far=lambda far: seen.append(far.doing))
+    taken = [one for one in dict.fromkeys(seen) if one.startswith("taking scans/")]
+    assert taken[-2:] == ["taking scans/999999", "taking scans/1000000"]
+    assert [one.what for one in done.of(PullOutcome.TAKEN)][-2:] == ["scans/999999", "scans/1000000"]
