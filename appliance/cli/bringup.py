@@ -10,7 +10,7 @@ from appliance.cli.arguments import option, switch
 from appliance.cli.desk import writing
 from appliance.cli.output import Exit, Progress, UsageError, complain, say, say_json, table
 from appliance.cli.places import WithRig
-from appliance.storage.atomic import replace_file
+from appliance.storage.atomic import make_folders, replace_file
 from appliance.storage.filesystem import LocalFileSystem
 
 if TYPE_CHECKING:  # both bring OpenCV, which `--help` can do without
@@ -115,7 +115,7 @@ def write_page(folder: Path, name: str, page: str, pictures: dict[str, tuple[str
     """Write a page and its pictures into a folder, which is made. Raises UsageError, StorageError."""
     files = {name: page.encode(), **{picture: data for picture, (_, data) in pictures.items()}}
     with writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folders(LocalFileSystem(), folder)
         for file, data in files.items():
             replace_file(LocalFileSystem(), folder / file, data)
     return [folder / file for file in files]

@@ -11,6 +11,8 @@ from appliance.cli.arguments import option
 from appliance.cli.desk import writing
 from appliance.cli.output import Exit, UsageError, say, say_json
 from appliance.cli.places import WithRig
+from appliance.storage.atomic import make_folders, move_folder, replace_file
+from appliance.storage.filesystem import LocalFileSystem
 
 if TYPE_CHECKING:  # brings pydantic, which `--help` can do without
     from appliance.bringup.flashing import Part
@@ -72,12 +74,17 @@ def _check(folder: Path, files: dict[str, bytes]) -> None:
 
 
 def _write(folder: Path, files: dict[str, bytes]) -> None:
-    draft = folder.with_name(f".{folder.name}.draft")
+    fs, draft = LocalFileSystem(), folder.with_name(f".{folder.name}.draft")
     shutil.rmtree(draft, ignore_errors=True)
     for name, content in files.items():
-        (draft / name).parent.mkdir(parents=True, exist_ok=True)
-        (draft / name).write_bytes(content)
+        make_folders(fs, (draft / name).parent)
+        replace_file(fs, draft / name, content)
     # Whole or not at all: half a firmware would be copied like a whole one.
     if folder.exists():
-        shutil.rmtree(folder)
-    draft.rename(folder)
+        old = folder.with_name(f".{folder.name}.old")
+        shutil.rmtree(old, ignore_errors=True)
+        move_folder(fs, folder, old)
+        move_folder(fs, draft, folder)
+        shutil.rmtree(old)
+    else:
+        move_folder(fs, draft, folder)

@@ -14,7 +14,7 @@ from appliance.cli.listing import say_report
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json, table
 from appliance.cli.places import WithRoot
 from appliance.scan.sides import of_side
-from appliance.storage.atomic import replace_file
+from appliance.storage.atomic import make_folders, replace_file
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.scan import ScanError
 
@@ -57,7 +57,7 @@ class MeasureResponse(WithRoot):
             except ResponseError as error:
                 raise ScanError(f"{folder}: {error}") from error
         with writing(path):
-            path.parent.mkdir(parents=True, exist_ok=True)
+            make_folders(LocalFileSystem(), path.parent)
             replace_file(LocalFileSystem(), path, encode(found))
         fringes = measured.fringe_harmonics
         report = {
@@ -107,7 +107,7 @@ class MeasureNoise(WithRoot):
                 raise ScanError(f"{folder}: {error}") from error
         if self.install:
             with writing(path):
-                path.parent.mkdir(parents=True, exist_ok=True)
+                make_folders(LocalFileSystem(), path.parent)
                 replace_file(LocalFileSystem(), path, encode(to_store))
         report: dict[str, dict[str, float]] = {}
         for side, (measured, expected) in found.items():

@@ -18,7 +18,7 @@ from appliance.offline.pull.pulling import HowFar, Open, Pulled, pull
 from appliance.offline.pull.source import FolderSource, Source, is_linked
 from appliance.offline.pull.ssh import ANSWER_S, PORT, Host, SshLink
 from appliance.offline.pull.taking import PullOutcome
-from appliance.storage.atomic import refused
+from appliance.storage.atomic import make_folders
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.library import LibraryFolder
 from appliance.storage.lock import hold_lock
@@ -92,8 +92,7 @@ class Pull(Verb):
             raise UsageError(f"DIR {self.dir}: is a file; give a folder")
         if not target.parent.is_dir():
             raise UsageError(f"DIR {self.dir}: there is no folder {target.parent}; make it first")
-        with refused("cannot make", target):
-            target.mkdir(exist_ok=True)
+        make_folders(LocalFileSystem(), target)
         if not os.access(target, os.W_OK | os.X_OK):
             raise UsageError(f"DIR {self.dir}: this user may not write there; give another folder, or change its owner")
         return target

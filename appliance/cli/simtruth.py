@@ -24,7 +24,7 @@ from appliance.optics.model import HousedCamera, StereoRig
 from appliance.optics.pinhole import Lens
 from appliance.optics.port import Port
 from appliance.optics.water import Water
-from appliance.storage.atomic import replace_file
+from appliance.storage.atomic import make_folders, replace_file
 from appliance.storage.filesystem import LocalFileSystem
 
 METHOD = "truth"
@@ -45,7 +45,7 @@ def bring_calibration(rig: Rig) -> None:
     nominal = options.get("truth") == KNOWN_SET and options.get("medium", "water") == "water"
     if nominal and not _calibrated_before(path.parent):
         # Written like any calibration, before the service starts: nothing in the product knows that it is the truth.
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_folders(LocalFileSystem(), path.parent)
         replace_file(LocalFileSystem(), path, encode(true_calibration(rig)))
         log.info("calibration: that of the simulated instrument as drawn, in %s", path)
     elif not nominal and path.is_file():

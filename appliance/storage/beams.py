@@ -18,7 +18,7 @@ import numpy as np
 
 from appliance.checksummed_file import checked_content, with_checksum
 from appliance.ranging.beams import PointerBeam, Pointers
-from appliance.storage.atomic import refused, replace_file
+from appliance.storage.atomic import make_folders, replace_file
 from appliance.storage.calibrations import FOLDER
 from appliance.storage.filesystem import FileSystem, LocalFileSystem
 
@@ -58,10 +58,7 @@ class BeamsFile:
         # A beam that has seen no dot yet has infinity there, for which JSON has no word.
         spelled = [{**asdict(beam), "last_z_mm": _finite(beam.last_z_mm)} for beam in beams]
         content = {"calibration": calibration_hash, "drawn": self._drawn(), "beams": spelled}
-        if not self.path.parent.exists():
-            with refused("cannot make", self.path.parent):
-                self._fs.make_folder(self.path.parent)
-                self._fs.sync_folder(self.path.parent.parent)
+        make_folders(self._fs, self.path.parent)
         replace_file(self._fs, self.path, with_checksum({"schema": SCHEMA, **content}))
 
     def _drawn(self) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from appliance.calibration.gaps import DOUBTS
 from appliance.calibration.health import HealthTrend
 from appliance.calibration.patches import COUNT
 from appliance.checksummed_file import checked_content, with_checksum
-from appliance.storage.atomic import StorageError, refused, remedy_for, replace_file
+from appliance.storage.atomic import StorageError, make_folders, refused, remedy_for, replace_file
 from appliance.storage.filesystem import FileSystem, LocalFileSystem
 
 log = logging.getLogger("kingfisher")
@@ -55,11 +55,7 @@ class HealthFile:
 
     def write(self, trend: HealthTrend) -> None:
         """Write it all down; it is durable on return. Raises StorageError."""
-        with refused("cannot make", self.path.parent):
-            for folder in (self.path.parent.parent, self.path.parent):
-                if not folder.is_dir():
-                    self._fs.make_folder(folder)
-                    self._fs.sync_folder(folder.parent)
+        make_folders(self._fs, self.path.parent)
         self._set_aside()
         content = {"schema": SCHEMA, "calibration": self._hash, "trend": _TREND.dump_python(trend, mode="json")}
         replace_file(self._fs, self.path, with_checksum(content, indent=None))

@@ -21,7 +21,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 from appliance.checksummed_file import checked_content, with_checksum
-from appliance.storage.atomic import StorageError, refused, replace_file
+from appliance.storage.atomic import StorageError, make_folders, replace_file
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.lock import hold_lock
 from appliance.storage.names import OBJECTS, NameShapeError, component, is_object
@@ -272,11 +272,7 @@ def update(root: Path, name: str, change: Callable[[StoredObject | None], Stored
     Raises what ``change`` raises, StorageError, ObjectError.
     """
     fs, folder = LocalFileSystem(), folder_of(root, name)
-    with refused("cannot make", folder):
-        for one in (folder.parent, folder):
-            if not one.is_dir():
-                one.mkdir(exist_ok=True)
-                fs.sync_folder(one.parent)
+    make_folders(fs, folder)
     with hold_lock(folder, _LOCK_S):
         changed = change(read(root, name) if exists(root, name) else None)
         replace_file(fs, folder / FILE, with_checksum(_form().dump_python(changed, mode="json")))

@@ -79,7 +79,6 @@ def build(layout: Layout, tree: Path, wheels: Path | None, say: Say) -> str:
     shutil.move(folder / "source" / "systemd", folder / "systemd")
     rig = layout.rig if layout.rig.exists() else folder / "source" / "appliance" / "rigs" / "kingfisher.toml"
     if rig != layout.rig:
-        layout.rig.parent.mkdir(parents=True, exist_ok=True)
         durable.write(layout.rig, rig.read_bytes())
     for leftover in ("source", "wheels"):
         shutil.rmtree(folder / leftover)

@@ -68,7 +68,7 @@ def installed(layout: Layout) -> tuple[str, ...]:
 @contextmanager
 def locked(layout: Layout) -> Iterator[None]:
     """Change versions, alone. Raises SetupError where another one is at it."""
-    layout.program.mkdir(parents=True, exist_ok=True)
+    durable.make_folder(layout.program)
     descriptor = os.open(layout.lock, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     try:
         try:

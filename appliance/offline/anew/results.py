@@ -31,7 +31,7 @@ from pathlib import Path
 from typing import Any
 
 from appliance.storage.archive import remove_folder
-from appliance.storage.atomic import StorageError, refused, replace_file, write_new
+from appliance.storage.atomic import StorageError, make_folders, refused, replace_file, write_new
 from appliance.storage.filesystem import Bytes, LocalFileSystem
 from appliance.storage.library import by_number
 from appliance.storage.lock import hold_lock
@@ -73,9 +73,8 @@ class Results:
         """Return the results made with ``settings`` (JSON-ready), their folder made where it is not there."""
         text = json.dumps(settings, indent=1, sort_keys=True) + "\n"
         results = cls(out / hashlib.sha256(text.encode()).hexdigest()[:KEY_DIGITS])
-        with refused("cannot make", results.folder):
-            for name in ("results", "failed", "drafts"):
-                (results.folder / name).mkdir(parents=True, exist_ok=True)
+        for name in ("results", "failed", "drafts"):
+            make_folders(LocalFileSystem(), results.folder / name)
         if not (results.folder / SETTINGS).exists():
             replace_file(LocalFileSystem(), results.folder / SETTINGS, text.encode())
         return results

@@ -36,7 +36,7 @@ from appliance.patterns.sequence import build_sequence
 from appliance.scan.sides import SIDES
 from appliance.storage import calibrations
 from appliance.storage import scan as stored
-from appliance.storage.atomic import refused, replace_file
+from appliance.storage.atomic import make_folders, refused, replace_file
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.manifest import FILE_NAME
 
@@ -196,8 +196,7 @@ def install(rig: Rig, file: Path) -> tuple[Path, Path | None]:
         )
     target = rig.storage.root / AIR_FILE
     before = None
-    with refused("cannot make the folder of", target):
-        target.parent.mkdir(parents=True, exist_ok=True)
+    make_folders(LocalFileSystem(), target.parent)
     if target.is_file():
         with refused("cannot read", target):
             data = target.read_bytes()

@@ -15,7 +15,7 @@ from appliance.instrument import (
     design_of,
 )
 from appliance.scan.sides import of_side
-from appliance.storage.atomic import replace_file
+from appliance.storage.atomic import make_folders, replace_file
 from appliance.storage.filesystem import LocalFileSystem
 
 
@@ -50,7 +50,7 @@ def write_nominal_calibration(rig: Rig, out: Path | None) -> Path:
     Raises StorageError.
     """
     path = out if out is not None else rig.storage.root / CALIBRATION_FILE.with_name("nominal.json")
-    path.parent.mkdir(parents=True, exist_ok=True)
+    make_folders(LocalFileSystem(), path.parent)
     replace_file(LocalFileSystem(), path, calibration_file.encode(design_of(rig)))
     return path
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from appliance.bounded_file import read_bounded
 from appliance.calibration.air.board import BoardDesign, BoardError, parse_board
-from appliance.storage.atomic import move_folder, refused, replace_file, write_new
+from appliance.storage.atomic import make_folders, move_folder, refused, replace_file, write_new
 from appliance.storage.filesystem import LocalFileSystem
 
 Image = NDArray[np.uint8]
@@ -43,8 +43,7 @@ class ViewFolder:
         """
         self.folder = folder
         self._fs = LocalFileSystem()
-        with refused("cannot make", folder):
-            folder.mkdir(parents=True, exist_ok=True)
+        make_folders(self._fs, folder)
         begun = read_session(folder)
         if begun is None:
             self.design = design or BoardDesign()

@@ -9,7 +9,7 @@ from appliance.bringup.finding import BringupError
 from appliance.bringup.guide import StepOutcome
 from appliance.bringup.guide_page import PAGE, guide_page
 from appliance.bringup.guide_state import STATE, GuideState, read_state
-from appliance.storage.atomic import refused, replace_file
+from appliance.storage.atomic import make_folders, refused, replace_file
 from appliance.storage.filesystem import LocalFileSystem
 
 MOST_BYTES = 16_000_000
@@ -25,8 +25,7 @@ class GuideFolder:
 
     def prepare(self) -> None:
         """Make the folder if it is not there. Raises StorageError."""
-        with refused("cannot make", self.folder):
-            self.folder.mkdir(parents=True, exist_ok=True)
+        make_folders(self._fs, self.folder)
 
     def read(self) -> GuideState:
         """Return the state; an empty one where there is none. Raises BringupError for a damaged one, StorageError."""

@@ -159,7 +159,9 @@ class VolatileDisk(HastyDisk):
     def sync_folder(self, path: Path) -> None:
         self._count()
         super().sync_folder(path)
-        node = self._node(path)
+        self._sync_names(self._node(path))
+
+    def _sync_names(self, node: _Node) -> None:
         durable = self._closed(change for change in self._pending if change.folder is node)
         for change in sorted(durable, key=lambda one: one.number):
             change.apply(change.folder.durable_names)
