@@ -286,6 +286,11 @@ class ManyEngine:
             raise SchedulerError(
                 f"--scheduler {self._address}: cannot be reached ({error}); start one with `dask scheduler`"
             ) from error
+        except (TypeError, RuntimeError) as error:
+            # So Dask says that files for TLS are missing, and that an address is without it where its settings require it.
+            raise SchedulerError(
+                f"--scheduler {self._address}: its settings of TLS do not fit ({error}); docs/archive.md says which are needed"
+            ) from error
         return client
 
     def _connect_again(self) -> None:

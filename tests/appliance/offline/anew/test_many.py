@@ -37,16 +37,18 @@ class Cluster:
 
     folder: Path
     port: int
+    protocol: str = "tcp"
     started: list[subprocess.Popen[bytes]] = field(default_factory=list)
 
     @property
     def address(self) -> str:
-        return f"tcp://127.0.0.1:{self.port}"
+        return f"{self.protocol}://127.0.0.1:{self.port}"
 
     def scheduler(self) -> subprocess.Popen[bytes]:
         return self._run(
-            "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", str(self.port), "--no-dashboard"
-        )
+            "distributed.cli.dask_scheduler", "--protocol", self.protocol, "--host", "127.0.0.1", "--port", str(self.port),
+            "--no-dashboard",
+        )  # fmt: skip
 
     def worker(self, tree: Path = ROOT, without: Path | None = None) -> subprocess.Popen[bytes]:
         """Start a worker with the program of ``tree``; ``without``: it sees an empty folder there (as root)."""
@@ -199,3 +201,64 @@ def test_a_scheduler_that_is_not_there_is_one_clear_line(monkeypatch: pytest.Mon
     monkeypatch.setattr("appliance.offline.anew.many.CONNECT_S", 0.5)
     with pytest.raises(SchedulerError, match=r"cannot be reached .* start one with `dask scheduler`"):
         ManyEngine("tcp://127.0.0.1:9", 5.0, Job("", "", None, None, False, None, False, ""))
+
+
+# --------------------------------------------------------------------------------------------------- TLS
+
+
+def settings_of_tls(folder: Path) -> dict[str, str]:
+    """Dask's settings, by their names in the environment, for a certificate of an authority that is made in ``folder``."""
+    folder.mkdir()
+    key = ("openssl", "req", "-newkey", "rsa:2048", "-nodes", "-subj")
+    for command in (
+        (*key, "/CN=authority", "-x509", "-days", "2", "-keyout", "ca.key", "-out", "ca.pem"),
+        (*key, "/CN=desk", "-keyout", "desk.key", "-out", "desk.csr"),
+        ("openssl", "x509", "-req", "-in", "desk.csr", "-CA", "ca.pem", "-CAkey", "ca.key", "-CAcreateserial", "-days", "2", "-out", "desk.pem"),
+    ):  # fmt: skip
+        subprocess.run(command, cwd=folder, check=True, capture_output=True, timeout=60)
+    files = {f"TLS__{role}__{kind}": str(folder / f"desk.{ending}")
+             for role in ("SCHEDULER", "WORKER", "CLIENT") for kind, ending in (("CERT", "pem"), ("KEY", "key"))}  # fmt: skip
+    settings = {"REQUIRE_ENCRYPTION": "True", "TLS__CA_FILE": str(folder / "ca.pem"), **files}
+    return {f"DASK_DISTRIBUTED__COMM__{name}": value for name, value in settings.items()}
+
+
+def here(settings: dict[str, str]) -> dict[str, object]:
+    """The same for this process, whose environment was read long ago."""
+    names = {name: name.removeprefix("DASK_").replace("__", ".").lower() for name in settings}
+    return {names[name]: value == "True" or value for name, value in settings.items()}
+
+
+def test_an_address_of_tls_without_certificates_is_refused_in_one_line() -> None:
+    like = Job("/nowhere/000001", "", None, None, False, None, False, program_digits())
+    with pytest.raises(SchedulerError, match=r"^--scheduler tls://127\.0\.0\.1:1: its settings of TLS do not fit"):
+        ManyEngine("tls://127.0.0.1:1", 5.0, like)
+
+
+@pytest.mark.long
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")
+def test_with_tls_only_those_who_have_a_certificate_of_the_authority_take_part(
+    cluster: Cluster, scans: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import dask.config
+
+    cluster.protocol = "tls"
+    ours, strange = settings_of_tls(tmp_path / "ours"), settings_of_tls(tmp_path / "strange")
+    results = Results.of(tmp_path / "out", {"a": 1})
+    jobs = made(scans, results, 6)
+    with monkeypatch.context() as patch:
+        for name, value in ours.items():
+            patch.setenv(name, value)
+        cluster.scheduler()
+        cluster.worker()
+    with dask.config.set(here(ours)):
+        with ManyEngine(cluster.address, 60.0, jobs[0]) as engine:
+            worked = work_through_all(jobs, engine, lambda *_: None)
+        assert_each_once_and_whole(results, jobs, worked.rows)
+        monkeypatch.setattr("appliance.offline.anew.many.CONNECT_S", 4.0)
+        with pytest.raises(SchedulerError, match="encryption required"):
+            ManyEngine(cluster.address.replace("tls", "tcp"), 5.0, jobs[0])
+    for address in (cluster.address, cluster.address.replace("tls", "tcp")):
+        with pytest.raises(SchedulerError):
+            ManyEngine(address, 5.0, jobs[0])
+    with dask.config.set(here(strange)), pytest.raises(SchedulerError, match="cannot be reached"):
+        ManyEngine(cluster.address, 5.0, jobs[0])
