@@ -34,8 +34,8 @@ from appliance.storage.atomic import (
     write_new,
 )
 from appliance.storage.filesystem import Bytes, FileSystem
-from appliance.storage.library import LibraryFolder, by_number
-from appliance.storage.names import CALIBRATIONS, OBJECTS, scan_number
+from appliance.storage.library import LibraryFolder
+from appliance.storage.names import CALIBRATIONS, OBJECTS, by_number, scan_number
 from appliance.storage.packed import PackedError, packed_path
 from appliance.storage.scan import RAW_FILES, SECOND_FILES, ScanError
 

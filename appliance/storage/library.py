@@ -14,7 +14,6 @@ may read.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -29,7 +28,7 @@ from appliance.storage.atomic import StorageError, move_folder, refused, replace
 from appliance.storage.filesystem import FileSystem, LocalFileSystem
 from appliance.storage.label import NO_LABEL, Label, LabelError
 from appliance.storage.manifest import Decision, Manifest, ManifestError
-from appliance.storage.names import scan_number
+from appliance.storage.names import by_number, scan_number
 from appliance.storage.record import ScanRecord
 
 if TYPE_CHECKING:  # NumPy is loaded where pixels and points are: a list of scans touches none
@@ -356,12 +355,6 @@ def entry_of(folder: Path, *, checksums: bool) -> ScanEntry:
         if checksums:  # no damage to the scan: told where every byte is looked at
             found.append(str(error))
     return ScanEntry(whole.name, shelf, folder, manifest, tuple(found), size_bytes, label)
-
-
-def by_number(name: str) -> tuple[float, str]:
-    """Return what orders the names of scans as they were taken, 1000000 after 999999; a name of another form comes last."""
-    found = scan_number(name.removeprefix("."))
-    return (math.inf if found is None else int(found)), name
 
 
 def _number(folder: Path) -> int:

@@ -6,6 +6,7 @@ it is one component, neither hidden nor read as an option by other programs, and
 
 from __future__ import annotations
 
+import math
 import re
 import unicodedata
 
@@ -55,6 +56,12 @@ def scan_number(folder: str) -> str | None:
     """Return the number in the name of a scan's folder; ``None`` for any other. The ending of ``000007-2`` tells apart two of one number."""
     found = _SCAN_FOLDER.fullmatch(folder)
     return None if found is None else found[1]
+
+
+def by_number(folder: str) -> tuple[float, str]:
+    """Return what orders names of scans as they were taken, 1000000 after 999999; a name of another form comes last."""
+    number = scan_number(folder)
+    return (math.inf if number is None else int(number)), folder
 
 
 def is_object(name: str) -> bool:

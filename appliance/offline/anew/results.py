@@ -33,9 +33,9 @@ from typing import Any
 from appliance.storage.archive import remove_folder
 from appliance.storage.atomic import StorageError, make_folders, refused, replace_file, write_new
 from appliance.storage.filesystem import Bytes, LocalFileSystem
-from appliance.storage.library import by_number
 from appliance.storage.lock import hold_lock
 from appliance.storage.manifest import FILE_NAME
+from appliance.storage.names import by_number
 
 ROW, CLOUD, TABLE, SETTINGS = "row.json", "cloud.ply", "table.csv", "settings.json"
 KEY_DIGITS, NAME_DIGITS = 16, 12

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from statistics import median
 
 from appliance.report.style import STYLE
-from appliance.storage.library import by_number
+from appliance.storage.names import by_number
 
 Cells = Mapping[str, str]
 _POLICY = "default-src 'none'; style-src 'unsafe-inline'"

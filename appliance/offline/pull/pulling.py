@@ -16,8 +16,8 @@ from appliance.offline.pull.taking import FoundRecording, NotYet, PullOutcome, a
 from appliance.storage import incomplete
 from appliance.storage.atomic import add_beside, make_folders
 from appliance.storage.filesystem import AppendingFileSystem
-from appliance.storage.library import LibraryFolder, by_number
-from appliance.storage.names import CALIBRATIONS, OBJECTS, is_component, scan_number
+from appliance.storage.library import LibraryFolder
+from appliance.storage.names import CALIBRATIONS, OBJECTS, by_number, is_component, scan_number
 
 ATTEMPTS = 6
 """Number of times in a row that a link is opened without anything coming over it, before the call ends."""
