@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -43,6 +44,7 @@ def hold_lock(root: Path, wait_s: float = 0.0) -> Iterator[None]:
 
 
 def _take(descriptor: int, until_s: float) -> None:
+    never = threading.Event()
     while True:
         try:
             # flock belongs to the open file: it ends with the process, also with a killed one. A file with a number in
@@ -51,7 +53,7 @@ def _take(descriptor: int, until_s: float) -> None:
         except BlockingIOError:
             if time.monotonic() >= until_s:
                 raise
-        time.sleep(_LOOK_S)
+        never.wait(_LOOK_S)
 
 
 def holder(root: Path) -> str | None:
