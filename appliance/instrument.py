@@ -33,7 +33,7 @@ from appliance.optics.water import Water
 from appliance.patterns.response import Response
 from appliance.patterns.sequence import PERIODS_PX, build_sequence
 from appliance.ranging.beams import Pointers
-from appliance.ranging.expected_light import live_light
+from appliance.ranging.expected_light import DrawnLight, live_light
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.exposure import STEPS_MS, Exposure, Span, ladder
 from appliance.scan.fault import Fault, FaultCode
@@ -190,13 +190,19 @@ def pointers_of(rig: Rig) -> Pointers | None:
 
 def live_light_of(rig: Rig) -> NDArray[np.uint8]:
     """Return what the projector shows in the live views, (h, w) uint8."""
+    return drawn_light_of(rig).codes
+
+
+def drawn_light_of(rig: Rig) -> DrawnLight:
+    """Return the light of the live views, with the projector that throws it."""
     d, out = rig.design, rig.projector
     # As drawn: the calibration knows the cameras alone, and the dark lanes are wide enough for that (ADR 0024).
     f_px = 1000.0 * d.projector_principal_distance_mm / d.projector_pixel_um
     lens = Lens((f_px, f_px), ((out.width_px - 1) / 2.0, (out.height_px - 1) / 2.0))
     port = Port((0.0, 0.0, 1.0), d.port_distance_mm, d.port_thickness_mm, d.port_index)
     projector = HousedCamera(out.width_px, out.height_px, lens, port)
-    return live_light(projector, pointers_of(rig), water_of(rig).index, volume_of(rig))
+    volume = volume_of(rig)
+    return DrawnLight(projector, live_light(projector, pointers_of(rig), water_of(rig).index, volume), volume)
 
 
 def water_of(rig: Rig) -> Water:

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from appliance.machine.alerts import Severity, in_full, lasting, on_screen
+from appliance.machine.alerts import Severity, lasting
+from appliance.machine.leading import in_full, on_screen
 from appliance.machine.moves import RECORDING
 from appliance.machine.states import Machine, State
 from appliance.scan.fault import Fault

@@ -1,4 +1,4 @@
-"""Owns the diver's words for every fault, in each language: one row each, and the list to show at a moment.
+"""Owns the diver's words for every fault, in each language: one row each. Which of them leads: ``appliance.machine.leading``.
 
 A headline has at most 16 characters (in German 21), an action at most 32; both are read under water, in grey. Whether they fit
 their room is measured.
@@ -7,13 +7,13 @@ their room is measured.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from types import MappingProxyType
 from typing import assert_never
 
-from appliance.machine.states import Machine, NoticeKind, State
+from appliance.machine.states import Machine, NoticeKind
 from appliance.machine.words import Language, Words
 from appliance.scan.fault import Fault, FaultCode
 from drivers.api import Key
@@ -80,13 +80,11 @@ class Rule:
 _I, _W, _C = Severity.INFO, Severity.WARNING, Severity.CRITICAL
 _INCOMPLETE = Words("INCOMPLETE {received:.0f}/{expected:.0f}", "UNVOLLSTÄNDIG {received:.0f}/{expected:.0f}")
 _REPEAT = Words("REPEAT", "NOCHMAL")
-_CONNECTOR = Words("CHECK CONNECTOR", "STECKER PRÜFEN")
-_RIG_FILE = Words("ASHORE: CHECK RIG FILE", "AN LAND: EINSTELLUNG PRÜFEN")
-_RESTART = Words("REPEAT; RESTART IF AGAIN", "NOCHMAL; SONST NEU STARTEN")
-_LAMP = Words("CHECK LAMP AND VIDEO CABLE", "LAMPE UND VIDEOKABEL PRÜFEN")
-_TURN = Words("ASHORE: TURN PICTURE BACK", "AN LAND: BILD ZURÜCKDREHEN")
-_NO_GAMMA = Words("ASHORE: GAMMA AND LUT OFF", "AN LAND: GAMMA UND LUT AUS")
-_TRIGGER = Words("REPEAT; CHECK TRIGGER CABLES", "NOCHMAL; TRIGGERKABEL PRÜFEN")
+# What a diver can do about anything inside of the housing; what to look at ashore is in `appliance.machine.ashore`.
+_SWITCH = Words("OFF AND ON, OR END DIVE", "AUS/EIN ODER AUFSTIEG")
+_RESTART = Words("REPEAT; IF AGAIN: OFF AND ON", "NOCHMAL; SONST EINMAL AUS/EIN")
+_UNCOVER = Words("LIGHT COVERED? ELSE OFF AND ON", "LICHT VERDECKT? SONST AUS/EIN")
+_SERVICE = Words("END DIVE, NEEDS SERVICE", "AUFTAUCHEN, SERVICE NÖTIG")
 
 RULES: Mapping[FaultCode, Rule] = MappingProxyType(
     {
@@ -104,11 +102,11 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
             _W, _INCOMPLETE, _REPEAT, Words("FRAME DAMAGED", "BILD BESCHÄDIGT"), spoils_scan=True
         ),
         FaultCode.CAMERA_TOO_SLOW: Rule(
-            *(_W, Words("{side}CAM SLOW", "{side}KAMERA TRÄGE"), _RIG_FILE, Words("CAMERA SLOW", "KAMERA TRÄGE")),
+            *(_W, Words("{side}CAM SLOW", "{side}KAMERA TRÄGE"), _SWITCH, Words("CAMERA SLOW", "KAMERA TRÄGE")),
             spoils_scan=True,
         ),
         FaultCode.CAMERA_SILENT: Rule(
-            *(_W, Words("{side}CAM SILENT", "{side}KAMERA STUMM"), _TRIGGER, Words("CAMERA SILENT", "KAMERA STUMM")),
+            *(_W, Words("{side}CAM SILENT", "{side}KAMERA STUMM"), _RESTART, Words("CAMERA SILENT", "KAMERA STUMM")),
             spoils_scan=True,
         ),
         FaultCode.CAMERA_STUCK: Rule(
@@ -120,13 +118,18 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
         ),
         FaultCode.PATTERN_WRONG: Rule(_W, Words("WRONG PATTERN", "FALSCHES MUSTER"), _REPEAT, spoils_scan=True),
         FaultCode.PICTURE_MIRRORED: Rule(
-            *(_W, Words("{side}CAM MIRROR", "{side}GESPIEGELT"), _TURN, Words("PICTURE MIRRORED", "BILD GESPIEGELT")),
+            *(
+                _W,
+                Words("{side}CAM MIRROR", "{side}GESPIEGELT"),
+                _SERVICE,
+                Words("PICTURE MIRRORED", "BILD GESPIEGELT"),
+            ),
             spoils_scan=True,
         ),
-        FaultCode.SYNC_LOST: Rule(_W, Words("SYNC LOST", "KEIN GLEICHTAKT"), _TRIGGER, spoils_scan=True),
+        FaultCode.SYNC_LOST: Rule(_W, Words("SYNC LOST", "KEIN GLEICHTAKT"), _RESTART, spoils_scan=True),
         FaultCode.LATE_FLIP: Rule(_W, Words("PROJECTOR LATE", "PROJEKTOR SPÄT"), _REPEAT, spoils_scan=True),
         FaultCode.PROJECTOR_TIMING: Rule(_W, Words("PROJECTOR TIMING", "PROJEKTORTAKT"), _RESTART, spoils_scan=True),
-        FaultCode.PROJECTOR_DARK: Rule(_W, Words("PROJECTOR DARK", "PROJEKTOR DUNKEL"), _LAMP, spoils_scan=True),
+        FaultCode.PROJECTOR_DARK: Rule(_W, Words("PROJECTOR DARK", "PROJEKTOR DUNKEL"), _UNCOVER, spoils_scan=True),
         FaultCode.PULSE_MISSING: Rule(
             _W,
             Words("PULSES {received:.0f}/{expected:.0f}", "PULSE {received:.0f}/{expected:.0f}"),
@@ -156,7 +159,7 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
         ),
         FaultCode.WATER_DIRTY: Rule(
             _W,
-            Words("WATER DIRTY {coverage_percent:.0f}%", "WASSER TRÜB {coverage_percent:.0f} %"),
+            Words("SIGHT ONLY {sight_m:.1f} m", "SICHT NUR {sight_m:.1f} m"),
             Words("LET IT SETTLE OR GO CLOSER", "WARTEN ODER NÄHER HERAN"),
             Words("WATER DIRTY", "WASSER TRÜB"),
         ),
@@ -180,7 +183,7 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
         FaultCode.SIDES_EXCHANGED: Rule(
             _W,
             Words("LEFT IS RIGHT", "LINKS IST RECHTS"),
-            Words("EXCHANGE SERIALS IN RIG FILE", "NUMMERN IN RIG-DATEI TAUSCHEN"),
+            _SERVICE,
             spoils_points=True,
         ),
         FaultCode.SCAN_POOR: Rule(
@@ -198,38 +201,41 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
             _W, Words("FRINGES BENT", "STREIFEN KRUMM"), Words("TRY ANOTHER EXPOSURE", "ANDERE BELICHTUNG")
         ),
         FaultCode.GREY_BENT: Rule(
-            _W, Words("{side}CAM GAMMA", "{side}KAMERA GAMMA"), _NO_GAMMA, Words("CAMERA GAMMA", "KAMERA-GAMMA")
+            _W,
+            Words("{side}CAM GAMMA", "{side}KAMERA GAMMA"),
+            Words("GO ON; NEEDS SERVICE ASHORE", "WEITER; AN LAND ZUM SERVICE"),
+            Words("CAMERA GAMMA", "KAMERA-GAMMA"),
         ),
         FaultCode.AMBIENT: Rule(
             _W,
             Words("TOO MUCH LIGHT", "ZU VIEL LICHT"),
-            Words("SHADE IT, TURN TORCHES AWAY", "ABSCHATTEN, LAMPEN WEGDREHEN"),
+            Words("TURN TORCHES AWAY, SHADE IT", "LAMPEN WEGDREHEN, ABSCHATTEN"),
         ),
         FaultCode.CAMERA_LOST: Rule(
             _W,
             Words("{side}CAM LOST", "{side}KAMERA FEHLT"),
-            _CONNECTOR,
+            _SWITCH,
             Words("CAMERA LOST", "KAMERA FEHLT"),
             blocks_scan=True,
             stops_capture=True,
         ),
         FaultCode.CAMERA_SLOW_LINK: Rule(
-            _W, Words("CAMERA LINK SLOW", "KAMERA LANGSAM"), _CONNECTOR, blocks_scan=True, stops_capture=True
+            _W, Words("CAMERA LINK SLOW", "KAMERA LANGSAM"), _SWITCH, blocks_scan=True, stops_capture=True
         ),
         FaultCode.CAMERA_REFUSED: Rule(
             _W,
             Words("{side}CAM REFUSED", "{side}KAMERA GESTÖRT"),
-            _RIG_FILE,
+            _SWITCH,
             Words("CAMERA REFUSED", "KAMERA GESTÖRT"),
             blocks_scan=True,
             stops_capture=True,
         ),
         FaultCode.PROJECTOR_LOST: Rule(
-            _W, Words("PROJECTOR LOST", "PROJEKTOR FEHLT"), _CONNECTOR, blocks_scan=True, stops_capture=True
+            _W, Words("PROJECTOR LOST", "PROJEKTOR FEHLT"), _SWITCH, blocks_scan=True, stops_capture=True
         ),
-        FaultCode.DISPLAY_LOST: Rule(_W, Words("DISPLAY LOST", "ANZEIGE FEHLT"), _CONNECTOR),
+        FaultCode.DISPLAY_LOST: Rule(_W, Words("DISPLAY LOST", "ANZEIGE FEHLT"), _SWITCH),
         FaultCode.BOARD_LOST: Rule(
-            _W, Words("BOARD LOST", "PLATINE FEHLT"), _CONNECTOR, blocks_scan=True, stops_capture=True
+            _W, Words("BOARD LOST", "PLATINE FEHLT"), _SWITCH, blocks_scan=True, stops_capture=True
         ),
         # No `stops_capture`: a reset is an event, not a condition. `safety.board_reset` ends the recording by
         # itself.
@@ -242,7 +248,7 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
         FaultCode.VSYNC_LOST: Rule(
             _W,
             Words("NO VIDEO SIGNAL", "KEIN VIDEOSIGNAL"),
-            Words("CHECK VIDEO CABLE", "VIDEOKABEL PRÜFEN"),
+            _SWITCH,
             blocks_scan=True,
             stops_capture=True,
         ),
@@ -256,7 +262,11 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
         FaultCode.LASER_FAILED: Rule(
             _W, Words("LASER OUT", "LASER FEHLT"), Words("DISTANCE FROM ONE DOT", "ABSTAND AUS EINEM PUNKT")
         ),
-        FaultCode.KEYS_LOST: Rule(_W, Words("KEYS LOST", "TASTEN FEHLEN"), _CONNECTOR),
+        FaultCode.KEYS_LOST: Rule(
+            _W,
+            Words("KEYS LOST", "TASTEN FEHLEN"),
+            Words("WAIT, OR END DIVE", "WARTEN ODER AUFTAUCHEN"),
+        ),
         FaultCode.KEY_STUCK: Rule(
             _W, Words("KEY STUCK", "TASTE KLEMMT"), Words("USE THE KEY WITH ITS LABEL", "BESCHRIFTETE TASTE NEHMEN")
         ),
@@ -273,6 +283,12 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
             Words("FAR {distance_mm:.0f} mm", "WEIT {distance_mm:.0f} mm"),
             Words("CLOSER, OR SCAN AGAIN TO RECORD", "NÄHER, ODER NOCHMAL DRÜCKEN"),
             Words("TOO FAR", "ZU WEIT"),
+        ),
+        FaultCode.AIM_LIGHT: Rule(
+            _W,
+            Words("TOO MUCH LIGHT", "ZU VIEL LICHT"),
+            Words("TURN TORCHES AWAY, SHADE IT", "LAMPEN WEGDREHEN, ABSCHATTEN"),
+            passing=True,
         ),
         FaultCode.AIM_DARK: Rule(
             _W,
@@ -295,19 +311,19 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
         FaultCode.STORAGE_FULL: Rule(
             _W,
             Words("STORAGE FULL", "SPEICHER VOLL"),
-            Words("COPY SCANS, MAKE ROOM", "SCANS KOPIEREN, PLATZ SCHAFFEN"),
+            Words("END DIVE, COPY SCANS ASHORE", "AUFTAUCHEN, SCANS KOPIEREN"),
             blocks_scan=True,
         ),
         FaultCode.DISK_READ_ONLY: Rule(
             _W,
             Words("DISK READ-ONLY", "SPEICHER NUR LESBAR"),
-            Words("END DIVE, DISK NEEDS SERVICE", "AUFTAUCHEN, SPEICHER PRÜFEN"),
+            Words("END DIVE, DISK NEEDS SERVICE", "AUFTAUCHEN, SPEICHER DEFEKT"),
             blocks_scan=True,
         ),
         FaultCode.DISK_REFUSES: Rule(
             _W,
             Words("DISK REFUSES", "SPEICHER GESTÖRT"),
-            Words("END DIVE, DISK NEEDS SERVICE", "AUFTAUCHEN, SPEICHER PRÜFEN"),
+            Words("END DIVE, DISK NEEDS SERVICE", "AUFTAUCHEN, SPEICHER DEFEKT"),
             blocks_scan=True,
         ),
         # Critical, and yet it blocks nothing: the scan is still in memory, and OK or time tries again (`saving`).
@@ -359,7 +375,7 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
         FaultCode.WINDOW: Rule(
             _W,
             Words("{window_side}WINDOW?", "{window_side}FENSTER?"),
-            Words("WIPE IT; FOG INSIDE: DRY IT", "ABWISCHEN; INNEN: TROCKNEN"),
+            Words("WIPE IT; FOG STAYS: END DIVE", "ABWISCHEN; BLEIBT ES: AUFTAUCHEN"),
             Words("WINDOW?", "FENSTER?"),
         ),
         FaultCode.WARM: Rule(
@@ -410,7 +426,7 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
         FaultCode.INTERNAL: Rule(
             _W,
             Words("INTERNAL FAULT", "INTERNER FEHLER"),
-            Words("REPEAT; READ THE LOG ASHORE", "NOCHMAL; PROTOKOLL AN LAND LESEN"),
+            _RESTART,
             spoils_scan=True,
         ),
     }
@@ -481,7 +497,8 @@ def alert_of(fault: Fault) -> Alert:
     )
 
 
-def _notice(machine: Machine) -> Alert | None:
+def notice_of(machine: Machine) -> Alert | None:
+    """Return what happened, in the words of how it came about; ``None``: nothing did."""
     if machine.notice is None:
         return None
     fault = machine.notice.fault
@@ -490,7 +507,9 @@ def _notice(machine: Machine) -> Alert | None:
     english, german = (headline_of(fault, language) for language in (Language.ENGLISH, Language.GERMAN))
     match machine.notice.kind:
         case NoticeKind.REFUSAL:
-            return replace(plain, action=_REFUSED.english, german=(german, _REFUSED.german))
+            # What still lasts is acknowledged with the refusal: one press of BACK, whose label says SEEN meanwhile.
+            lasts = any((one.code, one.device) == (fault.code, fault.device) for one in lasting(machine))
+            return replace(plain, action=_REFUSED.english, german=(german, _REFUSED.german), lasts=lasts)
         case NoticeKind.NOT_ADDED:
             said, why = _NOT_ADDED, _FIRST_KEPT
         case NoticeKind.FAILURE if rule.stops_capture or rule.forbids_light:
@@ -506,25 +525,6 @@ def _notice(machine: Machine) -> Alert | None:
         action=why.english.format(fault=english),
         german=(said.german, why.german.format(fault=german)),
     )
-
-
-_TESTED = frozenset(
-    {
-        FaultCode.CAMERA_LOST, FaultCode.CAMERA_SLOW_LINK, FaultCode.CAMERA_REFUSED, FaultCode.PROJECTOR_LOST,
-        FaultCode.DISPLAY_LOST, FaultCode.BOARD_LOST, FaultCode.KEYS_LOST, FaultCode.UNCALIBRATED,
-    }
-)  # fmt: skip
-"""Faults that have a line of their own in the self-test."""
-QUIET: Mapping[State, frozenset[FaultCode]] = MappingProxyType(
-    {
-        State.BOOT: _TESTED,
-        State.SELF_TEST: _TESTED,
-        State.CALIBRATE: frozenset({FaultCode.UNCALIBRATED, FaultCode.LENGTH_ERROR}),
-        State.COOLING: frozenset({FaultCode.HOT, FaultCode.WARM}),
-        State.SAFE: frozenset({FaultCode.LEAK}),
-    }
-)
-"""Faults that a state's own screen says already, or is the remedy for."""
 
 
 def lasting(machine: Machine) -> tuple[Fault, ...]:
@@ -558,42 +558,6 @@ def _worse(was: Fault, now: Fault, name: str, by: float) -> bool:
     return change >= by if by > 0.0 else change <= by
 
 
-def in_full(shown: Sequence[Alert]) -> Alert | None:
-    """Return the one that is shown in full: the first of the gravest that nobody has acknowledged."""
-    return max(
-        (alert for alert in shown if not alert.seen and not alert.passing),
-        key=lambda alert: alert.severity,
-        default=None,
-    )
-
-
-def on_screen(machine: Machine) -> tuple[Alert, ...]:
-    """Return those of ``alerts`` that the band of the screen shows: not what the screen is made of, nor what is being
-    remedied."""
-    quiet = QUIET.get(machine.state, frozenset())
-    return tuple(alert for alert in alerts(machine) if alert.code not in quiet)
-
-
 def lengths_doubtful(machine: Machine) -> bool:
     """Tell whether something lasts that makes lengths not to be trusted."""
     return any(RULES[fault.code].doubts_lengths for fault in machine.conditions)
-
-
-def alerts(machine: Machine) -> tuple[Alert, ...]:
-    """Return the alerts to show now: the notice first, then what lasts, the most severe first; nothing twice."""
-    lasts = [replace(alert_of(fault), lasts=True, seen=seen(machine, fault)) for fault in lasting(machine)]
-    if machine.scan is not None:
-        lasts += [alert_of(fault) for fault in machine.scan.warnings]
-        if machine.scan.failed is not None:
-            lasts.append(alert_of(machine.scan.failed))
-    # Among equally grave ones, what keeps it dark comes first, then what forbids a scan: a leak before a disk, and a full
-    # disk before a calibration that nobody trusts.
-    lasts.sort(key=lambda a: (-a.severity, not RULES[a.code].forbids_light, not RULES[a.code].blocks_scan))
-    shown: list[Alert] = []
-    notice = _notice(machine)
-    if notice is not None:
-        shown.append(notice)
-    for alert in lasts:
-        if not any((s.code, s.headline) == (alert.code, alert.headline) for s in shown):
-            shown.append(alert)
-    return tuple(shown)

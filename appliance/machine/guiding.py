@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import assert_never
 
 from appliance.machine.states import Machine, State
-from appliance.machine.words import Label, Text
+from appliance.machine.words import Label, Text, english
 from appliance.ranging.reach import Reach
 from appliance.scan.guidance import Move
 
@@ -20,10 +20,18 @@ STEP_PERCENT = 5
 class GuidanceSaid:
     """Words for the screen, and the arrow beside them."""
 
-    words: Label
-    move: Move
+    overlap: Label | None
+    """Overlap that a scan from here would have; ``None``: none is known."""
+    words: Text | None
+    """What to do; ``None``: the distance says so."""
+    move: Move | None = None
     toward: tuple[float, float] | None = None
     """Direction in the left picture, right and down, of length 1; ``None``: no arrow."""
+
+    @property
+    def whole(self) -> str:
+        """Both in one line of English, as the status file has it."""
+        return ": ".join(english(label) for label in (self.overlap, self.words) if label is not None)
 
 
 def guides(machine: Machine) -> bool:
@@ -41,15 +49,16 @@ def guidance_said(machine: Machine) -> GuidanceSaid | None:
         case Move.GO_BACK:
             word = Text.TURN_BACK
         case Move.SCAN_NOW:
-            # Nobody is told to scan where the distance says otherwise.
-            word = Text.GOOD if machine.reach in (Reach.CLOSER, Reach.BACK) else Text.SCAN_NOW
+            word = Text.SCAN_NOW
         case Move.GO_ON:
             word = Text.GO_ON
         case unknown:
             assert_never(unknown)
     share = guidance.expected.share
     # Where nothing of the kept scan is found, the way back is all that is known.
-    percent = (
-        "" if share is None or guidance.expected.none else f"{STEP_PERCENT * round(100.0 * share / STEP_PERCENT)} %:"
-    )
-    return GuidanceSaid((percent, word) if percent else word, guidance.move, guidance.toward)
+    known = share is not None and not guidance.expected.none
+    overlap = (Text.OVERLAP, f"{STEP_PERCENT * round(100.0 * (share or 0.0) / STEP_PERCENT)} %") if known else None
+    if machine.reach in (Reach.CLOSER, Reach.BACK):
+        # The distance leads: nobody is told to scan, or which way to go, where it says otherwise.
+        return None if overlap is None else GuidanceSaid(overlap, None)
+    return GuidanceSaid(overlap, word, guidance.move, guidance.toward)

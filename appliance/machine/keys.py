@@ -1,5 +1,5 @@
-"""Owns what the four keys mean: in each state one press has one meaning; holding is for what cannot be taken back: rejecting a
-scan, putting a calibration away, and asking whether to switch off."""
+"""Owns what the four keys mean: in each state one press has one meaning; holding is for what cannot be taken back or wants
+a still hand: rejecting a scan, a second exposure, putting a calibration away, and asking whether to switch off."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import assert_never
 
 from appliance.machine import acknowledge, asking, calibrate, gallery, menu, safety, scanning, start
 from appliance.machine.moves import Result
+from appliance.machine.permissions import second_exposure
 from appliance.machine.states import Machine, State
 from drivers.api import Key
 
@@ -36,6 +37,8 @@ def pressed(machine: Machine, key: Key) -> Result:
         # ends, a cloud is there), and what was meant for the state before must neither reject a scan nor switch
         # off.
         machine = replace(machine, back_from=machine.state, back_spent=False)
+    if key is Key.DOWN:
+        machine = replace(machine, add_offered=second_exposure(machine) is not None)
     if known is not None:
         return acknowledge.acknowledged(machine, known), ()
     if key is not Key.SCAN:
@@ -71,12 +74,14 @@ def pressed(machine: Machine, key: Key) -> Result:
 
 
 def held(machine: Machine, key: Key) -> Result:
-    """BACK held rejects the scan in hand, or asks whether to switch off; DOWN held at the calibration's result puts that away
-    for a new one."""
+    """BACK held rejects the scan in hand, or asks whether to switch off; DOWN held adds a second exposure to the scan in review,
+    and at the calibration's result puts that away for a new one."""
     if machine.off_question is not None:
         return machine, ()
     if key is Key.DOWN and calibrate.may_begin_session(machine):
         return calibrate.begin_session(machine)
+    if key is Key.DOWN and machine.state is State.REVIEW and machine.add_offered:
+        return scanning.add(machine)
     if key is not Key.BACK or machine.back_spent:
         return machine, ()
     if machine.state in HELD_TO_REJECT and machine.back_from in HELD_TO_REJECT:

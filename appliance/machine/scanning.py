@@ -79,8 +79,11 @@ def arm(machine: Machine) -> Result:
     return machine, (do.Arm(number, machine.choices.period_px, second or machine.exposure, second is not None, of),)
 
 
-def add(machine: Machine, scan: ScanInHand) -> Result:
-    """Begin a second sequence with the exposure that was proposed; whatever comes of it, ``scan`` is not lost."""
+def add(machine: Machine) -> Result:
+    """Begin a second sequence with the exposure that was proposed; whatever comes of it, the scan in hand is not lost."""
+    scan = machine.scan
+    if scan is None or second_exposure(machine) is None:
+        return machine, ()
     reason = refusal(machine)
     if reason is not None:
         return _refused(machine, reason), ()
@@ -271,7 +274,7 @@ def _show(machine: Machine) -> Result:
 
 
 def review_key(machine: Machine, key: Key) -> Result:
-    """Keep; or the proposed exposure, for a second sequence or the next scan, or another view of the cloud."""
+    """SCAN keeps, UP turns the cloud, DOWN takes the proposed exposure for the next scan; the rest wants to be held."""
     scan = machine.scan
     if scan is None:  # REVIEW without a scan cannot be reached; if it were, the way out is AIM
         return enter(machine, State.AIM), ()
@@ -280,13 +283,15 @@ def review_key(machine: Machine, key: Key) -> Result:
             return saving.keep(machine, scan)
         case Key.BACK:
             return machine, ()  # it is held to reject the scan
-        case Key.DOWN if second_exposure(machine) is not None:
-            return add(machine, scan)
-        case Key.DOWN if (other := other_exposure(machine)) is not None:
+        case Key.UP:
+            return replace(machine, scan=replace(scan, turn=scan.turn + 1)), ()
+        case Key.DOWN:
+            # DOWN is about the exposure, whatever the scan: a press changes the next scan's, and a second sequence, which shines
+            # and must be held still for, wants it held.
+            other = None if second_exposure(machine) is not None else other_exposure(machine)
+            if other is None:
+                return machine, ()
             return replace(machine, choices=replace(machine.choices, exposure=other)), ()
-        case Key.UP | Key.DOWN:
-            turn = scan.turn + (1 if key is Key.UP else -1)
-            return replace(machine, scan=replace(scan, turn=turn)), ()
         case _:
             assert_never(key)
 

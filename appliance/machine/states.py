@@ -385,6 +385,8 @@ class Machine:
     """State in which the latest press of BACK began: held on into another state, it means nothing there."""
     back_spent: bool = False
     """The latest press of BACK has had its effect: held on, it means nothing more."""
+    add_offered: bool = False
+    """A second exposure was offered when DOWN went down last: held on from anywhere else, it adds nothing."""
     off_question: OffQuestion | None = None
     """Question over BOOT, SELF_TEST, AIM, MENU and SAFE; while it is shown, the keys answer it."""
     last_key_ns: int | None = None

@@ -51,12 +51,9 @@ def _meant(machine: Machine) -> dict[Key, Label]:
             adding = machine.scan is not None and machine.scan.adding is not None
             return {Key.BACK: Text.STOP if adding else Text.HOLD_REDO}
         case State.REVIEW:
-            return {
-                Key.SCAN: Text.KEEP,
-                Key.BACK: Text.HOLD_REDO,
-                Key.UP: Text.TURN,
-                Key.DOWN: _add(machine) or _expose(machine) or Text.TURN,
-            }
+            kept: dict[Key, Label] = {Key.SCAN: Text.KEEP, Key.BACK: Text.HOLD_REDO, Key.UP: Text.TURN}
+            exposure = _add(machine) or _expose(machine)
+            return kept if exposure is None else {**kept, Key.DOWN: exposure}
         case State.CALIBRATE:
             return _calibrate(machine)
         case State.BOOT:
@@ -85,7 +82,7 @@ def _add(machine: Machine) -> Label | None:
     """Return the label for a second exposure of the scene that is being reviewed; ``None``: there is nothing to be
     gained."""
     wanted = second_exposure(machine)
-    return None if wanted is None else (Text.ADD, wanted.label)
+    return None if wanted is None else (Text.HOLD_ADD, wanted.label)
 
 
 def _expose(machine: Machine) -> Label | None:

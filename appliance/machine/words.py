@@ -45,7 +45,7 @@ class Text(Enum):
     SEEN = ("SEEN", "GESEHEN")
     REPEAT = ("REPEAT", "NOCHMAL")
     BACK = ("BACK", "ZURÜCK")
-    HOLD_OFF = ("HOLD: OFF", "LANG: AUS")
+    HOLD_OFF = ("HOLD: OFF", "HALTEN: AUS")
     STOP = ("STOP", "STOPP")
     TURN = ("TURN", "DREHEN")
     NOISE = ("NOISE", "RAUSCHEN")
@@ -60,18 +60,18 @@ class Text(Enum):
     ARROW_UP = ("▲", "▲")
     ARROW_DOWN = ("▼", "▼")
     EXPOSE = ("EXPOSE", "BELICHTEN")
-    ADD = ("ADD", "ERGÄNZEN")
     GAIN = ("GAIN", "VERSTÄRKEN")
     NEWER = ("NEWER", "NEUER")
     OLDER = ("OLDER", "ÄLTER")
-    HOLD_REDO = ("HOLD: REDO", "LANG: NOCHMAL")
-    HOLD_NEW = ("HOLD: NEW", "LANG: NEU")
+    HOLD_REDO = ("HOLD: REDO", "HALTEN: NOCHMAL")
+    HOLD_ADD = ("HOLD: ADD", "HALTEN: DAZU")
+    HOLD_NEW = ("HOLD: NEW", "HALTEN: NEU")
     REDO = ("REDO", "ERSETZEN")
     RESTORE = ("RESTORE", "ZURÜCKHOLEN")
-    M1 = ("M1", "M1")
-    M2 = ("M2", "M2")
-    M3 = ("M3", "M3")
-    M4 = ("M4", "M4")
+    BAR_LYING = ("BAR LYING", "STAB LIEGEND")
+    BAR_UPRIGHT = ("BAR UPRIGHT", "STAB STEHEND")
+    PLANE_NEAR = ("PLANE NEAR", "EBENE NAH")
+    PLANE_FAR = ("PLANE FAR", "EBENE FERN")
     SOLVE = ("SOLVE", "RECHNEN")
     VERIFY = ("VERIFY", "PRÜFEN")
     RESULT = ("RESULT", "ERGEBNIS")
@@ -79,7 +79,6 @@ class Text(Enum):
     # Titles
     STARTING = ("STARTING", "STARTET")
     READY = ("READY", "BEREIT")
-    SURE = ("OUTSIDE", "AUSSERHALB")
     NOT_READY = ("NOT READY", "NICHT BEREIT")
     HOLD_STILL = ("HOLD STILL", "STILLHALTEN")
     COMPUTING = ("COMPUTING", "RECHNET")
@@ -113,8 +112,9 @@ class Text(Enum):
     NO_NETWORK = ("NO CABLE", "KEIN KABEL")
     PLUG_STICK_IN = ("NONE, PLUG STICK IN", "KEINER, STICK EINSTECKEN")
     LANGUAGE = ("LANGUAGE", "SPRACHE")
-    ENGLISH = ("ENGLISH", "ENGLISCH")
-    GERMAN = ("GERMAN", "DEUTSCH")
+    # Each in its own language: whoever cannot read the one that is set finds the other.
+    ENGLISH = ("ENGLISH", "ENGLISH")
+    GERMAN = ("DEUTSCH", "DEUTSCH")
     ABOUT = ("ABOUT", "ÜBER DAS GERÄT")
     POWER_OFF = ("POWER OFF", "AUSSCHALTEN")
     POWER_OFF_ASKED = ("POWER OFF?", "AUSSCHALTEN?")
@@ -146,10 +146,12 @@ class Text(Enum):
     SCAN_NOW = ("SCAN NOW", "SCANNEN")
 
     # Beside numbers
+    HOUSING = ("HOUSING", "GEHÄUSE")
+    NEXT_SCAN = ("NEXT SCAN", "NÄCHSTER SCAN")
     TAKEN = ("SCANS", "SCANS")
     LEFT_OVER = ("LEFT", "FREI")
     POINTS = ("POINTS", "PUNKTE")
-    COVERAGE = ("COVERAGE", "ABDECKUNG")
+    COVERAGE = ("OF LIT AREA", "VOM HELLEN")
     DISTANCE = ("DISTANCE", "ABSTAND")
     TIME = ("TIME", "DAUER")
 
@@ -287,10 +289,10 @@ class Text(Enum):
 
 
 STEP_NAMES: Mapping[Step, Text] = {
-    Step.M1: Text.M1,
-    Step.M2: Text.M2,
-    Step.M3: Text.M3,
-    Step.M4: Text.M4,
+    Step.M1: Text.BAR_LYING,
+    Step.M2: Text.BAR_UPRIGHT,
+    Step.M3: Text.PLANE_NEAR,
+    Step.M4: Text.PLANE_FAR,
     Step.SOLVE: Text.SOLVE,
     Step.VERIFY: Text.VERIFY,
     Step.RESULT: Text.RESULT,

@@ -1,4 +1,4 @@
-"""Owns the refractive index of water."""
+"""Owns what water does to light: its refractive index, and how far one sees in it."""
 
 from __future__ import annotations
 
@@ -46,3 +46,13 @@ def quan_fry_index(temperature_c: float, salinity_psu: float, wavelength_nm: flo
         - 4382.0 / w**2
         + 1.1455e6 / w**3
     )
+
+
+BLACK_DISK = 4.8
+"""Distance at which a black disk vanishes, seen along, times the beam attenuation."""
+
+
+def sight_m(attenuation_per_m: float) -> float | None:
+    """Return how far one sees in water of that beam attenuation, in m: a black disk's distance, 4.8 / c, Davies-Colley, Limnology
+    and Oceanography 33 (1988) 616; ``None`` where nothing is swallowed."""
+    return BLACK_DISK / attenuation_per_m if attenuation_per_m > 0.0 else None

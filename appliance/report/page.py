@@ -204,7 +204,7 @@ def _pictures(scans: Sequence[ReportScan]) -> str:
         f"<figcaption><b>{html.escape(scan.name)}</b> {_given(scan.points, _count)} points</figcaption></figure>"
         for scan, png in shown_
     )
-    return f'<section><h2>Pictures</h2><p class="note">As the left camera sees them; dark is near, yellow far, within each picture.</p><div class="pictures">{figures}</div></section>'
+    return f'<section><h2>Pictures</h2><p class="note">As the left camera sees them; yellow is near, dark is far, within each picture.</p><div class="pictures">{figures}</div></section>'
 
 
 def _pairs(scans: Sequence[ReportScan], pairs: Sequence[ReportPair]) -> str:

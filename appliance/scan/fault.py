@@ -107,6 +107,8 @@ class FaultCode(Enum):
     """A scan would see too little light to measure by, as aiming shows (detail_dn)."""
     AIM_TURBID = "AIM_TURBID"
     """The water shines while aiming, and nothing is seen through it (detail_dn, glow_dn)."""
+    AIM_LIGHT = "AIM_LIGHT"
+    """Another lamp is brighter, while aiming, than a scan can bear (shade_dn)."""
     AIM_FAST = "AIM_FAST"
     """Instrument and object move against each other while aiming faster than can be undone (speed_mm_s)."""
     TOO_NEAR = "TOO_NEAR"

@@ -6,7 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.machine.alerts import Severity
+from appliance.machine.leading import Leader, leader, passing
 from appliance.machine.words import Language, Text
+from appliance.ranging.reach import Reach
 from appliance.scan.fault import FaultCode
 from appliance.screens import theme
 from appliance.screens.canvas import Align, Canvas
@@ -27,20 +29,10 @@ _ABOUT_HEAT = (FaultCode.WARM, FaultCode.HOT, FaultCode.TOO_HOT, FaultCode.TEMPE
 
 
 def draw_aim(canvas: Canvas, view: AimView, language: Language) -> None:
-    title, colour = (
-        (Text.NOT_READY, theme.YELLOW)
-        if not view.scan_allowed
-        else (Text.SURE, theme.YELLOW)
-        if view.insist
-        else (Text.READY, theme.WHITE)
-    )
-    # What a scan would fail for now is said where READY stands.
-    passing = next((words_of(alert, language)[0] for alert in view.alerts if alert.passing), None)
-    if passing is not None and title is Text.READY:
-        draw_title(canvas, passing, view.keys, language, theme.YELLOW)
-    else:
-        draw_title(canvas, title.in_language(language), view.keys, language, colour)
-    draw_gauge(canvas, view.gauge, GAUGE_MIDDLE_PX, language)
+    _title(canvas, view, language)
+    # Green is for what leads: where something else is wrong, a right distance is no more than a number.
+    calm = _leads(view) in (Leader.OVERLAP, Leader.SCREEN) and view.scan_allowed
+    draw_gauge(canvas, view.gauge, GAUGE_MIDDLE_PX, language, theme.GREEN if calm else theme.WHITE)
     width, room = LIVE_PX[0], alerts_top(canvas, view.alerts) - _TOP_PX
     # An alert takes its room from the pictures: they are never covered, since aiming goes on under a warning.
     height = min(LIVE_PX[1], room)
@@ -57,16 +49,36 @@ def draw_aim(canvas: Canvas, view: AimView, language: Language) -> None:
     _plate(canvas, "R", right + 10, top + 10)
     if view.exposure is not None:
         _plate(canvas, numbered(view.exposure, language), 62, top + 10)
-    if view.water is not None:
-        _plate(canvas, worded(view.water, language), right + 62, top + 10)
     if view.guidance is not None:
         draw_guidance(canvas, view.guidance, 0, top, width, height, language)
     elif view.overlap is not None:
         # Of the scan before; two percentages at once would be taken for each other.
-        ground, ink = (theme.YELLOW, theme.INK) if view.overlap.warns else (theme.INK, theme.WHITE)
+        ground, ink = (theme.YELLOW, theme.INK) if _leads(view) is Leader.OVERLAP else (theme.INK, theme.WHITE)
         _plate(canvas, worded(view.overlap.words, language), 10, top + height - _PLATE_PX - 10, ground, ink)
-    _temperature(canvas, view, top + 10)
+    bottom = top + height - _PLATE_PX - 10
+    # Where the camera is gone, the words that say so have the room.
+    if view.water is not None and view.right is not None:
+        _plate(canvas, worded(view.water, language), right + 10, bottom)
+    if view.object is not None and view.right is not None:
+        above = bottom if view.water is None else bottom - _PLATE_PX - 2
+        _plate(canvas, f"{Text.OBJECT.in_language(language)} {view.object}", right + 10, above)
+    _temperature(canvas, view, top + 10, language)
     _numbers(canvas, view, language)
+
+
+def _leads(view: AimView) -> Leader:
+    return leader(view.alerts, view.overlap, Reach.UNKNOWN if view.gauge is None else view.gauge.word)
+
+
+def _title(canvas: Canvas, view: AimView, language: Language) -> None:
+    """Draw READY, or what a scan would fail for now; nothing where an alert in full or the distance says what is to be done."""
+    leads, told = _leads(view), passing(view.alerts)
+    if not view.scan_allowed:
+        draw_title(canvas, Text.NOT_READY.in_language(language), view.keys, language, theme.YELLOW)
+    elif leads is Leader.PASSING and told is not None:
+        draw_title(canvas, words_of(told, language)[0], view.keys, language, theme.YELLOW)
+    elif leads in (Leader.OVERLAP, Leader.SCREEN):
+        draw_title(canvas, Text.READY.in_language(language), view.keys, language)
 
 
 def dash_or(value: float | None, pattern: str) -> str:
@@ -112,8 +124,8 @@ def _plate(
     canvas.words(words, left + width / 2, top + 31, CAPTION + 2, BLACK, ink, Align.CENTRE)
 
 
-def _temperature(canvas: Canvas, view: AimView, top: float) -> None:
-    """Draw the temperature in the colour of its band: white, yellow, or white on red."""
+def _temperature(canvas: Canvas, view: AimView, top: float, language: Language) -> None:
+    """Draw the housing's temperature in the colour of its band: white, yellow, or white on red."""
     # The colour comes from the alerts, not from limits of its own: number and warning can then never disagree.
     band = max((alert.severity for alert in view.alerts if alert.code in _ABOUT_HEAT), default=Severity.INFO)
     ground, ink = {
@@ -121,7 +133,9 @@ def _temperature(canvas: Canvas, view: AimView, top: float) -> None:
         Severity.WARNING: (theme.YELLOW, theme.INK),
         Severity.CRITICAL: (theme.BLOOD, theme.WHITE),
     }[band]
-    _plate(canvas, dash_or(view.temperature_c, "{:.0f}") + " °C", canvas.width - 10, top, ground, ink, Align.RIGHT)
+    # Named: beside the water it would be read as the water's.
+    said = f"{Text.HOUSING.in_language(language)} {dash_or(view.temperature_c, '{:.0f}')} °C"
+    _plate(canvas, said, canvas.width - 10, top, ground, ink, Align.RIGHT)
 
 
 def _numbers(canvas: Canvas, view: AimView, language: Language) -> None:

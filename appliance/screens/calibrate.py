@@ -52,9 +52,8 @@ _TASKS = {
 
 def draw_calibrate(canvas: Canvas, view: CalibrateView, language: Language, time_s: float) -> None:
     title = STEP_NAMES[view.step].in_language(language)
-    if view.step in HELD:
-        artefact = Text.BALL_BAR if HELD[view.step] is ArtefactKind.BALL_BAR else Text.PLANE
-        title = f"{title}  {artefact.in_language(language)}"
+    if view.step is Step.VERIFY:
+        title = f"{title}  {Text.BALL_BAR.in_language(language)}"
     draw_title(canvas, title, view.keys, language)
     # From below to above: an alert first, over it what became of the recording, and sketches and picture share
     # what is left.
@@ -92,6 +91,11 @@ _FAILURES = {
     FailureKind.NO_ANSWER: (Text.ANSWERED_LATE, Text.TRY_AGAIN),
 }
 """Words for each failure: what came to nothing, and what to do. The details are in the log and in the status file."""
+
+
+def _step_name(about: str, language: Language) -> str:
+    """Return the name of the step that a failure is about; empty where it is about none."""
+    return next((name.in_language(language) for step, name in STEP_NAMES.items() if step.value == about), about)
 
 
 def refusal_words(check: RecordingCheck) -> tuple[Text, Text]:
@@ -197,7 +201,7 @@ def _latest(canvas: Canvas, view: CalibrateView, bottom: float, language: Langua
         _working(canvas, at.task, at.progress, language, time_s, bottom)
     elif at.failed is not None:
         came, remedy = (text.in_language(language) for text in _FAILURES[at.failed.kind])
-        _band(canvas, theme.YELLOW, came, remedy, at.failed.about, bottom)
+        _band(canvas, theme.YELLOW, came, remedy, _step_name(at.failed.about, language), bottom)
     elif check is not None and check.refusal is None:
         number = "" if check.number is None else f"{1000.0 * check.number:.0f} µm"
         what = f"{STEP_NAMES[check.step].in_language(language)} {Text.ACCEPTED.in_language(language)}"
@@ -257,8 +261,7 @@ def _solve(canvas: Canvas, view: CalibrateView, bottom: float, language: Languag
         if check is None:
             continue
         baseline = top + pitch * (row + 0.75)
-        artefact = Text.BALL_BAR if HELD[step] is ArtefactKind.BALL_BAR else Text.PLANE
-        canvas.words(f"{step.value}  {artefact.in_language(language)}", 120, baseline, size, BOLD)
+        canvas.words(STEP_NAMES[step].in_language(language), 120, baseline, size, BOLD)
         canvas.words(
             f"{check.points} {Text.POINTS.in_language(language)}",
             560,

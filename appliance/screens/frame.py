@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import assert_never
 
-from appliance.machine.alerts import Alert, Severity, in_full
+from appliance.machine.alerts import Alert, Severity
+from appliance.machine.leading import in_full
 from appliance.machine.words import Language, Text
 from appliance.screens import theme
 from appliance.screens.canvas import Align, Canvas
@@ -89,12 +91,16 @@ def draw_key_labels(
 
 
 _ARROWS = (Text.ARROW_UP.english, Text.ARROW_DOWN.english)
+_BEFORE_NUMBER = re.compile(r" (?=\d)")
 _LABEL_SIZES = {1: BODY, 2: CAPTION}
 
 
 def _label_lines(canvas: Canvas, words: str) -> list[str]:
     """Return the label as one line, or as two where that is too long: EXPOSE, and below it 16 ms +12 dB."""
-    first, space, rest = words.partition(" ")
+    # Before the number, where there is one: HOLD: ADD, and below it 3.2 ms.
+    numbered_part = _BEFORE_NUMBER.search(words)
+    cut = words.find(" ") if numbered_part is None else numbered_part.start()
+    first, space, rest = words[:cut], cut > 0, words[cut + 1 :]
     one_line = not space or canvas.measure(words, BODY, BLACK) + 2 * _PAD_PX <= theme.LABEL_MAX_PX
     return [words] if one_line else [first, rest]
 
@@ -144,7 +150,7 @@ def _marks(canvas: Canvas, others: Sequence[Alert], language: Language, bottom: 
     """Draw the headlines of the other alerts, the gravest first, and how many there was no room for."""
     if not others:
         return
-    # What passes comes first, graver or not: it is what the diver can change at this moment.
+    # What passes comes first, graver or not: it is what the diver can change at this moment. The rest keeps its order.
     ranked = sorted(others, key=lambda alert: (not alert.passing, -alert.severity))
     x, middle, count_px = 14.0, bottom - MARKS_PX / 2, 60.0
     for place, alert in enumerate(ranked):

@@ -7,6 +7,7 @@ from appliance.screens import theme
 from appliance.screens.canvas import Align, Canvas
 from appliance.screens.column import LEFT_PX, RIGHT_MARGIN_PX, VERDICT_PX, draw_figures, draw_verdict, figures
 from appliance.screens.frame import alerts_top, draw_title, room_between
+from appliance.screens.texts import to_the_minute
 from appliance.screens.theme import BAR_PX, BLACK, BODY, BOLD, CAPTION, HEADLINE, REGULAR, TITLE
 from appliance.screens.views import GalleryView
 
@@ -34,7 +35,7 @@ def draw_gallery(canvas: Canvas, view: GalleryView, language: Language) -> None:
         canvas.words(said, 16 + width / 2, middle, TITLE, BOLD, theme.MUTED, Align.CENTRE, width - 40)
     _column(canvas, view, bottom, language)
     left, right = room_between(canvas, view.keys, language, bottom=True)
-    said = view.taken or f"{Text.DATE.in_language(language)} ?"
+    said = f"{Text.DATE.in_language(language)} ?" if view.taken is None else to_the_minute(view.taken)
     canvas.words(
         said, (left + right) / 2, canvas.height - 20, CAPTION, REGULAR, theme.MUTED, Align.CENTRE, right - left
     )

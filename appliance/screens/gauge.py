@@ -31,17 +31,20 @@ _ICON_PX = 46
 _ICON_DETAIL = 4
 
 
-def draw_gauge(canvas: Canvas, gauge: Gauge | None, middle: float, language: Language) -> None:
-    """Draw a row of 54 px around ``middle``: word, scale, mm, and the surface as seen from above with its tilt."""
+def draw_gauge(
+    canvas: Canvas, gauge: Gauge | None, middle: float, language: Language, right_colour: theme.Colour = theme.GREEN
+) -> None:
+    """Draw a row of 54 px around ``middle``: word, scale, mm, and the surface as seen from above with its tilt. ``right_colour``: of a
+    distance that is right."""
     left, right = SCALE_PX
     word = None if gauge is None else gauge.word
-    colour = theme.MUTED if word is None else ADVICE[word][1]
+    colour = theme.MUTED if word is None else right_colour if word is Reach.OK else ADVICE[word][1]
     if word is Reach.UNKNOWN:
         hint = Text.DOT_ON_IT.in_language(language)
         canvas.words(hint, (left + right) / 2, middle + 10, CAPTION + 2, BOLD, theme.YELLOW, Align.CENTRE, right - left)
     else:
         # Without a dot the scale has no mark: its place is used to say what makes one.
-        _scale(canvas, word, middle, WorkingVolume() if gauge is None else gauge.volume)
+        _scale(canvas, word, middle, WorkingVolume() if gauge is None else gauge.volume, right_colour)
     distance_mm = None if gauge is None else gauge.distance_mm
     if word is not None:
         said = ADVICE[word][0].in_language(language)
@@ -69,7 +72,9 @@ def _ends_mm(volume: WorkingVolume) -> tuple[float, float]:
     return volume.nearest_mm - beyond_mm, volume.farthest_mm + beyond_mm
 
 
-def _scale(canvas: Canvas, word: Reach | None, middle: float, volume: WorkingVolume) -> None:
+def _scale(
+    canvas: Canvas, word: Reach | None, middle: float, volume: WorkingVolume, right_colour: theme.Colour
+) -> None:
     """Draw the scale: its bright part is the measuring volume, hollow while the object is not in it."""
     left, right = SCALE_PX
     low, high = _ends_mm(volume)
@@ -78,7 +83,7 @@ def _scale(canvas: Canvas, word: Reach | None, middle: float, volume: WorkingVol
     inside = word is Reach.OK
     x, width = left + (volume.nearest_mm - low) * per_mm, (volume.farthest_mm - volume.nearest_mm) * per_mm
     canvas.box(
-        x, middle - 13, width, 26, theme.GREEN if inside else theme.INK, 8, theme.GREEN if inside else theme.MUTED, 3
+        x, middle - 13, width, 26, right_colour if inside else theme.INK, 8, right_colour if inside else theme.MUTED, 3
     )
     canvas.box(left + (volume.working_mm - low) * per_mm - 2, middle - 13, 4, 26, theme.INK if inside else theme.MUTED)
 

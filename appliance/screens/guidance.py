@@ -8,10 +8,12 @@ from appliance.scan.guidance import Move
 from appliance.screens import theme
 from appliance.screens.canvas import Align, Canvas
 from appliance.screens.texts import worded
-from appliance.screens.theme import BLACK, BODY
+from appliance.screens.theme import BLACK, BODY, CAPTION
 
 WORDS_PX = BODY + 4
-PLATE_PX = 54.0
+PLATE_PX, SMALL_PLATE_PX = 54.0, 42.0
+_BOTH_PX = 220.0
+"""Height of a picture from which on both plates have room on it."""
 _ARROW_PX, _RIM_PX = 96.0, 5.0
 _FROM_BORDER_PX = 54.0
 """Distance of the arrow's middle from the border of its room: its tip stays inside."""
@@ -28,20 +30,26 @@ def draw_guidance(
         Move.GO_BACK: (theme.YELLOW, theme.INK),
         Move.SCAN_NOW: (theme.GREEN, theme.INK),
         Move.GO_ON: (theme.INK, theme.WHITE),
+        None: (theme.INK, theme.WHITE),
     }[said.move]
-    words = worded(said.words, language)
-    plate = canvas.measure(words, WORDS_PX, BLACK) + 28
-    bottom = top + height - 10
-    canvas.box(left + 10, bottom - PLATE_PX, plate, PLATE_PX, ground, 10)
-    canvas.words(words, left + 10 + plate / 2, bottom - 15, WORDS_PX, BLACK, ink, Align.CENTRE)
+    bottom, tall = top + height - 10, height > _BOTH_PX
+    for label, size, plate in ((said.words, WORDS_PX, PLATE_PX), (said.overlap, CAPTION + 2, SMALL_PLATE_PX)):
+        # What to do stays where there is no room for how much.
+        if label is None or (size != WORDS_PX and said.words is not None and not tall):
+            continue
+        words = worded(label, language)
+        wide = canvas.measure(words, size, BLACK) + 28
+        canvas.box(left + 10, bottom - plate, wide, plate, ground, 10)
+        canvas.words(words, left + 10 + wide / 2, bottom - 0.26 * plate, size, BLACK, ink, Align.CENTRE)
+        bottom -= plate + 2
     if said.toward is None:
         return
     # Between the words and the plates above, at the border that it points to.
-    room = height - PLATE_PX - 10 - _PLATES_PX
-    reach_x, reach_y = width / 2 - _FROM_BORDER_PX, max(room / 2 - _FROM_BORDER_PX, 0.0)
+    room = bottom - top - _PLATES_PX
+    reach_x, reach_y, free_y = width / 2 - _FROM_BORDER_PX, height / 2 - _FROM_BORDER_PX, room / 2 - _FROM_BORDER_PX
     along = min(reach_x / max(abs(said.toward[0]), 1e-6), reach_y / max(abs(said.toward[1]), 1e-6))
-    # Where the room is low a steep arrow still goes to its side.
-    x = left + width / 2 + max(along, reach_y) * said.toward[0]
-    y = top + _PLATES_PX + room / 2 + along * said.toward[1]
+    # To the side it points to, as far as the whole picture has room; up and down, only between the plates.
+    x = left + width / 2 + along * said.toward[0]
+    y = top + _PLATES_PX + room / 2 + min(max(along * said.toward[1], -free_y), free_y) * (free_y > 0.0)
     colour = theme.YELLOW if said.move is Move.GO_BACK else theme.WHITE
     canvas.arrow(x, y, _ARROW_PX, said.toward, colour, theme.INK, _RIM_PX)

@@ -124,7 +124,7 @@ class Painter:
                     draw_self_test(canvas, view, language, time_s)
                 case AimView():
                     draw_aim(canvas, view, language)
-                    urgent = frozenset({Key.SCAN}) if view.insist else _NONE
+                    urgent = frozenset({Key.SCAN}) if view.keys.get(Key.SCAN) is Text.ANYWAY else _NONE
                     dim = _NONE if view.scan_allowed else frozenset({Key.SCAN})
                 case ArmedView():
                     draw_armed(canvas, view, language)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from appliance.machine.leading import Leader, leader
 from appliance.machine.words import Language, Text
 from appliance.screens import theme
 from appliance.screens.canvas import Align, Canvas
 from appliance.screens.cloud import CloudPainter
 from appliance.screens.column import Figure, draw_figures, draw_verdict, figures, known
 from appliance.screens.frame import alerts_top, draw_title, room_between
-from appliance.screens.texts import worded
+from appliance.screens.texts import numbered, worded
 from appliance.screens.theme import BAR_PX, BOLD, CAPTION, REGULAR, TITLE
 from appliance.screens.views import ReviewView
 
@@ -33,8 +34,13 @@ def draw_review(canvas: Canvas, cloud: CloudPainter, view: ReviewView, language:
         _legend(canvas, cloud.range, view, language)
     if view.coarse:
         draw_coarse(canvas, view, language)
+    elif view.next_scan is not None:
+        said = f"{Text.NEXT_SCAN.in_language(language)} {numbered(view.next_scan, language)}"
+        draw_title(canvas, said, view.keys, language)
     elif view.overlap is not None:
-        colour = theme.YELLOW if view.overlap.warns else theme.WHITE
+        # Yellow only where nothing else is to be done first.
+        leads = leader(view.alerts, view.overlap) is Leader.OVERLAP
+        colour = theme.YELLOW if leads else theme.MUTED if view.overlap.warns else theme.WHITE
         draw_title(canvas, worded(view.overlap.words, language), view.keys, language, colour)
     top = draw_verdict(canvas, view.grade, view.lengths_doubtful, _VERDICT_TOP_PX, language) + 4
     rows = figures(view.points, view.coverage_percent, view.noise_mm, view.distance_mm)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from datetime import datetime, timedelta
 
 from appliance.machine.words import Label, Language, Text
 
@@ -27,6 +28,15 @@ _DECIMAL = re.compile(r"(?<![\d.])(\d+)\.(\d+)(?![\d.])")
 def numbered(words: str, language: Language) -> str:
     """Return numbers as the language writes them: 0.31 % → 0,31 % in German."""
     return _DECIMAL.sub(r"\1,\2", words) if language is Language.GERMAN else words
+
+
+def to_the_minute(time: str) -> str:
+    """Return an ISO time as people read it: 2026-11-26T20:55:56+00:00 → 2026-11-26 20:55 UTC; what is none, as it is."""
+    try:
+        at = datetime.fromisoformat(time)
+    except ValueError:
+        return time
+    return f"{at:%Y-%m-%d %H:%M}" + (" UTC" if at.utcoffset() == timedelta(0) else "")
 
 
 def worded(label: Label, language: Language) -> str:

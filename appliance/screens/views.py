@@ -118,8 +118,8 @@ class AimView(View):
     """Words about the overlap of the latest scan with the one before; ``None``: nothing is said."""
     guidance: GuidanceSaid | None = None
     """Words about the overlap that a scan from here would have, and the way to a better one, in place of ``overlap``; ``None``: nothing is said."""
-    insist: bool = False
-    """SCAN was pressed outside the measuring volume; pressed once more it records."""
+    object: int | None = None
+    """Number of the object that scans belong to; ``None``: of none."""
     scan_allowed: bool = True
     """False draws the label of SCAN dim; the reason is an alert."""
     keys: KeyLabels = field(default_factory=lambda: labels(scan=Text.SCAN, back=Text.HOLD_OFF))
@@ -186,11 +186,11 @@ class ReviewView(View):
     """Lengths are not to be trusted: no grade stands alone."""
     overlap: OverlapSaid | None = None
     """Words about the overlap with the scan before; ``None``: nothing is said."""
+    next_scan: str | None = None
+    """Exposure of the next scan, with its unit, where it is not that of this one."""
     turn: int = 0
-    """Number of steps by which the diver turned the cloud: positive to the right, negative to the left."""
-    keys: KeyLabels = field(
-        default_factory=lambda: labels(scan=Text.KEEP, back=Text.HOLD_REDO, up=Text.TURN, down=Text.TURN)
-    )
+    """Number of steps by which the diver turned the cloud: to the right."""
+    keys: KeyLabels = field(default_factory=lambda: labels(scan=Text.KEEP, back=Text.HOLD_REDO, up=Text.TURN))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

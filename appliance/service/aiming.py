@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 from appliance.calibration.file import Calibration
 from appliance.capture.aiming import WIDTH_PX, Aimed, look, moved_px, too_fast
 from appliance.machine import events as on
+from appliance.ranging.expected_light import DrawnLight
+from appliance.scan.exposure import NOMINAL, Exposure
 from appliance.scan.fault import Fault, FaultCode
 from drivers.api import Clock
 
@@ -32,7 +34,7 @@ VOTES = 3
 """Images in a row."""
 MOST_APART = 3
 """Images of a pair that motion is told from may have missed so many between them, less one."""
-CODES = (FaultCode.AIM_DARK, FaultCode.AIM_TURBID, FaultCode.AIM_FAST)
+CODES = (FaultCode.AIM_LIGHT, FaultCode.AIM_TURBID, FaultCode.AIM_DARK, FaultCode.AIM_FAST)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,9 +49,10 @@ class _JudgedImage:
 class AimingController:
     """Judges live images. A context manager; called by the heartbeat only."""
 
-    def __init__(self, clock: Clock, live_s: float, black_dn: float) -> None:
-        """``live_s``: from one live image to the next; ``black_dn``: the cameras' level without light."""
-        self._clock, self._live_s, self._black_dn = clock, live_s, black_dn
+    def __init__(self, clock: Clock, live_s: float, black_dn: float, light: DrawnLight) -> None:
+        """``live_s``: from one live image to the next; ``black_dn``: the cameras' level without light; ``light``: of the live
+        views."""
+        self._clock, self._live_s, self._black_dn, self._light = clock, live_s, black_dn, light
         self._settle_ns = round(1e9 * max(SETTLE_S, SETTLE_IMAGES * live_s))
         # One thread and one image at a time: a warning that comes late by an image costs nothing, a queue of images
         # would.
@@ -59,6 +62,10 @@ class AimingController:
         self._watching = False
         self._ready_ns = 0
         self._mm_per_px = 0.0
+        self._seen_by: tuple[Calibration, float, float] | None = None
+        """Calibration, index of the water, and the exposure's light as a multiple of the nominal one's."""
+        self._shade: tuple[Calibration, float, NDArray[np.bool_] | None] | None = None
+        """Made and used in ``kf-aiming`` alone, for one calibration and one water."""
         self._last: _JudgedImage | None = None
         self._votes = dict.fromkeys(CODES, 0)
         self._raised: set[FaultCode] = set()
@@ -71,12 +78,15 @@ class AimingController:
     ) -> None:
         self._executor.shutdown(wait=True, cancel_futures=True)
 
-    def live(self, lit: bool, calibration: Calibration, water_index: float) -> list[on.Event]:
+    def live(
+        self, lit: bool, calibration: Calibration, water_index: float, exposure: Exposure = NOMINAL
+    ) -> list[on.Event]:
         """Live views for aiming begin; nothing is judged that the projector does not light (``lit``)."""
         events = self.stop()
         self._watching = lit
         self._ready_ns = self._clock.now_ns() + self._settle_ns
         self._mm_per_px = _mm_per_px(calibration, water_index)
+        self._seen_by = calibration, water_index, exposure.light / NOMINAL.light
         return events
 
     def stop(self) -> list[on.Event]:
@@ -139,8 +149,11 @@ class AimingController:
     # ------------------------------------------------------------------------------------------ kf-aiming
 
     def _look(self, live: int, number: int, image: NDArray[np.uint8], last: _JudgedImage | None) -> _JudgedImage:
-        aimed = look(image, self._black_dn)
-        faults = [aimed.fault()]
+        # Taken once: the heartbeat may begin another live view meanwhile, of which `poll` then knows.
+        seen_by = self._seen_by
+        shade, longer = (None, 1.0) if seen_by is None else (self._shade_of(*seen_by[:2]), seen_by[2])
+        aimed = look(image, self._black_dn, shade)
+        faults = [aimed.fault(longer)]
         # Farther apart, corners have gone too far to be followed; numbers begin anew where a camera came back.
         if last is not None and 0 < number - last.number <= MOST_APART:
             way_px = moved_px(last.aimed, aimed)
@@ -148,6 +161,12 @@ class AimingController:
                 faults.append(too_fast(way_px * self._mm_per_px / (self._live_s * (number - last.number))))
         known = tuple(_named(fault) for fault in faults if fault is not None)
         return _JudgedImage(live, number, aimed, known)
+
+    def _shade_of(self, calibration: Calibration, water_index: float) -> NDArray[np.bool_] | None:
+        """Return where the live light throws none, which takes 20 ms for each calibration and water."""
+        if self._shade is None or self._shade[0] is not calibration or self._shade[1] != water_index:
+            self._shade = calibration, water_index, self._light.shade(calibration.rig, water_index, WIDTH_PX)
+        return self._shade[2]
 
 
 def _named(fault: Fault) -> Fault:

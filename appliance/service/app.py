@@ -15,6 +15,7 @@ import appliance
 from appliance.config import Rig
 from appliance.instrument import (
     calibration_of,
+    drawn_light_of,
     noise_of,
     pointers_of,
     response_of,
@@ -94,7 +95,8 @@ def run(rig: Rig) -> int:
         ranging = stack.enter_context(
             RangingController(pointers, calibration, water.index, wires.clock, live_s, beams, scans.submit)
         )
-        aiming = stack.enter_context(AimingController(wires.clock, live_s, rig.camera.left.black_level_dn))
+        black_dn, light = rig.camera.left.black_level_dn, drawn_light_of(rig)
+        aiming = stack.enter_context(AimingController(wires.clock, live_s, black_dn, light))
         painter = stack.enter_context(
             FrugalPainter(gl, (rig.display.width_px, rig.display.height_px), Language(rig.display.language))
         )

@@ -48,7 +48,7 @@ class LiveViews:
         calibration, index = scans.calibration, scans.water.index
         # The lasers go on later, by `switch_lasers_on`: the first images are the proof that they were off (ADR 0024).
         self._parts.ranging.live(wanted.lasers, calibration, index)
-        self._inbox += self._parts.aiming.live(wanted.light and aiming, calibration, index)
+        self._inbox += self._parts.aiming.live(wanted.light and aiming, calibration, index, wanted.exposure)
         self._guided = belongs_to if wanted.light and aiming else None
 
     def end(self) -> None:

@@ -17,8 +17,10 @@ from appliance.instrument import machine_settings
 from appliance.machine import effects as do
 from appliance.machine import events as on
 from appliance.machine.alerts import lengths_doubtful
+from appliance.machine.ashore import ASHORE
 from appliance.machine.choices import Choices
 from appliance.machine.keys import meaning
+from appliance.machine.permissions import LOST_CODES
 from appliance.machine.states import Machine, Part, State, boot
 from appliance.machine.step import step
 from appliance.machine.words import Language, Text
@@ -305,7 +307,8 @@ def spoken(event: on.Event) -> tuple[int, str] | None:
         case on.DeviceUp(device):
             return logging.INFO, f"{device.value} works"
         case on.DeviceDown(device, reason, code):
-            return logging.WARNING, f"{device.value} lost{'' if code is None else f' ({code.value})'}: {reason}"
+            named = "" if code is None else f" ({code.value})"
+            return logging.WARNING, f"{device.value} lost{named}: {reason}{_ashore(code or LOST_CODES[device])}"
         case on.CaptureFailed(number, fault):
             return logging.WARNING, f"scan {number} of this start failed: {fault_text(fault)}"
         case on.SaveFailed(number, fault):
@@ -324,4 +327,8 @@ def fault_text(fault: Fault) -> str:
     numbers = ", ".join(f"{name} {value:.4g}" for name, value in fault.numbers.items())
     of = "" if fault.device is None else f" of {fault.device}"
     detail = "; ".join(filter(None, (fault.detail, numbers)))
-    return f"{fault.code.value}{of}" + (f": {detail}" if detail else "")
+    return f"{fault.code.value}{of}" + (f": {detail}" if detail else "") + _ashore(fault.code)
+
+
+def _ashore(code: FaultCode) -> str:
+    return f"; ashore: {ASHORE[code]}" if code in ASHORE else ""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import appliance
 from appliance.machine import menu
-from appliance.machine.alerts import alerts, on_screen
+from appliance.machine.leading import alerts, on_screen
 from appliance.machine.menu import Row
 from appliance.machine.states import Answer, Machine, Menu, OffQuestion, Page
 from appliance.machine.transfer import Serving

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 import appliance
 from appliance.calibration.guide import HELD
 from appliance.machine import safety, start, thermal
-from appliance.machine.alerts import RULES, alert_of, lengths_doubtful, on_screen
+from appliance.machine.alerts import RULES, alert_of, lengths_doubtful
 from appliance.machine.guiding import guidance_said
+from appliance.machine.leading import on_screen
 from appliance.machine.overlaps import overlap_said
 from appliance.machine.permissions import refusal
 from appliance.machine.states import Calibrating, Device, Machine, Part, State
@@ -101,7 +102,7 @@ def _view(machine: Machine, around: Surroundings) -> AnyView:
                 water=Text.SALT if machine.choices.salt else Text.FRESH,
                 overlap=overlap_said(machine),
                 guidance=guidance_said(machine),
-                insist=machine.insists_until_ns is not None,
+                object=machine.choices.object,
                 scan_allowed=refusal(machine) is None,
                 alerts=shown,
             )
@@ -150,7 +151,7 @@ def _review(machine: Machine, around: Surroundings, full: bool) -> ReviewView:
     cloud = around.scan.cloud if around.scan is not None else None
     if cloud is None:
         return ReviewView(
-            overlap=overlap_said(machine), points_mm=NO_POINTS, values=NO_VALUES, coarse=True, grade=Grade.BAD, points=0,
+            next_scan=_next_scan(machine), overlap=overlap_said(machine), points_mm=NO_POINTS, values=NO_VALUES, coarse=True, grade=Grade.BAD, points=0,
             coverage_percent=None, noise_mm=None, distance_mm=None, duration_s=None, alerts=on_screen(machine),
         )  # fmt: skip
     # The coarse cloud is what a small screen can show; the numbers are those of the full one as soon as it is there.
@@ -170,9 +171,17 @@ def _review(machine: Machine, around: Surroundings, full: bool) -> ReviewView:
         distance_mm=s.distance_mm,
         duration_s=duration_s,
         overlap=overlap_said(machine),
+        next_scan=_next_scan(machine),
         turn=machine.scan.turn if machine.scan is not None else 0,
         alerts=on_screen(machine),
     )
+
+
+def _next_scan(machine: Machine) -> str | None:
+    """Return the exposure of the next scan where the diver has changed it over this one."""
+    scan = machine.scan
+    changed = scan is not None and scan.added is None and scan.exposure != machine.exposure
+    return machine.exposure.label if changed else None
 
 
 def grade(coverage_percent: float | None, noise_mm: float | None, warnings: tuple[Fault, ...]) -> Grade:
@@ -185,8 +194,9 @@ def grade(coverage_percent: float | None, noise_mm: float | None, warnings: tupl
 
 
 def _gauge(machine: Machine) -> Gauge | None:
-    """Return the reading of the laser dots; ``None`` while the lasers are not on."""
-    if machine.lasers_off_since_ns is not None:
+    """Return the reading of the laser dots; ``None`` while the lasers are not on, or a camera is gone: no scan can be taken from
+    there, however far it is."""
+    if machine.lasers_off_since_ns is not None or not {Device.CAMERA_LEFT, Device.CAMERA_RIGHT} <= machine.up:
         return None
     measured = machine.range
     if measured is None:

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from appliance.calibration.guide import STEPS
-from appliance.machine.alerts import alerts
 from appliance.machine.guiding import guidance_said
+from appliance.machine.leading import alerts
 from appliance.machine.overlaps import overlap_said
 from appliance.machine.states import Answer, Device, Machine
 from appliance.machine.texts import labels
@@ -96,7 +96,7 @@ def _guidance(machine: Machine) -> dict[str, Any] | None:
     if said is None:
         return None
     toward = None if said.toward is None else [round(part, 2) for part in said.toward]
-    return {"words": english(said.words), "toward": toward}
+    return {"words": said.whole, "toward": toward}
 
 
 def _range(machine: Machine) -> dict[str, Any] | None:

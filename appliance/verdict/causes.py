@@ -16,13 +16,14 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from appliance.optics.water import sight_m
 from appliance.reconstruct.decode.decoder import MIN_MODULATION_DN
 from appliance.reconstruct.quality import USABLE_COVERAGE_PERCENT, USABLE_NOISE_MM, CloudSummary, is_usable
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.sides import SIDES
 from appliance.scan.verdict import Judgement, Verdict
-from appliance.verdict.water.judge import hides_object
+from appliance.verdict.water.judge import MOST_SIGHT_M, hides_object
 
 NAME = "causes"
 MOVED_LIKE_FLICKER = 2.4
@@ -121,7 +122,8 @@ def with_causes(
 
     A judgement whose fault something else explains passes nothing and fails nothing. Identity is left as it is.
     """
-    causes = find_causes(judgements, summary, present, steps)
+    water = _numbers({one.verdict.name: one for one in judgements}, "water")
+    causes = [_with_sight(cause, water) for cause in find_causes(judgements, summary, present, steps)]
     judges = {one.fault.code: one.verdict.name for one in judgements if one.fault is not None and not _is_weighed(one)}
     judges |= _JUDGES
     left = {one.verdict.name: one for one in judgements if one.verdict.name != NAME}
@@ -159,6 +161,17 @@ _JUDGES: Mapping[FaultCode, str] = {
     FaultCode.NOTHING_SEEN: "sight",
 }
 """Names of the verdicts that causes are entered into; a cause without one goes into the verdict ``causes`` itself."""
+
+
+def _with_sight(cause: Cause, water: Numbers) -> Cause:
+    """Return the cause with how far one sees in this water, where the water is to blame and it is known."""
+    attenuation_per_m = water.get("attenuation_per_m")
+    seen_m = None if attenuation_per_m is None else sight_m(attenuation_per_m)
+    fault = cause.fault
+    if fault.code is not FaultCode.WATER_DIRTY or seen_m is None or seen_m > MOST_SIGHT_M:
+        return cause
+    detail = f"{fault.detail}; sight {seen_m:.1f} m, attenuation {attenuation_per_m:.1f} /m"
+    return replace(cause, fault=replace(fault, detail=detail, numbers={**fault.numbers, "sight_m": seen_m}))
 
 
 def _is_weighed(one: Judgement) -> bool:

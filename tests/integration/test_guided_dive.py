@@ -73,7 +73,7 @@ def test_who_follows_the_arrow_takes_scans_that_overlap_by_half(tmp_path: Path) 
 
     def drawn(painter: Painter, view: AnyView, time_s: float) -> NDArray[np.uint8]:
         if isinstance(view, AimView) and view.guidance is not None:
-            aimed.append(english(view.guidance.words))
+            aimed.append(view.guidance.whole)
         elif isinstance(view, ReviewView) and view.overlap is not None:
             reviewed.append(english(view.overlap.words))
         return draw(painter, view, time_s)

@@ -23,27 +23,27 @@ pytestmark = pytest.mark.long
 DIVE = """
 wait state AIM 90
 press scan
-wait label down ADD* 120
-press down
-wait label down TURN 120
+wait label down HOLD:* 120
+press down 1.2
+wait label down None 120
 press scan
 wait scans 1 60
 wait state AIM 60
 press scan
-wait label down ADD* 120
+wait label down HOLD:* 120
 fault camera.left off
-press down
+press down 1.2
 wait alert CAMERA_LOST 60
 clear
 wait state REVIEW 30
-wait label down ADD* 60
+wait label down HOLD:* 60
 press scan
 wait scans 2 60
 wait state AIM 60
 press scan
-wait label down ADD* 120
+wait label down HOLD:* 120
 object frustum 30 0 520 0 9 0
-press down
+press down 1.2
 wait alert MOVED 90
 wait state REVIEW 30
 press scan

@@ -57,9 +57,9 @@ wait scans 1 60
 wait state AIM 60
 texture labels
 press scan
-wait label down ADD* 120
-press down
-wait label down TURN 120
+wait label down HOLD:* 120
+press down 1.2
+wait label down None 120
 press scan
 wait scans 2 60
 wait state AIM 60

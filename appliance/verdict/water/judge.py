@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.optics.model import StereoRig
+from appliance.optics.water import sight_m
 from appliance.reconstruct.grid import PixelGrid
 from appliance.reconstruct.images import ScanImages
 from appliance.reconstruct.table import Cloud
@@ -46,6 +47,8 @@ HALO, HALO_SIGMAS = 0.05, 5.0
 """Least share of the object's light, and least number of standard errors of it, from which on a halo is told from backscatter."""
 HALO_CANDIDATES_PER_M = np.arange(0.0, 8.01, 0.25)
 MAX_ATTENUATION_PER_M = 12.0
+MOST_SIGHT_M = 10.0
+"""Sight beyond is not told: no scan is poor for it, and so little attenuation is hardly known."""
 MAX_SIGMA_PER_M = 1.0
 """Attenuation that is not known this well is not stated."""
 ROUNDS = 12
@@ -231,6 +234,9 @@ def text_of(numbers: dict[str, float | None]) -> str:
     attenuation, sigma = numbers["attenuation_per_m"], numbers["attenuation_sigma_per_m"]
     if attenuation is not None and sigma is not None:
         parts.append(f"attenuation {attenuation:.1f} ± {sigma:.1f} /m")
+        seen_m = sight_m(attenuation)
+        if seen_m is not None and seen_m <= MOST_SIGHT_M:
+            parts[0] += f" (sight {seen_m:.1f} m)"
     for key, name in (("veil_percent", "veil"), ("masked_percent", "masked"), ("speck_percent", "specks")):
         value = numbers[key]
         if value is not None:

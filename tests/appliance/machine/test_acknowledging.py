@@ -10,7 +10,8 @@ from hypothesis import given, settings
 
 from appliance.machine import events as on
 from appliance.machine.acknowledge import pending
-from appliance.machine.alerts import RULES, Severity, alerts, in_full, lasting
+from appliance.machine.alerts import RULES, Severity, lasting
+from appliance.machine.leading import alerts, in_full
 from appliance.machine.states import Device, Machine, State
 from appliance.machine.step import step
 from appliance.scan.fault import Fault, FaultCode

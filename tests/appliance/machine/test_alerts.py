@@ -7,7 +7,8 @@ from itertools import permutations
 import pytest
 
 from appliance.machine import events as on
-from appliance.machine.alerts import Severity, alert_of, alerts, headline_of, in_full, lengths_doubtful
+from appliance.machine.alerts import Severity, alert_of, headline_of, lengths_doubtful
+from appliance.machine.leading import alerts, in_full
 from appliance.machine.permissions import refusal
 from appliance.machine.states import Machine
 from appliance.machine.words import Language

@@ -7,10 +7,11 @@ import pytest
 from appliance.calibration.guide import RecordingCheck, Refusal, Session, Step, Verified
 from appliance.machine import effects as do
 from appliance.machine import events as on
-from appliance.machine.alerts import alerts
 from appliance.machine.failure import Failure, FailureKind
+from appliance.machine.leading import alerts
 from appliance.machine.permissions import may_light
 from appliance.machine.states import Device, Machine, State, Task
+from appliance.machine.words import STEP_NAMES
 from appliance.scan.fault import Fault, FaultCode
 from drivers.api import Key
 from tests.appliance.machine.english import labels
@@ -102,7 +103,7 @@ def test_up_and_down_lead_where_their_labels_say_and_no_farther_than_what_is_don
     machine = calibrating()
     assert Key.UP not in labels(machine)
     for step in (Step.M2, Step.M3, Step.M4):
-        assert labels(machine)[Key.DOWN] == step.value
+        assert labels(machine)[Key.DOWN] == STEP_NAMES[step].english
         machine = run(machine, on.KeyPressed(Key.DOWN))
         assert at(machine) == (step, None)
     assert labels(machine)[Key.DOWN] == Step.VERIFY.value, "nothing can be solved yet, but checked"

@@ -8,7 +8,7 @@ import pytest
 
 from appliance.machine import effects as do
 from appliance.machine import events as on
-from appliance.machine.alerts import alerts
+from appliance.machine.leading import alerts
 from appliance.machine.states import Device, Machine, Part, Settings, State, boot
 from appliance.ranging.reach import Range
 from appliance.scan.fault import Fault, FaultCode

@@ -9,7 +9,8 @@ import pytest
 
 from appliance.machine import effects as do
 from appliance.machine import events as on
-from appliance.machine.alerts import RULES, alerts, headline_of
+from appliance.machine.alerts import RULES, headline_of
+from appliance.machine.leading import alerts
 from appliance.machine.states import Device, Machine, Settings, State, boot
 from appliance.machine.step import step
 from appliance.ranging.reach import Range
@@ -118,14 +119,14 @@ def test_what_forbids_a_scan_is_shown_before_what_only_warns() -> None:
         (on.StorageCounted(3, "000003", 0), uncalibrated),
     ):
         assert shown(run(aim(), *events)) == [
-            ("STORAGE FULL", "COPY SCANS, MAKE ROOM"),
+            ("STORAGE FULL", "END DIVE, COPY SCANS ASHORE"),
             ("UNCALIBRATED", "LENGTHS NOT TRUSTED"),
         ]
 
 
 def test_scan_with_a_camera_unplugged_is_refused_with_that_reason_and_clears_itself() -> None:
     machine, effects = after(aim(), on.DeviceDown(Device.CAMERA_RIGHT, "gone from the bus"))
-    assert shown(machine) == [("RIGHT CAM LOST", "CHECK CONNECTOR")]
+    assert shown(machine) == [("RIGHT CAM LOST", "OFF AND ON, OR END DIVE")]
     assert effects == [do.GoLive(light=True, lasers=True, exposure=NOMINAL)]
     machine, effects = after(machine, on.KeyPressed(Key.SCAN))
     assert (machine.state, effects) == (State.AIM, [])
@@ -141,14 +142,17 @@ def test_a_camera_unplugged_mid_sequence_ends_the_scan_at_once() -> None:
     machine, effects = after(capturing(), on.DeviceDown(Device.CAMERA_LEFT, "gone"))
     assert machine.state is State.AIM
     assert effects[0] == do.AbortCapture(1)
-    assert shown(machine) == [("SCAN FAILED", "LEFT CAM LOST: REPEAT"), ("LEFT CAM LOST", "CHECK CONNECTOR")]
+    assert shown(machine) == [
+        ("SCAN FAILED", "LEFT CAM LOST: REPEAT"),
+        ("LEFT CAM LOST", "OFF AND ON, OR END DIVE"),
+    ]
     # its own report, late, changes nothing
     assert step(machine, on.CaptureFailed(1, MISSING)) == (machine, ())
 
 
 def test_a_camera_on_a_slow_link_is_refused_by_name() -> None:
     machine = run(aim(), on.DeviceDown(Device.CAMERA_LEFT, "480 Mbit/s", FaultCode.CAMERA_SLOW_LINK))
-    assert shown(machine) == [("CAMERA LINK SLOW", "CHECK CONNECTOR")]
+    assert shown(machine) == [("CAMERA LINK SLOW", "OFF AND ON, OR END DIVE")]
     assert run(machine, on.KeyPressed(Key.SCAN)).state is State.AIM
 
 
@@ -239,7 +243,7 @@ def test_a_low_supply_refuses_scans_where_its_limit_is_known() -> None:
 
 def test_a_full_disk_refuses_before_the_capture_and_does_not_end_a_running_one() -> None:
     machine = run(aim(), on.StorageCounted(3, "000003", 0))
-    assert shown(machine) == [("STORAGE FULL", "COPY SCANS, MAKE ROOM")]
+    assert shown(machine) == [("STORAGE FULL", "END DIVE, COPY SCANS ASHORE")]
     assert run(machine, on.KeyPressed(Key.SCAN)).state is State.AIM
     assert run(capturing(), on.StorageCounted(3, "000003", 0)).state is State.CAPTURE
 
@@ -412,7 +416,7 @@ def test_the_same_key_takes_it_back_and_the_scan_is_kept_either_way() -> None:
 def test_an_exposure_stays_until_the_diver_changes_it() -> None:
     machine = proposed(on.KeyPressed(Key.DOWN), *REJECT, on.KeyPressed(Key.SCAN))
     machine = run(machine, on.Armed(2), on.CaptureFinished(2), on.FullReady(2, SUMMARY), on.Judged(2))
-    assert labels(machine)[Key.DOWN] == "TURN", "nothing is proposed for a scan whose light was right"
+    assert Key.DOWN not in labels(machine), "nothing is proposed for a scan whose light was right"
     machine = run(machine, on.KeyPressed(Key.DOWN), *REJECT)
     assert machine.exposure == SHORTER
     calibrate = run(machine, *(on.KeyPressed(key) for key in (Key.UP, *TO_CALIBRATION)))
@@ -435,18 +439,21 @@ def test_more_gain_is_named_as_such() -> None:
 # ------------------------------------------------------------------------------------ two exposures
 
 
+ADD = (on.KeyPressed(Key.DOWN), on.KeyHeld(Key.DOWN))
+
+
 def offered(*events: on.Event) -> Machine:
     return run(reviewing(), on.FullReady(1, SUMMARY), on.Judged(1, (), None, Exposure(3_200)), *events)
 
 
 def added() -> Machine:
-    return offered(on.KeyPressed(Key.DOWN), on.Armed(2), on.CaptureFinished(2))
+    return offered(*ADD, on.Armed(2), on.CaptureFinished(2))
 
 
 def test_one_key_records_a_second_exposure_and_the_scan_becomes_one_of_both() -> None:
     machine = offered()
-    assert labels(machine)[Key.DOWN] == "ADD 3.2 ms"
-    machine, effects = after(machine, on.KeyPressed(Key.DOWN))
+    assert labels(machine)[Key.DOWN] == "HOLD: ADD 3.2 ms"
+    machine, effects = after(machine, *ADD)
     assert do.Arm(2, 16, Exposure(3_200), second=True) in effects
     machine, effects = after(machine, on.Armed(2), on.CaptureFinished(2))
     assert effects[-1] == do.StartReconstruction(2)
@@ -457,7 +464,7 @@ def test_one_key_records_a_second_exposure_and_the_scan_becomes_one_of_both() ->
     assert effects == [do.StoreRaw(1)], "its frames are made durable, too"
     assert machine.scan is not None
     assert machine.scan.full == more
-    assert labels(machine)[Key.DOWN] == "TURN", "two are enough"
+    assert Key.DOWN not in labels(machine), "two are enough"
     assert machine.exposure == NOMINAL, "the next scan is taken as before"
     assert do.Publish(1) in after(machine, on.KeyPressed(Key.SCAN))[1]
 
@@ -465,15 +472,15 @@ def test_one_key_records_a_second_exposure_and_the_scan_becomes_one_of_both() ->
 @pytest.mark.parametrize(
     "lost",
     [
-        (on.KeyPressed(Key.DOWN), on.KeyPressed(Key.BACK)),
-        (on.KeyPressed(Key.DOWN), on.Armed(2), on.KeyPressed(Key.BACK)),
-        (on.KeyPressed(Key.DOWN), on.CaptureFailed(2, MISSING)),
-        (on.KeyPressed(Key.DOWN), on.Armed(2), on.DeviceDown(Device.BOARD, "unplugged")),
-        (on.KeyPressed(Key.DOWN), on.Armed(2), on.BoardReset("WATCHDOG")),
-        (on.KeyPressed(Key.DOWN), on.Armed(2), on.Tick(10_000 * SECOND_NS)),
-        (on.KeyPressed(Key.DOWN), on.Armed(2), on.CaptureFinished(2), on.KeyPressed(Key.BACK)),
-        (on.KeyPressed(Key.DOWN), on.Armed(2), on.CaptureFinished(2), on.PairFailed(1, Fault(FaultCode.MOVED))),
-        (on.KeyPressed(Key.DOWN), on.Armed(2), on.CaptureFinished(2), on.Tick(10_000 * SECOND_NS)),
+        (*ADD, on.KeyPressed(Key.BACK)),
+        (*ADD, on.Armed(2), on.KeyPressed(Key.BACK)),
+        (*ADD, on.CaptureFailed(2, MISSING)),
+        (*ADD, on.Armed(2), on.DeviceDown(Device.BOARD, "unplugged")),
+        (*ADD, on.Armed(2), on.BoardReset("WATCHDOG")),
+        (*ADD, on.Armed(2), on.Tick(10_000 * SECOND_NS)),
+        (*ADD, on.Armed(2), on.CaptureFinished(2), on.KeyPressed(Key.BACK)),
+        (*ADD, on.Armed(2), on.CaptureFinished(2), on.PairFailed(1, Fault(FaultCode.MOVED))),
+        (*ADD, on.Armed(2), on.CaptureFinished(2), on.Tick(10_000 * SECOND_NS)),
     ],
 )
 def test_whatever_ends_the_second_exposure_the_first_scan_is_reviewed_as_before(lost: tuple[on.Event, ...]) -> None:
@@ -489,7 +496,7 @@ def test_whatever_ends_the_second_exposure_the_first_scan_is_reviewed_as_before(
 
 
 def test_the_press_that_stops_the_second_exposure_does_not_reject_the_first_when_it_is_held_on() -> None:
-    for machine in (offered(on.KeyPressed(Key.DOWN)), offered(on.KeyPressed(Key.DOWN), on.Armed(2)), added()):
+    for machine in (offered(*ADD), offered(*ADD, on.Armed(2)), added()):
         assert labels(machine)[Key.BACK] == "STOP"
         machine, effects = after(machine, *REJECT)
         assert machine.state is State.REVIEW
@@ -499,7 +506,7 @@ def test_the_press_that_stops_the_second_exposure_does_not_reject_the_first_when
 
 
 def test_a_leak_during_the_second_exposure_saves_the_first() -> None:
-    for machine in (offered(on.KeyPressed(Key.DOWN), on.Armed(2)), added()):
+    for machine in (offered(*ADD, on.Armed(2)), added()):
         machine, effects = after(machine, heartbeat(leak=True), heartbeat(leak=True), heartbeat(leak=True))
         assert machine.state is State.SAFE
         assert do.Publish(1) in effects
@@ -508,7 +515,15 @@ def test_a_leak_during_the_second_exposure_saves_the_first() -> None:
 
 def test_points_that_are_wrong_are_not_added_to() -> None:
     machine = offered(on.Judged(1, (Fault(FaultCode.MOVED),), None, Exposure(3_200)))
-    assert labels(machine)[Key.DOWN] == "TURN"
+    assert Key.DOWN not in labels(machine)
+
+
+def test_a_glove_that_brushes_down_records_nothing_and_one_that_lay_on_it_before_the_offer_neither() -> None:
+    pressed = run(offered(), on.KeyPressed(Key.DOWN))
+    assert (pressed.state, pressed.exposure, pressed.scan) == (State.REVIEW, NOMINAL, offered().scan)
+    early = run(reviewing(), on.KeyPressed(Key.DOWN), on.FullReady(1, SUMMARY), on.Judged(1, (), None, Exposure(3_200)))
+    assert labels(early)[Key.DOWN] == "HOLD: ADD 3.2 ms"
+    assert run(early, on.KeyHeld(Key.DOWN)).state is State.REVIEW
 
 
 def test_a_distance_is_forgotten_when_the_lasers_go_off() -> None:

@@ -7,7 +7,8 @@ from string import Formatter
 
 import pytest
 
-from appliance.machine.alerts import LONGEST, RULES, alert_of, alerts
+from appliance.machine.alerts import LONGEST, RULES, alert_of
+from appliance.machine.leading import alerts
 from appliance.machine.states import Notice, NoticeKind, boot
 from appliance.machine.words import Language
 from appliance.scan.fault import Fault, FaultCode
@@ -15,7 +16,7 @@ from appliance.scan.fault import Fault, FaultCode
 NUMBERS = {
     "error_percent": 0.6,
     "received": 23.0, "expected": 24.0, "shift_px": 12.3, "coverage_percent": 100.0, "temperature_c": 61.4,
-    "supply_v": 10.4, "distance_mm": 1437.0,
+    "supply_v": 10.4, "distance_mm": 1437.0, "sight_m": 1.6,
 }  # fmt: skip
 DEVICES = (None, "camera.left", "camera.right", "cameras")
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 import pytest
 
 from appliance.machine import events as on
-from appliance.machine.guiding import guidance_said
+from appliance.machine.guiding import GuidanceSaid, guidance_said
 from appliance.machine.states import Machine, State
-from appliance.machine.words import Language, english
+from appliance.machine.words import Language
 from appliance.ranging.reach import Reach
 from appliance.scan.guidance import LOST, Guidance
 from appliance.scan.overlap import Overlap
@@ -29,15 +29,19 @@ def aiming(object_number: int | None = 3) -> Machine:
 
 def said(machine: Machine) -> str | None:
     found = guidance_said(machine)
-    return None if found is None else english(found.words)
+    return None if found is None else found.whole
+
+
+def parts(found: GuidanceSaid, language: Language = Language.ENGLISH) -> list[str]:
+    return [worded(label, language) for label in (found.overlap, found.words) if label is not None]
 
 
 @pytest.mark.parametrize(
     ("guidance", "words", "german"),
     [
-        (Guidance(Overlap(0.238), LEFT), "25 %: GO BACK", "25 %: UMKEHREN"),
-        (Guidance(Overlap(0.52)), "50 %: SCAN NOW", "50 %: SCANNEN"),
-        (Guidance(Overlap(0.83), LEFT), "85 %: GO ON", "85 %: WEITER"),
+        (Guidance(Overlap(0.238), LEFT), "OVERLAP 25 %: GO BACK", "ÜBERLAPP 25 % UMKEHREN"),
+        (Guidance(Overlap(0.52)), "OVERLAP 50 %: SCAN NOW", "ÜBERLAPP 50 % SCANNEN"),
+        (Guidance(Overlap(0.83), LEFT), "OVERLAP 85 %: GO ON", "ÜBERLAPP 85 % WEITER"),
         (LOST, "GO BACK", "UMKEHREN"),
     ],
 )
@@ -45,15 +49,18 @@ def test_the_overlap_is_said_in_steps_with_the_move_and_its_arrow(guidance: Guid
     machine = run(aiming(), on.Guided(guidance, TAKEN_NS))
     found = guidance_said(machine)
     assert found is not None
-    assert (english(found.words), found.toward) == (words, guidance.toward)
-    assert worded(found.words, Language.GERMAN) == german
+    assert (said(machine), found.toward) == (words, guidance.toward)
+    assert " ".join(parts(found, Language.GERMAN)) == german
 
 
 @pytest.mark.parametrize("reach", [Reach.CLOSER, Reach.BACK])
 def test_nobody_is_told_to_scan_where_the_distance_is_wrong(reach: Reach) -> None:
     machine = run(aiming(), on.Guided(Guidance(Overlap(0.5)), TAKEN_NS))
-    assert said(replace(machine, reach=Reach.OK)) == "50 %: SCAN NOW"
-    assert said(replace(machine, reach=reach)) == "50 %: GOOD"
+    assert said(replace(machine, reach=Reach.OK)) == "OVERLAP 50 %: SCAN NOW"
+    outside = guidance_said(replace(machine, reach=reach))
+    assert outside is not None
+    assert (outside.words, outside.move, outside.toward) == (None, None, None), "the distance leads, without a colour"
+    assert parts(outside) == ["OVERLAP 50 %"]
 
 
 def test_what_is_older_than_a_second_and_a_half_is_not_said_any_more() -> None:

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from appliance.calibration.guide import HELD
 from appliance.machine import effects as do
 from appliance.machine import events as on
-from appliance.machine.alerts import alerts
+from appliance.machine.leading import alerts
 from appliance.machine.permissions import interruption, may_lase, may_light, may_shine, refusal
 from appliance.machine.states import NEEDED_FOR_A_SCAN, Machine, State, Task
 from appliance.machine.step import step

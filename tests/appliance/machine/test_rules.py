@@ -64,7 +64,7 @@ def test_what_a_fault_costs_is_what_the_faults_of_its_kind_cost() -> None:
     assert codes("spoils_scan") == WITNESSES
     assert codes("spoils_points") == {FaultCode.MOVED, FaultCode.LIGHT_FLICKERS, FaultCode.SIDES_EXCHANGED}
     assert codes("doubts_lengths") == {FaultCode.UNCALIBRATED, FaultCode.LENGTH_ERROR, FaultCode.VERIFY_CALIBRATION}
-    assert codes("passing") == {FaultCode.AIM_DARK, FaultCode.AIM_TURBID, FaultCode.AIM_FAST}
+    assert codes("passing") == {FaultCode.AIM_DARK, FaultCode.AIM_TURBID, FaultCode.AIM_LIGHT, FaultCode.AIM_FAST}
 
 
 def test_an_alert_is_neither_lasting_nor_known_before_somebody_says_so() -> None:

@@ -9,8 +9,8 @@ import pytest
 
 from appliance.machine import effects as do
 from appliance.machine import events as on
-from appliance.machine.alerts import alerts
 from appliance.machine.conditions import has
+from appliance.machine.leading import alerts
 from appliance.machine.permissions import other_exposure, second_exposure
 from appliance.machine.saving import late
 from appliance.machine.states import Device, Machine, State, boot
@@ -48,6 +48,7 @@ DIED = Fault(FaultCode.RECONSTRUCTION_FAILED, "worker exited with 9")
 SPOILT = Fault(FaultCode.PATTERN_WRONG)
 LEAK = (heartbeat(leak=True), heartbeat(leak=True))
 STOP = on.StopRequested("SIGTERM")
+ADD = (on.KeyPressed(Key.DOWN), on.KeyHeld(Key.DOWN))
 SCAN, DOWN, BACK = (on.KeyPressed(key) for key in (Key.SCAN, Key.DOWN, Key.BACK))
 SECOND = Exposure(3_200)
 
@@ -63,7 +64,7 @@ def offered() -> Machine:
 
 def adding() -> Machine:
     """The second sequence is being worked out."""
-    return run(offered(), DOWN, on.Armed(2), on.CaptureFinished(2))
+    return run(offered(), *ADD, on.Armed(2), on.CaptureFinished(2))
 
 
 # ------------------------------------------------------------------------------------- to the review
@@ -168,7 +169,7 @@ def test_a_second_exposure_is_offered_in_the_review_of_a_whole_cloud_only() -> N
     assert second_exposure(offered()) == SECOND
     coarse = run(reconstructing(), on.CoarseReady(1, SUMMARY), on.Judged(1, (), None, SECOND))
     assert second_exposure(coarse) is None
-    assert labels(coarse)[Key.DOWN] == "TURN"
+    assert Key.DOWN not in labels(coarse)
     for machine in (run(offered(), SCAN), run(checking(), on.Judged(1, (), None, SECOND)), aim()):
         assert second_exposure(machine) is None
 
@@ -181,7 +182,7 @@ def test_another_exposure_is_proposed_in_the_review_only() -> None:
 
 
 def test_a_second_exposure_that_cannot_be_recorded_is_refused_and_the_review_goes_on() -> None:
-    machine, effects = after(offered(), on.DeviceDown(Device.BOARD, "gone"), DOWN)
+    machine, effects = after(offered(), on.DeviceDown(Device.BOARD, "gone"), *ADD)
     assert (machine.state, effects) == (State.REVIEW, [])
     assert alerts(machine)[0].action == "SCAN REFUSED"
     assert machine.scan == offered().scan

@@ -6,7 +6,7 @@ import pytest
 
 from appliance.machine import effects as do
 from appliance.machine import events as on
-from appliance.machine.alerts import alerts
+from appliance.machine.leading import alerts
 from appliance.machine.saving import RETRIES
 from appliance.machine.states import Device, Machine, Part, State, boot
 from appliance.ranging.reach import Range

@@ -8,8 +8,8 @@ import pytest
 
 from appliance.machine import effects as do
 from appliance.machine import events as on
-from appliance.machine.alerts import alerts
 from appliance.machine.conditions import has
+from appliance.machine.leading import alerts
 from appliance.machine.states import Machine, State
 from appliance.machine.step import step
 from appliance.machine.thermal import RATION_S, may_aim_lit, passed, remaining_s, slope_c_per_s, spend

@@ -88,7 +88,7 @@ def test_an_exchanged_camera_is_named_as_the_reason(device: str | None, action: 
     german = action_of(Fault(C.UNCALIBRATED, device=device), Language.GERMAN)
     assert german != action
     assert (german == action_of(Fault(C.UNCALIBRATED), Language.GERMAN)) == (not action.endswith("EXCHANGED"))
-    assert action_of(Fault(C.CAMERA_LOST, device=device)) == "CHECK CONNECTOR"
+    assert action_of(Fault(C.CAMERA_LOST, device=device)) == "OFF AND ON, OR END DIVE"
 
 
 def test_in_the_gallery_only_up_and_down_turn_the_pages() -> None:

@@ -200,7 +200,7 @@ def test_what_came_to_nothing_is_told_in_the_language_of_the_screen_and_never_in
     finally:
         painter.language = Language.ENGLISH
     said = [line.words for line in band if line.words != "✓"]
-    assert said[0] == "M1", "of which step"
+    assert said[0] == Text.BAR_LYING.german, "of which step"
     assert len(said) == 3
     assert all(words in known for words in said[1:]), said
     assert not any(line.cut for line in band)

@@ -9,8 +9,9 @@ from itertools import product
 import moderngl
 import pytest
 
-from appliance.machine.alerts import Alert, alert_of, alerts
+from appliance.machine.alerts import Alert, alert_of
 from appliance.machine.choices import COLDEST_C, WARMEST_C
+from appliance.machine.leading import alerts
 from appliance.machine.menu import ROWS
 from appliance.machine.states import Menu, Notice, NoticeKind, Page, boot
 from appliance.machine.transfer import Serving, Transfer

@@ -38,7 +38,7 @@ def words() -> dict[Key, set[Label]]:
             found[key] |= set(labels)
     found[Key.BACK].add(Text.SEEN)
     gains = {label.partition(" +")[2] for label in exposures()} - {""}
-    found[Key.DOWN] |= {(verb, label) for verb, label in product((Text.EXPOSE, Text.ADD), exposures())}
+    found[Key.DOWN] |= {(verb, label) for verb, label in product((Text.EXPOSE, Text.HOLD_ADD), exposures())}
     found[Key.DOWN] |= {(Text.GAIN, gain) for gain in gains}
     # Stand-ins carry the labels of the keys that are stuck.
     found[Key.UP] |= found[Key.SCAN]

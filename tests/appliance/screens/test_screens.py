@@ -53,7 +53,7 @@ from drivers.api import Key
 
 Picture = NDArray[np.uint8]
 LEAK = Alert(FaultCode.LEAK, Severity.CRITICAL, "LEAK", "ASCEND")
-LOST = Alert(FaultCode.CAMERA_LOST, Severity.WARNING, "RIGHT CAM LOST", "CHECK CONNECTOR")
+LOST = Alert(FaultCode.CAMERA_LOST, Severity.WARNING, "RIGHT CAM LOST", "OFF AND ON, OR END DIVE")
 NEWS = Alert(FaultCode.BOARD_RESET, Severity.INFO, "BOARD RESET", "NOTHING TO DO")
 RED = (0xFF, 0x3B, 0x3B)
 """Of the edge of a critical alert, in both halves of its flashing."""
@@ -180,13 +180,14 @@ def test_a_word_that_is_no_entry_of_the_table_is_not_translated(context: moderng
     """Nothing is looked up by its English: a name that happens to be a word stays that name."""
     with Painter(context, (800, 480), Language.GERMAN) as painter:
         drawn(
-            painter, replace(REVIEW, keys={Key.SCAN: "KEEP", Key.BACK: Text.HOLD_REDO, Key.DOWN: (Text.ADD, "0.5 ms")})
+            painter,
+            replace(REVIEW, keys={Key.SCAN: "KEEP", Key.BACK: Text.HOLD_REDO, Key.DOWN: (Text.HOLD_ADD, "0.5 ms")}),
         )
         written = " ".join(line.words for line in painter.canvas.written)
     assert "KEEP" in written
     assert "BEHALTEN" not in written
-    assert "LANG: NOCHMAL" in written
-    assert "ERGÄNZEN 0,5 ms" in written
+    assert "HALTEN: NOCHMAL" in written
+    assert "0,5 ms" in written
 
 
 def test_every_label_of_the_machine_can_be_translated() -> None:

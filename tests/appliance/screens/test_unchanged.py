@@ -59,7 +59,7 @@ def test_each_thing_that_is_new_is_drawn(context: moderngl.Context) -> None:
         replace(AIM, scans_taken=13),
         replace(AIM, temperature_c=None),
         replace(AIM, exposure="12 ms"),
-        replace(AIM, insist=True),
+        replace(AIM, object=3),
         replace(AIM, alerts=(NEWS,)),
         replace(AIM, keys={}),
     ]

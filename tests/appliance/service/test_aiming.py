@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,14 +13,17 @@ import pytest
 from numpy.typing import NDArray
 
 from appliance.config import load_rig
-from appliance.instrument import design_of
+from appliance.instrument import design_of, drawn_light_of
 from appliance.machine import events as on
 from appliance.scan.fault import FaultCode
 from appliance.service.aiming import DEVICE, AimingController
 from drivers.native import MonotonicClock
 from tests.appliance.capture.test_aiming import BLACK_DN, picture
 
-CALIBRATION = design_of(load_rig(Path("hw_sim/rigs/small.toml")))
+RIG = load_rig(Path("hw_sim/rigs/small.toml"))
+CALIBRATION, LIGHT = design_of(RIG), drawn_light_of(RIG)
+EVEN = replace(LIGHT, codes=np.full_like(LIGHT.codes, 255))
+"""Light without dark lanes, as of a rig without lasers."""
 BRIGHT, DARK = picture(100.0), picture(0.0)
 
 
@@ -42,7 +46,7 @@ class At:
 @pytest.fixture
 def desk() -> Iterator[tuple[AimingController, At]]:
     clock = At()
-    with AimingController(clock, 0.1, BLACK_DN) as made:
+    with AimingController(clock, 0.1, BLACK_DN, EVEN) as made:
         assert made.live(True, CALIBRATION, 1.333) == []
         clock.ns = 1_000_000_000
         yield made, clock
@@ -90,7 +94,7 @@ def test_a_warning_ends_with_the_live_view_and_names_its_witness(desk: tuple[Aim
 
 def test_without_the_projectors_light_and_before_it_settled_nothing_is_judged() -> None:
     clock = At()
-    with AimingController(clock, 0.1, BLACK_DN) as aiming:
+    with AimingController(clock, 0.1, BLACK_DN, EVEN) as aiming:
         aiming.live(True, CALIBRATION, 1.333)
         assert [raised(seen(aiming, number, DARK)) for number in range(1, 5)] == [[]] * 4
         aiming.live(False, CALIBRATION, 1.333)

@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 from appliance.machine import events as on
+from appliance.machine.ashore import ASHORE
 from appliance.machine.states import Device
 from appliance.scan.fault import Fault, FaultCode
 from appliance.service.loop import fault_text, spoken
@@ -61,10 +62,13 @@ def test_a_display_that_cannot_be_opened_is_told_in_words() -> None:
     down = on.DeviceDown(Device.DISPLAY, "/dev/dri/card0 cannot be opened (No such file or directory)")
     assert spoken(down) == (
         logging.WARNING,
-        "display lost: /dev/dri/card0 cannot be opened (No such file or directory)",
+        f"display lost: /dev/dri/card0 cannot be opened (No such file or directory); ashore: {ASHORE[FaultCode.DISPLAY_LOST]}",
     )
     slow = on.DeviceDown(Device.CAMERA_LEFT, "480 Mbit/s", FaultCode.CAMERA_SLOW_LINK)
-    assert spoken(slow) == (logging.WARNING, "camera.left lost (CAMERA_SLOW_LINK): 480 Mbit/s")
+    assert spoken(slow) == (
+        logging.WARNING,
+        f"camera.left lost (CAMERA_SLOW_LINK): 480 Mbit/s; ashore: {ASHORE[FaultCode.CAMERA_SLOW_LINK]}",
+    )
 
 
 def test_a_failed_scan_is_told_with_its_fault_and_its_numbers() -> None:
@@ -78,7 +82,8 @@ def test_a_failed_scan_is_told_with_its_fault_and_its_numbers() -> None:
 
 def test_what_is_held_against_a_scan_is_told_with_its_remedy() -> None:
     bent = Fault(FaultCode.GREY_BENT, "set Gamma = 1.0", device="camera.left")
-    line = (logging.INFO, "scan 3 of this start: GREY_BENT of camera.left: set Gamma = 1.0")
+    ashore = f"; ashore: {ASHORE[FaultCode.GREY_BENT]}"
+    line = (logging.INFO, f"scan 3 of this start: GREY_BENT of camera.left: set Gamma = 1.0{ashore}")
     assert spoken(on.Judged(3, (bent,))) == line
     assert spoken(on.Judged(3)) is None
 

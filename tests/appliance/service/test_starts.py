@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from appliance.machine.alerts import alerts
 from appliance.machine.events import KeyPressed, Tick, Told
+from appliance.machine.leading import alerts
 from appliance.machine.states import boot
 from appliance.machine.step import step
 from appliance.scan.fault import FaultCode

@@ -7,11 +7,15 @@ from dataclasses import replace
 import pytest
 
 from appliance.machine import events as on
-from appliance.machine.states import Part, State, boot
+from appliance.machine.states import Device, Part, State, boot
 from appliance.ranging.marks import Marks, Track
-from appliance.screens.views import AimView, CalibrateView, SelfTestView
+from appliance.ranging.reach import Range, Reach
+from appliance.scan.exposure import Exposure
+from appliance.screens.texts import to_the_minute
+from appliance.screens.views import AimView, CalibrateView, ReviewView, SelfTestView
 from appliance.service.view import Surroundings, view_of
-from tests.appliance.machine.walks import UPS, run
+from drivers.api import Key
+from tests.appliance.machine.walks import UPS, aim, reviewing, run
 
 NOTHING = Surroundings(left=None, right=None, temperature_c=None, scan=None)
 
@@ -31,3 +35,50 @@ def test_where_a_picture_is_aimed_with_the_dots_it_shows_their_marks(state: Stat
     view = view_of(replace(boot(0), state=state), replace(NOTHING, marks=marks))
     assert isinstance(view, AimView | CalibrateView)
     assert view.marks is marks
+
+
+def shown_aim(*events: on.Event) -> AimView:
+    view = view_of(run(aim(), *events), NOTHING)
+    assert isinstance(view, AimView)
+    return view
+
+
+@pytest.mark.parametrize("device", [Device.CAMERA_LEFT, Device.CAMERA_RIGHT])
+def test_with_one_camera_gone_the_gauge_pretends_no_distance(device: Device) -> None:
+    """It went on with a green OK and 515 mm."""
+    measured = on.Ranged(Range(515.0, 0.0, 0.3, 2))
+    gauge = shown_aim(measured).gauge
+    assert gauge is not None
+    assert (gauge.word, gauge.distance_mm) == (Reach.OK, 515.0)
+    assert shown_aim(on.DeviceDown(device, "gone"), measured).gauge is None
+
+
+def test_aim_says_which_object_scans_belong_to() -> None:
+    assert shown_aim().object is None
+    machine = aim()
+    running = replace(machine, choices=replace(machine.choices, object=7, objects=7))
+    view = view_of(running, NOTHING)
+    assert isinstance(view, AimView)
+    assert view.object == 7
+
+
+def test_after_expose_the_review_says_what_the_next_scan_is_taken_with() -> None:
+    proposed = run(reviewing(), on.Judged(1, (), Exposure(8_000)))
+    for machine, told in ((proposed, None), (run(proposed, on.KeyPressed(Key.DOWN)), "8 ms")):
+        view = view_of(machine, NOTHING)
+        assert isinstance(view, ReviewView)
+        assert view.next_scan == told
+    assert told == "8 ms"
+
+
+@pytest.mark.parametrize(
+    ("iso", "read"),
+    [
+        ("2026-11-26T20:55:56+00:00", "2026-11-26 20:55 UTC"),
+        ("2026-11-26T20:55:56+02:00", "2026-11-26 20:55"),
+        ("2026-11-21 14:07", "2026-11-21 14:07"),
+        ("no date", "no date"),
+    ],
+)
+def test_a_date_is_written_as_people_read_it(iso: str, read: str) -> None:
+    assert to_the_minute(iso) == read

@@ -61,9 +61,9 @@ def test_a_distance_is_told_in_whole_millimetres_and_degrees_with_its_word(tmp_p
 
 def test_where_to_aim_is_told_in_words_with_the_arrows_direction() -> None:
     machine = replace(aim(), guidance=Guidance(Overlap(0.2), (-0.8, 0.6)))
-    assert describe(machine, 1, "0.1.0")["guidance"] == {"words": "20 %: GO BACK", "toward": [-0.8, 0.6]}
+    assert describe(machine, 1, "0.1.0")["guidance"] == {"words": "OVERLAP 20 %: GO BACK", "toward": [-0.8, 0.6]}
     there = replace(machine, guidance=Guidance(Overlap(0.5)))
-    assert describe(there, 1, "0.1.0")["guidance"] == {"words": "50 %: SCAN NOW", "toward": None}
+    assert describe(there, 1, "0.1.0")["guidance"] == {"words": "OVERLAP 50 %: SCAN NOW", "toward": None}
     assert describe(aim(), 1, "0.1.0")["guidance"] is None
 
 

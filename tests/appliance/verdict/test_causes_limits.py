@@ -7,6 +7,8 @@ from typing import Any
 
 import pytest
 
+from appliance.machine.alerts import headline_of
+from appliance.machine.words import Language
 from appliance.reconstruct.quality import CloudSummary
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault, FaultCode
@@ -438,3 +440,30 @@ def test_a_movement_that_was_undone_leaves_its_verdict_as_it_is() -> None:
     assert (failed.verdict.passed, failed.verdict.text) == (False, "as seen")
     slow = with_causes((motion(60.0), SEEN), POOR, USUAL, (USUAL,))[0]
     assert (slow.verdict.passed, slow.verdict.text) == (False, "MOVED: as seen")
+
+
+@pytest.mark.parametrize(
+    ("attenuation_per_m", "headline", "german"),
+    [
+        (3.0, "SIGHT ONLY 1.6 m", "SICHT NUR 1.6 m"),
+        (0.6, "SIGHT ONLY 8.0 m", "SICHT NUR 8.0 m"),
+        (0.4, "WATER DIRTY", "WASSER TRÜB"),
+        (0.0, "WATER DIRTY", "WASSER TRÜB"),
+        (None, "WATER DIRTY", "WASSER TRÜB"),
+    ],
+)
+def test_water_that_is_to_blame_is_told_as_the_distance_at_which_a_black_disk_vanishes(
+    attenuation_per_m: float | None, headline: str, german: str
+) -> None:
+    """It said WATER DIRTY 93%, and nobody knew of what. Davies-Colley (1988): 4.8 / c."""
+    numbers = {
+        "attenuation_per_m": attenuation_per_m,
+        "veil_percent": 40.0,
+        "hidden_percent": 30.0,
+        "masked_percent": 30.0,
+    }
+    dirty = said("water", FaultCode.WATER_DIRTY, {"coverage_percent": 70.0}, **numbers)
+    faults = [one.fault for one in with_causes((dirty, SEEN), GOOD, USUAL, LONGER) if one.fault is not None]
+    assert [headline_of(fault) for fault in faults] == [headline]
+    assert headline_of(faults[0], Language.GERMAN) == german
+    assert ("/m" in faults[0].detail) == headline.startswith("SIGHT"), "the desk counts in attenuation"

@@ -21,11 +21,16 @@ A display of 5 inches at arm's length, through a mask: the smallest capitals are
 in grey as well; words neither overlap nor are cut, in both languages, at 800 × 480, 1024 × 600 and 640 × 480
 (`tests/appliance/screens/test_legible.py`). White is normal, solid yellow a warning, flashing red critical (1.5 Hz, below
 the limit for photosensitive eyes). What each key does is written beside it: UP and DOWN on the left, SCAN and BACK on the
-right. The language is chosen in the rig file (`[display] language`).
+right. DOWN never turns the cloud in review: it is about the exposure, or does nothing. The language is chosen in the menu (LANGUAGE), each in its
+own word; the rig file says which one the instrument comes with (`[display] language`).
+
+One message leads a screen (`appliance/machine/leading.py`): the gravest, and among equally grave ones the one whose remedy comes first: what keeps it
+dark, what forbids a scan, what spoilt it, then distance, other light, motion, water, exposure. All else is small, or grey. Where an alert or the distance leads, AIM does
+not say READY, and a right distance is not green.
 
 An alert has room of its own: numbers, rows and pictures move up, none is covered (`tests/appliance/screens/test_room.py`). A
 warning that lasts is acknowledged with BACK (SEEN) and stays as a small mark on every screen, until its reason changes or it
-gets worse. What comes and goes with the live picture (too dark, too turbid, too fast) stands in the place of READY, and as a
+gets worse. What comes and goes with the live picture (too dark, too turbid, a torch on the object, too fast) stands in the place of READY, and as a
 mark that says what to do: nothing jumps, and no key is needed. While the light is on nothing is drawn: the display and the projector share one thread and one graphics card, and a
 picture of the progress could make a pattern late.
 """

@@ -46,7 +46,7 @@ from tests.appliance.screens.golden import seabed
 NUMBERS = {
     "error_percent": 0.6,
     "received": 23.0, "expected": 24.0, "shift_px": 1.8, "coverage_percent": 38.0, "temperature_c": 61.0,
-    "supply_v": 10.4, "distance_mm": 421.0,
+    "supply_v": 10.4, "distance_mm": 421.0, "sight_m": 1.6,
 }  # fmt: skip
 
 
@@ -82,16 +82,16 @@ LEAK = alert(FaultCode.LEAK)
 MOVED = alert(FaultCode.MOVED)
 _NAMES = ("camera.left", "camera.right", "board", "keys", "projector", "display", "storage", "calibration", "worker")
 _AIM_KEYS = keys(scan=Text.SCAN, back=Text.HOLD_OFF, up=Text.MENU, down=Text.GALLERY)
-_REVIEW_KEYS = keys(scan=Text.KEEP, back=Text.HOLD_REDO, up=Text.TURN, down=Text.TURN)
+_REVIEW_KEYS = keys(scan=Text.KEEP, back=Text.HOLD_REDO, up=Text.TURN)
 AIM = AimView(
     left=seabed.live(False), right=seabed.live(True), scans_taken=12, scans_left=41, temperature_c=34.0,
     exposure="12 ms", water=Text.SALT, gauge=Gauge(503.0, -4.0, Reach.OK), marks=seabed.marks(),
     keys=_AIM_KEYS,
 )  # fmt: skip
 NO_OVERLAP = OverlapSaid((Text.NO_OVERLAP, Text.GO_BACK), warns=True)
-GO_BACK = GuidanceSaid(("25 %:", Text.TURN_BACK), Move.GO_BACK, (-0.95, 0.31))
-GO_ON = GuidanceSaid(("80 %:", Text.GO_ON), Move.GO_ON, (0.6, -0.8))
-ENOUGH = GuidanceSaid(("50 %:", Text.GOOD), Move.SCAN_NOW)
+GO_BACK = GuidanceSaid((Text.OVERLAP, "25 %"), Text.TURN_BACK, Move.GO_BACK, (-0.95, 0.31))
+GO_ON = GuidanceSaid((Text.OVERLAP, "80 %"), Text.GO_ON, Move.GO_ON, (0.6, -0.8))
+ENOUGH = GuidanceSaid((Text.OVERLAP, "50 %"), Text.SCAN_NOW, Move.SCAN_NOW)
 _POINTS = seabed.cloud()
 REVIEW = ReviewView(
     points_mm=_POINTS, values=_POINTS[:, 2], coarse=False, grade=Grade.GOOD, points=1_312_409,
@@ -133,7 +133,7 @@ def _tested(failed: Mapping[str, Alert | Text], waiting: int = 0) -> tuple[Devic
 
 
 def _calibrate(at: Calibrating, session: Session | None = None, **words: Label) -> CalibrateView:
-    given = keys(**(words or {"scan": Text.SCAN, "back": Text.BACK, "down": Text.M2}))
+    given = keys(**(words or {"scan": Text.SCAN, "back": Text.BACK, "down": Text.BAR_UPRIGHT}))
     live = seabed.live(False)
     gauge = Gauge(None, None, Reach.UNKNOWN) if at.latest is None else Gauge(508.0, None, Reach.OK)
     return CalibrateView(
@@ -169,21 +169,26 @@ SCENES: Mapping[str, Scene] = MappingProxyType(
             "Too far away, and slanted; the scan that was kept last has nothing in common with the one before.",
         ),
         "aim-insist": Scene(
-            replace(AIM, gauge=Gauge(421.0, None, Reach.BACK), insist=True, guidance=ENOUGH),
-            "SCAN was pressed outside the volume: once more records all the same. What it would have in common with the scan that was kept is right.",
+            replace(
+                AIM, gauge=Gauge(421.0, None, Reach.BACK), guidance=GuidanceSaid((Text.OVERLAP, "50 %"), None), object=3,
+                alerts=(replace(alert(FaultCode.TOO_NEAR), headline="NEAR 421 mm", german=("NAH 421 mm", "ZURÜCK, ODER NOCHMAL DRÜCKEN")),),
+                keys=keys(scan=Text.ANYWAY, back=Text.HOLD_OFF, up=Text.MENU, down=Text.GALLERY),
+            ),
+            "SCAN was pressed outside the volume: once more records all the same. The distance leads; the overlap is told, and nobody is told to scan.",
         ),
         "aim-no-dots": Scene(
-            replace(AIM, gauge=Gauge(None, None, Reach.UNKNOWN), temperature_c=None, scans_left=None, exposure=None, guidance=GO_BACK),
+            replace(AIM, gauge=Gauge(None, None, Reach.UNKNOWN), temperature_c=None, scans_left=None, exposure=None, guidance=GO_BACK, object=3),
             "No dot is seen, no sensor answers: unknown is a dash, never a zero. A scan from here would have 25 % in common with the one that was kept; the arrow "
             "shows the way to more.",
         ),
         "aim-warning": Scene(
-            replace(AIM, right=None, scan_allowed=False, alerts=(LOST, WARM), guidance=GO_ON),
-            "A camera is lost: its picture is gone, SCAN is dim, the band says what to do. Most has been scanned: the arrow shows the way on.",
+            replace(AIM, right=None, gauge=None, marks=None, scan_allowed=False, alerts=(LOST, WARM), guidance=GO_ON, object=3),
+            "A camera is lost: its picture and the distance are gone, SCAN is dim, the band says what to do. Most has been scanned: the arrow shows the way on.",
         ),
-        "aim-too-dark": Scene(
-            replace(AIM, alerts=(alert(FaultCode.AIM_DARK),)),
-            "What a scan would fail for, as the live picture shows it: it comes and goes by itself, and nothing jumps.",
+        "aim-torch": Scene(
+            replace(AIM, alerts=(alert(FaultCode.AIM_LIGHT),), object=12),
+            "What a scan would fail for, as the live picture shows it: here a torch, which must go, whatever the exposure. It comes and goes by itself, and nothing jumps. "
+            "An object runs: scans belong to it until it is ended in the menu.",
         ),
         "aim-acknowledge": Scene(
             replace(
@@ -211,12 +216,23 @@ SCENES: Mapping[str, Scene] = MappingProxyType(
         "check": Scene(CheckView(keys=keys(back=Text.HOLD_REDO)), "Whether every frame shows its pattern; the diver may move."),
         "reconstruct": Scene(ReconstructView(keys=keys(back=Text.HOLD_REDO)), "Points are computed.", 0.9),
         "review": Scene(
-            replace(REVIEW, overlap=OverlapSaid((Text.OVERLAP, "62 %"))),
-            "The cloud by depth, gently turning, or turned by the diver; the verdict and its numbers, and above them the overlap with the scan before.",
+            replace(
+                REVIEW, overlap=OverlapSaid((Text.OVERLAP, "62 %")),
+                keys=keys(scan=Text.KEEP, back=Text.HOLD_REDO, up=Text.TURN, down=(Text.HOLD_ADD, "3.2 ms")),
+            ),
+            "The cloud by depth, gently turning, or turned by the diver; the verdict and its numbers, and above them the overlap with the scan before. "
+            "DOWN held adds a second exposure of the same view, for what this one could not show.",
             1.2,
         ),
         "review-coarse": Scene(
             replace(REVIEW, coarse=True, grade=Grade.USABLE, points=20_412, noise_mm=0.071), "A coarse cloud comes first.", 0.4
+        ),
+        "review-next-scan": Scene(
+            replace(
+                REVIEW, grade=Grade.USABLE, alerts=(alert(FaultCode.TOO_BRIGHT),), next_scan="10 ms",
+                keys=keys(scan=Text.KEEP, back=Text.HOLD_REDO, up=Text.TURN, down=(Text.EXPOSE, "12 ms")),
+            ),
+            "DOWN has taken the proposed exposure for the next scan; once more takes it back.", 0.4,
         ),
         "review-doubtful": Scene(
             replace(REVIEW, lengths_doubtful=True, alerts=(replace(alert(FaultCode.UNCALIBRATED), lasts=True, seen=True),)),
@@ -299,7 +315,7 @@ SCENES: Mapping[str, Scene] = MappingProxyType(
         "calibrate-plane": Scene(
             _calibrate(
                 Calibrating(Step.M3, latest=_TRIALS[2]), Session(_TRIALS[:3]),
-                scan=Text.REDO, back=Text.BACK, up=Text.M2, down=Text.M4,
+                scan=Text.REDO, back=Text.BACK, up=Text.BAR_UPRIGHT, down=Text.PLANE_FAR,
             ),
             "A recording that fits.",
         ),

@@ -92,13 +92,14 @@ def _overlaps(language: Language) -> list[str]:
             "| A smooth pipe or a grid looks alike everywhere. | Have a weld, a flange or a mark in both scans. |",
             "| Ein glattes Rohr oder ein Gitter sieht überall gleich aus. | Schweißnaht, Flansch oder Marke in beiden Scans haben. |",
         ),
-        f"| **{worded(('25 %:', Text.TURN_BACK), language)}**, **{worded(('80 %:', Text.GO_ON), language)}** "
+        f"| **{worded((Text.OVERLAP, '25 %'), language)} · {worded(Text.TURN_BACK, language)}**, "
+        f"**{worded((Text.OVERLAP, '80 %'), language)} · {worded(Text.GO_ON, language)}** "
         + pick(
             language,
             "| While aiming: so much would a scan from here have in common with the one that was kept. | Follow the arrow. |",
             "| Beim Zielen: So viel hätte ein Scan von hier mit dem behaltenen gemeinsam. | Dem Pfeil folgen. |",
         ),
-        f"| **{worded(('50 %:', Text.SCAN_NOW), language)}** "
+        f"| **{worded((Text.OVERLAP, '50 %'), language)} · {worded(Text.SCAN_NOW, language)}** "
         + pick(language, "| Half is good. | Scan. |", "| Die Hälfte ist gut. | Scannen. |"),
         f"| **{worded(Text.TURN_BACK, language)}** "
         + pick(
@@ -155,7 +156,7 @@ def keys(language: Language) -> str:
             f"While a lasting warning is shown in full, BACK says {Text.SEEN.english} on every screen but while something is "
             "recorded: the press takes it for known and does nothing else, and a small mark of it stays. "
             f"A key without a word does nothing. Made by `{COMMAND}`.",
-            "Ein Druck hat eine Bedeutung; ihr Wort steht auf der Anzeige neben der Taste. LANG heißt 0,8 s. "
+            "Ein Druck hat eine Bedeutung; ihr Wort steht auf der Anzeige neben der Taste. HALTEN heißt 0,8 s. "
             f"Solange eine bleibende Warnung groß dasteht, heißt BACK überall {Text.SEEN.german}, außer während einer Aufnahme: "
             "der Druck nimmt sie zur Kenntnis und tut sonst nichts, und eine kleine Marke bleibt. "
             f"Eine Taste ohne Wort tut nichts. Erzeugt mit `{COMMAND}`.",

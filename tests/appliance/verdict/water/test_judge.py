@@ -121,7 +121,8 @@ def test_water_that_hides_the_object_is_called_dirty_with_what_is_left() -> None
     fault = said.judgement.fault
     assert fault is not None
     assert fault.code is FaultCode.WATER_DIRTY
-    assert headline_of(fault) == f"WATER DIRTY {100.0 - found(said.masked_percent):.0f}%"
+    assert headline_of(fault) == "WATER DIRTY"
+    assert fault.numbers["coverage_percent"] == pytest.approx(100.0 - found(said.masked_percent))
     assert not said.judgement.verdict.passed
 
 
