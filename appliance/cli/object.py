@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,7 @@ from appliance.cli.kernels import compile_kernels
 from appliance.cli.object_files import ObjectFiles
 from appliance.cli.output import Exit, Progress, UsageError, complain, say, say_json
 from appliance.cli.places import WithRoot
+from appliance.process_start import use_one_blas_thread
 
 if TYPE_CHECKING:
     from appliance.storage.objects import MemberScan, Places, StoredObject
@@ -111,6 +113,7 @@ class SolveObject(ObjectFiles):
     )
 
     def run(self) -> Exit:
+        use_one_blas_thread(os.environ)
         wish = self.wish()
         measuring(wish.calibration)
         outs = self.checked_outs([Path(one) for one in self.out])
@@ -272,7 +275,7 @@ def _say_object(stored: StoredObject, *, as_json: bool) -> None:
 def lines_of(places: Places) -> list[str]:
     """Return what solving found, for people: places, then pairs that were refused, then warnings and the bending budget."""
     lines = [
-        f"{'middle of':<10} {'x':>9} {'y':>9} {'z mm':>9} {'± mm':>7}   of it what may bend, mm (with the overlaps' estimate)"
+        f"{'centre of':<10} {'x':>9} {'y':>9} {'z mm':>9} {'± mm':>7}   bending, part of ±, mm (with --with-estimate)"
     ]
     for name, place in places.places.items():
         x, y, z = place.middle_mm
@@ -281,8 +284,11 @@ def lines_of(places: Places) -> list[str]:
         )
     lines += [f"{name:<10} left out: {why}" for name, why in places.left_out.items()]
     used = [pair for pair in places.pairs if pair.used]
-    lines.append(f"{len(used)} of {len(places.pairs)} pairs used")
-    lines += [f"  {pair.first} - {pair.second}: {pair.text}" for pair in places.pairs if not pair.used]
+    unchecked = sum(pair.discrepancy_mm is None for pair in used)
+    lines.append(
+        f"{len(used)} of {len(places.pairs)} pairs used" + (f", {unchecked} of them unchecked" if unchecked else "")
+    )
+    lines += [f"  {pair.first} - {pair.second}: overlap –; {pair.text}" for pair in places.pairs if not pair.used]
     lines += [f"warning: {one}" for one in places.warnings]
     if places.shared_error_score is not None:
         from appliance.calibration.health import OVERLAP_LIMIT
@@ -294,8 +300,8 @@ def lines_of(places: Places) -> list[str]:
             "again, or check it with the ball bar"
         )
     lines.append(
-        f"depth error that all scans share, RMS over the view: {1000.0 * places.shared_error_spread_mm:.0f} µm are left open, "
-        f"{1000.0 * places.shared_error_aided_mm:.0f} with the overlaps' estimate, which is "
-        f"{'taken out of the points' if places.shared_error_removed else 'not believed (--with-estimate)'}"
+        f"standard deviation of the depth error that all scans share: {1000.0 * places.shared_error_spread_mm:.0f} µm, "
+        f"{1000.0 * places.shared_error_aided_mm:.0f} µm with the overlaps' estimate, which is "
+        f"{'taken out of the points' if places.shared_error_removed else 'not used (--with-estimate)'}"
     )
     return lines

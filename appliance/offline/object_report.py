@@ -14,6 +14,7 @@ from appliance.storage.objects import ComparedScans, Places, ScanPlace, StoredOb
 from appliance.surface.fusion import FusedCloud
 
 SHOWN_DIGITS = 12
+_UNCHECKED = "in no loop: nothing checks it; one more scan across both would"
 
 
 def report_of(stored_object: StoredObject, surface: FusedCloud) -> Report:
@@ -65,13 +66,15 @@ def _scan(name: str, places: Places) -> ReportScan:
 
 
 def _pair(pair: ComparedScans) -> ReportPair:
-    verdict = ReportVerdict.GOOD if pair.used else ReportVerdict.REFUSED
+    checked = ReportVerdict.UNCHECKED if pair.discrepancy_mm is None else ReportVerdict.GOOD
+    verdict = checked if pair.used else ReportVerdict.REFUSED
     return ReportPair(
         first=pair.first,
         second=pair.second,
         verdict=verdict,
-        reason="" if pair.used else pair.text,
-        overlap_percent=pair.overlap_percent,
+        reason=_UNCHECKED if verdict is ReportVerdict.UNCHECKED else "" if pair.used else pair.text,
+        # Earlier versions kept the overlap of poses that slid.
+        overlap_percent=pair.overlap_percent if pair.accepted else None,
         matches=pair.matches,
         residual_mm=pair.discrepancy_mm,
         sigma_mm=pair.sigma_mm,
@@ -98,15 +101,15 @@ def _budget(stored_object: StoredObject, places: Places) -> ReportBudget | None:
             length.bending_mm,
             "what the overlaps' estimate leaves of it"
             if places.shared_error_removed
-            else "what the calibration leaves open",
+            else "what the calibration states",
         ),
     )
     return ReportBudget(
         over_mm=length.length_mm,
         terms=terms,
         combined_mm=length.sigma_mm,
-        statement=f"Of the distance from the middle of scan {names[0]} to that of scan {name}, which may bend sideways by {farthest.bending_mm:.3f} mm "
-        f"({farthest.bending_aided_mm:.3f} mm if the overlaps' estimate were believed). Scale and single points are the calibration's: see its evaluation.",
+        statement=f"Distance from the centre of scan {names[0]} to the centre of scan {name}. Bending may displace scan {name} by {farthest.bending_mm:.3f} mm "
+        f"sideways ({farthest.bending_aided_mm:.3f} mm with --with-estimate). Scale and the noise of single points are not included: see the calibration's evaluation.",
     )
 
 

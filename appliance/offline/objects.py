@@ -77,7 +77,7 @@ def clouds_of(root: Path, stored_object: StoredObject, wish: Wish, progress: Pro
     """
     count = len(stored_object.scans)
     for number, member in enumerate(stored_object.scans):
-        progress(f"scan {member.name}", number / max(count, 1))
+        progress(f"points of scan {member.name}, {number + 1} of {count}", number / max(count, 1))
         yield _cloud_of(root, stored_object.name, member, wish)
 
 
@@ -86,7 +86,7 @@ def _cloud_of(root: Path, name: str, member: MemberScan, wish: Wish) -> MemberCl
     now = member_of(root, folder)
     if now.frames_sha256 != member.frames_sha256:
         raise stored.ScanError(
-            f"{folder}: holds other frames than when it was added to object '{name}'; make the object anew"
+            f"{folder}: holds other frames than when it was added to object '{name}'; make the object again"
         )
     source = open_source(folder, wish)
     chosen = calibration_for(source, wish)
@@ -196,7 +196,10 @@ def _places(
         water_index=tuple(one[2] for one in clouds),
         places={named[k]: _place(placed, aided, k, middle_of(scans[k])) for k in sorted(placed.poses)},
         pairs=tuple(_pair(one, placed, named) for one in solved.compared),
-        left_out={named[k]: text for k, text in solved.left_out.items()},
+        left_out={
+            named[k]: one.why if one.beside is None else f"with scan {named[one.beside]}: {one.why}"
+            for k, one in solved.left_out.items()
+        },
         warnings=_warnings(solved, clouds, calibrations),
         shared_error_mm=tuple(aided.bow_mm.tolist()),
         shared_error_spread_mm=spread_mm(placed.bow_covariance),
@@ -228,19 +231,21 @@ def _pair(one: Compared, placed: Placed, named: Sequence[str]) -> ComparedScans:
     def among(edges: Sequence[Edge]) -> bool:
         return any((edge.first, edge.second) == (one.first, one.second) for edge in edges)
 
-    fit, wrong = one.pair.fit, among(placed.wrong)
-    text = "contradicts the loops it is in: taken out" if wrong else one.pair.text
+    wrong = among(placed.wrong)
+    # Of a pose that nothing holds, or that is wrong, neither the overlap is known nor how certain it is.
+    fit = one.pair.fit if one.pair.accepted and not wrong else None
     return ComparedScans(
         first=named[one.first],
         second=named[one.second],
         accepted=one.pair.accepted,
         used=among(placed.used),
-        text=text,
+        text="contradicts the loops it is in: taken out" if wrong else one.pair.text,
         overlap_percent=None if fit is None else 100.0 * fit.overlap,
-        sigma_mm=fit.sigma_mm if fit is not None and one.pair.accepted else None,
-        discrepancy_mm=placed.discrepancy_mm.get((one.first, one.second)),
-        sigma_deg=fit.sigma_deg if fit is not None and one.pair.accepted else None,
-        matches=one.matches,
+        sigma_mm=None if fit is None else fit.sigma_mm,
+        # The places follow a pair that nothing else ties: that they agree with it is no news.
+        discrepancy_mm=None if among(placed.unchecked) else placed.discrepancy_mm.get((one.first, one.second)),
+        sigma_deg=None if fit is None else fit.sigma_deg,
+        matches=None if fit is None else one.matches,
     )
 
 
@@ -334,7 +339,7 @@ def about_object(stored_object: StoredObject) -> About:
     ]
     if widest is not None:
         notes.append(
-            f"farthest scan placed within {widest.sigma_mm:.3f} mm (one standard deviation), of it {widest.bending_mm:.3f} mm bending"
+            f"farthest scan placed within {widest.sigma_mm:.3f} mm (one standard deviation), {widest.bending_mm:.3f} mm of that by bending"
         )
     notes += [f"without {name}: {why}" for name, why in places.left_out.items()]
     return About(stored_object.name, OBJECT_FRAME, (*notes, *places.warnings))

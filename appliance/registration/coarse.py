@@ -24,6 +24,8 @@ RATIO = 0.85
 NEAR_MM = 0.8
 """Features fit a pose where their points meet this closely."""
 TRIPLES = 1_500
+TRIED = 10
+"""Sets of features that are looked at for each guess that is wanted."""
 MIN_SIDE_MM = 8.0
 """Least side of a triangle of features: smaller ones tell no turn."""
 ENOUGH_INLIERS = 10
@@ -73,11 +75,14 @@ def guess_by_features(a: Features, b: Features, most: int = 3, seed: int = 0) ->
     off = np.einsum("kij,nj->kni", rotation, q) + shift[:, None] - p
     inliers = (off * off).sum(-1) < (2.0 * NEAR_MM) ** 2
     guesses: list[Guess] = []
-    for k in np.argsort(-inliers.sum(1), kind="stable")[: 40 * most]:
-        mine = inliers[k]
-        if np.count_nonzero(mine) < ENOUGH_INLIERS or len(guesses) == most:
+    support = inliers.sum(1)
+    left = np.argsort(-support, kind="stable")
+    for _ in range(TRIED * most):
+        if not len(left) or support[left[0]] < ENOUGH_INLIERS or len(guesses) == most:
             break
-        pose = Rigid(rotation[k], shift[k])
+        mine, pose = inliers[left[0]], Rigid(rotation[left[0]], shift[left[0]])
+        # Triples of the same features are the same guess, and hide those of other features behind them.
+        left = left[np.count_nonzero(inliers[left] & mine, axis=1) < 0.5 * support[left]]
         for _ in range(3):
             if np.count_nonzero(mine) < 4:
                 break
@@ -107,12 +112,21 @@ def matches(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.int64]
     return np.stack([rows, first[rows]], axis=1)
 
 
-def count_in_common(a: Features, b: Features, pose: Rigid) -> int:
-    """Return how many features of two scans match and lie on each other where ``pose`` puts B."""
+def in_common(a: Features, b: Features, pose: Rigid) -> Array:
+    """Return the points (n, 3) in A's frame of the features that two scans have in common, where ``pose`` lays them on each other."""
     pairs = matches(a.descriptors, b.descriptors)
     # Descriptors alone match by chance, and where paint repeats.
-    off = pose.of(b.points_mm[pairs[:, 1]]) - a.points_mm[pairs[:, 0]]
-    return int(np.count_nonzero((off**2).sum(axis=1) < NEAR_MM**2))
+    points = a.points_mm[pairs[:, 0]]
+    off = pose.of(b.points_mm[pairs[:, 1]]) - points
+    return np.asarray(points[(off**2).sum(axis=1) < NEAR_MM**2])
+
+
+def turn_error_mm(points_mm: Array, reach_mm: float) -> float:
+    """Return how far, by one standard deviation, what lies ``reach_mm`` off points (n, 3) may be turned about the line along which they lie; a pose is
+    held by points that lie beside it, too."""
+    centred = points_mm - points_mm.mean(axis=0)
+    beside_mm = float(np.linalg.svd(centred, compute_uv=False)[1])
+    return 0.5 * NEAR_MM * reach_mm / max(beside_mm, 1e-9)
 
 
 def _kabsch(p: Array, q: Array) -> tuple[Array, Array]:

@@ -188,6 +188,31 @@ def refine(
     return _judged(a, b, pose, with_paint)
 
 
+def own_resistance(scan: Prepared) -> Resistance:
+    """Return what resists a displacement of a scan's shape laid upon itself. A pair has part of that shape in common, and is held by no more of it.
+
+    The two normals whose products count are a patch's own and that of the patches beside it, which have other points and so other noise.
+    """
+    patches = scan.patches
+    beside = np.full_like(patches.normal, np.nan)
+    beside[:, 1:-1] = patches.normal[:, 2:] + patches.normal[:, :-2]
+    with np.errstate(invalid="ignore"):
+        beside /= np.linalg.norm(beside, axis=-1)[..., None]
+        used = patches.valid & ((beside * patches.normal).sum(-1) > MIN_ALIKE)
+    index, n = np.flatnonzero(used), int(np.count_nonzero(used))
+    nothing, flat, at_once = np.full(n, np.nan), np.zeros((n, 3)), np.ones(0, bool)
+    return resistance_of(
+        system_of(
+            Laid(
+                x_mm=patches.centre_mm[used], source=index, tile=index, apart_mm=np.zeros(n), normal_a=patches.normal[used], normal_b=beside[used],
+                sigma_mm=patches.sigma_mm[used], paint=nothing, gradient_a=flat, gradient_b=flat, paint_noise=nothing, paint_a=nothing,
+                paint_b=nothing, unmet=at_once, front=at_once, tried=n,
+            ),
+            with_paint=False,
+        )
+    )  # fmt: skip
+
+
 def _judged(a: Prepared, b: Prepared, pose: Rigid, with_paint: bool) -> Fit | None:
     laid = lay(a, b, pose, 1.0)
     if len(laid.source) < FEWEST:

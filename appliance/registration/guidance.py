@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from appliance.optics.model import HousedCamera
 from appliance.optics.rotation import rotation_matrix
-from appliance.registration.coarse import ENOUGH_INLIERS, matches
+from appliance.registration.coarse import ENOUGH_INLIERS, matches, turn_error_mm
 from appliance.registration.features import PictureMarks, marks_of
-from appliance.registration.overlap import ENOUGH_AROUND, MOST_MARKS, RIVAL, TOLD, CoarseView
+from appliance.registration.overlap import APART_MM, ENOUGH_AROUND, MOST_MARKS, REACH_MM, RIVAL, TOLD, CoarseView
 from appliance.registration.patches import Array, Projection
 from appliance.registration.rigid import Rigid
 from appliance.scan.guidance import LEAST_GOOD, LOST, MOST_GOOD, Guidance
@@ -179,8 +179,8 @@ class Guide:
 
 
 def camera_pose(sight: Sight, points_mm: Array, uv_px: Array) -> Rigid | None:
-    """Return where points (n, 3) of A are in the frame of the camera that sees them at pixels (n, 2); ``None``: too few agree, or another pose
-    has as good a claim."""
+    """Return where points (n, 3) of A are in the frame of the camera that sees them at pixels (n, 2); ``None``: too few agree, or only along a line, or
+    another pose has as good a claim."""
     if len(points_mm) < ENOUGH_INLIERS:
         return None
     depth_mm = float(np.median(points_mm[:, 2]))
@@ -191,7 +191,7 @@ def camera_pose(sight: Sight, points_mm: Array, uv_px: Array) -> Rigid | None:
         return None
     pose, agree = first
     support = _witnesses(points_mm[agree])
-    if support < ENOUGH_INLIERS:
+    if support < ENOUGH_INLIERS or turn_error_mm(points_mm[agree], REACH_MM) > 0.5 * APART_MM:
         return None
     # What agrees with another pose repeats, and either may be wrong.
     others = ~(_off_px(sight.projection, pose, points_mm, uv_px) < 2.0 * near_px)

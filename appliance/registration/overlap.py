@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from appliance.reconstruct.organised import OrganisedCloud
 from appliance.reconstruct.table import Cloud
 from appliance.registration.albedo import Paint
-from appliance.registration.coarse import Guess, guess_by_features, guess_by_shape
+from appliance.registration.coarse import Guess, guess_by_features, guess_by_shape, in_common, turn_error_mm
 from appliance.registration.features import Features, PictureMarks, marks_of, points_below
 from appliance.registration.fine import Prepared, refine
 from appliance.registration.patches import Array, Projection, patches_of
@@ -42,6 +42,8 @@ RIVAL = 0.5
 """Another pose with this share of the best one's marks makes both doubtful: paint repeats."""
 APART_MM = 3.0
 """Points of both scans are the same surface where they lie this close."""
+REACH_MM = 100.0
+"""Distance from the marks up to which a pose has to be true."""
 AGREEING = 0.85
 """Least share of what A should see of B that is there."""
 BLOCK = 4
@@ -192,6 +194,9 @@ def compare(a: CoarseView, b: CoarseView) -> Iterator[Overlap | None]:
 def _by_features(a: CoarseView, b: CoarseView, guesses: list[Guess]) -> Overlap:
     best, *others = guesses
     if any(other.support >= RIVAL * best.support for other in others):
+        return UNKNOWN
+    # Marks along one line leave a turn about it free.
+    if turn_error_mm(in_common(a.features(), b.features(), best.pose), REACH_MM) > 0.5 * APART_MM:
         return UNKNOWN
     return share_on(a, b, best.pose)
 

@@ -17,8 +17,9 @@ from appliance.optics.volume import STANDARD, WorkingVolume
 from appliance.reconstruct.organised import OrganisedCloud
 from appliance.registration.albedo import Paint, paint_of
 from appliance.registration.coarse import Guess, guess_by_features, guess_by_shape, same
+from appliance.registration.equations import Resistance
 from appliance.registration.features import Features, features_of
-from appliance.registration.fine import Fit, Prepared, refine
+from appliance.registration.fine import Fit, Prepared, own_resistance, refine
 from appliance.registration.patches import Array, Projection, coarser, patches_of, projection_of
 from appliance.registration.repeats import repeats_of
 from appliance.registration.rigid import Rigid
@@ -40,6 +41,12 @@ SLIDES_ROUGHLY = 3.0
 """Poses that the search by shape found and that planes hold less than this slide: others like them stand for one family, and for few."""
 MOST_SLIDING = 4
 """Sliding poses that are tried: a bar may lie either way round, and each way slides about its axis."""
+TURNS = 0.4
+"""Share of a loose direction, of length 1, that must be turn for it to be called one: a pipe of 0.2 m radius about its axis has that."""
+INSIDE = 0.15
+"""An axis that lies so deep behind the surface, in levers, is the thing's own."""
+LEVEL_DEG = 22.5
+UNEVEN = "have something uneven in both views (a flange, a weld, an edge), or stick on marks"
 COARSE = 3
 """Patches a side that the search by shape joins."""
 
@@ -63,6 +70,13 @@ class ReadyScan:
     coarse: Prepared
     features: Features
     repeats: tuple[Array, ...]
+    own: Resistance
+    """Resistance of the scan's own shape, all of it, to a displacement."""
+
+    @property
+    def holds(self) -> bool:
+        """Its shape alone holds every direction; where it does not, no pair with it can be told by shape."""
+        return bool(self.own.held.min() >= HELD)
 
     __repr__ = one_line
 
@@ -72,7 +86,7 @@ class RegisteredPair:
     """Two scans that were compared, and what came of it."""
 
     fit: Fit | None
-    """The best pose, also of a refused pair; ``None``: there is none."""
+    """The best pose; of a refused pair nothing of it is known, its overlap neither. ``None``: there is none."""
     refusal: PairRefusal | None
     text: str
     """Finding in words: how closely they are placed, or why not and what would help."""
@@ -103,7 +117,7 @@ def ready_with(cloud: OrganisedCloud, projection: Projection, light_mm: Array) -
     joined = coarser(patches, COARSE)
     nothing = np.full(joined.sigma_mm.shape, np.nan)
     coarse = Prepared(joined, Paint(nothing, np.full((*nothing.shape, 3), np.nan), nothing))
-    return ReadyScan(fine, coarse, features_of(cloud), tuple(repeats_of(patches, fine.paint)))
+    return ReadyScan(fine, coarse, features_of(cloud), tuple(repeats_of(patches, fine.paint)), own_resistance(fine))
 
 
 def register(a: ReadyScan, b: ReadyScan, near: Rigid | None = None) -> RegisteredPair:
@@ -113,14 +127,19 @@ def register(a: ReadyScan, b: ReadyScan, near: Rigid | None = None) -> Registere
         fits += _fits(a, b, guess_by_features(a.features, b.features))
     # Paint that repeats has features that repeat: they may have led to one place of several, all of which the shape knows.
     repeats = bool(a.repeats or b.repeats)
-    by_shape = _fits_by_shape(a, b) if repeats or not any(_plausible(fit) for fit in fits) else []
+    by_shape = []
+    # What slides by its own shape the search would lay anywhere along the slide, each place as good as any other.
+    if repeats if any(_plausible(fit) for fit in fits) else a.holds and b.holds:
+        by_shape = _fits_by_shape(a, b)
     fits += by_shape
     if not fits:
-        return RegisteredPair(None, PairRefusal.NOTHING_IN_COMMON, _words(PairRefusal.NOTHING_IN_COMMON, None))
+        sliding = PairRefusal.AMBIGUOUS if repeats else PairRefusal.SLIDES
+        why = PairRefusal.NOTHING_IN_COMMON if a.holds and b.holds else sliding
+        return RegisteredPair(None, why, _words(why, None, a, b))
     # Of those that may be believed the one that least contradicts; where there is none, the reason of the best of the others.
     fits = sorted(fits, key=lambda fit: (not _plausible(fit), _contradiction(fit)))
     best = fits[0]
-    refusal = _refused(best)
+    refusal = refusal_of(best)
     if refusal is None:
         others = fits[1:] + _repeated(a, b, best)
         # A thing too small to be searched by shape (a ball bar) is the same turned half about, and so is a grid on it.
@@ -128,7 +147,7 @@ def register(a: ReadyScan, b: ReadyScan, near: Rigid | None = None) -> Registere
         doubtful = repeats and best.paint_share > 0.5 and (unlike or not by_shape)
         if doubtful or any(_as_good(other, best, repeats=repeats and best.paint_share > 0.5) for other in others):
             refusal = PairRefusal.AMBIGUOUS
-    return RegisteredPair(best, refusal, _words(refusal, best))
+    return RegisteredPair(best, refusal, _words(refusal, best, a, b))
 
 
 def _fits(a: ReadyScan, b: ReadyScan, guesses: list[Guess]) -> list[Fit]:
@@ -166,7 +185,7 @@ def _contradiction(fit: Fit) -> float:
 
 def _as_good(other: Fit, best: Fit, *, repeats: bool) -> bool:
     # Where there is no paint to decide, or paint that repeats, a place that slides explains what is seen as well as one that is held.
-    slides = (best.alike is None or repeats) and _refused(other) is PairRefusal.SLIDES
+    slides = (best.alike is None or repeats) and refusal_of(other) is PairRefusal.SLIDES
     if not (_plausible(other) or slides) or other.overlap < 0.5 * best.overlap:
         return False
     if same(other.pose, best.pose, 1.0 + 5.0 * best.sigma_mm):
@@ -187,10 +206,11 @@ def _repeated(a: ReadyScan, b: ReadyScan, best: Fit) -> list[Fit]:
 
 
 def _plausible(fit: Fit) -> bool:
-    return _refused(fit) is None
+    return refusal_of(fit) is None
 
 
-def _refused(fit: Fit) -> PairRefusal | None:
+def refusal_of(fit: Fit) -> PairRefusal | None:
+    """Return what speaks against a fit, whatever other poses there are; ``None``: nothing."""
     if fit.overlap < LEAST_OVERLAP:
         return PairRefusal.TOO_LITTLE
     if fit.outliers > MAX_OUTLIERS:
@@ -209,35 +229,71 @@ def _refused(fit: Fit) -> PairRefusal | None:
     return PairRefusal.UNCERTAIN if fit.sigma_mm > MAX_SIGMA_MM else None
 
 
-def _words(refusal: PairRefusal | None, fit: Fit | None) -> str:
-    if fit is None or refusal is PairRefusal.NOTHING_IN_COMMON:
+def _words(refusal: PairRefusal | None, fit: Fit | None, a: ReadyScan, b: ReadyScan) -> str:
+    if refusal is PairRefusal.NOTHING_IN_COMMON:
         return "no pose was found: nothing in common; scan in between, or with more overlap"
-    share = f"{100.0 * fit.overlap:.0f} % in common"
-    if refusal is None:
-        return f"{share}; placed within {1000.0 * fit.sigma_mm:.0f} µm"
-    if refusal is PairRefusal.SLIDES or refusal is PairRefusal.UNCERTAIN:
-        return f"{share}; {softest(fit)} without resistance: have something uneven in both views (a flange, a weld, an edge), or stick on marks"
     if refusal is PairRefusal.AMBIGUOUS:
-        return f"{share}; it fits as well elsewhere, since shape or paint repeats: have something that is there once in both views"
+        return (
+            "it fits as well elsewhere, since shape or paint repeats: have something that is there once in both views"
+        )
+    if fit is None:
+        slides = b if a.holds else a
+        loose = freedom(slides.own.directions, slides.own.held)
+        return f"no marks in common, and by shape alone the {'second' if a.holds else 'first'} can {loose}: scan in between, {UNEVEN}"
+    if refusal is None:
+        return f"{100.0 * fit.overlap:.0f} % in common; placed within {1000.0 * fit.sigma_mm:.0f} µm"
+    if refusal is PairRefusal.SLIDES or refusal is PairRefusal.UNCERTAIN:
+        if fit.alike is not None and fit.alike >= LEAST_ALIKE:
+            remedy = (
+                "both show the same marks, but too few to hold it: scan again with more in common, or stick on marks"
+            )
+        elif a.holds and b.holds:
+            remedy = "what holds each of them is not in both views: scan in between"
+        else:
+            remedy = UNEVEN
+        return f"the second can {freedom(fit.directions, fit.held)} on the first: {remedy}"
     if refusal is PairRefusal.TOO_LITTLE:
-        return f"only {share}: scan again with half of the view in common"
-    return (
-        f"{share}, but surfaces contradict each other: one of the scans may have moved, or they show different places"
-    )
+        return "too little in common: scan again with half of the view in common"
+    return "surfaces contradict each other: one of the scans may have moved, or they show different places"
 
 
-def softest(fit: Fit) -> str:
-    """Return in words how the pair gives way most easily, as seen by A's camera."""
-    soft = fit.directions[:, 0]
-    turn, shift = soft[:3], soft[3:]
-    names = ("sideways", "up and down", "to and from the instrument")
-    if np.linalg.norm(shift) >= np.linalg.norm(turn):
-        k = int(np.argmax(np.abs(shift)))
-        if k < 2:
-            angle = float(np.degrees(np.arctan2(-shift[1], shift[0])))
-            angle = angle - 180.0 if angle > 90.0 else angle + 180.0 if angle <= -90.0 else angle
-            return f"slides along {angle:.0f}° to the image's rows"
-        return f"slides {names[k]}"
-    k = int(np.argmax(np.abs(turn)))
-    about = ("the image's rows", "the image's columns", "the viewing direction")[k]
-    return f"turns about {about}"
+def freedom(directions: Array, held: Array) -> str:
+    """Return in words how a scan can move, as seen by the camera whose frame ``directions`` (6, 6) are in: along those that ``held`` (6,) says are
+    not held; along the least held where all are."""
+    loose = held < HELD if (held < HELD).any() else held == held.min()
+    soft = directions[:, loose]
+    # Of what is loose any mixture is: mixed so that those that turn least come last.
+    _, turning, mixing = np.linalg.svd(soft[:3])
+    motions = mixing @ soft.T
+    turns = np.count_nonzero(turning > TURNS)
+    said = [f"turn about {_axis(motion)}" for motion in motions[:turns]]
+    slides = [f"slide {_way(motion[3:], 'to and from the instrument')}" for motion in motions[turns:]]
+    if len(said) == 3:
+        said = ["turn any way"]
+    if len(slides) > 1:
+        slides = ["slide any way along the surface" if len(slides) == 2 else "slide any way"]
+    return " and ".join([*slides, *said])
+
+
+def _axis(motion: Array) -> str:
+    turn, shift = motion[:3], motion[3:]
+    # Where nothing moves, from the overlap's middle: an axis within the thing is its own, whatever its radius.
+    behind = float(np.cross(turn, shift)[2] / (turn @ turn))
+    way = _way(turn, "")
+    if not way:
+        return "the line of sight"
+    return f"{'its own' if behind > INSIDE else 'an'} axis {way}"
+
+
+def _way(direction: Array, away: str) -> str:
+    """Return a direction as one sees it in the picture, ``away`` for one that leads out of it."""
+    x, y, z = direction / np.linalg.norm(direction)
+    if abs(z) > max(abs(x), abs(y)):
+        return away
+    angle = float(np.degrees(np.arctan2(-y, x)))
+    angle = angle - 180.0 if angle > 90.0 else angle + 180.0 if angle <= -90.0 else angle
+    if abs(angle) < LEVEL_DEG:
+        return "left-right"
+    if abs(angle) > 90.0 - LEVEL_DEG:
+        return "up-down"
+    return "from lower left to upper right" if angle > 0.0 else "from upper left to lower right"

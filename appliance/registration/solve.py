@@ -10,7 +10,7 @@ import numpy as np
 from appliance.one_line import one_line
 from appliance.registration import candidates
 from appliance.registration.bow import known_before
-from appliance.registration.coarse import count_in_common
+from appliance.registration.coarse import in_common
 from appliance.registration.graph import Edge, Placed, place
 from appliance.registration.pair import PairRefusal, ReadyScan, RegisteredPair, register
 from appliance.registration.patches import Array
@@ -31,6 +31,15 @@ class Compared:
     """Features that both show, where the pair's pose lays them on each other; ``None``: it was not accepted."""
 
 
+@dataclass(frozen=True, slots=True)
+class LeftOut:
+    """Reason why a scan has no place."""
+
+    why: str
+    beside: int | None = None
+    """The scan that it was compared with to no avail; ``None``: the reason is not one pair's."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Solved:
     """Scans as one object, by their number in the order given."""
@@ -39,7 +48,7 @@ class Solved:
     aided: Placed
     """The same with the shared depth error estimated; where that was wanted, it is ``placed``."""
     compared: tuple[Compared, ...]
-    left_out: Mapping[int, str]
+    left_out: Mapping[int, LeftOut]
     """Why each scan that has no place has none."""
 
     __repr__ = one_line
@@ -63,7 +72,7 @@ def solve(
 
     def compare(pairs: Mapping[tuple[int, int], Rigid | None], share: float) -> None:
         for number, ((first, second), near) in enumerate(sorted(pairs.items(), key=lambda item: item[0])):
-            progress(f"comparing scans {first + 1} and {second + 1}", share + 0.5 * number / max(len(pairs), 1))
+            progress(f"comparing pair {number + 1} of {len(pairs)}", share + 0.5 * number / max(len(pairs), 1))
             tried.add((first, second))
             compared.append(_compared(scans, first, second, near))
 
@@ -82,8 +91,8 @@ def _compared(scans: Sequence[ReadyScan], first: int, second: int, near: Rigid |
     pair = register(scans[first], scans[second], near)
     if not pair.accepted or pair.fit is None:
         return Compared(first, second, pair)
-    common = count_in_common(scans[first].features, scans[second].features, pair.fit.pose)
-    return Compared(first, second, pair, common)
+    common = in_common(scans[first].features, scans[second].features, pair.fit.pose)
+    return Compared(first, second, pair, len(common))
 
 
 def middle_of(scan: ReadyScan) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
@@ -110,8 +119,8 @@ def _thinned(found: Sequence[tuple[int, int, Rigid]]) -> dict[tuple[int, int], R
     return kept
 
 
-def _left_out(count: int, placed: Placed, compared: Sequence[Compared]) -> dict[int, str]:
-    reasons: dict[int, str] = {}
+def _left_out(count: int, placed: Placed, compared: Sequence[Compared]) -> dict[int, LeftOut]:
+    reasons: dict[int, LeftOut] = {}
     wrong = {(edge.first, edge.second) for edge in placed.wrong}
     for scan in range(count):
         if scan in placed.poses:
@@ -120,13 +129,13 @@ def _left_out(count: int, placed: Placed, compared: Sequence[Compared]) -> dict[
         refused = [one for one in mine if one.pair.refusal not in (None, PairRefusal.NOTHING_IN_COMMON)]
         contradicting = [one for one in mine if (one.first, one.second) in wrong]
         if contradicting:
-            reasons[scan] = "its pairs contradict the loops of the others"
-        elif refused:
-            best = max(refused, key=lambda one: 0.0 if one.pair.fit is None else one.pair.fit.overlap)
-            other = best.second if best.first == scan else best.first
-            reasons[scan] = f"with scan {other + 1}: {best.pair.text}"
+            reasons[scan] = LeftOut("its pairs contradict the loops of the others")
         elif any(one.pair.accepted for one in mine):
-            reasons[scan] = "it fits others that have no place either"
+            reasons[scan] = LeftOut("it fits others that have no place either")
+        elif refused:
+            # Nothing is known of how much they overlap: those taken one after the other were meant to.
+            best = min(refused, key=lambda one: one.second - one.first)
+            reasons[scan] = LeftOut(best.pair.text, best.second if best.first == scan else best.first)
         else:
-            reasons[scan] = "it overlaps no other scan"
+            reasons[scan] = LeftOut("it overlaps no other scan")
     return reasons

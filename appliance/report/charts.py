@@ -17,6 +17,7 @@ INK, MUTED, LINE = "#1c2733", "#5b6b7b", "#d5dde5"
 VERDICT_COLOURS = {
     ReportVerdict.GOOD: "#1a7f52",
     ReportVerdict.DOUBTFUL: "#b26a00",
+    ReportVerdict.UNCHECKED: "#b26a00",
     ReportVerdict.REFUSED: "#b3261e",
 }
 
@@ -109,7 +110,7 @@ def net(scans: Sequence[ReportScan], pairs: Sequence[ReportPair]) -> str:
         if pair.first in at and pair.second in at:
             (x1, y1), (x2, y2) = at[pair.first], at[pair.second]
             dash = ' stroke-dasharray="4 4"' if pair.verdict is ReportVerdict.REFUSED else ""
-            thick = 1.0 + 3.0 * math.sqrt((pair.overlap_percent or 10.0) / 100.0)
+            thick = 1.0 + 3.0 * math.sqrt((pair.overlap_percent or 0.0) / 100.0)
             lines.append(
                 f'<line x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}" stroke="{VERDICT_COLOURS[pair.verdict]}" '
                 f'stroke-opacity=".7" stroke-width="{thick:.1f}"{dash}/>'

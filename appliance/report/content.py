@@ -24,6 +24,8 @@ class ReportVerdict(Enum):
     GOOD = "good"
     DOUBTFUL = "doubtful"
     """It takes part, and something is held against it."""
+    UNCHECKED = "unchecked"
+    """A pair that takes part, and that no loop of pairs checks."""
     REFUSED = "refused"
     """It takes no part; the reason says why."""
 

@@ -24,6 +24,7 @@ _POLICY = "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; s
 _WORDS = {
     ReportVerdict.GOOD: ("good", "✓"),
     ReportVerdict.DOUBTFUL: ("doubtful", "!"),
+    ReportVerdict.UNCHECKED: ("unchecked", "?"),
     ReportVerdict.REFUSED: ("refused", "✕"),
 }
 _SMALL_MM = 1.0
@@ -225,7 +226,7 @@ def _pairs(scans: Sequence[ReportScan], pairs: Sequence[ReportPair]) -> str:
     )
     drawing = net(scans, pairs)
     figure = (
-        f"<figure>{drawing}<figcaption>Places of the scans; the thicker a line, the larger the overlap.</figcaption></figure>"
+        f"<figure>{drawing}<figcaption>Places of the scans; the thicker a line, the larger the overlap. Dashed: refused, overlap unknown.</figcaption></figure>"
         if drawing
         else ""
     )

@@ -50,7 +50,7 @@ tfoot th { border-top: 2px solid var(--ink); border-bottom: 0; }
 .vector span { display: inline-block; min-width: 4.2em; text-align: right; }
 .chip { display: inline-block; padding: 1px 10px; border-radius: 99px; font-size: 12.5px; font-weight: 600; white-space: nowrap; }
 .chip.good { color: #0f5c3a; background: #ddf3e7; }
-.chip.doubtful { color: #7a4a00; background: #fdeccd; }
+.chip.doubtful, .chip.unchecked { color: #7a4a00; background: #fdeccd; }
 .chip.refused { color: #8c1d18; background: #fbdfdc; }
 .reading p { color: var(--muted); font-size: 13.5px; max-width: none; }
 @media (max-width: 760px) { .beside { grid-template-columns: 1fr; } }

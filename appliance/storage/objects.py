@@ -88,10 +88,12 @@ class ComparedScans:
     used: bool
     """Accepted, and in agreement with the loops."""
     text: str
+    """Finding in words: how closely they are placed, or why not, which is the reason for each ``None`` below."""
     overlap_percent: float | None
+    """``None``, as sigmas and matches: nothing holds their pose, or it is wrong."""
     sigma_mm: float | None
     discrepancy_mm: float | None
-    """Distance between the pair's own pose and the places, RMS over the overlap; of a pair that is used."""
+    """Distance between the pair's own pose and the places, RMS over the overlap; ``None``: it is not used, or in no loop that would check it."""
     sigma_deg: float | None = None
     """Standard deviation of the turn between both, in its weakest direction; of an accepted pair."""
     matches: int | None = None

@@ -85,6 +85,29 @@ def test_closing_a_loop_makes_the_far_end_more_certain_and_less_wrong() -> None:
     assert len(open_end.unchecked) == 9, "nothing checks a chain"
 
 
+def test_places_scatter_about_the_truth_by_what_is_stated_of_their_middles() -> None:
+    """Sixty draws of a row with two loops. Turns are about each scan's own middle, half a metre before its camera: about another point, the stated shift
+    would be several times too large."""
+    links = [(0, 1), (1, 2), (2, 3), (3, 4), (0, 2), (2, 4)]
+    sigma_mm, draws = 0.1, 60
+    squared, stated = np.zeros((draws, 4)), np.zeros((draws, 4))
+    turned = np.zeros((draws, 4))
+    for draw in range(draws):
+        edges = [edge(i, j, sigma_mm, seed=1000 * draw + 10 * i + j) for i, j in links]
+        placed = place(5, edges, middles(5), with_bow=False, known_mm2=1e-12 * np.eye(COUNT))
+        # Stated by the pairs alone: by what they happen to contradict each other is no news of how they were drawn.
+        scale = max(placed.variance_factor, 1.0)
+        for k in range(1, 5):
+            squared[draw, k - 1] = off_mm(placed.poses[k], k) ** 2
+            stated[draw, k - 1] = np.trace(placed.covariance[k][3:, 3:]) / scale
+            turn = rotation_vector(placed.poses[k].rotation @ true_pose(k).then(true_pose(0).inverse).rotation.T)
+            turned[draw, k - 1] = turn @ np.linalg.solve(placed.covariance[k][:3, :3] / scale, turn) / 3.0
+    ratio = np.sqrt(squared.mean(axis=0) / stated.mean(axis=0))
+    np.testing.assert_array_less(ratio, 1.25)
+    np.testing.assert_array_less(0.75, ratio)
+    assert 0.7 < float(turned.mean()) < 1.3
+
+
 def test_a_wrong_pair_is_found_by_the_loops_and_taken_out() -> None:
     good = [edge(k, k + 1, seed=k) for k in range(7)] + [edge(k, k + 2, seed=20 + k) for k in range(6)]
     wrong = edge(1, 5, off_mm=(0.0, 8.0, 0.0))

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from appliance.reconstruct.quality import CloudSummary
 from appliance.reconstruct.table import Cloud
+from appliance.registration.features import Features, PictureMarks
 from appliance.registration.overlap import CoarseView, coarse_view, compare
 from appliance.scan.overlap import Overlap
 from tests.support.views import PROJECTION, SeenView, between, view
@@ -89,6 +90,37 @@ def test_a_print_that_repeats_gives_no_wrong_number(shift_mm: float) -> None:
     second = ("plane", "checker", (min(shift_mm, 180.0), 0.0, 525.0, 8.0, 10.0, 0.0), 2)
     share = said(coarse(*first), coarse(*second)).share
     assert share is None or share == pytest.approx(true_share(seen(*first), seen(*second)), abs=WITHIN)
+
+
+def plane_with_marks(points: np.ndarray[tuple[int, ...], np.dtype[np.float64]], seed: int = 3) -> CoarseView:
+    """A bare plane at 525 mm that has marks at ``points`` (n, 3); the k-th mark looks the same on every such plane."""
+    made = coarse("plane", "none", (0.0, 0.0, 525.0, 0.0, 0.0, 0.0), 1)
+    rng = np.random.default_rng(seed)
+    look = rng.normal(size=(len(points), 128)).astype(np.float32)
+    look /= np.linalg.norm(look, axis=1, keepdims=True)
+    nothing = PictureMarks(np.empty((0, 2)), np.empty((0, 128), np.float32), np.empty(0))
+    return CoarseView(
+        made.points_mm, made.sigma_mm, made.stride_px, made.pictures, made.reduced, PROJECTION,
+        (nothing, nothing), Features(points, look, np.ones(len(points))),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("elsewhere", "told"), [(0, True), (10, True), (14, False), (22, False)])
+def test_marks_that_fit_in_two_places_give_no_number(elsewhere: int, told: bool) -> None:
+    """Twenty-four marks say that nothing has moved, others that the second view lies 60 mm aside."""
+    rng = np.random.default_rng(1)
+    at = np.column_stack([rng.uniform(-90.0, 90.0, (24 + elsewhere, 2)), np.full(24 + elsewhere, 525.0)])
+    aside = at + np.where(np.arange(len(at)) < 24, 0.0, 60.0)[:, None] * (1.0, 0.0, 0.0)
+    share = said(plane_with_marks(at), plane_with_marks(aside)).share
+    assert share == pytest.approx(1.0, abs=WITHIN) if told else share is None
+
+
+@pytest.mark.parametrize(("beside_mm", "told"), [(0.5, False), (40.0, True)])
+def test_marks_along_a_line_hold_no_pose_and_give_no_number(beside_mm: float, told: bool) -> None:
+    rng = np.random.default_rng(2)
+    at = np.column_stack([np.linspace(-90.0, 90.0, 16), rng.uniform(-beside_mm, beside_mm, 16), np.full(16, 525.0)])
+    share = said(plane_with_marks(at), plane_with_marks(at + rng.normal(size=at.shape) * 0.1)).share
+    assert share == pytest.approx(1.0, abs=WITHIN) if told else share is None
 
 
 def test_noise_and_what_drifts_by_are_no_marks() -> None:

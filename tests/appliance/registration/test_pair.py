@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from appliance.registration.fine import refine
-from appliance.registration.pair import PairRefusal, RegisteredPair, register
+from appliance.registration.pair import HELD, MAX_OUTLIERS, PairRefusal, RegisteredPair, freedom, refusal_of, register
 from appliance.registration.rigid import Rigid
 from tests.support.views import SeenView, between, displacement_mm, view
 
@@ -51,27 +53,94 @@ def test_what_shape_or_paint_holds_is_placed_within_what_is_stated(
     assert error_mm < 3.0 * pair.fit.sigma_mm + 0.010
     assert error_mm < 0.060
     assert pair.fit.sigma_mm < 0.1
+    # By the nearest neighbours of all points, at the true poses.
+    points = between(first, second).of(second.cloud.points_mm[second.cloud.mask][::40].astype(np.float64))
+    near, _ = cKDTree(first.cloud.points_mm[first.cloud.mask][::3]).query(points, distance_upper_bound=2.0)
+    assert pair.fit.overlap == pytest.approx(np.isfinite(near).mean(), abs=0.07), "but for steep flanks"
 
 
-@pytest.mark.parametrize(("name", "poses"), [("main", SMOOTH_MAIN), ("plane", PLANE)])
+@pytest.mark.parametrize(
+    ("name", "poses", "way"),
+    [
+        ("main", SMOOTH_MAIN, "turn about its own axis left-right"),
+        ("plane", PLANE, "slide any way along the surface and turn about the line of sight"),
+    ],
+)
 def test_what_slides_is_refused_though_its_planes_fit_as_well_as_any(
-    name: str, poses: tuple[tuple[float, ...], tuple[float, ...]]
+    name: str, poses: tuple[tuple[float, ...], tuple[float, ...]], way: str
 ) -> None:
-    pair = registered(name, "none", poses)
+    first, second = (one.ready() for one in seen(name, "none", poses))
+    pair = register(first, second)
     assert pair.refusal is PairRefusal.SLIDES
-    assert "without resistance" in pair.text
-    assert pair.fit is not None
-    assert pair.fit.rms_mm < 0.030, "the residual tells nothing"
+    assert pair.fit is None, "nothing is searched that the scan's own shape says cannot be found"
+    assert f"by shape alone the first can {way}" in pair.text
+    fit = refine(first.fine, second.fine, between(*seen(name, "none", poses)), gate_mm=1.0)
+    assert fit is not None
+    assert fit.rms_mm < 0.030, "the residual tells nothing"
+    assert fit.held.min() < HELD
 
 
-def test_a_pipe_is_said_to_slide_along_its_axis_or_to_turn_about_it() -> None:
-    pair = registered("main", "none", SMOOTH_MAIN)
-    assert pair.fit is not None
-    soft = pair.fit.directions[:, :2]
+@pytest.mark.parametrize(
+    ("name", "poses", "holds"), [("main", SMOOTH_MAIN, False), ("plane", PLANE, False), ("shell", SHELL, True)]
+)
+def test_a_scan_tells_by_itself_whether_its_shape_holds_it(
+    name: str, poses: tuple[tuple[float, ...], tuple[float, ...]], holds: bool
+) -> None:
+    assert seen(name, "none", poses)[0].ready().holds is holds
+
+
+def test_a_pipe_is_said_to_turn_about_its_axis() -> None:
+    own = seen("main", "none", SMOOTH_MAIN)[0].ready().own
+    loose = own.directions[:3, int(np.argmin(own.held))]
     axis = np.array([np.cos(np.radians(10.0)), np.sin(np.radians(10.0)), 0.0])
-    # The two softest directions span a shift along the axis and a turn about it.
-    along = np.concatenate([np.zeros(3), axis])
-    assert np.linalg.norm(soft.T @ along) > 0.9
+    assert abs(loose @ axis) > 0.95 * np.linalg.norm(loose) > 0.4
+
+
+def motions(*of: tuple[float, ...]) -> tuple[np.ndarray[tuple[int, ...], np.dtype[np.float64]], ...]:
+    """All directions of motion, of which those of ``of`` (ω mm, τ mm) are loose, mixed and in the middle, with how each is held."""
+    loose = np.linalg.qr(np.array(of).T)[0] @ np.linalg.qr(np.random.default_rng(1).normal(size=(len(of), len(of))))[0]
+    rest = np.linalg.svd(loose)[0][:, len(of) :]
+    held = np.concatenate([[80.0], np.full(len(of), 1.0), np.full(5 - len(of), 50.0)])
+    return np.concatenate([rest[:, :1], loose, rest[:, 1:]], axis=1), held
+
+
+@pytest.mark.parametrize(
+    ("loose", "said"),
+    [
+        ([(0, 0, 0, 1, 0.1, 0)], "slide left-right"),
+        ([(0, 0, 0, 0.2, 1, 0)], "slide up-down"),
+        ([(0, 0, 0, 1, -1, 0)], "slide from lower left to upper right"),
+        ([(0, 0, 0, 0, 0, 1)], "slide to and from the instrument"),
+        # A pipe of 50 mm radius, its middle in front, with a lever of 80 mm.
+        ([(0, 0, 0, 1, 0, 0), (1, 0, 0, 0, 0.625, 0)], "slide left-right and turn about its own axis left-right"),
+        ([(1, 0, 0, 0, 0, 0)], "turn about an axis left-right"),
+        (
+            [(0, 0, 0, 1, 0, 0), (0, 0, 0, 0, 1, 0), (0, 0, 1, 0, 0, 0)],
+            "slide any way along the surface and turn about the line of sight",
+        ),
+        ([(1, 0, 0, 0, 0.5, 0), (0, 1, 0, -0.5, 0, 0), (0, 0, 1, 0, 0, 0)], "turn any way"),
+    ],
+)
+def test_how_a_scan_can_move_is_said_of_what_nothing_holds(loose: list[tuple[float, ...]], said: str) -> None:
+    assert freedom(*motions(*loose)) == said
+
+
+@pytest.mark.parametrize(("radius_px", "refusal"), [(30, None), (75, PairRefusal.CONTRADICTS)])
+def test_a_surface_that_hovers_before_the_other_scan_is_not_joined(radius_px: int, refusal: PairRefusal | None) -> None:
+    """A disc of the second scan lies 5 mm nearer to its camera than the first saw it: something was there that moved."""
+    first, second = seen("shell", "none", SHELL)
+    true = between(first, second)
+    row, column = np.mgrid[0 : second.cloud.shape[0], 0 : second.cloud.shape[1]]
+    disc = np.hypot(row - second.cloud.shape[0] / 2, column - second.cloud.shape[1] / 2) < radius_px
+    points = second.cloud.points_mm.copy()
+    points[disc] *= (1.0 - 5.0 / np.linalg.norm(points[disc], axis=-1))[:, None]
+    hovering = SeenView(replace(second.cloud, points_mm=points), second.place).ready()
+    fit = refine(first.ready().fine, hovering.fine, true, gate_mm=1.0)
+    assert fit is not None
+    assert refusal_of(fit) is refusal
+    assert fit.outliers < MAX_OUTLIERS
+    share = np.count_nonzero(disc & second.cloud.mask) / np.count_nonzero(second.cloud.mask)
+    assert 0.6 * share < fit.front < 2.0 * share
 
 
 @pytest.mark.dive
