@@ -22,7 +22,30 @@ if TYPE_CHECKING:
     from appliance.surface.fusion import FusedCloud
 
 _PLACE = 6
-_NOMINAL = "a drawing in mm (.stl .obj .ply), or the name of another object"
+_NOMINAL = "a CAD model in mm (.stl .obj .ply), or the name of another object"
+_FARTHEST_MM = 1e11
+_FILES = tuple(
+    f".{one}"
+    for one in [
+        "stl",
+        "obj",
+        "ply",
+        "step",
+        "stp",
+        "iges",
+        "igs",
+        "3mf",
+        "off",
+        "glb",
+        "gltf",
+        "dxf",
+        "x_t",
+        "sldprt",
+        "ipt",
+        "brep",
+    ]
+)
+"""Suffixes of CAD models, and of those that must be converted first: an object's name may have a dot, too."""
 
 
 def _six(text: str) -> tuple[float, ...]:
@@ -30,7 +53,7 @@ def _six(text: str) -> tuple[float, ...]:
         values = tuple(float(part) for part in text.split(","))
     except ValueError:
         values = ()
-    if len(values) != _PLACE or not all(abs(value) < 1e5 for value in values):
+    if len(values) != _PLACE or not all(abs(value) < _FARTHEST_MM for value in values):
         raise argparse.ArgumentTypeError(
             f"{text}: allowed are six numbers with commas: x,y,z in mm and the turn as axis times angle in degrees"
         )
@@ -38,19 +61,16 @@ def _six(text: str) -> tuple[float, ...]:
 
 
 def _is_file(nominal: str) -> bool:
-    """Tell whether ``nominal`` is a drawing's file, and no object's name."""
-    from appliance.export.suffixes import MESH_SUFFIXES
-
+    """Tell whether ``nominal`` is a CAD model's file, and no object's name."""
     path = Path(nominal)
-    # A drawing is read from the formats that meshes are written in.
-    return path.suffix.lower() in MESH_SUFFIXES or path.exists()
+    return path.suffix.lower() in _FILES or path.exists()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Comparing(WithCalibration):
     out: tuple[str, ...] = repeated(
         "--out",
-        "points with their deviation, in the drawing's frame (.ply .e57 .las), or a page with map and histogram (.html); may be repeated",
+        "points with their deviation, in the CAD model's frame (.ply .e57 .las), or a page with map and histogram (.html); may be repeated",
         metavar="FILE",
     )
     tolerance: float | None = option(
@@ -58,14 +78,14 @@ class _Comparing(WithCalibration):
     )
     limit: float = option(
         "--limit",
-        "mm beyond which a point is none of the drawing's (5)",
+        "mm beyond which a point is none of the CAD model's (5)",
         default=5.0,
         parse=number(0.1, 100.0, "mm"),
         metavar="MM",
     )
     start: tuple[float, ...] | None = option(
         "--start",
-        "roughly where it lies in the drawing's frame, instead of searching: x,y,z in mm, turn as axis times angle in degrees",
+        "roughly where it lies in the CAD model's frame, instead of searching: x,y,z in mm, turn as axis times angle in degrees",
         parse=_six,
         metavar="X,Y,Z,RX,RY,RZ",
     )
@@ -95,7 +115,8 @@ class _Comparing(WithCalibration):
             return Exit.OK
         summary = found.deviation.summary
         say(
-            f"{about.title} against {nominal.name}: {summary.points} points, {summary.beyond} of them farther than {self.limit:g} mm"
+            f"{about.title} against {nominal.name}: {summary.points} points, {summary.beyond} of them farther than {self.limit:g} mm, "
+            f"{summary.beside} beside an open border"
         )
         if summary.rms_mm is not None:
             say(
@@ -111,10 +132,14 @@ class _Comparing(WithCalibration):
         """Raises ObjectError for an object under ``root`` that is not there, UsageError for files that cannot be written, and MissingLibraryError where what reads ``nominal`` or writes them is absent: before
         minutes of work."""
         from appliance.export.suffixes import SURFACE_SUFFIXES, ExportError, checked_suffix, require_library
+        from appliance.surface.drawing_file import checked_drawing
         from appliance.surface.libraries import require
 
+        require("igl", "libigl", "a comparison")
         if _is_file(nominal):
-            require("trimesh", "trimesh", "a nominal surface")
+            # Before a scan is opened: a format that is not read, a file that is not there.
+            if checked_drawing(Path(nominal)) != ".stl":
+                require("trimesh", "trimesh", "a CAD model")
         else:
             require("skimage.measure", "scikit-image", "the mesh of an object")
             from appliance.storage import objects
@@ -140,7 +165,7 @@ class _Comparing(WithCalibration):
         return Rigid(rotation_matrix(np.radians(self.start[3:])), np.array(self.start[:3]))
 
     def surface_named(self, named: str, root: Path, wish: Wish, progress: Progress) -> NominalSurface:
-        """Return the drawing or the object called ``named``. Raises NominalError, ObjectError."""
+        """Return the CAD model or the object called ``named``. Raises NominalError, ObjectError."""
         from appliance.offline.comparing import NominalSurface
         from appliance.offline.object_errors import errors_of, laid_onto_something
         from appliance.offline.objects import surface_of
@@ -160,10 +185,10 @@ class _Comparing(WithCalibration):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CompareObject(_Comparing):
-    """The distances of a solved object's surface from a drawing, or from another object."""
+    """The distances of a solved object's surface from a CAD model, or from another object."""
 
     name: str = operand("NAME", "the object's name")
-    nominal: str = operand("NOMINAL", _NOMINAL)
+    nominal: str = operand("MODEL", _NOMINAL)
 
     def run(self) -> Exit:
         from appliance.storage import objects
@@ -184,10 +209,10 @@ class CompareObject(_Comparing):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CompareScan(_Comparing):
-    """The distances of one scan's points from a drawing, or from an object."""
+    """The distances of one scan's points from a CAD model, or from an object."""
 
     scan: str = operand("SCAN", "its number or its folder")
-    nominal: str = operand("NOMINAL", _NOMINAL)
+    nominal: str = operand("MODEL", _NOMINAL)
 
     def run(self) -> Exit:
         wish = self.wish()

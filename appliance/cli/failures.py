@@ -28,7 +28,7 @@ FAILED = frozenset(
         "appliance.storage.objects:ObjectError",
         "appliance.storage.scan:ScanError",
         "appliance.surface.libraries:MissingLibraryError",
-        "appliance.surface.nominal:NominalError",
+        "appliance.surface.drawing_file:NominalError",
     )
 )
 """Errors whose text is for the person at the keyboard, as ``module:class``."""

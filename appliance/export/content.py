@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.reconstruct.organised import OrganisedCloud
+from appliance.surface.drawings import COARSEST_MM
 from appliance.surface.fusion import FusedCloud
 from appliance.surface.mesh import Mesh
 from appliance.surface.normals import normals
@@ -62,6 +63,12 @@ class ExportedPoints:
     """(n, 3) float32; NaN where unknown."""
     more: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
     """Further columns (n,) float32 by name, each name with its unit."""
+    origin_mm: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+    """(3,) float64: place of ``points_mm``'s (0, 0, 0) in the frame. Site coordinates need more digits than float32 has."""
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.points_mm).all() and np.isfinite(self.origin_mm).all()):
+            raise ExportError("a point has a coordinate that is no number; nothing is written")
 
 
 def points_of_scan(cloud: OrganisedCloud) -> ExportedPoints:
@@ -76,7 +83,7 @@ def points_of_scan(cloud: OrganisedCloud) -> ExportedPoints:
     )
 
 
-def points_of_surface(cloud: FusedCloud) -> ExportedPoints:
+def points_of_surface(cloud: FusedCloud, origin_mm: NDArray[np.float64] | None = None) -> ExportedPoints:
     """Return the points of a fused surface, with the number of scans that saw each, and the shares of sigma where they are known."""
     more = {"views": cloud.views.astype(np.float32)}
     if cloud.shares is not None:
@@ -85,12 +92,27 @@ def points_of_surface(cloud: FusedCloud) -> ExportedPoints:
             "sigma_place_mm": cloud.shares.place_mm,
             "sigma_bending_mm": cloud.shares.bending_mm,
         }
-    return ExportedPoints(cloud.points_mm, cloud.sigma_mm, cloud.grey, cloud.normals, more)
+    origin = np.zeros(3) if origin_mm is None else origin_mm
+    return ExportedPoints(cloud.points_mm, cloud.sigma_mm, cloud.grey, cloud.normals, more, origin)
 
 
 def points_of_mesh(mesh: Mesh) -> ExportedPoints:
     """Return the vertices of a mesh."""
     return ExportedPoints(mesh.vertices_mm, mesh.sigma_mm, mesh.grey, mesh.normals)
+
+
+def single_precision(points: ExportedPoints, suffix: str) -> NDArray[np.float32]:
+    """Return the points (n, 3) in their frame as float32. Raises ExportError where that is too coarse for them."""
+    if not points.origin_mm.any() or not len(points.points_mm):
+        return points.points_mm
+    whole = points.points_mm.astype(np.float64) + points.origin_mm
+    farthest = float(np.abs(whole).max())
+    step_mm = float(np.spacing(np.float32(farthest)))
+    if step_mm > COARSEST_MM:
+        raise ExportError(
+            f"{suffix} has single precision, which {farthest / MM_PER_M:,.0f} m from the frame's origin has steps of {step_mm:g} mm; write .e57 or .las"
+        )
+    return whole.astype(np.float32)
 
 
 def finite(values: NDArray[Any]) -> NDArray[Any]:

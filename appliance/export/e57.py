@@ -1,6 +1,7 @@
 """Owns the E57 file: metres, one scan entry, normals by the registered extension, sigma and further columns by one of our own.
 
-Places are single-precision floats: 0.06 µm at 1 m. Readers that know neither extension pass over both. The file's GUID is made of
+Places are single-precision floats: 0.06 µm at 1 m. What lies far from its frame's origin is written about a local one, with the way there as the scan's
+pose in double. Readers that know neither extension pass over both. The file's GUID is made of
 its content, so that the same points give the same file.
 Sources: ASTM E2807-11; the extension for surface normals is that of libe57.org. Written by libE57Format, which pye57 (MIT) brings.
 """
@@ -25,6 +26,7 @@ it and in metres, like everything in the file (``deviation_mm`` is ``kf:deviatio
 _MM = "_mm"
 _AXES = ("X", "Y", "Z")
 _GREY = (0.0, 255.0)
+_INVALID = "cartesianInvalidState"
 
 
 def write_e57(path: Path, points: ExportedPoints, about: About) -> None:
@@ -34,8 +36,10 @@ def write_e57(path: Path, points: ExportedPoints, about: About) -> None:
     library = needed("pye57", "pye57", "an E57 file").libe57
     metres = (points.points_mm / np.float32(MM_PER_M)).astype(np.float32)
     known = finite(points.normals)
-    columns: dict[str, NDArray[np.float32]] = {
+    columns: dict[str, NDArray[Any]] = {
         **{f"cartesian{axis}": metres[:, k] for k, axis in enumerate(_AXES)},
+        # Every point is one: some readers refuse a file that does not say so. A column that can only be 0 takes no room.
+        _INVALID: np.zeros(len(metres), np.int8),
         "intensity": points.grey.astype(np.float32),
         **{f"nor:normal{axis}": known[:, k] for k, axis in enumerate(_AXES)},
         f"{OWN[0]}:sigma": points.sigma_mm / np.float32(MM_PER_M),
@@ -44,7 +48,7 @@ def write_e57(path: Path, points: ExportedPoints, about: About) -> None:
     try:
         file = library.ImageFile(str(path), "w")
         try:
-            _fill(library, file, columns, about)
+            _fill(library, file, columns, about, points.origin_mm / MM_PER_M)
         finally:
             file.close()
     except library.E57Exception as error:
@@ -58,7 +62,9 @@ def _further(name: str, values: NDArray[np.float32]) -> tuple[str, NDArray[np.fl
     return f"{OWN[0]}:{name.removesuffix(_MM)}", values / np.float32(MM_PER_M) if in_metres else values
 
 
-def _fill(library: Any, file: Any, columns: dict[str, NDArray[np.float32]], about: About) -> None:
+def _fill(
+    library: Any, file: Any, columns: dict[str, NDArray[Any]], about: About, origin_m: NDArray[np.float64]
+) -> None:
     def text(value: str) -> Any:
         return library.StringNode(file, value)
 
@@ -88,6 +94,15 @@ def _fill(library: Any, file: Any, columns: dict[str, NDArray[np.float32]], abou
     scan.set("guid", text(f"{{{uuid.uuid5(guid, 'scan')}}}"))
     scan.set("name", text(about.title.encode("ascii", "replace").decode("ascii")))
     scan.set("description", text("; ".join(lines)))
+    if origin_m.any():
+        pose, turn, shift = (library.StructureNode(file) for _ in range(3))
+        for name, value in zip("wxyz", (1.0, 0.0, 0.0, 0.0), strict=True):
+            turn.set(name, number(value))
+        for name, value in zip("xyz", origin_m, strict=True):
+            shift.set(name, number(value))
+        scan.set("pose", pose)
+        pose.set("rotation", turn)
+        pose.set("translation", shift)
     bounds = library.StructureNode(file)
     for axis in _AXES:
         values = columns[f"cartesian{axis}"]
@@ -103,8 +118,11 @@ def _fill(library: Any, file: Any, columns: dict[str, NDArray[np.float32]], abou
     buffers = library.VectorSourceDestBuffer()
     kept = []
     for name, values in columns.items():
-        prototype.set(name, library.FloatNode(file, 0.0, library.E57_SINGLE))
-        column = np.array(values, np.float32)
+        flag = name == _INVALID
+        prototype.set(
+            name, library.IntegerNode(file, 0, 0, 0) if flag else library.FloatNode(file, 0.0, library.E57_SINGLE)
+        )
+        column = np.array(values, np.int8 if flag else np.float32)
         # The library keeps a bare pointer: the array must live until the writer is closed.
         kept.append(column)
         buffers.append(library.SourceDestBuffer(file, name, column, len(column), True, True))

@@ -38,13 +38,20 @@ def write_scan(path: Path, cloud: OrganisedCloud, about: About) -> None:
     _write_points(path, points_of_scan(cloud), about)
 
 
-def write_surface(path: Path, cloud: FusedCloud, about: About, deviation_mm: NDArray[np.float32] | None = None) -> None:
+def write_surface(
+    path: Path,
+    cloud: FusedCloud,
+    about: About,
+    deviation_mm: NDArray[np.float32] | None = None,
+    origin_mm: NDArray[np.float64] | None = None,
+) -> None:
     """Write the points of a fused surface (``SURFACE_SUFFIXES``), with ``deviation_mm`` (n,) as a further column where it is given.
+    ``origin_mm`` (3,): place of their (0, 0, 0) in the frame of the file.
 
     Raises ExportError, StorageError, ValueError, and MissingLibraryError where the format's library is absent.
     """
     checked_suffix(path, SURFACE_SUFFIXES, "a surface of points")
-    points = points_of_surface(cloud)
+    points = points_of_surface(cloud, origin_mm)
     if deviation_mm is not None:
         points = replace(points, more={**points.more, "deviation_mm": deviation_mm})
     _write_points(path, points, about)

@@ -1,6 +1,6 @@
-"""Owns the LAS file: metres, as its coordinate system says, in steps of 0.1 µm.
+"""Owns the LAS file: metres, as its coordinate system says, in steps of 0.1 µm where it is no wider than 214 m.
 
-LAS 1.4, point format 6; x, y and z are whole numbers of 1e-7 m from an offset, which reaches 214 m. Grey is the intensity, spread to 16 bit as
+LAS 1.4, point format 6; x, y and z are whole numbers of 1e-7 m from an offset, which reaches 214 m; of ten times that where points are farther apart, and so on. Grey is the intensity, spread to 16 bit as
 the standard wants. Sigma, normals and further columns are extra bytes, whose descriptions name their unit. What is said of all points
 is the standard's text area, line by line. The coordinate system is a local one in OGC WKT, since nobody knows where on Earth a dive was.
 Source: ASPRS, "LAS Specification 1.4 - R15" (2019). Written by laspy (BSD).
@@ -11,11 +11,13 @@ from __future__ import annotations
 import io
 
 import numpy as np
+from numpy.typing import NDArray
 
 from appliance.export.content import MM_PER_M, About, ExportedPoints, finite
 from appliance.surface.libraries import needed
 
 SCALE_M = 1e-7
+_MM = "_mm"
 _LOCAL = (
     'LOCAL_CS["{title}",LOCAL_DATUM["{frame}",0],UNIT["metre",1.0],AXIS["X",OTHER],AXIS["Y",OTHER],AXIS["Z",OTHER]]'
 )
@@ -29,14 +31,14 @@ _NAME, _DESCRIPTION = 31, 31
 
 
 def encode_las(points: ExportedPoints, about: About) -> bytes:
-    """Return the file. Raises MissingLibraryError where laspy is absent, ValueError for points that are more than 214 m apart."""
+    """Return the file. Raises MissingLibraryError where laspy is absent."""
     laspy = needed("laspy", "laspy", "a LAS file")
     header = laspy.LasHeader(version="1.4", point_format=6)
-    metres = points.points_mm.astype(np.float64) / MM_PER_M
-    header.scales = np.full(3, SCALE_M)
-    header.offsets = np.floor(metres.min(axis=0)) if len(metres) else np.zeros(3)
-    if len(metres) and float((metres - header.offsets).max()) > SCALE_M * np.iinfo(np.int32).max:
-        raise ValueError("points are more than 214 m apart; LAS files of this instrument hold one object")
+    metres = (points.points_mm.astype(np.float64) + points.origin_mm) / MM_PER_M
+    header.offsets = np.floor(metres.min(axis=0, initial=np.inf)) if len(metres) else np.zeros(3)
+    widest_m = float((metres - header.offsets).max(initial=0.0))
+    steps = max(0, int(np.ceil(np.log10(max(widest_m, SCALE_M) / (SCALE_M * np.iinfo(np.int32).max)))))
+    header.scales = np.full(3, SCALE_M * 10.0**steps)
     header.system_identifier = "Kingfisher, unit metre"
     header.generating_software = "kingfisher"
     # A file that always has today's date would differ from day to day; day 0 of year 0 says that none is given.
@@ -52,8 +54,9 @@ def encode_las(points: ExportedPoints, about: About) -> bytes:
         "normal_x": (known[:, 0], "unit vector"),
         "normal_y": (known[:, 1], "unit vector"),
         "normal_z": (known[:, 2], "unit vector"),
-        **{name: (values, "see name for the unit") for name, values in points.more.items()},
+        **dict(_further(name, values) for name, values in points.more.items()),
     }
+    # Names of 31 letters at most: two that begin alike would be one.
     header.add_extra_dims(
         [laspy.ExtraBytesParams(name[:_NAME], "float32", text[:_DESCRIPTION]) for name, (_, text) in extra.items()]
     )
@@ -68,3 +71,10 @@ def encode_las(points: ExportedPoints, about: About) -> bytes:
     made = io.BytesIO()
     file.write(made)
     return made.getvalue()
+
+
+def _further(name: str, values: NDArray[np.float32]) -> tuple[str, tuple[NDArray[np.float64], str]]:
+    """Return a further column in metres where it is in mm: one unit in the whole file."""
+    if name.endswith(_MM):
+        return f"{name.removesuffix(_MM)}_m", (values.astype(np.float64) / MM_PER_M, "metre")
+    return name, (values.astype(np.float64), "see name for the unit")

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.export.content import About, ExportedPoints, finite
+from appliance.export.content import About, ExportedPoints, finite, single_precision
 
 _FIXED = (
     ("x", "<f4", "float"),
@@ -31,9 +31,9 @@ def encode_surface(points: ExportedPoints, about: About, faces: NDArray[np.int32
     n = len(points.grey)
     columns = [*_FIXED, *((name, "<f4", "float") for name in points.more)]
     rows = np.zeros(n, np.dtype([(name, kind) for name, kind, _ in columns]))
-    known = finite(points.normals)
+    known, places = finite(points.normals), single_precision(points, "PLY")
     for axis in range(3):
-        rows["xyz"[axis]] = points.points_mm[:, axis]
+        rows["xyz"[axis]] = places[:, axis]
         rows[f"n{'xyz'[axis]}"] = known[:, axis]
     for name in ("red", "green", "blue"):
         rows[name] = points.grey

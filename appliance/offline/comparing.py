@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from appliance.argument_types import refuse_wrong_fields
 from appliance.export.content import About
@@ -19,12 +18,12 @@ from appliance.offline.object_report import report_of
 from appliance.one_line import one_line
 from appliance.optics.rotation import rotation_vector
 from appliance.registration.joint import JointErrors
-from appliance.registration.reference import LaidOnto, OrientedPoints, lay_onto
+from appliance.registration.reference import FITS_MM, FreeWay, LaidOnto, OrientedPoints, PlacesOn, lay_onto
 from appliance.registration.rigid import Rigid
 from appliance.report.content import Report, ReportNominal
 from appliance.report.page import write_report
 from appliance.storage.objects import StoredObject
-from appliance.surface.deviation import LIMIT_MM, Deviation, deviations, sampled
+from appliance.surface.deviation import LIMIT_MM, Deviation, NominalTree, deviations, spread_over
 from appliance.surface.fusion import FusedCloud
 from appliance.surface.nominal import Nominal
 
@@ -57,6 +56,8 @@ class Comparison:
     """Points in their own frame; sigma and its shares as they are once it lies on the nominal surface."""
     laid: LaidOnto
     nominal: str
+    origin_mm: NDArray[np.float64]
+    """(3,): place in the nominal surface's frame that ``in_nominal_frame`` is about; (0, 0, 0) unless it lies far from its frame's origin."""
     deviation: Deviation
     """One for each point, positive outside; its sigma has everything in it: the point's, its scan's place, what may bend the object, how it is laid
     onto the nominal surface, and a measured nominal surface's own."""
@@ -66,8 +67,8 @@ class Comparison:
 
     @property
     def in_nominal_frame(self) -> FusedCloud:
-        """The points in the nominal surface's frame, with the sigma of their deviations."""
-        pose = self.laid.pose
+        """The points in the nominal surface's frame, less ``origin_mm``, with the sigma of their deviations."""
+        pose = _moved(self.laid.pose, -self.origin_mm)
         return replace(
             self.surface,
             points_mm=pose.of(self.surface.points_mm.astype(np.float64)).astype(np.float32),
@@ -89,35 +90,69 @@ def compare(
     searched for. ``errors``: those of the object that it is the surface of (``errors_of``): each point's sigma then has those of its scan's place and of the
     object's bending, as far as laying it onto ``nominal`` does not take them away. Raises SurfaceMatchError where most of it fits nowhere.
     """
-    samples_mm, face_of, _ = sampled(nominal.triangles)
-    of_samples = np.zeros(len(samples_mm))
-    if nominal.sigma_mm is not None:
-        of_samples = nominal.sigma_mm[nominal.triangles.faces[face_of]].mean(axis=1).astype(np.float64)
+    tree = NominalTree.of(nominal.triangles)
     laid = lay_onto(
         OrientedPoints(
             surface.points_mm.astype(np.float64),
             surface.normals.astype(np.float64),
             surface.beside_mm.astype(np.float64),
         ),
-        OrientedPoints(samples_mm, nominal.triangles.face_normals[face_of], of_samples),
-        start,
+        Reference(tree, nominal.sigma_mm),
+        None if start is None else _moved(start, -nominal.triangles.origin_mm),
     )
     points = laid.pose.of(surface.points_mm.astype(np.float64))
     normals = surface.normals.astype(np.float64) @ laid.pose.rotation.T
-    nearest = cKDTree(samples_mm).query(points, distance_upper_bound=limit_mm)
-    surface = laid_onto_something(surface, errors, np.isfinite(nearest[0]))
+    deviation = deviations(points, surface.sigma_mm, tree, normals, limit_mm)
+    surface = laid_onto_something(surface, errors, np.isfinite(deviation.deviation_mm))
     variance = surface.sigma_mm.astype(np.float64) ** 2 + laid.sigma_at(points, normals) ** 2
     if nominal.sigma_mm is not None:
-        # Far from it there is no sample, and no deviation either.
-        variance += np.append(of_samples, 0.0)[nearest[1]] ** 2
-    deviation = deviations(
-        points.astype(np.float32),
-        np.sqrt(variance).astype(np.float32),
-        nominal.triangles,
-        normals.astype(np.float32),
-        limit_mm,
+        variance += _sigma_on(nominal.sigma_mm, nominal.triangles, deviation.face) ** 2
+    deviation = deviation.with_sigma(np.sqrt(variance).astype(np.float32))
+    laid = replace(laid, pose=_moved(laid.pose, nominal.triangles.origin_mm))
+    warnings = (*_warnings(laid), *_beside(deviation), *_bent(surface, deviation))
+    return Comparison(surface, laid, nominal.name, nominal.triangles.origin_mm, deviation, warnings)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reference:
+    """A nominal surface as something that measured points are laid onto."""
+
+    tree: NominalTree
+    sigma_mm: NDArray[np.float32] | None = None
+
+    def spread(self, count: int) -> OrientedPoints:
+        """Return ``count`` places spread evenly over it."""
+        places, face = spread_over(self.tree.nominal, count)
+        return OrientedPoints(places, self.tree.nominal.face_normals[face], self._sigma(face))
+
+    def nearest(self, points_mm: NDArray[np.float64], limit_mm: float) -> PlacesOn:
+        """Return the nearest place to each of the points (n, 3), whatever its distance."""
+        on = self.tree.nearest(points_mm)
+        apart = np.where(on.beside, np.inf, np.abs(on.signed_mm))
+        return PlacesOn(apart, on.place_mm, self.tree.nominal.face_normals[on.face], self._sigma(on.face))
+
+    def _sigma(self, face: NDArray[np.int64]) -> NDArray[np.float64]:
+        if self.sigma_mm is None:
+            return np.zeros(len(face))
+        return _sigma_on(self.sigma_mm, self.tree.nominal, face)
+
+
+def _sigma_on(sigma_mm: NDArray[np.float32], nominal: Nominal, face: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return the sigma (n,) of the triangles ``face`` (n,); of none, -1, that of the last: it has no deviation either."""
+    return np.asarray(sigma_mm[nominal.faces[face]].mean(axis=1), np.float64)
+
+
+def _moved(pose: Rigid, by_mm: NDArray[np.float64]) -> Rigid:
+    return Rigid(pose.rotation, pose.translation_mm + by_mm)
+
+
+def _beside(deviation: Deviation) -> tuple[str, ...]:
+    """Return a warning where points lie beside an open border."""
+    if not deviation.summary.beside:
+        return ()
+    return (
+        f"{deviation.summary.beside} points lie beside an open border of the CAD model: it has nothing there to compare them with",
     )
-    return Comparison(surface, laid, nominal.name, deviation, (*_warnings(laid), *_bent(surface, deviation)))
 
 
 def _bent(surface: FusedCloud, deviation: Deviation) -> tuple[str, ...]:
@@ -141,10 +176,7 @@ def _bent(surface: FusedCloud, deviation: Deviation) -> tuple[str, ...]:
 
 
 def _warnings(laid: LaidOnto) -> tuple[str, ...]:
-    found = [
-        f"{_words(one)}: nothing in its shape holds it there; no deviation depends on it, but the place on the nominal surface does"
-        for one in laid.free
-    ]
+    found = [_free_words(laid, one) for one in laid.free]
     if laid.elsewhere:
         poses = "; ".join(_pose_words(one, laid.pose) for one in laid.elsewhere[:_MOST_SHOWN])
         found.append(
@@ -154,18 +186,31 @@ def _warnings(laid: LaidOnto) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _words(direction: NDArray[np.float64]) -> str:
-    """Return a direction of motion in words, in the nominal surface's frame."""
-    turn, shift = direction[:3], direction[3:]
-    if np.linalg.norm(shift) >= np.linalg.norm(turn):
-        return f"slides along {_vector(shift)}"
-    return f"turns about {_vector(turn)}"
+def _free_words(laid: LaidOnto, way: FreeWay) -> str:
+    """Return what is known of a direction that the shape does not hold, in the nominal surface's frame."""
+    motion = (
+        f"can turn about {_vector(way.direction[:3])}" if way.turns else f"can slide along {_vector(way.direction[3:])}"
+    )
+    unit = "°" if way.turns else " mm"
+    # Both are told along the direction as it is written.
+    order = slice(None, None, 1 if _upright(way.direction[:3] if way.turns else way.direction[3:]) else -1)
+    ends = sorted(order.step * one for one in way.ends)
+    rms, lost = (laid.rms_mm, *way.rms_mm[order]), [100.0 * (1.0 - one) for one in (laid.fitting, *way.fitting[order])]
+    return (
+        f"{motion}: its shape does not hold it between {ends[0]:+.3g} and {ends[1]:+.3g}{unit} from here. Tried there: RMS "
+        f"{rms[0]:.3f} mm here, {rms[1]:.3f} and {rms[2]:.3f} mm at the ends; {lost[0]:.1f} %, {lost[1]:.1f} % and {lost[2]:.1f} % of the points lie beyond "
+        f"{FITS_MM:g} mm. Say where it belongs with --start"
+    )
+
+
+def _upright(direction: NDArray[np.float64]) -> bool:
+    return bool(direction[np.abs(direction).argmax()] >= 0.0)
 
 
 def _vector(of: NDArray[np.float64]) -> str:
     unit = of / max(float(np.linalg.norm(of)), 1e-12)
     # A direction and its opposite are one.
-    unit = unit * (-1.0 if unit[np.abs(unit).argmax()] < 0.0 else 1.0)
+    unit = unit if _upright(unit) else -unit
     return "(" + ", ".join(f"{one + 0.0:.2f}" for one in unit) + ")"
 
 
@@ -188,7 +233,7 @@ def write_comparison(
         write_report(path, _report(found, about, tolerance_mm, stored))
         return
     in_frame = replace(about, frame=f"frame of {found.nominal}", notes=(*about.notes, *found.warnings))
-    write_surface(path, found.in_nominal_frame, in_frame, found.deviation.deviation_mm)
+    write_surface(path, found.in_nominal_frame, in_frame, found.deviation.deviation_mm, found.origin_mm)
 
 
 def _report(found: Comparison, about: About, tolerance_mm: float | None, stored: StoredObject | None) -> Report:
@@ -216,6 +261,7 @@ def figures_of(found: Comparison, tolerance_mm: float | None) -> Mapping[str, An
         "nominal": found.nominal,
         "points": summary.points,
         "beyond_limit": summary.beyond,
+        "beside_border": summary.beside,
         "limit_mm": summary.limit_mm,
         "mean_mm": summary.mean_mm,
         "sd_mm": summary.sd_mm,

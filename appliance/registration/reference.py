@@ -1,24 +1,29 @@
-"""Owns where a measured surface lies on another one, from shape alone: a drawing's triangles, or an object that was measured before.
+"""Owns where a measured surface lies on another one, from shape alone: a CAD model's triangles, or an object that was measured before.
 
-Both are oriented points. First guesses come from pairs of points (B. Drost, M. Ulrich, N. Navab, S. Ilic, "Model globally, match locally",
+First guesses come from pairs of oriented points (B. Drost, M. Ulrich, N. Navab, S. Ilic, "Model globally, match locally",
 2010): two points with normals have four numbers that no motion changes, and every pair of the one surface votes for the motions that lay
 it on a pair of the other with the same numbers. So a part of a surface finds its place on the whole, wherever both are. The best
 guesses are led by planes (``equations.py``), and what resists a displacement is known as it is of two scans.
 
-Deviations from a drawing are what the user is looking for, so that distances do not refuse a pose unless most of it does not fit. What slides or
-fits as well elsewhere is said and not refused: along such a direction no deviation changes.
+Guesses are ranked by **all** points, near and far alike: most of a pipe lies well wherever it is slid to, and only its flange tells. So what the
+equations call loose is not taken for free: it is slid along all of its way, and the place with the most points near the
+surface is taken. Only the way that remains, on which hardly a point changes, is called free, and what deviates at its ends is measured there.
+A start that is given is kept along it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import logm
+from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 
-from appliance.optics.rotation import rotation_vector
+from appliance.optics.rotation import rotation_matrix
 from appliance.registration.equations import (
     FEWEST,
     Laid,
@@ -63,6 +68,11 @@ _COMMON = 200
 _TURNS = 30
 _ROUGHLY = 40_000
 """Samples of the reference while guesses are led."""
+_SLID = 300
+"""Points that are slid along a loose direction."""
+_SLIDE_STEP_MM = 2.0
+UNCHANGED = 0.02
+"""Share of the points by which a place on a free way may differ from the best one."""
 _GUESSES = 20
 _LED = 8
 """Guesses that are led by all points; before that a sixth of them decides."""
@@ -85,6 +95,45 @@ class OrientedPoints:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class PlacesOn:
+    """Places on a reference that are nearest to points, n of each."""
+
+    distance_mm: Array
+    """(n,), unsigned; infinite where the reference has no counterpart for the point: beside its open border."""
+    places_mm: Array
+    normals: Array
+    sigma_mm: Array
+    """(n,): standard deviation of the reference there, along the normal."""
+
+
+class ReferenceSurface(Protocol):
+    """A surface that others are laid onto."""
+
+    def spread(self, count: int) -> OrientedPoints:
+        """Return ``count`` places spread evenly over it."""
+        ...
+
+    def nearest(self, points_mm: Array, limit_mm: float) -> PlacesOn:
+        """Return the nearest place to each of the points (n, 3), as far as it lies within ``limit_mm``."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FreeWay:
+    """A direction that the shape does not hold, and what a comparison finds at both ends of the way that remains."""
+
+    direction: Array
+    """(6,) of δ, unit length."""
+    turns: bool
+    ends: tuple[float, float]
+    """Ends of the way from the pose, in degrees for turns, else in mm."""
+    rms_mm: tuple[float, float]
+    """Root mean square of the distances within ``FITS_MM`` at each end."""
+    fitting: tuple[float, float]
+    """Share of the points within ``FITS_MM`` at each end."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class LaidOnto:
     """Place of a measured surface on a reference."""
 
@@ -95,10 +144,12 @@ class LaidOnto:
     lever_mm: float
     covariance: Array
     """(6, 6) of δ, mm², zero along the directions that nothing holds."""
-    free: tuple[Array, ...]
-    """Directions (6,) of δ along which it slides: no deviation changes along them."""
+    free: tuple[FreeWay, ...]
+    """Directions along which its shape does not hold it."""
     fitting: float
     """Share of the points that lie within ``FITS_MM`` of the reference."""
+    rms_mm: float
+    """Root mean square of the distances of those points."""
     scatter_mm: float
     """Standard deviation of most of the distances."""
     elsewhere: tuple[Rigid, ...]
@@ -111,69 +162,173 @@ class LaidOnto:
         return np.asarray(np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", rows, self.covariance, rows), 0.0)))
 
 
-def lay_onto(measured: OrientedPoints, reference: OrientedPoints, start: Rigid | None = None) -> LaidOnto:
-    """Return the place of ``measured`` on ``reference``, which has to be sampled more finely than a millimetre or so.
+def lay_onto(measured: OrientedPoints, reference: ReferenceSurface, start: Rigid | None = None) -> LaidOnto:
+    """Return the place of ``measured`` on ``reference``.
 
-    ``start``: where it lies within some millimetres; ``None``: anywhere. Raises SurfaceMatchError where most of it lies nowhere on the reference.
+    ``start``: where it lies within some millimetres, kept along what nothing holds; ``None``: anywhere. Raises SurfaceMatchError where most of
+    it lies nowhere on the reference.
     """
-    used = _thinned(measured, USED)
-    sampled, few = _Sampled.of(reference), _thinned(measured, USED // 8)
+    used, some, few, slid = (_thinned(measured, most) for most in (USED, USED // 4, USED // 8, _SLID))
+    samples = reference.spread(_ROUGHLY)
+    rough = _Sampled.of(samples)
     if start is None:
-        roughly = _Sampled.of(_thinned(reference, _ROUGHLY))
-        led = [_led(few, roughly, guess, gate_mm) for guess, gate_mm in _guesses(measured, reference)]
+        led = _distinct([_led(few, rough, guess, gate_mm) for guess, gate_mm in _guesses(measured, samples)], few)
+        led = _distinct([_slid_along(fit, few, slid, rough) for fit in led[:_LED]], few)
+        fits = _distinct([_led(some, reference, one.pose, 2.0 * LAST_GATE_MM) for one in led], some)
+        fits = _distinct([_settled(fits[0], some, reference), *fits], some) if fits else []
     else:
-        led = [_led(few, sampled, start, START_GATE_MM)]
-    fits = _distinct([_led(used, sampled, one.pose, 2.0 * LAST_GATE_MM) for one in _distinct(led, few)[:_LED]], used)
-    if not fits or fits[0].fitting < LEAST_FITTING:
+        fits = _distinct([_led(some, reference, start, START_GATE_MM)], some)
+    best = _led(used, reference, fits[0].pose, LAST_GATE_MM) if fits else None
+    if best is None or best.fitting < LEAST_FITTING:
         share = f"{100.0 * fits[0].fitting:.0f} %" if fits else "nothing"
         raise SurfaceMatchError(
             f"{share} of it lies within {FITS_MM:g} mm of the reference in any place; at least {100.0 * LEAST_FITTING:.0f} % must: "
-            f"is it the same thing, in mm, with its outside out? Sizes are {_size(measured)} and {_size(reference)} mm"
+            f"is it the same thing, in mm, with its outside out? Sizes are {_size(measured)} and {_size(samples)} mm"
+            f"{_in_metres(measured, samples)}"
         )
-    return _described(fits, used)
+    ways = tuple(_way(best, loose, some, slid, rough, reference) for loose in best.loose)
+    return _described(best, fits, used, ways)
 
 
-def _described(fits: list[_Fit], used: OrientedPoints) -> LaidOnto:
-    best = fits[0]
+def _described(best: _Fit, fits: list[_Fit], used: OrientedPoints, ways: tuple[FreeWay, ...]) -> LaidOnto:
     resistance = resistance_of(best.system)
     value, vector = np.linalg.eigh(resistance.stiffness)
     loose = resistance.held < HELD
     kept = vector[:, ~loose]
     inverse = kept @ np.diag(1.0 / value[~loose]) @ kept.T
-    close = best.close(best.scatter_mm)
+    close = fits[0].close(best.scatter_mm)
     as_good = [
         fit
         for fit in fits[1:]
-        if fit.close(best.scatter_mm) > AS_GOOD * close and not _slid(fit.pose, best, kept, used)
+        if fit.close(best.scatter_mm) > AS_GOOD * close and not _is_slid(fit.pose, best, kept, used)
     ]
     return LaidOnto(
         pose=best.pose,
         middle_mm=best.system.middle,
         lever_mm=best.system.lever,
         covariance=np.asarray(inverse @ resistance.meat @ inverse),
-        free=tuple(vector[:, k] for k in np.flatnonzero(loose)),
+        free=ways,
         fitting=best.fitting,
+        rms_mm=best.rms_mm,
         scatter_mm=best.scatter_mm,
         elsewhere=tuple(fit.pose for fit in as_good),
     )
 
 
-def _slid(pose: Rigid, best: _Fit, kept: Array, used: OrientedPoints) -> bool:
+def _is_slid(pose: Rigid, best: _Fit, kept: Array, used: OrientedPoints) -> bool:
     """Tell whether ``pose`` differs from the best one only along what is not held, so that it is the same news."""
     if kept.shape[1] == 6:
         return False
-    off = best.pose.inverse.then(pose)
-    middle = best.system.middle
-    delta = np.concatenate([best.system.lever * rotation_vector(off.rotation), off.of(middle) - middle])
+    # In the reference's frame and about the middle: the one screw that leads from the best pose to the other.
+    off, middle = best.pose.inverse.then(pose), best.system.middle
+    screw = np.eye(4)
+    screw[:3, :3], screw[:3, 3] = off.rotation, off.of(middle) - middle
+    twist = np.real(logm(screw))
+    delta = np.concatenate([best.system.lever * np.array([twist[2, 1], twist[0, 2], twist[1, 0]]), twist[:3, 3]])
     return bool(np.linalg.norm(kept.T @ delta) < 0.1 * np.linalg.norm(delta) + _reach(used) * 0.02)
 
 
+# ------------------------------------------------------------------------------------------------ along what is loose
+
+
+def _along(fit: _Fit, direction: Array, amounts: Array) -> list[Rigid]:
+    """Return the fit's pose, moved by each of the ``amounts`` of δ as one screw: a turn stays about its axis however far it goes."""
+    turn, shift, middle = direction[:3] / fit.system.lever, direction[3:], fit.system.middle
+    rate = max(float(np.linalg.norm(turn)), 1e-12)
+    # The part of the shift along the axis goes on, that across it goes round.
+    axis = turn / rate
+    on = axis * (axis @ shift)
+    poses = []
+    for amount in amounts:
+        angle = rate * amount
+        gone = amount * on + (np.sin(angle) * (shift - on) + (1.0 - np.cos(angle)) * np.cross(axis, shift)) / rate
+        rotation = rotation_matrix(amount * turn)
+        poses.append(fit.pose.then(Rigid(rotation, middle + gone - rotation @ middle)))
+    return poses
+
+
+def _turns(direction: Array) -> bool:
+    return bool(np.linalg.norm(direction[:3]) > 0.1)
+
+
+def _whole_way_mm(fit: _Fit, direction: Array, rough: _Sampled) -> float:
+    """Return the largest amount of δ that makes sense: half a turn, or the reference's length."""
+    if _turns(direction):
+        return float(np.pi * fit.system.lever / np.linalg.norm(direction[:3]))
+    return _reach(rough.points)
+
+
+def _shares(fit: _Fit, direction: Array, amounts: Array, points: OrientedPoints, rough: _Sampled) -> Array:
+    """Return the share (k,) of the points near the reference at each of the ``amounts`` (k,)."""
+    gate = max(FITS_MM, rough.spacing_mm)
+    return np.array([np.mean(_lay(points, rough, pose, gate)[1] < gate) for pose in _along(fit, direction, amounts)])
+
+
+def _slid_along(fit: _Fit, few: OrientedPoints, slid: OrientedPoints, rough: _Sampled) -> _Fit:
+    """Return the best fit along what is loose, each direction in turn, over all of its way."""
+    for direction in fit.loose:
+        whole = _whole_way_mm(fit, direction, rough)
+        amounts = np.arange(-np.ceil(whole / _SLIDE_STEP_MM), np.ceil(whole / _SLIDE_STEP_MM) + 1.0) * _SLIDE_STEP_MM
+        shares = _shares(fit, direction, amounts, slid, rough)
+        # Of places that are as good the one that is least far.
+        best = min(np.flatnonzero(shares >= shares.max() - 1e-9), key=lambda k: abs(amounts[k]))
+        if shares[best] <= shares[np.abs(amounts).argmin()] + 1e-9:
+            continue
+        again = _led(few, rough, _along(fit, direction, amounts[best : best + 1])[0], 2.0 * FITS_MM)
+        fit = again if again is not None and again.support > fit.support else fit
+    return fit
+
+
+def _settled(fit: _Fit, some: OrientedPoints, reference: ReferenceSurface) -> _Fit | None:
+    """Return the fit at the place along what is loose where the points lie best, however little that is."""
+    loose = fit.loose
+    if not loose:
+        return fit
+    width_mm = max(3.0 * fit.scatter_mm, 0.1)
+
+    def lost(amounts: Array) -> float:
+        (pose,) = _along(fit, np.tensordot(amounts, loose, 1), np.ones(1))
+        apart = _lay(some, reference, pose, FITS_MM)[1]
+        return -_support(apart, FITS_MM) - _support(apart, width_mm)
+
+    simplex = np.concatenate([np.zeros((1, len(loose))), 1.5 * np.eye(len(loose))])
+    found = minimize(
+        lost,
+        simplex[0],
+        method="Nelder-Mead",
+        options={"initial_simplex": simplex, "maxfev": 120, "xatol": 0.01, "fatol": 1e-6},
+    )
+    return _led(some, reference, _along(fit, np.tensordot(found.x, loose, 1), np.ones(1))[0], LAST_GATE_MM)
+
+
+def _way(
+    fit: _Fit,
+    direction: Array,
+    some: OrientedPoints,
+    slid: OrientedPoints,
+    rough: _Sampled,
+    reference: ReferenceSurface,
+) -> FreeWay:
+    """Return the way along ``direction`` on which hardly a point changes, with what is found at its ends."""
+    whole = _whole_way_mm(fit, direction, rough)
+    here = float(_shares(fit, direction, np.zeros(1), slid, rough)[0])
+    ends, rms, fitting = [], [], []
+    for sign in (-1.0, 1.0):
+        amounts = sign * np.append(np.arange(_SLIDE_STEP_MM, whole, _SLIDE_STEP_MM), whole)
+        lost = np.flatnonzero(_shares(fit, direction, amounts, slid, rough) < here - UNCHANGED)
+        reached = len(amounts) if not len(lost) else int(lost[0])
+        end = float(amounts[reached - 1]) if reached else 0.0
+        there = _led(some, reference, _along(fit, direction, np.array([end]))[0], LAST_GATE_MM)
+        ends.append(np.degrees(np.linalg.norm(direction[:3]) * end / fit.system.lever) if _turns(direction) else end)
+        rms.append(np.nan if there is None else there.rms_mm)
+        fitting.append(0.0 if there is None else there.fitting)
+    return FreeWay(direction, _turns(direction), (ends[0], ends[1]), (rms[0], rms[1]), (fitting[0], fitting[1]))
+
+
 def _distinct(fits: list[_Fit | None], used: OrientedPoints) -> list[_Fit]:
-    """Return different fits, the best first: by how many points lie close, since a wrong pose has its own few that fit better."""
-    there = [fit for fit in fits if fit is not None]
-    least_mm = min((fit.scatter_mm for fit in there), default=0.0)
+    """Return different fits, the best first: by all points, since a wrong pose has its own few that fit better."""
     found: list[_Fit] = []
-    for fit in sorted(there, key=lambda one: -one.close(least_mm)):
+    for fit in sorted((fit for fit in fits if fit is not None), key=lambda one: -one.support):
         if all(not _same(fit.pose, one.pose, used) for one in found):
             found.append(fit)
     return found
@@ -204,11 +359,35 @@ class _Fit:
 
     @property
     def fitting(self) -> float:
-        return float(np.mean(np.abs(self.apart_mm) < FITS_MM))
+        return float(np.mean(self.apart_mm < FITS_MM))
+
+    @property
+    def rms_mm(self) -> float:
+        near = self.apart_mm[self.apart_mm < FITS_MM]
+        return float(np.sqrt(np.mean(near**2))) if len(near) else np.nan
+
+    @property
+    def support(self) -> float:
+        """All points in one number, as in MSAC (P. Torr, A. Zisserman 2000): 1 if each lies on the reference, 0 if none is near it."""
+        return _support(self.apart_mm, FITS_MM)
+
+    @property
+    def loose(self) -> list[Array]:
+        """The directions (6,) of δ that nothing holds: shifts, and turns with the shift that belongs to them."""
+        resistance = resistance_of(self.system)
+        vectors = resistance.directions[:, resistance.held < HELD]
+        if not vectors.shape[1]:
+            return []
+        # Within what is loose turned so that as many directions as can be do not turn at all.
+        return list((vectors @ np.linalg.svd(vectors[:3], full_matrices=True)[2].T).T)
 
     def close(self, scatter_mm: float) -> float:
         """Return the share of the points within three standard deviations of ``scatter_mm``."""
-        return float(np.mean(np.abs(self.apart_mm) < 3.0 * max(scatter_mm, 0.01)))
+        return float(np.mean(self.apart_mm < 3.0 * max(scatter_mm, 0.01)))
+
+
+def _support(apart_mm: Array, width_mm: float) -> float:
+    return float(np.mean(np.maximum(0.0, 1.0 - (apart_mm / width_mm) ** 2)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -226,50 +405,61 @@ class _Sampled:
         some = points.points_mm[:: max(1, len(points.points_mm) // 2000)]
         return cls(points, tree, 2.0 * float(np.percentile(tree.query(some, 2)[0][:, 1], 99)))
 
+    def nearest(self, points_mm: Array, limit_mm: float) -> PlacesOn:
+        """Return the plane of the nearest sample to each point; beside the border there is none: its last sample is farther than
+        samples are apart."""
+        far, at = self.tree.query(points_mm, distance_upper_bound=limit_mm + self.spacing_mm)
+        at = np.minimum(at, len(self.points.points_mm) - 1)
+        normals, way = self.points.normals[at], points_mm - self.points.points_mm[at]
+        off = (normals * way).sum(1)
+        there = np.isfinite(far) & ((way**2).sum(1) - off**2 < self.spacing_mm**2)
+        return PlacesOn(
+            np.where(there, np.abs(off), np.inf), self.points.points_mm[at], normals, self.points.sigma_mm[at]
+        )
 
-def _led(measured: OrientedPoints, reference: _Sampled, guess: Rigid, gate_mm: float) -> _Fit | None:
-    """Return the fit that ``guess`` leads to; ``None`` where too little lies on the reference to tell."""
+
+def _led(measured: OrientedPoints, reference: _Sampled | ReferenceSurface, guess: Rigid, gate_mm: float) -> _Fit | None:
+    """Return the fit that ``guess`` leads to, unmoved along what nothing holds; ``None`` where too little lies on the reference to tell."""
     pose, gate = guess, gate_mm
     for _ in range(ROUNDS):
-        laid = _lay(measured, reference, pose, gate)
+        laid, _ = _lay(measured, reference, pose, gate)
         if len(laid.source) < FEWEST:
             return None
         system = system_of(laid, with_paint=False)
-        step = step_of(system)
+        resistance = resistance_of(system)
+        held = resistance.directions[:, resistance.held >= HELD]
+        step = held @ (held.T @ step_of(system))
         pose = moved(pose, system, step)
         gate = max(LAST_GATE_MM, min(0.7 * gate, max(6.0 * spread(laid.apart_mm), 0.35 * gate)))
         if gate <= LAST_GATE_MM and float(np.linalg.norm(step)) < 2e-4:
             break
-    laid = _lay(measured, reference, pose, LAST_GATE_MM)
+    laid, apart = _lay(measured, reference, pose, LAST_GATE_MM)
     if len(laid.source) < FEWEST:
         return None
-    wide = _lay(measured, reference, pose, FITS_MM)
-    apart = np.full(len(measured.points_mm), np.inf)
-    apart[wide.source] = wide.apart_mm
     return _Fit(pose, system_of(laid, with_paint=False), apart, spread(laid.apart_mm))
 
 
-def _lay(measured: OrientedPoints, reference: _Sampled, pose: Rigid, gate_mm: float) -> Laid:
-    """Lay the measured points upon the reference: each on the plane of the sample that is nearest."""
+def _lay(
+    measured: OrientedPoints, reference: _Sampled | ReferenceSurface, pose: Rigid, gate_mm: float
+) -> tuple[Laid, Array]:
+    """Lay the measured points upon the reference, each on the plane of its nearest place; return with it the distance (n,) of all
+    points, infinite where there is nothing like them."""
     x, m = pose.of(measured.points_mm), measured.normals @ pose.rotation.T
-    on = reference.points
-    far, at = reference.tree.query(x, distance_upper_bound=gate_mm + reference.spacing_mm)
-    near = np.flatnonzero(np.isfinite(far))
-    plane, way = on.normals[at[near]], x[near] - on.points_mm[at[near]]
-    off = (plane * way).sum(1)
-    # Beside the border of the reference there is nothing to lie on: its last sample is farther than samples are apart.
-    aside2 = (way**2).sum(1) - off**2
-    good = (np.abs(off) < gate_mm) & ((plane * m[near]).sum(1) > MIN_ALIKE) & (aside2 < reference.spacing_mm**2)
-    index = near[good]
+    on = reference.nearest(x, max(gate_mm, FITS_MM))
+    alike = (on.normals * m).sum(1) > MIN_ALIKE
+    apart = np.where(alike, on.distance_mm, np.inf)
+    index = np.flatnonzero(apart < gate_mm)
+    plane = on.normals[index]
+    off = (plane * (x[index] - on.places_mm[index])).sum(1)
     n = len(index)
     nothing, flat = np.full(n, np.nan), np.zeros((n, 3))
-    return Laid(
-        x_mm=x[index], source=index, tile=_cells(x[index], TILE_MM), apart_mm=off[good],
-        normal_a=plane[good], normal_b=m[index],
-        sigma_mm=np.hypot(measured.sigma_mm[index], on.sigma_mm[at[index]]),
+    laid = Laid(
+        x_mm=x[index], source=index, tile=_cells(x[index], TILE_MM), apart_mm=off,
+        normal_a=plane, normal_b=m[index], sigma_mm=np.hypot(measured.sigma_mm[index], on.sigma_mm[index]),
         paint=nothing, gradient_a=flat, gradient_b=flat, paint_noise=nothing, paint_a=nothing, paint_b=nothing,
         unmet=np.ones(0, bool), front=np.ones(0, bool), tried=len(x),
     )  # fmt: skip
+    return laid, apart
 
 
 # ------------------------------------------------------------------------------------------------ guesses by pairs of points
@@ -394,7 +584,13 @@ def _reach(points: OrientedPoints) -> float:
 
 
 def _size(points: OrientedPoints) -> str:
-    return " x ".join(f"{one:.0f}" for one in np.ptp(points.points_mm, axis=0))
+    return " x ".join(f"{one:.3g}" for one in np.ptp(points.points_mm, axis=0))
+
+
+def _in_metres(measured: OrientedPoints, reference: OrientedPoints) -> str:
+    """Return the question whether the reference is in metres, where its size speaks for it."""
+    ratio = _reach(measured) / max(_reach(reference), 1e-12)
+    return "; is the CAD model in metres? Then make it 1000 times as large" if 50.0 < ratio < 5000.0 else ""
 
 
 def _same(one: Rigid, other: Rigid, points: OrientedPoints, share: float = 0.005) -> bool:

@@ -1,31 +1,31 @@
 """Owns how far points lie from a nominal surface, along its normals: outside is positive, and each with its sigma.
 
-The nearest triangle is found by samples: triangles are halved at their longest edge until none is long, and the middles of the
-pieces go into a k-d tree. If s is the longest way from a middle to a corner of its piece, the middles that belong to the nearest triangle lie no
-farther than that triangle's distance and s. So once the k nearest middles reach farther than the best distance among their
-triangles and s, that one is the nearest there is; where they do not, four times as many are asked for.
+The nearest triangle is libigl's (MPL-2.0, a tree of boxes around the triangles). Where the points' own normals are given, triangles that face away
+by more than a right angle do not count: the far side of a thin plate is not what was measured. libigl cannot leave triangles out for a
+single point, so those few whose nearest one faces away are asked again in groups of like normals, of the triangles that face any of a group; a
+group is halved until each of its points has one that faces it.
 
-Where the points' own normals are given, triangles that face away by more than a right angle do not count: the far side of a thin
-plate is not what was measured. Symbols in the kernels: p the point, a, b and c the corners, q the nearest place on the triangle (C. Ericson,
-"Real-Time Collision Detection", 5.1.5).
+What lies beside an open border of the surface has no counterpart on it and no deviation. Symbols in the kernels: p the point, a, b and c the
+corners, q the nearest place on the triangle (C. Ericson, "Real-Time Collision Detection", 5.1.5).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from appliance.one_line import one_line
+from appliance.surface.libraries import needed
 from appliance.surface.nominal import Nominal
 
 LIMIT_MM = 5.0
 PERCENTILES = (0.5, 2.5, 16.0, 50.0, 84.0, 97.5, 99.5)
-_SAMPLES = 300_000
-_FIRST_ASKED, _MORE = 6, 4
+BESIDE_MM = 0.05
+"""Distance sideways from an open border from which on a point has no counterpart on the surface."""
 _BLOCK = 100_000
 
 
@@ -36,6 +36,8 @@ class DeviationSummary:
     points: int
     beyond: int
     """Points that lie farther from the surface than the limit, or that see nothing of it that faces them."""
+    beside: int
+    """Points within the limit that lie beside an open border of the surface: it has no counterpart for them."""
     limit_mm: float
     mean_mm: float | None
     sd_mm: float | None
@@ -53,158 +55,208 @@ class Deviation:
     """Signed distances of points, in their order."""
 
     deviation_mm: NDArray[np.float32]
-    """(n,) float32, positive outside; NaN beyond the limit."""
+    """(n,) float32, positive outside; NaN beyond the limit and beside an open border."""
     sigma_mm: NDArray[np.float32]
     """(n,) float32: that of the points."""
     summary: DeviationSummary
+    face: NDArray[np.int64]
+    """(n,): triangle that each point is nearest to; -1 for none within the limit."""
+
+    def with_sigma(self, sigma_mm: NDArray[np.float32]) -> Deviation:
+        """Return the same deviations with another sigma (n,) of the points."""
+        summary = _summary(self.deviation_mm, sigma_mm, self.summary.limit_mm, self.summary.beside)
+        return Deviation(self.deviation_mm, sigma_mm, summary, self.face)
 
     __repr__ = one_line
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class NearestPlaces:
+    """Places on a surface that are nearest to points, n of each."""
+
+    face: NDArray[np.int64]
+    """(n,): triangle that the place lies on."""
+    place_mm: NDArray[np.float64]
+    """(n, 3), in the frame of the surface."""
+    signed_mm: NDArray[np.float64]
+    """(n,): distance, positive outside; infinite where no triangle faces the point within the limit."""
+    beside: NDArray[np.bool_]
+    """(n,): the place lies on an open border, and the point beside it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NominalTree:
+    """A nominal surface that can be asked for nearest places."""
+
+    nominal: Nominal
+    _igl: Any
+    _tree: Any
+
+    @classmethod
+    def of(cls, nominal: Nominal) -> NominalTree:
+        """Raises MissingLibraryError where libigl is absent."""
+        igl = needed("igl", "libigl", "a comparison")
+        tree = igl.AABB()
+        tree.init(nominal.vertices_mm, nominal.faces)
+        return cls(nominal, igl, tree)
+
+    def nearest(
+        self, points_mm: NDArray[np.float64], normals: NDArray[np.float64] | None = None, limit_mm: float = np.inf
+    ) -> NearestPlaces:
+        """Return the nearest places of points (n, 3).
+
+        ``normals`` (n, 3), NaN where unknown: triangles that face away from a point's do not count; ``None``: all do. ``limit_mm``: how far those
+        are looked for.
+        """
+        nominal = self.nominal
+        points = np.ascontiguousarray(points_mm, np.float64)
+        square, face, _ = self._tree.squared_distance(nominal.vertices_mm, nominal.faces, points)
+        # One point alone comes back without its axis.
+        face, there = np.atleast_1d(face).astype(np.int64), np.ones(len(points), np.bool_)
+        if normals is not None:
+            # NaN compares as false: a point without a normal takes any triangle.
+            away = ((normals * nominal.face_normals[face]).sum(1) < 0.0) & (np.atleast_1d(square) <= limit_mm**2)
+            left = np.flatnonzero(away)
+            face[left] = self._facing(points[left], normals[left], limit_mm)
+            there = face >= 0
+        place, signed = np.empty_like(points), np.full(len(points), np.inf)
+        beside = np.zeros(len(points), np.bool_)
+        rows = np.flatnonzero(there)
+        found = np.empty((len(rows), 3)), np.empty(len(rows)), np.empty(len(rows), np.bool_)
+        _on_faces(
+            points[rows], face[rows], nominal.faces, nominal.vertices_mm, nominal.face_normals, nominal.edge_normals,
+            nominal.corner_normals, nominal.open_edges, nominal.open_corners, *found,
+        )  # fmt: skip
+        place[rows], signed[rows], beside[rows] = found
+        return NearestPlaces(face, place, signed, beside)
+
+    def _facing(self, points: NDArray[np.float64], normals: NDArray[np.float64], limit_mm: float) -> NDArray[np.int64]:
+        """Return the nearest triangle (n,) of those that do not face away from each point; -1 where there is none within the limit."""
+        nominal, found = self.nominal, np.full(len(points), -1)
+        corners = nominal.vertices_mm[nominal.faces]
+        low, high = corners.min(axis=1), corners.max(axis=1)
+        groups = [np.arange(len(points))] if len(points) else []
+        while groups:
+            rows = groups.pop()
+            mine = normals[rows]
+            axis = mine.mean(axis=0)
+            axis /= max(float(np.linalg.norm(axis)), 1e-12)
+            # A triangle that faces any of them is within a right angle and their widest angle from their mean.
+            widest = float(np.arccos(np.clip(mine @ axis, -1.0, 1.0)).max())
+            least = -1.0 if widest >= 0.5 * np.pi else -np.sin(widest) - 1e-9
+            near = (low <= points[rows].max(axis=0) + limit_mm).all(1) & (
+                high >= points[rows].min(axis=0) - limit_mm
+            ).all(1)
+            faces = np.flatnonzero(near & (nominal.face_normals @ axis >= least))
+            if not len(faces):
+                continue
+            square, face, _ = self._igl.point_mesh_squared_distance(
+                points[rows], nominal.vertices_mm, nominal.faces[faces]
+            )
+            square, face = np.atleast_1d(square), faces[np.atleast_1d(face)]
+            within = square <= limit_mm**2
+            faces_it = (mine * nominal.face_normals[face]).sum(1) >= -1e-9
+            found[rows[within & faces_it]] = face[within & faces_it]
+            again = within & ~faces_it
+            rows = rows[again]
+            if len(rows):
+                # Halved across the direction in which their normals differ most.
+                off = normals[rows] - normals[rows].mean(axis=0)
+                order = np.argsort(off @ np.linalg.svd(off, full_matrices=False)[2][0])
+                half = (len(rows) + 1) // 2
+                groups += [part for part in (rows[order[:half]], rows[order[half:]]) if len(part)]
+        return found
+
+
 def deviations(
-    points_mm: NDArray[np.float32],
+    points_mm: NDArray[Any],
     sigma_mm: NDArray[np.float32],
-    nominal: Nominal,
-    normals: NDArray[np.float32] | None = None,
+    nominal: Nominal | NominalTree,
+    normals: NDArray[Any] | None = None,
     limit_mm: float = LIMIT_MM,
 ) -> Deviation:
     """Return how far points (n, 3), in the frame of ``nominal``, lie from it; ``sigma_mm`` (n,) along the normal.
 
-    ``normals``: (n, 3), those of the points; NaN where unknown. Points beyond ``limit_mm`` are counted and have no deviation. Raises
-    ValueError for a limit that is not above 0.
+    ``normals``: (n, 3), those of the points; NaN where unknown. Points beyond ``limit_mm`` or beside an open border are counted and have no
+    deviation. Raises ValueError for a limit that is not above 0, MissingLibraryError where libigl is absent.
     """
     if not limit_mm > 0.0:
         raise ValueError(f"limit_mm is {limit_mm}; it must be above 0")
-    samples, face_of, reach_mm = sampled(nominal)
-    tree = cKDTree(samples)
-    points = np.ascontiguousarray(points_mm, np.float64)
-    facing = np.full((len(points), 3), np.nan) if normals is None else np.ascontiguousarray(normals, np.float64)
-    found = np.full(len(points), np.nan)
-    for start in range(0, len(points), _BLOCK):
-        _search(
-            points,
-            facing,
-            np.arange(start, min(start + _BLOCK, len(points))),
-            nominal,
-            tree,
-            face_of,
-            reach_mm,
-            limit_mm,
-            found,
-        )
-    deviation = found.astype(np.float32)
-    return Deviation(deviation, sigma_mm, _summary(deviation, sigma_mm, limit_mm))
+    tree = nominal if isinstance(nominal, NominalTree) else NominalTree.of(nominal)
+    deviation, face, beside = np.full(len(points_mm), np.nan, np.float32), np.full(len(points_mm), -1), 0
+    for start in range(0, len(points_mm), _BLOCK):
+        rows = slice(start, start + _BLOCK)
+        facing = None if normals is None else normals[rows].astype(np.float64)
+        nearest = tree.nearest(points_mm[rows].astype(np.float64), facing, limit_mm)
+        within = np.abs(nearest.signed_mm) <= limit_mm
+        deviation[rows] = np.where(within & ~nearest.beside, nearest.signed_mm, np.nan)
+        face[rows] = np.where(within, nearest.face, -1)
+        beside += int(np.count_nonzero(within & nearest.beside))
+    return Deviation(deviation, sigma_mm, _summary(deviation, sigma_mm, limit_mm, beside), face)
 
 
-def _search(
-    points: NDArray[np.float64],
-    facing: NDArray[np.float64],
-    left: NDArray[np.int64],
-    nominal: Nominal,
-    tree: cKDTree,
-    face_of: NDArray[np.int64],
-    reach_mm: float,
-    limit_mm: float,
-    found: NDArray[np.float64],
-) -> None:
-    """Write the deviations of the points ``left`` to ``found``."""
-    count = _FIRST_ASKED
-    corners = nominal.vertices_mm[nominal.faces]
-    while len(left):
-        count = min(count, len(face_of))
-        far, sample = tree.query(points[left], np.arange(1, count + 1), distance_upper_bound=limit_mm + reach_mm)
-        distance, signed = np.empty(len(left)), np.empty(len(left))
-        _nearest(
-            points[left], facing[left], sample, face_of, nominal.faces, corners, nominal.face_normals,
-            nominal.edge_normals, nominal.corner_normals, distance, signed,
-        )  # fmt: skip
-        # Infinite: there are no more samples that could matter.
-        proven = (far[:, -1] > distance + reach_mm) | np.isinf(far[:, -1]) | (count == len(face_of))
-        done = left[proven]
-        found[done] = np.where(distance[proven] <= limit_mm, signed[proven], np.nan)
-        left = left[~proven]
-        count *= _MORE
+def spread_over(nominal: Nominal, count: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return ``count`` places (n, 3) spread evenly over the surface, whatever its triangles are, and the triangle of each.
 
-
-def sampled(nominal: Nominal) -> tuple[NDArray[np.float64], NDArray[np.int64], float]:
-    """Return middles of pieces of the triangles, the face of each, and the longest way from a middle to a corner."""
-    corners = nominal.vertices_mm[nominal.faces]
-    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
-    longest_mm = 2.0 * np.sqrt(area / _SAMPLES)
-    face = np.arange(len(corners))
-    whole, of_whole = [], []
-    while len(corners):
-        sides = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
-        long = sides.max(axis=1) > longest_mm
-        whole.append(corners[~long])
-        of_whole.append(face[~long])
-        corners, face, first = corners[long], face[long], sides[long].argmax(axis=1)
-        # Turned so that the longest edge goes from a to b, and halved there: a-m-c and m-b-c.
-        a, b, c = (corners[np.arange(len(corners)), (first + k) % 3] for k in range(3))
-        middle = 0.5 * (a + b)
-        corners = np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
-        face = np.concatenate([face, face])
-    pieces = np.concatenate(whole)
-    middles = pieces.mean(axis=1)
-    reach = np.linalg.norm(pieces - middles[:, None], axis=2).max()
-    return middles, np.concatenate(of_whole), float(reach)
+    Each stands for the same area; within a triangle they follow the sequence R2 (M. Roberts, 2018), which leaves no large gaps.
+    """
+    a, b, c = (nominal.vertices_mm[nominal.faces[:, k]] for k in range(3))
+    reached = np.cumsum(np.linalg.norm(np.cross(b - a, c - a), axis=1))
+    number = np.arange(count)
+    face = np.searchsorted(reached, (number + 0.5) / count * reached[-1])
+    v, w = (number[:, None] * np.array([0.7548776662466927, 0.5698402909980532]) % 1.0).T
+    # The half of the square that lies beyond the triangle is folded back.
+    v, w = np.where(v + w > 1.0, (1.0 - v, 1.0 - w), (v, w))
+    at = a[face] + v[:, None] * (b - a)[face] + w[:, None] * (c - a)[face]
+    return at, face
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def _nearest(
+def _on_faces(
     points: NDArray[np.float64],
-    facing: NDArray[np.float64],
-    sample: NDArray[np.int64],
-    face_of: NDArray[np.int64],
+    face: NDArray[np.int64],
     faces: NDArray[np.int64],
-    corners: NDArray[np.float64],
+    vertices: NDArray[np.float64],
     face_normals: NDArray[np.float64],
     edge_normals: NDArray[np.float64],
     corner_normals: NDArray[np.float64],
-    distance: NDArray[np.float64],
+    open_edges: NDArray[np.bool_],
+    open_corners: NDArray[np.bool_],
+    nearest: NDArray[np.float64],
     signed: NDArray[np.float64],
+    beside: NDArray[np.bool_],
 ) -> None:
-    """Write the distance of each point to the nearest of its triangles, and the same with its sign; infinite where it has none."""
-    pa, pb, pc, q = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    """Write the nearest place of each point on its triangle, its distance with its sign, and whether it lies beside an open border."""
+    corners, pa, pb, pc, q = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for n in range(len(points)):
-        best, best_sign, last = np.inf, 1.0, -1
-        # Nearest samples first, so that the best triangle is mostly the first.
-        for k in range(sample.shape[1]):
-            if sample[n, k] >= len(face_of):
-                break
-            one = face_of[sample[n, k]]
-            # Neighbouring samples are mostly of the same triangle.
-            if one == last:
-                continue
-            last = one
-            normal = face_normals[one]
-            # NaN compares as false: a point without a normal takes any triangle.
-            if facing[n, 0] * normal[0] + facing[n, 1] * normal[1] + facing[n, 2] * normal[2] < 0.0:
-                continue
-            # p from each corner.
-            for axis in range(3):
-                pa[axis] = points[n, axis] - corners[one, 0, axis]
-                pb[axis] = points[n, axis] - corners[one, 1, axis]
-                pc[axis] = points[n, axis] - corners[one, 2, axis]
-            place = _on_triangle(pa, pb, pc, corners[one], q)
-            to = points[n] - q
-            square = to[0] * to[0] + to[1] * to[1] + to[2] * to[2]
-            if square >= best:
-                continue
-            best = square
-            # Inside, on one of three edges (1, 2, 3), or at one of three corners (4, 5, 6).
-            if place == 0:
-                side = to[0] * normal[0] + to[1] * normal[1] + to[2] * normal[2]
-            elif place < 4:
-                edge = edge_normals[one, place - 1]
-                side = to[0] * edge[0] + to[1] * edge[1] + to[2] * edge[2]
-            else:
-                corner = corner_normals[faces[one, place - 4]]
-                side = to[0] * corner[0] + to[1] * corner[1] + to[2] * corner[2]
-            # On the plane itself counts as outside.
-            best_sign = -1.0 if side < 0.0 else 1.0
-        distance[n] = np.sqrt(best)
-        signed[n] = best_sign * distance[n]
+        one = face[n]
+        normal = face_normals[one]
+        # p from each corner.
+        for axis in range(3):
+            for k in range(3):
+                corners[k, axis] = vertices[faces[one, k], axis]
+            pa[axis] = points[n, axis] - corners[0, axis]
+            pb[axis] = points[n, axis] - corners[1, axis]
+            pc[axis] = points[n, axis] - corners[2, axis]
+        place = _on_triangle(pa, pb, pc, corners, q)
+        to = points[n] - q
+        square = to[0] * to[0] + to[1] * to[1] + to[2] * to[2]
+        along = to[0] * normal[0] + to[1] * normal[1] + to[2] * normal[2]
+        # Inside, on one of three edges (1, 2, 3), or at one of three corners (4, 5, 6).
+        if place == 0:
+            side, border = along, False
+        elif place < 4:
+            edge = edge_normals[one, place - 1]
+            side, border = to[0] * edge[0] + to[1] * edge[1] + to[2] * edge[2], open_edges[one, place - 1]
+        else:
+            vertex = faces[one, place - 4]
+            corner = corner_normals[vertex]
+            side, border = to[0] * corner[0] + to[1] * corner[1] + to[2] * corner[2], open_corners[vertex]
+        # Sideways: what is left of the way to the border once the part along the normal is taken away.
+        beside[n] = border and square - along * along > BESIDE_MM * BESIDE_MM
+        nearest[n] = q
+        # On the plane itself counts as outside.
+        signed[n] = -np.sqrt(square) if side < 0.0 else np.sqrt(square)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -253,16 +305,19 @@ def _on_triangle(
     return 0
 
 
-def _summary(deviation: NDArray[np.float32], sigma: NDArray[np.float32], limit_mm: float) -> DeviationSummary:
+def _summary(
+    deviation: NDArray[np.float32], sigma: NDArray[np.float32], limit_mm: float, beside: int
+) -> DeviationSummary:
     there = np.isfinite(deviation)
     near = deviation[there].astype(np.float64)
-    beyond = len(deviation) - len(near)
+    beyond = len(deviation) - len(near) - beside
     if not len(near):
-        return DeviationSummary(len(deviation), beyond, limit_mm, None, None, None, None, None, (), None)
+        return DeviationSummary(len(deviation), beyond, beside, limit_mm, None, None, None, None, None, (), None)
     within = np.abs(near) <= 2.0 * sigma[there]
     return DeviationSummary(
         points=len(deviation),
         beyond=beyond,
+        beside=beside,
         limit_mm=limit_mm,
         mean_mm=float(near.mean()),
         sd_mm=float(near.std()),

@@ -15,15 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.one_line import one_line
-from appliance.surface.libraries import needed
+from appliance.surface.drawing_file import NominalError as NominalError
+from appliance.surface.drawings import read_triangles
 from appliance.surface.mesh import Mesh
 
-SUFFIXES = (".stl", ".obj", ".ply")
 _LEAST_AREA = 1e-12
-
-
-class NominalError(Exception):
-    """A file holds no nominal surface; the text names it, and says why."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,11 +36,18 @@ class Nominal:
     """(m, 3, 3): pseudonormal of each face's edges, from corner k to the next; of any length."""
     corner_normals: NDArray[np.float64]
     """(v, 3): pseudonormal of each vertex; of any length."""
+    open_edges: NDArray[np.bool_]
+    """(m, 3): the edge belongs to this triangle alone."""
+    open_corners: NDArray[np.bool_]
+    """(v,): the vertex lies on such an edge."""
+    origin_mm: NDArray[np.float64]
+    """(3,) float64, whole metres: place of the vertices' (0, 0, 0) in the frame of the file. Far from a frame's origin single precision is too
+    coarse for points; about this one it is not."""
 
     __repr__ = one_line
 
 
-def nominal_of(vertices_mm: NDArray[Any], faces: NDArray[Any]) -> Nominal:
+def nominal_of(vertices_mm: NDArray[Any], faces: NDArray[Any], origin_mm: NDArray[np.float64] | None = None) -> Nominal:
     """Return the nominal surface of triangles: (v, 3) mm and (m, 3) rows of them. Triangles without area are left out.
 
     Vertices at exactly the same place become one: STL files know no neighbours. Raises ValueError where nothing is left.
@@ -61,8 +64,12 @@ def nominal_of(vertices_mm: NDArray[Any], faces: NDArray[Any]) -> Nominal:
 
     following = np.roll(whole, -1, axis=1)
     edge = np.stack([np.minimum(whole, following), np.maximum(whole, following)], axis=-1).reshape(-1, 2)
-    _, edge_of = np.unique(edge, axis=0, return_inverse=True)
+    # One number for both ends is sorted many times faster than pairs.
+    _, edge_of, shared_by = np.unique(edge[:, 0] * len(places) + edge[:, 1], return_inverse=True, return_counts=True)
     edge_of = edge_of.reshape(-1)
+    open_edges = (shared_by[edge_of] == 1).reshape(-1, 3)
+    open_corners = np.zeros(len(places), np.bool_)
+    open_corners[whole[open_edges]] = open_corners[following[open_edges]] = True
     of_edges = np.zeros((int(edge_of.max()) + 1, 3))
     np.add.at(of_edges, edge_of, np.repeat(normals, 3, axis=0))
 
@@ -72,7 +79,10 @@ def nominal_of(vertices_mm: NDArray[Any], faces: NDArray[Any]) -> Nominal:
         to, fro = one - here, other - here
         cosine = np.einsum("nk,nk->n", to, fro) / (np.linalg.norm(to, axis=1) * np.linalg.norm(fro, axis=1))
         np.add.at(of_corners, whole[:, k], np.arccos(np.clip(cosine, -1.0, 1.0))[:, None] * normals)
-    return Nominal(places, whole, normals, of_edges[edge_of].reshape(-1, 3, 3), of_corners)
+    origin = np.zeros(3) if origin_mm is None else origin_mm
+    return Nominal(
+        places, whole, normals, of_edges[edge_of].reshape(-1, 3, 3), of_corners, open_edges, open_corners, origin
+    )
 
 
 def nominal_of_mesh(mesh: Mesh) -> Nominal:
@@ -81,21 +91,11 @@ def nominal_of_mesh(mesh: Mesh) -> Nominal:
 
 
 def read_nominal(file: Path | str) -> Nominal:
-    """Read a nominal surface in mm (``SUFFIXES``). Raises NominalError, MissingLibraryError where trimesh is absent."""
-    path = Path(file)
-    if path.suffix.lower() not in SUFFIXES:
-        raise NominalError(
-            f"{path}: a nominal surface is read from {', '.join(SUFFIXES)}, in mm; convert it to one of these"
-        )
-    trimesh = needed("trimesh", "trimesh", "a nominal surface")
+    """Read a nominal surface in mm about a local origin. Raises NominalError, MissingLibraryError where the library that reads it is absent."""
+    vertices, faces = read_triangles(Path(file))
+    used = vertices[np.unique(faces)]
+    origin = 1000.0 * np.round(0.5 * (used.min(axis=0) + used.max(axis=0)) / 1000.0)
     try:
-        with path.open("rb") as opened:
-            read = trimesh.load(opened, file_type=path.suffix[1:].lower(), force="mesh", process=False)
-        return nominal_of(read.vertices, read.faces)
-    except OSError as error:
-        raise NominalError(f"{path}: cannot be read ({error.strerror or error})") from error
-    # Whatever a parser makes of bytes that are no mesh; it names no kinds of errors of its own.
-    except Exception as error:
-        raise NominalError(
-            f"{path}: holds no triangles that can be used ({error}); give an STL, OBJ or PLY file in mm"
-        ) from error
+        return nominal_of(vertices - origin, faces, origin)
+    except ValueError as error:
+        raise NominalError(f"{file}: {error}") from error

@@ -63,12 +63,15 @@ def read_e57(path: Path) -> E57Scan:
     prototype = points.find(f"{E57}prototype")
     assert prototype is not None
     for node in prototype:
-        assert (node.get("type"), node.get("precision")) == ("Float", "single")
+        # An integer that can only be 0 has no bytes.
+        constant = node.get("type") == "Integer" and (node.get("minimum"), node.get("maximum")) == ("0", "0")
+        assert constant or (node.get("type"), node.get("precision")) == ("Float", "single")
         space, _, tag = node.tag[1:].partition("}")
         names.append(f"{prefixes[space]}:{tag}" if prefixes[space] else tag)
     streams = _streams(logical, at(int(points.get("fileOffset", ""))), at, len(names))
     count = int(points.get("recordCount", ""))
     columns = {name: np.frombuffer(one, "<f4").astype(float) for name, one in zip(names, streams, strict=True)}
+    columns.pop("cartesianInvalidState", None)
     assert all(len(column) == count for column in columns.values())
     bounds = scan.find(f"{E57}cartesianBounds")
     assert bounds is not None

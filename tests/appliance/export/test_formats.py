@@ -206,10 +206,43 @@ def test_deviations_and_shares_of_sigma_are_columns_of_every_format_of_points(
         ("sigma_beside", placed.shares.beside_mm),
     ):  # fmt: skip
         np.testing.assert_allclose(of_ply[f"{name}_mm"], values)
-        np.testing.assert_allclose(of_las[f"{name}_mm"], values)
+        np.testing.assert_allclose(1000.0 * of_las[f"{name}_m"], values, rtol=1e-6)
         np.testing.assert_allclose(1000.0 * of_e57[f"kf:{name}"], values, rtol=1e-6)
     np.testing.assert_allclose(1000.0 * of_e57["kf:sigma"], placed.sigma_mm, rtol=1e-6)
     np.testing.assert_array_equal(of_e57["kf:views"], placed.views)
+
+
+def test_e57_is_read_whole_by_the_library_that_most_programs_use(surface: FusedCloud, tmp_path: Path) -> None:
+    pye57 = pytest.importorskip("pye57")
+    site = np.array([5.0e8, 5.4e9, -2000.0])
+    write_surface(tmp_path / "far.e57", surface, ABOUT, origin_mm=site)
+    read = pye57.E57(str(tmp_path / "far.e57")).read_scan(0)
+    found = np.stack([read[f"cartesian{axis}"] for axis in "XYZ"], 1)
+    np.testing.assert_allclose(1000.0 * found - site, surface.points_mm, atol=2.0 * UM)
+
+
+def test_site_coordinates_are_held_or_refused(surface: FusedCloud, tmp_path: Path) -> None:
+    laspy = pytest.importorskip("laspy")
+    site = np.array([5.0e8, 5.4e9, 0.0])
+    write_surface(tmp_path / "far.las", surface, ABOUT, origin_mm=site)
+    read = laspy.read(tmp_path / "far.las")
+    np.testing.assert_allclose(1000.0 * np.asarray(read.xyz) - site, surface.points_mm, atol=2.0 * UM)
+    assert len(np.unique(np.asarray(read.x))) > 100
+    with pytest.raises(ExportError, match=r"steps of 512 mm; write \.e57 or \.las"):
+        write_surface(tmp_path / "far.ply", surface, ABOUT, origin_mm=site)
+    assert not (tmp_path / "far.ply").exists()
+
+
+def test_las_is_as_coarse_as_its_width_asks_for(surface: FusedCloud, tmp_path: Path) -> None:
+    laspy = pytest.importorskip("laspy")
+    wide = replace(surface, points_mm=surface.points_mm.copy())
+    wide.points_mm[0] = (4.0e5, 0.0, 0.0)
+    write_surface(tmp_path / "wide.las", wide, ABOUT)
+    read = laspy.read(tmp_path / "wide.las")
+    np.testing.assert_allclose(1000.0 * np.asarray(read.xyz), wide.points_mm, atol=1.0 * UM)
+    wide.points_mm[1] = np.nan
+    with pytest.raises(ExportError, match="no number"):
+        write_surface(tmp_path / "none.las", wide, ABOUT)
 
 
 def test_the_archive_keeps_the_grid(cloud: OrganisedCloud, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +11,10 @@ import pytest
 import trimesh
 from numpy.typing import NDArray
 
-from appliance.surface.deviation import deviations
+from appliance.surface.deviation import NominalTree, deviations, spread_over
 from appliance.surface.fusion import PlacedScan, fuse
 from appliance.surface.mesh import mesh_of_scan
-from appliance.surface.nominal import Nominal, NominalError, nominal_of, nominal_of_mesh, read_nominal
+from appliance.surface.nominal import Nominal, nominal_of, nominal_of_mesh, read_nominal
 from tests.support.solids import Ball, around, looking, seen
 
 
@@ -47,8 +48,8 @@ def test_large_and_small_triangles_side_by_side_are_searched_as_if_each_were_tri
     all_of_it: Any = trimesh.Trimesh(vertices, faces, process=False)
     tried: Any = trimesh.proximity.closest_point_naive
     _, expected, _ = tried(all_of_it, points.astype(np.float32))
-    found = measured(points, nominal_of(vertices, faces), limit_mm=400.0)
-    np.testing.assert_allclose(np.abs(found), expected, atol=1e-5)
+    found = NominalTree.of(nominal_of(vertices, faces)).nearest(points)
+    np.testing.assert_allclose(np.abs(found.signed_mm), expected, atol=1e-5)
 
 
 def test_what_is_far_is_counted_and_never_dropped() -> None:
@@ -113,17 +114,57 @@ def test_nominal_surfaces_are_read_from_files_of_other_programs(suffix: str, tmp
     assert measured(np.array([[10.5, 6.5, 0.0]]), nominal)[0] == pytest.approx(np.sqrt(0.5))
 
 
-def test_files_that_hold_no_surface_are_refused_in_words(tmp_path: Path) -> None:
-    (tmp_path / "torn.stl").write_bytes(b"solid ?")
-    (tmp_path / "cloud.ply").write_bytes(b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1\n")
-    for name in ("torn.stl", "cloud.ply"):
-        with pytest.raises(NominalError, match="holds no triangles"):
-            read_nominal(tmp_path / name)
-    with pytest.raises(NominalError, match="cannot be read"):
-        read_nominal(tmp_path / "none.stl")
-    with pytest.raises(NominalError, match=r"\.stl, \.obj, \.ply"):
-        read_nominal(tmp_path / "part.step")
+def test_numbers_that_make_no_surface_are_refused() -> None:
     with pytest.raises(ValueError, match="no triangle has an area"):
         nominal_of(np.zeros((3, 3)), np.array([[0, 1, 2]]))
     with pytest.raises(ValueError, match=r"limit_mm is 0\.0"):
         measured(np.zeros((1, 3)), nominal_box((1.0, 1.0, 1.0)), limit_mm=0.0)
+
+
+def test_of_triangles_that_face_a_point_the_nearest_is_found_as_if_each_were_tried() -> None:
+    rng = np.random.default_rng(6)
+    corners = rng.uniform(-5.0, 5.0, (60, 1, 3)) + rng.normal(0.0, 1.5, (60, 3, 3))
+    nominal = nominal_of(corners.reshape(-1, 3), np.arange(180).reshape(-1, 3))
+    points, facing = rng.uniform(-5.0, 5.0, (150, 3)), rng.normal(size=(150, 3))
+    facing /= np.linalg.norm(facing, axis=1)[:, None]
+    found = NominalTree.of(nominal).nearest(points, facing, 3.0)
+    triangles = nominal.vertices_mm[nominal.faces]
+    for n in range(len(points)):
+        near = trimesh.triangles.closest_point(triangles, np.repeat(points[n : n + 1], len(triangles), axis=0))
+        far = np.linalg.norm(near - points[n], axis=1)
+        least = far[nominal.face_normals @ facing[n] >= 0.0].min()
+        expected = least if least <= 3.0 else np.inf
+        # Where the nearest of all faces it, it is found at any distance.
+        assert abs(found.signed_mm[n]) == pytest.approx(expected) or abs(found.signed_mm[n]) == pytest.approx(least)
+
+
+def test_a_sharp_corner_weighs_its_triangles_by_their_angles() -> None:
+    # A spike of a pyramid, of which one side is cut into many slivers: without angles they outvote the others.
+    tip, low = np.array([0.0, 0.0, 1.0]), 4.0
+    base = np.array([[-1.0, -1.0, -low], [1.0, -1.0, -low], [1.0, 1.0, -low], [-1.0, 1.0, -low]])
+    cut = np.linspace(base[0], base[1], 13)[1:-1]
+    places = np.concatenate([[tip], base, cut])
+    ring = [1, *range(5, 5 + len(cut)), 2, 3, 4]
+    sides = [[0, one, other] for one, other in zip(ring, [*ring[1:], 1], strict=True)]
+    nominal = nominal_of(places, np.array(sides + [[4, other, one] for one, other in pairwise(ring[:-1])]))
+    assert not nominal.open_edges.any()
+    up = nominal.corner_normals[np.flatnonzero((nominal.vertices_mm == tip).all(1))[0]]
+    assert abs(up[1]) < 1e-6 * up[2] + 1e-9, "by its symmetry it points straight up"
+
+
+def test_beside_an_open_border_there_is_nothing_to_compare_with() -> None:
+    sheet = nominal_of(np.array([[0.0, 0, 0], [10, 0, 0], [10, 10, 0], [0, 10, 0]]), np.array([[0, 1, 2], [0, 2, 3]]))
+    points = np.array([[5.0, 5.0, 0.5], [-1.0, 5.0, 0.0], [-0.04, 5.0, 0.2], [10.5, 10.5, -0.1], [40.0, 0.0, 0.0]])
+    few = np.full(len(points), 0.01, np.float32)
+    found = deviations(points, few, sheet)
+    np.testing.assert_allclose(found.deviation_mm, [0.5, np.nan, 0.204, np.nan, np.nan], atol=1e-3)
+    assert (found.summary.beside, found.summary.beyond) == (2, 1)
+
+
+def test_places_are_spread_over_slivers_as_over_even_triangles() -> None:
+    fan: Any = trimesh.creation.cylinder(radius=5.0, height=400.0, sections=64)
+    places, face = spread_over(nominal_of(fan.vertices, fan.faces), 4000)
+    on_side = np.abs(places[:, 2]) < 199.999
+    thirds = np.histogram(places[on_side, 2], bins=8, range=(-200.0, 200.0))[0]
+    assert thirds.min() > 0.93 * thirds.mean()
+    np.testing.assert_array_equal(np.unique(face), np.arange(len(fan.faces)))

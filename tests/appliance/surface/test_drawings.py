@@ -1,0 +1,123 @@
+"""CAD models as other programs write them: read where they are unambiguous, else refused with the fact."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+
+from appliance.surface.drawings import NominalError, read_triangles
+from appliance.surface.nominal import read_nominal
+
+BOX: Any = trimesh.creation.box(extents=(20.0, 12.0, 6.0))
+BINARY: bytes = BOX.export(file_type="stl")
+WORDS: bytes = BOX.export(file_type="stl_ascii").encode()
+"""ASCII: solid, facet normal, outer loop, vertex."""
+VARYING = b"""ply
+format ascii 1.0
+element vertex 1
+property float x
+property float y
+property float z
+property list uchar int more
+end_header
+0 0 0 2 1 1
+"""
+OBJ: str = BOX.export(file_type="obj", header=None)
+
+
+def body() -> bytes:
+    """The lines of the facets."""
+    start = WORDS.index(b"facet")
+    return WORDS[start : WORDS.rindex(b"endsolid")]
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"solid\n" + body() + b"end solid\n",
+        b"solid\r" + body().replace(b"\n", b"\r") + b"endsolid\r",
+        "solid Flöte\n".encode("latin-1") + body() + "endsolid Flöte\n".encode("latin-1"),
+        "solid 圆筒\n".encode("gb18030") + body() + "endsolid 圆筒\n".encode("gb18030"),
+        BINARY + b"made by another program",
+        b"solid box".ljust(80) + BINARY[80:],
+    ],
+    ids=["end solid, no name", "CR alone", "Latin-1", "GB18030", "bytes behind", "binary that says solid"],
+)
+def test_an_stl_that_is_unambiguous_is_read(data: bytes, tmp_path: Path) -> None:
+    (tmp_path / "box.stl").write_bytes(data)
+    nominal = read_nominal(tmp_path / "box.stl")
+    assert (len(nominal.faces), len(nominal.vertices_mm)) == (12, 8)
+    assert not nominal.open_edges.any()
+
+
+def with_corner(value: float) -> bytes:
+    """The box in binary, with one coordinate of its third triangle replaced."""
+    data = bytearray(BINARY)
+    data[84 + 2 * 50 + 12 : 84 + 2 * 50 + 16] = np.float32(value).tobytes()
+    return bytes(data)
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "words"),
+    [
+        ("cut.stl", BINARY[: 84 + 5 * 50 + 20], r"5 of 12 triangles are there"),
+        ("more.stl", BINARY + BINARY[-100:], r"states 12 triangles, and 14 are there"),
+        ("words.stl", WORDS[: len(WORDS) // 2], r"cut off"),
+        ("torn.stl", b"solid ?", r"holds no triangles"),
+        ("nan.stl", with_corner(np.nan), r"1 of 12 triangles .* triangle 3"),
+        ("inf.stl", with_corner(np.inf), r"1 of 12 triangles .* triangle 3"),
+        ("large.stl", with_corner(1e30), r"1 of 12 triangles .* triangle 3"),
+        ("zero.obj", OBJ.replace("f ", "f 0 ").encode(), r"corner 0 of 8: OBJ counts from 1"),
+        ("over.obj", OBJ.replace("f ", "f 9 ").encode(), r"corner 9 of 8"),
+        ("noise.obj", np.random.default_rng(1).bytes(4000), r"holds no triangles"),
+        ("cut.ply", BOX.export(file_type="ply")[:-160], r"cut off: its head asks for"),
+        (
+            "list.ply",
+            VARYING,
+            r"vertices have a list \(more\)",
+        ),
+        ("part.step", b"ISO-10303-21;", r"\.stl, \.obj, \.ply, in mm; convert \.step"),
+    ],
+)  # fmt: skip
+def test_a_file_that_cannot_be_right_is_refused_with_the_fact(
+    name: str, data: bytes, words: str, tmp_path: Path
+) -> None:
+    (tmp_path / name).write_bytes(data)
+    with pytest.raises(NominalError, match=words) as caught:
+        read_triangles(tmp_path / name)
+    assert "charset" not in str(caught.value)
+
+
+@pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/dev/zero")], ids=["pipe", "device"])
+def test_a_pipe_or_a_device_is_refused_at_once(make: Callable[[Path], None], tmp_path: Path) -> None:
+    make(tmp_path / "d.stl")
+    with pytest.raises(NominalError, match="is no file"):
+        read_triangles(tmp_path / "d.stl")
+
+
+def test_a_ply_head_with_carriage_returns_alone_is_read(tmp_path: Path) -> None:
+    data: bytes = BOX.export(file_type="ply")
+    end = data.index(b"end_header\n") + 11
+    (tmp_path / "cr.ply").write_bytes(data[:end].replace(b"\n", b"\r") + data[end:])
+    assert len(read_triangles(tmp_path / "cr.ply")[1]) == 12
+
+
+def test_single_precision_far_from_the_origin_is_refused_and_double_is_held(tmp_path: Path) -> None:
+    far: Any = BOX.copy()
+    far.apply_translation([3.0e6, 0.0, 0.0])
+    far.export(tmp_path / "far.stl")
+    with pytest.raises(NominalError, match=r"3,000 m .* steps of 0\.25 mm"):
+        read_triangles(tmp_path / "far.stl")
+    utm = np.array([5.0e8, 5.4e9, 0.0])
+    lines = [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in BOX.vertices + utm]
+    lines += [f"f {a} {b} {c}" for a, b, c in BOX.faces + 1]
+    (tmp_path / "utm.obj").write_text("\n".join(lines) + "\n")
+    nominal = read_nominal(tmp_path / "utm.obj")
+    np.testing.assert_array_equal(nominal.origin_mm, utm)
+    np.testing.assert_allclose(np.sort(nominal.vertices_mm, axis=0), np.sort(BOX.vertices, axis=0), atol=1e-5)
