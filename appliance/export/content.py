@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.export.suffixes import ExportError
 from appliance.reconstruct.organised import OrganisedCloud
 from appliance.surface.drawings import COARSEST_MM
 from appliance.surface.fusion import FusedCloud

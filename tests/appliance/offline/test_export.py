@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -72,6 +73,26 @@ def test_without_a_name_it_is_the_scans_in_this_folder(
     assert said.lines["file"] == f"{plane[0].name}.ply"
     mesh: Any = trimesh.load(tmp_path / f"{plane[0].name}.ply")
     assert len(mesh.faces) > 10_000
+
+
+def test_many_scans_are_one_file_each_or_refused(
+    shell: Shell, plane: tuple[Path, Path, NDArray[np.float32]], tmp_path: Path
+) -> None:
+    folder, calibration, points = plane
+    other = tmp_path / "000042"
+    shutil.copytree(folder, other)
+    one_file = shell("export", folder, other, "--calibration", calibration, "--out", tmp_path / "all.ply")
+    assert (one_file.code, "put {} where" in one_file.error) == (Exit.USAGE, True)
+    pattern = tmp_path / "of-{}.npz"
+    twice = shell("export", folder, folder, "--calibration", calibration, "--out", pattern)
+    assert (twice.code, "both would be written" in twice.error) == (Exit.USAGE, True)
+    assert not list(tmp_path.glob("*.npz"))
+    said = shell("export", folder, other, "--calibration", calibration, "--out", pattern, "--json")
+    assert (said.code, said.err) == (Exit.OK, "")
+    assert [Path(str(one["file"])).name for one in said.document] == [f"of-{folder.name}.npz", "of-000042.npz"]
+    for name in (folder.name, "000042"):
+        with np.load(tmp_path / f"of-{name}.npz") as grid:
+            assert int(grid["mask"].sum()) == len(points)
 
 
 @pytest.mark.parametrize(

@@ -167,4 +167,4 @@ def test_places_are_spread_over_slivers_as_over_even_triangles() -> None:
     on_side = np.abs(places[:, 2]) < 199.999
     thirds = np.histogram(places[on_side, 2], bins=8, range=(-200.0, 200.0))[0]
     assert thirds.min() > 0.93 * thirds.mean()
-    np.testing.assert_array_equal(np.unique(face), np.arange(len(fan.faces)))
+    assert len(np.unique(face[on_side])) == 128

@@ -38,6 +38,29 @@ def edges(mesh: Mesh) -> NDArray[np.int64]:
     return np.concatenate([mesh.faces[:, k].astype(np.int64) * n + mesh.faces[:, (k + 1) % 3] for k in range(3)])
 
 
+def test_a_cell_is_cut_along_its_shorter_diagonal() -> None:
+    cloud = stairs(0.0)
+    mesh = mesh_of_scan(cloud)
+    corners = mesh.vertices_mm[mesh.faces].astype(float)
+    # Of a triangle along the grid the longest side is the diagonal; each cell of four has another one.
+    h, w = cloud.shape
+    pixel = np.flatnonzero(cloud.mask.reshape(-1))
+    at = np.stack(np.unravel_index(pixel, (h, w)), 1)[mesh.faces]
+    side = [(k, (k + 1) % 3) for k in range(3)]
+    across = np.array([(np.abs(at[:, a] - at[:, b]).sum(1) == 2) for a, b in side]).argmax(0)
+    rows = np.arange(len(mesh.faces))
+    taken = np.linalg.norm(corners[rows, across] - corners[rows, (across + 1) % 3], axis=1)
+    low, points = at.min(axis=1), cloud.points_mm.astype(float)
+    both = np.stack(
+        [
+            np.linalg.norm(points[low[:, 0] + 1, low[:, 1] + 1] - points[low[:, 0], low[:, 1]], axis=1),
+            np.linalg.norm(points[low[:, 0] + 1, low[:, 1]] - points[low[:, 0], low[:, 1] + 1], axis=1),
+        ]
+    )
+    assert len(mesh.faces) == 2 * (h - 1) * (w - 1)
+    np.testing.assert_allclose(taken, both.min(axis=0), atol=1e-5)
+
+
 # ------------------------------------------------------------------------------------------- normals
 
 
