@@ -97,7 +97,7 @@ def compare(
             surface.normals.astype(np.float64),
             surface.beside_mm.astype(np.float64),
         ),
-        Reference(tree, nominal.sigma_mm),
+        NominalReference(tree, nominal.sigma_mm),
         None if start is None else _moved(start, -nominal.triangles.origin_mm),
     )
     points = laid.pose.of(surface.points_mm.astype(np.float64))
@@ -114,7 +114,7 @@ def compare(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Reference:
+class NominalReference:
     """A nominal surface as something that measured points are laid onto."""
 
     tree: NominalTree

@@ -5,8 +5,9 @@ It loads nothing that computes, so that a wrong word is told at once.
 
 from __future__ import annotations
 
-import stat
 from pathlib import Path
+
+from appliance.bounded_file import refuse_irregular
 
 SUFFIXES = (".stl", ".obj", ".ply")
 MOST_BYTES = 2 * 1024**3
@@ -26,14 +27,7 @@ def checked_drawing(path: Path) -> str:
             f"{path}: a CAD model is read from {', '.join(SUFFIXES)}, in mm; convert {suffix or 'it'} to one of these"
         )
     try:
-        about = path.stat()
+        refuse_irregular(path, MOST_BYTES)
     except OSError as error:
         raise NominalError(f"{path}: cannot be read ({error.strerror or error})") from error
-    # A pipe waits for ever, and a device may never end.
-    if not stat.S_ISREG(about.st_mode):
-        raise NominalError(f"{path}: is no file (a pipe, a device or a folder); give an STL, OBJ or PLY file")
-    if about.st_size > MOST_BYTES:
-        raise NominalError(
-            f"{path}: has {about.st_size} bytes; at most {MOST_BYTES} are read: make its triangles coarser"
-        )
     return suffix

@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.surface.drawing_file import NominalError, checked_drawing
+from appliance.bounded_file import read_bounded
+from appliance.surface.drawing_file import MOST_BYTES, NominalError, checked_drawing
 from appliance.surface.libraries import needed
 
 FARTHEST_MM = 1e11
@@ -41,7 +42,7 @@ def read_triangles(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     if suffix != ".stl":
         trimesh = needed("trimesh", "trimesh", f"a CAD model in {suffix}")
     try:
-        data = path.read_bytes()
+        data = read_bounded(path, MOST_BYTES)
         if suffix == ".stl":
             vertices, faces, single = _stl(data)
         else:

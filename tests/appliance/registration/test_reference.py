@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from appliance.offline.comparing import Reference
+from appliance.offline.comparing import NominalReference
 from appliance.optics.rotation import rotation_matrix, rotation_vector
 from appliance.registration.reference import OrientedPoints, SurfaceMatchError, lay_onto
 from appliance.registration.rigid import Rigid
@@ -24,12 +24,12 @@ ELSEWHERE = Rigid(rotation_matrix(np.array([1.9, -0.7, 0.4])), np.array([300.0, 
 
 def reference_of(
     vertices: Array, faces: np.ndarray[tuple[int, ...], np.dtype[np.int64]], motion: Rigid = HERE
-) -> Reference:
-    return Reference(NominalTree.of(nominal_of(motion.of(vertices), faces)))
+) -> NominalReference:
+    return NominalReference(NominalTree.of(nominal_of(motion.of(vertices), faces)))
 
 
 @cache
-def shell(motion: Rigid) -> Reference:
+def shell(motion: Rigid) -> NominalReference:
     return reference_of(*drawing("shell", *SHELL), motion)
 
 
