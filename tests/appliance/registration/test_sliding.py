@@ -102,4 +102,5 @@ def test_a_start_is_kept_along_what_nothing_holds() -> None:
     assert along(found) == pytest.approx(-SLID_MM, abs=0.5)
     (sliding,) = (way for way in found.free if not way.turns)
     assert min(abs(end) for end in sliding.ends) > 30.0
-    assert max(sliding.rms_mm) < 1.5 * found.rms_mm + 0.02
+    # At the one end nothing is in its way; at the other it begins to touch the flange, and that is told.
+    assert min(sliding.rms_mm) < 1.2 * found.rms_mm < 2.0 * found.rms_mm < max(sliding.rms_mm)
