@@ -239,6 +239,7 @@ def _on_faces(
             pb[axis] = points[n, axis] - corners[1, axis]
             pc[axis] = points[n, axis] - corners[2, axis]
         place = _on_triangle(pa, pb, pc, corners, q)
+        # Its square, and the part along the triangle's normal.
         to = points[n] - q
         square = to[0] * to[0] + to[1] * to[1] + to[2] * to[2]
         along = to[0] * normal[0] + to[1] * normal[1] + to[2] * normal[2]
@@ -253,6 +254,7 @@ def _on_faces(
             corner = corner_normals[vertex]
             side, border = to[0] * corner[0] + to[1] * corner[1] + to[2] * corner[2], open_corners[vertex]
         # Sideways: what is left of the way to the border once the part along the normal is taken away.
+        # side² = |to|² - (to · normal)².
         beside[n] = border and square - along * along > BESIDE_MM * BESIDE_MM
         nearest[n] = q
         # On the plane itself counts as outside.

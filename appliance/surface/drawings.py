@@ -142,6 +142,9 @@ def _checked_ply(data: bytes) -> bool:
             case ["property", kind, name]:
                 least += number * (2 if text else _PLY_BYTES.get(kind, 1))
                 single &= not (element == "vertex" and name == "x" and _PLY_BYTES.get(kind) == 8)
+            case _:
+                # Comments, the format, and what a library may know better.
+                continue
     # Digits and a blank are two bytes at least; the last blank may be missing.
     if least > len(data) - end:
         raise ValueError(f"is cut off: its head asks for {least:,} bytes at least, {len(data) - end:,} are there")

@@ -129,8 +129,9 @@ def test_of_triangles_that_face_a_point_the_nearest_is_found_as_if_each_were_tri
     facing /= np.linalg.norm(facing, axis=1)[:, None]
     found = NominalTree.of(nominal).nearest(points, facing, 3.0)
     triangles = nominal.vertices_mm[nominal.faces]
+    closest: Any = trimesh.triangles.closest_point
     for n in range(len(points)):
-        near = trimesh.triangles.closest_point(triangles, np.repeat(points[n : n + 1], len(triangles), axis=0))
+        near = closest(triangles, np.repeat(points[n : n + 1], len(triangles), axis=0))
         far = np.linalg.norm(near - points[n], axis=1)
         least = far[nominal.face_normals @ facing[n] >= 0.0].min()
         expected = least if least <= 3.0 else np.inf

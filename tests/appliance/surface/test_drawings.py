@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from appliance.surface.drawings import NominalError, read_triangles
+from appliance.surface.drawing_file import NominalError
+from appliance.surface.drawings import read_triangles
 from appliance.surface.nominal import read_nominal
 
 BOX: Any = trimesh.creation.box(extents=(20.0, 12.0, 6.0))
