@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from appliance.patterns.draw import draw_sequence
 from appliance.patterns.sequence import Direction, PatternSequence, build_sequence
 from appliance.ranging.reach import Reach
+from appliance.scan.grade import Grade
 from appliance.screens.painter import Painter
-from appliance.screens.views import AimView, Gauge, Grade, ReviewView
+from appliance.screens.views import AimView, Gauge, ReviewView
 from bench.result import Measured
 from drivers.output.display import PictureDisplay
 from drivers.output.gl import open_gl

@@ -42,7 +42,7 @@ class DiveReport(WithRoot):
         if self.json:
             words = {
                 "file": str(out),
-                "scans": [{"scan": one.name, "verdict": one.verdict.value} for one in report.scans],
+                "scans": [{"scan": one.name, "verdict": one.word} for one in report.scans],
             }
             say_json({**words, "warnings": list(report.warnings)})
             return Exit.OK

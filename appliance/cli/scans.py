@@ -10,6 +10,7 @@ from appliance.cli.arguments import operand, operands, switch
 from appliance.cli.listing import shown
 from appliance.cli.output import Exit, Progress, say, say_json, table
 from appliance.cli.places import WithRoot, scan_folder
+from appliance.scan.fault import FaultCode
 from appliance.storage.library import Library, LibraryFolder, ScanEntry, entry_of
 from appliance.storage.manifest import Stage, as_json
 
@@ -37,16 +38,18 @@ class ListScans(WithRoot):
                 (
                     entry.scan_id,
                     _state(entry),
+                    _grade(entry),
                     _when(entry),
                     _points(entry),
                     _object(entry),
                     f"{entry.size_bytes / 1e6:.1f}",
                     entry.label.name or "-",
-                    "; ".join(filter(None, (_note(entry), entry.label.note))),
+                    _remark(entry),
+                    entry.label.note or "",
                 )
                 for entry in entries
             ]
-            say(table(("SCAN", "STATE", "TIME", "POINTS", "OBJECT", "MB", "NAME", "NOTE"), rows))
+            say(table(("SCAN", "STATE", "GRADE", "TIME", "POINTS", "OBJECT", "MB", "NAME", "REMARK", "NOTE"), rows))
         return Exit.OK
 
 
@@ -138,6 +141,9 @@ def _brief(entry: ScanEntry) -> dict[str, Any]:
         "recovered": None if entry.manifest is None else entry.manifest.recovered,
         "wall_time": None if record is None else record.wall_time,
         "clock_trusted": None if record is None else record.clock_trusted,
+        "grade": None if record is None or record.grade is None else record.grade.value,
+        "corrected": None if record is None else record.compensated,
+        "told": None if record is None else [code.value for code in record.held_against],
         "points": _point_count(entry),
         "object": None if record is None else record.object,
         "size_bytes": entry.size_bytes,
@@ -176,15 +182,26 @@ def _object(entry: ScanEntry) -> str:
     return "-" if number is None else str(number)
 
 
-def _note(entry: ScanEntry) -> str:
+def _grade(entry: ScanEntry) -> str:
+    grade = None if entry.manifest is None else entry.manifest.record.grade
+    return "-" if grade is None else grade.value.upper()
+
+
+def _remark(entry: ScanEntry) -> str:
+    """Return what the diver was told of the scan, or what became of it."""
     if entry.problems:
         return entry.problems[0]
     if entry.manifest is None:
         return ""
     if entry.manifest.stage is Stage.RAW:
         return "raw frames only"
-    failed = [verdict.name for verdict in entry.manifest.record.verdicts if verdict.passed is False]
-    return entry.manifest.reason or (f"failed: {', '.join(failed)}" if failed else "")
+    record = entry.manifest.record
+    told = [_words(code) for code in record.held_against if code is not FaultCode.COMPENSATED]
+    return entry.manifest.reason or ", ".join([*([_words(FaultCode.COMPENSATED)] if record.compensated else []), *told])
+
+
+def _words(code: FaultCode) -> str:
+    return "MOTION CORRECTED" if code is FaultCode.COMPENSATED else code.value.replace("_", " ")
 
 
 def _flat(value: Any, prefix: str = "") -> list[tuple[str, str]]:

@@ -66,8 +66,6 @@ class Rule:
     """True if neither projector nor lasers may shine while it lasts."""
     spoils_scan: bool = False
     """True if it makes a recorded scan worthless."""
-    spoils_points: bool = False
-    """True if it makes points of a recorded scan wrong: the diver may keep the scan, but is never told it is good."""
     doubts_lengths: bool = False
     """True if, while it lasts, shapes are right and lengths may not be: no scan is called good without saying so."""
     passing: bool = False
@@ -143,13 +141,15 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
             Words("MOVED {shift_px:.1f} px", "BEWEGT {shift_px:.1f} px"),
             _REPEAT,
             Words("MOVED", "BEWEGT"),
-            spoils_points=True,
         ),
-        # The only INFO of the table: the points are right, and the diver may still prefer a scan held still.
+        # The only INFO of the table: nothing is asked of the diver. Where it lost a part, PART_MISSING says so.
         FaultCode.COMPENSATED: Rule(
             _I,
             Words("MOTION CORRECTED", "BEWEGUNG BEHOBEN"),
-            Words("KEEP, OR REPEAT HELD STILL", "BEHALTEN, ODER NOCHMAL RUHIGER"),
+            Words("POINTS ARE RIGHT: KEEP", "PUNKTE STIMMEN: BEHALTEN"),
+        ),
+        FaultCode.PART_MISSING: Rule(
+            _W, Words("PART MISSING", "TEIL FEHLT"), Words("HOLD STILL, REPEAT", "STILL HALTEN, NOCHMAL")
         ),
         FaultCode.TOO_BRIGHT: Rule(
             _W, Words("TOO BRIGHT", "ZU HELL"), Words("SHORTEN EXPOSURE, REPEAT", "KÜRZER BELICHTEN, NOCHMAL")
@@ -184,7 +184,9 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
             _W,
             Words("LEFT IS RIGHT", "LINKS IST RECHTS"),
             _SERVICE,
-            spoils_points=True,
+        ),
+        FaultCode.NOT_IN_WATER: Rule(
+            _W, Words("NOT IN WATER?", "NICHT IM WASSER?"), Words("SCAN UNDER WATER ONLY", "NUR UNTER WASSER SCANNEN")
         ),
         FaultCode.SCAN_POOR: Rule(
             _W,
@@ -195,7 +197,6 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
             _W,
             Words("LIGHT FLICKERS", "LICHT FLACKERT"),
             Words("SHADE OR MOVE AWAY, REPEAT", "ABSCHATTEN, WEG DAVON, NOCHMAL"),
-            spoils_points=True,
         ),
         FaultCode.FRINGES_BENT: Rule(
             _W, Words("FRINGES BENT", "STREIFEN KRUMM"), Words("TRY ANOTHER EXPOSURE", "ANDERE BELICHTUNG")

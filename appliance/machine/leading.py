@@ -17,6 +17,7 @@ from appliance.machine.overlaps import OverlapSaid
 from appliance.machine.states import Machine, State
 from appliance.ranging.reach import Reach
 from appliance.scan.fault import FaultCode
+from appliance.scan.grade import SPOILS_POINTS
 
 _TESTED = frozenset(
     {
@@ -40,9 +41,16 @@ QUIET: Mapping[State, frozenset[FaultCode]] = MappingProxyType(
 _BY_LIGHT = frozenset({FaultCode.AIM_LIGHT, FaultCode.AIM_TURBID, FaultCode.AIM_DARK})
 _REMEDIES = (
     *(FaultCode.LEAK, FaultCode.TOO_HOT, FaultCode.HOT),
-    *(FaultCode.TOO_NEAR, FaultCode.TOO_FAR, FaultCode.SCAN_NEAR, FaultCode.SCAN_FAR, FaultCode.NOTHING_SEEN),
+    *(
+        FaultCode.NOT_IN_WATER,
+        FaultCode.TOO_NEAR,
+        FaultCode.TOO_FAR,
+        FaultCode.SCAN_NEAR,
+        FaultCode.SCAN_FAR,
+        FaultCode.NOTHING_SEEN,
+    ),
     *(FaultCode.AIM_LIGHT, FaultCode.AMBIENT, FaultCode.LIGHT_FLICKERS),
-    *(FaultCode.AIM_FAST, FaultCode.MOVED),
+    *(FaultCode.AIM_FAST, FaultCode.MOVED, FaultCode.PART_MISSING),
     *(FaultCode.AIM_TURBID, FaultCode.WATER_DIRTY, FaultCode.WINDOW),
     *(FaultCode.AIM_DARK, FaultCode.TOO_BRIGHT, FaultCode.TOO_DARK, FaultCode.FRINGES_BENT, FaultCode.SCAN_POOR),
 )
@@ -52,7 +60,7 @@ _REMEDIES = (
 def urgency(code: FaultCode) -> tuple[int, ...]:
     """Return what messages are ordered by: the smallest leads."""
     rule = RULES[code]
-    flags = rule.forbids_light, rule.blocks_scan, rule.spoils_scan, rule.spoils_points
+    flags = rule.forbids_light, rule.blocks_scan, rule.spoils_scan, code in SPOILS_POINTS
     place = _REMEDIES.index(code) if code in _REMEDIES else len(_REMEDIES)
     # The codes' own order makes it total: the same two faults are never shown in another order.
     return (-rule.severity, *(not flag for flag in flags), place, list(FaultCode).index(code))

@@ -6,6 +6,7 @@ from appliance.machine.alerts import RULES
 from appliance.machine.states import NEEDED_FOR_A_SCAN, Device, Machine, State
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.grade import SPOILS_POINTS
 
 LOST_CODES = {
     Device.CAMERA_LEFT: FaultCode.CAMERA_LOST,
@@ -84,7 +85,7 @@ def second_exposure(machine: Machine) -> Exposure | None:
         return None
     # A second sequence is merged with the points of the first, which are wrong where something moved or
     # flickered.
-    return None if any(RULES[w.code].spoils_points for w in scan.warnings) else scan.second
+    return None if any(fault.code in SPOILS_POINTS for fault in scan.warnings) else scan.second
 
 
 def other_exposure(machine: Machine) -> Exposure | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,11 +11,20 @@ import numpy as np
 from appliance import __version__
 from appliance.report.content import Report, ReportScan, ReportVerdict, when
 from appliance.report.still import picture_of_scan
+from appliance.scan.grade import NAME as GRADE
+from appliance.scan.grade import Grade
 from appliance.storage import scan as stored
 from appliance.storage.library import ScanEntry
 from appliance.storage.record import ScanRecord
+from appliance.verdict.causes import NAME as CAUSES
 
 _SHOWN_DIGITS = 12
+_VERDICTS: Mapping[Grade, ReportVerdict] = {
+    Grade.GOOD: ReportVerdict.GOOD,
+    Grade.USABLE: ReportVerdict.DOUBTFUL,
+    Grade.BAD: ReportVerdict.REFUSED,
+}
+"""Signs of the grades."""
 
 
 def report_of_dive(root: Path, entries: Sequence[ScanEntry], progress: Callable[[str, float], None]) -> Report:
@@ -64,35 +73,46 @@ def _scan(entry: ScanEntry) -> ReportScan:
     if entry.manifest is None:
         return ReportScan(name, ReportVerdict.REFUSED, "damaged", warnings=entry.problems)
     record = entry.manifest.record
-    failed = [f"{one.name}: {one.text}" if one.text else one.name for one in record.verdicts if one.passed is False]
+    failed = {
+        one.name: f"{one.name}: {one.text}" if one.text else one.name for one in record.verdicts if one.passed is False
+    }
+    # The causes rank what other verdicts say in full.
+    others = [text for name, text in failed.items() if name not in {GRADE, CAUSES}]
+    told = others or list(failed.values())
+    ungraded = ReportVerdict.DOUBTFUL if told else ReportVerdict.GOOD
+    belongs = [] if record.object is None else [f"object {record.object}"]
     count = record.cloud.get("points")
     found = ReportScan(
         name=name,
-        verdict=ReportVerdict.DOUBTFUL if failed else ReportVerdict.GOOD,
-        reason="" if record.object is None else f"object {record.object}",
+        verdict=_VERDICTS[record.grade] if record.grade is not None else ungraded,
+        grade=record.grade,
+        reason="; ".join([*belongs, *(["motion corrected"] if record.compensated else [])]),
         recorded=_when(record),
         points=None if count is None else round(count),
         sigma_mm=record.cloud.get("noise_mm"),
-        ray_gap_mm=record.cloud.get("gap_mm"),
-        warnings=(*failed, *entry.problems, *((entry.label.note,) if entry.label.note else ())),
+        ray_gap_mm=record.gap_mm,
+        warnings=(*told, *entry.problems, *((entry.label.note,) if entry.label.note else ())),
     )
     if entry.problems:
-        return replace(found, verdict=ReportVerdict.REFUSED)
+        return replace(found, verdict=ReportVerdict.REFUSED, grade=None)
     try:
         cloud = stored.load(entry.folder).cloud()
     except stored.ScanError as error:
-        return replace(found, verdict=ReportVerdict.REFUSED, warnings=(*found.warnings, str(error)))
+        return replace(found, verdict=ReportVerdict.REFUSED, grade=None, warnings=(*found.warnings, str(error)))
     if cloud is None or not len(cloud.points_mm):
         # Its frames are whole: its points can be made again.
         return replace(
-            found, verdict=ReportVerdict.REFUSED, warnings=(*found.warnings, "raw frames only: kingfisher reconstruct")
+            found,
+            verdict=ReportVerdict.REFUSED,
+            grade=None,
+            warnings=(*found.warnings, "raw frames only: kingfisher reconstruct"),
         )
     return replace(
         found,
         points=len(cloud.points_mm),
         distance_mm=float(np.median(cloud.points_mm[:, 2])),
         sigma_mm=float(np.median(cloud.sigma_mm)),
-        ray_gap_mm=float(np.median(np.abs(cloud.ray_gap_mm))),
+        ray_gap_mm=None if record.compensated else float(np.median(np.abs(cloud.ray_gap_mm))),
         picture_png=picture_of_scan(cloud.points_mm, cloud.intensity),
     )
 
@@ -103,11 +123,12 @@ def _title(name: str) -> str:
 
 def _warnings(entries: Sequence[ScanEntry], scans: Sequence[ReportScan]) -> list[str]:
     said = []
-    for verdict, words in (
-        (ReportVerdict.REFUSED, "without points that can be used"),
-        (ReportVerdict.DOUBTFUL, "with warnings"),
+    without = [one.name for one in scans if one.verdict is ReportVerdict.REFUSED and one.grade is None]
+    for names, words in (
+        (without, "without points that can be used"),
+        ([one.name for one in scans if one.grade is Grade.BAD], "are bad"),
+        ([one.name for one in scans if one.grade is Grade.USABLE], "are usable, not good"),
     ):
-        names = [one.name for one in scans if one.verdict is verdict]
         if names:
             said.append(f"{len(names)} of {len(scans)} scans {words}: {', '.join(names)}")
     # Scans without points have no calibration, which is no second one.

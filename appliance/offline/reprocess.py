@@ -20,6 +20,7 @@ from appliance.reconstruct.pipeline import Cloud, Pipeline
 from appliance.reconstruct.quality import QualityLimits
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.grade import SPOILS_POINTS
 from appliance.scan.verdict import Judgement
 from appliance.storage import scan as stored
 
@@ -55,8 +56,7 @@ class ReprocessedScan:
 
 
 def _spoils_maps(fault: Fault) -> bool:
-    rule = RULES[fault.code]
-    return rule.spoils_scan or rule.spoils_points or fault.code is FaultCode.COMPENSATED
+    return RULES[fault.code].spoils_scan or fault.code in SPOILS_POINTS | {FaultCode.COMPENSATED}
 
 
 def reprocess(

@@ -21,6 +21,7 @@ from appliance.reconstruct.surface import surface_of
 from appliance.reconstruct.table import Cloud, Found
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.grade import MADE_UP_FOR
 from appliance.scan.noise import StereoNoise
 from appliance.scan.sides import SIDES, of_side
 from appliance.scan.verdict import Judgement, Verdict
@@ -34,7 +35,6 @@ LEAST_SHARED = 0.6
 """Share of the points both have that must lie on one surface."""
 STILL_PX = 0.3
 """Movement up to which the maps are compared all the same: noise may look like so much movement on small objects."""
-_LEVELS = (FaultCode.TOO_BRIGHT, FaultCode.TOO_DARK)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,7 +125,7 @@ def faults_of(first: Iterable[Judgement], second: Iterable[Judgement], pair: Jud
     # The first one of a code stands: the order is that in which they were found.
     codes: dict[FaultCode, Fault] = {}
     for judgement in (*first, *second, pair):
-        if judgement.fault is not None and judgement.fault.code not in _LEVELS:
+        if judgement.fault is not None and judgement.fault.code not in MADE_UP_FOR:
             codes.setdefault(judgement.fault.code, judgement.fault)
     return tuple(codes.values())
 

@@ -23,6 +23,8 @@ from appliance.verdict.fringes import judge_fringes
 from appliance.verdict.grey import NAME as GREY
 from appliance.verdict.grey import judge_grey
 from appliance.verdict.light.judge import judge_light
+from appliance.verdict.medium import NAME as MEDIUM
+from appliance.verdict.medium import judge_medium
 from appliance.verdict.motion.judge import judge_motion
 from appliance.verdict.sides import NAME as SIDES_NAME
 from appliance.verdict.sides import judge_sides
@@ -131,6 +133,11 @@ def _judge_sides(given: JudgeInput, _: Earlier) -> Judgement:
     return judge_sides(*given.pipeline.matches(), given.rig, given.water_index)
 
 
+def _judge_medium(given: JudgeInput, _: Earlier) -> Judgement:
+    """Judge whether the scan was taken in the water that is stated, by the same pixels."""
+    return judge_medium(*given.pipeline.matches(), given.rig, given.water_index)
+
+
 JUDGES = (
     Judge("light", _judge_light),
     Judge(FRINGES, _judge_fringes),
@@ -140,6 +147,7 @@ JUDGES = (
     Judge("motion", _judge_motion),
     Judge(GREY, _judge_grey, needs=("motion", "light")),
     Judge(SIDES_NAME, _judge_sides),
+    Judge(MEDIUM, _judge_medium),
 )
 """Judges in the order in which their verdicts are told and stored."""
 

@@ -32,6 +32,7 @@ from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.sides import SIDES, of_side
 from appliance.scan.verdict import Judgement, Verdict
 from appliance.verdict.causes import with_causes
+from appliance.verdict.holes import grid_step_px, judge_distance, judge_holes
 from appliance.verdict.identity.judge import judge_identity
 
 WORTH_MASKING_PERCENT = 0.02
@@ -212,7 +213,23 @@ class SequenceProcessor:
 
         full = full or (begun() if begun is not None else pipeline.find_full())
         self._full = full
+        said["holes"], said["distance"] = self._judge_holes(full), judge_distance(full.summary, rig.volume)
         yield FullFound(full, (identity, *self._weighed(said, full.summary)))
+
+    def _judge_holes(self, full: Found) -> Judgement:
+        """Judge the final cloud, which is in the table, against what the left camera saw."""
+        pipeline, sequence = self._pipeline, self._pipeline.sequence
+        mask = pipeline.decoded("left").mask
+        step = grid_step_px(mask.shape[1])
+        there, before = np.zeros(mask.shape, bool), None
+        for first, stop in full.pieces:
+            there.reshape(-1)[pipeline.table.points.pixel[first:stop]] = True
+        grid = np.s_[::step, ::step]
+        if self._compensated:
+            before = np.zeros(mask.shape, bool)
+            before.reshape(-1)[pipeline.sample(step).pixel] = True
+            before = before[grid]
+        return judge_holes(mask[grid], self._frames["left"][sequence.dark][grid], there[grid], before)
 
     def _mask_specks(self, side: str) -> None:
         decoded, noise = self._pipeline.decoded(side), of_side(self._settings.noise, side)

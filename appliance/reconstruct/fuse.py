@@ -137,7 +137,7 @@ def _joined(
         coverage_percent=min(100.0, 100.0 * len(xyz_mm) / illuminated) if illuminated else None,
         distance_mm=float(np.median(xyz_mm[:, 2])) if known else None,
         noise_mm=float(np.median(sigma_mm)) if known else None,
-        gap_mm=float(np.median(gap_mm)) if known else None,
+        gap_mm=float(np.median(met)) if len(met := gap_mm[np.isfinite(gap_mm)]) else None,
     )
     return Cloud(
         points_mm=xyz_mm,

@@ -331,7 +331,8 @@ class Pipeline:
         """Find the full cloud of other maps than the decoded ones, which stay as they are, and leave the points in the table.
 
         They were read between pixels. What the projector's response bends them by is taken out of them, where it counts. Gaps are not
-        sampled: they would not be those of a scan at rest. Raises ValueError for maps without variances: what reading between
+        sampled: they would not be those of a scan at rest, and points have none: rows come from a model of both cameras, and their rays
+        meet whatever is wrong. Raises ValueError for maps without variances: what reading between
         pixels leaves of the noise does not follow from their modulation.
         """
         if not (left.variance_px2.size and right.variance_px2.size):
@@ -351,7 +352,10 @@ class Pipeline:
         # Cameras and projector share the field.
         fringe_px = self._sequence.period_px / self._sequence.width_px * left.p_px.shape[1]
         factors = read_between(factors, fringe_px)
-        return self._find_in(left, maps, factors, 1, self._kernel_limits(1), self.table)
+        found = self._find_in(left, maps, factors, 1, self._kernel_limits(1), self.table)
+        for first, stop in found.pieces:
+            self.table.points.gap_mm[first:stop] = np.nan
+        return replace(found, summary=replace(found.summary, gap_mm=None))
 
     def _find(self, stride: int, limits: PointLimits | None = None, table: PointTable | None = None) -> Found:
         limits = limits or self._kernel_limits(stride)

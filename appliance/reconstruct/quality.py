@@ -45,7 +45,7 @@ class CloudSummary:
     noise_mm: float | None
     """Median expected sigma."""
     gap_mm: float | None
-    """Median ray gap."""
+    """Median ray gap; ``None`` also where points have none."""
 
 
 SAMPLE = 8_000
@@ -70,23 +70,3 @@ def summarise(illuminated_pixels: int, points: Points, pieces: tuple[tuple[int, 
         noise_mm=median(points.sigma_mm),
         gap_mm=median(points.gap_mm),
     )
-
-
-GOOD_COVERAGE_PERCENT, GOOD_NOISE_MM = 60.0, 0.06
-USABLE_COVERAGE_PERCENT, USABLE_NOISE_MM = 25.0, 0.25
-
-
-def is_good(coverage_percent: float | None, noise_mm: float | None) -> bool:
-    """Return True if points are many and fine; ``None`` is neither."""
-    return _within(coverage_percent, noise_mm, GOOD_COVERAGE_PERCENT, GOOD_NOISE_MM)
-
-
-def is_usable(coverage_percent: float | None, noise_mm: float | None) -> bool:
-    """Return True if there are enough points, and fine enough, to be worth keeping."""
-    return _within(coverage_percent, noise_mm, USABLE_COVERAGE_PERCENT, USABLE_NOISE_MM)
-
-
-def _within(coverage_percent: float | None, noise_mm: float | None, least: float, most_mm: float) -> bool:
-    if coverage_percent is None or noise_mm is None:
-        return False
-    return coverage_percent >= least and noise_mm <= most_mm

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 
+from appliance.scan.grade import Grade
 from appliance.surface.deviation import Deviation
 from appliance.surface.fusion import FusedCloud
 from appliance.surface.mesh import Mesh
@@ -52,6 +53,13 @@ class ReportScan:
     warnings: Sequence[str] = ()
     picture_png: bytes | None = None
     """The scan as its left camera sees it (``report.still.picture_of_scan``)."""
+    grade: Grade | None = None
+    """Its grade, which is shown in place of the verdict's word; ``None``: it is not the grade that decides."""
+
+    @property
+    def word(self) -> str:
+        """The one word that is shown of it."""
+        return self.verdict.value if self.grade is None else self.grade.value
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,6 +15,7 @@ from appliance.report.shown import ShownSurface, shown, thinned
 from appliance.report.still import still
 from appliance.report.style import STYLE
 from appliance.report.turned import turned
+from appliance.scan.grade import Grade
 from appliance.storage.atomic import replace_file
 from appliance.storage.filesystem import LocalFileSystem
 
@@ -70,9 +71,12 @@ def _head(report: Report) -> str:
 def _tiles(report: Report) -> str:
     tiles: list[tuple[str, str, str]] = []
     if report.scans:
+        graded = [scan.grade for scan in report.scans if scan.grade is not None]
         used = [scan for scan in report.scans if scan.verdict is not ReportVerdict.REFUSED]
         doubtful = sum(scan.verdict is ReportVerdict.DOUBTFUL for scan in used)
-        tiles.append(("Scans used", f"{len(used)} of {len(report.scans)}", f"{doubtful} doubtful" if doubtful else ""))
+        counts = [f"{graded.count(grade)} {grade.value}" for grade in Grade if grade in graded]
+        of_them = ", ".join(counts) if graded else f"{doubtful} doubtful" if doubtful else ""
+        tiles.append(("Scans used", f"{len(used)} of {len(report.scans)}", of_them))
     if report.surface is not None and len(report.surface.grey):
         median = float(np.median(report.surface.sigma_mm))
         tiles.append(("Points", _count(len(report.surface.grey)), f"sigma {_mm(median)} (median)"))
@@ -169,7 +173,7 @@ def _scans(scans: Sequence[ReportScan]) -> str:
     rows = _rows(
         (
             f"<b>{html.escape(scan.name)}</b>",
-            _chip(scan.verdict),
+            _chip(scan.verdict, scan.word),
             _given(scan.points, _count),
             _given(scan.distance_mm, lambda mm: f"{mm:.0f} mm"),
             _mm(scan.sigma_mm),
@@ -253,9 +257,9 @@ def _rows(rows: Iterable[Iterable[str]]) -> str:
     return "".join("<tr>" + "".join(f"<td>{cell}</td>" for cell in row) + "</tr>" for row in rows)
 
 
-def _chip(verdict: ReportVerdict) -> str:
+def _chip(verdict: ReportVerdict, shown: str | None = None) -> str:
     word, sign = _WORDS[verdict]
-    return f'<span class="chip {word}">{sign} {word}</span>'
+    return f'<span class="chip {word}">{sign} {shown or word}</span>'
 
 
 def _said(reason: str, warnings: Sequence[str], recorded: str | None) -> str:

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from appliance.machine.words import Language, Text
+from appliance.scan.grade import Grade
 from appliance.screens import theme
 from appliance.screens.canvas import Align, Canvas
 from appliance.screens.texts import numbered
 from appliance.screens.theme import BLACK, BODY, BOLD, CAPTION, HEADLINE, REGULAR, TITLE
-from appliance.screens.views import Grade
 
 GRADES = {
     Grade.GOOD: (Text.GOOD, theme.GREEN),
@@ -65,13 +65,18 @@ def many(number: int) -> str:
     return f"{number / 1e6:.3g} M"
 
 
-def draw_verdict(canvas: Canvas, grade: Grade, doubtful: bool, top: float, language: Language) -> float:
+def draw_verdict(
+    canvas: Canvas, grade: Grade, doubtful: bool, top: float, language: Language, *, led: bool = False
+) -> float:
     """Draw the verdict as a word beside the colour of its grade, a bad one on a ground of that colour. Returns its lower end.
 
-    ``doubtful``: lengths are not to be trusted. Then no word stands alone, and the ground is that of a warning.
+    ``doubtful``: lengths are not to be trusted. Then no word stands alone, and the ground is that of a warning. ``led``: another
+    message leads, and a good grade has no colour.
     """
     left, right = LEFT_PX, canvas.width - RIGHT_MARGIN_PX
     word, colour = GRADES[grade]
+    if led and grade is Grade.GOOD:
+        colour = theme.MUTED
     # A good grade beside lengths that nobody trusts would be believed; a bad one needs no second reason.
     if doubtful and grade is not Grade.BAD:
         canvas.box(left, top, right - left, DOUBTFUL_PX, theme.YELLOW, 5)

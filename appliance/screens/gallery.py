@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from appliance.machine.alerts import RULES
+from appliance.machine.leading import Leader, leader
 from appliance.machine.words import Language, Text
+from appliance.scan.fault import FaultCode
 from appliance.screens import theme
 from appliance.screens.canvas import Align, Canvas
 from appliance.screens.column import LEFT_PX, RIGHT_MARGIN_PX, VERDICT_PX, draw_figures, draw_verdict, figures
@@ -50,6 +53,11 @@ def _column(canvas: Canvas, view: GalleryView, bottom: float, language: Language
         said = Text.DAMAGED.in_language(language)
         canvas.words(said, left + 16, top + 45, TITLE - 2, BLACK, theme.INK, max_width=right - left - 24)
     elif view.grade is not None:
-        below = draw_verdict(canvas, view.grade, view.lengths_doubtful, top, language)
+        led = leader(view.alerts) is not Leader.SCREEN
+        below = draw_verdict(canvas, view.grade, view.lengths_doubtful, top, language, led=led)
+    if view.corrected and not view.damaged:
+        said = RULES[FaultCode.COMPENSATED].headline.in_language(language)
+        canvas.words(said, left, below + 22, CAPTION, BOLD, theme.MUTED, max_width=right - left)
+        below += 26
     rows = figures(view.points, view.coverage_percent, view.noise_mm, view.distance_mm)
     draw_figures(canvas, rows, below + 4, bottom, language)

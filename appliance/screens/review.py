@@ -42,7 +42,8 @@ def draw_review(canvas: Canvas, cloud: CloudPainter, view: ReviewView, language:
         leads = leader(view.alerts, view.overlap) is Leader.OVERLAP
         colour = theme.YELLOW if leads else theme.MUTED if view.overlap.warns else theme.WHITE
         draw_title(canvas, worded(view.overlap.words, language), view.keys, language, colour)
-    top = draw_verdict(canvas, view.grade, view.lengths_doubtful, _VERDICT_TOP_PX, language) + 4
+    led = leader(view.alerts, view.overlap) is not Leader.SCREEN
+    top = draw_verdict(canvas, view.grade, view.lengths_doubtful, _VERDICT_TOP_PX, language, led=led) + 4
     rows = figures(view.points, view.coverage_percent, view.noise_mm, view.distance_mm)
     time = Figure(Text.TIME, known(view.duration_s, "{:.1f}"), "s")
     draw_figures(canvas, (*rows[:3], time, rows[3]), top, bottom, language)

@@ -24,6 +24,7 @@ from appliance.machine.words import Label, Text
 from appliance.optics.volume import STANDARD, WorkingVolume
 from appliance.ranging.marks import Marks
 from appliance.ranging.reach import Reach
+from appliance.scan.grade import Grade
 from drivers.api import Key
 
 KeyLabels = Mapping[Key, Label]
@@ -155,14 +156,6 @@ class ReconstructView(View):
     keys: KeyLabels = field(default_factory=lambda: labels(back=Text.HOLD_REDO))
 
 
-class Grade(Enum):
-    """The verdict on a scan."""
-
-    GOOD = "good"
-    USABLE = "usable"
-    BAD = "bad"
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ReviewView(View):
     """A scan and its verdict. The coarse cloud comes first; the full one replaces it in a later view.
@@ -238,6 +231,8 @@ class GalleryView(View):
     count: int = 0
     preview: NDArray[np.uint8] | None = None
     grade: Grade | None = None
+    corrected: bool = False
+    """True if motion was taken out of its points."""
     lengths_doubtful: bool = False
     """True if lengths were not to be trusted when the scan was taken."""
     points: int | None = None

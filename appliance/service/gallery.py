@@ -12,15 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.machine import events as on
-from appliance.screens.views import Grade
+from appliance.scan.grade import LENGTHS_DOUBTFUL, NAME, Grade
 from appliance.storage.atomic import StorageError
 from appliance.storage.library import Library, ScanEntry, UnknownScan
 from appliance.storage.scan import PREVIEW
 
-GRADE = "grade"
-"""Name of the verdict that holds the word shown in the review."""
-LENGTHS_DOUBTFUL = "lengths_doubtful"
-"""Name of that verdict's number that is 1 where lengths were not to be trusted when the scan was taken; older scans do not tell."""
 MAX_PREVIEW_BYTES = 20_000_000
 
 
@@ -33,6 +29,8 @@ class Shown:
     preview: NDArray[np.uint8] | None = None
     """(h, w, 3) uint8 RGB."""
     grade: Grade | None = None
+    corrected: bool = False
+    """Motion was taken out of its points."""
     lengths_doubtful: bool = False
     points: int | None = None
     coverage_percent: float | None = None
@@ -96,15 +94,15 @@ def read(library: Library, scan_id: str) -> Shown:
     if entry.manifest is None:
         return Shown(scan_id, damaged=True)
     record = entry.manifest.record
-    graded = next((verdict for verdict in record.verdicts if verdict.name == GRADE), None)
-    word = None if graded is None else graded.text
+    graded = next((verdict for verdict in record.verdicts if verdict.name == NAME), None)
     preview, readable = _preview(entry)
     points = record.cloud.get("points")
     return Shown(
         scan_id,
         damaged=not entry.ok or not readable,
         preview=preview,
-        grade=next((grade for grade in Grade if grade.value == word), None),
+        grade=record.grade,
+        corrected=record.compensated,
         lengths_doubtful=graded is not None and graded.numbers.get(LENGTHS_DOUBTFUL) == 1.0,
         points=None if points is None else int(points),
         coverage_percent=record.cloud.get("coverage_percent"),

@@ -25,16 +25,16 @@ from appliance.machine.states import Machine, Part, State, boot
 from appliance.machine.step import step
 from appliance.machine.words import Language, Text
 from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.grade import LENGTHS_DOUBTFUL, Grade, grade
+from appliance.scan.grade import NAME as GRADE
 from appliance.scan.verdict import Verdict
 from appliance.screens.painter import Painter
-from appliance.screens.views import Grade
-from appliance.service.gallery import GRADE, LENGTHS_DOUBTFUL
 from appliance.service.inputs import Inputs
 from appliance.service.live import LiveViews
 from appliance.service.menu_view import Facts
 from appliance.service.parts import Beginning, Parts
 from appliance.service.recording import DrawnPatterns, SequenceRecorder
-from appliance.service.view import Surroundings, grade, view_of
+from appliance.service.view import Surroundings, held_against, view_of
 from appliance.service.watchdog import Watchdog
 from appliance.storage.atomic import StorageError
 from appliance.storage.status import StatusFile
@@ -255,15 +255,12 @@ class Service:
     def _publish(self, number: int) -> None:
         scan = self._parts.scans.scan
         summary = scan.full.summary if scan is not None and scan.full is not None else None
-        warnings = self.machine.scan.warnings if self.machine.scan is not None else ()
-        # The word that the diver was shown is stored with the scan; the gallery need not judge by other limits later.
-        word = (
-            grade(None, None, warnings)
-            if summary is None
-            else grade(summary.coverage_percent, summary.noise_mm, warnings)
-        )
-        numbers = {LENGTHS_DOUBTFUL: float(lengths_doubtful(self.machine))}
-        verdict = None if summary is None else Verdict(GRADE, word is not Grade.BAD, numbers, word.value)
+        verdict = None
+        if summary is not None:
+            # The word that the diver was shown is stored with the scan: nobody judges it by other limits later.
+            word = grade(summary.coverage_percent, summary.noise_mm, held_against(self.machine))
+            numbers = {LENGTHS_DOUBTFUL: float(lengths_doubtful(self.machine))}
+            verdict = Verdict(GRADE, word is not Grade.BAD, numbers, word.value)
         self._parts.scans.publish(number, self._parts.scans.preview, verdict)
 
     def _facts(self) -> Facts:

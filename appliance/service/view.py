@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 import appliance
 from appliance.calibration.guide import HELD
 from appliance.machine import safety, start, thermal
-from appliance.machine.alerts import RULES, alert_of, lengths_doubtful
+from appliance.machine.alerts import alert_of, lengths_doubtful
 from appliance.machine.guiding import guidance_said
 from appliance.machine.leading import on_screen
 from appliance.machine.overlaps import overlap_said
@@ -20,8 +20,8 @@ from appliance.machine.states import Calibrating, Device, Machine, Part, State
 from appliance.machine.texts import labels
 from appliance.machine.words import Text
 from appliance.ranging.marks import Marks
-from appliance.reconstruct.quality import is_good, is_usable
 from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.grade import Grade, grade
 from appliance.screens.views import (
     AimView,
     AnyView,
@@ -35,7 +35,6 @@ from appliance.screens.views import (
     DeviceResult,
     GalleryView,
     Gauge,
-    Grade,
     ReconstructView,
     ReviewView,
     SafeView,
@@ -163,7 +162,7 @@ def _review(machine: Machine, around: Surroundings, full: bool) -> ReviewView:
         # Coloured by distance: z of the left camera's frame.
         values=shown.points_mm[:, 2],
         coarse=not full,
-        grade=grade(s.coverage_percent, s.noise_mm, machine.scan.warnings if machine.scan is not None else ()),
+        grade=grade(s.coverage_percent, s.noise_mm, held_against(machine)),
         lengths_doubtful=lengths_doubtful(machine),
         points=s.points,
         coverage_percent=s.coverage_percent,
@@ -184,13 +183,9 @@ def _next_scan(machine: Machine) -> str | None:
     return machine.exposure.label if changed else None
 
 
-def grade(coverage_percent: float | None, noise_mm: float | None, warnings: tuple[Fault, ...]) -> Grade:
-    """Return the verdict on a scan in a word. What makes its points wrong makes it bad, whatever its numbers."""
-    if any(RULES[w.code].spoils_points for w in warnings):
-        return Grade.BAD
-    if is_good(coverage_percent, noise_mm):
-        return Grade.GOOD
-    return Grade.USABLE if is_usable(coverage_percent, noise_mm) else Grade.BAD
+def held_against(machine: Machine) -> frozenset[FaultCode]:
+    """Return what is held against the scan in hand."""
+    return frozenset() if machine.scan is None else frozenset(fault.code for fault in machine.scan.warnings)
 
 
 def _gauge(machine: Machine) -> Gauge | None:
@@ -227,6 +222,7 @@ def _gallery(machine: Machine, shown: Shown | None) -> GalleryView:
         count=len(at.scans),
         preview=scan.preview,
         grade=scan.grade,
+        corrected=scan.corrected,
         lengths_doubtful=scan.lengths_doubtful,
         points=scan.points,
         coverage_percent=scan.coverage_percent,

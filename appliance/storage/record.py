@@ -10,6 +10,9 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from appliance.scan.exposure import Exposure
+from appliance.scan.fault import FaultCode
+from appliance.scan.grade import MADE_UP_FOR, Grade, grade
+from appliance.scan.grade import NAME as GRADE
 from appliance.scan.verdict import Verdict
 
 if TYPE_CHECKING:  # brings NumPy, which a list of scans can do without
@@ -84,3 +87,41 @@ class ScanRecord:
     ``pair``: the cloud of two exposures is ready; it includes the time the diver took to ask for it.
     ``coarse_cpu``, ``full_cpu``, ``judged_cpu`` and ``overlap_cpu`` are the worker's CPU time for that step alone. What did not happen is not there.
     """
+
+    @property
+    def grade(self) -> Grade | None:
+        """The grade as the diver read it; of a scan that does not say, what its numbers and verdicts give; ``None``: it has no cloud."""
+        kept = self._verdict(GRADE)
+        if kept is not None:
+            return next((one for one in Grade if one.value == kept.text), None)
+        if not {"coverage_percent", "noise_mm"} <= self.cloud.keys():
+            return None
+        return grade(self.cloud["coverage_percent"], self.cloud["noise_mm"], self.held_against)
+
+    @property
+    def held_against(self) -> tuple[FaultCode, ...]:
+        """Faults that were told of the scan, the one that takes most first; of a pair, but for the light that the other sequence made up for."""
+        pair = self._verdict("pair")
+        whole = pair is not None and pair.passed is True
+        verdicts = (*self.verdicts, *(self.second.verdicts if whole and self.second is not None else ()))
+        names = [
+            name.removesuffix("_percent").upper() for one in verdicts if one.name == "causes" for name in one.numbers
+        ]
+        # Before there were causes, a failed verdict began with its fault's name.
+        names += [one.text.partition(":")[0] for one in verdicts if one.passed is False]
+        codes = [FaultCode(name) for name in dict.fromkeys(names) if name in FaultCode.__members__]
+        return tuple(code for code in codes if not (whole and code in MADE_UP_FOR))
+
+    @property
+    def compensated(self) -> bool:
+        """The scan moved, and that was taken out of its points."""
+        done = self._verdict("compensation")
+        return done is not None and done.passed is True
+
+    @property
+    def gap_mm(self) -> float | None:
+        """Median ray gap; ``None`` where it is not known, as of a compensated scan: its rows come from the model, and meet whatever is wrong."""
+        return None if self.compensated else self.cloud.get("gap_mm")
+
+    def _verdict(self, name: str) -> Verdict | None:
+        return next((one for one in self.verdicts if one.name == name), None)

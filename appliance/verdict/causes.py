@@ -18,9 +18,10 @@ from dataclasses import dataclass, replace
 
 from appliance.optics.water import sight_m
 from appliance.reconstruct.decode.decoder import MIN_MODULATION_DN
-from appliance.reconstruct.quality import USABLE_COVERAGE_PERCENT, USABLE_NOISE_MM, CloudSummary, is_usable
+from appliance.reconstruct.quality import CloudSummary
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.grade import USABLE_COVERAGE_PERCENT, USABLE_NOISE_MM, is_usable
 from appliance.scan.sides import SIDES
 from appliance.scan.verdict import Judgement, Verdict
 from appliance.verdict.water.judge import MOST_SIGHT_M, hides_object
@@ -67,6 +68,8 @@ FAINT_AND_MOVED = 0.5
 """Most that faintness takes of fringes that a pixel shows at rest and that move too fast to be decoded."""
 ALL = 1.0
 
+_MISTRACED = frozenset({FaultCode.SIDES_EXCHANGED, FaultCode.NOT_IN_WATER})
+
 Numbers = Mapping[str, float | None]
 
 
@@ -89,12 +92,10 @@ def find_causes(
     ``judgements``: all of the scan; ``summary``: of its best cloud; ``present``: how it was exposed; ``steps``: how it
     could be. Pure: the same verdicts give the same causes, whether they come from the judges or from a manifest.
     """
-    exchanged = next(
-        (one.fault for one in judgements if one.fault and one.fault.code is FaultCode.SIDES_EXCHANGED), None
-    )
-    if exchanged is not None:
-        # Whatever else is said of points that are made of exchanged pictures follows from that.
-        return (Cause(exchanged, ALL, certain=True),)
+    wrong = next((one.fault for one in judgements if one.fault and one.fault.code in _MISTRACED), None)
+    if wrong is not None:
+        # Whatever else is said of points of exchanged pictures, or of rays through another medium, follows from that.
+        return (Cause(wrong, ALL, certain=True),)
     bent = next((one.fault for one in judgements if one.fault and one.fault.code is FaultCode.GREY_BENT), None)
     if bent is not None:
         # Light, water and noise are told from grey values, which mean nothing then; the points themselves may be good.
@@ -102,15 +103,19 @@ def find_causes(
     of = {one.verdict.name: one for one in judgements}
     found = _once(sorted(_all(of, summary, present, steps), key=lambda cause: -cause.share))
     found += [
-        Cause(one.fault, 0.0, certain=True) for one in judgements if one.fault is not None and not _is_weighed(one)
-    ]
+        Cause(one.fault, 0.01 * one.fault.numbers.get("hole_percent", 0.0), certain=True)
+        for one in judgements if one.fault is not None and not _is_weighed(one)
+    ]  # fmt: skip
     usable = is_usable(summary.coverage_percent, summary.noise_mm)
-    named = tuple(
+    named = _once([
         cause for k, cause in enumerate(found)
         if cause.certain or (not usable and (cause.share >= LEAST_SHARE or k == 0) and cause.share > 0.0)
-    )  # fmt: skip
+    ])  # fmt: skip
+    # A part is missing for a reason; that it is missing is told where no other is known.
+    unexplained = {FaultCode.PART_MISSING, FaultCode.COMPENSATED}.issuperset(cause.fault.code for cause in named)
+    named = [cause for cause in named if unexplained or cause.fault.code is not FaultCode.PART_MISSING]
     if (named and any(cause.fault.code is not FaultCode.COMPENSATED for cause in named)) or usable:
-        return named
+        return tuple(named)
     return (*named, Cause(_unexplained(summary), 0.0, False))
 
 

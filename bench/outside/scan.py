@@ -20,9 +20,8 @@ from appliance.reconstruct.table import Cloud
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import FaultCode
+from appliance.scan.grade import Grade, grade
 from appliance.scan.noise import StereoNoise, camera_noise
-from appliance.screens.views import Grade
-from appliance.service.view import grade
 from bench.outside.kept import Row
 from bench.outside.world import BLACK_DN, FRAME_S, STEPS, Frames, World
 from bench.verdict.motion_truth import displaced, displacement
@@ -90,7 +89,7 @@ def worked_through(
     faults = tuple(one.fault for one in full.judgements if one.fault is not None)
     summary = full.found.summary
     spoilt = any(RULES[fault.code].spoils_scan for fault in faults)
-    said = Grade.BAD if spoilt else grade(summary.coverage_percent, summary.noise_mm, faults)
+    said = Grade.BAD if spoilt else grade(summary.coverage_percent, summary.noise_mm, {fault.code for fault in faults})
     codes = tuple(fault.code for fault in faults if fault.code is not FaultCode.COMPENSATED)
     return Scanned(cloud, full, said, codes, cpu_s)
 

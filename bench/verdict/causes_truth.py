@@ -31,8 +31,7 @@ from appliance.reconstruct.pipeline import Cloud, Pipeline
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import FaultCode
-from appliance.screens.views import Grade
-from appliance.service.view import grade
+from appliance.scan.grade import Grade, grade
 from bench.outside.stated import Stated, stated_truth
 from bench.outside.world import TRIGGER_DELAY_US
 from bench.verdict.causes_frames import TRUTH_SET, frames_of
@@ -103,7 +102,7 @@ def judged(scan: RenderedScan, exposure: Exposure, stated: Stated | None = None)
     ranked = spoilt or sorted(faults, key=lambda fault: -alert_of(fault).severity)
     good, error_mm = _worth(scan, cloud)
     return Outcome(
-        Grade.BAD if spoilt else grade(summary.coverage_percent, summary.noise_mm, faults),
+        Grade.BAD if spoilt else grade(summary.coverage_percent, summary.noise_mm, {fault.code for fault in faults}),
         tuple(fault.code for fault in ranked if fault.code is not FaultCode.COMPENSATED),
         summary.coverage_percent, good, error_mm,
         {one.verdict.name: one.verdict.text for one in judgements},

@@ -6,7 +6,7 @@ import pytest
 
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import FaultCode
-from appliance.screens.views import Grade
+from appliance.scan.grade import Grade
 from bench.verdict.causes_frames import frames_of
 from bench.verdict.causes_scenes import Spoilt, draw_base, exposure_of, grid_of
 from bench.verdict.causes_truth import Outcome, Truth, judged

@@ -263,6 +263,19 @@ def test_frames_come_in_order_with_the_cameras_time_and_again_after_a_stop() -> 
             camera.next_frame(slot_of(SMALL), 0.1)
 
 
+def test_an_image_of_before_the_start_is_not_frame_0() -> None:
+    """What was exposed before the moment that a stream is told of is dropped, and nothing after it."""
+    with faked() as fake:
+        fake.driver.start()
+        last_ns = frames(fake.driver, SMALL, 3)[-1][0].camera_time_ns or 0
+        assert fake.driver._stream is not None
+        since_ns = last_ns + 100_000_000
+        fake.driver._stream.expect_since(since_ns)
+        stamps_ns = [frame.camera_time_ns or 0 for frame, _ in frames(fake.driver, SMALL, 2)]
+        assert since_ns <= stamps_ns[0] < since_ns + 50_000_000
+        assert stamps_ns[1] - stamps_ns[0] < 50_000_000
+
+
 def test_a_running_stream_begins_anew_at_another_start_and_at_another_size() -> None:
     with faked() as fake:
         camera = fake.driver

@@ -45,7 +45,7 @@ TABLE_WAIT_S, TABLE_RETRY_S = 300.0, 0.2
 """Longest wait for another call that writes the table, which reads every row: minutes for a million."""
 COLUMNS = (
     "scan", "state", "reason", "recorded", "points", "coverage_percent", "distance_mm", "noise_mm", "gap_mm", "exposure",
-    "spoilt", "faults", "verdicts", "e_l_percent", "length_error_mm", "artefact", "temperature_c", "salinity_psu", "water_index",
+    "grade", "spoilt", "faults", "verdicts", "e_l_percent", "length_error_mm", "artefact", "temperature_c", "salinity_psu", "water_index",
     "calibration", "same_calibration", "recorded_by_version", "cpu_s", "wall_s", "peak_mb", "host", "cloud_sha256", "folder",
 )  # fmt: skip
 """Columns of the table, which are keys of a row; what is not known is empty."""

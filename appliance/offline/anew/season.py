@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from statistics import median
 
 from appliance.report.style import STYLE
+from appliance.scan.grade import Grade
 from appliance.storage.names import by_number
 
 Cells = Mapping[str, str]
@@ -46,7 +47,9 @@ def season_page(rows: Sequence[Cells], source: str) -> str:
     done = [row for row in rows if row["state"] == "done"]
     failed = [row for row in rows if row["state"] != "done"]
     spoilt = [row for row in done if row["spoilt"] == "True"]
-    gaps = _points(rows, "gap_mm", lambda row: row["calibration"][:_SHOWN_DIGITS], 1000.0)
+    # Rows of a compensated scan come from a model, in which rays always meet; tables of before have their gaps.
+    known = [row if "compensation=yes" not in row["verdicts"].split() else {**row, "gap_mm": ""} for row in rows]
+    gaps = _points(known, "gap_mm", lambda row: row["calibration"][:_SHOWN_DIGITS], 1000.0)
     parts = [
         _head(rows, source),
         _tiles(rows, done, spoilt, failed),
@@ -62,7 +65,12 @@ def season_page(rows: Sequence[Cells], source: str) -> str:
         _chart(gaps, "ray gap, µm", rows),
         "<h2>Noise</h2><section><p>Median expected standard deviation of a point.</p></section>",
         _chart(
-            _points(rows, "noise_mm", lambda row: "usable" if row["spoilt"] != "True" else "spoilt", 1000.0),
+            _points(
+                rows,
+                "noise_mm",
+                lambda row: "spoilt" if row["spoilt"] == "True" else row["grade"] or "not graded",
+                1000.0,
+            ),
             "noise, µm",
             rows,
         ),
@@ -111,7 +119,7 @@ def _tiles(rows: Sequence[Cells], done: Sequence[Cells], spoilt: Sequence[Cells]
         (
             "Scans with points",
             f"{len(done) - len(spoilt)} of {len(rows)}",
-            f"{len(spoilt)} spoilt, {len(failed)} without points",
+            ", ".join([*_graded(done), f"{len(spoilt)} spoilt, {len(failed)} without points"]),
         ),
         ("Points", f"{sum(points) / 1e6:.1f} million", f"{median(points):,.0f} a scan (median)" if points else ""),
         ("Noise", f"{1000 * median(noises):.0f} µm" if noises else "–", "median over scans"),
@@ -122,6 +130,12 @@ def _tiles(rows: Sequence[Cells], done: Sequence[Cells], spoilt: Sequence[Cells]
         ),
     ]
     return f'<div class="tiles">{"".join(f"<div class=tile><span>{name}</span><b>{value}</b><small>{small}</small></div>" for name, value, small in tiles)}</div>'
+
+
+def _graded(done: Sequence[Cells]) -> list[str]:
+    """Return how many scans have which grade; a spoilt one counts as that."""
+    counts = Counter(row["grade"] for row in done if row["spoilt"] != "True")
+    return [f"{counts[grade.value]} {grade.value}" for grade in Grade if counts[grade.value]]
 
 
 def _points(rows: Sequence[Cells], column: str, group: Callable[[Cells], str], scale: float) -> list[_Point]:

@@ -203,6 +203,7 @@ def _worked_through(job: Job, folder: Path) -> tuple[Row, Any]:
         "noise_mm": summary.noise_mm,
         "gap_mm": summary.gap_mm,
         "exposure": exposures_label(record, source.rig),
+        "grade": worked.grade.value,
         "spoilt": any(RULES[fault.code].spoils_scan for fault in worked.faults),
         "faults": "; ".join(f"{fault.code.value}: {fault.detail}" for fault in worked.faults),
         "verdicts": " ".join(f"{one.verdict.name}={_passed(one.verdict.passed)}" for one in worked.judgements),

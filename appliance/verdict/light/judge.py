@@ -58,16 +58,26 @@ def judge_light(
         numbers |= _numbers(side, levels[side], changes[side])
     numbers["flicker_alias_hz"] = frequency[0] if frequency is not None else None
     numbers["exposure_ms"], numbers["gain_db"] = present.time_us / 1000.0, present.gain_db
-    proposal = _propose(images, levels, present, steps)
+    burnt = (
+        fault is not None
+        and fault.code is FaultCode.AMBIENT
+        and any((levels[side].burnt or 0.0) > MAX_SATURATED for side in SIDES)
+    )
+    # No exposure shows what a torch shines on, and a shorter one takes the light from the rest.
+    proposal = None if burnt else _propose(images, levels, present, steps)
     mains = frequency is not None and FLICKER_ALIAS_HZ[0] <= frequency[0] <= FLICKER_ALIAS_HZ[1]
     if proposal is None and mains and fault is not None and fault.code is FaultCode.LIGHT_FLICKERS:
         top_dn, scale_dn = _top(images, levels)
         proposal = without_flicker(top_dn, scale_dn, present, steps)
-    second = propose_second(
-        [light_of(samples[side], images.sequence, noise[side]) for side in SIDES],
-        [FULL_DN - noise[side].black_dn for side in SIDES],
-        present,
-        steps,
+    second = (
+        None
+        if burnt
+        else propose_second(
+            [light_of(samples[side], images.sequence, noise[side]) for side in SIDES],
+            [FULL_DN - noise[side].black_dn for side in SIDES],
+            present,
+            steps,
+        )
     )
     if second is not None:
         numbers["second_ms"], numbers["second_gain_db"] = second.time_us / 1000.0, second.gain_db
@@ -112,12 +122,14 @@ def _worst_level(levels: dict[str, Levels]) -> Fault | None:
     """Return the fault that loses most points, in multiples of what may be lost."""
     cases: list[tuple[float, Fault]] = []
     for side, at in levels.items():
-        if at.saturated is None or at.weak is None or at.ambient_beyond is None:
+        if at.saturated is None or at.burnt is None or at.weak is None or at.ambient_beyond is None:
             continue
-        saturated, weak, beyond = 100.0 * at.saturated, 100.0 * at.weak, 100.0 * at.ambient_beyond
+        # What a torch saturates is the torch's, and a shorter exposure brings none of it back.
+        exposed = at.saturated - at.burnt
+        saturated, weak, beyond = 100.0 * exposed, 100.0 * at.weak, 100.0 * at.ambient_beyond
         cases += [
             (
-                at.ambient_beyond / MAX_AMBIENT_BEYOND,
+                max(at.ambient_beyond / MAX_AMBIENT_BEYOND, at.burnt / MAX_SATURATED),
                 Fault(
                     FaultCode.AMBIENT,
                     f"{beyond:.0f} % of the lit pixels get more light from elsewhere than from the projector ({side} camera)",
@@ -125,7 +137,7 @@ def _worst_level(levels: dict[str, Levels]) -> Fault | None:
                 ),
             ),
             (
-                at.saturated / MAX_SATURATED,
+                exposed / MAX_SATURATED,
                 Fault(
                     FaultCode.TOO_BRIGHT,
                     f"{saturated:.0f} % of the lit pixels are saturated ({side} camera, {at.where})",

@@ -147,6 +147,8 @@ class Levels:
     illuminated_share: float
     """Illuminated pixels as a share of all pixels."""
     saturated: float | None
+    burnt: float | None
+    """Saturated, and light from elsewhere takes half of the scale there: no exposure helps."""
     where: str
     """Part of the image that holds most of the saturation."""
     weak: float | None
@@ -174,7 +176,7 @@ def measure_levels(s: Sample, sequence: PatternSequence, noise: CameraNoise) -> 
     ambient = s.dark_dn - np.float32(noise.black_dn)
     top_dn = _top_dn(s, sequence, noise.black_dn)
     if count == 0:
-        return Levels(0.0, None, "", None, None, None, median(ambient.reshape(-1)), None, None, None, top_dn)
+        return Levels(0.0, None, None, "", None, None, None, median(ambient.reshape(-1)), None, None, None, top_dn)
     clear = illuminated & ~saturated
     dim = clear & (s.modulation_dn < MIN_MODULATION_DN)
     weak = int((dim & (s.modulation_dn >= DIM_MODULATION_DN)).sum())
@@ -184,6 +186,7 @@ def measure_levels(s: Sample, sequence: PatternSequence, noise: CameraNoise) -> 
     return Levels(
         illuminated_share=count / illuminated.size,
         saturated=float(saturated.sum()) / count,
+        burnt=float((saturated & (2.0 * ambient > FULL_DN - noise.black_dn)).sum()) / count,
         where=_where(saturated),
         weak=weak / count,
         modulation_dn=median(modulation) if known else None,

@@ -63,6 +63,13 @@ def test_what_is_wrong_in_the_dark_is_told_by_its_own_finding(seen: dict[str, Fi
     assert remedy in seen[name].remedy
 
 
+@pytest.mark.parametrize("count", [2, 3, 8])
+def test_the_noise_of_few_frames_is_that_of_many(count: int) -> None:
+    """Divided by n in place of n - 1, two frames would show 71 % of it."""
+    grey = np.rint(20.0 + 4.0 * np.random.default_rng(7).standard_normal((count, 200, 200))).astype(np.uint8)
+    assert see_dark(grey, grey).noise_dn == pytest.approx(np.hypot(4.0, 1.0 / np.sqrt(12.0)), rel=0.02)
+
+
 def test_a_high_black_level_is_no_light_and_light_is_no_level_alone() -> None:
     assert dark(black_dn=9.0)["light"].ok
     assert not dark(ambient_dn=6.0)["light"].ok

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from appliance.cli import main
+from appliance.scan.verdict import Verdict
 from appliance.storage.library import Library
 from tests.appliance.storage.scenes import PREVIEW, cloud, frames, record
 
@@ -38,12 +39,37 @@ def damage(root: Path, scan_id: str) -> None:
 def test_list_shows_each_scan_with_its_state(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["scans", "list", "--root", str(root)]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0].split() == ["SCAN", "STATE", "TIME", "POINTS", "OBJECT", "MB", "NAME", "NOTE"]
+    assert lines[0].split() == ["SCAN", "STATE", "GRADE", "TIME", "POINTS", "OBJECT", "MB", "NAME", "REMARK", "NOTE"]
     assert lines[1].split()[:2] == ["000001", "saved"]
     assert "2031-05-06T07:08:09+00:00 ?" in lines[1]
     assert "20" in lines[1]
     assert "+00:00 ?" not in lines[2]
     assert len(lines) == 3
+
+
+def test_the_list_says_what_the_screen_said_and_notes_are_the_users(
+    root: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`failed: motion, causes` stood in the column of the notes, of a scan that the screen had called good."""
+    library = Library(root)
+    numbers = {"points": 20, "coverage_percent": 82.0, "noise_mm": 0.02}
+    moved = Verdict("motion", False, {}, "7 px"), Verdict("compensation", True)
+    told = Verdict("causes", False, {"compensated_percent": 0.0, "too_bright_percent": 7.0})
+    for word, causes in (("good", ()), ("usable", (told,))):
+        kept = record(cloud=numbers, verdicts=(*moved, *causes, Verdict("grade", True, {}, word)))
+        library.begin(frames(), kept).publish(kept, cloud())
+    assert main(["scans", "note", "000004", "the bow", "--root", str(root)]) == 0
+    capsys.readouterr()
+    assert main(["scans", "list", "--root", str(root)]) == 0
+    *_, good, usable = capsys.readouterr().out.splitlines()
+    assert good.split()[2] == "GOOD"
+    assert usable.split()[2] == "USABLE"
+    assert "MOTION CORRECTED" in good
+    assert good.endswith("the bow")
+    assert usable.rstrip().endswith("MOTION CORRECTED, TOO BRIGHT")
+    assert main(["scans", "list", "--json", "--root", str(root)]) == 0
+    last = json.loads(capsys.readouterr().out)[-1]
+    assert (last["grade"], last["corrected"], last["note"]) == ("usable", True, None)
 
 
 def test_list_all_adds_the_rejected_with_the_reason(root: Path, capsys: pytest.CaptureFixture[str]) -> None:

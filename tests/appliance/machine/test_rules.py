@@ -62,7 +62,6 @@ def test_what_a_fault_costs_is_what_the_faults_of_its_kind_cost() -> None:
     assert codes("forbids_light") == HEAT_AND_WATER
     assert codes("blocks_scan") == NEEDED | HEAT_AND_WATER | NOWHERE_TO_KEEP | {FaultCode.SUPPLY_LOW}
     assert codes("spoils_scan") == WITNESSES
-    assert codes("spoils_points") == {FaultCode.MOVED, FaultCode.LIGHT_FLICKERS, FaultCode.SIDES_EXCHANGED}
     assert codes("doubts_lengths") == {FaultCode.UNCALIBRATED, FaultCode.LENGTH_ERROR, FaultCode.VERIFY_CALIBRATION}
     assert codes("passing") == {FaultCode.AIM_DARK, FaultCode.AIM_TURBID, FaultCode.AIM_LIGHT, FaultCode.AIM_FAST}
 

@@ -62,14 +62,9 @@ def test_a_scan_whose_witnesses_disagree_is_dropped_and_any_other_is_offered(cod
     assert (machine.state is State.REVIEW) == (not dropped)
 
 
-def test_what_doubts_lengths_or_spoils_points_is_no_scan_to_call_good() -> None:
+def test_what_doubts_lengths_is_no_scan_to_call_good() -> None:
     assert {code for code, rule in RULES.items() if rule.doubts_lengths} == {
         *(C.UNCALIBRATED, C.LENGTH_ERROR, C.VERIFY_CALIBRATION)
-    }
-    assert {code for code, rule in RULES.items() if rule.spoils_points} == {
-        C.MOVED,
-        C.LIGHT_FLICKERS,
-        C.SIDES_EXCHANGED,
     }
 
 

@@ -74,6 +74,26 @@ def test_what_is_held_against_a_scan_is_said_and_makes_it_doubtful(root: Path) -
     assert "object 3" in text
 
 
+@pytest.mark.parametrize("word", ["good", "usable", "bad"])
+def test_the_page_has_the_grade_that_the_screen_showed_and_no_ray_gap_of_a_corrected_scan(
+    root: Path, word: str
+) -> None:
+    """`doubtful` stood on the page, and GOOD on the screen."""
+    entry = Library(root).entry("000001")
+    assert entry.manifest is not None
+    record = entry.manifest.record
+    told = Verdict("motion", False, {}, "7 px"), Verdict("causes", False, {"too_bright_percent": 7.0}, "TOO_BRIGHT 7 %")
+    verdicts = (*told, Verdict("compensation", True), Verdict("grade", True, {}, word))
+    judged = replace(entry, manifest=replace(entry.manifest, record=replace(record, verdicts=verdicts)))
+    report = report_of_dive(root, [judged, entry], lambda *_: None)
+    corrected, plain = report.scans
+    assert (corrected.word, corrected.reason, corrected.ray_gap_mm) == (word, "motion corrected", None)
+    assert corrected.warnings == ("motion: 7 px",), "the causes say the same once more"
+    assert plain.ray_gap_mm is not None
+    assert f" {word}</span>" in page(report)
+    assert any("000001" in line for line in report.warnings) == (word != "good")
+
+
 def test_a_page_of_no_scans_or_by_a_wrong_name_is_refused(
     root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -111,6 +111,13 @@ def test_a_merged_point_is_as_grey_as_the_shorter_exposure_saw_it(desk: Desk) ->
     np.testing.assert_array_equal(cloud.intensity, desk.bright["short"].ravel()[cloud.pixel])
 
 
+def test_also_where_the_shorter_exposure_is_the_second_one(desk: Desk) -> None:
+    """Else the preview of a pair would be saturated wherever its first picture is."""
+    _, cloud = desk.merged(replace(desk.first, exposure=Exposure(4 * LONG.time_us)))
+    assert cloud is not None
+    np.testing.assert_array_equal(cloud.intensity, desk.bright["long"].ravel()[cloud.pixel])
+
+
 def test_of_two_exposures_the_less_noisy_one_counts_for_more(desk: Desk) -> None:
     """The first one is taken for so noisy that nearly nothing of it is believed where the second one has a coordinate, too."""
     noisy = replace(TYPICAL, read_dn=20.0 * TYPICAL.read_dn, dn_per_e=400.0 * TYPICAL.dn_per_e)

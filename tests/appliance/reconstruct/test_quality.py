@@ -1,11 +1,11 @@
-"""The numbers of a cloud, and when a cloud is called good or worth keeping."""
+"""The numbers of a cloud, and the limits of its points."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from appliance.reconstruct.quality import SAMPLE, QualityLimits, is_good, is_usable, summarise
+from appliance.reconstruct.quality import SAMPLE, QualityLimits, summarise
 from appliance.reconstruct.select import Points
 
 
@@ -50,28 +50,6 @@ def test_of_a_cloud_just_larger_than_the_sample_no_point_is_left_out() -> None:
     depth_mm[1::2] = 600.0
     depth_mm[0] = 600.0  # one more than half: the median of every second point would be the other depth
     assert summarise(1, points(depth_mm), ((0, SAMPLE + 1),)).distance_mm == pytest.approx(600.0)
-
-
-@pytest.mark.parametrize(
-    ("coverage_percent", "noise_mm", "good", "usable"),
-    [
-        (60.0, 0.06, True, True),
-        (59.9, 0.06, False, True),
-        (60.0, 0.061, False, True),
-        (100.0, 0.0, True, True),
-        (25.0, 0.25, False, True),
-        (24.9, 0.25, False, False),
-        (25.0, 0.251, False, False),
-        (None, 0.01, False, False),
-        (90.0, None, False, False),
-        (0.0, 0.01, False, False),
-    ],
-)
-def test_good_is_three_fifths_of_the_surface_to_60_micrometres_and_usable_a_quarter_to_250(
-    coverage_percent: float | None, noise_mm: float | None, good: bool, usable: bool
-) -> None:
-    assert is_good(coverage_percent, noise_mm) is good
-    assert is_usable(coverage_percent, noise_mm) is usable
 
 
 def test_the_volume_is_530_mm_away_and_300_mm_deep_and_a_point_needs_more_than_half_of_its_neighbours() -> None:

@@ -19,11 +19,12 @@ from appliance.machine.words import Language, Text
 from appliance.ranging.reach import Reach
 from appliance.scan.exposure import Exposure, Span, ladder
 from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.grade import Grade
 from appliance.screens import theme
 from appliance.screens.canvas import Canvas
 from appliance.screens.frame import draw_alerts
 from appliance.screens.painter import Painter
-from appliance.screens.views import AnyView, Gauge, Grade
+from appliance.screens.views import AnyView, Gauge
 from appliance.service.menu_view import Facts, menu_view
 from tests.appliance.screens.golden.scenes import AIM, GALLERY, REVIEW
 from tests.appliance.screens.test_legible import complaints, written

@@ -22,6 +22,7 @@ from appliance.machine.words import Language, Text
 from appliance.optics.volume import WorkingVolume
 from appliance.ranging.reach import Range, Reach, reach_of
 from appliance.scan.fault import FaultCode
+from appliance.scan.grade import Grade
 from appliance.screens import theme
 from appliance.screens.canvas import MAX_WORDS, Canvas
 from appliance.screens.frame import ALERT_PX, MARKS_PX, alert_colours
@@ -38,7 +39,6 @@ from appliance.screens.views import (
     DeviceResult,
     GalleryView,
     Gauge,
-    Grade,
     MenuRow,
     MenuView,
     ReconstructView,

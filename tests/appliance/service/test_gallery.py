@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from appliance.machine import events as on
+from appliance.scan.grade import NAME, Grade
 from appliance.scan.verdict import Verdict
-from appliance.screens.views import Grade
-from appliance.service.gallery import GRADE, GalleryController, read
+from appliance.service.gallery import GalleryController, read
 from appliance.storage.library import Library
 from tests.appliance.storage.scenes import cloud, frames, record
 
@@ -26,7 +26,7 @@ NUMBERS = {"points": 20, "coverage_percent": 81.5, "noise_mm": 0.03, "distance_m
 def saved(library: Library, grade: str = "usable", clock_trusted: bool = True) -> str:
     """A kept scan with a preview."""
     _, png = cv2.imencode(".png", cv2.cvtColor(PICTURE, cv2.COLOR_RGB2BGR))
-    said = replace(record(cloud=NUMBERS), clock_trusted=clock_trusted, verdicts=(Verdict(GRADE, True, {}, grade),))
+    said = replace(record(cloud=NUMBERS), clock_trusted=clock_trusted, verdicts=(Verdict(NAME, True, {}, grade),))
     pending = library.begin(frames(), said)
     pending.publish(said, cloud(), png.tobytes())
     return pending.scan_id

@@ -15,6 +15,7 @@ from appliance.machine.states import Calibrating, Task
 from appliance.machine.words import Label, Text
 from appliance.ranging.reach import Reach
 from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.grade import Grade
 from appliance.scan.guidance import Move
 from appliance.screens.views import (
     AimView,
@@ -29,7 +30,6 @@ from appliance.screens.views import (
     DeviceResult,
     GalleryView,
     Gauge,
-    Grade,
     KeyLabels,
     MenuRow,
     MenuView,

@@ -29,6 +29,14 @@ MEANINGS: Mapping[F, tuple[str, str]] = MappingProxyType(
         F.CAPTURE_TIMEOUT: ("The sequence did not end in its time.", "Die Aufnahme wurde nicht rechtzeitig fertig."),
         F.MOVED: ("Instrument or object moved; points are wrong.", "Gerät oder Objekt hat sich bewegt; Punkte sind falsch."),
         F.COMPENSATED: ("A motion was found and taken out.", "Eine Bewegung wurde erkannt und herausgerechnet."),
+        F.NOT_IN_WATER: (
+            "The rays meet in air, and not in the water that is set; points are wrong.",
+            "Die Strahlen treffen sich in Luft und nicht im eingestellten Wasser; Punkte sind falsch.",
+        ),
+        F.PART_MISSING: (
+            "The cloud has holes where a surface was seen.",
+            "Die Punktwolke hat Löcher, wo eine Fläche zu sehen war.",
+        ),
         F.TOO_BRIGHT: ("Much of the object is overexposed.", "Vieles am Objekt ist überbelichtet."),
         F.TOO_DARK: ("Too little light comes back.", "Es kommt zu wenig Licht zurück."),
         F.WATER_DIRTY: ("Particles or backscatter hide much of the object; a black disk vanishes at the distance told.", "Schwebstoffe oder Trübung verdecken vieles; eine schwarze Scheibe verschwindet in der genannten Entfernung."),

@@ -6,12 +6,13 @@ from collections import defaultdict
 from collections.abc import Iterator
 
 from appliance.machine import events as on
-from appliance.machine.alerts import RULES, Rule, Severity
+from appliance.machine.alerts import RULES, Severity
 from appliance.machine.states import Machine, State
 from appliance.machine.texts import labels
 from appliance.machine.words import Label, Language, Text
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.grade import SPOILS_POINTS
 from appliance.screens.frame import words_of
 from appliance.screens.texts import worded
 from drivers.api import Key
@@ -50,7 +51,7 @@ def alarms(language: Language) -> str:
         told = []
         for code in rows:
             headline, action = words_of(ALERTS[code.value], language)
-            effect = _effect(RULES[code], language)
+            effect = _effect(code, language)
             told.append(f"| **{headline}** | {pick(language, *MEANINGS[code])} | {action} | {effect} |")
         lines += dict.fromkeys(told)  # what reads alike is one row
     lines += _overlaps(language)
@@ -110,12 +111,13 @@ def _overlaps(language: Language) -> list[str]:
     ]
 
 
-def _effect(rule: Rule, language: Language) -> str:
+def _effect(code: FaultCode, language: Language) -> str:
+    rule = RULES[code]
     said = (
         (rule.forbids_light, "no light", "kein Licht"),
         (rule.blocks_scan, "no scan while it lasts", "kein Scan, solange es dauert"),
         (rule.spoils_scan, "this scan is not used", "dieser Scan wird nicht verwendet"),
-        (rule.spoils_points, "this scan is not called good", "dieser Scan gilt nicht als gut"),
+        (code in SPOILS_POINTS, "this scan is not called good", "dieser Scan gilt nicht als gut"),
     )
     return ", ".join(pick(language, english, german) for holds, english, german in said if holds)
 

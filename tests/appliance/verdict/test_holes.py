@@ -1,0 +1,135 @@
+"""A hole where a surface was seen is told from shadow, dark paint, edges and what one camera alone sees; and who made it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from appliance.optics.volume import STANDARD, WorkingVolume
+from appliance.reconstruct.decode.decoder import Mask
+from appliance.reconstruct.quality import CloudSummary
+from appliance.scan.exposure import Exposure
+from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.verdict import Judgement, Verdict
+from appliance.verdict.causes import find_causes
+from appliance.verdict.holes import grid_step_px, judge_distance, judge_holes
+
+SHAPE = (300, 400)
+OBJECT = np.s_[50:250, 100:300]
+"""200 × 200 places: a hole of 35 × 35 of them is 3.06 %, one of 34 × 34 2.89 %."""
+MADE_BY = {
+    Mask.SATURATED: FaultCode.TOO_BRIGHT,
+    Mask.CONTRADICTION: FaultCode.PART_MISSING,
+    Mask.EDGE: FaultCode.PART_MISSING,
+}
+
+
+def scene(size: int, reason: Mask) -> tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.bool_]]:
+    """Mask, dark image and points of an object before shadow, with a square of ``size`` places that has no points."""
+    mask = np.full(SHAPE, Mask.SHADOW, np.uint8)
+    mask[OBJECT] = Mask.VALID
+    mask[120 : 120 + size, 180 : 180 + size] = reason
+    return mask, np.full(SHAPE, 9, np.uint8), mask == Mask.VALID
+
+
+@pytest.mark.parametrize("reason", list(MADE_BY))
+def test_a_scan_with_a_hole_in_its_middle_is_not_good(reason: Mask) -> None:
+    found = judge_holes(*scene(35, reason))
+    assert (found.verdict.passed, found.fault is not None and found.fault.code) == (False, MADE_BY[reason])
+    assert found.verdict.numbers["hole_percent"] == pytest.approx(100.0 * 35**2 / 200**2)
+    assert found.verdict.numbers["largest_percent"] == found.verdict.numbers["hole_percent"]
+    small = judge_holes(*scene(34, reason))
+    assert (small.verdict.passed, small.fault) == (True, None)
+
+
+@pytest.mark.parametrize(
+    ("dark_dn", "code"), [(255, FaultCode.AMBIENT), (128, FaultCode.AMBIENT), (20, FaultCode.TOO_BRIGHT)]
+)
+def test_what_a_torch_burns_away_is_the_torchs(dark_dn: int, code: FaultCode) -> None:
+    """Saturated in the dark it counts as shadow; and where the projector alone saturates, a shorter exposure helps."""
+    mask, dark, there = scene(60, Mask.SHADOW if dark_dn == 255 else Mask.SATURATED)
+    dark[120:180, 180:240] = dark_dn
+    found = judge_holes(mask, dark, there)
+    assert found.fault is not None
+    assert found.fault.code is code
+    assert found.verdict.numbers["saturated_percent"] == 100.0
+
+
+@pytest.mark.parametrize("reason", [Mask.SHADOW, Mask.WEAK, Mask.VALID])
+def test_shadow_dark_paint_and_what_one_camera_sees_are_no_holes(reason: Mask) -> None:
+    mask, dark, _ = scene(60, reason)
+    there = mask == Mask.VALID
+    there[120:180, 180:240] = False
+    assert judge_holes(mask, dark, there).verdict.numbers["hole_percent"] == 0.0
+
+
+def test_edges_are_no_holes_but_a_surface_torn_all_over_has_many() -> None:
+    mask, dark, _ = scene(0, Mask.VALID)
+    mask[50:250:4, 100:300] = Mask.EDGE
+    lines = judge_holes(mask, dark, mask == Mask.VALID)
+    assert lines.verdict.numbers["hole_percent"] == 0.0, "a quarter of the surface, in lines one place wide"
+    for y in range(50, 250, 20):
+        for x in range(100, 300, 20):
+            mask[y : y + 5, x : x + 5] = Mask.CONTRADICTION
+    torn = judge_holes(mask, dark, mask == Mask.VALID)
+    assert torn.fault is not None
+    assert torn.verdict.numbers["hole_percent"] == pytest.approx(100 * 100 * 25 / 40_000, rel=0.1)
+    assert (torn.verdict.numbers["largest_percent"] or 1.0) < 0.1
+
+
+def test_a_flange_that_was_lost_when_the_motion_was_undone_is_missing() -> None:
+    mask, dark, there = scene(0, Mask.VALID)
+    before = there.copy()
+    there[100:140, 100:300] = False
+    assert judge_holes(mask, dark, there).fault is None, "it is not known whether anything was there"
+    found = judge_holes(mask, dark, there, before)
+    assert found.fault is not None
+    assert found.fault.code is FaultCode.PART_MISSING
+
+
+def test_nothing_seen_is_nothing_to_judge() -> None:
+    empty = judge_holes(np.full(SHAPE, Mask.SHADOW, np.uint8), np.zeros(SHAPE, np.uint8), np.zeros(SHAPE, bool))
+    assert (empty.verdict.passed, empty.fault) == (None, None)
+    assert judge_distance(CloudSummary(0, 0.0, None, None, None), STANDARD).verdict.passed is None
+
+
+@pytest.mark.parametrize(("width_px", "step_px"), [(1600, 4), (800, 2), (400, 1), (240, 1), (2448, 6)])
+def test_a_hole_is_as_wide_on_the_surface_whatever_the_camera(width_px: int, step_px: int) -> None:
+    assert grid_step_px(width_px) == step_px
+
+
+@pytest.mark.parametrize(
+    ("distance_mm", "volume", "code"),
+    [
+        (578.0, STANDARD, FaultCode.SCAN_FAR),
+        (561.0, STANDARD, FaultCode.SCAN_FAR),
+        (560.0, STANDARD, None),
+        (440.0, STANDARD, None),
+        (439.0, STANDARD, FaultCode.SCAN_NEAR),
+        (578.0, WorkingVolume(500.0, 600.0, 700.0), None),
+    ],
+)
+def test_a_scan_outside_of_the_measuring_volume_says_so(
+    distance_mm: float, volume: WorkingVolume, code: FaultCode | None
+) -> None:
+    found = judge_distance(CloudSummary(9, 90.0, distance_mm, 0.02, 0.01), volume)
+    assert (None if found.fault is None else found.fault.code) is code
+    assert found.verdict.numbers == {"distance_mm": distance_mm}
+
+
+def test_what_is_missing_is_told_once_and_only_where_nothing_else_explains_it() -> None:
+    summary, exposure = CloudSummary(9, 90.0, 578.0, 0.02, 0.01), Exposure(12_000)
+    missing = Judgement(Verdict("holes", False), Fault(FaultCode.PART_MISSING, "", {"hole_percent": 7.0}))
+    moved = Judgement(
+        Verdict("motion", False, {"added_noise_percent": 1.0, "score": 2.0, "score_limit": 1.0}),
+        Fault(FaultCode.COMPENSATED),
+    )
+    far = judge_distance(summary, STANDARD)
+
+    def codes(*judgements: Judgement) -> list[FaultCode]:
+        return [cause.fault.code for cause in find_causes(judgements, summary, exposure, ())]
+
+    assert codes(missing) == [FaultCode.PART_MISSING]
+    assert codes(moved, missing) == [FaultCode.COMPENSATED, FaultCode.PART_MISSING]
+    assert codes(missing, far) == [FaultCode.SCAN_FAR]
