@@ -27,6 +27,8 @@ from appliance.offline.wish import Wish
 from appliance.optics.water import Water
 from appliance.reconstruct.organised import OrganisedCloud
 from appliance.scan.exposure import Exposure
+from appliance.scan.grade import Grade
+from appliance.scan.verdict import Verdict
 from appliance.storage import scan as stored
 from appliance.storage.atomic import replace_file
 from appliance.storage.damage import refuse_damaged_frames
@@ -75,9 +77,19 @@ class ScanOfDive:
         return self.manifest.record.exposure
 
     @property
+    def grade(self) -> Grade | None:
+        """The one word that screen, lists and pages have for it; ``None``: it has no cloud. Raises ScanError."""
+        return self.manifest.record.grade
+
+    @property
+    def verdicts(self) -> tuple[Verdict, ...]:
+        """Each judge's verdict on it, as it stands in the manifest. Raises ScanError."""
+        return self.manifest.record.verdicts
+
+    @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings that the diver had about it, in words, with the judge's name in front; mostly none. Raises ScanError."""
-        failed = [one for one in self.manifest.record.verdicts if one.passed is False]
+        failed = [one for one in self.verdicts if one.passed is False]
         return tuple(f"{one.name}: {one.text}" if one.text else one.name for one in failed)
 
     @property
@@ -134,14 +146,16 @@ class ScanOfDive:
     def __repr__(self) -> str:
         """Return one line; it never raises, whatever lies in the folder."""
         try:
-            numbers = self.manifest.record.cloud
+            record = self.manifest.record
         except ScanError as error:
             return f"<scan {self.name}: {error}>"
-        points, noise_mm = numbers.get("points"), numbers.get("noise_mm")
-        said = ["no points" if points is None else f"{points:,.0f} points"]
+        points, noise_mm = record.cloud.get("points"), record.cloud.get("noise_mm")
+        parts = ["no points" if points is None else f"{points:,.0f} points"]
         if noise_mm is not None:
-            said.append(f"{1000.0 * noise_mm:.0f} µm")
-        return f"<scan {self.name}: {', '.join(said)}>"
+            parts.append(f"{1000.0 * noise_mm:.0f} µm")
+        if record.grade is not None:
+            parts.append(record.grade.value)
+        return f"<scan {self.name}: {', '.join(parts)}>"
 
 
 @dataclass(frozen=True, slots=True)

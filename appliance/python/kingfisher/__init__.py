@@ -1,13 +1,13 @@
 """Open what dives left on the disk: points as NumPy arrays in mm, objects of many scans, meshes, deviations, files for other programs.
 
     dive = kingfisher.open_dive("ROOT")           the folder that holds scans/
-    scan = dive[7]                                <scan 000007: 282,679 points, 21 µm>
+    scan = dive[7]                                <scan 000007: 282,679 points, 21 µm, good>
     made = scan.points()                          made.points_mm (n, 3), made.sigma_mm (n,)
     kingfisher.export(made, "scan.e57")
 
 The names, each with a help of its own, in ``kingfisher.__all__``:
 
-    scans          open_dive open_scan Dive ScanOfDive OrganisedScan OrganisedCloud Water
+    scans          open_dive open_scan Dive ScanOfDive Grade OrganisedScan OrganisedCloud Water
     calibrations   load_calibration save_calibration Calibration
     registration   ready_scan register solve ReadyScan RegisteredPair Rigid Solved
     objects        open_object ObjectOfDive StoredObject JointErrors LengthSigma
@@ -67,6 +67,7 @@ if TYPE_CHECKING:  # for editors and type checkers; at run time ``__getattr__`` 
     from appliance.report.content import ReportTerm as ReportTerm
     from appliance.report.content import ReportVerdict as ReportVerdict
     from appliance.report.page import write_report as write_report
+    from appliance.scan.grade import Grade as Grade
     from appliance.storage.atomic import StorageError as StorageError
     from appliance.storage.library import UnknownScan as UnknownScan
     from appliance.storage.objects import ObjectError as ObjectError
@@ -107,6 +108,7 @@ _HOMES = {
         "Report", "ReportBudget", "ReportNominal", "ReportPair", "ReportScan", "ReportTerm", "ReportVerdict",
     ),
     "appliance.report.page": ("write_report",),
+    "appliance.scan.grade": ("Grade",),
     "appliance.storage.atomic": ("StorageError",),
     "appliance.storage.library": ("UnknownScan",),
     "appliance.storage.objects": ("ObjectError", "StoredObject"),

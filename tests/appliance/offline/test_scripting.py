@@ -24,6 +24,7 @@ from appliance.calibration.file import CalibrationError, encode, load
 from appliance.instrument import design_of
 from appliance.offline.scripting import export, open_dive, open_scan, save_calibration
 from appliance.optics.water import Water
+from appliance.scan.grade import Grade
 from appliance.scan.verdict import Verdict
 from appliance.storage.calibrations import Calibrations
 from appliance.storage.library import Library, UnknownScan
@@ -114,7 +115,21 @@ def test_what_the_diver_was_warned_of_is_said(tmp_path: Path) -> None:
         Verdict("sides", None),
     )
     library.begin(frames(1), record(verdicts=judged)).publish(record(verdicts=judged))
-    assert open_dive(tmp_path)[1].warnings == ("motion: MOVED: 0.4 px", "light")
+    scan = open_dive(tmp_path)[1]
+    assert scan.warnings == ("motion: MOVED: 0.4 px", "light")
+    assert scan.verdicts == judged
+
+
+def test_a_scan_is_graded_as_the_screen_graded_it(tmp_path: Path) -> None:
+    library = Library(tmp_path)
+    library.prepare()
+    # Its numbers alone are good ones: the grade is what the diver read.
+    numbers = {"points": 282679.0, "noise_mm": 0.021, "coverage_percent": 90.0}
+    kept = record(verdicts=(Verdict("grade", None, {}, "usable"),), cloud=numbers)
+    library.begin(frames(1), kept).publish(kept)
+    scan = open_dive(tmp_path)[1]
+    assert scan.grade is Grade.USABLE
+    assert repr(scan) == "<scan 000001: 282,679 points, 21 µm, usable>"
 
 
 def test_a_calibration_is_written_once_and_read_again(tmp_path: Path) -> None:
