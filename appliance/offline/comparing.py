@@ -193,9 +193,10 @@ def _free_words(laid: LaidOnto, way: FreeWay) -> str:
     )
     unit = "°" if way.turns else " mm"
     # Both are told along the direction as it is written.
-    order = slice(None, None, 1 if _upright(way.direction[:3] if way.turns else way.direction[3:]) else -1)
-    ends = sorted(order.step * one for one in way.ends)
-    rms, lost = (laid.rms_mm, *way.rms_mm[order]), [100.0 * (1.0 - one) for one in (laid.fitting, *way.fitting[order])]
+    sense = 1 if _upright(way.direction[:3] if way.turns else way.direction[3:]) else -1
+    ends = [sense * one for one in way.ends][::sense]
+    rms = [laid.rms_mm, *list(way.rms_mm)[::sense]]
+    lost = [100.0 * (1.0 - one) for one in [laid.fitting, *list(way.fitting)[::sense]]]
     return (
         f"{motion}: its shape does not hold it between {ends[0]:+.3g} and {ends[1]:+.3g}{unit} from here. Tried there: RMS "
         f"{rms[0]:.3f} mm here, {rms[1]:.3f} and {rms[2]:.3f} mm at the ends; {lost[0]:.1f} %, {lost[1]:.1f} % and {lost[2]:.1f} % of the points lie beyond "

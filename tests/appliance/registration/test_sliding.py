@@ -45,7 +45,8 @@ def pipe(sections: int) -> tuple[Array, Array]:
 
 
 def finer() -> tuple[Array, Array]:
-    vertices, faces = trimesh.remesh.subdivide_to_size(*pipe(256), 60.0)
+    cut: Any = trimesh.remesh.subdivide_to_size
+    vertices, faces = cut(*pipe(256), 60.0)
     return vertices, faces
 
 
