@@ -159,8 +159,10 @@ def _remove(fs: FileSystem, draft: Path) -> None:
 
 def find(root: Path, recording: str) -> Path:
     """Return the folder of a recording by its number. Raises ScanError."""
-    folder = root / FOLDER / recording.zfill(6)
-    if scan_number(folder.name) is None or not folder.is_dir():
+    number = recording.zfill(6)
+    folder = root / FOLDER / number
+    # The whole word: the last part of a path may be a number, too.
+    if not recording or scan_number(number) is None or not folder.is_dir():
         raise ScanError(f"no incomplete recording {recording!r} under {root / FOLDER}; give its number or its folder")
     return folder
 

@@ -315,8 +315,10 @@ class Library:
 
     def _find_on(self, shelf: LibraryFolder, scan_id: str) -> Path | None:
         for folder in self._sorted(shelf):
-            # isascii: int() also takes the digits of other scripts, which no folder has.
-            plain_number = scan_id.isascii() and scan_id.isdigit() and int(scan_id) == _number(folder)
+            # isascii: digits of other scripts are digits, too, and no folder has any. As texts: int() refuses thousands of them.
+            plain_number = (
+                scan_id.isascii() and scan_id.isdigit() and (scan_id.lstrip("0") or "0") == str(_number(folder))
+            )
             if folder.name == scan_id or plain_number:
                 return folder
         return None

@@ -23,7 +23,7 @@ from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.library import Library, UnknownScan
 from appliance.storage.manifest import Decision, Manifest, ManifestError, Stage
 from appliance.storage.names import is_component
-from appliance.storage.objects import MemberScan, ObjectError, StoredObject
+from appliance.storage.objects import CloudFacts, MemberScan, ObjectError, StoredObject
 from appliance.storage.scan import ScanError
 from tests.appliance.storage.scenes import record
 from tests.appliance.storage.test_objects import PLACE, PLACES
@@ -75,11 +75,12 @@ REFUSING: dict[str, Callable[[Path, str], object]] = {
     "a broken recording's files": lambda _, bad: incomplete.decode(
         broken_off(replace(MANIFEST, files={bad: Stamp(1, "aa")})), "there"
     ),
-    "a broken recording's number": incomplete.find,
     "an object's scans": lambda root, bad: read_object(root, replace(OBJECT, scans=(MemberScan(bad, "scans/1", ()),))),
     "an object's places": lambda root, bad: read_object(root, of_places(places={bad: PLACE})),
     "an object's scans left out": lambda root, bad: read_object(root, of_places(left_out={bad: "slides"})),
-    "an object's pairs": lambda root, bad: read_object(root, of_places(pairs=(replace(PLACES.pairs[0], second=bad),))),
+    "an object's clouds": lambda root, bad: read_object(root, of_places(clouds={bad: CloudFacts(9, 540.0, 0.02, None, None)})),
+    "the first of an object's pairs": lambda root, bad: read_object(root, of_places(pairs=(replace(PLACES.pairs[0], first=bad),))),
+    "the second of an object's pairs": lambda root, bad: read_object(root, of_places(pairs=(replace(PLACES.pairs[0], second=bad),))),
     "an object's name": objects.read,
     "a scan's number": lambda root, bad: Library(root).entry(bad),
 }  # fmt: skip
@@ -91,6 +92,23 @@ REFUSING: dict[str, Callable[[Path, str], object]] = {
 def test_a_name_that_leads_out_of_its_folder_is_refused_where_it_is_read(reader: str, bad: str, tmp_path: Path) -> None:
     with pytest.raises((ManifestError, ScanError, ObjectError, UnknownScan)):
         REFUSING[reader](tmp_path, bad)
+
+
+def test_a_number_of_thousands_of_digits_is_no_scans(tmp_path: Path) -> None:
+    (tmp_path / "scans" / "000001").mkdir(parents=True)
+    assert {Library(tmp_path).entry(number).scan_id for number in ("1", "01", "000001", "0000001")} == {"000001"}
+    for number in ("1" * 5000, "0" * 5000, "²"):
+        with pytest.raises(UnknownScan):
+            Library(tmp_path).entry(number)
+
+
+@pytest.mark.parametrize("bad", ["../scans/000001", "000001/../000001", "kept", ".000001", ""])
+def test_a_recordings_number_is_no_path(bad: str, tmp_path: Path) -> None:
+    for folder in ("incomplete/000001", "incomplete/000000", "incomplete/.000001", "incomplete/00kept", "scans/000001"):
+        (tmp_path / folder).mkdir(parents=True)
+    assert incomplete.find(tmp_path, "1") == tmp_path / "incomplete" / "000001"
+    with pytest.raises(ScanError):
+        incomplete.find(tmp_path, bad)
 
 
 @pytest.mark.parametrize("bad", ["../scans/000001", "scans/../../x", "a\0b"])
