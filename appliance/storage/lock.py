@@ -44,7 +44,7 @@ def hold_lock(root: Path, wait_s: float = 0.0) -> Iterator[None]:
 
 
 def _take(descriptor: int, until_s: float) -> None:
-    never = threading.Event()
+    never = threading.Event()  # set by nobody: its wait is a pause that Ctrl-C ends
     while True:
         try:
             # flock belongs to the open file: it ends with the process, also with a killed one. A file with a number in

@@ -3,7 +3,7 @@
     <out>/<key>/settings.json          what the key stands for
     <out>/<key>/results/<name>/        row.json, and cloud.ply where clouds were asked for; published by one rename
     <out>/<key>/failed/<name>.json     why there is no result; tried again by the next call
-    <out>/<key>/drafts/<name>.<host>.<process>.<number>/   being made
+    <out>/<key>/drafts/<name>.<host>.<process>.<number>/   being made; the host by digits of its name
     <out>/<key>/table.csv              all rows
     <out>/<key>/calls/<digits>/        locks of calls, each for its part of its source
 
@@ -21,11 +21,11 @@ import io
 import json
 import math
 import os
+import re
 import socket
-import threading
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -39,9 +39,10 @@ from appliance.storage.names import by_number
 
 ROW, CLOUD, TABLE, SETTINGS = "row.json", "cloud.ply", "table.csv", "settings.json"
 KEY_DIGITS, NAME_DIGITS = 16, 12
+_DRAFT = re.compile(rf".+\.(?P<host>[0-9a-f]{{{NAME_DIGITS}}})\.(?P<process>[0-9]{{1,9}})\.[0-9]+")
 OLD_DRAFT_S = 6 * 3600.0
 """A draft of another machine that is older is nobody's; two hours would be enough for the slowest scan."""
-TABLE_WAIT_S, TABLE_RETRY_S = 300.0, 0.2
+TABLE_WAIT_S = 300.0
 """Longest wait for another call that writes the table, which reads every row: minutes for a million."""
 COLUMNS = (
     "scan", "state", "reason", "recorded", "points", "coverage_percent", "distance_mm", "noise_mm", "gap_mm", "exposure",
@@ -99,7 +100,7 @@ class Results:
     def publish(self, name: str, row: Row, cloud: tuple[Bytes, ...] | None) -> Row:
         """Publish a result, whole, by one rename; where another process was first, what that one published is returned."""
         fs = LocalFileSystem()
-        draft = self.folder / "drafts" / f"{name}.{socket.gethostname()}.{os.getpid()}.{time.monotonic_ns()}"
+        draft = self.folder / "drafts" / f"{name}.{host_digits()}.{os.getpid()}.{time.monotonic_ns()}"
         target = self.folder / "results" / name
         with refused("cannot make", draft):
             fs.make_folder(draft)
@@ -143,10 +144,9 @@ class Results:
             probe.unlink()
             drafts = [path for path in (self.folder / "drafts").iterdir() if path.is_dir()]
         for draft in drafts:
-            *_, host, process, _ = draft.name.rsplit(".", 3)
+            made = _DRAFT.fullmatch(draft.name)
             with suppress(StorageError, FileNotFoundError):
-                here = host == socket.gethostname() and process.isdigit()
-                gone = here and not _alive(int(process))
+                gone = made is not None and made["host"] == host_digits() and not _alive(int(made["process"]))
                 if gone or now_s - draft.stat().st_mtime > OLD_DRAFT_S:
                     remove_folder(LocalFileSystem(), draft)
                     swept += 1
@@ -166,7 +166,7 @@ class Results:
         may be done at once: each waits until the one before has written.
         """
         # Listed under the lock: whoever writes last has seen what everybody before published.
-        with self._table_lock():
+        with hold_lock(self.folder, TABLE_WAIT_S):
             named = {str(row["folder"]): row.get("result") for row in rows}
             found = list(self._current_rows(named))
             known = {str(row["folder"]) for row in found}
@@ -203,19 +203,10 @@ class Results:
                 else:
                     yield row
 
-    @contextmanager
-    def _table_lock(self) -> Iterator[None]:
-        until_s, never = time.monotonic() + TABLE_WAIT_S, threading.Event()
-        with ExitStack() as held:
-            while True:
-                try:
-                    held.enter_context(hold_lock(self.folder))
-                    break
-                except StorageError:
-                    if time.monotonic() > until_s:
-                        raise
-                never.wait(TABLE_RETRY_S)
-            yield
+
+def host_digits() -> str:
+    """Return what stands for this computer in names: whatever it is called, and wherever it was called so, a part of a path."""
+    return hashlib.sha256(os.fsencode(socket.gethostname())).hexdigest()[:NAME_DIGITS]
 
 
 def name_of(folder: Path, beside: Sequence[str] = ()) -> str:

@@ -8,6 +8,7 @@ import os
 import re
 import shutil
 import signal
+import socket
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -33,7 +34,7 @@ from appliance.offline.anew.coordinator import (
 )
 from appliance.offline.anew.local import LocalEngine
 from appliance.offline.anew.program import program_digits, program_text
-from appliance.offline.anew.results import COLUMNS, Results, ResultsError, Row, name_of, read_table
+from appliance.offline.anew.results import COLUMNS, Results, ResultsError, Row, host_digits, name_of, read_table
 from appliance.offline.anew.task import AGAIN, BLAME, DONE, FAILED, OF_HOST, OF_MACHINE, OF_SCAN, Job, attempt
 from appliance.storage.atomic import StorageError
 from appliance.storage.lock import hold_lock
@@ -112,20 +113,32 @@ def test_a_result_takes_the_place_of_a_failure(results: Results) -> None:
 
 def test_drafts_of_the_dead_are_swept_and_those_of_the_living_stay(results: Results) -> None:
     drafts = results.folder / "drafts"
-    host = os.uname().nodename
+    host = host_digits()
     gone = 2**22 - 1  # above pid_max of this machine, or nobody's
     for name in (
         f"000001-a.{host}.{os.getpid()}.1",
         f"000002-a.{host}.{gone}.2",
-        f"000003-a.elsewhere.{gone}.3",  # its process lives there, whoever has the number here
+        f"000003-a.{'0' * 12}.{gone}.3",  # its process lives there, whoever has the number here
         "000004-a.elsewhere.7.4",
+        "000005",  # of no form: another program's, perhaps
+        f"000006-a.{host}.²{gone}.6",
+        f"000007-a.{host}.{gone}0000000000.7",
     ):
         (drafts / name).mkdir()
         (drafts / name / "row.json").write_text("{")
     old_s = time.time() - 7 * 3600
     os.utime(drafts / "000004-a.elsewhere.7.4", (old_s, old_s))
     assert results.sweep() == 2
-    assert {path.name[:6] for path in drafts.iterdir()} == {"000001", "000003"}
+    assert {path.name[:6] for path in drafts.iterdir()} == {"000001", "000003", "000005", "000006", "000007"}
+
+
+@pytest.mark.parametrize("host", ["../../elsewhere", "a/b", "x" * 250, "\udcff"])
+def test_a_result_is_published_whatever_the_computer_is_called(
+    host: str, results: Results, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(socket, "gethostname", lambda: host)
+    assert results.publish("000001-a", row(1), None) == row(1)
+    assert list((results.folder / "drafts").iterdir()) == []
 
 
 def test_other_settings_have_another_key(results: Results, tmp_path: Path) -> None:
