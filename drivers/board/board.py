@@ -315,16 +315,18 @@ class TriggerBoard:
                     sequence = self._advance()
                     sent_ns = self._clock.now_ns()
         silent = f"no answer to {verb} in {ATTEMPTS} attempts of {ANSWER_TIMEOUT_S * 1000:.0f} ms"
-        others = " and ".join(other_users(self._url))
-        if others:
-            raise DeviceGone(
-                self._name, f"{silent}; {others} has {self._url} open, too", "Stop it: it takes the answers"
-            )
+        if others := self._other_readers():
+            raise DeviceGone(self._name, f"{silent}{others}", "Stop it: it takes the answers")
         raise DeviceGone(
             self._name,
             silent,
             "Check the board's cable, and that no other program reads its port; it is opened again by itself",
         )
+
+    def _other_readers(self) -> str:
+        """Return what to add to a message about silence: who else reads the port, or nothing."""
+        others = " and ".join(other_users(self._url))
+        return others and f"; {others} has {self._url} open, too"
 
     def _advance(self) -> int:
         self._sequence = (self._sequence + 1) % SEQUENCE_MODULUS
@@ -393,7 +395,7 @@ class TriggerBoard:
                 silent = True
                 with self._state:
                     self._latest = None
-                self._events.put(BoardLost(f"no heartbeat for {SILENCE_S} s"))
+                self._events.put(BoardLost(f"no heartbeat for {SILENCE_S} s{self._other_readers()}"))
 
     def _take(self, line: bytes, now_ns: int) -> bool:
         """Deliver one line; True when it proves that the board is alive (heartbeat or boot banner)."""

@@ -197,8 +197,11 @@ def test_a_program_that_reads_the_port_without_a_lock_is_named_and_not_the_cable
         with Path(far.url).open("rb", buffering=0) as port, subprocess.Popen(["sleep", "60"], stdin=port) as reader:
             with pytest.raises(DeviceGone) as caught:
                 board.stop()
+            lost = wait_for(board, BoardLost, 2.5)
             reader.kill()
-    assert f"sleep (process {reader.pid}) has {far.url} open, too" in caught.value.message
+    said = f"; sleep (process {reader.pid}) has {far.url} open, too"
+    assert said in caught.value.message
+    assert lost == BoardLost(f"no heartbeat for 1.5 s{said}")
     assert "cable" not in str(caught.value)
 
 
