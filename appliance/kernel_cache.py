@@ -97,15 +97,23 @@ def runs_common(processor: Processor) -> bool:
 def fingerprint(processor: Processor | None = None) -> str:
     """Return 16 hexadecimal digits that change with each kernel file, interpreter, compiler and processor (default:
     this one)."""
-    processor = processor or this_processor()
-    digest = hashlib.sha256()
+    return _fingerprints(processor or this_processor())[0]
+
+
+def _fingerprints(*processors: Processor) -> list[str]:
+    """Return the fingerprint for each of ``processors``; the kernel files are read once for all, which takes most of the time."""
+    files = hashlib.sha256()
     for name, path in _kernel_files():
-        digest.update(name.encode() + b"\0" + path.read_bytes() + b"\0")
+        files.update(name.encode() + b"\0" + path.read_bytes() + b"\0")
     versions = [metadata.version(package) for package in ("numba", "llvmlite", "numpy")]
-    # Each of them can make other machine code of the same kernel.
-    parts = (sys.version, platform.machine(), *versions, processor.name, processor.features)
-    digest.update("\0".join(parts).encode())
-    return digest.hexdigest()[:16]
+    found = []
+    for processor in processors:
+        # Each of them can make other machine code of the same kernel.
+        parts = (sys.version, platform.machine(), *versions, processor.name, processor.features)
+        digest = files.copy()
+        digest.update("\0".join(parts).encode())
+        found.append(digest.hexdigest()[:16])
+    return found
 
 
 def stamps() -> str:
@@ -163,15 +171,17 @@ def use(shipped: Path | None = None, writable: Path | None = None) -> KernelCach
     Never fails: without a place that can be written and trusted, the kernels go to a new temporary one.
     """
     given = os.environ.get(VARIABLE)
+    own, common = _fingerprints(this_processor(), COMMON)
     # A folder with our own fingerprint was set by `./dev` or by a parent process: it is kept up like any other.
-    if given and Path(given).name != fingerprint():
+    if given and Path(given).name != own:
         return KernelCache(Path(given), Origin.GIVEN)
     if given:
         writable = Path(given).parent
-    source, compiled_for = _shipped(shipped or shipped_folder())
-    for base in (writable or writable_folder(os.environ), _last_resort()):
+    base = shipped or shipped_folder()
+    source, compiled_for = _shipped(base / own, base / common)
+    for place in (writable or writable_folder(os.environ), _last_resort()):
         # Without links from here on: what is looked at is what numba reads.
-        folder = base.resolve() / source.name
+        folder = place.resolve() / source.name
         try:
             origin = _fill(folder, source)
         except OSError:
@@ -183,16 +193,14 @@ def use(shipped: Path | None = None, writable: Path | None = None) -> KernelCach
     return KernelCache(folder, Origin.EMPTY)
 
 
-def _shipped(base: Path) -> tuple[Path, Processor | None]:
-    """Return the best that an installation has compiled: for this processor, else for the common level; where both
+def _shipped(own: Path, common: Path) -> tuple[Path, Processor | None]:
+    """Return the best that an installation has compiled: for this processor (``own``), else for the common level; where both
     miss, the first. With it, whom numba must be told to compile for; ``None``: this processor, which it finds by
     itself."""
-    own = base / fingerprint()
-    if not (own / COMPLETE).exists() and platform.machine() == "x86_64" and runs_common(this_processor()):
-        common = base / fingerprint(COMMON)
-        if (common / COMPLETE).exists():
-            return common, COMMON
-    return own, None
+    if (own / COMPLETE).exists() or not (common / COMPLETE).exists():
+        return own, None
+    runs = platform.machine() == "x86_64" and runs_common(this_processor())
+    return (common, COMMON) if runs else (own, None)
 
 
 def point_at(folder: Path, processor: Processor | None = None) -> None:
