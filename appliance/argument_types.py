@@ -1,7 +1,7 @@
 """Owns how a function for scripts refuses an argument of a wrong type: in one sentence that names what was given and what is wanted.
 
 A type checker says the same before the call, to those who run one. The types are those of the annotations, so that none is written twice:
-classes, unions, numbers, texts, arrays, functions, and lists with what is in them. What an annotation says beyond that is not looked at.
+classes, unions, numbers, texts, arrays, functions, and lists of one kind of thing. What an annotation says beyond that is not looked at.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import functools
 import inspect
 import numbers
 import typing
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, ParamSpec, TypeVar
@@ -23,7 +23,9 @@ _NUMBERS = {float: numbers.Real, int: numbers.Integral}
 """NumPy's numbers count as Python's, as they do in its arithmetic."""
 _WORDS = {
     float: "a number", int: "a whole number", str: "a text", bool: "True or False", Path: "a path", NoneType: "None", np.ndarray: "a NumPy array",
+    Callable: "a function",
 }  # fmt: skip
+_UNIONS = (typing.Union, UnionType)
 _SHOWN = 40
 """Characters of a value that are shown."""
 
@@ -41,7 +43,8 @@ def refuse_wrong_types(function: Callable[P, R], name: str | None = None) -> Cal
         try:
             given = signature.bind(*args, **kwargs).arguments
         except TypeError as error:
-            raise TypeError(f"{called}: {error}; it is {called}{_without_types(signature)}") from None
+            names = [one.replace(annotation=one.empty) for one in signature.parameters.values() if one.name != "self"]
+            raise TypeError(f"{called}: {error}; it is {called}{inspect.Signature(names)}") from None
         # Only now: annotations are texts, and may name what a module of the other end imports.
         wanted = _annotations(function)
         for argument, value in given.items():
@@ -63,81 +66,54 @@ def _annotations(function: Callable[..., Any]) -> Mapping[str, Any]:
     return typing.get_type_hints(function)
 
 
-def _without_types(signature: inspect.Signature) -> str:
-    bare = [
-        one.replace(annotation=inspect.Parameter.empty) for one in signature.parameters.values() if one.name != "self"
-    ]
-    return str(inspect.Signature(bare))
-
-
 def fits(value: object, wanted: Any) -> bool:
     """Return True if ``value`` is what the annotation ``wanted`` says; True also where an annotation says nothing that can be seen."""
     origin, inner = typing.get_origin(wanted), typing.get_args(wanted)
-    if origin in (typing.Union, UnionType):
+    kind = origin or wanted
+    if kind in _UNIONS:
         return any(fits(value, one) for one in inner)
-    if origin is typing.Literal:
+    if kind is typing.Literal:
         return value in inner
-    if wanted in _NUMBERS:
-        return isinstance(value, _NUMBERS[wanted]) and not isinstance(value, bool)
-    if origin is Callable:
-        return callable(value)
-    if wanted is Any:
-        return True
-    if isinstance(wanted, type) and origin is None:
-        return isinstance(value, wanted)
-    if not isinstance(origin, type):
-        return True
-    if issubclass(origin, Iterable) and isinstance(value, str | bytes):
+    if kind in _NUMBERS:
+        return isinstance(value, _NUMBERS[kind]) and not isinstance(value, bool)
+    if origin is not None and isinstance(value, str | bytes):
         return False  # a text is a sequence of texts, and nobody means it
-    if origin is Sequence and isinstance(value, np.ndarray):
+    if kind is Sequence and isinstance(value, np.ndarray):
         return value.ndim > 0
-    if not isinstance(value, origin):
+    if isinstance(kind, type) and not isinstance(value, kind):
         return False
-    return all(fits(*pair) for pair in _elements(value, origin, inner))
-
-
-def _elements(value: Any, origin: type, inner: tuple[Any, ...]) -> Iterable[tuple[object, Any]]:
-    """Return what a list holds, each with what is wanted there. An iterator is not looked into: that would use it up."""
-    if origin is tuple and inner[-1:] != (...,):
-        # Another length fits nowhere.
-        return zip(value, inner, strict=True) if len(value) == len(inner) else [(None, int)]
-    if inner and isinstance(value, list | tuple):
-        return [(one, inner[0]) for one in value]
-    return []
+    # An iterator is not looked into, which would use it up.
+    return not (inner and isinstance(value, list | tuple)) or all(fits(one, inner[0]) for one in value)
 
 
 def named(wanted: Any) -> str:
     """Return an annotation in words: ``a Mesh, a FusedCloud or None``."""
     origin, inner = typing.get_origin(wanted), typing.get_args(wanted)
-    if origin in (typing.Union, UnionType):
+    kind = origin or wanted
+    if kind in _UNIONS:
         *first, last = dict.fromkeys(map(named, inner))
         return f"{', '.join(first)} or {last}" if first else last
-    if origin is typing.Literal:
+    if kind is typing.Literal:
         return " or ".join(map(repr, inner))
-    kind = origin if isinstance(origin, type) else wanted
-    if kind is Callable:
-        return "a function"
     if kind in _WORDS:
         return _WORDS[kind]
-    if origin is not None and inner and issubclass(kind, Iterable) and not issubclass(kind, Mapping):
-        return f"several of {named(inner[0])}"
-    return _a(getattr(kind, "__name__", str(kind)))
+    return f"several of {named(inner[0])}" if inner else _a(kind.__name__)
 
 
 def shown(value: object) -> str:
     """Return a value and its type in a few words, never over more than one line."""
-    if isinstance(value, np.ndarray):
-        return f"a NumPy array of shape {value.shape}"
     if value is None:
         return "None"
+    if isinstance(value, np.ndarray):
+        return f"a NumPy array of shape {value.shape}"
+    name = _a(type(value).__name__)
     if isinstance(value, list | tuple):
         held = ", ".join(dict.fromkeys(type(one).__name__ for one in value[:_SHOWN]))
-        return f"a {type(value).__name__} of {len(value)}" + (f" ({held})" if held else "")
-    name = type(value).__name__
+        return f"{name} of {len(value)}" + (f" ({held})" if held else "")
     if isinstance(value, str | Path | numbers.Number):
         text = repr(value) if isinstance(value, str) else str(value)
-        return f"{text[:_SHOWN]}{'…' if len(text) > _SHOWN else ''}, {_a(name)}"
-    return _a(name)
+        return f"{text[:_SHOWN]}{'…' if len(text) > _SHOWN else ''}, {name}"
+    return name
 
 
 def _a(name: str) -> str:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import importlib
 import inspect
 import pickle
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any, Literal, get_type_hints
+from typing import Literal, get_type_hints
 
 import numpy as np
 import pytest
@@ -105,14 +105,11 @@ def test_what_people_try_first_is_answered_with_what_is_wanted(
         (int, (1, np.uint8(2)), (1.0, True, "1")),
         (str | None, ("a", None), (b"a", 1)),
         (NDArray[np.float32], (POINTS,), ([1.0], None)),
-        (Sequence[float], ([1, 2.0], (3.0,), POINTS[0], []), ("12", 3.0, ["a"], np.float64(1))),
-        (Mapping[str, int], ({"a": 1},), ([1],)),
+        (Sequence[float], ([1, 2.0], (3.0,), POINTS[0], []), ("12", 3.0, ["a"], np.float64(1), np.array(1.0))),
         (tuple[str, ...], (("a", "b"), ()), (["a"], ("a", 1))),
-        (tuple[int, str], ((1, "a"),), ((1,), ("a", 1), (1, "a", 2))),
-        (Iterator[int], (iter([1]),), ([1],)),
+        (Iterable[int], ([1], iter([1])), ("1", ["1"], 1)),
         (Callable[[str], None], (print,), ("print",)),
         (Literal["left", "right"], ("left",), ("up", 1)),
-        (Any, (object(),), ()),
     ],
 )
 def test_a_value_fits_an_annotation_or_not(wanted: object, good: tuple[object, ...], bad: tuple[object, ...]) -> None:
