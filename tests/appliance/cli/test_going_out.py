@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from appliance.cli import main
-from appliance.cli.output import Exit, Progress, plain
+from appliance.cli.output import Exit, Progress, complain, plain
 from appliance.cli.verbs import Listed
 from appliance.process_start import interrupts
 from appliance.scan.verdict import Verdict
@@ -53,6 +53,16 @@ def test_escape_codes_of_a_strange_manifest_do_not_reach_the_terminal(
     assert (out + error).replace("\n", "").isprintable()
     if "--json" in words:
         assert ESCAPES in str(json.loads(out)).encode().decode("unicode_escape")
+
+
+@pytest.mark.parametrize("as_json", [False, True])
+def test_escape_codes_in_an_error_do_not_reach_the_terminal(as_json: bool, capsys: pytest.CaptureFixture[str]) -> None:
+    complain(f"a\n{ESCAPES}", as_json=as_json)
+    error = capsys.readouterr().err
+    assert error.endswith("\n")
+    assert error[:-1].isprintable()
+    if as_json:
+        assert json.loads(error) == {"error": f"a {ESCAPES}"}
 
 
 def test_a_line_end_in_a_manifest_begins_no_line(root: Path, capsys: pytest.CaptureFixture[str]) -> None:

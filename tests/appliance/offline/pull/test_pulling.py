@@ -292,7 +292,7 @@ def test_names_that_lead_out_of_the_folder_are_not_followed(there: Path, here: P
     assert not (here / "scans" / "000001" / ".ssh").exists()
 
 
-@pytest.mark.parametrize("linked", ["calibration", "scans", "objects"])
+@pytest.mark.parametrize("linked", ["calibration", "scans", "objects", "scans/000001"])
 def test_a_linked_folder_on_a_strange_disk_does_not_lead_to_the_desks_own_files(
     linked: str, there: Path, here: Path, tmp_path: Path
 ) -> None:
@@ -302,6 +302,8 @@ def test_a_linked_folder_on_a_strange_disk_does_not_lead_to_the_desks_own_files(
     shutil.rmtree(there / linked, ignore_errors=True)
     (there / linked).symlink_to(own)
     source = FolderSource(there)
+    folder, _, name = linked.rpartition("/")
+    assert name not in {one.name for one in source.listing(folder)}
     for ask in (lambda: source.listing(linked), lambda: list(source.read(f"{linked}/secret.json", 0, 10))):
         with pytest.raises(Unreadable, match="over a link"):
             ask()
