@@ -10,6 +10,7 @@ from appliance.cli.arguments import operand, operands, switch
 from appliance.cli.listing import shown
 from appliance.cli.output import Exit, Progress, say, say_json, table
 from appliance.cli.places import WithRoot, scan_folder
+from appliance.machine.ashore import ASHORE
 from appliance.scan.fault import FaultCode
 from appliance.storage.library import Library, LibraryFolder, ScanEntry, entry_of
 from appliance.storage.manifest import Stage, as_json
@@ -66,7 +67,13 @@ class ShowScan(WithRoot):
         # A folder that was copied somewhere is shown without any storage root or rig file.
         folder = scan_folder(self.scan) or Library(self.existing_root()).entry(self.scan).folder
         entry = entry_of(folder, checksums=False)
-        full = {**_brief(entry), "manifest": None if entry.manifest is None else as_json(entry.manifest)}
+        told = [] if entry.manifest is None else entry.manifest.record.held_against
+        ashore = {code.value: ASHORE[code] for code in told if code in ASHORE}
+        full = {
+            **_brief(entry),
+            "ashore": ashore,
+            "manifest": None if entry.manifest is None else as_json(entry.manifest),
+        }
         if self.json:
             say_json(full)
             return Exit.OK

@@ -1,6 +1,7 @@
 """Owns what to look at ashore, inside of the housing, for each fault that a diver can only switch off and on against.
 
-The screen has no room for it, and a diver no use; it stands in the journal beside the fault, and in ``docs/faults.md``.
+The screen has no room for it, and a diver no use; it stands in the journal beside the fault, in ``scans show``, and in
+``docs/faults.md``.
 """
 
 from __future__ import annotations

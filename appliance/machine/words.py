@@ -175,7 +175,6 @@ class Text(Enum):
 
     # Calibration: what to hold, and how
     BALL_BAR = ("BALL BAR", "KUGELSTAB")
-    PLANE = ("PLANE", "EBENE")
     LYING = ("LYING, ONE END 35° NEARER", "LIEGEND, EIN ENDE 35° NÄHER")
     UPRIGHT = ("UPRIGHT, ONE END 35° NEARER", "STEHEND, EIN ENDE 35° NÄHER")
     PLANE_AWAY = ("{:.0f} mm AWAY, FILLS THE PICTURE", "{:.0f} mm VOR DEM GERÄT, BILDFÜLLEND")

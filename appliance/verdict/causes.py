@@ -348,14 +348,14 @@ def _levels(
     of: Mapping[str, Judgement], light: Numbers, water: Numbers, best_fringe_dn: float | None
 ) -> Iterator[Cause]:
     """Yield too bright, too dark, too much ambient light, as shares of the illuminated pixels; of what is saturated
-    see ``_saturated``.
+    see ``_saturated``. What another lamp saturates is ambient light alone.
 
     Ambient light takes no more than what would be there without it: where the longest exposure makes less than
     ``ENOUGH_FRINGE_DN`` of the fringes (``best_fringe_dn``), putting a lamp out mends nothing.
     """
     judged = of.get("light")
     fault = None if judged is None else judged.fault
-    saturated = _saturated(light, water)
+    saturated = _saturated(light, water, burnt=False)
     if fault is not None and fault.code is FaultCode.TOO_DARK:
         yield Cause(fault, 1.0 - 0.01 * fault.numbers.get("coverage_percent", 0.0), True)
     if fault is not None and fault.code is FaultCode.AMBIENT:
@@ -368,13 +368,16 @@ def _levels(
         yield Cause(Fault(FaultCode.TOO_BRIGHT, detail, {"saturated_percent": 100.0 * saturated}), saturated, False)
 
 
-def _saturated(light: Numbers, water: Numbers) -> float:
+def _saturated(light: Numbers, water: Numbers, *, burnt: bool = True) -> float:
     """Return the saturated share of the illuminated pixels of the brighter camera; or of the object's, where the left camera
-    sees more of these saturated.
+    sees more of these saturated. ``burnt``: with what another lamp saturates, where no exposure helps.
 
     Illuminated water shows no object, and would dilute the share that is lost of one.
     """
-    left, right = (0.01 * (light.get(f"{side}_saturated_percent") or 0.0) for side in SIDES)
+    shares = {side: 0.01 * (light.get(f"{side}_saturated_percent") or 0.0) for side in SIDES}
+    if not burnt:
+        shares = {side: share - 0.01 * (light.get(f"{side}_burnt_percent") or 0.0) for side, share in shares.items()}
+    left, right = (shares[side] for side in SIDES)
     illuminated, clear = light.get("left_lit_percent"), water.get("object_percent")
     if left > 0.0 and illuminated is not None and clear is not None:
         of_picture = left * 0.01 * illuminated

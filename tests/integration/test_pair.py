@@ -25,7 +25,8 @@ wait state AIM 90
 press scan
 wait label down HOLD:* 120
 press down 1.2
-wait label down None 120
+wait label down None 10
+wait label up TURN 120
 press scan
 wait scans 1 60
 wait state AIM 60

@@ -59,7 +59,8 @@ texture labels
 press scan
 wait label down HOLD:* 120
 press down 1.2
-wait label down None 120
+wait label down None 10
+wait label up TURN 120
 press scan
 wait scans 2 60
 wait state AIM 60

@@ -164,6 +164,7 @@ def _numbers(side: str, at: Levels, c: Changes) -> dict[str, float | None]:
     return {
         f"{side}_lit_percent": percent(at.illuminated_share),
         f"{side}_saturated_percent": percent(at.saturated),
+        f"{side}_burnt_percent": percent(at.burnt),
         f"{side}_weak_percent": percent(at.weak),
         f"{side}_modulation_dn": at.modulation_dn,
         f"{side}_modulation_tenth_dn": at.modulation_tenth_dn,

@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 
 from appliance.cli import main
+from appliance.machine.ashore import ASHORE
+from appliance.scan.fault import FaultCode
 from appliance.scan.verdict import Verdict
 from appliance.storage.library import Library
 from tests.appliance.storage.scenes import PREVIEW, cloud, frames, record
@@ -111,6 +113,23 @@ def test_show_prints_the_manifest(root: Path, capsys: pytest.CaptureFixture[str]
     assert lines["manifest.record.temperatures_c.case"] == "-"
     assert main(["scans", "show", "000001", "--json", "--root", str(root)]) == 0
     assert json.loads(capsys.readouterr().out)["manifest"]["record"]["rig_hash"] == "ab" * 32
+
+
+def test_show_says_what_to_look_at_ashore_of_a_fault_inside_of_the_housing(
+    root: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It stood in the journal alone, which stays on the instrument."""
+    verdicts = (
+        Verdict("identity", False, {}, "PROJECTOR_DARK: all is dark"),
+        Verdict("causes", False, {"too_bright_percent": 7.0}),
+    )
+    Library(root).begin(frames(4), record()).reject("dark", record(verdicts=verdicts))
+    folder = str(root / "rejected" / "000004")
+    assert main(["scans", "show", folder]) == 0
+    lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("ashore.")]
+    assert [line.split(None, 1) for line in lines] == [["ashore.PROJECTOR_DARK", ASHORE[FaultCode.PROJECTOR_DARK]]]
+    assert main(["scans", "show", folder, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["ashore"] == {"PROJECTOR_DARK": ASHORE[FaultCode.PROJECTOR_DARK]}
 
 
 def test_an_unknown_scan_is_one_line_with_a_remedy(root: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -14,7 +14,7 @@ from appliance.cli.simrig import default_sim_rig
 from appliance.config import Rig, load_rig
 from appliance.instrument import machine_settings
 from appliance.machine.alerts import alert_of
-from appliance.machine.states import Calibrating, State, boot
+from appliance.machine.states import Calibrating, Device, State, boot
 from appliance.machine.words import Language
 from appliance.optics.volume import WorkingVolume
 from appliance.ranging.reach import Range, Reach, reach_of
@@ -97,7 +97,7 @@ def test_the_guide_of_the_calibration_asks_for_this_housings_distances(
 
 
 def test_aiming_is_right_at_300_mm_and_too_far_where_the_other_housing_works(rig: Rig) -> None:
-    machine = replace(boot(0, machine_settings(rig)), state=State.AIM, lasers_off_since_ns=None)
+    machine = replace(boot(0, machine_settings(rig)), state=State.AIM, lasers_off_since_ns=None, up=frozenset(Device))
     for mm, reach in ((WORKING_MM, Reach.OK), (500.0, Reach.CLOSER), (200.0, Reach.BACK)):
         measured = Range(mm, 0.0, 1.0, 2)
         view = view_of(replace(machine, range=measured), NOTHING)

@@ -65,6 +65,15 @@ def test_ordinary_scenes_at_rest_get_no_alarm(number: int, name: str) -> None:
     assert told(Scene(object=name, pose=(0.0, 0.0, z_mm, 0.0, 8.0, 0.0), water=water), seed=10 + number) is None
 
 
+def test_a_weak_torchs_spot_on_a_part_of_the_shade_is_no_turbid_water() -> None:
+    """What the water sends back is everywhere; this spot leaves a part of the shade dark."""
+    scene = Scene(object="ballbar", daylight=Daylight(torch=0.5))
+    shade = seen(scene).shade
+    assert shade is not None
+    assert shade.bright_dn > 90.0
+    assert told(scene) is None
+
+
 @pytest.mark.parametrize("exposure", [Exposure(2_000), Exposure(16_000, 12.0)], ids=["dark", "overexposed"])
 def test_the_instruments_own_light_is_no_torch_and_no_turbid_water(exposure: Exposure) -> None:
     assert told(Scene(object="plane"), exposure) in (None, FaultCode.AIM_DARK)

@@ -240,6 +240,17 @@ def test_saturation_that_its_judge_let_pass_is_named_for_a_poor_scan() -> None:
     assert set(none) == {FaultCode.NOTHING_SEEN}
 
 
+def test_what_a_torch_saturates_is_not_also_too_bright() -> None:
+    """Where hardly anything else of the object was seen it even led, with no exposure to offer."""
+    known = {"left_lit_percent": 50.0, "left_saturated_percent": 40.0, "right_saturated_percent": 9.0}
+    little = said("water", object_percent=10.0)
+    for burnt, percent in (({}, 100.0 * 0.2 / 0.3), ({"left_burnt_percent": 39.0, "right_burnt_percent": 1.0}, 8.0)):
+        light = said("light", FaultCode.AMBIENT, {"ambient_percent": 45.0}, **known, **burnt)
+        found = causes(light, little, SEEN, summary=POOR)
+        assert found[FaultCode.AMBIENT].share == pytest.approx(0.45)
+        assert found[FaultCode.TOO_BRIGHT].fault.numbers == {"saturated_percent": pytest.approx(percent)}
+
+
 def test_a_twentieth_is_the_least_that_is_named_beside_something_larger() -> None:
     moves = motion(25.0)
     for percent, named_too in ((5.0, True), (4.9, False)):

@@ -221,6 +221,28 @@ def test_light_brighter_than_the_projector_is_told_apart_from_a_wrong_exposure()
     assert fault.code is FaultCode.AMBIENT
 
 
+@pytest.mark.parametrize("torch", [2.0, 3.0, 8.0])
+def test_what_a_torch_burns_away_proposes_no_exposure_and_what_the_projector_does_proposes_a_shorter_one(
+    torch: float,
+) -> None:
+    """A torch's spot was TOO BRIGHT, and the shorter exposure that was offered took the light from all around it."""
+    p, q = coordinates()
+    spot = torch * np.exp(-((p - 400.0) ** 2 + (q - 300.0) ** 2) / 2.0 / 130.0**2)
+    albedo = wall(10, 0.2, 0.45)
+    burnt, exposed = judge(Wall(albedo, spot)), judge(Wall(albedo), Exposure(16_000, 12.0))
+    for judged in (burnt, exposed):
+        assert (judged.verdict.numbers["left_saturated_percent"] or 0.0) > 10.0
+    assert burnt.fault is not None
+    assert burnt.fault.code is FaultCode.AMBIENT
+    assert (burnt.proposal, burnt.second) == (None, None)
+    assert (burnt.verdict.numbers["left_burnt_percent"] or 0.0) > 5.0
+    assert exposed.fault is not None
+    assert exposed.fault.code is FaultCode.TOO_BRIGHT
+    assert exposed.proposal is not None
+    assert exposed.proposal.light < Exposure(16_000, 12.0).light
+    assert exposed.verdict.numbers["left_burnt_percent"] == 0.0
+
+
 # ----------------------------------------------------------------------------------------- saturation
 
 
