@@ -36,7 +36,7 @@ MILKY_SHARE = 0.22
 """The shade's even brightness as a share of the brightest smooth part, from which on the judge of water, too, would call it dirty."""
 EVEN_SHARE, BRIGHT_SHARE = 0.9, 0.1
 """Shares of the shade's pixels that must have so much light: what the water sends back is everywhere, a torch's spot is not."""
-FOREIGN_DN, SPOILING_DN, MOST_DN = 125.0, 40.0, 240.0
+FOREIGN_DN, SPOILING_DN, MOST_DN = 0.5 * FULL_DN, 40.0, 240.0
 """Light of other lamps in the shade, in grey values at no more than the nominal exposure: half of the scale, as the judge of
 light has it; the second counts where the
 picture is saturated as well. At longer exposures both grow with them, for the water's part does, up to the third."""

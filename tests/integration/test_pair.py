@@ -41,6 +41,7 @@ wait label down HOLD:* 60
 press scan
 wait scans 2 60
 wait state AIM 60
+wait gone CAMERA_LOST 60
 press scan
 wait label down HOLD:* 120
 object frustum 30 0 520 0 9 0

@@ -96,8 +96,8 @@ SMALL: NDArray[np.uint8] = np.zeros((1, 1), np.uint8)
 @pytest.mark.parametrize(
     ("even", "bright", "glow", "saturated", "longer", "code"),
     [
-        (2.0, 124.0, 250.0, 0.0, 1.0, None),
-        (2.0, 126.0, 250.0, 0.0, 1.0, FaultCode.AIM_LIGHT),
+        (2.0, 127.0, 250.0, 0.0, 1.0, None),
+        (2.0, 128.0, 250.0, 0.0, 1.0, FaultCode.AIM_LIGHT),
         (2.0, 39.0, 250.0, 0.06, 1.0, None),
         (2.0, 41.0, 250.0, 0.06, 1.0, FaultCode.AIM_LIGHT),
         (2.0, 41.0, 250.0, 0.04, 1.0, None),
