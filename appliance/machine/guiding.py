@@ -23,7 +23,7 @@ class GuidanceSaid:
     overlap: Label | None
     """Overlap that a scan from here would have; ``None``: none is known."""
     words: Text | None
-    """What to do; ``None``: the distance says so."""
+    """Words for the remedy; ``None``: the distance says so."""
     move: Move | None = None
     toward: tuple[float, float] | None = None
     """Direction in the left picture, right and down, of length 1; ``None``: no arrow."""

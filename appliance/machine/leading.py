@@ -54,7 +54,7 @@ _REMEDIES = (
     *(FaultCode.AIM_TURBID, FaultCode.WATER_DIRTY, FaultCode.WINDOW),
     *(FaultCode.AIM_DARK, FaultCode.TOO_BRIGHT, FaultCode.TOO_DARK, FaultCode.FRINGES_BENT, FaultCode.SCAN_POOR),
 )
-"""What the diver can do, in the order in which it is done: out of the water, then about the place."""
+"""Remedies that a diver has, in the order of doing them: out of the water, then about the place."""
 
 
 def urgency(code: FaultCode) -> tuple[int, ...]:
@@ -67,14 +67,14 @@ def urgency(code: FaultCode) -> tuple[int, ...]:
 
 
 class Leader(Enum):
-    """What leads a screen; whatever else there is to say is small and of no colour of its own."""
+    """Part that leads a screen; whatever else there is to say is small and of no colour of its own."""
 
     ALERT = "alert"
     """An alert in full: what to do stands in its band."""
     DISTANCE = "distance"
     """The word beside the gauge: closer, or back."""
     PASSING = "passing"
-    """What a scan would fail for now, in the place of READY."""
+    """Cause that a scan would fail for now, in the place of READY."""
     OVERLAP = "overlap"
     """The way back to the scan before."""
     SCREEN = "screen"
