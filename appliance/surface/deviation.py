@@ -2,8 +2,8 @@
 
 The nearest triangle is libigl's (MPL-2.0, a tree of boxes around the triangles). Where the points' own normals are given, triangles that face away
 by more than a right angle do not count: the far side of a thin plate is not what was measured. libigl cannot leave triangles out for a
-single point, so those few whose nearest one faces away are asked again in groups of like normals, of the triangles that face any of a group; a
-group is halved until each of its points has one that faces it.
+single point, so the few whose nearest one faces away are asked again from farther out along their normals, the least way first, until one faces
+them; from just above that triangle's plane they are then projected onto the surface until they stay.
 
 What lies beside an open border of the surface has no counterpart on it and no deviation. Symbols in the kernels: p the point, a, b and c the
 corners, q the nearest place on the triangle (C. Ericson, "Real-Time Collision Detection", 5.1.5).
@@ -27,6 +27,12 @@ PERCENTILES = (0.5, 2.5, 16.0, 50.0, 84.0, 97.5, 99.5)
 BESIDE_MM = 0.05
 """Distance sideways from an open border from which on a point has no counterpart on the surface."""
 _BLOCK = 100_000
+_FARTHER_OUT = (1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0)
+"""Ways out along a point's normal, as shares of the limit, from which a triangle that faces it is looked for."""
+_PROJECTED = 4
+"""Times that a point is projected onto its side of the surface: each step leaves a share of the way along it that is the distance over the radius."""
+_ABOVE_MM = 1e-3
+"""Height above the surface from which its own side is the nearest."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +95,6 @@ class NominalTree:
     """A nominal surface that can be asked for nearest places."""
 
     nominal: Nominal
-    _igl: Any
     _tree: Any
 
     @classmethod
@@ -98,7 +103,7 @@ class NominalTree:
         igl = needed("igl", "libigl", "a comparison")
         tree = igl.AABB()
         tree.init(nominal.vertices_mm, nominal.faces)
-        return cls(nominal, igl, tree)
+        return cls(nominal, tree)
 
     def nearest(
         self, points_mm: NDArray[np.float64], normals: NDArray[np.float64] | None = None, limit_mm: float = np.inf
@@ -110,13 +115,10 @@ class NominalTree:
         """
         nominal = self.nominal
         points = np.ascontiguousarray(points_mm, np.float64)
-        square, face, _ = self._tree.squared_distance(nominal.vertices_mm, nominal.faces, points)
-        # One point alone comes back without its axis.
-        face, there = np.atleast_1d(face).astype(np.int64), np.ones(len(points), np.bool_)
+        face, there = self._nearest_face(points), np.ones(len(points), np.bool_)
         if normals is not None:
             # NaN compares as false: a point without a normal takes any triangle.
-            away = ((normals * nominal.face_normals[face]).sum(1) < 0.0) & (np.atleast_1d(square) <= limit_mm**2)
-            left = np.flatnonzero(away)
+            left = np.flatnonzero((normals * nominal.face_normals[face]).sum(1) < 0.0)
             face[left] = self._facing(points[left], normals[left], limit_mm)
             there = face >= 0
         place, signed = np.empty_like(points), np.full(len(points), np.inf)
@@ -131,41 +133,34 @@ class NominalTree:
         return NearestPlaces(face, place, signed, beside)
 
     def _facing(self, points: NDArray[np.float64], normals: NDArray[np.float64], limit_mm: float) -> NDArray[np.int64]:
-        """Return the nearest triangle (n,) of those that do not face away from each point; -1 where there is none within the limit."""
-        nominal, found = self.nominal, np.full(len(points), -1)
-        corners = nominal.vertices_mm[nominal.faces]
-        low, high = corners.min(axis=1), corners.max(axis=1)
-        groups = [np.arange(len(points))] if len(points) else []
-        while groups:
-            rows = groups.pop()
-            mine = normals[rows]
-            axis = mine.mean(axis=0)
-            axis /= max(float(np.linalg.norm(axis)), 1e-12)
-            # A triangle that faces any of them is within a right angle and their widest angle from their mean.
-            widest = float(np.arccos(np.clip(mine @ axis, -1.0, 1.0)).max())
-            least = -1.0 if widest >= 0.5 * np.pi else -np.sin(widest) - 1e-9
-            near = (low <= points[rows].max(axis=0) + limit_mm).all(1) & (
-                high >= points[rows].min(axis=0) - limit_mm
-            ).all(1)
-            faces = np.flatnonzero(near & (nominal.face_normals @ axis >= least))
-            if not len(faces):
-                continue
-            square, face, _ = self._igl.point_mesh_squared_distance(
-                points[rows], nominal.vertices_mm, nominal.faces[faces]
-            )
-            square, face = np.atleast_1d(square), faces[np.atleast_1d(face)]
-            within = square <= limit_mm**2
-            faces_it = (mine * nominal.face_normals[face]).sum(1) >= -1e-9
-            found[rows[within & faces_it]] = face[within & faces_it]
-            again = within & ~faces_it
+        """Return the triangle (n,) below each point's own side of the surface; -1 where none within the limit faces it."""
+        found, rows = np.full(len(points), -1), np.arange(len(points))
+        # No surface is asked for without end: where there is no limit, the usual one.
+        farthest_mm = limit_mm if np.isfinite(limit_mm) else LIMIT_MM
+        for share in _FARTHER_OUT:
+            if not len(rows):
+                break
+            face = self._nearest_face(points[rows] + share * farthest_mm * normals[rows])
+            faces_it = (normals[rows] * self.nominal.face_normals[face]).sum(1) >= 0.0
+            found[rows[faces_it]] = face[faces_it]
+            rows = rows[~faces_it]
+        rows = np.flatnonzero(found >= 0)
+        for _ in range(_PROJECTED):
+            if not len(rows):
+                break
+            normal = self.nominal.face_normals[found[rows]]
+            to = self.nominal.vertices_mm[self.nominal.faces[found[rows], 0]] - points[rows]
+            face = self._nearest_face(points[rows] + ((to * normal).sum(1) + _ABOVE_MM)[:, None] * normal)
+            again = (face != found[rows]) & ((normals[rows] * self.nominal.face_normals[face]).sum(1) >= 0.0)
             rows = rows[again]
-            if len(rows):
-                # Halved across the direction in which their normals differ most.
-                off = normals[rows] - normals[rows].mean(axis=0)
-                order = np.argsort(off @ np.linalg.svd(off, full_matrices=False)[2][0])
-                half = (len(rows) + 1) // 2
-                groups += [part for part in (rows[order[:half]], rows[order[half:]]) if len(part)]
+            found[rows] = face[again]
         return found
+
+    def _nearest_face(self, points: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Return the triangle (n,) nearest to each of the points (n, 3), whatever it faces."""
+        _, face, _ = self._tree.squared_distance(self.nominal.vertices_mm, self.nominal.faces, points)
+        # One point alone comes back without its axis.
+        return np.atleast_1d(face).astype(np.int64)
 
 
 def deviations(
