@@ -19,11 +19,10 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import logm
 from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 
-from appliance.optics.rotation import rotation_matrix
+from appliance.optics.rotation import rotation_matrix, rotation_vector
 from appliance.registration.equations import (
     FEWEST,
     Laid,
@@ -59,7 +58,7 @@ MIN_ALIKE = 0.7
 
 _STEPS, _ANGLES = 24, 15
 """Bins of a pair's distance, and of its angles."""
-_MOST_REFERENCE, _MOST_MEASURED = 2_500, 500
+_MOST_REFERENCE, _MOST_MEASURED = 1_500, 400
 """Points that pairs are made of."""
 _FIRSTS = 48
 """Measured points that vote, each with all the others."""
@@ -70,7 +69,7 @@ _ROUGHLY = 40_000
 """Samples of the reference while guesses are led."""
 _SLID = 300
 """Points that are slid along a loose direction."""
-_SLIDE_STEP_MM = 2.0
+_SLIDE_STEP_MM = 3.0
 UNCHANGED = 0.02
 """Share of the points by which a place on a free way may differ from the best one."""
 _GUESSES = 20
@@ -173,7 +172,7 @@ def lay_onto(measured: OrientedPoints, reference: ReferenceSurface, start: Rigid
     rough = _Sampled.of(samples)
     if start is None:
         led = _distinct([_led(few, rough, guess, gate_mm) for guess, gate_mm in _guesses(measured, samples)], few)
-        led = _distinct([_slid_along(fit, few, slid, rough) for fit in led[:_LED]], few)
+        led = _distinct(_slid_apart(led, few, slid, rough), few)[:_LED]
         fits = _distinct([_led(some, reference, one.pose, 2.0 * LAST_GATE_MM) for one in led], some)
         fits = _distinct([_settled(fits[0], some, reference), *fits], some) if fits else []
     else:
@@ -221,10 +220,12 @@ def _is_slid(pose: Rigid, best: _Fit, kept: Array, used: OrientedPoints) -> bool
         return False
     # In the reference's frame and about the middle: the one screw that leads from the best pose to the other.
     off, middle = best.pose.inverse.then(pose), best.system.middle
-    screw = np.eye(4)
-    screw[:3, :3], screw[:3, 3] = off.rotation, off.of(middle) - middle
-    twist = np.real(logm(screw))
-    delta = np.concatenate([best.system.lever * np.array([twist[2, 1], twist[0, 2], twist[1, 0]]), twist[:3, 3]])
+    turn, gone = rotation_vector(off.rotation), off.of(middle) - middle
+    angle = float(np.linalg.norm(turn))
+    # The shift of the screw, of which the turn bends the way (the inverse of the left Jacobian of SO(3)).
+    bent = 1.0 / 12.0 if angle < 1e-3 else (1.0 - 0.5 * angle / np.tan(0.5 * angle)) / angle**2
+    shift = gone - 0.5 * np.cross(turn, gone) + bent * np.cross(turn, np.cross(turn, gone))
+    delta = np.concatenate([best.system.lever * turn, shift])
     return bool(np.linalg.norm(kept.T @ delta) < 0.1 * np.linalg.norm(delta) + _reach(used) * 0.02)
 
 
@@ -260,8 +261,22 @@ def _whole_way_mm(fit: _Fit, direction: Array, rough: _Sampled) -> float:
 
 def _shares(fit: _Fit, direction: Array, amounts: Array, points: OrientedPoints, rough: _Sampled) -> Array:
     """Return the share (k,) of the points near the reference at each of the ``amounts`` (k,)."""
-    gate = max(FITS_MM, rough.spacing_mm)
-    return np.array([np.mean(_lay(points, rough, pose, gate)[1] < gate) for pose in _along(fit, direction, amounts)])
+    gate, poses = max(FITS_MM, rough.spacing_mm), _along(fit, direction, amounts)
+    x = np.concatenate([pose.of(points.points_mm) for pose in poses])
+    m = np.concatenate([points.normals @ pose.rotation.T for pose in poses])
+    on = rough.nearest(x, gate)
+    fits = (on.distance_mm < gate) & ((on.normals * m).sum(1) > MIN_ALIKE)
+    return np.asarray(fits.reshape(len(amounts), -1).mean(axis=1))
+
+
+def _slid_apart(fits: list[_Fit], few: OrientedPoints, slid: OrientedPoints, rough: _Sampled) -> list[_Fit | None]:
+    """Return the best place of each fit along what is loose; of those that only sliding tells apart, one is slid."""
+    tried: list[tuple[_Fit, Array]] = []
+    for fit in fits:
+        if len(tried) < _LED and not any(_is_slid(fit.pose, one, kept, few) for one, kept in tried):
+            resistance = resistance_of(fit.system)
+            tried.append((fit, resistance.directions[:, resistance.held >= HELD]))
+    return [_slid_along(fit, few, slid, rough) for fit, _ in tried]
 
 
 def _slid_along(fit: _Fit, few: OrientedPoints, slid: OrientedPoints, rough: _Sampled) -> _Fit:

@@ -1,9 +1,10 @@
 """Owns how far points lie from a nominal surface, along its normals: outside is positive, and each with its sigma.
 
 The nearest triangle is libigl's (MPL-2.0, a tree of boxes around the triangles). Where the points' own normals are given, triangles that face away
-by more than a right angle do not count: the far side of a thin plate is not what was measured. libigl cannot leave triangles out for a
-single point, so the few whose nearest one faces away are asked again from farther out along their normals, the least way first, until one faces
-them; from just above that triangle's plane they are then projected onto the surface until they stay.
+by more than a right angle do not count: the far side of a thin plate is not what was measured. An edge faces as its pseudonormal does,
+whichever of its triangles is found. libigl cannot leave triangles out for a single point, so the few whose nearest place faces away are asked
+again from farther out along their normals, the least way first, until one faces them; from just above that place they are then
+projected onto the surface until they stay.
 
 What lies beside an open border of the surface has no counterpart on it and no deviation. Symbols in the kernels: p the point, a, b and c the
 corners, q the nearest place on the triangle (C. Ericson, "Real-Time Collision Detection", 5.1.5).
@@ -113,51 +114,61 @@ class NominalTree:
         ``normals`` (n, 3), NaN where unknown: triangles that face away from a point's do not count; ``None``: all do. ``limit_mm``: how far those
         are looked for.
         """
-        nominal = self.nominal
         points = np.ascontiguousarray(points_mm, np.float64)
-        face, there = self._nearest_face(points), np.ones(len(points), np.bool_)
+        face = self._nearest_face(points)
+        place, signed, beside, out = self._at(points, face)
         if normals is not None:
             # NaN compares as false: a point without a normal takes any triangle.
-            left = np.flatnonzero((normals * nominal.face_normals[face]).sum(1) < 0.0)
-            face[left] = self._facing(points[left], normals[left], limit_mm)
-            there = face >= 0
-        place, signed = np.empty_like(points), np.full(len(points), np.inf)
-        beside = np.zeros(len(points), np.bool_)
-        rows = np.flatnonzero(there)
-        found = np.empty((len(rows), 3)), np.empty(len(rows)), np.empty(len(rows), np.bool_)
-        _on_faces(
-            points[rows], face[rows], nominal.faces, nominal.vertices_mm, nominal.face_normals, nominal.edge_normals,
-            nominal.corner_normals, nominal.open_edges, nominal.open_corners, *found,
-        )  # fmt: skip
-        place[rows], signed[rows], beside[rows] = found
+            away = np.flatnonzero((normals * out).sum(1) < 0.0)
+            face[away] = self._facing(points[away], normals[away], limit_mm)
+            place[away], signed[away], beside[away], _ = self._at(points[away], face[away])
+            signed[face < 0] = np.inf
+            beside[face < 0] = False
         return NearestPlaces(face, place, signed, beside)
 
     def _facing(self, points: NDArray[np.float64], normals: NDArray[np.float64], limit_mm: float) -> NDArray[np.int64]:
         """Return the triangle (n,) below each point's own side of the surface; -1 where none within the limit faces it."""
         found, rows = np.full(len(points), -1), np.arange(len(points))
+        places, outs = np.empty_like(points), np.empty_like(points)
         # No surface is asked for without end: where there is no limit, the usual one.
         farthest_mm = limit_mm if np.isfinite(limit_mm) else LIMIT_MM
         for share in _FARTHER_OUT:
-            if not len(rows):
-                break
-            face = self._nearest_face(points[rows] + share * farthest_mm * normals[rows])
-            faces_it = (normals[rows] * self.nominal.face_normals[face]).sum(1) >= 0.0
-            found[rows[faces_it]] = face[faces_it]
+            from_ = points[rows] + share * farthest_mm * normals[rows]
+            face = self._nearest_face(from_)
+            place, _, _, out = self._at(from_, face)
+            faces_it = (normals[rows] * out).sum(1) >= 0.0
+            now = rows[faces_it]
+            found[now], places[now], outs[now] = face[faces_it], place[faces_it], out[faces_it]
             rows = rows[~faces_it]
         rows = np.flatnonzero(found >= 0)
         for _ in range(_PROJECTED):
-            if not len(rows):
-                break
-            normal = self.nominal.face_normals[found[rows]]
-            to = self.nominal.vertices_mm[self.nominal.faces[found[rows], 0]] - points[rows]
-            face = self._nearest_face(points[rows] + ((to * normal).sum(1) + _ABOVE_MM)[:, None] * normal)
-            again = (face != found[rows]) & ((normals[rows] * self.nominal.face_normals[face]).sum(1) >= 0.0)
+            out = outs[rows] / np.maximum(np.linalg.norm(outs[rows], axis=1), 1e-12)[:, None]
+            up_mm = ((places[rows] - points[rows]) * out).sum(1) + _ABOVE_MM
+            from_ = points[rows] + up_mm[:, None] * out
+            face = self._nearest_face(from_)
+            place, _, _, out = self._at(from_, face)
+            again = (face != found[rows]) & ((normals[rows] * out).sum(1) >= 0.0)
             rows = rows[again]
-            found[rows] = face[again]
+            found[rows], places[rows], outs[rows] = face[again], place[again], out[again]
+        return found
+
+    def _at(
+        self, points: NDArray[np.float64], face: NDArray[np.int64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_], NDArray[np.float64]]:
+        """Return of points (n, 3) the nearest places on their triangles (n,), signed distances, what lies beside a border, and the
+        pseudonormals there; of no triangle, -1, those of the last."""
+        nominal, n = self.nominal, len(points)
+        found = np.empty((n, 3)), np.empty(n), np.empty(n, np.bool_), np.empty((n, 3))
+        _on_faces(
+            points, face, nominal.faces, nominal.vertices_mm, nominal.face_normals, nominal.edge_normals,
+            nominal.corner_normals, nominal.open_edges, nominal.open_corners, *found,
+        )  # fmt: skip
         return found
 
     def _nearest_face(self, points: NDArray[np.float64]) -> NDArray[np.int64]:
         """Return the triangle (n,) nearest to each of the points (n, 3), whatever it faces."""
+        if not len(points):
+            return np.zeros(0, np.int64)
         _, face, _ = self._tree.squared_distance(self.nominal.vertices_mm, self.nominal.faces, points)
         # One point alone comes back without its axis.
         return np.atleast_1d(face).astype(np.int64)
@@ -220,8 +231,10 @@ def _on_faces(
     nearest: NDArray[np.float64],
     signed: NDArray[np.float64],
     beside: NDArray[np.bool_],
+    out: NDArray[np.float64],
 ) -> None:
-    """Write the nearest place of each point on its triangle, its distance with its sign, and whether it lies beside an open border."""
+    """Write the nearest place of each point on its triangle, its distance with its sign, whether it lies beside an open border, and
+    the pseudonormal of the place, which neighbours of an edge have in common."""
     corners, pa, pb, pc, q = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for n in range(len(points)):
         one = face[n]
@@ -240,18 +253,16 @@ def _on_faces(
         along = to[0] * normal[0] + to[1] * normal[1] + to[2] * normal[2]
         # Inside, on one of three edges (1, 2, 3), or at one of three corners (4, 5, 6).
         if place == 0:
-            side, border = along, False
+            up, border = normal, False
         elif place < 4:
-            edge = edge_normals[one, place - 1]
-            side, border = to[0] * edge[0] + to[1] * edge[1] + to[2] * edge[2], open_edges[one, place - 1]
+            up, border = edge_normals[one, place - 1], open_edges[one, place - 1]
         else:
-            vertex = faces[one, place - 4]
-            corner = corner_normals[vertex]
-            side, border = to[0] * corner[0] + to[1] * corner[1] + to[2] * corner[2], open_corners[vertex]
+            up, border = corner_normals[faces[one, place - 4]], open_corners[faces[one, place - 4]]
+        side = to[0] * up[0] + to[1] * up[1] + to[2] * up[2]
         # Sideways: what is left of the way to the border once the part along the normal is taken away.
         # side² = |to|² - (to · normal)².
         beside[n] = border and square - along * along > BESIDE_MM * BESIDE_MM
-        nearest[n] = q
+        nearest[n], out[n] = q, up
         # On the plane itself counts as outside.
         signed[n] = -np.sqrt(square) if side < 0.0 else np.sqrt(square)
 
