@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 
-from appliance.optics.rotation import rotation_matrix, rotation_vector
 from appliance.registration.equations import (
     FEWEST,
     Laid,
@@ -167,6 +166,8 @@ def lay_onto(measured: OrientedPoints, reference: ReferenceSurface, start: Rigid
     ``start``: where it lies within some millimetres, kept along what nothing holds; ``None``: anywhere. Raises SurfaceMatchError where most of
     it lies nowhere on the reference.
     """
+    if len(measured.points_mm) < FEWEST:
+        raise SurfaceMatchError(f"it has {len(measured.points_mm)} points; at least {FEWEST} must lie on the reference")
     used, some, few, slid = (_thinned(measured, most) for most in (USED, USED // 4, USED // 8, _SLID))
     samples = reference.spread(_ROUGHLY)
     rough = _Sampled.of(samples)
@@ -218,13 +219,7 @@ def _is_slid(pose: Rigid, best: _Fit, kept: Array, used: OrientedPoints) -> bool
     """Tell whether ``pose`` differs from the best one only along what is not held, so that it is the same news."""
     if kept.shape[1] == 6:
         return False
-    # In the reference's frame and about the middle: the one screw that leads from the best pose to the other.
-    off, middle = best.pose.inverse.then(pose), best.system.middle
-    turn, gone = rotation_vector(off.rotation), off.of(middle) - middle
-    angle = float(np.linalg.norm(turn))
-    # The shift of the screw, of which the turn bends the way (the inverse of the left Jacobian of SO(3)).
-    bent = 1.0 / 12.0 if angle < 1e-3 else (1.0 - 0.5 * angle / np.tan(0.5 * angle)) / angle**2
-    shift = gone - 0.5 * np.cross(turn, gone) + bent * np.cross(turn, np.cross(turn, gone))
+    turn, shift = best.pose.inverse.then(pose).screw(best.system.middle)
     delta = np.concatenate([best.system.lever * turn, shift])
     return bool(np.linalg.norm(kept.T @ delta) < 0.1 * np.linalg.norm(delta) + _reach(used) * 0.02)
 
@@ -235,17 +230,7 @@ def _is_slid(pose: Rigid, best: _Fit, kept: Array, used: OrientedPoints) -> bool
 def _along(fit: _Fit, direction: Array, amounts: Array) -> list[Rigid]:
     """Return the fit's pose, moved by each of the ``amounts`` of δ as one screw: a turn stays about its axis however far it goes."""
     turn, shift, middle = direction[:3] / fit.system.lever, direction[3:], fit.system.middle
-    rate = max(float(np.linalg.norm(turn)), 1e-12)
-    # The part of the shift along the axis goes on, that across it goes round.
-    axis = turn / rate
-    on = axis * (axis @ shift)
-    poses = []
-    for amount in amounts:
-        angle = rate * amount
-        gone = amount * on + (np.sin(angle) * (shift - on) + (1.0 - np.cos(angle)) * np.cross(axis, shift)) / rate
-        rotation = rotation_matrix(amount * turn)
-        poses.append(fit.pose.then(Rigid(rotation, middle + gone - rotation @ middle)))
-    return poses
+    return [fit.pose.then(Rigid.along_screw(amount * turn, amount * shift, middle)) for amount in amounts]
 
 
 def _turns(direction: Array) -> bool:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from appliance.one_line import one_line
+from appliance.optics.rotation import rotation_matrix, rotation_vector
 from appliance.registration.patches import Array
 
 
@@ -33,3 +34,22 @@ class Rigid:
     def inverse(self) -> Rigid:
         """The motion that undoes it."""
         return Rigid(self.rotation.T, -self.rotation.T @ self.translation_mm)
+
+    @classmethod
+    def along_screw(cls, turn: Array, shift_mm: Array, middle_mm: Array) -> Rigid:
+        """Return the motion along one screw: ``turn`` (3,) rad and ``shift_mm`` (3,) of ``middle_mm`` (3,), both at once and evenly."""
+        angle = float(np.linalg.norm(turn))
+        # The left Jacobian of SO(3): what goes across the axis goes round, what goes along it goes on.
+        first, second = (
+            (0.5, 1.0 / 6.0) if angle < 1e-6 else ((1.0 - np.cos(angle)) / angle**2, (angle - np.sin(angle)) / angle**3)
+        )
+        gone = shift_mm + first * np.cross(turn, shift_mm) + second * np.cross(turn, np.cross(turn, shift_mm))
+        rotation = rotation_matrix(turn)
+        return cls(rotation, middle_mm + gone - rotation @ middle_mm)
+
+    def screw(self, middle_mm: Array) -> tuple[Array, Array]:
+        """Return the turn (3,) rad and the shift (3,) mm of ``middle_mm`` whose one screw is this motion: undoes ``along_screw`` up to half a turn."""
+        turn, gone = rotation_vector(self.rotation), self.of(middle_mm) - middle_mm
+        angle = float(np.linalg.norm(turn))
+        second = 1.0 / 12.0 if angle < 1e-3 else (1.0 - 0.5 * angle / np.tan(0.5 * angle)) / angle**2
+        return turn, gone - 0.5 * np.cross(turn, gone) + second * np.cross(turn, np.cross(turn, gone))
