@@ -107,3 +107,10 @@ def test_a_drawing_in_metres_is_refused() -> None:
 def test_a_view_of_hardly_a_point_is_refused() -> None:
     with pytest.raises(SurfaceMatchError, match="it has 7 points; at least 120"):
         lay_onto(OrientedPoints(np.zeros((7, 3)), np.zeros((7, 3)), np.ones(7)), reference(HERE))
+
+
+def test_beside_an_open_border_a_model_has_no_place_for_a_point() -> None:
+    sheet = nominal_of(np.array([[0.0, 0, 0], [10, 0, 0], [10, 10, 0], [0, 10, 0]]), np.array([[0, 1, 2], [0, 2, 3]]))
+    points = np.array([[5.0, 5.0, 0.5], [-1.0, 5.0, 0.0], [10.5, 10.5, -0.1]])
+    on = NominalReference(NominalTree.of(sheet)).nearest(points, 5.0)
+    np.testing.assert_allclose(on.distance_mm, [0.5, np.inf, np.inf])
