@@ -18,7 +18,7 @@ MAD_TO_SIGMA = 1.4826
 JUMP_STEPS, BEND_STEPS, EDGE_SIGMAS = 6.0, 1.5, 8.0
 """A pixel sees two surfaces where its coordinate jumps by so many times what it usually changes by, or bends by so many times that;
 its noise may have so many standard deviations besides."""
-RIPPLE_STRIPES = (0.5, 1.0, 1.5, 2.0)
+RIPPLE_STRIPES = (1.0, 1.5, 2.0)
 """Distances in stripes over which coordinates drawn between their borders are compared."""
 CUT = 8.0
 """Differences count as so many times their median at most."""

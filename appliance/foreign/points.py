@@ -41,7 +41,7 @@ GAP_PIXELS, SIGMA_PIXELS, STEP_PIXELS = 2.5, 3.0, 9.4
 """Largest ray gap and expected error of a point, and step in depth to a neighbour, over the size of a pixel on the object."""
 LEAST_NEIGHBOURS = 5
 NEAR_OF_CROSSING, FAR_OF_CROSSING = 0.3, 4.0
-NEAR_BASELINES, FAR_BASELINES, USUAL_BASELINES = 1.0, 60.0, 8.0
+NEAR_BASELINES, FAR_BASELINES = 1.0, 60.0
 """Depths that are searched where nothing is said: about where the cameras' axes cross, or from so many baselines to so many."""
 
 
@@ -70,7 +70,7 @@ def depths_of(description: Description, rig: StereoRig, index: float) -> tuple[f
         crossing_mm = float(rig.volume_centre_mm(index)[2])
     except ValueError:
         crossing_mm = math.inf
-    if 1.0 * baseline_mm < crossing_mm < FAR_BASELINES * baseline_mm:
+    if NEAR_BASELINES * baseline_mm < crossing_mm < FAR_BASELINES * baseline_mm:
         near_mm, far_mm = NEAR_OF_CROSSING * crossing_mm, FAR_OF_CROSSING * crossing_mm
     else:
         near_mm, far_mm = NEAR_BASELINES * baseline_mm, FAR_BASELINES * baseline_mm
