@@ -6,6 +6,7 @@ to be told. The judge of identity is not among them: it runs before any cloud, s
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -76,7 +77,7 @@ def _look(given: JudgeInput, _: Earlier) -> Judgement:
     """Judge what is there at whatever depth, and fringes too weak to be decoded."""
     left = given.rig.left
     # One pixel in stride² is asked, whatever the camera's size, so that the judge takes the same time.
-    stride = max(1, round((left.width_px * left.height_px / SIGHT_POINTS) ** 0.5))
+    stride = math.ceil((left.width_px * left.height_px / SIGHT_POINTS) ** 0.5)
     return Judgement(
         look(
             given.images.frames, given.images.sequence, given.images.noise, given.rig, given.water_index,

@@ -97,16 +97,13 @@ class SequenceProcessor:
         self._calibration, self._water = calibration, water
         self._settings = AcquisitionSettings()
         self._frames: dict[str, NDArray[np.uint8]] = {}
-        self._gatherers = self._new_gatherers()
+        self._gatherers: dict[str, Gatherer]
+        """Made by ``begin``: a sequence's own."""
         self._moved = self._compensated = False
         self._full: Found | None = None
         self._tasks = WorkList(pipeline.crew)
         """Tasks that belong to the sequence in work."""
         self._last_frames: list[WorkItem[None]] = []
-
-    def _new_gatherers(self) -> dict[str, Gatherer]:
-        pipeline, noise = self._pipeline, self._settings.noise
-        return {side: Gatherer(pipeline.sequence, of_side(noise, side), pipeline.decoded(side)) for side in SIDES}
 
     def begin(self, settings: AcquisitionSettings) -> None:
         """Expect frame 0 of a sequence that was taken with ``settings``."""
@@ -117,7 +114,10 @@ class SequenceProcessor:
         self._moved = self._compensated = False
         self._frames.clear()
         # What a scan that was cut off has left in the old ones is gone with them.
-        self._gatherers = self._new_gatherers()
+        pipeline, noise = self._pipeline, settings.noise
+        self._gatherers = {
+            side: Gatherer(pipeline.sequence, of_side(noise, side), pipeline.decoded(side)) for side in SIDES
+        }
         self._pipeline.expect(settings.noise)
         self._pipeline.reset()
 
