@@ -22,8 +22,10 @@ import pytest
 
 from drivers.api import Camera, CameraSettings, CameraSpec, DeviceGone, DeviceRefused, Frame, FrameStatus
 from drivers.aravis import AravisCamera, library
+from drivers.aravis.buses import bus_of
 from drivers.aravis.camera import find_device
 from drivers.aravis.stream import LEAST_BUFFERS
+from drivers.camera.features import Features
 from drivers.native import MonotonicClock
 from hw_sim.wires.umockdev.testbed import Testbed
 from hw_sim.world import World, WorldOptions
@@ -221,6 +223,15 @@ def test_the_fake_camera_is_found_and_says_who_it_is() -> None:
         assert fake.driver.temperature_c() is None
         assert fake.driver.read_clock() is None, "its registers have a frequency and no time"
         assert fake.driver.slow_link is None
+
+
+def test_a_word_that_fills_its_register_ends_where_the_next_begins() -> None:
+    """Vendor and model lie side by side (GigE Vision 1.2, bootstrap registers): neither needs a zero at its end."""
+    with faked() as fake:
+        for at in range(0x48, 0x88, 4):
+            fake.put(at, int.from_bytes(b"V" * 4 if at < 0x68 else b"M" * 4, "big"))
+        who = bus_of(fake.device).identity(Features("camera.left", fake.device.description(), fake.device))
+        assert (who.vendor, who.model) == ("V" * 32, "M" * 32)
 
 
 def test_the_settings_are_in_the_camera_under_the_names_of_older_conventions() -> None:

@@ -10,7 +10,8 @@ from appliance.bringup.finding import Finding
 from appliance.bringup.pad_check import KeyTried, PadHeard, judge_key, judge_pad
 from appliance.bringup.stamps_check import judge_stamps
 from appliance.bringup.vsync_check import VsyncSeen, judge_stamps_of_syncs, judge_vsync
-from drivers.api import BoardTime, LaserState
+from appliance.service.bringup.endurance import _Fired
+from drivers.api import BoardTime, LaserState, Pulse, PulsesDone
 
 OFF, LEFT, RIGHT, BOTH = (LaserState(*on) for on in ((False, False), (True, False), (False, True), (True, True)))
 
@@ -191,6 +192,14 @@ def test_a_camera_without_a_clock_is_no_fault_but_lists_of_other_lengths_are() -
 
 
 # ------------------------------------------------------------------------------------------ endurance
+
+
+def test_each_reported_pulse_is_counted_until_the_board_is_done() -> None:
+    fired = _Fired()
+    assert not any(fired.take(Pulse(k, k, 16_667 * k)) for k in range(3))
+    assert fired.take(PulsesDone(3))
+    assert (fired.reported, fired.ended_by) == (3, None)
+
 
 WHOLE = SideEndured(6400, (), 0, 0)
 

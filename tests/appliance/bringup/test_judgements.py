@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 
+import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -11,7 +12,19 @@ from numpy.typing import NDArray
 from appliance.bringup.bench import lit_part
 from appliance.bringup.exposures import FEWEST, Trial, offered, promising, trials
 from appliance.bringup.finding import BringupError
-from appliance.bringup.light import LightTiming, latency_of, light_within, sub_frames_of, timing_of, windows_of
+from appliance.bringup.light import (
+    SLICE_US,
+    LightTiming,
+    LightWindow,
+    latency_of,
+    light_within,
+    sub_frames_of,
+    timing_of,
+    windows_of,
+)
+from appliance.bringup.orientation import Orientation, SeenPicture
+from appliance.bringup.projector import ProjectorMeasured
+from appliance.bringup.projector_steps import projector_outcomes
 from appliance.bringup.raster import LINES, checker, compare_lines, line_pictures
 from appliance.bringup.response_check import Shape, judge_response, ramp_codes, shuffled
 from appliance.bringup.rig_edit import KeyValue, with_keys
@@ -87,6 +100,10 @@ def test_equal_parts_of_a_frame_are_counted(count: int) -> None:
     # The same course, a fifth dimmer in the last part.
     lights = np.interp(np.arange(200), [0, (count - 1) * step / 250.0, (count - 1) * step / 250.0 + 1], [1.0, 1.0, 0.8])
     assert sub_frames_of([bit * lights for bit in bits], 0.0, PERIOD_US) == 1
+    # As much light, a millisecond later in the last part.
+    late = [k * step + 500.0 + 1_000.0 * (k == count - 1) for k in range(count)]
+    shifted = [slices(*((begin, begin + length) for begin in late)) for length in (3_000.0, 1_700.0)]
+    assert sub_frames_of(shifted, 0.0, PERIOD_US) == 1
     assert sub_frames_of([slices((0.0, PERIOD_US))], 0.0, PERIOD_US) == 1, "steady light repeats with any number"
     assert sub_frames_of([np.zeros(200)], 0.0, PERIOD_US) == 1
 
@@ -124,6 +141,13 @@ def test_grey_that_changes_or_is_too_dark_is_not_judged() -> None:
     assert judge_response(CODES, grey(straight), 1.2 * grey(straight)).shape is Shape.STRAIGHT
 
 
+@pytest.mark.parametrize(("fall", "shape"), [(0.001, Shape.STRAIGHT), (0.003, Shape.BIT_PLANES)])
+def test_a_code_that_comes_out_darker_than_a_lower_one_is_a_wrong_bit(fall: float, shape: Shape) -> None:
+    curve = CODES / 255.0
+    curve[30] = curve[29] - fall
+    assert judge_response(CODES, grey(curve), grey(curve)).shape is shape
+
+
 def test_a_ramp_has_both_ends_and_both_sides_of_each_step() -> None:
     codes = set(ramp_codes(62).tolist())
     assert len(codes) == 62
@@ -144,6 +168,32 @@ def test_an_exposure_begins_with_a_sub_frame_and_holds_whole_ones() -> None:
     green = trials(LightTiming(0, 5_000.0, 12_400.0, ()), 1, PERIOD_US)
     assert Trial(4_750, 7_900) in green, "from before the light until after it"
     assert all(one.delay_us + one.exposure_us <= PERIOD_US for one in green)
+
+
+@pytest.mark.parametrize(("begins_us", "fits"), [(5_455.0, True), (5_456.0, False)])
+def test_an_exposure_ends_a_tenth_of_a_millisecond_before_the_next_picture(begins_us: float, fits: bool) -> None:
+    found = trials(LightTiming(1, begins_us, 16_600.0, ()), 3, PERIOD_US)
+    assert (Trial(round(begins_us), 11_111) in found) is fits
+
+
+def test_the_drawn_light_begins_and_ends_at_the_lines_of_its_window() -> None:
+    window = LightWindow(6 * SLICE_US, 12 * SLICE_US)
+    timing = LightTiming(0, window.begins_us, window.ends_us, (window,))
+    profiles = {255: slices((window.begins_us, window.ends_us), count=20)}
+    seen = dict.fromkeys(("left", "right"), SeenPicture(Orientation.UPRIGHT, None))
+    measured = ProjectorMeasured(timing, "green", 1, 0.0, profiles, {}, {}, None, {}, seen, {})
+    _, png = projector_outcomes(measured, 60.0, {})["light"].pictures["light.png"]
+    image = np.asarray(cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR), np.int64)[
+        :, :-250
+    ]  # without the curve's name
+    blue, red = image[..., 0] - image[..., 2] > 100, image[..., 2] - image[..., 0] > 100
+    rows = np.flatnonzero(blue.any(axis=1))
+    edges = np.flatnonzero(red.sum(axis=0) > 150).tolist()
+    assert len(edges) == 2
+    for edge in edges:
+        # From dark to light within a slice, whose middle is the edge.
+        middle = np.flatnonzero(blue[:, edge - 2 : edge + 3].any(axis=1)).mean()
+        assert middle == pytest.approx(rows.mean(), abs=0.1 * len(rows))
 
 
 def test_what_brings_no_more_light_is_not_offered() -> None:

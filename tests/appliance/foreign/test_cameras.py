@@ -108,6 +108,10 @@ def test_water_bends_rays_behind_ports_only(tmp_path: Path) -> None:
     np.testing.assert_allclose(projected(pinhole, point), expected(point), atol=1e-6)
     # Water magnifies: the point is seen farther from the centre, by 4/3 far away and less near the port.
     assert 1.2 < (projected(wet, point)[0] - 320.0) / (expected(point)[0] - 320.0) < 1.34
+    # Windows of which nothing is said are square to the axes: along these, light goes straight on.
+    x, y, z = (R.T @ (np.array([0.0, 0.0, 600.0]) - T.ravel())).tolist()
+    np.testing.assert_allclose(projected(wet, (0.0, 0.0, 600.0))[:2], M1[:2, 2], atol=1e-6)
+    np.testing.assert_allclose(projected(wet, (x, y, z))[2:], M2[:2, 2], atol=1e-6)
 
 
 def test_longer_lens_models_are_replaced_where_that_is_exact_enough() -> None:

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from appliance.optics.volume import STANDARD
+from appliance.registration.coarse import _starts
 from appliance.registration.fine import refine
 from appliance.registration.pair import HELD, MAX_OUTLIERS, PairRefusal, RegisteredPair, freedom, refusal_of, register
 from appliance.registration.rigid import Rigid
@@ -185,6 +187,13 @@ def test_the_stated_covariance_is_that_of_the_errors() -> None:
         off = fit.pose.of(true.inverse.of(fit.middle_mm)) - fit.middle_mm
         squared.append(off @ np.linalg.inv(fit.covariance[3:, 3:] + 1e-6 * np.eye(3)) @ off / 3.0)
     assert 0.02 < float(np.mean(squared)) < 4.0
+
+
+def test_however_a_scan_is_rolled_a_start_is_within_fifteen_degrees() -> None:
+    turns, _ = _starts(np.zeros(3), np.zeros(3), None, STANDARD)
+    starts_deg = np.degrees(np.arctan2(turns[:, 1, 0], turns[:, 0, 0]))
+    off_deg = (np.arange(-180.0, 180.0)[:, None] - starts_deg + 180.0) % 360.0 - 180.0
+    assert np.abs(off_deg).min(axis=1).max() == pytest.approx(15.0)
 
 
 def test_a_start_some_way_off_leads_to_the_same_pose() -> None:

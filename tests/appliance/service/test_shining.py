@@ -9,13 +9,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
+from appliance.machine import events
 from appliance.ranging.beams import Pointers
+from appliance.ranging.rig_frame import RigFrame
 from appliance.service.ranging import RangingController
 from appliance.storage.beams import BeamsFile
 from drivers.api import LaserState
 from drivers.native import MonotonicClock
 from hw_sim.truth import draw_truth
+from tests.drivers.clock import SteppedClock
 from tests.support.truth import true_calibration
 
 POINTERS = Pointers((150.0, 0.0, 0.0), (0.0, 0.0, 520.0), 0.5)
@@ -69,6 +73,40 @@ def test_the_marks_of_the_dots_are_known_once_the_lasers_are_on_and_only_then(ra
     assert _looked_at(ranging, lambda: ranging.marks is not None)
     ranging.stop()
     assert ranging.marks is None
+
+
+def test_a_distance_of_more_than_a_second_ago_is_shown_no_longer() -> None:
+    clock = SteppedClock()
+    with RangingController(POINTERS, CALIBRATION, 1.333, clock, 0.05) as ranging:
+        ranging.live(True, CALIBRATION, 1.333)
+        clock.advance_s(1.0)
+        assert _looked_at(ranging, lambda: ranging.wants_lasers)
+        ranging.switched_on(LaserState(True, True))
+        clock.advance_s(1.0)
+        for side, image in _with_a_dot().items():
+            ranging.see(side, image)
+        until = time.monotonic() + 20.0
+        while not (told := ranging.poll()) and time.monotonic() < until:
+            time.sleep(0.02)
+        (shown,) = told
+        assert isinstance(shown, events.Ranged)
+        assert shown.range is not None
+        clock.advance_s(1.0)
+        assert ranging.poll() == []
+        clock.advance_s(1e-9)
+        assert ranging.poll() == [events.Ranged(None)]
+
+
+def _with_a_dot() -> dict[str, NDArray[np.uint8]]:
+    """Images of both cameras with the left pointer's dot on something 430 mm away."""
+    v, u = np.mgrid[:300, :400]
+    rig, found = CALIBRATION.rig, {}
+    place = RigFrame.of(rig).to_left(POINTERS.beams()[0].at(np.array(430.0)))
+    for side, camera in (("left", rig.left), ("right", rig.right)):
+        at_u, at_v = camera.project(place, 1.333).tolist()
+        dot = 120.0 * np.exp(-((u - at_u) ** 2 + (v - at_v) ** 2) / (2.0 * 1.5**2))
+        found[side] = (BRIGHT[side] + dot).astype(np.uint8)
+    return found
 
 
 def _looked_at(ranging: RangingController, enough: Callable[[], bool]) -> bool:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from appliance.surface.drawing_file import NominalError
+from appliance.surface.drawing_file import NominalError, checked_drawing
 from appliance.surface.drawings import read_triangles
 from appliance.surface.nominal import read_nominal
 
@@ -100,6 +100,18 @@ def test_a_pipe_or_a_device_is_refused_at_once(make: Callable[[Path], None], tmp
     make(tmp_path / "d.stl")
     with pytest.raises(NominalError, match="allowed are regular files"):
         read_triangles(tmp_path / "d.stl")
+
+
+@pytest.mark.parametrize("bytes_more", [0, 1])
+def test_a_file_of_more_than_two_gigabytes_is_refused_before_it_is_opened(bytes_more: int, tmp_path: Path) -> None:
+    path = tmp_path / "large.stl"
+    with path.open("wb") as file:
+        file.truncate(2 * 1024**3 + bytes_more)  # a hole: nothing is written
+    if not bytes_more:
+        assert checked_drawing(path) == ".stl"
+        return
+    with pytest.raises(NominalError, match="larger than 2147483648 bytes"):
+        checked_drawing(path)
 
 
 def test_a_ply_head_with_carriage_returns_alone_is_read(tmp_path: Path) -> None:

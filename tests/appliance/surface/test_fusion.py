@@ -73,6 +73,12 @@ def test_what_all_scans_share_is_not_counted_away() -> None:
     assert np.median(posed.sigma_mm[posed.views == 8]) == pytest.approx(np.hypot(0.1, 0.02) / np.sqrt(8.0), rel=0.02)
 
 
+def test_a_point_whose_error_is_stated_as_nothing_is_known_to_a_tenth_of_a_micrometre() -> None:
+    scan = placed(looking((0.0, 0.0, 500.0)), [BALL], 1, size_px=(40, 40), steepest=20.0)
+    certain = replace(scan, cloud=replace(scan.cloud, sigma_mm=np.zeros_like(scan.cloud.sigma_mm)))
+    assert np.median(fuse([certain]).sigma_mm) == pytest.approx(1e-4, rel=0.1)
+
+
 def test_a_noisy_scan_weighs_less_than_a_good_one() -> None:
     pose = looking((0.0, 0.0, 500.0))
     flat: list[Ball | Box] = [Box((-90.0, -90.0, -50.0), (90.0, 90.0, 0.0))]

@@ -113,7 +113,8 @@ def test_each_calibration_has_its_colour_and_is_named_once() -> None:
 
 
 @pytest.mark.parametrize(
-    ("count", "named"), [(1, [1]), (2, [1, 2]), (7, [1, 2, 3, 4, 5, 6, 7]), (21, [1, 5, 9, 13, 17, 21])]
+    ("count", "named"),
+    [(1, [1]), (2, [1, 2]), (10, list(range(1, 11))), (11, [1, 3, 5, 7, 9, 11]), (21, [1, 5, 9, 13, 17, 21])],
 )
 def test_of_few_scans_none_lacks_its_number(count: int, named: list[int]) -> None:
     page = season_page([cells(number) for number in range(1, count + 1)], "/a/table.csv")
