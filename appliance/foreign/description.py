@@ -108,7 +108,7 @@ class Ports:
     distance_mm: float
     thickness_mm: float
     glass_index: float
-    normals: tuple[tuple[float, float, float], tuple[float, float, float]] = ((0.0, 0.0, 1.0), (0.0, 0.0, 1.0))
+    normals: tuple[tuple[float, float, float], tuple[float, float, float]]
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
+from pathlib import Path
 
 import pytest
 
@@ -13,6 +15,8 @@ from appliance.bringup.guide_page import guide_page
 from appliance.bringup.guide_state import GuideState, StepRecord, read_state
 from appliance.bringup.rig_edit import KeyValue
 from appliance.config import default_rig_path
+from appliance.service.bringup.folder import STATE
+from tests.support.commands import Shell
 
 RIG = tomllib.loads(default_rig_path().read_text(encoding="utf-8"))
 
@@ -123,3 +127,14 @@ def test_the_page_begins_with_what_is_to_be_done_next() -> None:
     done = json.loads(kept("board").as_bytes())
     done["steps"] = dict.fromkeys(NAMES, done["steps"]["board"])
     assert "All twelve steps are good" in guide_page(read_state(json.dumps(done).encode(), "x"), "", {})
+
+
+def test_what_is_kept_has_a_folder_that_was_not_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rig, out = tmp_path / "rig.toml", tmp_path / "new" / "guide"
+    text = default_rig_path().read_text(encoding="utf-8")
+    rig.write_text(re.sub(r'(?m)^root = ".*"', f'root = "{tmp_path / "root"}"', text), encoding="utf-8")
+    # No device is opened for a step that needs others first.
+    said = Shell(capsys)("bringup", "guide", "--rig", rig, "--out", out, "--only", "trigger")
+    assert said.code == 1
+    assert "step trigger needs board, vsync, cameras, which are not good" in said.error
+    assert read_state((out / STATE).read_bytes(), "the state").rig_file == str(rig)
