@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from appliance.cli import main
+from kingfisher_setup import placed
 
 SYSTEMD = Path(__file__).parents[2] / "systemd"
 UNITS = sorted(path.name for path in (*SYSTEMD.glob("*.service"), *SYSTEMD.glob("*.path")))
@@ -147,3 +148,9 @@ def test_nothing_sleeps_and_names_are_stable() -> None:
     assert 'url = "/dev/kingfisher-board"' in rig
     assert 'SYMLINK+="kingfisher-board"' in rules
     assert "usbcore.usbfs_memory_mb=256" in (SYSTEMD / "kingfisher.grub").read_text()
+
+
+def test_a_unit_that_wants_to_start_by_itself_is_enabled_and_no_other() -> None:
+    wanting = [name for name in UNITS if "WantedBy=multi-user.target" in (SYSTEMD / name).read_text()]
+    links = [link for link in placed.LINKS if link.parent == placed.UNITS / "multi-user.target.wants"]
+    assert sorted(link.name for link in links) == wanting

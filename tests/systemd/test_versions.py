@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 from kingfisher_setup import versions
 from kingfisher_setup.errors import SetupError
 from kingfisher_setup.layout import Layout
+from kingfisher_setup.pins import runtime_pins
 from tests.systemd.installation import Installation, make
 
 MOST_CHANGES = 60
@@ -140,3 +142,11 @@ def test_two_setups_do_not_work_at_once(there: Installation) -> None:
         pass
     with versions.locked(there.layout):
         assert versions.current(there.layout) == "old"
+
+
+def test_an_instrument_gets_what_the_program_needs_and_no_tool_that_it_is_made_with() -> None:
+    pins = runtime_pins(Path(__file__).parents[2])
+    names = set(re.findall(r"(?m)^([a-z0-9-]+)==", pins))
+    assert names >= {"numpy", "numba", "llvmlite"}, "and what these need"
+    assert names.isdisjoint({"pytest", "mypy", "ruff"})
+    assert pins.count("==") <= pins.count("--hash=sha256:")

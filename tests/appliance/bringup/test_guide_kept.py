@@ -12,10 +12,9 @@ import pytest
 from appliance.bringup.finding import BringupError, Finding
 from appliance.bringup.guide import NAMES, OF_THE_PROJECTOR, STEPS, StepOutcome, inputs_of, step_of
 from appliance.bringup.guide_page import guide_page
-from appliance.bringup.guide_state import GuideState, StepRecord, read_state
+from appliance.bringup.guide_state import STATE, GuideState, StepRecord, read_state
 from appliance.bringup.rig_edit import KeyValue
 from appliance.config import default_rig_path
-from appliance.service.bringup.folder import STATE
 from tests.support.commands import Shell
 
 RIG = tomllib.loads(default_rig_path().read_text(encoding="utf-8"))
