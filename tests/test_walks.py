@@ -95,7 +95,7 @@ def test_a_screen_is_named_in_the_files_of_its_walk() -> None:
     shared = {name for name in walks()["A screen with a state of its own"] if "<name>" not in name}
     assert shared <= named, "a file of the walk that the example does not touch"
     own = {"appliance/machine/safety.py", "appliance/screens/stops.py"}
-    enters = {"appliance/machine/scanning.py", "appliance/machine/alerts.py"}
+    enters = {"appliance/machine/scanning.py", "appliance/machine/leading.py"}
     assert named - shared - own <= enters, "a file that the example touches is missing from the walk"
 
 
