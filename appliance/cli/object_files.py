@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from appliance.offline.wish import Wish
     from appliance.storage.objects import StoredObject
 
-PAGE, GRIDS, TRIANGLES = ".html", ".npz", (".stl", ".obj")
+PAGE, GRIDS, POSED, TRIANGLES = ".html", ".npz", ".e57", (".stl", ".obj")
 SPACING_MM = 0.3
 """Distance of an object's points: that of a scan's in the middle of the volume is 0.16."""
 
@@ -36,6 +36,9 @@ class ObjectFiles(WithCalibration):
         "--spacing", "mm between its points (0.3)", default=SPACING_MM, parse=number(0.02, 20.0, "mm"), metavar="MM"
     )
     mesh: bool = switch("--mesh", "triangles instead of points in .ply files, with sigma and grey of each corner")
+    single_scans: bool = switch(
+        "--scans", "single scans in .e57 files, each with its pose, instead of one surface of all"
+    )
     close_holes: float | None = option(
         "--close-holes",
         "close holes of the mesh that are no wider; what is filled in was not measured, and has no sigma",
@@ -65,6 +68,8 @@ class ObjectFiles(WithCalibration):
         ):
             if given and not meshes:
                 raise UsageError(f"{what}, and none is written; give --out FILE.ply --mesh, or --out FILE.stl")
+        if self.single_scans and not any(out.suffix.lower() == POSED for out in outs):
+            raise UsageError("--scans: is for .e57 files, and none is written; give --out FILE.e57")
         return outs
 
     def write(self, root: Path, solved: StoredObject, wish: Wish, outs: Sequence[Path]) -> None:
@@ -82,7 +87,7 @@ class ObjectFiles(WithCalibration):
             # Pages, points and meshes are of one surface: it is fused once, or never.
             surface = mesh = None
             for out in outs:
-                if out.suffix.lower() == GRIDS:
+                if out.suffix.lower() == GRIDS or (self.single_scans and out.suffix.lower() == POSED):
                     with writing(out):
                         write_placed(out, _grids(root, solved, wish, progress), about_object(solved))
                     continue

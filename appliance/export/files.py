@@ -16,7 +16,7 @@ from appliance.export.content import (
     points_of_scan,
     points_of_surface,
 )
-from appliance.export.e57 import write_e57
+from appliance.export.e57 import E57Scan, write_e57
 from appliance.export.las import encode_las
 from appliance.export.npz import encode_npz
 from appliance.export.ply import encode_surface
@@ -74,7 +74,7 @@ def _write_points(path: Path, points: ExportedPoints, about: About) -> None:
     match path.suffix.lower():
         case ".e57":
             # The library wants a name to write to, and gets that of the draft.
-            replace_by(LocalFileSystem(), path, partial(write_e57, points=points, about=about))
+            replace_by(LocalFileSystem(), path, partial(write_e57, scans=[E57Scan(points, about.title)], about=about))
         case ".las":
             replace_file(LocalFileSystem(), path, encode_las(points, about))
         case _:

@@ -1,6 +1,6 @@
-"""Owns the NumPy archive of an object's scans: each on its pixel grid, unmoved, with where it lies in the object.
+"""Owns the files of an object's single scans, each unmoved, with where it lies in the object: a NumPy archive, or an E57 file with a pose for each.
 
-For each scan, under its name (``000003/x_mm``), what ``npz.py`` has of one scan, and
+In the archive stands for each scan on its pixel grid, under its name (``000003/x_mm``), what ``npz.py`` has of one scan, and
 
     rotation (3, 3), translation_mm (3,)    float64: a point p of the scan is at rotation · p + translation_mm in the object's frame
     place_covariance (6, 6)                 float64: of the turn (rad) and the shift (mm) about its own middle, what may bend the object included
@@ -14,7 +14,7 @@ from __future__ import annotations
 import json
 import zipfile
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,13 +22,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.export.content import About
+from appliance.export.content import About, points_of_scan
+from appliance.export.e57 import E57Scan, write_e57
 from appliance.export.npz import arrays_of
+from appliance.export.suffixes import checked_suffix
 from appliance.reconstruct.organised import OrganisedCloud
 from appliance.storage.atomic import replace_by
 from appliance.storage.filesystem import LocalFileSystem
 
-SUFFIX = ".npz"
+SUFFIXES = (".npz", ".e57")
 _LEVEL = 1
 """Level of deflate: noise is not made smaller by trying harder."""
 
@@ -47,8 +49,18 @@ class PlacedGrid:
 
 
 def write_placed(path: Path, grids: Iterable[PlacedGrid], about: About) -> None:
-    """Write the archive, whole or not at all. Raises StorageError, and what ``grids`` raises."""
-    replace_by(LocalFileSystem(), path, partial(_write, grids=grids, about=about))
+    """Write the scans (``SUFFIXES``), whole or not at all; one is held at a time.
+
+    Raises ExportError, StorageError, MissingLibraryError where the format's library is absent, and what ``grids`` raises.
+    """
+    if checked_suffix(path, SUFFIXES, "the scans of an object") == ".npz":
+        replace_by(LocalFileSystem(), path, partial(_write, grids=grids, about=about))
+        return
+    scans = (
+        E57Scan(replace(points_of_scan(grid.cloud), origin_mm=grid.translation_mm), grid.name, grid.rotation)
+        for grid in grids
+    )
+    replace_by(LocalFileSystem(), path, partial(write_e57, scans=scans, about=about))
 
 
 def _write(path: Path, grids: Iterable[PlacedGrid], about: About) -> None:

@@ -15,9 +15,11 @@ import numpy as np
 import pytest
 import trimesh
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from appliance.export.content import CAMERA_FRAME, About
 from appliance.export.files import write_mesh, write_scan, write_surface
+from appliance.export.placed import PlacedGrid, write_placed
 from appliance.export.suffixes import ExportError
 from appliance.reconstruct.organised import OrganisedCloud
 from appliance.surface.fusion import FusedCloud, PlacedScan, fuse, with_places
@@ -219,6 +221,28 @@ def test_e57_is_read_whole_by_the_library_that_most_programs_use(surface: FusedC
     read = pye57.E57(str(tmp_path / "far.e57")).read_scan(0)
     found = np.stack([read[f"cartesian{axis}"] for axis in "XYZ"], 1)
     np.testing.assert_allclose(1000.0 * found - site, surface.points_mm, atol=2.0 * UM)
+
+
+def test_e57_of_an_objects_scans_puts_each_where_it_lies(cloud: OrganisedCloud, tmp_path: Path) -> None:
+    pye57 = pytest.importorskip("pye57")
+    poses = [Rotation.from_euler("xyz", angles, degrees=True).as_matrix() for angles in ((0, 0, 0), (20, -35, 170))]
+    shifts = [np.zeros(3), np.array([250.0, -40.0, 12.5])]
+    grids = [
+        PlacedGrid(f"00000{k}", cloud, turn, shift, np.zeros((6, 6)), np.zeros(3))
+        for k, (turn, shift) in enumerate(zip(poses, shifts, strict=True))
+    ]
+    write_placed(tmp_path / "scans.e57", iter(grids), ABOUT)
+    file = pye57.E57(str(tmp_path / "scans.e57"))
+    assert file.scan_count == 2
+    points_mm = cloud.points_mm[cloud.mask].astype(np.float64)
+    for k, (turn, shift) in enumerate(zip(poses, shifts, strict=True)):
+        own, placed = (file.read_scan(k, transform=moved, ignore_missing_fields=True) for moved in (False, True))
+        in_frames = [1000.0 * np.stack([one[f"cartesian{axis}"] for axis in "XYZ"], 1) for one in (own, placed)]
+        np.testing.assert_allclose(in_frames[0], points_mm, atol=UM)
+        np.testing.assert_allclose(in_frames[1], points_mm @ turn.T + shift, atol=UM)
+        assert file.get_header(k)["name"].value() == f"00000{k}"
+    guids = {file.get_header(k)["guid"].value() for k in range(2)} | {file.root["guid"].value()}
+    assert len(guids) == 3
 
 
 def test_site_coordinates_are_held_or_refused(surface: FusedCloud, tmp_path: Path) -> None:

@@ -215,6 +215,8 @@ def test_options_of_meshes_are_refused_where_none_is_written(dive: Path, capsys:
     assert run(dive, "new", "meshless", "000001", "000002") == 0
     assert run(dive, "solve", "meshless", "--out", "x.las", "--close-holes", "5", *calibrated(dive)) == 2
     assert "--close-holes: is for meshes, and none is written" in capsys.readouterr().err
+    assert run(dive, "solve", "meshless", "--out", "x.las", "--scans", *calibrated(dive)) == 2
+    assert "--scans: is for .e57 files, and none is written" in capsys.readouterr().err
     assert run(dive, "solve", "meshless", "--mesh", *calibrated(dive)) == 2
     assert "give --out FILE.ply --mesh" in capsys.readouterr().err
 
