@@ -306,10 +306,8 @@ class Server:
                     reported, told_s = judgements, told_s + cost_s
                     self._say(SequenceJudged(self._ticket, judgements, cost_s))
                 case FullFound(found, judgements):
-                    # Only where the full cloud changed what is held against the scan (`with_causes`): else the same
-                    # would be told twice.
-                    if [one.fault for one in judgements] != [one.fault for one in reported]:
-                        self._say(SequenceJudged(self._ticket, judgements, 0.0))
+                    # Holes and distance are judged only now, and causes are weighed with the full cloud (`with_causes`).
+                    self._say(SequenceJudged(self._ticket, judgements, 0.0))
                     self._say(CloudFound(self._ticket, full=True, found=found, cpu_s=spent_s - told_s))
                     # Copied in the time that the parent takes for the points.
                     if self._neighbours is not None:

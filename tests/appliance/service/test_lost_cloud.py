@@ -191,5 +191,5 @@ def test_all_that_the_worker_has_said_of_a_scan_is_heard_at_two_heartbeats(desk:
     record(desk, 1, halfway=lambda: None)
     CLOCK.sleep_s(2.0)  # it is done by now, and nobody has listened
     events = desk.poll() + desk.poll()
-    of_the_worker = (on.PatternsRight, on.CoarseReady, on.Judged, on.FullReady)
+    of_the_worker = (on.PatternsRight, on.CoarseReady, on.Judged, on.Judged, on.FullReady)
     assert [type(event) for event in events if isinstance(event, of_the_worker)] == list(of_the_worker)

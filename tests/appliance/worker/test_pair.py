@@ -159,8 +159,8 @@ def test_the_worker_makes_the_same_points_and_again_when_it_was_killed_in_betwee
     with ReconstructionWorker(order, store, RealClock()) as worker:
         assert worker.wait(240) == WorkerReady()
         worker.reprocess(7, AcquisitionSettings(SHORT))
-        events = [worker.wait(30) for _ in range(4)]
-        assert [type(event) for event in events] == [SequenceIdentified, CloudReady, ScanJudged, CloudReady]
+        events = [worker.wait(30) for _ in range(5)]
+        assert [type(one) for one in events] == [SequenceIdentified, CloudReady, ScanJudged, ScanJudged, CloudReady]
         worker.begin_second(7, AcquisitionSettings(LONG))
         np.testing.assert_array_equal(points_of_pair(worker, count), laid.cloud.points_mm)
         worker.begin_second(7, AcquisitionSettings(LONG))

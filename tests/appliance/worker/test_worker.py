@@ -129,8 +129,10 @@ def test_same_points_in_the_worker(worker: ReconstructionWorker, store: FrameSto
     expected = pipeline.full()
     worker.reprocess(1)
     assert worker.wait(PATIENCE_S) == SequenceIdentified(1)
-    coarse, judged, full = worker.wait(PATIENCE_S), worker.wait(PATIENCE_S), worker.wait(PATIENCE_S)
+    coarse, judged, whole, full = (worker.wait(PATIENCE_S) for _ in range(4))
     assert isinstance(judged, ScanJudged)
+    assert isinstance(whole, ScanJudged)
+    assert "holes" in [one.verdict.name for one in whole.judgements]
     assert isinstance(coarse, CloudReady)
     assert not coarse.full
     assert isinstance(full, CloudReady)
@@ -161,8 +163,9 @@ def test_after_a_change_points_are_those_of_the_new_calibration(store: FrameStor
         assert worker.poll() is None
         worker.reprocess(2)
         assert worker.wait(PATIENCE_S) == SequenceIdentified(2)
-        coarse, judged, full = worker.wait(PATIENCE_S), worker.wait(PATIENCE_S), worker.wait(PATIENCE_S)
+        coarse, judged, whole, full = (worker.wait(PATIENCE_S) for _ in range(4))
         assert isinstance(judged, ScanJudged)
+        assert isinstance(whole, ScanJudged)
         assert isinstance(coarse, CloudReady)
         assert isinstance(full, CloudReady)
         assert (coarse.scan, full.scan) == (2, 2)
