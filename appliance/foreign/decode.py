@@ -142,7 +142,7 @@ def offset_periods(found: Measured, axis: AxisConvention) -> tuple[Floats, Float
     middle = ((number + np.float32(0.5)) * np.float32(stripe_px) + np.float32(axis.code_offset_px)) / np.float32(
         axis.period_px
     )
-    off = found.fits[axis.finest].turns - np.float32(axis.start_deg / 360.0) - middle
+    off = found.fits[axis.finest].turns - np.float32(axis.begins_deg[axis.finest] / 360.0) - middle
     off -= np.floor(off + np.float32(0.5))
     return middle, off, stripe_px
 
@@ -198,11 +198,11 @@ def by_periods(found: Measured, axis: AxisConvention) -> tuple[Floats, Floats]:
     Returns the coordinates (h, w) in px, and the root mean square by which those phases disagree, in turns.
     """
     period = axis.period_px
-    start = np.float32(axis.start_deg / 360.0)
-    turns = found.fits[axis.finest].turns - start
+    starts = [np.float32(begin / 360.0) for begin in axis.begins_deg]
+    turns = found.fits[axis.finest].turns - starts[axis.finest]
     others = [
         (fit.turns - start, other)
-        for k, (fit, other) in enumerate(zip(found.fits, axis.periods_px, strict=True))
+        for k, (fit, start, other) in enumerate(zip(found.fits, starts, axis.periods_px, strict=True))
         if k != axis.finest
     ]
     best = np.full(turns.shape, np.inf, np.float32)

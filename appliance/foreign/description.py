@@ -1,7 +1,7 @@
 """Owns the description of a foreign set of images: which image is what, and by which convention it is to be read.
 
 Symbols of a direction: e = p + ½ is the distance of pattern coordinate p from the edge of the pattern, in px; its phase is
-φ = 2π e / period + start. Step k shows A + B cos(φ + sign · step_k). Stripe number i of the code covers e from
+φ = 2π e / period + begin. Step k shows A + B cos(φ + sign · step_k). Stripe number i of the code covers e from
 offset + i · stripe to offset + (i + 1) · stripe. ``docs/foreign.md`` has the language by examples.
 """
 
@@ -14,16 +14,21 @@ from pathlib import Path
 from typing import Any
 
 from appliance.bounded_file import parse_toml, read_text
-from appliance.foreign.order import MOST_IMAGES, ShownImage, Shows, numbered, parse_order
+from appliance.foreign.order import FRINGES, MOST_IMAGES, ShownImage, Shows, numbered, parse_order
 from appliance.foreign.problem import ForeignError, Table
 
 MAX_BYTES = 1_000_000
 LEAST_STEPS, MOST_STEPS = 3, 16
 MOST_BITS = 16
-MOST_PERIODS = 8
+MOST_PERIODS = 16
 LEAST_PERIOD_PX, MOST_PX = 2.0, 65536.0
 SIDES = ("left", "right")
-CHANNELS = ("grey", "red", "green", "blue")
+EACH = "each"
+CHANNELS = ("grey", "red", "green", "blue", EACH)
+"""Channels of colour images; ``each``: a picture is three images, red, green and blue."""
+HALVES = {f"{a} {word} {b}": (a, *parts) for a, b in (SIDES, SIDES[::-1])
+          for word, parts in (("beside", ("left half", "right half")), ("above", ("upper half", "lower half")))}  # fmt: skip
+"""Words for pictures that show both cameras: the side that comes first, and the halves in that order."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,11 +42,19 @@ class AxisConvention:
     periods_px: tuple[float, ...]
     """Fringe periods; empty: stripes of the code alone."""
     steps_deg: tuple[tuple[float, ...], ...]
-    """Phase steps of each period in the order of its images, as they are written."""
+    """Phase steps of each period in the order of its images, as they are written. A period of one image shares mean and modulation with
+    the first one (micro phase shifting)."""
     sign: int = 1
     """1: a step adds to the phase; −1: it takes away."""
     start_deg: float = 0.0
     """Phase at the edge of the pattern, of all periods."""
+    starts_deg: tuple[float, ...] = ()
+    """What each period has besides; empty: nothing."""
+    from_middle: bool = False
+    """True if phases begin at the middle of column 0, half a px behind the edge."""
+    carriers: tuple[int, ...] = ()
+    """Number of steps across, by period, of a carrier that multiplies its fringes (modulated phase shifting); 0 of a period without one;
+    empty: none has one."""
     bits: int = 0
     """Number of images of the code; 0: there is none."""
     inverses: bool = False
@@ -56,6 +69,34 @@ class AxisConvention:
     """True if the first image has the finest stripes."""
     inverted: bool = False
     """True if a bright stripe is a bit that is not set."""
+    wraps: bool = False
+    """True if what the code has before the pattern's edge is drawn at the other end (shifted code)."""
+
+    @property
+    def begins_deg(self) -> tuple[float, ...]:
+        """Phase of each period at the edge of the pattern."""
+        starts_deg = self.starts_deg or (0.0,) * len(self.periods_px)
+        half_px = 0.5 if self.from_middle else 0.0
+        return tuple(
+            self.start_deg + start - 360.0 * half_px / period
+            for start, period in zip(starts_deg, self.periods_px, strict=True)
+        )
+
+    @property
+    def numbered(self) -> int:
+        """Number of the period whose fringes the code numbers: the finest one, or the coarsest where stripes are wider than that."""
+        return self.finest if self.stripe_px <= 1.01 * self.period_px else self.periods_px.index(max(self.periods_px))
+
+    @property
+    def covered_px(self) -> tuple[float, float]:
+        """Where the code begins and ends."""
+        length_px = self.stripe_px * 2**self.bits
+        return (0.0, length_px) if self.wraps else (self.code_offset_px, self.code_offset_px + length_px)
+
+    @property
+    def micro(self) -> bool:
+        """True if periods share mean and modulation."""
+        return any(len(steps) == 1 for steps in self.steps_deg)
 
     @property
     def period_px(self) -> float:
@@ -83,6 +124,8 @@ class ImageFiles:
     """Names for each kind of image (``gray-x``), in place of ``patterns``."""
     turns: tuple[str, ...] = ()
     """Sides in whose turn the files come, again and again, where those of both cameras are named together."""
+    half: str = ""
+    """Part of each picture that is this camera's: ``left half``, ``right half``, ``upper half``, ``lower half``; empty: all of it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,6 +181,10 @@ class Description:
     def one_direction(self) -> bool:
         """True if only one pattern coordinate is there."""
         return len(self.axes) == 1
+
+    def extent_px(self, axis: AxisConvention) -> tuple[float, float]:
+        """Return where the pattern begins and ends: of two cameras, what the code covers, whatever the projector's size."""
+        return axis.covered_px if axis.bits and "right" in self.files else (0.0, axis.size_px)
 
     def axis(self, name: str) -> AxisConvention | None:
         """Return the convention of a direction; ``None`` where it has no images."""
@@ -241,17 +288,22 @@ def _together(images: Table) -> dict[str, ImageFiles]:
     """Return the files of both cameras that are named together, and whose turn it is: ``left right``, or ``left*11 right*11``."""
     if "left" in images.content or "right" in images.content:
         raise ForeignError("images.both and images.left, right: give names for both together, or for each")
+    names, sides = _names(images, "both"), images.text("sides", "left right")
+    if sides in HALVES:
+        first, *halves = HALVES[sides]
+        return {side: ImageFiles(names, half=halves[side != first]) for side in SIDES}
     turns: list[str] = []
-    for word in images.text("sides", "left right").split():
+    for word in sides.split():
         found = re.fullmatch(r"(left|right)(?:\*(\d{1,3}))?", word)
         if found is None or not 1 <= int(found[2] or 1) <= MOST_IMAGES:
             raise images.wrong(
-                "sides", "left and right, with * and a number: left right, or left*11 right*11", "correct it"
+                "sides",
+                f"left and right, with * and a number: left right, or left*11 right*11; {', '.join(HALVES)}",
+                "correct it",
             )
         turns += [found[1]] * int(found[2] or 1)
     if turns.count("left") != turns.count("right") or len(turns) > 2 * MOST_IMAGES:
         raise images.wrong("sides", "as many left as right", "correct it")
-    names = _names(images, "both")
     return {side: ImageFiles(names, (), tuple(turns)) for side in SIDES}
 
 
@@ -274,52 +326,54 @@ def _order(images: Table, files: dict[str, ImageFiles]) -> tuple[tuple[ShownImag
     return order, order
 
 
+_FRINGES, _CODE = ("period_px", "fringes", "steps", "steps_deg"), ("gray", "stripe_px")
+_OTHERS = ("sign", "start_deg", "start_at", "code_offset_px", "code", "code_order", "code_inverted")
+_STRIPES = {"ordinary": (1.0, 0.0), "complementary": (0.5, 0.0), "shifted": (1.0, -0.5)}
+"""Width of a code's stripes and where they begin, in periods."""
+
+
 def _axis(table: Table, name: str, size_px: float, mine: list[ShownImage]) -> AxisConvention:
-    table.only(
-        "period_px", "fringes", "steps", "steps_deg", "sign", "start_deg", "gray", "stripe_px", "code_offset_px", "code", "code_order",
-        "code_inverted",
-    )  # fmt: skip
-    has_sines, has_code = (any(one.shows is what for one in mine) for what in (Shows.SINE, Shows.GRAY))
-    periods_px: tuple[float, ...] = ()
-    steps_deg: tuple[tuple[float, ...], ...] = ()
-    if has_sines:
-        periods_px = _periods(table, size_px)
-        named = 1 + max(one.period for one in mine if one.shows is Shows.SINE)
-        if named != len(periods_px):
+    table.only(*_FRINGES, *_CODE, *_OTHERS)
+    fringed = {one.period: one.shows for one in mine if one.shows in FRINGES}
+    has_code = any(one.shows is Shows.GRAY for one in mine)
+    for there, keys, what in ((fringed, _FRINGES, f"sine-{name}"), (has_code, _CODE, f"gray-{name}")):
+        if not there and (said := [key for key in keys if key in table.content]):
             raise ForeignError(
-                f"{name} has {len(periods_px)} periods, and its images are of {named}; name sine-{name}, sine-{name}2, … for each"
+                f"{name}.{said[0]} is there, and no {what} is among the images; name them or take it out"
             )
-        steps_deg = tuple(_steps(table) for _ in periods_px)
-    elif any(key in table.content for key in ("period_px", "fringes", "steps", "steps_deg")):
+    periods_px = _periods(table, size_px) if fringed else ()
+    micro = Shows.MICRO in fringed.values()
+    if not micro and max(fringed, default=-1) + 1 != len(periods_px):
         raise ForeignError(
-            f"{name} has a period or steps, and no sine-{name} is among the images; name them or take it out"
+            f"{name} has {len(periods_px)} periods, and its images are of {max(fringed) + 1}; name sine-{name}, sine-{name}2, … for each"
         )
-    if has_sines and not has_code and len(periods_px) == 1 and periods_px[0] < size_px:
+    if len(periods_px) == 1 and not has_code and periods_px[0] < size_px:
         raise ForeignError(
             f"{name} has one period of {periods_px[0]:g} px on {size_px:g} px and no gray-{name}: nothing tells one fringe from the "
             "next; name the images of a code, or of further periods"
         )
-    sign = 1 if table.choice("sign", ("+", "-"), "+") == "+" else -1
-    gray = table.choice("gray", ("ordinary", "complementary"), "ordinary")
+    starts_deg = table.numbers("start_deg", -360.0, 360.0) if "start_deg" in table.content else (0.0,)
+    if len(starts_deg) not in (1, len(periods_px)):
+        raise table.wrong("start_deg", f"one number, or one for each of {len(periods_px)} periods", "correct it")
+    common: tuple[float, tuple[float, ...]] = (starts_deg[0], ()) if len(starts_deg) == 1 else (0.0, starts_deg)
+    width, offset = _STRIPES[gray := table.choice("gray", _STRIPES, "ordinary")]
     stripe_px = 0.0
     if has_code:
-        usual = min(periods_px) * (1.0 if gray == "ordinary" else 0.5) if has_sines else None
-        if usual is None and "gray" in table.content:
+        if not fringed and "gray" in table.content:
             raise table.wrong("gray", "nothing, where there are no sine images", f"write {name}.stripe_px instead")
-        stripe_px = table.number("stripe_px", 0.5, MOST_PX, usual)
-        if has_sines and stripe_px > 1.01 * min(periods_px):
+        stripe_px = table.number("stripe_px", 0.5, MOST_PX, width * min(periods_px) if fringed else None)
+        if fringed and stripe_px > 1.01 * max(periods_px):
             raise table.wrong(
-                "stripe_px",
-                f"up to the finest period, {min(periods_px):g} px",
-                "wider stripes do not number the fringes",
+                "stripe_px", f"up to the coarsest period, {max(periods_px):g} px", "wider stripes do not number fringes"
             )
-    elif "gray" in table.content or "stripe_px" in table.content:
-        raise ForeignError(f"{name}.gray is there, and no gray-{name} is among the images; name them or take it out")
     return AxisConvention(
-        name, size_px, periods_px, steps_deg, sign, table.number("start_deg", -360.0, 360.0, 0.0),
-        sum(one.shows is Shows.GRAY for one in mine), any(one.shows is Shows.INVERSE for one in mine), stripe_px,
-        table.number("code_offset_px", -MOST_PX, MOST_PX, 0.0), table.choice("code", ("gray", "binary"), "gray") == "binary",
-        table.choice("code_order", ("coarse-first", "fine-first"), "coarse-first") == "fine-first", table.flag("code_inverted"),
+        name, size_px, periods_px, _steps(table, len(periods_px), micro) if fringed else (),
+        1 if table.choice("sign", ("+", "-"), "+") == "+" else -1, start_deg=common[0], starts_deg=common[1],
+        from_middle=table.choice("start_at", ("edge", "middle"), "edge") == "middle", stripe_px=stripe_px,
+        code_offset_px=table.number("code_offset_px", -MOST_PX, MOST_PX, offset * stripe_px),
+        plain_binary=table.choice("code", ("gray", "binary"), "gray") == "binary",
+        fine_first=table.choice("code_order", ("coarse-first", "fine-first"), "coarse-first") == "fine-first",
+        inverted=table.flag("code_inverted"), wraps=gray == "shifted",
     )  # fmt: skip
 
 
@@ -339,16 +393,27 @@ def _periods(table: Table, size_px: float) -> tuple[float, ...]:
     return periods_px
 
 
-def _steps(table: Table) -> tuple[float, ...]:
-    if "steps_deg" not in table.content:
-        count = table.whole("steps", LEAST_STEPS, MOST_STEPS)
-        return tuple(360.0 * k / count for k in range(count))
-    if "steps" in table.content:
+def _steps(table: Table, periods: int, micro: bool) -> tuple[tuple[float, ...], ...]:
+    """Return the steps of each period: one list is that of all, but of micro phase shifting that of the first, the others having one."""
+    if "steps" in table.content and "steps_deg" in table.content:
         raise ForeignError(f"{table.name}steps and {table.name}steps_deg are both there; give one of them")
-    steps_deg = table.numbers("steps_deg", -3600.0, 3600.0)
-    if not LEAST_STEPS <= len(steps_deg) <= MOST_STEPS:
+    said = table.content.get("steps_deg")
+    if said is None:
+        found = [
+            tuple(360.0 * k / count for k in range(count)) for count in table.wholes("steps", LEAST_STEPS, MOST_STEPS)
+        ]
+    else:
+        lists = said if isinstance(said, list) and said and isinstance(said[0], list) else [said]
+        found = [Table(table.name, {"steps_deg": one}).numbers("steps_deg", -3600.0, 3600.0) for one in lists]
+    if not all(LEAST_STEPS <= len(one) <= MOST_STEPS for one in found):
         raise table.wrong("steps_deg", f"{LEAST_STEPS} to {MOST_STEPS} steps", "name all of one period")
-    return steps_deg
+    if micro and len(found) == 1:
+        return (found[0], *[(0.0,)] * (periods - 1))
+    if len(found) not in (1, periods) or micro:
+        raise table.wrong(
+            "steps" if said is None else "steps_deg", f"one for all, or one for each of {periods} periods", "correct it"
+        )
+    return tuple(found * (periods if len(found) == 1 else 1))
 
 
 def _medium(water: Table | None) -> Medium:
@@ -393,28 +458,34 @@ def counted(description: Description, images: tuple[ShownImage, ...]) -> Descrip
     axes = []
     for axis in description.axes:
         mine = [one for one in images if one.axis == axis.name]
+        carriers = []
         for period, steps in enumerate(axis.steps_deg):
-            found = sum(one.shows is Shows.SINE and one.period == period for one in mine)
-            if found != len(steps):
+            fringes = [one for one in mine if one.shows in FRINGES and one.period == period]
+            modulated = bool(fringes) and fringes[0].shows is Shows.MODULATED
+            carriers.append(max(LEAST_STEPS, len(fringes) // len(steps)) if modulated else 0)
+            wanted = len(steps) * max(1, carriers[-1])
+            if axis.micro:
+                wanted = 0 if period else sum(map(len, axis.steps_deg))
+            if len(fringes) != wanted:
+                word = fringes[0].word if fringes else f"sine-{axis.name}{period + 1 if period else ''}"
                 raise ForeignError(
-                    f"{found} images are sine-{axis.name}{period + 1 if period else ''}, and {axis.name} has {len(steps)} steps; "
-                    "name as many images as steps"
+                    f"{len(fringes)} images are {word}, and {wanted} are needed for {axis.name} with {len(steps)} steps; name as many"
                 )
-        bits = sum(one.shows is Shows.GRAY for one in mine)
-        inverses = sum(one.shows is Shows.INVERSE for one in mine)
+        bits, inverses = (sum(one.shows is shows for one in mine) for shows in (Shows.GRAY, Shows.INVERSE))
         if inverses not in (0, bits):
             raise ForeignError(
                 f"{bits} images are gray-{axis.name} and {inverses} ~gray-{axis.name}; each needs its inverse, or none"
             )
         if bits > MOST_BITS:
             raise ForeignError(f"{bits} images are gray-{axis.name}; allowed are up to {MOST_BITS}; name others -")
-        covered_px = axis.code_offset_px + axis.stripe_px * 2**bits
-        if bits and (covered_px < 0.5 * axis.size_px):
+        axis = replace(axis, bits=bits, inverses=bool(inverses), carriers=tuple(carriers) if any(carriers) else ())
+        end_px = axis.covered_px[1]
+        if bits and "right" not in description.files and end_px < 0.5 * axis.size_px:
             raise ForeignError(
-                f"{bits} images of gray-{axis.name} with stripes of {axis.stripe_px:g} px number {covered_px:g} px of the pattern's "
+                f"{bits} images of gray-{axis.name} with stripes of {axis.stripe_px:g} px number {end_px:g} px of the pattern's "
                 f"{axis.size_px:g}; correct {axis.name}.stripe_px, {axis.name}.gray or the order"
             )
-        axes.append(replace(axis, bits=bits, inverses=bool(inverses)))
+        axes.append(axis)
     return replace(description, axes=tuple(axes))
 
 

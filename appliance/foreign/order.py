@@ -1,7 +1,8 @@
 """Owns the words in which a description says what each image shows, and in which order.
 
 ``bright dark gray-x*6 sine-x*4`` is one such text; ``(gray-x ~gray-x)*10`` repeats two images ten times, the second one with its
-stripes inverted; ``sine-x2`` is of the second period of X; ``-`` is an image that shows something else.
+stripes inverted; ``sine-x2`` is of the second period of X; ``modulated-x*9`` is nine images of fringes times a carrier, ``micro-x*12``
+twelve of many periods; ``-`` is an image that shows something else.
 """
 
 from __future__ import annotations
@@ -9,14 +10,16 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from enum import Enum
-from typing import assert_never
 
 from appliance.foreign.problem import ForeignError
 
 MOST_IMAGES, MOST_BRACKETS = 400, 50
-_TOKEN = re.compile(r"\s*(\(|\)|\*\s*\d+|~?[a-z]+(?:-[xy]\d?)?|-)")
-_WORD = re.compile(r"(~?)(bright|dark|gray|sine|-)(?:-([xy])(\d?))?")
-WORDS = "bright, dark, gray-x, ~gray-x (inverted), sine-x, sine-x2 (of the second period), the same with y, and - for anything else"
+_TOKEN = re.compile(r"\s*(\(|\)|\*\s*\d+|~?[a-z]+(?:-[xy]\d{0,2})?|-)")
+_WORD = re.compile(r"(~?)(bright|dark|gray|sine|modulated|micro|-)(?:-([xy])(\d{0,2}))?")
+WORDS = (
+    "bright, dark, gray-x, ~gray-x (inverted), sine-x, sine-x2 (of the second period), modulated-x (times a carrier across), micro-x (many "
+    "periods), the same with y, and - for anything else"
+)
 
 
 class Shows(Enum):
@@ -29,7 +32,14 @@ class Shows(Enum):
     INVERSE = "inverse"
     """The same bit with bright and dark exchanged."""
     SINE = "sine"
+    MODULATED = "modulated"
+    """Fringes times a carrier across them, whose steps come one after the other for each step of the fringes."""
+    MICRO = "micro"
+    """The steps of one period, then one image of each further one."""
     OTHER = "other"
+
+
+FRINGES = (Shows.SINE, Shows.MODULATED, Shows.MICRO)
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,17 +57,10 @@ class ShownImage:
     @property
     def word(self) -> str:
         """The image in the words of a description."""
-        match self.shows:
-            case Shows.OTHER:
-                return "-"
-            case Shows.BRIGHT | Shows.DARK:
-                return str(self.shows.value)
-            case Shows.GRAY | Shows.INVERSE:
-                return f"{'~' if self.shows is Shows.INVERSE else ''}gray-{self.axis}"
-            case Shows.SINE:
-                return f"sine-{self.axis}{self.period + 1 if self.period else ''}"
-            case unknown:
-                assert_never(unknown)
+        if self.shows is Shows.OTHER:
+            return "-"
+        kind = "~gray" if self.shows is Shows.INVERSE else self.shows.value
+        return f"{kind}-{self.axis}{self.period + 1 if self.period else ''}" if self.axis else kind
 
 
 def parse_order(text: str, key: str) -> tuple[ShownImage, ...]:
@@ -78,8 +81,9 @@ def numbered(words: list[str], key: str) -> tuple[ShownImage, ...]:
     for word in words:
         found = _WORD.fullmatch(word)
         kind = found[2] if found else ""
-        varies = kind in ("gray", "sine")
-        if found is None or varies != bool(found[3]) or (found[1] and kind != "gray") or (found[4] and kind != "sine"):
+        varies = kind not in ("bright", "dark", "-")
+        numbers = bool(found and found[4]) and kind not in ("sine", "modulated")
+        if found is None or varies != bool(found[3]) or (found[1] and kind != "gray") or numbers:
             raise ForeignError(f"{key}: {word!r:.40} is no image; allowed: {WORDS}; correct it")
         shows = Shows.OTHER if kind == "-" else Shows.INVERSE if found[1] else Shows(kind)
         axis, period = found[3] or "", int(found[4] or 1) - 1

@@ -73,18 +73,22 @@ class Table:
 
     def whole(self, key: str, low: int, high: int) -> int:
         """Return a whole number ``low`` to ``high``."""
-        value = _number(self, key, self.content.get(key), low, high, "a whole number")
-        if value != int(value):
-            raise self.wrong(key, f"a whole number {low}..{high}", "correct it")
-        return int(value)
+        return self.wholes(key, low, high, 1)[0]
 
-    def numbers(self, key: str, low: float, high: float) -> tuple[float, ...]:
+    def wholes(self, key: str, low: int, high: int, most: int = 16) -> tuple[int, ...]:
+        """Return whole numbers ``low`` to ``high``; one number is a list of one."""
+        values = self.numbers(key, low, high, "a whole number")
+        if len(values) > most or any(value != int(value) for value in values):
+            raise self.wrong(key, f"a whole number {low}..{high}", "correct it")
+        return tuple(int(value) for value in values)
+
+    def numbers(self, key: str, low: float, high: float, what: str = "a number") -> tuple[float, ...]:
         """Return a list of numbers ``low`` to ``high``; one number is a list of one."""
         value = self.content.get(key)
         items = value if isinstance(value, Sequence) and not isinstance(value, str) else [value]
         if not items:
             raise self.wrong(key, f"numbers {low:g}..{high:g}", "name at least one")
-        return tuple(_number(self, key, item, low, high) for item in items)
+        return tuple(_number(self, key, item, low, high, what) for item in items)
 
     def matrix(self, key: str, rows: int, columns: int) -> tuple[tuple[float, ...], ...]:
         """Return a matrix of ``rows`` × ``columns`` finite numbers, written row by row."""

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from appliance.foreign.description import AxisConvention, Description, parse_description
+from appliance.foreign.description import AxisConvention, Description, counted, parse_description
 from appliance.foreign.images import natural_key
 from appliance.foreign.order import parse_order
 from appliance.foreign.problem import ForeignError
@@ -94,6 +95,59 @@ def test_conventions_in_one_word() -> None:
     assert several.finest == 1
 
 
+TWO = ("bright dark gray-x*5 sine-x*4", "gray-x*4 sine-x*4 sine-x2*4")
+
+
+@pytest.mark.parametrize(
+    ("changes", "wanted"),
+    [
+        ([TWO, ("period_px = 16", "period_px = [64, 16]\nstart_deg = [90, 30]")], {"begins_deg": (90.0, 30.0)}),
+        ([TWO, ("period_px = 16", 'period_px = [64, 16]\nstart_at = "middle"')], {"begins_deg": (-2.8125, -11.25)}),
+        ([TWO, ("period_px = 16", "period_px = [64, 16]\nstripe_px = 32")], {"numbered": 0, "stripe_px": 32.0}),
+        ([TWO, ("period_px = 16", "period_px = [64, 16]")], {"numbered": 1, "stripe_px": 16.0}),
+        ([("steps = 4", 'steps = 4\ngray = "shifted"')], {"code_offset_px": -8.0, "stripe_px": 16.0, "wraps": True}),
+        ([("bright dark gray-x*5 sine-x*4", "gray-x*5 sine-x*12 sine-x2*3"), ("period_px = 16", "period_px = [64, 16]"), ("steps = 4", "steps = [12, 3]\nsign = '-'")],
+         {"steps_deg": (tuple(30.0 * k for k in range(12)), (0.0, 120.0, 240.0))}),
+        ([("bright dark gray-x*5 sine-x*4", "micro-x*6"), ("period_px = 16", "period_px = [16, 15, 14, 13]"), ("steps = 4", "steps = 3")],
+         {"steps_deg": ((0.0, 120.0, 240.0), (0.0,), (0.0,), (0.0,)), "micro": True}),
+        ([("bright dark gray-x*5 sine-x*4", "modulated-x*12 sine-x2*4"), ("period_px = 16", "fringes = [24, 1]")],
+         {"carriers": (3, 0), "micro": False}),
+    ],
+)  # fmt: skip
+def test_rarer_codes_have_a_word_each(changes: list[tuple[str, str]], wanted: dict[str, object]) -> None:
+    description = parsed(*changes)
+    axis = counted(description, description.order or ()).axes[0]
+    assert {name: getattr(axis, name) for name in wanted} == wanted
+
+
+@pytest.mark.parametrize(
+    ("order", "said"),
+    [("modulated-x*9 sine-x2*4", "9 images are modulated-x, and 12 are needed"),
+     ("modulated-x*8 sine-x2*4", "8 images are modulated-x, and 12 are needed"),
+     ("micro-x*6", "6 images are micro-x, and 5 are needed")],
+)  # fmt: skip
+def test_codes_with_too_few_images_say_how_many(order: str, said: str) -> None:
+    description = parsed(("bright dark gray-x*5 sine-x*4", order), ("period_px = 16", "fringes = [24, 1]"))
+    with pytest.raises(ForeignError, match=said):
+        counted(description, description.order or ())
+
+
+@pytest.mark.parametrize("sides", ["left beside right", "right above left"])
+def test_both_cameras_in_one_picture_have_a_half_each(sides: str) -> None:
+    described = parsed(('left = "left/*.png"\nright = "right/*.png"', f'both = "*.png"\nsides = "{sides}"'))
+    halves = [described.files[side].half for side in ("left", "right")]
+    assert halves == (["left half", "right half"] if "beside" in sides else ["lower half", "upper half"])
+
+
+def test_of_two_cameras_the_pattern_is_what_the_code_covers() -> None:
+    both = parsed()
+    alone = parsed(('right = "right/*.png"\n', ""))
+    extents = [one.extent_px(counted(one, one.order or ()).axes[0]) for one in (both, alone)]
+    assert extents == [(0.0, 512.0), (0.0, 512.0)]
+    both, alone = (replace(one, axes=(replace(one.axes[0], size_px=100.0, bits=5),)) for one in (both, alone))
+    assert [both.extent_px(both.axes[0]), alone.extent_px(alone.axes[0])] == [(0.0, 512.0), (0.0, 100.0)]
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -103,7 +157,7 @@ def test_conventions_in_one_word() -> None:
         (("steps = 4", "steps = 4\nsteps_deg = [0, 1, 2]"), "are both there"),
         (("steps = 4", "steps_deg = [0, 90]"), "x.steps_deg is [0, 90]; allowed: 3 to 16 steps"),
         (("steps = 4", 'steps = 4\nsign = "minus"'), "x.sign is 'minus'; allowed: +, -"),
-        (("steps = 4", "steps = 4\nstripe_px = 32"), "x.stripe_px is 32; allowed: up to the finest period, 16 px"),
+        (("steps = 4", "steps = 4\nstripe_px = 32"), "x.stripe_px is 32; allowed: up to the coarsest period, 16 px"),
         (("steps = 4", "step = 4"), "x.step: unknown key; did you mean steps?"),
         (("period_px = 16", ""), "x.period_px or x.fringes"),
         (("period_px = 16", "period_px = true"), "x.period_px is True; allowed: a number"),
