@@ -22,10 +22,8 @@ import pytest
 
 from drivers.api import Camera, CameraSettings, CameraSpec, DeviceGone, DeviceRefused, Frame, FrameStatus
 from drivers.aravis import AravisCamera, library
-from drivers.aravis.buses import bus_of
 from drivers.aravis.camera import find_device
 from drivers.aravis.stream import LEAST_BUFFERS
-from drivers.camera.features import Features
 from drivers.native import MonotonicClock
 from hw_sim.wires.umockdev.testbed import Testbed
 from hw_sim.world import World, WorldOptions
@@ -225,15 +223,6 @@ def test_the_fake_camera_is_found_and_says_who_it_is() -> None:
         assert fake.driver.slow_link is None
 
 
-def test_a_word_that_fills_its_register_ends_where_the_next_begins() -> None:
-    """Vendor and model lie side by side (GigE Vision 1.2, bootstrap registers): neither needs a zero at its end."""
-    with faked() as fake:
-        for at in range(0x48, 0x88, 4):
-            fake.put(at, int.from_bytes(b"V" * 4 if at < 0x68 else b"M" * 4, "big"))
-        who = bus_of(fake.device).identity(Features("camera.left", fake.device.description(), fake.device))
-        assert (who.vendor, who.model) == ("V" * 32, "M" * 32)
-
-
 def test_the_settings_are_in_the_camera_under_the_names_of_older_conventions() -> None:
     with faked(size=(640, 480)) as fake:
         assert (fake.get(WIDTH), fake.get(EXPOSURE_TIME_US)) == (640, 10_000)
@@ -351,16 +340,6 @@ def test_a_reader_that_is_late_finds_as_many_frames_as_there_are_buffers_and_the
         assert steps[LEAST_BUFFERS - 1] > 2 * LEAST_BUFFERS
 
 
-@pytest.mark.parametrize(
-    "slot", [np.zeros((10, 10), np.uint8), np.zeros((240, 320), np.uint16), np.zeros((320, 240), np.uint8).T]
-)
-def test_an_array_that_cannot_take_a_frame_is_refused(slot: Any) -> None:
-    with faked() as fake:
-        fake.driver.start()
-        with pytest.raises(ValueError, match=r"slot of shape|C-contiguous"):
-            fake.driver.next_frame(slot, 1.0)
-
-
 def test_two_cameras_at_60_hz_and_full_size_lose_no_frame_in_three_seconds() -> None:
     with faked(FULL) as left, faked(FULL) as right:
         met: dict[str, list[tuple[Frame, int]]] = {}
@@ -391,16 +370,6 @@ def test_a_camera_that_is_not_there_is_gone_and_a_fake_one_is_no_news() -> None:
     ) as caught:
         AravisCamera.open(CameraSpec("camera.left", "KF-CAM-X"), CLOCK)
     assert not re.search(r"there are (.*, )?1\b", str(caught.value))
-
-
-def test_without_the_library_the_remedy_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(library, "FILE", "libaravis-0.0.so.0")
-    library.loaded.cache_clear()
-    try:
-        with pytest.raises(DeviceRefused, match=r"libaravis-0\.0\.so\.0.*apt install libaravis-0\.8-0"):
-            AravisCamera.open(CameraSpec("camera.left", "1"), CLOCK)
-    finally:
-        library.loaded.cache_clear()
 
 
 # ------------------------------------------------------------------------------------ GigE Vision, over a loop

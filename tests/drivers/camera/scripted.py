@@ -239,11 +239,11 @@ class ScriptedCamera:
             self.longest_read = max(self.longest_read, count)
         elif not status:
             payload = struct.pack("<HH", 0, size - 8)
-            self._written(address, command[20:])
+            self.written(address, command[20:])
         self._answer = struct.pack("<4sHHHH", b"U3VC", status, code + 1, len(payload), request) + payload
         return len(command)
 
-    def _written(self, address: int, data: bytes) -> None:
+    def written(self, address: int, data: bytes) -> None:
         name = OF_ADDRESS[address]
         (value,) = struct.unpack("<f" if name in FLOATS else "<I", data)
         self.log.append((name, value))

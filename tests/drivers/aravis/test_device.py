@@ -1,0 +1,188 @@
+"""The library's list, its errors and a device's memory: what each call asks for, and what each failure means."""
+
+from __future__ import annotations
+
+import ctypes
+from functools import partial
+from typing import Any
+
+import pytest
+
+from drivers.api import DeviceGone, DeviceRefused
+from drivers.aravis import library
+from drivers.aravis.device import AravisDevice
+from drivers.aravis.library import Aravis, AravisError, BufferCode, DeviceCode, Listed
+from drivers.camera.control import ControlRefused
+from tests.drivers.aravis.foreign import ForeignLibrary
+
+
+def opened(foreign: ForeignLibrary, protocol: str = "USB3Vision", **more: Any) -> AravisDevice:
+    foreign.add(protocol, **more)
+    aravis = library.library("camera.left")
+    return AravisDevice("camera.left", aravis, aravis.cameras()[-1])
+
+
+# ------------------------------------------------------------------------------------------- library
+
+
+def test_the_librarys_own_camera_is_switched_on_and_its_version_is_told(foreign: ForeignLibrary) -> None:
+    assert library.library("camera.left").version == "0.8.26"
+    assert foreign.enabled == [b"Fake"]
+
+
+def test_cameras_are_looked_for_anew_each_time_and_a_word_that_is_missing_is_empty(foreign: ForeignLibrary) -> None:
+    aravis = library.library("camera.left")
+    assert aravis.cameras() == ()
+    foreign.add("USB3Vision", id="Reef-1", serial=" 0001 ", address=None)
+    assert aravis.cameras() == (Listed("Reef-1", "0001", "USB3Vision", ""),)
+    assert foreign.looked == 2
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (OSError("no such file"), r"cannot be loaded \(no such file\). Install it: apt install libaravis-0.8-0"),
+        (AttributeError("no arv_x"), r"is too old \(no arv_x\). Install 0.8.22 or later"),
+    ],
+)
+def test_without_the_library_or_with_an_old_one_the_remedy_is_said(
+    error: Exception, said: str, foreign: ForeignLibrary, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(_file: str) -> None:
+        raise error
+
+    monkeypatch.setattr(ctypes, "CDLL", refuse)
+    with pytest.raises(DeviceRefused, match=f"camera.left: the library Aravis {said}"):
+        library.library("camera.left")
+
+
+def test_a_failed_call_tells_message_and_code_and_frees_its_error(foreign: ForeignLibrary) -> None:
+    aravis: Aravis = library.library("camera.left")
+    for message, said in ((b"broken", "broken"), (None, "")):
+        with pytest.raises(AravisError) as caught:
+            aravis.checked(partial(foreign.fail, code=5, message=message))
+        assert (str(caught.value), caught.value.code) == (said, 5)
+    assert foreign.freed_errors == 2
+    with pytest.raises(AravisError, match="the library gave no reason") as caught:
+        aravis.checked(lambda error: None)
+    assert caught.value.code == 6
+    assert aravis.checked(lambda error: 12) == 12
+    assert foreign.freed_errors == 2
+
+
+def test_codes_are_those_of_the_librarys_headers() -> None:
+    """``arvdevice.h`` and ``arvbuffer.h``, counted from 0 and from -1."""
+    device = (
+        "WRONG_FEATURE FEATURE_NOT_FOUND NOT_CONNECTED PROTOCOL_ERROR TRANSFER_ERROR TIMEOUT NOT_FOUND INVALID_PARAMETER "
+        "GENICAM_NOT_FOUND NO_STREAM_CHANNEL NOT_CONTROLLER UNKNOWN"
+    )
+    assert {one.name: one.value for one in DeviceCode if one.value < 12} == {
+        name: code for code, name in enumerate(device.split()) if name in DeviceCode.__members__
+    }
+    # ``ARV_DEVICE_ERROR_PROTOCOL_ERROR_NOT_IMPLEMENTED`` and what follows: what a camera answered.
+    assert (DeviceCode.NOT_IMPLEMENTED, DeviceCode.BUSY) == (12, 18)
+    buffer = "UNKNOWN SUCCESS CLEARED TIMEOUT MISSING_PACKETS WRONG_PACKET_ID SIZE_MISMATCH FILLING ABORTED"
+    assert [one.name for one in BufferCode] == buffer.split()
+    assert [one.value for one in BufferCode] == list(range(-1, 8))
+
+
+# -------------------------------------------------------------------------------------------- device
+
+
+@pytest.mark.parametrize(
+    ("code", "error"), [(2, DeviceGone), (6, DeviceGone), (3, DeviceRefused), (5, DeviceRefused), (10, DeviceRefused)]
+)
+def test_what_is_not_there_is_gone_and_what_does_not_open_is_refused(
+    foreign: ForeignLibrary, code: int, error: type[Exception]
+) -> None:
+    with pytest.raises(error, match=r"could not be opened \(busy\)"):
+        opened(foreign, opens=(code, "busy"))
+
+
+def test_a_device_is_released_once_and_answers_no_more(foreign: ForeignLibrary) -> None:
+    with opened(foreign) as device:
+        assert list(foreign.open) == [device.handle]
+        device.close()
+        assert not foreign.open
+        with pytest.raises(DeviceGone, match=r"camera.left: closed\. It is opened again by itself"):
+            device.read(0, 4)
+
+
+@pytest.mark.parametrize(
+    ("address", "count", "asked"),
+    [
+        (0x48, 16, [(0x48, 16)]),
+        (0x4B, 5, [(0x48, 8)]),
+        (0x4B, 6, [(0x48, 12)]),
+        (0x100, 512, [(0x100, 512)]),
+        (0x100, 513, [(0x100, 512), (0x300, 4)]),
+        (0x102, 1500, [(0x100, 512), (0x300, 512), (0x500, 480)]),
+    ],
+)
+def test_a_piece_is_read_in_whole_words_of_at_most_512_bytes(
+    foreign: ForeignLibrary, address: int, count: int, asked: list[tuple[int, int]]
+) -> None:
+    device = opened(foreign)
+    there = foreign.devices[0]
+    there.camera.set(0, bytes(k * 7 % 251 for k in range(4096)))
+    assert device.read(address, count) == bytes(k * 7 % 251 for k in range(address, address + count))
+    assert there.asked == [("read", *one) for one in asked]
+
+
+def test_what_is_long_is_written_in_pieces(foreign: ForeignLibrary) -> None:
+    device = opened(foreign)
+    data = bytes(k * 7 % 251 for k in range(1030))
+    device.write(0x7_0000, data)
+    there = foreign.devices[0]
+    assert there.camera.get(0x7_0000, 1030) == data
+    assert there.asked == [("write", 0x7_0000, 512), ("write", 0x7_0200, 512), ("write", 0x7_0400, 6)]
+
+
+def test_registers_outside_64_bits_are_the_descriptions_mistake(foreign: ForeignLibrary) -> None:
+    device = opened(foreign)
+    assert device.read((1 << 64) - 4, 4) == bytes(4)
+    device.write(0x0, bytes(4))
+    for address in ((1 << 64) - 3, 1 << 64, -4):
+        with pytest.raises(DeviceRefused, match=r"outside 64 bits\. Update the firmware"):
+            device.write(address, bytes(4))
+
+
+@pytest.mark.parametrize(
+    ("code", "answered"),
+    [(2, False), (3, True), (4, False), (5, False), (10, False), (11, False), (12, True), (18, True), (19, False)],
+)
+def test_an_answer_is_a_refusal_and_no_answer_a_loss(foreign: ForeignLibrary, code: int, answered: bool) -> None:
+    device = opened(foreign)
+    foreign.devices[0].refusing[0x40] = code
+    with pytest.raises((DeviceGone, ControlRefused)) as caught:
+        device.read(0x40, 4)
+    what = "read of 4 bytes at 0x40"
+    if isinstance(caught.value, ControlRefused):
+        assert caught.value.status == code
+        assert caught.value.message == f"refused the {what}: no luck"
+    else:
+        assert caught.value.message == f"no longer answers a {what} (no luck)"
+        assert caught.value.remedy == "Check the connector; the camera is opened again by itself"
+    assert isinstance(caught.value, ControlRefused) is answered
+
+
+def test_a_description_is_text_without_what_is_around_it(foreign: ForeignLibrary) -> None:
+    assert opened(foreign, xml=b"\xef\xbb\xbf<a>\xc2\xb5</a>\0\0").description() == "<a>µ</a>"
+
+
+@pytest.mark.parametrize(("claimed_bytes", "fine"), [(0, False), (1, True), (1 << 24, True), ((1 << 24) + 1, False)])
+def test_a_description_of_an_impossible_length_is_refused(
+    foreign: ForeignLibrary, claimed_bytes: int, fine: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    device = opened(foreign, claimed_bytes=claimed_bytes)
+    monkeypatch.setattr(ctypes, "string_at", lambda text, size: b"x" * size)
+    if fine:
+        assert len(device.description()) == claimed_bytes
+    else:
+        with pytest.raises(DeviceRefused, match="has no description that can be read"):
+            device.description()
+
+
+def test_a_camera_without_a_description_is_refused(foreign: ForeignLibrary) -> None:
+    with pytest.raises(DeviceRefused, match="has no description"):
+        opened(foreign, xml=b"", claimed_bytes=9).description()
