@@ -20,7 +20,7 @@ from appliance.service.bringup.trigger import fired, trigger_findings
 from appliance.service.bringup.workplace import Workplace, refusal
 from appliance.service.checkup import ask_devices
 from appliance.service.devices import Devices
-from appliance.service.light_bench import bench_on
+from appliance.service.light_bench import LightBench, bench_on
 from drivers.api import Camera, CameraSettings, DeviceError, HeldSetting, Projector, ReadsBack
 
 DARK_FRAMES = 16
@@ -56,7 +56,8 @@ def cameras_step(at: Workplace) -> StepOutcome:
         tables["Settings, read back"] = side_by_side("feature", read)
     if not all(one.ok for one in findings):
         return StepOutcome(tuple(findings), tables)
-    more, pictures = _dark(at)
+    with bench_on(at.rig, at.wires) as bench:
+        more, pictures = _dark(at, bench)
     return StepOutcome((*findings, *more), tables, pictures)
 
 
@@ -96,31 +97,30 @@ def _shown(one: HeldSetting) -> str:
     return held if one.wanted in (None, one.held) else f"{held} (asked for {one.wanted})"
 
 
-def _dark(at: Workplace) -> tuple[list[Finding], dict[str, tuple[str, bytes]]]:
+def _dark(at: Workplace, bench: LightBench) -> tuple[list[Finding], dict[str, tuple[str, bytes]]]:
     """Return what covered cameras see, and pictures of it."""
     clock = at.wires.clock
-    with bench_on(at.rig, at.wires) as bench:
-        for turn in range(MOST_ASKED):
-            at.person.tell(numbered("put the caps on both lenses", turn))
-            until_ns = clock.now_ns() + int(PATIENCE_S * 1e9)
-            while True:
-                at.say("waiting for dark images", None)
-                short: dict[str, Image] = {}
-                # Both lengths: what a longer exposure adds is light, what both have is the black level.
-                for exposure_us in (SHORT_US, None):
-                    report = fired(bench, at.rig, exposure_us)
-                    if report.fault is not None:
-                        # No picture without a trigger: which is wrong is what the next step would say, word for word.
-                        return list(trigger_findings(report.ledger)), {}
-                    frames = {side: bench.frames(side, PULSES)[-DARK_FRAMES:] for side in SIDES}
-                    short = short or {side: images.copy() for side, images in frames.items()}
-                seen = {side: see_dark(images, short[side]) for side, images in frames.items()}
-                last = {side: images[-1].copy() for side, images in frames.items()}
-                if all(one.covered for one in seen.values()):
-                    return _judged(at, seen), _pictures(last)
-                if clock.now_ns() > until_ns:
-                    break
-                clock.sleep_s(PAUSE_S)
+    for turn in range(MOST_ASKED):
+        at.person.tell(numbered("put the caps on both lenses", turn))
+        until_ns = clock.now_ns() + int(PATIENCE_S * 1e9)
+        while True:
+            at.say("waiting for dark images", None)
+            short: dict[str, Image] = {}
+            # Both lengths: what a longer exposure adds is light, what both have is the black level.
+            for exposure_us in (SHORT_US, None):
+                report = fired(bench, at.rig, exposure_us)
+                if report.fault is not None:
+                    # No picture without a trigger: which is wrong is what the next step would say, word for word.
+                    return list(trigger_findings(report.ledger)), {}
+                frames = {side: bench.frames(side, PULSES)[-DARK_FRAMES:] for side in SIDES}
+                short = short or {side: images.copy() for side, images in frames.items()}
+            seen = {side: see_dark(images, short[side]) for side, images in frames.items()}
+            last = {side: images[-1].copy() for side, images in frames.items()}
+            if all(one.covered for one in seen.values()):
+                return _judged(at, seen), _pictures(last)
+            if clock.now_ns() > until_ns:
+                break
+            clock.sleep_s(PAUSE_S)
     return _judged(at, seen), _pictures(last)
 
 

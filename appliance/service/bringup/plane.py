@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,7 +67,9 @@ def plane_step(at: Workplace) -> StepOutcome:
         exposure = exposure_of(at.rig)
         for turn in range(MOST_ASKED):
             at.person.ask(numbered(wall(at), turn))
-            report, frames, exposure = _exposed(at, patterns, exposure)
+            report, frames, exposure = _exposed(
+                partial(_recorded, at, patterns), sequence, exposures_of(at.rig), exposure
+            )
             if all(_lit(one, sequence).mean() >= LEAST_LIT for one in frames.values()):
                 break
     scan_id = _stored(at, report, frames, sequence, exposure, None if response is None else response.hash)
@@ -94,18 +98,22 @@ def plane_step(at: Workplace) -> StepOutcome:
     return StepOutcome(judge_plane(seen), {}, pictures)
 
 
-def _exposed(at: Workplace, patterns: DrawnPatterns, exposure: Exposure) -> tuple[CaptureReport, Frames, Exposure]:
+def _exposed(
+    record: Callable[[Exposure], tuple[CaptureReport, Frames]],
+    sequence: PatternSequence,
+    allowed: Sequence[Exposure],
+    exposure: Exposure,
+) -> tuple[CaptureReport, Frames, Exposure]:
     """Record the plane with the longest of the allowed exposures that does not saturate it, and return which that was."""
-    allowed = exposures_of(at.rig)
-    report, frames = _recorded(at, patterns, exposure)
+    report, frames = record(exposure)
     # The rig file's exposure is that of the dive; a white plane in air is brighter than most of what lies under water.
     for _ in allowed:
-        saturated = max(_saturated(one, patterns.sequence) for one in frames.values())
+        saturated = max(_saturated(one, sequence) for one in frames.values())
         darker = next_exposure(allowed, exposure, saturated)
         if darker is None:
             break
         exposure = darker
-        report, frames = _recorded(at, patterns, exposure)
+        report, frames = record(exposure)
     return report, frames, exposure
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from appliance.bringup.bench import Shot, mean_levels
+from appliance.bringup.bench import Bench, Shot, mean_levels
 from appliance.bringup.conclusions import conclusions, keys_of
 from appliance.bringup.guide import StepOutcome
 from appliance.bringup.person import MOST_ASKED, numbered
@@ -12,7 +12,7 @@ from appliance.bringup.projector import measure_projector
 from appliance.bringup.projector_steps import projector_outcomes
 from appliance.bringup.rig_edit import KeyValue, replace_rig, with_keys
 from appliance.service.bringup.workplace import Workplace
-from appliance.service.light_bench import LightBench, bench_on
+from appliance.service.light_bench import bench_on
 
 WHITE_FRAMES = 12
 """Frames of white, as of black before them: more than the most blanks that a picture's light comes late."""
@@ -22,12 +22,16 @@ LEAST_LIGHT_DN = 4.0
 
 def projector_steps(at: Workplace) -> dict[str, StepOutcome]:
     """Do the measurement; the outcome of each step of the projector. Raises DeviceError, BringupError, GivenUp, StorageError."""
+    with bench_on(at.rig, at.wires) as bench:
+        return _measured(at, bench)
+
+
+def _measured(at: Workplace, bench: Bench) -> dict[str, StepOutcome]:
     rig = at.rig
+    # Before minutes of measuring: a file that cannot be read is known by then.
     text = at.rig_file.read_text(encoding="utf-8-sig")
-    # The text was read before minutes of measuring: a file that cannot be read is known by then.
-    with bench_on(rig, at.wires) as bench:
-        _before_white(at, bench)
-        measured = measure_projector(bench, rig.scan.most_gain_db, at.say)
+    _before_white(at, bench)
+    measured = measure_projector(bench, rig.scan.most_gain_db, at.say)
     written: dict[KeyValue, int | str | float | tuple[float, ...]] = {}
     findings = conclusions(measured, rig.projector.refresh_hz)
     # All or nothing: a mirrored picture's latency is right, but who puts it right measures again.
@@ -39,7 +43,7 @@ def projector_steps(at: Workplace) -> dict[str, StepOutcome]:
     return projector_outcomes(measured, rig.projector.refresh_hz, written)
 
 
-def _before_white(at: Workplace, bench: LightBench) -> None:
+def _before_white(at: Workplace, bench: Bench) -> None:
     """Ask for a white wall until the projector's light is seen on it by both cameras; at most so often, then it is tried as it is."""
     for turn in range(MOST_ASKED):
         at.person.ask(numbered(f"{wall(at)}, and darken the room", turn))
@@ -56,7 +60,7 @@ def wall(at: Workplace) -> str:
     )
 
 
-def _lit(at: Workplace, bench: LightBench) -> bool:
+def _lit(at: Workplace, bench: Bench) -> bool:
     """Tell whether both cameras see the projector's light at all."""
     width, height = bench.size_px
     bench.load([np.full((height, width), code, np.uint8) for code in (0, 255)], all_channels=False)
