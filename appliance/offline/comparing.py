@@ -108,7 +108,8 @@ def compare(
     if nominal.sigma_mm is not None:
         variance += _sigma_on(nominal.sigma_mm, nominal.triangles, deviation.face) ** 2
     deviation = deviation.with_sigma(np.sqrt(variance).astype(np.float32))
-    laid = replace(laid, pose=_moved(laid.pose, nominal.triangles.origin_mm))
+    pose, *elsewhere = (_moved(one, nominal.triangles.origin_mm) for one in (laid.pose, *laid.elsewhere))
+    laid = replace(laid, pose=pose, elsewhere=tuple(elsewhere))
     warnings = (*_warnings(laid), *_beside(deviation), *_bent(surface, deviation))
     return Comparison(surface, laid, nominal.name, nominal.triangles.origin_mm, deviation, warnings)
 
@@ -180,8 +181,7 @@ def _warnings(laid: LaidOnto) -> tuple[str, ...]:
     if laid.elsewhere:
         poses = "; ".join(_pose_words(one, laid.pose) for one in laid.elsewhere[:_MOST_SHOWN])
         found.append(
-            f"it fits as well in {len(laid.elsewhere)} or more other places ({poses}): the thing is symmetric, or its repeated parts are; "
-            "choose one with --start"
+            f"it fits as well in {len(laid.elsewhere)} or more other places: the thing is symmetric, or its repeated parts are. To choose one: {poses}"
         )
     return tuple(found)
 
@@ -194,13 +194,13 @@ def _free_words(laid: LaidOnto, way: FreeWay) -> str:
     unit = "°" if way.turns else " mm"
     # Both are told along the direction as it is written.
     sense = 1 if _upright(way.direction[:3] if way.turns else way.direction[3:]) else -1
-    ends = [sense * one for one in way.ends][::sense]
+    ends = [sense * one + 0.0 for one in way.ends][::sense]
     rms = [laid.rms_mm, *list(way.rms_mm)[::sense]]
     lost = [100.0 * (1.0 - one) for one in [laid.fitting, *list(way.fitting)[::sense]]]
     return (
         f"{motion}: its shape does not hold it between {ends[0]:+.3g} and {ends[1]:+.3g}{unit} from here. Tried there: RMS "
         f"{rms[0]:.3f} mm here, {rms[1]:.3f} and {rms[2]:.3f} mm at the ends; {lost[0]:.1f} %, {lost[1]:.1f} % and {lost[2]:.1f} % of the points lie beyond "
-        f"{FITS_MM:g} mm. Say where it belongs with --start"
+        f"{FITS_MM:g} mm. Say where it belongs with --start; here is {_start_words(laid.pose)}"
     )
 
 
@@ -212,15 +212,23 @@ def _vector(of: NDArray[np.float64]) -> str:
     unit = of / max(float(np.linalg.norm(of)), 1e-12)
     # A direction and its opposite are one.
     unit = unit if _upright(unit) else -unit
-    return "(" + ", ".join(f"{one + 0.0:.2f}" for one in unit) + ")"
+    return "(" + ", ".join(f"{one:z.2f}" for one in unit) + ")"
+
+
+def _start_words(pose: Rigid) -> str:
+    """Return the option that puts it there."""
+    turn_deg = np.degrees(rotation_vector(pose.rotation))
+    return "--start " + ",".join(f"{one:z.3f}" for one in (*pose.translation_mm, *turn_deg))
 
 
 def _pose_words(other: Rigid, best: Rigid) -> str:
     turn = rotation_vector(best.inverse.then(other).rotation)
     angle = float(np.degrees(np.linalg.norm(turn)))
     if angle < 1.0:
-        return f"{np.linalg.norm(other.translation_mm - best.translation_mm):.1f} mm beside"
-    return f"turned by {angle:.0f}° about {_vector(turn)}"
+        how = f"{np.linalg.norm(other.translation_mm - best.translation_mm):.1f} mm beside"
+    else:
+        how = f"turned by {angle:.0f}° about {_vector(turn)}"
+    return f"{_start_words(other)} ({how})"
 
 
 def write_comparison(

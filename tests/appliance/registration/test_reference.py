@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -9,12 +11,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from appliance.offline.comparing import NominalReference
+from appliance.offline.comparing import NominalReference, NominalSurface, compare
 from appliance.optics.rotation import rotation_matrix, rotation_vector
 from appliance.registration.reference import OrientedPoints, SurfaceMatchError, lay_onto
 from appliance.registration.rigid import Rigid
 from appliance.surface.deviation import NominalTree, spread_over
 from appliance.surface.nominal import Nominal, nominal_of
+from tests.support.flanged import cloud
 
 HERE = Rigid(np.eye(3), np.zeros(3))
 ELSEWHERE = Rigid(rotation_matrix(np.array([1.9, -0.7, 0.4])), np.array([300.0, -120.0, 50.0]))
@@ -81,16 +84,26 @@ def test_a_view_finds_its_place_on_a_drawing_in_any_frame(corner: tuple[float, f
     assert float(np.sqrt(np.trace(found.covariance))) < 0.02
 
 
-def test_what_fits_in_several_places_is_said() -> None:
+def test_what_fits_in_several_places_is_said_with_the_start_that_leads_to_each() -> None:
     frustum: Any = trimesh.creation.cylinder(radius=60.0, height=40.0, sections=4)
     frustum.vertices[frustum.vertices[:, 2] > 0.0, :2] *= 0.5
-    points = view([frustum], count=5_000)
-    found = lay_onto(points, NominalReference(NominalTree.of(heap([frustum]))))
-    quarter = [rotation_vector(found.pose.inverse.then(one).rotation) for one in found.elsewhere]
-    assert len(quarter) == 3
-    np.testing.assert_allclose(
-        sorted(np.degrees(np.linalg.norm(one)) for one in quarter), [90.0, 90.0, 180.0], atol=0.5
-    )
+    points, there_mm = view([frustum], count=5_000), np.array([3e5, 0.0, -2e3])
+    seen = cloud(points)
+    nominal = NominalSurface("frustum", replace(heap([frustum]), origin_mm=there_mm))
+    found = compare(seen, nominal)
+    turned = [rotation_vector(found.laid.pose.inverse.then(one).rotation) for one in found.laid.elsewhere]
+    assert len(turned) == 3
+    np.testing.assert_allclose(sorted(np.degrees(np.linalg.norm(one)) for one in turned), [90.0, 90.0, 180.0], atol=0.5)
+    (said,) = found.warnings
+    starts = [[float(one) for one in start.split(",")] for start in re.findall(r"--start (\S+) \(turned", said)]
+    assert len(starts) == 3
+    for start, there in zip(starts, found.laid.elsewhere, strict=True):
+        begun = Rigid(rotation_matrix(np.radians(start[3:])), np.array(start[:3]))
+        chosen = compare(seen, nominal, start=begun)
+        moved = chosen.laid.pose.of(points.points_mm) - there.of(points.points_mm)
+        assert np.linalg.norm(moved, axis=1).max() < 0.1
+        assert chosen.deviation.summary.rms_mm == pytest.approx(found.deviation.summary.rms_mm, abs=0.001)
+        assert chosen.warnings == ()
 
 
 def test_another_thing_is_refused_with_both_sizes() -> None:

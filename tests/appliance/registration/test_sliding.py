@@ -12,57 +12,20 @@ import trimesh
 
 from appliance.offline.comparing import Comparison, NominalReference, NominalSurface, compare
 from appliance.optics.rotation import rotation_matrix
-from appliance.registration.reference import LaidOnto, OrientedPoints, lay_onto
+from appliance.registration.reference import LaidOnto, OrientedPoints, _led, _Sampled, _slid_apart, lay_onto
 from appliance.registration.rigid import Rigid
 from appliance.surface.deviation import NominalTree
-from appliance.surface.fusion import FusedCloud
 from appliance.surface.nominal import Nominal, nominal_of, read_nominal
+from tests.support.flanged import AT_MM, RADIUS_MM, TRUE, cloud, pipe, view
 from tests.support.views import Array
 
-RADIUS_MM, FLANGE_MM, AT_MM, WIDTH_MM, LONG_MM = 60.0, 82.0, 140.0, 22.0, 600.0
-TRUE = Rigid(rotation_matrix(np.array([0.3, -1.1, 0.5])), np.array([80.0, -40.0, 500.0]))
-"""Maps the points into the model's frame."""
 SLID_MM = 60.0
-
-
-@cache
-def pipe(sections: int) -> tuple[Array, Array]:
-    """Vertices and triangles of a pipe along x with a flange; of slender triangles, as CAD programs write cylinders."""
-    half = LONG_MM / 2.0
-    low, high = AT_MM - WIDTH_MM / 2.0, AT_MM + WIDTH_MM / 2.0
-    profile = [
-        (-half, 0.0),
-        (-half, RADIUS_MM),
-        (low, RADIUS_MM),
-        (low, FLANGE_MM),
-        (high, FLANGE_MM),
-        (high, RADIUS_MM),
-    ]
-    profile += [(half, RADIUS_MM), (half, 0.0)]
-    turned: Any = trimesh.creation.revolve([(r, x) for x, r in profile], sections=sections)
-    along_x = turned.vertices[:, [2, 0, 1]]
-    # Outside out, whatever the sense of the profile.
-    faces = turned.faces if trimesh.Trimesh(along_x, turned.faces).volume > 0.0 else turned.faces[:, ::-1]
-    return along_x, faces
 
 
 def finer() -> tuple[Array, Array]:
     cut: Any = trimesh.remesh.subdivide_to_size
     vertices, faces = cut(*pipe(256), 60.0)
     return vertices, faces
-
-
-def view(low_mm: float, high_mm: float) -> OrientedPoints:
-    """What a camera beside it has of the pipe between both places on its axis: a third of its round, in a frame of its own."""
-    rng = np.random.default_rng(8)
-    n = 16_000
-    x, angle = rng.uniform(low_mm, high_mm, n), rng.uniform(-1.0, 1.0, n)
-    on_flange = np.abs(x - AT_MM) < WIDTH_MM / 2.0
-    normal = np.stack([np.zeros(n), np.cos(angle), np.sin(angle)], 1)
-    points = normal * np.where(on_flange, FLANGE_MM, RADIUS_MM)[:, None] + np.outer(x, [1.0, 0.0, 0.0])
-    points = points + normal * rng.normal(0.0, 0.02, (n, 1))
-    back = TRUE.inverse
-    return OrientedPoints(back.of(points), normal @ back.rotation.T, np.full(n, 0.02))
 
 
 def laid(vertices: Array, faces: Array, points: OrientedPoints, start: Rigid | None = None) -> LaidOnto:
@@ -90,12 +53,24 @@ def test_a_flange_in_view_holds_a_pipe_and_turning_it_changes_nothing() -> None:
     assert all(abs(end) <= 8.0 for way in sliding for end in way.ends), "the way that is left ends at the flange"
 
 
-def cloud(points: OrientedPoints) -> FusedCloud:
-    n = len(points.points_mm)
-    return FusedCloud(
-        points.points_mm.astype(np.float32), points.normals.astype(np.float32), points.sigma_mm.astype(np.float32),
-        np.full(n, 128, np.uint8), np.ones(n, np.uint16),
-    )  # fmt: skip
+def test_of_guesses_that_only_sliding_tells_apart_one_is_slid_to_the_flange() -> None:
+    rough = _Sampled.of(NominalReference(NominalTree.of(nominal_of(*pipe(90)))).spread(10_000))
+    whole = view(20.0, 200.0)
+    few, some = (OrientedPoints(whole.points_mm[::k], whole.normals[::k], whole.sigma_mm[::k]) for k in (20, 60))
+    ends_changed = TRUE.then(Rigid(np.diag([-1.0, 1.0, -1.0]), np.zeros(3)))
+    guesses = [TRUE, TRUE, TRUE, ends_changed]
+    led = [
+        _led(few, rough, guess.then(Rigid(np.eye(3), np.array([off, 0.3, 0.2]))), 4.0)
+        for guess, off in zip(guesses, (-100.0, -160.0, -40.0, 90.0), strict=True)
+    ]
+    slid = _slid_apart([fit for fit in led if fit is not None], few, some, rough)
+    assert len(slid) == 2, "one of each sense along the pipe"
+    for fit, from_ in zip(slid, (led[0], led[3]), strict=True):
+        assert fit is not None
+        assert from_ is not None
+        assert from_.support < 0.88 < 0.95 < fit.support
+        flange = fit.pose.of(TRUE.inverse.of(np.array([AT_MM, 0.0, 0.0])))
+        assert flange[0] == pytest.approx(AT_MM, abs=3.0)
 
 
 def compared(nominal: Nominal, start: Rigid = TRUE) -> Comparison:
