@@ -143,7 +143,7 @@ def _thinned(camera: HousedCamera, step: int) -> HousedCamera:
 def _thin_camera(camera: DecodedCamera, step: int) -> DecodedCamera:
     at = (slice(None, None, step), slice(None, None, step))
     images = camera.images
-    few = ImageSet(images.shown[:1], images.files[:1], images.images[:1, ::step, ::step], images.white)
+    few = ImageSet(images.shown[:1], images.files[:1], images.images[0][None, ::step, ::step], images.white)
     placed = {
         name: PlacedAxis(
             np.ascontiguousarray(one.coordinate_px[at]), one.reason[at], np.ascontiguousarray(one.modulation[at])

@@ -66,7 +66,7 @@ def placed_again(camera: DecodedCamera, description: Description) -> DecodedCame
 def _picture(images: ImageSet, measured: Mapping[str, Measured]) -> NDArray[np.uint8]:
     bright = images.image(Shows.BRIGHT)
     fits = [fit for one in measured.values() for fit in one.fits]
-    seen = bright if bright is not None else fits[0].offset if fits else images.images.max(axis=0)
+    seen = bright if bright is not None else fits[0].offset if fits else np.maximum.reduce(list(images.images))
     return np.asarray(np.clip(np.rint(seen * np.float32(255.0 / images.white)), 0.0, 255.0), np.uint8)
 
 

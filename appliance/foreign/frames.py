@@ -6,6 +6,7 @@ first, as OpenCV has them. An array of several in an ``.npz`` is named behind ``
 
 from __future__ import annotations
 
+import mmap
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 
 from appliance.bounded_file import read_bounded, refuse_irregular
 from appliance.foreign.arrays import ArrayError, array_heads, load_array
-from appliance.foreign.picture_size import size_px
+from appliance.foreign.picture_size import picture_head, size_px
 from appliance.foreign.problem import ForeignError
 
 SUFFIXES = (".png", ".bmp", ".tif", ".tiff", ".jpg", ".jpeg", ".pgm", ".ppm", ".pnm", ".webp", ".jp2", ".exr", ".hdr")
@@ -39,12 +40,31 @@ class Frame:
     """Number in its stack, from 0; ``None``: the file is one image."""
     array: str = ""
     """Name in an ``.npz``."""
+    channel: str = ""
+    """The one colour of its picture that is this image; empty: whatever the description says of all."""
+    half: str = ""
+    """The half of its picture that is this image; empty: all of it."""
 
     @property
     def name(self) -> str:
         """Name of the file, with array and page."""
         array = f"#{self.array}" if self.array else ""
-        return f"{self.path.name}{array}" + ("" if self.page is None else f"[{self.page}]")
+        page = "" if self.page is None else f"[{self.page}]"
+        return " ".join(part for part in (f"{self.path.name}{array}{page}", self.channel, self.half) if part)
+
+    def cut(self, image: NDArray[Any]) -> NDArray[Any]:
+        """Return the part of a picture (h, w) that is this image."""
+        rows, columns = (size // 2 for size in image.shape[:2])
+        match self.half:
+            case "left half":
+                return image[:, :columns]
+            case "right half":
+                return image[:, columns:]
+            case "upper half":
+                return image[:rows]
+            case "lower half":
+                return image[rows:]
+        return image
 
 
 def split_name(pattern: str) -> tuple[str, str]:
@@ -82,18 +102,44 @@ def arrays_in(path: Path) -> tuple[str, ...]:
 
 def raw_images(frames: Sequence[Frame]) -> list[NDArray[Any]]:
     """Return the images (h, w) or (h, w, channels) as their files have them. Raises ForeignError."""
-    stacks: dict[tuple[Path, str], NDArray[Any]] = {}
-    found = []
-    for frame in frames:
-        if frame.path.suffix.lower() in STACKS:
-            # One at a time is mapped or unpacked once, not once for each image.
-            key = frame.path, frame.array
-            if key not in stacks:
-                stacks = {key: _stack(*key)}
-            found.append(np.asarray(stacks[key] if frame.page is None else stacks[key][frame.page]))
-        else:
-            found.append(_read(frame))
-    return found
+    reader = FrameReader()
+    return [reader.raw(frame) for frame in frames]
+
+
+class FrameReader:
+    """Reads images one after the other; a stack, or a picture that is several images, is opened once."""
+
+    def __init__(self) -> None:
+        self._last: tuple[Frame, NDArray[Any]] | None = None
+
+    def raw(self, frame: Frame) -> NDArray[Any]:
+        """Return the picture (h, w) or (h, w, channels) that an image lies in. Raises ForeignError."""
+        stacked = frame.path.suffix.lower() in STACKS
+        if not stacked and not frame.channel:
+            return _read(frame)
+        key = Frame(frame.path, None if stacked else frame.page, frame.array)
+        if self._last is None or self._last[0] != key:
+            self._last = None  # not both at once
+            self._last = key, _stack(frame.path, frame.array) if stacked else _read(key)
+        content = self._last[1]
+        return np.asarray(content if not stacked or frame.page is None else content[frame.page])
+
+
+def frame_head(frame: Frame) -> tuple[tuple[int, int], np.dtype[Any]] | None:
+    """Return the size (h, w) and the type of an image by its file's header; ``None`` where nothing but reading it tells."""
+    if frame.path.suffix.lower() in STACKS:
+        head = array_heads(frame.path)[_stack_shape(frame.path, frame.array)[0]]
+        shape = head.shape if len(head.shape) == 2 else head.shape[:2] if _images_last(head.shape) else head.shape[1:3]
+        return (shape[0], shape[1]), head.dtype
+    _refuse_other_files(frame.path)
+    with frame.path.open("rb") as file:
+        if not file.seek(0, 2):
+            return None
+        with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            stated = picture_head(data)
+    if stated is None or stated[2] > 16:
+        return None
+    return stated[1::-1], np.dtype(np.uint8 if stated[2] <= 8 else np.uint16)
 
 
 def _read(frame: Frame) -> NDArray[Any]:

@@ -1,13 +1,14 @@
 """Owns the images of a foreign set: which files a description means, and their grey values.
 
 Any format that OpenCV reads, pages of a TIFF and NumPy's stacks (``frames``), 8 or 16 bits, grey or colour; files of one name with
-wildcards come in natural order (2 before 10).
+wildcards come in natural order (2 before 10). Pictures are read when they are asked for, and what is small is kept.
 """
 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.foreign.description import Description, ImageFiles
-from appliance.foreign.frames import Frame, frames_in, raw_images, split_name
+from appliance.foreign.description import EACH, Description, ImageFiles
+from appliance.foreign.frames import Frame, FrameReader, frame_head, frames_in, split_name
 from appliance.foreign.order import ShownImage, Shows, numbered
 from appliance.foreign.problem import ForeignError
 
@@ -24,6 +25,54 @@ FULL_SCALES = (255.0, 1023.0, 4095.0, 16383.0, 65535.0)
 """Grey values of saturation that sensors have."""
 CHANNEL_NUMBER = {"blue": 0, "green": 1, "red": 2}
 LOSSY = (".jpg", ".jpeg", ".webp")
+KEPT_BYTES = 200_000_000
+"""Images of one camera that are kept once they were read; others are read again."""
+
+
+@dataclass(slots=True, eq=False)
+class Pictures:
+    """Images of files, read one by one: ``pictures[k]`` is (h, w) uint8 or uint16."""
+
+    frames: tuple[Frame, ...]
+    channel: str
+    shape: tuple[int, int, int]
+    dtype: np.dtype[Any]
+    _reader: FrameReader = field(default_factory=FrameReader)
+    _kept: dict[int, NDArray[Any]] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, frames: Sequence[Frame], channel: str) -> Pictures:
+        """Return the images ``frames``, which must be alike. Raises ForeignError for others, and for files that are none."""
+        heads = [(frame.cut(np.broadcast_to(head[1].type(0), head[0])).shape, head[1]) if head else None
+                 for frame, head in ((frame, frame_head(frame)) for frame in frames)]  # fmt: skip
+        first = heads[0]
+        if first is None:
+            image = frames[0].cut(_grey(frames[0], FrameReader().raw(frames[0]), channel))
+            first = image.shape, image.dtype
+        pictures = cls(tuple(frames), channel, (len(frames), *first[0]), first[1])
+        for frame, head in zip(frames, heads, strict=True):
+            pictures._alike(frame, *(head or first))
+        return pictures
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __getitem__(self, number: int) -> NDArray[Any]:
+        if number in self._kept:
+            return self._kept[number]
+        frame = self.frames[number]
+        image = frame.cut(_grey(frame, self._reader.raw(frame), frame.channel or self.channel))
+        self._alike(frame, image.shape, image.dtype)
+        if image.nbytes * (len(self._kept) + 1) <= KEPT_BYTES:
+            self._kept[number] = image
+        return image
+
+    def _alike(self, frame: Frame, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
+        if shape != self.shape[1:] or dtype != self.dtype:
+            raise ForeignError(
+                f"{frame.path.parent / frame.name}: {shape[1]} x {shape[0]} px {dtype}, and {self.frames[0].name} has {self.shape[2]} x "
+                f"{self.shape[1]} px {self.dtype}; images of one camera must be alike: name others with -"
+            )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,8 +81,8 @@ class ImageSet:
 
     shown: tuple[ShownImage, ...]
     files: tuple[Frame, ...]
-    images: NDArray[Any]
-    """(n, h, w) uint8 or uint16."""
+    images: Any
+    """(n, h, w) uint8 or uint16: an array, or ``Pictures`` that are read one by one."""
     white: float
     """Grey value from which on a pixel is saturated."""
 
@@ -52,6 +101,14 @@ class ImageSet:
         number = self.find(shows, axis, index, period)
         return None if number is None else self.images[number]
 
+    def all_of(self, shows: Shows, axis: str, period: int = 0) -> list[NDArray[Any]]:
+        """Return all images of a kind, in their order."""
+        return [
+            self.images[k]
+            for k, one in enumerate(self.shown)
+            if (one.shows, one.axis, one.period) == (shows, axis, period)
+        ]
+
 
 def natural_key(text: str) -> list[tuple[int, int, str]]:
     """Return what sorts names as people do: ``a2`` before ``a10``."""
@@ -60,47 +117,46 @@ def natural_key(text: str) -> list[tuple[int, int, str]]:
 
 
 def read_side(description: Description, side: str) -> ImageSet:
-    """Read the images of one camera. Raises ForeignError for files that are missing, of different sizes, or no images."""
-    files, shown = named_files(description, side)
-    return read_images(files, shown, description.channel, description.white)
+    """Return the images of one camera, of which those of 16 bits are read. Raises ForeignError for files that are missing, of different
+    sizes, or no images."""
+    found = first_of_side(description, side)
+    return replace(found, white=description.white or _white(found.images))
 
 
 def first_of_side(description: Description, side: str) -> ImageSet:
-    """Return what all images of one camera show, with the first one of them alone: its size and kind are those of all. Raises
-    ForeignError for files that are missing, or a first one that is no image."""
+    """Return the images of one camera by the headers of their files, none of which is decoded. Raises ForeignError for files that are
+    missing, of different sizes, or no images."""
     files, shown = named_files(description, side)
     kept = [k for k, one in enumerate(shown) if one.shows is not Shows.OTHER]
-    first = read_images(files[: kept[0] + 1], shown[: kept[0] + 1], description.channel, description.white)
-    return replace(first, shown=tuple(shown[k] for k in kept), files=tuple(files[k] for k in kept))
+    if not kept:
+        raise ForeignError("all images are named -; name what they show")
+    files, shown = tuple(files[k] for k in kept), tuple(shown[k] for k in kept)
+    return ImageSet(shown, files, Pictures.of(files, description.channel), description.white or FULL_SCALES[0])
 
 
 def read_images(
-    files: tuple[Frame, ...], shown: tuple[ShownImage, ...], channel: str, white: float | None = None
-) -> ImageSet:  # fmt: skip
-    """Read ``files``, of which ``shown`` says what each shows; images that show something else are left out. Raises ForeignError."""
-    kept = [k for k, one in enumerate(shown) if one.shows is not Shows.OTHER]
-    images: NDArray[Any] | None = None
-    raw = raw_images([files[k] for k in kept])
-    for n, k in enumerate(kept):
-        image = _grey(files[k], raw[n], channel)
-        if images is None:
-            images = np.empty((len(kept), *image.shape), image.dtype)
-        if image.shape != images.shape[1:] or image.dtype != images.dtype:
-            raise ForeignError(
-                f"{files[k].path.parent / files[k].name}: {image.shape[1]} x {image.shape[0]} px {image.dtype}, and {files[kept[0]].name} has {images.shape[2]} x "
-                f"{images.shape[1]} px {images.dtype}; images of one camera must be alike: name others with -"
-            )
-        images[n] = image
-    if images is None:
-        raise ForeignError("all images are named -; name what they show")
-    brightest = float(images.max())
-    scale = white or next(one for one in FULL_SCALES if brightest <= one)
-    return ImageSet(tuple(shown[k] for k in kept), tuple(files[k] for k in kept), images, scale)
+    files: tuple[Frame, ...], shown: tuple[ShownImage, ...], channel: str, white: float | None = None, step: int = 1
+) -> ImageSet:
+    """Read every ``step``-th pixel of ``files``, of which ``shown`` says what each shows. Raises ForeignError."""
+    pictures = Pictures.of(files, channel)
+    few = pictures[0][::step, ::step]
+    images = np.empty((len(files), *few.shape), few.dtype)
+    for k in range(len(files)):
+        images[k] = pictures[k][::step, ::step]
+    return ImageSet(shown, files, images, white or _white(images))
 
 
-def read_image(frame: Frame, channel: str) -> NDArray[Any]:
-    """Return one image (h, w) uint8 or uint16. Raises ForeignError."""
-    return _grey(frame, raw_images([frame])[0], channel)
+def _white(images: NDArray[Any] | Pictures) -> float:
+    """Return the least grey value of saturation that no pixel exceeds. Sensors of fewer bits may lie at the upper end of 16, where each
+    value is a multiple of their last one."""
+    if images.dtype == np.uint8:
+        return FULL_SCALES[0]
+    brightest, bits = 0, 0
+    for k in range(len(images)):
+        brightest = max(brightest, int(images[k].max()))
+        bits |= int(np.bitwise_or.reduce(images[k], axis=None))
+    scale = next(one for one in FULL_SCALES if brightest <= one)
+    return scale - (bits & -bits) + 1.0 if scale == FULL_SCALES[-1] else scale
 
 
 def _grey(frame: Frame, image: NDArray[Any], channel: str) -> NDArray[Any]:
@@ -131,6 +187,7 @@ def named_files(description: Description, side: str) -> tuple[tuple[Frame, ...],
                 "images that belong to it"
             )
         found = [frame for k, frame in enumerate(found) if wanted.turns[k % len(wanted.turns)] == side]
+    found = _parts(found, description, wanted)
     if len(found) != len(description.order):
         raise ForeignError(
             f"{key}: {len(found)} {'images' if wanted.turns else 'files'} ({found[0].name} to {found[-1].name}), and images.order names {len(description.order)} images; "
@@ -146,10 +203,17 @@ def _by_word(
     words: list[str] = []
     for word, patterns in wanted.by_word:
         key = f"images.{side}.{word}"
-        found = [path for pattern in patterns for path in matching(description.folder, pattern, key)]
+        found = [frame for pattern in patterns for frame in matching(description.folder, pattern, key)]
+        found = _parts(found, description, wanted)
         files += found
         words += [word] * len(found)
     return tuple(files), numbered(words, f"images.{side}")
+
+
+def _parts(found: list[Frame], description: Description, wanted: ImageFiles) -> list[Frame]:
+    """Return the images of pictures: three of each colour picture, or the half that one camera took."""
+    channels = ("red", "green", "blue") if description.channel == EACH else ("",)
+    return [replace(frame, channel=channel, half=wanted.half) for frame in found for channel in channels]
 
 
 def matching(folder: Path, named: str, key: str) -> list[Frame]:
