@@ -6,6 +6,8 @@ Both helpers for the beginning come before the modules that they concern are imp
 from __future__ import annotations
 
 import gc
+import signal
+import threading
 from collections.abc import Iterator, MutableMapping
 from contextlib import contextmanager
 
@@ -38,6 +40,22 @@ def importing() -> Iterator[None]:
     finally:
         gc.freeze()
         gc.enable()
+
+
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Let an interruption (Ctrl-C) wait for the end of what is inside: libigl, amidst its loading, makes an ``ImportError`` of it."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # only the main thread is interrupted
+        return
+    struck: list[int] = []
+    before = signal.signal(signal.SIGINT, lambda number, _: struck.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+        for number in struck[:1]:
+            signal.raise_signal(number)
 
 
 def interrupts(error: BaseException) -> bool:

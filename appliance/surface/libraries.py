@@ -10,6 +10,7 @@ import importlib.util
 from types import ModuleType
 
 from appliance.distribution import EXTRA, other_program
+from appliance.process_start import uninterrupted
 
 
 class MissingLibraryError(Exception):
@@ -28,7 +29,8 @@ def needed(module: str, package: str, what: str) -> ModuleType:
     Raises MissingLibraryError where it is absent.
     """
     try:
-        found: ModuleType = importlib.import_module(module)
+        with uninterrupted():
+            found: ModuleType = importlib.import_module(module)
     except ModuleNotFoundError as error:
         lacking = error.name or module
         # Where the library is there and lacks something of its own, that is named, and not the library.

@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 import tomllib
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -76,3 +77,14 @@ def test_this_program_under_its_former_name_is_not_another(tmp_path: Path, monke
     monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
     installed(tmp_path, "appliance\ndrivers\nhw_sim\nkingfisher\n")
     assert other_program() is None
+
+
+def test_an_interruption_waits_until_a_library_is_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(tmp_path))
+    (tmp_path / "struck_amidst.py").write_text("import os\nos.kill(os.getpid(), 2)\nsum(range(1000))\nWHOLE = True\n")
+    with pytest.raises(KeyboardInterrupt):
+        needed("struck_amidst", "struck-amidst", "a page")
+    assert sys.modules.pop("struck_amidst").WHOLE
+    # Only the main thread is interrupted, and another may load as well.
+    with ThreadPoolExecutor(1) as pool:
+        assert pool.submit(needed, "json", "json", "a page").result(10.0).__name__ == "json"
