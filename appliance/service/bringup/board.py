@@ -21,12 +21,16 @@ EYES = "turn both laser windows away from everybody's eyes: each laser lights fo
 def board_step(at: Workplace) -> StepOutcome:
     """Do the step. Raises DeviceError, GivenUp."""
     with drivers_rig.open_board(drivers_rig.BoardSpec(at.rig.board.url), at.wires) as board:
-        board.stop()
-        board.set_lasers(False, False)
-        at.person.ask(EYES)
-        lasers = {side: _laser(board, side, at.wires.clock) for side in ("left", "right")}
-        beats, clock, boots, last = _listened(board, at)
-        counters, info = board.counters, board.info
+        return StepOutcome(_findings(at, board))
+
+
+def _findings(at: Workplace, board: TriggerBoard) -> tuple[Finding, ...]:
+    board.stop()
+    board.set_lasers(False, False)
+    at.person.ask(EYES)
+    lasers = {side: _laser(board, side, at.wires.clock) for side in ("left", "right")}
+    beats, clock, boots, last = _listened(board, at)
+    counters, info = board.counters, board.info
     findings = judge_board(
         BoardHeard(
             firmware=info.firmware,
@@ -47,7 +51,7 @@ def board_step(at: Workplace) -> StepOutcome:
         )
         for cause in boots
     ]
-    return StepOutcome((*_firmware(at, info.firmware), *restarted, *findings))
+    return (*_firmware(at, info.firmware), *restarted, *findings)
 
 
 def _firmware(at: Workplace, found: str) -> list[Finding]:

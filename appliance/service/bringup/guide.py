@@ -92,7 +92,7 @@ def walk(
     ):
         place.prepare()
         state = replace(place.read(), rig_file=str(rig_file), about=_about(rig, wires))
-        return _Walk(rig_file, place, options, wires, person, say, told, state).walk()
+        return _Walk(rig_file, place, options, wires, person, say, told, state, _outcomes).walk()
 
 
 @dataclass(slots=True)
@@ -107,6 +107,7 @@ class _Walk:
     say: Say
     told: Callable[[str, StepRecord], None]
     state: GuideState
+    outcomes: Callable[[GuideStep, Workplace], Mapping[str, StepOutcome]]
     done: list[str] = field(default_factory=list)
     written: dict[Path, None] = field(default_factory=dict)
 
@@ -145,7 +146,7 @@ class _Walk:
     def _do(self, step: GuideStep) -> None:
         at = self._workplace()
         begun_ns = self.wires.clock.now_ns()
-        outcomes = _outcomes(step, at)
+        outcomes = self.outcomes(step, at)
         duration_s = (self.wires.clock.now_ns() - begun_ns) / 1e9
         # Read again: the step may have written keys, and rests on the file as it is now.
         content = tomllib.loads(self._rig_text())

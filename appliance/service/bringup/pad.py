@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from appliance.bringup.finding import Finding
 from appliance.bringup.guide import StepOutcome
 from appliance.bringup.pad_check import KeyTried, PadHeard, judge_pad
 from appliance.bringup.person import MOST_ASKED, numbered
 from appliance.service.bringup.workplace import Workplace
 from drivers import rig as drivers_rig
 from drivers.api import Clock, Key, KeyPress, KeyRelease, Keys, KeysLost, KeyStuck
+from drivers.keys import HidKeypad
 
 PATIENCE_S = 45.0
 """Time for which one key is waited for before it is asked for again."""
@@ -19,22 +21,24 @@ POLL_S = 0.25
 def pad_step(at: Workplace) -> StepOutcome:
     """Do the step. Raises DeviceError: the pad is not there, or went away."""
     spec = drivers_rig.KeysSpec(at.rig.keys.vendor_id, at.rig.keys.product_id)
+    with drivers_rig.open_keys(spec, at.wires) as pad:
+        return StepOutcome(_findings(at, pad))
+
+
+def _findings(at: Workplace, pad: HidKeypad) -> tuple[Finding, ...]:
     listener = _Listener(at.wires.clock)
     tried = []
-    with drivers_rig.open_keys(spec, at.wires) as pad:
-        for key in Key:
-            for turn in range(MOST_ASKED):
-                at.person.tell(numbered(f"press {key.value.upper()} once and let it go", turn))
-                heard = listener.hear(pad, key)
-                # A key whose coil is faulty says nothing, however often it is asked for.
-                if heard.pressed or key in listener.faulty:
-                    break
-            tried.append(heard)
-        counters = pad.counters
+    for key in Key:
+        for turn in range(MOST_ASKED):
+            at.person.tell(numbered(f"press {key.value.upper()} once and let it go", turn))
+            heard = listener.hear(pad, key)
+            # A key whose coil is faulty says nothing, however often it is asked for.
+            if heard.pressed or key in listener.faulty:
+                break
+        tried.append(heard)
+    counters = pad.counters
     faulty = frozenset(key.value for key in listener.faulty)
-    return StepOutcome(
-        judge_pad(PadHeard(tuple(tried), faulty, counters.lost_reports, counters.garbage_reports, listener.silences))
-    )
+    return judge_pad(PadHeard(tuple(tried), faulty, counters.lost_reports, counters.garbage_reports, listener.silences))
 
 
 class _Listener:

@@ -14,6 +14,7 @@ from drivers import rig as drivers_rig
 from drivers.api import Board, Clock, Flip, Projector, Vsync
 from drivers.board.board import BoardRefused
 from drivers.board.reports import Refusal
+from drivers.output.outputs import Outputs
 
 SETTLED_S = 2.0
 """Time that a projector or a splitter takes to follow a new mode."""
@@ -26,40 +27,45 @@ COUNTED = 0xFFFF_FFFF
 
 def vsync_step(at: Workplace) -> StepOutcome:
     """Do the step. Raises DeviceError."""
-    rig, wires = at.rig, at.wires
+    rig = at.rig
+    with (
+        drivers_rig.open_board(drivers_rig.BoardSpec(rig.board.url), at.wires) as board,
+        drivers_rig.open_outputs(output_spec(rig.projector), output_spec(rig.display), at.wires) as outputs,
+    ):
+        return StepOutcome(_findings(at, board, outputs))
+
+
+def _findings(at: Workplace, board: Board, outputs: Outputs) -> tuple[Finding, ...]:
+    rig, clock = at.rig, at.wires.clock
     period_ns = 1e9 / rig.projector.refresh_hz
     black = np.zeros((rig.projector.height_px, rig.projector.width_px), np.uint8)
-    with (
-        drivers_rig.open_board(drivers_rig.BoardSpec(rig.board.url), wires) as board,
-        drivers_rig.open_outputs(output_spec(rig.projector), output_spec(rig.display), wires) as outputs,
-    ):
-        board.stop()
-        projector = outputs.open_projector()
-        projector.load([black, black])
-        projector.show(0)
-        # A splitter that has just got a new mode sends nothing, or something else, for a while.
-        wires.clock.sleep_s(SETTLED_S)
-        stamps = _stamps(board, wires.clock, 0.4 * period_ns / 1e9)
-        if not stamps:
-            return StepOutcome(judge_stamps_of_syncs(stamps, rig.projector.refresh_hz))
-        try:
-            first, last = _counted(board, projector, at, period_ns)
-        except SyncError as error:
-            rate = judge_stamps_of_syncs(stamps, rig.projector.refresh_hz)
-            remedy = "the board must see the video that the graphics card sends, not one that a converter makes anew"
-            return StepOutcome((*rate, Finding("count", False, str(error), "as many syncs as blanks", remedy)))
-        # Dark while the card is still ours: given back, the console would light it again.
-        outputs.close_projector()
-        stopped_after_ms = _stopped(board, wires.clock)
-    seen = VsyncSeen(
-        refresh_hz=rig.projector.refresh_hz,
-        stamps=tuple(stamps),
-        blanks=_blanks(first.flip, last.flip, period_ns),
-        syncs=(last.count - first.count) & COUNTED,
-        phase_us=first.phase_error * period_ns / 1000.0,
-        stopped_after_ms=stopped_after_ms,
+    board.stop()
+    projector = outputs.open_projector()
+    projector.load([black, black])
+    projector.show(0)
+    # A splitter that has just got a new mode sends nothing, or something else, for a while.
+    clock.sleep_s(SETTLED_S)
+    stamps = _stamps(board, clock, 0.4 * period_ns / 1e9)
+    if not stamps:
+        return judge_stamps_of_syncs(stamps, rig.projector.refresh_hz)
+    try:
+        first, last = _counted(board, projector, at, period_ns)
+    except SyncError as error:
+        rate = judge_stamps_of_syncs(stamps, rig.projector.refresh_hz)
+        remedy = "the board must see the video that the graphics card sends, not one that a converter makes anew"
+        return (*rate, Finding("count", False, str(error), "as many syncs as blanks", remedy))
+    # Dark while the card is still ours: given back, the console would light it again.
+    outputs.close_projector()
+    return judge_vsync(
+        VsyncSeen(
+            refresh_hz=rig.projector.refresh_hz,
+            stamps=tuple(stamps),
+            blanks=_blanks(first.flip, last.flip, period_ns),
+            syncs=(last.count - first.count) & COUNTED,
+            phase_us=first.phase_error * period_ns / 1000.0,
+            stopped_after_ms=_stopped(board, clock),
+        )
     )
-    return StepOutcome(judge_vsync(seen))
 
 
 def _ask(board: Board) -> Vsync | None:
