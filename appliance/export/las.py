@@ -26,8 +26,8 @@ _TO_16_BIT = 257
 _TEXT_AREA = ("LASF_Spec", 3)
 """User and number of the record with the description in words: ASCII that ends with a zero, at most 65535 bytes (section 3.3)."""
 _MOST_TEXT = 65_534
-_NAME, _DESCRIPTION = 31, 31
-"""Longest texts of an extra dimension: 32 bytes with a final zero."""
+_DATE = slice(90, 94)
+"""Bytes of the head with the day and year of creation (table 3)."""
 
 
 def encode_las(points: ExportedPoints, about: About) -> bytes:
@@ -41,8 +41,6 @@ def encode_las(points: ExportedPoints, about: About) -> bytes:
     header.scales = np.full(3, SCALE_M * 10.0**steps)
     header.system_identifier = "Kingfisher, unit metre"
     header.generating_software = "kingfisher"
-    # A file that always has today's date would differ from day to day; day 0 of year 0 says that none is given.
-    header.creation_date = None
     title, frame = (text.replace('"', "'") for text in (about.lines("m")[0], about.frame))
     header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(_LOCAL.format(title=title, frame=frame)))
     header.global_encoding.wkt = True
@@ -56,10 +54,7 @@ def encode_las(points: ExportedPoints, about: About) -> bytes:
         "normal_z": (known[:, 2], "unit vector"),
         **dict(_further(name, values) for name, values in points.more.items()),
     }
-    # Names of 31 letters at most: two that begin alike would be one.
-    header.add_extra_dims(
-        [laspy.ExtraBytesParams(name[:_NAME], "float32", text[:_DESCRIPTION]) for name, (_, text) in extra.items()]
-    )
+    header.add_extra_dims([laspy.ExtraBytesParams(name, "float32", text) for name, (_, text) in extra.items()])
     file = laspy.LasData(header)
     file.x, file.y, file.z = metres.T
     file.intensity = points.grey.astype(np.uint16) * _TO_16_BIT
@@ -67,9 +62,11 @@ def encode_las(points: ExportedPoints, about: About) -> bytes:
     file.return_number = np.ones(len(metres), np.uint8)
     file.number_of_returns = np.ones(len(metres), np.uint8)
     for name, (values, _) in extra.items():
-        file[name[:_NAME]] = values.astype(np.float32)
+        file[name] = values.astype(np.float32)
     made = io.BytesIO()
     file.write(made)
+    # The library writes today's date, and the same points would give another file each day; day 0 of year 0 says that none is given.
+    made.getbuffer()[_DATE] = bytes(4)
     return made.getvalue()
 
 

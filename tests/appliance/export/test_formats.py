@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ast
-import importlib
+import importlib.util
 import json
 import struct
 import zipfile
@@ -17,14 +17,15 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from appliance.export.content import CAMERA_FRAME, About
+from appliance.export.content import CAMERA_FRAME, About, points_of_surface
 from appliance.export.files import write_mesh, write_scan, write_surface
 from appliance.export.placed import PlacedGrid, write_placed
-from appliance.export.suffixes import ExportError
+from appliance.export.ply import encode_surface
+from appliance.export.suffixes import ExportError, require_library
 from appliance.reconstruct.organised import OrganisedCloud
 from appliance.surface.fusion import FusedCloud, PlacedScan, fuse, with_places
 from appliance.surface.libraries import MissingLibraryError
-from appliance.surface.mesh import mesh_of_scan
+from appliance.surface.mesh import Mesh, mesh_of_scan
 from appliance.surface.normals import normals
 from tests.support.e57 import read_e57
 from tests.support.solids import Ball, looking, seen
@@ -87,6 +88,20 @@ def test_stl_is_read_elsewhere_and_its_normals_are_those_of_its_triangles(
     np.testing.assert_allclose(stored, read.face_normals, atol=1e-3)
 
 
+def test_an_stl_triangle_without_area_has_no_normal(tmp_path: Path) -> None:
+    corners = np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0]], np.float32)
+    flat = Mesh(corners, np.array([[0, 1, 2]], np.int32), corners, corners[:, 0], np.zeros(3, np.uint8))
+    write_mesh(tmp_path / "flat.stl", flat, replace(ABOUT, title="t" * 100))
+    raw = (tmp_path / "flat.stl").read_bytes()
+    assert raw[:80] == b"Kingfisher " + b"t" * 69
+    assert raw[84:96] == bytes(12)
+
+
+def test_a_line_has_at_most_two_hundred_characters_and_a_mark_two_thousand() -> None:
+    lines = About("t", "f", ("n" * 300,), ("m" * 2001, "m" * 1999)).lines("mm")
+    assert [len(line) for line in lines] == [len("t: unit mm, f"), 2000, 1999, 200]
+
+
 def test_obj_is_read_elsewhere(cloud: OrganisedCloud, tmp_path: Path) -> None:
     mesh = mesh_of_scan(cloud)
     write_mesh(tmp_path / "ball.obj", mesh, ABOUT)
@@ -122,6 +137,8 @@ def las_columns(raw: bytes) -> dict[str, NDArray[Any]]:
     """Points of an LAS 1.4 file of point format 6, from the tables of ASPRS' specification."""
     assert raw[:4] == b"LASF"
     assert (raw[24], raw[25]) == (1, 4)
+    assert raw[6] & 16, "its coordinate system is in words"
+    assert raw[90:94] == bytes(4), "no date, else the same points would not give the same file"
     header, data, vlrs = struct.unpack_from("<HII", raw, 94)
     kind, length = struct.unpack_from("<BH", raw, 104)
     assert (kind, header) == (6, 375)
@@ -144,6 +161,7 @@ def las_columns(raw: bytes) -> dict[str, NDArray[Any]]:
     fixed = [("x", "<i4"), ("y", "<i4"), ("z", "<i4"), ("intensity", "<u2"), ("returns", "u1"), ("rest", "V15")]
     rows = np.frombuffer(raw, np.dtype([*fixed, *extra]), count, data)
     assert rows.dtype.itemsize == length
+    assert min(rows[axis].min() for axis in "xyz") >= 0, "the offset lies below all points"
     out = {name: rows[name] for name in ("intensity", "returns", *(name for name, _ in extra))}
     xyz = np.stack([rows[axis] * scales[k] + offsets[k] for k, axis in enumerate("xyz")], 1)
     np.testing.assert_allclose([bounds[1], bounds[3], bounds[5]], xyz.min(axis=0), atol=1e-7)
@@ -183,6 +201,9 @@ def test_what_spoils_a_cloud_is_said_in_the_same_words_in_every_file(cloud: Orga
     text_area = las_columns((tmp_path / "ball.las").read_bytes())["text area"].tobytes()
     assert text_area.endswith(b"\0")
     assert {mark, "wrong: a start", "calibration abc"} <= set(text_area[:-1].decode().split("\n"))
+    many = replace(ABOUT, notes=("n" * 199,) * 400)
+    write_scan(tmp_path / "many.las", cloud, many)
+    assert len(las_columns((tmp_path / "many.las").read_bytes())["text area"]) == 65_535
     assert f"; {mark}; wrong: a start; " in read_e57(tmp_path / "ball.e57").description
     with np.load(tmp_path / "ball.npz") as archive:
         assert json.loads(str(archive["about"]))["notes"] == [mark, "wrong: a start", *ABOUT.notes]
@@ -223,26 +244,56 @@ def test_e57_is_read_whole_by_the_library_that_most_programs_use(surface: FusedC
     np.testing.assert_allclose(1000.0 * found - site, surface.points_mm, atol=2.0 * UM)
 
 
+POSES = tuple(Rotation.from_euler("xyz", angles, degrees=True).as_matrix() for angles in ((0, 0, 0), (20, -35, 170)))
+SHIFTS = np.zeros(3), np.array([250.0, -40.0, 12.5])
+
+
+def placed_twice(cloud: OrganisedCloud) -> list[PlacedGrid]:
+    return [
+        PlacedGrid(f"00000{k}", cloud, turn, shift, np.full((6, 6), k + 0.5), np.full(3, k + 0.25))
+        for k, (turn, shift) in enumerate(zip(POSES, SHIFTS, strict=True))
+    ]
+
+
 def test_e57_of_an_objects_scans_puts_each_where_it_lies(cloud: OrganisedCloud, tmp_path: Path) -> None:
     pye57 = pytest.importorskip("pye57")
-    poses = [Rotation.from_euler("xyz", angles, degrees=True).as_matrix() for angles in ((0, 0, 0), (20, -35, 170))]
-    shifts = [np.zeros(3), np.array([250.0, -40.0, 12.5])]
-    grids = [
-        PlacedGrid(f"00000{k}", cloud, turn, shift, np.zeros((6, 6)), np.zeros(3))
-        for k, (turn, shift) in enumerate(zip(poses, shifts, strict=True))
-    ]
-    write_placed(tmp_path / "scans.e57", iter(grids), ABOUT)
+    write_placed(tmp_path / "scans.e57", iter(placed_twice(cloud)), ABOUT)
     file = pye57.E57(str(tmp_path / "scans.e57"))
     assert file.scan_count == 2
     points_mm = cloud.points_mm[cloud.mask].astype(np.float64)
-    for k, (turn, shift) in enumerate(zip(poses, shifts, strict=True)):
+    for k, (turn, shift) in enumerate(zip(POSES, SHIFTS, strict=True)):
         own, placed = (file.read_scan(k, transform=moved, ignore_missing_fields=True) for moved in (False, True))
         in_frames = [1000.0 * np.stack([one[f"cartesian{axis}"] for axis in "XYZ"], 1) for one in (own, placed)]
         np.testing.assert_allclose(in_frames[0], points_mm, atol=UM)
         np.testing.assert_allclose(in_frames[1], points_mm @ turn.T + shift, atol=UM)
         assert file.get_header(k)["name"].value() == f"00000{k}"
+        limits = file.get_header(k)["intensityLimits"]
+        assert [limits[f"intensity{end}"].value() for end in ("Minimum", "Maximum")] == [0.0, 255.0]
     guids = {file.get_header(k)["guid"].value() for k in range(2)} | {file.root["guid"].value()}
     assert len(guids) == 3
+    write_placed(tmp_path / "again.e57", [replace(one, rotation=POSES[1]) for one in placed_twice(cloud)], ABOUT)
+    again = pye57.E57(str(tmp_path / "again.e57"))
+    assert again.root["guid"].value() not in guids, "the same points lie elsewhere"
+
+
+def test_the_archive_of_an_objects_scans_has_each_grid_and_its_place(cloud: OrganisedCloud, tmp_path: Path) -> None:
+    write_placed(tmp_path / "scans.npz", iter(placed_twice(cloud)), ABOUT)
+    assert {one.compress_type for one in zipfile.ZipFile(tmp_path / "scans.npz").infolist()} == {zipfile.ZIP_DEFLATED}
+    with np.load(tmp_path / "scans.npz") as read:
+        assert read["scans"].tolist() == ["000000", "000001"]
+        assert json.loads(str(read["about"])) == {
+            "title": "scan 000007", "frame": CAMERA_FRAME, "unit": "mm", "notes": list(ABOUT.notes),
+        }  # fmt: skip
+        for one in placed_twice(cloud):
+            found = {name: read[f"{one.name}/{name}"] for name in ("rotation", "translation_mm", "middle_mm")}
+            np.testing.assert_array_equal(found["rotation"], one.rotation)
+            np.testing.assert_array_equal(found["translation_mm"], one.translation_mm)
+            np.testing.assert_array_equal(found["middle_mm"], one.middle_mm)
+            np.testing.assert_array_equal(read[f"{one.name}/place_covariance"], one.covariance)
+            np.testing.assert_array_equal(read[f"{one.name}/z_mm"], cloud.points_mm[..., 2])
+        assert len(read.files) == 2 + 2 * (4 + 8)
+    with pytest.raises(ExportError, match=r"the scans of an object is written as \.npz, \.e57, not as \.ply"):
+        write_placed(tmp_path / "scans.ply", [], ABOUT)
 
 
 def test_site_coordinates_are_held_or_refused(surface: FusedCloud, tmp_path: Path) -> None:
@@ -255,15 +306,33 @@ def test_site_coordinates_are_held_or_refused(surface: FusedCloud, tmp_path: Pat
     with pytest.raises(ExportError, match=r"steps of 512 mm; write \.e57 or \.las"):
         write_surface(tmp_path / "far.ply", surface, ABOUT, origin_mm=site)
     assert not (tmp_path / "far.ply").exists()
+    write_surface(tmp_path / "near.ply", surface, ABOUT, origin_mm=np.array([5.1e5, 0.0, 0.0]))
+    read = trimesh.load(tmp_path / "near.ply", process=False)
+    np.testing.assert_allclose(read.vertices[:, 0] - 5.1e5, surface.points_mm[:, 0], atol=0.02)
+    with pytest.raises(ExportError, match=r"steps of 0\.0625 mm"):
+        write_surface(tmp_path / "far.ply", surface, ABOUT, origin_mm=np.array([5.3e5, 0.0, 0.0]))
+    none = replace(
+        points_of_surface(surface, site),
+        points_mm=np.zeros((0, 3), np.float32),
+        grey=np.zeros(0, np.uint8),
+        sigma_mm=np.zeros(0),
+        normals=np.zeros((0, 3)),
+        more={},
+    )
+    assert b"element vertex 0\n" in encode_surface(none, ABOUT)[0]
 
 
-def test_las_is_as_coarse_as_its_width_asks_for(surface: FusedCloud, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("width_mm", "step_m"), [(0.0, 1e-7), (2.14e5, 1e-7), (2.15e5, 1e-6), (2.15e6, 1e-5)])
+def test_las_is_as_coarse_as_its_width_asks_for(
+    width_mm: float, step_m: float, surface: FusedCloud, tmp_path: Path
+) -> None:
     laspy = pytest.importorskip("laspy")
-    wide = replace(surface, points_mm=surface.points_mm.copy())
-    wide.points_mm[0] = (4.0e5, 0.0, 0.0)
+    wide = replace(surface, points_mm=np.zeros_like(surface.points_mm))
+    wide.points_mm[0] = (width_mm, 0.0, 0.0)
     write_surface(tmp_path / "wide.las", wide, ABOUT)
     read = laspy.read(tmp_path / "wide.las")
-    np.testing.assert_allclose(1000.0 * np.asarray(read.xyz), wide.points_mm, atol=1.0 * UM)
+    np.testing.assert_allclose(read.header.scales, step_m)
+    np.testing.assert_allclose(1000.0 * np.asarray(read.xyz), wide.points_mm, atol=1000.0 * step_m)
     wide.points_mm[1] = np.nan
     with pytest.raises(ExportError, match="no number"):
         write_surface(tmp_path / "none.las", wide, ABOUT)
@@ -286,6 +355,7 @@ def test_the_archive_keeps_the_grid(cloud: OrganisedCloud, tmp_path: Path) -> No
     assert json.loads(str(found.pop("about"))) == {
         "title": "scan 000007", "frame": CAMERA_FRAME, "unit": "mm", "notes": list(ABOUT.notes),
     }  # fmt: skip
+    assert set(found) == {"x_mm", "y_mm", "z_mm", "sigma_mm", "ray_gap_mm", "modulation_dn", "grey", "mask"}
     assert {one.shape for one in found.values()} == {(100, 120)}
     np.testing.assert_array_equal(found["mask"], cloud.mask)
     np.testing.assert_array_equal(np.stack([found[f"{axis}_mm"] for axis in "xyz"], -1), cloud.points_mm)
@@ -322,6 +392,21 @@ def test_a_library_that_is_absent_is_named_with_the_remedy(
         with pytest.raises(MissingLibraryError, match=rf"needs {package}: pip install 'kingfisher-3d\[desk\]'"):
             write_scan(tmp_path / f"ball{suffix}", cloud, ABOUT)
     assert not list(tmp_path.iterdir()), "nothing half made is left"
+
+
+@pytest.mark.parametrize(
+    ("suffix", "package"), [(".E57", "pye57"), (".las", "laspy"), (".html", "plotly"), (".ply", "")]
+)
+def test_a_library_that_is_absent_is_told_before_minutes_of_work(
+    suffix: str, package: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    require_library(Path(f"ball{suffix}"))
+    monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
+    if package:
+        with pytest.raises(MissingLibraryError, match=f"needs {package}: pip install"):
+            require_library(Path(f"ball{suffix}"))
+    else:
+        require_library(Path(f"ball{suffix}"))
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".e57", ".las", ".npz"])

@@ -4,24 +4,28 @@ from __future__ import annotations
 
 import hashlib
 import os
+import pickle
 import shutil
 import signal
 import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
+import distributed
 import pytest
 
-from appliance.offline.anew.coordinator import work_through_all
-from appliance.offline.anew.many import ManyEngine, SchedulerError
+from appliance.offline.anew.coordinator import Ended, work_through_all
+from appliance.offline.anew.hosts import WORKER, greeting
+from appliance.offline.anew.many import ManyEngine, SchedulerError, _InWork, _Member
 from appliance.offline.anew.program import program_digits
 from appliance.offline.anew.results import Results, Row
-from appliance.offline.anew.task import DONE, Job
+from appliance.offline.anew.task import DONE, FAILED, Job
 from hw_sim.scene import Scene
 from tests.support.commands import ROOT
 from tests.support.rendered import render_scan
@@ -203,6 +207,227 @@ def test_a_scheduler_that_is_not_there_is_one_clear_line(monkeypatch: pytest.Mon
         ManyEngine("tcp://127.0.0.1:9", 5.0, Job("", "", None, None, False, None, False, ""))
 
 
+# ------------------------------------------------------------------------------ a scheduler in this process
+
+
+TIMEOUT_S = 30.0
+
+
+@dataclass
+class Here:
+    """A scheduler with two workers, all threads of this process, and jobs that are failures with a reason, and quick."""
+
+    cluster: Any
+    jobs: list[Job]
+
+    def engine(self, limit_s: float = 20.0, like: Job | None = None) -> ManyEngine:
+        return ManyEngine(self.cluster.scheduler_address, limit_s, like or self.jobs[0])
+
+    def ready(self) -> ManyEngine:
+        """An engine that knows both workers."""
+        engine = self.engine()
+        until(lambda: engine.room() == 4)
+        return engine
+
+
+def until(true: Callable[[], object]) -> None:
+    until_s = time.monotonic() + TIMEOUT_S
+    while not true():
+        assert time.monotonic() < until_s
+        time.sleep(0.01)
+
+
+def all_ended(engine: ManyEngine, count: int = 1) -> list[Ended]:
+    found: list[Ended] = []
+    until(lambda: len(found.extend(engine.ended(0.05)) or found) >= count)
+    return found
+
+
+@pytest.fixture(scope="module")
+def here(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Here]:
+    top = tmp_path_factory.mktemp("here")
+    results = Results.of(top / "out", {"a": 1})
+    for number in range(20):
+        (top / "scans" / f"{number:06d}").mkdir(parents=True)
+        (top / "scans" / f"{number:06d}" / "manifest.json").write_text("{" + str(number))
+    digits = program_digits()
+    jobs = [
+        Job(str(folder), str(results.folder), None, None, False, None, False, digits)
+        for folder in sorted((top / "scans").iterdir())
+    ]
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None
+    ) as cluster:
+        yield Here(cluster, jobs)
+
+
+def test_two_workers_have_room_for_two_tasks_a_thread_and_do_every_job_once(here: Here) -> None:
+    with here.ready() as engine:
+        assert engine.others_may_come
+        assert list(engine.places().values()) == [None, None]
+        engine.start(here.jobs[:2])
+        assert engine.room() == 3
+        assert [one.job for one in all_ended(engine, 2)] == here.jobs[:2]
+        assert engine.room() == 4
+        worked = work_through_all(here.jobs, engine, lambda *_: None)
+        assert {row["state"] for row in worked.rows} == {FAILED}
+        assert sorted(row["scan"] for row in worked.rows) == [job.name for job in here.jobs]
+        assert all(WORKER not in row for row in worked.rows)
+        engine.start(here.jobs[:1])
+        (one,) = all_ended(engine)
+        assert one.place in engine.places(), "it is told which worker did it"
+
+
+def test_workers_that_can_do_no_such_job_get_none_and_say_why(here: Here) -> None:
+    with here.engine(like=replace(here.jobs[0], program="0.0.9-abc")) as engine:
+        until(lambda: engine.room() == 0 and all(engine.places().values()) and engine.places())
+        assert all("has another version" in (reason or "") for reason in engine.places().values())
+    job = pickle.dumps(replace(here.jobs[0], program="0.0.9-abc"))
+    assert "has another version" in (greeting(job) or "")
+    assert greeting(pickle.dumps(here.jobs[0])) is None
+
+
+def test_a_place_that_is_left_out_gets_no_more(here: Here) -> None:
+    with here.ready() as engine:
+        one, other = engine.places()
+        engine.leave_out("tcp://nobody", "is unknown")
+        engine.leave_out(one, "its disk is full")
+        assert engine.room() == 2
+        assert dict(engine.places()) == {one: "its disk is full", other: None}
+        engine.start(here.jobs[:1])
+        assert engine._in_work[here.jobs[0].folder].only == {other}, "nobody else may take it"
+        assert [ended.place for ended in all_ended(engine)] == [other]
+
+
+def test_workers_are_asked_for_again_after_some_seconds_and_sooner_where_there_is_none(here: Here) -> None:
+    with here.ready() as engine:
+
+        def looks(since_s: float) -> bool:
+            engine._looked_s = time.monotonic() - since_s
+            before = engine._looked_s
+            engine.room()
+            return engine._looked_s != before
+
+        assert (looks(4.8), looks(5.2)) == (False, True)
+        for place in engine.places():
+            engine.leave_out(place, "full")
+        assert (looks(0.8), looks(1.2)) == (False, True)
+
+
+def test_what_only_a_lost_worker_could_do_comes_back_and_counts_against_nothing(here: Here) -> None:
+    with here.ready() as engine:
+        engine._in_work["x"] = _InWork((here.jobs[0],), time.monotonic(), only=frozenset({"tcp://gone"}))
+        engine._in_work["y"] = _InWork((here.jobs[1],), time.monotonic(), only=frozenset(engine.places()))
+        engine._workers["tcp://gone"] = engine._workers[next(iter(engine.places()))]
+        engine._look(time.monotonic())
+        assert list(engine._in_work) == ["y"]
+        assert [(one.job, one.row, one.counts) for one in engine._back] == [(here.jobs[0], None, False)]
+        assert len(engine.places()) == 2
+
+
+def test_a_worker_that_does_not_answer_for_half_an_hour_gets_nothing(here: Here) -> None:
+    with here.ready() as engine:
+        engine._workers = {"late": _Member(1, engine._client.submit(time.sleep, 0.3, pure=False), 0.0)}
+        engine._hear_greetings(1799.0)
+        assert engine.places() == {"late": None}
+        engine._hear_greetings(1801.0)
+        assert engine.places() == {"late": "no answer after 1800 s"}
+        raised = engine._client.submit(int, "no number", pure=False)
+        distributed.wait(raised, TIMEOUT_S)
+        engine._workers = {"other": _Member(1, raised, 0.0)}
+        engine._hear_greetings(0.0)
+        assert "ValueError" in (engine.places()["other"] or "")
+
+
+@pytest.mark.parametrize(
+    ("scan_s", "threads", "waiting", "most"),
+    [(None, 1, 1000, 1), (4.1, 1, 1000, 1), (2.0, 1, 1000, 2), (0.5, 1, 1000, 8), (0.1, 1, 1000, 8), (0.1, 2, 24, 3), (0.1, 2, 1, 1)],
+)  # fmt: skip
+def test_quick_scans_share_a_task_of_four_seconds_while_each_thread_has_four_left(
+    scan_s: float | None, threads: int, waiting: int, most: int, here: Here
+) -> None:
+    with here.engine() as engine:
+        engine._workers = {"a": _Member(threads, None, 0.0, able=True), "b": _Member(9, None, 0.0, reason="full")}
+        engine._scan_s = scan_s
+        assert engine.at_once(waiting) == most
+
+
+def test_the_last_scans_count_most_for_how_long_one_takes(here: Here) -> None:
+    with here.engine() as engine:
+        engine._learn([{"state": FAILED}])
+        assert engine._scan_s is None
+        engine._learn([{"wall_s": 2.0}])
+        assert engine._scan_s == 2.0
+        engine._learn([{"wall_s": 4.0}, {"state": FAILED}])
+        assert engine._scan_s == pytest.approx(0.8 * 2.0 + 0.2 * 4.0)
+
+
+def test_what_takes_too_long_is_begun_elsewhere_besides_at_most_twice(here: Here) -> None:
+    with here.ready() as engine:
+        work = _InWork((here.jobs[0],), time.monotonic())
+        work.futures.append(engine._client.submit(time.sleep, 1.0, pure=False))
+        engine._in_work[here.jobs[0].folder] = work
+        until(lambda: any(engine._client.processing().values()))
+        work.begun_s = time.monotonic() - 19.0
+        engine._copy_overdue()
+        assert len(work.futures) == 1
+        work.begun_s = time.monotonic() - 21.0
+        engine._copy_overdue()
+        assert len(work.futures) == 2
+        assert work.only is None, "the first one may still do it"
+        engine._copy_overdue()
+        assert len(work.futures) == 2, "a copy has its own time"
+        (one,) = all_ended(engine)
+        assert (one.job, one.row is not None) == (here.jobs[0], True)
+        work.futures *= 2
+        work.begun_s = 0.0
+        count = len(work.futures)
+        engine._in_work["again"] = work
+        engine._copy_overdue()
+        assert len(work.futures) == count
+
+
+def test_a_task_that_its_worker_did_not_survive_may_be_any_of_its_jobs_fault(here: Here) -> None:
+    with here.ready() as engine:
+        for jobs in (here.jobs[:1], here.jobs[1:3]):
+            work = _InWork(tuple(jobs), time.monotonic(), [engine._client.submit(int, "no number", pure=False)])
+            distributed.wait(work.futures, TIMEOUT_S)
+            ended = engine._ended(work)
+            assert [(one.job, one.row, one.counts) for one in ended] == [(job, None, True) for job in jobs]
+            assert {one.together for one in ended} == {len(jobs) > 1}
+        forgotten = engine._client.submit(int, "3", pure=False)
+        forgotten.cancel()
+        ended = engine._ended(_InWork(tuple(here.jobs[:2]), time.monotonic(), [forgotten]))
+        assert [(one.trouble, one.counts, one.together) for one in ended] == [
+            ("the scheduler forgot it", False, False)
+        ] * 2
+
+
+def test_a_scheduler_that_goes_for_good_ends_the_work_with_its_address(
+    here: Here, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, value in (("SCHEDULER_BACK_S", 0.0), ("RETRY_S", 0.01)):
+        monkeypatch.setattr(f"appliance.offline.anew.many.{name}", value)
+    with distributed.LocalCluster(n_workers=0, processes=False, dashboard_address=":0") as cluster:
+        engine = ManyEngine(cluster.scheduler_address, 5.0, here.jobs[0])
+    engine._client.close()
+    engine._in_work["x"] = _InWork(tuple(here.jobs[:2]), 0.0)
+    engine._workers["gone"] = _Member(1, None, 0.0, able=True)
+    with pytest.raises(SchedulerError, match=f"{engine._address}: lost, and not back after 0 s"):
+        engine.ended(0.01)
+    assert [(one.job, one.row, one.counts) for one in engine._back] == [(job, None, False) for job in here.jobs[:2]]
+    assert (engine._in_work, engine.places(), engine._looked_s) == ({}, {}, 0.0)
+
+
+def test_a_scheduler_that_comes_back_gets_the_work_again(here: Here) -> None:
+    with here.ready() as engine:
+        engine._client.close()
+        engine._in_work["x"] = _InWork((here.jobs[0],), 0.0)
+        (one,) = engine.ended(0.01)
+        assert (one.job, one.counts) == (here.jobs[0], False)
+        until(lambda: engine.room() == 4)
+
+
 # --------------------------------------------------------------------------------------------------- TLS
 
 
@@ -222,7 +447,7 @@ def settings_of_tls(folder: Path) -> dict[str, str]:
     return {f"DASK_DISTRIBUTED__COMM__{name}": value for name, value in settings.items()}
 
 
-def here(settings: dict[str, str]) -> dict[str, object]:
+def of_this_process(settings: dict[str, str]) -> dict[str, object]:
     """The same for this process, whose environment was read long ago."""
     names = {name: name.removeprefix("DASK_").replace("__", ".").lower() for name in settings}
     return {names[name]: value == "True" or value for name, value in settings.items()}
@@ -259,7 +484,7 @@ def test_with_tls_only_those_who_have_a_certificate_of_the_authority_take_part(
             patch.setenv(name, value)
         cluster.scheduler()
         cluster.worker()
-    with dask.config.set(here(ours)):
+    with dask.config.set(of_this_process(ours)):
         with ManyEngine(cluster.address, 60.0, jobs[0]) as engine:
             worked = work_through_all(jobs, engine, lambda *_: None)
         assert_each_once_and_whole(results, jobs, worked.rows)
