@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from appliance.calibration.depth_error import COUNT, along_ray, shapes
-from appliance.optics.rotation import rotation_vector
-from appliance.registration.bow import PRIOR_MM2, bow_score, corrected, known_before, spread_mm
+from appliance.calibration.depth_error import COUNT, POWERS, along_ray, shapes
+from appliance.optics.rotation import rotation_matrix, rotation_vector
+from appliance.registration.bow import PRIOR_MM2, bow_score, corrected, derivatives, known_before, spread_mm
 from appliance.registration.fine import Fit, refine
 from appliance.registration.patches import patches_of
 from tests.support.views import PROJECTION, SeenView, between, view
@@ -108,7 +108,45 @@ def test_what_was_known_is_the_calibrations_word_and_a_little_more_or_what_is_us
     assert known_before(None) is PRIOR_MM2
     stated = np.diag(np.full(COUNT, 1e-4))
     np.testing.assert_allclose(np.diag(known_before(stated)), 1e-4 + 0.006**2)
-    # A bow of 30 µm at the border, seen over the view: u² has a mean square of a fifth, 0.6 of it by the lattice's ends.
+    usual = dict(zip(POWERS, np.sqrt(np.diag(PRIOR_MM2)), strict=True))
+    for powers, sigma_mm in (
+        ((2, 0, 0), 0.030), ((1, 2, 0), 0.020), ((2, 2, 0), 0.010), ((0, 5, 0), 0.007), ((1, 0, 1), 0.2 * 0.030), ((0, 3, 1), 0.2 * 0.020),
+    ):  # fmt: skip
+        assert usual[powers] == pytest.approx(sigma_mm)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_bow_is_spread_over_the_view_by_its_mean_square(axis: int) -> None:
+    """30 µm at the border of u² or of v², over nine places across and seven down, which is three quarters as high."""
     one = np.zeros((COUNT, COUNT))
-    one[0, 0] = 0.030**2
-    assert 0.012 < spread_mm(one) < 0.020
+    at = POWERS.index((2, 0, 0) if axis == 0 else (0, 2, 0))
+    one[at, at] = 0.030**2
+    places = np.arange(-4, 5) / 4.0 if axis == 0 else np.arange(-3, 4) / 4.0
+    assert spread_mm(one) == pytest.approx(0.030 * np.sqrt(np.mean(places**4)))
+
+
+@pytest.mark.parametrize(("share", "told"), [(0.49, False), (0.51, True)])
+def test_a_direction_counts_where_overlaps_take_away_half_of_its_variance(share: float, told: bool) -> None:
+    found = np.sqrt(share * np.diag(PRIOR_MM2))
+    score = bow_score(found, PRIOR_MM2, (1.0 - share) * PRIOR_MM2)
+    assert score == (pytest.approx(1.0) if told else None)
+
+
+def test_planes_move_apart_with_the_shared_error_as_points_do() -> None:
+    rng = np.random.default_rng(6)
+    rotation, at_b = (
+        rotation_matrix(np.array([0.1, -0.2, 0.3])),
+        rng.uniform(-80.0, 80.0, (9, 3)) + np.array([0.0, 0.0, 540.0]),
+    )
+    shift = np.array([0.0, 0.0, 560.0]) - rotation @ np.array([0.0, 0.0, 540.0])
+    at_a = at_b @ rotation.T + shift
+    normal = rng.normal(size=(9, 3))
+
+    def apart(
+        coefficients: np.ndarray[tuple[int, ...], np.dtype[np.float64]],
+    ) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+        b = at_b + along_ray(at_b) * (shapes(at_b) @ coefficients)[:, None]
+        a = at_a + along_ray(at_a) * (shapes(at_a) @ coefficients)[:, None]
+        return np.asarray(((b @ rotation.T + shift - a) * normal).sum(axis=1))
+
+    np.testing.assert_allclose(derivatives(normal, at_a, at_b, rotation) @ SHARED_MM, apart(SHARED_MM), atol=1e-12)

@@ -116,6 +116,25 @@ def test_a_wrong_pair_is_found_by_the_loops_and_taken_out() -> None:
     assert all(off_mm(pose, k) < 0.15 for k, pose in placed.poses.items())
 
 
+@pytest.mark.parametrize(
+    ("sigma_mm", "off_mm", "wrong"),
+    [
+        # Of a certain pair: by the place, a quarter of a millimetre.
+        (0.02, 0.22, False),
+        (0.02, 0.32, True),
+        # Of an uncertain one: by its variance, 45 times that in all.
+        (0.2, 0.46, False),
+        (0.2, 0.70, True),
+    ],
+)
+def test_a_pair_is_wrong_beyond_chance_and_beyond_what_calibrations_leave(
+    sigma_mm: float, off_mm: float, wrong: bool
+) -> None:
+    firm = [edge(k, j, sigma_mm=0.001) for k in range(5) for j in range(k + 1, 6) if (k, j) != (1, 4)]
+    placed = place(6, [*firm, edge(1, 4, sigma_mm, off_mm=(0.0, off_mm, 0.0))], middles(6))
+    assert bool(placed.wrong) is wrong
+
+
 def test_a_pair_that_no_loop_checks_is_kept_and_named() -> None:
     bridge = edge(3, 4, off_mm=(0.0, 8.0, 0.0))
     rings = [edge(i, j) for i, j in ((0, 1), (1, 2), (2, 3), (0, 3), (4, 5), (5, 6), (4, 6))]

@@ -11,9 +11,20 @@ from scipy.spatial import cKDTree
 
 from appliance.optics.volume import STANDARD
 from appliance.registration.coarse import _starts
-from appliance.registration.fine import refine
-from appliance.registration.pair import HELD, MAX_OUTLIERS, PairRefusal, RegisteredPair, freedom, refusal_of, register
+from appliance.registration.fine import Fit, refine
+from appliance.registration.pair import (
+    HELD,
+    MAX_OUTLIERS,
+    PairRefusal,
+    RegisteredPair,
+    _as_good,
+    _contradiction,
+    freedom,
+    refusal_of,
+    register,
+)
 from appliance.registration.rigid import Rigid
+from tests.appliance.registration.test_graph import edge
 from tests.support.views import SeenView, between, displacement_mm, view
 
 SHELL = (0.0, 0.0, 545.0, 5.0, -8.0, 12.0), (40.0, -25.0, 550.0, -4.0, 6.0, 25.0)
@@ -111,6 +122,17 @@ def motions(*of: tuple[float, ...]) -> tuple[np.ndarray[tuple[int, ...], np.dtyp
     [
         ([(0, 0, 0, 1, 0.1, 0)], "slide left-right"),
         ([(0, 0, 0, 0.2, 1, 0)], "slide up-down"),
+        ([(0, 0, 0, 1, -0.4, 0)], "slide left-right"),
+        ([(0, 0, 0, 1, -0.43, 0)], "slide from lower left to upper right"),
+        ([(0, 0, 0, 1, 2.35, 0)], "slide from upper left to lower right"),
+        ([(0, 0, 0, 1, 2.5, 0)], "slide up-down"),
+        ([(0, 0, 0, 1, 0, 0.9)], "slide left-right"),
+        ([(0, 0, 0, 1, 0, 1.1)], "slide to and from the instrument"),
+        # Turns by 0.39 and 0.41 of a motion of length 1.
+        ([(0.39, 0, 0, 0, 0.921, 0)], "slide up-down"),
+        ([(0.41, 0, 0, 0, 0.912, 0)], "turn about its own axis left-right"),
+        ([(1, 0, 0, 0, 0.14, 0)], "turn about an axis left-right"),
+        ([(1, 0, 0, 0, 0.16, 0)], "turn about its own axis left-right"),
         ([(0, 0, 0, 1, -1, 0)], "slide from lower left to upper right"),
         ([(0, 0, 0, 0, 0, 1)], "slide to and from the instrument"),
         # A pipe of 50 mm radius, its middle in front, with a lever of 80 mm.
@@ -125,6 +147,73 @@ def motions(*of: tuple[float, ...]) -> tuple[np.ndarray[tuple[int, ...], np.dtyp
 )
 def test_how_a_scan_can_move_is_said_of_what_nothing_holds(loose: list[tuple[float, ...]], said: str) -> None:
     assert freedom(*motions(*loose)) == said
+
+
+GOOD = edge(0, 1).fit
+"""Nothing speaks against it, and shape holds it."""
+
+
+@pytest.mark.parametrize(
+    ("fit", "refusal"),
+    [
+        (replace(GOOD, overlap=0.081), None),
+        (replace(GOOD, overlap=0.079), PairRefusal.TOO_LITTLE),
+        (replace(GOOD, outliers=0.049), None),
+        (replace(GOOD, outliers=0.051), PairRefusal.CONTRADICTS),
+        (replace(GOOD, held=np.array([5.1, 9, 9, 9, 9, 9])), None),
+        (replace(GOOD, held=np.array([4.9, 9, 9, 9, 9, 9]), front=0.1), PairRefusal.SLIDES),
+        (replace(GOOD, front=0.019), None),
+        (replace(GOOD, front=0.021), PairRefusal.CONTRADICTS),
+        (replace(GOOD, alike=None, paint_share=0.49), None),
+        (replace(GOOD, alike=None, paint_share=0.51), PairRefusal.SLIDES),
+        (replace(GOOD, alike=0.31), None),
+        (replace(GOOD, alike=0.29), PairRefusal.CONTRADICTS),
+        (replace(GOOD, alike=0.61, paint_share=0.51), None),
+        (replace(GOOD, alike=0.59, paint_share=0.51), PairRefusal.CONTRADICTS),
+        (replace(GOOD, covariance=np.eye(6) * 0.39**2 / 6.0), None),
+        (replace(GOOD, covariance=np.eye(6) * 0.41**2 / 6.0), PairRefusal.UNCERTAIN),
+    ],
+)
+def test_each_limit_of_a_pose_is_where_it_is_said_to_be(fit: Fit, refusal: PairRefusal | None) -> None:
+    assert refusal_of(fit) is refusal
+
+
+def aside(fit: Fit, by_mm: float) -> Fit:
+    return replace(fit, pose=Rigid(fit.pose.rotation, fit.pose.translation_mm + np.array([by_mm, 0.0, 0.0])))
+
+
+SLIDING = aside(replace(GOOD, held=np.zeros(6)), 9.0)
+
+
+@pytest.mark.parametrize(
+    ("other", "best", "repeats", "as_good"),
+    [
+        (aside(GOOD, 9.0), GOOD, False, True),
+        # The same pose: 1 mm and five standard deviations of 0.02 mm.
+        (aside(GOOD, 1.05), GOOD, False, False),
+        (aside(GOOD, 1.15), GOOD, False, True),
+        (replace(aside(GOOD, 9.0), overlap=0.31), GOOD, False, True),
+        (replace(aside(GOOD, 9.0), overlap=0.29), GOOD, False, False),
+        (replace(aside(GOOD, 9.0), alike=0.85), GOOD, False, True),
+        (replace(aside(GOOD, 9.0), alike=0.83), GOOD, False, False),
+        (replace(aside(GOOD, 9.0), outliers=0.015, front=0.015, unmet=0.009), GOOD, False, True),
+        (replace(aside(GOOD, 9.0), outliers=0.015, front=0.015, unmet=0.011), GOOD, False, False),
+        (replace(aside(GOOD, 9.0), outliers=0.03, front=0.015, unmet=0.05), replace(GOOD, unmet=0.06), False, True),
+        (replace(aside(GOOD, 9.0), overlap=0.01), GOOD, False, False),
+        (SLIDING, GOOD, False, False),
+        (SLIDING, GOOD, True, True),
+        (replace(SLIDING, alike=0.1), GOOD, True, True),
+        (SLIDING, replace(GOOD, alike=None), False, True),
+    ],
+)
+def test_another_pose_is_as_good_as_the_best_by_limits(other: Fit, best: Fit, repeats: bool, as_good: bool) -> None:
+    assert _as_good(other, best, repeats=repeats) is as_good
+
+
+def test_what_speaks_against_a_pose_is_what_misses_hovers_finds_nothing_or_differs() -> None:
+    bad = replace(GOOD, outliers=0.01, front=0.02, unmet=0.03, alike=0.8, overlap=0.5)
+    assert _contradiction(bad) == pytest.approx(0.01 + 2.0 * 0.02 + 0.03 + 0.3 * 0.2 - 0.1 * 0.5)
+    assert _contradiction(replace(bad, alike=None, overlap=1.3)) == pytest.approx(0.01 + 0.04 + 0.03 - 0.1)
 
 
 @pytest.mark.parametrize(("radius_px", "refusal"), [(30, None), (75, PairRefusal.CONTRADICTS)])
