@@ -307,16 +307,16 @@ def test_site_coordinates_are_held_or_refused(surface: FusedCloud, tmp_path: Pat
         write_surface(tmp_path / "far.ply", surface, ABOUT, origin_mm=site)
     assert not (tmp_path / "far.ply").exists()
     write_surface(tmp_path / "near.ply", surface, ABOUT, origin_mm=np.array([5.1e5, 0.0, 0.0]))
-    read = trimesh.load(tmp_path / "near.ply", process=False)
-    np.testing.assert_allclose(read.vertices[:, 0] - 5.1e5, surface.points_mm[:, 0], atol=0.02)
+    near: Any = trimesh.load(tmp_path / "near.ply", process=False)
+    np.testing.assert_allclose(near.vertices[:, 0] - 5.1e5, surface.points_mm[:, 0], atol=0.02)
     with pytest.raises(ExportError, match=r"steps of 0\.0625 mm"):
         write_surface(tmp_path / "far.ply", surface, ABOUT, origin_mm=np.array([5.3e5, 0.0, 0.0]))
     none = replace(
         points_of_surface(surface, site),
         points_mm=np.zeros((0, 3), np.float32),
         grey=np.zeros(0, np.uint8),
-        sigma_mm=np.zeros(0),
-        normals=np.zeros((0, 3)),
+        sigma_mm=np.zeros(0, np.float32),
+        normals=np.zeros((0, 3), np.float32),
         more={},
     )
     assert b"element vertex 0\n" in encode_surface(none, ABOUT)[0]

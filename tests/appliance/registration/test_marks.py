@@ -248,7 +248,7 @@ def dotted(
     picture = np.full((height_px, width_px), 60.0)
     for x, y in dots:
         picture += 150.0 * np.exp(-((u - x) ** 2 + (v - y) ** 2) / (2.0 * radius_px**2))
-    return np.clip(picture, 0, 255).astype(np.uint8)
+    return np.asarray(np.clip(picture, 0, 255), np.uint8)
 
 
 @pytest.mark.parametrize("width_px", [400, 1200])

@@ -17,11 +17,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import distributed
 import pytest
 
+from appliance import kernel_cache
+from appliance.kernel_build import CompileError
+from appliance.offline.anew import hosts
 from appliance.offline.anew.coordinator import Ended, work_through_all
-from appliance.offline.anew.hosts import WORKER, greeting
+from appliance.offline.anew.hosts import WORKER, greeting, warm_host
 from appliance.offline.anew.many import ManyEngine, SchedulerError, _InWork, _Member
 from appliance.offline.anew.program import program_digits
 from appliance.offline.anew.results import Results, Row
@@ -31,6 +33,7 @@ from tests.support.commands import ROOT
 from tests.support.rendered import render_scan
 from tests.support.stored import origin_of, store
 
+distributed = pytest.importorskip("distributed")
 COUNT = 60
 WIDTH_PX = 200
 
@@ -239,7 +242,12 @@ def until(true: Callable[[], object]) -> None:
 
 def all_ended(engine: ManyEngine, count: int = 1) -> list[Ended]:
     found: list[Ended] = []
-    until(lambda: len(found.extend(engine.ended(0.05)) or found) >= count)
+
+    def heard() -> bool:
+        found.extend(engine.ended(0.05))
+        return len(found) >= count
+
+    until(heard)
     return found
 
 
@@ -265,9 +273,11 @@ def test_two_workers_have_room_for_two_tasks_a_thread_and_do_every_job_once(here
     with here.ready() as engine:
         assert engine.others_may_come
         assert list(engine.places().values()) == [None, None]
+        hosts._warmed.cache_clear()
         engine.start(here.jobs[:2])
         assert engine.room() == 3
         assert [one.job for one in all_ended(engine, 2)] == here.jobs[:2]
+        assert hosts._warmed.cache_info().currsize == 1, "its kernels were there before"
         assert engine.room() == 4
         worked = work_through_all(here.jobs, engine, lambda *_: None)
         assert {row["state"] for row in worked.rows} == {FAILED}
@@ -295,7 +305,7 @@ def test_a_place_that_is_left_out_gets_no_more(here: Here) -> None:
         assert engine.room() == 2
         assert dict(engine.places()) == {one: "its disk is full", other: None}
         engine.start(here.jobs[:1])
-        assert engine._in_work[here.jobs[0].folder].only == {other}, "nobody else may take it"
+        assert engine._in_work[here.jobs[0].folder].only == frozenset([other]), "nobody else may take it"
         assert [ended.place for ended in all_ended(engine)] == [other]
 
 
@@ -352,14 +362,48 @@ def test_quick_scans_share_a_task_of_four_seconds_while_each_thread_has_four_lef
         assert engine.at_once(waiting) == most
 
 
-def test_the_last_scans_count_most_for_how_long_one_takes(here: Here) -> None:
+def test_no_more_than_ten_thousand_tasks_are_given_out_at_once(here: Here) -> None:
+    with here.ready() as engine:
+        engine._looked_s = time.monotonic()
+        engine._workers = {"a": _Member(4999, None, 0.0, able=True)}
+        assert engine.room() == 9998
+        engine._workers = {"a": _Member(6000, None, 0.0, able=True)}
+        assert engine.room() == 10_000
+
+
+def test_what_a_host_lacks_is_compiled_in_a_process_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    config: Any = sys.modules["numba"].config
+    monkeypatch.setattr(config, "CACHE_DIR", config.CACHE_DIR)
+    begun: list[list[str]] = []
+    codes = iter([0, 1])
+
+    def run(program: list[str], **_: object) -> subprocess.CompletedProcess[str]:
+        begun.append(program)
+        return subprocess.CompletedProcess(program, next(codes), "", "  no compiler\n")
+
+    monkeypatch.setattr(subprocess, "run", run)
+    monkeypatch.setenv(kernel_cache.VARIABLE, str(tmp_path / "given"))
+    assert 0.0 <= warm_host() < TIMEOUT_S
+    assert begun == [], "whoever gave the folder keeps it"
+    monkeypatch.setenv(kernel_cache.VARIABLE, str(tmp_path / kernel_cache.fingerprint()))
+    assert 0.0 <= warm_host() < TIMEOUT_S
+    assert begun == [[sys.executable, "-m", "appliance.offline.anew.hosts"]]
+    with pytest.raises(CompileError, match=r"kernels could not be compiled: no compiler$"):
+        warm_host()
+
+
+@pytest.mark.parametrize(
+    ("rows", "scan_s"),
+    [
+        ([{"state": FAILED}], None),
+        ([{"wall_s": 2.0}], 2.0),
+        ([{"wall_s": 2.0}, {"wall_s": 4.0}, {"state": FAILED}], 0.8 * 2.0 + 0.2 * 4.0),
+    ],
+)
+def test_the_last_scans_count_most_for_how_long_one_takes(rows: list[Row], scan_s: float | None, here: Here) -> None:
     with here.engine() as engine:
-        engine._learn([{"state": FAILED}])
-        assert engine._scan_s is None
-        engine._learn([{"wall_s": 2.0}])
-        assert engine._scan_s == 2.0
-        engine._learn([{"wall_s": 4.0}, {"state": FAILED}])
-        assert engine._scan_s == pytest.approx(0.8 * 2.0 + 0.2 * 4.0)
+        engine._learn(rows)
+        assert engine._scan_s == (scan_s if scan_s is None else pytest.approx(scan_s))
 
 
 def test_what_takes_too_long_is_begun_elsewhere_besides_at_most_twice(here: Here) -> None:

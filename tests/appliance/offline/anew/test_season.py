@@ -144,6 +144,68 @@ def test_what_is_not_known_is_left_out_and_not_drawn_as_nothing() -> None:
     assert "no scan is in a --list" in page
 
 
+def test_a_chart_has_its_frame_its_zero_line_and_its_words_below() -> None:
+    rows = [cells(k + 1, length_error_mm=error, artefact="frustum") for k, error in enumerate((0.004, -0.004, 0.0))]
+    rows.append(cells(4, state="failed", reason="dark", gap_mm="", noise_mm="", temperature_c=""))
+    page = season_page(rows, "t.csv")
+    assert '<svg viewBox="0 0 1060 230"' in page
+    drawing = chart(page, "length error, µm")
+    lines = re.findall(r'<line x1="62" x2="1048" y1="([\d.]+)" y2="([\d.]+)" stroke="(#\w+)"/>', drawing)
+    assert [float(y) for y, _, _ in lines] == [pytest.approx(190.0 - k * 176.0 / 4, abs=0.1) for k in range(5)]
+    assert [ink for *_, ink in lines] == ["#d5dde5", "#d5dde5", "#8a97a4", "#d5dde5", "#d5dde5"], "zero is dark"
+    assert re.findall(r'x="54" y="[\d.]+" text-anchor="end">([−\d]+)</text>', drawing) == ["−4", "−2", "0", "2", "4"]
+    assert re.findall(r'y="(208|223)" text-anchor="(\w+)"', drawing) == [
+        (y, anchor) for anchor in ("start", "middle", "middle", "end") for y in ("208", "223")
+    ]
+    assert re.findall(r'<path d="M[\d.]+ (\d+v\d+)"', drawing) == ["191v6"]
+    low = chart(page, "ray gap, µm")
+    assert "#8a97a4" not in re.sub(r"<text.*?</text>", "", low), "no zero line where all numbers are above"
+
+
+@pytest.mark.parametrize(("groups", "colours", "more"), [(6, 6, ""), (7, 6, " and 1 more")])
+def test_of_many_groups_the_rare_ones_share_a_colour(groups: int, colours: int, more: str) -> None:
+    rows = [cells(k + 1, length_error_mm=0.1, artefact=f"thing {k}") for k in range(groups)]
+    page = season_page(rows, "t.csv")
+    assert len({colour for *_, colour, _ in dots(chart(page, "length error, µm"))}) == colours
+    caption = page.partition("length error, µm; scans")[2].partition("</figcaption>")[0]
+    assert re.findall(r"thing (\d)", caption) == [str(k) for k in range(6)]
+    assert caption.endswith(more or "thing 5")
+
+
+def test_the_head_and_the_tiles_are_counts_and_medians_of_the_rows() -> None:
+    rows = [
+        cells(1, points=1_000_000, noise_mm=0.020, grade="good", e_l_percent=-0.25, recorded=""),
+        cells(2, points=2_000_000, noise_mm=0.030, grade="good", e_l_percent=0.125, calibration="b" * 64),
+        cells(3, points=1_500_000, noise_mm=0.060, grade="poor", spoilt=True, faults="MOTION: 3 mm", calibration="c" * 64),
+        cells(4, state="failed", reason="dark", points="", noise_mm="", calibration="d" * 64),
+    ]  # fmt: skip
+    page = season_page(rows, "t.csv")
+    words = " ".join(re.sub(r"<[^>]*>", " ", page.partition("<body>")[2]).split())
+    assert "4 scans From 2031-05-02 09:12 To 2031-05-04 09:12 Calibrations " in words
+    assert f"Calibrations {'a' * 12}, {'b' * 12}, {'c' * 12} and 1 more Table t.csv" in words
+    assert "Scans with points 2 of 4 2 good, 1 spoilt, 1 without points" in words
+    assert "Points 4.5 million 1,500,000 a scan (median)" in words
+    assert "Noise 30 µm median over scans" in words
+    assert "Largest length error 0.250 % 2 scans of artefacts" in words
+    three = season_page([cells(k, calibration="abc"[k - 1] * 64, recorded="") for k in (1, 2, 3)], "t.csv")
+    assert f"{'c' * 12}</dd>" in three, "three are named, and no more are there"
+    assert three.count("no clock") == 2
+
+
+def test_charts_group_noise_by_grade_and_water_by_salt_and_know_no_gap_of_compensated_scans() -> None:
+    rows = [
+        cells(1, grade="good", verdicts="motion=no compensation=yes"), cells(2, spoilt=True, salinity_psu=0.0),
+        cells(3, verdicts="compensation=no"), cells(4, salinity_psu=""),
+    ]  # fmt: skip
+    page = season_page(rows, "t.csv")
+    captions = {
+        what: page.partition(f"{what}; scans")[2].partition("</figcaption>")[0] for what in ("noise, µm", "water, °C")
+    }
+    assert all(word in captions["noise, µm"] for word in ("good", "spoilt", "not graded"))
+    assert all(word in captions["water, °C"] for word in ("35 psu", "0 psu", "not known"))
+    assert [words[:6] for *_, words in dots(chart(page, "ray gap, µm"))] == ["000002", "000003", "000004"]
+
+
 # ------------------------------------------------------------------------------------------- refused scans
 
 
@@ -166,6 +228,30 @@ def test_every_refused_scan_is_there_with_its_reason_and_marked_where_it_was_tak
     assert "000007 2031-05-07 09:12 MOTION: the hands moved by 3 mm; BLURRED: edges of 4 px" in words
     marks = [float(x) for x in re.findall(r'<path d="M([\d.]+) ', chart(page, "ray gap, µm"))]
     assert marks == [pytest.approx(62 + (k - 0.5) * 986 / 8, abs=0.1) for k in (2, 5, 7)]
+
+
+@pytest.mark.parametrize(("count", "more"), [(60, False), (61, True)])
+def test_sixty_refused_scans_are_listed_and_the_rest_is_counted(count: int, more: bool) -> None:
+    page = season_page([cells(1, state="failed", reason="dark", scan=f"{k:06d}") for k in range(count)], "t.csv")
+    assert ("and 1 more, in the table" in page) is more
+    assert page.partition("Each of them")[2].count("<td>dark</td>") == 60
+    assert f"<td>dark</td><td>{count}</td>" in page
+
+
+@pytest.mark.parametrize(
+    ("reason", "kind"),
+    [
+        ("a" * 45 + " " + "b" * 44, "a" * 45 + " " + "b" * 44),
+        ("a" * 45 + " " + "b" * 45, "a" * 45 + " …"),
+        ("dark (7 of 9); open it", "dark"),
+        ("/disk/scans/000001: dark", "dark"),
+        ("", "not known"),
+    ],
+)
+def test_a_reasons_kind_is_its_beginning_without_the_numbers_of_one_scan(reason: str, kind: str) -> None:
+    page = season_page([cells(1, state="failed", reason=reason)], "t.csv")
+    assert f"<tbody><tr><td>{kind}</td><td>1</td></tr></tbody>" in page
+    assert "<h2>Refused scans</h2><p>None.</p>" in season_page([cells(1)], "t.csv")
 
 
 def test_a_season_without_any_result_says_why() -> None:
