@@ -49,6 +49,7 @@ def test_every_scan_has_one_result_or_a_reason_and_a_second_call_does_nothing_bu
     assert sorted(table) == ["000001", "000002", "000003"]
     assert "frames_left.npy: damaged" in table["000002"]["reason"]
     assert int(table["000001"]["points"]) > 1000
+    assert all(0.0 < float(table["000001"][name]) < 600.0 for name in ("cpu_s", "wall_s"))
     results = Path(said["table"]).parent / "results"
     assert len(list(results.iterdir())) == 2
 
