@@ -65,11 +65,9 @@ def by_place(
     """Return untried pairs of placed scans that should overlap, with the pose of the second in the first's frame."""
     found = []
     placed = sorted(poses)
-    middle = {k: poses[k].of(np.nanmedian(_sample(scans[k]), axis=0)) for k in placed}
     for number, first in enumerate(placed):
         for second in placed[number + 1 :]:
-            # Views are some 300 mm across at most.
-            if (first, second) in tried or np.linalg.norm(middle[first] - middle[second]) > 300.0:
+            if (first, second) in tried:
                 continue
             pose = poses[second].then(poses[first].inverse)
             if (

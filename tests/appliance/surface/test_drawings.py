@@ -13,7 +13,7 @@ import trimesh
 
 from appliance.surface.drawing_file import NominalError, checked_drawing
 from appliance.surface.drawings import read_triangles
-from appliance.surface.nominal import read_nominal
+from appliance.surface.nominal import nominal_of, read_nominal
 
 BOX: Any = trimesh.creation.box(extents=(20.0, 12.0, 6.0))
 BINARY: bytes = BOX.export(file_type="stl")
@@ -119,6 +119,50 @@ def test_a_ply_head_with_carriage_returns_alone_is_read(tmp_path: Path) -> None:
     end = data.index(b"end_header\n") + 11
     (tmp_path / "cr.ply").write_bytes(data[:end].replace(b"\n", b"\r") + data[end:])
     assert len(read_triangles(tmp_path / "cr.ply")[1]) == 12
+
+
+@pytest.mark.parametrize(("at_mm", "read"), [(5.0e5, True), (5.3e5, False)])
+def test_single_precision_is_read_up_to_steps_of_a_twentieth_of_a_millimetre(
+    at_mm: float, read: bool, tmp_path: Path
+) -> None:
+    far: Any = BOX.copy()
+    far.apply_translation([at_mm, 0.0, 0.0])
+    far.export(tmp_path / "far.stl")
+    if read:
+        assert len(read_triangles(tmp_path / "far.stl")[1]) == 12
+        return
+    with pytest.raises(NominalError, match=r"steps of 0\.0625 mm"):
+        read_triangles(tmp_path / "far.stl")
+
+
+@pytest.mark.parametrize(("coordinate", "read"), [("1e11", True), ("-1e11", True), ("1.01e11", False)])
+def test_no_corner_is_farther_than_a_hundred_thousand_kilometres(coordinate: str, read: bool, tmp_path: Path) -> None:
+    (tmp_path / "far.obj").write_text(f"v 0 0 0\nv 1 0 0\nv 0 {coordinate} 0\nf 1 2 3\n")
+    if read:
+        assert read_triangles(tmp_path / "far.obj")[0].max() >= 1.0
+        return
+    with pytest.raises(NominalError, match=r"beyond 1e\+11 mm"):
+        read_triangles(tmp_path / "far.obj")
+
+
+@pytest.mark.parametrize(("height_mm", "kept"), [(1.2e-12, True), (0.9e-12, False)])
+def test_triangles_without_area_are_left_out(height_mm: float, kept: bool) -> None:
+    corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, height_mm, 0.0]])
+    faces = np.array([[0, 1, 2], [0, 1, 3]])
+    assert len(nominal_of(corners, faces).faces) == (2 if kept else 1)
+    if not kept:
+        with pytest.raises(ValueError, match="no triangle has an area"):
+            nominal_of(corners, faces[1:])
+
+
+@pytest.mark.parametrize(("index", "refused"), [("-8", False), ("-9", True), ("8", False), ("9", True), ("0", True)])
+def test_an_obj_face_names_corners_that_are_there_from_either_end(index: str, refused: bool, tmp_path: Path) -> None:
+    (tmp_path / "box.obj").write_text(f"{OBJ}\nf 1 2 {index}\n")
+    if refused:
+        with pytest.raises(NominalError, match=f"a face names corner {index} of 8"):
+            read_triangles(tmp_path / "box.obj")
+    else:
+        assert len(read_triangles(tmp_path / "box.obj")[1]) == 13
 
 
 def test_single_precision_far_from_the_origin_is_refused_and_double_is_held(tmp_path: Path) -> None:

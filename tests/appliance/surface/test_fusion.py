@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from appliance.surface.fusion import FusedCloud, PlacedScan, fuse
+from appliance.surface.fusion import POSE_SIGMA_MM, FusedCloud, PlacedScan, _Surface, fuse, with_places
+from appliance.surface.surfels import PointsOfScan
 from tests.support.solids import Ball, Box, Pose, around, looking, seen
 
 BALL = Ball((0.0, 0.0, 0.0), 30.0)
@@ -168,9 +169,117 @@ def test_placements_and_spacings_of_no_use_are_refused() -> None:
         fuse([replace(scan, rotation=scan.rotation * [1.0, 1.0, -1.0])])
     with pytest.raises(ValueError, match="100 m"):
         fuse([replace(scan, translation_mm=np.array([0.0, np.nan, 0.0]))])
-    with pytest.raises(ValueError, match=r"spacing_mm is 0\.01; allowed are 0\.02\.\.20"):
-        fuse([scan], spacing_mm=0.01)
-    assert len(fuse([]).grey) == 0
+    for spacing_mm, allowed in ((0.019, False), (0.02, True), (20.0, True), (20.1, False)):
+        if allowed:
+            assert len(fuse([], spacing_mm=spacing_mm).grey) == 0
+            continue
+        with pytest.raises(ValueError, match=r"allowed are 0\.02\.\.20"):
+            fuse([], spacing_mm=spacing_mm)
+    assert len(fuse([replace(scan, translation_mm=np.array([0.0, 99_900.0, 0.0]))]).grey) > 0
+    with pytest.raises(ValueError, match="100 m"):
+        fuse([replace(scan, translation_mm=np.array([0.0, 100_100.0, 0.0]))])
+
+
+def point(
+    at_mm: tuple[float, float, float],
+    tilt_deg: float = 0.0,
+    sigma_mm: float = 0.02,
+    ray: tuple[float, float, float] = (0.0, 0.0, -1.0),
+    grey: int = 100,
+) -> PointsOfScan:
+    """A scan of one point, seen along ``ray`` from half a metre away, whose normal is tilted from z about y."""
+    tilt = np.radians(tilt_deg)
+    way = np.array(ray) / np.linalg.norm(ray)
+    return PointsOfScan(
+        np.array([at_mm], np.float32), np.array([[np.sin(tilt), 0.0, np.cos(tilt)]], np.float32), np.array([sigma_mm**2], np.float32),
+        np.array([grey], np.uint8), np.array(at_mm) - 500.0 * way,
+    )  # fmt: skip
+
+
+def joined(points: list[PointsOfScan], spacing_mm: float = 0.25) -> FusedCloud:
+    surface = _Surface(spacing_mm)
+    for one in points:
+        surface.add(one)
+    return surface.cloud(0.0, 0)
+
+
+HERE = (0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("other", "spacing_mm", "one"),
+    [
+        (point((0.24, 0.0, 0.0)), 0.25, True),
+        (point((0.26, 0.0, 0.0)), 0.25, False),
+        # Four standard deviations of both, √2 · 0.02 mm.
+        (point((0.0, 0.0, 0.11)), 0.25, True),
+        (point((0.0, 0.0, -0.116)), 0.25, False),
+        # However uncertain, not beyond 0.4 mm, or a spacing where that is more.
+        (point((0.0, 0.0, 0.39), sigma_mm=0.5), 0.25, True),
+        (point((0.0, 0.0, 0.41), sigma_mm=0.5), 0.25, False),
+        (point((0.0, 0.0, 0.98), sigma_mm=0.5), 1.0, True),
+        (point((0.0, 0.0, 1.02), sigma_mm=0.5), 1.0, False),
+        # Facing the same way.
+        (point(HERE, tilt_deg=59.0), 0.25, True),
+        (point(HERE, tilt_deg=61.0), 0.25, False),
+        # Along a ray at a cosine of 0.1, as if it were 0.2: 0.2 mm aside, and 0.3 mm.
+        (point((0.0, 0.0, 0.04), ray=(1.0, 0.0, -0.1)), 0.25, True),
+        (point((0.0, 0.0, 0.06), ray=(1.0, 0.0, -0.1)), 0.25, False),
+        (point((0.0, 0.0, 0.04), ray=(1.0, 0.0, -0.5)), 0.25, True),
+    ],
+)
+def test_two_points_are_one_of_the_surface_within_its_limits(other: PointsOfScan, spacing_mm: float, one: bool) -> None:
+    assert len(joined([point(HERE), other], spacing_mm).grey) == (1 if one else 2)
+
+
+@pytest.mark.parametrize(("younger_mm", "views"), [(0.197, [2, 1]), (0.194, [1, 2])])
+def test_of_two_discs_about_equally_far_the_older_one_gets_the_point(younger_mm: float, views: list[int]) -> None:
+    cloud = joined([point((-0.2, 0.0, 0.0)), point((younger_mm, 0.0, 0.0)), point(HERE)])
+    assert cloud.views.tolist() == views
+    assert cloud.first_scan is not None
+    assert cloud.first_scan.tolist() == [0, 1]
+
+
+def test_two_observations_are_weighed_by_their_variances() -> None:
+    cloud = joined([point(HERE, 0.0, 0.02, grey=100), point((0.0, 0.0, 0.05), 20.0, 0.04, grey=200)])
+    share = 0.2  # 1/0.04² of 1/0.02² + 1/0.04²
+    depth = 0.05 * np.cos(np.radians(10.0))  # along the mean of both normals
+    np.testing.assert_allclose(cloud.points_mm[0], [0.0, 0.0, share * depth], atol=1e-5)
+    np.testing.assert_allclose(cloud.sigma_mm, 0.04 * np.sqrt(share), rtol=1e-5)
+    assert cloud.grey.tolist() == [120]
+    mean = 0.8 * np.array([0.0, 0.0, 1.0]) + share * np.array([np.sin(np.radians(20.0)), 0.0, np.cos(np.radians(20.0))])
+    np.testing.assert_allclose(cloud.normals[0], mean / np.linalg.norm(mean), atol=1e-5)
+
+
+def test_a_table_that_grows_forgets_no_disc() -> None:
+    """Far more cells than it begins with: each point is found again by the second scan."""
+    side = np.arange(210) * 2.0
+    x, y = (one.ravel() for one in np.meshgrid(side, side))
+    n = len(x)
+    at = np.stack([x, y, 0.0 * x], axis=1).astype(np.float32)
+    scan = PointsOfScan(
+        at, np.tile(np.array([0.0, 0.0, 1.0], np.float32), (n, 1)), np.full(n, 4e-4, np.float32), np.full(n, 9, np.uint8),
+        np.array([200.0, 200.0, 50_000.0]),
+    )  # fmt: skip
+    cloud = joined([scan, scan])
+    assert len(cloud.grey) == n
+    assert (cloud.views == 2).all()
+
+
+def test_shares_of_sigma_add_up_by_their_squares_and_the_own_one_stays() -> None:
+    cloud = joined([point(HERE, sigma_mm=0.03)])
+    once = with_places(cloud, np.array([0.04]), np.array([0.12]))
+    np.testing.assert_allclose(once.sigma_mm, 0.13, rtol=1e-5)
+    twice = with_places(once, np.array([0.04]), np.array([0.0]))
+    np.testing.assert_allclose(twice.sigma_mm, 0.05, rtol=1e-5)
+    np.testing.assert_allclose(twice.beside_mm, cloud.sigma_mm)
+
+
+def test_a_placement_of_which_nobody_says_more_is_known_to_thirty_micrometres() -> None:
+    scan = placed(looking((0.0, 0.0, 500.0)), [Box((-9.0, -9.0, -5.0), (9.0, 9.0, 0.0))], 1, size_px=(20, 20))
+    usual = PlacedScan(scan.cloud, scan.rotation, scan.translation_mm)
+    assert usual.pose_sigma_mm == POSE_SIGMA_MM == 0.03
+    assert np.median(fuse([usual]).sigma_mm) == pytest.approx(np.hypot(0.02, 0.03), rel=0.01)
 
 
 def test_pixels_that_lie_equally_near_to_two_discs_do_not_move_a_flat() -> None:

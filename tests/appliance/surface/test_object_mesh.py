@@ -101,5 +101,10 @@ def test_a_plate_of_two_voxels_keeps_both_sides() -> None:
 def test_nothing_gives_nothing_and_other_voxels_are_refused(ball: FusedCloud) -> None:
     mesh = mesh_of_surface(kept(ball, np.zeros(len(ball.grey), np.bool_)))
     assert mesh.faces.shape == (0, 3)
-    with pytest.raises(ValueError, match=r"voxel_mm is 0\.01; allowed are 0\.05\.\.20"):
-        mesh_of_surface(ball, 0.01)
+    none = kept(ball, np.zeros(len(ball.grey), np.bool_))
+    for voxel_mm, allowed in ((0.049, False), (0.05, True), (20.0, True), (20.1, False)):
+        if allowed:
+            assert len(mesh_of_surface(none, voxel_mm).faces) == 0
+            continue
+        with pytest.raises(ValueError, match=r"allowed are 0\.05\.\.20"):
+            mesh_of_surface(none, voxel_mm)

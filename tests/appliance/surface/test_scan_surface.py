@@ -97,6 +97,66 @@ def test_a_window_of_no_use_is_refused(radius_px: int) -> None:
         normals(stairs(2.0), radius_px=radius_px)
 
 
+def patch(kept: str, across_mm: float = 0.2, down_mm: float = 0.2) -> OrganisedCloud:
+    """A flat half a metre away of some pixels in a row of rows, such as ``xx./xxx``; exact."""
+    rows = kept.split("/")
+    v, u = np.mgrid[0 : len(rows), 0 : len(rows[0])].astype(float)
+    points = np.stack([u * across_mm, v * down_mm, np.full_like(u, 500.0)], axis=-1)
+    points[np.array([[one == "." for one in row] for row in rows])] = np.nan
+    column = np.full(u.shape, 0.02, np.float32)
+    return OrganisedCloud(points.astype(np.float32), column, column, column, np.zeros(u.shape, np.uint8))
+
+
+@pytest.mark.parametrize(("kept", "known"), [("xxx/xxx", True), ("xx./xxx", False)])
+def test_a_normal_is_of_six_points_at_least(kept: str, known: bool) -> None:
+    assert bool(np.isfinite(normals(patch(kept))).any()) is known
+
+
+@pytest.mark.parametrize(("narrow", "known"), [(0.12, True), (0.108, False)])
+def test_points_along_a_strip_have_no_plane(narrow: float, known: bool) -> None:
+    # Of 5 x 5 points squeezed to r of their height, 4 r² / (1 + r²)² is the determinant over its largest value: 0.05 for r of 0.113.
+    squeezed = normals(patch("/".join(["xxxxx"] * 5), 0.2, 0.2 * narrow))
+    assert bool(np.isfinite(squeezed[2, 2]).all()) is known
+
+
+@pytest.mark.parametrize("radius_px", [1, 7])
+def test_windows_from_three_to_fifteen_pixels_are_used(radius_px: int) -> None:
+    assert np.isfinite(normals(patch("/".join(["x" * 15] * 15)), radius_px=radius_px)[1:-1]).all()
+
+
+def in_a_row(*depths_mm: float, sigma_mm: float = 0.02) -> list[bool]:
+    """Which neighbours of a row, 0.2 mm apart across its rays, see one surface."""
+    z = 500.0 + np.array(depths_mm)
+    points = np.stack([0.2 * np.arange(len(z)) * z / 500.0, 0.0 * z, z], axis=-1)[None].astype(np.float32)
+    column = np.full((1, len(z)), sigma_mm, np.float32)
+    cloud = OrganisedCloud(points, column, column, column, np.zeros((1, len(z)), np.uint8))
+    found: list[bool] = connected(cloud).right[0].tolist()
+    return found
+
+
+@pytest.mark.parametrize(
+    ("depths_mm", "sigma_mm", "same"),
+    [
+        # tan 80° of 0.2 mm is 1.134 mm; four deviations of a difference, 0.113 mm.
+        ((0.0, 1.12), 0.0, [True]),
+        ((0.0, 1.15), 0.0, [False]),
+        ((0.0, -1.23), 0.02, [True]),
+        ((0.0, -1.27), 0.02, [False]),
+        # A slope may change by half of the way, 0.1 mm, and by four deviations of a second difference, 0.196 mm.
+        ((0.0, 0.0, 0.0, 0.095, 0.095, 0.095), 0.0, [True] * 5),
+        ((0.0, 0.0, 0.0, 0.105, 0.105, 0.105), 0.0, [True, True, False, True, True]),
+        ((0.0, 0.0, 0.0, 0.28, 0.28, 0.28), 0.02, [True] * 5),
+        ((0.0, 0.0, 0.0, 0.31, 0.31, 0.31), 0.02, [True, True, False, True, True]),
+        # A slope that goes on at one side is none of a step.
+        ((0.0, 0.0, 0.0, 0.5, 1.0, 1.5), 0.0, [True] * 5),
+    ],
+)
+def test_neighbours_see_one_surface_up_to_a_steep_slope_and_to_a_bend(
+    depths_mm: tuple[float, ...], sigma_mm: float, same: list[bool]
+) -> None:
+    assert in_a_row(*depths_mm, sigma_mm=sigma_mm) == same
+
+
 # ------------------------------------------------------------------------------------------- the mesh
 
 

@@ -1,0 +1,425 @@
+"""Patches, paint and equations by values: what becomes a patch, what of grey is paint, what repeats, and what holds a pose."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from appliance.reconstruct.organised import OrganisedCloud
+from appliance.registration.albedo import Paint, paint_of, patch_pitch_mm
+from appliance.registration.candidates import by_place, overlap
+from appliance.registration.equations import (
+    EXTRA_MM,
+    EXTRA_PAINT,
+    Laid,
+    moved,
+    resistance_of,
+    spread,
+    step_of,
+    system_of,
+)
+from appliance.registration.fine import Prepared
+from appliance.registration.pair import ReadyScan
+from appliance.registration.patches import Patches, block_size_px, coarser, patches_of
+from appliance.registration.repeats import repeats_of
+from appliance.registration.rigid import Rigid
+from tests.appliance.registration.test_marks import of_look
+from tests.support.views import PROJECTION, Array
+
+SIGMA_MM = 0.025
+
+
+def flat(
+    shape: tuple[int, int] = (48, 64), pitch_mm: float = 0.25, tilt: float = 0.0, sigma_mm: float = SIGMA_MM
+) -> OrganisedCloud:
+    """A plane without noise, half a metre away: its slope is ``tilt`` along y."""
+    v, u = np.mgrid[0 : shape[0], 0 : shape[1]].astype(float)
+    x, y = (u - shape[1] / 2) * pitch_mm, (v - shape[0] / 2) * pitch_mm
+    points = np.stack([x, y, 520.0 + tilt * y], axis=-1).astype(np.float32)
+    column = np.full(shape, sigma_mm, np.float32)
+    return OrganisedCloud(points, column, column, column, np.full(shape, 100, np.uint8))
+
+
+def without(cloud: OrganisedCloud, where: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> OrganisedCloud:
+    points = cloud.points_mm.copy()
+    points[where] = np.nan
+    return replace(cloud, points_mm=points)
+
+
+# -------------------------------------------------------------------------------------------------- patches
+
+
+@pytest.mark.parametrize(("pitch_mm", "size_px"), [(0.25, 4), (0.125, 8), (2.0, 2), (0.01, 16)])
+def test_a_patch_is_about_a_millimetre_wide(pitch_mm: float, size_px: int) -> None:
+    assert block_size_px(flat(pitch_mm=pitch_mm)) == size_px
+    assert block_size_px(without(flat(), np.ones((48, 64), bool))) == 4
+
+
+def test_a_patch_lies_on_its_points_and_is_as_certain_as_their_independent_ones() -> None:
+    patches = patches_of(flat(tilt=0.5), PROJECTION, 4)
+    assert patches.valid.shape == (12, 16)
+    assert patches.valid.all()
+    np.testing.assert_allclose(
+        patches.centre_mm[3, 5], flat(tilt=0.5).points_mm[12:16, 20:24].mean(axis=(0, 1)), atol=1e-4
+    )
+    np.testing.assert_allclose(
+        patches.normal, np.broadcast_to(np.array([0.0, 0.5, -1.0]) / np.sqrt(1.25), (12, 16, 3)), atol=1e-4
+    )
+    # Of 16 points four are independent; their errors lie along the ray.
+    np.testing.assert_allclose(patches.sigma_mm, np.hypot(SIGMA_MM / 2.0 / np.sqrt(1.25), 0.004), rtol=1e-3)
+    np.testing.assert_allclose(patches.log_grey, np.log(100.0))
+    np.testing.assert_allclose(patches.grey_noise, np.sqrt(0.25 + 1.0) / 100.0 / 4)
+    np.testing.assert_allclose(patch_pitch_mm(patches), np.hypot(1.0, 0.0), atol=0.13)
+
+
+@pytest.mark.parametrize(("missing", "there"), [(4, True), (5, False)])
+def test_three_quarters_of_a_patch_have_points(missing: int, there: bool) -> None:
+    lost = np.zeros((48, 64), bool)
+    lost[20:24, 20:24].flat[:missing] = True
+    lost[8:12, 8:12] = True
+    # Its grey is not asked for, so that nothing bridges the hole.
+    cloud = replace(without(flat(), lost), grey=np.zeros((48, 64), np.uint8))
+    patches = patches_of(cloud, PROJECTION, 4)
+    assert bool(patches.valid[5, 5]) is there
+    assert not patches.valid[2, 2]
+
+
+@pytest.mark.parametrize(("rough_mm", "there"), [(0.11, True), (0.13, False)])
+def test_a_patch_is_no_rougher_than_an_eighth_of_a_millimetre(rough_mm: float, there: bool) -> None:
+    cloud = flat(sigma_mm=1e-4)
+    points = cloud.points_mm.copy()
+    v, u = np.mgrid[0:4, 0:4]
+    # A saddle of ±1, without slope: of 16 points 13 are free.
+    points[20:24, 20:24, 2] += rough_mm * np.sqrt(13.0 / 16.0) * np.where((u // 2 + v // 2) % 2, 1.0, -1.0)
+    patches = patches_of(replace(cloud, points_mm=points, grey=np.zeros((48, 64), np.uint8)), PROJECTION, 4)
+    assert bool(patches.valid[5, 5]) is there
+    if there:
+        assert patches.sigma_mm[5, 5] == pytest.approx(rough_mm, rel=0.01), "its plane depends on where it lies"
+
+
+@pytest.mark.parametrize(("cosine", "there"), [(0.26, True), (0.24, False)])
+def test_a_patch_that_is_seen_too_flatly_is_none(cosine: float, there: bool) -> None:
+    cloud = flat((48, 64), 0.05, tilt=float(np.sqrt(1.0 / cosine**2 - 1.0)))
+    assert bool(patches_of(cloud, PROJECTION, 4).valid[6, 8]) is there
+
+
+@pytest.mark.parametrize(("grey", "known"), [(254, True), (255, False), (7, True), (6, False)])
+def test_saturated_and_black_patches_have_no_grey(grey: int, known: bool) -> None:
+    cloud = replace(flat(), grey=np.full((48, 64), grey, np.uint8))
+    patches = patches_of(cloud, PROJECTION, 4)
+    assert bool(np.isfinite(patches.log_grey).all()) is known
+    assert patches.valid.all()
+
+
+@pytest.mark.parametrize(("patches_wide", "bridged"), [(3, True), (9, False)])
+def test_a_small_dark_print_is_bridged_and_counts_for_its_grey(patches_wide: int, bridged: bool) -> None:
+    lost = np.zeros((120, 160), bool)
+    low = 4 * (15 - patches_wide // 2)
+    lost[low : low + 4 * patches_wide, low : low + 4 * patches_wide] = True
+    lost[:, 140:] = True  # beyond the object's border
+    cloud = replace(without(flat((120, 160)), lost), grey=np.where(lost, 20, 200).astype(np.uint8))
+    patches = patches_of(cloud, PROJECTION, 4)
+    assert bool(patches.valid[15, 15]) is bridged
+    assert not patches.valid[15, 37]
+    if bridged:
+        assert patches.sigma_mm[15, 15] == 0.5
+        np.testing.assert_allclose(patches.centre_mm[15, 15, 2], 520.0, atol=0.05)
+        np.testing.assert_allclose(patches.normal[15, 15], [0.0, 0.0, -1.0], atol=1e-3)
+        assert patches.log_grey[15, 15] == pytest.approx(np.log(20.0))
+        dark = replace(cloud, grey=np.where(lost, 3, 200).astype(np.uint8))
+        assert not patches_of(dark, PROJECTION, 4).valid[15, 15]
+        stepped = cloud.points_mm.copy()
+        stepped[:, 60:, 2] += 4.0
+        assert not patches_of(replace(cloud, points_mm=stepped), PROJECTION, 4).valid[15, 15], "at a step none is known"
+
+
+def test_joined_patches_are_means_of_those_that_are_there() -> None:
+    patches = patches_of(flat(tilt=0.2), PROJECTION, 4)
+    sigma, grey = patches.sigma_mm.copy(), patches.log_grey.copy()
+    sigma[0:3, 0:3].flat[:4] = np.nan  # five of nine are left
+    sigma[0:3, 3:6].flat[:5] = np.nan  # four
+    grey[3:6, 0:3].flat[:5] = np.nan
+    joined = coarser(replace(patches, sigma_mm=sigma, log_grey=grey), 3)
+    assert joined.sigma_mm.shape == (4, 5)
+    assert joined.block_px == 12
+    assert joined.sigma_mm[0, 0] == pytest.approx(patches.sigma_mm[0, 0], rel=1e-4)
+    assert np.isnan(joined.sigma_mm[0, 1])
+    assert np.isnan([joined.centre_mm[0, 1], joined.normal[0, 1]]).all()
+    assert np.isnan([joined.log_grey[1, 0], joined.grey_noise[1, 0]]).all()
+    assert np.isfinite(joined.sigma_mm[1, 0])
+    np.testing.assert_allclose(joined.centre_mm[1, 1], patches.centre_mm[4, 4], atol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(joined.normal[1:], axis=-1), 1.0)
+    np.testing.assert_allclose(joined.grey_noise[2, 2], patches.grey_noise[0, 0] / 3)
+
+
+def test_what_is_not_before_the_camera_is_seen_nowhere() -> None:
+    seen = PROJECTION.pixels(np.array([[0.0, 0.0, 0.9], [0.0, 0.0, -500.0], [0.0, 0.0, 1.1]]))
+    assert np.isnan(seen[:2]).all()
+    assert np.isfinite(seen[2]).all()
+
+
+# -------------------------------------------------------------------------------------------- overlap of two
+
+
+def ready(cloud: OrganisedCloud) -> ReadyScan:
+    patches = patches_of(cloud, SMALL, 3)
+    nothing = np.full(patches.valid.shape, np.nan)
+    prepared = Prepared(patches, Paint(nothing, np.full((*nothing.shape, 3), np.nan), nothing))
+    system = system_of(laid(np.zeros(6)), with_paint=False)
+    return ReadyScan(prepared, prepared, of_look(np.zeros((0, 128), np.float32)), (), resistance_of(system))
+
+
+SMALL = replace(PROJECTION, terms=PROJECTION.terms / 4.0, size_px=(120, 160))
+
+
+def facing() -> OrganisedCloud:
+    """A plane at 525 mm that fills the view of the camera, pixel by pixel."""
+    v, u = np.mgrid[0:120, 0:160].astype(float)
+    at = np.stack([np.zeros_like(u), np.zeros_like(v), np.full_like(u, 525.0)], axis=-1)
+    for _ in range(12):  # where each pixel looks, by the projection itself
+        off = np.stack([u, v], axis=-1) - SMALL.pixels(at)
+        at[..., :2] += off * 1.4
+    column = np.full(u.shape, SIGMA_MM, np.float32)
+    return OrganisedCloud(at.astype(np.float32), column, column, column, np.full(u.shape, 100, np.uint8))
+
+
+def shifted(*by_mm: float) -> Rigid:
+    return Rigid(np.eye(3), np.array(by_mm))
+
+
+def test_two_placed_scans_overlap_by_the_share_of_patches_within_three_millimetres() -> None:
+    scan = ready(facing())
+    points = scan.coarse.patches.centre_mm[..., 0]
+    width_mm = float(np.nanmax(points) - np.nanmin(points))
+    assert overlap(scan, scan, shifted(0.0, 0.0, 2.9)) > 0.95
+    assert overlap(scan, scan, shifted(0.0, 0.0, 3.1)) == 0.0
+    assert overlap(scan, scan, shifted(0.0, 0.0, -2.9)) > 0.95
+    assert overlap(scan, scan, shifted(0.6 * width_mm, 0.0, 0.0)) == pytest.approx(0.4, abs=0.06)
+    for share, found in ((0.26, 1), (0.14, 0)):
+        poses = {3: shifted(0.0, 0.0, 0.0), 7: shifted((1.0 - share) * width_mm, 0.0, 0.0)}
+        pairs = by_place([scan] * 8, poses, set())
+        assert [(first, second) for first, second, _ in pairs] == [(3, 7)] * found
+        assert by_place([scan] * 8, poses, {(3, 7)}) == []
+        if found:
+            np.testing.assert_allclose(pairs[0][2].translation_mm, poses[7].translation_mm)
+
+
+# ---------------------------------------------------------------------------------------------------- paint
+
+
+LIGHT_MM = np.array([60.0, 0.0, 0.0])
+
+
+def painted(value: Array, pitch_mm: float = 1.0) -> Patches:
+    """Patches of a bowl whose logarithm of grey is ``value`` under the light, with the shading that its shape makes."""
+    gh, gw = value.shape
+    v, u = np.mgrid[0:gh, 0:gw].astype(float)
+    x, y = (u - gw / 2) * pitch_mm, (v - gh / 2) * pitch_mm
+    centre = np.stack([x, y, 520.0 - (x**2 + y**2) / 160.0], axis=-1)
+    normal = np.stack([-x / 80.0, -y / 80.0, -np.ones_like(x)], axis=-1)
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    to_light = LIGHT_MM - centre
+    away = np.linalg.norm(to_light, axis=-1)
+    shade = np.log((normal * to_light).sum(-1) / away) - 2.0 * np.log(away / 500.0)
+    sigma = np.full(value.shape, SIGMA_MM)
+    return Patches(centre, normal, sigma, value + shade, 0.01 * np.ones_like(value), 4, PROJECTION)
+
+
+def test_shading_is_no_paint_and_paint_is_kept() -> None:
+    bare = painted(np.zeros((50, 60)))
+    assert bare.log_grey.std() > 0.015
+    assert np.abs(paint_of(bare, LIGHT_MM).value).max() < 0.002
+    fine = 0.3 * np.random.default_rng(1).normal(size=(50, 60))
+    paint = paint_of(painted(fine), LIGHT_MM)
+    assert np.corrcoef(paint.value.ravel(), fine.ravel())[0, 1] > 0.98
+    np.testing.assert_array_equal(paint.noise, 0.01)
+
+
+@pytest.mark.parametrize(("waves_mm", "kept"), [(8.0, (0.9, 1.1)), (33.0, (0.35, 0.65)), (200.0, (0.0, 0.2))])
+def test_paint_that_varies_slowly_is_left_out(waves_mm: float, kept: tuple[float, float]) -> None:
+    x = np.broadcast_to(np.arange(160.0), (80, 160))
+    wave = 0.3 * np.sin(2.0 * np.pi * x / waves_mm)
+    seen = paint_of(painted(wave), LIGHT_MM).value[20:-20, 20:-20]
+    amplitude = np.sqrt(2.0) * seen.std() / 0.3
+    assert kept[0] <= amplitude <= kept[1]
+
+
+@pytest.mark.parametrize(("count", "known"), [(39, False), (40, True)])
+def test_paint_is_told_from_forty_patches_on(count: int, known: bool) -> None:
+    value = np.full(60, np.nan)
+    value[:count] = np.random.default_rng(2).normal(size=count)
+    assert bool(np.isfinite(paint_of(painted(value.reshape(6, 10)), LIGHT_MM).value).any()) is known
+
+
+def test_the_gradient_of_paint_lies_along_the_surface_and_ends_at_edges() -> None:
+    patches = painted(np.zeros((30, 30)))
+    patches = replace(patches, log_grey=0.2 * np.random.default_rng(3).normal(size=(30, 30)))
+    paint = paint_of(patches, LIGHT_MM)
+    c, value, g = patches.centre_mm, paint.value, paint.gradient
+    assert np.isnan(g[0]).all()
+    assert np.isnan(g[:, -1]).all()
+    for (y, x), (v, u) in (((9, 12), (0, 1)), ((20, 7), (1, 0))):
+        step = c[y + v, x + u] - c[y - v, x - u]
+        assert g[y, x] @ step == pytest.approx(value[y + v, x + u] - value[y - v, x - u])
+        assert g[y, x] @ np.cross(c[y, x + 1] - c[y, x - 1], c[y + 1, x] - c[y - 1, x]) == pytest.approx(0.0, abs=1e-12)
+    pitch_mm = patch_pitch_mm(patches)
+    for apart, known in ((5.5, True), (6.5, False)):
+        far = c.copy()
+        # Two patches beside each other lie this many pitches apart in all.
+        far[:, 15:, 0] += (apart - 2.0) * pitch_mm
+        there = paint_of(replace(patches, centre_mm=far), LIGHT_MM).gradient[10, 15]
+        assert bool(np.isfinite(there).all()) is known
+
+
+# -------------------------------------------------------------------------------------------------- repeats
+
+
+def print_of(period_mm: float, noise: float, shape: tuple[int, int] = (40, 50)) -> tuple[Patches, Paint]:
+    v, u = np.mgrid[0 : shape[0], 0 : shape[1]].astype(float)
+    stripes = np.sin(2.0 * np.pi * u / period_mm) + np.sin(2.0 * np.pi * v / 13.0)
+    value = stripes + noise * np.random.default_rng(4).normal(size=shape)
+    patches = painted(np.zeros(shape))
+    flat_at = np.stack([u, v, np.full(shape, 520.0)], axis=-1)
+    return replace(patches, centre_mm=flat_at), Paint(value, np.full((*shape, 3), np.nan), np.zeros(shape))
+
+
+def test_a_print_repeats_by_its_period_and_by_no_less_than_four_millimetres() -> None:
+    shifts = repeats_of(*print_of(8.0, 0.0))
+    assert shifts
+    assert len(shifts) == 12, "six, and their opposites"
+    assert all(round(float(x)) % 8 == 0 and round(float(y)) % 13 == 0 for x, y, _ in shifts)
+    # Twice the period leaves 0.27 or 0.33 of the patches in common.
+    for columns, multiples in ((22, {-8, 8}), (24, {-16, -8, 8, 16})):
+        found = repeats_of(*print_of(8.0, 0.0, (16, columns)))
+        assert {(round(float(x)), round(float(y))) for x, y, _ in found} == {(x, 0) for x in multiples}
+    near = repeats_of(*print_of(3.0, 0.0))
+    assert min(float(np.hypot(*one[:2])) for one in near) > 4.0
+
+
+@pytest.mark.parametrize(("noise", "repeats"), [(0.8, True), (1.1, False)])
+def test_paint_repeats_where_it_correlates_with_itself_by_more_than_half(noise: float, repeats: bool) -> None:
+    # Of two waves with a variance of ½ each, correlation is 1 / (1 + noise²): 0.61 and 0.45.
+    assert bool(repeats_of(*print_of(8.0, noise))) is repeats
+
+
+@pytest.mark.parametrize(("rows", "repeats"), [(8, True), (7, False)])
+def test_paint_of_less_than_two_hundred_patches_repeats_nowhere(rows: int, repeats: bool) -> None:
+    assert bool(repeats_of(*print_of(8.0, 0.0, (rows, 26)))) is repeats
+
+
+# ------------------------------------------------------------------------------------------------ equations
+
+
+def laid(delta: Array, count: int = 400, seed: int = 5, noise: float = 0.0, plane: bool = False) -> Laid:
+    """Patches all about a middle that lie off A by what the displacement δ makes; ``noise`` of each scan's normals."""
+    rng = np.random.default_rng(seed)
+    x = rng.uniform(-50.0, 50.0, (count, 3)) + np.array([0.0, 0.0, 520.0])
+    if plane:
+        x[:, 2] = 520.0
+    arm = x - x.mean(axis=0)
+    lever = np.sqrt((arm**2).sum(axis=1).mean())
+    n = np.tile([0.0, 0.0, -1.0], (count, 1)) if plane else rng.normal(size=(count, 3))
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    rows = np.concatenate([np.cross(arm, n) / lever, n], axis=1)
+    a, b = (n + noise * rng.normal(size=(count, 3)) for _ in range(2))
+    unknown, flat_, at_once = np.full(count, np.nan), np.zeros((count, 3)), np.ones(0, bool)
+    index = np.arange(count)
+    return Laid(
+        x_mm=x, source=index, tile=index, apart_mm=rows @ delta, normal_a=a, normal_b=b, sigma_mm=np.full(count, SIGMA_MM), paint=unknown,
+        gradient_a=flat_, gradient_b=flat_, paint_noise=unknown, paint_a=unknown, paint_b=unknown, unmet=at_once, front=at_once, tried=count,
+    )  # fmt: skip
+
+
+DELTA = np.array([0.1, -0.2, 0.15, 0.3, -0.1, 0.05])
+
+
+def test_a_step_undoes_the_displacement_and_is_eight_millimetres_at_most() -> None:
+    system = system_of(laid(DELTA), with_paint=False)
+    np.testing.assert_allclose(step_of(system), -DELTA, atol=1e-9)
+    there = moved(Rigid(np.eye(3), np.zeros(3)), system, DELTA)
+    arm = laid(DELTA).x_mm - system.middle
+    np.testing.assert_allclose(
+        there.of(laid(DELTA).x_mm) - laid(DELTA).x_mm, np.cross(DELTA[:3] / system.lever, arm) + DELTA[3:], atol=1e-3
+    )
+    for factor, size in ((10.0, 10.0 * float(np.linalg.norm(DELTA))), (40.0, 8.0)):
+        step = step_of(system_of(laid(factor * DELTA), with_paint=False))
+        assert np.linalg.norm(step) == pytest.approx(size)
+
+
+def test_along_what_nothing_holds_no_step_is_taken() -> None:
+    off = laid(DELTA, plane=True)
+    step = step_of(system_of(off, with_paint=False))
+    np.testing.assert_allclose(step[[2, 3, 4]], 0.0, atol=1e-6)
+    np.testing.assert_allclose(step[[0, 1, 5]], -DELTA[[0, 1, 5]], atol=1e-3)
+
+
+def test_weights_fall_for_outliers_and_for_all_where_residuals_scatter_more_than_noise_explains() -> None:
+    still = laid(np.zeros(6))
+    variance = SIGMA_MM**2 + EXTRA_MM**2
+    np.testing.assert_allclose(system_of(still, with_paint=False).w, 1.0 / variance)
+    apart = np.zeros(400)
+    apart[0] = 3.0 * np.sqrt(variance)
+    assert system_of(replace(still, apart_mm=apart), with_paint=False).w[0] == pytest.approx(0.5 / variance)
+    apart = np.where(np.arange(400) % 2, 1.0, -1.0)
+    scatter = 1.4826**2
+    np.testing.assert_allclose(
+        system_of(replace(still, apart_mm=apart), with_paint=False).w, 1.0 / scatter / (1.0 + 1.0 / (9.0 * scatter))
+    )
+    assert spread(np.array([-1.0, 0.0, 1.0])) == pytest.approx(1.4826)
+    assert spread(np.zeros(0)) == 0.0
+
+
+@pytest.mark.parametrize(("known", "used"), [(119, False), (120, True)])
+def test_paint_counts_from_a_hundred_and_twenty_patches_on(known: int, used: bool) -> None:
+    still = laid(np.zeros(6), plane=True)
+    paint = np.full(400, np.nan)
+    paint[:known] = 0.7
+    noise = np.where(np.isfinite(paint), 0.02, np.nan)
+    along = np.tile([0.05, 0.0, 0.0], (400, 1))
+    both = replace(still, paint=paint, paint_noise=noise, gradient_a=along, gradient_b=along)
+    system = system_of(both, with_paint=True)
+    assert len(system.r) == 400 + (known if used else 0)
+    assert len(system_of(both, with_paint=False).r) == 400
+    if used:
+        np.testing.assert_array_equal(np.flatnonzero(system.of_paint), 400 + np.arange(known))
+        np.testing.assert_allclose(system.r[400:], 0.0, err_msg="a brighter picture is no displacement")
+        np.testing.assert_allclose(system.w[400:], 1.0 / (0.02**2 + EXTRA_PAINT**2))
+        np.testing.assert_array_equal(system.cluster[400:], np.arange(known))
+
+
+def test_a_plane_with_paint_is_held_by_paint_where_planes_do_not() -> None:
+    rng = np.random.default_rng(7)
+    still = laid(np.zeros(6), plane=True)
+    paint = 0.01 * np.concatenate([rng.normal(size=(400, 2)), np.zeros((400, 1))], axis=1)
+    both = replace(still, paint=np.zeros(400), paint_noise=np.full(400, 0.02), gradient_a=paint, gradient_b=paint)
+    by_paint = resistance_of(system_of(both, with_paint=True))
+    assert by_paint.paint_share == pytest.approx(1.0, abs=0.01)
+    assert resistance_of(system_of(laid(np.zeros(6)), with_paint=False)).paint_share == 0.0
+
+
+def test_noise_of_normals_holds_nothing_and_is_known_by_its_size() -> None:
+    """Along a plane stiffness is noise times noise: of the size of half the stated deviation, which doubles it for neighbours."""
+    loose = []
+    for seed in range(60):
+        found = resistance_of(system_of(laid(np.zeros(6), 150, seed, noise=0.05, plane=True), with_paint=False))
+        soft = np.argsort(np.abs(found.directions[[0, 1, 5]]).sum(axis=0))[:3]
+        loose += found.held[soft].tolist()
+        assert np.sort(found.held)[3] > 5.0
+    assert 0.35 < float(np.sqrt(np.mean(np.square(loose)))) < 0.75
+
+
+def test_a_pose_errs_by_what_is_stated_also_where_patches_of_a_tile_err_together() -> None:
+    rng = np.random.default_rng(8)
+    base = laid(np.zeros(6))
+    for tile in (1, 4):
+        scores = []
+        for _ in range(120):
+            common = np.repeat(rng.normal(size=400 // tile), tile)
+            noisy = replace(base, apart_mm=SIGMA_MM * common, tile=np.arange(400) // tile)
+            system = system_of(noisy, with_paint=False)
+            step = step_of(system)
+            after = replace(system, r=system.r + system.J @ step)
+            scores.append(step @ np.linalg.solve(resistance_of(after).covariance, step) / 6.0)
+        assert 0.8 < float(np.mean(scores)) < 1.25
