@@ -19,10 +19,10 @@ from appliance.storage.filesystem import AppendingFileSystem
 from appliance.storage.library import LibraryFolder
 from appliance.storage.names import CALIBRATIONS, OBJECTS, by_number, is_component, scan_number
 
-ATTEMPTS = 6
-"""Number of times in a row that a link is opened without anything coming over it, before the call ends."""
 WAITS_S = (1.0, 2.0, 4.0, 8.0, 15.0)
 """Waits before the second attempt, the third, …"""
+ATTEMPTS = len(WAITS_S) + 1
+"""Number of times in a row that a link is opened without anything coming over it, before the call ends."""
 SMALL_BYTES = 50_000_000
 """Largest file beside the scans that is taken."""
 DEEPEST = 4
@@ -73,7 +73,7 @@ class Pulled:
     @property
     def whole(self) -> bool:
         """True if everything that is finished there is here."""
-        return not self.of(PullOutcome.DIFFERS, PullOutcome.FAILED, PullOutcome.LATER)
+        return all(one.outcome in (PullOutcome.TAKEN, PullOutcome.ALREADY) for one in self.came.values())
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +120,7 @@ def pull(
                     f"{lost}; tried {ATTEMPTS} times. {whole} scans and {done.taken_bytes / 1e6:.1f} MB were taken and stay; "
                     "call again, and it goes on there"
                 ) from lost
-            wait(WAITS_S[min(empty, len(WAITS_S)) - 1])
+            wait(WAITS_S[empty - 1])
 
 
 def _attempt(
