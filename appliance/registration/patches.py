@@ -176,7 +176,7 @@ def patches_of(cloud: OrganisedCloud, projection: Projection, block_px: int | No
         # What is rougher than noise explains is shape, a weld or an edge: its plane depends on where the block happens to lie.
         shape2 = np.maximum(rough2 - sigma2 * (1.0 + 2.0 * np.sqrt(2.0 / np.maximum(count, 1))), 0.0)
         sigma = np.sqrt(sigma**2 + ROUGH_COUNTS * shape2)
-    good = enough & flat & (away > MIN_COSINE) & np.isfinite(normal).all(-1)
+    good = enough & flat & (away > MIN_COSINE)
     grey = blocks(cloud.grey)
     lit = (grey.max(-1) < 255) & (grey.mean(-1) > 6.0)
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -137,6 +137,8 @@ def las_columns(raw: bytes) -> dict[str, NDArray[Any]]:
     """Points of an LAS 1.4 file of point format 6, from the tables of ASPRS' specification."""
     assert raw[:4] == b"LASF"
     assert (raw[24], raw[25]) == (1, 4)
+    assert raw[26:58].rstrip(b"\0") == b"Kingfisher, unit metre"
+    assert raw[58:90].rstrip(b"\0") == b"kingfisher"
     assert raw[6] & 16, "its coordinate system is in words"
     assert raw[90:94] == bytes(4), "no date, else the same points would not give the same file"
     header, data, vlrs = struct.unpack_from("<HII", raw, 94)

@@ -17,11 +17,13 @@ from appliance.processing.procedure import (
     Identified,
     OneJudged,
     SequenceProcessor,
+    _specks_count,
 )
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.fault import FaultCode
 from appliance.scan.noise import TYPICAL, StereoNoise
+from appliance.scan.verdict import Judgement, Verdict
 from hw_sim.scene import Scene
 from tests.support.rendered import RenderedScan, render_scan
 from tests.support.truth import WATER, true_calibration
@@ -140,6 +142,12 @@ def test_frames_that_are_missing_are_refused(processor: SequenceProcessor, wall:
     processor.push("left", wall["left"], 0)
     with pytest.raises(ValueError, match="frames"):
         processor.run()
+
+
+@pytest.mark.parametrize(("speck_percent", "count"), [(0.019, False), (0.021, True), (None, False)])
+def test_specks_are_looked_for_from_one_pixel_in_five_thousand_on(speck_percent: float | None, count: bool) -> None:
+    assert _specks_count(Judgement(Verdict("water", True, {"speck_percent": speck_percent}))) is count
+    assert not _specks_count(None)
 
 
 def test_a_scan_at_rest_remembers_its_windows(processor: SequenceProcessor) -> None:

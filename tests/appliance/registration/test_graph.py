@@ -12,7 +12,9 @@ from appliance.optics.rotation import rotation_matrix, rotation_vector
 from appliance.registration.bow import BowNews
 from appliance.registration.fine import Fit
 from appliance.registration.graph import Edge, place
+from appliance.registration.pair import PairRefusal, RegisteredPair
 from appliance.registration.rigid import Rigid
+from appliance.registration.solve import Compared, _left_out, _thinned, edges_of
 
 STEP_MM = 60.0
 MIDDLE_MM = np.array([30.0, 0.0, 500.0])
@@ -194,3 +196,38 @@ def test_the_shared_error_is_estimated_where_pairs_tell_of_it_and_budgeted_where
     without = place(9, told, middles(9), with_bow=False)
     assert off_mm(place(9, [*chain], middles(9), with_bow=False).poses[8], 8) > 1.0
     assert without.bending_mm == without.bending_unaided_mm, "what was not estimated is not known any better"
+
+
+def test_of_pairs_that_places_put_beside_each_other_three_of_each_scan_are_compared_the_farthest_in_time_first() -> (
+    None
+):
+    here = Rigid(np.eye(3), np.zeros(3))
+    kept = _thinned([(0, k, here) for k in range(1, 6)] + [(k, 6, here) for k in (2, 4, 5)])
+    assert list(kept) == [(0, 5), (0, 4), (2, 6), (0, 3), (4, 6), (5, 6)]
+    assert all(pose is here for pose in kept.values())
+
+
+def test_each_scan_without_a_place_has_the_reason_that_helps_most() -> None:
+    def refused(first: int, second: int, why: PairRefusal) -> Compared:
+        return Compared(first, second, RegisteredPair(None, why, f"{first} and {second}"))
+
+    def accepted(edge_of: Edge) -> Compared:
+        return Compared(edge_of.first, edge_of.second, RegisteredPair(edge_of.fit, None, ""))
+
+    compared = [
+        *(accepted(edge(i, j)) for i, j in ((0, 1), (1, 2), (0, 2), (3, 4))),
+        refused(2, 5, PairRefusal.SLIDES), refused(5, 6, PairRefusal.TOO_LITTLE), refused(2, 6, PairRefusal.NOTHING_IN_COMMON),
+        refused(0, 7, PairRefusal.NOTHING_IN_COMMON),
+    ]  # fmt: skip
+    assert [(one.first, one.second) for one in edges_of(compared)] == [(0, 1), (1, 2), (0, 2), (3, 4)]
+    placed = place(8, edges_of(compared), middles(8))
+    left = _left_out(8, placed, compared)
+    assert {scan: (one.why, one.beside) for scan, one in left.items()} == {
+        3: ("it fits others that have no place either", None),
+        4: ("it fits others that have no place either", None),
+        5: ("5 and 6", 6),
+        6: ("5 and 6", 5),
+        7: ("it overlaps no other scan", None),
+    }
+    contradicting = replace(placed, wrong=(edge(3, 4),))
+    assert _left_out(8, contradicting, compared)[4].why == "its pairs contradict the loops of the others"

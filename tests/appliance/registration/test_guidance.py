@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from appliance.registration.guidance import Guide, Sight, camera_pose, long_axis
 from appliance.registration.overlap import CoarseView
 from appliance.registration.patches import projection_of
-from appliance.scan.guidance import Guidance, Move
+from appliance.scan.guidance import LEAST_GOOD, MOST_GOOD, Guidance, Move
 from appliance.worker.live_picture import reduced
 from hw_sim.objects.motion import pose_matrix
 from tests.appliance.registration.test_overlap import coarse, main_at, seen, true_share
@@ -167,6 +167,52 @@ def test_marks_that_tell_of_two_places_tell_of_none() -> None:
     assert camera_pose(SIGHT, points, np.where(half[:, None], uv, other)) is None
     few = np.arange(len(points)) % 5 < 4
     assert camera_pose(SIGHT, points, np.where(few[:, None], uv, other)) is not None
+
+
+@pytest.mark.parametrize(("wide_px", "long"), [(54, False), (58, True)])
+def test_an_axis_is_a_way_from_one_and_two_fifths_of_the_width_on(wide_px: int, long: bool) -> None:
+    lit = np.zeros((60, 80), bool)
+    lit[10:50, 10 : 10 + wide_px] = True
+    assert (long_axis(lit) is not None) is long
+    axis = long_axis(lit.T)
+    assert (axis is not None) is long
+    if axis is not None:
+        assert abs(axis[1]) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("share", "aside_mm", "way"),
+    [
+        (LEAST_GOOD - 0.01, 13.0, 1.0),
+        (LEAST_GOOD, 13.0, None),
+        (MOST_GOOD, 13.0, None),
+        (MOST_GOOD + 0.01, 13.0, -1.0),
+        (MOST_GOOD + 0.01, 11.0, None),
+    ],
+)
+def test_the_way_leads_to_the_kept_view_or_away_from_it_where_it_is_not_already_here(
+    share: float, aside_mm: float, way: float | None
+) -> None:
+    camera = SIGHT.camera
+    centre = np.array([[(camera.width_px - 1) / 2.0, (camera.height_px - 1) / 2.0]])
+    middle = np.append(SIGHT.directions(centre, 550.0)[0] * 550.0, 550.0)
+    found = Guide(SIGHT)._way(np.ones((60, 80), bool), middle[None] + (aside_mm, 0.0, 0.0), share)
+    assert (found is None) == (way is None)
+    if found is not None:
+        assert found == pytest.approx((way, 0.0), abs=1e-6)
+
+
+@pytest.mark.parametrize(("kept_dn", "dn", "lit"), [(100, 52, True), (100, 48, False), (12, 9, True), (12, 7, False)])
+def test_a_cell_is_lit_by_half_of_what_the_kept_scans_faintest_points_had(kept_dn: int, dn: int, lit: bool) -> None:
+    points = np.full((120, 160, 3), 500.0, np.float32)
+    picture = np.full((480, 640), kept_dn, np.uint8)
+    kept = CoarseView(points, points[..., 0], 4, (picture, picture), 1.0, PROJECTION)
+    here = picture.copy()
+    here[:40, :80] = dn
+    found = Guide(SIGHT)._lit(kept, here)
+    assert found.shape == (60, 80)
+    assert bool(found[:5, :10].any()) is lit
+    assert found[6:, 12:].all()
 
 
 def test_what_is_about_as_long_as_wide_has_no_axis() -> None:

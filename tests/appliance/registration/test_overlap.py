@@ -12,7 +12,8 @@ from scipy.spatial import cKDTree
 from appliance.reconstruct.quality import CloudSummary
 from appliance.reconstruct.table import Cloud
 from appliance.registration.features import Features, PictureMarks
-from appliance.registration.overlap import CoarseView, coarse_view, compare
+from appliance.registration.overlap import CoarseView, _again, _single, coarse_view, compare, share_on
+from appliance.registration.rigid import Rigid
 from appliance.scan.overlap import Overlap
 from tests.support.views import PROJECTION, SeenView, between, view
 
@@ -153,3 +154,48 @@ def test_a_scan_of_nothing_tells_nothing() -> None:
     empty = CoarseView(nothing, nothing[..., 0], made.stride_px, (dark, dark), made.reduced, PROJECTION)
     for first, second in ((made, empty), (empty, made), (empty, empty)):
         assert said(first, second).share is None
+
+
+def looks(*cosines: float) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
+    """Descriptors of these cosines with the first axis, and as unlike each other as that allows."""
+    made = np.zeros((len(cosines), 128), np.float32)
+    for k, cosine in enumerate(cosines):
+        made[k, 0], made[k, 1 + k] = cosine, np.sqrt(1.0 - cosine**2)
+    return made
+
+
+@pytest.mark.parametrize(
+    ("away_px", "cosine", "again"), [(1.4, 0.86, True), (1.6, 0.86, False), (1.4, 0.84, False), (0.0, 1.0, True)]
+)
+def test_a_mark_is_there_again_near_by_and_alike(away_px: float, cosine: float, again: bool) -> None:
+    at = np.array([[10.0, 20.0]])
+    found = _again(at, looks(1.0), np.concatenate([at + 50.0, at + np.array([away_px, 0.0])]), looks(1.0, cosine))
+    assert found.tolist() == [again]
+    assert _again(at, looks(1.0), at[:0], looks()).tolist() == [False]
+
+
+@pytest.mark.parametrize(
+    ("away_mm", "cosine", "single"), [(3.1, 0.91, True), (3.1, 0.93, False), (2.9, 0.93, True), (300.0, 0.93, False)]
+)
+def test_a_mark_that_looks_like_another_one_elsewhere_tells_no_place(
+    away_mm: float, cosine: float, single: bool
+) -> None:
+    points = np.array([[0.0, 0.0, 525.0], [away_mm, 0.0, 525.0]])
+    assert _single(Features(points, looks(1.0, cosine), np.ones(2))).tolist() == [single] * 2
+
+
+@pytest.mark.parametrize(("marks", "told"), [(5, True), (4, False)])
+def test_five_marks_tell_of_twelve_millimetres_around(marks: int, told: bool) -> None:
+    rng = np.random.default_rng(9)
+    at = np.column_stack([rng.uniform(-0.4, 0.4, (marks, 2)), np.full(marks, 525.0)])
+    plane = plane_with_marks(at)
+    seen_mm = plane.points_mm[np.isfinite(plane.points_mm[..., 2])][:, :2]
+    around = float((np.abs(seen_mm) < 12.0).all(axis=1).mean())
+    assert plane.told() == (pytest.approx(around, rel=0.25) if told else 0.0)
+
+
+@pytest.mark.parametrize(("away_mm", "share"), [(2.9, 1.0), (-2.9, 1.0), (3.1, None)])
+def test_two_surfaces_are_one_within_three_millimetres(away_mm: float, share: float | None) -> None:
+    plane = plane_with_marks(np.zeros((0, 3)))
+    found = share_on(plane, plane, Rigid(np.eye(3), np.array([0.0, 0.0, away_mm]))).share
+    assert found == (share if share is None else pytest.approx(share, abs=0.03))

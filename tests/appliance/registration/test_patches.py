@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from appliance.reconstruct.organised import OrganisedCloud
-from appliance.registration.albedo import Paint, paint_of, patch_pitch_mm
+from appliance.registration.albedo import Paint, _without_shading, paint_of, patch_pitch_mm
 from appliance.registration.candidates import by_place, overlap
 from appliance.registration.equations import (
     EXTRA_MM,
@@ -235,6 +235,13 @@ def test_shading_is_no_paint_and_paint_is_kept() -> None:
     paint = paint_of(painted(fine), LIGHT_MM)
     assert np.corrcoef(paint.value.ravel(), fine.ravel())[0, 1] > 0.98
     np.testing.assert_array_equal(paint.noise, 0.01)
+
+
+def test_glare_does_not_change_the_paint_of_the_rest() -> None:
+    bright = np.zeros((50, 60))
+    bright[5:20, 35:55] = 1.0
+    left = _without_shading(painted(bright), np.ones((50, 60), bool), LIGHT_MM)
+    assert float(np.abs(left[bright.ravel() == 0.0]).max()) < 0.05
 
 
 @pytest.mark.parametrize(("waves_mm", "kept"), [(8.0, (0.9, 1.1)), (33.0, (0.35, 0.65)), (200.0, (0.0, 0.2))])
