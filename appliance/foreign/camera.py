@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +44,11 @@ class DecodedCamera:
         """(h, w) bool: all coordinates are there."""
         return np.asarray(np.logical_and.reduce([one.reason == NoCoordinate.VALID for one in self.placed.values()]))
 
+    @property
+    def misfit_share(self) -> dict[str, float | None]:
+        """What sines leave of the steps of each direction, over their modulation; ``None`` where nothing tells."""
+        return {name: one.misfit_share for name, one in self.measured.items()}
+
     def share_valid(self) -> float:
         """Return the share of the pixels with light that have all coordinates; 0 where there is no light."""
         lit = np.logical_and.reduce([one.reason != NoCoordinate.WEAK for one in self.placed.values()])
@@ -53,14 +58,16 @@ class DecodedCamera:
 def decode_camera(images: ImageSet, description: Description) -> DecodedCamera:
     """Decode one camera's images. Raises ForeignError."""
     measured = {axis.name: measure(images, axis) for axis in description.axes}
-    placed = {axis.name: place(measured[axis.name], axis) for axis in description.axes}
-    return DecodedCamera(images, measured, placed, _picture(images, measured))
+    return DecodedCamera(images, measured, _placed(measured, description), _picture(images, measured))
 
 
 def placed_again(camera: DecodedCamera, description: Description) -> DecodedCamera:
     """Return the camera with coordinates by another convention that reads the same images; phase steps are turned, not fitted again."""
-    placed = {axis.name: place(camera.measured[axis.name], axis) for axis in description.axes}
-    return DecodedCamera(camera.images, camera.measured, placed, camera.grey)
+    return replace(camera, placed=_placed(camera.measured, description))
+
+
+def _placed(measured: Mapping[str, Measured], description: Description) -> dict[str, PlacedAxis]:
+    return {axis.name: place(measured[axis.name], axis, description.extent_px(axis)) for axis in description.axes}
 
 
 def _picture(images: ImageSet, measured: Mapping[str, Measured]) -> NDArray[np.uint8]:
@@ -105,6 +112,8 @@ def clean(placed: PlacedAxis) -> CleanAxis:
     if placed.stripe_px:
         drawn_px = max(DRAWN * placed.stripe_px, _ripple(kept, placed.stripe_px / step_px))
         sigma_px = np.hypot(sigma_px, np.float32(drawn_px))
+    if placed.sigma_px is not None:
+        sigma_px = np.hypot(sigma_px, placed.sigma_px)
     return CleanAxis(kept, np.asarray(sigma_px, np.float32), step_px)
 
 

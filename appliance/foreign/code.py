@@ -12,7 +12,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
+from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,14 +24,15 @@ from appliance.foreign.order import Shows
 
 Floats = NDArray[np.float32]
 
-SAMPLED = 3
-"""Every so many pixels are asked whether the camera resolves an image."""
+TOLD = 0.25
+"""Least share of the full difference at which a pixel tells a stripe from the next."""
+WINDOW_PX, LEAST_TOLD, MODULATED = 9, 0.7, 0.1
+"""Stripes as wide as a pixel leave a quarter of all pixels below that, and finer ones ever more: in a window of so many pixels an image is
+resolved where so large a share tells them apart, and seen at all from the second share on."""
 LIT = 0.2
 """Largest difference of a pixel that is asked, over that of the brightest ones."""
-TOLD, LEAST_TOLD = 0.25, 0.7
-"""Stripes as wide as a pixel leave a quarter of all pixels below a quarter of the full difference, and finer ones ever more: an image
-is resolved where at least so many pixels reach it."""
 LEAST_BITS = 3
+LINES_AT_ONCE = 14 * WINDOW_PX
 NEARLY_FULL = 0.8
 """Share of the full difference that the two pixels beside a border's own have at least where no other border is near."""
 
@@ -50,7 +53,8 @@ class CodeBits:
     bits: NDArray[np.bool_]
     """(n, h, w) in the order of the images: the stripe is bright. Images at either end that the camera cannot resolve are left out."""
     contrast: Floats
-    """(h, w): the swing that all but a quarter of the bits reach, in grey values; that of the references or the range without inverses."""
+    """(h, w): the swing that all but a quarter of the bits reach, in grey values; that of the references or the range without inverses; 0
+    where the finest image does not light the pixel: what coarse stripes light by way of the room."""
     threshold: Threshold
     left_out: tuple[int, int]
     """Number of images that were left out at the beginning and at the end, because their stripes are finer than the camera's pixels."""
@@ -61,59 +65,97 @@ class CodeBits:
 
 def read_bits(images: ImageSet, axis: AxisConvention, sine_mean: Floats | None) -> CodeBits:
     """Return the bits of a direction; ``sine_mean`` (h, w) is the mean of its sines, ``None`` where it has none."""
-    gray = [images.image(Shows.GRAY, axis.name, k) for k in range(axis.bits)]
+    gray, inverse = (images.all_of(shows, axis.name) for shows in (Shows.GRAY, Shows.INVERSE))
     bright, dark = images.image(Shows.BRIGHT), images.image(Shows.DARK)
-    stack = np.stack([one for one in gray if one is not None]).astype(np.float32)
-    contrast: Floats | None = None
-    if axis.inverses:
-        inverse = [images.image(Shows.INVERSE, axis.name, k) for k in range(axis.bits)]
-        stack -= np.stack([one for one in inverse if one is not None])
-        kind = Threshold.INVERSE
-    elif bright is not None and dark is not None:
-        kind, contrast = Threshold.REFERENCES, bright.astype(np.float32) - dark
-        stack -= np.float32(0.5) * (bright.astype(np.float32) + dark)
-    elif sine_mean is not None:
-        stack -= sine_mean
-        kind = Threshold.SINES
-    else:
-        low, high = stack.min(axis=0), stack.max(axis=0)
-        kind, contrast = Threshold.RANGE, high - low
-        stack -= np.float32(0.5) * (low + high)
-    left_out = _unresolved(stack)
-    stack = stack[left_out[0] : len(stack) - left_out[1]]
-    if contrast is None:
-        # One bit, and of narrow stripes two, may be in the middle of turning: the others tell how much light there is.
-        swing = np.partition(np.abs(stack), len(stack) // 4, axis=0)[len(stack) // 4]
-        contrast = swing if kind is Threshold.INVERSE else np.float32(2.0) * swing
-    borders = _borders(stack, axis.name == "y") if sine_mean is None else None
-    return CodeBits(stack > 0.0, np.asarray(contrast, np.float32), kind, left_out, borders)
+    kind = Threshold.INVERSE if inverse else Threshold.RANGE if sine_mean is None else Threshold.SINES
+    references = [one for one in (dark, bright) if one is not None]
+    if not inverse and len(references) == 2:
+        kind = Threshold.REFERENCES
+    turned = axis.name == "y"
+
+    def lines(image: NDArray[Any], part: slice) -> Floats:
+        return (image[:, part].T if turned else image[part]).astype(np.float32)
+
+    def signed(part: slice) -> tuple[Floats, Floats | None]:
+        """Return the differences from the threshold (n, lines, length) of some lines along the direction, and the swing that is known."""
+        stack = np.stack([lines(one, part) for one in gray])
+        match kind:
+            case Threshold.INVERSE:
+                for one, other in zip(stack, inverse, strict=True):
+                    one -= lines(other, part)
+                return stack, None
+            case Threshold.SINES:
+                assert sine_mean is not None
+                return stack - lines(sine_mean, part), None
+            case Threshold.REFERENCES:
+                low, high = (lines(one, part) for one in references)
+            case Threshold.RANGE:
+                low, high = stack.min(axis=0), stack.max(axis=0)
+        return stack - np.float32(0.5) * (low + high), high - low
+
+    count, length = images.shape[::-1] if turned else images.shape
+    parts = [slice(begin, begin + LINES_AT_ONCE) for begin in range(0, count, LINES_AT_ONCE)]
+    windows = [_windows(signed(part)[0]) for part in parts]
+    shares, largest = (
+        np.concatenate([one.reshape(len(one), -1) for one in kind], axis=1) for kind in zip(*windows, strict=True)
+    )
+    left_out = _unresolved(shares[:, largest[0] > LIT * np.quantile(largest, 0.95)], axis.fine_first)
+    kept = slice(left_out[0], len(gray) - left_out[1])
+    bits = np.empty((kept.stop - kept.start, count, length), np.bool_)
+    contrast = np.empty((count, length), np.float32)
+    borders = np.empty((count, length - 1), np.float32) if sine_mean is None else None
+    for part, (told, _) in zip(parts, windows, strict=True):
+        stack, swing = signed(part)
+        stack = stack[kept]
+        bits[:, part] = stack > 0.0
+        if swing is None:
+            # One bit, and of narrow stripes two, may be in the middle of turning: the others tell how much light there is.
+            swing = np.partition(np.abs(stack), len(stack) // 4, axis=0)[len(stack) // 4]
+            swing *= np.float32(1.0 if kind is Threshold.INVERSE else 2.0)
+        seen = told[kept][0 if axis.fine_first else -1] >= MODULATED
+        contrast[part] = swing * cv2.resize(seen.astype(np.float32), swing.shape[::-1], interpolation=cv2.INTER_NEAREST)
+        if borders is not None:
+            borders[part] = _borders(stack)
+    if turned:
+        bits, contrast = np.swapaxes(bits, 1, 2), np.ascontiguousarray(contrast.T)
+    return CodeBits(bits, contrast, kind, left_out, borders)
 
 
-def _unresolved(signed: Floats) -> tuple[int, int]:
-    """Return how many images at the beginning and at the end have stripes that the camera cannot tell: signed differences (n, h, w)
-    from the threshold that are small against the pixel's largest one at too many pixels."""
-    few = np.abs(signed[:, ::SAMPLED, ::SAMPLED]).reshape(len(signed), -1)
-    largest = few.max(axis=0)
-    lit = largest > LIT * float(np.quantile(largest, 0.95))
-    if not lit.any():
-        return 0, 0
-    told = np.mean(few[:, lit] > TOLD * largest[lit], axis=1) >= LEAST_TOLD
-    if np.count_nonzero(told) < LEAST_BITS:
-        return 0, 0  # This is no matter of fineness.
-    first = int(np.argmax(told))
-    last = int(np.argmax(told[::-1]))
-    return first, last
+def _windows(signed: Floats) -> tuple[Floats, Floats]:
+    """Return, by image and window, the share of the pixels that tell a stripe from the next, of differences (n, lines, length); and each
+    window's mean largest difference (1, …)."""
+    size = np.abs(signed)
+    largest = size.max(axis=0)
+    grid = tuple(max(1, length // WINDOW_PX) for length in largest.shape[::-1])
+    told = [(one > np.float32(TOLD) * largest).astype(np.float32) for one in size]
+    means = [cv2.resize(one, grid, interpolation=cv2.INTER_AREA) for one in (*told, largest)]
+    return np.stack(means[:-1]), np.stack(means[-1:])
 
 
-def _borders(signed: Floats, turned: bool) -> Floats:
-    """Return where bits turn between neighbours, from signed differences (n, h, w); several that do are averaged.
+def _unresolved(shares: Floats, fine_first: bool) -> tuple[int, int]:
+    """Return how many images at the beginning and at the end have stripes that the camera cannot tell, from what ``_windows`` found.
+
+    Windows are asked that stripes four times as wide modulate: coarse ones light the room as well, which tells nothing of finer ones.
+    """
+    ordered = shares[::-1] if fine_first else shares
+    count, windows = ordered.shape
+    asked = [float(np.mean(one >= MODULATED)) if windows else 0.0 for one in (ordered[0], ordered[0], *ordered[:-2])]
+    told = [float(np.mean(one >= LEAST_TOLD)) > 0.5 * among > 0.0 for one, among in zip(ordered, asked, strict=False)]
+    finest = max((k for k in range(count) if told[k]), default=-1)
+    # Of fewer it is no matter of fineness.
+    out = count - 1 - finest if finest + 1 >= LEAST_BITS else 0
+    return (out, 0) if fine_first else (0, out)
+
+
+def _borders(signed: Floats) -> Floats:
+    """Return where bits turn between neighbours, from signed differences (n, lines, length); several that do are averaged.
 
     A pixel is the mean over its area: with t the difference over the full one, 1 before the border and −1 behind it, the sum of t over
     pixels on both sides is twice the distance of the border from their middle. Two pixels are asked, and four where two on either
     side are nearly full: what a lens blurs beyond two of them counts then, and another border does not.
     """
     full = np.maximum(np.abs(signed).max(axis=0), np.float32(1e-3))
-    lines = np.swapaxes(signed / full, 1, 2) if turned else signed / full
+    lines = signed / full
     total = np.zeros((lines.shape[1], lines.shape[2] - 1), np.float32)
     count = np.zeros(total.shape, np.float32)
     for one in lines:
@@ -155,7 +197,7 @@ def numbered_stripes(
     """
     number = stripe_numbers(bits, axis)
     stripe_px = axis.stripe_px * 2.0 ** left_out[0 if axis.fine_first else 1]
-    while axis.periods_px and stripe_px <= 0.2501 * axis.period_px and number.any():
+    while axis.periods_px and stripe_px <= 0.2501 * axis.periods_px[axis.numbered] and number.any():
         number >>= 1
         stripe_px *= 2.0
     return number, stripe_px

@@ -10,17 +10,19 @@ coordinate is p = P (m + off) − ½, which is right at any phase as long as the
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from enum import IntEnum
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.foreign.code import CodeBits, numbered_stripes, read_bits
+from appliance.foreign.code import LINES_AT_ONCE, CodeBits, numbered_stripes, read_bits
 from appliance.foreign.description import AxisConvention
 from appliance.foreign.images import ImageSet
-from appliance.foreign.order import Shows
+from appliance.foreign.order import FRINGES
 from appliance.foreign.phase import Floats, SineFit, fit_sine
 
 LEAST_MODULATION, MOST_LEAST_MODULATION = 1.0 / 255.0, 5.0 / 255.0
@@ -34,11 +36,17 @@ UNSURE_PERIODS = 0.36
 """Distance from the stripe's middle beyond which a stripe of a whole period is a coin's toss, and the neighbours are asked."""
 MAX_PERIODS_MISFIT = 0.09
 """Largest disagreement of the phases of several periods, as root mean square in turns."""
-FRINGES_AT_MOST = 4096
+PIXELS_AT_ONCE = 1 << 16
+"""Pixels that are worked on together, so that they stay in the cache."""
+MOST_FINER = 0.35
+"""Largest disagreement of a period with the next finer one, in turns of that."""
 DRAWN = 0.008
 """Error of a coordinate between two borders of a stripe, as a share of it: measured on rendered sets with stripes of 4 and 8 px."""
 MOST_SKIPPED = 2
 """Largest change of a stripe's number at a border that a coordinate is drawn from: one stripe in between may be too narrow to be seen."""
+
+
+TURN = 2.0 * math.pi
 
 
 class NoCoordinate(IntEnum):
@@ -49,7 +57,9 @@ class NoCoordinate(IntEnum):
     WEAK = 2
     """Too little modulation, or contrast."""
     CONTRADICTION = 3
-    """The parts of the code contradict each other, or the coordinate lies beyond the pattern."""
+    """The parts of the code contradict each other."""
+    OUTSIDE = 4
+    """The coordinate lies beyond the pattern."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,11 +67,17 @@ class Measured:
     """Evidence of the images of one direction, whatever a convention makes of it."""
 
     fits: tuple[SineFit, ...]
-    """Fit of each period; empty for a code alone."""
+    """Fit of each period; empty for a code alone. Of micro phase shifting that of the first one."""
     bits: CodeBits | None
     weak: NDArray[np.bool_]
     """(h, w): too dark to be used."""
     saturated: NDArray[np.bool_]
+    singles: tuple[Floats, ...] = ()
+    """Cosine (h, w) of each further period of micro phase shifting, of which one image was taken."""
+    misfit_share: float | None = None
+    """What a sine leaves of the finest period's steps, over its modulation; ``None`` where three steps or none fit anything."""
+    bend_turns: float = 0.0
+    """Standard deviation of that period's phase by a response that is no straight line."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,25 +92,63 @@ class PlacedAxis:
     """(h, w): in grey values; of a code alone, half of its contrast."""
     stripe_px: float = 0.0
     """Width of the stripes between whose borders coordinates were drawn; 0: fringes make them."""
+    sigma_px: Floats | None = None
+    """(h, w): what a bent response adds to the noise, as a standard deviation; ``None``: nothing."""
 
 
 def measure(images: ImageSet, axis: AxisConvention) -> Measured:
     """Read the images of one direction. Raises ForeignError."""
-    fits = []
-    for period, steps_deg in enumerate(axis.signed_deg):
-        sines = [images.image(Shows.SINE, axis.name, k, period) for k in range(len(steps_deg))]
-        fits.append(fit_sine([one for one in sines if one is not None], steps_deg, images.white))
+    fits, singles = [], []
+    for period, steps_deg in enumerate(axis.signed_deg[:1] if axis.micro else axis.signed_deg):
+        shot = [one for shows in FRINGES for one in images.all_of(shows, axis.name, period)]
+        across = axis.carriers[period] if axis.carriers else 0
+        fits.append(_fit_modulated(shot, steps_deg, across, images.white) if across
+                    else fit_sine(shot[: len(steps_deg)], steps_deg, images.white))  # fmt: skip
+        if axis.micro:
+            modulation = np.maximum(fits[0].modulation, np.float32(1e-3))
+            singles = [np.asarray((one - fits[0].offset) / modulation, np.float32) for one in shot[len(steps_deg) :]]
     bits = read_bits(images, axis, fits[0].offset if fits else None) if axis.bits else None
-    saturated = np.zeros(images.shape, np.bool_)
-    if fits:
-        for fit in fits:
-            saturated |= fit.saturated
-        modulation = np.minimum.reduce([fit.modulation for fit in fits])
-        weak = modulation < least_modulation(fits[axis.finest], len(axis.steps_deg[axis.finest]), images.white)
-    else:
+    if not fits:
         assert bits is not None
         weak = bits.contrast < LEAST_CONTRAST * images.white
-    return Measured(tuple(fits), bits, weak, saturated)
+        return Measured((), bits, weak, np.zeros(images.shape, np.bool_))
+    finest, steps = fits[axis.finest], axis.steps_deg[axis.finest]
+    saturated = np.logical_or.reduce([fit.saturated for fit in fits])
+    weak = np.minimum.reduce([fit.modulation for fit in fits]) < least_modulation(finest, len(steps), images.white)
+    usable = ~(weak | saturated)
+    share = None
+    if finest.misfit is not None and usable.any():
+        share = float(np.median(finest.misfit[usable] / finest.modulation[usable]))
+    # Harmonics that bend a phase leave twice as much of the steps at least.
+    bend_turns = min(bend(finest.turns[usable], len(steps)), math.inf if share is None else 0.5 * share / TURN)
+    return Measured(tuple(fits), bits, weak, saturated, tuple(singles), share, bend_turns)
+
+
+def _fit_modulated(images: list[NDArray[Any]], steps_deg: tuple[float, ...], across: int, white: float) -> SineFit:
+    """Fit fringes times a carrier: what varies with the carrier's steps is the light that came straight from the projector.
+
+    Source: Chen, Seidel, Lensch, CVPR 2008.
+    """
+    steps_across = tuple(360.0 * k / across for k in range(across))
+    straight = [fit_sine(images[k : k + across], steps_across, white) for k in range(0, len(images), across)]
+    fit = fit_sine([one.modulation for one in straight], steps_deg, math.inf)
+    return replace(fit, saturated=np.logical_or.reduce([one.saturated for one in straight]))
+
+
+def bend(turns: Floats, steps: int) -> float:
+    """Return the standard deviation in turns of phases (n,) by a response that is no straight line; 0 where they cannot tell.
+
+    Its harmonics make an error that repeats ``steps`` times in a period, ε sin(steps · φ): phases that are spread evenly are then denser at
+    some than at others, and the mean of exp(i steps φ) is ε steps / 2. What the neighbouring harmonics have is the thing's own.
+    """
+    if not turns.size:
+        return 0.0
+    sums = {
+        n: abs(np.mean(np.exp(np.complex64(2j * np.pi * n) * turns))) for n in (steps - 1, steps, steps + 1, 2 * steps)
+    }
+    own = max(sums[steps - 1], sums[steps + 1])
+    errors = [2.0 * math.sqrt(max(sums[n] ** 2 - own**2, 0.0)) / n for n in (steps, 2 * steps)]
+    return math.hypot(*errors) / math.sqrt(2.0) / (2.0 * math.pi)
 
 
 def least_modulation(fit: SineFit, steps: int, white: float) -> float:
@@ -108,66 +162,74 @@ def least_modulation(fit: SineFit, steps: int, white: float) -> float:
     return float(min(max(wanted, LEAST_MODULATION * white), MOST_LEAST_MODULATION * white))
 
 
-def place(found: Measured, axis: AxisConvention, *, repaired: bool = True) -> PlacedAxis:
-    """Make coordinates by the convention of ``axis``; ``repaired``: borders of wide stripes ask their neighbours."""
+def place(
+    found: Measured, axis: AxisConvention, extent_px: tuple[float, float] | None = None, *, repaired: bool = True
+) -> PlacedAxis:
+    """Make coordinates by the convention of ``axis`` on a pattern from edge to edge; ``repaired``: borders of wide stripes ask their
+    neighbours."""
     reason = np.zeros(found.weak.shape, np.uint8)
-    stripe_px = 0.0
+    stripe_px, sigma_px = 0.0, None
     if not found.fits:
-        coordinate_px, contradiction, stripe_px = _by_code_alone(found, axis)
+        coordinate_px, stripe_px = _by_code_alone(found, axis)
+        contradiction = np.isnan(coordinate_px)
         assert found.bits is not None
         modulation = np.float32(0.5) * found.bits.contrast
     else:
         modulation = found.fits[axis.finest].modulation
-        dark = found.weak | found.saturated
         if found.bits is not None:
-            coordinate_px, contradiction = _by_code(found, axis, ~dark, repaired)
+            coordinate_px, contradiction = _by_code(found, axis, repaired)
         else:
             coordinate_px, misfit = by_periods(found, axis)
-            contradiction = misfit > min(MAX_PERIODS_MISFIT, chance_misfit(axis))
+            contradiction = ~(misfit <= min(MAX_PERIODS_MISFIT, chance_misfit(axis)))
+        if found.bend_turns:
+            sigma_px = np.broadcast_to(np.float32(found.bend_turns * axis.period_px), reason.shape)
+    begin_px, end_px = extent_px or (0.0, axis.size_px)
+    beyond_px = 0.5 - 0.25 * axis.period_px
     with np.errstate(invalid="ignore"):
-        outside = (coordinate_px < -0.5 - 0.25 * axis.period_px) | (
-            coordinate_px > axis.size_px - 0.5 + 0.25 * axis.period_px
-        )
-    reason[contradiction | outside | np.isnan(coordinate_px)] = NoCoordinate.CONTRADICTION
+        outside = (coordinate_px < begin_px - 1.0 + beyond_px) | (coordinate_px > end_px - beyond_px)
+    reason[outside] = NoCoordinate.OUTSIDE
+    reason[contradiction] = NoCoordinate.CONTRADICTION
     reason[found.weak] = NoCoordinate.WEAK
     reason[found.saturated] = NoCoordinate.SATURATED
     coordinate_px[reason != NoCoordinate.VALID] = np.nan
-    return PlacedAxis(coordinate_px, reason, modulation, stripe_px)
+    return PlacedAxis(coordinate_px, reason, modulation, stripe_px, sigma_px)
 
 
-def offset_periods(found: Measured, axis: AxisConvention) -> tuple[Floats, Floats, float]:
-    """Return the middle m of each pixel's stripe in periods; off, its phase less that middle, −½ … ½; the stripes' width in px."""
+def _by_code(found: Measured, axis: AxisConvention, repaired: bool) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return the coordinates, and what contradicts: the code numbers the fringes of one period, and that those of each finer one."""
+    k = axis.numbered
+    period = np.float32(axis.periods_px[k])
+    turns = [fit.turns - np.float32(begin / 360.0) for fit, begin in zip(found.fits, axis.begins_deg, strict=True)]
     assert found.bits is not None
     number, stripe_px = numbered_stripes(found.bits.bits, found.bits.left_out, axis)
-    middle = ((number + np.float32(0.5)) * np.float32(stripe_px) + np.float32(axis.code_offset_px)) / np.float32(
-        axis.period_px
-    )
-    off = found.fits[axis.finest].turns - np.float32(axis.begins_deg[axis.finest] / 360.0) - middle
+    middle = ((number + np.float32(0.5)) * np.float32(stripe_px) + np.float32(axis.code_offset_px)) / period
+    off = turns[k] - middle
     off -= np.floor(off + np.float32(0.5))
-    return middle, off, stripe_px
-
-
-def _by_code(
-    found: Measured, axis: AxisConvention, usable: NDArray[np.bool_], repaired: bool
-) -> tuple[Floats, NDArray[np.bool_]]:
-    middle, off, stripe_px = offset_periods(found, axis)
-    period = np.float32(axis.period_px)
     coordinate_px = period * (middle + off) - np.float32(0.5)
-    limit = 0.5 * stripe_px / axis.period_px + SLACK_PERIODS
+    if axis.wraps:
+        coordinate_px[coordinate_px < -0.5] += np.float32(axis.covered_px[1])
+    limit = 0.5 * stripe_px / float(period) + SLACK_PERIODS
+    lost = np.zeros(off.shape, np.bool_)
     if limit < 0.5 - 0.3 * SLACK_PERIODS:
-        return coordinate_px, np.abs(off) > limit
-    if not repaired:
-        return coordinate_px, np.zeros(off.shape, np.bool_)
-    # A stripe as wide as a period: near its borders, a bit and a phase that disagree by a pixel are a whole period apart.
-    sure = usable & (np.abs(off) < UNSURE_PERIODS)
-    return _asked_neighbours(coordinate_px, sure, axis)
+        lost = np.abs(off) > limit
+    elif repaired:
+        # A stripe as wide as a period: near its borders, a bit and a phase that disagree by a pixel are a whole period apart.
+        sure = ~(found.weak | found.saturated) & (np.abs(off) < UNSURE_PERIODS)
+        coordinate_px, lost = _asked_neighbours(coordinate_px, sure, axis)
+    for finer_px, finer in sorted(zip(axis.periods_px, turns, strict=True), key=lambda one: -one[0]):
+        if finer_px < period:
+            off = finer - (coordinate_px + np.float32(0.5)) / np.float32(finer_px)
+            off -= np.rint(off)
+            coordinate_px += off * np.float32(finer_px)
+            lost |= np.abs(off) > MOST_FINER
+    return coordinate_px, lost
 
 
 def _asked_neighbours(
     coordinate_px: Floats, sure: NDArray[np.bool_], axis: AxisConvention
 ) -> tuple[Floats, NDArray[np.bool_]]:
     """Return the coordinates, those that are not ``sure`` moved by whole periods to the mean of the sure ones about them."""
-    period = np.float32(axis.period_px)
+    period = np.float32(axis.periods_px[axis.numbered])
     width = stripe_width(coordinate_px, sure, axis)
     size = (2 * int(width * 0.6) + 3, 3) if axis.name == "x" else (3, 2 * int(width * 0.6) + 3)
     known = sure.astype(np.float32)
@@ -189,36 +251,63 @@ def stripe_width(coordinate_px: Floats, usable: NDArray[np.bool_], axis: AxisCon
     both = usable[:, 1:] & usable[:, :-1] if along else usable[1:] & usable[:-1]
     steps = step[both]
     usual = float(np.median(steps)) if steps.size else 0.0
-    return min(max(axis.period_px / usual if usual > 1e-3 else 2.0, 2.0), 400.0)
+    return min(max(axis.periods_px[axis.numbered] / usual if usual > 1e-3 else 2.0, 2.0), 400.0)
 
 
 def by_periods(found: Measured, axis: AxisConvention) -> tuple[Floats, Floats]:
     """Choose the number of the finest fringe with which the phases of all other periods agree best (temporal unwrapping).
 
-    Returns the coordinates (h, w) in px, and the root mean square by which those phases disagree, in turns.
+    Returns the coordinates (h, w) in px, and the root mean square by which those phases disagree, in turns; NaN where there is no light.
+    Of micro phase shifting cosines take the phases' place, and all images together the finest period's.
+    Sources: Huntley, Saldner, Appl. Opt. 32 (1993) 3047; Gupta, Nayar, CVPR 2012.
     """
-    period = axis.period_px
-    starts = [np.float32(begin / 360.0) for begin in axis.begins_deg]
-    turns = found.fits[axis.finest].turns - starts[axis.finest]
-    others = [
-        (fit.turns - start, other)
-        for k, (fit, start, other) in enumerate(zip(found.fits, starts, axis.periods_px, strict=True))
-        if k != axis.finest
-    ]
-    best = np.full(turns.shape, np.inf, np.float32)
-    coordinate_px = np.full(turns.shape, np.nan, np.float32)
-    first = turns - np.floor(turns)
-    for fringe in range(_fringes(axis)):
-        edge_px = np.float32(period) * (first + np.float32(fringe))
-        misfit = np.zeros(turns.shape, np.float32)
-        for other_turns, other in others:
-            off = edge_px / np.float32(other) - other_turns
-            off -= np.rint(off)
-            misfit += np.square(off)
-        better = misfit < best
-        best = np.where(better, misfit, best)
-        coordinate_px = np.where(better, edge_px - np.float32(0.5), coordinate_px)
-    return coordinate_px, np.asarray(np.sqrt(best / np.float32(max(1, len(others)))), np.float32)
+    begins = [np.float32(begin / 360.0) for begin in axis.begins_deg]
+    usable = np.flatnonzero(~(found.weak | found.saturated))
+    coordinate_px, misfit = np.full((2, *found.weak.shape), np.nan, np.float32)
+    singles = tuple(zip(found.singles, axis.periods_px[1:], begins[1:], strict=True)) if found.singles else ()
+    period = np.float32(axis.period_px)
+    for first in range(0, usable.size, PIXELS_AT_ONCE):
+        here = usable[first : first + PIXELS_AT_ONCE]
+        turns = found.fits[axis.finest].turns.ravel()[here] - begins[axis.finest]
+        turns -= np.floor(turns)
+        others = [(fit.turns.ravel()[here] - begin, np.float32(other))
+                  for k, (fit, begin, other) in enumerate(zip(found.fits, begins, axis.periods_px, strict=False)) if k != axis.finest]  # fmt: skip
+        cosines = [(one.ravel()[here], np.float32(other), begin) for one, other, begin in singles]
+        best, best_px = np.full(here.shape, np.inf, np.float32), np.zeros(here.shape, np.float32)
+        for fringe in range(_fringes(axis)):
+            edge_px = period * (turns + np.float32(fringe))
+            apart = np.zeros(here.shape, np.float32)
+            for other_turns, other in others:
+                off = edge_px / other - other_turns
+                off -= np.rint(off)
+                apart += np.square(off)
+            for cosine, other, begin in cosines:
+                # A cosine's slope is 2π / √2 to a turn, on the mean.
+                apart += np.square(np.cos(np.float32(TURN) * (edge_px / other + begin)) - cosine) * np.float32(
+                    2.0 / TURN**2
+                )
+            # What lies beyond the pattern looks like its other end where one fringe covers it.
+            better = (apart < best) & (edge_px < np.float32(axis.size_px + SLACK_PERIODS * axis.period_px))
+            best, best_px = np.where(better, apart, best), np.where(better, edge_px, best_px)
+        if cosines:
+            best_px += _all_together(best_px, cosines, period)
+        coordinate_px.ravel()[here] = best_px - np.float32(0.5)
+        misfit.ravel()[here] = np.sqrt(best / np.float32(max(1, len(others) + len(cosines))))
+    return coordinate_px, misfit
+
+
+def _all_together(
+    edge_px: Floats, cosines: Sequence[tuple[Floats, np.float32, np.float32]], period: np.float32
+) -> Floats:
+    """Return what least squares over all images of micro phase shifting add to what the first period says (one step of Gauss and Newton)."""
+    weight = np.full(edge_px.shape, np.float32(1.5 * (TURN / period) ** 2))
+    total = np.zeros_like(weight)
+    for cosine, other, begin in cosines:
+        angle = np.float32(TURN) * (edge_px / other + begin)
+        slope = np.float32(-TURN / other) * np.sin(angle)
+        weight += slope * slope
+        total += slope * (cosine - np.cos(angle))
+    return np.asarray(total / weight, np.float32)
 
 
 def chance_misfit(axis: AxisConvention) -> float:
@@ -237,23 +326,34 @@ def chance_misfit(axis: AxisConvention) -> float:
 
 def _fringes(axis: AxisConvention) -> int:
     """Return how many of the finest fringes the pattern has."""
-    return min(math.ceil(axis.size_px / axis.period_px) + 1, FRINGES_AT_MOST)
+    return math.ceil(axis.size_px / axis.period_px) + 1
 
 
-def _by_code_alone(found: Measured, axis: AxisConvention) -> tuple[Floats, NDArray[np.bool_], float]:
+def _by_code_alone(found: Measured, axis: AxisConvention) -> tuple[Floats, float]:
     """Return coordinates of a code without sines: between two borders of stripes along the image, linear; else the stripe's middle.
 
-    Besides, what contradicts (nothing does) and the stripes' width in px.
+    Besides, the stripes' width in px.
     """
     code = found.bits
     assert code is not None
     assert code.borders is not None
     number, stripe_px = numbered_stripes(code.bits, code.left_out, axis)
     turned = axis.name == "y"
-    rows = np.ascontiguousarray(number.T if turned else number)
-    usable = np.ascontiguousarray(~found.weak.T if turned else ~found.weak)
+    rows, usable = (number.T, ~found.weak.T) if turned else (number, ~found.weak)
+    along = np.empty(rows.shape, np.float32)
+    for begin in range(0, len(rows), LINES_AT_ONCE):
+        part = slice(begin, begin + LINES_AT_ONCE)
+        along[part] = _between_borders(np.ascontiguousarray(rows[part]), usable[part], code.borders[part])
+    coordinate_px = np.ascontiguousarray(along.T if turned else along)
+    coordinate_px *= np.float32(stripe_px)
+    coordinate_px += np.float32(axis.code_offset_px - 0.5)
+    return coordinate_px, stripe_px
+
+
+def _between_borders(rows: NDArray[np.int32], usable: NDArray[np.bool_], borders: Floats) -> Floats:
+    """Return where in the code, in stripes, each pixel of some lines (n, length) lies."""
     width = rows.shape[1]
-    place = np.broadcast_to(np.arange(width), rows.shape)
+    place = np.broadcast_to(np.arange(width, dtype=np.int32), rows.shape)
     changed = np.ones((rows.shape[0], width + 1), np.bool_)
     changed[:, 1:-1] = (rows[:, 1:] != rows[:, :-1]) | (usable[:, 1:] != usable[:, :-1])
     # First and last pixel of the run of one stripe that each pixel lies in.
@@ -262,14 +362,11 @@ def _by_code_alone(found: Measured, axis: AxisConvention) -> tuple[Floats, NDArr
     before = np.take_along_axis(rows, np.maximum(first - 1, 0), 1) - rows
     behind = np.take_along_axis(rows, np.minimum(last + 1, width - 1), 1) - rows
     # Between stripes i and i + 1 lies the border i + 1; where one is too narrow to be seen, i and i + 2, it is the middle of both.
-    begin = first - 1 + np.take_along_axis(code.borders, np.clip(first - 1, 0, width - 2), 1)
-    end = last + np.take_along_axis(code.borders, np.clip(last, 0, width - 2), 1)
+    begin = first - 1 + np.take_along_axis(borders, np.clip(first - 1, 0, width - 2), 1)
+    end = last + np.take_along_axis(borders, np.clip(last, 0, width - 2), 1)
     with np.errstate(invalid="ignore", divide="ignore"):
         known = usable & (before * behind < 0) & (np.abs(before) <= MOST_SKIPPED) & (np.abs(behind) <= MOST_SKIPPED)
         share = np.clip((place - begin) / (end - begin), 0.0, 1.0)
         within = np.float32(0.5) + np.float32(0.5) * (before + share * (behind - before))
         within = np.where(known & np.isfinite(within), within, np.float32(0.5))
-    along_px = (rows + within) * np.float32(stripe_px)
-    found_px = np.asarray(along_px.T if turned else along_px, np.float32)
-    coordinate_px = np.ascontiguousarray(found_px) + np.float32(axis.code_offset_px - 0.5)
-    return coordinate_px, np.zeros(number.shape, np.bool_), stripe_px
+    return np.asarray(rows + within, np.float32)

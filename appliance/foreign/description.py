@@ -100,12 +100,12 @@ class AxisConvention:
 
     @property
     def period_px(self) -> float:
-        """The period that makes the coordinate: the finest one; of a code alone, its stripe."""
-        return min(self.periods_px, default=self.stripe_px)
+        """The period that makes the coordinate: the finest one, or the only one of several steps; of a code alone, its stripe."""
+        return self.periods_px[0] if self.micro else min(self.periods_px, default=self.stripe_px)
 
     @property
     def finest(self) -> int:
-        """Number of the finest period."""
+        """Number of that period."""
         return self.periods_px.index(self.period_px)
 
     @property
