@@ -120,6 +120,7 @@ def pull(
                     f"{lost}; tried {ATTEMPTS} times. {whole} scans and {done.taken_bytes / 1e6:.1f} MB were taken and stay; "
                     "call again, and it goes on there"
                 ) from lost
+            # Ever longer: an instrument that starts again needs a minute, a cable that moved a second.
             wait(WAITS_S[empty - 1])
 
 

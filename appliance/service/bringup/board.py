@@ -25,6 +25,7 @@ def board_step(at: Workplace) -> StepOutcome:
 
 
 def _findings(at: Workplace, board: TriggerBoard) -> tuple[Finding, ...]:
+    # An earlier program may have left both on: nobody has been told to turn them away yet.
     board.stop()
     board.set_lasers(False, False)
     at.person.ask(EYES)

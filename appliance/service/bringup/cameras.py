@@ -14,6 +14,7 @@ from appliance.bringup.guide_page import side_by_side
 from appliance.bringup.person import MOST_ASKED, numbered
 from appliance.bringup.plots import png
 from appliance.bringup.triggers import PULSES
+from appliance.config.rig import CameraRig
 from appliance.instrument import noise_of
 from appliance.scan.sides import SIDES, of_side
 from appliance.service.bringup.trigger import fired, trigger_findings
@@ -63,7 +64,6 @@ def cameras_step(at: Workplace) -> StepOutcome:
 
 def _set_up(at: Workplace, side: str) -> tuple[list[Finding], tuple[HeldSetting, ...]]:
     """Set one camera as every scan does, and return what it holds."""
-    spec = of_side(at.rig.camera, side)
 
     def nothing_to_load(_projector: Projector) -> None:
         """The projector is not opened here."""
@@ -72,13 +72,17 @@ def _set_up(at: Workplace, side: str) -> tuple[list[Finding], tuple[HeldSetting,
         # One by itself: a camera that refuses a setting must not hide what the other one holds.
         try:
             with devices.open_camera(side) as camera:
-                link = judge_link(side, camera.identity.link_speed_mbps, camera.slow_link)
-                if not link.ok:
-                    return [link], ()
-                camera.configure(CameraSettings(spec.width_px, spec.height_px, 1000.0 * spec.exposure_ms, spec.gain_db))
-                held = _held(camera)
+                return _settled(camera, side, of_side(at.rig.camera, side))
         except DeviceError as error:
             return [refusal(error)], ()
+
+
+def _settled(camera: Camera, side: str, spec: CameraRig) -> tuple[list[Finding], tuple[HeldSetting, ...]]:
+    link = judge_link(side, camera.identity.link_speed_mbps, camera.slow_link)
+    if not link.ok:
+        return [link], ()
+    camera.configure(CameraSettings(spec.width_px, spec.height_px, 1000.0 * spec.exposure_ms, spec.gain_db))
+    held = _held(camera)
     if held is None:
         said = "this family of cameras cannot be asked for its settings"
         return [link, Finding(f"camera.{side} settings", True, said)], ()

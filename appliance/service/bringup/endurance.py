@@ -76,7 +76,7 @@ class _Fired:
 
 def endurance_step(at: Workplace) -> StepOutcome:
     """Do the step. Raises DeviceError, BringupError."""
-    rig, clock = at.rig, at.wires.clock
+    rig = at.rig
     black = np.zeros((rig.projector.height_px, rig.projector.width_px), np.uint8)
 
     def load(projector: Projector) -> None:
@@ -84,35 +84,41 @@ def endurance_step(at: Workplace) -> StepOutcome:
         projector.show(0)
 
     with Devices(rig, at.wires, load) as devices:
-        grabbers, board, _ = opened(devices, clock)
-        series = max(1, round(60.0 * at.minutes * rig.projector.refresh_hz / PULSES))
-        before_c = _temperatures(grabbers, board, clock)
-        lost_before = _lost_reports(board)
-        slots = _one_slot(rig.camera.left.height_px, rig.camera.left.width_px, PULSES * series)
-        recordings = {side: grabber.record(slots[side], lambda _index: None) for side, grabber in grabbers.items()}
-        # From here on the cameras wait for pulses: whatever happens, they are let go.
-        begun_ns = clock.now_ns()
-        try:
-            seen = _fire(at, board, grabbers, recordings, series)
-            passed_s = (clock.now_ns() - begun_ns) / 1e9
-        finally:
-            with suppress(DeviceError):
-                board.stop()
-            _end(grabbers, recordings, Timeouts(rig.projector.refresh_hz))
-        after_c = _temperatures(grabbers, board, clock)
-        endured = Endured(
-            minutes=passed_s / 60.0,
-            wanted_minutes=at.minutes,
-            pulses=seen.asked,
-            reported=seen.reported,
-            lost_reports=_lost_reports(board) - lost_before,
-            cameras={side: _endured(one) for side, one in recordings.items()},
-            before_c=before_c,
-            after_c=after_c,
-            ended_by=seen.ended_by,
-        )
+        grabbers, board, _ = opened(devices, at.wires.clock)
+        endured = _endure(at, grabbers, board)
     warm_c = {"projector": rig.limits.projector_warm_c, "case": rig.limits.case_warm_c}
     return StepOutcome(judge_endurance(endured, warm_c))
+
+
+def _endure(at: Workplace, grabbers: Mapping[str, Grabber], board: Board) -> Endured:
+    """Do the run. Raises DeviceError, BringupError."""
+    rig, clock = at.rig, at.wires.clock
+    series = max(1, round(60.0 * at.minutes * rig.projector.refresh_hz / PULSES))
+    # Cold, before the cameras stream: warmth is told by how much it grew.
+    before_c = _temperatures(grabbers, board, clock)
+    lost_before = _lost_reports(board)
+    slots = _one_slot(rig.camera.left.height_px, rig.camera.left.width_px, PULSES * series)
+    recordings = {side: grabber.record(slots[side], lambda _index: None) for side, grabber in grabbers.items()}
+    # From here on the cameras wait for pulses: whatever happens, they are let go.
+    begun_ns = clock.now_ns()
+    try:
+        seen = _fire(at, board, grabbers, recordings, series)
+        passed_s = (clock.now_ns() - begun_ns) / 1e9
+    finally:
+        with suppress(DeviceError):
+            board.stop()
+        _end(grabbers, recordings, Timeouts(rig.projector.refresh_hz))
+    return Endured(
+        minutes=passed_s / 60.0,
+        wanted_minutes=at.minutes,
+        pulses=seen.asked,
+        reported=seen.reported,
+        lost_reports=_lost_reports(board) - lost_before,
+        cameras={side: _endured(one) for side, one in recordings.items()},
+        before_c=before_c,
+        after_c=_temperatures(grabbers, board, clock),
+        ended_by=seen.ended_by,
+    )
 
 
 def _one_slot(height_px: int, width_px: int, count: int) -> dict[str, NDArray[np.uint8]]:

@@ -223,10 +223,11 @@ def _response(
     if not curves:
         return None, None
     codes, even, odd = max(curves.values(), key=lambda one: len(one[0]))
-    if len(codes) < 2:
+    # A curve that cannot be judged is not drawn either: it would look like one.
+    shape = judge_curve(codes, even, odd)
+    if shape is None:
         return None, None
-    picture = plot({"even rows": (codes, even), "odd rows": (codes, odd)}, "code", "share of bright over dark")
-    return judge_curve(codes, even, odd), picture
+    return shape, plot({"even rows": (codes, even), "odd rows": (codes, odd)}, "code", "share of bright over dark")
 
 
 def _worked_through(at: Workplace, scan_id: str) -> tuple[Flatness | None, str, tuple[str, ...]]:

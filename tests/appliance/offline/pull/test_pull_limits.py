@@ -119,6 +119,7 @@ def test_a_small_file_is_read_up_to_its_limit_and_never_further(tmp_path: Path, 
 def test_the_rig_file_is_found_wherever_an_instrument_shows_it(there: Path, here: Path, place: str) -> None:
     (there / place).parent.mkdir(parents=True)
     (there / place).write_text(place)
+    (there / place).with_name("another").write_text("")
     done = pulled(FolderSource(there), here)
     assert (here / "instrument" / "rig.toml").read_text() == place
     assert (done.whole, done.taken_bytes) == (True, len(place))

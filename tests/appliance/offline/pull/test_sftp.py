@@ -276,6 +276,13 @@ def test_a_refusal_is_told_in_words_or_by_its_code(code: int, said: str) -> None
         list(source.read("f", 0, 1))
 
 
+def test_a_folder_that_is_no_longer_given_on_its_way_is_told() -> None:
+    some = names(1, name(b"a", FILE, 1))
+    denied = pytest.raises(Unreadable, match=r"^\./s: not given by the server$")
+    with server(VERSION, message(102, 0, b"h"), some, end(2, 3), end(3, 0)) as source, denied:
+        source.listing("s")
+
+
 def test_a_link_that_takes_nothing_any_more_or_breaks_is_lost() -> None:
     ours, writing = os.pipe()
     with server(VERSION) as source:

@@ -31,9 +31,9 @@ HEIGHT, WIDTH = 72, 96
 BRIGHT, DARK = SEQUENCE.bright, SEQUENCE.dark
 
 
-def plane_seen(first_px: float = 20.0, last_px: float = 490.0, white_dn: float = 200.0) -> NDArray[np.uint8]:
-    """One camera's images of a plane that it sees from column ``first_px`` to ``last_px`` of the projector, all of its rows."""
-    p = np.broadcast_to(np.linspace(first_px, last_px, WIDTH), (HEIGHT, WIDTH))
+def plane_seen(power: float = 1.0) -> NDArray[np.uint8]:
+    """One camera's images of a plane, by light that is a power of the code."""
+    p = np.broadcast_to(np.linspace(20.0, 490.0, WIDTH), (HEIGHT, WIDTH))
     q = np.broadcast_to(np.linspace(10.0, 370.0, HEIGHT)[:, None], (HEIGHT, WIDTH))
     rng = np.random.default_rng(8)
     frames = np.zeros((len(SEQUENCE), HEIGHT, WIDTH), np.uint8)
@@ -43,7 +43,7 @@ def plane_seen(first_px: float = 20.0, last_px: float = 490.0, white_dn: float =
         light = (
             np.interp(at, np.arange(len(codes)), codes) / 255.0 if number not in (BRIGHT, DARK) else codes[0] / 255.0
         )
-        frames[number] = np.clip(np.rint(10.0 + white_dn * light + 0.4 * rng.standard_normal(at.shape)), 0, 255)
+        frames[number] = np.clip(np.rint(10.0 + 200.0 * light**power + 0.4 * rng.standard_normal(at.shape)), 0, 255)
     return frames
 
 
@@ -112,19 +112,37 @@ def test_a_plane_is_decoded_into_both_coordinates() -> None:
 
 
 def test_the_response_is_that_of_the_camera_that_sees_more_codes() -> None:
-    left, right = plane_seen(), plane_seen()
-    frames = {"left": left, "right": right}
+    frames = {"left": plane_seen(2.2), "right": plane_seen()}
+    frames["left"][:, :, : WIDTH // 4] = 10
+    frames["right"][:, :, WIDTH // 8 :] = 10
+    sides = {side: plane._decoded(SEQUENCE, one) for side, one in frames.items()}
+    shape, picture = plane._response(SEQUENCE, frames, sides)
+    assert shape is not None
+    assert shape.shape is Shape.GAMMA
+    assert shape.power == pytest.approx(2.1, abs=0.1)
+    assert picture is not None
+    assert picture.startswith(b"\x89PNG")
+    frames = {"left": frames["right"], "right": plane_seen()}
     sides = {side: plane._decoded(SEQUENCE, one) for side, one in frames.items()}
     shape, picture = plane._response(SEQUENCE, frames, sides)
     assert shape is not None
     assert shape.shape is Shape.STRAIGHT
-    assert picture is not None
-    assert picture.startswith(b"\x89PNG")
-    # One that sees a strip alone, and one without a plane.
-    strip = {side: replace(one, planes={}) if side == "left" else one for side, one in sides.items()}
-    assert plane._response(SEQUENCE, frames, strip) == (shape, picture)
-    nothing = {side: replace(one, planes={}) for side, one in sides.items()}
-    assert plane._response(SEQUENCE, frames, nothing) == (None, None)
+    assert shape.power == pytest.approx(1.0, abs=0.05)
+    # One without a plane is not asked, and two of those say nothing.
+    assert plane._response(SEQUENCE, frames, {**sides, "left": replace(sides["left"], planes={})}) == (shape, picture)
+    assert plane._response(SEQUENCE, frames, {}) == (None, None)
+
+
+def test_too_few_codes_have_no_response() -> None:
+    frames = plane_seen()
+    side = plane._decoded(SEQUENCE, frames)
+    few = {
+        direction: replace(
+            one, **{key: getattr(one, key)[:40] for key in ("rows", "columns", "smooth_px", "residual_px")}
+        )
+        for direction, one in side.planes.items()
+    }
+    assert plane._response(SEQUENCE, {"left": frames}, {"left": replace(side, planes=few)}) == (None, None)
 
 
 def test_a_first_scan_is_stored_with_everything_that_is_known_of_it(tmp_path: Path) -> None:

@@ -9,8 +9,10 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from appliance.bringup.bench import Shot
+from appliance.bringup.camera_check import judge_settings
 from appliance.bringup.endurance_check import SideEndured
 from appliance.bringup.finding import BringupError
 from appliance.capture.grabber import SideRecording
@@ -23,6 +25,9 @@ from appliance.service.bringup.trigger import fired, trigger_findings
 from drivers.api import (
     BoardBooted,
     BoardLost,
+    CameraIdentity,
+    CameraSettings,
+    DeviceGone,
     Frame,
     FrameStatus,
     HeldSetting,
@@ -249,6 +254,11 @@ class BenchGrabber:
         self.waits: list[tuple[str, float]] = []
         self.cancelled: list[SideRecording] = []
         self.temperature_c: float | None = 33.0
+        self.recorded: NDArray[np.uint8] = np.zeros(0, np.uint8)
+
+    def record(self, slots: Any, _on_frame: Any) -> SideRecording:
+        self.recorded = slots
+        return recording([])
 
     def wait(self, one: SideRecording, what: str, timeout_s: float) -> bool:
         self.waits.append((what, timeout_s))
@@ -377,3 +387,85 @@ def test_a_heartbeat_that_is_late_is_waited_for_and_a_silent_board_has_no_temper
 def test_a_board_without_counters_has_lost_nothing() -> None:
     board: Any = SimpleNamespace()
     assert endurance._lost_reports(board) == 0
+
+
+@pytest.mark.parametrize(("minutes", "series"), [(0.0, 1), (0.05, 3), (0.1, 6)])
+@pytest.mark.parametrize("unplugged", [False, True])
+def test_a_run_is_as_long_as_was_asked_and_cameras_are_let_go_whatever_happens(
+    minutes: float, series: int, unplugged: bool
+) -> None:
+    clock = SteppedClock()
+    at, _, _ = workplace(clock, minutes=minutes)
+    board, grabbers = BenchBoard(clock), {side: BenchGrabber(clock) for side in ("left", "right")}
+    grabbers["right"].temperature_c = None
+
+    def fire(command: tuple[Any, ...]) -> None:
+        if command[0] == "arm":
+            if unplugged:
+                raise DeviceGone("board", "unplugged", "")
+            for k in range(64):
+                board.events.at_s((k + 3) / 60.0, Pulse(k, k, 0))
+            board.events.at_s(66.5 / 60.0, PulsesDone(64))
+
+    board.when = fire
+    board.events.at_s(0.5, warm(20.0))
+    if unplugged:
+        with pytest.raises(DeviceGone):
+            endurance._endure(at, grabbers, board)  # type: ignore[arg-type]
+    else:
+        seen = endurance._endure(at, grabbers, board)  # type: ignore[arg-type]
+        assert (seen.pulses, seen.reported, seen.lost_reports) == (64 * series, 64 * series, 0)
+        assert (seen.wanted_minutes, seen.ended_by) == (minutes, None)
+        # 66.5 periods each, its last exposure, and one millisecond more.
+        assert seen.minutes == pytest.approx(series * (66.5 / 60.0 + 0.013) / 60.0)
+        assert seen.before_c == {
+            "projector": 50.0,
+            "case": 20.0,
+            "board": 45.0,
+            "camera.left": 33.0,
+            "camera.right": None,
+        }
+        assert seen.after_c["case"] is None
+        assert seen.cameras == {"left": SideEndured(0, (), 0, 0), "right": SideEndured(0, (), 0, 0)}
+    assert ("stop",) in board.commands
+    for one in grabbers.values():
+        assert one.recorded.shape == (64 * series, 300, 400)
+        assert len(one.cancelled) == 1
+
+
+class SetCamera:
+    """A camera that keeps what it was set to."""
+
+    slow_link: str | None = None
+    identity = CameraIdentity("Reef", "Eye", "1", "1.2", 5000)
+
+    def __init__(self, held: tuple[HeldSetting, ...] = ()) -> None:
+        self.settings: list[CameraSettings] = []
+        self._held = held
+
+    def configure(self, settings: CameraSettings) -> CameraSettings:
+        self.settings.append(settings)
+        return settings
+
+    def read_back(self) -> tuple[HeldSetting, ...]:
+        return self._held
+
+
+def test_a_camera_is_set_as_every_scan_sets_it_and_its_settings_are_judged() -> None:
+    held = (HeldSetting("GammaEnable", False, False), HeldSetting("Gamma", 1.0, 0.5))
+    camera: Any = SetCamera(held)
+    findings, read = cameras._settled(camera, "left", replace(RIG.camera.left, exposure_ms=7.5, gain_db=2.0))
+    assert camera.settings == [CameraSettings(400, 300, 7500.0, 2.0)]
+    assert read == held
+    assert findings[0].name == "camera.left link"
+    assert findings[1:] == list(judge_settings("left", held))
+
+
+def test_a_camera_behind_a_slow_link_is_not_set_and_one_that_cannot_be_asked_is_good() -> None:
+    camera: Any = SetCamera()
+    camera.slow_link = "the link runs at 480 Mbit/s"
+    ((link,), held) = cameras._settled(camera, "right", RIG.camera.right)
+    assert (link.ok, held, camera.settings) == (False, (), [])
+    dumb: Any = SimpleNamespace(slow_link=None, identity=SetCamera.identity, configure=lambda _settings: None)
+    (_, settings), held = cameras._settled(dumb, "right", RIG.camera.right)
+    assert (settings.name, settings.ok, held) == ("camera.right settings", True, ())
