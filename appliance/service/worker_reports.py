@@ -55,17 +55,17 @@ class WorkerReports:
         report = self._worker.poll()
         if report is None:
             return [on.PartBusy(Part.WORKER)] if self._worker.gets_on() else []
-        events = self._meant(report, scan)
+        events = self.meant(report, scan)
         for _ in range(MOST_REPORTS - 1):
             if not _only_tells(report):
                 break
             report = self._worker.poll()
             if report is None:
                 break
-            events += self._meant(report, scan)
+            events += self.meant(report, scan)
         return events
 
-    def _meant(self, report: WorkerEvent, scan: ScanInMemory | None) -> list[on.Event]:
+    def meant(self, report: WorkerEvent, scan: ScanInMemory | None) -> list[on.Event]:
         match report:
             case WorkerReady():
                 self.settled = True

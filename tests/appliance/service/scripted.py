@@ -1,0 +1,166 @@
+"""An instrument whose devices follow a script, with everything of the service above them; no process for points can live."""
+
+from __future__ import annotations
+
+import multiprocessing.spawn
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.capture.grabber import Grabber
+from appliance.capture.timeouts import Timeouts
+from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
+from appliance.config import Rig, load_rig
+from appliance.instrument import design_of, drawn_light_of
+from appliance.machine import events as on
+from appliance.machine.states import Device
+from appliance.ranging.beams import Pointers
+from appliance.service.aiming import AimingController
+from appliance.service.calibrating import CalibrationController
+from appliance.service.device_supervisor import DeviceSupervisor
+from appliance.service.devices import Devices
+from appliance.service.gallery import GalleryController
+from appliance.service.keys import KeyReader
+from appliance.service.parts import Parts
+from appliance.service.ranging import RangingController
+from appliance.service.scans import MeasuringSetup, ScanController, ScanStorage
+from appliance.service.transfer import TransferSwitch
+from appliance.storage.library import Library
+from drivers.api import Board, Camera, CameraSettings, DeviceGone, Display, Flip, KeyEvent, Keys, Projector, Wires
+from drivers.native import MonotonicClock
+from drivers.wall_clock import KernelCalendar
+from tests.appliance.capture.test_course_of_a_scan import (
+    HZ,
+    SEQUENCE,
+    Script,
+    ScriptedBoard,
+    ScriptedCamera,
+    ScriptedProjector,
+)
+
+
+class LiveBoard(ScriptedBoard):
+    """Fires without a sequence, too."""
+
+    def live(self, every: int, delay_us: int, width_us: int) -> None:
+        self._script.said.append(f"live every {every} delay {delay_us} width {width_us}")
+
+
+class Lamp(ScriptedProjector):
+    """Shows single pictures, too."""
+
+    def load(self, frames: Sequence[NDArray[np.uint8]]) -> None:
+        self._script.said.append(f"load {len(frames)}")
+
+    def show(self, index: int) -> Flip:
+        self._script.said.append(f"show {index}")
+        return Flip(index, None, 0)
+
+
+@dataclass
+class KeyPad:
+    """Gives what lies in ``waiting``."""
+
+    waiting: list[KeyEvent] = field(default_factory=list)
+
+    def next_event(self, timeout_s: float) -> KeyEvent | None:
+        if self.waiting:
+            return self.waiting.pop(0)
+        MonotonicClock().sleep_s(min(timeout_s, 0.005))
+        return None
+
+
+@dataclass
+class Screen:
+    """Takes pictures down, and how long each might take."""
+
+    limits_s: list[float] = field(default_factory=list)
+    there: bool = True
+
+    @contextmanager
+    def opened(self) -> Iterator[Display]:
+        if not self.there:
+            raise DeviceGone("display", "not found", "plug it in")
+        yield cast("Display", self)
+
+    def present(self, image: NDArray[np.uint8], timeout_s: float) -> Flip:
+        self.limits_s.append(timeout_s)
+        return Flip(0, None, 0)
+
+
+@dataclass
+class Desk:
+    rig: Rig
+    parts: Parts
+    script: Script
+    pad: KeyPad
+    screen: Screen
+    inbox: list[on.Event] = field(default_factory=list)
+
+    @property
+    def devices(self) -> Devices:
+        return self.parts.devices
+
+    def said(self) -> list[str]:
+        """What the devices were told since the last call."""
+        told = list(self.script.said)
+        self.script.said.clear()
+        return told
+
+
+def small_rig(root: Path) -> Rig:
+    return simulated(load_rig(default_sim_rig()), SimOptions(root=root, size="400x300"))
+
+
+@contextmanager
+def a_desk(root: Path, pointers: Pointers | None = None) -> Iterator[Desk]:
+    """All devices are there and open."""
+    rig, script, pad, screen = small_rig(root), Script(), KeyPad(), Screen()
+    clock, calibration = script.clock, design_of(rig)
+    library = Library(root)
+    library.prepare()
+    wires = cast("Wires", _Wires(clock))
+    left = rig.camera.left
+    settings = CameraSettings(left.width_px, left.height_px, 1000.0 * left.exposure_ms, left.gain_db)
+    devices = Devices(rig, wires, lambda _: None)
+
+    def kept(device: Device, opened: Any) -> Any:
+        return DeviceSupervisor(device, opened, clock, None)
+
+    def grabber(side: str) -> AbstractContextManager[Grabber]:
+        return Grabber(side, cast("Camera", ScriptedCamera(side, script)), clock, settings, Timeouts(HZ))
+
+    for side, device in (("left", Device.CAMERA_LEFT), ("right", Device.CAMERA_RIGHT)):
+        devices.cameras[side] = kept(device, partial(grabber, side))
+    devices.board = kept(Device.BOARD, lambda: nullcontext(cast("Board", LiveBoard(script))))
+    devices.projector = kept(Device.PROJECTOR, lambda: nullcontext(cast("Projector", Lamp(script))))
+    devices.keys = kept(Device.KEYS, lambda: KeyReader(cast("Keys", pad)))
+    devices.display = kept(Device.DISPLAY, screen.opened)
+    scans = ScanController(rig, MeasuringSetup(calibration, SEQUENCE), ScanStorage(library), clock, KernelCalendar())
+    with ExitStack() as stack:
+        # Behind the frames' memory, for whose sake Python starts a process of its own, which must live.
+        stack.callback(multiprocessing.spawn.set_executable, multiprocessing.spawn.get_executable())
+        multiprocessing.spawn.set_executable("/bin/false")
+        stack.callback(scans.__exit__, None, None, None)
+        calibrating = stack.enter_context(CalibrationController(rig, scans))
+        ranging = stack.enter_context(RangingController(pointers, calibration, calibration.water.index, clock, 0.1))
+        aiming = stack.enter_context(AimingController(clock, 0.1, left.black_level_dn, drawn_light_of(rig)))
+        gallery = GalleryController(library, scans.submit)
+        for supervisor in devices._supervisors():
+            stack.callback(supervisor.close)
+        assert len(devices.poll()) == len(Device)
+        parts = Parts(devices, scans, calibrating, gallery, ranging, aiming, TransferSwitch({}))
+        yield Desk(rig, parts, script, pad, screen)
+
+
+@dataclass
+class _Wires:
+    """A clock is all that the devices of the script need."""
+
+    clock: MonotonicClock
