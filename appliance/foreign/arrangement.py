@@ -1,9 +1,11 @@
-"""Owns the test of which camera is which: left and right exchanged, or R and T written the other way round.
+"""Owns the tests of what is said of the cameras and, where one is a projector, of the pattern on it: hypotheses, and what each explains.
 
-Of a camera and a projector also: where the code begins on it.
-Points are made of every so many pixels, as described and otherwise. With two directions, rays of true pairs meet only as the cameras
-really stand. With one direction they meet whatever is said, and only where they meet, before the cameras or nowhere, tells
-anything: cameras that look towards each other find a mirrored world as well, which nothing here can tell from the true one.
+Points of every so many pixels are made along epipolar curves, as described and otherwise. Three things can contradict them.
+*Share*: cameras that look elsewhere have few points in common.
+*Sides*: a camera and a projector see a surface from the same side; of a pattern that runs the other way one would see it from behind.
+*Aside*: across the disparity nothing has put a point where it is. There the other direction's coordinate, or the texture of the
+bright images, tells how far its place in the right image is from where it should be.
+A word fits where all its alternatives are contradicted and what was said is not; where an alternative is not, nothing has checked it.
 """
 
 from __future__ import annotations
@@ -13,141 +15,359 @@ from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Any
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from appliance.foreign.assumptions import ExaminedAssumption, Outcome
+from appliance.foreign.assumptions import ExaminedAssumption, Outcome, fits, unchecked, wrong
 from appliance.foreign.camera import DecodedCamera, placed_again
-from appliance.foreign.cameras import ForeignRig, inverted
-from appliance.foreign.decode import PlacedAxis
-from appliance.foreign.description import Description
-from appliance.foreign.images import ImageSet
-from appliance.foreign.points import find_points
-from appliance.foreign.problem import ForeignError
+from appliance.foreign.cameras import ForeignRig
+from appliance.foreign.description import AxisConvention, Description
+from appliance.foreign.phase import Floats
+from appliance.foreign.points import depths_of
+from appliance.foreign.texture import Offset, Texture
+from appliance.optics.epipolar import CurveError
 from appliance.optics.model import HousedCamera, StereoRig
+from appliance.optics.rotation import matrix3
+from appliance.reconstruct.one_direction import NoPoint, OneDirectionError, OneDirectionLimits, match_along_curves
 
-COARSE_WIDTH_PX = 160
-GOOD, POOR = 0.4, 0.25
-"""Share of the left pixels with coordinates that have a point: an arrangement with so many is right, one with fewer is doubtful."""
+COARSE_PX, LEAST_NEIGHBOURS = 160, 3
+"""Largest width of what points are made of, and neighbours that a point has there."""
+POOR, NONE = 0.25, 0.02
+"""Share of the left pixels with coordinates that have a point: what is said is doubtful with fewer, and wrong with next to none."""
 CLEARLY = 2.0
-"""Another arrangement is named where it has so many times as many points."""
-NAME = "arrangement of the cameras"
+"""By so many times more points, or a smaller offset, another hypothesis is better."""
+SAME_SIDE = 0.8
+MOST_ASIDE_PX, MOST_ASIDE_PERIODS, SURE_PX = 2.0, 0.06, 1.0
+"""Offset that right numbers leave: of two cameras, and of a projector besides by the error of its phase; and the least that contradicts."""
+FOUND_SHARE, SLOPES_EVERY = 0.15, 3
+PATCHES, PATCHES_OF_OTHERS = 2000, 700
+SCALES, SHIFTS = (0.5, 0.8, 1.25, 2.0), (-0.125, 0.125)
+"""Other periods of a projector, over the one that was said, and other starts, over its size."""
+CENTRED, NEARLY_CENTRED = 0.12, 0.06
+"""Distance of a principal point from the middle of its image, over its size: of a whole sensor, and after another size was put right."""
+POSE, TURN, TURN_DEG = "cameras: rotation and translation", "cameras: a turn about the columns", 0.3
+NOTHING = Offset(0, 0, 0.0, 0.0, 0.0)
+Maps = Mapping[str, Floats]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """What both sides have, how they stand, and in which words that differs from what was said."""
+
+    rig: ForeignRig
+    left: Maps
+    right: Maps
+    """Of a projector, its own coordinates."""
+    texture: Texture | None
+    """``None`` where the other direction tells, or there is no second picture."""
+    projector: bool
+    about: str = ""
+    text: str = ""
+    instead: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
-class _Tried:
-    share: float
-    text: str
-    instead: Mapping[str, Any] = field(default_factory=dict)
+class _Found:
+    """What points say of it."""
+
+    share: float = 0.0
+    same_side: float = 1.0
+    depth_mm: float = 0.0
+    aside: Offset = NOTHING
+    why: str = ""
+
+    @property
+    def holds(self) -> bool:
+        """True if nothing contradicts it."""
+        return self.share >= POOR and self.same_side >= SAME_SIDE and (self.aside.fits or not self.aside.tells)
+
+    def better(self, other: _Found) -> bool:
+        """Tell whether this is clearly better: by what both have across the disparity, else by their points."""
+        if other.aside.tells and self.holds:
+            return self.aside.fits and other.aside.size_px > max(SURE_PX, CLEARLY * self.aside.size_px)
+        return self.holds and (not other.holds or self.share > CLEARLY * other.share)
+
+    def __str__(self) -> str:
+        said = [f"{100 * self.share:.0f} % have a point{self.why}"]
+        if self.same_side < SAME_SIDE:
+            said.append(f"{100 - 100 * self.same_side:.0f} % of the surface would be seen from behind")
+        return ", ".join([*said, str(self.aside)] if self.aside.asked else said)
+
+
+def examine_cameras(
+    description: Description, rig: ForeignRig, cameras: Mapping[str, DecodedCamera]
+) -> list[ExaminedAssumption]:
+    """Test what is said of ``cameras``, which are ``left`` and, unless the right one is a projector, ``right``."""
+    left, right = cameras["left"], cameras.get("right")
+    rig = replace(rig, rig=_as_small(rig.rig, cameras))
+    size = _size(rig.rig, cameras)
+    if size.outcome is Outcome.WRONG:
+        return [size]
+    texture = Texture.of(left.grey, right.grey) if right is not None and description.one_direction else None
+    others_maps = _projector(rig.rig.right) if right is None else _maps(right)
+    seen = _Seen(rig, _maps(left), others_maps, texture, right is None)
+    here = _found(seen, description, PATCHES)
+    others = [*_otherwise(seen), *(_patterns(seen, description, left) if right is None else _exchanged(seen))]
+    said = _judged(here, [(one, _found(one, description, PATCHES_OF_OTHERS)) for one in others])
+    if any(one.outcome is Outcome.WRONG for one in said):
+        return said
+    if right is None:
+        said += [_width(description, rig, axis, said) for axis in description.axes]
+    return [*said, size, *_lengths(rig, here)]
 
 
 def examine_arrangement(
     description: Description, rig: ForeignRig, cameras: Mapping[str, DecodedCamera]
-) -> ExaminedAssumption:  # fmt: skip
-    """Test how the cameras stand; ``cameras`` are ``left`` and, unless the right one is a projector, ``right``."""
-    coarse_rig, coarse = _coarse(rig, cameras)
-    left, right = coarse["left"], coarse.get("right")
-    here = _share(description, coarse_rig, left, right)
-    turned = replace(coarse_rig, rig=inverted(coarse_rig.rig))
-    others = [
-        _Tried(
-            _share(description, turned, left, right),
-            "rotation and translation are those of the other camera (R and T of right to left)",
-        )
-    ]
-    # Exchanged images fit other lenses only where they have the same size.
-    if right is not None and left.grey.shape == right.grey.shape:
-        text = "left and right are exchanged: name the images of one for the other"
-        others.append(_Tried(_share(description, coarse_rig, right, left), text))
-    for text, other in _centred(description) if right is None else []:
-        placed = _coarse(rig, {"left": placed_again(cameras["left"], other)})[1]["left"]
-        instead = {f"{axis.name}.code_offset_px": axis.code_offset_px for axis in other.axes}
-        others.append(_Tried(_share(other, coarse_rig, placed, None), text, instead))
-    best = max(others, key=lambda one: one.share)
-    if best.share > max(CLEARLY * here, POOR):
-        return ExaminedAssumption(
-            NAME, Outcome.WRONG,
-            f"{100 * here:.0f} % of the left pixels have a point, and {100 * best.share:.0f} % if {best.text}", best.instead,
-        )  # fmt: skip
-    if here < POOR:
-        return ExaminedAssumption(
-            NAME, Outcome.NOT_JUDGED if here > 0.02 else Outcome.WRONG,
-            f"only {100 * here:.0f} % of the left pixels have a point, and no more with left and right or R and T exchanged: check the "
-            "cameras' numbers, cameras.unit, water and ports, and range",
-        )  # fmt: skip
-    if best.share > here / CLEARLY:
-        return ExaminedAssumption(
-            NAME, Outcome.NOT_JUDGED,
-            f"{100 * here:.0f} % of the left pixels have a point, and {100 * best.share:.0f} % if {best.text}: one direction cannot tell"
-            if description.one_direction
-            else f"{100 * here:.0f} % of the left pixels have a point, and {100 * best.share:.0f} % if {best.text}",
-        )  # fmt: skip
-    return ExaminedAssumption(
-        NAME, Outcome.FITS,
-        f"{100 * here:.0f} % of the left pixels have a point; {100 * best.share:.0f} % if {best.text.partition(':')[0]}",
-    )  # fmt: skip
+) -> ExaminedAssumption:
+    """Return what contradicts most of ``examine_cameras``."""
+    said = examine_cameras(description, rig, cameras)
+    return min(said, key=lambda one: (Outcome.WRONG, Outcome.FITS, Outcome.UNCHECKED).index(one.outcome))
 
 
-def _centred(description: Description) -> list[tuple[str, Description]]:
-    """Return the description with codes that begin elsewhere: of 2ⁿ stripes on a projector of fewer px, programs use the first ones or
-    those in the middle."""
+def _judged(here: _Found, tried: list[tuple[_Seen, _Found]]) -> list[ExaminedAssumption]:
+    """Return what the hypotheses say of the words that they are about."""
+    better = [(one, found) for one, found in tried if found.better(here)]
+    if better:
+        one, found = min(better, key=lambda two: (-two[1].aside.tells, two[1].aside.size_px, -two[1].share))
+        return [wrong(one.about, f"{here}; {found} if {one.text}", **one.instead)]
+    if not here.holds:
+        return [_unexplained(here)]
+    said = []
+    for about in dict.fromkeys(one.about for one, _ in tried):
+        mine = [(one, found) for one, found in tried if one.about == about]
+        if about == TURN and not here.aside.tells:
+            continue  # Nothing checks more than that either.
+        as_good = [(one, found) for one, found in mine if found.holds and not here.better(found)]
+        one, found = max(as_good or mine, key=lambda two: two[1].share)
+        text = f"{found} if {one.text}"
+        if as_good:
+            said.append(unchecked(about, f"{text}, {found.depth_mm:.0f} mm away in place of {here.depth_mm:.0f} mm"))
+        elif about == POSE and not here.aside.tells:
+            said.append(unchecked(about, f"{here}, and {text}, but nothing checks their values"))
+        else:
+            said.append(fits(about, f"{here}, and {text}" if about == POSE else text))
+    return said
+
+
+def _unexplained(here: _Found) -> ExaminedAssumption:
+    aside = here.aside
+    sure = aside.spread_px <= aside.allowed_px or aside.found > FOUND_SHARE * aside.asked
+    contradicted = here.share <= NONE or here.same_side < SAME_SIDE or (here.share >= POOR and sure)
+    text = (
+        f"{here}, and no better if cameras, R or T are exchanged: check that the calibration is of this setting and of images of this size, "
+        "cameras.unit, water and ports, and range"
+    )
+    return (wrong if contradicted else unchecked)(POSE, text)
+
+
+# ------------------------------------------------------------------------------------------------- hypotheses
+
+
+def _otherwise(seen: _Seen) -> list[_Seen]:
+    """Return the ways in which R and T, and the water, may be meant otherwise."""
+    right = seen.rig.rig.right
+    R = np.asarray(right.rotation).T
+    T = -R @ np.asarray(right.translation_mm)
+    # About the axis across the disparity, which hardly anything sees.
+    axis = np.eye(3)[1 if abs(T[0]) >= abs(T[1]) else 0]
+    turn = np.asarray(cv2.Rodrigues(np.deg2rad(TURN_DEG) * axis)[0])
     found = []
-    choices = []
-    for axis in description.axes:
-        beyond_px = axis.stripe_px * 2**axis.bits - axis.size_px if axis.bits else 0.0
-        choices.append(
-            [axis.code_offset_px] + ([0.0 if axis.code_offset_px else -0.5 * beyond_px] if beyond_px > 0.0 else [])
-        )
-    for offsets in list(product(*choices))[1:]:
-        other = description
-        said = []
-        for axis, offset_px in zip(description.axes, offsets, strict=True):
-            other = other.with_axis(replace(axis, code_offset_px=offset_px))
-            if offset_px != axis.code_offset_px:
-                said.append(f"{axis.name}.code_offset_px = {offset_px:g}")
-        found.append((" and ".join(said), other))
+    for about, text, other_R, other_T in (
+        (POSE, "they are R and T of right to left", R.T, -R.T @ T), (POSE, "R is transposed", R.T, T), (POSE, "T is negated", R, -T),
+        (POSE, "R is transposed and T negated", R.T, -T), (TURN, f"it is {TURN_DEG:g}° more", turn @ R, T),
+    ):  # fmt: skip
+        x, y, z = (float(one) for one in -other_R.T @ other_T)
+        rig = StereoRig(seen.rig.rig.left, replace(right, rotation=matrix3(other_R.T), translation_mm=(x, y, z)))
+        found.append(replace(seen, rig=replace(seen.rig, rig=rig), about=about, text=text))
+    if not seen.rig.in_air and not right.lens_in_water:
+        found.append(replace(seen, rig=replace(seen.rig, index=1.0), about="water.index", text="it is air"))
     return found
 
 
-def _share(description: Description, rig: ForeignRig, left: DecodedCamera, right: DecodedCamera | None) -> float:
-    try:
-        found = find_points(description, rig, left, right)
-    except ForeignError:  # no depths, no curves, no coordinates: no points
-        return 0.0
-    return found.points / found.lit if found.lit else 0.0
+def _exchanged(seen: _Seen) -> list[_Seen]:
+    """Return left for right, where the lenses of one fit images of the other's size."""
+    if next(iter(seen.left.values())).shape != next(iter(seen.right.values())).shape:
+        return []
+    texture = seen.texture and seen.texture.exchanged()
+    about, text = "cameras: which is left", "left and right are exchanged"
+    return [replace(seen, left=seen.right, right=seen.left, texture=texture, about=about, text=text)]
 
 
-def _coarse(rig: ForeignRig, cameras: Mapping[str, DecodedCamera]) -> tuple[ForeignRig, dict[str, DecodedCamera]]:
-    """Return every so many pixels of the cameras, and the lenses that see them so."""
-    step = max(1, rig.rig.left.width_px // COARSE_WIDTH_PX)
-    thin = StereoRig(
-        _thinned(rig.rig.left, step), rig.rig.right if "right" not in cameras else _thinned(rig.rig.right, step)
+def _patterns(seen: _Seen, description: Description, left: DecodedCamera) -> list[_Seen]:
+    """Return other patterns on the projector that make the same images."""
+    found = []
+    for axis in description.axes:
+        start = "code_offset_px" if axis.bits else "start_deg"
+        backwards = f'it is "{"-" if axis.sign > 0 else "+"}"'
+        rows = [
+            ("code", "it runs the other way", -1.0, axis.size_px)
+            if axis.bits
+            else ("sign", backwards, -1.0, axis.size_px)
+        ]
+        rows += [(_period_word(axis), f"it is {scale:g} times as much", scale, 0.0) for scale in SCALES]
+        rows += [
+            (start, f"the pattern begins {px:+.0f} px aside", 1.0, px) for px in (one * axis.size_px for one in SHIFTS)
+        ]
+        for word, text, scale, shift_px in rows:
+            about = f"{axis.name}.{word}"
+            moved = np.float32(scale) * (seen.left[axis.name] + np.float32(0.5)) + np.float32(shift_px - 0.5)
+            instead: dict[str, Any] = {about: -axis.sign} if word == "sign" else {}
+            found.append(replace(seen, left={**seen.left, axis.name: moved}, about=about, text=text, instead=instead))
+    for offsets_px in _code_offsets(description.axes):
+        axes = [replace(axis, code_offset_px=px) for axis, px in zip(description.axes, offsets_px, strict=True)]
+        text = " and ".join(
+            f"{one.name}.code_offset_px = {one.code_offset_px:g}" for one in axes if one not in description.axes
+        )
+        instead = {f"{one.name}.code_offset_px": one.code_offset_px for one in axes}
+        maps = _maps(placed_again(left, replace(description, axes=tuple(axes))))
+        found.append(replace(seen, left=maps, about=text.split(" ")[0], text=text, instead=instead))
+    return found
+
+
+def _period_word(axis: AxisConvention) -> str:
+    return "period_px" if axis.periods_px else "stripe_px"
+
+
+def _code_offsets(axes: tuple[AxisConvention, ...]) -> list[tuple[float, ...]]:
+    """Return where codes may begin instead: of 2ⁿ stripes on a projector of fewer px, programs use the first ones or those in the middle."""
+    choices = []
+    for axis in axes:
+        beyond_px = axis.stripe_px * 2**axis.bits - axis.size_px if axis.bits else 0.0
+        other_px = 0.0 if axis.code_offset_px else -0.5 * beyond_px
+        choices.append([axis.code_offset_px, *([other_px] if beyond_px > 0.0 else [])])
+    return list(product(*choices))[1:]
+
+
+# --------------------------------------------------------------------------------------- what else is said of them
+
+
+def _width(
+    description: Description, rig: ForeignRig, axis: AxisConvention, said: list[ExaminedAssumption]
+) -> ExaminedAssumption:
+    """Say whether anything checks the projector's size along a direction: the words of its calibration, else what checks the period."""
+    k = "xy".index(axis.name)
+    about, size_px = f"projector.{('width', 'height')[k]}_px", description.projector_px[k]
+    if getattr(rig, "stated_px", {}).get("right") == description.projector_px:
+        return fits(about, "its calibration says the same")
+    text = f"the projector's axis leaves at {100 * rig.rig.right.lens.c_px[k] / size_px:.0f} % of {size_px} px"
+    checked = any(one.about == f"{axis.name}.{_period_word(axis)}" and one.outcome is Outcome.FITS for one in said)
+    return fits(about, f"{text}, and the period fits") if checked else unchecked(about, text)
+
+
+def _size(rig: StereoRig, cameras: Mapping[str, DecodedCamera]) -> ExaminedAssumption:
+    """Test by the principal points whether the lenses are those of images of this size."""
+    about, sides = "cameras: size of their images", (rig.left, rig.right)[: len(cameras)]
+    places = [c / size for one in sides for c, size in zip(one.lens.c_px, (one.width_px, one.height_px), strict=True)]
+    beside = {scale: max(abs(scale * at - 0.5) for at in places) for scale in (1.0, 2.0, 0.5)}
+    text = f"their axes meet the images at {', '.join(f'{100 * at:.0f} %' for at in places)} of width and height"
+    if beside[1.0] <= CENTRED:
+        return fits(about, text)
+    for scale, other in ((2.0, "half"), (0.5, "twice")):
+        if beside[scale] <= NEARLY_CENTRED:
+            return wrong(
+                about, f"{text}: the calibration is of images of {other} the size, multiply the matrices by {scale:g}"
+            )
+    return unchecked(about, f"{text}: parts of a sensor, or a calibration of other images")
+
+
+def _lengths(rig: ForeignRig, here: _Found) -> list[ExaminedAssumption]:
+    """Say that no image tells lengths; a calibration of ours states them."""
+    if rig.calibration is not None:
+        return []
+    apart_mm = float(np.linalg.norm(rig.rig.right.translation_mm))
+    text = f"no image tells lengths: with it both are {apart_mm:.4g} mm apart, and the object is {here.depth_mm:.4g} mm away"
+    if not getattr(rig, "scale_known", True):
+        text = "the calibration states no length (|T| = 1): lengths are in baselines"
+    return [unchecked("cameras.unit", text)]
+
+
+# ----------------------------------------------------------------------------------------------------- points
+
+
+def _found(seen: _Seen, description: Description, patches: int) -> _Found:
+    """Make points along the first direction whose fringes cross the epipolar curves, and ask them."""
+    rig, index = seen.rig.rig, seen.rig.index
+    step, right_step = (-(-camera.width_px // COARSE_PX) for camera in (rig.left, rig.right))
+    thin = StereoRig(_thinned(rig.left, step), _thinned(rig.right, right_step))
+    why = ""
+    for axis in description.axes:
+        left, right = seen.left[axis.name][::step, ::step], seen.right[axis.name][::right_step, ::right_step]
+        limits = OneDirectionLimits(min_neighbours=LEAST_NEIGHBOURS)
+        try:
+            points = match_along_curves(left, right, thin, index, depths_of(description, rig, index), limits=limits)
+        except (OneDirectionError, CurveError) as error:
+            why = f" ({error})"
+            continue
+        there = points.mask
+        share = float(np.count_nonzero(there) / np.count_nonzero(np.isfinite(left)))
+        if share < POOR:
+            reason = max(list(NoPoint)[NoPoint.OUT_OF_VIEW :], key=points.count)
+            return _Found(share, why=f" (most others: {reason.name.lower().replace('_', ' ')})")
+        y, x = (at[:: max(1, np.count_nonzero(there) // patches)] for at in np.nonzero(there))
+        right_px = rig.right.project(points.points_mm[y, x].astype(np.float64), index)
+        left_px = step * np.stack([x, y], axis=1)
+        aside = NOTHING
+        if seen.texture is not None:
+            along, down = _slopes(right)
+            aside = seen.texture.offset(left_px, right_px, along >= down)
+        for other in description.axes:
+            if other.name != axis.name:
+                aside = _by_other(seen, other, left_px, right_px)
+        depth_mm = float(np.median(points.points_mm[..., 2][there]))
+        return _Found(share, _same_side(points.points_mm, rig.right), depth_mm, aside)
+    return _Found(why=why)
+
+
+def _by_other(seen: _Seen, axis: AxisConvention, left_px: NDArray[np.int64], right_px: NDArray[np.float64]) -> Offset:
+    """Return how far the right image has the other coordinate of left pixels beside the places ``right_px`` of their points."""
+    whole = seen.right[axis.name]
+    u, v = np.ascontiguousarray(right_px.T[:, None], np.float32)
+    there = cv2.remap(whole, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan)
+    off_px = (seen.left[axis.name][left_px[:, 1], left_px[:, 0]] - there[0]) / max(*_slopes(whole), 1e-6)
+    error_px = MOST_ASIDE_PERIODS * axis.period_px if seen.projector else 0.0
+    return Offset.of(off_px[np.isfinite(off_px)].astype(np.float64), len(off_px), MOST_ASIDE_PX + error_px)
+
+
+def _slopes(coordinate: Floats) -> tuple[float, float]:
+    """Return by how much a coordinate usually changes from one pixel to the next along the image, and down."""
+    along, down = (np.abs(np.diff(coordinate, axis=axis)[::SLOPES_EVERY, ::SLOPES_EVERY]) for axis in (1, 0))
+    return float(np.nanmedian(along)), float(np.nanmedian(down))
+
+
+def _same_side(points_mm: NDArray[np.float32], right: HousedCamera) -> float:
+    """Return the share of the surface that both sides see from the same side."""
+    normal = np.cross(points_mm[1:-1, 2:] - points_mm[1:-1, :-2], points_mm[2:, 1:-1] - points_mm[:-2, 1:-1])
+    middle = points_mm[1:-1, 1:-1]
+    from_left, from_right = ((normal * (middle - np.array(at))).sum(-1) for at in ((0, 0, 0), right.translation_mm))
+    known = np.isfinite(from_left)
+    return float(np.mean((from_left * from_right)[known] > 0.0)) if known.any() else 1.0
+
+
+def _maps(camera: DecodedCamera) -> Maps:
+    return {name: one.coordinate_px for name, one in camera.placed.items()}
+
+
+def _projector(projector: HousedCamera) -> Maps:
+    v, u = np.mgrid[0 : projector.height_px, 0 : projector.width_px].astype(np.float32)
+    return {"x": u, "y": v}
+
+
+def _as_small(rig: StereoRig, cameras: Mapping[str, DecodedCamera]) -> StereoRig:
+    """Return the lenses that see every so many pixels where images were thinned."""
+    left, right = (
+        _thinned(one, round(one.width_px / cameras[side].grey.shape[1])) if side in cameras else one
+        for side, one in (("left", rig.left), ("right", rig.right))
     )
-    return replace(rig, rig=thin), {side: _thin_camera(camera, step) for side, camera in cameras.items()}
+    return replace(rig, left=left, right=right)
 
 
 def _thinned(camera: HousedCamera, step: int) -> HousedCamera:
-    fu, fv = camera.lens.f_px
-    cu, cv = camera.lens.c_px
+    """Return the lens that sees every so many pixels of a camera."""
+    if step == 1:
+        return camera
+    (fu, fv), (cu, cv) = camera.lens.f_px, camera.lens.c_px
     lens = replace(camera.lens, f_px=(fu / step, fv / step), c_px=(cu / step, cv / step))
     # Corrections of an image are worth hundredths of a pixel: too little to tell one arrangement from another.
-    return replace(
-        camera,
-        width_px=-(-camera.width_px // step),
-        height_px=-(-camera.height_px // step),
-        lens=lens,
-        correction=None,
-        ray_shift=None,
-    )
-
-
-def _thin_camera(camera: DecodedCamera, step: int) -> DecodedCamera:
-    at = (slice(None, None, step), slice(None, None, step))
-    images = camera.images
-    few = ImageSet(images.shown[:1], images.files[:1], images.images[0][None, ::step, ::step], images.white)
-    placed = {
-        name: PlacedAxis(
-            np.ascontiguousarray(one.coordinate_px[at]), one.reason[at], np.ascontiguousarray(one.modulation[at])
-        )
-        for name, one in camera.placed.items()
-    }
-    return DecodedCamera(few, {}, placed, np.ascontiguousarray(camera.grey[at]))
+    width_px, height_px = -(-camera.width_px // step), -(-camera.height_px // step)
+    return replace(camera, width_px=width_px, height_px=height_px, lens=lens, correction=None, ray_shift=None)

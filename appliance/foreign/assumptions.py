@@ -4,7 +4,9 @@
 *Phase against code*: over two whole stripes the mean of their numbers is the coordinate to a fraction of a period. The phase
 runs along with it, R = |mean exp 2πi(turns − mean)| near 1, or against it; the angle of that mean is where the phase begins.
 *Steps*: least squares leaves little over; else the images' own two principal components say which steps they have.
-*Periods*: the phases of all periods agree on a coordinate much better than unrelated phases would on the best of all fringes.
+*Periods*: the phases of all periods agree on a coordinate much better than unrelated phases would on the best of all fringes, or it
+goes on from one fringe to the next.
+A test that could not have failed is no fit: what it is about stays unchecked, with that reason.
 """
 
 from __future__ import annotations
@@ -20,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.foreign.camera import DecodedCamera
-from appliance.foreign.code import LEAST_BITS, CodeBits, numbered_stripes, stripe_numbers
+from appliance.foreign.code import LEAST_BITS, numbered_stripes, stripe_numbers
 from appliance.foreign.decode import Measured, by_periods, chance_misfit
 from appliance.foreign.description import AxisConvention
 from appliance.foreign.order import Shows
@@ -36,37 +38,44 @@ CLEARLY_BETTER, GOOD_CODE = 0.25, 0.6
 """A convention of the code is wrong where less than this share of its borders are between neighbours, and another one has so much more."""
 GOOD_FIT, POOR_FIT = 0.6, 0.45
 """R from which on phase and code belong together, and below which they do not."""
-MOST_START = 0.09
-"""Allowed error of where the phase begins, in turns."""
-HALF_OFF = 0.38
-MOST_MISFIT = 0.6
-"""Allowed misfit of the steps, as a share of the modulation: a bent response of the projector alone makes up to 0.35."""
-GOOD_OF_CHANCE, POOR_OF_CHANCE = 0.45, 0.8
-"""Disagreement of the phases of several periods over that of phases that have nothing to do with each other: good below, wrong above."""
+MOST_START, HALF_OFF = 0.09, 0.38
+"""Allowed error of where the phase begins, in turns; and that from which on the code is half a period off."""
+MOST_MISFIT, BENT = 0.6, 0.15
+"""Allowed misfit of the steps, as a share of the modulation: a bent response of the projector alone makes up to a half. A line from
+the second on."""
+GOOD_OF_CHANCE, POOR_OF_CHANCE, GOES_ON, LEAPS = 0.45, 0.8, 0.7, 0.15
+"""Disagreement of the phases of several periods over that of phases that have nothing to do with each other: good below, wrong above;
+share of the borders of fringes at which the coordinate goes on, of periods that belong together, and of others."""
 FEW, START_DEG, NEARLY, FINER_DEG = 3000, 15, 1.3, (-6.0, -3.0, 0.0, 3.0, 6.0)
 """Pixels that are asked where the phases of several periods begin, the steps in which it is searched, how much worse the sign that was
 said may do, and the finer steps about the best one."""
 ACROSS = 2.0
+WORDS = {
+    "fine_first": ("code_order", '"coarse-first"', '"fine-first"'), "inverted": ("code_inverted", "false", "true"),
+    "plain_binary": ("code", '"gray"', '"binary"'),
+}  # fmt: skip
+"""Words of a description for what a code may be: false, true."""
 
 
 class Outcome(Enum):
     """Outcomes of a test."""
 
     FITS = "fits"
+    """It could have failed, and did not."""
     WRONG = "wrong"
-    NOT_JUDGED = "not judged"
-    """The images cannot tell, or show too little."""
+    UNCHECKED = "unchecked"
+    """Nothing could tell."""
 
 
 @dataclass(frozen=True, slots=True)
 class ExaminedAssumption:
-    """One assumption that was tested."""
+    """One word of a description that was tested."""
 
     about: str
-    """Name of the assumption, for example ``sign of x``."""
+    """The word: ``x.sign``."""
     outcome: Outcome
     text: str
-    """Finding in words; of a wrong assumption it says what fits instead."""
+    """Finding; of a wrong word what fits instead, of an unchecked one why nothing could tell."""
     instead: Mapping[str, Any] = field(default_factory=dict)
     """Fields of the direction's convention that fit instead; empty where nothing does."""
 
@@ -75,19 +84,32 @@ class ExaminedAssumption:
         return f"{self.about}: {self.outcome.value}: {self.text}"
 
 
+def fits(about: str, text: str) -> ExaminedAssumption:
+    """Return an assumption that could have failed, and did not."""
+    return ExaminedAssumption(about, Outcome.FITS, text)
+
+
+def wrong(about: str, text: str, **instead: Any) -> ExaminedAssumption:
+    """Return an assumption that the images contradict."""
+    return ExaminedAssumption(about, Outcome.WRONG, text, instead)
+
+
+def unchecked(about: str, text: str) -> ExaminedAssumption:
+    """Return an assumption that nothing could tell."""
+    return ExaminedAssumption(about, Outcome.UNCHECKED, text)
+
+
 def examine_axis(camera: DecodedCamera, axis: AxisConvention) -> list[ExaminedAssumption]:
     """Test all that is assumed of one direction on one camera's images."""
     found = camera.measured[axis.name]
-    said = _steps(camera, axis)
+    said = [*_steps(camera, axis), *_across(camera, axis)]
     if found.bits is None:
-        return [*said, _periods(found, axis), *_across(camera, axis)]
+        return [*said, *_periods(found, axis, camera.placed[axis.name].coordinate_px)]
     lines = _Lines.of(found, axis)
-    said += _resolution(found.bits, axis)
     code = _code(lines, axis)
-    said.append(code)
-    if found.fits and code.outcome is not Outcome.WRONG:
-        said += _phase_against_code(lines, axis)
-    return [*said, *_across(camera, axis)]
+    if found.fits and all(one.outcome is not Outcome.WRONG for one in code):
+        code += _phase_against_code(lines, axis)
+    return [*said, *_resolution(lines, axis), *code]
 
 
 def examine_references(camera: DecodedCamera) -> list[ExaminedAssumption]:
@@ -97,14 +119,8 @@ def examine_references(camera: DecodedCamera) -> list[ExaminedAssumption]:
         return []
     light = float(bright.mean()) - float(dark.mean())
     if light < 0.0:
-        return [
-            ExaminedAssumption(
-                "bright and dark",
-                Outcome.WRONG,
-                "they are exchanged: write dark bright where the order has bright dark",
-            )
-        ]
-    return [ExaminedAssumption("bright and dark", Outcome.FITS, f"bright is brighter by {light:.0f} grey values")]
+        return [wrong("images.order: bright dark", "they are exchanged: write dark bright where it has bright dark")]
+    return [fits("images.order: bright dark", f"the first is brighter by {light:.0f} grey values")]
 
 
 # -------------------------------------------------------------------------------------------------- code
@@ -118,7 +134,10 @@ class _Lines:
     """(bits, n, length)."""
     left_out: tuple[int, int]
     turns: Floats | None
+    """Phase of the period that the code numbers."""
     usable: NDArray[np.bool_]
+    both: NDArray[np.bool_]
+    """(n, length − 1): this pixel and the next one are usable."""
 
     @classmethod
     def of(cls, found: Measured, axis: AxisConvention) -> _Lines:
@@ -129,86 +148,67 @@ class _Lines:
             along = values if axis.name == "x" else np.swapaxes(values, -1, -2)
             return np.ascontiguousarray(along[..., step // 2 :: step, :])
 
-        turns = lines(found.fits[axis.finest].turns) if found.fits else None
-        return cls(lines(found.bits.bits), found.bits.left_out, turns, lines(~(found.weak | found.saturated)))
+        turns = lines(found.fits[axis.numbered].turns) if found.fits else None
+        usable = lines(~(found.weak | found.saturated))
+        return cls(lines(found.bits.bits), found.bits.left_out, turns, usable, usable[:, 1:] & usable[:, :-1])
 
 
-def _resolution(code: CodeBits, axis: AxisConvention) -> list[ExaminedAssumption]:
+def _resolution(lines: _Lines, axis: AxisConvention) -> list[ExaminedAssumption]:
     """Say how many images of the code the camera cannot resolve, and what its finest stripes are."""
-    count = sum(code.left_out)
+    count = sum(lines.left_out)
     if not count:
         return []
-    _, stripe_px = numbered_stripes(code.bits[:, :1, :1], code.left_out, replace(axis, periods_px=()))
-    return [
-        ExaminedAssumption(
-            f"resolution of {axis.name}", Outcome.NOT_JUDGED,
-            f"{count} of {axis.bits} images of the code have stripes that the camera cannot tell apart, and are left out: stripes of "
-            f"{stripe_px:g} px are used",
-        )
-    ]  # fmt: skip
+    _, stripe_px = numbered_stripes(lines.bits[:, :1, :1], lines.left_out, replace(axis, periods_px=()))
+    text = f"{count} of {axis.bits} images of the code have stripes that the camera cannot tell apart, and are left out: stripes of"
+    return [unchecked(f"{axis.name}.stripe_px", f"{text} {stripe_px:g} px are used")]
 
 
 def _wide_enough(lines: _Lines) -> NDArray[np.bool_]:
     """Return the bits without the images at either end whose stripes are hardly wider than a pixel: numbers leap at their borders."""
-    both = lines.usable[:, 1:] & lines.usable[:, :-1]
-    pixels = np.count_nonzero(both)
-    wide = [bool(LEAST_RUN_PX * np.count_nonzero((bit[:, 1:] != bit[:, :-1]) & both) <= pixels) for bit in lines.bits]
+    pixels = np.count_nonzero(lines.both)
+    borders = [np.count_nonzero((bit[:, 1:] != bit[:, :-1]) & lines.both) for bit in lines.bits]
+    wide = [bool(LEAST_RUN_PX * count <= pixels) for count in borders]
     if sum(wide) < LEAST_BITS:
         return lines.bits
-    first, last = wide.index(True), wide[::-1].index(True)
-    return lines.bits[first : len(wide) - last]
+    return lines.bits[wide.index(True) : len(wide) - wide[::-1].index(True)]
 
 
-def _continuity(lines: _Lines, bits: NDArray[np.bool_], axis: AxisConvention) -> tuple[float, int]:
-    """Return the share of the borders at which the number changes by one, and how many borders there are."""
-    step = np.diff(stripe_numbers(bits, axis), axis=1)[lines.usable[:, 1:] & lines.usable[:, :-1]]
-    changes = np.abs(step[step != 0])
-    return (float(np.mean(changes == 1)) if changes.size else 0.0), int(changes.size)
-
-
-def _code(lines: _Lines, axis: AxisConvention) -> ExaminedAssumption:
-    about = f"code of {axis.name}"
+def _code(lines: _Lines, axis: AxisConvention) -> list[ExaminedAssumption]:
     bits = _wide_enough(lines)
-    share, changes = _continuity(lines, bits, axis)
-    if changes < LEAST_CHANGES or axis.bits < 3:
-        return ExaminedAssumption(
-            about, Outcome.NOT_JUDGED, f"{changes} borders of stripes are seen; {LEAST_CHANGES} are needed"
-        )
-    words = {
-        "fine_first": 'code_order = "fine-first"',
-        "inverted": "code_inverted = true",
-        "plain_binary": 'code = "binary"',
-    }
-    usual = {
-        "fine_first": 'code_order = "coarse-first"',
-        "inverted": "code_inverted = false",
-        "plain_binary": 'code = "gray"',
-    }
-    best, best_share = axis, share
-    for flags in product((False, True), repeat=3):
-        other = replace(axis, fine_first=flags[0], inverted=flags[1], plain_binary=flags[2])
-        its_share, its_changes = _continuity(lines, bits, other)
+    shares, counts = {}, {}
+    for flags in product((False, True), repeat=len(WORDS)):
+        other: dict[str, Any] = dict(zip(WORDS, flags, strict=True))
+        step = np.diff(stripe_numbers(bits, replace(axis, **other)), axis=1)[lines.both]
+        changes = np.abs(step[step != 0])
+        shares[flags], counts[flags] = float(np.mean(changes == 1)) if changes.size else 0.0, int(changes.size)
+    said = tuple(getattr(axis, name) for name in WORDS)
+    share, changes = shares[said], counts[said]
+    names = [f"{axis.name}.{word}" for word, *_ in WORDS.values()]
+    if changes < LEAST_CHANGES or axis.bits < LEAST_BITS:
+        text = f"{changes} borders of stripes are seen; {LEAST_CHANGES} of {LEAST_BITS} images are needed"
+        return [unchecked(about, text) for about in names]
+    here = f"{100 * share:.0f} % of {changes} borders are between neighbouring stripes"
+    if share < GOOD_CODE:
         # Of several that fit alike, the one nearest to what was said.
-        if its_share > best_share + CLEARLY_BETTER and its_changes >= LEAST_CHANGES // 4:
-            best, best_share = other, its_share
-    if best is axis or share >= GOOD_CODE:
-        outcome = Outcome.FITS if share >= GOOD_CODE else Outcome.WRONG
-        told = (
-            ""
-            if outcome is Outcome.FITS
-            else "; no order of the bits fits: check which images are gray, and their order"
+        best = max(
+            shares, key=lambda one: (shares[one] * (counts[one] >= LEAST_CHANGES // 4), -np.not_equal(one, said).sum())
         )
-        return ExaminedAssumption(
-            about, outcome, f"{100 * share:.0f} % of {changes} borders are between neighbouring stripes{told}"
-        )
-    said = [
-        (words if getattr(best, name) else usual)[name] for name in words if getattr(best, name) != getattr(axis, name)
-    ]
-    return ExaminedAssumption(
-        about, Outcome.WRONG,
-        f"{100 * share:.0f} % of its borders are between neighbouring stripes, {100 * best_share:.0f} % with "
-        f"{', '.join(f'{axis.name}.{word}' for word in said)}", {name: getattr(best, name) for name in words},
-    )  # fmt: skip
+        if shares[best] <= share + CLEARLY_BETTER:
+            return [wrong(names[0], f"{here}; no order of the bits fits: check which images are gray, and their order")]
+        named = [
+            f"{name} = {words[1 + now]}"
+            for name, words, now, was in zip(names, WORDS.values(), best, said, strict=True)
+            if now != was
+        ]
+        text = f"{here}, {100 * shares[best]:.0f} % with {', '.join(named)}"
+        return [wrong(named[0].split(" ")[0], text, **dict(zip(WORDS, best, strict=True)))]
+    found = []
+    for k, (about, (word, *words)) in enumerate(zip(names, WORDS.values(), strict=True)):
+        flipped = max((one for one in shares if one[k] != said[k]), key=lambda one: shares[one])
+        as_good = shares[flipped] > share - CLEARLY_BETTER
+        text = f"{here}, {100 * shares[flipped]:.0f} % with {word} = {words[not said[k]]}"
+        found.append(unchecked(about, text) if as_good else fits(about, text))
+    return found
 
 
 # ------------------------------------------------------------------------------------------ phase against code
@@ -216,27 +216,19 @@ def _code(lines: _Lines, axis: AxisConvention) -> ExaminedAssumption:
 
 def _phase_against_code(lines: _Lines, axis: AxisConvention) -> list[ExaminedAssumption]:
     assert lines.turns is not None
-    period, about = axis.period_px, f"sign of {axis.name}"
+    period = axis.periods_px[axis.numbered]
+    words = [f"{axis.name}.{word}" for word in ("sign", "stripe_px", "start_deg")]
     whole, stripe = numbered_stripes(lines.bits, lines.left_out, axis)
     number = whole.astype(np.float32)
-    usable = lines.usable
-    both = usable[:, 1:] & usable[:, :-1]
-    changes = np.count_nonzero((np.diff(number, axis=1) != 0) & both)
-    if changes < LEAST_CHANGES:
-        return [
-            ExaminedAssumption(
-                about, Outcome.NOT_JUDGED, f"{changes} borders of stripes are seen; {LEAST_CHANGES} are needed"
-            )
-        ]
+    changes = np.count_nonzero((np.diff(number, axis=1) != 0) & lines.both)
     # Two stripes are so wide in this image.
-    width = 2 * round(np.count_nonzero(both) / changes) + 1
-    size = (width, 1)
+    size = (2 * round(np.count_nonzero(lines.both) / max(1, int(changes))) + 1, 1)
     middle = (number + np.float32(0.5)) * np.float32(stripe) + np.float32(axis.code_offset_px)
     mean = cv2.boxFilter(middle, -1, size, borderType=cv2.BORDER_REFLECT)
-    full = cv2.boxFilter(usable.astype(np.float32), -1, size, borderType=cv2.BORDER_CONSTANT) > np.float32(0.999)
+    full = cv2.boxFilter(lines.usable.astype(np.float32), -1, size, borderType=cv2.BORDER_CONSTANT) > np.float32(0.999)
     good = full & (np.abs(middle - mean) < np.float32(0.75 * stripe))
-    if np.count_nonzero(good) < 10 * LEAST_CHANGES:
-        return [ExaminedAssumption(about, Outcome.NOT_JUDGED, "too little of it is seen over two stripes")]
+    if changes < LEAST_CHANGES or np.count_nonzero(good) < 10 * LEAST_CHANGES:
+        return [unchecked(word, f"{changes} borders of stripes are seen, which is too few") for word in words]
     turns, coordinate = lines.turns[good].astype(np.float64), mean[good].astype(np.float64)
 
     def together(sign: int, factor: float) -> tuple[float, float]:
@@ -247,44 +239,29 @@ def _phase_against_code(lines: _Lines, axis: AxisConvention) -> list[ExaminedAss
     others = {(sign, factor): together(sign, factor)[0] for sign in (1, -1) for factor in (1.0, 0.5, 2.0)}
     best = max(others, key=lambda one: others[one])
     if fit < POOR_FIT and others[best] > GOOD_FIT:
-        instead = {"sign": best[0] * axis.sign, "stripe_px": best[1] * axis.stripe_px}
-        return [ExaminedAssumption(about, Outcome.WRONG, _other_way(axis, best, fit, others[best]), instead)]
+        text = f"{_other_way(axis, best)} (R = {others[best]:.2f} instead of {fit:.2f})"
+        return [wrong(words[best[0] > 0], text, sign=best[0] * axis.sign, stripe_px=best[1] * axis.stripe_px)]
     if fit < POOR_FIT:
-        return [
-            ExaminedAssumption(
-                f"phase and code of {axis.name}", Outcome.WRONG,
-                f"they do not belong together (R = {fit:.2f}; other signs and stripes of half and double width fit no better): check "
-                f"{axis.name}.period_px, the order of the steps, and which images are gray",
-            )
-        ]  # fmt: skip
-    said = [
-        ExaminedAssumption(
-            about,
-            Outcome.FITS,
-            f"the phase runs along with the code (R = {fit:.2f}, the other way {others[-1, 1.0]:.2f})",
-        )
-    ]
-    away = start - axis.start_deg / 360.0
+        text = f"phase and code do not belong together (R = {fit:.2f}; other signs and stripes of half and double width fit no better)"
+        return [wrong(f"{axis.name}.period_px", f"{text}: check it, the order of the steps, and which images are gray")]
+    backwards, wider = others[-1, 1.0], max(others[1, 0.5], others[1, 2.0])
+    said = [(fits if rival < POOR_FIT else unchecked)(word, f"R of phase and code is {fit:.2f}, {rival:.2f} with another one")
+            for word, rival in zip(words, (backwards, wider), strict=False)]  # fmt: skip
+    away = start - axis.begins_deg[axis.numbered] / 360.0
     away -= round(away)
-    about = f"start of {axis.name}"
     if abs(away) <= MOST_START:
-        return [*said, ExaminedAssumption(about, Outcome.FITS, f"phase and code are {360 * abs(away):.0f}° apart")]
+        return [*said, fits(words[2], f"phase and code are {360 * abs(away):.0f}° apart")]
     if abs(away) > HALF_OFF:
         offset_px = axis.code_offset_px + (0.5 * period if axis.code_offset_px < 0.0 else -0.5 * period)
-        return [
-            *said,
-            ExaminedAssumption(
-                about, Outcome.WRONG,
-                f"the code is half a period off: {axis.name}.code_offset_px = {offset_px:g} fits (or {axis.name}.start_deg = "
-                f"{(axis.start_deg + 180.0) % 360.0:g})", {"code_offset_px": offset_px},
-            ),
-        ]  # fmt: skip
+        about, degrees = f"{axis.name}.code_offset_px", (axis.start_deg + 180.0) % 360.0
+        text = f"the code is half a period off: {about} = {offset_px:g} fits (or {axis.name}.start_deg = {degrees:g})"
+        return [*said, wrong(about, text, code_offset_px=offset_px)]
     degrees = round((axis.start_deg + 360.0 * away) / 5.0) * 5 % 360
     text = f"the phase begins elsewhere: {axis.name}.start_deg = {degrees} fits"
-    return [*said, ExaminedAssumption(about, Outcome.WRONG, text, {"start_deg": float(degrees)})]
+    return [*said, wrong(words[2], text, start_deg=float(degrees))]
 
 
-def _other_way(axis: AxisConvention, best: tuple[int, float], fit: float, better: float) -> str:
+def _other_way(axis: AxisConvention, best: tuple[int, float]) -> str:
     sign, factor = best
     words = []
     if sign < 0:
@@ -293,43 +270,48 @@ def _other_way(axis: AxisConvention, best: tuple[int, float], fit: float, better
         wide = factor * axis.stripe_px
         kind = "a whole period" if abs(wide - axis.period_px) < 0.01 * wide else "half a period"
         words.append(f"the stripes of the code are {kind} wide: {axis.name}.stripe_px = {wide:g} fits")
-    return f"{', and '.join(words)} (R = {better:.2f} instead of {fit:.2f})"
+    return ", and ".join(words)
 
 
 # ------------------------------------------------------------------------------------------------ steps, periods
 
 
 def _steps(camera: DecodedCamera, axis: AxisConvention) -> list[ExaminedAssumption]:
-    said = []
-    for period, steps_deg in enumerate(axis.steps_deg):
-        about = f"steps of {axis.name}" + (f"{period + 1}" if period else "")
-        fit = camera.measured[axis.name].fits[period]
-        if fit.misfit is None:
-            said.append(ExaminedAssumption(about, Outcome.NOT_JUDGED, "three steps fit any images"))
+    about = f"{axis.name}.steps"
+    said: list[ExaminedAssumption] = []
+    for period, steps_deg in enumerate(axis.signed_deg):
+        images = camera.images.all_of(Shows.SINE, axis.name, period)
+        if len(images) != len(steps_deg) or len(images) < 4:
+            said += [] if said else [unchecked(about, "three steps fit any images")]
             continue
-        sample = tuple(slice(3, None, max(1, round((size / 200) ** 1))) for size in fit.turns.shape)
-        images = [camera.images.image(Shows.SINE, axis.name, k, period) for k in range(len(steps_deg))]
-        stack = (
-            np.stack([one[sample] for one in images if one is not None]).astype(np.float64).reshape(len(steps_deg), -1)
-        )
+        sample = tuple(slice(3, None, max(1, round(size / 200))) for size in images[0].shape)
+        stack = np.stack([one[sample] for one in images]).astype(np.float64).reshape(len(images), -1)
         swing = stack.max(axis=0) - stack.min(axis=0)
-        strong = swing > max(0.02 * camera.images.white, 0.5 * float(np.quantile(swing, 0.8)))
-        left_over = misfit(stack[:, strong], axis.signed_deg[period])
-        if left_over <= MOST_MISFIT:
-            said.append(
-                ExaminedAssumption(about, Outcome.FITS, f"a sine leaves {100 * left_over:.0f} % of the modulation")
-            )
-            continue
-        measured = measured_steps(stack[:, strong])
-        better = misfit(stack[:, strong], measured)
-        text = f"a sine with these steps leaves {100 * left_over:.0f} % of the modulation; "
-        if better < 0.5 * left_over and better < MOST_MISFIT:
-            text += (
-                f"{axis.name}.steps_deg = [{', '.join(f'{step:g}' for step in measured)}] leaves {100 * better:.0f} %"
-            )
+        stack = stack[:, swing > max(0.02 * camera.images.white, 0.5 * float(np.quantile(swing, 0.8)))]
+        left = misfit(stack, steps_deg)
+        here = f"a sine with these steps leaves {100 * left:.0f} % of the modulation"
+        fewer = equal_steps(len(images) - 1)
+        for off, end in ((0, "first"), (-1, "last")) if left > BENT and len(fewer) > 3 else ():
+            rest = misfit(np.delete(stack, off, axis=0), fewer)
+            if rest < 0.5 * left:
+                text = f"{here}; without the {end} of its images, steps = {len(fewer)} leaves {100 * rest:.0f} %"
+                said.append(wrong("images.order", text))
+        measured = measured_steps(stack)
+        better = misfit(stack, measured)
+        if left <= MOST_MISFIT:
+            said.append(fits(about, here))
+        elif better < min(0.5 * left, MOST_MISFIT):
+            steps = f"{axis.name}.steps_deg = [{', '.join(f'{step:g}' for step in measured)}]"
+            said.append(wrong(about, f"{here}; {steps} leaves {100 * better:.0f} %"))
         else:
-            text += f"no other steps fit: check which images are sine-{axis.name}"
-        said.append(ExaminedAssumption(about, Outcome.WRONG, text))
+            said.append(wrong(about, f"{here}; no other steps fit: check which images are sine-{axis.name}"))
+    found = camera.measured[axis.name]
+    share = found.misfit_share or 0.0
+    if max(share, 4.0 * np.pi * found.bend_turns) > BENT:
+        text = f"it is bent: phases are {360 * found.bend_turns:.1f}° off" + (
+            f", sines leave {100 * share:.0f} %" if share else ""
+        )
+        said.append(unchecked(f"response of {axis.name}", f"{text}, which the error of each point includes"))
     return said
 
 
@@ -365,100 +347,77 @@ def measured_steps(stack: NDArray[np.float64]) -> tuple[float, ...]:
     return tuple(float(one) for one in rounded)
 
 
-def _periods(found: Measured, axis: AxisConvention) -> ExaminedAssumption:
-    about = f"periods of {axis.name}"
-    usual = tuple(range(len(found.fits)))
-    if len(usual) == 1:
-        return ExaminedAssumption(about, Outcome.NOT_JUDGED, "one fringe covers the pattern: nothing contradicts it")
-    chance = chance_misfit(axis)
-
-    def misfit_of(order: tuple[int, ...]) -> float:
-        again = replace(found, fits=tuple(found.fits[k] for k in order))
-        _, left = by_periods(again, axis)
-        known = left[~(found.weak | found.saturated)]
-        return float(np.median(known)) if known.size else 1.0
-
-    here = misfit_of(usual)
-    if here < GOOD_OF_CHANCE * chance:
-        return ExaminedAssumption(
-            about, Outcome.FITS, f"their phases are {360 * here:.1f}° apart; by chance it would be {360 * chance:.1f}°"
-        )
-    others = {order: misfit_of(order) for order in (permutations(usual) if len(usual) <= 4 else [usual[::-1]])}
-    best = min(others, key=lambda order: others[order])
-    if others[best] < min(GOOD_OF_CHANCE * chance, 0.6 * here):
-        # The k-th period belongs to the images that were taken for those of another one.
-        wanted = [0.0] * len(usual)
-        for k, images in enumerate(best):
-            wanted[images] = axis.periods_px[k]
-        return ExaminedAssumption(
-            about, Outcome.WRONG,
-            f"their phases are {360 * here:.1f}° apart, and {360 * others[best]:.1f}° with {axis.name}.period_px = "
-            f"[{', '.join(f'{one:g}' for one in wanted)}]", {"periods_px": tuple(wanted)},
-        )  # fmt: skip
-    sign, start_deg, left = _other_begin(found, axis)
-    if left < min(GOOD_OF_CHANCE * chance, 0.6 * here):
-        words = [f'{axis.name}.sign = "{"+" if sign * axis.sign > 0 else "-"}"'] if sign < 0 else []
-        words.append(f"{axis.name}.start_deg = {start_deg:g}")
-        return ExaminedAssumption(
-            about, Outcome.WRONG,
-            f"their phases are {360 * here:.1f}° apart, and {360 * left:.1f}° with {' and '.join(words)}",
-            {"sign": sign * axis.sign, "start_deg": start_deg},
-        )  # fmt: skip
-    text = f"their phases are {360 * here:.1f}° apart, and would be {360 * chance:.1f}° by chance"
-    if here > POOR_OF_CHANCE * chance:
-        text += f": check {axis.name}.period_px or {axis.name}.fringes, and the order of the images"
-        return ExaminedAssumption(about, Outcome.WRONG, text)
-    return ExaminedAssumption(about, Outcome.NOT_JUDGED, text)
-
-
-def _other_begin(found: Measured, axis: AxisConvention) -> tuple[int, float, float]:
-    """Return the sign and the start with which the phases of several periods agree best, and by how much they then disagree, in turns.
-
-    All periods begin alike at the edge of the pattern: another start moves each by another part of its period.
-    """
+def _periods(found: Measured, axis: AxisConvention, coordinate_px: Floats) -> list[ExaminedAssumption]:
+    about = f"{axis.name}.period_px"
+    if len(axis.periods_px) == 1:
+        return [unchecked(about, "one fringe covers the pattern: nothing contradicts it")]
     usable = np.flatnonzero(~(found.weak | found.saturated))
     few = usable[:: max(1, usable.size // FEW)]
     if not few.size:
-        return 1, axis.start_deg, 1.0
-    nothing = np.zeros((1, few.size), np.bool_)
+        return [unchecked(about, "no pixel is bright enough")]
+    goes_on = _goes_on(coordinate_px, axis)
+    leaps = f"the coordinate goes on at {100 * goes_on:.0f} % of the borders of fringes"
+    if axis.micro:
+        return [(fits if goes_on >= GOES_ON else unchecked)(about, leaps)]
+    usual, all_ = tuple(range(len(found.fits))), np.zeros((1, few.size), np.bool_)
+    thin = replace(found, weak=all_, saturated=all_)
 
-    def left_with(sign: int, start_deg: float) -> float:
-        fits = tuple(
-            replace(fit, turns=np.float32(sign) * fit.turns.ravel()[few][None], modulation=fit.modulation.ravel()[few][None],
-                    offset=fit.offset.ravel()[few][None], misfit=None, saturated=nothing)
-            for fit in found.fits
-        )  # fmt: skip
-        _, left = by_periods(
-            replace(found, fits=fits, weak=nothing, saturated=nothing), replace(axis, start_deg=start_deg)
-        )
-        return float(np.median(left))
+    def left(order: tuple[int, ...] = usual, sign: int = 1, start_deg: float = axis.start_deg) -> float:
+        fits_ = [replace(found.fits[k], turns=np.float32(sign) * found.fits[k].turns.ravel()[few][None]) for k in order]
+        return float(np.median(by_periods(replace(thin, fits=tuple(fits_)), replace(axis, start_deg=start_deg))[1]))
 
-    coarse = {(sign, float(start)): left_with(sign, start) for sign in (1, -1) for start in range(0, 360, START_DEG)}
-    sign, start = min(coarse, key=lambda one: coarse[one])
+    chance, here = chance_misfit(axis), left()
+    good = min(GOOD_OF_CHANCE * chance, 0.6 * here)
+    text = f"their phases are {360 * here:.1f}° apart"
+    if here < GOOD_OF_CHANCE * chance:
+        return [fits(about, f"{text}; by chance it would be {360 * chance:.1f}°")]
+    orders = {order: left(order) for order in (permutations(usual) if len(usual) <= 4 else [usual[::-1]])}
+    best = min(orders, key=lambda order: orders[order])
+    if orders[best] < good:
+        # The k-th period belongs to the images that were taken for those of another one.
+        wanted = tuple(axis.periods_px[best.index(k)] for k in usual)
+        said = f"{about} = [{', '.join(f'{one:g}' for one in wanted)}]"
+        return [wrong(about, f"{text}, and {360 * orders[best]:.1f}° with {said}", periods_px=wanted)]
+    starts = {(sign, float(start)): left(usual, sign, start) for sign in (1, -1) for start in range(0, 360, START_DEG)}
+    sign, start = min(starts, key=lambda one: starts[one])
     # The same sign where it does nearly as well: of two cameras a pattern that is mirrored makes the same points.
-    mine = min((one for one in coarse if one[0] == 1), key=lambda one: coarse[one])
-    if coarse[mine] < NEARLY * coarse[sign, start]:
-        sign, start = mine
-    fine = {(start + off) % 360.0: left_with(sign, start + off) for off in FINER_DEG}
-    best = min(fine, key=lambda one: fine[one])
-    return sign, best, fine[best]
+    mine = min((one for one in starts if one[0] == 1), key=lambda one: starts[one])
+    sign, start = mine if starts[mine] < NEARLY * starts[sign, start] else (sign, start)
+    finer = {(start + off) % 360.0: left(usual, sign, start + off) for off in FINER_DEG}
+    start = min(finer, key=lambda one: finer[one])
+    if finer[start] < good:
+        words = [f'{axis.name}.sign = "{"+" if sign * axis.sign > 0 else "-"}"'] if sign < 0 else []
+        said = " and ".join([*words, f"{axis.name}.start_deg = {start:g}"])
+        text = f"{text}, and {360 * finer[start]:.1f}° with {said}"
+        return [wrong(f"{axis.name}.{'sign' if words else 'start_deg'}", text, sign=sign * axis.sign, start_deg=start)]
+    # A bent response moves the phase of a coarse period by as much as a fine one has fringes in it: then each fringe must follow the last.
+    text += f", and would be {360 * chance:.1f}° by chance; {leaps}"
+    if goes_on >= GOES_ON:
+        return [fits(about, text)]
+    if goes_on < LEAPS or (here > POOR_OF_CHANCE * chance and len(usual) > 2):
+        return [wrong(about, f"{text}: check it or {axis.name}.fringes, and the order of the images")]
+    return [unchecked(about, text)]
+
+
+def _goes_on(coordinate_px: Floats, axis: AxisConvention) -> float:
+    """Return the share of the borders of fringes, along the direction, at which the coordinate goes on; NaN where too few are seen."""
+    along = coordinate_px if axis.name == "x" else coordinate_px.T
+    with np.errstate(invalid="ignore"):
+        border = np.diff(np.floor((along + np.float32(0.5)) / np.float32(axis.period_px)), axis=1)
+    known = np.isfinite(border) & (border != 0)
+    step = np.abs(np.diff(along, axis=1)[known])
+    return float(np.mean(step < 0.5 * axis.period_px)) if step.size >= LEAST_CHANGES else np.nan
 
 
 def _across(camera: DecodedCamera, axis: AxisConvention) -> list[ExaminedAssumption]:
     """Test whether the coordinate varies along the image as its name says; said only where it does not."""
-    coordinate = camera.placed[axis.name].coordinate_px
     steps = []
     for along in (1, 0):
-        step = np.abs(np.diff(coordinate, axis=along))
-        known = step[np.isfinite(step)]
-        steps.append(float(np.median(known)) if known.size else 0.0)
+        step = np.abs(np.diff(camera.placed[axis.name].coordinate_px, axis=along))
+        steps.append(float(np.median(known)) if (known := step[np.isfinite(step)]).size else 0.0)
     own, other = steps if axis.name == "x" else steps[::-1]
     if other <= ACROSS * own or not camera.valid.any():
         return []
     way = "down" if axis.name == "x" else "across"
-    return [
-        ExaminedAssumption(
-            f"direction of {axis.name}", Outcome.NOT_JUDGED,
-            f"it varies {way} the images: cameras that stand on their side, or x and y are exchanged in the description",
-        )
-    ]  # fmt: skip
+    text = f"{axis.name} varies {way} the images: cameras that stand on their side, or x and y are exchanged"
+    return [unchecked("images.order", text)]

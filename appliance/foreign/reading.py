@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from appliance.foreign.arrangement import examine_arrangement
+from appliance.foreign.arrangement import examine_cameras
 from appliance.foreign.assumptions import ExaminedAssumption, Outcome, examine_axis, examine_references
 from appliance.foreign.camera import DecodedCamera, decode_camera
 from appliance.foreign.cameras import ForeignRig, read_rig
@@ -60,25 +60,34 @@ def read_foreign(path: Path, progress: Callable[[str], None]) -> ForeignScan:
         progress(f"reading {side}")
         read[side] = read_side(said, side)
     description, sets, rig = _checked(path, said, read)
-    cameras, tested = {}, []
+    cameras = {}
     for side, images in sets.items():
         progress(f"decoding {side}")
         cameras[side] = decode_camera(images, description)
-        found = examine_references(cameras[side])
+    progress("testing the description")
+    return ForeignScan(description, rig, cameras, examine(description, cameras, rig))
+
+
+def examine(
+    description: Description, cameras: Mapping[str, DecodedCamera], rig: ForeignRig | None
+) -> tuple[ExaminedAssumption, ...]:
+    """Test all that is said of decoded images, and of ``rig`` where it is known; images may be thinned by a whole number.
+
+    A word that one test leaves open does not fit because of another one.
+    """
+    tested = []
+    for side, camera in cameras.items():
+        found = examine_references(camera)
         for axis in description.axes:
-            found += examine_axis(cameras[side], axis)
-        tested += [ExaminedAssumption(f"{side}: {one.about}", one.outcome, one.text) for one in found]
-    progress("testing the cameras")
-    if all(one.outcome is not Outcome.WRONG for one in tested):
+            found += examine_axis(camera, axis)
+        tested += [replace(one, about=f"{side}: {one.about}") for one in found]
+    if any(one.outcome is Outcome.WRONG for one in tested):
         # Of coordinates that are wrong, nothing could be told about the cameras.
-        tested.append(examine_arrangement(description, rig, cameras))
-    else:
-        tested.append(
-            ExaminedAssumption(
-                "arrangement of the cameras", Outcome.NOT_JUDGED, "what the images show is described wrongly"
-            )
-        )
-    return ForeignScan(description, rig, cameras, tuple(tested))
+        tested.append(ExaminedAssumption("cameras", Outcome.UNCHECKED, "what the images show is described wrongly"))
+    elif rig is not None:
+        tested += examine_cameras(description, rig, cameras)
+    open_ = {one.about.split(": ")[-1] for one in tested if one.outcome is not Outcome.FITS}
+    return tuple(one for one in tested if one.outcome is not Outcome.FITS or one.about.split(": ")[-1] not in open_)
 
 
 def both_sides(cameras: Mapping[str, DecodedCamera]) -> list[str]:
