@@ -1,233 +1,94 @@
-"""Owns the numbers in other people's camera files: what they are called there, and how they are read.
+"""Owns the reading of other people's camera files: whatever their format, numbers by name, which ``camera_dialects`` understands.
 
-OpenCV's YAML, XML and JSON; YAML and JSON of other programs with plain lists; NumPy's .npz; MATLAB's .mat; one matrix a file, as .npy,
-.txt or .csv, which is called as the file is; text of ``name = numbers``. Two cameras are ``1`` and ``2``, left and right, camera and projector, or counted from 0. In place of R and T each camera may have its own rotation and
-translation (a point of the world into the camera: x = R X + T), or a projection matrix of 3 x 4, or the rectification that brings
-both to one plane. Other programs' ways are ``camera_dialects``'s.
+OpenCV's YAML, XML and JSON and those of others; NumPy's .npz; MATLAB's .mat; one matrix a file, as .npy, .txt or .csv, which is called as the
+file is; text of ``name = numbers``, or with the numbers below it.
 """
 
 from __future__ import annotations
 
 import json
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
-import cv2
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
 from appliance.bounded_file import read_bounded
+from appliance.calibration import file as calibration_file
 from appliance.foreign.arrays import ArrayError, array_heads, load_array
-from appliance.foreign.camera_dialects import in_opencvs_names
-from appliance.foreign.matlab import MatlabError, matlab_arrays
-from appliance.foreign.plain_yaml import YamlError, parse_yaml
+from appliance.foreign.camera_dialects import CameraNumbers, NumbersOf, facts_of, refuse_other_lenses, understood
+from appliance.foreign.matlab import MOST_NUMBERS, MatlabError, matlab_tables
 from appliance.foreign.problem import ForeignError, Table
 
 Array = NDArray[np.float64]
 
-SUFFIXES = (".yml", ".yaml", ".xml", ".json", ".npz", ".mat", ".npy", ".txt", ".csv")
 MAX_BYTES = 4_000_000
-MOST_DEEP = 8
-"""Most levels of tables in one another."""
-MOST_NUMBERS = 20_000
-"""More of them are no camera's."""
-MOST = 1e9
-"""Numbers of cameras are smaller than this."""
-LEAST_LISTED = 3
-"""Fewer numbers under a name are not worth a mention: neither matrix nor vector."""
-_MATRIX = (
-    "m", "k", "kk", "cameramatrix", "camera", "cameraint", "intrinsic", "intrinsics", "intrinsicmatrix", "cammatrix", "mtx", "matrix",
-    "int", "cam", "kmatrix",
-)  # fmt: skip
-_DISTORTION = (
-    "d", "distcoeffs", "distcoeff", "distcoef", "distortion", "distorsion", "distortioncoefficients", "distortioncoeffs", "dist", "kc",
-    "distortions",
-)  # fmt: skip
-_ROTATION = ("r", "rotation", "rotationmatrix", "rot", "rmatrix", "rvec")
-_TRANSLATION = ("t", "translation", "translationvector", "trans", "tvec", "tvector")
-_PROJECTION = ("p", "projection", "projectionmatrix", "projmatrix")
-_KINDS: Mapping[str, tuple[str, ...]] = {
-    "matrix": _MATRIX, "distortion": _DISTORTION, "rotation": _ROTATION, "translation": _TRANSLATION, "projection": _PROJECTION,
-}  # fmt: skip
-_WAYS: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = (
-    (("1", "l", "left", "cam1", "camera1"), ("2", "r", "right", "cam2", "camera2")),
-    (("cam", "camera"), ("proj", "projector", "prj")),
-    (("0", "cam0", "camera0"), ("1", "cam1", "camera1")),
-)
-"""Words for both cameras; one way holds for a whole file."""
-_BETWEEN: Mapping[str, tuple[str, ...]] = {
-    "rotation": (*_ROTATION, "rlr", "stereor", "rstereo", "r12", "om"),
-    "translation": (*_TRANSLATION, "tlr", "stereot", "tstereo", "t12"),
-}
-_ONE: Mapping[str, tuple[str, ...]] = {
-    "matrix": ("cameramatrix", "k", "m", "kk", "intrinsic", "intrinsics", "intrinsicmatrix", "mtx"),
-    "distortion": ("distortioncoefficients", "distcoeffs", "distcoeff", "distortion", "d", "dist", "kc"),
-    "rotation": _ROTATION, "translation": _TRANSLATION, "projection": _PROJECTION,
-    "rectification": ("rectificationmatrix", "rectification", "rrect"),
-}  # fmt: skip
-"""Names in a file of one camera alone."""
-_FILES_OF: Mapping[str, re.Pattern[str]] = {
-    "left": re.compile(r"left|(^|[^a-z])(l|cam(era)?[_-]?0)([^a-z0-9]|$)", re.IGNORECASE),
-    "right": re.compile(r"right|proj|(^|[^a-z])(r|cam(era)?[_-]?[12])([^a-z0-9]|$)", re.IGNORECASE),
-}
-"""Words in the name of a file of one camera, or in that of its folder."""
-WANTED = ("left_matrix", "right_matrix", "left_distortion", "right_distortion", "rotation", "translation")
-_NAMED_LINE = re.compile(r"(?P<name>[A-Za-z_][\w.-]*)\s*[=:]\s*(?P<numbers>.*)")
-_NUMBER_BREAKS = re.compile(r"[\[\](){},;]")
-_SHAPES: Mapping[str, tuple[int, ...]] = {
-    "matrix": (9,), "rotation": (9, 3), "translation": (3,), "projection": (12,), "rectification": (9,),
-    "distortion": (3, 4, 5, 6, 8, 12, 14),
-}  # fmt: skip
-"""Numbers that each of them may have; something else under its name is something else."""
+MOST_DEEP = 12
+"""Most levels of tables and lists in one another."""
+UP_TO_SCALE = 1e-3
+"""Largest difference from 1 of a translation that has no scale."""
+METRES_BELOW = 3.0
+"""A translation shorter than this is in metres, unless it is 1: then it has no scale."""
+_NAMED_LINE = re.compile(r"(?P<name>[A-Za-z_][\w .-]*?)\s*[=:]\s*(?P<numbers>.*)")
+_BREAKS = re.compile(r"[\[\](){},;]")
 
 
-def numbers_from_files(folder: Path, table: Table) -> dict[str, Any]:
-    """Return what ``cameras.files``, relative to ``folder``, say, keyed as in ``WANTED``. Raises ForeignError, which lists what the files have."""
+def camera_numbers(folder: Path, table: Table, of_projector: bool) -> CameraNumbers:
+    """Return what ``cameras.files``, relative to ``folder``, say of two cameras, or of one and a projector. Raises ForeignError."""
     value = table.content["files"]
     names = [value] if isinstance(value, str) else value
     if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
         raise table.wrong("files", "the name of a file, or a list of names", "correct it")
-    aliases = table.table("names") or Table("cameras.names.", {})
-    aliases.only(*WANTED)
-    found: dict[str, Any] = {}
-    seen: dict[str, list[str]] = {}
-    for name in names:
-        path = folder / name
-        values = numbers_in(path)
-        seen[name] = [key for key, numbers in values.items() if numbers.size >= LEAST_LISTED]
-        for wanted in WANTED:
-            if wanted in aliases.content and aliases.text(wanted) in values:
-                found[wanted] = values[aliases.text(wanted)]
-        plain = {re.sub(r"[^a-z0-9]", "", key.lower()): value for key, value in values.items()}
-        for key, numbers in _known(plain).items():
-            if key not in aliases.content:
-                found.setdefault(key, numbers)
-        _one_camera(name, plain, found)
-    for key, numbers in found.items():
-        if not np.all(np.abs(np.asarray(numbers)) < MOST):
-            raise ForeignError(
-                f"cameras.files: {key.replace('_', ' ')} is {np.ravel(numbers).tolist()!r:.80}; allowed are finite numbers below {MOST:g}; correct it"
-            )
-    _from_rectified(found)
-    _from_projections(found)
-    _from_poses(found)
-    missing = [name for name in WANTED if name not in found and not name.endswith("distortion")]
-    if missing:
-        there = "; ".join(f"{name}: {', '.join(keys[:20])[:400] or 'no matrices'}" for name, keys in seen.items())
-        raise ForeignError(
-            f"cameras.files have no {', '.join(missing)} under a name that is known ({there}); say which is which under [cameras.names], "
-            f'for example {missing[0]} = "NAME"'
-        )
-    for side in ("left", "right"):
-        found.setdefault(f"{side}_distortion", [])
-    return {name: found[name] for name in WANTED}
+    files = {name: numbers_in(folder / name) for name in names}
+    return understood(files, table.table("names") or Table("cameras.names.", {}), of_projector)
 
 
-def _named(plain: Mapping[str, Array], names: Iterator[str] | tuple[str, ...], kind: str) -> Array | None:
-    return next(
-        (plain[one] for one in names if one in plain and plain[one].size in _SHAPES.get(kind, (plain[one].size,))), None
-    )
+def numbers_from_files(folder: Path, table: Table) -> dict[str, Any]:
+    """Return the numbers of a camera and whatever else there is, a projector or a second one. Raises ForeignError."""
+    return dict(camera_numbers(folder, table, of_projector=True).found)
 
 
-def _known(plain: Mapping[str, Array]) -> dict[str, Array]:
-    """Return what is found under known names, by the way of naming that knows most."""
-    best: dict[str, Array] = {}
-    for way in _WAYS:
-        found: dict[str, Array] = {}
-        for side, words in zip(("left", "right"), way, strict=True):
-            for kind, kinds in _KINDS.items():
-                # A word for the camera before or behind that of the quantity: cam1_intrinsics, M1, kc_left.
-                names = (name for what in kinds for word in words for name in (f"{what}{word}", f"{word}{what}"))
-                numbers = _named(plain, names, kind)
-                if numbers is not None:
-                    found[f"{side}_{kind}"] = numbers
-        both = {key: numbers for key, numbers in found.items() if _other(key) in found} or (
-            found if way is _WAYS[0] else {}
-        )
-        if len(both) > len(best):
-            best = found
-    for kind, names_between in _BETWEEN.items():
-        numbers = _named(plain, names_between, kind)
-        if numbers is not None:
-            best[kind] = numbers
-    return best
+def cameras_in(folder: Path) -> dict[str, Any]:
+    """Return what a folder has about cameras, as [cameras] would say it: a calibration of ours, else files of which something is known."""
+    files: dict[str, NumbersOf] = {}
+    for path in sorted(folder.rglob("*")):
+        if path.suffix.lower() not in SUFFIXES or not path.is_file():
+            continue
+        name = str(path.relative_to(folder))
+        if path.suffix == ".json":
+            try:
+                calibration_file.load(path)
+            except calibration_file.CalibrationError:
+                pass
+            else:
+                return {"calibration": name}
+        try:
+            files[name] = numbers_in(path)
+        except ForeignError:
+            continue
+    known = {fact.file for fact in facts_of(files) if fact.kind not in ("size", "width", "height")}
+    listed = [
+        name
+        for name, values in files.items()
+        if name in known or (not known and any(one.size == 9 for one in values.values()))
+    ]
+    if not listed:
+        return {}
+    try:
+        T = camera_numbers(folder, Table("cameras.", {"files": listed}), of_projector=True).found["translation"]
+    except ForeignError:
+        return {"files": listed, "unit": "mm"}
+    length = float(np.linalg.norm(T))
+    return {"files": listed, "unit": "m" if length < METRES_BELOW and not without_scale(length) else "mm"}
 
 
-def _other(key: str) -> str:
-    side, _, kind = key.partition("_")
-    return f"{'right' if side == 'left' else 'left'}_{kind}"
-
-
-def _one_camera(name: str, plain: Mapping[str, Array], found: dict[str, Any]) -> None:
-    """Add what a file of one camera says; its name says which camera it is, or the order of the files does."""
-    mine = {}
-    for kind, names in _ONE.items():
-        numbers = _named(plain, tuple(f"{before}{one}" for before in ("", "camera") for one in names), kind)
-        if numbers is not None and not any(numbers is one for one in found.values()):
-            mine[kind] = numbers
-    if "matrix" not in mine:
-        return
-    sides = [side for side, words in _FILES_OF.items() if words.search(name)]
-    side = sides[0] if sides else "left" if "left_matrix" not in found else "right"
-    for kind, numbers in mine.items():
-        found.setdefault(f"{side}_{kind}", numbers)
-
-
-def _from_rectified(found: dict[str, Any]) -> None:
-    """Make R and T of what brings both cameras to one plane: rotations R1 and R2, and P = K' (I | t) of each, t along the baseline.
-
-    x' = R1 x_left, and x' + t2 − t1 = R2 x_right: R = R2ᵀ R1, T = R2ᵀ (t2 − t1). ROS writes cameras so, OpenCV's ``stereoRectify``, too.
-    """
-    for side in ("left", "right"):
-        if "rotation" in found or f"{side}_projection" not in found:
-            return
-        if f"{side}_rectification" not in found and f"{side}_rotation" in found and f"{side}_translation" not in found:
-            found[f"{side}_rectification"] = found.pop(f"{side}_rotation")
-    if not {"left_rectification", "right_rectification"} <= set(found):
-        return
-    first, second = (np.asarray(found[f"{side}_rectification"], np.float64).reshape(3, 3) for side in ("left", "right"))
-    shifts = []
-    for side in ("left", "right"):
-        projection = np.asarray(found[f"{side}_projection"], np.float64).reshape(3, 4)
-        if abs(np.linalg.det(projection[:, :3])) < 1e-9:
-            return
-        shifts.append(np.linalg.solve(projection[:, :3], projection[:, 3]))
-    found["rotation"], found["translation"] = second.T @ first, second.T @ (shifts[1] - shifts[0])
-
-
-def _from_projections(found: dict[str, Any]) -> None:
-    """Take projection matrices apart where there are no camera matrices: P = K (R | t)."""
-    if "left_matrix" in found or "right_matrix" in found or not {"left_projection", "right_projection"} <= set(found):
-        return
-    for side in ("left", "right"):
-        projection = np.asarray(found[f"{side}_projection"], np.float64).reshape(3, 4)
-        # Any multiple of it is the same camera; with a negative one the focal lengths would be so.
-        projection = projection if np.linalg.det(projection[:, :3]) > 0.0 else -projection
-        matrix, rotation, centre = cv2.decomposeProjectionMatrix(projection)[:3]
-        if abs(float(matrix[2, 2])) < 1e-12 or abs(float(centre[3, 0])) < 1e-12:
-            return
-        found[f"{side}_matrix"] = np.asarray(matrix / matrix[2, 2], np.float64)
-        found[f"{side}_rotation"] = np.asarray(rotation, np.float64)
-        found[f"{side}_translation"] = np.asarray(-rotation @ (centre[:3] / centre[3]), np.float64)
-
-
-def _from_poses(found: dict[str, Any]) -> None:
-    """Make R and T of each camera's own: R = R2 R1ᵀ, T = T2 − R T1."""
-    keys = [f"{side}_{kind}" for side in ("left", "right") for kind in ("rotation", "translation")]
-    if "rotation" in found or "translation" in found or not set(keys) <= set(found):
-        return
-    first, from_first, second, from_second = (np.asarray(found[key], np.float64) for key in keys)
-    one, other = (
-        np.asarray(cv2.Rodrigues(turn.reshape(3, 1))[0]) if turn.size == 3 else turn.reshape(3, 3)
-        for turn in (first, second)
-    )
-    found["rotation"] = other @ one.T
-    found["translation"] = from_second.ravel() - found["rotation"] @ from_first.ravel()
-
-
-# --------------------------------------------------------------------------------------------------------- files
+def without_scale(length: float) -> bool:
+    """Tell whether a translation is that of a calibration without scale: of length one in whatever unit."""
+    return abs(length - 1.0) < UP_TO_SCALE
 
 
 def numbers_in(path: Path) -> dict[str, Array]:
@@ -238,96 +99,36 @@ def numbers_in(path: Path) -> dict[str, Array]:
         raise ForeignError(f"cameras.files: there is no file {path}; correct the name") from error
     except OSError as error:
         raise ForeignError(f"{path}: {error.strerror or error}; give the file of the cameras' numbers") from error
-    content: Mapping[str, Any]
-    match path.suffix.lower():
-        case ".npz" | ".npy":
-            content = _numpy(path)
-        case ".mat":
-            content = _mat(path, raw)
-        case ".json":
-            content = _json(path, raw)
-        case ".txt" | ".csv":
-            content = _text(path, raw)
-        case _:
-            content = _opencv(path, raw)
-    words = {name: value for name, value in content.items() if isinstance(value, str)}
-    return in_opencvs_names(str(path), _numeric(content), words)
-
-
-def _numpy(path: Path) -> dict[str, Any]:
-    """Return the arrays that may be a camera's by name; others are not even unpacked."""
+    format, read = FORMATS[path.suffix.lower()]
     try:
-        heads = array_heads(path)
-        few = [name for name, head in heads.items() if head.size <= MOST_NUMBERS]
-        return {name or path.stem: load_array(path, name, MAX_BYTES) for name in few}
-    except ArrayError as error:
-        raise ForeignError(f"{path}: {error}; give OpenCV's YAML") from error
-
-
-def _text(path: Path, raw: bytes) -> dict[str, Any]:
-    """Return ``name = numbers`` or ``name: numbers`` of each line; of numbers alone one matrix, which is called as the file is."""
-    found: dict[str, Any] = {}
-    rows: list[list[float]] = []
-    for line in raw.decode("utf-8-sig", "replace").splitlines():
-        named = _NAMED_LINE.fullmatch(line.strip())
-        words = _NUMBER_BREAKS.sub(" ", named["numbers"] if named else line.partition("#")[0]).split()
-        try:
-            numbers = [float(word) for word in words]
-        except ValueError:
-            continue
-        if named and numbers:
-            found[named["name"]] = numbers
-        elif numbers:
-            rows.append(numbers)
-    if rows and len({len(row) for row in rows}) == 1:
-        found.setdefault(path.stem, rows)
-    if not found:
+        content = dict(_flat(read(path, raw), "", 0))
+    except (ArrayError, MatlabError, ElementTree.ParseError, yaml.YAMLError, ValueError, RecursionError) as error:
+        said = " ".join(str(error).split())[:200]
         raise ForeignError(
-            f"{path}: no line is NAME = NUMBERS, and it is no matrix; give OpenCV's YAML, or write the matrices under [cameras.left] and "
-            "[cameras.right]"
-        )
-    return found
+            f"{path}: not readable as {format} ({said}); correct it, or write the matrices under [cameras.left] and [cameras.right]"
+        ) from error
+    refuse_other_lenses(str(path), {name: value for name, value in content.items() if isinstance(value, str)})
+    return _numeric(content)
 
 
-def _mat(path: Path, raw: bytes) -> dict[str, Any]:
-    try:
-        return dict(matlab_arrays(raw))
-    except MatlabError as error:
-        raise ForeignError(f"{path}: not readable as MATLAB's .mat: {error}; or give OpenCV's YAML") from error
-
-
-def _json(path: Path, raw: bytes) -> dict[str, Any]:
-    try:
-        content = json.loads(raw.decode("utf-8-sig"))
-    except (ValueError, RecursionError) as error:
-        raise ForeignError(f"{path}: not readable as JSON ({str(error)[:120]}); correct it") from error
+def _flat(content: Any, before: str, depth: int) -> Iterator[tuple[str, Any]]:
+    """Yield numbers, lists and texts by name; a matrix as OpenCV and ROS write it, a table with its sizes, is its data."""
+    if isinstance(content, list) and any(isinstance(one, dict) for one in content):
+        content = {str(k): one for k, one in enumerate(content)}
     if not isinstance(content, dict):
-        raise ForeignError(f"{path}: holds no names; give an object with the matrices")
-    return dict(_flat(content, "", 0))
-
-
-def _flat(content: Mapping[str, Any], before: str, depth: int) -> Iterator[tuple[str, Any]]:
-    for key, value in content.items():
-        name = f"{before}{key}"
-        if isinstance(value, Mapping):
-            if _is_matrix(value):
-                yield name, value["data"]
-            elif depth < MOST_DEEP:
-                yield from _flat(value, f"{name}.", depth + 1)
-        elif not str(key).startswith("__"):
-            yield name, value
-
-
-def _is_matrix(keys: Collection[str]) -> bool:
-    """Tell whether a table is a matrix as OpenCV and ROS write it, or one of another number of dimensions, which has sizes."""
-    return "data" in keys and ({"rows", "cols"} <= set(keys) or "sizes" in keys)
+        if before:
+            yield before, content
+    elif "data" in content and ({"rows", "cols"} <= content.keys() or "sizes" in content):
+        yield before, content["data"]
+    elif depth < MOST_DEEP:
+        for name, value in content.items():
+            if not str(name).startswith("__"):
+                yield from _flat(value, f"{before}.{name}" if before else str(name), depth + 1)
 
 
 def _numeric(content: Mapping[str, Any]) -> dict[str, Array]:
     found = {}
     for name, value in content.items():
-        if not name:
-            continue
         try:
             array = np.asarray(value)
             if array.dtype.kind in "fiu" and 1 <= array.size <= MOST_NUMBERS:
@@ -337,67 +138,105 @@ def _numeric(content: Mapping[str, Any]) -> dict[str, Array]:
     return found
 
 
-def _opencv(path: Path, raw: bytes) -> dict[str, Any]:
-    plain = text = raw.decode("utf-8-sig", "replace").replace("\0", " ")
-    if path.suffix.lower() in (".yml", ".yaml") and not text.lstrip().startswith("%YAML"):
-        # Other programs' YAML lacks OpenCV's first line.
-        text = f"%YAML:1.0\n---\n{text.lstrip().removeprefix('---')}"
-    try:
-        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
-        opened = storage.isOpened()
-    except (cv2.error, SystemError) as error:
-        if path.suffix.lower() != ".xml":
-            return _yaml(path, plain)
-        raise ForeignError(
-            f"{path}: not readable as OpenCV's YAML or XML ({str(error).strip()[-120:]}); correct it"
-        ) from error
-    if not opened:
-        raise ForeignError(f"{path}: not readable as OpenCV's YAML or XML; or give the matrices in the description")
-    found: dict[str, Any] = {}
-    try:
-        _collect(storage.root(), found, "", 0)
-    except (cv2.error, SystemError) as error:
-        raise ForeignError(f"{path}: a matrix in it is damaged ({str(error).strip()[-120:]}); correct it") from error
-    finally:
-        storage.release()
+# ------------------------------------------------------------------------------------------------------- formats
+
+
+def _numpy(path: Path, _: bytes) -> dict[str, Any]:
+    """Return the arrays that may be a camera's by name; others are not even unpacked."""
+    few = [name for name, head in array_heads(path).items() if head.size <= MOST_NUMBERS]
+    return {name or path.stem: load_array(path, name, MAX_BYTES) for name in few}
+
+
+def _lines(path: Path, raw: bytes) -> dict[str, Any]:
+    """Return ``name = numbers`` or ``name: numbers`` of each line, and of lines below it; before any name, a matrix called as the file is."""
+    found: dict[str, list[float]] = {}
+    name = path.stem
+    for line in raw.decode("utf-8-sig", "replace").splitlines():
+        named = _NAMED_LINE.fullmatch(line.strip())
+        name = named["name"] if named else name
+        try:
+            numbers = [
+                float(word) for word in _BREAKS.sub(" ", named["numbers"] if named else line.partition("#")[0]).split()
+            ]
+        except ValueError:
+            continue
+        if numbers:
+            found.setdefault(name, []).extend(numbers)
+    if not found:
+        raise ValueError("no line is NAME = NUMBERS, and it is no matrix")
     return found
 
 
-def _yaml(path: Path, text: str) -> dict[str, Any]:
-    """Return what YAML holds that OpenCV does not read."""
-    try:
-        content = parse_yaml(text)
-    except (YamlError, RecursionError) as error:
-        raise ForeignError(f"{path}: not readable as OpenCV's YAML, nor as plain YAML ({error}); correct it") from error
-    if not isinstance(content, dict):
-        raise ForeignError(
-            f"{path}: not readable as OpenCV's YAML: it holds no names; or give the matrices in the description"
+def _tree(path: Path, raw: bytes) -> Any:
+    """Return what YAML, XML or JSON holds, whatever of them it is called."""
+    text = raw.decode("utf-8-sig", "replace").replace("\0", " ").expandtabs(4)
+    if text.lstrip().startswith("<"):
+        if "<!DOCTYPE" in text:
+            raise ValueError("it defines what it consists of")
+        return _element(ElementTree.fromstring(text), 0)
+    if path.suffix.lower() == ".json":
+        return _named(json.loads(text, object_pairs_hook=_table))
+    # OpenCV's first line, %YAML:1.0, is none of YAML.
+    events = yaml.parse(re.sub(r"(?m)^%.*$", "", text), Loader=yaml.CSafeLoader)
+    return _named([_node(event, events, 0) for event in events if isinstance(event, _BEGINS)])
+
+
+def _named(content: Any) -> dict[str, Any]:
+    """Return the tables of one or several documents as one."""
+    tables = [one for one in (content if isinstance(content, list) else [content]) if isinstance(one, dict)]
+    if not tables:
+        raise ValueError("it holds no names")
+    return _table(pair for one in tables for pair in one.items())
+
+
+_BEGINS = (yaml.MappingStartEvent, yaml.SequenceStartEvent, yaml.ScalarEvent, yaml.AliasEvent)
+
+
+def _node(event: Any, events: Iterator[Any], depth: int) -> Any:
+    """Return what begins with an event of YAML; tags are passed over."""
+    if isinstance(event, yaml.ScalarEvent):
+        return _scalar(event.value) if event.implicit[0] else event.value
+    if isinstance(event, yaml.AliasEvent) or depth > MOST_DEEP:
+        raise ValueError(
+            f"line {event.start_mark.line + 1}: {'an alias' if depth <= MOST_DEEP else f'more than {MOST_DEEP} levels'}"
         )
-    return dict(_flat(content, "", 0))
+    items = []
+    while isinstance(one := next(events), _BEGINS):
+        items.append(_node(one, events, depth + 1))
+    if isinstance(event, yaml.SequenceStartEvent):
+        return items
+    return _table(zip(items[::2], items[1::2], strict=True))
 
 
-def _collect(node: Any, found: dict[str, Any], before: str, depth: int) -> None:
-    for key in node.keys():  # noqa: SIM118 (no dictionary)
-        child = node.getNode(key)
-        name = f"{before}{key}"
-        if child.isMap():
-            # A matrix is read as what it is written as: OpenCV's own reading of a damaged one ends the process.
-            if _is_matrix(child.keys()):
-                found[name] = _listed(child.getNode("data"), 0)
-            elif depth < MOST_DEEP:
-                _collect(child, found, f"{name}.", depth + 1)
-        elif child.isSeq():
-            found[name] = _listed(child, 0)
-        elif child.isString():
-            found[name] = child.string()
-        elif child.isReal() or child.isInt():
-            found[name] = child.real()
+def _table(pairs: Iterable[tuple[Any, Any]]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name, value in pairs:
+        if str(name) in found and found[str(name)] != value:
+            raise ValueError(f"{name} stands there twice, and differs")
+        found[str(name)] = value
+    return found
 
 
-def _listed(node: Any, depth: int) -> Any:
-    """Return a list of numbers, or of lists of them; ``None`` for anything else."""
-    if node.isReal() or node.isInt():
-        return node.real()
-    if not node.isSeq() or depth > MOST_DEEP:
-        return None
-    return [_listed(node.at(k), depth + 1) for k in range(node.size())]
+def _element(element: ElementTree.Element, depth: int) -> Any:
+    """Return an element of XML: a list of OpenCV's ``_``, a table, numbers, or a text."""
+    if depth > MOST_DEEP:
+        raise ValueError(f"more than {MOST_DEEP} levels")
+    inner = [(one.tag, _element(one, depth + 1)) for one in element]
+    if inner:
+        return [value for _, value in inner] if len({tag for tag, _ in inner}) == 1 < len(inner) else dict(inner)
+    words = [_scalar(word) for word in (element.text or "").split()]
+    return element.text if any(isinstance(word, str) for word in words) else words[0] if len(words) == 1 else words
+
+
+def _scalar(text: str) -> float | str:
+    try:
+        return float(re.sub(r"(?i)\.(?=nan|inf)", "", text))
+    except ValueError:
+        return text
+
+
+FORMATS: Mapping[str, tuple[str, Callable[[Path, bytes], Any]]] = {
+    **dict.fromkeys((".npz", ".npy"), ("NumPy's file", _numpy)), ".mat": ("MATLAB's .mat", lambda _, raw: matlab_tables(raw)),
+    **dict.fromkeys((".txt", ".csv"), ("text", _lines)), ".json": ("JSON", _tree), **dict.fromkeys((".yml", ".yaml", ".xml"), ("YAML or XML", _tree)),
+}  # fmt: skip
+SUFFIXES = tuple(FORMATS)

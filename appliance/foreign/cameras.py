@@ -7,7 +7,7 @@ frame in that of the left one. Lengths become mm by ``cameras.unit``.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from appliance.calibration import file as calibration_file
-from appliance.foreign.camera_files import MOST, numbers_from_files
+from appliance.foreign.camera_dialects import MOST, CameraNumbers, rotation_of
+from appliance.foreign.camera_files import camera_numbers, without_scale
 from appliance.foreign.description import Description, Medium, Ports, as_plain
 from appliance.foreign.problem import ForeignError, Table
 from appliance.optics.model import HousedCamera, StereoRig
@@ -33,8 +34,12 @@ NO_PORT = Port((0.0, 0.0, 1.0), 0.0, 0.0, 1.0)
 MOST_FIT_PX = 0.1
 """Largest error in px with which a lens model of more than five values is replaced by one of five."""
 GRID = 25
-LEAST_BASELINE_MM = 1.0
-"""Least distance of two cameras: what is nearer is in another unit."""
+LEAST_BASELINE_MM, MOST_BASELINE_MM = 1.0, 20_000.0
+"""Distances of two cameras: others are in another unit."""
+USUAL_MM = (10.0, 3000.0)
+"""Distances of two cameras by which a unit is proposed."""
+ASIDE = 0.3
+"""Distance of a principal point from the middle, in sizes of the image, that is worth a line."""
 MOST_BESIDE = 2.5
 """Largest distance of a principal point beside its image, in sizes of it: projectors shift theirs by half a picture, and a cropped image
 may lie where it likes."""
@@ -49,6 +54,12 @@ class ForeignRig:
     in_air: bool
     calibration: calibration_file.Calibration | None = None
     """The calibration file it is from, where it is one of ours."""
+    stated_px: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+    """Width and height by side that camera files state; of a camera and a projector the projector is ``right``."""
+    scale_known: bool = True
+    """False: the translation has length 1, as calibrations without scale have; then lengths are in units of it."""
+    notes: tuple[str, ...] = ()
+    """What is worth a look in the cameras' numbers, a line each."""
 
 
 def read_rig(description: Description, sizes_px: Mapping[str, tuple[int, int]]) -> ForeignRig:
@@ -58,31 +69,83 @@ def read_rig(description: Description, sizes_px: Mapping[str, tuple[int, int]]) 
     if ours is not None:
         return _our_own(description, *ours, sizes_px)
     table.only("files", "names", "unit", "left", "right", "rotation", "translation")
-    unit_mm = UNITS_MM[table.choice("unit", tuple(UNITS_MM), "mm")]
-    found = numbers_from_files(description.folder, table) if "files" in table.content else _from_tables(table)
-    index, in_air = index_of(description.medium)
-    matrices = {side: _matrix(found, f"{side}_matrix", 3, 3) for side in ("left", "right")}
-    R, T = _matrix(found, "rotation", 3, 3), unit_mm * np.ravel(_any(found, "translation", 3))
+    unit = table.choice("unit", tuple(UNITS_MM), "mm")
+    of_projector = "right" not in description.files
+    said = camera_numbers(description.folder, table, of_projector) if "files" in table.content else _from_tables(table)
+    notes = list(said.notes)
+    for side, stated in said.stated_px.items():
+        _check_size(f"cameras.files: {said.stated_in[side]}", side, stated, sizes_px[side], of_projector)
+    R, T = rotation_of(_numbers(said, "rotation", 3, 9)), _numbers(said, "translation", 3)
     if np.abs(R @ R.T - np.eye(3)).max() > 1e-3 or np.linalg.det(R) < 0.0:
         raise ForeignError(f"cameras: rotation {R.round(4).tolist()} is no rotation; name the right matrix")
     u, _, vt = np.linalg.svd(R)
     R = u @ vt  # Written with few digits, it is not quite a rotation.
-    if float(np.linalg.norm(T)) < 1e-6:
-        raise ForeignError("cameras: translation is zero; name the vector between both cameras")
-    if float(np.linalg.norm(T)) < LEAST_BASELINE_MM:
-        raise ForeignError(
-            f"cameras: the two are {float(np.linalg.norm(T)):.2g} mm apart; allowed: {LEAST_BASELINE_MM:g} mm and more; say in which unit the "
-            'translation is: cameras.unit = "m"'
+    length = float(np.linalg.norm(T))
+    scale_known = unit != "mm" or not without_scale(length)
+    if scale_known:
+        _check_baseline(length, unit)
+        T = UNITS_MM[unit] * T
+        if without_scale(length):
+            notes.append(f"cameras.unit: the translation is 1 {unit} long, as calibrations without scale have it")
+    else:
+        notes.append(
+            "cameras.unit: the translation has length 1: a calibration without scale; lengths are in distances of the two"
         )
+    index, in_air = index_of(description.medium)
     cameras = []
     for side, rotation, t_mm in (("left", np.eye(3), np.zeros(3)), ("right", R.T, -R.T @ T)):
         width_px, height_px = sizes_px[side]
-        lens = lens_of(matrices[side], np.ravel(_any(found, f"{side}_distortion", None)), (width_px, height_px), side)
+        matrix = _numbers(said, f"{side}_matrix", 9).reshape(3, 3)
+        lens = lens_of(matrix, _numbers(said, f"{side}_distortion"), (width_px, height_px), side)
+        notes += _aside(lens, sizes_px[side], side)
         port, straight = _port(description.ports, side, in_air)
         cameras.append(
             HousedCamera(width_px, height_px, lens, port, matrix3(rotation), _three(t_mm), lens_in_water=straight)
         )
-    return ForeignRig(StereoRig(cameras[0], cameras[1]), index, in_air)
+    return ForeignRig(StereoRig(cameras[0], cameras[1]), index, in_air, None, said.stated_px, scale_known, tuple(notes))
+
+
+def _check_size(where: str, side: str, stated: tuple[int, int], found: tuple[int, int], of_projector: bool) -> None:
+    """Raise ForeignError where images have another size than their calibration's."""
+    if found in (stated, stated[::-1]):
+        return
+    ratio = [there / said for there, said in zip(found, stated, strict=True)]
+    why = (
+        f"a calibration of images of {1 / ratio[0]:.3g} times their size"
+        if abs(ratio[0] - ratio[1]) < 0.01 * ratio[0]
+        else "another calibration"
+    )
+    why = why.replace("0.5 times their", "half the").replace("2 times their", "twice the")
+    there, remedy = f"the {side} images have", "give the calibration of these images"
+    if of_projector and side == "right":
+        there, remedy, why = (
+            "[projector] says",
+            "correct width_px and height_px, or give the file of this projector",
+            "another projector",
+        )
+    raise ForeignError(
+        f"{where} says {stated[0]} x {stated[1]} px, and {there} {found[0]} x {found[1]} px: {why}; {remedy}"
+    )
+
+
+def _check_baseline(length: float, unit: str) -> None:
+    if length * UNITS_MM[unit] < 1e-6:
+        raise ForeignError("cameras: translation is zero; name the vector between both cameras")
+    if not LEAST_BASELINE_MM <= length * UNITS_MM[unit] <= MOST_BASELINE_MM:
+        fits = [f'"{one}"' for one, mm in UNITS_MM.items() if USUAL_MM[0] < length * mm < USUAL_MM[1]]
+        raise ForeignError(
+            f"cameras: the two are {length:.3g} {unit} apart; allowed: {LEAST_BASELINE_MM:g} mm to {MOST_BASELINE_MM / 1000:g} m; say in which "
+            f"unit the translation is: cameras.unit = {' or '.join(fits) or 'mm, cm, m or inch'}"
+        )
+
+
+def _aside(lens: Lens, size_px: tuple[int, int], side: str) -> list[str]:
+    """Return a line for each direction in which the principal point is far from the middle."""
+    return [
+        f"cameras.{side}.matrix: the principal point is at {100 * c / size:.0f} % of the {what}: a shifted lens, or the calibration of other images"
+        for c, size, what in zip(lens.c_px, size_px, ("width", "height"), strict=True)
+        if abs(c / size - 0.5) > ASIDE
+    ]
 
 
 def index_of(medium: Medium) -> tuple[float, bool]:
@@ -122,12 +185,6 @@ def lens_of(matrix: Array, distortion: Array, size_px: tuple[int, int], side: st
     lens = Lens(f_px, c_px, _five(values))
     if distortion.size > 5 and np.any(distortion[5:] != 0.0):
         lens = _fitted(lens, matrix, distortion, size_px, side)
-    try:
-        lens.to_directions(
-            np.array([[0.0, 0.0], [width_px - 1.0, 0.0], [0.0, height_px - 1.0], [width_px - 1.0, height_px - 1.0]])
-        )
-    except ValueError as error:
-        raise ForeignError(f"cameras: {side} {error}") from error
     return lens
 
 
@@ -174,11 +231,9 @@ def _our_own(
     sizes_px: Mapping[str, tuple[int, int]],
 ) -> ForeignRig:
     for side, camera in (("left", calibration.rig.left), ("right", calibration.rig.right)):
-        if (camera.width_px, camera.height_px) != sizes_px[side]:
-            raise ForeignError(
-                f"{path}: its {side} camera has {camera.width_px} x {camera.height_px} px, and the images {sizes_px[side][0]} x "
-                f"{sizes_px[side][1]} px; give the calibration of these images"
-            )
+        stated = camera.width_px, camera.height_px
+        if stated != sizes_px[side]:
+            _check_size(f"{path}:", side, stated, sizes_px[side], "right" not in description.files)
     index, in_air = index_of(description.medium)
     if all(_has_no_window(camera) for camera in (calibration.rig.left, calibration.rig.right)):
         # Of `calibrate pair`: like OpenCV's files it knows neither windows nor water.
@@ -218,8 +273,8 @@ def _port(ports: Ports | None, side: str, in_air: bool) -> tuple[Port, bool]:
 # ------------------------------------------------------------------------------------------ where the numbers are
 
 
-def _from_tables(table: Table) -> dict[str, Any]:
-    found: dict[str, Any] = {key: table.content[key] for key in ("rotation", "translation") if key in table.content}
+def _from_tables(table: Table) -> CameraNumbers:
+    found: dict[str, Any] = {key: table.content.get(key) for key in ("rotation", "translation")}
     for side in ("left", "right"):
         camera = table.table(side)
         if camera is None:
@@ -227,30 +282,26 @@ def _from_tables(table: Table) -> dict[str, Any]:
                 f"[cameras.{side}] is missing: give cameras.files (OpenCV), cameras.calibration (ours), or its matrix and distortion"
             )
         camera.only("matrix", "distortion")
-        found[f"{side}_matrix"] = camera.content.get("matrix")
-        found[f"{side}_distortion"] = camera.content.get("distortion", [])
-    return found
+        found |= {
+            f"{side}_matrix": camera.content.get("matrix"),
+            f"{side}_distortion": camera.content.get("distortion", []),
+        }
+    return CameraNumbers(found, {}, {}, False, ())
 
 
-def _any(found: Mapping[str, Any], name: str, size: int | None) -> Array:
-    """Return numbers of any shape. Raises ForeignError for something else, or another number of them than ``size``."""
-    key = name.replace("_", ".") if name.startswith(("left", "right")) else name
+def _numbers(said: CameraNumbers, name: str, *sizes: int) -> Array:
+    """Return numbers of any shape as a vector. Raises ForeignError for something else, or another number of them than ``sizes``."""
+    key = name.replace("_", ".")
+    value = said.found[name]
     try:
-        values = np.asarray(as_plain(found.get(name)), np.float64)
+        values = np.asarray(value, np.float64).ravel()
     except (TypeError, ValueError, OverflowError):
         values = np.array(np.nan)
-    if not np.all(np.abs(values) < MOST) or (size is not None and values.size != size):
+    if not np.all(np.abs(values) < MOST) or (sizes and values.size not in sizes):
         raise ForeignError(
-            f"cameras.{key} is {found.get(name)!r:.80}; allowed: {size or 'a list of'} numbers; correct it"
+            f"cameras.{key} is {as_plain(value)!r:.80}; allowed: {sizes[-1] if sizes else 'a list of'} numbers; correct it"
         )
     return values
-
-
-def _matrix(found: Mapping[str, Any], name: str, rows: int, columns: int) -> Array:
-    values = _any(found, name, None)
-    if name == "rotation" and values.size == 3:
-        return np.asarray(cv2.Rodrigues(values.reshape(3, 1))[0], np.float64)
-    return _any(found, name, rows * columns).reshape(rows, columns)
 
 
 def _three(values: Array) -> tuple[float, float, float]:

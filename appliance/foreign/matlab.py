@@ -1,140 +1,76 @@
-"""Owns the matrices in a MATLAB file: the numeric arrays of its top level and of its structures, versions 5 to 7.
+"""Owns the reading of MATLAB's files, versions 4 to 7: by scipy, in a process of its own with little time and memory.
 
-scipy's reader ends the process on damaged files; this one reads what calibrations consist of and checks every length. Cells, texts and
-sparse arrays are passed over, of an array of structures all but the first; objects are refused, since only MATLAB knows what is in them. Source: MAT-File Format, The MathWorks, chapter 1 (Level 5).
+A damaged file may end the process that reads it. This module is that process's program, too, and imports nothing of ours.
 """
 
 from __future__ import annotations
 
-import struct
-import zlib
-from collections.abc import Iterator
+import io
+import json
+import resource
+import subprocess
+import sys
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-HEADER_BYTES = 128
-MOST_BYTES = 16_000_000
-"""Largest array, and the largest that a compressed one may become."""
-MOST_ELEMENTS = 10_000
-_INT8, _UINT32, _INT32, _MATRIX, _COMPRESSED = 1, 6, 5, 14, 15
-_NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
-"""NumPy's name of each storage type."""
-_NUMERIC_CLASSES = range(6, 16)
-_STRUCTURE, _OPAQUE = 2, 17
-"""Classes of a structure, and of an object of MATLAB's own."""
-MOST_DEEP = 6
-"""Most levels of structures in one another."""
-MOST_FIELD_CHARACTERS = 256
-_COMPLEX, _CLASS = 0x0800, 0xFF
+MOST_S, MOST_MEMORY_BYTES, MOST_TEXT_BYTES = 20, 1 << 30, 1 << 24
+MOST_NUMBERS = 20_000
+"""Arrays of more numbers are left out: they are no camera's."""
 
 
 class MatlabError(ValueError):
-    """The bytes are no MATLAB file of version 5 to 7, or are damaged."""
+    """The bytes are no MATLAB file of version 4 to 7, or are damaged."""
 
 
-def matlab_arrays(raw: bytes) -> dict[str, NDArray[np.float64]]:
-    """Return the real numeric arrays of two dimensions by name; those of structures as STRUCTURE.FIELD. Raises MatlabError."""
-    if len(raw) < HEADER_BYTES or raw[126:128] not in (b"IM", b"MI"):
-        raise MatlabError("it has no header of MATLAB 5 to 7 (7.3 is another format: save with -v7)")
-    order = "<" if raw[126:128] == b"IM" else ">"
-    found: dict[str, NDArray[np.float64]] = {}
-    objects = 0
-    for kind, data in _elements(raw[HEADER_BYTES:], order):
-        elements = _elements(_inflated(data), order) if kind == _COMPRESSED else iter([(kind, data)])
-        for inner, content in elements:
-            objects += _add(found, inner, content, order, "", 0)
-    if objects and not any(numbers.size >= 9 for numbers in found.values()):
-        raise MatlabError(
-            "it holds an object, which only MATLAB reads: save it as a structure, s = toStruct(stereoParams); save('stereo.mat', 's', '-v7')"
-        )
+def matlab_tables(raw: bytes) -> dict[str, Any]:
+    """Return numbers, lists of them and texts by name; structures are tables. Raises MatlabError."""
+    try:
+        done = subprocess.run(
+            [sys.executable, "-I", __file__], input=raw, capture_output=True, timeout=MOST_S,
+            env={"OPENBLAS_NUM_THREADS": "1"}, check=False,
+        )  # fmt: skip
+    except subprocess.TimeoutExpired as error:
+        raise MatlabError(f"reading takes longer than {MOST_S} s") from error
+    if done.returncode:
+        last = done.stderr.decode("utf-8", "replace").strip().rpartition("\n")[2]
+        raise MatlabError(last[-200:] or f"it ends its reader by signal {-done.returncode}")
+    found: dict[str, Any] = json.loads(done.stdout)
     return found
 
 
-def _elements(data: bytes, order: str) -> Iterator[tuple[int, bytes]]:
-    """Yield type and bytes of each element; elements of up to four bytes have their size in the upper half of the type."""
-    at = 0
-    for _ in range(MOST_ELEMENTS):
-        if at + 8 > len(data):
-            return
-        kind, size = struct.unpack_from(f"{order}II", data, at)
-        if kind >> 16:
-            kind, size, begin, step = kind & 0xFFFF, kind >> 16, at + 4, 8
-            if size > 4:
-                raise MatlabError(f"a small element has {size} bytes; allowed are 4")
-        else:
-            # All but compressed elements fill whole units of eight bytes.
-            begin, step = at + 8, 8 + (size if kind == _COMPRESSED else -(-size // 8) * 8)
-        if size > MOST_BYTES or begin + size > len(data):
-            raise MatlabError(f"an element of {size} bytes ends behind the file")
-        yield kind, data[begin : begin + size]
-        at += step
+def _plain(value: Any) -> Any:
+    """Return what JSON can hold of what scipy makes: ``None`` for objects, cells and whatever is large."""
+    if isinstance(value, dict):
+        return {str(name): _plain(one) for name, one in value.items() if not str(name).startswith("__")}
+    if isinstance(value, list):
+        return _plain(value[0]) if value else None  # of an array of structures the first
+    if isinstance(value, str):
+        return value
+    array = np.asarray(value)
+    return array.tolist() if array.dtype.kind in "fiu" and array.size <= MOST_NUMBERS else None
 
 
-def _inflated(data: bytes) -> bytes:
+def _main() -> None:
+    resource.setrlimit(resource.RLIMIT_CPU, (MOST_S, MOST_S))
+    resource.setrlimit(resource.RLIMIT_DATA, (MOST_MEMORY_BYTES, MOST_MEMORY_BYTES))
+    from scipy.io import loadmat
+    from scipy.io.matlab import MatlabOpaque
+
     try:
-        unpacked = zlib.decompressobj().decompress(data, MOST_BYTES)
-    except zlib.error as error:
-        raise MatlabError(f"a compressed element is damaged ({error})") from error
-    return unpacked
+        content = loadmat(io.BytesIO(sys.stdin.buffer.read()), simplify_cells=True)
+    except NotImplementedError:
+        sys.exit("version 7.3 is another format: save it with -v7")
+    found = _plain(content)
+    if not any(found.values()) and any(isinstance(one, MatlabOpaque) for one in content.values()):
+        sys.exit(
+            "it holds an object, which only MATLAB reads: save it as a structure, s = toStruct(stereoParams); save('stereo.mat', 's', '-v7')"
+        )
+    text = json.dumps(found)
+    if len(text) > MOST_TEXT_BYTES:
+        sys.exit("it holds more numbers than cameras have")
+    sys.stdout.write(text)
 
 
-def _add(
-    found: dict[str, NDArray[np.float64]],
-    kind: int,
-    data: bytes,
-    order: str,
-    before: str,
-    depth: int,
-    named: str | None = None,
-) -> int:
-    """Add an array: elements for its flags, its sizes, its name and its real part or its fields, in that order.
-
-    ``named``: as a field of a structure, whose name is not its own. Returns the number of objects of MATLAB's own that it is or holds.
-    """
-    if kind != _MATRIX:
-        return 0
-    parts = list(_elements(data, order))
-    if not parts or parts[0][0] != _UINT32 or len(parts[0][1]) < 4:
-        return 0
-    (flag,) = struct.unpack_from(f"{order}I", parts[0][1])
-    if flag & _CLASS == _OPAQUE:
-        return 1
-    if len(parts) < 4:
-        return 0
-    (sizes_kind, sizes), (name_kind, name), (numbers_kind, numbers) = parts[1:4]
-    if (sizes_kind, name_kind) != (_INT32, _INT8) or len(sizes) != 8:
-        return 0
-    called = f"{before}{named if named is not None else name.decode('ascii', 'replace')}"
-    if flag & _CLASS == _STRUCTURE and depth < MOST_DEEP:
-        return _add_fields(found, parts[3:], order, called, depth)
-    if flag & _CLASS not in _NUMERIC_CLASSES or flag & _COMPLEX or numbers_kind not in _NUMBERS:
-        return 0
-    dtype = np.dtype(f"{order}{_NUMBERS[numbers_kind]}")
-    rows, columns = struct.unpack(f"{order}ii", sizes)
-    if rows < 0 or columns < 0 or rows * columns * dtype.itemsize != len(numbers):
-        raise MatlabError(f"an array of {rows} x {columns} numbers has {len(numbers)} bytes")
-    # Column by column.
-    values = np.frombuffer(numbers, dtype).reshape(columns, rows).T
-    found[called] = np.array(values, np.float64)
-    return 0
-
-
-def _add_fields(
-    found: dict[str, NDArray[np.float64]], parts: list[tuple[int, bytes]], order: str, called: str, depth: int
-) -> int:
-    """Add the fields of a structure: ``parts`` are the length of a field's name, all names, and an array for each."""
-    if len(parts) < 2 or parts[0][0] != _INT32 or len(parts[0][1]) != 4 or parts[1][0] != _INT8:
-        return 0
-    (length,) = struct.unpack(f"{order}i", parts[0][1])
-    names = parts[1][1]
-    if not 1 <= length <= MOST_FIELD_CHARACTERS or len(names) % length:
-        raise MatlabError(f"names of fields have {length} characters each, and {len(names)} together")
-    fields = [
-        names[k : k + length].partition(b"\0")[0].decode("ascii", "replace") for k in range(0, len(names), length)
-    ]
-    # Of several structures in an array the first one's fields come first.
-    return sum(
-        _add(found, kind, data, order, f"{called}.", depth + 1, field)
-        for field, (kind, data) in zip(fields, parts[2:], strict=False)
-    )
+if __name__ == "__main__":
+    _main()

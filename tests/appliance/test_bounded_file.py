@@ -6,6 +6,7 @@ import os
 import struct
 import tracemalloc
 import zipfile
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -142,9 +143,7 @@ def test_cameras_numbers_that_are_none_are_named(name: str, text: str, number: s
     written = "".join(text.format(k=k, v=v) for k, v in values.items())
     spelt = written.replace("nan", "NaN").replace("inf", "Infinity")
     (tmp_path / name).write_text(f"{{{spelt.rstrip(',')}}}" if name.endswith(".json") else written)
-    with pytest.raises(
-        ForeignError, match=r"cameras.files: right projection is .*; allowed are finite numbers below 1e\+09"
-    ):
+    with pytest.raises(ForeignError, match=r"cameras.files: s\.\w+: P2 is .*; allowed are finite numbers below 1e\+09"):
         numbers_from_files(tmp_path, Table("cameras.", {"files": name}))
 
 
@@ -186,3 +185,39 @@ def test_a_header_that_states_its_own_length_is_not_believed(tmp_path: Path) -> 
         archive.writestr("left.npy", b"\x93NUMPY\x02\x00" + (1 << 31).to_bytes(4, "little") + bytes(1 << 16))
     with pytest.raises(ForeignError, match="not readable as NumPy's file"):
         frames_in(path)
+
+
+def _inflating() -> bytes:
+    """A MATLAB file of some kB whose one array says that it has 2 GB, which it begins to unpack to."""
+    head = struct.pack("<14I", 14, (1 << 31) - 256, 6, 8, 6, 0, 5, 8, 1 << 14, 1 << 14, 1, 1, 0x31, 9) + struct.pack(
+        "<I", 0
+    )
+    packed = zlib.compress(head + bytes(1 << 22))
+    return (
+        b"MATLAB 5.0 MAT-file".ljust(124)
+        + struct.pack("<H", 0x0100)
+        + b"IM"
+        + struct.pack("<II", 15, len(packed))
+        + packed
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "said"),
+    [
+        ("a.yml", b"a: &a [1, 2, 3]\nM1: [*a, *a, *a]\n", "line 2: an alias"),
+        ("a.yml", b"M1: " + b"[" * 100_000, "line 1: more than 12 levels"),
+        ("a.yml", b"M1: [1]\nM1: [2]\n", "M1 stands there twice, and differs"),
+        ("a.json", b'{"M1": [1], "M1": [2]}', "M1 stands there twice, and differs"),
+        ("a.json", b'{"M1": ' + b"[" * 100_000, "recursion"),
+        ("a.xml", b"<M1>" * 100_000 + b"1" + b"</M1>" * 100_000, "more than 12 levels"),
+        ("a.xml", b'<!DOCTYPE a [<!ENTITY a "1 2 3">]><a><M1>&a;&a;</M1></a>', "it defines what it consists of"),
+        ("a.mat", _inflating(), "not readable as MATLAB's .mat"),
+        ("a.mat", b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x02IM" + bytes(512), "version 7.3 is another format: save it with -v7"),
+    ],
+)  # fmt: skip
+def test_what_small_camera_files_could_become_is_refused(name: str, data: bytes, said: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_bytes(data)
+    with pytest.raises(ForeignError) as error:
+        numbers_in(tmp_path / name)
+    assert said in str(error.value)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,9 +13,12 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
+from appliance.calibration.file import IN_AIR, Calibration, encode
+from appliance.foreign.camera_files import cameras_in
 from appliance.foreign.cameras import ForeignRig, inverted, lens_of, read_rig
 from appliance.foreign.description import parse_description
 from appliance.foreign.problem import ForeignError
+from appliance.optics.water import Water
 
 SIZES = {"left": (640, 480), "right": (640, 480)}
 M1 = np.array([[800.0, 0, 320], [0, 810, 240], [0, 0, 1]])
@@ -28,15 +32,17 @@ left = "l*"
 right = "r*"
 order = "gray-x*8"
 [projector]
-width_px = 1024
-height_px = 768
+width_px = 640
+height_px = 480
 [x]
 stripe_px = 4
 """
 
+ALONE = HEAD.replace('right = "r*"\n', "")  # a projector takes the right camera's place
 
-def rig(folder: Path, cameras: str, more: str = "") -> ForeignRig:
-    return read_rig(parse_description(f"{HEAD}[cameras]\n{cameras}\n{more}", folder, "set", "set.toml"), SIZES)
+
+def rig(folder: Path, cameras: str, more: str = "", head: str = HEAD) -> ForeignRig:
+    return read_rig(parse_description(f"{head}[cameras]\n{cameras}\n{more}", folder, "set", "set.toml"), SIZES)
 
 
 def written(path: Path, **values: Any) -> None:
@@ -151,7 +157,7 @@ def test_a_file_that_is_none_is_named(tmp_path: Path) -> None:
     with pytest.raises(ForeignError, match=r"there is no file .*none.yml"):
         rig(tmp_path, 'files = "none.yml"')
     (tmp_path / "text.yml").write_text("camera: [1, 2")
-    with pytest.raises(ForeignError, match="not readable as OpenCV"):
+    with pytest.raises(ForeignError, match="not readable as YAML or XML"):
         rig(tmp_path, 'files = "text.yml"')
 
 
@@ -197,9 +203,205 @@ def poses(folder: Path) -> None:
 def test_what_other_programs_call_their_numbers_is_known(write: Callable[[Path], None], tmp_path: Path) -> None:
     write(tmp_path)
     files = [str(path.relative_to(tmp_path)) for path in sorted(tmp_path.rglob("c.*"))]
-    found = rig(tmp_path, f"files = {files}")
+    found = rig(tmp_path, f"files = {files}", head=ALONE if write is camera_and_projector else HEAD)
     point = (30.0, -20.0, 650.0)
     np.testing.assert_allclose(projected(found, point), expected(point), atol=1e-6)
+
+
+def in_folders(folder: Path) -> str:
+    """Matrices of one name in a folder for each, the pose beside."""
+    for name, K, D in (("camera1", M1, D1), ("projector", M2, D2)):
+        (folder / name).mkdir()
+        np.savetxt(folder / name / "cam_matrix.txt", K)
+        np.savetxt(folder / name / "dist.txt", D)
+    written(folder / "extrinsic.xml", rvec=cv2.Rodrigues(R)[0], tvec=T)
+    return 'files = ["camera1/cam_matrix.txt", "camera1/dist.txt", "projector/cam_matrix.txt", "projector/dist.txt", "extrinsic.xml"]'
+
+
+def of_no_sides(folder: Path) -> str:
+    """The same in folders of which nothing says whose they are."""
+    in_folders(folder)
+    (folder / "camera1").rename(folder / "a")
+    (folder / "projector").rename(folder / "b")
+    return (
+        'files = ["b/cam_matrix.txt", "a/cam_matrix.txt", "a/dist.txt", "b/dist.txt", "extrinsic.xml"]\n[cameras.names]\n'
+        'left_matrix = "a/cam_matrix.txt"\nright_matrix = "b/cam_matrix.txt:cam_matrix"\nleft_distortion = "a/dist.txt"\n'
+        'right_distortion = "b/dist.txt"'
+    )
+
+
+def of_the_world(folder: Path) -> str:
+    """Each with the pose of the world in it, called as those between two cameras are."""
+    written(folder / "left.yml", camera_matrix=M1, dist_coeffs=D1, R=WORLD_R, T=WORLD_T)
+    written(folder / "right.yml", camera_matrix=M2, dist_coeffs=D2, R=R @ WORLD_R, T=R @ WORLD_T + T)
+    return 'files = ["right.yml", "left.yml"]'
+
+
+def of_the_right_alone(folder: Path) -> str:
+    written(folder / "left.yml", camera_matrix=M1, dist_coeffs=D1)
+    written(folder / "right.yml", camera_matrix=M2, dist_coeffs=D2, R=R, T=T)
+    return 'files = ["right.yml", "left.yml"]'
+
+
+def rectified_too(folder: Path) -> str:
+    """All that OpenCV's sample writes: what brings both to one plane says the pose once more."""
+    R1, R2, P1, P2 = cv2.stereoRectify(M1, D1, M2, D2, (640, 480), R, T)[:4]
+    written(
+        folder / "c.yml", M1=M1, D1=D1, M2=M2, D2=D2, R=R, T=T, R1=R1, R2=R2, P1=P1, P2=P2, S=np.array([640.0, 480.0])
+    )
+    return 'files = "c.yml"'
+
+
+def a_list_of_tables(folder: Path) -> str:
+    both = [{"K": K.tolist(), "D": D.ravel().tolist()} for K, D in ((M1, D1), (M2, D2))]
+    (folder / "c.json").write_text(json.dumps({"rig": {"cameras": both}, "R": R.tolist(), "T": T.ravel().tolist()}))
+    return 'files = "c.json"'
+
+
+def lines_below_names(folder: Path) -> str:
+    with np.printoptions(precision=17):
+        said = [
+            f"{name}:\n{value}\n"
+            for name, value in (("left K", M1), ("left D", D1), ("right K", M2), ("right D", D2), ("R", R), ("T", T))
+        ]
+    (folder / "c.txt").write_text("".join(said))
+    return 'files = "c.txt"'
+
+
+def slmaster(folder: Path) -> str:
+    """Two cameras and a projector; ``S`` is the cameras' size."""
+    written(
+        folder / "c.yml",
+        M1=M1,
+        D1=D1,
+        M2=M1,
+        D2=D1,
+        Rlr=np.eye(3),
+        Tlr=-T,
+        M4=M2,
+        D4=D2,
+        Rlp=R,
+        Tlp=T,
+        S=np.array([640.0, 480.0]),
+    )
+    return 'files = "c.yml"'
+
+
+@pytest.mark.parametrize(
+    ("write", "head"),
+    [
+        (in_folders, ALONE), (of_no_sides, HEAD), (of_the_world, HEAD), (of_the_right_alone, HEAD), (rectified_too, HEAD),
+        (a_list_of_tables, HEAD), (lines_below_names, HEAD), (slmaster, ALONE),
+    ],
+)  # fmt: skip
+def test_numbers_are_those_of_the_file_in_which_they_stand(
+    write: Callable[[Path], str], head: str, tmp_path: Path
+) -> None:
+    found = rig(tmp_path, write(tmp_path), head=head)
+    point = (30.0, -20.0, 650.0)
+    np.testing.assert_allclose(projected(found, point), expected(point), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"K1": M1 * np.array([[1.1], [1], [1]])}, "s.yml: M1 and s.yml: K1 say the matrix of left differently"),
+        ({"rvec": np.array([0.01, -0.2, 0.05])}, "s.yml: R and s.yml: rvec say the rotation of both differently"),
+        ({"R1": WORLD_R, "T1": WORLD_T, "R2": R.T @ WORLD_R, "T2": R @ WORLD_T + T},
+         "s.yml: R and s.yml: R1 with s.yml: R2 say differently how the two stand to each other: turned by 23"),
+        ({"S": np.array([320.0, 240.0])},
+         "s.yml: S says 320 x 240 px, and the left images have 640 x 480 px: a calibration of images of half the size; give"),
+        ({"image_width": 640, "image_height": 512}, "s.yml: image_width, image_height says 640 x 512 px, and the left images have 640 x 480 px: another"),
+        ({"proj_K": M2, "M2": None}, "s.yml: proj_K is a projector's, and the images are of two cameras"),
+        ({"T": 1640.0 * T}, "the two are 1.65e+05 mm apart; allowed: 1 mm to 20 m; say in which unit"),
+        ({"T": 0.001 * T}, 'the two are 0.101 mm apart; allowed: 1 mm to 20 m; say in which unit the translation is: cameras.unit = "m"'),
+    ],
+)  # fmt: skip
+def test_what_is_said_twice_and_differs_is_refused(tmp_path: Path, values: dict[str, Any], said: str) -> None:
+    every = {"M1": M1, "D1": D1, "M2": M2, "D2": D2, "R": R, "T": T, **values}
+    written(tmp_path / "s.yml", **{name: value for name, value in every.items() if value is not None})
+    with pytest.raises(ForeignError) as error:
+        rig(tmp_path, 'files = "s.yml"')
+    assert said in str(error.value)
+
+
+def test_a_projector_of_another_size_than_its_calibration_says_is_refused(tmp_path: Path) -> None:
+    values = {"Kc": M1, "kc": D1, "Kp": M2, "kp": D2, "Rp": R, "Tp": T, "frameWidth": 640, "frameHeight": 480}
+    written(tmp_path / "s.xml", **values, screenResX=640, screenResY=480)
+    assert rig(tmp_path, 'files = "s.xml"', head=ALONE).stated_px == {"left": (640, 480), "right": (640, 480)}
+    written(tmp_path / "s.xml", **values, screenResX=1824, screenResY=1140)
+    with pytest.raises(
+        ForeignError,
+        match=r"screenResX says 1824 x 1140 px, and \[projector\] says 640 x 480 px: another projector; correct",
+    ):
+        rig(tmp_path, 'files = "s.xml"', head=ALONE)
+
+
+@pytest.mark.parametrize(
+    ("more", "known", "length", "noted"),
+    [
+        ("", False, 1.0, "lengths are in distances of the two"),
+        ('unit = "m"', True, 1000.0, "the translation is 1 m long"),
+    ],
+)
+def test_a_translation_of_length_one_has_no_scale(
+    tmp_path: Path, more: str, known: bool, length: float, noted: str
+) -> None:
+    written(tmp_path / "s.yml", M1=M1, D1=D1, M2=M2, D2=D2, R=R, T=T / np.linalg.norm(T) * 1.0004)
+    found = rig(tmp_path, f'files = "s.yml"\n{more}')
+    assert found.scale_known is known
+    assert np.linalg.norm(found.rig.right.translation_mm) == pytest.approx(length, rel=1e-3)
+    assert [note for note in found.notes if noted in note] == list(found.notes)
+
+
+def test_a_principal_point_far_from_the_middle_is_worth_a_line(tmp_path: Path) -> None:
+    written(tmp_path / "s.yml", M1=M1, D1=D1, M2=M2 + np.array([[0, 0, 0], [0, 0, 206.0], [0, 0, 0]]), D2=D2, R=R, T=T)
+    assert rig(tmp_path, 'files = "s.yml"').notes == (
+        "cameras.right.matrix: the principal point is at 95 % of the height: a shifted lens, or the calibration of other images",
+    )
+
+
+@pytest.mark.parametrize("text", ["cam_matrix", "none", "b/cam_matrix.txt:R"])
+def test_a_name_that_two_files_have_is_told_apart(text: str, tmp_path: Path) -> None:
+    said = of_no_sides(tmp_path).replace('left_matrix = "a/cam_matrix.txt"', f'left_matrix = "{text}"')
+    allowed = (
+        '"b/cam_matrix.txt:cam_matrix" or "a/cam_matrix.txt:cam_matrix"; say which'
+        if text == "cam_matrix"
+        else "a name in one of"
+    )
+    with pytest.raises(ForeignError) as error:
+        rig(tmp_path, said)
+    assert f"cameras.names.left_matrix is '{text}'; allowed: {allowed}" in str(error.value)
+
+
+def in_metres(folder: Path) -> str:
+    written(folder / "c.yml", M1=M1, D1=D1, M2=M2, D2=D2, R=R, T=0.001 * T)
+    return 'files = "c.yml"'
+
+
+def unknown_names(folder: Path) -> str:
+    written(folder / "c.yml", eye_a=M1, eye_b=M2, twist=R, shift=T)
+    return 'files = "c.yml"'
+
+
+@pytest.mark.parametrize(
+    ("write", "unit"),
+    [(in_folders, "mm"), (of_the_world, "mm"), (slmaster, "mm"), (in_metres, "m"), (unknown_names, "mm")],
+)
+def test_camera_files_are_found_in_a_folder(write: Callable[[Path], str], unit: str, tmp_path: Path) -> None:
+    wanted = tomllib.loads(write(tmp_path))["files"]
+    (tmp_path / "notes.txt").write_text("exposure = 12\n1 2 3\n")
+    np.savez(tmp_path / "points.npz", xyz=np.zeros((40, 3)), size=np.array([4.0, 4.0]))
+    found = cameras_in(tmp_path)
+    assert sorted(found["files"]) == sorted([wanted] if isinstance(wanted, str) else wanted)
+    assert found["unit"] == unit
+
+
+def test_our_own_calibration_is_found_first(tmp_path: Path) -> None:
+    found = rig(tmp_path, in_folders(tmp_path), head=ALONE)
+    mine = Calibration("pair", IN_AIR, "unknown", ("pictures",), Water(20.0, 0.0, 530.0), found.rig)
+    (tmp_path / "pair.json").write_bytes(encode(mine))
+    assert cameras_in(tmp_path) == {"calibration": "pair.json"}
 
 
 def test_matrices_of_projection_are_taken_apart(tmp_path: Path) -> None:
