@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from appliance.machine import events as on
-from appliance.scan.grade import NAME, Grade
+from appliance.scan.grade import LENGTHS_DOUBTFUL, NAME, Grade
 from appliance.scan.verdict import Verdict
 from appliance.service.gallery import GalleryController, read
 from appliance.storage.library import Library
@@ -44,6 +44,17 @@ def test_a_scan_is_shown_as_it_was_judged_when_it_was_taken(library: Library) ->
     assert (shown.grade, shown.damaged) == (Grade.USABLE, False)
     assert (shown.points, shown.coverage_percent, shown.distance_mm) == (20, 81.5, 512.0)
     np.testing.assert_array_equal(shown.preview, PICTURE)
+
+
+@pytest.mark.parametrize("doubtful", [1.0, 0.0, None])
+def test_lengths_are_doubtful_where_the_diver_was_told_so(library: Library, doubtful: float | None) -> None:
+    numbers = {} if doubtful is None else {LENGTHS_DOUBTFUL: doubtful}
+    said = replace(record(cloud=NUMBERS), verdicts=(Verdict(NAME, True, numbers, "good"),))
+    pending = library.begin(frames(), said)
+    pending.publish(said, cloud(), None)
+    shown = read(library, pending.scan_id)
+    assert shown.lengths_doubtful is (doubtful == 1.0)
+    assert (shown.preview, shown.damaged, shown.noise_mm, shown.corrected) == (None, False, 0.03, False)
 
 
 def test_a_date_that_cannot_be_believed_is_not_shown(library: Library) -> None:
@@ -89,3 +100,7 @@ def test_the_newest_comes_first_and_the_latest_wish_counts_however_slow_the_disk
     assert gallery.poll() == [on.ScansListed(tuple(reversed(ids)))]
     assert gallery.shown is not None
     assert gallery.shown.scan_id == ids[-1]
+    assert gallery.poll() == [], "listed once"
+    told = {"scan": ids[-1], "damaged": False, "grade": "usable", "taken": gallery.shown.taken}
+    assert gallery.status_of(ids[-1]) == told
+    assert gallery.status_of(ids[0]) is None, "it is not what the diver looks at"
