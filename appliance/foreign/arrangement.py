@@ -42,10 +42,13 @@ MOST_ASIDE_PX, MOST_ASIDE_PERIODS, SURE_PX = 2.0, 0.06, 1.0
 """Offset that right numbers leave: of two cameras, and of a projector besides by the error of its phase; and the least that contradicts."""
 FOUND_SHARE, SLOPES_EVERY = 0.15, 3
 PATCHES, PATCHES_OF_OTHERS = 2000, 700
+OTHER_INDEX = 0.03
 SCALES, SHIFTS = (0.5, 0.8, 1.25, 2.0), (-0.125, 0.125)
 """Other periods of a projector, over the one that was said, and other starts, over its size."""
 CENTRED, NEARLY_CENTRED = 0.12, 0.06
 """Distance of a principal point from the middle of its image, over its size: of a whole sensor, and after another size was put right."""
+MOST_SHIFT = 0.25
+"""Largest distance of a projector's axis from the middle of its width, over it, that is nothing special."""
 POSE, TURN, TURN_DEG = "cameras: rotation and translation", "cameras: a turn about the columns", 0.3
 NOTHING = Offset(0, 0, 0.0, 0.0, 0.0)
 Maps = Mapping[str, Floats]
@@ -65,6 +68,11 @@ class _Seen:
     about: str = ""
     text: str = ""
     instead: Mapping[str, Any] = field(default_factory=dict)
+
+    def standing(self, about: str, text: str, left: HousedCamera, right: HousedCamera, index: float) -> _Seen:
+        """Return it with other cameras, or in another medium."""
+        rig = replace(self.rig, rig=StereoRig(left, right), index=index)
+        return replace(self, rig=rig, about=about, text=text)
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +121,7 @@ def examine_cameras(
     if any(one.outcome is Outcome.WRONG for one in said):
         return said
     if right is None:
-        said += [_width(description, rig, axis, said) for axis in description.axes]
+        said += _extent(description, rig, said)
     return [*said, size, *_lengths(rig, here)]
 
 
@@ -165,24 +173,26 @@ def _unexplained(here: _Found) -> ExaminedAssumption:
 
 
 def _otherwise(seen: _Seen) -> list[_Seen]:
-    """Return the ways in which R and T, and the water, may be meant otherwise."""
-    right = seen.rig.rig.right
+    """Return the ways in which R and T, windows and water may be meant otherwise."""
+    left, right, index = seen.rig.rig.left, seen.rig.rig.right, seen.rig.index
     R = np.asarray(right.rotation).T
     T = -R @ np.asarray(right.translation_mm)
     # About the axis across the disparity, which hardly anything sees.
-    axis = np.eye(3)[1 if abs(T[0]) >= abs(T[1]) else 0]
-    turn = np.asarray(cv2.Rodrigues(np.deg2rad(TURN_DEG) * axis)[0])
+    turn = np.asarray(cv2.Rodrigues(np.deg2rad(TURN_DEG) * np.eye(3)[1 if abs(T[0]) >= abs(T[1]) else 0])[0])
     found = []
     for about, text, other_R, other_T in (
         (POSE, "they are R and T of right to left", R.T, -R.T @ T), (POSE, "R is transposed", R.T, T), (POSE, "T is negated", R, -T),
         (POSE, "R is transposed and T negated", R.T, -T), (TURN, f"it is {TURN_DEG:g}° more", turn @ R, T),
     ):  # fmt: skip
         x, y, z = (float(one) for one in -other_R.T @ other_T)
-        rig = StereoRig(seen.rig.rig.left, replace(right, rotation=matrix3(other_R.T), translation_mm=(x, y, z)))
-        found.append(replace(seen, rig=replace(seen.rig, rig=rig), about=about, text=text))
-    if not seen.rig.in_air and not right.lens_in_water:
-        found.append(replace(seen, rig=replace(seen.rig, index=1.0), about="water.index", text="it is air"))
-    return found
+        other = replace(right, rotation=matrix3(other_R.T), translation_mm=(x, y, z))
+        found.append(seen.standing(about, text, left, other, index))
+    if right.lens_in_water:
+        return found
+    for word in ("distance_mm", "thickness_mm") if seen.rig.calibration is None else ():
+        half = [replace(one, port=replace(one.port, **{word: 0.5 * getattr(one.port, word)})) for one in (left, right)]
+        found.append(seen.standing(f"ports.{word}", "it is half as much", half[0], half[1], index))
+    return found + [seen.standing("water.index", f"it is {n:.4g}", left, right, n) for n in (1.0, index + OTHER_INDEX)]
 
 
 def _exchanged(seen: _Seen) -> list[_Seen]:
@@ -198,61 +208,49 @@ def _patterns(seen: _Seen, description: Description, left: DecodedCamera) -> lis
     """Return other patterns on the projector that make the same images."""
     found = []
     for axis in description.axes:
-        start = "code_offset_px" if axis.bits else "start_deg"
-        backwards = f'it is "{"-" if axis.sign > 0 else "+"}"'
-        rows = [
-            ("code", "it runs the other way", -1.0, axis.size_px)
-            if axis.bits
-            else ("sign", backwards, -1.0, axis.size_px)
-        ]
-        rows += [(_period_word(axis), f"it is {scale:g} times as much", scale, 0.0) for scale in SCALES]
-        rows += [
-            (start, f"the pattern begins {px:+.0f} px aside", 1.0, px) for px in (one * axis.size_px for one in SHIFTS)
-        ]
-        for word, text, scale, shift_px in rows:
+        size_px = axis.size_px
+        start, period = "code_offset_px" if axis.bits else "start_deg", "period_px" if axis.periods_px else "stripe_px"
+        sign, backwards = ("code", "it runs the other way") if axis.bits else ("sign", f'it is "{"+-"[axis.sign > 0]}"')
+        for word, text, scale, shift_px in (
+            (sign, backwards, -1.0, size_px),
+            *((period, f"it is {scale:g} times as much", scale, 0.0) for scale in SCALES),
+            *((start, f"the pattern begins {share * size_px:+.0f} px aside", 1.0, share * size_px) for share in SHIFTS),
+        ):
             about = f"{axis.name}.{word}"
             moved = np.float32(scale) * (seen.left[axis.name] + np.float32(0.5)) + np.float32(shift_px - 0.5)
             instead: dict[str, Any] = {about: -axis.sign} if word == "sign" else {}
             found.append(replace(seen, left={**seen.left, axis.name: moved}, about=about, text=text, instead=instead))
-    for offsets_px in _code_offsets(description.axes):
-        axes = [replace(axis, code_offset_px=px) for axis, px in zip(description.axes, offsets_px, strict=True)]
-        text = " and ".join(
-            f"{one.name}.code_offset_px = {one.code_offset_px:g}" for one in axes if one not in description.axes
-        )
-        instead = {f"{one.name}.code_offset_px": one.code_offset_px for one in axes}
-        maps = _maps(placed_again(left, replace(description, axes=tuple(axes))))
-        found.append(replace(seen, left=maps, about=text.split(" ")[0], text=text, instead=instead))
-    return found
-
-
-def _period_word(axis: AxisConvention) -> str:
-    return "period_px" if axis.periods_px else "stripe_px"
-
-
-def _code_offsets(axes: tuple[AxisConvention, ...]) -> list[tuple[float, ...]]:
-    """Return where codes may begin instead: of 2ⁿ stripes on a projector of fewer px, programs use the first ones or those in the middle."""
+    # Of 2ⁿ stripes on a projector of fewer px, programs use the first ones or those in the middle.
     choices = []
-    for axis in axes:
+    for axis in description.axes:
         beyond_px = axis.stripe_px * 2**axis.bits - axis.size_px if axis.bits else 0.0
         other_px = 0.0 if axis.code_offset_px else -0.5 * beyond_px
-        choices.append([axis.code_offset_px, *([other_px] if beyond_px > 0.0 else [])])
-    return list(product(*choices))[1:]
+        choices.append([axis, *([replace(axis, code_offset_px=other_px)] if beyond_px > 0.0 else [])])
+    for axes in list(product(*choices))[1:]:
+        instead = {f"{one.name}.code_offset_px": one.code_offset_px for one in axes}
+        changed = [f"{one.name}.code_offset_px = {one.code_offset_px:g}" for one in axes if one not in description.axes]
+        text, maps = " and ".join(changed), _maps(placed_again(left, replace(description, axes=axes)))
+        found.append(replace(seen, left=maps, about=text.split(" ")[0], text=text, instead=instead))
+    return found
 
 
 # --------------------------------------------------------------------------------------- what else is said of them
 
 
-def _width(
-    description: Description, rig: ForeignRig, axis: AxisConvention, said: list[ExaminedAssumption]
-) -> ExaminedAssumption:
-    """Say whether anything checks the projector's size along a direction: the words of its calibration, else what checks the period."""
-    k = "xy".index(axis.name)
-    about, size_px = f"projector.{('width', 'height')[k]}_px", description.projector_px[k]
-    if getattr(rig, "stated_px", {}).get("right") == description.projector_px:
-        return fits(about, "its calibration says the same")
-    text = f"the projector's axis leaves at {100 * rig.rig.right.lens.c_px[k] / size_px:.0f} % of {size_px} px"
-    checked = any(one.about == f"{axis.name}.{_period_word(axis)}" and one.outcome is Outcome.FITS for one in said)
-    return fits(about, f"{text}, and the period fits") if checked else unchecked(about, text)
+def _extent(description: Description, rig: ForeignRig, said: list[ExaminedAssumption]) -> list[ExaminedAssumption]:
+    """Say whether anything checks the projector's size: the words of its calibration, else what checks the period."""
+    found = []
+    fit = {one.about for one in said if one.outcome is Outcome.FITS}
+    stated = getattr(rig, "stated_px", {}).get("right") == description.projector_px
+    for axis, word, size_px, at_px in zip(
+        "xy", ("width", "height"), description.projector_px, rig.rig.right.lens.c_px, strict=True
+    ):
+        text = f"the projector's axis leaves at {100 * at_px / size_px:.0f} % of {size_px} px"
+        if axis == "x" and abs(at_px / size_px - 0.5) > MOST_SHIFT:
+            text += ", which few do"
+        checked = stated or fit & {f"{axis}.period_px", f"{axis}.stripe_px"}
+        found.append((fits if checked else unchecked)(f"projector.{word}_px", text))
+    return found
 
 
 def _size(rig: StereoRig, cameras: Mapping[str, DecodedCamera]) -> ExaminedAssumption:

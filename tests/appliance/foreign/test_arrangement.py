@@ -45,7 +45,7 @@ def seen(camera: View, projector: View) -> DecodedCamera:
     return DecodedCamera(ImageSet((), (), np.zeros((0, *grey.shape), np.uint8), 255.0), {}, placed, grey)
 
 
-def described(bench: Bench, axes: str, **cameras: Any) -> tuple[Description, ForeignRig]:
+def described(bench: Bench, axes: str, more: str = "", **cameras: Any) -> tuple[Description, ForeignRig]:
     """A description in ``axes`` (one letter each), and the rig with some of its matrices replaced."""
     numbers = {"K1": bench.left.K, "K2": bench.right.K, "R": bench.R, "T": bench.T} | cameras
     matrix = {name: np.asarray(one).tolist() for name, one in numbers.items()}
@@ -57,7 +57,7 @@ def described(bench: Bench, axes: str, **cameras: Any) -> tuple[Description, For
     text += f"[cameras]\nrotation = {matrix['R']}\ntranslation = {matrix['T']}\n"
     for n, (side, view) in enumerate((("left", bench.left), ("right", bench.right)), 1):
         text += f"[cameras.{side}]\nmatrix = {matrix[f'K{n}']}\ndistortion = {view.D.tolist()}\n"
-    description = parse_description(text, Path(), "set", "set.toml")
+    description = parse_description(text + more, Path(), "set", "set.toml")
     sizes = {side: (view.width_px, view.height_px) for side, view in (("left", bench.left), ("right", bench.right))}
     return description, read_rig(description, sizes)
 
@@ -83,6 +83,17 @@ def told(
     said = examine_cameras(description, rig, thinned)
     assert len({one.about for one in said}) == len(said)
     return {one.about: one for one in said}
+
+
+def test_windows_and_water_that_nothing_sees_are_unchecked() -> None:
+    """Seen from half a metre away they are nearly a longer lens."""
+    bench = pair(WIDTH_PX, SIZE)
+    description, rig = described(
+        bench, "x", more="[water]\nindex = 1.0\n[ports]\ndistance_mm = 4.0\nthickness_mm = 1.0\nglass_index = 1.5\n"
+    )
+    found = {side: seen(view, bench.projector) for side, view in (("left", bench.left), ("right", bench.right))}
+    said = {one.about: one for one in examine_cameras(description, rig, found)}
+    assert {"ports.distance_mm", "ports.thickness_mm", "water.index"} <= outcomes(said, Outcome.UNCHECKED)
 
 
 def outcomes(said: Mapping[str, ExaminedAssumption], outcome: Outcome) -> set[str]:
@@ -162,6 +173,7 @@ def test_one_direction_of_a_projector_checks_its_sign_alone() -> None:
         "x.period_px",
         "x.start_deg",
         "projector.width_px",
+        "projector.height_px",
         "cameras.unit",
     }
     assert "50 % of 640 px" in said["projector.width_px"].text
