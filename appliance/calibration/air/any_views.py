@@ -109,6 +109,16 @@ def calibrate_any(
         return _calibrated(usable, width_px, height_px, tolerance or BoardTolerance())
 
 
+def check_pairs(views: Sequence[BoardView], width_px: int, height_px: int) -> None:
+    """Raise AirCalibrationError where the first ``views`` already show that a picture is missing, before the others are looked at."""
+    try:
+        pairing = _start(views, width_px, height_px).pairing
+    except (ValueError, cv2.error):
+        return  # They tell too little yet.
+    if pairing.further_on:
+        _wrong_pairs(pairing)
+
+
 def _calibrated(usable: list[BoardView], width_px: int, height_px: int, allowed: BoardTolerance) -> AnyCalibration:
     left_out: list[str] = []
     remarks: dict[str, tuple[str, ...]] = {view.name: _alone(view) for view in usable}

@@ -29,7 +29,7 @@ from appliance.calibration.air.any_board import (
     search_board,
     spread_of,
 )
-from appliance.calibration.air.any_views import AnyCalibration, calibrate_any, view_of
+from appliance.calibration.air.any_views import AnyCalibration, calibrate_any, check_pairs, view_of
 from appliance.calibration.air.board import NoBoard
 from appliance.calibration.air.coverage import Coverage, Sighting, covered
 from appliance.calibration.air.joint import BoardTolerance
@@ -54,6 +54,8 @@ EXCHANGED = (
     "left and right are exchanged: the camera called right stands to the left of the other; name the pictures the other way round "
     "(--left, --right) before anything is measured with them"
 )
+CHECKED_AT = (8, 16, 32)
+"""Numbers of views after which a missing picture is asked for, since looking at all others takes longest."""
 MOST_NAMED = 4
 """Most views that a warning names one by one."""
 FRESH = Water(20.0, 0.0, 530.0)
@@ -88,7 +90,7 @@ def calibrate_pictures(
         log.warning("not used: %s", reason)
     good = [path for path in every if path not in wrong]
     board = search_board([(path.name, partial(read_grey, path)) for path in good], wanted, progress)
-    looked = _look(pictures.pairs, board, wrong, progress)
+    looked = _look(pictures.pairs, board, wrong, size_px, progress)
     progress("adjusting", 1.0)
     tolerance = BoardTolerance(bow_mm=FLAT_MM) if flat else BoardTolerance()
     try:
@@ -143,9 +145,10 @@ def _look(
     pairs: Sequence[AnyPair],
     board: FoundBoard,
     wrong: dict[Path, str],
+    size_px: tuple[int, int],
     progress: Callable[[str, float], None],
 ) -> _Looked:
-    """Find the board in every picture that is not ``wrong``."""
+    """Find the board in every picture that is not ``wrong``. Raises AirCalibrationError as soon as a picture is missing."""
     board_mm = np.asarray(board.design.pattern().getChessboardCorners(), np.float64)
     views, rejected, remarks, made_from = [], list(wrong.values()), {}, {}
     for k, pair in enumerate(pairs):
@@ -171,6 +174,8 @@ def _look(
             views.append(view)
             remarks[pair.name] = tuple(small)
             made_from[pair.name] = f"board {pair.name}, pixels {digest.hexdigest()[:16]}"
+            if len(views) in CHECKED_AT:
+                check_pairs(views, *size_px)
     return _Looked(tuple(views), tuple(rejected), remarks, made_from, board_mm)
 
 

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from appliance.calibration.air.adjustment import AirCalibrationError, calibrate_air
-from appliance.calibration.air.any_views import calibrate_any, view_of
+from appliance.calibration.air.any_views import calibrate_any, check_pairs, view_of
 from appliance.calibration.air.linearised import BoardView
 from appliance.calibration.parameters import AIR, NAMES
 from tests.support.any_boards import BASE_MM, F_PX, HEIGHT_PX, WIDTH_PX, poses
@@ -109,6 +109,14 @@ def test_the_first_pair_after_a_missing_picture_is_named(first: int) -> None:
     said = str(raised.value)
     assert said.startswith(f"pair v{first}: ")
     assert "a right picture is missing" in said
+
+
+def test_a_missing_picture_is_told_before_all_are_looked_at() -> None:
+    where = poses(10, 5)
+    with pytest.raises(AirCalibrationError, match=r"pair v3: .*a right picture is missing"):
+        check_pairs(views(where, board(11, 8), missing_right=3)[:8], WIDTH_PX, HEIGHT_PX)
+    for silent in (views(where, board(11, 8)), views(where, board(11, 8), missing_right=7)[:8], []):
+        check_pairs(silent, WIDTH_PX, HEIGHT_PX)
 
 
 def test_a_missing_left_picture_is_told_from_a_right_one() -> None:
