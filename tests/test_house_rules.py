@@ -8,8 +8,9 @@ import re
 import tokenize
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
+from typing import TypeVar, cast
 
 import pytest
 
@@ -41,28 +42,41 @@ QUANTITY = re.compile(
 )
 
 
+Node = TypeVar("Node", bound=ast.AST)
+
+
 @dataclass(frozen=True)
 class Source:
     """One Python file."""
 
     path: str
     text: str
-    tree: ast.Module
 
-    @classmethod
-    def parse(cls, path: str, text: str) -> Source:
-        return cls(path, text, ast.parse(text, path))
+    @cached_property
+    def tree(self) -> ast.Module:
+        return ast.parse(self.text, self.path)
 
-    def calls(self) -> Iterator[tuple[ast.Call, str]]:
-        """Every call with the dotted name of what is called, as far as it is names and attributes."""
+    @cached_property
+    def _nodes(self) -> dict[type[ast.AST], list[ast.AST]]:
+        nodes: dict[type[ast.AST], list[ast.AST]] = {}
         for node in ast.walk(self.tree):
-            if isinstance(node, ast.Call):
-                yield node, dotted(node.func)
+            nodes.setdefault(type(node), []).append(node)
+        return nodes
+
+    def every(self, kind: type[Node]) -> list[Node]:
+        """Every node of that very kind; the tree is walked once for all rules."""
+        return cast(list[Node], self._nodes.get(kind, []))
+
+    @cached_property
+    def calls(self) -> list[tuple[ast.Call, str]]:
+        """Every call with the dotted name of what is called, as far as it is names and attributes."""
+        return [(node, dotted(node.func)) for node in self.every(ast.Call)]
 
     def lines_matching(self, pattern: str) -> Iterator[int]:
-        for number, line in enumerate(self.text.splitlines(), 1):
-            if re.search(pattern, line):
-                yield number
+        if re.search(pattern, self.text):  # hardly a file has one
+            for number, line in enumerate(self.text.splitlines(), 1):
+                if re.search(pattern, line):
+                    yield number
 
 
 def dotted(node: ast.expr) -> str:
@@ -84,31 +98,29 @@ def no_docstring(source: Source) -> Iterator[Breach]:
 
 
 def wall_clock(source: Source) -> Iterator[Breach]:
-    for call, name in source.calls():
+    for call, name in source.calls:
         if ".".join(name.split(".")[-2:]) in WALL_CLOCK:
             yield call.lineno, f"{name}: wall time jumps; ask the clock that was handed in"
     yield from imported_from("time", {"time", "time_ns"}, source)
 
 
 def sleep(source: Source) -> Iterator[Breach]:
-    for call, name in source.calls():
+    for call, name in source.calls:
         if name == "time.sleep":
             yield call.lineno, "time.sleep: ask the clock that was handed in, it decides how time passes"
     yield from imported_from("time", {"sleep"}, source)
 
 
 def imported_from(module: str, names: set[str], source: Source) -> Iterator[Breach]:
-    for node in ast.walk(source.tree):
-        if isinstance(node, ast.ImportFrom) and node.module == module:
+    for node in source.every(ast.ImportFrom):
+        if node.module == module:
             for alias in node.names:
                 if alias.name in names:
                     yield node.lineno, f"from {module} import {alias.name} hides what is called"
 
 
 def swallowed_error(source: Source) -> Iterator[Breach]:
-    for node in ast.walk(source.tree):
-        if not isinstance(node, ast.ExceptHandler):
-            continue
+    for node in source.every(ast.ExceptHandler):
         if node.type is None:
             yield node.lineno, "a bare except catches even the request to stop"
         elif dotted(node.type) in {"Exception", "BaseException"} and all(isinstance(s, ast.Pass) for s in node.body):
@@ -116,27 +128,27 @@ def swallowed_error(source: Source) -> Iterator[Breach]:
 
 
 def prints(source: Source) -> Iterator[Breach]:
-    for call, name in source.calls():
+    for call, name in source.calls:
         if name in {"print", "pprint", "pprint.pprint"}:
             yield call.lineno, "print: log it, return it or draw it"
 
 
 def endless_wait(source: Source) -> Iterator[Breach]:
-    for call, name in source.calls():
+    for call, name in source.calls:
         receiver, _, method = name.rpartition(".")
         if receiver and method in ENDLESS and not call.args and not call.keywords:
             yield call.lineno, f"{name}() waits for ever: give it a timeout"
 
 
 def unbounded_queue(source: Source) -> Iterator[Breach]:
-    for call, name in source.calls():
+    for call, name in source.calls:
         last = name.rpartition(".")[2]
         if last == "SimpleQueue" or (last in UNBOUNDED and not call.args and not call.keywords):
             yield call.lineno, f"{name}() grows without bound: give it a size and say what happens when it is full"
 
 
 def unseeded_randomness(source: Source) -> Iterator[Breach]:
-    for call, name in source.calls():
+    for call, name in source.calls:
         parts = name.split(".")
         if parts[-1] in SEEDED and (parts[:-1] in ([], ["np", "random"], ["random"])):
             if not call.args and not call.keywords:
@@ -167,15 +179,12 @@ def import_side_effect(source: Source) -> Iterator[Breach]:
 
 
 def global_state(source: Source) -> Iterator[Breach]:
-    for node in ast.walk(source.tree):
-        if isinstance(node, ast.Global):
-            yield node.lineno, f"global {', '.join(node.names)}: hand the state in"
+    for node in source.every(ast.Global):
+        yield node.lineno, f"global {', '.join(node.names)}: hand the state in"
 
 
 def dataclass_without_slots(source: Source) -> Iterator[Breach]:
-    for node in ast.walk(source.tree):
-        if not isinstance(node, ast.ClassDef):
-            continue
+    for node in source.every(ast.ClassDef):
         for decorator in node.decorator_list:
             call = decorator.func if isinstance(decorator, ast.Call) else decorator
             if dotted(call) not in {"dataclass", "dataclasses.dataclass"}:
@@ -187,10 +196,8 @@ def dataclass_without_slots(source: Source) -> Iterator[Breach]:
 
 
 def field_without_unit(source: Source) -> Iterator[Breach]:
-    for node in ast.walk(source.tree):
-        if not isinstance(node, ast.ClassDef) or node.name.startswith("_"):
-            continue
-        if not any("dataclass" in ast.unparse(d) for d in node.decorator_list):
+    for node in source.every(ast.ClassDef):
+        if node.name.startswith("_") or not any("dataclass" in ast.unparse(d) for d in node.decorator_list):
             continue
         for item in node.body:
             match item:
@@ -228,10 +235,12 @@ def too_short(source: Source) -> Iterator[Breach]:
 
 def fragment_docstring(source: Source) -> Iterator[Breach]:
     """Docstrings of modules, classes and functions, and the strings below fields and constants."""
-    for node in ast.walk(source.tree):
-        if not isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
-            continue
-        for one in node.body:
+    scopes: list[ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef] = [source.tree]
+    scopes += source.every(ast.ClassDef)
+    scopes += source.every(ast.FunctionDef)
+    scopes += source.every(ast.AsyncFunctionDef)
+    for scope in scopes:
+        for one in scope.body:
             match one:
                 case ast.Expr(value=ast.Constant(value=str(text))) if found := FRAGMENT.match(text):
                     yield one.lineno, f"a sentence that begins with {found[1]!r} needs the line above to be understood"
@@ -255,9 +264,11 @@ def words(text: str) -> set[str]:
 
 
 def uncommented_kernel(source: Source) -> Iterator[Breach]:
-    commented = set(comments(source)) if "njit" in source.text else set()
-    for node in ast.walk(source.tree):
-        if not isinstance(node, ast.FunctionDef) or not any("njit" in ast.unparse(d) for d in node.decorator_list):
+    if "njit" not in source.text:
+        return
+    commented = set(comments(source))
+    for node in source.every(ast.FunctionDef):
+        if not any("njit" in ast.unparse(d) for d in node.decorator_list):
             continue
         lines = range(node.lineno, (node.end_lineno or node.lineno) + 1)
         if len(lines) > LONG_KERNEL_LINES and LINES_PER_COMMENT * len(commented.intersection(lines)) < len(lines):
@@ -268,8 +279,8 @@ def uncommented_kernel(source: Source) -> Iterator[Breach]:
 
 
 def asserts_nothing(source: Source) -> Iterator[Breach]:
-    for node in ast.walk(source.tree):
-        if isinstance(node, ast.FunctionDef) and node.name.startswith("test_"):
+    for node in source.every(ast.FunctionDef):
+        if node.name.startswith("test_"):
             if any(ast.unparse(d).startswith("given(") for d in node.decorator_list):
                 continue  # that no input raises anything unexpected is what it asserts
             asserts = any(isinstance(inner, ast.Assert) for inner in ast.walk(node))
@@ -279,31 +290,24 @@ def asserts_nothing(source: Source) -> Iterator[Breach]:
 
 
 def unchecked_generator(source: Source) -> Iterator[Breach]:
-    for call, name in source.calls():
+    for call, name in source.calls:
         if name.rpartition(".")[2] in {"builds", "from_type"}:
             yield call.lineno, f"{name}() hands on fields of any type: use tests.support.typed.built"
 
 
 def open_match(source: Source) -> Iterator[Breach]:
-    for node in ast.walk(source.tree):
-        if isinstance(node, ast.Match):
-            last = node.cases[-1]
-            if last.guard is not None or not isinstance(last.pattern, ast.MatchAs) or last.pattern.pattern is not None:
-                yield node.lineno, "what fits no case passes in silence: end with `case unknown: assert_never(unknown)`"
+    for node in source.every(ast.Match):
+        last = node.cases[-1]
+        if last.guard is not None or not isinstance(last.pattern, ast.MatchAs) or last.pattern.pattern is not None:
+            yield node.lineno, "what fits no case passes in silence: end with `case unknown: assert_never(unknown)`"
 
 
 def leans_on_measurements(source: Source) -> Iterator[Breach]:
-    for node in ast.walk(source.tree):
-        match node:
-            case ast.Import(names=names):
-                modules = [name.name for name in names]
-            case ast.ImportFrom(module=str(module), level=0):
-                modules = [module]
-            case _:
-                continue
-        for module in modules:
-            if module.partition(".")[0] == "bench":
-                yield node.lineno, f"{module}: what tests and measurements share belongs in tests.support"
+    imported = [(node.lineno, name.name) for node in source.every(ast.Import) for name in node.names]
+    imported += [(node.lineno, node.module or "") for node in source.every(ast.ImportFrom) if not node.level]
+    for line, module in imported:
+        if module.partition(".")[0] == "bench":
+            yield line, f"{module}: what tests and measurements share belongs in tests.support"
 
 
 @dataclass(frozen=True)
@@ -505,50 +509,53 @@ RULES = [
 ]
 
 
-@cache
-def sources(package: str) -> tuple[Source, ...]:
-    return tuple(
-        Source.parse(path.relative_to(ROOT).as_posix(), path.read_text(encoding="utf-8"))
-        for path in sorted((ROOT / package).rglob("*.py"))
-    )
+def sources(package: str) -> Iterator[Source]:
+    for path in sorted((ROOT / package).rglob("*.py")):
+        yield Source(path.relative_to(ROOT).as_posix(), path.read_text(encoding="utf-8"))
 
 
 def name_of(rule: Rule) -> str:
     return rule.check.__name__.replace("_", "-")
 
 
+@cache
+def breaches_of_all_rules() -> dict[str, list[tuple[str, int, str]]]:
+    """Path, line and message of every breach, by the rule's name, also where the rule does not hold.
+
+    One file after the other meets all rules: the trees of all at once take half a gigabyte and long to go through.
+    """
+    found: dict[str, list[tuple[str, int, str]]] = {name_of(rule): [] for rule in RULES}
+    for package in sorted({package for rule in RULES for package in rule.packages}):
+        rules = [rule for rule in RULES if package in rule.packages]
+        for source in sources(package):
+            for rule in rules:
+                found[name_of(rule)] += [(source.path, *breach) for breach in rule.breaches(source)]
+    return found
+
+
 @pytest.mark.parametrize("rule", RULES, ids=name_of)
 def test_the_rule_notices_its_breach_and_nothing_else(rule: Rule) -> None:
     for example in rule.bad:
-        assert rule.breaches(Source.parse("example.py", example)), f"not noticed: {example}"
+        assert rule.breaches(Source("example.py", example)), f"not noticed: {example}"
     for example in rule.good:
-        assert not rule.breaches(Source.parse("example.py", example)), f"wrongly noticed: {example}"
+        assert not rule.breaches(Source("example.py", example)), f"wrongly noticed: {example}"
 
 
 @pytest.mark.parametrize("rule", RULES, ids=name_of)
 def test_the_rule_is_kept(rule: Rule) -> None:
-    looked_at = [source for package in rule.packages for source in sources(package)]
-    assert looked_at
     found = [
-        f"{source.path}:{line}: {message}"
-        for source in looked_at
-        if not source.path.startswith(tuple(rule.except_in))
-        for line, message in rule.breaches(source)
+        f"{path}:{line}: {message}"
+        for path, line, message in breaches_of_all_rules()[name_of(rule)]
+        if not path.startswith(tuple(rule.except_in))
     ]
     assert not found, "\n" + "\n".join(found)
 
 
 @pytest.mark.parametrize("rule", [rule for rule in RULES if rule.except_in], ids=name_of)
 def test_no_exception_outlives_its_reason(rule: Rule) -> None:
-    for path in rule.except_in:
-        breaches = [
-            breach
-            for package in rule.packages
-            for source in sources(package)
-            if source.path.startswith(path)
-            for breach in rule.breaches(source)
-        ]
-        assert breaches, f"{path} no longer needs to be excepted from {name_of(rule)}"
+    for excepted in rule.except_in:
+        breaches = [path for path, _, _ in breaches_of_all_rules()[name_of(rule)] if path.startswith(excepted)]
+        assert breaches, f"{excepted} no longer needs to be excepted from {name_of(rule)}"
 
 
 HOMONYMS: dict[str, dict[str, str]] = {}
@@ -559,16 +566,15 @@ def homonyms(package: Iterable[Source]) -> dict[str, list[str]]:
     """The names of classes that stand in more than one file, with these files; private ones are nobody else's."""
     where: dict[str, list[str]] = {}
     for source in package:
-        for node in source.tree.body:
-            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
-                where.setdefault(node.name, []).append(source.path)
+        for name in re.findall(r"^class ([^\W_]\w*)", source.text, re.MULTILINE):
+            where.setdefault(name, []).append(source.path)
     return {name: paths for name, paths in where.items() if len(paths) > 1}
 
 
 def test_the_rule_of_homonyms_notices_its_breach_and_nothing_else() -> None:
-    one, other = Source.parse("one.py", "class Seen: pass"), Source.parse("other.py", "class Seen: pass")
+    one, other = Source("one.py", "class Seen: pass"), Source("other.py", "class Seen: pass")
     assert homonyms([one, other]) == {"Seen": ["one.py", "other.py"]}
-    private = Source.parse("private.py", "class _Seen: pass\nSeen = 1\ndef f():\n    class Seen: pass")
+    private = Source("private.py", "class _Seen: pass\nSeen = 1\ndef f():\n    class Seen: pass")
     assert not homonyms([one, private, private])
 
 
@@ -593,11 +599,11 @@ def comment_percent(package: Iterable[Source]) -> float:
 
 def test_the_rule_of_comments_notices_its_breach_and_nothing_else() -> None:
     code = "x = y\n" * 39
-    assert comment_percent([Source.parse("some.py", code + "# zero is a value, too\n")]) == LEAST_COMMENT_PERCENT
-    spread = [Source.parse("one.py", "# why\n" * 2 + code), Source.parse("other.py", code)]
+    assert comment_percent([Source("some.py", code + "# zero is a value, too\n")]) == LEAST_COMMENT_PERCENT
+    spread = [Source("one.py", "# why\n" * 2 + code), Source("other.py", code)]
     assert comment_percent(spread) >= LEAST_COMMENT_PERCENT
     for silent in ("# set x to y\n", "# ------------ x\n", "z = 1  # beside it\n", "# fmt: skip\n"):
-        assert comment_percent([Source.parse("some.py", silent + code)]) == 0.0, silent
+        assert comment_percent([Source("some.py", silent + code)]) == 0.0, silent
 
 
 def test_a_reader_of_the_product_is_told_why() -> None:
