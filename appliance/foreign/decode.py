@@ -23,7 +23,7 @@ from appliance.foreign.code import LINES_AT_ONCE, CodeBits, numbered_stripes, re
 from appliance.foreign.description import AxisConvention
 from appliance.foreign.images import ImageSet
 from appliance.foreign.order import FRINGES
-from appliance.foreign.phase import Floats, SineFit, fit_sine
+from appliance.foreign.phase import TURN, Floats, SineFit, fit_sine, misfit_share, unbend
 
 LEAST_MODULATION, MOST_LEAST_MODULATION = 1.0 / 255.0, 5.0 / 255.0
 """Least modulation of a pixel that is used, as a share of full scale: so many ``NOISE_SIGMAS`` of its noise, within these."""
@@ -46,9 +46,6 @@ MOST_SKIPPED = 2
 """Largest change of a stripe's number at a border that a coordinate is drawn from: one stripe in between may be too narrow to be seen."""
 
 
-TURN = 2.0 * math.pi
-
-
 class NoCoordinate(IntEnum):
     """Reason why a pixel has no coordinate; the first that applies."""
 
@@ -67,7 +64,7 @@ class Measured:
     """Evidence of the images of one direction, whatever a convention makes of it."""
 
     fits: tuple[SineFit, ...]
-    """Fit of each period; empty for a code alone. Of micro phase shifting that of the first one."""
+    """Fit of each period; empty for a code alone. Of micro phase shifting it is that of the first one for all."""
     bits: CodeBits | None
     weak: NDArray[np.bool_]
     """(h, w): too dark to be used."""
@@ -77,7 +74,7 @@ class Measured:
     misfit_share: float | None = None
     """What a sine leaves of the finest period's steps, over its modulation; ``None`` where three steps or none fit anything."""
     bend_turns: float = 0.0
-    """Standard deviation of that period's phase by a response that is no straight line."""
+    """Standard deviation of that period's phase by what remains of a response that is no straight line."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,12 +113,14 @@ def measure(images: ImageSet, axis: AxisConvention) -> Measured:
     saturated = np.logical_or.reduce([fit.saturated for fit in fits])
     weak = np.minimum.reduce([fit.modulation for fit in fits]) < least_modulation(finest, len(steps), images.white)
     usable = ~(weak | saturated)
-    share = None
-    if finest.misfit is not None and usable.any():
-        share = float(np.median(finest.misfit[usable] / finest.modulation[usable]))
-    # Harmonics that bend a phase leave twice as much of the steps at least.
-    bend_turns = min(bend(finest.turns[usable], len(steps)), math.inf if share is None else 0.5 * share / TURN)
-    return Measured(tuple(fits), bits, weak, saturated, tuple(singles), share, bend_turns)
+    shares = [misfit_share(fit, usable) for fit in fits]
+    bends = [
+        unbend(fit.turns, usable, len(one), share)
+        for fit, one, share in zip(fits, axis.steps_deg, shares, strict=False)
+    ]
+    return Measured(
+        tuple(fits) + (finest,) * len(singles), bits, weak, saturated, tuple(singles), shares[axis.finest], bends[axis.finest]
+    )  # fmt: skip
 
 
 def _fit_modulated(images: list[NDArray[Any]], steps_deg: tuple[float, ...], across: int, white: float) -> SineFit:
@@ -133,22 +132,6 @@ def _fit_modulated(images: list[NDArray[Any]], steps_deg: tuple[float, ...], acr
     straight = [fit_sine(images[k : k + across], steps_across, white) for k in range(0, len(images), across)]
     fit = fit_sine([one.modulation for one in straight], steps_deg, math.inf)
     return replace(fit, saturated=np.logical_or.reduce([one.saturated for one in straight]))
-
-
-def bend(turns: Floats, steps: int) -> float:
-    """Return the standard deviation in turns of phases (n,) by a response that is no straight line; 0 where they cannot tell.
-
-    Its harmonics make an error that repeats ``steps`` times in a period, ε sin(steps · φ): phases that are spread evenly are then denser at
-    some than at others, and the mean of exp(i steps φ) is ε steps / 2. What the neighbouring harmonics have is the thing's own.
-    """
-    if not turns.size:
-        return 0.0
-    sums = {
-        n: abs(np.mean(np.exp(np.complex64(2j * np.pi * n) * turns))) for n in (steps - 1, steps, steps + 1, 2 * steps)
-    }
-    own = max(sums[steps - 1], sums[steps + 1])
-    errors = [2.0 * math.sqrt(max(sums[n] ** 2 - own**2, 0.0)) / n for n in (steps, 2 * steps)]
-    return math.hypot(*errors) / math.sqrt(2.0) / (2.0 * math.pi)
 
 
 def least_modulation(fit: SineFit, steps: int, white: float) -> float:
@@ -271,7 +254,7 @@ def by_periods(found: Measured, axis: AxisConvention) -> tuple[Floats, Floats]:
         turns = found.fits[axis.finest].turns.ravel()[here] - begins[axis.finest]
         turns -= np.floor(turns)
         others = [(fit.turns.ravel()[here] - begin, np.float32(other))
-                  for k, (fit, begin, other) in enumerate(zip(found.fits, begins, axis.periods_px, strict=False)) if k != axis.finest]  # fmt: skip
+                  for k, (fit, begin, other) in enumerate(zip(found.fits, begins, axis.periods_px, strict=True)) if k != axis.finest and not singles]  # fmt: skip
         cosines = [(one.ravel()[here], np.float32(other), begin) for one, other, begin in singles]
         best, best_px = np.full(here.shape, np.inf, np.float32), np.zeros(here.shape, np.float32)
         for fringe in range(_fringes(axis)):

@@ -5,10 +5,15 @@ their best values are fixed weights times the images (the pseudo-inverse of the 
 stands beside the instrument's own for four steps (``appliance/reconstruct/decode/steps.py``;
 ``docs/adr/0057-foreign-frames-are-decoded-beside-our-own.md``).
 Source: Greivenkamp, Opt. Eng. 23 (1984) 350.
+
+A response that is no straight line adds harmonics, of which N equal steps leave an error that repeats N times in a period. Phases that are
+spread evenly are then denser at some places than at others: how many lie below one is its true value (``unbend``).
+Source: Guo, He, Chen, Appl. Opt. 43 (2004) 2906.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,6 +29,14 @@ WORST_CONDITION = 30.0
 """Largest ratio of the singular values of the three columns: steps that lie too near to each other tell no phase."""
 ROWS_AT_ONCE = 64
 """Rows that are worked on together, so that they stay in the cache."""
+TURN = 2.0 * math.pi
+BINS = 1024
+CLEARLY = 2.0
+"""A response is bent where its harmonic of the phases' histogram is so many times that of its neighbours, which the thing itself makes."""
+LEAST_LEFT = 2.0
+"""A bent response leaves at least so many times as much of the steps as it bends the phase, in radians."""
+REST = 0.25
+"""Share of a bend that remains, since bright and dark places are bent differently: measured on rendered sets with 16 and 64 fringes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,3 +84,35 @@ def fit_sine(images: list[NDArray[Any]], steps_deg: tuple[float, ...], white: fl
         fit_steps(block, weights, columns, np.float32(white), part, saturated[rows])
         found[:, rows] = part
     return SineFit(found[0], found[1], found[2], found[3] if count > 3 else None, saturated)
+
+
+def misfit_share(fit: SineFit, usable: NDArray[np.bool_]) -> float | None:
+    """Return what the best sine leaves of the steps, over its modulation; ``None`` where they fit anything, or nothing is seen."""
+    if fit.misfit is None or not usable.any():
+        return None
+    return float(np.median(fit.misfit[usable] / fit.modulation[usable]))
+
+
+def unbend(turns: Floats, usable: NDArray[np.bool_], steps: int, share: float | None) -> float:
+    """Take from the phases ``turns`` what a bent response adds to them, where it is clearly seen.
+
+    Returns the standard deviation of what remains, in turns; ``share`` is what the steps leave.
+    """
+    counts = np.bincount(np.clip((turns[usable] + 0.5) * BINS, 0, BINS - 1).astype(np.int32), minlength=BINS)
+    middles = (np.arange(BINS) + 0.5) / BINS - 0.5
+    orders = [steps - 1, steps + 1, steps, 2 * steps, 3 * steps]
+    # Mean of exp(i n φ): an error ε sin(n φ) makes it ε n / 2.
+    means = np.exp(1j * TURN * np.outer(orders, middles)) @ counts / max(1, counts.sum())
+    own = float(np.abs(means[:2]).max())
+    size = 2.0 * np.sqrt(np.maximum(np.abs(means[2:]) ** 2 - own**2, 0.0)) / orders[2:] / TURN
+    bend = math.sqrt(0.5 * float(size @ size))
+    most = math.inf if share is None else share / LEAST_LEFT / TURN
+    if bend > most or abs(means[2]) < CLEARLY * own:
+        return min(bend, most)
+    angles = TURN * np.outer(orders[2:], middles) - np.angle(means[2:])[:, None]
+    table = size @ np.sin(angles)
+    for begin in range(0, len(turns), ROWS_AT_ONCE):
+        turns[begin : begin + ROWS_AT_ONCE] += np.interp(turns[begin : begin + ROWS_AT_ONCE], middles, table).astype(
+            np.float32
+        )
+    return REST * bend

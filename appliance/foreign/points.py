@@ -1,4 +1,5 @@
-"""Owns the way from decoded foreign images to points: two directions by the instrument's own kernels, one along epipolar curves.
+"""Owns the way from decoded foreign images to points: two directions by the instrument's own kernels, one along epipolar curves; and of
+each left pixel without a point the reason.
 
 A projector that was calibrated takes the right camera's place: its "image" has, at each pixel, the coordinates of that pixel.
 
@@ -9,45 +10,93 @@ which the search for neighbours was made; no point depends on their scale.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from appliance.foreign.camera import CleanAxis, DecodedCamera, clean
 from appliance.foreign.cameras import ForeignRig
+from appliance.foreign.decode import NoCoordinate
 from appliance.foreign.description import Description
 from appliance.foreign.phase import Floats
-from appliance.foreign.problem import ForeignError
 from appliance.optics.epipolar import CurveError
 from appliance.optics.model import HousedCamera, StereoRig
+from appliance.optics.pinhole import FoldingLens
 from appliance.optics.rays import ray_lattice, usual_step_px
-from appliance.reconstruct.match import fill_inverse_map, right_maps
+from appliance.reconstruct.match import RightMaps, fill_inverse_map, right_maps
 from appliance.reconstruct.one_direction import UNCHECKED, OneDirectionError, OneDirectionLimits, match_along_curves
-from appliance.reconstruct.organised import OrganisedCloud, organised
-from appliance.reconstruct.quality import summarise
+from appliance.reconstruct.organised import OrganisedCloud
 from appliance.reconstruct.rows import LeftMaps, reconstruct_rows, scratch_rows
 from appliance.reconstruct.scratch import MAX_WIDTH_PX
 from appliance.reconstruct.select import PointLimits
 from appliance.reconstruct.sigma import sigma_factors
-from appliance.reconstruct.table import Found, PointTable
-from appliance.reconstruct.triangulate import rays_of
+from appliance.reconstruct.table import PointTable
+from appliance.reconstruct.triangulate import Rays, rays_of
 from appliance.scan.noise import TYPICAL_PAIR
+
+Number = TypeVar("Number", bound=np.generic)
 
 USUAL_STEP_PX = 0.63
 """Change of a coordinate from one pixel to the next on the instrument, for images 1600 px wide."""
-GAP_PIXELS, SIGMA_PIXELS, STEP_PIXELS = 2.5, 3.0, 9.4
-"""Largest ray gap and expected error of a point, and step in depth to a neighbour, over the size of a pixel on the object."""
+GAP_PIXELS, SIGMA_PIXELS, STEP_PIXELS = 2.5, 5.0, 9.4
+"""Largest ray gap and expected error of a point, and step in depth to a neighbour, over the size of a pixel on the object there."""
 LEAST_NEIGHBOURS = 5
 NEAR_OF_CROSSING, FAR_OF_CROSSING = 0.3, 4.0
+LEAST_CROSSING = 0.2
+"""Depth of the crossing over the baseline, below which the cameras look past each other: axes at 79°."""
 NEAR_BASELINES, FAR_BASELINES = 1.0, 60.0
 """Depths that are searched where nothing is said: about where the cameras' axes cross, or from so many baselines to so many."""
+NARROWER = (1.0, 0.6, 0.35)
+"""Shares of that range (of its logarithm, about its middle) that are searched one after the other, until curves can follow it."""
+ROWS = 256
+"""Left rows that are reconstructed together: their points need room, and those of a whole image much."""
+_ALL = PointLimits(*np.array([np.inf, np.inf, -np.inf, np.inf, np.inf, 0.0], np.float32))
+"""What keeps every point: which limit one breaks is told afterwards."""
+
+
+class Reason(IntEnum):
+    """Why a left pixel has no point: the first of these that applies."""
+
+    FOUND = 0
+    WEAK = 1
+    SATURATED = 2
+    CONTRADICTION = 3
+    OUTSIDE = 4
+    NO_RAY = 5
+    NO_MATCH = 6
+    GAP = 7
+    SIGMA = 8
+    DEPTH = 9
+    NEIGHBOURS = 10
+
+    @property
+    def word(self) -> str:
+        """The reason's name in reports."""
+        return self.name.lower().replace("_", "-")
+
+
+REASONS = {
+    "weak": "too little light or contrast",
+    "saturated": "white in some image",
+    "contradiction": "the parts of the code contradict each other",
+    "outside": "beyond the pattern; its size, [x] and [y] say how far it goes",
+    "no-ray": "the lens model folds over there",
+    "no-match": "nothing on the other side has that coordinate where the pixel looks",
+    "gap": f"rays pass each other by more than {GAP_PIXELS:g} pixels; check the cameras' numbers, [water] and [ports]",
+    "sigma": f"the expected error is larger than {SIGMA_PIXELS:g} pixels on the object, or range.max_sigma_mm, which may be larger",
+    "depth": "nearer or farther than range.near_mm and range.far_mm",
+    "neighbours": "an edge, or alone",
+}
+"""What each reason means, and what to do about it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ForeignCloud:
-    """The points of a foreign set on the left image's pixels."""
+    """The points of a foreign set on the left image's pixels, or on every so many of them."""
 
     cloud: OrganisedCloud
     unchecked: str | None
@@ -55,12 +104,30 @@ class ForeignCloud:
     depths_mm: tuple[float, float]
     """Depths that were searched."""
     lit: int
-    """Number of left pixels with coordinates."""
+    """Number of left pixels with coordinates, but for edges."""
+    reason_map: NDArray[np.uint8]
+    """(h, w), values of ``Reason``."""
+    failure: str | None
+    """Why nothing could be searched at all; ``None``: it was."""
 
     @property
     def points(self) -> int:
         """Number of points."""
         return int(np.count_nonzero(self.cloud.mask))
+
+    @property
+    def reasons(self) -> dict[str, int]:
+        """Number of left pixels without a point by reason, a word of ``REASONS``; the most frequent first."""
+        counts = np.bincount(self.reason_map.ravel(), minlength=len(Reason))
+        return {one.word: int(counts[one]) for one in sorted(Reason, key=lambda k: -counts[k]) if one and counts[one]}
+
+    def largest_reasons(self) -> list[str]:
+        """Return the two reasons why most left pixels have no point, as a line each."""
+        pixels = self.reason_map.size
+        return [
+            f"{word}: {100.0 * count / pixels:.1f} % of the pixels ({REASONS[word]})"
+            for word, count in list(self.reasons.items())[:2]
+        ]
 
 
 def depths_of(description: Description, rig: StereoRig, index: float) -> tuple[float, float]:
@@ -70,120 +137,233 @@ def depths_of(description: Description, rig: StereoRig, index: float) -> tuple[f
         crossing_mm = float(rig.volume_centre_mm(index)[2])
     except ValueError:
         crossing_mm = math.inf
-    if NEAR_BASELINES * baseline_mm < crossing_mm < FAR_BASELINES * baseline_mm:
+    if LEAST_CROSSING * baseline_mm < crossing_mm < FAR_BASELINES * baseline_mm:
         near_mm, far_mm = NEAR_OF_CROSSING * crossing_mm, FAR_OF_CROSSING * crossing_mm
     else:
         near_mm, far_mm = NEAR_BASELINES * baseline_mm, FAR_BASELINES * baseline_mm
-    windows_mm = max(_front_mm(rig.left), _front_mm(rig.right))
-    return description.near_mm or max(near_mm, 1.05 * windows_mm), description.far_mm or max(far_mm, 2.0 * windows_mm)
+    # Rays begin at the window's outer face.
+    port = rig.left.port
+    window_mm = 0.0 if rig.left.lens_in_water else 1.05 * (port.distance_mm + port.thickness_mm + 1.0)
+    return description.near_mm or max(near_mm, window_mm), description.far_mm or max(far_mm, 2.0 * window_mm)
 
 
 def find_points(
-    description: Description, rig: ForeignRig, left: DecodedCamera, right: DecodedCamera | None
+    description: Description, rig: ForeignRig, left: DecodedCamera, right: DecodedCamera | None, *, step: int = 1
 ) -> ForeignCloud:
-    """Find the points; without ``right``, the rig's right camera is a projector. Raises ForeignError."""
+    """Find the points of every ``step``-th left row and column; without ``right``, the rig's right camera is a projector.
+
+    Limits are those of the full image whatever the ``step``. Nothing is raised: where there are no points, ``reasons`` and ``failure``
+    say why.
+    """
+    lenient = replace(rig.rig, left=_lenient(rig.rig.left), right=_lenient(rig.rig.right))
     mine = {axis.name: clean(left.placed[axis.name]) for axis in description.axes}
-    other = _projector(rig.rig.right) if right is None else {
+    other = _projector(lenient.right) if right is None else {
         axis.name: clean(right.placed[axis.name]) for axis in description.axes
     }  # fmt: skip
-    depths_mm = depths_of(description, rig.rig, rig.index)
-    lit = int(np.count_nonzero(np.logical_and.reduce([np.isfinite(one.coordinate_px) for one in mine.values()])))
-    if description.one_direction:
-        cloud = _one_direction(rig, left, next(iter(mine.values())), other[description.axes[0].name], depths_mm)
-        return ForeignCloud(cloud, UNCHECKED, depths_mm, lit)
-    return ForeignCloud(_two_directions(rig, left, mine, other, depths_mm), None, depths_mm, lit)
+    at = np.s_[::step, ::step]
+    reason = np.zeros(left.grey[at].shape, np.uint8)
+    known = np.ones(reason.shape, np.bool_)
+    for name, axis in mine.items():
+        known &= np.isfinite(axis.coordinate_px[at])
+        for why in (one for one in NoCoordinate if one is not NoCoordinate.VALID):
+            reason[(reason == 0) & (left.placed[name].reason[at] == why)] = Reason[why.name]
+    # What has a coordinate and is not clean sees two surfaces.
+    reason[(reason == 0) & ~known] = Reason.NEIGHBOURS
+    lit = int(np.count_nonzero(known))
+    reason[known & _without_ray(lenient.left, rig.index)[at]] = Reason.NO_RAY
+    known &= reason == 0
+    reason[known] = Reason.NO_MATCH
+    none = np.full(reason.shape, np.nan, np.float32)
+    cloud = OrganisedCloud(
+        np.stack([none] * 3, -1), none, none.copy(), none.copy(), np.ascontiguousarray(left.grey[at])
+    )
+    depths_mm = depths_of(description, lenient, rig.index)
+    failure = None
+    if not known.any():
+        failure = "no pixel of the left camera has coordinates and a ray"
+    elif description.one_direction:
+        name = description.axes[0].name
+        said = description.near_mm is not None and description.far_mm is not None
+        for share in NARROWER[: 1 if said else None]:
+            depths_mm = _narrowed(depths_of(description, lenient, rig.index), share)
+            try:
+                _one_direction(cloud, lenient, rig.index, left, mine[name], other[name], depths_mm, step)
+            except (OneDirectionError, CurveError) as error:
+                failure = str(error)
+                continue
+            failure = None
+            break
+    else:
+        failure = _two_directions(cloud, lenient, rig.index, left, mine, other, depths_mm, step)
+    _judge(cloud, reason, depths_mm, lenient.left.lens.f_px[0], description.max_sigma_mm, step)
+    return ForeignCloud(cloud, UNCHECKED if description.one_direction else None, depths_mm, lit, reason, failure)
 
 
 def _one_direction(
-    rig: ForeignRig, left: DecodedCamera, mine: CleanAxis, other: CleanAxis, depths_mm: tuple[float, float]
-) -> OrganisedCloud:
-    pixel_mm = _pixel_mm(rig.rig.left, _plane_mm(depths_mm))
-    try:
-        found = match_along_curves(
-            mine.coordinate_px, other.coordinate_px, rig.rig, rig.index, depths_mm, (mine.sigma_px, other.sigma_px),
-            OneDirectionLimits(max_sigma_mm=SIGMA_PIXELS * pixel_mm),
-        )  # fmt: skip
-    except (OneDirectionError, CurveError) as error:
-        raise ForeignError(f"{error}; depths are set by range.near_mm and range.far_mm") from error
-    modulation = next(iter(left.placed.values())).modulation
-    there = found.mask
-    missing = np.float32(np.nan)
-    return OrganisedCloud(
-        found.points_mm, found.sigma_mm, np.where(there, modulation * np.float32(255.0 / left.images.white), missing),
-        np.full(there.shape, missing), left.grey,
+    cloud: OrganisedCloud, rig: StereoRig, index: float, left: DecodedCamera, mine: CleanAxis, other: CleanAxis,
+    depths_mm: tuple[float, float], step: int,
+) -> None:  # fmt: skip
+    """Fill in the points along epipolar curves. Raises OneDirectionError, CurveError."""
+    at = np.s_[::step, ::step]
+    found = match_along_curves(
+        mine.coordinate_px[at], other.coordinate_px, replace(rig, left=_thinned(rig.left, step)), index, depths_mm,
+        (mine.sigma_px[at], other.sigma_px), OneDirectionLimits(min_neighbours=0),
     )  # fmt: skip
+    modulation = next(iter(left.placed.values())).modulation[at]
+    cloud.points_mm[...], cloud.sigma_mm[...] = found.points_mm, found.sigma_mm
+    np.multiply(modulation, np.float32(255.0 / left.images.white), out=cloud.modulation_dn, where=found.mask)
 
 
 def _two_directions(
-    rig: ForeignRig,
-    left: DecodedCamera,
-    mine: Mapping[str, CleanAxis],
-    other: Mapping[str, CleanAxis],
-    depths_mm: tuple[float, float],
-) -> OrganisedCloud:
-    cameras = rig.rig.left, rig.rig.right
-    if max(camera.width_px for camera in cameras) > MAX_WIDTH_PX:
-        raise ForeignError(
-            f"an image is {max(camera.width_px for camera in cameras)} px wide; allowed for two directions are {MAX_WIDTH_PX} px; "
-            "make the images smaller, or describe one direction only"
-        )
-    height, width = left.grey.shape
-    # So large is the pattern that one pixel sees as much of it as on the instrument.
-    scale = USUAL_STEP_PX * 1600.0 / cameras[1].width_px / max(other["x"].step_px, other["y"].step_px)
-    scaled = [_scaled(maps, scale) for maps in (mine, other)]
-    # float32 like the maps: kernels are compiled for these.
-    low = np.float32(min(np.nanmin(one, initial=np.inf) for maps in scaled for one in maps[:2]))
-    if not np.isfinite(low):
-        raise ForeignError("no pixel of one camera has both coordinates; see what is said of the conventions")
-    size_px = [int(max(np.nanmax(maps[k], initial=0.0) for maps in scaled) - low) + 2 for k in (0, 1)]
-    (p1, q1, variance1), (p2, q2, variance2) = ((p - low, q - low, variance) for p, q, variance in scaled)
-    half_dn = _half_dn(left)
+    cloud: OrganisedCloud, rig: StereoRig, index: float, left: DecodedCamera, mine: Mapping[str, CleanAxis],
+    other: Mapping[str, CleanAxis], depths_mm: tuple[float, float], step: int,
+) -> str | None:  # fmt: skip
+    """Fill in the points where rays meet; return why nothing could be searched."""
+    low_px, size_px = [], []
+    for name in "xy":
+        ends = [
+            (np.nanmin(one[name].coordinate_px, initial=np.inf), np.nanmax(one[name].coordinate_px, initial=-np.inf))
+            for one in (mine, other)
+        ]
+        low_px.append(float(min(ends)[0]))
+        size_px.append(float(max(one[1] for one in ends)) - low_px[-1])
+    if not all(
+        np.logical_and.reduce([np.isfinite(one.coordinate_px) for one in maps.values()]).any() for maps in (mine, other)
+    ):
+        return "no pixel of one camera has both coordinates"
+    # So large is the pattern that one pixel sees as much of it as on the instrument, and no larger than its map has room for.
+    scale = min(
+        USUAL_STEP_PX * 1600.0 / rig.right.width_px / max(other["x"].step_px, other["y"].step_px),
+        4.0 * math.sqrt(rig.right.width_px * rig.right.height_px / (size_px[0] * size_px[1] + 1.0)),
+    )
+    p1, q1, variance1 = _scaled(mine, low_px, scale)
+    p2, q2, variance2 = _scaled(other, low_px, scale)
     seen = np.full(p2.shape, np.uint8(255))
-    maps = right_maps(p2, q2, seen, size_px[0], size_px[1], variance2)
+    maps = right_maps(p2, q2, seen, int(scale * size_px[0]) + 2, int(scale * size_px[1]) + 2, variance2)
     fill_inverse_map(maps, 1)
-    lit = np.zeros((height, 2), np.int32)
-    known = np.isfinite(p1) & np.isfinite(q1)
-    lit[:, 0], lit[:, 1] = known.argmax(axis=1), width - known[:, ::-1].argmax(axis=1)
-    lit[~known.any(axis=1)] = 0
-    left_maps = LeftMaps(p1, q1, half_dn, left.grey, left.grey, lit, np.float32(1.0), variance1)
-    plane_mm = _plane_mm(depths_mm)
-    step_px = min(usual_step_px(camera) for camera in cameras)
-    try:
-        first, second = (ray_lattice(camera, rig.index, plane_mm, step_px) for camera in cameras)
-    except ValueError as error:
-        raise ForeignError(f"cameras: {error}") from error
-    rays = rays_of(first, second, width)
-    table = PointTable(width * height)
+    plane_mm = math.sqrt(depths_mm[0] * depths_mm[1])
+    # The series of a ray needs three rows of nodes.
+    step_px = min(min(usual_step_px(camera), camera.height_px - 1) for camera in (rig.left, rig.right))
+    first_rays, second_rays = (
+        ray_lattice(one, index, plane_mm, step_px, partial=True) for one in (rig.left, rig.right)
+    )
+    whole = rays_of(first_rays, second_rays, rig.left.width_px)
+    lit = np.zeros((0, 2), np.int32)
+    left_maps = LeftMaps(p1, q1, _half_dn(left), left.grey, left.grey, lit, np.float32(1.0), variance1)
+    for first, strip in _strips(left_maps, step):
+        width = strip.p_px.shape[1]
+        rays = whole._replace(left=np.ascontiguousarray(whole.left[..., first : first + width]))
+        _reconstruct(cloud, maps, rays, strip, first, step)
+    return None
+
+
+def _strips(whole: LeftMaps, step: int) -> Iterator[tuple[int, LeftMaps]]:
+    """Yield the left maps in strips that a scratch row has room for, each with its first column."""
+    width = MAX_WIDTH_PX // step * step
+    for first in range(0, whole.p_px.shape[1], width):
+        p, q, variance = (_strip(one, first, width) for one in (whole.p_px, whole.q_px, whole.variance_px2))
+        half_dn, grey = (_strip(one, first, width) for one in (whole.modulation_half_dn, whole.bright))
+        known = np.isfinite(p)
+        lit = np.stack([known.argmax(axis=1), known.shape[1] - known[:, ::-1].argmax(axis=1)], axis=1).astype(np.int32)
+        lit[~known.any(axis=1)] = 0
+        yield first, LeftMaps(p, q, half_dn, grey, grey, lit, np.float32(1.0), variance)
+
+
+def _strip(image: NDArray[Number], first: int, width: int) -> NDArray[Number]:
+    return np.ascontiguousarray(image[:, first : first + width])
+
+
+def _reconstruct(cloud: OrganisedCloud, maps: RightMaps, rays: Rays, strip: LeftMaps, first: int, step: int) -> None:
+    """Fill in the points of a strip of the left image."""
+    height, width = strip.p_px.shape
+    rows = ROWS * step
+    table = PointTable(ROWS * -(-width // step))
     factors = sigma_factors(16, TYPICAL_PAIR)  # for its footprints alone: noise is the maps' own
-    pieces = ((0, 0),)
-    pixel_mm = _pixel_mm(cameras[0], plane_mm)
-    # Twice: how far away the object is, and so how large a pixel on it, is known after the first time.
-    for _ in range(2):
-        limits = PointLimits(
-            np.float32(GAP_PIXELS * pixel_mm),
-            np.float32(SIGMA_PIXELS * pixel_mm),
-            np.float32(depths_mm[0]),
-            np.float32(depths_mm[1]),
-            np.float32(STEP_PIXELS * pixel_mm),
-            np.float32(LEAST_NEIGHBOURS),
-        )
-        count = int(
-            reconstruct_rows(left_maps, maps, rays, limits, factors, 0, height, 1, scratch_rows(), table.points, 0)
-        )
-        pieces = ((0, count),)
-        if count:
-            pixel_mm = _pixel_mm(cameras[0], float(np.median(table.points.xyz_mm[:count, 2])))
-    found = Found(pieces, summarise(int(known.sum()), table.points, pieces))
-    return organised(table.cloud(found), left.grey)
+    scratch = scratch_rows()
+    for start in range(0, height, rows):
+        stop = min(start + rows, height)
+        count = int(reconstruct_rows(strip, maps, rays, _ALL, factors, start, stop, step, scratch, table.points, 0))
+        found = table.points
+        pixel = found.pixel[:count]
+        at = pixel // width // step, (pixel % width + first) // step
+        cloud.points_mm[at], cloud.sigma_mm[at] = found.xyz_mm[:count], found.sigma_mm[:count]
+        cloud.ray_gap_mm[at] = found.gap_mm[:count]
+        cloud.modulation_dn[at] = np.float32(0.5) * found.modulation_half_dn[:count]
 
 
-def _scaled(maps: Mapping[str, CleanAxis], scale: float) -> tuple[Floats, Floats, Floats]:
-    """Return both coordinates, NaN where one is missing, and the mean of their variances, in scaled px."""
-    p, q = (maps[name].coordinate_px * np.float32(scale) for name in "xy")
+def _judge(
+    cloud: OrganisedCloud, reason: NDArray[np.uint8], depths_mm: tuple[float, float], f_px: float, max_sigma_mm: float | None, step: int
+) -> None:  # fmt: skip
+    """Say of each point which limit it breaks, and take out those that break one."""
+    height, width = reason.shape
+    z_mm = np.pad(cloud.points_mm[..., 2], 1, constant_values=np.nan)
+    for start in range(0, height, ROWS):
+        rows = np.s_[start : min(start + ROWS, height)]
+        z = z_mm[1:-1, 1:-1][rows]
+        # Size of a pixel on the object there.
+        pixel_mm = np.abs(z) / np.float32(f_px)
+        near = np.zeros(z.shape, np.uint8)
+        for j, i in ((0, 0), (0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1), (2, 2)):
+            around = z_mm[j : j + height, i : i + width][rows]
+            # A slope, not an error: between pixels farther apart there is more of it.
+            near += np.abs(around - z) <= np.float32(STEP_PIXELS * step) * pixel_mm
+        most_sigma_mm = SIGMA_PIXELS * pixel_mm if max_sigma_mm is None else max_sigma_mm
+        broken = {
+            Reason.NEIGHBOURS: near < LEAST_NEIGHBOURS,
+            Reason.DEPTH: (z < depths_mm[0]) | (z > depths_mm[1]),
+            Reason.SIGMA: cloud.sigma_mm[rows] > most_sigma_mm,
+            Reason.GAP: cloud.ray_gap_mm[rows] > GAP_PIXELS * pixel_mm,
+        }
+        here = np.where(np.isfinite(z), np.uint8(Reason.FOUND), reason[rows])
+        for why, breaks in broken.items():
+            here[np.isfinite(z) & breaks] = why
+        reason[rows] = here
+        for values in (cloud.points_mm, cloud.sigma_mm, cloud.ray_gap_mm, cloud.modulation_dn):
+            values[rows][here != Reason.FOUND] = np.nan
+
+
+def _without_ray(camera: HousedCamera, index: float) -> NDArray[np.bool_]:
+    """Tell (h, w) which pixels have no ray, as those have none about which the lattice has none."""
+    lattice = ray_lattice(camera, index, 0.0, partial=True)
+    lost = np.isnan(lattice.nodes[..., 2])
+    cells = lost[1:, 1:] | lost[1:, :-1] | lost[:-1, 1:] | lost[:-1, :-1]
+    return cells.repeat(lattice.step_px, 0).repeat(lattice.step_px, 1)[: camera.height_px, : camera.width_px]
+
+
+def _scaled(maps: Mapping[str, CleanAxis], low_px: list[float], scale: float) -> tuple[Floats, Floats, Floats]:
+    """Return both coordinates from the lowest on, NaN where one is missing, and the mean of their variances, in scaled px."""
+    # float32 like the maps: kernels are compiled for these.
+    p, q = (
+        (maps[name].coordinate_px - np.float32(low)) * np.float32(scale) for name, low in zip("xy", low_px, strict=True)
+    )
     missing = np.isnan(p) | np.isnan(q)
     p[missing], q[missing] = np.nan, np.nan
     variance = np.float32(0.5 * scale**2) * (maps["x"].sigma_px ** 2 + maps["y"].sigma_px ** 2)
     return p, q, np.asarray(variance, np.float32)
+
+
+def _lenient(camera: HousedCamera) -> HousedCamera:
+    """Return the camera with a lens that has no rays where its distortion folds over: nobody asks others to calibrate again."""
+    lens = camera.lens
+    return replace(camera, lens=FoldingLens(lens.f_px, lens.c_px, lens.distortion))
+
+
+def _thinned(camera: HousedCamera, step: int) -> HousedCamera:
+    """Return the camera that sees every ``step``-th pixel."""
+    if step == 1:
+        return camera
+    lens = camera.lens
+    f_px, c_px = (lens.f_px[0] / step, lens.f_px[1] / step), (lens.c_px[0] / step, lens.c_px[1] / step)
+    return replace(
+        camera, width_px=-(-camera.width_px // step), height_px=-(-camera.height_px // step),
+        lens=FoldingLens(f_px, c_px, lens.distortion), correction=None, ray_shift=None,
+    )  # fmt: skip
+
+
+def _narrowed(depths_mm: tuple[float, float], share: float) -> tuple[float, float]:
+    """Return a part of the range about its middle."""
+    middle_mm = math.sqrt(depths_mm[0] * depths_mm[1])
+    return middle_mm * (depths_mm[0] / middle_mm) ** share, middle_mm * (depths_mm[1] / middle_mm) ** share
 
 
 def _projector(projector: HousedCamera) -> dict[str, CleanAxis]:
@@ -196,19 +376,3 @@ def _projector(projector: HousedCamera) -> dict[str, CleanAxis]:
 def _half_dn(camera: DecodedCamera) -> NDArray[np.uint8]:
     modulation = np.minimum.reduce([one.modulation for one in camera.placed.values()])
     return np.asarray(np.clip(np.rint(modulation * np.float32(510.0 / camera.images.white)), 0.0, 255.0), np.uint8)
-
-
-def _front_mm(camera: HousedCamera) -> float:
-    """Return the depth of the outer face of a camera's window."""
-    port = 0.0 if camera.lens_in_water else camera.port.distance_mm + camera.port.thickness_mm
-    return camera.translation_mm[2] + port + 1.0
-
-
-def _plane_mm(depths_mm: tuple[float, float]) -> float:
-    """Return the depth in the middle of the range, by its logarithm."""
-    return math.sqrt(depths_mm[0] * depths_mm[1])
-
-
-def _pixel_mm(camera: HousedCamera, depth_mm: float) -> float:
-    """Return the size of a pixel on an object at that depth."""
-    return depth_mm / camera.lens.f_px[0]

@@ -154,35 +154,42 @@ def _found(path: Path, scan: ForeignScan, progress: Callable[[str], None]) -> Fo
     progress("finding points")
     found = find_points(scan.description, scan.rig, scan.cameras["left"], scan.cameras.get("right"))
     if found.points == 0 or found.points < LEAST_SHARE * found.lit:
+        why = [found.failure] if found.failure else found.largest_reasons()
         raise ForeignError(
-            f"{path}: {found.points} points are left of {found.lit} left pixels with coordinates, between {found.depths_mm[0]:.0f} and "
-            f"{found.depths_mm[1]:.0f} mm; check the cameras' numbers, cameras.unit, [water] and [ports], and [range]"
+            f"{path}: {found.points} points are left of {found.lit} left pixels with coordinates, between {found.depths_mm[0]:.4g} and "
+            f"{found.depths_mm[1]:.4g} mm: {'; '.join(why)}"
         )
     return found
 
 
 def _report(scan: ForeignScan, found: ForeignCloud) -> dict[str, Any]:
     cloud, there = found.cloud, found.cloud.mask
-    gaps_mm = cloud.ray_gap_mm[there]
-    said = {outcome: [one for one in scan.tested if one.outcome is outcome] for outcome in Outcome}
-    needed = "needs four steps of 90° in two directions with bright and dark"
+    gaps_mm, sigma_mm = cloud.ray_gap_mm[there], cloud.sigma_mm[there]
+    needed = "need four steps of 90° in two directions with bright and dark"
     if not isinstance(own_sequence(scan.description, scan.cameras["left"].images), str):
-        needed = "is asked when the scan folder is reconstructed"
+        needed = "are asked when the scan folder is reconstructed"
+    fits, wrong = (
+        [f"{one.about}: {one.text}" for one in scan.tested if one.outcome is outcome]
+        for outcome in (Outcome.FITS, Outcome.WRONG)
+    )
+    rest = [one for one in scan.tested if one.outcome not in (Outcome.FITS, Outcome.WRONG)]
     return {
         "points": found.points,
         "coverage_percent": 100.0 * found.points / found.lit,
         "decoded_percent": {side: 100.0 * camera.share_valid() for side, camera in scan.cameras.items()},
         "distance_mm": float(np.median(cloud.points_mm[..., 2][there])),
-        "noise_mm": float(np.nanmedian(cloud.sigma_mm[there])) if np.isfinite(cloud.sigma_mm[there]).any() else None,
+        "noise_mm": float(np.nanmedian(sigma_mm)) if np.isfinite(sigma_mm).any() else None,
         "gap_mm": float(np.median(gaps_mm)) if np.isfinite(gaps_mm).any() else None,
-        "unchecked": found.unchecked,
         "index": scan.rig.index,
         "baseline_mm": float(np.linalg.norm(scan.rig.rig.right.translation_mm)),
-        "fits": [one.about for one in said[Outcome.FITS]],
-        "wrong": [f"{one.about}: {one.text}" for one in said[Outcome.WRONG]],
-        "not_judged": [
-            *(f"{one.about}: {one.text}" for one in said[Outcome.UNCHECKED]),
-            *(f"{judge.name}: {needed}" for judge in JUDGES),
+        "without_point": found.largest_reasons(),
+        "reasons": found.reasons,
+        "fits": fits,
+        "wrong": wrong,
+        "unchecked": [
+            *([found.unchecked.removeprefix("unchecked: ")] if found.unchecked else []),
+            *(f"{one.about}: {one.text}" for one in rest),
+            f"{', '.join(judge.name for judge in JUDGES)}: {needed}",
         ],
     }
 

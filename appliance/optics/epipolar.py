@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.optics.model import HousedCamera, StereoRig
+from appliance.optics.pinhole import fold
 from appliance.optics.port import air_directions
 
 Array = NDArray[np.float64]
@@ -124,7 +125,7 @@ def _depths(s: Array, z_mm: tuple[float, float]) -> Array:
 def _left_rays(camera: HousedCamera, water_index: float, uv_px: Array, near_mm: float) -> tuple[Array, Array]:
     """Return x0, y0 in mm and sx, sy (..., 2) each of the rays (x, y) = (x0, y0) + (sx, sy)·z of pixels. Raises CurveError."""
     origin, direction = camera.rays(uv_px, water_index)
-    if float(np.min(direction[..., 2])) < 1e-3 or float(np.max(origin[..., 2])) >= near_mm:
+    if float(np.nanmin(direction[..., 2])) < 1e-3 or float(np.nanmax(origin[..., 2])) >= near_mm:
         raise CurveError(
             f"not all rays of the left camera begin before {near_mm:g} mm; begin farther away, or check the calibration"
         )
@@ -165,7 +166,7 @@ def _in_view(camera: HousedCamera, water_index: float, points_mm: Array, uv_px: 
         air = local if camera.lens_in_water else air_directions(camera.port, water_index, local)
         ahead = air[..., 2] > 0.0
         r2 = np.sum(air[..., :2] ** 2, axis=-1) / np.where(ahead, air[..., 2], 1.0) ** 2
-        known = inside & ahead & (r2 < _fold(camera.lens.distortion))
+        known = inside & ahead & (r2 < fold(camera.lens.distortion))
     # The longest piece only: a polynomial is fitted to one.
     best = np.zeros(known.shape, np.bool_)
     length, longest = np.zeros(known.shape[:-1], int), np.zeros(known.shape[:-1], int)
@@ -184,15 +185,6 @@ def _in_image(camera: HousedCamera, uv_px: Array, margin: float = 0.0) -> NDArra
     size = np.array([camera.width_px, camera.height_px], float)
     with np.errstate(invalid="ignore"):
         return np.asarray(np.all((uv_px >= -0.5 - margin * size) & (uv_px <= (1.0 + margin) * size - 0.5), axis=-1))
-
-
-def _fold(distortion: tuple[float, float, float, float, float]) -> float:
-    """Return the squared radius at which the radial distortion r (1 + k1 r² + k2 r⁴ + k3 r⁶) turns back; infinite where it never does."""
-    k1, k2, _, _, k3 = distortion
-    # Its derivative 1 + 3 k1 r² + 5 k2 r⁴ + 7 k3 r⁶ as a polynomial in r².
-    roots = np.roots([7.0 * k3, 5.0 * k2, 3.0 * k1, 1.0])
-    real = [float(root.real) for root in roots if abs(root.imag) < 1e-9 and root.real > 0.0]
-    return min(real, default=math.inf)
 
 
 def _fit(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,6 +40,30 @@ class Lens:
         return np.asarray(direction / np.linalg.norm(direction, axis=-1, keepdims=True))
 
 
+class FoldingLens(Lens):
+    """A lens of others, whose distortion may fold over within the image: pixels there have no direction, NaN."""
+
+    __slots__ = ()
+
+    def to_normalised(self, uv: Array) -> Array:
+        """Return what ``Lens.to_normalised`` does; NaN where the distortion cannot be inverted, or only beyond its fold."""
+        xy_distorted = (np.asarray(uv, np.float64) - np.asarray(self.c_px)) / np.asarray(self.f_px)
+        # Newton's method runs away there.
+        with np.errstate(invalid="ignore", over="ignore"):
+            xy = undistort(xy_distorted, self.distortion, strict=False)
+            beyond = np.sum(xy * xy, axis=-1, keepdims=True) >= fold(self.distortion)
+        return np.asarray(np.where(beyond, np.nan, xy))
+
+
+def fold(distortion: tuple[float, float, float, float, float]) -> float:
+    """Return the squared radius at which the radial distortion r (1 + k1 r² + k2 r⁴ + k3 r⁶) turns back; infinite where it never does."""
+    k1, k2, _, _, k3 = distortion
+    # Its derivative 1 + 3 k1 r² + 5 k2 r⁴ + 7 k3 r⁶ as a polynomial in r².
+    roots = np.roots([7.0 * k3, 5.0 * k2, 3.0 * k1, 1.0])
+    real = [float(root.real) for root in roots if abs(root.imag) < 1e-9 and root.real > 0.0]
+    return min(real, default=math.inf)
+
+
 def distort(xy: Array, distortion: tuple[float, float, float, float, float]) -> Array:
     """Return the distorted normalised coordinates (..., 2) of ideal ones (..., 2)."""
     k1, k2, p1, p2, k3 = distortion
@@ -54,8 +79,10 @@ def distort(xy: Array, distortion: tuple[float, float, float, float, float]) -> 
     )
 
 
-def undistort(xy_distorted: Array, distortion: tuple[float, float, float, float, float]) -> Array:
-    """Invert ``distort`` by Newton's method; raises ValueError where the lens folds over within the image."""
+def undistort(
+    xy_distorted: Array, distortion: tuple[float, float, float, float, float], *, strict: bool = True
+) -> Array:
+    """Invert ``distort`` by Newton's method. Where the lens folds over within the image: raises ValueError, or NaN unless ``strict``."""
     target = np.asarray(xy_distorted, np.float64)
     if not any(distortion):
         return target.copy()
@@ -84,8 +111,10 @@ def undistort(xy_distorted: Array, distortion: tuple[float, float, float, float,
                 axis=-1,
             )
     # Where Newton's method ran away, the error is no number: that is no solution either.
-    error = np.abs(distort(xy, distortion) - target)[np.isfinite(target)]
-    if not np.all(error <= 1e-9):
+    found = np.abs(distort(xy, distortion) - target) <= 1e-9
+    if not strict:
+        return np.where(found.all(axis=-1, keepdims=True), xy, np.nan)
+    if not np.all(found[np.isfinite(target)]):
         raise ValueError(
             f"lens distortion {distortion} cannot be inverted within the image; recalibrate the camera in air"
         )

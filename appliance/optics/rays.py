@@ -16,6 +16,9 @@ from appliance.optics.model import HousedCamera
 LATTICE_NODES_ACROSS = 400
 """Nodes across the image: every 4 px of 1600; the interpolation error grows with the square of the angle between."""
 
+LEAST_TOWARDS = 1e-3
+"""Least component of a ray's direction across the plane."""
+
 
 @dataclass(frozen=True, slots=True)
 class RayLattice:
@@ -32,17 +35,22 @@ def usual_step_px(camera: HousedCamera) -> int:
     return max(1, camera.width_px // LATTICE_NODES_ACROSS)
 
 
-def ray_lattice(camera: HousedCamera, water_index: float, plane_z_mm: float, step_px: int | None = None) -> RayLattice:
+def ray_lattice(
+    camera: HousedCamera, water_index: float, plane_z_mm: float, step_px: int | None = None, *, partial: bool = False
+) -> RayLattice:
     """Trace the lattice of one camera, every ``step_px`` px or as its width wants it; two lattices that work together have equal steps.
 
-    Raises ValueError when a ray runs parallel to the plane.
+    Where a ray runs parallel to the plane or away from it: raises ValueError, or NaN where the lattice may be ``partial``.
     """
     step_px = step_px or usual_step_px(camera)
     columns = (camera.width_px - 1) // step_px + 2
     rows = (camera.height_px - 1) // step_px + 2
     v, u = np.mgrid[0:rows, 0:columns].astype(np.float64) * step_px
     origin, direction = camera.rays(np.stack([u, v], -1), water_index)
-    if float(np.min(direction[..., 2])) < 1e-3:
+    if partial:
+        with np.errstate(invalid="ignore"):
+            direction[direction[..., 2] < LEAST_TOWARDS] = np.nan
+    elif float(np.min(direction[..., 2])) < LEAST_TOWARDS:
         raise ValueError("a ray runs parallel to the mid-volume plane; check the calibration's relative orientation")
     # Each ray where it meets the plane in the middle of the volume.
     slope = direction[..., :2] / direction[..., 2:]

@@ -38,6 +38,8 @@ PIECE_PX = 8
 """Length of a curve's pieces in the right image, and size of the blocks of which least and greatest coordinate are taken."""
 CUBIC_REACH = 5
 """Nodes across and down that are asked for the pixels about one."""
+REACH_ROWS = 16
+"""Rows of cells of which the reach is found together."""
 MOST_PIECES = 2_000
 """Most pieces of a curve: more are longer ones. So many are more than any image is wide."""
 MAX_STEPS, LAST_STEPS = 11, 3
@@ -499,34 +501,58 @@ def _usual_step(coordinate_px: NDArray[np.float32]) -> float:
 
 def _reach(curves: EpipolarCurves, coordinate_px: NDArray[np.float32], step_px: float) -> NDArray[np.float32]:
     """Return what ``_Curves.reach_px`` is: from blocks of the right image, as many about a piece's middle as a cell is wide there."""
-    # Places of all nodes at the ends of pieces; where the right camera sees no such depth there is none.
-    pieces = _pieces(curves)
-    at = _places(curves, np.linspace(-1.0, 1.0, pieces + 1))
-    # A cell's piece lies within the box about its four nodes' places at both of its ends.
-    corners = [at[j : at.shape[0] - 1 + j, i : at.shape[1] - 1 + i] for j in (0, 1) for i in (0, 1)]
-    box = [end for corner in corners for end in (corner[:, :, :-1], corner[:, :, 1:])]
-    low, high = np.minimum.reduce(box) - 2.0, np.maximum.reduce(box) + 2.0
-    # Least and greatest of all blocks of the box, by doubling: the extreme of 2ⁿ × 2ⁿ blocks from that of half as many.
     height, width = coordinate_px.shape
     padded = np.full((-(-height // PIECE_PX) * PIECE_PX, -(-width // PIECE_PX) * PIECE_PX), np.nan, np.float32)
     padded[:height, :width] = coordinate_px
     tiles = padded.reshape(-1, PIECE_PX, padded.shape[1] // PIECE_PX, PIECE_PX)
-    reach = np.full((*low.shape[:2], 2, pieces), np.nan, np.float32)
-    with np.errstate(invalid="ignore"):
-        known = np.all((high > -0.5) & (low < [width - 0.5, height - 0.5]), axis=-1)
-    first = np.clip(low[known], 0.0, [width - 1, height - 1]).astype(int) // PIECE_PX
-    last = np.clip(high[known], 0.0, [width - 1, height - 1]).astype(int) // PIECE_PX
-    for side, extreme in ((0, np.fmin), (1, np.fmax)):
-        blocks = extreme.reduce(extreme.reduce(tiles, axis=3), axis=1)
-        value = np.full(len(first), np.nan, np.float32)
-        for j in range(int(np.max(last - first, axis=0, initial=0)[1]) + 1):
-            for i in range(int(np.max(last - first, axis=0, initial=0)[0]) + 1):
-                value = extreme(
-                    value, blocks[np.minimum(first[:, 1] + j, last[:, 1]), np.minimum(first[:, 0] + i, last[:, 0])]
-                )
-        # A crossing may lie up to a pixel beyond the last one that has a coordinate.
-        np.moveaxis(reach, 2, -1)[known, side] = value + (step_px if side else -step_px)
+    least, greatest = (extreme.reduce(extreme.reduce(tiles, axis=3), axis=1) for extreme in (np.fmin, np.fmax))
+    # Places of the nodes at the ends of pieces, some rows at a time: of a large image all of them need much room.
+    pieces = _pieces(curves)
+    s = np.linspace(-1.0, 1.0, pieces + 1)
+    down, across = curves.nodes.shape[:2]
+    reach = np.full((down - 1, across - 1, 2, pieces), np.nan, np.float32)
+    for begin in range(0, down - 1, REACH_ROWS):
+        part = reach[begin : begin + REACH_ROWS]
+        at = _places(curves, s, slice(begin, begin + REACH_ROWS + 1))
+        _fill_reach(at, least, greatest, width, height, np.float32(step_px), part)
     return reach
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _fill_reach(
+    at: NDArray[np.float64],
+    least: NDArray[np.float32],
+    greatest: NDArray[np.float32],
+    width: int,
+    height: int,
+    step_px: np.float32,
+    reach: NDArray[np.float32],
+) -> None:
+    """Write the reach of each cell between four of the places ``at`` (rows, columns, ends of pieces, 2); it is NaN where there is none."""
+    for j in range(reach.shape[0]):
+        for i in range(reach.shape[1]):
+            for k in range(reach.shape[3]):
+                # A cell's piece lies within the box about its four nodes' places at both of its ends.
+                u0, v0, u1, v1 = np.inf, np.inf, -np.inf, -np.inf
+                for corner in range(8):
+                    u = at[j + corner // 4, i + corner // 2 % 2, k + corner % 2, 0]
+                    v = at[j + corner // 4, i + corner // 2 % 2, k + corner % 2, 1]
+                    if u != u or v != v:
+                        u0 = np.nan
+                        break
+                    u0, v0, u1, v1 = min(u0, u), min(v0, v), max(u1, u), max(v1, v)
+                u0, v0, u1, v1 = u0 - 2.0, v0 - 2.0, u1 + 2.0, v1 + 2.0
+                if not (u1 > -0.5 and v1 > -0.5 and u0 < width - 0.5 and v0 < height - 0.5):
+                    continue
+                # Least and greatest of all blocks of the box; NaN is neither less nor greater.
+                low, high = np.float32(np.inf), np.float32(-np.inf)
+                for y in range(int(max(v0, 0.0)) // PIECE_PX, int(min(v1, height - 1.0)) // PIECE_PX + 1):
+                    for x in range(int(max(u0, 0.0)) // PIECE_PX, int(min(u1, width - 1.0)) // PIECE_PX + 1):
+                        low = least[y, x] if least[y, x] < low else low
+                        high = greatest[y, x] if greatest[y, x] > high else high
+                if low <= high:
+                    # A crossing may lie up to a pixel beyond the last one that has a coordinate.
+                    reach[j, i, 0, k], reach[j, i, 1, k] = low - step_px, high + step_px
 
 
 def _pieces(curves: EpipolarCurves) -> int:
@@ -537,14 +563,15 @@ def _pieces(curves: EpipolarCurves) -> int:
     return min(max(1, math.ceil(longest / PIECE_PX)), MOST_PIECES)
 
 
-def _places(curves: EpipolarCurves, s: NDArray[np.float64]) -> NDArray[np.float64]:
+def _places(curves: EpipolarCurves, s: NDArray[np.float64], rows: slice = slice(None)) -> NDArray[np.float64]:
     """Return the places (rows, columns, len(s), 2) in px of the nodes' curves; NaN where the right camera does not see all that a
     pixel near the node is interpolated from."""
-    terms = curves.nodes[..., RAY_TERMS:].reshape(*curves.nodes.shape[:2], 2, curves.degree + 1)
+    terms = curves.nodes[rows, :, RAY_TERMS:]
+    terms = terms.reshape(*terms.shape[:2], 2, curves.degree + 1)
     place = np.moveaxis(terms @ s ** np.arange(curves.degree + 1)[:, None], 2, -1)
     # A cubic asks nodes up to two away; three at the border.
-    low = ndimage.maximum_filter(curves.seen[..., 0], CUBIC_REACH)[..., None]
-    high = ndimage.minimum_filter(curves.seen[..., 1], CUBIC_REACH)[..., None]
+    low = ndimage.maximum_filter(curves.seen[..., 0], CUBIC_REACH)[rows, :, None]
+    high = ndimage.minimum_filter(curves.seen[..., 1], CUBIC_REACH)[rows, :, None]
     place[(s < low) | (s > high)] = np.nan
     return np.asarray(place)
 

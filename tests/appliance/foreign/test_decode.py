@@ -10,9 +10,10 @@ import pytest
 from numpy.typing import NDArray
 
 from appliance.foreign.camera import DecodedCamera, clean, decode_camera
-from appliance.foreign.decode import NoCoordinate, bend
+from appliance.foreign.decode import NoCoordinate
 from appliance.foreign.description import counted, parse_description
 from appliance.foreign.images import ImageSet
+from appliance.foreign.phase import TURN, fit_sine, unbend
 
 Lines = NDArray[np.float64]
 SIZE_PX, ROWS = 1024, 40
@@ -106,27 +107,38 @@ def test_what_lies_beyond_the_pattern_is_outside_of_one_camera_alone(sides: str,
     assert bool((away == (NoCoordinate.OUTSIDE if outside else NoCoordinate.VALID)).mean() > 0.98)
 
 
-@pytest.mark.parametrize(("count", "gamma"), [(3, 1.8), (4, 0.5)])
-def test_a_bent_response_is_in_the_error_that_is_said(count: int, gamma: float) -> None:
+@pytest.mark.parametrize(("count", "gamma", "darkest"), [(3, 1.8, 0.3), (4, 4.0, 0.6)])
+def test_a_bent_response_is_taken_away_and_what_remains_is_said(count: int, gamma: float, darkest: float) -> None:
+    """Bright rows and dark ones are bent differently: one curve for all leaves something."""
     random = np.random.default_rng(4)
-    images = [
-        *gray(EDGE_PX, 64, 4),
-        *(one**gamma + random.normal(0, 0.004, one.shape) for one in steps(EDGE_PX, 64, count)),
+    bright = np.linspace(darkest, 1.0, ROWS)[:, None]
+    shots = [
+        ((0.1 + bright * one) / 1.1) ** gamma + random.normal(0, 0.001, one.shape) for one in steps(EDGE_PX, 64, count)
     ]
+    images = [*gray(EDGE_PX, 64, 4), *shots]
     found = decoded(images, f"gray-x*4 sine-x*{count}", f"period_px = 64\nsteps = {count}")
     axis = clean(found.placed["x"])
     off_px = axis.coordinate_px + 0.5 - EDGE_PX
-    assert 0.8 < np.sqrt(np.nanmean(off_px**2) / np.nanmean(axis.sigma_px[np.isfinite(off_px)] ** 2)) < 1.3
+    straight = fit_sine(shots, tuple(360.0 * k / count for k in range(count)), 2.0).turns - EDGE_PX / 64
+    bent_px = 64.0 * (straight - np.rint(straight))
+    left_px, said_px = (float(np.sqrt(np.nanmean(one**2))) for one in (off_px, axis.sigma_px[np.isfinite(off_px)]))
+    assert left_px < 1.3 * said_px < 0.7 * float(bent_px.std())
     assert found.misfit_share["x"] is None if count == 3 else (found.misfit_share["x"] or 0.0) > 0.15
 
 
-def test_phases_that_are_not_spread_evenly_are_no_bent_response() -> None:
-    """A narrow thing shows some phases more often than others."""
-    even = np.linspace(0.0, 5.0, 5000, dtype=np.float32)
-    narrow = np.linspace(0.0, 0.5, 5000, dtype=np.float32)
-    assert bend(even, 4) < 1e-4
-    assert bend(narrow, 4) == 0.0
-    assert bend(narrow[:0], 4) == 0.0
+@pytest.mark.parametrize(
+    ("turns", "share", "remains"),
+    [
+        (np.linspace(0.0, 5.0, 5000), None, 0.0),  # spread evenly
+        (np.linspace(0.0, 0.5, 5000), None, 0.0),  # a narrow thing shows some phases more often
+        (np.linspace(0.0, 5.0, 5000) + 0.02 * np.sin(8 * np.pi * np.linspace(0.0, 5.0, 5000)), 0.01, 0.005 / TURN),  # steps fit too well
+    ],
+)  # fmt: skip
+def test_phases_that_no_response_has_bent_stay_as_they_are(turns: Lines, share: float | None, remains: float) -> None:
+    wrapped = (turns - np.rint(turns)).astype(np.float32)
+    before = wrapped.copy()
+    assert unbend(wrapped, np.ones(wrapped.shape, np.bool_), 4, share) == pytest.approx(remains, abs=1e-4)
+    assert np.array_equal(wrapped, before)
 
 
 def test_stripes_that_light_the_room_do_not_vote_on_finer_ones() -> None:

@@ -270,7 +270,7 @@ def test_a_strangers_folder_needs_no_more_than_a_guess(tmp_path: Path, case: Cas
     assert 100.0 * there.mean() > case.at_least_percent
     assert off_mm < case.at_most_mm
     assert 0.5 < sigma_mm / off_mm < 6.0
-    assert case.notes in " ".join(report["not_judged"])
+    assert case.notes in " ".join(report["unchecked"])
 
 
 def test_several_periods_that_begin_elsewhere_are_named(tmp_path: Path) -> None:

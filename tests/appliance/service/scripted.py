@@ -5,7 +5,7 @@ from __future__ import annotations
 import multiprocessing.spawn
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, cast
@@ -119,9 +119,10 @@ def small_rig(root: Path) -> Rig:
 
 
 @contextmanager
-def a_desk(root: Path, pointers: Pointers | None = None) -> Iterator[Desk]:
+def a_desk(root: Path, pointers: Pointers | None = None, *, keep_incomplete: bool = False) -> Iterator[Desk]:
     """All devices are there and open."""
     rig, script, pad, screen = small_rig(root), Script(), KeyPad(), Screen()
+    rig = replace(rig, storage=replace(rig.storage, keep_incomplete=keep_incomplete))
     clock, calibration = script.clock, design_of(rig)
     library = Library(root)
     library.prepare()

@@ -112,6 +112,29 @@ def test_hands_that_a_scan_cannot_follow_are_warned_of(
     assert [code for number, image in enumerate(images, 1) for code in raised(seen(aiming, number, image))] == expected
 
 
+@pytest.mark.parametrize(("live_s", "settle_ns"), [(0.05, 300_000_000), (0.2, 600_000_000)])
+def test_images_count_from_three_tenths_of_a_second_or_three_images_on(live_s: float, settle_ns: int) -> None:
+    clock = At()
+    with AimingController(clock, live_s, BLACK_DN, EVEN) as aiming:
+        aiming.live(True, CALIBRATION, 1.333)
+        for clock.ns, counts in ((settle_ns - 1, False), (settle_ns, True)):
+            aiming.see("right", 1, DARK)
+            assert not aiming.busy, "the left camera alone"
+            told = [code for number in range(1, 4) for code in raised(seen(aiming, number, DARK))]
+            assert told == ([FaultCode.AIM_DARK] if counts else [])
+
+
+@pytest.mark.parametrize(("apart", "expected"), [(3, [FaultCode.AIM_FAST]), (4, [])])
+def test_motion_is_told_from_images_with_two_missing_between_and_no_more(
+    desk: tuple[AimingController, At], apart: int, expected: list[FaultCode]
+) -> None:
+    aiming, _ = desk
+    images = [picture(100.0, shift_px=(40.0 * (number % 2), 0.0), seed=number) for number in range(5)]
+    numbers = range(20, 20 + 5 * apart, apart)
+    told = [code for number, image in zip(numbers, images, strict=True) for code in raised(seen(aiming, number, image))]
+    assert told == expected
+
+
 def test_a_pair_with_images_missing_between_is_slower_than_it_looks(desk: tuple[AimingController, At]) -> None:
     aiming, _ = desk
     images = [picture(100.0, shift_px=(18.0 * (number % 2), 0.0), seed=number) for number in range(5)]

@@ -5,18 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from appliance.machine import effects as do
 from appliance.machine import events as on
 from appliance.machine.states import Device
 from appliance.scan.exposure import Exposure
+from appliance.scan.fault import FaultCode
 from appliance.service.live import LiveViews
 from tests.appliance.capture.test_course_of_a_scan import SEQUENCE, N
 from tests.appliance.service.scripted import Desk, a_desk
 from tests.appliance.service.test_shining import POINTERS
 
 EXPOSURE = Exposure(8_000, 6.0)
+NOTHING = np.zeros((1, 1), np.uint8)
 DARK, LIT = len(SEQUENCE), len(SEQUENCE) + 1
 
 
@@ -107,3 +110,27 @@ def test_the_lasers_go_on_once_two_pairs_were_seen_without_them(tmp_path: Path) 
             "laser.left", "laser.right",
         ]  # fmt: skip
         assert live.switch_lasers_on() == [], "they are on"
+
+
+@pytest.mark.parametrize(("light", "aiming"), [(True, True), (True, False), (False, True)])
+def test_too_dark_a_picture_is_told_of_while_the_diver_aims_by_the_projectors_light(
+    desk: Desk, light: bool, aiming: bool
+) -> None:
+    live, told = LiveViews(desk.rig, desk.parts, desk.inbox), list[on.Event]()
+    live.begin(do.GoLive(light, False, EXPOSURE), aiming=aiming, belongs_to=None)
+    desk.script.clock.sleep_s(0.31)  # the light has settled
+    for picture in range(1, 8):
+        show(desk, picture)
+
+        def taken(value: int = picture) -> bool:
+            live.take()
+            return int(live.images.get("left", NOTHING)[0, 0]) == value
+
+        until(desk, taken)
+        until(desk, lambda: not desk.parts.aiming.busy)
+        told += desk.parts.aiming.poll()
+    dark = [event.fault.code for event in told if isinstance(event, on.ConditionRaised)]
+    assert dark == ([FaultCode.AIM_DARK] if light and aiming else [])
+    live.begin(do.GoLive(light, False, EXPOSURE), aiming=aiming, belongs_to=None)
+    cleared = [event.code for event in desk.inbox if isinstance(event, on.ConditionCleared)]
+    assert cleared == dark, "with the live view that it came of"

@@ -53,7 +53,8 @@ def test_what_is_told_is_heard_once_a_second_and_only_while_it_is_on(status: Pat
     "wrong",
     [
         b"", b"[]", b"{", b"\xff", b"[" * 50_000, json.dumps(TOLD | {"state": "open"}).encode(),
-        json.dumps(TOLD | {"keys": True}).encode(), json.dumps(TOLD | {"keys": -1}).encode(),
+        json.dumps(TOLD | {"keys": True}).encode(), json.dumps(TOLD | {"keys": 1001}).encode(),
+        json.dumps(TOLD | {"keys": 1.0}).encode(), json.dumps(TOLD | {"keys": -1}).encode(),
         json.dumps(TOLD | {"addresses": ["SHUT DOWN NOW"]}).encode(), json.dumps(TOLD | {"addresses": 7}).encode(),
     ],
 )  # fmt: skip
@@ -64,7 +65,13 @@ def test_what_cannot_be_understood_is_not_shown(status: Path, wrong: bytes) -> N
 
 def test_an_address_that_the_screen_would_cut_is_not_shown(status: Path) -> None:
     long = "2001:db8:1111:2222:3333:4444:5555:6666"
-    for addresses, shown in (([long], None), ([long, "fe80::211:22ff:fe33:4455"], "fe80::211:22ff:fe33:4455")):
+    widest, wider = "2001:db8:1111:2222:3333::1", "2001:db8:1111:2222:3333::12"
+    for addresses, shown in (
+        ([wider], None),
+        ([widest], widest),
+        ([long], None),
+        ([long, "fe80::211:22ff:fe33:4455"], "fe80::211:22ff:fe33:4455"),
+    ):
         status.write_text(json.dumps(TOLD | {"addresses": addresses}))
         assert switch(status).poll(0, wanted=True) == [on.TransferTold(Transfer(Serving.ON, shown, 2))]
 

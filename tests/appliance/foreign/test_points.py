@@ -1,0 +1,213 @@
+"""Points of exact coordinates on a plane that two pinholes see, and the reason of each pixel that has none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from appliance.foreign.camera import DecodedCamera
+from appliance.foreign.cameras import NO_PORT, ForeignRig
+from appliance.foreign.decode import NoCoordinate, PlacedAxis
+from appliance.foreign.description import AxisConvention, Description, ImageFiles
+from appliance.foreign.images import ImageSet
+from appliance.foreign.points import REASONS, ForeignCloud, Reason, depths_of, find_points
+from appliance.foreign.problem import Table
+from appliance.optics.model import HousedCamera, StereoRig
+from appliance.optics.pinhole import Lens
+
+W, H, F_PX, DEPTH_MM, PROJECTOR_F_PX = 120, 90, 150.0, 400.0, 1200.0
+NOISE_PX = 0.002
+
+
+def rig(
+    baseline_mm: float = 100.0, toe_in_deg: float = 14.0, size_px: tuple[int, int] = (W, H), f_px: float = F_PX
+) -> ForeignRig:
+    """A left camera that looks along z, and a right one beside it that is turned towards its axis."""
+    lens = Lens((f_px, f_px), ((size_px[0] - 1) / 2, (size_px[1] - 1) / 2))
+    left = HousedCamera(*size_px, lens, NO_PORT, lens_in_water=True)
+    c, s = np.cos(np.radians(toe_in_deg)), np.sin(np.radians(toe_in_deg))
+    turned = ((c, 0.0, -s), (0.0, 1.0, 0.0), (s, 0.0, c))
+    return ForeignRig(
+        StereoRig(left, replace(left, rotation=turned, translation_mm=(baseline_mm, 0.0, 0.0))), 1.0, True
+    )
+
+
+def seen(camera: HousedCamera, depth_mm: float, seed: int) -> DecodedCamera:
+    """The coordinates that a projector half way between both cameras draws on the plane z = ``depth_mm``."""
+    v, u = np.mgrid[0 : camera.height_px, 0 : camera.width_px]
+    x, y = (u - camera.lens.c_px[0]) / camera.lens.f_px[0], (v - camera.lens.c_px[1]) / camera.lens.f_px[0]
+    along = np.stack([x, y, np.ones_like(x)], -1) @ np.asarray(camera.rotation).T
+    place_mm = np.asarray(camera.translation_mm) + along * ((depth_mm - camera.translation_mm[2]) / along[..., 2:])
+    noise = np.random.default_rng(seed)
+    placed = {}
+    for k, name in enumerate("xy"):
+        drawn_px = 500.0 + PROJECTOR_F_PX * place_mm[..., k] / depth_mm + noise.normal(0.0, NOISE_PX, x.shape)
+        placed[name] = PlacedAxis(
+            drawn_px.astype(np.float32), np.zeros(x.shape, np.uint8), np.full(x.shape, 100.0, np.float32)
+        )
+    return DecodedCamera(
+        ImageSet((), (), np.zeros((1, *x.shape), np.uint8), 255.0), {}, placed, np.zeros(x.shape, np.uint8)
+    )
+
+
+def described(
+    axes: str, near_mm: float | None = None, far_mm: float | None = None, max_sigma_mm: float | None = None
+) -> Description:
+    found = tuple(AxisConvention(name, 1000.0, (32.0,), ((0.0, 120.0, 240.0),)) for name in axes)
+    return Description(
+        "", Path(), {"left": ImageFiles(("*",)), "right": ImageFiles(("*",))}, None, "grey", None, (1000, 1000), found,
+        Table("", {}), near_mm=near_mm, far_mm=far_mm, max_sigma_mm=max_sigma_mm,
+    )  # fmt: skip
+
+
+def both(cameras: ForeignRig, depth_mm: float = DEPTH_MM) -> tuple[DecodedCamera, DecodedCamera]:
+    left, right = (seen(one, depth_mm, seed) for seed, one in enumerate((cameras.rig.left, cameras.rig.right)))
+    return left, right
+
+
+def found(axes: str, cameras: ForeignRig, depth_mm: float = DEPTH_MM) -> ForeignCloud:
+    return find_points(described(axes), cameras, *both(cameras, depth_mm))
+
+
+@pytest.mark.parametrize("axes", ["x", "xy"])
+@pytest.mark.parametrize("step", [1, 3])
+def test_every_so_many_pixels_have_the_points_of_the_full_image(axes: str, step: int) -> None:
+    cameras = rig()
+    left, right = both(cameras)
+    whole = find_points(described(axes), cameras, left, right)
+    cloud = find_points(described(axes), cameras, left, right, step=step)
+    assert cloud.cloud.shape == (-(-H // step), -(-W // step))
+    there = cloud.cloud.mask
+    assert cloud.points > 0.7 * there.size
+    # Beyond the first rows and columns that have all neighbours, a pixel has a point as it has in the full image.
+    inner = np.s_[1:-1, 1:-1]
+    assert np.mean(there[inner] == whole.cloud.mask[::step, ::step][inner]) > 0.97
+    assert np.allclose(cloud.cloud.points_mm[there][:, 2], DEPTH_MM, atol=0.2)
+    _, u = np.nonzero(there)
+    x_mm = (u * step - (W - 1) / 2) / F_PX * DEPTH_MM
+    assert np.allclose(cloud.cloud.points_mm[there][:, 0], x_mm, atol=0.1)
+
+
+@pytest.mark.parametrize("axes", ["x", "xy"])
+@pytest.mark.parametrize(
+    ("limits", "reason"),
+    [((None, None, 1e-4), "sigma"), ((410.0, 2000.0, None), "depth"), ((200.0, 390.0, None), "depth"), ((), "")],
+)
+def test_the_filter_that_took_the_points_is_named(axes: str, limits: tuple[float | None, ...], reason: str) -> None:
+    cameras = rig()
+    cloud = find_points(described(axes, *limits), cameras, *both(cameras))
+    assert (cloud.points == 0) == bool(reason)
+    assert sum(cloud.reasons.values()) + cloud.points == W * H
+    if reason:
+        # Along a curve nothing is searched beyond the depths: there the coordinate is not found.
+        wanted = "no-match" if (axes, reason) == ("x", "depth") else reason
+        assert next(iter(cloud.reasons)) == wanted
+        assert cloud.reasons[wanted] > 0.6 * W * H
+        assert cloud.largest_reasons()[0].startswith(f"{wanted}: ")
+        assert REASONS[wanted] in cloud.largest_reasons()[0]
+
+
+def test_rays_that_pass_each_other_are_a_gap_however_few_pixels_are_asked() -> None:
+    """The right image is moved up by four of its pixels. Thinned, that is less than a pixel, and no less wrong."""
+    cameras = rig()
+    left, right = both(cameras)
+    moved = {
+        name: replace(one, coordinate_px=np.roll(one.coordinate_px, -4, axis=0)) for name, one in right.placed.items()
+    }
+    for step in (1, 6):
+        cloud = find_points(described("xy"), cameras, left, replace(right, placed=moved), step=step)
+        assert cloud.points == 0
+        assert next(iter(cloud.reasons)) == "gap"
+
+
+def test_what_decoding_leaves_out_keeps_its_reason() -> None:
+    cameras = rig()
+    left, right = both(cameras)
+    bands = {"x": (NoCoordinate.WEAK, 0), "y": (NoCoordinate.SATURATED, 20)}
+    placed = {}
+    for name, (why, row) in bands.items():
+        one = left.placed[name]
+        one.reason[row : row + 10], one.coordinate_px[row : row + 10] = why, np.nan
+        placed[name] = one
+    cloud = find_points(described("xy"), cameras, replace(left, placed=placed), right)
+    assert (cloud.reason_map[:10] == Reason.WEAK).all()
+    assert (cloud.reason_map[20:30] == Reason.SATURATED).all()
+    assert cloud.reasons["weak"] == cloud.reasons["saturated"] == 10 * W
+    assert cloud.lit == W * H - 20 * W
+
+
+def nothing_seen(camera: DecodedCamera) -> DecodedCamera:
+    return replace(
+        camera,
+        placed={
+            name: replace(
+                one,
+                coordinate_px=np.full_like(one.coordinate_px, np.nan),
+                reason=np.full_like(one.reason, NoCoordinate.WEAK),
+            )
+            for name, one in camera.placed.items()
+        },
+    )
+
+
+@pytest.mark.parametrize("axes", ["x", "xy"])
+def test_a_lack_of_points_is_said_and_not_raised(axes: str) -> None:
+    cameras = rig()
+    left, right = both(cameras)
+    away = replace(cameras.rig.right, rotation=((-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, -1.0)))
+    backwards = replace(cameras, rig=replace(cameras.rig, right=away))
+    blind = find_points(described(axes), cameras, nothing_seen(left), right)
+    alone = find_points(described(axes), cameras, left, nothing_seen(right))
+    behind = find_points(described(axes), backwards, left, right)
+    assert [one.points for one in (blind, alone, behind)] == [0, 0, 0]
+    assert blind.failure
+    assert alone.failure
+    assert blind.reasons == {"weak": W * H}
+    assert next(iter(behind.reasons)) == "no-match"
+
+
+@pytest.mark.parametrize(
+    ("baseline_mm", "toe_in_deg", "depth_mm"),
+    [(1074.0, 49.1, 930.0), (900.0, 66.0, 400.0), (100.0, 0.0, 400.0), (10.0, 0.0, 500.0), (100.0, -3.0, 400.0)],
+)
+def test_depths_follow_what_the_cameras_look_at(baseline_mm: float, toe_in_deg: float, depth_mm: float) -> None:
+    """Axes that cross nearer than one baseline do so there; parallel ones, and such that part, say nothing."""
+    cameras = rig(baseline_mm, toe_in_deg)
+    near_mm, far_mm = depths_of(described("x"), cameras.rig, 1.0)
+    assert 0.0 < near_mm < 0.7 * depth_mm
+    assert far_mm > 1.15 * depth_mm
+
+
+def test_points_of_a_baseline_longer_than_the_distance() -> None:
+    cloud = found("xy", rig(1074.0, 49.1, f_px=300.0), 930.0)
+    assert cloud.points > 0.5 * W * H
+    assert float(np.nanmedian(cloud.cloud.points_mm[..., 2])) == pytest.approx(930.0, abs=0.5)
+
+
+def test_images_wider_than_a_scratch_row_have_points_all_over() -> None:
+    """The kernels' rows hold 4096 columns."""
+    width = 4400
+    cloud = found("xy", rig(20.0, 2.86, (width, 8), 6000.0))
+    there = cloud.cloud.mask
+    for part in (np.s_[:, 300:800], np.s_[:, 4000:4096], np.s_[:, 4096:4200]):
+        assert there[part][1:-1].mean() > 0.9
+    _, u = np.nonzero(there)
+    x_mm = (u - (width - 1) / 2) / 6000.0 * DEPTH_MM
+    assert np.allclose(cloud.cloud.points_mm[there][:, 0], x_mm, atol=0.1)
+
+
+@pytest.mark.parametrize("axes", ["x", "xy"])
+def test_pixels_at_which_the_lens_folds_over_are_left_out_and_counted(axes: str) -> None:
+    """r (1 + k1 r²) turns back at r² = −1/(3 k1): what lies beyond ⅔ of that radius in the image, no ray reaches."""
+    cameras = rig()
+    left, right = both(cameras)
+    folding = replace(cameras.rig.left, lens=replace(cameras.rig.left.lens, distortion=(-0.9, 0.0, 0.0, 0.0, 0.0)))
+    cloud = find_points(described(axes), replace(cameras, rig=replace(cameras.rig, left=folding)), left, right)
+    v, u = np.mgrid[0:H, 0:W]
+    beyond = np.hypot((u - (W - 1) / 2) / F_PX, (v - (H - 1) / 2) / F_PX) > (2.0 / 3.0) * (1.0 / 2.7) ** 0.5
+    assert 0.02 < beyond.mean() < 0.2
+    assert (cloud.reason_map[beyond] == Reason.NO_RAY).all()
+    assert cloud.reasons["no-ray"] < 1.4 * beyond.sum()
