@@ -66,16 +66,16 @@ def existing(what: str, folder: Path, holds: str) -> None:
         raise UsageError(f"{what} {folder}: no such folder; give the one that holds {holds}")
 
 
-def writable(out: Path | None) -> None:
-    """Raises UsageError for an ``--out`` that cannot become a file, before the work is done."""
+def writable(out: Path | None, name: str = "--out") -> None:
+    """Raises UsageError for a file of the option ``name`` that cannot become a file, before the work is done."""
     if out is None:
         return
     if out.is_dir():
-        raise UsageError(f"--out {out}: is a folder; give the name of a file in it, for example {out / 'cloud.ply'}")
+        raise UsageError(f"{name} {out}: is a folder; give the name of a file in it, for example {out / 'cloud.ply'}")
     if out.exists() and not out.is_file():
-        raise UsageError(f"--out {out}: is no ordinary file and would be replaced by one; give the name of a file")
+        raise UsageError(f"{name} {out}: is no ordinary file and would be replaced by one; give the name of a file")
     if not out.absolute().parent.is_dir():
-        raise UsageError(f"--out {out}: there is no folder {out.parent}; make it first, or give another one")
+        raise UsageError(f"{name} {out}: there is no folder {out.parent}; make it first, or give another one")
 
 
 def writable_page(out: Path) -> None:

@@ -24,6 +24,7 @@ class Import(Verb):
         metavar="FILE",
     )
     as_described: bool = switch("--as-described", "import it also where the images contradict the description")
+    reasons: Path | None = option("--reasons", "draw why pixels have no point (PNG)", parse=Path, metavar="PICTURE")
     guess: Path | None = option(
         "--guess",
         "write a first description of the images in that folder, by looking at them",
@@ -41,6 +42,7 @@ class Import(Verb):
         folder = out.suffix == ""
         if not folder:
             writable(out)
+        writable(self.reasons, "--reasons")
         from appliance.export.suffixes import SCAN_SUFFIXES, ExportError, checked_suffix, require_library
         from appliance.foreign.description import load_description
 
@@ -59,7 +61,7 @@ class Import(Verb):
             compile_point_kernels()
             with writing(out):
                 make = import_scan if folder else import_cloud
-                report = make(self.description, out, progress, as_described=self.as_described)
+                report = make(self.description, out, progress, as_described=self.as_described, reasons=self.reasons)
         say_report(report, as_json=self.json)
         return Exit.OK
 

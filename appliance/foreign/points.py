@@ -44,6 +44,8 @@ USUAL_STEP_PX = 0.63
 """Change of a coordinate from one pixel to the next on the instrument, for images 1600 px wide."""
 GAP_PIXELS, SIGMA_PIXELS, STEP_PIXELS = 2.5, 5.0, 9.4
 """Largest ray gap and expected error of a point, and step in depth to a neighbour, over the size of a pixel on the object there."""
+STEP_SIGMAS = 3.0
+"""Least such step over the expected error."""
 LEAST_NEIGHBOURS = 5
 NEAR_OF_CROSSING, FAR_OF_CROSSING = 0.3, 4.0
 LEAST_CROSSING = 0.2
@@ -55,7 +57,7 @@ NARROWER = (1.0, 0.6, 0.35)
 ROWS = 256
 """Left rows that are reconstructed together: their points need room, and those of a whole image much."""
 _ALL = PointLimits(*np.array([np.inf, np.inf, -np.inf, np.inf, np.inf, 0.0], np.float32))
-"""What keeps every point: which limit one breaks is told afterwards."""
+"""Limits that every point keeps: which one it breaks is told afterwards."""
 
 
 class Reason(IntEnum):
@@ -87,11 +89,13 @@ REASONS = {
     "no-ray": "the lens model folds over there",
     "no-match": "nothing on the other side has that coordinate where the pixel looks",
     "gap": f"rays pass each other by more than {GAP_PIXELS:g} pixels; check the cameras' numbers, [water] and [ports]",
-    "sigma": f"the expected error is larger than {SIGMA_PIXELS:g} pixels on the object, or range.max_sigma_mm, which may be larger",
+    "sigma": f"the expected error is larger than {SIGMA_PIXELS:g} pixels on the object; range.max_sigma_mm sets another limit",
     "depth": "nearer or farther than range.near_mm and range.far_mm",
     "neighbours": "an edge, or alone",
 }
-"""What each reason means, and what to do about it."""
+"""Meaning of each reason, with what to do about it."""
+BEFORE_POINTS = tuple(REASONS)[: Reason.NO_RAY - 1]
+"""Reasons of pixels without coordinates."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,6 +111,8 @@ class ForeignCloud:
     """Number of left pixels with coordinates, but for edges."""
     reason_map: NDArray[np.uint8]
     """(h, w), values of ``Reason``."""
+    over_sigma_mm: float
+    """Median of the expected errors that were too large; NaN where none was."""
     failure: str | None
     """Why nothing could be searched at all; ``None``: it was."""
 
@@ -121,13 +127,15 @@ class ForeignCloud:
         counts = np.bincount(self.reason_map.ravel(), minlength=len(Reason))
         return {one.word: int(counts[one]) for one in sorted(Reason, key=lambda k: -counts[k]) if one and counts[one]}
 
-    def largest_reasons(self) -> list[str]:
-        """Return the two reasons why most left pixels have no point, as a line each."""
-        pixels = self.reason_map.size
-        return [
-            f"{word}: {100.0 * count / pixels:.1f} % of the pixels ({REASONS[word]})"
-            for word, count in list(self.reasons.items())[:2]
-        ]
+    def largest_reasons(self, *, of_lit: bool = False) -> list[str]:
+        """Return the two reasons why most left pixels, or most of those ``of_lit`` with coordinates, have no point, as a line each."""
+        counts = {word: count for word, count in self.reasons.items() if not (of_lit and word in BEFORE_POINTS)}
+        pixels = self.points + sum(counts.values())
+        lines = []
+        for word, count in counts.items():
+            more = f", mostly {self.over_sigma_mm:.3g} mm" if word == "sigma" else ""
+            lines.append(f"{word}: {100.0 * count / pixels:.1f} %{more} ({REASONS[word]})")
+        return lines[:2]
 
 
 def depths_of(description: Description, rig: StereoRig, index: float) -> tuple[float, float]:
@@ -161,6 +169,7 @@ def find_points(
         axis.name: clean(right.placed[axis.name]) for axis in description.axes
     }  # fmt: skip
     at = np.s_[::step, ::step]
+    # Decoding's own reasons first: what has no coordinate was never searched.
     reason = np.zeros(left.grey[at].shape, np.uint8)
     known = np.ones(reason.shape, np.bool_)
     for name, axis in mine.items():
@@ -195,8 +204,10 @@ def find_points(
             break
     else:
         failure = _two_directions(cloud, lenient, rig.index, left, mine, other, depths_mm, step)
-    _judge(cloud, reason, depths_mm, lenient.left.lens.f_px[0], description.max_sigma_mm, step)
-    return ForeignCloud(cloud, UNCHECKED if description.one_direction else None, depths_mm, lit, reason, failure)
+    over_sigma_mm = _judge(cloud, reason, depths_mm, lenient.left.lens.f_px[0], description.max_sigma_mm, step)
+    return ForeignCloud(
+        cloud, UNCHECKED if description.one_direction else None, depths_mm, lit, reason, over_sigma_mm, failure
+    )
 
 
 def _one_direction(
@@ -263,6 +274,7 @@ def _strips(whole: LeftMaps, step: int) -> Iterator[tuple[int, LeftMaps]]:
     for first in range(0, whole.p_px.shape[1], width):
         p, q, variance = (_strip(one, first, width) for one in (whole.p_px, whole.q_px, whole.variance_px2))
         half_dn, grey = (_strip(one, first, width) for one in (whole.modulation_half_dn, whole.bright))
+        # The kernel passes over what lies outside of a row's first and last coordinate.
         known = np.isfinite(p)
         lit = np.stack([known.argmax(axis=1), known.shape[1] - known[:, ::-1].argmax(axis=1)], axis=1).astype(np.int32)
         lit[~known.any(axis=1)] = 0
@@ -284,6 +296,7 @@ def _reconstruct(cloud: OrganisedCloud, maps: RightMaps, rays: Rays, strip: Left
         stop = min(start + rows, height)
         count = int(reconstruct_rows(strip, maps, rays, _ALL, factors, start, stop, step, scratch, table.points, 0))
         found = table.points
+        # Flat in the strip, and in all rows and columns of the image.
         pixel = found.pixel[:count]
         at = pixel // width // step, (pixel % width + first) // step
         cloud.points_mm[at], cloud.sigma_mm[at] = found.xyz_mm[:count], found.sigma_mm[:count]
@@ -293,8 +306,9 @@ def _reconstruct(cloud: OrganisedCloud, maps: RightMaps, rays: Rays, strip: Left
 
 def _judge(
     cloud: OrganisedCloud, reason: NDArray[np.uint8], depths_mm: tuple[float, float], f_px: float, max_sigma_mm: float | None, step: int
-) -> None:  # fmt: skip
-    """Say of each point which limit it breaks, and take out those that break one."""
+) -> float:  # fmt: skip
+    """Say of each point which limit it breaks, and take out those that break one; return the median of the expected errors that were too large."""
+    over_mm = [np.zeros(0, np.float32)]
     height, width = reason.shape
     z_mm = np.pad(cloud.points_mm[..., 2], 1, constant_values=np.nan)
     for start in range(0, height, ROWS):
@@ -302,11 +316,14 @@ def _judge(
         z = z_mm[1:-1, 1:-1][rows]
         # Size of a pixel on the object there.
         pixel_mm = np.abs(z) / np.float32(f_px)
+        # A slope, not an error: between pixels farther apart there is more of it. Noise adds to it.
+        most_step_mm = np.fmax(
+            np.float32(STEP_PIXELS * step) * pixel_mm, np.float32(STEP_SIGMAS) * cloud.sigma_mm[rows]
+        )
         near = np.zeros(z.shape, np.uint8)
         for j, i in ((0, 0), (0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1), (2, 2)):
             around = z_mm[j : j + height, i : i + width][rows]
-            # A slope, not an error: between pixels farther apart there is more of it.
-            near += np.abs(around - z) <= np.float32(STEP_PIXELS * step) * pixel_mm
+            near += np.abs(around - z) <= most_step_mm
         most_sigma_mm = SIGMA_PIXELS * pixel_mm if max_sigma_mm is None else max_sigma_mm
         broken = {
             Reason.NEIGHBOURS: near < LEAST_NEIGHBOURS,
@@ -314,12 +331,16 @@ def _judge(
             Reason.SIGMA: cloud.sigma_mm[rows] > most_sigma_mm,
             Reason.GAP: cloud.ray_gap_mm[rows] > GAP_PIXELS * pixel_mm,
         }
+        # A point that breaks several keeps the last one written: what passes each other is nowhere, whatever its depth.
         here = np.where(np.isfinite(z), np.uint8(Reason.FOUND), reason[rows])
         for why, breaks in broken.items():
             here[np.isfinite(z) & breaks] = why
         reason[rows] = here
+        over_mm.append(cloud.sigma_mm[rows][here == Reason.SIGMA])
         for values in (cloud.points_mm, cloud.sigma_mm, cloud.ray_gap_mm, cloud.modulation_dn):
             values[rows][here != Reason.FOUND] = np.nan
+    over = np.concatenate(over_mm)
+    return float(np.median(over)) if over.size else math.nan
 
 
 def _without_ray(camera: HousedCamera, index: float) -> NDArray[np.bool_]:

@@ -24,6 +24,7 @@ from appliance.foreign.own_form import own_frames, own_sequence
 from appliance.foreign.points import ForeignCloud, find_points
 from appliance.foreign.problem import ForeignError
 from appliance.foreign.reading import ForeignScan, look_first, read_foreign
+from appliance.offline.reason_picture import draw_reasons
 from appliance.optics.model import HousedCamera
 from appliance.optics.water import Water
 from appliance.patterns.sequence import PatternSequence
@@ -63,9 +64,11 @@ def check_import(path: Path, out: Path) -> None:
 
 
 def import_cloud(
-    path: Path, out: Path, progress: Callable[[str], None], *, as_described: bool = False
+    path: Path, out: Path, progress: Callable[[str], None], *, as_described: bool = False, reasons: Path | None = None
 ) -> dict[str, Any]:
     """Write the points of the images that the description at ``path`` describes; the suffix of ``out`` says how.
+
+    ``reasons``: a PNG of why pixels have no point, also where hardly any are left.
 
     Raises ForeignError, also where the images contradict the description (unless ``as_described``) and where hardly any points
     are left; ExportError, MissingLibraryError, StorageError.
@@ -73,7 +76,7 @@ def import_cloud(
     suffix = checked_suffix(out, SCAN_SUFFIXES, "a cloud")
     require_library(out)
     scan = _read(path, progress, as_described)
-    found = _found(path, scan, progress)
+    found = _found(path, scan, progress, reasons)
     progress("writing")
     note = f"index {scan.rig.index:.5f}, {'air' if scan.rig.in_air else 'water'}, imported by software {__version__}"
     marks = [found.unchecked] if found.unchecked else []
@@ -84,7 +87,7 @@ def import_cloud(
 
 
 def import_scan(
-    path: Path, out: Path, progress: Callable[[str], None], *, as_described: bool = False
+    path: Path, out: Path, progress: Callable[[str], None], *, as_described: bool = False, reasons: Path | None = None
 ) -> dict[str, Any]:
     """Make the scan folder ``out`` of images that have our own form. Raises as ``import_cloud``, and ForeignError for another form."""
     check_import(path, out)
@@ -93,7 +96,7 @@ def import_scan(
     sequence = _own_sequence(path, out, scan.description, images["left"])
     if scan.wrong:
         raise ForeignError(f"{path}: no scan folder can be made of images that are described wrongly; correct it")
-    found = _found(path, scan, progress)
+    found = _found(path, scan, progress, reasons)
     limits = QualityLimits()
     depth_mm = found.cloud.points_mm[..., 2][found.cloud.mask]
     within = float(np.mean((depth_mm > limits.min_depth_mm) & (depth_mm < limits.max_depth_mm)))
@@ -150,11 +153,13 @@ def _read(path: Path, progress: Callable[[str], None], as_described: bool) -> Fo
     return scan
 
 
-def _found(path: Path, scan: ForeignScan, progress: Callable[[str], None]) -> ForeignCloud:
+def _found(path: Path, scan: ForeignScan, progress: Callable[[str], None], reasons: Path | None) -> ForeignCloud:
     progress("finding points")
     found = find_points(scan.description, scan.rig, scan.cameras["left"], scan.cameras.get("right"))
+    if reasons is not None:
+        draw_reasons(found, reasons)
     if found.points == 0 or found.points < LEAST_SHARE * found.lit:
-        why = [found.failure] if found.failure else found.largest_reasons()
+        why = [found.failure] if found.failure else found.largest_reasons(of_lit=found.lit > 0)
         raise ForeignError(
             f"{path}: {found.points} points are left of {found.lit} left pixels with coordinates, between {found.depths_mm[0]:.4g} and "
             f"{found.depths_mm[1]:.4g} mm: {'; '.join(why)}"

@@ -5,7 +5,7 @@ Nothing checks such points. With two directions the rays of a wrong calibration 
 whatever the calibration says. Whoever keeps such a cloud says so (``UNCHECKED``); it is never used to calibrate, to evaluate or to
 watch the calibration.
 
-The way: curves are cut into pieces of ``PIECE_PX``, and each cell of the left image knows of each piece the least and the greatest
+The way: curves are cut into pieces of ``reach.PIECE_PX``, and each cell of the left image knows of each piece the least and the greatest
 coordinate that the right image has about it. Only pieces that can have the pixel's coordinate are walked, pixel by pixel. There Newton
 steps along the curve, on the surface of second order that fits a pixel and its neighbours, find the crossing. No piece is left out: two
 crossings are not told apart, and refused.
@@ -26,22 +26,14 @@ from typing import NamedTuple
 import numba
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from appliance.optics.epipolar import RAY_TERMS, EpipolarCurves, epipolar_curves, inverse_depths
 from appliance.optics.model import HousedCamera, StereoRig
 from appliance.reconstruct.borrowed import borrowed
+from appliance.reconstruct.reach import places, reach_along
 
 UNCHECKED = "unchecked: fringes of one direction only, no ray gap tells whether the calibration fits"
 """The note that every file of such a cloud carries."""
-PIECE_PX = 8
-"""Length of a curve's pieces in the right image, and size of the blocks of which least and greatest coordinate are taken."""
-CUBIC_REACH = 5
-"""Nodes across and down that are asked for the pixels about one."""
-REACH_ROWS = 16
-"""Rows of cells of which the reach is found together."""
-MOST_PIECES = 2_000
-"""Most pieces of a curve: more are longer ones. So many are more than any image is wide."""
 MAX_STEPS, LAST_STEPS = 11, 3
 """Most Newton steps of one search; the last ones stay at their pixel up to ``MAX_HOME_PX`` away: noise can make two neighbours point
 at each other for ever."""
@@ -225,7 +217,7 @@ def match_along_curves(
         left,
         variances[0],
         _Right(right, variances[1], jump_px, bend_px, math.sin(math.radians(wish.min_angle_deg))),
-        _Curves(curves.nodes, curves.degree, *curves.spacing_px, middle, half, _reach(curves, right, step_px)),
+        _Curves(curves.nodes, curves.degree, *curves.spacing_px, middle, half, reach_along(curves, right, step_px)),
         points_mm,
         sigma_mm,
         partner_px,
@@ -499,83 +491,6 @@ def _usual_step(coordinate_px: NDArray[np.float32]) -> float:
     return float(np.median(known))
 
 
-def _reach(curves: EpipolarCurves, coordinate_px: NDArray[np.float32], step_px: float) -> NDArray[np.float32]:
-    """Return what ``_Curves.reach_px`` is: from blocks of the right image, as many about a piece's middle as a cell is wide there."""
-    height, width = coordinate_px.shape
-    padded = np.full((-(-height // PIECE_PX) * PIECE_PX, -(-width // PIECE_PX) * PIECE_PX), np.nan, np.float32)
-    padded[:height, :width] = coordinate_px
-    tiles = padded.reshape(-1, PIECE_PX, padded.shape[1] // PIECE_PX, PIECE_PX)
-    least, greatest = (extreme.reduce(extreme.reduce(tiles, axis=3), axis=1) for extreme in (np.fmin, np.fmax))
-    # Places of the nodes at the ends of pieces, some rows at a time: of a large image all of them need much room.
-    pieces = _pieces(curves)
-    s = np.linspace(-1.0, 1.0, pieces + 1)
-    down, across = curves.nodes.shape[:2]
-    reach = np.full((down - 1, across - 1, 2, pieces), np.nan, np.float32)
-    for begin in range(0, down - 1, REACH_ROWS):
-        part = reach[begin : begin + REACH_ROWS]
-        at = _places(curves, s, slice(begin, begin + REACH_ROWS + 1))
-        _fill_reach(at, least, greatest, width, height, np.float32(step_px), part)
-    return reach
-
-
-@numba.njit(nogil=True, cache=True, error_model="numpy")
-def _fill_reach(
-    at: NDArray[np.float64],
-    least: NDArray[np.float32],
-    greatest: NDArray[np.float32],
-    width: int,
-    height: int,
-    step_px: np.float32,
-    reach: NDArray[np.float32],
-) -> None:
-    """Write the reach of each cell between four of the places ``at`` (rows, columns, ends of pieces, 2); it is NaN where there is none."""
-    for j in range(reach.shape[0]):
-        for i in range(reach.shape[1]):
-            for k in range(reach.shape[3]):
-                # A cell's piece lies within the box about its four nodes' places at both of its ends.
-                u0, v0, u1, v1 = np.inf, np.inf, -np.inf, -np.inf
-                for corner in range(8):
-                    u = at[j + corner // 4, i + corner // 2 % 2, k + corner % 2, 0]
-                    v = at[j + corner // 4, i + corner // 2 % 2, k + corner % 2, 1]
-                    if u != u or v != v:
-                        u0 = np.nan
-                        break
-                    u0, v0, u1, v1 = min(u0, u), min(v0, v), max(u1, u), max(v1, v)
-                u0, v0, u1, v1 = u0 - 2.0, v0 - 2.0, u1 + 2.0, v1 + 2.0
-                if not (u1 > -0.5 and v1 > -0.5 and u0 < width - 0.5 and v0 < height - 0.5):
-                    continue
-                # Least and greatest of all blocks of the box; NaN is neither less nor greater.
-                low, high = np.float32(np.inf), np.float32(-np.inf)
-                for y in range(int(max(v0, 0.0)) // PIECE_PX, int(min(v1, height - 1.0)) // PIECE_PX + 1):
-                    for x in range(int(max(u0, 0.0)) // PIECE_PX, int(min(u1, width - 1.0)) // PIECE_PX + 1):
-                        low = least[y, x] if least[y, x] < low else low
-                        high = greatest[y, x] if greatest[y, x] > high else high
-                if low <= high:
-                    # A crossing may lie up to a pixel beyond the last one that has a coordinate.
-                    reach[j, i, 0, k], reach[j, i, 1, k] = low - step_px, high + step_px
-
-
-def _pieces(curves: EpipolarCurves) -> int:
-    """Return the number of pieces of all curves: none is longer than ``PIECE_PX``."""
-    s = np.linspace(-1.0, 1.0, 33)
-    speed = np.abs(np.diff(_places(curves, s), axis=2)).max(axis=-1) / (s[1] - s[0])
-    longest = 2.0 * float(np.nanmax(speed)) if np.isfinite(speed).any() else 0.0
-    return min(max(1, math.ceil(longest / PIECE_PX)), MOST_PIECES)
-
-
-def _places(curves: EpipolarCurves, s: NDArray[np.float64], rows: slice = slice(None)) -> NDArray[np.float64]:
-    """Return the places (rows, columns, len(s), 2) in px of the nodes' curves; NaN where the right camera does not see all that a
-    pixel near the node is interpolated from."""
-    terms = curves.nodes[rows, :, RAY_TERMS:]
-    terms = terms.reshape(*terms.shape[:2], 2, curves.degree + 1)
-    place = np.moveaxis(terms @ s ** np.arange(curves.degree + 1)[:, None], 2, -1)
-    # A cubic asks nodes up to two away; three at the border.
-    low = ndimage.maximum_filter(curves.seen[..., 0], CUBIC_REACH)[rows, :, None]
-    high = ndimage.minimum_filter(curves.seen[..., 1], CUBIC_REACH)[rows, :, None]
-    place[(s < low) | (s > high)] = np.nan
-    return np.asarray(place)
-
-
 def _angle(curves: EpipolarCurves, left_px: NDArray[np.float32], right_px: NDArray[np.float32]) -> float:
     """Return the median angle in degrees between curves and lines of equal coordinate; NaN where no curve passes any coordinate."""
     v, u = np.nonzero(np.isfinite(left_px))
@@ -584,7 +499,7 @@ def _angle(curves: EpipolarCurves, left_px: NDArray[np.float32], right_px: NDArr
     j, i = np.rint(v[some] / down_px).astype(int), np.rint(u[some] / across_px).astype(int)
     # Each curve at nine depths, and a little farther on.
     s = np.linspace(-1.0, 1.0 - 1e-3, 9)
-    here, there = (_places(curves, at)[j, i] for at in (s, s + 1e-3))
+    here, there = (places(curves, at)[j, i] for at in (s, s + 1e-3))
     height, width = right_px.shape
     x, y = here[..., 0], here[..., 1]
     with np.errstate(invalid="ignore"):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -15,11 +16,14 @@ from appliance.foreign.description import AxisConvention, Description, ImageFile
 from appliance.foreign.images import ImageSet
 from appliance.foreign.points import REASONS, ForeignCloud, Reason, depths_of, find_points
 from appliance.foreign.problem import Table
+from appliance.offline.reason_picture import COLOURS, draw_reasons
 from appliance.optics.model import HousedCamera, StereoRig
 from appliance.optics.pinhole import Lens
 
 W, H, F_PX, DEPTH_MM, PROJECTOR_F_PX = 120, 90, 150.0, 400.0, 1200.0
 NOISE_PX = 0.002
+OFF_MM = 0.004
+"""What that noise is in depth: both coordinates' difference, over what a millimetre of depth changes it by."""
 
 
 def rig(
@@ -108,6 +112,9 @@ def test_the_filter_that_took_the_points_is_named(axes: str, limits: tuple[float
         assert cloud.reasons[wanted] > 0.6 * W * H
         assert cloud.largest_reasons()[0].startswith(f"{wanted}: ")
         assert REASONS[wanted] in cloud.largest_reasons()[0]
+        if reason == "sigma":
+            # It says which limit would do.
+            assert float(cloud.largest_reasons()[0].split("mostly ")[1].split()[0]) == pytest.approx(OFF_MM, rel=0.5)
 
 
 def test_rays_that_pass_each_other_are_a_gap_however_few_pixels_are_asked() -> None:
@@ -211,3 +218,18 @@ def test_pixels_at_which_the_lens_folds_over_are_left_out_and_counted(axes: str)
     assert 0.02 < beyond.mean() < 0.2
     assert (cloud.reason_map[beyond] == Reason.NO_RAY).all()
     assert cloud.reasons["no-ray"] < 1.4 * beyond.sum()
+
+
+def test_a_picture_shows_the_reason_of_each_pixel(tmp_path: Path) -> None:
+    cameras = rig()
+    left, right = both(cameras)
+    left.placed["x"].reason[20:50], left.placed["x"].coordinate_px[20:50] = NoCoordinate.CONTRADICTION, np.nan
+    left.grey[:] = 77
+    cloud = find_points(described("xy"), cameras, left, right)
+    draw_reasons(cloud, tmp_path / "why.png")
+    drawn = np.asarray(cv2.imread(str(tmp_path / "why.png")))[..., ::-1]
+    assert (drawn[20:50, :W] == COLOURS[Reason.CONTRADICTION]).all()
+    assert (drawn[:H, :W][cloud.cloud.mask] == 77).all()
+    # Each colour that is there is named below.
+    for reason, colour in COLOURS.items():
+        assert (drawn[H:, :20] == colour).all(axis=-1).any() == (reason.word in cloud.reasons)
