@@ -73,7 +73,9 @@ def read_rig(description: Description, sizes_px: Mapping[str, tuple[int, int]]) 
     of_projector = "right" not in description.files
     said = camera_numbers(description.folder, table, of_projector) if "files" in table.content else _from_tables(table)
     notes = list(said.notes)
-    for side, stated in said.stated_px.items():
+    # Some programs write the height first.
+    stated_px = {side: one[::-1] if one[::-1] == sizes_px[side] else one for side, one in said.stated_px.items()}
+    for side, stated in stated_px.items():
         _check_size(f"cameras.files: {said.stated_in[side]}", side, stated, sizes_px[side], of_projector)
     R, T = rotation_of(_numbers(said, "rotation", 3, 9)), _numbers(said, "translation", 3)
     if np.abs(R @ R.T - np.eye(3)).max() > 1e-3 or np.linalg.det(R) < 0.0:
@@ -102,30 +104,21 @@ def read_rig(description: Description, sizes_px: Mapping[str, tuple[int, int]]) 
         cameras.append(
             HousedCamera(width_px, height_px, lens, port, matrix3(rotation), _three(t_mm), lens_in_water=straight)
         )
-    return ForeignRig(StereoRig(cameras[0], cameras[1]), index, in_air, None, said.stated_px, scale_known, tuple(notes))
+    return ForeignRig(StereoRig(cameras[0], cameras[1]), index, in_air, None, stated_px, scale_known, tuple(notes))
 
 
 def _check_size(where: str, side: str, stated: tuple[int, int], found: tuple[int, int], of_projector: bool) -> None:
     """Raise ForeignError where images have another size than their calibration's."""
-    if found in (stated, stated[::-1]):
-        return
-    ratio = [there / said for there, said in zip(found, stated, strict=True)]
-    why = (
-        f"a calibration of images of {1 / ratio[0]:.3g} times their size"
-        if abs(ratio[0] - ratio[1]) < 0.01 * ratio[0]
-        else "another calibration"
-    )
-    why = why.replace("0.5 times their", "half the").replace("2 times their", "twice the")
-    there, remedy = f"the {side} images have", "give the calibration of these images"
+    there, why, remedy = f"the {side} images have", "another calibration", "give the calibration of these images"
     if of_projector and side == "right":
-        there, remedy, why = (
-            "[projector] says",
-            "correct width_px and height_px, or give the file of this projector",
-            "another projector",
+        there, why, remedy = "[projector] says", "another projector", "correct its size, or give the file of this one"
+    elif abs(stated[0] * found[1] - stated[1] * found[0]) <= max(found):
+        times = stated[0] / found[0]
+        why = f"a calibration of images of {({0.5: 'half the', 2.0: 'twice the'}).get(times, f'{times:.3g} times their')} size"
+    if stated != found:
+        raise ForeignError(
+            f"{where} says {stated[0]} x {stated[1]} px, and {there} {found[0]} x {found[1]} px: {why}; {remedy}"
         )
-    raise ForeignError(
-        f"{where} says {stated[0]} x {stated[1]} px, and {there} {found[0]} x {found[1]} px: {why}; {remedy}"
-    )
 
 
 def _check_baseline(length: float, unit: str) -> None:
@@ -208,46 +201,42 @@ def _calibration_in(folder: Path, table: Table) -> tuple[Path, calibration_file.
     """Return the calibration file of ours that ``cameras.calibration``, or ``cameras.files`` alone, name; ``None`` where none is named."""
     files = table.content.get("files")
     listed = [files] if isinstance(files, str) else files
+    alone = str(listed[0]) if isinstance(listed, list) and len(listed) == 1 else ""
+    named = "calibration" in table.content
+    if not named and not alone.lower().endswith(".json"):
+        return None
+    path = folder / (table.text("calibration") if named else alone)
     try:
-        if "calibration" in table.content:
-            table.only("calibration")
-            path = folder / table.text("calibration")
-            return path, calibration_file.load(path)
-        if isinstance(listed, list) and len(listed) == 1 and str(listed[0]).lower().endswith(".json"):
-            path = folder / str(listed[0])
-            found = path, calibration_file.load(path)
-            table.only("files")
-            return found
+        found = path, calibration_file.load(path)
     except calibration_file.CalibrationError as error:
-        if "calibration" in table.content:
+        if named:
             raise ForeignError(str(error)) from error
-    return None
+        return None
+    table.only("calibration" if named else "files")
+    return found
 
 
 def _our_own(
-    description: Description,
-    path: Path,
-    calibration: calibration_file.Calibration,
-    sizes_px: Mapping[str, tuple[int, int]],
+    description: Description, path: Path, ours: calibration_file.Calibration, sizes_px: Mapping[str, tuple[int, int]]
 ) -> ForeignRig:
-    for side, camera in (("left", calibration.rig.left), ("right", calibration.rig.right)):
-        stated = camera.width_px, camera.height_px
-        if stated != sizes_px[side]:
-            _check_size(f"{path}:", side, stated, sizes_px[side], "right" not in description.files)
+    both = {"left": ours.rig.left, "right": ours.rig.right}
+    stated_px = {side: (camera.width_px, camera.height_px) for side, camera in both.items()}
+    for side, stated in stated_px.items():
+        _check_size(str(path), side, stated, sizes_px[side], "right" not in description.files)
     index, in_air = index_of(description.medium)
-    if all(_has_no_window(camera) for camera in (calibration.rig.left, calibration.rig.right)):
+    if all(_has_no_window(camera) for camera in both.values()):
         # Of `calibrate pair`: like OpenCV's files it knows neither windows nor water.
         cameras = []
-        for side, camera in (("left", calibration.rig.left), ("right", calibration.rig.right)):
+        for side, camera in both.items():
             port, straight = _port(description.ports, side, in_air)
             cameras.append(replace(camera, port=port, lens_in_water=straight))
-        return ForeignRig(StereoRig(cameras[0], cameras[1]), index, in_air)
+        return ForeignRig(StereoRig(cameras[0], cameras[1]), index, in_air, None, stated_px)
     if description.ports is not None:
         raise ForeignError(f"[ports] is there, and {path.name} has its own; take [ports] out")
     if in_air:
         # Made in water unless somebody says so: our own files know theirs.
-        index, in_air = calibration.water.index, False
-    return ForeignRig(calibration.rig, index, in_air, calibration)
+        index, in_air = ours.water.index, False
+    return ForeignRig(ours.rig, index, in_air, ours, stated_px)
 
 
 def _has_no_window(camera: HousedCamera) -> bool:
@@ -261,10 +250,8 @@ def _has_no_window(camera: HousedCamera) -> bool:
 
 def _port(ports: Ports | None, side: str, in_air: bool) -> tuple[Port, bool]:
     """Return the port, and whether rays go straight from the projection centre."""
-    if ports is None:
+    if ports is None or (in_air and ports.thickness_mm == 0.0):
         # In water without a port, the camera was calibrated in water as a pinhole.
-        return NO_PORT, True
-    if in_air and ports.thickness_mm == 0.0:
         return NO_PORT, True
     normal = ports.normals[0 if side == "left" else 1]
     return Port(normal, ports.distance_mm, ports.thickness_mm, ports.glass_index), False

@@ -332,7 +332,7 @@ def test_a_projector_of_another_size_than_its_calibration_says_is_refused(tmp_pa
     written(tmp_path / "s.xml", **values, screenResX=1824, screenResY=1140)
     with pytest.raises(
         ForeignError,
-        match=r"screenResX says 1824 x 1140 px, and \[projector\] says 640 x 480 px: another projector; correct",
+        match=r"screenResX says 1824 x 1140 px, and \[projector\] says 640 x 480 px: another projector; correct its size",
     ):
         rig(tmp_path, 'files = "s.xml"', head=ALONE)
 
