@@ -11,10 +11,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from appliance.calibration import file as calibration_file
 from appliance.foreign.camera_dialects import MOST, CameraNumbers, rotation_of
@@ -22,7 +20,7 @@ from appliance.foreign.camera_files import camera_numbers, without_scale
 from appliance.foreign.description import Description, Medium, Ports, as_plain
 from appliance.foreign.problem import ForeignError, Table
 from appliance.optics.model import HousedCamera, StereoRig
-from appliance.optics.pinhole import Lens, distort
+from appliance.optics.pinhole import Lens
 from appliance.optics.port import Port
 from appliance.optics.rotation import matrix3
 from appliance.optics.water import quan_fry_index
@@ -31,9 +29,6 @@ Array = NDArray[np.float64]
 
 UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}
 NO_PORT = Port((0.0, 0.0, 1.0), 0.0, 0.0, 1.0)
-MOST_FIT_PX = 0.1
-"""Largest error in px with which a lens model of more than five values is replaced by one of five."""
-GRID = 25
 LEAST_BASELINE_MM, MOST_BASELINE_MM = 1.0, 20_000.0
 """Distances of two cameras: others are in another unit."""
 USUAL_MM = (10.0, 3000.0)
@@ -169,32 +164,14 @@ def lens_of(matrix: Array, distortion: Array, size_px: tuple[int, int], side: st
             f"cameras: the {side} principal point {c_px[0]:.0f}, {c_px[1]:.0f} lies far outside of images of {width_px} x {height_px} px; "
             "the calibration is of other images, or left and right are exchanged"
         )
-    if distortion.size not in (0, 4, 5, 8, 12, 14):
+    if distortion.size not in (0, 4, 5, 8, 12, 14) or np.any(distortion[12:] != 0.0):
         raise ForeignError(
-            f"cameras: {side} distortion has {distortion.size} values; allowed are 4, 5, 8, 12, 14; correct it"
+            f"cameras: {side} distortion has {distortion.size} values, {distortion.tolist()!r:.200}; allowed are 4, 5, 8, 12, 14, the last two zero "
+            "(no tilted sensor); correct it"
         )
-    values = np.zeros(5)
-    values[: min(5, distortion.size)] = distortion[:5]
-    lens = Lens(f_px, c_px, _five(values))
-    if distortion.size > 5 and np.any(distortion[5:] != 0.0):
-        lens = _fitted(lens, matrix, distortion, size_px, side)
-    return lens
-
-
-def _fitted(lens: Lens, matrix: Array, distortion: Array, size_px: tuple[int, int], side: str) -> Lens:
-    """Return the lens of five values that is nearest to OpenCV's longer model all over the image."""
-    u, v = np.meshgrid(*(np.linspace(0.0, size - 1.0, GRID) for size in size_px))
-    uv = np.stack([u, v], -1).reshape(-1, 1, 2)
-    xy = np.asarray(cv2.undistortPoints(uv, matrix, distortion), np.float64).reshape(-1, 2)
-    wanted = (uv.reshape(-1, 2) - np.asarray(lens.c_px)) / np.asarray(lens.f_px)
-    fit = least_squares(lambda values: ((distort(xy, _five(values)) - wanted) * lens.f_px[0]).ravel(), np.zeros(5))
-    worst_px = float(np.abs(fit.fun).max())
-    if worst_px > MOST_FIT_PX:
-        raise ForeignError(
-            f"cameras: {side} distortion of {distortion.size} values differs from the nearest one of five by {worst_px:.2f} px; allowed "
-            f"are {MOST_FIT_PX:g} px; calibrate with k1, k2, p1, p2, k3"
-        )
-    return replace(lens, distortion=_five(fit.x))
+    values = np.zeros(12 if np.any(distortion[5:] != 0.0) else 5)
+    values[: min(values.size, distortion.size)] = distortion[: values.size]
+    return Lens(f_px, c_px, tuple(values.tolist()))
 
 
 def _calibration_in(folder: Path, table: Table) -> tuple[Path, calibration_file.Calibration] | None:
@@ -293,8 +270,3 @@ def _numbers(said: CameraNumbers, name: str, *sizes: int) -> Array:
 
 def _three(values: Array) -> tuple[float, float, float]:
     return float(values[0]), float(values[1]), float(values[2])
-
-
-def _five(values: Array) -> tuple[float, float, float, float, float]:
-    k1, k2, p1, p2, k3 = (float(value) for value in values)
-    return k1, k2, p1, p2, k3

@@ -106,7 +106,7 @@ def import_scan(
             f"{limits.min_depth_mm:g} to {limits.max_depth_mm:g} mm; write a cloud with --out {out.name}.ply"
         )
     progress("writing")
-    calibration = _calibration(scan)
+    calibration = calibration_of(scan)
     rig = _rig(scan, calibration)
     frames = {side: own_frames(sequence, scan.description, one) for side, one in images.items()}
     water = calibration.water
@@ -199,12 +199,16 @@ def _report(scan: ForeignScan, found: ForeignCloud) -> dict[str, Any]:
     }
 
 
-def _calibration(scan: ForeignScan) -> Calibration:
+def calibration_of(scan: ForeignScan) -> Calibration:
     """Return the calibration file that says what the description says of the cameras."""
     if scan.rig.calibration is not None:
         return scan.rig.calibration
     medium = scan.description.medium
     straight = all(camera.lens_in_water for camera in (scan.rig.rig.left, scan.rig.rig.right))
+    if any(len(camera.lens.distortion) > 5 for camera in (scan.rig.rig.left, scan.rig.rig.right)):
+        raise ForeignError(
+            "no scan folder can be made: our calibration files hold the distortion k1, k2, p1, p2, k3 only"
+        )
     if not straight and medium.temperature_c is None:
         raise ForeignError(
             "no scan folder can be made: behind ports the index of a scan folder follows from temperature and salinity; give "

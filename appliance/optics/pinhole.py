@@ -1,4 +1,4 @@
-"""Owns the lens in air: pixels to directions and back, with the five-parameter distortion of OpenCV."""
+"""Owns the lens in air: pixels to directions and back, with the distortion of OpenCV."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ class Lens:
     """Principal distance (f_u, f_v) in px."""
     c_px: tuple[float, float]
     """Principal point (c_u, c_v) in px; (0, 0) is the centre of the top left pixel."""
-    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
-    """k1, k2, p1, p2, k3 as OpenCV defines them."""
+    distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    """k1, k2, p1, p2, k3 as OpenCV defines them; lenses of others may have its k4, k5, k6, s1, s2, s3, s4, too."""
 
     def to_pixels(self, xy: Array) -> Array:
         """Return the pixels (..., 2) of ideal normalised coordinates (..., 2)."""
@@ -55,38 +55,50 @@ class FoldingLens(Lens):
         return np.asarray(np.where(beyond, np.nan, xy))
 
 
-def fold(distortion: tuple[float, float, float, float, float]) -> float:
-    """Return the squared radius at which the radial distortion r (1 + k1 r² + k2 r⁴ + k3 r⁶) turns back; infinite where it never does."""
-    k1, k2, _, _, k3 = distortion
-    # Its derivative 1 + 3 k1 r² + 5 k2 r⁴ + 7 k3 r⁶ as a polynomial in r².
-    roots = np.roots([7.0 * k3, 5.0 * k2, 3.0 * k1, 1.0])
+def fold(distortion: tuple[float, ...]) -> float:
+    """Return the squared radius at which the radial distortion turns back or has a pole; infinite where it never does."""
+    k1, k2, _, _, k3, k4, k5, k6 = (*distortion, 0.0, 0.0, 0.0)[:8]
+    # Derivative of r A / B, polynomials in q = r²: (A B + 2 q (A' B - A B')) / B².
+    A, B, q = np.poly1d([k3, k2, k1, 1.0]), np.poly1d([k6, k5, k4, 1.0]), np.poly1d([1.0, 0.0])
+    roots = [*(A * B + 2.0 * q * (A.deriv() * B - A * B.deriv())).roots, *B.roots]
     real = [float(root.real) for root in roots if abs(root.imag) < 1e-9 and root.real > 0.0]
     return min(real, default=math.inf)
 
 
-def distort(xy: Array, distortion: tuple[float, float, float, float, float]) -> Array:
+def distort(xy: Array, distortion: tuple[float, ...]) -> Array:
     """Return the distorted normalised coordinates (..., 2) of ideal ones (..., 2)."""
-    k1, k2, p1, p2, k3 = distortion
+    _, _, p1, p2, _ = distortion[:5]
     x, y = np.asarray(xy, np.float64)[..., 0], np.asarray(xy, np.float64)[..., 1]
     r2 = x * x + y * y
-    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    return np.stack(
-        [
-            x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
-            y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
-        ],
-        axis=-1,
+    radial, _ = _radial(r2, distortion)
+    u, v = (
+        x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
+        y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
     )
+    if len(distortion) > 5:
+        s1, s2, s3, s4 = distortion[8:]
+        u, v = u + r2 * (s1 + r2 * s2), v + r2 * (s3 + r2 * s4)
+    return np.stack([u, v], axis=-1)
 
 
-def undistort(
-    xy_distorted: Array, distortion: tuple[float, float, float, float, float], *, strict: bool = True
-) -> Array:
+def _radial(r2: Array, distortion: tuple[float, ...]) -> tuple[Array, Array]:
+    """Return the radial factor A / B and twice its derivative by r²."""
+    k1, k2, _, _, k3 = distortion[:5]
+    radial, slope = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3)), 2.0 * (k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3))
+    if len(distortion) == 5:
+        return radial, slope
+    k4, k5, k6 = distortion[5:8]
+    below = 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6))
+    return radial / below, (slope - 2.0 * radial / below * (k4 + r2 * (2.0 * k5 + 3.0 * r2 * k6))) / below
+
+
+def undistort(xy_distorted: Array, distortion: tuple[float, ...], *, strict: bool = True) -> Array:
     """Invert ``distort`` by Newton's method. Where the lens folds over within the image: raises ValueError, or NaN unless ``strict``."""
     target = np.asarray(xy_distorted, np.float64)
     if not any(distortion):
         return target.copy()
-    k1, k2, p1, p2, k3 = distortion
+    _, _, p1, p2, _ = distortion[:5]
+    s1, s2, s3, s4 = distortion[8:] or (0.0,) * 4
     # Distortion moves a point by far less than the image is wide: the distorted one is near enough to begin with.
     xy = target.copy()
     for _ in range(MAX_ITERATIONS):
@@ -95,18 +107,19 @@ def undistort(
             return xy
         x, y = xy[..., 0], xy[..., 1]
         r2 = x * x + y * y
-        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        # Jacobian of ``distort``: xx, xy_, yy are ∂x_d/∂x, ∂x_d/∂y = ∂y_d/∂x, ∂y_d/∂y.
-        slope = 2.0 * (k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3))
-        xx = radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
-        xy_ = slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y
-        yy = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
-        det = xx * yy - xy_ * xy_
+        radial, slope = _radial(r2, distortion)
+        # Jacobian of ``distort``: xx, xy_, yx, yy are ∂x_d/∂x, ∂x_d/∂y, ∂y_d/∂x, ∂y_d/∂y; but for prisms xy_ and yx are the same.
+        prism_x, prism_y = 2.0 * (s1 + 2.0 * s2 * r2), 2.0 * (s3 + 2.0 * s4 * r2)
+        both = slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y
+        xx = radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x + prism_x * x
+        xy_, yx = both + prism_x * y, both + prism_y * x
+        yy = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x + prism_y * y
+        det = xx * yy - xy_ * yx
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             xy = xy - np.stack(
                 [
                     (yy * residual[..., 0] - xy_ * residual[..., 1]) / det,
-                    (xx * residual[..., 1] - xy_ * residual[..., 0]) / det,
+                    (xx * residual[..., 1] - yx * residual[..., 0]) / det,
                 ],
                 axis=-1,
             )

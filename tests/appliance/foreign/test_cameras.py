@@ -120,16 +120,17 @@ def test_water_bends_rays_behind_ports_only(tmp_path: Path) -> None:
     np.testing.assert_allclose(projected(wet, (x, y, z))[2:], M2[:2, 2], atol=1e-6)
 
 
-def test_longer_lens_models_are_replaced_where_that_is_exact_enough() -> None:
-    short = np.array([-0.1, 0.02, 0.001, -0.001, 0.003])
-    size_px = (640, 480)
-    long = np.concatenate([short, [0.0005, 0.0, 0.0]])
-    lens = lens_of(M1, long, size_px, "left")
-    point = np.array([[0.3, -0.2, 1.0]])
-    wanted = cv2.projectPoints(point, np.zeros(3), np.zeros(3), M1, long)[0].ravel()
-    np.testing.assert_allclose(lens.to_pixels(point[0, :2]), wanted, atol=0.05)
-    with pytest.raises(ForeignError, match="differs from the nearest one of five by"):
-        lens_of(M1, np.array([-0.1, 0.02, 0.05, -0.04, 0.003, 0.0, 0.0, 0.0, 0.3, 0.2, -0.3, 0.4]), size_px, "left")
+@pytest.mark.parametrize("values", [[0.4, -0.2, 0.001, -0.001, 0.03, 0.5, -0.15, 0.02], [-0.1, 0.02, 0.05, -0.04, 0.003, 0.0, 0.0, 0.0, 0.03, 0.02, -0.03, 0.04, 0, 0]])  # fmt: skip
+def test_longer_lens_models_are_opencvs(values: list[float]) -> None:
+    lens = lens_of(M1, np.array(values), (640, 480), "left")
+    points = np.array([[0.3, -0.2, 1.0], [-0.35, 0.25, 1.0], [0.0, 0.0, 1.0], [0.01, 0.3, 1.0]])
+    wanted = np.asarray(
+        cv2.projectPoints(points, np.zeros(3), np.zeros(3), M1, np.array(values))[0], np.float64
+    ).reshape(-1, 2)
+    np.testing.assert_allclose(lens.to_pixels(points[:, :2]), wanted, atol=1e-9)
+    np.testing.assert_allclose(lens.to_normalised(wanted), points[:, :2], atol=1e-9)
+    with pytest.raises(ForeignError, match=r"has 14 values, .* the last two zero \(no tilted sensor\); correct it"):
+        lens_of(M1, np.array([*values[:8], 0.0, 0.0, 0.0, 0.0, 0.0, 0.01]), (640, 480), "left")
 
 
 @pytest.mark.parametrize(
@@ -142,7 +143,7 @@ def test_longer_lens_models_are_replaced_where_that_is_exact_enough() -> None:
             {"M2": M2 * np.array([[1.0], [1.0], [1.0]]) + np.array([[0, 0, 5000.0], [0, 0, 0], [0, 0, 0]])},
             "lies far outside of images",
         ),
-        ({"D1": np.zeros((1, 3))}, "left distortion has 3 values; allowed are 4, 5, 8, 12, 14"),
+        ({"D1": np.zeros((1, 3))}, "left distortion has 3 values, [0.0, 0.0, 0.0]; allowed are 4, 5, 8, 12, 14"),
     ],
 )
 def test_cameras_that_cannot_be_are_refused(tmp_path: Path, change: dict[str, Any], said: str) -> None:

@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from appliance.cli.output import Exit
+from appliance.foreign.cameras import NO_PORT, ForeignRig
 from appliance.foreign.description import counted, parse_description
 from appliance.foreign.images import ImageSet
 from appliance.foreign.own_form import own_sequence
+from appliance.foreign.problem import ForeignError
+from appliance.foreign.reading import ForeignScan
+from appliance.offline.foreign_import import calibration_of
+from appliance.optics.model import HousedCamera, StereoRig
+from appliance.optics.pinhole import Lens
 from appliance.storage.ply import read_ply
 from tests.support.commands import Shell
 from tests.support.foreign_sets import ForeignSet
@@ -44,6 +51,14 @@ def test_another_form_is_no_scan_folder(shell: Shell, foreign_set: Sets, tmp_pat
     assert said.code == Exit.FAILED
     assert "no scan folder can be made: it has no bright and dark image" in said.error
     assert not (tmp_path / "000001").exists()
+
+
+def test_a_lens_that_our_files_cannot_hold_is_no_scan_folder() -> None:
+    short = HousedCamera(640, 480, Lens((800.0, 800.0), (320.0, 240.0)), NO_PORT)
+    long = replace(short, lens=Lens((800.0, 800.0), (320.0, 240.0), (0.1,) * 12), translation_mm=(100.0, 0.0, 0.0))
+    said = parse_description(OWN, Path(), "set", "set.toml")
+    with pytest.raises(ForeignError, match=r"no scan folder can be made: .* the distortion k1, k2, p1, p2, k3 only"):
+        calibration_of(ForeignScan(said, ForeignRig(StereoRig(short, long), 1.0, True), {}, ()))
 
 
 OWN = """

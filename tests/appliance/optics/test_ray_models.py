@@ -136,7 +136,7 @@ def test_distortion_is_opencvs() -> None:
     ):
         coefficients = [0.0] * 5
         coefficients[place] = 0.1
-        lens = Lens((1000.0, 900.0), (10.0, 20.0), tuple(coefficients))  # type: ignore[arg-type]
+        lens = Lens((1000.0, 900.0), (10.0, 20.0), tuple(coefficients))
         expected = (at + 0.1 * np.array(moved)) * [1000.0, 900.0] + [10.0, 20.0]
         np.testing.assert_allclose(lens.to_pixels(at), expected, atol=1e-9)
         np.testing.assert_allclose(lens.to_normalised(expected), at, atol=1e-12)
