@@ -12,7 +12,7 @@ from appliance.foreign.decode import DRAWN, Measured, NoCoordinate, PlacedAxis, 
 from appliance.foreign.description import Description
 from appliance.foreign.images import ImageSet
 from appliance.foreign.order import Shows
-from appliance.foreign.phase import Floats
+from appliance.foreign.phase import ROWS_AT_ONCE, Floats
 
 MAD_TO_SIGMA = 1.4826
 JUMP_STEPS, BEND_STEPS, EDGE_SIGMAS = 6.0, 1.5, 8.0
@@ -22,6 +22,8 @@ RIPPLE_STRIPES = (1.0, 1.5, 2.0)
 """Distances in stripes over which coordinates drawn between their borders are compared."""
 CUT = 8.0
 """Differences count as so many times their median at most."""
+MOST_SAMPLES = 4_000_000
+"""Pixels from which on every second line is asked for a usual value."""
 _DIFFERENCES = 4
 _BINOMIAL = (1.0, -4.0, 6.0, -4.0, 1.0)
 _EVERY = 3
@@ -96,15 +98,16 @@ def clean(placed: PlacedAxis) -> CleanAxis:
     jump_px, bend_px = JUMP_STEPS * step_px + EDGE_SIGMAS * typical_px, BEND_STEPS * step_px + EDGE_SIGMAS * typical_px
     edge = np.zeros(coordinate.shape, np.bool_)
     for along in (0, 1):
-        values = coordinate if along else coordinate.T
-        marks = edge if along else edge.T
-        step = np.diff(values, axis=1)
-        # Missing neighbours (NaN) say nothing.
-        with np.errstate(invalid="ignore"):
-            far = np.abs(step) > jump_px
-            marks[:, 1:] |= far
-            marks[:, :-1] |= far
-            marks[:, 1:-1] |= np.abs(np.diff(step, axis=1)) > bend_px
+        values, all_marks = (coordinate, edge) if along else (coordinate.T, edge.T)
+        for begin in range(0, len(values), ROWS_AT_ONCE):
+            marks = all_marks[begin : begin + ROWS_AT_ONCE]
+            step = np.diff(values[begin : begin + ROWS_AT_ONCE], axis=1)
+            # Missing neighbours (NaN) say nothing.
+            with np.errstate(invalid="ignore"):
+                far = np.abs(step) > jump_px
+                marks[:, 1:] |= far
+                marks[:, :-1] |= far
+                marks[:, 1:-1] |= np.abs(np.diff(step, axis=1)) > bend_px
     kept = np.where(edge, np.float32(np.nan), coordinate)
     modulation = np.maximum(placed.modulation, np.float32(1e-3))
     usual = float(np.median(modulation[np.isfinite(kept)])) if np.isfinite(kept).any() else 1.0
@@ -119,7 +122,7 @@ def clean(placed: PlacedAxis) -> CleanAxis:
 
 def _noise(coordinate: Floats) -> float:
     """Return the usual standard deviation of a coordinate from its differences along the rows; 0 where there are none."""
-    high = np.diff(coordinate, n=_DIFFERENCES, axis=1)
+    high = np.diff(coordinate[:: 1 + coordinate.size // MOST_SAMPLES], n=_DIFFERENCES, axis=1)
     known = np.abs(high[np.isfinite(high)])
     return float(MAD_TO_SIGMA * np.median(known) * _OF_DIFFERENCE**0.5) if known.size else 0.0
 
@@ -147,7 +150,8 @@ def _ripple(coordinate: Floats, width: float) -> float:
 def _usual_step(coordinate: Floats) -> float:
     steps = []
     for along in (0, 1):
-        step = np.abs(np.diff(coordinate, axis=along))
+        every = 1 + coordinate.size // MOST_SAMPLES
+        step = np.abs(np.diff(coordinate[::every] if along else coordinate[:, ::every], axis=along))
         known = step[np.isfinite(step)]
         steps.append(float(np.median(known)) if known.size else 0.0)
     return max(*steps, 1e-3)

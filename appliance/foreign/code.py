@@ -50,8 +50,9 @@ class Threshold(Enum):
 class CodeBits:
     """The bits of one direction that the camera can tell."""
 
-    bits: NDArray[np.bool_]
-    """(n, h, w) in the order of the images: the stripe is bright. Images at either end that the camera cannot resolve are left out."""
+    packed: NDArray[np.uint8]
+    """(n / 8, h, w): ``bits``, eight to a byte."""
+    count: int
     contrast: Floats
     """(h, w): the swing that all but a quarter of the bits reach, in grey values; that of the references or the range without inverses; 0
     where the finest image does not light the pixel: what coarse stripes light by way of the room."""
@@ -62,14 +63,24 @@ class CodeBits:
     """Place between two neighbours along the direction, 0 … 1, at which a bit turns: (h, w − 1), of y (w, h − 1); NaN where none does.
     ``None`` where fringes make the coordinate."""
 
+    @property
+    def bits(self) -> NDArray[np.bool_]:
+        """(n, h, w) in the order of the images: the stripe is bright. Images at either end that the camera cannot resolve are left out."""
+        return np.unpackbits(self.packed, axis=0, count=self.count).view(np.bool_)
+
+    def numbered(self, axis: AxisConvention, rows: slice) -> tuple[NDArray[np.int32], float]:
+        """Return what ``numbered_stripes`` makes of some rows."""
+        bits = np.unpackbits(self.packed[:, rows], axis=0, count=self.count).view(np.bool_)
+        return numbered_stripes(bits, self.left_out, axis)
+
 
 def read_bits(images: ImageSet, axis: AxisConvention, sine_mean: Floats | None) -> CodeBits:
     """Return the bits of a direction; ``sine_mean`` (h, w) is the mean of its sines, ``None`` where it has none."""
     gray, inverse = (images.all_of(shows, axis.name) for shows in (Shows.GRAY, Shows.INVERSE))
     bright, dark = images.image(Shows.BRIGHT), images.image(Shows.DARK)
-    kind = Threshold.INVERSE if inverse else Threshold.RANGE if sine_mean is None else Threshold.SINES
+    kind = Threshold.INVERSE if len(inverse) else Threshold.RANGE if sine_mean is None else Threshold.SINES
     references = [one for one in (dark, bright) if one is not None]
-    if not inverse and len(references) == 2:
+    if not len(inverse) and len(references) == 2:
         kind = Threshold.REFERENCES
     turned = axis.name == "y"
 
@@ -101,13 +112,13 @@ def read_bits(images: ImageSet, axis: AxisConvention, sine_mean: Floats | None) 
     )
     left_out = _unresolved(shares[:, largest[0] > LIT * np.quantile(largest, 0.95)], axis.fine_first)
     kept = slice(left_out[0], len(gray) - left_out[1])
-    bits = np.empty((kept.stop - kept.start, count, length), np.bool_)
+    packed = np.empty((-(-(kept.stop - kept.start) // 8), count, length), np.uint8)
     contrast = np.empty((count, length), np.float32)
     borders = np.empty((count, length - 1), np.float32) if sine_mean is None else None
     for part, (told, _) in zip(parts, windows, strict=True):
         stack, swing = signed(part)
         stack = stack[kept]
-        bits[:, part] = stack > 0.0
+        packed[:, part] = np.packbits(stack > 0.0, axis=0)
         if swing is None:
             # One bit, and of narrow stripes two, may be in the middle of turning: the others tell how much light there is.
             swing = np.partition(np.abs(stack), len(stack) // 4, axis=0)[len(stack) // 4]
@@ -117,8 +128,8 @@ def read_bits(images: ImageSet, axis: AxisConvention, sine_mean: Floats | None) 
         if borders is not None:
             borders[part] = _borders(stack)
     if turned:
-        bits, contrast = np.swapaxes(bits, 1, 2), np.ascontiguousarray(contrast.T)
-    return CodeBits(bits, contrast, kind, left_out, borders)
+        packed, contrast = np.swapaxes(packed, 1, 2), np.ascontiguousarray(contrast.T)
+    return CodeBits(packed, kept.stop - kept.start, contrast, kind, left_out, borders)
 
 
 def _windows(signed: Floats) -> tuple[Floats, Floats]:
@@ -197,7 +208,7 @@ def numbered_stripes(
     """
     number = stripe_numbers(bits, axis)
     stripe_px = axis.stripe_px * 2.0 ** left_out[0 if axis.fine_first else 1]
-    while axis.periods_px and stripe_px <= 0.2501 * axis.periods_px[axis.numbered] and number.any():
+    while axis.periods_px and stripe_px <= 0.2501 * axis.periods_px[axis.numbered]:
         number >>= 1
         stripe_px *= 2.0
     return number, stripe_px

@@ -19,11 +19,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.foreign.code import LINES_AT_ONCE, CodeBits, numbered_stripes, read_bits
+from appliance.foreign.code import LINES_AT_ONCE, CodeBits, read_bits
 from appliance.foreign.description import AxisConvention
 from appliance.foreign.images import ImageSet
 from appliance.foreign.order import FRINGES
-from appliance.foreign.phase import TURN, Floats, SineFit, fit_sine, misfit_share, unbend
+from appliance.foreign.phase import ROWS_AT_ONCE, TURN, Floats, SineFit, fit_sine, misfit_share, unbend
 
 LEAST_MODULATION, MOST_LEAST_MODULATION = 1.0 / 255.0, 5.0 / 255.0
 """Least modulation of a pixel that is used, as a share of full scale: so many ``NOISE_SIGMAS`` of its noise, within these."""
@@ -97,13 +97,17 @@ def measure(images: ImageSet, axis: AxisConvention) -> Measured:
     """Read the images of one direction. Raises ForeignError."""
     fits, singles = [], []
     for period, steps_deg in enumerate(axis.signed_deg[:1] if axis.micro else axis.signed_deg):
-        shot = [one for shows in FRINGES for one in images.all_of(shows, axis.name, period)]
+        kind = next(
+            one.shows for one in images.shown if one.shows in FRINGES and (one.axis, one.period) == (axis.name, period)
+        )
+        shot = images.all_of(kind, axis.name, period)
         across = axis.carriers[period] if axis.carriers else 0
         fits.append(_fit_modulated(shot, steps_deg, across, images.white) if across
                     else fit_sine(shot[: len(steps_deg)], steps_deg, images.white))  # fmt: skip
         if axis.micro:
             modulation = np.maximum(fits[0].modulation, np.float32(1e-3))
             singles = [np.asarray((one - fits[0].offset) / modulation, np.float32) for one in shot[len(steps_deg) :]]
+        del shot
     bits = read_bits(images, axis, fits[0].offset if fits else None) if axis.bits else None
     if not fits:
         assert bits is not None
@@ -118,12 +122,15 @@ def measure(images: ImageSet, axis: AxisConvention) -> Measured:
         unbend(fit.turns, usable, len(one), share)
         for fit, one, share in zip(fits, axis.steps_deg, shares, strict=False)
     ]
+    # What was needed once is kept in few bytes.
+    fits = [replace(fit, offset=np.rint(fit.offset).astype(images.images.dtype), saturated=saturated,
+                    misfit=None if fit.misfit is None else fit.misfit.astype(np.float16)) for fit in fits]  # fmt: skip
     return Measured(
-        tuple(fits) + (finest,) * len(singles), bits, weak, saturated, tuple(singles), shares[axis.finest], bends[axis.finest]
+        tuple(fits) + (fits[0],) * len(singles), bits, weak, saturated, tuple(singles), shares[axis.finest], bends[axis.finest]
     )  # fmt: skip
 
 
-def _fit_modulated(images: list[NDArray[Any]], steps_deg: tuple[float, ...], across: int, white: float) -> SineFit:
+def _fit_modulated(images: NDArray[Any], steps_deg: tuple[float, ...], across: int, white: float) -> SineFit:
     """Fit fringes times a carrier: what varies with the carrier's steps is the light that came straight from the projector.
 
     Source: Chen, Seidel, Lensch, CVPR 2008.
@@ -180,28 +187,33 @@ def place(
 
 def _by_code(found: Measured, axis: AxisConvention, repaired: bool) -> tuple[Floats, NDArray[np.bool_]]:
     """Return the coordinates, and what contradicts: the code numbers the fringes of one period, and that those of each finer one."""
-    k = axis.numbered
-    period = np.float32(axis.periods_px[k])
-    turns = [fit.turns - np.float32(begin / 360.0) for fit, begin in zip(found.fits, axis.begins_deg, strict=True)]
+    k, shape = axis.numbered, found.weak.shape
+    period, begin = np.float32(axis.periods_px[k]), np.float32(axis.begins_deg[k] / 360.0)
     assert found.bits is not None
-    number, stripe_px = numbered_stripes(found.bits.bits, found.bits.left_out, axis)
-    middle = ((number + np.float32(0.5)) * np.float32(stripe_px) + np.float32(axis.code_offset_px)) / period
-    off = turns[k] - middle
-    off -= np.floor(off + np.float32(0.5))
-    coordinate_px = period * (middle + off) - np.float32(0.5)
+    coordinate_px, lost, sure = np.empty(shape, np.float32), np.zeros(shape, np.bool_), np.ones(shape, np.bool_)
+    for first in range(0, shape[0], ROWS_AT_ONCE):
+        rows = slice(first, first + ROWS_AT_ONCE)
+        number, stripe_px = found.bits.numbered(axis, rows)
+        middle = ((number + np.float32(0.5)) * np.float32(stripe_px) + np.float32(axis.code_offset_px)) / period
+        off = found.fits[k].turns[rows] - begin - middle
+        off -= np.floor(off + np.float32(0.5))
+        coordinate_px[rows] = period * (middle + off) - np.float32(0.5)
+        limit = 0.5 * stripe_px / float(period) + SLACK_PERIODS
+        if limit < 0.5 - 0.3 * SLACK_PERIODS:
+            lost[rows] = np.abs(off) > limit
+        elif repaired:
+            sure[rows] = np.abs(off) < UNSURE_PERIODS
     if axis.wraps:
         coordinate_px[coordinate_px < -0.5] += np.float32(axis.covered_px[1])
-    limit = 0.5 * stripe_px / float(period) + SLACK_PERIODS
-    lost = np.zeros(off.shape, np.bool_)
-    if limit < 0.5 - 0.3 * SLACK_PERIODS:
-        lost = np.abs(off) > limit
-    elif repaired:
+    if not sure.all():
         # A stripe as wide as a period: near its borders, a bit and a phase that disagree by a pixel are a whole period apart.
-        sure = ~(found.weak | found.saturated) & (np.abs(off) < UNSURE_PERIODS)
+        sure &= ~(found.weak | found.saturated)
         coordinate_px, lost = _asked_neighbours(coordinate_px, sure, axis)
-    for finer_px, finer in sorted(zip(axis.periods_px, turns, strict=True), key=lambda one: -one[0]):
+    for finer_px, fit, begin_deg in sorted(
+        zip(axis.periods_px, found.fits, axis.begins_deg, strict=True), key=lambda one: -one[0]
+    ):
         if finer_px < period:
-            off = finer - (coordinate_px + np.float32(0.5)) / np.float32(finer_px)
+            off = fit.turns - np.float32(begin_deg / 360.0) - (coordinate_px + np.float32(0.5)) / np.float32(finer_px)
             off -= np.rint(off)
             coordinate_px += off * np.float32(finer_px)
             lost |= np.abs(off) > MOST_FINER
@@ -320,9 +332,9 @@ def _by_code_alone(found: Measured, axis: AxisConvention) -> tuple[Floats, float
     code = found.bits
     assert code is not None
     assert code.borders is not None
-    number, stripe_px = numbered_stripes(code.bits, code.left_out, axis)
     turned = axis.name == "y"
-    rows, usable = (number.T, ~found.weak.T) if turned else (number, ~found.weak)
+    rows, stripe_px = code.numbered(axis, slice(None))
+    rows, usable = (rows.T, ~found.weak.T) if turned else (rows, ~found.weak)
     along = np.empty(rows.shape, np.float32)
     for begin in range(0, len(rows), LINES_AT_ONCE):
         part = slice(begin, begin + LINES_AT_ONCE)

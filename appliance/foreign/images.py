@@ -25,7 +25,7 @@ FULL_SCALES = (255.0, 1023.0, 4095.0, 16383.0, 65535.0)
 """Grey values of saturation that sensors have."""
 CHANNEL_NUMBER = {"blue": 0, "green": 1, "red": 2}
 LOSSY = (".jpg", ".jpeg", ".webp")
-KEPT_BYTES = 200_000_000
+KEPT_BYTES = 100_000_000
 """Images of one camera that are kept once they were read; others are read again."""
 
 
@@ -101,13 +101,14 @@ class ImageSet:
         number = self.find(shows, axis, index, period)
         return None if number is None else self.images[number]
 
-    def all_of(self, shows: Shows, axis: str, period: int = 0) -> list[NDArray[Any]]:
-        """Return all images of a kind, in their order."""
-        return [
-            self.images[k]
-            for k, one in enumerate(self.shown)
-            if (one.shows, one.axis, one.period) == (shows, axis, period)
-        ]
+    def all_of(self, shows: Shows, axis: str, period: int = 0) -> NDArray[Any]:
+        """Return all images (n, h, w) of a kind, in their order."""
+        wanted = [k for k, one in enumerate(self.shown) if (one.shows, one.axis, one.period) == (shows, axis, period)]
+        # In one piece, which is given back as such.
+        found = np.empty((len(wanted), *self.shape), self.images.dtype)
+        for place, k in enumerate(wanted):
+            found[place] = self.images[k]
+        return found
 
 
 def natural_key(text: str) -> list[tuple[int, int, str]]:

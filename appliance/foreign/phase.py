@@ -14,6 +14,7 @@ Source: Guo, He, Chen, Appl. Opt. 43 (2004) 2906.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,7 +31,7 @@ WORST_CONDITION = 30.0
 ROWS_AT_ONCE = 64
 """Rows that are worked on together, so that they stay in the cache."""
 TURN = 2.0 * math.pi
-BINS = 1024
+BINS, SOME = 1024, 1_000_000
 CLEARLY = 2.0
 """A response is bent where its harmonic of the phases' histogram is so many times that of its neighbours, which the thing itself makes."""
 LEAST_LEFT = 2.0
@@ -41,15 +42,15 @@ REST = 0.25
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SineFit:
-    """The best sine through the images of one period, (h, w) float32 each; grey values are the images' own."""
+    """The best sine through the images of one period, (h, w) each; grey values are the images' own."""
 
     turns: Floats
     """Phase φ in turns, −½ … ½."""
     modulation: Floats
     """Half the swing, B."""
-    offset: Floats
+    offset: NDArray[Any]
     """Mean A."""
-    misfit: Floats | None
+    misfit: NDArray[np.floating[Any]] | None
     """Root mean square of what is left, with the degrees of freedom that are left; ``None`` for three steps, which always fit."""
     saturated: NDArray[np.bool_]
     """True where an image is at full scale."""
@@ -68,21 +69,22 @@ def step_weights(steps_deg: tuple[float, ...]) -> NDArray[np.float64]:
     return np.asarray(np.linalg.pinv(columns))
 
 
-def fit_sine(images: list[NDArray[Any]], steps_deg: tuple[float, ...], white: float) -> SineFit:
+def fit_sine(images: Sequence[NDArray[Any]] | NDArray[Any], steps_deg: tuple[float, ...], white: float) -> SineFit:
     """Fit the ``images`` (h, w) of the steps ``steps_deg``, whose saturated grey value is ``white``. Raises ForeignError."""
     # To twelve digits: weights of four steps of 90° are halves and noughts then, and exact.
     weights = np.round(step_weights(steps_deg), 12).astype(np.float32)
     angles = np.deg2rad(np.asarray(steps_deg, np.float64))
     columns = np.stack([np.cos(angles), np.sin(angles)]).astype(np.float32)
     count, shape = len(images), images[0].shape
-    found = np.empty((4, *shape), np.float32)
+    found = [np.empty(shape, np.float32) for _ in range(4)]
     saturated = np.empty(shape, np.bool_)
     for begin in range(0, shape[0], ROWS_AT_ONCE):
         rows = slice(begin, begin + ROWS_AT_ONCE)
         block = np.stack([image[rows] for image in images]).astype(np.float32)
         part = np.empty((4, *block.shape[1:]), np.float32)
         fit_steps(block, weights, columns, np.float32(white), part, saturated[rows])
-        found[:, rows] = part
+        for whole, one in zip(found, part, strict=True):
+            whole[rows] = one
     return SineFit(found[0], found[1], found[2], found[3] if count > 3 else None, saturated)
 
 
@@ -90,7 +92,8 @@ def misfit_share(fit: SineFit, usable: NDArray[np.bool_]) -> float | None:
     """Return what the best sine leaves of the steps, over its modulation; ``None`` where they fit anything, or nothing is seen."""
     if fit.misfit is None or not usable.any():
         return None
-    return float(np.median(fit.misfit[usable] / fit.modulation[usable]))
+    some = np.flatnonzero(usable)[:: 1 + usable.size // SOME]
+    return float(np.median(fit.misfit.ravel()[some] / fit.modulation.ravel()[some]))
 
 
 def unbend(turns: Floats, usable: NDArray[np.bool_], steps: int, share: float | None) -> float:
@@ -98,7 +101,8 @@ def unbend(turns: Floats, usable: NDArray[np.bool_], steps: int, share: float | 
 
     Returns the standard deviation of what remains, in turns; ``share`` is what the steps leave.
     """
-    counts = np.bincount(np.clip((turns[usable] + 0.5) * BINS, 0, BINS - 1).astype(np.int32), minlength=BINS)
+    some = turns.ravel()[np.flatnonzero(usable)[:: 1 + usable.size // SOME]]
+    counts = np.bincount(np.clip((some + 0.5) * BINS, 0, BINS - 1).astype(np.int32), minlength=BINS)
     middles = (np.arange(BINS) + 0.5) / BINS - 0.5
     orders = [steps - 1, steps + 1, steps, 2 * steps, 3 * steps]
     # Mean of exp(i n φ): an error ε sin(n φ) makes it ε n / 2.
