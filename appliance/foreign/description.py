@@ -176,6 +176,8 @@ class Description:
     ports: Ports | None = None
     near_mm: float | None = None
     far_mm: float | None = None
+    max_sigma_mm: float | None = None
+    """Largest expected error of a point; ``None``: it follows from the size of a pixel."""
 
     @property
     def one_direction(self) -> bool:
@@ -246,14 +248,14 @@ def _described(top: Table, folder: Path, name: str) -> Description:
             f"no image has stripes ({', '.join(sorted({one.word for one in shown}))}); name some, for example gray-x"
         )
     ranges = top.table("range") or Table("range.", {})
-    ranges.only("near_mm", "far_mm")
+    ranges.only("near_mm", "far_mm", "max_sigma_mm")
     near_mm, far_mm = (ranges.optional(key, 1.0, 1e6) for key in ("near_mm", "far_mm"))
     if near_mm is not None and far_mm is not None and near_mm >= far_mm:
         raise ForeignError(f"range.near_mm is {near_mm:g}; allowed: less than far_mm = {far_mm:g}; exchange them")
     return Description(
         top.text("name", name), folder, files, order, images.choice("channel", CHANNELS, "grey"),
         images.optional("white", 1.0, 1e6), size_px, tuple(axes), cameras, _medium(top.table("water")), _ports(top.table("ports")),
-        near_mm, far_mm,
+        near_mm, far_mm, ranges.optional("max_sigma_mm", 1e-6, 1e6),
     )  # fmt: skip
 
 
