@@ -98,7 +98,6 @@ def undistort(xy_distorted: Array, distortion: tuple[float, ...], *, strict: boo
     if not any(distortion):
         return target.copy()
     _, _, p1, p2, _ = distortion[:5]
-    s1, s2, s3, s4 = distortion[8:] or (0.0,) * 4
     # Distortion moves a point by far less than the image is wide: the distorted one is near enough to begin with.
     xy = target.copy()
     for _ in range(MAX_ITERATIONS):
@@ -108,18 +107,16 @@ def undistort(xy_distorted: Array, distortion: tuple[float, ...], *, strict: boo
         x, y = xy[..., 0], xy[..., 1]
         r2 = x * x + y * y
         radial, slope = _radial(r2, distortion)
-        # Jacobian of ``distort``: xx, xy_, yx, yy are ∂x_d/∂x, ∂x_d/∂y, ∂y_d/∂x, ∂y_d/∂y; but for prisms xy_ and yx are the same.
-        prism_x, prism_y = 2.0 * (s1 + 2.0 * s2 * r2), 2.0 * (s3 + 2.0 * s4 * r2)
-        both = slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y
-        xx = radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x + prism_x * x
-        xy_, yx = both + prism_x * y, both + prism_y * x
-        yy = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x + prism_y * y
-        det = xx * yy - xy_ * yx
+        # Jacobian of ``distort``: xx, xy_, yy are ∂x_d/∂x, ∂x_d/∂y = ∂y_d/∂x, ∂y_d/∂y; what prisms do to it is too little to matter.
+        xx = radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
+        xy_ = slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y
+        yy = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
+        det = xx * yy - xy_ * xy_
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             xy = xy - np.stack(
                 [
                     (yy * residual[..., 0] - xy_ * residual[..., 1]) / det,
-                    (xx * residual[..., 1] - yx * residual[..., 0]) / det,
+                    (xx * residual[..., 1] - xy_ * residual[..., 0]) / det,
                 ],
                 axis=-1,
             )
