@@ -13,6 +13,7 @@ import re
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cache, cached_property
 from pathlib import Path
 
 import pytest
@@ -50,21 +51,23 @@ class Stated:
     alone: bool
     """It is all of that value, not a part of a table or of an expression."""
 
-    @property
+    @cached_property
     def words(self) -> frozenset[str]:
         return frozenset(w for w in re.split(r"[^a-z]+", self.name.lower()) if len(w) > 2 and w not in SMALL_WORDS)
 
-    @property
+    @cached_property
     def unit(self) -> str:
         last = self.name.lower().rpartition("_")[2]
         return last if last in UNITS else ""
 
 
+@cache
 def digits(value: float) -> int:
     """Return how many significant decimal digits a number has."""
     return len(f"{abs(value):.12e}".partition("e")[0].replace(".", "").rstrip("0"))
 
 
+@cache
 def is_round(value: float) -> bool:
     """Return whether a number says nothing by itself: one digit, a power of two, or one less than that."""
     whole = int(abs(value)) if float(value).is_integer() else -1
@@ -126,7 +129,7 @@ def counts(one: Stated, other: Stated) -> bool:
     """Return whether the same number on both sides needs a reason."""
     if digits(one.value) >= 3 and not is_round(one.value):
         return True
-    if not one.name or not other.name or one.value in (0.0, 1.0, 2.0):
+    if not one.name or not other.name:
         return False
     same_unit = bool(one.unit) and one.unit == other.unit and one.alone and other.alone
     return bool(one.words & other.words) or (same_unit and not is_round(one.value))
@@ -136,7 +139,8 @@ def shared(simulator: list[Stated], product: list[Stated]) -> dict[str, str]:
     """Return the pairs that state the same number, as ``value name = name``, and where they stand: see the module's docstring."""
     by_value: dict[float, list[Stated]] = defaultdict(list)
     for one in product:
-        by_value[one.value].append(one)
+        if one.value not in (0.0, 1.0, 2.0):
+            by_value[one.value].append(one)
     found: dict[str, str] = {}
     for one in simulator:
         for other in by_value.get(one.value, ()):

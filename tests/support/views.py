@@ -20,7 +20,7 @@ from hw_sim.objects import shapes, texture
 from hw_sim.objects.motion import pose_matrix
 from tests.support import synthetic
 
-CALIBRATION = synthetic.calibration(640, 480)
+CALIBRATION = synthetic.calibration(400, 300)
 LIGHT_MM = 0.5 * np.asarray(CALIBRATION.rig.right.translation_mm)
 PROJECTION = projection_of(CALIBRATION.rig.left, synthetic.WATER.index)
 SIGMA_MM = 0.025

@@ -17,7 +17,7 @@ from appliance.registration.rigid import Rigid
 from appliance.scan.overlap import Overlap
 from tests.support.views import PROJECTION, SeenView, between, view
 
-STRIDE_PX = 3
+STRIDE_PX = 2
 WITHIN = 0.04
 """A diver is told whole percents; a twentieth of a view changes nothing."""
 

@@ -216,7 +216,7 @@ def test_what_speaks_against_a_pose_is_what_misses_hovers_finds_nothing_or_diffe
     assert _contradiction(replace(bad, alike=None, overlap=1.3)) == pytest.approx(0.01 + 0.04 + 0.03 - 0.1)
 
 
-@pytest.mark.parametrize(("radius_px", "refusal"), [(30, None), (75, PairRefusal.CONTRADICTS)])
+@pytest.mark.parametrize(("radius_px", "refusal"), [(19, None), (47, PairRefusal.CONTRADICTS)])
 def test_a_surface_that_hovers_before_the_other_scan_is_not_joined(radius_px: int, refusal: PairRefusal | None) -> None:
     """A disc of the second scan lies 5 mm nearer to its camera than the first saw it: something was there that moved."""
     first, second = seen("shell", "none", SHELL)

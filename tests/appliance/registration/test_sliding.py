@@ -16,16 +16,10 @@ from appliance.registration.reference import LaidOnto, OrientedPoints, _led, _Sa
 from appliance.registration.rigid import Rigid
 from appliance.surface.deviation import NominalTree
 from appliance.surface.nominal import Nominal, nominal_of, read_nominal
-from tests.support.flanged import AT_MM, RADIUS_MM, TRUE, cloud, pipe, view
+from tests.support.flanged import AT_MM, RADIUS_MM, TRUE, cloud, finer, pipe, view
 from tests.support.views import Array
 
 SLID_MM = 60.0
-
-
-def finer() -> tuple[Array, Array]:
-    cut: Any = trimesh.remesh.subdivide_to_size
-    vertices, faces = cut(*pipe(256), 60.0)
-    return vertices, faces
 
 
 def laid(vertices: Array, faces: Array, points: OrientedPoints, start: Rigid | None = None) -> LaidOnto:
