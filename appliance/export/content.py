@@ -36,10 +36,12 @@ class About:
     marks: tuple[str, ...] = ()
     """Whatever spoils the whole, each with its word in front (``unchecked: …``): in every format these very words, never shortened to
     a line's length, so that one search finds them in any file."""
+    unit: str = ""
+    """Unit of all lengths, in place of the format's own: of a cloud whose scale nobody knows."""
 
     def lines(self, unit: str) -> list[str]:
-        """Return all of it as ASCII lines, with the ``unit`` of lengths in the file; but for marks, of at most 200 characters."""
-        said = [f"{self.title}: unit {unit}, {self.frame}", *self.notes]
+        """Return all of it as ASCII lines, with the format's ``unit`` of lengths; but for marks, of at most 200 characters."""
+        said = [f"{self.title}: unit {self.unit or unit}, {self.frame}", *self.notes]
         first, *others = [_plain(line)[:MOST_CHARACTERS] for line in said]
         return [first, *self.mark_lines(), *others]
 
@@ -72,15 +74,15 @@ class ExportedPoints:
             raise ExportError("a point has a coordinate that is no number; nothing is written")
 
 
-def points_of_scan(cloud: OrganisedCloud) -> ExportedPoints:
-    """Return the points of one scan, in the order of their pixels, with normals."""
+def points_of_scan(cloud: OrganisedCloud, unit: str = "mm") -> ExportedPoints:
+    """Return the points of one scan, in the order of their pixels, with normals; ``unit``: what its lengths are in."""
     there = cloud.mask
     return ExportedPoints(
         points_mm=cloud.points_mm[there],
         sigma_mm=cloud.sigma_mm[there],
         grey=cloud.grey[there],
         normals=normals(cloud)[there],
-        more={"modulation_dn": cloud.modulation_dn[there], "ray_gap_mm": cloud.ray_gap_mm[there]},
+        more={"modulation_dn": cloud.modulation_dn[there], f"ray_gap_{unit}": cloud.ray_gap_mm[there]},
     )
 
 

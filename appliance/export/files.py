@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.export.content import (
+    MM_PER_M,
     About,
     ExportedPoints,
     points_of_mesh,
@@ -35,7 +36,13 @@ def write_scan(path: Path, cloud: OrganisedCloud, about: About) -> None:
     if checked_suffix(path, SCAN_SUFFIXES, "a scan") == ".npz":
         replace_file(LocalFileSystem(), path, encode_npz(cloud, about))
         return
-    _write_points(path, points_of_scan(cloud), about)
+    points = points_of_scan(cloud, about.unit or "mm")
+    if about.unit and path.suffix.lower() in (".e57", ".las"):
+        # These divide by 1000 for their metres: without a scale, numbers are as they are.
+        points = replace(
+            points, points_mm=points.points_mm * np.float32(MM_PER_M), sigma_mm=points.sigma_mm * np.float32(MM_PER_M)
+        )
+    _write_points(path, points, about)
 
 
 def write_surface(

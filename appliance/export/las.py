@@ -19,7 +19,7 @@ from appliance.surface.libraries import needed
 SCALE_M = 1e-7
 _MM = "_mm"
 _LOCAL = (
-    'LOCAL_CS["{title}",LOCAL_DATUM["{frame}",0],UNIT["metre",1.0],AXIS["X",OTHER],AXIS["Y",OTHER],AXIS["Z",OTHER]]'
+    'LOCAL_CS["{title}",LOCAL_DATUM["{frame}",0],UNIT["{unit}",1.0],AXIS["X",OTHER],AXIS["Y",OTHER],AXIS["Z",OTHER]]'
 )
 _TO_16_BIT = 257
 """255 becomes 65535."""
@@ -39,16 +39,17 @@ def encode_las(points: ExportedPoints, about: About) -> bytes:
     widest_m = float((metres - header.offsets).max(initial=0.0))
     steps = max(0, int(np.ceil(np.log10(max(widest_m, SCALE_M) / (SCALE_M * np.iinfo(np.int32).max)))))
     header.scales = np.full(3, SCALE_M * 10.0**steps)
-    header.system_identifier = "Kingfisher, unit metre"
+    unit = about.unit or "metre"
+    header.system_identifier = f"Kingfisher, unit {unit}"
     header.generating_software = "kingfisher"
     title, frame = (text.replace('"', "'") for text in (about.lines("m")[0], about.frame))
-    header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(_LOCAL.format(title=title, frame=frame)))
+    header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(_LOCAL.format(title=title, frame=frame, unit=unit)))
     header.global_encoding.wkt = True
     text = "\n".join(about.lines("m")).encode("ascii")[:_MOST_TEXT] + b"\0"
     header.vlrs.append(laspy.vlrs.VLR(*_TEXT_AREA, "what is said of all points", text))
     known = finite(points.normals)
     extra = {
-        "sigma_m": (points.sigma_mm.astype(np.float64) / MM_PER_M, "standard deviation, metre"),
+        f"sigma_{about.unit or 'm'}": (points.sigma_mm.astype(np.float64) / MM_PER_M, f"standard deviation, {unit}"),
         "normal_x": (known[:, 0], "unit vector"),
         "normal_y": (known[:, 1], "unit vector"),
         "normal_z": (known[:, 2], "unit vector"),

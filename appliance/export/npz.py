@@ -23,21 +23,29 @@ from appliance.reconstruct.organised import OrganisedCloud
 
 def encode_npz(cloud: OrganisedCloud, about: About) -> bytes:
     """Return the archive, compressed."""
-    said = {"title": about.title, "frame": about.frame, "unit": "mm", "notes": [*about.mark_lines(), *about.notes]}
+    said = {
+        "title": about.title,
+        "frame": about.frame,
+        "unit": about.unit or "mm",
+        "notes": [*about.mark_lines(), *about.notes],
+    }
     made = io.BytesIO()
-    whole: dict[str, Any] = {**arrays_of(cloud), "about": np.array(json.dumps(said, ensure_ascii=False))}
+    whole: dict[str, Any] = {
+        **arrays_of(cloud, about.unit or "mm"),
+        "about": np.array(json.dumps(said, ensure_ascii=False)),
+    }
     np.savez_compressed(made, **whole)
     return made.getvalue()
 
 
-def arrays_of(cloud: OrganisedCloud) -> dict[str, NDArray[Any]]:
-    """Return the arrays of a scan, each (h, w), by their names."""
+def arrays_of(cloud: OrganisedCloud, unit: str = "mm") -> dict[str, NDArray[Any]]:
+    """Return the arrays of a scan, each (h, w), by their names; ``unit``: what its lengths are in."""
     return {
-        "x_mm": cloud.points_mm[..., 0],
-        "y_mm": cloud.points_mm[..., 1],
-        "z_mm": cloud.points_mm[..., 2],
-        "sigma_mm": cloud.sigma_mm,
-        "ray_gap_mm": cloud.ray_gap_mm,
+        f"x_{unit}": cloud.points_mm[..., 0],
+        f"y_{unit}": cloud.points_mm[..., 1],
+        f"z_{unit}": cloud.points_mm[..., 2],
+        f"sigma_{unit}": cloud.sigma_mm,
+        f"ray_gap_{unit}": cloud.ray_gap_mm,
         "modulation_dn": cloud.modulation_dn,
         "grey": cloud.grey,
         "mask": cloud.mask,

@@ -44,7 +44,7 @@ def encode_surface(points: ExportedPoints, about: About, faces: NDArray[np.int32
     marks = about.mark_lines()
     # Marks stand as in the instrument's own clouds, behind "comment" alone: one reader knows both.
     header += [f"comment {'' if line in marks else 'Kingfisher '}{line}" for line in about.lines("mm")]
-    header += ["comment sigma: standard deviation in mm", f"element vertex {n}"]
+    header += [f"comment sigma: standard deviation in {about.unit or 'mm'}", f"element vertex {n}"]
     header += [f"property {word} {name}" for name, _, word in columns]
     triangles = np.zeros(0 if faces is None else len(faces), _FACE)
     if faces is not None:

@@ -39,6 +39,8 @@ from appliance.storage.scan import ScanOrigin, discard_raw, finish, write_raw
 
 METHOD = "foreign"
 """Method of a calibration that was made by others."""
+BASELINES = "baselines"
+"""Unit of a cloud whose calibration has no scale: the distance of both cameras."""
 LEAST_SHARE = 0.05
 """Least share of the left pixels with coordinates that become points: fewer are there by chance."""
 LEAST_WITHIN = 0.5
@@ -81,8 +83,8 @@ def import_cloud(
     note = f"index {scan.rig.index:.5f}, {'air' if scan.rig.in_air else 'water'}, imported by software {__version__}"
     marks = [found.unchecked] if found.unchecked else []
     marks += [f"wrong: {one.about}: {one.text}" for one in scan.wrong]
-    write_scan(out, found.cloud, About(scan.description.name, CAMERA_FRAME, (note,), tuple(marks)))
-    unit = "m" if suffix in (".e57", ".las") else "mm"
+    write_scan(out, found.cloud, About(scan.description.name, CAMERA_FRAME, (note,), tuple(marks), _unit(scan)))
+    unit = _unit(scan) or ("m" if suffix in (".e57", ".las") else "mm")
     return {"file": str(out), "format": suffix.removeprefix("."), "unit": unit, **_report(scan, found)}
 
 
@@ -94,6 +96,10 @@ def import_scan(
     scan = _read(path, progress, as_described)
     images = {side: camera.images for side, camera in scan.cameras.items()}
     sequence = _own_sequence(path, out, scan.description, images["left"])
+    if not scan.rig.scale_known:
+        raise ForeignError(
+            f"{path}: no scan folder can be made: the calibration has no scale; give the translation's length in mm"
+        )
     if scan.wrong:
         raise ForeignError(f"{path}: no scan folder can be made of images that are described wrongly; correct it")
     found = _found(path, scan, progress, reasons)
@@ -162,13 +168,19 @@ def _found(path: Path, scan: ForeignScan, progress: Callable[[str], None], reaso
         why = [found.failure] if found.failure else found.largest_reasons(of_lit=found.lit > 0)
         raise ForeignError(
             f"{path}: {found.points} points are left of {found.lit} left pixels with coordinates, between {found.depths_mm[0]:.4g} and "
-            f"{found.depths_mm[1]:.4g} mm: {'; '.join(why)}"
+            f"{found.depths_mm[1]:.4g} {_unit(scan) or 'mm'}: {'; '.join(why)}"
         )
     return found
 
 
+def _unit(scan: ForeignScan) -> str:
+    """Return the unit of all lengths where it is not mm."""
+    return "" if scan.rig.scale_known else BASELINES
+
+
 def _report(scan: ForeignScan, found: ForeignCloud) -> dict[str, Any]:
     cloud, there = found.cloud, found.cloud.mask
+    unit = _unit(scan) or "mm"
     gaps_mm, sigma_mm = cloud.ray_gap_mm[there], cloud.sigma_mm[there]
     needed = "need four steps of 90° in two directions with bright and dark"
     if not isinstance(own_sequence(scan.description, scan.cameras["left"].images), str):
@@ -182,11 +194,11 @@ def _report(scan: ForeignScan, found: ForeignCloud) -> dict[str, Any]:
         "points": found.points,
         "coverage_percent": 100.0 * found.points / found.lit,
         "decoded_percent": {side: 100.0 * camera.share_valid() for side, camera in scan.cameras.items()},
-        "distance_mm": float(np.median(cloud.points_mm[..., 2][there])),
-        "noise_mm": float(np.nanmedian(sigma_mm)) if np.isfinite(sigma_mm).any() else None,
-        "gap_mm": float(np.median(gaps_mm)) if np.isfinite(gaps_mm).any() else None,
+        f"distance_{unit}": float(np.median(cloud.points_mm[..., 2][there])),
+        f"noise_{unit}": float(np.nanmedian(sigma_mm)) if np.isfinite(sigma_mm).any() else None,
+        f"gap_{unit}": float(np.median(gaps_mm)) if np.isfinite(gaps_mm).any() else None,
         "index": scan.rig.index,
-        "baseline_mm": float(np.linalg.norm(scan.rig.rig.right.translation_mm)),
+        f"baseline_{unit}": float(np.linalg.norm(scan.rig.rig.right.translation_mm)),
         "without_point": found.largest_reasons(),
         "reasons": found.reasons,
         "fits": fits,

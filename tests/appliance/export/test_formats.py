@@ -133,11 +133,11 @@ def test_the_same_points_give_the_same_e57_file(cloud: OrganisedCloud, tmp_path:
     assert (tmp_path / "one.e57").read_bytes() == (tmp_path / "two.e57").read_bytes()
 
 
-def las_columns(raw: bytes) -> dict[str, NDArray[Any]]:
+def las_columns(raw: bytes, unit: str = "metre") -> dict[str, NDArray[Any]]:
     """Points of an LAS 1.4 file of point format 6, from the tables of ASPRS' specification."""
     assert raw[:4] == b"LASF"
     assert (raw[24], raw[25]) == (1, 4)
-    assert raw[26:58].rstrip(b"\0") == b"Kingfisher, unit metre"
+    assert raw[26:58].rstrip(b"\0") == f"Kingfisher, unit {unit}".encode()
     assert raw[58:90].rstrip(b"\0") == b"kingfisher"
     assert raw[6] & 16, "its coordinate system is in words"
     assert raw[90:94] == bytes(4), "no date, else the same points would not give the same file"
@@ -189,6 +189,26 @@ def test_las_is_in_metres_and_a_micrometre_survives(surface: FusedCloud, tmp_pat
     texts = read["texts"].tobytes()
     assert b'UNIT["metre",1.0]' in texts
     assert b"standard deviation, metre" in texts
+
+
+def test_a_cloud_without_scale_has_its_unit_in_every_file(cloud: OrganisedCloud, tmp_path: Path) -> None:
+    """Numbers are as they are, also where a format has metres, and no name says mm or m."""
+    unscaled = replace(ABOUT, unit="baselines")
+    for suffix in (".ply", ".las", ".e57", ".npz"):
+        write_scan(tmp_path / f"ball{suffix}", cloud, unscaled)
+    points, sigma = cloud.points_mm[cloud.mask], cloud.sigma_mm[cloud.mask]
+    las, e57 = las_columns((tmp_path / "ball.las").read_bytes(), "baselines"), read_e57(tmp_path / "ball.e57")
+    np.testing.assert_allclose(las["xyz"], points, atol=1e-5)
+    np.testing.assert_allclose(las["sigma_baselines"], sigma, rtol=1e-6)
+    assert b'UNIT["baselines",1.0]' in las["texts"].tobytes()
+    np.testing.assert_allclose(e57.columns["cartesianZ"], points[:, 2], atol=1e-4)
+    assert "unit baselines" in e57.description
+    header = (tmp_path / "ball.ply").read_bytes().partition(b"end_header")[0].decode()
+    for said in ("unit baselines", "deviation in baselines", "float ray_gap_baselines"):
+        assert said in header
+    with np.load(tmp_path / "ball.npz") as archive:
+        assert json.loads(str(archive["about"]))["unit"] == "baselines"
+        np.testing.assert_array_equal(archive["z_baselines"], cloud.points_mm[..., 2])
 
 
 def test_what_spoils_a_cloud_is_said_in_the_same_words_in_every_file(cloud: OrganisedCloud, tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -80,6 +81,24 @@ def test_a_wrong_word_is_named_with_what_fits(
     with pytest.raises(ForeignError, match=re.escape(said)):
         import_cloud(described, tmp_path / "cloud.ply", lambda _: None)
     assert not (tmp_path / "cloud.ply").exists()
+
+
+def test_a_calibration_without_scale_makes_a_cloud_in_baselines(foreign_set: Sets, tmp_path: Path) -> None:
+    made = foreign_set("three-steps")
+    folder = made.description.parent
+    numbers = cv2.FileStorage(str(folder / "stereo.yml"), cv2.FILE_STORAGE_READ)
+    unscaled = cv2.FileStorage(str(folder / "unscaled.yml"), cv2.FILE_STORAGE_WRITE)
+    length_mm = float(np.linalg.norm(numbers.getNode("T").mat()))
+    for name in ("M1", "D1", "M2", "D2", "R"):
+        unscaled.write(name, numbers.getNode(name).mat())
+    unscaled.write("T", np.asarray(numbers.getNode("T").mat(), np.float64) / length_mm)
+    unscaled.release()
+    whole = import_cloud(made.description, tmp_path / "cloud.npz", lambda _: None)
+    report = import_cloud(made.described(('"stereo.yml"', '"unscaled.yml"')), tmp_path / "cloud.las", lambda _: None)
+    assert report["unit"] == "baselines"
+    assert report["baseline_baselines"] == pytest.approx(1.0)
+    assert report["distance_baselines"] * length_mm == pytest.approx(whole["distance_mm"], rel=1e-4)
+    assert report["points"] == pytest.approx(whole["points"], rel=1e-3)
 
 
 def test_exchanged_cameras_are_noticed_where_rays_must_meet(shell: Shell, foreign_set: Sets, tmp_path: Path) -> None:
