@@ -241,7 +241,7 @@ def _extent(description: Description, rig: ForeignRig, said: list[ExaminedAssump
     """Say whether anything checks the projector's size: the words of its calibration, else what checks the period."""
     found = []
     fit = {one.about for one in said if one.outcome is Outcome.FITS}
-    stated = getattr(rig, "stated_px", {}).get("right") == description.projector_px
+    stated = rig.stated_px.get("right") == description.projector_px
     for axis, word, size_px, at_px in zip(
         "xy", ("width", "height"), description.projector_px, rig.rig.right.lens.c_px, strict=True
     ):
@@ -275,7 +275,7 @@ def _lengths(rig: ForeignRig, here: _Found) -> list[ExaminedAssumption]:
         return []
     apart_mm = float(np.linalg.norm(rig.rig.right.translation_mm))
     text = f"no image tells lengths: with it both are {apart_mm:.4g} mm apart, and the object is {here.depth_mm:.4g} mm away"
-    if not getattr(rig, "scale_known", True):
+    if not rig.scale_known:
         text = "the calibration states no length (|T| = 1): lengths are in baselines"
     return [unchecked("cameras.unit", text)]
 
