@@ -394,7 +394,7 @@ def _periods(found: Measured, axis: AxisConvention, coordinate_px: Floats) -> li
     text += f", and would be {360 * chance:.1f}° by chance; {leaps}"
     if goes_on >= GOES_ON:
         return [fits(about, text)]
-    if goes_on < LEAPS or (here > POOR_OF_CHANCE * chance and len(usual) > 2):
+    if here > POOR_OF_CHANCE * chance and (goes_on < LEAPS or len(usual) > 2):
         return [wrong(about, f"{text}: check it or {axis.name}.fringes, and the order of the images")]
     return [unchecked(about, text)]
 

@@ -46,5 +46,7 @@ def test_a_large_image_is_reduced_and_its_offset_is_in_its_own_pixels() -> None:
 def test_what_is_smooth_repeats_or_lies_beyond_the_reach_tells_nothing() -> None:
     smooth = np.full((HEIGHT, WIDTH), 90, np.uint8)
     fringes = np.broadcast_to(100 + 50 * np.cos(np.arange(HEIGHT) * 0.7)[:, None], (HEIGHT, WIDTH)).astype(np.uint8)
-    for left, right in ((smooth, smooth), (fringes, fringes), (speckled((0.0, 0.0)), speckled((0.0, 60.0)))):
+    still = speckled((0.0, 0.0))
+    pairs = [(smooth, smooth), (fringes, fringes), *((still, speckled((0.0, moved))) for moved in (60.0, 16.0, -16.0))]
+    for left, right in pairs:
         assert not Texture.of(left, right).offset(places(), places().astype(float), True).tells
