@@ -48,7 +48,7 @@ class DecodedCamera:
 
     @property
     def misfit_share(self) -> dict[str, float | None]:
-        """What sines leave of the steps of each direction, over their modulation; ``None`` where nothing tells."""
+        """Misfit of the steps of each direction, over their modulation; ``None`` where nothing tells."""
         return {name: one.misfit_share for name, one in self.measured.items()}
 
     def share_valid(self) -> float:

@@ -90,22 +90,22 @@ def read_bits(images: ImageSet, axis: AxisConvention, sine_mean: Floats | None) 
     def signed(part: slice) -> tuple[Floats, Floats | None]:
         """Return the differences from the threshold (n, lines, length) of some lines along the direction, and the swing that is known."""
         stack = np.stack([lines(one, part) for one in gray])
-        match kind:
-            case Threshold.INVERSE:
-                for one, other in zip(stack, inverse, strict=True):
-                    one -= lines(other, part)
-                return stack, None
-            case Threshold.SINES:
-                assert sine_mean is not None
-                return stack - lines(sine_mean, part), None
-            case Threshold.REFERENCES:
-                low, high = (lines(one, part) for one in references)
-            case Threshold.RANGE:
-                low, high = stack.min(axis=0), stack.max(axis=0)
+        if kind is Threshold.INVERSE:
+            for one, other in zip(stack, inverse, strict=True):
+                one -= lines(other, part)
+            return stack, None
+        if kind is Threshold.SINES:
+            assert sine_mean is not None
+            return stack - lines(sine_mean, part), None
+        if kind is Threshold.REFERENCES:
+            low, high = (lines(one, part) for one in references)
+        else:
+            low, high = stack.min(axis=0), stack.max(axis=0)
         return stack - np.float32(0.5) * (low + high), high - low
 
     count, length = images.shape[::-1] if turned else images.shape
     parts = [slice(begin, begin + LINES_AT_ONCE) for begin in range(0, count, LINES_AT_ONCE)]
+    # Twice over the lines: what is left out is known when all windows were seen, and no stack of floats lives longer than its lines.
     windows = [_windows(signed(part)[0]) for part in parts]
     shares, largest = (
         np.concatenate([one.reshape(len(one), -1) for one in kind], axis=1) for kind in zip(*windows, strict=True)

@@ -72,7 +72,7 @@ class Measured:
     singles: tuple[Floats, ...] = ()
     """Cosine (h, w) of each further period of micro phase shifting, of which one image was taken."""
     misfit_share: float | None = None
-    """What a sine leaves of the finest period's steps, over its modulation; ``None`` where three steps or none fit anything."""
+    """Misfit of the finest period's steps, over its modulation; ``None`` where three steps or none fit anything."""
     bend_turns: float = 0.0
     """Standard deviation of that period's phase by what remains of a response that is no straight line."""
 
@@ -107,6 +107,7 @@ def measure(images: ImageSet, axis: AxisConvention) -> Measured:
         if axis.micro:
             modulation = np.maximum(fits[0].modulation, np.float32(1e-3))
             singles = [np.asarray((one - fits[0].offset) / modulation, np.float32) for one in shot[len(steps_deg) :]]
+        # Before the code is read: both at once are a third of all memory.
         del shot
     bits = read_bits(images, axis, fits[0].offset if fits else None) if axis.bits else None
     if not fits:
@@ -204,6 +205,7 @@ def _by_code(found: Measured, axis: AxisConvention, repaired: bool) -> tuple[Flo
         elif repaired:
             sure[rows] = np.abs(off) < UNSURE_PERIODS
     if axis.wraps:
+        # Before neighbours are asked, which lie at the same end.
         coordinate_px[coordinate_px < -0.5] += np.float32(axis.covered_px[1])
     if not sure.all():
         # A stripe as wide as a period: near its borders, a bit and a phase that disagree by a pixel are a whole period apart.
@@ -300,6 +302,7 @@ def _all_together(
     for cosine, other, begin in cosines:
         angle = np.float32(TURN) * (edge_px / other + begin)
         slope = np.float32(-TURN / other) * np.sin(angle)
+        # Mean and modulation are those of the first period's steps: their own error is small beside one image's.
         weight += slope * slope
         total += slope * (cosine - np.cos(angle))
     return np.asarray(total / weight, np.float32)

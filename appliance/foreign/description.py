@@ -49,7 +49,7 @@ class AxisConvention:
     start_deg: float = 0.0
     """Phase at the edge of the pattern, of all periods."""
     starts_deg: tuple[float, ...] = ()
-    """What each period has besides; empty: nothing."""
+    """Phase that each period has besides; empty: nothing."""
     from_middle: bool = False
     """True if phases begin at the middle of column 0, half a px behind the edge."""
     carriers: tuple[int, ...] = ()
@@ -89,7 +89,7 @@ class AxisConvention:
 
     @property
     def covered_px(self) -> tuple[float, float]:
-        """Where the code begins and ends."""
+        """Edges of the code."""
         length_px = self.stripe_px * 2**self.bits
         return (0.0, length_px) if self.wraps else (self.code_offset_px, self.code_offset_px + length_px)
 

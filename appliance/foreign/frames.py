@@ -55,16 +55,9 @@ class Frame:
     def cut(self, image: NDArray[Any]) -> NDArray[Any]:
         """Return the part of a picture (h, w) that is this image."""
         rows, columns = (size // 2 for size in image.shape[:2])
-        match self.half:
-            case "left half":
-                return image[:, :columns]
-            case "right half":
-                return image[:, columns:]
-            case "upper half":
-                return image[:rows]
-            case "lower half":
-                return image[rows:]
-        return image
+        parts = {"left half": (slice(None), slice(columns)), "right half": (slice(None), slice(columns, None)),
+                 "upper half": (slice(rows),), "lower half": (slice(rows, None),)}  # fmt: skip
+        return image[parts.get(self.half, ())]
 
 
 def split_name(pattern: str) -> tuple[str, str]:

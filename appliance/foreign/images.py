@@ -63,6 +63,7 @@ class Pictures:
         frame = self.frames[number]
         image = frame.cut(_grey(frame, self._reader.raw(frame), frame.channel or self.channel))
         self._alike(frame, image.shape, image.dtype)
+        # Bright and dark are asked for by each direction, and small sets by every test.
         if image.nbytes * (len(self._kept) + 1) <= KEPT_BYTES:
             self._kept[number] = image
         return image
