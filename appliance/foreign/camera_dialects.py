@@ -48,7 +48,7 @@ KINDS: Mapping[str, tuple[tuple[int, ...], str]] = {
     "width": ((1,), "imagewidth width framewidth imgwidth nx"),
     "height": ((1,), "imageheight height frameheight imgheight ny"),
 }  # fmt: skip
-"""What a camera file says: numbers that each kind may have, and its names, in small letters without anything between."""
+"""Kinds of what a camera file says: how many numbers each may have, and its names, in small letters without anything between."""
 BETWEEN = {name: kind for kind, names in (("rotation", "rlr stereor rstereo r12"), ("translation", "tlr stereot tstereo t12")) for name in names.split()}  # fmt: skip
 WHOSE = ("matrix", "projection")
 """Kinds by which a camera is told."""
@@ -107,7 +107,7 @@ Change = Callable[..., Array]
 
 @dataclass(frozen=True, slots=True)
 class Dialect:
-    """How a program says what OpenCV says otherwise."""
+    """A program's way to say what OpenCV says otherwise."""
 
     program: str
     asks: tuple[str, ...]
@@ -171,7 +171,7 @@ def refuse_other_lenses(source: str, words: Mapping[str, str]) -> None:
 
 @dataclass(frozen=True, slots=True)
 class CameraNumbers:
-    """What camera files say of two cameras."""
+    """All that camera files say of two cameras."""
 
     found: Mapping[str, Array]
     """``WANTED``; those of distortion may be empty."""
@@ -267,6 +267,7 @@ def _named(files: Mapping[str, NumbersOf], names: Table, wanted: str) -> tuple[s
 
 def facts_of(files: Mapping[str, NumbersOf], of_projector: bool = False) -> list[Fact]:
     """Return all that is known in ``files`` with the side of each: by its name, else by its file's, else by the order of files."""
+    # Folders and names that all have in common tell nothing, whatever words are in them.
     shared = set.intersection(*(set(Path(file).parts) for file in files)) if files else set()
     paths = {file: [part for part in Path(file).parts if part not in shared] for file in files}
     # Counted from 0 where something is called so.
@@ -343,6 +344,7 @@ def _in_file(file: str, values: NumbersOf, known: Mapping[tuple[str, str], str])
                 continue
             used.update(theirs)
             yield Fact(side, kind, numbers, file, theirs[0])
+    # One table about everything says nothing: MATLAB's files often have one variable.
     while len({name.partition(".")[0] for name in values}) == 1 and all("." in name for name in values):
         used = {name.partition(".")[2] for name in used}
         values = {name.partition(".")[2]: numbers for name, numbers in values.items()}
@@ -368,6 +370,7 @@ def _put(facts: Facts, fact: Fact) -> None:
         raise ForeignError(
             f"cameras.files: {fact.where} is {fact.numbers.tolist()!r:.80}; allowed are finite numbers below {MOST:g}; correct it"
         )
+    # Programs write the same number with few digits in one place and with many in another.
     before = facts.setdefault((fact.side, fact.kind), fact)
     one, other = _comparable(before), _comparable(fact)
     if not np.allclose(one, other, rtol=SAME, atol=SAME * np.abs(one).max()):
@@ -393,7 +396,7 @@ def rotation_of(numbers: Array) -> Array:
 # -------------------------------------------------------------------------------------------- how they stand
 
 Pose = tuple[str, Array, Array]
-"""Where it is said, R and T: x = R X + T."""
+"""The place where it is said, R and T: x = R X + T."""
 
 
 def _pose(facts: Facts, other: str, found: dict[str, Array], notes: list[str]) -> dict[str, Array]:
@@ -436,6 +439,7 @@ def _of_world(facts: Facts, side: str, ours: str, found: dict[str, Array]) -> di
     ways: dict[str, Pose] = {}
     if R is not None and T is not None:
         ways["own"] = R.where, rotation_of(R.numbers), T.numbers
+    # OpenCV calls what rectifies a camera R1 or R2, and has no T1 and T2.
     turn = R if turn is None and T is None else turn
     if P is None or abs(np.linalg.det(P.numbers.reshape(3, 4)[:, :3])) < 1e-9:
         return ways

@@ -70,7 +70,8 @@ def cameras_in(folder: Path) -> dict[str, Any]:
             files[name] = numbers_in(path)
         except ForeignError:
             continue
-    known = {fact.file for fact in facts_of(files) if fact.kind not in ("size", "width", "height")}
+    # Other files state sizes, too; where nothing is known, the message lists what has matrices.
+    known = {fact.file for fact in facts_of(files) if fact.kind != "size"}
     listed = [
         name
         for name, values in files.items()
@@ -169,6 +170,7 @@ def _lines(path: Path, raw: bytes) -> dict[str, Any]:
 
 def _tree(path: Path, raw: bytes) -> Any:
     """Return what YAML, XML or JSON holds, whatever of them it is called."""
+    # YAML allows no tabs; people's editors do not know that.
     text = raw.decode("utf-8-sig", "replace").replace("\0", " ").expandtabs(4)
     if text.lstrip().startswith("<"):
         if "<!DOCTYPE" in text:

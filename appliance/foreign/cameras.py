@@ -54,7 +54,7 @@ class ForeignRig:
     scale_known: bool = True
     """False: the translation has length 1, as calibrations without scale have; then lengths are in units of it."""
     notes: tuple[str, ...] = ()
-    """What is worth a look in the cameras' numbers, a line each."""
+    """Oddities of the cameras' numbers that are worth a look, a line each."""
 
 
 def read_rig(description: Description, sizes_px: Mapping[str, tuple[int, int]]) -> ForeignRig:

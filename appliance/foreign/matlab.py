@@ -52,6 +52,7 @@ def _plain(value: Any) -> Any:
 
 
 def _main() -> None:
+    # A few bytes of a compressed array may state any size.
     resource.setrlimit(resource.RLIMIT_CPU, (MOST_S, MOST_S))
     resource.setrlimit(resource.RLIMIT_DATA, (MOST_MEMORY_BYTES, MOST_MEMORY_BYTES))
     from scipy.io import loadmat
