@@ -52,8 +52,11 @@ class Import(Verb):
                 require_library(out)
         except ExportError as error:
             raise UsageError(f"--out {error}") from error
-        # A wrong word is the usual end of a first try: told before anything that computes is loaded, and before a minute of compiling.
+        # A wrong word is the usual end of a first try, as is a picture that is not there: told before anything that computes is loaded, and before a minute of compiling.
         load_description(self.description)
+        from appliance.foreign.first_look import look_first
+
+        look_first(self.description)
         from appliance.offline.foreign_import import check_import, import_cloud, import_scan
 
         check_import(self.description, out)

@@ -9,10 +9,10 @@ from pathlib import Path
 from appliance.foreign.arrangement import examine_cameras
 from appliance.foreign.assumptions import ExaminedAssumption, Outcome, examine_axis, examine_references
 from appliance.foreign.camera import DecodedCamera, decode_camera
-from appliance.foreign.cameras import ForeignRig, read_rig
-from appliance.foreign.description import SIDES, Description, counted, load_description
-from appliance.foreign.images import ImageSet, first_of_side, read_side
-from appliance.foreign.problem import ForeignError
+from appliance.foreign.cameras import ForeignRig
+from appliance.foreign.description import SIDES, Description, load_description
+from appliance.foreign.first_look import checked
+from appliance.foreign.images import read_side
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,27 +31,6 @@ class ForeignScan:
         return tuple(one for one in self.tested if one.outcome is Outcome.WRONG)
 
 
-def look_first(path: Path) -> tuple[Description, Mapping[str, ImageSet]]:
-    """Check all of a description that takes no time: its words, that its images are there, and the cameras' numbers. Raises ForeignError.
-
-    Returns the description and, by side, what the images show with the first of them (``first_of_side``).
-    """
-    said = load_description(path)
-    return _checked(path, said, {side: first_of_side(said, side) for side in said.files})[:2]
-
-
-def _checked(
-    path: Path, said: Description, sets: Mapping[str, ImageSet]
-) -> tuple[Description, Mapping[str, ImageSet], ForeignRig]:
-    """Return the description with its images counted, the images, and the cameras that took them."""
-    description = counted(said, sets["left"].shown)
-    if "right" in sets and set(sets["right"].shown) != set(sets["left"].shown):
-        raise ForeignError(f"{path}: left and right have other images; name the same for both")
-    sizes_px = {side: (one.shape[1], one.shape[0]) for side, one in sets.items()}
-    sizes_px.setdefault("right", description.projector_px)
-    return description, sets, read_rig(description, sizes_px)
-
-
 def read_foreign(path: Path, progress: Callable[[str], None]) -> ForeignScan:
     """Read what the description at ``path`` describes, decode it and test it. Raises ForeignError."""
     said = load_description(path)
@@ -59,7 +38,7 @@ def read_foreign(path: Path, progress: Callable[[str], None]) -> ForeignScan:
     for side in said.files:
         progress(f"reading {side}")
         read[side] = read_side(said, side)
-    description, sets, rig = _checked(path, said, read)
+    description, sets, rig = checked(path, said, read)
     cameras = {}
     for side, images in sets.items():
         progress(f"decoding {side}")

@@ -19,11 +19,12 @@ from appliance.export.files import write_scan
 from appliance.export.suffixes import SCAN_SUFFIXES, checked_suffix, require_library
 from appliance.foreign.assumptions import Outcome
 from appliance.foreign.description import Description
+from appliance.foreign.first_look import look_first
 from appliance.foreign.images import ImageSet
 from appliance.foreign.own_form import own_frames, own_sequence
 from appliance.foreign.points import ForeignCloud, find_points
 from appliance.foreign.problem import ForeignError
-from appliance.foreign.reading import ForeignScan, look_first, read_foreign
+from appliance.foreign.reading import ForeignScan, read_foreign
 from appliance.offline.reason_picture import draw_reasons
 from appliance.optics.model import HousedCamera
 from appliance.optics.water import Water
