@@ -36,7 +36,7 @@ COARSE_PX, LEAST_NEIGHBOURS = 160, 3
 POOR, NONE = 0.25, 0.02
 """Share of the left pixels with coordinates that have a point: what is said is doubtful with fewer, and wrong with next to none."""
 CLEARLY = 2.0
-"""By so many times more points, or a smaller offset, another hypothesis is better."""
+"""Another hypothesis is better by so many times more points, or a smaller offset."""
 SAME_SIDE = 0.8
 MOST_ASIDE_PX, MOST_ASIDE_PERIODS, SURE_PX = 2.0, 0.06, 1.0
 """Offset that right numbers leave: of two cameras, and of a projector besides by the error of its phase; and the least that contradicts."""
@@ -56,12 +56,12 @@ Maps = Mapping[str, Floats]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Seen:
-    """What both sides have, how they stand, and in which words that differs from what was said."""
+    """The maps of both sides, how these stand, and in which words that differs from what was said."""
 
     rig: ForeignRig
     left: Maps
     right: Maps
-    """Of a projector, its own coordinates."""
+    """A projector has its own coordinates."""
     texture: Texture | None
     """``None`` where the other direction tells, or there is no second picture."""
     projector: bool
@@ -77,7 +77,7 @@ class _Seen:
 
 @dataclass(frozen=True, slots=True)
 class _Found:
-    """What points say of it."""
+    """Points that were made of it, and what contradicts them."""
 
     share: float = 0.0
     same_side: float = 1.0
@@ -138,7 +138,10 @@ def _judged(here: _Found, tried: list[tuple[_Seen, _Found]]) -> list[ExaminedAss
     better = [(one, found) for one, found in tried if found.better(here)]
     if better:
         one, found = min(better, key=lambda two: (-two[1].aside.tells, two[1].aside.size_px, -two[1].share))
-        return [wrong(one.about, f"{here}; {found} if {one.text}", **one.instead)]
+        # Without anything across the disparity several may do; the user is not sent after the first one alone.
+        rivals = [other.text for other, theirs in better if other is not one and not found.better(theirs)]
+        text = " or ".join([one.text, *rivals])
+        return [wrong(one.about, f"{here}; {found} if {text}", **one.instead)]
     if not here.holds:
         return [_unexplained(here)]
     said = []

@@ -154,6 +154,13 @@ def test_thinned_images_are_told_with_the_lens_of_the_whole_ones() -> None:
 # ---------------------------------------------------------------------------------------------- a projector
 
 
+def test_of_several_that_do_as_well_none_is_left_out() -> None:
+    bench = with_projector(WIDTH_PX, SIZE)
+    said = told("x", bench, R=bench.R.T, T=-bench.T)[POSE]
+    assert said.outcome is Outcome.WRONG
+    assert "if they are R and T of right to left or R is transposed and T negated" in said.text
+
+
 def scaled(scale: float, shift_px: float, name: str = "x") -> Callable[[DecodedCamera], DecodedCamera]:
     """The images as another pattern on the projector would make them."""
 
