@@ -11,7 +11,6 @@ of twice the width. What was left out is said.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import Enum
 from typing import Any
 
 import cv2
@@ -37,15 +36,6 @@ NEARLY_FULL = 0.8
 """Share of the full difference that the two pixels beside a border's own have at least where no other border is near."""
 
 
-class Threshold(Enum):
-    """References that tell a bright stripe from a dark one."""
-
-    INVERSE = "the inverse image"
-    REFERENCES = "the middle between bright and dark"
-    SINES = "the mean of the sines"
-    RANGE = "the middle between the darkest and the brightest image of the code"
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class CodeBits:
     """The bits of one direction that the camera can tell."""
@@ -56,7 +46,6 @@ class CodeBits:
     contrast: Floats
     """(h, w): the swing that all but a quarter of the bits reach, in grey values; that of the references or the range without inverses; 0
     where the finest image does not light the pixel: what coarse stripes light by way of the room."""
-    threshold: Threshold
     left_out: tuple[int, int]
     """Number of images that were left out at the beginning and at the end, because their stripes are finer than the camera's pixels."""
     borders: Floats | None = None
@@ -78,10 +67,7 @@ def read_bits(images: ImageSet, axis: AxisConvention, sine_mean: Floats | None) 
     """Return the bits of a direction; ``sine_mean`` (h, w) is the mean of its sines, ``None`` where it has none."""
     gray, inverse = (images.all_of(shows, axis.name) for shows in (Shows.GRAY, Shows.INVERSE))
     bright, dark = images.image(Shows.BRIGHT), images.image(Shows.DARK)
-    kind = Threshold.INVERSE if len(inverse) else Threshold.RANGE if sine_mean is None else Threshold.SINES
     references = [one for one in (dark, bright) if one is not None]
-    if not len(inverse) and len(references) == 2:
-        kind = Threshold.REFERENCES
     turned = axis.name == "y"
 
     def lines(image: NDArray[Any], part: slice) -> Floats:
@@ -90,15 +76,14 @@ def read_bits(images: ImageSet, axis: AxisConvention, sine_mean: Floats | None) 
     def signed(part: slice) -> tuple[Floats, Floats | None]:
         """Return the differences from the threshold (n, lines, length) of some lines along the direction, and the swing that is known."""
         stack = np.stack([lines(one, part) for one in gray])
-        if kind is Threshold.INVERSE:
+        if len(inverse):
             for one, other in zip(stack, inverse, strict=True):
                 one -= lines(other, part)
             return stack, None
-        if kind is Threshold.SINES:
-            assert sine_mean is not None
-            return stack - lines(sine_mean, part), None
-        if kind is Threshold.REFERENCES:
+        if len(references) == 2:
             low, high = (lines(one, part) for one in references)
+        elif sine_mean is not None:
+            return stack - lines(sine_mean, part), None
         else:
             low, high = stack.min(axis=0), stack.max(axis=0)
         return stack - np.float32(0.5) * (low + high), high - low
@@ -122,14 +107,14 @@ def read_bits(images: ImageSet, axis: AxisConvention, sine_mean: Floats | None) 
         if swing is None:
             # One bit, and of narrow stripes two, may be in the middle of turning: the others tell how much light there is.
             swing = np.partition(np.abs(stack), len(stack) // 4, axis=0)[len(stack) // 4]
-            swing *= np.float32(1.0 if kind is Threshold.INVERSE else 2.0)
+            swing *= np.float32(1.0 if len(inverse) else 2.0)
         seen = told[kept][0 if axis.fine_first else -1] >= MODULATED
         contrast[part] = swing * cv2.resize(seen.astype(np.float32), swing.shape[::-1], interpolation=cv2.INTER_NEAREST)
         if borders is not None:
             borders[part] = _borders(stack)
     if turned:
         packed, contrast = np.swapaxes(packed, 1, 2), np.ascontiguousarray(contrast.T)
-    return CodeBits(packed, kept.stop - kept.start, contrast, kind, left_out, borders)
+    return CodeBits(packed, kept.stop - kept.start, contrast, left_out, borders)
 
 
 def _windows(signed: Floats) -> tuple[Floats, Floats]:

@@ -153,11 +153,8 @@ def least_modulation(fit: SineFit, steps: int, white: float) -> float:
     return float(min(max(wanted, LEAST_MODULATION * white), MOST_LEAST_MODULATION * white))
 
 
-def place(
-    found: Measured, axis: AxisConvention, extent_px: tuple[float, float] | None = None, *, repaired: bool = True
-) -> PlacedAxis:
-    """Make coordinates by the convention of ``axis`` on a pattern from edge to edge; ``repaired``: borders of wide stripes ask their
-    neighbours."""
+def place(found: Measured, axis: AxisConvention, extent_px: tuple[float, float] | None = None) -> PlacedAxis:
+    """Make coordinates by the convention of ``axis``, on a pattern from edge to edge."""
     reason = np.zeros(found.weak.shape, np.uint8)
     stripe_px, sigma_px = 0.0, None
     if not found.fits:
@@ -168,7 +165,7 @@ def place(
     else:
         modulation = found.fits[axis.finest].modulation
         if found.bits is not None:
-            coordinate_px, contradiction = _by_code(found, axis, repaired)
+            coordinate_px, contradiction = _by_code(found, axis)
         else:
             coordinate_px, misfit = by_periods(found, axis)
             contradiction = ~(misfit <= min(MAX_PERIODS_MISFIT, chance_misfit(axis)))
@@ -186,7 +183,7 @@ def place(
     return PlacedAxis(coordinate_px, reason, modulation, stripe_px, sigma_px)
 
 
-def _by_code(found: Measured, axis: AxisConvention, repaired: bool) -> tuple[Floats, NDArray[np.bool_]]:
+def _by_code(found: Measured, axis: AxisConvention) -> tuple[Floats, NDArray[np.bool_]]:
     """Return the coordinates, and what contradicts: the code numbers the fringes of one period, and that those of each finer one."""
     k, shape = axis.numbered, found.weak.shape
     period, begin = np.float32(axis.periods_px[k]), np.float32(axis.begins_deg[k] / 360.0)
@@ -202,7 +199,7 @@ def _by_code(found: Measured, axis: AxisConvention, repaired: bool) -> tuple[Flo
         limit = 0.5 * stripe_px / float(period) + SLACK_PERIODS
         if limit < 0.5 - 0.3 * SLACK_PERIODS:
             lost[rows] = np.abs(off) > limit
-        elif repaired:
+        else:
             sure[rows] = np.abs(off) < UNSURE_PERIODS
     if axis.wraps:
         # Before neighbours are asked, which lie at the same end.
@@ -227,7 +224,11 @@ def _asked_neighbours(
 ) -> tuple[Floats, NDArray[np.bool_]]:
     """Return the coordinates, those that are not ``sure`` moved by whole periods to the mean of the sure ones about them."""
     period = np.float32(axis.periods_px[axis.numbered])
-    width = stripe_width(coordinate_px, sure, axis)
+    # The usual width of a period in the camera's image.
+    along = 1 if axis.name == "x" else 0
+    both = sure[:, 1:] & sure[:, :-1] if along else sure[1:] & sure[:-1]
+    steps = np.abs(np.diff(coordinate_px, axis=along))[both]
+    width = min(max(float(period) / max(float(np.median(steps)), 1e-3) if steps.size else 2.0, 2.0), 400.0)
     size = (2 * int(width * 0.6) + 3, 3) if axis.name == "x" else (3, 2 * int(width * 0.6) + 3)
     known = sure.astype(np.float32)
     count = cv2.boxFilter(known, -1, size, normalize=False, borderType=cv2.BORDER_CONSTANT)
@@ -239,16 +240,6 @@ def _asked_neighbours(
     moved = np.where(sure, coordinate_px, coordinate_px + period * away)
     lost = ~sure & ((count < 3.0) | (np.abs(moved - mean) > np.float32(0.45) * period))
     return np.asarray(moved, np.float32), np.asarray(lost)
-
-
-def stripe_width(coordinate_px: Floats, usable: NDArray[np.bool_], axis: AxisConvention) -> float:
-    """Return the usual width of a period in the camera's image, in px: 2 where nothing tells."""
-    along = 1 if axis.name == "x" else 0
-    step = np.abs(np.diff(coordinate_px, axis=along))
-    both = usable[:, 1:] & usable[:, :-1] if along else usable[1:] & usable[:-1]
-    steps = step[both]
-    usual = float(np.median(steps)) if steps.size else 0.0
-    return min(max(axis.periods_px[axis.numbered] / usual if usual > 1e-3 else 2.0, 2.0), 400.0)
 
 
 def by_periods(found: Measured, axis: AxisConvention) -> tuple[Floats, Floats]:

@@ -24,7 +24,6 @@ from appliance.foreign.problem import ForeignError
 FULL_SCALES = (255.0, 1023.0, 4095.0, 16383.0, 65535.0)
 """Grey values of saturation that sensors have."""
 CHANNEL_NUMBER = {"blue": 0, "green": 1, "red": 2}
-LOSSY = (".jpg", ".jpeg", ".webp")
 KEPT_BYTES = 100_000_000
 """Images of one camera that are kept once they were read; others are read again."""
 
