@@ -119,7 +119,7 @@ def _flat(content: Any, before: str, depth: int) -> Iterator[tuple[str, Any]]:
     if not isinstance(content, dict):
         if before:
             yield before, content
-    elif "data" in content and ({"rows", "cols"} <= content.keys() or "sizes" in content):
+    elif before and "data" in content and ({"rows", "cols"} <= content.keys() or "sizes" in content):
         yield before, content["data"]
     elif depth < MOST_DEEP:
         for name, value in content.items():

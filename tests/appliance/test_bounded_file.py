@@ -91,6 +91,7 @@ def test_texts_saved_with_a_byte_order_mark_are_read(tmp_path: Path) -> None:
         ("a.json", '{"M1": [1, 2, 3]}'),
         ("a.yml", "%YAML:1.0\n---\nM1: [1, 2, 3]\n"),
         ("b.yml", "M1:\n- 1\n- 2\n- 3\n"),
+        ("b.txt", "rows: 1\ncols: 3\ndata: 4 5 6\nM1: 1 2 3\n"),
     ):
         (tmp_path / name).write_bytes(mark + text.encode())
         assert numbers_in(tmp_path / name)["M1"].tolist() == [1.0, 2.0, 3.0], name
