@@ -1,0 +1,61 @@
+"""Twenty sequences of other programs, drawn with a seed, by one command and no word: guessed whole, asked, or wrong without a note."""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from time import process_time
+
+from bench.result import Measured
+from tests.support.imported import Import, import_folder
+from tests.support.other_programs import PROGRAMS
+
+SEED = 11
+LEAST_WHOLE = 18
+
+
+def main(arguments: Sequence[str]) -> int:
+    parser = argparse.ArgumentParser(prog="./dev bench import_sequences", description=__doc__)
+    parser.add_argument("--seed", type=int, default=SEED)
+    parser.add_argument("--only", metavar="TEXT", default="", help="programs whose name has it")
+    parser.add_argument("--keep", metavar="FOLDER", type=Path, help="where sets and clouds stay")
+    chosen = parser.parse_args(arguments)
+    kept = True
+    for one in measure(chosen.seed, chosen.only, chosen.keep):
+        kept &= one.kept
+        print(one.line(), flush=True)
+    return 0 if kept else 1
+
+
+def measure(seed: int = SEED, only: str = "", keep: Path | None = None) -> Iterator[Measured]:
+    """Draw, import and judge each of them; what was said of those that are not whole stands below their figures."""
+    outcomes: list[Import] = []
+    with tempfile.TemporaryDirectory() as temporary:
+        root = keep or Path(temporary)
+        for k, program in enumerate(PROGRAMS):
+            if only.lower() not in program.name.lower():
+                continue
+            drawn = program.make(root / f"{k:02d}", 100 * seed + k)
+            begin_s = process_time()
+            found = import_folder(root / f"{k:02d}", root / f"{k:02d}.npz", drawn)
+            cpu_s = process_time() - begin_s
+            outcomes.append(found)
+            yield Measured(
+                f"{program.name}: {found.outcome}",
+                found.complete_percent,
+                f"%, {found.off_px:.2f} px off, {cpu_s:.1f} s CPU",
+            )
+            for line in found.said if found.outcome != "whole" else ():
+                yield Measured(f"    {line}", float("nan"), "", why="")
+    for outcome, bound in (
+        ("whole", LEAST_WHOLE * len(outcomes) / len(PROGRAMS)),
+        ("asked", None),
+        ("wrong, with a note", None),
+    ):
+        yield Measured(
+            outcome, float(sum(one.outcome == outcome for one in outcomes)), f"of {len(outcomes)}", at_least=bound
+        )
+    silent = sum(one.outcome == "wrong without a note" for one in outcomes)
+    yield Measured("wrong without a note", float(silent), f"of {len(outcomes)}", at_most=0.0)

@@ -1,0 +1,183 @@
+"""Sets that other laboratories took, by one command: points, distance from their own clouds or a flat board, and whether sigma is as large as that."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from time import process_time
+
+import cv2
+import numpy as np
+import scipy.io
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from bench.result import Measured
+from tests.support.imported import kingfisher
+
+Array = NDArray[np.float64]
+
+NORMAL_MEDIAN = 0.6745
+PICTURE_WIDTH_PX = 620
+
+
+@dataclass(frozen=True)
+class Set:
+    """Pictures with their cameras' files, below ``KINGFISHER_REAL_PICTURES``."""
+
+    name: str
+    pictures: tuple[str, ...]
+    """Folders; of several, each keeps its name."""
+    cameras: tuple[str, ...]
+    against: str
+    """``peer``: the peer's cloud; ``codes``: the same thing by another code, whose set is ``other``; ``board``: a plane."""
+    other: str = ""
+    picture: str | None = None
+
+
+SLSTUDIO = "slstudio/calibration/calibration.xml"
+BLENDER = ("rendered/camera_calibration.json", "rendered/projector_calibration.json")
+SETS = (
+    Set("skull, Gray code", ("slstudio/skull_gray",), (SLSTUDIO,), "peer", picture="real-skull.png"),
+    Set("skull, 16 and 1 fringes x 3", ("slstudio/skull_2x3",), (SLSTUDIO,), "peer", "skull, Gray code"),
+    Set("skull, 1 fringe x 3", ("slstudio/skull_3ps",), (SLSTUDIO,), "peer", "skull, Gray code"),
+    Set("skull, micro phase shifting", ("slstudio/skull_microps",), (SLSTUDIO,), "peer", "skull, Gray code"),
+    Set("skull, modulated phase shifting", ("slstudio/skull_modulatedps",), (SLSTUDIO,), "peer", "skull, Gray code"),
+    Set("board, first pose", ("slstudio/calibration/calseq1",), (SLSTUDIO,), "board"),
+    Set("board, second pose", ("slstudio/calibration/calseq2",), (SLSTUDIO,), "board"),
+    Set("face, two cameras", ("slmaster/binocular/L", "slmaster/binocular/R"), ("slmaster/binocular/caliInfo.yml",), "", picture="real-face.png"),
+    Set("relief, camera and projector", ("slmaster/monocular",), ("slmaster/monocular/caliInfo.yml",), ""),
+    Set("dragon of a renderer, Gray and 64 fringes", ("rendered/gray", "rendered/64"), BLENDER, ""),
+    Set("dragon of a renderer, Gray and 16 fringes", ("rendered/gray", "rendered/16"), BLENDER, "codes", "dragon of a renderer, Gray and 64 fringes"),
+)  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """A cloud on the left camera's pixels."""
+
+    points_mm: Array
+    """(h, w, 3)."""
+    sigma_mm: Array
+    mask: NDArray[np.bool_]
+
+
+def main(arguments: Sequence[str]) -> int:
+    parser = argparse.ArgumentParser(prog="./dev bench real_light", description=__doc__)
+    parser.add_argument(
+        "--pictures", metavar="FOLDER", type=Path, help="draw the clouds that docs/foreign.md shows into it"
+    )
+    parser.add_argument("--only", metavar="TEXT", default="", help="sets whose name has it")
+    chosen = parser.parse_args(arguments)
+    for one in measure(chosen.pictures, chosen.only):
+        print(one.line(), flush=True)
+    return 0
+
+
+def measure(pictures: Path | None = None, only: str = "") -> Iterator[Measured]:
+    """Every set that is there; nothing where ``KINGFISHER_REAL_PICTURES`` names no folder."""
+    if "KINGFISHER_REAL_PICTURES" not in os.environ:
+        yield Measured("sets of others", float("nan"), "", why="KINGFISHER_REAL_PICTURES names no folder")
+        return
+    root = Path(os.environ["KINGFISHER_REAL_PICTURES"])
+    clouds: dict[str, Grid] = {}
+    with tempfile.TemporaryDirectory() as temporary:
+        for k, one in enumerate(SETS):
+            if only.lower() in one.name.lower():
+                yield from _measured(one, root, Path(temporary) / str(k), clouds, pictures)
+
+
+def _measured(one: Set, root: Path, folder: Path, clouds: dict[str, Grid], pictures: Path | None) -> Iterator[Measured]:
+    _linked(one, root, folder)
+    begin_s = process_time()
+    said = kingfisher("import", folder, "--out", folder.with_suffix(".npz"))
+    cpu_s = process_time() - begin_s
+    if said.code:
+        yield Measured(f"{one.name}: asked", float("nan"), "", why=" ".join(said.error.split())[:300])
+        return
+    with np.load(folder.with_suffix(".npz")) as file:
+        points_mm = np.stack([np.asarray(file[f"{axis}_mm"], np.float64) for axis in "xyz"], -1)
+        grid = clouds[one.name] = Grid(
+            points_mm, np.asarray(file["sigma_mm"], np.float64), np.asarray(file["mask"], bool)
+        )
+    yield Measured(f"{one.name}: points", float(grid.mask.sum()), f"in {cpu_s:.1f} s CPU, {said.report['order']}")
+    yield Measured(f"{one.name}: depth", float(np.median(grid.points_mm[grid.mask][:, 2])), "mm")
+    yield Measured(f"{one.name}: sigma", float(np.median(grid.sigma_mm[grid.mask])), "mm")
+    if one.against == "peer":
+        peer = scipy.io.loadmat(str(root / "slstudio/skull_gray/pointCloud.mat"))["xyz"].reshape(-1, 3)
+        peer = peer[np.isfinite(peer).all(1) & (peer[:, 2] > 0)]
+        off_mm = cKDTree(grid.points_mm[grid.mask]).query(peer)[0]
+        yield Measured(f"{one.name}: from the peer's cloud", float(np.median(off_mm)), "mm")
+    if one.against == "board":
+        yield from _board(one, grid)
+    if one.other in clouds:
+        yield from _between(one, grid, clouds[one.other])
+    for line in said.unchecked:
+        yield Measured(f"    {line[:300]}", float("nan"), "", why="")
+    if one.picture and pictures:
+        picture = relief(grid)
+        assert cv2.imwrite(str(pictures / one.picture), picture, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+
+
+def _linked(one: Set, root: Path, folder: Path) -> None:
+    for pictures in one.pictures:
+        into = folder if len(one.pictures) == 1 else folder / Path(pictures).name
+        into.mkdir(parents=True, exist_ok=True)
+        for path in (root / pictures).iterdir():
+            if path.suffix == ".png":
+                (into / path.name).symlink_to(path)
+    for path in (root / name for name in one.cameras):
+        (folder / path.name).symlink_to(path)
+
+
+def _board(one: Set, grid: Grid) -> Iterator[Measured]:
+    """The plane that most points lie on: fitted anew to those within three robust deviations."""
+    points, sigma_mm = grid.points_mm[grid.mask], grid.sigma_mm[grid.mask]
+    there = np.ones(len(points), bool)
+    for _ in range(20):
+        middle = points[there].mean(0)
+        normal = np.linalg.eigh(np.cov((points[there] - middle).T))[1][:, 0]
+        off_mm = np.abs((points - middle) @ normal)
+        there = off_mm < max(3.0 * float(np.median(off_mm[there])) / NORMAL_MEDIAN, 0.05)
+    yield Measured(
+        f"{one.name}: from a plane",
+        float(np.sqrt(np.mean(off_mm[there] ** 2))),
+        f"mm rms, {100.0 * there.mean():.2f} % of the points",
+    )
+    yield Measured(f"{one.name}: farther than 2 mm", float(1e6 * np.mean(off_mm > 2.0)), "ppm")
+    of_sigma = np.median(off_mm[there]) / NORMAL_MEDIAN / np.median(sigma_mm[there])
+    yield Measured(f"{one.name}: error over sigma", float(of_sigma), "")
+
+
+def _between(one: Set, grid: Grid, other: Grid) -> Iterator[Measured]:
+    """The same pixel by two codes: along its ray, so that its depths differ by no more than both sigmas say."""
+    both = grid.mask & other.mask
+    off_mm = np.linalg.norm(grid.points_mm[both] - other.points_mm[both], axis=-1)
+    sigma_mm = np.hypot(grid.sigma_mm[both], other.sigma_mm[both])
+    yield Measured(f"{one.name}: from {one.other}", float(np.median(off_mm)), f"mm, {both.sum()} pixels")
+    yield Measured(f"{one.name}: error over sigma", float(np.median(off_mm / sigma_mm)) / NORMAL_MEDIAN, "")
+
+
+def relief(grid: Grid) -> NDArray[np.uint8]:
+    """A picture of the surface as if it were of plaster: brightness by its slope, from the points alone."""
+    rows, columns = np.nonzero(grid.mask)
+    part = np.s_[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
+    mask, points = grid.mask[part], np.where(grid.mask[part][..., None], grid.points_mm[part], 0.0)
+    # Means over the points about each pixel, at the size of the picture.
+    scale = PICTURE_WIDTH_PX / mask.shape[1]
+    wide = max(1.0, 0.7 / scale)
+    weight = cv2.GaussianBlur(mask.astype(np.float64), (0, 0), wide)
+    smooth = cv2.GaussianBlur(points, (0, 0), wide) / np.maximum(weight, 1e-6)[..., None]
+    normal = np.cross(np.gradient(smooth, axis=1), np.gradient(smooth, axis=0))
+    normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
+    normal *= np.sign(normal[..., 2:]) * -1.0
+    light = np.array([-0.5, -0.6, -0.62])
+    grey = 30.0 + 215.0 * np.clip(normal @ light, 0.0, 1.0)
+    small = cv2.resize(
+        np.where(mask & (weight > 0.6), grey, 255.0), None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA
+    )
+    return np.rint(small).astype(np.uint8)
