@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import astuple, replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from appliance.optics.model import StereoRig
+from appliance.optics.volume import STANDARD, WorkingVolume
 from appliance.scan.fault import FaultCode
 from appliance.scan.grade import Grade, grade
 from appliance.verdict.medium import AIR, FEWEST, judge_medium
@@ -63,3 +66,30 @@ def test_with_few_matches_or_in_stated_air_nothing_is_said() -> None:
     few = judge_medium(left[: FEWEST - 1], right[: FEWEST - 1], rig_of("nominal"), WATER.index)
     assert (few.verdict.passed, few.fault) == (None, None)
     assert judge_medium(left, right, rig, AIR).verdict.passed is None
+    assert judge_medium(left[:FEWEST], right[:FEWEST], rig_of("nominal"), WATER.index).verdict.passed is False
+
+
+@pytest.mark.parametrize(("index", "passed"), [(1.07, False), (1.08, None), (1.12, None), (1.13, True)])
+def test_air_is_named_where_rays_miss_by_half_and_water_believed_where_they_miss_by_less(
+    index: float, passed: bool | None
+) -> None:
+    rig = rig_of("nominal")
+    found = judge_medium(*seen(rig, index), rig, WATER.index)
+    assert found.verdict.passed is passed
+    assert (found.fault is not None) is (passed is False)
+
+
+@pytest.mark.parametrize(
+    ("share", "larger", "passed"), [(0.45, 1.0, None), (0.5, 1.0, False), (0.6, 2.0, None), (0.7, 2.0, False)]
+)
+def test_a_tenth_of_a_millimetre_in_the_standard_housing_speaks_for_air(
+    share: float, larger: float, passed: bool | None
+) -> None:
+    """The middle of the picture alone: gaps of 0.095, 0.131, 0.180 and more than 0.2 mm; the limit grows with the housing."""
+    left, right = seen(rig_of("nominal", air=True), AIR)
+    off = np.abs(left - np.median(left, axis=0))
+    middle = (off <= share * off.max(axis=0) + 1e-9).all(axis=1)
+    rig = rig_of("nominal")
+    volume = WorkingVolume(*(larger * mm for mm in astuple(STANDARD)))
+    found = judge_medium(left[middle], right[middle], replace(rig, volume=volume), WATER.index)
+    assert found.verdict.passed is passed
