@@ -253,6 +253,13 @@ def rectified_too(folder: Path) -> str:
     return 'files = "c.yml"'
 
 
+def two_ways_of_which_one_is_named(folder: Path) -> str:
+    """And a distortion that is said twice, with zeros behind."""
+    more = {"dist1": np.append(D1, [0.0, 0.0, 0.0]), "R1": WORLD_R, "T1": WORLD_T, "R2": WORLD_R.T, "T2": T}
+    written(folder / "c.yml", M1=M1, D1=D1, M2=M2, D2=D2, R=R, T=T, **more)
+    return 'files = "c.yml"\n[cameras.names]\nrotation = "R"\ntranslation = "T"'
+
+
 def a_list_of_tables(folder: Path) -> str:
     both = [{"K": K.tolist(), "D": D.ravel().tolist()} for K, D in ((M1, D1), (M2, D2))]
     (folder / "c.json").write_text(json.dumps({"rig": {"cameras": both}, "R": R.tolist(), "T": T.ravel().tolist()}))
@@ -292,7 +299,7 @@ def slmaster(folder: Path) -> str:
     ("write", "head"),
     [
         (in_folders, ALONE), (of_no_sides, HEAD), (of_the_world, HEAD), (of_the_right_alone, HEAD), (rectified_too, HEAD),
-        (a_list_of_tables, HEAD), (lines_below_names, HEAD), (slmaster, ALONE),
+        (a_list_of_tables, HEAD), (two_ways_of_which_one_is_named, HEAD), (lines_below_names, HEAD), (slmaster, ALONE),
     ],
 )  # fmt: skip
 def test_numbers_are_those_of_the_file_in_which_they_stand(
