@@ -10,10 +10,11 @@ from time import process_time
 
 import numpy as np
 
-from appliance.foreign.guess import guess_description
+from appliance.foreign.guess import guess_sequence
 from appliance.foreign.points import find_points
 from appliance.foreign.problem import ForeignError
 from appliance.foreign.reading import ForeignScan, read_foreign
+from appliance.offline.foreign_folder import guessed_text
 from bench.result import Measured
 from tests.support.foreign_sets import CONVENTIONS, Convention, ForeignSet, make_set
 from tests.support.truth import left_to_rig
@@ -81,7 +82,8 @@ def _measured(one: Convention, made: ForeignSet) -> Iterator[Measured]:
     )
     yield Measured(f"{one.name}: CPU, tests and points", cpu_s, "s")
     guess = made.description.with_name("guess.toml")
-    guess.write_text(guess_description(made.description.parent, guess.parent, _silent), encoding="utf-8")
+    best = guess_sequence(made.description.parent, _silent).candidates[0]
+    guess.write_text(guessed_text(best, guess.parent), encoding="utf-8")
     guessed = _judged(made, read_foreign(guess, _silent))
     yield Measured(f"{one.name}: points by a guess", guessed.complete_percent, "%", at_least=least_percent)
 

@@ -262,9 +262,7 @@ def _described(top: Table, folder: Path, name: str) -> Description:
 def _needed(top: Table, key: str) -> Table:
     table = top.table(key)
     if table is None:
-        raise ForeignError(
-            f"[{key}] is missing; add it (`kingfisher import --guess FOLDER` writes a first description)"
-        )
+        raise ForeignError(f"[{key}] is missing; add it (`kingfisher import FOLDER` writes a first description)")
     return table
 
 

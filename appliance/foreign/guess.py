@@ -1,440 +1,462 @@
-"""Owns a first description of images that nobody has described: which files belong together, and what each of them shows.
+"""Owns the guess at images that nobody has described: hypotheses are tried on reduced images until one of them stands out.
 
-What each image looks like is ``appearance``'s; how often its stripes change tells a period from another one, and the order of the bits.
-Then the guess is tested like any other description, and what fits instead is taken over.
-
-Sizes cannot be seen: the projector's is a guess, which scales the pattern and moves no point of two cameras. Of one camera it is the
-size whose middle is nearest to the projector's principal point.
+Hypotheses are data: the sequences of known programs (``sequences``), and what each image looks like by itself. Looks choose a few of
+them; each of these is decoded, what its tests find instead is taken over, and it counts how much of the images it explains
+(``expectation``). Of a rig whose numbers are known, rays decide which camera is which and where the pattern lies.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibration import file as calibration_file
-from appliance.foreign.appearance import Seen, looked_at
-from appliance.foreign.arrangement import examine_arrangement
-from appliance.foreign.assumptions import MOST_MISFIT, Outcome, equal_steps, examine_axis, measured_steps, misfit
-from appliance.foreign.camera import decode_camera
-from appliance.foreign.camera_files import SUFFIXES as CAMERA_SUFFIXES
-from appliance.foreign.camera_files import numbers_from_files, numbers_in
-from appliance.foreign.cameras import read_rig
-from appliance.foreign.description import (
-    LEAST_STEPS,
-    MOST_PERIODS,
-    MOST_STEPS,
-    AxisConvention,
-    Description,
-    ImageFiles,
+from appliance.foreign.appearance import Looks, agreement, look_at, words_by_looks
+from appliance.foreign.assumptions import (
+    MOST_MISFIT,
+    ExaminedAssumption,
+    Outcome,
+    equal_steps,
+    examine_axis,
+    examine_references,
+    measured_steps,
+    misfit,
 )
+from appliance.foreign.camera import DecodedCamera, decode_camera
+from appliance.foreign.camera_files import camera_numbers, cameras_in
+from appliance.foreign.cameras import read_rig
+from appliance.foreign.description import LEAST_STEPS, AxisConvention, Description, ImageFiles
+from appliance.foreign.expectation import explained_shares
 from appliance.foreign.files import CameraFiles, camera_files, taken_in_turns
-from appliance.foreign.frames import Frame, raw_images
-from appliance.foreign.images import CHANNEL_NUMBER, ImageSet, read_images
-from appliance.foreign.order import numbered
+from appliance.foreign.images import CHANNEL_NUMBER, FULL_SCALES, ImageSet, Pictures
+from appliance.foreign.order import FRINGES, ShownImage, Shows, numbered
 from appliance.foreign.periods import periods_by_phases
 from appliance.foreign.problem import ForeignError, Table
+from appliance.foreign.reading import examine
+from appliance.foreign.sequences import Hypothesis, hypotheses
+from appliance.foreign.writing import joined
 
-GUESSED_PX = (1024, 768)
-ROUNDS = 4
-MOST_FINER = 6
-"""A code's finest stripes are up to 2 to this power finer than fringes beside it."""
+MOST_PIXELS = 400_000
+"""Pixels of an image on which hypotheses are tried; larger ones are reduced."""
+MOST_TRIED = 10
+SURE, NEARLY = 0.9, 0.05
+"""Share explained from which on no hypotheses are tried whose looks agree less by the second number than the best one's."""
+ROUNDS = 3
+EVERY = 4
+GUESSED_PX = (1024.0, 768.0)
+GOOD, FAIR = 0.75, 0.5
+"""Share of the images' variation that is explained by what is surely right; below the second one nothing is known."""
+APART = 1.5
+"""Ratio of what is left unexplained from which on one hypothesis stands out before another one."""
+LEAST_LEFT = 0.01
+"""Noise and blur leave so much unexplained at least."""
+MOST_RIVALS = 4
+PER_WRONG = 0.2
+COLOURED = 1.05
+EXCHANGED = "cameras: which is left"
 PROJECTORS_PX = (
     (608, 684), (640, 480), (640, 360), (800, 600), (854, 480), (848, 480), (912, 1140), (1024, 768), (1280, 800), (1280, 720), (1280, 1024),
-    (1366, 768), (1400, 1050), (1440, 900), (1600, 1200), (1920, 1080), (1920, 1200), (2560, 1600), (3840, 2160),
+    (1366, 768), (1400, 1050), (1440, 900), (1600, 1200), (1824, 1140), (1920, 1080), (1920, 1200), (2560, 1600), (3840, 2160),
 )  # fmt: skip
 """Sizes that projectors have; of equal widths the commonest one first."""
-MATRICES, SINGLES = (9, 12), (3, 4, 5, 8, 9, 12, 14)
-"""Numbers that a file of cameras has somewhere; and those of one with a single matrix or vector."""
-SINGLE_SUFFIXES = (".npy", ".txt", ".csv")
-METRES_BELOW = 3.0
-"""A translation shorter than this is in metres."""
+WIDTHS = (1.0, 0.5, 2.0)
+"""Stripes of a code in periods of the fringes beside it."""
 
 
-def guess_description(folder: Path, beside: Path, progress: Callable[[str], None]) -> str:
-    """Return the text of a description of the images below ``folder``, for a file in the folder ``beside``. Raises ForeignError."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """A hypothesis that was tried on the images of a folder."""
+
+    program: str
+    cameras: tuple[CameraFiles, ...]
+    description: Description
+    tested: tuple[ExaminedAssumption, ...]
+    explained: float
+    """Share of the images' variation that it explains."""
+    by_image: tuple[float, ...]
+    """The same for each image."""
+    notes: tuple[str, ...] = ()
+    """What is to be read before the description."""
+
+    @property
+    def rank(self) -> float:
+        """The share, less what is taken off for each contradiction."""
+        return self.explained - PER_WRONG * self.contradictions
+
+    @property
+    def contradictions(self) -> int:
+        """Number of words that the images contradict."""
+        return self._count(Outcome.WRONG)
+
+    @property
+    def evidence(self) -> int:
+        """Number of words that could have been contradicted and were not, less those that nothing tells."""
+        return self._count(Outcome.FITS) - self._count(Outcome.UNCHECKED)
+
+    def _count(self, outcome: Outcome) -> int:
+        return sum(one.outcome is outcome for one in self.tested)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Guess:
+    """What the images of a folder show: one candidate, or the best two where none stands out."""
+
+    candidates: tuple[Candidate, ...]
+
+    @property
+    def clear(self) -> bool:
+        """True if one candidate stands out."""
+        return len(self.candidates) == 1
+
+
+def guess_sequence(folder: Path, progress: Callable[[str], None]) -> Guess:
+    """Return what the images below ``folder`` show. Raises ForeignError where nothing is known that they could show."""
     named = camera_files(folder)
-    best: _Guessed | None = None
+    found: list[Candidate] = []
     refused: ForeignError | None = None
     for cameras in [named] if len(named) == 2 else [named, *taken_in_turns(named[0])]:
+        if found and max(one.rank for one in found) >= GOOD:
+            break  # two cameras in one sequence only where one camera makes no sense
         try:
-            guessed = _guessed(folder, cameras, beside, progress)
+            found += _candidates(folder, cameras, progress)
         except ForeignError as error:
             refused = refused or error
-            continue
-        if best is None or guessed.wrong < best.wrong:
-            best = guessed
-        if not guessed.wrong:
+    found.sort(key=lambda one: -one.rank)
+    if not found or found[0].rank < FAIR:
+        raise refused or _unknown(folder, found)
+    left = max(1.0 - found[0].rank, LEAST_LEFT)
+    rivals = [one for one in found if 1.0 - one.rank < APART * left][:MOST_RIVALS]
+    table = cameras_in(folder)
+    if table:
+        rivals = [_on_rig(one, table, progress) for one in rivals]
+    # Of what explains as much, that which more tests could have contradicted.
+    best = max((round(one.rank - one.explained, 3), one.evidence) for one in rivals)
+    return Guess(tuple([one for one in rivals if (round(one.rank - one.explained, 3), one.evidence) == best][:2]))
+
+
+def _unknown(folder: Path, found: Sequence[Candidate]) -> ForeignError:
+    told = ""
+    if found:
+        words = joined([one.word for one in found[0].description.order or ()])
+        told = f"; the nearest, {words}, explains {100 * found[0].explained:.0f} % of them"
+    return ForeignError(
+        f"{folder}: its images are no sequence that is known{told}; name what each shows in a description (docs/foreign.md)"
+    )
+
+
+def _candidates(folder: Path, cameras: Sequence[CameraFiles], progress: Callable[[str], None]) -> list[Candidate]:
+    channel, images = reduced_images(cameras[0].files, progress)
+    looks = look_at(images)
+    ranked = sorted(_all_hypotheses(looks), key=lambda one: -agreement(looks, one.shown))
+    tried: list[Candidate] = []
+    agreed = [agreement(looks, one.shown) for one in ranked[:MOST_TRIED]]
+    for hypothesis, agrees in zip(ranked, agreed, strict=False):
+        if agrees < agreed[0] - NEARLY and max((one.rank for one in tried), default=0.0) > SURE:
             break
-    if best is None:
-        assert refused is not None
-        raise refused
-    return best.text
+        progress(f"trying {hypothesis.program}")
+        with suppress(ForeignError):  # steps that tell no phase, stripes that number nothing: no candidate
+            for axes in _conventions(hypothesis, images):
+                tried.append(_tried(folder, cameras, channel, hypothesis, axes, images))
+                if not tried[-1].contradictions or tried[-1].explained < FAIR:
+                    break
+    best: dict[tuple[ShownImage, ...], Candidate] = {}
+    for one in tried:
+        order = one.description.order or ()
+        if order not in best or one.rank > best[order].rank:
+            best[order] = one
+    return list(best.values())
 
 
-@dataclass(frozen=True, slots=True)
-class _Guessed:
-    """A description of one way to share the files among cameras."""
-
-    text: str
-    wrong: int
-    """Number of assumptions that the images contradict whatever is said."""
-
-
-def _guessed(folder: Path, cameras: Sequence[CameraFiles], beside: Path, progress: Callable[[str], None]) -> _Guessed:
-    progress("looking at the images")
-    channel, images = _stack(cameras[0].files)
-    seen = looked_at(_side_by_side(images, cameras, channel))
-    order = " ".join(_joined([one.word for one in seen]))
-    axes = [axis for axis in (_axis(name, seen, images) for name in "xy") if axis is not None]
-    if not axes:
-        raise ForeignError(
-            f"{folder}: none of {len(seen)} images looks like stripes ({order}); give a folder with a whole sequence"
-        )
-    words = _with_periods(seen, axes, images)
-    rig_table = _cameras(folder)
-    codes = [axis.stripe_px for axis in axes if not axis.periods_px]
-    # Programs draw stripes of equal widths in both directions.
-    axes = [axis if axis.periods_px else replace(axis, stripe_px=min(codes)) for axis in axes]
-    sizes_px = _projectors_px(folder, rig_table) if len(cameras) == 1 else ()
-    if sizes_px:
-        axes = _sized(axes, sizes_px[0])
-    size_px = (
-        round(axes[0].size_px) if axes[0].name == "x" else GUESSED_PX[0],
-        round(axes[-1].size_px) if axes[-1].name == "y" else GUESSED_PX[1],
-    )
-    # As if it were described: what the tests find instead is taken over.
-    shown = numbered(words, "images.order")
-    description = Description(
-        folder.name,
-        folder,
-        {"left": ImageFiles(("*",))},
-        shown,
-        channel,
-        None,
-        size_px,
-        tuple(axes),
-        Table("cameras.", rig_table),
-    )
-    progress("testing what was guessed")
-    left = read_images(cameras[0].files, shown, channel)
-    fitted, notes, wrong = _fitted(description, left)
-    if len(cameras) == 1 and rig_table:
-        fitted, more = _on_projector(fitted, left, sizes_px)
-        notes += more
-        wrong += any(f": {Outcome.WRONG.value}: " in one for one in more)
-    return _Guessed(_text(fitted, cameras, beside, folder, " ".join(_joined(words)), notes), wrong)
-
-
-def _stack(files: Sequence[Frame]) -> tuple[str, NDArray[Any]]:
-    """Return the channel with the most to see, and the images in it."""
-    first = raw_images([files[len(files) // 2]])[0]
-    channel = "grey"
-    if first.ndim == 3 and first.shape[2] >= len(CHANNEL_NUMBER):
-        spread = [float(first[..., k].std()) for k in range(3)]
-        if max(spread) > 1.05 * min(spread):
-            channel = ("blue", "green", "red")[int(np.argmax(spread))]
-    shown = numbered(["sine-x"] * len(files), "images")
-    return channel, read_images(tuple(files), shown, channel).images
-
-
-def _side_by_side(images: NDArray[Any], cameras: Sequence[CameraFiles], channel: str) -> NDArray[Any]:
-    """Return the images of the first camera, and of the second one beside them: coarsest stripes are even where one camera sees few."""
-    if len(cameras) == 1:
-        return images
-    shown = numbered(["sine-x"] * len(images), "images")
-    other = read_images(cameras[1].files, shown, channel).images
-    height_px = min(images.shape[1], other.shape[1])
-    return np.concatenate([images[:, :height_px], other[:, :height_px].astype(images.dtype)], axis=2)
-
-
-def _axis(name: str, seen: list[Seen], images: NDArray[Any]) -> AxisConvention | None:
-    """Return the convention of a direction as far as it can be seen."""
-    gray = [one for one in seen if one.word == f"gray-{name}"]
-    groups = _groups(name, seen, images)
-    size_px = float(GUESSED_PX["xy".index(name)])
-    if not gray and not groups:
-        return None
-    stripe_px, fine_first = 0.0, False
-    if gray:
-        # Stripes finer than pixels change seldom: where most changes are seen, there is the fine end.
-        fine_first = int(np.argmax([one.changes for one in gray])) < (len(gray) - 1) / 2
-        # 2ⁿ stripes cover the pattern: how many of them the projector really has cannot be seen. Of ten or more images without fringes the
-        # finest stripes are a pixel wide.
-        size_px = float(2 ** (round(np.log2(size_px)) if groups else max(round(np.log2(size_px)), len(gray))))
-        stripe_px = max(size_px / 2 ** len(gray), 0.5)
-    finest = _finest_changes(gray, fine_first)
-    steps_deg = tuple(_steps(images[group]) for group in groups)
-    if stripe_px:
-        periods_px = _beside_code([np.mean([seen[k].changes for k in group]) for group in groups], finest, stripe_px)
-    else:
-        periods_px = periods_by_phases([images[group] for group in groups], steps_deg, name, size_px)
-    inverses = any(one.word == f"~gray-{name}" for one in seen)
-    return AxisConvention(
-        name,
-        size_px,
-        periods_px,
-        steps_deg,
-        bits=len(gray),
-        inverses=inverses,
-        stripe_px=stripe_px,
-        fine_first=fine_first,
-    )
-
-
-def _groups(name: str, seen: list[Seen], images: NDArray[Any]) -> list[list[int]]:
-    """Return the numbers of the sine images of each period: as many steps as fit a sine, one period after the other."""
-    sines = [k for k, one in enumerate(seen) if one.word == f"sine-{name}"]
-    count = len(sines)
-    for steps in range(min(count, MOST_STEPS), LEAST_STEPS, -1):
-        if count % steps:
+def _all_hypotheses(looks: Looks) -> Iterator[Hypothesis]:
+    count = len(looks.mean)
+    seen = set()
+    for one in hypotheses(count):
+        if one.shown not in seen:
+            seen.add(one.shown)
+            yield one
+    for words in (words_by_looks(looks),):
+        try:
+            yield Hypothesis("what each image looks like", numbered(words, "images.order"))
+        except ForeignError:
             continue
-        groups = [sines[k : k + steps] for k in range(0, count, steps)]
-        if all(misfit(_strong(images[group]), equal_steps(steps)) < MOST_MISFIT for group in groups):
-            return groups
-    if count and count % LEAST_STEPS == 0 and count // LEAST_STEPS <= MOST_PERIODS:
-        # Three steps fit anything; steps in an order of their own do not fit three by three.
-        found = measured_steps(_strong(images[sines])) if count > LEAST_STEPS else ()
-        if count == LEAST_STEPS or misfit(_strong(images[sines]), found) > MOST_MISFIT:
-            return [sines[k : k + LEAST_STEPS] for k in range(0, count, LEAST_STEPS)]
-    return [sines] if count >= LEAST_STEPS else []
 
 
-def _strong(images: NDArray[Any]) -> NDArray[np.float64]:
-    """Return the pixels (n, pixels) of images that change most."""
-    stack = images[:, ::5, ::5].reshape(len(images), -1).astype(np.float64)
-    swing = stack.max(axis=0) - stack.min(axis=0)
-    return np.asarray(stack[:, swing > 0.5 * float(np.quantile(swing, 0.9))])
+def reduced_images(files: Sequence[Any], progress: Callable[[str], None]) -> tuple[str, NDArray[Any]]:
+    """Return the channel with the most to see, and the images (n, h, w) in it, reduced by whole numbers to ``MOST_PIXELS``."""
+    channel = _channel(files)
+    pictures = Pictures.of(tuple(files), channel)
+    factor = reduction(pictures.shape[1:])
+    found = []
+    for k in range(len(pictures)):
+        if k % 8 == 0:
+            progress(f"reading {k + 1} of {len(pictures)}")
+        found.append(reduced(pictures[k], factor))
+    return channel, np.stack(found)
 
 
-def _beside_code(changes: list[Any], finest: float, stripe_px: float) -> tuple[float, ...]:
-    """Return periods by how often images change: the finest of a Gray code every two stripes, and a sine every half period."""
-    stripes = [0.25 * float(one) / max(finest, 1e-6) for one in changes]
-    shares = [0.5**k for k in range(MOST_FINER + 1)]
-    return tuple(stripe_px / min(shares, key=lambda share: abs(np.log(max(one, 1e-9) / share))) for one in stripes)
+def reduction(shape: tuple[int, ...]) -> int:
+    """Return by how much images (h, w) are reduced."""
+    return max(1, int(np.ceil(np.sqrt(shape[0] * shape[1] / MOST_PIXELS))))
 
 
-def _finest_changes(gray: list[Seen], fine_first: bool) -> float:
-    """Return how often the finest image would change if the camera resolved it: from the image that is seen to change most."""
-    if not gray:
-        return 0.0
-    k = int(np.argmax([one.changes for one in gray]))
-    return gray[k].changes * 2.0 ** (k if fine_first else len(gray) - 1 - k)
+def reduced(image: NDArray[Any], factor: int) -> NDArray[Any]:
+    """Return an image whose pixels are the means of ``factor`` x ``factor``."""
+    height, width = image.shape[0] // factor, image.shape[1] // factor
+    whole = image[: height * factor, : width * factor]
+    return np.asarray(whole if factor == 1 else cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA))
+
+
+def _channel(files: Sequence[Any]) -> str:
+    from appliance.foreign.frames import raw_images
+
+    image = raw_images([files[len(files) // 2]])[0]
+    if image.ndim < 3 or image.shape[2] < len(CHANNEL_NUMBER):
+        return "grey"
+    spread = [float(image[::4, ::4, k].std()) for k in range(3)]
+    return ("blue", "green", "red")[int(np.argmax(spread))] if max(spread) > COLOURED * min(spread) else "grey"
+
+
+# ------------------------------------------------------------------------------------------------ conventions
+
+
+def _conventions(hypothesis: Hypothesis, images: NDArray[Any]) -> Iterator[tuple[AxisConvention, ...]]:
+    """Yield the conventions by which the images of a hypothesis may be read; what tests find instead need not be among them."""
+    shown = hypothesis.shown
+    names = [name for name in "xy" if any(one.axis == name for one in shown)]
+    has_both = any(one.shows is Shows.GRAY for one in shown) and any(one.shows in FRINGES for one in shown)
+    for width in WIDTHS if has_both else (1.0,):
+        axes = [_convention(name, hypothesis, images, width) for name in names]
+        code_alone = [axis.stripe_px for axis in axes if not axis.periods_px]
+        # Programs draw stripes of equal widths in both directions.
+        yield tuple(axis if axis.periods_px else replace(axis, stripe_px=min(code_alone)) for axis in axes)
+
+
+def _convention(name: str, hypothesis: Hypothesis, images: NDArray[Any], width: float) -> AxisConvention:
+    mine = [one for one in hypothesis.shown if one.axis == name]
+    size_px = GUESSED_PX["xy".index(name)]
+    bits = sum(one.shows is Shows.GRAY for one in mine)
+    stripe_px = 0.0
+    if bits:
+        size_px = float(2 ** max(round(np.log2(size_px)), bits))
+        stripe_px = max(size_px / 2**bits, 0.5)
+    groups = [
+        [
+            k
+            for k, one in enumerate(hypothesis.shown)
+            if one.axis == name and one.shows in FRINGES and one.period == period
+        ]
+        for period in sorted({one.period for one in mine if one.shows in FRINGES})
+    ]
+    fields: dict[str, Any] = dict(hypothesis.conventions)
+    size_px = fields.pop("size_px", size_px)
+    if groups and "periods_px" not in fields:
+        fields["steps_deg"] = tuple(_steps(images[group]) for group in groups)
+        if not bits or len(groups) > 1:
+            fields["periods_px"] = periods_by_phases(
+                [images[group] for group in groups], fields["steps_deg"], name, size_px
+            )
+            stripe_px = max(fields["periods_px"]) * width if bits else 0.0
+        else:
+            fields["periods_px"] = (stripe_px / width,)
+    axis = AxisConvention(
+        name, size_px, fields.pop("periods_px", ()), fields.pop("steps_deg", ()), bits=bits,
+        inverses=any(one.shows is Shows.INVERSE for one in mine), stripe_px=stripe_px,
+    )  # fmt: skip
+    return replace(axis, **fields)
 
 
 def _steps(images: NDArray[Any]) -> tuple[float, ...]:
-    count = len(images)
-    equal = equal_steps(count)
-    stack = _strong(images)
-    return equal if count == LEAST_STEPS or misfit(stack, equal) < MOST_MISFIT else measured_steps(stack)
+    """Return the steps of images (n, h, w) of one period: equal ones where they fit. Raises ForeignError where no steps do."""
+    equal = equal_steps(len(images))
+    if len(equal) == LEAST_STEPS:
+        return equal  # These fit anything.
+    stack = images[:, ::EVERY, ::EVERY].reshape(len(images), -1).astype(np.float64)
+    swing = np.ptp(stack, axis=0)
+    stack = stack[:, swing > 0.5 * float(np.quantile(swing, 0.9))]
+    steps = equal if misfit(stack, equal) < MOST_MISFIT else measured_steps(stack)
+    if misfit(stack, steps) > MOST_MISFIT:
+        raise ForeignError(f"{len(images)} images are no steps of one sine")
+    return steps
 
 
-def _with_periods(seen: list[Seen], axes: list[AxisConvention], images: NDArray[Any]) -> list[str]:
-    words = [one.word for one in seen]
+def _tried(
+    folder: Path,
+    cameras: Sequence[CameraFiles],
+    channel: str,
+    hypothesis: Hypothesis,
+    axes: tuple[AxisConvention, ...],
+    images: NDArray[Any],
+) -> Candidate:
+    """Return a hypothesis with what fits its images in place of what was supposed. Raises ForeignError."""
+    size_px = [int(GUESSED_PX[0]), int(GUESSED_PX[1])]
     for axis in axes:
-        groups = _groups(axis.name, seen, images)
-        for period, group in enumerate(groups):
-            for k in group:
-                words[k] = f"sine-{axis.name}{period + 1 if period else ''}"
-        if not groups:
-            words = ["-" if word == f"sine-{axis.name}" else word for word in words]
-    known = {axis.name for axis in axes}
-    return [word if word[-1] not in "xy" or word[-1] in known else "-" for word in words]
+        size_px["xy".index(axis.name)] = round(axis.size_px)
+    description = Description(
+        folder.name,
+        folder,
+        files_of(cameras),
+        hypothesis.shown,
+        channel,
+        None,
+        (size_px[0], size_px[1]),
+        axes,
+        Table("cameras.", {}),
+    )
+    white = next(one for one in FULL_SCALES if float(images.max()) <= one)
+    kept = [k for k, one in enumerate(hypothesis.shown) if one.shows is not Shows.OTHER]
+    shown = tuple(hypothesis.shown[k] for k in kept)
+    seen = ImageSet(shown, tuple(cameras[0].files[k] for k in kept), images[kept], white)
+    description, camera, tested = fitted(description, seen)
+    shares, weights = explained_shares(description, camera)
+    # What no role explains counts as not explained.
+    unexplained = 0.25 * (len(images) - len(kept))
+    total = float((shares * weights).sum() / max(weights.sum() + unexplained, 1e-9))
+    by_image = np.full(len(images), np.nan)
+    by_image[kept] = shares
+    return Candidate(hypothesis.program, tuple(cameras), description, tuple(tested), total, tuple(by_image.tolist()))
 
 
-def _fitted(description: Description, images: ImageSet) -> tuple[Description, list[str], int]:
-    """Return the description with what fits its images instead of what was guessed, what could not be told, and how much of it is wrong."""
-    notes: dict[str, str] = {}
-    wrong = 0
+def fitted(description: Description, images: ImageSet) -> tuple[Description, DecodedCamera, list[ExaminedAssumption]]:
+    """Return the description with what fits its images instead, the camera so decoded, and what its tests say then. Raises ForeignError."""
     for _ in range(ROUNDS):
         camera = decode_camera(images, description)
-        changed = False
-        notes.clear()
-        wrong = 0
+        asked = [axis for axis in description.axes if not axis.micro and not axis.carriers]
+        tested = [*examine_references(camera), *(one for axis in asked for one in examine_axis(camera, axis))]
+        changed = description
         for axis in description.axes:
-            for one in examine_axis(camera, axis):
-                if one.outcome is Outcome.WRONG and one.instead:
-                    description = description.with_axis(replace(description.axis(axis.name) or axis, **one.instead))
-                    changed = True
-                elif one.outcome is not Outcome.FITS:
-                    notes[one.about] = one.text
-                    wrong += one.outcome is Outcome.WRONG
-        if not changed:
+            for one in tested:
+                if one.outcome is Outcome.WRONG and one.instead and axis.name in one.about.split(".")[0].split():
+                    changed = changed.with_axis(replace(changed.axis(axis.name) or axis, **one.instead))
+        if changed == description:
             break
-    return description, [f"{about}: {text}" for about, text in notes.items()], wrong
+        description = changed
+    return description, camera, tested
 
 
-# ------------------------------------------------------------------------------------------------- text
+def files_of(cameras: Sequence[CameraFiles]) -> dict[str, ImageFiles]:
+    """Return the cameras' files in the words of a description."""
+    return {one.side: ImageFiles((one.pattern,), turns=tuple(one.sides.split())) for one in cameras}
 
 
-def _joined(words: Sequence[str]) -> list[str]:
-    """Return words with repetitions written as such: ``gray-x*6``, ``(gray-x ~gray-x)*6``."""
-    said: list[str] = []
-    k = 0
-    while k < len(words):
-        for length in (1, 2):
-            unit, count = words[k : k + length], 1
-            while list(words[k + count * length : k + (count + 1) * length]) == list(unit):
-                count += 1
-            if count > 1 and (length == 1 or len(set(unit)) == length):
-                said.append(f"{unit[0] if length == 1 else '(' + ' '.join(unit) + ')'}*{count}")
-                k += count * length
-                break
-        else:
-            said.append(words[k])
-            k += 1
-    return said
+# ------------------------------------------------------------------------------------------- cameras, projector
 
 
-def _text(
-    description: Description,
-    cameras: Sequence[CameraFiles],
-    beside: Path,
-    folder: Path,
-    order: str,
-    notes: Sequence[str],
-) -> str:
-    def name(pattern: str) -> str:
-        path = (folder / pattern).absolute()
-        own = beside.absolute()
-        return str(path.relative_to(own)) if path.is_relative_to(own) else str(path)
-
-    said = ["# Guessed by looking at the images; read it before it is believed. docs/foreign.md explains every word."]
-    said += [f"# {note}" for note in notes]
-    said += ["", "[images]"]
-    if cameras[0].sides:
-        said += [f'both = "{name(cameras[0].pattern)}"', f'sides = "{cameras[0].sides}"  # or right first']
-    else:
-        said += [f'{one.side} = "{name(one.pattern)}"' for one in cameras]
-    said.append(f'order = "{order}"')
-    said += [f'channel = "{description.channel}"'] if description.channel != "grey" else []
-    if len(cameras) == 1:
-        said.append("# Of one camera only: the projector must be calibrated, and takes the right camera's place.")
-    said += ["", "[projector]  # cannot be seen: of two cameras, no point depends on it"]
-    said += [f"width_px = {description.projector_px[0]}", f"height_px = {description.projector_px[1]}"]
-    for axis in description.axes:
-        said += ["", *_axis_text(axis)]
-    said += ["", "[cameras]", *_cameras_text(description.cameras.content, name), "", "# [water]", "# index = 1.335", ""]
-    return "\n".join(said)
-
-
-def _axis_text(axis: AxisConvention) -> list[str]:
-    said = [f"[{axis.name}]"]
-    if axis.periods_px:
-        values = [f"{one:.6g}" for one in axis.periods_px]
-        said.append(f"period_px = {values[0] if len(values) == 1 else '[' + ', '.join(values) + ']'}")
-        steps = axis.steps_deg[0]
-        equal = steps == equal_steps(len(steps))
-        said.append(f"steps = {len(steps)}" if equal else f"steps_deg = [{', '.join(f'{one:g}' for one in steps)}]")
-        said += ['sign = "-"'] if axis.sign < 0 else []
-        said += [f"start_deg = {axis.start_deg:g}"] if axis.start_deg else []
-    if axis.bits:
-        said.append(f"stripe_px = {axis.stripe_px:g}")
-        said += [f"code_offset_px = {axis.code_offset_px:g}"] if axis.code_offset_px else []
-        said += ['code = "binary"'] if axis.plain_binary else []
-        said += ['code_order = "fine-first"'] if axis.fine_first else []
-        said += ["code_inverted = true"] if axis.inverted else []
-    return said
-
-
-def _cameras_text(table: Mapping[str, Any], name: Callable[[str], str]) -> list[str]:
-    """Return the lines of [cameras]."""
-    if "calibration" in table:
-        return [f'calibration = "{name(table["calibration"])}"']
-    if not table:
-        return ['# files = ["stereo.yml"]  # OpenCV: M1 D1 M2 D2 R T; nothing was found here', 'unit = "mm"']
-    return [
-        f"files = [{', '.join(chr(34) + name(one) + chr(34) for one in table['files'])}]",
-        f'unit = "{table["unit"]}"  # of the translation',
-    ]
-
-
-# ------------------------------------------------------------------------------------------------ cameras, projector
-
-
-def _cameras(folder: Path) -> dict[str, Any]:
-    """Return what the folder has about cameras, as [cameras] would say it: a calibration of ours, else files with matrices."""
-    files = []
-    for path in sorted(folder.rglob("*")):
-        if not path.is_file() or path.suffix.lower() not in CAMERA_SUFFIXES:
-            continue
-        relative = str(path.relative_to(folder))
-        if path.suffix == ".json":
-            try:
-                calibration_file.load(path)
-            except calibration_file.CalibrationError:
-                pass
-            else:
-                return {"calibration": relative}
-        try:
-            wanted = SINGLES if path.suffix.lower() in SINGLE_SUFFIXES else MATRICES
-            if any(np.size(value) in wanted for value in numbers_in(path).values()):
-                files.append(relative)
-        except ForeignError:
-            continue
-    if not files:
-        return {}
-    numbers = _numbers(folder, {"files": files})
-    short = "translation" in numbers and float(np.linalg.norm(numbers["translation"])) < METRES_BELOW
-    return {"files": files, "unit": "m" if short else "mm"}
-
-
-def _numbers(folder: Path, table: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the numbers of both cameras; nothing where they are not all there."""
+def _on_rig(candidate: Candidate, table: Mapping[str, Any], progress: Callable[[str], None]) -> Candidate:
+    """Return the candidate with the cameras of the folder, and with what their rays make of it."""
+    progress("trying the cameras")
+    said = replace(candidate.description, cameras=Table("cameras.", table))
+    found: list[Candidate] = []
     try:
-        return numbers_from_files(folder, Table("cameras.", table)) if "files" in table else {}
-    except ForeignError:
-        return {}
+        sizes_px = {one.side: _size_px(one, said) for one in candidate.cameras}
+        for description in _on_projectors(said, sizes_px) if len(candidate.cameras) == 1 else [said]:
+            found.append(_seen_by_rays(replace(candidate, description=description)))
+            if not found[-1].contradictions:
+                break
+    except ForeignError as error:
+        return replace(candidate, description=said, notes=(str(error),))
+    return min(found, key=lambda one: one.contradictions)
 
 
-def _projectors_px(folder: Path, table: Mapping[str, Any]) -> tuple[tuple[int, int], ...]:
-    """Return the sizes whose middle column is nearest to the projector's principal point, the commonest one first."""
-    matrix = _numbers(folder, table).get("right_matrix")
-    if matrix is None:
-        return (GUESSED_PX,)
-    width_px = 2.0 * float(np.reshape(matrix, (3, 3))[0, 2]) + 1.0
-    nearest_px = min((width for width, _ in PROJECTORS_PX), key=lambda width: abs(width - width_px))
-    return tuple(size for size in PROJECTORS_PX if size[0] == nearest_px)
+def _seen_by_rays(candidate: Candidate) -> Candidate:
+    """Return the candidate with what its rays say, and what fits in place of what they contradict. Raises ForeignError."""
+    for _ in range(ROUNDS):
+        description = candidate.description
+        decoded, sizes_px = {}, {"right": description.projector_px}
+        for one in candidate.cameras:
+            sizes_px[one.side] = _size_px(one, description)
+            decoded[one.side] = decode_camera(_reduced_set(one, description), description)
+        tested = examine(description, decoded, read_rig(description, sizes_px))
+        candidate = replace(candidate, tested=tested)
+        wrong = next((one for one in tested if one.outcome is Outcome.WRONG), None)
+        if wrong is None:
+            break
+        if wrong.about == EXCHANGED:
+            cameras = tuple(
+                replace(one, side=side) for one, side in zip(candidate.cameras, ("right", "left"), strict=True)
+            )[::-1]
+            candidate = replace(candidate, cameras=cameras, description=replace(description, files=files_of(cameras)))
+        elif wrong.instead:
+            candidate = replace(candidate, description=_with_instead(description, wrong.instead))
+        else:
+            break
+    return candidate
 
 
-def _sized(axes: Sequence[AxisConvention], size_px: tuple[int, int]) -> list[AxisConvention]:
-    """Return the directions on a projector of that size: a code's stripes are whole powers of two of its px."""
-    found = []
-    for axis in axes:
-        size = float(size_px["xy".index(axis.name)])
-        scale = size / axis.size_px
-        if axis.bits:
-            scale = max(2.0 ** (np.ceil(np.log2(size)) - axis.bits), 1.0) / axis.stripe_px
-        periods_px = tuple(scale * one for one in axis.periods_px)
-        found.append(replace(axis, size_px=size, periods_px=periods_px, stripe_px=scale * axis.stripe_px))
-    return found
+def _size_px(camera: CameraFiles, description: Description) -> tuple[int, int]:
+    height_px, width_px = Pictures.of(camera.files, description.channel).shape[1:]
+    return width_px, height_px
 
 
-def _on_projector(
-    description: Description, images: ImageSet, sizes_px: Sequence[tuple[int, int]]
-) -> tuple[Description, list[str]]:
-    """Return the description with the projector's size and the begin of the code that make points, and what could not be told."""
-    height_px, width_px = images.shape
-    notes: list[str] = []
-    for size_px in sizes_px:
-        axes = tuple(_sized(description.axes, size_px))
-        tried = replace(description, axes=axes, projector_px=size_px)
-        try:
-            rig = read_rig(tried, {"left": (width_px, height_px), "right": size_px})
-            found = examine_arrangement(tried, rig, {"left": decode_camera(images, tried)})
-        except ForeignError as error:
-            return description, [str(error)]
-        if found.outcome is not Outcome.WRONG:
-            return tried, [] if found.outcome is Outcome.FITS else [str(found)]
-        if found.instead:
-            for axis in axes:
-                offset_px = found.instead[f"{axis.name}.code_offset_px"]
-                tried = tried.with_axis(replace(axis, code_offset_px=offset_px))
-            return tried, []
-        notes = notes or [str(found)]
-    return description, notes
+def _reduced_set(camera: CameraFiles, description: Description) -> ImageSet:
+    assert description.order is not None
+    pictures = Pictures.of(camera.files, description.channel)
+    factor = reduction(pictures.shape[1:])
+    kept = [k for k, one in enumerate(description.order) if one.shows is not Shows.OTHER]
+    images = np.stack([reduced(pictures[k], factor) for k in kept])
+    white = next(one for one in FULL_SCALES if float(images.max()) <= one)
+    return ImageSet(tuple(description.order[k] for k in kept), tuple(camera.files[k] for k in kept), images, white)
+
+
+def _with_instead(description: Description, instead: Mapping[str, Any]) -> Description:
+    """Return the description with fields ``x.sign`` … of its conventions."""
+    for key, value in instead.items():
+        name, _, word = key.rpartition(".")
+        axis = description.axis(name)
+        if axis is not None:
+            description = description.with_axis(replace(axis, **{word: value}))
+    return description
+
+
+def _on_projectors(description: Description, sizes_px: Mapping[str, tuple[int, int]]) -> Iterator[Description]:
+    """Yield the description with each size that the projector may have: the one its calibration states, else those by its axis."""
+    table = description.cameras
+    stated_px = None
+    if "files" in table.content:
+        stated_px = camera_numbers(description.folder, table, of_projector=True).stated_px.get("right")
+    if stated_px is None:
+        # Any size will do to ask where the projector's axis is.
+        right = read_rig(description, {**sizes_px, "right": description.projector_px}).rig.right
+        width_px = 2.0 * right.lens.c_px[0] + 1.0
+        nearest_px = min((width for width, _ in PROJECTORS_PX), key=lambda width: abs(width - width_px))
+        sizes = [size for size in PROJECTORS_PX if size[0] == nearest_px]
+    else:
+        sizes = [stated_px]
+    for size_px in sizes:
+        axes = []
+        for axis in description.axes:
+            size = float(size_px["xy".index(axis.name)])
+            scale = size / axis.size_px
+            if axis.bits:
+                # A code's stripes are whole powers of two of the projector's px.
+                scale = max(2.0 ** (math.ceil(math.log2(size)) - axis.bits), 1.0) / axis.stripe_px
+            periods_px = (
+                axis.periods_px if axis.micro or axis.carriers else tuple(scale * one for one in axis.periods_px)
+            )
+            axes.append(
+                replace(
+                    axis,
+                    size_px=size,
+                    periods_px=periods_px,
+                    stripe_px=scale * axis.stripe_px,
+                    code_offset_px=scale * axis.code_offset_px,
+                )
+            )
+        yield replace(description, projector_px=size_px, axes=tuple(axes))
+        if not any(axis.bits for axis in axes):
+            # Fringes alone run either way; mirrored in one direction, cameras would see a surface from behind.
+            yield replace(
+                description, projector_px=size_px, axes=tuple(replace(axis, sign=-axis.sign) for axis in axes)
+            )
+
+
+def reduced_pictures(candidate: Candidate) -> list[NDArray[Any]]:
+    """Return all images of the left camera, reduced."""
+    pictures = Pictures.of(candidate.cameras[0].files, candidate.description.channel)
+    return [reduced(pictures[k], reduction(pictures.shape[1:])) for k in range(len(pictures))]

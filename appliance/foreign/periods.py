@@ -24,7 +24,7 @@ LEAST_RUN_TURNS = 0.004
 """Slowest phase of the finest fringes, from a pixel to the next, that a ratio is taken of."""
 LAGS_PX = (1, 4, 16)
 """Distances over which phases are compared; the longest over which the finest fringes run less than half a turn counts."""
-PIXELS = 3000
+PIXELS = 1000
 STRONG = 0.5
 
 

@@ -31,8 +31,9 @@ from appliance.optics.water import Water
 from appliance.patterns.sequence import PatternSequence
 from appliance.processing.judges import JUDGES
 from appliance.reconstruct.quality import QualityLimits
+from appliance.report.still import picture_of_scan
 from appliance.scan.sides import SIDES, of_side
-from appliance.storage.atomic import StorageError, draft_of, move_folder
+from appliance.storage.atomic import StorageError, draft_of, move_folder, replace_file
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.manifest import Decision
 from appliance.storage.record import ScanRecord, SequenceInfo
@@ -67,11 +68,12 @@ def check_import(path: Path, out: Path) -> None:
 
 
 def import_cloud(
-    path: Path, out: Path, progress: Callable[[str], None], *, as_described: bool = False, reasons: Path | None = None
-) -> dict[str, Any]:
+    path: Path, out: Path, progress: Callable[[str], None], *, as_described: bool = False, reasons: Path | None = None,
+    picture: Path | None = None,
+) -> dict[str, Any]:  # fmt: skip
     """Write the points of the images that the description at ``path`` describes; the suffix of ``out`` says how.
 
-    ``reasons``: a PNG of why pixels have no point, also where hardly any are left.
+    ``reasons``: a PNG of why pixels have no point, also where hardly any are left; ``picture``: one of the points.
 
     Raises ForeignError, also where the images contradict the description (unless ``as_described``) and where hardly any points
     are left; ExportError, MissingLibraryError, StorageError.
@@ -85,6 +87,9 @@ def import_cloud(
     marks = [found.unchecked] if found.unchecked else []
     marks += [f"wrong: {one.about}: {one.text}" for one in scan.wrong]
     write_scan(out, found.cloud, About(scan.description.name, CAMERA_FRAME, (note,), tuple(marks), _unit(scan)))
+    if picture is not None:
+        there = found.cloud.mask
+        replace_file(LocalFileSystem(), picture, picture_of_scan(found.cloud.points_mm[there], found.cloud.grey[there]))
     unit = _unit(scan) or ("m" if suffix in (".e57", ".las") else "mm")
     return {"file": str(out), "format": suffix.removeprefix("."), "unit": unit, **_report(scan, found)}
 

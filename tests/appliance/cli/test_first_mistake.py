@@ -109,7 +109,7 @@ MORE = {
     "measure exposures 1": NO_SCAN,
     "scans verify 1": NO_SCAN,
     "import TEXT.stl": Mistake("", Exit.FAILED, "TEXT.stl"),
-    "import --guess GONE": Mistake("", Exit.USAGE, "no such folder"),
+    "import ROOT": Mistake("--out TEXT.stl", Exit.USAGE, "TEXT.stl"),
 }
 """Second mistakes, where another one than the scan's number is usual; by the words that come first."""
 ALL = {words: one for words, one in (MISTAKES | MORE).items() if one is not None}

@@ -148,13 +148,22 @@ def test_a_wrong_word_may_be_insisted_on_and_the_file_tells(foreign_set: Sets, t
     assert "unchecked: fringes of one direction only" in said
 
 
-def test_a_guess_is_a_description_that_works(shell: Shell, foreign_set: Sets, tmp_path: Path) -> None:
+def test_a_folder_becomes_a_cloud_and_a_description_that_works(shell: Shell, foreign_set: Sets, tmp_path: Path) -> None:
     made = foreign_set("two-directions")
     folder = made.description.parent
-    guess = tmp_path / "guess.toml"
-    assert shell("import", "--guess", folder, "--out", guess).code == Exit.OK
-    said = shell("import", guess, "--out", tmp_path / "cloud.npz", "--json")
+    said = shell("import", folder, "--out", tmp_path / "cloud.npz", "--json")
     assert said.code == Exit.OK, said.err
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "cloud.cloud.png",
+        "cloud.npz",
+        "cloud.roles.png",
+        "cloud.toml",
+    ]
+    assert shell("import", tmp_path / "cloud.toml", "--out", tmp_path / "again.npz").code == Exit.OK
+    assert (tmp_path / "again.npz").read_bytes() == (tmp_path / "cloud.npz").read_bytes()
+    said = shell("import", folder, "--out", tmp_path / "cloud.npz")
+    assert said.code == Exit.USAGE
+    assert "cloud.toml is there already: import it" in said.err
     with np.load(tmp_path / "cloud.npz") as grid:
         complete, off_mm = judged(made, points_of(grid), grid["mask"])
     assert complete > 0.94

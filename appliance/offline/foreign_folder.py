@@ -1,0 +1,78 @@
+"""Owns the import of a folder of images that nobody has described: guess, description, contact sheet, points and a picture of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from appliance.foreign.guess import Candidate, Guess, guess_sequence, reduced_pictures
+from appliance.foreign.problem import ForeignError
+from appliance.foreign.sheet import contact_sheet
+from appliance.foreign.writing import description_text, joined
+from appliance.offline.foreign_import import import_cloud
+from appliance.storage.atomic import replace_file
+from appliance.storage.filesystem import LocalFileSystem
+
+
+def beside_cloud(out: Path) -> tuple[Path, Path, Path]:
+    """Return where the description, the contact sheet and the picture of the cloud ``out`` go."""
+    return out.with_suffix(".toml"), out.with_name(f"{out.stem}.roles.png"), out.with_name(f"{out.stem}.cloud.png")
+
+
+def import_folder(
+    folder: Path, out: Path, progress: Callable[[str], None], reasons: Path | None = None
+) -> dict[str, Any]:
+    """Guess what the images below ``folder`` show, and write the cloud ``out`` with all that belongs to it.
+
+    Raises ForeignError where nothing stands out, or the cameras are not known: descriptions and contact sheet are there then; besides
+    as ``import_cloud``.
+    """
+    guess = guess_sequence(folder, progress)
+    described, roles, picture = beside_cloud(out)
+    files = LocalFileSystem()
+    best = guess.candidates[0]
+    words = [one.word for one in best.description.order or ()]
+    replace_file(files, roles, contact_sheet(reduced_pictures(best), words, best.by_image))
+    if not guess.clear:
+        raise ForeignError(_question(folder, out, guess))
+    _write(best, described)
+    if not best.description.cameras.content:
+        raise ForeignError(
+            f"{folder}: its images are {joined(words)} ({best.program}), and no file says anything of the cameras: put their calibration "
+            f"into the folder, or say it under [cameras] in {described.name}, which is written"
+        )
+    report = import_cloud(described, out, progress, reasons=reasons, picture=picture)
+    return {**report, "program": best.program, "order": joined(words), "explained_percent": 100.0 * best.explained,
+            "description": str(described), "roles": str(roles), "picture": str(picture)}  # fmt: skip
+
+
+def guessed_text(candidate: Candidate, beside: Path) -> str:
+    """Return the description of a candidate, as the text of a file in the folder ``beside``."""
+    notes = (
+        f"{candidate.program}: {100 * candidate.explained:.0f} % of the images' variation is explained.",
+        *candidate.notes,
+    )
+    return description_text(candidate.description, candidate.tested, beside, notes)
+
+
+def _write(candidate: Candidate, path: Path) -> None:
+    replace_file(LocalFileSystem(), path, guessed_text(candidate, path.parent).encode())
+
+
+def _question(folder: Path, out: Path, guess: Guess) -> str:
+    """Write both descriptions, and return the question that tells them apart."""
+    said = []
+    for number, one in enumerate(guess.candidates, 1):
+        path = out.with_name(f"{out.stem}.{number}.toml")
+        _write(one, path)
+        words = joined([shown.word for shown in one.description.order or ()])
+        said.append(f"{words} ({one.program}, explains {100 * one.explained:.0f} %: {path.name})")
+    first, second = (one.description.order or () for one in guess.candidates)
+    other = [k + 1 for k, (a, b) in enumerate(zip(first, second, strict=False)) if a != b]
+    return (
+        f"{folder}: two readings of the images are as good: {said[0]}, or {said[1]}; what do images {other[0]} to {other[-1]} show? See "
+        f"{beside_cloud(out)[1].name}, and import the description that is right"
+        if other
+        else f"{folder}: two readings of the images are as good: {said[0]}, or {said[1]}; import the one that is right"
+    )
