@@ -125,14 +125,6 @@ def examine_cameras(
     return [*said, size, *_lengths(rig, here)]
 
 
-def examine_arrangement(
-    description: Description, rig: ForeignRig, cameras: Mapping[str, DecodedCamera]
-) -> ExaminedAssumption:
-    """Return what contradicts most of ``examine_cameras``."""
-    said = examine_cameras(description, rig, cameras)
-    return min(said, key=lambda one: (Outcome.WRONG, Outcome.FITS, Outcome.UNCHECKED).index(one.outcome))
-
-
 def _judged(here: _Found, tried: list[tuple[_Seen, _Found]]) -> list[ExaminedAssumption]:
     """Return what the hypotheses say of the words that they are about."""
     better = [(one, found) for one, found in tried if found.better(here)]

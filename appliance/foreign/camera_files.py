@@ -47,11 +47,6 @@ def camera_numbers(folder: Path, table: Table, of_projector: bool) -> CameraNumb
     return understood(files, table.table("names") or Table("cameras.names.", {}), of_projector)
 
 
-def numbers_from_files(folder: Path, table: Table) -> dict[str, Any]:
-    """Return the numbers of a camera and whatever else there is, a projector or a second one. Raises ForeignError."""
-    return dict(camera_numbers(folder, table, of_projector=True).found)
-
-
 def cameras_in(folder: Path) -> dict[str, Any]:
     """Return what a folder has about cameras, as [cameras] would say it: a calibration of ours, else files of which something is known."""
     files: dict[str, NumbersOf] = {}

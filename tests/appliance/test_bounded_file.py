@@ -17,7 +17,7 @@ from appliance.bounded_file import parse_toml, read_bounded, read_text
 from appliance.calibration import file as calibration_file
 from appliance.calibration.noise_file import load as load_noise
 from appliance.config import default_rig_path, load_rig
-from appliance.foreign.camera_files import numbers_from_files, numbers_in
+from appliance.foreign.camera_files import camera_numbers, numbers_in
 from appliance.foreign.description import load_description
 from appliance.foreign.frames import Frame, frames_in, raw_images
 from appliance.foreign.problem import ForeignError, Table
@@ -145,7 +145,7 @@ def test_cameras_numbers_that_are_none_are_named(name: str, text: str, number: s
     spelt = written.replace("nan", "NaN").replace("inf", "Infinity")
     (tmp_path / name).write_text(f"{{{spelt.rstrip(',')}}}" if name.endswith(".json") else written)
     with pytest.raises(ForeignError, match=r"cameras.files: s\.\w+: P2 is .*; allowed are finite numbers below 1e\+09"):
-        numbers_from_files(tmp_path, Table("cameras.", {"files": name}))
+        camera_numbers(tmp_path, Table("cameras.", {"files": name}), of_projector=True)
 
 
 def test_whole_numbers_of_toml_have_64_bits() -> None:
