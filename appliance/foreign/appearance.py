@@ -28,9 +28,9 @@ BETWEEN = (0.2, 0.8)
 SINE_BETWEEN = 0.3
 """Share of the pixels between a fifth and four fifths of their range in a clear sine: 0.41 are expected, 0.03 of wide stripes."""
 BLURRED = 0.6
-"""What an image of a code that looks like a sine agrees: fine stripes do."""
+"""Agreement of an image of a code that looks like a sine: fine stripes do."""
 WIDE = 0.3
-"""What a sine agrees that looks even, or like stripes: a wide fringe does, of which a part is seen."""
+"""Agreement of a sine that looks even, or like stripes: a wide fringe does, of which a part is seen."""
 INVERSE = 0.7
 """Ratio of the sum's to the difference's root mean square, from which on two images are no inverses of each other."""
 EVEN, ENDS = 0.15, 0.1
@@ -48,7 +48,7 @@ class Looks:
     spread: Floats
     between: Floats
     along_x: Floats
-    """How much more an image changes along its rows than along its columns, −1 … 1."""
+    """Change of an image along its rows less that along its columns, over their sum: −1 … 1."""
     fineness: Floats
     """Logarithm of how much it changes from pixel to pixel."""
 
@@ -73,6 +73,7 @@ def look_at(images: NDArray[Any]) -> Looks:
     shares, lit = share_of_range(images)
     values = shares[:, lit]
     across, down = (np.array([_change(one, lit) for one in turned]) for turned in (shares, shares.transpose(0, 2, 1)))
+    # Images are compared with each other: some thousand pixels are enough for that.
     few = values[:, :: max(1, values.shape[1] // SAMPLES)] - np.float32(0.5)
     between = np.mean((values > BETWEEN[0]) & (values < BETWEEN[1]), axis=1)
     along_x = (across - down) / np.maximum(across + down, 1e-6)

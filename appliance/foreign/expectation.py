@@ -83,6 +83,7 @@ def _without_carrier(shares: Floats, shown: Sequence[ShownImage], k: int, axis: 
 
 def _smoothed(coordinate_px: Floats, lit: NDArray[np.bool_]) -> tuple[Floats, NDArray[np.bool_]]:
     known = np.isfinite(coordinate_px)
+    # A median needs all of its neighbours, or the border of the thing itself would count as an error.
     whole = cv2.erode(known.astype(np.uint8), np.ones((SMOOTHED_PX, SMOOTHED_PX), np.uint8)) > 0
     filled = np.where(known, coordinate_px, NOWHERE).astype(np.float32)
     return np.asarray(cv2.medianBlur(filled, SMOOTHED_PX)), whole & lit

@@ -59,7 +59,7 @@ LEAST_LEFT = 0.01
 """Noise and blur leave so much unexplained at least."""
 MOST_RIVALS = 4
 PER_WRONG = 0.2
-COLOURED = 1.05
+COLOURED = 1.06
 EXCHANGED = "cameras: which is left"
 PROJECTORS_PX = (
     (608, 684), (640, 480), (640, 360), (800, 600), (854, 480), (848, 480), (912, 1140), (1024, 768), (1280, 800), (1280, 720), (1280, 1024),
@@ -71,7 +71,7 @@ WIDTHS = (1.0, 0.5, 2.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Candidate:
+class TriedSequence:
     """A hypothesis that was tried on the images of a folder."""
 
     program: str
@@ -83,7 +83,7 @@ class Candidate:
     by_image: tuple[float, ...]
     """The same for each image."""
     notes: tuple[str, ...] = ()
-    """What is to be read before the description."""
+    """Remarks to be read before the description."""
 
     @property
     def rank(self) -> float:
@@ -105,10 +105,10 @@ class Candidate:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Guess:
-    """What the images of a folder show: one candidate, or the best two where none stands out."""
+class FolderGuess:
+    """Result of looking at a folder: one candidate, or the best two where none stands out."""
 
-    candidates: tuple[Candidate, ...]
+    candidates: tuple[TriedSequence, ...]
 
     @property
     def clear(self) -> bool:
@@ -116,10 +116,10 @@ class Guess:
         return len(self.candidates) == 1
 
 
-def guess_sequence(folder: Path, progress: Callable[[str], None]) -> Guess:
+def guess_sequence(folder: Path, progress: Callable[[str], None]) -> FolderGuess:
     """Return what the images below ``folder`` show. Raises ForeignError where nothing is known that they could show."""
     named = camera_files(folder)
-    found: list[Candidate] = []
+    found: list[TriedSequence] = []
     refused: ForeignError | None = None
     for cameras in [named] if len(named) == 2 else [named, *taken_in_turns(named[0])]:
         if found and max(one.rank for one in found) >= GOOD:
@@ -132,16 +132,18 @@ def guess_sequence(folder: Path, progress: Callable[[str], None]) -> Guess:
     if not found or found[0].rank < FAIR:
         raise refused or _unknown(folder, found)
     left = max(1.0 - found[0].rank, LEAST_LEFT)
+    # Several readings may explain as much: a sine of few steps and a code of fine stripes look alike.
     rivals = [one for one in found if 1.0 - one.rank < APART * left][:MOST_RIVALS]
+    # Rays know what no image tells: which camera is left, and which way fringes run.
     table = cameras_in(folder)
     if table:
         rivals = [_on_rig(one, table, progress) for one in rivals]
     # Of what explains as much, that which more tests could have contradicted.
     best = max((round(one.rank - one.explained, 3), one.evidence) for one in rivals)
-    return Guess(tuple([one for one in rivals if (round(one.rank - one.explained, 3), one.evidence) == best][:2]))
+    return FolderGuess(tuple([one for one in rivals if (round(one.rank - one.explained, 3), one.evidence) == best][:2]))
 
 
-def _unknown(folder: Path, found: Sequence[Candidate]) -> ForeignError:
+def _unknown(folder: Path, found: Sequence[TriedSequence]) -> ForeignError:
     told = ""
     if found:
         words = joined([one.word for one in found[0].description.order or ()])
@@ -151,12 +153,13 @@ def _unknown(folder: Path, found: Sequence[Candidate]) -> ForeignError:
     )
 
 
-def _candidates(folder: Path, cameras: Sequence[CameraFiles], progress: Callable[[str], None]) -> list[Candidate]:
+def _candidates(folder: Path, cameras: Sequence[CameraFiles], progress: Callable[[str], None]) -> list[TriedSequence]:
     channel, images = reduced_images(cameras[0].files, progress)
     looks = look_at(images)
     ranked = sorted(_all_hypotheses(looks), key=lambda one: -agreement(looks, one.shown))
-    tried: list[Candidate] = []
+    tried: list[TriedSequence] = []
     agreed = [agreement(looks, one.shown) for one in ranked[:MOST_TRIED]]
+    # Looks alone are often wrong about the finest stripes: what looks nearly as well is tried, too.
     for hypothesis, agrees in zip(ranked, agreed, strict=False):
         if agrees < agreed[0] - NEARLY and max((one.rank for one in tried), default=0.0) > SURE:
             break
@@ -166,7 +169,7 @@ def _candidates(folder: Path, cameras: Sequence[CameraFiles], progress: Callable
                 tried.append(_tried(folder, cameras, channel, hypothesis, axes, images))
                 if not tried[-1].contradictions or tried[-1].explained < FAIR:
                     break
-    best: dict[tuple[ShownImage, ...], Candidate] = {}
+    best: dict[tuple[ShownImage, ...], TriedSequence] = {}
     for one in tried:
         order = one.description.order or ()
         if order not in best or one.rank > best[order].rank:
@@ -293,7 +296,7 @@ def _tried(
     hypothesis: Hypothesis,
     axes: tuple[AxisConvention, ...],
     images: NDArray[Any],
-) -> Candidate:
+) -> TriedSequence:
     """Return a hypothesis with what fits its images in place of what was supposed. Raises ForeignError."""
     size_px = [int(GUESSED_PX[0]), int(GUESSED_PX[1])]
     for axis in axes:
@@ -317,10 +320,13 @@ def _tried(
     shares, weights = explained_shares(description, camera)
     # What no role explains counts as not explained.
     unexplained = 0.25 * (len(images) - len(kept))
+    # Images that vary little weigh little: of stripes finer than pixels nothing can be explained.
     total = float((shares * weights).sum() / max(weights.sum() + unexplained, 1e-9))
     by_image = np.full(len(images), np.nan)
     by_image[kept] = shares
-    return Candidate(hypothesis.program, tuple(cameras), description, tuple(tested), total, tuple(by_image.tolist()))
+    return TriedSequence(
+        hypothesis.program, tuple(cameras), description, tuple(tested), total, tuple(by_image.tolist())
+    )
 
 
 def fitted(description: Description, images: ImageSet) -> tuple[Description, DecodedCamera, list[ExaminedAssumption]]:
@@ -348,11 +354,11 @@ def files_of(cameras: Sequence[CameraFiles]) -> dict[str, ImageFiles]:
 # ------------------------------------------------------------------------------------------- cameras, projector
 
 
-def _on_rig(candidate: Candidate, table: Mapping[str, Any], progress: Callable[[str], None]) -> Candidate:
+def _on_rig(candidate: TriedSequence, table: Mapping[str, Any], progress: Callable[[str], None]) -> TriedSequence:
     """Return the candidate with the cameras of the folder, and with what their rays make of it."""
     progress("trying the cameras")
     said = replace(candidate.description, cameras=Table("cameras.", table))
-    found: list[Candidate] = []
+    found: list[TriedSequence] = []
     try:
         sizes_px = {one.side: _size_px(one, said) for one in candidate.cameras}
         for description in _on_projectors(said, sizes_px) if len(candidate.cameras) == 1 else [said]:
@@ -364,7 +370,7 @@ def _on_rig(candidate: Candidate, table: Mapping[str, Any], progress: Callable[[
     return min(found, key=lambda one: one.contradictions)
 
 
-def _seen_by_rays(candidate: Candidate) -> Candidate:
+def _seen_by_rays(candidate: TriedSequence) -> TriedSequence:
     """Return the candidate with what its rays say, and what fits in place of what they contradict. Raises ForeignError."""
     for _ in range(ROUNDS):
         description = candidate.description
@@ -456,7 +462,7 @@ def _on_projectors(description: Description, sizes_px: Mapping[str, tuple[int, i
             )
 
 
-def reduced_pictures(candidate: Candidate) -> list[NDArray[Any]]:
+def reduced_pictures(candidate: TriedSequence) -> list[NDArray[Any]]:
     """Return all images of the left camera, reduced."""
     pictures = Pictures.of(candidate.cameras[0].files, candidate.description.channel)
     return [reduced(pictures[k], reduction(pictures.shape[1:])) for k in range(len(pictures))]

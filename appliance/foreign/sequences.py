@@ -14,7 +14,7 @@ from typing import Any
 from appliance.foreign.order import ShownImage, parse_order
 
 BITS = range(3, 13)
-STEPS = (3, 4, 5, 6, 7, 8, 9, 10, 12, 16)
+STEPS = range(3, 17)
 ROWS_LESS_COLUMNS = range(-2, 2)
 """Bits of the rows less those of the columns: a picture is up to four times as wide as high, or twice as high."""
 
@@ -101,7 +101,7 @@ SEQUENCES = (
 
 @dataclass(frozen=True, slots=True)
 class Hypothesis:
-    """What a folder's images may show."""
+    """Supposition of what a folder's images show."""
 
     program: str
     shown: tuple[ShownImage, ...]
@@ -120,6 +120,7 @@ def _numbers(order: str, count: int) -> Iterator[dict[str, int]]:
     """Yield the numbers of bits and steps with which an order names ``count`` images."""
     ranges = {name: values for name, values in (("x", BITS), ("y", BITS), ("s", STEPS)) if f"{{{name}}}" in order}
     ones = dict.fromkeys(ranges, 1)
+    # Each word counts as many images whatever its number: two lengths tell all of them.
     fewest = len(parse_order(order.format(**ones), order))
     more = {name: len(parse_order(order.format(**{**ones, name: 2}), order)) - fewest for name in ranges}
     for values in product(*ranges.values()):

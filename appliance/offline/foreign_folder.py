@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from appliance.foreign.guess import Candidate, Guess, guess_sequence, reduced_pictures
+from appliance.foreign.guess import FolderGuess, TriedSequence, guess_sequence, reduced_pictures
 from appliance.foreign.problem import ForeignError
 from appliance.foreign.sheet import contact_sheet
 from appliance.foreign.writing import description_text, joined
@@ -23,7 +23,7 @@ def beside_cloud(out: Path) -> tuple[Path, Path, Path]:
 def import_folder(
     folder: Path, out: Path, progress: Callable[[str], None], reasons: Path | None = None
 ) -> dict[str, Any]:
-    """Guess what the images below ``folder`` show, and write the cloud ``out`` with all that belongs to it.
+    """FolderGuess what the images below ``folder`` show, and write the cloud ``out`` with all that belongs to it.
 
     Raises ForeignError where nothing stands out, or the cameras are not known: descriptions and contact sheet are there then; besides
     as ``import_cloud``.
@@ -47,7 +47,7 @@ def import_folder(
             "description": str(described), "roles": str(roles), "picture": str(picture)}  # fmt: skip
 
 
-def guessed_text(candidate: Candidate, beside: Path) -> str:
+def guessed_text(candidate: TriedSequence, beside: Path) -> str:
     """Return the description of a candidate, as the text of a file in the folder ``beside``."""
     notes = (
         f"{candidate.program}: {100 * candidate.explained:.0f} % of the images' variation is explained.",
@@ -56,11 +56,11 @@ def guessed_text(candidate: Candidate, beside: Path) -> str:
     return description_text(candidate.description, candidate.tested, beside, notes)
 
 
-def _write(candidate: Candidate, path: Path) -> None:
+def _write(candidate: TriedSequence, path: Path) -> None:
     replace_file(LocalFileSystem(), path, guessed_text(candidate, path.parent).encode())
 
 
-def _question(folder: Path, out: Path, guess: Guess) -> str:
+def _question(folder: Path, out: Path, guess: FolderGuess) -> str:
     """Write both descriptions, and return the question that tells them apart."""
     said = []
     for number, one in enumerate(guess.candidates, 1):

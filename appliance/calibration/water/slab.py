@@ -20,7 +20,7 @@ from appliance.optics.rotation import matrix3, rotation_matrix
 Array = NDArray[np.float64]
 
 LEAST_POINTS = 6
-"""Of a pinhole's pose, which the search begins with."""
+"""Number of points that a pinhole's pose needs, which the search begins with."""
 START_SHARE = 0.1
 """Distance and thickness that the search begins with, as shares of the nearest point's depth."""
 UNSEEN_PX = 1e4
@@ -39,7 +39,7 @@ class FoundSlab:
     distance_sigma_mm: float | None
     """``None`` if the media before and behind it are the same: no ray depends on where it stands then, and ``port`` has it at 0."""
     rotation: Matrix3
-    """With ``translation_mm``, maps the points' frame into the camera's."""
+    """Rotation from the points' frame into the camera's, before ``translation_mm`` is added."""
     translation_mm: tuple[float, float, float]
     translation_sigma_mm: tuple[float, float, float]
     residual_px: float
