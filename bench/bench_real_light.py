@@ -22,7 +22,7 @@ from tests.support.imported import kingfisher
 Array = NDArray[np.float64]
 
 NORMAL_MEDIAN = 0.6745
-PICTURE_WIDTH_PX = 620
+PICTURE_HEIGHT_PX = 480
 
 
 @dataclass(frozen=True)
@@ -31,15 +31,22 @@ class Set:
 
     name: str
     pictures: tuple[str, ...]
-    """Folders; of several, each keeps its name."""
+    """Folders; of several, each names its pictures."""
     cameras: tuple[str, ...]
     against: str
     """``peer``: the peer's cloud; ``codes``: the same thing by another code, whose set is ``other``; ``board``: a plane."""
     other: str = ""
     picture: str | None = None
+    words: str | None = None
+    """What is described by hand where the one command asks."""
 
 
 SLSTUDIO = "slstudio/calibration/calibration.xml"
+AXIS = '[{0}]\nfringes = [16, 1]\nsteps = 3\nsign = "-"\n'
+BOARD = (
+    '[images]\nleft = "frameSeq_*.png"\norder = "sine-x*3 sine-x2*3 sine-y*3 sine-y2*3"\n[projector]\nwidth_px = 1824\nheight_px = 1140\n'
+    + AXIS.format("x") + AXIS.format("y") + '[cameras]\nfiles = ["calibration.xml"]\n'
+)  # fmt: skip
 BLENDER = ("rendered/camera_calibration.json", "rendered/projector_calibration.json")
 SETS = (
     Set("skull, Gray code", ("slstudio/skull_gray",), (SLSTUDIO,), "peer", picture="real-skull.png"),
@@ -47,8 +54,8 @@ SETS = (
     Set("skull, 1 fringe x 3", ("slstudio/skull_3ps",), (SLSTUDIO,), "peer", "skull, Gray code"),
     Set("skull, micro phase shifting", ("slstudio/skull_microps",), (SLSTUDIO,), "peer", "skull, Gray code"),
     Set("skull, modulated phase shifting", ("slstudio/skull_modulatedps",), (SLSTUDIO,), "peer", "skull, Gray code"),
-    Set("board, first pose", ("slstudio/calibration/calseq1",), (SLSTUDIO,), "board"),
-    Set("board, second pose", ("slstudio/calibration/calseq2",), (SLSTUDIO,), "board"),
+    Set("board, first pose", ("slstudio/calibration/calseq1",), (SLSTUDIO,), "board", words=BOARD),
+    Set("board, second pose", ("slstudio/calibration/calseq2",), (SLSTUDIO,), "board", words=BOARD),
     Set("face, two cameras", ("slmaster/binocular/L", "slmaster/binocular/R"), ("slmaster/binocular/caliInfo.yml",), "", picture="real-face.png"),
     Set("relief, camera and projector", ("slmaster/monocular",), ("slmaster/monocular/caliInfo.yml",), ""),
     Set("dragon of a renderer, Gray and 64 fringes", ("rendered/gray", "rendered/64"), BLENDER, ""),
@@ -95,16 +102,22 @@ def _measured(one: Set, root: Path, folder: Path, clouds: dict[str, Grid], pictu
     _linked(one, root, folder)
     begin_s = process_time()
     said = kingfisher("import", folder, "--out", folder.with_suffix(".npz"))
-    cpu_s = process_time() - begin_s
+    words = "no word"
     if said.code:
         yield Measured(f"{one.name}: asked", float("nan"), "", why=" ".join(said.error.split())[:300])
-        return
+        if one.words is None:
+            return
+        words, begin_s = "described by hand", process_time()
+        (folder / "described.toml").write_text(one.words, encoding="utf-8")
+        said = kingfisher("import", folder / "described.toml", "--out", folder.with_suffix(".npz"))
+        assert not said.code, said.error
+    cpu_s = process_time() - begin_s
     with np.load(folder.with_suffix(".npz")) as file:
         points_mm = np.stack([np.asarray(file[f"{axis}_mm"], np.float64) for axis in "xyz"], -1)
         grid = clouds[one.name] = Grid(
             points_mm, np.asarray(file["sigma_mm"], np.float64), np.asarray(file["mask"], bool)
         )
-    yield Measured(f"{one.name}: points", float(grid.mask.sum()), f"in {cpu_s:.1f} s CPU, {said.report['order']}")
+    yield Measured(f"{one.name}: points", float(grid.mask.sum()), f"in {cpu_s:.1f} s CPU, {words}")
     yield Measured(f"{one.name}: depth", float(np.median(grid.points_mm[grid.mask][:, 2])), "mm")
     yield Measured(f"{one.name}: sigma", float(np.median(grid.sigma_mm[grid.mask])), "mm")
     if one.against == "peer":
@@ -124,12 +137,14 @@ def _measured(one: Set, root: Path, folder: Path, clouds: dict[str, Grid], pictu
 
 
 def _linked(one: Set, root: Path, folder: Path) -> None:
+    folder.mkdir()
     for pictures in one.pictures:
-        into = folder if len(one.pictures) == 1 else folder / Path(pictures).name
-        into.mkdir(parents=True, exist_ok=True)
+        side = Path(pictures).name
         for path in (root / pictures).iterdir():
             if path.suffix == ".png":
-                (into / path.name).symlink_to(path)
+                into = folder / side if side in "LR" else folder
+                into.mkdir(exist_ok=True)
+                (into / (path.name if len(one.pictures) == 1 else f"{side}_{path.name}")).symlink_to(path)
     for path in (root / name for name in one.cameras):
         (folder / path.name).symlink_to(path)
 
@@ -164,11 +179,16 @@ def _between(one: Set, grid: Grid, other: Grid) -> Iterator[Measured]:
 
 def relief(grid: Grid) -> NDArray[np.uint8]:
     """A picture of the surface as if it were of plaster: brightness by its slope, from the points alone."""
-    rows, columns = np.nonzero(grid.mask)
+    # The thing itself, not specks of the room behind it.
+    _, labels, parts, _ = cv2.connectedComponentsWithStats(
+        cv2.dilate(grid.mask.astype(np.uint8), np.ones((5, 5), np.uint8))
+    )
+    thing = grid.mask & (labels == 1 + int(np.argmax(parts[1:, cv2.CC_STAT_AREA])))
+    rows, columns = np.nonzero(thing)
     part = np.s_[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
-    mask, points = grid.mask[part], np.where(grid.mask[part][..., None], grid.points_mm[part], 0.0)
+    mask, points = thing[part], np.where(thing[part][..., None], grid.points_mm[part], 0.0)
     # Means over the points about each pixel, at the size of the picture.
-    scale = PICTURE_WIDTH_PX / mask.shape[1]
+    scale = PICTURE_HEIGHT_PX / mask.shape[0]
     wide = max(1.0, 0.7 / scale)
     weight = cv2.GaussianBlur(mask.astype(np.float64), (0, 0), wide)
     smooth = cv2.GaussianBlur(points, (0, 0), wide) / np.maximum(weight, 1e-6)[..., None]

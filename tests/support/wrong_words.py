@@ -136,6 +136,14 @@ def outcome(said: Said, wrong: Wrong) -> str:
     )
 
 
+def told_words(said: Said, kind: str) -> set[str]:
+    """The words of which a right report's lines of a kind speak: ``fits`` or ``unchecked``."""
+    found = (
+        re.match(r"(?:(?:left|right): )?(?:cameras: [^:]+|[a-z]+\.[a-z_]+)", line) for line in said.report.get(kind, [])
+    )
+    return {one[0] for one in found if one}
+
+
 # --------------------------------------------------------------------------------------------------------------- sets
 
 
