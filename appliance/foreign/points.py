@@ -31,7 +31,6 @@ from appliance.reconstruct.match import RightMaps, fill_inverse_map, right_maps
 from appliance.reconstruct.one_direction import UNCHECKED, OneDirectionError, OneDirectionLimits, match_along_curves
 from appliance.reconstruct.organised import OrganisedCloud
 from appliance.reconstruct.rows import LeftMaps, reconstruct_rows, scratch_rows
-from appliance.reconstruct.scratch import MAX_WIDTH_PX
 from appliance.reconstruct.select import PointLimits
 from appliance.reconstruct.sigma import sigma_factors
 from appliance.reconstruct.table import PointTable
@@ -56,6 +55,12 @@ NARROWER = (1.0, 0.6, 0.35)
 """Shares of that range (of its logarithm, about its middle) that are searched one after the other, until curves can follow it."""
 ROWS = 256
 """Left rows that are reconstructed together: their points need room, and those of a whole image much."""
+STRIP_PX = 1024
+"""Left columns that are reconstructed together: fewer than a scratch row has room for (``scratch.MAX_WIDTH_PX``), and copies that need little."""
+MOST_PX = 65_535
+"""Widest and highest image that two directions can be looked up in: its pixels' numbers are packed into 16 bits each."""
+BAND_PX = 3_000_000
+"""Left pixels that are searched along curves together: as many as most images have."""
 _ALL = PointLimits(*np.array([np.inf, np.inf, -np.inf, np.inf, np.inf, 0.0], np.float32))
 """Limits that every point keeps: which one it breaks is told afterwards."""
 
@@ -165,15 +170,12 @@ def find_points(
     """
     lenient = replace(rig.rig, left=_lenient(rig.rig.left), right=_lenient(rig.rig.right))
     mine = {axis.name: clean(left.placed[axis.name]) for axis in description.axes}
-    other = _projector(lenient.right) if right is None else {
-        axis.name: clean(right.placed[axis.name]) for axis in description.axes
-    }  # fmt: skip
     at = np.s_[::step, ::step]
     # Decoding's own reasons first: what has no coordinate was never searched.
     reason = np.zeros(left.grey[at].shape, np.uint8)
     known = np.ones(reason.shape, np.bool_)
-    for name, axis in mine.items():
-        known &= np.isfinite(axis.coordinate_px[at])
+    for name in mine:
+        known &= np.isfinite(mine[name].coordinate_px[at])
         for why in (one for one in NoCoordinate if one is not NoCoordinate.VALID):
             reason[(reason == 0) & (left.placed[name].reason[at] == why)] = Reason[why.name]
     # What has a coordinate and is not clean sees two surfaces.
@@ -182,66 +184,85 @@ def find_points(
     reason[known & _without_ray(lenient.left, rig.index)[at]] = Reason.NO_RAY
     known &= reason == 0
     reason[known] = Reason.NO_MATCH
-    none = np.full(reason.shape, np.nan, np.float32)
-    cloud = OrganisedCloud(
-        np.stack([none] * 3, -1), none, none.copy(), none.copy(), np.ascontiguousarray(left.grey[at])
-    )
     depths_mm = depths_of(description, lenient, rig.index)
-    failure = None
+    other = _projector(lenient.right) if right is None else {
+        axis.name: clean(right.placed[axis.name]) for axis in description.axes
+    }  # fmt: skip
+    failure: str | None = None
+    cloud: OrganisedCloud | None = None
     if not known.any():
         failure = "no pixel of the left camera has coordinates and a ray"
     elif description.one_direction:
         name = description.axes[0].name
-        said = description.near_mm is not None and description.far_mm is not None
-        for share in NARROWER[: 1 if said else None]:
+        ends = (description.near_mm, description.far_mm)
+        for share in NARROWER[: 1 if None not in ends else None]:
             depths_mm = _narrowed(depths_of(description, lenient, rig.index), share)
             try:
-                _one_direction(cloud, lenient, rig.index, left, mine[name], other[name], depths_mm, step)
+                cloud = _one_direction(lenient, rig.index, left, mine[name], other[name], depths_mm, step)
             except (OneDirectionError, CurveError) as error:
                 failure = str(error)
                 continue
             failure = None
             break
+    elif not (_any(mine) and _any(other)):
+        failure = "no pixel of one camera has both coordinates"
     else:
-        failure = _two_directions(cloud, lenient, rig.index, left, mine, other, depths_mm, step)
+        cloud = _two_directions(lenient, rig.index, left, mine, other, depths_mm, step)
+    cloud = _nothing(left, step) if cloud is None else cloud
     over_sigma_mm = _judge(cloud, reason, depths_mm, lenient.left.lens.f_px[0], description.max_sigma_mm, step)
     return ForeignCloud(
         cloud, UNCHECKED if description.one_direction else None, depths_mm, lit, reason, over_sigma_mm, failure
     )
 
 
+def _nothing(left: DecodedCamera, step: int) -> OrganisedCloud:
+    """Return a cloud to be filled in."""
+    grey = np.ascontiguousarray(left.grey[::step, ::step])
+    points, *others = (np.full((*grey.shape, *more), np.nan, np.float32) for more in ((3,), (), (), ()))
+    return OrganisedCloud(points, others[0], others[1], others[2], grey)
+
+
 def _one_direction(
-    cloud: OrganisedCloud, rig: StereoRig, index: float, left: DecodedCamera, mine: CleanAxis, other: CleanAxis,
-    depths_mm: tuple[float, float], step: int,
-) -> None:  # fmt: skip
-    """Fill in the points along epipolar curves. Raises OneDirectionError, CurveError."""
-    at = np.s_[::step, ::step]
-    found = match_along_curves(
-        mine.coordinate_px[at], other.coordinate_px, replace(rig, left=_thinned(rig.left, step)), index, depths_mm,
-        (mine.sigma_px[at], other.sigma_px), OneDirectionLimits(min_neighbours=0),
-    )  # fmt: skip
-    modulation = next(iter(left.placed.values())).modulation[at]
-    cloud.points_mm[...], cloud.sigma_mm[...] = found.points_mm, found.sigma_mm
-    np.multiply(modulation, np.float32(255.0 / left.images.white), out=cloud.modulation_dn, where=found.mask)
+    rig: StereoRig, index: float, left: DecodedCamera, mine: CleanAxis, other: CleanAxis, depths_mm: tuple[float, float], step: int
+) -> OrganisedCloud:  # fmt: skip
+    """Return the points along epipolar curves. Raises OneDirectionError, CurveError."""
+    cloud = _nothing(left, step)
+    height, width = left.grey.shape
+    rows = max(ROWS, BAND_PX // width) * step
+    # Band by band: of a large image, what the search leaves besides points needs much room.
+    for start in range(0, height, rows):
+        at, into = (
+            np.s_[start : start + rows : step, ::step],
+            np.s_[start // step : -(-min(start + rows, height) // step)],
+        )
+        if not np.isfinite(mine.coordinate_px[at]).any():
+            continue
+        part = replace(rig, left=_part(rig.left, start, len(mine.coordinate_px[at]), step))
+        found = match_along_curves(
+            mine.coordinate_px[at], other.coordinate_px, part, index, depths_mm, (mine.sigma_px[at], other.sigma_px),
+            OneDirectionLimits(min_neighbours=0),
+        )  # fmt: skip
+        cloud.points_mm[into], cloud.sigma_mm[into] = found.points_mm, found.sigma_mm
+    modulation = next(iter(left.placed.values())).modulation[::step, ::step]
+    np.multiply(modulation, np.float32(255.0 / left.images.white), out=cloud.modulation_dn)
+    return cloud
+
+
+def _any(maps: Mapping[str, CleanAxis]) -> bool:
+    """Tell whether any pixel has both coordinates."""
+    return bool((np.isfinite(maps["x"].coordinate_px) & np.isfinite(maps["y"].coordinate_px)).any())
 
 
 def _two_directions(
-    cloud: OrganisedCloud, rig: StereoRig, index: float, left: DecodedCamera, mine: Mapping[str, CleanAxis],
-    other: Mapping[str, CleanAxis], depths_mm: tuple[float, float], step: int,
-) -> str | None:  # fmt: skip
-    """Fill in the points where rays meet; return why nothing could be searched."""
+    rig: StereoRig, index: float, left: DecodedCamera, mine: dict[str, CleanAxis], other: dict[str, CleanAxis],
+    depths_mm: tuple[float, float], step: int,
+) -> OrganisedCloud:  # fmt: skip
+    """Return the points where rays meet. ``mine`` and ``other`` are used up: they make room."""
     low_px, size_px = [], []
     for name in "xy":
-        ends = [
-            (np.nanmin(one[name].coordinate_px, initial=np.inf), np.nanmax(one[name].coordinate_px, initial=-np.inf))
-            for one in (mine, other)
-        ]
-        low_px.append(float(min(ends)[0]))
-        size_px.append(float(max(one[1] for one in ends)) - low_px[-1])
-    if not all(
-        np.logical_and.reduce([np.isfinite(one.coordinate_px) for one in maps.values()]).any() for maps in (mine, other)
-    ):
-        return "no pixel of one camera has both coordinates"
+        both = [one[name].coordinate_px for one in (mine, other)]
+        low_px.append(min(float(np.nanmin(one)) for one in both))
+        size_px.append(max(float(np.nanmax(one)) for one in both) - low_px[-1])
     # So large is the pattern that one pixel sees as much of it as on the instrument, and no larger than its map has room for.
     scale = min(
         USUAL_STEP_PX * 1600.0 / rig.right.width_px / max(other["x"].step_px, other["y"].step_px),
@@ -259,18 +280,20 @@ def _two_directions(
         ray_lattice(one, index, plane_mm, step_px, partial=True) for one in (rig.left, rig.right)
     )
     whole = rays_of(first_rays, second_rays, rig.left.width_px)
+    half_dn = _half_dn(left)
+    cloud = _nothing(left, step)
     lit = np.zeros((0, 2), np.int32)
-    left_maps = LeftMaps(p1, q1, _half_dn(left), left.grey, left.grey, lit, np.float32(1.0), variance1)
+    left_maps = LeftMaps(p1, q1, half_dn, left.grey, left.grey, lit, np.float32(1.0), variance1)
     for first, strip in _strips(left_maps, step):
         width = strip.p_px.shape[1]
         rays = whole._replace(left=np.ascontiguousarray(whole.left[..., first : first + width]))
         _reconstruct(cloud, maps, rays, strip, first, step)
-    return None
+    return cloud
 
 
 def _strips(whole: LeftMaps, step: int) -> Iterator[tuple[int, LeftMaps]]:
     """Yield the left maps in strips that a scratch row has room for, each with its first column."""
-    width = MAX_WIDTH_PX // step * step
+    width = max(STRIP_PX // step, 1) * step
     for first in range(0, whole.p_px.shape[1], width):
         p, q, variance = (_strip(one, first, width) for one in (whole.p_px, whole.q_px, whole.variance_px2))
         half_dn, grey = (_strip(one, first, width) for one in (whole.modulation_half_dn, whole.bright))
@@ -351,16 +374,19 @@ def _without_ray(camera: HousedCamera, index: float) -> NDArray[np.bool_]:
     return cells.repeat(lattice.step_px, 0).repeat(lattice.step_px, 1)[: camera.height_px, : camera.width_px]
 
 
-def _scaled(maps: Mapping[str, CleanAxis], low_px: list[float], scale: float) -> tuple[Floats, Floats, Floats]:
-    """Return both coordinates from the lowest on, NaN where one is missing, and the mean of their variances, in scaled px."""
-    # float32 like the maps: kernels are compiled for these.
-    p, q = (
-        (maps[name].coordinate_px - np.float32(low)) * np.float32(scale) for name, low in zip("xy", low_px, strict=True)
-    )
+def _scaled(maps: dict[str, CleanAxis], low_px: list[float], scale: float) -> tuple[Floats, Floats, Floats]:
+    """Return both coordinates from the lowest on, NaN where one is missing, and the mean of their variances, in scaled px: in place."""
+    x, y = maps.pop("x"), maps.pop("y")
+    p, q, variance, other = x.coordinate_px, y.coordinate_px, x.sigma_px, y.sigma_px
+    for one, low in zip((p, q), low_px, strict=True):
+        one -= np.float32(low)
+        one *= np.float32(scale)
     missing = np.isnan(p) | np.isnan(q)
     p[missing], q[missing] = np.nan, np.nan
-    variance = np.float32(0.5 * scale**2) * (maps["x"].sigma_px ** 2 + maps["y"].sigma_px ** 2)
-    return p, q, np.asarray(variance, np.float32)
+    np.hypot(variance, other, out=variance)
+    variance *= variance
+    variance *= np.float32(0.5 * scale**2)
+    return p, q, variance
 
 
 def _lenient(camera: HousedCamera) -> HousedCamera:
@@ -369,16 +395,15 @@ def _lenient(camera: HousedCamera) -> HousedCamera:
     return replace(camera, lens=FoldingLens(lens.f_px, lens.c_px, lens.distortion))
 
 
-def _thinned(camera: HousedCamera, step: int) -> HousedCamera:
-    """Return the camera that sees every ``step``-th pixel."""
-    if step == 1:
+def _part(camera: HousedCamera, start: int, rows: int, step: int) -> HousedCamera:
+    """Return the camera that sees ``rows`` rows from ``start`` on, and only every ``step``-th pixel of them."""
+    if (rows, step) == (camera.height_px, 1):
         return camera
-    lens = camera.lens
-    f_px, c_px = (lens.f_px[0] / step, lens.f_px[1] / step), (lens.c_px[0] / step, lens.c_px[1] / step)
-    return replace(
-        camera, width_px=-(-camera.width_px // step), height_px=-(-camera.height_px // step),
-        lens=FoldingLens(f_px, c_px, lens.distortion), correction=None, ray_shift=None,
-    )  # fmt: skip
+    (fu, fv), (cu, cv) = camera.lens.f_px, camera.lens.c_px
+    lens = FoldingLens((fu / step, fv / step), (cu / step, (cv - start) / step), camera.lens.distortion)
+    # Corrections of an image are worth hundredths of a pixel.
+    width_px = -(-camera.width_px // step)
+    return replace(camera, width_px=width_px, height_px=rows, lens=lens, correction=None, ray_shift=None)
 
 
 def _narrowed(depths_mm: tuple[float, float], share: float) -> tuple[float, float]:

@@ -22,7 +22,7 @@ from appliance.foreign.description import Description
 from appliance.foreign.first_look import look_first
 from appliance.foreign.images import ImageSet
 from appliance.foreign.own_form import own_frames, own_sequence
-from appliance.foreign.points import ForeignCloud, find_points
+from appliance.foreign.points import MOST_PX, ForeignCloud, find_points
 from appliance.foreign.problem import ForeignError
 from appliance.foreign.reading import ForeignScan, read_foreign
 from appliance.offline.reason_picture import draw_reasons
@@ -59,6 +59,14 @@ def check_import(path: Path, out: Path) -> None:
         checked_suffix(out, SCAN_SUFFIXES, "a cloud")
         require_library(out)
     description, images = look_first(path)
+    longest_px = max(max(one.shape) for one in images.values())
+    if "right" not in images:
+        longest_px = max(longest_px, *description.projector_px)
+    if longest_px > MOST_PX and not description.one_direction:
+        raise ForeignError(
+            f"{path}: an image or the projector has {longest_px} px along a side; allowed for two directions are {MOST_PX} px; cut it, or "
+            "describe one direction only"
+        )
     if not out.suffix:
         if out.exists():
             raise ForeignError(f"--out {out}: is there already; give the name of a folder that is not")

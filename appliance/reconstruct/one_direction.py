@@ -468,7 +468,10 @@ def _checked(coordinate_px: NDArray[np.float32], camera: HousedCamera, side: str
         )
     if not np.isfinite(coordinate_px).any():
         raise OneDirectionError(f"the {side} image has no coordinate at any pixel; look at its masks")
-    return np.ascontiguousarray(np.where(np.isinf(coordinate_px), np.nan, coordinate_px), np.float32)
+    infinite = np.isinf(coordinate_px)
+    return np.ascontiguousarray(
+        np.where(infinite, np.nan, coordinate_px) if infinite.any() else coordinate_px, np.float32
+    )
 
 
 def _variance(noise_px: float | NDArray[np.float32], shape: tuple[int, ...]) -> NDArray[np.float32]:
@@ -484,11 +487,13 @@ def _variance(noise_px: float | NDArray[np.float32], shape: tuple[int, ...]) -> 
 def _usual_step(coordinate_px: NDArray[np.float32]) -> float:
     """Return the median difference of neighbours, across plus down, in px of the pattern. Raises OneDirectionError where none are."""
     here = coordinate_px[:-1, :-1]
-    step = np.abs(coordinate_px[:-1, 1:] - here) + np.abs(coordinate_px[1:, :-1] - here)
+    # In place: a large image's differences need much room.
+    step, down = coordinate_px[:-1, 1:] - here, coordinate_px[1:, :-1] - here
+    np.add(np.abs(step, out=step), np.abs(down, out=down), out=step)
     known = step[np.isfinite(step)]
     if not known.size:
         raise OneDirectionError("no two neighbours of the right image have coordinates; look at its masks")
-    return float(np.median(known))
+    return float(np.median(known, overwrite_input=True))
 
 
 def _angle(curves: EpipolarCurves, left_px: NDArray[np.float32], right_px: NDArray[np.float32]) -> float:

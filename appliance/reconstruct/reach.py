@@ -18,7 +18,7 @@ PIECE_PX = 8
 """Length of a curve's pieces in the right image, and size of the blocks of which least and greatest coordinate are taken."""
 CUBIC_REACH = 5
 """Nodes across and down that are asked for the pixels about one."""
-REACH_ROWS = 16
+REACH_ROWS = 4
 """Rows of cells of which the reach is found together."""
 MOST_PIECES = 2_000
 """Most pieces of a curve: more are longer ones. So many are more than any image is wide."""

@@ -15,7 +15,8 @@ from appliance.foreign.decode import NoCoordinate, PlacedAxis
 from appliance.foreign.description import AxisConvention, Description, ImageFiles
 from appliance.foreign.images import ImageSet
 from appliance.foreign.points import REASONS, ForeignCloud, Reason, depths_of, find_points
-from appliance.foreign.problem import Table
+from appliance.foreign.problem import ForeignError, Table
+from appliance.offline.foreign_import import check_import
 from appliance.offline.reason_picture import COLOURS, draw_reasons
 from appliance.optics.model import HousedCamera, StereoRig
 from appliance.optics.pinhole import Lens
@@ -195,11 +196,11 @@ def test_points_of_a_baseline_longer_than_the_distance() -> None:
 
 
 def test_images_wider_than_a_scratch_row_have_points_all_over() -> None:
-    """The kernels' rows hold 4096 columns."""
+    """The kernels' rows hold 4096 columns: strips are narrower, and nothing is lost between them."""
     width = 4400
     cloud = found("xy", rig(20.0, 2.86, (width, 8), 6000.0))
     there = cloud.cloud.mask
-    for part in (np.s_[:, 300:800], np.s_[:, 4000:4096], np.s_[:, 4096:4200]):
+    for part in (np.s_[:, 300:800], np.s_[:, 1000:1100], np.s_[:, 4000:4200]):
         assert there[part][1:-1].mean() > 0.9
     _, u = np.nonzero(there)
     x_mm = (u - (width - 1) / 2) / 6000.0 * DEPTH_MM
@@ -233,3 +234,37 @@ def test_a_picture_shows_the_reason_of_each_pixel(tmp_path: Path) -> None:
     # Each colour that is there is named below.
     for reason, colour in COLOURS.items():
         assert (drawn[H:, :20] == colour).all(axis=-1).any() == (reason.word in cloud.reasons)
+
+
+@pytest.mark.parametrize(("projector_px", "refused"), [(65536, True), (65535, False)])
+def test_a_side_that_no_map_can_number_is_refused_by_the_headers(
+    tmp_path: Path, projector_px: int, refused: bool
+) -> None:
+    for k in range(8):
+        cv2.imwrite(str(tmp_path / f"{k}.png"), np.zeros((30, 40), np.uint8))
+    eye = "matrix = [[50, 0, 20], [0, 50, 15], [0, 0, 1]]"
+    description = tmp_path / "set.toml"
+    description.write_text(f"""
+[images]
+left = "*.png"
+order = "bright dark gray-x*3 gray-y*3"
+[projector]
+width_px = {projector_px}
+height_px = 30
+[x]
+stripe_px = 8192
+[y]
+stripe_px = 8
+[cameras]
+rotation = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
+translation = [-120, 0, 0]
+[cameras.left]
+{eye}
+[cameras.right]
+{eye}
+""")
+    if refused:
+        with pytest.raises(ForeignError, match="65536 px along a side; allowed for two directions are 65535 px"):
+            check_import(description, tmp_path / "cloud.ply")
+    else:
+        check_import(description, tmp_path / "cloud.ply")
