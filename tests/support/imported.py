@@ -56,7 +56,10 @@ def kingfisher(*arguments: object) -> Said:
     """Call the command line here, with ``--json``."""
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        code = main([*map(str, arguments), "--json"])
+        try:
+            code = main([*map(str, arguments), "--json"])
+        except Exception as error:  # one set that breaks the program must not hide what the others do
+            return Said(1, {}, f"crashed: {type(error).__name__}: {error}")
     told = [json.loads(line) for line in err.getvalue().splitlines() if line.startswith("{")]
     return Said(
         int(code),
@@ -79,7 +82,7 @@ def import_folder(folder: Path, out: Path, drawn: Drawn) -> Import:
     """Import a folder without a word. ``whole``, ``asked`` (no cloud), ``wrong, with a note`` or ``wrong without a note``."""
     said = kingfisher("import", folder, "--out", out)
     if said.code:
-        return Import("asked", 0.0, float("nan"), (said.error,))
+        return Import("crashed" if said.error.startswith("crashed") else "asked", 0.0, float("nan"), (said.error,))
     complete_percent, off_px, right = judged(out, drawn)
     described = str(said.report.get("order", ""))
     noted = any(word in line for line in said.unchecked for word in NOTED)
