@@ -52,6 +52,7 @@ def measure(seed: int = SEED, only: str = "", keep: Path | None = None) -> Itera
     for outcome, bound in (
         ("whole", LEAST_WHOLE * len(outcomes) / len(PROGRAMS)),
         ("asked", None),
+        ("crashed", None),
         ("wrong, with a note", None),
     ):
         yield Measured(
