@@ -5,14 +5,17 @@ from __future__ import annotations
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from appliance.foreign.frames import PAGED, STACKS, SUFFIXES, Frame, arrays_in, frames_in
+from appliance.foreign.description import HALVES
+from appliance.foreign.frames import PAGED, STACKS, SUFFIXES, Frame, arrays_in, frame_head, frames_in
 from appliance.foreign.images import natural_key
 from appliance.foreign.problem import ForeignError
 
 LEAST_IMAGES, MOST_FILES = 3, 2000
+WIDE, HIGH = 2.0, 1.2
+"""Width over height, and height over width, above which a picture may be two."""
 _RIGHT = re.compile(r"(^|[^a-z])(right|r|slave)([^a-z]|$)|right", re.IGNORECASE)
 _LEFT = re.compile(r"(^|[^a-z])(left|l|master)([^a-z]|$)|left", re.IGNORECASE)
 _SIDE = re.compile(
@@ -88,6 +91,24 @@ def _stacks(folder: Path) -> list[CameraFiles] | None:
     return [
         CameraFiles(side, name, found[name]) for side, name in zip(("left", "right"), _left_first(found), strict=False)
     ]
+
+
+def in_halves(camera: CameraFiles) -> Iterator[list[CameraFiles]]:
+    """Yield two cameras that share each picture, beside or above each other, where its shape allows it."""
+    head = frame_head(camera.files[0])
+    if head is None:
+        return
+    height_px, width_px = head[0]
+    word = "beside" if width_px > WIDE * height_px else "above" if height_px > HIGH * width_px else ""
+    if word:
+        sides = f"left {word} right"
+        first, *halves = HALVES[sides]
+        yield [
+            CameraFiles(
+                side, camera.pattern, tuple(replace(frame, half=halves[side != first]) for frame in camera.files), sides
+            )
+            for side in ("left", "right")
+        ]
 
 
 def taken_in_turns(camera: CameraFiles) -> Iterator[list[CameraFiles]]:

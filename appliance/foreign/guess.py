@@ -32,9 +32,10 @@ from appliance.foreign.assumptions import (
 from appliance.foreign.camera import DecodedCamera, decode_camera
 from appliance.foreign.camera_files import camera_numbers, cameras_in
 from appliance.foreign.cameras import read_rig
-from appliance.foreign.description import LEAST_STEPS, AxisConvention, Description, ImageFiles
+from appliance.foreign.description import EACH, HALVES, LEAST_STEPS, AxisConvention, Description, ImageFiles
 from appliance.foreign.expectation import explained_shares
-from appliance.foreign.files import CameraFiles, camera_files, taken_in_turns
+from appliance.foreign.files import CameraFiles, camera_files, in_halves, taken_in_turns
+from appliance.foreign.frames import Frame, raw_images
 from appliance.foreign.images import CHANNEL_NUMBER, FULL_SCALES, ImageSet, Pictures
 from appliance.foreign.order import FRINGES, ShownImage, Shows, numbered
 from appliance.foreign.periods import periods_by_phases
@@ -45,6 +46,7 @@ from appliance.foreign.writing import joined
 
 MOST_PIXELS = 400_000
 """Pixels of an image on which hypotheses are tried; larger ones are reduced."""
+BY_LOOKS = "what each image looks like"
 MOST_TRIED = 10
 SURE, NEARLY = 0.9, 0.05
 """Share explained from which on no hypotheses are tried whose looks agree less by the second number than the best one's."""
@@ -60,6 +62,8 @@ LEAST_LEFT = 0.01
 MOST_RIVALS = 4
 PER_WRONG = 0.2
 COLOURED = 1.06
+LEAST_ALIKE = 0.5
+"""Least correlation of the channels of a picture that shows one pattern."""
 EXCHANGED = "cameras: which is left"
 PROJECTORS_PX = (
     (608, 684), (640, 480), (640, 360), (800, 600), (854, 480), (848, 480), (912, 1140), (1024, 768), (1280, 800), (1280, 720), (1280, 1024),
@@ -89,6 +93,11 @@ class TriedSequence:
     def rank(self) -> float:
         """The share, less what is taken off for each contradiction."""
         return self.explained - PER_WRONG * self.contradictions
+
+    @property
+    def standing(self) -> tuple[int, int, bool]:
+        """Order of sequences that explain as much: by contradictions, by what could have been one, and by whether it is known."""
+        return -self.contradictions - bool(self.notes), self.evidence, self.program != BY_LOOKS
 
     @property
     def contradictions(self) -> int:
@@ -121,9 +130,10 @@ def guess_sequence(folder: Path, progress: Callable[[str], None]) -> FolderGuess
     named = camera_files(folder)
     found: list[TriedSequence] = []
     refused: ForeignError | None = None
-    for cameras in [named] if len(named) == 2 else [named, *taken_in_turns(named[0])]:
+    table = cameras_in(folder)
+    for cameras in [named] if len(named) == 2 else _ways(folder, table, named[0]):
         if found and max(one.rank for one in found) >= GOOD:
-            break  # two cameras in one sequence only where one camera makes no sense
+            break  # another way to share the images only where this one makes no sense
         try:
             found += _candidates(folder, cameras, progress)
         except ForeignError as error:
@@ -135,12 +145,21 @@ def guess_sequence(folder: Path, progress: Callable[[str], None]) -> FolderGuess
     # Several readings may explain as much: a sine of few steps and a code of fine stripes look alike.
     rivals = [one for one in found if 1.0 - one.rank < APART * left][:MOST_RIVALS]
     # Rays know what no image tells: which camera is left, and which way fringes run.
-    table = cameras_in(folder)
     if table:
         rivals = [_on_rig(one, table, progress) for one in rivals]
     # Of what explains as much, that which more tests could have contradicted.
-    best = max((round(one.rank - one.explained, 3), one.evidence) for one in rivals)
-    return FolderGuess(tuple([one for one in rivals if (round(one.rank - one.explained, 3), one.evidence) == best][:2]))
+    best = max(one.standing for one in rivals)
+    return FolderGuess(tuple([one for one in rivals if one.standing == best][:2]))
+
+
+def _ways(folder: Path, table: Mapping[str, Any], camera: CameraFiles) -> list[list[CameraFiles]]:
+    """Return the ways in which files of one name may be those of one camera, or of two, the likeliest first."""
+    shared = [*in_halves(camera), *taken_in_turns(camera)]
+    two = "calibration" in table
+    if "files" in table:
+        with suppress(ForeignError):
+            two = not camera_numbers(folder, Table("cameras.", table), of_projector=True).has_projector
+    return [*shared, [camera]] if two else [[camera], *taken_in_turns(camera)]
 
 
 def _unknown(folder: Path, found: Sequence[TriedSequence]) -> ForeignError:
@@ -155,6 +174,8 @@ def _unknown(folder: Path, found: Sequence[TriedSequence]) -> ForeignError:
 
 def _candidates(folder: Path, cameras: Sequence[CameraFiles], progress: Callable[[str], None]) -> list[TriedSequence]:
     channel, images = reduced_images(cameras[0].files, progress)
+    if channel == EACH:
+        cameras = [replace(one, files=tuple(_in_colours(one.files))) for one in cameras]
     looks = look_at(images)
     ranked = sorted(_all_hypotheses(looks), key=lambda one: -agreement(looks, one.shown))
     tried: list[TriedSequence] = []
@@ -186,15 +207,15 @@ def _all_hypotheses(looks: Looks) -> Iterator[Hypothesis]:
             yield one
     for words in (words_by_looks(looks),):
         try:
-            yield Hypothesis("what each image looks like", numbered(words, "images.order"))
+            yield Hypothesis(BY_LOOKS, numbered(words, "images.order"))
         except ForeignError:
             continue
 
 
-def reduced_images(files: Sequence[Any], progress: Callable[[str], None]) -> tuple[str, NDArray[Any]]:
+def reduced_images(files: Sequence[Frame], progress: Callable[[str], None]) -> tuple[str, NDArray[Any]]:
     """Return the channel with the most to see, and the images (n, h, w) in it, reduced by whole numbers to ``MOST_PIXELS``."""
     channel = _channel(files)
-    pictures = Pictures.of(tuple(files), channel)
+    pictures = Pictures.of(tuple(_in_colours(files) if channel == EACH else files), channel)
     factor = reduction(pictures.shape[1:])
     found = []
     for k in range(len(pictures)):
@@ -202,6 +223,13 @@ def reduced_images(files: Sequence[Any], progress: Callable[[str], None]) -> tup
             progress(f"reading {k + 1} of {len(pictures)}")
         found.append(reduced(pictures[k], factor))
     return channel, np.stack(found)
+
+
+def _in_colours(files: Sequence[Frame]) -> Iterator[Frame]:
+    """Yield three images of each colour picture."""
+    for frame in files:
+        for channel in ("red", "green", "blue"):
+            yield replace(frame, channel=channel)
 
 
 def reduction(shape: tuple[int, ...]) -> int:
@@ -216,13 +244,14 @@ def reduced(image: NDArray[Any], factor: int) -> NDArray[Any]:
     return np.asarray(whole if factor == 1 else cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA))
 
 
-def _channel(files: Sequence[Any]) -> str:
-    from appliance.foreign.frames import raw_images
-
+def _channel(files: Sequence[Frame]) -> str:
     image = raw_images([files[len(files) // 2]])[0]
     if image.ndim < 3 or image.shape[2] < len(CHANNEL_NUMBER):
         return "grey"
     spread = [float(image[::4, ::4, k].std()) for k in range(3)]
+    few = image[::4, ::4, :3].reshape(-1, 3)
+    if float(np.corrcoef(few.T.astype(np.float64)).min()) < LEAST_ALIKE:
+        return EACH  # Light of one colour is reflected by all channels alike, but for what each has been sent.
     return ("blue", "green", "red")[int(np.argmax(spread))] if max(spread) > COLOURED * min(spread) else "grey"
 
 
@@ -278,6 +307,8 @@ def _convention(name: str, hypothesis: Hypothesis, images: NDArray[Any], width: 
 def _steps(images: NDArray[Any]) -> tuple[float, ...]:
     """Return the steps of images (n, h, w) of one period: equal ones where they fit. Raises ForeignError where no steps do."""
     equal = equal_steps(len(images))
+    if len(equal) < LEAST_STEPS:
+        raise ForeignError(f"{len(images)} images tell no phase")
     if len(equal) == LEAST_STEPS:
         return equal  # These fit anything.
     stack = images[:, ::EVERY, ::EVERY].reshape(len(images), -1).astype(np.float64)
@@ -348,7 +379,12 @@ def fitted(description: Description, images: ImageSet) -> tuple[Description, Dec
 
 def files_of(cameras: Sequence[CameraFiles]) -> dict[str, ImageFiles]:
     """Return the cameras' files in the words of a description."""
-    return {one.side: ImageFiles((one.pattern,), turns=tuple(one.sides.split())) for one in cameras}
+    found = {}
+    for one in cameras:
+        first, *halves = HALVES.get(one.sides, ("left", "", ""))
+        turns = () if one.sides in HALVES else tuple(one.sides.split())
+        found[one.side] = ImageFiles((one.pattern,), turns=turns, half=halves[one.side != first])
+    return found
 
 
 # ------------------------------------------------------------------------------------------- cameras, projector
@@ -440,8 +476,11 @@ def _on_projectors(description: Description, sizes_px: Mapping[str, tuple[int, i
             size = float(size_px["xy".index(axis.name)])
             scale = size / axis.size_px
             if axis.bits:
-                # A code's stripes are whole powers of two of the projector's px.
-                scale = max(2.0 ** (math.ceil(math.log2(size)) - axis.bits), 1.0) / axis.stripe_px
+                # Beside fringes stripes divide the pattern; of a code alone they are whole powers of two of the projector's px.
+                whole_px = size / 2**axis.bits
+                if not axis.periods_px or whole_px != round(whole_px):
+                    whole_px = max(2.0 ** (math.ceil(math.log2(size)) - axis.bits), 1.0)
+                scale = whole_px / axis.stripe_px
             periods_px = (
                 axis.periods_px if axis.micro or axis.carriers else tuple(scale * one for one in axis.periods_px)
             )
