@@ -32,11 +32,11 @@ Array = NDArray[np.float64]
 def seen(camera: View, projector: View) -> DecodedCamera:
     """Coordinates as the middle ray of each pixel has them; a projected speckle stands for the texture of the thing."""
     there = lit(camera, projector)
-    middle = slice(RAYS * RAYS // 2, None, RAYS * RAYS)
-    dark = there.shade[:, middle] == 0.0
+    number = RAYS * RAYS // 2
+    middle = slice(number * camera.height_px, (number + 1) * camera.height_px)
+    dark = there.shade[middle] == 0.0
     maps = {
-        name: np.where(dark, np.float32(np.nan), one[:, middle])
-        for name, one in (("x", there.column), ("y", there.row))
+        name: np.where(dark, np.float32(np.nan), one[middle]) for name, one in (("x", there.column), ("y", there.row))
     }
     speckle = cv2.GaussianBlur(np.random.default_rng(1).normal(0.0, 1.0, SIZE[::-1]), (0, 0), 3.0)
     pattern = np.clip(125.0 + 400.0 * speckle, 0, 255).astype(np.uint8)
