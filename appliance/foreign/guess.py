@@ -48,7 +48,7 @@ MOST_PIXELS = 400_000
 """Pixels of an image on which hypotheses are tried; larger ones are reduced."""
 BY_LOOKS = "what each image looks like"
 MOST_TRIED = 10
-SURE, NEARLY = 0.9, 0.05
+SURE, NEARLY = 0.9, 0.3
 """Share explained from which on no hypotheses are tried whose looks agree less by the second number than the best one's."""
 ROUNDS = 3
 EVERY = 4
