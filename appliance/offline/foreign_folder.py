@@ -23,7 +23,7 @@ def beside_cloud(out: Path) -> tuple[Path, Path, Path]:
 def import_folder(
     folder: Path, out: Path, progress: Callable[[str], None], reasons: Path | None = None
 ) -> dict[str, Any]:
-    """FolderGuess what the images below ``folder`` show, and write the cloud ``out`` with all that belongs to it.
+    """Guess what the images below ``folder`` show, and write the cloud ``out`` with all that belongs to it.
 
     Raises ForeignError where nothing stands out, or the cameras are not known: descriptions and contact sheet are there then; besides
     as ``import_cloud``.
