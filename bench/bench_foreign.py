@@ -82,7 +82,7 @@ def _measured(one: Convention, made: ForeignSet) -> Iterator[Measured]:
     )
     yield Measured(f"{one.name}: CPU, tests and points", cpu_s, "s")
     guess = made.description.with_name("guess.toml")
-    best = guess_sequence(made.description.parent, _silent).candidates[0]
+    best = guess_sequence(made.description.parent, _silent)[0]
     guess.write_text(guessed_text(best, guess.parent), encoding="utf-8")
     guessed = _judged(made, read_foreign(guess, _silent))
     yield Measured(f"{one.name}: points by a guess", guessed.complete_percent, "%", at_least=least_percent)

@@ -50,6 +50,7 @@ CENTRED, NEARLY_CENTRED = 0.12, 0.06
 MOST_SHIFT = 0.25
 """Largest distance of a projector's axis from the middle of its width, over it, that is nothing special."""
 POSE, TURN, TURN_DEG = "cameras: rotation and translation", "cameras: a turn about the columns", 0.3
+WHICH_IS_LEFT = "cameras: which is left"
 NOTHING = Offset(0, 0, 0.0, 0.0, 0.0)
 Maps = Mapping[str, Floats]
 
@@ -195,7 +196,7 @@ def _exchanged(seen: _Seen) -> list[_Seen]:
     if next(iter(seen.left.values())).shape != next(iter(seen.right.values())).shape:
         return []
     texture = seen.texture and seen.texture.exchanged()
-    about, text = "cameras: which is left", "left and right are exchanged"
+    about, text = WHICH_IS_LEFT, "left and right are exchanged"
     return [replace(seen, left=seen.right, right=seen.left, texture=texture, about=about, text=text)]
 
 

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.foreign.appearance import Looks, agreement, look_at, words_by_looks
+from appliance.foreign.arrangement import WHICH_IS_LEFT
 from appliance.foreign.assumptions import (
     MOST_MISFIT,
     ExaminedAssumption,
@@ -64,7 +65,6 @@ PER_WRONG = 0.2
 COLOURED = 1.06
 LEAST_ALIKE = 0.5
 """Least correlation of the channels of a picture that shows one pattern."""
-EXCHANGED = "cameras: which is left"
 PROJECTORS_PX = (
     (608, 684), (640, 480), (640, 360), (800, 600), (854, 480), (848, 480), (912, 1140), (1024, 768), (1280, 800), (1280, 720), (1280, 1024),
     (1366, 768), (1400, 1050), (1440, 900), (1600, 1200), (1824, 1140), (1920, 1080), (1920, 1200), (2560, 1600), (3840, 2160),
@@ -113,20 +113,11 @@ class TriedSequence:
         return sum(one.outcome is outcome for one in self.tested)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FolderGuess:
-    """Result of looking at a folder: one candidate, or the best two where none stands out."""
+def guess_sequence(folder: Path, progress: Callable[[str], None]) -> tuple[TriedSequence, ...]:
+    """Return what the images below ``folder`` show: one sequence, or the best two where none stands out.
 
-    candidates: tuple[TriedSequence, ...]
-
-    @property
-    def clear(self) -> bool:
-        """True if one candidate stands out."""
-        return len(self.candidates) == 1
-
-
-def guess_sequence(folder: Path, progress: Callable[[str], None]) -> FolderGuess:
-    """Return what the images below ``folder`` show. Raises ForeignError where nothing is known that they could show."""
+    Raises ForeignError where nothing is known that they could show.
+    """
     named = camera_files(folder)
     found: list[TriedSequence] = []
     refused: ForeignError | None = None
@@ -149,7 +140,7 @@ def guess_sequence(folder: Path, progress: Callable[[str], None]) -> FolderGuess
         rivals = [_on_rig(one, table, progress) for one in rivals]
     # Of what explains as much, that which more tests could have contradicted.
     best = max(one.standing for one in rivals)
-    return FolderGuess(tuple([one for one in rivals if one.standing == best][:2]))
+    return tuple([one for one in rivals if one.standing == best][:2])
 
 
 def _ways(folder: Path, table: Mapping[str, Any], camera: CameraFiles) -> list[list[CameraFiles]]:
@@ -173,16 +164,17 @@ def _unknown(folder: Path, found: Sequence[TriedSequence]) -> ForeignError:
 
 
 def _candidates(folder: Path, cameras: Sequence[CameraFiles], progress: Callable[[str], None]) -> list[TriedSequence]:
-    channel, images = reduced_images(cameras[0].files, progress)
+    channel = _channel(cameras[0].files)
     if channel == EACH:
         cameras = [replace(one, files=tuple(_in_colours(one.files))) for one in cameras]
+    images = reduced_images(cameras[0], channel, progress)
     looks = look_at(images)
-    ranked = sorted(_all_hypotheses(looks), key=lambda one: -agreement(looks, one.shown))
+    agreed = [(agreement(looks, one.shown), one) for one in _all_hypotheses(looks)]
+    agreed.sort(key=lambda two: -two[0])
     tried: list[TriedSequence] = []
-    agreed = [agreement(looks, one.shown) for one in ranked[:MOST_TRIED]]
     # Looks alone are often wrong about the finest stripes: what looks nearly as well is tried, too.
-    for hypothesis, agrees in zip(ranked, agreed, strict=False):
-        if agrees < agreed[0] - NEARLY and max((one.rank for one in tried), default=0.0) > SURE:
+    for agrees, hypothesis in agreed[:MOST_TRIED]:
+        if agrees < agreed[0][0] - NEARLY and max((one.rank for one in tried), default=0.0) > SURE:
             break
         progress(f"trying {hypothesis.program}")
         with suppress(ForeignError):  # steps that tell no phase, stripes that number nothing: no candidate
@@ -205,24 +197,23 @@ def _all_hypotheses(looks: Looks) -> Iterator[Hypothesis]:
         if one.shown not in seen:
             seen.add(one.shown)
             yield one
-    for words in (words_by_looks(looks),):
-        try:
-            yield Hypothesis(BY_LOOKS, numbered(words, "images.order"))
-        except ForeignError:
-            continue
+    with suppress(ForeignError):
+        yield Hypothesis(BY_LOOKS, numbered(words_by_looks(looks), "images.order"))
 
 
-def reduced_images(files: Sequence[Frame], progress: Callable[[str], None]) -> tuple[str, NDArray[Any]]:
-    """Return the channel with the most to see, and the images (n, h, w) in it, reduced by whole numbers to ``MOST_PIXELS``."""
-    channel = _channel(files)
-    pictures = Pictures.of(tuple(_in_colours(files) if channel == EACH else files), channel)
-    factor = reduction(pictures.shape[1:])
+def reduced_images(camera: CameraFiles, channel: str, progress: Callable[[str], None]) -> NDArray[Any]:
+    """Return the images (n, h, w) of one camera, reduced by whole numbers to ``MOST_PIXELS``: each pixel is a mean."""
+    pictures = Pictures.of(camera.files, channel)
+    height_px, width_px = pictures.shape[1:]
+    factor = math.ceil(math.sqrt(height_px * width_px / MOST_PIXELS))
+    small_px = width_px // factor, height_px // factor
     found = []
     for k in range(len(pictures)):
         if k % 8 == 0:
             progress(f"reading {k + 1} of {len(pictures)}")
-        found.append(reduced(pictures[k], factor))
-    return channel, np.stack(found)
+        whole = pictures[k][: small_px[1] * factor, : small_px[0] * factor]
+        found.append(whole if factor == 1 else cv2.resize(whole, small_px, interpolation=cv2.INTER_AREA))
+    return np.stack(found)
 
 
 def _in_colours(files: Sequence[Frame]) -> Iterator[Frame]:
@@ -230,18 +221,6 @@ def _in_colours(files: Sequence[Frame]) -> Iterator[Frame]:
     for frame in files:
         for channel in ("red", "green", "blue"):
             yield replace(frame, channel=channel)
-
-
-def reduction(shape: tuple[int, ...]) -> int:
-    """Return by how much images (h, w) are reduced."""
-    return max(1, int(np.ceil(np.sqrt(shape[0] * shape[1] / MOST_PIXELS))))
-
-
-def reduced(image: NDArray[Any], factor: int) -> NDArray[Any]:
-    """Return an image whose pixels are the means of ``factor`` x ``factor``."""
-    height, width = image.shape[0] // factor, image.shape[1] // factor
-    whole = image[: height * factor, : width * factor]
-    return np.asarray(whole if factor == 1 else cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA))
 
 
 def _channel(files: Sequence[Frame]) -> str:
@@ -343,13 +322,11 @@ def _tried(
         axes,
         Table("cameras.", {}),
     )
-    white = next(one for one in FULL_SCALES if float(images.max()) <= one)
-    kept = [k for k, one in enumerate(hypothesis.shown) if one.shows is not Shows.OTHER]
-    shown = tuple(hypothesis.shown[k] for k in kept)
-    seen = ImageSet(shown, tuple(cameras[0].files[k] for k in kept), images[kept], white)
+    seen = _image_set(cameras[0], hypothesis.shown, images)
     description, camera, tested = fitted(description, seen)
     shares, weights = explained_shares(description, camera)
     # What no role explains counts as not explained.
+    kept = [k for k, one in enumerate(hypothesis.shown) if one.shows is not Shows.OTHER]
     unexplained = 0.25 * (len(images) - len(kept))
     # Images that vary little weigh little: of stripes finer than pixels nothing can be explained.
     total = float((shares * weights).sum() / max(weights.sum() + unexplained, 1e-9))
@@ -369,7 +346,7 @@ def fitted(description: Description, images: ImageSet) -> tuple[Description, Dec
         changed = description
         for axis in description.axes:
             for one in tested:
-                if one.outcome is Outcome.WRONG and one.instead and axis.name in one.about.split(".")[0].split():
+                if one.outcome is Outcome.WRONG and one.instead and one.about.startswith(f"{axis.name}."):
                     changed = changed.with_axis(replace(changed.axis(axis.name) or axis, **one.instead))
         if changed == description:
             break
@@ -396,9 +373,14 @@ def _on_rig(candidate: TriedSequence, table: Mapping[str, Any], progress: Callab
     said = replace(candidate.description, cameras=Table("cameras.", table))
     found: list[TriedSequence] = []
     try:
-        sizes_px = {one.side: _size_px(one, said) for one in candidate.cameras}
-        for description in _on_projectors(said, sizes_px) if len(candidate.cameras) == 1 else [said]:
-            found.append(_seen_by_rays(replace(candidate, description=description)))
+        sizes_px = {one.files: _size_px(one, said) for one in candidate.cameras}
+        images = {
+            one.files: _image_set(one, said.order or (), reduced_images(one, said.channel, progress))
+            for one in candidate.cameras
+        }
+        left_px = sizes_px[candidate.cameras[0].files]
+        for description in _on_projectors(said, left_px) if len(candidate.cameras) == 1 else [said]:
+            found.append(_seen_by_rays(replace(candidate, description=description), images, sizes_px))
             if not found[-1].contradictions:
                 break
     except ForeignError as error:
@@ -406,20 +388,25 @@ def _on_rig(candidate: TriedSequence, table: Mapping[str, Any], progress: Callab
     return min(found, key=lambda one: one.contradictions)
 
 
-def _seen_by_rays(candidate: TriedSequence) -> TriedSequence:
-    """Return the candidate with what its rays say, and what fits in place of what they contradict. Raises ForeignError."""
+def _seen_by_rays(
+    candidate: TriedSequence,
+    images: Mapping[tuple[Frame, ...], ImageSet],
+    sizes_px: Mapping[tuple[Frame, ...], tuple[int, int]],
+) -> TriedSequence:
+    """Return the candidate with what its rays say, and what fits in place of what they contradict. Raises ForeignError.
+
+    ``images`` are the reduced ones by files, ``sizes_px`` (width, height) before that.
+    """
     for _ in range(ROUNDS):
         description = candidate.description
-        decoded, sizes_px = {}, {"right": description.projector_px}
-        for one in candidate.cameras:
-            sizes_px[one.side] = _size_px(one, description)
-            decoded[one.side] = decode_camera(_reduced_set(one, description), description)
-        tested = examine(description, decoded, read_rig(description, sizes_px))
+        decoded = {one.side: decode_camera(images[one.files], description) for one in candidate.cameras}
+        own_px = {one.side: sizes_px[one.files] for one in candidate.cameras}
+        tested = examine(description, decoded, read_rig(description, {"right": description.projector_px, **own_px}))
         candidate = replace(candidate, tested=tested)
         wrong = next((one for one in tested if one.outcome is Outcome.WRONG), None)
         if wrong is None:
             break
-        if wrong.about == EXCHANGED:
+        if wrong.about == WHICH_IS_LEFT:
             cameras = tuple(
                 replace(one, side=side) for one, side in zip(candidate.cameras, ("right", "left"), strict=True)
             )[::-1]
@@ -436,14 +423,11 @@ def _size_px(camera: CameraFiles, description: Description) -> tuple[int, int]:
     return width_px, height_px
 
 
-def _reduced_set(camera: CameraFiles, description: Description) -> ImageSet:
-    assert description.order is not None
-    pictures = Pictures.of(camera.files, description.channel)
-    factor = reduction(pictures.shape[1:])
-    kept = [k for k, one in enumerate(description.order) if one.shows is not Shows.OTHER]
-    images = np.stack([reduced(pictures[k], factor) for k in kept])
+def _image_set(camera: CameraFiles, shown: Sequence[ShownImage], images: NDArray[Any]) -> ImageSet:
+    """Return those of ``images`` (n, h, w) that show something of the sequence."""
+    kept = [k for k, one in enumerate(shown) if one.shows is not Shows.OTHER]
     white = next(one for one in FULL_SCALES if float(images.max()) <= one)
-    return ImageSet(tuple(description.order[k] for k in kept), tuple(camera.files[k] for k in kept), images, white)
+    return ImageSet(tuple(shown[k] for k in kept), tuple(camera.files[k] for k in kept), images[kept], white)
 
 
 def _with_instead(description: Description, instead: Mapping[str, Any]) -> Description:
@@ -456,7 +440,7 @@ def _with_instead(description: Description, instead: Mapping[str, Any]) -> Descr
     return description
 
 
-def _on_projectors(description: Description, sizes_px: Mapping[str, tuple[int, int]]) -> Iterator[Description]:
+def _on_projectors(description: Description, left_px: tuple[int, int]) -> Iterator[Description]:
     """Yield the description with each size that the projector may have: the one its calibration states, else those by its axis."""
     table = description.cameras
     stated_px = None
@@ -464,7 +448,7 @@ def _on_projectors(description: Description, sizes_px: Mapping[str, tuple[int, i
         stated_px = camera_numbers(description.folder, table, of_projector=True).stated_px.get("right")
     if stated_px is None:
         # Any size will do to ask where the projector's axis is.
-        right = read_rig(description, {**sizes_px, "right": description.projector_px}).rig.right
+        right = read_rig(description, {"left": left_px, "right": description.projector_px}).rig.right
         width_px = 2.0 * right.lens.c_px[0] + 1.0
         nearest_px = min((width for width, _ in PROJECTORS_PX), key=lambda width: abs(width - width_px))
         sizes = [size for size in PROJECTORS_PX if size[0] == nearest_px]
@@ -499,9 +483,3 @@ def _on_projectors(description: Description, sizes_px: Mapping[str, tuple[int, i
             yield replace(
                 description, projector_px=size_px, axes=tuple(replace(axis, sign=-axis.sign) for axis in axes)
             )
-
-
-def reduced_pictures(candidate: TriedSequence) -> list[NDArray[Any]]:
-    """Return all images of the left camera, reduced."""
-    pictures = Pictures.of(candidate.cameras[0].files, candidate.description.channel)
-    return [reduced(pictures[k], reduction(pictures.shape[1:])) for k in range(len(pictures))]

@@ -9,7 +9,7 @@ from typing import Any
 from appliance.foreign.assumptions import ExaminedAssumption, Outcome, equal_steps
 from appliance.foreign.description import HALVES, AxisConvention, Description, ImageFiles
 
-TOLD, MOVES_NOTHING, NOTHING_TELLS = "told by the images", "moves no point of two cameras", "UNCHECKED"
+CHECKED, MOVES_NOTHING, NOTHING_TELLS = "checked", "moves no point of two cameras", "UNCHECKED"
 WIDTH = 44
 
 
@@ -42,10 +42,11 @@ def description_text(
         return str(path.relative_to(own)) if path.is_relative_to(own) else str(path)
 
     two = "right" in description.files
-    said = ["# Guessed from the images. Behind each line stands what told it; docs/foreign.md explains every word."]
+    said = ["# Guessed from the images. Behind each line stands what checked it; docs/foreign.md explains every word."]
     said += [f"# {note}" for note in notes]
     said += ["", "[images]", *_files(description.files, name)]
     said.append(f'order = "{joined([one.word for one in description.order or ()])}"')
+    usual = MOVES_NOTHING if two else NOTHING_TELLS
     said += [f'channel = "{description.channel}"'] if description.channel != "grey" else []
     said += ["", "[projector]"]
     for key, value in zip(("width_px", "height_px"), description.projector_px, strict=True):
@@ -54,7 +55,7 @@ def description_text(
     for axis in description.axes:
         said += ["", f"[{axis.name}]"]
         said += [
-            _line(line, _confidence(tested, f"{axis.name}.{line.split(' ')[0]}", _usual(line, axis, two)))
+            _line(line, _confidence(tested, f"{axis.name}.{line.split(' ')[0].replace('steps_deg', 'steps')}", usual))
             for line in _axis(axis)
         ]
     said += ["", "[cameras]", *_cameras(description.cameras.content, name), "", "# [water]", "# index = 1.335", ""]
@@ -65,19 +66,12 @@ def _line(text: str, told: str) -> str:
     return f"{text:{WIDTH}} # {told}"
 
 
-def _usual(line: str, axis: AxisConvention, two: bool) -> str:
-    """Return how sure a line is of which no test speaks by name."""
-    if line.startswith(("steps", "code ", "code_order", "code_inverted")):
-        return TOLD
-    return MOVES_NOTHING if two else NOTHING_TELLS
-
-
 def _confidence(tested: Sequence[ExaminedAssumption], about: str, usual: str) -> str:
     said = [one for one in tested if one.about.rpartition(": ")[2] == about]
     if any(one.outcome is Outcome.WRONG for one in said):
         return "WRONG: " + next(one.text for one in said if one.outcome is Outcome.WRONG)
     if any(one.outcome is Outcome.FITS for one in said):
-        return TOLD
+        return CHECKED
     return next((f"{NOTHING_TELLS}: {one.text}" for one in said), usual)
 
 

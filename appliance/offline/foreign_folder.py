@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from appliance.foreign.guess import FolderGuess, TriedSequence, guess_sequence, reduced_pictures
+from appliance.foreign.guess import TriedSequence, guess_sequence, reduced_images
 from appliance.foreign.problem import ForeignError
 from appliance.foreign.sheet import contact_sheet
 from appliance.foreign.writing import description_text, joined
@@ -28,14 +28,15 @@ def import_folder(
     Raises ForeignError where nothing stands out, or the cameras are not known: descriptions and contact sheet are there then; besides
     as ``import_cloud``.
     """
-    guess = guess_sequence(folder, progress)
+    candidates = guess_sequence(folder, progress)
     described, roles, picture = beside_cloud(out)
     files = LocalFileSystem()
-    best = guess.candidates[0]
+    best = candidates[0]
     words = [one.word for one in best.description.order or ()]
-    replace_file(files, roles, contact_sheet(reduced_pictures(best), words, best.by_image))
-    if not guess.clear:
-        raise ForeignError(_question(folder, out, guess))
+    images = reduced_images(best.cameras[0], best.description.channel, progress)
+    replace_file(files, roles, contact_sheet(list(images), words, best.by_image))
+    if len(candidates) > 1:
+        raise ForeignError(_question(folder, out, candidates))
     _write(best, described)
     if not best.description.cameras.content:
         raise ForeignError(
@@ -60,19 +61,15 @@ def _write(candidate: TriedSequence, path: Path) -> None:
     replace_file(LocalFileSystem(), path, guessed_text(candidate, path.parent).encode())
 
 
-def _question(folder: Path, out: Path, guess: FolderGuess) -> str:
+def _question(folder: Path, out: Path, candidates: Sequence[TriedSequence]) -> str:
     """Write both descriptions, and return the question that tells them apart."""
     said = []
-    for number, one in enumerate(guess.candidates, 1):
+    for number, one in enumerate(candidates, 1):
         path = out.with_name(f"{out.stem}.{number}.toml")
         _write(one, path)
         words = joined([shown.word for shown in one.description.order or ()])
         said.append(f"{words} ({one.program}, explains {100 * one.explained:.0f} %: {path.name})")
-    first, second = (one.description.order or () for one in guess.candidates)
+    first, second = (one.description.order or () for one in candidates)
     other = [k + 1 for k, (a, b) in enumerate(zip(first, second, strict=False)) if a != b]
-    return (
-        f"{folder}: two readings of the images are as good: {said[0]}, or {said[1]}; what do images {other[0]} to {other[-1]} show? See "
-        f"{beside_cloud(out)[1].name}, and import the description that is right"
-        if other
-        else f"{folder}: two readings of the images are as good: {said[0]}, or {said[1]}; import the one that is right"
-    )
+    asked = f"what do images {other[0]} to {other[-1]} show? See {beside_cloud(out)[1].name}, and " if other else ""
+    return f"{folder}: two readings of the images are as good: {said[0]}, or {said[1]}; {asked}import the description that is right"
