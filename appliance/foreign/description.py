@@ -7,28 +7,32 @@ offset + i · stripe to offset + (i + 1) · stripe. ``docs/foreign.md`` has the 
 
 from __future__ import annotations
 
-import re
+import math
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 from appliance.bounded_file import parse_toml, read_text
-from appliance.foreign.order import FRINGES, MOST_IMAGES, ShownImage, Shows, numbered, parse_order
+from appliance.foreign.order import FRINGES, MOST_IMAGES, ShownImage, Shows, numbered, parse_order, words_in
 from appliance.foreign.problem import ForeignError, Table
+from appliance.scan.sides import SIDES
 
 MAX_BYTES = 1_000_000
 LEAST_STEPS, MOST_STEPS = 3, 16
 MOST_BITS = 16
 MOST_PERIODS = 16
 LEAST_PERIOD_PX, MOST_PX = 2.0, 65536.0
-SIDES = ("left", "right")
 EACH = "each"
 CHANNELS = ("grey", "red", "green", "blue", EACH)
 """Channels of colour images; ``each``: a picture is three images, red, green and blue."""
-HALVES = {f"{a} {word} {b}": (a, *parts) for a, b in (SIDES, SIDES[::-1])
-          for word, parts in (("beside", ("left half", "right half")), ("above", ("upper half", "lower half")))}  # fmt: skip
-"""Words for pictures that show both cameras: the side that comes first, and the halves in that order."""
+HALVES = {
+    "left beside right": ("left half", "right half"),
+    "right beside left": ("right half", "left half"),
+    "left above right": ("upper half", "lower half"),
+    "right above left": ("lower half", "upper half"),
+}
+"""Words for pictures that show both cameras, with the left one's half and the right one's."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,8 +61,6 @@ class AxisConvention:
     empty: none has one."""
     bits: int = 0
     """Number of images of the code; 0: there is none."""
-    inverses: bool = False
-    """True if each of them has its inverse."""
     stripe_px: float = 0.0
     """Width of the code's finest stripes."""
     code_offset_px: float = 0.0
@@ -120,12 +122,10 @@ class ImageFiles:
 
     patterns: tuple[str, ...]
     """Names with wildcards, in order; each stands for its files in natural order (2 before 10)."""
-    by_word: tuple[tuple[str, tuple[str, ...]], ...] = ()
-    """Names for each kind of image (``gray-x``), in place of ``patterns``."""
-    turns: tuple[str, ...] = ()
-    """Sides in whose turn the files come, again and again, where those of both cameras are named together."""
-    half: str = ""
-    """Part of each picture that is this camera's: ``left half``, ``right half``, ``upper half``, ``lower half``; empty: all of it."""
+    words: tuple[str, ...] = ()
+    """The kind of image that each name stands for (``gray-x``); empty where ``order`` says it."""
+    sides: str = ""
+    """Sides in whose turn the files of both cameras come, again and again, or one of ``HALVES``; empty: all are this camera's."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,19 +222,15 @@ def parse_description(text: str, folder: Path, name: str, source: str) -> Descri
 
 def _described(top: Table, folder: Path, name: str) -> Description:
     top.only("name", "images", "projector", "x", "y", "cameras", "water", "ports", "range")
-    images, projector, cameras = (_needed(top, key) for key in ("images", "projector", "cameras"))
-    projector.only("width_px", "height_px")
+    images = top.needed("images", "left", "right", "both", "sides", "order", "channel", "white")
+    projector = top.needed("projector", "width_px", "height_px")
     size_px = (projector.whole("width_px", 2, int(MOST_PX)), projector.whole("height_px", 2, int(MOST_PX)))
-    images.only("left", "right", "both", "sides", "order", "channel", "white")
-    if "both" in images.content or "sides" in images.content:
-        files = _together(images)
-    else:
-        files = {side: _files(images, side) for side in SIDES if side == "left" or side in images.content}
+    files = _files(images)
     order, shown = _order(images, files)
     axes = []
     for axis_name, length in zip("xy", size_px, strict=True):
         mine = [one for one in shown if one.axis == axis_name]
-        table = top.table(axis_name)
+        table = top.table(axis_name, *_FRINGES, *_CODE, *_OTHERS)
         if mine and table is None:
             raise ForeignError(
                 f"[{axis_name}] is missing: {mine[0].word} is among the images; say how it is to be read"
@@ -247,23 +243,15 @@ def _described(top: Table, folder: Path, name: str) -> Description:
         raise ForeignError(
             f"no image has stripes ({', '.join(sorted({one.word for one in shown}))}); name some, for example gray-x"
         )
-    ranges = top.table("range") or Table("range.", {})
-    ranges.only("near_mm", "far_mm", "max_sigma_mm")
+    ranges = top.table("range", "near_mm", "far_mm", "max_sigma_mm") or Table("range.", {})
     near_mm, far_mm = (ranges.optional(key, 1.0, 1e6) for key in ("near_mm", "far_mm"))
     if near_mm is not None and far_mm is not None and near_mm >= far_mm:
         raise ForeignError(f"range.near_mm is {near_mm:g}; allowed: less than far_mm = {far_mm:g}; exchange them")
     return Description(
         top.text("name", name), folder, files, order, images.choice("channel", CHANNELS, "grey"),
-        images.optional("white", 1.0, 1e6), size_px, tuple(axes), cameras, _medium(top.table("water")), _ports(top.table("ports")),
+        images.optional("white", 1.0, 1e6), size_px, tuple(axes), top.needed("cameras"), _medium(top), _ports(top),
         near_mm, far_mm, ranges.optional("max_sigma_mm", 1e-6, 1e6),
     )  # fmt: skip
-
-
-def _needed(top: Table, key: str) -> Table:
-    table = top.table(key)
-    if table is None:
-        raise ForeignError(f"[{key}] is missing; add it (`kingfisher import FOLDER` writes a first description)")
-    return table
 
 
 def _names(table: Table, key: str) -> tuple[str, ...]:
@@ -274,56 +262,46 @@ def _names(table: Table, key: str) -> tuple[str, ...]:
     return tuple(items)
 
 
-def _files(images: Table, side: str) -> ImageFiles:
-    value = images.content.get(side)
-    if isinstance(value, dict):
-        table = Table(f"images.{side}.", value)
-        if not value:
-            raise images.wrong(side, "names of images", "name some")
-        return ImageFiles((), tuple((word, _names(table, word)) for word in value))
-    return ImageFiles(_names(images, side))
-
-
-def _together(images: Table) -> dict[str, ImageFiles]:
-    """Return the files of both cameras that are named together, and whose turn it is: ``left right``, or ``left*11 right*11``."""
+def _files(images: Table) -> dict[str, ImageFiles]:
+    """Return the files of each camera: named for each in order or by kind, or for both together, and how they share them."""
+    if "both" not in images.content and "sides" not in images.content:
+        return {side: _of_one(images, side) for side in SIDES if side == "left" or side in images.content}
     if "left" in images.content or "right" in images.content:
         raise ForeignError("images.both and images.left, right: give names for both together, or for each")
-    names, sides = _names(images, "both"), images.text("sides", "left right")
-    if sides in HALVES:
-        first, *halves = HALVES[sides]
-        return {side: ImageFiles(names, half=halves[side != first]) for side in SIDES}
-    turns: list[str] = []
-    for word in sides.split():
-        found = re.fullmatch(r"(left|right)(?:\*(\d{1,3}))?", word)
-        if found is None or not 1 <= int(found[2] or 1) <= MOST_IMAGES:
-            raise images.wrong(
-                "sides",
-                f"left and right, with * and a number: left right, or left*11 right*11; {', '.join(HALVES)}",
-                "correct it",
-            )
-        turns += [found[1]] * int(found[2] or 1)
-    if turns.count("left") != turns.count("right") or len(turns) > 2 * MOST_IMAGES:
-        raise images.wrong("sides", "as many left as right", "correct it")
-    return {side: ImageFiles(names, (), tuple(turns)) for side in SIDES}
+    sides = images.text("sides", "left right")
+    if sides not in HALVES:
+        turns = words_in(sides, "images.sides", 2 * MOST_IMAGES)
+        if not turns or set(turns) - set(SIDES) or turns.count("left") != turns.count("right"):
+            allowed = f"as many left as right: left right, or left*11 right*11; {', '.join(HALVES)}"
+            raise images.wrong("sides", allowed, "correct it")
+    return dict.fromkeys(SIDES, ImageFiles(_names(images, "both"), sides=sides))
+
+
+def _of_one(images: Table, side: str) -> ImageFiles:
+    value = images.content.get(side)
+    if not isinstance(value, dict):
+        return ImageFiles(_names(images, side))
+    if not value:
+        raise images.wrong(side, "names of images", "name some")
+    by_kind = {word: _names(Table(f"images.{side}.", value), word) for word in value}
+    words = tuple(word for word, names in by_kind.items() for _ in names)
+    return ImageFiles(tuple(name for names in by_kind.values() for name in names), words)
 
 
 def _order(images: Table, files: dict[str, ImageFiles]) -> tuple[tuple[ShownImage, ...] | None, tuple[ShownImage, ...]]:
     """Return what the images show in order (``None`` where it is said by kind), and one image of each kind and number."""
-    by_word = [bool(one.by_word) for one in files.values()]
-    if all(by_word):
-        if "order" in images.content:
-            raise images.wrong("order", "nothing, where images are named by kind", "take it out")
-        # How many files a name stands for is not known yet: one of each kind stands for all.
-        words = [word for word, _ in files["left"].by_word]
-        if "right" in files and sorted(words) != sorted(word for word, _ in files["right"].by_word):
-            raise ForeignError("images.right names other kinds of images than images.left; name the same")
-        return None, numbered(words, "images.left")
-    if any(by_word):
+    kinds = {frozenset(one.words) for one in files.values()}
+    if len(kinds) > 1:
         raise ForeignError(
-            "images.left and images.right: one names images by kind and the other in order; name both alike"
+            "images.left and images.right name other kinds of images, or one of them in order; name both alike"
         )
-    order = parse_order(images.text("order"), "images.order")
-    return order, order
+    if kinds == {frozenset()}:
+        order = parse_order(images.text("order"), "images.order")
+        return order, order
+    if "order" in images.content:
+        raise images.wrong("order", "nothing, where images are named by kind", "take it out")
+    # How many files a name stands for is not known yet: one of each kind stands for all.
+    return None, numbered(list(dict.fromkeys(files["left"].words)), "images.left")
 
 
 _FRINGES, _CODE = ("period_px", "fringes", "steps", "steps_deg"), ("gray", "stripe_px")
@@ -333,7 +311,6 @@ _STRIPES = {"ordinary": (1.0, 0.0), "complementary": (0.5, 0.0), "shifted": (1.0
 
 
 def _axis(table: Table, name: str, size_px: float, mine: list[ShownImage]) -> AxisConvention:
-    table.only(*_FRINGES, *_CODE, *_OTHERS)
     fringed = {one.period: one.shows for one in mine if one.shows in FRINGES}
     has_code = any(one.shows is Shows.GRAY for one in mine)
     for there, keys, what in ((fringed, _FRINGES, f"sine-{name}"), (has_code, _CODE, f"gray-{name}")):
@@ -352,7 +329,7 @@ def _axis(table: Table, name: str, size_px: float, mine: list[ShownImage]) -> Ax
             f"{name} has one period of {periods_px[0]:g} px on {size_px:g} px and no gray-{name}: nothing tells one fringe from the "
             "next; name the images of a code, or of further periods"
         )
-    starts_deg = table.numbers("start_deg", -360.0, 360.0) if "start_deg" in table.content else (0.0,)
+    starts_deg = table.numbers("start_deg", -360.0, 360.0, default=0.0)
     if len(starts_deg) not in (1, len(periods_px)):
         raise table.wrong("start_deg", f"one number, or one for each of {len(periods_px)} periods", "correct it")
     common: tuple[float, tuple[float, ...]] = (starts_deg[0], ()) if len(starts_deg) == 1 else (0.0, starts_deg)
@@ -416,10 +393,10 @@ def _steps(table: Table, periods: int, micro: bool) -> tuple[tuple[float, ...], 
     return tuple(found * (periods if len(found) == 1 else 1))
 
 
-def _medium(water: Table | None) -> Medium:
+def _medium(top: Table) -> Medium:
+    water = top.table("water", "index", "temperature_c", "salinity_psu", "wavelength_nm")
     if water is None:
         return Medium()
-    water.only("index", "temperature_c", "salinity_psu", "wavelength_nm")
     index, temperature_c = water.optional("index", 1.0, 1.6), water.optional("temperature_c", -2.0, 40.0)
     if (index is None) == (temperature_c is None):
         raise ForeignError("water.index or water.temperature_c: give one of them; for air take [water] out")
@@ -428,28 +405,22 @@ def _medium(water: Table | None) -> Medium:
     )  # fmt: skip
 
 
-def _ports(ports: Table | None) -> Ports | None:
+def _ports(top: Table) -> Ports | None:
+    ports = top.table("ports", "distance_mm", "thickness_mm", "glass_index", "left_normal", "right_normal")
     if ports is None:
         return None
-    ports.only("distance_mm", "thickness_mm", "glass_index", "left_normal", "right_normal")
     found: list[tuple[float, float, float]] = []
     for key in ("left_normal", "right_normal"):
-        x, y, z = (0.0, 0.0, 1.0) if key not in ports.content else _three(ports, key)
-        length = (x * x + y * y + z * z) ** 0.5
-        if length < 1e-6 or z < 0.5 * length:
-            raise ports.wrong(key, "a vector towards the water, in the camera's own frame", "correct its sign")
+        normal = ports.numbers(key, -1e6, 1e6, default=(0.0, 0.0, 1.0))
+        length = math.hypot(*normal)
+        if len(normal) != 3 or length < 1e-6 or normal[2] < 0.5 * length:
+            raise ports.wrong(key, "three numbers: a vector towards the water, in the camera's own frame", "correct it")
+        x, y, z = normal
         found.append((x / length, y / length, z / length))
     return Ports(
         ports.number("distance_mm", 0.0, 1000.0), ports.number("thickness_mm", 0.0, 100.0), ports.number("glass_index", 1.0, 3.0),
         (found[0], found[1]),
     )  # fmt: skip
-
-
-def _three(table: Table, key: str) -> tuple[float, float, float]:
-    values = table.numbers(key, -1e6, 1e6)
-    if len(values) != 3:
-        raise table.wrong(key, "three numbers", "correct it")
-    return values[0], values[1], values[2]
 
 
 def counted(description: Description, images: tuple[ShownImage, ...]) -> Description:
@@ -478,7 +449,7 @@ def counted(description: Description, images: tuple[ShownImage, ...]) -> Descrip
             )
         if bits > MOST_BITS:
             raise ForeignError(f"{bits} images are gray-{axis.name}; allowed are up to {MOST_BITS}; name others -")
-        axis = replace(axis, bits=bits, inverses=bool(inverses), carriers=tuple(carriers) if any(carriers) else ())
+        axis = replace(axis, bits=bits, carriers=tuple(carriers) if any(carriers) else ())
         end_px = axis.covered_px[1]
         if bits and "right" not in description.files and end_px < 0.5 * axis.size_px:
             raise ForeignError(

@@ -5,13 +5,13 @@ from __future__ import annotations
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
-from appliance.foreign.description import HALVES
 from appliance.foreign.frames import PAGED, STACKS, SUFFIXES, Frame, arrays_in, frame_head, frames_in
-from appliance.foreign.images import natural_key
+from appliance.foreign.images import natural_key, of_side
 from appliance.foreign.problem import ForeignError
+from appliance.scan.sides import SIDES
 
 LEAST_IMAGES, MOST_FILES = 3, 2000
 WIDE, HIGH = 2.0, 1.2
@@ -61,7 +61,7 @@ def camera_files(folder: Path) -> list[CameraFiles]:
         )
     return [
         CameraFiles(side, pattern, tuple(Frame(folder / name) for name in sorted(best[pattern], key=natural_key)))
-        for side, pattern in zip(("left", "right"), _left_first(best), strict=False)
+        for side, pattern in zip(SIDES, _left_first(best), strict=False)
     ]
 
 
@@ -88,40 +88,30 @@ def _stacks(folder: Path) -> list[CameraFiles] | None:
                 found[f"{name}#{array}" if array else name] = frames
     if not 1 <= len(found) <= 2 or len({len(frames) for frames in found.values()}) != 1:
         return None
-    return [
-        CameraFiles(side, name, found[name]) for side, name in zip(("left", "right"), _left_first(found), strict=False)
-    ]
+    return [CameraFiles(side, name, found[name]) for side, name in zip(SIDES, _left_first(found), strict=False)]
 
 
 def in_halves(camera: CameraFiles) -> Iterator[list[CameraFiles]]:
     """Yield two cameras that share each picture, beside or above each other, where its shape allows it."""
     head = frame_head(camera.files[0])
-    if head is None:
-        return
-    height_px, width_px = head[0]
-    word = "beside" if width_px > WIDE * height_px else "above" if height_px > HIGH * width_px else ""
-    if word:
-        sides = f"left {word} right"
-        first, *halves = HALVES[sides]
-        yield [
-            CameraFiles(
-                side, camera.pattern, tuple(replace(frame, half=halves[side != first]) for frame in camera.files), sides
-            )
-            for side in ("left", "right")
-        ]
+    if head is not None:
+        height_px, width_px = head.shape
+        if width_px > WIDE * height_px:
+            yield _shared(camera, "left beside right")
+        elif height_px > HIGH * width_px:
+            yield _shared(camera, "left above right")
 
 
 def taken_in_turns(camera: CameraFiles) -> Iterator[list[CameraFiles]]:
     """Yield the ways in which two cameras may share one sequence: by turns, and one after the other."""
     count = len(camera.files)
-    if count % 2 or count < 2 * LEAST_IMAGES:
-        return
-    half = count // 2
-    for sides, left, right in (
-        ("left right", camera.files[::2], camera.files[1::2]),
-        (f"left*{half} right*{half}", camera.files[:half], camera.files[half:]),
-    ):
-        yield [CameraFiles(side, camera.pattern, files, sides) for side, files in (("left", left), ("right", right))]
+    if count % 2 == 0 and count >= 2 * LEAST_IMAGES:
+        yield _shared(camera, "left right")
+        yield _shared(camera, f"left*{count // 2} right*{count // 2}")
+
+
+def _shared(camera: CameraFiles, sides: str) -> list[CameraFiles]:
+    return [CameraFiles(side, camera.pattern, tuple(of_side(camera.files, sides, side)), sides) for side in SIDES]
 
 
 def _best(names: list[str]) -> dict[str, list[str]] | None:

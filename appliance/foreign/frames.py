@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import mmap
 import re
-from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -72,31 +72,23 @@ def frames_in(path: Path, array: str = "") -> tuple[Frame, ...]:
     suffix = path.suffix.lower()
     if suffix in PAGED:
         _refuse_other_files(path)
-        try:
-            pages = cv2.imcount(str(path))
-        except cv2.error:
-            pages = 1  # whoever reads it says what is wrong
-        count = pages if pages > 1 else None
+        with suppress(cv2.error):  # whoever reads it says what is wrong
+            count = cv2.imcount(str(path))
+        count = None if count == 1 else count
     elif suffix in STACKS:
-        _, shape = _stack_shape(path, array)
-        count = None if len(shape) == 2 else shape[2 if _images_last(shape) else 0]
+        head = _stack(path, array, head=True)
+        count = len(head) if head.ndim > 2 else None
     if count is not None and count > MOST_PAGES:
         raise ForeignError(f"{path}: {count} images; allowed are up to {MOST_PAGES}; give one sequence a file")
-    return (Frame(path, None, array),) if count is None else tuple(Frame(path, k, array) for k in range(count))
+    return (Frame(path, None, array),) if not count else tuple(Frame(path, k, array) for k in range(count))
 
 
 def arrays_in(path: Path) -> tuple[str, ...]:
     """Return the names of the arrays in an ``.npz`` that may be stacks of images; none where it is something else."""
     try:
-        return tuple(name for name, head in array_heads(path).items() if len(head.shape) >= 3)
+        return tuple(name for name, head in array_heads(path).items() if head.ndim >= 3)
     except ArrayError:
         return ()
-
-
-def raw_images(frames: Sequence[Frame]) -> list[NDArray[Any]]:
-    """Return the images (h, w) or (h, w, channels) as their files have them. Raises ForeignError."""
-    reader = FrameReader()
-    return [reader.raw(frame) for frame in frames]
 
 
 class FrameReader:
@@ -108,31 +100,29 @@ class FrameReader:
     def raw(self, frame: Frame) -> NDArray[Any]:
         """Return the picture (h, w) or (h, w, channels) that an image lies in. Raises ForeignError."""
         stacked = frame.path.suffix.lower() in STACKS
-        if not stacked and not frame.channel:
-            return _read(frame)
         key = Frame(frame.path, None if stacked else frame.page, frame.array)
         if self._last is None or self._last[0] != key:
             self._last = None  # not both at once
             self._last = key, _stack(frame.path, frame.array) if stacked else _read(key)
         content = self._last[1]
-        return np.asarray(content if not stacked or frame.page is None else content[frame.page])
+        return content if not stacked or frame.page is None else content[frame.page]
 
 
-def frame_head(frame: Frame) -> tuple[tuple[int, int], np.dtype[Any]] | None:
-    """Return the size (h, w) and the type of an image by its file's header; ``None`` where nothing but reading it tells."""
+def frame_head(frame: Frame) -> NDArray[Any] | None:
+    """Return an image (h, w) by its file's header: its size and type, and no number; ``None`` where nothing but reading it tells."""
     if frame.path.suffix.lower() in STACKS:
-        head = array_heads(frame.path)[_stack_shape(frame.path, frame.array)[0]]
-        shape = head.shape if len(head.shape) == 2 else head.shape[:2] if _images_last(head.shape) else head.shape[1:3]
-        return (shape[0], shape[1]), head.dtype
+        head = _stack(frame.path, frame.array, head=True)
+        head = head if frame.page is None else head[frame.page]
+        return frame.cut(head if head.ndim == 2 else head[..., 0])
     _refuse_other_files(frame.path)
     with frame.path.open("rb") as file:
         if not file.seek(0, 2):
             return None
         with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
             stated = picture_head(data)
-    if stated is None or stated[2] > 16:
+    if stated is None or stated[2] > 16 or not 0 <= stated[0] * stated[1] <= MOST_PIXELS:
         return None
-    return stated[1::-1], np.dtype(np.uint8 if stated[2] <= 8 else np.uint16)
+    return frame.cut(np.broadcast_to(np.empty((), np.uint8 if stated[2] <= 8 else np.uint16), stated[1::-1]))
 
 
 def _read(frame: Frame) -> NDArray[Any]:
@@ -168,33 +158,22 @@ def _refuse_other_files(path: Path) -> None:
         raise ForeignError(f"{path}: {error.strerror or error}; correct the name") from error
 
 
-def _stack(path: Path, array: str) -> NDArray[Any]:
-    """Return the array of a file, its images along the first dimension; one image is (h, w)."""
-    name, shape = _stack_shape(path, array)
-    try:
-        content = load_array(path, name, MOST_STACK_BYTES)
-    except ArrayError as error:
-        raise ForeignError(f"{path}: {error}") from error
-    return np.moveaxis(content, 2, 0) if _images_last(shape) else content
-
-
-def _stack_shape(path: Path, array: str) -> tuple[str, tuple[int, ...]]:
-    """Return the name and the shape of the array that is meant, by its header. Raises ForeignError."""
+def _stack(path: Path, array: str, head: bool = False) -> NDArray[Any]:
+    """Return the array of a file, its images along the first dimension, or its ``head`` alone; one image is (h, w). Raises ForeignError."""
     try:
         heads = array_heads(path)
+        name = array or (next(iter(heads)) if len(heads) == 1 else "")
+        if name not in heads:
+            said = f"has no array {array}" if array else f"has {len(heads)} arrays"
+            raise ForeignError(
+                f"{path}: {said} ({', '.join(list(heads)[:20])[:200]}); name one of them: {path.name}#NAME"
+            )
+        content = heads[name] if head else load_array(path, name, MOST_STACK_BYTES)
     except ArrayError as error:
         raise ForeignError(f"{path}: {error}; save it anew, without objects") from error
-    name = array or (next(iter(heads)) if len(heads) == 1 else "")
-    if name not in heads:
-        said = f"has no array {array}" if array else f"has {len(heads)} arrays"
-        raise ForeignError(f"{path}: {said} ({', '.join(list(heads)[:20])[:200]}); name one of them: {path.name}#NAME")
-    shape = heads[name].shape
-    if len(shape) not in (2, 3, 4) or 0 in shape:
+    if content.ndim not in (2, 3, 4) or 0 in content.shape:
         raise ForeignError(
-            f"{path}: an array of shape {shape!s:.60}; allowed: (n, h, w), or (n, h, w, 3) of colours; save it so"
+            f"{path}: an array of shape {content.shape!s:.60}; allowed: (n, h, w), or (n, h, w, 3) of colours; save it so"
         )
-    return name, shape
-
-
-def _images_last(shape: tuple[int, ...]) -> bool:
-    return len(shape) == 3 and shape[2] < min(shape[:2])
+    images_last = content.ndim == 3 and content.shape[2] < min(content.shape[:2])
+    return np.moveaxis(content, 2, 0) if images_last else content

@@ -33,11 +33,11 @@ from appliance.foreign.assumptions import (
 from appliance.foreign.camera import DecodedCamera, decode_camera
 from appliance.foreign.camera_files import camera_numbers, cameras_in
 from appliance.foreign.cameras import read_rig
-from appliance.foreign.description import EACH, HALVES, LEAST_STEPS, AxisConvention, Description, ImageFiles
+from appliance.foreign.description import EACH, LEAST_STEPS, AxisConvention, Description, ImageFiles
 from appliance.foreign.expectation import explained_shares
 from appliance.foreign.files import CameraFiles, camera_files, in_halves, taken_in_turns
-from appliance.foreign.frames import Frame, raw_images
-from appliance.foreign.images import CHANNEL_NUMBER, FULL_SCALES, ImageSet, Pictures
+from appliance.foreign.frames import Frame, FrameReader
+from appliance.foreign.images import CHANNEL_NUMBER, FULL_SCALES, ImageSet, Pictures, of_channel
 from appliance.foreign.order import FRINGES, ShownImage, Shows, numbered
 from appliance.foreign.periods import periods_by_phases
 from appliance.foreign.problem import ForeignError, Table
@@ -166,7 +166,7 @@ def _unknown(folder: Path, found: Sequence[TriedSequence]) -> ForeignError:
 def _candidates(folder: Path, cameras: Sequence[CameraFiles], progress: Callable[[str], None]) -> list[TriedSequence]:
     channel = _channel(cameras[0].files)
     if channel == EACH:
-        cameras = [replace(one, files=tuple(_in_colours(one.files))) for one in cameras]
+        cameras = [replace(one, files=tuple(of_channel(one.files, channel))) for one in cameras]
     images = reduced_images(cameras[0], channel, progress)
     looks = look_at(images)
     agreed = [(agreement(looks, one.shown), one) for one in _all_hypotheses(looks)]
@@ -216,15 +216,8 @@ def reduced_images(camera: CameraFiles, channel: str, progress: Callable[[str], 
     return np.stack(found)
 
 
-def _in_colours(files: Sequence[Frame]) -> Iterator[Frame]:
-    """Yield three images of each colour picture."""
-    for frame in files:
-        for channel in ("red", "green", "blue"):
-            yield replace(frame, channel=channel)
-
-
 def _channel(files: Sequence[Frame]) -> str:
-    image = raw_images([files[len(files) // 2]])[0]
+    image = FrameReader().raw(files[len(files) // 2])
     if image.ndim < 3 or image.shape[2] < len(CHANNEL_NUMBER):
         return "grey"
     spread = [float(image[::4, ::4, k].std()) for k in range(3)]
@@ -277,8 +270,7 @@ def _convention(name: str, hypothesis: Hypothesis, images: NDArray[Any], width: 
         else:
             fields["periods_px"] = (stripe_px / width,)
     axis = AxisConvention(
-        name, size_px, fields.pop("periods_px", ()), fields.pop("steps_deg", ()), bits=bits,
-        inverses=any(one.shows is Shows.INVERSE for one in mine), stripe_px=stripe_px,
+        name, size_px, fields.pop("periods_px", ()), fields.pop("steps_deg", ()), bits=bits, stripe_px=stripe_px,
     )  # fmt: skip
     return replace(axis, **fields)
 
@@ -356,12 +348,7 @@ def fitted(description: Description, images: ImageSet) -> tuple[Description, Dec
 
 def files_of(cameras: Sequence[CameraFiles]) -> dict[str, ImageFiles]:
     """Return the cameras' files in the words of a description."""
-    found = {}
-    for one in cameras:
-        first, *halves = HALVES.get(one.sides, ("left", "", ""))
-        turns = () if one.sides in HALVES else tuple(one.sides.split())
-        found[one.side] = ImageFiles((one.pattern,), turns=turns, half=halves[one.side != first])
-    return found
+    return {one.side: ImageFiles((one.pattern,), sides=one.sides) for one in cameras}
 
 
 # ------------------------------------------------------------------------------------------- cameras, projector

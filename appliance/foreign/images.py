@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +17,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.foreign.description import EACH, Description, ImageFiles
+from appliance.foreign.description import EACH, HALVES, Description
 from appliance.foreign.frames import Frame, FrameReader, frame_head, frames_in, split_name
-from appliance.foreign.order import ShownImage, Shows, numbered
+from appliance.foreign.order import ShownImage, Shows, numbered, words_in
 from appliance.foreign.problem import ForeignError
+from appliance.scan.sides import SIDES
 
 FULL_SCALES = (255.0, 1023.0, 4095.0, 16383.0, 65535.0)
 """Grey values of saturation that sensors have."""
@@ -42,15 +44,13 @@ class Pictures:
     @classmethod
     def of(cls, frames: Sequence[Frame], channel: str) -> Pictures:
         """Return the images ``frames``, which must be alike. Raises ForeignError for others, and for files that are none."""
-        heads = [(frame.cut(np.broadcast_to(head[1].type(0), head[0])).shape, head[1]) if head else None
-                 for frame, head in ((frame, frame_head(frame)) for frame in frames)]  # fmt: skip
+        heads = [frame_head(frame) for frame in frames]
         first = heads[0]
         if first is None:
-            image = frames[0].cut(_grey(frames[0], FrameReader().raw(frames[0]), channel))
-            first = image.shape, image.dtype
-        pictures = cls(tuple(frames), channel, (len(frames), *first[0]), first[1])
+            first = frames[0].cut(_grey(frames[0], FrameReader().raw(frames[0]), channel))
+        pictures = cls(tuple(frames), channel, (len(frames), *first.shape), first.dtype)
         for frame, head in zip(frames, heads, strict=True):
-            pictures._alike(frame, *(head or first))
+            pictures._alike(frame, first if head is None else head)
         return pictures
 
     def __len__(self) -> int:
@@ -61,17 +61,17 @@ class Pictures:
             return self._kept[number]
         frame = self.frames[number]
         image = frame.cut(_grey(frame, self._reader.raw(frame), frame.channel or self.channel))
-        self._alike(frame, image.shape, image.dtype)
+        self._alike(frame, image)
         # Bright and dark are asked for by each direction, and small sets by every test.
         if image.nbytes * (len(self._kept) + 1) <= KEPT_BYTES:
             self._kept[number] = image
         return image
 
-    def _alike(self, frame: Frame, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
-        if shape != self.shape[1:] or dtype != self.dtype:
+    def _alike(self, frame: Frame, image: NDArray[Any]) -> None:
+        if image.shape != self.shape[1:] or image.dtype != self.dtype:
             raise ForeignError(
-                f"{frame.path.parent / frame.name}: {shape[1]} x {shape[0]} px {dtype}, and {self.frames[0].name} has {self.shape[2]} x "
-                f"{self.shape[1]} px {self.dtype}; images of one camera must be alike: name others with -"
+                f"{frame.path.parent / frame.name}: {image.shape[1]} x {image.shape[0]} px {image.dtype}, and {self.frames[0].name} has "
+                f"{self.shape[2]} x {self.shape[1]} px {self.dtype}; images of one camera must be alike: name others with -"
             )
 
 
@@ -127,27 +127,16 @@ def read_side(description: Description, side: str) -> ImageSet:
 def first_of_side(description: Description, side: str) -> ImageSet:
     """Return the images of one camera by the headers of their files, none of which is decoded. Raises ForeignError for files that are
     missing, of different sizes, or no images."""
-    files, shown = named_files(description, side)
-    kept = [k for k, one in enumerate(shown) if one.shows is not Shows.OTHER]
+    kept = [
+        (file, one) for file, one in zip(*named_files(description, side), strict=True) if one.shows is not Shows.OTHER
+    ]
     if not kept:
         raise ForeignError("all images are named -; name what they show")
-    files, shown = tuple(files[k] for k in kept), tuple(shown[k] for k in kept)
+    files, shown = zip(*kept, strict=True)
     return ImageSet(shown, files, Pictures.of(files, description.channel), description.white or FULL_SCALES[0])
 
 
-def read_images(
-    files: tuple[Frame, ...], shown: tuple[ShownImage, ...], channel: str, white: float | None = None, step: int = 1
-) -> ImageSet:
-    """Read every ``step``-th pixel of ``files``, of which ``shown`` says what each shows. Raises ForeignError."""
-    pictures = Pictures.of(files, channel)
-    few = pictures[0][::step, ::step]
-    images = np.empty((len(files), *few.shape), few.dtype)
-    for k in range(len(files)):
-        images[k] = pictures[k][::step, ::step]
-    return ImageSet(shown, files, images, white or _white(images))
-
-
-def _white(images: NDArray[Any] | Pictures) -> float:
+def _white(images: Pictures) -> float:
     """Return the least grey value of saturation that no pixel exceeds. Sensors of fewer bits may lie at the upper end of 16, where each
     value is a multiple of their last one."""
     if images.dtype == np.uint8:
@@ -174,47 +163,44 @@ def _grey(frame: Frame, image: NDArray[Any], channel: str) -> NDArray[Any]:
     return np.ascontiguousarray(image[..., CHANNEL_NUMBER[channel]])
 
 
-def named_files(description: Description, side: str) -> tuple[tuple[Frame, ...], tuple[ShownImage, ...]]:
+def named_files(description: Description, side: str) -> tuple[list[Frame], tuple[ShownImage, ...]]:
     """Return the files of one camera and what they show. Raises ForeignError for files that are missing, too few or too many."""
     wanted = description.files[side]
+    key = f"images.{'both' if wanted.sides else side}"
+    named = [
+        (frame, word)
+        for pattern, word in zip_longest(wanted.patterns, wanted.words, fillvalue="")
+        for frame in matching(description.folder, pattern, f"{key}.{word}" if word else key)
+    ]
+    found = of_channel(of_side([frame for frame, _ in named], wanted.sides, side), description.channel)
     if description.order is None:
-        return _by_word(description, side, wanted)
-    key = f"images.{'both' if wanted.turns else side}"
-    found = [frame for pattern in wanted.patterns for frame in matching(description.folder, pattern, key)]
-    if wanted.turns:
-        if len(found) % len(wanted.turns):
-            raise ForeignError(
-                f"{key}: {len(found)} images, which are no whole number of turns of {len(wanted.turns)}; correct images.sides, or name the "
-                "images that belong to it"
-            )
-        found = [frame for k, frame in enumerate(found) if wanted.turns[k % len(wanted.turns)] == side]
-    found = _parts(found, description, wanted)
+        # Each kind's own images, and three times as many where every channel is one.
+        return found, numbered([word for _, word in named for _ in range(len(found) // len(named))], key)
     if len(found) != len(description.order):
         raise ForeignError(
-            f"{key}: {len(found)} {'images' if wanted.turns else 'files'} ({found[0].name} to {found[-1].name}), and images.order names {len(description.order)} images; "
+            f"{key}: {len(found)} images ({found[0].name} to {found[-1].name}), and images.order names {len(description.order)} images; "
             "name as many, with - for what shows something else"
         )
-    return tuple(found), description.order
+    return found, description.order
 
 
-def _by_word(
-    description: Description, side: str, wanted: ImageFiles
-) -> tuple[tuple[Frame, ...], tuple[ShownImage, ...]]:
-    files: list[Frame] = []
-    words: list[str] = []
-    for word, patterns in wanted.by_word:
-        key = f"images.{side}.{word}"
-        found = [frame for pattern in patterns for frame in matching(description.folder, pattern, key)]
-        found = _parts(found, description, wanted)
-        files += found
-        words += [word] * len(found)
-    return tuple(files), numbered(words, f"images.{side}")
+def of_channel(frames: Sequence[Frame], channel: str) -> list[Frame]:
+    """Return the images of pictures: three of each where every channel is one."""
+    channels = ("red", "green", "blue") if channel == EACH else ("",)
+    return [replace(frame, channel=one) for frame in frames for one in channels]
 
 
-def _parts(found: list[Frame], description: Description, wanted: ImageFiles) -> list[Frame]:
-    """Return the images of pictures: three of each colour picture, or the half that one camera took."""
-    channels = ("red", "green", "blue") if description.channel == EACH else ("",)
-    return [replace(frame, channel=channel, half=wanted.half) for frame in found for channel in channels]
+def of_side(frames: Sequence[Frame], sides: str, side: str) -> list[Frame]:
+    """Return one camera's images of those that both share, ``sides`` saying how; all where it is empty. Raises ForeignError."""
+    if sides in HALVES:
+        return [replace(frame, half=HALVES[sides][SIDES.index(side)]) for frame in frames]
+    turns = words_in(sides, "images.sides") or [side]
+    if len(frames) % len(turns):
+        raise ForeignError(
+            f"images.both: {len(frames)} images, which are no whole number of turns of {len(turns)}; correct images.sides, or name the images "
+            "that belong to it"
+        )
+    return [frame for k, frame in enumerate(frames) if turns[k % len(turns)] == side]
 
 
 def matching(folder: Path, named: str, key: str) -> list[Frame]:

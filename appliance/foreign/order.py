@@ -13,9 +13,16 @@ from enum import Enum
 
 from appliance.foreign.problem import ForeignError
 
-MOST_IMAGES, MOST_BRACKETS = 400, 50
-_TOKEN = re.compile(r"\s*(\(|\)|\*\s*\d+|~?[a-z]+(?:-[xy]\d{0,2})?|-)")
-_WORD = re.compile(r"(~?)(bright|dark|gray|sine|modulated|micro|-)(?:-([xy])(\d{0,2}))?")
+MOST_IMAGES, MOST_LETTERS = 400, 6000
+_REPEATED = re.compile(
+    r"(?:\((?P<group>[^()*]*)\)|(?P<word>[^\s()*]+))(?:\s*\*\s*(?P<count>\d{1,9})(?!\s*[\d*])|(?<=\))(?!\s*\*))"
+)
+_LEFT_OVER = {
+    "*": "* stands between something and how often it is there, as in gray-x*6",
+    "(": "a bracket is opened that is not closed",
+    ")": "a bracket is closed that was not opened",
+}
+_WORD = re.compile(r"(bright|dark|-)|(~?gray|micro)-([xy])|(sine|modulated)-([xy])(\d{0,2})")
 WORDS = (
     "bright, dark, gray-x, ~gray-x (inverted), sine-x, sine-x2 (of the second period), modulated-x (times a carrier across), micro-x (many "
     "periods), the same with y, and - for anything else"
@@ -29,14 +36,14 @@ class Shows(Enum):
     DARK = "dark"
     GRAY = "gray"
     """One bit of the stripes' numbers."""
-    INVERSE = "inverse"
+    INVERSE = "~gray"
     """The same bit with bright and dark exchanged."""
     SINE = "sine"
     MODULATED = "modulated"
     """Fringes times a carrier across them, whose steps come one after the other for each step of the fringes."""
     MICRO = "micro"
     """The steps of one period, then one image of each further one."""
-    OTHER = "other"
+    OTHER = "-"
 
 
 FRINGES = (Shows.SINE, Shows.MODULATED, Shows.MICRO)
@@ -57,21 +64,38 @@ class ShownImage:
     @property
     def word(self) -> str:
         """The image in the words of a description."""
-        if self.shows is Shows.OTHER:
-            return "-"
-        kind = "~gray" if self.shows is Shows.INVERSE else self.shows.value
-        return f"{kind}-{self.axis}{self.period + 1 if self.period else ''}" if self.axis else kind
+        return (
+            f"{self.shows.value}-{self.axis}{self.period + 1 if self.period else ''}" if self.axis else self.shows.value
+        )
 
 
 def parse_order(text: str, key: str) -> tuple[ShownImage, ...]:
     """Return the images that ``text`` names, numbered by kind. Raises ForeignError, which names ``key``."""
-    tokens = _tokens(text, key)
-    if tokens.count("(") > MOST_BRACKETS:
-        raise ForeignError(f"{key} opens {tokens.count('(')} brackets; allowed are up to {MOST_BRACKETS}; shorten it")
-    words, at = _group(tokens, 0, key)
-    if at != len(tokens):
-        raise ForeignError(f"{key} is {text!r:.80}: a bracket is closed that was not opened; correct it")
-    return numbered(words, key)
+    return numbered(words_in(text, key), key)
+
+
+def words_in(text: str, key: str, most: int = MOST_IMAGES) -> list[str]:
+    """Return the words of ``text`` with repetitions spelt out, up to ``most`` of them. Raises ForeignError, which names ``key``."""
+
+    def spelt_out(found: re.Match[str]) -> str:
+        words, count = (found["group"] or found["word"] or "").split(), int(found["count"] or 1)
+        if found["count"] and not 1 <= count * len(words) <= most:
+            raise ForeignError(f"{key}: *{count} repeats {count} times; allowed are 1 and more, {most} images in all")
+        return f" {' '.join(words * count)} "
+
+    spelt, before = text, ""
+    while spelt != before:
+        if len(spelt) > MOST_LETTERS:
+            raise ForeignError(f"{key} names more than {most} images, or too much else; shorten it")
+        # The innermost brackets, and words beside them.
+        before, spelt = spelt, _REPEATED.sub(spelt_out, spelt)
+    for sign, wrong in _LEFT_OVER.items():
+        if sign in spelt:
+            raise ForeignError(f"{key} is {text!r:.80}: {wrong}; correct it")
+    words = spelt.split()
+    if len(words) > most:
+        raise ForeignError(f"{key} names {len(words)} images; allowed are up to {most}; shorten it")
+    return words
 
 
 def numbered(words: list[str], key: str) -> tuple[ShownImage, ...]:
@@ -80,13 +104,13 @@ def numbered(words: list[str], key: str) -> tuple[ShownImage, ...]:
     images = []
     for word in words:
         found = _WORD.fullmatch(word)
-        kind = found[2] if found else ""
-        varies = kind not in ("bright", "dark", "-")
-        numbers = bool(found and found[4]) and kind not in ("sine", "modulated")
-        if found is None or varies != bool(found[3]) or (found[1] and kind != "gray") or numbers:
+        if found is None:
             raise ForeignError(f"{key}: {word!r:.40} is no image; allowed: {WORDS}; correct it")
-        shows = Shows.OTHER if kind == "-" else Shows.INVERSE if found[1] else Shows(kind)
-        axis, period = found[3] or "", int(found[4] or 1) - 1
+        shows, axis, period = (
+            Shows(found[1] or found[2] or found[4]),
+            found[3] or found[5] or "",
+            int(found[6] or 1) - 1,
+        )
         if period < 0:
             raise ForeignError(f"{key}: {word!r} names period 0; the first one is sine-x or sine-x1")
         count = counts.get((shows, axis, period), 0)
@@ -95,45 +119,3 @@ def numbered(words: list[str], key: str) -> tuple[ShownImage, ...]:
         counts[shows, axis, period] = count + 1
         images.append(ShownImage(shows, axis, count, period))
     return tuple(images)
-
-
-def _tokens(text: str, key: str) -> list[str]:
-    tokens, at = [], 0
-    while text[at:].strip():
-        found = _TOKEN.match(text, at)
-        if found is None:
-            raise ForeignError(f"{key}: {text[at : at + 20].strip()!r} is no image; allowed: {WORDS}; correct it")
-        tokens.append(found[1].replace(" ", ""))
-        at = found.end()
-    return tokens
-
-
-def _group(tokens: list[str], at: int, key: str) -> tuple[list[str], int]:
-    """Return the words from token ``at`` to the closing bracket or the end, and the token behind them."""
-    words: list[str] = []
-    last: list[str] = []
-    while at < len(tokens) and tokens[at] != ")":
-        token = tokens[at]
-        at += 1
-        if token.startswith("*"):
-            if not last:
-                raise ForeignError(f"{key}: {token} stands behind nothing that could be repeated; correct it")
-            count = int(token[1:])
-            if not 1 <= count <= MOST_IMAGES or len(words) + len(last) * count > MOST_IMAGES:
-                raise ForeignError(
-                    f"{key}: {token} repeats {count} times; allowed are 1 and more, {MOST_IMAGES} images in all"
-                )
-            words += last * (count - 1)
-            last = []
-            continue
-        if token == "(":
-            last, at = _group(tokens, at, key)
-            if at >= len(tokens):
-                raise ForeignError(f"{key}: a bracket is opened that is not closed; add )")
-            at += 1
-        else:
-            last = [token]
-        words += last
-        if len(words) > MOST_IMAGES:
-            raise ForeignError(f"{key} names more than {MOST_IMAGES} images; shorten it")
-    return words, at

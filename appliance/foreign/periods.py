@@ -8,6 +8,7 @@ the fewer fringes there are.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -41,42 +42,25 @@ def periods_by_phases(
         return (size_px,)
     fits = [fit_sine(list(one), steps, np.inf) for one, steps in zip(images, steps_deg, strict=True)]
     strong = np.logical_and.reduce([fit.modulation > STRONG * np.quantile(fit.modulation, 0.9) for fit in fits])
-    speeds = [[_speed(fit.turns, strong, name, lag) for lag in LAGS_PX] for fit in fits]
-    finest = int(np.argmax([lags[0] for lags in speeds]))
+    finest = int(np.argmax([_speed(fit.turns, strong, name) for fit in fits]))
     # A lag of several pixels tells slow phases better, and wraps fast ones.
     ratios = np.array([_ratio(fit.turns, fits[finest].turns, strong, name) for fit in fits])
     ratios[finest] = 1.0
     places = np.flatnonzero(strong)
     places = places[:: max(1, len(places) // PIXELS)]
-    few = tuple(
-        type(fit)(fit.turns.ravel()[places][None], fit.modulation.ravel()[places][None], fit.offset.ravel()[places][None],
-                  None, np.zeros((1, len(places)), np.bool_))
-        for fit in fits
-    )  # fmt: skip
     nothing = np.zeros((1, len(places)), np.bool_)
+    few = tuple(replace(fit, turns=fit.turns.ravel()[places][None]) for fit in fits)
     best, best_share = tuple(float(size_px * (k + 1) / len(fits)) for k in range(len(fits)))[::-1], np.inf
-    tried = set()
     for count in range(len(fits), MOST_FRINGES + 1):
-        for fringes in _nearest(count * ratios, count, finest):
-            if fringes in tried:
-                continue
-            tried.add(fringes)
-            axis = AxisConvention(name, size_px, tuple(size_px / one for one in fringes), tuple(steps_deg))
-            _, misfit = by_periods(Measured(few, None, nothing, nothing), axis)
-            share = float(np.median(misfit)) / chance_misfit(axis)
-            if share < 0.9 * best_share:
-                best, best_share = axis.periods_px, share
+        wanted = count * ratios
+        fringes = np.rint(wanted)
+        if fringes.min() < 1.0 or len(set(fringes)) < len(fits) or np.abs(fringes / wanted - 1.0).max() >= RATIO_SLACK:
+            continue  # no whole numbers, all different, are near
+        axis = AxisConvention(name, size_px, tuple(float(size_px / one) for one in fringes), tuple(steps_deg))
+        share = float(np.median(by_periods(Measured(few, None, nothing, nothing), axis)[1])) / chance_misfit(axis)
+        if share < 0.9 * best_share:
+            best, best_share = axis.periods_px, share
     return best
-
-
-def _nearest(wanted: NDArray[np.float64], count: int, finest: int) -> list[tuple[int, ...]]:
-    """Return the whole numbers of fringes near to the ``wanted`` ones, all different; none where nothing is near enough."""
-    whole = np.rint(wanted).astype(int)
-    whole[finest] = count
-    if np.any(whole < 1) or len(set(whole.tolist())) != len(whole):
-        return []
-    off = np.abs(whole - wanted) / wanted
-    return [tuple(int(one) for one in whole)] if float(off.max()) < RATIO_SLACK else []
 
 
 def _differences(turns: NDArray[Any], strong: NDArray[np.bool_], name: str, lag: int) -> NDArray[np.float64]:
@@ -87,8 +71,8 @@ def _differences(turns: NDArray[Any], strong: NDArray[np.bool_], name: str, lag:
     return np.where(known[:, lag:] & known[:, :-lag], step, np.nan)
 
 
-def _speed(turns: NDArray[Any], strong: NDArray[np.bool_], name: str, lag: int) -> float:
-    step = np.abs(_differences(turns, strong, name, lag))
+def _speed(turns: NDArray[Any], strong: NDArray[np.bool_], name: str) -> float:
+    step = np.abs(_differences(turns, strong, name, LAGS_PX[0]))
     known = step[np.isfinite(step)]
     return float(np.median(known)) if known.size else 0.0
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -33,14 +32,24 @@ class Table:
                 hint = f"did you mean {near[0]}?" if near else f"known here: {', '.join(known)}"
                 raise ForeignError(f"{self.name}{key:.60}: unknown key; {hint}")
 
-    def table(self, key: str) -> Table | None:
-        """Return the table below ``key``; ``None`` where there is none."""
+    def table(self, key: str, *known: str) -> Table | None:
+        """Return the table below ``key``, which has no keys but those ``known``, if any are; ``None`` where there is none."""
         value = self.content.get(key)
         if value is None:
             return None
         if not isinstance(value, Mapping):
             raise self.wrong(key, "a table", f"write [{self.name}{key}]")
-        return Table(f"{self.name}{key}.", value)
+        found = Table(f"{self.name}{key}.", value)
+        if known:
+            found.only(*known)
+        return found
+
+    def needed(self, key: str, *known: str) -> Table:
+        """Return the table below ``key``. Raises ForeignError where there is none."""
+        found = self.table(key, *known)
+        if found is None:
+            raise ForeignError(f"[{key}] is missing; add it (`kingfisher import FOLDER` writes a first description)")
+        return found
 
     def text(self, key: str, default: str | None = None) -> str:
         """Return a text. Raises ForeignError where it is missing without ``default``."""
@@ -82,37 +91,22 @@ class Table:
             raise self.wrong(key, f"a whole number {low}..{high}", "correct it")
         return tuple(int(value) for value in values)
 
-    def numbers(self, key: str, low: float, high: float, what: str = "a number") -> tuple[float, ...]:
+    def numbers(
+        self, key: str, low: float, high: float, what: str = "a number", default: object = None
+    ) -> tuple[float, ...]:
         """Return a list of numbers ``low`` to ``high``; one number is a list of one."""
-        value = self.content.get(key)
+        value = self.content.get(key, default)
         items = value if isinstance(value, Sequence) and not isinstance(value, str) else [value]
         if not items:
             raise self.wrong(key, f"numbers {low:g}..{high:g}", "name at least one")
         return tuple(_number(self, key, item, low, high, what) for item in items)
-
-    def matrix(self, key: str, rows: int, columns: int) -> tuple[tuple[float, ...], ...]:
-        """Return a matrix of ``rows`` × ``columns`` finite numbers, written row by row."""
-        shape = f"{rows} rows of {columns} numbers"
-        value = self.content.get(key)
-        if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != rows:
-            raise self.wrong(key, shape, "write [[…], […], …]")
-        for row in value:
-            if not isinstance(row, Sequence) or isinstance(row, str) or len(row) != columns:
-                raise self.wrong(key, shape, "write [[…], […], …]")
-        return tuple(tuple(_number(self, key, item, -1e9, 1e9) for item in row) for row in value)
 
 
 def _number(table: Table, key: str, value: object, low: float, high: float, what: str = "a number") -> float:
     allowed = f"{what} {low:g}..{high:g}"
     if value is None:
         raise ForeignError(f"{table.name}{key} is missing; allowed: {allowed}; add it")
-    if (
-        isinstance(value, bool)
-        or not isinstance(value, int | float)
-        or (isinstance(value, float) and not math.isfinite(value))
-    ):
-        raise table.wrong(key, allowed, "write a number")
-    # Whole numbers may be longer than any float.
-    if not low <= value <= high:
-        raise table.wrong(key, allowed, "correct it")
+    # Whole numbers may be longer than any float, and NaN is in no range.
+    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+        raise table.wrong(key, allowed, "write one of these")
     return float(value)

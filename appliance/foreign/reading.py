@@ -10,7 +10,7 @@ from appliance.foreign.arrangement import examine_cameras
 from appliance.foreign.assumptions import ExaminedAssumption, Outcome, examine_axis, examine_references
 from appliance.foreign.camera import DecodedCamera, decode_camera
 from appliance.foreign.cameras import ForeignRig
-from appliance.foreign.description import SIDES, Description, load_description
+from appliance.foreign.description import Description, load_description
 from appliance.foreign.first_look import checked
 from appliance.foreign.images import read_side
 
@@ -67,8 +67,3 @@ def examine(
         tested += examine_cameras(description, rig, cameras)
     open_ = {one.about.split(": ")[-1] for one in tested if one.outcome is not Outcome.FITS}
     return tuple(one for one in tested if one.outcome is not Outcome.FITS or one.about.split(": ")[-1] not in open_)
-
-
-def both_sides(cameras: Mapping[str, DecodedCamera]) -> list[str]:
-    """Return the names of the cameras that are there, the left one first."""
-    return [side for side in SIDES if side in cameras]

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from appliance.foreign.assumptions import ExaminedAssumption, Outcome, equal_steps
-from appliance.foreign.description import HALVES, AxisConvention, Description, ImageFiles
+from appliance.foreign.description import AxisConvention, Description, ImageFiles
 
 CHECKED, MOVES_NOTHING, NOTHING_TELLS = "checked", "moves no point of two cameras", "UNCHECKED"
 WIDTH = 44
@@ -77,10 +77,9 @@ def _confidence(tested: Sequence[ExaminedAssumption], about: str, usual: str) ->
 
 def _files(files: Mapping[str, ImageFiles], name: Callable[[str], str]) -> list[str]:
     left = files["left"]
-    if not (left.turns or left.half):
+    if not left.sides:
         return [f"{side} = {_quoted([name(one) for one in found.patterns])}" for side, found in files.items()]
-    halves = next((words for words, (side, *parts) in HALVES.items() if left.half == parts[side != "left"]), "")
-    return [f"both = {_quoted([name(one) for one in left.patterns])}", f'sides = "{halves or joined(left.turns)}"']
+    return [f"both = {_quoted([name(one) for one in left.patterns])}", f'sides = "{left.sides}"']
 
 
 def _quoted(names: Sequence[str]) -> str:

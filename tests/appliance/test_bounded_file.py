@@ -19,7 +19,7 @@ from appliance.calibration.noise_file import load as load_noise
 from appliance.config import default_rig_path, load_rig
 from appliance.foreign.camera_files import camera_numbers, numbers_in
 from appliance.foreign.description import load_description
-from appliance.foreign.frames import Frame, frames_in, raw_images
+from appliance.foreign.frames import Frame, FrameReader, frames_in
 from appliance.foreign.problem import ForeignError, Table
 from appliance.offline.calibration.air import Pair, read_pair
 from appliance.offline.calibration.any_pictures import common_size, read_grey
@@ -35,7 +35,7 @@ READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "noise": ("noise.json", load_noise),
     "session": ("board.json", lambda path: read_session(path.parent)),
     **{f"cameras {suffix}": (f"stereo{suffix}", numbers_in) for suffix in (".yml", ".xml", ".json", ".npz", ".npy", ".mat", ".txt", ".csv")},
-    "image": ("a.png", lambda path: raw_images([Frame(path)])),
+    "image": ("a.png", lambda path: FrameReader().raw(Frame(path))),
     "pages": ("a.tif", frames_in),
     "stack": ("a.npy", frames_in),
     "stacks": ("a.npz", frames_in),
@@ -169,7 +169,7 @@ def test_an_archive_of_zeros_is_refused_by_its_headers(tmp_path: Path) -> None:
     assert most < 1 << 20, "nothing but the header is unpacked"
     assert len(frames) == 60
     with pytest.raises(ForeignError, match=r"array left unpacks to 6 GB; allowed are 2\.15 GB"):
-        raw_images(frames)
+        FrameReader().raw(frames[0])
     assert numbers_in(path) == {}, "none of so many numbers is a camera's"
 
 
@@ -177,7 +177,7 @@ def test_a_picture_that_promises_more_pixels_than_there_is_memory_is_refused(tmp
     path = tmp_path / "a.png"
     path.write_bytes(b"\x89PNG\r\n\x1a\n" + struct.pack(">I4sIIBBBBB", 13, b"IHDR", 20_000, 20_000, 8, 0, 0, 0, 0))
     with pytest.raises(ForeignError, match="20000 x 20000 px; allowed are up to 200000000 pixels"):
-        raw_images([Frame(path)])
+        FrameReader().raw(Frame(path))
 
 
 def test_a_header_that_states_its_own_length_is_not_believed(tmp_path: Path) -> None:

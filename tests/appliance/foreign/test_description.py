@@ -58,12 +58,17 @@ def test_an_order_is_what_it_spells_out() -> None:
         ("bright bright", "names bright twice"),
         ("(gray-x", "a bracket is opened that is not closed"),
         ("gray-x)", "a bracket is closed that was not opened"),
-        ("*3", "*3 stands behind nothing"),
+        ("*3", "* stands between something and how often"),
+        ("gray-x*2*3", "* stands between something and how often"),
+        ("(gray-x)*99*", "* stands between something and how often"),
         ("gray-x*0", "repeats 0 times"),
         ("gray-x*9999", "repeats 9999 times"),
         ("sine-x0", "names period 0"),
-        ("(" * 60 + "gray-x" + ")" * 60, "opens 60 brackets"),
-        ("gray-x, sine-x", "', sine-x' is no image"),
+        ("((gray-x*9)*9)*9", "*9 repeats 9 times; allowed are 1 and more, 400 images in all"),
+        ("(gray-x*400)(gray-x*400)", "names 800 images; allowed are up to 400"),
+        ("(" * 4000 + "gray-x" + ")" * 4000, "or too much else"),
+        ("gray-x, sine-x", "'gray-x,' is no image"),
+        ("micro-x2", "'micro-x2' is no image"),
     ],
 )
 def test_an_order_that_cannot_be_read_says_where(text: str, said: str) -> None:
@@ -132,13 +137,6 @@ def test_codes_with_too_few_images_say_how_many(order: str, said: str) -> None:
         counted(description, description.order or ())
 
 
-@pytest.mark.parametrize("sides", ["left beside right", "right above left"])
-def test_both_cameras_in_one_picture_have_a_half_each(sides: str) -> None:
-    described = parsed(('left = "left/*.png"\nright = "right/*.png"', f'both = "*.png"\nsides = "{sides}"'))
-    halves = [described.files[side].half for side in ("left", "right")]
-    assert halves == (["left half", "right half"] if "beside" in sides else ["lower half", "upper half"])
-
-
 def test_of_two_cameras_the_pattern_is_what_the_code_covers() -> None:
     both = parsed()
     alone = parsed(('right = "right/*.png"\n', ""))
@@ -152,7 +150,7 @@ def test_of_two_cameras_the_pattern_is_what_the_code_covers() -> None:
     ("change", "said"),
     [
         (("steps = 4", "steps = 2"), "x.steps is 2; allowed: a whole number 3..16"),
-        (("steps = 4", 'steps = "4"'), "x.steps is '4'; allowed: a whole number 3..16; write a number"),
+        (("steps = 4", 'steps = "4"'), "x.steps is '4'; allowed: a whole number 3..16; write one of these"),
         (("steps = 4", "steps = 3.5"), "x.steps is 3.5; allowed: a whole number 3..16"),
         (("steps = 4", "steps = 4\nsteps_deg = [0, 1, 2]"), "are both there"),
         (("steps = 4", "steps_deg = [0, 90]"), "x.steps_deg is [0, 90]; allowed: 3 to 16 steps"),
@@ -177,6 +175,16 @@ def test_of_two_cameras_the_pattern_is_what_the_code_covers() -> None:
         (("[cameras]", "[water]\n[cameras]"), "water.index or water.temperature_c: give one of them"),
         (("[cameras]", "[ports]\ndistance_mm = 30\nthickness_mm = 5\n[cameras]"), "ports.glass_index is missing"),
         (("[images]", "[images"), "correct that line (TOML 1.0)"),
+        (
+            ('left = "left/*.png"\nright', 'both = "*.png"\nsides = "left left right"\n# right'),
+            "images.sides is 'left left right'; allowed: as many left",
+        ),
+        (
+            ('left = "left/*.png"\nright', 'both = "*.png"\nsides = "left*2 up*2"\n# right'),
+            "images.sides is 'left*2 up*2'; allowed: as many left",
+        ),
+        (('left = "left/*.png"', 'both = "*.png"'), "give names for both together, or for each"),
+        (('left = "left/*.png"', 'left.bright = "a.png"'), "images.left and images.right name other kinds of images"),
     ],
 )
 def test_a_word_that_cannot_be_followed_is_named(change: tuple[str, str], said: str) -> None:

@@ -96,12 +96,32 @@ def test_headers_tell_which_image_is_unlike_the_others(tmp_path: Path) -> None:
             first_of_side(described(tmp_path, f'left = "{last}.png"\norder = "gray-x*3"'), "left")
 
 
+@pytest.mark.parametrize(
+    ("images", "wanted", "last"),
+    [
+        ('both = "*.png"\nsides = "right*2 left*2"\norder = "gray-x*2"', ["2.png", "3.png"], 4),
+        ('both = "*.png"\nsides = "right left"\nchannel = "each"\norder = "gray-x*6"',
+         [f"{k}.png {channel}" for k in (1, 3) for channel in ("red", "green", "blue")], 3),
+        ('[images.left]\ngray-x = ["3.png", "0.png"]\nbright = "1.png"\n-="2.png"', ["3.png", "0.png", "1.png"], 2),
+    ],
+)  # fmt: skip
+def test_files_of_one_camera_are_told_by_turns_or_by_kind(
+    tmp_path: Path, images: str, wanted: list[str], last: int
+) -> None:
+    for k in range(4):
+        cv2.imwrite(str(tmp_path / f"{k}.png"), PICTURE + k)
+    found = read_side(described(tmp_path, images), "left")
+    assert [frame.name for frame in found.files] == wanted
+    assert found.images[len(wanted) - 1][0, 0] == last
+
+
 def test_what_does_not_fit_is_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for k in range(3):
-        cv2.imwrite(str(tmp_path / f"{k}.png"), PICTURE[..., k])
+    for k in range(4):
+        cv2.imwrite(str(tmp_path / f"{k}.png"), PICTURE[..., 0] + k)
     monkeypatch.setattr(images_module, "KEPT_BYTES", 2 * PICTURE[..., 0].size)
-    found = read_side(described(tmp_path, 'left = "*.png"\norder = "gray-x*3"'), "left")
-    assert all(np.array_equal(found.images[k], PICTURE[..., k]) for k in (0, 1, 2))
-    for k in range(3):
-        cv2.imwrite(str(tmp_path / f"{k}.png"), PICTURE[..., k] + 100)
-    assert [int(found.images[k][0, 0] - PICTURE[0, 0, k]) for k in range(3)] == [0, 0, 100]
+    found = read_side(described(tmp_path, 'left = "*.png"\norder = "gray-x*4"'), "left")
+    assert all(np.array_equal(found.images[k], PICTURE[..., 0] + k) for k in range(4))
+    for k in range(4):
+        cv2.imwrite(str(tmp_path / f"{k}.png"), PICTURE[..., 0] + k + 100)
+    # The last picture alone is at hand besides what fits.
+    assert [int(found.images[k][0, 0]) for k in (0, 1, 2, 3)] == [0, 1, 102, 103]

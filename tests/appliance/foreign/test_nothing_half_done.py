@@ -57,7 +57,7 @@ def test_a_description_that_cannot_be_followed_costs_no_minute_of_compiling(fore
         ((("three-steps", "nothing"),), "c.ply", "No such file or directory; give the description of the images"),
         ((("[images]", "[images"),), "c.ply", "correct that line"),
         ((('left = "*_left.png"', 'left = "*_port.png"'),), "c.ply", "no file is called '*_port.png'"),
-        ((("sine-x*3", "sine-x*4"),), "c.ply", "10 files (00_left.png to 09_left.png), and images.order names 11 images"),
+        ((("sine-x*3", "sine-x*4"),), "c.ply", "10 images (00_left.png to 09_left.png), and images.order names 11 images"),
         ((), "c.xyz", "a cloud is written as .ply, .e57, .las, .npz"),
         ((), "000001", "no scan folder can be made: it has fringes of one direction only, x"),
         ((), "none/000001", "there is no folder"),
