@@ -107,7 +107,7 @@ def examine_axis(camera: DecodedCamera, axis: AxisConvention) -> list[ExaminedAs
         return [*said, *_periods(found, axis, camera.placed[axis.name].coordinate_px)]
     lines = _Lines.of(found, axis)
     code = _code(lines, axis)
-    if found.fits and all(one.outcome is not Outcome.WRONG for one in code):
+    if found.turns and all(one.outcome is not Outcome.WRONG for one in code):
         code += _phase_against_code(lines, axis)
     return [*said, *_resolution(lines, axis), *code]
 
@@ -148,8 +148,8 @@ class _Lines:
             along = values if axis.name == "x" else np.swapaxes(values, -1, -2)
             return np.ascontiguousarray(along[..., step // 2 :: step, :])
 
-        turns = lines(found.fits[axis.numbered].turns) if found.fits else None
-        usable = lines(~(found.weak | found.saturated))
+        turns = lines(found.turns[axis.numbered]) if found.turns else None
+        usable = lines(found.usable)
         return cls(lines(found.bits.bits), found.bits.left_out, turns, usable, usable[:, 1:] & usable[:, :-1])
 
 
@@ -351,7 +351,7 @@ def _periods(found: Measured, axis: AxisConvention, coordinate_px: Floats) -> li
     about = f"{axis.name}.period_px"
     if len(axis.periods_px) == 1:
         return [unchecked(about, "one fringe covers the pattern: nothing contradicts it")]
-    usable = np.flatnonzero(~(found.weak | found.saturated))
+    usable = np.flatnonzero(found.usable)
     few = usable[:: max(1, usable.size // FEW)]
     if not few.size:
         return [unchecked(about, "no pixel is bright enough")]
@@ -359,12 +359,11 @@ def _periods(found: Measured, axis: AxisConvention, coordinate_px: Floats) -> li
     leaps = f"the coordinate goes on at {100 * goes_on:.0f} % of the borders of fringes"
     if axis.micro:
         return [(fits if goes_on >= GOES_ON else unchecked)(about, leaps)]
-    usual, all_ = tuple(range(len(found.fits))), np.zeros((1, few.size), np.bool_)
-    thin = replace(found, weak=all_, saturated=all_)
+    usual = tuple(range(len(found.turns)))
 
     def left(order: tuple[int, ...] = usual, sign: int = 1, start_deg: float = axis.start_deg) -> float:
-        fits_ = [replace(found.fits[k], turns=np.float32(sign) * found.fits[k].turns.ravel()[few][None]) for k in order]
-        return float(np.median(by_periods(replace(thin, fits=tuple(fits_)), replace(axis, start_deg=start_deg))[1]))
+        turns = [np.float32(sign) * found.turns[k].ravel()[few] for k in order]
+        return float(np.median(by_periods(turns, replace(axis, start_deg=start_deg))[1]))
 
     chance, here = chance_misfit(axis), left()
     good = min(GOOD_OF_CHANCE * chance, 0.6 * here)

@@ -74,8 +74,8 @@ def _placed(measured: Mapping[str, Measured], description: Description) -> dict[
 
 def _picture(images: ImageSet, measured: Mapping[str, Measured]) -> NDArray[np.uint8]:
     bright = images.image(Shows.BRIGHT)
-    fits = [fit for one in measured.values() for fit in one.fits]
-    seen = bright if bright is not None else fits[0].offset if fits else np.maximum.reduce(list(images.images))
+    means = [one.mean for one in measured.values() if one.mean is not None]
+    seen = bright if bright is not None else means[0] if means else np.maximum.reduce(list(images.images))
     return np.asarray(np.clip(np.rint(seen * np.float32(255.0 / images.white)), 0.0, 255.0), np.uint8)
 
 
@@ -115,8 +115,8 @@ def clean(placed: PlacedAxis) -> CleanAxis:
     if placed.stripe_px:
         drawn_px = max(DRAWN * placed.stripe_px, _ripple(kept, placed.stripe_px / step_px))
         sigma_px = np.hypot(sigma_px, np.float32(drawn_px))
-    if placed.sigma_px is not None:
-        sigma_px = np.hypot(sigma_px, placed.sigma_px)
+    if placed.bend_px:
+        sigma_px = np.hypot(sigma_px, np.float32(placed.bend_px))
     return CleanAxis(kept, np.asarray(sigma_px, np.float32), step_px)
 
 

@@ -63,8 +63,12 @@ class NoCoordinate(IntEnum):
 class Measured:
     """Evidence of the images of one direction, whatever a convention makes of it."""
 
-    fits: tuple[SineFit, ...]
-    """Fit of each period; empty for a code alone. Of micro phase shifting it is that of the first one for all."""
+    turns: tuple[Floats, ...]
+    """Phase (h, w) of each period, −½ … ½; empty for a code alone. Of micro phase shifting that of the first one."""
+    modulation: Floats
+    """(h, w): that of the finest period in grey values; of a code alone, half of its contrast."""
+    mean: NDArray[Any] | None
+    """(h, w): of the first period's steps, in grey values; ``None`` for a code alone."""
     bits: CodeBits | None
     weak: NDArray[np.bool_]
     """(h, w): too dark to be used."""
@@ -76,6 +80,11 @@ class Measured:
     bend_turns: float = 0.0
     """Standard deviation of that period's phase by what remains of a response that is no straight line."""
 
+    @property
+    def usable(self) -> NDArray[np.bool_]:
+        """(h, w): neither too dark nor white."""
+        return ~(self.weak | self.saturated)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedAxis:
@@ -86,11 +95,11 @@ class PlacedAxis:
     reason: NDArray[np.uint8]
     """(h, w), values of ``NoCoordinate``."""
     modulation: Floats
-    """(h, w): in grey values; of a code alone, half of its contrast."""
+    """(h, w): as it was measured."""
     stripe_px: float = 0.0
     """Width of the stripes between whose borders coordinates were drawn; 0: fringes make them."""
-    sigma_px: Floats | None = None
-    """(h, w): what a bent response adds to the noise, as a standard deviation; ``None``: nothing."""
+    bend_px: float = 0.0
+    """What a bent response adds to the noise, as a standard deviation."""
 
 
 def measure(images: ImageSet, axis: AxisConvention) -> Measured:
@@ -112,8 +121,8 @@ def measure(images: ImageSet, axis: AxisConvention) -> Measured:
     bits = read_bits(images, axis, fits[0].offset if fits else None) if axis.bits else None
     if not fits:
         assert bits is not None
-        weak = bits.contrast < LEAST_CONTRAST * images.white
-        return Measured((), bits, weak, np.zeros(images.shape, np.bool_))
+        weak, nowhere = bits.contrast < LEAST_CONTRAST * images.white, np.zeros(images.shape, np.bool_)
+        return Measured((), np.float32(0.5) * bits.contrast, None, bits, weak, nowhere)
     finest, steps = fits[axis.finest], axis.steps_deg[axis.finest]
     saturated = np.logical_or.reduce([fit.saturated for fit in fits])
     weak = np.minimum.reduce([fit.modulation for fit in fits]) < least_modulation(finest, len(steps), images.white)
@@ -123,11 +132,10 @@ def measure(images: ImageSet, axis: AxisConvention) -> Measured:
         unbend(fit.turns, usable, len(one), share)
         for fit, one, share in zip(fits, axis.steps_deg, shares, strict=False)
     ]
-    # What was needed once is kept in few bytes.
-    fits = [replace(fit, offset=np.rint(fit.offset).astype(images.images.dtype), saturated=saturated,
-                    misfit=None if fit.misfit is None else fit.misfit.astype(np.float16)) for fit in fits]  # fmt: skip
+    mean = np.rint(fits[0].offset).astype(images.images.dtype)
     return Measured(
-        tuple(fits) + (fits[0],) * len(singles), bits, weak, saturated, tuple(singles), shares[axis.finest], bends[axis.finest]
+        tuple(fit.turns for fit in fits), finest.modulation, mean, bits, weak, saturated, tuple(singles), shares[axis.finest],
+        bends[axis.finest],
     )  # fmt: skip
 
 
@@ -156,21 +164,15 @@ def least_modulation(fit: SineFit, steps: int, white: float) -> float:
 def place(found: Measured, axis: AxisConvention, extent_px: tuple[float, float] | None = None) -> PlacedAxis:
     """Make coordinates by the convention of ``axis``, on a pattern from edge to edge."""
     reason = np.zeros(found.weak.shape, np.uint8)
-    stripe_px, sigma_px = 0.0, None
-    if not found.fits:
+    stripe_px = 0.0
+    if not found.turns:
         coordinate_px, stripe_px = _by_code_alone(found, axis)
         contradiction = np.isnan(coordinate_px)
-        assert found.bits is not None
-        modulation = np.float32(0.5) * found.bits.contrast
+    elif found.bits is not None:
+        coordinate_px, contradiction = _by_code(found, axis)
     else:
-        modulation = found.fits[axis.finest].modulation
-        if found.bits is not None:
-            coordinate_px, contradiction = _by_code(found, axis)
-        else:
-            coordinate_px, misfit = by_periods(found, axis)
-            contradiction = ~(misfit <= min(MAX_PERIODS_MISFIT, chance_misfit(axis)))
-        if found.bend_turns:
-            sigma_px = np.broadcast_to(np.float32(found.bend_turns * axis.period_px), reason.shape)
+        coordinate_px, misfit = by_periods(found.turns, axis, found.usable, found.singles)
+        contradiction = ~(misfit <= min(MAX_PERIODS_MISFIT, chance_misfit(axis)))
     begin_px, end_px = extent_px or (0.0, axis.size_px)
     beyond_px = 0.5 - 0.25 * axis.period_px
     with np.errstate(invalid="ignore"):
@@ -180,7 +182,7 @@ def place(found: Measured, axis: AxisConvention, extent_px: tuple[float, float] 
     reason[found.weak] = NoCoordinate.WEAK
     reason[found.saturated] = NoCoordinate.SATURATED
     coordinate_px[reason != NoCoordinate.VALID] = np.nan
-    return PlacedAxis(coordinate_px, reason, modulation, stripe_px, sigma_px)
+    return PlacedAxis(coordinate_px, reason, found.modulation, stripe_px, found.bend_turns * axis.period_px)
 
 
 def _by_code(found: Measured, axis: AxisConvention) -> tuple[Floats, NDArray[np.bool_]]:
@@ -193,7 +195,7 @@ def _by_code(found: Measured, axis: AxisConvention) -> tuple[Floats, NDArray[np.
         rows = slice(first, first + ROWS_AT_ONCE)
         number, stripe_px = found.bits.numbered(axis, rows)
         middle = ((number + np.float32(0.5)) * np.float32(stripe_px) + np.float32(axis.code_offset_px)) / period
-        off = found.fits[k].turns[rows] - begin - middle
+        off = found.turns[k][rows] - begin - middle
         off -= np.floor(off + np.float32(0.5))
         coordinate_px[rows] = period * (middle + off) - np.float32(0.5)
         limit = 0.5 * stripe_px / float(period) + SLACK_PERIODS
@@ -206,13 +208,12 @@ def _by_code(found: Measured, axis: AxisConvention) -> tuple[Floats, NDArray[np.
         coordinate_px[coordinate_px < -0.5] += np.float32(axis.covered_px[1])
     if not sure.all():
         # A stripe as wide as a period: near its borders, a bit and a phase that disagree by a pixel are a whole period apart.
-        sure &= ~(found.weak | found.saturated)
+        sure &= found.usable
         coordinate_px, lost = _asked_neighbours(coordinate_px, sure, axis)
-    for finer_px, fit, begin_deg in sorted(
-        zip(axis.periods_px, found.fits, axis.begins_deg, strict=True), key=lambda one: -one[0]
-    ):
+    finer = zip(axis.periods_px, found.turns, axis.begins_deg, strict=False)
+    for finer_px, turns, begin_deg in sorted(finer, key=lambda one: -one[0]):
         if finer_px < period:
-            off = fit.turns - np.float32(begin_deg / 360.0) - (coordinate_px + np.float32(0.5)) / np.float32(finer_px)
+            off = turns - np.float32(begin_deg / 360.0) - (coordinate_px + np.float32(0.5)) / np.float32(finer_px)
             off -= np.rint(off)
             coordinate_px += off * np.float32(finer_px)
             lost |= np.abs(off) > MOST_FINER
@@ -242,31 +243,38 @@ def _asked_neighbours(
     return np.asarray(moved, np.float32), np.asarray(lost)
 
 
-def by_periods(found: Measured, axis: AxisConvention) -> tuple[Floats, Floats]:
+def by_periods(
+    turns: Sequence[Floats],
+    axis: AxisConvention,
+    usable: NDArray[np.bool_] | None = None,
+    singles: Sequence[Floats] = (),
+) -> tuple[Floats, Floats]:
     """Choose the number of the finest fringe with which the phases of all other periods agree best (temporal unwrapping).
 
-    Returns the coordinates (h, w) in px, and the root mean square by which those phases disagree, in turns; NaN where there is no light.
+    Returns the coordinates (h, w) in px, and the root mean square by which those phases disagree, in turns; NaN where nothing is ``usable``.
     Of micro phase shifting cosines take the phases' place, and all images together the finest period's.
     Sources: Huntley, Saldner, Appl. Opt. 32 (1993) 3047; Gupta, Nayar, CVPR 2012.
     """
-    begins = [np.float32(begin / 360.0) for begin in axis.begins_deg]
-    usable = np.flatnonzero(~(found.weak | found.saturated))
-    coordinate_px, misfit = np.full((2, *found.weak.shape), np.nan, np.float32)
-    singles = tuple(zip(found.singles, axis.periods_px[1:], begins[1:], strict=True)) if found.singles else ()
-    period = np.float32(axis.period_px)
-    for first in range(0, usable.size, PIXELS_AT_ONCE):
-        here = usable[first : first + PIXELS_AT_ONCE]
-        turns = found.fits[axis.finest].turns.ravel()[here] - begins[axis.finest]
-        turns -= np.floor(turns)
-        others = [(fit.turns.ravel()[here] - begin, np.float32(other))
-                  for k, (fit, begin, other) in enumerate(zip(found.fits, begins, axis.periods_px, strict=True)) if k != axis.finest and not singles]  # fmt: skip
-        cosines = [(one.ravel()[here], np.float32(other), begin) for one, other, begin in singles]
+    periods = [
+        (np.float32(period), np.float32(begin / 360.0))
+        for period, begin in zip(axis.periods_px, axis.begins_deg, strict=True)
+    ]
+    period, first_begin = periods.pop(axis.finest)
+    finest, others = turns[axis.finest], [one for k, one in enumerate(turns) if k != axis.finest]
+    coordinate_px, misfit = np.full((2, *finest.shape), np.nan, np.float32)
+    places = np.arange(finest.size) if usable is None else np.flatnonzero(usable)
+    for first in range(0, places.size, PIXELS_AT_ONCE):
+        here = places[first : first + PIXELS_AT_ONCE]
+        own = finest.ravel()[here] - first_begin
+        own -= np.floor(own)
+        phases = [(one.ravel()[here] - begin, other) for one, (other, begin) in zip(others, periods, strict=False)]
+        cosines = [(one.ravel()[here], other, begin) for one, (other, begin) in zip(singles, periods, strict=False)]
         best, best_px = np.full(here.shape, np.inf, np.float32), np.zeros(here.shape, np.float32)
         for fringe in range(_fringes(axis)):
-            edge_px = period * (turns + np.float32(fringe))
+            edge_px = period * (own + np.float32(fringe))
             apart = np.zeros(here.shape, np.float32)
-            for other_turns, other in others:
-                off = edge_px / other - other_turns
+            for phase, other in phases:
+                off = edge_px / other - phase
                 off -= np.rint(off)
                 apart += np.square(off)
             for cosine, other, begin in cosines:
@@ -280,7 +288,7 @@ def by_periods(found: Measured, axis: AxisConvention) -> tuple[Floats, Floats]:
         if cosines:
             best_px += _all_together(best_px, cosines, period)
         coordinate_px.ravel()[here] = best_px - np.float32(0.5)
-        misfit.ravel()[here] = np.sqrt(best / np.float32(max(1, len(others) + len(cosines))))
+        misfit.ravel()[here] = np.sqrt(best / np.float32(max(1, len(periods))))
     return coordinate_px, misfit
 
 

@@ -8,13 +8,12 @@ the fewer fringes there are.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.foreign.decode import Measured, by_periods, chance_misfit
+from appliance.foreign.decode import by_periods, chance_misfit
 from appliance.foreign.description import AxisConvention
 from appliance.foreign.phase import fit_sine
 
@@ -48,8 +47,7 @@ def periods_by_phases(
     ratios[finest] = 1.0
     places = np.flatnonzero(strong)
     places = places[:: max(1, len(places) // PIXELS)]
-    nothing = np.zeros((1, len(places)), np.bool_)
-    few = tuple(replace(fit, turns=fit.turns.ravel()[places][None]) for fit in fits)
+    few = [fit.turns.ravel()[places] for fit in fits]
     best, best_share = tuple(float(size_px * (k + 1) / len(fits)) for k in range(len(fits)))[::-1], np.inf
     for count in range(len(fits), MOST_FRINGES + 1):
         wanted = count * ratios
@@ -57,7 +55,7 @@ def periods_by_phases(
         if fringes.min() < 1.0 or len(set(fringes)) < len(fits) or np.abs(fringes / wanted - 1.0).max() >= RATIO_SLACK:
             continue  # no whole numbers, all different, are near
         axis = AxisConvention(name, size_px, tuple(float(size_px / one) for one in fringes), tuple(steps_deg))
-        share = float(np.median(by_periods(Measured(few, None, nothing, nothing), axis)[1])) / chance_misfit(axis)
+        share = float(np.median(by_periods(few, axis)[1])) / chance_misfit(axis)
         if share < 0.9 * best_share:
             best, best_share = axis.periods_px, share
     return best

@@ -61,7 +61,7 @@ class Table:
     def choice(self, key: str, allowed: Collection[str], default: str) -> str:
         """Return one of the words ``allowed``."""
         value = self.content.get(key, default)
-        if value not in allowed:
+        if not isinstance(value, str) or value not in allowed:
             raise self.wrong(key, ", ".join(allowed), "choose one of them")
         return str(value)
 

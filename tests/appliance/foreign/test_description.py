@@ -155,6 +155,7 @@ def test_of_two_cameras_the_pattern_is_what_the_code_covers() -> None:
         (("steps = 4", "steps = 4\nsteps_deg = [0, 1, 2]"), "are both there"),
         (("steps = 4", "steps_deg = [0, 90]"), "x.steps_deg is [0, 90]; allowed: 3 to 16 steps"),
         (("steps = 4", 'steps = 4\nsign = "minus"'), "x.sign is 'minus'; allowed: +, -"),
+        (("steps = 4", "steps = 4\ngray = [1]"), "x.gray is [1]; allowed: ordinary, complementary, shifted"),
         (("steps = 4", "steps = 4\nstripe_px = 32"), "x.stripe_px is 32; allowed: up to the coarsest period, 16 px"),
         (("steps = 4", "step = 4"), "x.step: unknown key; did you mean steps?"),
         (("period_px = 16", ""), "x.period_px or x.fringes"),

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 from appliance.foreign.camera import clean, decode_camera
-from appliance.foreign.decode import Measured, NoCoordinate, by_periods
+from appliance.foreign.decode import NoCoordinate, by_periods
 from appliance.foreign.description import AxisConvention, Description, ImageFiles
 from appliance.foreign.images import ImageSet, read_side
 from appliance.foreign.order import parse_order
-from appliance.foreign.phase import SineFit
 from appliance.foreign.problem import Table
 
 SIZE_PX, PERIOD_PX, BITS = 1024, 32, 6
@@ -46,10 +45,8 @@ def test_phases_disagree_by_their_root_mean_square_however_many_there_are(count:
     fits = []
     for k, period in enumerate(periods):
         turns = np.asarray(edge_px / period + (off if k else 0.0), np.float32)
-        none = np.zeros_like(turns)
-        fits.append(SineFit(turns - np.floor(turns), none + 50, none + 100, None, none > 0))
-    nothing = np.zeros((1, 1), np.bool_)
-    coordinate_px, misfit = by_periods(Measured(tuple(fits), None, nothing, nothing), axis)
+        fits.append(turns - np.floor(turns))
+    coordinate_px, misfit = by_periods(fits, axis)
     assert float(misfit[0, 0]) == pytest.approx(off, abs=2e-3)
     assert float(coordinate_px[0, 0]) == pytest.approx(599.5, abs=0.1)
 
