@@ -19,9 +19,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.foreign.assumptions import ExaminedAssumption, Outcome, fits, unchecked, wrong
+from appliance.foreign.assumptions import ExaminedAssumption, Outcome, beyond, told, wrong
 from appliance.foreign.camera import DecodedCamera, placed_again
 from appliance.foreign.cameras import ForeignRig
+from appliance.foreign.decode import NoCoordinate, place
 from appliance.foreign.description import AxisConvention, Description
 from appliance.foreign.phase import Floats
 from appliance.foreign.points import depths_of
@@ -40,15 +41,12 @@ CLEARLY = 2.0
 SAME_SIDE = 0.8
 MOST_ASIDE_PX, MOST_ASIDE_PERIODS, SURE_PX = 2.0, 0.06, 1.0
 """Offset that right numbers leave: of two cameras, and of a projector besides by the error of its phase; and the least that contradicts."""
-FOUND_SHARE, SLOPES_EVERY = 0.15, 3
-PATCHES, PATCHES_OF_OTHERS = 2000, 700
+FOUND_SHARE, PATCHES = 0.15, 1200
 OTHER_INDEX = 0.03
 SCALES, SHIFTS = (0.5, 0.8, 1.25, 2.0), (-0.125, 0.125)
 """Other periods of a projector, over the one that was said, and other starts, over its size."""
 CENTRED, NEARLY_CENTRED = 0.12, 0.06
 """Distance of a principal point from the middle of its image, over its size: of a whole sensor, and after another size was put right."""
-MOST_SHIFT = 0.25
-"""Largest distance of a projector's axis from the middle of its width, over it, that is nothing special."""
 POSE, TURN, TURN_DEG = "cameras: rotation and translation", "cameras: a turn about the columns", 0.3
 WHICH_IS_LEFT = "cameras: which is left"
 NOTHING = Offset(0, 0, 0.0, 0.0, 0.0)
@@ -56,29 +54,35 @@ Maps = Mapping[str, Floats]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Seen:
-    """The maps of both sides, how these stand, and in which words that differs from what was said."""
+class _Setting:
+    """Both sides as they may stand, and what each pixel of theirs sees of the pattern."""
 
-    rig: ForeignRig
-    left: Maps
-    right: Maps
+    left: HousedCamera
+    right: HousedCamera
+    index: float
+    left_px: Maps
+    right_px: Maps
     """A projector has its own coordinates."""
     texture: Texture | None
     """``None`` where the other direction tells, or there is no second picture."""
     projector: bool
-    about: str = ""
-    text: str = ""
-    instead: Mapping[str, Any] = field(default_factory=dict)
 
-    def standing(self, about: str, text: str, left: HousedCamera, right: HousedCamera, index: float) -> _Seen:
-        """Return it with other cameras, or in another medium."""
-        rig = replace(self.rig, rig=StereoRig(left, right), index=index)
-        return replace(self, rig=rig, about=about, text=text)
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Hypothesis:
+    """Something that may be meant otherwise."""
+
+    about: str
+    text: str
+    changed: Mapping[str, Any]
+    """Fields of the setting."""
+    instead: Mapping[str, Any] = field(default_factory=dict)
+    """Words of the description."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Found:
-    """Points that were made of it, and what contradicts them."""
+    """Points that were made of a setting, and what contradicts them."""
 
     share: float = 0.0
     same_side: float = 1.0
@@ -104,53 +108,59 @@ class _Found:
         return ", ".join([*said, str(self.aside)] if self.aside.asked else said)
 
 
+Tried = list[tuple[_Hypothesis, _Found]]
+
+
 def examine_cameras(
     description: Description, rig: ForeignRig, cameras: Mapping[str, DecodedCamera]
 ) -> list[ExaminedAssumption]:
     """Test what is said of ``cameras``, which are ``left`` and, unless the right one is a projector, ``right``."""
     left, right = cameras["left"], cameras.get("right")
-    rig = replace(rig, rig=_as_small(rig.rig, cameras))
-    size = _size(rig.rig, cameras)
+    size = _size(rig.rig, right is None)
     if size.outcome is Outcome.WRONG:
         return [size]
     texture = Texture.of(left.grey, right.grey) if right is not None and description.one_direction else None
-    others_maps = _projector(rig.rig.right) if right is None else _maps(right)
-    seen = _Seen(rig, _maps(left), others_maps, texture, right is None)
-    here = _found(seen, description, PATCHES)
-    others = [*_otherwise(seen), *(_patterns(seen, description, left) if right is None else _exchanged(seen))]
-    said = _judged(here, [(one, _found(one, description, PATCHES_OF_OTHERS)) for one in others])
+    right_px = _own_px(rig.rig.right) if right is None else _maps(right)
+    setting = _Setting(rig.rig.left, rig.rig.right, rig.index, _maps(left), right_px, texture, right is None)
+    here = _found(setting, description)
+    hypotheses = _standing(setting, rig)
+    hypotheses += _exchanged(setting) if right is not None else _patterns(setting, description, left)
+    tried = [(one, _found(replace(setting, **one.changed), description)) for one in hypotheses]
+    said = _judged(here, tried)
+    if right is None and not any(one.outcome is Outcome.WRONG for one in said):
+        said += _extent(description, rig, left, said)
     if any(one.outcome is Outcome.WRONG for one in said):
         return said
-    if right is None:
-        said += _extent(description, rig, said)
-    return [*said, size, *_lengths(rig, here)]
+    if rig.calibration is None and rig.scale_known:
+        apart_mm = float(np.linalg.norm(rig.rig.right.translation_mm))
+        text = f"no image tells lengths: with it both are {apart_mm:.4g} mm apart, and the object is {here.depth_mm:.4g} mm away"
+        said.append(told("cameras.unit", False, text))
+    return [*said, size]
 
 
-def _judged(here: _Found, tried: list[tuple[_Seen, _Found]]) -> list[ExaminedAssumption]:
+def _judged(here: _Found, tried: Tried) -> list[ExaminedAssumption]:
     """Return what the hypotheses say of the words that they are about."""
     better = [(one, found) for one, found in tried if found.better(here)]
     if better:
         one, found = min(better, key=lambda two: (-two[1].aside.tells, two[1].aside.size_px, -two[1].share))
         # Without anything across the disparity several may do; the user is not sent after the first one alone.
         rivals = [other.text for other, theirs in better if other is not one and not found.better(theirs)]
-        text = " or ".join([one.text, *rivals])
-        return [wrong(one.about, f"{here}; {found} if {text}", **one.instead)]
+        return [wrong(one.about, f"{here}; {found} if {' or '.join([one.text, *rivals])}", **one.instead)]
     if not here.holds:
         return [_unexplained(here)]
     said = []
     for about in dict.fromkeys(one.about for one, _ in tried):
         mine = [(one, found) for one, found in tried if one.about == about]
-        if about == TURN and not here.aside.tells:
-            continue  # Nothing checks more than that either.
         as_good = [(one, found) for one, found in mine if found.holds and not here.better(found)]
         one, found = max(as_good or mine, key=lambda two: two[1].share)
         text = f"{found} if {one.text}"
         if as_good:
-            said.append(unchecked(about, f"{text}, {found.depth_mm:.0f} mm away in place of {here.depth_mm:.0f} mm"))
-        elif about == POSE and not here.aside.tells:
-            said.append(unchecked(about, f"{here}, and {text}, but nothing checks their values"))
-        else:
-            said.append(fits(about, f"{here}, and {text}" if about == POSE else text))
+            text += f", {found.depth_mm:.0f} mm away in place of {here.depth_mm:.0f} mm"
+        elif about == POSE:
+            text = f"{here}, and {text}" + ("" if here.aside.tells else ", but nothing checks their values")
+        # A turn is no other thing than a pose where nothing checks its values.
+        if about != TURN or here.aside.tells:
+            said.append(told(about, not as_good and (about != POSE or here.aside.tells), text))
     return said
 
 
@@ -162,15 +172,15 @@ def _unexplained(here: _Found) -> ExaminedAssumption:
         f"{here}, and no better if cameras, R or T are exchanged: check that the calibration is of this setting and of images of this size, "
         "cameras.unit, water and ports, and range"
     )
-    return (wrong if contradicted else unchecked)(POSE, text)
+    return wrong(POSE, text) if contradicted else told(POSE, False, text)
 
 
 # ------------------------------------------------------------------------------------------------- hypotheses
 
 
-def _otherwise(seen: _Seen) -> list[_Seen]:
+def _standing(setting: _Setting, rig: ForeignRig) -> list[_Hypothesis]:
     """Return the ways in which R and T, windows and water may be meant otherwise."""
-    left, right, index = seen.rig.rig.left, seen.rig.rig.right, seen.rig.index
+    left, right = setting.left, setting.right
     R = np.asarray(right.rotation).T
     T = -R @ np.asarray(right.translation_mm)
     # About the axis across the disparity, which hardly anything sees.
@@ -182,27 +192,31 @@ def _otherwise(seen: _Seen) -> list[_Seen]:
     ):  # fmt: skip
         x, y, z = (float(one) for one in -other_R.T @ other_T)
         other = replace(right, rotation=matrix3(other_R.T), translation_mm=(x, y, z))
-        found.append(seen.standing(about, text, left, other, index))
+        found.append(_Hypothesis(about, text, {"right": other}))
     if right.lens_in_water:
         return found
-    for word in ("distance_mm", "thickness_mm") if seen.rig.calibration is None else ():
-        half = [replace(one, port=replace(one.port, **{word: 0.5 * getattr(one.port, word)})) for one in (left, right)]
-        found.append(seen.standing(f"ports.{word}", "it is half as much", half[0], half[1], index))
-    return found + [seen.standing("water.index", f"it is {n:.4g}", left, right, n) for n in (1.0, index + OTHER_INDEX)]
+    for word in ("distance_mm", "thickness_mm") if rig.calibration is None else ():
+        half = {side: replace(one, port=replace(one.port, **{word: 0.5 * getattr(one.port, word)}))
+                for side, one in (("left", left), ("right", right))}  # fmt: skip
+        found.append(_Hypothesis(f"ports.{word}", "it is half as much", half))
+    others = 1.0, setting.index + OTHER_INDEX
+    return found + [_Hypothesis("water.index", f"it is {index:.4g}", {"index": index}) for index in others]
 
 
-def _exchanged(seen: _Seen) -> list[_Seen]:
+def _exchanged(setting: _Setting) -> list[_Hypothesis]:
     """Return left for right, where the lenses of one fit images of the other's size."""
-    if next(iter(seen.left.values())).shape != next(iter(seen.right.values())).shape:
+    if next(iter(setting.left_px.values())).shape != next(iter(setting.right_px.values())).shape:
         return []
-    texture = seen.texture and seen.texture.exchanged()
-    about, text = WHICH_IS_LEFT, "left and right are exchanged"
-    return [replace(seen, left=seen.right, right=seen.left, texture=texture, about=about, text=text)]
+    texture = setting.texture and setting.texture.exchanged()
+    changed = {"left_px": setting.right_px, "right_px": setting.left_px, "texture": texture}
+    return [_Hypothesis(WHICH_IS_LEFT, "left and right are exchanged", changed)]
 
 
-def _patterns(seen: _Seen, description: Description, left: DecodedCamera) -> list[_Seen]:
+def _patterns(setting: _Setting, description: Description, left: DecodedCamera) -> list[_Hypothesis]:
     """Return other patterns on the projector that make the same images."""
-    found = []
+    u_px, v_px = setting.right_px.values()
+    found = [_Hypothesis("images.order: x and y", "they are exchanged", {"right_px": {"x": v_px, "y": u_px}})]
+    choices = []
     for axis in description.axes:
         size_px = axis.size_px
         start, period = "code_offset_px" if axis.bits else "start_deg", "period_px" if axis.periods_px else "stripe_px"
@@ -213,119 +227,115 @@ def _patterns(seen: _Seen, description: Description, left: DecodedCamera) -> lis
             *((start, f"the pattern begins {share * size_px:+.0f} px aside", 1.0, share * size_px) for share in SHIFTS),
         ):
             about = f"{axis.name}.{word}"
-            moved = np.float32(scale) * (seen.left[axis.name] + np.float32(0.5)) + np.float32(shift_px - 0.5)
+            moved = np.float32(scale) * (setting.left_px[axis.name] + np.float32(0.5)) + np.float32(shift_px - 0.5)
             instead: dict[str, Any] = {about: -axis.sign} if word == "sign" else {}
-            found.append(replace(seen, left={**seen.left, axis.name: moved}, about=about, text=text, instead=instead))
-    # Of 2ⁿ stripes on a projector of fewer px, programs use the first ones or those in the middle.
-    choices = []
-    for axis in description.axes:
-        beyond_px = axis.stripe_px * 2**axis.bits - axis.size_px if axis.bits else 0.0
+            found.append(_Hypothesis(about, text, {"left_px": {**setting.left_px, axis.name: moved}}, instead))
+        # Of 2ⁿ stripes on a projector of fewer px, programs use the first ones or those in the middle.
+        beyond_px = axis.stripe_px * 2**axis.bits - size_px if axis.bits else 0.0
         other_px = 0.0 if axis.code_offset_px else -0.5 * beyond_px
         choices.append([axis, *([replace(axis, code_offset_px=other_px)] if beyond_px > 0.0 else [])])
     for axes in list(product(*choices))[1:]:
         instead = {f"{one.name}.code_offset_px": one.code_offset_px for one in axes}
         changed = [f"{one.name}.code_offset_px = {one.code_offset_px:g}" for one in axes if one not in description.axes]
-        text, maps = " and ".join(changed), _maps(placed_again(left, replace(description, axes=axes)))
-        found.append(replace(seen, left=maps, about=text.split(" ")[0], text=text, instead=instead))
+        moved_px = _maps(placed_again(left, replace(description, axes=axes)))
+        found.append(_Hypothesis(changed[0].split(" ")[0], " and ".join(changed), {"left_px": moved_px}, instead))
     return found
 
 
 # --------------------------------------------------------------------------------------- what else is said of them
 
 
-def _extent(description: Description, rig: ForeignRig, said: list[ExaminedAssumption]) -> list[ExaminedAssumption]:
-    """Say whether anything checks the projector's size: the words of its calibration, else what checks the period."""
+def _extent(
+    description: Description, rig: ForeignRig, left: DecodedCamera, said: list[ExaminedAssumption]
+) -> list[ExaminedAssumption]:
+    """Say whether the projector's size is too small, or what checks it: the words of its calibration, else what checks the period."""
+    for axis in description.axes:
+        if axis.bits and np.any(left.placed[axis.name].reason == NoCoordinate.OUTSIDE):
+            whole = place(left.measured[axis.name], axis, axis.covered_px)
+            if larger := beyond(axis, whole.coordinate_px):
+                return larger
     found = []
     fit = {one.about for one in said if one.outcome is Outcome.FITS}
     stated = rig.stated_px.get("right") == description.projector_px
-    for axis, word, size_px, at_px in zip(
+    for axis_name, word, size_px, at_px in zip(
         "xy", ("width", "height"), description.projector_px, rig.rig.right.lens.c_px, strict=True
     ):
+        checked = stated or bool(fit & {f"{axis_name}.period_px", f"{axis_name}.stripe_px"})
         text = f"the projector's axis leaves at {100 * at_px / size_px:.0f} % of {size_px} px"
-        if axis == "x" and abs(at_px / size_px - 0.5) > MOST_SHIFT:
-            text += ", which few do"
-        checked = stated or fit & {f"{axis}.period_px", f"{axis}.stripe_px"}
-        found.append((fits if checked else unchecked)(f"projector.{word}_px", text))
+        found.append(told(f"projector.{word}_px", checked, text))
     return found
 
 
-def _size(rig: StereoRig, cameras: Mapping[str, DecodedCamera]) -> ExaminedAssumption:
+def _size(rig: StereoRig, of_projector: bool) -> ExaminedAssumption:
     """Test by the principal points whether the lenses are those of images of this size."""
-    about, sides = "cameras: size of their images", (rig.left, rig.right)[: len(cameras)]
+    about, sides = "cameras: size of their images", (rig.left,) if of_projector else (rig.left, rig.right)
     places = [c / size for one in sides for c, size in zip(one.lens.c_px, (one.width_px, one.height_px), strict=True)]
     beside = {scale: max(abs(scale * at - 0.5) for at in places) for scale in (1.0, 2.0, 0.5)}
     text = f"their axes meet the images at {', '.join(f'{100 * at:.0f} %' for at in places)} of width and height"
     if beside[1.0] <= CENTRED:
-        return fits(about, text)
+        return told(about, True, text)
     for scale, other in ((2.0, "half"), (0.5, "twice")):
         if beside[scale] <= NEARLY_CENTRED:
             return wrong(
                 about, f"{text}: the calibration is of images of {other} the size, multiply the matrices by {scale:g}"
             )
-    return unchecked(about, f"{text}: parts of a sensor, or a calibration of other images")
-
-
-def _lengths(rig: ForeignRig, here: _Found) -> list[ExaminedAssumption]:
-    """Say that no image tells lengths; a calibration of ours states them."""
-    if rig.calibration is not None:
-        return []
-    apart_mm = float(np.linalg.norm(rig.rig.right.translation_mm))
-    text = f"no image tells lengths: with it both are {apart_mm:.4g} mm apart, and the object is {here.depth_mm:.4g} mm away"
-    if not rig.scale_known:
-        text = "the calibration states no length (|T| = 1): lengths are in baselines"
-    return [unchecked("cameras.unit", text)]
+    return told(about, False, f"{text}: parts of a sensor, or a calibration of other images")
 
 
 # ----------------------------------------------------------------------------------------------------- points
 
 
-def _found(seen: _Seen, description: Description, patches: int) -> _Found:
+def _found(setting: _Setting, description: Description) -> _Found:
     """Make points along the first direction whose fringes cross the epipolar curves, and ask them."""
-    rig, index = seen.rig.rig, seen.rig.index
-    step, right_step = (-(-camera.width_px // COARSE_PX) for camera in (rig.left, rig.right))
-    thin = StereoRig(_thinned(rig.left, step), _thinned(rig.right, right_step))
+    depths_mm = depths_of(description, StereoRig(setting.left, setting.right), setting.index)
+    limits = OneDirectionLimits(min_neighbours=LEAST_NEIGHBOURS)
     why = ""
     for axis in description.axes:
-        left, right = seen.left[axis.name][::step, ::step], seen.right[axis.name][::right_step, ::right_step]
-        limits = OneDirectionLimits(min_neighbours=LEAST_NEIGHBOURS)
+        first, left_px, step = _coarse(setting.left, setting.left_px[axis.name])
+        second, right_px, right_step = _coarse(setting.right, setting.right_px[axis.name])
         try:
-            points = match_along_curves(left, right, thin, index, depths_of(description, rig, index), limits=limits)
+            points = match_along_curves(
+                left_px, right_px, StereoRig(first, second), setting.index, depths_mm, limits=limits
+            )
         except (OneDirectionError, CurveError) as error:
             why = f" ({error})"
             continue
         there = points.mask
-        share = float(np.count_nonzero(there) / np.count_nonzero(np.isfinite(left)))
+        share = float(np.count_nonzero(there) / np.count_nonzero(np.isfinite(left_px)))
         if share < POOR:
             reason = max(list(NoPoint)[NoPoint.OUT_OF_VIEW :], key=points.count)
             return _Found(share, why=f" (most others: {reason.name.lower().replace('_', ' ')})")
-        y, x = (at[:: max(1, np.count_nonzero(there) // patches)] for at in np.nonzero(there))
-        right_px = rig.right.project(points.points_mm[y, x].astype(np.float64), index)
-        left_px = step * np.stack([x, y], axis=1)
+        y, x = (at[:: max(1, np.count_nonzero(there) // PATCHES)] for at in np.nonzero(there))
+        places_px = right_step * second.project(points.points_mm[y, x].astype(np.float64), setting.index)
+        left_at = step * np.stack([x, y], axis=1)
         aside = NOTHING
-        if seen.texture is not None:
-            along, down = _slopes(right)
-            aside = seen.texture.offset(left_px, right_px, along >= down)
+        if setting.texture is not None:
+            along, down = _slopes(right_px)
+            aside = setting.texture.offset(left_at, places_px, along >= down)
         for other in description.axes:
             if other.name != axis.name:
-                aside = _by_other(seen, other, left_px, right_px)
+                aside = _by_other(setting, other, left_at, places_px, right_step)
         depth_mm = float(np.median(points.points_mm[..., 2][there]))
-        return _Found(share, _same_side(points.points_mm, rig.right), depth_mm, aside)
+        return _Found(share, _same_side(points.points_mm, second), depth_mm, aside)
     return _Found(why=why)
 
 
-def _by_other(seen: _Seen, axis: AxisConvention, left_px: NDArray[np.int64], right_px: NDArray[np.float64]) -> Offset:
-    """Return how far the right image has the other coordinate of left pixels beside the places ``right_px`` of their points."""
-    whole = seen.right[axis.name]
-    u, v = np.ascontiguousarray(right_px.T[:, None], np.float32)
-    there = cv2.remap(whole, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan)
-    off_px = (seen.left[axis.name][left_px[:, 1], left_px[:, 0]] - there[0]) / max(*_slopes(whole), 1e-6)
-    error_px = MOST_ASIDE_PERIODS * axis.period_px if seen.projector else 0.0
+def _by_other(
+    setting: _Setting, axis: AxisConvention, left_at: NDArray[np.int64], places_px: NDArray[np.float64], step: int
+) -> Offset:
+    """Return how far the right image has the other coordinate of left pixels beside the places of their points."""
+    whole_px = setting.right_px[axis.name]
+    u, v = np.ascontiguousarray(places_px.T[:, None], np.float32)
+    there = cv2.remap(whole_px, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan)
+    slope = max(*_slopes(whole_px[::step, ::step]), 1e-6) / step
+    off_px = (setting.left_px[axis.name][left_at[:, 1], left_at[:, 0]] - there[0]) / slope
+    error_px = MOST_ASIDE_PERIODS * axis.period_px if setting.projector else 0.0
     return Offset.of(off_px[np.isfinite(off_px)].astype(np.float64), len(off_px), MOST_ASIDE_PX + error_px)
 
 
-def _slopes(coordinate: Floats) -> tuple[float, float]:
+def _slopes(coordinate_px: Floats) -> tuple[float, float]:
     """Return by how much a coordinate usually changes from one pixel to the next along the image, and down."""
-    along, down = (np.abs(np.diff(coordinate, axis=axis)[::SLOPES_EVERY, ::SLOPES_EVERY]) for axis in (1, 0))
+    along, down = (np.abs(np.diff(coordinate_px, axis=axis)) for axis in (1, 0))
     return float(np.nanmedian(along)), float(np.nanmedian(down))
 
 
@@ -342,26 +352,22 @@ def _maps(camera: DecodedCamera) -> Maps:
     return {name: one.coordinate_px for name, one in camera.placed.items()}
 
 
-def _projector(projector: HousedCamera) -> Maps:
+def _own_px(projector: HousedCamera) -> Maps:
     v, u = np.mgrid[0 : projector.height_px, 0 : projector.width_px].astype(np.float32)
     return {"x": u, "y": v}
 
 
-def _as_small(rig: StereoRig, cameras: Mapping[str, DecodedCamera]) -> StereoRig:
-    """Return the lenses that see every so many pixels where images were thinned."""
-    left, right = (
-        _thinned(one, round(one.width_px / cameras[side].grey.shape[1])) if side in cameras else one
-        for side, one in (("left", rig.left), ("right", rig.right))
-    )
-    return replace(rig, left=left, right=right)
+def _coarse(camera: HousedCamera, whole_px: Floats) -> tuple[HousedCamera, Floats, int]:
+    """Return the lens that sees every so many pixels, what these see of the pattern, and how many of the map's pixels each one is.
 
-
-def _thinned(camera: HousedCamera, step: int) -> HousedCamera:
-    """Return the lens that sees every so many pixels of a camera."""
-    if step == 1:
-        return camera
+    The map may itself be of every so many of the camera's own pixels.
+    """
+    step = -(-whole_px.shape[1] // COARSE_PX)
+    few_px = whole_px[::step, ::step]
+    scale = step * round(camera.width_px / whole_px.shape[1])
     (fu, fv), (cu, cv) = camera.lens.f_px, camera.lens.c_px
-    lens = replace(camera.lens, f_px=(fu / step, fv / step), c_px=(cu / step, cv / step))
+    lens = replace(camera.lens, f_px=(fu / scale, fv / scale), c_px=(cu / scale, cv / scale))
+    height_px, width_px = few_px.shape
     # Corrections of an image are worth hundredths of a pixel: too little to tell one arrangement from another.
-    width_px, height_px = -(-camera.width_px // step), -(-camera.height_px // step)
-    return replace(camera, width_px=width_px, height_px=height_px, lens=lens, correction=None, ray_shift=None)
+    thin = replace(camera, width_px=width_px, height_px=height_px, lens=lens, correction=None, ray_shift=None)
+    return thin, few_px, step

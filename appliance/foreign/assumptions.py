@@ -6,6 +6,7 @@ runs along with it, R = |mean exp 2πi(turns − mean)| near 1, or against it; t
 *Steps*: least squares leaves little over; else the images' own two principal components say which steps they have.
 *Periods*: the phases of all periods agree on a coordinate much better than unrelated phases would on the best of all fringes, or it
 goes on from one fringe to the next.
+*Size*: hardly a pixel has a coordinate that lies beyond the pattern.
 A test that could not have failed is no fit: what it is about stays unchecked, with that reason.
 """
 
@@ -46,15 +47,19 @@ the second on."""
 GOOD_OF_CHANCE, POOR_OF_CHANCE, GOES_ON, LEAPS = 0.45, 0.8, 0.7, 0.15
 """Disagreement of the phases of several periods over that of phases that have nothing to do with each other: good below, wrong above;
 share of the borders of fringes at which the coordinate goes on, of periods that belong together, and of others."""
-FEW, START_DEG, NEARLY, FINER_DEG = 3000, 15, 1.3, (-6.0, -3.0, 0.0, 3.0, 6.0)
-"""Pixels that are asked where the phases of several periods begin, the steps in which it is searched, how much worse the sign that was
-said may do, and the finer steps about the best one."""
-ACROSS = 2.0
-WORDS = {
-    "fine_first": ("code_order", '"coarse-first"', '"fine-first"'), "inverted": ("code_inverted", "false", "true"),
-    "plain_binary": ("code", '"gray"', '"binary"'),
+FEW, START_DEG, NEARLY = 3000, 5, 1.3
+"""Pixels that are asked which steps fit, and where the phases of several periods begin, the steps in which it is searched, and how much worse the sign that was
+said may do: of two cameras a pattern that is mirrored makes the same points."""
+MOST_BEYOND = 0.02
+"""Largest share of the coordinates that may lie beyond the pattern: of rightly described sets a quarter of a percent does."""
+SAME_TURNS = 0.02
+"""Difference of phases that come back, by how exactly periods are written."""
+CODE = ("fine_first", "inverted", "plain_binary")
+WORDS: Mapping[str, tuple[str, Mapping[Any, str]]] = {
+    "fine_first": ("code_order", {False: '"coarse-first"', True: '"fine-first"'}), "inverted": ("code_inverted", {False: "false", True: "true"}),
+    "plain_binary": ("code", {False: '"gray"', True: '"binary"'}), "sign": ("sign", {1: '"+"', -1: '"-"'}), "periods_px": ("period_px", {}),
 }  # fmt: skip
-"""Words of a description for what a code may be: false, true."""
+"""Words of a description for fields of a convention and for their values, where these are called otherwise."""
 
 
 class Outcome(Enum):
@@ -80,13 +85,13 @@ class ExaminedAssumption:
     """Fields of the direction's convention that fit instead; empty where nothing does."""
 
     def __str__(self) -> str:
-        """Return it as one line."""
-        return f"{self.about}: {self.outcome.value}: {self.text}"
+        """Return what is said of it as one line."""
+        return f"{self.about}: {self.text}"
 
 
-def fits(about: str, text: str) -> ExaminedAssumption:
-    """Return an assumption that could have failed, and did not."""
-    return ExaminedAssumption(about, Outcome.FITS, text)
+def told(about: str, fits: bool, text: str) -> ExaminedAssumption:
+    """Return an assumption that fits if it could have failed, else one that nothing could tell."""
+    return ExaminedAssumption(about, Outcome.FITS if fits else Outcome.UNCHECKED, text)
 
 
 def wrong(about: str, text: str, **instead: Any) -> ExaminedAssumption:
@@ -94,22 +99,33 @@ def wrong(about: str, text: str, **instead: Any) -> ExaminedAssumption:
     return ExaminedAssumption(about, Outcome.WRONG, text, instead)
 
 
-def unchecked(about: str, text: str) -> ExaminedAssumption:
-    """Return an assumption that nothing could tell."""
-    return ExaminedAssumption(about, Outcome.UNCHECKED, text)
+def corrected(axis: AxisConvention, text: str, **instead: Any) -> ExaminedAssumption:
+    """Return that words of a direction are wrong, and behind ``text`` which ones fit instead."""
+    said = []
+    for name, value in instead.items():
+        if value != getattr(axis, name):
+            word, values = WORDS.get(name, (name, {}))
+            listed = [f"{one:g}" for one in (value if isinstance(value, tuple) else (value,))]
+            number = f"[{', '.join(listed)}]" if isinstance(value, tuple) else listed[0]
+            said.append(f"{axis.name}.{word} = {values.get(value, number)}")
+    return wrong(said[0].split(" ")[0], f"{text} {' and '.join(said)}", **instead)
 
 
 def examine_axis(camera: DecodedCamera, axis: AxisConvention) -> list[ExaminedAssumption]:
     """Test all that is assumed of one direction on one camera's images."""
     found = camera.measured[axis.name]
-    said = [*_steps(camera, axis), *_across(camera, axis)]
+    said = _steps(camera, axis)
     if found.bits is None:
         return [*said, *_periods(found, axis, camera.placed[axis.name].coordinate_px)]
-    lines = _Lines.of(found, axis)
-    code = _code(lines, axis)
+    usable, bits = _along(found.usable, axis), _along(found.bits.bits, axis)
+    both = usable[:, 1:] & usable[:, :-1]
+    code = _code(bits, both, axis)
     if found.turns and all(one.outcome is not Outcome.WRONG for one in code):
-        code += _phase_against_code(lines, axis)
-    return [*said, *_resolution(lines, axis), *code]
+        code += _phase_against_code(found, bits, usable, both, axis)
+    if count := sum(found.bits.left_out):
+        text = f"{count} of {axis.bits} images of the code have stripes that the camera cannot tell apart, and are left out: stripes of"
+        said.append(told(f"{axis.name}.stripe_px", False, f"{text} {axis.stripe_px * 2**count:g} px are used"))
+    return [*said, *code]
 
 
 def examine_references(camera: DecodedCamera) -> list[ExaminedAssumption]:
@@ -120,199 +136,149 @@ def examine_references(camera: DecodedCamera) -> list[ExaminedAssumption]:
     light = float(bright.mean()) - float(dark.mean())
     if light < 0.0:
         return [wrong("images.order: bright dark", "they are exchanged: write dark bright where it has bright dark")]
-    return [fits("images.order: bright dark", f"the first is brighter by {light:.0f} grey values")]
+    return [told("images.order: bright dark", True, f"the first is brighter by {light:.0f} grey values")]
 
 
 # -------------------------------------------------------------------------------------------------- code
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Lines:
-    """Lines along the direction: (n, length) of every so many rows, or columns."""
-
-    bits: NDArray[np.bool_]
-    """(bits, n, length)."""
-    left_out: tuple[int, int]
-    turns: Floats | None
-    """Phase of the period that the code numbers."""
-    usable: NDArray[np.bool_]
-    both: NDArray[np.bool_]
-    """(n, length − 1): this pixel and the next one are usable."""
-
-    @classmethod
-    def of(cls, found: Measured, axis: AxisConvention) -> _Lines:
-        assert found.bits is not None
-        step = max(1, found.weak.size // SAMPLES)
-
-        def lines(values: NDArray[Any]) -> NDArray[Any]:
-            along = values if axis.name == "x" else np.swapaxes(values, -1, -2)
-            return np.ascontiguousarray(along[..., step // 2 :: step, :])
-
-        turns = lines(found.turns[axis.numbered]) if found.turns else None
-        usable = lines(found.usable)
-        return cls(lines(found.bits.bits), found.bits.left_out, turns, usable, usable[:, 1:] & usable[:, :-1])
+def _along(values: NDArray[Any], axis: AxisConvention) -> NDArray[Any]:
+    """Return every so many rows of maps (…, h, w), or columns, as lines (…, n, length) along the direction."""
+    step = max(1, values.shape[-1] * values.shape[-2] // SAMPLES)
+    lines = values if axis.name == "x" else np.swapaxes(values, -1, -2)
+    return np.ascontiguousarray(lines[..., step // 2 :: step, :])
 
 
-def _resolution(lines: _Lines, axis: AxisConvention) -> list[ExaminedAssumption]:
-    """Say how many images of the code the camera cannot resolve, and what its finest stripes are."""
-    count = sum(lines.left_out)
-    if not count:
-        return []
-    _, stripe_px = numbered_stripes(lines.bits[:, :1, :1], lines.left_out, replace(axis, periods_px=()))
-    text = f"{count} of {axis.bits} images of the code have stripes that the camera cannot tell apart, and are left out: stripes of"
-    return [unchecked(f"{axis.name}.stripe_px", f"{text} {stripe_px:g} px are used")]
+def _wide_enough(bits: NDArray[np.bool_], both: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return bits without the images at either end whose stripes are hardly wider than a pixel: numbers leap at their borders."""
+    pixels = np.count_nonzero(both)
+    wide = [bool(LEAST_RUN_PX * np.count_nonzero(np.diff(bit, axis=1) & both) <= pixels) for bit in bits]
+    return bits[wide.index(True) : len(wide) - wide[::-1].index(True)] if sum(wide) >= LEAST_BITS else bits
 
 
-def _wide_enough(lines: _Lines) -> NDArray[np.bool_]:
-    """Return the bits without the images at either end whose stripes are hardly wider than a pixel: numbers leap at their borders."""
-    pixels = np.count_nonzero(lines.both)
-    borders = [np.count_nonzero((bit[:, 1:] != bit[:, :-1]) & lines.both) for bit in lines.bits]
-    wide = [bool(LEAST_RUN_PX * count <= pixels) for count in borders]
-    if sum(wide) < LEAST_BITS:
-        return lines.bits
-    return lines.bits[wide.index(True) : len(wide) - wide[::-1].index(True)]
-
-
-def _code(lines: _Lines, axis: AxisConvention) -> list[ExaminedAssumption]:
-    bits = _wide_enough(lines)
-    shares, counts = {}, {}
-    for flags in product((False, True), repeat=len(WORDS)):
-        other: dict[str, Any] = dict(zip(WORDS, flags, strict=True))
-        step = np.diff(stripe_numbers(bits, replace(axis, **other)), axis=1)[lines.both]
-        changes = np.abs(step[step != 0])
-        shares[flags], counts[flags] = float(np.mean(changes == 1)) if changes.size else 0.0, int(changes.size)
-    said = tuple(getattr(axis, name) for name in WORDS)
-    share, changes = shares[said], counts[said]
-    names = [f"{axis.name}.{word}" for word, *_ in WORDS.values()]
+def _code(all_bits: NDArray[np.bool_], both: NDArray[np.bool_], axis: AxisConvention) -> list[ExaminedAssumption]:
+    """Test in which order the bits of lines are, where ``both`` a pixel and the next one are usable."""
+    names = [f"{axis.name}.{WORDS[word][0]}" for word in CODE]
+    said = tuple(getattr(axis, word) for word in CODE)
+    bits, changes = _wide_enough(all_bits, both), 0
+    shares: dict[tuple[bool, ...], float] = {}
+    for flags in product((False, True), repeat=len(CODE)):
+        other: dict[str, Any] = dict(zip(CODE, flags, strict=True))
+        step = np.abs(np.diff(stripe_numbers(bits, replace(axis, **other)), axis=1)[both])
+        # Whatever the convention, a number changes where a bit does.
+        changes = int(np.count_nonzero(step))
+        shares[flags] = float(np.count_nonzero(step == 1) / max(1, changes))
     if changes < LEAST_CHANGES or axis.bits < LEAST_BITS:
         text = f"{changes} borders of stripes are seen; {LEAST_CHANGES} of {LEAST_BITS} images are needed"
-        return [unchecked(about, text) for about in names]
+        return [told(about, False, text) for about in names]
+    share = shares[said]
     here = f"{100 * share:.0f} % of {changes} borders are between neighbouring stripes"
     if share < GOOD_CODE:
         # Of several that fit alike, the one nearest to what was said.
-        best = max(
-            shares, key=lambda one: (shares[one] * (counts[one] >= LEAST_CHANGES // 4), -np.not_equal(one, said).sum())
-        )
+        best = max(shares, key=lambda one: (shares[one], -np.not_equal(one, said).sum()))
         if shares[best] <= share + CLEARLY_BETTER:
             return [wrong(names[0], f"{here}; no order of the bits fits: check which images are gray, and their order")]
-        named = [
-            f"{name} = {words[1 + now]}"
-            for name, words, now, was in zip(names, WORDS.values(), best, said, strict=True)
-            if now != was
-        ]
-        text = f"{here}, {100 * shares[best]:.0f} % with {', '.join(named)}"
-        return [wrong(named[0].split(" ")[0], text, **dict(zip(WORDS, best, strict=True)))]
+        return [corrected(axis, f"{here}, {100 * shares[best]:.0f} % with", **dict(zip(CODE, best, strict=True)))]
     found = []
-    for k, (about, (word, *words)) in enumerate(zip(names, WORDS.values(), strict=True)):
-        flipped = max((one for one in shares if one[k] != said[k]), key=lambda one: shares[one])
-        as_good = shares[flipped] > share - CLEARLY_BETTER
-        text = f"{here}, {100 * shares[flipped]:.0f} % with {word} = {words[not said[k]]}"
-        found.append(unchecked(about, text) if as_good else fits(about, text))
+    for k, word in enumerate(CODE):
+        rival = max(shares[one] for one in shares if one[k] != said[k])
+        text = f"{here}, {100 * rival:.0f} % with {WORDS[word][0]} = {WORDS[word][1][not said[k]]}"
+        found.append(told(names[k], rival <= share - CLEARLY_BETTER, text))
     return found
 
 
 # ------------------------------------------------------------------------------------------ phase against code
 
 
-def _phase_against_code(lines: _Lines, axis: AxisConvention) -> list[ExaminedAssumption]:
-    assert lines.turns is not None
+def _phase_against_code(
+    found: Measured, bits: NDArray[np.bool_], usable: NDArray[np.bool_], both: NDArray[np.bool_], axis: AxisConvention
+) -> list[ExaminedAssumption]:
+    """Test whether the phase of the period that the code numbers runs along with the code of lines."""
+    assert found.bits is not None
     period = axis.periods_px[axis.numbered]
     words = [f"{axis.name}.{word}" for word in ("sign", "stripe_px", "start_deg")]
-    whole, stripe = numbered_stripes(lines.bits, lines.left_out, axis)
+    whole, stripe = numbered_stripes(bits, found.bits.left_out, axis)
     number = whole.astype(np.float32)
-    changes = np.count_nonzero((np.diff(number, axis=1) != 0) & lines.both)
+    changes = np.count_nonzero((np.diff(number, axis=1) != 0) & both)
     # Two stripes are so wide in this image.
-    size = (2 * round(np.count_nonzero(lines.both) / max(1, int(changes))) + 1, 1)
+    size = (2 * round(np.count_nonzero(both) / max(1, int(changes))) + 1, 1)
     middle = (number + np.float32(0.5)) * np.float32(stripe) + np.float32(axis.code_offset_px)
     mean = cv2.boxFilter(middle, -1, size, borderType=cv2.BORDER_REFLECT)
-    full = cv2.boxFilter(lines.usable.astype(np.float32), -1, size, borderType=cv2.BORDER_CONSTANT) > np.float32(0.999)
+    full = cv2.boxFilter(usable.astype(np.float32), -1, size, borderType=cv2.BORDER_CONSTANT) > np.float32(0.999)
     good = full & (np.abs(middle - mean) < np.float32(0.75 * stripe))
     if changes < LEAST_CHANGES or np.count_nonzero(good) < 10 * LEAST_CHANGES:
-        return [unchecked(word, f"{changes} borders of stripes are seen, which is too few") for word in words]
-    turns, coordinate = lines.turns[good].astype(np.float64), mean[good].astype(np.float64)
-
-    def together(sign: int, factor: float) -> tuple[float, float]:
-        sum_ = np.exp(2j * np.pi * (sign * turns - factor * coordinate / period)).mean()
-        return float(abs(sum_)), float(np.angle(sum_) / (2 * np.pi))
-
-    fit, start = together(1, 1.0)
-    others = {(sign, factor): together(sign, factor)[0] for sign in (1, -1) for factor in (1.0, 0.5, 2.0)}
-    best = max(others, key=lambda one: others[one])
-    if fit < POOR_FIT and others[best] > GOOD_FIT:
-        text = f"{_other_way(axis, best)} (R = {others[best]:.2f} instead of {fit:.2f})"
-        return [wrong(words[best[0] > 0], text, sign=best[0] * axis.sign, stripe_px=best[1] * axis.stripe_px)]
+        return [told(word, False, f"{changes} borders of stripes are seen, which is too few") for word in words]
+    turns = _along(found.turns[axis.numbered], axis)[good].astype(np.float64)
+    coordinate = mean[good].astype(np.float64)
+    sums = {(sign, factor): np.exp(2j * np.pi * (sign * turns - factor * coordinate / period)).mean()
+            for sign in (1, -1) for factor in (1.0, 0.5, 2.0)}  # fmt: skip
+    fits = {one: float(abs(sum_)) for one, sum_ in sums.items()}
+    best, fit = max(fits, key=lambda one: fits[one]), fits[1, 1.0]
+    if fit < POOR_FIT and fits[best] > GOOD_FIT:
+        text = f"R of phase and code is {fit:.2f}, and {fits[best]:.2f} with"
+        return [corrected(axis, text, sign=best[0] * axis.sign, stripe_px=best[1] * axis.stripe_px)]
     if fit < POOR_FIT:
         text = f"phase and code do not belong together (R = {fit:.2f}; other signs and stripes of half and double width fit no better)"
         return [wrong(f"{axis.name}.period_px", f"{text}: check it, the order of the steps, and which images are gray")]
-    backwards, wider = others[-1, 1.0], max(others[1, 0.5], others[1, 2.0])
-    said = [(fits if rival < POOR_FIT else unchecked)(word, f"R of phase and code is {fit:.2f}, {rival:.2f} with another one")
-            for word, rival in zip(words, (backwards, wider), strict=False)]  # fmt: skip
-    away = start - axis.begins_deg[axis.numbered] / 360.0
+    rivals = fits[-1, 1.0], max(fits[1, 0.5], fits[1, 2.0])
+    said = [told(word, rival < POOR_FIT, f"R of phase and code is {fit:.2f}, {rival:.2f} with another one")
+            for word, rival in zip(words, rivals, strict=False)]  # fmt: skip
+    away = float(np.angle(sums[1, 1.0])) / (2.0 * np.pi) - axis.begins_deg[axis.numbered] / 360.0
     away -= round(away)
+    text = f"phase and code are {360 * abs(away):.0f} degrees apart"
     if abs(away) <= MOST_START:
-        return [*said, fits(words[2], f"phase and code are {360 * abs(away):.0f}° apart")]
-    if abs(away) > HALF_OFF:
-        offset_px = axis.code_offset_px + (0.5 * period if axis.code_offset_px < 0.0 else -0.5 * period)
-        about, degrees = f"{axis.name}.code_offset_px", (axis.start_deg + 180.0) % 360.0
-        text = f"the code is half a period off: {about} = {offset_px:g} fits (or {axis.name}.start_deg = {degrees:g})"
-        return [*said, wrong(about, text, code_offset_px=offset_px)]
-    degrees = round((axis.start_deg + 360.0 * away) / 5.0) * 5 % 360
-    text = f"the phase begins elsewhere: {axis.name}.start_deg = {degrees} fits"
-    return [*said, wrong(words[2], text, start_deg=float(degrees))]
-
-
-def _other_way(axis: AxisConvention, best: tuple[int, float]) -> str:
-    sign, factor = best
-    words = []
-    if sign < 0:
-        words.append(f'the phase runs the other way: {axis.name}.sign = "{"-" if axis.sign > 0 else "+"}" fits')
-    if factor != 1.0:
-        wide = factor * axis.stripe_px
-        kind = "a whole period" if abs(wide - axis.period_px) < 0.01 * wide else "half a period"
-        words.append(f"the stripes of the code are {kind} wide: {axis.name}.stripe_px = {wide:g} fits")
-    return ", and ".join(words)
+        return [*said, told(words[2], True, text)]
+    start_deg = round((axis.start_deg + 360.0 * away) / START_DEG) * START_DEG % 360.0
+    if abs(away) <= HALF_OFF:
+        return [*said, corrected(axis, f"{text}: they fit with", start_deg=start_deg)]
+    offset_px = axis.code_offset_px + (0.5 * period if axis.code_offset_px < 0.0 else -0.5 * period)
+    text = f"{text}: they fit with {words[2]} = {start_deg:g}, or"
+    return [*said, corrected(axis, text, code_offset_px=offset_px)]
 
 
 # ------------------------------------------------------------------------------------------------ steps, periods
 
 
 def _steps(camera: DecodedCamera, axis: AxisConvention) -> list[ExaminedAssumption]:
-    about = f"{axis.name}.steps"
-    said: list[ExaminedAssumption] = []
+    about, found = f"{axis.name}.steps", camera.measured[axis.name]
+    few, said = _few(found.usable), list[ExaminedAssumption]()
     for period, steps_deg in enumerate(axis.signed_deg):
         images = camera.images.all_of(Shows.SINE, axis.name, period)
-        if len(images) != len(steps_deg) or len(images) < 4:
-            said += [] if said else [unchecked(about, "three steps fit any images")]
+        if len(images) != len(steps_deg) or len(images) < 4 or not few.size:
+            said += [] if said else [told(about, False, "three steps fit any images")]
             continue
-        sample = tuple(slice(3, None, max(1, round(size / 200))) for size in images[0].shape)
-        stack = np.stack([one[sample] for one in images]).astype(np.float64).reshape(len(images), -1)
-        swing = stack.max(axis=0) - stack.min(axis=0)
-        stack = stack[:, swing > max(0.02 * camera.images.white, 0.5 * float(np.quantile(swing, 0.8)))]
+        stack = np.stack([one.ravel()[few] for one in images]).astype(np.float64)
         left = misfit(stack, steps_deg)
         here = f"a sine with these steps leaves {100 * left:.0f} % of the modulation"
-        fewer = equal_steps(len(images) - 1)
-        for off, end in ((0, "first"), (-1, "last")) if left > BENT and len(fewer) > 3 else ():
-            rest = misfit(np.delete(stack, off, axis=0), fewer)
-            if rest < 0.5 * left:
-                text = f"{here}; without the {end} of its images, steps = {len(fewer)} leaves {100 * rest:.0f} %"
-                said.append(wrong("images.order", text))
-        measured = measured_steps(stack)
-        better = misfit(stack, measured)
         if left <= MOST_MISFIT:
-            said.append(fits(about, here))
-        elif better < min(0.5 * left, MOST_MISFIT):
+            said.append(told(about, True, here))
+        if left <= BENT:
+            continue
+        count, measured = len(images) - 1, measured_steps(stack)
+        for end, others in (("first", stack[1:]), ("last", stack[:-1])) if count > 3 else ():
+            if (rest := misfit(others, equal_steps(count))) < 0.5 * left:
+                text = f"{here}; without the {end} of its images, steps = {count} leaves {100 * rest:.0f} %"
+                said.append(wrong("images.order", text))
+        better = misfit(stack, measured)
+        if left > MOST_MISFIT and better < min(0.5 * left, MOST_MISFIT):
             steps = f"{axis.name}.steps_deg = [{', '.join(f'{step:g}' for step in measured)}]"
             said.append(wrong(about, f"{here}; {steps} leaves {100 * better:.0f} %"))
-        else:
+        elif left > MOST_MISFIT:
             said.append(wrong(about, f"{here}; no other steps fit: check which images are sine-{axis.name}"))
-    found = camera.measured[axis.name]
     share = found.misfit_share or 0.0
     if max(share, 4.0 * np.pi * found.bend_turns) > BENT:
-        text = f"it is bent: phases are {360 * found.bend_turns:.1f}° off" + (
-            f", sines leave {100 * share:.0f} %" if share else ""
+        sines = f", sines leave {100 * share:.0f} %" if share else ""
+        text = (
+            f"it is bent: phases are {360 * found.bend_turns:.1f}° off{sines}, which the error of each point includes"
         )
-        said.append(unchecked(f"response of {axis.name}", f"{text}, which the error of each point includes"))
+        said.append(told(f"response of {axis.name}", False, text))
     return said
+
+
+def _few(usable: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Return the places of a few usable pixels."""
+    places = np.flatnonzero(usable)
+    return places[:: max(1, places.size // FEW)]
 
 
 def equal_steps(count: int) -> tuple[float, ...]:
@@ -349,53 +315,70 @@ def measured_steps(stack: NDArray[np.float64]) -> tuple[float, ...]:
 
 def _periods(found: Measured, axis: AxisConvention, coordinate_px: Floats) -> list[ExaminedAssumption]:
     about = f"{axis.name}.period_px"
-    if len(axis.periods_px) == 1:
-        return [unchecked(about, "one fringe covers the pattern: nothing contradicts it")]
-    usable = np.flatnonzero(found.usable)
-    few = usable[:: max(1, usable.size // FEW)]
-    if not few.size:
-        return [unchecked(about, "no pixel is bright enough")]
+    few = _few(found.usable)
+    if len(axis.periods_px) == 1 or not few.size:
+        return [
+            told(about, False, "one fringe covers the pattern, or no pixel is bright enough: nothing contradicts it")
+        ]
     goes_on = _goes_on(coordinate_px, axis)
     leaps = f"the coordinate goes on at {100 * goes_on:.0f} % of the borders of fringes"
     if axis.micro:
-        return [(fits if goes_on >= GOES_ON else unchecked)(about, leaps)]
-    usual = tuple(range(len(found.turns)))
+        return [told(about, goes_on >= GOES_ON, leaps)]
 
-    def left(order: tuple[int, ...] = usual, sign: int = 1, start_deg: float = axis.start_deg) -> float:
-        turns = [np.float32(sign) * found.turns[k].ravel()[few] for k in order]
-        return float(np.median(by_periods(turns, replace(axis, start_deg=start_deg))[1]))
+    def placed(**changed: Any) -> tuple[Floats, Floats]:
+        """Return coordinates of a few pixels by another convention, and how far their phases are apart."""
+        other = replace(axis, **changed)
+        sign = np.float32(other.sign * axis.sign)
+        return by_periods([sign * one.ravel()[few] for one in found.turns], other)
 
-    chance, here = chance_misfit(axis), left()
-    good = min(GOOD_OF_CHANCE * chance, 0.6 * here)
+    def left(changed: Mapping[str, Any]) -> float:
+        return float(np.median(placed(**changed)[1]))
+
+    chance, here = chance_misfit(axis), left({})
+    whole_px, apart = placed(size_px=_unrepeated_px(axis))
+    if np.median(apart) < GOOD_OF_CHANCE * chance and (said := beyond(axis, whole_px)):
+        return said
     text = f"their phases are {360 * here:.1f}° apart"
     if here < GOOD_OF_CHANCE * chance:
-        return [fits(about, f"{text}; by chance it would be {360 * chance:.1f}°")]
-    orders = {order: left(order) for order in (permutations(usual) if len(usual) <= 4 else [usual[::-1]])}
-    best = min(orders, key=lambda order: orders[order])
-    if orders[best] < good:
-        # The k-th period belongs to the images that were taken for those of another one.
-        wanted = tuple(axis.periods_px[best.index(k)] for k in usual)
-        said = f"{about} = [{', '.join(f'{one:g}' for one in wanted)}]"
-        return [wrong(about, f"{text}, and {360 * orders[best]:.1f}° with {said}", periods_px=wanted)]
-    starts = {(sign, float(start)): left(usual, sign, start) for sign in (1, -1) for start in range(0, 360, START_DEG)}
-    sign, start = min(starts, key=lambda one: starts[one])
-    # The same sign where it does nearly as well: of two cameras a pattern that is mirrored makes the same points.
-    mine = min((one for one in starts if one[0] == 1), key=lambda one: starts[one])
-    sign, start = mine if starts[mine] < NEARLY * starts[sign, start] else (sign, start)
-    finer = {(start + off) % 360.0: left(usual, sign, start + off) for off in FINER_DEG}
-    start = min(finer, key=lambda one: finer[one])
-    if finer[start] < good:
-        words = [f'{axis.name}.sign = "{"+" if sign * axis.sign > 0 else "-"}"'] if sign < 0 else []
-        said = " and ".join([*words, f"{axis.name}.start_deg = {start:g}"])
-        text = f"{text}, and {360 * finer[start]:.1f}° with {said}"
-        return [wrong(f"{axis.name}.{'sign' if words else 'start_deg'}", text, sign=sign * axis.sign, start_deg=start)]
+        return [told(about, True, f"{text}; by chance it would be {360 * chance:.1f}°")]
+    orders = permutations(axis.periods_px) if len(axis.periods_px) <= 4 else [axis.periods_px[::-1]]
+    starts = product((axis.sign, -axis.sign), np.arange(0.0, 360.0, START_DEG).tolist())
+    for tried in (
+        [{"periods_px": one} for one in orders],
+        [{"sign": one, "start_deg": start} for one, start in starts],
+    ):
+        lefts = [left(one) * (NEARLY if one.get("sign", axis.sign) != axis.sign else 1.0) for one in tried]
+        k = int(np.argmin(lefts))
+        if lefts[k] < min(GOOD_OF_CHANCE * chance, 0.6 * here):
+            return [corrected(axis, f"{text}, and {360 * lefts[k]:.1f}° with", **tried[k])]
     # A bent response moves the phase of a coarse period by as much as a fine one has fringes in it: then each fringe must follow the last.
     text += f", and would be {360 * chance:.1f}° by chance; {leaps}"
-    if goes_on >= GOES_ON:
-        return [fits(about, text)]
-    if here > POOR_OF_CHANCE * chance and (goes_on < LEAPS or len(usual) > 2):
+    if goes_on < GOES_ON and here > POOR_OF_CHANCE * chance and (goes_on < LEAPS or len(axis.periods_px) > 2):
         return [wrong(about, f"{text}: check it or {axis.name}.fringes, and the order of the images")]
-    return [unchecked(about, text)]
+    return [told(about, goes_on >= GOES_ON, text)]
+
+
+def _unrepeated_px(axis: AxisConvention) -> float:
+    """Return the length, at least the pattern's, up to which its phases come back nowhere together; of long ones, twice the pattern's."""
+    ends_px = axis.period_px * np.arange(
+        np.ceil(axis.size_px / axis.period_px - SAME_TURNS), 2.0 * axis.size_px / axis.period_px
+    )
+    turns = ends_px[:, None] / np.array(axis.periods_px)
+    again = np.abs(turns - np.rint(turns)).max(axis=1) < SAME_TURNS
+    return max(axis.size_px, float(min(ends_px[again], default=2.0 * axis.size_px)))
+
+
+def beyond(axis: AxisConvention, coordinate_px: Floats) -> list[ExaminedAssumption]:
+    """Return that the projector is larger than it is said to be, where more coordinates than a few lie beyond it."""
+    known = coordinate_px[np.isfinite(coordinate_px)]
+    share = float(np.mean(known > axis.size_px + axis.period_px)) if known.size else 0.0
+    if share <= MOST_BEYOND:
+        return []
+    size_px = axis.covered_px[1] if axis.bits else float(np.quantile(known, 0.999)) + 0.5
+    stretched = f"{axis.name}.{'period_px' if axis.periods_px else 'stripe_px'}"
+    upto = f"{'the code covers' if axis.bits else 'they go on to'} {size_px:.0f} px, or {stretched} is too long"
+    text = f"{100 * share:.0f} % of the coordinates lie beyond it: {upto}"
+    return [wrong(f"projector.{'width' if axis.name == 'x' else 'height'}_px", text)]
 
 
 def _goes_on(coordinate_px: Floats, axis: AxisConvention) -> float:
@@ -406,17 +389,3 @@ def _goes_on(coordinate_px: Floats, axis: AxisConvention) -> float:
     known = np.isfinite(border) & (border != 0)
     step = np.abs(np.diff(along, axis=1)[known])
     return float(np.mean(step < 0.5 * axis.period_px)) if step.size >= LEAST_CHANGES else np.nan
-
-
-def _across(camera: DecodedCamera, axis: AxisConvention) -> list[ExaminedAssumption]:
-    """Test whether the coordinate varies along the image as its name says; said only where it does not."""
-    steps = []
-    for along in (1, 0):
-        step = np.abs(np.diff(camera.placed[axis.name].coordinate_px, axis=along))
-        steps.append(float(np.median(known)) if (known := step[np.isfinite(step)]).size else 0.0)
-    own, other = steps if axis.name == "x" else steps[::-1]
-    if other <= ACROSS * own or not camera.valid.any():
-        return []
-    way = "down" if axis.name == "x" else "across"
-    text = f"{axis.name} varies {way} the images: cameras that stand on their side, or x and y are exchanged"
-    return [unchecked("images.order", text)]

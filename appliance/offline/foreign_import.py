@@ -93,7 +93,7 @@ def import_cloud(
     progress("writing")
     note = f"index {scan.rig.index:.5f}, {'air' if scan.rig.in_air else 'water'}, imported by software {__version__}"
     marks = [found.unchecked] if found.unchecked else []
-    marks += [f"wrong: {one.about}: {one.text}" for one in scan.wrong]
+    marks += [f"wrong: {one}" for one in scan.wrong]
     write_scan(out, found.cloud, About(scan.description.name, CAMERA_FRAME, (note,), tuple(marks), _unit(scan)))
     if picture is not None:
         there = found.cloud.mask
@@ -166,7 +166,7 @@ def _own_sequence(path: Path, out: Path, description: Description, images: Image
 def _read(path: Path, progress: Callable[[str], None], as_described: bool) -> ForeignScan:
     scan = read_foreign(path, progress)
     if scan.wrong and not as_described:
-        said = "; ".join(f"{one.about}: {one.text}" for one in scan.wrong)
+        said = "; ".join(map(str, scan.wrong))
         raise ForeignError(
             f"{path}: the images contradict it: {said}; correct it, or import it all the same with --as-described"
         )
@@ -199,11 +199,7 @@ def _report(scan: ForeignScan, found: ForeignCloud) -> dict[str, Any]:
     needed = "need four steps of 90° in two directions with bright and dark"
     if not isinstance(own_sequence(scan.description, scan.cameras["left"].images), str):
         needed = "are asked when the scan folder is reconstructed"
-    fits, wrong = (
-        [f"{one.about}: {one.text}" for one in scan.tested if one.outcome is outcome]
-        for outcome in (Outcome.FITS, Outcome.WRONG)
-    )
-    rest = [one for one in scan.tested if one.outcome not in (Outcome.FITS, Outcome.WRONG)]
+    tested = {outcome: [str(one) for one in scan.tested if one.outcome is outcome] for outcome in Outcome}
     return {
         "points": found.points,
         "coverage_percent": 100.0 * found.points / found.lit,
@@ -215,11 +211,12 @@ def _report(scan: ForeignScan, found: ForeignCloud) -> dict[str, Any]:
         f"baseline_{unit}": float(np.linalg.norm(scan.rig.rig.right.translation_mm)),
         "without_point": found.largest_reasons(),
         "reasons": found.reasons,
-        "fits": fits,
-        "wrong": wrong,
+        "notes": list(scan.rig.notes),
+        "fits": tested[Outcome.FITS],
+        "wrong": tested[Outcome.WRONG],
         "unchecked": [
             *([found.unchecked.removeprefix("unchecked: ")] if found.unchecked else []),
-            *(f"{one.about}: {one.text}" for one in rest),
+            *tested[Outcome.UNCHECKED],
             f"{', '.join(judge.name for judge in JUDGES)}: {needed}",
         ],
     }

@@ -25,6 +25,7 @@ from tests.support.strangers import RAYS, Bench, View, lit, pair, photographs, w
 WIDTH_PX, SIZE = 240, (640, 480)
 LEFT = "cameras: which is left"
 IMAGES_SIZE = "cameras: size of their images"
+XY = "images.order: x and y"
 Array = NDArray[np.float64]
 
 
@@ -174,7 +175,7 @@ def scaled(scale: float, shift_px: float, name: str = "x") -> Callable[[DecodedC
 
 def test_one_direction_of_a_projector_checks_its_sign_alone() -> None:
     said = told("x", with_projector(WIDTH_PX, SIZE))
-    assert outcomes(said, Outcome.FITS) == {"x.sign", IMAGES_SIZE}
+    assert outcomes(said, Outcome.FITS) == {"x.sign", XY, IMAGES_SIZE}
     assert outcomes(said, Outcome.UNCHECKED) == {
         POSE,
         "x.period_px",
@@ -191,6 +192,13 @@ def test_a_pattern_that_runs_backwards_would_light_the_surface_from_behind() -> 
     assert outcomes(said, Outcome.WRONG) == {"x.sign"}
     assert said["x.sign"].instead == {"x.sign": -1}
     assert "seen from behind" in said["x.sign"].text
+
+
+def test_exchanged_directions_of_a_projector_are_named() -> None:
+    def change(one: DecodedCamera) -> DecodedCamera:
+        return replace(one, placed={"x": one.placed["y"], "y": one.placed["x"]})
+
+    assert outcomes(told("xy", with_projector(WIDTH_PX, SIZE), change=change), Outcome.WRONG) == {XY}
 
 
 @pytest.mark.parametrize(

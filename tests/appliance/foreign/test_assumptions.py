@@ -92,6 +92,16 @@ def test_a_bent_response_makes_a_line_and_steps_still_fit() -> None:
     assert words(told("sine-x*4 gray-x*5", CODED, [*sines(32, gamma=1.2), *gray(5)]), Outcome.UNCHECKED) == []
 
 
+@pytest.mark.parametrize(
+    ("size_px", "wanted"), [(1024.0, []), (800.0, ["projector.width_px"]), (400.0, ["projector.width_px"])]
+)
+def test_a_pattern_that_goes_on_beyond_its_size_is_noticed(size_px: float, wanted: list[str]) -> None:
+    steps = ((0.0, 120.0, 240.0),) * 2
+    axis = AxisConvention("x", size_px, (32.0, 33.0), steps)
+    said = told("sine-x*3 sine-x2*3", axis, [*sines(SIZE_PX / 32.0, steps[0]), *sines(SIZE_PX / 33.0, steps[0])])
+    assert words(said, Outcome.WRONG) == wanted
+
+
 def two_periods(shown: tuple[float, float], said: tuple[float, float], gamma: float, noise: float = 2.0) -> Outcome:
     three = (0.0, 120.0, 240.0)
     axis = AxisConvention("x", SIZE_PX, tuple(SIZE_PX / one for one in said), (three, three))

@@ -62,10 +62,10 @@ def test_points_of_another_rig_lie_on_the_surface(foreign_set: Sets, tmp_path: P
 @pytest.mark.parametrize(
     ("name", "changes", "said"),
     [
-        ("eight-steps", [('sign = "-"', 'sign = "+"')], 'the phase runs the other way: x.sign = "-" fits'),
-        ("half-off", [("code_offset_px = -32", "")], "the code is half a period off: x.code_offset_px = -32 fits"),
-        ("eight-steps", [("start_deg = 180", "start_deg = 90")], "the phase begins elsewhere: x.start_deg = 180 fits"),
-        ("eight-steps", [('gray = "complementary"', "")], "half a period wide: x.stripe_px = 16 fits"),
+        ("eight-steps", [('sign = "-"', 'sign = "+"')], 'with x.sign = "-"'),
+        ("half-off", [("code_offset_px = -32", "")], "they fit with x.start_deg = 180, or x.code_offset_px = -32"),
+        ("eight-steps", [("start_deg = 180", "start_deg = 90")], "phase and code are 90° apart; they fit with x.start_deg = 180"),
+        ("eight-steps", [('gray = "complementary"', "")], "with x.stripe_px = 16"),
         ("three-steps", [("steps = 3", "steps = 3\ncode_inverted = true")], "100 % with x.code_inverted = false"),
         ("three-steps", [("steps = 3", 'steps = 3\ncode_order = "fine-first"')], 'with x.code_order = "coarse-first"'),
         ("three-steps", [("bright dark", "dark bright")], "they are exchanged"),
@@ -96,6 +96,8 @@ def test_a_calibration_without_scale_makes_a_cloud_in_baselines(foreign_set: Set
     whole = import_cloud(made.description, tmp_path / "cloud.npz", lambda _: None)
     report = import_cloud(made.described(('"stereo.yml"', '"unscaled.yml"')), tmp_path / "cloud.las", lambda _: None)
     assert report["unit"] == "baselines"
+    assert [note.partition(":")[0] for note in report["notes"]] == ["cameras.unit"]
+    assert whole["notes"] == []
     assert report["baseline_baselines"] == pytest.approx(1.0)
     assert report["distance_baselines"] * length_mm == pytest.approx(whole["distance_mm"], rel=1e-4)
     assert report["points"] == pytest.approx(whole["points"], rel=1e-3)
@@ -144,7 +146,7 @@ def test_a_wrong_word_may_be_insisted_on_and_the_file_tells(foreign_set: Sets, t
         import_cloud(described, out, lambda _: None)
     import_cloud(described, out, lambda _: None, as_described=True)
     said = said_in(out)
-    assert "\nwrong: left: x.start_deg: the phase begins elsewhere: x.start_deg = 180 fits" in said
+    assert "\nwrong: left: x.start_deg: phase and code are 50° apart; they fit with x.start_deg = 180" in said
     assert "unchecked: fringes of one direction only" in said
 
 
