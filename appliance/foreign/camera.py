@@ -24,8 +24,6 @@ CUT = 8.0
 """Differences count as so many times their median at most."""
 MOST_SAMPLES = 4_000_000
 """Pixels from which on every second line is asked for a usual value."""
-_DIFFERENCES = 4
-_BINOMIAL = (1.0, -4.0, 6.0, -4.0, 1.0)
 _EVERY = 3
 _OF_DIFFERENCE = 1.0 / 70.0
 """Variance of a fourth difference a − 4b + 6c − 4d + e is 70 times that of a coordinate: its inverse. Curvature does not count in it."""
@@ -45,11 +43,6 @@ class DecodedCamera:
     def valid(self) -> NDArray[np.bool_]:
         """(h, w) bool: all coordinates are there."""
         return np.asarray(np.logical_and.reduce([one.reason == NoCoordinate.VALID for one in self.placed.values()]))
-
-    @property
-    def misfit_share(self) -> dict[str, float | None]:
-        """Misfit of the steps of each direction, over their modulation; ``None`` where nothing tells."""
-        return {name: one.misfit_share for name, one in self.measured.items()}
 
     def share_valid(self) -> float:
         """Return the share of the pixels with light that have all coordinates; 0 where there is no light."""
@@ -120,11 +113,17 @@ def clean(placed: PlacedAxis) -> CleanAxis:
     return CleanAxis(kept, np.asarray(sigma_px, np.float32), step_px)
 
 
+def _fourth_differences(values: Floats, lag: int) -> Floats:
+    """Return the sizes (n,) of those along the rows, from pixels ``lag`` apart."""
+    for _ in range(4):
+        values = values[:, lag:] - values[:, :-lag]
+    return np.abs(values[np.isfinite(values)])
+
+
 def _noise(coordinate: Floats) -> float:
     """Return the usual standard deviation of a coordinate from its differences along the rows; 0 where there are none."""
-    high = np.diff(coordinate[:: 1 + coordinate.size // MOST_SAMPLES], n=_DIFFERENCES, axis=1)
-    known = np.abs(high[np.isfinite(high)])
-    return float(MAD_TO_SIGMA * np.median(known) * _OF_DIFFERENCE**0.5) if known.size else 0.0
+    found = _fourth_differences(coordinate[:: 1 + coordinate.size // MOST_SAMPLES], 1)
+    return float(MAD_TO_SIGMA * np.median(found) * _OF_DIFFERENCE**0.5) if found.size else 0.0
 
 
 def _ripple(coordinate: Floats, width: float) -> float:
@@ -132,26 +131,21 @@ def _ripple(coordinate: Floats, width: float) -> float:
 
     A line from border to border has no fourth difference from pixel to pixel, however wrong the borders are; over whole stripes it has.
     """
-    found = [0.0]
+    usual = 0.0
     for lag in sorted({max(1, round(stripes * width)) for stripes in RIPPLE_STRIPES}):
         for values in (coordinate[::_EVERY], coordinate.T[::_EVERY]):
-            if values.shape[1] > _DIFFERENCES * lag:
-                high = np.zeros_like(values[:, _DIFFERENCES * lag :])
-                for k, factor in enumerate(_BINOMIAL):
-                    high += np.float32(factor) * values[:, k * lag : values.shape[1] - (_DIFFERENCES - k) * lag]
-                size = np.abs(high[np.isfinite(high)])
-                if size.size:
-                    # Root mean square, since such errors are many or none; what an object's edges make of it is cut.
-                    cut = np.minimum(size, np.float32(CUT) * np.median(size))
-                    found.append(float(np.sqrt(np.mean(np.square(cut, dtype=np.float64)) * _OF_DIFFERENCE)))
-    return max(found)
+            found = _fourth_differences(values, lag)
+            if found.size:
+                # Root mean square, since such errors are many or none; what an object's edges make of it is cut.
+                cut = np.minimum(found, np.float32(CUT) * np.median(found))
+                usual = max(usual, float(np.sqrt(np.mean(np.square(cut, dtype=np.float64)) * _OF_DIFFERENCE)))
+    return usual
 
 
 def _usual_step(coordinate: Floats) -> float:
-    steps = []
-    for along in (0, 1):
-        every = 1 + coordinate.size // MOST_SAMPLES
-        step = np.abs(np.diff(coordinate[::every] if along else coordinate[:, ::every], axis=along))
-        known = step[np.isfinite(step)]
-        steps.append(float(np.median(known)) if known.size else 0.0)
-    return max(*steps, 1e-3)
+    every = 1 + coordinate.size // MOST_SAMPLES
+    steps = [1e-3]
+    for values in (coordinate[:, ::every].T, coordinate[::every]):
+        step = np.abs(np.diff(values, axis=1))
+        steps += [float(np.median(step[np.isfinite(step)]))] if np.isfinite(step).any() else []
+    return max(steps)

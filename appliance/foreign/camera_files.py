@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -51,22 +52,16 @@ def cameras_in(folder: Path) -> dict[str, Any]:
     """Return what a folder has about cameras, as [cameras] would say it: a calibration of ours, else files of which something is known."""
     files: dict[str, NumbersOf] = {}
     for path in sorted(folder.rglob("*")):
-        if path.suffix.lower() not in SUFFIXES or not path.is_file():
-            continue
-        name = str(path.relative_to(folder))
-        if path.suffix == ".json":
-            try:
-                calibration_file.load(path)
-            except calibration_file.CalibrationError:
-                pass
-            else:
-                return {"calibration": name}
-        try:
-            files[name] = numbers_in(path)
-        except ForeignError:
-            continue
-    # Other files state sizes, too; where nothing is known, the message lists what has matrices.
-    known = {fact.file for fact in facts_of(files) if fact.kind != "size"}
+        if path.suffix.lower() in FORMATS and path.is_file():
+            name = str(path.relative_to(folder))
+            with suppress(calibration_file.CalibrationError):
+                if path.suffix == ".json":
+                    calibration_file.load(path)
+                    return {"calibration": name}
+            with suppress(ForeignError):
+                files[name] = numbers_in(path)
+    # Pictures' and clouds' files state sizes, too; where nothing is known, the message lists what has matrices.
+    known = {fact.file for fact in facts_of(files) if fact.kind != "size" or fact.side == "projector"}
     listed = [
         name
         for name, values in files.items()
@@ -74,12 +69,12 @@ def cameras_in(folder: Path) -> dict[str, Any]:
     ]
     if not listed:
         return {}
-    try:
+    unit = "mm"
+    with suppress(ForeignError):
         T = camera_numbers(folder, Table("cameras.", {"files": listed}), of_projector=True).found["translation"]
-    except ForeignError:
-        return {"files": listed, "unit": "mm"}
-    length = float(np.linalg.norm(T))
-    return {"files": listed, "unit": "m" if length < METRES_BELOW and not without_scale(length) else "mm"}
+        length = float(np.linalg.norm(T))
+        unit = "m" if length < METRES_BELOW and not without_scale(length) else "mm"
+    return {"files": listed, "unit": unit}
 
 
 def without_scale(length: float) -> bool:
@@ -91,23 +86,21 @@ def numbers_in(path: Path) -> dict[str, Array]:
     """Return the matrices and vectors of a file by name; those in tables as TABLE.NAME. Raises ForeignError."""
     try:
         raw = read_bounded(path, MAX_BYTES)
-    except FileNotFoundError as error:
-        raise ForeignError(f"cameras.files: there is no file {path}; correct the name") from error
     except OSError as error:
         raise ForeignError(f"{path}: {error.strerror or error}; give the file of the cameras' numbers") from error
     format, read = FORMATS[path.suffix.lower()]
     try:
-        content = dict(_flat(read(path, raw), "", 0))
+        content = dict(flat(read(path, raw)))
     except (ArrayError, MatlabError, ElementTree.ParseError, yaml.YAMLError, ValueError, RecursionError) as error:
         said = " ".join(str(error).split())[:200]
         raise ForeignError(
             f"{path}: not readable as {format} ({said}); correct it, or write the matrices under [cameras.left] and [cameras.right]"
         ) from error
-    refuse_other_lenses(str(path), {name: value for name, value in content.items() if isinstance(value, str)})
-    return _numeric(content)
+    refuse_other_lenses(str(path), content)
+    return numeric(content)
 
 
-def _flat(content: Any, before: str, depth: int) -> Iterator[tuple[str, Any]]:
+def flat(content: Any, before: str = "", depth: int = 0) -> Iterator[tuple[str, Any]]:
     """Yield numbers, lists and texts by name; a matrix as OpenCV and ROS write it, a table with its sizes, is its data."""
     if isinstance(content, list) and any(isinstance(one, dict) for one in content):
         content = {str(k): one for k, one in enumerate(content)}
@@ -119,18 +112,17 @@ def _flat(content: Any, before: str, depth: int) -> Iterator[tuple[str, Any]]:
     elif depth < MOST_DEEP:
         for name, value in content.items():
             if not str(name).startswith("__"):
-                yield from _flat(value, f"{before}.{name}" if before else str(name), depth + 1)
+                yield from flat(value, f"{before}.{name}" if before else str(name), depth + 1)
 
 
-def _numeric(content: Mapping[str, Any]) -> dict[str, Array]:
+def numeric(content: Mapping[str, Any]) -> dict[str, Array]:
+    """Return what is numbers, and not too many of them."""
     found = {}
     for name, value in content.items():
-        try:
+        with suppress(TypeError, ValueError, OverflowError):
             array = np.asarray(value)
             if array.dtype.kind in "fiu" and 1 <= array.size <= MOST_NUMBERS:
                 found[name] = np.asarray(array, np.float64)
-        except (TypeError, ValueError, OverflowError):
-            continue
     return found
 
 
@@ -150,14 +142,10 @@ def _lines(path: Path, raw: bytes) -> dict[str, Any]:
     for line in raw.decode("utf-8-sig", "replace").splitlines():
         named = _NAMED_LINE.fullmatch(line.strip())
         name = named["name"] if named else name
-        try:
-            numbers = [
-                float(word) for word in _BREAKS.sub(" ", named["numbers"] if named else line.partition("#")[0]).split()
-            ]
-        except ValueError:
-            continue
-        if numbers:
-            found.setdefault(name, []).extend(numbers)
+        with suppress(ValueError):
+            words = _BREAKS.sub(" ", named["numbers"] if named else line.partition("#")[0]).split()
+            if numbers := [float(word) for word in words]:
+                found.setdefault(name, []).extend(numbers)
     if not found:
         raise ValueError("no line is NAME = NUMBERS, and it is no matrix")
     return found
@@ -172,14 +160,11 @@ def _tree(path: Path, raw: bytes) -> Any:
             raise ValueError("it defines what it consists of")
         return _element(ElementTree.fromstring(text), 0)
     if path.suffix.lower() == ".json":
-        return _named(json.loads(text, object_pairs_hook=_table))
-    # OpenCV's first line, %YAML:1.0, is none of YAML.
-    events = yaml.parse(re.sub(r"(?m)^%.*$", "", text), Loader=yaml.CSafeLoader)
-    return _named([_node(event, events, 0) for event in events if isinstance(event, _BEGINS)])
-
-
-def _named(content: Any) -> dict[str, Any]:
-    """Return the tables of one or several documents as one."""
+        content = json.loads(text, object_pairs_hook=_table)
+    else:
+        # OpenCV's first line, %YAML:1.0, is none of YAML.
+        events = yaml.parse(re.sub(r"(?m)^%.*$", "", text), Loader=yaml.CSafeLoader)
+        content = [_node(event, events, 0) for event in events if isinstance(event, _BEGINS)]
     tables = [one for one in (content if isinstance(content, list) else [content]) if isinstance(one, dict)]
     if not tables:
         raise ValueError("it holds no names")
@@ -236,4 +221,3 @@ FORMATS: Mapping[str, tuple[str, Callable[[Path, bytes], Any]]] = {
     **dict.fromkeys((".npz", ".npy"), ("NumPy's file", _numpy)), ".mat": ("MATLAB's .mat", lambda _, raw: matlab_tables(raw)),
     **dict.fromkeys((".txt", ".csv"), ("text", _lines)), ".json": ("JSON", _tree), **dict.fromkeys((".yml", ".yaml", ".xml"), ("YAML or XML", _tree)),
 }  # fmt: skip
-SUFFIXES = tuple(FORMATS)

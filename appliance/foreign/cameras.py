@@ -9,15 +9,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibration import file as calibration_file
-from appliance.foreign.camera_dialects import MOST, CameraNumbers, rotation_of
-from appliance.foreign.camera_files import camera_numbers, without_scale
-from appliance.foreign.description import Description, Medium, Ports, as_plain
+from appliance.foreign.camera_dialects import KINDS, CameraNumbers, facts_of, rotation_of, understood
+from appliance.foreign.camera_files import camera_numbers, flat, numeric, without_scale
+from appliance.foreign.description import SIDES, Description, Medium
 from appliance.foreign.problem import ForeignError, Table
 from appliance.optics.model import HousedCamera, StereoRig
 from appliance.optics.pinhole import Lens
@@ -46,7 +45,6 @@ class ForeignRig:
 
     rig: StereoRig
     index: float
-    in_air: bool
     calibration: calibration_file.Calibration | None = None
     """The calibration file it is from, where it is one of ours."""
     stated_px: Mapping[str, tuple[int, int]] = field(default_factory=dict)
@@ -56,23 +54,32 @@ class ForeignRig:
     notes: tuple[str, ...] = ()
     """Oddities of the cameras' numbers that are worth a look, a line each."""
 
+    @property
+    def in_air(self) -> bool:
+        return self.index == 1.0
+
 
 def read_rig(description: Description, sizes_px: Mapping[str, tuple[int, int]]) -> ForeignRig:
     """Return the rig of a description; ``sizes_px`` are (width, height) by side. Raises ForeignError."""
     table = description.cameras
+    of_projector = "right" not in description.files
     ours = _calibration_in(description.folder, table)
     if ours is not None:
         return _our_own(description, *ours, sizes_px)
-    table.only("files", "names", "unit", "left", "right", "rotation", "translation")
+    table.only("files", "names", "unit", *SIDES, "rotation", "translation")
     unit = table.choice("unit", tuple(UNITS_MM), "mm")
-    of_projector = "right" not in description.files
-    said = camera_numbers(description.folder, table, of_projector) if "files" in table.content else _from_tables(table)
+    said = camera_numbers(description.folder, table, of_projector) if "files" in table.content else _in_words(table)
     notes = list(said.notes)
-    # Some programs write the height first.
-    stated_px = {side: one[::-1] if one[::-1] == sizes_px[side] else one for side, one in said.stated_px.items()}
-    for side, stated in stated_px.items():
-        _check_size(f"cameras.files: {said.stated_in[side]}", side, stated, sizes_px[side], of_projector)
-    R, T = rotation_of(_numbers(said, "rotation", 3, 9)), _numbers(said, "translation", 3)
+    for side, stated in said.stated_px.items():
+        # Some programs write the height first.
+        found = sizes_px.get(side, description.projector_px)
+        stated = stated[::-1] if stated[::-1] == found else stated
+        where = f"cameras.files: {said.sizes[side].where}"
+        if side in sizes_px:
+            _check_size(where, side, stated, found, of_projector)
+        elif stated != found:
+            notes.append(f"{where} says {stated[0]} x {stated[1]} px, and [projector] {found[0]} x {found[1]} px")
+    R, T = rotation_of(said.found["rotation"]), said.found["translation"]
     if np.abs(R @ R.T - np.eye(3)).max() > 1e-3 or np.linalg.det(R) < 0.0:
         raise ForeignError(f"cameras: rotation {R.round(4).tolist()} is no rotation; name the right matrix")
     u, _, vt = np.linalg.svd(R)
@@ -88,18 +95,40 @@ def read_rig(description: Description, sizes_px: Mapping[str, tuple[int, int]]) 
         notes.append(
             "cameras.unit: the translation has length 1: a calibration without scale; lengths are in distances of the two"
         )
-    index, in_air = index_of(description.medium)
     cameras = []
     for side, rotation, t_mm in (("left", np.eye(3), np.zeros(3)), ("right", R.T, -R.T @ T)):
-        width_px, height_px = sizes_px[side]
-        matrix = _numbers(said, f"{side}_matrix", 9).reshape(3, 3)
-        lens = lens_of(matrix, _numbers(said, f"{side}_distortion"), (width_px, height_px), side)
-        notes += _aside(lens, sizes_px[side], side)
-        port, straight = _port(description.ports, side, in_air)
-        cameras.append(
-            HousedCamera(width_px, height_px, lens, port, matrix3(rotation), _three(t_mm), lens_in_water=straight)
-        )
-    return ForeignRig(StereoRig(cameras[0], cameras[1]), index, in_air, None, stated_px, scale_known, tuple(notes))
+        size_px = sizes_px[side]
+        lens = lens_of(said.found[f"{side}_matrix"].reshape(3, 3), said.found[f"{side}_distortion"], size_px, side)
+        notes += [
+            f"cameras.{side}.matrix: the principal point is at {100 * c / size:.0f} % of the {what}: a shifted lens, or the calibration of other images"
+            for c, size, what in zip(lens.c_px, size_px, ("width", "height"), strict=True)
+            if abs(c / size - 0.5) > ASIDE
+        ]
+        x, y, z = t_mm.tolist()
+        cameras.append(HousedCamera(*size_px, lens, NO_PORT, matrix3(rotation), (x, y, z)))
+    stated_px = {side: sizes_px[side] for side in said.sizes if side in sizes_px}
+    rig = _behind_ports(description, StereoRig(cameras[0], cameras[1]))
+    return replace(rig, stated_px=stated_px, scale_known=scale_known, notes=tuple(notes))
+
+
+def _in_words(table: Table) -> CameraNumbers:
+    """Return what the description itself says of the cameras. Raises ForeignError."""
+    for side in SIDES:
+        camera = table.table(side)
+        if camera is None:
+            raise ForeignError(
+                f"[cameras.{side}] is missing: give cameras.files (OpenCV), cameras.calibration (ours), or its matrix and distortion"
+            )
+        camera.only("matrix", "distortion")
+    said = {key: table.content[key] for key in (*SIDES, "rotation", "translation") if key in table.content}
+    content = {name: value for name, value in flat(said) if value != []}
+    files = {"[cameras]": numeric(content)}
+    known = {fact.name for fact in facts_of(files)}
+    for name, value in content.items():
+        if name not in known:
+            counts = " or ".join(str(one) for kind, (counts, _) in KINDS.items() if kind in name for one in counts)
+            raise ForeignError(f"cameras.{name} is {value!r:.80}; allowed: {counts} numbers; correct it")
+    return understood(files, Table("cameras.names.", {}), of_projector=False)
 
 
 def _check_size(where: str, side: str, stated: tuple[int, int], found: tuple[int, int], of_projector: bool) -> None:
@@ -127,30 +156,6 @@ def _check_baseline(length: float, unit: str) -> None:
         )
 
 
-def _aside(lens: Lens, size_px: tuple[int, int], side: str) -> list[str]:
-    """Return a line for each direction in which the principal point is far from the middle."""
-    return [
-        f"cameras.{side}.matrix: the principal point is at {100 * c / size:.0f} % of the {what}: a shifted lens, or the calibration of other images"
-        for c, size, what in zip(lens.c_px, size_px, ("width", "height"), strict=True)
-        if abs(c / size - 0.5) > ASIDE
-    ]
-
-
-def index_of(medium: Medium) -> tuple[float, bool]:
-    """Return the index relative to air, and whether it is air. Raises ForeignError."""
-    if medium.index is not None:
-        return medium.index, False
-    if medium.temperature_c is None:
-        return 1.0, True
-    return quan_fry_index(medium.temperature_c, medium.salinity_psu, medium.wavelength_nm), False
-
-
-def inverted(rig: StereoRig) -> StereoRig:
-    """Return the rig whose R and T were written the other way round."""
-    R, t = np.asarray(rig.right.rotation), np.asarray(rig.right.translation_mm)
-    return StereoRig(rig.left, replace(rig.right, rotation=matrix3(R.T), translation_mm=_three(-R.T @ t)))
-
-
 def lens_of(matrix: Array, distortion: Array, size_px: tuple[int, int], side: str) -> Lens:
     """Return the lens with OpenCV's camera matrix and 0, 4, 5, 8, 12 or 14 distortion values. Raises ForeignError."""
     f_px, c_px = (float(matrix[0, 0]), float(matrix[1, 1])), (float(matrix[0, 2]), float(matrix[1, 2]))
@@ -176,13 +181,12 @@ def lens_of(matrix: Array, distortion: Array, size_px: tuple[int, int], side: st
 
 def _calibration_in(folder: Path, table: Table) -> tuple[Path, calibration_file.Calibration] | None:
     """Return the calibration file of ours that ``cameras.calibration``, or ``cameras.files`` alone, name; ``None`` where none is named."""
-    files = table.content.get("files")
-    listed = [files] if isinstance(files, str) else files
-    alone = str(listed[0]) if isinstance(listed, list) and len(listed) == 1 else ""
     named = "calibration" in table.content
-    if not named and not alone.lower().endswith(".json"):
+    files = table.content.get("files")
+    name = table.text("calibration") if named else files[0] if isinstance(files, list) and len(files) == 1 else files
+    if not named and not str(name).lower().endswith(".json"):
         return None
-    path = folder / (table.text("calibration") if named else alone)
+    path = folder / str(name)
     try:
         found = path, calibration_file.load(path)
     except calibration_file.CalibrationError as error:
@@ -196,77 +200,42 @@ def _calibration_in(folder: Path, table: Table) -> tuple[Path, calibration_file.
 def _our_own(
     description: Description, path: Path, ours: calibration_file.Calibration, sizes_px: Mapping[str, tuple[int, int]]
 ) -> ForeignRig:
-    both = {"left": ours.rig.left, "right": ours.rig.right}
-    stated_px = {side: (camera.width_px, camera.height_px) for side, camera in both.items()}
+    cameras = {"left": ours.rig.left, "right": ours.rig.right}
+    stated_px = {side: (camera.width_px, camera.height_px) for side, camera in cameras.items()}
     for side, stated in stated_px.items():
         _check_size(str(path), side, stated, sizes_px[side], "right" not in description.files)
-    index, in_air = index_of(description.medium)
-    if all(_has_no_window(camera) for camera in both.values()):
+    if not any(
+        camera.port.distance_mm
+        or camera.port.thickness_mm
+        or camera.correction
+        or camera.ray_shift
+        or camera.lens_in_water
+        for camera in cameras.values()
+    ):
         # Of `calibrate pair`: like OpenCV's files it knows neither windows nor water.
-        cameras = []
-        for side, camera in both.items():
-            port, straight = _port(description.ports, side, in_air)
-            cameras.append(replace(camera, port=port, lens_in_water=straight))
-        return ForeignRig(StereoRig(cameras[0], cameras[1]), index, in_air, None, stated_px)
+        return replace(_behind_ports(description, ours.rig), stated_px=stated_px)
     if description.ports is not None:
         raise ForeignError(f"[ports] is there, and {path.name} has its own; take [ports] out")
-    if in_air:
-        # Made in water unless somebody says so: our own files know theirs.
-        index, in_air = ours.water.index, False
-    return ForeignRig(ours.rig, index, in_air, ours, stated_px)
+    # Made in water unless somebody says so: our own files know theirs.
+    index = ours.water.index if description.medium.is_air else _index_of(description.medium)
+    return ForeignRig(ours.rig, index, ours, stated_px)
 
 
-def _has_no_window(camera: HousedCamera) -> bool:
-    return (
-        camera.port.distance_mm == camera.port.thickness_mm == 0.0
-        and camera.correction is None
-        and camera.ray_shift is None
-        and not camera.lens_in_water
-    )
+def _index_of(medium: Medium) -> float:
+    """Return the index relative to air. Raises ForeignError."""
+    if medium.index is not None or medium.temperature_c is None:
+        return medium.index or 1.0
+    return quan_fry_index(medium.temperature_c, medium.salinity_psu, medium.wavelength_nm)
 
 
-def _port(ports: Ports | None, side: str, in_air: bool) -> tuple[Port, bool]:
-    """Return the port, and whether rays go straight from the projection centre."""
-    if ports is None or (in_air and ports.thickness_mm == 0.0):
-        # In water without a port, the camera was calibrated in water as a pinhole.
-        return NO_PORT, True
-    normal = ports.normals[0 if side == "left" else 1]
-    return Port(normal, ports.distance_mm, ports.thickness_mm, ports.glass_index), False
+def _behind_ports(description: Description, rig: StereoRig) -> ForeignRig:
+    """Return the cameras behind the description's ports; without these rays go straight, in water too: so they were calibrated there."""
+    ports = description.ports
 
+    def housed(camera: HousedCamera, normal: int) -> HousedCamera:
+        if ports is None or (description.medium.is_air and ports.thickness_mm == 0.0):
+            return replace(camera, port=NO_PORT, lens_in_water=True)
+        port = Port(ports.normals[normal], ports.distance_mm, ports.thickness_mm, ports.glass_index)
+        return replace(camera, port=port)
 
-# ------------------------------------------------------------------------------------------ where the numbers are
-
-
-def _from_tables(table: Table) -> CameraNumbers:
-    found: dict[str, Any] = {key: table.content.get(key) for key in ("rotation", "translation")}
-    for side in ("left", "right"):
-        camera = table.table(side)
-        if camera is None:
-            raise ForeignError(
-                f"[cameras.{side}] is missing: give cameras.files (OpenCV), cameras.calibration (ours), or its matrix and distortion"
-            )
-        camera.only("matrix", "distortion")
-        found |= {
-            f"{side}_matrix": camera.content.get("matrix"),
-            f"{side}_distortion": camera.content.get("distortion", []),
-        }
-    return CameraNumbers(found, {}, {}, False, ())
-
-
-def _numbers(said: CameraNumbers, name: str, *sizes: int) -> Array:
-    """Return numbers of any shape as a vector. Raises ForeignError for something else, or another number of them than ``sizes``."""
-    key = name.replace("_", ".")
-    value = said.found[name]
-    try:
-        values = np.asarray(value, np.float64).ravel()
-    except (TypeError, ValueError, OverflowError):
-        values = np.array(np.nan)
-    if not np.all(np.abs(values) < MOST) or (sizes and values.size not in sizes):
-        raise ForeignError(
-            f"cameras.{key} is {as_plain(value)!r:.80}; allowed: {sizes[-1] if sizes else 'a list of'} numbers; correct it"
-        )
-    return values
-
-
-def _three(values: Array) -> tuple[float, float, float]:
-    return float(values[0]), float(values[1]), float(values[2])
+    return ForeignRig(StereoRig(housed(rig.left, 0), housed(rig.right, 1)), _index_of(description.medium))

@@ -5,17 +5,15 @@ Such a set becomes a scan folder that everything else accepts; of any other one 
 
 from __future__ import annotations
 
-from typing import assert_never
-
 import numpy as np
 from numpy.typing import NDArray
 
 from appliance.foreign.description import AxisConvention, Description
 from appliance.foreign.images import ImageSet
 from appliance.foreign.order import Shows
-from appliance.patterns.sequence import Kind, PatternSequence, build_sequence
+from appliance.patterns.sequence import Direction, PatternSequence, build_sequence
 
-_TOLERANCE_DEG = 0.5
+_FOUR_DEG = [0, 90, 180, 270]
 
 
 def own_sequence(description: Description, images: ImageSet) -> PatternSequence | str:
@@ -39,8 +37,8 @@ def own_sequence(description: Description, images: ImageSet) -> PatternSequence 
         sequence = build_sequence(round(periods.pop()), *description.projector_px)
     except ValueError as error:
         return str(error)
-    for axis, wanted in zip(description.axes, ("x", "y"), strict=True):
-        needed = sum(one.kind is Kind.GRAY and one.direction.value == wanted for one in sequence.patterns)
+    for axis in description.axes:
+        needed = _bits(sequence, axis)
         if axis.bits < needed:
             return f"{axis.name}: {axis.bits} images of its code, and {needed} are needed"
     return sequence
@@ -48,30 +46,22 @@ def own_sequence(description: Description, images: ImageSet) -> PatternSequence 
 
 def own_frames(sequence: PatternSequence, description: Description, images: ImageSet) -> NDArray[np.uint8]:
     """Return one camera's images (n, h, w) uint8 in the order of ``sequence``, which ``own_sequence`` has found."""
-    frames = []
-    for pattern in sequence.patterns:
-        match pattern.kind:
-            case Kind.BRIGHT | Kind.DARK:
-                frames.append(images.image(Shows.BRIGHT if pattern.kind is Kind.BRIGHT else Shows.DARK))
-            case Kind.GRAY | Kind.SINE:
-                axis = next(one for one in description.axes if one.name == pattern.direction.value)
-                if pattern.kind is Kind.SINE:
-                    frames.append(images.image(Shows.SINE, axis.name, _steps(axis).index(90 * pattern.index)))
-                    continue
-                mine = [
-                    one for one in sequence.patterns if one.kind is Kind.GRAY and one.direction is pattern.direction
-                ]
-                # Images before the most significant bit that is needed are dark all over.
-                bit = axis.bits - len(mine) + pattern.index
-                frames.append(images.image(Shows.GRAY, axis.name, axis.bits - 1 - bit if axis.fine_first else bit))
-            case unknown:
-                assert_never(unknown)
+    frames = [images.image(Shows.BRIGHT), images.image(Shows.DARK)]
+    for axis in description.axes:
+        bits = range(axis.bits)[::-1] if axis.fine_first else range(axis.bits)
+        # Images before the most significant bit that is needed are dark all over.
+        frames += [images.image(Shows.GRAY, axis.name, bit) for bit in bits[axis.bits - _bits(sequence, axis) :]]
+        frames += [images.image(Shows.SINE, axis.name, _steps(axis).index(step)) for step in _FOUR_DEG]
     return np.stack([one for one in frames if one is not None])
+
+
+def _bits(sequence: PatternSequence, axis: AxisConvention) -> int:
+    return len(sequence.axis(Direction(axis.name)).gray)
 
 
 def _steps(axis: AxisConvention) -> list[int]:
     """Return what each image adds to our phase, in whole degrees 0 to 359."""
-    return [round(axis.start_deg + step) % 360 for step in axis.signed_deg[0]]
+    return [round(axis.begins_deg[0] + step) % 360 for step in axis.signed_deg[0]]
 
 
 def _other_form(axis: AxisConvention) -> str | None:
@@ -79,9 +69,10 @@ def _other_form(axis: AxisConvention) -> str | None:
         return f"it has {len(axis.periods_px)} periods"
     if axis.period_px != round(axis.period_px):
         return f"its period is {axis.period_px:g} px, no whole number"
-    exact = [axis.start_deg + step for step in axis.signed_deg[0]]
-    if sorted(_steps(axis)) != [0, 90, 180, 270] or any(abs(one - round(one)) > _TOLERANCE_DEG for one in exact):
-        return f"its {len(exact)} steps are not the four of 0°, 90°, 180°, 270°"
+    if sorted(_steps(axis)) != _FOUR_DEG:
+        return f"its steps {', '.join(f'{step}°' for step in _steps(axis))} are not the four of 0°, 90°, 180°, 270°"
+    if axis.carriers:
+        return "its fringes have a carrier"
     if not axis.bits:
         return "it has no Gray code"
     if axis.plain_binary or axis.inverted:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.io import savemat
 
-from appliance.foreign.camera_files import SUFFIXES, numbers_in
+from appliance.foreign.camera_files import FORMATS, numbers_in
 from appliance.foreign.cameras import read_rig
 from appliance.foreign.description import counted, load_description, parse_description
 from appliance.foreign.problem import ForeignError
@@ -196,7 +196,7 @@ def _camera_file(chance: Random) -> tuple[str, bytes]:
     quick = [one for one in FILES if one[0] != ".mat" or chance.random() < 0.02]
     suffix, data = chance.choice(quick)
     if chance.random() < 0.02:
-        suffix = chance.choice(SUFFIXES)
+        suffix = chance.choice(tuple(FORMATS))
     return suffix, damaged(chance, data, tuple(one for _, one in FILES)) if chance.random() < 0.9 else data
 
 

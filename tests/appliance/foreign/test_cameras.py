@@ -15,7 +15,7 @@ from scipy.io import savemat
 
 from appliance.calibration.file import IN_AIR, Calibration, encode
 from appliance.foreign.camera_files import cameras_in
-from appliance.foreign.cameras import ForeignRig, inverted, lens_of, read_rig
+from appliance.foreign.cameras import ForeignRig, lens_of, read_rig
 from appliance.foreign.description import parse_description
 from appliance.foreign.problem import ForeignError
 from appliance.optics.water import Water
@@ -99,9 +99,6 @@ def test_matrices_in_the_description(tmp_path: Path) -> None:
     )
     found = rig(tmp_path, text)
     np.testing.assert_allclose(projected(found, (10.0, 20.0, 600.0)), expected((10.0, 20.0, 600.0)), atol=1e-6)
-    turned = inverted(found.rig)
-    np.testing.assert_allclose(turned.right.translation_mm, T.ravel(), atol=1e-9)
-    np.testing.assert_allclose(inverted(turned).right.translation_mm, found.rig.right.translation_mm, atol=1e-9)
 
 
 def test_water_bends_rays_behind_ports_only(tmp_path: Path) -> None:
@@ -155,7 +152,7 @@ def test_cameras_that_cannot_be_are_refused(tmp_path: Path, change: dict[str, An
 
 
 def test_a_file_that_is_none_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ForeignError, match=r"there is no file .*none.yml"):
+    with pytest.raises(ForeignError, match=r"none.yml: No such file or directory; give the file"):
         rig(tmp_path, 'files = "none.yml"')
     (tmp_path / "text.yml").write_text("camera: [1, 2")
     with pytest.raises(ForeignError, match="not readable as YAML or XML"):
@@ -340,7 +337,7 @@ def test_a_projector_of_another_size_than_its_calibration_says_is_refused(tmp_pa
     written(tmp_path / "s.xml", **values, screenResX=1824, screenResY=1140)
     with pytest.raises(
         ForeignError,
-        match=r"screenResX says 1824 x 1140 px, and \[projector\] says 640 x 480 px: another projector; correct its size",
+        match=r"screenResX, screenResY says 1824 x 1140 px, and \[projector\] says 640 x 480 px: another projector; correct its size",
     ):
         rig(tmp_path, 'files = "s.xml"', head=ALONE)
 
@@ -375,7 +372,7 @@ def test_a_name_that_two_files_have_is_told_apart(text: str, tmp_path: Path) -> 
     allowed = (
         '"b/cam_matrix.txt:cam_matrix" or "a/cam_matrix.txt:cam_matrix"; say which'
         if text == "cam_matrix"
-        else "a name in one of"
+        else "a name of 9 numbers in one of"
     )
     with pytest.raises(ForeignError) as error:
         rig(tmp_path, said)

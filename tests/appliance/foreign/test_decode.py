@@ -123,7 +123,8 @@ def test_a_bent_response_is_taken_away_and_what_remains_is_said(count: int, gamm
     bent_px = 64.0 * (straight - np.rint(straight))
     left_px, said_px = (float(np.sqrt(np.nanmean(one**2))) for one in (off_px, axis.sigma_px[np.isfinite(off_px)]))
     assert left_px < 1.3 * said_px < 0.7 * float(bent_px.std())
-    assert found.misfit_share["x"] is None if count == 3 else (found.misfit_share["x"] or 0.0) > 0.15
+    share = found.measured["x"].misfit_share
+    assert share is None if count == 3 else (share or 0.0) > 0.15
 
 
 @pytest.mark.parametrize(

@@ -35,9 +35,7 @@ def rig(
     left = HousedCamera(*size_px, lens, NO_PORT, lens_in_water=True)
     c, s = np.cos(np.radians(toe_in_deg)), np.sin(np.radians(toe_in_deg))
     turned = ((c, 0.0, -s), (0.0, 1.0, 0.0), (s, 0.0, c))
-    return ForeignRig(
-        StereoRig(left, replace(left, rotation=turned, translation_mm=(baseline_mm, 0.0, 0.0))), 1.0, True
-    )
+    return ForeignRig(StereoRig(left, replace(left, rotation=turned, translation_mm=(baseline_mm, 0.0, 0.0))), 1.0)
 
 
 def seen(camera: HousedCamera, depth_mm: float, seed: int) -> DecodedCamera:
