@@ -52,7 +52,6 @@ KINDS: Mapping[str, tuple[Sequence[int], str]] = {
     "height": ((1,), "imageheight height frameheight imgheight ny resy"),
 }  # fmt: skip
 """Kinds of what a camera file says: how many numbers each may have, and its names, in small letters without anything between."""
-BETWEEN = {name: kind for kind, names in (("rotation", "rlr stereor rstereo r12"), ("translation", "tlr stereot tstereo t12")) for name in names.split()}  # fmt: skip
 WHOSE = ("matrix", "projection")
 """Kinds by which a camera is told."""
 PROJECTOR = ("proj", "projector", "prj")
@@ -60,10 +59,10 @@ PROJECTOR = ("proj", "projector", "prj")
 
 def _known(first: int) -> dict[tuple[str, str], str]:
     """Return the side by name and kind, for every known name where cameras are counted from ``first``; empty where a name has none."""
-    sides = {"left": ("l", "left"), "right": ("r", "right"), "projector": (*PROJECTOR, "screen")}
+    sides = {"both": ("lr", "stereo", "12"), "projector": (*PROJECTOR, "screen")}
     for n, side in ((first, "left"), (first + 1, "right")):
-        sides[side] += (f"{n}", f"cam{n}", f"camera{n}")
-    found = dict.fromkeys(BETWEEN.items(), "both")
+        sides[side] = (side, side[0], f"{n}", f"cam{n}", f"camera{n}")
+    found: dict[tuple[str, str], str] = {}
     for kind, (_, names) in KINDS.items():
         for name in names.split():
             for side, words in sides.items():
@@ -255,7 +254,9 @@ def facts_of(files: Mapping[str, NumbersOf], of_projector: bool = False) -> list
     zero = zero or any(ZEROS.intersection(_spellings(name)) for values in files.values() for name in values)
     first = 0 if zero else 1
     by_file = {file: list(_in_file(file, values, KNOWN[first])) for file, values in files.items()}
-    sides = {file: {fact.side for fact in facts if fact.kind in WHOSE} - {""} for file, facts in by_file.items()}
+    sides = {
+        file: {fact.side for fact in facts if fact.kind in WHOSE} - {"", "both"} for file, facts in by_file.items()
+    }
     taken = set().union(*sides.values(), (_side_of(parts, first) for parts in paths.values()))
     found: list[Fact] = []
     for file, facts in by_file.items():

@@ -92,13 +92,36 @@ def test_other_names_units_and_several_files(tmp_path: Path) -> None:
     np.testing.assert_allclose(odd.rig.right.rotation, found.rig.right.rotation, atol=1e-9)
 
 
+IN_WORDS = (
+    f"rotation = {R.tolist()}\ntranslation = {T.ravel().tolist()}\n[cameras.left]\nmatrix = {M1.tolist()}\n"
+    f"distortion = {D1.ravel().tolist()}\n[cameras.right]\nmatrix = {M2.tolist()}\ndistortion = {D2.ravel().tolist()}"
+)
+
+
 def test_matrices_in_the_description(tmp_path: Path) -> None:
-    text = (
-        f"rotation = {R.tolist()}\ntranslation = {T.ravel().tolist()}\n[cameras.left]\nmatrix = {M1.tolist()}\n"
-        f"distortion = {D1.ravel().tolist()}\n[cameras.right]\nmatrix = {M2.tolist()}\ndistortion = {D2.ravel().tolist()}"
-    )
-    found = rig(tmp_path, text)
+    found = rig(tmp_path, IN_WORDS)
     np.testing.assert_allclose(projected(found, (10.0, 20.0, 600.0)), expected((10.0, 20.0, 600.0)), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "said"),
+    [
+        ("rotation = [[", "rotation = [[1], [", r"cameras.rotation is \[\[1\], .*; allowed: 9 or 3 numbers; correct it"),
+        ("translation = [", "translation = [1, ", r"cameras.translation is \[1, .*; allowed: 3 numbers; correct it"),
+        ("[cameras.right]\nmatrix = [[", "[cameras.right]\nmatrix = [[inf, ", r"cameras.right.matrix is .*; allowed: 9 numbers; correct it"),
+        ("[cameras.right]\nmatrix = [[", "[cameras.right]\nmatrx = [[", "cameras.right.matrx: unknown key; did you mean matrix?"),
+        ("matrix = [[800.0", "matrix = [[nan", r"left.matrix is \[nan, .*; allowed are finite numbers below 1e\+09; correct it"),
+        ("distortion = [-0.1", 'distortion = ["x"', r"cameras.left.distortion is \['x', .*; allowed: 2 or 3 or .* numbers; correct it"),
+        ("[cameras.left]", "[cameras.near]", r"cameras.near: unknown key"),
+    ],
+)  # fmt: skip
+def test_numbers_in_the_description_that_cannot_be_are_named(
+    tmp_path: Path, before: str, after: str, said: str
+) -> None:
+    text = IN_WORDS.replace(before, after, 1)
+    assert text != IN_WORDS
+    with pytest.raises(ForeignError, match=said):
+        rig(tmp_path, text)
 
 
 def test_water_bends_rays_behind_ports_only(tmp_path: Path) -> None:
@@ -141,6 +164,7 @@ def test_longer_lens_models_are_opencvs(values: list[float]) -> None:
             "lies far outside of images",
         ),
         ({"D1": np.zeros((1, 3))}, "left distortion has 3 values, [0.0, 0.0, 0.0]; allowed are 4, 5, 8, 12, 14"),
+        ({"D1": np.zeros((1, 7))}, "left distortion has 7 values, [0.0, 0.0,"),
     ],
 )
 def test_cameras_that_cannot_be_are_refused(tmp_path: Path, change: dict[str, Any], said: str) -> None:
@@ -330,16 +354,38 @@ def test_what_is_said_twice_and_differs_is_refused(tmp_path: Path, values: dict[
     assert said in str(error.value)
 
 
-def test_a_projector_of_another_size_than_its_calibration_says_is_refused(tmp_path: Path) -> None:
-    values = {"Kc": M1, "kc": D1, "Kp": M2, "kp": D2, "Rp": R, "Tp": T, "frameWidth": 640, "frameHeight": 480}
-    written(tmp_path / "s.xml", **values, screenResX=640, screenResY=480)
-    assert rig(tmp_path, 'files = "s.xml"', head=ALONE).stated_px == {"left": (640, 480), "right": (640, 480)}
-    written(tmp_path / "s.xml", **values, screenResX=1824, screenResY=1140)
+SLSTUDIO = {"Kc": M1, "kc": D1, "Kp": M2, "kp": D2, "Rp": R, "Tp": T, "frameWidth": 640, "frameHeight": 480}
+OPENCV = {"M1": M1, "D1": D1, "M2": M2, "D2": D2, "R": R, "T": T}
+
+
+@pytest.mark.parametrize(
+    ("values", "beside", "where"),
+    [
+        ({**SLSTUDIO, "screenResX": 1824, "screenResY": 1140}, {}, "s.xml: screenResX, screenResY"),
+        ({**OPENCV, "screenResY": 1140, "screenResX": 1824}, {}, "s.xml: screenResX, screenResY"),
+        (OPENCV, {"image_size": np.array([1824.0, 1140.0])}, "projector.xml: image_size"),
+    ],
+)
+def test_a_projector_of_another_size_than_its_calibration_says_is_refused(
+    tmp_path: Path, values: dict[str, Any], beside: dict[str, Any], where: str
+) -> None:
+    """Also where the height stands first, or a file says nothing else; in a folder that file is found."""
+    written(tmp_path / "s.xml", **values)
+    if beside:
+        written(tmp_path / "projector.xml", **beside)
+    files = cameras_in(tmp_path)["files"]
     with pytest.raises(
         ForeignError,
-        match=r"screenResX, screenResY says 1824 x 1140 px, and \[projector\] says 640 x 480 px: another projector; correct its size",
+        match=rf"{where} says 1824 x 1140 px, and \[projector\] says 640 x 480 px: another projector; correct its size",
     ):
-        rig(tmp_path, 'files = "s.xml"', head=ALONE)
+        rig(tmp_path, f"files = {files}", head=ALONE)
+    if "Kc" not in values:
+        assert rig(tmp_path, f"files = {files}").notes == (
+            f"cameras.files: {where} says 1824 x 1140 px, and [projector] 640 x 480 px",
+        ), "of two cameras it is worth a line"
+    right = ALONE.replace("640", "1824").replace("480", "1140")
+    said = parse_description(f"{right}[cameras]\nfiles = {files}\n", tmp_path, "set", "set.toml")
+    assert read_rig(said, SIZES | {"right": (1824, 1140)}).stated_px["right"] == (1824, 1140)
 
 
 @pytest.mark.parametrize(

@@ -147,6 +147,15 @@ def slstudio(folder: Path) -> list[str]:
     return ["calibration.xml"]
 
 
+def renderings(folder: Path) -> list[str]:
+    """By Blender: of each device its place in the world, and the turn of the world into it."""
+    for name, K, D, turn, t in (("camera", K1, D1, np.eye(3), np.zeros(3)), ("projector", K2, D2, R, T)):
+        rotate, translate = cv2.Rodrigues(turn)[0].ravel(), -turn.T @ t
+        said = {"image_size": [640, 480], "intrinsic": K, "distortion": D, "rotate": rotate, "translate": translate}
+        (folder / f"{name}.json").write_text(json.dumps(said, default=lambda one: one.tolist()))
+    return ["camera.json", "projector.json"]
+
+
 def a_file_for_each(folder: Path) -> list[str]:
     """As ``np.save`` and ``np.savetxt`` leave them."""
     np.save(folder / "mtx_left.npy", K1)
@@ -171,13 +180,13 @@ def opencv_without_its_first_line(folder: Path) -> list[str]:
     ("write", "unit"),
     [
         (kalibr, "m"), (ros, "m"), (pyyaml, "mm"), (matlab, "mm"), (matlab_json, "mm"), (bouguet, "mm"), (slstudio, "mm"),
-        (a_file_for_each, "mm"), (opencv_without_its_first_line, "mm"),
+        (renderings, "mm"), (a_file_for_each, "mm"), (opencv_without_its_first_line, "mm"),
     ],
 )  # fmt: skip
 def test_another_programs_file_projects_as_its_cameras_do(
     tmp_path: Path, write: Callable[[Path], list[str]], unit: str
 ) -> None:
-    head = HEAD if write is not slstudio else HEAD.replace('right = "r*"\n', "")
+    head = HEAD if write not in (slstudio, renderings) else HEAD.replace('right = "r*"\n', "")
     found = rig(tmp_path, write(tmp_path), unit, head)
     for point in POINTS:
         for camera, turn, t, K, D in (
