@@ -61,7 +61,8 @@ SETS = (
     Set("face, two cameras", ("slmaster/binocular/L", "slmaster/binocular/R"), ("slmaster/binocular/caliInfo.yml",), "", picture="real-face.png"),
     Set("relief, camera and projector", ("slmaster/monocular",), ("slmaster/monocular/caliInfo.yml",), ""),
     Set("dragon of a renderer, Gray and 64 fringes", ("rendered/gray", "rendered/64"), BLENDER, ""),
-    Set("dragon of a renderer, Gray and 16 fringes", ("rendered/gray", "rendered/16"), BLENDER, "codes", "dragon of a renderer, Gray and 64 fringes"),
+    Set("dragon of a renderer, Gray, 16 and 64 fringes", ("rendered/gray", "rendered/16", "rendered/64"), BLENDER, ""),
+    Set("dragon of a renderer, Gray and 16 fringes", ("rendered/gray", "rendered/16"), BLENDER, "codes", "dragon of a renderer, Gray, 16 and 64 fringes"),
 )  # fmt: skip
 
 
