@@ -128,7 +128,7 @@ DIALECTS: tuple[tuple[Says, ...], ...] = (
     # Bouguet
     *(((side, "matrix", f"fc{behind} cc{behind} alpha_c{behind}?", _four),) for behind, side in (("_left", "left"), ("_right", "right"), ("", ""))),
 )  # fmt: skip
-"""What other programs say in their own way; a file is of such a program where it has the names of the first row, behind the same tables if any."""
+"""Rows by program of what it says in its own way; a file is of such a program where it has the names of the first row, behind the same tables if any."""
 
 LENSES = {
     "camera_model": ("pinhole",),

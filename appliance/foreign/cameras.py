@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 from appliance.calibration import file as calibration_file
 from appliance.foreign.camera_dialects import KINDS, CameraNumbers, facts_of, rotation_of, understood
 from appliance.foreign.camera_files import camera_numbers, flat, numeric, without_scale
-from appliance.foreign.description import SIDES, Description, Medium
+from appliance.foreign.description import Description, Medium
 from appliance.foreign.problem import ForeignError, Table
 from appliance.optics.model import HousedCamera, StereoRig
 from appliance.optics.pinhole import Lens
 from appliance.optics.port import Port
 from appliance.optics.rotation import matrix3
 from appliance.optics.water import quan_fry_index
+from appliance.scan.sides import SIDES
 
 Array = NDArray[np.float64]
 
