@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from appliance.foreign.description import ImageFiles
 from appliance.foreign.frames import PAGED, STACKS, SUFFIXES, Frame, arrays_in, frame_head, frames_in
 from appliance.foreign.images import natural_key, of_side
 from appliance.foreign.problem import ForeignError
@@ -31,12 +32,10 @@ class CameraFiles:
 
     side: str
     """``left`` or ``right``."""
-    pattern: str
-    """Name of the files with wildcards, relative to the folder."""
+    named: ImageFiles
+    """Names of the files in the words of a description, relative to the folder."""
     files: tuple[Frame, ...]
     """The images themselves, in natural order."""
-    sides: str = ""
-    """Turns of the cameras in a sequence of both, in the words of a description; empty: ``pattern`` is of this camera alone."""
 
 
 def camera_files(folder: Path) -> list[CameraFiles]:
@@ -60,7 +59,9 @@ def camera_files(folder: Path) -> list[CameraFiles]:
             "a folder of its own, left and right"
         )
     return [
-        CameraFiles(side, pattern, tuple(Frame(folder / name) for name in sorted(best[pattern], key=natural_key)))
+        CameraFiles(
+            side, ImageFiles((pattern,)), tuple(Frame(folder / name) for name in sorted(best[pattern], key=natural_key))
+        )
         for side, pattern in zip(SIDES, _left_first(best), strict=False)
     ]
 
@@ -88,7 +89,10 @@ def _stacks(folder: Path) -> list[CameraFiles] | None:
                 found[f"{name}#{array}" if array else name] = frames
     if not 1 <= len(found) <= 2 or len({len(frames) for frames in found.values()}) != 1:
         return None
-    return [CameraFiles(side, name, found[name]) for side, name in zip(SIDES, _left_first(found), strict=False)]
+    return [
+        CameraFiles(side, ImageFiles((name,)), found[name])
+        for side, name in zip(SIDES, _left_first(found), strict=False)
+    ]
 
 
 def in_halves(camera: CameraFiles) -> Iterator[list[CameraFiles]]:
@@ -111,7 +115,17 @@ def taken_in_turns(camera: CameraFiles) -> Iterator[list[CameraFiles]]:
 
 
 def _shared(camera: CameraFiles, sides: str) -> list[CameraFiles]:
-    return [CameraFiles(side, camera.pattern, tuple(of_side(camera.files, sides, side)), sides) for side in SIDES]
+    named = replace(camera.named, sides=sides)
+    return [CameraFiles(side, named, tuple(of_side(camera.files, sides, side))) for side in SIDES]
+
+
+def other_way_round(cameras: Sequence[CameraFiles]) -> tuple[CameraFiles, ...]:
+    """Return two cameras of which the first is the right one."""
+    sides = re.sub("left|right", lambda found: SIDES[found[0] == "left"], cameras[0].named.sides)
+    return tuple(
+        CameraFiles(side, replace(one.named, sides=sides), one.files)
+        for side, one in zip(SIDES, reversed(cameras), strict=True)
+    )
 
 
 def _best(names: list[str]) -> dict[str, list[str]] | None:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from appliance.foreign.assumptions import ExaminedAssumption, Outcome, equal_steps
-from appliance.foreign.description import AxisConvention, Description, ImageFiles
+from appliance.foreign.description import AxisConvention, Description
 
 CHECKED, MOVES_NOTHING, NOTHING_TELLS = "checked", "moves no point of two cameras", "UNCHECKED"
 WIDTH = 44
@@ -37,33 +37,52 @@ def description_text(
 ) -> str:
     """Return a description as the text of a file in the folder ``beside``; ``notes`` stand at its head."""
 
-    def name(pattern: str) -> str:
-        path, own = (description.folder / pattern).absolute(), beside.absolute()
-        return str(path.relative_to(own)) if path.is_relative_to(own) else str(path)
+    def names(patterns: str | Sequence[str]) -> str:
+        paths = [
+            (description.folder / one).absolute() for one in ([patterns] if isinstance(patterns, str) else patterns)
+        ]
+        own = beside.absolute()
+        return _value([str(one.relative_to(own) if one.is_relative_to(own) else one) for one in paths])
 
-    two = "right" in description.files
+    two, left = "right" in description.files, description.files["left"]
     said = ["# Guessed from the images. Behind each line stands what checked it; docs/foreign.md explains every word."]
-    said += [f"# {note}" for note in notes]
-    said += ["", "[images]", *_files(description.files, name)]
-    said.append(f'order = "{joined([one.word for one in description.order or ()])}"')
-    usual = MOVES_NOTHING if two else NOTHING_TELLS
-    said += [f'channel = "{description.channel}"'] if description.channel != "grey" else []
+    said += [*(f"# {note}" for note in notes), "", "[images]"]
+    if left.sides:
+        said += [f"both = {names(left.patterns)}", f"sides = {_value(left.sides)}"]
+    else:
+        said += [f"{side} = {names(found.patterns)}" for side, found in description.files.items()]
+    said.append(f"order = {_value(joined([one.word for one in description.order or ()]))}")
+    said += [f"channel = {_value(description.channel)}"] if description.channel != "grey" else []
     said += ["", "[projector]"]
-    for key, value in zip(("width_px", "height_px"), description.projector_px, strict=True):
-        told = MOVES_NOTHING if two else _confidence(tested, f"projector.{key}", NOTHING_TELLS)
-        said.append(_line(f"{key} = {value}", told))
+    for word, px in zip(("width_px", "height_px"), description.projector_px, strict=True):
+        told = MOVES_NOTHING if two else _confidence(tested, f"projector.{word}", NOTHING_TELLS)
+        said.append(f"{f'{word} = {px}':{WIDTH}} # {told}")
     for axis in description.axes:
         said += ["", f"[{axis.name}]"]
-        said += [
-            _line(line, _confidence(tested, f"{axis.name}.{line.split(' ')[0].replace('steps_deg', 'steps')}", usual))
-            for line in _axis(axis)
-        ]
-    said += ["", "[cameras]", *_cameras(description.cameras.content, name), "", "# [water]", "# index = 1.335", ""]
-    return "\n".join(said)
+        for word, value in _words(axis):
+            about = f"{axis.name}.{'steps' if word == 'steps_deg' else word}"
+            told = _confidence(tested, about, MOVES_NOTHING if two else NOTHING_TELLS)
+            said.append(f"{f'{word} = {_value(value)}':{WIDTH}} # {told}")
+    said += ["", "[cameras]"]
+    table = description.cameras.content
+    if not table:
+        said += ['# files = ["stereo.yml"]  # OpenCV: M1 D1 M2 D2 R T; nothing was found here', 'unit = "mm"']
+    for key, value in table.items():
+        if not isinstance(value, Mapping):
+            said.append(f"{key} = {names(value) if key in ('files', 'calibration') else _value(value)}")
+    for key, value in table.items():
+        if isinstance(value, Mapping):
+            said += [f"[cameras.{key}]", *(f"{word} = {_value(one)}" for word, one in value.items())]
+    return "\n".join([*said, "", "# [water]", "# index = 1.335", ""])
 
 
-def _line(text: str, told: str) -> str:
-    return f"{text:{WIDTH}} # {told}"
+def _value(value: Any) -> str:
+    """Return a value as TOML has it; a list of one is that one."""
+    if isinstance(value, str):
+        return f'"{value}"'
+    if isinstance(value, Sequence):
+        return _value(value[0]) if len(value) == 1 else f"[{', '.join(map(_value, value))}]"
+    return str(value).lower() if isinstance(value, bool) else f"{value:.8g}"
 
 
 def _confidence(tested: Sequence[ExaminedAssumption], about: str, usual: str) -> str:
@@ -75,62 +94,28 @@ def _confidence(tested: Sequence[ExaminedAssumption], about: str, usual: str) ->
     return next((f"{NOTHING_TELLS}: {one.text}" for one in said), usual)
 
 
-def _files(files: Mapping[str, ImageFiles], name: Callable[[str], str]) -> list[str]:
-    left = files["left"]
-    if not left.sides:
-        return [f"{side} = {_quoted([name(one) for one in found.patterns])}" for side, found in files.items()]
-    return [f"both = {_quoted([name(one) for one in left.patterns])}", f'sides = "{left.sides}"']
-
-
-def _quoted(names: Sequence[str]) -> str:
-    quoted = [f'"{one}"' for one in names]
-    return quoted[0] if len(quoted) == 1 else f"[{', '.join(quoted)}]"
-
-
-def _numbers(values: Sequence[float]) -> str:
-    said = [f"{one:.8g}" for one in values]
-    return said[0] if len(said) == 1 else f"[{', '.join(said)}]"
-
-
-def _axis(axis: AxisConvention) -> list[str]:
-    """Return the lines of a direction."""
-    said = []
+def _words(axis: AxisConvention) -> Iterator[tuple[str, Any]]:
+    """Yield the words of a direction with their values, without those that say what is usual."""
     if axis.periods_px:
-        said.append(f"period_px = {_numbers(axis.periods_px)}")
+        yield "period_px", axis.periods_px
+        # Periods of one image each share the first one's steps.
         steps = [one for one in axis.steps_deg if len(one) > 1]
+        steps = steps[:1] if len(set(steps)) == 1 else steps
         if all(one == equal_steps(len(one)) for one in steps):
-            counts = [len(one) for one in steps]
-            said.append(f"steps = {_numbers(counts[:1] if len(set(counts)) == 1 else counts)}")
+            yield "steps", [len(one) for one in steps]
         else:
-            lists = [f"[{', '.join(f'{step:g}' for step in one)}]" for one in steps]
-            said.append(f"steps_deg = {lists[0] if len(set(lists)) == 1 else '[' + ', '.join(lists) + ']'}")
-        said.append(f'sign = "{"-" if axis.sign < 0 else "+"}"')
-        starts_deg = [axis.start_deg + one for one in axis.starts_deg] or [axis.start_deg]
-        said += [f"start_deg = {_numbers(starts_deg)}"] if any(starts_deg) else []
-        said += ['start_at = "middle"'] if axis.from_middle else []
-    if axis.bits:
-        said += ['gray = "shifted"'] if axis.wraps else []
-        said.append(f"stripe_px = {axis.stripe_px:g}")
-        said += [f"code_offset_px = {axis.code_offset_px:g}"] if axis.code_offset_px else []
-        said += ['code = "binary"'] if axis.plain_binary else []
-        said += ['code_order = "fine-first"'] if axis.fine_first else []
-        said += ["code_inverted = true"] if axis.inverted else []
-    return said
-
-
-def _cameras(table: Mapping[str, Any], name: Callable[[str], str]) -> list[str]:
-    """Return the lines of [cameras]."""
-    if not table:
-        return ['# files = ["stereo.yml"]  # OpenCV: M1 D1 M2 D2 R T; nothing was found here', 'unit = "mm"']
-    said = []
-    for key, value in table.items():
-        if key in ("files", "calibration"):
-            names = [value] if isinstance(value, str) else list(value)
-            listed = [f'"{name(one)}"' for one in names]
-            said.append(f"{key} = {listed[0] if isinstance(value, str) else '[' + ', '.join(listed) + ']'}")
-        elif isinstance(value, str):
-            said.append(f'{key} = "{value}"')
-    for key, value in table.items():
-        if isinstance(value, Mapping):
-            said += [f"[cameras.{key}]", *(f'{word} = "{one}"' for word, one in value.items())]
-    return said
+            yield "steps_deg", steps
+        yield "sign", "-" if axis.sign < 0 else "+"
+    starts_deg = [axis.start_deg + one for one in axis.starts_deg or (0.0,)]
+    for word, value, said in (
+        ("start_deg", starts_deg, any(starts_deg)),
+        ("start_at", "middle", axis.from_middle),
+        ("gray", "shifted", axis.wraps),
+        ("stripe_px", axis.stripe_px, axis.bits > 0),
+        ("code_offset_px", axis.code_offset_px, axis.code_offset_px != 0.0),
+        ("code", "binary", axis.plain_binary),
+        ("code_order", "fine-first", axis.fine_first),
+        ("code_inverted", True, axis.inverted),
+    ):
+        if said:
+            yield word, value

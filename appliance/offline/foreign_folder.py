@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from appliance.foreign.guess import TriedSequence, guess_sequence, reduced_images
+from appliance.foreign.guess import TriedSequence, guess_sequence
 from appliance.foreign.problem import ForeignError
 from appliance.foreign.sheet import contact_sheet
 from appliance.foreign.writing import description_text, joined
@@ -32,19 +32,17 @@ def import_folder(
     described, roles, picture = beside_cloud(out)
     files = LocalFileSystem()
     best = candidates[0]
-    words = [one.word for one in best.description.order or ()]
-    images = reduced_images(best.cameras[0], best.description.channel, progress)
-    replace_file(files, roles, contact_sheet(list(images), words, best.by_image))
+    replace_file(files, roles, contact_sheet(list(best.images), best.words, best.by_image))
     if len(candidates) > 1:
         raise ForeignError(_question(folder, out, candidates))
     _write(best, described)
     if not best.description.cameras.content:
         raise ForeignError(
-            f"{folder}: its images are {joined(words)} ({best.program}), and no file says anything of the cameras: put their calibration "
+            f"{folder}: its images are {joined(best.words)} ({best.program}), and no file says anything of the cameras: put their calibration "
             f"into the folder, or say it under [cameras] in {described.name}, which is written"
         )
     report = import_cloud(described, out, progress, reasons=reasons, picture=picture)
-    return {**report, "program": best.program, "order": joined(words), "explained_percent": 100.0 * best.explained,
+    return {**report, "program": best.program, "order": joined(best.words), "explained_percent": 100.0 * best.explained,
             "description": str(described), "roles": str(roles), "picture": str(picture)}  # fmt: skip
 
 
@@ -67,9 +65,9 @@ def _question(folder: Path, out: Path, candidates: Sequence[TriedSequence]) -> s
     for number, one in enumerate(candidates, 1):
         path = out.with_name(f"{out.stem}.{number}.toml")
         _write(one, path)
-        words = joined([shown.word for shown in one.description.order or ()])
-        said.append(f"{words} ({one.program}, explains {100 * one.explained:.0f} %: {path.name})")
-    first, second = (one.description.order or () for one in candidates)
-    other = [k + 1 for k, (a, b) in enumerate(zip(first, second, strict=False)) if a != b]
+        said.append(f"{joined(one.words)} ({one.program}, explains {100 * one.explained:.0f} %: {path.name})")
+    other = [
+        k for k, words in enumerate(zip(*(one.words for one in candidates), strict=False), 1) if len(set(words)) > 1
+    ]
     asked = f"what do images {other[0]} to {other[-1]} show? See {beside_cloud(out)[1].name}, and " if other else ""
     return f"{folder}: two readings of the images are as good: {said[0]}, or {said[1]}; {asked}import the description that is right"
