@@ -89,7 +89,7 @@ class TriedSequence:
 
     @property
     def words(self) -> list[str]:
-        """What each image shows, in the words of a description."""
+        """Words of a description for each image."""
         return [one.word for one in self.description.order or ()]
 
     @property
@@ -381,8 +381,8 @@ def _on_projectors(description: Description, left_px: tuple[int, int]) -> Iterat
     stated_px = None
     if "files" in table.content:
         stated_px = camera_numbers(description.folder, table, of_projector=True).stated_px.get("right")
-    sizes = [stated_px]
-    if stated_px is None:
+    sizes = [stated_px] if stated_px else []
+    if not sizes:
         # Any size will do to ask where the projector's axis is.
         right = read_rig(description, {"left": left_px, "right": description.projector_px}).rig.right
         width_px = 2.0 * right.lens.c_px[0] + 1.0

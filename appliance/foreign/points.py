@@ -10,10 +10,9 @@ which the search for neighbours was made; no point depends on their scale.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,17 +26,15 @@ from appliance.optics.epipolar import CurveError
 from appliance.optics.model import HousedCamera, StereoRig
 from appliance.optics.pinhole import FoldingLens
 from appliance.optics.rays import ray_lattice, usual_step_px
-from appliance.reconstruct.match import RightMaps, fill_inverse_map, right_maps
+from appliance.reconstruct.match import fill_inverse_map, right_maps
 from appliance.reconstruct.one_direction import UNCHECKED, OneDirectionError, OneDirectionLimits, match_along_curves
 from appliance.reconstruct.organised import OrganisedCloud
 from appliance.reconstruct.rows import LeftMaps, reconstruct_rows, scratch_rows
 from appliance.reconstruct.select import PointLimits
 from appliance.reconstruct.sigma import sigma_factors
 from appliance.reconstruct.table import PointTable
-from appliance.reconstruct.triangulate import Rays, rays_of
+from appliance.reconstruct.triangulate import rays_of
 from appliance.scan.noise import TYPICAL_PAIR
-
-Number = TypeVar("Number", bound=np.generic)
 
 USUAL_STEP_PX = 0.63
 """Change of a coordinate from one pixel to the next on the instrument, for images 1600 px wide."""
@@ -54,13 +51,11 @@ NEAR_BASELINES, FAR_BASELINES = 1.0, 60.0
 NARROWER = (1.0, 0.6, 0.35)
 """Shares of that range (of its logarithm, about its middle) that are searched one after the other, until curves can follow it."""
 ROWS = 256
-"""Left rows that are reconstructed together: their points need room, and those of a whole image much."""
-STRIP_PX = 1024
+"""Left rows that are judged together: what is compared needs room."""
+STRIP_PX = 512
 """Left columns that are reconstructed together: fewer than a scratch row has room for (``scratch.MAX_WIDTH_PX``), and copies that need little."""
 MOST_PX = 65_535
 """Widest and highest image that two directions can be looked up in: its pixels' numbers are packed into 16 bits each."""
-BAND_PX = 3_000_000
-"""Left pixels that are searched along curves together: as many as most images have."""
 _ALL = PointLimits(*np.array([np.inf, np.inf, -np.inf, np.inf, np.inf, 0.0], np.float32))
 """Limits that every point keeps: which one it breaks is told afterwards."""
 
@@ -105,7 +100,7 @@ BEFORE_POINTS = tuple(REASONS)[: Reason.NO_RAY - 1]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ForeignCloud:
-    """The points of a foreign set on the left image's pixels, or on every so many of them."""
+    """The points of a foreign set on the left image's pixels."""
 
     cloud: OrganisedCloud
     unchecked: str | None
@@ -161,27 +156,24 @@ def depths_of(description: Description, rig: StereoRig, index: float) -> tuple[f
 
 
 def find_points(
-    description: Description, rig: ForeignRig, left: DecodedCamera, right: DecodedCamera | None, *, step: int = 1
+    description: Description, rig: ForeignRig, left: DecodedCamera, right: DecodedCamera | None
 ) -> ForeignCloud:
-    """Find the points of every ``step``-th left row and column; without ``right``, the rig's right camera is a projector.
+    """Find the points of the left pixels; without ``right``, the rig's right camera is a projector.
 
-    Limits are those of the full image whatever the ``step``. Nothing is raised: where there are no points, ``reasons`` and ``failure``
-    say why.
+    Nothing is raised: where there are no points, ``reasons`` and ``failure`` say why.
     """
     lenient = replace(rig.rig, left=_lenient(rig.rig.left), right=_lenient(rig.rig.right))
     mine = {axis.name: clean(left.placed[axis.name]) for axis in description.axes}
-    at = np.s_[::step, ::step]
     # Decoding's own reasons first: what has no coordinate was never searched.
-    reason = np.zeros(left.grey[at].shape, np.uint8)
-    known = np.ones(reason.shape, np.bool_)
+    reason = np.zeros(left.grey.shape, np.uint8)
     for name in mine:
-        known &= np.isfinite(mine[name].coordinate_px[at])
         for why in (one for one in NoCoordinate if one is not NoCoordinate.VALID):
-            reason[(reason == 0) & (left.placed[name].reason[at] == why)] = Reason[why.name]
+            reason[(reason == 0) & (left.placed[name].reason == why)] = Reason[why.name]
+    known = np.logical_and.reduce([np.isfinite(one.coordinate_px) for one in mine.values()])
     # What has a coordinate and is not clean sees two surfaces.
     reason[(reason == 0) & ~known] = Reason.NEIGHBOURS
     lit = int(np.count_nonzero(known))
-    reason[known & _without_ray(lenient.left, rig.index)[at]] = Reason.NO_RAY
+    reason[known & _without_ray(lenient.left, rig.index)] = Reason.NO_RAY
     known &= reason == 0
     reason[known] = Reason.NO_MATCH
     depths_mm = depths_of(description, lenient, rig.index)
@@ -198,7 +190,7 @@ def find_points(
         for share in NARROWER[: 1 if None not in ends else None]:
             depths_mm = _narrowed(depths_of(description, lenient, rig.index), share)
             try:
-                cloud = _one_direction(lenient, rig.index, left, mine[name], other[name], depths_mm, step)
+                cloud = _one_direction(lenient, rig.index, left, mine[name], other[name], depths_mm)
             except (OneDirectionError, CurveError) as error:
                 failure = str(error)
                 continue
@@ -207,45 +199,31 @@ def find_points(
     elif not (_any(mine) and _any(other)):
         failure = "no pixel of one camera has both coordinates"
     else:
-        cloud = _two_directions(lenient, rig.index, left, mine, other, depths_mm, step)
-    cloud = _nothing(left, step) if cloud is None else cloud
-    over_sigma_mm = _judge(cloud, reason, depths_mm, lenient.left.lens.f_px[0], description.max_sigma_mm, step)
+        cloud = _two_directions(lenient, rig.index, left, mine, other, depths_mm)
+    cloud = _nothing(left) if cloud is None else cloud
+    over_sigma_mm = _judge(cloud, reason, depths_mm, lenient.left.lens.f_px[0], description.max_sigma_mm)
     return ForeignCloud(
         cloud, UNCHECKED if description.one_direction else None, depths_mm, lit, reason, over_sigma_mm, failure
     )
 
 
-def _nothing(left: DecodedCamera, step: int) -> OrganisedCloud:
+def _nothing(left: DecodedCamera) -> OrganisedCloud:
     """Return a cloud to be filled in."""
-    grey = np.ascontiguousarray(left.grey[::step, ::step])
-    points, *others = (np.full((*grey.shape, *more), np.nan, np.float32) for more in ((3,), (), (), ()))
-    return OrganisedCloud(points, others[0], others[1], others[2], grey)
+    points, *others = (np.full((*left.grey.shape, *more), np.nan, np.float32) for more in ((3,), (), (), ()))
+    return OrganisedCloud(points, others[0], others[1], others[2], left.grey)
 
 
 def _one_direction(
-    rig: StereoRig, index: float, left: DecodedCamera, mine: CleanAxis, other: CleanAxis, depths_mm: tuple[float, float], step: int
-) -> OrganisedCloud:  # fmt: skip
+    rig: StereoRig, index: float, left: DecodedCamera, mine: CleanAxis, other: CleanAxis, depths_mm: tuple[float, float]
+) -> OrganisedCloud:
     """Return the points along epipolar curves. Raises OneDirectionError, CurveError."""
-    cloud = _nothing(left, step)
-    height, width = left.grey.shape
-    rows = max(ROWS, BAND_PX // width) * step
-    # Band by band: of a large image, what the search leaves besides points needs much room.
-    for start in range(0, height, rows):
-        at, into = (
-            np.s_[start : start + rows : step, ::step],
-            np.s_[start // step : -(-min(start + rows, height) // step)],
-        )
-        if not np.isfinite(mine.coordinate_px[at]).any():
-            continue
-        part = replace(rig, left=_part(rig.left, start, len(mine.coordinate_px[at]), step))
-        found = match_along_curves(
-            mine.coordinate_px[at], other.coordinate_px, part, index, depths_mm, (mine.sigma_px[at], other.sigma_px),
-            OneDirectionLimits(min_neighbours=0),
-        )  # fmt: skip
-        cloud.points_mm[into], cloud.sigma_mm[into] = found.points_mm, found.sigma_mm
-    modulation = next(iter(left.placed.values())).modulation[::step, ::step]
-    np.multiply(modulation, np.float32(255.0 / left.images.white), out=cloud.modulation_dn)
-    return cloud
+    found = match_along_curves(
+        mine.coordinate_px, other.coordinate_px, rig, index, depths_mm, (mine.sigma_px, other.sigma_px), OneDirectionLimits(min_neighbours=0)
+    )  # fmt: skip
+    modulation = next(iter(left.placed.values())).modulation * np.float32(255.0 / left.images.white)
+    return OrganisedCloud(
+        found.points_mm, found.sigma_mm, modulation, np.full(modulation.shape, np.nan, np.float32), left.grey
+    )
 
 
 def _any(maps: Mapping[str, CleanAxis]) -> bool:
@@ -255,7 +233,7 @@ def _any(maps: Mapping[str, CleanAxis]) -> bool:
 
 def _two_directions(
     rig: StereoRig, index: float, left: DecodedCamera, mine: dict[str, CleanAxis], other: dict[str, CleanAxis],
-    depths_mm: tuple[float, float], step: int,
+    depths_mm: tuple[float, float],
 ) -> OrganisedCloud:  # fmt: skip
     """Return the points where rays meet. ``mine`` and ``other`` are used up: they make room."""
     low_px, size_px = [], []
@@ -279,57 +257,45 @@ def _two_directions(
     first_rays, second_rays = (
         ray_lattice(one, index, plane_mm, step_px, partial=True) for one in (rig.left, rig.right)
     )
-    whole = rays_of(first_rays, second_rays, rig.left.width_px)
-    half_dn = _half_dn(left)
-    cloud = _nothing(left, step)
-    lit = np.zeros((0, 2), np.int32)
-    left_maps = LeftMaps(p1, q1, half_dn, left.grey, left.grey, lit, np.float32(1.0), variance1)
-    for first, strip in _strips(left_maps, step):
-        width = strip.p_px.shape[1]
-        rays = whole._replace(left=np.ascontiguousarray(whole.left[..., first : first + width]))
-        _reconstruct(cloud, maps, rays, strip, first, step)
+    rays = rays_of(first_rays, second_rays, rig.left.width_px)
+    modulation = np.minimum.reduce([one.modulation for one in left.placed.values()])
+    half_dn = np.clip(np.rint(modulation * np.float32(510.0 / left.images.white)), 0.0, 255.0).astype(np.uint8)
+    cloud = _nothing(left)
+    height = left.grey.shape[0]
+    table, scratch = PointTable(height * (STRIP_PX + 2)), scratch_rows()
+    factors = sigma_factors(16, TYPICAL_PAIR)  # for its footprints alone: noise is the maps' own
+    for first in range(0, left.grey.shape[1], STRIP_PX):
+        # With one more on either side: the noise of a pixel is told with its neighbours.
+        begin = max(first - 1, 0)
+        columns = np.s_[..., begin : first + STRIP_PX + 1]
+        p, q, variance, half, grey, own = (
+            np.ascontiguousarray(one[columns]) for one in (p1, q1, variance1, half_dn, left.grey, rays.left)
+        )
+        lit = np.tile(np.array([0, p.shape[1]], np.int32), (height, 1))
+        strip = LeftMaps(p, q, half, grey, grey, lit, np.float32(1.0), variance)
+        count = int(
+            reconstruct_rows(
+                strip, maps, rays._replace(left=own), _ALL, factors, 0, height, 1, scratch, table.points, 0
+            )
+        )
+        found = table.points
+        # Flat in the strip, and in all rows and columns of the image.
+        row, column = np.divmod(found.pixel[:count], p.shape[1])
+        inner = np.flatnonzero((column + begin >= first) & (column + begin < first + STRIP_PX))
+        at = row[inner], column[inner] + begin
+        cloud.points_mm[at], cloud.sigma_mm[at] = found.xyz_mm[inner], found.sigma_mm[inner]
+        cloud.ray_gap_mm[at] = found.gap_mm[inner]
+        cloud.modulation_dn[at] = np.float32(0.5) * found.modulation_half_dn[inner]
     return cloud
 
 
-def _strips(whole: LeftMaps, step: int) -> Iterator[tuple[int, LeftMaps]]:
-    """Yield the left maps in strips that a scratch row has room for, each with its first column."""
-    width = max(STRIP_PX // step, 1) * step
-    for first in range(0, whole.p_px.shape[1], width):
-        p, q, variance = (_strip(one, first, width) for one in (whole.p_px, whole.q_px, whole.variance_px2))
-        half_dn, grey = (_strip(one, first, width) for one in (whole.modulation_half_dn, whole.bright))
-        # The kernel passes over what lies outside of a row's first and last coordinate.
-        known = np.isfinite(p)
-        lit = np.stack([known.argmax(axis=1), known.shape[1] - known[:, ::-1].argmax(axis=1)], axis=1).astype(np.int32)
-        lit[~known.any(axis=1)] = 0
-        yield first, LeftMaps(p, q, half_dn, grey, grey, lit, np.float32(1.0), variance)
-
-
-def _strip(image: NDArray[Number], first: int, width: int) -> NDArray[Number]:
-    return np.ascontiguousarray(image[:, first : first + width])
-
-
-def _reconstruct(cloud: OrganisedCloud, maps: RightMaps, rays: Rays, strip: LeftMaps, first: int, step: int) -> None:
-    """Fill in the points of a strip of the left image."""
-    height, width = strip.p_px.shape
-    rows = ROWS * step
-    table = PointTable(ROWS * -(-width // step))
-    factors = sigma_factors(16, TYPICAL_PAIR)  # for its footprints alone: noise is the maps' own
-    scratch = scratch_rows()
-    for start in range(0, height, rows):
-        stop = min(start + rows, height)
-        count = int(reconstruct_rows(strip, maps, rays, _ALL, factors, start, stop, step, scratch, table.points, 0))
-        found = table.points
-        # Flat in the strip, and in all rows and columns of the image.
-        pixel = found.pixel[:count]
-        at = pixel // width // step, (pixel % width + first) // step
-        cloud.points_mm[at], cloud.sigma_mm[at] = found.xyz_mm[:count], found.sigma_mm[:count]
-        cloud.ray_gap_mm[at] = found.gap_mm[:count]
-        cloud.modulation_dn[at] = np.float32(0.5) * found.modulation_half_dn[:count]
-
-
 def _judge(
-    cloud: OrganisedCloud, reason: NDArray[np.uint8], depths_mm: tuple[float, float], f_px: float, max_sigma_mm: float | None, step: int
-) -> float:  # fmt: skip
+    cloud: OrganisedCloud,
+    reason: NDArray[np.uint8],
+    depths_mm: tuple[float, float],
+    f_px: float,
+    max_sigma_mm: float | None,
+) -> float:
     """Say of each point which limit it breaks, and take out those that break one; return the median of the expected errors that were too large."""
     over_mm = [np.zeros(0, np.float32)]
     height, width = reason.shape
@@ -340,9 +306,7 @@ def _judge(
         # Size of a pixel on the object there.
         pixel_mm = np.abs(z) / np.float32(f_px)
         # A slope, not an error: between pixels farther apart there is more of it. Noise adds to it.
-        most_step_mm = np.fmax(
-            np.float32(STEP_PIXELS * step) * pixel_mm, np.float32(STEP_SIGMAS) * cloud.sigma_mm[rows]
-        )
+        most_step_mm = np.fmax(np.float32(STEP_PIXELS) * pixel_mm, np.float32(STEP_SIGMAS) * cloud.sigma_mm[rows])
         near = np.zeros(z.shape, np.uint8)
         for j, i in ((0, 0), (0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1), (2, 2)):
             around = z_mm[j : j + height, i : i + width][rows]
@@ -395,17 +359,6 @@ def _lenient(camera: HousedCamera) -> HousedCamera:
     return replace(camera, lens=FoldingLens(lens.f_px, lens.c_px, lens.distortion))
 
 
-def _part(camera: HousedCamera, start: int, rows: int, step: int) -> HousedCamera:
-    """Return the camera that sees ``rows`` rows from ``start`` on, and only every ``step``-th pixel of them."""
-    if (rows, step) == (camera.height_px, 1):
-        return camera
-    (fu, fv), (cu, cv) = camera.lens.f_px, camera.lens.c_px
-    lens = FoldingLens((fu / step, fv / step), (cu / step, (cv - start) / step), camera.lens.distortion)
-    # Corrections of an image are worth hundredths of a pixel.
-    width_px = -(-camera.width_px // step)
-    return replace(camera, width_px=width_px, height_px=rows, lens=lens, correction=None, ray_shift=None)
-
-
 def _narrowed(depths_mm: tuple[float, float], share: float) -> tuple[float, float]:
     """Return a part of the range about its middle."""
     middle_mm = math.sqrt(depths_mm[0] * depths_mm[1])
@@ -417,8 +370,3 @@ def _projector(projector: HousedCamera) -> dict[str, CleanAxis]:
     v, u = np.mgrid[0 : projector.height_px, 0 : projector.width_px].astype(np.float32)
     none = np.zeros_like(u)
     return {"x": CleanAxis(u, none, 1.0), "y": CleanAxis(v, none, 1.0)}
-
-
-def _half_dn(camera: DecodedCamera) -> NDArray[np.uint8]:
-    modulation = np.minimum.reduce([one.modulation for one in camera.placed.values()])
-    return np.asarray(np.clip(np.rint(modulation * np.float32(510.0 / camera.images.white)), 0.0, 255.0), np.uint8)

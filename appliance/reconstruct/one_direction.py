@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from appliance.optics.epipolar import RAY_TERMS, EpipolarCurves, epipolar_curves, inverse_depths
 from appliance.optics.model import HousedCamera, StereoRig
 from appliance.reconstruct.borrowed import borrowed
-from appliance.reconstruct.reach import places, reach_along
+from appliance.reconstruct.reach import TOGETHER, places, reach_along
 
 UNCHECKED = "unchecked: fringes of one direction only, no ray gap tells whether the calibration fits"
 """The note that every file of such a cloud carries."""
@@ -55,7 +55,7 @@ NOISE_OF_STEP = 8.0
 """Multiple of the noise that a difference may have besides."""
 SPREAD_OF_POINTS = 9.4
 """Allowed distance in depth of two neighbours of one surface, over the distance of their rays: 1.5 mm on the default rig."""
-_NO_VARIANCE = np.zeros((0, 0), np.float32)
+_NO_NOISE = np.zeros((0, 0), np.float32)
 
 
 class OneDirectionError(ValueError):
@@ -140,9 +140,13 @@ class _Curves(NamedTuple):
     middle: float
     """1/z = middle + half · s, per mm."""
     half: float
+    first_cell: int
+    """Number of the first row of cells, between four nodes each, in the next ones."""
     reach_px: NDArray[np.float32]
-    """(cells down, across, 2, pieces): least and greatest coordinate that the right image has about a piece of a curve of the cell
-    between four nodes; NaN where it has none. Pieces are of equal length in s."""
+    """(cells down, across, 2, pieces): least and greatest coordinate that the right image has about a piece of a curve of the cell; NaN
+    where it has none. Pieces are of equal length in s."""
+    together_px: NDArray[np.float32]
+    """The same of ``TOGETHER`` pieces each."""
 
 
 class _Right(NamedTuple):
@@ -150,7 +154,7 @@ class _Right(NamedTuple):
 
     p_px: NDArray[np.float32]
     """(h, w)."""
-    variance_px2: NDArray[np.float32]
+    sigma_px: NDArray[np.float32]
     """(h, w), or (0, 0)."""
     jump_px: float
     bend_px: float
@@ -194,11 +198,11 @@ def match_along_curves(
     wish = limits or OneDirectionLimits()
     left, right = _checked(left_px, rig.left, "left"), _checked(right_px, rig.right, "right")
     curves = epipolar_curves(rig, water_index, z_mm)
-    variances = (_NO_VARIANCE, _NO_VARIANCE)
+    sigmas = (_NO_NOISE, _NO_NOISE)
     typical_px = 0.0
     if noise_px is not None:
-        variances = (_variance(noise_px[0], left.shape), _variance(noise_px[1], right.shape))
-        typical_px = math.sqrt(float(np.nanmedian(variances[1])))
+        sigmas = (_noise(noise_px[0], left.shape), _noise(noise_px[1], right.shape))
+        typical_px = float(np.nanmedian(sigmas[1]))
     step_px = _usual_step(right)
     angle_deg = _angle(curves, left, right)
     if angle_deg < wish.min_angle_deg:
@@ -213,20 +217,20 @@ def match_along_curves(
     sigma_mm = np.full(left.shape, np.nan, np.float32)
     partner_px = np.full((*left.shape, 2), np.nan, np.float32)
     reason = np.zeros(left.shape, np.uint8)
-    _match_rows(
-        left,
-        variances[0],
-        _Right(right, variances[1], jump_px, bend_px, math.sin(math.radians(wish.min_angle_deg))),
-        _Curves(curves.nodes, curves.degree, *curves.spacing_px, middle, half, reach_along(curves, right, step_px)),
-        points_mm,
-        sigma_mm,
-        partner_px,
-        reason,
-    )
-    lonely = _lonely(points_mm[..., 2], sigma_mm, wish, curves)
-    reason[lonely] = NoPoint.LONELY
-    for values in (points_mm, sigma_mm, partner_px):
-        values[lonely] = np.nan
+    seen = _Right(right, sigmas[1], jump_px, bend_px, math.sin(math.radians(wish.min_angle_deg)))
+    # The last row of pixels belongs to the cells before it.
+    cell = np.minimum(np.arange(len(left)) / curves.spacing_px[1], len(curves.nodes) - 2).astype(int)
+    for first, reach_px, together_px in reach_along(curves, right, step_px):
+        start, stop = np.searchsorted(cell, (first, first + len(reach_px)))
+        cut = _Curves(
+            curves.nodes, curves.degree, *curves.spacing_px, middle, half, first, reach_px, together_px
+        )  # fmt: skip
+        _match_rows(left, sigmas[0], seen, cut, int(start), int(stop), points_mm, sigma_mm, partner_px, reason)
+    if wish.min_neighbours or wish.max_sigma_mm < math.inf:
+        lonely = _lonely(points_mm[..., 2], sigma_mm, wish, curves)
+        reason[lonely] = NoPoint.LONELY
+        for values in (points_mm, sigma_mm, partner_px):
+            values[lonely] = np.nan
     return UncheckedPoints(points_mm, sigma_mm, reason, partner_px, angle_deg)
 
 
@@ -343,7 +347,7 @@ def _cross(right: _Right, terms: NDArray[np.float64], degree: int, p: float, s: 
             else:
                 (own_u, others_u), (own_v, others_v) = _share(du, in_u), _share(dv, in_v)
                 share = (1.0 + own_u + own_v) ** 2 + others_u + others_v
-            variance = share * right.variance_px2[y, x] if right.variance_px2.size else np.nan
+            variance = share * right.sigma_px[y, x] ** 2 if right.sigma_px.size else np.nan
             # Sine of the angle between the curve and the line of equal coordinate.
             squarely = slope * slope >= right.min_sine**2 * (gu * gu + gv * gv) * (us * us + vs * vs)
             return _Crossing(s, u, v, slope, variance, not squarely)
@@ -354,15 +358,21 @@ def _cross(right: _Right, terms: NDArray[np.float64], degree: int, p: float, s: 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _search(
-    right: _Right, terms: NDArray[np.float64], degree: int, p: float, reach_px: NDArray[np.float32]
-) -> tuple[_Crossing, int]:
+    right: _Right, terms: NDArray[np.float64], degree: int, p: float, reach_px: NDArray[np.float32], together_px: NDArray[np.float32]
+) -> tuple[_Crossing, int]:  # fmt: skip
     """Walk the pieces that may have ``p``; return the only crossing and FOUND, or none and the reason."""
     rows, columns = right.p_px.shape
     pieces = reach_px.shape[1]
     found, crossings, reason = _NONE, 0, 2
     # Where the last crossing was found; up to a little behind it there is no other one.
     behind = -2.0
-    for piece in range(pieces):
+    piece = -1
+    while piece + 1 < pieces:
+        piece += 1
+        # None of those that are passed over has it.
+        if piece % TOGETHER == 0 and not together_px[0, piece // TOGETHER] <= p <= together_px[1, piece // TOGETHER]:
+            piece += TOGETHER - 1
+            continue
         if not reach_px[0, piece] <= p <= reach_px[1, piece]:
             continue
         low = 2.0 * piece / pieces - 1.0
@@ -403,27 +413,29 @@ def _search(
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _match_rows(
     left_px: NDArray[np.float32],
-    variance_px2: NDArray[np.float32],
+    sigma_px: NDArray[np.float32],
     right: _Right,
     curves: _Curves,
+    start: int,
+    stop: int,
     points_mm: NDArray[np.float32],
     sigma_mm: NDArray[np.float32],
     partner_px: NDArray[np.float32],
     reason: NDArray[np.uint8],
 ) -> None:
-    """Write the points of all left pixels; those that have none keep what is there."""
+    """Write the points of the left pixels of rows ``start`` to ``stop``; those that have none keep what is there."""
     # Each step along a curve reads arrays of these: nobody counts that.
-    left_px, variance_px2, right, curves = borrowed(left_px), borrowed(variance_px2), borrowed(right), borrowed(curves)
+    left_px, sigma_px, right, curves = borrowed(left_px), borrowed(sigma_px), borrowed(right), borrowed(curves)
     nodes = curves.nodes
     down, across, count = nodes.shape
     cells_down, cells_across = curves.reach_px.shape[:2]
     row, own = np.empty((across, count)), np.empty(count)
     terms = borrowed(own)
-    for y in range(left_px.shape[0]):
+    for y in range(start, stop):
         # The row's own nodes: a cubic through those of four rows.
         # Σ w_k node_k with Lagrange's weights, in both directions one after the other.
         place = y / curves.down_px
-        cell_y = min(int(place), cells_down - 1)
+        cell_y = min(int(place) - curves.first_cell, cells_down - 1)
         j, a, b, c, d = _cubic(place, down)
         for i in range(across):
             for k in range(count):
@@ -441,8 +453,9 @@ def _match_rows(
             for k in range(count):
                 terms[k] = a * row[i, k] + b * row[i + 1, k] + c * row[i + 2, k] + d * row[i + 3, k]
             # The last row and column of pixels belong to the cells before them.
-            reach_px = curves.reach_px[cell_y, min(int(place), cells_across - 1)]
-            found, why = _search(right, terms, curves.degree, p, reach_px)
+            cell_x = min(int(place), cells_across - 1)
+            reach_px, together_px = curves.reach_px[cell_y, cell_x], curves.together_px[cell_y, cell_x]
+            found, why = _search(right, terms, curves.degree, p, reach_px, together_px)
             reason[y, x] = why
             if why != 0:
                 continue
@@ -453,9 +466,9 @@ def _match_rows(
             points_mm[y, x, 1] = terms[1] + sy * z
             points_mm[y, x, 2] = z
             partner_px[y, x, 0], partner_px[y, x, 1] = found.u, found.v
-            if variance_px2.size:
+            if sigma_px.size:
                 along = abs(curves.half) * z * z * math.sqrt(1.0 + sx * sx + sy * sy)
-                sigma_mm[y, x] = math.sqrt(variance_px2[y, x] + found.variance) * along / abs(found.slope)
+                sigma_mm[y, x] = math.sqrt(sigma_px[y, x] ** 2 + found.variance) * along / abs(found.slope)
 
 
 def _checked(coordinate_px: NDArray[np.float32], camera: HousedCamera, side: str) -> NDArray[np.float32]:
@@ -474,14 +487,14 @@ def _checked(coordinate_px: NDArray[np.float32], camera: HousedCamera, side: str
     )
 
 
-def _variance(noise_px: float | NDArray[np.float32], shape: tuple[int, ...]) -> NDArray[np.float32]:
-    """Return the variance (h, w) of coordinates with that standard deviation. Raises OneDirectionError for a map of another size."""
+def _noise(noise_px: float | NDArray[np.float32], shape: tuple[int, ...]) -> NDArray[np.float32]:
+    """Return the standard deviation (h, w) of coordinates. Raises OneDirectionError for a map of another size."""
     noise = np.asarray(noise_px, np.float32)
     if noise.shape not in ((), shape):
         raise OneDirectionError(
             f"the noise is a map of {noise.shape}, the coordinates of {shape}; give one of the same size"
         )
-    return np.ascontiguousarray(np.broadcast_to(noise * noise, shape))
+    return np.ascontiguousarray(np.broadcast_to(noise, shape))
 
 
 def _usual_step(coordinate_px: NDArray[np.float32]) -> float:

@@ -6,6 +6,7 @@ Symbols: s runs along the curve from −1 to 1 (``optics/epipolar.py``), (u, v) 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numba
 import numpy as np
@@ -20,13 +21,18 @@ CUBIC_REACH = 5
 """Nodes across and down that are asked for the pixels about one."""
 REACH_ROWS = 4
 """Rows of cells of which the reach is found together."""
+TOGETHER = 16
+"""Pieces that are passed over together where none of them has a coordinate: of all pieces a few have."""
 MOST_PIECES = 2_000
 """Most pieces of a curve: more are longer ones. So many are more than any image is wide."""
 
 
-def reach_along(curves: EpipolarCurves, coordinate_px: NDArray[np.float32], step_px: float) -> NDArray[np.float32]:
-    """Return (cells down, across, 2, pieces) float32: least and greatest coordinate that the right image has about a piece of a curve of
-    the cell between four nodes, from blocks about it; NaN where it has none. Pieces are of equal length in s.
+def reach_along(
+    curves: EpipolarCurves, coordinate_px: NDArray[np.float32], step_px: float
+) -> Iterator[tuple[int, NDArray[np.float32], NDArray[np.float32]]]:
+    """Yield of some rows of cells after the other the first one's number, and (rows, across, 2, pieces) float32: least and greatest
+    coordinate that the right image has about a piece of a curve of the cell between four nodes, from blocks about it; NaN where it has
+    none. Pieces are of equal length in s. Besides, the same of ``TOGETHER`` pieces each.
 
     ``coordinate_px`` (h, w) is the right image's map, ``step_px`` what it usually changes by from pixel to pixel.
     """
@@ -35,16 +41,17 @@ def reach_along(curves: EpipolarCurves, coordinate_px: NDArray[np.float32], step
     padded[:height, :width] = coordinate_px
     tiles = padded.reshape(-1, PIECE_PX, padded.shape[1] // PIECE_PX, PIECE_PX)
     least, greatest = (extreme.reduce(extreme.reduce(tiles, axis=3), axis=1) for extreme in (np.fmin, np.fmax))
-    # Places of the nodes at the ends of pieces, some rows at a time: of a large image all of them need much room.
     pieces = _pieces(curves)
     s = np.linspace(-1.0, 1.0, pieces + 1)
     down, across = curves.nodes.shape[:2]
-    reach = np.full((down - 1, across - 1, 2, pieces), np.nan, np.float32)
+    begins = np.arange(0, pieces, TOGETHER)
+    # Some rows at a time: of a large image all of them need much room.
     for begin in range(0, down - 1, REACH_ROWS):
-        part = reach[begin : begin + REACH_ROWS]
         at = places(curves, s, slice(begin, begin + REACH_ROWS + 1))
-        _fill_reach(at, least, greatest, width, height, np.float32(step_px), part)
-    return reach
+        reach = np.full((len(at) - 1, across - 1, 2, pieces), np.nan, np.float32)
+        _fill_reach(at, least, greatest, width, height, np.float32(step_px), reach)
+        low, high = (extreme.reduceat(reach[:, :, k], begins, axis=-1) for k, extreme in enumerate((np.fmin, np.fmax)))
+        yield begin, reach, np.stack([low, high], axis=2)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")

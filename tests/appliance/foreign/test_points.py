@@ -76,22 +76,14 @@ def found(axes: str, cameras: ForeignRig, depth_mm: float = DEPTH_MM) -> Foreign
 
 
 @pytest.mark.parametrize("axes", ["x", "xy"])
-@pytest.mark.parametrize("step", [1, 3])
-def test_every_so_many_pixels_have_the_points_of_the_full_image(axes: str, step: int) -> None:
-    cameras = rig()
-    left, right = both(cameras)
-    whole = find_points(described(axes), cameras, left, right)
-    cloud = find_points(described(axes), cameras, left, right, step=step)
-    assert cloud.cloud.shape == (-(-H // step), -(-W // step))
+def test_points_lie_where_the_plane_is(axes: str) -> None:
+    cloud = found(axes, rig())
     there = cloud.cloud.mask
+    assert cloud.cloud.shape == (H, W)
     assert cloud.points > 0.7 * there.size
-    # Beyond the first rows and columns that have all neighbours, a pixel has a point as it has in the full image.
-    inner = np.s_[1:-1, 1:-1]
-    assert np.mean(there[inner] == whole.cloud.mask[::step, ::step][inner]) > 0.97
     assert np.allclose(cloud.cloud.points_mm[there][:, 2], DEPTH_MM, atol=0.2)
     _, u = np.nonzero(there)
-    x_mm = (u * step - (W - 1) / 2) / F_PX * DEPTH_MM
-    assert np.allclose(cloud.cloud.points_mm[there][:, 0], x_mm, atol=0.1)
+    assert np.allclose(cloud.cloud.points_mm[there][:, 0], (u - (W - 1) / 2) / F_PX * DEPTH_MM, atol=0.1)
 
 
 @pytest.mark.parametrize("axes", ["x", "xy"])
@@ -116,17 +108,16 @@ def test_the_filter_that_took_the_points_is_named(axes: str, limits: tuple[float
             assert float(cloud.largest_reasons()[0].split("mostly ")[1].split()[0]) == pytest.approx(OFF_MM, rel=0.5)
 
 
-def test_rays_that_pass_each_other_are_a_gap_however_few_pixels_are_asked() -> None:
-    """The right image is moved up by four of its pixels. Thinned, that is less than a pixel, and no less wrong."""
+def test_rays_that_pass_each_other_are_a_gap() -> None:
+    """The right image is moved up by four of its pixels."""
     cameras = rig()
     left, right = both(cameras)
     moved = {
         name: replace(one, coordinate_px=np.roll(one.coordinate_px, -4, axis=0)) for name, one in right.placed.items()
     }
-    for step in (1, 6):
-        cloud = find_points(described("xy"), cameras, left, replace(right, placed=moved), step=step)
-        assert cloud.points == 0
-        assert next(iter(cloud.reasons)) == "gap"
+    cloud = find_points(described("xy"), cameras, left, replace(right, placed=moved))
+    assert cloud.points == 0
+    assert next(iter(cloud.reasons)) == "gap"
 
 
 def test_what_decoding_leaves_out_keeps_its_reason() -> None:
@@ -200,6 +191,8 @@ def test_images_wider_than_a_scratch_row_have_points_all_over() -> None:
     there = cloud.cloud.mask
     for part in (np.s_[:, 300:800], np.s_[:, 1000:1100], np.s_[:, 4000:4200]):
         assert there[part][1:-1].mean() > 0.9
+    # Nor is a point beside a strip's end less sure than those about it.
+    assert np.nanmax(cloud.cloud.sigma_mm[2:-2, 100:-100]) < 2.0 * np.nanmedian(cloud.cloud.sigma_mm)
     _, u = np.nonzero(there)
     x_mm = (u - (width - 1) / 2) / 6000.0 * DEPTH_MM
     assert np.allclose(cloud.cloud.points_mm[there][:, 0], x_mm, atol=0.1)
