@@ -61,9 +61,10 @@ def find_depths_mm(
     if len(v) < MIN_WINDOWS:
         return none
     depths_mm = candidate_depths_mm(rig, water_index)
-    middle = np.stack([u + 0.5 * (COLUMNS - 1), v + 0.5 * (ROWS - 1)], -1)
-    seen = seen_at_depths(rig, water_index, factor * middle + 0.5 * (factor - 1), depths_mm)
-    places = (seen - 0.5 * (factor - 1)) / factor - 0.5 * np.array([COLUMNS - 1, ROWS - 1])
+    # What scales with an image is the place from its edge on, half a pixel before the first one's middle.
+    half = 0.5 * np.array([COLUMNS, ROWS])
+    seen = seen_at_depths(rig, water_index, factor * (np.stack([u, v], -1) + half) - 0.5, depths_mm)
+    places = (seen + 0.5) / factor - half
     like = np.stack([
         _likeness(left, right, (int(v[k]), int(u[k])), places[k]) for k in range(len(v))
     ])  # fmt: skip
@@ -100,7 +101,7 @@ def _strongest(
     nowhere saturated."""
     sines = sequence.axis(Direction.X).sine
     level = np.mean([_shrunk(frames[k], factor) for k in sines], axis=0)
-    chance = 4.0 * (noise.read_dn**2 + noise.dn_per_e * np.maximum(level - noise.black_dn, 0.0)) / factor**2
+    chance = 4.0 * noise.variance_dn2(level) / factor**2
     excess = _tiled(changes[0] ** 2 + changes[1] ** 2 - chance).mean(axis=(1, 3))
     clear = _tiled(_brightest(frames, sequence, factor)).max(axis=(1, 3)) < CLEAR_DN
     light = _tiled(_shrunk(frames[sequence.bright], factor) - _shrunk(frames[sequence.dark], factor)).mean(axis=(1, 3))
@@ -119,13 +120,21 @@ def _brightest(frames: NDArray[np.uint8], sequence: PatternSequence, factor: int
 def _clear_everywhere(brightest: Floats, places: Array) -> NDArray[np.bool_]:
     """Return (n,) whether nothing is too bright in any of the windows at ``places`` (n, depths, 2: column, row)
     within the image."""
-    # Sums over a rectangle are four entries of the image's running sums.
-    sums = np.pad(np.cumsum(np.cumsum(brightest >= CLEAR_DN, axis=0), axis=1), ((1, 0), (1, 0)))
-    bright = sums[ROWS:, COLUMNS:] - sums[:-ROWS, COLUMNS:] - sums[ROWS:, :-COLUMNS] + sums[:-ROWS, :-COLUMNS]
-    at = np.rint(np.nan_to_num(places, nan=-1e6)).astype(np.int64)
-    inside = (at >= 0).all(-1) & (at[..., 0] < bright.shape[1]) & (at[..., 1] < bright.shape[0])
-    at[~inside] = 0
-    return np.asarray(~(inside & (bright[at[..., 1], at[..., 0]] > 0)).any(axis=1), np.bool_)
+    clear = np.asarray((_windows(brightest) < CLEAR_DN).all(axis=(2, 3)))
+    at, inside = _within(places, clear.shape)
+    return np.asarray((clear[at[..., 1], at[..., 0]] | ~inside).all(axis=1), np.bool_)
+
+
+def _windows(images: Floats) -> Floats:
+    """Return (…, rows, columns, ROWS, COLUMNS): the window at each corner, without a copy."""
+    return np.lib.stride_tricks.sliding_window_view(images, (ROWS, COLUMNS), axis=(-2, -1))
+
+
+def _within(places: Array, corners: tuple[int, ...]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Return ``places`` as whole numbers, and which of them are among so many ``corners`` (rows, columns); 0 for the others."""
+    at = np.rint(places)
+    inside = np.asarray(((at >= 0.0) & (at < corners[::-1])).all(axis=-1))
+    return np.where(inside[..., None], at, 0.0).astype(np.int64), inside
 
 
 def _tiled(image: Floats) -> Floats:
@@ -157,13 +166,10 @@ def _likeness(left: Floats, right: Floats, corner: tuple[int, int], places: Arra
     outside of the image."""
     v, u = corner
     mine = _own(left[None, :, v : v + ROWS, u : u + COLUMNS])[0]
-    at = np.rint(np.nan_to_num(places, nan=-1e6)).astype(np.int64)
-    inside = (at >= 0).all(-1) & (at[:, 0] <= right.shape[2] - COLUMNS) & (at[:, 1] <= right.shape[1] - ROWS)
-    like = np.zeros(len(places), np.float32)
-    if not inside.any():
-        return like
-    windows = np.lib.stride_tricks.sliding_window_view(right, (ROWS, COLUMNS), axis=(1, 2))
+    windows = _windows(right)
+    at, inside = _within(places, windows.shape[1:3])
     theirs = _own(windows[:, at[inside, 1], at[inside, 0]].swapaxes(0, 1))
+    like = np.zeros(len(places), np.float32)
     power = np.sqrt(np.einsum("dcij,dcij->d", theirs, theirs) * float(np.sum(mine * mine)))
     like[inside] = np.einsum("dcij,cij->d", theirs, mine) / np.maximum(power, np.float32(1e-6))
     return like

@@ -39,12 +39,14 @@ def test_a_scan_with_a_hole_in_its_middle_is_not_good(reason: Mask) -> None:
     assert (found.verdict.passed, found.fault is not None and found.fault.code) == (False, MADE_BY[reason])
     assert found.verdict.numbers["hole_percent"] == pytest.approx(100.0 * 35**2 / 200**2)
     assert found.verdict.numbers["largest_percent"] == found.verdict.numbers["hole_percent"]
+    assert found.fault is not None
+    assert found.fault.numbers == {"hole_percent": found.verdict.numbers["hole_percent"]}
     small = judge_holes(*scene(34, reason))
     assert (small.verdict.passed, small.fault) == (True, None)
 
 
 @pytest.mark.parametrize(
-    ("dark_dn", "code"), [(255, FaultCode.AMBIENT), (128, FaultCode.AMBIENT), (20, FaultCode.TOO_BRIGHT)]
+    ("dark_dn", "code"), [(255, FaultCode.AMBIENT), (127, FaultCode.AMBIENT), (126, FaultCode.TOO_BRIGHT)]
 )
 def test_what_a_torch_burns_away_is_the_torchs(dark_dn: int, code: FaultCode) -> None:
     """Saturated in the dark it counts as shadow; and where the projector alone saturates, a shorter exposure helps."""
@@ -56,12 +58,36 @@ def test_what_a_torch_burns_away_is_the_torchs(dark_dn: int, code: FaultCode) ->
     assert found.verdict.numbers["saturated_percent"] == 100.0
 
 
+@pytest.mark.parametrize(
+    ("rows", "lit", "code"),
+    [(29, 29, FaultCode.PART_MISSING), (30, 29, FaultCode.TOO_BRIGHT), (60, 30, FaultCode.AMBIENT)],
+)
+def test_light_made_holes_of_which_half_is_saturated(rows: int, lit: int, code: FaultCode) -> None:
+    mask, dark, there = scene(60, Mask.CONTRADICTION)
+    mask[120 : 120 + rows, 180:240] = Mask.SATURATED
+    dark[120 : 120 + lit, 180:240] = 200
+    found = judge_holes(mask, dark, there)
+    assert found.fault is not None
+    assert found.fault.code is code
+    assert found.verdict.numbers["saturated_percent"] == pytest.approx(100.0 * rows / 60)
+
+
 @pytest.mark.parametrize("reason", [Mask.SHADOW, Mask.WEAK, Mask.VALID])
 def test_shadow_dark_paint_and_what_one_camera_sees_are_no_holes(reason: Mask) -> None:
     mask, dark, _ = scene(60, reason)
     there = mask == Mask.VALID
     there[120:180, 180:240] = False
-    assert judge_holes(mask, dark, there).verdict.numbers["hole_percent"] == 0.0
+    numbers = judge_holes(mask, dark, there).verdict.numbers
+    assert numbers == {"hole_percent": 0.0, "largest_percent": 0.0, "saturated_percent": None}
+
+
+def test_a_hole_is_three_places_wide_and_high_and_the_largest_is_told() -> None:
+    mask, dark, _ = scene(0, Mask.VALID)
+    for part in (np.s_[60:62, 110:150], np.s_[70:110, 110:112], np.s_[60:63, 200:203], np.s_[80:84, 200:203]):
+        mask[part] = Mask.EDGE
+    numbers = judge_holes(mask, dark, mask == Mask.VALID).verdict.numbers
+    assert numbers["hole_percent"] == pytest.approx(100.0 * (9 + 12) / 200**2)
+    assert numbers["largest_percent"] == pytest.approx(100.0 * 12 / 200**2)
 
 
 def test_edges_are_no_holes_but_a_surface_torn_all_over_has_many() -> None:
@@ -86,15 +112,17 @@ def test_a_flange_that_was_lost_when_the_motion_was_undone_is_missing() -> None:
     found = judge_holes(mask, dark, there, before)
     assert found.fault is not None
     assert found.fault.code is FaultCode.PART_MISSING
+    assert found.verdict.numbers["hole_percent"] == pytest.approx(20.0)
 
 
 def test_nothing_seen_is_nothing_to_judge() -> None:
     empty = judge_holes(np.full(SHAPE, Mask.SHADOW, np.uint8), np.zeros(SHAPE, np.uint8), np.zeros(SHAPE, bool))
-    assert (empty.verdict.passed, empty.fault) == (None, None)
-    assert judge_distance(CloudSummary(0, 0.0, None, None, None), STANDARD).verdict.passed is None
+    far = judge_distance(CloudSummary(0, 0.0, None, None, None), STANDARD)
+    for found in (empty, far):
+        assert (found.verdict.passed, found.verdict.numbers, found.fault) == (None, {}, None)
 
 
-@pytest.mark.parametrize(("width_px", "step_px"), [(1600, 4), (800, 2), (400, 1), (240, 1), (2448, 6)])
+@pytest.mark.parametrize(("width_px", "step_px"), [(1600, 4), (600, 2), (599, 1), (240, 1), (100, 1)])
 def test_a_hole_is_as_wide_on_the_surface_whatever_the_camera(width_px: int, step_px: int) -> None:
     assert grid_step_px(width_px) == step_px
 
@@ -115,7 +143,9 @@ def test_a_scan_outside_of_the_measuring_volume_says_so(
 ) -> None:
     found = judge_distance(CloudSummary(9, 90.0, distance_mm, 0.02, 0.01), volume)
     assert (None if found.fault is None else found.fault.code) is code
+    assert found.verdict.passed is (code is None)
     assert found.verdict.numbers == {"distance_mm": distance_mm}
+    assert found.fault is None or found.fault.numbers == found.verdict.numbers
 
 
 def test_what_is_missing_is_told_once_and_only_where_nothing_else_explains_it() -> None:

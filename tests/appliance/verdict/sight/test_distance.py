@@ -2,16 +2,29 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
+from appliance.patterns.sequence import Direction, build_sequence
 from appliance.reconstruct.quality import CloudSummary, QualityLimits
 from appliance.reconstruct.table import Found, PointTable
-from appliance.scan.noise import TYPICAL_PAIR
-from appliance.verdict.sight.distance import find_depths_mm
+from appliance.scan.noise import TYPICAL_PAIR, CameraNoise
+from appliance.verdict.sight.distance import (
+    COLUMNS,
+    ROWS,
+    STEP_PX,
+    _clear_everywhere,
+    _likeness,
+    _strongest,
+    candidate_depths_mm,
+    find_depths_mm,
+    seen_at_depths,
+)
 from appliance.verdict.sight.judge import look
 from hw_sim.scene import Scene
 from hw_sim.water.medium import Water
+from tests.support import synthetic
 from tests.support.rendered import RenderedScan, render_scan
 from tests.support.truth import WATER, true_calibration
 
@@ -76,3 +89,84 @@ def test_a_far_plane_in_silt_without_a_point_is_said_to_be_far() -> None:
     seen = look(scan.frames, scan.sequence, TYPICAL_PAIR, rig, WATER.index, nothing, QualityLimits())
     assert (seen.numbers["far_percent"] or 0.0) > 70.0
     assert seen.numbers["distance_mm"] == pytest.approx(760.0, rel=0.07)
+
+
+# ------------------------------------------------------------------------------------------------- by values
+
+SEQUENCE = build_sequence(8, 32, 32)
+SINE = SEQUENCE.axis(Direction.X).sine
+
+
+@pytest.mark.parametrize(("width_px", "depth_mm"), [(400, 480.0), (801, 560.0)])
+def test_a_plane_of_any_texture_is_found_to_half_a_per_cent(width_px: int, depth_mm: float) -> None:
+    rig = synthetic.calibration(width_px, 151).rig
+    rng = np.random.default_rng(3)
+    left = np.stack([
+        cv2.GaussianBlur(rng.uniform(0.0, 240.0, (151, width_px)), (0, 0), width_px / 300) for _ in SEQUENCE.patterns
+    ])  # fmt: skip
+    points = synthetic.plane_points(rig.right, np.array([0.0, 0.0, 1.0]), depth_mm)
+    at = rig.left.project(points, WATER.index).astype(np.float32)
+    right = np.stack([cv2.remap(one, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderValue=100.0) for one in left])
+    frames = {"left": np.rint(left).astype(np.uint8), "right": np.rint(right).astype(np.uint8)}
+    found = find_depths_mm(frames, SEQUENCE, TYPICAL_PAIR, rig, WATER.index)
+    assert len(found) >= 30
+    assert np.mean(abs(found / depth_mm - 1.0) < 0.005) > 0.9, "but for those whose place the right camera does not see"
+
+
+def test_depths_are_a_step_of_the_right_picture_apart() -> None:
+    rig = synthetic.calibration(801, 301).rig
+    depths = candidate_depths_mm(rig, WATER.index)
+    assert depths[[0, -1]].tolist() == pytest.approx([rig.volume.scaled(250.0), rig.volume.scaled(1500.0)])
+    way_px = np.ptp(seen_at_depths(rig, WATER.index, np.array([[400.0, 150.0]]), depths)[0, :, 0]) * 400 / 801
+    assert STEP_PX * (len(depths) - 2) <= way_px < STEP_PX * (len(depths) - 1)
+
+
+@pytest.mark.parametrize(
+    ("factor", "fringe_dn", "read_dn", "light_dn", "brightest_dn", "found"),
+    [
+        # Each image varies by 0.05 · (100 − 20) = 4 for its photons, and by what reading makes: 6² − 4 · (1.6² + 4) = 9.8.
+        (1, 6, 1.6, 0, 0, True),
+        (1, 6, 2.19, 0, 0, True),  # 0.8² are enough
+        (1, 6, 2.21, 0, 0, False),
+        (2, 3, 2.20, 0, 0, False),
+        (2, 3, 2.00, 0, 0, True),
+        (1, 6, 1.6, 31, 0, True),  # a tenth of the light: 3.1² = 9.6
+        (1, 6, 1.6, 32, 0, False),
+        (1, 6, 1.6, 0, 249, True),
+        (1, 6, 1.6, 0, 250, False),
+    ],
+)
+def test_windows_have_fringes_beyond_noise_and_are_nowhere_saturated(
+    factor: int, fringe_dn: int, read_dn: float, light_dn: int, brightest_dn: int, found: bool
+) -> None:
+    shape = 2 * ROWS + 1, 2 * COLUMNS + 1
+    frames = np.full((len(SEQUENCE), factor * shape[0] + factor - 1, factor * shape[1]), 100, np.uint8)
+    window = np.s_[ROWS * factor : 2 * ROWS * factor, COLUMNS * factor : 2 * COLUMNS * factor]
+    frames[SEQUENCE.dark] -= np.uint8(light_dn)
+    frames[SINE[1]][window] -= np.uint8(fringe_dn // 2)
+    frames[SINE[3]][window] += np.uint8(fringe_dn - fringe_dn // 2)
+    frames[SINE[1], ROWS * factor, COLUMNS * factor] = max(brightest_dn, 100)
+    frames[SINE[3], ROWS * factor, COLUMNS * factor] = max(brightest_dn, 100)
+    changes = np.zeros((2, *shape), np.float32)
+    changes[1, ROWS : 2 * ROWS, COLUMNS : 2 * COLUMNS] = fringe_dn
+    v, u = _strongest(frames, SEQUENCE, factor, changes, CameraNoise(read_dn, 0.05, 20.0))
+    assert (v.tolist(), u.tolist()) == (([ROWS], [COLUMNS]) if found else ([], []))
+
+
+@pytest.mark.parametrize(
+    ("column", "row", "inside"),
+    [(0, 0, True), (6, 3, True), (6.4, 3.4, True), (7, 3, False), (6, 4, False), (-1, 0, False), (0, -1, False), (np.nan, np.nan, False)],
+)  # fmt: skip
+def test_a_window_is_compared_where_the_whole_of_it_is_in_the_picture(column: float, row: float, inside: bool) -> None:
+    rng = np.random.default_rng(4)
+    right = rng.normal(size=(4, ROWS + 3, COLUMNS + 6)).astype(np.float32)
+    v, u = (round(row), round(column)) if inside else (0, 0)
+    left = right.copy()
+    left[2:] += 7.0  # what Gray images have all over a window is the water's
+    at = np.array([[column, row]])
+    assert _likeness(left, right, (v, u), at)[0] == pytest.approx(float(inside), abs=1e-5)
+    assert abs(_likeness(left, right, (2, 1), np.array([[4.0, 0.0]]))[0]) < 0.5
+    for corner in ((v, u), (v + ROWS - 1, u + COLUMNS - 1)):
+        bright = np.full(right.shape[1:], 249.0, np.float32)
+        bright[corner] = 250.0
+        assert _clear_everywhere(bright, at[None]).tolist() == [not inside]
