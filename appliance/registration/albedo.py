@@ -50,7 +50,7 @@ def _without_shading(patches: Patches, known: NDArray[np.bool_], light_mm: Array
     n, c = patches.normal[known], patches.centre_mm[known]
     to_light = light_mm - c
     distance = np.linalg.norm(to_light, axis=1)
-    cosine = np.clip((n * to_light).sum(axis=1) / distance, 0.05, 1.0)
+    cosine = np.maximum((n * to_light).sum(axis=1) / distance, 0.05)
     x, y, z = ((c - c.mean(axis=0)) / 100.0).T
     # Lambert's law and the distance, the fall of the light over its field, and what shape does beyond: gloss, shaded light.
     terms = np.stack(

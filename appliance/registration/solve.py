@@ -72,7 +72,7 @@ def solve(
 
     def compare(pairs: Mapping[tuple[int, int], Rigid | None], share: float) -> None:
         for number, ((first, second), near) in enumerate(sorted(pairs.items(), key=lambda item: item[0])):
-            progress(f"comparing pair {number + 1} of {len(pairs)}", share + 0.5 * number / max(len(pairs), 1))
+            progress(f"comparing pair {number + 1} of {len(pairs)}", share + 0.5 * number / len(pairs))
             tried.add((first, second))
             compared.append(_compared(scans, first, second, near))
 

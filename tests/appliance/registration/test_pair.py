@@ -20,12 +20,15 @@ from appliance.registration.pair import (
     _as_good,
     _contradiction,
     freedom,
+    ready,
     refusal_of,
     register,
 )
 from appliance.registration.rigid import Rigid
+from appliance.registration.solve import middle_of, solve
 from tests.appliance.registration.test_graph import edge
-from tests.support.views import SeenView, between, displacement_mm, view
+from tests.support import synthetic
+from tests.support.views import LIGHT_MM, SeenView, between, displacement_mm, view
 
 SHELL = (0.0, 0.0, 545.0, 5.0, -8.0, 12.0), (40.0, -25.0, 550.0, -4.0, 6.0, 25.0)
 PIPE = (40.0, 0.0, 560.0, 0.0, 6.0, 20.0), (-30.0, 10.0, 570.0, 12.0, 0.0, 28.0)
@@ -292,3 +295,27 @@ def test_a_start_some_way_off_leads_to_the_same_pose() -> None:
         fit = refine(a, b, Rigid(true.rotation, true.translation_mm + np.array(offset)))
         assert fit is not None
         assert displacement_mm(fit.pose, true, second) < 0.005
+
+
+def test_three_scans_become_one_object_with_the_shared_depth_error_as_it_is_wanted() -> None:
+    calibration = synthetic.calibration(200, 150)
+    views = [
+        view("shell", pose, "strong", k, calibration)
+        for k, pose in enumerate((*SHELL, (-30.0, 15.0, 545.0, 5.0, -2.0, -5.0)))
+    ]
+    scans = [ready(one.cloud, calibration.rig.left, synthetic.WATER.index, LIGHT_MM) for one in views]
+    told: list[tuple[str, float]] = []
+    plain = solve(scans, lambda doing, share: told.append((doing, share)))
+    assert told == [(f"comparing pair {k + 1} of 3", k / 6.0) for k in range(3)] + [("closing loops", 1.0)]
+    assert [(one.first, one.second) for one in plain.compared] == [(0, 1), (0, 2), (1, 2)]
+    assert all((one.matches or 0) > 100 for one in plain.compared), "paint shows in both"
+    assert plain.left_out == {}
+    for k, one in enumerate(views):
+        assert displacement_mm(plain.placed.poses[k], between(views[0], one), one) < 0.02
+        np.testing.assert_allclose(middle_of(scans[k]), np.nanmedian(one.cloud.points_mm, axis=(0, 1)), atol=3.0)
+    assert plain.placed.bending_mm == plain.placed.bending_unaided_mm
+    assert plain.aided.bending_mm[1] < plain.aided.bending_unaided_mm[1]
+    believed = solve(scans[:2], lambda *_: None, with_bow=True)
+    assert believed.placed is believed.aided
+    assert np.any(believed.placed.bow_mm)
+    assert not np.any(plain.placed.bow_mm)

@@ -230,11 +230,34 @@ def painted(value: Array, pitch_mm: float = 1.0) -> Patches:
 def test_shading_is_no_paint_and_paint_is_kept() -> None:
     bare = painted(np.zeros((50, 60)))
     assert bare.log_grey.std() > 0.015
-    assert np.abs(paint_of(bare, LIGHT_MM).value).max() < 0.002
+    holed = bare.log_grey.copy()
+    holed[20:32, 20:35] = np.nan
+    for one in (bare, replace(bare, log_grey=holed)):
+        assert np.nanmax(np.abs(paint_of(one, LIGHT_MM).value)) < 0.002
     fine = 0.3 * np.random.default_rng(1).normal(size=(50, 60))
     paint = paint_of(painted(fine), LIGHT_MM)
     assert np.corrcoef(paint.value.ravel(), fine.ravel())[0, 1] > 0.98
     np.testing.assert_array_equal(paint.noise, 0.01)
+
+
+def test_light_that_follows_from_place_and_direction_is_no_paint_whatever_the_shape() -> None:
+    """Lambert's law and the distance, light that falls off over the field, and gloss: each by itself, on a surface rough in all directions."""
+    rng = np.random.default_rng(6)
+    n = rng.normal(size=(20, 20, 3)) - np.array([0.0, 0.0, 1.0])
+    n /= np.linalg.norm(n, axis=-1, keepdims=True)
+    at = rng.uniform(-90.0, 90.0, (20, 20, 3)) + np.array([0.0, 0.0, 500.0])
+    rough = replace(painted(np.zeros((20, 20))), normal=n, centre_mm=at)
+    to_light = LIGHT_MM - at
+    away = np.linalg.norm(to_light, axis=-1)
+    cosine = np.maximum((n * to_light).sum(-1) / away, 0.05)
+    x, y, z = np.moveaxis(at / 100.0, -1, 0)
+    for shade in (
+        np.log(cosine), cosine, cosine**2, np.log(away), x, y, z, x * x, x * y, y * y,
+        n[..., 0], n[..., 1], n[..., 0] * n[..., 1], n[..., 0] ** 2 - n[..., 1] ** 2,
+    ):  # fmt: skip
+        grey = (shade - shade.mean()) / shade.std()
+        left = _without_shading(replace(rough, log_grey=grey), np.ones((20, 20), bool), LIGHT_MM)
+        assert left.std() < 0.06
 
 
 def test_glare_does_not_change_the_paint_of_the_rest() -> None:
