@@ -30,6 +30,7 @@ BESIDE = {
         "tests/appliance/cli/test_measure.py",
         "tests/appliance/service/test_lost_cloud.py",
     ),
+    "appliance/offline/anew": ("tests/integration/test_reprocess.py",),
     "appliance/storage": (
         "tests/crash/test_power_loss.py",
         "tests/crash/test_refused_writes.py",

@@ -351,7 +351,7 @@ def test_a_worker_that_does_not_answer_for_half_an_hour_gets_nothing(here: Here)
 
 @pytest.mark.parametrize(
     ("scan_s", "threads", "waiting", "most"),
-    [(None, 1, 1000, 1), (4.1, 1, 1000, 1), (2.0, 1, 1000, 2), (0.5, 1, 1000, 8), (0.1, 1, 1000, 8), (0.1, 2, 24, 3), (0.1, 2, 1, 1)],
+    [(None, 1, 1000, 1), (4.1, 1, 1000, 1), (2.0, 1, 1000, 2), (0.5, 1, 1000, 8), (0.1, 1, 1000, 8), (0.1, 2, 24, 3), (0.1, 1, 12, 3), (0.1, 0, 12, 3), (0.1, 2, 1, 1)],
 )  # fmt: skip
 def test_quick_scans_share_a_task_of_four_seconds_while_each_thread_has_four_left(
     scan_s: float | None, threads: int, waiting: int, most: int, here: Here
