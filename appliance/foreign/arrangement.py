@@ -49,6 +49,9 @@ CENTRED, NEARLY_CENTRED = 0.12, 0.06
 """Distance of a principal point from the middle of its image, over its size: of a whole sensor, and after another size was put right."""
 POSE, TURN, TURN_DEG = "cameras: rotation and translation", "cameras: a turn about the columns", 0.3
 WHICH_IS_LEFT = "cameras: which is left"
+REMEDIES = (
+    "check that the calibration is of this setting and of images of this size, cameras.unit, water and ports, and range"
+)
 NOTHING = Offset(0, 0, 0.0, 0.0, 0.0)
 Maps = Mapping[str, Floats]
 
@@ -108,9 +111,6 @@ class _Found:
         return ", ".join([*said, str(self.aside)] if self.aside.asked else said)
 
 
-Tried = list[tuple[_Hypothesis, _Found]]
-
-
 def examine_cameras(
     description: Description, rig: ForeignRig, cameras: Mapping[str, DecodedCamera]
 ) -> list[ExaminedAssumption]:
@@ -138,7 +138,7 @@ def examine_cameras(
     return [*said, size]
 
 
-def _judged(here: _Found, tried: Tried) -> list[ExaminedAssumption]:
+def _judged(here: _Found, tried: list[tuple[_Hypothesis, _Found]]) -> list[ExaminedAssumption]:
     """Return what the hypotheses say of the words that they are about."""
     better = [(one, found) for one, found in tried if found.better(here)]
     if better:
@@ -147,7 +147,11 @@ def _judged(here: _Found, tried: Tried) -> list[ExaminedAssumption]:
         rivals = [other.text for other, theirs in better if other is not one and not found.better(theirs)]
         return [wrong(one.about, f"{here}; {found} if {' or '.join([one.text, *rivals])}", **one.instead)]
     if not here.holds:
-        return [_unexplained(here)]
+        aside = here.aside
+        sure = aside.spread_px <= aside.allowed_px or aside.found > FOUND_SHARE * aside.asked
+        contradicted = here.share <= NONE or here.same_side < SAME_SIDE or (here.share >= POOR and sure)
+        text = f"{here}, and no better if cameras, R or T are exchanged: {REMEDIES}"
+        return [wrong(POSE, text) if contradicted else told(POSE, False, text)]
     said = []
     for about in dict.fromkeys(one.about for one, _ in tried):
         mine = [(one, found) for one, found in tried if one.about == about]
@@ -162,17 +166,6 @@ def _judged(here: _Found, tried: Tried) -> list[ExaminedAssumption]:
         if about != TURN or here.aside.tells:
             said.append(told(about, not as_good and (about != POSE or here.aside.tells), text))
     return said
-
-
-def _unexplained(here: _Found) -> ExaminedAssumption:
-    aside = here.aside
-    sure = aside.spread_px <= aside.allowed_px or aside.found > FOUND_SHARE * aside.asked
-    contradicted = here.share <= NONE or here.same_side < SAME_SIDE or (here.share >= POOR and sure)
-    text = (
-        f"{here}, and no better if cameras, R or T are exchanged: check that the calibration is of this setting and of images of this size, "
-        "cameras.unit, water and ports, and range"
-    )
-    return wrong(POSE, text) if contradicted else told(POSE, False, text)
 
 
 # ------------------------------------------------------------------------------------------------- hypotheses

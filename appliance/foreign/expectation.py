@@ -7,7 +7,6 @@ stripes that the camera does not resolve: these vary little, and weigh so much l
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import cv2
@@ -35,15 +34,17 @@ def explained_shares(
     for k, one in enumerate(camera.images.shown):
         axis = description.axis(one.axis)
         if axis is None:
-            seen, expected = (
-                shares[k][lit] - 0.5,
-                np.full(np.count_nonzero(lit), 0.5 if one.shows is Shows.BRIGHT else -0.5),
-            )
+            seen = shares[k][lit] - 0.5
+            expected = np.full_like(seen, 0.5 if one.shows is Shows.BRIGHT else -0.5)
             weights[k] = 0.25
         else:
             coordinate_px, usable = smooth[axis.name]
-            seen = _without_carrier(shares, camera.images.shown, k, axis)[usable]
-            seen = seen - (seen.mean() if one.shows is Shows.MODULATED else np.float32(0.5))
+            modulated = one.shows is Shows.MODULATED
+            # Of one that a carrier multiplies, the mean over the carrier's steps.
+            steps = axis.carriers[one.period] if modulated else 1
+            first = k - one.index % steps
+            seen = shares[first : first + steps, usable].mean(axis=0)
+            seen = seen - (seen.mean() if modulated else np.float32(0.5))
             if len(seen) < LEAST_PIXELS:
                 continue
             expected = expected_values(axis, one, coordinate_px[usable] + 0.5)
@@ -69,16 +70,6 @@ def expected_values(axis: AxisConvention, one: ShownImage, edge_px: NDArray[Any]
         step = one.index // axis.carriers[period]
     turns = edge_px / axis.periods_px[period] + (axis.begins_deg[period] + axis.signed_deg[period][step]) / 360.0
     return np.asarray(0.5 * np.cos(2.0 * np.pi * turns))
-
-
-def _without_carrier(shares: Floats, shown: Sequence[ShownImage], k: int, axis: AxisConvention) -> Floats:
-    """Return image ``k``; of one that a carrier multiplies, the mean over the carrier's steps."""
-    one = shown[k]
-    if one.shows is not Shows.MODULATED:
-        return np.asarray(shares[k])
-    steps = axis.carriers[one.period]
-    first = k - one.index % steps
-    return np.asarray(shares[first : first + steps].mean(axis=0))
 
 
 def _smoothed(coordinate_px: Floats, lit: NDArray[np.bool_]) -> tuple[Floats, NDArray[np.bool_]]:

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.foreign.camera import MAD_TO_SIGMA
 from appliance.foreign.phase import Floats
 
 USUAL_WIDTH_PX = 1280
@@ -22,14 +23,13 @@ MOST_HALF_PX, LEAST_HALF_PX = 15, 7
 """Half a patch, less half a pixel, of images of the usual width, and of small ones."""
 FINE_PX, COARSE_PX = 1.5, 12.0
 """Gaussians between which the texture lies that is compared."""
-REACH, LEAST_REACH_PX = 0.06, 16
+REACH = 0.06
 """Distance up to which a patch is looked for, over the image's length across the disparity."""
 ALIKE, CLEARLY, SAME_PX = 0.85, 0.08, 4
 """Least correlation of a place, and by how much it is better than any that lies farther away than so many px."""
 MOST_OFFSET_PX = 2.0
 """Offset that right numbers leave, of images of the usual width."""
 LEAST_FOUND = 40
-MAD_TO_SIGMA = 1.4826
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,11 +46,10 @@ class Offset:
     @classmethod
     def of(cls, offsets_px: NDArray[np.float64], asked: int, allowed_px: float) -> Offset:
         """Return the statistics of single offsets."""
-        if not offsets_px.size:
-            return cls(asked, 0, 0.0, 0.0, allowed_px)
+        offsets_px = offsets_px if (found := int(offsets_px.size)) else np.zeros(1)
         median = float(np.median(offsets_px))
         spread = MAD_TO_SIGMA * float(np.median(np.abs(offsets_px - median)))
-        return cls(asked, int(offsets_px.size), median, spread, allowed_px)
+        return cls(asked, found, median, spread, allowed_px)
 
     @property
     def tells(self) -> bool:
@@ -68,12 +67,8 @@ class Offset:
         return self.tells and self.size_px <= self.allowed_px
 
     def __str__(self) -> str:
-        said = f"{self.found} of {self.asked} places are found again"
-        return (
-            f"{said}, {self.median_px:+.1f} ± {self.spread_px:.1f} px aside"
-            if self.tells
-            else f"{said}: too few to tell"
-        )
+        aside = f", {self.median_px:+.1f} ± {self.spread_px:.1f} px aside" if self.tells else ": too few to tell"
+        return f"{self.found} of {self.asked} places are found again{aside}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,14 +97,12 @@ class Texture:
         left, right = (self.left, self.right) if down else (self.left.T, self.right.T)
         places = places if down else places[..., ::-1]
         half = max(LEAST_HALF_PX, min(MOST_HALF_PX, left.shape[1] // 60))
-        reach = max(LEAST_REACH_PX, round(REACH * right.shape[0]))
-        asked, found = 0, []
+        reach = round(REACH * right.shape[0])
+        asked, found, side = 0, [], 2 * half + 1
         moved = np.rint(places) - places
-        aside = (moved[1] - moved[0])[:, 1]
-        for (x, y), (u, v), beside in zip(*np.rint(places).astype(int), aside, strict=True):
+        for (x, y), (u, v), beside in zip(*np.rint(places).astype(int), (moved[1] - moved[0])[:, 1], strict=True):
             patch = left[max(0, y - half) : y + half + 1, max(0, x - half) : x + half + 1]
             strip = right[max(0, v - half - reach) : v + half + reach + 1, max(0, u - half) : u + half + 1]
-            side = 2 * half + 1
             if min(x, y, u, v - reach) < half or patch.shape != (side, side) or strip.shape != (side + 2 * reach, side):
                 continue
             asked += 1
