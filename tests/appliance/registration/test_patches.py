@@ -284,7 +284,7 @@ def test_paint_is_told_from_forty_patches_on(count: int, known: bool) -> None:
 
 
 def test_the_gradient_of_paint_lies_along_the_surface_and_ends_at_edges() -> None:
-    patches = painted(np.zeros((30, 30)))
+    patches = painted(np.zeros((30, 30)), 0.7)
     patches = replace(patches, log_grey=0.2 * np.random.default_rng(3).normal(size=(30, 30)))
     paint = paint_of(patches, LIGHT_MM)
     c, value, g = patches.centre_mm, paint.value, paint.gradient
