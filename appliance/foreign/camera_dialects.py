@@ -211,7 +211,9 @@ def understood(files: Mapping[str, NumbersOf], names: Table, of_projector: bool)
             _put(facts, fact)
     notes: list[str] = []
     pose = {} if {WANTED["rotation"], WANTED["translation"]} <= fixed else _pose(facts, notes)
-    found = {wanted: facts[key].numbers for wanted, key in WANTED.items() if key in facts} | pose
+    found = pose | {
+        wanted: facts[key].numbers for wanted, key in WANTED.items() if key in (fixed if wanted in pose else facts)
+    }
     missing = [wanted for wanted in WANTED if wanted not in found and not wanted.endswith("distortion")]
     if missing:
         there = "; ".join(

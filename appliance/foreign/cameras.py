@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,11 +61,10 @@ class ForeignRig:
 
 def read_rig(description: Description, sizes_px: Mapping[str, tuple[int, int]]) -> ForeignRig:
     """Return the rig of a description; ``sizes_px`` are (width, height) by side. Raises ForeignError."""
-    table = description.cameras
-    of_projector = "right" not in description.files
-    ours = _calibration_in(description.folder, table)
+    ours = _our_own(description, sizes_px)
     if ours is not None:
-        return _our_own(description, *ours, sizes_px)
+        return ours
+    table, of_projector = description.cameras, "right" not in description.files
     table.only("files", "names", "unit", *SIDES, "rotation", "translation")
     unit = table.choice("unit", tuple(UNITS_MM), "mm")
     said = camera_numbers(description.folder, table, of_projector) if "files" in table.content else _in_words(table)
@@ -90,11 +88,11 @@ def read_rig(description: Description, sizes_px: Mapping[str, tuple[int, int]]) 
     if scale_known:
         _check_baseline(length, unit)
         T = UNITS_MM[unit] * T
-        if without_scale(length):
-            notes.append(f"cameras.unit: the translation is 1 {unit} long, as calibrations without scale have it")
-    else:
+    if without_scale(length):
         notes.append(
-            "cameras.unit: the translation has length 1: a calibration without scale; lengths are in distances of the two"
+            f"cameras.unit: the translation is 1 {unit} long, as calibrations without scale have it"
+            if scale_known
+            else "cameras.unit: the translation has length 1: a calibration without scale; lengths are in distances of the two"
         )
     cameras = []
     for side, rotation, t_mm in (("left", np.eye(3), np.zeros(3)), ("right", R.T, -R.T @ T)):
@@ -180,38 +178,29 @@ def lens_of(matrix: Array, distortion: Array, size_px: tuple[int, int], side: st
     return Lens(f_px, c_px, tuple(values.tolist()))
 
 
-def _calibration_in(folder: Path, table: Table) -> tuple[Path, calibration_file.Calibration] | None:
-    """Return the calibration file of ours that ``cameras.calibration``, or ``cameras.files`` alone, name; ``None`` where none is named."""
+def _our_own(description: Description, sizes_px: Mapping[str, tuple[int, int]]) -> ForeignRig | None:
+    """Return the cameras of a file of ours that ``cameras.calibration``, or ``cameras.files`` alone, name; ``None`` where none is named."""
+    table = description.cameras
     named = "calibration" in table.content
     files = table.content.get("files")
     name = table.text("calibration") if named else files[0] if isinstance(files, list) and len(files) == 1 else files
     if not named and not str(name).lower().endswith(".json"):
         return None
-    path = folder / str(name)
+    path = description.folder / str(name)
     try:
-        found = path, calibration_file.load(path)
+        ours = calibration_file.load(path)
     except calibration_file.CalibrationError as error:
         if named:
             raise ForeignError(str(error)) from error
         return None
     table.only("calibration" if named else "files")
-    return found
-
-
-def _our_own(
-    description: Description, path: Path, ours: calibration_file.Calibration, sizes_px: Mapping[str, tuple[int, int]]
-) -> ForeignRig:
     cameras = {"left": ours.rig.left, "right": ours.rig.right}
     stated_px = {side: (camera.width_px, camera.height_px) for side, camera in cameras.items()}
     for side, stated in stated_px.items():
         _check_size(str(path), side, stated, sizes_px[side], "right" not in description.files)
     if not any(
-        camera.port.distance_mm
-        or camera.port.thickness_mm
-        or camera.correction
-        or camera.ray_shift
-        or camera.lens_in_water
-        for camera in cameras.values()
+        one.port.distance_mm or one.port.thickness_mm or one.correction or one.ray_shift or one.lens_in_water
+        for one in cameras.values()
     ):
         # Of `calibrate pair`: like OpenCV's files it knows neither windows nor water.
         return replace(_behind_ports(description, ours.rig), stated_px=stated_px)

@@ -36,7 +36,9 @@ def picture_head(data: bytes | mmap) -> Head | None:
             width_px, height_px, bits = struct.unpack_from(">IIB", data, 16)
             return width_px, height_px, bits
         if data[:2] == b"BM":
-            return _bitmap(data)
+            old = struct.unpack_from("<I", data, 14) == (12,)
+            width_px, height_px = struct.unpack_from("<HH" if old else "<ii", data, 18)
+            return width_px, abs(height_px), 8  # negative: the first row is the upper one
         if data[:4] in (b"II*\0", b"MM\0*"):
             return _tiff(data, "<" if data[:1] == b"I" else ">")
         if data[:3] == b"\xff\xd8\xff":
@@ -45,12 +47,6 @@ def picture_head(data: bytes | mmap) -> Head | None:
         return None  # shorter than its own header
     found = _NETPBM.match(data[:4096])
     return (int(found[1]), int(found[2]), 8 if int(found[3]) < 256 else 16) if found else None
-
-
-def _bitmap(data: bytes | mmap) -> Head:
-    (header,) = struct.unpack_from("<I", data, 14)
-    width_px, height_px = struct.unpack_from("<HH" if header == 12 else "<ii", data, 18)
-    return width_px, abs(height_px), 8  # negative: the first row is the upper one
 
 
 def _tiff(data: bytes | mmap, order: str) -> Head | None:
@@ -70,20 +66,17 @@ def _tiff(data: bytes | mmap, order: str) -> Head | None:
 
 def _jpeg(data: bytes | mmap) -> Head | None:
     at = 2
-    while at < len(data):
+    while True:  # to where the data end, which raises
         lead, marker = struct.unpack_from("BB", data, at)
         if lead != 0xFF:
             return None
-        if marker == 0xFF:
-            at += 1  # filling
-        elif marker in _START_OF_FRAME:
+        if marker in _START_OF_FRAME:
             bits, height_px, width_px = struct.unpack_from(">BHH", data, at + 4)
             return width_px, height_px, bits
+        if marker == 0xFF:
+            at += 1  # filling
         elif marker in _WITHOUT_LENGTH:
             at += 2
         else:
-            # The length counts its own two bytes; at least those are skipped, so that a damaged 0 does not loop for
-            # ever.
-            (length,) = struct.unpack_from(">H", data, at + 2)
-            at += 2 + max(length, 2)
-    return None
+            # The length counts its own two bytes; at least those are skipped, so that a damaged 0 does not loop for ever.
+            at += 2 + max(struct.unpack_from(">H", data, at + 2)[0], 2)
