@@ -187,30 +187,35 @@ FLAT = ", ".join(f"{one:.12g}" for one in np.ravel(M1))
 WORLD_R, WORLD_T = cv2.Rodrigues(np.array([0.2, 0.1, -0.3]))[0], np.array([[20.0], [-30.0], [900.0]])
 
 
-def tutorial(folder: Path) -> None:
+def tutorial(folder: Path) -> str:
     written(folder / "c.yml", cam1_intrinsics=M1, cam1_distorsion=D1, cam2_intrinsics=M2, cam2_distorsion=D2, R=R, T=T)
+    return 'files = "c.yml"'
 
 
-def camera_and_projector(folder: Path) -> None:
+def camera_and_projector(folder: Path) -> str:
     written(folder / "c.xml", cam_K=M1, cam_kc=D1, proj_K=M2, proj_kc=D2, R=R, T=T, cam_error=0.2, stereo_error=0.3)
+    return 'files = "c.xml"'
 
 
-def matlab(folder: Path) -> None:
+def matlab(folder: Path) -> str:
     values = {"KK_left": M1, "kc_left": D1.T, "KK_right": M2, "kc_right": D2, "om": cv2.Rodrigues(R)[0], "T": T}
     savemat(folder / "c.mat", {**values, "nx": 640, "title": "rig"}, do_compression=True)
+    return 'files = "c.mat"'
 
 
-def plain_json(folder: Path) -> None:
+def plain_json(folder: Path) -> str:
     left, right = ({"camera_matrix": K.tolist(), "dist_coeffs": D.ravel().tolist()} for K, D in ((M1, D1), (M2, D2)))
     content = {"left": left, "right": right, "R": R.tolist(), "T": T.ravel().tolist(), "image_size": [640, 480]}
     (folder / "c.json").write_text(json.dumps(content))
+    return 'files = "c.json"'
 
 
-def counted_from_nought(folder: Path) -> None:
+def counted_from_nought(folder: Path) -> str:
     np.savez(folder / "c.npz", K0=M1, D0=D1, K1=M2, D1=D2, R=R, T=T)
+    return 'files = "c.npz"'
 
 
-def poses(folder: Path) -> None:
+def poses(folder: Path) -> str:
     for n, (K, D, turn, way) in enumerate(((M1, D1, WORLD_R, WORLD_T), (M2, D2, R @ WORLD_R, R @ WORLD_T + T))):
         (folder / f"cam_{n}").mkdir()
         storage = cv2.FileStorage(str(folder / f"cam_{n}" / "c.xml"), cv2.FILE_STORAGE_WRITE)
@@ -219,15 +224,7 @@ def poses(folder: Path) -> None:
             storage.write(name, value)
         storage.endWriteStruct()
         storage.release()
-
-
-@pytest.mark.parametrize("write", [tutorial, camera_and_projector, matlab, plain_json, counted_from_nought, poses])
-def test_what_other_programs_call_their_numbers_is_known(write: Callable[[Path], None], tmp_path: Path) -> None:
-    write(tmp_path)
-    files = [str(path.relative_to(tmp_path)) for path in sorted(tmp_path.rglob("c.*"))]
-    found = rig(tmp_path, f"files = {files}", head=ALONE if write is camera_and_projector else HEAD)
-    point = (30.0, -20.0, 650.0)
-    np.testing.assert_allclose(projected(found, point), expected(point), atol=1e-6)
+    return 'files = ["cam_0/c.xml", "cam_1/c.xml"]'
 
 
 def in_folders(folder: Path) -> str:
@@ -281,6 +278,13 @@ def two_ways_of_which_one_is_named(folder: Path) -> str:
     return 'files = "c.yml"\n[cameras.names]\nrotation = "R"\ntranslation = "T"'
 
 
+def named_turn(folder: Path) -> str:
+    """A rotation that is named holds, and not that which rectifies both; the translation is that."""
+    R1, R2, P1, P2 = cv2.stereoRectify(M1, D1, M2, D2, (640, 480), np.eye(3), T)[:4]
+    written(folder / "c.yml", M1=M1, D1=D1, M2=M2, D2=D2, R1=R1, R2=R2, P1=P1, P2=P2, turn=R)
+    return 'files = "c.yml"\n[cameras.names]\nrotation = "turn"'
+
+
 def a_list_of_tables(folder: Path) -> str:
     both = [{"K": K.tolist(), "D": D.ravel().tolist()} for K, D in ((M1, D1), (M2, D2))]
     (folder / "c.json").write_text(json.dumps({"rig": {"cameras": both}, "R": R.tolist(), "T": T.ravel().tolist()}))
@@ -299,20 +303,8 @@ def lines_below_names(folder: Path) -> str:
 
 def slmaster(folder: Path) -> str:
     """Two cameras and a projector; ``S`` is the cameras' size."""
-    written(
-        folder / "c.yml",
-        M1=M1,
-        D1=D1,
-        M2=M1,
-        D2=D1,
-        Rlr=np.eye(3),
-        Tlr=-T,
-        M4=M2,
-        D4=D2,
-        Rlp=R,
-        Tlp=T,
-        S=np.array([640.0, 480.0]),
-    )
+    cameras = {"M1": M1, "D1": D1, "M2": M1, "D2": D1, "Rlr": np.eye(3), "Tlr": -T, "S": np.array([640.0, 480.0])}
+    written(folder / "c.yml", **cameras, M4=M2, D4=D2, Rlp=R, Tlp=T)
     return 'files = "c.yml"'
 
 
@@ -320,7 +312,8 @@ def slmaster(folder: Path) -> str:
     ("write", "head"),
     [
         (in_folders, ALONE), (of_no_sides, HEAD), (of_the_world, HEAD), (of_the_right_alone, HEAD), (rectified_too, HEAD),
-        (a_list_of_tables, HEAD), (two_ways_of_which_one_is_named, HEAD), (lines_below_names, HEAD), (slmaster, ALONE),
+        (tutorial, HEAD), (camera_and_projector, ALONE), (matlab, HEAD), (plain_json, HEAD), (counted_from_nought, HEAD), (poses, HEAD),
+        (named_turn, HEAD), (a_list_of_tables, HEAD), (two_ways_of_which_one_is_named, HEAD), (lines_below_names, HEAD), (slmaster, ALONE),
     ],
 )  # fmt: skip
 def test_numbers_are_those_of_the_file_in_which_they_stand(
