@@ -205,6 +205,8 @@ class ReconstructionWorker:
         self._missed = False
         """The worker was started again since the scan began: it must be told of all frames once more."""
         self._attempts = 0
+        self._given_up: str | None = None
+        """Reason why the scan in work gets no cloud, until it is told."""
         self._fruitless = 0
         self._looking = Looking()
         self._not_started: str | None = None
@@ -271,13 +273,9 @@ class ReconstructionWorker:
         """A new scan's frames will follow, taken so (``None``: as always). ``belongs_to``: number of its object."""
         self._belongs_to = belongs_to
         self._settings = settings or AcquisitionSettings(noise=self.order.noise)
-        self._scan, self._finishing, self._missed, self._attempts = scan, False, False, 1
         self._second, self._knows_first = None, False
-        self._ticket += 1
         self._looking.stop()
-        if not self._child.runs:
-            self._fruitless = 0
-            self._start_again()
+        self._take_in_work(scan)
         self._send(Begin(self._ticket, self._settings, belongs_to=belongs_to))
 
     def look(self, picture: NDArray[np.uint8], belongs_to: int) -> bool:
@@ -306,17 +304,21 @@ class ReconstructionWorker:
 
         After ``finish``, one event PairJudged answers.
         """
-        self._scan, self._finishing, self._missed, self._attempts = scan, False, False, 1
         self._second = settings
-        self._ticket += 1
-        if not self._child.runs:
-            self._fruitless = 0
-            self._start_again()
+        self._take_in_work(scan)
         # The process was started since: it has neither maps nor cloud of the first sequence, and makes them from the
         # frames.
         if not self._knows_first:
             self._tell_first()
         self._send(Begin(self._ticket, settings, second=True))
+
+    def _take_in_work(self, scan: int) -> None:
+        self._scan, self._finishing, self._missed, self._attempts = scan, False, False, 1
+        self._given_up = None
+        self._ticket += 1
+        if not self._child.runs:
+            self._fruitless = 0
+            self._start_again()
 
     def frame(self, side: str, index: int) -> None:
         """Frame ``index`` of ``side`` is in the store, in the place of the sequence begun last."""
@@ -328,11 +330,13 @@ class ReconstructionWorker:
     def finish(self) -> None:
         """All frames are there and the ledger agrees: answer with the coarse, then the full cloud.
 
-        Nothing happens where the scan was given up before: that was said.
+        A scan that was given up before is said to be lost by the next ``poll``.
         """
         if self._scan is None:
             return
         self._finishing = True
+        if self._given_up is not None:
+            return
         if self._missed:
             self._tell_again()
         if not self._starting:  # else from the moment it is ready
@@ -358,6 +362,8 @@ class ReconstructionWorker:
 
         Never waits: the caller is the heartbeat.
         """
+        if self._finishing and self._given_up is not None:
+            return self._give_up(self._given_up)
         if not self._child.runs:
             return self._restart(self._not_started) if self._not_started is not None else None
         # What needs no answer is passed over here and now: at a heartbeat for each, an answer behind ten of them would come 0.2 s late.
@@ -409,8 +415,8 @@ class ReconstructionWorker:
                     self._await_cloud()
                 return None
             case SequenceFailed(_, text):
-                self._end()
-                return WorkerFailed(scan, Fault(FaultCode.RECONSTRUCTION_FAILED, text))
+                self._deadline_ns = None
+                return self._give_up(text)
             case _ if scan is None:
                 return None
             case PatternsIdentified():
@@ -426,7 +432,7 @@ class ReconstructionWorker:
             case BracketJudged(_, found, second, pair, cpu_s):
                 return self._bracket_judged(scan, found, second, pair, cpu_s)
             case Spoiled(_, judgement):
-                self._end()
+                self._scan, self._finishing, self._deadline_ns = None, False, None
                 return ScanSpoiled(scan, judgement)
             case _:
                 return None
@@ -516,10 +522,6 @@ class ReconstructionWorker:
             return None
         return self._restart(f"it took {used_mb:.0f} MB of memory; allowed are {most_mb:.0f} MB")
 
-    def _end(self) -> None:
-        """Await nothing more of the scan in work."""
-        self._scan, self._finishing, self._deadline_ns = None, False, None
-
     def _cloud_found(self, scan: int, full: bool, found: Found, cpu_s: float) -> CloudReady:
         # No reference to the memory may outlive this call: it could not be closed.
         if not full:
@@ -574,23 +576,30 @@ class ReconstructionWorker:
         # Back to 0 by a full cloud alone: a worker that starts well and dies at each scan is not well.
         self._fruitless += 1
         if self._fruitless >= MOST_FRUITLESS_STARTS:
-            lost = self._scan
-            self._end()
-            return _failed(lost, f"the worker failed {self._fruitless} times in a row, the last time because {why}")
+            self._deadline_ns = None
+            return self._give_up(f"the worker failed {self._fruitless} times in a row, the last time because {why}")
         self._start_again()
-        lost = None
+        why = f"the worker was started again: {why}"
+        # These frames have ended two processes: a third one would only keep the diver waiting. They can be saved
+        # without a cloud.
+        if self._attempts >= MOST_ATTEMPTS:
+            return self._give_up(why)
         if self._scan is not None:
-            # These frames have ended two processes: a third one would only keep the diver waiting. They can be saved
-            # without a cloud.
-            if self._attempts >= MOST_ATTEMPTS:
-                lost, self._scan, self._finishing = self._scan, None, False
-            else:
-                self._attempts += 1
-                self._missed = True
-                if self._finishing:
-                    self._tell_again()
-                    self._send(Finish())
-        return _failed(lost, f"the worker was started again: {why}")
+            self._attempts += 1
+            self._missed = True
+            if self._finishing:
+                self._tell_again()
+                self._send(Finish())
+        return _failed(None, why)
+
+    def _give_up(self, why: str) -> WorkerFailed:
+        """Give up the scan in work, if there is one; that it is lost is told once its frames are all there."""
+        # Before, nobody knows of a scan that could be lost: it is still being recorded, and is saved all the same.
+        if not self._finishing:
+            self._given_up = why
+            return _failed(None, why)
+        lost, self._scan, self._finishing, self._given_up = self._scan, None, False, None
+        return _failed(lost, why)
 
 
 def _failed(scan: int | None, why: str) -> WorkerFailed:

@@ -405,6 +405,20 @@ def test_a_scan_in_work_is_processed_again_once_and_then_given_up(desk: Desk) ->
     assert desk.after(0.0, PatternsIdentified(1)) is None
 
 
+def test_a_scan_that_is_lost_before_its_frames_are_there_is_told_when_they_are(desk: Desk) -> None:
+    desk.ready()
+    for scan, said in ((7, [Crashed("a"), Crashed("b")]), (8, [SequenceFailed(2, "b")])):
+        desk.worker.begin(scan)
+        for one in said:
+            assert failed(desk.after(0.0, one), "") is None
+        desk.ready()
+        desk.told()
+        desk.worker.finish()
+        assert desk.told() == []
+        assert failed(desk.worker.poll(), "b") == scan
+        assert desk.after(20.0, Pong()) is None, "nothing more is awaited"
+
+
 def test_frames_that_come_while_a_process_is_new_are_told_all_at_once(desk: Desk) -> None:
     """Frame 1 would be the first it hears of."""
     desk.ready()
@@ -425,8 +439,11 @@ def test_after_four_starts_without_a_cloud_it_stays_down_until_the_next_scan(des
     for _ in range(3):
         failed(desk.after(0.0, Crashed("a")), "the worker was started again: it failed: a")
     desk.worker.begin(7)
-    assert failed(desk.after(0.0, Crashed("a")), "the worker failed 4 times in a row, the last time because") == 7
+    assert failed(desk.after(0.0, Crashed("a")), "the worker failed 4 times in a row, the last time because") is None
     assert (desk.worker.pid, desk.worker.poll(), len(desk.machine.started)) == (None, None, 4)
+    desk.worker.finish()
+    assert failed(desk.worker.poll(), "4 times") == 7, "told when somebody waits for its points"
+    assert desk.worker.poll() is None
     desk.worker.begin(8)
     assert len(desk.machine.started) == 5
     failed(desk.after(0.0, Crashed("a")), "the worker was started again")
