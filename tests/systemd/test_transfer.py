@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
+import signal
+import socket
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
 
-from kingfisher_transfer import addresses, keys, stick
+from kingfisher_transfer import addresses, keys, main, serving, stick
 from kingfisher_transfer.keys import KeysError
-from kingfisher_transfer.serving import make_host_key
+from kingfisher_transfer.serving import Places, make_host_key
 
 SYSTEMD = Path(__file__).parents[2] / "systemd"
 needs_keygen = pytest.mark.skipif(shutil.which("ssh-keygen") is None, reason="openssh-client is not installed")
@@ -57,6 +61,42 @@ def test_one_bad_line_and_no_key_of_the_file_is_enrolled(tmp_path: Path, data: b
     with pytest.raises(KeysError, match=re.escape(said)):
         keys.enrol(path, data)
     assert path.read_text() == f"{OTHER}\n"
+
+
+@needs_keygen
+def test_no_more_keys_are_enrolled_than_a_person_can_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "authorized_keys"
+    monkeypatch.setattr(keys, "MOST_KEYS", 1)
+    assert len(keys.enrol(path, ED25519.encode())) == 1
+    with pytest.raises(KeysError, match="2 keys; at most 1 are enrolled"):
+        keys.enrol(path, OTHER.encode())
+    assert keys.forget(path, {"SHA256:another"}) == []
+    with pytest.raises(KeysError, match="Is a directory"):
+        keys.enrolled(tmp_path)
+
+
+@needs_keygen
+def test_the_list_of_keys_is_kept_by_hand(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "both.pub").write_text(f"{ED25519}\n{OTHER}\n")
+
+    def typed(*words: object) -> tuple[int, list[str], str]:
+        monkeypatch.setattr(sys, "argv", ["x", "--keys", str(tmp_path / "keys"), *map(str, words)])
+        code, said = main.main(), capsys.readouterr()
+        return code, [line.split()[-1] for line in said.out.splitlines()], said.err
+
+    both = ["anna@desk", "bert@desk"]
+    assert typed("enrol", tmp_path / "both.pub") == (0, both, "2 enrolled\n")
+    assert typed("list") == (0, both, "2 enrolled\n")
+    first = keys.enrolled(tmp_path / "keys")[0].fingerprint
+    code, _, said = typed("forget", first, "SHA256:another")
+    assert (code, said) == (1, "kingfisher-transfer: SHA256:another: not enrolled; `list` shows what is\n")
+    assert typed("forget", first) == (0, both[:1], "1 forgotten\n")
+    assert typed("forget", "--all") == (0, both[1:], "1 forgotten\n")
+    assert typed("enrol", tmp_path / "none.pub")[0] == 1
+    code, _, said = typed("stick", "/dev/none")
+    assert (code, "the transfer is off" in said) == (0, True)
 
 
 @needs_keygen
@@ -121,11 +161,89 @@ def test_a_stick_is_mounted_for_reading_only(tmp_path: Path, monkeypatch: pytest
         (programs / name).write_text(f'#!/bin/sh\necho "${{0##*/}} $*" >> {heard}\n{does}\n')
         (programs / name).chmod(0o755)
     monkeypatch.setenv("PATH", f"{programs}:{os.environ['PATH']}")
-    assert stick.of_device(plugged, tmp_path / "authorized_keys").startswith("1 keys enrolled")
+    there = places(tmp_path)
+    assert main._stick(plugged, there) == 0
+    assert there.news.read_text().startswith("1 keys enrolled")
     mounted, let_go = heard.read_text().splitlines()
     words = mounted.split()
     assert set(words[words.index("-o") + 1].split(",")) == {"ro", "nosuid", "nodev", "noexec"}
     assert let_go == f"umount -- {words[-1]}"
+    (programs / "mount").write_text("#!/bin/sh\necho no medium >&2\nexit 1\n")
+    assert main._stick(plugged, there) == 1
+    assert there.news.read_text() == "refused: mount: no medium"
+
+
+def places(top: Path) -> Places:
+    """A transfer that is on."""
+    (top / "note").touch()
+    names = ("note", "status.json", "sshd.conf", "host_ed25519", "authorized_keys", "news")
+    return Places(*(top / name for name in names))
+
+
+@needs_keygen
+@pytest.mark.parametrize(
+    ("server", "state", "reason", "starts"),
+    [
+        ("exec sleep 60", "on", "", 1),
+        ("trap '' TERM; exec sleep 60", "on", "", 1),
+        ("exit 1", "failed", "sshd ends by itself; `journalctl -u kingfisher-transfer` says why", 3),
+        (None, "failed", "No such file or directory; install openssh-server", 0),
+        ("no host key", "failed", "no host key: ", 0),
+    ],
+)
+@pytest.mark.parametrize("by", ["the note", "the unit"])
+def test_the_screen_is_told_how_the_transfer_stands_until_it_is_ended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, server: str | None, state: str, reason: str, starts: int, by: str
+) -> None:
+    there, sshd, stopping, told = places(tmp_path), tmp_path / "sshd", threading.Event(), list[dict[str, object]]()
+    if server is not None:
+        sshd.write_text(f'#!/bin/sh\necho "$$ $*" >> {tmp_path}/starts\n{server}\n')
+        sshd.chmod(0o755)
+    if server == "no host key":
+        (tmp_path / "host_ed25519").mkdir()  # in the way of one
+    there.authorized.write_text(f"{ED25519}\n")
+    there.news.write_text("n" * 600)
+    for name, value in {"SSHD": str(sshd), "LOOK_S": 0.05, "END_S": 0.3}.items():
+        monkeypatch.setattr(serving, name, value)
+    monkeypatch.setattr(addresses, "of_this_machine", lambda: ["10.0.0.7"])
+
+    def ready() -> None:
+        told.append(json.loads(there.status.read_text()))
+        there.note.unlink() if by == "the note" else stopping.set()
+
+    assert serving.serve(there, ready, stopping) == (0 if state == "on" else 1)
+    (once,) = told
+    assert reason in str(once.pop("reason"))
+    assert once == {"state": state, "addresses": ["10.0.0.7"], "keys": 1, "news": "n" * 500}
+    assert there.status.stat().st_mode & 0o777 == 0o644, "the appliance is another user"
+    started = (tmp_path / "starts").read_text().splitlines() if starts else []
+    assert [line.split(maxsplit=1)[1] for line in started] == [f"-D -e -f {there.config}"] * starts
+    assert not any(Path(f"/proc/{line.split()[0]}").exists() for line in started), "no server is left"
+
+
+@needs_keygen
+def test_what_was_told_is_written_again_only_when_it_changes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    there, stopping, before = places(tmp_path), threading.Event(), signal.getsignal(signal.SIGTERM)
+    serving._tell(there, "on", "")
+    first = there.status.stat().st_ino, there.status.read_bytes()
+    serving._tell(there, "on", "")
+    assert (there.status.stat().st_ino, there.status.read_bytes()) == first
+    there.authorized.write_text("no key")
+    serving._tell(there, "on", "")
+    content = json.loads(there.status.read_text())
+    assert (content["keys"], content["news"]) == (None, "")
+    assert content["reason"].startswith("line 1: no public key")
+    serving.on_signals(stopping)
+    signal.raise_signal(signal.SIGTERM)
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, before if number is signal.SIGTERM else signal.default_int_handler)
+    assert stopping.is_set()
+    for name in (f"{tmp_path}/manager", f"@{tmp_path}"):
+        monkeypatch.setenv("NOTIFY_SOCKET", name)
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+            manager.bind(name.replace("@", "\0"))
+            main._say_ready()
+            assert manager.recv(64) == b"READY=1"
 
 
 def whole_pair(key: Path) -> bool:
@@ -191,13 +309,21 @@ def test_addresses_are_found_without_netlink_which_the_unit_forbids() -> None:
     assert done.returncode == 0, done.stderr
 
 
-def test_addresses_of_the_link_alone_come_last() -> None:
+def test_addresses_of_the_link_alone_come_last(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     told = (
         "fe80000000000000021122fffe334455 02 40 20 80     eth0\n"
         "20010db8000000000000000000000007 02 40 00 00     eth0\n"
         "00000000000000000000000000000001 01 80 10 80       lo\n"
     )
-    assert addresses.of_inet6(told) == ["2001:db8::7", "fe80::211:22ff:fe33:4455"]
+    there = ["2001:db8::7", "fe80::211:22ff:fe33:4455"]
+    assert addresses.of_inet6(told) == there
+    (tmp_path / "lo").touch()
+    (tmp_path / "nothing-is-plugged-in").touch()
+    (tmp_path / "inet6").write_text(3 * told)
+    monkeypatch.setattr(addresses, "INTERFACES", tmp_path)
+    monkeypatch.setattr(addresses, "INET6", tmp_path / "inet6")
+    assert addresses.of_this_machine() == [there[0]] * 3 + there[1:]
+    assert addresses._ipv4("lo") == "127.0.0.1"
 
 
 # ---------------------------------------------------------------------------------- units and settings
