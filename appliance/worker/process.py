@@ -204,10 +204,9 @@ class ReconstructionWorker:
         """All frames of the scan are there, and the cloud is awaited."""
         self._missed = False
         """The worker was started again since the scan began: it must be told of all frames once more."""
-        self._attempts = 0
+        self._attempts = self._fruitless = 0
         self._given_up: str | None = None
-        """Reason why the scan in work gets no cloud, until it is told."""
-        self._fruitless = 0
+        """Reason why the scan in work gets no cloud."""
         self._looking = Looking()
         self._not_started: str | None = None
         """Reason why there is no process although there should be one."""
@@ -328,10 +327,7 @@ class ReconstructionWorker:
             self._send(FrameStored(side, index))
 
     def finish(self) -> None:
-        """All frames are there and the ledger agrees: answer with the coarse, then the full cloud.
-
-        A scan that was given up before is said to be lost by the next ``poll``.
-        """
+        """All frames are there and the ledger agrees: answer with the coarse, then the full cloud, or that the scan is lost."""
         if self._scan is None:
             return
         self._finishing = True
@@ -576,12 +572,10 @@ class ReconstructionWorker:
         # Back to 0 by a full cloud alone: a worker that starts well and dies at each scan is not well.
         self._fruitless += 1
         if self._fruitless >= MOST_FRUITLESS_STARTS:
-            self._deadline_ns = None
             return self._give_up(f"the worker failed {self._fruitless} times in a row, the last time because {why}")
         self._start_again()
         why = f"the worker was started again: {why}"
-        # These frames have ended two processes: a third one would only keep the diver waiting. They can be saved
-        # without a cloud.
+        # A third process would only keep the diver waiting: the frames can be saved without a cloud.
         if self._attempts >= MOST_ATTEMPTS:
             return self._give_up(why)
         if self._scan is not None:
@@ -593,12 +587,11 @@ class ReconstructionWorker:
         return _failed(None, why)
 
     def _give_up(self, why: str) -> WorkerFailed:
-        """Give up the scan in work, if there is one; that it is lost is told once its frames are all there."""
-        # Before, nobody knows of a scan that could be lost: it is still being recorded, and is saved all the same.
+        """Give up the scan in work. That it is lost is told once its frames are all there: before, nobody waits for its points."""
+        self._given_up = why
         if not self._finishing:
-            self._given_up = why
             return _failed(None, why)
-        lost, self._scan, self._finishing, self._given_up = self._scan, None, False, None
+        lost, self._scan, self._finishing = self._scan, None, False
         return _failed(lost, why)
 
 

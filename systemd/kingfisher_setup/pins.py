@@ -42,16 +42,14 @@ def _canonical(name: str) -> str:
 
 
 def _blocks(lock: str) -> Iterator[tuple[str, str]]:
-    """Each package's lines, by its name."""
+    """Each package's lines, by its name; those before the first one's by none."""
     name, lines = "", list[str]()
     for line in lock.splitlines(keepends=True):
         if found := _PIN.match(line):
-            if name:
-                yield name, "".join(lines)
+            yield name, "".join(lines)
             name, lines = _canonical(found[1]), []
         lines.append(line)
-    if name:
-        yield name, "".join(lines)
+    yield name, "".join(lines)
 
 
 def _wanted_by(block: str) -> set[str]:

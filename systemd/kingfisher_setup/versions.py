@@ -215,4 +215,8 @@ def _pointed(layout: Layout, link: str) -> str | None:
         parts = (layout.program / link).readlink().parts
     except OSError:
         return None
-    return parts[1] if len(parts) > 1 and parts[0] == "versions" and complete(layout, parts[1]) else None
+    match parts:
+        case ("versions", name, *_) if complete(layout, name):
+            return name
+        case _:
+            return None

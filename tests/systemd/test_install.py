@@ -62,13 +62,6 @@ def test_a_second_call_changes_nothing(root: Path, tree: Path) -> None:
     assert {path: path.lstat().st_mtime_ns for path in (root / "opt/kingfisher").glob("versions/*/*")} == before
 
 
-def test_what_is_missing_is_named(tree: Path, tmp_path: Path) -> None:
-    said = setup(tree, tmp_path, "install", check=False)
-    assert "lacks these Debian packages" in said
-    assert "python3-venv" in said
-    assert not (tmp_path / "opt/kingfisher/versions").exists()
-
-
 def test_an_upgrade_is_tried_at_the_next_start_and_uninstalling_keeps_the_data(
     root: Path, tree: Path, tmp_path: Path
 ) -> None:

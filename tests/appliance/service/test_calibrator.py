@@ -2,25 +2,37 @@
 
 from __future__ import annotations
 
+import multiprocessing
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from appliance.calibration.file import Calibration, CalibrationError, encode
-from appliance.calibration.guide import USED, AdjustmentSummary, RecordingCheck, Refusal, Session, Step
+from appliance.calibration.guide import USED, AdjustmentSummary, RecordingCheck, Refusal, Session, Step, Verified
 from appliance.calibration.recordings import RecordingError
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.config import Rig, load_rig
 from appliance.instrument import design_of
+from appliance.machine import events as on
+from appliance.machine.failure import FailureKind
 from appliance.optics.correction import INTERVALS, ImageCorrection, node_count
 from appliance.optics.model import StereoRig
-from appliance.service.calibrator import basis_of, examine, solve
+from appliance.scan.exposure import Exposure
+from appliance.scan.fault import FaultCode
+from appliance.service.background import Done, Failed, Progressed
+from appliance.service.calibrator import Examined, Solution, basis_of, examine, solve
 from appliance.storage.calibrations import Calibrations
 from appliance.storage.library import Library, UnknownScan
 from appliance.storage.record import ScanRecord, SequenceInfo
 from hw_sim.scene import Scene
+from tests.appliance.capture.test_course_of_a_scan import SEQUENCE
+from tests.appliance.service.scripted import Desk, a_desk
+from tests.appliance.storage import scenes
+from tests.appliance.worker.test_parents_end import Machine
 from tests.support.rendered import render_scan
 
 WIDTH_PX = 400
@@ -123,3 +135,73 @@ def test_planes_and_what_is_none_are_told_apart(rig: Rig) -> None:
     assert "ball" in bar.detail
     folder = record(rig, Scene(object="ballbar", pose=(0.0, 0.0, 520.0, 0.0, 35.0, 0.0), texture="none"))
     assert examine(rig, Step.M3, folder, lambda _: None).check.refusal is not None
+
+
+Heard = tuple[Desk, Machine, Callable[..., list[Any]]]
+
+
+@pytest.fixture
+def heard(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Heard]:
+    """A desk whose processes say what the test tells them, and what the machine hears of it."""
+    (tmp_path / "proc").mkdir()
+    machine = Machine(tmp_path / "proc")
+    monkeypatch.setattr(multiprocessing, "get_context", lambda kind: machine)
+    with a_desk(tmp_path / "root") as desk:
+
+        def after(*said: object) -> list[Any]:
+            for one in said:
+                machine.started[-1].pipe.send((desk.parts.calibrating._background._ticket, one))
+            events: list[Any] = []
+            for _ in range(3):  # what is told may want something of the disk
+                desk.parts.scans.submit(lambda: None).result(10.0)
+                events += [*desk.parts.calibrating.poll(), *desk.parts.scans.poll()]
+            return events
+
+        assert after() == [on.SessionChanged(Session())]
+        yield desk, machine, after
+
+
+@pytest.mark.parametrize("step", [Step.M1, Step.VERIFY])
+def test_a_recording_is_examined_and_entered_into_the_session(heard: Heard, step: Step) -> None:
+    desk, machine, after = heard
+    calibrating, scans = desk.parts.calibrating, desk.parts.scans
+    calibrating.examine(4, step)
+    assert [event.failure.kind for event in after()] == [FailureKind.RECORDING]
+    scans.begin(4, Exposure(8_000))
+    assert scans.scan is not None
+    scans.scan.record = scenes.record(sequence=SequenceInfo.of(SEQUENCE))
+    scans.store_raw(4)
+    after()
+    calibrating.examine(4, step)
+    assert machine.started[-1].pipe.recv()[1:] == (examine, (desk.rig, step, scans.folder(4)))
+    check, verified, right = RecordingCheck(step, None, 0.03), Verified(0.0001, None, 0.00004), step is Step.VERIFY
+    assert after(Done(Examined(check, verified))) == [on.TrialExamined(4, check)]
+    scans.watch.trend = scans.watch.trend.alarmed("the ray gaps have grown")
+    calibrating.accept(4, check)
+    events = after()
+    (session,) = [event.session for event in events if isinstance(event, on.SessionChanged)]
+    assert ([one.scan_id for one in session.trials], session.verified) == (["000001"], verified if right else None)
+    # A bar that was measured right is the answer to the alarm.
+    assert (on.ConditionCleared(FaultCode.VERIFY_CALIBRATION) in events, scans.watch.fault is None) == (right, right)
+
+
+def test_what_is_solved_is_used_and_what_comes_to_nothing_is_told(heard: Heard) -> None:
+    desk, machine, after = heard
+    calibrating, made = desk.parts.calibrating, replace(design_of(desk.rig), method="bundle, ports")
+    calibrating.warm()
+    for said, kind in ((Failed("no fit", "NotConverged"), FailureKind.NO_SOLUTION), (Done(7), FailureKind.BROKEN_OFF)):
+        calibrating.solve()
+        assert [event.failure.kind for event in after(said)] == [kind]
+    calibrating.cancel()
+    assert (len(machine.started), machine.started[0].waits_s) == (1, [0.0, 2.0]), "it computes no more"
+    calibrating.solve()
+    assert machine.started[-1].pipe.recv()[1] is solve
+    assert after(Progressed(0.5)) == [on.CalibrationProgressed(0.5)]
+    summary = AdjustmentSummary(made.method, 0.03, (), made.hash)
+    (solved,) = after(Done(Solution(made, summary, None, {})))
+    calibrating.use_solved()
+    used, *cleared = after()
+    assert (solved.session.solved, used.session.in_use, desk.parts.scans.calibration.hash) == (summary, True, made.hash)
+    assert cleared[:2] == [on.ConditionCleared(FaultCode[code]) for code in ("UNCALIBRATED", "VERIFY_CALIBRATION")]
+    calibrating.restore()
+    assert [event.failure.kind for event in after()] == [FailureKind.FILES], "none was in use before"

@@ -2,21 +2,34 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 from collections.abc import Iterator
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
+from multiprocessing import resource_tracker, spawn
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
 
+from appliance.bringup.bench import Shot
+from appliance.bringup.finding import BringupError
 from appliance.machine.states import Device
 from appliance.scan.exposure import Exposure
 from appliance.service.air_live import opened
-from appliance.service.app import _signals, ask_power_off, take_back_power_off
+from appliance.service.app import _signals, ask_power_off, run, take_back_power_off
 from appliance.service.device_supervisor import DeviceSupervisor
-from drivers.api import Board, DeviceError
-from tests.appliance.service.scripted import Desk, a_desk
+from appliance.service.light_bench import TRIES, LightBench
+from appliance.storage.lock import holder
+from drivers import rig as drivers_rig
+from drivers.api import Board, DeviceError, DeviceGone, LaserState
+from drivers.native import MonotonicClock
+from drivers.wall_clock import KernelCalendar
+from tests.appliance.capture.test_course_of_a_scan import N
+from tests.appliance.service.scripted import Desk, a_desk, small_rig
 from tests.drivers.clock import SteppedClock
 
 
@@ -85,3 +98,52 @@ def test_the_right_camera_keeps_its_difference_from_the_left(desk: Desk) -> None
         assert desk.script.clock.now_ns() < end_ns
         desk.script.clock.sleep_s(0.002)
     assert sorted(desk.said()) == ["left 8000 us 6 dB", "right 16000 us 9 dB"]
+
+
+class EndingClock(MonotonicClock):
+    pauses = 0
+
+    def sleep_s(self, seconds: float) -> None:
+        self.pauses += 1
+        if self.pauses == 10:  # of the heartbeat
+            os.kill(os.getpid(), signal.SIGTERM)
+        super().sleep_s(seconds)
+
+
+def no_card(path: str) -> None:
+    raise DeviceGone(path, "does not exist", "Check")
+
+
+def test_a_service_that_finds_no_device_runs_until_it_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    nothing = SimpleNamespace(
+        usb_backend=SimpleNamespace(enumerate_devices=list), hidraw=SimpleNamespace(enumerate=lambda *_: []),
+        clock=EndingClock(), calendar=KernelCalendar(), cards=tuple, open_card=no_card,
+    )  # fmt: skip
+    (tmp_path / "runtime").mkdir()
+    (tmp_path / "runtime" / "power-off").touch()  # of a run before
+    monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path / "runtime"))
+    monkeypatch.setattr(drivers_rig, "open_wires", lambda *_: nullcontext(nothing))
+    resource_tracker.ensure_running()  # the memory of frames wants it; the process for points cannot live
+    monkeypatch.setattr(spawn, "_python_exe", b"/bin/false")
+    assert run(small_rig(tmp_path)) == 0
+    told = json.loads((tmp_path / "run" / "status.json").read_text())
+    assert (told["state"], told["pid"]) == ("SHUTDOWN", os.getpid())
+    assert list((tmp_path / "runtime").iterdir()) == [], (
+        "neither a note to switch off nor the mark of a run that goes on"
+    )
+    assert holder(tmp_path) is None
+
+
+def test_the_bench_plays_pictures_in_any_order_and_a_fault_only_thrice(desk: Desk) -> None:
+    wires: Any = SimpleNamespace(clock=desk.script.clock)
+    bench = LightBench(desk.rig, wires, desk.parts.scans.store)
+    bench._devices, bench._all_channels = opened(desk.devices, SteppedClock()), False
+    bench.load([np.zeros((2, 2), np.uint8)] * 3, all_channels=False)
+    assert desk.said() == ["load 4"], "dark behind them"
+    images = bench.take([k % 3 for k in range(N)], Shot(500, 8_000, 6.0))
+    assert [images[side][:, 1, 2].tolist() for side in ("left", "right")] == 2 * [list(range(1, N + 1))]
+    assert {"left 8000 us 6 dB", "right 8000 us 6 dB", f"arm {N} delay 500 width 8000"} <= set(desk.said())
+    desk.script.lasers = LaserState(True, False)
+    with pytest.raises(BringupError, match=r"3 recordings failed .*LASER_ON"):
+        bench.take(range(N), Shot(500, 8_000))
+    assert desk.said().count("lasers False False") == TRIES
