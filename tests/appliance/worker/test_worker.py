@@ -351,13 +351,15 @@ def test_the_next_scan_does_not_wait_for_the_one_that_was_dropped(worker: Recons
     assert ready[-1].cloud.summary.points > 1000
 
 
-def test_a_scan_that_was_given_up_while_it_was_recorded_is_not_waited_for(worker: ReconstructionWorker) -> None:
+def test_a_scan_that_was_given_up_while_it_was_recorded_is_said_to_be_lost_when_it_is_whole(
+    worker: ReconstructionWorker,
+) -> None:
     worker.begin(3)
     worker.frame("left", 5)
-    lost = worker.wait(PATIENCE_S)
-    assert isinstance(lost, WorkerFailed)
-    assert lost.scan == 3
+    told = [worker.wait(PATIENCE_S)]
     worker.finish()
+    told.append(worker.poll())
+    assert [one.scan for one in told if isinstance(one, WorkerFailed)] == [None, 3]
     assert worker.wait(GOOD.cloud_s + 1.0) is None
     assert worker.restarts == 0
 
@@ -387,9 +389,12 @@ def test_too_much_memory_is_named_and_ends(worker: ReconstructionWorker) -> None
         assert not isinstance(event, CloudReady)
         if isinstance(event, WorkerFailed):
             told.append(event)
-    assert "allowed are 20 MB" in told[-1].fault.detail
-    assert [event.scan for event in told if event.scan is not None] == [3], "lost once, and said once"
-    assert len(told) == 4
+    worker.finish()
+    lost = worker.poll()
+    assert isinstance(lost, WorkerFailed)
+    assert "allowed are 20 MB" in lost.fault.detail
+    assert (lost.scan, worker.poll()) == (3, None), "lost once, and said once"
+    assert [event.scan for event in told] == [None] * 4
 
 
 HUNGRY = """
