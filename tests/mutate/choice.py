@@ -31,6 +31,7 @@ BESIDE = {
         "tests/appliance/service/test_lost_cloud.py",
     ),
     "appliance/offline/anew": ("tests/integration/test_reprocess.py",),
+    "appliance/service": ("tests/appliance/machine/test_menu.py",),
     "appliance/storage": (
         "tests/crash/test_power_loss.py",
         "tests/crash/test_refused_writes.py",

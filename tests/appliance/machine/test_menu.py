@@ -16,7 +16,7 @@ from appliance.machine.states import Calibrating, Machine, Page, Settings, State
 from appliance.machine.transfer import NOT_TOLD, Serving, Transfer
 from appliance.machine.words import Text
 from appliance.scan.exposure import Exposure
-from appliance.service.menu_view import value_of
+from appliance.service.menu_view import Facts, menu_view, value_of
 from drivers.api import Key
 from tests.appliance.machine.english import labels
 from tests.appliance.machine.walks import PARTS, SECOND_NS, SERVED, UPS, after, aim, in_gallery, in_menu, run
@@ -55,6 +55,16 @@ def test_a_value_changes_only_when_it_is_taken() -> None:
     assert effects == [do.RememberChoices(taken.choices)]
     assert taken.state is State.MENU
     assert press(taken, Key.BACK).state is State.AIM
+
+
+def test_a_page_says_what_is_chosen_and_what_would_be() -> None:
+    machine, facts = replace(at(offered(), Row.PERIOD), scans=3, scans_left=None), Facts("KF-7", "2031-05-06")
+    view = menu_view(press(machine, Key.SCAN, Key.UP), facts)
+    said = {row.text: row.value for row in view.rows}
+    assert (view.title, view.rows[view.selected].text, view.changing) == (Text.MENU, Text.FRINGES, True)
+    assert (said[Text.FRINGES], said[Text.WATER]) == (Text.MEDIUM, (Text.SALT, "11.6 °C"))
+    assert (value_of(Row.SALINITY, machine, None), value_of(Row.SERIAL_NUMBER, machine, facts)) == ("7 psu", "KF-7")
+    assert value_of(Row.DISK, machine, None) == ("3", Text.TAKEN, "· ?", Text.LEFT_OVER)
 
 
 def test_a_period_is_drawn_anew_and_the_next_scan_has_it() -> None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import os
 import signal
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, nullcontext
 from multiprocessing import resource_tracker, spawn
 from pathlib import Path
@@ -17,15 +18,17 @@ import pytest
 
 from appliance.bringup.bench import Shot
 from appliance.bringup.finding import BringupError
+from appliance.config import Rig
 from appliance.machine.states import Device
+from appliance.offline.calibration.view_folder import ViewFolder
 from appliance.scan.exposure import Exposure
-from appliance.service.air_live import opened
+from appliance.service.air_live import LiveOptions, opened, record_views
 from appliance.service.app import _signals, ask_power_off, run, take_back_power_off
 from appliance.service.device_supervisor import DeviceSupervisor
-from appliance.service.light_bench import TRIES, LightBench
+from appliance.service.light_bench import TRIES, LightBench, light_bench
 from appliance.storage.lock import holder
 from drivers import rig as drivers_rig
-from drivers.api import Board, DeviceError, DeviceGone, LaserState
+from drivers.api import Board, Clock, DeviceError, DeviceGone, LaserState
 from drivers.native import MonotonicClock
 from drivers.wall_clock import KernelCalendar
 from tests.appliance.capture.test_course_of_a_scan import N
@@ -114,15 +117,39 @@ def no_card(path: str) -> None:
     raise DeviceGone(path, "does not exist", "Check")
 
 
+def nothing(clock: Clock) -> AbstractContextManager[Any]:
+    """Wires with nothing at their ends."""
+    usb, hidraw = SimpleNamespace(enumerate_devices=list), SimpleNamespace(enumerate=lambda *_: [])
+    more = {"calendar": KernelCalendar(), "cards": tuple, "open_card": no_card}
+    return nullcontext(SimpleNamespace(usb_backend=usb, hidraw=hidraw, clock=clock, **more))
+
+
+def play(rig: Rig) -> None:
+    with light_bench(rig) as bench:
+        bench.load([], all_channels=True)
+
+
+def record(rig: Rig) -> None:
+    record_views(rig, ViewFolder(rig.storage.root / "views", "KF-1", None), LiveOptions(), lambda _: None)
+
+
+@pytest.mark.parametrize("begin", [play, record])
+def test_at_the_bench_missing_devices_are_named_and_all_is_given_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, begin: Callable[[Rig], None]
+) -> None:
+    monkeypatch.setattr(drivers_rig, "open_wires", lambda *_: nothing(SteppedClock()))
+    with pytest.raises(DeviceError) as caught:
+        begin(small_rig(tmp_path))
+    assert caught.value.device == "camera.left, camera.right, board, projector"
+    assert holder(tmp_path) is None
+    assert not [one for one in threading.enumerate() if one.name.startswith("kf-open")]
+
+
 def test_a_service_that_finds_no_device_runs_until_it_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    nothing = SimpleNamespace(
-        usb_backend=SimpleNamespace(enumerate_devices=list), hidraw=SimpleNamespace(enumerate=lambda *_: []),
-        clock=EndingClock(), calendar=KernelCalendar(), cards=tuple, open_card=no_card,
-    )  # fmt: skip
     (tmp_path / "runtime").mkdir()
     (tmp_path / "runtime" / "power-off").touch()  # of a run before
     monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path / "runtime"))
-    monkeypatch.setattr(drivers_rig, "open_wires", lambda *_: nullcontext(nothing))
+    monkeypatch.setattr(drivers_rig, "open_wires", lambda *_: nothing(EndingClock()))
     resource_tracker.ensure_running()  # the memory of frames wants it; the process for points cannot live
     monkeypatch.setattr(spawn, "_python_exe", b"/bin/false")
     assert run(small_rig(tmp_path)) == 0

@@ -7,15 +7,12 @@ from dataclasses import replace
 import pytest
 
 from appliance.machine import events as on
-from appliance.machine.menu import Row
-from appliance.machine.states import Device, Menu, Page, Part, State, boot
-from appliance.machine.words import Text
+from appliance.machine.states import Device, Part, State, boot
 from appliance.ranging.marks import Marks, Track
 from appliance.ranging.reach import Range, Reach
 from appliance.scan.exposure import Exposure
 from appliance.screens.texts import to_the_minute
 from appliance.screens.views import AimView, CalibrateView, ReviewView, SelfTestView
-from appliance.service.menu_view import Facts, menu_view, value_of
 from appliance.service.view import Surroundings, view_of
 from drivers.api import Key
 from tests.appliance.machine.walks import UPS, aim, reviewing, run
@@ -85,19 +82,3 @@ def test_after_expose_the_review_says_what_the_next_scan_is_taken_with() -> None
 )
 def test_a_date_is_written_as_people_read_it(iso: str, read: str) -> None:
     assert to_the_minute(iso) == read
-
-
-def test_each_row_of_the_menu_says_what_is_chosen() -> None:
-    choices = replace(aim().choices, period_px=24, salinity_psu=3.5, water_c=12.0, language="de", object=8, objects=7)
-    machine, facts = replace(aim(), scans=3, scans_left=None, choices=choices), Facts("KF-7", "2031-05-06")
-    said = {row: value_of(row, machine, facts) for row in Row}
-    assert (said[Row.PERIOD], said[Row.OBJECT], said[Row.GALLERY]) == ("24 px", ("8", Text.NEW), "")
-    assert (said[Row.WATER], said[Row.SALINITY], said[Row.CALIBRATED]) == (
-        (Text.SALT, "12 °C"),
-        "3.5 psu",
-        "2031-05-06",
-    )
-    assert (said[Row.LANGUAGE], said[Row.DISK]) == (Text.GERMAN, ("3", Text.TAKEN, "· ?", Text.LEFT_OVER))
-    view = menu_view(replace(machine, menu=Menu(Page.WATER, 1, draft=replace(choices, salinity_psu=0.0))), None)
-    assert (view.title, view.selected, view.changing) == (Text.WATER, 1, True)
-    assert (view.rows[0].text, view.rows[0].value) == (Text.WATER_KIND, Text.FRESH)
