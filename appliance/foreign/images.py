@@ -26,7 +26,7 @@ from appliance.scan.sides import SIDES
 FULL_SCALES = (255.0, 1023.0, 4095.0, 16383.0, 65535.0)
 """Grey values of saturation that sensors have."""
 CHANNEL_NUMBER = {"blue": 0, "green": 1, "red": 2}
-KEPT_BYTES = 100_000_000
+KEPT_BYTES = 40_000_000
 """Images of one camera that are kept once they were read; others are read again."""
 
 

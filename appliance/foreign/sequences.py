@@ -34,12 +34,8 @@ class ProjectedSequence:
 
 SLSTUDIO: Mapping[str, Any] = {"sign": -1, "from_middle": True}
 SEQUENCES = (
-    ProjectedSequence(
-        "scan3d-capture, 3DUNDERWORLD, procamcalib", "bright dark (gray-x ~gray-x)*{x} (gray-y ~gray-y)*{y}"
-    ),
-    ProjectedSequence(
-        "OpenCV GrayCodePattern, white and black last", "(gray-x ~gray-x)*{x} (gray-y ~gray-y)*{y} bright dark"
-    ),
+    ProjectedSequence("scan3d-capture, 3DUNDERWORLD, procamcalib", "bright dark (gray-x ~gray-x)*{x} (gray-y ~gray-y)*{y}"),
+    ProjectedSequence("OpenCV GrayCodePattern, white and black last", "(gray-x ~gray-x)*{x} (gray-y ~gray-y)*{y} bright dark"),
     ProjectedSequence("OpenCV GrayCodePattern", "(gray-x ~gray-x)*{x} (gray-y ~gray-y)*{y}"),
     ProjectedSequence("pairs, rows first", "bright dark (gray-y ~gray-y)*{y} (gray-x ~gray-x)*{x}"),
     ProjectedSequence("pairs of the columns", "bright dark (gray-x ~gray-x)*{x}"),
@@ -53,9 +49,7 @@ SEQUENCES = (
     ProjectedSequence("inverses as a block, no references", "gray-x*{x} ~gray-x*{x}"),
     ProjectedSequence("both directions, a block each", "gray-x*{x} ~gray-x*{x} gray-y*{y} ~gray-y*{y}"),
     ProjectedSequence("references, a block each", "bright dark gray-x*{x} ~gray-x*{x} gray-y*{y} ~gray-y*{y}"),
-    ProjectedSequence(
-        "references, both directions, inverses behind", "bright dark gray-x*{x} gray-y*{y} ~gray-x*{x} ~gray-y*{y}"
-    ),
+    ProjectedSequence("references, both directions, inverses behind", "bright dark gray-x*{x} gray-y*{y} ~gray-x*{x} ~gray-y*{y}"),
     ProjectedSequence("both directions, inverses behind", "gray-x*{x} gray-y*{y} ~gray-x*{x} ~gray-y*{y}"),
     ProjectedSequence("SLMaster: steps, then Gray code", "sine-x*{s} gray-x*{x}"),
     ProjectedSequence("Gray code, then steps", "gray-x*{x} sine-x*{s}"),
@@ -70,44 +64,23 @@ SEQUENCES = (
     ProjectedSequence("Kingfisher", "bright dark gray-x*{x} sine-x*{s} gray-y*{y} sine-y*{s}"),
     ProjectedSequence("steps and Gray code in both directions", "sine-x*{s} gray-x*{x} sine-y*{s} gray-y*{y}"),
     ProjectedSequence("Gray code and steps in both directions", "gray-x*{x} sine-x*{s} gray-y*{y} sine-y*{s}"),
-    ProjectedSequence(
-        "Gray code of the coarsest of three periods", "sine-x*{s} sine-x2*{s} sine-x3*{s} gray-x*{x} bright dark"
-    ),
+    ProjectedSequence("Gray code of the coarsest of three periods", "sine-x*{s} sine-x2*{s} sine-x3*{s} gray-x*{x} bright dark"),
     ProjectedSequence("Gray code of the coarser of two periods", "sine-x*{s} sine-x2*{s} gray-x*{x} bright dark"),
     ProjectedSequence("SLStudio phase shifting", "sine-x*{s}", SLSTUDIO),
     ProjectedSequence("SLStudio phase shifting of two periods", "sine-x*{s} sine-x2*{s}", SLSTUDIO),
-    ProjectedSequence(
-        "SLStudio micro phase shifting",
-        "micro-x*12",
-        {
-            "size_px": 1824.0,
-            "periods_px": (75.02, 70.0, 71.32, 72.47, 73.72, 76.23, 77.35, 78.4, 79.22, 80.0),
-            "steps_deg": ((0.0, 120.0, 240.0), *[(0.0,)] * 9),
-            "starts_deg": (0.0, *[180.0, 0.0] * 4, 180.0),
-            "from_middle": True,
-        },
-    ),
-    ProjectedSequence(
-        "SLStudio modulated phase shifting",
-        "modulated-x*9 sine-x2*3",
-        {
-            "size_px": 1824.0,
-            "periods_px": (76.0, 1824.0),
-            "steps_deg": ((0.0, 120.0, 240.0),) * 2,
-            "carriers": (3, 0),
-            **SLSTUDIO,
-        },
-    ),
+    ProjectedSequence("SLStudio micro phase shifting", "micro-x*12", {
+        "size_px": 1824.0, "periods_px": (75.02, 70.0, 71.32, 72.47, 73.72, 76.23, 77.35, 78.4, 79.22, 80.0),
+        "steps_deg": ((0.0, 120.0, 240.0), *[(0.0,)] * 9), "starts_deg": (0.0, *[180.0, 0.0] * 4, 180.0), "from_middle": True,
+    }),
+    ProjectedSequence("SLStudio modulated phase shifting", "modulated-x*9 sine-x2*3", {
+        "size_px": 1824.0, "periods_px": (76.0, 1824.0), "steps_deg": ((0.0, 120.0, 240.0),) * 2, "carriers": (3, 0), **SLSTUDIO,
+    }),
     ProjectedSequence("heterodyne, three periods", "sine-x*{s} sine-x2*{s} sine-x3*{s}"),
     ProjectedSequence("four periods", "sine-x*{s} sine-x2*{s} sine-x3*{s} sine-x4*{s}"),
     ProjectedSequence("two periods in both directions", "sine-x*{s} sine-x2*{s} sine-y*{s} sine-y2*{s}"),
-    ProjectedSequence(
-        "two periods in both directions, references", "bright dark sine-x*{s} sine-x2*{s} sine-y*{s} sine-y2*{s}"
-    ),
-    ProjectedSequence(
-        "three periods in both directions", "sine-x*{s} sine-x2*{s} sine-x3*{s} sine-y*{s} sine-y2*{s} sine-y3*{s}"
-    ),
-)
+    ProjectedSequence("two periods in both directions, references", "bright dark sine-x*{s} sine-x2*{s} sine-y*{s} sine-y2*{s}"),
+    ProjectedSequence("three periods in both directions", "sine-x*{s} sine-x2*{s} sine-x3*{s} sine-y*{s} sine-y2*{s} sine-y3*{s}"),
+)  # fmt: skip
 
 
 def hypotheses(count: int) -> Iterator[ProjectedSequence]:

@@ -170,7 +170,8 @@ def _read(path: Path, progress: Callable[[str], None], as_described: bool) -> Fo
         raise ForeignError(
             f"{path}: the images contradict it: {said}; correct it, or import it all the same with --as-described"
         )
-    return scan
+    # Points are made of coordinates: phases of a large set need much room.
+    return replace(scan, cameras={side: replace(one, measured={}) for side, one in scan.cameras.items()})
 
 
 def _found(path: Path, scan: ForeignScan, progress: Callable[[str], None], reasons: Path | None) -> ForeignCloud:
