@@ -46,10 +46,11 @@ class Offset:
     @classmethod
     def of(cls, offsets_px: NDArray[np.float64], asked: int, allowed_px: float) -> Offset:
         """Return the statistics of single offsets."""
-        offsets_px = offsets_px if (found := int(offsets_px.size)) else np.zeros(1)
+        if not offsets_px.size:
+            return cls(asked, 0, 0.0, 0.0, allowed_px)
         median = float(np.median(offsets_px))
         spread = MAD_TO_SIGMA * float(np.median(np.abs(offsets_px - median)))
-        return cls(asked, found, median, spread, allowed_px)
+        return cls(asked, int(offsets_px.size), median, spread, allowed_px)
 
     @property
     def tells(self) -> bool:
