@@ -85,7 +85,7 @@ class CleanAxis:
 
 
 def clean(placed: PlacedAxis) -> CleanAxis:
-    """Mask the edges of one direction and estimate its noise from neighbours, in inverse proportion to the modulation."""
+    """Mask the edges of one direction and estimate its noise from neighbours: that of the light, over the modulation."""
     coordinate = placed.coordinate_px
     typical_px, step_px = _noise(coordinate), _usual_step(coordinate)
     jump_px, bend_px = JUMP_STEPS * step_px + EDGE_SIGMAS * typical_px, BEND_STEPS * step_px + EDGE_SIGMAS * typical_px
@@ -102,9 +102,12 @@ def clean(placed: PlacedAxis) -> CleanAxis:
                 marks[:, :-1] |= far
                 marks[:, 1:-1] |= np.abs(np.diff(step, axis=1)) > bend_px
     kept = np.where(edge, np.float32(np.nan), coordinate)
-    modulation = np.maximum(placed.modulation, np.float32(1e-3))
-    usual = float(np.median(modulation[np.isfinite(kept)])) if np.isfinite(kept).any() else 1.0
-    sigma_px = np.float32(typical_px * usual) / modulation
+    noise = np.float32(1.0) / np.maximum(placed.modulation, np.float32(1e-3))
+    if placed.mean is not None:
+        # Photons that are counted scatter by the root of their number: bright places have more noise, and less than they have light.
+        noise *= np.sqrt(np.maximum(placed.mean, np.float32(1.0)))
+    known = noise[np.isfinite(kept)]
+    sigma_px = noise * np.float32(typical_px / np.median(known) if known.size else typical_px)
     if placed.stripe_px:
         drawn_px = max(DRAWN * placed.stripe_px, _ripple(kept, placed.stripe_px / step_px))
         sigma_px = np.hypot(sigma_px, np.float32(drawn_px))

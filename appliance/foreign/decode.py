@@ -96,6 +96,8 @@ class PlacedAxis:
     """(h, w), values of ``NoCoordinate``."""
     modulation: Floats
     """(h, w): as it was measured."""
+    mean: NDArray[Any] | None = None
+    """(h, w): the same."""
     stripe_px: float = 0.0
     """Width of the stripes between whose borders coordinates were drawn; 0: fringes make them."""
     bend_px: float = 0.0
@@ -182,7 +184,7 @@ def place(found: Measured, axis: AxisConvention, extent_px: tuple[float, float] 
     reason[found.weak] = NoCoordinate.WEAK
     reason[found.saturated] = NoCoordinate.SATURATED
     coordinate_px[reason != NoCoordinate.VALID] = np.nan
-    return PlacedAxis(coordinate_px, reason, found.modulation, stripe_px, found.bend_turns * axis.period_px)
+    return PlacedAxis(coordinate_px, reason, found.modulation, found.mean, stripe_px, found.bend_turns * axis.period_px)
 
 
 def _by_code(found: Measured, axis: AxisConvention) -> tuple[Floats, NDArray[np.bool_]]:

@@ -131,9 +131,12 @@ def other_way_round(cameras: Sequence[CameraFiles]) -> tuple[CameraFiles, ...]:
 def _best(names: list[str]) -> dict[str, list[str]] | None:
     """Return the images of one or two cameras by the pattern of their names; ``None`` where the names do not tell."""
     best: dict[str, list[str]] | None = None
-    for groups in _groupings(names):
+    for patterns in zip(*(_patterns(name) for name in names), strict=True):
+        groups: dict[str, list[str]] = defaultdict(list)
+        for pattern, name in zip(patterns, names, strict=True):
+            groups[pattern].append(name)
         sizes = {len(group) for group in groups.values()}
-        if 1 <= len(groups) <= 2 and len(sizes) == 1 and sizes.pop() >= LEAST_IMAGES:
+        if "" not in groups and len(groups) <= 2 and len(sizes) == 1 and sizes.pop() >= LEAST_IMAGES:
             # Two cameras are likelier than one whose images are named in two ways.
             if len(groups) == 2:
                 return groups
@@ -141,32 +144,15 @@ def _best(names: list[str]) -> dict[str, list[str]] | None:
     return best
 
 
-def _groupings(names: list[str]) -> Iterator[dict[str, list[str]]]:
-    """Yield ways to group names, each by the pattern that all of a group share."""
-    by_folder: dict[str, list[str]] = defaultdict(list)
-    for name in names:
-        path = Path(name)
-        by_folder[str(path.with_name(f"*{path.suffix}"))].append(name)
-    yield dict(by_folder)
+def _patterns(name: str) -> Iterator[str]:
+    """Yield the patterns that a name may share with the others of its camera, the likeliest first; empty where it has no such part."""
+    path = Path(name)
+    yield str(path.with_name(f"*{path.suffix}"))
     # One of the numbers in a name counts the images: the last one, or the one before, …
-    for place in range(1, 5):
-        groups: dict[str, list[str]] = defaultdict(list)
-        for name in names:
-            numbers = list(re.finditer(r"\d+", name))
-            if len(numbers) < place:
-                break
-            at = numbers[-place]
-            groups[f"{name[: at.start()]}*{name[at.end() :]}"].append(name)
-        else:
-            yield dict(groups)
+    numbers = list(re.finditer(r"\d+", name))[::-1]
+    for place in range(4):
+        yield f"{name[: numbers[place].start()]}*{name[numbers[place].end() :]}" if place < len(numbers) else ""
     # Whatever stands about a word for one of two cameras: 00_left.png, bright_R.png, cam0_gray_03.png.
-    sides: dict[str, list[str]] = defaultdict(list)
-    for name in names:
-        path = Path(name)
-        found = list(_SIDE.finditer(path.name))
-        if not found:
-            return
-        at = found[-1]
-        # A wildcard stands for no part of a folder's name.
-        sides[str(path.with_name(f"{'*' if at.start() else ''}{at[0]}*{path.suffix}"))].append(name)
-    yield dict(sides)
+    *_, side = [None, *_SIDE.finditer(path.name)]
+    # A wildcard stands for no part of a folder's name.
+    yield str(path.with_name(f"{'*' if side.start() else ''}{side[0]}*{path.suffix}")) if side else ""

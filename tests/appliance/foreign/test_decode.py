@@ -127,6 +127,21 @@ def test_a_bent_response_is_taken_away_and_what_remains_is_said(count: int, gamm
     assert share is None if count == 3 else (share or 0.0) > 0.15
 
 
+def test_bright_places_have_more_noise_than_dark_ones_and_a_point_says_how_much() -> None:
+    """Photons that are counted scatter by the root of their number (Poisson), whatever the camera."""
+    random = np.random.default_rng(6)
+    bright = np.linspace(0.1, 1.0, ROWS)[:, None]
+    # A tenth of the light comes from the room.
+    shots = [random.poisson(400.0 * (0.1 + bright * one)) / 400.0 - 0.1 for one in steps(EDGE_PX, 64, 3)]
+    found = clean(
+        decoded([*gray(EDGE_PX, 64, 4), *shots], "gray-x*4 sine-x*3", "period_px = 64\nsteps = 3").placed["x"]
+    )
+    off_px = found.coordinate_px + 0.5 - EDGE_PX
+    for rows in (slice(0, 8), slice(16, 24), slice(-8, None)):
+        scatter_px = 1.4826 * float(np.nanmedian(np.abs(off_px[rows])))
+        assert 0.85 < scatter_px / float(np.nanmedian(found.sigma_px[rows])) < 1.15
+
+
 @pytest.mark.parametrize(
     ("turns", "share", "remains"),
     [
