@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from appliance.foreign.code import LINES_AT_ONCE, CodeBits, read_bits
 from appliance.foreign.description import AxisConvention
 from appliance.foreign.images import ImageSet
-from appliance.foreign.order import FRINGES
+from appliance.foreign.order import Shows
 from appliance.foreign.phase import ROWS_AT_ONCE, TURN, Floats, SineFit, fit_sine, misfit_share, unbend
 
 LEAST_MODULATION, MOST_LEAST_MODULATION = 1.0 / 255.0, 5.0 / 255.0
@@ -108,11 +108,9 @@ def measure(images: ImageSet, axis: AxisConvention) -> Measured:
     """Read the images of one direction. Raises ForeignError."""
     fits, singles = [], []
     for period, steps_deg in enumerate(axis.signed_deg[:1] if axis.micro else axis.signed_deg):
-        kind = next(
-            one.shows for one in images.shown if one.shows in FRINGES and (one.axis, one.period) == (axis.name, period)
-        )
-        shot = images.all_of(kind, axis.name, period)
         across = axis.carriers[period] if axis.carriers else 0
+        kind = Shows.MICRO if axis.micro else Shows.MODULATED if across else Shows.SINE
+        shot = images.all_of(kind, axis.name, period)
         fits.append(_fit_modulated(shot, steps_deg, across, images.white) if across
                     else fit_sine(shot[: len(steps_deg)], steps_deg, images.white))  # fmt: skip
         if axis.micro:
@@ -163,8 +161,8 @@ def least_modulation(fit: SineFit, steps: int, white: float) -> float:
     return float(min(max(wanted, LEAST_MODULATION * white), MOST_LEAST_MODULATION * white))
 
 
-def place(found: Measured, axis: AxisConvention, extent_px: tuple[float, float] | None = None) -> PlacedAxis:
-    """Make coordinates by the convention of ``axis``, on a pattern from edge to edge."""
+def place(found: Measured, axis: AxisConvention, extent_px: tuple[float, float]) -> PlacedAxis:
+    """Make coordinates by the convention of ``axis``, on a pattern that begins and ends at ``extent_px``."""
     reason = np.zeros(found.weak.shape, np.uint8)
     stripe_px = 0.0
     if not found.turns:
@@ -175,7 +173,7 @@ def place(found: Measured, axis: AxisConvention, extent_px: tuple[float, float] 
     else:
         coordinate_px, misfit = by_periods(found.turns, axis, found.usable, found.singles)
         contradiction = ~(misfit <= min(MAX_PERIODS_MISFIT, chance_misfit(axis)))
-    begin_px, end_px = extent_px or (0.0, axis.size_px)
+    begin_px, end_px = extent_px
     beyond_px = 0.5 - 0.25 * axis.period_px
     with np.errstate(invalid="ignore"):
         outside = (coordinate_px < begin_px - 1.0 + beyond_px) | (coordinate_px > end_px - beyond_px)
@@ -262,33 +260,32 @@ def by_periods(
         for period, begin in zip(axis.periods_px, axis.begins_deg, strict=True)
     ]
     period, first_begin = periods.pop(axis.finest)
-    finest, others = turns[axis.finest], [one for k, one in enumerate(turns) if k != axis.finest]
+    finest, others = turns[axis.finest], singles or [one for k, one in enumerate(turns) if k != axis.finest]
     coordinate_px, misfit = np.full((2, *finest.shape), np.nan, np.float32)
     places = np.arange(finest.size) if usable is None else np.flatnonzero(usable)
     for first in range(0, places.size, PIXELS_AT_ONCE):
         here = places[first : first + PIXELS_AT_ONCE]
         own = finest.ravel()[here] - first_begin
         own -= np.floor(own)
-        phases = [(one.ravel()[here] - begin, other) for one, (other, begin) in zip(others, periods, strict=False)]
-        cosines = [(one.ravel()[here], other, begin) for one, (other, begin) in zip(singles, periods, strict=False)]
+        seen = [(one.ravel()[here], other, begin) for one, (other, begin) in zip(others, periods, strict=True)]
         best, best_px = np.full(here.shape, np.inf, np.float32), np.zeros(here.shape, np.float32)
         for fringe in range(_fringes(axis)):
             edge_px = period * (own + np.float32(fringe))
             apart = np.zeros(here.shape, np.float32)
-            for phase, other in phases:
-                off = edge_px / other - phase
-                off -= np.rint(off)
+            for one, other, begin in seen:
+                off = edge_px / other + begin
+                if singles:
+                    # A cosine's slope is 2π / √2 to a turn, on the mean.
+                    off = (np.cos(np.float32(TURN) * off) - one) * np.float32(2.0**0.5 / TURN)
+                else:
+                    off -= one
+                    off -= np.rint(off)
                 apart += np.square(off)
-            for cosine, other, begin in cosines:
-                # A cosine's slope is 2π / √2 to a turn, on the mean.
-                apart += np.square(np.cos(np.float32(TURN) * (edge_px / other + begin)) - cosine) * np.float32(
-                    2.0 / TURN**2
-                )
             # What lies beyond the pattern looks like its other end where one fringe covers it.
             better = (apart < best) & (edge_px < np.float32(axis.size_px + SLACK_PERIODS * axis.period_px))
             best, best_px = np.where(better, apart, best), np.where(better, edge_px, best_px)
-        if cosines:
-            best_px += _all_together(best_px, cosines, period)
+        if singles:
+            best_px += _all_together(best_px, seen, period)
         coordinate_px.ravel()[here] = best_px - np.float32(0.5)
         misfit.ravel()[here] = np.sqrt(best / np.float32(max(1, len(periods))))
     return coordinate_px, misfit
