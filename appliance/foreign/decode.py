@@ -101,7 +101,7 @@ class PlacedAxis:
     stripe_px: float = 0.0
     """Width of the stripes between whose borders coordinates were drawn; 0: fringes make them."""
     bend_px: float = 0.0
-    """What a bent response adds to the noise, as a standard deviation."""
+    """Standard deviation that a bent response adds to the noise."""
 
 
 def measure(images: ImageSet, axis: AxisConvention) -> Measured:
