@@ -226,7 +226,9 @@ def _described(top: Table, folder: Path, name: str) -> Description:
     projector = top.needed("projector", "width_px", "height_px")
     size_px = (projector.whole("width_px", 2, int(MOST_PX)), projector.whole("height_px", 2, int(MOST_PX)))
     files = _files(images)
-    order, shown = _order(images, files)
+    order = _order(images, files)
+    # How many files a name stands for is not known yet: one of each kind stands for all.
+    shown = order or numbered(list(dict.fromkeys(files["left"].words)), "images.left")
     axes = []
     for axis_name, length in zip("xy", size_px, strict=True):
         mine = [one for one in shown if one.axis == axis_name]
@@ -288,20 +290,18 @@ def _of_one(images: Table, side: str) -> ImageFiles:
     return ImageFiles(tuple(name for names in by_kind.values() for name in names), words)
 
 
-def _order(images: Table, files: dict[str, ImageFiles]) -> tuple[tuple[ShownImage, ...] | None, tuple[ShownImage, ...]]:
-    """Return what the images show in order (``None`` where it is said by kind), and one image of each kind and number."""
+def _order(images: Table, files: dict[str, ImageFiles]) -> tuple[ShownImage, ...] | None:
+    """Return what the images show in order; ``None`` where it is said by kind."""
     kinds = {frozenset(one.words) for one in files.values()}
     if len(kinds) > 1:
         raise ForeignError(
             "images.left and images.right name other kinds of images, or one of them in order; name both alike"
         )
     if kinds == {frozenset()}:
-        order = parse_order(images.text("order"), "images.order")
-        return order, order
+        return parse_order(images.text("order"), "images.order")
     if "order" in images.content:
         raise images.wrong("order", "nothing, where images are named by kind", "take it out")
-    # How many files a name stands for is not known yet: one of each kind stands for all.
-    return None, numbered(list(dict.fromkeys(files["left"].words)), "images.left")
+    return None
 
 
 _FRINGES, _CODE = ("period_px", "fringes", "steps", "steps_deg"), ("gray", "stripe_px")

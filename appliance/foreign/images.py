@@ -91,15 +91,10 @@ class ImageSet:
         """(h, w)."""
         return int(self.images.shape[1]), int(self.images.shape[2])
 
-    def find(self, shows: Shows, axis: str = "", index: int = 0, period: int = 0) -> int | None:
-        """Return the number of an image; ``None`` where there is none."""
-        wanted = ShownImage(shows, axis, index, period)
-        return self.shown.index(wanted) if wanted in self.shown else None
-
-    def image(self, shows: Shows, axis: str = "", index: int = 0, period: int = 0) -> NDArray[Any] | None:
-        """Return an image (h, w); ``None`` where there is none."""
-        number = self.find(shows, axis, index, period)
-        return None if number is None else self.images[number]
+    def image(self, shows: Shows, axis: str = "", index: int = 0) -> NDArray[Any] | None:
+        """Return an image (h, w) of the first period; ``None`` where there is none."""
+        wanted = ShownImage(shows, axis, index)
+        return self.images[self.shown.index(wanted)] if wanted in self.shown else None
 
     def all_of(self, shows: Shows, axis: str, period: int = 0) -> NDArray[Any]:
         """Return all images (n, h, w) of a kind, in their order."""

@@ -24,7 +24,7 @@ def own_sequence(description: Description, images: ImageSet) -> PatternSequence 
         return f"it has fringes of one direction only, {description.axes[0].name}"
     if images.images.dtype != np.uint8:
         return "its images have 16 bits"
-    if images.find(Shows.BRIGHT) is None or images.find(Shows.DARK) is None:
+    if not {Shows.BRIGHT, Shows.DARK} <= {one.shows for one in images.shown}:
         return "it has no bright and dark image"
     for axis in description.axes:
         reason = _other_form(axis)
