@@ -45,6 +45,8 @@ BASELINES = "baselines"
 """Unit of a cloud whose calibration has no scale: the distance of both cameras."""
 LEAST_SHARE = 0.05
 """Least share of the left pixels with coordinates that become points: fewer are there by chance."""
+MOST_DRAWN = 1_000_000
+"""Points of the picture, several for each of its pixels."""
 LEAST_WITHIN = 0.5
 """Least share of the points that lie within the instrument's own depths, for a scan folder."""
 
@@ -96,8 +98,10 @@ def import_cloud(
     marks += [f"wrong: {one}" for one in scan.wrong]
     write_scan(out, found.cloud, About(scan.description.name, CAMERA_FRAME, (note,), tuple(marks), _unit(scan)))
     if picture is not None:
-        there = found.cloud.mask
-        replace_file(LocalFileSystem(), picture, picture_of_scan(found.cloud.points_mm[there], found.cloud.grey[there]))
+        there = np.flatnonzero(found.cloud.mask)
+        there = there[:: 1 + len(there) // MOST_DRAWN]
+        drawn = picture_of_scan(found.cloud.points_mm.reshape(-1, 3)[there], found.cloud.grey.ravel()[there])
+        replace_file(LocalFileSystem(), picture, drawn)
     unit = _unit(scan) or ("m" if suffix in (".e57", ".las") else "mm")
     return {"file": str(out), "format": suffix.removeprefix("."), "unit": unit, **_report(scan, found)}
 
