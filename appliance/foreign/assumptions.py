@@ -31,6 +31,8 @@ from appliance.foreign.phase import Floats
 
 SAMPLES = 400_000
 """Number of pixels that are asked, in whole lines along the direction."""
+LEAST_RUN_PX = 3.0
+"""Least mean distance of the borders of an image of the code, for its order to be told by neighbouring pixels."""
 LEAST_CHANGES = 200
 """Number of borders between stripes from which on something is concluded."""
 CLEARLY_BETTER, GOOD_CODE = 0.25, 0.6
@@ -147,12 +149,19 @@ def _along(values: NDArray[Any], axis: AxisConvention) -> NDArray[Any]:
     return np.ascontiguousarray(lines[..., step // 2 :: step, :])
 
 
-def _code(bits: NDArray[np.bool_], both: NDArray[np.bool_], axis: AxisConvention) -> list[ExaminedAssumption]:
+def _wide_enough(bits: NDArray[np.bool_], both: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return bits without the images at either end whose stripes are hardly wider than a pixel: numbers leap at their borders."""
+    pixels = np.count_nonzero(both)
+    wide = [bool(LEAST_RUN_PX * np.count_nonzero(np.diff(bit, axis=1) & both) <= pixels) for bit in bits]
+    return bits[wide.index(True) : len(wide) - wide[::-1].index(True)] if sum(wide) >= LEAST_BITS else bits
+
+
+def _code(all_bits: NDArray[np.bool_], both: NDArray[np.bool_], axis: AxisConvention) -> list[ExaminedAssumption]:
     """Test in which order the bits of lines are, where ``both`` a pixel and the next one are usable."""
     names = [f"{axis.name}.{WORDS[word][0]}" for word in CODE]
     said = tuple(getattr(axis, word) for word in CODE)
+    bits, changes = _wide_enough(all_bits, both), 0
     shares: dict[tuple[bool, ...], float] = {}
-    changes = 0
     for flags in product((False, True), repeat=len(CODE)):
         other: dict[str, Any] = dict(zip(CODE, flags, strict=True))
         step = np.abs(np.diff(stripe_numbers(bits, replace(axis, **other)), axis=1)[both])
