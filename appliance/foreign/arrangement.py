@@ -227,6 +227,11 @@ def _patterns(setting: _Setting, description: Description, left: DecodedCamera) 
         beyond_px = axis.stripe_px * 2**axis.bits - size_px if axis.bits else 0.0
         other_px = 0.0 if axis.code_offset_px else -0.5 * beyond_px
         choices.append([axis, *([replace(axis, code_offset_px=other_px)] if beyond_px > 0.0 else [])])
+    if len(description.axes) == 2 and not any(axis.bits for axis in description.axes):
+        # A projector that stands on its head.
+        instead = {f"{axis.name}.sign": -axis.sign for axis in description.axes}
+        turned = {axis.name: np.float32(axis.size_px - 1) - setting.left_px[axis.name] for axis in description.axes}
+        found.append(_Hypothesis("x.sign", "both signs are the other way", {"left_px": turned}, instead))
     for axes in list(product(*choices))[1:]:
         instead = {f"{one.name}.code_offset_px": one.code_offset_px for one in axes}
         changed = [f"{one.name}.code_offset_px = {one.code_offset_px:g}" for one in axes if one not in description.axes]

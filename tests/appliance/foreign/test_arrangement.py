@@ -194,6 +194,15 @@ def test_a_pattern_that_runs_backwards_would_light_the_surface_from_behind() -> 
     assert "seen from behind" in said["x.sign"].text
 
 
+def test_a_projector_on_its_head_has_both_signs_the_other_way() -> None:
+    def change(one: DecodedCamera) -> DecodedCamera:
+        return scaled(-1.0, SIZE[1] - 1.0, "y")(scaled(-1.0, SIZE[0] - 1.0)(one))
+
+    said = told("xy", with_projector(WIDTH_PX, SIZE), change=change)
+    assert outcomes(said, Outcome.WRONG) == {"x.sign"}
+    assert said["x.sign"].instead == {"x.sign": -1, "y.sign": -1}
+
+
 def test_exchanged_directions_of_a_projector_are_named() -> None:
     def change(one: DecodedCamera) -> DecodedCamera:
         return replace(one, placed={"x": one.placed["y"], "y": one.placed["x"]})
