@@ -60,7 +60,7 @@ def ask_devices(rig: Rig, wires: Wires, only: Collection[str] | None = None) -> 
             try:
                 # Closed again before the next one: what fails at one device must not keep the others from being asked.
                 with opened() as device:
-                    found.append(_compared(_health(name, device), wanted.get(name)))
+                    found.append(_compared(device.health(), wanted.get(name)))
             except DeviceError as error:
                 found.append(Health(name, False, f"{error.message}. {error.remedy}"))
     return found
@@ -89,11 +89,3 @@ def _compared(health: Health, firmware: str | None) -> Health:
         return health
     wrong = f"firmware {there}; the rig file wants {firmware}. Update the device, or correct firmware in the rig file"
     return replace(health, ok=False, summary=wrong)
-
-
-def _health(name: str, device: object) -> Health:
-    ask = getattr(device, "health", None)
-    if ask is None:
-        return Health(name, True, "works")
-    answer: Health = ask()
-    return answer

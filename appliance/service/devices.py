@@ -64,8 +64,8 @@ class Devices:
         """Every device was tried once."""
         return all(supervisor.tried for supervisor in self._supervisors())
 
-    def openers(self) -> dict[str, Callable[[], AbstractContextManager[object]]]:
-        """Return how to open each device once, by its name in the rig file, for whoever only wants to look at them."""
+    def openers(self) -> dict[str, Callable[[], AbstractContextManager[Any]]]:
+        """Return how to open each device once, by its name in the rig file, for whoever only wants to ask its health."""
         wires, rig = self._wires, self._rig
         keys = drivers_rig.KeysSpec(rig.keys.vendor_id, rig.keys.product_id)
         return {

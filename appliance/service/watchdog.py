@@ -82,8 +82,7 @@ class Watchdog:
         failed = sorted([device.value for device in machine.lost] + parts)
         if failed == self._failed:
             return
-        if self._failed is None:
-            log.info("self-test: %s", "passed" if not failed else f"failed: {', '.join(failed)}")
+        log.info("self-test: %s", "passed" if not failed else f"failed: {', '.join(failed)}")
         self._failed = failed
         try:
             self._file.parent.mkdir(parents=True, exist_ok=True)

@@ -36,6 +36,7 @@ BESIDE = {
         "tests/crash/test_power_loss.py",
         "tests/crash/test_refused_writes.py",
         "tests/crash/test_bad_disk.py",
+        "tests/appliance/cli/test_roots.py",
     ),
     "appliance/processing": (
         "tests/appliance/worker/test_pair.py",

@@ -102,14 +102,10 @@ class LocalEngine:
     def close(self) -> None:
         """Do what ``Engine`` promises."""
         for worker in self._workers:
-            worker.pipe.close()
-            if worker.job is not None:
-                worker.process.kill()
+            worker.process.kill()
         for worker in self._workers:
             worker.process.join(END_S)
-            if worker.process.is_alive():
-                worker.process.kill()
-                worker.process.join(END_S)
+            worker.pipe.close()
         self._workers = []
 
     def _heard(self, worker: _Worker) -> Ended:

@@ -183,6 +183,7 @@ def test_jitter_and_a_clock_of_another_unit_are_told() -> None:
     found = stamps(late_ns=60_000)
     expect_wrong(found, "exposures follow pulses to", "opto-coupler")
     assert "frame 30 is the worst" in found.remedy
+    assert found.numbers["jitter_rms_us"] == pytest.approx(60.0 / 8.0, rel=0.03), "one of 64"
     expect_wrong(stamps(ppm=20_000.0), "ppm apart", "unit of the camera's time stamps")
 
 

@@ -97,8 +97,9 @@ def test_equal_parts_of_a_frame_are_counted(count: int) -> None:
     assert sub_frames_of(bits, 0.0, PERIOD_US) == count
     # One bit that comes in the first part only: parts are not equal.
     assert sub_frames_of([*bits, slices((500.0, 2_500.0))], 0.0, PERIOD_US) == 1
-    # The same course, a fifth dimmer in the last part.
-    lights = np.interp(np.arange(200), [0, (count - 1) * step / 250.0, (count - 1) * step / 250.0 + 1], [1.0, 1.0, 0.8])
+    # The same course, a fifth dimmer in the first part and brighter in the last: what is between is as bright as the mean.
+    lights = np.ones(200)
+    lights[: int(step / 250.0)], lights[int((count - 1) * step / 250.0) + 1 :] = 0.8, 1.2
     assert sub_frames_of([bit * lights for bit in bits], 0.0, PERIOD_US) == 1
     # As much light, a millisecond later in the last part.
     late = [k * step + 500.0 + 1_000.0 * (k == count - 1) for k in range(count)]

@@ -72,10 +72,11 @@ def cleared(events: list[on.Event]) -> list[FaultCode]:
 
 def test_a_warning_needs_three_images_and_so_does_its_end(desk: tuple[AimingController, At]) -> None:
     aiming, _ = desk
-    told = [raised(seen(aiming, number, DARK)) for number in range(1, 5)]
-    assert told == [[], [], [FaultCode.AIM_DARK], []]
-    gone = [cleared(seen(aiming, number, BRIGHT)) for number in range(5, 9)]
+    told = [raised(seen(aiming, number, DARK)) for number in range(1, 4)]
+    assert told == [[], [], [FaultCode.AIM_DARK]]
+    gone = [cleared(seen(aiming, number, BRIGHT)) for number in range(4, 8)]
     assert gone == [[], [], [FaultCode.AIM_DARK], []]
+    assert [raised(seen(aiming, number, DARK)) for number in range(8, 12)] == [[], [], [FaultCode.AIM_DARK], []]
 
 
 def test_one_dark_image_among_bright_ones_is_no_warning(desk: tuple[AimingController, At]) -> None:

@@ -143,7 +143,10 @@ def test_a_manager_that_is_gone_or_does_not_listen_stops_nothing(tmp_path: Path)
     assert deaf.heard()
 
 
-def test_the_self_test_is_written_down_with_the_version_it_was_of(tmp_path: Path) -> None:
+def test_the_self_test_is_written_down_with_the_version_it_was_of(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO", "kingfisher")
     supervision = Watchdog(ServiceManager(None, None), tmp_path, "0.2.0-3f2a9c1b")
     mark = tmp_path / SELF_TEST_FILE
     supervision.beaten(machine(0.0, State.BOOT), worker_answers=True)
@@ -155,3 +158,4 @@ def test_the_self_test_is_written_down_with_the_version_it_was_of(tmp_path: Path
     assert json.loads(mark.read_text()) == said
     supervision.beaten(answered(machine(0.3)), worker_answers=True)  # the camera came, and so did the calibration
     assert json.loads(mark.read_text())["failed"] == []
+    assert caplog.messages == ["self-test: failed: calibration, camera.left", "self-test: passed"]

@@ -683,3 +683,4 @@ def test_a_process_that_has_grown_is_replaced_between_two_scans() -> None:
         assert (engine.room(), dict(engine.places())) == (0, {"this computer": "full"})
         worker.job = JOBS[0]  # its process is ended at once
     assert not idle.is_alive()
+    assert worker.process.exitcode == -signal.SIGKILL
