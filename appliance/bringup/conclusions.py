@@ -77,9 +77,7 @@ def _windows(measured: ProjectorMeasured, period_us: float) -> Finding:
     windows = measured.timing.windows
     shown = ", ".join(f"{one.begins_us / 1000.0:.2f} to {one.ends_us / 1000.0:.2f} ms" for one in windows)
     lit = sum(one.ends_us - one.begins_us for one in windows)
-    kind = {
-        1: "no equal sub-frames",
-    }.get(measured.sub_frames, f"{measured.sub_frames} equal sub-frames")
+    kind = f"{'no' if measured.sub_frames == 1 else measured.sub_frames} equal sub-frames"
     said = f"the lamp lights {shown} after the blank, {100.0 * lit / period_us:.0f} % of the frame; {kind}, drawn into {measured.channels} channels"
     return Finding(
         "light", True, said, numbers={"windows": float(len(windows)), "lit_percent": 100.0 * lit / period_us}
@@ -112,7 +110,11 @@ def _grey(measured: ProjectorMeasured) -> Finding:
         )
         said = f"exposures of {times} ms from {offer.delay_us} µs after the blank see grey as it was drawn{curved}"
         return Finding(
-            "grey", True, said, limits, numbers={"line_percent": 100.0 * shape.line_rms, "exposures": float(len(times))}
+            "grey",
+            True,
+            said,
+            limits,
+            numbers={"line_percent": 100.0 * shape.line_rms, "exposures": float(len(offer.exposures_us))},
         )
     shapes = list(measured.responses.values())
     # The most frequent shape is what is wrong; single ones come of windows that hold next to nothing.
