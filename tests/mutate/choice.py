@@ -22,6 +22,7 @@ from tests.mutate.names import PACKAGES, Definition, Name, Names
 from tests.mutate.tree import Tree
 
 BESIDE = {
+    "appliance/bringup": ("tests/appliance/service/bringup/test_*.py",),
     "appliance/capture": ("tests/integration/test_every_frame_fault.py",),
     "appliance/offline": (
         "tests/appliance/calibration/test_calibrate_verb.py",

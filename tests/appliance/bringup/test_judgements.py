@@ -53,6 +53,8 @@ def test_the_first_lit_frame_is_the_latency(at: int) -> None:
     assert latency_of(levels) == at
     levels += np.tile([0.3, -0.3, 0.0], 8)
     assert latency_of(levels) == at, "noise is no flash"
+    levels[at : at + 2] = 6.0, 2.0
+    assert latency_of(levels) == at, "nor is it beside a faint one"
 
 
 def test_a_flash_that_is_none_or_too_long_is_refused() -> None:
