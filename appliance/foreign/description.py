@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -365,7 +364,7 @@ def _periods(table: Table, size_px: float) -> tuple[float, ...]:
         periods_px = table.numbers("period_px", LEAST_PERIOD_PX, MOST_PX)
     if len(periods_px) > MOST_PERIODS:
         raise table.wrong("period_px", f"up to {MOST_PERIODS} periods", "leave some out")
-    if any(abs(a - b) < 1e-9 for a, b in pairwise(sorted(periods_px))):
+    if len(set(periods_px)) < len(periods_px):
         raise table.wrong("period_px", "different periods", "leave one out")
     return periods_px
 

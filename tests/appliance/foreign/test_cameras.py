@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import tomllib
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -418,9 +419,15 @@ def test_a_name_that_two_files_have_is_told_apart(text: str, tmp_path: Path) -> 
     assert f"cameras.names.left_matrix is '{text}'; allowed: {allowed}" in str(error.value)
 
 
-def in_metres(folder: Path) -> str:
-    written(folder / "c.yml", M1=M1, D1=D1, M2=M2, D2=D2, R=R, T=0.001 * T)
+def of_length(folder: Path, length: float) -> str:
+    written(folder / "c.yml", M1=M1, D1=D1, M2=M2, D2=D2, R=R, T=length * T / np.linalg.norm(T))
     return 'files = "c.yml"'
+
+
+@pytest.mark.parametrize(("unit", "mm"), [("cm", 10.0), ("inch", 25.4)])
+def test_lengths_become_millimetres(unit: str, mm: float, tmp_path: Path) -> None:
+    found = rig(tmp_path, f'{of_length(tmp_path, 100.0 / mm)}\nunit = "{unit}"')
+    assert np.linalg.norm(found.rig.right.translation_mm) == pytest.approx(100.0, rel=1e-9)
 
 
 def unknown_names(folder: Path) -> str:
@@ -430,8 +437,9 @@ def unknown_names(folder: Path) -> str:
 
 @pytest.mark.parametrize(
     ("write", "unit"),
-    [(in_folders, "mm"), (of_the_world, "mm"), (slmaster, "mm"), (in_metres, "m"), (unknown_names, "mm")],
-)
+    [(in_folders, "mm"), (of_the_world, "mm"), (slmaster, "mm"), (partial(of_length, length=0.1), "m"),
+     (partial(of_length, length=2.9), "m"), (partial(of_length, length=3.1), "mm"), (unknown_names, "mm")],
+)  # fmt: skip
 def test_camera_files_are_found_in_a_folder(write: Callable[[Path], str], unit: str, tmp_path: Path) -> None:
     wanted = tomllib.loads(write(tmp_path))["files"]
     (tmp_path / "notes.txt").write_text("exposure = 12\n1 2 3\n")
@@ -442,6 +450,7 @@ def test_camera_files_are_found_in_a_folder(write: Callable[[Path], str], unit: 
 
 
 def test_our_own_calibration_is_found_first(tmp_path: Path) -> None:
+    assert cameras_in(tmp_path) == {}
     found = rig(tmp_path, in_folders(tmp_path), head=ALONE)
     mine = Calibration("pair", IN_AIR, "unknown", ("pictures",), Water(20.0, 0.0, 530.0), found.rig)
     (tmp_path / "pair.json").write_bytes(encode(mine))

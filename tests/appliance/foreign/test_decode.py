@@ -157,6 +157,14 @@ def test_phases_that_no_response_has_bent_stay_as_they_are(turns: Lines, share: 
     assert np.array_equal(wrapped, before)
 
 
+def test_three_harmonics_of_a_bend_are_taken_away() -> None:
+    even = np.linspace(-0.5, 0.5, 100_001)[None, 1:]
+    bends = [size * np.sin(n * TURN * even) for n, size in ((4, 0.004), (8, 0.001), (12, 0.001))]
+    turns = (even + sum(bends)).astype(np.float32)
+    assert unbend(turns, np.ones(turns.shape, np.bool_), 4, None) < 0.001
+    assert float((turns - even).std()) < 0.0003
+
+
 def test_stripes_that_light_the_room_do_not_vote_on_finer_ones() -> None:
     """Three quarters of the picture see coarse stripes by way of the room, and nothing of the fine ones."""
     thing = np.arange(EDGE_PX.shape[1])[None] // 150 == 2

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
+from appliance.foreign.camera_files import numbers_in
 from appliance.foreign.cameras import ForeignRig, read_rig
 from appliance.foreign.description import parse_description
 from appliance.foreign.problem import ForeignError
@@ -222,6 +223,36 @@ def test_what_cannot_be_read_says_what_to_write(tmp_path: Path, write: Callable[
     with pytest.raises(ForeignError) as error:
         rig(tmp_path, write(tmp_path))
     assert said in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "wanted"),
+    [
+        ("s.json", '{"a": [1, 2], "a": [1, 2], "__b": 3, "c": "4"}', {"a": [1, 2]}),
+        ("s.json", '{"a": [1, 2], "a": [1, 3]}', "a stands there twice, and differs"),
+        ("s.json", '[{"K": 1}, {"D": [{"a": 2}, {"a": 3}]}, 4]', {"K": 1, "D.0.a": 2, "D.1.a": 3}),
+        ("s.json", '{"m": {"rows": 1, "cols": 1, "data": [2]}, "n": {"rows": 1, "data": 3}, "o": {"sizes": 1, "data": 4}}', {"m": [2], "n.rows": 1, "n.data": 3, "o": 4}),
+        ("s.json", "[1, 2]", "it holds no names"),
+        ("s.yaml", "\ufeff%YAML:1.0\na:\t-.INF\nb: '1'\nc: !!tag [1, 2.5]\n---\nd: 7\n", {"a": -np.inf, "c": [1, 2.5], "d": 7}),
+        ("s.yaml", "a: &x 1\nb: *x\n", "line 2: an alias"),
+        ("s.yaml", f"a: {'[' * 12}1{']' * 12}", {"a": [[[[[[[[[[[[1]]]]]]]]]]]]}),
+        ("s.yaml", f"b: 1\na: {'[' * 13}1{']' * 13}", "line 2: more than 12 levels"),
+        ("s.xml", "<o><a>1 2</a><b>x 3</b><c>3</c><l><_>1</_><_>2</_></l><m><x>5</x></m></o>", {"a": [1, 2], "c": 3, "l": [1, 2], "m.x": 5}),
+        ("s.xml", f"<o><p>1</p>{'<a>' * 12}1{'</a>' * 12}</o>", {"p": 1, ".".join("a" * 12): 1}),
+        ("s.xml", f"{'<a>' * 14}1{'</a>' * 14}", "more than 12 levels"),
+        ("s.xml", " <!DOCTYPE a><a><b>1</b></a>", "it defines what it consists of"),
+        ("s.txt", "1 2 # 9\n# 8\n3;4\nK = [5, 6; 7 8]\n(9)\nfree: text\n10\n", {"s": [1, 2, 3, 4], "K": [5, 6, 7, 8, 9], "free": [10]}),
+    ],
+)  # fmt: skip
+def test_numbers_of_a_text_have_names_or_it_says_why_not(
+    tmp_path: Path, name: str, text: str, wanted: dict[str, Any] | str
+) -> None:
+    _text(tmp_path, name, text)
+    if isinstance(wanted, str):
+        with pytest.raises(ForeignError, match=f"not readable as .* [(]{wanted}[)]; correct it"):
+            numbers_in(tmp_path / name)
+    else:
+        assert {name: array.tolist() for name, array in numbers_in(tmp_path / name).items()} == wanted
 
 
 def test_metres_taken_for_millimetres_are_noticed(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from appliance.foreign import images as images_module
 from appliance.foreign.description import Description, parse_description
+from appliance.foreign.first_look import checked
 from appliance.foreign.images import first_of_side, read_side
 from appliance.foreign.problem import ForeignError
 
@@ -94,6 +95,15 @@ def test_headers_tell_which_image_is_unlike_the_others(tmp_path: Path) -> None:
     ):
         with pytest.raises(ForeignError, match=said.replace("[", r"\[")):
             first_of_side(described(tmp_path, f'left = "{last}.png"\norder = "gray-x*3"'), "left")
+
+
+def test_headers_alone_tell_that_one_camera_has_more_images(tmp_path: Path) -> None:
+    for k in range(3):
+        cv2.imwrite(str(tmp_path / f"{k}.png"), PICTURE)
+    for right, wanted in (("[12]", "left and right have other images"), ("[0-2]", r"\[cameras.left\] is missing")):
+        said = described(tmp_path, f'left.gray-x = "*.png"\nright.gray-x = "{right}.png"')
+        with pytest.raises(ForeignError, match=wanted):
+            checked(Path("set.toml"), said, {side: first_of_side(said, side) for side in said.files})
 
 
 @pytest.mark.parametrize(

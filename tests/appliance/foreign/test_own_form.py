@@ -13,7 +13,7 @@ from appliance.cli.output import Exit
 from appliance.foreign.cameras import NO_PORT, ForeignRig
 from appliance.foreign.description import counted, parse_description
 from appliance.foreign.images import ImageSet
-from appliance.foreign.own_form import own_sequence
+from appliance.foreign.own_form import own_frames, own_sequence
 from appliance.foreign.problem import ForeignError
 from appliance.foreign.reading import ForeignScan
 from appliance.offline.foreign_import import calibration_of
@@ -93,6 +93,13 @@ gray = "complementary"
         ((("steps = 4\ngray = \"complementary\"\n[y]", "steps = 4\n[y]"),), "x: its code does not number half periods from the edge"),
         ((("steps = 4\ngray", "steps = 4\ncode_offset_px = 8\ngray"),), "x: its code does not number half periods from the edge"),
         ((('right = "r*"\n', ""),), "there is no second camera"),
+        ((("sine-x*4", "sine-x*4 sine-x2*4"), ("period_px = 16", "period_px = [16, 64]")), "x: it has 2 periods"),
+        ((("period_px = 16", "period_px = 16.5"),), "x: its period is 16.5 px, no whole number"),
+        ((("sine-x*4", "modulated-x*12"),), "x: its fringes have a carrier"),
+        ((("gray-x*7 ", ""), ("period_px = 16\nsteps = 4\ngray = \"complementary\"", "period_px = 1024\nsteps = 4")), "x: it has no Gray code"),
+        ((("steps = 4", "steps = 4\ncode = \"binary\""),), "x: its code is plain binary, or inverted"),
+        ((("period_px = 16", "period_px = 32"),), "its two directions have different periods"),
+        ((("period_px = 16", "period_px = 3"), ("period_px = 16", "period_px = 3"), ("gray-x*7", "gray-x*9")), "fringe period 3 px; allowed are 4..768 px"),
     ],
 )  # fmt: skip
 def test_the_reason_why_a_set_is_no_scan_of_our_form_is_named(
@@ -108,3 +115,19 @@ def test_the_reason_why_a_set_is_no_scan_of_our_form_is_named(
     found = own_sequence(counted(said, said.order), images)
     assert isinstance(found, str) == bool(reason)
     assert reason in str(found)
+
+
+def test_images_are_put_into_our_order() -> None:
+    """Steps that begin elsewhere, a code with its finest image first, and more images of it than are needed."""
+    text = OWN.replace("bright dark", "dark bright").replace("gray-y*7", "gray-y*8")
+    text = text.replace("steps = 4", "steps_deg = [180, 90, 0, 270]", 1)
+    text = text.replace("steps = 4", 'steps = 4\nsign = "-"\nstart_deg = 90\ncode_order = "fine-first"')
+    said = parse_description(text, Path(), "own", "own.toml")
+    assert said.order is not None
+    images = ImageSet(said.order, (), np.arange(len(said.order), dtype=np.uint8)[:, None, None], 255.0)
+    described = counted(said, said.order)
+    sequence = own_sequence(described, images)
+    assert not isinstance(sequence, str), sequence
+    wanted = [1, 0, *range(2, 9), 11, 10, 9, 12, *range(19, 12, -1), 22, 21, 24, 23]
+    assert own_frames(sequence, described, images).ravel().tolist() == wanted
+    assert own_sequence(described, replace(images, images=images.images.astype(np.uint16))) == "its images have 16 bits"

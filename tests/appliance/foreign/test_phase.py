@@ -13,6 +13,7 @@ from appliance.foreign.camera import decode_camera
 from appliance.foreign.description import AxisConvention, Description, ImageFiles
 from appliance.foreign.images import ImageSet
 from appliance.foreign.order import parse_order
+from appliance.foreign.periods import periods_by_phases
 from appliance.foreign.phase import fit_sine, step_weights
 from appliance.foreign.problem import ForeignError, Table
 from appliance.patterns.sequence import PatternSequence, build_sequence
@@ -85,6 +86,16 @@ def test_noise_makes_the_error_that_the_steps_allow() -> None:
 def test_steps_that_tell_no_phase_are_refused(steps_deg: tuple[float, ...]) -> None:
     with pytest.raises(ForeignError, match="too near to each other"):
         step_weights(steps_deg)
+
+
+@pytest.mark.parametrize(("name", "fringes"), [("x", (64, 8, 1)), ("y", (13, 120)), ("x", (5,))])
+def test_phases_alone_tell_how_many_fringes_there_are(name: str, fringes: tuple[int, ...]) -> None:
+    steps_deg = (0.0, 90.0, 180.0, 270.0)
+    place = np.linspace(0.1, 0.9, 600)[None]
+    places = [(place if name == "x" else place.T) * count for count in fringes]
+    images = [np.rint(ideal(one, steps_deg)).astype(np.uint8) for one in places]
+    found = periods_by_phases(images, [steps_deg] * len(fringes), name, 1024.0)
+    assert found == ((1024.0,) if len(fringes) == 1 else pytest.approx([1024.0 / count for count in fringes]))
 
 
 def own(sequence: PatternSequence, stack: NDArray[np.uint8]) -> tuple[Description, ImageSet]:

@@ -11,17 +11,19 @@ import cv2
 import numpy as np
 import pytest
 
-from appliance.foreign.picture_size import size_px
+from appliance.foreign.picture_size import picture_head, size_px
 from appliance.offline.calibration.air import Pair, PicturesError, read_pair
 
 
 @pytest.mark.parametrize("kind", [".png", ".tif", ".bmp", ".pgm", ".jpg", ".ppm"])
-@pytest.mark.parametrize("shape", [(30, 41), (1, 300), (600, 7)])
-def test_the_size_is_that_of_the_picture(kind: str, shape: tuple[int, int]) -> None:
-    image = np.zeros((*shape, 3) if kind == ".ppm" else shape, np.uint8)
-    done, data = cv2.imencode(kind, image)
+@pytest.mark.parametrize("shape", [(30, 41), (1, 300), (600, 7, 3)])
+@pytest.mark.parametrize("bits", [8, 16])
+def test_size_and_depth_are_those_of_the_picture(kind: str, shape: tuple[int, ...], bits: int) -> None:
+    bits = 8 if kind in (".bmp", ".jpg") else bits
+    shape = (*shape[:2], 3) if kind == ".ppm" else shape[:2] if kind == ".pgm" else shape
+    done, data = cv2.imencode(kind, np.zeros(shape, f"uint{bits}"))
     assert done
-    assert size_px(data.tobytes()) == (shape[1], shape[0])
+    assert picture_head(data.tobytes()) == (shape[1], shape[0], bits)
 
 
 @pytest.mark.parametrize("kind", [".png", ".tif", ".bmp", ".pgm", ".jpg"])
