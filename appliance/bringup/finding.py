@@ -20,7 +20,7 @@ class Finding:
     """Range that it was held against."""
     remedy: str = ""
     """Advice where it is not ``ok``."""
-    numbers: Mapping[str, float | None] = field(default_factory=dict, hash=False)
+    numbers: Mapping[str, float | None] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:
         """Return it JSON-ready."""

@@ -72,11 +72,11 @@ class StepOutcome:
     """Findings of one step, and what the page shows of it."""
 
     findings: tuple[Finding, ...]
-    tables: Mapping[str, tuple[Mapping[str, Any], ...]] = field(default_factory=dict, hash=False)
+    tables: Mapping[str, tuple[Mapping[str, Any], ...]] = field(default_factory=dict)
     """Tables for the page by title: rows with the same keys, JSON-ready."""
-    pictures: Mapping[str, tuple[str, bytes]] = field(default_factory=dict, hash=False)
+    pictures: Mapping[str, tuple[str, bytes]] = field(default_factory=dict)
     """Pictures for the page, caption and PNG, by the name of their file."""
-    written: Mapping[KeyValue, Any] = field(default_factory=dict, hash=False)
+    written: Mapping[KeyValue, Any] = field(default_factory=dict)
     """Keys that were written into the rig file."""
 
     @property

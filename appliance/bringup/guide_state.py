@@ -23,12 +23,12 @@ class StepRecord:
     when: str
     """Date and time, ISO 8601, by the computer's calendar: for people only."""
     duration_s: float
-    inputs: Mapping[str, Any] = field(hash=False)
+    inputs: Mapping[str, Any]
     """Keys of the rig file that it rests on, by dotted name."""
-    tables: Mapping[str, tuple[Mapping[str, Any], ...]] = field(default_factory=dict, hash=False)
-    pictures: Mapping[str, str] = field(default_factory=dict, hash=False)
+    tables: Mapping[str, tuple[Mapping[str, Any], ...]] = field(default_factory=dict)
+    pictures: Mapping[str, str] = field(default_factory=dict)
     """Captions of its pictures, by the name of the file beside the state."""
-    written: Mapping[str, Any] = field(default_factory=dict, hash=False)
+    written: Mapping[str, Any] = field(default_factory=dict)
     """Keys that it wrote into the rig file, by dotted name."""
 
     @classmethod
@@ -46,8 +46,8 @@ class GuideState:
     rig_file: str = ""
     rig_sha256: str = ""
     """Checksum of the rig file as it was after the last step."""
-    steps: Mapping[str, StepRecord] = field(default_factory=dict, hash=False)
-    about: Mapping[str, tuple[str, ...]] = field(default_factory=dict, hash=False)
+    steps: Mapping[str, StepRecord] = field(default_factory=dict)
+    about: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """Versions, and what was on the buses at the last call: lines by title."""
 
     def with_step(self, name: str, record: StepRecord) -> GuideState:

@@ -7,7 +7,7 @@ light comes. Nothing is judged by a single image or by one camera.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,17 +53,17 @@ class ProjectorMeasured:
     sub_frames: int
     skew_us: float
     """Time by which the light begins later in the right camera's images than in the left one's: that much earlier it exposes."""
-    profiles: Mapping[int, Profile] = field(hash=False)
+    profiles: Mapping[int, Profile]
     """Light in slices, from the blank of the flip on, by code."""
-    responses: Mapping[Trial, ResponseShape] = field(hash=False)
-    ramps: Mapping[Trial, NDArray[np.float64]] = field(hash=False)
+    responses: Mapping[Trial, ResponseShape]
+    ramps: Mapping[Trial, NDArray[np.float64]]
     """Share of white at each of ``ramp_codes``, (n,), by trial."""
     offer: Offer | None
-    lines: Mapping[str, LineLight] = field(hash=False)
+    lines: Mapping[str, LineLight]
     """Single lines, compared, by ``columns`` and ``rows``."""
-    seen: Mapping[str, SeenPicture] = field(hash=False)
+    seen: Mapping[str, SeenPicture]
     """Orientation by camera."""
-    pictures: Mapping[str, Image] = field(hash=False)
+    pictures: Mapping[str, Image]
     """Photographs for the page, (h, w), keyed by name."""
 
 

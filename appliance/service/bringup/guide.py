@@ -61,7 +61,7 @@ class Walked:
 
     good: bool
     """Every step that was asked for is good; without ``only``: all twelve are."""
-    steps: Mapping[str, StepRecord] = field(hash=False)
+    steps: Mapping[str, StepRecord]
     """Everything that is known now, by step, in their order."""
     done: tuple[str, ...]
     """Steps that this call did."""
