@@ -24,7 +24,7 @@ from appliance.export.ply import encode_surface
 from appliance.export.suffixes import MESH_SUFFIXES, SCAN_SUFFIXES, SURFACE_SUFFIXES, checked_suffix
 from appliance.export.triangles import encode_obj, encode_stl
 from appliance.reconstruct.organised import OrganisedCloud
-from appliance.storage.atomic import replace_by, replace_file
+from appliance.storage.atomic import replace_by, replace_file, replace_parts
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.surface.fusion import FusedCloud
 from appliance.surface.mesh import Mesh
@@ -85,4 +85,4 @@ def _write_points(path: Path, points: ExportedPoints, about: About) -> None:
         case ".las":
             replace_file(LocalFileSystem(), path, encode_las(points, about))
         case _:
-            replace_file(LocalFileSystem(), path, *encode_surface(points, about))
+            replace_parts(LocalFileSystem(), path, encode_surface(points, about))

@@ -6,6 +6,9 @@ Source: G. Turk, "The PLY Polygon File Format" (1994); names of properties as Me
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from itertools import chain
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,23 +26,32 @@ _FIXED = (
     ("blue", "u1", "uchar"),
     ("sigma", "<f4", "float"),
 )
+_AT_ONCE = 1 << 16
+"""Vertices that are encoded together."""
 _FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
 
 
-def encode_surface(points: ExportedPoints, about: About, faces: NDArray[np.int32] | None = None) -> tuple[bytes, ...]:
-    """Return header, vertices and faces ((m, 3) int32; ``None``: points alone). Unknown normals are (0, 0, 0)."""
-    n = len(points.grey)
+def encode_surface(points: ExportedPoints, about: About, faces: NDArray[np.int32] | None = None) -> Iterator[bytes]:
+    """Return header, vertices and faces ((m, 3) int32; ``None``: points alone). Unknown normals are (0, 0, 0).
+
+    Vertices are encoded as they are asked for: all of a large cloud need much room.
+    """
+    n, places = len(points.grey), single_precision(points, "PLY")
     columns = [*_FIXED, *((name, "<f4", "float") for name in points.more)]
-    rows = np.zeros(n, np.dtype([(name, kind) for name, kind, _ in columns]))
-    known, places = finite(points.normals), single_precision(points, "PLY")
-    for axis in range(3):
-        rows["xyz"[axis]] = places[:, axis]
-        rows[f"n{'xyz'[axis]}"] = known[:, axis]
-    for name in ("red", "green", "blue"):
-        rows[name] = points.grey
-    rows["sigma"] = points.sigma_mm
-    for name, values in points.more.items():
-        rows[name] = values
+    kinds = np.dtype([(name, kind) for name, kind, _ in columns])
+
+    def encoded(some: slice) -> bytes:
+        rows, known = np.empty(len(points.grey[some]), kinds), finite(points.normals[some])
+        for axis in range(3):
+            rows["xyz"[axis]] = places[some, axis]
+            rows[f"n{'xyz'[axis]}"] = known[:, axis]
+        for name in ("red", "green", "blue"):
+            rows[name] = points.grey[some]
+        rows["sigma"] = points.sigma_mm[some]
+        for name, values in points.more.items():
+            rows[name] = values[some]
+        return rows.tobytes()
+
     header = ["ply", "format binary_little_endian 1.0"]
     marks = about.mark_lines()
     # Marks stand as in the instrument's own clouds, behind "comment" alone: one reader knows both.
@@ -51,4 +63,5 @@ def encode_surface(points: ExportedPoints, about: About, faces: NDArray[np.int32
         triangles["count"], triangles["corners"] = 3, faces
         header += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
     header += ["end_header", ""]
-    return "\n".join(header).encode("ascii"), rows.tobytes(), triangles.tobytes()
+    vertices = (encoded(slice(begin, begin + _AT_ONCE)) for begin in range(0, n, _AT_ONCE))
+    return chain(["\n".join(header).encode("ascii")], vertices, [triangles.tobytes()])

@@ -27,7 +27,7 @@ from appliance.foreign.code import LEAST_BITS, numbered_stripes, stripe_numbers
 from appliance.foreign.decode import Measured, by_periods, chance_misfit
 from appliance.foreign.description import AxisConvention
 from appliance.foreign.order import Shows
-from appliance.foreign.phase import Floats
+from appliance.foreign.phase import Floats, some_pixels
 
 SAMPLES = 400_000
 """Number of pixels that are asked, in whole lines along the direction."""
@@ -114,7 +114,7 @@ def corrected(axis: AxisConvention, text: str, **instead: Any) -> ExaminedAssump
 def examine_axis(camera: DecodedCamera, axis: AxisConvention) -> list[ExaminedAssumption]:
     """Test all that is assumed of one direction on one camera's images."""
     found = camera.measured[axis.name]
-    said = _steps(camera, axis)
+    said = _steps(found, axis)
     if found.bits is None:
         return [*said, *_periods(found, axis, camera.placed[axis.name].coordinate_px)]
     usable, bits = _along(found.usable, axis), _along(found.bits.bits, axis)
@@ -239,15 +239,14 @@ def _phase_against_code(
 # ------------------------------------------------------------------------------------------------ steps, periods
 
 
-def _steps(camera: DecodedCamera, axis: AxisConvention) -> list[ExaminedAssumption]:
-    about, found = f"{axis.name}.steps", camera.measured[axis.name]
-    few, said = _few(found.usable), list[ExaminedAssumption]()
-    for period, steps_deg in enumerate(axis.signed_deg):
-        images = camera.images.all_of(Shows.SINE, axis.name, period)
+def _steps(found: Measured, axis: AxisConvention) -> list[ExaminedAssumption]:
+    about = f"{axis.name}.steps"
+    few, said = _few(some_pixels(found.usable)), list[ExaminedAssumption]()
+    for images, steps_deg in zip(found.sines, axis.signed_deg, strict=False):
         if len(images) != len(steps_deg) or len(images) < 4 or not few.size:
             said += [] if said else [told(about, False, "three steps fit any images")]
             continue
-        stack = np.stack([one.ravel()[few] for one in images]).astype(np.float64)
+        stack = images[:, few].astype(np.float64)
         left = misfit(stack, steps_deg)
         here = f"a sine with these steps leaves {100 * left:.0f} % of the modulation"
         if left <= MOST_MISFIT:

@@ -23,7 +23,17 @@ from appliance.foreign.code import LINES_AT_ONCE, CodeBits, read_bits
 from appliance.foreign.description import AxisConvention
 from appliance.foreign.images import ImageSet
 from appliance.foreign.order import Shows
-from appliance.foreign.phase import ROWS_AT_ONCE, TURN, Floats, SineFit, fit_sine, misfit_share, unbend
+from appliance.foreign.phase import (
+    ROWS_AT_ONCE,
+    TURN,
+    Floats,
+    SineFit,
+    fit_sine,
+    misfit_samples,
+    misfit_share,
+    some_pixels,
+    unbend,
+)
 
 LEAST_MODULATION, MOST_LEAST_MODULATION = 1.0 / 255.0, 5.0 / 255.0
 """Least modulation of a pixel that is used, as a share of full scale: so many ``NOISE_SIGMAS`` of its noise, within these."""
@@ -75,6 +85,8 @@ class Measured:
     saturated: NDArray[np.bool_]
     singles: tuple[Floats, ...] = ()
     """Cosine (h, w) of each further period of micro phase shifting, of which one image was taken."""
+    sines: tuple[NDArray[Any], ...] = ()
+    """Grey values (n, pixels) of each period's sines at some pixels (``some_pixels``); none where they are micro or modulated."""
     misfit_share: float | None = None
     """Misfit of the finest period's steps, over its modulation; ``None`` where three steps or none fit anything."""
     bend_turns: float = 0.0
@@ -106,36 +118,46 @@ class PlacedAxis:
 
 def measure(images: ImageSet, axis: AxisConvention) -> Measured:
     """Read the images of one direction. Raises ForeignError."""
-    fits, singles = [], []
+    turns: list[Floats] = []
+    samples: list[tuple[Floats, Floats] | None] = []
+    singles: list[Floats] = []
+    sines: list[NDArray[Any]] = []
     for period, steps_deg in enumerate(axis.signed_deg[:1] if axis.micro else axis.signed_deg):
         across = axis.carriers[period] if axis.carriers else 0
         kind = Shows.MICRO if axis.micro else Shows.MODULATED if across else Shows.SINE
         shot = images.all_of(kind, axis.name, period)
-        fits.append(_fit_modulated(shot, steps_deg, across, images.white) if across
-                    else fit_sine(shot[: len(steps_deg)], steps_deg, images.white))  # fmt: skip
+        fit = (_fit_modulated(shot, steps_deg, across, images.white) if across
+               else fit_sine(shot[: len(steps_deg)], steps_deg, images.white))  # fmt: skip
         if axis.micro:
-            modulation = np.maximum(fits[0].modulation, np.float32(1e-3))
-            singles = [np.asarray((one - fits[0].offset) / modulation, np.float32) for one in shot[len(steps_deg) :]]
-        # Before the code is read: both at once are a third of all memory.
-        del shot
-    bits = read_bits(images, axis, fits[0].offset if fits else None) if axis.bits else None
-    if not fits:
+            modulation = np.maximum(fit.modulation, np.float32(1e-3))
+            singles = [np.asarray((one - fit.offset) / modulation, np.float32) for one in shot[len(steps_deg) :]]
+        if period == axis.finest:
+            finest = fit.modulation
+            least = least_modulation(fit, len(axis.steps_deg[period]), images.white)
+        if not turns:
+            offset, lowest, saturated = fit.offset, fit.modulation, fit.saturated
+        else:
+            lowest, saturated = np.minimum(lowest, fit.modulation), saturated | fit.saturated
+        turns.append(fit.turns)
+        samples.append(misfit_samples(fit))
+        sines.append(some_pixels(shot) if kind is Shows.SINE else np.empty((0, 0)))
+        # Before the next ones are read, and the code: both at once are a third of all memory.
+        del shot, fit
+    bits = read_bits(images, axis, offset if turns else None) if axis.bits else None
+    if not turns:
         assert bits is not None
         weak, nowhere = bits.contrast < LEAST_CONTRAST * images.white, np.zeros(images.shape, np.bool_)
         return Measured((), np.float32(0.5) * bits.contrast, None, bits, weak, nowhere)
-    finest, steps = fits[axis.finest], axis.steps_deg[axis.finest]
-    saturated = np.logical_or.reduce([fit.saturated for fit in fits])
-    weak = np.minimum.reduce([fit.modulation for fit in fits]) < least_modulation(finest, len(steps), images.white)
+    weak = lowest < least
     usable = ~(weak | saturated)
-    shares = [misfit_share(fit, usable) for fit in fits]
+    shares = [misfit_share(one, usable) for one in samples]
     bends = [
-        unbend(fit.turns, usable, len(one), share)
-        for fit, one, share in zip(fits, axis.steps_deg, shares, strict=False)
+        unbend(one, usable, len(steps_deg), share)
+        for one, steps_deg, share in zip(turns, axis.steps_deg, shares, strict=False)
     ]
-    mean = np.rint(fits[0].offset).astype(images.images.dtype)
+    mean = np.rint(offset).astype(images.images.dtype)
     return Measured(
-        tuple(fit.turns for fit in fits), finest.modulation, mean, bits, weak, saturated, tuple(singles), shares[axis.finest],
-        bends[axis.finest],
+        tuple(turns), finest, mean, bits, weak, saturated, tuple(singles), tuple(sines), shares[axis.finest], bends[axis.finest]
     )  # fmt: skip
 
 

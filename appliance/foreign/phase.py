@@ -88,12 +88,23 @@ def fit_sine(images: Sequence[NDArray[Any]] | NDArray[Any], steps_deg: tuple[flo
     return SineFit(found[0], found[1], found[2], found[3] if count > 3 else None, saturated)
 
 
-def misfit_share(fit: SineFit, usable: NDArray[np.bool_]) -> float | None:
+def some_pixels(maps: NDArray[Any]) -> NDArray[Any]:
+    """Return the values (…, n) of maps (…, h, w) at some pixels, equally far apart."""
+    flat = maps.reshape(*maps.shape[:-2], -1)
+    return flat[..., :: 1 + flat.shape[-1] // SOME].copy()
+
+
+def misfit_samples(fit: SineFit) -> tuple[Floats, Floats] | None:
+    """Return misfit and modulation of some pixels; ``None`` where the steps fit anything."""
+    return None if fit.misfit is None else (some_pixels(fit.misfit), some_pixels(fit.modulation))
+
+
+def misfit_share(samples: tuple[Floats, Floats] | None, usable: NDArray[np.bool_]) -> float | None:
     """Return what the best sine leaves of the steps, over its modulation; ``None`` where they fit anything, or nothing is seen."""
-    if fit.misfit is None or not usable.any():
+    known = some_pixels(usable)
+    if samples is None or not known.any():
         return None
-    some = np.flatnonzero(usable)[:: 1 + usable.size // SOME]
-    return float(np.median(fit.misfit.ravel()[some] / fit.modulation.ravel()[some]))
+    return float(np.median(samples[0][known] / samples[1][known]))
 
 
 def unbend(turns: Floats, usable: NDArray[np.bool_], steps: int, share: float | None) -> float:

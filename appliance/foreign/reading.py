@@ -39,12 +39,15 @@ def read_foreign(path: Path, progress: Callable[[str], None]) -> ForeignScan:
         progress(f"reading {side}")
         read[side] = read_side(said, side)
     description, sets, rig = checked(path, said, read)
-    cameras = {}
+    cameras, tested = {}, list[ExaminedAssumption]()
     for side, images in sets.items():
         progress(f"decoding {side}")
-        cameras[side] = decode_camera(images, description)
+        camera = decode_camera(images, description)
+        tested += _by_images(side, camera, description)
+        # Beside a projector other conventions are tried on the phases; those of a second camera would need much room.
+        cameras[side] = replace(camera, measured={}) if len(sets) > 1 else camera
     progress("testing the description")
-    return ForeignScan(description, rig, cameras, examine(description, cameras, rig))
+    return ForeignScan(description, rig, cameras, _by_rays(description, cameras, rig, tested))
 
 
 def examine(
@@ -54,12 +57,24 @@ def examine(
 
     A word that one test leaves open does not fit because of another one.
     """
-    tested = []
-    for side, camera in cameras.items():
-        found = examine_references(camera)
-        for axis in description.axes:
-            found += examine_axis(camera, axis)
-        tested += [replace(one, about=f"{side}: {one.about}") for one in found]
+    tested = [one for side, camera in cameras.items() for one in _by_images(side, camera, description)]
+    return _by_rays(description, cameras, rig, tested)
+
+
+def _by_images(side: str, camera: DecodedCamera, description: Description) -> list[ExaminedAssumption]:
+    found = examine_references(camera)
+    for axis in description.axes:
+        found += examine_axis(camera, axis)
+    return [replace(one, about=f"{side}: {one.about}") for one in found]
+
+
+def _by_rays(
+    description: Description,
+    cameras: Mapping[str, DecodedCamera],
+    rig: ForeignRig | None,
+    tested: list[ExaminedAssumption],
+) -> tuple[ExaminedAssumption, ...]:
+    """Return what the images say of themselves, ``tested``, and what rays say of the cameras."""
     if any(one.outcome is Outcome.WRONG for one in tested):
         # Of coordinates that are wrong, nothing could be told about the cameras.
         tested.append(ExaminedAssumption("cameras", Outcome.UNCHECKED, "what the images show is described wrongly"))

@@ -96,14 +96,17 @@ def import_cloud(
     note = f"index {scan.rig.index:.5f}, {'air' if scan.rig.in_air else 'water'}, imported by software {__version__}"
     marks = [found.unchecked] if found.unchecked else []
     marks += [f"wrong: {one}" for one in scan.wrong]
-    write_scan(out, found.cloud, About(scan.description.name, CAMERA_FRAME, (note,), tuple(marks), _unit(scan)))
+    about = About(scan.description.name, CAMERA_FRAME, (note,), tuple(marks), _unit(scan))
+    report = _report(scan, found)
+    del scan  # Files need room, too.
+    write_scan(out, found.cloud, about)
     if picture is not None:
         there = np.flatnonzero(found.cloud.mask)
         there = there[:: 1 + len(there) // MOST_DRAWN]
         drawn = picture_of_scan(found.cloud.points_mm.reshape(-1, 3)[there], found.cloud.grey.ravel()[there])
         replace_file(LocalFileSystem(), picture, drawn)
-    unit = _unit(scan) or ("m" if suffix in (".e57", ".las") else "mm")
-    return {"file": str(out), "format": suffix.removeprefix("."), "unit": unit, **_report(scan, found)}
+    unit = about.unit or ("m" if suffix in (".e57", ".las") else "mm")
+    return {"file": str(out), "format": suffix.removeprefix("."), "unit": unit, **report}
 
 
 def import_scan(

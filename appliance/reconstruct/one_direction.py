@@ -357,23 +357,34 @@ def _cross(right: _Right, terms: NDArray[np.float64], degree: int, p: float, s: 
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
+def _more(right: _Right, p: float, u: float, v: float) -> float:
+    """Return what the pixel at a place has more than ``p``; NaN where it has no coordinate, or no neighbours."""
+    rows, columns = right.p_px.shape
+    x, y = math.floor(u + 0.5), math.floor(v + 0.5)
+    return float(right.p_px[y, x]) - p if 1 <= x < columns - 1 and 1 <= y < rows - 1 else np.nan
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
 def _search(
     right: _Right, terms: NDArray[np.float64], degree: int, p: float, reach_px: NDArray[np.float32], together_px: NDArray[np.float32]
 ) -> tuple[_Crossing, int]:  # fmt: skip
     """Walk the pieces that may have ``p``; return the only crossing and FOUND, or none and the reason."""
-    rows, columns = right.p_px.shape
     pieces = reach_px.shape[1]
     found, crossings, reason = _NONE, 0, 2
     # Where the last crossing was found; up to a little behind it there is no other one.
     behind = -2.0
+    # What the last pixel had more than p.
+    before = np.nan
     piece = -1
     while piece + 1 < pieces:
         piece += 1
         # None of those that are passed over has it.
         if piece % TOGETHER == 0 and not together_px[0, piece // TOGETHER] <= p <= together_px[1, piece // TOGETHER]:
             piece += TOGETHER - 1
+            before = np.nan
             continue
         if not reach_px[0, piece] <= p <= reach_px[1, piece]:
+            before = np.nan
             continue
         low = 2.0 * piece / pieces - 1.0
         # Within a piece the curve is a straight line to a hundredth of a pixel: enough to choose pixels.
@@ -381,16 +392,14 @@ def _search(
         end_u, end_v, us, vs = _place(terms, degree, low + 2.0 / pieces)
         count = int(max(abs(end_u - u), abs(end_v - v))) + 1
         step_u, step_v, step_s = (end_u - u) / count, (end_v - v) / count, 2.0 / (pieces * count)
-        # What the last pixel had more than p.
-        before = np.nan
+        more = _more(right, p, u, v)
         for k in range(count + 1):
-            x, y, s = math.floor(u + 0.5), math.floor(v + 0.5), low + k * step_s
-            u, v = u + step_u, v + step_v
-            more = np.nan
-            if s > behind and 1 <= x < columns - 1 and 1 <= y < rows - 1:
-                more = float(right.p_px[y, x]) - p
+            s, u, v = low + k * step_s, u + step_u, v + step_v
+            after = _more(right, p, u, v) if k < count else np.nan
             reason = 3 if more == more and reason == 2 else reason
-            if abs(more) <= right.jump_px:
+            # Behind a crossing, from pixels that others are nearer than, steps lead back to it.
+            nearest = crossings == 0 or not (abs(before) <= abs(more) or abs(after) < abs(more))
+            if s > behind and nearest and abs(more) <= right.jump_px:
                 crossing = _cross(right, terms, degree, p, s)
                 if crossing.slope != 0.0 and abs(crossing.s) <= 1.0:
                     reason = 6 if crossing.grazing else reason
@@ -400,11 +409,10 @@ def _search(
                         found = crossing
                         crossings += 1
                     behind = max(s, crossing.s + same)
-                    more = np.nan
             # Above p at one pixel and below it at the next, and no crossing found: it lies between two surfaces.
             if before * more < 0.0 and reason != 6:
                 reason = 4
-            before = more
+            before, more = more, after
     if crossings == 1:
         return found, 0
     return _NONE, 5 if crossings > 1 else reason

@@ -109,6 +109,11 @@ def replace_file(fs: FileSystem, path: Path, *parts: Bytes) -> Stamp:
 
     Raises StorageError.
     """
+    return replace_parts(fs, path, parts)
+
+
+def replace_parts(fs: FileSystem, path: Path, parts: Iterable[Bytes]) -> Stamp:
+    """Replace (or make) a file as ``replace_file`` does, whose parts are made one after the other. Raises StorageError."""
     draft = draft_of(path)
     # An interrupted attempt left its draft; it is in the way of the exclusive creation below.
     discard(fs, draft)
