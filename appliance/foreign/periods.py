@@ -35,10 +35,8 @@ def periods_by_phases(
 
     ``images`` (n, h, w) are those of each period in the order of its steps.
     """
-    if not images:
-        return ()
-    if len(images) == 1:
-        return (size_px,)
+    if len(images) < 2:
+        return (size_px,) * len(images)
     fits = [fit_sine(list(one), steps, np.inf) for one, steps in zip(images, steps_deg, strict=True)]
     strong = np.logical_and.reduce([fit.modulation > STRONG * np.quantile(fit.modulation, 0.9) for fit in fits])
     finest = int(np.argmax([_speed(fit.turns, strong, name) for fit in fits]))
