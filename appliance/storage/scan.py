@@ -347,7 +347,7 @@ def _as_scan_error(path: Path) -> Iterator[None]:
         yield
     except PackedError as error:
         raise ScanError(f"{path}: {error}") from error
-    except OSError as error:
+    except (OSError, ValueError) as error:
         raise ScanError(f"{path}: not readable as frames ({error})") from error
 
 
@@ -359,7 +359,7 @@ def map_frames(path: Path, count: int) -> NDArray[np.uint8]:
     if is_packed(path.parent, path.name):
         with _as_scan_error(packed_path(path)):
             return _index_of(packed_path(path), count).frames()
-    try:
+    with _as_scan_error(path):
         # The header is compared by bytes, not parsed by NumPy: its header is a Python literal, and a damaged one may be
         # anything.
         with path.open("rb") as file:
@@ -372,8 +372,6 @@ def map_frames(path: Path, count: int) -> NDArray[np.uint8]:
         # Copied on writing: nothing can change the file, and still they are the same kind of array as frames that were just
         # recorded. numba would compile each kernel a second time for arrays that cannot be written.
         return np.memmap(path, np.uint8, "c", header_bytes, shape)
-    except (OSError, ValueError) as error:
-        raise ScanError(f"{path}: not readable as frames ({error})") from error
 
 
 def npy_parts(frames: NDArray[np.uint8]) -> tuple[Bytes, Bytes]:

@@ -30,6 +30,7 @@ def left(one: FiredFrames, pulses: int = PULSES) -> Finding:
         (frames(31, 2.0), "every second trigger is ignored", "DeviceLinkThroughputLimitMode off"),
         (frames(33, 2.0, clock=False), "every second trigger is ignored", "shorten the exposure"),
         (frames(32), "some triggers are lost", "loose line"),
+        (frames(12, 2.0), "some triggers are lost", "loose line"),
         (frames(60), "some triggers are lost", "loose line"),
         (frames(65), "exposes without being asked", "TriggerMode"),
         (FiredFrames((*frames(63).times_ns, round(70 * PERIOD_NS))), "two are 8.00 periods apart", "noise on the line"),

@@ -29,7 +29,7 @@ from appliance.storage.health import HealthFile
 from appliance.storage.label import LabelError
 from appliance.storage.manifest import Decision, Manifest, ManifestError, Stage
 from appliance.storage.ply import POINT, PlyError, encode_ply, read_ply, write_ply
-from appliance.storage.scan import ScanError, cloud_bytes, frames_bytes, load, write_raw
+from appliance.storage.scan import ScanError, cloud_bytes, frames_bytes, load, map_frames, write_raw
 from tests.appliance.storage.scenes import BadDisk, cloud, frames, record
 
 HASH = "0123456789abcdef" * 4
@@ -324,6 +324,9 @@ def test_a_file_whose_header_says_something_else_is_not_mapped(
     assert len(changed) == manifest.files["frames_right.npy"].length
     with pytest.raises(ScanError, match=said):
         load(folder)
+    path.unlink()
+    with pytest.raises(ScanError, match=r"frames_right\.npy: not readable as frames"):
+        map_frames(path, 3)
 
 
 @pytest.mark.parametrize("block", [np.zeros((3, 8), np.uint8), np.zeros((3, 8, 10), np.uint16), np.zeros((4, 8, 10), np.uint8)])  # fmt: skip
