@@ -65,7 +65,10 @@ def share_of_range(images: NDArray[Any]) -> tuple[Floats, NDArray[np.bool_]]:
         raise ForeignError(
             f"the images hardly differ: {np.count_nonzero(lit)} pixels change; give a folder with a whole sequence"
         )
-    return (images.astype(np.float32) - low) / np.maximum(swing, np.float32(1.0)), lit
+    shares = images.astype(np.float32)
+    shares -= low
+    shares /= np.maximum(swing, np.float32(1.0))
+    return shares, lit
 
 
 def look_at(images: NDArray[Any]) -> Looks:

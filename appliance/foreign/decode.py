@@ -122,6 +122,7 @@ def measure(images: ImageSet, axis: AxisConvention) -> Measured:
     samples: list[tuple[Floats, Floats] | None] = []
     singles: list[Floats] = []
     sines: list[NDArray[Any]] = []
+    offset: Floats | None = None
     for period, steps_deg in enumerate(axis.signed_deg[:1] if axis.micro else axis.signed_deg):
         across = axis.carriers[period] if axis.carriers else 0
         kind = Shows.MICRO if axis.micro else Shows.MODULATED if across else Shows.SINE
@@ -135,7 +136,9 @@ def measure(images: ImageSet, axis: AxisConvention) -> Measured:
             finest = fit.modulation
             least = least_modulation(fit, len(axis.steps_deg[period]), images.white)
         if not turns:
-            offset, lowest, saturated = fit.offset, fit.modulation, fit.saturated
+            mean = np.rint(fit.offset).astype(images.images.dtype)
+            offset = fit.offset if axis.bits else None
+            lowest, saturated = fit.modulation, fit.saturated
         else:
             lowest, saturated = np.minimum(lowest, fit.modulation), saturated | fit.saturated
         turns.append(fit.turns)
@@ -143,7 +146,7 @@ def measure(images: ImageSet, axis: AxisConvention) -> Measured:
         sines.append(some_pixels(shot) if kind is Shows.SINE else np.empty((0, 0)))
         # Before the next ones are read, and the code: both at once are a third of all memory.
         del shot, fit
-    bits = read_bits(images, axis, offset if turns else None) if axis.bits else None
+    bits = read_bits(images, axis, offset) if axis.bits else None
     if not turns:
         assert bits is not None
         weak, nowhere = bits.contrast < LEAST_CONTRAST * images.white, np.zeros(images.shape, np.bool_)
@@ -155,7 +158,6 @@ def measure(images: ImageSet, axis: AxisConvention) -> Measured:
         unbend(one, usable, len(steps_deg), share)
         for one, steps_deg, share in zip(turns, axis.steps_deg, shares, strict=False)
     ]
-    mean = np.rint(offset).astype(images.images.dtype)
     return Measured(
         tuple(turns), finest, mean, bits, weak, saturated, tuple(singles), tuple(sines), shares[axis.finest], bends[axis.finest]
     )  # fmt: skip
@@ -283,6 +285,7 @@ def by_periods(
     ]
     period, first_begin = periods.pop(axis.finest)
     finest, others = turns[axis.finest], singles or [one for k, one in enumerate(turns) if k != axis.finest]
+    end_px = np.float32(axis.size_px + SLACK_PERIODS * axis.period_px)
     coordinate_px, misfit = np.full((2, *finest.shape), np.nan, np.float32)
     places = np.arange(finest.size) if usable is None else np.flatnonzero(usable)
     for first in range(0, places.size, PIXELS_AT_ONCE):
@@ -304,7 +307,7 @@ def by_periods(
                     off -= np.rint(off)
                 apart += np.square(off)
             # What lies beyond the pattern looks like its other end where one fringe covers it.
-            better = (apart < best) & (edge_px < np.float32(axis.size_px + SLACK_PERIODS * axis.period_px))
+            better = (apart < best) & (edge_px < end_px)
             best, best_px = np.where(better, apart, best), np.where(better, edge_px, best_px)
         if singles:
             best_px += _all_together(best_px, seen, period)

@@ -42,10 +42,11 @@ def read_foreign(path: Path, progress: Callable[[str], None]) -> ForeignScan:
     cameras, tested = {}, list[ExaminedAssumption]()
     for side, images in sets.items():
         progress(f"decoding {side}")
-        camera = decode_camera(images, description)
-        tested += _by_images(side, camera, description)
-        # Beside a projector other conventions are tried on the phases; those of a second camera would need much room.
-        cameras[side] = replace(camera, measured={}) if len(sets) > 1 else camera
+        cameras[side] = decode_camera(images, description)
+        tested += _by_images(side, cameras[side], description)
+        if len(sets) > 1:
+            # Beside a projector other conventions are tried on the phases; those of two cameras would need much room.
+            cameras[side] = replace(cameras[side], measured={})
     progress("testing the description")
     return ForeignScan(description, rig, cameras, _by_rays(description, cameras, rig, tested))
 
