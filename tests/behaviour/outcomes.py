@@ -1,0 +1,225 @@
+"""Everything that the program makes of the recordings: clouds, verdicts, and what each verb answers.
+
+A call's answer is its exit code and its JSON document (or text). Times of today and seconds are taken out, nothing else.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+import shlex
+from collections.abc import Iterator
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.calibration.file import encode, load
+from appliance.calibration.recordings import ArtefactKind, Recording
+from appliance.calibration.water.ladder import calibrate
+from appliance.calibration.water.method import Method
+from appliance.cli import main
+from appliance.config import load_rig
+from appliance.offline.origin import calibration_for, open_source
+from appliance.offline.reconstruct import work_through
+from appliance.offline.wish import Wish
+from appliance.storage.scan import ScanError, manifest_of
+from tests.support.truth import WATER
+
+ROOTS = {"root": "rig.toml", "second": "second.toml"}
+"""Storage roots of the recordings, each with its rig file."""
+CALLS = (
+    ("scans-list", "scans list --root root --all"),
+    ("scans-show", "scans show --root root 1"),
+    ("scans-verify", "scans verify --root root"),
+    ("scans-name", 'scans name --root root 1 "The first"'),
+    ("scans-note", 'scans note --root root 1 "clear water"'),
+    ("scans-trash", "scans trash --root root 2"),
+    ("scans-list-trash", "scans list --root root --trash"),
+    ("scans-restore", "scans restore --root root 2"),
+    ("reconstruct", "reconstruct --rig rig.toml root/scans/000001 --out still.ply"),
+    ("reconstruct-wrong", "reconstruct --rig rig.toml root/rejected/000011 --out wrong.ply"),
+    ("export", "export --root root 1 --out still.npz"),
+    ("export-many", "export --root root 1 3 --out exported-{}.las"),
+    ("export-e57", "export --root root 1 --out still.e57"),
+    ("rescue", "rescue --root root 1 --out rescued.ply"),
+    ("scans-merge", "scans merge --rig rig.toml root/scans/000001 root/scans/000012 --out merged.ply"),
+    ("object-new", "object new --root root Frustum 1 2"),
+    ("object-add", "object add --root root Frustum 3"),
+    ("object-solve", "object solve --root root Frustum --out solved.ply --mesh"),
+    ("object-show", "object show --root root Frustum"),
+    ("object-export", "object export --root root Frustum --out frustum.stl"),
+    ("export-mesh", "export --root root 1 --mesh --out still.stl"),
+    ("compare", "compare --root root 1 still.stl --start 0,0,0,0,0,0 --out compared.ply"),
+    ("evaluate", "evaluate list.toml --rig rig.toml --out evaluation.html"),
+    ("report", "report --root root --out report.html"),
+    ("archive-pack", "archive pack root --out packed"),
+    ("archive-verify", "archive verify packed"),
+    ("archive-unpack", "archive unpack packed 1 --out unpacked"),
+    ("archive-frame", "archive frame packed/scans/000001 left sine-x-90 --out frame.png"),
+    ("reprocess", "reprocess packed --workers 1 --out again"),
+    ("calibration-show", "calibration show --root root"),
+    ("calibration-nominal", "calibration nominal --rig rig.toml --out nominal.json"),
+    ("health-show", "health show --root root"),
+    ("measure-noise", "measure noise --root root 6"),
+    ("measure-response", "measure response --root root 13"),
+    ("measure-exposures", "measure exposures --root root 13"),
+    ("calibrate-pair", "calibrate pair boards --square-mm 15 --out pair.json"),
+    ("import-folder", "import foreign/three-steps --out three.ply"),
+    ("import-description", "import foreign/two-directions/two-directions.toml --out two.ply"),
+    ("missing-scan", "reconstruct --root root 99"),
+    ("not-a-verb", "reconstrict root"),
+)
+"""Name and words of each call, in the order of their effects."""
+SECONDS = re.compile(r"(_s|^s|seconds|peak_mb|host|program|made_at|made_by|^hash|^sha256|^key|^table)$")
+"""Keys of what differs from run to run: durations, and checksums over a time of today or over the program."""
+FIELDS = {"float": "<f4", "double": "<f8", "uchar": "u1", "int": "<i4", "uint": "<u4"}
+BAR_MM, BALL_MM = 150.0, 15.0
+FLOOR = 1e-6
+"""Numbers below it are compared as if they were as large."""
+ERRORS = "depth_error_mm2"
+"""Errors of a calibration are differences of its solutions, and have a digit less."""
+NOW = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d(\.\d+)?)?(Z|[+-]\d\d:\d\d)?")
+
+
+@dataclass
+class Outcome:
+    """All answers by name, and all clouds by name."""
+
+    said: dict[str, Any] = field(default_factory=dict)
+    clouds: dict[str, dict[str, NDArray[Any]]] = field(default_factory=dict)
+
+
+def outcome_of(folder: Path) -> Outcome:
+    """Return everything that is made of the recordings unpacked in ``folder``, where the caller stands; files are added to it."""
+    outcome = Outcome()
+    for root, rig in ROOTS.items():
+        for scan in sorted(path.parent for path in Path(root).glob("*/*/manifest.json")):
+            name = f"{root}/{scan.name}"
+            outcome.said[f"manifest {name}"] = json.loads((scan / "manifest.json").read_text(encoding="utf-8"))
+            assert manifest_of(scan).scan_id == scan.name
+            outcome.said[f"verdicts {name}"], outcome.clouds[name] = _processed(scan, rig)
+    for name, words in CALLS:
+        outcome.said[name] = _answer(shlex.split(words))
+    outcome.said["calibrated in water"] = _calibrated_in_water(Path("water"))
+    for path in sorted(folder.glob("*.ply")):
+        outcome.clouds[path.name] = _cloud_file(path)
+    for path in sorted(folder.glob("*.json")):
+        outcome.said[f"file {path.name}"] = _steady(json.loads(path.read_text(encoding="utf-8")))
+    return outcome
+
+
+def _processed(scan: Path, rig: str) -> tuple[Any, dict[str, NDArray[Any]]]:
+    wish = Wish(rig=load_rig(Path(rig)), root=scan.parents[1])
+    source = open_source(scan, wish)
+    try:
+        worked = work_through(source.scan, source.rig, calibration_for(source, wish).calibration, lambda _: None)
+    except ScanError as error:
+        return {"refused": str(error)}, {}
+    verdicts = [
+        {
+            "name": one.verdict.name,
+            "passed": one.verdict.passed,
+            "numbers": dict(one.verdict.numbers),
+            "text": one.verdict.text,
+            "fault": None if one.fault is None else one.fault.code.value,
+            "proposal": str(one.proposal),
+            "second": str(one.second),
+        }
+        for one in worked.judgements
+    ]
+    cloud = worked.cloud
+    arrays = {"pixel": cloud.pixel, "points_mm": cloud.points_mm, "sigma_mm": cloud.sigma_mm}
+    return {"grade": worked.grade.value, "verdicts": verdicts}, arrays
+
+
+def _calibrated_in_water(folder: Path) -> Any:
+    stored: dict[str, dict[str, Any]] = {}
+    with np.load(folder / "recordings.npz") as arrays:
+        for key in arrays:
+            name, _, array = key.partition("|")
+            stored.setdefault(name, {})[array] = arrays[key]
+    recordings = [
+        Recording(name, ArtefactKind.BALL_BAR, water=WATER, length_mm=BAR_MM, radius_mm=BALL_MM, **one)
+        if name.startswith("bar")
+        else Recording(name, ArtefactKind.PLANE, water=WATER, **one)
+        for name, one in stored.items()
+    ]
+    result = calibrate(Method.BA_SPLINE, recordings, load(folder / "air.json"))
+    said = json.loads(encode(result.calibration))
+    return _steady({"calibration": said, "systematic_px": result.systematic_px, "warnings": list(result.warnings)})
+
+
+def _answer(words: list[str]) -> dict[str, Any]:
+    out, err = io.StringIO(), io.StringIO()
+    with redirect_stdout(out), redirect_stderr(err):
+        try:
+            code = int(main([*words, "--json"]))
+        except SystemExit as left:
+            code = int(left.code or 0)
+    text = out.getvalue()
+    said = json.loads(text) if text else None
+    return {"exit": code, "said": _steady(said), "error": err.getvalue() if code else None}
+
+
+def _cloud_file(path: Path) -> dict[str, NDArray[Any]]:
+    """Return the vertices of a PLY file by its own header, whoever wrote it."""
+    header, body = path.read_bytes().split(b"end_header\n", 1)
+    count, fields = 0, []
+    for words in (line.split() for line in header.decode().splitlines()):
+        if words[0] == "element":
+            count = int(words[2]) if words[1] == "vertex" else count
+            mesh = words[1] != "vertex"
+        elif words[0] == "property" and not mesh:
+            fields.append((words[2], FIELDS[words[1]]))
+    table = np.frombuffer(body, np.dtype(fields), count)
+    return {name: table[name].copy() for name, _ in fields}
+
+
+def _steady(value: Any) -> Any:
+    """Return a document without times of today, durations and the folder that it was made in."""
+    if isinstance(value, dict):
+        return {key: _steady(one) for key, one in value.items() if not SECONDS.search(key)}
+    if isinstance(value, list):
+        return [_steady(one) for one in value]
+    if not isinstance(value, str):
+        return value
+    return NOW.sub(_not_today, value.replace(str(Path.cwd()), "HERE"))
+
+
+def _not_today(found: re.Match[str]) -> str:
+    return "<now>" if found[0][:10] >= datetime.now(UTC).strftime("%Y-%m-%d") else found[0]
+
+
+def differences(wanted: Any, found: Any, share: float, at: str = "", beside: float = FLOOR) -> Iterator[str]:
+    """Yield where two documents differ: in anything but numbers by less than a ``share`` of the largest one beside them."""
+    if isinstance(wanted, dict) and isinstance(found, dict):
+        for key in [*wanted, *(key for key in found if key not in wanted)]:
+            if key in wanted and key in found:
+                yield from differences(wanted[key], found[key], share, f"{at}/{key}")
+            else:
+                yield f"{at}/{key}: {'missing' if key in wanted else 'new'}"
+    elif isinstance(wanted, list) and isinstance(found, list) and len(wanted) == len(found):
+        largest = max(beside, _largest(wanted))
+        for k, (one, other) in enumerate(zip(wanted, found, strict=True)):
+            yield from differences(one, other, share, f"{at}[{k}]", largest)
+    elif not _same(wanted, found, share * (10.0 if ERRORS in at else 1.0) * max(beside, _largest(wanted))):
+        yield f"{at}: {wanted!r} became {found!r}"
+
+
+def _largest(value: Any) -> float:
+    """Return the largest number of a list of numbers, or of lists of them."""
+    if isinstance(value, list):
+        return max(map(_largest, value), default=0.0)
+    return abs(value) if isinstance(value, float) else 0.0
+
+
+def _same(wanted: Any, found: Any, most: float) -> bool:
+    if isinstance(wanted, float) and isinstance(found, float | int):
+        return abs(found - wanted) <= most
+    return bool(wanted == found)
