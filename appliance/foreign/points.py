@@ -218,12 +218,13 @@ def _one_direction(
 ) -> OrganisedCloud:
     """Return the points along epipolar curves. Raises OneDirectionError, CurveError."""
     found = match_along_curves(
-        mine.coordinate_px, other.coordinate_px, rig, index, depths_mm, (mine.sigma_px, other.sigma_px), OneDirectionLimits(min_neighbours=0)
+        mine.coordinate_px, other.coordinate_px, rig, index, depths_mm, (mine.sigma_px, other.sigma_px), OneDirectionLimits(min_neighbours=0),
+        partners=False,
     )  # fmt: skip
-    points_mm, sigma_mm = found.points_mm, found.sigma_mm
-    del found  # Its partners need as much room as what follows.
     modulation = next(iter(left.placed.values())).modulation * np.float32(255.0 / left.images.white)
-    return OrganisedCloud(points_mm, sigma_mm, modulation, np.full(modulation.shape, np.nan, np.float32), left.grey)
+    return OrganisedCloud(
+        found.points_mm, found.sigma_mm, modulation, np.full(modulation.shape, np.nan, np.float32), left.grey
+    )
 
 
 def _any(maps: Mapping[str, CleanAxis]) -> bool:

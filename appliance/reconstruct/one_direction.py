@@ -186,14 +186,17 @@ def match_along_curves(
     z_mm: tuple[float, float],
     noise_px: tuple[float | NDArray[np.float32], float | NDArray[np.float32]] | None = None,
     limits: OneDirectionLimits | None = None,
+    *,
+    partners: bool = True,
 ) -> UncheckedPoints:
     """Find the point of each left pixel whose coordinate the right image has along the pixel's epipolar curve.
 
     ``left_px`` and ``right_px`` (h, w) float32 are coordinates of one direction, X or Y, that are absolute in px of the pattern; NaN
     where there is none. ``z_mm`` are nearest and farthest depth in the left camera frame. ``noise_px`` are the standard
     deviations of left and right coordinates, each a number or a map (h, w). Cameras may be of different size; in air they are the same
-    with ``lens_in_water``. Raises OneDirectionError for maps that are not of the rig's cameras, for maps without coordinates, and where
-    the fringes run along the curves; CurveError for depths that have no curves.
+    with ``lens_in_water``. Without ``partners``, ``right_px`` is empty: it needs much room. Raises OneDirectionError for maps that are
+    not of the rig's cameras, for maps without coordinates, and where the fringes run along the curves; CurveError for depths that have
+    no curves.
     """
     wish = limits or OneDirectionLimits()
     left, right = _checked(left_px, rig.left, "left"), _checked(right_px, rig.right, "right")
@@ -215,7 +218,7 @@ def match_along_curves(
     middle, half = inverse_depths(curves.z_mm)
     points_mm = np.full((*left.shape, 3), np.nan, np.float32)
     sigma_mm = np.full(left.shape, np.nan, np.float32)
-    partner_px = np.full((*left.shape, 2), np.nan, np.float32)
+    partner_px = np.full((*left.shape, 2) if partners else (0, 0, 2), np.nan, np.float32)
     reason = np.zeros(left.shape, np.uint8)
     seen = _Right(right, sigmas[1], jump_px, bend_px, math.sin(math.radians(wish.min_angle_deg)))
     # The last row of pixels belongs to the cells before it.
@@ -229,7 +232,7 @@ def match_along_curves(
     if wish.min_neighbours or wish.max_sigma_mm < math.inf:
         lonely = _lonely(points_mm[..., 2], sigma_mm, wish, curves)
         reason[lonely] = NoPoint.LONELY
-        for values in (points_mm, sigma_mm, partner_px):
+        for values in (points_mm, sigma_mm, *([partner_px] if partners else [])):
             values[lonely] = np.nan
     return UncheckedPoints(points_mm, sigma_mm, reason, partner_px, angle_deg)
 
@@ -473,7 +476,8 @@ def _match_rows(
             points_mm[y, x, 0] = terms[0] + sx * z
             points_mm[y, x, 1] = terms[1] + sy * z
             points_mm[y, x, 2] = z
-            partner_px[y, x, 0], partner_px[y, x, 1] = found.u, found.v
+            if partner_px.size:
+                partner_px[y, x, 0], partner_px[y, x, 1] = found.u, found.v
             if sigma_px.size:
                 along = abs(curves.half) * z * z * math.sqrt(1.0 + sx * sx + sy * sy)
                 sigma_mm[y, x] = math.sqrt(sigma_px[y, x] ** 2 + found.variance) * along / abs(found.slope)
