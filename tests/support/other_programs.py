@@ -53,14 +53,14 @@ class Drawn:
 
     def seen(self, patterns: Sequence[Image]) -> list[list[Image]]:
         """The pictures of each camera."""
-        shown = [self._shown(one) for one in patterns]
+        shown = [self.shown(one) for one in patterns]
         cameras = (self.bench.left, self.bench.right)[: 1 + self.two_cameras]
         return [
             photographs(camera, self.bench.projector, shown, 10 * self.seed + n, noise=self.noise, texture=self.texture)
             for n, camera in enumerate(cameras)
         ]
 
-    def _shown(self, pattern: Image) -> Image:
+    def shown(self, pattern: Image) -> Image:
         light = np.rint(255.0 * (np.arange(256) / 255.0) ** self.gamma).astype(np.uint8)
         return np.asarray(cv2.LUT(cv2.GaussianBlur(pattern, (0, 0), self.blur_px), light), np.uint8)
 
