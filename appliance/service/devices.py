@@ -65,7 +65,7 @@ class Devices:
         return all(supervisor.tried for supervisor in self._supervisors())
 
     def openers(self) -> dict[str, Callable[[], AbstractContextManager[Any]]]:
-        """Return how to open each device once, by its name in the rig file, for whoever only wants to ask its health."""
+        """Return how to open each device once, by its name in the rig file, to ask its health."""
         wires, rig = self._wires, self._rig
         keys = drivers_rig.KeysSpec(rig.keys.vendor_id, rig.keys.product_id)
         return {

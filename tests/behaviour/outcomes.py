@@ -1,6 +1,7 @@
 """Everything that the program makes of the recordings: clouds, verdicts, and what each verb answers.
 
-A call's answer is its exit code and its JSON document (or text). Times of today and seconds are taken out, nothing else.
+A call's answer is its exit code, its JSON document and its errors. Taken out is only what another run or processor makes otherwise:
+times, the folder it was made in, progress, and checksums over these or over clouds, which are compared by themselves.
 """
 
 from __future__ import annotations
@@ -76,7 +77,7 @@ CALLS = (
     ("not-a-verb", "reconstrict root"),
 )
 """Name and words of each call, in the order of their effects."""
-SECONDS = re.compile(
+VARYING = re.compile(
     r"(_s|^s|seconds|peak_mb|host|program|made_at|made_by|^hash|^sha256|^key|^table|^stored_cloud|^cloud_sha256)$"
 )
 """Keys of what differs from run to run or from processor to processor: durations, and checksums over times, programs or clouds."""
@@ -188,7 +189,7 @@ def _cloud_file(path: Path) -> dict[str, NDArray[Any]]:
 def _steady(value: Any) -> Any:
     """Return a document without times of today, durations and the folder that it was made in."""
     if isinstance(value, dict):
-        return {key: _steady(one) for key, one in value.items() if not SECONDS.search(key)}
+        return {key: _steady(one) for key, one in value.items() if not VARYING.search(key)}
     if isinstance(value, list):
         return [_steady(one) for one in value]
     if not isinstance(value, str):
