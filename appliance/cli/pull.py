@@ -6,8 +6,7 @@ import logging
 import os
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
@@ -15,13 +14,14 @@ from typing import ClassVar
 from appliance.cli.arguments import Verb, number, operand, option, switch, whole
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json
 from appliance.offline.pull.pulling import HowFar, Open, Pulled, pull
-from appliance.offline.pull.source import FolderSource, Source, is_linked
-from appliance.offline.pull.ssh import ANSWER_S, PORT, Host, SshLink
+from appliance.offline.pull.source import FolderSource, is_linked
+from appliance.offline.pull.ssh import ANSWER_S, LIBRARY, NEEDS_IT, PORT, Host, SshLink
 from appliance.offline.pull.taking import PullOutcome
 from appliance.storage.atomic import make_folders
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.library import LibraryFolder
 from appliance.storage.lock import hold_lock
+from appliance.surface.libraries import require
 
 ROOTS = (".", "lib/kingfisher", "var/lib/kingfisher")
 """Places of the scans below a folder that is given: the storage root itself, the instrument's data partition, its whole disk."""
@@ -41,7 +41,7 @@ class Pull(Verb):
     identity: Path | None = option("--identity", "private key (default: those of ssh)", parse=Path, metavar="FILE")
     port: int | None = option("--port", f"of the instrument ({PORT})", parse=whole(1, 65_535), metavar="N")
     known_hosts: Path | None = option(
-        "--known-hosts", "file of the host keys that were seen (default: that of ssh)", parse=Path, metavar="FILE"
+        "--known-hosts", "file of the host keys that are trusted (default: that of ssh)", parse=Path, metavar="FILE"
     )
     timeout_s: float = option(
         "--timeout-s", f"longest silence of the link ({ANSWER_S:g})", default=ANSWER_S, parse=number(2, 3600)
@@ -64,7 +64,7 @@ class Pull(Verb):
         return Exit.OK if done.whole else Exit.FAILED
 
     def _opened(self) -> Open:
-        """Return how the instrument is reached. Raises UsageError."""
+        """Return how the instrument is reached. Raises UsageError, MissingLibraryError."""
         if "/" in self.host or Path(self.host).is_dir():
             root = _root_below(Path(self.host))
             if self.identity is not None or self.port is not None:
@@ -73,17 +73,13 @@ class Pull(Verb):
                 )
             if root.resolve() == self.dir.resolve():
                 raise UsageError(f"DIR {self.dir}: is where the scans are read from; give another folder")
-
-            @contextmanager
-            def mounted() -> Iterator[Source]:
-                yield FolderSource(root)
-
-            return mounted
+            return lambda: nullcontext(FolderSource(root))
         if self.host.startswith("-") or not self.host.isprintable() or " " in self.host or not self.host:
             raise UsageError(f"HOST {self.host!r}: give an address, [user@]address, or the path of a folder")
         if self.identity is not None and not self.identity.is_file():
             raise UsageError(f"--identity {self.identity}: no such file; give the private key's")
-        return SshLink(Host(self.host, self.port, self.identity, self.known_hosts), self.timeout_s)
+        require(LIBRARY, LIBRARY, NEEDS_IT)
+        return SshLink(Host(self.host, self.port or PORT, self.identity, self.known_hosts), self.timeout_s)
 
     def _target(self) -> Path:
         """Return DIR, which is a folder then. Raises UsageError, StorageError."""
@@ -100,24 +96,12 @@ class Pull(Verb):
     def _tell(self, done: Pulled, took_s: float) -> None:
         counts = {outcome: len(done.of(outcome)) for outcome in PullOutcome}
         if self.json:
-            say_json(
-                {
-                    **{outcome.name.lower(): count for outcome, count in counts.items()},
-                    "being_written": done.being_written,
-                    "bytes": done.taken_bytes,
-                    "links": done.links,
-                    "s": took_s,
-                    "items": [
-                        {
-                            "path": one.what,
-                            "outcome": one.outcome.name.lower(),
-                            "reason": one.reason,
-                            "bytes": one.size_bytes,
-                        }
-                        for one in done.of(*PullOutcome)
-                    ],
-                }
-            )
+            items = [
+                {"path": one.what, "outcome": one.outcome.name.lower(), "reason": one.reason, "bytes": one.size_bytes}
+                for one in done.of(*PullOutcome)
+            ]
+            facts = {"being_written": done.being_written, "bytes": done.taken_bytes, "links": done.links, "s": took_s}
+            say_json({**{outcome.name.lower(): count for outcome, count in counts.items()}, **facts, "items": items})
             return
         for one in done.of(PullOutcome.LATER, PullOutcome.DIFFERS, PullOutcome.FAILED):
             say(f"{one.what}  {one.outcome.value}: {one.reason}")
@@ -144,31 +128,26 @@ def _told_wait(waiting: threading.Event, seconds: float) -> None:
 
 
 class _Said:
-    """Says how far it is and how long it will take."""
+    """Says how far it is and how long it will take, from the first byte of an attempt on."""
 
     def __init__(self, progress: Progress) -> None:
         self._progress = progress
-        self._begun_s: float | None = None
+        self._begun_s = time.monotonic()
 
     def __call__(self, far: HowFar) -> None:
-        now_s = time.monotonic()
+        took_s = time.monotonic() - self._begun_s
+        text = f"{far.doing}, {far.done} of {far.of}"
         if not far.done_bytes:
-            self._begun_s = None
-        elif self._begun_s is None:
-            self._begun_s = now_s
-        left = ""
-        if self._begun_s is not None and now_s > self._begun_s + 1.0:
-            rate = far.done_bytes / (now_s - self._begun_s)
-            left = f", {rate / 1e6:.1f} MB/s, {_time(max(0, far.of_bytes - far.done_bytes) / rate)} left"
-        sizes = f", {far.done_bytes / 1e6:.0f} of {far.of_bytes / 1e6:.0f} MB" if far.of_bytes else ""
-        self._progress(f"{far.doing}, {far.done} of {far.of}{sizes}{left}")
+            self._begun_s = time.monotonic()
+        elif far.of_bytes:
+            text += f", {far.done_bytes / 1e6:.0f} of {far.of_bytes / 1e6:.0f} MB"
+            if took_s > 1.0:
+                rate = far.done_bytes / took_s
+                left_s = max(0, far.of_bytes - far.done_bytes) / rate
+                text += f", {rate / 1e6:.1f} MB/s, {_time(left_s)} left"
+        self._progress(text)
 
 
 def _time(seconds: float) -> str:
-    return (
-        f"{seconds:.0f} s"
-        if seconds < 90
-        else f"{seconds / 60:.0f} min"
-        if seconds < 5400
-        else f"{seconds / 3600:.1f} h"
-    )
+    short = f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"
+    return short if seconds < 5400 else f"{seconds / 3600:.1f} h"

@@ -6,15 +6,24 @@ are the same thing. Nothing is deleted or replaced at either end.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
-from appliance.offline.pull.source import LinkLost, NotThere, PullError, RemoteEntry, Source, Unreadable, text_of
-from appliance.offline.pull.taking import FoundRecording, NotYet, PullOutcome, already_here_bytes, find, present, take
+from appliance.offline.pull.source import LinkLost, NotThere, PullError, Source, Unreadable, text_of
+from appliance.offline.pull.taking import (
+    FoundRecording,
+    NotYet,
+    PullOutcome,
+    already_here_bytes,
+    find,
+    given,
+    present,
+    take,
+)
 from appliance.storage import incomplete
-from appliance.storage.atomic import add_beside, make_folders
+from appliance.storage.atomic import add_beside
 from appliance.storage.filesystem import AppendingFileSystem
 from appliance.storage.library import LibraryFolder
 from appliance.storage.names import CALIBRATIONS, OBJECTS, by_number, is_component, scan_number
@@ -26,13 +35,11 @@ ATTEMPTS = len(WAITS_S) + 1
 SMALL_BYTES = 50_000_000
 """Largest file beside the scans that is taken."""
 DEEPEST = 4
-MOST_SMALL = 20_000
 INSTRUMENT = "instrument"
 """Folder here with what the instrument says of itself: its rig file."""
 RIG_PLACES = (f"../{INSTRUMENT}/rig.toml", f"{INSTRUMENT}/rig.toml", "../../etc/kingfisher/rig.toml")
 """Places of the rig file: as the instrument's server shows it, in what was pulled before, and on the instrument's own disk."""
 _SMALL = (".json", ".html", ".toml")
-_TRASHES = tuple(shelf.value for shelf in LibraryFolder)
 
 Open = Callable[[], AbstractContextManager[Source]]
 
@@ -62,13 +69,17 @@ class Pulled:
     seen: dict[str, FoundRecording] = field(default_factory=dict)
     """Recordings that were looked at and are not here: over a bad link, a thousand manifests are not read twice."""
 
-    @property
-    def progress(self) -> tuple[int, int, int]:
-        return self.taken_bytes, len(self.came), len(self.seen)
+    def add(self, what: str, outcome: PullOutcome, reason: str = "", size_bytes: int = 0) -> None:
+        self.came[what] = Came(what, outcome, reason, size_bytes)
 
     def of(self, *outcomes: PullOutcome) -> list[Came]:
-        """Return what came out so, by path."""
-        return [one for _, one in sorted(self.came.items(), key=_by_shelf) if one.outcome in outcomes]
+        """Return what came out so, by folder, and scans of one by their numbers."""
+
+        def by_shelf(one: Came) -> tuple[str, tuple[float, str]]:
+            folder, _, name = one.what.rpartition("/")
+            return folder, by_number(name)
+
+        return sorted((one for one in self.came.values() if one.outcome in outcomes), key=by_shelf)
 
     @property
     def whole(self) -> bool:
@@ -105,7 +116,7 @@ def pull(
     done = Pulled()
     empty = 0
     while True:
-        before = done.progress
+        before = done.taken_bytes, len(done.came), len(done.seen)
         try:
             done.links += 1
             with opened() as source:
@@ -113,7 +124,7 @@ def pull(
             return done
         except LinkLost as lost:
             # Counted as long as nothing comes: a link that breaks every minute still ends the work one day.
-            empty = empty + 1 if done.progress == before else 1
+            empty = empty + 1 if (done.taken_bytes, len(done.came), len(done.seen)) == before else 1
             if empty >= ATTEMPTS:
                 whole = len(done.of(PullOutcome.TAKEN))
                 raise PullError(
@@ -145,17 +156,15 @@ def _attempt(
             found = done.seen[path] if path in done.seen else find(source, path)
             there = _here(target, path)
             if there is None:
-                # Once it was taken, it is looked at again: what changed meanwhile is not missed.
                 done.seen[path] = found
                 wanted.append(found)
             else:
                 present(found, source, fs, there)
         except NotYet as why:
-            done.came[path] = Came(path, why.outcome, str(why))
-    of_bytes = sum(max(0, one.size_bytes - already_here_bytes(target / one.path)) for one in wanted)
+            done.add(path, why.outcome, str(why))
+    of_bytes = sum(max(0, one.size_bytes - already_here_bytes(one, target / one.path)) for one in wanted)
     begun_bytes = done.taken_bytes
     for k, one in enumerate(wanted):
-        make_folders(fs, (target / one.path).parent)
 
         def came(length: int, k: int = k, path: str = one.path) -> None:
             done.taken_bytes += length
@@ -163,9 +172,9 @@ def _attempt(
 
         try:
             take(one, source, fs, target / one.path, came)
-            done.came[one.path] = Came(one.path, PullOutcome.TAKEN, "", one.size_bytes)
+            done.add(one.path, PullOutcome.TAKEN, "", one.size_bytes)
         except NotYet as why:
-            done.came[one.path] = Came(one.path, why.outcome, str(why))
+            done.add(one.path, why.outcome, str(why))
 
 
 def _recordings(source: Source, shelves: list[str], done: Pulled) -> Iterator[str]:
@@ -189,16 +198,10 @@ def _recordings(source: Source, shelves: list[str], done: Pulled) -> Iterator[st
                 done.being_written += 1
 
 
-def _by_shelf(came: tuple[str, Came]) -> tuple[str, tuple[float, str]]:
-    """Return what orders results by their folder, and scans of one by their numbers."""
-    folder, _, name = came[0].rpartition("/")
-    return folder, by_number(name)
-
-
 def _here(target: Path, path: str) -> Path | None:
     """Return where a recording lies here already: at its place, or, a scan, wherever somebody put it since."""
     shelf, _, name = path.partition("/")
-    shelves = (shelf,) if shelf == incomplete.FOLDER else (shelf, *_TRASHES)
+    shelves = [shelf] if shelf == incomplete.FOLDER else [shelf, *(one.value for one in LibraryFolder)]
     return next((folder for one in shelves if (folder := target / one / name).is_dir()), None)
 
 
@@ -207,9 +210,7 @@ def _here(target: Path, path: str) -> Path | None:
 
 def _beside(source: Source, target: Path, fs: AppendingFileSystem, done: Pulled) -> None:
     """Take the small files beside the scans. One that is another here goes beside it, under a name with its checksum."""
-    files: dict[str, str] = {}
-    for folder in (CALIBRATIONS, OBJECTS):
-        files.update((path, path) for path in _small_files(source, folder, done))
+    files = {path: path for folder in (CALIBRATIONS, OBJECTS) for path in _small_files(source, folder, done)}
     for place in RIG_PLACES:
         parent, _, name = place.rpartition("/")
         try:
@@ -219,45 +220,36 @@ def _beside(source: Source, target: Path, fs: AppendingFileSystem, done: Pulled)
         except (NotThere, Unreadable):
             continue
     for path, place in files.items():
-        if path not in done.came:
-            done.came[path] = _one_beside(source, place, path, target, fs, done)
-
-
-def _one_beside(source: Source, place: str, path: str, target: Path, fs: AppendingFileSystem, done: Pulled) -> Came:
-    try:
-        data = text_of(source, place, SMALL_BYTES)
-    except NotThere:
-        return Came(path, PullOutcome.LATER, f"{path}: was moved there meanwhile")
-    except Unreadable as error:
-        return Came(path, PullOutcome.FAILED, f"cannot be read there: {error}")
-    done.taken_bytes += len(data)
-    copy, written = add_beside(fs, target / path, data)
-    if copy is None:
-        return Came(
-            path, PullOutcome.DIFFERS, "is here twice with other content; move away the one with a checksum in its name"
-        )
-    if not written:
-        return Came(path, PullOutcome.ALREADY)
-    return Came(path, PullOutcome.TAKEN, "" if copy == target / path else f"as {copy.name}", len(data))
+        if path in done.came:
+            continue
+        try:
+            with given():
+                data = text_of(source, place, SMALL_BYTES)
+        except NotYet as why:
+            done.add(path, why.outcome, str(why))
+            continue
+        done.taken_bytes += len(data)
+        copy, written = add_beside(fs, target / path, data)
+        if copy is None:
+            done.add(
+                path, PullOutcome.DIFFERS, "is here twice with other content; move away the one with a checksum in its name"
+            )  # fmt: skip
+        elif written:
+            done.add(path, PullOutcome.TAKEN, "" if copy == target / path else f"as {copy.name}", len(data))
+        else:
+            done.add(path, PullOutcome.ALREADY)
 
 
 def _small_files(source: Source, folder: str, done: Pulled, depth: int = 1) -> Iterator[str]:
     try:
-        entries: Mapping[str, RemoteEntry] = {one.name: one for one in source.listing(folder)}
+        entries = [one for one in source.listing(folder) if is_component(one.name)]
     except NotThere:
         return
     except Unreadable as error:
-        done.came[folder] = Came(folder, PullOutcome.FAILED, f"cannot be read there: {error}")
+        done.add(folder, PullOutcome.FAILED, f"cannot be read there: {error}")
         return
-    if len(entries) > MOST_SMALL:
-        done.came[folder] = Came(
-            folder, PullOutcome.FAILED, f"{len(entries)} names there; at most {MOST_SMALL} are taken"
-        )
-        return
-    for name, one in entries.items():
-        if not is_component(name):
-            continue
+    for one in entries:
         if one.folder and depth < DEEPEST:
-            yield from _small_files(source, f"{folder}/{name}", done, depth + 1)
-        elif not one.folder and PurePosixPath(name).suffix in _SMALL:
-            yield f"{folder}/{name}"
+            yield from _small_files(source, f"{folder}/{one.name}", done, depth + 1)
+        elif not one.folder and PurePosixPath(one.name).suffix in _SMALL:
+            yield f"{folder}/{one.name}"

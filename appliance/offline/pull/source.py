@@ -8,6 +8,7 @@ from __future__ import annotations
 import errno
 import stat
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -41,8 +42,6 @@ class RemoteEntry:
     name: str
     size_bytes: int
     folder: bool
-    changed_s: int
-    """Time of the last change by the clock there; only compared with itself."""
 
 
 class Source(Protocol):
@@ -62,59 +61,41 @@ class FolderSource:
         self._root = root
 
     def listing(self, folder: str) -> list[RemoteEntry]:
-        found = []
-        self._refuse_links(folder)
-        with _Told(self._root / folder):
-            for path in sorted((self._root / folder).iterdir()):
-                about = path.lstat()  # a link is neither file nor folder: it could lead anywhere
-                if stat.S_ISREG(about.st_mode) or stat.S_ISDIR(about.st_mode):
-                    folder_there = stat.S_ISDIR(about.st_mode)
-                    found.append(RemoteEntry(path.name, about.st_size, folder_there, int(about.st_mtime)))
-        return found
+        with self._told(folder) as path:
+            found = [(one.name, one.lstat()) for one in sorted(path.iterdir())]
+        return [entry for name, about in found if (entry := entry_of(name, about.st_mode, about.st_size)) is not None]
 
     def read(self, path: str, start: int, end: int) -> Iterator[bytes]:
-        self._refuse_links(path)
-        with _Told(self._root / path), (self._root / path).open("rb") as file:
+        with self._told(path) as here, here.open("rb") as file:
             file.seek(start)
             while start < end and (block := file.read(min(BLOCK_BYTES, end - start))):
                 start += len(block)
                 yield block
 
-    def _refuse_links(self, path: str) -> None:
+    @contextmanager
+    def _told(self, path: str) -> Iterator[Path]:
+        """Give where ``path`` lies, and turn OSError into what the protocol promises."""
+        here = self._root / path
         if is_linked(self._root, path):
-            raise Unreadable(
-                f"{self._root / path}: leads over a link, which could lead anywhere on this computer; not followed"
-            )
+            raise Unreadable(f"{here}: leads over a link, which could lead anywhere on this computer; not followed")
+        try:
+            yield here
+        except OSError as error:
+            kind = NotThere if error.errno in _GONE else LinkLost if error.errno in _LINK else Unreadable
+            raise kind(f"{here}: {error.strerror or error}") from error
+
+
+def entry_of(name: str, mode: int, size_bytes: int) -> RemoteEntry | None:
+    """Return an entry of a listing; ``None`` for what is neither file nor folder: a link could lead anywhere."""
+    if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
+        return None
+    return RemoteEntry(name, size_bytes, stat.S_ISDIR(mode))
 
 
 def is_linked(root: Path, path: str) -> bool:
     """Return True if a component of ``path`` below ``root`` is a link: on a strange disk it may lead to the desk's own files."""
-    at = root
-    for part in Path(path).parts:
-        at = at / part
-        if at.is_symlink():
-            return True
-    return False
-
-
-class _Told:
-    """Turns OSError into what the protocol promises."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        if not isinstance(error, OSError):
-            return
-        text = f"{self._path}: {error.strerror or error}"
-        if error.errno in _GONE:
-            raise NotThere(text) from error
-        if error.errno in _LINK:
-            raise LinkLost(text) from error
-        raise Unreadable(text) from error
+    parts = Path(path).parts
+    return any(root.joinpath(*parts[: k + 1]).is_symlink() for k in range(len(parts)))
 
 
 def text_of(source: Source, path: str, most_bytes: int) -> bytes:

@@ -150,7 +150,7 @@ class OddRoot(FolderSource):
     def listing(self, folder: str) -> list[RemoteEntry]:
         return [
             *super().listing(folder),
-            *(RemoteEntry(f"{self._name}{end}", 5, end == "", 0) for end in ("", ".json")),
+            *(RemoteEntry(f"{self._name}{end}", 5, end == "") for end in ("", ".json")),
         ]
 
 

@@ -1,187 +1,217 @@
-"""The link to an instrument: how `ssh` is called, and what is made of its words; a program of that name stands in for it."""
+"""The link to an instrument: whom it believes, with which keys it comes, and what is made of refusals; a server in this process."""
 
 from __future__ import annotations
 
-import struct
-import subprocess
-from collections.abc import Callable
+import asyncio
+import os
+import socket
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import asyncssh
 import pytest
 
-from appliance.offline.pull.source import LinkLost, PullError
-from appliance.offline.pull.ssh import Host, SshLink, _end, _last
+from appliance.cli import main
+from appliance.offline.pull import ssh
+from appliance.offline.pull.source import LinkLost, NotThere, PullError, RemoteEntry, Unreadable
+from appliance.offline.pull.ssh import Host, SshLink
 
-USUAL = {
-    "BatchMode": "yes", "StrictHostKeyChecking": "accept-new", "ConnectTimeout": "15", "ServerAliveInterval": "5",
-    "ServerAliveCountMax": "3", "ClearAllForwardings": "yes", "ForwardAgent": "no", "ForwardX11": "no", "RequestTTY": "no",
-    "ControlPath": "none",
-}  # fmt: skip
-GREETING = "".join(f"\\{byte:03o}" for byte in struct.pack(">IBI", 5, 2, 3))
+LIMIT_S = 20.0
+MB = 1 << 20
 
 
-@pytest.mark.parametrize(
-    ("host", "more", "rest"),
-    [
-        (Host("reef"), {}, ["-p", "2222", "-s", "--", "kingfisher-pull@reef", "sftp"]),
-        (Host("me@reef", 22), {}, ["-p", "22", "-s", "--", "me@reef", "sftp"]),
-        (
-            Host("reef", None, Path("/k"), Path("/seen")),
-            {"UserKnownHostsFile": "/seen"},
-            ["-p", "2222", "-o", "IdentitiesOnly=yes", "-i", "/k", "-s", "--", "kingfisher-pull@reef", "sftp"],
-        ),
-    ],
-)
-def test_ssh_is_called_so_that_it_never_asks_and_leads_nowhere_else(
-    host: Host, more: dict[str, str], rest: list[str]
-) -> None:
-    settings = [word for name, value in {**USUAL, **more}.items() for word in ("-o", f"{name}={value}")]
-    assert host.command(30.0) == ["ssh", *settings, *rest]
+@dataclass(frozen=True)
+class Server:
+    """A server that shows a folder to one key."""
+
+    root: Path
+    port: int
+    key: str
+    """Its host key, as it stands in a file of known ones."""
+    identity: Path
+    known_hosts: Path
+
+    @property
+    def host(self) -> Host:
+        return Host("127.0.0.1", self.port, self.identity, self.known_hosts)
 
 
-@pytest.mark.parametrize(("limit_s", "connect_s", "alive_s"), [(1.0, 1, 1), (3.0, 2, 1), (12.0, 6, 2), (60.0, 30, 10)])
-def test_ssh_gives_up_before_we_do(limit_s: float, connect_s: int, alive_s: int) -> None:
-    said = Host("reef").command(limit_s)
-    assert f"ConnectTimeout={connect_s}" in said
-    assert f"ServerAliveInterval={alive_s}" in said
-
-
-def test_without_a_limit_of_its_own_a_link_is_given_thirty_seconds() -> None:
-    assert SshLink(Host("reef"))._limit_s == 30.0
-
-
-# --------------------------------------------------------------------------------------------- links
+def new_key(path: Path) -> Any:
+    key = asyncssh.generate_private_key("ssh-ed25519")
+    key.write_private_key(str(path))
+    return key
 
 
 @pytest.fixture
-def program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
-    """A program `ssh`, as a script."""
-    monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
+def serve(tmp_path: Path) -> Iterator[Callable[..., Server]]:
+    """Starts servers, which end with the test; ``sftp``: whether it gives files."""
+    loop = asyncio.new_event_loop()
+    thread = threading.Thread(target=loop.run_forever)
+    thread.start()
+    servers: list[Any] = []
 
-    def write(script: str) -> None:
-        (tmp_path / "ssh").write_text(f"#!/bin/sh\n{script}\n", encoding="utf-8")
-        (tmp_path / "ssh").chmod(0o755)
+    def start(sftp: bool = True) -> Server:
+        root, identity = tmp_path / "root", tmp_path / "id"
+        (root / "data" / "scans").mkdir(parents=True)
+        host_key = asyncssh.generate_private_key("ssh-ed25519")
+        new_key(identity).write_public_key(str(tmp_path / "enrolled"))
+        files = {"sftp_factory": lambda channel: asyncssh.SFTPServer(channel, chroot=str(root).encode())}
 
-    return write
+        async def listening() -> Any:
+            return await asyncssh.listen(
+                "127.0.0.1", 0, server_host_keys=[host_key], authorized_client_keys=str(tmp_path / "enrolled"),
+                **files if sftp else {},
+            )  # fmt: skip
+
+        servers.append(asyncio.run_coroutine_threadsafe(listening(), loop).result(LIMIT_S))
+        port = servers[-1].get_port()
+        line = f"[127.0.0.1]:{port} {host_key.export_public_key().decode().strip()}"
+        (tmp_path / "known").write_text(f"{line}\n")
+        return Server(root, port, line, identity, tmp_path / "known")
+
+    yield start
+    for one in servers:
+        loop.call_soon_threadsafe(one.close)
+    loop.call_soon_threadsafe(loop.stop)
+    thread.join(LIMIT_S)
+    loop.close()
 
 
-def test_a_link_shows_the_storage_root_and_ends_with_its_block(program: Callable[[str], None], tmp_path: Path) -> None:
-    program(f'echo "$*" > {tmp_path}/said; printf "{GREETING}"; cat > /dev/null; echo over > {tmp_path}/ended')
-    with SshLink(Host("reef"))() as source:
-        assert source._path("scans") == "data/scans"
-        assert source._limit_s == 30.0
-        assert not (tmp_path / "ended").exists()
-    assert (tmp_path / "ended").exists()
-    assert (tmp_path / "said").read_text().split() == Host("reef").command(30.0)[1:]
+def refused(host: Host) -> str:
+    with pytest.raises(PullError) as error, SshLink(host, LIMIT_S)():
+        pass
+    return str(error.value)
 
 
-def test_without_ssh_its_package_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("PATH", str(tmp_path))
-    with (
-        pytest.raises(PullError, match="`ssh` is not on this computer; install openssh-client"),
-        SshLink(Host("reef"))(),
-    ):
+# ------------------------------------------------------------------------------------------- files
+
+
+def test_files_and_folders_are_listed_without_links_and_files_read_from_anywhere(serve: Callable[..., Server]) -> None:
+    server = serve()
+    data = bytes(k % 251 for k in range(5 * MB // 2))
+    scans = server.root / "data" / "scans"
+    (scans / "f").write_bytes(data)
+    (scans / "a").mkdir()
+    (scans / "link").symlink_to("f")
+    Path(os.fsdecode(os.fsencode(scans) + b"/\xff")).write_bytes(b"")
+    with SshLink(server.host, LIMIT_S)() as source:
+        odd, folder, file = sorted(source.listing("scans"), key=lambda entry: (entry.name.isprintable(), entry.name))
+        assert not odd.name.isprintable(), "no name that is taken"
+        assert (folder.name, folder.folder) == ("a", True)
+        assert file == RemoteEntry("f", len(data), False)
+        assert [one.name for one in source.listing("")] == ["scans"]
+        assert [len(one) for one in source.read("scans/f", 0, 1 << 40)] == [MB, MB, MB // 2]
+        assert b"".join(source.read("scans/f", 7, MB + 9)) == data[7 : MB + 9]
+        for ask in (lambda: source.listing("gone"), lambda: list(source.read("gone", 0, 9))):
+            with pytest.raises(NotThere):
+                ask()
+        with pytest.raises(Unreadable):
+            list(source.read("scans/a", 0, 9))
+
+
+def test_a_folder_of_too_many_names_is_not_believed(
+    serve: Callable[..., Server], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    server = serve()
+    for k in range(3):
+        (server.root / "data" / "scans" / f"{k}").mkdir()
+    with SshLink(server.host, LIMIT_S)() as source:
+        monkeypatch.setattr(ssh, "MOST_NAMES", 3)
+        assert len(source.listing("scans")) == 3
+        monkeypatch.setattr(ssh, "MOST_NAMES", 2)
+        with pytest.raises(Unreadable, match="more than 2 names"):
+            source.listing("scans")
+
+
+# ------------------------------------------------------------------------------------ keys and names
+
+
+def test_an_unknown_host_key_is_refused_and_its_line_lets_the_next_call_in(serve: Callable[..., Server]) -> None:
+    server = serve()
+    server.known_hosts.unlink()
+    said = refused(server.host)
+    assert "its host key is not known here (SHA256:" in said
+    assert said.endswith(f"add this line to {server.known_hosts} and call again: {server.key}")
+    server.known_hosts.write_text(said.rpartition("call again: ")[2] + "\n")
+    with SshLink(server.host, LIMIT_S)():
         pass
 
 
-COMPLAINTS = [
-    ("@@@@\nREMOTE HOST IDENTIFICATION HAS CHANGED!\n@@@@", r"another one than before.*ssh-keygen -R '\[reef\]:2222'"),
-    ("Host key verification failed.", "another one than before"),
-    ("reef: Permission denied (publickey).", "does not take this key. Enrol the public one"),
-    ("ssh: Could not resolve hostname reef: Name or service not known", "no computer of that name is known"),
-    ("connect to host reef port 2222: Connection refused", "nobody listens at port 2222; switch TRANSFER on"),
-    ("WARNING: UNPROTECTED PRIVATE KEY FILE!\nbad permissions", "chmod 600 it"),
-    ('Load key "/k": invalid format', "the private key cannot be read; give its file with --identity"),
-    ("subsystem request failed on channel 0", "it has no SFTP; is this the instrument?"),
-    ("command-line: line 0: Bad configuration option: x", "ssh does not understand its settings"),
-]
+@pytest.mark.parametrize("kind", ["ssh-ed25519", "ecdsa-sha2-nistp256"])
+def test_a_changed_host_key_is_refused_whatever_its_kind(serve: Callable[..., Server], kind: str) -> None:
+    server = serve()
+    other = asyncssh.generate_private_key(kind).export_public_key().decode()
+    server.known_hosts.write_text(f"[127.0.0.1]:{server.port} {other}")
+    said = refused(server.host)
+    assert "its host key is another one than before" in said
+    assert f"`ssh-keygen -R '[127.0.0.1]:{server.port}' -f {server.known_hosts}`" in said
 
 
-@pytest.mark.parametrize(("said", "meant"), COMPLAINTS)
-def test_a_complaint_that_stays_is_told_with_what_to_do(said: str, meant: str) -> None:
-    found = SshLink(Host("me@reef"))._meant(said, LinkLost("the link broke"))
-    assert isinstance(found, PullError)
-    with pytest.raises(PullError, match=f"(?s)^me@reef: .*{meant}.* \\(ssh: "):
-        raise found
-
-
-@pytest.mark.parametrize(("linked", "error"), [(False, PullError), (True, LinkLost)])
-def test_once_linked_an_instrument_that_starts_again_is_waited_for(
-    linked: bool, error: type[Exception], program: Callable[[str], None]
+def test_a_name_of_the_users_configuration_brings_address_key_and_known_hosts(
+    serve: Callable[..., Server], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    link = SshLink(Host("reef"))
-    if linked:
-        program(f'printf "{GREETING}"; cat > /dev/null')
-        with link():
-            pass
-    for said in ("Connection refused", "Could not resolve hostname reef"):
-        program(f'echo "ssh: {said}" >&2')
-        with pytest.raises(error, match=f"reef: .*{said}"), link():
-            pass
-    program('echo "Permission denied (publickey)" >&2')
-    with pytest.raises(PullError, match="does not take this key"), link():
+    server = serve()
+    monkeypatch.setenv("HOME", str(tmp_path))
+    (tmp_path / ".ssh").mkdir()
+    (tmp_path / ".ssh" / "config").write_text(
+        f"Host reef\n Hostname 127.0.0.1\n IdentityFile {server.identity}\n UserKnownHostsFile {server.known_hosts}\n"
+    )
+    with SshLink(Host("reef", server.port), LIMIT_S)() as source:
+        assert source.listing("scans") == []
+
+
+def test_a_key_that_is_given_is_the_only_one_that_is_tried(serve: Callable[..., Server], tmp_path: Path) -> None:
+    server = serve()
+    new_key(tmp_path / "other")
+    said = refused(replace(server.host, identity=tmp_path / "other"))
+    assert "does not take this key. Enrol the public one" in said
+    (tmp_path / "other").write_text("no key\n")
+    assert "cannot be read: " in refused(replace(server.host, identity=tmp_path / "other"))
+
+
+# ----------------------------------------------------------------------------------------- refusals
+
+
+def free_port() -> int:
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        return int(one.getsockname()[1])
+
+
+@pytest.mark.parametrize("address", ["127.0.0.1", "localhost"])
+def test_nobody_there_is_told_at_first_and_waited_for_once_there_was_a_link(
+    address: str, serve: Callable[..., Server]
+) -> None:
+    port = free_port()
+    assert f"nobody listens at port {port}; switch TRANSFER on" in refused(Host(address, port))
+    link = SshLink(serve().host, LIMIT_S)
+    with link():
+        pass
+    link._host = Host(address, port)
+    with pytest.raises(LinkLost), link():
         pass
 
 
-def test_a_port_of_its_own_is_told() -> None:
-    found = SshLink(Host("reef", 22))._meant("Connection refused", LinkLost(""))
-    assert "nobody listens at port 22;" in str(found)
+def test_a_server_without_files_is_told(serve: Callable[..., Server]) -> None:
+    assert "it has no SFTP; is this the instrument?" in refused(serve(sftp=False).host)
 
 
-@pytest.mark.parametrize(
-    ("said", "told"),
-    [
-        ("", "reef: the link broke"),
-        ("one\n  two  \n\n", "reef: two"),
-        ("one\n@@@ two @@@\nWarning: Permanently added 'reef' to the list of known hosts.\n", "reef: one"),
-        ("x" * 201, "reef: " + "x" * 200),
-    ],
-)
-def test_any_other_end_is_a_lost_link_with_the_last_line_that_tells_something(said: str, told: str) -> None:
-    found = SshLink(Host("reef"))._meant(said, LinkLost("the link broke"))
-    assert isinstance(found, LinkLost)
-    assert str(found) == told
-    assert _last(said) == told.removeprefix("reef: ").replace("the link broke", "")
+def test_a_server_that_says_nothing_is_a_lost_link_after_the_limit() -> None:
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        with pytest.raises(LinkLost, match="nothing came"), SshLink(Host("127.0.0.1", other.getsockname()[1]), 0.2)():
+            pass
 
 
-class StubbornProgram:
-    """A process that ends after so many requests; keeps what was asked of it, and how long was waited."""
-
-    def __init__(self, ends_after: int) -> None:
-        self.ends_after = ends_after
-        self.asked: list[str] = []
-        self.waits_s: list[float] = []
-        self.stdin, self.stdout = self, None
-
-    def close(self) -> None:
-        self.asked.append("close")
-        raise BrokenPipeError
-
-    def terminate(self) -> None:
-        self.asked.append("terminate")
-
-    def kill(self) -> None:
-        self.asked.append("kill")
-
-    def wait(self, timeout_s: float) -> None:
-        self.waits_s.append(timeout_s)
-        if len(self.asked) <= self.ends_after:
-            raise subprocess.TimeoutExpired("ssh", timeout_s)
-
-
-@pytest.mark.parametrize(
-    ("ends_after", "asked", "waits_s"),
-    [
-        (0, ["close"], [5.0]),
-        (1, ["close", "terminate"], [5.0, 5.0]),
-        (2, ["close", "terminate", "kill"], [5.0, 5.0, 5.0]),
-        (9, ["close", "terminate", "kill"], [5.0, 5.0, 5.0]),
-    ],
-)
-def test_a_program_is_asked_to_end_ever_more_firmly_and_never_waited_for_longer_than_a_quarter_of_a_minute(
-    ends_after: int, asked: list[str], waits_s: list[float]
+def test_without_the_library_one_sentence_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    process: Any = StubbornProgram(ends_after)
-    _end(process)
-    assert (process.asked, process.waits_s) == (asked, waits_s)
+    monkeypatch.setitem(sys.modules, "asyncssh", None)
+    assert main(["pull", "reef", str(tmp_path / "desk")]) == 1
+    assert "an instrument on the network needs asyncssh: pip install 'kingfisher-3d[desk]'" in capsys.readouterr().err
+    assert not (tmp_path / "desk").exists()
