@@ -8,20 +8,20 @@ the verdict below each mutant of the list.
 from __future__ import annotations
 
 import argparse
-import queue
 import sys
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from bench.mutation.mutants import Listed, draw, find, read, written
+from bench.mutation.mutants import Listed, draw, find, read
 from bench.mutation.names import Names
 from bench.mutation.tree import Tree
 
 ROOT = Path(__file__).parents[2]
 HOME = ROOT / ".cache" / "mutation"
-NOTES = HOME / "reached.txt"
+REACHED = HOME / "reached.txt"
 EQUIVALENT = Path(__file__).with_name("equivalent.txt")
+LIMIT_S = 150.0
+"""Processor seconds of tests for one mutant, by what they take without it."""
 
 
 def main() -> int:
@@ -37,128 +37,96 @@ def main() -> int:
     drawing.add_argument("--count", type=int, required=True)
     reaching = verbs.add_parser("reach", help="run the tests once and note which of them reach the mutants of lists")
     reaching.add_argument("lists", nargs="+", type=Path)
-    reaching.add_argument("--tests", nargs="*", default=[], help="arguments for pytest (default: all tests)")
+    reaching.add_argument("--tests", nargs="*", default=[], help="only these files' tests")
     running = verbs.add_parser("run", help="try the mutants of a list that have no verdict yet")
     running.add_argument("list", type=Path)
-    running.add_argument("--again", type=Path, metavar="FILE", help="try all, and write the verdicts to this file")
+    running.add_argument(
+        "--again", type=Path, metavar="FILE", help="try all, write their verdicts to this file and compare"
+    )
     running.add_argument("--tests", nargs="*", help="these files' tests, not those that were noted by reach")
-    running.add_argument("--limit", type=float, default=150.0, help="processor seconds of tests for one (default 150)")
-    running.add_argument("--processes", type=int, default=1)
     args = parser.parse_args()
     if args.verb == "draw":
-        drawn = draw(ROOT, args.globs, args.count, args.seed, read(EQUIVALENT.read_text(encoding="utf-8")))
-        args.list.write_text(written(f"# seed {args.seed}, {args.count} of {' '.join(args.globs)}\n", drawn), "utf-8")
+        drawn = draw(ROOT, args.globs, args.count, args.seed, read(EQUIVALENT))
+        write(args.list, f"# seed {args.seed}, {args.count} of {' '.join(args.globs)}", drawn)
         return 0
     if args.verb == "reach":
-        return reach([one for file in args.lists for one in read(file.read_text(encoding="utf-8"))], args.tests)
-    return Run(args.list, args.again or args.list, args.tests, args.limit).all(args.processes)
+        return reach([one for file in args.lists for one in read(file)], args.tests)
+    return run(args.list, args.again or args.list, args.tests)
+
+
+def write(file: Path, head: str, mutants: list[Listed]) -> None:
+    """Write a list of mutants and their verdicts below a line that says how they were drawn."""
+    file.write_text(f"{head}\n\n" + "\n".join(map(str, mutants)), encoding="utf-8")
 
 
 def reach(listed: list[Listed], tests: list[str]) -> int:
     """Note which tests reach the mutants."""
     tree = Tree(ROOT, HOME / "reach")
-    found = {one.key: find(ROOT, one) for one in listed}
-    tree.put_probes({key: one for key, one in found.items() if one is not None}, Names(ROOT))
-    code = tree.pytest(["-n2", "--dist", "loadfile", *tests], tree.kernels, 4 * 3600.0)
-    NOTES.write_text(tree.notes(), encoding="utf-8")
-    return 0 if code in (0, 1) else code
+    found = {one.key: find(tree.path, one) for one in listed}
+    tree.put_probes({key: one for key, one in found.items() if one is not None}, Names(tree.path))
+    code = tree.pytest(["-n2", "--dist", "loadfile", *tests], tree.kernels, 4 * 3600.0, {})
+    REACHED.write_text("\n".join("\t".join(words) for words in tree.notes()), encoding="utf-8")
+    return 0 if code == 1 else code  # a test that fails there judges nothing
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class Reached:
-    """The tests that reach each mutant, and how long tests take."""
+    """The tests or files of tests that reach each mutant, and how long tests take."""
 
     tests: dict[str, set[str]]
     cpu_s: dict[str, float]
 
     @classmethod
-    def noted(cls) -> Reached:
-        """Read what ``reach`` noted. A test that failed there judges nothing."""
-        notes = [line.split("\t") for line in NOTES.read_text(encoding="utf-8").splitlines()]
+    def read(cls, file: Path) -> Reached:
+        """Read what ``reach`` noted."""
+        notes = [line.split("\t") for line in file.read_text(encoding="utf-8").splitlines()]
         failed = {words[1] for words in notes if words[0] == "failed"}
         cpu_s: dict[str, float] = {}
-        by_file: dict[str, set[str]] = {}
-        for kind, test, *times in notes:
-            if kind == "ran" and test not in failed:
-                cpu_s[test] = max(cpu_s.get(test, 0.0), float(times[0]))
-                by_file.setdefault(test.partition("::")[0], set()).add(test)
+        for _, test, cpu, _ in (words for words in notes if words[0] == "ran" and words[1] not in failed):
+            cpu_s[test] = max(cpu_s.get(test, 0.0), float(cpu))
         tests: dict[str, set[str]] = {}
-        for key, test, *phase in notes:
-            if key not in {"ran", "failed"}:
-                # What a fixture made may be judged by any test of its file.
-                some = by_file.get(test.partition("::")[0], set()) if phase == ["(setup)"] else {test} & cpu_s.keys()
-                tests.setdefault(key, set()).update(some)
+        for key, test, phase in (words for words in notes if words[0] not in {"ran", "failed"}):
+            # What a fixture made may be judged by any test of its file.
+            tests.setdefault(key, set()).add(test if phase == "(call)" else test.partition("::")[0])
         return cls(tests, cpu_s)
 
-    def chosen(self, key: str, limit_s: float) -> tuple[list[str], float]:
-        """Return the tests for a mutant, the file first whose tests take least, and their processor seconds."""
-        by_file: dict[str, list[str]] = {}
-        for test in self.cpu_s:  # in the order in which they ran
-            if test in self.tests.get(key, ()):
-                by_file.setdefault(test.partition("::")[0], []).append(test)
-        wanted: list[str] = []
-        total_s = 0.0
-        for some in sorted(by_file.values(), key=lambda tests: sum(self.cpu_s[one] for one in tests)):
-            for test in some:
-                if not wanted or total_s + self.cpu_s[test] <= limit_s:
-                    wanted.append(test)
-                    total_s += self.cpu_s[test]
-        return wanted, total_s
+    def chosen(self, key: str) -> list[str]:
+        """Return the tests for a mutant, the cheapest first, within the limit."""
+        reaching = self.tests.get(key, set())
+        tests = [test for test in self.cpu_s if reaching & {test, test.partition("::")[0]}]
+        tests.sort(key=lambda test: self.cpu_s[test])
+        return [test for k, test in enumerate(tests) if not k or self.sum_s(tests[: k + 1]) <= LIMIT_S]
+
+    def sum_s(self, tests: list[str]) -> float:
+        """Return the processor seconds of tests or, where they were not noted, the limit."""
+        return sum(self.cpu_s.get(test, LIMIT_S) for test in tests)
 
 
-class Run:
-    """Tries mutants; each verdict is written at once, so that a run may be ended and goes on where it was."""
-
-    def __init__(self, list_: Path, verdicts: Path, files: list[str] | None, limit_s: float) -> None:
-        self._verdicts, self._files, self._limit_s = verdicts, files, limit_s
-        self._before = read(list_.read_text(encoding="utf-8"))
-        self._head = list_.read_text(encoding="utf-8").partition("\n")[0] + "\n"
-        known = (
-            {one.key: one.verdict for one in read(verdicts.read_text(encoding="utf-8"))} if verdicts.exists() else {}
-        )
-        self._now = {one.key: replace(one, verdict=known.get(one.key, "")) for one in self._before}
-        self._arguments = {one.key: one.verdict for one in read(EQUIVALENT.read_text(encoding="utf-8"))}
-        self._reached = Reached.noted() if files is None else Reached({}, {})
-        self._names = Names(ROOT)
-
-    def all(self, processes: int) -> int:
-        """Try what has no verdict and print the figures; 1 when a mutant survived that died before."""
-        todo = [one for one in self._now.values() if not one.verdict]
-        free: queue.SimpleQueue[Tree] = queue.SimpleQueue()
-        for number in range(min(processes, len(todo))):
-            free.put(Tree(ROOT, HOME / f"{self._verdicts.stem}-{number}"))
-        with ThreadPoolExecutor(processes) as pool:
-            for _ in pool.map(lambda one: self._try(one, free), todo):
-                self._verdicts.write_text(written(self._head, list(self._now.values())), encoding="utf-8")
-        kinds = [one.verdict.partition(" ")[0].strip(":") for one in self._now.values()]
-        print(", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds)))
-        worse = [
-            f"{one.path} · {one.within}\n- {one.before}\n+ {one.after}\n  {one.verdict}"
-            for one in self._before
-            if one.verdict.startswith("died") and self._now[one.key].verdict.startswith(("survived", "not"))
-        ]
-        print("\n\n".join(["survived, and died before:", *worse] if worse else []))
-        return 1 if worse else 0
-
-    def _try(self, listed: Listed, free: queue.SimpleQueue[Tree]) -> None:
-        tree = free.get()
-        try:
-            verdict = self._verdict(listed, tree)
-        finally:
-            free.put(tree)
-        self._now[listed.key] = replace(listed, verdict=verdict)
-        print(f"{verdict}  {listed.path} · {listed.within}  + {listed.after}", flush=True)
-
-    def _verdict(self, listed: Listed, tree: Tree) -> str:
-        mutant = find(ROOT, listed)
+def run(list_: Path, verdicts: Path, tests: list[str] | None) -> int:
+    """Try what has no verdict and print the figures; 1 when a mutant survived that died before. What is found is written
+    at once, so that a run may be ended and goes on where it was."""
+    before = {one.key: one for one in read(list_)}
+    known = {one.key: one.verdict for one in (read(verdicts) if verdicts.exists() else ())}
+    now = {key: replace(one, verdict=known.get(key, "")) for key, one in before.items()}
+    tree, arguments = Tree(ROOT, HOME / verdicts.stem), {one.key: one.verdict for one in read(EQUIVALENT)}
+    names, reached = Names(tree.path), Reached.read(REACHED) if tests is None else Reached({}, {})
+    for key in [key for key, one in now.items() if not one.verdict]:
+        mutant, chosen = find(tree.path, now[key]), tests or reached.chosen(key)
         if mutant is None:
-            return "gone"
-        if listed.key in self._arguments:
-            return f"equivalent: {self._arguments[listed.key]}"
-        tests, cpu_s = self._reached.chosen(listed.key, self._limit_s)
-        if self._files is not None:
-            tests, cpu_s = self._files, self._limit_s
-        return tree.judge(mutant, self._names, tests, 60.0 + 3.0 * cpu_s) if tests else "not reached"
+            verdict = "gone"
+        elif key in arguments:
+            verdict = f"equivalent: {arguments[key]}"
+        else:
+            verdict = tree.judge(mutant, names, chosen, 60.0 + 3.0 * reached.sum_s(chosen)) if chosen else "not reached"
+        now[key] = replace(now[key], verdict=verdict)
+        write(verdicts, list_.read_text(encoding="utf-8").partition("\n")[0], list(now.values()))
+        print(now[key], flush=True)
+    kinds = [one.verdict.split()[0].strip(":") for one in now.values()]
+    print(", ".join(f"{kinds.count(kind)} {kind}" for kind in sorted(set(kinds))))
+    died = [key for key, one in before.items() if one.verdict.startswith("died")]
+    worse = [now[key] for key in died if now[key].verdict.startswith(("survived", "not reached"))]
+    print("\n".join(["died before and survived:", *map(str, worse)] if worse else []))
+    return 1 if worse else 0
 
 
 if __name__ == "__main__":

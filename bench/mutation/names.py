@@ -53,13 +53,10 @@ class Names:
         return [one for one in self._reached(self._of(mutant), beyond_functions=True) if one.is_kernel]
 
     def at_work(self, mutant: Mutant) -> Iterator[tuple[str, ast.stmt]]:
-        """The first statements of the nearest functions that are at work whenever the mutant's kernel or constant is."""
+        """The nearest functions that are at work whenever the mutant's kernel or constant is."""
         for one in self._reached(self._of(mutant), beyond_functions=False):
             if isinstance(one.node, ast.ClassDef) or one.is_function:
-                for inner in ast.walk(one.node):
-                    first = _first(inner.body) if isinstance(inner, Function) else None
-                    if first is not None:
-                        yield one.path, first
+                yield from ((one.path, inner) for inner in ast.walk(one.node) if isinstance(inner, Function))
 
     def in_kernel(self, mutant: Mutant) -> bool:
         """Return True if the mutant stands within a kernel."""
@@ -112,15 +109,3 @@ def _names(node: ast.stmt) -> list[str]:
             return [one.id for target in targets for one in ast.walk(target) if isinstance(one, ast.Name)]
         case _:
             return []
-
-
-def _first(body: list[ast.stmt]) -> ast.stmt | None:
-    """The first statement beside which a probe can stand."""
-    for one in body:
-        if isinstance(one, ast.Try):
-            return _first(one.body)
-        if not isinstance(one, Function | ast.ClassDef) and not (
-            isinstance(one, ast.Expr) and isinstance(one.value, ast.Constant)
-        ):
-            return one
-    return None

@@ -16,7 +16,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 
-from bench.mutation.mutants import Mutant, Positions
+from bench.mutation.mutants import Mutant, Source
 from bench.mutation.names import Names
 from bench.mutation.probe import NOTES, WANTED
 
@@ -30,23 +30,22 @@ class Tree:
     """A copy of ``root`` at ``path``; making it brings it up to date."""
 
     def __init__(self, root: Path, path: Path) -> None:
-        self.root, self.path = root, path
-        self.kernels, self._notes = path.with_suffix(".kernels"), path.with_suffix(".notes")
+        self.path, self.kernels, self._notes = path, path.with_suffix(".kernels"), path.with_suffix(".notes")
         self._count = 0
         for old in (path, self.kernels):
             shutil.rmtree(old, ignore_errors=True)
-        listed = subprocess.run(["git", "ls-files", "-z", "-co", "--exclude-standard"], cwd=root, capture_output=True, text=True, check=True, timeout=60)  # fmt: skip
-        for name in listed.stdout.split("\0"):
+        command = ["git", "ls-files", "-z", "-co", "--exclude-standard"]
+        for name in subprocess.check_output(command, cwd=root, text=True, timeout=60).split("\0"):
             if (root / name).is_file():
                 (path / name).parent.mkdir(parents=True, exist_ok=True)
                 shutil.copy2(root / name, path / name)
         self._make_environment()
         given = Path(os.environ["NUMBA_CACHE_DIR"])
-        for folder in {file.parent for file in path.rglob("*.py")}:
+        self.kernels.mkdir(0o700)
+        for folder in {file.parent for file in path.rglob("*.py")}:  # numba's name for a folder is made from its path
             source = given / _cache_name(root / folder.relative_to(path))
-            if source.is_dir():  # numba finds it under a name made from the folder's path
+            if source.is_dir():
                 shutil.copytree(source, self.kernels / _cache_name(folder))
-        self.kernels.chmod(0o700)
 
     def _make_environment(self) -> None:
         """Make .venv with the packages of this one and the project's own from the copy."""
@@ -65,15 +64,15 @@ class Tree:
     def put_probes(self, mutants: Mapping[str, Mutant], names: Names) -> None:
         """Let the statement of each mutant note its key; for one that no probe can stand in, the functions that use it."""
         inserted: dict[str, list[tuple[int, str]]] = {}
-        positions = {path: Positions((self.path / path).read_text(encoding="utf-8")) for path in names.trees}
+        sources = {path: Source(path, (self.path / path).read_text(encoding="utf-8")) for path in names.trees}
         for key, mutant in mutants.items():
             places = [(mutant.listed.path, mutant.statement)]
             if not mutant.in_function or names.in_kernel(mutant):
                 places = list(names.at_work(mutant))
             for path, statement in places:
-                inserted.setdefault(path, []).extend(_probe(positions[path], statement, _CALL.format(key)))
+                inserted.setdefault(path, []).extend(_probe(sources[path], statement, _CALL.format(key)))
         for path, some in inserted.items():
-            text = positions[path].text
+            text = sources[path].text
             for at, new in sorted(some, key=lambda one: one[0], reverse=True):
                 text = text[:at] + new + text[at:]
             self._write(path, text, self.kernels)
@@ -94,65 +93,60 @@ class Tree:
 
     def judge(self, mutant: Mutant, names: Names, tests: list[str], limit_s: float) -> str:
         """Return the verdict of some tests, in their order, on a mutant; the first that fails ends it."""
-        path, stale = mutant.listed.path, names.stale_kernels(mutant)
-        file, kernels = self.path / path, self.path.with_suffix(".mutant-kernels")
-        text, known = file.read_text(encoding="utf-8"), file.stat()
+        path, kernels, stale = mutant.listed.path, self.path.with_suffix(".mutant-kernels"), names.stale_kernels(mutant)
         shutil.rmtree(kernels, ignore_errors=True)
         shutil.copytree(self.kernels, kernels)
         for one in stale:
             source = self.path / one.path
             for entry in (kernels / _cache_name(source.parent)).glob(f"{source.stem}.{one.name}-*"):
                 entry.unlink()
-        wanted = self.path.with_suffix(".wanted")
-        wanted.write_text("\n".join(tests))
+        self.path.with_suffix(".wanted").write_text("\n".join(tests))
         files = dict.fromkeys(test.partition("::")[0] for test in tests)
+        options = ["-x", "-q", "-n0", "--tb=short", "--hypothesis-seed=0", "-p", "no:cacheprovider", *files]
+        text = (self.path / path).read_text(encoding="utf-8")
+        self._write(path, mutant.applied(text), kernels)
         try:
-            self._write(path, mutant.applied(text), kernels)
-            options = ["-x", "-q", "-n0", "--tb=short", "--hypothesis-seed=0", "-p", "no:cacheprovider"]
-            code = self.pytest([*options, *files], kernels, limit_s + 90.0 * bool(stale), wanted)
+            code = self.pytest(
+                options, kernels, limit_s + 90.0 * bool(stale), {WANTED: self.path.with_suffix(".wanted")}
+            )
         finally:
-            file.write_text(text, encoding="utf-8")
-            os.utime(file, ns=(known.st_atime_ns, known.st_mtime_ns))
-        notes = [line.split("\t") for line in self._notes.read_text().splitlines()] if self._notes.exists() else []
-        failed = [words[1] for words in notes if words[0] == "failed"]
-        many = sum(words[0] == "ran" for words in notes)
+            self._write(path, text, self.kernels)
+        failed, ran = ([words[1] for words in self.notes() if words[0] == kind] for kind in ("failed", "ran"))
         match code:
             case 0:
-                return f"survived {many} tests"
+                return f"survived {len(ran)} tests"
             case 5:
                 return "not reached"
-            case 1 if failed:
-                return f"died: {failed[0]}"
             case 1 | 2 | 3 | 4:
-                return "died: no test can be collected"
+                return f"died: {failed[0] if failed else 'no test can be collected'}"
             case _:
-                return f"died: the process ended with {code} in or after {tests[min(many, len(tests) - 1)]}"
+                return f"died: the process ended with {code} in or after {tests[min(len(ran), len(tests) - 1)]}"
 
-    def pytest(self, arguments: list[str], kernels: Path, limit_s: float, wanted: Path | None = None) -> int:
+    def pytest(self, arguments: list[str], kernels: Path, limit_s: float, variables: Mapping[str, Path]) -> int:
         """Run pytest in the copy, ``limit_s`` of processor time at most for a process; return its status, or -9 when it hangs."""
-        self._notes.unlink(missing_ok=True)
-        own = {NOTES: self._notes, _MARK: self.path, "NUMBA_CACHE_DIR": kernels, "PATH": f"{self.path}/.venv/bin:{os.environ['PATH']}"}  # fmt: skip
-        own |= {WANTED: wanted, "PYTHONDONTWRITEBYTECODE": "1"} if wanted else {}
-        limit = (int(limit_s) + 1, int(limit_s) + 5)
-        with self.path.with_suffix(".said").open("w") as said, subprocess.Popen(
+        self._notes.write_text("")
+        own: dict[str, object] = {NOTES: self._notes, _MARK: self.path, "NUMBA_CACHE_DIR": kernels, **variables}
+        own |= {"PATH": f"{self.path}/.venv/bin:{os.environ['PATH']}"}
+        running = subprocess.Popen(
             [str(self.path / ".venv/bin/python"), "-m", "pytest", "-p", "bench.mutation.probe", *arguments],
             cwd=self.path,
-            env={key: str(value) for key, value in {**os.environ, **own}.items() if not key.startswith("PYTEST_")},
+            env={key: str(value) for key, value in {**os.environ, **own}.items()},
             stdin=subprocess.DEVNULL,
-            stdout=said,
-            stderr=said,
-            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_CPU, limit),
-        ) as running:  # fmt: skip
-            try:
-                return running.wait(4.0 * limit_s)
-            except subprocess.TimeoutExpired:
-                return -signal.SIGKILL
-            finally:
-                self._end_the_rest()
+            stdout=self.path.with_suffix(".said").open("w"),
+            stderr=subprocess.STDOUT,
+            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_CPU, (int(limit_s) + 1, int(limit_s) + 5)),
+        )
+        try:
+            return running.wait(4.0 * limit_s)
+        except subprocess.TimeoutExpired:
+            return -signal.SIGKILL
+        finally:
+            self._end_the_rest()
+            running.wait()
 
-    def notes(self) -> str:
-        """What the last run noted."""
-        return self._notes.read_text()
+    def notes(self) -> list[list[str]]:
+        """Return what the last run noted."""
+        return [line.split("\t") for line in self._notes.read_text(encoding="utf-8").splitlines()]
 
     def _end_the_rest(self) -> None:
         """Kill what a run left behind, known by a variable of its environment."""
@@ -162,17 +156,24 @@ class Tree:
                     os.kill(int(process.parent.name), signal.SIGKILL)
 
 
-def _probe(positions: Positions, statement: ast.stmt, call: str) -> Iterator[tuple[int, str]]:
+def _probe(source: Source, statement: ast.stmt, call: str) -> Iterator[tuple[int, str]]:
     """The insertions that let a statement call a probe first, all on its own lines: a kernel is known by its line."""
     match statement:
         case ast.If(test=first) | ast.While(test=first) | ast.For(iter=first) | ast.Match(subject=first):
             pass
         case ast.With(items=[ast.withitem(context_expr=first), *_]):
             pass
-        case _:
-            yield positions.span(statement)[0], f"{call}; "
+        case ast.FunctionDef(body=body) | ast.AsyncFunctionDef(body=body) | ast.Try(body=body):
+            beside = (one for one in body if not isinstance(one, ast.FunctionDef | ast.ClassDef))
+            yield from _probe(source, next(beside, body[0]), call)
             return
-    start, end = positions.span(first)
+        case ast.Expr(value=ast.Constant()):  # a docstring stays the first
+            yield source.span(statement)[1], f"; {call}"
+            return
+        case _:
+            yield source.span(statement)[0], f"{call}; "
+            return
+    start, end = source.span(first)
     yield start, f"{call} or ("
     yield end, ")"
 
