@@ -17,6 +17,7 @@ from appliance.storage.record import SequenceInfo
 from bench.result import Measured
 from bench.scan_frames import ScanFrames
 from bench.timing import median_of
+from tests.appliance.storage.scenes import ORIGIN
 from tests.appliance.storage.scenes import record as plain_record
 
 
@@ -32,7 +33,7 @@ def durable(scan: ScanFrames, cloud: Cloud, parent: Path, rounds: int) -> Iterat
             if plain_first:
                 plain.append(plain_ms(Path(folder) / str(k), scan.frames))
             begun_s = time.monotonic()
-            pending = library.begin(scan.frames, record)
+            pending = library.begin(scan.frames, record, ORIGIN)
             ours.append((time.monotonic() - begun_s) * 1e3)
             if not plain_first:
                 plain.append(plain_ms(Path(folder) / str(k), scan.frames))

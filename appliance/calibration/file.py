@@ -3,10 +3,8 @@
 The text is JSON with sorted keys; ``sha256`` is that of the compact form of everything else. Lengths are mm, image
 coordinates px, angles never appear (rotations are matrices).
 
-Schema 2 is schema 1 with an image correction in a camera, schema 3 has also a ray shift, or lenses calibrated in water.
-Each is written only where it is needed: a program that knows none of these must refuse such a file, not read past what
-it does not know. Beside these, ``air_covariance``, ``air_field``, ``depth_error_mm2``, ``camera_serials`` and ``volume`` may be there in any schema: they make no
-points, and a program that does not know them may pass over them.
+``air_covariance``, ``air_field``, ``depth_error_mm2`` and ``camera_serials`` are there where they are known; a camera's ``correction``,
+``ray_shift`` and ``lens_in_water`` where its model has them.
 """
 
 from __future__ import annotations
@@ -29,16 +27,13 @@ from appliance.optics.model import HousedCamera, Matrix3, StereoRig
 from appliance.optics.pinhole import Lens
 from appliance.optics.port import Port
 from appliance.optics.ray_shift import RayShift
-from appliance.optics.volume import STANDARD, WorkingVolume
+from appliance.optics.volume import WorkingVolume
 from appliance.optics.water import Water
 
 Matrix22 = tuple[tuple[float, ...], ...]
 """(22, 22), symmetric, positive definite."""
 
 SCHEMA = 1
-SCHEMA_WITH_CORRECTION = 2
-SCHEMA_WITH_RAYS = 3
-SCHEMAS = (SCHEMA, SCHEMA_WITH_CORRECTION, SCHEMA_WITH_RAYS)
 IN_AIR = "air"
 """Method of a calibration in air, which only calibrating in water begins with."""
 MAX_INTERVALS = 64
@@ -70,13 +65,12 @@ class Calibration:
     here."""
     air_field: AirField | None = None
     """The lenses' fields as boards in air tell of them: with it, the prior of an adjustment with an image correction.
-    ``None``: not known, as in files made before it was written down."""
+    ``None``: not known."""
     depth_error_mm2: Rows | None = None
     """Covariance (n, n) of the smooth depth error that all its scans share (``calibration.depth_error``), as the adjustment in water left
-    it; ``None``: not known, as in files made before it was written down."""
+    it; ``None``: not known."""
     camera_serials: tuple[str, str] | None = None
-    """Serial numbers of the left and the right camera; ``None``: not known, as in files made before they were written
-    down."""
+    """Serial numbers of the left and the right camera; ``None``: not known, as in a drawing."""
 
     __repr__ = one_line
 
@@ -99,10 +93,8 @@ def decode(data: bytes, name: str = "calibration") -> Calibration:
     except ChecksumError as error:
         raise CalibrationError(f"{name}: {error}; {remedy}") from error
     schema = content.get("schema")
-    if isinstance(schema, bool) or schema not in SCHEMAS:
-        raise CalibrationError(
-            f"{name}: schema {schema!r:.40}; this version reads schema {SCHEMAS[0]} to {SCHEMAS[-1]}; {remedy}"
-        )
+    if schema != SCHEMA:
+        raise CalibrationError(f"{name}: schema {schema!r:.40}; this version reads schema {SCHEMA}; {remedy}")
     reader = _Reader(name, remedy)
     cameras = reader.table(content, "cameras")
     residual = content.get("residual_px")
@@ -143,13 +135,8 @@ def _content(calibration: Calibration) -> dict[str, Any]:
         raise CalibrationError(
             f"method {calibration.method}: this model is for comparison only and has no file; calibrate with another method"
         )
-    schema = SCHEMA
-    if any(camera.correction is not None for camera in cameras):
-        schema = SCHEMA_WITH_CORRECTION
-    if any(camera.ray_shift is not None or camera.lens_in_water for camera in cameras):
-        schema = SCHEMA_WITH_RAYS
     content: dict[str, Any] = {
-        "schema": schema,
+        "schema": SCHEMA,
         "rig_serial": calibration.rig_serial,
         "method": calibration.method,
         "made_at": calibration.made_at,
@@ -161,6 +148,7 @@ def _content(calibration: Calibration) -> dict[str, Any]:
             "wavelength_nm": calibration.water.wavelength_nm,
         },
         "cameras": {"left": _camera(calibration.rig.left), "right": _camera(calibration.rig.right)},
+        "volume": asdict(calibration.rig.volume),
     }
     if calibration.air_covariance is not None:
         content["air_covariance"] = [list(row) for row in calibration.air_covariance]
@@ -171,9 +159,6 @@ def _content(calibration: Calibration) -> dict[str, Any]:
         content["depth_error_mm2"] = [list(row) for row in calibration.depth_error_mm2]
     if calibration.camera_serials is not None:
         content["camera_serials"] = dict(zip(("left", "right"), calibration.camera_serials, strict=True))
-    if calibration.rig.volume != STANDARD:
-        # The standard one is not spelled out, so that calibrations made before there were others keep their hash.
-        content["volume"] = asdict(calibration.rig.volume)
     return content
 
 
@@ -303,9 +288,7 @@ class _Reader:
         return (across, down), self.numbers(table, values, count, -100.0, 100.0)
 
     def volume(self, content: dict[str, Any]) -> WorkingVolume:
-        """Return the measuring volume; that of the standard housing where the file has none."""
-        if "volume" not in content:
-            return STANDARD
+        """Return the measuring volume."""
         table = self.table(content, "volume")
         numbers = [self.number(table, key, 1.0, 10_000.0) for key in ("nearest_mm", "working_mm", "farthest_mm")]
         try:
@@ -314,14 +297,13 @@ class _Reader:
             raise self.fail("volume", table, str(error)) from error
 
     def covariance(self, content: dict[str, Any]) -> Matrix22 | None:
-        """Return the covariance of the calibration in air; ``None``: the file has none. No point depends on it: a program that
-        does not know it may pass over it."""
+        """Return the covariance of the calibration in air; ``None``: the file has none."""
         if "air_covariance" not in content:
             return None
         return self._matrix(content, "air_covariance", AIR_VALUES)
 
     def depth_error(self, content: dict[str, Any]) -> Rows | None:
-        """Return the covariance of the shared depth error; ``None``: the file has none. No point depends on it, as on the one from air."""
+        """Return the covariance of the shared depth error; ``None``: the file has none."""
         if "depth_error_mm2" not in content:
             return None
         return self._matrix(content, "depth_error_mm2", DEPTH_ERRORS)
@@ -337,7 +319,7 @@ class _Reader:
         return matrix
 
     def air_field(self, content: dict[str, Any]) -> AirField | None:
-        """Return the lenses' fields from air; ``None``: the file has none. No point depends on it, as on the covariance."""
+        """Return the lenses' fields from air; ``None``: the file has none."""
         if "air_field" not in content:
             return None
         table = self.table(content, "air_field")

@@ -20,8 +20,7 @@ class Owner:
     sizes_px: tuple[tuple[int, int], tuple[int, int]]
     """Width and height of the left and of the right camera's images."""
     camera_serials: tuple[str, str] | None
-    """Serial numbers of the left and the right camera; ``None``: not known, as in scans made before they were written
-    down."""
+    """Serial numbers of the left and the right camera; ``None``: not known."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,8 +28,8 @@ def packed(errors: JointErrors, scans: Sequence[str]) -> JointPlaces:
     )
 
 
-def errors_of(stored_object: StoredObject) -> JointErrors | None:
-    """Return the joint errors of an object's places, scans in the order of ``places``; ``None`` where it was solved before they were kept.
+def errors_of(stored_object: StoredObject) -> JointErrors:
+    """Return the joint errors of an object's places, scans in the order of ``places``.
 
     Raises ObjectError for an object that is not solved, or damaged.
     """
@@ -39,8 +39,6 @@ def errors_of(stored_object: StoredObject) -> JointErrors | None:
             f"object '{stored_object.name}' is not solved: kingfisher object solve '{stored_object.name}'"
         )
     kept = places.joint
-    if kept is None:
-        return None
     if kept.scans != tuple(places.places):
         raise ObjectError(
             f"object '{stored_object.name}': its errors are of other scans than its places; solve it again"
@@ -61,13 +59,9 @@ def length_between(
 ) -> LengthSigma:
     """Return the distance between two points in the object's frame, one of scan ``first`` and one of ``second``, with its standard deviation.
 
-    Raises ObjectError for scans that have no place, and for an object that is not solved or was solved before its joint errors were kept.
+    Raises ObjectError for scans that have no place, and for an object that is not solved.
     """
     errors = errors_of(stored_object)
-    if errors is None:
-        raise ObjectError(
-            f"object '{stored_object.name}' was solved by an earlier version: kingfisher object solve '{stored_object.name}'"
-        )
     names = [] if stored_object.places is None else list(stored_object.places.places)
     for name in (first, second):
         if name not in names:

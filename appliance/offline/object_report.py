@@ -73,8 +73,7 @@ def _pair(pair: ComparedScans) -> ReportPair:
         second=pair.second,
         verdict=verdict,
         reason=_UNCHECKED if verdict is ReportVerdict.UNCHECKED else "" if pair.used else pair.text,
-        # Earlier versions kept the overlap of poses that slid.
-        overlap_percent=pair.overlap_percent if pair.accepted else None,
+        overlap_percent=pair.overlap_percent,
         matches=pair.matches,
         residual_mm=pair.discrepancy_mm,
         sigma_mm=pair.sigma_mm,
@@ -83,9 +82,8 @@ def _pair(pair: ComparedScans) -> ReportPair:
 
 
 def _budget(stored_object: StoredObject, places: Places) -> ReportBudget | None:
-    """Return the uncertainty of the distance between the first scan's middle and that of the farthest one; ``None`` for one scan, and where the
-    object was solved before joint errors were kept."""
-    if len(places.places) < 2 or places.joint is None:
+    """Return the uncertainty of the distance between the first scan's middle and that of the farthest one; ``None`` for one scan."""
+    if len(places.places) < 2:
         return None
     names = list(places.places)
     first = places.places[names[0]]

@@ -36,8 +36,8 @@ class ObjectOfDive:
         return objects.read(self.root, self.name)
 
     @property
-    def errors(self) -> JointErrors | None:
-        """Errors of all places as they hang together; ``None`` where an earlier version solved it. Raises ObjectError where it is not solved."""
+    def errors(self) -> JointErrors:
+        """Errors of all places as they hang together. Raises ObjectError where it is not solved."""
         return errors_of(self.stored)
 
     @refuse_wrong_types

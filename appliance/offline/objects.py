@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from appliance.optics.rotation import matrix3
 from appliance.reconstruct.organised import OrganisedCloud
 from appliance.registration.bow import bow_score, corrected, known_before, spread_mm
 from appliance.registration.graph import Edge, Placed
-from appliance.registration.joint import joint_errors
+from appliance.registration.joint import JointErrors, joint_errors
 from appliance.registration.pair import ReadyScan, ready
 from appliance.registration.solve import Compared, Solved, middle_of, solve
 from appliance.storage import objects
@@ -162,10 +162,10 @@ def solve_object(
     known = next(iter(calibrations.values())) if len(calibrations) == 1 else None
     stated = None if known is None else np.array(known)
     solved = solve(scans, lambda what, part: progress(what, 0.5 + 0.5 * part), with_shared_error, stated)
-    places = _places(solved, scans, clouds, with_shared_error, known_before(stated))
-    # Of several calibrations the first's: what they differ by is in no budget, and said.
-    joint = packed(joint_errors(solved.placed, used[0].rig.volume), list(places.places))
-    return replace(stored_object, places=replace(places, joint=joint, clouds=facts))
+    # Of several calibrations the first's volume: what they differ by is in no budget, and said.
+    joint = joint_errors(solved.placed, used[0].rig.volume)
+    places = _places(solved, scans, clouds, with_shared_error, known_before(stated), joint, facts)
+    return replace(stored_object, places=places)
 
 
 def _facts(member: MemberCloud) -> CloudFacts:
@@ -186,15 +186,18 @@ def _places(
     clouds: Sequence[tuple[str, str, float, tuple[str, ...]]],
     with_shared_error: bool,
     known_mm2: NDArray[np.float64],
+    joint: JointErrors,
+    facts: Mapping[str, CloudFacts],
 ) -> Places:
     placed = solved.placed
     named = [one[0] for one in clouds]
     aided = solved.aided
     calibrations = tuple(dict.fromkeys(one[1] for one in clouds))
+    places = {named[k]: _place(placed, aided, k, middle_of(scans[k])) for k in sorted(placed.poses)}
     return Places(
         calibrations=calibrations,
         water_index=tuple(one[2] for one in clouds),
-        places={named[k]: _place(placed, aided, k, middle_of(scans[k])) for k in sorted(placed.poses)},
+        places=places,
         pairs=tuple(_pair(one, placed, named) for one in solved.compared),
         left_out={
             named[k]: one.why if one.beside is None else f"with scan {named[one.beside]}: {one.why}"
@@ -207,6 +210,8 @@ def _places(
         shared_error_removed=with_shared_error,
         variance_factor=placed.variance_factor,
         shared_error_score=bow_score(aided.bow_mm, known_mm2, aided.bow_covariance),
+        joint=packed(joint, list(places)),
+        clouds=facts,
     )
 
 
@@ -306,10 +311,8 @@ def surface_of(
 
     Raises ObjectError for an object that is not solved; ScanError, CalibrationError.
     """
-    places, errors = stored_object.places, errors_of(stored_object)
-    # Where errors are not known point by point: what all scans share no number of them makes smaller.
-    common_mm = 0.0 if places is None or errors is not None else places.shared_error_spread_mm
-    return in_the_frame(fuse(placed_scans(root, stored_object, wish, progress), spacing_mm, common_mm), errors)
+    errors = errors_of(stored_object)
+    return in_the_frame(fuse(placed_scans(root, stored_object, wish, progress), spacing_mm), errors)
 
 
 def overlap_news(stored_object: StoredObject) -> tuple[str, OverlapNews] | None:

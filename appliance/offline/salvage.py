@@ -28,7 +28,7 @@ from appliance.patterns.sine import STEPS
 from appliance.scan.noise import CameraNoise, StereoNoise
 from appliance.scan.sides import SIDES, of_side
 from appliance.storage import scan as stored
-from appliance.storage.damage import DamagedFrames, damaged_frames, frames_as_they_are
+from appliance.storage.damage import damaged_frames, frames_as_they_are
 from appliance.storage.scan import SECOND_FILES, ScanError, StoredScan, frames_file, second_frames_file
 
 Frames = NDArray[np.uint8]
@@ -82,17 +82,8 @@ def salvage(folder: Path) -> Salvaged:
         frames[side] = frames_as_they_are(folder, manifest, frames_file(side))
         lost = next((one for one in of_first if one.file == frames_file(side)), None)
         if lost is not None:
-            variance[side] = _make_up(frames[side], sequence, _known(folder, lost), f"{folder}: {lost}", notes)
+            variance[side] = _make_up(frames[side], sequence, lost.frames, f"{folder}: {lost}", notes)
     return Salvaged(StoredScan(folder, manifest, frames), tuple(notes), variance)
-
-
-def _known(folder: Path, lost: DamagedFrames) -> tuple[int, ...]:
-    if lost.frames is None:
-        raise ScanError(
-            f"{folder}: {lost}; which of its frames is not known, since the scan was recorded before every frame had a checksum; "
-            "bring the folder back from a copy"
-        )
-    return lost.frames
 
 
 def _make_up(frames: Frames, sequence: PatternSequence, lost: Sequence[int], what: str, notes: list[str]) -> float:

@@ -200,7 +200,7 @@ def open_dive(
     """Return the dive under a storage root: the folder that holds ``scans/``; ``None``: the one around the working directory, else that of the
     environment variable ``KINGFISHER_ROOT``.
 
-    ``rig``: the rig file of the instrument, for scans of before November 2026, which carry none. ``current_calibration``: the one in
+    ``rig``: a rig file in the place of each scan's own. ``current_calibration``: the one in
     use under the root instead of each scan's own; ``foreign_calibration``: also one of another instrument. Raises NotADirectoryError, ConfigError.
     """
     place = standing_root(os.environ) if root is None else Path(root)

@@ -14,7 +14,7 @@ from appliance.scan.fault import FaultCode
 NAME = "grade"
 """Name of the verdict whose text is the grade's value."""
 LENGTHS_DOUBTFUL = "lengths_doubtful"
-"""Name of that verdict's number that is 1 where lengths were not to be trusted when the scan was taken; older scans do not tell."""
+"""Name of that verdict's number that is 1 where lengths were not to be trusted when the scan was taken."""
 GOOD_COVERAGE_PERCENT, GOOD_NOISE_MM = 60.0, 0.06
 USABLE_COVERAGE_PERCENT, USABLE_NOISE_MM = 25.0, 0.25
 SPOILS_POINTS = frozenset(

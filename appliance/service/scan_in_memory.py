@@ -33,11 +33,11 @@ class ScanInMemory:
     number: int
     begun_ns: int
     exposure: Exposure
+    origin: ScanOrigin
+    """The calibration and the rig it is recorded with."""
     belongs_to: int | None = None
     """Number of its object."""
     record: ScanRecord | None = None
-    origin: ScanOrigin | None = None
-    """The calibration and the rig it was recorded with, from the last frame on."""
     coarse: Cloud | None = None
     full: Cloud | None = None
     pending: PendingScan | None = None

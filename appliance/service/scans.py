@@ -163,7 +163,7 @@ class ScanController:
             except (StorageError, ValueError, TimeoutError) as error:
                 return Fault(FaultCode.NOT_SAVED, f"the previous scan's frames are not on the disk: {error}")
             self._write_trend(scan)
-        self.scan = ScanInMemory(number, self._clock.now_ns(), exposure, belongs_to)
+        self.scan = ScanInMemory(number, self._clock.now_ns(), exposure, self._origin, belongs_to)
         # Told before the first frame, so that the worker decodes each one while the next is exposed.
         self.worker.begin(number, self._settings_at(exposure), belongs_to)
         return None
@@ -198,7 +198,6 @@ class ScanController:
         # By the frames' own times: this line runs when all of it was audited.
         arrived_ns = max(frames[-1].received_ns for frames in ledger.frames.values())
         scan.times_s["recording"] = scan.since_begun_s(arrived_ns)
-        scan.origin = self._origin
         scan.record = self._record(scan, ledger, temperatures_c, self._ledger_verdict())
 
     def keep_incomplete(self, report: CaptureReport, fault: Fault, temperatures_c: dict[str, float | None]) -> None:

@@ -41,7 +41,7 @@ from appliance.storage.scan import RAW_FILES, SECOND_FILES, ScanError
 
 _DRAFT, _LEAVING = "packing", "archived"
 _BESIDE = (CALIBRATIONS, OBJECTS)
-"""Folders of a storage root whose JSON files go with its scans: old scans name their calibration only by its hash."""
+"""Folders of a storage root whose JSON files go with its scans."""
 
 
 class Copied(Enum):

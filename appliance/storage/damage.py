@@ -1,4 +1,4 @@
-"""Owns which of a scan's frames are damaged: found by their own checksums, or by the length of their file."""
+"""Owns which of a scan's frames are damaged, found by their own checksums."""
 
 from __future__ import annotations
 
@@ -27,15 +27,14 @@ class DamagedFrames:
     file: str
     problem: str
     """Kind of the damage in words: missing, too short, damaged."""
-    frames: tuple[int, ...] | None
-    """Numbers of the damaged ones, all others are whole; ``None``: which ones is not known, since the scan was recorded
-    before every frame had a checksum."""
+    frames: tuple[int, ...]
+    """Numbers of the damaged ones; all others are whole."""
     names: tuple[str, ...]
     """Names of the damaged frames' patterns."""
 
     def __str__(self) -> str:
-        which = "" if not self.frames or len(self.frames) > MOST_NAMED else f" in {', '.join(self.names)}"
-        if self.frames is not None and len(self.frames) > MOST_NAMED:
+        which = "" if not self.frames else f" in {', '.join(self.names)}"
+        if len(self.frames) > MOST_NAMED:
             which = f" in {len(self.frames)} frames"
         return f"{self.file}: {self.problem}{which}"
 
@@ -48,8 +47,7 @@ def damaged_frames(folder: Path, manifest: Manifest) -> tuple[DamagedFrames, ...
     for file in (*RAW_FILES, *SECOND_FILES):
         if file in wrong:
             frames = _which(folder, manifest, file)
-            of_them = () if frames is None else tuple(names[k] for k in frames)
-            found.append(DamagedFrames(file, wrong[file], frames, of_them))
+            found.append(DamagedFrames(file, wrong[file], frames, tuple(names[k] for k in frames)))
     return tuple(found)
 
 
@@ -95,24 +93,13 @@ def _unpacked(path: Path, shape: tuple[int, int, int]) -> NDArray[np.uint8]:
     return frames
 
 
-def _which(folder: Path, manifest: Manifest, file: str) -> tuple[int, ...] | None:
+def _which(folder: Path, manifest: Manifest, file: str) -> tuple[int, ...]:
     count = len(manifest.record.sequence.patterns)
-    shape = _shape(folder, manifest, count)
-    known = manifest.frame_crc32.get(file)
-    if shape is not None and known is not None and len(known) == count:
-        found = frame_checks(frames_as_they_are(folder, manifest, file))
-        return tuple(k for k in range(count) if found[k] != known[k])
-    if stored.is_packed(folder, file):
-        return None
-    try:
-        length = (folder / file).stat().st_size
-    except OSError:
+    known = manifest.frame_crc32.get(file, ())
+    if len(known) != count or _shape(folder, manifest, count) is None:
         return tuple(range(count))
-    if shape is None or length >= manifest.files[file].length:
-        return None
-    # Without checksums of frames only a file that is too short says which ones are missing: those at its end.
-    whole = max(0, length - HEADER_BYTES) // (shape[0] * shape[1])
-    return tuple(range(whole, count))
+    found = frame_checks(frames_as_they_are(folder, manifest, file))
+    return tuple(k for k in range(count) if found[k] != known[k])
 
 
 def _shape(folder: Path, manifest: Manifest, count: int) -> tuple[int, int] | None:

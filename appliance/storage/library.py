@@ -104,7 +104,7 @@ class Library:
                 self._fs.sync_folder(one.parent)
 
     def begin(
-        self, frames: Mapping[str, NDArray[np.uint8]], record: ScanRecord, origin: scan.ScanOrigin | None = None
+        self, frames: Mapping[str, NDArray[np.uint8]], record: ScanRecord, origin: scan.ScanOrigin
     ) -> PendingScan:
         """Make a scan's raw frames and their ``origin`` durable, hidden from the list, before anything is decided.
 

@@ -60,9 +60,8 @@ class Manifest:
     """Reason of the rejection."""
     recovered: bool = False
     """True if the scan was found unpublished at a start and published then."""
-    frame_crc32: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    """CRC-32 (hexadecimal) of each frame, by the name of the file of frames, so that it can be said which one is
-    damaged. Empty in old scans."""
+    frame_crc32: Mapping[str, tuple[str, ...]] = field(kw_only=True)
+    """CRC-32 (hexadecimal) of each frame, by the name of the file of frames, so that it can be said which one is damaged."""
 
 
 def encode(manifest: Manifest) -> bytes:

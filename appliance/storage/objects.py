@@ -177,11 +177,10 @@ class Places:
     shared_error_removed: bool
     """The points are to be corrected by it."""
     variance_factor: float
-    shared_error_score: float | None = None
+    shared_error_score: float | None
     """Distance of the estimate from what was known before, in standard deviations; ``None``: the overlaps tell nothing of it."""
-    joint: JointPlaces | None = None
-    """``None``: solved by a version that did not keep it."""
-    clouds: Mapping[str, CloudFacts] = field(default_factory=dict)
+    joint: JointPlaces
+    clouds: Mapping[str, CloudFacts]
     """Figures of every scan's cloud, also of those without a place."""
 
 

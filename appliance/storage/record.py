@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import FaultCode
-from appliance.scan.grade import MADE_UP_FOR, Grade, grade
+from appliance.scan.grade import MADE_UP_FOR, Grade
 from appliance.scan.grade import NAME as GRADE
 from appliance.scan.verdict import Verdict
 
@@ -70,7 +70,7 @@ class ScanRecord:
     exposure: Exposure | None = None
     """Exposure of the left camera; the right one's differs as the rig file says. ``None``: as the rig file has it."""
     object: int | None = None
-    """Number of the object that the diver said it belongs to; ``None``: of none, or from before there were such numbers."""
+    """Number of the object that the diver said it belongs to; ``None``: of none."""
     water: Mapping[str, float | None] = field(default_factory=dict)
     """Water it was reconstructed in: ``salinity_psu``, ``temperature_c``, ``wavelength_nm``, ``index``."""
     temperatures_c: Mapping[str, float | None] = field(default_factory=dict)
@@ -90,13 +90,9 @@ class ScanRecord:
 
     @property
     def grade(self) -> Grade | None:
-        """The grade as the diver read it; of a scan that does not say, what its numbers and verdicts give; ``None``: it has no cloud."""
+        """The grade as the diver read it; ``None``: nobody was shown one."""
         kept = self._verdict(GRADE)
-        if kept is not None:
-            return next((one for one in Grade if one.value == kept.text), None)
-        if not {"coverage_percent", "noise_mm"} <= self.cloud.keys():
-            return None
-        return grade(self.cloud["coverage_percent"], self.cloud["noise_mm"], self.held_against)
+        return None if kept is None else next((one for one in Grade if one.value == kept.text), None)
 
     @property
     def held_against(self) -> tuple[FaultCode, ...]:
@@ -107,7 +103,7 @@ class ScanRecord:
         names = [
             name.removesuffix("_percent").upper() for one in verdicts if one.name == "causes" for name in one.numbers
         ]
-        # Before there were causes, a failed verdict began with its fault's name.
+        # A failed verdict's text begins with its fault's name.
         names += [one.text.partition(":")[0] for one in verdicts if one.passed is False]
         codes = [FaultCode(name) for name in dict.fromkeys(names) if name in FaultCode.__members__]
         return tuple(code for code in codes if not (whole and code in MADE_UP_FOR))

@@ -7,9 +7,6 @@ and every file it lists, or no manifest at all.
 
 At a desk a file of frames may lie in its packed form instead (``appliance.storage.packed``); the manifest is the same, and
 whatever opens the scan reads it as it reads others.
-
-Scans of version 0.1.0 as it was until November 2026 have neither an origin nor checksums of single frames; they are read
-like all others.
 """
 
 from __future__ import annotations
@@ -48,7 +45,7 @@ PREVIEW = "preview.png"
 CALIBRATION = "calibration.json"
 RIG = "rig.toml"
 ORIGIN_FILES = (CALIBRATION, RIG)
-"""Files that say what a scan was taken with; old scans have neither."""
+"""Files that say what a scan was taken with."""
 DERIVED_FILES = (CLOUD, PREVIEW)
 """Files that can be made again from the others."""
 
@@ -110,7 +107,7 @@ def write_raw(
     scan_id: str,
     frames: Mapping[str, NDArray[np.uint8]],
     record: ScanRecord,
-    origin: ScanOrigin | None = None,
+    origin: ScanOrigin,
 ) -> Manifest:
     """Make ``folder`` with the frames, their ``origin`` and the first manifest. Durable on return but for its own name.
 
@@ -120,9 +117,8 @@ def write_raw(
     with refused("cannot make", folder):
         fs.make_folder(folder)
     files = {frames_file(side): write_new(fs, folder / frames_file(side), npy_parts(frames[side])) for side in SIDES}
-    if origin is not None:
-        for name, content in ((CALIBRATION, origin.calibration), (RIG, origin.rig)):
-            files[name] = write_new(fs, folder / name, (content,))
+    for name, content in ((CALIBRATION, origin.calibration), (RIG, origin.rig)):
+        files[name] = write_new(fs, folder / name, (content,))
     with refused("cannot make durable", folder):
         fs.sync_folder(folder)
     # The manifest comes last, after everything that it lists is durable: a folder with a manifest is a scan, one
@@ -308,7 +304,7 @@ def read_header(data: bytes) -> tuple[int, tuple[int, int, int]] | None:
 
 
 def read_frame(folder: Path, side: str, k: int, *, second: bool = False) -> NDArray[np.uint8]:
-    """Return frame ``k`` of one camera, (h, w) uint8, compared with its checksum where the manifest has one.
+    """Return frame ``k`` of one camera, (h, w) uint8, compared with its checksum.
 
     Nothing else of the frames is read, packed or not. ``second``: of the second exposure. Raises ScanError, MissingLibraryError.
     """
@@ -323,8 +319,7 @@ def read_frame(folder: Path, side: str, k: int, *, second: bool = False) -> NDAr
         frame = _frame_of_packed(packed_path(folder / name), k, len(names))
     else:
         frame = np.array(map_frames(folder / name, len(names))[k])
-    known = manifest.frame_crc32.get(name)
-    if known is not None and frame_checks(frame[None])[0] != known[k]:
+    if frame_checks(frame[None]) != manifest.frame_crc32.get(name, ())[k : k + 1]:
         raise ScanError(f"{folder / name}: frame {names[k]} is damaged (its checksum does not fit)")
     return frame
 

@@ -118,13 +118,11 @@ def with_places(cloud: FusedCloud, place_mm: NDArray[np.floating], bending_mm: N
 def fuse(
     scans: Iterable[PlacedScan],
     spacing_mm: float = SPACING_MM,
-    common_mm: float = 0.0,
     progress: Callable[[int], None] = lambda _: None,
 ) -> FusedCloud:
     """Return one surface of all scans, a point about every ``spacing_mm``. One scan is held at a time.
 
-    ``common_mm``: standard deviation of what all scans have in common, which no number of scans makes smaller. ``progress`` gets
-    the number of scans done. Scans are taken in their order; another order moves points by less than their sigma. Memory: some
+    ``progress`` gets the number of scans done. Scans are taken in their order; another order moves points by less than their sigma. Memory: some
     50 bytes a fused point beside one scan. Raises ValueError for a spacing outside of 0.02..20 mm, for a rotation that is
     none, and for points beyond 100 m.
     """
@@ -137,7 +135,7 @@ def fuse(
         left_out += without
         surface.add(points)
         progress(number)
-    return surface.cloud(common_mm, left_out)
+    return surface.cloud(left_out)
 
 
 def _placed(scan: PlacedScan) -> tuple[PointsOfScan, int]:
@@ -213,9 +211,9 @@ class _Surface:
             arrays[k] = grown
         self._discs = Discs(*arrays)
 
-    def cloud(self, common_mm: float, left_out: int) -> FusedCloud:
+    def cloud(self, left_out: int) -> FusedCloud:
         discs, n = self._discs, self._count
-        variance = np.float32(1.0) / discs.information[:n] + np.float32(common_mm**2)
+        variance = np.float32(1.0) / discs.information[:n]
         return FusedCloud(
             points_mm=discs.place_mm[:n].copy(),
             normals=discs.normal[:n].copy(),

@@ -31,6 +31,7 @@ from appliance.worker.process import (
 from bench.warm_worker import FRAME_S, START_TIMEOUT_S, peak_memory_mb
 from bench.whole_scan.scenes import TimedScene
 from drivers.native import MonotonicClock
+from tests.appliance.storage.scenes import ORIGIN
 from tests.appliance.storage.scenes import record as plain_record
 
 CLOUD_TIMEOUT_S = 60.0
@@ -157,7 +158,7 @@ class PacedWorker:
         )
 
     def _make_durable(self) -> tuple[PendingScan, float]:
-        pending = self._library.begin(dict(self._scene.frames), self._record)
+        pending = self._library.begin(dict(self._scene.frames), self._record, ORIGIN)
         return pending, time.monotonic()
 
     def _listen(self) -> _Heard:

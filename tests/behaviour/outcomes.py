@@ -78,9 +78,9 @@ CALLS = (
 )
 """Name and words of each call, in the order of their effects."""
 VARYING = re.compile(
-    r"(_s|^s|seconds|peak_mb|host|program|made_at|made_by|^hash|^sha256|^key|^table|^stored_cloud|^cloud_sha256)$"
+    r"(_s|^s|seconds|peak_mb|host|program|software_version|made_at|made_by|^hash|^sha256|^key|^table|^stored_cloud|^cloud_sha256)$"
 )
-"""Keys of what differs from run to run or from processor to processor: durations, and checksums over times, programs or clouds."""
+"""Keys of what differs from run to run or from processor to processor: durations, the program's version, and checksums over times, programs or clouds."""
 FIELDS = {"float": "<f4", "double": "<f8", "uchar": "u1", "int": "<i4", "uint": "<u4"}
 BAR_MM, BALL_MM = 150.0, 15.0
 FLOOR = 1e-6

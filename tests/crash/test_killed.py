@@ -21,7 +21,7 @@ from appliance.calibration import file as calibration_file
 from appliance.storage.calibrations import Calibrations
 from appliance.storage.health import HealthFile
 from appliance.storage.library import Library, LibraryFolder
-from tests.appliance.storage.scenes import frames, record
+from tests.appliance.storage.scenes import ORIGIN, frames, record
 from tests.crash.life import CALIBRATIONS, HASH, SERIAL
 
 ROOT = Path(__file__).parents[2]
@@ -112,7 +112,7 @@ class Book:
             assert not scans[scan_id].manifest.recovered  # type: ignore[union-attr]
         assert not list((self.root / "scans").glob(".*"))
         if self.begun:
-            assert int(library.begin(frames(), record()).scan_id) > max(map(int, self.begun))
+            assert int(library.begin(frames(), record(), ORIGIN).scan_id) > max(map(int, self.begun))
 
 
 def _deaths(tmp_path: Path, by_call: int, by_time: int, per_root: int, seed: int) -> tuple[int, int]:

@@ -53,7 +53,7 @@ from appliance.storage.manifest import Decision, Manifest, ManifestError, Stage
 from appliance.storage.packed import PackedError
 from appliance.storage.ply import PlyError, encode_ply, read_ply
 from appliance.storage.scan import ScanError
-from tests.appliance.storage.scenes import cloud, frames, record
+from tests.appliance.storage.scenes import ORIGIN, cloud, frames, record
 from tests.fuzz.damage import changed, damaged
 from tests.fuzz.target import Target
 from tests.fuzz.toml import toml_of
@@ -313,6 +313,7 @@ MANIFEST = form.encode(
         Decision.KEPT,
         record(),
         {"frames_left.npy": Stamp(10, HASH), "cloud.ply": Stamp(7, HASH)},
+        frame_crc32={"frames_left.npy": ("00" * 4,)},
     )
 )
 
@@ -355,7 +356,7 @@ def _scan_files() -> dict[str, bytes]:
     with tempfile.TemporaryDirectory() as folder:
         library = Library(Path(folder))
         library.prepare()
-        there = library.begin(frames(), record()).publish(record(), cloud(), b"\x89PNG")
+        there = library.begin(frames(), record(), ORIGIN).publish(record(), cloud(), b"\x89PNG")
         return {path.name: path.read_bytes() for path in sorted(there.iterdir())}
 
 

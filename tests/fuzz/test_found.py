@@ -32,7 +32,7 @@ from drivers.camera.description import BadDescription, unpack
 from drivers.camera.features import Features
 from drivers.camera.usb import TransferError
 from hw_sim.people import status_file
-from tests.appliance.storage.scenes import frames, record
+from tests.appliance.storage.scenes import ORIGIN, frames, record
 from tests.drivers.camera.test_features import XML, RegisterMemory
 from tests.drivers.camera.test_stream import Bench, frame
 from tests.drivers.clock import SteppedClock
@@ -147,7 +147,7 @@ def test_numbers_that_are_used_up_are_not_given_again(tmp_path: Path) -> None:
 
 def test_a_time_that_is_not_finite_does_not_make_a_scan_unreadable() -> None:
     times = replace(record(), stage_times_s={"capture": 0.4, "full": math.nan, "saved": math.inf})
-    manifest = Manifest("000001", Stage.COMPLETE, Decision.KEPT, times, {})
+    manifest = Manifest("000001", Stage.COMPLETE, Decision.KEPT, times, {}, frame_crc32={})
     assert form.decode(form.encode(manifest), "manifest.json").record.stage_times_s == {"capture": 0.4}
 
 
@@ -175,7 +175,7 @@ def test_a_trend_with_numbers_that_cannot_be_begins_anew(tmp_path: Path) -> None
 def test_frames_with_a_header_that_cannot_be_are_refused(tmp_path: Path, old: bytes, new: bytes) -> None:
     library = Library(tmp_path)
     library.prepare()
-    path = library.begin(frames(), record()).publish(record()) / "frames_left.npy"
+    path = library.begin(frames(), record(), ORIGIN).publish(record()) / "frames_left.npy"
     data = path.read_bytes()
     path.write_bytes(data.replace(old, new, 1)[: len(data)].ljust(len(data)))
     with pytest.raises(ScanError, match=r"frames_left\.npy"):
@@ -185,7 +185,7 @@ def test_frames_with_a_header_that_cannot_be_are_refused(tmp_path: Path, old: by
 def test_frames_that_numpy_itself_wrote_are_read(tmp_path: Path) -> None:
     library = Library(tmp_path)
     library.prepare()
-    path = library.begin(frames(), record()).publish(record()) / "frames_left.npy"
+    path = library.begin(frames(), record(), ORIGIN).publish(record()) / "frames_left.npy"
     np.save(path, frames()["left"])
     assert (library.load("000001").frames["left"] == frames()["left"]).all()
 

@@ -231,7 +231,7 @@ def test_a_newer_calibration_is_chosen_by_an_option(root: Path, tmp_path: Path, 
 def test_a_calibration_that_is_missing_is_never_replaced_by_the_drawing_in_silence(
     copy: Path, tmp_path: Path, desk: Shell
 ) -> None:
-    """The scan's own is damaged, and the one of its hash is nowhere."""
+    """The scan's own is damaged."""
     own = (copy / "calibration.json").read_bytes()
     elsewhere = tmp_path / "kept.json"
     elsewhere.write_bytes(own)

@@ -19,7 +19,7 @@ from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.cli.simtruth import bring_calibration
 from appliance.config import Rig, load_rig
 from appliance.evaluation.ball_bar import BallBar, find_ball_bar
-from appliance.instrument import design_of, volume_of
+from appliance.instrument import design_of, origin_of, volume_of
 from appliance.patterns.sequence import PatternSequence, build_sequence
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.quality import QualityLimits
@@ -144,7 +144,7 @@ def calibrated(tmp_path_factory: pytest.TempPathFactory) -> Calibrated:
     for step, (what, pose) in HELD.items():
         sequence, frames = scanned(rig, truth, what, pose)
         info = ScanRecord(SequenceInfo.of(sequence), rig.rig_hash, None, "0", None, False, 0)
-        pending = library.begin(frames, info)
+        pending = library.begin(frames, info, origin_of(rig, design_of(rig)))
         pending.publish(info)
         trial = RecordingCheck(step, None, None, scan_id=pending.scan_id)
         session = replace(session, trials=(*session.trials, trial))

@@ -15,7 +15,7 @@ from appliance.calibration.guide import USED, RecordingCheck, Session, Step
 from appliance.calibration.water.start import start_from_air
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.config import Rig, load_rig
-from appliance.instrument import design_of
+from appliance.instrument import design_of, origin_of
 from appliance.service.calibrator import examine, solve
 from appliance.storage.calibrations import Calibrations
 from appliance.storage.library import Library
@@ -41,7 +41,7 @@ def record(rig: Rig) -> None:
     for step, (what, pose) in HELD.items():
         scan = render_scan(Scene(object=what, pose=pose, texture="none"), "realistic", SEED, 1600, 16)
         info = ScanRecord(SequenceInfo.of(scan.sequence), rig.rig_hash, None, "0", None, False, 0)
-        pending = library.begin(scan.frames, info)
+        pending = library.begin(scan.frames, info, origin_of(rig, design_of(rig)))
         pending.publish(info)
         session = replace(session, trials=(*session.trials, RecordingCheck(step, None, None, scan_id=pending.scan_id)))
     Calibrations(rig.storage.root, rig.rig.serial).write(session)

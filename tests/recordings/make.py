@@ -1,12 +1,14 @@
-"""Makes a small storage root with everything that one version of the program writes, for `test_old_recordings`.
+"""Makes a small storage root with everything that one version of the program writes, for `test_files_of_1_0`.
 
 Runs with the version whose recordings are wanted, from its root: ``python PATH/make.py OUT``. See README.md beside it.
-Four short dives of the simulated instrument, under calibrations of every schema:
+Four short dives of the simulated instrument, under calibrations of every model:
 
-    schema 1    scan 1 kept, scan 2 of two exposures, scan 3 rejected; their fringe period is 32 px
-    schema 2    scan 4 is a step of a calibration (its session stays), scan 5 was taken by moving hands
-    schema 3    scan 6 with a fringe period of 16 px; the power went while scan 7 was being written, and once more
-                while scan 8 was waiting for its decision
+    plain       scan 1 kept, scan 2 of two exposures, scan 3 rejected; their fringe period is 32 px
+    corrected   scan 4 is a step of a calibration (its session stays), scan 5 was taken by moving hands
+    shifted     scan 6 with a fringe period of 16 px; the power went while scan 7 was waiting for its decision, and once
+                more with scan 8
+
+At the desk: an object of scans 1 and 6, and an archive of scans 1 and 2.
 """
 
 from __future__ import annotations
@@ -25,6 +27,7 @@ from typing import Any
 import llvmlite.binding as llvm
 import numpy as np
 
+from appliance import __version__
 from appliance.calibration import file as calibration_file
 from appliance.calibration.file import IN_AIR, Calibration
 from appliance.config import load_rig
@@ -145,7 +148,7 @@ def main(out: Path) -> None:
         (CALIBRATING_AND_MOVING,),
         (ANOTHER_PERIOD_AND_A_POWER_CUT, A_POWER_CUT_LATER),
     )
-    for k, (made, day, under_it) in enumerate(zip(of_every_schema(design_of(rig)), DAYS, dives, strict=True)):
+    for k, (made, day, under_it) in enumerate(zip(of_every_model(design_of(rig)), DAYS, dives, strict=True)):
         calibrations.install(made, day)
         if k == 0:
             air = replace(made, method=IN_AIR, air_covariance=tuple(map(tuple, (np.eye(22) * 1e-4).tolist())))
@@ -160,23 +163,33 @@ def main(out: Path) -> None:
         if k == 1:
             calibrations.install(replace(made, made_from=("kept only",)), day)
     shutil.rmtree(root / "room")
-    (out / "expected.json").write_text(json.dumps(expected(rig_file, root), indent=1) + "\n", encoding="utf-8")
+    at_the_desk: tuple[tuple[str, ...], ...] = (
+        ("object", "new", "frustum"),
+        ("object", "add", "frustum", "1", "6"),
+        ("object", "solve", "frustum"),
+        ("archive", "pack", str(root), "--out", str(out / "archive")),
+    )
+    for verb in at_the_desk:
+        place = () if verb[0] == "archive" else ("--root", str(root))
+        subprocess.run((sys.executable, "-m", "appliance.cli", *verb, *place), check=True, timeout=600)
+    # Two packed scans show the form.
+    for packed in sorted((out / "archive" / "scans").glob("0*"))[2:]:
+        shutil.rmtree(packed)
+    (out / "expected.json").write_text(json.dumps(expected(root), indent=1) + "\n", encoding="utf-8")
 
 
-def expected(rig_file: Path, root: Path) -> dict[str, Any]:
+def expected(root: Path) -> dict[str, Any]:
     """The processor, and of every scan its number of points and the sha256 of its cloud, as this version reconstructs it."""
-    files = [root / "calibration" / "current.json", *sorted((root / "calibration" / "kept").glob("*.json"))]
-    hashes = {calibration_file.load(path).hash: path for path in files}
-    found: dict[str, Any] = {"processor": f"{platform.machine()} {llvm.get_host_cpu_name()}", "scans": {}}
+    found: dict[str, Any] = {
+        "version": __version__,
+        "processor": f"{platform.machine()} {llvm.get_host_cpu_name()}",
+        "scans": {},
+    }
     out = root.parent / "cloud.ply"
     for folder in sorted(path.parent for path in root.glob("*/*/manifest.json")):
-        manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
-        used = hashes[manifest["record"]["calibration_hash"]]
-        words = ("reconstruct", str(folder), "--rig", str(rig_file), "--root", str(root), "--calibration", str(used))
-        again = (sys.executable, "-m", "appliance.cli", *words, "--out", str(out), "--json")
+        again = (sys.executable, "-m", "appliance.cli", "reconstruct", str(folder), "--out", str(out), "--json")
         said = json.loads(subprocess.run(again, check=True, timeout=600, capture_output=True).stdout)
         found["scans"][str(folder.relative_to(root))] = {
-            "calibration": str(used.relative_to(root)),
             "points": said["points"],
             "sha256": hashlib.sha256(out.read_bytes()).hexdigest(),
         }
@@ -199,7 +212,7 @@ def rig_text() -> str:
     return text
 
 
-def of_every_schema(design: Calibration) -> Sequence[Calibration]:
+def of_every_model(design: Calibration) -> Sequence[Calibration]:
     """The drawing; with an image correction; with a ray shift. The changes are small, and different in both cameras."""
     random = np.random.default_rng(5)
 
@@ -216,11 +229,8 @@ def of_every_schema(design: Calibration) -> Sequence[Calibration]:
         replace(eye, ray_shift=RayShift(eye.width_px, eye.height_px, INTERVALS, coefficients(0.003)))
         for eye in (left, right)
     ]
-    made = [measured, *(replace(measured, rig=replace(measured.rig, left=a, right=b)) for a, b in (corrected, shifted))]
-    schemas = [json.loads(calibration_file.encode(one))["schema"] for one in made]
-    if schemas != [1, 2, 3]:
-        raise SystemExit(f"schemas {schemas} were written: look at of_every_schema")
-    return made
+    rigs = (replace(measured.rig, left=a, right=b) for a, b in (corrected, shifted))
+    return [measured, *(replace(measured, rig=rig) for rig in rigs)]
 
 
 if __name__ == "__main__":

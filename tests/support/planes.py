@@ -9,7 +9,7 @@ import numpy as np
 
 from appliance.config import Rig, load_rig
 from appliance.config.load import default_rig_path
-from appliance.instrument import design_of
+from appliance.instrument import design_of, origin_of
 from appliance.patterns.sequence import build_sequence
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.storage.library import Library
@@ -63,4 +63,4 @@ def store_plane(rig: Rig) -> tuple[Path, np.ndarray]:
     )
     library = Library(rig.storage.root)
     library.prepare()
-    return library.begin(frames, record).publish(record, cloud), cloud.points_mm
+    return library.begin(frames, record, origin_of(rig, cal)).publish(record, cloud), cloud.points_mm

@@ -29,7 +29,7 @@ def store(
     calibration_hash: str | None = None,
 ) -> Path:
     """The raw frames and the manifest of a scan, in a new folder, with the water of its scene. ``origin``: calibration and rig
-    that it carries with it. ``belongs_to``: the number of its object. ``calibration_hash``: what the manifest names."""
+    that it carries with it; by default those that state its truth. ``belongs_to``: the number of its object. ``calibration_hash``: what the manifest names."""
     water = scan.renderer.scene.water
     record = ScanRecord(
         sequence=SequenceInfo.of(scan.sequence),
@@ -49,7 +49,9 @@ def store(
         },
         temperatures_c={"projector": 41.5, "case": None},
     )
-    write_raw(LocalFileSystem(), folder, folder.name, scan.frames, record, origin)
+    height_px, width_px = scan.frames["left"].shape[1:]
+    carried = origin_of(scan.renderer.truth, width_px, height_px) if origin is None else origin
+    write_raw(LocalFileSystem(), folder, folder.name, scan.frames, record, carried)
     return folder
 
 

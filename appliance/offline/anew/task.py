@@ -24,7 +24,7 @@ from appliance.machine.alerts import RULES
 from appliance.offline.anew.program import program_digits
 from appliance.offline.anew.results import SETTINGS, Results, Row, name_of
 from appliance.offline.evaluation import run_evaluation
-from appliance.offline.origin import SourceScan, calibration_for, open_source, unrecorded
+from appliance.offline.origin import SourceScan, calibration_for, open_source
 from appliance.offline.reconstruct import work_through
 from appliance.offline.scan_list import ListedScan, ScanList
 from appliance.offline.wish import Wish
@@ -170,7 +170,7 @@ def _row(job: Job) -> Row:
 def _name(job: Job, folder: Path) -> str:
     """Return the name of the scan's result: of its manifest, and of what decides about its points and is not in there."""
     try:
-        return name_of(folder, unrecorded(folder, _wish(job)))
+        return name_of(folder, ())
     except FileNotFoundError as error:
         raise _Gone(f"{socket.gethostname()}: {folder} is not there any more") from error
 

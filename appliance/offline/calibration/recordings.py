@@ -18,7 +18,7 @@ from appliance.storage import scan as stored
 
 
 def cameras_of(folders: Iterable[Path], start: Calibration) -> tuple[str, str] | None:
-    """Return the serial numbers of the left and right camera that recorded these scans; ``None`` where no scan says.
+    """Return the serial numbers of the left and right camera that recorded these scans; ``None``: of no scan.
 
     Raises CamerasDiffer where scans are of different cameras, or ``start`` is of others, CalibrationError or ScanError for a
     scan whose rig file cannot be read.
@@ -27,8 +27,6 @@ def cameras_of(folders: Iterable[Path], start: Calibration) -> tuple[str, str] |
     of: Path | None = None
     for folder in folders:
         found = _cameras(folder)
-        if found is None:
-            continue
         if known is not None and of is not None and (other := exchanged(known, found)) is not None:
             raise CamerasDiffer(
                 f"scans {of.name} and {folder.name} are of different cameras ({other.reason}); calibrate with scans of the same"
@@ -43,10 +41,8 @@ def cameras_of(folders: Iterable[Path], start: Calibration) -> tuple[str, str] |
     return known
 
 
-def _cameras(folder: Path) -> tuple[str, str] | None:
-    """Return the serial numbers in the rig file that a scan carries; ``None``: an old scan has none."""
-    if stored.RIG not in stored.manifest_of(folder).files:
-        return None
+def _cameras(folder: Path) -> tuple[str, str]:
+    """Return the serial numbers in the rig file that a scan carries."""
     try:
         camera = load_rig(folder / stored.RIG).camera
     except ConfigError as error:

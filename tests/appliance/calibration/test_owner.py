@@ -12,13 +12,12 @@ from appliance.calibration.file import Calibration, CalibrationError, decode, en
 from appliance.calibration.owner import Owner, exchanged, misfit
 from appliance.calibration.recordings import RecordingError
 from appliance.checksummed_file import with_checksum
-from appliance.config import Rig, default_rig_path, load_rig, rig_text
-from appliance.instrument import calibration_of, design_of
+from appliance.config import Rig, default_rig_path, load_rig
+from appliance.instrument import calibration_of, design_of, origin_of
 from appliance.machine.alerts import alert_of
 from appliance.offline.calibration.recordings import cameras_of
 from appliance.scan.fault import FaultCode
 from appliance.storage.library import Library
-from appliance.storage.scan import ScanOrigin
 from tests.appliance.storage.scenes import frames, record
 
 OWN = ("KF-CAM-L", "KF-CAM-R")
@@ -129,26 +128,22 @@ def test_what_nobody_knows_is_no_exchange() -> None:
     assert exchanged(OWN, OWN) is None
 
 
-def scanned(rig: Rig, library: Library, serials: tuple[str, str] | None) -> Path:
-    """A stored scan that was taken with these cameras; ``None``: one of before scans carried their rig."""
-    origin = None
-    if serials is not None:
-        left, right = (replace(c, serial=s) for c, s in zip((rig.camera.left, rig.camera.right), serials, strict=True))
-        taken = replace(rig, camera=replace(rig.camera, left=left, right=right))
-        origin = ScanOrigin(encode(design_of(rig)), rig_text(taken).encode())
+def scanned(rig: Rig, library: Library, serials: tuple[str, str]) -> Path:
+    """A stored scan that was taken with these cameras."""
+    left, right = (replace(c, serial=s) for c, s in zip((rig.camera.left, rig.camera.right), serials, strict=True))
+    taken = replace(rig, camera=replace(rig.camera, left=left, right=right))
     info = record()
-    return library.begin(frames(), info, origin).publish(info)
+    return library.begin(frames(), info, origin_of(taken, design_of(rig))).publish(info)
 
 
 def test_a_calibration_from_scans_is_of_the_cameras_that_took_them(rig: Rig) -> None:
     library = Library(rig.storage.root)
     library.prepare()
-    old, first, second = (scanned(rig, library, serials) for serials in (None, OWN, OWN))
+    first, second = (scanned(rig, library, OWN) for _ in range(2))
     start = measured(rig, None)
-    assert cameras_of([old, first, second], start) == OWN
-    assert cameras_of([old], start) is None
+    assert cameras_of([first, second], start) == OWN
     other = scanned(rig, library, ("KF-NEW", "KF-CAM-R"))
-    with pytest.raises(RecordingError, match=r"000002 and 000004 are of different cameras.*left camera exchanged"):
+    with pytest.raises(RecordingError, match=r"000001 and 000003 are of different cameras.*left camera exchanged"):
         cameras_of([first, other], start)
     with pytest.raises(RecordingError, match="of other cameras than what they start from"):
         cameras_of([first], measured(rig, ("KF-OLD", "KF-CAM-R")))

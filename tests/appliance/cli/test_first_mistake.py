@@ -15,7 +15,7 @@ from appliance.cli.output import Exit
 from appliance.cli.verbs import Listed
 from appliance.storage.library import Library
 from tests.appliance.cli.test_loaded import EVERY
-from tests.appliance.storage.scenes import PREVIEW, cloud, frames, record
+from tests.appliance.storage.scenes import ORIGIN, PREVIEW, cloud, frames, record
 
 HEAVY = (
     "numba",
@@ -146,7 +146,7 @@ def place(root: Path) -> None:
     """Make what the mistakes are made with below ``root``: a storage root with one scan, a list of another, a file of text."""
     library = Library(root / "ROOT")
     library.prepare()
-    library.begin(frames(1), record()).publish(record(), cloud(), PREVIEW)
+    library.begin(frames(1), record(), ORIGIN).publish(record(), cloud(), PREVIEW)
     (root / "LIST.toml").write_text('[[scan]]\nscan = "99"\nartefact = "plane"\n', encoding="utf-8")
     (root / "TEXT.stl").write_text("solid\n", encoding="utf-8")
 

@@ -21,7 +21,7 @@ from appliance.scan.verdict import Verdict
 from appliance.storage import manifest as form
 from appliance.storage.library import Library
 from tests.appliance.cli.test_loaded import EVERY
-from tests.appliance.storage.scenes import PREVIEW, cloud, frames, record
+from tests.appliance.storage.scenes import ORIGIN, PREVIEW, cloud, frames, record
 
 ESCAPES = "\x1b[2J\x1b]0;gone\x07 \x9b31m \u202e evil"
 """Clear the screen, name the window, turn red by a C1 code, and write from right to left."""
@@ -36,10 +36,12 @@ def root(tmp_path: Path) -> Path:
     """A storage root whose only scan says odd things of itself."""
     library = Library(tmp_path)
     library.prepare()
-    library.begin(frames(1), record()).publish(record(), cloud(), PREVIEW)
+    library.begin(frames(1), record(), ORIGIN).publish(record(), cloud(), PREVIEW)
     folder = tmp_path / "scans" / "000001"
     strange = record(wall_time=ESCAPES, verdicts=(Verdict(ESCAPES, False, {}),), software_version=f"1\n2{ESCAPES}")
-    changed = form.Manifest("000001", form.Stage.COMPLETE, form.Decision.KEPT, strange, form.read(folder).files)
+    changed = form.Manifest(
+        "000001", form.Stage.COMPLETE, form.Decision.KEPT, strange, form.read(folder).files, frame_crc32={}
+    )
     (folder / form.FILE_NAME).write_bytes(form.encode(changed))
     return tmp_path
 

@@ -30,9 +30,9 @@ def code_of(argv: list[str]) -> int:
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["version"]) == 0
-    assert capsys.readouterr().out == "kingfisher 0.1.0\n"
+    assert capsys.readouterr().out == "kingfisher 1.0.0rc1\n"
     assert main(["version", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == {"version": "0.1.0", "other_program": None}
+    assert json.loads(capsys.readouterr().out) == {"version": "1.0.0rc1", "other_program": None}
 
 
 @pytest.mark.parametrize(

@@ -30,7 +30,7 @@ from appliance.cli.output import Exit
 from appliance.cli.verbs import VERBS, Group, Listed
 from appliance.config import default_rig_path
 from appliance.storage.library import Library, UnknownScan
-from tests.appliance.storage.scenes import PREVIEW, cloud, frames, record
+from tests.appliance.storage.scenes import ORIGIN, PREVIEW, cloud, frames, record
 
 COMPUTES = ("numpy", "numba", "llvmlite", "scipy", "cv2")
 DEVICES = ("usb", "serial", "moderngl", "hw_sim", "appliance.service", "appliance.offline")
@@ -69,7 +69,7 @@ def test_printing_the_version_loads_nothing_else_of_the_product() -> None:
 def test_looking_at_scans_loads_nothing_that_computes_and_no_device(words: tuple[str, ...], tmp_path: Path) -> None:
     library = Library(tmp_path)
     library.prepare()
-    library.begin(frames(1), record(cloud={"points": 20})).publish(record(), cloud(), PREVIEW)
+    library.begin(frames(1), record(cloud={"points": 20}), ORIGIN).publish(record(), cloud(), PREVIEW)
     assert loaded(*words, tmp_path).isdisjoint((*COMPUTES, *DEVICES, "pydantic", "appliance.config"))
 
 

@@ -18,7 +18,7 @@ from appliance.storage.scan import ScanOrigin
 from hw_sim.outside import draw_outside
 from hw_sim.scene import Imaging, Scene
 from tests.support.rendered import RenderedScan, render_scan
-from tests.support.stored import store
+from tests.support.stored import origin_of, store
 
 RIG = Path(__file__).parents[3] / "hw_sim" / "rigs" / "small.toml"
 
@@ -117,10 +117,11 @@ def test_the_exposures_that_leave_fringes_straight_are_told_from_scans_at_each(
     bits = Scene(object="plane", outside=draw_outside(10_001, ("projector",)))
     short = render_scan(bits, "modelled", 3, 320, 16, exposure_s=0.0032, gain_db=10.0)
     whole = render_scan(bits, "modelled", 3, 320, 16, exposure_s=0.016)
+    origin = origin_of(plane.renderer.truth, 400, 300)
     scans = [
-        store(short, tmp_path / "short", exposure_ms=3.2),
-        store(whole, tmp_path / "whole", exposure_ms=16.0, gain_db=2.0),
-        store(plane, tmp_path / "plane", exposure_ms=12.0),
+        store(short, tmp_path / "short", exposure_ms=3.2, origin=origin),
+        store(whole, tmp_path / "whole", exposure_ms=16.0, gain_db=2.0, origin=origin),
+        store(plane, tmp_path / "plane", exposure_ms=12.0, origin=origin),
     ]
     assert main(["measure", "exposures", *map(str, scans), "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
@@ -144,7 +145,7 @@ def test_the_exposures_that_leave_fringes_straight_are_told_from_scans_at_each(
     assert (first[0], first[-1], second[0], second[-1]) == ("short", "no", "plane", "yes")
     assert first[1] == "3.2"
     # An exposure is as good as its worst scan, in whatever order they are given.
-    again = store(whole, tmp_path / "again", exposure_ms=3.2)
+    again = store(whole, tmp_path / "again", exposure_ms=3.2, origin=origin)
     for both in ((scans[0], again), (again, scans[0])):
         assert main(["measure", "exposures", *map(str, both), "--json"]) == 1
         assert json.loads(capsys.readouterr().out)["exposures_ms"] == []

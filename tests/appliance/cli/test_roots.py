@@ -14,7 +14,7 @@ from appliance.config import default_rig_path, load_rig
 from appliance.instrument import CALIBRATION_FILE, design_of
 from appliance.offline.scripting import open_dive
 from appliance.storage.library import Library
-from tests.appliance.storage.scenes import PREVIEW, cloud, frames, record
+from tests.appliance.storage.scenes import ORIGIN, PREVIEW, cloud, frames, record
 
 
 @pytest.fixture
@@ -23,7 +23,7 @@ def root(tmp_path: Path) -> Path:
     root = tmp_path / "dive"
     library = Library(root)
     library.prepare()
-    library.begin(frames(1), record()).publish(record(cloud={"points": 20}), cloud(), PREVIEW)
+    library.begin(frames(1), record(), ORIGIN).publish(record(cloud={"points": 20}), cloud(), PREVIEW)
     made = replace(design_of(load_rig(default_rig_path())), rig_serial="KF-0042", method="bundle")
     (root / CALIBRATION_FILE).parent.mkdir()
     (root / CALIBRATION_FILE).write_bytes(encode(made))

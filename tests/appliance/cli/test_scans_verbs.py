@@ -14,7 +14,7 @@ from appliance.machine.ashore import ASHORE
 from appliance.scan.fault import FaultCode
 from appliance.scan.verdict import Verdict
 from appliance.storage.library import Library
-from tests.appliance.storage.scenes import PREVIEW, cloud, frames, record
+from tests.appliance.storage.scenes import ORIGIN, PREVIEW, cloud, frames, record
 
 
 @pytest.fixture
@@ -23,11 +23,11 @@ def root(tmp_path: Path) -> Path:
     root = tmp_path / "root"
     library = Library(root)
     library.prepare()
-    first = library.begin(frames(1), record())
+    first = library.begin(frames(1), record(), ORIGIN)
     first.publish(record(cloud={"points": 20}), cloud(), PREVIEW)
-    second = library.begin(frames(2), record())
+    second = library.begin(frames(2), record(), ORIGIN)
     second.publish(record(clock_trusted=True))
-    library.begin(frames(3), record()).reject("moved 3 px")
+    library.begin(frames(3), record(), ORIGIN).reject("moved 3 px")
     return root
 
 
@@ -59,7 +59,7 @@ def test_the_list_says_what_the_screen_said_and_notes_are_the_users(
     told = Verdict("causes", False, {"compensated_percent": 0.0, "too_bright_percent": 7.0})
     for word, causes in (("good", ()), ("usable", (told,))):
         kept = record(cloud=numbers, verdicts=(*moved, *causes, Verdict("grade", True, {}, word)))
-        library.begin(frames(), kept).publish(kept, cloud())
+        library.begin(frames(), kept, ORIGIN).publish(kept, cloud())
     assert main(["scans", "note", "000004", "the bow", "--root", str(root)]) == 0
     capsys.readouterr()
     assert main(["scans", "list", "--root", str(root)]) == 0
@@ -123,7 +123,7 @@ def test_show_says_what_to_look_at_ashore_of_a_fault_inside_of_the_housing(
         Verdict("identity", False, {}, "PROJECTOR_DARK: all is dark"),
         Verdict("causes", False, {"too_bright_percent": 7.0}),
     )
-    Library(root).begin(frames(4), record()).reject("dark", record(verdicts=verdicts))
+    Library(root).begin(frames(4), record(), ORIGIN).reject("dark", record(verdicts=verdicts))
     folder = str(root / "rejected" / "000004")
     assert main(["scans", "show", folder]) == 0
     lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("ashore.")]

@@ -26,7 +26,7 @@ def root(tmp_path: Path) -> Path:
     library.prepare()
     for seed in (1, 2, 3):
         library.begin(frames(seed), record(), ORIGIN).publish(record(cloud={"points": 20}), cloud(), PREVIEW)
-    library.begin(frames(4), record()).reject("moved 3 px")
+    library.begin(frames(4), record(), ORIGIN).reject("moved 3 px")
     return root
 
 
@@ -91,7 +91,7 @@ def test_the_number_of_a_trashed_scan_is_never_given_again(root: Path) -> None:
     for path in (root / "rejected" / "000004").iterdir():
         path.unlink()
     (root / "rejected" / "000004").rmdir()
-    assert Library(root).begin(frames(9), record()).scan_id == "000004"
+    assert Library(root).begin(frames(9), record(), ORIGIN).scan_id == "000004"
 
 
 def test_a_rejected_scan_comes_back_among_the_rejected(root: Path) -> None:

@@ -18,6 +18,7 @@ from appliance.scan.noise import CameraNoise
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.record import ScanRecord, SequenceInfo
 from appliance.storage.scan import load, write_raw
+from tests.appliance.storage.scenes import ORIGIN
 
 RIG = Path(__file__).parents[3] / "hw_sim" / "rigs" / "small.toml"
 SEQUENCE = build_sequence(16)
@@ -39,7 +40,7 @@ def scan(folder: Path, exposure: Exposure | None) -> Path:
         sequence=SequenceInfo.of(SEQUENCE), rig_hash="ab" * 32, calibration_hash=None, software_version="0.1.0",
         wall_time="2031-05-06T07:08:09+00:00", clock_trusted=True, recorded_ns=1, exposure=exposure,
     )  # fmt: skip
-    write_raw(LocalFileSystem(), folder, folder.name, {"left": frames, "right": frames}, record)
+    write_raw(LocalFileSystem(), folder, folder.name, {"left": frames, "right": frames}, record, ORIGIN)
     return folder
 
 

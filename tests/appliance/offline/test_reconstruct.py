@@ -34,7 +34,7 @@ def test_the_same_points_again(rig: Rig, tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_ply(tmp_path / "again.ply").points_mm, points)
     assert report["points"] == len(points)
     assert report["same_calibration"] is True
-    assert report["calibration_from"] == "the drawing in the rig file", "which it was taken with, and only therefore"
+    assert report["calibration_from"] == "the scan's own"
     assert any("frame 24 of 24" in text for text in seen)
 
 

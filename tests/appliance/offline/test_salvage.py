@@ -13,11 +13,10 @@ from appliance.offline.salvage import _make_up, salvage
 from appliance.patterns.sequence import Direction, build_sequence
 from appliance.scan.exposure import Exposure
 from appliance.scan.noise import CameraNoise, StereoNoise
-from appliance.storage import manifest as form
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.record import SecondSequence, SequenceInfo
 from appliance.storage.scan import ScanError, add_second, write_raw
-from tests.appliance.storage.scenes import record
+from tests.appliance.storage.scenes import ORIGIN, record
 
 SEQUENCE = build_sequence(16)
 SINES = SEQUENCE.axis(Direction.X).sine
@@ -90,7 +89,7 @@ NOISE = StereoNoise(CameraNoise(2.0, 0.25, 8.0), CameraNoise(1.5, 0.3, 9.0))
 
 def kept(folder: Path, second: bool = False) -> None:
     """A scan of ``scene`` in ``folder``, with another exposure where wanted."""
-    manifest = write_raw(LocalFileSystem(), folder, folder.name, {"left": scene(), "right": scene(0.5)}, RECORD)
+    manifest = write_raw(LocalFileSystem(), folder, folder.name, {"left": scene(), "right": scene(0.5)}, RECORD, ORIGIN)
     if second:
         both = replace(RECORD, exposure=Exposure(8_000), second=SecondSequence(Exposure(14_000), 99))
         brighter = {"left": scene(1.0), "right": scene(1.5)}
@@ -246,17 +245,6 @@ def test_of_two_damaged_exposures_the_first_one_is_made_up(tmp_path: Path) -> No
     found = salvage(folder)
     assert "only the first exposure was used" in found.notes
     assert np.abs(found.scan.frames["left"].astype(int) - scene()).max() <= 2
-
-
-def test_of_an_old_scan_nobody_guesses_which_frame_is_lost(tmp_path: Path) -> None:
-    folder = tmp_path / "000001"
-    kept(folder)
-    manifest = form.read(folder)
-    (folder / form.FILE_NAME).write_bytes(form.encode(replace(manifest, frame_crc32={})))
-    assert salvage(folder).notes == (), "whole as it is"
-    damage(folder, "frames_left.npy", SINES[2])
-    with pytest.raises(ScanError, match=r"which of its frames is not known.*bring the folder back from a copy"):
-        salvage(folder)
 
 
 def test_what_cannot_be_done_without_is_named_with_its_folder(tmp_path: Path) -> None:

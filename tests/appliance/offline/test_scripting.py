@@ -31,7 +31,7 @@ from appliance.storage.library import Library, UnknownScan
 from appliance.storage.scan import ScanError
 from appliance.surface.fusion import PlacedScan, fuse
 from appliance.surface.mesh import mesh_of_scan
-from tests.appliance.storage.scenes import frames, record
+from tests.appliance.storage.scenes import ORIGIN, frames, record
 from tests.support.planes import small_rig, store_plane
 
 ROOT = Path(__file__).parents[3]
@@ -114,7 +114,7 @@ def test_what_the_diver_was_warned_of_is_said(tmp_path: Path) -> None:
         Verdict("light", False),
         Verdict("sides", None),
     )
-    library.begin(frames(1), record(verdicts=judged)).publish(record(verdicts=judged))
+    library.begin(frames(1), record(verdicts=judged), ORIGIN).publish(record(verdicts=judged))
     scan = open_dive(tmp_path)[1]
     assert scan.warnings == ("motion: MOVED: 0.4 px", "light")
     assert scan.verdicts == judged
@@ -126,7 +126,7 @@ def test_a_scan_is_graded_as_the_screen_graded_it(tmp_path: Path) -> None:
     # Its numbers alone are good ones: the grade is what the diver read.
     numbers = {"points": 282679.0, "noise_mm": 0.021, "coverage_percent": 90.0}
     kept = record(verdicts=(Verdict("grade", None, {}, "usable"),), cloud=numbers)
-    library.begin(frames(1), kept).publish(kept)
+    library.begin(frames(1), kept, ORIGIN).publish(kept)
     scan = open_dive(tmp_path)[1]
     assert scan.grade is Grade.USABLE
     assert repr(scan) == "<scan 000001: 282,679 points, 21 µm, usable>"

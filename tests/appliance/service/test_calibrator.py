@@ -16,7 +16,7 @@ from appliance.calibration.guide import USED, AdjustmentSummary, RecordingCheck,
 from appliance.calibration.recordings import RecordingError
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.config import Rig, load_rig
-from appliance.instrument import design_of
+from appliance.instrument import design_of, origin_of
 from appliance.machine import events as on
 from appliance.machine.failure import FailureKind
 from appliance.optics.correction import INTERVALS, ImageCorrection, node_count
@@ -69,7 +69,7 @@ def record(rig: Rig, scene: Scene) -> Path:
     library = Library(rig.storage.root)
     library.prepare()
     info = ScanRecord(SequenceInfo.of(scan.sequence), rig.rig_hash, None, "0", None, False, 0)
-    return library.begin(scan.frames, info).publish(info)
+    return library.begin(scan.frames, info, origin_of(rig, design_of(rig))).publish(info)
 
 
 def test_without_anything_the_drawing_is_the_start(rig: Rig) -> None:

@@ -17,7 +17,7 @@ from appliance.scan.grade import LENGTHS_DOUBTFUL, NAME, Grade
 from appliance.scan.verdict import Verdict
 from appliance.service.gallery import GalleryController, read
 from appliance.storage.library import Library
-from tests.appliance.storage.scenes import cloud, frames, record
+from tests.appliance.storage.scenes import ORIGIN, cloud, frames, record
 
 PICTURE = np.arange(40 * 60 * 3, dtype=np.uint8).reshape(40, 60, 3)
 NUMBERS = {"points": 20, "coverage_percent": 81.5, "noise_mm": 0.03, "distance_mm": 512.0}
@@ -27,7 +27,7 @@ def saved(library: Library, grade: str = "usable", clock_trusted: bool = True) -
     """A kept scan with a preview."""
     _, png = cv2.imencode(".png", cv2.cvtColor(PICTURE, cv2.COLOR_RGB2BGR))
     said = replace(record(cloud=NUMBERS), clock_trusted=clock_trusted, verdicts=(Verdict(NAME, True, {}, grade),))
-    pending = library.begin(frames(), said)
+    pending = library.begin(frames(), said, ORIGIN)
     pending.publish(said, cloud(), png.tobytes())
     return pending.scan_id
 
@@ -50,7 +50,7 @@ def test_a_scan_is_shown_as_it_was_judged_when_it_was_taken(library: Library) ->
 def test_lengths_are_doubtful_where_the_diver_was_told_so(library: Library, doubtful: float | None) -> None:
     numbers = {} if doubtful is None else {LENGTHS_DOUBTFUL: doubtful}
     said = replace(record(cloud=NUMBERS), verdicts=(Verdict(NAME, True, numbers, "good"),))
-    pending = library.begin(frames(), said)
+    pending = library.begin(frames(), said, ORIGIN)
     pending.publish(said, cloud(), None)
     shown = read(library, pending.scan_id)
     assert shown.lengths_doubtful is (doubtful == 1.0)

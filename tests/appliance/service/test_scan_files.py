@@ -15,7 +15,7 @@ from appliance.service.room import ScanRoom
 from appliance.service.scan_files import ScanFiles
 from appliance.service.scan_in_memory import ScanInMemory, SecondInMemory
 from appliance.storage.library import Library
-from tests.appliance.storage.scenes import FRAMES, BadDisk, frames, record, second_sequence
+from tests.appliance.storage.scenes import FRAMES, ORIGIN, BadDisk, frames, record, second_sequence
 from tests.drivers.clock import SteppedClock
 
 
@@ -46,7 +46,7 @@ def _save(root: Path, disk: BadDisk) -> tuple[list[on.Event], list[on.Event]]:
             store.frames(side)[:] = frames(0)[side]
             store.frames(side, second=True)[:] = frames(1)[side]
         files = ScanFiles(library, ScanRoom(library, None, 0, clock), store, clock)
-        scan = ScanInMemory(1, clock.now_ns(), Exposure(2000), record=record())
-        scan.pending = library.begin(frames(0), record())
+        scan = ScanInMemory(1, clock.now_ns(), Exposure(2000), ORIGIN, record=record())
+        scan.pending = library.begin(frames(0), record(), ORIGIN)
         scan.second = SecondInMemory(2, clock.now_ns(), Exposure(14_000), second_sequence(), merged=True)
         return files.store_second(scan), files.publish(scan, None)

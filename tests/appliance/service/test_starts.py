@@ -15,7 +15,7 @@ from appliance.scan.fault import FaultCode
 from appliance.service.starts import installation, recovered, this_run
 from appliance.storage.library import Library
 from drivers.api import Key
-from tests.appliance.storage.scenes import frames, record
+from tests.appliance.storage.scenes import ORIGIN, frames, record
 
 
 def told(runtime: Path | None, prefix: Path, *, ends_well: bool = True) -> list[FaultCode]:
@@ -72,7 +72,7 @@ def test_it_is_read_once_and_gone_with_the_next_key(tmp_path: Path) -> None:
 def test_a_scan_that_was_cut_off_while_being_saved_is_told_once(tmp_path: Path) -> None:
     library = Library(tmp_path)
     library.prepare()
-    begun = library.begin(frames(), record())  # whole on the disk, never published: here the power goes
+    begun = library.begin(frames(), record(), ORIGIN)  # whole on the disk, never published: here the power goes
     news = recovered(Library(tmp_path).recover().recovered)
     assert begun.scan_id in news[0].detail
     machine, _ = step(boot(0), Told(news[0]))

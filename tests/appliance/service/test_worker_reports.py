@@ -31,7 +31,7 @@ from appliance.worker.process import (
 )
 from tests.appliance.machine.walks import SUMMARY
 from tests.appliance.service.scripted import Desk, a_desk
-from tests.appliance.storage.scenes import record, second_sequence
+from tests.appliance.storage.scenes import ORIGIN, record, second_sequence
 
 SPOILT = Fault(FaultCode.MOVED, "the hands shook")
 GOOD, BAD = Judgement(Verdict("motion", True)), Judgement(Verdict("motion", False), SPOILT)
@@ -54,7 +54,7 @@ class Heard:
         self.dropped = 0
         self.reports = WorkerReports(scans.worker, scans.watch, desk.script.clock, self._drop)
         begun_ns = desk.script.clock.now_ns() - 2_000_000_000
-        self.scan = ScanInMemory(4, begun_ns, Exposure(8_000), record=record())
+        self.scan = ScanInMemory(4, begun_ns, Exposure(8_000), ORIGIN, record=record())
 
     def _drop(self) -> None:
         self.dropped += 1

@@ -96,7 +96,7 @@ def test_smooth_pictures_take_less_room(tmp_path: Path) -> None:
     v, u = np.mgrid[0:60, 0:80]
     smooth = np.stack([(u + k * v) // 2 % 200 for k in range(FRAMES)]).astype(np.uint8)
     folder = tmp_path / "000001"
-    stored.write_raw(FS, folder, "000001", {"left": smooth, "right": smooth}, record())
+    stored.write_raw(FS, folder, "000001", {"left": smooth, "right": smooth}, record(), ORIGIN)
     pack_scan(FS, folder, tmp_path / "000002")
     assert (tmp_path / "000002" / JLS).stat().st_size < (folder / "frames_left.npy").stat().st_size / 3
 
@@ -159,7 +159,7 @@ def test_a_packed_file_that_is_cut_off_is_found_by_its_length(source: Path, ther
 def test_a_packed_file_of_another_scan_is_found(source: Path, there: Path, tmp_path: Path) -> None:
     pack_scan(FS, source, there)
     other = tmp_path / "000007"
-    stored.write_raw(FS, other, "000007", frames(9), record())
+    stored.write_raw(FS, other, "000007", frames(9), record(), ORIGIN)
     pack_scan(FS, other, tmp_path / "000008")
     (there / JLS).write_bytes((tmp_path / "000008" / JLS).read_bytes())
     assert "of other frames" in problems_of(there)["frames_left.npy"]
@@ -266,7 +266,7 @@ def test_another_scan_of_the_same_number_is_refused(source: Path, there: Path, t
     pack_scan(FS, source, there)
     other = tmp_path / "other" / "000001"
     other.parent.mkdir()
-    stored.write_raw(FS, other, "000001", frames(9), record())
+    stored.write_raw(FS, other, "000001", frames(9), record(), ORIGIN)
     with pytest.raises(ScanError, match="is another scan than"):
         pack_scan(FS, other, there)
 

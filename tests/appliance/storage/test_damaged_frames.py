@@ -14,7 +14,7 @@ from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.manifest import Manifest
 from appliance.storage.record import SequenceInfo
 from appliance.storage.scan import ScanError, add_second, write_raw
-from tests.appliance.storage.scenes import FRAMES, frames, record, second_sequence
+from tests.appliance.storage.scenes import FRAMES, ORIGIN, frames, record, second_sequence
 
 PIXELS = 8 * 10
 NAMES = ("bright", "dark", "gray-x-0")
@@ -27,12 +27,7 @@ def folder(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def manifest(folder: Path) -> Manifest:
-    return write_raw(LocalFileSystem(), folder, "000001", frames(), record())
-
-
-def old(manifest: Manifest) -> Manifest:
-    """As it was written before every frame had a checksum."""
-    return replace(manifest, frame_crc32={})
+    return write_raw(LocalFileSystem(), folder, "000001", frames(), record(), ORIGIN)
 
 
 def flip_byte(path: Path, at: int) -> None:
@@ -43,7 +38,6 @@ def flip_byte(path: Path, at: int) -> None:
 
 def test_nothing_is_said_of_whole_frames(folder: Path, manifest: Manifest) -> None:
     assert damaged_frames(folder, manifest) == ()
-    assert damaged_frames(folder, old(manifest)) == ()
 
 
 @pytest.mark.parametrize("k", range(FRAMES))
@@ -64,10 +58,9 @@ def test_a_file_that_was_cut_lacks_its_last_frames(folder: Path, manifest: Manif
     data = path.read_bytes()
     path.write_bytes(data[: len(data) - missing])
     lost = tuple(range(max(0, FRAMES - -(-missing // PIXELS)), FRAMES))
-    for known in (manifest, old(manifest)):
-        (found,) = damaged_frames(folder, known)
-        assert (found.file, found.frames) == ("frames_left.npy", lost)
-        assert found.problem == f"{len(data) - missing} bytes instead of {len(data)}"
+    (found,) = damaged_frames(folder, manifest)
+    assert (found.file, found.frames) == ("frames_left.npy", lost)
+    assert found.problem == f"{len(data) - missing} bytes instead of {len(data)}"
     whole = FRAMES - len(lost)
     left = frames_as_they_are(folder, manifest, "frames_left.npy")
     assert left.shape == (FRAMES, 8, 10)
@@ -77,17 +70,9 @@ def test_a_file_that_was_cut_lacks_its_last_frames(folder: Path, manifest: Manif
 
 def test_a_missing_file_lacks_all_frames(folder: Path, manifest: Manifest) -> None:
     (folder / "frames_left.npy").unlink()
-    for known in (manifest, old(manifest)):
-        (found,) = damaged_frames(folder, known)
-        assert (found.problem, found.frames, found.names) == ("missing", (0, 1, 2), NAMES)
+    (found,) = damaged_frames(folder, manifest)
+    assert (found.problem, found.frames, found.names) == ("missing", (0, 1, 2), NAMES)
     assert not frames_as_they_are(folder, manifest, "frames_left.npy").any()
-
-
-def test_of_an_old_scan_it_is_not_known_which_frame_is_damaged(folder: Path, manifest: Manifest) -> None:
-    flip_byte(folder / "frames_left.npy", 128)
-    (found,) = damaged_frames(folder, old(manifest))
-    assert (found.frames, found.names) == (None, ())
-    assert str(found) == "frames_left.npy: damaged (its checksum does not fit)"
 
 
 def test_a_damaged_header_is_made_up_from_the_other_cameras(folder: Path, manifest: Manifest) -> None:
@@ -101,7 +86,7 @@ def test_a_damaged_header_is_made_up_from_the_other_cameras(folder: Path, manife
 def test_where_no_header_is_left_nobody_guesses_the_size(folder: Path, manifest: Manifest) -> None:
     for side in ("left", "right"):
         flip_byte(folder / f"frames_{side}.npy", 3)
-    assert [found.frames for found in damaged_frames(folder, manifest)] == [None, None]
+    assert [found.frames for found in damaged_frames(folder, manifest)] == [(0, 1, 2), (0, 1, 2)]
     with pytest.raises(ScanError, match=r"frames_left\.npy: nothing is left that says how large .* from a copy"):
         frames_as_they_are(folder, manifest, "frames_left.npy")
 

@@ -1,11 +1,9 @@
-"""A stored scan has one grade: the word that the diver read, or what the same rule makes of what is stored."""
+"""A stored scan has one grade: the word that the diver read."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-
-import pytest
 
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import FaultCode
@@ -14,7 +12,7 @@ from appliance.scan.verdict import Verdict
 from appliance.service.gallery import read
 from appliance.storage.library import Library
 from appliance.storage.record import ScanRecord, SecondSequence
-from tests.appliance.storage.scenes import cloud, frames, record
+from tests.appliance.storage.scenes import ORIGIN, cloud, frames, record
 
 CLOUD = {"points": 20, "coverage_percent": 81.5, "noise_mm": 0.03, "distance_mm": 512.0, "gap_mm": 0.0002}
 UNDONE = Verdict("compensation", True, {}, "Motion of 3.1 px during the x fringes was undone")
@@ -32,22 +30,7 @@ def test_the_word_that_the_diver_read_stands_whatever_the_numbers_say() -> None:
     said = of(causes(FaultCode.MOVED), Verdict(NAME, True, {}, "good"))
     assert said.grade is Grade.GOOD
     assert of(Verdict(NAME, True, {}, "splendid")).grade is None
-
-
-@pytest.mark.parametrize(
-    ("verdicts", "grade"),
-    [
-        ((causes(),), Grade.GOOD),
-        ((causes(FaultCode.COMPENSATED), UNDONE, Verdict("motion", False, {}, "7 px")), Grade.GOOD),
-        ((causes(FaultCode.TOO_BRIGHT),), Grade.USABLE),
-        ((causes(FaultCode.MOVED),), Grade.BAD),
-        ((Verdict("light", False, {}, "TOO_BRIGHT: 7 % are saturated"),), Grade.USABLE),
-        ((Verdict("light", True, {}, "TOO_BRIGHT: once"),), Grade.GOOD),
-    ],
-)
-def test_a_scan_of_before_there_were_grades_has_one(verdicts: tuple[Verdict, ...], grade: Grade) -> None:
-    assert of(*verdicts).grade is grade
-    assert record(verdicts=verdicts).grade is None, "without a cloud"
+    assert of(causes()).grade is None
 
 
 def test_what_a_second_exposure_made_up_for_is_not_held_against_a_pair() -> None:
@@ -69,7 +52,7 @@ def test_the_gallery_shows_that_motion_was_corrected(tmp_path: Path) -> None:
     library.prepare()
     for verdicts in ((UNDONE,), ()):
         kept = of(Verdict(NAME, True, {}, "usable"), *verdicts)
-        pending = library.begin(frames(), kept)
+        pending = library.begin(frames(), kept, ORIGIN)
         pending.publish(kept, cloud())
         shown = read(library, pending.scan_id)
         assert (shown.grade, shown.corrected) == (Grade.USABLE, bool(verdicts))

@@ -80,13 +80,6 @@ def test_a_scan_carries_the_calibration_and_the_rig_it_was_taken_with_byte_for_b
         assert manifest.files[name].sha256 == hashlib.sha256(content).hexdigest()
 
 
-def test_a_scan_without_its_origin_is_read_as_before(library: Library) -> None:
-    scan = library.begin(frames(), record())
-    folder = scan.publish(record(), cloud(), PREVIEW)
-    assert sorted(load(folder).manifest.files) == ["cloud.ply", "frames_left.npy", "frames_right.npy", "preview.png"]
-    assert library.verify(scan.scan_id).ok
-
-
 def test_an_origin_that_a_loss_of_power_damaged_does_not_cost_the_frames(library: Library) -> None:
     scan = library.begin(frames(), record(), ORIGIN)
     (scan.folder / "calibration.json").write_bytes(ORIGIN.calibration[:100])
@@ -107,7 +100,7 @@ def test_the_manifest_knows_the_checksum_of_every_single_frame(library: Library)
 
 
 def test_raw_frames_are_safe_but_not_listed_before_the_decision(library: Library) -> None:
-    scan = library.begin(frames(), record())
+    scan = library.begin(frames(), record(), ORIGIN)
     assert library.entries() == []
     assert library.count() == 0
     assert (load(scan.folder).frames["right"] == frames()["right"]).all()
@@ -117,7 +110,7 @@ def test_raw_frames_are_safe_but_not_listed_before_the_decision(library: Library
 
 
 def test_a_rejected_scan_is_kept_apart_with_its_reason(library: Library) -> None:
-    scan = library.begin(frames(), record())
+    scan = library.begin(frames(), record(), ORIGIN)
     scan.reject("moved 3 px")
     assert library.entries() == []
     (entry,) = library.entries(LibraryFolder.REJECTED)
@@ -127,7 +120,7 @@ def test_a_rejected_scan_is_kept_apart_with_its_reason(library: Library) -> None
 
 
 def test_deciding_twice_changes_nothing(library: Library) -> None:
-    scan = library.begin(frames(), record())
+    scan = library.begin(frames(), record(), ORIGIN)
     first = scan.publish(record(), cloud(), PREVIEW)
     assert scan.publish(record()) == first
     assert scan.reject("changed my mind") == first
@@ -139,7 +132,7 @@ def test_the_manifest_says_what_the_diver_would_ask(library: Library) -> None:
     info = SequenceInfo.of(build_sequence(64))
     full = record(sequence=info, verdicts=(Verdict.failed("x", Fault(FaultCode.MOVED, "axial", {"shift_px": 1.8})),))
     block = np.zeros((20, 4, 4), np.uint8)
-    scan = library.begin({"left": block, "right": block}, full)
+    scan = library.begin({"left": block, "right": block}, full, ORIGIN)
     scan.publish(full)
     content = json.loads((scan.folder / "manifest.json").read_text(encoding="utf-8"))
     assert content["schema"] == 1
@@ -148,12 +141,12 @@ def test_the_manifest_says_what_the_diver_would_ask(library: Library) -> None:
         {"name": "x", "passed": False, "numbers": {"shift_px": 1.8}, "text": "MOVED: axial"}
     ]
     assert content["record"]["clock_trusted"] is False
-    assert set(content["files"]) == {"frames_left.npy", "frames_right.npy"}
+    assert set(content["files"]) == {"frames_left.npy", "frames_right.npy", "calibration.json", "rig.toml"}
 
 
 def test_numbers_of_numpy_and_what_is_not_finite_are_written_as_json_knows_them(library: Library) -> None:
     numbers = {"a": np.float32(0.5), "b": np.int64(7), "c": float("nan")}
-    scan = library.begin(frames(), record(cloud=numbers))
+    scan = library.begin(frames(), record(cloud=numbers), ORIGIN)
     scan.publish(record(cloud=numbers))
     entry = library.verify(scan.scan_id)
     assert entry.ok
@@ -233,8 +226,8 @@ def test_a_scan_moved_to_another_number_is_noticed(library: Library) -> None:
 
 
 def test_an_unfinished_scan_is_recovered_and_marked_and_an_incomplete_one_set_aside(library: Library) -> None:
-    whole = library.begin(frames(1), record())
-    broken = library.begin(frames(2), record())
+    whole = library.begin(frames(1), record(), ORIGIN)
+    broken = library.begin(frames(2), record(), ORIGIN)
     path = broken.folder / "frames_right.npy"
     path.write_bytes(path.read_bytes()[:-5])
     (library.root / "scans" / ".000099").mkdir()
@@ -250,7 +243,7 @@ def test_an_unfinished_scan_is_recovered_and_marked_and_an_incomplete_one_set_as
 
 
 def test_an_unfinished_scan_copied_under_another_number_is_not_recovered_as_a_second_scan(library: Library) -> None:
-    scan = library.begin(frames(1), record())
+    scan = library.begin(frames(1), record(), ORIGIN)
     shutil.copytree(scan.folder, scan.folder.with_name(".000007"))
     outcome = library.recover()
     assert outcome.recovered == (scan.scan_id,)
@@ -260,7 +253,7 @@ def test_an_unfinished_scan_copied_under_another_number_is_not_recovered_as_a_se
 
 
 def test_half_a_cloud_does_not_cost_the_raw_frames(library: Library) -> None:
-    scan = library.begin(frames(), record())
+    scan = library.begin(frames(), record(), ORIGIN)
     published = scan.publish(record(), cloud(), PREVIEW)
     hidden = published.with_name(f".{scan.scan_id}")
     published.rename(hidden)
@@ -279,7 +272,7 @@ def test_set_aside_scans_of_the_same_number_do_not_replace_each_other(library: L
         (folder / "frames_left.npy").write_text(content)
         library.recover()
     assert [entry.scan_id for entry in library.entries(LibraryFolder.SET_ASIDE)] == ["000005", "000005-2", "000005-3"]
-    assert library.begin(frames(), record()).scan_id == "000006"
+    assert library.begin(frames(), record(), ORIGIN).scan_id == "000006"
 
 
 @pytest.mark.parametrize("damage", ["missing", "empty", "garbage", "cut", "behind"])
@@ -312,7 +305,7 @@ def test_numbers_do_not_repeat_after_the_newest_scans_were_moved_away(library: L
 
 
 def test_a_cloud_can_be_added_later_once(library: Library) -> None:
-    scan = library.begin(frames(), record())
+    scan = library.begin(frames(), record(), ORIGIN)
     scan.publish(record())
     library.add_cloud(scan.scan_id, cloud(), PREVIEW, record(calibration_hash="cd" * 32))
     assert library.verify(scan.scan_id).ok
@@ -346,7 +339,7 @@ def test_an_unknown_number_says_how_to_find_the_known_ones(library: Library) -> 
 def test_frames_that_do_not_fit_the_sequence_are_refused_and_leave_nothing(library: Library) -> None:
     wrong = {side: block[:2] for side, block in frames().items()}
     with pytest.raises(ValueError, match=r"uint8 \(3, height, width\)"):
-        library.begin(wrong, record())
+        library.begin(wrong, record(), ORIGIN)
     assert list((library.root / "scans").iterdir()) == []
 
 

@@ -44,7 +44,7 @@ ODD = [
     "東" * 70,
     "a\u0308",
 ]
-MANIFEST = Manifest("000001", Stage.RAW, Decision.UNDECIDED, record(), {})
+MANIFEST = Manifest("000001", Stage.RAW, Decision.UNDECIDED, record(), {}, frame_crc32={})
 OBJECT = StoredObject("hull", (MemberScan("000001", "scans/000001", ("aa",)),), PLACES)
 
 

@@ -8,11 +8,11 @@ import pytest
 
 from appliance.storage.library import Library, LibraryFolder
 from appliance.storage.object_numbers import LOOKED_AT, largest_number, numbers, scans_of
-from tests.appliance.storage.scenes import frames, record
+from tests.appliance.storage.scenes import ORIGIN, frames, record
 
 
 def take(library: Library, number: int | None) -> str:
-    pending = library.begin(frames(), record(object=number))
+    pending = library.begin(frames(), record(object=number), ORIGIN)
     pending.publish(record(object=number))
     return pending.scan_id
 
@@ -34,7 +34,7 @@ def test_scans_are_found_by_the_number_of_their_object_in_the_order_they_were_ta
 def test_a_number_is_used_up_by_scans_that_were_rejected_or_put_away_too(library: Library) -> None:
     assert largest_number(library) == 0
     take(library, 1)
-    pending = library.begin(frames(), record(object=2))
+    pending = library.begin(frames(), record(object=2), ORIGIN)
     pending.reject("blurred")
     assert largest_number(library) == 2
     library.trash(take(library, 3))

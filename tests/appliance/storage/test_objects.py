@@ -16,8 +16,10 @@ from appliance.storage import objects
 from appliance.storage.objects import (
     ADDED_SINCE,
     ComparedScans,
+    JointPlaces,
     MemberScan,
     ObjectError,
+    PackedMatrix,
     Places,
     ScanPlace,
     StoredObject,
@@ -33,6 +35,7 @@ PLACE = ScanPlace(
     bending_unaided_mm=0.4,
     bending_aided_mm=0.05,
 )
+MATRIX = PackedMatrix.of(np.eye(6))
 PLACES = Places(
     calibrations=("ab" * 32,),
     water_index=(1.335,),
@@ -45,6 +48,9 @@ PLACES = Places(
     shared_error_aided_mm=0.005,
     shared_error_removed=False,
     variance_factor=1.0,
+    shared_error_score=None,
+    joint=JointPlaces(("000001",), MATRIX, MATRIX, MATRIX, 500.0),
+    clouds={},
 )
 OBJECT = StoredObject("hull 3", (MemberScan("000001", "scans/000001", ("aa", "bb")),), PLACES)
 

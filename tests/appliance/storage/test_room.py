@@ -19,7 +19,7 @@ from appliance.storage.filesystem import LocalFileSystem, WritableFile
 from appliance.storage.library import Library, LibraryFolder
 from appliance.storage.room import FOLDER, Room, is_full, is_read_only, plan
 from appliance.storage.scan import cloud_bytes, frames_bytes
-from tests.appliance.storage.scenes import FRAMES, PREVIEW, cloud, record
+from tests.appliance.storage.scenes import FRAMES, ORIGIN, PREVIEW, cloud, record
 
 HEIGHT, WIDTH = 600, 800
 LENGTHS = {**plan(frames_bytes(FRAMES, WIDTH, HEIGHT), cloud_bytes(200, 100)), "preview": 200_000}
@@ -32,14 +32,14 @@ def test_a_piece_that_a_stored_scan_has_under_another_name_is_not_written_to(tmp
     library = Library(tmp_path, room)
     library.prepare()
     room.hold(LENGTHS)
-    kept = library.begin(frames(), record())
+    kept = library.begin(frames(), record(), ORIGIN)
     kept.publish(record(), cloud(), PREVIEW)
     stored = {"manifest-1": "manifest.json", "frames-left": "frames_left.npy", "cloud": "cloud.ply"}[piece]
     (tmp_path / FOLDER / piece).hardlink_to(library.entry(kept.scan_id).folder / stored)
-    library.begin(frames(1), record()).publish(record(), cloud(seed=1), PREVIEW)
+    library.begin(frames(1), record(), ORIGIN).publish(record(), cloud(seed=1), PREVIEW)
     assert library.verify(kept.scan_id).ok
     room.hold(LENGTHS)
-    library.begin(frames(2), record()).publish(record(), cloud(seed=2), PREVIEW)
+    library.begin(frames(2), record(), ORIGIN).publish(record(), cloud(seed=2), PREVIEW)
     assert [library.verify(entry.scan_id).problems for entry in library.entries()] == [(), (), ()]
 
 
@@ -94,7 +94,7 @@ def test_a_scan_is_saved_while_somebody_takes_every_block_that_gets_free(tmp_pat
         room.hold(LENGTHS)
         with somebody_fills(root):
             assert LocalFileSystem().free_bytes(root) < 100_000, "nothing is left for a scan of 4 MB"
-            scan = library.begin(frames(), record())
+            scan = library.begin(frames(), record(), ORIGIN)
             scan.publish(record(), cloud(10_000), PREVIEW * 1000)
             assert library.verify(scan.scan_id).problems == ()
             with pytest.raises(StorageError) as refused:
@@ -108,7 +108,7 @@ def test_without_allocated_space_the_same_scan_would_be_refused(tmp_path: Path) 
         library = Library(root)
         library.prepare()
         with somebody_fills(root), pytest.raises(StorageError) as refused:
-            library.begin(frames(), record())
+            library.begin(frames(), record(), ORIGIN)
         assert is_full(refused.value)
 
 
@@ -150,7 +150,7 @@ def test_a_disk_that_gives_no_block_any_more_still_takes_the_scan_that_was_recor
     Library(tmp_path).prepare()
     Room(tmp_path, LocalFileSystem()).hold(LENGTHS)
     library = Library(tmp_path, Room(tmp_path, FullDisk()))  # as after a restart: the room is still there
-    scan = library.begin(frames(), record())
+    scan = library.begin(frames(), record(), ORIGIN)
     if kept:
         scan.publish(record(), cloud(10_000), PREVIEW * 1000)
     else:
@@ -158,7 +158,7 @@ def test_a_disk_that_gives_no_block_any_more_still_takes_the_scan_that_was_recor
     (entry,) = library.entries(LibraryFolder.SCANS if kept else LibraryFolder.REJECTED)
     assert library.verify(entry.scan_id).problems == ()
     with pytest.raises(StorageError) as refused:
-        library.begin(frames(1), record())
+        library.begin(frames(1), record(), ORIGIN)
     assert is_full(refused.value)
     assert list((tmp_path / "scans").glob(".*")) == [], "nothing of the scan that found no room stays"
 
@@ -215,7 +215,7 @@ def test_where_nothing_can_be_allocated_scans_are_saved_all_the_same_and_it_is_k
     room.hold(LENGTHS)
     assert not room.allocates
     assert [path.name for path in (tmp_path / FOLDER).iterdir()] == ["folder"]
-    scan = library.begin(frames(), record())
+    scan = library.begin(frames(), record(), ORIGIN)
     scan.publish(record(), cloud(), PREVIEW)
     assert library.verify(scan.scan_id).ok
 
@@ -226,9 +226,9 @@ def test_a_disk_mounted_for_reading_only_is_told_from_a_full_one(tmp_path: Path)
         library = Library(root, room)
         library.prepare()
         room.hold(LENGTHS)
-        scan = library.begin(frames(), record())
+        scan = library.begin(frames(), record(), ORIGIN)
         subprocess.run(["mount", "-o", "remount,ro", str(root)], check=True, timeout=20)
-        for refused in (lambda: room.hold(LENGTHS), lambda: library.begin(frames(), record()),
+        for refused in (lambda: room.hold(LENGTHS), lambda: library.begin(frames(), record(), ORIGIN),
                         lambda: scan.publish(record(), cloud(), PREVIEW), lambda: scan.reject("moved")):  # fmt: skip
             with pytest.raises(StorageError) as error:
                 refused()

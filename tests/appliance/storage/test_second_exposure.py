@@ -35,7 +35,7 @@ def test_both_exposures_are_read_back_with_their_ledgers_and_verdicts(tmp_path: 
 def test_a_scan_of_one_exposure_has_no_second_one(tmp_path: Path) -> None:
     library = Library(tmp_path)
     library.prepare()
-    scan = library.begin(frames(), record())
+    scan = library.begin(frames(), record(), ORIGIN)
     scan.publish(record())
     assert library.load(scan.scan_id).second is None
 
@@ -44,7 +44,7 @@ def test_whichever_call_fails_the_first_exposure_is_whole_and_the_second_can_be_
     disk = BadDisk()
     library = Library(tmp_path / "count", disk)
     Library(tmp_path / "count").prepare()
-    scan = library.begin(frames(1), record())
+    scan = library.begin(frames(1), record(), ORIGIN)
     before = len(disk.calls)
     scan.add_second(frames(2), BOTH)
     calls = disk.calls[before:]
@@ -52,7 +52,7 @@ def test_whichever_call_fails_the_first_exposure_is_whole_and_the_second_can_be_
     for k in range(len(calls)):
         root = tmp_path / str(k)
         Library(root).prepare()
-        scan = Library(root, BadDisk(before + k)).begin(frames(1), record())
+        scan = Library(root, BadDisk(before + k)).begin(frames(1), record(), ORIGIN)
         with pytest.raises(StorageError):
             scan.add_second(frames(2), BOTH)
         if k % 2:  # the power fails as well
@@ -70,7 +70,7 @@ def test_whichever_call_fails_the_first_exposure_is_whole_and_the_second_can_be_
 def test_after_a_loss_of_power_a_damaged_second_exposure_costs_only_itself(tmp_path: Path) -> None:
     library = Library(tmp_path)
     library.prepare()
-    scan = library.begin(frames(1), record())
+    scan = library.begin(frames(1), record(), ORIGIN)
     scan.add_second(frames(2), BOTH)
     damaged = scan.folder / "frames_left_second.npy"
     damaged.write_bytes(damaged.read_bytes()[:-1] + b"\0")

@@ -13,7 +13,8 @@ from appliance.storage.atomic import StorageError, move_folder, replace_by, repl
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.library import Library
 from appliance.storage.room import Room
-from tests.appliance.storage.scenes import PLAN, PREVIEW, cloud, frames, record
+from appliance.storage.scan import ORIGIN_FILES, RAW_FILES
+from tests.appliance.storage.scenes import ORIGIN, PLAN, PREVIEW, cloud, frames, record
 from tests.support.system_calls import Call, seen_by_python, seen_by_the_kernel
 
 Witness = Callable[[Callable[[], None]], list[Call]]
@@ -108,13 +109,13 @@ def test_nothing_of_a_saved_scan_is_left_to_the_page_cache(tmp_path: Path, witne
         library.prepare()
         if isinstance(fs, Room):
             fs.hold(PLAN)
-        library.begin(frames(), record()).publish(record(), cloud(), PREVIEW)
+        library.begin(frames(), record(), ORIGIN).publish(record(), cloud(), PREVIEW)
 
     calls = witness(work)
     hidden, shown = tmp_path / "scans" / ".000001", tmp_path / "scans" / "000001"
     published = calls.index(Call("rename", hidden, shown))
     written = {path.name for path in shown.iterdir()}
-    assert written == {"manifest.json", "frames_left.npy", "frames_right.npy", "cloud.ply", "preview.png"}
+    assert written == {"manifest.json", *RAW_FILES, *ORIGIN_FILES, "cloud.ply", "preview.png"}
     synced = [call.path for call in calls[:published] if call.name == "fsync"]
     assert {path.name for path in synced if path.parent == hidden} == (written - {"manifest.json"}) | {
         ".manifest.json.draft"
@@ -129,11 +130,11 @@ def test_frames_that_wait_for_their_decision_are_on_the_disk_and_so_is_the_name_
 ) -> None:
     library = Library(tmp_path, LocalFileSystem())
     library.prepare()
-    calls = witness(lambda: [library.begin(frames(), record())].clear())
+    calls = witness(lambda: [library.begin(frames(), record(), ORIGIN)].clear())
     hidden = tmp_path / "scans" / ".000001"
-    assert {path.name for path in hidden.iterdir()} == {"manifest.json", "frames_left.npy", "frames_right.npy"}
+    assert {path.name for path in hidden.iterdir()} == {"manifest.json", *RAW_FILES, *ORIGIN_FILES}
     synced = [call.path for call in calls if call.name == "fsync"]
-    assert {hidden / "frames_left.npy", hidden / "frames_right.npy", hidden} <= set(synced)
+    assert {hidden, *(hidden / name for name in (*RAW_FILES, *ORIGIN_FILES))} <= set(synced)
     assert synced[-1] == tmp_path / "scans"
 
 

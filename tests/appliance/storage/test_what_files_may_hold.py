@@ -30,7 +30,7 @@ from appliance.storage.label import LabelError
 from appliance.storage.manifest import Decision, Manifest, ManifestError, Stage
 from appliance.storage.ply import POINT, PlyError, encode_ply, read_ply, write_ply
 from appliance.storage.scan import ScanError, cloud_bytes, frames_bytes, load, map_frames, write_raw
-from tests.appliance.storage.scenes import BadDisk, cloud, frames, record
+from tests.appliance.storage.scenes import ORIGIN, BadDisk, cloud, frames, record
 
 HASH = "0123456789abcdef" * 4
 RIG = Choices(Exposure(12_000), 16, 0.0, 20.0)
@@ -233,7 +233,7 @@ def test_a_cloud_with_a_point_that_is_nowhere_is_refused_although_its_checksum_f
 
 
 def a_manifest(**changes: object) -> Manifest:
-    return replace(Manifest("000001", Stage.RAW, Decision.UNDECIDED, record(), {}), **changes)  # type: ignore[arg-type]
+    return replace(Manifest("000001", Stage.RAW, Decision.UNDECIDED, record(), {}, frame_crc32={}), **changes)  # type: ignore[arg-type]
 
 
 def resealed(content: dict[str, object]) -> bytes:
@@ -299,7 +299,7 @@ def test_what_json_cannot_hold_is_not_written_in_another_form(value: object) -> 
 
 
 def test_frames_and_points_take_what_is_reserved_for_them(tmp_path: Path) -> None:
-    write_raw(LocalFileSystem(), tmp_path / "000001", "000001", frames(), record())
+    write_raw(LocalFileSystem(), tmp_path / "000001", "000001", frames(), record(), ORIGIN)
     assert (tmp_path / "000001" / "frames_left.npy").stat().st_size == frames_bytes(3, 10, 8) == 128 + 3 * 80
     assert 25 * 640 * 480 + 600 < cloud_bytes(640, 480) < 25 * 640 * 480 + 10_000
 
@@ -316,7 +316,7 @@ def test_a_file_whose_header_says_something_else_is_not_mapped(
     tmp_path: Path, shape: tuple[int, int, int], said: str
 ) -> None:
     folder = tmp_path / "000001"
-    manifest = write_raw(LocalFileSystem(), folder, "000001", frames(), record())
+    manifest = write_raw(LocalFileSystem(), folder, "000001", frames(), record(), ORIGIN)
     path = folder / "frames_right.npy"
     data = path.read_bytes()
     changed = data[:128].replace(b"(3, 8, 10)", str(shape).encode())[:127].rstrip(b"\n").ljust(127) + b"\n" + data[128:]
@@ -335,5 +335,5 @@ def test_frames_of_another_form_are_refused_before_anything_is_made(
     tmp_path: Path, side: str, block: np.ndarray
 ) -> None:
     with pytest.raises(ValueError, match=rf"{side} frames are {block.dtype}"):
-        write_raw(LocalFileSystem(), tmp_path / "000001", "000001", {**frames(), side: block}, record())
+        write_raw(LocalFileSystem(), tmp_path / "000001", "000001", {**frames(), side: block}, record(), ORIGIN)
     assert list(tmp_path.iterdir()) == []

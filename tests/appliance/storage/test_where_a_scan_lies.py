@@ -25,7 +25,7 @@ def library(tmp_path: Path) -> Library:
     made.prepare()
     for seed in range(2):
         made.begin(frames(seed), record(), ORIGIN).publish(record(), cloud(seed=seed), PREVIEW)
-    made.begin(frames(2), record()).reject("moved")
+    made.begin(frames(2), record(), ORIGIN).reject("moved")
     return made
 
 
@@ -62,7 +62,7 @@ def test_a_number_in_the_trash_is_not_given_again(library: Library) -> None:
     library.trash("2")
     library.trash("3")
     (library.root / "next-id").unlink()
-    assert library.begin(frames(), record()).scan_id == "000004"
+    assert library.begin(frames(), record(), ORIGIN).scan_id == "000004"
 
 
 def test_a_scan_does_not_take_the_place_of_another(library: Library) -> None:
@@ -155,7 +155,7 @@ def test_one_scan_that_cannot_be_moved_does_not_keep_the_others_from_the_list(tm
     made = Library(tmp_path)
     made.prepare()
     for seed in range(3):
-        made.begin(frames(seed), record())
+        made.begin(frames(seed), record(), ORIGIN)
     outcome = Library(tmp_path, OneRefused(".000002")).recover()
     assert outcome.recovered == ("000001", "000003")
     assert (outcome.rejected, outcome.set_aside) == ((), ())
@@ -167,7 +167,7 @@ def test_one_scan_that_cannot_be_moved_does_not_keep_the_others_from_the_list(tm
 def test_a_scan_that_the_diver_rejected_before_the_power_went_is_rejected_after_it(tmp_path: Path) -> None:
     made = Library(tmp_path)
     made.prepare()
-    made.begin(frames(), record()).reject("moved")
+    made.begin(frames(), record(), ORIGIN).reject("moved")
     (tmp_path / "rejected" / "000001").rename(tmp_path / "scans" / ".000001")
     outcome = made.recover()
     assert (outcome.recovered, outcome.rejected) == ((), ("000001",))
@@ -191,14 +191,16 @@ def test_an_unfinished_scan_whose_number_is_taken_is_set_aside(library: Library)
 def test_drafts_that_a_loss_of_power_left_are_kept_under_a_name_that_says_so(tmp_path: Path) -> None:
     made = Library(tmp_path)
     made.prepare()
-    folder = made.begin(frames(), record()).folder
+    folder = made.begin(frames(), record(), ORIGIN).folder
     (folder / ".manifest.json.draft").write_bytes(b"half")
     made.recover()
     assert sorted(path.name for path in (tmp_path / "scans" / "000001").iterdir()) == [
+        "calibration.json",
         "frames_left.npy",
         "frames_right.npy",
         "manifest.json",
         "manifest.json.draft.partial",
+        "rig.toml",
     ]
 
 
@@ -207,7 +209,7 @@ def test_what_is_not_named_like_a_scan_is_none(library: Library, name: str) -> N
     (library.root / "scans" / name).mkdir()
     (library.root / "scans" / "000077").write_text("a file")
     assert library.ids() == ["000001", "000002"]
-    assert library.begin(frames(), record()).scan_id == "000004"
+    assert library.begin(frames(), record(), ORIGIN).scan_id == "000004"
 
 
 def test_scans_are_listed_by_number_and_not_by_name(library: Library) -> None:
@@ -215,7 +217,7 @@ def test_scans_are_listed_by_number_and_not_by_name(library: Library) -> None:
         (library.root / "scans" / name).mkdir()
     assert library.ids() == ["000001", "000002", "000010", "999999", "1000000"]
     assert library.last_id() == "1000000"
-    assert library.begin(frames(), record()).scan_id == "1000001"
+    assert library.begin(frames(), record(), ORIGIN).scan_id == "1000001"
     assert Library(library.root / "nowhere").last_id() is None
 
 
@@ -241,7 +243,7 @@ def test_a_scan_copied_elsewhere_is_read_under_any_name_but_another_number(libra
 def test_a_rejected_scan_keeps_what_was_known_of_it_and_its_folder_is_told(tmp_path: Path) -> None:
     made = Library(tmp_path)
     made.prepare()
-    pending = made.begin(frames(), record())
+    pending = made.begin(frames(), record(), ORIGIN)
     assert pending.folder == tmp_path / "scans" / ".000001"
     assert (
         pending.reject("moved", record(calibration_hash="cd" * 32))
@@ -254,14 +256,14 @@ def test_a_rejected_scan_keeps_what_was_known_of_it_and_its_folder_is_told(tmp_p
     pending.add_second(frames(1), record(second=second_sequence()))
     assert made.load("1").second is None, "it is decided"
     with pytest.raises(ValueError, match="tells of no second sequence"):
-        made.begin(frames(), record()).add_second(frames(), record())
+        made.begin(frames(), record(), ORIGIN).add_second(frames(), record())
 
 
 def test_no_cloud_is_added_to_a_damaged_scan_and_the_trash_is_made_when_it_is_needed(tmp_path: Path) -> None:
     made = Library(tmp_path)
     made.prepare()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["rejected", "scans", "set-aside"]
-    folder = made.begin(frames(), record()).publish(record())
+    folder = made.begin(frames(), record(), ORIGIN).publish(record())
     path = folder / "frames_left.npy"
     path.write_bytes(path.read_bytes()[:-1])
     with pytest.raises(ScanError, match=r"scan 1: frames_left\.npy: 367 bytes instead of 368"):
