@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import os
 import threading
 import time
@@ -25,7 +24,6 @@ from appliance.surface.libraries import require
 
 ROOTS = (".", "lib/kingfisher", "var/lib/kingfisher")
 """Places of the scans below a folder that is given: the storage root itself, the instrument's data partition, its whole disk."""
-log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,11 +53,8 @@ class Pull(Verb):
         with hold_lock(target), Progress() as progress:
             begun_s = time.monotonic()
             # An Event that nobody sets: it waits, and Ctrl-C ends the wait.
-            waiting = threading.Event()
-            done = pull(
-                opened, target, LocalFileSystem(), every=self.all, far=_Said(progress),
-                wait=lambda seconds: _told_wait(waiting, seconds),
-            )  # fmt: skip
+            wait = threading.Event().wait
+            done = pull(opened, target, LocalFileSystem(), every=self.all, far=_Said(progress), wait=wait)
         self._tell(done, time.monotonic() - begun_s)
         return Exit.OK if done.whole else Exit.FAILED
 
@@ -120,11 +115,6 @@ def _root_below(folder: Path) -> Path:
     raise UsageError(
         f"HOST {folder}: no scans there; give the folder that holds scans/, or the instrument's mounted disk"
     )
-
-
-def _told_wait(waiting: threading.Event, seconds: float) -> None:
-    log.warning("the link broke; trying again in %g s", seconds)
-    waiting.wait(seconds)
 
 
 class _Said:

@@ -456,6 +456,24 @@ def test_a_key_that_is_not_enrolled_is_told(served: Served, tmp_path: Path) -> N
     assert "does not take this key" in refused(SshLink(replace(served.host, identity=other)), tmp_path)
 
 
+def test_a_key_with_a_passphrase_comes_out_of_the_agent(
+    served: Served, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with subprocess.Popen(["ssh-agent", "-D", "-a", str(tmp_path / "agent")], stdout=subprocess.DEVNULL) as agent:
+        monkeypatch.setenv("SSH_AUTH_SOCK", str(tmp_path / "agent"))
+        while not (tmp_path / "agent").exists():
+            time.sleep(0.01)
+        identity = str(served.identity)
+        subprocess.run(["ssh-keygen", "-q", "-p", "-N", "of the sea", "-f", identity], check=True, timeout=30)
+        assert "one with a passphrase has to be in ssh-agent" in refused(served.link(), tmp_path)
+        subprocess.run(["ssh-keygen", "-q", "-p", "-P", "of the sea", "-N", "", "-f", identity], check=True, timeout=30)
+        subprocess.run(["ssh-add", "-q", identity], check=True, timeout=30)
+        subprocess.run(["ssh-keygen", "-q", "-p", "-N", "of the sea", "-f", identity], check=True, timeout=30)
+        with served.link()() as source:
+            assert source.listing("scans")
+        agent.terminate()
+
+
 def test_another_host_key_is_told_and_not_believed(served: Served, tmp_path: Path) -> None:
     other = new_key(tmp_path / "other").with_suffix(".pub").read_text().rpartition(" ")[0]
     served.known_hosts.write_text(f"[127.0.0.1]:{served.port} {other}\n")

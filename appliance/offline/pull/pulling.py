@@ -6,6 +6,7 @@ are the same thing. Nothing is deleted or replaced at either end.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
@@ -40,6 +41,7 @@ INSTRUMENT = "instrument"
 RIG_PLACES = (f"../{INSTRUMENT}/rig.toml", f"{INSTRUMENT}/rig.toml", "../../etc/kingfisher/rig.toml")
 """Places of the rig file: as the instrument's server shows it, in what was pulled before, and on the instrument's own disk."""
 _SMALL = (".json", ".html", ".toml")
+log = logging.getLogger(__name__)
 
 Open = Callable[[], AbstractContextManager[Source]]
 
@@ -99,14 +101,11 @@ class HowFar:
     of_bytes: int
 
 
+Far = Callable[[HowFar], None]
+
+
 def pull(
-    opened: Open,
-    target: Path,
-    fs: AppendingFileSystem,
-    *,
-    every: bool,
-    far: Callable[[HowFar], None],
-    wait: Callable[[float], None],
+    opened: Open, target: Path, fs: AppendingFileSystem, *, every: bool, far: Far, wait: Callable[[float], object]
 ) -> Pulled:
     """Take what is finished there and not here to the storage root ``target``, which is there. ``every``: also rejected scans.
 
@@ -132,18 +131,11 @@ def pull(
                     "call again, and it goes on there"
                 ) from lost
             # Ever longer: an instrument that starts again needs a minute, a cable that moved a second.
+            log.warning("the link broke; trying again in %g s", WAITS_S[empty - 1])
             wait(WAITS_S[empty - 1])
 
 
-def _attempt(
-    source: Source,
-    target: Path,
-    fs: AppendingFileSystem,
-    done: Pulled,
-    *,
-    every: bool,
-    far: Callable[[HowFar], None],
-) -> None:
+def _attempt(source: Source, target: Path, fs: AppendingFileSystem, done: Pulled, *, every: bool, far: Far) -> None:
     shelves = [LibraryFolder.SCANS.value, incomplete.FOLDER] + ([LibraryFolder.REJECTED.value] if every else [])
     paths = list(_recordings(source, shelves, done))
     _beside(source, target, fs, done)

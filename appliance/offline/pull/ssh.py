@@ -12,15 +12,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeVar
 
-from appliance.offline.pull.source import (
-    BLOCK_BYTES,
-    LinkLost,
-    NotThere,
-    PullError,
-    RemoteEntry,
-    Unreadable,
-    entry_of,
-)
+from appliance.offline.pull.source import BLOCK_BYTES, LinkLost, NotThere, PullError, RemoteEntry, Unreadable, entry_of
 from appliance.surface.libraries import needed
 
 LIBRARY = "asyncssh"

@@ -21,7 +21,6 @@ from appliance.storage import manifest as form
 from appliance.storage import scan as stored
 from appliance.storage.archive import problems_of
 from appliance.storage.atomic import (
-    Stamp,
     StorageError,
     checked_stamp,
     discard,
@@ -64,7 +63,7 @@ class FoundRecording:
     """All files but the manifest and the label."""
     label_bytes: int
     """Length of the label; 0 where there is none."""
-    stamps: dict[str, Stamp]
+    manifest: Manifest
 
     @property
     def size_bytes(self) -> int:
@@ -110,7 +109,7 @@ def find(source: Source, path: str) -> FoundRecording:
         raise NotYet(PullOutcome.FAILED, f"{path}: {', '.join(sorted(lacking))} missing there")
     files = tuple(one for name, one in entries.items() if name not in (about_name, labels.FILE_NAME))
     label_bytes = entries[labels.FILE_NAME].size_bytes if labels.FILE_NAME in entries else 0
-    return FoundRecording(path, about, about_name, files, label_bytes, dict(manifest.files))
+    return FoundRecording(path, about, about_name, files, label_bytes, manifest)
 
 
 def present(found: FoundRecording, source: Source, fs: AppendingFileSystem, target: Path) -> None:
@@ -126,7 +125,7 @@ def present(found: FoundRecording, source: Source, fs: AppendingFileSystem, targ
         here = dict(_manifest(ours, found.about_name, str(target)).files)
     except (ManifestError, ScanError):
         here = {}
-    other = sorted(name for name, stamp in found.stamps.items() if here.get(name) != stamp)
+    other = sorted(name for name, stamp in found.manifest.files.items() if here.get(name) != stamp)
     if ours != found.about and (other or not here):
         raise NotYet(
             PullOutcome.DIFFERS,
@@ -169,7 +168,7 @@ def take(
         _begin(found, fs, draft)
         _require_room(found, fs, target)
         for entry in found.files:
-            _take_file(found, entry, source, fs, draft, came)
+            _take_file(source, f"{found.path}/{entry.name}", entry.size_bytes, fs, draft / entry.name, came)
         came(_take_label(found, source, fs, draft))
         wrong = _wrong(found, draft)
         if not wrong:
@@ -183,16 +182,13 @@ def take(
 
 
 def _begin(found: FoundRecording, fs: AppendingFileSystem, draft: Path) -> None:
-    """Leave in a draft only what can be gone on with: what the manifest proves in the end, where it is the same one still."""
+    """Leave in a draft only what the manifest proves in the end: half a file of something else is found out there, and taken anew."""
     with refused("cannot read", draft):
         names = {path.name for path in draft.iterdir()}
-        same = found.about_name in names and (draft / found.about_name).read_bytes() == found.about
-    proven = {found.about_name, *found.stamps, *map(_packed_name, found.stamps)} if same else set()
-    for name in names - proven:
+    for name in names.difference(found.manifest.files, map(_packed_name, found.manifest.files)):
         discard(fs, draft / name)
-    if not same:
-        # Its sync of the folder makes the removals durable, too: half a file never stands beside another one's manifest.
-        replace_file(fs, draft / found.about_name, found.about)
+    # Its sync of the folder makes the removals durable, too.
+    replace_file(fs, draft / found.about_name, found.about)
 
 
 def _require_room(found: FoundRecording, fs: AppendingFileSystem, target: Path) -> None:
@@ -207,26 +203,19 @@ def _require_room(found: FoundRecording, fs: AppendingFileSystem, target: Path) 
 
 
 def _take_file(
-    found: FoundRecording,
-    entry: RemoteEntry,
-    source: Source,
-    fs: AppendingFileSystem,
-    draft: Path,
-    came: Callable[[int], None],
+    source: Source, there: str, size_bytes: int, fs: AppendingFileSystem, path: Path, came: Callable[[int], None]
 ) -> None:
-    path = draft / entry.name
     with refused("cannot write", path):
         begun = path.exists()
         here = path.stat().st_size if begun else 0
-        if begun and here == entry.size_bytes:
-            return
         file = fs.append(path) if begun else fs.create(path)
         try:
             # Each piece is written as it comes: what came before a link broke is kept, and the next call asks for what follows.
             with given():
-                for data in source.read(f"{found.path}/{entry.name}", here, entry.size_bytes):
+                for data in source.read(there, here, size_bytes):
                     file.write(data)
                     came(len(data))
+            # Also where nothing was missing: whoever wrote the last piece may have ended before its sync.
             file.sync()
         finally:
             file.close()
@@ -250,18 +239,12 @@ def _take_label(found: FoundRecording, source: Source, fs: AppendingFileSystem, 
 
 def _wrong(found: FoundRecording, draft: Path) -> dict[str, str]:
     """Return what is not as the manifest says, by name, every byte read back from the disk; packed frames are decoded."""
+    if found.about_name == form.FILE_NAME:
+        return problems_of(draft)
     with refused("cannot read", draft):
-        lengths = {one.name: (draft / one.name).stat().st_size for one in found.files}
-        wrong = {
-            one.name: f"{lengths[one.name]} bytes instead of {one.size_bytes}"
-            for one in found.files
-            if lengths[one.name] != one.size_bytes
-        }
-        if not wrong and found.about_name == form.FILE_NAME:
-            return problems_of(draft)
-        return wrong or {
+        return {
             name: "damaged (its checksum does not fit)"
-            for name, stamp in found.stamps.items()
+            for name, stamp in found.manifest.files.items()
             if checked_stamp(draft / name) != stamp
         }
 

@@ -82,6 +82,19 @@ def test_a_second_call_takes_only_what_is_new(there: Path, here: Path) -> None:
     assert {path: path.stat().st_mtime_ns for path in stood} == stood
 
 
+def test_a_file_that_an_ended_call_left_whole_is_made_durable_before_the_scan_has_its_name(
+    there: Path, here: Path
+) -> None:
+    with pytest.raises(PullError):
+        pulled(BreakingSource(there, 600), here)
+    (draft,) = here.rglob("*.pulling")
+    shutil.copy(there / "scans" / draft.name[1:7] / "rig.toml", draft)  # written, and nobody had the time for its sync
+    disk = BadDisk()
+    pulled(FolderSource(there), here, disk)
+    published_at = disk.calls.index(f"rename {draft.name} {draft.name[1:7]}")
+    assert "sync rig.toml" in disk.calls[:published_at]
+
+
 @pytest.mark.parametrize("lasts_bytes", [100, 600, 2_000, 3_000, 7_000])
 def test_a_link_that_breaks_in_a_file_is_gone_on_with_in_that_file(there: Path, here: Path, lasts_bytes: int) -> None:
     cut = BreakingSource(there, lasts_bytes)
@@ -92,7 +105,7 @@ def test_a_link_that_breaks_in_a_file_is_gone_on_with_in_that_file(there: Path, 
     done = pulled(on, here)
     assert done.whole
     assert content(here / "scans" / "000003") == content(there / "scans" / "000003")
-    asked = {(f"{path}", start) for path, start in on.asked if start}
+    asked = {(path, start) for path, start in on.asked if 0 < start < (there / path).stat().st_size}
     wanted = {
         (f"scans/{path.parent.name[1:7]}/{path.name}", size)
         for path, size in half.items()
@@ -263,6 +276,15 @@ def test_half_a_scan_of_another_instrument_is_not_gone_on_with(there: Path, here
     scan(other, "000001", 77)
     assert pulled(FolderSource(other), here).whole
     assert content(here / "scans" / "000001") == content(other / "scans" / "000001")
+
+
+def test_nothing_that_is_not_of_a_scan_stays_in_its_draft(there: Path, here: Path) -> None:
+    draft = draft_folder(here / "scans" / "000001")
+    draft.mkdir(parents=True)
+    for name in ("incomplete.json", labels.FILE_NAME, "notes.bin"):
+        (draft / name).write_text("of another one")
+    assert pulled(FolderSource(there), here).whole
+    assert content(here / "scans" / "000001") == content(there / "scans" / "000001")
 
 
 def test_the_disk_refuses_at_each_call_in_turn_and_no_half_scan_is_ever_seen(there: Path, tmp_path: Path) -> None:

@@ -173,6 +173,21 @@ def test_a_key_that_is_given_is_the_only_one_that_is_tried(serve: Callable[..., 
     assert "cannot be read: " in refused(replace(server.host, identity=tmp_path / "other"))
 
 
+def test_beside_a_key_that_is_given_no_agent_is_asked_for_others(
+    serve: Callable[..., Server], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    server = serve()
+    with socket.socket(socket.AF_UNIX) as agent:
+        agent.bind(str(tmp_path / "agent"))
+        agent.listen()
+        agent.settimeout(0)
+        monkeypatch.setenv("SSH_AUTH_SOCK", str(tmp_path / "agent"))
+        with SshLink(server.host, LIMIT_S)():
+            pass
+        with pytest.raises(BlockingIOError):
+            agent.accept()
+
+
 # ----------------------------------------------------------------------------------------- refusals
 
 
@@ -182,18 +197,22 @@ def free_port() -> int:
         return int(one.getsockname()[1])
 
 
-@pytest.mark.parametrize("address", ["127.0.0.1", "localhost"])
-def test_nobody_there_is_told_at_first_and_waited_for_once_there_was_a_link(
-    address: str, serve: Callable[..., Server]
-) -> None:
+def test_nobody_there_is_told_at_first_and_waited_for_once_there_was_a_link(serve: Callable[..., Server]) -> None:
     port = free_port()
-    assert f"nobody listens at port {port}; switch TRANSFER on" in refused(Host(address, port))
+    assert f"nobody listens at port {port}; switch TRANSFER on" in refused(Host("127.0.0.1", port))
     link = SshLink(serve().host, LIMIT_S)
     with link():
         pass
-    link._host = Host(address, port)
+    link._host = Host("127.0.0.1", port)
     with pytest.raises(LinkLost), link():
         pass
+
+
+def test_nobody_at_any_address_of_a_name_is_told_as_nobody_at_one() -> None:
+    both = "[Errno 111] Connect call failed ('::1', 9, 0, 0), [Errno 111] Connect call failed ('127.0.0.1', 9)"
+    found = SshLink(Host("reef", 9))._meant(asyncssh, OSError(f"Multiple exceptions: {both}"))
+    assert isinstance(found, PullError)
+    assert "nobody listens at port 9" in str(found)
 
 
 def test_a_server_without_files_is_told(serve: Callable[..., Server]) -> None:
