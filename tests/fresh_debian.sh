@@ -7,7 +7,7 @@
 # From the environment: MIRROR (default http://deb.debian.org/debian), SUITE (bookworm), and, carried into the fresh
 # system only if set: PIP_INDEX_URL PIP_EXTRA_INDEX_URL PIP_TRUSTED_HOST http_proxy https_proxy no_proxy, and
 # PIP_CERT, a file of certificates, which is copied in. TESTS: arguments of ./dev test, a line for each call (default -q);
-# both stages that need packages of their own: TESTS=$'--stage=libraries\n--stage=boot'.
+# both stages that need packages of their own: TESTS=$'--stage=foreign\n--stage=boot'.
 set -euo pipefail
 
 repository=$(git -C "$(dirname -- "$(readlink -f -- "$0")")" rev-parse --show-toplevel)

@@ -15,7 +15,7 @@ from hw_sim.options import options_from
 from hw_sim.world import World
 from tests.support.box_builder import BoxBuilder
 
-pytestmark = [pytest.mark.hardware, pytest.mark.timeout(1800)]
+pytestmark = [pytest.mark.devices, pytest.mark.timeout(1800)]
 SMALL = Path(__file__).parents[2] / "hw_sim" / "rigs" / "small.toml"
 WIDTH_PX, HEIGHT_PX = 128, 96
 PLANE_MM = 540

@@ -17,7 +17,7 @@ from hw_sim.options import options_from
 from hw_sim.world import World
 from tests.support.builder import Builder, guided
 
-pytestmark = [pytest.mark.hardware, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.devices, pytest.mark.timeout(900)]
 SMALL = Path(__file__).parents[2] / "hw_sim" / "rigs" / "small.toml"
 WIDTH_PX, HEIGHT_PX = 192, 128
 BLACKFLY = 'cameras = { left = { personality = "blackfly" }, right = { personality = "blackfly" } }\n'

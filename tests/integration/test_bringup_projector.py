@@ -16,7 +16,7 @@ from appliance.service.light_bench import light_bench
 from hw_sim.options import options_from
 from hw_sim.world import World
 
-pytestmark = [pytest.mark.hardware, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.devices, pytest.mark.timeout(900)]
 SMALL = Path(__file__).parents[2] / "hw_sim" / "rigs" / "small.toml"
 WIDTH_PX, HEIGHT_PX = 96, 72
 

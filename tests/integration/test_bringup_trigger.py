@@ -9,7 +9,7 @@ import pytest
 
 from appliance.cli import main
 
-pytestmark = [pytest.mark.hardware, pytest.mark.timeout(120)]
+pytestmark = [pytest.mark.devices, pytest.mark.timeout(120)]
 SMALL = Path(__file__).parents[2] / "hw_sim" / "rigs" / "small.toml"
 
 

@@ -25,7 +25,7 @@ from hw_sim.rendering.render import Renderer
 from hw_sim.truth import TrueRig, draw_truth
 from tests.support.truth import left_to_rig, true_calibration
 
-pytestmark = pytest.mark.hardware
+pytestmark = pytest.mark.devices
 WIDTH, HEIGHT = 400, 300
 LARGE_PX = (1200, 900)
 KEPT = """

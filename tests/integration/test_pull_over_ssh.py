@@ -38,8 +38,8 @@ from tests.appliance.storage.scenes import ORIGIN, record
 
 SYSTEMD = Path(__file__).parents[2] / "systemd"
 pytestmark = [
-    pytest.mark.libraries,
-    pytest.mark.skipif(not Path(serving.SSHD).exists(), reason="openssh-server is not installed; ./dev test --stage=libraries installs it"),
+    pytest.mark.foreign,
+    pytest.mark.skipif(not Path(serving.SSHD).exists(), reason="openssh-server is not installed; ./dev test --stage=foreign installs it"),
     pytest.mark.skipif(os.geteuid() != 0, reason="sshd shuts a user in (ChrootDirectory) only as root"),
 ]  # fmt: skip
 USER = "nobody"

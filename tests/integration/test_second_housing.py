@@ -20,7 +20,7 @@ from hw_sim.rendering.render import Renderer
 from hw_sim.world import true_rig
 from tests.support.truth import left_to_rig
 
-pytestmark = pytest.mark.hardware
+pytestmark = pytest.mark.devices
 
 COMPACT = default_sim_rig().with_name("compact.toml")
 PLANE, PIPE = (0.0, 0.0, 300.0, 8.0, 12.0, 0.0), (0.0, 0.0, 336.0, 0.0, 6.0, 20.0)

@@ -37,7 +37,7 @@ from hw_sim.world import true_rig
 from tests.support.board_pictures import picture, poses_in_air
 from tests.support.rendered import pictures
 
-pytestmark = [pytest.mark.hardware, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.devices, pytest.mark.timeout(300)]
 
 COMPACT = default_sim_rig().with_name("compact.toml")
 NEARER = 0.6

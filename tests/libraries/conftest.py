@@ -16,7 +16,7 @@ SMALL = (400, 300)
 @pytest.fixture(autouse=True)
 def _umockdev() -> None:
     if shutil.which("umockdev-wrapper") is None:
-        pytest.skip("the package umockdev is not installed; ./dev test --stage=libraries installs it")
+        pytest.skip("the package umockdev is not installed; ./dev test --stage=foreign installs it")
 
 
 @pytest.fixture

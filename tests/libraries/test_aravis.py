@@ -32,7 +32,7 @@ from tests.libraries.clients import network
 from tests.libraries.instrument import rig_file
 from tests.libraries.test_devices import triggered
 
-pytestmark = pytest.mark.libraries
+pytestmark = pytest.mark.foreign
 
 FULL = (1600, 1200)
 SMALL = (320, 240)

@@ -19,7 +19,7 @@ from tests.libraries.clients.output import pattern
 from tests.libraries.commands import line
 from tests.libraries.instrument import rig_file
 
-pytestmark = pytest.mark.libraries
+pytestmark = pytest.mark.foreign
 
 
 def triggered(world: World) -> None:

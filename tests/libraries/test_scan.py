@@ -22,7 +22,7 @@ from tests.libraries.instrument import Instrument
 from tests.libraries.rehearsal import rehearse
 from tests.support.truth import left_to_rig
 
-pytestmark = [pytest.mark.libraries, pytest.mark.timeout(1500)]
+pytestmark = [pytest.mark.foreign, pytest.mark.timeout(1500)]
 
 SIZE = (1600, 1200)
 FRAMES = 24

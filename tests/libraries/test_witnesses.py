@@ -24,7 +24,7 @@ from hw_sim.world import World
 from tests.libraries.client import Client
 from tests.libraries.test_devices import triggered
 
-pytestmark = pytest.mark.libraries
+pytestmark = pytest.mark.foreign
 
 XML = Path(hw_sim.devices.__file__).with_name("u3v_camera.xml")
 COMMANDS = {
@@ -51,7 +51,7 @@ def foreign(bed: Testbed | None, *command: object) -> str:
     """What a foreign program prints. Skips where it is not installed; fails where it fails."""
     words = [str(word) for word in command]
     if shutil.which(words[0]) is None:
-        pytest.skip(f"{words[0]} is not installed; ./dev test --stage=libraries installs it")
+        pytest.skip(f"{words[0]} is not installed; ./dev test --stage=foreign installs it")
     done = subprocess.run(
         words,
         env={**os.environ, **(bed.environment if bed is not None else {})},
@@ -195,9 +195,7 @@ def test_the_description_is_valid_by_the_schema_of_genapi(tmp_path: Path, person
     schema = tmp_path / "GenApiSchema_Version_1_1.xsd"
     program = shutil.which("arv-test-0.8")
     if program is None:
-        pytest.skip(
-            "arv-test-0.8, which carries the schema, is not installed; ./dev test --stage=libraries installs it"
-        )
+        pytest.skip("arv-test-0.8, which carries the schema, is not installed; ./dev test --stage=foreign installs it")
     schema.write_text(foreign(None, "gresource", "extract", program, f"/org/aravis/{schema.name}"))
     assert foreign(None, "xmllint", "--noout", "--schema", schema, xml) == "", "and nothing to say"
 

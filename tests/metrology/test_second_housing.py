@@ -27,7 +27,7 @@ from hw_sim.world import true_rig
 from tests.support.rendered import pictures
 from tests.support.truth import WATER, left_to_rig
 
-pytestmark = pytest.mark.hardware
+pytestmark = pytest.mark.devices
 
 Frames = Mapping[str, NDArray[np.uint8]]
 

@@ -14,7 +14,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 MODULE = ROOT / ".cache" / "micropython" / "package" / "micropython.mjs"
-"""The WebAssembly build that ``./dev test --stage=hardware`` unpacks."""
+"""The WebAssembly build that ``./dev test --stage=devices`` unpacks."""
 DRIVER = Path(__file__).with_name("micropython.mjs")
 HEAP_BYTES = 192 * 1024
 ANSWER_TIMEOUT_S = 60.0
@@ -23,9 +23,9 @@ ANSWER_TIMEOUT_S = 60.0
 def missing() -> str | None:
     """Return what keeps the machine from running here, in a sentence; ``None`` if nothing does."""
     if shutil.which("node") is None:
-        return "there is no node: ./dev test --stage=hardware installs it"
+        return "there is no node: ./dev test --stage=devices installs it"
     if not MODULE.exists():
-        return f"there is no {MODULE.relative_to(ROOT)}: ./dev test --stage=hardware fetches it"
+        return f"there is no {MODULE.relative_to(ROOT)}: ./dev test --stage=devices fetches it"
     return None
 
 

@@ -334,7 +334,7 @@ def test_paths_of_units_settings_and_program_are_the_same() -> None:
     assert places.config == SYSTEMD / "kingfisher-sshd.conf"
 
 
-@pytest.mark.libraries
+@pytest.mark.foreign
 @needs_keygen
 @pytest.mark.skipif(os.geteuid() != 0, reason="mounting needs root")
 @pytest.mark.parametrize("make", [("mkfs.vfat",), ("mke2fs", "-q", "-F", "-t", "ext4", "-d")])

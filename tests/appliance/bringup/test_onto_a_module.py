@@ -20,7 +20,7 @@ from appliance.bringup.flashing import LIBRARIES, Part, commands, laid_out
 from appliance.config import default_rig_path, load_rig
 from tests.support import micropython
 
-pytestmark = pytest.mark.hardware
+pytestmark = pytest.mark.devices
 
 SERIAL = Path(micropython.__file__).with_name("micropython_serial.mjs")
 FLASH = Path(micropython.__file__).with_name("micropython_flash.py")

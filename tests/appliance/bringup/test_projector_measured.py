@@ -16,7 +16,7 @@ from appliance.bringup.rig_edit import with_keys
 from appliance.config import default_rig_path, parse_rig
 from tests.support.projector_model import PERIOD_US, Model, ModelBench, but, joined, planes_in, steady
 
-pytestmark = pytest.mark.hardware
+pytestmark = pytest.mark.devices
 PACKAGED = default_rig_path().read_text(encoding="utf-8")
 STEADY = Model(steady())
 VIDEO = Model(planes_in(5_000.0, 12_400.0), planes_in(500.0, 4_500.0), latency=1)

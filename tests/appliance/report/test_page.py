@@ -164,7 +164,7 @@ def red_pixels(picture: Path) -> int:
     return int(np.count_nonzero((red > 2 * green) & (red > 2 * blue) & (red > 90)))
 
 
-@pytest.mark.libraries
+@pytest.mark.foreign
 @browser
 @pytest.mark.parametrize("options", [(), ("--disable-3d-apis",)], ids=["turned", "without-webgl"])
 def test_a_browser_shows_the_surface_without_errors_and_without_a_network(
@@ -178,7 +178,7 @@ def test_a_browser_shows_the_surface_without_errors_and_without_a_network(
     assert red_pixels(tmp_path / "seen.png") > 30_000
 
 
-@pytest.mark.libraries
+@pytest.mark.foreign
 @browser
 def test_a_page_that_asks_for_something_is_noticed(tmp_path: Path) -> None:
     (tmp_path / "asks.html").write_text(
@@ -189,7 +189,7 @@ def test_a_page_that_asks_for_something_is_noticed(tmp_path: Path) -> None:
     assert "Uncaught Error: no" in console
 
 
-@pytest.mark.libraries
+@pytest.mark.foreign
 @browser
 def test_what_is_shown_first_is_the_turning_view_and_on_paper_the_picture(report: Report, tmp_path: Path) -> None:
     write_report(tmp_path / "report.html", report)

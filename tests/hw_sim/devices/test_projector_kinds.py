@@ -13,7 +13,7 @@ from hw_sim.world import World
 from tests.hw_sim.conftest import Bench
 from tests.hw_sim.devices.host import BoardHost, CardHost, Recorder, U3vHost, good
 
-pytestmark = pytest.mark.hardware
+pytestmark = pytest.mark.devices
 
 WIDTH, HEIGHT = 192, 128
 PLAIN: Mapping[str, Any] = {

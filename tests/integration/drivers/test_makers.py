@@ -103,7 +103,7 @@ def usual() -> NDArray[np.uint8]:
 @pytest.mark.parametrize(
     ("maker", "left_behind"),
     [
-        pytest.param(maker, left, marks=[pytest.mark.hardware] if left else [])
+        pytest.param(maker, left, marks=[pytest.mark.devices] if left else [])
         for maker in MAKERS
         for left in ({}, *LEFT_BEHIND[maker])
     ],
@@ -125,7 +125,7 @@ def test_a_makers_camera_takes_the_usual_picture_at_the_usual_moments(
     assert np.abs(image.astype(int) - usual.astype(int)).max() <= 4
 
 
-@pytest.mark.hardware
+@pytest.mark.devices
 @pytest.mark.parametrize("maker", MAKERS)
 @pytest.mark.parametrize("trouble", [{"left_halted": True}, {"needs_lock": True}], ids=lambda one: next(iter(one)))
 def test_what_a_program_before_left_of_a_stream_is_no_obstacle(
@@ -139,7 +139,7 @@ def test_what_a_program_before_left_of_a_stream_is_no_obstacle(
     assert np.abs(image.astype(int) - usual.astype(int)).max() <= 4
 
 
-@pytest.mark.hardware
+@pytest.mark.devices
 @pytest.mark.parametrize("pixel_format", ["Mono10", "Mono10p", "Mono12", "Mono12p"])
 def test_more_bits_are_the_same_picture(pixel_format: str, usual: NDArray[np.uint8]) -> None:
     with opened(f"makers-{pixel_format}", {"personality": "alvium"}, pixel_format=pixel_format) as parts:

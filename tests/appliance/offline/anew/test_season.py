@@ -323,7 +323,7 @@ def blobs(picture: Path, colour: str) -> int:
     return int(np.count_nonzero((stats[1:, cv2.CC_STAT_AREA] >= 15) & (stats[1:, cv2.CC_STAT_AREA] <= 60)))
 
 
-@pytest.mark.libraries
+@pytest.mark.foreign
 @browser
 def test_a_browser_shows_every_dot_and_asks_for_nothing(tmp_path: Path) -> None:
     rows = [
@@ -341,7 +341,7 @@ def test_a_browser_shows_every_dot_and_asks_for_nothing(tmp_path: Path) -> None:
     assert blobs(tmp_path / "seen.png", SECOND) == 9
 
 
-@pytest.mark.libraries
+@pytest.mark.foreign
 @browser
 def test_a_browser_runs_nothing_of_a_hostile_table(tmp_path: Path) -> None:
     (tmp_path / "season.html").write_text(hostile_page(), encoding="utf-8")
@@ -349,7 +349,7 @@ def test_a_browser_runs_nothing_of_a_hostile_table(tmp_path: Path) -> None:
     assert (console, asked) == ("", [])
 
 
-@pytest.mark.libraries
+@pytest.mark.foreign
 @browser
 def test_on_paper_no_chart_is_cut(tmp_path: Path) -> None:
     (tmp_path / "season.html").write_text(season_page([cells(k) for k in range(1, 20)], "t.csv"), encoding="utf-8")

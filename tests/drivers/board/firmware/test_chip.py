@@ -12,7 +12,7 @@ from tests.drivers.board.firmware.emulated import PERIOD_US, SYNC_WIDTH_US, WATC
 from tests.drivers.board.firmware.test_conformance import Host, framed
 from tests.drivers.board.firmware.test_pio import US
 
-pytestmark = pytest.mark.hardware
+pytestmark = pytest.mark.devices
 
 
 class Board:

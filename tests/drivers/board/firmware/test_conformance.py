@@ -16,7 +16,7 @@ import pytest
 from tests.drivers.board.firmware.targets import TARGETS, WIRED, Target
 from tests.support.micropython import require
 
-pytestmark = pytest.mark.hardware
+pytestmark = pytest.mark.devices
 
 ANSWER_US = 20_000
 PERIOD_US = 1e6 / 60.0

@@ -21,7 +21,7 @@ from drivers.native import MonotonicClock
 from tests.drivers.board.firmware.targets import Target, cpython, micropython
 from tests.support.micropython import require
 
-pytestmark = pytest.mark.hardware
+pytestmark = pytest.mark.devices
 
 COMMANDS = 10_000
 

@@ -16,7 +16,7 @@ from tests.drivers.board.firmware.targets import FILES
 from tests.drivers.board.firmware.test_conformance import framed
 from tests.support.micropython import ROOT, MicroPython, require
 
-pytestmark = pytest.mark.hardware
+pytestmark = pytest.mark.devices
 
 FIRMWARES = [ROOT / "drivers" / name / "firmware" for name in ("board", "keys")]
 SOURCES = sorted(path for folder in FIRMWARES for path in folder.glob("*.py"))

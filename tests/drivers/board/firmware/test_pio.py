@@ -15,7 +15,7 @@ import pytest
 from drivers.board.firmware import pio
 from drivers.board.firmware.pins import gpio
 
-pytestmark = pytest.mark.hardware
+pytestmark = pytest.mark.devices
 
 CLOCK_HZ = 125_000_000
 US = CLOCK_HZ // 1_000_000

@@ -8,7 +8,7 @@ from drivers.keys.firmware.coils import LONGEST_PRESS, TRIES, CoilFollower
 from drivers.keys.report import parse_report
 from tests.drivers.keys.firmware.desk import RESTING, PadDesk
 
-pytestmark = pytest.mark.hardware
+pytestmark = pytest.mark.devices
 
 SCAN, UP = 0x01, 0x04
 

@@ -22,7 +22,7 @@ from tests.drivers.keys.firmware.desk import PadDesk
 from tests.hw_sim.devices.bench import Bench, bench
 from tests.support.micropython import ROOT, MicroPython, require
 
-pytestmark = pytest.mark.hardware
+pytestmark = pytest.mark.devices
 
 FILES = [
     *(
