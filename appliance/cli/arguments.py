@@ -174,16 +174,6 @@ def _judged(fits: Callable[[float], bool], allowed: str) -> Callable[[str], floa
     return parse
 
 
-def part_of(text: str) -> tuple[int, int]:
-    """Parse ``K/N``, the K-th of N parts, K from 1 on. Raises ArgumentTypeError."""
-    number, _, of = text.partition("/")
-    if not (number.isdecimal() and of.isdecimal() and 1 <= int(number) <= int(of)):
-        raise argparse.ArgumentTypeError(
-            f"{text}: allowed are K/N with K from 1 to N; 2/3 is the second of three parts"
-        )
-    return int(number), int(of)
-
-
 def separated(parse: Callable[[str], float]) -> Callable[[str], tuple[float, ...]]:
     """Return a parser of several such numbers with commas between them."""
     return lambda text: tuple(parse(part) for part in text.split(","))

@@ -67,12 +67,9 @@ class CalibrateWater(WithRoot):
             raise UsageError(f"--out {target}: exists already; a calibration is never replaced; give a new name")
         if data.absolute() == self.list.absolute():
             raise UsageError(f"--out {target}: {data} is the list itself; give another name")
-        from appliance.offline.scan_list import ListError, read_list
+        from appliance.offline.scan_list import read_list
 
-        try:
-            scans = read_list(self.list)
-        except ListError as error:
-            raise UsageError(str(error)) from error
+        scans = read_list(self.list)
         for entry in scans.entries:  # a wrong number is told before minutes of compiling, and of comparing checksums
             scan_in(wish, place_of(self.list, entry.scan))
         compile_kernels()
@@ -82,10 +79,7 @@ class CalibrateWater(WithRoot):
         from appliance.offline.origin import instrument_of, open_source, refuse_misfit
         from appliance.storage.calibrations import Calibrations
 
-        try:
-            check_list(scans)
-        except ListError as error:
-            raise UsageError(str(error)) from error
+        check_list(scans)
         made_at = datetime.now(UTC).isoformat(timespec="seconds")
         with Progress() as progress:
             sources = []

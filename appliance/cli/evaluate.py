@@ -41,15 +41,12 @@ class Evaluate(WithCalibration):
         writable_page(page)
         writable(data)
         measuring(wish.calibration)
-        from appliance.offline.scan_list import ListError, read_list, refuse_repeats
+        from appliance.offline.scan_list import read_list, refuse_repeats
 
-        try:
-            scans = read_list(self.list)
-            # A wrong number is told before minutes of compiling, and of comparing checksums.
-            folders = [scan_in(wish, place_of(self.list, entry.scan)) for entry in scans.entries]
-            refuse_repeats(self.list, scans.entries, folders)
-        except ListError as error:
-            raise UsageError(str(error)) from error
+        scans = read_list(self.list)
+        # A wrong number is told before minutes of compiling, and of comparing checksums.
+        folders = [scan_in(wish, place_of(self.list, entry.scan)) for entry in scans.entries]
+        refuse_repeats(self.list, scans.entries, folders)
         compile_kernels()
         from appliance.evaluation.report import as_html, as_json
         from appliance.offline.evaluation import run_evaluation

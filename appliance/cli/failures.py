@@ -7,8 +7,8 @@ from appliance.cli.output import Exit
 CONFIG = "appliance.config.load:ConfigError"
 STORAGE = "appliance.storage.atomic:StorageError"
 DEVICE = "drivers.errors:DeviceError"
-# A rig file is typed by a person, too, so that an error in it is one of usage.
-USAGE = frozenset((CONFIG, "appliance.cli.output:UsageError"))
+# A rig file and a list are typed by a person, too, so that an error in them is one of usage.
+USAGE = frozenset((CONFIG, "appliance.cli.output:UsageError", "appliance.offline.scan_list:ListError"))
 FAILED = frozenset(
     (
         STORAGE,
@@ -20,8 +20,8 @@ FAILED = frozenset(
         "appliance.export.suffixes:ExportError",
         "appliance.foreign.problem:ForeignError",
         "appliance.kernel_build:CompileError",
-        "appliance.offline.anew.many:SchedulerError",
         "appliance.offline.anew.results:ResultsError",
+        "appliance.offline.anew.work:SchedulerError",
         "appliance.offline.pull.source:PullError",
         "appliance.registration.reference:SurfaceMatchError",
         "appliance.storage.library:UnknownScan",

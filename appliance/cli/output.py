@@ -149,6 +149,13 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     )
 
 
+def time_text(seconds: float) -> str:
+    """Return a time that is left, as people say it."""
+    if seconds < 90.0:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"
+
+
 @contextmanager
 def log_lines(*, as_json: bool, service: bool) -> Iterator[None]:
     """Inside, what the program logs goes to stderr, one line each: warnings, and of a service its news, too."""

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from appliance.cli.arguments import Verb, number, operand, option, switch, whole
-from appliance.cli.output import Exit, Progress, UsageError, say, say_json
+from appliance.cli.output import Exit, Progress, UsageError, say, say_json, time_text
 from appliance.offline.pull.pulling import HowFar, Open, Pulled, pull
 from appliance.offline.pull.source import FolderSource, is_linked
 from appliance.offline.pull.ssh import ANSWER_S, LIBRARY, NEEDS_IT, PORT, Host, SshLink
@@ -103,7 +103,7 @@ class Pull(Verb):
         if done.being_written:
             say(f"{done.being_written} still being written or undecided there; left for next time")
         told = ", ".join(f"{count} {outcome.value}" for outcome, count in counts.items() if count)
-        say(f"{told or 'nothing there'}; {done.taken_bytes / 1e6:.1f} MB in {_time(took_s)}")
+        say(f"{told or 'nothing there'}; {done.taken_bytes / 1e6:.1f} MB in {time_text(took_s)}")
 
 
 def _root_below(folder: Path) -> Path:
@@ -134,10 +134,5 @@ class _Said:
             if took_s > 1.0:
                 rate = far.done_bytes / took_s
                 left_s = max(0, far.of_bytes - far.done_bytes) / rate
-                text += f", {rate / 1e6:.1f} MB/s, {_time(left_s)} left"
+                text += f", {rate / 1e6:.1f} MB/s, {time_text(left_s)} left"
         self._progress(text)
-
-
-def _time(seconds: float) -> str:
-    short = f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"
-    return short if seconds < 5400 else f"{seconds / 3600:.1f} h"

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import base64
 import html
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from appliance.report.charts import colour_bar, histogram, minus, net
 from appliance.report.content import Report, ReportBudget, ReportNominal, ReportPair, ReportScan, ReportVerdict, Vector
+from appliance.report.frame import document, head, table, tiles
 from appliance.report.shown import ShownSurface, shown, thinned
 from appliance.report.still import still
-from appliance.report.style import STYLE
 from appliance.report.turned import turned
 from appliance.scan.grade import Grade
 from appliance.storage.atomic import replace_file
@@ -41,8 +41,8 @@ def page(report: Report) -> str:
     full = shown(report)
     view, scripts = _view(full, report.up) if full is not None else ("", "")
     parts = [
-        _head(report),
-        _tiles(report),
+        head(report.title, report.subtitle, report.about),
+        tiles(_tiles(report)),
         _list("Warnings", report.warnings, "warnings"),
         view,
         "" if report.nominal is None or full is None else _nominal(report.nominal, full),
@@ -52,55 +52,35 @@ def page(report: Report) -> str:
         _pairs(report.scans, report.pairs),
         _READING,
     ]
-    title = html.escape(report.title)
-    return (
-        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><meta http-equiv="Content-Security-Policy" content="{_POLICY}">'
-        f'<meta name="viewport" content="width=device-width, initial-scale=1"><title>{title}</title><style>{STYLE}</style></head>\n'
-        f"<body><main>{''.join(parts)}</main>\n{scripts}</body></html>\n"
-    )
+    return document(report.title, _POLICY, parts, scripts)
 
 
-def _head(report: Report) -> str:
-    facts = "".join(
-        f"<div><dt>{html.escape(name)}</dt><dd>{html.escape(text)}</dd></div>" for name, text in report.about.items()
-    )
-    subtitle = f"<p>{html.escape(report.subtitle)}</p>" if report.subtitle else ""
-    return f"<header><h1>{html.escape(report.title)}</h1>{subtitle}<dl>{facts}</dl></header>"
-
-
-def _tiles(report: Report) -> str:
-    tiles: list[tuple[str, str, str]] = []
+def _tiles(report: Report) -> list[tuple[str, str, str]]:
+    found: list[tuple[str, str, str]] = []
     if report.scans:
         graded = [scan.grade for scan in report.scans if scan.grade is not None]
         used = [scan for scan in report.scans if scan.verdict is not ReportVerdict.REFUSED]
         doubtful = sum(scan.verdict is ReportVerdict.DOUBTFUL for scan in used)
         counts = [f"{graded.count(grade)} {grade.value}" for grade in Grade if grade in graded]
         of_them = ", ".join(counts) if graded else f"{doubtful} doubtful" if doubtful else ""
-        tiles.append(("Scans used", f"{len(used)} of {len(report.scans)}", of_them))
+        found.append(("Scans used", f"{len(used)} of {len(report.scans)}", of_them))
     if report.surface is not None and len(report.surface.grey):
         median = float(np.median(report.surface.sigma_mm))
-        tiles.append(("Points", _count(len(report.surface.grey)), f"sigma {_mm(median)} (median)"))
+        found.append(("Points", _count(len(report.surface.grey)), f"sigma {_mm(median)} (median)"))
     elif report.mesh is not None:
-        tiles.append(("Triangles", _count(len(report.mesh.faces)), f"between {_count(len(report.mesh.grey))} points"))
+        found.append(("Triangles", _count(len(report.mesh.faces)), f"between {_count(len(report.mesh.grey))} points"))
     if report.nominal is not None:
         summary = report.nominal.deviation.summary
-        tiles.append(("Deviation, RMS", _mm(summary.rms_mm), f"from {report.nominal.name}"))
+        found.append(("Deviation, RMS", _mm(summary.rms_mm), f"from {report.nominal.name}"))
     if report.budget is not None:
-        tiles.append(
+        found.append(
             (
                 f"Uncertainty over {report.budget.over_mm:.0f} mm",
                 f"± {_mm(2 * report.budget.combined_mm)}",
                 "two standard deviations",
             )
         )
-    return (
-        '<section class="tiles">'
-        + "".join(
-            f'<div class="tile"><span>{html.escape(name)}</span><b>{html.escape(value)}</b><small>{html.escape(more)}</small></div>'
-            for name, value, more in tiles
-        )
-        + "</section>"
-    )
+    return found
 
 
 def _list(title: str, lines: Sequence[str], kind: str) -> str:
@@ -158,7 +138,10 @@ def _nominal(nominal: ReportNominal, full: ShownSurface) -> str:
 
 
 def _budget(budget: ReportBudget) -> str:
-    rows = _rows((html.escape(term.what), _mm(term.value_mm), html.escape(term.how)) for term in budget.terms)
+    rows = "".join(
+        f"<tr><td>{html.escape(term.what)}</td><td>{_mm(term.value_mm)}</td><td>{html.escape(term.how)}</td></tr>"
+        for term in budget.terms
+    )
     statement = f"<p>{html.escape(budget.statement)}</p>" if budget.statement else ""
     return (
         f"<section><h2>Uncertainty over {budget.over_mm:.0f} mm</h2>{statement}<table><thead><tr><th>Contribution</th><th>Standard "
@@ -170,7 +153,7 @@ def _budget(budget: ReportBudget) -> str:
 def _scans(scans: Sequence[ReportScan]) -> str:
     if not scans:
         return ""
-    rows = _rows(
+    rows = (
         (
             f"<b>{html.escape(scan.name)}</b>",
             _chip(scan.verdict, scan.word),
@@ -185,7 +168,7 @@ def _scans(scans: Sequence[ReportScan]) -> str:
         )
         for scan in scans
     )
-    head = (
+    columns = (
         "Scan",
         "Verdict",
         "Points",
@@ -197,7 +180,7 @@ def _scans(scans: Sequence[ReportScan]) -> str:
         "Pose",
         "Remarks",
     )
-    return f"<section><h2>Scans</h2>{_table(head, rows, 'scans')}</section>"
+    return f"<section><h2>Scans</h2>{table(columns, rows, 'scans')}</section>"
 
 
 def _pictures(scans: Sequence[ReportScan]) -> str:
@@ -215,7 +198,7 @@ def _pictures(scans: Sequence[ReportScan]) -> str:
 def _pairs(scans: Sequence[ReportScan], pairs: Sequence[ReportPair]) -> str:
     if not pairs:
         return ""
-    rows = _rows(
+    rows = (
         (
             f"<b>{html.escape(pair.first)}</b> – <b>{html.escape(pair.second)}</b>",
             _chip(pair.verdict),
@@ -234,8 +217,8 @@ def _pairs(scans: Sequence[ReportScan], pairs: Sequence[ReportPair]) -> str:
         if drawing
         else ""
     )
-    head = ("Pair", "Verdict", "Overlap", "Features", "Residual", "Displacement", "Rotation", "Remarks")
-    return f"<section><h2>Pairs of scans</h2>{figure}{_table(head, rows, 'pairs')}</section>"
+    columns = ("Pair", "Verdict", "Overlap", "Features", "Residual", "Displacement", "Rotation", "Remarks")
+    return f"<section><h2>Pairs of scans</h2>{figure}{table(columns, rows, 'pairs')}</section>"
 
 
 _READING = (
@@ -247,14 +230,6 @@ _READING = (
     "scans lie on each other, and nothing about sliding along a pipe or a plane; the uncertainties of displacement and rotation do. "
     "<b>Deviations</b> are along the nominal surface's normal, positive outside.</p></section>"
 )
-
-
-def _table(head: Iterable[str], rows: str, kind: str) -> str:
-    return f'<div class="wide"><table class="{kind}"><thead><tr>{"".join(f"<th>{name}</th>" for name in head)}</tr></thead><tbody>{rows}</tbody></table></div>'
-
-
-def _rows(rows: Iterable[Iterable[str]]) -> str:
-    return "".join("<tr>" + "".join(f"<td>{cell}</td>" for cell in row) + "</tr>" for row in rows)
 
 
 def _chip(verdict: ReportVerdict, shown: str | None = None) -> str:

@@ -1,1 +1,1 @@
-"""The archive measured: how small packed scans are, and how many scans are worked through how fast by whom."""
+"""The archive measured and drawn: how small packed scans are, and the page of a season."""

@@ -23,7 +23,7 @@ from bench.outside.stated import stated_truth
 from bench.outside.world import Frames, chosen_exposure, expose
 from hw_sim.outside import ALL
 
-FULL_PX, SMALL_PX = (1600, 1200), (200, 150)
+FULL_PX = (1600, 1200)
 FAMILIES = {"ordinary": (), "outside": ALL}
 SEED = 4711
 """Seed of the draws; nothing in the product was chosen on them."""
@@ -62,24 +62,6 @@ def drawn_scans(
             _store(folder, _take(world, number, size_px))
         found.append(Drawn(folder, world, drawn.object, drawn.texture, drawn.water.attenuation_per_m))
     return found
-
-
-def repeated_scans(
-    root: Path, count: int, different: int, size_px: tuple[int, int], say: Callable[[str], None]
-) -> list[Path]:
-    """Return ``count`` stored scans, of ``different`` drawn ones in turn: for what depends on how many there are."""
-    folders = [root / "scans" / f"{number + 1:06d}" for number in range(count)]
-    if all(folder.exists() for folder in folders):
-        return folders
-    taken = [_take("ordinary", number, size_px) for number in range(different)]
-    folders = []
-    for number in range(count):
-        folder = root / "scans" / f"{number + 1:06d}"
-        if not folder.exists():
-            say(f"scan {number + 1} of {count}")
-            _store(folder, taken[number % different])
-        folders.append(folder)
-    return folders
 
 
 def _take(world: str, number: int, size_px: tuple[int, int]) -> _Taken:

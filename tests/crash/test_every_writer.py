@@ -220,7 +220,7 @@ WRITERS: dict[str, Callable[[Path], Work]] = {
         setup_files, version_on_trial, host_key,
     )
 } | EXPORTS  # fmt: skip
-PASSING = {"run", "calls", "drafts", "lock"}
+PASSING = {"run", "drafts", "lock"}
 """Locks, states of living processes, and drafts: nobody looks at them after a loss of power."""
 
 

@@ -4,20 +4,16 @@ from __future__ import annotations
 
 import json
 import shutil
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from appliance.calibration import file as calibration_file
 from appliance.offline.anew.results import read_table
-from appliance.storage.calibrations import CURRENT
+from appliance.storage.lock import hold_lock
 from hw_sim.scene import Scene
 from tests.support.commands import Shell, kingfisher
 from tests.support.rendered import render_scan
 from tests.support.stored import origin_of, store
-from tests.support.truth import true_calibration
 
 WIDTH_PX, HEIGHT_PX = 200, 150
 
@@ -70,78 +66,22 @@ def test_every_scan_has_one_result_or_a_reason_and_a_second_call_does_nothing_bu
     assert {path: path.stat().st_mtime_ns for path in before} == before
     assert list((results.parent / "failed").iterdir()) == []
     assert desk("season", said["table"], "--out", tmp_path / "season.html").code == 0
-    assert "<h2>Refused scans</h2><p>None." in (tmp_path / "season.html").read_text(encoding="utf-8")
+    assert 'and why</h2><p class="note">None.' in (tmp_path / "season.html").read_text(encoding="utf-8")
 
 
-def test_two_calls_at_once_share_an_archive_and_one_table_has_all_of_it(
+def test_a_second_archive_under_the_same_key_has_its_rows_in_the_same_table_and_nothing_is_done_twice(
     root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     desk = Shell(capsys)
     words = ("--out", tmp_path / "out", "--workers", "1", "--table-only", "--json")
-    with ThreadPoolExecutor() as pool:
-        calls = [pool.submit(kingfisher, "reprocess", root / "packed", *words, "--part", f"{k}/2") for k in (1, 2)]
-        said = [call.result(timeout=240) for call in calls]
-    assert sorted(one["scan"] for each in said for one in each.document["rows"]) == ["000001", "000002", "000003"]
-    assert [each.code for each in said] == [0, 1], "the second part has the damaged scan"
-    (table,) = {each.document["table"] for each in said}
-    assert [row["state"] for row in read_table(Path(table))] == ["done", "failed", "done"]
-
-    # Another archive under the same key: its scans stand beside the others, with nothing done twice.
+    table = desk("reprocess", root / "packed", *words).document["table"]
     shutil.copytree(root / "root" / "scans" / "000003", tmp_path / "b" / "scans" / "000007")
     assert desk("reprocess", tmp_path / "b", *words).document["table"] == table
-    assert [row["scan"] for row in read_table(Path(table))] == ["000001", "000002", "000003", "000007"]
-
-    refused = desk("reprocess", tmp_path / "b", *words, "--part", "2/2")
-    assert (refused.code, "there are fewer scans than parts" in refused.error) == (2, True)
-    for part in ("0/2", "3/2", "1", "a/b"):
-        refused = desk("reprocess", tmp_path / "b", *words, "--part", part)
-        assert (refused.code, "allowed are K/N" in refused.err) == (2, True)
-
-
-def test_scans_that_take_the_calibration_in_use_are_done_anew_when_it_is_another(
-    root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """They are of before a manifest named its calibration."""
-    desk = Shell(capsys)
-    scan = render_scan(Scene("frustum", texture="checker"), "nominal", 3, WIDTH_PX, 16)
-    (tmp_path / "root" / "scans").mkdir(parents=True)
-    store(scan, tmp_path / "root" / "scans" / "000001")
-    (tmp_path / "root" / "calibration").mkdir()
-    seen = []
-    for made_at in ("2031-05-01", "2031-05-02", "2031-05-02"):
-        calibration = replace(
-            true_calibration(scan.renderer.truth), rig_serial="KF-0001", camera_serials=None, made_at=made_at
-        )
-        (tmp_path / "root" / "calibration" / CURRENT).write_bytes(calibration_file.encode(calibration))
-        said = desk(
-            "reprocess", tmp_path / "root", "--out", tmp_path / "out", "--workers", "1", "--table-only", "--json"
-        )
-        (row,) = said.document["rows"]
-        assert row["state"] == "done", row
-        (in_table,) = read_table(Path(said.document["table"]))
-        assert in_table["calibration"] == row["calibration"]
-        seen.append(row)
-    assert seen[0]["calibration"] != seen[1]["calibration"]
-    assert seen[1] == seen[2], "nothing is done again where nothing changed"
-
-
-def test_a_scan_whose_rig_file_was_damaged_is_done_anew_when_it_is_whole(
-    root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    desk = Shell(capsys)
-    shutil.copytree(root / "root" / "scans" / "000001", tmp_path / "root" / "scans" / "000001")
-    rig = tmp_path / "root" / "scans" / "000001" / "rig.toml"
-    whole = rig.read_bytes()
-    names = []
-    for content in (whole, whole[:-1], whole):
-        rig.write_bytes(content)
-        said = desk(
-            "reprocess", tmp_path / "root", "--out", tmp_path / "out", "--workers", "1", "--table-only", "--json"
-        )
-        names.append(said.document["rows"][0]["result"])
-        assert len(read_table(Path(said.document["table"]))) == 1
-    assert names[0] == names[2]
-    assert names[1] != names[0]
+    rows = [(row["scan"], row["state"]) for row in read_table(Path(table))]
+    assert rows == [("000001", "done"), ("000002", "failed"), ("000003", "done"), ("000007", "done")]
+    with hold_lock(Path(table).parent):
+        refused = desk("reprocess", tmp_path / "b", *words)
+    assert (refused.code, "another instance" in refused.err) == (1, True)
 
 
 def test_another_water_is_another_key_and_gives_other_points(

@@ -76,7 +76,7 @@ def test_each_dot_is_where_its_number_is(errors_mm: tuple[float, ...]) -> None:
     assert len(found) == len(errors_mm)
     for (x, y, _, words), error, k in zip(found, errors_mm, range(len(errors_mm)), strict=True):
         assert top + y * each == pytest.approx(1000.0 * error, abs=abs(each)), "within a pixel"
-        assert x == pytest.approx(62 + (k + 0.5) * (1060 - 62 - 12) / len(errors_mm), abs=0.1)
+        assert x == pytest.approx(62 + (k + 0.5) * (1060 - 62 - 40) / len(errors_mm), abs=0.1)
         assert words.startswith(f"{k + 1:06d}  2031-05-{k + 1:02d} 09:12")
     assert all(14 <= y <= 190 for _, y, _, _ in found), "within the frame"
 
@@ -89,12 +89,6 @@ def test_numbers_of_any_size_have_an_axis_with_round_numbers(pair: tuple[float, 
     for what in ("length error, µm", "water, °C"):
         assert all(14.0 <= y <= 190.0 for _, y, _, _ in dots(chart(page, what)))
         assert 2 <= chart(page, what).count('text-anchor="end"') <= 16
-
-
-def test_refused_scans_come_in_the_order_of_their_numbers() -> None:
-    page = season_page([cells(number, state="failed", reason="dark") for number in (1_000_000, 999_999)], "t")
-    listed = page[page.index("Each of them") :]
-    assert listed.index("999999") < listed.index("1000000")
 
 
 def test_a_page_under_another_formats_name_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -114,13 +108,13 @@ def test_each_calibration_has_its_colour_and_is_named_once() -> None:
 
 @pytest.mark.parametrize(
     ("count", "named"),
-    [(1, [1]), (2, [1, 2]), (10, list(range(1, 11))), (11, [1, 3, 5, 7, 9, 11]), (21, [1, 5, 9, 13, 17, 21])],
+    [(1, [1]), (2, [1, 2]), (10, list(range(1, 11))), (19, list(range(1, 20, 2)))],
 )
 def test_of_few_scans_none_lacks_its_number(count: int, named: list[int]) -> None:
     page = season_page([cells(number) for number in range(1, count + 1)], "/a/table.csv")
     drawing = chart(page, "ray gap, µm")
     assert [int(text) for text in re.findall(r">(\d{6})</text>", drawing)] == named
-    assert "/<wbr>a/<wbr>table.csv" in page
+    assert "/a/table.csv" in page
 
 
 def test_of_a_large_archive_what_stands_out_is_drawn() -> None:
@@ -150,13 +144,11 @@ def test_a_chart_has_its_frame_its_zero_line_and_its_words_below() -> None:
     page = season_page(rows, "t.csv")
     assert '<svg viewBox="0 0 1060 230"' in page
     drawing = chart(page, "length error, µm")
-    lines = re.findall(r'<line x1="62" x2="1048" y1="([\d.]+)" y2="([\d.]+)" stroke="(#\w+)"/>', drawing)
+    lines = re.findall(r'<line x1="62" x2="1020" y1="([\d.]+)" y2="([\d.]+)" stroke="(#\w+)"/>', drawing)
     assert [float(y) for y, _, _ in lines] == [pytest.approx(190.0 - k * 176.0 / 4, abs=0.1) for k in range(5)]
     assert [ink for *_, ink in lines] == ["#d5dde5", "#d5dde5", "#8a97a4", "#d5dde5", "#d5dde5"], "zero is dark"
     assert re.findall(r'x="54" y="[\d.]+" text-anchor="end">([−\d]+)</text>', drawing) == ["−4", "−2", "0", "2", "4"]
-    assert re.findall(r'y="(208|223)" text-anchor="(\w+)"', drawing) == [
-        (y, anchor) for anchor in ("start", "middle", "middle", "end") for y in ("208", "223")
-    ]
+    assert re.findall(r'y="(208|223)" text-anchor="middle"', drawing) == ["208", "223"] * 4
     assert re.findall(r'<path d="M[\d.]+ (\d+v\d+)"', drawing) == ["191v6"]
     low = chart(page, "ray gap, µm")
     assert "#8a97a4" not in re.sub(r"<text.*?</text>", "", low), "no zero line where all numbers are above"
@@ -220,29 +212,19 @@ def test_every_refused_scan_is_there_with_its_reason_and_marked_where_it_was_tak
     words = " ".join(text.split())
     assert "5 of 8 1 spoilt, 2 without points" in words
     assert "frames_left.npy: damaged 2" in words, "counted by its kind"
-    assert "BLURRED, MOTION 1" in words
+    assert "MOTION 1" in words
     assert (
         "000005 2031-05-05 09:12 frames_left.npy: damaged (its checksum does not fit) in sine-x-180; bring it back"
         in words
     )
     assert "000007 2031-05-07 09:12 MOTION: the hands moved by 3 mm; BLURRED: edges of 4 px" in words
     marks = [float(x) for x in re.findall(r'<path d="M([\d.]+) ', chart(page, "ray gap, µm"))]
-    assert marks == [pytest.approx(62 + (k - 0.5) * 986 / 8, abs=0.1) for k in (2, 5, 7)]
-
-
-@pytest.mark.parametrize(("count", "more"), [(60, False), (61, True)])
-def test_sixty_refused_scans_are_listed_and_the_rest_is_counted(count: int, more: bool) -> None:
-    page = season_page([cells(1, state="failed", reason="dark", scan=f"{k:06d}") for k in range(count)], "t.csv")
-    assert ("and 1 more, in the table" in page) is more
-    assert page.partition("Each of them")[2].count("<td>dark</td>") == 60
-    assert f"<td>dark</td><td>{count}</td>" in page
+    assert marks == [pytest.approx(62 + (k - 0.5) * 958 / 8, abs=0.1) for k in (2, 5, 7)]
 
 
 @pytest.mark.parametrize(
     ("reason", "kind"),
     [
-        ("a" * 45 + " " + "b" * 44, "a" * 45 + " " + "b" * 44),
-        ("a" * 45 + " " + "b" * 45, "a" * 45 + " …"),
         ("dark (7 of 9); open it", "dark"),
         ("/disk/scans/000001: dark", "dark"),
         ("", "not known"),
@@ -251,7 +233,7 @@ def test_sixty_refused_scans_are_listed_and_the_rest_is_counted(count: int, more
 def test_a_reasons_kind_is_its_beginning_without_the_numbers_of_one_scan(reason: str, kind: str) -> None:
     page = season_page([cells(1, state="failed", reason=reason)], "t.csv")
     assert f"<tbody><tr><td>{kind}</td><td>1</td></tr></tbody>" in page
-    assert "<h2>Refused scans</h2><p>None.</p>" in season_page([cells(1)], "t.csv")
+    assert '<h2>Refused scans, and why</h2><p class="note">None.</p>' in season_page([cells(1)], "t.csv")
 
 
 def test_a_season_without_any_result_says_why() -> None:
@@ -263,12 +245,8 @@ def test_a_season_without_any_result_says_why() -> None:
     assert "0 of 1" in page
 
 
-def test_a_table_without_scans_makes_no_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "table.csv").write_text(",".join(COLUMNS) + "\n")
-    done = Shell(capsys)("season", tmp_path / "table.csv", "--out", tmp_path / "season.html")
-    assert done.code == 2
-    assert "has no scan in it" in done.error
-    assert not (tmp_path / "season.html").exists()
+def test_a_table_without_scans_is_a_page_without_any() -> None:
+    assert season_page([], "t.csv").count("Nothing in the table.") == 4
 
 
 # ------------------------------------------------------------------------------------------- escaping

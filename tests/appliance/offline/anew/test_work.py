@@ -1,0 +1,277 @@
+"""Scans given out by Dask: to processes of this computer, to threads of this process, and to workers in processes of their own, of which some die."""
+
+from __future__ import annotations
+
+import hashlib
+import multiprocessing
+import os
+import shutil
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from appliance import kernel_cache
+from appliance.offline.anew import work
+from appliance.offline.anew.results import Results, program_digits
+from appliance.offline.anew.work import (
+    AGAIN,
+    DONE,
+    FAILED,
+    TROUBLES_IN_A_ROW,
+    Again,
+    Job,
+    SchedulerError,
+    work_through_all,
+)
+from hw_sim.scene import Scene
+from tests.support.commands import ROOT
+from tests.support.rendered import render_scan
+from tests.support.stored import origin_of, store
+
+distributed = pytest.importorskip("distributed")
+MADE_WITH = {"calibration": None, "foreign": False, "water": None, "clouds": True, "program": program_digits()}
+LIMIT_S = 60.0
+COUNT = 20
+
+
+def jobs_of(shelf: Path, results: Results) -> list[Job]:
+    return [Job(str(folder), str(results.folder), None, None) for folder in sorted(shelf.iterdir())]
+
+
+@pytest.fixture
+def results(tmp_path: Path) -> Results:
+    return Results.of(tmp_path / "out", MADE_WITH)
+
+
+@pytest.fixture
+def broken(tmp_path: Path) -> Path:
+    """A shelf of scans whose manifests are none: each is a failure with a reason, and quick."""
+    for number in range(COUNT):
+        (tmp_path / "scans" / f"{number:06d}").mkdir(parents=True)
+        (tmp_path / "scans" / f"{number:06d}" / "manifest.json").write_text("{" + str(number))
+    return tmp_path / "scans"
+
+
+@pytest.fixture(scope="module")
+def here() -> Iterator[Any]:
+    """A scheduler with two workers, all threads of this process."""
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None
+    ) as cluster:
+        yield cluster
+
+
+# ------------------------------------------------------------------------------------------- workers that live
+
+
+def test_every_scan_is_done_once_and_no_more_are_given_out_than_a_bound(
+    here: Any, broken: Path, results: Results, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(work, "IN_WORK", 3)
+    jobs, most, seen = jobs_of(broken, results), 0, []
+    for row in work_through_all(jobs, here.scheduler_address, None, LIMIT_S):
+        seen.append(row)
+        most = max(most, len(here.scheduler.tasks))
+    assert sorted(row["folder"] for row in seen) == [job.folder for job in jobs]
+    assert {row["state"] for row in seen} == {FAILED}
+    assert len(list((results.folder / "failed").iterdir())) == COUNT
+    assert most <= 4, "one that ended may not be forgotten yet"
+
+
+def test_workers_that_can_do_nothing_end_the_call_early_and_are_named(here: Any, broken: Path, tmp_path: Path) -> None:
+    other = Results.of(tmp_path / "out", {**MADE_WITH, "program": "0.0.9-abc"})
+    rows = list(work_through_all(jobs_of(broken, other), here.scheduler_address, None, LIMIT_S))
+    assert len(rows) == TROUBLES_IN_A_ROW == 8
+    assert {row["state"] for row in rows} == {AGAIN}
+    assert all(row["reason"].startswith(f"{socket.gethostname()}: has kingfisher ") for row in rows)
+    assert list((other.folder / "failed").iterdir()) == []
+
+
+def test_a_worker_without_kernels_refuses_and_says_what_to_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    config: Any = sys.modules["numba"].config
+    monkeypatch.setattr(config, "CACHE_DIR", config.CACHE_DIR)
+    monkeypatch.setenv(kernel_cache.VARIABLE, str(tmp_path / "given"))
+    work._find_kernels.__wrapped__()  # whoever gave the folder keeps it
+    monkeypatch.setenv(kernel_cache.VARIABLE, str(tmp_path / kernel_cache.fingerprint()))
+    with pytest.raises(Again, match="call `kingfisher warm` there"):
+        work._find_kernels.__wrapped__()
+
+
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "tls://127.0.0.1:9"])
+def test_a_scheduler_that_is_not_there_or_has_no_certificate_is_one_clear_line(
+    address: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(work, "CONNECT_S", 0.5)
+    with pytest.raises(SchedulerError, match=rf"--scheduler {address}: .* start `dask scheduler` and `dask worker`"):
+        next(work_through_all([], address, None, LIMIT_S))
+
+
+def test_a_scheduler_without_a_worker_is_told_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(work, "CONNECT_S", 1.0)
+    with (
+        distributed.LocalCluster(n_workers=0, processes=False, dashboard_address=None) as cluster,
+        pytest.raises(SchedulerError, match="has no worker"),
+    ):
+        next(work_through_all([], cluster.scheduler_address, None, LIMIT_S))
+
+
+# ------------------------------------------------------------------------------------------- workers that die
+
+
+def test_a_process_of_this_computer_that_is_killed_loses_nothing(broken: Path, results: Results) -> None:
+    jobs, seen = jobs_of(broken, results), []
+    for row in work_through_all(jobs, None, 2, LIMIT_S):
+        seen.append(row)
+        if len(seen) == 3:
+            killed = multiprocessing.active_children()[0]
+            killed.kill()
+    assert sorted(row["folder"] for row in seen) == [job.folder for job in jobs]
+    assert {row["state"] for row in seen} == {FAILED}
+    assert killed.exitcode == -9
+
+
+@pytest.mark.long
+def test_a_scan_that_never_ends_ends_its_workers_and_is_left_while_the_others_are_done(
+    broken: Path, results: Results
+) -> None:
+    (broken / "000007" / "manifest.json").unlink()
+    os.mkfifo(broken / "000007" / "manifest.json")  # whoever reads it waits for ever
+    rows = list(work_through_all(jobs_of(broken, results), None, 2, 10.0))
+    (left,) = (row for row in rows if row["state"] == AGAIN)
+    assert left["scan"] == "000007"
+    assert "died" in left["reason"]
+    assert len(rows) == COUNT
+
+
+@dataclass
+class Cluster:
+    """A scheduler and workers on this computer, in processes of their own."""
+
+    folder: Path
+    port: int
+    environment: dict[str, str] = field(default_factory=lambda: dict(os.environ))
+    protocol: str = "tcp"
+    started: list[subprocess.Popen[bytes]] = field(default_factory=list)
+
+    @property
+    def address(self) -> str:
+        return f"{self.protocol}://127.0.0.1:{self.port}"
+
+    def scheduler(self) -> None:
+        words = ("--protocol", self.protocol, "--host", "127.0.0.1", "--port", str(self.port), "--no-dashboard")
+        self._run("distributed.cli.dask_scheduler", *words)
+
+    def worker(self) -> subprocess.Popen[bytes]:
+        words = ("--nthreads", "1", "--no-nanny", "--no-dashboard", "--local-directory", str(self.folder))
+        return self._run("distributed.cli.dask_worker", self.address, *words)
+
+    def _run(self, module: str, *words: str) -> subprocess.Popen[bytes]:
+        with (self.folder / "log").open("ab") as log:
+            process = subprocess.Popen(
+                [sys.executable, "-m", module, *words], cwd=ROOT, env=self.environment, stdout=log, stderr=log
+            )
+        self.started.append(process)
+        return process
+
+
+@pytest.fixture
+def cluster(tmp_path: Path) -> Iterator[Cluster]:
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        cluster = Cluster(tmp_path, one.getsockname()[1])
+    yield cluster
+    for process in cluster.started:
+        with suppress(ProcessLookupError):
+            process.kill()
+        process.wait(timeout=30)
+
+
+@pytest.fixture(scope="module")
+def scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A shelf of small scans that are the same but for their numbers: each gives the same points."""
+    scan = render_scan(Scene("frustum", texture="checker"), "nominal", 3, 200, 16)
+    shelf = tmp_path_factory.mktemp("archive") / "scans"
+    shelf.mkdir()
+    for number in range(COUNT):
+        store(scan, shelf / f"{number + 1:06d}", origin=origin_of(scan.renderer.truth, 200, 150))
+    return shelf
+
+
+@pytest.mark.long
+def test_a_worker_that_is_killed_loses_nothing_and_each_scan_has_one_result(
+    cluster: Cluster, scans: Path, results: Results
+) -> None:
+    cluster.scheduler()
+    first, _ = cluster.worker(), cluster.worker()
+    rows = []
+    for row in work_through_all(jobs_of(scans, results), cluster.address, None, LIMIT_S):
+        rows.append(row)
+        if len(rows) == 5:
+            first.kill()
+    assert sorted(row["scan"] for row in rows) == [folder.name for folder in sorted(scans.iterdir())]
+    assert {row["state"] for row in rows} == {DONE}
+    folders = sorted((results.folder / "results").iterdir())
+    assert [folder.name.partition("-")[0] for folder in folders] == sorted(row["scan"] for row in rows)
+    clouds = {hashlib.sha256((folder / "cloud.ply").read_bytes()).hexdigest() for folder in folders}
+    assert len(clouds) == 1, "the same frames give the same points, whoever worked them through"
+    assert {row["cloud_sha256"] for row in rows} == clouds
+    assert min(int(row["points"]) for row in rows) > 1000
+    assert list((results.folder / "failed").iterdir()) == []
+
+
+# --------------------------------------------------------------------------------------------------- TLS
+
+
+def settings_of_tls(folder: Path) -> dict[str, str]:
+    """Dask's settings, by their names in the environment, for a certificate of an authority that is made in ``folder``."""
+    folder.mkdir()
+    key = ("openssl", "req", "-newkey", "rsa:2048", "-nodes", "-subj")
+    for command in (
+        (*key, "/CN=authority", "-x509", "-days", "2", "-keyout", "ca.key", "-out", "ca.pem"),
+        (*key, "/CN=desk", "-keyout", "desk.key", "-out", "desk.csr"),
+        ("openssl", "x509", "-req", "-in", "desk.csr", "-CA", "ca.pem", "-CAkey", "ca.key", "-CAcreateserial", "-days", "2", "-out", "desk.pem"),
+    ):  # fmt: skip
+        subprocess.run(command, cwd=folder, check=True, capture_output=True, timeout=60)
+    files = {f"TLS__{role}__{kind}": str(folder / f"desk.{ending}")
+             for role in ("SCHEDULER", "WORKER", "CLIENT") for kind, ending in (("CERT", "pem"), ("KEY", "key"))}  # fmt: skip
+    settings = {"REQUIRE_ENCRYPTION": "True", "TLS__CA_FILE": str(folder / "ca.pem"), **files}
+    return {f"DASK_DISTRIBUTED__COMM__{name}": value for name, value in settings.items()}
+
+
+def comes_in(address: str, settings: dict[str, str]) -> bool:
+    """Whether a caller of its own process is connected."""
+    call = "import sys; from distributed import Client; Client(sys.argv[1], timeout=5)"
+    done = subprocess.run(
+        [sys.executable, "-c", call, address], env={**os.environ, **settings}, capture_output=True, timeout=120, check=False
+    )  # fmt: skip
+    return done.returncode == 0
+
+
+@pytest.mark.long
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")
+def test_with_tls_only_those_who_have_a_certificate_of_the_authority_take_part(
+    cluster: Cluster, scans: Path, results: Results, tmp_path: Path
+) -> None:
+    import dask.config
+
+    ours, strange = settings_of_tls(tmp_path / "ours"), settings_of_tls(tmp_path / "strange")
+    cluster.protocol, cluster.environment = "tls", {**os.environ, **ours}
+    cluster.scheduler()
+    cluster.worker()
+    # The same for this process, whose environment was read long ago.
+    names = {name: name.removeprefix("DASK_").replace("__", ".").lower() for name in ours}
+    with dask.config.set({names[name]: value == "True" or value for name, value in ours.items()}):
+        rows = list(work_through_all(jobs_of(scans, results)[:6], cluster.address, None, LIMIT_S))
+    assert [row["state"] for row in rows] == [DONE] * 6
+    plain = cluster.address.replace("tls", "tcp")
+    assert comes_in(cluster.address, ours)
+    assert not any(
+        comes_in(*one) for one in ((plain, ours), (cluster.address, {}), (plain, {}), (cluster.address, strange))
+    )
