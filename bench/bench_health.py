@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from appliance.calibration.health import LIMIT, SLACK, HealthTrend, judge
 from appliance.calibration.patches import PatchGaps
-from appliance.calibration.water.bundle import Rung
+from appliance.calibration.water.method import Method
 from bench.health_changes import Change, changes, length_error_percent
 from bench.health_picture import draw_health
 from bench.result import Measured
@@ -58,15 +58,15 @@ def measure() -> Iterator[Measured]:
             why=None if one.second is not None else f"not up to {one.change.most:g} {one.change.unit}",
         )
     largest = []
-    for rung in (Rung.SPLINE, Rung.PORTS):
-        totals = [total for seed in RIGS for total in _normal(calibrated(seed, rung))]
+    for method in (Method.SPLINE, Method.PORTS):
+        totals = [total for seed in RIGS for total in _normal(calibrated(seed, method))]
         largest.append(max(totals))
         yield Measured(
-            f"largest sum of {len(totals)} normal scans, {rung.value}",
+            f"largest sum of {len(totals)} normal scans, {method.value}",
             largest[-1],
             f"of {LIMIT:g}",
             at_most=LIMIT,
-            key=f"health_largest_sum_{rung.value}",
+            key=f"health_largest_sum_{method.value}",
         )
     alarms = {bias: _false_alarms(bias) for bias in (0.0, 1.0, 2.0)}
     for bias, count in alarms.items():
@@ -74,7 +74,7 @@ def measure() -> Iterator[Measured]:
             f"false alarms of {CHAINS * LINKS:.0e} scans, offset of {bias:g} standard deviations", count, "alarms"
         )
     OUT.mkdir(parents=True, exist_ok=True)
-    coarser = [calibrated(seed, Rung.PORTS) for seed in RIGS]
+    coarser = [calibrated(seed, Method.PORTS) for seed in RIGS]
     ports = [_seen(change, coarser) for change in changes() if change.name.startswith(IN_PORTS)]
     (OUT / "health.md").write_text(_table(found, largest, alarms, ports), encoding="utf-8")
     draw_health(OUT / "health.png", made[0].modes, _story(made[0]))
@@ -195,12 +195,12 @@ def _table(found: list[Seen], largest: list[float], alarms: dict[float, int], po
     lines += [
         "",
         (
-            "With a calibration of the rung `PORTS`, whose pattern left over is ten times larger, the second scan sees: "
+            "With a calibration by `ports`, whose pattern left over is ten times larger, the second scan sees: "
             f"{coarser}."
         ),
         "",
-        f"Normal scans: the largest sum of {NORMAL_SCANS * len(RIGS)} was {largest[0]:.1f} with a calibration of the rung "
-        f"`SPLINE`, {largest[1]:.1f} with `PORTS`; the limit is {LIMIT:g}. Of {CHAINS * LINKS:,} scans whose scores are "
+        f"Normal scans: the largest sum of {NORMAL_SCANS * len(RIGS)} was {largest[0]:.1f} with a calibration by "
+        f"`spline`, {largest[1]:.1f} by `ports`; the limit is {LIMIT:g}. Of {CHAINS * LINKS:,} scans whose scores are "
         "normally distributed "
         + ", ".join(f"{count} alarm with a constant offset of {bias:g} σ" for bias, count in alarms.items())
         + ".",

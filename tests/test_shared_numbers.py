@@ -228,7 +228,6 @@ MAY_BE_EQUAL: Mapping[str, frozenset[str]] = {
             "3 BOARD_SCALE = _BOARD_STEPS",
             "3 EDGE_MM = EDGE_MM",
             "8 BLOCK_PX = BLOCK_COLUMNS",
-            "4 FIELD_ORDER = FIELD_BARS",
             "10 UNDISTORT_STEPS = STEPS_MS",
             "12 PROJECT_STEPS = STEPS_MS",
             "12 PROJECT_STEPS = NEWTON_STEPS",

@@ -130,11 +130,6 @@ def load(path: Path | str) -> Calibration:
 
 
 def _content(calibration: Calibration) -> dict[str, Any]:
-    cameras = (calibration.rig.left, calibration.rig.right)
-    if any(type(camera) is not HousedCamera for camera in cameras):
-        raise CalibrationError(
-            f"method {calibration.method}: this model is for comparison only and has no file; calibrate with another method"
-        )
     content: dict[str, Any] = {
         "schema": SCHEMA,
         "rig_serial": calibration.rig_serial,

@@ -94,11 +94,6 @@ class Recording:
                 f"recording {self.name}: {fewest} points on a surface; at least {MIN_POINTS} are needed; record again"
             )
 
-    @property
-    def surfaces(self) -> int:
-        """Faces: two spheres or one plane."""
-        return 2 if self.kind is ArtefactKind.BALL_BAR else 1
-
     def select(self, keep: NDArray[np.bool_] | Labels) -> Recording:
         """Return the same recording with some of its points."""
         return replace(self, left_px=self.left_px[keep], right_px=self.right_px[keep], sphere=self.sphere[keep])

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json as json_form
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
-from appliance.calibration.water.method import BY_SCANS, Method
-from appliance.cli.arguments import number, operand, option, separated, switch
+from appliance.calibration.water.method import BEFORE_OPERATOR, Method
+from appliance.cli.arguments import operand, option, switch
 from appliance.cli.desk import place_of, scan_in, whole_scan, writable, writing
 from appliance.cli.kernels import compile_kernels
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json
@@ -18,10 +18,6 @@ from appliance.storage.atomic import replace_file
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.lock import hold_lock
 
-if TYPE_CHECKING:  # solvers are imported inside the verbs: `scans list` can do without
-    from appliance.calibration.water.ladder import LadderSettings
-
-STEP_MM = number(0.01, 50.0, "mm")
 DEFAULT_OUT = Path("calibration-water.json")
 SCANS_CHECKED = 0.1
 """The part of the progress that comparing checksums gets."""
@@ -33,23 +29,16 @@ class CalibrateWater(WithRoot):
 
     list: Path = operand("LIST", "which artefact each scan shows, as for evaluate", parse=Path)
     method: str = option(
-        "--method", "default: %(default)s", default=Method.BA_SPLINE.value, choices=[m.value for m in BY_SCANS]
+        "--method",
+        "paper as published, for comparison: beside FILE its pinholes FILE-pm.json and its ports FILE-rm.json; default: %(default)s",
+        default=Method.SPLINE.value,
+        choices=[m.value for m in Method],
     )
     start: Path | None = option("--start", "default: the instrument's calibration in air", parse=Path, metavar="FILE")
     out: Path | None = option(
         "--out", "the calibration; beside it FILE-report.html and .json", parse=Path, metavar="FILE"
     )
     install: bool = switch("--install", "use it from now on; the one of before is kept")
-    published_flatness: bool = switch("--published-flatness", "rm, rmd: flatness from the points, noise and all")
-    reach_mm: float | None = option(
-        "--reach-mm", "rm, rmd: search so far around the drawing", parse=STEP_MM, metavar="MM"
-    )
-    steps_mm: tuple[float, ...] | None = option(
-        "--steps-mm",
-        "rm, rmd: step widths, each around the best of the one before",
-        parse=separated(STEP_MM),
-        metavar="MM,MM",
-    )
 
     def run(self) -> Exit:
         wish = self.wish()
@@ -57,14 +46,15 @@ class CalibrateWater(WithRoot):
         target = self.out or DEFAULT_OUT
         page, data = (target.with_name(f"{target.stem}-report{ending}") for ending in (".html", ".json"))
         # All that can be refused is refused before the checksums are read: those alone take seconds per scan.
-        for path in (target, page, data):
+        before = BEFORE_OPERATOR if method is Method.PAPER else ()
+        targets = {name: target.with_name(f"{target.stem}-{name}.json") for name in before}
+        for path in (target, page, data, *targets.values()):
             writable(path)
-        if self.install and method is Method.PAPER_RM_PRINTED:
-            raise UsageError(
-                f"--install: {method.value} is for comparison only and has no file; choose another --method"
-            )
-        if target.exists():
-            raise UsageError(f"--out {target}: exists already; a calibration is never replaced; give a new name")
+        for path in (target, *targets.values()):
+            if path.exists():
+                raise UsageError(
+                    f"--out {target}: {path} exists already; a calibration is never replaced; give a new name"
+                )
         if data.absolute() == self.list.absolute():
             raise UsageError(f"--out {target}: {data} is the list itself; give another name")
         from appliance.offline.scan_list import read_list
@@ -96,12 +86,13 @@ class CalibrateWater(WithRoot):
             def step(what: str, part: float) -> None:
                 progress(what, SCANS_CHECKED + (1.0 - SCANS_CHECKED) * part)
 
-            made = run_water_calibration(rig, scans, sources, start, method, made_at, step, self.settings())
+            made = run_water_calibration(rig, scans, sources, start, method, made_at, step)
         content = made.as_json()
         text = json_form.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
         files = {page: made.as_html().encode(), data: text.encode()}
-        if made.result.can_be_saved:
-            files[target] = calibration_file.encode(made.result.calibration)
+        for name, path in targets.items():
+            files[path] = calibration_file.encode(made.result.before[name])
+        files[target] = calibration_file.encode(made.result.calibration)
         # The report first, the calibration last: one that is there has its report beside it.
         for path, written in files.items():
             with writing(path):
@@ -115,7 +106,7 @@ class CalibrateWater(WithRoot):
         if self.json:
             say_json({**content, "installed": installed})
         else:
-            _tell(content, page, target if made.result.can_be_saved else None)
+            _tell(content, page, target)
             if self.install:
                 say(
                     "installed; `kingfisher calibrate restore` undoes it"
@@ -123,18 +114,6 @@ class CalibrateWater(WithRoot):
                     else "not installed: scans are missing"
                 )
         return Exit.FAILED if made.left_out else Exit.OK
-
-    def settings(self) -> LadderSettings:
-        """Return the settings of the searches of rm and rmd, with the reach and the steps in mm where they were typed."""
-        from appliance.calibration.water.interface import SearchSettings
-        from appliance.calibration.water.ladder import LadderSettings
-
-        search = SearchSettings(noise_free=not self.published_flatness)
-        if self.reach_mm is not None:
-            search = replace(search, reach_mm=self.reach_mm)
-        if self.steps_mm is not None:
-            search = replace(search, steps_mm=self.steps_mm)
-        return LadderSettings(search=search)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -168,7 +147,7 @@ def _day(moment: str) -> str:
     return moment[:10]
 
 
-def _tell(content: dict[str, Any], page: Path, calibration: Path | None) -> None:
+def _tell(content: dict[str, Any], page: Path, calibration: Path) -> None:
     for scan, reason in content["left_out"].items():
         say(f"{scan} not used: {reason}")
     for warning in content["warnings"]:
@@ -187,4 +166,4 @@ def _tell(content: dict[str, Any], page: Path, calibration: Path | None) -> None
     if content["unobserved"]:
         say(f"{'not seen':<24} {', '.join(content['unobserved'])}")
     say(f"{'report':<24} {page}")
-    say(f"{'calibration':<24} {calibration or '- (this model is for comparison only)'}")
+    say(f"{'calibration':<24} {calibration}")

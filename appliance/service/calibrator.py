@@ -22,8 +22,9 @@ from appliance.calibration.recordings import (
     RecordingError,
 )
 from appliance.calibration.water import report as report_of
+from appliance.calibration.water.calibrate import calibrate
 from appliance.calibration.water.extract import CALIBRATING_GAP_MM, BarCertificate, extract
-from appliance.calibration.water.ladder import Method, calibrate
+from appliance.calibration.water.method import Method
 from appliance.config import Rig
 from appliance.evaluation.ball_bar import BallBar, find_ball_bar
 from appliance.evaluation.plane import PlaneFit, fit_plane
@@ -170,7 +171,7 @@ def solve(rig: Rig, date: str, report: Report) -> Solution:
     report(0.6)
     # The spline frees lenses and pose as well, held by their covariance from air; without that, only the ports are
     # adjusted.
-    method = Method.BA_PORTS if basis.start.air_covariance is None else Method.BA_SPLINE
+    method = Method.PORTS if basis.start.air_covariance is None else Method.SPLINE
     result = calibrate(method, recordings, basis.start)
     report(0.9)
     calibration = replace(result.calibration, made_at=date, camera_serials=serials)

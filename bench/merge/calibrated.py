@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 
 from appliance.calibration.depth_error import BORDER
-from appliance.calibration.water.ladder import Method, calibrate
+from appliance.calibration.water.calibrate import calibrate
+from appliance.calibration.water.method import Method
 from appliance.calibration.water.shapes import nearest_points
 from appliance.reconstruct.organised import OrganisedCloud
 from bench.outside.rigs import SETS, drawn, recorded
@@ -48,7 +49,7 @@ class Distortion:
 def distortion(seed: int, recordings: int) -> Distortion:
     """Return the distortion of a rig of the world ``outside``, calibrated in air and from so many recordings in water."""
     rig = drawn(SETS["all"], seed)
-    made = calibrate(Method.BA_SPLINE, recorded(rig.wet, recordings), start_of(air_of(rig.dry))).calibration
+    made = calibrate(Method.SPLINE, recorded(rig.wet, recordings), start_of(air_of(rig.dry))).calibration
     stated = stated_truth(rig.wet, Scene())
     u = np.linspace(-BESIDE * BORDER, BESIDE * BORDER, ACROSS)
     v = np.linspace(-0.75 * BESIDE * BORDER, 0.75 * BESIDE * BORDER, DOWN)

@@ -82,10 +82,9 @@ def examine(
     name = f"{truth_set} {seed}"
     with open_instrument(options) as instrument:
         truth = instrument.world.truth
-        air = air_of(truth, effort.boards)
-        start = start_of(air)
+        start = start_of(air_of(truth, effort.boards))
         recordings = _recorded(instrument, needed(effort.rungs), start, lambda what: step(f"{name}: {what}"))
-        made = climb(Known(air, start, recordings, truth), effort.rungs)
+        made = climb(Known(start, recordings, truth), effort.rungs)
         poses = unseen(truth, effort.bars, effort.planes, effort.frustums)
         rows = _judged(instrument, poses, made, seed, lambda what: step(f"{name}: {what}"))
     if not effort.salt:

@@ -3,21 +3,32 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
-from appliance.calibration.air.adjustment import AirCalibration
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.calibration.air.adjustment import BoardView, calibrate_air
 from appliance.calibration.file import Calibration
 from appliance.calibration.recordings import Recording
-from appliance.calibration.water.interface import SearchSettings
-from appliance.calibration.water.ladder import LadderSettings, Method, calibrate
+from appliance.calibration.water.bundle import BundleSettings, adjust
+from appliance.calibration.water.calibrate import calibrate
+from appliance.calibration.water.method import Method
+from appliance.calibration.water.paper import FIELD_MM, cubic, mapped_through_ports, search_distances
+from appliance.calibration.water.shapes import fit_plane
 from appliance.optics.water import Water
-from bench.metrology.air import BOARDS_IN_WATER, boards_in_water
+from bench.metrology.air import boards_in_water
 from bench.metrology.poses import CALIBRATION_BARS, CALIBRATION_PLANES
 from bench.metrology.poses import Pose as ObjectPose
+from bench.metrology.printed import calibrate_as_printed
+from bench.metrology.ray_field import calibrate_ray_field
 from hw_sim.truth import TrueRig
 from tests.support.calibrating import Pose, calibration_recordings
 from tests.support.truth import WATER
+
+Array = NDArray[np.float64]
 
 PLACES: Mapping[str, tuple[str, ObjectPose]] = {
     **{f"bar {k}": ("ballbar", pose) for k, pose in enumerate(CALIBRATION_BARS)},
@@ -33,7 +44,6 @@ ALL = tuple(PLACES)
 class Known:
     """What calibrating a rig may use."""
 
-    air: AirCalibration
     start: Calibration
     """Air's lenses and pose, the drawing's ports."""
     recordings: Mapping[str, Recording]
@@ -56,32 +66,58 @@ class Made:
 
 @dataclass(frozen=True, slots=True)
 class _Way:
-    method: Method
+    calibrate: Callable[[Sequence[Any], Calibration], Calibration]
+    """Calibrate from recordings, or from what ``others`` makes, and from the start."""
     needs: tuple[str, ...] = ()
     """Names of recordings."""
-    settings: LadderSettings = field(default_factory=LadderSettings)
-    others: int = 0
-    """Boards, and recordings that are made point by point."""
+    others: Callable[[TrueRig], Sequence[Any]] | None = None
+    """Pictures of boards, or recordings that are made point by point, in their place."""
 
 
-AS_PUBLISHED = LadderSettings(search=SearchSettings(noise_free=False))
+def _by(method: Method) -> Callable[[Sequence[Recording], Calibration], Calibration]:
+    return lambda recordings, start: calibrate(method, recordings, start).calibration
+
+
+def _noise_free(points_mm: Array) -> float:
+    """Return the range of the cubic through the distances from the plane, over d_r: that of points has their noise as its floor."""
+    normal, offset = fit_plane(points_mm)
+    terms = cubic((points_mm[:, :2] - points_mm[:, :2].mean(axis=0)) / FIELD_MM)
+    off = terms @ np.linalg.lstsq(terms, points_mm @ normal - offset, rcond=None)[0]
+    return float(np.ptp(off)) / FIELD_MM
+
+
+def _pinhole(views: Sequence[BoardView], start: Calibration) -> Calibration:
+    """Calibrate as in air, as if no window were there: principal distance and distortion swallow the refraction as well as they can."""
+    found = calibrate_air(views, start.rig.left.width_px, start.rig.left.height_px, with_field=False).rig
+    left, right = (replace(camera, lens_in_water=True) for camera in (found.left, found.right))
+    return replace(start, method="pinhole in water", rig=replace(start.rig, left=left, right=right))
+
+
+def _points(truth: TrueRig) -> list[Recording]:
+    """The published four as if images added nothing but noise."""
+    bars, planes = ([Pose(pose[:3], pose[3:]) for pose in p[:2]] for p in (CALIBRATION_BARS, CALIBRATION_PLANES))
+    return calibration_recordings(truth, bars, planes)
+
+
 WAYS: Mapping[str, _Way] = {
-    "pm_mapped": _Way(Method.PM_MAPPED),
-    "pm_water": _Way(Method.PM_WATER, others=BOARDS_IN_WATER),
-    "paper_rm_printed": _Way(Method.PAPER_RM_PRINTED, FOUR, AS_PUBLISHED),
-    "rm": _Way(Method.RM, FOUR, AS_PUBLISHED),
-    "rm_noise_free": _Way(Method.RM, FOUR),
-    "rmd": _Way(Method.RMD, FOUR, AS_PUBLISHED),
-    "ba_ports": _Way(Method.BA_PORTS, FOUR),
-    "ba_all": _Way(Method.BA_ALL, FOUR),
-    "ba_spline_4": _Way(Method.BA_SPLINE, FOUR),
-    "ba_spline_4_points": _Way(Method.BA_SPLINE, others=len(FOUR)),
-    "ba_spline_10": _Way(Method.BA_SPLINE, ALL),
-    "ray_field": _Way(Method.RAY_FIELD, ALL),
+    "pm_mapped": _Way(lambda _, start: mapped_through_ports(start, start.water)),
+    "pm_water": _Way(_pinhole, others=boards_in_water),
+    "paper_rm_printed": _Way(calibrate_as_printed, FOUR),
+    "rm": _Way(lambda recordings, start: search_distances(recordings, start).calibration, FOUR),
+    "rm_noise_free": _Way(lambda recordings, start: search_distances(recordings, start, _noise_free).calibration, FOUR),
+    "rmd": _Way(_by(Method.PAPER), FOUR),
+    "ba_ports": _Way(_by(Method.PORTS), FOUR),
+    "ba_all": _Way(
+        lambda recordings, start: adjust(recordings, start, Method.SPLINE, BundleSettings(spline_px=0.0)).calibration,
+        FOUR,
+    ),
+    "ba_spline_4": _Way(_by(Method.SPLINE), FOUR),
+    "ba_spline_4_points": _Way(_by(Method.SPLINE), others=_points),
+    "ba_spline_10": _Way(_by(Method.SPLINE), ALL),
+    "ray_field": _Way(calibrate_ray_field, ALL),
 }
 """By name, in the order of the tables. ``ba_spline_4_points`` is calibrated with correspondences that were made point by
 point, as if images added nothing but noise."""
-POINTS = "ba_spline_4_points"
 LATER = "ba_spline_10"
 """The calibration that is taken from fresh water into salt water, where it is used with that water's index and without."""
 IN_SALT = ("salt_updated", "salt_not_updated")
@@ -98,16 +134,8 @@ def climb(known: Known, rungs: Sequence[str]) -> list[Made]:
     made = []
     for name in rungs:
         way = WAYS[name]
-        recordings = _points(known.truth) if name == POINTS else [known.recordings[need] for need in way.needs]
-        boards = boards_in_water(known.truth) if way.method is Method.PM_WATER else ()
+        given = [known.recordings[need] for need in way.needs] if way.others is None else way.others(known.truth)
         begun = time.process_time()
-        result = calibrate(way.method, recordings, known.start, known.air, way.settings, boards=boards)
-        seconds = time.process_time() - begun
-        made.append(Made(name, result.calibration, WATER, len(way.needs) + way.others, seconds))
+        calibration = way.calibrate(given, known.start)
+        made.append(Made(name, calibration, WATER, len(given), time.process_time() - begun))
     return made
-
-
-def _points(truth: TrueRig) -> list[Recording]:
-    """The published four as if images added nothing but noise."""
-    bars, planes = ([Pose(pose[:3], pose[3:]) for pose in p[:2]] for p in (CALIBRATION_BARS, CALIBRATION_PLANES))
-    return calibration_recordings(truth, bars, planes)

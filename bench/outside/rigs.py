@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from appliance.calibration.recordings import Recording
-from appliance.calibration.water.ladder import Method, calibrate
+from appliance.calibration.water.calibrate import calibrate
+from appliance.calibration.water.method import Method
 from bench.outside.kept import Row, kept_row
 from bench.result import Measured
 from bench.spread import spread
@@ -143,7 +144,7 @@ def _found(name: str, number: int, seed: int) -> Row:
     start = start_of(air_of(rig.dry))
     row: Row = {"families": name, "seed": own}
     for recordings in RECORDINGS:
-        result = calibrate(Method.BA_SPLINE, recorded(rig.wet, recordings), start)
+        result = calibrate(Method.SPLINE, recorded(rig.wet, recordings), start)
         errors = evaluate(rig.wet, result.calibration.rig, frustums=FRUSTUMS)
         later = evaluate(rig.later, result.calibration.rig, planes=1)
         row[str(recordings)] = {

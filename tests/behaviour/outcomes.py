@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from appliance.calibration.file import encode, load
 from appliance.calibration.recordings import ArtefactKind, Recording
-from appliance.calibration.water.ladder import calibrate
+from appliance.calibration.water.calibrate import calibrate
 from appliance.calibration.water.method import Method
 from appliance.cli import main
 from appliance.config import load_rig
@@ -153,7 +153,7 @@ def _calibrated_in_water(folder: Path) -> Any:
         else Recording(name, ArtefactKind.PLANE, water=WATER, **one)
         for name, one in stored.items()
     ]
-    result = calibrate(Method.BA_SPLINE, recordings, load(folder / "air.json"))
+    result = calibrate(Method.SPLINE, recordings, load(folder / "air.json"))
     said = json.loads(encode(result.calibration))
     return _steady({"calibration": said, "systematic_px": result.systematic_px, "warnings": list(result.warnings)})
 

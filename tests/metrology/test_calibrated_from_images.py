@@ -9,8 +9,9 @@ import pytest
 
 from appliance.calibration.file import Calibration
 from appliance.calibration.recordings import Recording
+from appliance.calibration.water.calibrate import calibrate
 from appliance.calibration.water.extract import CALIBRATING_GAP_MM, BarCertificate, extract
-from appliance.calibration.water.ladder import Method, calibrate
+from appliance.calibration.water.method import Method
 from appliance.evaluation.result import LENGTHS, Artefact, Result, evaluate
 from appliance.offline.evaluation import JUDGING_GAP_MM
 from appliance.reconstruct.pipeline import Cloud, Pipeline
@@ -98,11 +99,13 @@ def test_two_bars_and_two_planes_scanned_by_a_hidden_rig_calibrate_it() -> None:
     start = start_of(air_of(truth))
     recordings = [recording_of(Artefact.BALL_BAR, p, start, f"bar {k}") for k, p in enumerate(CALIBRATION_BARS)]
     recordings += [recording_of(Artefact.PLANE, p, start, f"plane {k}") for k, p in enumerate(CALIBRATION_PLANES)]
-    climbed = {m: calibrate(m, recordings, start) for m in (Method.RM, Method.BA_PORTS, Method.BA_SPLINE)}
+    climbed = {m: calibrate(m, recordings, start) for m in Method}
+    measured_with = {"air": start, **climbed[Method.PAPER].before}
+    measured_with |= {m.value: r.calibration for m, r in climbed.items()}
     worst: dict[str, Worst] = {}
     for artefact, pose in UNSEEN:
         scan = scan_of(artefact, pose)
-        for name, calibration in (("air", start), *((m.value, r.calibration) for m, r in climbed.items())):
+        for name, calibration in measured_with.items():
             result = measured(scan, calibration, artefact, truth)
             worst.setdefault(name, Worst()).add(result)
     for name, w in worst.items():
@@ -111,10 +114,10 @@ def test_two_bars_and_two_planes_scanned_by_a_hidden_rig_calibrate_it() -> None:
         )
     for method, made in climbed.items():
         print(method.value, f"{made.calibration.residual_px:.4f} px", made.warnings)
-    spline = worst[Method.BA_SPLINE.value]
+    spline = worst[Method.SPLINE.value]
     assert worst["air"].bar > 0.1, "a rig that needs no calibration proves nothing"
     assert spline.bar < 0.04
     assert spline.frustum < 0.1
     assert spline.flat < 0.04
-    assert worst[Method.BA_PORTS.value].bar < 0.5 * worst["air"].bar
-    assert climbed[Method.BA_SPLINE].calibration.residual_px == pytest.approx(0.03, abs=0.015)
+    assert worst[Method.PORTS.value].bar < 0.5 * worst["air"].bar
+    assert climbed[Method.SPLINE].calibration.residual_px == pytest.approx(0.03, abs=0.015)

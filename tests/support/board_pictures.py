@@ -68,19 +68,10 @@ def views_of_boards(truth: TrueRig, count: int = 20, seed: int = 1) -> list[Boar
 
     ``truth`` is the rig in water; ``hw_sim.truth.in_air`` says what it was before.
     """
-    return _views(in_air(truth), poses_in_air(count, seed), AIR, seed)
-
-
-def views_of_boards_in_water(truth: TrueRig, count: int = 15, seed: int = 1) -> list[BoardView]:
-    """Boards in the water that ``truth`` is in, for a pinhole that ignores it."""
-    return _views(truth, poses_in_water(count, seed), Water(), seed)
-
-
-def _views(rig: TrueRig, poses: list[Pose], water: Water, seed: int) -> list[BoardView]:
-    renderer = Renderer(rig, Scene(object="board"))
+    renderer = Renderer(in_air(truth), Scene(object="board"))
     found = []
-    for k, pose in enumerate(poses):
-        pictures = picture(renderer, pose, water, 1000 * seed + k)
+    for k, pose in enumerate(poses_in_air(count, seed)):
+        pictures = picture(renderer, pose, AIR, 1000 * seed + k)
         view = find_board(f"board {k}", pictures.left, pictures.right, BOARD)
         if isinstance(view, NoBoard):
             raise AssertionError(view.reason)

@@ -91,10 +91,10 @@ def hidden_rig(truth_set: str, seed: int) -> TrueRig:
     return draw_truth(truth_set, seed, WIDTH_PX, HEIGHT_PX, WATER.index)
 
 
-def board_views(truth: TrueRig, count: int = 20, seed: int = 1, wet: bool = False) -> list[BoardView]:
-    """A board of 14 × 11 corners, 18 mm apart, before the instrument: in air, or in the water."""
+def board_views(truth: TrueRig, count: int = 20, seed: int = 1) -> list[BoardView]:
+    """A board of 14 × 11 corners, 18 mm apart, before the instrument, in air."""
     rng = np.random.default_rng([seed, truth.seed])
-    dry = truth if wet else in_air(truth)
+    dry = in_air(truth)
     x, y = np.meshgrid((np.arange(14) - 6.5) * 18.0, (np.arange(11) - 5.0) * 18.0)
     corners = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], -1)
     # As its plate is bent; in air it is the whole board that is wrong, not a noise of its corners.

@@ -11,7 +11,8 @@ import numpy as np
 from appliance.calibration.gaps import GapModes, signed_gap_mm
 from appliance.calibration.health import HealthJudgement, HealthTrend, judge
 from appliance.calibration.patches import PatchGaps, average
-from appliance.calibration.water.bundle import Rung, adjust
+from appliance.calibration.water.bundle import adjust
+from appliance.calibration.water.method import Method
 from appliance.optics.model import StereoRig
 from hw_sim.truth import TrueRig
 from tests.support.calibrating import (
@@ -39,11 +40,10 @@ class Calibrated:
 
 
 @cache
-def calibrated(seed: int, rung: Rung = Rung.SPLINE) -> Calibrated:
+def calibrated(seed: int, method: Method = Method.SPLINE) -> Calibrated:
     """A realistic rig, calibrated in air and in water as the documents say."""
     truth = hidden_rig("realistic", seed)
-    air = air_of(truth)
-    rig = adjust(calibration_recordings(truth), start_of(air), rung, air.covariance).calibration.rig
+    rig = adjust(calibration_recordings(truth), start_of(air_of(truth)), method).calibration.rig
     return Calibrated(truth, rig, GapModes(rig, WATER.index))
 
 

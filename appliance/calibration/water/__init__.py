@@ -1,1 +1,1 @@
-"""The calibration in water: from recordings of artefacts to ports, lenses and pose, by one of the ladder's methods."""
+"""The calibration in water: from recordings of artefacts to ports, lenses and pose, by one of three methods."""

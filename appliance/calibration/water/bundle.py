@@ -10,57 +10,38 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from enum import Enum
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibration import parameters
 from appliance.calibration.determined import UndeterminedError, solved
-from appliance.calibration.field import AirField, FieldPrior
+from appliance.calibration.field import FieldPrior
 from appliance.calibration.file import Calibration
-from appliance.calibration.judgement import Estimate, judged, systematic_px, warnings_about
+from appliance.calibration.judgement import judged, systematic_px, warnings_about
 from appliance.calibration.recordings import ArtefactKind, NotConverged, Recording, RecordingError, thinned
 from appliance.calibration.water.artefact import Place, first_place
 from appliance.calibration.water.expected import (
     Columns,
     Doubt,
-    Expected,
     expected,
     expected_depth_error_mm2,
     warnings_about_expected,
 )
+from appliance.calibration.water.method import Method, WaterResult
 from appliance.calibration.water.slopes import NodeBasis, NodeSlopes, Slopes
-from appliance.calibration.water.start import check_start
 from appliance.optics.correction import INTERVALS, ImageCorrection, node_count
 from appliance.optics.model import HousedCamera, StereoRig
-from appliance.optics.ray_shift import INTERVALS as SHIFT_INTERVALS
-from appliance.optics.ray_shift import RayShift
 from appliance.optics.water import Water
 from appliance.scan.sides import SIDES
 
 Array = NDArray[np.float64]
 
 PIXEL_STEP = 1e-3
-SHIFT_STEP_MM = 1e-3
 INDEX_STEP = 1e-5
 REFITS, REFIT_ROUNDS, REFIT_STEP = 2, 3, 3.0
 """Number of estimates of the windows' waviness, rounds of each, and distance from the solution within which one is made (standard
 deviations)."""
-
-
-class Rung(Enum):
-    """Freedom of the adjustment: which parameters it may change."""
-
-    PORTS = "ports"
-    """Adjust each port's tilt and distance; the calibration in air is believed."""
-    ALL = "all"
-    """Adjust both lenses and the stereo pose, too, held by the covariance of the calibration in air."""
-    SPLINE = "spline"
-    """Adjust an image correction per camera, too: a fine one where the calibration in air knows the lenses' fields."""
-    FIELD = "field"
-    """A finer image correction, and a shift of each ray: a free field of rays about the model. Wants many recordings."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,16 +58,9 @@ class BundleSettings:
     refocus: float = 1e-4
     """Relative change of a principal distance between air and water."""
     spline_px: float = 0.15
+    """Standard deviation of a spline node where the start has no fields from air; 0: no image correction is adjusted."""
     spline_bend_px: float = 0.05
     """Standard deviation of second differences between neighbouring spline nodes."""
-    field_intervals: tuple[int, int] = (10, 8)
-    """Intervals of the field's image correction, across and down."""
-    field_bend_px: float = 0.03
-    """Standard deviation of second differences of the field's image correction; its nodes are nearer than the
-    spline's."""
-    shift_mm: float = 0.02
-    shift_bend_mm: float = 0.01
-    """Standard deviation of the ray shift's nodes, and of their second differences."""
     points_per_recording: int = 1500
     far_residual: float = 4.0
     """Residuals beyond this many standard deviations lose weight in proportion (Huber)."""
@@ -97,58 +71,28 @@ class BundleSettings:
     """Converged when a step is shorter than this in standard deviations, all parameters together."""
 
 
-@dataclass(frozen=True, slots=True)
-class RecordingResidual:
-    """Residuals of one recording after the adjustment."""
-
-    name: str
-    points: int
-    rms_px: float
-    """RMS residual per coordinate."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class BundleResult:
-    """A calibration, and what one should know before trusting it."""
-
-    calibration: Calibration
-    residuals: tuple[RecordingResidual, ...]
-    systematic_px: float
-    """RMS of what remains after averaging the noise away over patches of the image."""
-    expected: Expected
-    """Errors to be expected of lengths and planes that were not recorded."""
-    estimates: tuple[Estimate, ...]
-    warnings: tuple[str, ...]
-    costs: tuple[float, ...]
-    """The robust sum of squares, priors included: before the first step and after each. Where the prior is estimated on the
-    way, earlier ones are moved by what that changes."""
-
-    @property
-    def steps(self) -> int:
-        """Steps taken."""
-        return len(self.costs) - 1
-
-    @property
-    def unobserved(self) -> tuple[str, ...]:
-        """Names of the parameters that stayed at their prior because the recordings say nothing about them."""
-        return tuple(estimate.name for estimate in self.estimates if estimate.at_prior)
-
-
 def adjust(
-    recordings: Sequence[Recording],
-    start: Calibration,
-    rung: Rung,
-    air_covariance: Array | None = None,
-    settings: BundleSettings | None = None,
-) -> BundleResult:
-    """Adjust ``start`` (air values with the design's ports) to recordings in water.
+    recordings: Sequence[Recording], start: Calibration, method: Method, settings: BundleSettings | None = None
+) -> WaterResult:
+    """Adjust ``start`` (air values with the design's ports) to recordings in water; ``method`` is PORTS or SPLINE.
 
-    ``air_covariance`` (22, 22) as ``AirCalibration`` gives it; needed by all rungs but PORTS. A few thousand
-    points take seconds. Raises RecordingError for recordings that cannot be used or do not suffice, ValueError for a
-    missing covariance.
+    A few thousand points take seconds. Raises RecordingError for recordings that cannot be used or do not suffice, and for a
+    start that lacks the covariance from air, which SPLINE needs.
     """
+    if not any(r.kind is ArtefactKind.BALL_BAR for r in recordings):
+        raise RecordingError("no recording of a ball bar; planes alone leave every length unknown; record a ball bar")
+    if start.air_covariance is None and method is not Method.PORTS:
+        raise RecordingError(
+            f"the start ({start.method}) has no covariance from air, which {method.value} needs; start from the "
+            f"calibration in air, or use {Method.PORTS.value}"
+        )
+    return adjusted(Problem(recordings, start, method, settings or BundleSettings()))
+
+
+def adjusted(problem: Problem) -> WaterResult:
+    """Return what solving the normal equations gives. Raises RecordingError if they leave something open, or do not converge."""
     try:
-        return _adjusted(recordings, start, rung, air_covariance, settings or BundleSettings())
+        return _adjusted(problem)
     except UndeterminedError as error:
         raise RecordingError(
             f"the recordings do not determine {', '.join(error.names)}; record planes that fill the image and bars whose balls are seen "
@@ -156,17 +100,8 @@ def adjust(
         ) from error
 
 
-def _adjusted(
-    recordings: Sequence[Recording],
-    start: Calibration,
-    rung: Rung,
-    air_covariance: Array | None,
-    chosen: BundleSettings,
-) -> BundleResult:
-    if not any(r.kind is ArtefactKind.BALL_BAR for r in recordings):
-        raise RecordingError("no recording of a ball bar; planes alone leave every length unknown; record a ball bar")
-    check_start(start)
-    problem = _Problem(recordings, start.rig, rung, air_covariance, chosen, start.air_field)
+def _adjusted(problem: Problem) -> WaterResult:
+    start, chosen, recordings = problem.start, problem.settings, problem.recordings
     x = problem.mean.copy()
     hessian, gradient, cost, residuals = problem.linearise(x)
     costs = [cost]
@@ -209,13 +144,9 @@ def _adjusted(
         problem.prior_sd,
         np.sqrt(np.diag(covariance))[: len(counts)],
     )
-    per_recording = tuple(
-        RecordingResidual(r.name, len(r.left_px), float(np.sqrt(np.mean(e**2))))
-        for r, e in zip(problem.recordings, residuals, strict=True)
-    )
     pooled = np.concatenate(residuals)
     rms = float(np.sqrt(np.mean(pooled**2)))
-    left = np.concatenate([r.left_px for r in problem.recordings])
+    left = np.concatenate([r.left_px for r in recordings])
     systematic, warnings = warnings_about(
         left,
         pooled,
@@ -223,14 +154,14 @@ def _adjusted(
         start.rig.left,
         estimates,
         problem.certificates(x),
-        rung in (Rung.PORTS, Rung.ALL),
+        not problem.has_nodes,
     )
     # What differs from recording to recording (a bent plane, a moved bar) cancels in the mean over all of them.
     each = np.repeat(np.arange(len(residuals)), [len(e) for e in residuals])
     rest = max(systematic, systematic_px(left, pooled, start.rig.left, each))
     # What is finer than a patch is not in its mean, but in the residuals beyond their noise.
     rest = max(rest, math.sqrt(max(rms**2 - chosen.noise_px**2, 0.0)))
-    bar = next(r for r in problem.recordings if r.kind is ArtefactKind.BALL_BAR)
+    bar = next(r for r in recordings if r.kind is ArtefactKind.BALL_BAR)
     noisier = max(1.0, rms / chosen.noise_px)
     # Residuals show what the fields of both cameras differ by. Where the boards in air were adjusted without fields, what
     # these did to lenses and pose there is hidden, and about as large again.
@@ -249,7 +180,7 @@ def _adjusted(
     shared = 0.5 * (shared + shared.T) + 1e-7 * np.eye(len(shared))
     calibration = replace(
         start,
-        method=f"bundle, {rung.value}",
+        method=f"bundle, {problem.method.value}",
         made_from=(*start.made_from, *(f"recording {r.name}" for r in recordings)),
         water=recordings[0].water,
         rig=rig,
@@ -258,24 +189,36 @@ def _adjusted(
         air_field=None,
         depth_error_mm2=tuple(tuple(row) for row in shared.tolist()),
     )
-    return BundleResult(calibration, per_recording, systematic, ahead, estimates, warnings, tuple(costs))
+    bars = sum(r.kind is ArtefactKind.BALL_BAR for r in recordings)
+    planes = len(recordings) - bars
+    if bars < 2 or planes < 1:
+        said = (
+            f"{bars} bars and {planes} planes: a scale from one bar in one direction, or tilts without a plane, are "
+            f"weakly held; record two bars, turned and leaning, and two planes, near and far"
+        )
+        warnings += (said,)
+    return WaterResult(
+        problem.method,
+        calibration,
+        warnings,
+        systematic_px=systematic,
+        estimates=estimates,
+        costs=tuple(costs),
+        expected=ahead,
+    )
 
 
-class _Problem:
+class Problem:
     """The normal equations of one adjustment. Unknowns: the active rig parameters, spline nodes, artefacts."""
 
     def __init__(
-        self,
-        recordings: Sequence[Recording],
-        rig: StereoRig,
-        rung: Rung,
-        air_covariance: Array | None,
-        settings: BundleSettings,
-        air_field: AirField | None = None,
+        self, recordings: Sequence[Recording], start: Calibration, method: Method, settings: BundleSettings
     ) -> None:
-        self._start = rig
-        self._settings = settings
-        self.active = list(range(parameters.COUNT if rung is not Rung.PORTS else parameters.PORTS.stop))
+        self.start = start
+        self.method = method
+        self.settings = settings
+        rig, air_field = start.rig, start.air_field
+        self.active = list(range(parameters.PORTS.stop if method is Method.PORTS else parameters.COUNT))
         count = len(self.active)
         tilt = math.radians(settings.tilt_deg)
         # Priors as an information matrix, that is the inverse of a covariance: independent for the ports, which only
@@ -283,108 +226,76 @@ class _Problem:
         # strongly correlated (principal distance with k1, yaw with the principal point).
         information = np.zeros((count, count))
         information[:6, :6] = np.diag(np.array([tilt, tilt, settings.distance_mm] * 2) ** -2.0)
-        if rung is not Rung.PORTS:
-            if air_covariance is None or air_covariance.shape != (22, 22):
-                raise ValueError(
-                    "the adjustment of all parameters needs the (22, 22) covariance of the air calibration"
-                )
-            widened = _widened(air_covariance, rig, settings)
-            information[6:, 6:] = np.linalg.inv(widened)
+        if method is not Method.PORTS:
+            information[6:, 6:] = np.linalg.inv(_widened(np.array(start.air_covariance), rig, settings))
         self.prior_sd = np.sqrt(np.diag(np.linalg.inv(information)))
-        self._splines = rung in (Rung.SPLINE, Rung.FIELD)
-        self._field = rung is Rung.FIELD
-        self._intervals = settings.field_intervals if self._field else INTERVALS
-        if self._splines and air_field is not None:
-            self._intervals = air_field.intervals
-        nodes = 2 * node_count(self._intervals) if self._splines else 0
-        shifts = 2 * node_count(SHIFT_INTERVALS) if self._field else 0
-        # Order of the unknowns x: rig parameters, nodes of the left and right image correction, nodes of the left and
-        # right ray shift, then each artefact's pose.
-        ends = np.cumsum([count, nodes, nodes, shifts, shifts])
-        self._left_nodes, self._right_nodes, self._left_shifts, self._right_shifts = (
-            slice(int(a), int(b)) for a, b in pairwise(ends)
-        )
+        self.has_nodes = method is Method.SPLINE and settings.spline_px > 0.0
+        self._intervals = INTERVALS if air_field is None else air_field.intervals
+        nodes = 2 * node_count(self._intervals) if self.has_nodes else 0
+        # Order of the unknowns x: rig parameters, nodes of the left and right image correction, then each artefact's pose.
+        self._left_nodes, self._right_nodes = slice(count, count + nodes), slice(count + nodes, count + 2 * nodes)
         placed = [first_place(thinned(r, settings.points_per_recording), rig) for r in recordings]
         self.recordings = [recording for _, recording in placed]
         self._places: list[Place] = [place for place, _ in placed]
-        at = int(ends[-1])
+        at = self._right_nodes.stop
         self._slices = []
         for place in self._places:
             self._slices.append(slice(at, at + len(place.steps)))
             at += len(place.steps)
         self.size = at
-        self._prior = np.zeros((at, at))
-        self._prior[:count, :count] = information
+        self.prior = np.zeros((at, at))
+        self.prior[:count, :count] = information
         self.mean = np.zeros(at)
         self.windows: FieldPrior | None = None
         """Prior of rig and fields where the calibration in air tells of fields; estimates how wavy the windows are."""
-        if self._splines and air_field is not None:
+        if self.has_nodes and air_field is not None:
             known = np.zeros((self._right_nodes.stop,) * 2)
             known[:6, :6] = np.linalg.inv(information[:6, :6])
             known[6:, 6:] = _widened(air_field.covariance, rig, settings)
             mean = np.concatenate([np.zeros(6), air_field.mean])
             self.windows = FieldPrior(known, mean, (rig.left.width_px, rig.left.height_px), self._intervals)
             self.mean[: len(mean)] = mean
-            self._prior[: len(mean), : len(mean)] = self.windows.information
+            self.prior[: len(mean), : len(mean)] = self.windows.information
             self.prior_sd = np.sqrt(np.diag(known)[:count])
-        elif self._splines:
-            bend_px = settings.field_bend_px if self._field else settings.spline_bend_px
-            smooth = _smoothness(self._intervals, settings.spline_px, bend_px)
-            self._prior[self._left_nodes, self._left_nodes] = smooth
-            self._prior[self._right_nodes, self._right_nodes] = smooth
-        if self._field:
-            smooth = _smoothness(SHIFT_INTERVALS, settings.shift_mm, settings.shift_bend_mm)
-            self._prior[self._left_shifts, self._left_shifts] = smooth
-            self._prior[self._right_shifts, self._right_shifts] = smooth
+        elif self.has_nodes:
+            smooth = smoothness(self._intervals, settings.spline_px, settings.spline_bend_px)
+            self.prior[self._left_nodes, self._left_nodes] = smooth
+            self.prior[self._right_nodes, self._right_nodes] = smooth
 
     def rig(self, x: Array) -> StereoRig:
         """Return the rig at ``x``, with its corrections."""
-        rig = self._bare(x)
-        if not self._splines:
+        rig = self.bare(x)
+        if not self.has_nodes:
             return rig
-        corrected = (
-            replace(rig.left, correction=self._correction(rig.left, x[self._left_nodes])),
-            replace(rig.right, correction=self._correction(rig.right, x[self._right_nodes])),
-        )
-        if not self._field:
-            return replace(rig, left=corrected[0], right=corrected[1])
         return replace(
             rig,
-            left=replace(corrected[0], ray_shift=_ray_shift(rig.left, x[self._left_shifts])),
-            right=replace(corrected[1], ray_shift=_ray_shift(rig.right, x[self._right_shifts])),
+            left=self._corrected(rig.left, x[self._left_nodes]),
+            right=self._corrected(rig.right, x[self._right_nodes]),
         )
 
     @property
     def names(self) -> list[str]:
         """Names of all unknowns, in order."""
         named = [parameters.NAMES[k] for k in self.active]
-        nodes = (self._left_nodes, self._right_nodes, self._left_shifts, self._right_shifts)
-        for what, part in zip(("image correction", "ray shift"), (nodes[:2], nodes[2:]), strict=True):
-            named += [f"{side} {what}" for side, at in zip(SIDES, part, strict=True) for _ in range(at.stop - at.start)]
+        for side, at in zip(SIDES, (self._left_nodes, self._right_nodes), strict=True):
+            named += [f"{side} image correction"] * (at.stop - at.start)
         for recording, at in zip(self.recordings, self._slices, strict=True):
             named += [f"the place of {recording.name}"] * (at.stop - at.start)
         return named
 
     @property
-    def has_nodes(self) -> bool:
-        """Tell whether image corrections are adjusted."""
-        return self._splines
-
-    @property
     def columns(self) -> Columns:
         """Places of the rig's unknowns."""
-        return Columns(
-            tuple(self.active), (self._left_nodes, self._right_nodes), (self._left_shifts, self._right_shifts)
-        )
+        return Columns(tuple(self.active), (self._left_nodes, self._right_nodes))
 
     def refit(self, hessian: Array, gradient: Array, x: Array) -> None:
         """Estimate how wavy the windows are, from the normal equations at ``x``, and hold the nodes accordingly."""
         if self.windows is None:
             return
-        without = gradient - self._prior @ (x - self.mean)
-        self.windows.refit(hessian - self._prior, without, x, REFIT_ROUNDS)
+        without = gradient - self.prior @ (x - self.mean)
+        self.windows.refit(hessian - self.prior, without, x, REFIT_ROUNDS)
         m = len(self.windows.mean)
-        self._prior[:m, :m] = self.windows.information
+        self.prior[:m, :m] = self.windows.information
 
     def certificates(self, x: Array) -> list[tuple[str, float]]:
         """Return each bar's name and how many standard deviations its length is off its certificate."""
@@ -398,28 +309,27 @@ class _Problem:
     def linearise(self, x: Array, index_more: float = 0.0) -> tuple[Array, Array, float, list[Array]]:
         """Return Hessian, gradient and cost of the robust sum of squares, and the residuals (n, 2) in px per
         recording; in water whose index is ``index_more`` than stated."""
-        noise = self._settings.noise_px
+        noise = self.settings.noise_px
         # Gauss-Newton of E(x) = xᵀ P x + Σ ρ(|e| / σ) + Σ certificates²: the Hessian is P + Σ Jᵀ W J, without second
         # derivatives of e. The prior's mean is the start, or what the boards in air say.
-        hessian, gradient = self._prior.copy(), self._prior @ (x - self.mean)
+        hessian, gradient = self.prior.copy(), self.prior @ (x - self.mean)
         cost = float((x - self.mean) @ gradient)
         residuals = []
-        steps = parameters.STEPS[self.active]
-        rig = self._bare(x)
+        rig = self.bare(x)
         changed = []
-        for k, step in enumerate(steps):
+        for k, step in enumerate(parameters.STEPS[self.active]):
             y = x.copy()
             y[k] += step
-            changed.append(self._bare(y))
+            changed.append((self.bare(y), step))
         for recording, place, at in zip(self.recordings, self._places, self._slices, strict=True):
-            slopes = self._slopes(x, rig, changed, recording, place, at, index_more)
+            slopes = self.slopes(x, rig, changed, recording, place, at, index_more)
             residual = slopes.residual
-            far = np.linalg.norm(residual, axis=1) / noise / self._settings.far_residual
+            far = np.linalg.norm(residual, axis=1) / noise / self.settings.far_residual
             # Huber's weight, from the length of the residual so that both coordinates of one match lose alike: 1 inside
             # far_residual, 1/far outside.
             weight = np.tile(1.0 / np.maximum(far, 1.0) / noise**2, 2)
             slopes.add(hessian, gradient, weight)
-            k2 = self._settings.far_residual**2
+            k2 = self.settings.far_residual**2
             # ρ of Huber: r² inside, 2 r − 1 outside, in units of far_residual; continuous in value and slope at 1.
             cost += float(np.sum(np.where(far <= 1.0, far**2, 2.0 * far - 1.0)) * k2)
             extra, D = place.certificate(x[at])
@@ -429,75 +339,54 @@ class _Problem:
             residuals.append(residual)
         return hessian, gradient, cost, residuals
 
-    def _slopes(
+    def slopes(
         self,
         x: Array,
         rig: StereoRig,
-        changed: Sequence[StereoRig],
+        changed: Sequence[tuple[StereoRig, float]],
         recording: Recording,
         place: Place,
         at: slice,
         index_more: float,
     ) -> Slopes:
-        """Return one recording's residuals and their slopes by all unknowns."""
+        """Return one recording's residuals and their slopes by all unknowns; ``changed`` has the rigs at a step of each of the first."""
         index = recording.water.index + index_more
         left, right = recording.left_px, recording.right_px
-        n = len(left)
-        left_shift, right_shift = np.zeros((n, 3)), np.zeros((n, 3))
-        if self._splines:
+        if self.has_nodes:
             left_basis = _basis(rig.left, left, self._intervals)
             right_basis = _basis(rig.right, right, self._intervals)
-        if self._field:
-            left_coarse, right_coarse = (
-                _basis(camera, uv, SHIFT_INTERVALS) for camera, uv in ((rig.left, left), (rig.right, right))
-            )
-            left_shift[:, :2] = _surface(left_coarse, x[self._left_shifts])
-            right_shift[:, :2] = _surface(right_coarse, x[self._right_shifts])
-        if self._splines:
             left = left - _surface(left_basis, x[self._left_nodes])
             right = right - _surface(right_basis, x[self._right_nodes])
 
-        def predicted(
-            rig: StereoRig,
-            uv: Array = left,
-            q: Array = x[at],
-            left_shift: Array = left_shift,
-            right_shift: Array = right_shift,
-        ) -> Array:
+        def predicted(rig: StereoRig, uv: Array = left, q: Array = x[at]) -> Array:
             # Transfer error: left pixel → refracted ray → point on the artefact → refracted projection into the right
             # camera. Both coordinates count: the one across the epipolar line tells a tilted port.
-            origin, direction = rig.left.rays(uv, index)
-            origin = origin + left_shift @ np.asarray(rig.left.rotation).T
-            return _project(rig.right, place.meet(origin, direction, recording.sphere, q), right_shift, index)
+            return rig.right.project(place.meet(*rig.left.rays(uv, index), recording.sphere, q), index)
 
         now = predicted(rig)
-        steps = parameters.STEPS[self.active]
         # Forward differences: refraction has no handy closed derivative, and the functions are smooth far below the
         # steps.
-        parts = [np.stack([(predicted(r) - now) / s for r, s in zip(changed, steps, strict=True)], -1)]
+        parts = [np.stack([(predicted(other) - now) / step for other, step in changed], -1)]
         parts.append(np.stack([(predicted(rig, q=x[at] + e) - now) / e.max() for e in np.diag(place.steps)], -1))
-        columns = np.concatenate([np.arange(len(steps)), np.arange(at.start, at.stop)])
+        columns = np.concatenate([np.arange(len(changed)), np.arange(at.start, at.stop)])
         nodes: list[NodeSlopes] = []
-        if self._splines:
+        if self.has_nodes:
             # The left correction is subtracted before the ray, the right one from the matched pixel.
-            by_left = [(predicted(rig, uv=left - e[:2]) - now) / PIXEL_STEP for e in PIXEL_STEP * np.eye(3)[:2]]
+            by_left = [(predicted(rig, uv=left - e) - now) / PIXEL_STEP for e in PIXEL_STEP * np.eye(2)]
             nodes.append(NodeSlopes(self._left_nodes, left_basis, by_left))
             nodes.append(NodeSlopes(self._right_nodes, right_basis, list(np.eye(2))))
-        if self._field:
-            steps_mm = SHIFT_STEP_MM * np.eye(3)[:2]
-            by_left = [(predicted(rig, left_shift=left_shift + e) - now) / SHIFT_STEP_MM for e in steps_mm]
-            by_right = [(predicted(rig, right_shift=right_shift + e) - now) / SHIFT_STEP_MM for e in steps_mm]
-            nodes.append(NodeSlopes(self._left_shifts, left_coarse, by_left))
-            nodes.append(NodeSlopes(self._right_shifts, right_coarse, by_right))
         return Slopes(now - right, np.concatenate(parts, -1), columns, nodes)
 
-    def _correction(self, camera: HousedCamera, nodes: Array) -> ImageCorrection:
-        return ImageCorrection(camera.width_px, camera.height_px, self._intervals, _by_node(nodes))
+    def _corrected(self, camera: HousedCamera, nodes: Array) -> HousedCamera:
+        by_node = nodes.reshape(2, -1).T.ravel()
+        correction = ImageCorrection(camera.width_px, camera.height_px, self._intervals, tuple(by_node.tolist()))
+        return replace(camera, correction=correction)
 
-    def _bare(self, x: Array) -> StereoRig:
+    def bare(self, x: Array) -> StereoRig:
+        """Return the rig at ``x``, without its corrections."""
         full = np.zeros(parameters.COUNT)
         full[self.active] = x[: len(self.active)]
-        return parameters.rig_with(self._start, full)
+        return parameters.rig_with(self.start.rig, full)
 
 
 def _index_sd(water: Water, led_nm: float) -> float:
@@ -518,12 +407,6 @@ def _widened(covariance: Array, rig: StereoRig, settings: BundleSettings) -> Arr
     return widened
 
 
-def _project(camera: HousedCamera, points_mm: Array, shift_mm: Array, water_index: float) -> Array:
-    """Return pixels of points, before any image correction; ``shift_mm`` is that of the rays they are seen along."""
-    local = (points_mm - np.asarray(camera.translation_mm)) @ np.asarray(camera.rotation) - shift_mm
-    return camera.ideal_pixels(local, water_index)
-
-
 def _basis(camera: HousedCamera, uv_px: Array, intervals: tuple[int, int]) -> NodeBasis:
     return NodeBasis.at(uv_px, (camera.width_px, camera.height_px), intervals)
 
@@ -533,16 +416,7 @@ def _surface(basis: NodeBasis, nodes: Array) -> Array:
     return np.stack([basis.times(part) for part in np.split(nodes, 2)], -1)
 
 
-def _by_node(nodes: Array) -> tuple[float, ...]:
-    """Return both components node by node, as the models keep them."""
-    return tuple(float(c) for c in nodes.reshape(2, -1).T.ravel())
-
-
-def _ray_shift(camera: HousedCamera, nodes: Array) -> RayShift:
-    return RayShift(camera.width_px, camera.height_px, SHIFT_INTERVALS, _by_node(nodes))
-
-
-def _smoothness(intervals: tuple[int, int], value_sd: float, bend_sd: float) -> Array:
+def smoothness(intervals: tuple[int, int], value_sd: float, bend_sd: float) -> Array:
     """Return the information matrix of one camera's nodes: small values, small second differences along rows and
     columns."""
     # A cubic B-spline over n intervals has n + 3 coefficients. The information is I / value_sd² + BᵀB / bend_sd² with B

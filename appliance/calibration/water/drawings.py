@@ -1,13 +1,11 @@
-"""Owns the drawings of a calibration's report: the valley of T, what is left over the image, how the cost fell. SVG, PNG."""
+"""Owns the drawings of a calibration's report: what is left over the image, how the cost fell, what was seen. SVG."""
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibration.judgement import Estimate
-from appliance.calibration.water.interface import Valley
 from appliance.calibration.water.residuals import Residuals
 
 Array = NDArray[np.float64]
@@ -18,23 +16,6 @@ CELLS = (20, 15)
 FEWEST_IN_CELL = 3
 ARROW = 0.9
 """Length of the longest usual arrow, in cells."""
-PIXEL = 24
-_LOW, _HIGH = np.array((33, 102, 172), np.float64), np.array((247, 247, 247), np.float64)
-
-
-def valley_png(valley: Valley) -> bytes:
-    """Return a picture of log T over d1 (to the right) and d2 (downwards), blue where it is small; the smallest one
-    is framed."""
-    log = np.log10(np.maximum(valley.statistic, 1e-300)).T
-    part = ((log - log.min()) / max(float(np.ptp(log)), 1e-12))[..., None]
-    image = np.repeat(np.repeat(_LOW + part * (_HIGH - _LOW), PIXEL, 0), PIXEL, 1).astype(np.uint8)
-    j, i = np.unravel_index(int(np.argmin(log)), log.shape)
-    corner = (int(i) * PIXEL, int(j) * PIXEL)
-    cv2.rectangle(image, corner, (corner[0] + PIXEL - 1, corner[1] + PIXEL - 1), (178, 24, 43), 2)
-    done, data = cv2.imencode(".png", np.ascontiguousarray(image[:, :, ::-1]))
-    if not done:
-        raise ValueError(f"a picture of {image.shape} could not be encoded as PNG")
-    return bytes(data)
 
 
 def residual_svg(residuals: Residuals, size_px: tuple[int, int]) -> tuple[str, float]:

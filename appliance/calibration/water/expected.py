@@ -13,7 +13,7 @@ from appliance.calibration.depth_error import BORDER, DISTANCE_MM, coefficients_
 from appliance.calibration.recordings import ArtefactKind, Recording
 from appliance.calibration.water.shapes import nearest_points
 from appliance.optics.correction import basis_matrix
-from appliance.optics.model import HousedCamera, StereoRig
+from appliance.optics.model import StereoRig
 
 Array = NDArray[np.float64]
 
@@ -36,7 +36,7 @@ LENGTH_PERCENT, MANY_LENGTH_PERCENT, FLAT_PERCENT = 0.05, 0.025, 0.05
 """Errors that a calibration of four recordings, and one of ten, should not exceed (``docs/accuracy.md``)."""
 MANY_BARS, MANY_PLANES = 4, 6
 MUCH_REST_PX = 0.01
-PIXEL_STEP, SHIFT_STEP_MM, INDEX_STEP = 1e-3, 1e-3, 1e-5
+PIXEL_STEP, INDEX_STEP = 1e-3, 1e-5
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,8 +150,6 @@ class Columns:
     active: tuple[int, ...]
     nodes: tuple[slice, slice]
     """Nodes of the left and of the right image correction; empty where there is none."""
-    shifts: tuple[slice, slice]
-    """Nodes of the left and of the right ray shift; empty where there is none."""
 
 
 def _axes(rig: StereoRig, water_index: float) -> tuple[Array, Array]:
@@ -203,18 +201,8 @@ def _slopes(
     seen = np.isfinite(np.concatenate([left, right], axis=1)).all(axis=1)
     left, right = np.where(seen[:, None], left, 0.0), np.where(seen[:, None], right, 0.0)
 
-    def met(
-        rig: StereoRig,
-        left: Array = left,
-        right: Array = right,
-        aside: tuple[Array, Array] = (np.zeros(3), np.zeros(3)),
-        water_index: float = water_index,
-    ) -> Array:
-        p, a = rig.left.rays(left, water_index)
-        q, b = rig.right.rays(right, water_index)
-        p = p + aside[0] @ np.asarray(rig.left.rotation).T
-        q = q + aside[1] @ np.asarray(rig.right.rotation).T
-        return nearest_points(p, a, q, b)
+    def met(rig: StereoRig, left: Array = left, right: Array = right, water_index: float = water_index) -> Array:
+        return nearest_points(*rig.left.rays(left, water_index), *rig.right.rays(right, water_index))
 
     now = met(rig)
     found = np.zeros((len(points), 3, size))
@@ -224,47 +212,18 @@ def _slopes(
         found[:, :, column] = (met(parameters.rig_with(rig, x)) - now) / parameters.STEPS[k]
     by_pixel = (met(rig, right=right + np.array([PIXEL_STEP, 0.0])) - now) / PIXEL_STEP
     by_water = (met(rig, water_index=water_index + INDEX_STEP) - now) / INDEX_STEP
-    by_left: list[Callable[[Array], Array]] = [
+    by_nodes: list[Callable[[Array], Array]] = [
         lambda e: (met(rig, left=left - e) - now) / PIXEL_STEP,
         lambda e: (met(rig, right=right - e) - now) / PIXEL_STEP,
     ]
-    for camera, uv, nodes, by in zip((rig.left, rig.right), (left, right), columns.nodes, by_left, strict=True):
-        _spread(
-            found,
-            camera,
-            uv,
-            nodes,
-            None if camera.correction is None else camera.correction.intervals,
-            by,
-            PIXEL_STEP * np.eye(2),
-        )
-    steps_mm = SHIFT_STEP_MM * np.eye(3)[:2]
-    by_shift: list[Callable[[Array], Array]] = [
-        lambda e: (met(rig, aside=(e, np.zeros(3))) - now) / SHIFT_STEP_MM,
-        lambda e: (met(rig, aside=(np.zeros(3), e)) - now) / SHIFT_STEP_MM,
-    ]
-    for camera, uv, nodes, by in zip((rig.left, rig.right), (left, right), columns.shifts, by_shift, strict=True):
-        _spread(
-            found, camera, uv, nodes, None if camera.ray_shift is None else camera.ray_shift.intervals, by, steps_mm
-        )
+    for camera, uv, nodes, by in zip((rig.left, rig.right), (left, right), columns.nodes, by_nodes, strict=True):
+        if camera.correction is None:
+            continue
+        # Slopes by a surface's nodes: those by its two components, times its basis.
+        basis = basis_matrix(uv, (camera.width_px, camera.height_px), camera.correction.intervals)
+        count = basis.shape[1]
+        for k, step in enumerate(PIXEL_STEP * np.eye(2)):
+            first = nodes.start + k * count
+            found[:, :, first : first + count] = by(step)[:, :, None] * basis[:, None, :]
     found[~seen], by_pixel[~seen], by_water[~seen] = 0.0, 0.0, 0.0
     return found, by_pixel, by_water
-
-
-def _spread(
-    found: Array,
-    camera: HousedCamera,
-    uv: Array,
-    nodes: slice,
-    intervals: tuple[int, int] | None,
-    by: Callable[[Array], Array],
-    steps: Array,
-) -> None:
-    """Put the slopes by a surface's nodes into ``found``: those by its two components, times its basis."""
-    if intervals is None or nodes.stop == nodes.start:
-        return
-    basis = basis_matrix(uv, (camera.width_px, camera.height_px), intervals)
-    count = basis.shape[1]
-    for k, step in enumerate(steps):
-        first = nodes.start + k * count
-        found[:, :, first : first + count] = by(step)[:, :, None] * basis[:, None, :]

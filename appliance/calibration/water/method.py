@@ -1,32 +1,56 @@
-"""Owns the names of the rungs of the calibration ladder; what each does is in ``ladder``."""
+"""Owns the methods of calibrating in water, and what each gives: a calibration, and what one should know before trusting it."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from enum import Enum
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:  # names alone are asked for where a verb lists its choices
+    from appliance.calibration.file import Calibration
+    from appliance.calibration.judgement import Estimate
+    from appliance.calibration.water.expected import Expected
+    from appliance.calibration.water.residuals import Residuals
 
 
 class Method(Enum):
     """Methods of calibrating in water."""
 
-    PM_MAPPED = "pm_mapped"
-    """The pinhole nearest to the refracted rays of the ports as drawn. Needs no recording."""
-    PM_WATER = "pm_water"
-    """A pinhole with distortion, calibrated from boards in this water."""
-    RM = "rm"
-    """Perpendicular ports, their distances searched (UIDD)."""
-    RMD = "rmd"
-    """RM, an operator from two planes, and the search once more."""
-    PAPER_RM_PRINTED = "paper_rm_printed"
-    """RM with Eq. 1 as it was printed. For comparison only: no file carries it."""
-    BA_PORTS = "ba_ports"
-    """Tilt and distance of both ports; the calibration in air is believed."""
-    BA_ALL = "ba_all"
-    """Adjust lenses and pose, too, held by the covariance of the calibration in air."""
-    BA_SPLINE = "ba_spline"
-    """Adjust a smooth image correction, too: the method to use."""
-    RAY_FIELD = "ray_field"
-    """Adjust a finer correction and a shift of every ray, too. Wants ten recordings and more."""
+    PAPER = "paper"
+    """The published way: perpendicular ports, their distances searched, and a distortion operator from two planes."""
+    PORTS = "ports"
+    """Adjust each port's tilt and distance; the calibration in air is believed."""
+    SPLINE = "spline"
+    """Adjust lenses and pose, too, held by their covariance from air, and an image correction per camera: the method to use."""
 
 
-BY_SCANS = tuple(method for method in Method if method is not Method.PM_WATER)
-"""Methods for which scans of bars and planes are enough."""
+BEFORE_OPERATOR = ("pm", "rm")
+"""Names of the models that the published way goes through: pinholes (PM), and ports without an operator (RM)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WaterResult:
+    """A calibration, and what one should know before trusting it."""
+
+    method: Method
+    calibration: Calibration
+    warnings: tuple[str, ...]
+    residuals: tuple[Residuals, ...] = ()
+    """Residuals of each recording, in px; the same measure for every method."""
+    systematic_px: float = 0.0
+    """RMS of what remains after averaging the noise away over patches of the image."""
+    estimates: tuple[Estimate, ...] = ()
+    """Adjusted parameters with prior and posterior uncertainty; empty where the method states none."""
+    costs: tuple[float, ...] = ()
+    """The robust sum of squares, priors included: before the first step of the adjustment and after each. Where the prior is
+    estimated on the way, earlier ones are moved by what that changes."""
+    expected: Expected | None = None
+    """Errors to be expected of lengths and planes that were not recorded; ``None`` where the method does not tell."""
+    before: Mapping[str, Calibration] = field(default_factory=dict)
+    """Calibrations of the models in ``BEFORE_OPERATOR``; empty but for the published way."""
+
+    @property
+    def unobserved(self) -> tuple[str, ...]:
+        """Names of the parameters that stayed at their prior because the recordings say nothing about them."""
+        return tuple(estimate.name for estimate in self.estimates if estimate.at_prior)

@@ -9,9 +9,9 @@ from typing import Any
 
 from appliance.calibration.file import Calibration
 from appliance.calibration.judgement import Estimate
-from appliance.calibration.water.drawings import cost_svg, residual_svg, seen_svg, valley_png
-from appliance.calibration.water.ladder import LadderResult
-from appliance.evaluation.page import PAGE_END, drawing, figure, page_head, rows, table
+from appliance.calibration.water.drawings import cost_svg, residual_svg, seen_svg
+from appliance.calibration.water.method import WaterResult
+from appliance.evaluation.page import PAGE_END, drawing, page_head, rows, table
 from appliance.optics.model import HousedCamera
 
 SCHEMA = 1
@@ -24,7 +24,7 @@ EXPLAINED = (
 
 
 def as_json(
-    result: LadderResult, start: Calibration, about: Mapping[str, Any], left_out: Mapping[str, str]
+    result: WaterResult, start: Calibration, about: Mapping[str, Any], left_out: Mapping[str, str]
 ) -> dict[str, Any]:
     """Return the report JSON-ready: residuals in px, lengths in mm, angles in degrees. ``left_out`` has a reason for
     each scan not used."""
@@ -35,7 +35,7 @@ def as_json(
         "about": {
             **about,
             "method": result.method.value,
-            "calibration": calibration.hash if result.can_be_saved else None,
+            "calibration": calibration.hash,
             "started_from": start.hash,
             "started_from_method": start.method,
             "water_temperature_c": calibration.water.temperature_c,
@@ -59,17 +59,13 @@ def as_json(
         "estimates": [_estimate(e) for e in result.estimates],
         "unobserved": list(result.unobserved),
         "costs": list(result.costs),
-        "valley": None
-        if result.valley is None
-        else {
-            "d1_mm": result.valley.d1_mm.tolist(),
-            "d2_mm": result.valley.d2_mm.tolist(),
-            "statistic": result.valley.statistic.tolist(),
+        "before": {
+            name: {"calibration": one.hash, "residual_px": one.residual_px} for name, one in result.before.items()
         },
     }
 
 
-def as_html(result: LadderResult, start: Calibration, about: Mapping[str, Any], left_out: Mapping[str, str]) -> str:
+def as_html(result: WaterResult, start: Calibration, about: Mapping[str, Any], left_out: Mapping[str, str]) -> str:
     """Return the page; drawings and pictures are in it, and nothing is loaded from elsewhere."""
     content = as_json(result, start, about, left_out)
     parts = [page_head(TITLE), table(content["about"])]
@@ -87,10 +83,8 @@ def as_html(result: LadderResult, start: Calibration, about: Mapping[str, Any], 
     for residuals in result.residuals:
         svg, unit_px = residual_svg(residuals, size)
         parts.append(drawing(f"{residuals.name}: an arrow as long as a cell is {unit_px:.3f} px", svg))
-    if result.valley is not None:
-        d1, d2 = result.valley.d1_mm, result.valley.d2_mm
-        caption = f"log T over d1 ({d1[0]:.1f} to {d1[-1]:.1f} mm, right) and d2 ({d2[0]:.1f} to {d2[-1]:.1f} mm, down)"
-        parts += ["<h2>The search of distances</h2>", figure(caption, valley_png(result.valley))]
+    if result.before:
+        parts += ["<h2>The published models before the operator</h2>", table(content["before"])]
     if result.costs:
         parts += ["<h2>Convergence</h2>", drawing("cost before the first step and after each", cost_svg(result.costs))]
     if result.estimates:

@@ -9,8 +9,9 @@ from typing import Any
 from appliance import __version__
 from appliance.calibration.file import Calibration
 from appliance.calibration.water import report
+from appliance.calibration.water.calibrate import calibrate
 from appliance.calibration.water.extract import BarCertificate
-from appliance.calibration.water.ladder import LadderResult, LadderSettings, Method, calibrate
+from appliance.calibration.water.method import Method, WaterResult
 from appliance.config import Rig
 from appliance.evaluation.points import NotFound
 from appliance.evaluation.result import Artefact
@@ -26,7 +27,7 @@ RECONSTRUCTED = 0.8
 class WaterCalibration:
     """The outcome of a list of recordings."""
 
-    result: LadderResult
+    result: WaterResult
     start: Calibration
     about: Mapping[str, Any]
     """Who, serials, version, dates: JSON-ready."""
@@ -60,11 +61,10 @@ def run_water_calibration(
     method: Method,
     made_at: str,
     progress: Callable[[str, float], None],
-    settings: LadderSettings | None = None,
 ) -> WaterCalibration:
     """Reconstruct every scan of the list and calibrate; ``sources`` are they, in its order, with whole raw frames.
 
-    ``made_at`` is the date for the file, ISO 8601; ``method`` one of ``BY_SCANS``. Raises ListError, ScanError, RecordingError.
+    ``made_at`` is the date for the file, ISO 8601. Raises ListError, ScanError, RecordingError.
     """
     check_list(listed)
     serials = cameras_of([source.scan.folder for source in sources], start)
@@ -83,9 +83,12 @@ def run_water_calibration(
             recordings.append(found)
     # How many there were is told: one calibration of recordings in different water leans on the formula of the index.
     waters = {(r.water.temperature_c, r.water.salinity_psu) for r in recordings}
-    result = calibrate(method, recordings, start, None, settings, lambda what: progress(what, RECONSTRUCTED))
+    result = calibrate(method, recordings, start, lambda what: progress(what, RECONSTRUCTED))
     # The solver knows numbers only; day and cameras are the file's.
-    result = replace(result, calibration=replace(result.calibration, made_at=made_at, camera_serials=serials))
+    calibration, *before = (
+        replace(one, made_at=made_at, camera_serials=serials) for one in (result.calibration, *result.before.values())
+    )
+    result = replace(result, calibration=calibration, before=dict(zip(result.before, before, strict=True)))
     about = {
         "operator": listed.operator,
         "rig_serial": rig.rig.serial,

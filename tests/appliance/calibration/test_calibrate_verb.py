@@ -98,7 +98,7 @@ def test_the_ports_of_a_hidden_rig_are_found(bench: tuple[Path, TrueRig]) -> Non
 
 def test_the_page_stands_alone_and_shows_each_recording(bench: tuple[Path, TrueRig]) -> None:
     folder, _ = bench
-    assert calibrate(folder, "--out", str(folder / "page.json"), "--method", "ba_ports") == 0
+    assert calibrate(folder, "--out", str(folder / "page.json"), "--method", "ports") == 0
     page = (folder / "page-report.html").read_text()
     assert page.count("an arrow as long as a cell") == 4
     assert not re.search(r'(src|href)="(?!data:)', page), "nothing is loaded from elsewhere"
@@ -107,17 +107,22 @@ def test_the_page_stands_alone_and_shows_each_recording(bench: tuple[Path, TrueR
     assert page.count("<polyline") == 1
 
 
-def test_the_search_shows_its_valley_and_the_misprint_has_no_file(bench: tuple[Path, TrueRig]) -> None:
+def test_the_published_way_writes_its_three_models_and_replaces_none(
+    bench: tuple[Path, TrueRig], capsys: pytest.CaptureFixture[str]
+) -> None:
     folder, _ = bench
-    options = ["--reach-mm", "2", "--steps-mm", "1,0.5", "--published-flatness"]
-    assert calibrate(folder, "--out", str(folder / "rm.json"), "--method", "rm", *options) == 0
-    said = json.loads((folder / "rm-report.json").read_text())
-    assert len(said["valley"]["d1_mm"]) == 5
-    assert "data:image/png" in (folder / "rm-report.html").read_text()
-    printed = folder / "printed.json"
-    assert calibrate(folder, "--out", str(printed), "--method", "paper_rm_printed", *options) == 0
-    assert not printed.exists()
-    assert json.loads((folder / "printed-report.json").read_text())["about"]["calibration"] is None
+    out = folder / "paper.json"
+    assert calibrate(folder, "--out", str(out), "--method", "paper") == 0
+    pm, rm, rmd = (load(folder / f"{name}.json") for name in ("paper-pm", "paper-rm", "paper"))
+    assert pm.rig.left.lens_in_water
+    assert (rm.method, rmd.method) == ("search of distances", "search of distances, operator")
+    assert pm.made_at == rm.made_at == rmd.made_at
+    said = json.loads((folder / "paper-report.json").read_text())
+    assert said["before"]["rm"] == {"calibration": rm.hash, "residual_px": rm.residual_px}
+    assert said["residual_px"] < 0.1 * (rm.residual_px or 0.0)
+    out.unlink()
+    assert calibrate(folder, "--out", str(out), "--method", "paper") == 2
+    assert "paper-pm.json exists already" in capsys.readouterr().err
 
 
 def test_a_scan_without_its_artefact_is_left_out_and_said(
@@ -125,7 +130,7 @@ def test_a_scan_without_its_artefact_is_left_out_and_said(
 ) -> None:
     folder, truth = bench
     (folder / "wrong.toml").write_text(listed(truth, ("plane-0", "plane-1", "bar-0")))
-    more = ["--out", str(folder / "rest.json"), "--method", "ba_ports", "--install"]
+    more = ["--out", str(folder / "rest.json"), "--method", "ports", "--install"]
     assert calibrate(folder, *more, name="wrong.toml") == 1
     said = capsys.readouterr().out
     assert "bar-0 not used: " in said
@@ -153,9 +158,9 @@ def test_installed_and_taken_back(bench: tuple[Path, TrueRig], capsys: pytest.Ca
     current = folder / "calibration" / "current.json"
     root = ["--root", str(folder)]
     assert main(["calibrate", "restore", *root]) == 2
-    assert calibrate(folder, "--out", str(folder / "a.json"), "--method", "ba_ports", "--install") == 0
+    assert calibrate(folder, "--out", str(folder / "a.json"), "--method", "ports", "--install") == 0
     assert load(current) == load(folder / "a.json")
-    assert calibrate(folder, "--out", str(folder / "b.json"), "--method", "ba_all", "--install") == 0
+    assert calibrate(folder, "--out", str(folder / "b.json"), "--method", "spline", "--install") == 0
     assert load(current) == load(folder / "b.json")
     assert main(["calibrate", "restore", *root]) == 0
     assert load(current) == load(folder / "a.json")

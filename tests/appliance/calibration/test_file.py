@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 from appliance.calibration.depth_error import COUNT
 from appliance.calibration.design import Design, design_calibration
 from appliance.calibration.file import Calibration, CalibrationError, decode, encode, load
-from appliance.calibration.water.printed import PrintedCamera
 from appliance.checksummed_file import with_checksum
 from appliance.optics.ray_shift import RayShift
 from appliance.optics.volume import STANDARD, WorkingVolume
@@ -99,13 +98,6 @@ def test_a_volume_of_its_own_is_kept(calibration: Calibration) -> None:
     content["volume"]["working_mm"] = 700.0
     with pytest.raises(CalibrationError, match="nearest < working < farthest"):
         decode(with_checksum(content))
-
-
-def test_the_misprinted_model_has_no_file(calibration: Calibration) -> None:
-    left = calibration.rig.left
-    printed = PrintedCamera(left.width_px, left.height_px, left.lens, left.port)
-    with pytest.raises(CalibrationError, match="comparison only"):
-        encode(replace(calibration, rig=replace(calibration.rig, left=printed)))
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:

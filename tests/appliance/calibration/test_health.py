@@ -21,7 +21,7 @@ from appliance.calibration.health import (
     told_by_overlaps,
 )
 from appliance.calibration.patches import PatchGaps
-from appliance.calibration.water.bundle import Rung
+from appliance.calibration.water.method import Method
 from appliance.optics.water import Water
 from hw_sim.mount_shift import MountShift, with_mount_shifted
 from hw_sim.truth import TrueRig
@@ -76,9 +76,9 @@ def test_water_that_is_stated_rightly_never_alarms() -> None:
     assert scans_until_alarm(made, learnt(made), in_water(made.truth, sea), most=12, index=sea) is None
 
 
-@pytest.mark.parametrize("rung", [Rung.SPLINE, Rung.PORTS])
-def test_normal_scans_never_alarm(rung: Rung) -> None:
-    made = calibrated(SEED, rung)
+@pytest.mark.parametrize("method", [Method.SPLINE, Method.PORTS])
+def test_normal_scans_never_alarm(method: Method) -> None:
+    made = calibrated(SEED, method)
     rng = np.random.default_rng(5)
     totals = [
         said.point.total

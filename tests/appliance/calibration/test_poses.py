@@ -11,7 +11,8 @@ from appliance.calibration.design import design_calibration
 from appliance.calibration.guide import HELD, AdjustmentSummary, RecordingCheck, Refusal, Session, Step, Verified
 from appliance.calibration.poses import FoundBar, FoundPlane, judge_bar, judge_plane, rig_axes
 from appliance.calibration.recordings import ArtefactKind
-from appliance.calibration.water.ladder import Method, calibrate
+from appliance.calibration.water.calibrate import calibrate
+from appliance.calibration.water.method import Method
 from appliance.calibration.water.start import start_from_air
 from appliance.optics.volume import WorkingVolume
 from tests.support.calibrating import (
@@ -203,7 +204,7 @@ def test_how_bars_and_planes_lean_changes_no_result(seed: int) -> None:
     for bars, (first, second) in BARS.items():
         for planes, placed in PLANES.items():
             recordings = calibration_recordings(truth, [Pose(*first), Pose(*second)], placed)
-            found = calibrate(Method.BA_SPLINE, recordings, start)
+            found = calibrate(Method.SPLINE, recordings, start)
             errors[bars, planes] = evaluate(truth, found.calibration.rig).length
     print(f"\nrig {seed}, E_L in percent: " + "; ".join(f"{b}, planes {p}: {e:.3f}" for (b, p), e in errors.items()))
     assert max(errors.values()) < 0.05

@@ -10,7 +10,6 @@ import pytest
 
 from appliance.calibration.design import Design, design_calibration
 from appliance.calibration.field import INTERVALS as AIR_INTERVALS
-from appliance.calibration.water.printed import PrintedCamera
 from appliance.optics import pinhole
 from appliance.optics.correction import INTERVALS, ImageCorrection
 from appliance.optics.model import HousedCamera, StereoRig
@@ -38,9 +37,6 @@ def models() -> dict[str, HousedCamera]:
     return {
         "ray field": replace(housed, correction=correction, ray_shift=shift),
         "lens in water": replace(housed, lens=lens, lens_in_water=True),
-        "printed": PrintedCamera(
-            1600, 1200, housed.lens, housed.port, housed.rotation, housed.translation_mm, correction
-        ),
     }
 
 
@@ -57,15 +53,6 @@ def test_a_point_on_a_ray_is_seen_at_its_pixel(name: str) -> None:
     assert np.isnan(camera.project(behind[None], FRESH)).all()
 
 
-def test_a_printed_camera_sees_whatever_is_before_it_however_near() -> None:
-    """Before its origin, not beyond some distance; what is behind it has no pixel."""
-    housed = right_camera()
-    camera = PrintedCamera(1600, 1200, housed.lens, housed.port)
-    near, behind = camera.project(np.array([[0.0, 0.0, 0.5], [0.0, 0.0, -0.5]]), FRESH)
-    np.testing.assert_allclose(near, housed.lens.c_px, atol=1e-9)
-    assert np.isnan(behind).all()
-
-
 def test_only_a_lens_calibrated_in_water_ignores_the_water() -> None:
     uv = np.array([[100.0, 100.0], [1500.0, 700.0]])
     for name, camera in models().items():
@@ -79,25 +66,6 @@ def test_a_ray_shift_moves_rays_without_turning_them() -> None:
     (o, d), (o2, d2) = plain.rays(uv, FRESH), field.rays(uv, FRESH)
     np.testing.assert_array_equal(d, d2)
     assert 0.001 < np.linalg.norm(o2 - o, axis=1).min() < 0.2
-
-
-def test_the_misprint_is_as_large_as_half_a_pixel_at_the_edge() -> None:
-    """Beyond what a change of d can mend: the miss of rays at 500 mm, after the best d, in pixels of 0.16 mm."""
-    housed = replace(
-        right_camera(), rotation=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), translation_mm=(0, 0, 0)
-    )
-    u = np.linspace(0.0, 1599.0, 41)
-    uv = np.stack([u, np.full_like(u, 599.5)], -1)
-    origin, direction = housed.rays(uv, FRESH)
-    points = origin + 500.0 * direction
-
-    def miss(d_mm: float) -> np.ndarray:
-        port = replace(housed.port, distance_mm=d_mm)
-        printed = PrintedCamera(1600, 1200, housed.lens, port)
-        return np.abs(printed.project(points, FRESH)[:, 0] - u)
-
-    least = min(float(miss(d).max()) for d in np.arange(0.0, 60.0, 0.25))
-    assert 0.02 < least < 2.0
 
 
 def test_the_middle_of_the_volume_is_where_the_two_central_rays_come_nearest() -> None:
@@ -192,32 +160,6 @@ def test_a_ray_shift_with_a_wrong_number_of_nodes_is_refused() -> None:
     for count in (83, 85, 42, 126, 0):
         with pytest.raises(ValueError, match=f"ray shift with {count} coefficients; 4 × 3 intervals need 84"):
             RayShift(1600, 1200, (4, 3), (0.0,) * count)
-
-
-def test_the_printed_equations_are_those_of_the_paper_at_every_distance_from_the_axis() -> None:
-    """Eqs. 1 to 4 by hand, for rays at r = 0.05, 0.2 and 0.3 of the principal distance; d is that of the outer face."""
-    housed = right_camera()
-    lens = Lens((1000.0, 1000.0), (0.0, 0.0))
-    camera = PrintedCamera(1600, 1200, lens, housed.port)
-    d_mm, glass_mm = housed.port.distance_mm + housed.port.thickness_mm, housed.port.thickness_mm
-    for r in (0.05, 0.2, 0.3):
-        origin, direction = camera.rays(np.array([[1000.0 * r, 0.0]]), FRESH)
-        sine = r / np.hypot(1.0, r)
-        in_glass, in_water = sine / housed.port.glass_index, sine / FRESH
-        tan_glass = in_glass / np.sqrt(1.0 - in_glass**2)
-        shift_mm = d_mm * r / in_water - d_mm - glass_mm * r * (r - tan_glass)
-        np.testing.assert_allclose(origin, [[0.0, 0.0, -shift_mm]], atol=1e-9)
-        np.testing.assert_allclose(direction[0, 0] / direction[0, 2], in_water / np.sqrt(1.0 - in_water**2), rtol=1e-9)
-
-
-def test_near_its_axis_the_printed_camera_still_tells_points_apart() -> None:
-    housed = right_camera()
-    camera = PrintedCamera(1600, 1200, Lens((1000.0, 1000.0), (800.0, 600.0)), housed.port)
-    uv = np.array([[801.0, 600.0], [800.0, 599.5], [799.8, 600.1]])
-    origin, direction = camera.rays(uv, FRESH)
-    points = origin + 100.0 * direction
-    assert np.hypot(*points[:, :2].T).max() < 0.2
-    np.testing.assert_allclose(camera.project(points, FRESH), uv, atol=1e-5)
 
 
 def test_a_strongly_bent_lens_is_inverted_in_three_steps(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,7 +9,6 @@ import pytest
 
 from appliance.calibration.air.adjustment import AirCalibration, BoardView, calibrate_air
 from appliance.calibration.air.board import NoBoard, find_board
-from appliance.calibration.water.pinhole import calibrate_pinhole_in_water
 from appliance.calibration.water.shapes import triangulate
 from appliance.optics.water import Water
 from hw_sim.rendering.render import Renderer
@@ -23,10 +22,8 @@ from tests.support.board_pictures import (
     poses_in_air,
     true_corners_px,
     views_of_boards,
-    views_of_boards_in_water,
 )
-from tests.support.calibrating import HEIGHT_PX, WIDTH_PX, evaluate, hidden_rig
-from tests.support.truth import WATER
+from tests.support.calibrating import HEIGHT_PX, WIDTH_PX, hidden_rig
 
 SALT = Water(20.0, 35.0, 530.0)
 
@@ -172,18 +169,3 @@ def test_a_corner_beside_glare_is_left_out_alone(views: list[BoardView]) -> None
     (remark,) = air.views[2].remarks
     assert remark.startswith("1 corners left out, up to ")
     assert len(air.views[2].left_px) == len(spoilt) - 1
-
-
-@pytest.mark.dive
-@pytest.mark.long
-@pytest.mark.timeout(900)
-def test_a_pinhole_in_water_measures_there_and_fails_in_salt_water() -> None:
-    truth = hidden_rig("realistic", 3)
-    found = views_of_boards_in_water(truth, 15)
-    pinhole = calibrate_pinhole_in_water(found, "KF-0001", WATER, WIDTH_PX, HEIGHT_PX)
-    assert pinhole.method == "pinhole in water"
-    fresh = evaluate(truth, pinhole.rig)
-    assert fresh.length < 0.08
-    assert fresh.flatness < 0.15
-    salty = evaluate(replace(truth, n_water=SALT.index), pinhole.rig)
-    assert 0.3 < salty.length < 0.65

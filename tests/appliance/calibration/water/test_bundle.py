@@ -11,7 +11,8 @@ import pytest
 from appliance.calibration.air.adjustment import AirCalibration
 from appliance.calibration.file import Calibration, decode, encode
 from appliance.calibration.recordings import Recording, RecordingError
-from appliance.calibration.water.bundle import BundleResult, BundleSettings, Rung, adjust
+from appliance.calibration.water.bundle import BundleSettings, adjust
+from appliance.calibration.water.method import Method, WaterResult
 from appliance.calibration.water.shapes import fit_plane, triangulate
 from appliance.optics.water import Water
 from hw_sim.truth import TrueRig
@@ -52,21 +53,21 @@ def modelled() -> Case:
 
 
 @pytest.fixture(scope="module")
-def ports(realistic: Case) -> BundleResult:
-    return adjust(realistic.recordings, realistic.start, Rung.PORTS)
+def ports(realistic: Case) -> WaterResult:
+    return adjust(realistic.recordings, realistic.start, Method.PORTS)
 
 
 @pytest.fixture(scope="module")
-def spline(realistic: Case) -> BundleResult:
-    return adjust(realistic.recordings, realistic.start, Rung.SPLINE, realistic.air.covariance)
+def spline(realistic: Case) -> WaterResult:
+    return adjust(realistic.recordings, realistic.start, Method.SPLINE)
 
 
 @pytest.fixture(scope="module")
-def fitting(modelled: Case) -> BundleResult:
-    return adjust(modelled.recordings, modelled.start, Rung.ALL, modelled.air.covariance)
+def fitting(modelled: Case) -> WaterResult:
+    return adjust(modelled.recordings, modelled.start, Method.SPLINE, BundleSettings(spline_px=0.0))
 
 
-def test_ports_are_found_within_their_stated_uncertainty(modelled: Case, fitting: BundleResult) -> None:
+def test_ports_are_found_within_their_stated_uncertainty(modelled: Case, fitting: WaterResult) -> None:
     by_name = {e.name: e for e in fitting.estimates}
     for side in ("left", "right"):
         true = modelled.truth.eye(side).port
@@ -80,14 +81,14 @@ def test_ports_are_found_within_their_stated_uncertainty(modelled: Case, fitting
         )  # 0.1: glass differs from the drawing
 
 
-def test_a_rig_that_fits_the_model_raises_no_systematic_rest(fitting: BundleResult) -> None:
+def test_a_rig_that_fits_the_model_raises_no_systematic_rest(fitting: WaterResult) -> None:
     assert fitting.systematic_px < 0.01
     assert fitting.calibration.residual_px == pytest.approx(0.04, rel=0.1)
     assert not [w for w in fitting.warnings if "systematically" in w or "does not explain" in w]
 
 
 def test_each_rung_measures_unseen_objects_as_well_as_stated(
-    realistic: Case, ports: BundleResult, spline: BundleResult
+    realistic: Case, ports: WaterResult, spline: WaterResult
 ) -> None:
     before = evaluate(realistic.truth, realistic.start.rig)
     by_ports = evaluate(realistic.truth, ports.calibration.rig)
@@ -99,7 +100,7 @@ def test_each_rung_measures_unseen_objects_as_well_as_stated(
     assert by_spline.flatness < 0.04
 
 
-def test_lens_field_is_noticed_and_its_remedy_named(ports: BundleResult, spline: BundleResult) -> None:
+def test_lens_field_is_noticed_and_its_remedy_named(ports: WaterResult, spline: WaterResult) -> None:
     assert any("image correction" in w for w in ports.warnings), ports.warnings
     assert spline.systematic_px < 0.25 * ports.systematic_px
     assert not any("systematically" in w for w in spline.warnings)
@@ -108,11 +109,11 @@ def test_lens_field_is_noticed_and_its_remedy_named(ports: BundleResult, spline:
 def test_wrong_water_is_noticed_by_length_or_warning(modelled: Case) -> None:
     salt = Water(20.0, 35.0, 530.0)
     wrong = [replace(r, water=salt) for r in modelled.recordings]
-    result = adjust(wrong, modelled.start, Rung.PORTS)
+    result = adjust(wrong, modelled.start, Method.PORTS)
     assert result.warnings, "fresh water taken for salt: half a percent of every length"
 
 
-def test_what_recordings_cannot_tell_is_listed(fitting: BundleResult) -> None:
+def test_what_recordings_cannot_tell_is_listed(fitting: WaterResult) -> None:
     assert "left port tilt y (rad)" not in fitting.unobserved
     assert "right camera's shift x (mm)" in fitting.unobserved, "the calibration in air knows the base better"
 
@@ -125,30 +126,30 @@ def test_three_per_mille_of_mismatches_change_nothing_that_matters(modelled: Cas
         bad = rng.choice(len(right), max(1, len(right) * 3 // 1000), replace=False)
         right[bad] += rng.normal(0.0, 20.0, (len(bad), 2))
         spoilt.append(replace(r, right_px=right))
-    clean = adjust(modelled.recordings, modelled.start, Rung.PORTS)
-    result = adjust(spoilt, modelled.start, Rung.PORTS)
+    clean = adjust(modelled.recordings, modelled.start, Method.PORTS)
+    result = adjust(spoilt, modelled.start, Method.PORTS)
     for a, b in zip(clean.estimates, result.estimates, strict=True):
         assert abs(a.change - b.change) < 2.0 * a.sd
 
 
 def test_planes_alone_are_refused(realistic: Case) -> None:
     with pytest.raises(RecordingError, match="record a ball bar"):
-        adjust(realistic.recordings[2:], realistic.start, Rung.PORTS)
+        adjust(realistic.recordings[2:], realistic.start, Method.PORTS)
 
 
 def test_swapped_certificate_is_refused(realistic: Case) -> None:
     wrong = [replace(realistic.recordings[0], length_mm=100.0), *realistic.recordings[1:]]
     with pytest.raises(RecordingError, match=r"certificate says 100 mm"):
-        adjust(wrong, realistic.start, Rung.PORTS)
+        adjust(wrong, realistic.start, Method.PORTS)
 
 
 def test_all_rungs_solve_in_seconds(realistic: Case) -> None:
     begun = time.process_time()
-    adjust(realistic.recordings, realistic.start, Rung.SPLINE, realistic.air.covariance)
+    adjust(realistic.recordings, realistic.start, Method.SPLINE)
     assert time.process_time() - begun < 15.0
 
 
-def test_the_file_carries_all_that_was_solved(realistic: Case, spline: BundleResult) -> None:
+def test_the_file_carries_all_that_was_solved(realistic: Case, spline: WaterResult) -> None:
     solved = spline.calibration
     again = decode(encode(solved))
     assert again == solved
@@ -159,8 +160,8 @@ def test_the_file_carries_all_that_was_solved(realistic: Case, spline: BundleRes
 
 def test_same_recordings_same_calibration(realistic: Case) -> None:
     settings = BundleSettings(points_per_recording=300)
-    one = adjust(realistic.recordings, realistic.start, Rung.PORTS, settings=settings)
-    two = adjust(realistic.recordings, realistic.start, Rung.PORTS, settings=settings)
+    one = adjust(realistic.recordings, realistic.start, Method.PORTS, settings=settings)
+    two = adjust(realistic.recordings, realistic.start, Method.PORTS, settings=settings)
     assert one.calibration.hash == two.calibration.hash
 
 
@@ -181,4 +182,4 @@ def test_a_plane_seen_along_one_line_is_named(realistic: Case) -> None:
     on = origin + ((offset - origin @ normal) / (direction @ normal))[:, None] * direction
     line = replace(line, right_px=rig.right.project(on, plane.water.index))
     with pytest.raises(RecordingError, match=f"do not determine the place of {plane.name}"):
-        adjust([bar, line], realistic.start, Rung.PORTS)
+        adjust([bar, line], realistic.start, Method.PORTS)

@@ -1,4 +1,4 @@
-"""The adjustment and the cameras mean the same by a correction and a ray shift, and its slopes are those of its cost."""
+"""The adjustment and the cameras mean the same by a correction, and its slopes are those of its cost."""
 
 from __future__ import annotations
 
@@ -11,15 +11,16 @@ import pytest
 from appliance.calibration import parameters
 from appliance.calibration.design import Design, design_calibration
 from appliance.calibration.recordings import ArtefactKind, Recording, RecordingError
-from appliance.calibration.water.bundle import BundleSettings, Rung, _Problem, adjust
+from appliance.calibration.water.bundle import BundleSettings, Problem, adjust
+from appliance.calibration.water.method import Method
 from appliance.optics.model import StereoRig
-from appliance.optics.ray_shift import INTERVALS as SHIFT_INTERVALS
 from appliance.optics.water import Water
 
 WATER = Water(20.0, 0.0, 530.0)
-START = design_calibration(Design(11.5, 4.5 * 4, 230.0, 12.41, 30.0, 5.0, 1.77), "KF", 400, 300, WATER)
+DRAWN = design_calibration(Design(11.5, 4.5 * 4, 230.0, 12.41, 30.0, 5.0, 1.77), "KF", 400, 300, WATER)
 SETTINGS = BundleSettings(points_per_recording=60)
 AIR_COVARIANCE = np.diag(np.array([0.05, 0.05, 0.05, 1e-3, 1e-3, 1e-4, 1e-4, 1e-3] * 2 + [1e-4] * 3 + [0.05] * 3) ** 2)
+START = replace(DRAWN, air_covariance=tuple(tuple(row) for row in AIR_COVARIANCE.tolist()))
 CENTRES = np.array([[-30.0, -10.0, 500.0], [40.0, 20.0, 540.0]])
 RADIUS_MM = 20.0
 
@@ -45,54 +46,47 @@ def recordings(rig: StereoRig, noise_px: float = 0.0, points: int = 60) -> list[
     return [replace(r, right_px=r.right_px + rng.normal(0.0, 1.0, r.right_px.shape) * noise_px) for r in [*found, bar]]
 
 
+def problem_of(method: Method, seen: list[Recording], settings: BundleSettings = SETTINGS) -> Problem:
+    return Problem(seen, START, method, settings)
+
+
 @cache
-def field() -> tuple[_Problem, np.ndarray, StereoRig]:
-    """A problem of the finest rung, unknowns at some place, and the rig that these mean."""
-    problem = _Problem(recordings(START.rig), START.rig, Rung.FIELD, AIR_COVARIANCE, SETTINGS)
+def corrected() -> tuple[Problem, np.ndarray, StereoRig]:
+    """A problem with image corrections, unknowns at some place, and the rig that these mean."""
+    problem = problem_of(Method.SPLINE, recordings(START.rig))
     rng = np.random.default_rng(6)
     x = np.zeros(problem.size)
     x[: parameters.COUNT] = 5.0 * parameters.STEPS * rng.normal(0.0, 1.0, parameters.COUNT)
-    for nodes, scale in (
-        (problem._left_nodes, 0.1),
-        (problem._right_nodes, 0.1),
-        (problem._left_shifts, 0.05),
-        (problem._right_shifts, 0.05),
-    ):
-        x[nodes] = scale * rng.normal(0.0, 1.0, nodes.stop - nodes.start)
+    for nodes in (problem._left_nodes, problem._right_nodes):
+        x[nodes] = 0.2 * rng.normal(0.0, 1.0, nodes.stop - nodes.start)
     return problem, x, problem.rig(x)
 
 
-def test_what_a_rig_with_corrections_and_ray_shifts_sees_leaves_no_residual_at_its_own_values() -> None:
-    _, x, rig = field()
-    assert rig.left.ray_shift is not None
-    assert rig.right.ray_shift is not None
-    problem = _Problem(recordings(rig), START.rig, Rung.FIELD, AIR_COVARIANCE, SETTINGS)
+def test_what_a_rig_with_corrections_sees_leaves_no_residual_at_its_own_values() -> None:
+    _, x, rig = corrected()
+    problem = problem_of(Method.SPLINE, recordings(rig))
     at = x.copy()
     residuals: list[np.ndarray] = []
     for _ in range(4):  # the artefacts' places are fitted, all else stays
         hessian, gradient, _, residuals = problem.linearise(at)
-        places = slice(problem._right_shifts.stop, problem.size)
+        places = slice(problem._right_nodes.stop, problem.size)
         at[places] -= np.linalg.solve(hessian[places, places], gradient[places])
     for residual in residuals:
-        # The right shift is looked up at the matched pixel, not where the point falls: that is all that may be left.
+        # The right correction is looked up at the matched pixel, not where the point falls: that is all that may be left.
         assert np.sqrt(np.mean(residual**2)) < 0.003
-    *_, bare = _Problem(recordings(rig), START.rig, Rung.PORTS, None, SETTINGS).linearise(np.zeros(6 + 6 + 8))
+    *_, bare = problem_of(Method.PORTS, recordings(rig)).linearise(np.zeros(6 + 6 + 8))
     assert np.sqrt(np.mean(np.concatenate(bare) ** 2)) > 0.05, "which it would, if the rig were taken as it starts"
 
 
-@pytest.mark.parametrize("rung", [Rung.PORTS, Rung.ALL, Rung.SPLINE, Rung.FIELD])
-def test_the_gradient_is_the_slope_of_the_cost_in_every_group_of_unknowns(rung: Rung) -> None:
-    truth = field()[2]
-    problem = _Problem(recordings(truth, 0.02), START.rig, rung, AIR_COVARIANCE, SETTINGS)
+@pytest.mark.parametrize("method", [Method.PORTS, Method.SPLINE])
+def test_the_gradient_is_the_slope_of_the_cost_in_every_group_of_unknowns(method: Method) -> None:
+    problem = problem_of(method, recordings(corrected()[2], 0.02))
     rng = np.random.default_rng(8)
     x = np.zeros(problem.size)
-    groups = {"ports": slice(0, 6), "places": slice(problem._right_shifts.stop, problem.size)}
-    if rung is not Rung.PORTS:
+    groups = {"ports": slice(0, 6), "places": slice(problem._right_nodes.stop, problem.size)}
+    if method is Method.SPLINE:
         groups |= {"lenses": slice(6, 22), "pose": slice(22, 28)}
-    if rung in (Rung.SPLINE, Rung.FIELD):
         groups |= {"left nodes": problem._left_nodes, "right nodes": problem._right_nodes}
-    if rung is Rung.FIELD:
-        groups |= {"left shifts": problem._left_shifts, "right shifts": problem._right_shifts}
     _, gradient, _, _ = problem.linearise(x)
     for name, group in groups.items():
         way = np.zeros(problem.size)
@@ -112,24 +106,20 @@ def test_a_port_that_stands_nearer_and_leans_is_found_from_exact_recordings() ->
     x = np.zeros(parameters.COUNT)
     x[:6] = 0.004, -0.003, 1.2, -0.005, 0.002, -0.8
     truth = parameters.rig_with(START.rig, x)
-    result = adjust(recordings(truth, 0.01, 300), START, Rung.PORTS, settings=BundleSettings(noise_px=0.01))
+    result = adjust(recordings(truth, 0.01, 300), START, Method.PORTS, BundleSettings(noise_px=0.01))
     for estimate, true in zip(result.estimates, x[:6], strict=True):
         assert abs(estimate.change - true) < 4.5 * estimate.sd, estimate
     assert result.calibration.residual_px == pytest.approx(0.01, rel=0.15)
-    assert [r.name for r in result.residuals] == ["plane 0", "plane 1", "bar"]
-    assert [r.points for r in result.residuals][:2] == [300, 300]
-    # Noise is of the right pixels alone, and nearly nothing is fitted away: each recording has it by itself.
-    assert [r.rms_px for r in result.residuals] == pytest.approx([0.01] * 3, rel=0.15)
     assert result.costs[-1] < 0.5 * result.costs[0]
-    assert result.steps == len(result.costs) - 1 <= 10
-    assert result.warnings == ()
+    assert len(result.costs) <= 11
+    assert [w.split(":")[0] for w in result.warnings] == ["1 bars and 2 planes"]
 
 
 def test_a_calibration_states_the_water_of_its_first_recording() -> None:
     """The design that it starts from states another one, and recordings may be of water that has warmed a little."""
     seen_first = Water(19.0, 1.0, 530.0)
     first, *others = recordings(START.rig, 0.01)
-    result = adjust([replace(first, water=seen_first), *others], START, Rung.PORTS, settings=SETTINGS)
+    result = adjust([replace(first, water=seen_first), *others], START, Method.PORTS, SETTINGS)
     assert result.calibration.water == seen_first
     assert START.water == others[0].water != seen_first
 
@@ -141,24 +131,23 @@ def test_far_points_lose_weight_in_proportion_and_near_ones_none() -> None:
     for off_px in (0.0, 0.08, 0.16, 0.32, 0.64):
         right = exact[0].right_px.copy()
         right[7, 0] += off_px
-        problem = _Problem([replace(exact[0], right_px=right), *exact[1:]], START.rig, Rung.PORTS, None, SETTINGS)
+        problem = problem_of(Method.PORTS, [replace(exact[0], right_px=right), *exact[1:]])
         # At the places that exact recordings give, so that nothing but this residual counts.
-        problem._places = _Problem(exact, START.rig, Rung.PORTS, None, SETTINGS)._places
+        problem._places = problem_of(Method.PORTS, exact)._places
         costs.append(problem.linearise(np.zeros(problem.size))[2])
     assert np.subtract(costs, costs[0]) == pytest.approx([0.0, 4.0, 16.0, 48.0, 112.0], abs=0.05)
 
 
 def test_an_adjustment_that_does_not_settle_says_so() -> None:
     with pytest.raises(RecordingError, match="did not converge in 1 steps; check the certificates"):
-        adjust(recordings(field()[2]), START, Rung.PORTS, settings=BundleSettings(steps_at_most=1, small_step=1e-9))
+        adjust(recordings(corrected()[2]), START, Method.PORTS, BundleSettings(steps_at_most=1, small_step=1e-9))
 
 
-def test_all_rungs_but_the_first_need_the_covariance_of_the_air() -> None:
+def test_a_spline_needs_the_covariance_of_the_air_and_widens_it() -> None:
     exact = recordings(START.rig)
-    for covariance in (None, np.eye(21)):
-        with pytest.raises(ValueError, match=r"\(22, 22\) covariance of the air"):
-            _Problem(exact, START.rig, Rung.ALL, covariance, SETTINGS)
-    prior = _Problem(exact, START.rig, Rung.ALL, AIR_COVARIANCE, SETTINGS).prior_sd
+    with pytest.raises(RecordingError, match=r"no covariance from air, which spline needs; .* use ports"):
+        adjust(exact, DRAWN, Method.SPLINE, SETTINGS)
+    prior = problem_of(Method.SPLINE, exact).prior_sd
     assert prior[0] == pytest.approx(np.radians(0.7))
     assert prior[2] == pytest.approx(3.0)
     refocus = 1e-4 * START.rig.left.lens.f_px[0]
@@ -169,36 +158,26 @@ def test_all_rungs_but_the_first_need_the_covariance_of_the_air() -> None:
     assert prior[25] == pytest.approx(np.hypot(0.05, 0.02), rel=1e-6)
 
 
-def test_each_rung_gives_a_rig_with_what_it_may_change_and_no_more() -> None:
+def test_each_method_gives_a_rig_with_what_it_may_change_and_no_more() -> None:
     exact = recordings(START.rig)
-    for rung, corrected, shifted in (
-        (Rung.PORTS, None, False),
-        (Rung.ALL, None, False),
-        (Rung.SPLINE, (6, 5), False),
-        (Rung.FIELD, (10, 8), True),
+    for method, settings, corrected in (
+        (Method.PORTS, SETTINGS, None),
+        (Method.SPLINE, replace(SETTINGS, spline_px=0.0), None),
+        (Method.SPLINE, SETTINGS, (6, 5)),
     ):
-        problem = _Problem(exact, START.rig, rung, AIR_COVARIANCE, SETTINGS)
+        problem = problem_of(method, exact, settings)
         rig = problem.rig(np.zeros(problem.size))
         for camera in (rig.left, rig.right):
             assert (camera.correction.intervals if camera.correction else None) == corrected
-            assert (camera.ray_shift is not None) == shifted
 
 
 def test_nodes_are_held_by_their_size_and_by_their_bends_not_by_a_slope() -> None:
-    finest = field()[0]
-    spline = _Problem(recordings(START.rig), START.rig, Rung.SPLINE, AIR_COVARIANCE, SETTINGS)
-    shifts = (SHIFT_INTERVALS[0] + 3, SHIFT_INTERVALS[1] + 3)
-    for problem, nodes, (columns, rows), value_sd, bend_sd in (
-        (finest, finest._left_nodes, (13, 11), 0.15, 0.03),
-        (finest, finest._right_nodes, (13, 11), 0.15, 0.03),
-        (finest, finest._left_shifts, shifts, 0.02, 0.01),
-        (finest, finest._right_shifts, shifts, 0.02, 0.01),
-        (spline, spline._left_nodes, (9, 8), 0.15, 0.05),
-        (spline, spline._right_nodes, (9, 8), 0.15, 0.05),
-    ):
+    problem = problem_of(Method.SPLINE, recordings(START.rig))
+    columns, rows, value_sd, bend_sd = 9, 8, 0.15, 0.05
+    for nodes in (problem._left_nodes, problem._right_nodes):
         count = columns * rows
         assert nodes.stop - nodes.start == 2 * count
-        block = problem._prior[nodes, nodes]
+        block = problem.prior[nodes, nodes]
         x, y = (a.ravel() for a in np.meshgrid(np.arange(columns), np.arange(rows)))
 
         def energy(surface: np.ndarray, block: np.ndarray = block, count: int = count, second: bool = False) -> float:

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import re
 
-import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from appliance.calibration.judgement import Estimate
-from appliance.calibration.water.drawings import cost_svg, residual_svg, seen_svg, valley_png
-from appliance.calibration.water.interface import Valley
+from appliance.calibration.water.drawings import cost_svg, residual_svg, seen_svg
 from appliance.calibration.water.residuals import Residuals
 
 Array = NDArray[np.float64]
@@ -22,36 +20,6 @@ def numbers(svg: str, element: str) -> list[dict[str, float]]:
     return [
         {name: float(value) for name, value in re.findall(r'([\w-]+)="(-?[\d.]+)"', body)}
         for body in re.findall(rf"<{element} ([^>]*)/?>", svg)
-    ]
-
-
-def picture(png: bytes) -> NDArray[np.uint8]:
-    image = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
-    assert image is not None
-    return np.asarray(image[:, :, ::-1], np.uint8)
-
-
-def test_the_valley_is_bluest_and_framed_where_t_is_least_d1_to_the_right_and_d2_down() -> None:
-    statistic = np.full((5, 3), 10.0)
-    statistic[3, 1], statistic[0, 2], statistic[4, 0] = 1e-4, 1e-3, 1000.0
-    image = picture(valley_png(Valley(np.arange(5.0), np.arange(3.0), statistic)))
-    assert image.shape == (3 * 24, 5 * 24, 3)
-
-    def middle(d1: int, d2: int) -> list[int]:
-        return [int(part) for part in image[24 * d2 + 12, 24 * d1 + 12]]
-
-    assert middle(3, 1) == [33, 102, 172]
-    assert middle(4, 0) == [247, 247, 247]
-    # Powers of ten: 1e-3 is a seventh of the way from 1e-4 to 1e3, and 10 is five sevenths.
-    assert middle(2, 0) == pytest.approx([33 + 214 * 5 / 7, 102 + 145 * 5 / 7, 172 + 75 * 5 / 7], abs=1)
-    assert middle(0, 2) == pytest.approx([33 + 214 / 7, 102 + 145 / 7, 172 + 75 / 7], abs=1)
-    red = np.argwhere((image == (178, 24, 43)).all(axis=2))
-    assert red.min(axis=0) == pytest.approx([24, 72], abs=1)
-    assert red.max(axis=0) == pytest.approx([47, 95], abs=1)
-    assert picture(valley_png(Valley(np.arange(2.0), np.arange(2.0), np.zeros((2, 2)))))[12, 36].tolist() == [
-        33,
-        102,
-        172,
     ]
 
 

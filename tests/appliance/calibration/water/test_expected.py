@@ -24,7 +24,6 @@ from appliance.calibration.water.expected import (
 )
 from appliance.optics.correction import ImageCorrection
 from appliance.optics.model import HousedCamera, StereoRig
-from appliance.optics.ray_shift import RayShift
 from appliance.optics.water import Water
 
 Array = NDArray[np.float64]
@@ -34,11 +33,11 @@ WIDTH_PX, HEIGHT_PX = 400, 300
 START = design_calibration(Design(11.5, 4.5 * 4, 230.0, 12.41, 30.0, 5.0, 1.77), "KF", WIDTH_PX, HEIGHT_PX, WATER).rig
 ACTIVE = (5, *range(6, 28))
 """Not all parameters, and not in the places of their names."""
-NODES, SHIFTS = (5, 4), (4, 3)
-_A, _B = 2 * 8 * 7, 2 * 7 * 6
-_ENDS = np.cumsum([len(ACTIVE), _A, _A, _B, _B])
+NODES = (5, 4)
+_COUNT = 2 * 8 * 7
+_ENDS = np.cumsum([len(ACTIVE), _COUNT, _COUNT])
 GROUPS = [slice(int(a), int(b)) for a, b in pairwise(_ENDS)]
-COLUMNS = Columns(ACTIVE, (GROUPS[0], GROUPS[1]), (GROUPS[2], GROUPS[3]))
+COLUMNS = Columns(ACTIVE, (GROUPS[0], GROUPS[1]))
 SIZE = int(_ENDS[-1]) + 5
 """The artefacts' places come last; nothing depends on them."""
 LENGTH_MM, RADIUS_MM = 120.0, 25.0
@@ -55,18 +54,13 @@ BAR = Recording(
 
 
 def with_surfaces(rig: StereoRig, x: Array) -> StereoRig:
-    """The rig with small corrections and ray shifts, and the nodes of ``x`` added: first all nodes across, then all down."""
+    """The rig with small corrections, and the nodes of ``x`` added: first all nodes across, then all down."""
     cameras: list[HousedCamera] = []
     for eye, camera in enumerate((rig.left, rig.right)):
         base = np.random.default_rng(30 + eye)
-        correction = base.normal(0.0, 0.03, _A) + x[GROUPS[eye]].reshape(2, -1).T.ravel()
-        shift = base.normal(0.0, 0.01, _B) + x[GROUPS[2 + eye]].reshape(2, -1).T.ravel()
+        correction = base.normal(0.0, 0.03, _COUNT) + x[GROUPS[eye]].reshape(2, -1).T.ravel()
         cameras.append(
-            replace(
-                camera,
-                correction=ImageCorrection(WIDTH_PX, HEIGHT_PX, NODES, tuple(correction.tolist())),
-                ray_shift=RayShift(WIDTH_PX, HEIGHT_PX, SHIFTS, tuple(shift.tolist())),
-            )
+            replace(camera, correction=ImageCorrection(WIDTH_PX, HEIGHT_PX, NODES, tuple(correction.tolist())))
         )
     return StereoRig(cameras[0], cameras[1])
 
@@ -166,7 +160,7 @@ def some(group: str, seed: int = 31) -> Array:
     if group == "rig":
         x[: len(ACTIVE)] = 3.0 * rng.normal(size=len(ACTIVE)) * parameters.STEPS[list(ACTIVE)]
     else:
-        where = GROUPS[["left nodes", "right nodes", "left shifts", "right shifts"].index(group)]
+        where = GROUPS[["left nodes", "right nodes"].index(group)]
         x[where] = 0.05 * rng.normal(size=where.stop - where.start)
     return x
 
@@ -174,7 +168,7 @@ def some(group: str, seed: int = 31) -> Array:
 @pytest.mark.parametrize(
     ("group", "seed"),
     [
-        *((group, 31) for group in ("left nodes", "right nodes", "left shifts", "right shifts")),
+        *((group, 31) for group in ("left nodes", "right nodes")),
         *(("rig", seed) for seed in (35, 39, 42, 45)),  # of which each makes bars of another direction worst
     ],
 )
@@ -273,7 +267,7 @@ def test_coefficients_are_those_that_made_a_depth_error_whatever_overlaps_absorb
     assert along_ray(points)[:, 2] == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize("column", [0, 4, 9, 21, len(ACTIVE) + 20, GROUPS[2].start + 9])
+@pytest.mark.parametrize("column", [0, 4, 9, 21, len(ACTIVE) + 20])
 def test_the_shared_depth_error_is_that_of_triangulating_with_another_rig(column: int) -> None:
     sd = 1e-3
     u, v = np.meshgrid(np.linspace(-BORDER, BORDER, 11), np.linspace(-0.75 * BORDER, 0.75 * BORDER, 9))

@@ -13,9 +13,7 @@ import pytest
 from appliance.calibration.design import Design, design_calibration
 from appliance.calibration.judgement import Estimate
 from appliance.calibration.recordings import ArtefactKind, Recording
-from appliance.calibration.water.interface import Valley
-from appliance.calibration.water.ladder import LadderResult
-from appliance.calibration.water.method import Method
+from appliance.calibration.water.method import Method, WaterResult
 from appliance.calibration.water.report import as_html, as_json
 from appliance.calibration.water.residuals import Residuals, residuals_of
 from appliance.optics.model import StereoRig
@@ -63,18 +61,17 @@ def test_of_many_points_as_many_are_used_as_are_asked_for() -> None:
     assert len(residuals_of(plane_seen_by(START.rig, n=900), START.rig, 200).left_px) <= 200
 
 
-def solved(**changed: Any) -> LadderResult:
+def solved(**changed: Any) -> WaterResult:
     calibration = replace(START, rig=leaning(START.rig, 1.0), residual_px=0.041)
     places = np.array([[10.0, 10.0]] * 4)
     return replace(
-        LadderResult(
-            Method.BA_PORTS,
+        WaterResult(
+            Method.PORTS,
             calibration,
+            ("the water & the bar do not go together",),
             (Residuals("bar <1>", places, np.full((4, 2), 0.3)),),
             0.012,
             (Estimate("right port tilt x (rad)", 0.0174, 0.0122, 0.0001), Estimate("shift", 0.0, 0.1, 0.1)),
-            ("the water & the bar do not go together",),
-            Valley(np.array([20.0, 25.5]), np.array([30.0, 35.0, 40.5]), np.ones((2, 3))),
             (300.0, 20.0),
         ),
         **changed,
@@ -98,15 +95,17 @@ def test_programs_are_told_the_ports_before_and_after_what_is_left_and_what_was_
         "name": "right port tilt x (rad)", "change": 0.0174, "prior_sd": 0.0122, "sd": 0.0001, "at_prior": False,
     }  # fmt: skip
     assert said["costs"] == [300.0, 20.0]
-    assert said["valley"]["d1_mm"] == [20.0, 25.5]
-    assert said["valley"]["d2_mm"] == [30.0, 35.0, 40.5]
+    assert said["before"] == {}
     assert said["left_out"] == {"7": "too dark"}
     assert said["warnings"] == ["the water & the bar do not go together"]
 
 
-def test_what_no_file_can_carry_has_no_hash_and_a_method_without_a_search_no_valley() -> None:
-    said = as_json(solved(method=Method.PAPER_RM_PRINTED, valley=None), START, {}, {})
-    assert (said["about"]["calibration"], said["valley"]) == (None, None)
+def test_the_published_way_tells_what_each_of_its_models_leaves() -> None:
+    result = solved(method=Method.PAPER, before={"pm": replace(START, residual_px=0.9), "rm": START})
+    said = as_json(result, START, {}, {})
+    assert said["before"]["pm"]["residual_px"] == 0.9
+    assert said["before"]["rm"] == {"calibration": START.hash, "residual_px": None}
+    assert "residual_px 0.9" in as_html(result, START, {}, {})
 
 
 def test_the_page_has_every_drawing_and_escapes_names() -> None:
@@ -116,12 +115,11 @@ def test_the_page_has_every_drawing_and_escapes_names() -> None:
     for words in (
         "Ada &amp; Co", "the water &amp; the bar do not go together", "Scan &lt;7&gt; not used: too dark.",
         "bar &lt;1&gt;: an arrow as long as a cell is 0.471 px",
-        "log T over d1 (20.0 to 25.5 mm, right) and d2 (30.0 to 40.5 mm, down)", "data:image/png",
         "Convergence", "What the recordings could see",
     ):  # fmt: skip
         assert words in page, words
     assert page.count("<svg") == 3
     assert "<td>bar &lt;1&gt;</td><td>4</td><td>0.3</td>" in page
-    bare = as_html(solved(residuals=(), estimates=(), valley=None, costs=(), warnings=()), START, {}, {})
-    for words in ("<svg", "image/png", "Convergence", "could see", 'class="no"'):
+    bare = as_html(solved(residuals=(), estimates=(), costs=(), warnings=()), START, {}, {})
+    for words in ("<svg", "published", "Convergence", "could see", 'class="no"'):
         assert words not in bare, words

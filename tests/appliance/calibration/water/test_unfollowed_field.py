@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from appliance.calibration.water.calibrate import calibrate
 from appliance.calibration.water.expected import FLAT_PERCENT, LENGTH_PERCENT
-from appliance.calibration.water.ladder import Method, calibrate
+from appliance.calibration.water.method import Method
 from appliance.calibration.water.report import as_html, as_json
 from appliance.cli import calibrate as verb
 from hw_sim.truth import TrueRig, project
@@ -46,7 +47,7 @@ def calibrated(see: Callable[..., NDArray[np.float64]]) -> Case:
     start = calibrating.start_of(calibrating.air_of(truth))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(calibrating, "project", see)
-        result = calibrate(Method.BA_SPLINE, calibrating.calibration_recordings(truth), start)
+        result = calibrate(Method.SPLINE, calibrating.calibration_recordings(truth), start)
         errors = calibrating.evaluate(truth, result.calibration.rig, planes=1)
     return Case(as_json(result, start, {}, {}), as_html(result, start, {}, {}), errors)
 
@@ -61,5 +62,5 @@ def test_a_field_that_the_correction_cannot_follow_is_announced_to_who_calibrate
     assert 0.5 < case.content["expected_length_percent"] / case.errors.length < 3.0
     assert 0.5 < case.content["expected_flat_percent"] / case.errors.flatness < 3.0
     assert "lengths may be wrong by" in case.html
-    verb._tell(case.content, tmp_path / "report.html", None)
+    verb._tell(case.content, tmp_path / "report.html", Path("water.json"))
     assert f"warning: {said}\n" in capsys.readouterr().out

@@ -6,26 +6,45 @@ c'/r; its d is the distance to the outer face. ``HousedCamera`` with a perpendic
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.calibration.file import Calibration
+from appliance.calibration.recordings import Recording
+from appliance.calibration.water.paper import STEPS_MM, search_distances
 from appliance.optics.model import HousedCamera
 
 Array = NDArray[np.float64]
 
 NEWTON_STEPS = 20
 SMALL = 1e-6
+REACH_MM, STEP_MM = 15.0, 3.0
+"""Misprints are mended, as far as they can be, by distances far from the true ones: a wider search before the others."""
+
+
+def calibrate_as_printed(recordings: Sequence[Recording], start: Calibration) -> Calibration:
+    """Search for the distances with which the printed equations fit best. Raises RecordingError without a bar or a plane."""
+    rig = replace(start.rig, left=_printed(start.rig.left), right=_printed(start.rig.right))
+    steps_mm = (STEP_MM, *STEPS_MM)
+    return search_distances(recordings, replace(start, rig=rig), reach_mm=REACH_MM, steps_mm=steps_mm).calibration
+
+
+def _printed(camera: HousedCamera) -> PrintedCamera:
+    return PrintedCamera(
+        camera.width_px, camera.height_px, camera.lens, camera.port, camera.rotation, camera.translation_mm
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class PrintedCamera(HousedCamera):
-    """A camera whose rays follow the printed equations. No calibration file carries it."""
+    """A camera whose rays follow the printed equations; no file carries it, and the port's normal counts for the axis."""
 
     def rays(self, uv_px: Array, water_index: float) -> tuple[Array, Array]:
-        """Return the water rays of pixels (..., 2) as ``HousedCamera.rays`` does, the port's normal taken for the axis."""
-        xy = self.lens.to_normalised(uv_px if self.correction is None else self.correction.to_ideal(uv_px))
+        """Return the water rays of pixels (..., 2) as ``HousedCamera.rays`` does."""
+        xy = self.lens.to_normalised(uv_px)
         slope, shift = self._printed(np.linalg.norm(xy, axis=-1), water_index)
         origin = np.concatenate([np.zeros_like(xy), -shift[..., None]], -1)
         direction = np.concatenate([xy * slope[..., None], np.ones_like(xy[..., :1])], -1)
