@@ -22,10 +22,11 @@ from numpy.typing import NDArray
 from appliance.foreign.assumptions import ExaminedAssumption, Outcome, beyond, told, wrong
 from appliance.foreign.camera import DecodedCamera, placed_again
 from appliance.foreign.cameras import ForeignRig
-from appliance.foreign.decode import NoCoordinate, place
+from appliance.foreign.decode import place
 from appliance.foreign.description import AxisConvention, Description
 from appliance.foreign.phase import Floats
 from appliance.foreign.points import depths_of
+from appliance.foreign.reasons import Reason
 from appliance.foreign.texture import Offset, Texture
 from appliance.optics.epipolar import CurveError
 from appliance.optics.model import HousedCamera, StereoRig
@@ -248,7 +249,7 @@ def _extent(
 ) -> list[ExaminedAssumption]:
     """Say whether the projector's size is too small, or what checks it: the words of its calibration, else what checks the period."""
     for axis in description.axes:
-        if axis.bits and np.any(left.placed[axis.name].reason == NoCoordinate.OUTSIDE):
+        if axis.bits and np.any(left.placed[axis.name].reason == Reason.OUTSIDE):
             whole = place(left.measured[axis.name], axis, axis.covered_px)
             if larger := beyond(axis, whole.coordinate_px):
                 return larger

@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.foreign.decode import DRAWN, Measured, NoCoordinate, PlacedAxis, measure, place
+from appliance.foreign.decode import DRAWN, Measured, PlacedAxis, measure, place
 from appliance.foreign.description import Description
 from appliance.foreign.images import ImageSet
 from appliance.foreign.order import Shows
 from appliance.foreign.phase import ROWS_AT_ONCE, Floats
+from appliance.foreign.reasons import Reason
 
 MAD_TO_SIGMA = 1.4826
 JUMP_STEPS, BEND_STEPS, EDGE_SIGMAS = 6.0, 1.5, 8.0
@@ -38,16 +39,6 @@ class DecodedCamera:
     placed: Mapping[str, PlacedAxis]
     grey: NDArray[np.uint8]
     """Picture of what the camera saw in even light: the bright image, else the mean of the sines, else the brightest of each pixel."""
-
-    @property
-    def valid(self) -> NDArray[np.bool_]:
-        """(h, w) bool: all coordinates are there."""
-        return np.asarray(np.logical_and.reduce([one.reason == NoCoordinate.VALID for one in self.placed.values()]))
-
-    def share_valid(self) -> float:
-        """Return the share of the pixels with light that have all coordinates; 0 where there is no light."""
-        lit = np.logical_and.reduce([one.reason != NoCoordinate.WEAK for one in self.placed.values()])
-        return float(self.valid.sum() / lit.sum()) if lit.any() else 0.0
 
 
 def decode_camera(images: ImageSet, description: Description) -> DecodedCamera:
@@ -82,6 +73,38 @@ class CleanAxis:
     """(h, w) float32: standard deviation by noise, in px of the pattern."""
     step_px: float
     """Usual change from a pixel to the next, in either direction of the image."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CleanCamera:
+    """One camera's coordinates as points are made of them. Maps are (h, w)."""
+
+    images: ImageSet
+    axes: Mapping[str, CleanAxis]
+    """Keyed ``x`` and ``y``."""
+    grey: NDArray[np.uint8]
+    modulation_dn: Floats
+    """Least one of all directions, in 255ths of full scale."""
+    reason: NDArray[np.uint8]
+    """Values of ``Reason``: of the first direction that has no coordinate; what has one and sees two surfaces is NEIGHBOURS."""
+    decoded: float
+    """Share of the pixels with light that have all coordinates, edges among them; 0 where there is no light."""
+
+
+def clean_camera(camera: DecodedCamera) -> CleanCamera:
+    """Return what points are made of: the convention is settled, and no other one is tried any more."""
+    placed = camera.placed.values()
+    axes = {name: clean(one) for name, one in camera.placed.items()}
+    reason = np.zeros(camera.grey.shape, np.uint8)
+    for one in placed:
+        np.copyto(reason, one.reason, where=reason == Reason.FOUND)
+    valid = reason == Reason.FOUND
+    lit = np.logical_and.reduce([one.reason != Reason.WEAK for one in placed])
+    decoded = float(valid.sum() / lit.sum()) if lit.any() else 0.0
+    edge = np.logical_or.reduce([np.isnan(one.coordinate_px) for one in axes.values()])
+    reason[valid & edge] = Reason.NEIGHBOURS
+    modulation_dn = np.minimum.reduce([one.modulation for one in placed]) * np.float32(255.0 / camera.images.white)
+    return CleanCamera(camera.images, axes, camera.grey, modulation_dn, reason, decoded)
 
 
 def clean(placed: PlacedAxis) -> CleanAxis:

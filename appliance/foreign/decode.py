@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from enum import IntEnum
 from typing import Any
 
 import cv2
@@ -34,6 +33,7 @@ from appliance.foreign.phase import (
     some_pixels,
     unbend,
 )
+from appliance.foreign.reasons import Reason
 
 LEAST_MODULATION, MOST_LEAST_MODULATION = 1.0 / 255.0, 5.0 / 255.0
 """Least modulation of a pixel that is used, as a share of full scale: so many ``NOISE_SIGMAS`` of its noise, within these."""
@@ -54,19 +54,6 @@ DRAWN = 0.008
 """Error of a coordinate between two borders of a stripe, as a share of it: measured on rendered sets with stripes of 4 and 8 px."""
 MOST_SKIPPED = 2
 """Largest change of a stripe's number at a border that a coordinate is drawn from: one stripe in between may be too narrow to be seen."""
-
-
-class NoCoordinate(IntEnum):
-    """Reason why a pixel has no coordinate; the first that applies."""
-
-    VALID = 0
-    SATURATED = 1
-    WEAK = 2
-    """Too little modulation, or contrast."""
-    CONTRADICTION = 3
-    """The parts of the code contradict each other."""
-    OUTSIDE = 4
-    """The coordinate lies beyond the pattern."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,7 +92,7 @@ class PlacedAxis:
     coordinate_px: Floats
     """(h, w) float32, NaN where ``reason`` says why."""
     reason: NDArray[np.uint8]
-    """(h, w), values of ``NoCoordinate``."""
+    """(h, w), values of ``Reason``."""
     modulation: Floats
     """(h, w): as it was measured."""
     mean: NDArray[Any] | None = None
@@ -201,11 +188,11 @@ def place(found: Measured, axis: AxisConvention, extent_px: tuple[float, float])
     beyond_px = 0.5 - 0.25 * axis.period_px
     with np.errstate(invalid="ignore"):
         outside = (coordinate_px < begin_px - 1.0 + beyond_px) | (coordinate_px > end_px - beyond_px)
-    reason[outside] = NoCoordinate.OUTSIDE
-    reason[contradiction] = NoCoordinate.CONTRADICTION
-    reason[found.weak] = NoCoordinate.WEAK
-    reason[found.saturated] = NoCoordinate.SATURATED
-    coordinate_px[reason != NoCoordinate.VALID] = np.nan
+    reason[outside] = Reason.OUTSIDE
+    reason[contradiction] = Reason.CONTRADICTION
+    reason[found.weak] = Reason.WEAK
+    reason[found.saturated] = Reason.SATURATED
+    coordinate_px[reason != Reason.FOUND] = np.nan
     return PlacedAxis(coordinate_px, reason, found.modulation, found.mean, stripe_px, found.bend_turns * axis.period_px)
 
 

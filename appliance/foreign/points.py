@@ -12,16 +12,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from enum import IntEnum
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.foreign.camera import CleanAxis, DecodedCamera, clean
+from appliance.foreign.camera import CleanAxis, CleanCamera
 from appliance.foreign.cameras import ForeignRig
-from appliance.foreign.decode import NoCoordinate
 from appliance.foreign.description import Description
 from appliance.foreign.phase import Floats
+from appliance.foreign.reasons import BEFORE_POINTS, GAP_PIXELS, REASONS, SIGMA_PIXELS, Reason
 from appliance.optics.epipolar import CurveError
 from appliance.optics.model import HousedCamera, StereoRig
 from appliance.optics.pinhole import FoldingLens
@@ -38,10 +38,8 @@ from appliance.scan.noise import TYPICAL_PAIR
 
 USUAL_STEP_PX = 0.63
 """Change of a coordinate from one pixel to the next on the instrument, for images 1600 px wide."""
-GAP_PIXELS, SIGMA_PIXELS, STEP_PIXELS = 2.5, 5.0, 9.4
-"""Largest ray gap and expected error of a point, and step in depth to a neighbour, over the size of a pixel on the object there."""
-STEP_SIGMAS = 3.0
-"""Least such step over the expected error."""
+STEP_PIXELS, STEP_SIGMAS = 9.4, 3.0
+"""Allowed step in depth to a neighbour, over the size of a pixel on the object there, and over the expected error."""
 LEAST_NEIGHBOURS = 5
 NEAR_OF_CROSSING, FAR_OF_CROSSING = 0.3, 4.0
 LEAST_CROSSING = 0.2
@@ -58,44 +56,6 @@ MOST_PX = 65_535
 """Widest and highest image that two directions can be looked up in: its pixels' numbers are packed into 16 bits each."""
 _ALL = PointLimits(*np.array([np.inf, np.inf, -np.inf, np.inf, np.inf, 0.0], np.float32))
 """Limits that every point keeps: which one it breaks is told afterwards."""
-
-
-class Reason(IntEnum):
-    """Why a left pixel has no point: the first of these that applies."""
-
-    FOUND = 0
-    WEAK = 1
-    SATURATED = 2
-    CONTRADICTION = 3
-    OUTSIDE = 4
-    NO_RAY = 5
-    NO_MATCH = 6
-    GAP = 7
-    SIGMA = 8
-    DEPTH = 9
-    NEIGHBOURS = 10
-
-    @property
-    def word(self) -> str:
-        """The reason's name in reports."""
-        return self.name.lower().replace("_", "-")
-
-
-REASONS = {
-    "weak": "too little light or contrast",
-    "saturated": "white in some image",
-    "contradiction": "the parts of the code contradict each other",
-    "outside": "beyond the pattern; its size, [x] and [y] say how far it goes",
-    "no-ray": "the lens model folds over there",
-    "no-match": "nothing on the other side has that coordinate where the pixel looks",
-    "gap": f"rays pass each other by more than {GAP_PIXELS:g} pixels; check the cameras' numbers, [water] and [ports]",
-    "sigma": f"the expected error is larger than {SIGMA_PIXELS:g} pixels on the object; range.max_sigma_mm sets another limit",
-    "depth": "nearer or farther than range.near_mm and range.far_mm",
-    "neighbours": "an edge, or alone",
-}
-"""Meaning of each reason, with what to do about it."""
-BEFORE_POINTS = tuple(REASONS)[: Reason.NO_RAY - 1]
-"""Reasons of pixels without coordinates."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -156,30 +116,21 @@ def depths_of(description: Description, rig: StereoRig, index: float) -> tuple[f
 
 
 def find_points(
-    description: Description, rig: ForeignRig, left: DecodedCamera, right: DecodedCamera | None
+    description: Description, rig: ForeignRig, left: CleanCamera, right: CleanCamera | None
 ) -> ForeignCloud:
     """Find the points of the left pixels; without ``right``, the rig's right camera is a projector.
 
     Nothing is raised: where there are no points, ``reasons`` and ``failure`` say why.
     """
     lenient = replace(rig.rig, left=_lenient(rig.rig.left), right=_lenient(rig.rig.right))
-    mine = {axis.name: clean(left.placed[axis.name]) for axis in description.axes}
-    # Decoding's own reasons first: what has no coordinate was never searched.
-    reason = np.zeros(left.grey.shape, np.uint8)
-    for name in mine:
-        for why in (one for one in NoCoordinate if one is not NoCoordinate.VALID):
-            reason[(reason == 0) & (left.placed[name].reason == why)] = Reason[why.name]
-    known = np.logical_and.reduce([np.isfinite(one.coordinate_px) for one in mine.values()])
-    # What has a coordinate and is not clean sees two surfaces.
-    reason[(reason == 0) & ~known] = Reason.NEIGHBOURS
+    reason = left.reason.copy()
+    known = reason == Reason.FOUND
     lit = int(np.count_nonzero(known))
     reason[known & _without_ray(lenient.left, rig.index)] = Reason.NO_RAY
-    known &= reason == 0
+    known &= reason == Reason.FOUND
     reason[known] = Reason.NO_MATCH
     depths_mm = depths_of(description, lenient, rig.index)
-    other = _projector(lenient.right) if right is None else {
-        axis.name: clean(right.placed[axis.name]) for axis in description.axes
-    }  # fmt: skip
+    other = _projector(lenient.right) if right is None else right.axes
     failure: str | None = None
     cloud: OrganisedCloud | None = None
     if not known.any():
@@ -190,16 +141,16 @@ def find_points(
         for share in NARROWER[: 1 if None not in ends else None]:
             depths_mm = _narrowed(depths_of(description, lenient, rig.index), share)
             try:
-                cloud = _one_direction(lenient, rig.index, left, mine[name], other[name], depths_mm)
+                cloud = _one_direction(lenient, rig.index, left, other[name], depths_mm)
             except (OneDirectionError, CurveError) as error:
                 failure = str(error)
                 continue
             failure = None
             break
-    elif not (_any(mine) and _any(other)):
-        failure = "no pixel of one camera has both coordinates"
+    elif right is not None and not (right.reason == Reason.FOUND).any():
+        failure = "no pixel of the right camera has both coordinates"
     else:
-        cloud = _two_directions(lenient, rig.index, left, mine, other, depths_mm)
+        cloud = _two_directions(lenient, rig.index, left, other, depths_mm)
     cloud = _nothing(left) if cloud is None else cloud
     over_sigma_mm = _judge(cloud, reason, depths_mm, lenient.left.lens.f_px[0], description.max_sigma_mm)
     return ForeignCloud(
@@ -207,39 +158,34 @@ def find_points(
     )
 
 
-def _nothing(left: DecodedCamera) -> OrganisedCloud:
+def _nothing(left: CleanCamera) -> OrganisedCloud:
     """Return a cloud to be filled in."""
     points, *others = (np.full((*left.grey.shape, *more), np.nan, np.float32) for more in ((3,), (), (), ()))
     return OrganisedCloud(points, others[0], others[1], others[2], left.grey)
 
 
 def _one_direction(
-    rig: StereoRig, index: float, left: DecodedCamera, mine: CleanAxis, other: CleanAxis, depths_mm: tuple[float, float]
+    rig: StereoRig, index: float, left: CleanCamera, other: CleanAxis, depths_mm: tuple[float, float]
 ) -> OrganisedCloud:
     """Return the points along epipolar curves. Raises OneDirectionError, CurveError."""
+    (mine,) = left.axes.values()
     found = match_along_curves(
         mine.coordinate_px, other.coordinate_px, rig, index, depths_mm, (mine.sigma_px, other.sigma_px), OneDirectionLimits(min_neighbours=0),
         partners=False,
     )  # fmt: skip
-    modulation = next(iter(left.placed.values())).modulation * np.float32(255.0 / left.images.white)
+    # A copy: what breaks a limit is taken out of the cloud.
     return OrganisedCloud(
-        found.points_mm, found.sigma_mm, modulation, np.full(modulation.shape, np.nan, np.float32), left.grey
+        found.points_mm, found.sigma_mm, left.modulation_dn.copy(), np.full_like(found.sigma_mm, np.nan), left.grey
     )
 
 
-def _any(maps: Mapping[str, CleanAxis]) -> bool:
-    """Tell whether any pixel has both coordinates."""
-    return bool((np.isfinite(maps["x"].coordinate_px) & np.isfinite(maps["y"].coordinate_px)).any())
-
-
 def _two_directions(
-    rig: StereoRig, index: float, left: DecodedCamera, mine: dict[str, CleanAxis], other: dict[str, CleanAxis],
-    depths_mm: tuple[float, float],
-) -> OrganisedCloud:  # fmt: skip
-    """Return the points where rays meet. ``mine`` and ``other`` are used up: they make room."""
+    rig: StereoRig, index: float, left: CleanCamera, other: Mapping[str, CleanAxis], depths_mm: tuple[float, float]
+) -> OrganisedCloud:
+    """Return the points where rays meet."""
     low_px, size_px = [], []
     for name in "xy":
-        both = [one[name].coordinate_px for one in (mine, other)]
+        both = [one[name].coordinate_px for one in (left.axes, other)]
         low_px.append(min(float(np.nanmin(one)) for one in both))
         size_px.append(max(float(np.nanmax(one)) for one in both) - low_px[-1])
     # So large is the pattern that one pixel sees as much of it as on the instrument, and no larger than its map has room for.
@@ -247,7 +193,6 @@ def _two_directions(
         USUAL_STEP_PX * 1600.0 / rig.right.width_px / max(other["x"].step_px, other["y"].step_px),
         4.0 * math.sqrt(rig.right.width_px * rig.right.height_px / (size_px[0] * size_px[1] + 1.0)),
     )
-    p1, q1, variance1 = _scaled(mine, low_px, scale)
     p2, q2, variance2 = _scaled(other, low_px, scale)
     seen = np.full(p2.shape, np.uint8(255))
     maps = right_maps(p2, q2, seen, int(scale * size_px[0]) + 2, int(scale * size_px[1]) + 2, variance2)
@@ -259,8 +204,6 @@ def _two_directions(
         ray_lattice(one, index, plane_mm, step_px, partial=True) for one in (rig.left, rig.right)
     )
     rays = rays_of(first_rays, second_rays, rig.left.width_px)
-    modulation = np.minimum.reduce([one.modulation for one in left.placed.values()])
-    half_dn = np.clip(np.rint(modulation * np.float32(510.0 / left.images.white)), 0.0, 255.0).astype(np.uint8)
     cloud = _nothing(left)
     height = left.grey.shape[0]
     table, scratch = PointTable(height * (STRIP_PX + 2)), scratch_rows()
@@ -269,16 +212,13 @@ def _two_directions(
         # With one more on either side: the noise of a pixel is told with its neighbours.
         begin = max(first - 1, 0)
         columns = np.s_[..., begin : first + STRIP_PX + 1]
-        p, q, variance, half, grey, own = (
-            np.ascontiguousarray(one[columns]) for one in (p1, q1, variance1, half_dn, left.grey, rays.left)
-        )
+        grey = np.ascontiguousarray(left.grey[columns])
+        half = np.clip(np.rint(2.0 * left.modulation_dn[columns]), 0.0, 255.0).astype(np.uint8)
+        own = rays._replace(left=np.ascontiguousarray(rays.left[columns]))
+        p, q, variance = _scaled(left.axes, low_px, scale, columns)
         lit = np.tile(np.array([0, p.shape[1]], np.int32), (height, 1))
         strip = LeftMaps(p, q, half, grey, grey, lit, np.float32(1.0), variance)
-        count = int(
-            reconstruct_rows(
-                strip, maps, rays._replace(left=own), _ALL, factors, 0, height, 1, scratch, table.points, 0
-            )
-        )
+        count = int(reconstruct_rows(strip, maps, own, _ALL, factors, 0, height, 1, scratch, table.points, 0))
         found = table.points
         # Flat in the strip, and in all rows and columns of the image.
         row, column = np.divmod(found.pixel[:count], p.shape[1])
@@ -339,19 +279,18 @@ def _without_ray(camera: HousedCamera, index: float) -> NDArray[np.bool_]:
     return cells.repeat(lattice.step_px, 0).repeat(lattice.step_px, 1)[: camera.height_px, : camera.width_px]
 
 
-def _scaled(maps: dict[str, CleanAxis], low_px: list[float], scale: float) -> tuple[Floats, Floats, Floats]:
-    """Return both coordinates from the lowest on, NaN where one is missing, and the mean of their variances, in scaled px: in place."""
-    x, y = maps.pop("x"), maps.pop("y")
-    p, q, variance, other = x.coordinate_px, y.coordinate_px, x.sigma_px, y.sigma_px
-    for one, low in zip((p, q), low_px, strict=True):
-        one -= np.float32(low)
-        one *= np.float32(scale)
+def _scaled(
+    maps: Mapping[str, CleanAxis], low_px: list[float], scale: float, part: Any = ...
+) -> tuple[Floats, Floats, Floats]:
+    """Return a part of both coordinates from the lowest on, NaN where one is missing, and the mean of their variances, in scaled px."""
+    both = [maps[name] for name in "xy"]
+    p, q = (
+        (one.coordinate_px[part] - np.float32(low)) * np.float32(scale) for one, low in zip(both, low_px, strict=True)
+    )
     missing = np.isnan(p) | np.isnan(q)
     p[missing], q[missing] = np.nan, np.nan
-    np.hypot(variance, other, out=variance)
-    variance *= variance
-    variance *= np.float32(0.5 * scale**2)
-    return p, q, variance
+    spread = np.hypot(*(one.sigma_px[part] for one in both))
+    return p, q, np.square(spread, out=spread) * np.float32(0.5 * scale**2)
 
 
 def _lenient(camera: HousedCamera) -> HousedCamera:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from appliance.foreign.arrangement import examine_cameras
 from appliance.foreign.assumptions import ExaminedAssumption, Outcome, examine_axis, examine_references
-from appliance.foreign.camera import DecodedCamera, decode_camera
+from appliance.foreign.camera import CleanCamera, DecodedCamera, clean_camera, decode_camera
 from appliance.foreign.cameras import ForeignRig
 from appliance.foreign.description import Description, load_description
 from appliance.foreign.first_look import checked
@@ -21,7 +21,7 @@ class ForeignScan:
 
     description: Description
     rig: ForeignRig
-    cameras: Mapping[str, DecodedCamera]
+    cameras: Mapping[str, CleanCamera]
     """``left`` and, unless a projector takes its place, ``right``."""
     tested: tuple[ExaminedAssumption, ...]
 
@@ -48,7 +48,10 @@ def read_foreign(path: Path, progress: Callable[[str], None]) -> ForeignScan:
             # Beside a projector other conventions are tried on the phases; those of two cameras would need much room.
             cameras[side] = replace(cameras[side], measured={})
     progress("testing the description")
-    return ForeignScan(description, rig, cameras, _by_rays(description, cameras, rig, tested))
+    said_of_all = _by_rays(description, cameras, rig, tested)
+    # One after the other: what was decoded of a large set needs as much room again.
+    cleaned = {side: clean_camera(cameras.pop(side)) for side in sets}
+    return ForeignScan(description, rig, cleaned, said_of_all)
 
 
 def examine(

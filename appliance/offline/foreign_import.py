@@ -177,8 +177,7 @@ def _read(path: Path, progress: Callable[[str], None], as_described: bool) -> Fo
         raise ForeignError(
             f"{path}: the images contradict it: {said}; correct it, or import it all the same with --as-described"
         )
-    # Points are made of coordinates: phases of a large set need much room.
-    return replace(scan, cameras={side: replace(one, measured={}) for side, one in scan.cameras.items()})
+    return scan
 
 
 def _found(path: Path, scan: ForeignScan, progress: Callable[[str], None], reasons: Path | None) -> ForeignCloud:
@@ -211,7 +210,7 @@ def _report(scan: ForeignScan, found: ForeignCloud) -> dict[str, Any]:
     return {
         "points": found.points,
         "coverage_percent": 100.0 * found.points / found.lit,
-        "decoded_percent": {side: 100.0 * camera.share_valid() for side, camera in scan.cameras.items()},
+        "decoded_percent": {side: 100.0 * camera.decoded for side, camera in scan.cameras.items()},
         f"distance_{unit}": float(np.median(cloud.points_mm[..., 2][there])),
         f"noise_{unit}": float(np.nanmedian(sigma_mm)) if np.isfinite(sigma_mm).any() else None,
         f"gap_{unit}": float(np.median(gaps_mm)) if np.isfinite(gaps_mm).any() else None,

@@ -7,12 +7,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from appliance.foreign.points import ForeignCloud, Reason
+from appliance.foreign.points import ForeignCloud
+from appliance.foreign.reasons import Reason
 from appliance.storage.atomic import replace_file
 from appliance.storage.filesystem import LocalFileSystem
 
 COLOURS = {
-    Reason.WEAK: (16, 16, 72), Reason.SATURATED: (255, 255, 0), Reason.CONTRADICTION: (214, 39, 40), Reason.OUTSIDE: (148, 103, 189),
+    Reason.SATURATED: (255, 255, 0), Reason.WEAK: (16, 16, 72), Reason.CONTRADICTION: (214, 39, 40), Reason.OUTSIDE: (148, 103, 189),
     Reason.NO_RAY: (140, 86, 75), Reason.NO_MATCH: (31, 119, 180), Reason.GAP: (255, 127, 14), Reason.SIGMA: (44, 160, 44),
     Reason.DEPTH: (23, 190, 207), Reason.NEIGHBOURS: (227, 119, 194),
 }  # fmt: skip

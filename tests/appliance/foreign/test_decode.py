@@ -10,10 +10,10 @@ import pytest
 from numpy.typing import NDArray
 
 from appliance.foreign.camera import DecodedCamera, clean, decode_camera
-from appliance.foreign.decode import NoCoordinate
 from appliance.foreign.description import counted, parse_description
 from appliance.foreign.images import ImageSet
 from appliance.foreign.phase import TURN, fit_sine, unbend
+from appliance.foreign.reasons import Reason
 
 Lines = NDArray[np.float64]
 SIZE_PX, ROWS = 1024, 40
@@ -78,7 +78,7 @@ def test_rarer_codes_give_the_coordinate_that_was_drawn(
     draw: Callable[[Lines], list[Lines]], order: str, words: str, most_px: float
 ) -> None:
     found = decoded(draw(EDGE_PX), order, words).placed["x"]
-    valid = found.reason == NoCoordinate.VALID
+    valid = found.reason == Reason.FOUND
     assert valid.mean() > 0.98
     off_px = np.abs(found.coordinate_px + 0.5 - EDGE_PX)[valid]
     assert float(np.quantile(off_px, 0.995)) < most_px
@@ -101,10 +101,10 @@ def test_what_lies_beyond_the_pattern_is_outside_of_one_camera_alone(sides: str,
     """Of two cameras the pattern is what the code covers: 1,024 px, of which a wrong size must not cut half."""
     words = "period_px = 64\nsteps = 4\ncode_offset_px = 0"
     found = decoded([*gray(EDGE_PX, 64, 5), *steps(EDGE_PX, 64, 4)], "gray-x*5 sine-x*4", words, sides)
-    assert bool((found.placed["x"].reason == NoCoordinate.VALID).mean() > 0.98)
+    assert bool((found.placed["x"].reason == Reason.FOUND).mean() > 0.98)
     beyond = decoded([*gray(2 * EDGE_PX, 64, 5), *steps(2 * EDGE_PX, 64, 4)], "gray-x*5 sine-x*4", words, sides)
     away = beyond.placed["x"].reason[:, 320:-20]
-    assert bool((away == (NoCoordinate.OUTSIDE if outside else NoCoordinate.VALID)).mean() > 0.98)
+    assert bool((away == (Reason.OUTSIDE if outside else Reason.FOUND)).mean() > 0.98)
 
 
 @pytest.mark.parametrize(("count", "gamma", "darkest"), [(3, 1.8, 0.3), (4, 4.0, 0.6)])
@@ -177,7 +177,7 @@ def test_stripes_that_light_the_room_do_not_vote_on_finer_ones() -> None:
     assert bits.left_out == (0, 0)
     inner = np.broadcast_to(thing, EDGE_PX.shape)[:, 305:445]
     assert inner.all()
-    valid = found.placed["x"].reason == NoCoordinate.VALID
+    valid = found.placed["x"].reason == Reason.FOUND
     assert valid[:, 305:445].all()
     assert not valid[:, :290].any()
     assert not valid[:, 460:].any()

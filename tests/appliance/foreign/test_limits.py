@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from appliance.foreign.camera import clean, decode_camera
-from appliance.foreign.decode import NoCoordinate, by_periods
+from appliance.foreign.decode import by_periods
 from appliance.foreign.description import AxisConvention, Description, ImageFiles
 from appliance.foreign.images import ImageSet, read_side
 from appliance.foreign.order import parse_order
 from appliance.foreign.problem import Table
+from appliance.foreign.reasons import Reason
 
 SIZE_PX, PERIOD_PX, BITS = 1024, 32, 6
 
@@ -30,7 +31,7 @@ def test_a_code_that_goes_on_beyond_the_projector_makes_no_coordinates() -> None
     files = {"left": ImageFiles(("*",))}
     description = Description("", Path(), files, shown, "grey", None, (SIZE_PX, 768), (axis,), Table("", {}))
     placed = decode_camera(ImageSet(shown, (), images, 255.0), description).placed["x"]
-    valid = placed.reason[2] == NoCoordinate.VALID
+    valid = placed.reason[2] == Reason.FOUND
     assert np.allclose(placed.coordinate_px[2, valid], edge_px[valid] - 0.5, atol=0.5)
     assert valid[edge_px < SIZE_PX + 6.0].all()
     assert not valid[edge_px > SIZE_PX + 10.0].any()

@@ -9,13 +9,14 @@ import cv2
 import numpy as np
 import pytest
 
-from appliance.foreign.camera import DecodedCamera
+from appliance.foreign.camera import DecodedCamera, clean_camera
 from appliance.foreign.cameras import NO_PORT, ForeignRig
-from appliance.foreign.decode import NoCoordinate, PlacedAxis
+from appliance.foreign.decode import PlacedAxis
 from appliance.foreign.description import AxisConvention, Description, ImageFiles
 from appliance.foreign.images import ImageSet
-from appliance.foreign.points import REASONS, ForeignCloud, Reason, depths_of, find_points
+from appliance.foreign.points import ForeignCloud, depths_of, find_points
 from appliance.foreign.problem import ForeignError, Table
+from appliance.foreign.reasons import REASONS, Reason
 from appliance.offline.foreign_import import check_import
 from appliance.offline.reason_picture import COLOURS, draw_reasons
 from appliance.optics.model import HousedCamera, StereoRig
@@ -72,7 +73,16 @@ def both(cameras: ForeignRig, depth_mm: float = DEPTH_MM) -> tuple[DecodedCamera
 
 
 def found(axes: str, cameras: ForeignRig, depth_mm: float = DEPTH_MM) -> ForeignCloud:
-    return find_points(described(axes), cameras, *both(cameras, depth_mm))
+    return searched(described(axes), cameras, *both(cameras, depth_mm))
+
+
+def searched(description: Description, cameras: ForeignRig, left: DecodedCamera, right: DecodedCamera) -> ForeignCloud:
+    """Points of the directions that are described, of cameras that have both."""
+    names = [axis.name for axis in description.axes]
+    first, second = (
+        clean_camera(replace(one, placed={name: one.placed[name] for name in names})) for one in (left, right)
+    )
+    return find_points(description, cameras, first, second)
 
 
 @pytest.mark.parametrize("axes", ["x", "xy"])
@@ -93,7 +103,7 @@ def test_points_lie_where_the_plane_is(axes: str) -> None:
 )
 def test_the_filter_that_took_the_points_is_named(axes: str, limits: tuple[float | None, ...], reason: str) -> None:
     cameras = rig()
-    cloud = find_points(described(axes, *limits), cameras, *both(cameras))
+    cloud = searched(described(axes, *limits), cameras, *both(cameras))
     assert (cloud.points == 0) == bool(reason)
     assert sum(cloud.reasons.values()) + cloud.points == W * H
     if reason:
@@ -115,7 +125,7 @@ def test_rays_that_pass_each_other_are_a_gap() -> None:
     moved = {
         name: replace(one, coordinate_px=np.roll(one.coordinate_px, -4, axis=0)) for name, one in right.placed.items()
     }
-    cloud = find_points(described("xy"), cameras, left, replace(right, placed=moved))
+    cloud = searched(described("xy"), cameras, left, replace(right, placed=moved))
     assert cloud.points == 0
     assert next(iter(cloud.reasons)) == "gap"
 
@@ -123,13 +133,13 @@ def test_rays_that_pass_each_other_are_a_gap() -> None:
 def test_what_decoding_leaves_out_keeps_its_reason() -> None:
     cameras = rig()
     left, right = both(cameras)
-    bands = {"x": (NoCoordinate.WEAK, 0), "y": (NoCoordinate.SATURATED, 20)}
+    bands = {"x": (Reason.WEAK, 0), "y": (Reason.SATURATED, 20)}
     placed = {}
     for name, (why, row) in bands.items():
         one = left.placed[name]
         one.reason[row : row + 10], one.coordinate_px[row : row + 10] = why, np.nan
         placed[name] = one
-    cloud = find_points(described("xy"), cameras, replace(left, placed=placed), right)
+    cloud = searched(described("xy"), cameras, replace(left, placed=placed), right)
     assert (cloud.reason_map[:10] == Reason.WEAK).all()
     assert (cloud.reason_map[20:30] == Reason.SATURATED).all()
     assert cloud.reasons["weak"] == cloud.reasons["saturated"] == 10 * W
@@ -143,7 +153,7 @@ def nothing_seen(camera: DecodedCamera) -> DecodedCamera:
             name: replace(
                 one,
                 coordinate_px=np.full_like(one.coordinate_px, np.nan),
-                reason=np.full_like(one.reason, NoCoordinate.WEAK),
+                reason=np.full_like(one.reason, Reason.WEAK),
             )
             for name, one in camera.placed.items()
         },
@@ -156,9 +166,9 @@ def test_a_lack_of_points_is_said_and_not_raised(axes: str) -> None:
     left, right = both(cameras)
     away = replace(cameras.rig.right, rotation=((-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, -1.0)))
     backwards = replace(cameras, rig=replace(cameras.rig, right=away))
-    blind = find_points(described(axes), cameras, nothing_seen(left), right)
-    alone = find_points(described(axes), cameras, left, nothing_seen(right))
-    behind = find_points(described(axes), backwards, left, right)
+    blind = searched(described(axes), cameras, nothing_seen(left), right)
+    alone = searched(described(axes), cameras, left, nothing_seen(right))
+    behind = searched(described(axes), backwards, left, right)
     assert [one.points for one in (blind, alone, behind)] == [0, 0, 0]
     assert blind.failure
     assert alone.failure
@@ -204,7 +214,7 @@ def test_pixels_at_which_the_lens_folds_over_are_left_out_and_counted(axes: str)
     cameras = rig()
     left, right = both(cameras)
     folding = replace(cameras.rig.left, lens=replace(cameras.rig.left.lens, distortion=(-0.9, 0.0, 0.0, 0.0, 0.0)))
-    cloud = find_points(described(axes), replace(cameras, rig=replace(cameras.rig, left=folding)), left, right)
+    cloud = searched(described(axes), replace(cameras, rig=replace(cameras.rig, left=folding)), left, right)
     v, u = np.mgrid[0:H, 0:W]
     beyond = np.hypot((u - (W - 1) / 2) / F_PX, (v - (H - 1) / 2) / F_PX) > (2.0 / 3.0) * (1.0 / 2.7) ** 0.5
     assert 0.02 < beyond.mean() < 0.2
@@ -215,9 +225,9 @@ def test_pixels_at_which_the_lens_folds_over_are_left_out_and_counted(axes: str)
 def test_a_picture_shows_the_reason_of_each_pixel(tmp_path: Path) -> None:
     cameras = rig()
     left, right = both(cameras)
-    left.placed["x"].reason[20:50], left.placed["x"].coordinate_px[20:50] = NoCoordinate.CONTRADICTION, np.nan
+    left.placed["x"].reason[20:50], left.placed["x"].coordinate_px[20:50] = Reason.CONTRADICTION, np.nan
     left.grey[:] = 77
-    cloud = find_points(described("xy"), cameras, left, right)
+    cloud = searched(described("xy"), cameras, left, right)
     draw_reasons(cloud, tmp_path / "why.png")
     drawn = np.asarray(cv2.imread(str(tmp_path / "why.png")))[..., ::-1]
     assert (drawn[20:50, :W] == COLOURS[Reason.CONTRADICTION]).all()
