@@ -40,7 +40,6 @@ from tests.support.rendered import pictures, render_scan
 
 Say = Callable[[str, float], None]
 Frames = Mapping[str, NDArray[np.uint8]]
-Order = Sequence[int]
 
 VISIBLE = 0.05
 SHARES = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.001)
