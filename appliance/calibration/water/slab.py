@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import scipy.optimize
 from numpy.typing import NDArray
 
 from appliance.optics.model import Matrix3
@@ -73,6 +72,8 @@ def fit_slab(lens: Lens, points_mm: Array, uv_px: Array, index: float, index_beh
         x = np.concatenate([values, start[free:]])
         seen = air_directions(port_of(x), index_behind, points @ (rotation_matrix(x[:3]) @ first).T + x[3:6])
         return np.nan_to_num(lens.to_pixels(seen[:, :2] / seen[:, 2:]) - uv_px, nan=UNSEEN_PX).ravel()
+
+    import scipy.optimize  # half a second that a start of the service does not need
 
     scale = [0.01, 0.01, 0.01, 1.0, 1.0, 1.0, 0.01, 0.01, 1.0, 1.0][:free]
     found = scipy.optimize.least_squares(miss, start[:free], method="lm", x_scale=scale, xtol=1e-12, ftol=1e-12)
