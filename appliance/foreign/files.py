@@ -16,7 +16,7 @@ from appliance.scan.sides import SIDES
 
 LEAST_IMAGES, MOST_FILES = 3, 2000
 WIDE, HIGH = 2.0, 1.2
-"""Width over height, and height over width, above which a picture may be two."""
+"""Width over height from which on, and height over width above which a picture may be two."""
 _RIGHT = re.compile(r"(^|[^a-z])(right|r|slave)([^a-z]|$)|right", re.IGNORECASE)
 _LEFT = re.compile(r"(^|[^a-z])(left|l|master)([^a-z]|$)|left", re.IGNORECASE)
 _SIDE = re.compile(
@@ -100,7 +100,7 @@ def in_halves(camera: CameraFiles) -> Iterator[list[CameraFiles]]:
     head = frame_head(camera.files[0])
     if head is not None:
         height_px, width_px = head.shape
-        if width_px > WIDE * height_px:
+        if width_px >= WIDE * height_px:
             yield _shared(camera, "left beside right")
         elif height_px > HIGH * width_px:
             yield _shared(camera, "left above right")

@@ -58,7 +58,7 @@ def test_one_or_two_stacks_of_as_many_images_are_cameras(tmp_path: Path, names: 
 
 @pytest.mark.parametrize(
     ("shape", "wanted"),
-    [((10, 20), ""), ((10, 21), "left beside right"), ((12, 10), ""), ((13, 10), "left above right")],
+    [((10, 19), ""), ((10, 20), "left beside right"), ((12, 10), ""), ((13, 10), "left above right")],
 )
 def test_only_a_long_picture_may_be_two(tmp_path: Path, shape: tuple[int, int], wanted: str) -> None:
     cv2.imwrite(str(tmp_path / "0.png"), np.zeros(shape, np.uint8))
