@@ -25,7 +25,7 @@ from appliance.foreign.cameras import ForeignRig
 from appliance.foreign.decode import place
 from appliance.foreign.description import AxisConvention, Description
 from appliance.foreign.phase import Floats
-from appliance.foreign.points import depths_of
+from appliance.foreign.points import depths_of, own_px
 from appliance.foreign.reasons import Reason
 from appliance.foreign.texture import Offset, Texture
 from appliance.optics.epipolar import CurveError
@@ -121,7 +121,7 @@ def examine_cameras(
     if size.outcome is Outcome.WRONG:
         return [size]
     texture = Texture.of(left.grey, right.grey) if right is not None and description.one_direction else None
-    right_px = _own_px(rig.rig.right) if right is None else _maps(right)
+    right_px = own_px(rig.rig.right) if right is None else _maps(right)
     setting = _Setting(rig.rig.left, rig.rig.right, rig.index, _maps(left), right_px, texture, right is None)
     here = _found(setting, description)
     hypotheses = _standing(setting, rig)
@@ -349,11 +349,6 @@ def _same_side(points_mm: NDArray[np.float32], right: HousedCamera) -> float:
 
 def _maps(camera: DecodedCamera) -> Maps:
     return {name: one.coordinate_px for name, one in camera.placed.items()}
-
-
-def _own_px(projector: HousedCamera) -> Maps:
-    v, u = np.mgrid[0 : projector.height_px, 0 : projector.width_px].astype(np.float32)
-    return {"x": u, "y": v}
 
 
 def _coarse(camera: HousedCamera, whole_px: Floats) -> tuple[HousedCamera, Floats, int]:

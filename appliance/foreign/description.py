@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from appliance.bounded_file import parse_toml, read_text
 from appliance.foreign.order import FRINGES, MOST_IMAGES, ShownImage, Shows, numbered, parse_order, words_in
@@ -457,8 +456,3 @@ def counted(description: Description, images: tuple[ShownImage, ...]) -> Descrip
             )
         axes.append(axis)
     return replace(description, axes=tuple(axes))
-
-
-def as_plain(value: Any) -> Any:
-    """Return arrays of a file as what TOML would have held: lists and numbers."""
-    return value.tolist() if hasattr(value, "tolist") else value

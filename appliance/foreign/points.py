@@ -130,7 +130,10 @@ def find_points(
     known &= reason == Reason.FOUND
     reason[known] = Reason.NO_MATCH
     depths_mm = depths_of(description, lenient, rig.index)
-    other = _projector(lenient.right) if right is None else right.axes
+    if right is None:
+        other = {name: CleanAxis(one, np.zeros_like(one), 1.0) for name, one in own_px(lenient.right).items()}
+    else:
+        other = dict(right.axes)
     failure: str | None = None
     cloud: OrganisedCloud | None = None
     if not known.any():
@@ -305,8 +308,7 @@ def _narrowed(depths_mm: tuple[float, float], share: float) -> tuple[float, floa
     return middle_mm * (depths_mm[0] / middle_mm) ** share, middle_mm * (depths_mm[1] / middle_mm) ** share
 
 
-def _projector(projector: HousedCamera) -> dict[str, CleanAxis]:
-    """Return what a projector "sees": its own coordinates, without noise."""
+def own_px(projector: HousedCamera) -> dict[str, Floats]:
+    """Return what a projector "sees": the coordinates of each of its pixels."""
     v, u = np.mgrid[0 : projector.height_px, 0 : projector.width_px].astype(np.float32)
-    none = np.zeros_like(u)
-    return {"x": CleanAxis(u, none, 1.0), "y": CleanAxis(v, none, 1.0)}
+    return {"x": u, "y": v}
