@@ -205,7 +205,8 @@ def match_along_curves(
     typical_px = 0.0
     if noise_px is not None:
         sigmas = (_noise(noise_px[0], left.shape), _noise(noise_px[1], right.shape))
-        typical_px = float(np.nanmedian(sigmas[1]))
+        # A pixel without a coordinate has hardly any light, and the noise of that: it says nothing of those that have one.
+        typical_px = float(np.nanmedian(sigmas[1][np.isfinite(right)]))
     step_px = _usual_step(right)
     angle_deg = _angle(curves, left, right)
     if angle_deg < wish.min_angle_deg:

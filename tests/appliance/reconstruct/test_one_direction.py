@@ -128,6 +128,21 @@ def test_a_smooth_step_between_two_surfaces_makes_no_points() -> None:
     assert 1000.0 * np.abs(found.points_mm - true_mm)[of_before].max() < 1.0
 
 
+def test_a_dark_room_about_the_thing_does_not_let_its_edges_pass() -> None:
+    """Pixels without a coordinate have the noise of hardly any light, and most of the image may be such."""
+    bench = dense_walk.as_drawn()
+    (left, right), _ = level(bench)
+    right[:, 120:] += 30.0
+    right[:, 119:121] -= np.array([-10.0, 10.0], np.float32)
+    right[:, :80], right[:, 160:] = np.nan, np.nan
+    noise = np.where(np.isfinite(right), np.float32(0.01), np.float32(45.0))
+    assert np.isnan(right).mean() > 0.6
+    lit = match_along_curves(left, right, bench.rig, bench.index, (490.0, 555.0), (0.01, 0.01))
+    found = match_along_curves(left, right, bench.rig, bench.index, (490.0, 555.0), (0.01, noise))
+    assert lit.count(NoPoint.STEP) > 500
+    np.testing.assert_array_equal(found.reason, lit.reason)
+
+
 def test_holes_in_either_image_are_named() -> None:
     bench = dense_walk.as_drawn()
     (left, right), true_mm = level(bench)
