@@ -177,12 +177,12 @@ def _standing(setting: _Setting, rig: ForeignRig) -> list[_Hypothesis]:
     left, right = setting.left, setting.right
     R = np.asarray(right.rotation).T
     T = -R @ np.asarray(right.translation_mm)
-    # About the axis across the disparity, which hardly anything sees.
+    # About the axis across the disparity, which of two cameras hardly anything sees.
     turn = np.asarray(cv2.Rodrigues(np.deg2rad(TURN_DEG) * np.eye(3)[1 if abs(T[0]) >= abs(T[1]) else 0])[0])
     found = []
     for about, text, other_R, other_T in (
         (POSE, "they are R and T of right to left", R.T, -R.T @ T), (POSE, "R is transposed", R.T, T), (POSE, "T is negated", R, -T),
-        (POSE, "R is transposed and T negated", R.T, -T), (TURN, f"it is {TURN_DEG:g}° more", turn @ R, T),
+        (POSE, "R is transposed and T negated", R.T, -T), (TURN, f"it is {TURN_DEG:g}° more", turn @ R, T), (TURN, f"it is {TURN_DEG:g}° less", turn.T @ R, T),
     ):  # fmt: skip
         x, y, z = (float(one) for one in -other_R.T @ other_T)
         other = replace(right, rotation=matrix3(other_R.T), translation_mm=(x, y, z))

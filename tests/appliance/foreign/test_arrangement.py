@@ -138,6 +138,20 @@ def test_a_turn_about_the_columns_is_not_seen() -> None:
     assert said[TURN].outcome is Outcome.UNCHECKED
 
 
+@pytest.mark.parametrize(
+    ("degrees", "outcome", "text"),
+    [(0.3, Outcome.WRONG, "if it is 0.3° less"), (-0.3, Outcome.WRONG, "if it is 0.3° more"), (0.15, Outcome.UNCHECKED, "")],
+)  # fmt: skip
+def test_a_projector_that_is_turned_about_the_columns_is_not_passed_over(
+    degrees: float, outcome: Outcome, text: str
+) -> None:
+    """Of its two directions the other one moves across the disparity, by 3 px."""
+    bench = with_projector(WIDTH_PX, SIZE)
+    said = told("xy", bench, R=turned(bench, 1, degrees))
+    assert said[TURN].outcome is outcome
+    assert said[TURN].text.endswith(text)
+
+
 def test_without_texture_one_direction_leaves_the_cameras_unchecked() -> None:
     smooth = told("x", change=lambda one: replace(one, grey=np.full_like(one.grey, 90)))
     assert {POSE, LEFT} <= outcomes(smooth, Outcome.UNCHECKED)
