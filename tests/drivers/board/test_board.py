@@ -14,16 +14,20 @@ import time
 import tty
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
 import serial
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from drivers.api import BoardBooted, BoardEvent, BoardLost, DeviceGone, DeviceRefused, LaserState, Pulse, Telemetry
 from drivers.board import BoardSpec, TriggerBoard
 from drivers.board.board import BoardRefused
 from drivers.board.reports import Refusal
 from drivers.native import MonotonicClock
+from tests.support.damage import damaged
 
 Respond = Callable[[int, str, list[str]], list[bytes]]
 
@@ -244,6 +248,27 @@ def test_garbage_between_lines_costs_no_report() -> None:
         counters = board.counters
         assert counters.lost_reports == 1
         assert counters.damaged_lines >= 2
+
+
+SAID = [
+    line("R", 5, "PULSE", 0, 100, 1000),
+    line("R", 6, "HB", 1, 1, 0, 0, "TPROJ=40.5"),
+    line("R", 0, "BOOT", "1.4", "KF-B-1", "power"),
+]
+
+
+@settings(max_examples=10)
+@given(st.lists(damaged(SAID), max_size=6))
+def test_whatever_was_said_the_next_whole_line_is_heard_and_so_is_the_end(noise: list[bytes]) -> None:
+    with connected() as (far, board):
+        far.say(b"".join(noise) + b"\r\n" + line("R", 7, "HB", 500000, 30, 0, 0, "TPROJ=41.5"))
+        event = wait_for(board, Telemetry, 5.0)
+        while not isinstance(event, Telemetry) or event.temperature_projector_c != 41.5:
+            event = wait_for(board, Telemetry, 5.0)
+        far.unplug()
+        wait_for(board, BoardLost, 5.0)
+        assert board.latest is None, "nothing is known of a board that is gone"
+        assert min(asdict(board.counters).values()) >= 0
 
 
 def test_a_reset_is_told_and_starts_the_numbering_anew() -> None:

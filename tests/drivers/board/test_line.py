@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.board.line import MAX_LINE, Kind, LineSplitter, MalformedLine, Sentence, crc16, format_line, parse_line
+from tests.support.damage import damaged
 
 PING = b"$C,7,PING*B7B3\r\n"
 ARM = b"$C,8,ARM,24,90124,500,12000*1E87\r\n"
@@ -98,7 +99,7 @@ def test_the_longest_line_allowed_passes() -> None:
     assert parse_line(line).verb.startswith("x")
 
 
-@given(st.lists(st.binary(max_size=60), max_size=8), st.integers(1, 50))
+@given(st.lists(st.binary(max_size=60) | damaged([PING, ARM, PULSE]), max_size=8), st.integers(1, 50))
 def test_a_line_after_any_garbage_is_found(garbage: list[bytes], piece: int) -> None:
     splitter = LineSplitter()
     data = b"".join(garbage) + b"\n" + PING
@@ -110,6 +111,15 @@ def test_a_line_after_any_garbage_is_found(garbage: list[bytes], piece: int) -> 
         except MalformedLine:
             continue
         assert format_line(sentence).startswith(b"$")
+
+
+@given(damaged([PING[1:-7], ARM[1:-7], PULSE[1:-7], b"R,314,HB,1502733412,90124,0,1,TPROJ=41.5,TCASE=-,LEAK=0"]))
+def test_damage_that_the_checksum_does_not_tell_is_a_sentence_or_a_named_error(body: bytes) -> None:
+    try:
+        sentence = parse_line(b"$" + body + b"*%04X\r\n" % crc16(body))
+    except MalformedLine:
+        return
+    assert format_line(sentence)[1:-7] == body
 
 
 printable = st.text(st.characters(min_codepoint=0x20, max_codepoint=0x7E, exclude_characters=",$*"), max_size=12)

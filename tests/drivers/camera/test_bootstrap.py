@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import io
 import struct
@@ -21,6 +22,7 @@ from drivers.camera.bootstrap import (
     parse_technology,
 )
 from drivers.camera.description import BadDescription, check_sha1, choose, read_description, unpack
+from tests.support.damage import damaged
 
 XML = '<?xml version="1.0"?><RegisterDescription/>'
 
@@ -228,10 +230,61 @@ def test_a_manifest_of_64_files_is_read_whole() -> None:
         fetched(Files(XML.encode(), sha1=bytes(20), count=65))
 
 
-@given(st.binary(max_size=300), st.integers(0, 3))
+@given(
+    st.binary(max_size=300)
+    | damaged([XML.encode(), zipped(XML.encode()), archive(("a.xml", XML.encode()), method=zipfile.ZIP_STORED)]),
+    st.integers(0, 3),
+)
 def test_arbitrary_bytes_are_xml_or_a_named_error(data: bytes, file_format: int) -> None:
     for candidate in (data, zipped(data)[:-7] + data):
         try:
             assert unpack(candidate, file_format).lstrip().startswith("<")
         except BadDescription:
             continue
+
+
+@given(damaged([bytes(4) + b"Kingfisher".ljust(0x1DC, b"\0"), bytes(0x44), bytes(64)]))
+def test_arbitrary_registers_are_read_or_a_named_error(data: bytes) -> None:
+    for parse in (parse_identification, parse_technology, parse_stream_needs, parse_manifest_entry):
+        with contextlib.suppress(ValueError):
+            parse(data)
+
+
+class Memory:
+    """A control channel in front of some bytes; what lies behind them is refused."""
+
+    def __init__(self, content: bytes) -> None:
+        self._content = content
+
+    def read(self, address: int, count: int) -> bytes:
+        if address + count > len(self._content):
+            raise DeviceRefused("camera.left", f"refused the read at {address:#x}", "Update the camera's firmware")
+        return self._content[address : address + count]
+
+    def read_u64(self, address: int) -> int:
+        return int.from_bytes(self.read(address, 8), "little")
+
+
+@st.composite
+def described(draw: st.DrawFn) -> bytes:
+    """A manifest and, 8 KiB behind it, its file, whose length and SHA-1 mostly fit."""
+    file = draw(damaged([XML.encode(), zipped(XML.encode()), zipped(bytes(200_000))]))
+    entry = struct.pack("<IIQQ", 1 << 24, (file[:1] != b"<") << 10, 0x2000, len(file)) + hashlib.sha1(file).digest()
+    table = struct.pack("<Q", 1) + entry.ljust(64, b"\0")
+    return draw(st.just(table) | damaged([table]))[:0x2000].ljust(0x2000, b"\0") + file
+
+
+@given(described())
+def test_a_damaged_manifest_gives_xml_or_a_refusal(content: bytes) -> None:
+    with contextlib.suppress(DeviceRefused):
+        assert read_description(Memory(content), "camera.left", 0).lstrip().startswith("<")  # type: ignore[arg-type]
+
+
+def test_a_zipped_description_without_a_name_or_in_a_greedy_packing_is_refused() -> None:
+    with pytest.raises(BadDescription):
+        unpack(zipped(XML.encode()).replace(b"camera.xml", b"\0amera.xml"), 1)
+    lzma = bytearray(zipped(XML.encode()))
+    at = lzma.index(b"PK\1\2")
+    lzma[at + 10 : at + 12] = struct.pack("<H", 14)
+    with pytest.raises(BadDescription, match="packed by method 14"):
+        unpack(bytes(lzma), 1)

@@ -14,6 +14,7 @@ from drivers.api import DeviceError, DeviceGone, DeviceRefused
 from drivers.camera.control import ATTEMPTS, ControlChannel, ControlRefused
 from drivers.camera.usb import TransferError, TransferOverflow, TransferStalled, TransferTimeout, Unplugged
 from tests.drivers.clock import SteppedClock
+from tests.support.damage import damaged
 
 SILENCE = TransferTimeout("nothing")
 
@@ -465,8 +466,11 @@ def test_a_refusal_comes_with_what_to_do(status: int, remedy: str) -> None:
     assert remedy in caught.value.remedy
 
 
+READ = struct.pack("<4sHHHH", b"U3VC", 0, 0x0801, 4, 1) + b"data"
+PENDING = struct.pack("<4sHHHHHH", b"U3VC", 0, 0x0805, 4, 1, 0, 300)
 babble = st.one_of(
     st.binary(max_size=40),
+    damaged([READ, PENDING]),
     st.tuples(
         st.sampled_from([0, 0x8007, 0x8ABC]),
         st.sampled_from([0x0801, 0x0803, 0x0805, 0x1234]),
@@ -475,6 +479,12 @@ babble = st.one_of(
     ).map(lambda drawn: struct.pack("<4sHHHH", b"U3VC", *drawn[:2], len(drawn[3]), drawn[2]) + drawn[3]),
     st.sampled_from([SILENCE, TransferStalled("halt"), TransferOverflow("babble"), Unplugged("gone")]),
 )
+
+
+def test_a_register_outside_64_bits_is_refused() -> None:
+    control, _, _ = channel(lambda command: [])
+    with pytest.raises(DeviceRefused, match="outside 64 bits"):
+        control.read(-4, 4)
 
 
 @given(st.lists(babble, max_size=60))

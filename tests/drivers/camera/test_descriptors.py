@@ -12,6 +12,7 @@ from drivers.camera.descriptors import (
     parse_device_info,
     parse_string,
 )
+from tests.support.damage import damaged
 
 # length 20, type 0x24, subtype 1, GenCP 1.3 and U3V 1.0 (minor first), strings 4 5 2 6 7 8 3 9, SuperSpeed.
 DEVICE_INFO = bytes.fromhex("14 24 01 0300 0100 0000 0100 04 05 02 06 07 08 03 09 08".replace(" ", ""))
@@ -139,7 +140,9 @@ def test_the_first_of_several_interfaces_counts_and_one_without_its_endpoints_do
     assert find_layout(1, [other_class, good[2]]) is None
 
 
-@given(st.binary(max_size=64))
+@given(
+    st.binary(max_size=64) | damaged([DEVICE_INFO, bytes([5, 0x24, 0x7F, 1, 2]) + DEVICE_INFO, b"\x06\x03K\x00F\x00"])
+)
 def test_arbitrary_bytes_never_break_the_search(data: bytes) -> None:
     info = find_device_info(data)
     assert info is None or b"\x24\x01" in data

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import re
 import struct
+from contextlib import suppress
 from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from drivers.api import DeviceGone, DeviceRefused
 from drivers.camera.control import ControlChannel
 from drivers.camera.features import Features
 from drivers.camera.usb import Unplugged
 from tests.drivers.clock import SteppedClock
+from tests.support.damage import damaged
 
 REGISTERS = "".join(
     f"<IntReg Name='{name}Reg'><Address>{address}</Address><Length>4</Length><AccessMode>{mode}</AccessMode>"
@@ -244,3 +249,71 @@ def test_a_description_beyond_any_cameras_never_reaches_the_native_parser(xml: s
 def test_a_description_within_the_limits_goes_on_to_the_native_parser() -> None:
     with pytest.raises(DeviceRefused, match="parsing XML stream"):  # GenApi's own words: it knows no such nesting
         Features("camera.left", nested(31), ControlChannel("camera.left", RegisterMemory(), SteppedClock()))
+
+
+TAGS = (
+    "<pValue>Width</pValue>", "<pMin>Width</pMin>", "<pAddress>Width</pAddress>", "<Length>0</Length>", "<Length>-1</Length>", "&e;", "&amp;",
+    "<Length>999999999</Length>", "<Formula>1/0</Formula>", "<Address>0xFFFFFFFFFFFFFFFF</Address>", "<pIsAvailable>TriggerMode</pIsAvailable>",
+    "<pSelected>Width</pSelected>", "<Inc>0</Inc>", "<Min>nan</Min>", "<!--", "]]>", "Name='Width'", "<pInvalidator>Width</pInvalidator>",
+    "<IntSwissKnife Name='K'><pVariable Name='W'>Width</pVariable><Formula>W/0</Formula></IntSwissKnife>", "<pFeature>Root</pFeature>",
+)  # fmt: skip
+NAMES = ("Width", "TriggerMode", "ExposureTime", "AcquisitionStart", "Root", "WidthReg", "Device", "Nothing")
+OTHERS = (
+    *NAMES,
+    "0",
+    "1",
+    "8",
+    "0x1000",
+    "-1",
+    "nan",
+    "0xFFFFFFFFFFFFFFFF",
+    "99999999",
+    "BigEndian",
+    "RO",
+    "NI",
+    "",
+    "1/0",
+)
+
+
+@st.composite
+def described_otherwise(draw: st.DrawFn) -> str:
+    """A description that is well-formed and says something else here and there."""
+    xml = XML
+    for _ in range(draw(st.integers(1, 3))):
+        begin, end = draw(
+            st.sampled_from([found.span(1) for found in re.finditer(r"(?:>|Name=[\"'])([^<>\"']+)[<\"']", xml)])
+        )
+        xml = xml[:begin] + draw(st.sampled_from(OTHERS)) + xml[end:]
+    return xml.replace("<Port", draw(st.sampled_from(("", "", "", *TAGS))) + "<Port")
+
+
+@given(
+    described_otherwise()
+    | damaged([XML.encode()], [tag.encode() for tag in TAGS]).map(lambda data: data.decode("utf-8", "replace"))
+)
+def test_a_description_that_says_nonsense_is_refused_or_used_and_kills_nobody(xml: str) -> None:
+    with suppress(DeviceRefused, DeviceGone):
+        features = Features("camera.left", xml, ControlChannel("camera.left", RegisterMemory(), SteppedClock()))
+        for name in filter(features.has, NAMES):
+            features.writable(name)
+            uses = (features.number, features.choice, features.choices, lambda n: features.set_number(n, 32.0),
+                    lambda n: features.choose(n, "On"), features.execute)  # fmt: skip
+            for use in uses:
+                with suppress(DeviceRefused):
+                    use(name)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("<pPort>Device<", "<pPort>Width<", "its description cannot be loaded .*port"),
+        ("<pFeature>Width<", "<pFeature>Device<", "its description cannot be loaded .*port"),
+        ('encoding="utf-8"', 'encoding="inf-8"', "not well-formed"),
+    ],
+)
+def test_a_description_that_kills_genapi_is_refused(old: str, new: str, said: str) -> None:
+    with pytest.raises(DeviceRefused, match=said):
+        Features(
+            "camera.left", XML.replace(old, new, 1), ControlChannel("camera.left", RegisterMemory(), SteppedClock())
+        )

@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 
 from drivers.camera import gencp
 from drivers.camera.gencp import Answer, MalformedPacket
+from tests.support.damage import damaged
 
 # "U3VC", acknowledge wanted, READMEM, 12 bytes of payload, request 0x1234; address 0x1D0, reserved, 8 bytes.
 READ_MANIFEST_ADDRESS = bytes.fromhex("55335643 0040 0008 0c00 3412 d001000000000000 0000 0800")
@@ -68,11 +69,13 @@ def test_a_status_has_a_name_and_an_unknown_one_its_number() -> None:
     assert "0x8abc" in gencp.status_name(0x8ABC)
 
 
-@given(st.binary(max_size=64))
+@given(st.binary(max_size=64) | damaged([READ_ANSWER, WRITE_STREAM_ENABLE]))
 def test_arbitrary_bytes_are_an_answer_or_a_named_error(data: bytes) -> None:
     try:
         answer = gencp.parse_answer(data)
     except MalformedPacket:
         return
     assert data.startswith(b"U3VC")
-    assert answer.payload in data
+    assert answer.payload == data[12 : 12 + int.from_bytes(data[8:10], "little")]
+    assert gencp.status_name(answer.status)
+    gencp.parse_written(answer.payload)

@@ -15,6 +15,7 @@ from drivers.camera.packets import (
     parse_leader,
     parse_trailer,
 )
+from tests.support.damage import damaged
 
 LEADER = bytes.fromhex(
     "5533564c"  # "U3VL"
@@ -120,7 +121,7 @@ def test_a_packet_is_known_by_all_four_letters() -> None:
     assert not is_leader(TRAILER)
 
 
-@given(st.binary(max_size=80))
+@given(st.binary(max_size=80) | damaged([LEADER[4:], TRAILER[4:]]))
 def test_arbitrary_bytes_are_a_packet_or_a_named_error(data: bytes) -> None:
     for head, parse in ((b"", parse_leader), (LEADER[:4], parse_leader), (TRAILER[:4], parse_trailer)):
         try:

@@ -15,6 +15,7 @@ from drivers.camera.pixels import FORMATS
 from drivers.camera.stream import StreamGeometry, StreamReader
 from drivers.camera.usb import (
     TransferBuffer,
+    TransferError,
     TransferOverflow,
     TransferStalled,
     TransferTimeout,
@@ -22,6 +23,7 @@ from drivers.camera.usb import (
     transfer_buffer,
 )
 from tests.drivers.clock import SteppedClock
+from tests.support.damage import damaged
 
 WIDTH, HEIGHT = 64, 48  # 3 packets of 1024: the payload ends without a short packet, as 1600 x 1200 does
 PIXELS = WIDTH * HEIGHT
@@ -446,6 +448,13 @@ def test_what_is_met_is_counted() -> None:
     assert counters.skipped_transfers == 1
 
 
+def test_a_transfer_that_fails_where_a_leader_was_due_costs_one_frame() -> None:
+    bench = Bench()
+    bench.pipe.send(TransferError("short"), *frame(3))
+    assert bench.next().status is FrameStatus.CORRUPT
+    bench.expect_whole(3)
+
+
 def test_a_short_packet_of_noise_is_a_damaged_leader_only_where_one_was_due() -> None:
     bench = Bench()
     noise = bytes(range(100, 152))
@@ -465,8 +474,9 @@ def test_an_arrival_is_dated_when_the_frame_is_whole() -> None:
     st.lists(
         st.one_of(
             st.binary(min_size=1, max_size=3000),
+            damaged([leader(7), trailer(7), leader(8) + bytes(16)]).filter(bool),
             st.sampled_from([leader(7), trailer(7), image(7).tobytes(), leader(7)[:51], trailer(8, status=0xA100)]),
-            st.sampled_from([TransferStalled("halt"), TransferOverflow("babble")]),
+            st.sampled_from([TransferStalled("halt"), TransferOverflow("babble"), TransferError("short")]),
         ),
         max_size=12,
     )

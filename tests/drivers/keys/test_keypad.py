@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from drivers.api import DeviceGone, DeviceRefused, Key, KeyEvent, KeyLongPress, KeyPress, KeyRelease, KeysLost, KeyStuck
 from drivers.keys import HidKeypad, KeysSpec
 from tests.drivers.clock import SteppedClock
+from tests.support.damage import damaged
 
 SPEC = KeysSpec(0x1209, 0x4B46)
 SCAN, NONE = 0x01, 0x00
@@ -260,6 +264,36 @@ def test_a_host_that_comes_late_to_its_reports_has_not_lost_the_pad() -> None:
         bench.pad.late_s = 1.2
         assert bench.all_until(keys, 10_000) == []
         assert keys.health().ok
+
+
+REPORTS = st.one_of(
+    damaged([report(0x0F, 255, 65535), report(2, 9, 500, 8)]),
+    st.tuples(st.integers(0, 15), st.integers(0, 255), st.integers(0, 65535)).map(lambda drawn: report(*drawn)),
+    st.none(),
+)
+
+
+@given(st.lists(st.tuples(st.sampled_from((0, 1, 5, 40, 250, 900, 3000)), REPORTS), min_size=1, max_size=15))
+def test_whatever_a_pad_reports_each_key_is_pressed_once_before_it_is_released(
+    said: list[tuple[int, bytes | None]],
+) -> None:
+    bench, time_ms = Bench(), 0
+    for gap_ms, data in said:
+        time_ms += gap_ms
+        bench.pad.queue(time_ms, data)
+    down: set[Key] = set()
+    with contextlib.suppress(DeviceGone), bench.open() as keys:
+        for event in bench.all_until(keys, time_ms + 2000):
+            match event:
+                case KeyPress(key=key):
+                    assert key not in down, "pressed twice without a release"
+                    down.add(key)
+                case KeyRelease(key=key) | KeyStuck(key=key):  # a stuck one is masked until it was released
+                    down.discard(key)
+                case KeyLongPress(key=key):
+                    assert key in down, "long without a press"
+                case KeysLost():
+                    down.clear()
 
 
 def test_a_pad_full_of_garbage_is_lost_too() -> None:

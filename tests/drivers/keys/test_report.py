@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 
 from drivers.api import Key
 from drivers.keys.report import KeyReport, MalformedReport, parse_report
+from tests.support.damage import damaged
 
 # number 1, SCAN and DOWN pressed, counter 0x7F, UP faulty, 0x1234 ms, firmware 3;
 # 01^09=08, ^7F=77, ^04=73, ^34=47, ^12=55, ^03=56, ^A5=F3
@@ -30,7 +31,7 @@ def test_a_fifth_key_is_garbage_even_with_a_right_checksum() -> None:
         parse_report(bytes([0x01, 0x10, 0, 0, 0, 0, 3, 0x01 ^ 0x10 ^ 3 ^ 0xA5]))
 
 
-@given(st.binary(max_size=12))
+@given(st.binary(max_size=12) | damaged([REPORT]))
 def test_arbitrary_bytes_are_a_report_or_a_named_error(data: bytes) -> None:
     try:
         parse_report(data)

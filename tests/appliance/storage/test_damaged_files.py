@@ -1,0 +1,431 @@
+"""What may lie on the disk, damaged or in another's hand, is read, put aside or refused by its name: rig file, scans, and what was learnt."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import shutil
+import struct
+import tempfile
+import tomllib
+import zlib
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import strategies as st
+
+from appliance.calibration import file as calibration_file
+from appliance.calibration import noise_file
+from appliance.calibration.design import Design, design_calibration
+from appliance.calibration.guide import USED, AdjustmentSummary, RecordingCheck, Session, Step, Verified
+from appliance.calibration.health import HealthTrend, TrendPoint
+from appliance.calibration.noise_file import CameraFigures, NoiseFileError, StoredNoise
+from appliance.calibration.response import file as response_file
+from appliance.calibration.response.file import ResponseFileError, StoredResponse
+from appliance.checksummed_file import with_checksum
+from appliance.config import ConfigError, default_rig_path, load_rig
+from appliance.config.load import parse_rig
+from appliance.machine.choices import Choices
+from appliance.offline.calibration.air import Pair, PicturesError, read_pair
+from appliance.optics.correction import ImageCorrection, node_count
+from appliance.optics.ray_shift import RayShift
+from appliance.optics.water import Water
+from appliance.patterns.response import Response
+from appliance.ranging.beams import Pointers
+from appliance.scan.exposure import Exposure
+from appliance.storage import counter, packed
+from appliance.storage import label as labels
+from appliance.storage import manifest as form
+from appliance.storage.atomic import Stamp, StorageError
+from appliance.storage.beams import BeamsFile
+from appliance.storage.calibrations import Calibrations
+from appliance.storage.choices import ChoicesFile
+from appliance.storage.filesystem import LocalFileSystem
+from appliance.storage.health import HealthFile
+from appliance.storage.label import LabelError
+from appliance.storage.library import Library, LibraryFolder
+from appliance.storage.manifest import Decision, Manifest, ManifestError, Stage
+from appliance.storage.packed import PackedError
+from appliance.storage.ply import PlyError, encode_ply, read_ply
+from appliance.storage.scan import ScanError
+from tests.appliance.storage.scenes import ORIGIN, cloud, frames, record
+from tests.support.damage import Parser, changed, damaged, toml_of
+
+HASH = "0123456789abcdef" * 4
+RIG_TEXT = default_rig_path().read_text(encoding="utf-8")
+RIG = tomllib.loads(RIG_TEXT)
+RIG_KEYS = tuple(sorted({key for table in RIG.values() for key in table} | set(RIG)))
+
+
+def written(write: Callable[[Path], object]) -> bytes:
+    """The bytes that the writer itself leaves."""
+    with tempfile.TemporaryDirectory() as folder:
+        write(Path(folder))
+        return next(path for path in sorted(Path(folder).rglob("*.json"))).read_bytes()
+
+
+def resealed(content: Mapping[str, Any]) -> bytes:
+    """A file with a checksum that fits, whatever there was to seal."""
+    content = {key: value for key, value in content.items() if key != "sha256"}
+    digest = hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+    return json.dumps({**content, "sha256": digest}, sort_keys=True).encode()
+
+
+def sealed(data: bytes, *words: str) -> st.SearchStrategy[bytes]:
+    """A sealed file that is damaged, or of other content that has the checksum that fits it."""
+    content = {key: value for key, value in json.loads(data).items() if key != "sha256"}
+    return changed(content, ("x", *words)).map(resealed) | damaged([data])
+
+
+def rich_calibration() -> calibration_file.Calibration:
+    plain = design_calibration(
+        Design(11.5, 4.5, 230.0, 12.41, 30.0, 5.0, 1.77), "KF-0001", 1600, 1200, Water(20.0, 0.0, 530.0)
+    )
+    values = tuple(0.01 * k for k in range(2 * node_count((2, 1))))
+    left = replace(plain.rig.left, correction=ImageCorrection(1600, 1200, (2, 1), values))
+    right = replace(plain.rig.right, ray_shift=RayShift(1600, 1200, (2, 1), values))
+    covariance = tuple(tuple(float(i == j) for j in range(22)) for i in range(22))
+    rig = replace(plain.rig, left=left, right=right)
+    return replace(plain, method="bundle", residual_px=0.03, rig=rig, air_covariance=covariance)
+
+
+def session() -> Session:
+    trials = tuple(RecordingCheck(step, None, 0.03, 900, "bar", f"{k:06d}") for k, step in enumerate(USED, 1))
+    summary = AdjustmentSummary("bundle", 0.031, ("0.026 px remain",), HASH)
+    return Session(trials, summary, Verified(0.003, -0.0001, 0.00004))
+
+
+TREND = HealthTrend(
+    judged=1, points=(TrendPoint("000001", (1.25, -2.0, 3.0, 0.5), (0.5,) * 4, 1.25, 2.125, 0.0625, False),),
+    total=(0.1, 0.2, 0.3, 0.4),
+)  # fmt: skip
+FIGURES = CameraFigures("L", 9_100.0, 4.5, 6.0), CameraFigures("R", 18_000.0, 25.0, 1.5)
+STANDARD, CHOSEN = Choices(), Choices(Exposure(8000, 6.0), 32, 35.0, 12.5, "de")
+POINTERS = Pointers((40.0, -60.0, 30.0), (25.0, 0.0, 522.5), 0.3)
+CALIBRATION = calibration_file.encode(rich_calibration())
+RESPONSE = response_file.encode(StoredResponse("KF-1", ("000007",), 0.0107, Response((0.45, 0.53, 0.05, -0.02))))
+NOISE = noise_file.encode(StoredNoise("KF-1", ("000007",), *FIGURES))
+HEALTH = written(lambda root: HealthFile(root, HASH).write(TREND))
+SESSION = written(lambda root: Calibrations(root, "KF-TEST").write(session()))
+BEAMS = written(lambda root: BeamsFile(root, POINTERS).write(HASH, POINTERS.beams()))
+CHOICES = written(lambda root: ChoicesFile(root, STANDARD).write(CHOSEN))
+LABEL = with_checksum({"schema": 1, "name": "bollard 3", "note": "north side"})
+MANIFEST = form.encode(
+    Manifest(
+        "000042", Stage.COMPLETE, Decision.KEPT, record(), {"frames_left.npy": Stamp(10, HASH), "cloud.ply": Stamp(7, HASH)},
+        frame_crc32={"frames_left.npy": ("00" * 4,)},
+    )
+)  # fmt: skip
+PICTURES = tuple(
+    cv2.imencode(kind, np.arange(48, dtype=np.uint8).reshape(6, 8))[1].tobytes()
+    for kind in (".png", ".tif", ".bmp", ".pgm", ".jpg")
+)
+CLOUDS = tuple(b"".join(bytes(part) for part in encode_ply(cloud(points))) for points in (0, 1, 20))
+
+
+def packed_frames() -> bytes:
+    pictures = frames()["left"]
+    header, body = b"a header", pictures.tobytes()
+    stamp = Stamp(len(header) + len(body), hashlib.sha256(header + body).hexdigest())
+    return b"".join(bytes(part) for part in packed.pack(header, pictures, stamp, "frames_left.npy"))
+
+
+def scan_files() -> dict[str, bytes]:
+    with tempfile.TemporaryDirectory() as folder:
+        library = Library(Path(folder))
+        library.prepare()
+        there = library.begin(frames(), record(), ORIGIN).publish(record(), cloud(), b"\x89PNG")
+        return {path.name: path.read_bytes() for path in sorted(there.iterdir())}
+
+
+SCAN = scan_files()
+
+
+# ------------------------------------------------------------------------------------------------- readers
+
+
+def read_rig(data: bytes, folder: Path) -> None:
+    (folder / "rig.toml").write_bytes(data)
+    rig = load_rig(folder / "rig.toml")
+    assert len(rig.rig_hash) == len(rig.optical_hash) == 64
+
+
+def read_picture(data: bytes, folder: Path) -> None:
+    left, right = folder / "00_left.png", folder / "00_right.png"
+    left.write_bytes(data)
+    right.write_bytes(PICTURES[0])
+    for image in read_pair(Pair("00", left, right), 8, 6):
+        assert image.shape == (6, 8)
+        assert image.dtype == np.uint8
+
+
+def read_calibration(data: bytes, _: Path) -> None:
+    calibration = calibration_file.decode(data, "calibration current.json")
+    again = calibration_file.decode(calibration_file.encode(calibration))
+    assert again == calibration
+    assert again.hash == calibration.hash
+
+
+def read_response(data: bytes, _: Path) -> None:
+    stored = response_file.decode(data, "response response.json")
+    assert response_file.decode(response_file.encode(stored), "again") == stored
+
+
+def read_noise(data: bytes, _: Path) -> None:
+    stored = noise_file.decode(data, "noise noise.json")
+    assert noise_file.decode(noise_file.encode(stored), "again") == stored
+
+
+def put(path: Path, data: bytes) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(data)
+
+
+def read_health(data: bytes, folder: Path) -> None:
+    file = HealthFile(folder, HASH)
+    put(file.path, data)
+    trend = file.read()
+    assert trend == HealthTrend() or trend.judged >= 0
+    file.write(trend)
+    assert file.read() == trend
+
+
+def read_choices(data: bytes, folder: Path) -> None:
+    file = ChoicesFile(folder, STANDARD)
+    put(file.path, data)
+    chosen, fault = file.read()
+    assert fault is None or (chosen == STANDARD and fault.detail)
+    file.write(chosen)
+    assert file.read() == (chosen, None)
+
+
+def read_beams(data: bytes, folder: Path) -> None:
+    file = BeamsFile(folder, POINTERS)
+    put(file.path, data)
+    beams = file.read(HASH)
+    assert np.isfinite([beam.at(np.array(500.0)) for beam in beams]).all()
+    assert all(np.isfinite(beam.sd_mm(np.array(500.0))) for beam in beams)
+    file.write(HASH, beams)
+    assert file.read(HASH) == beams
+
+
+def read_session(data: bytes, folder: Path) -> Session:
+    store = Calibrations(folder, "KF-TEST")
+    put(store.folder / "session" / "session.json", data)
+    found = store.session()
+    assert isinstance(found.next_step, Step)
+    assert store.write(found) == found
+    return found
+
+
+def read_label(data: bytes, folder: Path) -> None:
+    (folder / labels.FILE_NAME).write_bytes(data)
+    label = labels.read(folder)
+    for text, longest in ((label.name, labels.LONGEST_NAME), (label.note, labels.LONGEST_NOTE)):
+        assert text is None or (0 < len(text) <= longest and "\n" not in text and "\x1b" not in text)
+
+
+def read_packed(data: bytes, folder: Path) -> None:
+    path = folder / "frames_left.npy.jls"
+    path.write_bytes(data)
+    index = packed.read_index(path)
+    for k in range(index.count):
+        frame = index.frame(k)
+        assert f"{zlib.crc32(frame.tobytes()):08x}" == index.crc32[k], "no pixels but those that were packed"
+    index.whole()
+
+
+def read_count(data: bytes, folder: Path) -> None:
+    (folder / counter.FILE_NAME).write_bytes(data)
+    number = counter.take(LocalFileSystem(), folder, [7])
+    assert number >= 8, "a number that a scan on the disk has"
+    assert len(counter.spell_id(number)) <= 12
+    assert counter.take(LocalFileSystem(), folder, [7]) == number + 1
+
+
+def read_manifest(data: bytes, _: Path) -> None:
+    manifest = form.decode(data, "manifest.json")
+    assert all("/" not in name for name in manifest.files)
+    again = form.decode(form.encode(manifest), "manifest.json, written again")
+    assert again.scan_id == manifest.scan_id
+    assert again.files == manifest.files
+
+
+def with_crc(data: bytes) -> bytes:
+    """A cloud whose checksum fits whatever its body is."""
+    head, end, body = data.partition(b"end_header\n")
+    at = head.find(b"crc32 ") + 6
+    return head[:at] + b"%08x" % zlib.crc32(body) + head[at + 8 :] + end + body if at > 5 else data
+
+
+def read_cloud(data: bytes, folder: Path) -> None:
+    (folder / "cloud.ply").write_bytes(data)
+    stored = read_ply(folder / "cloud.ply")
+    n = len(stored.points_mm)
+    assert stored.points_mm.shape == (n, 3)
+    assert len(stored.intensity) == len(stored.sigma_mm) == len(stored.ray_gap_mm) == len(stored.modulation_dn) == n
+    assert np.isfinite(stored.points_mm).all(), "no point lies nowhere"
+
+
+@st.composite
+def scan_folder(draw: st.DrawFn) -> dict[str, bytes]:
+    """A scan's folder with one file lost or damaged; its manifest mostly believes in what is there."""
+    files = dict(SCAN)
+    name = draw(st.sampled_from(sorted(files)))
+    if name == form.FILE_NAME:
+        return {**files, name: draw(sealed(files[name], *SCAN))}
+    if draw(st.sampled_from((True, *[False] * 9))):
+        del files[name]
+        return files
+    headers = ((b"'|u1'", b"'|O' "), (b"(3, 8", b"(9, 8"), (b"(3, 8", b"(-3,8"), (b"False", b"True "), (b"'shape'", b"'shame'"),
+               (b"10)", b"10L)"), (b"(3, 8, 10)", b"__import__"), (b"(3, 8, 10)", b"(2**70,)  "), (b"(3, 8, 10)", b"(3,0,80)  "))  # fmt: skip
+    old, new = draw(st.sampled_from(headers))
+    files[name] = draw(damaged([files[name]]) | st.just(files[name].replace(old, new, 1)))
+    if draw(st.sampled_from((True, True, False))):
+        manifest = json.loads(files[form.FILE_NAME])
+        manifest["files"][name] = {"length": len(files[name]), "sha256": hashlib.sha256(files[name]).hexdigest()}
+        files[form.FILE_NAME] = resealed(manifest)
+    return files
+
+
+def open_scan(files: dict[str, bytes], root: Path) -> None:
+    folder = root / "scans" / "000001"
+    shutil.rmtree(folder, ignore_errors=True)
+    for name, data in files.items():
+        put(folder / name, data)
+    library = Library(root)
+    (entry,) = library.entries(LibraryFolder.SCANS)
+    checked = library.verify("000001")
+    assert set(entry.problems) <= set(checked.problems) or entry.problems
+    assert all(len(problem) > 3 for problem in checked.problems)
+    stored = library.load("000001")
+    for one in stored.frames.values():
+        assert one.dtype == np.uint8
+        assert len(one) == len(stored.manifest.record.sequence.patterns)
+        one.sum()
+    stored.cloud()
+
+
+COUNTS = st.sampled_from((b"1", b"42", b"999999999999", b"0", b"000007", "٣".encode(), b"1" * 40)).map(
+    lambda number: number + b" %08x\n" % zlib.crc32(number)
+)
+RIGS = changed(RIG, RIG_KEYS).map(lambda tree: toml_of(tree).encode("utf-8", "surrogatepass"))
+PLIES = damaged(CLOUDS)
+PARSERS = (
+    Parser("rig", RIGS | damaged([RIG_TEXT.encode()]), read_rig, (ConfigError,), "CONFIG: ", longest=12_000, share=0.3),
+    Parser("picture", damaged(PICTURES), read_picture, (PicturesError,), "00_left"),
+    Parser("calibration", sealed(CALIBRATION), read_calibration, (calibration_file.CalibrationError,), "calibration current.json"),
+    Parser("response", sealed(RESPONSE), read_response, (ResponseFileError,), "response response.json"),
+    Parser("noise", sealed(NOISE), read_noise, (NoiseFileError,), "noise noise.json"),
+    Parser("health", sealed(HEALTH), read_health, share=0.5),
+    Parser("beams", sealed(BEAMS, "line", "covariance", "learned", "last_z_mm"), read_beams, share=0.5),
+    Parser("choices", sealed(CHOICES, "language", "period_px"), read_choices, share=0.5),
+    Parser("session", sealed(SESSION), read_session, share=0.5),
+    Parser("label", sealed(LABEL, "name", "note", "schema"), read_label, (LabelError,), labels.FILE_NAME),
+    Parser("counter", COUNTS | COUNTS.flatmap(lambda line: damaged([line])), read_count, (StorageError,), share=0.5),
+    Parser("manifest", sealed(MANIFEST, "files", "record", "../x"), read_manifest, (ManifestError,), "manifest.json"),
+    Parser("cloud", PLIES | PLIES.map(with_crc), read_cloud, (PlyError,), "cloud.ply"),
+    Parser("packed", damaged([packed_frames()]), read_packed, (PackedError,)),
+    Parser("scan", scan_folder(), open_scan, (ScanError,), "000001", share=0.5),
+)  # fmt: skip
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("parser", PARSERS, ids=lambda parser: parser.name)
+def test_whatever_a_file_holds_it_is_read_or_put_aside_or_refused_by_name(parser: Parser, tmp_path: Path) -> None:
+    assert parser.judge(tmp_path)["accepted"], "nothing behind the first check was reached"
+
+
+# ------------------------------------------------------------------------------------------------- found so
+
+
+def altered(data: bytes, **changes: object) -> bytes:
+    return resealed({**json.loads(data), **changes})
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"residual": 10**400}, "must be numbers"),
+        ({"schema": "9" * 5000}, "schema"),
+        ({"harmonics": [0.25] * 5000}, "harmonics"),
+    ],
+)
+def test_a_number_beyond_any_float_is_refused_and_no_page_of_nonsense_is_quoted(
+    changes: dict[str, Any], said: str
+) -> None:
+    with pytest.raises(ResponseFileError, match=said) as caught:
+        response_file.decode(altered(RESPONSE, **changes), "response.json")
+    assert len(str(caught.value)) < 400
+
+
+def test_a_calibration_of_a_residual_beyond_any_float_is_refused() -> None:
+    with pytest.raises(calibration_file.CalibrationError, match="residual_px"):
+        calibration_file.decode(altered(CALIBRATION, residual_px=10**400))
+
+
+def test_a_key_or_a_checksum_of_a_page_is_not_quoted_as_a_page() -> None:
+    with pytest.raises(ConfigError, match="unknown key") as refused:
+        parse_rig(f"[rig]\n{'9' * 5000} = 1\n")
+    assert len(str(refused.value)) < 400
+    with pytest.raises(ResponseFileError, match="changed or damaged") as of_checksum:
+        response_file.decode(json.dumps({**json.loads(RESPONSE), "sha256": "9" * 5000}).encode(), "response.json")
+    assert len(str(of_checksum.value)) < 400
+
+
+@pytest.mark.parametrize("name", ["9" * 5000, "../../scans/000001/manifest.json"])
+def test_a_session_that_keeps_a_name_that_cannot_be_keeps_only_its_trials(tmp_path: Path, name: str) -> None:
+    found = read_session(altered(SESSION, kept=name), tmp_path)
+    assert found.kept is None
+    assert found.trials
+
+
+def test_a_session_with_a_number_that_cannot_be_keeps_nothing(tmp_path: Path) -> None:
+    first, *others = json.loads(SESSION)["trials"]
+    assert not read_session(altered(SESSION, trials=[{**first, "number": "nan"}, *others]), tmp_path).trials
+
+
+def test_numbers_that_are_used_up_are_not_given_again(tmp_path: Path) -> None:
+    assert counter.take(LocalFileSystem(), tmp_path, [counter.LARGEST - 1]) == counter.LARGEST
+    with pytest.raises(StorageError, match="last number"):
+        counter.take(LocalFileSystem(), tmp_path, [])
+
+
+def test_a_time_that_is_not_finite_does_not_make_a_scan_unreadable() -> None:
+    times = replace(record(), stage_times_s={"capture": 0.4, "full": math.nan, "saved": math.inf})
+    manifest = Manifest("000001", Stage.COMPLETE, Decision.KEPT, times, {}, frame_crc32={})
+    assert form.decode(form.encode(manifest), "manifest.json").record.stage_times_s == {"capture": 0.4}
+
+
+def test_a_cloud_with_a_point_nowhere_is_refused(tmp_path: Path) -> None:
+    head, end, body = CLOUDS[1].partition(b"end_header\n")
+    with pytest.raises(PlyError, match="not finite"):
+        read_cloud(with_crc(head + end + struct.pack("<f", math.nan) + body[4:]), tmp_path)
+
+
+@pytest.mark.parametrize("wrong", [{"judged": -1}, {"total": [1e400, 0.0, 0.0, 0.0]}])
+def test_a_trend_with_numbers_that_cannot_be_begins_anew(tmp_path: Path, wrong: dict[str, Any]) -> None:
+    file = HealthFile(tmp_path, HASH)
+    put(file.path, altered(HEALTH, trend={**json.loads(HEALTH)["trend"], **wrong}))
+    assert file.read() == HealthTrend()
+
+
+@pytest.mark.parametrize(("old", "new"), [(b"(3, 8", b"((3,8"), (b"(3, 8, 10)", b"(3, 0, 80)"), (b"'|u1'", b"'|O' ")])
+def test_frames_with_a_header_that_cannot_be_are_refused(tmp_path: Path, old: bytes, new: bytes) -> None:
+    data = SCAN["frames_left.npy"]
+    with pytest.raises(ScanError, match=r"frames_left\.npy"):
+        open_scan({**SCAN, "frames_left.npy": data.replace(old, new, 1)[: len(data)].ljust(len(data))}, tmp_path)
+
+
+def test_frames_that_numpy_itself_wrote_are_read(tmp_path: Path) -> None:
+    library = Library(tmp_path)
+    library.prepare()
+    path = library.begin(frames(), record(), ORIGIN).publish(record()) / "frames_left.npy"
+    np.save(path, frames()["left"])
+    assert (library.load("000001").frames["left"] == frames()["left"]).all()
