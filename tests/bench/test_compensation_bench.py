@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -13,14 +12,12 @@ from appliance.optics.model import HousedCamera, StereoRig
 from appliance.patterns.sequence import build_sequence
 from appliance.reconstruct.pipeline import Cloud
 from appliance.reconstruct.quality import CloudSummary
-from bench.verdict.calibrations import TrueScene, binned, calibration_of
-from bench.verdict.compensation import worse
-from bench.verdict.compensation_page import END, begin, write_page
+from bench.verdict.calibrations import TrueScene, calibration_of
 from hw_sim.rendering.render import Renderer
 from hw_sim.scene import Scene
 from hw_sim.truth import TrueRig, draw_truth
 from tests.support.rendered import RenderedScan
-from tests.support.truth import WATER, complete_calibration
+from tests.support.truth import WATER
 
 ERROR_MM, SIGMA_MM = 0.05, 0.1
 
@@ -28,16 +25,6 @@ ERROR_MM, SIGMA_MM = 0.05, 0.1
 @pytest.fixture(scope="module")
 def truth() -> TrueRig:
     return draw_truth("realistic", 3, 200, 150, WATER.index)
-
-
-def test_a_binned_camera_looks_the_same_way() -> None:
-    full = complete_calibration(draw_truth("realistic", 3, 400, 300, WATER.index)).rig.left
-    half = binned(full, 2)
-    uv = np.array([[10.0, 20.0], [100.0, 75.0], [190.0, 140.0]])
-    # A large pixel's middle is the corner between four small ones.
-    _, direction = half.rays(uv, WATER.index)
-    _, expected = full.rays(2.0 * uv + 0.5, WATER.index)
-    assert np.abs(direction - expected).max() < 1e-9
 
 
 def turned(rig: StereoRig, angle_rad: float) -> StereoRig:
@@ -75,33 +62,3 @@ def test_only_the_scan_s_own_error_counts(truth: TrueRig, angle: float) -> None:
     assert own.accuracy.completeness_percent == pytest.approx(100.0)
     # Along the ray, so less across the leaning plane; the same wherever the calibration points.
     assert 0.8 * ERROR_MM < own.accuracy.rms_mm < 1.02 * ERROR_MM
-
-
-def test_worse_is_what_is_shown_and_errs_more() -> None:
-    assert worse({"used": True, "before": 1.0, "after": 1.2})
-    assert not worse({"used": False, "before": 1.0, "after": 1.2}), "nobody sees it"
-    assert not worse({"used": True, "before": 2.0, "after": 1.2})
-
-
-ROW = {
-    "name": "a-pipe", "texture": "checker", "calibration": "exact", "at_rest_mm": 0.05, "completeness_at_rest": 98.0,
-    "before": 2.0, "completeness_before": 60.0, "after": 1.1, "completeness_after": 95.0, "used": True, "why": "",
-    "in_sigmas": 1.0, "in_sigmas_at_rest": 0.98, "cpu_s": 1.9, "moved": True,
-}  # fmt: skip
-
-
-def test_a_table_is_written_between_its_marks_and_nowhere_else(tmp_path: Path) -> None:
-    page = tmp_path / "compensation.md"
-    content = {"seed": 2, "parts": {"compensation": {"data": {"named": [ROW], "drawn": []}}}}
-    page.write_text(
-        f"before\n{begin('compensation, seed 1')}\none\n{END}\n{begin('compensation, seed 2')}\ntwo\n{END}\nafter\n"
-    )
-    write_page(content, tmp_path)
-    text = page.read_text()
-    assert "one" in text
-    assert "two" not in text
-    assert "| a-pipe | checker | exact | 0.0500 (98) | 2.00 (60) | 1.10 (95) |" in text
-    assert text.startswith("before\n")
-    assert text.endswith("after\n")
-    with pytest.raises(ValueError, match="no mark"):
-        write_page({**content, "seed": 7}, tmp_path)
