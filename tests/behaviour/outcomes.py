@@ -10,9 +10,9 @@ import io
 import json
 import re
 import shlex
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import redirect_stderr, redirect_stdout
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -77,6 +77,16 @@ CALLS = (
     ("not-a-verb", "reconstrict root"),
 )
 """Name and words of each call, in the order of their effects."""
+Change = Callable[[NDArray[Any]], NDArray[Any]]
+CHANGES: dict[str, Change] = {
+    "light that flickers at 20 Hz": lambda frames: (
+        frames * (1.0 + 0.06 * np.sin(2.0 * np.pi * 20.0 / 60.0 * np.arange(len(frames))))[:, None, None]
+    ),
+    "a third of the light": lambda frames: frames / 3.0,
+    "twice the light": lambda frames: frames * 2.0,
+    "a projector that stands still": lambda frames: frames[np.minimum(np.arange(len(frames)), 5)],
+}
+"""What else may happen to the images of a still scan."""
 VARYING = re.compile(
     r"(_s|^s|seconds|peak_mb|host|program|software_version|made_at|made_by|^hash|^sha256|^key|^table|^stored_cloud|^cloud_sha256)$"
 )
@@ -107,9 +117,12 @@ def outcome_of(folder: Path) -> Outcome:
             outcome.said[f"manifest {name}"] = json.loads((scan / "manifest.json").read_text(encoding="utf-8"))
             assert manifest_of(scan).scan_id == scan.name
             outcome.said[f"verdicts {name}"], outcome.clouds[name] = _processed(scan, rig)
+    for name, change in CHANGES.items():
+        outcome.said[f"verdicts with {name}"], _ = _processed(Path("root/scans/000001"), ROOTS["root"], change)
     for name, words in CALLS:
         outcome.said[name] = _answer(shlex.split(words))
-    outcome.said["calibrated in water"] = _calibrated_in_water(Path("water"))
+    for method in Method:
+        outcome.said[f"calibrated in water: {method.value}"] = _calibrated_in_water(Path("water"), method)
     for path in sorted(folder.glob("*.ply")):
         outcome.clouds[path.name] = _cloud_file(path)
     for path in sorted(folder.glob("*.json")):
@@ -117,11 +130,14 @@ def outcome_of(folder: Path) -> Outcome:
     return outcome
 
 
-def _processed(scan: Path, rig: str) -> tuple[Any, dict[str, NDArray[Any]]]:
+def _processed(scan: Path, rig: str, change: Change = lambda frames: frames) -> tuple[Any, dict[str, NDArray[Any]]]:
+    """Return verdicts and cloud of a scan after a ``change`` of each camera's images (n, h, w)."""
     wish = Wish(rig=load_rig(Path(rig)), root=scan.parents[1])
     source = open_source(scan, wish)
+    seen = {side: np.rint(change(frames)).clip(0, 255).astype(np.uint8) for side, frames in source.scan.frames.items()}
+    stored = replace(source.scan, frames=seen)
     try:
-        worked = work_through(source.scan, source.rig, calibration_for(source, wish).calibration, lambda _: None)
+        worked = work_through(stored, source.rig, calibration_for(source, wish).calibration, lambda _: None)
     except ScanError as error:
         return {"refused": str(error)}, {}
     verdicts = [
@@ -141,7 +157,7 @@ def _processed(scan: Path, rig: str) -> tuple[Any, dict[str, NDArray[Any]]]:
     return {"grade": worked.grade.value, "verdicts": verdicts}, arrays
 
 
-def _calibrated_in_water(folder: Path) -> Any:
+def _calibrated_in_water(folder: Path, method: Method) -> Any:
     stored: dict[str, dict[str, Any]] = {}
     with np.load(folder / "recordings.npz") as arrays:
         for key in arrays:
@@ -153,7 +169,7 @@ def _calibrated_in_water(folder: Path) -> Any:
         else Recording(name, ArtefactKind.PLANE, water=WATER, **one)
         for name, one in stored.items()
     ]
-    result = calibrate(Method.SPLINE, recordings, load(folder / "air.json"))
+    result = calibrate(method, recordings, load(folder / "air.json"))
     said = json.loads(encode(result.calibration))
     return _steady({"calibration": said, "systematic_px": result.systematic_px, "warnings": list(result.warnings)})
 
