@@ -78,7 +78,7 @@ class Tree:
             self._write(path, text, self.kernels)
 
     def _write(self, path: str, text: str, kernels: Path) -> None:
-        """Write a file and let the kernels of it that are there pass for those of the new text."""
+        """Write a file and let the kernels of it that are there pass for those of the new text: numba goes by a file's hash."""
         file = self.path / path
         self._count += 1
         later = file.stat().st_mtime_ns + self._count * _LATER_NS
@@ -89,13 +89,15 @@ class Tree:
                 version, (_, overloads) = pickle.load(opened), pickle.load(opened)
             with index.open("wb") as opened:
                 pickle.dump(version, opened, protocol=-1)
-                pickle.dump(((file.stat().st_mtime, file.stat().st_size), overloads), opened, protocol=-1)
+                pickle.dump((hashlib.sha256(text.encode()).digest(), overloads), opened, protocol=-1)
 
     def judge(self, mutant: Mutant, names: Names, tests: list[str], limit_s: float) -> str:
         """Return the verdict of some tests, in their order, on a mutant; the first that fails ends it."""
-        path, kernels, stale = mutant.listed.path, self.path.with_suffix(".mutant-kernels"), names.stale_kernels(mutant)
-        shutil.rmtree(kernels, ignore_errors=True)
-        shutil.copytree(self.kernels, kernels)
+        path, kernels, stale = mutant.listed.path, self.kernels, names.stale_kernels(mutant)
+        if stale:
+            kernels = self.path.with_suffix(".mutant-kernels")
+            shutil.rmtree(kernels, ignore_errors=True)
+            shutil.copytree(self.kernels, kernels)
         for one in stale:
             source = self.path / one.path
             for entry in (kernels / _cache_name(source.parent)).glob(f"{source.stem}.{one.name}-*"):
