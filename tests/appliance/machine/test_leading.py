@@ -12,7 +12,7 @@ import pytest
 from appliance.machine import events as on
 from appliance.machine.alerts import RULES, Severity, alert_of
 from appliance.machine.ashore import ASHORE
-from appliance.machine.leading import Leader, alerts, in_full, leader, on_screen, urgency
+from appliance.machine.leading import Leader, alerts, in_full, leader, on_screen, passing, urgency
 from appliance.machine.overlaps import OverlapSaid
 from appliance.machine.states import Device
 from appliance.machine.words import Text
@@ -111,6 +111,12 @@ def test_beside_an_alert_in_full_a_lack_of_overlap_and_a_distance_do_not_lead(co
     known = (replace(shown[0], seen=True),)
     if not RULES[code].passing:
         assert leader(known, NO_OVERLAP) is Leader.OVERLAP
+
+
+def test_the_title_tells_what_passes_and_never_what_lasts() -> None:
+    lasts, passes = alert_of(Fault(C.UNCALIBRATED)), alert_of(Fault(C.AIM_FAST))
+    assert passing((lasts, passes)) is passes
+    assert passing((lasts,)) is None
 
 
 def test_where_nothing_is_wrong_the_screen_says_its_own_words() -> None:

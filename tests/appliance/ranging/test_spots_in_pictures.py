@@ -96,7 +96,7 @@ def test_of_a_nearer_dot_the_depth_is_more_certain(bench: Bench) -> None:
         way_mm = float(np.hypot(z_mm, half_base_mm - middle_mm))
         sine = 2.0 * half_base_mm * z_mm / (z_mm**2 + half_base_mm**2)
         expected = np.hypot(np.sqrt(2.0) * 0.12 * way_mm / f_px / sine, 0.3)
-        assert dot.sigma_mm == pytest.approx(expected, rel=0.15)
+        assert 0.95 * expected < dot.sigma_mm < 1.01 * expected, "the way begins at the port, not at the centre"
         sigma[z_mm] = dot.sigma_mm
     assert sigma[650.0] > 1.3 * sigma[400.0]
 
