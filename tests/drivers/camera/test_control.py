@@ -11,12 +11,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.api import DeviceError, DeviceGone, DeviceRefused
-from drivers.camera.control import ATTEMPTS, ControlChannel, ControlRefused
+from drivers.camera.control import ATTEMPTS, ControlChannel, ControlCounters, ControlRefused
 from drivers.camera.usb import TransferError, TransferOverflow, TransferStalled, TransferTimeout, Unplugged
 from tests.drivers.clock import SteppedClock
 from tests.support.damage import damaged
 
 SILENCE = TransferTimeout("nothing")
+Respond = Callable[[bytes], list[bytes | Exception]]
 
 
 def answer(request: bytes, payload: bytes, *, status: int = 0, command: int | None = None, id_offset: int = 0) -> bytes:
@@ -32,7 +33,7 @@ def answer(request: bytes, payload: bytes, *, status: int = 0, command: int | No
 class Memory:
     """A device that answers each command by a function; it keeps what it was asked."""
 
-    def __init__(self, clock: SteppedClock, respond: Callable[[bytes], list[bytes | Exception]]) -> None:
+    def __init__(self, clock: SteppedClock, respond: Respond) -> None:
         self._clock = clock
         self._respond = respond
         self._pending: list[bytes | Exception] = []
@@ -59,7 +60,7 @@ class Memory:
         self.halts_cleared += 1
 
 
-def channel(respond: Callable[[bytes], list[bytes | Exception]]) -> tuple[ControlChannel, Memory, SteppedClock]:
+def channel(respond: Respond) -> tuple[ControlChannel, Memory, SteppedClock]:
     clock = SteppedClock()
     memory = Memory(clock, respond)
     return ControlChannel("camera.left", memory, clock), memory, clock
@@ -80,85 +81,62 @@ def good(command: bytes) -> list[bytes | Exception]:
     return [answer(command, image(*reading(command)))]
 
 
-def test_a_long_read_is_cut_to_what_the_device_can_send() -> None:
-    control, memory, _ = channel(good)
-    control.set_limits(128, 100, 0.2)
-    assert control.read(0x1000, 300) == image(0x1000, 300)
-    assert [reading(c) for c in memory.commands] == [(0x1000, 88), (0x1058, 88), (0x10B0, 88), (0x1108, 36)]
-
-
-def test_a_long_write_is_cut_to_what_the_device_can_take() -> None:
+def test_long_reads_and_writes_are_cut_to_what_the_device_can_send_and_take() -> None:
     control, memory, _ = channel(good)
     control.set_limits(60, 100, 0.2)
+    assert control.read(0x1000, 300) == image(0x1000, 300)
+    assert [reading(c) for c in memory.commands] == [(0x1000, 88), (0x1058, 88), (0x10B0, 88), (0x1108, 36)]
+    memory.commands.clear()
     control.write(0x2000, bytes(range(100)))
     assert [len(c) for c in memory.commands] == [60, 60, 40]
     assert b"".join(c[20:] for c in memory.commands) == bytes(range(100))
     assert [struct.unpack_from("<Q", c, 12)[0] for c in memory.commands] == [0x2000, 0x2028, 0x2050]
 
 
-def test_a_stale_answer_is_dropped_and_the_right_one_taken() -> None:
-    control, _, _ = channel(lambda c: [answer(c, b"old!", id_offset=-1), *good(c)])
-    control.read_u32(0)
+@pytest.mark.parametrize(
+    ("first", "commands", "counters"),
+    [
+        (lambda c: [answer(c, b"old!", id_offset=-1), *good(c)], 1, ControlCounters(stale_answers=1)),
+        (lambda c: [b"\xff" * 40, *good(c)], 1, ControlCounters(malformed_answers=1)),
+        (lambda c: [answer(c, b"xy")], 2, ControlCounters(retries=1, malformed_answers=1)),
+        (lambda c: [answer(c, b"four", command=0x0803)], 2, ControlCounters(retries=1, malformed_answers=1)),
+        (lambda c: [answer(c, b"", status=0x8007)], 2, ControlCounters(retries=1)),
+        (lambda c: [TransferStalled("halt")], 2, ControlCounters(retries=1)),
+    ],
+    ids=["stale", "garbage", "wrong length", "other command", "busy", "stall"],
+)
+def test_what_goes_wrong_once_is_repaired_and_counted(first: Respond, commands: int, counters: ControlCounters) -> None:
+    control, memory, _ = channel(lambda c: first(c) if len(memory.commands) == 1 else good(c))
     assert control.read(0x10, 4) == image(0x10, 4)
-    assert control.counters.stale_answers == 2
-    assert control.counters.retries == 0
+    assert (len(memory.commands), control.counters) == (commands, counters)
 
 
 def test_an_answer_that_comes_after_the_retry_does_not_shift_all_later_ones() -> None:
-    late: list[bytes | Exception] = []
-
-    def respond(command: bytes) -> list[bytes | Exception]:
-        nonlocal late
-        if not late:
-            late = good(command)
-            return [SILENCE]
-        first, late[:] = list(late), [b""]
-        return [*(f for f in first if f), *good(command)]
-
-    control, _, _ = channel(respond)
+    control, memory, _ = channel(lambda c: [] if len(memory.commands) == 1 else [*good(memory.commands[-2]), *good(c)])
     for address in (0x20, 0x40, 0x60):
         assert control.read(address, 8) == image(address, 8)
-    assert control.counters.retries == 1
-    assert control.counters.stale_answers == 1
+    assert control.counters == ControlCounters(retries=1, stale_answers=3)
 
 
-def test_a_pending_acknowledge_prolongs_the_wait() -> None:
-    clock: SteppedClock
-
-    def respond(command: bytes) -> list[bytes | Exception]:
-        clock.advance_s(0.15)
-        return [answer(command, struct.pack("<HH", 0, 2000), command=0x0805), *good(command)]
-
-    control, memory, clock = channel(respond)
-    control.set_limits(128, 128, 0.2)
-    assert control.read(0, 4) == image(0, 4)
-    assert len(memory.commands) == 1
-    assert control.counters.pending_acknowledges == 1
-
-
-def test_a_device_that_is_pending_for_ever_is_given_up() -> None:
-    control, memory, clock = channel(lambda c: [answer(c, struct.pack("<HH", 0, 65535), command=0x0805)] * 20)
-    begin_ns = clock.now_ns()
-    with pytest.raises(DeviceGone):
-        control.read(0, 4)
-    assert len(memory.commands) == ATTEMPTS
-    assert (clock.now_ns() - begin_ns) * 1e-9 < 10.5 * ATTEMPTS
-
-
-def test_silence_ends_after_the_stated_attempts() -> None:
-    control, memory, clock = channel(lambda c: [])
-    begin_ns = clock.now_ns()
-    with pytest.raises(DeviceGone, match=r"camera\.left: no answer at 3 attempts of a read of 4 bytes at 0x1f0"):
-        control.read(0x1F0, 4)
-    assert len(memory.commands) == ATTEMPTS
-    assert (clock.now_ns() - begin_ns) * 1e-9 == pytest.approx(ATTEMPTS * 0.5, abs=0.01)
-
-
-def test_each_attempt_has_its_own_request_id() -> None:
-    control, memory, _ = channel(lambda c: [])
-    with pytest.raises(DeviceGone):
-        control.read(0, 4)
+@pytest.mark.parametrize(
+    ("respond", "failure"),
+    [
+        (lambda c: [], "no answer"),
+        (lambda c: [TransferOverflow("babble")], "the answer was longer than allowed"),
+        (lambda c: [TransferStalled("halt")], "the endpoint stalled"),
+        (lambda c: [TransferError("odd")], "odd"),
+        (lambda c: [answer(c, b"four")], "a wrong answer (0x0803, 4 bytes)"),
+    ],
+)
+def test_what_fails_at_every_attempt_is_told_each_attempt_with_its_own_id(respond: Respond, failure: str) -> None:
+    control, memory, _ = channel(respond)
+    with pytest.raises(DeviceGone) as caught:
+        control.write_u32(0x20, 7)
+    assert caught.value.device == "camera.left"
+    assert caught.value.message == f"{failure} at 3 attempts of a write of 4 bytes at 0x20"
     assert [struct.unpack_from("<H", c, 10)[0] for c in memory.commands] == [1, 2, 3]
+    assert control.counters.retries == 2
+    assert memory.halts_cleared == (3 if "stalled" in failure else 0)
 
 
 def test_request_ids_wrap_to_one() -> None:
@@ -171,55 +149,49 @@ def test_request_ids_wrap_to_one() -> None:
 
 
 @pytest.mark.parametrize(
-    ("status", "name"), [(0x8003, "INVALID_ADDRESS"), (0x8006, "ACCESS_DENIED"), (0x8ABC, "0x8abc")]
+    ("status", "name", "remedy"),
+    [
+        (0x8001, "NOT_IMPLEMENTED", "camera settings"),
+        (0x8003, "INVALID_ADDRESS", "Check the firmware"),
+        (0x8006, "ACCESS_DENIED", "Stop the acquisition"),
+        (0xA003, "PAYLOAD_SIZE_NOT_ALIGNED", "payload sizes"),
+        (0x8ABC, "0x8abc", "camera settings"),
+    ],
 )
-def test_a_refusal_is_named_and_not_retried(status: int, name: str) -> None:
+def test_a_refusal_is_named_comes_with_what_to_do_and_is_not_retried(status: int, name: str, remedy: str) -> None:
     control, memory, _ = channel(lambda c: [answer(c, b"", status=status)])
-    with pytest.raises(ControlRefused, match=name) as caught:
+    with pytest.raises(ControlRefused) as caught:
         control.read(0x10, 4)
+    assert caught.value.message.startswith("refused the read of 4 bytes at 0x10: ")
+    assert name in caught.value.message
+    assert remedy in caught.value.remedy
     assert caught.value.status == status
     assert len(memory.commands) == 1
 
 
-def test_busy_is_tried_again_then_told() -> None:
-    control, memory, _ = channel(lambda c: [answer(c, b"", status=0x8007)] if len(memory.commands) < 3 else good(c))
-    assert control.read(0, 4) == image(0, 4)
-    control, memory, _ = channel(lambda c: [answer(c, b"", status=0x8007)])
-    with pytest.raises(ControlRefused, match="busy"):
+def test_a_busy_device_is_given_a_moment_and_then_refuses_with_its_status() -> None:
+    control, _, clock = channel(lambda c: [answer(c, b"", status=0x8007)])
+    begin_ns = clock.now_ns()
+    with pytest.raises(ControlRefused, match="busy at 3 attempts") as caught:
         control.read(0, 4)
-    assert len(memory.commands) == ATTEMPTS
+    assert (clock.now_ns() - begin_ns) * 1e-9 == pytest.approx(ATTEMPTS * 0.01)
+    assert (caught.value.status, caught.value.device) == (0x8007, "camera.left")
+    assert caught.value.remedy == "Try again later"
 
 
-def test_garbage_before_the_answer_costs_nothing_but_a_count() -> None:
-    control, memory, _ = channel(lambda c: [b"\xff" * 40, *good(c)])
-    assert control.read(0, 4) == image(0, 4)
-    assert len(memory.commands) == 1
-    assert control.counters.malformed_answers == 1
-
-
-def test_an_answer_of_the_wrong_length_is_asked_for_again() -> None:
-    control, memory, _ = channel(lambda c: [answer(c, b"xy")] if len(memory.commands) == 1 else good(c))
-    assert control.read(0, 4) == image(0, 4)
-    assert len(memory.commands) == 2
-
-
-def test_a_stall_is_cleared_and_retried() -> None:
-    control, memory, _ = channel(lambda c: [TransferStalled("halt")] if len(memory.commands) == 1 else good(c))
-    assert control.read(0, 4) == image(0, 4)
-    assert memory.halts_cleared == 1
-
-
-def test_unplugging_is_told_at_once() -> None:
+def test_unplugging_is_told_at_once_also_while_a_halt_is_cleared() -> None:
     control, memory, _ = channel(lambda c: [Unplugged("no such device")])
     with pytest.raises(DeviceGone, match="unplugged"):
         control.read(0, 4)
     assert len(memory.commands) == 1
 
+    def leave() -> None:
+        raise Unplugged("gone")
 
-def test_limits_too_small_for_a_register_are_refused() -> None:
-    control, _, _ = channel(good)
-    with pytest.raises(DeviceRefused, match="16 / 1024"):
-        control.set_limits(16, 1024, 0.2)
+    control, memory, _ = channel(lambda c: [TransferStalled("halt")])
+    memory.clear_halt = leave  # type: ignore[method-assign]
+    with pytest.raises(DeviceGone, match="unplugged"):
+        control.read(0, 4)
 
 
 def test_before_the_limits_are_known_no_packet_holds_more_than_a_string_register_of_64_bytes() -> None:
@@ -295,11 +267,12 @@ def pending(wait_ms: int) -> bytes:
 )
 def test_a_device_gets_the_time_it_asks_for_up_to_ten_seconds(said: list[bytes | float], attempts: int) -> None:
     clock = SteppedClock()
-    memory = Slow(clock, said)
+    memory = Slow(clock, list(said))
     control = ControlChannel("camera.left", memory, clock)
     assert control.read(0, 4) == b"data"
     assert len(memory.commands) == attempts
-    assert control.counters.retries == attempts - 1
+    asked_for_time = sum(isinstance(one, bytes) and one is not ANSWER for one in said)
+    assert control.counters == ControlCounters(retries=attempts - 1, pending_acknowledges=asked_for_time)
 
 
 def test_a_pending_acknowledge_without_its_time_is_counted_and_the_wait_goes_on() -> None:
@@ -400,70 +373,6 @@ def test_a_write_counts_when_the_device_says_all_of_it_or_nothing_about_it(
     control.write_u32(0x20, 7)
     assert len(memory.commands) == attempts
     assert control.counters.malformed_answers == attempts - 1
-
-
-def test_an_answer_to_another_command_is_not_taken_for_data() -> None:
-    control, memory, _ = channel(
-        lambda c: [answer(c, b"four", command=0x0803)] if len(memory.commands) == 1 else good(c)
-    )
-    assert control.read(0, 4) == image(0, 4)
-    control, _, _ = channel(lambda c: [answer(c, b"four", command=0x0803)])
-    with pytest.raises(DeviceGone, match=r"a wrong answer \(0x0803, 4 bytes\) at 3 attempts") as caught:
-        control.read(0, 4)
-    assert (caught.value.device, control.counters.malformed_answers) == ("camera.left", 3)
-
-
-@pytest.mark.parametrize(
-    ("failure", "said"),
-    [
-        (TransferOverflow("babble"), "the answer was longer than allowed"),
-        (TransferStalled("halt"), "the endpoint stalled"),
-        (TransferError("odd"), "odd"),
-    ],
-)
-def test_what_failed_at_every_attempt_is_told(failure: TransferError, said: str) -> None:
-    control, memory, _ = channel(lambda c: [failure])
-    with pytest.raises(DeviceGone, match=f"{said} at 3 attempts of a write of 4 bytes at 0x20"):
-        control.write_u32(0x20, 7)
-    assert control.counters.retries == 2
-    assert memory.halts_cleared == (3 if isinstance(failure, TransferStalled) else 0)
-
-
-def test_a_camera_that_leaves_while_its_halt_is_cleared_is_gone() -> None:
-    control, memory, _ = channel(lambda c: [TransferStalled("halt")])
-
-    def leave() -> None:
-        raise Unplugged("gone")
-
-    memory.clear_halt = leave  # type: ignore[method-assign]
-    with pytest.raises(DeviceGone, match="unplugged"):
-        control.read(0, 4)
-
-
-def test_a_busy_device_is_given_a_moment_and_then_refuses_with_its_status() -> None:
-    control, _, clock = channel(lambda c: [answer(c, b"", status=0x8007)])
-    begin_ns = clock.now_ns()
-    with pytest.raises(ControlRefused, match="busy at 3 attempts") as caught:
-        control.read(0, 4)
-    assert (clock.now_ns() - begin_ns) * 1e-9 == pytest.approx(ATTEMPTS * 0.01)
-    assert (caught.value.status, caught.value.device) == (0x8007, "camera.left")
-    assert caught.value.remedy == "Try again later"
-
-
-@pytest.mark.parametrize(
-    ("status", "remedy"),
-    [
-        (0x8006, "Stop the acquisition"),
-        (0xA003, "payload sizes"),
-        (0x8001, "camera settings"),
-        (0x8ABC, "camera settings"),
-    ],
-)
-def test_a_refusal_comes_with_what_to_do(status: int, remedy: str) -> None:
-    control, _, _ = channel(lambda c: [answer(c, b"", status=status)])
-    with pytest.raises(ControlRefused) as caught:
-        control.read(0, 4)
-    assert remedy in caught.value.remedy
 
 
 READ = struct.pack("<4sHHHH", b"U3VC", 0, 0x0801, 4, 1) + b"data"
