@@ -50,6 +50,15 @@ def polite(sequence: int, verb: str, fields: list[str]) -> list[bytes]:
     return [line("A", sequence, verb, *answers[verb])]
 
 
+def saying(verb: str, *fields: object, kind: str = "A") -> Respond:
+    """Return a board that answers one verb with these fields, and is polite to the others."""
+
+    def respond(sequence: int, asked: str, polite_fields: list[str]) -> list[bytes]:
+        return [line(kind, sequence, verb, *fields)] if asked == verb else polite(sequence, asked, polite_fields)
+
+    return respond
+
+
 class FarEnd:
     """The board's end of the line: answers by a function, says what the test wants, keeps every command."""
 
@@ -118,31 +127,18 @@ def test_opening_asks_who_it_is() -> None:
     assert not any(thread.name == "kf-board" for thread in threading.enumerate())
 
 
-def test_a_vertical_sync_is_bracketed_by_host_time() -> None:
-    with connected() as (_, board):
-        before = time.monotonic_ns()
-        got = board.vsync()
-        after = time.monotonic_ns()
-        assert (got.count, got.board_time_us, got.board_now_us) == (300, 5_000_000, 5_001_234)
-        assert before <= got.host_sent_ns < got.host_received_ns <= after
-
-
-def test_its_clock_is_read_without_a_vertical_sync_and_bracketed_by_host_time() -> None:
+def test_vertical_sync_and_clock_are_bracketed_by_host_time() -> None:
     with connected() as (far, board):
         before = time.monotonic_ns()
-        got = board.read_clock()
+        sync = board.vsync()
+        between = time.monotonic_ns()
+        clock = board.read_clock()
         after = time.monotonic_ns()
-        assert got.board_time_us == 5_001_234
-        assert before <= got.host_sent_ns < got.host_received_ns <= after
-        assert [verb for _, verb, _ in far.commands] == ["PING"]
-
-
-def test_a_clock_that_is_none_is_refused() -> None:
-    def nonsense(sequence: int, verb: str, fields: list[str]) -> list[bytes]:
-        return [line("A", sequence, "PING", "soon")] if verb == "PING" else polite(sequence, verb, fields)
-
-    with connected(nonsense) as (_, board), pytest.raises(DeviceRefused, match="answered PING with nonsense"):
-        board.read_clock()
+        assert (sync.count, sync.board_time_us, sync.board_now_us) == (300, 5_000_000, 5_001_234)
+        assert before <= sync.host_sent_ns < sync.host_received_ns <= between
+        assert clock.board_time_us == 5_001_234
+        assert between <= clock.host_sent_ns < clock.host_received_ns <= after
+        assert [verb for _, verb, _ in far.commands] == ["VSYNC", "PING"]
 
 
 def test_arming_sends_its_four_numbers() -> None:
@@ -152,23 +148,8 @@ def test_arming_sends_its_four_numbers() -> None:
 
 
 def test_the_lasers_read_back_is_told_not_what_was_asked() -> None:
-    def stuck(sequence: int, verb: str, fields: list[str]) -> list[bytes]:
-        return [line("A", sequence, "LASER", 1, 0)] if verb == "LASER" else polite(sequence, verb, fields)
-
-    with connected(stuck) as (_, board):
+    with connected(saying("LASER", 1, 0)) as (_, board):
         assert board.set_lasers(False, False) == LaserState(True, False)
-
-
-def test_a_refusal_says_why_and_what_to_do() -> None:
-    def busy(sequence: int, verb: str, fields: list[str]) -> list[bytes]:
-        if verb == "ARM":
-            return [line("N", sequence, "ARM", 3, "armed")]
-        return polite(sequence, verb, fields)
-
-    with connected(busy) as (_, board):
-        with pytest.raises(BoardRefused, match=r"refused ARM: armed \(code 3\)\. Send STOP first") as caught:
-            board.arm(24, 1, 500, 12000)
-        assert caught.value.code == Refusal.BUSY
 
 
 def test_a_lost_answer_is_asked_for_again_with_the_same_number() -> None:
@@ -302,54 +283,29 @@ def test_silence_is_told_once_after_three_heartbeats_and_ends_by_itself() -> Non
         assert isinstance(wait_for(board, Telemetry, 1.0), Telemetry)
 
 
-def test_an_unplugged_board_is_told_and_refuses_commands() -> None:
-    with connected() as (far, board):
-        far.unplug()
-        event = wait_for(board, BoardLost, 1.0)
-        assert isinstance(event, BoardLost)
-        with pytest.raises(DeviceGone, match="board:"):
-            board.set_lasers(False, False)
-        assert not board.health().ok
-
-
-def test_an_order_that_comes_back_otherwise_was_not_understood() -> None:
+@pytest.mark.parametrize(
+    ("order", "said"),
+    [
+        (lambda board: board.arm(24, 90, 500, 12000), "ARM 24,90,500,12000 was answered with 24,90,500,999"),
+        (lambda board: board.live(2, 500, 12000), "LIVE 2,500,12000 was answered with 2,500,999"),
+    ],
+)
+def test_an_order_that_comes_back_otherwise_was_not_understood(
+    order: Callable[[TriggerBoard], None], said: str
+) -> None:
     def forgetful(sequence: int, verb: str, fields: list[str]) -> list[bytes]:
-        if verb in {"ARM", "LIVE"}:
-            return [line("A", sequence, verb, *fields[:-1], 999)]
-        return polite(sequence, verb, fields)
+        return polite(sequence, verb, [*fields[:-1], "999"])
 
-    with connected(forgetful) as (_, board):
-        with pytest.raises(DeviceRefused, match="ARM 24,90,500,12000 was answered with 24,90,500,999"):
-            board.arm(24, 90, 500, 12000)
-        with pytest.raises(DeviceRefused, match="LIVE 2,500,12000 was answered with 2,500,999"):
-            board.live(2, 500, 12000)
-
-
-def test_what_a_vanished_board_measured_last_is_no_measurement_of_now() -> None:
-    with connected() as (far, board):
-        far.say(line("R", 1, "HB", 500000, 30, 0, 0, "TPROJ=40.5"))
-        wait_for(board, Telemetry, 1.0)
-        assert board.latest is not None
-        far.unplug()
-        lost = wait_for(board, BoardLost, 1.0)
-        assert isinstance(lost, BoardLost)
-        assert "vanished" in lost.reason
-        assert board.latest is None
-
-
-def refusing(code: int) -> Respond:
-    def respond(sequence: int, verb: str, fields: list[str]) -> list[bytes]:
-        return [line("N", sequence, verb, code, "no")] if verb == "VSYNC" else polite(sequence, verb, fields)
-
-    return respond
+    with connected(forgetful) as (_, board), pytest.raises(DeviceRefused, match=said):
+        order(board)
 
 
 def test_a_board_without_a_vertical_sync_is_well_and_says_so_and_any_other_refusal_is_no_health() -> None:
-    with connected(refusing(Refusal.NO_VSYNC)) as (_, board):
+    with connected(saying("VSYNC", Refusal.NO_VSYNC, "no", kind="N")) as (_, board):
         health = board.health()
         assert health.ok
         assert health.details["vertical sync"] == "none"
-    with connected(refusing(Refusal.UNKNOWN_VERB)) as (_, board):
+    with connected(saying("VSYNC", Refusal.UNKNOWN_VERB, "no", kind="N")) as (_, board):
         health = board.health()
         assert not health.ok
         assert "refused VSYNC" in health.summary
@@ -369,16 +325,23 @@ def test_a_board_that_never_sends_a_whole_heartbeat_is_lost_however_much_it_says
         assert board.counters.damaged_lines >= 3
 
 
-def test_commands_after_the_loss_of_the_port_fail_at_once_with_the_reason() -> None:
+def test_an_unplugged_board_is_told_fails_commands_at_once_and_measures_nothing_any_more() -> None:
     with connected() as (far, board):
+        far.say(line("R", 1, "HB", 500000, 30, 0, 0, "TPROJ=40.5"))
+        wait_for(board, Telemetry, 1.0)
+        assert board.latest is not None
         far.unplug()
-        wait_for(board, BoardLost, 1.0)
+        lost = wait_for(board, BoardLost, 1.0)
+        assert isinstance(lost, BoardLost)
+        assert "vanished" in lost.reason
         begin = time.monotonic()
         for command in (board.stop, board.vsync):
             with pytest.raises(DeviceGone, match=r"port (vanished|failed)"):
                 command()
         assert time.monotonic() - begin < 0.09
         assert not far.commands
+        assert not board.health().ok
+        assert board.latest is None
 
 
 def test_a_loss_that_the_writer_and_then_the_reader_notice_is_told_once_by_its_first_reason(
@@ -446,40 +409,43 @@ def test_what_the_system_says_of_a_port_is_told_with_its_remedy(
 
 
 @pytest.mark.parametrize(
-    ("code", "remedy"),
+    ("code", "reason", "remedy"),
     [
-        (1, "Update the board's firmware"),
-        (2, "Correct the value"),
-        (3, "Send STOP first"),
-        (4, "Check that the projector gets a signal"),
-        (5, "Choose a later vertical sync"),
-        (77, "Update this software or the board's firmware"),
+        (1, None, "Update the board's firmware"),
+        (2, None, "Correct the value"),
+        (3, "armed", "Send STOP first"),
+        (4, None, "Check that the projector gets a signal"),
+        (5, None, "Choose a later vertical sync"),
+        (77, None, "Update this software or the board's firmware"),
     ],
 )
-def test_each_refusal_of_the_protocol_has_its_remedy(code: int, remedy: str) -> None:
-    def refuse(sequence: int, verb: str, fields: list[str]) -> list[bytes]:
-        return [line("N", sequence, verb, code)] if verb == "ARM" else polite(sequence, verb, fields)
-
-    with connected(refuse) as (_, board):
-        with pytest.raises(BoardRefused, match=re.escape(f"refused ARM: no reason (code {code}). {remedy}")) as caught:
+def test_each_refusal_of_the_protocol_has_its_reason_and_remedy(code: int, reason: str | None, remedy: str) -> None:
+    told = [code] if reason is None else [code, reason]
+    with connected(saying("ARM", *told, kind="N")) as (_, board):
+        with pytest.raises(BoardRefused) as caught:
             board.arm(24, 90, 500, 12000)
         assert caught.value.code == code
+        assert caught.value.message == f"refused ARM: {reason or 'no reason'} (code {code})"
+        assert caught.value.remedy.startswith(remedy)
 
 
 @pytest.mark.parametrize(
-    "fields", [("300", "5000000"), ("many", "5000000", "5001234"), ("300", "-1", "5001234"), ("4294967296", "1", "2")]
+    ("verb", "fields", "ask"),
+    [
+        ("VSYNC", ["300", "5000000"], TriggerBoard.vsync),
+        ("VSYNC", ["many", "5000000", "5001234"], TriggerBoard.vsync),
+        ("VSYNC", ["300", "-1", "5001234"], TriggerBoard.vsync),
+        ("VSYNC", ["4294967296", "1", "2"], TriggerBoard.vsync),
+        ("LASER", ["on"], lambda board: board.set_lasers(True, False)),
+        ("PING", ["soon"], TriggerBoard.read_clock),
+    ],
 )
-def test_an_answer_without_meaning_is_refused_not_believed(fields: tuple[str, ...]) -> None:
-    def rambling(sequence: int, verb: str, asked: list[str]) -> list[bytes]:
-        if verb == "VSYNC":
-            return [line("A", sequence, verb, *fields)]
-        return [line("A", sequence, verb, "on")] if verb == "LASER" else polite(sequence, verb, asked)
-
-    with connected(rambling) as (_, board):
-        with pytest.raises(DeviceRefused, match="answered VSYNC with nonsense"):
-            board.vsync()
-        with pytest.raises(DeviceRefused, match="answered LASER with nonsense"):
-            board.set_lasers(True, False)
+def test_an_answer_without_meaning_is_refused_not_believed(
+    verb: str, fields: list[str], ask: Callable[[TriggerBoard], object]
+) -> None:
+    nonsense = pytest.raises(DeviceRefused, match=f"answered {verb} with nonsense")
+    with connected(saying(verb, *fields)) as (_, board), nonsense:
+        ask(board)
 
 
 def test_commands_are_numbered_by_the_milliseconds_so_that_a_restarted_program_does_not_repeat_a_number() -> None:

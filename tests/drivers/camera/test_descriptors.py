@@ -22,23 +22,9 @@ def test_device_info_is_taken_apart() -> None:
     info = parse_device_info(DEVICE_INFO)
     assert (info.gencp_version, info.u3v_version) == ((1, 3), (1, 0))
     assert (info.guid_index, info.vendor_index, info.model_index, info.serial_index) == (4, 5, 2, 3)
+    assert (info.device_version_index, info.manufacturer_info_index, info.family_index) == (7, 8, 6)
     assert (info.user_name_index, info.speed_mask) == (9, 8)
-
-
-def test_device_info_is_found_behind_other_descriptors() -> None:
-    companion = bytes.fromhex("06 30 00 00 00 00")
-    found = find_device_info(companion + DEVICE_INFO)
-    assert found is not None
-    assert found.serial_index == 3
-
-
-def test_a_descriptor_of_another_type_is_named() -> None:
-    with pytest.raises(MalformedDescriptor, match="0x25/0x01"):
-        parse_device_info(b"\x14\x25" + DEVICE_INFO[2:])
-
-
-def test_a_string_is_utf16_of_the_stated_length() -> None:
-    assert parse_string(b"\x06\x03K\x00F\x00garbage behind it") == "KF"
+    assert parse_device_info(DEVICE_INFO + b"more") == info
 
 
 def interface(number: int, protocol: int, *, bulk_in: int = 0x81, bulk_out: int | None = None) -> InterfaceDescription:
@@ -62,17 +48,12 @@ def test_a_webcam_is_no_usb3_vision_camera() -> None:
     assert find_layout(1, [video]) is None
 
 
-def test_every_string_of_the_device_info_has_its_place() -> None:
-    info = parse_device_info(DEVICE_INFO)
-    assert (info.device_version_index, info.manufacturer_info_index, info.family_index) == (7, 8, 6)
-    assert parse_device_info(DEVICE_INFO + b"more") == info
-
-
 @pytest.mark.parametrize(
     ("data", "said"),
     [
         (DEVICE_INFO[:19], "device info of 19 bytes; the standard says 20"),
         (b"\x13" + DEVICE_INFO[1:], "device info of 20 bytes"),
+        (b"\x14\x25" + DEVICE_INFO[2:], "0x25/0x01"),
         (DEVICE_INFO[:2] + b"\x02" + DEVICE_INFO[3:], "0x24/0x02"),
     ],
 )
@@ -85,6 +66,7 @@ def test_a_device_info_that_is_none_is_named(data: bytes, said: str) -> None:
     ("before", "found"),
     [
         (b"", True),
+        (b"\x06\x30\0\0\0\0", True),
         (b"\x03\x24\x06", True),
         (b"\x05\x24\x01\0\0", True),  # of the type, but too short to be it
         (b"\x02\x24", False),  # no descriptor is so short: nothing chains behind it
@@ -108,6 +90,7 @@ def test_a_search_that_ends_without_a_device_info_finds_none() -> None:
         (b"\x02\x03", ""),
         (b"\x04\x03K\0", "K"),
         (b"\x06\x03K\0\0\0", "K"),
+        (b"\x06\x03K\0F\0garbage behind it", "KF"),
         (b"\x04\x03K", None),
         (b"\x02", None),
         (b"\x01\x03", None),

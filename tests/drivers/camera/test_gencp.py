@@ -16,20 +16,14 @@ WRITE_STREAM_ENABLE = bytes.fromhex("55335643 0040 0208 0c00 0700 04000100000000
 READ_ANSWER = bytes.fromhex("55335643 0000 0108 0400 3412 78563412")
 
 
-def test_read_command_is_the_standards_bytes() -> None:
+def test_commands_are_the_standards_bytes() -> None:
     assert gencp.pack_read(0x1234, 0x1D0, 8) == READ_MANIFEST_ADDRESS
-
-
-def test_write_command_is_the_standards_bytes() -> None:
     assert gencp.pack_write(7, 0x0001_0004, b"\x01\0\0\0") == WRITE_STREAM_ENABLE
 
 
-def test_an_answer_is_taken_apart() -> None:
-    assert gencp.parse_answer(READ_ANSWER) == Answer(0, 0x0801, 0x1234, bytes.fromhex("78563412"))
-
-
-def test_bytes_behind_an_answer_do_not_count() -> None:
-    assert gencp.parse_answer(READ_ANSWER + b"\0" * 20).payload == bytes.fromhex("78563412")
+@pytest.mark.parametrize("behind", [b"", bytes(20)], ids=["alone", "with bytes behind it"])
+def test_an_answer_is_taken_apart(behind: bytes) -> None:
+    assert gencp.parse_answer(READ_ANSWER + behind) == Answer(0, 0x0801, 0x1234, bytes.fromhex("78563412"))
 
 
 @pytest.mark.parametrize(
@@ -45,11 +39,8 @@ def test_a_damaged_answer_is_named(data: bytes, reason: str) -> None:
         gencp.parse_answer(data)
 
 
-def test_a_pending_acknowledge_tells_its_milliseconds() -> None:
+def test_a_pending_acknowledge_tells_its_milliseconds_unless_it_is_cut_short() -> None:
     assert gencp.parse_pending(bytes.fromhex("0000 e803")) == 1000
-
-
-def test_a_pending_acknowledge_that_is_cut_short_is_named() -> None:
     with pytest.raises(MalformedPacket, match="3 bytes, expected 4"):
         gencp.parse_pending(bytes.fromhex("0000 e8"))
 

@@ -15,6 +15,7 @@ import usb.core
 
 from drivers.api import DeviceError, DeviceGone, DeviceRefused
 from drivers.camera.usb import (
+    FoundCamera,
     TransferOverflow,
     TransferStalled,
     TransferTimeout,
@@ -30,8 +31,7 @@ DEVICE_INFO = bytes.fromhex("14 24 01 0300 0100 0000 0100 04 05 02 06 07 08 03 0
 
 
 def usb_error(number: int) -> usb.core.USBError:
-    kind = usb.core.USBTimeoutError if number == errno.ETIMEDOUT else usb.core.USBError
-    return kind("failed", -1, number)
+    return usb.core.USBError("failed", -1, number)
 
 
 @dataclass
@@ -42,8 +42,8 @@ class Device:
     open_error: int = 0
     claim_error: int = 0
     enumeration_error: int = 0
-    transfer: int | bytes = 0
-    """What a bulk transfer does: raise this errno, or give these bytes."""
+    transfer: usb.core.USBError | bytes = b""
+    """What a bulk transfer does: raise this, or give these bytes."""
     claimed: list[int] = field(default_factory=list)
     timeouts_ms: list[int] = field(default_factory=list)
     written: list[tuple[int, int, bytes]] = field(default_factory=list)
@@ -143,36 +143,50 @@ class Backend:
     def bulk_write(self, device: Device, endpoint: int, interface: int, buffer: Any, timeout_ms: int) -> int:
         device.timeouts_ms.append(timeout_ms)
         device.written.append((endpoint, interface, bytes(memoryview(buffer))))
-        if isinstance(device.transfer, int) and device.transfer:
-            raise usb_error(device.transfer)
+        if isinstance(device.transfer, usb.core.USBError):
+            raise device.transfer
         return len(memoryview(buffer)) - device.short_by
 
     def bulk_read(self, device: Device, endpoint: int, interface: int, buffer: Any, timeout_ms: int) -> int:
         device.timeouts_ms.append(timeout_ms)
-        if isinstance(device.transfer, int):
-            raise usb_error(device.transfer)
+        if isinstance(device.transfer, usb.core.USBError):
+            raise device.transfer
         memoryview(buffer)[: len(device.transfer)] = device.transfer
         return len(device.transfer)
 
 
-def test_a_camera_is_found_by_the_serial_number_of_its_vision_descriptor() -> None:
-    backend = Backend(Device(vision=False), Device("KF-CAM-R"), Device("KF-CAM-L", speed=3))
-    found = find_camera(backend, "camera.left", "KF-CAM-L")
-    assert found.serial == "KF-CAM-L"
-    assert found.link_speed_mbps == 480
-    assert (found.layout.control_in, found.layout.control_out, found.layout.stream_in) == (0x81, 0x01, 0x83)
+def found(*devices: Device) -> FoundCamera:
+    return find_camera(Backend(*devices), "camera.left", "KF-CAM-L")
 
 
-def test_a_missing_camera_tells_which_others_are_there() -> None:
-    with pytest.raises(DeviceGone, match=r"camera\.left: serial number KF-CAM-L not found; the bus has KF-CAM-R"):
-        find_camera(Backend(Device("KF-CAM-R"), Device(vision=False)), "camera.left", "KF-CAM-L")
-    with pytest.raises(DeviceGone, match="no USB3 Vision camera"):
-        find_camera(Backend(), "camera.left", "KF-CAM-L")
+def opened(device: Device) -> UsbCamera:
+    return UsbCamera("camera.left", found(device))
 
 
-def test_a_camera_that_may_not_be_asked_is_a_matter_of_permission() -> None:
-    with pytest.raises(DeviceRefused, match="udev"):
-        find_camera(Backend(Device(open_error=errno.EACCES)), "camera.left", "KF-CAM-L")
+@pytest.mark.parametrize("interrupts", [False, True], ids=["bulk", "others before the bulk endpoints"])
+def test_a_camera_is_found_by_the_serial_number_of_its_vision_descriptor(interrupts: bool) -> None:
+    devices = (Device(vision=False), Device("KF-CAM-R"), Device("KF-CAM-L", interrupts=interrupts))
+    camera = found(*devices)
+    assert camera.serial == "KF-CAM-L"
+    assert (camera.layout.control_in, camera.layout.control_out, camera.layout.stream_in) == (0x81, 0x01, 0x83)
+    assert not any(device.is_open for device in devices), "looking leaves none open"
+
+
+@pytest.mark.parametrize(
+    ("devices", "kind", "said"),
+    [
+        ([Device("KF-CAM-R"), Device(vision=False)], DeviceGone, "KF-CAM-L not found; the bus has KF-CAM-R"),
+        ([Device(open_error=errno.ENODEV), Device("KF-CAM-R")], DeviceGone, "KF-CAM-L not found; the bus has KF-CAM-R"),
+        ([], DeviceGone, "no USB3 Vision camera"),
+        ([Device(open_error=errno.EACCES)], DeviceRefused, "udev"),
+    ],
+)
+def test_a_camera_that_is_not_found_is_gone_or_forbidden(
+    devices: list[Device], kind: type[DeviceError], said: str
+) -> None:
+    with pytest.raises(kind, match=said) as caught:
+        found(*devices)
+    assert caught.value.device == "camera.left"
 
 
 def test_a_device_that_leaves_during_enumeration_disturbs_nobody() -> None:
@@ -180,20 +194,9 @@ def test_a_device_that_leaves_during_enumeration_disturbs_nobody() -> None:
     assert [camera.serial for camera in find_cameras(Backend(leaving, Device()))] == ["KF-CAM-L"]
 
 
-def test_a_camera_that_leaves_before_it_is_opened_is_gone_not_forbidden() -> None:
-    with pytest.raises(DeviceGone, match="KF-CAM-L not found; the bus has KF-CAM-R"):
-        find_camera(Backend(Device(open_error=errno.ENODEV), Device("KF-CAM-R")), "camera.left", "KF-CAM-L")
-
-
-def test_looking_leaves_no_device_open() -> None:
-    devices = (Device("A"), Device("B"))
-    list(find_cameras(Backend(*devices)))
-    assert not any(device.is_open for device in devices)
-
-
 def test_opening_claims_control_and_stream_and_closing_returns_them() -> None:
     device = Device()
-    camera = UsbCamera("camera.left", find_camera(Backend(device), "camera.left", "KF-CAM-L"))
+    camera = opened(device)
     assert device.claimed == [0, 2]
     assert device.configuration == 1
     camera.close()
@@ -202,48 +205,50 @@ def test_opening_claims_control_and_stream_and_closing_returns_them() -> None:
     assert not device.is_open
 
 
+@pytest.mark.parametrize("at", ["open_error", "claim_error"])
 @pytest.mark.parametrize(
     ("number", "kind", "remedy"),
     [
-        (errno.EBUSY, DeviceRefused, "another program"),
-        (errno.EACCES, DeviceRefused, "udev"),
-        (errno.ENODEV, DeviceGone, "Re-plug"),
+        (errno.EBUSY, DeviceRefused, "Stop it, then try again"),
+        (errno.EACCES, DeviceRefused, "Install the udev rules and re-plug it"),
+        (errno.EPERM, DeviceRefused, "Install the udev rules and re-plug it"),
+        (errno.ENODEV, DeviceGone, "Re-plug the camera"),
     ],
 )
 def test_each_failure_to_open_has_its_remedy_and_leaks_nothing(
-    number: int, kind: type[DeviceError], remedy: str
+    number: int, kind: type[DeviceError], remedy: str, at: str
 ) -> None:
-    device = Device(claim_error=number)
-    found = find_camera(Backend(device), "camera.left", "KF-CAM-L")
-    with pytest.raises(kind, match=remedy):
-        UsbCamera("camera.left", found)
+    device = Device()
+    camera = found(device)
+    setattr(device, at, number)
+    with pytest.raises(kind) as caught:
+        UsbCamera("camera.left", camera)
+    assert (caught.value.device, caught.value.remedy) == ("camera.left", remedy)
     assert device.claimed == []
     assert not device.is_open
 
 
 @pytest.mark.parametrize(
-    ("number", "kind"),
+    ("error", "kind"),
     [
-        (errno.ETIMEDOUT, TransferTimeout),
-        (errno.EPIPE, TransferStalled),
-        (errno.EOVERFLOW, TransferOverflow),
-        (errno.ENODEV, Unplugged),
-        (errno.EIO, Unplugged),
+        (usb_error(errno.EPIPE), TransferStalled),
+        (usb_error(errno.EOVERFLOW), TransferOverflow),
+        (usb_error(errno.ENODEV), Unplugged),
+        (usb_error(errno.EIO), Unplugged),
+        (usb.core.USBError("known by its number", -7, errno.ETIMEDOUT), TransferTimeout),
+        (usb.core.USBTimeoutError("known by its kind", -7, None), TransferTimeout),
     ],
 )
-def test_each_failure_of_a_transfer_has_its_name(number: int, kind: type[Exception]) -> None:
-    device = Device()
-    camera = UsbCamera("camera.left", find_camera(Backend(device), "camera.left", "KF-CAM-L"))
-    device.transfer = number
+def test_each_failure_of_a_transfer_has_its_name(error: usb.core.USBError, kind: type[Exception]) -> None:
+    camera = opened(Device(transfer=error))
     with pytest.raises(kind):
         camera.control().read(1024, 0.1)
 
 
 def test_a_transfer_fills_the_callers_memory_and_never_waits_for_ever() -> None:
     device = Device(transfer=b"pixels")
-    camera = UsbCamera("camera.left", find_camera(Backend(device), "camera.left", "KF-CAM-L"))
     slot = np.zeros((2, 4), np.uint8)
-    assert camera.stream().read_into(transfer_buffer(slot), 0.0) == 6
+    assert opened(device).stream().read_into(transfer_buffer(slot), 0.0) == 6
     assert slot.tobytes() == b"pixels\0\0"
     assert device.timeouts_ms == [1]  # libusb takes 0 for "no timeout"
 
@@ -271,12 +276,12 @@ def test_pyusbs_libusb_backend_fills_the_same_memory() -> None:
 )
 def test_the_link_has_the_speed_that_the_host_says(speed: int | None, mbps: int | None) -> None:
     """libusb's names of speeds, rounded to whole Mbit/s; 0 is unknown."""
-    assert find_camera(Backend(Device(speed=speed)), "camera.left", "KF-CAM-L").link_speed_mbps == mbps
+    assert found(Device(speed=speed)).link_speed_mbps == mbps
 
 
 def test_a_halt_is_cleared_on_every_endpoint_of_a_pipe_and_only_a_camera_that_left_makes_it_fail() -> None:
     device = Device()
-    camera = UsbCamera("camera.left", find_camera(Backend(device), "camera.left", "KF-CAM-L"))
+    camera = opened(device)
     camera.control().clear_halt()
     assert device.halts_cleared == [0x81, 0x01]
     camera.stream().clear_halt()
@@ -286,10 +291,6 @@ def test_a_halt_is_cleared_on_every_endpoint_of_a_pipe_and_only_a_camera_that_le
     device.halt_error = errno.ENODEV
     with pytest.raises(Unplugged):
         camera.stream().clear_halt()
-
-
-def opened(device: Device) -> UsbCamera:
-    return UsbCamera("camera.left", find_camera(Backend(device), "camera.left", "KF-CAM-L"))
 
 
 @pytest.mark.parametrize(("timeout_s", "timeout_ms"), [(0.25, 250), (1.0, 1000), (0.0004, 1), (0.0026, 3), (-1.0, 1)])
@@ -309,29 +310,11 @@ def test_a_command_goes_out_whole_on_the_way_out_or_is_said_not_to() -> None:
     device.short_by = 1
     with pytest.raises(TransferTimeout, match="6 of 7 bytes written"):
         camera.control().write(b"command", 0.1)
-    device.transfer = errno.ENODEV
+    device.transfer = usb_error(errno.ENODEV)
     with pytest.raises(Unplugged):
         camera.control().write(b"command", 0.1)
     with pytest.raises(ValueError, match="no way out"):
         camera.stream().write(b"command", 0.1)  # type: ignore[attr-defined]
-
-
-def test_a_time_that_ran_out_is_known_by_its_kind_or_by_its_number() -> None:
-    for error in (usb.core.USBError("late", -7, errno.ETIMEDOUT), usb.core.USBTimeoutError("late", -7, None)):
-        backend = Backend(Device())
-        camera = UsbCamera("camera.left", find_camera(backend, "camera.left", "KF-CAM-L"))
-
-        def late(*_: Any, error: usb.core.USBError = error) -> int:
-            raise error
-
-        backend.bulk_read = late  # type: ignore[method-assign, assignment]
-        with pytest.raises(TransferTimeout):
-            camera.control().read(64, 0.1)
-
-
-def test_endpoints_that_are_not_bulk_are_no_pipes() -> None:
-    found = find_camera(Backend(Device(interrupts=True)), "camera.left", "KF-CAM-L")
-    assert (found.layout.control_in, found.layout.control_out, found.layout.stream_in) == (0x81, 0x01, 0x83)
 
 
 def test_a_configuration_that_is_active_is_not_set_again() -> None:
@@ -349,18 +332,6 @@ def test_a_camera_that_was_unplugged_closes_silently() -> None:
     assert not device.is_open
 
 
-@pytest.mark.parametrize("number", [errno.EBUSY, errno.EACCES, errno.EPERM, errno.ENODEV])
-def test_who_cannot_open_a_camera_reads_which_one(number: int) -> None:
-    device = Device()
-    found = find_camera(Backend(device), "camera.left", "KF-CAM-L")
-    device.open_error = number
-    with pytest.raises(DeviceError) as caught:
-        UsbCamera("camera.left", found)
-    assert caught.value.device == "camera.left"
-    remedies = {errno.EBUSY: "Stop it, then try again", errno.ENODEV: "Re-plug the camera"}
-    assert caught.value.remedy == remedies.get(number, "Install the udev rules and re-plug it")
-
-
 def test_without_a_serial_number_of_its_own_the_devices_serves() -> None:
     nameless = DEVICE_INFO[:17] + b"\0" + DEVICE_INFO[18:]
     assert [camera.serial for camera in find_cameras(Backend(Device(info=nameless)))] == ["not the U3V serial"]
@@ -373,10 +344,10 @@ def test_without_a_serial_number_of_its_own_the_devices_serves() -> None:
     ids=["none", "not a string"],
 )
 def test_a_camera_without_a_readable_serial_number_may_be_the_one(device: Device) -> None:
-    (found,) = find_cameras(Backend(device))
-    assert (found.serial, found.unreadable) == (None, "")
+    (nameless,) = find_cameras(Backend(device))
+    assert (nameless.serial, nameless.unreadable) == (None, "")
     with pytest.raises(DeviceRefused, match="bus 1 address 7: no serial number"):
-        find_camera(Backend(device, Device("KF-CAM-R")), "camera.left", "KF-CAM-L")
+        found(device, Device("KF-CAM-R"))
     assert not device.is_open
 
 

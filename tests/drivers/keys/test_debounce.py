@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -26,166 +29,98 @@ class Pad:
         self.said += self.debouncer.advance(round(time_ms * MS))
 
 
-def test_a_press_counts_when_it_has_held_for_30_ms_and_is_dated_to_its_beginning() -> None:
+Step = Callable[[Pad], None]
+SCAN, BACK, UP, DOWN = Key.SCAN, Key.BACK, Key.UP, Key.DOWN
+
+
+def at(time_ms: float, *pressed: Key, faulty: Key | None = None) -> Step:
+    return lambda pad: pad.at(time_ms, *pressed, faulty=NOTHING if faulty is None else frozenset({faulty}))
+
+
+def until(time_ms: float) -> Step:
+    return lambda pad: pad.until(time_ms)
+
+
+HELD_8_S: list[KeyEvent] = [KeyPress(SCAN, 0), KeyLongPress(SCAN, 800 * MS), KeyStuck(SCAN)]
+HALF_RECOVERED = [at(100, UP, faulty=UP), at(200, UP), until(2000)]
+OPENED_BUT_FAULTY = [at(0, SCAN), until(8100), at(8300, faulty=SCAN), until(9000)]
+CASES: dict[str, tuple[list[Step], list[KeyEvent]]] = {
+    "nothing before 30 ms": ([at(100, SCAN), until(129.9)], []),
+    "a press, dated to its beginning": ([at(100, SCAN), until(130)], [KeyPress(SCAN, 100 * MS)]),
+    "bounce of 20 ms is one press": (
+        [at(100, SCAN), at(104), at(109, SCAN), at(113), at(120, SCAN), until(300)],
+        [KeyPress(SCAN, 120 * MS)],
+    ),
+    "a ghost of 25 ms is nothing": ([at(100, UP), at(125), until(2000)], []),
+    "a short press": (
+        [at(100, SCAN), at(250), until(400)],
+        [KeyPress(SCAN, 100 * MS), KeyRelease(SCAN, 250 * MS, 0.15)],
+    ),
+    "no long press before 800 ms": ([at(0, BACK), until(799)], [KeyPress(BACK, 0)]),
+    "a long press, while it is held": (
+        [at(0, BACK), until(801)],
+        [KeyPress(BACK, 0), KeyLongPress(BACK, 800 * MS)],
+    ),
+    "each long press, and each once": (
+        [at(0, BACK), until(801), until(2000), at(2000), until(2100), at(4000, BACK), until(4900)],
+        [
+            *(KeyPress(BACK, 0), KeyLongPress(BACK, 800 * MS), KeyRelease(BACK, 2000 * MS, 2.0)),
+            *(KeyPress(BACK, 4000 * MS), KeyLongPress(BACK, 4800 * MS)),
+        ],
+    ),
+    "790 ms, noticed late, are not long": (
+        [at(0, BACK), until(50), at(790), until(5000)],
+        [KeyPress(BACK, 0), KeyRelease(BACK, 790 * MS, 0.79)],
+    ),
+    "a release just before 800 ms that is known only after": (
+        [at(0, BACK), at(780), until(805), until(900)],
+        [KeyPress(BACK, 0), KeyRelease(BACK, 780 * MS, 0.78)],
+    ),
+    "bounce at 800 ms does not prevent a long press": (
+        [at(0, BACK), at(790), at(805, BACK), until(806)],
+        [KeyPress(BACK, 0), KeyLongPress(BACK, 800 * MS)],
+    ),
+    "stuck after 8 s, and silent": ([at(0, SCAN), until(8100), until(60_000)], HELD_8_S),
+    "stuck until it is released": (
+        [at(0, SCAN), until(8100), at(60_000), until(60_100), at(61_000, SCAN), until(61_050)],
+        [*HELD_8_S, KeyFreed(SCAN), KeyPress(SCAN, 61_000 * MS)],
+    ),
+    "a stuck key leaves the others alone": (
+        [at(0, SCAN), until(9000), at(9000, SCAN, UP), at(9100, SCAN), until(9200)],
+        [*HELD_8_S, KeyPress(UP, 9000 * MS), KeyRelease(UP, 9100 * MS, 0.1)],
+    ),
+    "a faulty coil is stuck": (
+        [at(0, faulty=DOWN), at(100, DOWN, faulty=DOWN), at(200, faulty=DOWN), until(300)],
+        [KeyStuck(DOWN)],
+    ),
+    "a faulty coil is stuck until it recovers": (
+        [at(0, faulty=DOWN), until(300), at(400), at(500, DOWN), until(600)],
+        [KeyStuck(DOWN), KeyFreed(DOWN), KeyPress(DOWN, 500 * MS)],
+    ),
+    "a coil that recovers while its key is held": (HALF_RECOVERED, [KeyStuck(UP)]),
+    "it is free when its key is released": (
+        [*HALF_RECOVERED, at(2100), until(2200), at(2300, UP), until(2400)],
+        [KeyStuck(UP), KeyFreed(UP), KeyPress(UP, 2300 * MS)],
+    ),
+    "a stuck key that opens while its coil is faulty": (OPENED_BUT_FAULTY, HELD_8_S),
+    "it is free when its coil recovers": ([*OPENED_BUT_FAULTY, at(9100), until(9200)], [*HELD_8_S, KeyFreed(SCAN)]),
+    "a fault that ends as the key opens may be bounce": (
+        [at(100, UP, faulty=UP), until(200), at(300), until(310)],
+        [KeyStuck(UP)],
+    ),
+    "it frees without a release": (
+        [at(100, UP, faulty=UP), until(200), at(300), until(400)],
+        [KeyStuck(UP), KeyFreed(UP)],
+    ),
+}
+
+
+@pytest.mark.parametrize(("steps", "said"), CASES.values(), ids=CASES.keys())
+def test_contacts_become_events(steps: list[Step], said: list[KeyEvent]) -> None:
     pad = Pad()
-    pad.at(100, Key.SCAN)
-    pad.until(129.9)
-    assert pad.said == []
-    pad.until(130)
-    assert pad.said == [KeyPress(Key.SCAN, 100 * MS)]
-
-
-def test_bounce_of_20_ms_is_one_press() -> None:
-    pad = Pad()
-    for time_ms, pressed in ((100, True), (104, False), (109, True), (113, False), (120, True)):
-        pad.at(time_ms, *([Key.SCAN] if pressed else []))
-    pad.until(300)
-    assert pad.said == [KeyPress(Key.SCAN, 120 * MS)]
-
-
-def test_a_ghost_of_25_ms_is_nothing() -> None:
-    pad = Pad()
-    pad.at(100, Key.UP)
-    pad.at(125)
-    pad.until(2000)
-    assert pad.said == []
-
-
-def test_a_short_press_is_press_and_release() -> None:
-    pad = Pad()
-    pad.at(100, Key.SCAN)
-    pad.at(250)
-    pad.until(400)
-    assert pad.said == [KeyPress(Key.SCAN, 100 * MS), KeyRelease(Key.SCAN, 250 * MS, 0.15)]
-
-
-def test_a_long_press_is_told_while_held_and_once() -> None:
-    pad = Pad()
-    pad.at(0, Key.BACK)
-    pad.until(799)
-    assert pad.said == [KeyPress(Key.BACK, 0)]
-    pad.until(801)
-    pad.until(2000)
-    pad.at(2000)
-    pad.until(2100)
-    assert pad.said == [KeyPress(Key.BACK, 0), KeyLongPress(Key.BACK, 800 * MS), KeyRelease(Key.BACK, 2000 * MS, 2.0)]
-
-
-def test_a_press_of_790_ms_that_is_noticed_late_is_not_long() -> None:
-    pad = Pad()
-    pad.at(0, Key.BACK)
-    pad.until(50)
-    pad.at(790)
-    pad.until(5000)
-    assert [type(event) for event in pad.said] == [KeyPress, KeyRelease]
-
-
-def test_a_release_just_before_800_ms_is_no_long_press_although_it_is_known_only_after() -> None:
-    pad = Pad()
-    pad.at(0, Key.BACK)
-    pad.at(780)
-    pad.until(805)
-    pad.until(900)
-    assert [type(event) for event in pad.said] == [KeyPress, KeyRelease]
-
-
-def test_bounce_at_800_ms_does_not_prevent_a_long_press() -> None:
-    pad = Pad()
-    pad.at(0, Key.BACK)
-    pad.at(790)
-    pad.at(805, Key.BACK)
-    pad.until(806)
-    assert pad.said == [KeyPress(Key.BACK, 0), KeyLongPress(Key.BACK, 800 * MS)]
-
-
-def test_a_key_held_longer_than_8_s_is_stuck_and_silent_until_released() -> None:
-    pad = Pad()
-    pad.at(0, Key.SCAN)
-    pad.until(8100)
-    assert pad.said[-1] == KeyStuck(Key.SCAN)
-    count = len(pad.said)
-    pad.until(60_000)
-    assert len(pad.said) == count
-    pad.at(60_000)
-    pad.until(60_100)
-    assert pad.said[count:] == [KeyFreed(Key.SCAN)]
-    pad.at(61_000, Key.SCAN)
-    pad.until(61_050)
-    assert pad.said[count:] == [KeyFreed(Key.SCAN), KeyPress(Key.SCAN, 61_000 * MS)]
-
-
-def test_a_stuck_key_leaves_the_others_alone() -> None:
-    pad = Pad()
-    pad.at(0, Key.SCAN)
-    pad.until(9000)
-    pad.at(9000, Key.SCAN, Key.UP)
-    pad.at(9100, Key.SCAN)
-    pad.until(9200)
-    assert pad.said[-2:] == [KeyPress(Key.UP, 9000 * MS), KeyRelease(Key.UP, 9100 * MS, 0.1)]
-
-
-def test_a_coil_that_reports_a_fault_is_stuck_until_it_recovers() -> None:
-    pad = Pad()
-    pad.at(0, faulty=frozenset({Key.DOWN}))
-    pad.at(100, Key.DOWN, faulty=frozenset({Key.DOWN}))
-    pad.at(200, faulty=frozenset({Key.DOWN}))
-    pad.until(300)
-    assert pad.said == [KeyStuck(Key.DOWN)]
-    pad.at(400)
-    pad.at(500, Key.DOWN)
-    pad.until(600)
-    assert pad.said[1:] == [KeyFreed(Key.DOWN), KeyPress(Key.DOWN, 500 * MS)]
-
-
-def test_a_faulty_coil_that_recovers_while_the_key_is_held_is_free_only_when_it_is_released() -> None:
-    pad = Pad()
-    pad.at(100, Key.UP, faulty=frozenset({Key.UP}))
-    assert pad.said == [KeyStuck(Key.UP)]
-    pad.at(200, Key.UP)
-    pad.until(2000)
-    assert pad.said == [KeyStuck(Key.UP)], "still down"
-    pad.at(2100)
-    pad.until(2200)
-    assert pad.said == [KeyStuck(Key.UP), KeyFreed(Key.UP)]
-    pad.at(2300, Key.UP)
-    pad.until(2400)
-    assert pad.said[2:] == [KeyPress(Key.UP, 2300 * MS)]
-
-
-def test_a_stuck_key_whose_coil_then_reports_a_fault_is_not_free_although_it_opened() -> None:
-    pad = Pad()
-    pad.at(100, Key.UP)
-    pad.until(8200)
-    assert pad.said[-1] == KeyStuck(Key.UP)
-    told = len(pad.said)
-    pad.at(8300, faulty=frozenset({Key.UP}))
-    pad.until(9000)
-    assert pad.said[told:] == []
-    pad.at(9100)
-    pad.until(9200)
-    assert pad.said[told:] == [KeyFreed(Key.UP)]
-
-
-def test_a_fault_that_ends_as_the_key_opens_frees_it_without_a_release() -> None:
-    pad = Pad()
-    pad.at(100, Key.UP, faulty=frozenset({Key.UP}))
-    pad.until(200)
-    pad.at(300)
-    pad.until(310)
-    assert pad.said == [KeyStuck(Key.UP)], "it may be bounce"
-    pad.until(400)
-    assert pad.said == [KeyStuck(Key.UP), KeyFreed(Key.UP)]
-
-
-def test_every_long_press_is_told_not_only_the_first() -> None:
-    pad = Pad()
-    for begin in (100, 2000, 4000):
-        pad.at(begin, Key.BACK)
-        pad.until(begin + 900)
-        pad.at(begin + 1000)
-        pad.until(begin + 1100)
-    long = [event for event in pad.said if isinstance(event, KeyLongPress)]
-    assert long == [KeyLongPress(Key.BACK, (begin + 800) * MS) for begin in (100, 2000, 4000)]
+    for step in steps:
+        step(pad)
+    assert pad.said == said
 
 
 def test_a_key_that_was_down_before_we_listened_presses_nothing() -> None:
@@ -217,10 +152,10 @@ def test_due_is_when_the_next_event_becomes_true() -> None:
     assert pad.debouncer.due_ns() is None
 
 
-steps = st.lists(st.tuples(st.integers(1, 3000), st.integers(0, 15), st.booleans()), max_size=40)
+scripts = st.lists(st.tuples(st.integers(1, 3000), st.integers(0, 15), st.booleans()), max_size=40)
 
 
-@given(steps)
+@given(scripts)
 def test_presses_and_releases_alternate_whatever_the_coils_do(script: list[tuple[int, int, bool]]) -> None:
     pad = Pad()
     now_ms = 0
@@ -252,7 +187,7 @@ def test_presses_and_releases_alternate_whatever_the_coils_do(script: list[tuple
                     down = False
 
 
-@given(steps)
+@given(scripts)
 def test_it_does_not_matter_how_often_time_is_looked_at(script: list[tuple[int, int, bool]]) -> None:
     lazy, eager = Pad(), Pad()
     now_ms = 0
@@ -266,8 +201,5 @@ def test_it_does_not_matter_how_often_time_is_looked_at(script: list[tuple[int, 
     lazy.until(now_ms + 20_000)
     eager.until(now_ms + 20_000)
     for key in Key:
-        assert [e for e in lazy.said if e.key is key] == [  # type: ignore[union-attr]
-            e
-            for e in eager.said
-            if e.key is key  # type: ignore[union-attr]
-        ]
+        of_lazy, of_eager = ([e for e in pad.said if e.key is key] for pad in (lazy, eager))  # type: ignore[union-attr]
+        assert of_lazy == of_eager

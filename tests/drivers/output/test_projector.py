@@ -116,19 +116,20 @@ def test_whether_blanks_are_counted_is_known_after_three_flips(counts_after: int
     assert (seen[0].sequence is None) == (counts_after is None)
 
 
-@pytest.mark.parametrize("ahead", [2, 3, 600])
-def test_a_play_begins_at_the_blank_that_was_agreed(ahead: int) -> None:
+@pytest.mark.parametrize(("agreed", "ahead"), [(None, 1), (2, 2), (3, 3), (600, 600)])
+def test_a_play_begins_at_the_blank_that_was_agreed_once_or_at_the_next(agreed: int | None, ahead: int) -> None:
     lamp = Lamp()
     projector = loaded(lamp)
-    seen: list[int] = []
+    asked: list[Flip] = []
 
-    def start(flip: Flip) -> int:
+    def start(flip: Flip) -> int | None:
+        asked.append(flip)
         assert flip.sequence is not None
-        seen.append(flip.sequence)
-        return flip.sequence + ahead
+        return None if agreed is None else flip.sequence + agreed
 
     flips = projector.play([1, 2], 3, start, lambda: False)
-    assert [flip.sequence for flip in flips] == [seen[0] + ahead, seen[0] + ahead + 1]
+    assert [(flip.index, flip.sequence) for flip in asked] == [(3, 102)]
+    assert [(flip.index, flip.sequence) for flip in flips] == [(1, 102 + ahead), (2, 103 + ahead)]
     assert codes(lamp) == [*[30] * ahead, 10, 20, 30], "idle before and behind"
 
 
