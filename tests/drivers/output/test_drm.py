@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from struct import Struct
-
 import pytest
 
 from drivers.output import drm
@@ -32,11 +30,6 @@ from drivers.output import drm
 )
 def test_request_numbers_are_those_a_compiler_makes(name: str, number: int) -> None:
     assert getattr(drm, f"IOCTL_{name}") == number
-
-
-def test_a_request_that_reads_and_writes_carries_its_size_letter_and_number() -> None:
-    assert drm.iowr(0x0C, Struct("<QQ")) == 0xC010640C
-    assert drm.iowr(0xB4, Struct("<I")) == 0xC00464B4
 
 
 def test_page_flip_bytes() -> None:
@@ -68,11 +61,6 @@ def test_a_mode_is_read_from_the_kernels_bytes() -> None:
 @pytest.mark.parametrize(("at", "size"), [(0, 4), (10, 2), (20, 2)], ids=["clock", "htotal", "vtotal"])
 def test_a_mode_without_timing_has_its_rounded_refresh(at: int, size: int) -> None:
     assert drm.Mode.unpack(XGA[:at] + bytes(size) + XGA[at + size :]).refresh_hz == 60.0
-
-
-def test_an_interlaced_mode_says_so() -> None:
-    flags = drm.Mode.unpack(XGA[:28] + (0x10).to_bytes(4, "little") + XGA[32:])
-    assert not flags.progressive
 
 
 def event(token: int, sequence: int, kind: int = 2, seconds: int = 7, microseconds: int = 16_667) -> bytes:
