@@ -50,7 +50,7 @@ def spec_with(**features: bool | float | str) -> CameraSpec:
     return CameraSpec("camera.left", "KF-CAM-L", features=tuple(features.items()))
 
 
-def refused(camera: UsbVisionCamera, said: str) -> None:
+def expect_refused(camera: UsbVisionCamera, said: str) -> None:
     with pytest.raises(DeviceRefused, match=said):
         camera.configure(SETTINGS)
 
@@ -239,7 +239,7 @@ def test_without_a_switch_for_gamma_it_is_set_to_one() -> None:
 )
 def test_what_a_camera_does_not_take_is_refused_with_name_and_values(name: str, held: int, said: str) -> None:
     _, camera = opened(lambda device: device.rounding.update({name: held}), spec=spec_with(BlackLevel=1.5))
-    refused(camera, said)
+    expect_refused(camera, said)
     with pytest.raises(DeviceRefused, match=r"before it was configured"):
         camera.start()
 
@@ -258,7 +258,7 @@ def test_what_a_camera_does_not_take_is_refused_with_name_and_values(name: str, 
 def test_a_setting_that_a_later_one_changed_is_noticed(name: str, value: int, said: str) -> None:
     device, camera = opened()
     device.when["GammaEnable"] = lambda: device.set_feature(name, value)
-    refused(camera, said)
+    expect_refused(camera, said)
 
 
 def test_a_rig_files_features_take_the_place_of_built_in_ones_or_follow_them_in_order() -> None:
@@ -303,7 +303,7 @@ def test_a_marked_feature_may_be_missing(name: str, value: bool | float | str) -
     camera.configure(SETTINGS)
     assert f"no {name}" in camera.health().details["not offered"]
     _, camera = opened(xml=description(lacking=(name,)), spec=spec_with(**{name: value}))
-    refused(camera, f"has no feature {name}")
+    expect_refused(camera, f"has no feature {name}")
 
 
 def test_a_selector_with_nothing_to_select_is_left_alone() -> None:
@@ -323,7 +323,7 @@ def test_whatever_a_rig_file_selected_the_frames_trigger_is_selected_in_the_end(
 
 def test_what_cannot_be_written_is_taken_where_it_is_right_and_refused_where_it_is_not() -> None:
     device, camera = opened(xml=description(fixed=("ReverseX",)))
-    refused(camera, "ReverseX is True and cannot be written; it must be False")
+    expect_refused(camera, "ReverseX is True and cannot be written; it must be False")
     device.set_feature("ReverseX", 0)
     camera.configure(SETTINGS)
 
@@ -333,7 +333,7 @@ def test_a_place_on_the_sensor_is_the_rig_files_or_the_middle() -> None:
     camera.configure(SETTINGS)
     assert (device.feature("OffsetX"), device.feature("OffsetY")) == (24, 0)
     _, camera = opened(spec=CameraSpec("camera.left", "KF-CAM-L", offset_x_px=804))
-    refused(camera, r"OffsetX: 804 refused, allowed 0\.\.800 in steps of 8")
+    expect_refused(camera, r"OffsetX: 804 refused, allowed 0\.\.800 in steps of 8")
 
 
 def test_what_a_camera_made_of_its_settings_is_what_is_returned() -> None:
@@ -348,7 +348,7 @@ def test_the_trigger_comes_from_the_line_that_the_rig_file_names_or_the_first_th
     camera.configure(SETTINGS)
     assert device.feature("TriggerSource") == "Line2"
     _, camera = opened(xml=description(choices={"TriggerSource": ("Software", "Counter0End")}))
-    refused(camera, "offers no line as trigger source")
+    expect_refused(camera, "offers no line as trigger source")
 
 
 def test_the_boards_line_may_stand_under_features_but_not_as_another_one() -> None:
@@ -357,7 +357,9 @@ def test_the_boards_line_may_stand_under_features_but_not_as_another_one() -> No
         camera.configure(SETTINGS)
         assert device.feature("TriggerSource") == "Line2"
     twice = replace(spec_with(TriggerSource="Line2"), trigger_source="Line1")
-    refused(opened(spec=twice)[1], r"'Line2' under features and trigger_source is 'Line1'.*Leave one of them out")
+    expect_refused(
+        opened(spec=twice)[1], r"'Line2' under features and trigger_source is 'Line1'.*Leave one of them out"
+    )
     opened(spec=replace(twice, trigger_source="Line2"))[1].configure(SETTINGS)
 
 
@@ -392,7 +394,7 @@ def test_a_choice_that_a_camera_does_not_offer_is_left_as_it_is() -> None:
 
 def test_without_a_gain_none_can_be_asked_for() -> None:
     _, camera = opened(xml=description(lacking=("Gain", "GainSelector", "GainAuto")))
-    refused(camera, r"has no gain to set.*gain_db = 0")
+    expect_refused(camera, r"has no gain to set.*gain_db = 0")
     assert camera.configure(CameraSettings(64, 48, 8000.0, 0.0)).gain_db == 0.0
 
 
