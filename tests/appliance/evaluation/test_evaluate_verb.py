@@ -43,7 +43,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, TrueRig]:
 def evaluate(folder: Path, text: str, name: str = "list.toml", calibration: str = "calibration.json") -> int:
     (folder / name).write_text(text)
     argv = ["evaluate", str(folder / name), "--root", str(folder), "--out", str(folder / "report.html")]
-    return main([*argv, "--calibration", str(folder / calibration)])
+    return main([*argv, "--calibration", str(folder / calibration), "--foreign-calibration"])
 
 
 def listed(length_mm: float) -> str:
