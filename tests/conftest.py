@@ -43,11 +43,13 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
     """Import no file that has no test of the stage."""
     if collection_path.suffix != ".py" or not collection_path.name.startswith("test_"):
         return None
-    stage = stage_of_folder(collection_path, config)
-    wanted = next((one for one in STAGE_NAMES if config.option.markexpr.startswith(one)), None)
-    if stage == wanted or (wanted is not None and f"mark.{wanted}" in collection_path.read_text(encoding="utf-8")):
+    expression = config.option.markexpr
+    wanted = next((one for one in STAGE_NAMES if expression.startswith(one)), None)
+    if wanted is None and not expression.startswith("not long"):  # other words than those of a stage
         return None
-    return True if stage is not None or wanted is not None else None
+    if wanted is not None and f"mark.{wanted}" in collection_path.read_text(encoding="utf-8"):
+        return None
+    return True if stage_of_folder(collection_path, config) != wanted else None
 
 
 @pytest.hookimpl(tryfirst=True)
