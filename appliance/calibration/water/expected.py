@@ -217,7 +217,7 @@ def _slopes(
         lambda e: (met(rig, right=right - e) - now) / PIXEL_STEP,
     ]
     for camera, uv, nodes, by in zip((rig.left, rig.right), (left, right), columns.nodes, by_nodes, strict=True):
-        if camera.correction is None:
+        if camera.correction is None or nodes.start == nodes.stop:
             continue
         # Slopes by a surface's nodes: those by its two components, times its basis.
         basis = basis_matrix(uv, (camera.width_px, camera.height_px), camera.correction.intervals)
