@@ -64,7 +64,8 @@ TYPED = tuple(line for line in LINES if "screenshot" not in line)
 
 
 def sentences(lines: tuple[str, ...] | list[str], words: tuple[str, ...]) -> st.SearchStrategy[str]:
-    return st.sampled_from(lines).flatmap(lambda line: reworded(line, words))
+    """As they are, or damaged: too few of the damaged ones are understood."""
+    return st.sampled_from(lines) | st.sampled_from(lines).flatmap(lambda line: reworded(line, words))
 
 
 def read_fault(text: str, _: Path) -> None:
