@@ -71,9 +71,9 @@ def length_between(
     return errors.of_length(names.index(first), np.array(at_first_mm), names.index(second), np.array(at_second_mm))
 
 
-def in_the_frame(cloud: FusedCloud, errors: JointErrors | None) -> FusedCloud:
-    """Return an object's fused surface with sigma in the object's frame; as it is where nothing is known of its errors."""
-    if errors is None or cloud.first_scan is None:
+def in_the_frame(cloud: FusedCloud, errors: JointErrors) -> FusedCloud:
+    """Return an object's fused surface with sigma in the object's frame; as it is where its points name no scan."""
+    if cloud.first_scan is None:
         return cloud
     return with_places(cloud, *errors.sigma_along(cloud.points_mm, cloud.normals, cloud.first_scan))
 

@@ -159,9 +159,9 @@ def _of_the_scan(scan: StoredScan) -> Chosen:
     path = scan.folder / CALIBRATION
     problem = lost(scan.folder, scan.manifest, CALIBRATION)
     if problem is not None:
-        named = scan.manifest.record.calibration_hash or "that is not named"
+        named = (scan.manifest.record.calibration_hash or "not named")[:SHOWN_DIGITS]
         raise CalibrationError(
-            f"{path}: {problem}; it was calibration {named[:SHOWN_DIGITS]}: give its file with --calibration FILE, or take the "
+            f"{path}: {problem}; the scan's calibration is {named}: give its file with --calibration FILE, or take the "
             "instrument's newest with --current --root PATH"
         )
     return Chosen(load(path), "the scan's own")
