@@ -9,6 +9,7 @@ import pytest
 
 from appliance import kernel_cache
 from appliance.process_start import use_one_blas_thread
+from tests.support.golden_texts import Says
 
 STAGES = {
     "tests/drivers": "devices",
@@ -66,3 +67,9 @@ def pytest_configure(config: pytest.Config) -> None:
     from tests.support.durations import Durations
 
     config.pluginmanager.register(Durations())
+
+
+@pytest.fixture
+def says(request: pytest.FixtureRequest) -> Says:
+    """Compares sentences with ``tests/golden_texts.txt``: ``says(error)``."""
+    return Says(request)

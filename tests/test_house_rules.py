@@ -14,6 +14,8 @@ from typing import TypeVar, cast
 
 import pytest
 
+from tests.support.golden_texts import golden_texts
+
 ROOT = Path(__file__).parents[1]
 PRODUCT = ("appliance", "drivers")
 SHIPPED = (*PRODUCT, "hw_sim")
@@ -285,7 +287,9 @@ def asserts_nothing(source: Source) -> Iterator[Breach]:
                 continue  # that no input raises anything unexpected is what it asserts
             asserts = any(isinstance(inner, ast.Assert) for inner in ast.walk(node))
             called = {dotted(c.func).rpartition(".")[2] for c in ast.walk(node) if isinstance(c, ast.Call)}
-            if not asserts and not any(re.match(r"_?(assert|check|expect|raises|fail|warns)", name) for name in called):
+            if not asserts and not any(
+                re.match(r"_?(assert|check|expect|raises|fail|warns|says)", name) for name in called
+            ):
                 yield node.lineno, f"{node.name} asserts nothing"
 
 
@@ -611,3 +615,10 @@ def test_a_reader_of_the_product_is_told_why() -> None:
     assert found >= LEAST_COMMENT_PERCENT, (
         f"{found:.2f} % of the lines of appliance say why; at least {LEAST_COMMENT_PERCENT} % are wanted"
     )
+
+
+def test_every_golden_text_belongs_to_a_test() -> None:
+    for key in golden_texts():
+        path, _, name = key.partition("::")
+        test = re.split(r"[\[ ]", name)[0]
+        assert re.search(rf"def {test}\b", (ROOT / path).read_text(encoding="utf-8")), f"{key}: no such test"
