@@ -26,7 +26,7 @@ from drivers.api import (
 )
 from drivers.aravis.buses import bus_of
 from drivers.aravis.device import AravisDevice
-from drivers.aravis.library import BUILT_IN, Aravis, Listed, library
+from drivers.aravis.library import BUILT_IN, STUCK, Aravis, Listed, library
 from drivers.aravis.stream import AravisStream
 from drivers.camera import u3v
 from drivers.camera.features import Features
@@ -274,6 +274,8 @@ class AravisCamera:
 
 def find_device(name: str, serial: str, aravis: Aravis) -> AravisDevice:
     """Open the camera with that serial number. Raises DeviceGone, telling which others are there, or DeviceRefused."""
+    if aravis.stuck:
+        raise DeviceRefused(name, *STUCK)
     with aravis.finding:
         return _found(name, serial, aravis)
 

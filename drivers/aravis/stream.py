@@ -8,10 +8,10 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.api import Clock, Frame, FrameStatus
+from drivers.api import Clock, DeviceRefused, Frame, FrameStatus
 from drivers.aravis.buses import Bus
 from drivers.aravis.device import AravisDevice
-from drivers.aravis.library import AravisError, BufferCode
+from drivers.aravis.library import STUCK, AravisError, BufferCode
 from drivers.camera.pixels import PixelFormat
 from drivers.camera.usb import TransferBuffer, transfer_buffer
 
@@ -69,10 +69,10 @@ class AravisStream:
         self._ended = True
 
     def close(self) -> None:
-        """End it, and free its buffers; idempotent."""
+        """End it, and free its buffers; idempotent. Raises DeviceRefused when the library hangs."""
         handle, self._handle = self._handle, None
-        if handle is not None:
-            self._device.aravis.release(handle)
+        if handle is not None and not self._device.aravis.end_stream(handle):
+            raise DeviceRefused(self._device.name, *STUCK)
 
     def expect_since(self, camera_ns: int | None) -> None:
         """Drop frames whose stamp is older than this time of the camera's clock, up to the first one that is not; ``None``: take every one."""

@@ -35,6 +35,8 @@ from tests.libraries.test_devices import triggered
 pytestmark = pytest.mark.foreign
 
 FULL = (1600, 1200)
+LARGE = (1280, 960)
+"""Few transfers wait at once: one end of a stream in a thousand hangs in the library, the sooner the more of them there are."""
 SMALL = (320, 240)
 WHOLE = (512, 256)
 """An image of whole kilobytes in every format."""
@@ -50,10 +52,20 @@ STRIPES = 255
 # --------------------------------------------------------------------------------------- our cameras, over USB
 
 
+@pytest.fixture
+def world() -> Iterator[World]:
+    """Real time."""
+    width, height = LARGE
+    with World(
+        WorldOptions(world="bed", width_px=width, height_px=height, pace="realtime", stills=True, truth="modelled")
+    ) as made:
+        yield made
+
+
 def test_aravis_reads_both_cameras_at_once(world: World, bed: Testbed) -> None:
     world.view("left")
     triggered(world)
-    with Client(bed, "cameras", *KIND, 400, 300, 20, "KF-CAM-L", "KF-CAM-R") as client:
+    with Client(bed, "cameras", *KIND, *LARGE, 20, "KF-CAM-L", "KF-CAM-R") as client:
         for _ in range(2):
             opened = client.expect("opened")
             assert (opened["model"], opened["mbps"]) == ("KFC1920", 5000)
@@ -66,7 +78,7 @@ def test_aravis_reads_both_cameras_at_once(world: World, bed: Testbed) -> None:
 
 def test_a_camera_that_is_unplugged_is_gone_for_aravis_too_and_comes_back(world: World, bed: Testbed) -> None:
     triggered(world)
-    with Client(bed, "cameras", *KIND, 400, 300, 40, "KF-CAM-L") as client:
+    with Client(bed, "cameras", *KIND, *LARGE, 40, "KF-CAM-L") as client:
         client.expect("started")
         world.fault("camera.left off")
         why = client.expect("gone")["why"]
@@ -115,7 +127,7 @@ def test_the_checkup_names_each_camera_and_the_slow_one(world: World, bed: Testb
     """``kingfisher check`` with the packaged rig file, of which the family is changed."""
     world.fault("camera.right slow")
     (tmp_path / "root").mkdir()
-    rig = rig_file(tmp_path, (400, 300))
+    rig = rig_file(tmp_path, LARGE)
     text, changed = re.subn('kind = "usb3vision"', 'kind = "aravis"', rig.read_text(encoding="utf-8"))
     assert changed == 1
     rig.write_text(text, encoding="utf-8")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+from threading import Event
 from typing import Any
 
 import numpy as np
@@ -10,6 +12,7 @@ import pytest
 from drivers.api import DeviceGone, DeviceRefused, Frame, FrameStatus
 from drivers.aravis import library
 from drivers.aravis.buses import bus_of
+from drivers.aravis.camera import find_device
 from drivers.aravis.device import AravisDevice
 from drivers.aravis.stream import LEAST_BUFFERS, LOOK_S, ROOM, STALE_LIMIT, AravisStream
 from drivers.camera.pixels import FORMATS
@@ -233,3 +236,20 @@ def test_not_more_than_32_frames_are_dropped(foreign: ForeignLibrary, early: int
     assert taken(there, stream, *sent).block_id == block_id
     stream.expect_since(None)
     assert taken(there, stream, SentImage(IMAGE, stamp_ns=1)).status is FrameStatus.COMPLETE
+
+
+def test_a_library_that_hangs_at_the_end_of_a_stream_is_told_and_is_not_asked_again(
+    foreign: ForeignLibrary, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, stream = streaming(foreign)
+    hangs = Event()
+    monkeypatch.setattr(library, "END_S", 0.05)
+    monkeypatch.setattr(foreign, "g_object_unref", partial(lambda handle: hangs.wait(20.0)))
+    try:
+        with pytest.raises(DeviceRefused, match="Aravis hangs"):
+            stream.close()
+        stream.close()
+        with pytest.raises(DeviceRefused, match="off and on"):
+            find_device("camera.left", "S0", library.library("camera.left"))
+    finally:
+        hangs.set()
