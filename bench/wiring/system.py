@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from appliance.config import default_rig_path, load_rig
+from bench.wiring.sheet import COLOURS, Point, Sheet
 from drivers.board.firmware import pins
-from tests.drivers.wiring.sheet import COLOURS, Point, Sheet
 
 VIDEO, USB3, USB2 = COLOURS["sync"], "#1565c0", "#00897b"
 
@@ -15,7 +15,7 @@ def system_plan() -> Sheet:
     projector, display = rig.projector, rig.display
     sheet = Sheet(
         1560, 1130, "The whole instrument",
-        "Cables between the parts. Made by ./dev run python -m tests.drivers.wiring; modes and identities are those of the packaged "
+        "Cables between the parts. Made by ./dev run python -m bench.wiring; modes and identities are those of the packaged "
         "rig file.",
     )  # fmt: skip
     sheet.box(560, 380, 330, 300, "PC", ["x86 with AVX2, 4 GB, two video outputs", "two USB3 root ports, two USB2"])

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from bench.wiring.module import Pico, pull_of
+from bench.wiring.sheet import COLOURS, Point, Sheet
 from drivers.board.firmware import pins
-from tests.drivers.wiring.module import Pico, pull_of
-from tests.drivers.wiring.sheet import COLOURS, Point, Sheet
 
 KIND = {
     "VSYNC": "sync", "TRIGGER": "trigger", "LASER_LEFT": "laser", "LASER_RIGHT": "laser", "LASER_BEAT": "laser",
@@ -23,7 +23,7 @@ def board_plan() -> Sheet:
     """Draw the sheet. Raises KeyError or ValueError for a line of the pin data that this plan has no place for."""
     sheet = Sheet(
         1560, 1215, "Trigger board",
-        "Made from drivers/board/firmware/pins.py by ./dev run python -m tests.drivers.wiring. Wires cross without a connection "
+        "Made from drivers/board/firmware/pins.py by ./dev run python -m bench.wiring. Wires cross without a connection "
         "where there is no dot.",
     )  # fmt: skip
     pico = Pico(sheet, pins.LINES, LEFT, RIGHT, COLOUR_OF)

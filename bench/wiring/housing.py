@@ -1,4 +1,4 @@
-"""Owns the figures of docs/build/housing.md that follow from the rig file's drawing: ``./dev run python -m tests.drivers.wiring.housing``."""
+"""Owns the figures of docs/build/housing.md that follow from the rig file's drawing: ``./dev run python -m bench.wiring.housing``."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 from appliance.config import Rig, default_rig_path, load_rig
 from appliance.optics.water import quan_fry_index
 
-PAGE = Path(__file__).parents[3] / "docs" / "build" / "housing.md"
+PAGE = Path(__file__).parents[2] / "docs" / "build" / "housing.md"
 BEGIN, END = "<!-- figures begin -->", "<!-- figures end -->"
 STEEP_PX = 0.03
 """Deviation that is to stay unseen: what the best calibration leaves (docs/calibration.md)."""

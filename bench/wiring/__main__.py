@@ -1,8 +1,8 @@
-"""Writes the plans into docs/pictures: ``./dev run python -m tests.drivers.wiring``."""
+"""Writes the plans into docs/pictures: ``./dev run python -m bench.wiring``."""
 
 from __future__ import annotations
 
-from tests.drivers.wiring.plans import FOLDER, PLANS
+from bench.wiring.plans import FOLDER, PLANS
 
 if __name__ == "__main__":
     for name, draw in PLANS.items():

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from bench.wiring.module import Pico, pull_of
+from bench.wiring.sheet import COLOURS, Sheet
 from drivers.keys.firmware import pins
-from tests.drivers.wiring.module import Pico, pull_of
-from tests.drivers.wiring.sheet import COLOURS, Sheet
 
 KIND = {
     "SDA": "bus", "SCL": "bus", "COILS_READY": "trigger", "COILS_POWER": "sync", "SERVICE": "service", "LED": "service",
@@ -20,7 +20,7 @@ def keys_plan() -> Sheet:
     """Draw the sheet. Raises KeyError or ValueError for a line of the pin data that this plan has no place for."""
     sheet = Sheet(
         1560, 900, "Key pad",
-        "Made from drivers/keys/firmware/pins.py by ./dev run python -m tests.drivers.wiring. One of the two coil chips is fitted; "
+        "Made from drivers/keys/firmware/pins.py by ./dev run python -m bench.wiring. One of the two coil chips is fitted; "
         "the firmware finds out which.",
     )  # fmt: skip
     pico = Pico(sheet, pins.LINES, LEFT, RIGHT, COLOUR_OF)

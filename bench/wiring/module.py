@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from tests.drivers.wiring.sheet import FAINT, INK, PAPER, Point, Sheet
+from bench.wiring.sheet import FAINT, INK, PAPER, Point, Sheet
 
 LAST_OF_THE_LEFT = 20
 """Header pins 1 to 20 run down the left side, 40 to 21 down the right one (Pico datasheet, figure 4)."""

@@ -1,1 +1,0 @@
-"""The plans of docs/build/wiring.md, drawn from the firmwares' pin data: ``./dev run python -m tests.drivers.wiring``."""
