@@ -13,42 +13,29 @@ from drivers.inventory import MOST, OnTheBuses, on_the_buses
 from tests.drivers.clock import SteppedClock
 
 
-class NoBus:
-    """A USB backend that has nothing on it, or fails."""
+def listed(monkeypatch: pytest.MonkeyPatch, ports: list[Any], hid: Any, devices: Any) -> OnTheBuses:
+    def gone(path: str) -> object:
+        raise DeviceGone(path, "does not exist", "Check")
 
-    def __init__(self, error: Exception | None = None) -> None:
-        self._error = error
-
-    def enumerate_devices(self) -> list[object]:
-        if self._error is not None:
-            raise self._error
-        return []
-
-
-def listed(
-    monkeypatch: pytest.MonkeyPatch, *, hid: Any, usb_backend: Any, ports: list[Any], open_card: Any
-) -> OnTheBuses:
     monkeypatch.setattr("serial.tools.list_ports.comports", lambda: ports)
-    wires = SimpleNamespace(usb_backend=usb_backend, hidraw=hid, clock=SteppedClock(), open_card=open_card)
-    wires.cards = lambda: ("/dev/dri/card0", "/dev/dri/card1")
+    wires: Any = SimpleNamespace(
+        usb_backend=SimpleNamespace(enumerate_devices=devices),
+        hidraw=SimpleNamespace(enumerate=hid),
+        clock=SteppedClock(),
+        open_card=gone,
+        cards=lambda: ("/dev/dri/card0", "/dev/dri/card1"),
+    )
     return on_the_buses(wires, "usb3vision", ["/dev/dri/card0", "/dev/dri/card0"])
-
-
-def gone(path: str) -> object:
-    raise DeviceGone(path, "does not exist", "Check")
 
 
 def test_a_bus_that_cannot_be_asked_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: int) -> list[Any]:
         raise OSError("no permission")
 
-    found = listed(
-        monkeypatch,
-        hid=SimpleNamespace(enumerate=refuse),
-        usb_backend=NoBus(usb.core.USBError("busy")),
-        ports=[],
-        open_card=gone,
-    )
+    def busy() -> list[Any]:
+        raise usb.core.USBError("busy")
+
+    found = listed(monkeypatch, [], refuse, busy)
     assert found.cameras == ("cameras of kind usb3vision could not be asked: [Errno None] busy",)
     assert found.ports == ()
     assert found.hid == ("HID devices could not be asked: no permission",)
@@ -57,20 +44,18 @@ def test_a_bus_that_cannot_be_asked_says_why(monkeypatch: pytest.MonkeyPatch) ->
     assert second.startswith("/dev/dri/card1 could not be opened:"), "a card that no rig file names is asked as well"
 
 
+def port(device: str, vid: int | None, pid: int | None, product: str | None = None, serial: str | None = None) -> Any:
+    return SimpleNamespace(device=device, vid=vid, pid=pid, product=product, serial_number=serial)
+
+
 def test_what_has_no_usb_identity_is_no_board(monkeypatch: pytest.MonkeyPatch) -> None:
     ports = [
-        SimpleNamespace(device="/dev/ttyS0", vid=None, pid=None, product=None, serial_number=None),
-        SimpleNamespace(device="/dev/ttyACM1", vid=0x1209, pid=0x4B42, product="Board", serial_number="B7"),
-        SimpleNamespace(device="/dev/ttyACM0", vid=0x2341, pid=1, product=None, serial_number=None),
+        port("/dev/ttyS0", None, None),
+        port("/dev/ttyACM1", 0x1209, 0x4B42, "Board", "B7"),
+        port("/dev/ttyACM0", 0x2341, 1),
     ]
-    many = [
-        {"vendor_id": 1, "product_id": k, "product_string": "x", "path": b"/dev/hidraw%d" % k} for k in range(MOST + 5)
-    ]
-    found = listed(
-        monkeypatch, hid=SimpleNamespace(enumerate=lambda *_: many), usb_backend=NoBus(), ports=ports, open_card=gone
-    )
+    hid = {"vendor_id": 1, "product_id": 0, "product_string": "x", "path": b"/dev/hidraw0"}
+    found = listed(monkeypatch, ports, lambda *_: [hid] * (MOST + 5), list)
     assert found.ports == ("/dev/ttyACM0 (2341:0001 without a name)", "/dev/ttyACM1 (1209:4b42 Board, serial B7)")
-    assert len(found.hid) == MOST + 1
-    assert found.hid[0] == "0001:0000 x (/dev/hidraw0)"
-    assert found.hid[-1] == f"and more than {MOST}"
+    assert found.hid == (*["0001:0000 x (/dev/hidraw0)"] * MOST, f"and more than {MOST}")
     assert found.cameras == ()

@@ -53,6 +53,8 @@ class OnABus:
     fails: dict[str, int] = field(default_factory=dict)
     """Errors by name of a function."""
     controlled: bool = True
+    lost: bool = False
+    """Nothing is answered any more."""
     asked: list[tuple[str, int, int]] = field(default_factory=list)
     """Accesses of the memory: what, where, how much."""
     coming: deque[SentImage] = field(default_factory=deque)
@@ -100,11 +102,8 @@ class ForeignLibrary:
     def arv_get_major_version(self) -> int:
         return 0
 
-    def arv_get_minor_version(self) -> int:
-        return 8
-
-    def arv_get_micro_version(self) -> int:
-        return 26
+    arv_get_minor_version = staticmethod(lambda: 8)
+    arv_get_micro_version = staticmethod(lambda: 26)
 
     def arv_enable_interface(self, name: bytes) -> None:
         self.enabled.append(name)
@@ -161,16 +160,16 @@ class ForeignLibrary:
     def arv_device_read_memory(self, handle: int, address: int, size: int, memory: Any, error: Any) -> int:
         device = self.open[handle]
         device.asked.append(("read", address, size))
-        if address in device.refusing:
-            return self.fail(error, device.refusing[address])
+        if device.lost or address in device.refusing:
+            return self.fail(error, 5 if device.lost else device.refusing[address])
         memory.raw = device.camera.get(address, size)
         return 1
 
     def arv_device_write_memory(self, handle: int, address: int, size: int, memory: Any, error: Any) -> int:
         device = self.open[handle]
         device.asked.append(("write", address, size))
-        if address in device.refusing:
-            return self.fail(error, device.refusing[address])
+        if device.lost or address in device.refusing:
+            return self.fail(error, 5 if device.lost else device.refusing[address])
         assert len(memory.raw) == size
         if address == LATCH:
             assert memory.raw == bytes((0, 0, 0, 2)), "bit 1 latches"

@@ -22,16 +22,10 @@ def opened(foreign: ForeignLibrary, protocol: str = "USB3Vision", **more: Any) -
     return AravisDevice("camera.left", aravis, aravis.cameras()[-1])
 
 
-# ------------------------------------------------------------------------------------------- library
-
-
-def test_the_librarys_own_camera_is_switched_on_and_its_version_is_told(foreign: ForeignLibrary) -> None:
-    assert library.library("camera.left").version == "0.8.26"
-    assert foreign.enabled == [b"Fake"]
-
-
 def test_cameras_are_looked_for_anew_each_time_and_a_word_that_is_missing_is_empty(foreign: ForeignLibrary) -> None:
     aravis = library.library("camera.left")
+    assert aravis.version == "0.8.26"
+    assert foreign.enabled == [b"Fake"]
     assert aravis.cameras() == ()
     foreign.add("USB3Vision", id="Reef-1", serial=" 0001 ", address=None)
     assert aravis.cameras() == (Listed("Reef-1", "0001", "USB3Vision", ""),)
@@ -86,9 +80,6 @@ def test_codes_are_those_of_the_librarys_headers() -> None:
     assert [one.value for one in BufferCode] == list(range(-1, 8))
 
 
-# -------------------------------------------------------------------------------------------- device
-
-
 @pytest.mark.parametrize(
     ("code", "error"), [(2, DeviceGone), (6, DeviceGone), (3, DeviceRefused), (5, DeviceRefused), (10, DeviceRefused)]
 )
@@ -104,7 +95,7 @@ def test_a_device_is_released_once_and_answers_no_more(foreign: ForeignLibrary) 
         assert list(foreign.open) == [device.handle]
         device.close()
         assert not foreign.open
-        with pytest.raises(DeviceGone, match=r"camera.left: closed\. It is opened again by itself"):
+        with pytest.raises(DeviceGone, match=r"camera.left: closed"):
             device.read(0, 4)
 
 
@@ -129,60 +120,39 @@ def test_a_piece_is_read_in_whole_words_of_at_most_512_bytes(
     assert there.asked == [("read", *one) for one in asked]
 
 
-def test_what_is_long_is_written_in_pieces(foreign: ForeignLibrary) -> None:
+def test_what_is_long_is_written_in_pieces_and_registers_have_64_bits(foreign: ForeignLibrary) -> None:
     device = opened(foreign)
     data = bytes(k * 7 % 251 for k in range(1030))
     device.write(0x7_0000, data)
     there = foreign.devices[0]
     assert there.camera.get(0x7_0000, 1030) == data
     assert there.asked == [("write", 0x7_0000, 512), ("write", 0x7_0200, 512), ("write", 0x7_0400, 6)]
-
-
-def test_registers_outside_64_bits_are_the_descriptions_mistake(foreign: ForeignLibrary) -> None:
-    device = opened(foreign)
     assert device.read((1 << 64) - 4, 4) == bytes(4)
     device.write(0x0, bytes(4))
     for address in ((1 << 64) - 3, 1 << 64, -4):
-        with pytest.raises(DeviceRefused, match=r"outside 64 bits\. Update the firmware"):
+        with pytest.raises(DeviceRefused, match="outside 64 bits"):
             device.write(address, bytes(4))
 
 
-@pytest.mark.parametrize(
-    ("code", "answered"),
-    [(2, False), (3, True), (4, False), (5, False), (10, False), (11, False), (12, True), (18, True), (19, False)],
-)
-def test_an_answer_is_a_refusal_and_no_answer_a_loss(foreign: ForeignLibrary, code: int, answered: bool) -> None:
+@pytest.mark.parametrize("code", [2, 3, 4, 5, 10, 11, 12, 18, 19])
+def test_an_answer_is_a_refusal_and_no_answer_a_loss(foreign: ForeignLibrary, code: int) -> None:
     device = opened(foreign)
     foreign.devices[0].refusing[0x40] = code
-    with pytest.raises((DeviceGone, ControlRefused)) as caught:
+    answered = code in (3, 12, 18)
+    said = r"refused the read of 4 bytes at 0x40: no luck" if answered else r"a read of 4 bytes at 0x40 \(no luck\)"
+    with pytest.raises(ControlRefused if answered else DeviceGone, match=said) as caught:
         device.read(0x40, 4)
-    what = "read of 4 bytes at 0x40"
     if isinstance(caught.value, ControlRefused):
         assert caught.value.status == code
-        assert caught.value.message == f"refused the {what}: no luck"
-    else:
-        assert caught.value.message == f"no longer answers a {what} (no luck)"
-        assert caught.value.remedy == "Check the connector; the camera is opened again by itself"
-    assert isinstance(caught.value, ControlRefused) is answered
 
 
-def test_a_description_is_text_without_what_is_around_it(foreign: ForeignLibrary) -> None:
+def test_a_description_is_text_of_a_possible_length(foreign: ForeignLibrary, monkeypatch: pytest.MonkeyPatch) -> None:
     assert opened(foreign, xml=b"\xef\xbb\xbf<a>\xc2\xb5</a>\0\0").description() == "<a>µ</a>"
-
-
-@pytest.mark.parametrize(("claimed_bytes", "fine"), [(0, False), (1, True), (1 << 24, True), ((1 << 24) + 1, False)])
-def test_a_description_of_an_impossible_length_is_refused(
-    foreign: ForeignLibrary, claimed_bytes: int, fine: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    device = opened(foreign, claimed_bytes=claimed_bytes)
-    monkeypatch.setattr(ctypes, "string_at", lambda text, size: b"x" * size)
-    if fine:
-        assert len(device.description()) == claimed_bytes
-    else:
-        with pytest.raises(DeviceRefused, match="has no description that can be read"):
-            device.description()
-
-
-def test_a_camera_without_a_description_is_refused(foreign: ForeignLibrary) -> None:
-    with pytest.raises(DeviceRefused, match="has no description"):
+    with pytest.raises(DeviceRefused, match="no description"):
         opened(foreign, xml=b"", claimed_bytes=9).description()
+    monkeypatch.setattr(ctypes, "string_at", lambda text, size: b"x" * size)
+    for claimed_bytes in (1, 1 << 24):
+        assert len(opened(foreign, claimed_bytes=claimed_bytes).description()) == claimed_bytes
+    for claimed_bytes in (0, (1 << 24) + 1):
+        with pytest.raises(DeviceRefused, match="no description"):
+            opened(foreign, claimed_bytes=claimed_bytes).description()

@@ -17,98 +17,43 @@ import numpy as np
 from numpy.typing import NDArray
 
 u16, u32, u64 = ctypes.c_uint16, ctypes.c_uint32, ctypes.c_uint64
-Layout = type[ctypes.Structure] | type[ctypes.c_uint32] | type[ctypes.c_uint64]
-"""What lies at an address that a call was given."""
 
 
-class ModeInfo(ctypes.Structure):
-    _fields_ = [
-        ("clock", u32),
-        *[(name, u16) for name in ["hdisplay", "hsync_start", "hsync_end", "htotal", "hskew"]],
-        *[(name, u16) for name in ["vdisplay", "vsync_start", "vsync_end", "vtotal", "vscan"]],
-        *[(name, u32) for name in ["vrefresh", "flags", "type"]],
-        ("name", ctypes.c_char * 32),
-    ]
+def structure(*fields: tuple[Any, str]) -> Any:
+    """Return a C structure from the names of its fields by their types, in order."""
+    listed = [(name, kind) for kind, names in fields for name in names.split()]
+    return type("Structure", (ctypes.Structure,), {"_fields_": listed})
 
 
-class CardRes(ctypes.Structure):
-    _fields_ = [
-        *[(name, u64) for name in ["fb_ptr", "crtc_ptr", "connector_ptr", "encoder_ptr"]],
-        *[(name, u32) for name in ["fbs", "crtcs", "connectors", "encoders", "min_w", "max_w", "min_h", "max_h"]],
-    ]
-
-
-class Crtc(ctypes.Structure):
-    _fields_ = [
-        ("connectors_ptr", u64),
-        *[(name, u32) for name in ["connectors", "crtc_id", "fb_id", "x", "y", "gamma_size", "mode_valid"]],
-        ("mode", ModeInfo),
-    ]
-
-
-class GetEncoder(ctypes.Structure):
-    _fields_ = [(name, u32) for name in ["id", "type", "crtc_id", "possible_crtcs", "possible_clones"]]
-
-
-class GetConnector(ctypes.Structure):
-    _fields_ = [
-        *[(name, u64) for name in ["encoders_ptr", "modes_ptr", "props_ptr", "values_ptr"]],
-        *[(name, u32) for name in ["modes", "props", "encoders", "encoder_id", "id", "type", "type_id", "connection"]],
-        *[(name, u32) for name in ["mm_w", "mm_h", "subpixel", "pad"]],
-    ]
-
-
-class GetProperty(ctypes.Structure):
-    _fields_ = [
-        ("values_ptr", u64),
-        ("enum_ptr", u64),
-        ("id", u32),
-        ("flags", u32),
-        ("name", ctypes.c_char * 32),
-        ("values", u32),
-        ("enums", u32),
-    ]
-
-
-class PropertyEnum(ctypes.Structure):
-    _fields_ = [("value", u64), ("name", ctypes.c_char * 32)]
-
-
-class SetProperty(ctypes.Structure):
-    _fields_ = [("value", u64), ("id", u32), ("connector", u32)]
-
-
-class FbCmd(ctypes.Structure):
-    _fields_ = [(name, u32) for name in ["fb_id", "width", "height", "pitch", "bpp", "depth", "handle"]]
-
-
-class PageFlip(ctypes.Structure):
-    _fields_ = [*[(name, u32) for name in ["crtc_id", "fb_id", "flags", "reserved"]], ("user_data", u64)]
-
-
-class CreateDumb(ctypes.Structure):
-    _fields_ = [*[(name, u32) for name in ["height", "width", "bpp", "flags", "handle", "pitch"]], ("size", u64)]
-
-
-class MapDumb(ctypes.Structure):
-    _fields_ = [("handle", u32), ("pad", u32), ("offset", u64)]
-
-
-class GetCap(ctypes.Structure):
-    _fields_ = [("capability", u64), ("value", u64)]
-
-
-class CrtcLut(ctypes.Structure):
-    _fields_ = [("crtc_id", u32), ("size", u32), ("red", u64), ("green", u64), ("blue", u64)]
-
-
-class VblankEvent(ctypes.Structure):
-    _fields_ = [
-        ("type", u32),
-        ("length", u32),
-        ("user_data", u64),
-        *[(name, u32) for name in ["sec", "usec", "sequence", "crtc_id"]],
-    ]
+Name = ctypes.c_char * 32
+ModeInfo = structure(
+    (u32, "clock"),
+    (u16, "hdisplay hsync_start hsync_end htotal hskew vdisplay vsync_start vsync_end vtotal vscan"),
+    (u32, "vrefresh flags type"),
+    (Name, "name"),
+)
+CardRes = structure(
+    (u64, "fb_ptr crtc_ptr connector_ptr encoder_ptr"),
+    (u32, "fbs crtcs connectors encoders min_w max_w min_h max_h"),
+)
+Crtc = structure(
+    (u64, "connectors_ptr"), (u32, "connectors crtc_id fb_id x y gamma_size mode_valid"), (ModeInfo, "mode")
+)
+GetEncoder = structure((u32, "id type crtc_id possible_crtcs possible_clones"))
+GetConnector = structure(
+    (u64, "encoders_ptr modes_ptr props_ptr values_ptr"),
+    (u32, "modes props encoders encoder_id id type type_id connection mm_w mm_h subpixel pad"),
+)
+GetProperty = structure((u64, "values_ptr enum_ptr"), (u32, "id flags"), (Name, "name"), (u32, "values enums"))
+PropertyEnum = structure((u64, "value"), (Name, "name"))
+SetProperty = structure((u64, "value"), (u32, "id connector"))
+FbCmd = structure((u32, "fb_id width height pitch bpp depth handle"))
+PageFlip = structure((u32, "crtc_id fb_id flags reserved"), (u64, "user_data"))
+CreateDumb = structure((u32, "height width bpp flags handle pitch"), (u64, "size"))
+MapDumb = structure((u32, "handle pad"), (u64, "offset"))
+GetCap = structure((u64, "capability value"))
+CrtcLut = structure((u32, "crtc_id size"), (u64, "red green blue"))
+VblankEvent = structure((u32, "type length"), (u64, "user_data"), (u32, "sec usec sequence crtc_id"))
 
 
 @dataclass
@@ -118,13 +63,13 @@ class Plug:
     id: int
     type: int
     type_id: int
-    modes: list[ModeInfo] = field(default_factory=list)
+    modes: list[Any] = field(default_factory=list)
     possible_crtcs: int = 0b11
     connected: bool = True
     properties: dict[int, int] = field(default_factory=dict)
 
 
-def mode(width: int, height: int, hz: float = 60.0, flags: int = 0, kind: int = 0) -> ModeInfo:
+def mode(width: int, height: int, hz: float = 60.0, flags: int = 0, kind: int = 0) -> Any:
     htotal, vtotal = width + 160, height + 30
     return ModeInfo(
         clock=round(htotal * vtotal * hz / 1000), hdisplay=width, htotal=htotal, vdisplay=height, vtotal=vtotal,
@@ -216,7 +161,7 @@ class Kernel:
             self.calls.append(number)
             if self.pulled:
                 raise OSError(errno.ENODEV, "No such device")
-            handlers: dict[int, tuple[Callable[[Any], None], Layout]] = {
+            handlers: dict[int, tuple[Callable[[Any], None], Any]] = {
                 0x0C: (self._get_cap, GetCap), 0xA0: (self._resources, CardRes), 0xA1: (self._get_crtc, Crtc),
                 0xA2: (self._set_crtc, Crtc), 0xA5: (self._set_gamma, CrtcLut), 0xA6: (self._encoder, GetEncoder),
                 0xA7: (self._connector, GetConnector), 0xAA: (self._get_property, GetProperty),
@@ -270,25 +215,17 @@ class Kernel:
                 continue
             del self.pending[crtc]
             self.lit[crtc] = fb
-            self.events += bytes(
-                VblankEvent(
-                    2,
-                    32,
-                    user_data,
-                    self.time.ns // 10**9,
-                    self.time.ns // 1000 % 10**6,
-                    self.blank % 2**32 if self.counts_blanks else 0,
-                    crtc,
-                )
-            )
+            seconds, microseconds = self.time.ns // 10**9, self.time.ns // 1000 % 10**6
+            count = self.blank % 2**32 if self.counts_blanks else 0
+            self.events += bytes(VblankEvent(2, 32, user_data, seconds, microseconds, count, crtc))
 
     # -- requests
 
-    def _get_cap(self, cap: GetCap) -> None:
+    def _get_cap(self, cap: Any) -> None:
         zero(cap, "value")
         cap.value = {1: self.dumb_buffers, 6: self.monotonic, 0x12: 1}.get(cap.capability, 0)
 
-    def _resources(self, res: CardRes) -> None:
+    def _resources(self, res: Any) -> None:
         zero(res, "min_w", "max_w", "min_h", "max_h")
         for number, pointer in (
             *(("fbs", "fb_ptr"), ("crtcs", "crtc_ptr")),
@@ -302,11 +239,11 @@ class Kernel:
         self._fill(res, "encoder_ptr", "encoders", encoders, u32)
         res.max_w = res.max_h = 4096
 
-    def _encoder(self, enc: GetEncoder) -> None:
+    def _encoder(self, enc: Any) -> None:
         zero(enc, "type", "crtc_id", "possible_crtcs", "possible_clones")
         enc.possible_crtcs = self.plugs[enc.id - 1000].possible_crtcs
 
-    def _connector(self, con: GetConnector) -> None:
+    def _connector(self, con: Any) -> None:
         if con.id not in self.plugs:
             raise OSError(errno.ENOENT, "No such file or directory")
         zero(con, "encoder_id", "type", "type_id", "connection", "mm_w", "mm_h", "subpixel", "pad")
@@ -321,7 +258,7 @@ class Kernel:
         self._fill(con, "props_ptr", "props", [*plug.properties], u32)
         self._fill(con, "encoders_ptr", "encoders", [plug.id + 1000], u32)
 
-    def _get_property(self, prop: GetProperty) -> None:
+    def _get_property(self, prop: Any) -> None:
         zero(prop, "flags")
         assert prop.name == b""
         name, flags, choices = self.properties[prop.id]
@@ -329,10 +266,10 @@ class Kernel:
         self._fill(prop, "values_ptr", "values", [*choices.values()], u64)
         self._fill(prop, "enum_ptr", "enums", [PropertyEnum(v, n.encode()) for n, v in choices.items()], PropertyEnum)
 
-    def _set_property(self, prop: SetProperty) -> None:
+    def _set_property(self, prop: Any) -> None:
         self.plugs[prop.connector].properties[prop.id] = prop.value
 
-    def _create(self, dumb: CreateDumb) -> None:
+    def _create(self, dumb: Any) -> None:
         assert (dumb.bpp, dumb.flags) == (32, 0)
         zero(dumb, "handle", "pitch", "size")
         pitch = -(-4 * dumb.width // self.pitch_align) * self.pitch_align
@@ -340,12 +277,12 @@ class Kernel:
         self.memory[dumb.handle] = bytearray(b"\x5a" * dumb.size)  # dirty: black must be written
         self.dumb[dumb.handle] = (dumb.width, dumb.height, pitch)
 
-    def _map(self, request: MapDumb) -> None:
+    def _map(self, request: Any) -> None:
         assert request.handle in self.dumb
         zero(request, "pad", "offset")
         request.offset = request.handle << 12
 
-    def _add_fb(self, fb: FbCmd) -> None:
+    def _add_fb(self, fb: Any) -> None:
         zero(fb, "fb_id")
         assert self.dumb[fb.handle] == (fb.width, fb.height, fb.pitch)
         assert (fb.bpp, fb.depth) == (32, 24)
@@ -359,18 +296,18 @@ class Kernel:
     def _destroy(self, handle: ctypes.c_uint32) -> None:
         del self.dumb[handle.value]
 
-    def _get_crtc(self, crtc: Crtc) -> None:
+    def _get_crtc(self, crtc: Any) -> None:
         assert crtc.crtc_id in self.crtc_ids
         zero(crtc, "connectors_ptr", "connectors", "fb_id", "x", "y", "gamma_size", "mode_valid")
         crtc.gamma_size = self.gamma_size
 
-    def _set_gamma(self, lut: CrtcLut) -> None:
+    def _set_gamma(self, lut: Any) -> None:
         assert lut.size == self.gamma_size
         red, green, blue = ((u16 * lut.size).from_address(one)[:] for one in (lut.red, lut.green, lut.blue))
         assert red == green == blue
         self.gamma[lut.crtc_id] = green
 
-    def _set_crtc(self, crtc: Crtc) -> None:
+    def _set_crtc(self, crtc: Any) -> None:
         if not self.master:
             raise OSError(errno.EACCES, "Permission denied")
         zero(crtc, "gamma_size", "x", "y")
@@ -388,7 +325,7 @@ class Kernel:
         assert (width, height) == (crtc.mode.hdisplay, crtc.mode.vdisplay)
         self.lit[crtc.crtc_id] = crtc.fb_id
 
-    def _flip(self, flip: PageFlip) -> None:
+    def _flip(self, flip: Any) -> None:
         assert (flip.flags, flip.reserved) == (1, 0)
         assert flip.fb_id in self.fbs
         if self.busy or flip.crtc_id in self.pending:
@@ -399,7 +336,7 @@ class Kernel:
         self.pending[flip.crtc_id] = (flip.fb_id, flip.user_data, self.blank + 1 + late)
 
     @staticmethod
-    def _fill(owner: ctypes.Structure, pointer: str, number: str, values: list[Any], kind: Layout) -> None:
+    def _fill(owner: ctypes.Structure, pointer: str, number: str, values: list[Any], kind: Any) -> None:
         room, address = getattr(owner, number), getattr(owner, pointer)
         if values and room >= len(values) and address:
             (kind * len(values)).from_address(address)[:] = values

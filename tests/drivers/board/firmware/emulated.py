@@ -9,14 +9,131 @@ from __future__ import annotations
 import sys
 import time
 from array import array
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
 
+from drivers.board.firmware import pio
 from drivers.board.firmware.pins import gpio
 from drivers.board.firmware.sensors import crc8
-from tests.drivers.board.firmware.test_pio import CLOCK_HZ, PIO0_BASE, TRIGGER, US, VSYNC, Chip
+
+CLOCK_HZ = 125_000_000
+US = CLOCK_HZ // 1_000_000
+VSYNC, TRIGGER = gpio("VSYNC"), gpio("TRIGGER")
+GATE, PULSE = 0, 1
+PIO0_BASE = 0x50200000
+PIO0 = 6
+"""Function of a GPIO."""
+INPUT_ENABLED = 0x40
+CTRL, FSTAT, TXF0, RXF0, IRQ, INSTR_MEM0 = 0x00, 0x04, 0x10, 0x20, 0x30, 0x48
+CLKDIV, EXECCTRL, SHIFTCTRL, INSTR, PINCTRL = 0xC8, 0xCC, 0xD0, 0xD8, 0xDC
+"""Of state machine 0; the others follow 0x18 apart (RP2040 datasheet, table 366)."""
+JOIN_RX, OUT_RIGHT, IN_RIGHT = 1 << 31, 1 << 19, 1 << 18
+
+
+@dataclass
+class Chip:
+    """One PIO block with its programs, a sync source and an oscilloscope on the trigger line."""
+
+    scope: list[tuple[int, int]] = field(default_factory=list)
+    """(clock, level) of each change of the trigger line."""
+    now: int = 0
+    enabled: int = 0
+
+    def __post_init__(self) -> None:
+        simulator = pytest.importorskip("rp2040py.simulator", reason="./dev installs rp2040py")
+        self._simulator: Any = simulator.Simulator()
+        self._chip: Any = self._simulator.rp2040
+        self._block: Any = self._chip.pio[0]
+        self._chip.gpio[VSYNC].pad_value |= INPUT_ENABLED
+        self._chip.gpio[TRIGGER].pad_value |= INPUT_ENABLED
+        self._chip.gpio[TRIGGER].ctrl = PIO0
+        self._chip.gpio[TRIGGER].add_listener(self._seen)
+        self.sync(0)
+        self._chip.gpio[TRIGGER].set_input_value(False)
+
+    def _seen(self, state: Any, _: Any) -> None:
+        level = int(state == 1)
+        if level == (self.scope[-1][1] if self.scope else 0):
+            return
+        self.scope.append((self.now, level))
+        # The pad reads back what it drives.
+        self._chip.gpio[TRIGGER].set_input_value(bool(level))
+
+    def write(self, offset: int, value: int) -> None:
+        self._chip.write_uint32(PIO0_BASE + offset, value)
+
+    def read(self, offset: int) -> int:
+        return int(self._chip.read_uint32(PIO0_BASE + offset))
+
+    def control(self, pin: int) -> int:
+        return int(self._chip.gpio[pin].ctrl)
+
+    def set_control(self, pin: int, value: int) -> None:
+        self._chip.gpio[pin].ctrl = value
+
+    def sync(self, level: int) -> None:
+        self._chip.gpio[VSYNC].set_input_value(bool(level))
+
+    def load(self, machine: int, program: pio.Program, at: int, **pins: int) -> None:
+        """Put ``program`` to address ``at`` and set a machine up as MicroPython's StateMachine does; not yet running."""
+        self.enable(self.enabled & ~(1 << machine))
+        for i, word in enumerate(program.words):
+            jumps = word >> 13 == 0
+            self.write(INSTR_MEM0 + 4 * (at + i), word + (at if jumps else 0))
+        base = 0x18 * machine
+        last = at + len(program.words) - 1
+        self.write(CLKDIV + base, pins.get("divider", 1) << 16)
+        self.write(EXECCTRL + base, pins.get("jmp_pin", 0) << 24 | last << 12 | (at + program.wrap_target) << 7)
+        self.write(SHIFTCTRL + base, (JOIN_RX if "jmp_pin" in pins else 0) | OUT_RIGHT | IN_RIGHT)
+        self.write(PINCTRL + base, 1 << 26 | VSYNC << 15 | TRIGGER << 5)
+        self.write(CTRL, self.enabled | 1 << 4 + machine)
+        # SET PINDIRS, then a jump to the program's beginning, as instructions from outside.
+        self.write(INSTR + base, 0xE081)
+        self.write(INSTR + base, at)
+
+    def enable(self, mask: int) -> None:
+        self.enabled = mask
+        self.write(CTRL, mask)
+
+    def put(self, machine: int, words: Sequence[int]) -> None:
+        for word in words:
+            self.write(TXF0 + 4 * machine, word)
+
+    def got(self, machine: int) -> list[int]:
+        """Return what the machine has pushed."""
+        words = []
+        while not self.read(FSTAT) >> 8 + machine & 1:
+            words.append(self.read(RXF0 + 4 * machine))
+        return words
+
+    def run(self, cycles: int) -> None:
+        """Clock the block, one cycle at a time wherever a machine has something to do."""
+        block, end = self._block, self.now + cycles
+        while self.now < end:
+            block.advance(1)
+            self.now += 1
+
+    def syncs(self, count: int, period_us: int, width_us: int = 20) -> list[int]:
+        """Run through so many periods, each beginning with a sync; return the clocks of the rising edges."""
+        edges = []
+        for _ in range(count):
+            edges.append(self.now)
+            self.sync(1)
+            self.run(width_us * US)
+            self.sync(0)
+            self.run((period_us - width_us) * US)
+        return edges
+
+    def rises(self) -> list[int]:
+        return [clock for clock, level in self.scope if level]
+
+    def widths(self) -> list[int]:
+        return [b[0] - a[0] for a, b in zip(self.scope[::2], self.scope[1::2], strict=True)]
+
 
 ACCESS_CYCLES = 2 * US
 PERIOD_US, SYNC_WIDTH_US = 16_667, 124

@@ -7,12 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from typing import Protocol
 
-import serial
-
-from hw_sim import wires
 from hw_sim.devices.board import Board
-from hw_sim.timing.world_time import WorldClock
-from hw_sim.world import World, WorldOptions
 from tests.drivers.board.firmware.desk import Desk
 from tests.hw_sim.devices.bench import Bench, bench
 from tests.support.micropython import ROOT, MicroPython
@@ -68,33 +63,6 @@ def simulated() -> Iterator[Target]:
         yield _Simulated(made, board)
 
 
-class _Wired:
-    """The board of a whole simulated instrument behind pyserial."""
-
-    def __init__(self, world: World, port: serial.SerialBase) -> None:
-        self._port, self._clock = port, WorldClock(world.time)
-
-    def exchange(self, data: bytes, time_us: int) -> bytes:
-        self._port.write(data)
-        self._clock.sleep_s(time_us * 1e-6)
-        return bytes(self._port.read(self._port.in_waiting))
-
-    def sync(self, there: bool) -> None:
-        raise AssertionError("whoever has only the wire cannot pull the projector's cable")
-
-
-@contextmanager
-def wired() -> Iterator[Target]:
-    options = WorldOptions(world="conformance", width_px=160, height_px=120, object="plane", idle_speed=2.0)
-    with World(options) as world, wires.open({"world": options.world}):
-        port = serial.serial_for_url(f"kfsim://{options.world}/board", timeout=1.0)
-        try:
-            world.fault("board wrong how=reset")
-            yield _Wired(world, port)
-        finally:
-            port.close()
-
-
 @contextmanager
 def cpython() -> Iterator[Target]:
     yield Desk()
@@ -122,10 +90,8 @@ def micropython() -> Iterator[Target]:
         yield _Inside(machine)
 
 
-WIRED = "simulator through its wires"
 TARGETS: dict[str, Callable[[], AbstractContextManager[Target]]] = {
     "simulator": simulated,
-    WIRED: wired,
     "firmware in CPython": cpython,
     "firmware in MicroPython": micropython,
 }

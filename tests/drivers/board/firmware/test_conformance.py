@@ -10,10 +10,11 @@ import itertools
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import pytest
 
-from tests.drivers.board.firmware.targets import TARGETS, WIRED, Target
+from tests.drivers.board.firmware.targets import TARGETS, Target
 from tests.support.micropython import require
 
 pytestmark = pytest.mark.devices
@@ -34,7 +35,6 @@ class Host:
     """A host that believes nothing: each line is checked to the last byte."""
 
     target: Target
-    wired: bool
     number: int = 0
 
     def listen(self, time_us: int, data: bytes = b"") -> list[list[str]]:
@@ -72,20 +72,13 @@ class Host:
         return [words for kind, _, said, *words in self.listen(time_us) if kind == "R" and said == verb]
 
 
-def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Ask every board; through the wires, where the whole world runs in real time, only what has no cases."""
-    if "host" in metafunc.fixturenames:
-        cases = any(metafunc.definition.iter_markers("parametrize"))
-        metafunc.parametrize("host", [name for name in TARGETS if not (cases and name == WIRED)], indirect=True)
-
-
-@pytest.fixture
+@pytest.fixture(params=TARGETS)
 def host(request: pytest.FixtureRequest) -> Iterator[Host]:
     name = str(request.param)
     if "MicroPython" in name:
         require()
     with TARGETS[name]() as target:
-        yield Host(target, name == WIRED)
+        yield Host(target)
 
 
 @pytest.fixture
@@ -114,12 +107,17 @@ def test_after_a_reset_it_says_who_it_is_and_beats_twice_a_second(host: Host) ->
         assert [word.partition("=")[0] for word in beat[4:]] == SENSORS
 
 
-def test_the_clock_is_in_microseconds(running: Host) -> None:
-    before = int(running.ask("PING")[2])
-    running.listen(1_000_000)
-    after = int(running.ask("PING")[2])
-    slack_us = 40_000 if running.wired else 500
-    assert abs(after - before - 1_000_000 - ANSWER_US) < slack_us + 1e6 * DRIFT
+def test_the_clock_is_in_microseconds_and_syncs_are_counted_and_dated_by_it(running: Host) -> None:
+    before_us = int(running.ask("PING")[2])
+    _, _, count, at_us, now_us = running.ask("VSYNC")
+    assert 0 <= int(now_us) - int(at_us) <= PERIOD_US + 500
+    running.listen(980_000)
+    after_us = int(running.ask("PING")[2])
+    assert abs(after_us - before_us - 980_000 - 2 * ANSWER_US) < 500 + 1e6 * DRIFT
+    _, _, later, later_us, _ = running.ask("VSYNC")
+    passed = int(later) - int(count)
+    assert abs(passed - 60) <= 2
+    assert abs((int(later_us) - int(at_us)) / passed - PERIOD_US) < PERIOD_US * DRIFT + 1.0
 
 
 def test_the_printed_examples_are_understood(running: Host) -> None:
@@ -140,67 +138,45 @@ def test_it_says_what_is_fitted_and_senses_that(running: Host) -> None:
     values = dict(field.split("=") for field in fields)
     assert list(values) == SENSORS
     assert values["LEAK"] in {"0", "1"}
-    for value in values.values():
-        assert value == "-" or re.fullmatch(r"-?\d+(\.\d+)?", value)
+    assert all(value == "-" or re.fullmatch(r"-?\d+(\.\d+)?", value) for value in values.values())
 
 
-def test_syncs_are_counted_and_dated(running: Host) -> None:
-    _, _, count, at_us, now_us = running.ask("VSYNC")
-    assert 0 <= int(now_us) - int(at_us) <= PERIOD_US + 500
-    running.listen(980_000)
-    _, _, later, later_us, _ = running.ask("VSYNC")
-    passed = int(later) - int(count)
-    assert abs(passed - 60) <= (3 if running.wired else 1)
-    assert abs((int(later_us) - int(at_us)) / passed - PERIOD_US) < PERIOD_US * DRIFT + 1.0
+def test_armed_pulses_come_on_their_syncs_after_their_delay_and_nothing_else_behind_them(running: Host) -> None:
+    for pulses, delay_us, width_us in ((1, 0, 50), (5, 500, 12_000), (64, 15_000, 1000)):
+        start = running.count() + 20
+        order = ["ARM", str(pulses), str(start), str(delay_us), str(width_us)]
+        assert running.ask(*order) == ["A", *order], "it is not busy any more"
+        _, _, count, sync_us, _ = running.ask("VSYNC")
+        said = running.listen(round((pulses + 40) * PERIOD_US))
+        fired = [(int(w[0]), int(w[1]), int(w[2])) for _, _, verb, *w in said if verb == "PULSE"]
+        assert [(k, vsync) for k, vsync, _ in fired] == [(k, start + k) for k in range(pulses)]
+        for _, vsync, time_us in fired:
+            due_us = int(sync_us) + (vsync - int(count)) * PERIOD_US + delay_us
+            assert abs(time_us - due_us) < 3 + (vsync - int(count)) * PERIOD_US * (DRIFT + 1 / PERIOD_US)
+        assert [w for _, _, verb, *w in said if verb == "DONE"] == [[str(pulses)]]
 
 
-@pytest.mark.parametrize(("pulses", "delay_us", "width_us"), [(1, 0, 50), (5, 500, 12_000), (64, 15_000, 1000)])
-def test_armed_pulses_come_on_their_syncs_after_their_delay(
-    running: Host, pulses: int, delay_us: int, width_us: int
-) -> None:
-    start = running.count() + 20
-    assert running.ask("ARM", pulses, start, delay_us, width_us) == [
-        *("A", "ARM", str(pulses), str(start), str(delay_us), str(width_us))
-    ]
-    _, _, count, sync_us, _ = running.ask("VSYNC")
-    said = running.listen(round((pulses + 23) * PERIOD_US))
-    fired = [(int(w[0]), int(w[1]), int(w[2])) for _, _, verb, *w in said if verb == "PULSE"]
-    assert [(k, vsync) for k, vsync, _ in fired] == [(k, start + k) for k in range(pulses)]
-    for _, vsync, time_us in fired:
-        due_us = int(sync_us) + (vsync - int(count)) * PERIOD_US + delay_us
-        assert abs(time_us - due_us) < 3 + (vsync - int(count)) * PERIOD_US * (DRIFT + 1 / PERIOD_US)
-    assert [w for _, _, verb, *w in said if verb == "DONE"] == [[str(pulses)]]
-    assert running.ask("ARM", 1, running.count() + 20, 0, 50)[0] == "A", "it is not busy any more"
+WRONG: list[Any] = [
+    *(["ARM", 0, "+9", 0, 50], ["ARM", 65, "+9", 0, 50], ["ARM", 1, "+9", 15_001, 50], ["ARM", 1, "+9", 0, 49]),
+    *(["ARM", 1, "+9", 0, 16_001], ["ARM", 1, 4_294_967_296, 0, 50], ["ARM", 1, "+9", 0], ["ARM", 1, "x", 0, 50]),
+    *(["ARM", 1, "+9", -1, 50], ["ARM", 1, "+9", 0, 50, 0], ["ARM"], ["ARM", "", "+9", 0, 50]),
+    *(["LIVE", 0, 0, 50], ["LIVE", 61, 0, 50], ["LIVE", 1, 15_001, 50], ["LIVE", 1, 0, 16_001], ["LIVE", 1, 0]),
+    *(["LASER", 2, 0], ["LASER", 0], ["LASER", "on", "off"], ["PING", 1], ["VSYNC", 0], ["STOP", ""]),
+    *(["INFO", "x"], ["SENSE", "LEAK"]),
+]
 
 
-def test_nothing_else_is_fired_behind_an_armed_series(running: Host) -> None:
-    running.ask("ARM", 2, running.count() + 20, 100, 1000)
-    assert len(running.reports(1_000_000, "PULSE")) == 2
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        *(["ARM", 0, "+9", 0, 50], ["ARM", 65, "+9", 0, 50], ["ARM", 1, "+9", 15_001, 50], ["ARM", 1, "+9", 0, 49]),
-        *(["ARM", 1, "+9", 0, 16_001], ["ARM", 1, 4_294_967_296, 0, 50], ["ARM", 1, "+9", 0], ["ARM", 1, "x", 0, 50]),
-        *(["ARM", 1, "+9", -1, 50], ["ARM", 1, "+9", 0, 50, 0], ["ARM"], ["ARM", "", "+9", 0, 50]),
-        *(["LIVE", 0, 0, 50], ["LIVE", 61, 0, 50], ["LIVE", 1, 15_001, 50], ["LIVE", 1, 0, 16_001], ["LIVE", 1, 0]),
-        *(["LASER", 2, 0], ["LASER", 0], ["LASER", "on", "off"], ["PING", 1], ["VSYNC", 0], ["STOP", ""]),
-        *(["INFO", "x"], ["SENSE", "LEAK"]),
-    ],
-    ids=str,
-)
-def test_arguments_out_of_range_are_refused(running: Host, words: list[object]) -> None:
-    start = running.count() + 9
-    said = [start if word == "+9" else word for word in words]
-    kind, verb, code, text = running.ask(*said)
-    assert (kind, verb, code) == ("N", words[0], "2")
+def test_arguments_out_of_range_and_unknown_verbs_are_refused_and_the_ends_of_the_ranges_allowed(running: Host) -> None:
+    for words in WRONG:
+        start = running.count() + 9
+        kind, verb, code, text = running.ask(*[start if word == "+9" else word for word in words])
+        assert (kind, verb, code) == ("N", words[0], "2"), words
+        assert text
+    for allowed in (["LIVE", 60, 15_000, 50], ["LIVE", 1, 0, 16_000], ["LASER", 1, 0]):
+        assert running.ask(*allowed) == ["A", *map(str, allowed)]
+    kind, verb, code, text = running.ask("FLY", 1)
+    assert (kind, verb, code) == ("N", "FLY", "1")
     assert text
-
-
-@pytest.mark.parametrize("words", [["LIVE", 60, 15_000, 50], ["LIVE", 1, 0, 16_000], ["LASER", 1, 0]], ids=str)
-def test_the_ends_of_the_ranges_are_allowed(running: Host, words: list[object]) -> None:
-    assert running.ask(*words) == ["A", *map(str, words)]
 
 
 def test_an_armed_board_is_busy_until_it_is_stopped(running: Host) -> None:
@@ -208,17 +184,17 @@ def test_an_armed_board_is_busy_until_it_is_stopped(running: Host) -> None:
     running.ask("ARM", 3, start, 0, 1000)
     assert running.ask("ARM", 3, start, 0, 1000)[:3] == ["N", "ARM", "3"]
     assert running.ask("LIVE", 1, 0, 1000)[:3] == ["N", "LIVE", "3"]
-    assert running.ask("STOP") == ["A", "STOP"]
+    assert running.ask("STOP") == ["A", "STOP"] == running.ask("STOP")
     said = running.listen(1_000_000)
     assert not [line for line in said if line[2] in {"PULSE", "DONE", "NOSYNC"}]
     assert running.ask("ARM", 1, running.count() + 20, 0, 1000)[0] == "A"
 
 
-@pytest.mark.parametrize("back", [0, 1, 100, 0x7FFF_FF00])
-def test_a_sync_that_has_been_is_past(running: Host, back: int) -> None:
-    now = running.count()
-    assert running.ask("ARM", 1, (now - back) & 0xFFFFFFFF, 0, 50)[:3] == ["N", "ARM", "5"]
-    assert running.ask("LIVE", 1, 0, 50)[0] == "A", "what was refused is not armed"
+def test_a_sync_that_has_been_is_past(running: Host) -> None:
+    for back in (0, 1, 100, 0x7FFF_FF00):
+        now = running.count()
+        assert running.ask("ARM", 1, (now - back) & 0xFFFFFFFF, 0, 50)[:3] == ["N", "ARM", "5"]
+        assert running.ask("LIVE", 1, 0, 50)[0] == "A", "what was refused is not armed"
 
 
 def test_live_pulses_are_not_reported_and_give_way_to_armed_ones(running: Host) -> None:
@@ -229,12 +205,6 @@ def test_live_pulses_are_not_reported_and_give_way_to_armed_ones(running: Host) 
     assert [int(w[1]) for w in running.reports(600_000, "PULSE")] == [start, start + 1, start + 2]
 
 
-def test_stop_is_obeyed_whatever_is_going_on(running: Host) -> None:
-    assert running.ask("STOP") == ["A", "STOP"]
-    running.ask("LIVE", 1, 0, 50)
-    assert running.ask("STOP") == ["A", "STOP"]
-
-
 def test_the_lasers_answer_with_their_currents_and_the_heartbeat_tells_them(running: Host) -> None:
     for left, right in ((1, 0), (0, 1), (1, 1), (0, 0)):
         assert running.ask("LASER", left, right) == ["A", "LASER", str(left), str(right)]
@@ -242,85 +212,63 @@ def test_the_lasers_answer_with_their_currents_and_the_heartbeat_tells_them(runn
 
 
 def test_a_command_that_is_sent_again_is_answered_again_and_not_obeyed_again(running: Host) -> None:
-    start = running.count() + 40
-    arm = framed(f"C,500,ARM,2,{start},0,50")
+    arm = framed(f"C,500,ARM,2,{running.count() + 40},0,50")
     first = running.answers(arm)
     assert first[0][0] == "A"
     assert running.answers(arm) == first == running.answers(arm)
     ping = framed("C,501,PING")
     assert running.answers(ping) == running.answers(ping), "the time of its first execution"
     assert len(running.reports(1_000_000, "PULSE")) == 2
+    # Another command under the same number is a new one.
+    assert running.answers(framed("C,501,LASER,1,1")) == [["A", "501", "LASER", "1", "1"]]
+    assert running.answers(framed("C,501,LASER,0,0")) == [["A", "501", "LASER", "0", "0"]]
 
 
-def test_another_command_under_the_same_number_is_a_new_one(running: Host) -> None:
-    assert running.answers(framed("C,9,STOP"))[0][2] == "STOP"
-    assert running.answers(framed("C,9,LASER,1,1")) == [["A", "9", "LASER", "1", "1"]]
-    assert running.answers(framed("C,9,LASER,0,0")) == [["A", "9", "LASER", "0", "0"]]
+NOISE = [
+    b"\x00\xff\r\n",
+    b"$C,1,PI",
+    b"$C,1,PING*0000\r\n",
+    b"PING\r\n",
+    b"$" * 300,
+    b"$" + b"x" * 400,
+    b"$C,1,P\xc4NG",
+]
+PING = framed("C,5,PING")
+NO_COMMANDS = [
+    *(PING.replace(b"\r\n", b"\n"), PING.lower(), PING[:-6] + b"\r\n", framed("C,6," + "P" * 149)),
+    *(
+        framed(body)
+        for body in ("C,65536,PING", "C,-1,PING", "C,,PING", "R,5,PING", "C,5", "C,5,PI*NG", "C,5,PI\x7fNG")
+    ),
+]
 
 
-def test_an_unknown_verb_is_refused(running: Host) -> None:
-    kind, verb, code, text = running.ask("FLY", 1)
-    assert (kind, verb, code) == ("N", "FLY", "1")
-    assert text
-
-
-def test_a_line_of_160_bytes_is_read_and_one_of_161_is_garbage(running: Host) -> None:
+def test_a_command_behind_garbage_is_answered_once_and_what_is_no_command_not_at_all(running: Host) -> None:
+    for noise in NOISE:
+        ((kind, number, *_),) = running.answers(noise + framed("C,65535,PING"))
+        assert (kind, number) == ("A", "65535"), noise
+        ((kind, number, *_),) = running.answers(framed("C,0,PING"))
+        assert (kind, number) == ("A", "0")
+    for line in NO_COMMANDS:
+        assert not running.answers(line), line
     longest = framed("C,5," + "P" * 148)
     assert len(longest) == 160
     ((kind, number, verb, code, _),) = running.answers(longest)
     assert (kind, number, verb, code) == ("N", "5", "P" * 16, "1")
-    assert not running.answers(framed("C,6," + "P" * 149))
-    assert running.ask("PING")[0] == "A"
-
-
-@pytest.mark.parametrize(
-    "noise",
-    [b"\x00\xff\r\n", b"$C,1,PI", b"$C,1,PING*0000\r\n", b"PING\r\n", b"$" * 300, b"$" + b"x" * 400, b"$C,1,P\xc4NG"],
-    ids=["binary", "half a line", "wrong checksum", "no frame", "dollars", "endless line", "not ASCII"],
-)
-def test_a_command_behind_garbage_is_answered_once(running: Host, noise: bytes) -> None:
-    ((kind, number, *_),) = running.answers(noise + framed("C,65535,PING"))
-    assert (kind, number) == ("A", "65535")
-    ((kind, number, *_),) = running.answers(framed("C,0,PING"))
-    assert (kind, number) == ("A", "0")
-
-
-@pytest.mark.parametrize(
-    "line",
-    [
-        framed("C,5,PING").replace(b"\r\n", b"\n"),
-        framed("C,5,PING").lower(),
-        framed("C,65536,PING"),
-        framed("C,-1,PING"),
-        framed("C,,PING"),
-        framed("R,5,PING"),
-        framed("C,5"),
-        framed("C,5,PI*NG"),
-        framed("C,5,PI\x7fNG"),
-        framed("C,5,PING")[:-6] + b"\r\n",
-    ],
-    ids=["no CR", "lower", "big number", "negative", "no number", "report", "no verb", "star", "DEL", "no checksum"],
-)
-def test_what_is_no_command_is_not_answered(running: Host, line: bytes) -> None:
-    assert not running.answers(line)
-
-
-def test_two_commands_in_one_packet_are_answered_in_order(running: Host) -> None:
     answers = running.answers(framed("C,11,PING") + framed("C,12,STOP"))
-    assert [line[1:3] for line in answers] == [["11", "PING"], ["12", "STOP"]]
+    assert [line[1:3] for line in answers] == [["11", "PING"], ["12", "STOP"]], "two commands in one packet"
 
 
-@pytest.mark.parametrize("order", [["ARM", 8, "+9", 0, 50], ["LIVE", 1, 0, 50]], ids=["armed", "live"])
-def test_a_lost_sync_ends_what_was_being_fired(running: Host, order: list[object]) -> None:
-    start = running.count() + 9
-    assert running.ask(*[start if word == "+9" else word for word in order])[0] == "A"
-    running.target.sync(False)
-    said = running.listen(200_000)
-    assert [line[2] for line in said if line[2] != "HB"] == ["NOSYNC"]
-    assert running.ask("VSYNC")[:3] == ["N", "VSYNC", "4"]
-    assert running.ask("ARM", 1, start + 50, 0, 50)[:3] == ["N", "ARM", "4"]
-    assert running.ask("LIVE", 1, 0, 50)[:3] == ["N", "LIVE", "4"]
-    running.target.sync(True)
-    said = running.listen(500_000)
-    assert not [line for line in said if line[2] in {"PULSE", "NOSYNC"}], "what ended does not begin again by itself"
+def test_a_lost_sync_ends_what_was_being_fired(running: Host) -> None:
+    for order in (["ARM", 8, "+9", 0, 50], ["LIVE", 1, 0, 50]):
+        start = running.count() + 9
+        assert running.ask(*[start if word == "+9" else word for word in order])[0] == "A"
+        running.target.sync(False)
+        said = running.listen(200_000)
+        assert [line[2] for line in said if line[2] != "HB"] == ["NOSYNC"]
+        for refused in (["VSYNC"], ["ARM", 1, start + 50, 0, 50], ["LIVE", 1, 0, 50]):
+            assert running.ask(*refused)[:3] == ["N", refused[0], "4"]
+        running.target.sync(True)
+        said = running.listen(500_000)
+        assert not [line for line in said if line[2] in {"PULSE", "NOSYNC"}], "it does not begin again by itself"
     assert running.ask("ARM", 1, running.count() + 20, 0, 50)[0] == "A"

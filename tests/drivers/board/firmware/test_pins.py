@@ -29,13 +29,7 @@ def test_what_could_shine_or_fire_is_held_low_until_the_firmware_runs() -> None:
     for line in board.LINES:
         if line.name.startswith(("LASER", "TRIGGER")) and line.direction == "out":
             assert line.at_reset.startswith("pull-down"), line.name
-
-
-def test_analogue_lines_are_on_pins_that_convert() -> None:
-    assert {line.gpio for line in board.LINES if line.direction == "adc"} <= {26, 27, 28}
-
-
-def test_both_cameras_hang_on_one_line_of_the_board() -> None:
+    assert {line.gpio for line in board.LINES if line.direction == "adc"} <= {26, 27, 28}, "pins that convert"
     assert {camera: line for camera, line, _, _ in board.CAMERA_OUTPUTS} == {"left": "TRIGGER", "right": "TRIGGER"}
 
 
