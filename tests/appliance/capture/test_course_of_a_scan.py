@@ -6,19 +6,19 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
-from functools import partial
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.capture.grabber import Grabber
+from appliance.capture.grabber import Grabber, SideRecording
 from appliance.capture.ledger import audit
 from appliance.capture.scan import Arming, CaptureReport, ScanRecorder, ScanSettings, device_fault
 from appliance.capture.store import FrameStore
 from appliance.patterns.sequence import build_sequence
 from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.verdict import Verdict
 from drivers.api import (
     Board,
     BoardBooted,
@@ -45,6 +45,7 @@ SEQUENCE = build_sequence(16, 64, 64)
 N = len(SEQUENCE)
 HZ, DELAY_US, EXPOSURE_US = 60.0, 500, 8000
 PERIOD_NS = 1e9 / HZ
+SIDES = ("left", "right")
 HEIGHT_PX, WIDTH_PX = 2, 3
 IDLE_SEQUENCE, IDLE_VSYNC, IDLE_US = 1000, 200, 5_000_000
 """The blank of the flip that the sequence is planned by: the display's number, the board's, and the board's time."""
@@ -254,23 +255,32 @@ def a_bench(sequences: int = 1, clock: MonotonicClock | None = None) -> Iterator
         yield Bench(script, grabbers, store)
 
 
+def fault_of(report: CaptureReport) -> Fault:
+    assert report.fault is not None
+    return report.fault
+
+
 def test_a_scan_in_which_nothing_goes_wrong(bench: Bench) -> None:
     bench.script.before = [Pulse(7, 8, 9), PulsesDone(8), BEAT]
+    begun_ns = bench.script.clock.now_ns()
     report = bench.record()
     assert report.fault is None
     assert bench.script.said == ["stop", "lasers False False", f"arm {N} delay {DELAY_US} width {EXPOSURE_US}"]
-    assert sorted(bench.arrived) == sorted((side, k) for side in ("left", "right") for k in range(N))
-    for side in ("left", "right"):
-        assert bench.store.frames(side)[:, 1, 2].tolist() == list(range(1, N + 1))
+    assert sorted(bench.arrived) == sorted((side, k) for side in SIDES for k in range(N))
     ledger = report.ledger
     assert (ledger.expected, ledger.period_ns, ledger.delay_us) == (N, PERIOD_NS, DELAY_US)
     assert ledger.start_sequence is not None
     assert ledger.start_vsync is not None
     assert ledger.start_sequence - IDLE_SEQUENCE == ledger.start_vsync - IDLE_VSYNC >= 3
     assert (len(ledger.flips), len(ledger.pulses)) == (N, N), "a pulse of before does not count"
-    assert {side: len(frames) for side, frames in ledger.frames.items()} == {"left": N, "right": N}
+    for side in SIDES:
+        assert bench.store.frames(side)[:, 1, 2].tolist() == list(range(1, N + 1))
+        assert len(ledger.frames[side]) == N
+        assert bench.script.cameras[side] == ["start", "stop"], "it runs only as long as it is wanted"
+        # Long for the first frame, less for the others, and two blanks for none.
+        assert bench.script.waits_s[side] == pytest.approx([2.0, *(N - 1) * [0.15], 0.035])
     assert report.board_events == (BEAT,), "kept for whoever watches the board"
-    assert 0.0 < report.recording_s < 20.0
+    assert N * 0.001 <= report.recording_s <= (bench.script.clock.now_ns() - begun_ns) / 1e9
 
 
 def test_pulses_wait_for_a_projector_that_throws_its_light_later_than_the_flip(bench: Bench) -> None:
@@ -287,132 +297,185 @@ def test_pulses_wait_for_a_projector_that_throws_its_light_later_than_the_flip(b
 
 
 @pytest.mark.parametrize(
+    ("changes", "code", "device", "numbers"),
+    [
+        *(({"lost_at": {side: at}}, FaultCode.CAMERA_LOST, f"camera.{side}", {}) for side, at in (("left", 0), ("right", 5))),
+        ({"damaged": {"left": (4, FrameStatus.TRUNCATED)}}, FaultCode.FRAME_TRUNCATED, "camera.left", {"frame": 4}),
+        ({"damaged": {"right": (4, FrameStatus.CORRUPT)}}, FaultCode.FRAME_CORRUPT, "camera.right", {"frame": 4}),
+        ({"damaged": {"right": (1, FrameStatus.CORRUPT)}, "counted": False}, FaultCode.FRAME_CORRUPT, "camera.right", {"frame": 1}),
+        ({"damaged": {"left": (4, FrameStatus.TRUNCATED)}, "late_at": 2}, FaultCode.LATE_FLIP, "projector", {"frame": 2}),
+        ({"too_many": "right"}, FaultCode.FRAME_MISSING, "camera.right", {}),
+        *(({"pulses": lambda events, said=said: [*events[:6], said]}, code, "board", {}) for said, code in (
+            (BoardBooted("1.0", "B1", "brown-out"), FaultCode.BOARD_RESET), (BoardLost("silent for 2 s"), FaultCode.BOARD_LOST),
+            (VsyncLost(), FaultCode.VSYNC_LOST))),
+        ({"pulses": lambda events: [*events[:6], *events[7:]]}, FaultCode.PULSE_MISSING, "board", {"received": N - 1}),
+        ({"projector_gone": True}, FaultCode.PROJECTOR_LOST, "projector", {}),
+        # Clocks that were read before say that the right camera's exposures are all 3 ms late.
+        ({"clocks": {"left": ClockReading(0, 10**9, 10**9), "right": ClockReading(-3_000_000, 10**9, 10**9)}},
+         FaultCode.SYNC_LOST, "camera.right", {}),
+    ],
+)  # fmt: skip
+def test_of_several_troubles_the_cause_is_named_and_what_was_armed_is_called_off(
+    bench: Bench, changes: dict[str, Any], code: FaultCode, device: str, numbers: dict[str, float]
+) -> None:
+    for name, value in changes.items():
+        setattr(bench.script, name, value)
+    report = bench.record()
+    fault = fault_of(report)
+    assert (fault.code, fault.device) == (code, device)
+    assert {name: fault.numbers[name] for name in numbers} == numbers
+    shown = len(report.ledger.flips)
+    if "damaged" in changes:
+        assert shown == changes["damaged"][device.removeprefix("camera.") if "camera" in device else "left"][0] + 1
+    if code not in (FaultCode.FRAME_MISSING, FaultCode.SYNC_LOST):
+        assert bench.script.said[-1] == "stop", "no more light for nothing"
+    if code is FaultCode.CAMERA_LOST:
+        assert bench.grabbers[device.removeprefix("camera.")].lost == fault.detail == "unplugged"
+        assert fault_of(bench.record()).code is code, "and the next scan says so too"
+
+
+@pytest.mark.parametrize(
     ("left", "right", "which"), [(True, False, "left"), (False, True, "right"), (True, True, "left and right")]
 )
 def test_no_scan_with_a_laser_that_conducts(bench: Bench, left: bool, right: bool, which: str) -> None:
     bench.script.lasers = LaserState(left, right)
     report = bench.record()
-    assert report.fault is not None
-    assert (report.fault.code, report.fault.device) == (FaultCode.LASER_ON, "board")
-    assert report.fault.detail == f"the {which} laser still conducts after switching off"
+    assert (fault_of(report).code, fault_of(report).device) == (FaultCode.LASER_ON, "board")
+    assert f"the {which} laser" in fault_of(report).detail
     assert report.ledger.flips == ()
     assert not any(said.startswith("arm") for said in bench.script.said)
-
-
-@pytest.mark.parametrize("side", ["left", "right"])
-@pytest.mark.parametrize("at", [0, 5])
-def test_a_camera_that_is_lost_explains_what_else_is_missing(bench: Bench, side: str, at: int) -> None:
-    bench.script.lost_at = {side: at}
-    report = bench.record()
-    assert report.fault is not None
-    assert (report.fault.code, report.fault.device) == (FaultCode.CAMERA_LOST, f"camera.{side}")
-    assert report.fault.detail == "unplugged"
-    assert bench.grabbers[side].lost == "unplugged"
-    assert bench.script.said[-1] == "stop", "no more light for nothing"
-    again = bench.record()
-    assert again.fault is not None
-    assert again.fault.code is FaultCode.CAMERA_LOST, "and the next scan says so too"
-
-
-@pytest.mark.parametrize("side", ["left", "right"])
-@pytest.mark.parametrize(
-    ("status", "code"),
-    [(FrameStatus.TRUNCATED, FaultCode.FRAME_TRUNCATED), (FrameStatus.CORRUPT, FaultCode.FRAME_CORRUPT)],
-)
-def test_a_damaged_frame_is_the_cause_and_the_other_cameras_missing_ones_are_not(
-    bench: Bench, side: str, status: FrameStatus, code: FaultCode
-) -> None:
-    bench.script.damaged = {side: (4, status)}
-    report = bench.record()
-    assert report.fault is not None
-    assert (report.fault.code, report.fault.device) == (code, f"camera.{side}")
-    assert report.fault.numbers["frame"] == 4
-    assert len(report.ledger.flips) == 5, "and the rest of the sequence is not shown"
-
-
-def test_a_frame_too_many_is_evidence_as_well(bench: Bench) -> None:
-    bench.script.too_many = "right"
-    report = bench.record()
-    assert report.fault is not None
-    assert (report.fault.code, report.fault.device) == (FaultCode.FRAME_MISSING, "camera.right")
-    assert len(report.ledger.frames["right"]) == N + 1
-
-
-@pytest.mark.parametrize(
-    ("event", "code"),
-    [
-        (BoardBooted("1.0", "B1", "brown-out"), FaultCode.BOARD_RESET),
-        (BoardLost("silent for 2 s"), FaultCode.BOARD_LOST),
-        (VsyncLost(), FaultCode.VSYNC_LOST),
-    ],
-)
-def test_what_the_board_says_of_itself_explains_the_pulses_that_are_missing(
-    bench: Bench, event: BoardEvent, code: FaultCode
-) -> None:
-    bench.script.pulses = lambda events: [*events[:6], event]
-    report = bench.record()
-    assert report.fault is not None
-    assert (report.fault.code, report.fault.device) == (code, "board")
-    assert event in report.board_events
-    assert bench.script.said[-1] == "stop", "what it was armed for is called off"
-
-
-def test_a_pulse_that_was_not_fired(bench: Bench) -> None:
-    bench.script.pulses = lambda events: [*events[:6], *events[7:]]
-    report = bench.record()
-    assert report.fault is not None
-    assert (report.fault.code, report.fault.numbers["received"]) == (FaultCode.PULSE_MISSING, N - 1)
-    assert bench.script.said[-1] == "stop"
+    assert bench.script.cameras == {"left": [], "right": []}, "and no camera is started"
 
 
 def test_whoever_ends_a_scan_says_why(bench: Bench) -> None:
     leak = Fault(FaultCode.LEAK, "water")
     report = bench.record(lambda: leak if bench.script.shown >= 5 else None)
-    assert report.fault == leak
-    assert len(report.ledger.flips) == 5
-    assert bench.script.said[-1] == "stop"
+    assert (report.fault, len(report.ledger.flips), bench.script.said[-1]) == (leak, 5, "stop")
 
 
-def test_a_projector_that_goes_while_it_plays(bench: Bench) -> None:
-    bench.script.projector_gone = True
+def test_a_display_that_does_not_count_its_blanks_is_planned_by_the_boards_number(bench: Bench) -> None:
+    bench.script.counted = False
     report = bench.record()
-    assert report.fault is not None
-    assert (report.fault.code, report.fault.device) == (FaultCode.PROJECTOR_LOST, "projector")
-    assert bench.script.said[-1] == "stop"
+    assert (report.fault, report.ledger.start_sequence) == (None, None)
+    assert report.ledger.start_vsync == report.ledger.pulses[0].vsync
 
 
-def has_image(grabber: Grabber) -> bool:
-    return grabber.latest(0) is not None
+def test_the_second_sequence_has_its_own_place_and_the_first_one_stays() -> None:
+    with a_bench(sequences=2) as bench:
+        assert bench.record().fault is None
+        bench.script.shown = 0
+        recorder = bench.recorder()
+        for side in SIDES:
+            bench.store.frames(side)[:] = 99
+        arming = recorder.arm(SEQUENCE, bench.store, lambda side, k: None, second=True)
+        bench.wait_for(arming.poll)
+        assert recorder.play(SEQUENCE, arming, lambda: None).fault is None
+        for side in SIDES:
+            assert np.all(bench.store.frames(side) == 99)
+            assert bench.store.frames(side, second=True)[:, 0, 0].tolist() == list(range(1, N + 1))
 
 
-@pytest.mark.parametrize("side", ["left", "right"])
-@pytest.mark.parametrize(("slow", "said"), [("stop", "did not leave live view"), ("start", "did not start")])
-def test_a_camera_that_is_not_ready_in_time_is_named(bench: Bench, side: str, slow: str, said: str) -> None:
+# ----------------------------------------------------------------------------------------------------- making ready
+class SetClock(MonotonicClock):
+    """Shows what it was set to."""
+
+    def __init__(self) -> None:
+        self.time_s = 100.0
+
+    def now_ns(self) -> int:
+        return round(self.time_s * 1e9)
+
+
+def arming_of(bench: Bench, clock: MonotonicClock, ready_s: float = 2.0) -> Arming:
+    slots = {side: bench.store.frames(side) for side in SIDES}
+    board = cast("Board", ScriptedBoard(bench.script))
+    return Arming(bench.grabbers, board, clock, slots, lambda side, k: None, ready_s)
+
+
+def live(bench: Bench) -> None:
+    bench.show(N)
+    for grabber in bench.grabbers.values():
+        grabber.live()
+    bench.wait_for(lambda: all(grabber.latest(0) is not None for grabber in bench.grabbers.values()))
+
+
+@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.parametrize("slow", ["stop", "start"])
+def test_a_camera_that_is_not_ready_in_time_is_named_and_the_next_scan_works(
+    bench: Bench, side: str, slow: str
+) -> None:
     bench.script.slow = (side, slow)
     if slow == "stop":
-        bench.show(N)
-        for grabber in bench.grabbers.values():
-            grabber.live()
-            bench.wait_for(partial(has_image, grabber))
-    slots = {one: bench.store.frames(one) for one in bench.grabbers}
-    board = cast("Board", ScriptedBoard(bench.script))
-    arming = Arming(bench.grabbers, board, bench.script.clock, slots, lambda side, k: None, 0.2)
+        live(bench)
+    arming = arming_of(bench, bench.script.clock, 0.2)
     try:
-        while not arming.poll():
-            bench.script.clock.sleep_s(0.002)
-        fault = arming.fault
-        assert fault is not None
-        assert (fault.code, fault.device) == (FaultCode.CAMERA_REFUSED, f"camera.{side}")
-        assert fault.detail == f"camera.{side} {said} in 0.2 s"
+        bench.wait_for(arming.poll)
+        assert arming.fault is not None
+        assert (arming.fault.code, arming.fault.device) == (FaultCode.CAMERA_REFUSED, f"camera.{side}")
         assert arming.poll(), "and stays so"
         arming.let_go()
-        assert not bench.grabbers[side].idle(0.05), "it has not come to rest before it answered"
+        assert not bench.grabbers[side].idle(0.01), "it has not come to rest before it answered"
     finally:
         bench.show(N)
         bench.script.go_on.set()
     assert all(grabber.idle() for grabber in bench.grabbers.values()), "they come to rest"
     bench.show(0)
-    assert bench.record().fault is None, "and the next scan works"
+    assert bench.record().fault is None
+
+
+def test_each_half_of_making_ready_has_its_own_time(bench: Bench) -> None:
+    """1.9 s to leave the live view, 1.9 s to start again: both are in time, and 2 s are not."""
+    clock, script = SetClock(), bench.script
+    script.slow = ("right", "stop")
+    live(bench)
+    arming = arming_of(bench, clock)
+    clock.time_s += 1.9
+    assert not arming.poll(), "still in its live view"
+    assert not arming.recordings
+    script.go_on.set()
+    bench.wait_for(lambda: all(grabber.idle(0.01) for grabber in bench.grabbers.values()))
+    script.go_on.clear()
+    script.slow = ("left", "start")
+    bench.show(0)
+    assert not arming.poll()
+    assert set(arming.recordings) == set(SIDES)
+    for later_s, ready in ((1.9, False), (0.2, True)):
+        clock.time_s += later_s
+        assert arming.poll() == ready
+    assert arming.fault is not None
+    assert arming.fault.device == "camera.left"
+    script.go_on.set()
+    arming.let_go()
+
+
+class Watched(MonotonicClock):
+    """Notes for how long the first thread has waited for something."""
+
+    def __init__(self) -> None:
+        self.waits_s: list[float] = []
+
+    def wait_for(self, condition: threading.Condition, predicate: Callable[[], bool], timeout_s: float) -> bool:
+        if threading.current_thread() is threading.main_thread():
+            self.waits_s.append(timeout_s)
+        return super().wait_for(condition, predicate, timeout_s)
+
+
+def test_making_ready_waits_for_nothing_and_what_was_armed_is_let_go_when_no_sequence_follows() -> None:
+    """A heartbeat goes on meanwhile."""
+    clock = Watched()
+    with a_bench(clock=clock) as bench:
+        arming = arming_of(bench, SetClock())
+        bench.wait_for(arming.poll)
+        assert arming.fault is None
+        assert len(clock.waits_s) >= 4
+        assert set(clock.waits_s) == {0.0}
+        arming.let_go()
+        assert all(recording.cancelled for recording in arming.recordings.values())
+        bench.show(1)  # what comes now ends the recording
+        for side in SIDES:
+            assert bench.grabbers[side].wait(arming.recordings[side], "done", 10.0)
+            assert len(arming.recordings[side].frames) == 1
+            assert bench.grabbers[side].idle(10.0)
 
 
 def test_a_recording_ordered_while_the_last_one_ends_is_made(bench: Bench) -> None:
@@ -429,19 +492,57 @@ def test_a_recording_ordered_while_the_last_one_ends_is_made(bench: Bench) -> No
     assert len(second.frames) == N
 
 
-def test_a_live_image_is_shown_once_and_the_newest_first(bench: Bench) -> None:
-    grabber = bench.grabbers["left"]
-    assert grabber.latest(-1) is None
-    bench.show(3)
-    grabber.live()
-    bench.wait_for(lambda: grabber.latest(2) is not None)
-    found = grabber.latest(0)
-    assert found is not None
-    number, image = found
-    assert image.shape == (HEIGHT_PX, WIDTH_PX)
-    assert np.all(image == number), "the image of that number"
-    assert grabber.latest(number) is None, "nothing newer"
-    assert grabber.idle()
+# ------------------------------------------------------------------------------------------------ a camera's thread
+@pytest.mark.parametrize(
+    ("statuses", "done", "complete"),
+    [
+        ("CCC", True, True),
+        ("CCC", False, False),
+        ("CC", True, False),
+        ("CCCC", True, False),
+        ("CCT", True, False),
+        ("", True, False),
+    ],
+)
+def test_a_recording_is_complete_when_all_its_frames_arrived_whole(statuses: str, done: bool, complete: bool) -> None:
+    of = {"C": FrameStatus.COMPLETE, "T": FrameStatus.TIMEOUT}
+    frames = [Frame(of[letter], 0, 0, 0) for letter in statuses]
+    recording = SideRecording(np.zeros((3, 2, 2), np.uint8), lambda k: None, done=done, frames=frames)
+    assert recording.complete == complete
+
+
+def test_a_live_image_is_shown_once_the_newest_first_and_one_that_is_not_whole_never() -> None:
+    with a_bench() as bench:
+        bench.script.damaged = {"left": (1, FrameStatus.TRUNCATED)}
+        grabber = bench.grabbers["left"]
+        assert grabber.latest(-1) is None
+        bench.show(3)
+        grabber.live()
+        bench.wait_for(lambda: grabber.latest(1) is not None)
+        found = grabber.latest(0)
+        assert found is not None
+        number, image = found
+        assert (number, image.shape) == (2, (HEIGHT_PX, WIDTH_PX)), "of three images two are whole"
+        assert np.all(image == 3)
+        assert grabber.latest(number) is None, "nothing newer"
+        assert grabber.idle(10.0)
+        assert set(bench.script.waits_s["left"]) == {0.15}, "an order to stop is followed after a seventh of a second"
+        assert bench.script.cameras["left"] == ["start", "stop"]
+    assert bench.script.cameras["left"][-1] == "stop", "whatever it was doing"
+
+
+class Hurried(MonotonicClock):
+    """Waits a fiftieth as long."""
+
+    def wait_for(self, condition: threading.Condition, predicate: Callable[[], bool], timeout_s: float) -> bool:
+        return super().wait_for(condition, predicate, 0.02 * timeout_s)
+
+
+def test_a_camera_at_rest_tells_its_temperature() -> None:
+    with a_bench(clock=Hurried()) as bench:
+        grabber = bench.grabbers["left"]
+        bench.wait_for(lambda: grabber.temperature_c == 30.5)
+        assert (grabber.side, grabber.lost) == ("left", None)
 
 
 def test_another_exposure_counts_from_the_next_start_on(bench: Bench) -> None:
@@ -454,18 +555,17 @@ def test_another_exposure_counts_from_the_next_start_on(bench: Bench) -> None:
 @pytest.mark.parametrize(
     ("device", "code"),
     [
-        ("camera.left", FaultCode.CAMERA_LOST),
-        ("camera.right", FaultCode.CAMERA_LOST),
-        ("projector", FaultCode.PROJECTOR_LOST),
-        ("display", FaultCode.DISPLAY_LOST),
-        ("board", FaultCode.BOARD_LOST),
-        ("wires", FaultCode.INTERNAL),
+        ("camera.right", FaultCode.CAMERA_LOST), ("projector", FaultCode.PROJECTOR_LOST), ("display", FaultCode.DISPLAY_LOST),
+        ("board", FaultCode.BOARD_LOST), ("wires", FaultCode.INTERNAL),
     ],
-)
+)  # fmt: skip
 def test_each_device_has_its_own_loss(device: str, code: FaultCode) -> None:
     assert device_fault(device, "gone") == Fault(code, "gone", {}, device)
 
 
-def test_faults_with_numbers_can_be_told_apart_in_a_set() -> None:
+def test_faults_are_told_apart_by_their_numbers_and_stand_for_a_verdict() -> None:
     one, two = (Fault(FaultCode.FRAME_MISSING, "", {"received": received}) for received in (22, 23))
     assert len({one, two, Fault(FaultCode.FRAME_MISSING, "", {"received": 23})}) == 2
+    verdict = Verdict.failed("motion", Fault(FaultCode.MOVED, "axial", {"shift_px": 1.8}))
+    assert verdict == Verdict("motion", False, {"shift_px": 1.8}, "MOVED: axial")
+    assert Verdict.failed("motion", Fault(FaultCode.MOVED)).text == "MOVED"

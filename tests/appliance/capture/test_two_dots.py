@@ -1,4 +1,4 @@
-"""Two pointers whose dots lie in nearly the same rows of both pictures: which spot is whose, and what a live view waits for."""
+"""Two pointers whose dots lie in nearly the same rows of both pictures: which spot is whose."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.appliance.capture.test_course_of_a_scan import a_bench
 from tests.appliance.ranging.test_spots_in_pictures import BEAMS, HEIGHT_DN, Bench, on
+
+DRAWN = tuple(tuple(row) for row in np.diag([0.5, 0.5, 3e-5, 3e-5]).tolist())
+"""Covariance of a beam that nobody has measured."""
 
 
 @pytest.fixture(scope="module")
@@ -17,7 +19,7 @@ def bench() -> Bench:
 
 
 @pytest.mark.parametrize("pointer", [0, 1])
-@pytest.mark.parametrize("z_mm", [380.0, 420.0, 455.0, 490.0, 530.0, 580.0, 640.0])
+@pytest.mark.parametrize("z_mm", [380.0, 490.0, 640.0])
 def test_the_dot_of_one_pointer_is_not_told_as_the_other_pointers(bench: Bench, pointer: int, z_mm: float) -> None:
     """In either picture it lies near the other beam's way as well, as if it were at another depth."""
     found = bench.ranger().find(bench.pair((on(pointer, z_mm), HEIGHT_DN, HEIGHT_DN)))
@@ -28,19 +30,17 @@ def test_the_dot_of_one_pointer_is_not_told_as_the_other_pointers(bench: Bench, 
 
 
 @pytest.mark.parametrize("measured", [True, False])
-@pytest.mark.parametrize(("left_mm", "right_mm"), [(440.0, 450.0), (500.0, 500.0), (560.0, 530.0), (610.0, 620.0)])
+@pytest.mark.parametrize(("left_mm", "right_mm"), [(440.0, 450.0), (610.0, 620.0)])
 def test_each_pointer_gets_its_own_of_two_dots(bench: Bench, measured: bool, left_mm: float, right_mm: float) -> None:
-    drawn = tuple(tuple(row) for row in np.diag([0.5, 0.5, 3e-5, 3e-5]).tolist())
-    left, right = (one if measured else replace(one, covariance=drawn) for one in BEAMS)
+    left, right = (one if measured else replace(one, covariance=DRAWN) for one in BEAMS)
     ranger = bench.ranger(beams=(left, right), measured=measured)
-    found = ranger.find(bench.pair((on(0, left_mm), 180.0, 180.0), (on(1, right_mm), HEIGHT_DN, HEIGHT_DN)))
-    assert found.left is not None
-    assert found.right is not None
-    assert found.left.place_mm == pytest.approx(tuple(on(0, left_mm)), abs=0.5)
-    assert found.right.place_mm == pytest.approx(tuple(on(1, right_mm)), abs=0.5)
+    a, b = on(0, left_mm), on(1, right_mm)
+    found = ranger.find(bench.pair((a, 180.0, 180.0), (b, HEIGHT_DN, HEIGHT_DN)))
+    for dot, place in ((found.left, a), (found.right, b)):
+        assert dot is not None
+        assert dot.place_mm == pytest.approx(tuple(place), abs=0.5)
     told = ranger.range_of(found)
     assert told is not None
-    a, b = on(0, left_mm), on(1, right_mm)
     assert told.distance_mm == pytest.approx(a[2] - a[0] * (b[2] - a[2]) / (b[0] - a[0]), abs=0.5)
     own_mm = 0.0 if measured else 0.015 * told.distance_mm
     assert own_mm < told.sigma_mm < own_mm + 1.0
@@ -48,17 +48,17 @@ def test_each_pointer_gets_its_own_of_two_dots(bench: Bench, measured: bool, lef
 
 def test_a_larger_picture_of_the_same_dot_tells_its_depth_no_better(bench: Bench) -> None:
     """Texture and grain move its centre by a part of the dot, not of a px."""
-    full = Bench(1600)
-    for z_mm in (430.0, 560.0):
-        small, large = (one.ranger().find(one.pair((on(0, z_mm), HEIGHT_DN, HEIGHT_DN))).left for one in (bench, full))
-        assert small is not None
-        assert large is not None
-        assert large.sigma_mm == pytest.approx(small.sigma_mm, rel=0.1)
+    small, large = (
+        one.ranger().find(one.pair((on(0, 430.0), HEIGHT_DN, HEIGHT_DN))).left for one in (bench, Bench(1600))
+    )
+    assert small is not None
+    assert large is not None
+    assert large.sigma_mm == pytest.approx(small.sigma_mm, rel=0.1)
 
 
 def test_what_was_measured_once_is_measured_again_with_what_was_learned(bench: Bench) -> None:
     """The beam is drawn 1 mm beside where it is; after some dots it is known to a quarter of that."""
-    off = replace(BEAMS[1], line=(61.0, 11.0, -0.085, -0.01), covariance=tuple(tuple(row) for row in np.diag([0.5, 0.5, 3e-5, 3e-5]).tolist()))  # fmt: skip
+    off = replace(BEAMS[1], line=(61.0, 11.0, -0.085, -0.01), covariance=DRAWN)
     ranger = bench.ranger(beams=(BEAMS[0], off))
     for z_mm in (440.0, 470.0, 500.0, 530.0, 560.0):
         measured = ranger.measure(bench.pair((on(1, z_mm), HEIGHT_DN, HEIGHT_DN)))
@@ -69,13 +69,3 @@ def test_what_was_measured_once_is_measured_again_with_what_was_learned(bench: B
     for z_mm in (440.0, 500.0, 560.0):
         assert np.linalg.norm(right.at(np.array(z_mm)) - on(1, z_mm)) < 0.35
     assert float(right.sd_mm(np.array(500.0))) < 0.5 < float(off.sd_mm(np.array(500.0)))
-
-
-def test_an_order_to_stop_a_live_view_is_followed_after_the_next_image_or_a_seventh_of_a_second() -> None:
-    with a_bench() as bench:
-        grabber = bench.grabbers["left"]
-        bench.show(3)
-        grabber.live()
-        bench.wait_for(lambda: grabber.latest(0) is not None)
-        assert grabber.idle(10.0)
-        assert set(bench.script.waits_s["left"]) == {0.15}

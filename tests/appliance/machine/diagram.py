@@ -42,9 +42,8 @@ def edges() -> dict[Edge, set[str]]:
     return found
 
 
-def page() -> str:
+def page(found: dict[Edge, set[str]]) -> str:
     """The whole of docs/states.md."""
-    found = edges()
     sources: dict[tuple[str, State], set[State]] = defaultdict(set)
     for (source, target), names in found.items():
         for name in names:
@@ -96,4 +95,4 @@ def _short(names: list[str]) -> str:
 
 
 if __name__ == "__main__":
-    PAGE.write_text(page(), encoding="utf-8")
+    PAGE.write_text(page(edges()), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""One GL context for all screen tests, and a painter on it."""
+"""One GL context, one painter and one canvas for all screen tests: opening one costs more than a picture."""
 
 from __future__ import annotations
 
@@ -7,8 +7,12 @@ from collections.abc import Iterator
 import moderngl
 import pytest
 
+from appliance.machine.words import Language
+from appliance.screens.canvas import Canvas
 from appliance.screens.painter import Painter
 from drivers.output.gl import open_gl
+
+SIZE_PX = (800, 480)
 
 
 @pytest.fixture(scope="session")
@@ -17,7 +21,21 @@ def context() -> Iterator[moderngl.Context]:
         yield gl
 
 
-@pytest.fixture
-def painter(context: moderngl.Context) -> Iterator[Painter]:
-    with Painter(context, (800, 480)) as made:
+@pytest.fixture(scope="session")
+def one_painter(context: moderngl.Context) -> Iterator[Painter]:
+    with Painter(context, SIZE_PX) as made:
         yield made
+
+
+@pytest.fixture
+def painter(one_painter: Painter) -> Painter:
+    one_painter.language = Language.ENGLISH
+    return one_painter
+
+
+@pytest.fixture
+def canvas(context: moderngl.Context) -> Iterator[Canvas]:
+    with context:
+        made = Canvas(context, SIZE_PX)
+        yield made
+        made.close()

@@ -1,53 +1,48 @@
-"""Everything that is written can be read: large enough, with contrast in grey, whole, inside, and nothing over it."""
+"""Everything that is written can be read: large enough, with contrast in grey, whole, inside, and nothing over it, whatever stands in it."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import combinations
+from dataclasses import replace
+from itertools import combinations, product
 
 import moderngl
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.calibration.guide import HELD, RecordingCheck, Refusal, Session, Step
-from appliance.machine.states import Calibrating
-from appliance.machine.words import Language, Text
+from appliance.calibration.guide import HELD, RecordingCheck, Refusal, Session
+from appliance.machine.alerts import Alert, Severity, alert_of
+from appliance.machine.choices import COLDEST_C, WARMEST_C
+from appliance.machine.leading import alerts
+from appliance.machine.menu import ROWS
+from appliance.machine.states import Calibrating, Menu, Notice, NoticeKind, Page, boot
+from appliance.machine.transfer import Serving, Transfer
+from appliance.machine.words import Label, Language, Text
+from appliance.ranging.reach import Reach
+from appliance.scan.exposure import Exposure, Span, ladder
+from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.grade import Grade
 from appliance.screens import theme
 from appliance.screens.canvas import Canvas, Written
-from appliance.screens.frame import alerts_top, draw_alerts
+from appliance.screens.frame import alerts_top, draw_alerts, draw_key_labels, room_between, words_of
 from appliance.screens.painter import Painter, said_once
-from appliance.screens.views import AnyView, CalibrateView
-from tests.appliance.screens.golden.scenes import AIM, ALERTS, SCENES, keys
+from appliance.screens.texts import worded
+from appliance.screens.views import AimView, AnyView, CalibrateView, Gauge, MenuView, ShutdownView
+from appliance.service.menu_view import Facts, menu_view
+from drivers.api import Key
+from tests.appliance.screens.golden.scenes import AIM, ALERTS, GALLERY, REVIEW, SCENES, alert, keys
+from tests.appliance.screens.operator.pages import meant
 
-SIZES_PX = ((800, 480), (1024, 600), (640, 480))
 DATA = {"fault", "self-test-failed"}
 """Scenes with words of others, which may be cut."""
 Picture = NDArray[np.uint8]
-
-
-@pytest.fixture(scope="module", params=SIZES_PX, ids=lambda size: f"{size[0]}x{size[1]}")
-def one_size(request: pytest.FixtureRequest, context: moderngl.Context) -> Iterator[Painter]:
-    with Painter(context, request.param) as made:
-        yield made
-
-
-@pytest.fixture(scope="module")
-def painter(context: moderngl.Context) -> Iterator[Painter]:
-    """Of the display's own size, kept for the whole file: opening one costs more than a picture."""
-    with Painter(context, SIZES_PX[0]) as made:
-        yield made
+BOTH = pytest.mark.parametrize("language", list(Language))
 
 
 def written(painter: Painter, view: AnyView, time_s: float = 0.0) -> tuple[Picture, list[Written]]:
     picture = painter.draw(view, time_s).copy()
     return picture, list(painter.canvas.written)
-
-
-def without_letters(painter: Painter, view: AnyView, time_s: float, monkeypatch: pytest.MonkeyPatch) -> Picture:
-    with monkeypatch.context() as patch:
-        patch.setattr(Canvas, "_stamp", lambda *_: None)
-        return painter.draw(view, time_s).copy()
 
 
 def complaints(canvas: Canvas, view: AnyView, lines: list[Written], may_be_cut: bool) -> list[str]:
@@ -61,129 +56,313 @@ def complaints(canvas: Canvas, view: AnyView, lines: list[Written], may_be_cut: 
     ]
     edge = alerts_top(canvas, said_once(view).alerts)
     said += [f"half under an alert: {line}" for line in lines if view.alerts and line.top < edge - 1 < line.bottom - 2]
-    said += [
-        f"one over the other: {a.words!r} and {b.words!r}"
-        for a, b in combinations(lines, 2)
-        if min(a.right, b.right) - max(a.left, b.left) > 0.5 and min(a.bottom, b.bottom) - max(a.top, b.top) > 0.5
-    ]
+    said += [f"one over the other: {a.words!r} and {b.words!r}" for a, b in combinations(lines, 2) if overlap(a, b)]
     return said
 
 
-@pytest.mark.parametrize("language", list(Language))
-def test_every_label_of_every_screen_fits_its_room(one_size: Painter, language: Language) -> None:
-    one_size.language = language
+def overlap(a: Written, b: Written) -> bool:
+    return min(a.right, b.right) - max(a.left, b.left) > 0.5 and min(a.bottom, b.bottom) - max(a.top, b.top) > 0.5
+
+
+def test_the_check_finds_what_it_should(painter: Painter) -> None:
+    """Words that are moved onto others, out of the picture, or made small or cut are complained of."""
+    _, lines = written(painter, AIM)
+    a, b = lines[0], lines[1]
+    assert not complaints(painter.canvas, AIM, lines, may_be_cut=False)
+    for wrong in (
+        [a, replace(a, words="x")], [replace(b, right=painter.canvas.width + 1)], [replace(b, size=20)], [replace(b, cut=True)]
+    ):  # fmt: skip
+        assert complaints(painter.canvas, AIM, wrong, may_be_cut=False)
+
+
+@BOTH
+@pytest.mark.parametrize("size_px", [(800, 480), (1024, 600), (640, 480)])
+def test_every_label_of_every_screen_fits_its_room(
+    context: moderngl.Context, size_px: tuple[int, int], language: Language
+) -> None:
     found = {}
-    for name, scene in SCENES.items():
-        _, lines = written(one_size, scene.view, scene.time_s)
-        assert lines or name == "reconstruct", name
-        if said := complaints(one_size.canvas, scene.view, lines, name in DATA):
-            found[name] = said
+    with Painter(context, size_px, language) as painter:
+        for name, scene in SCENES.items():
+            _, lines = written(painter, scene.view, scene.time_s)
+            assert lines or name == "reconstruct", name
+            if said := complaints(painter.canvas, scene.view, lines, name in DATA):
+                found[name] = said
     assert not found
 
 
-@pytest.mark.parametrize("language", list(Language))
-def test_every_alert_keeps_a_size_that_is_seen_at_once(context: moderngl.Context, language: Language) -> None:
-    """Headlines are never smaller than a title, actions never smaller than body type, in the band of any screen."""
-    with context:
-        canvas = Canvas(context, (800, 480))
-        for alert in ALERTS.values():
-            if alert.passing:
-                continue  # never in full
-            canvas.begin(theme.INK)
-            draw_alerts(canvas, (alert,), language, 0.0)
-            _, headline, action = canvas.written
-            assert headline.size >= theme.TITLE, headline
-            assert action.size >= theme.BODY, action
-            assert not headline.cut
-            assert not action.cut
-        canvas.close()
-
-
-@pytest.mark.parametrize("language", list(Language))
-def test_many_alerts_are_named_or_counted(context: moderngl.Context, language: Language) -> None:
-    with context:
-        canvas = Canvas(context, (800, 480))
-        for number in range(2, 9):
-            canvas.begin(theme.INK)
-            shown = tuple(ALERTS.values())[:number]
-            draw_alerts(canvas, shown, language, 0.0)
-            others = canvas.written[:-3]
-            named = [line for line in others if not line.words.startswith("+")]
-            counted = [int(line.words) for line in others if line.words.startswith("+")]
-            assert len(named) + sum(counted) == number - 1
-            assert named
-            assert max(line.right for line in others) <= canvas.width
-        canvas.close()
-
-
-@pytest.mark.parametrize("language", list(Language))
-@pytest.mark.parametrize("step", list(HELD))
-def test_every_reason_of_the_calibration_fits(painter: Painter, step: Step, language: Language) -> None:
-    painter.language = language
-    for refusal in Refusal:
-        at = Calibrating(step, latest=RecordingCheck(step, refusal, 47.123))
-        view = CalibrateView(at=at, session=Session(), left=None, right=None, keys=keys(scan="SCAN", back="BACK"))
-        painter.draw(view, 0.0)
-        assert not complaints(painter.canvas, view, painter.canvas.written, may_be_cut=False)
-
-
-@pytest.mark.parametrize("time_s", [0.0, 0.6 / theme.FLASH_HZ])
-@pytest.mark.parametrize("name", list(SCENES))
-def test_letters_stand_out_in_grey(painter: Painter, name: str, time_s: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Against what is really behind them, whatever the cameras show: the ground is drawn without the letters."""
-    painter.language = Language.ENGLISH
-    view = SCENES[name].view
-    _, lines = written(painter, view, time_s)
-    ground = luminance(without_letters(painter, view, time_s, monkeypatch))
-    weak = {}
-    for line in lines:
-        behind = ground[int(line.top) : int(line.bottom) + 1, int(line.left) : int(line.right) + 1]
-        light = line.colour.luminance
-        contrast = (np.maximum(light, behind) + 0.05) / (np.minimum(light, behind) + 0.05)
-        if (worst := float(np.percentile(contrast, 2))) < theme.LEAST_CONTRAST:
-            weak[line.words] = round(worst, 1)
-    assert not weak
-
-
+# ---------------------------------------------------------------------------------------------------- contrast, size
 def luminance(picture: Picture) -> NDArray[np.float64]:
     value = picture / 255.0
     linear = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
     return np.asarray(linear @ np.array([0.2126, 0.7152, 0.0722]), np.float64)
 
 
-def test_white_pictures_do_not_drown_what_is_written_on_them(painter: Painter, monkeypatch: pytest.MonkeyPatch) -> None:
-    painter.language = Language.ENGLISH
+def weak(painter: Painter, view: AnyView, time_s: float, share: float, patch: pytest.MonkeyPatch) -> dict[str, float]:
+    """Words with too little contrast against what is really behind them: the ground is drawn without the letters."""
+    _, lines = written(painter, view, time_s)
+    with patch.context() as without:
+        without.setattr(Canvas, "_stamp", lambda *_: None)
+        ground = painter.draw(view, time_s)
+    found = {}
+    for line in lines:
+        behind = luminance(ground[int(line.top) : int(line.bottom) + 1, int(line.left) : int(line.right) + 1])
+        light = line.colour.luminance
+        contrast = (np.maximum(light, behind) + 0.05) / (np.minimum(light, behind) + 0.05)
+        if (worst := float(np.percentile(contrast, share))) < theme.LEAST_CONTRAST:
+            found[line.words] = round(worst, 1)
+    return found
+
+
+@pytest.mark.parametrize("time_s", [0.0, 0.6 / theme.FLASH_HZ])
+def test_letters_stand_out_in_grey_whatever_the_cameras_show(
+    painter: Painter, time_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, scene in SCENES.items():
+        flashes = any(one.severity is Severity.CRITICAL for one in scene.view.alerts) or name.startswith("safe")
+        if time_s == 0.0 or flashes:
+            assert not weak(painter, scene.view, time_s, 2.0, monkeypatch), name
     white = np.full((300, 400), 255, np.uint8)
-    view = type(AIM)(
+    view = AimView(
         left=white, right=white, scans_taken=1, scans_left=2, temperature_c=3.0, exposure="9 ms", water=Text.SALT
     )
-    _, lines = written(painter, view)
-    ground = luminance(without_letters(painter, view, 0.0, monkeypatch))
-    on_pictures = [line for line in lines if 120 < line.top < 400]
-    assert {line.words for line in on_pictures} >= {"L", "R", "9 ms", "SALT", "HOUSING 3 °C"}
-    for line in on_pictures:
-        behind = ground[int(line.top) : int(line.bottom) + 1, int(line.left) : int(line.right) + 1]
-        assert (line.colour.luminance + 0.05) / (behind.max() + 0.05) >= theme.LEAST_CONTRAST
+    assert not weak(painter, view, time_s, 0.0, monkeypatch)
 
 
 def test_the_smallest_capitals_are_two_millimetres_high(painter: Painter) -> None:
     """On the instrument's display of 5 inches, 108.6 mm across 800 px."""
-    painter.language = Language.ENGLISH
-    painter.draw(AIM, 0.0)
-    caption = next(line for line in painter.canvas.written if line.words == "SCANS")
+    caption = next(line for line in written(painter, AIM)[1] if line.words == "SCANS")
     assert caption.size == theme.CAPTION
     assert (caption.bottom - caption.top) * 108.6 / 800 >= 2.0
 
 
-def test_the_check_finds_what_it_should(painter: Painter) -> None:
-    """Words that are moved onto others, out of the picture, or made small are complained of."""
-    _, lines = written(painter, AIM)
-    canvas = painter.canvas
-    assert not complaints(canvas, AIM, lines, may_be_cut=False)
-    a, b = lines[0], lines[1]
-    assert complaints(canvas, AIM, [a, type(a)("x", a.left, a.top, a.right, a.bottom, 30, a.colour, False)], False)
-    assert complaints(
-        canvas, AIM, [type(b)("x", b.left, b.top, canvas.width + 1, b.bottom, 30, b.colour, False)], False
-    )
-    assert complaints(canvas, AIM, [type(b)("x", b.left, b.top, b.right, b.bottom, 20, b.colour, False)], False)
-    assert complaints(canvas, AIM, [type(b)("x…", b.left, b.top, b.right, b.bottom, 24, b.colour, True)], False)
+# ------------------------------------------------------------------------------------------------------------ alerts
+PLACES = (None, "camera.left", "camera.right", "cameras", "board", "case", "projector")
+NUMBERS: tuple[dict[str, float], ...] = (
+    {},
+    {
+        "received": 0.0, "expected": 999.0, "shift_px": 999.9, "coverage_percent": 100.0, "temperature_c": 199.6,
+        "supply_v": 99.94, "distance_mm": 9999.0, "error_percent": 99.9, "below_c": 57.0,
+    },
+    {
+        "received": 123456.0, "expected": 123456.0, "shift_px": -12345.6, "coverage_percent": -0.4, "temperature_c": -99.6,
+        "supply_v": 12345.6, "distance_mm": 123456.0, "error_percent": 12345.6, "below_c": 57.0,
+    },
+)  # fmt: skip
+
+
+def every_alert() -> Iterator[Alert]:
+    """Typical ones, and each fault at each place, with no numbers, large ones and absurd ones; alone, and as each kind of notice."""
+    yield from ALERTS.values()
+    for code, place, numbers in product(FaultCode, PLACES, NUMBERS):
+        fault = Fault(code, "detail", numbers, place)
+        yield alert_of(fault)
+        for kind in NoticeKind if numbers is NUMBERS[1] else ():
+            yield alerts(replace(boot(0), notice=Notice(replace(fault, detail="noticed"), kind)))[0]
+
+
+@BOTH
+def test_every_fault_with_every_number_is_whole_and_large_in_its_band(canvas: Canvas, language: Language) -> None:
+    """Headlines are never smaller than a title, actions never smaller than body type where numbers are typical."""
+    told: set[tuple[str, str]] = set()
+    for one in every_alert():
+        words = one.german if language is Language.GERMAN and one.german else (one.headline, one.action)
+        if words in told:
+            continue
+        told.add(words)
+        canvas.begin(theme.INK)
+        draw_alerts(canvas, (one,), language, 0.0)
+        assert not any(line.cut for line in canvas.written), words
+        if one.passing:  # a mark with what to do
+            (line,) = canvas.written
+            assert line.words == f"{words[0]}: {words[1]}"
+            continue
+        _, headline, action = canvas.written
+        assert headline.size >= theme.TITLE, words
+        assert action.size >= (theme.BODY if len(told) <= len(ALERTS) else theme.CAPTION + 4), words
+        if one.detail == "noticed":
+            continue
+        canvas.begin(theme.INK)
+        draw_alerts(canvas, (replace(one, seen=True, lasts=True),), language, 0.0)
+        assert not any(line.cut for line in canvas.written), words
+    assert len(told) > 200
+
+
+@BOTH
+def test_many_alerts_are_named_or_counted(canvas: Canvas, language: Language) -> None:
+    for number in range(2, 9):
+        canvas.begin(theme.INK)
+        draw_alerts(canvas, tuple(ALERTS.values())[:number], language, 0.0)
+        others = [line.words for line in canvas.written[:-3]]
+        counted = [int(words) for words in others if words.startswith("+")]
+        assert 0 < len(others) - len(counted) == number - 1 - sum(counted)
+        assert max(line.right for line in canvas.written) <= canvas.width
+
+
+UNCALIBRATED = replace(alert(FaultCode.UNCALIBRATED), lasts=True)
+MARK = replace(UNCALIBRATED, seen=True)
+SHOWN: dict[str, tuple[Alert, ...]] = {
+    "mark": (MARK,),
+    "passing, and a mark": (alert(FaultCode.AIM_DARK), MARK),
+    "in full, and a mark": (alert(FaultCode.STORAGE_FULL), MARK),
+    "critical, and a mark": (alert(FaultCode.LASER_ON), MARK),
+}
+
+
+@BOTH
+@pytest.mark.parametrize("shown", list(SHOWN))
+def test_what_a_screen_says_and_shows_without_an_alert_it_says_and_shows_above_it(
+    painter: Painter, shown: str, language: Language
+) -> None:
+    painter.language = language
+    lost: dict[str, set[str]] = {}
+    for name, scene in SCENES.items():
+        if isinstance(scene.view, ShutdownView):
+            continue  # it shows no alert but its own reason
+        _, lines = written(painter, replace(scene.view, alerts=()), scene.time_s)
+        slots = {slot for slot, *_ in painter.canvas.pictured}
+        view = replace(scene.view, alerts=SHOWN[shown])
+        _, now = written(painter, view, scene.time_s)
+        missing = {line.words for line in lines} - {line.words for line in now}
+        if isinstance(view, MenuView) and shown != "mark":
+            # A long page scrolls by a row: the chosen one is there.
+            assert view.rows[view.selected].text.in_language(language) not in missing
+            missing = set() if len(view.rows) > 6 else missing
+        if shown != "mark" and isinstance(view, AimView):
+            missing.discard(Text.READY.in_language(language))  # what leads stands in its place
+            if view.guidance is not None and view.guidance.words is not None:
+                missing -= {worded(view.guidance.overlap or "", language)}  # what to do stays, how much may go
+        missing |= slots - {slot for slot, *_ in painter.canvas.pictured}
+        top = alerts_top(painter.canvas, said_once(view).alerts)
+        missing |= {f"{slot} under it" for slot, _, _, _, bottom in painter.canvas.pictured if bottom > top + 0.5}
+        missing |= set(complaints(painter.canvas, view, now, may_be_cut=False))
+        if shown == "mark":
+            assert [line.words for line in now].count(words_of(MARK, language)[0]) == 1, name
+            assert painter.canvas.height - 62 - top < 40, "it costs little room"
+        if missing:
+            lost[name] = missing
+    assert not lost
+
+
+# ----------------------------------------------------------------------------------------------- the largest numbers
+LADDER = ladder(60.0, 0, 0.0, Span(2.0, 16.0, 12.0))
+LONGEST = max(LADDER, key=lambda step: len(step.label))
+MOST: dict[str, AnyView] = {
+    "aim, most": replace(
+        AIM, scans_taken=98_765, scans_left=98_765, temperature_c=-12.6, exposure=LONGEST.label, water=Text.FRESH,
+        gauge=Gauge(9999.0, -88.0, Reach.CLOSER),
+    ),
+    "aim, unknown": replace(AIM, gauge=Gauge(None, None, Reach.UNKNOWN)),
+    "aim, back": replace(AIM, gauge=Gauge(104.0, 89.0, Reach.BACK), temperature_c=104.4, exposure="6.3 ms"),
+    "review, most": replace(
+        REVIEW, points=99_949_999, coverage_percent=100.0, noise_mm=12.3456, distance_mm=9_999.4, duration_s=12_345.67,
+        grade=Grade.USABLE, lengths_doubtful=True,
+    ),
+    "review, bad": replace(REVIEW, points=999_499, grade=Grade.BAD, lengths_doubtful=True, coarse=True),
+    "gallery, most": replace(
+        GALLERY, scan_id="9999999", index=99_998, count=99_999, points=99_949_999, coverage_percent=100.0, noise_mm=12.3,
+        distance_mm=9_999.0, grade=Grade.USABLE, lengths_doubtful=True, taken="2026-11-21T14:07:59+00:00",
+    ),
+    **{
+        f"{step}, {refusal}": CalibrateView(
+            at=Calibrating(step, latest=RecordingCheck(step, refusal, 47.123)), session=Session(), left=None, right=None,
+            keys=keys(scan="SCAN", back="BACK"),
+        )
+        for step in HELD for refusal in Refusal
+    },
+}  # fmt: skip
+
+
+@BOTH
+def test_the_largest_and_the_smallest_numbers_fit(painter: Painter, language: Language) -> None:
+    painter.language = language
+    for name, view in MOST.items():
+        _, lines = written(painter, view)
+        assert not complaints(painter.canvas, view, lines, may_be_cut=False), name
+
+
+TRANSFERS = (
+    Transfer(Serving.ON, f"2001:db8:{'1' * 4}::{'2' * 4}:{'3' * 4}", 32),
+    Transfer(Serving.FAILED, None, None),
+    Transfer(Serving.ON, None, 0),
+    Transfer(Serving.ON, "fe80::211:22ff:fe33:4455", 0),
+)
+
+
+@BOTH
+@pytest.mark.parametrize("page", list(Page))
+def test_every_row_of_every_page_of_the_menu_fits_with_every_value(
+    painter: Painter, page: Page, language: Language
+) -> None:
+    painter.language = language
+    facts = [Facts("KF-0123456789", Text.FROM_DRAWING), Facts("KF-1", "2026-11-02")]
+    exposures = [*LADDER, Exposure(12_340, 3.25)]
+    waters = [(salinity, celsius) for salinity in (0.0, 34.567, 42.0) for celsius in (COLDEST_C, 12.5, WARMEST_C)]
+    rows = len(ROWS[page])
+    for k in range(max(len(exposures), len(waters), rows)):
+        salinity, celsius = waters[k % len(waters)]
+        choices = replace(
+            boot(0).choices, exposure=exposures[k % len(exposures)], salinity_psu=salinity, water_c=celsius,
+            period_px=(16, 32, 64, 128)[k % 4], language=("en", "de")[k % 2], transfer=k % 3 > 0,
+        )  # fmt: skip
+        for draft in (None, choices):
+            machine = replace(
+                boot(0), choices=choices, menu=Menu(page, k % rows, draft), scans=98_765, scans_left=(98_765, None)[k % 2],
+                transfer=TRANSFERS[k % len(TRANSFERS)],
+            )  # fmt: skip
+            view = menu_view(machine, facts[k % 2])
+            _, lines = written(painter, view)
+            assert not complaints(painter.canvas, view, lines, may_be_cut=False)
+
+
+# ---------------------------------------------------------------------------------------------- labels beside the keys
+def labels() -> dict[Key, set[Label]]:
+    """Every label of each key, with every step of every instrument's ladder behind EXPOSE and ADD."""
+    found: dict[Key, set[Label]] = {key: set() for key in Key}
+    for by_key in meant().values():
+        for key, words in by_key.items():
+            found[key] |= set(words)
+    found[Key.BACK].add(Text.SEEN)
+    steps = {
+        step.label
+        for refresh_hz, gain_db in product((24.0, 50.0, 60.0, 120.0), (0.0, 0.5, 3.25, 6.0))
+        for step in ladder(refresh_hz, 0, gain_db, Span(2.0, 16.0, 24.0))
+    }
+    found[Key.DOWN] |= {(verb, step) for verb, step in product((Text.EXPOSE, Text.HOLD_ADD), steps)}
+    found[Key.DOWN] |= {(Text.GAIN, step.partition(" +")[2]) for step in steps if " +" in step}
+    # Stand-ins carry the labels of the keys that are stuck.
+    found[Key.UP] |= found[Key.SCAN]
+    found[Key.DOWN] |= found[Key.BACK]
+    return found
+
+
+@BOTH
+def test_every_label_with_every_value_is_whole_large_enough_and_within_its_own_field(
+    canvas: Canvas, language: Language
+) -> None:
+    rooms: dict[Key, list[tuple[float, float]]] = {key: [] for key in Key}
+    for key, words in labels().items():
+        for label in words:
+            canvas.begin(theme.INK)
+            draw_key_labels(canvas, {key: label}, language)
+            left, right = room_between(canvas, {key: label}, language, theme.KEY_CORNERS[key].value[1])
+            rooms[key].append((left, right))
+            drawn = canvas.written
+            assert not any("…" in line.words or line.cut for line in drawn), label
+            for line in drawn:
+                assert line.size >= theme.CAPTION, label
+                assert 0 <= line.left <= line.right <= canvas.width, label
+                assert line.right <= left or line.left >= right, label
+                assert line.top >= canvas.height - 62 or line.bottom <= 62, label
+            assert not any(min(a.bottom, b.bottom) - max(a.top, b.top) > 0.5 for a, b in combinations(drawn, 2)), label
+    # Two side by side leave room between them for a scale.
+    assert min(right for _, right in rooms[Key.BACK]) - max(left for left, _ in rooms[Key.DOWN]) > 260.0
+    canvas.begin(theme.INK)
+    draw_key_labels(canvas, {Key.DOWN: (Text.EXPOSE, "16 ms +12 dB")}, language)
+    assert [line.words for line in canvas.written] == [Text.EXPOSE.in_language(language), "16 ms +12 dB"]
+
+
+@BOTH
+def test_labels_keep_nearly_their_full_size(canvas: Canvas, language: Language) -> None:
+    plain = (Text.SCAN, Text.OK, Text.KEEP, Text.REPEAT, Text.BACK, Text.HOLD_OFF, Text.TURN, Text.SEEN, Text.RETRY)
+    for text in plain:
+        assert canvas.measure(text.in_language(language), theme.BODY, theme.BLACK) <= (theme.LABEL_MAX_PX - 48) / 0.8

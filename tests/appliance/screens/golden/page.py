@@ -28,7 +28,7 @@ One message leads a screen (`appliance/machine/leading.py`): the gravest, and am
 dark, what forbids a scan, what spoilt it, then distance, other light, motion, water, exposure. All else is small, or grey. Where an alert or the distance leads, AIM does
 not say READY, and a right distance is not green.
 
-An alert has room of its own: numbers, rows and pictures move up, none is covered (`tests/appliance/screens/test_room.py`). A
+An alert has room of its own: numbers, rows and pictures move up, none is covered (`tests/appliance/screens/test_legible.py`). A
 warning that lasts is acknowledged with BACK (SEEN) and stays as a small mark on every screen, until its reason changes or it
 gets worse. What comes and goes with the live picture (too dark, too turbid, a torch on the object, too fast) stands in the place of READY, and as a
 mark that says what to do: nothing jumps, and no key is needed. While the light is on nothing is drawn: the display and the projector share one thread and one graphics card, and a
