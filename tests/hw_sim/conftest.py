@@ -9,13 +9,14 @@ from contextlib import ExitStack
 from typing import Any
 
 import pytest
+import usb.core
 
 from hw_sim.faults import FaultBook
 from hw_sim.timing.world_time import WorldTime
 from hw_sim.wires import SimWires
 from hw_sim.wires import open as open_wires
 from hw_sim.world import World, WorldOptions
-from tests.hw_sim.devices.host import BoardHost, CardHost, Recorder, U3vHost, greys
+from tests.hw_sim.devices.host import BoardHost, CardHost, GotFrame, Recorder, U3vHost, greys
 
 SMALL: Mapping[str, Any] = {"width_px": 160, "height_px": 120, "truth": "nominal"}
 
@@ -52,6 +53,15 @@ class Bench:
         projector = self.projector()
         shades = [projector.buffer(g) for g in greys([40 + 200 * k // (patterns - 1) for k in range(patterns)])]
         return Recorder({side: self.camera(side) for side in sides}, self.board, projector, shades, self.size)
+
+    def drain(self, camera: U3vHost) -> list[GotFrame]:
+        """All frames that come until the camera is silent."""
+        frames = []
+        while True:
+            try:
+                frames.append(camera.frame(100, self.size))
+            except usb.core.USBTimeoutError:
+                return frames
 
     def close(self) -> None:
         self._stack.close()

@@ -16,21 +16,6 @@ def test_in_the_end_all_heat_leaves_through_the_shell(medium: str, powers: Power
     assert OUTSIDE_W_PER_K[medium] * (shell_c - 15.0) == pytest.approx(sum(powers.watts().values()), rel=1e-9)
 
 
-def test_what_is_on_for_hours_ends_where_it_settles() -> None:
-    housing = Housing(4.0)
-    housing.advance(8 * 3600.0, ON)
-    settled = housing.settled(ON)
-    for place in PLACES:
-        assert housing.temperature_c(place) == pytest.approx(settled[place], abs=0.05)
-
-
-def test_without_time_or_difference_nothing_changes() -> None:
-    housing = Housing(12.0)
-    assert {housing.temperature_c(place) for place in PLACES} == {12.0}
-    housing.advance(0.0, ON)
-    assert {housing.temperature_c(place) for place in PLACES} == {12.0}
-
-
 def test_the_steps_do_not_matter() -> None:
     once, often = Housing(20.0), Housing(20.0)
     once.advance(600.0, ON)

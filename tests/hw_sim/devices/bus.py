@@ -90,8 +90,6 @@ class Bus:
         made.finish(picture())
         return made
 
-    # ------------------------------------------------------------------------------------------ control
-
     def read(self, address: int, size: int) -> bytes:
         at = range(0, size, 500)
         return b"".join(self._command(0x0800, struct.pack("<QHH", address + k, 0, min(500, size - k))) for k in at)
@@ -105,24 +103,37 @@ class Bus:
     def put(self, address: int, value: int) -> None:
         self.write(address, value.to_bytes(4, "little"))
 
-    def _command(self, code: int, payload: bytes) -> bytes:
-        self._request = self._request % 0xFFFF + 1
-        packet = struct.pack("<IHHHH", 0x43563355, 0x4000, code, len(payload), self._request) + payload
+    def send(self, code: int, payload: bytes, number: int) -> None:
+        """Send a command and read no answer."""
+        packet = struct.pack("<IHHHH", 0x43563355, 0x4000, code, len(payload), number) + payload
         with self.time.condition:
             self.camera.write(CONTROL_OUT, packet)
+
+    def _command(self, code: int, payload: bytes) -> bytes:
+        self._request = self._request % 0xFFFF + 1
+        self.send(code, payload, self._request)
         while True:
-            raw = self._bulk(CONTROL_IN, 1024)
+            raw = self.bulk(CONTROL_IN, 1024)
             if not raw:
                 self.time.run(0.04)  # it was announced to take longer
                 continue
-            _, status, answer, _, number = struct.unpack_from("<IHHHH", raw)
-            assert number == self._request
+            magic, status, answer, size, number = struct.unpack_from("<IHHHH", raw)
+            assert (magic, number, size) == (0x43563355, self._request, len(raw) - 12)
             if answer == 0x0805:
                 self.announced += 1
                 continue
             if status:
                 raise GencpError(status)
+            assert answer == code + 1
             return raw[12:]
+
+    def status(self, code: int, payload: bytes) -> int:
+        """Of the answer to a command; 0: it was obeyed."""
+        try:
+            self._command(code, payload)
+        except GencpError as error:
+            return int(error.args[0])
+        return 0
 
     def description(self) -> str:
         manifest = int.from_bytes(self.read(0x1D0, 8), "little")
@@ -143,14 +154,7 @@ class Bus:
 
     def refusal(self, name: str, value: int) -> int:
         """The status of a write to the feature's register, past the description's own locks; 0: it was taken."""
-        node = self.nodes.get_node(f"{name}Reg")
-        try:
-            self.write(node.address, struct.pack("<I", value))
-        except GencpError as error:
-            return int(error.args[0])
-        return 0
-
-    # ------------------------------------------------------------------------------------------ stream
+        return self.status(0x0802, struct.pack("<QI", self.nodes.get_node(f"{name}Reg").address, value))
 
     def stream(self, sizes: Sizes | None = None) -> int:
         """Set up and enable the stream as the camera's alignment wants it, or with ``sizes``; returns the status."""
@@ -161,11 +165,7 @@ class Bus:
         for offset, value in ((0x18, sizes.leader), (0x1C, sizes.transfer), (0x20, 1), (0x24, 0), (0x28, 0)):
             self.put(SIRM + offset, value)
         self.put(SIRM + 0x2C, sizes.trailer)
-        try:
-            self.put(SIRM + 4, 1)
-        except GencpError as error:
-            return int(error.args[0])
-        return 0
+        return self.status(0x0802, struct.pack("<QI", SIRM + 4, 1))
 
     def start(self) -> None:
         """Enable the stream, lock and start."""
@@ -178,20 +178,13 @@ class Bus:
         self.put(SIRM + 4, 0)
         self.set(TLParamsLocked=0)
 
-    def halt(self) -> None:
-        """Halt the stream's endpoint: SET_FEATURE(ENDPOINT_HALT)."""
+    def halt(self, on: bool) -> None:
+        """SET_FEATURE or CLEAR_FEATURE(ENDPOINT_HALT) of the stream's endpoint."""
         with self.time.condition:
-            self.camera.request(0x02, 0x03, 0, STREAM, 0)
+            self.camera.request(0x02, 0x03 if on else 0x01, 0, STREAM, 0)
 
-    def clear_halt(self) -> None:
-        with self.time.condition:
-            self.camera.request(0x02, 0x01, 0, STREAM, 0)
-
-    def bulk_stream(self, size: int) -> bytes:
-        """One transfer of the stream."""
-        return self._bulk(STREAM, size)
-
-    def _bulk(self, endpoint: int, size: int) -> bytes:
+    def bulk(self, endpoint: int, size: int) -> bytes:
+        """What a transfer of that length reads."""
         buffer = bytearray(size)
         with self.time.condition:
             filled, _ = self.camera.read(endpoint, memoryview(buffer))
@@ -211,8 +204,8 @@ class Bus:
         got: list[GotFrame] = []
         payload = int.from_bytes(self.read(SIRM + 8, 8), "little")
         room = -(-payload // 1024) * 1024 + 1024
-        while leader := self.bulk_stream(1024):
-            got.append(GotFrame(leader, self.bulk_stream(room)[:payload], self.bulk_stream(1024)))
+        while leader := self.bulk(STREAM, 1024):
+            got.append(GotFrame(leader, self.bulk(STREAM, room)[:payload], self.bulk(STREAM, 1024)))
         return got
 
     def image(self) -> NDArray[np.uint8]:
@@ -230,8 +223,9 @@ BORDERS: Mapping[str, tuple[int, int]] = {"blackfly": (16, 40), "ace": (320, 0),
 """Columns and rows beyond the picture of the world."""
 
 
-def careful(bus: Bus, personality: str) -> None:
+def careful(time: HandTime, personality: str, **options: Any) -> Bus:
     """Set a camera up as one that knows it does: the picture's window, grey values as they are, one trigger."""
+    bus = Bus(time, personality, **options)
     wide, high = BORDERS[personality]
     bus.set(UserSetSelector="Default")
     bus.press("UserSetLoad")
@@ -245,3 +239,4 @@ def careful(bus: Bus, personality: str) -> None:
             bus.set(DeviceLinkThroughputLimitMode="Off", OverlapMode="On", BlackLevel=2.0)
         case "alvium":
             bus.set(DeviceLinkThroughputLimit=450_000_000, BlackLevel=32.0)
+    return bus

@@ -10,7 +10,6 @@ import pytest
 
 from hw_sim.objects.motion import pose_matrix
 from hw_sim.objects.print import ACROSS, CELLS, DOWN, INK, PAPER, SQUARE_MM, board_print, corners_mm, printed
-from hw_sim.options import OptionError, WorldOptions
 from hw_sim.rendering.render import LightSlice, Renderer
 from hw_sim.scene import Scene
 from hw_sim.truth import Artefacts, TrueRig, draw_truth, in_air, project
@@ -96,12 +95,3 @@ def test_a_pixel_sees_the_mean_of_the_print_before_it() -> None:
         errors.append((seen - INK) / (PAPER - INK) - (1.0 - right if left_is_paper else right))
     assert np.abs(errors).max() < 0.004, "as far as 200 × 200 points can tell"
     assert abs(np.mean(errors)) < 0.0005, "an edge is nowhere shifted"
-
-
-def test_in_air_nothing_bends_or_dims_light() -> None:
-    options = WorldOptions(object="board", medium="air")
-    assert options.scene().water == AIR
-    with pytest.raises(OptionError, match="medium 'oil'; allowed are water, air"):
-        WorldOptions(medium="oil")
-    with pytest.raises(OptionError, match="leave it out"):
-        WorldOptions(medium="air", water={"salinity_psu": 35.0})

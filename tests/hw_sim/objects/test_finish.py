@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from hw_sim.objects.finish import PX_MM, Finish
 from hw_sim.objects.shapes import FRUSTUM, gradient, march_all
-from hw_sim.optics.bounce import PATCH_PX, Bounce
+from hw_sim.optics.bounce import PATCH_PX
 from hw_sim.optics.geometry import MIDDLE_MM
 from hw_sim.optics.gloss import fresnel, glossy
-from hw_sim.optics.projector import LightSlice
-from hw_sim.outside import Outside
-from hw_sim.rendering.render import Renderer
 from hw_sim.rendering.stage import Stage
 from hw_sim.scene import Scene
 from hw_sim.truth import draw_truth, project
@@ -66,21 +62,6 @@ def test_light_below_the_surface_keeps_its_energy_and_falls_exponentially() -> N
     assert np.ptp(coat.spread_below(fringe)[48, 40:88]) == pytest.approx(kept, abs=0.01)
 
 
-def test_white_is_as_white_as_it_is_drawn() -> None:
-    scene = Scene("plane", texture="none", water=CLEAR, noise=False, ambient=0.1)
-    renderer = Renderer(draw_truth("nominal", 1, 160, 120, Water().index), scene)
-    code = np.full((768, 1024), 120, np.uint8)
-
-    def level(coat: Finish | None) -> float:
-        renderer.scene = replace(scene, outside=Outside(surfaces=coat))
-        image = renderer.expose("left", [LightSlice(code, 0.012)], 0.0, 0.012, 0.0, (False, False), 1)
-        return float(image[50:70, 70:90].mean()) - 2.0
-
-    ordinary = level(None)
-    assert level(Finish()) == pytest.approx(ordinary, abs=0.01)
-    assert level(Finish(white=0.3)) == pytest.approx(0.5 * ordinary, abs=0.6)
-
-
 def test_gloss_shines_where_a_mirror_would_and_nowhere_else() -> None:
     truth = draw_truth("nominal", 1, 160, 120, Water().index)
     # The left camera looks from 12.4° at the side: a plane that leans by half of that mirrors the projector into it.
@@ -97,19 +78,6 @@ def test_gloss_shines_where_a_mirror_would_and_nowhere_else() -> None:
     assert 0.3 * straight < shine < 1.3 * straight
 
 
-def test_water_takes_as_much_of_the_gloss_as_of_all_other_light() -> None:
-    truth = draw_truth("nominal", 1, 160, 120, Water().index)
-    shines = []
-    for per_m in (0.0, 2.0):
-        water = replace(CLEAR, attenuation_per_m=per_m)
-        scene = Scene("plane", (0.0, 0.0, 522.5, 0.0, 6.2, 0.0), "none", water, 0.0, False)
-        stages = [Stage(truth, None, coat) for coat in (None, Finish(gloss_index=1.16, roughness=0.2))]
-        lit = [stage.geometry("left", scene, stage.pose(scene, 0.0)).pixels[20:100, 20:140, 2] for stage in stages]
-        shines.append(lit[1].astype(np.float64) / lit[0] - 1.0)
-    np.testing.assert_allclose(shines[1], shines[0], rtol=1e-3)
-    assert shines[0].min() > 0.02
-
-
 def test_a_corner_gets_as_much_from_its_other_side_as_drawn_rays_fetch() -> None:
     truth = draw_truth("nominal", 1, 160, 120, Water().index)
     stage = Stage(truth)
@@ -122,13 +90,13 @@ def test_a_corner_gets_as_much_from_its_other_side_as_drawn_rays_fetch() -> None
     u, v = project(truth, "projector", pose.R @ spot + pose.t)[0]
     made = fallen[int((v + 0.5) / PATCH_PX), int((u + 0.5) / PATCH_PX)]
     rng = np.random.default_rng(1)
-    turn, part = rng.uniform(0.0, 2.0 * math.pi, 6000), rng.uniform(0.0, 1.0, 6000)
+    turn, part = rng.uniform(0.0, 2.0 * math.pi, 3000), rng.uniform(0.0, 1.0, 3000)
     # Cosine-weighted directions about −z, where the plate faces.
-    rays = np.empty((6000, 6))
+    rays = np.empty((3000, 6))
     rays[:, :3] = spot + np.array([0.0, 0.0, -1e-3])
     rays[:, 3], rays[:, 4] = np.sqrt(part) * np.cos(turn), np.sqrt(part) * np.sin(turn)
     rays[:, 5] = -np.sqrt(1.0 - part)
-    far = np.empty(6000)
+    far = np.empty(3000)
     march_all(FRUSTUM, pose.sizes, rays, far)
     fetched = 0.0
     lens = np.array(truth.projector.t_mm)
@@ -144,54 +112,5 @@ def test_a_corner_gets_as_much_from_its_other_side_as_drawn_rays_fetch() -> None
         ahead = (start - seen) / length
         spread = (MIDDLE_MM + stage.lamp.depth_mm) / (length + stage.lamp.depth_mm)
         fetched += 0.6 * max(float(ahead @ (pose.R @ normal)), 0.0) * spread**2 * float(ahead[2]) ** 4
-    assert made == pytest.approx(fetched / 6000.0, rel=0.25)
+    assert made == pytest.approx(fetched / 3000.0, rel=0.25)
     assert made > 0.03, "per cent of white, on the plate beside the slope"
-
-
-def test_what_a_corner_gets_goes_with_its_white_and_is_dimmed_on_both_ways_through_the_water() -> None:
-    """From the projector to one side and from there to the other: some 55 cm, whatever the pair of places."""
-    stage = Stage(draw_truth("nominal", 1, 160, 120, Water().index))
-
-    def fallen(white: float, per_m: float) -> float:
-        scene = Scene("frustum", (0.0, 0.0, 545.0, 0.0, 0.0, 0.0), "none", replace(CLEAR, attenuation_per_m=per_m))
-        return float(stage.bounce(scene, Finish(white=white, bounce=1.0)).irradiance(WHITE).sum())
-
-    usual = fallen(0.6, 0.0)
-    assert fallen(0.3, 0.0) == pytest.approx(0.5 * usual, rel=0.02), "light too weak to be looked at is missing"
-    # Mean lengths: the first way by the projector's height over plate and slopes, the second across the crease.
-    way_mm = -1000.0 * math.log(fallen(0.6, 1.0) / usual)
-    assert 515.0 < way_mm < 600.0
-    first_mm = 545.0 - 35.0
-    assert way_mm > first_mm + 10.0
-
-
-def test_a_plane_lights_itself_nowhere_and_a_dark_projector_lights_nothing() -> None:
-    stage = Stage(draw_truth("nominal", 1, 160, 120, Water().index))
-    flat = stage.bounce(Scene("plane"), Finish(bounce=1.0))
-    assert float(np.abs(flat.irradiance(WHITE)).max()) == 0.0
-    corner = stage.bounce(Scene("frustum"), Finish(bounce=1.0))
-    assert float(corner.irradiance(np.zeros_like(WHITE)).max()) == 0.0
-    half = WHITE.copy()
-    half[:, :512] = 0.0
-    both = corner.irradiance(half) + corner.irradiance(WHITE - half)
-    np.testing.assert_allclose(both, corner.irradiance(WHITE), rtol=1e-4, atol=1e-6)
-    assert isinstance(corner, Bounce)
-
-
-def test_pictures_of_a_corner_are_brighter_with_a_bounce() -> None:
-    scene = Scene("frustum", texture="none", water=CLEAR, noise=False, ambient=0.0)
-    renderer = Renderer(draw_truth("nominal", 1, 160, 120, Water().index), scene)
-    images = []
-    for coat in (Finish(), Finish(bounce=1.0)):
-        renderer.scene = replace(scene, outside=Outside(surfaces=coat))
-        light = [LightSlice(np.full((768, 1024), 150, np.uint8), 0.012)]
-        images.append(renderer.expose("left", light, 0.0, 0.012, 0.0, (False, False), 1).astype(float))
-    more = images[1] - images[0]
-    assert more.min() >= -1.0
-    assert (more >= 2.0).sum() > 50
-
-
-@pytest.mark.parametrize("strengths", [{"white": 0.0}, {"gloss_index": 0.9}, {"below_mm": 0.0}, {"bounce": 2.0}])
-def test_impossible_surfaces_are_refused(strengths: dict[str, float]) -> None:
-    with pytest.raises(ValueError, match=f"surfaces: {next(iter(strengths))} = .*; allowed are"):
-        Finish(**strengths)

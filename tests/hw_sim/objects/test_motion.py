@@ -1,4 +1,4 @@
-"""Hands that move: where the object then is, and what a long exposure makes of it."""
+"""Hands that move, by drawing or by chance: where the object then is seen, and what a long exposure makes of it."""
 
 from __future__ import annotations
 
@@ -8,77 +8,78 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hw_sim.objects.hand_track import HandTrack
 from hw_sim.objects.motion import Motion, object_pose, pose_matrix
-from hw_sim.rendering.render import LightSlice, Renderer
-from hw_sim.scene import Scene
-from hw_sim.truth import draw_truth
+from tests.hw_sim.pictures import FACING, renderer, shot
 
-WHITE = np.full((768, 1024), 247, np.uint8)
 POSE = (10.0, -5.0, 530.0, 5.0, 10.0, 20.0)
-TEXTURED = Scene(object="plane", texture="strong", noise=False, pose=(0.0, 0.0, 522.5, 0.0, 0.0, 0.0))
+MIDDLE = np.array([0.0, 0.0, 522.5])
 
 
-def rig_point(motion: Motion, time_s: float, point: np.ndarray) -> np.ndarray:
+def rig_point(motion: Motion | HandTrack, time_s: float, point: np.ndarray) -> np.ndarray:
     """A point fixed to the object, in the frame of the moved rig."""
     R0, t0 = pose_matrix(POSE)
-    R, t = object_pose(POSE, motion, time_s)
+    R, t = object_pose(POSE, motion, time_s) if isinstance(motion, Motion) else motion.seen(R0, t0, time_s)
+    np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
     return np.asarray(R @ (R0.T @ (point - t0)) + t)
 
 
-def shot(r: Renderer, time_s: float, exposure_s: float) -> np.ndarray:
-    light = [LightSlice(WHITE, exposure_s)]
-    return r.expose("left", light, time_s, exposure_s, 0.0, (False, False), 1).astype(float)
+@pytest.mark.parametrize("still", [HandTrack(), HandTrack.drawn(np.random.default_rng(1)), Motion(tremor_hz=5.0)])
+def test_at_time_zero_nothing_has_moved(still: Motion | HandTrack) -> None:
+    np.testing.assert_allclose(rig_point(still, 0.0, MIDDLE), MIDDLE, atol=1e-12)
 
 
 def test_a_rig_moving_right_sees_the_object_move_left() -> None:
-    where = np.array([10.0, 20.0, 500.0])
-    moved = rig_point(Motion(velocity_mm_s=(8.0, 0.0, -4.0), acceleration_mm_s2=(0.0, 10.0, 0.0)), 0.5, where)
-    np.testing.assert_allclose(moved - where, [-4.0, -1.25, 2.0], atol=1e-12)
+    motion = Motion(velocity_mm_s=(8.0, 0.0, -4.0), acceleration_mm_s2=(0.0, 10.0, 0.0))
+    np.testing.assert_allclose(rig_point(motion, 0.5, MIDDLE) - MIDDLE, [-4.0, -1.25, 2.0], atol=1e-12)
 
 
 def test_turning_is_about_the_middle_of_the_volume() -> None:
-    turn = Motion(rotation_deg_s=(0.0, 4.0, 0.0))
-    middle = np.array([0.0, 0.0, 522.5])
-    np.testing.assert_allclose(rig_point(turn, 0.5, middle), middle, atol=1e-12)
-    beside = rig_point(turn, 0.5, middle + np.array([50.0, 0.0, 0.0])) - middle
-    two = math.radians(2.0)
+    turn, two = Motion(rotation_deg_s=(0.0, 4.0, 0.0)), math.radians(2.0)
+    np.testing.assert_allclose(rig_point(turn, 0.5, MIDDLE), MIDDLE, atol=1e-12)
+    beside = rig_point(turn, 0.5, MIDDLE + np.array([50.0, 0.0, 0.0])) - MIDDLE
     np.testing.assert_allclose(beside, [50.0 * math.cos(two), 0.0, 50.0 * math.sin(two)], atol=1e-9)
 
 
-def test_tremor_shakes_by_its_amount_and_returns() -> None:
-    tremor = Motion(tremor_mm=(0.2, 0.0, 0.1), tremor_hz=5.0)
-    where = np.array([0.0, 0.0, 500.0])
-    path = np.array([rig_point(tremor, s, where) for s in np.linspace(0.0, 0.4, 401)])
-    np.testing.assert_allclose(np.ptp(path, axis=0), [0.4, 0.0, 0.2], atol=1e-3)
-    np.testing.assert_allclose(rig_point(tremor, 0.2, where), where, atol=1e-9)
+@pytest.mark.parametrize(
+    ("shaken", "period_s", "range_mm"),
+    [
+        (Motion(tremor_mm=(0.2, 0.0, 0.1), tremor_hz=5.0), 0.2, [0.4, 0.0, 0.2]),
+        (HandTrack(swell_mm=(0.4, 0.0, 0.0), swell_hz=0.8, swell_phase_rad=0.7), 1.25, [0.8, 0.0, 0.0]),
+    ],
+)
+def test_tremor_and_swell_go_as_far_as_they_say_and_return(
+    shaken: Motion | HandTrack, period_s: float, range_mm: list[float]
+) -> None:
+    path = np.array([rig_point(shaken, s, MIDDLE) for s in np.linspace(0.0, period_s, 401)])
+    np.testing.assert_allclose(np.ptp(path, axis=0), range_mm, atol=1e-3)
+    np.testing.assert_allclose(path[-1], path[0], atol=1e-9)
+
+
+def test_jerk_is_the_third_derivative() -> None:
+    track, h = HandTrack(jerk_mm_s3=(60.0, -30.0, 12.0)), 0.01
+    at = [rig_point(track, k * h, MIDDLE) for k in range(4)]
+    np.testing.assert_allclose((at[3] - 3 * at[2] + 3 * at[1] - at[0]) / h**3, [-60.0, 30.0, -12.0], rtol=1e-6)
+
+
+def test_turns_leave_the_shoulder_where_it_is_and_swing_the_rig_by_its_arm() -> None:
+    track = HandTrack(shoulder_deg=(0.0, 0.05, 0.0), shoulder_hz=1.0, shoulder_mm=(0.0, 0.0, -450.0))
+    for z_mm, x_mm in ((-450.0, 0.0), (550.0, -1000.0 * math.radians(0.05))):
+        R, t = track.seen(np.eye(3), np.array([0.0, 0.0, z_mm]), 0.25)
+        assert t[0] == pytest.approx(x_mm, rel=1e-6, abs=1e-12)
+        assert math.degrees(math.acos((np.trace(R) - 1.0) / 2.0)) == pytest.approx(0.05, rel=1e-5)
 
 
 def test_a_long_exposure_of_moving_hands_smears_the_texture_along_the_motion() -> None:
-    truth = draw_truth("nominal", 3, 400, 300, TEXTURED.water.index)
-    still = shot(Renderer(truth, TEXTURED), 0.0, 0.012)
-    fast = Renderer(truth, replace(TEXTURED, motion=Motion(velocity_mm_s=(150.0, 0.0, 0.0))))
-    middle = (slice(60, 240), slice(80, 300))
+    textured = replace(FACING, texture="strong")
+    still, fast = (renderer(replace(textured, motion=Motion(velocity_mm_s=(v, 0.0, 0.0)))) for v in (0.0, 150.0))
 
     def detail(picture: np.ndarray, axis: int) -> float:
-        return float(np.sqrt((np.diff(picture, axis=axis)[middle] ** 2).mean()))
+        return float(np.sqrt((np.diff(picture, axis=axis)[60:240, 80:300] ** 2).mean()))
 
-    smeared = shot(fast, 0.012, 0.012)
-    along, across = detail(smeared, 1) / detail(still, 1), detail(smeared, 0) / detail(still, 0)
+    np.testing.assert_array_equal(shot(fast, 247), shot(still, 247))  # before a sequence hands are still
+    sharp, smeared = shot(still, 247), shot(fast, 247, time_s=0.012)
+    along, across = detail(smeared, 1) / detail(sharp, 1), detail(smeared, 0) / detail(sharp, 0)
     assert along < 0.8, "1.8 mm are almost 3 px of this picture"
     assert across > along + 0.05
-    brief = shot(fast, 0.012, 0.001)
-    assert detail(brief, 1) / brief[middle].mean() > 1.1 * detail(smeared, 1) / smeared[middle].mean()
-    assert smeared[middle].mean() == pytest.approx(still[middle].mean(), rel=0.05), "but takes no light"
-
-
-def test_before_a_sequence_the_hands_are_still() -> None:
-    truth = draw_truth("nominal", 3, 200, 150, TEXTURED.water.index)
-    moving = Renderer(truth, replace(TEXTURED, motion=Motion(velocity_mm_s=(150.0, 0.0, 0.0))))
-    np.testing.assert_array_equal(shot(moving, 0.0, 0.012), shot(Renderer(truth, TEXTURED), 0.0, 0.012))
-
-
-def test_impossible_motion_is_refused_by_name() -> None:
-    with pytest.raises(ValueError, match=r"velocity_mm_s = \(1.0, 2.0\); give three finite numbers"):
-        Motion(velocity_mm_s=(1.0, 2.0))  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match=r"tremor_hz = 0.0; allowed are"):
-        Motion(tremor_hz=0.0)
+    assert smeared.mean() == pytest.approx(sharp.mean(), rel=0.05), "but takes no light"

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pytest
 
-from hw_sim.optics.beamer import COLOUR_WEIGHTS, KINDS, Beamer, ProjectorTruth, ShownFrame, beamed_between, slices_of
+from hw_sim.optics.beamer import Beamer, ProjectorTruth, ShownFrame, beamed_between, slices_of
 from hw_sim.optics.light_engine import LightEngine
 from hw_sim.optics.projector import BLACK, response
-from hw_sim.options import OptionError, WorldOptions, options_from
 
 FRAME_US = 50_000.0 / 3.0
 FRAME_NS = 16_666_667
-ALL = "RGB"
 
 
 def truth(**given: Any) -> ProjectorTruth:
@@ -40,18 +36,6 @@ def test_video_shows_colours_in_turn_and_green_for_45_percent() -> None:
     assert once[1].end_us - once[1].begin_us == pytest.approx(0.45 * FRAME_US)
 
 
-def test_a_colour_that_is_not_drawn_is_dark_and_drawn_ones_have_the_weights_of_their_leds() -> None:
-    video = truth(kind="video")
-    for window in video.windows_us:
-        span = window.begin_us, window.end_us - window.begin_us
-        white, black = video.light_of_codes(*span, ALL)[[255, 0]]
-        weight = COLOUR_WEIGHTS["RGB".index(window.channel)]
-        assert white == pytest.approx(weight * span[1], rel=1e-4)
-        assert black == pytest.approx(weight * BLACK * span[1], rel=1e-3)
-        if window.channel != "G":
-            assert video.light_of_codes(*span, "G")[255] == pytest.approx(weight * BLACK * span[1], rel=1e-3)
-
-
 @pytest.mark.parametrize("count", [1, 2, 3])
 @pytest.mark.parametrize("first", [0, 1, 2])
 def test_whole_sub_frames_of_equal_channels_are_exact_and_parts_are_not(count: int, first: int) -> None:
@@ -63,31 +47,6 @@ def test_whole_sub_frames_of_equal_channels_are_exact_and_parts_are_not(count: i
     assert not pattern.linear(begin_us, exposure_us - 0.4 * FRAME_US / 3.0), "a part of a sub-frame weighs bits wrongly"
     if first + count > 3:
         assert pattern.foreign(begin_us, exposure_us) > 0.2, "the rest is of the next picture"
-
-
-def test_a_window_of_half_a_frame_is_right_anywhere_within_two_repeats() -> None:
-    repeats = truth(kind="repeats")
-    late_us = repeats.windows_us[0].begin_us
-    for delay_us in np.linspace(late_us, late_us + FRAME_US / 2.0, 9):
-        assert repeats.residual(float(delay_us), FRAME_US / 2.0) < 1e-4
-        assert repeats.linear(float(delay_us), FRAME_US / 2.0)
-    assert not repeats.linear(late_us + 1000.0, 5000.0)
-
-
-def test_a_short_exposure_weighs_bits_wrongly_unless_the_projector_is_ideal() -> None:
-    for kind in KINDS:
-        made = truth(kind=kind)
-        begin_us = made.windows_us[0].begin_us + 300.0
-        assert made.linear(begin_us, 2000.0) == (kind == "ideal")
-        assert not made.linear(begin_us - 3000.0, 2000.0), "before the light"
-
-
-def test_a_gamma_is_not_linear() -> None:
-    bent = truth(kind="pattern", gamma=2.2)
-    assert not bent.linear(bent.windows_us[0].begin_us, FRAME_US)
-    light = bent.light_of_codes(bent.windows_us[0].begin_us, FRAME_US)
-    share = (light[128] - light[0]) / (light[255] - light[0])
-    assert share == pytest.approx((128 / 255) ** 2.2, abs=0.003)
 
 
 @pytest.mark.parametrize("latency", [0, 1, 3])
@@ -146,52 +105,3 @@ def test_turned_and_scaled_pictures_light_elsewhere() -> None:
     through = Beamer(scaled=(912, 1140)).lights((wide, wide, wide)).astype(float)
     assert np.abs(through - wide).mean() < 6.0, "stripes of 32 px stay where they are"
     assert np.abs(np.roll(through, 32, axis=1) - wide).mean() > 200.0
-
-
-def test_the_projector_of_the_ordinary_world_is_usual_and_no_other() -> None:
-    assert Beamer().usual
-    assert options_from({"projector": {"kind": "ideal"}}).beamer().usual
-    assert Beamer(latency_blanks=0, late_us=0.0).usual
-    for made in (
-        Beamer("video", order="GRB"),
-        Beamer(latency_blanks=1),
-        Beamer(late_us=5.0),
-        Beamer(gamma=2.2),
-        Beamer(scaled=(800, 600)),
-        Beamer(mirrored=True),
-        Beamer(upside_down=True),
-    ):
-        assert not made.usual
-
-
-@pytest.mark.parametrize(
-    ("given", "told"),
-    [
-        ("vidio", "kind = 'vidio'; allowed are ideal, video, pattern, repeats; choose"),
-        (7, "projector = 7; give the name of a kind, or a table"),
-        ({"kind": "video", "latency_blanks": 4}, "latency_blanks = 4; allowed are whole numbers 0..3; leave it out"),
-        ({"kind": "video", "latency_blanks": True}, "latency_blanks = True; allowed are whole numbers"),
-        ({"late_us": "soon"}, "late_us = 'soon'; allowed are numbers 0..1000"),
-        (
-            {"kind": "pattern", "order": "RG"},
-            "order = 'RG' of kind 'pattern'; allowed: 3 of the letters RGB; leave it out for RGB",
-        ),
-        ({"kind": "video", "order": "GXB"}, "order = 'GXB' of kind 'video'; allowed: 1 to 6 of the letters RGB"),
-        ({"kind": "repeats", "order": "GB"}, "allowed: 2 of the letters G"),
-        ({"gamma": 0.4}, "gamma = 0.4; allowed are numbers 1..3"),
-        ({"scaled": [912]}, r"scaled = \(912,\); allowed are two whole numbers 240..4096"),
-        ({"mirrored": 1}, "mirrored = 1; allowed are true and false"),
-        ({"colour_weights": [1, 2, 3]}, "colour_weights = .* allowed are three numbers 0..1"),
-        ({"colour_weights": 1.0}, "colour_weights = 1.0; allowed are three numbers 0..1"),
-        ({"mirored": True}, "unknown 'mirored'; did you mean 'mirrored'"),
-    ],
-)
-def test_what_a_projector_cannot_be_is_told(given: str | Mapping[str, Any] | int, told: str) -> None:
-    with pytest.raises(OptionError, match=re.compile(told)):
-        options_from({"projector": given})
-
-
-def test_two_sayings_of_what_light_a_code_makes_are_refused() -> None:
-    with pytest.raises(OptionError, match="imaging response 'linear' and projector kind 'video' both say"):
-        WorldOptions(projector="video", imaging={"response": "linear"})
-    WorldOptions(projector={"mirrored": True}, imaging={"response": "linear"})

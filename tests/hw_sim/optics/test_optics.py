@@ -9,7 +9,7 @@ import pytest
 from scipy import optimize
 
 from hw_sim.optics.table import fit_table, look_up_all
-from hw_sim.optics.trace import INNER, OUTER, PACKED, pixel_ray, pixels_of, rays_of, refract
+from hw_sim.optics.trace import INNER, OUTER, pixel_ray, pixels_of, rays_of, refract
 from hw_sim.truth import SETS, TrueEye, draw_truth, project, ray
 from hw_sim.water.medium import Water
 
@@ -102,49 +102,3 @@ def test_light_takes_the_quickest_path_through_a_wedged_window() -> None:
         water = (target - leaving) / np.linalg.norm(target - leaving)
         change = port.n_g * glass - N_WATER * water
         assert np.linalg.norm(change - outer * (change @ outer)) < 1e-9, "stationary: no exit point is quicker"
-
-
-def test_a_pinhole_does_not_do_in_water() -> None:
-    truth = draw_truth("nominal", 1, 1600, 1200, N_WATER)
-    eye = truth.left.packed(truth.n_water)
-    near, far = [], []
-    for u in (799.5, 1590.0):
-        ray = np.array(pixel_ray(eye, u, 599.5))
-        # Where the ray crosses the axis of the camera: one point for a pinhole.
-        R, centre = np.array(truth.left.R), np.array(truth.left.t_mm)
-        origin, direction = (ray[:3] - centre) @ R, ray[3:] @ R
-        near.append(origin[2] - (origin[0] / direction[0] * direction[2] if abs(direction[0]) > 1e-9 else 0.0))
-        far.append(direction[0] / direction[2])
-    assert far[1] / (790.5 / truth.left.f_px[0]) < 0.76, "rays are bent towards the axis"
-    assert near[1] < -8.0, "and seem to come from behind the lens"
-
-
-def test_the_water_has_its_published_index() -> None:
-    assert Water(20.0, 0.0).index == pytest.approx(1.3351, abs=4e-4)
-    assert Water(20.0, 35.0).index - Water(20.0, 0.0).index == pytest.approx(0.0064, abs=3e-4)
-    assert Water(10.0, 0.0).index > Water(20.0, 0.0).index
-
-
-def test_sets_grow_in_malice_and_the_modelled_one_can_be_modelled() -> None:
-    tilts = {}
-    for kind in SETS:
-        rigs = [draw_truth(kind, seed, 400, 300, N_WATER) for seed in range(8)]
-        tilts[kind] = np.mean([math.degrees(math.acos(r.left.port.normal[2])) for r in rigs])
-    assert tilts["nominal"] == 0.0
-    assert 0.2 <= tilts["realistic"] <= 0.5 < tilts["hard"] < tilts["paper"] <= 2.0
-    modelled = draw_truth("modelled", 4, 400, 300, N_WATER)
-    assert modelled.left.lens_field is None
-    assert modelled.left.port.wedge_deg == 0.0
-    assert modelled.left != draw_truth("nominal", 4, 400, 300, N_WATER).left
-    assert len(draw_truth("realistic", 4, 400, 300, N_WATER).left.packed(N_WATER)) == PACKED
-
-
-def test_a_truth_file_gives_back_the_rig(tmp_path: object) -> None:
-    from pathlib import Path
-
-    from hw_sim.truth import save_truth
-
-    rig = draw_truth("realistic", 9, 400, 300, N_WATER)
-    path = Path(str(tmp_path)) / "truth.toml"
-    save_truth(rig, path)
-    assert draw_truth(str(path), 0, 400, 300, N_WATER) == rig

@@ -3,13 +3,9 @@ as at rest."""
 
 from __future__ import annotations
 
-import threading
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 import pytest
 
-from hw_sim.latest import Latest
 from hw_sim.objects.motion import Motion, object_pose
 from hw_sim.objects.shapes import NAMES, march_all
 from hw_sim.optics.geometry import LIT, P, Q
@@ -75,28 +71,3 @@ def test_every_pixel_sees_and_is_lit_as_its_own_rays_say(name: str) -> None:
         found = geometry.pixels.reshape(-1, 5)[hit][lit][:, [P, Q]]
         assert np.abs(found - pixels[lit]).max() < 1e-4, "float32 and table together"
     assert in_shadow > 30 or name in ("plane", "board"), "or nothing was shown"
-
-
-def test_both_cameras_share_the_shadows_of_a_moment() -> None:
-    kept: Latest[int, list[int]] = Latest(keep=2)
-    together = threading.Barrier(2)
-
-    def ask(_: int) -> list[int]:
-        together.wait(10.0)
-        return kept.get(1, lambda: [1])
-
-    with ThreadPoolExecutor(2) as pool:
-        first, second = pool.map(ask, range(2))
-    assert first is second, "computed once"
-    kept.get(2, lambda: [2])
-    assert kept.get(1, lambda: [99]) is first, "used last, so kept for longest"
-    kept.get(3, lambda: [3])
-    assert kept.get(1, lambda: [99]) is first
-    assert kept.get(2, lambda: [98]) == [98], "made way for 3"
-
-
-def test_what_fails_is_tried_again() -> None:
-    kept: Latest[int, int] = Latest()
-    with pytest.raises(ZeroDivisionError):
-        kept.get(1, lambda: 1 // 0)
-    assert kept.get(1, lambda: 5) == 5

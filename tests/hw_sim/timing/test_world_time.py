@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable
 
-from hw_sim.timing.world_time import BLANK_NS, START_NS, WorldClock, WorldTime
+from hw_sim.timing.world_time import START_NS, WorldTime
 from tests.hw_sim.conftest import Bench, HandTime
 
 
@@ -22,21 +21,6 @@ def test_what_happens_sees_its_own_moment_however_late_it_is_done() -> None:
         world_time.happen()
         assert seen == [0]
         assert world_time.now_ns() > moment_ns + 2_000_000, "time must catch up with real time"
-
-
-def test_time_halts_just_before_the_blank() -> None:
-    world_time = WorldTime()
-    time.sleep(0.03)
-    assert START_NS + 0.9 * BLANK_NS < world_time.now_ns() < START_NS + BLANK_NS
-
-
-def test_the_clock_never_goes_back_whatever_is_planned() -> None:
-    world_time = WorldTime()
-    time.sleep(0.005)
-    before_ns = world_time.now_ns()
-    with world_time.condition:
-        world_time.at(START_NS, lambda _: None)
-    assert world_time.now_ns() >= before_ns
 
 
 def test_things_happen_in_the_order_of_their_moments(hand_time: HandTime) -> None:
@@ -60,21 +44,3 @@ def test_a_wait_counts_world_time_and_ends(make_bench: Callable[..., Bench]) -> 
     assert all(world_s >= 0.5 for world_s, _ in slept_s)
     assert min(slept_s)[0] < 0.6
     assert min(real_s for _, real_s in slept_s) < 0.4
-
-
-def test_foreign_conditions_are_waited_for_in_world_time(bench: Bench) -> None:
-    clock = WorldClock(bench.world.time)
-    condition = threading.Condition()
-    with condition:
-        start_ns = clock.now_ns()
-        assert clock.wait_for(condition, lambda: False, 0.2) is False
-        assert 0.2 <= (clock.now_ns() - start_ns) / 1e9 < 0.3
-        assert clock.wait_for(condition, lambda: True, 0.2) is True
-
-
-def test_after_the_end_of_the_world_waits_still_take_their_time(make_bench: Callable[..., Bench]) -> None:
-    bench = make_bench()
-    bench.close()
-    start_s = time.monotonic()
-    bench.world.time.sleep_s(0.1)
-    assert time.monotonic() - start_s >= 0.1, "a host that still runs must not spin"

@@ -10,12 +10,10 @@ import pytest
 from hw_sim.optics.projector import LightSlice
 from hw_sim.rendering.render import Renderer
 from hw_sim.rendering.sensor import OFFSET_DN
-from hw_sim.rendering.stage import Stage
 from hw_sim.scene import Scene
 from hw_sim.truth import draw_truth
-from hw_sim.water.backscatter import Backscatter
 from hw_sim.water.medium import Water, turbid
-from hw_sim.water.scattering import BACKSCATTER_DEG, BACKSCATTER_MM, FRINGE_MM, WAY_MM, phase_function, survival
+from hw_sim.water.scattering import FRINGE_MM, WAY_MM, phase_function, survival
 
 
 def test_the_phase_function_scatters_all_light_and_its_known_share_backwards() -> None:
@@ -27,12 +25,6 @@ def test_the_phase_function_scatters_all_light_and_its_known_share_backwards() -
     assert back / whole == pytest.approx(0.0183, abs=0.0003), "Mobley's table: 0.0183"
 
 
-def test_coarse_fringes_survive_scattering_better_than_fine_ones() -> None:
-    left = [survival(period) for period in (1.0, 4.0, 16.0, 1e6)]
-    assert left == sorted(left)
-    assert left[-1] == pytest.approx(1.0, abs=1e-3)
-
-
 @pytest.mark.parametrize("periods", [1.0, 0.5])
 def test_fringes_are_dimmed_as_the_theory_of_small_angles_says(periods: float) -> None:
     c, share = 2.0, 0.8
@@ -41,27 +33,6 @@ def test_fringes_are_dimmed_as_the_theory_of_small_angles_says(periods: float) -
     made = math.exp(-water.attenuation_per_m * way_m) * math.exp(-0.5 * (wave * sigma_mm) ** 2)
     wanted = math.exp(-c * way_m + c * share * way_m * survival(periods * FRINGE_MM))
     assert made == pytest.approx(wanted, rel=1e-6)
-
-
-def test_the_fitted_fringe_is_one_of_the_rig() -> None:
-    truth = draw_truth("nominal", 1, 400, 300, Water().index)
-    view = Renderer(truth, Scene(object="plane", pose=(0.0, 0.0, 522.5, 0.0, 0.0, 0.0))).view("left", 0.0)
-    u, x = view.projector_px[150, 150:250, 0], view.points_rig_mm[150, 150:250, 0]
-    assert 16.0 * abs(x[-1] - x[0]) / abs(u[-1] - u[0]) == pytest.approx(FRINGE_MM, rel=0.01)
-
-
-def test_the_veil_counts_the_water_that_the_rig_sees_lit() -> None:
-    stage = Stage(draw_truth("nominal", 1, 400, 300, Water().index))
-    seen = Backscatter(stage.rays("left"), stage.lamp, 0.0).lit_water_mm
-    assert seen == pytest.approx(BACKSCATTER_MM, rel=0.01)
-    assert 150.0 < BACKSCATTER_DEG < 168.0
-
-
-def test_a_harbour_veils_and_blurs_more_than_a_coast_and_absorbing_water_does_neither() -> None:
-    coast, harbour, dark = turbid(0.4, 0.55), turbid(2.0, 0.8), turbid(2.0, 0.0)
-    assert harbour.backscatter / coast.backscatter == pytest.approx(2.0 * 0.8 / (0.4 * 0.55))
-    assert harbour.blur_px_per_m > coast.blur_px_per_m > dark.blur_px_per_m == 0.0
-    assert dark.attenuation_per_m == 2.0 > harbour.attenuation_per_m
 
 
 def test_the_pictures_modulation_falls_with_beam_attenuation() -> None:
@@ -79,9 +50,3 @@ def test_the_pictures_modulation_falls_with_beam_attenuation() -> None:
     seen = modulation(turbid(1.5)) / modulation(turbid(0.5))
     ways_m = 0.487 + 0.500
     assert seen == pytest.approx(math.exp(-ways_m * (1.0 - 0.8 * survival(FRINGE_MM))), rel=0.05)
-
-
-@pytest.mark.parametrize(("c", "share", "said"), [(-1.0, 0.5, "attenuation_per_m"), (1.0, 1.5, "scattering_share")])
-def test_impossible_water_is_refused(c: float, share: float, said: str) -> None:
-    with pytest.raises(ValueError, match=said):
-        turbid(c, share)

@@ -1,129 +1,170 @@
-"""The library ends of the wires: pyserial finds the port, names lead to worlds, and nothing is left behind."""
+"""The library ends of the wires: pyserial and hidapi find their devices and wait in world time; names lead to worlds."""
 
 from __future__ import annotations
 
+import inspect
 import threading
 import time
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
+import hidraw as hidapi
 import pytest
 import serial
 
 from hw_sim import wires
-from hw_sim.options import OptionError
+from hw_sim.timing.world_time import BLANK_NS
 from hw_sim.wires import open as open_wires
+from hw_sim.wires.hidraw import HidrawModule
 from hw_sim.world import World, WorldOptions
 from tests.hw_sim.conftest import SMALL, Bench
+from tests.hw_sim.devices.test_board_firmware import framed
 
 RIGS = Path(wires.__file__).parents[1] / "rigs"
+PING = framed("C,1,PING")
 
 
-def test_the_serial_handler_is_there_only_while_wires_are_open() -> None:
+@pytest.fixture
+def world() -> Iterator[World]:
+    with World(WorldOptions(world="fast", idle_speed=8.0, **SMALL)) as made, open_wires({"world": "fast"}):
+        yield made
+
+
+def port(timeout_s: float | None = 1.0, url: str = "kfsim://fast/board") -> Any:
+    return serial.serial_for_url(url, timeout=timeout_s)
+
+
+def in_background(act: Callable[[], object]) -> tuple[threading.Thread, list[object]]:
+    """Run it in a thread that is surely waiting by now; its result or exception is appended."""
+    results: list[object] = []
+
+    def run() -> None:
+        try:
+            results.append(act())
+        except Exception as error:
+            results.append(error)
+
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+    thread.join(0.05)
+    assert thread.is_alive(), results
+    return thread, results
+
+
+def test_the_protocol_is_known_only_while_wires_are_open() -> None:
     with pytest.raises(ValueError, match="kfsim"):
-        serial.serial_for_url("kfsim://main/board")
-    with open_wires({**SMALL, "world": "a"}), open_wires({"world": "a"}):
-        serial.serial_for_url("kfsim://a/board").close()
+        port()
+    with open_wires({**SMALL, "world": "fast"}), open_wires({"world": "fast"}):
+        port().close()
     with pytest.raises(ValueError, match="kfsim"):
-        serial.serial_for_url("kfsim://a/board")
+        port()
 
 
-def test_an_url_that_leads_nowhere(bench: Bench) -> None:
-    for url in ("kfsim://nowhere/board", f"kfsim://{bench.name}/bored"):
-        with pytest.raises(serial.SerialException, match="No such file or directory"):
-            serial.serial_for_url(url)
+def test_one_host_at_a_time_and_each_starts_with_an_empty_buffer(world: World) -> None:
+    with port() as first:
+        with pytest.raises(serial.SerialException, match="busy"):
+            port()
+        assert first.write(PING) == len(PING)
+        assert first.read_until(b"\r\n").startswith(b"$A,1,PING,")
+        first.write(PING)
+    with port(0.0) as second:
+        assert second.read(100) == b""
 
 
-def test_a_port_is_opened_once(bench: Bench) -> None:
-    url = f"kfsim://{bench.name}/board"
-    with pytest.raises(serial.SerialException, match="busy"):
-        serial.serial_for_url(url)
-    bench.board.port.close()
-    bench.board.port.close()
-    with pytest.raises(serial.SerialException):
-        bench.board.port.read(1)
-    serial.serial_for_url(url).close()
+def test_a_timeout_of_the_port_counts_world_time_and_returns_what_there_is(world: World) -> None:
+    world.fault("board slow")
+    with port(1.0) as p:
+        p.write(PING)
+        begin_ns, begin_real_ns = world.time_ns, time.monotonic_ns()
+        got = p.read(10_000)
+        passed_s = (world.time_ns - begin_ns) / 1e9
+        real_s = (time.monotonic_ns() - begin_real_ns) / 1e9
+    assert 1.0 <= passed_s <= 1.0 + 4 * BLANK_NS / 1e9
+    assert real_s < 1.0, "the world is faster than its host"
+    assert b"$A,1,PING," in got, "the answer of 500 ms is in it"
 
 
-def test_reading_waits_in_world_time_and_gives_what_there_is(bench: Bench) -> None:
-    port = bench.board.port
-    port.reset_input_buffer()
-    port.timeout = 0.2
-    start_ns = bench.wires.clock.now_ns()
-    assert port.read(100_000) is not None
-    assert 0.2 <= (bench.wires.clock.now_ns() - start_ns) / 1e9 < 0.3
-    port.timeout = 0
-    port.reset_input_buffer()
-    assert port.read(10) == b""
-    port.write(b"$C,7,PING*B7B3\r\n")
-    assert port.in_waiting > 10
-    assert port.read(5) == b"$A,7,"
+@pytest.mark.parametrize("by", ["cancel_read", "close", "the world's end"])
+def test_a_read_without_a_timeout_can_be_ended(by: str) -> None:
+    with open_wires({**SMALL, "world": "elsewhere"}):
+        with World(WorldOptions(world="fast", **SMALL)) as world:
+            world.fault("board off")
+            p = port(None)
+            thread, results = in_background(lambda: p.read(1))
+            if by != "the world's end":
+                getattr(p, by)()
+                thread.join(2.0)
+        thread.join(2.0)
+        if by == "cancel_read":
+            assert results == [b""]
+        else:
+            assert isinstance(results[0], serial.SerialException)
+        with pytest.raises(serial.SerialException):
+            p.write(PING)
 
 
-def test_a_reader_can_be_called_off(bench: Bench) -> None:
-    port = bench.board.port
-    port.timeout = None
-    threading.Timer(0.1, port.cancel_read).start()
-    start_s = time.monotonic()
-    port.read(1_000_000)
-    assert time.monotonic() - start_s < 2.0
+def test_the_pad_is_enumerated_and_refused_as_by_hidapi(world: World) -> None:
+    module = HidrawModule(world.keypad, world.time)
+    (found,) = module.enumerate(0x1209, 0x4B46)
+    page = inspect.getdoc(hidapi.enumerate)
+    assert page is not None
+    documented = {line.strip("- '") for line in page.splitlines() if "- '" in line}
+    assert len(documented) >= 10
+    assert documented <= set(found)
+    assert isinstance(found["path"], bytes)
+    assert (found["vendor_id"], found["product_id"]) == (0x1209, 0x4B46)
+    assert (found["usage_page"], found["usage"]) == (0xFF4B, 1)
+    assert [module.enumerate(*which) for which in ((), (0x1209,), (0x1209, 1), (1, 0x4B46))] == [
+        [found],
+        [found],
+        [],
+        [],
+    ]
+    for maker in (module, hidapi):
+        device = maker.device()
+        with pytest.raises(ValueError, match="not open"):
+            device.read(8, 10)
+        with pytest.raises(OSError, match="open failed"):
+            device.open_path(b"/dev/hidraw-none")
 
 
-def test_when_the_world_ends_the_port_is_gone(make_bench: Callable[..., Bench]) -> None:
-    bench = make_bench()
-    bench.close()
-    with pytest.raises(serial.SerialException, match="returned no data"):
-        bench.board.port.read(1)
-    with pytest.raises(serial.SerialException, match="write failed"):
-        bench.board.port.write(b"x")
+def test_reads_of_the_pad_wait_in_world_time_until_it_is_unplugged(world: World) -> None:
+    module = HidrawModule(world.keypad, world.time)
+    device = module.device()
+    before = module.enumerate()[0]["path"]
+    device.open_path(before)
+    report = device.read(8, 1000)
+    assert [type(value) for value in report] == [int] * 8
+    begin_ns = world.time_ns
+    assert device.read(8, 100) == []
+    assert 0.1 <= (world.time_ns - begin_ns) / 1e9 <= 0.1 + 4 * BLANK_NS / 1e9
+    world.time.sleep_s(20.0)
+    counters = [report[2] for report in iter(lambda: device.read(8, 1), [])]
+    assert counters == [(counters[0] + k) % 256 for k in range(63)], "20 s make 80 reports; the newest are lost"
 
+    # Nothing would end this read but the unplugging: it waits for ever and reads all there is.
+    def drain() -> None:
+        while True:
+            device.read(8)
 
-def test_a_second_world_needs_another_name(bench: Bench) -> None:
-    with (
-        pytest.raises(ValueError, match=f"already a world named '{bench.name}'"),
-        World(WorldOptions(world=bench.name, **SMALL)),
-    ):
-        pass
-
-
-def test_worlds_live_side_by_side(make_bench: Callable[..., Bench]) -> None:
-    one, two = make_bench(), make_bench()
-    one.board.ask("LASER", 1, 0)
-    assert one.world.board.lasers_on == (True, False)
-    assert two.world.board.lasers_on == (False, False)
-
-
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        ({"sede": 3}, "'sede'; did you mean 'seed'"),
-        ({"pace": "warp"}, "pace 'warp'; allowed are lockstep, realtime"),
-        ({"width_px": 10}, "camera size 10x1200; allowed are"),
-        ({"idle_speed": 0.0}, "idle_speed 0; allowed are"),
-        ({"object": "whale"}, "object 'whale'; allowed are"),
-        ({"script": "dive.txt"}, "a diver needs the option status"),
-    ],
-)
-def test_wrong_options_are_refused_with_what_is_allowed(options: dict[str, object], said: str) -> None:
-    with pytest.raises(OptionError) as caught, open_wires(options):
-        pass
-    assert said in str(caught.value)
-
-
-def test_faults_may_be_options(make_bench: Callable[..., Bench]) -> None:
-    bench = make_bench(faults=["leak wrong", "keypad off"])
-    assert bench.wires.hidraw.enumerate() == []
-    assert "LEAK=1" in bench.board.ask("SENSE")
+    thread, results = in_background(drain)
+    world.fault("keypad off")
+    thread.join(2.0)
+    assert isinstance(results[0], OSError)
+    assert module.enumerate() == []
+    world.clear_faults()
+    with pytest.raises(OSError, match="read error"):
+        device.read(8, 1000)
+    assert module.enumerate()[0]["path"] != before
 
 
 def test_a_world_that_was_refused_is_not_found_by_the_next_who_asks_for_its_name() -> None:
     """It was, and its time stood still: whoever waited for one of its devices waited for ever."""
-    with (
-        pytest.raises(ValueError, match=r"camera\.left explode"),
-        open_wires({**SMALL, "faults": ["camera.left explode"]}),
-    ):
-        pass
+    for wrong, named in (({"faults": ["camera.left explode"]}, "explode"), ({"script": "dive.txt"}, "status")):
+        with pytest.raises(ValueError, match=named), open_wires({**SMALL, **wrong}):
+            pass
     with open_wires(SMALL) as next_wires:
         start_ns = next_wires.clock.now_ns()
         time.sleep(0.1)
@@ -160,9 +201,8 @@ def test_the_simulated_rigs_differ_from_the_instrument_only_in_what_is_simulated
     }
     allowed = {"rig.name", "rig.serial", "rig.wires", "board.url", "storage.root"}
     assert differing - allowed <= ({"design.pixel_um"} if name == "small" else set())
-    cameras = [rig["camera"][side] for side in ("left", "right")]
     options = rig["rig"].get("wires_options", {})
-    for camera in cameras:
-        assert camera["width_px"] == options.get("width_px", 1600)
-        assert camera["height_px"] == options.get("height_px", 1200)
+    for camera in (rig["camera"][side] for side in ("left", "right")):
+        sides = (camera["width_px"], camera["height_px"])
+        assert sides == (options.get("width_px", 1600), options.get("height_px", 1200))
         assert camera["width_px"] * rig["design"]["pixel_um"] == pytest.approx(1600 * 4.5)

@@ -1,1 +1,0 @@
-"""The windows of the simulated world and the keyboard before them."""
