@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import re
 import shutil
+import socket
 import subprocess
 import sys
 import threading
@@ -21,7 +23,6 @@ SYSTEMD = Path(__file__).parents[2] / "systemd"
 needs_keygen = pytest.mark.skipif(shutil.which("ssh-keygen") is None, reason="openssh-client is not installed")
 ED25519 = "ssh-ed25519 AAAAC3NzaC1lZDI1NTE5AAAAIOMqqnkVzrm0SdG6UOoqKLsabgH5C9okWi0dh2l9GKJl anna@desk"
 OTHER = "ssh-ed25519 AAAAC3NzaC1lZDI1NTE5AAAAIJPnXHpGi7uRB2Qm0dNPRPhzZQAHZwAUGLbBlMDWDTsg bert@desk"
-FINGERPRINTS = ("SHA256:FqIYYW6jEc5NVy6vNYaUdNF4sUHBXnBIaRcVrDh2f8k", "")
 
 
 @needs_keygen
@@ -65,45 +66,38 @@ def test_one_bad_line_and_no_key_of_the_file_is_enrolled(tmp_path: Path, data: b
 def test_the_list_of_keys_is_kept_by_hand(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / "both.pub").write_text(f"{ED25519}\n{OTHER}\n")
+    both, path = tmp_path / "both.pub", tmp_path / "keys"
+    both.write_text(f"{ED25519}\n{OTHER}\n")
 
     def typed(*words: object) -> tuple[int, list[str], str]:
-        monkeypatch.setattr(sys, "argv", ["x", "--keys", str(tmp_path / "keys"), *map(str, words)])
+        monkeypatch.setattr(sys, "argv", ["x", "--keys", str(path), *map(str, words)])
         code, said = main.main(), capsys.readouterr()
         return code, [line.split()[-1] for line in said.out.splitlines()], said.err
 
-    both = ["anna@desk", "bert@desk"]
-    assert typed("enrol", tmp_path / "both.pub") == (0, both, "2 enrolled\n")
-    assert typed("list") == (0, both, "2 enrolled\n")
-    first = keys.enrolled(tmp_path / "keys")[0].fingerprint
-    code, _, said = typed("forget", first, "SHA256:another")
-    assert (code, said) == (1, "kingfisher-transfer: SHA256:another: not enrolled; `list` shows what is\n")
-    assert typed("forget", first) == (0, both[:1], "1 forgotten\n")
-    assert typed("forget", "--all") == (0, both[1:], "1 forgotten\n")
+    anna, bert = "anna@desk", "bert@desk"
+    assert typed("enrol", both) == (0, [anna, bert], "2 enrolled\n")
+    assert typed("list") == (0, [anna, bert], "2 enrolled\n")
+    first = keys.enrolled(path)[0].fingerprint
+    assert typed("forget", first, "SHA256:another")[0] == 1
+    assert typed("forget", first) == (0, [anna], "1 forgotten\n")
+    assert typed("forget", "--all") == (0, [bert], "1 forgotten\n")
     monkeypatch.setattr(keys, "MOST_KEYS", 1)
-    assert typed("enrol", tmp_path / "both.pub")[0] == 1
+    assert typed("enrol", both)[0] == 1
     code, _, said = typed("stick", "/dev/none")
     assert (code, "the transfer is off" in said) == (0, True)
 
 
 @needs_keygen
-def test_a_short_rsa_key_is_refused(tmp_path: Path) -> None:
-    for bits, fine in ((2048, False), (3072, True)):
-        made = tmp_path / f"rsa{bits}"
-        subprocess.run(["ssh-keygen", "-q", "-t", "rsa", "-b", str(bits), "-N", "", "-f", made], check=True, timeout=60)
-        data = made.with_suffix(".pub").read_bytes()
-        if fine:
-            assert len(keys.parsed(data)) == 1
-        else:
-            with pytest.raises(KeysError, match="at least 3072"):
-                keys.parsed(data)
-
-
-@needs_keygen
-def test_what_stands_in_a_comment_never_becomes_a_line_of_its_own(tmp_path: Path) -> None:
-    path = tmp_path / "authorized_keys"
-    keys.enrol(path, f'{ED25519} \x1b[2J "quoted" é'.encode())
-    assert path.read_text() == f"{ED25519}-2J-quoted\n"
+@pytest.mark.parametrize(("bits", "fine"), [(2048, False), (3072, True)])
+def test_a_short_rsa_key_is_refused(tmp_path: Path, bits: int, fine: bool) -> None:
+    made = tmp_path / "rsa"
+    subprocess.run(["ssh-keygen", "-q", "-t", "rsa", "-b", str(bits), "-N", "", "-f", made], check=True, timeout=60)
+    data = made.with_suffix(".pub").read_bytes()
+    if fine:
+        assert len(keys.parsed(data)) == 1
+    else:
+        with pytest.raises(KeysError, match="at least 3072"):
+            keys.parsed(data)
 
 
 @needs_keygen
@@ -123,20 +117,21 @@ def test_a_stick_enrols_and_forgets(tmp_path: Path) -> None:
 
 
 @needs_keygen
-def test_a_stick_makes_nobody_read_the_instruments_own_files(tmp_path: Path) -> None:
+@pytest.mark.parametrize("make", ["symlink", "fifo", "folder"])
+def test_a_stick_makes_nobody_read_the_instruments_own_files(tmp_path: Path, make: str) -> None:
     plugged, secret = tmp_path / "stick", tmp_path / "secret"
     plugged.mkdir()
     secret.write_text(ED25519)
-    for make in (
-        lambda at: at.symlink_to(secret),
-        lambda at: os.mkfifo(at),
-        lambda at: at.mkdir(),
-    ):
-        path = plugged / "kingfisher-keys.pub"
-        make(path)
-        with pytest.raises(KeysError):
-            stick.of_folder(plugged, tmp_path / "authorized_keys")
-        path.rmdir() if path.is_dir() else path.unlink()
+    path = plugged / "kingfisher-keys.pub"
+    match make:
+        case "symlink":
+            path.symlink_to(secret)
+        case "fifo":
+            os.mkfifo(path)
+        case _:
+            path.mkdir()
+    with pytest.raises(KeysError):
+        stick.of_folder(plugged, tmp_path / "authorized_keys")
     assert not (tmp_path / "authorized_keys").exists()
 
 
@@ -213,14 +208,8 @@ def test_the_screen_is_told_how_the_transfer_stands_until_it_is_ended(
     assert json.loads(there.status.read_text())["keys"] is None
 
 
-def whole_pair(key: Path) -> bool:
-    """The private half gives the public one that lies beside it."""
-    said = subprocess.run(["ssh-keygen", "-y", "-f", key], capture_output=True, text=True, timeout=60, check=False)
-    return bool(said.stdout) and said.stdout.split()[:2] == key.with_suffix(".pub").read_text().split()[:2]
-
-
 @needs_keygen
-@pytest.mark.parametrize("left", [(), ("key",), ("key.pub",), ("key", "key.pub"), (".key.draft",), (".key.draft.pub",)])
+@pytest.mark.parametrize("left", [("key",), ("key", "key.pub"), (".key.draft", ".key.draft.pub")])
 def test_half_a_host_key_of_a_power_cut_does_not_end_the_transfer_for_good(
     tmp_path: Path, left: tuple[str, ...]
 ) -> None:
@@ -229,7 +218,10 @@ def test_half_a_host_key_of_a_power_cut_does_not_end_the_transfer_for_good(
         key.parent.mkdir(exist_ok=True)
         (key.parent / name).write_bytes(b"")
     make_host_key(key)
-    assert whole_pair(key)
+    said = subprocess.run(
+        ["ssh-keygen", "-y", "-f", key], capture_output=True, text=True, timeout=60, check=True
+    ).stdout
+    assert said.split()[:2] == key.with_suffix(".pub").read_text().split()[:2], "one pair"
     assert {path.name for path in key.parent.iterdir()} == {"key", "key.pub"}
     assert key.stat().st_mode & 0o777 == 0o600
     before = key.read_bytes()
@@ -237,43 +229,16 @@ def test_half_a_host_key_of_a_power_cut_does_not_end_the_transfer_for_good(
     assert key.read_bytes() == before, "a host key is made once"
 
 
-WITHOUT_NETLINK = """
-import ctypes, errno, socket, struct, sys
-sys.path.insert(0, sys.argv[1])
-from kingfisher_transfer import addresses
-there = addresses.of_this_machine()
-def instruction(code, yes, no, value):
-    return struct.pack("HBBI", code, yes, no, value)
-# seccomp(2): socket(AF_NETLINK) fails with EAFNOSUPPORT, as under RestrictAddressFamilies=; all else is allowed.
-program = b"".join((
-    instruction(0x20, 0, 0, 0), instruction(0x15, 0, 3, 41), instruction(0x20, 0, 0, 16),
-    instruction(0x15, 0, 1, socket.AF_NETLINK), instruction(0x06, 0, 0, 0x00050000 | errno.EAFNOSUPPORT),
-    instruction(0x06, 0, 0, 0x7FFF0000),
-))
-held = ctypes.create_string_buffer(program)
-class Filter(ctypes.Structure):
-    _fields_ = [("length", ctypes.c_ushort), ("program", ctypes.c_void_p)]
-libc = ctypes.CDLL(None, use_errno=True)
-assert libc.prctl(38, 1, 0, 0, 0) == 0
-assert libc.prctl(22, 2, ctypes.byref(Filter(6, ctypes.addressof(held)))) == 0
-try:
-    socket.if_nameindex()
-except OSError as error:
-    assert error.errno == errno.EAFNOSUPPORT
-else:
-    raise AssertionError("netlink is not refused here")
-assert addresses.of_this_machine() == there
-"""
-
-
-@pytest.mark.skipif(os.uname().machine != "x86_64", reason="the number of socket(2) is that of x86-64")
-def test_addresses_are_found_without_netlink_which_the_unit_forbids() -> None:
+def test_addresses_are_found_without_netlink_which_the_unit_forbids(monkeypatch: pytest.MonkeyPatch) -> None:
     """The C library lists interfaces by netlink: the transfer died of it in its first second."""
     assert "NETLINK" not in (SYSTEMD / "kingfisher-transfer.service").read_text()
-    done = subprocess.run(
-        [sys.executable, "-I", "-c", WITHOUT_NETLINK, SYSTEMD], capture_output=True, text=True, timeout=60, check=False
-    )
-    assert done.returncode == 0, done.stderr
+    there = addresses.of_this_machine()
+
+    def refused(*_: object) -> None:
+        raise OSError(errno.EAFNOSUPPORT, "as under RestrictAddressFamilies=")
+
+    monkeypatch.setattr(socket, "if_nameindex", refused)
+    assert addresses.of_this_machine() == there
 
 
 def test_addresses_of_the_link_alone_come_last(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -292,78 +257,58 @@ def test_addresses_of_the_link_alone_come_last(tmp_path: Path, monkeypatch: pyte
     assert addresses._ipv4("lo") == "127.0.0.1"
 
 
-# ---------------------------------------------------------------------------------- units and settings
-
-
-def test_nothing_of_it_runs_before_the_note_is_there() -> None:
-    for name in ("kingfisher-transfer.service", "kingfisher-keys@.service"):
-        unit = (SYSTEMD / name).read_text()
-        assert "\nConditionPathExists=/run/kingfisher/transfer-on\n" in unit
-        assert "[Install]" not in unit
-    # The folder of the note is in memory: it is gone with the power.
-    assert "RuntimeDirectory=kingfisher\n" in (SYSTEMD / "kingfisher.service").read_text()
-
-
-def test_it_gets_what_nobody_else_wants() -> None:
-    lines = (SYSTEMD / "kingfisher-transfer.service").read_text().splitlines()
-    assert {"Nice=19", "CPUWeight=idle", "IOSchedulingClass=idle", "IOWeight=1"} <= set(lines)
-
-
-def test_the_user_who_comes_in_reads_and_owns_nothing() -> None:
-    users = (SYSTEMD / "kingfisher.sysusers").read_text()
-    settings = (SYSTEMD / "kingfisher-sshd.conf").read_text()
-    (user,) = re.findall(r"^AllowUsers (\S+)$", settings, re.MULTILINE)
-    assert f"\nm {user} kingfisher\n" in users
-    # What the appliance writes its group may read and not write.
-    assert "\nUMask=0027\n" in (SYSTEMD / "kingfisher.service").read_text()
-
-
-def test_paths_of_units_settings_and_program_are_the_same() -> None:
+def test_paths_of_units_settings_and_program_are_the_same_and_nothing_runs_before_the_note_is_there() -> None:
     from appliance.offline.pull.ssh import PORT, SERVED, USER
-    from kingfisher_transfer.serving import Places
 
-    places = Places()
-    settings = (SYSTEMD / "kingfisher-sshd.conf").read_text()
-    unit = (SYSTEMD / "kingfisher-transfer.service").read_text()
-    assert f"\nHostKey {places.host_key}\n" in settings
-    assert f"\nAuthorizedKeysFile {places.authorized}\n" in settings
-    assert f"\nPort {PORT}\n" in settings
-    assert f"\nAllowUsers {USER}\n" in settings
-    (root,) = re.findall(r"^ChrootDirectory (\S+)$", settings, re.MULTILINE)
+    server, unit, one, users = (
+        (SYSTEMD / f"kingfisher{name}").read_text()
+        for name in ("-sshd.conf", "-transfer.service", ".service", ".sysusers")
+    )
+    usual = Places()
+    told = {f"HostKey {usual.host_key}", f"AuthorizedKeysFile {usual.authorized}", f"Port {PORT}", f"AllowUsers {USER}"}
+    assert told <= set(server.splitlines())
+    (root,) = re.findall(r"^ChrootDirectory (\S+)$", server, re.MULTILINE)
     assert f"\nBindReadOnlyPaths=/var/lib/kingfisher:{root}/{SERVED}\n" in unit
-    assert places.config == SYSTEMD / "kingfisher-sshd.conf"
+    assert usual.config == SYSTEMD / "kingfisher-sshd.conf"
+    # Who comes in reads and owns nothing: what the appliance writes its group may read and not write.
+    assert f"\nm {USER} kingfisher\n" in users
+    assert "\nUMask=0027\n" in one
+    assert {"Nice=19", "CPUWeight=idle", "IOSchedulingClass=idle", "IOWeight=1"} <= set(unit.splitlines())
+    for started in (unit, (SYSTEMD / "kingfisher-keys@.service").read_text()):
+        assert "\nConditionPathExists=/run/kingfisher/transfer-on\n" in started
+        assert "[Install]" not in started
+    assert "RuntimeDirectory=kingfisher\n" in one, "in memory: the note is gone with the power"
 
 
-@pytest.mark.foreign
 @needs_keygen
 @pytest.mark.skipif(os.geteuid() != 0, reason="mounting needs root")
-@pytest.mark.parametrize("make", [("mkfs.vfat",), ("mke2fs", "-q", "-F", "-t", "ext4", "-d")])
-def test_a_real_stick_is_mounted_read_and_let_go(tmp_path: Path, make: tuple[str, ...]) -> None:
-    if shutil.which(make[0]) is None:
-        pytest.skip(f"{make[0]} is not installed")
-    kind = make[0].removeprefix("mkfs.") if "." in make[0] else "ext4"
+@pytest.mark.parametrize("kind", ["vfat", "ext4"])
+def test_a_real_stick_is_mounted_read_and_let_go(tmp_path: Path, kind: str) -> None:
+    for program in ("losetup", *(("mkfs.vfat", "mcopy") if kind == "vfat" else ("mke2fs",))):
+        if shutil.which(program) is None:
+            pytest.skip(f"{program} is not installed")
     if not re.search(rf"\t{kind}$", Path("/proc/filesystems").read_text(), re.MULTILINE):
         pytest.skip(f"this kernel has no {kind}")
     plugged, image, path = tmp_path / "stick", tmp_path / "stick.img", tmp_path / "authorized_keys"
     plugged.mkdir()
     (plugged / "kingfisher-keys.pub").write_text(f"{ED25519}\n")
-    with image.open("wb") as file:
-        file.truncate(8 << 20)
-    given = [str(plugged)] if "-d" in make else []
-    subprocess.run([*make, *given, str(image)], check=True, timeout=30, capture_output=True)
-    if make[0] == "mkfs.vfat":
-        copy = ["mcopy", "-i", str(image), str(plugged / "kingfisher-keys.pub"), "::/"]
-        if shutil.which("mcopy") is None:
-            pytest.skip("mtools is not installed")
-        subprocess.run(copy, check=True, timeout=30)
+    image.write_bytes(bytes(8 << 20))
+
+    def run(*command: object) -> str:
+        done = subprocess.run([*map(str, command)], check=True, timeout=30, capture_output=True, text=True)
+        return done.stdout.strip()
+
+    if kind == "vfat":
+        run("mkfs.vfat", image)
+        run("mcopy", "-i", image, plugged / "kingfisher-keys.pub", "::/")
+    else:
+        run("mke2fs", "-q", "-F", "-t", "ext4", "-d", plugged, image)
     before = image.read_bytes()
-    device = subprocess.run(
-        ["losetup", "--find", "--show", image], check=True, timeout=30, capture_output=True, text=True
-    ).stdout.strip()
+    device = run("losetup", "--find", "--show", image)
     try:
         assert stick.of_device(Path(device), path).startswith("1 keys enrolled, SHA256:")
         assert device not in Path("/proc/mounts").read_text()
     finally:
-        subprocess.run(["losetup", "--detach", device], check=True, timeout=30)
+        run("losetup", "--detach", device)
     assert path.read_text() == f"{ED25519}\n"
     assert image.read_bytes() == before, "a stick is never written to"

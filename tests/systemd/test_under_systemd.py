@@ -141,22 +141,16 @@ def test_it_starts_by_itself_and_a_scan_comes_to_the_disk(instrument: Instrument
         assert listed.items() <= found.items()
 
 
-def test_killed_it_is_back_with_its_scans(instrument: Instrument) -> None:
-    before, scans = instrument.status, instrument.scans()
-    instrument.machine.kill(UNIT, signal.SIGKILL)
+@pytest.mark.parametrize(
+    ("by", "said"), [(signal.SIGKILL, "restarted"), (signal.SIGSTOP, "watchdog")], ids=["killed", "hanging"]
+)
+def test_killed_or_hanging_it_is_back_with_its_scans(instrument: Instrument, by: signal.Signals, said: str) -> None:
+    before, scans, restarts = instrument.status, instrument.scans(), int(instrument.machine.shown(UNIT, "NRestarts"))
+    instrument.machine.kill(UNIT, by)
     took_s = instrument.works_again(before)
-    print(f"killed: next scan saved after {took_s:.1f} s")
-    assert instrument.machine.shown(UNIT, "NRestarts") == "1"
-    assert "RESTARTED" in instrument.machine.journal(UNIT)
-    assert scans.items() <= instrument.scans().items()
-
-
-def test_hanging_it_is_ended_by_the_watchdog(instrument: Instrument) -> None:
-    before, scans = instrument.status, instrument.scans()
-    instrument.machine.kill(UNIT, signal.SIGSTOP)
-    took_s = instrument.works_again(before)
-    print(f"hung: next scan saved after {took_s:.1f} s")
-    assert "watchdog" in instrument.machine.journal(UNIT).lower()
+    print(f"{by.name}: next scan saved after {took_s:.1f} s")
+    assert int(instrument.machine.shown(UNIT, "NRestarts")) == restarts + 1
+    assert said in instrument.machine.journal(UNIT).lower()
     assert scans.items() <= instrument.scans().items()
 
 
