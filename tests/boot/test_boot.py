@@ -124,17 +124,6 @@ def is_safe_screen(picture: NDArray[np.uint8]) -> bool:
     return bool((picture[0] == page[0, 0, ::-1]).all()) and picture.std() > 10.0
 
 
-def restarted(instrument: Instrument, pid: str) -> None:
-    """Another process is there, says so, and is in AIM."""
-    begun_s = time.monotonic()
-    status = instrument.wait("another process", lambda s: str(s["pid"]) != pid, RESTART_S)
-    print(f"on the screen again after {time.monotonic() - begun_s:.0f} s")
-    assert "RESTARTED" in headlines(status)
-    instrument.keep("restarted", instrument.screen())
-    ready(instrument, RESTART_S)
-    print(f"in AIM again after {time.monotonic() - begun_s:.0f} s")
-
-
 def test_power_on_leads_to_the_aim_screen_by_itself(instrument: Instrument) -> None:
     instrument.machine.wait_for_agent(BOOT_S)
     status = ready(instrument, BOOT_S)
@@ -180,23 +169,25 @@ def test_a_press_of_scan_becomes_a_cloud_and_a_scan_on_the_disk(instrument: Inst
 
 
 @pytest.mark.long
-def test_a_killed_service_is_back_with_its_scans(instrument: Instrument) -> None:  # faults.md 37
-    before, pid = stored(instrument), show(instrument, "MainPID")
-    instrument.machine.run(f"kill -KILL {pid}")
-    restarted(instrument, pid)
+@pytest.mark.parametrize(  # faults.md 37, 38
+    ("signal", "said"), [("KILL", []), ("STOP", ["Watchdog timeout", "most recent call first"])]
+)
+def test_a_service_that_is_killed_or_hangs_is_back_with_its_scans(
+    instrument: Instrument, signal: str, said: list[str]
+) -> None:
+    before, pid, restarts = stored(instrument), show(instrument, "MainPID"), int(show(instrument, "NRestarts"))
+    instrument.machine.run(f"kill -{signal} {pid}")
+    begun_s = time.monotonic()
+    status = instrument.wait("another process", lambda s: str(s["pid"]) != pid, RESTART_S)
+    print(f"on the screen again after {time.monotonic() - begun_s:.0f} s")
+    assert "RESTARTED" in headlines(status)
+    instrument.keep("restarted", instrument.screen())
+    ready(instrument, RESTART_S)
+    print(f"in AIM again after {time.monotonic() - begun_s:.0f} s")
+    journal = instrument.machine.run(f"journalctl -u {UNIT} --no-pager -n 300")
+    assert all(words in journal for words in said), "the watchdog, and the stacks of its threads"
     assert stored(instrument) == before
-    assert show(instrument, "NRestarts") == "1"
-
-
-@pytest.mark.long
-def test_a_main_loop_that_hangs_is_ended_by_the_watchdog(instrument: Instrument) -> None:  # faults.md 38
-    before, pid = stored(instrument), show(instrument, "MainPID")
-    instrument.machine.run(f"kill -STOP {pid}")
-    restarted(instrument, pid)
-    said = instrument.machine.run(f"journalctl -u {UNIT} --no-pager -n 300")
-    assert "Watchdog timeout" in said
-    assert "most recent call first" in said, "the stacks of its threads"
-    assert stored(instrument) == before
+    assert int(show(instrument, "NRestarts")) == restarts + 1
 
 
 @pytest.mark.long
