@@ -39,7 +39,7 @@ CHOICES = {
     "LineMode": ("Output", "Input"),
     "TriggerOverlap": ("Off", "PreviousFrame", "ReadOut"),
 }
-WHOLE = {"Width": (8, 1600, 8), "Height": (2, 1200, 2), "OffsetX": (0, 800, 8), "OffsetY": (0, 600, 2)}
+WHOLE = {"Width": (8, 1600, 8), "Height": (2, 1200, 2), "OffsetX": (0, 808, 8), "OffsetY": (0, 600, 2)}
 WHOLE |= {"TLParamsLocked": (0, 1, 1), "BinningHorizontal": (1, 4, 1), "BinningVertical": (1, 4, 1)}
 WHOLE |= {"DeviceLinkThroughputLimit": (1, 450_000_000, 1)}
 FLOATS = {"ExposureTime": (10.0, 16_000.0), "Gain": (0.0, 12.0), "DeviceTemperature": (-40.0, 120.0)}
@@ -48,17 +48,9 @@ FLAGS = ("ReverseX", "ReverseY", "AcquisitionFrameRateEnable", "GammaEnable", "L
 COMMANDS = ("AcquisitionStart", "AcquisitionStop", "UserSetLoad")
 FEATURE_NAMES = (*CHOICES, *WHOLE, *FLOATS, *FLAGS, *COMMANDS)
 ADDRESS = {name: FEATURES + 4 * k for k, name in enumerate(FEATURE_NAMES)}
-OF_ADDRESS = {
-    **{address: name for name, address in ADDRESS.items()},
-    SIRM + 0x04: "SIRM control",
-    SIRM + 0x18: "SIRM leader",
-    SIRM + 0x1C: "SIRM transfer",
-    SIRM + 0x20: "SIRM transfers",
-    SIRM + 0x24: "SIRM final 1",
-    SIRM + 0x28: "SIRM final 2",
-    SIRM + 0x2C: "SIRM trailer",
-    0x1F8: "latch",
-}
+OF_SIRM = {0x04: "control", 0x18: "leader", 0x1C: "transfer", 0x20: "transfers", 0x24: "final 1", 0x28: "final 2", 0x2C: "trailer"}  # fmt: skip
+OF_ADDRESS = {address: name for name, address in ADDRESS.items()} | {0x1F8: "latch"}
+OF_ADDRESS |= {SIRM + offset: f"SIRM {name}" for offset, name in OF_SIRM.items()}
 
 
 def description(

@@ -285,7 +285,7 @@ def test_what_cannot_be_written_is_taken_where_it_is_right_and_refused_where_it_
 def test_a_place_on_the_sensor_is_the_rig_files_or_the_middle() -> None:
     device = set_up(spec=replace(SPEC, offset_x_px=24, offset_y_px=0))
     assert (device.feature("OffsetX"), device.feature("OffsetY")) == (24, 0)
-    with pytest.raises(DeviceRefused, match=r"OffsetX: 804 .*0\.\.800 in steps of 8"):
+    with pytest.raises(DeviceRefused, match=r"OffsetX: 804 .*0\.\.808 in steps of 8"):
         set_up(spec=replace(SPEC, offset_x_px=804))
 
 

@@ -143,7 +143,6 @@ def nested(depth: int) -> str:
 
 
 ENTITIES = "".join(f"<!ENTITY e{n} '{f'&e{n - 1};' * 10}'>" for n in range(1, 12))
-MANY = " ".join(f"b{n}='0'" for n in range(65))
 BOMB = XML.replace(
     "<RegisterDescription", f"<!DOCTYPE R [<!ENTITY e0 'Width'>{ENTITIES}]><RegisterDescription", 1
 ).replace("<pFeature>Width</pFeature>", "<pFeature>&e11;</pFeature>")
@@ -157,17 +156,14 @@ FILE = XML.replace(
     [
         *((text, "description") for text in ("", "<a/>", XML[:900], "\0")),
         (nested(100_000), "nested deeper than 32"),
-        (nested(32), "nested deeper than 32"),
         (nested(31), "parsing XML stream"),  # GenApi's own words: it knows no such nesting
-        (XML.replace("<Port ", "<a/>" * 400_001 + "<Port "), "more than 400000 elements"),
-        (XML.replace("<Port ", f"<a {MANY}/><Port "), "more than 64 attributes"),
         (BOMB, "a document type is declared"),
         (FILE, "a document type is declared"),
         (XML.replace("<pPort>Device<", "<pPort>Width<", 1), "cannot be loaded .*port"),
         (XML.replace("<pFeature>Width<", "<pFeature>Device<", 1), "cannot be loaded .*port"),
         (XML.replace('encoding="utf-8"', 'encoding="inf-8"', 1), "not well-formed"),
     ],
-    ids=range(14),
+    ids=range(11),
 )
 def test_a_description_that_is_none_or_beyond_any_cameras_is_refused(xml: str, said: str) -> None:
     """A hundred thousand nested elements end the process from below Python, where nothing can be caught."""
@@ -182,22 +178,7 @@ TAGS = (
     "<IntSwissKnife Name='K'><pVariable Name='W'>Width</pVariable><Formula>W/0</Formula></IntSwissKnife>", "<pFeature>Root</pFeature>",
 )  # fmt: skip
 NAMES = ("Width", "TriggerMode", "ExposureTime", "AcquisitionStart", "Root", "WidthReg", "Device", "Nothing")
-OTHERS = (
-    *NAMES,
-    "0",
-    "1",
-    "8",
-    "0x1000",
-    "-1",
-    "nan",
-    "0xFFFFFFFFFFFFFFFF",
-    "99999999",
-    "BigEndian",
-    "RO",
-    "NI",
-    "",
-    "1/0",
-)
+OTHERS = *NAMES, "", *str.split("0 1 8 0x1000 -1 nan 0xFFFFFFFFFFFFFFFF 99999999 BigEndian RO NI 1/0")
 
 
 @st.composite

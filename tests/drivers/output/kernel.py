@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import errno
+import math
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -98,6 +99,20 @@ class Time:
         return condition.wait_for(predicate, timeout_s)
 
 
+def refusing(number: int = errno.EINVAL, times: float = math.inf) -> Callable[[bytearray], None]:
+    """Return what refuses the first so many requests."""
+    left = times
+
+    def refuse(buffer: bytearray) -> None:
+        nonlocal left
+        left -= 1
+        if left >= 0:
+            buffer[:] = b"\xff" * len(buffer)  # what is half done may lie in the request
+            raise OSError(number, "it cannot be done")
+
+    return refuse
+
+
 class Kernel:
     """The card node; see the module."""
 
@@ -137,6 +152,8 @@ class Kernel:
         self.events = b""
         self.closed = False
         self.on_blank: Callable[[Kernel], None] = lambda kernel: None
+        self.before: dict[int, Callable[[bytearray], None]] = {}
+        """What happens before a request of this number is dealt with."""
         self._next = 100
         self._lock = threading.RLock()
 
@@ -161,6 +178,8 @@ class Kernel:
             self.calls.append(number)
             if self.pulled:
                 raise OSError(errno.ENODEV, "No such device")
+            if number in self.before:
+                self.before[number](buffer)
             handlers: dict[int, tuple[Callable[[Any], None], Any]] = {
                 0x0C: (self._get_cap, GetCap), 0xA0: (self._resources, CardRes), 0xA1: (self._get_crtc, Crtc),
                 0xA2: (self._set_crtc, Crtc), 0xA5: (self._set_gamma, CrtcLut), 0xA6: (self._encoder, GetEncoder),
@@ -351,17 +370,20 @@ class Kernel:
 class KernelWires:
     """``drivers.api.Wires`` with this kernel behind ``open_card``."""
 
-    kernels: dict[str, list[Kernel]]
+    kernels: dict[str, list[Kernel | Exception]]
     opened: list[str] = field(default_factory=list)
     usb_backend: object = None
     hidraw: object = None
 
     @property
     def clock(self) -> Time:
-        return next(iter(self.kernels.values()))[0].time
+        return next(one for queue in self.kernels.values() for one in queue if isinstance(one, Kernel)).time
 
     def open_card(self, path: str) -> Kernel:
         """The next kernel in the queue of that path; the last one again and again."""
         self.opened.append(path)
         queue = self.kernels[path]
-        return queue.pop(0) if len(queue) > 1 else queue[0]
+        found = queue.pop(0) if len(queue) > 1 else queue[0]
+        if isinstance(found, Exception):
+            raise found
+        return found

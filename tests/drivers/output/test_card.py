@@ -9,23 +9,16 @@ from typing import Any
 import pytest
 
 from drivers.output.card import Card, _U32s
-from tests.drivers.output.kernel import GetConnector, Kernel, Plug, VblankEvent, mode
+from tests.drivers.output.kernel import GetConnector, Kernel, Plug, VblankEvent, mode, refusing
 
 ASKED = 0xA7
 
 
-class Changing(Kernel):
-    """Its first connector changes at one of the questions about it."""
-
-    def __init__(self, change: Callable[[Plug], None], at_question: int) -> None:
-        super().__init__([Plug(1, 11, 1, [mode(128, 96)], properties={7: 1})])
-        self._change, self._at, self._questions = change, at_question, 0
-
-    def _connector(self, con: Any) -> None:
-        self._questions += 1
-        if self._questions == self._at:
-            self._change(self.plugs[1])
-        super()._connector(con)
+def one_plug(**changes: object) -> Kernel:
+    kernel = Kernel([Plug(1, 11, 1, [mode(128, 96)], properties={7: 1})])
+    for name, value in changes.items():
+        setattr(kernel, name, value)
+    return kernel
 
 
 def more_modes(plug: Plug) -> None:
@@ -36,26 +29,23 @@ def more_properties(plug: Plug) -> None:
     plug.properties = {7: 1, 8: 2, 9: 3}
 
 
-def nothing(plug: Plug) -> None:
-    pass
-
-
-@pytest.mark.parametrize(("change", "questions"), [(nothing, 2), (more_modes, 3), (more_properties, 3)])
+@pytest.mark.parametrize(("change", "questions"), [(None, 2), (more_modes, 3), (more_properties, 3)])
 def test_a_connector_that_grows_between_two_questions_is_asked_once_more_and_not_for_ever(
-    change: Callable[[Plug], None], questions: int
+    change: Callable[[Plug], None] | None, questions: int
 ) -> None:
-    kernel = Changing(change, 2)
-    found = Card(kernel, kernel.time).connector(1)
+    kernel = one_plug()
     plug = kernel.plugs[1]
+
+    def at_the_second_question(_: bytearray) -> None:
+        if change is not None and kernel.calls.count(ASKED) == 2:
+            change(plug)
+
+    kernel.before[ASKED] = at_the_second_question
+    found = Card(kernel, kernel.time).connector(1)
     assert [(one.width_px, one.height_px) for one in found.modes] == [(m.hdisplay, m.vdisplay) for m in plug.modes]
     assert found.properties == plug.properties
     assert kernel.calls.count(ASKED) == questions
-
-    def grow(con: Any) -> None:
-        plug.modes.append(mode(64, 48))
-        Kernel._connector(kernel, con)
-
-    kernel._connector = grow  # type: ignore[method-assign]
+    kernel.before[ASKED] = lambda _: plug.modes.append(mode(64, 48))
     with pytest.raises(OSError, match="connector 1 kept changing through 4 reads"):
         Card(kernel, kernel.time).connector(1)
 
@@ -63,14 +53,8 @@ def test_a_connector_that_grows_between_two_questions_is_asked_once_more_and_not
 @pytest.mark.parametrize(("probe", "room"), [(True, 0), (False, 1)])
 def test_only_a_question_with_room_for_no_mode_makes_the_driver_look_at_the_wire(probe: bool, room: int) -> None:
     """Slow, so not done at every question; and no field says that there is room where there is none."""
-    kernel = Changing(nothing, 0)
     asked: list[Any] = []
-
-    def note(con: Any) -> None:
-        asked.append(GetConnector.from_buffer_copy(con))
-        Kernel._connector(kernel, con)
-
-    kernel._connector = note  # type: ignore[method-assign]
+    kernel = one_plug(before={ASKED: lambda buffer: asked.append(GetConnector.from_buffer_copy(buffer))})
     card = Card(kernel, kernel.time)
     assert card.connector(1, probe=probe).connected
     assert card.is_connected(1)
@@ -83,48 +67,26 @@ def test_only_a_question_with_room_for_no_mode_makes_the_driver_look_at_the_wire
     assert (whole.modes, whole.props, whole.encoders) == (1, 1, 1)
 
 
-class Interrupted(Kernel):
-    """Its next calls are broken off by a signal, or by a driver that has no time."""
-
-    def __init__(self, times: int, reason: int) -> None:
-        super().__init__([Plug(1, 11, 1, [mode(128, 96)])])
-        self._times, self._reason = times, reason
-
-    def ioctl(self, request: int, buffer: bytearray) -> None:
-        if self._times:
-            self._times -= 1
-            buffer[:] = b"\xff" * len(buffer)  # what is half done may lie in the request
-            raise OSError(self._reason, "broken off")
-        super().ioctl(request, buffer)
-
-
 @pytest.mark.parametrize(("reason", "tries"), [(errno.EINTR, 16), (errno.EAGAIN, 16), (errno.EINVAL, 1)])
 def test_a_call_that_a_signal_broke_off_is_made_again_up_to_sixteen_times(reason: int, tries: int) -> None:
-    often, ever = Interrupted(tries - 1, reason), Interrupted(tries, reason)
-    assert Card(often, often.time).capability(6) == 1
-    with pytest.raises(OSError, match="broken off"):
-        Card(ever, ever.time).capability(6)
-    assert ever.calls == []
-
-
-class Growing(Kernel):
-    """Connectors appear at each of the first questions for its lists."""
-
-    def __init__(self, times: int) -> None:
-        super().__init__([Plug(1, 11, 1)], crtcs=3)
-        self._times = times
-
-    def _resources(self, res: Any) -> None:
-        if self._times:
-            self._times -= 1
-            number = len(self.plugs) + 1
-            self.plugs[number] = Plug(number, 11, number)
-        super()._resources(res)
+    kernel = one_plug(before={0x0C: refusing(reason, tries - 1)})
+    assert Card(kernel, kernel.time).capability(6) == 1
+    kernel = one_plug(before={0x0C: refusing(reason, tries)})
+    with pytest.raises(OSError, match="it cannot be done"):
+        Card(kernel, kernel.time).capability(6)
+    assert len(kernel.calls) == tries
 
 
 @pytest.mark.parametrize("times", [0, 1, 2, 7, 8])
 def test_lists_that_grow_while_they_are_read_are_read_again_up_to_four_times(times: int) -> None:
-    kernel = Growing(times)
+    kernel = Kernel([Plug(1, 11, 1)], crtcs=3)
+
+    def one_more(_: bytearray) -> None:
+        if len(kernel.calls) <= times:
+            number = len(kernel.plugs) + 1
+            kernel.plugs[number] = Plug(number, 11, number)
+
+    kernel.before[0xA0] = one_more
     card = Card(kernel, kernel.time)
     if times == 8:
         with pytest.raises(OSError, match="4 reads") as error:
@@ -139,7 +101,7 @@ def test_lists_that_grow_while_they_are_read_are_read_again_up_to_four_times(tim
 
 def flipping() -> tuple[Kernel, Card, int]:
     """A card, and a flip that was submitted on it."""
-    kernel = Kernel([Plug(1, 11, 1, [mode(128, 96)])])
+    kernel = one_plug()
     card = Card(kernel, kernel.time)
     card.scan()
     buffer = card.create_buffer(128, 96)
@@ -203,27 +165,10 @@ def test_of_a_flip_that_was_refused_or_forgotten_no_report_is_kept() -> None:
     assert (card._awaited, card._arrived) == (set(), {})
 
 
-class Short(Kernel):
-    """Has a buffer, and something else about it not."""
-
-    without = ""
-
-    def _map(self, request: Any) -> None:
-        if self.without == "addresses":
-            raise OSError(errno.ENOMEM, "Cannot allocate memory")
-        super()._map(request)
-
-    def _add_fb(self, fb: Any) -> None:
-        if self.without == "formats":
-            raise OSError(errno.EINVAL, "Invalid argument")
-        super()._add_fb(fb)
-
-
-@pytest.mark.parametrize("without", ["addresses", "formats"])
-def test_a_buffer_that_cannot_be_mapped_or_scanned_out_is_given_back(without: str) -> None:
-    kernel = Short([Plug(1, 11, 1, [mode(128, 96)])])
-    kernel.without = without
-    with pytest.raises(OSError, match=r"Cannot allocate memory|Invalid argument"):
+@pytest.mark.parametrize("without", [0xB3, 0xAE], ids=["addresses", "formats"])
+def test_a_buffer_that_cannot_be_mapped_or_scanned_out_is_given_back(without: int) -> None:
+    kernel = one_plug(before={without: refusing()})
+    with pytest.raises(OSError, match="it cannot be done"):
         Card(kernel, kernel.time).create_buffer(128, 96)
     assert (kernel.dumb, kernel.fbs) == ({}, {}), "neither its memory nor its name for scan-out"
 

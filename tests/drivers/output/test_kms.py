@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -16,7 +15,7 @@ from drivers.output.display import PictureDisplay
 from drivers.output.outputs import Outputs, open_outputs
 from drivers.output.projector import PatternProjector
 from drivers.output.spec import OutputKind, OutputSpec
-from tests.drivers.output.kernel import Kernel, KernelWires, Plug, mode
+from tests.drivers.output.kernel import Kernel, KernelWires, Plug, mode, refusing
 
 CARD = "/dev/dri/card0"
 PROJECTOR = OutputSpec(OutputKind.KMS, CARD, "HDMI-A-1", 128, 96, 60.0)
@@ -235,38 +234,25 @@ def test_the_smallest_table_of_gamma_has_two_entries(size: int, told: str) -> No
     assert kernel.gamma.get(PROJECTOR_CRTC) == ([0, 65535] if told == "linear" else None)
 
 
-class Stubborn(Kernel):
-    """Refuses one kind of request."""
-
-    def __init__(self, refuses: int) -> None:
-        super().__init__([*two_heads().plugs.values()])
-        self.properties = {7: ("Broadcast RGB", 8, {"Automatic": 0, "Full": 1})}
-        self.plugs[1].properties = {7: 0}
-        self._refuses = refuses
-
-    def ioctl(self, request: int, buffer: bytearray) -> None:
-        if request & 0xFF == self._refuses:
-            raise OSError(errno.EINVAL, "Invalid argument")
-        super().ioctl(request, buffer)
-
-
 @pytest.mark.parametrize(
     ("refuses", "details"),
     [
-        (0xAB, {"property 7": "refused (Invalid argument)", "gamma": "linear"}),
-        (0xA5, {"Broadcast RGB": "Full", "gamma": "unknown (Invalid argument)"}),
+        (0xAB, {"property 7": "refused (it cannot be done)", "gamma": "linear"}),
+        (0xA5, {"Broadcast RGB": "Full", "gamma": "unknown (it cannot be done)"}),
     ],
 )
 def test_an_output_whose_driver_refuses_property_or_gamma_is_an_output_and_says_so(
     refuses: int, details: dict[str, str]
 ) -> None:
-    with opened(Stubborn(refuses)) as (projector, _):
+    kernel = two_heads(before={refuses: refusing()}, properties={7: ("Broadcast RGB", 8, {"Automatic": 0, "Full": 1})})
+    kernel.plugs[1].properties = {7: 0}
+    with opened(kernel) as (projector, _):
         assert projector.health().details == details
 
 
 def test_who_asks_in_vain_which_crtc_can_drive_an_output_is_named() -> None:
     """The other output's connector is asked as well; what fails is the opening of this one."""
-    wires = KernelWires({CARD: [Stubborn(0xA6)]})
+    wires = KernelWires({CARD: [two_heads(before={0xA6: refusing()})]})
     with Outputs(PROJECTOR, DISPLAY, wires) as outputs, pytest.raises(DeviceRefused, match=r"^display: .*HDMI-A-1"):  # type: ignore[arg-type]
         outputs.open_display()
 
@@ -283,14 +269,7 @@ def test_a_screen_without_card_or_connector_is_refused_with_what_to_set(missing:
 def test_a_card_that_is_gone_at_the_very_first_opening_is_opened_once_more() -> None:
     """Nothing is lit on it and no node is kept of it yet."""
 
-    class Late(KernelWires):
-        def open_card(self, path: str) -> Kernel:
-            if not self.opened:
-                self.opened.append(path)
-                raise CardGone(path, "is gone", "Restart the instrument")
-            return super().open_card(path)
-
-    wires = Late({CARD: [two_heads()]})
+    wires = KernelWires({CARD: [CardGone(CARD, "is gone", "Restart the instrument"), two_heads()]})
     with Outputs(PROJECTOR, DISPLAY, wires) as outputs:  # type: ignore[arg-type]
         assert outputs.open_display().size_px == (80, 48)
     assert wires.opened == [CARD, CARD]

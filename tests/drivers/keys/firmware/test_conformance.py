@@ -131,10 +131,9 @@ def test_a_report_comes_four_times_a_second_counts_and_tells_the_time(pad: Targe
     assert len({report[6] for _, report in reports}) == 1
 
 
-@pytest.mark.parametrize("key", range(4))
-def test_a_press_is_its_own_bit_told_at_once_and_bounces_for_20_ms_at_most(pad: Target, key: int) -> None:
+def test_a_press_is_its_own_bit_told_at_once_and_bounces_for_20_ms_at_most(pad: Target) -> None:
     pad.run(3000)
-    for down in (True, False):
+    for key, down in itertools.product(range(4), (True, False)):
         pad.finger(key, down)
         reports = checked(pad.run(600))
         levels = [(time_ms, bool(report[1] & 1 << key)) for time_ms, report in reports]
@@ -142,12 +141,7 @@ def test_a_press_is_its_own_bit_told_at_once_and_bounces_for_20_ms_at_most(pad: 
         changes = [a for a, b in zip(levels, [(0, not down), *levels], strict=False) if a[1] != b[1]]
         assert changes[-1][1] is down
         assert changes[-1][0] - changes[0][0] <= 20
-        last = (reports[-1][0] - changes[0][0], reports[0][0])
-        assert last[0] >= 300, "and the heartbeat goes on"
-
-
-def test_all_keys_at_once(pad: Target) -> None:
-    pad.run(3000)
+        assert reports[-1][0] - changes[0][0] >= 300, "and the heartbeat goes on"
     for key in range(4):
         pad.finger(key, True)
     assert checked(pad.run(600))[-1][1][1] == 0x0F
