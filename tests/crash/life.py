@@ -19,11 +19,11 @@ from appliance.calibration.guide import USED, AdjustmentSummary, RecordingCheck,
 from appliance.calibration.health import HealthTrend, TrendPoint
 from appliance.optics.water import Water
 from appliance.storage.calibrations import Calibrations
-from appliance.storage.filesystem import Bytes, LocalFileSystem, WritableFile
+from appliance.storage.filesystem import Bytes, WritableFile
 from appliance.storage.health import HealthFile
 from appliance.storage.library import Library
 from appliance.storage.room import Room
-from tests.appliance.storage.scenes import ORIGIN, PLAN, PREVIEW, cloud, frames, record
+from tests.appliance.storage.scenes import ORIGIN, PLAN, PREVIEW, CountedDisk, cloud, frames, record
 
 SERIAL = "KF-TEST"
 HASH = "0123456789abcdef" * 4
@@ -33,67 +33,23 @@ CALIBRATIONS = {OLD.hash, NEW.hash}
 SCANS = 4
 
 
-class DeadlyDisk(LocalFileSystem):
-    """The local disk; at changing call ``die_at`` the process kills itself, half way through where that is a write."""
+class DeadlyDisk(CountedDisk):
+    """At changing call ``die_at`` the process kills itself, somewhere within it where that is a write."""
 
     def __init__(self, die_at: int, chance: random.Random) -> None:
         self.calls = 0
         self._die_at = die_at
         self._chance = chance
 
-    def reached(self) -> bool:
+    def before(self, call: str) -> None:
         self.calls += 1
-        return self.calls - 1 == self._die_at
-
-    def before(self) -> None:
-        if self.reached():
+        if self.calls - 1 == self._die_at:
             os.kill(os.getpid(), signal.SIGKILL)
 
-    def make_folder(self, path: Path) -> None:
-        self.before()
-        super().make_folder(path)
-
-    def create(self, path: Path) -> WritableFile:
-        self.before()
-        return _DeadlyFile(self, super().create(path), self._chance)
-
-    def rename(self, source: Path, target: Path) -> None:
-        self.before()
-        super().rename(source, target)
-
-    def allocate(self, path: Path, length_bytes: int) -> None:
-        self.before()
-        super().allocate(path, length_bytes)
-
-    def reopen(self, path: Path) -> WritableFile:
-        self.before()
-        return _DeadlyFile(self, super().reopen(path), self._chance)
-
-    def sync_folder(self, path: Path) -> None:
-        self.before()
-        super().sync_folder(path)
-
-    def remove(self, path: Path) -> None:
-        self.before()
-        super().remove(path)
-
-
-class _DeadlyFile:
-    def __init__(self, disk: DeadlyDisk, file: WritableFile, chance: random.Random) -> None:
-        self._disk, self._file, self._chance = disk, file, chance
-
-    def write(self, data: Bytes) -> None:
-        if self._disk.reached():
-            self._file.write(memoryview(data)[: self._chance.randrange(len(data) + 1)])
-            os.kill(os.getpid(), signal.SIGKILL)
-        self._file.write(data)
-
-    def sync(self) -> None:
-        self._disk.before()
-        self._file.sync()
-
-    def close(self) -> None:
-        self._file.close()
+    def write(self, file: WritableFile, data: Bytes, name: str) -> None:
+        if self.calls == self._die_at:
+            file.write(memoryview(data)[: self._chance.randrange(len(data) + 1)])
+        super().write(file, data, name)
 
 
 def live(root: Path, said: Path, seed: int, die_at: int) -> None:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import errno
-from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
-from appliance.storage.atomic import StorageError, replace_file
+from appliance.storage.atomic import StorageError
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.library import Library, LibraryFolder, PendingScan
 from appliance.storage.room import Room
@@ -26,19 +25,22 @@ def on_a(disk: BadDisk, root: Path) -> Library:
     return Library(root, Room(root, disk))
 
 
-def save(library: Library) -> str:
+def decide(scan: PendingScan, kept: bool) -> None:
+    if kept:
+        scan.publish(record(), cloud(), PREVIEW)
+    else:
+        scan.reject("moved")
+
+
+def save(library: Library, kept: bool = True) -> str:
     scan = library.begin(frames(), record(), ORIGIN)
-    scan.publish(record(), cloud(), PREVIEW)
+    decide(scan, kept)
     return scan.scan_id
 
 
-def calls_of(root: Path, work: str) -> list[str]:
+def calls_of(root: Path, kept: bool = True) -> list[str]:
     disk = BadDisk()
-    library = on_a(disk, prepared(root))
-    if work == "save":
-        save(library)
-    else:
-        library.begin(frames(), record(), ORIGIN).reject("moved")
+    save(on_a(disk, prepared(root)), kept)
     return disk.calls
 
 
@@ -48,19 +50,22 @@ def nothing_half_is_visible(root: Path) -> None:
             assert Library(root).verify(entry.scan_id).problems == ()
 
 
-@pytest.mark.parametrize("error", [errno.EIO, errno.ENOSPC])
-def test_each_call_of_a_save_fails_once_and_trying_again_succeeds(tmp_path: Path, error: int) -> None:
-    calls = calls_of(tmp_path / "count", "save")
-    assert sum(name.startswith("sync") for name in calls) >= 10
+@pytest.mark.parametrize(("error", "kept"), [(errno.EIO, True), (errno.ENOSPC, True), (errno.EIO, False)])
+def test_each_call_of_a_save_or_rejection_fails_once_and_trying_again_succeeds(
+    tmp_path: Path, error: int, kept: bool
+) -> None:
+    calls = calls_of(tmp_path / "count", kept)
+    assert sum(name.startswith("sync") for name in calls) >= 8
+    shelf = LibraryFolder.SCANS if kept else LibraryFolder.REJECTED
     for bad in range(len(calls)):
-        root = prepared(tmp_path / f"{error}-{bad}")
+        root = prepared(tmp_path / f"{bad}")
         library = on_a(BadDisk(bad, error=error), root)
         scan: PendingScan | None = None
         failures = 0
         for _ in range(2):
             try:
                 scan = scan or library.begin(frames(), record(), ORIGIN)
-                scan.publish(record(), cloud(), PREVIEW)
+                decide(scan, kept)
                 break
             except StorageError:
                 failures += 1
@@ -74,12 +79,13 @@ def test_each_call_of_a_save_fails_once_and_trying_again_succeeds(tmp_path: Path
         assert fresh.verify(scan.scan_id).ok
         stored = fresh.load(scan.scan_id)
         assert (stored.frames["left"] == frames()["left"]).all()
-        assert stored.cloud() is not None
-        assert [entry.scan_id for entry in fresh.entries()] == [scan.scan_id]
+        assert (stored.cloud() is not None) is kept
+        found = [entry.scan_id for one in (LibraryFolder.SCANS, LibraryFolder.REJECTED) for entry in fresh.entries(one)]
+        assert found == [entry.scan_id for entry in fresh.entries(shelf)] == [scan.scan_id]
 
 
 def test_a_disk_that_dies_for_good_at_each_call_keeps_what_was_there_and_shows_nothing_half(tmp_path: Path) -> None:
-    calls = calls_of(tmp_path / "count", "save")
+    calls = calls_of(tmp_path / "count")
     for bad in range(len(calls)):
         root = prepared(tmp_path / f"dead-{bad}")
         first = save(Library(root))
@@ -91,26 +97,6 @@ def test_a_disk_that_dies_for_good_at_each_call_keeps_what_was_there_and_shows_n
         nothing_half_is_visible(root)
         assert fresh.verify(first).ok
         assert int(save(fresh)) > int(first)
-
-
-def test_each_call_of_a_rejection_fails_once_and_trying_again_succeeds(tmp_path: Path) -> None:
-    calls = calls_of(tmp_path / "count", "reject")
-    for bad in range(len(calls)):
-        root = prepared(tmp_path / f"reject-{bad}")
-        library = on_a(BadDisk(bad), root)
-        scan: PendingScan | None = None
-        for _ in range(2):
-            try:
-                scan = scan or library.begin(frames(), record(), ORIGIN)
-                scan.reject("moved")
-                break
-            except StorageError:
-                nothing_half_is_visible(root)
-        assert scan is not None
-        Library(root).recover()
-        assert [entry.scan_id for entry in Library(root).entries(LibraryFolder.REJECTED)] == [scan.scan_id]
-        assert Library(root).verify(scan.scan_id).ok
-        assert Library(root).entries() == []
 
 
 def test_each_call_of_a_recovery_fails_once_and_the_next_start_completes_it(tmp_path: Path) -> None:
@@ -131,23 +117,3 @@ def test_each_call_of_a_recovery_fails_once_and_the_next_start_completes_it(tmp_
         assert [entry.scan_id for entry in Library(root).entries()] == ["000001"]
         assert [entry.scan_id for entry in Library(root).entries(LibraryFolder.SET_ASIDE)] == ["000002"]
         assert Library(root).verify("000001").ok
-
-
-def test_replacing_a_file_leaves_the_old_or_the_new_one(tmp_path: Path) -> None:
-    path = tmp_path / "value"
-    for bad in range(6):
-        path.write_bytes(b"old")
-        with suppress(StorageError):
-            replace_file(BadDisk(bad), path, b"new")
-        assert path.read_bytes() in (b"old", b"new")
-    replace_file(BadDisk(), path, b"new")
-    assert path.read_bytes() == b"new"
-    assert list(tmp_path.iterdir()) == [path]
-
-
-def test_a_refusal_names_what_was_tried_where_and_why(tmp_path: Path) -> None:
-    root = prepared(tmp_path / "root")
-    with pytest.raises(
-        StorageError, match=r"cannot make .*scans/\.000001: .*injected.*; the disk fails: copy what is on it"
-    ):
-        Library(root, BadDisk(6)).begin(frames(), record(), ORIGIN)

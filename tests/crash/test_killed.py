@@ -153,9 +153,9 @@ def test_sigkill_at_some_moments(tmp_path: Path) -> None:
 
 @pytest.mark.dive
 @pytest.mark.timeout(1200)
-@pytest.mark.parametrize("part", range(5))
+@pytest.mark.parametrize("part", range(2))
 def test_sigkill_at_hundreds_of_moments_spread_over_all_of_a_dive(tmp_path: Path, part: int) -> None:
-    """All parts together: 430 lives, of which 300 and more end early."""
+    """Both parts together: 172 lives, of which 120 and more end early."""
     died, saved = _deaths(tmp_path, by_call=66, by_time=20, per_root=22, seed=21 + part)
     assert died >= 60
     assert saved > 40

@@ -12,6 +12,7 @@ import pytest
 from appliance.bringup.person import GivenUp
 from appliance.cli import main
 from appliance.cli.bringup_guide import AtTheTerminal, _line
+from appliance.config import default_rig_path
 
 
 def piped(sent: bytes, *, closed: bool = True) -> tuple[io.TextIOBase, Callable[[], None]]:
@@ -42,15 +43,13 @@ def test_each_question_takes_one_line_of_what_was_typed_ahead() -> None:
     close()
 
 
-def test_what_the_software_sees_for_itself_is_told_and_waits_for_nobody() -> None:
+def test_what_the_software_sees_for_itself_is_told_and_the_end_of_the_input_is_giving_up() -> None:
     lines = io.StringIO()
-    AtTheTerminal(io.StringIO(""), lines).tell("press SCAN once and let it go")
+    person = AtTheTerminal(io.StringIO("yes"), lines)  # no file is behind it
+    person.tell("press SCAN once and let it go")
     assert lines.getvalue() == "DO: press SCAN once and let it go\n"
-
-
-def test_the_end_of_the_input_is_giving_up_also_where_no_file_is_behind_it() -> None:
     with pytest.raises(GivenUp, match="the input ended"):
-        AtTheTerminal(io.StringIO("yes"), io.StringIO()).ask("stand it before a wall")
+        person.ask("stand it before a wall")
 
 
 def test_nobody_is_waited_for_without_end() -> None:
@@ -72,8 +71,6 @@ def test_nobody_is_waited_for_without_end() -> None:
 def test_wrong_arguments_are_told_before_anything_is_opened(
     arguments: list[str], said: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    from appliance.config import default_rig_path
-
     given = [str(default_rig_path()) if one == "RIG" else one for one in arguments]
     given = [str(tmp_path / one) if one == "new" else one for one in given]
     assert main(["bringup", "guide", *given]) == 2

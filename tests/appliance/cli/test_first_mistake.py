@@ -18,20 +18,8 @@ from tests.appliance.cli.test_loaded import EVERY
 from tests.appliance.storage.scenes import ORIGIN, PREVIEW, cloud, frames, record
 
 HEAVY = (
-    "numba",
-    "scipy",
-    "cv2",
-    "distributed",
-    "dask",
-    "trimesh",
-    "skimage",
-    "laspy",
-    "pye57",
-    "plotly",
-    "imagecodecs",
-    "moderngl",
-    "usb",
-)
+    "numba", "scipy", "cv2", "distributed", "dask", "trimesh", "skimage", "laspy", "pye57", "plotly", "imagecodecs", "moderngl", "usb",
+)  # fmt: skip
 """Each of them costs a tenth of a second and more."""
 FRAMES = "frames_"
 

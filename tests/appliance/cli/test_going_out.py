@@ -55,21 +55,13 @@ def test_escape_codes_of_a_strange_manifest_do_not_reach_the_terminal(
     assert (out + error).replace("\n", "").isprintable()
     if "--json" in words:
         assert ESCAPES in str(json.loads(out)).encode().decode("unicode_escape")
-
-
-@pytest.mark.parametrize("as_json", [False, True])
-def test_escape_codes_in_an_error_do_not_reach_the_terminal(as_json: bool, capsys: pytest.CaptureFixture[str]) -> None:
-    complain(f"a\n{ESCAPES}", as_json=as_json)
-    error = capsys.readouterr().err
-    assert error.endswith("\n")
-    assert error[:-1].isprintable()
-    if as_json:
-        assert json.loads(error) == {"error": f"a {ESCAPES}"}
-
-
-def test_a_line_end_in_a_manifest_begins_no_line(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["scans", "list", "--root", str(root)]) == 0
-    assert len(capsys.readouterr().out.splitlines()) == 2
+    if words == "list":
+        assert len(out.splitlines()) == 2, "a line end in a manifest begins no line"
+    for as_json in (False, True):
+        complain(f"a\n{ESCAPES}", as_json=as_json)
+        error = capsys.readouterr().err
+        assert (error[-1], error[:-1].isprintable()) == ("\n", True)
+        assert not as_json or json.loads(error) == {"error": f"a {ESCAPES}"}
 
 
 @pytest.mark.parametrize(
@@ -87,16 +79,16 @@ def test_what_is_not_to_be_read_is_written_as_an_escape_of_json(text: str, writt
     assert json.loads(f'"{written}"') == text
 
 
-@pytest.mark.parametrize("unbuffered", ["", "1"])
 @pytest.mark.parametrize(
-    ("shell", "code", "lines"),
+    ("shell", "code", "lines", "unbuffered"),
     [
-        ("scans list --root R > /dev/full", Exit.FAILED, 1),
-        ("scans list --root R >&-", Exit.FAILED, 1),
-        ("scans list --root R 2>&-", Exit.OK, 0),
-        ("scans show 99 --root R 2>/dev/full", Exit.FAILED, 0),
-        ("--help > /dev/full", Exit.FAILED, 1),
-        ("scans show 1 --root R | head -c 1 > /dev/null; exit ${PIPESTATUS[0]}", Exit.OK, 0),
+        ("scans list --root R > /dev/full", Exit.FAILED, 1, ""),
+        ("scans list --root R > /dev/full", Exit.FAILED, 1, "1"),
+        ("scans list --root R >&-", Exit.FAILED, 1, ""),
+        ("scans list --root R 2>&-", Exit.OK, 0, ""),
+        ("scans show 99 --root R 2>/dev/full", Exit.FAILED, 0, ""),
+        ("--help > /dev/full", Exit.FAILED, 1, ""),
+        ("scans show 1 --root R | head -c 1 > /dev/null; exit ${PIPESTATUS[0]}", Exit.OK, 0, "1"),
     ],
 )
 def test_results_that_cannot_be_written_are_one_line_and_an_exit_code(
@@ -119,6 +111,26 @@ def test_a_terminal_without_unicode_gets_escapes(root: Path) -> None:
         capture_output=True, text=True, timeout=60, check=True, cwd=Path(__file__).parents[3], env=plain_ascii,
     )  # fmt: skip
     assert r"Stra\xdfe \u6771" in ran.stdout
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_progress_on_a_terminal_is_one_line_that_is_cleared_and_silent_for_a_second() -> None:
+    now_s, terminal, file = 0.0, Terminal(), io.StringIO()
+    with Progress(terminal, lambda: now_s) as progress, Progress(file, lambda: now_s) as in_file:
+        progress("verifying", 0.1)
+        now_s = 0.9
+        progress("verifying", 0.2)
+        assert terminal.getvalue() == ""
+        now_s = 1.5
+        progress("verifying", 0.5)
+        in_file("verifying", 0.5)
+        assert terminal.getvalue() == "\rverifying  50 %"
+    assert terminal.getvalue().endswith("\r" + " " * 15 + "\r")
+    assert file.getvalue() == ""
 
 
 def test_where_there_is_no_terminal_progress_comes_in_lines_some_seconds_apart() -> None:

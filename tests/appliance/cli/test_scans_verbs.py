@@ -1,158 +1,237 @@
-"""Stored scans from the command line: what is there, what is damaged, in words and as JSON."""
+"""Stored scans from the command line: what is there, what is damaged, named and put away; nothing is deleted, and the root is found."""
 
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from appliance.calibration.file import encode
 from appliance.cli import main
+from appliance.config import default_rig_path, load_rig
+from appliance.instrument import CALIBRATION_FILE, design_of
 from appliance.machine.ashore import ASHORE
+from appliance.offline.scripting import open_dive
 from appliance.scan.fault import FaultCode
 from appliance.scan.verdict import Verdict
-from appliance.storage.library import Library
-from tests.appliance.storage.scenes import ORIGIN, PREVIEW, cloud, frames, record
+from appliance.storage import label as labels
+from appliance.storage.atomic import StorageError
+from appliance.storage.label import Label
+from appliance.storage.library import Library, LibraryFolder
+from appliance.storage.lock import hold_lock
+from tests.appliance.storage.scenes import ORIGIN, PREVIEW, BadDisk, cloud, frames, record
+from tests.support.commands import Shell
 
 
 @pytest.fixture
 def root(tmp_path: Path) -> Path:
-    """Two saved scans, one without a trusted clock, and a rejected one."""
-    root = tmp_path / "root"
+    """Three saved scans, one with a trusted clock, a rejected one, and a calibration of another instrument than the packaged rig file's."""
+    root = tmp_path / "dive"
     library = Library(root)
     library.prepare()
-    first = library.begin(frames(1), record(), ORIGIN)
-    first.publish(record(cloud={"points": 20}), cloud(), PREVIEW)
-    second = library.begin(frames(2), record(), ORIGIN)
-    second.publish(record(clock_trusted=True))
-    library.begin(frames(3), record(), ORIGIN).reject("moved 3 px")
+    for seed in (1, 2, 3):
+        kept = record(cloud={"points": 20}, clock_trusted=seed == 2)
+        library.begin(frames(seed), kept, ORIGIN).publish(kept, cloud(), PREVIEW)
+    library.begin(frames(4), record(), ORIGIN).reject("moved 3 px")
+    made = replace(design_of(load_rig(default_rig_path())), rig_serial="KF-0042", method="bundle")
+    (root / CALIBRATION_FILE).parent.mkdir()
+    (root / CALIBRATION_FILE).write_bytes(encode(made))
     return root
 
 
-def damage(root: Path, scan_id: str) -> None:
-    path = root / "scans" / scan_id / "frames_left.npy"
-    raw = bytearray(path.read_bytes())
-    raw[-3] ^= 1
-    path.write_bytes(raw)
+@pytest.fixture
+def shell(capsys: pytest.CaptureFixture[str]) -> Shell:
+    return Shell(capsys)
 
 
-def test_list_shows_each_scan_with_its_state(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["scans", "list", "--root", str(root)]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[0].split() == ["SCAN", "STATE", "GRADE", "TIME", "POINTS", "OBJECT", "MB", "NAME", "REMARK", "NOTE"]
-    assert lines[1].split()[:2] == ["000001", "saved"]
-    assert "2031-05-06T07:08:09+00:00 ?" in lines[1]
-    assert "20" in lines[1]
-    assert "+00:00 ?" not in lines[2]
-    assert len(lines) == 3
+def scans(shell: Shell, root: Path, *words: str, code: int = 0) -> Any:
+    said = shell("scans", *words, "--root", root)
+    assert said.code == code
+    return said
 
 
-def test_the_list_says_what_the_screen_said_and_notes_are_the_users(
-    root: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """`failed: motion, causes` stood in the column of the notes, of a scan that the screen had called good."""
-    library = Library(root)
+def test_the_list_shows_each_scan_with_its_state_time_and_points(root: Path, tmp_path: Path, shell: Shell) -> None:
+    head, first, second, *more = scans(shell, root, "list").out.splitlines()
+    assert head.split() == ["SCAN", "STATE", "GRADE", "TIME", "POINTS", "OBJECT", "MB", "NAME", "REMARK", "NOTE"]
+    assert first.split()[:2] == ["000001", "saved"]
+    assert ("2031-05-06T07:08:09+00:00 ?" in first, "+00:00 ?" in second, "20" in first, len(more)) == (
+        True,
+        False,
+        True,
+        1,
+    )
+    last = scans(shell, root, "list", "--all").out.splitlines()[-1]
+    assert (last.startswith("000004  rejected"), last.endswith("moved 3 px")) == (True, True)
+    listed = scans(shell, root, "list", "--json").document
+    assert [(one["scan"], one["points"], one["ok"]) for one in listed] == [(f"{k:06d}", 20, True) for k in (1, 2, 3)]
+    (tmp_path / "empty").mkdir()
+    assert scans(shell, tmp_path / "empty", "list").out == f"no scans under {tmp_path / 'empty'}\n"
+    assert "--root" in scans(shell, tmp_path / "none", "list", code=2).error
+
+
+def test_the_list_says_what_the_screen_said_and_notes_are_the_users(root: Path, shell: Shell) -> None:
     numbers = {"points": 20, "coverage_percent": 82.0, "noise_mm": 0.02}
     moved = Verdict("motion", False, {}, "7 px"), Verdict("compensation", True)
     told = Verdict("causes", False, {"compensated_percent": 0.0, "too_bright_percent": 7.0})
     for word, causes in (("good", ()), ("usable", (told,))):
         kept = record(cloud=numbers, verdicts=(*moved, *causes, Verdict("grade", True, {}, word)))
-        library.begin(frames(), kept, ORIGIN).publish(kept, cloud())
-    assert main(["scans", "note", "000004", "the bow", "--root", str(root)]) == 0
-    capsys.readouterr()
-    assert main(["scans", "list", "--root", str(root)]) == 0
-    *_, good, usable = capsys.readouterr().out.splitlines()
-    assert good.split()[2] == "GOOD"
-    assert usable.split()[2] == "USABLE"
-    assert "MOTION CORRECTED" in good
-    assert good.endswith("the bow")
+        Library(root).begin(frames(), kept, ORIGIN).publish(kept, cloud())
+    scans(shell, root, "note", "000005", "the bow")
+    *_, good, usable = scans(shell, root, "list").out.splitlines()
+    assert (good.split()[2], usable.split()[2]) == ("GOOD", "USABLE")
+    assert ("MOTION CORRECTED" in good, good.endswith("the bow")) == (True, True)
     assert usable.rstrip().endswith("MOTION CORRECTED, TOO BRIGHT")
-    assert main(["scans", "list", "--json", "--root", str(root)]) == 0
-    last = json.loads(capsys.readouterr().out)[-1]
+    last = scans(shell, root, "list", "--json").document[-1]
     assert (last["grade"], last["corrected"], last["note"]) == ("usable", True, None)
 
 
-def test_list_all_adds_the_rejected_with_the_reason(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["scans", "list", "--all", "--root", str(root)]) == 0
-    last = capsys.readouterr().out.splitlines()[-1]
-    assert last.startswith("000003  rejected")
-    assert last.endswith("moved 3 px")
-
-
-def test_list_as_json_is_one_document(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["scans", "list", "--json", "--root", str(root)]) == 0
-    listed = json.loads(capsys.readouterr().out)
-    assert [one["scan"] for one in listed] == ["000001", "000002"]
-    assert [one["points"] for one in listed] == [20, None]
-    assert all(one["ok"] for one in listed)
-
-
-def test_a_damaged_scan_is_marked_and_the_others_are_fine(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    damage(root, "000001")
-    assert main(["scans", "verify", "--root", str(root)]) == 4
-    out = capsys.readouterr().out
-    assert "000001  DAMAGED: frames_left.npy: damaged" in out
-    assert "000002  ok" in out
-    assert "2 checked, 1 damaged" in out
-    assert main(["scans", "verify", "2", "--root", str(root)]) == 0
-    capsys.readouterr()
-    assert main(["scans", "verify", "--json", "--root", str(root)]) == 4
-    report = json.loads(capsys.readouterr().out)
-    assert (report["checked"], report["damaged"]) == (2, 1)
+def test_a_damaged_scan_is_marked_and_the_others_are_fine(root: Path, shell: Shell) -> None:
+    path = root / "scans" / "000001" / "frames_left.npy"
+    path.write_bytes(path.read_bytes()[:-3] + b"\0\0\0")
+    out = scans(shell, root, "verify", code=4).out
+    for words in ("000001  DAMAGED: frames_left.npy", "000002  ok", "3 checked, 1 damaged"):
+        assert words in out
+    scans(shell, root, "verify", "2")
+    report = scans(shell, root, "verify", "--json", code=4).document
+    assert (report["checked"], report["damaged"]) == (3, 1)
     (root / "scans" / "000001" / "manifest.json").unlink()
-    assert main(["scans", "list", "--root", str(root)]) == 0
-    assert "DAMAGED" in capsys.readouterr().out
+    assert "DAMAGED" in scans(shell, root, "list").out
 
 
-def test_show_prints_the_manifest(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["scans", "show", "1", "--root", str(root)]) == 0
-    lines = dict(line.split(None, 1) for line in capsys.readouterr().out.splitlines())
+def test_show_prints_the_manifest_and_what_to_look_at_ashore(root: Path, shell: Shell) -> None:
+    lines = scans(shell, root, "show", "1").lines
     assert lines["manifest.record.water.index"] == "1.3347"
     assert lines["manifest.record.temperatures_c.case"] == "-"
-    assert main(["scans", "show", "000001", "--json", "--root", str(root)]) == 0
-    assert json.loads(capsys.readouterr().out)["manifest"]["record"]["rig_hash"] == "ab" * 32
+    assert scans(shell, root, "show", "1", "--json").document["manifest"]["record"]["rig_hash"] == "ab" * 32
+    causes = Verdict("causes", False, {"too_bright_percent": 7.0})
+    dark = (Verdict("identity", False, {}, "PROJECTOR_DARK: all is dark"), causes)
+    Library(root).begin(frames(4), record(), ORIGIN).reject("dark", record(verdicts=dark))
+    ashore = {
+        key: text for key, text in shell("scans", "show", root / "rejected" / "000005").lines.items() if "ashore" in key
+    }
+    assert ashore == {"ashore.PROJECTOR_DARK": ASHORE[FaultCode.PROJECTOR_DARK]}
 
 
-def test_show_says_what_to_look_at_ashore_of_a_fault_inside_of_the_housing(
+# ------------------------------------------------------------------------------------------ names and the trash
+
+
+def test_a_name_and_a_note_are_listed_and_shown_and_a_damaged_label_is_told(root: Path, shell: Shell) -> None:
+    folder = root / "scans" / "000002"
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    scans(shell, root, "name", "2", "bollard 3")
+    scans(shell, root, "note", "2", "north side, before cleaning")
+    after = {path.name: path.read_bytes() for path in folder.iterdir()}
+    assert {name: after[name] for name in before} == before, "the manifest's bytes are those of the dive"
+    line = scans(shell, root, "list").out.splitlines()[2]
+    assert ("bollard 3" in line, line.endswith("north side, before cleaning")) == (True, True)
+    shown = scans(shell, root, "show", "2", "--json").document
+    assert (shown["name"], shown["note"]) == ("bollard 3", "north side, before cleaning")
+    (folder / "label.json").write_bytes(after["label.json"].replace(b"bollard", b"ballard"))
+    assert "label.json" in scans(shell, root, "verify", "2", code=4).out
+    scans(shell, root, "name", "2", "bollard 3")
+    scans(shell, root, "verify", "2")
+    scans(shell, root, "note", "2", "south")
+    scans(shell, root, "name", "2", "")
+    assert labels.read(folder) == Label(None, "south")
+
+
+def test_a_trashed_scan_is_gone_from_the_lists_and_comes_back_whole(root: Path, shell: Shell) -> None:
+    library = Library(root)
+    scans(shell, root, "trash", "2", "4")
+    assert library.ids() == ["000001", "000003"], "what the diver's gallery lists"
+    assert "000002" not in scans(shell, root, "list").out
+    for option in ("--trash", "--all"):
+        assert "000002  trash" in scans(shell, root, "list", option).out
+    scans(shell, root, "restore", "2", "4")
+    assert (library.ids(), library.entry("4").shelf) == (["000001", "000002", "000003"], LibraryFolder.REJECTED)
+    assert library.verify("2").ok
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (("show", "99"), 1, "'99'"), (("trash", "1", "77"), 1, "'77'"), (("restore", "1"), 1, "'1'"), (("name", "77", "x"), 1, "'77'"),
+        (("name", "1", "x" * 61), 2, "NAME: 61"), (("note", "1", "x" * 1001), 2, "NOTE: 1001"), (("name", "1", "a\x1b[31mb"), 2, "U+001B"),
+        (("note", "1", "two\nlines"), 2, "U+000A"), (("name", "1", "a\udcffb"), 2, "U+DCFF"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_done_is_one_line_and_changes_nothing(
+    words: tuple[str, ...], code: int, said: str, root: Path, shell: Shell
+) -> None:
+    error = scans(shell, root, *words, code=code).err
+    assert (said in error, error.count("\n")) == (True, 1)
+    assert said in json.loads(scans(shell, root, *words, "--json", code=code).err)["error"]
+    with hold_lock(root):  # beside a running instrument nothing is moved or named
+        for changes in (("trash", "1"), ("restore", "1"), ("name", "1", "x"), ("note", "1", "x")):
+            assert "another instance" in scans(shell, root, *changes, code=1).error
+    assert Library(root).ids() == ["000001", "000002", "000003"]
+    assert not list(root.glob("scans/*/label.json"))
+
+
+@pytest.mark.parametrize("call", range(7))
+def test_a_disk_that_refuses_leaves_the_old_label_and_the_scan_in_its_place(root: Path, call: int) -> None:
+    Library(root).set_label("1", Label("before", None))
+    for change in ("name", "trash"):
+        bad = BadDisk(first_bad=call)
+        try:
+            if change == "name":
+                Library(root, bad).set_label("1", Label("after", "x"))
+            else:
+                Library(root, bad).trash("2")
+            assert len(bad.calls) <= call, "nothing failed"
+        except StorageError:
+            assert labels.read(root / "scans" / "000001") in (Label("before", None), Label("after", "x"))
+            places = [root / shelf / "000002" / "manifest.json" for shelf in ("scans", "trash")]
+            assert sum(place.is_file() for place in places) == 1
+
+
+# ------------------------------------------------------------------------------------------ the root
+
+
+def test_the_root_is_the_one_that_somebody_stands_in_or_else_that_of_the_environment(
+    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shell: Shell
+) -> None:
+    scan, elsewhere = root / "scans" / "000001", tmp_path / "elsewhere"
+    (elsewhere / "scans").mkdir(parents=True)  # anybody's folder of that name is no root
+    gone = str(tmp_path / "gone")
+    for folder, named in ((root, gone), (root / "scans", gone), (scan, gone), (elsewhere, str(root))):
+        monkeypatch.chdir(folder)
+        monkeypatch.setenv("KINGFISHER_ROOT", named)
+        assert shell("scans", "list", "--json").document[0]["folder"] == str(scan)
+        assert open_dive().root == root
+    assert f"--root {root}" in shell("reconstruct", "7").error
+    monkeypatch.setenv("KINGFISHER_ROOT", gone)
+    said = shell("scans", "list")
+    assert (said.code, f"KINGFISHER_ROOT={gone}" in said.error) == (2, True)
+
+
+@pytest.mark.parametrize("verb", [["scans", "list"], ["reconstruct", "1"], ["object", "show", "thing"]])
+def test_where_there_is_no_root_it_is_said_where_was_looked(
+    verb: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shell: Shell
+) -> None:
+    default = load_rig(default_rig_path()).storage.root
+    if default.exists():
+        pytest.skip(f"this computer has {default}, as an instrument does")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("KINGFISHER_ROOT", raising=False)
+    said = shell(*verb)
+    assert said.code == 2
+    for where in ("the folder you stand in", "KINGFISHER_ROOT is not set", str(default), "--root PATH"):
+        assert where in said.error
+    with pytest.raises(NotADirectoryError, match="KINGFISHER_ROOT"):
+        open_dive()
+
+
+def test_the_calibration_of_a_root_is_shown_without_its_rig_file(
     root: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """It stood in the journal alone, which stays on the instrument."""
-    verdicts = (
-        Verdict("identity", False, {}, "PROJECTOR_DARK: all is dark"),
-        Verdict("causes", False, {"too_bright_percent": 7.0}),
-    )
-    Library(root).begin(frames(4), record(), ORIGIN).reject("dark", record(verdicts=verdicts))
-    folder = str(root / "rejected" / "000004")
-    assert main(["scans", "show", folder]) == 0
-    lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("ashore.")]
-    assert [line.split(None, 1) for line in lines] == [["ashore.PROJECTOR_DARK", ASHORE[FaultCode.PROJECTOR_DARK]]]
-    assert main(["scans", "show", folder, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["ashore"] == {"PROJECTOR_DARK": ASHORE[FaultCode.PROJECTOR_DARK]}
-
-
-def test_an_unknown_scan_is_one_line_with_a_remedy(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["scans", "show", "99", "--root", str(root)]) == 1
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1
-    assert "'99'" in error
-    assert "scans list" in error
-    assert main(["scans", "show", "99", "--json", "--root", str(root)]) == 1
-    assert "'99'" in json.loads(capsys.readouterr().err)["error"]
-
-
-def test_a_root_that_is_not_there_is_wrong_usage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["scans", "list", "--root", str(tmp_path / "none")]) == 2
-    assert "--root" in capsys.readouterr().err
-
-
-def test_an_empty_root_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["scans", "list", "--root", str(tmp_path)]) == 0
-    assert capsys.readouterr().out == f"no scans under {tmp_path}\n"
-
-
-def test_a_reader_that_goes_away_is_no_error(root: Path) -> None:
-    command = f"{sys.executable} -m appliance.cli scans show 1 --root {root} | true"
-    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, timeout=60, check=False)
-    assert "Traceback" not in done.stderr
+    # The packaged rig file draws KF-0001: that drawing was shown instead.
+    assert main(["calibration", "show", "--root", str(root), "--json"]) == 0
+    shown = json.loads(capsys.readouterr().out)
+    assert (shown["rig_serial"], shown["method"]) == ("KF-0042", "bundle")
+    (root / CALIBRATION_FILE).unlink()
+    assert main(["calibration", "show", "--root", str(root)]) == 1
+    assert str(root / CALIBRATION_FILE) in capsys.readouterr().err

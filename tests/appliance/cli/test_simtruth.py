@@ -35,14 +35,13 @@ def test_the_calibration_sees_every_point_where_the_true_cameras_see_it(truth: s
         assert np.abs(told - project(hidden, side, in_rig)).max() < 1e-6, side
 
 
-@pytest.mark.parametrize("size", ["800x600", "400x300", "1600x1200"])
+@pytest.mark.parametrize("size", ["400x300", "1600x1200"])
 def test_a_nominal_start_is_calibrated_at_any_size(size: str, tmp_path: Path) -> None:
     rig = rig_of(tmp_path, "nominal", size)
     assert calibration_of(rig)[1], "without a calibration the screen says UNCALIBRATED"
     bring_calibration(rig)
     calibration, conditions = calibration_of(rig)
-    assert conditions == ()
-    assert calibration.method == "truth"
+    assert (calibration.method, conditions) == ("truth", ())
 
 
 def test_a_calibration_that_is_there_is_never_touched(tmp_path: Path) -> None:
@@ -65,15 +64,11 @@ def test_nothing_is_brought_where_somebody_has_begun_to_calibrate(theirs: str, t
 
 
 def test_the_rigs_that_are_there_to_be_calibrated_get_none(tmp_path: Path) -> None:
-    for truth in ("realistic", "hard", "paper", "modelled"):
-        bring_calibration(rig_of(tmp_path, truth))
-    bring_calibration(load_rig_in_air(tmp_path))
+    in_air = rig_of(tmp_path, "nominal")
+    in_air = replace(in_air, rig=replace(in_air.rig, wires_options={**in_air.rig.wires_options, "medium": "air"}))
+    for rig in (in_air, *(rig_of(tmp_path, truth) for truth in ("realistic", "hard", "paper", "modelled"))):
+        bring_calibration(rig)
     assert not (tmp_path / CALIBRATION_FILE).exists()
-
-
-def load_rig_in_air(root: Path) -> Rig:
-    rig = rig_of(root, "nominal")
-    return replace(rig, rig=replace(rig.rig, wires_options={**rig.rig.wires_options, "medium": "air"}))
 
 
 def test_another_true_rig_is_not_measured_with_the_nominal_calibration(tmp_path: Path) -> None:

@@ -77,13 +77,10 @@ def test_what_may_be_left_out_is_then_what_the_packaged_file_says() -> None:
     lines = [line for line in PACKAGED.splitlines() if line.split("=")[0].strip() not in OPTIONAL]
     assert len(PACKAGED.splitlines()) - len(lines) == len(OPTIONAL) + 3, "three of them for each camera"
     assert parse_rig("\n".join(lines)) == RIG
-    written = [table for table in tomllib.loads(PACKAGED).values() if isinstance(table, dict)]
-    said = {
-        name: value
-        for table in [*written, *written[1].values()]
-        if isinstance(table, dict)
-        for name, value in table.items()
-    }
+    tables = tomllib.loads(PACKAGED)
+    said: dict[str, object] = {}
+    for table in (*tables.values(), *tables["camera"].values()):
+        said |= table if isinstance(table, dict) else {}
     assert {name: said[name] for name in OPTIONAL} == OPTIONAL
 
 
@@ -136,20 +133,11 @@ def test_the_only_exposures_are_a_list_within_the_range_that_has_the_rigs_own() 
     for text in ("[]", "[0.04, 12.0]", "[12.0, 16.7]", '["12"]', "12.0", str([12.0] * 33)):
         with pytest.raises(ConfigError, match="exposures_ms"):
             parse_rig(with_list(text))
-    with pytest.raises(ConfigError) as caught:
+    with pytest.raises(ConfigError, match=r"camera\.left\.exposure_ms 12 .*allowed: 5, 16"):
         parse_rig(with_list("[5.0, 16.0]"))
-    assert caught.value.headline == "camera.left.exposure_ms 12 is none of scan.exposures_ms"
-    assert "allowed: 5, 16; choose one of them, or measure this one" in str(caught.value)
-
-
-def test_what_may_be_proposed_are_those_exposures() -> None:
     only = replace(RIG, scan=replace(RIG.scan, exposures_ms=(8.0, 12.0), most_gain_db=2.0))
-    assert [(one.time_us, one.gain_db) for one in exposures_of(only)] == [
-        (8000, 0.0),
-        (8000, 2.0),
-        (12000, 0.0),
-        (12000, 2.0),
-    ]
+    proposed = [(one.time_us, one.gain_db) for one in exposures_of(only)]
+    assert proposed == [(8000, 0.0), (8000, 2.0), (12000, 0.0), (12000, 2.0)]
     assert exposures_of(RIG)[0].time_us == 2000
 
 
@@ -167,45 +155,14 @@ def test_outputs_share_a_connector_only_where_they_are_two() -> None:
 
 @pytest.mark.parametrize("key", ["card", "connector"])
 @pytest.mark.parametrize("output", ["projector", "display"])
-def test_an_output_of_a_graphics_card_names_card_and_connector(output: str, key: str) -> None:
+def test_an_output_of_a_graphics_card_names_card_and_connector_and_a_window_does_not(output: str, key: str) -> None:
     head, _, rest = PACKAGED.partition(f"[{output}]")
     line = next(line for line in rest.splitlines(keepends=True) if line.startswith(key))
     without = f"{head}[{output}]" + rest.replace(line, "", 1)
-    with pytest.raises(ConfigError, match=rf'{output}\.{key} missing; allowed: a name, since kind = "kms"'):
+    with pytest.raises(ConfigError, match=rf"{output}\.{key} missing"):
         parse_rig(without)
-    assert (
-        getattr(
-            getattr(parse_rig(without.replace(f'[{output}]\nkind = "kms"', f'[{output}]\nkind = "window"')), output),
-            key,
-        )
-        is None
-    )
-
-
-@pytest.mark.parametrize("name", ["K", "ü"])
-def test_one_letter_is_a_name(name: str) -> None:
-    assert parse_rig(PACKAGED.replace('name = "Kingfisher"', f'name = "{name}"', 1)).rig.name == name
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "said"),
-    [
-        ("gain_db = 0.0", "gain_db = true", "camera.left.gain_db true is not a valid number; allowed: 0..48 dB; correct it in rig.toml"),
-        ("width_px = 1600", 'width_px = "x"', 'camera.left.width_px "x" is not a valid integer; allowed: 64..8192 px; correct it in rig.toml'),
-        ('root = "/var/lib/kingfisher"', 'root = ""', 'storage.root "" is not a path in quotes; correct it in rig.toml'),
-        ("width_px = 1600\n", "", "camera.left.width_px missing; allowed: 64..8192 px; add it to rig.toml"),
-        (
-            "[scan]",
-            "[scan]\nzzzz = 1",
-            "scan.zzzz unknown key; known here: period_px, shortest_exposure_ms, longest_exposure_ms, most_gain_db, exposures_ms (rig.toml)",
-        ),
-    ],
-)  # fmt: skip
-def test_a_refusal_names_key_value_range_and_remedy_in_this_order(old: str, new: str, said: str) -> None:
-    assert old in PACKAGED
-    with pytest.raises(ConfigError) as caught:
-        parse_rig(PACKAGED.replace(old, new, 1), "rig.toml")
-    assert str(caught.value) == f"CONFIG: {said}"
+    window = parse_rig(without.replace(f'[{output}]\nkind = "kms"', f'[{output}]\nkind = "window"'))
+    assert getattr(getattr(window, output), key) is None
 
 
 def pattern_mode(
@@ -223,46 +180,23 @@ def test_what_a_projector_of_sub_frames_is_exposed_for_are_whole_ones() -> None:
     rig = parse_rig(pattern_mode())
     assert [one.time_us for one in exposures_of(rig) if one.gain_db == 0.0] == [5556, 11111]
     assert exposures_of(parse_rig(pattern_mode(more="exposures_ms = [11.11]")))[0].time_us == 11110
-    for left_ms, taken in (
-        (11.0, False),
-        (11.09, False),
-        (11.1, True),
-        (11.13, True),
-        (11.14, False),
-        (5.56, True),
-        (0.06, False),
-    ):
-        text = pattern_mode(left_ms=left_ms, right_ms=left_ms)
-        if taken:
-            assert parse_rig(text).camera.left.exposure_ms == left_ms
-            continue
-        with pytest.raises(ConfigError) as caught:
-            parse_rig(text)
-        assert caught.value.headline == f"camera.left.exposure_ms {left_ms:g} is no multiple of a sub-frame of 5.556 ms"
-        assert "allowed: 5.556, 11.111, 16.667; choose one of them, or correct projector.sub_frames" in str(
-            caught.value
-        )
-    with pytest.raises(ConfigError, match=r"scan\.exposures_ms 8 is no multiple of a sub-frame"):
+    for left_ms in (11.1, 11.13, 5.56):
+        assert parse_rig(pattern_mode(left_ms=left_ms, right_ms=left_ms)).camera.left.exposure_ms == left_ms
+    for left_ms in (11.0, 11.09, 11.14, 0.06):
+        with pytest.raises(ConfigError, match=rf"exposure_ms {left_ms:g} .*allowed: 5\.556, 11\.111, 16\.667"):
+            parse_rig(pattern_mode(left_ms=left_ms, right_ms=left_ms))
+    with pytest.raises(ConfigError, match=r"scan\.exposures_ms 8 is no multiple"):
         parse_rig(pattern_mode(more="exposures_ms = [8.0, 11.11]"))
-    with pytest.raises(
-        ConfigError, match=r"camera\.right\.exposure_ms 5\.56 differs .*allowed: 11\.11, as on the left; set both alike"
-    ):
+    with pytest.raises(ConfigError, match=r"camera\.right\.exposure_ms 5\.56 .*allowed: 11\.11"):
         parse_rig(pattern_mode(right_ms=5.56))
 
 
 def test_a_trigger_begins_with_a_sub_frame() -> None:
-    for delay_us, taken in ((399, False), (400, True), (600, True), (601, False), (6056, True), (6157, False)):
-        text = pattern_mode(delay_us, 5.56, 5.56)
-        if taken:
-            assert parse_rig(text).board.trigger_delay_us == delay_us
-            continue
-        with pytest.raises(ConfigError) as caught:
-            parse_rig(text)
-        assert (
-            caught.value.headline
-            == f"board.trigger_delay_us {delay_us} is not where one of projector.sub_frames 3 begins"
-        )
-        assert "allowed: 500, 6056, 11611 us, each to 100 us; begin with a sub-frame" in str(caught.value)
+    for delay_us in (400, 600, 6056):
+        assert parse_rig(pattern_mode(delay_us, 5.56, 5.56)).board.trigger_delay_us == delay_us
+    for delay_us in (399, 601, 6157):
+        with pytest.raises(ConfigError, match=rf"trigger_delay_us {delay_us} .*allowed: 500, 6056, 11611 us"):
+            parse_rig(pattern_mode(delay_us, 5.56, 5.56))
 
 
 def test_an_exposure_may_last_as_much_longer_as_its_light_begins_later() -> None:
@@ -282,10 +216,9 @@ def test_an_exposure_of_before_that_is_not_allowed_any_more_becomes_the_nearest(
     rig = parse_rig(pattern_mode())
     before = replace(standard_choices(rig), exposure=Exposure(10_000))
     assert machine_settings(rig, before).choices.exposure == Exposure(11_110)
-    assert machine_settings(rig, replace(before, exposure=Exposure(5_556, 2.0))).choices.exposure == Exposure(
-        5_556, 2.0
-    )
     assert machine_settings(RIG, before).choices.exposure == Exposure(10_000)
+    allowed = replace(before, exposure=Exposure(5_556, 2.0))
+    assert machine_settings(rig, allowed).choices.exposure == Exposure(5_556, 2.0)
 
 
 def test_the_machine_counts_the_frames_of_the_projector_that_is_fitted() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 import tomllib
-from dataclasses import FrozenInstanceError, replace
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -35,17 +35,16 @@ def test_the_packaged_rig_is_the_instrument_of_the_paper() -> None:
     assert rig.storage.root == Path("/var/lib/kingfisher")
 
 
-def test_a_unit_slip_is_named_with_its_range() -> None:
-    error = refusal(changed("exposure_ms = 12.0", "exposure_ms = 25"))
-    assert error.headline == "camera.left.exposure_ms 25 > 16.6"
-    assert str(error).startswith("CONFIG: camera.left.exposure_ms 25 > 16.6")
-    assert "0.05..16.6 ms" in str(error)
-    assert "rig.toml" in str(error)
-
-
 @pytest.mark.parametrize(
     ("old", "new", "key", "words"),
     [
+        (
+            "exposure_ms = 12.0",
+            "exposure_ms = 25",
+            "camera.left.exposure_ms",
+            "25 > 16.6; allowed: 0.05..16.6 ms; correct it in rig.toml",
+        ),
+        ("[scan]", "[scan]\nzzzz = 1", "scan.zzzz", "known here: period_px, shortest_exposure_ms"),
         ("exposure_ms = 12.0", "exposure_m = 12.0", "camera.left.exposure_m", "did you mean camera.left.exposure_ms?"),
         ("[scan]", "[scam]", "scam", "did you mean scan?"),
         ('name = "Kingfisher"', 'name = "K"\nexposure_ms = 3', "rig.exposure_ms", "camera.left.exposure_ms"),
@@ -73,12 +72,6 @@ def test_each_wrong_value_names_its_key_and_what_is_allowed(old: str, new: str, 
     assert "\n" not in str(error)
 
 
-def test_an_exposure_must_leave_room_for_the_trigger_delay() -> None:
-    error = refusal(changed("trigger_delay_us = 500", "trigger_delay_us = 6000"))
-    assert error.headline == "camera.left.exposure_ms 12 > 10.66"
-    parse_rig(changed("trigger_delay_us = 500", "trigger_delay_us = 4600"))
-
-
 def test_one_camera_cannot_be_both() -> None:
     error = refusal(changed('"KF-CAM-R"', '"KF-CAM-L"'))
     assert error.key == "camera.right.serial"
@@ -91,41 +84,23 @@ def test_the_diver_reads_the_language_of_the_rig_file_and_english_without_one() 
     assert parse_rig(changed(line, "")).display.language == "en"
 
 
-def test_projector_and_display_cannot_share_a_connector() -> None:
-    assert refusal(changed('"DP-1"', '"HDMI-A-1"')).key == "display.connector"
-
-
-def test_a_kms_output_needs_its_connector_and_a_window_does_not() -> None:
-    without = changed('connector = "HDMI-A-1"\n', "")
-    assert refusal(without).key == "projector.connector"
-    assert parse_rig(without.replace('kind = "kms" ', 'kind = "window" ', 1)).projector.connector is None
-
-
-def test_a_warning_must_come_before_the_block() -> None:
-    assert refusal(changed("case_warm_c = 50.0", "case_warm_c = 60.0")).key == "limits.case_warm_c"
-
-
 def test_every_fault_of_a_rig_file_is_listed_not_counted() -> None:
     """Whoever writes a rig file mends all of it in one go, not one key a try."""
-    everything = refusal("")
+    everything = str(refusal(""))
     tables = ("rig", "camera", "projector", "display", "board", "keys", "scan", "storage", "water", "design")
-    missing = [table for table in tables if f"{table} missing" in str(everything)]
-    assert len(missing) >= 8
-    assert "more)" not in str(everything)
+    assert sum(f"{table} missing" in everything for table in tables) >= 8
+    assert "more)" not in everything
     three = PACKAGED.replace("gain_db = 0.0", "gain_db = 99", 2).replace("period_px = 16 ", "period_px = 24 ")
-    said = str(refusal(three))
-    assert "camera.left.gain_db 99 > 48" in said
-    assert "camera.right.gain_db 99 > 48 (allowed: 0..48 dB)" in said
-    assert "scan.period_px 24 (allowed: 16, 32 or 64)" in said
-    assert "\n" not in said
-
-
-def test_every_broken_rule_between_keys_is_listed() -> None:
-    right, left = parse_rig(PACKAGED).camera.right.serial, parse_rig(PACKAGED).camera.left.serial
-    text = changed("case_warm_c = 50.0", "case_warm_c = 61.0").replace(right, left)
-    said = str(refusal(text))
-    assert "camera.right.serial" in said
-    assert "limits.case_warm_c 61 >= 60 (allowed: below case_hot_c)" in said
+    rules = changed("case_warm_c = 50.0", "case_warm_c = 61.0").replace('"KF-CAM-R"', '"KF-CAM-L"')
+    for text, words in (
+        (three, ("camera.left.gain_db 99 > 48", "camera.right.gain_db 99 > 48 (allowed: 0..48 dB)", "scan.period_px 24 (allowed: 16, 32 or 64)")),
+        (rules, ("camera.right.serial", "limits.case_warm_c 61 >= 60 (allowed: below case_hot_c)")),
+    ):  # fmt: skip
+        said = str(refusal(text))
+        assert all(one in said for one in words)
+        assert "\n" not in said
+    many = str(refusal(PACKAGED + "".join(f"key_{n} = {n}\n" for n in range(5000))))
+    assert (len(many) < 10_000, "and 4899 more" in many) == (True, True)
 
 
 def test_a_volume_that_the_cameras_do_not_look_into_is_refused() -> None:
@@ -145,12 +120,6 @@ def test_a_rig_file_without_a_volume_is_of_the_standard_housing() -> None:
     assert parse_rig(without).optical_hash == parse_rig(PACKAGED).optical_hash
 
 
-def test_a_file_of_thousands_of_wrong_keys_is_refused_in_a_message_that_ends() -> None:
-    said = str(refusal(PACKAGED + "".join(f"key_{n} = {n}\n" for n in range(5000))))
-    assert len(said) < 10_000
-    assert "and 4899 more" in said
-
-
 @pytest.mark.parametrize("wires", ["subprocess:Popen", "os:system", "appliance.cli:main", "drivers.native:NativeWires"])
 def test_a_rig_file_cannot_name_a_command_as_its_wires(wires: str) -> None:
     """What opens the devices is called with whatever else the file says: a rig file from elsewhere could run anything."""
@@ -158,11 +127,6 @@ def test_a_rig_file_cannot_name_a_command_as_its_wires(wires: str) -> None:
     assert error.key == "rig.wires"
     assert error.headline == f'rig.wires "{wires}" not registered'
     assert "allowed: drivers.native:open, hw_sim.wires:open" in str(error)
-
-
-def test_options_of_the_wires_are_free() -> None:
-    rig = parse_rig(changed("[camera.left]", "[rig.wires_options]\nobject = 'pipe'\nwater = {blur = 1}\n[camera.left]"))
-    assert rig.rig.wires_options == {"object": "pipe", "water": {"blur": 1}}
 
 
 def test_comments_order_and_number_spelling_do_not_change_the_hash_but_every_value_does() -> None:
@@ -214,12 +178,6 @@ def test_what_a_makers_cameras_need_keeps_its_order_and_its_kinds_also_when_it_i
     words = str(refusal(changed("[camera.right]\n", FEATURES.replace("Mono12p", "Mono16"))))
     assert "camera.left.pixel_format" in words
     assert "Mono12Packed" in words
-
-
-def test_the_rig_cannot_be_changed() -> None:
-    rig = parse_rig(PACKAGED)
-    with pytest.raises(FrozenInstanceError):
-        rig.camera.left.exposure_ms = 1.0  # type: ignore[misc]
 
 
 def test_a_missing_file_names_the_path(tmp_path: Path) -> None:

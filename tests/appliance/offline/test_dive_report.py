@@ -58,53 +58,39 @@ def test_the_page_shows_every_scan_with_verdict_figures_and_picture(
     assert 400 < float(cells[4].removesuffix(" mm")) < 600
 
 
-def test_what_is_held_against_a_scan_is_said_and_makes_it_doubtful(root: Path) -> None:
-    entry = Library(root).entry("000001")
-    assert entry.manifest is not None
-    verdicts = (Verdict("motion", False, {}, "moved by 0.4 mm"), Verdict("water", True), Verdict("sight", None))
-    judged = replace(
-        entry, manifest=replace(entry.manifest, record=replace(entry.manifest.record, verdicts=verdicts, object=3))
-    )
-    report = report_of_dive(root, [judged], lambda *_: None)
-    (scan,) = report.scans
-    assert scan.verdict is ReportVerdict.DOUBTFUL
-    assert scan.warnings == ("motion: moved by 0.4 mm",)
-    text = page(report)
-    assert "motion: moved by 0.4 mm" in text
-    assert "object 3" in text
-
-
-@pytest.mark.parametrize("word", ["good", "usable", "bad"])
-def test_the_page_has_the_grade_that_the_screen_showed_and_no_ray_gap_of_a_corrected_scan(
-    root: Path, word: str
+@pytest.mark.parametrize("word", ["good", "usable", "bad", None])
+def test_the_page_has_the_grade_that_the_screen_showed_and_what_is_held_against_a_scan(
+    root: Path, word: str | None
 ) -> None:
-    """`doubtful` stood on the page, and GOOD on the screen."""
     entry = Library(root).entry("000001")
     assert entry.manifest is not None
-    record = entry.manifest.record
-    told = Verdict("motion", False, {}, "7 px"), Verdict("causes", False, {"too_bright_percent": 7.0}, "TOO_BRIGHT 7 %")
-    verdicts = (*told, Verdict("compensation", True), Verdict("grade", True, {}, word))
-    judged = replace(entry, manifest=replace(entry.manifest, record=replace(record, verdicts=verdicts)))
+    told = Verdict("motion", False, {}, "7 px"), Verdict("water", True), Verdict("sight", None)
+    seen = Verdict("causes", False, {"too_bright_percent": 7.0}, "TOO_BRIGHT 7 %"), Verdict("compensation", True)
+    verdicts = told if word is None else (*told, *seen, Verdict("grade", True, {}, word))
+    record = replace(entry.manifest.record, verdicts=verdicts, object=3)
+    judged = replace(entry, manifest=replace(entry.manifest, record=record))
     report = report_of_dive(root, [judged, entry], lambda *_: None)
-    corrected, plain = report.scans
-    assert (corrected.word, corrected.reason, corrected.ray_gap_mm) == (word, "motion corrected", None)
-    assert corrected.warnings == ("motion: 7 px",), "the causes say the same once more"
+    text, (scan, plain) = page(report), report.scans
+    assert scan.warnings == ("motion: 7 px",), "the causes say the same once more"
+    assert "motion: 7 px" in text
+    assert "object 3" in text
     assert plain.ray_gap_mm is not None
-    assert f" {word}</span>" in page(report)
+    if word is None:
+        assert scan.verdict is ReportVerdict.DOUBTFUL
+        return
+    assert (scan.word, scan.reason, scan.ray_gap_mm) == (word, "object 3; motion corrected", None)
+    assert f" {word}</span>" in text
     assert any("000001" in line for line in report.warnings) == (word != "good")
 
 
 def test_a_page_of_no_scans_or_by_a_wrong_name_is_refused(
     root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["report", "--root", str(tmp_path)]) == 2
-    assert "holds no scans" in capsys.readouterr().err
-    assert main(["report", "--root", str(root), "--out", str(tmp_path / "dive.pdf")]) == 2
-    assert "a page is written as .html" in capsys.readouterr().err
-    assert main(["report", "000009", "--root", str(root)]) == 1
+    for words, code, said in (
+        (("--root", tmp_path), 2, "no scans"), (("--root", root, "--out", tmp_path / "dive.pdf"), 2, ".html"), (("000009", "--root", root), 1, "9"),
+    ):  # fmt: skip
+        assert main(["report", *map(str, words)]) == code
+        assert said in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize(("folder", "title"), [("dive", "Dive"), ("dive-7", "Dive-7"), ("wreck", "Dive wreck")])
-def test_the_title_says_dive_once(folder: str, title: str) -> None:
-    assert report_of_dive(Path("/somewhere") / folder, [], lambda *_: None).title == title
+    for folder, title in (("dive", "Dive"), ("dive-7", "Dive-7"), ("wreck", "Dive wreck")):
+        assert report_of_dive(Path("/somewhere") / folder, [], lambda *_: None).title == title

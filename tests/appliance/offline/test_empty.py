@@ -65,41 +65,27 @@ def said(pipeline: Pipeline, points: int, *judgements: Judgement) -> Empty | Non
     return why_empty(pipeline, cloud, judgements)
 
 
-def test_more_than_a_twentieth_of_what_was_decoded_is_a_cloud(pipeline: Pipeline) -> None:
-    see_wall(pipeline)
-    assert decoded(pipeline) > 2000
-    assert said(pipeline, decoded(pipeline) // 20 + 1, MURKY) is None
-
-
 def test_few_points_whose_rays_meet_are_points_and_none_at_all_were_masked(pipeline: Pipeline) -> None:
     see_wall(pipeline)
-    assert said(pipeline, 1) is None
+    assert decoded(pipeline) > 2000
+    assert said(pipeline, 1) is said(pipeline, decoded(pipeline) // 20 + 1, MURKY) is None
     empty = said(pipeline, 0, MURKY)
     assert empty is not None
     assert not empty.by_calibration
-    assert empty.reason == (
-        f"no points are left of {decoded(pipeline)} decoded pixels ({FaultCode.TOO_DARK.value}: of 2 % of the picture); "
-        "scan again, nearer or in clearer water"
-    )
+    assert f"no points are left of {decoded(pipeline)} decoded pixels ({FaultCode.TOO_DARK.value}" in empty.reason
 
 
 def test_rays_that_pass_each_other_are_the_calibrations_fault_whatever_the_judges_say(pipeline: Pipeline) -> None:
     see_wall(pipeline, raised_px=16.0)  # 4 mm on the wall
     few = decoded(pipeline) // 20
+    assert said(pipeline, few + 1, MURKY) is None, "more than a twentieth is a cloud"
     for points in (0, few):
         empty = said(pipeline, points, MURKY)
         assert empty is not None
         assert empty.by_calibration
-        assert (
-            f"{points} points are left of {decoded(pipeline)} decoded pixels: the rays of both cameras do not meet"
-            in empty.reason
-        )
-        assert empty.reason.endswith("give the right one with --calibration FILE")
+        assert empty.reason.startswith(f"{points} points are left of {decoded(pipeline)} decoded pixels: the rays")
         assert "TOO" not in empty.reason
-
-
-def test_where_no_pattern_was_seen_no_calibration_is_blamed(pipeline: Pipeline) -> None:
-    see_wall(pipeline, raised_px=16.0)
+    # Where no pattern was seen, no calibration is blamed.
     mask = pipeline.decoded("left").mask
     mask[:] = Mask.SHADOW
     least = -(-mask.size // 1000)  # a thousandth of the picture
@@ -107,10 +93,8 @@ def test_where_no_pattern_was_seen_no_calibration_is_blamed(pipeline: Pipeline) 
     empty = said(pipeline, 0, MURKY, Judgement(Verdict("motion", True)))
     assert empty is not None
     assert not empty.by_calibration
-    assert empty.reason == (
-        f"shows no pattern on anything: {least - 1} of {mask.size} pixels of the left camera could be decoded "
-        f"({FaultCode.TOO_DARK.value}: of 2 % of the picture); scan again, nearer or in clearer water"
-    )
+    assert empty.reason.startswith(f"shows no pattern on anything: {least - 1} of {mask.size} pixels")
+    assert f"({FaultCode.TOO_DARK.value}: of 2 % of the picture)" in empty.reason
     mask.ravel()[:least] = Mask.VALID
     enough = said(pipeline, 0)
     assert enough is not None

@@ -18,6 +18,9 @@ from tests.support.commands import Shell
 from tests.support.e57 import read_e57
 from tests.support.planes import NORMAL, small_rig, store_plane
 
+Plane = tuple[Path, Path, NDArray[np.float32]]
+"""A stored scan, the file of its calibration, and the points that the instrument had."""
+
 
 @pytest.fixture
 def shell(capsys: pytest.CaptureFixture[str]) -> Shell:
@@ -25,8 +28,7 @@ def shell(capsys: pytest.CaptureFixture[str]) -> Shell:
 
 
 @pytest.fixture(scope="module")
-def plane(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, NDArray[np.float32]]:
-    """A stored scan, the file of its calibration, and the points that the instrument had."""
+def plane(tmp_path_factory: pytest.TempPathFactory) -> Plane:
     root = tmp_path_factory.mktemp("plane")
     rig = small_rig(root / "storage")
     folder, points = store_plane(rig)
@@ -35,7 +37,7 @@ def plane(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, NDArray
 
 
 def test_points_mesh_and_grid_of_one_scan(
-    shell: Shell, plane: tuple[Path, Path, NDArray[np.float32]], tmp_path: Path
+    shell: Shell, plane: Plane, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder, calibration, points = plane
 
@@ -58,6 +60,9 @@ def test_points_mesh_and_grid_of_one_scan(
     # The plane's own normal, towards the camera.
     np.testing.assert_allclose(np.average(mesh.face_normals, axis=0, weights=mesh.area_faces), -NORMAL, atol=0.01)
     export("plane.npz")
+    monkeypatch.chdir(tmp_path)
+    unnamed = shell("export", folder, "--calibration", calibration)
+    assert (unnamed.code, unnamed.lines["file"]) == (Exit.OK, f"{folder.name}.ply"), "the scan's name, in this folder"
     with np.load(tmp_path / "plane.npz") as grid:
         assert grid["mask"].shape == (300, 400)
         assert int(grid["mask"].sum()) == len(points)
@@ -65,20 +70,7 @@ def test_points_mesh_and_grid_of_one_scan(
         assert np.median(grid["grey"][grid["mask"]]) > 150
 
 
-def test_without_a_name_it_is_the_scans_in_this_folder(
-    shell: Shell, plane: tuple[Path, Path, NDArray[np.float32]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    said = shell("export", plane[0], "--calibration", plane[1], "--mesh")
-    assert said.code == Exit.OK
-    assert said.lines["file"] == f"{plane[0].name}.ply"
-    mesh: Any = trimesh.load(tmp_path / f"{plane[0].name}.ply")
-    assert len(mesh.faces) > 10_000
-
-
-def test_many_scans_are_one_file_each_or_refused(
-    shell: Shell, plane: tuple[Path, Path, NDArray[np.float32]], tmp_path: Path
-) -> None:
+def test_many_scans_are_one_file_each_or_refused(shell: Shell, plane: Plane, tmp_path: Path) -> None:
     folder, calibration, points = plane
     other = tmp_path / "000042"
     shutil.copytree(folder, other)
@@ -99,17 +91,12 @@ def test_many_scans_are_one_file_each_or_refused(
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (
-            ("--out", "plane.xyz"),
-            "a scan is written as .ply, .e57, .las, .npz, not as .xyz; give for example plane.ply",
-        ),
-        (("--out", "plane.stl"), "a scan is written as .ply, .e57, .las, .npz, not as .stl"),
-        (("--out", "plane.npz", "--mesh"), "a mesh is written as .ply, .stl, .obj, not as .npz"),
-        (("--out", "nowhere/plane.ply"), "there is no folder nowhere"),
+        (("--out", "plane.xyz"), ".ply, .e57, .las, .npz, not as .xyz"), (("--out", "plane.stl"), "not as .stl"),
+        (("--out", "plane.npz", "--mesh"), ".ply, .stl, .obj, not as .npz"), (("--out", "nowhere/plane.ply"), "nowhere"),
     ],
-)
+)  # fmt: skip
 def test_what_cannot_be_written_is_refused_before_the_work(
-    words: tuple[str, ...], said: str, shell: Shell, plane: tuple[Path, Path, NDArray[np.float32]], tmp_path: Path,
+    words: tuple[str, ...], said: str, shell: Shell, plane: Plane, tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
     monkeypatch.chdir(tmp_path)

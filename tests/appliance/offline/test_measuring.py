@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -81,10 +82,10 @@ def test_an_instrument_with_these_figures_expects_the_noise_that_was_seen(rig: R
 @pytest.mark.parametrize(
     ("side", "figures", "said"),
     [
-        ("left", (499.0, 12.0, 6.0), "full_well_e of the left camera would be 499; allowed are 500..900000; scan"),
+        ("left", (499.0, 12.0, 6.0), "full_well_e of the left camera would be 499; allowed are 500..900000"),
         ("right", (9.1e5, 12.0, 6.0), "full_well_e of the right camera would be 9.1e"),
-        ("right", (4_000.0, 901.0, 6.0), "read_noise_e of the right camera would be 901; allowed are 0..900; scan"),
-        ("left", (4_000.0, 12.0, 63.5), "black_level_dn of the left camera would be 63.5; allowed are 0..63; scan"),
+        ("right", (4_000.0, 901.0, 6.0), "read_noise_e of the right camera would be 901; allowed are 0..900"),
+        ("left", (4_000.0, 12.0, 63.5), "black_level_dn of the left camera would be 63.5; allowed are 0..63"),
         ("left", (500.0001, 0.0, 63.0), None),
         ("right", (899_999.0, 899.0, 0.0), None),
     ],
@@ -95,13 +96,8 @@ def test_figures_that_no_camera_has_are_refused(
     found = {one: (measured(4_000.0, 12.0, 6.0), EXPECTED) for one in ("left", "right")}
     found[side] = measured(*figures), EXPECTED
     folder = scan(tmp_path / "1", Exposure(8_000))
-    if said is None:
+    with nullcontext() if said is None else pytest.raises(NoiseError, match=f"^{said}"):
         assert noise_to_store(load_rig(RIG), folder, found).made_from == ("1",)
-        return
-    with pytest.raises(NoiseError) as refused:
-        noise_to_store(load_rig(RIG), folder, found)
-    assert str(refused.value).startswith(said)
-    assert str(refused.value).endswith("scan something light and dark with still hands, in the dark")
 
 
 def test_an_exposure_is_straight_if_points_are_a_tenth_noisier_at_most() -> None:

@@ -35,10 +35,12 @@ from tests.appliance.storage.scenes import ORIGIN, frames, record
 from tests.support.planes import small_rig, store_plane
 
 ROOT = Path(__file__).parents[3]
+PACKAGE = importlib.import_module("kingfisher")
+Dive = tuple[Path, NDArray[np.float32]]
 
 
 @pytest.fixture(scope="module")
-def dive(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, NDArray[np.float32]]:
+def dive(tmp_path_factory: pytest.TempPathFactory) -> Dive:
     """A storage root with one scan and its calibration, and the points that the instrument had."""
     rig = small_rig(tmp_path_factory.mktemp("dive"))
     folder, points = store_plane(rig)
@@ -46,31 +48,37 @@ def dive(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, NDArray[np.flo
     return folder.parent.parent, points
 
 
-def test_a_dive_gives_the_points_of_the_instrument(dive: tuple[Path, NDArray[np.float32]]) -> None:
+def test_a_dive_gives_the_points_of_the_instrument_and_what_is_known_of_them(dive: Dive) -> None:
     root, points = dive
     opened = open_dive(str(root))
-    assert [scan.name for scan in opened] == ["000001"]
-    assert len(opened) == 1
+    assert ([scan.name for scan in opened], len(opened)) == (["000001"], 1)
     scan = opened.scan(1)
+    assert scan == opened[1] == opened.scan("000001")
     made = scan.points()
     np.testing.assert_array_equal(made.points_mm, points)
-    assert made.sigma_mm.shape == (len(points),)
-    assert made.cloud.shape == (300, 400)
-    assert scan.manifest.record.sequence.period_px == 16
+    assert (made.sigma_mm.shape, made.cloud.shape) == ((len(points),), (300, 400))
     assert open_scan(scan.folder).name == "000001"
+    stored = np.load(scan.folder / "frames_right.npy")
+    np.testing.assert_array_equal(scan.frames("right"), stored)
+    assert not np.array_equal(scan.frames(), stored)
+    with pytest.raises(ScanError, match="one exposure"):
+        scan.frames(second=True)
+    said = scan.manifest.record
+    assert (said.sequence.period_px, said.sequence.patterns[0]) == (16, "bright")
+    assert scan.time == (None if said.wall_time is None else datetime.fromisoformat(said.wall_time))
+    assert (scan.object, scan.exposure, scan.warnings) == (said.object, said.exposure, ())
+    assert re.fullmatch(rf"<scan 000001: ({len(points):,}|no) points.*>", repr(scan))
+    assert repr(opened) == f"<dive {root}: 1 scans>"
+    assert re.fullmatch(rf"<{len(points):,} points, \d+ µm>", repr(made))
 
 
-def test_another_calibration_and_other_water_give_other_points(
-    dive: tuple[Path, NDArray[np.float32]], tmp_path: Path
-) -> None:
+def test_another_calibration_and_other_water_give_other_points(dive: Dive, tmp_path: Path) -> None:
     root, points = dive
     scan = open_dive(root).scan("000001")
-    salt = scan.points(water=Water(20.0, 35.0, 530.0))
-    fresh = Water(20.0, 0.0, 530.0)
-    own = scan.points()
+    salt, own = scan.points(water=Water(20.0, 35.0, 530.0)), scan.points()
     both = salt.cloud.mask & own.cloud.mask
     # Behind a flat port tan θ goes down as the index goes up, so that the same pixels see a smaller piece of the plane.
-    share = salt.water.index / fresh.index - 1.0
+    share = salt.water.index / Water(20.0, 0.0, 530.0).index - 1.0
     narrower = 1.0 - salt.cloud.points_mm[both, 0].std() / own.cloud.points_mm[both, 0].std()
     assert 0.5 * share < narrower < 1.5 * share
     design = design_of(small_rig(root))
@@ -85,64 +93,22 @@ def test_another_calibration_and_other_water_give_other_points(
         scan.points(calibration=larger)
 
 
-def test_a_scan_says_what_is_known_about_it(dive: tuple[Path, NDArray[np.float32]]) -> None:
-    opened = open_dive(dive[0])
-    scan = opened[1]
-    assert scan == opened.scan("000001")
-    stored = np.load(scan.folder / "frames_right.npy")
-    assert scan.manifest.record.sequence.patterns[0] == "bright"
-    np.testing.assert_array_equal(scan.frames("right"), stored)
-    assert not np.array_equal(scan.frames(), stored)
-    with pytest.raises(ScanError, match="has one exposure"):
-        scan.frames(second=True)
-    record = scan.manifest.record
-    assert scan.time == (None if record.wall_time is None else datetime.fromisoformat(record.wall_time))
-    assert (scan.object, scan.exposure) == (record.object, record.exposure)
-    assert scan.warnings == ()
-    made = scan.points()
-    assert re.fullmatch(rf"<scan 000001: ({len(dive[1]):,}|no) points.*>", repr(scan))
-    assert repr(opened) == f"<dive {dive[0]}: 1 scans>"
-    assert re.fullmatch(rf"<{len(dive[1]):,} points, \d+ µm>", repr(made))
-
-
-def test_what_the_diver_was_warned_of_is_said(tmp_path: Path) -> None:
+def test_what_the_diver_read_is_said(tmp_path: Path) -> None:
     library = Library(tmp_path)
     library.prepare()
     judged = (
-        Verdict("motion", False, {}, "MOVED: 0.4 px"),
-        Verdict("ledger", True),
-        Verdict("light", False),
-        Verdict("sides", None),
-    )
-    library.begin(frames(1), record(verdicts=judged), ORIGIN).publish(record(verdicts=judged))
-    scan = open_dive(tmp_path)[1]
-    assert scan.warnings == ("motion: MOVED: 0.4 px", "light")
-    assert scan.verdicts == judged
-
-
-def test_a_scan_is_graded_as_the_screen_graded_it(tmp_path: Path) -> None:
-    library = Library(tmp_path)
-    library.prepare()
+        Verdict("motion", False, {}, "MOVED: 0.4 px"), Verdict("ledger", True), Verdict("light", False), Verdict("sides", None),
+        Verdict("grade", None, {}, "usable"),
+    )  # fmt: skip
     # Its numbers alone are good ones: the grade is what the diver read.
-    numbers = {"points": 282679.0, "noise_mm": 0.021, "coverage_percent": 90.0}
-    kept = record(verdicts=(Verdict("grade", None, {}, "usable"),), cloud=numbers)
+    kept = record(verdicts=judged, cloud={"points": 282679.0, "noise_mm": 0.021, "coverage_percent": 90.0})
     library.begin(frames(1), kept, ORIGIN).publish(kept)
     scan = open_dive(tmp_path)[1]
-    assert scan.grade is Grade.USABLE
+    assert (scan.warnings, scan.verdicts, scan.grade) == (("motion: MOVED: 0.4 px", "light"), judged, Grade.USABLE)
     assert repr(scan) == "<scan 000001: 282,679 points, 21 µm, usable>"
 
 
-def test_a_calibration_is_written_once_and_read_again(tmp_path: Path) -> None:
-    made = design_of(small_rig(tmp_path))
-    save_calibration(made, str(tmp_path / "mine.json"))
-    assert load(str(tmp_path / "mine.json")) == made
-    before = (tmp_path / "mine.json").read_bytes()
-    with pytest.raises(CalibrationError, match="never replaced"):
-        save_calibration(replace(made, made_at="2031-01-01"), tmp_path / "mine.json")
-    assert (tmp_path / "mine.json").read_bytes() == before
-
-
-def test_each_kind_of_result_is_written(dive: tuple[Path, NDArray[np.float32]], tmp_path: Path) -> None:
+def test_each_kind_of_result_is_written_and_a_calibration_once(dive: Dive, tmp_path: Path) -> None:
     made = open_dive(dive[0]).scan(1).points()
     mesh = mesh_of_scan(made.cloud)
     for what, name in ((made, "scan.ply"), (made.cloud, "cloud.ply"), (mesh, "mesh.ply")):
@@ -151,33 +117,34 @@ def test_each_kind_of_result_is_written(dive: tuple[Path, NDArray[np.float32]], 
         assert len(read.vertices) > 0.9 * len(dive[1])
     surface = fuse([PlacedScan(made.cloud, np.eye(3), np.zeros(3))], spacing_mm=2.0)
     export(surface, tmp_path / "surface.ply", title="plane")
-    head = (tmp_path / "surface.ply").read_bytes()[:300]
-    assert b"plane: unit mm, object frame" in head
+    assert b"plane: unit mm, object frame" in (tmp_path / "surface.ply").read_bytes()[:300]
+    calibration, path = design_of(small_rig(tmp_path)), tmp_path / "mine.json"
+    save_calibration(calibration, str(path))
+    with pytest.raises(CalibrationError, match="never replaced"):
+        save_calibration(replace(calibration, made_at="2031-01-01"), path)
+    assert load(str(path)) == calibration
 
 
-def test_what_is_not_there_is_said(dive: tuple[Path, NDArray[np.float32]], tmp_path: Path) -> None:
-    with pytest.raises(NotADirectoryError, match="give the storage root"):
+def test_what_is_not_there_or_damaged_is_said(dive: Dive, tmp_path: Path) -> None:
+    with pytest.raises(NotADirectoryError, match="storage root"):
         open_dive(tmp_path / "none")
     with pytest.raises(UnknownScan):
         open_dive(dive[0]).scan(99)
     with pytest.raises(ScanError):
         open_scan(tmp_path)
-
-
-def test_a_scan_with_damaged_frames_is_refused(tmp_path: Path) -> None:
-    rig = small_rig(tmp_path)
-    folder, _ = store_plane(rig)
+    folder, _ = store_plane(small_rig(tmp_path))
     path = folder / "frames_left.npy"
     path.chmod(0o644)
-    raw = bytearray(path.read_bytes())
-    raw[5000] ^= 1
-    path.write_bytes(raw)
+    raw = path.read_bytes()
+    path.write_bytes(raw[:5000] + bytes([raw[5000] ^ 1]) + raw[5001:])
     with pytest.raises(ScanError, match="frames_left"):
         open_scan(folder).points()
 
 
-def test_every_name_of_the_package_is_the_programs_own() -> None:
-    package = importlib.import_module("kingfisher")
+# ------------------------------------------------------------------------------------------ the package and its pages
+
+
+def test_every_name_of_the_package_is_the_programs_own_and_in_its_help() -> None:
     tree = ast.parse((ROOT / "appliance/python/kingfisher/__init__.py").read_text())
     typed = {
         alias.asname: (node.module, alias.name)
@@ -186,34 +153,32 @@ def test_every_name_of_the_package_is_the_programs_own() -> None:
         for alias in node.names
         if alias.asname
     }
-    assert typed.keys() == set(dir(package)) - {"__version__"}, "type checkers see what there is"
+    assert typed.keys() == set(dir(PACKAGE)) - {"__version__"}, "type checkers see what there is"
     for name, (module, attribute) in typed.items():
         assert module is not None
         own = getattr(importlib.import_module(module), attribute)
-        assert inspect.unwrap(getattr(package, name)) is own, name
-    with pytest.raises(AttributeError, match="no attribute 'opendive'; there are: Calibration"):
-        _ = package.opendive
-
-
-def test_help_lists_every_name() -> None:
-    package = importlib.import_module("kingfisher")
-    doc = package.__doc__ or ""
-    assert doc.startswith("Open what dives left on the disk")
-    for name in set(package.__all__) - {"__version__"}:
+        assert inspect.unwrap(getattr(PACKAGE, name)) is own, name
+    with pytest.raises(AttributeError, match="opendive"):
+        _ = PACKAGE.opendive
+    doc = PACKAGE.__doc__ or ""
+    for name in set(PACKAGE.__all__) - {"__version__"}:
         assert re.search(rf"\b{name}\b", doc), name
     # What `help` prints for a module without `__all__` has no name that it loads when it is asked for.
-    text = pydoc.plain(pydoc.render_doc(package))
+    text = pydoc.plain(pydoc.render_doc(PACKAGE))
     for name in ("open_dive(", "export(", "class Dive(", "class ScanOfDive("):
         assert f"\n    {name}" in text
 
 
-def test_the_page_calls_functions_as_they_are() -> None:
-    package = importlib.import_module("kingfisher")
-    called = re.findall(r"`(\w+)\(([^`]*)\)`", (ROOT / "docs/python.md").read_text())
-    of_package = [(name, words) for name, words in called if name in package.__all__]
+def test_the_page_names_what_there_is_and_calls_functions_as_they_are() -> None:
+    page = (ROOT / "docs/python.md").read_text()
+    for name in dir(PACKAGE):
+        if not name.startswith(("Report", "__")) and not name.endswith("Error"):
+            assert f"`{name}" in page or f" {name}" in page or f"{name}`" in page, name
+    called = re.findall(r"`(\w+)\(([^`]*)\)`", page)
+    of_package = [(name, words) for name, words in called if name in PACKAGE.__all__]
     assert len(of_package) > 15
     for name, words in of_package:
-        parameters = inspect.signature(getattr(package, name)).parameters
+        parameters = inspect.signature(getattr(PACKAGE, name)).parameters
         for k, word in enumerate(filter(None, re.split(r", (?![^(]*\))", words))):
             if word != "…":
                 named = word.partition("=")[0]
@@ -221,29 +186,18 @@ def test_the_page_calls_functions_as_they_are() -> None:
                 assert "=" in word or list(parameters)[k] == named, f"{name}: {named} is not number {k}"
 
 
-def test_the_page_about_it_names_what_there_is() -> None:
-    package = importlib.import_module("kingfisher")
-    said = (ROOT / "docs/python.md").read_text()
-    for name in dir(package):
-        if not name.startswith(("Report", "__")) and not name.endswith("Error"):
-            assert f"`{name}" in said or f" {name}" in said or f"{name}`" in said, name
-
-
 def test_the_notebook_runs_from_the_first_cell_to_the_last(
-    dive: tuple[Path, NDArray[np.float32]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    dive: Dive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     notebook = json.loads((ROOT / "docs/notebooks/first_scan.ipynb").read_text())
     monkeypatch.setenv("KINGFISHER_ROOT", str(dive[0]))
     monkeypatch.chdir(tmp_path)
-    said = io.StringIO()
-    names: dict[str, Any] = {}
+    said, names = io.StringIO(), dict[str, Any]()
     with contextlib.redirect_stdout(said):
         for k, cell in enumerate(notebook["cells"]):
             if cell["cell_type"] == "code":
                 exec(compile("".join(cell["source"]), f"cell {k}", "exec"), names)
-    assert f"{len(dive[1])} points" in said.getvalue()
-    assert "seen 2 times" in said.getvalue()
     # A plane by itself slides along itself.
-    assert "accepted: False" in said.getvalue()
-    assert "1 placed, left out: [" in said.getvalue()
+    for words in (f"{len(dive[1])} points", "seen 2 times", "accepted: False", "1 placed, left out: ["):
+        assert words in said.getvalue()
     assert {"first.stl", "first.npz", "first.html"} == {path.name for path in tmp_path.iterdir()}

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.checksummed_file import with_checksum
 from appliance.scan.exposure import Exposure
 from appliance.scan.verdict import Verdict
 from appliance.storage import manifest as form
@@ -71,6 +72,13 @@ ORIGIN = ScanOrigin(b'{"a": "calibration"}\n' * 40, b"[rig]\n" * 200)
 PREVIEW = b"\x89PNG\r\n\x1a\n" + bytes(50)
 
 
+def padded(content: dict[str, object], length: int) -> bytes:
+    """A sealed file of that length, of which some is white space."""
+    data = with_checksum(content)
+    assert len(data) <= length
+    return data[:-2] + b" " * (length - len(data)) + data[-2:]
+
+
 def manifests_that_list_what_is_not_there(root: Path) -> list[str]:
     """Folders of scans, finished or not, in which a readable manifest names a file that is missing or cut short."""
     wrong = []
@@ -83,74 +91,79 @@ def manifests_that_list_what_is_not_there(root: Path) -> list[str]:
     return wrong
 
 
-# --------------------------------------------------------------------------------------- a bad disk
+class CountedDisk(LocalFileSystem):
+    """The local disk; ``before`` is asked before each call that changes it, and may raise."""
 
+    def before(self, call: str) -> None:
+        """``call`` names what is done and the file."""
 
-class BadDisk(LocalFileSystem):
-    """The local disk; changing calls number ``first_bad`` and ``bad_for - 1`` after it fail with ``error``."""
-
-    def __init__(self, first_bad: int | None = None, bad_for: int = 1, error: int = errno.EIO) -> None:
-        self.calls: list[str] = []
-        self._first = first_bad
-        self._for = bad_for
-        self._error = error
-
-    def _count(self, name: str) -> None:
-        index = len(self.calls)
-        self.calls.append(name)
-        if self._first is not None and self._first <= index < self._first + self._for:
-            raise OSError(self._error, f"injected at call {index} ({name})")
+    def write(self, file: WritableFile, data: Bytes, name: str) -> None:
+        self.before(f"write {name}")
+        file.write(data)
 
     def make_folder(self, path: Path) -> None:
-        self._count(f"make_folder {path.name}")
+        self.before(f"make_folder {path.name}")
         super().make_folder(path)
 
     def create(self, path: Path) -> WritableFile:
-        self._count(f"create {path.name}")
-        return _BadFile(self, super().create(path), path.name)
+        self.before(f"create {path.name}")
+        return _CountedFile(self, super().create(path), path.name)
 
     def rename(self, source: Path, target: Path) -> None:
-        self._count(f"rename {source.name} {target.name}")
+        self.before(f"rename {source.name} {target.name}")
         super().rename(source, target)
 
     def allocate(self, path: Path, length_bytes: int) -> None:
-        self._count(f"allocate {path.name}")
+        self.before(f"allocate {path.name}")
         super().allocate(path, length_bytes)
 
     def reopen(self, path: Path) -> WritableFile:
-        self._count(f"reopen {path.name}")
-        return _BadFile(self, super().reopen(path), path.name)
+        self.before(f"reopen {path.name}")
+        return _CountedFile(self, super().reopen(path), path.name)
 
     def append(self, path: Path) -> WritableFile:
-        self._count(f"append {path.name}")
-        return _BadFile(self, super().append(path), path.name)
+        self.before(f"append {path.name}")
+        return _CountedFile(self, super().append(path), path.name)
 
     def sync_folder(self, path: Path) -> None:
-        self._count(f"sync_folder {path.name}")
+        self.before(f"sync_folder {path.name}")
         super().sync_folder(path)
 
     def remove(self, path: Path) -> None:
-        self._count(f"remove {path.name}")
+        self.before(f"remove {path.name}")
         super().remove(path)
 
 
-class _BadFile:
-    def __init__(self, disk: BadDisk, file: WritableFile, name: str) -> None:
+class _CountedFile:
+    def __init__(self, disk: CountedDisk, file: WritableFile, name: str) -> None:
         self._disk, self._file, self._name = disk, file, name
 
     def write(self, data: Bytes) -> None:
-        half = len(data) // 2
-        try:
-            self._disk._count(f"write {self._name}")
-        except OSError:
-            self._file.write(memoryview(data)[:half])
-            raise
-        self._file.write(data)
+        self._disk.write(self._file, data, self._name)
 
     def sync(self) -> None:
-        self._disk._count(f"sync {self._name}")
+        self._disk.before(f"sync {self._name}")
         self._file.sync()
 
     def close(self) -> None:
         self._file.close()
-        self._disk._count(f"close {self._name}")
+        self._disk.before(f"close {self._name}")
+
+
+class BadDisk(CountedDisk):
+    """Changing calls number ``first_bad`` and ``bad_for - 1`` after it fail with ``error``; a write is half done then."""
+
+    def __init__(self, first_bad: int | None = None, bad_for: int = 1, error: int = errno.EIO) -> None:
+        self.calls: list[str] = []
+        self._bad = range(0) if first_bad is None else range(first_bad, first_bad + bad_for)
+        self._error = error
+
+    def before(self, call: str) -> None:
+        self.calls.append(call)
+        if len(self.calls) - 1 in self._bad:
+            raise OSError(self._error, f"injected at call {len(self.calls) - 1} ({call})")
+
+    def write(self, file: WritableFile, data: Bytes, name: str) -> None:
+        if len(self.calls) in self._bad:
+            file.write(memoryview(data)[: len(data) // 2])
+        super().write(file, data, name)

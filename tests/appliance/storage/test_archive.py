@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -45,10 +46,26 @@ def source(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def there(tmp_path: Path) -> Path:
+def small(tmp_path: Path) -> Path:
+    """A scan of one exposure, and no more files than it needs."""
+    folder = tmp_path / "from" / "scans" / "000001"
+    folder.parent.mkdir(parents=True)
+    stored.write_raw(FS, folder, "000001", frames(), record(), ORIGIN)
+    return folder
+
+
+@pytest.fixture
+def target(tmp_path: Path) -> Path:
     """A folder in which the packed scan is to lie."""
     archive.make_shelves(FS, tmp_path / "archive", SCANS)
     return tmp_path / "archive" / "scans" / "000001"
+
+
+@pytest.fixture
+def there(source: Path, target: Path) -> Path:
+    """The packed scan."""
+    pack_scan(FS, source, target)
+    return target
 
 
 def moved(fs: FileSystem, source: Path, target: Path) -> None:
@@ -62,22 +79,18 @@ def flip(path: Path, at: int) -> None:
     path.write_bytes(data)
 
 
-# ------------------------------------------------------------------------------------- there and back
-
-
-def test_a_packed_scan_comes_back_byte_for_byte(source: Path, there: Path, tmp_path: Path) -> None:
+def test_a_packed_scan_comes_back_byte_for_byte(source: Path, target: Path, tmp_path: Path) -> None:
     before = content(source)
-    assert pack_scan(FS, source, there) is Copied.WRITTEN
+    assert pack_scan(FS, source, target) is Copied.WRITTEN
     assert content(source) == before, "the source is only read"
-    assert not list(there.glob("*.npy"))
+    assert not list(target.glob("*.npy"))
     back = tmp_path / "back" / "scans" / "000001"
     archive.make_shelves(FS, tmp_path / "back", SCANS)
-    assert unpack_scan(FS, there, back) is Copied.WRITTEN
+    assert unpack_scan(FS, target, back) is Copied.WRITTEN
     assert content(back) == before
 
 
 def test_whatever_opens_scans_opens_packed_ones(source: Path, there: Path) -> None:
-    pack_scan(FS, source, there)
     plain, opened = stored.load(source), stored.load(there)
     assert opened.manifest == plain.manifest
     assert opened.second is not None
@@ -101,86 +114,63 @@ def test_smooth_pictures_take_less_room(tmp_path: Path) -> None:
     assert (tmp_path / "000002" / JLS).stat().st_size < (folder / "frames_left.npy").stat().st_size / 3
 
 
-# --------------------------------------------------------------------------------------- one frame
-
-
-@pytest.mark.parametrize("k", range(FRAMES))
-def test_one_frame_is_read_although_all_others_are_destroyed(source: Path, there: Path, k: int) -> None:
-    pack_scan(FS, source, there)
-    index = packed.read_index(there / JLS)
-    data = bytearray((there / JLS).read_bytes())
-    for other in set(range(FRAMES)) - {k}:
-        start, end = index.offsets[other : other + 2]
-        data[start:end] = bytes(end - start)
-    (there / JLS).write_bytes(data)
-    assert np.array_equal(read_frame(there, "left", k), frames()["left"][k])
-    assert np.array_equal(read_frame(source, "left", k), frames()["left"][k])
-    with pytest.raises(ScanError, match="frame"):
-        read_frame(there, "left", (k + 1) % FRAMES)
-
-
-def test_one_frame_of_the_second_exposure_and_one_that_is_not_there(source: Path, there: Path) -> None:
-    pack_scan(FS, source, there)
-    assert np.array_equal(read_frame(there, "right", 1, second=True), frames(1)["right"][1])
-    with pytest.raises(ScanError, match=f"no frame {FRAMES}; allowed are 0 to {FRAMES - 1}"):
-        read_frame(there, "left", FRAMES)
-
-
-def test_a_damaged_pixel_of_a_plain_frame_is_noticed(source: Path) -> None:
-    flip(source / "frames_left.npy", 128 + 5)
-    with pytest.raises(ScanError, match="frame bright is damaged"):
-        read_frame(source, "left", 0)
-
-
 # ------------------------------------------------------------------------------------------ damage
 
 
-def test_every_flipped_byte_of_a_packed_file_is_found(source: Path, there: Path) -> None:
-    pack_scan(FS, source, there)
+def test_one_frame_is_read_although_all_others_are_destroyed(source: Path, there: Path) -> None:
+    index = packed.read_index(there / JLS)
+    data = bytearray((there / JLS).read_bytes())
+    for other in (0, 2):
+        start, end = index.offsets[other : other + 2]
+        data[start:end] = bytes(end - start)
+    (there / JLS).write_bytes(data)
+    assert np.array_equal(read_frame(there, "left", 1), frames()["left"][1])
+    assert np.array_equal(read_frame(source, "left", 1), frames()["left"][1])
+    assert np.array_equal(read_frame(there, "right", 1, second=True), frames(1)["right"][1])
+    for k in (0, 2, FRAMES):
+        with pytest.raises(ScanError, match=str(k)):
+            read_frame(there, "left", k)
+    flip(source / "frames_left.npy", 128 + 5)
+    with pytest.raises(ScanError, match="frame bright"):
+        read_frame(source, "left", 0)
+
+
+def test_every_flipped_byte_and_every_cut_of_a_packed_file_is_found(there: Path) -> None:
     good = (there / JLS).read_bytes()
     manifest = stored.manifest_of(there)
-    assert stored.wrong_files(there, manifest, checksums=True) == {}
-    assert problems_of(there) == {}
-    for at in range(len(good)):
+    assert stored.wrong_files(there, manifest, checksums=True) == problems_of(there) == {}
+    for at in (*range(0, len(good), 3), len(good) - 1):
         flip(there / JLS, at)
         assert list(stored.wrong_files(there, manifest, checksums=True)) == ["frames_left.npy"], at
         (there / JLS).write_bytes(good)
+    for length in (0, 5, 11, 40, -1):
+        (there / JLS).write_bytes(good[:length])
+        assert "frames_left.npy" in stored.wrong_files(there, manifest, checksums=False)
+        with pytest.raises(ScanError, match=r"frames_left\.npy"):
+            stored.load(there)
 
 
-@pytest.mark.parametrize("length", [0, 5, 11, 40, -1])
-def test_a_packed_file_that_is_cut_off_is_found_by_its_length(source: Path, there: Path, length: int) -> None:
-    pack_scan(FS, source, there)
-    (there / JLS).write_bytes((there / JLS).read_bytes()[:length])
-    assert "frames_left.npy" in stored.wrong_files(there, stored.manifest_of(there), checksums=False)
-    with pytest.raises(ScanError, match=r"frames_left\.npy"):
-        stored.load(there)
-
-
-def test_a_packed_file_of_another_scan_is_found(source: Path, there: Path, tmp_path: Path) -> None:
-    pack_scan(FS, source, there)
-    other = tmp_path / "000007"
-    stored.write_raw(FS, other, "000007", frames(9), record(), ORIGIN)
-    pack_scan(FS, other, tmp_path / "000008")
+def test_a_packed_file_of_another_scan_is_found(there: Path, tmp_path: Path) -> None:
+    stored.write_raw(FS, tmp_path / "000007", "000007", frames(9), record(), ORIGIN)
+    pack_scan(FS, tmp_path / "000007", tmp_path / "000008")
     (there / JLS).write_bytes((tmp_path / "000008" / JLS).read_bytes())
-    assert "of other frames" in problems_of(there)["frames_left.npy"]
+    assert set(problems_of(there)) == {"frames_left.npy"}
 
 
 def test_verifying_decodes_and_does_not_believe_the_packed_files_own_checksum(source: Path, there: Path) -> None:
     """As a codec would that is not lossless: everything about the file fits but what it decodes to."""
-    pack_scan(FS, source, there)
     index = packed.read_index(there / JLS)
     wrong = np.array(index.frames())
     wrong[1, 0, 0] ^= 1
     (there / JLS).write_bytes(b"".join(packed.pack(index.header, wrong, index.stamp, JLS)))
     assert stored.wrong_files(there, stored.manifest_of(there), checksums=True) == {}
-    assert problems_of(there) == {"frames_left.npy": "decodes to other frames"}
+    assert set(problems_of(there)) == {"frames_left.npy"}
     with pytest.raises(ScanError, match="nothing was removed"):
         remove_source(FS, source, there)
     assert source.is_dir()
 
 
-def test_a_damaged_frame_is_named_and_the_others_are_left(source: Path, there: Path) -> None:
-    pack_scan(FS, source, there)
+def test_a_damaged_frame_is_named_and_the_others_are_left(there: Path) -> None:
     index = packed.read_index(there / JLS)
     flip(there / JLS, (index.offsets[1] + index.offsets[2]) // 2)
     manifest = stored.manifest_of(there)
@@ -188,13 +178,8 @@ def test_a_damaged_frame_is_named_and_the_others_are_left(source: Path, there: P
     assert (found.file, found.frames) == ("frames_left.npy", (1,))
     left = frames_as_they_are(there, manifest, "frames_left.npy")
     assert [np.array_equal(left[k], frames()["left"][k]) for k in range(FRAMES)] == [True, False, True]
-
-
-def test_a_packed_file_whose_index_is_gone_has_lost_all_frames(source: Path, there: Path) -> None:
-    pack_scan(FS, source, there)
-    flip(there / JLS, 0)
-    (found,) = damaged_frames(there, stored.manifest_of(there))
-    assert found.frames == tuple(range(FRAMES))
+    flip(there / JLS, 0)  # the index is gone
+    assert damaged_frames(there, manifest)[0].frames == tuple(range(FRAMES))
 
 
 @pytest.mark.parametrize(
@@ -204,109 +189,99 @@ def test_a_packed_file_whose_index_is_gone_has_lost_all_frames(source: Path, the
         {"length": 10**15}, {"header_bytes": 10**9}, {"sha256": None}, {"streams": [10**12, 1, 1]},
     ],
 )  # fmt: skip
-def test_an_index_that_says_nonsense_is_refused(source: Path, there: Path, change: dict[str, object]) -> None:
-    pack_scan(FS, source, there)
+def test_an_index_that_says_nonsense_is_refused(there: Path, change: dict[str, object]) -> None:
     data = (there / JLS).read_bytes()
     length = int.from_bytes(data[8:12], "little")
     text = json.dumps({**json.loads(data[12 : 12 + length]), **change}).encode()
     (there / JLS).write_bytes(data[:8] + len(text).to_bytes(4, "little") + text + data[12 + length :])
-    with pytest.raises(packed.PackedError, match="index is damaged"):
+    with pytest.raises(packed.PackedError, match="index"):
         packed.read_index(there / JLS)
 
 
-def test_a_damaged_stream_never_comes_before_the_codec(source: Path, there: Path) -> None:
+def taller_stream(data: bytes, index: packed.Packed) -> bytes:
     """The codec believes the size in a stream's own head, and takes gigabytes and minutes for a damaged one."""
-    pack_scan(FS, source, there)
-    index = packed.read_index(there / JLS)
-    data = bytearray((there / JLS).read_bytes())
     head = data.index(b"\xff\xf7\x00\x0b\x08", index.offsets[1])  # start of frame, 8 bits; then the height
-    assert int.from_bytes(data[head + 5 : head + 7], "big") == 8
-    data[head + 6] = 9
-    (there / JLS).write_bytes(data)
-    with pytest.raises(ScanError, match="frame 1 is damaged"):
+    assert data[head + 5 : head + 7] == b"\x00\x08"
+    return data[: head + 6] + b"\x09" + data[head + 7 :]
+
+
+def other_pixels(data: bytes, index: packed.Packed) -> bytes:
+    return data.replace(index.crc32[1].encode(), f"{int(index.crc32[1], 16) ^ 1:08x}".encode())
+
+
+@pytest.mark.parametrize(("spoil", "said"), [(taller_stream, "damaged"), (other_pixels, "other pixels")])
+def test_a_damaged_stream_gives_no_pixels(
+    there: Path, spoil: Callable[[bytes, packed.Packed], bytes], said: str
+) -> None:
+    (there / JLS).write_bytes(spoil((there / JLS).read_bytes(), packed.read_index(there / JLS)))
+    with pytest.raises(ScanError, match=f"frame 1 .*{said}"):
         read_frame(there, "left", 1)
-
-
-def test_pixels_that_are_not_those_that_were_packed_are_refused(source: Path, there: Path) -> None:
-    pack_scan(FS, source, there)
-    data = (there / JLS).read_bytes()
-    index = packed.read_index(there / JLS)
-    other = f"{int(index.crc32[1], 16) ^ 1:08x}"
-    (there / JLS).write_bytes(data.replace(index.crc32[1].encode(), other.encode()))
-    with pytest.raises(ScanError, match="frame 1 decodes to other pixels"):
-        read_frame(there, "left", 1)
-
-
-def test_a_damaged_source_is_not_packed(source: Path, there: Path) -> None:
-    flip(source / "frames_right.npy", 200)
-    with pytest.raises(ScanError, match=r"frames_right\.npy.*not packed"):
-        pack_scan(FS, source, there)
-    assert not there.exists()
 
 
 # ----------------------------------------------------------------------------- resumed, and removed
 
 
-def test_packing_again_adds_a_label_and_replaces_none(source: Path, there: Path) -> None:
+def test_a_damaged_source_and_another_scan_of_the_same_number_are_not_packed(
+    source: Path, target: Path, tmp_path: Path
+) -> None:
+    good = (source / "frames_right.npy").read_bytes()
+    flip(source / "frames_right.npy", 200)
+    with pytest.raises(ScanError, match=r"frames_right\.npy"):
+        pack_scan(FS, source, target)
+    assert not target.exists()
+    (source / "frames_right.npy").write_bytes(good)
+    pack_scan(FS, source, target)
+    stored.write_raw(FS, tmp_path / "000001", "000001", frames(9), record(), ORIGIN)
+    with pytest.raises(ScanError, match="another scan"):
+        pack_scan(FS, tmp_path / "000001", target)
+
+
+def test_packing_again_adds_a_label_and_replaces_none(source: Path, target: Path) -> None:
     label = (source / labels.FILE_NAME).read_bytes()
     (source / labels.FILE_NAME).unlink()
-    pack_scan(FS, source, there)
+    pack_scan(FS, source, target)
     (source / labels.FILE_NAME).write_bytes(label)
-    assert pack_scan(FS, source, there) is Copied.ALREADY
-    assert labels.read(there).name == "bollard 3"
-    before = content(there)
-    assert pack_scan(FS, source, there) is Copied.ALREADY
+    assert pack_scan(FS, source, target) is Copied.ALREADY
+    assert labels.read(target).name == "bollard 3"
+    before = content(target)
+    assert pack_scan(FS, source, target) is Copied.ALREADY
     labels.write(FS, source, labels.Label("bollard 4"))
-    with pytest.raises(ScanError, match=r"label\.json DIFFERS at both ends"):
-        pack_scan(FS, source, there)
-    assert content(there) == before, "people name scans in an archive, too"
-
-
-def test_another_scan_of_the_same_number_is_refused(source: Path, there: Path, tmp_path: Path) -> None:
-    pack_scan(FS, source, there)
-    other = tmp_path / "other" / "000001"
-    other.parent.mkdir()
-    stored.write_raw(FS, other, "000001", frames(9), record(), ORIGIN)
-    with pytest.raises(ScanError, match="is another scan than"):
-        pack_scan(FS, other, there)
+    with pytest.raises(ScanError, match=r"label\.json"):
+        pack_scan(FS, source, target)
+    assert content(target) == before, "people name scans in an archive, too"
 
 
 def test_packing_that_is_refused_at_any_call_leaves_the_source_and_no_half_scan(
-    source: Path, there: Path, tmp_path: Path
+    small: Path, target: Path, tmp_path: Path
 ) -> None:
     """The disk refuses at each call in turn, packing and removing; afterwards everything is there once, and the next try ends well."""
-    before = content(source)
-    counting = BadDisk()
-    moved(counting, source, tmp_path / "counted")
+    before, counting = content(small), BadDisk()
+    moved(counting, small, tmp_path / "counted")
     calls = len(counting.calls)
-    assert calls > 40
-    archive.remove_folder(FS, tmp_path / "counted")
+    assert calls > 25
     for bad in range(calls):
-        source.mkdir()
+        small.mkdir()
         for name, data in before.items():
-            (source / name).write_bytes(data)
-        disk = BadDisk(bad, error=errno.ENOSPC)
+            (small / name).write_bytes(data)
         with pytest.raises(StorageError):
-            moved(disk, source, there)
-        if source.exists():
-            assert content(source) == before, f"half a source after call {bad}"
-        else:
-            assert problems_of(there) == {}, f"removed without a whole copy at call {bad}"
-        if there.exists():
-            assert problems_of(there) == {}, f"half a scan after call {bad}"
-        archive.make_shelves(FS, there.parent.parent, SCANS)
-        archive.finish_removals(FS, source.parent.parent, SCANS)
-        assert {path.name for path in there.parent.iterdir()} <= {"000001"}
-        if source.exists():
-            moved(FS, source, there)
-        assert list(source.parent.iterdir()) == []
-        assert problems_of(there) == {}
-        archive.remove_folder(FS, there)
+            moved(BadDisk(bad, error=errno.ENOSPC), small, target)
+        assert small.exists() or target.exists(), f"removed without a copy at call {bad}"
+        if small.exists():
+            assert content(small) == before, f"half a source after call {bad}"
+        if target.exists():
+            assert problems_of(target) == {}, f"half a scan after call {bad}"
+        archive.make_shelves(FS, target.parent.parent, SCANS)
+        archive.finish_removals(FS, small.parent.parent, SCANS)
+        assert {path.name for path in target.parent.iterdir()} <= {"000001"}
+        if small.exists():
+            moved(FS, small, target)
+        assert list(small.parent.iterdir()) == []
+        assert problems_of(target) == {}
+        archive.remove_folder(FS, target)
 
 
 @pytest.mark.parametrize("name", ["cloud.ply", "label.json", "manifest.json", "calibration.json"])
 def test_no_source_is_removed_whose_copy_lacks_a_byte(source: Path, there: Path, name: str) -> None:
-    pack_scan(FS, source, there)
     data = (there / name).read_bytes()
     (there / name).write_bytes(data[:-1])
     with pytest.raises(ScanError, match="nothing was removed"):
@@ -317,33 +292,25 @@ def test_no_source_is_removed_whose_copy_lacks_a_byte(source: Path, there: Path,
     assert source.is_dir()
 
 
-@pytest.mark.parametrize("inside", ["a folder", "an empty folder", "a link to a folder", "a pipe"])
-def test_a_source_with_something_in_it_that_is_not_packed_stays_whole_under_its_own_name(
-    source: Path, there: Path, tmp_path: Path, inside: str
+def a_folder(path: Path) -> None:
+    path.mkdir()
+    (path / "log.txt").write_text("north side")
+
+
+@pytest.mark.parametrize("make", [a_folder, Path.mkdir, lambda path: path.symlink_to("/tmp"), os.mkfifo])
+def test_a_source_with_something_in_it_that_is_no_file_stays_whole_under_its_own_name(
+    source: Path, there: Path, make: Callable[[Path], None]
 ) -> None:
-    pack_scan(FS, source, there)
-    notes, elsewhere = source / "notes", tmp_path / "elsewhere"
-    elsewhere.mkdir()
-    match inside:
-        case "a link to a folder":
-            notes.symlink_to(elsewhere)
-        case "a pipe":
-            os.mkfifo(notes)
-        case _:
-            notes.mkdir()
-    if inside == "a folder":
-        (notes / "log.txt").write_text("north side")
+    make(source / "notes")
     before = sorted(source.iterdir())
-    for work in (lambda: pack_scan(FS, source, there), lambda: remove_source(FS, source, there)):
-        with pytest.raises(ScanError, match="notes: no file, and only files are packed; move it out"):
-            work()
+    for work in (pack_scan, remove_source):
+        with pytest.raises(ScanError, match="notes"):
+            work(FS, source, there)
     assert sorted(source.iterdir()) == before
     assert list(source.parent.iterdir()) == [source]
 
 
 def test_a_file_that_came_while_a_source_was_compared_is_not_removed_with_it(source: Path, there: Path) -> None:
-    pack_scan(FS, source, there)
-
     class Late(LocalFileSystem):
         """Somebody writes a note in the moment in which the compared source gets its hidden name."""
 
@@ -352,7 +319,7 @@ def test_a_file_that_came_while_a_source_was_compared_is_not_removed_with_it(sou
                 (source / "note.txt").write_text("wait")
             super().rename(source, target)
 
-    with pytest.raises(ScanError, match="was changed while it was compared; nothing was removed"):
+    with pytest.raises(ScanError, match="nothing was removed"):
         remove_source(Late(), source, there)
     assert (source / "note.txt").read_text() == "wait"
     assert stored.wrong_files(source, stored.manifest_of(source), checksums=True) == {}

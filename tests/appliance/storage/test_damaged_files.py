@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import shutil
-import struct
 import tempfile
 import tomllib
 import zlib
@@ -318,20 +316,20 @@ COUNTS = st.sampled_from((b"1", b"42", b"999999999999", b"0", b"000007", "٣".en
 RIGS = changed(RIG, RIG_KEYS).map(lambda tree: toml_of(tree).encode("utf-8", "surrogatepass"))
 PLIES = damaged(CLOUDS)
 PARSERS = (
-    Parser("rig", RIGS | damaged([RIG_TEXT.encode()]), read_rig, (ConfigError,), "CONFIG: ", longest=12_000, share=0.3),
-    Parser("picture", damaged(PICTURES), read_picture, (PicturesError,), "00_left"),
-    Parser("calibration", sealed(CALIBRATION), read_calibration, (calibration_file.CalibrationError,), "calibration current.json"),
-    Parser("response", sealed(RESPONSE), read_response, (ResponseFileError,), "response response.json"),
-    Parser("noise", sealed(NOISE), read_noise, (NoiseFileError,), "noise noise.json"),
+    Parser("rig", RIGS | damaged([RIG_TEXT.encode()]), read_rig, (ConfigError,), "CONFIG: ", longest=12_000, share=0.2),
+    Parser("picture", damaged(PICTURES), read_picture, (PicturesError,), "00_left", share=0.6),
+    Parser("calibration", sealed(CALIBRATION), read_calibration, (calibration_file.CalibrationError,), "calibration current.json", share=0.6),
+    Parser("response", sealed(RESPONSE), read_response, (ResponseFileError,), "response response.json", share=0.6),
+    Parser("noise", sealed(NOISE), read_noise, (NoiseFileError,), "noise noise.json", share=0.6),
     Parser("health", sealed(HEALTH), read_health, share=0.5),
     Parser("beams", sealed(BEAMS, "line", "covariance", "learned", "last_z_mm"), read_beams, share=0.5),
     Parser("choices", sealed(CHOICES, "language", "period_px"), read_choices, share=0.5),
     Parser("session", sealed(SESSION), read_session, share=0.5),
-    Parser("label", sealed(LABEL, "name", "note", "schema"), read_label, (LabelError,), labels.FILE_NAME),
+    Parser("label", sealed(LABEL, "name", "note", "schema"), read_label, (LabelError,), labels.FILE_NAME, share=0.6),
     Parser("counter", COUNTS | COUNTS.flatmap(lambda line: damaged([line])), read_count, (StorageError,), share=0.5),
-    Parser("manifest", sealed(MANIFEST, "files", "record", "../x"), read_manifest, (ManifestError,), "manifest.json"),
-    Parser("cloud", PLIES | PLIES.map(with_crc), read_cloud, (PlyError,), "cloud.ply"),
-    Parser("packed", damaged([packed_frames()]), read_packed, (PackedError,)),
+    Parser("manifest", sealed(MANIFEST, "files", "record", "../x"), read_manifest, (ManifestError,), "manifest.json", share=0.6),
+    Parser("cloud", PLIES | PLIES.map(with_crc), read_cloud, (PlyError,), "cloud.ply", share=0.6),
+    Parser("packed", damaged([packed_frames()]), read_packed, (PackedError,), share=0.6),
     Parser("scan", scan_folder(), open_scan, (ScanError,), "000001", share=0.5),
 )  # fmt: skip
 
@@ -365,11 +363,6 @@ def test_a_number_beyond_any_float_is_refused_and_no_page_of_nonsense_is_quoted(
     assert len(str(caught.value)) < 400
 
 
-def test_a_calibration_of_a_residual_beyond_any_float_is_refused() -> None:
-    with pytest.raises(calibration_file.CalibrationError, match="residual_px"):
-        calibration_file.decode(altered(CALIBRATION, residual_px=10**400))
-
-
 def test_a_key_or_a_checksum_of_a_page_is_not_quoted_as_a_page() -> None:
     with pytest.raises(ConfigError, match="unknown key") as refused:
         parse_rig(f"[rig]\n{'9' * 5000} = 1\n")
@@ -379,53 +372,6 @@ def test_a_key_or_a_checksum_of_a_page_is_not_quoted_as_a_page() -> None:
     assert len(str(of_checksum.value)) < 400
 
 
-@pytest.mark.parametrize("name", ["9" * 5000, "../../scans/000001/manifest.json"])
-def test_a_session_that_keeps_a_name_that_cannot_be_keeps_only_its_trials(tmp_path: Path, name: str) -> None:
-    found = read_session(altered(SESSION, kept=name), tmp_path)
-    assert found.kept is None
-    assert found.trials
-
-
 def test_a_session_with_a_number_that_cannot_be_keeps_nothing(tmp_path: Path) -> None:
     first, *others = json.loads(SESSION)["trials"]
     assert not read_session(altered(SESSION, trials=[{**first, "number": "nan"}, *others]), tmp_path).trials
-
-
-def test_numbers_that_are_used_up_are_not_given_again(tmp_path: Path) -> None:
-    assert counter.take(LocalFileSystem(), tmp_path, [counter.LARGEST - 1]) == counter.LARGEST
-    with pytest.raises(StorageError, match="last number"):
-        counter.take(LocalFileSystem(), tmp_path, [])
-
-
-def test_a_time_that_is_not_finite_does_not_make_a_scan_unreadable() -> None:
-    times = replace(record(), stage_times_s={"capture": 0.4, "full": math.nan, "saved": math.inf})
-    manifest = Manifest("000001", Stage.COMPLETE, Decision.KEPT, times, {}, frame_crc32={})
-    assert form.decode(form.encode(manifest), "manifest.json").record.stage_times_s == {"capture": 0.4}
-
-
-def test_a_cloud_with_a_point_nowhere_is_refused(tmp_path: Path) -> None:
-    head, end, body = CLOUDS[1].partition(b"end_header\n")
-    with pytest.raises(PlyError, match="not finite"):
-        read_cloud(with_crc(head + end + struct.pack("<f", math.nan) + body[4:]), tmp_path)
-
-
-@pytest.mark.parametrize("wrong", [{"judged": -1}, {"total": [1e400, 0.0, 0.0, 0.0]}])
-def test_a_trend_with_numbers_that_cannot_be_begins_anew(tmp_path: Path, wrong: dict[str, Any]) -> None:
-    file = HealthFile(tmp_path, HASH)
-    put(file.path, altered(HEALTH, trend={**json.loads(HEALTH)["trend"], **wrong}))
-    assert file.read() == HealthTrend()
-
-
-@pytest.mark.parametrize(("old", "new"), [(b"(3, 8", b"((3,8"), (b"(3, 8, 10)", b"(3, 0, 80)"), (b"'|u1'", b"'|O' ")])
-def test_frames_with_a_header_that_cannot_be_are_refused(tmp_path: Path, old: bytes, new: bytes) -> None:
-    data = SCAN["frames_left.npy"]
-    with pytest.raises(ScanError, match=r"frames_left\.npy"):
-        open_scan({**SCAN, "frames_left.npy": data.replace(old, new, 1)[: len(data)].ljust(len(data))}, tmp_path)
-
-
-def test_frames_that_numpy_itself_wrote_are_read(tmp_path: Path) -> None:
-    library = Library(tmp_path)
-    library.prepare()
-    path = library.begin(frames(), record(), ORIGIN).publish(record()) / "frames_left.npy"
-    np.save(path, frames()["left"])
-    assert (library.load("000001").frames["left"] == frames()["left"]).all()

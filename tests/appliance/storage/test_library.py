@@ -1,11 +1,11 @@
-"""What is on the shelf is what was recorded; damage is seen, named and confined to its scan."""
+"""What is on the shelf is what was recorded, found by its number; damage is seen, named and confined to its scan, and nothing is deleted."""
 
 from __future__ import annotations
 
 import hashlib
-import json
 import shutil
 import zlib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,343 +13,392 @@ import numba
 import numpy as np
 import pytest
 
-from appliance.patterns.sequence import build_sequence
-from appliance.scan.fault import Fault, FaultCode
-from appliance.scan.verdict import Verdict
 from appliance.storage.atomic import StorageError
-from appliance.storage.library import Library, LibraryFolder, UnknownScan
-from appliance.storage.lock import hold_lock
-from appliance.storage.record import SequenceInfo
+from appliance.storage.filesystem import LocalFileSystem
+from appliance.storage.label import Label
+from appliance.storage.library import Library, LibraryFolder, UnknownScan, entry_of
+from appliance.storage.manifest import Decision, Stage
+from appliance.storage.object_numbers import LOOKED_AT, largest_number, numbers, scans_of
 from appliance.storage.scan import ScanError, load, size_bytes
-from tests.appliance.storage.scenes import ORIGIN, PREVIEW, cloud, frames, record
+from tests.appliance.storage.scenes import ORIGIN, PREVIEW, BadDisk, cloud, frames, record, second_sequence
+
+OF_BOTH = ("left", "right")
+BOTH = replace(record(), second=second_sequence())
 
 
 @pytest.fixture
-def library(tmp_path: Path) -> Library:
+def empty(tmp_path: Path) -> Library:
     made = Library(tmp_path / "deep" / "root")
     made.prepare()
     return made
 
 
-def saved(library: Library, seed: int = 0) -> str:
-    scan = library.begin(frames(seed), record(), ORIGIN)
-    scan.publish(record(), cloud(seed=seed), PREVIEW)
+@pytest.fixture
+def library(empty: Library) -> Library:
+    """Two kept scans and a rejected one."""
+    for seed in range(2):
+        saved(empty, seed)
+    empty.begin(frames(2), record(), ORIGIN).reject("moved")
+    return empty
+
+
+def saved(library: Library, seed: int = 0, **said: object) -> str:
+    scan = library.begin(frames(seed), record(**said), ORIGIN)
+    scan.publish(record(**said), cloud(seed=seed), PREVIEW)
     return scan.scan_id
 
 
-def test_what_was_recorded_is_what_is_read(library: Library) -> None:
-    scan_id = saved(library)
-    assert scan_id == "000001"
-    stored = library.load(scan_id)
-    for side in ("left", "right"):
-        assert (stored.frames[side] == frames()[side]).all()
-        assert isinstance(stored.frames[side], np.memmap)
-    assert stored.manifest.record == record()
+# ------------------------------------------------------------------------------------------ what was recorded
+
+
+def test_what_was_recorded_is_what_is_read(empty: Library) -> None:
+    scan_id = saved(empty)
+    stored = empty.load(scan_id)
+    assert (scan_id, stored.manifest.record, stored.second) == ("000001", record(), None)
+    typeof: Any = numba.typeof
+    for side in OF_BOTH:
+        array = stored.frames[side]
+        assert isinstance(array, np.memmap)
+        assert typeof(array) == typeof(frames()[side]), "kernels are compiled for arrays that can be written"
+        sums = [f"{zlib.crc32(frame.tobytes()):08x}" for frame in frames()[side]]
+        assert list(stored.manifest.frame_crc32[f"frames_{side}.npy"]) == sums
+        assert (array == frames()[side]).all()
+        array[:] = ~array
+        assert (array == ~frames()[side]).all()
+        assert (empty.load(scan_id).frames[side] == frames()[side]).all(), "no file is changed so"
     points = stored.cloud()
     assert points is not None
     assert (points.points_mm == cloud().points_mm).all()
-    assert (stored.folder / "preview.png").read_bytes() == PREVIEW
-    assert library.verify(scan_id).ok
+    contents = (("calibration.json", ORIGIN.calibration), ("rig.toml", ORIGIN.rig), ("preview.png", PREVIEW))
+    for name, content in contents:
+        assert (stored.folder / name).read_bytes() == content
+        stamp = stored.manifest.files[name]
+        assert (stamp.length, stamp.sha256) == (len(content), hashlib.sha256(content).hexdigest())
+    assert empty.verify(scan_id).ok
 
 
-def test_who_writes_into_frames_that_were_read_changes_no_file(library: Library) -> None:
-    scan_id = saved(library)
-    for side, array in library.load(scan_id).frames.items():
-        array[:] = ~array
-        assert (array == ~frames()[side]).all()
-    assert all((array == frames()[side]).all() for side, array in library.load(scan_id).frames.items())
-    assert library.verify(scan_id).ok
-
-
-def test_kernels_take_frames_that_were_read_for_the_same_kind_of_array_as_recorded_ones(library: Library) -> None:
-    """numba compiles each kernel again for arrays that cannot be written: that was an eighth of the first run."""
-    typeof: Any = numba.typeof
-    stored = library.load(saved(library))
-    assert {typeof(array) for array in stored.frames.values()} == {typeof(frames()["left"])}
-
-
-def test_a_scan_carries_the_calibration_and_the_rig_it_was_taken_with_byte_for_byte(library: Library) -> None:
-    scan = library.begin(frames(), record(), ORIGIN)
-    before = [(scan.folder / name).read_bytes() for name in ("calibration.json", "rig.toml")]
-    folder = scan.publish(record(), cloud(), PREVIEW)
-    assert before == [ORIGIN.calibration, ORIGIN.rig], "durable before the diver decides"
-    manifest = load(folder).manifest
-    for name, content in (("calibration.json", ORIGIN.calibration), ("rig.toml", ORIGIN.rig)):
-        assert (folder / name).read_bytes() == content
-        assert manifest.files[name].length == len(content)
-        assert manifest.files[name].sha256 == hashlib.sha256(content).hexdigest()
-
-
-def test_an_origin_that_a_loss_of_power_damaged_does_not_cost_the_frames(library: Library) -> None:
-    scan = library.begin(frames(), record(), ORIGIN)
-    (scan.folder / "calibration.json").write_bytes(ORIGIN.calibration[:100])
-    assert library.recover().recovered == (scan.scan_id,)
-    stored = library.load(scan.scan_id)
-    assert library.verify(scan.scan_id).ok
-    assert "rig.toml" in stored.manifest.files
-    assert "calibration.json" not in stored.manifest.files
-    assert (stored.folder / "calibration.json.partial").stat().st_size == 100, "nothing is deleted"
-
-
-def test_the_manifest_knows_the_checksum_of_every_single_frame(library: Library) -> None:
-    """So that it can be said later which of 48 images is damaged, and not only that one of them is."""
-    stored = library.load(saved(library))
-    for side in ("left", "right"):
-        sums = [f"{zlib.crc32(frame.tobytes()):08x}" for frame in frames()[side]]
-        assert list(stored.manifest.frame_crc32[f"frames_{side}.npy"]) == sums
-
-
-def test_raw_frames_are_safe_but_not_listed_before_the_decision(library: Library) -> None:
-    scan = library.begin(frames(), record(), ORIGIN)
-    assert library.entries() == []
-    assert library.count() == 0
+def test_raw_frames_are_safe_but_not_listed_before_the_decision_and_that_is_made_once(empty: Library) -> None:
+    scan = empty.begin(frames(), record(), ORIGIN)
+    assert (empty.entries(), empty.count()) == ([], 0)
     assert (load(scan.folder).frames["right"] == frames()["right"]).all()
-    scan.publish(record())
-    assert library.last_id() == scan.scan_id
-    assert library.load(scan.scan_id).cloud() is None
-
-
-def test_a_rejected_scan_is_kept_apart_with_its_reason(library: Library) -> None:
-    scan = library.begin(frames(), record(), ORIGIN)
-    scan.reject("moved 3 px")
-    assert library.entries() == []
-    (entry,) = library.entries(LibraryFolder.REJECTED)
-    assert entry.manifest is not None
-    assert entry.manifest.reason == "moved 3 px"
-    assert library.verify(entry.scan_id).ok
-
-
-def test_deciding_twice_changes_nothing(library: Library) -> None:
-    scan = library.begin(frames(), record(), ORIGIN)
+    assert (scan.folder / "rig.toml").read_bytes() == ORIGIN.rig
     first = scan.publish(record(), cloud(), PREVIEW)
-    assert scan.publish(record()) == first
-    assert scan.reject("changed my mind") == first
-    assert library.verify(scan.scan_id).ok
-    assert library.load(scan.scan_id).cloud() is not None
+    assert scan.publish(record()) == scan.reject("changed my mind") == first
+    assert empty.last_id() == scan.scan_id
+    assert empty.verify(scan.scan_id).ok
+    assert empty.load(scan.scan_id).cloud() is not None
 
 
-def test_the_manifest_says_what_the_diver_would_ask(library: Library) -> None:
-    info = SequenceInfo.of(build_sequence(64))
-    full = record(sequence=info, verdicts=(Verdict.failed("x", Fault(FaultCode.MOVED, "axial", {"shift_px": 1.8})),))
-    block = np.zeros((20, 4, 4), np.uint8)
-    scan = library.begin({"left": block, "right": block}, full, ORIGIN)
-    scan.publish(full)
-    content = json.loads((scan.folder / "manifest.json").read_text(encoding="utf-8"))
-    assert content["schema"] == 1
-    assert content["record"]["sequence"]["patterns"][:3] == ["bright", "dark", "gray-x-0"]
-    assert content["record"]["verdicts"] == [
-        {"name": "x", "passed": False, "numbers": {"shift_px": 1.8}, "text": "MOVED: axial"}
-    ]
-    assert content["record"]["clock_trusted"] is False
-    assert set(content["files"]) == {"frames_left.npy", "frames_right.npy", "calibration.json", "rig.toml"}
+def test_a_rejected_scan_is_kept_apart_with_its_reason_and_what_was_known_of_it(empty: Library) -> None:
+    pending = empty.begin(frames(), record(), ORIGIN)
+    assert pending.folder == empty.root / "scans" / ".000001"
+    there = pending.reject("moved", record(calibration_hash="cd" * 32))
+    assert there == pending.folder == empty.root / "rejected" / "000001"
+    assert empty.entries() == []
+    (entry,) = empty.entries(LibraryFolder.REJECTED)
+    manifest = entry.manifest
+    assert manifest is not None
+    assert (manifest.reason, manifest.decision, manifest.stage) == ("moved", Decision.REJECTED, Stage.COMPLETE)
+    assert manifest.record.calibration_hash == "cd" * 32
+    pending.add_second(frames(1), BOTH)
+    assert empty.load("1").second is None, "it is decided"
+    assert empty.verify("1").ok
 
 
-def test_numbers_of_numpy_and_what_is_not_finite_are_written_as_json_knows_them(library: Library) -> None:
-    numbers = {"a": np.float32(0.5), "b": np.int64(7), "c": float("nan")}
-    scan = library.begin(frames(), record(cloud=numbers), ORIGIN)
-    scan.publish(record(cloud=numbers))
-    entry = library.verify(scan.scan_id)
-    assert entry.ok
-    assert entry.manifest is not None
-    assert entry.manifest.record.cloud == {"a": 0.5, "b": 7.0, "c": None}
+def test_a_cloud_is_added_later_once_and_to_no_damaged_scan(empty: Library) -> None:
+    folder = empty.begin(frames(), record(), ORIGIN).publish(record())
+    empty.add_cloud("1", cloud(), PREVIEW, record(calibration_hash="cd" * 32))
+    assert empty.verify("1").ok
+    assert empty.load("1").cloud() is not None
+    assert empty.load("1").manifest.record.calibration_hash == "cd" * 32
+    with pytest.raises(ScanError, match="cloud already"):
+        empty.add_cloud("1", cloud(seed=5), None, record())
+    folder = empty.begin(frames(), record(), ORIGIN).publish(record())
+    (folder / "frames_left.npy").write_bytes((folder / "frames_left.npy").read_bytes()[:-1])
+    with pytest.raises(ScanError, match=r"frames_left\.npy: 367"):
+        empty.add_cloud("2", cloud(), None, record())
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "frames_left.npy",
-        "frames_right.npy",
-        "calibration.json",
-        "rig.toml",
-        "cloud.ply",
-        "preview.png",
-        "manifest.json",
-    ],
-)
-def test_any_damaged_byte_range_is_found_and_leaves_the_others_fine(library: Library, name: str) -> None:
-    bad, good = saved(library, 1), saved(library, 2)
-    path = library.entry(bad).folder / name
+def test_frames_that_do_not_fit_the_sequence_are_refused_and_leave_nothing(empty: Library) -> None:
+    with pytest.raises(ValueError, match=r"\(3, height, width\)"):
+        empty.begin({side: block[:2] for side, block in frames().items()}, record(), ORIGIN)
+    assert list((empty.root / "scans").iterdir()) == []
+
+
+# ------------------------------------------------------------------------------------------ the second exposure
+
+
+def test_both_exposures_are_read_back_with_their_ledgers_and_verdicts(empty: Library) -> None:
+    scan = empty.begin(frames(1), record(), ORIGIN)
+    with pytest.raises(ValueError, match="second"):
+        scan.add_second(frames(), record())
+    scan.add_second(frames(2), BOTH)
+    scan.publish(BOTH, cloud(), PREVIEW)
+    assert empty.verify(scan.scan_id).ok
+    stored = empty.load(scan.scan_id)
+    assert stored.second is not None
+    assert (stored.frames["right"] == frames(1)["right"]).all()
+    assert (stored.second["right"] == frames(2)["right"]).all()
+    assert stored.manifest.record.second == second_sequence()
+    files = [f"frames_{side}{end}.npy" for side in OF_BOTH for end in ("", "_second")]
+    assert sorted(stored.manifest.frame_crc32) == sorted(files)
+
+
+def test_whichever_call_fails_the_first_exposure_is_whole_and_the_second_can_be_added_again(tmp_path: Path) -> None:
+    disk = BadDisk()
+    Library(tmp_path).prepare()
+    scan = Library(tmp_path, disk).begin(frames(1), record(), ORIGIN)
+    before = len(disk.calls)
+    scan.add_second(frames(2), BOTH)
+    calls = disk.calls[before:]
+    assert len(calls) >= 6
+    for k, call in enumerate(calls):
+        root = tmp_path / str(k)
+        fresh = Library(root)
+        fresh.prepare()
+        scan = Library(root, BadDisk(before + k)).begin(frames(1), record(), ORIGIN)
+        with pytest.raises(StorageError):
+            scan.add_second(frames(2), BOTH)
+        if k % 2:  # the power fails as well
+            assert fresh.recover().recovered == (scan.scan_id,)
+        else:
+            scan.add_second(frames(2), BOTH)
+            scan.publish(BOTH, cloud())
+            assert fresh.load(scan.scan_id).second is not None
+        assert fresh.verify(scan.scan_id).ok, call
+        assert (fresh.load(scan.scan_id).frames["left"] == frames(1)["left"]).all()
+
+
+# ------------------------------------------------------------------------------------------ damage
+
+FILES = ("frames_left.npy", "frames_right.npy", "calibration.json", "rig.toml", "cloud.ply", "preview.png", "manifest.json")  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_any_damaged_byte_range_is_found_and_leaves_the_others_fine(empty: Library, name: str) -> None:
+    bad, good = saved(empty, 1), saved(empty, 2)
+    path = empty.entry(bad).folder / name
     whole = path.read_bytes()
-    step = max(1, len(whole) // 40)
+    step = max(1, len(whole) // 20)
     for start in range(0, len(whole), step):
         # Digits become letters and pixels other pixels: every value in the range changes.
         path.write_bytes(whole[:start] + bytes(b ^ 0x55 for b in whole[start : start + step]) + whole[start + step :])
-        damaged = library.verify(bad)
-        assert not damaged.ok
-        assert name in damaged.problems[0]
-        assert library.verify(good).ok
-        assert [entry.scan_id for entry in library.entries()] == [bad, good]
-    path.write_bytes(whole)
-    assert library.verify(bad).ok
-
-
-@pytest.mark.parametrize("name", ["frames_left.npy", "cloud.ply", "manifest.json"])
-@pytest.mark.parametrize("cut", [0, 1, 100])
-def test_a_short_or_missing_file_is_already_seen_in_the_list(library: Library, name: str, cut: int) -> None:
-    scan_id = saved(library)
-    path = library.entry(scan_id).folder / name
-    path.write_bytes(path.read_bytes()[:-2] if cut == 1 else path.read_bytes()[:cut])
-    (entry,) = library.entries()
-    assert not entry.ok
+        assert name in empty.verify(bad).problems[0]
+        assert empty.verify(good).ok
+    for cut in (0, 100, len(whole) - 2):
+        path.write_bytes(whole[: min(cut, len(whole) - 2)])
+        assert [entry.ok for entry in empty.entries()] == [False, True], "seen in the list"
     path.unlink()
-    (entry,) = library.entries()
-    assert "missing" in entry.problems[0]
+    assert "missing" in empty.entries()[0].problems[0]
     with pytest.raises(ScanError):
-        library.load(scan_id)
+        empty.load(bad)
+    if not name.startswith(("frames", "manifest")):
+        assert (load(empty.entry(bad).folder, only_raw=True).frames["left"] == frames(1)["left"]).all()
+    path.write_bytes(whole)
+    assert empty.verify(bad).ok
 
 
-def test_a_manifest_whose_number_was_edited_is_not_believed(library: Library) -> None:
-    scan_id = saved(library)
-    path = library.entry(scan_id).folder / "manifest.json"
-    text = path.read_text(encoding="utf-8")
-    assert "41.5" in text
-    path.write_text(text.replace("41.5", "21.5"), encoding="utf-8")
-    assert "checksum" in library.entry(scan_id).problems[0]
+def test_a_scan_copied_elsewhere_is_read_under_any_name_but_another_number(library: Library, tmp_path: Path) -> None:
+    library.set_label("2", Label("bollard", None))
+    for name, problems in (("holiday", 0), ("000002", 0), ("000002-3", 0), ("000009", 1)):
+        copied = tmp_path / "elsewhere" / name
+        shutil.copytree(library.root / "scans" / "000002", copied)
+        entry = entry_of(copied, checksums=True)
+        assert (entry.scan_id, entry.shelf, len(entry.problems)) == (name, LibraryFolder.SCANS, problems)
+        assert entry.label == Label("bollard", None)
+        assert entry.size_bytes == sum(path.stat().st_size for path in copied.iterdir()) > 1000
+    assert entry_of(tmp_path / "none", checksums=False).size_bytes == 0
 
 
-def test_a_manifest_of_a_newer_version_says_so(library: Library) -> None:
-    scan_id = saved(library)
-    path = library.entry(scan_id).folder / "manifest.json"
-    content = json.loads(path.read_text(encoding="utf-8"))
-    content["schema"] = 2
-    del content["sha256"]
-    digest = hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
-    path.write_text(json.dumps({**content, "sha256": digest}), encoding="utf-8")
-    assert "schema 2; this version reads schema 1" in library.entry(scan_id).problems[0]
+# ------------------------------------------------------------------------------------------ after a loss of power
 
 
-def test_a_scan_moved_to_another_number_is_noticed(library: Library) -> None:
-    scan_id = saved(library)
-    folder = library.entry(scan_id).folder
-    folder.rename(folder.with_name("000077"))
-    assert "000001" in library.entry("77").problems[0]
-
-
-def test_an_unfinished_scan_is_recovered_and_marked_and_an_incomplete_one_set_aside(library: Library) -> None:
-    whole = library.begin(frames(1), record(), ORIGIN)
-    broken = library.begin(frames(2), record(), ORIGIN)
+def test_what_is_whole_is_recovered_and_marked_and_the_rest_set_aside(empty: Library) -> None:
+    whole, broken, copied, taken, rejected = (empty.begin(frames(k), record(), ORIGIN) for k in range(1, 6))
     path = broken.folder / "frames_right.npy"
     path.write_bytes(path.read_bytes()[:-5])
-    (library.root / "scans" / ".000099").mkdir()
-    outcome = library.recover()
-    assert outcome.recovered == (whole.scan_id,)
-    assert set(outcome.set_aside) == {broken.scan_id, "000099"}
-    (entry,) = library.entries()
-    assert entry.manifest is not None
-    assert entry.manifest.recovered
-    assert library.verify(entry.scan_id).ok
-    assert (library.root / "set-aside" / broken.scan_id / "frames_left.npy").exists()
-    assert library.recover() == type(outcome)()
+    shutil.copytree(whole.folder, copied.folder.with_name(".000077"))
+    shutil.copytree(taken.publish(record()), taken.folder.with_name(".000004"))
+    rejected.reject("moved").rename(empty.root / "scans" / ".000005")
+    (empty.root / "scans" / ".000099").mkdir()
+    (whole.folder / ".manifest.json.draft").write_bytes(b"half")
+    before = (taken.folder / "manifest.json").read_bytes()
+    outcome = empty.recover()
+    assert (outcome.recovered, outcome.rejected, outcome.failed) == (("000001", "000003"), ("000005",), ())
+    assert set(outcome.set_aside) == {"000002", "000004", "000077", "000099"}, "there was one recording of each number"
+    assert [entry.scan_id for entry in empty.entries()] == ["000001", "000003", "000004"]
+    manifests = {number: empty.verify(number) for number in ("1", "3", "4", "5")}
+    assert all(entry.ok for entry in manifests.values())
+    recovered = [entry.manifest.recovered for entry in manifests.values() if entry.manifest is not None]
+    assert recovered == [True, True, False, True]
+    assert manifests["5"].shelf is LibraryFolder.REJECTED
+    assert (taken.folder / "manifest.json").read_bytes() == before
+    for number in ("000002", "000004", "000077"):
+        assert (empty.root / "set-aside" / number / "frames_left.npy").exists(), "nothing is deleted"
+    assert (empty.root / "scans" / "000001" / "manifest.json.draft.partial").read_bytes() == b"half"
+    assert empty.recover() == type(outcome)()
+    shutil.rmtree(taken.folder)
+    with pytest.raises(ScanError, match="nothing to put away"):
+        empty.trash("000004")
 
 
-def test_an_unfinished_scan_copied_under_another_number_is_not_recovered_as_a_second_scan(library: Library) -> None:
-    scan = library.begin(frames(1), record(), ORIGIN)
-    shutil.copytree(scan.folder, scan.folder.with_name(".000007"))
-    outcome = library.recover()
-    assert outcome.recovered == (scan.scan_id,)
-    assert outcome.set_aside == ("000007",)
-    assert [entry.scan_id for entry in library.entries()] == [scan.scan_id], "there was one recording"
-    assert (library.root / "set-aside" / "000007" / "frames_left.npy").exists(), "nothing is deleted"
+@pytest.mark.parametrize("name", ["calibration.json", "cloud.ply", "frames_left_second.npy"])
+def test_what_a_loss_of_power_damaged_costs_only_itself(empty: Library, name: str) -> None:
+    scan = empty.begin(frames(1), record(), ORIGIN)
+    if name == "cloud.ply":
+        scan.publish(record(), cloud(), PREVIEW).rename(empty.root / "scans" / ".000001")
+    if "second" in name:
+        scan.add_second(frames(2), BOTH)
+    path = empty.root / "scans" / ".000001" / name
+    path.write_bytes(path.read_bytes()[:100])
+    assert empty.recover().recovered == ("000001",)
+    assert empty.verify("1").ok
+    stored = empty.load("1")
+    assert (stored.frames["left"] == frames(1)["left"]).all()
+    assert (stored.second, stored.cloud(), stored.manifest.record.second) == (None, None, None)
+    assert name not in stored.manifest.files
+    assert "rig.toml" in stored.manifest.files
+    assert (stored.folder / f"{name}.partial").stat().st_size == 100, "nothing is deleted"
+    assert (stored.folder / "preview.png").exists() == (name == "cloud.ply")
+    assert (stored.folder / "frames_right_second.npy.partial").exists() == ("second" in name)
 
 
-def test_half_a_cloud_does_not_cost_the_raw_frames(library: Library) -> None:
-    scan = library.begin(frames(), record(), ORIGIN)
-    published = scan.publish(record(), cloud(), PREVIEW)
-    hidden = published.with_name(f".{scan.scan_id}")
-    published.rename(hidden)
-    (hidden / "cloud.ply").write_bytes((hidden / "cloud.ply").read_bytes()[:100])
-    assert library.recover().recovered == (scan.scan_id,)
-    assert library.verify(scan.scan_id).ok
-    assert library.load(scan.scan_id).cloud() is None
-    assert (published / "cloud.ply.partial").stat().st_size == 100
-    assert (published / "preview.png").read_bytes() == PREVIEW
+class OneRefused(LocalFileSystem):
+    """Renames everything but one folder."""
+
+    def rename(self, source: Path, target: Path) -> None:
+        if source.name == ".000002" and target.parent != source:
+            raise OSError(5, "Input/output error")
+        super().rename(source, target)
 
 
-def test_set_aside_scans_of_the_same_number_do_not_replace_each_other(library: Library) -> None:
-    for content in ("a", "b", "c"):
-        folder = library.root / "scans" / ".000005"
-        folder.mkdir()
-        (folder / "frames_left.npy").write_text(content)
-        library.recover()
-    assert [entry.scan_id for entry in library.entries(LibraryFolder.SET_ASIDE)] == ["000005", "000005-2", "000005-3"]
-    assert library.begin(frames(), record(), ORIGIN).scan_id == "000006"
-
-
-@pytest.mark.parametrize("damage", ["missing", "empty", "garbage", "cut", "behind"])
-def test_numbers_never_repeat_whatever_happens_to_the_counter(library: Library, damage: str) -> None:
-    for seed in range(12):
-        saved(library, seed)
-    path = library.root / "next-id"
-    match damage:
-        case "missing":
-            path.unlink()
-        case "empty":
-            path.write_bytes(b"")
-        case "garbage":
-            path.write_bytes(b"999 00000000\n")
-        case "cut":
-            path.write_bytes(path.read_bytes()[1:])
-        case "behind":
-            first = library.root / "other"
-            Library(first).prepare()
-            saved(Library(first))
-            shutil.copy(first / "next-id", path)
-    assert saved(library) == "000013"
-
-
-def test_numbers_do_not_repeat_after_the_newest_scans_were_moved_away(library: Library) -> None:
+def test_one_scan_that_cannot_be_moved_does_not_keep_the_others_from_the_list(empty: Library) -> None:
     for seed in range(3):
-        saved(library, seed)
-    shutil.rmtree(library.root / "scans" / "000003")
+        empty.begin(frames(seed), record(), ORIGIN)
+    outcome = Library(empty.root, OneRefused()).recover()
+    assert (outcome.recovered, outcome.rejected, outcome.set_aside) == (("000001", "000003"), (), ())
+    (failed,) = outcome.failed
+    assert "scans/000002" in failed
+    assert empty.recover().recovered == ("000002",)
+
+
+# ------------------------------------------------------------------------------------------ numbers and shelves
+
+
+def test_a_scan_is_found_by_its_number_however_it_is_spelled(library: Library) -> None:
+    assert {library.entry(number).scan_id for number in ("2", "02", "000002", "0000002")} == {"000002"}
+    for none in (
+        "",
+        "4",
+        "-2",
+        "2x",
+        "\u00b2",
+        "\uff12",
+        "2 ",
+        "..",
+        ".000002",
+        "../scans/000001",
+        "1" * 5000,
+        "0" * 5000,
+    ):
+        with pytest.raises(UnknownScan, match="scans list --all"):
+            library.entry(none)
+    for name in ("00001", "1234567890123", "000001a", "a000001", "x.000009", "000009-"):
+        (library.root / "scans" / name).mkdir()
+    (library.root / "scans" / "000077").write_text("a file")
+    assert library.ids() == ["000001", "000002"], "what is not named like a scan is none"
+    for name in ("1000000", "999999", "000010"):
+        (library.root / "scans" / name).mkdir()
+    assert library.ids() == ["000001", "000002", "000010", "999999", "1000000"], "by number and not by name"
+    assert library.last_id() == "1000000"
+    assert library.begin(frames(), record(), ORIGIN).scan_id == "1000001"
+    nowhere = Library(library.root / "nowhere")
+    assert (nowhere.entries(), nowhere.count(), nowhere.last_id()) == ([], 0, None)
+
+
+def test_no_number_is_given_twice_wherever_its_scan_is_now(library: Library) -> None:
+    shutil.rmtree(library.root / "scans" / "000002")
     assert saved(library) == "000004"
+    for number in ("1", "3", "4"):
+        library.trash(number)
+    (library.root / "next-id").unlink()
+    assert saved(library) == "000005"
+    for content in ("a", "b"):
+        (library.root / "scans" / ".000006").mkdir()
+        (library.root / "scans" / ".000006" / "frames_left.npy").write_text(content)
+        library.recover()
+    assert [entry.scan_id for entry in library.entries(LibraryFolder.SET_ASIDE)] == ["000006", "000006-2"]
+    (library.root / "next-id").unlink()
+    assert saved(library) == "000007"
 
 
-def test_a_cloud_can_be_added_later_once(library: Library) -> None:
-    scan = library.begin(frames(), record(), ORIGIN)
-    scan.publish(record())
-    library.add_cloud(scan.scan_id, cloud(), PREVIEW, record(calibration_hash="cd" * 32))
-    assert library.verify(scan.scan_id).ok
-    stored = library.load(scan.scan_id)
-    assert stored.cloud() is not None
-    assert stored.manifest.record.calibration_hash == "cd" * 32
-    with pytest.raises(ScanError, match="has a cloud already"):
-        library.add_cloud(scan.scan_id, cloud(seed=5), None, record())
+def test_a_scan_is_put_away_and_taken_back_to_where_it_was_and_over_no_other(library: Library) -> None:
+    assert sorted(path.name for path in library.root.iterdir() if path.is_dir()) == ["rejected", "scans", "set-aside"]
+    for scan_id, shelf in (("000001", LibraryFolder.SCANS), ("000003", LibraryFolder.REJECTED)):
+        assert library.entry(scan_id).shelf is shelf
+        assert library.trash(scan_id) == library.root / "trash" / scan_id
+        assert library.entry(scan_id).shelf is LibraryFolder.TRASH
+        assert scan_id not in library.ids()
+        with pytest.raises(ScanError, match="already"):
+            library.trash(scan_id)
+        assert library.restore(scan_id) == library.root / shelf.value / scan_id
+        assert library.verify(scan_id).ok
+        with pytest.raises(UnknownScan):
+            library.restore(scan_id)
+    assert (library.ids(), library.count(), library.last_id()) == (["000001", "000002"], 2, "000002")
+    (library.trash("2") / "manifest.json").write_text("{")
+    assert library.restore("2") == library.root / "scans" / "000002"
+    assert not library.entry("2").ok, "its damage is seen in the list"
+    library.trash("1")
+    (library.root / "scans" / "000001").mkdir()
+    with pytest.raises(ScanError, match="already"):
+        library.restore("000001")
+    assert (library.root / "trash" / "000001" / "manifest.json").exists()
 
 
-def test_scans_left_keeps_the_reserve(library: Library, monkeypatch: pytest.MonkeyPatch) -> None:
-    free = library._fs.free_bytes(library.root)
-    one = size_bytes(24, 1600, 1200)
-    assert 2 * 24 * 1600 * 1200 < one < 150_000_000
-    left = library.scans_left(one, 0)
-    assert left is not None
-    assert abs(left - free // one) <= 1
-    assert library.scans_left(one, free + 10**12) == 0
-    assert Library(library.root / "nowhere").scans_left(one, 0) is None
+def test_a_label_changes_nothing_else_of_its_scan(library: Library) -> None:
+    before = {path.name: path.read_bytes() for path in library.entry("1").folder.iterdir()}
+    library.set_label("1", Label("bollard 3", "north side"))
+    entry = library.verify("1")
+    assert (entry.label, entry.ok) == (Label("bollard 3", "north side"), True)
+    assert {p.name: p.read_bytes() for p in entry.folder.iterdir() if p.name != "label.json"} == before
+    (entry.folder / "label.json").write_text("{")
+    assert (library.entry("1").ok, library.entry("1").label) == (True, Label()), "it is no damage to the scan"
+    assert any("label.json" in problem for problem in library.verify("1").problems), "and is told all the same"
 
 
-def test_an_unknown_number_says_how_to_find_the_known_ones(library: Library) -> None:
-    saved(library)
-    assert library.entry("1").scan_id == "000001"
-    with pytest.raises(UnknownScan, match="scans list"):
-        library.entry("2")
-    with pytest.raises(UnknownScan):
-        library.entry("../scans/000001")
+class SoMuchFree(LocalFileSystem):
+    def free_bytes(self, path: Path) -> int:
+        return 1000
 
 
-def test_frames_that_do_not_fit_the_sequence_are_refused_and_leave_nothing(library: Library) -> None:
-    wrong = {side: block[:2] for side, block in frames().items()}
-    with pytest.raises(ValueError, match=r"uint8 \(3, height, width\)"):
-        library.begin(wrong, record(), ORIGIN)
-    assert list((library.root / "scans").iterdir()) == []
+def test_the_room_left_is_counted_in_whole_scans_above_the_reserve(empty: Library) -> None:
+    made = Library(empty.root, SoMuchFree())
+    reserves = {0: 3, 99: 3, 100: 3, 101: 2, 399: 2, 401: 1, 999: 0, 1000: 0, 5000: 0}
+    assert {reserve: made.scans_left(300, reserve) for reserve in reserves} == reserves
+    assert Library(empty.root / "nowhere").scans_left(300, 0) is None
+    needed = (2 * 24 + 25) * 1600 * 1200  # both cameras' frames, a point for every pixel
+    assert needed + 1_500_000 < size_bytes(24, 1600, 1200) < needed + 10_000_000
 
 
-def test_two_instances_do_not_write_to_one_root(library: Library) -> None:
-    with hold_lock(library.root), pytest.raises(StorageError, match="another instance"), hold_lock(library.root):
-        pass
-    with hold_lock(library.root):
-        pass
+# ------------------------------------------------------------------------------------------ objects of a dive
 
 
-def test_an_empty_or_missing_root_lists_nothing(tmp_path: Path) -> None:
-    assert Library(tmp_path / "nowhere").entries() == []
-    assert Library(tmp_path / "nowhere").count() == 0
+def test_scans_are_found_by_the_number_of_their_object_which_is_never_given_twice(
+    empty: Library, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert largest_number(empty) == 0
+    ids = [saved(empty, object=number) for number in (1, None, 2, 1)]
+    assert (scans_of(empty, 1), scans_of(empty, 7), numbers(empty)) == ([ids[0], ids[3]], [], [1, 2])
+    empty.begin(frames(), record(object=3), ORIGIN).reject("blurred")
+    assert largest_number(empty) == 3
+    empty.trash(saved(empty, object=4))
+    assert largest_number(empty) == 4
+    damaged = saved(empty, object=5)
+    (empty.root / "scans" / damaged / "manifest.json").write_bytes(b"{}")
+    assert (largest_number(empty), numbers(empty)) == (4, [1, 2]), "a damaged manifest is passed over"
+    for _ in range(2):
+        saved(empty)
+    assert LOOKED_AT >= 100
+    monkeypatch.setattr("appliance.storage.object_numbers.LOOKED_AT", 2)
+    assert largest_number(empty) == 0, "a start reads a bounded number of manifests"

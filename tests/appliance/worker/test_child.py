@@ -18,16 +18,14 @@ from appliance.worker.child import ChildGone, ChildProcess
 
 
 def echo(pipe: Connection, first: str) -> None:
-    """Say ``first``, then every message again; end on the word, or close the pipe and end later, or hang."""
+    """Say ``first``, then every message again; close the pipe and end on the word, or hang."""
     pipe.send(first)
     while True:
         match pipe.recv():
             case "end":
-                os._exit(7)
-            case "close":
                 pipe.close()
-                time.sleep(0.3)
-                os._exit(9)
+                time.sleep(0.1)
+                os._exit(7)
             case "hang":
                 pipe.close()
                 time.sleep(60.0)
@@ -60,32 +58,18 @@ def test_it_lives_says_and_ends(child: ChildProcess) -> None:
     child.send({"a": 1})
     assert heard(child) == {"a": 1}
     assert child.receive() is None, "nothing more, and nobody waits for it"
-    pid = child.pid
+    process, pid = child._process, child.pid
+    assert process is not None
     assert pid is not None
+    assert (process.name, process.daemon) == ("kf-test", True), "nothing waits for it when the program ends"
     child.send("end")
-    with pytest.raises(ChildGone, match="the process ended with code 7"):
+    with pytest.raises(ChildGone, match="code 7"):
         heard(child)
     child.send("nobody listens any more")
     child.stop()
     assert (child.runs, child.pid, child.receive()) == (False, None, None)
     with pytest.raises(ProcessLookupError):
         os.kill(pid, 0)
-
-
-def test_one_that_has_closed_its_pipe_is_waited_for_to_tell_how_it_ended(child: ChildProcess) -> None:
-    assert heard(child) == "hello"
-    child.send("close")
-    with pytest.raises(ChildGone, match="the process ended with code 9"):
-        heard(child)
-
-
-def test_one_that_listens_is_given_its_time_to_end_by_itself(child: ChildProcess) -> None:
-    assert heard(child) == "hello"
-    process = child._process
-    assert process is not None
-    assert (process.name, process.daemon) == ("kf-test", True), "nothing waits for it when the program ends"
-    child.stop(60.0)
-    assert process.exitcode == 1, "its pipe had ended, which it minds; it was not killed"
 
 
 def test_a_process_that_cannot_be_started_leaves_nothing_behind() -> None:
@@ -105,9 +89,7 @@ def test_one_that_hangs_is_killed(child: ChildProcess) -> None:
     pid = child.pid
     assert pid is not None
     child.send("hang")
-    begun_s = time.monotonic()
     child.stop(0.2)
-    assert time.monotonic() - begun_s < 30.0
     with pytest.raises(ProcessLookupError):
         os.kill(pid, 0)
 
@@ -122,15 +104,11 @@ def tell_what_it_costs(pipe: Connection, _: object) -> None:
 def test_it_turns_in_no_busy_loop_and_collects_no_imports(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(BLAS_THREADS, raising=False)
     child = ChildProcess("kf-test", tell_what_it_costs)
-    child.start(
-        np.float32(1.0)
-    )  # whose class is NumPy's: it must not be imported before the number of threads is known
+    # The argument's class is NumPy's, which must not be imported before the number of threads is known.
+    child.start(np.float32(1.0))
     try:
         said = heard(child)
     finally:
         child.stop()
     assert isinstance(said, tuple)
-    threads, left_alone, collects = said
-    assert threads == 1
-    assert left_alone > 10_000
-    assert collects
+    assert (said[0], said[1] > 10_000, said[2]) == (1, True, True)

@@ -41,12 +41,6 @@ def scan_at(number: int) -> tuple[Cloud, NDArray[np.uint8]]:
     return cloud, frames
 
 
-@pytest.fixture(scope="module")
-def scans() -> list[tuple[Cloud, NDArray[np.uint8]]]:
-    """Scans of all places."""
-    return [scan_at(number) for number in range(len(PLACES_MM))]
-
-
 @pytest.fixture
 def neighbours() -> Neighbours:
     return Neighbours(CALIBRATION, synthetic.WATER, SEQUENCE, STRIDE_PX)
@@ -71,31 +65,27 @@ def answer(neighbours: Neighbours) -> Overlap | None:
     raise AssertionError(f"no answer after {MOST_PIECES} pieces")
 
 
-def test_a_scan_is_compared_with_the_one_that_was_kept(
-    neighbours: Neighbours, scans: list[tuple[Cloud, NDArray[np.uint8]]]
-) -> None:
-    take(neighbours, scans[0])
+def test_a_scan_is_compared_with_the_one_that_was_kept(neighbours: Neighbours) -> None:
+    take(neighbours, scan_at(0))
     assert answer(neighbours) is None, "there is none before"
     neighbours.keep()
-    take(neighbours, scans[1])
+    take(neighbours, scan_at(1))
     found = answer(neighbours)
     assert found is not None
     assert found.share is not None
     assert 0.5 < found.share < 0.9
     neighbours.keep()
-    take(neighbours, scans[2])
+    take(neighbours, scan_at(2))
     gone = answer(neighbours)
     assert gone is not None
     assert gone.none
 
 
-def test_a_scan_that_was_rejected_is_nobodys_neighbour(
-    neighbours: Neighbours, scans: list[tuple[Cloud, NDArray[np.uint8]]]
-) -> None:
-    take(neighbours, scans[0])
+def test_a_scan_that_was_rejected_is_nobodys_neighbour(neighbours: Neighbours) -> None:
+    take(neighbours, scan_at(0))
     neighbours.keep()
-    take(neighbours, scans[2])  # and not kept
-    take(neighbours, scans[1])
+    take(neighbours, scan_at(2))  # and not kept
+    take(neighbours, scan_at(1))
     found = answer(neighbours)
     assert found is not None
     assert found.share is not None
@@ -110,37 +100,24 @@ def test_scans_of_two_objects_are_not_compared(
     now: int | None,
     compared: bool,
     neighbours: Neighbours,
-    scans: list[tuple[Cloud, NDArray[np.uint8]]],
 ) -> None:
-    take(neighbours, scans[0], before)
+    take(neighbours, scan_at(0), before)
     neighbours.keep()
-    take(neighbours, scans[1], now)
+    take(neighbours, scan_at(1), now)
     assert neighbours.waits == compared
 
 
-def test_a_new_scan_ends_the_comparison_and_loses_no_neighbour(
-    neighbours: Neighbours, scans: list[tuple[Cloud, NDArray[np.uint8]]]
-) -> None:
-    take(neighbours, scans[0])
+def test_a_new_scan_ends_the_comparison_and_loses_no_neighbour(neighbours: Neighbours) -> None:
+    take(neighbours, scan_at(0))
     neighbours.keep()
-    take(neighbours, scans[2])
+    take(neighbours, scan_at(2))
     neighbours.go_on()
     neighbours.begin(1)
     assert not neighbours.waits
     assert neighbours.go_on() is None
     neighbours.keep()  # a scan of which nothing is known yet
-    neighbours.coarse(scans[1][0])
-    neighbours.whole(scans[1][1])
+    neighbours.coarse(scan_at(1)[0])
+    neighbours.whole(scan_at(1)[1])
     found = answer(neighbours)
     assert found is not None
     assert not found.none
-
-
-def test_a_scan_without_points_is_not_compared(
-    neighbours: Neighbours, scans: list[tuple[Cloud, NDArray[np.uint8]]]
-) -> None:
-    take(neighbours, scans[0])
-    neighbours.keep()
-    neighbours.begin(1)
-    neighbours.whole(scans[1][1])
-    assert not neighbours.waits

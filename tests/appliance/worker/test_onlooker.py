@@ -47,6 +47,12 @@ def answer(onlooker: Onlooker) -> LookedAt:
 def test_a_picture_is_looked_at_against_the_scan_that_was_kept(
     onlooker: Onlooker, neighbours: Neighbours, near: NDArray[np.uint8]
 ) -> None:
+    onlooker.look(order(1, near), near)
+    assert answer(onlooker).guidance is None, "no scan at all"
+    take(neighbours, scan_at(0), 2)
+    neighbours.keep()
+    onlooker.look(order(2, near), near)
+    assert answer(onlooker).guidance is None, "none of the object"
     take(neighbours, scan_at(0))
     neighbours.keep()
     onlooker.look(order(4, near), near)
@@ -56,19 +62,6 @@ def test_a_picture_is_looked_at_against_the_scan_that_was_kept(
     assert found.cpu_s > 0.0
     assert found.guidance is not None
     assert found.guidance.move is Move.GO_ON
-
-
-@pytest.mark.parametrize("kept_of", [None, 2])
-def test_without_a_kept_scan_of_the_object_nothing_is_said_but_an_answer_comes(
-    kept_of: int | None, onlooker: Onlooker, neighbours: Neighbours, near: NDArray[np.uint8]
-) -> None:
-    onlooker.look(order(1, near), near)
-    assert answer(onlooker).guidance is None, "no scan at all"
-    take(neighbours, scan_at(0), kept_of)
-    neighbours.keep()
-    onlooker.look(order(2, near), near)
-    found = answer(onlooker)
-    assert (found.number, found.guidance) == (2, None)
 
 
 def test_a_scan_that_begins_ends_it_and_a_later_picture_takes_its_place(

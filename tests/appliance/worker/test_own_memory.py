@@ -61,3 +61,25 @@ def test_only_what_is_as_the_file_has_it_is_forgotten() -> None:
     """The loader writes addresses into some pages, and takes the right to write away afterwards."""
     parts = list(unwritten(SMAPS.replace("{name}", COMPILER), COMPILER))
     assert parts == [(0x7F00000000, 0x7F00003000), (0x7F00007000, 0x7F00009000)]
+
+
+HUNGRY = """
+import numpy as np
+from multiprocessing.shared_memory import SharedMemory
+from appliance.worker.own_memory import limit_memory
+limit_memory(100.0)
+shared = SharedMemory(create=True, size=300_000_000)
+shared.buf[:10] = bytes(10)
+shared.close()
+shared.unlink()
+some = np.ones(50_000_000, np.uint8)
+try:
+    np.ones(200_000_000, np.uint8)
+except MemoryError:
+    print("refused")
+"""
+
+
+def test_the_kernel_refuses_what_is_out_of_proportion_but_not_what_is_shared() -> None:
+    ran = subprocess.run([sys.executable, "-c", HUNGRY], capture_output=True, text=True, timeout=100, check=True)
+    assert ran.stdout.strip() == "refused", ran.stderr

@@ -26,30 +26,10 @@ from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.guidance import LOST
 from appliance.scan.verdict import Judgement, Verdict
+from appliance.worker import messages as say
 from appliance.worker import process, usage
 from appliance.worker.live_picture import LivePicture
 from appliance.worker.looking import LiveLookedAt
-from appliance.worker.messages import (
-    Begin,
-    BracketJudged,
-    CloudCopied,
-    CloudFound,
-    Crashed,
-    Drop,
-    Finish,
-    FrameStored,
-    GoingOn,
-    Loaded,
-    LookAt,
-    LookedAt,
-    PatternsIdentified,
-    Ping,
-    Pong,
-    Ready,
-    SequenceFailed,
-    SequenceJudged,
-    Spoiled,
-)
 from appliance.worker.order import WorkOrder
 from appliance.worker.process import (
     CloudReady,
@@ -158,9 +138,13 @@ class Desk:
             heard.append(self.child.pipe.recv())
         return heard
 
+    def scan(self, number: int) -> None:
+        self.worker.begin(number)
+        self.worker.finish()
+
     def ready(self) -> None:
-        assert self.after(0.0, Ready()) == WorkerReady()
-        assert self.after(0.0, Loaded()) is None
+        assert self.after(0.0, say.Ready()) == WorkerReady()
+        assert self.after(0.0, say.Loaded()) is None
 
 
 @pytest.fixture
@@ -185,11 +169,11 @@ def desk(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Desk]:
 
 
 def frames() -> list[object]:
-    return [FrameStored(side, k) for k in range(N) for side in ("left", "right")]
+    return [say.FrameStored(side, k) for k in range(N) for side in ("left", "right")]
 
 
-def begin(ticket: int, settings: AcquisitionSettings | None = None, *, second: bool = False) -> Begin:
-    return Begin(ticket, settings or AcquisitionSettings(), second)
+def begin(ticket: int, settings: AcquisitionSettings | None = None, *, second: bool = False) -> say.Begin:
+    return say.Begin(ticket, settings or AcquisitionSettings(), second)
 
 
 def failed(event: process.WorkerEvent | None, why: str) -> int | None:
@@ -208,18 +192,19 @@ def test_a_scan_from_its_first_frame_to_its_full_cloud(desk: Desk) -> None:
     desk.worker.begin(7)
     desk.worker.frame("left", 0)
     desk.worker.finish()
-    assert desk.told() == [begin(1), FrameStored("left", 0), Finish()]
-    assert desk.after(0.0, PatternsIdentified(1)) == SequenceIdentified(7)
-    coarse = desk.after(0.0, CloudFound(1, False, Found(((0, 0),), SUMMARY), 0.1))
+    assert desk.told() == [begin(1), say.FrameStored("left", 0), say.Finish()]
+    assert desk.after(0.0, say.PatternsIdentified(1)) == SequenceIdentified(7)
+    coarse = desk.after(0.0, say.CloudFound(1, False, Found(((0, 0),), SUMMARY), 0.1))
     assert isinstance(coarse, CloudReady)
     assert (coarse.scan, coarse.full, coarse.cpu_s, coarse.cloud.points_mm.shape) == (7, False, 0.1, (0, 3))
     assert desk.told() == [], "nobody waits until the coarse one was seen"
-    assert desk.after(0.0, SequenceJudged(1, (SAID,), 0.2)) == ScanJudged(7, (SAID,), 0.2)
-    full = desk.after(0.0, CloudFound(1, True, Found(((0, 0),), SUMMARY), 0.3))
+    said = say.SequenceJudged(1, (SAID,), 0.2)
+    assert desk.after(0.0, *[say.GoingOn(1)] * 10, said) == ScanJudged(7, (SAID,), 0.2), "at the same heartbeat"
+    full = desk.after(0.0, say.CloudFound(1, True, Found(((0, 0),), SUMMARY), 0.3))
     assert isinstance(full, CloudReady)
     assert full.full
-    assert desk.told() == [CloudCopied(1)]
-    assert desk.after(3600.0, Pong()) is None, "nothing more is awaited"
+    assert desk.told() == [say.CloudCopied(1)]
+    assert desk.after(3600.0, say.Pong()) is None, "nothing more is awaited"
     assert desk.worker.restarts == 0
 
 
@@ -227,37 +212,36 @@ def test_what_is_said_of_an_earlier_scan_and_of_one_that_was_dropped_is_of_no_in
     desk.ready()
     desk.worker.begin(7)
     desk.worker.begin(8)
-    assert desk.after(0.0, PatternsIdentified(1)) is None
-    assert desk.after(0.0, PatternsIdentified(2)) == SequenceIdentified(8)
+    assert desk.after(0.0, say.PatternsIdentified(1)) is None
+    assert desk.after(0.0, say.PatternsIdentified(2)) == SequenceIdentified(8)
     desk.worker.finish()
     desk.worker.drop()
-    assert desk.told()[-1] == Drop()
-    assert desk.after(0.0, SequenceJudged(2, (SAID,), 0.0)) is None
+    assert desk.told()[-1] == say.Drop()
+    assert desk.after(0.0, say.SequenceJudged(2, (SAID,), 0.0)) is None
     assert desk.after(4.9) is None, "no cloud is awaited any more"
     desk.worker.finish()
-    assert Finish() not in desk.told(), "there is nothing to finish"
+    assert say.Finish() not in desk.told(), "there is nothing to finish"
 
 
 def test_wrong_patterns_and_frames_that_are_no_sequence_end_the_scan_and_nothing_is_awaited(desk: Desk) -> None:
     desk.ready()
-    for scan, said in ((7, Spoiled(1, WRONG)), (8, SequenceFailed(2, "frame 3 was pushed"))):
-        desk.worker.begin(scan)
-        desk.worker.finish()
+    for scan, said in ((7, say.Spoiled(1, WRONG)), (8, say.SequenceFailed(2, "frame 3 was pushed"))):
+        desk.scan(scan)
         event = desk.after(0.0, said)
         if scan == 7:
             assert event == ScanSpoiled(7, WRONG)
         else:
             assert failed(event, "frame 3 was pushed") == 8
-        assert desk.after(20.0, Pong()) is None
+        assert desk.after(20.0, say.Pong()) is None
     assert desk.worker.restarts == 0
     assert len(desk.machine.started) == 1
 
 
 def test_a_process_that_says_what_is_no_answer_is_started_again(desk: Desk) -> None:
     desk.ready()
-    assert failed(desk.after(0.0, "hello"), "it sent a str, which is no answer") is None
-    assert failed(desk.after(0.0, Crashed("MemoryError")), "it failed: MemoryError") is None
-    assert failed(desk.after(0.0, Ends(9)), "ended with code 9") is None
+    assert failed(desk.after(0.0, "hello"), "str") is None
+    assert failed(desk.after(0.0, say.Crashed("MemoryError")), "MemoryError") is None
+    assert failed(desk.after(0.0, Ends(9)), "code 9") is None
     assert desk.worker.restarts == 3
     assert len(desk.machine.started) == 4
 
@@ -271,46 +255,36 @@ def test_a_start_may_take_four_minutes(desk: Desk, late_s: float, restarts: int)
     assert desk.worker.restarts == restarts
 
 
+def test_each_step_of_a_scan_may_take_ten_seconds_and_one_that_is_told_begins_anew(desk: Desk) -> None:
+    desk.ready()
+    desk.scan(7)
+    assert desk.after(9.9, say.GoingOn(1)) is None
+    assert desk.after(9.9, say.SequenceJudged(1, (), 0.0)) is not None
+    assert desk.after(9.9) is None
+    assert desk.worker.answers
+    assert failed(desk.after(0.2), "in time") is None
+    assert desk.told()[-len(frames()) - 2 :] == [begin(1), *frames(), say.Finish()], "its frames are still there"
+
+
+@pytest.mark.parametrize(("used_s", "steps"), [(0.51, 5), (0.49, 0)])
+def test_a_step_that_computes_is_waited_for_a_minute(desk: Desk, used_s: float, steps: int) -> None:
+    """Half a second of processor time in ten is enough: a processor that is hot, or shared."""
+    desk.cpu_s = 50.0
+    desk.ready()
+    desk.scan(7)
+    for _ in range(steps):
+        desk.cpu_s += used_s
+        assert desk.after(10.1) is None
+    desk.cpu_s += 5.0 if steps else used_s
+    assert failed(desk.after(10.1), "in time") is None
+
+
 def test_a_scan_that_waits_for_the_start_gets_its_time_from_the_moment_it_is_ready(desk: Desk) -> None:
-    desk.worker.begin(7)
-    desk.worker.finish()
+    desk.scan(7)
     assert desk.after(200.0) is None
     desk.ready()
     assert desk.after(9.9) is None
-    assert failed(desk.after(0.2), "it did not answer in time") is None
-
-
-def test_each_step_of_a_scan_may_take_ten_seconds_and_one_that_is_told_begins_anew(desk: Desk) -> None:
-    desk.ready()
-    desk.worker.begin(7)
-    desk.worker.finish()
-    assert desk.after(9.9, GoingOn(1)) is None
-    assert desk.after(9.9, SequenceJudged(1, (), 0.0)) is not None
-    assert desk.after(9.9) is None
-    assert desk.worker.answers
-    assert failed(desk.after(0.2), "it did not answer in time") is None
-    assert desk.told()[-len(frames()) - 2 :] == [begin(1), *frames(), Finish()], "its frames are still there"
-
-
-def test_a_step_that_computes_is_waited_for_a_minute(desk: Desk) -> None:
-    """Half a second of processor time in ten is enough: a processor that is hot, or shared."""
-    desk.ready()
-    desk.worker.begin(7)
-    desk.worker.finish()
-    for _ in range(5):
-        desk.cpu_s += 0.51
-        assert desk.after(10.1) is None
-    desk.cpu_s += 5.0
-    assert failed(desk.after(10.1), "it did not answer in time") is None
-
-
-def test_a_step_that_hardly_computes_hangs(desk: Desk) -> None:
-    desk.cpu_s = 50.0
-    desk.ready()
-    desk.worker.begin(7)
-    desk.worker.finish()
-    desk.cpu_s += 0.49
-    assert failed(desk.after(10.1), "it did not answer in time") is None
+    assert failed(desk.after(0.2), "in time") is None
 
 
 def test_an_idle_process_is_asked_once_a_second_and_has_five_seconds_to_answer(desk: Desk) -> None:
@@ -318,14 +292,16 @@ def test_an_idle_process_is_asked_once_a_second_and_has_five_seconds_to_answer(d
     assert desk.after(0.9) is None
     assert desk.told() == []
     assert desk.after(0.2) is None
-    assert desk.told() == [Ping()]
+    assert desk.told() == [say.Ping()]
     assert desk.after(4.9) is None
     assert desk.told() == [], "asked once"
-    assert desk.after(0.0, Pong()) is None
+    assert desk.after(0.0, say.Pong()) is None
     assert desk.after(1.1) is None
-    assert desk.told() == [Ping()]
+    assert desk.told() == [say.Ping()]
     assert desk.worker.answers
-    assert failed(desk.after(5.1), "it gave no sign of life for 5 s") is None
+    assert failed(desk.after(5.1), "5 s") is None
+    hung = desk.machine.started[0]
+    assert (hung.waits_s[0], hung.killed) == (0.0, True), "the heartbeat waits for nothing"
 
 
 def test_the_watchdog_waits_longer_than_the_worker_does_itself(desk: Desk) -> None:
@@ -339,13 +315,12 @@ def test_the_watchdog_waits_longer_than_the_worker_does_itself(desk: Desk) -> No
     desk.ready()
     desk.after(1.1)
     assert answers_after(9.9, 0.2) == [True, False], "a question that is not answered"
-    desk.after(0.0, Pong())
+    desk.after(0.0, say.Pong())
     assert answers_after(0.0) == [True]
-    desk.worker.begin(7)
-    desk.worker.finish()
+    desk.scan(7)
     assert answers_after(14.9, 0.2) == [True, False], "a cloud that does not come"
     desk.machine.room = False
-    failed(desk.after(0.0, Crashed("a")), "it failed: a")
+    failed(desk.after(0.0, say.Crashed("a")), "a")
     assert answers_after(0.0) == [True], "it is known not to be there"
 
 
@@ -356,14 +331,14 @@ def test_memory_is_looked_at_twice_a_second_and_a_compiler_may_take_more(desk: D
     desk.ready()
     begun = len(desk.asked)
     for _ in range(24):
-        assert desk.after(0.25, *([Pong()] if desk.told() else [])) is None
+        assert desk.after(0.25, *([say.Pong()] if desk.told() else [])) is None
     assert 10 <= len(desk.asked) - begun <= 12
     desk.memory_mb = None
     assert desk.after(0.5) is None, "it has just ended, which the pipe will say"
     desk.memory_mb = 1001.0
-    assert failed(desk.after(0.5), "it took 1001 MB of memory; allowed are 1000 MB") is None
+    assert failed(desk.after(0.5), "1001 MB") is None
     desk.memory_mb = 1501.0
-    assert failed(desk.after(0.5), "it took 1501 MB of memory; allowed are 1500 MB") is None
+    assert failed(desk.after(0.5), "1501 MB") is None
 
 
 @pytest.mark.parametrize(("used_s", "on"), [(0.09, False), (0.11, True)])
@@ -379,7 +354,7 @@ def test_the_first_start_gets_on_if_it_takes_a_twentieth_of_a_processor(desk: De
 
 def test_only_the_first_start_gets_on(desk: Desk) -> None:
     desk.cpu_s = 5.0
-    desk.after(0.0, Crashed("once"))
+    desk.after(0.0, say.Crashed("once"))
     assert not desk.worker.gets_on(), "a start that failed before may fail for ever"
     desk.worker.change(desk.worker.order)
     assert desk.worker.gets_on()
@@ -394,27 +369,26 @@ def test_only_the_first_start_gets_on(desk: Desk) -> None:
 
 def test_a_scan_in_work_is_processed_again_once_and_then_given_up(desk: Desk) -> None:
     desk.ready()
-    desk.worker.begin(7)
-    desk.worker.finish()
-    assert failed(desk.after(0.0, Crashed("a")), "the worker was started again: it failed: a") is None
+    desk.scan(7)
+    assert failed(desk.after(0.0, say.Crashed("a")), "a") is None
     desk.ready()
-    assert failed(desk.after(0.0, Crashed("b")), "the worker was started again: it failed: b") == 7
+    assert failed(desk.after(0.0, say.Crashed("b")), "b") == 7
     desk.told()
     desk.ready()
     assert desk.told() == [], "nobody asks for it any more"
-    assert desk.after(0.0, PatternsIdentified(1)) is None
+    assert desk.after(0.0, say.PatternsIdentified(1)) is None
 
 
 def test_a_scan_that_is_lost_before_its_frames_are_there_is_told_when_they_are(desk: Desk) -> None:
     desk.ready()
-    for scan, said in ((7, [Crashed("a"), Crashed("b")]), (8, [SequenceFailed(2, "b")])):
+    for scan, said in ((7, [say.Crashed("a"), say.Crashed("b")]), (8, [say.SequenceFailed(2, "b")])):
         desk.worker.begin(scan)
         assert [failed(desk.after(0.0, one), "") for one in said] == [None] * len(said)
         desk.ready()
         desk.worker.finish()
-        assert Finish() not in desk.told()
+        assert say.Finish() not in desk.told()
         assert failed(desk.worker.poll(), "b") == scan
-        assert desk.after(20.0, Pong()) is None, "nothing more is awaited"
+        assert desk.after(20.0, say.Pong()) is None, "nothing more is awaited"
 
 
 def test_frames_that_come_while_a_process_is_new_are_told_all_at_once(desk: Desk) -> None:
@@ -422,49 +396,49 @@ def test_frames_that_come_while_a_process_is_new_are_told_all_at_once(desk: Desk
     desk.ready()
     desk.worker.begin(7)
     desk.worker.frame("left", 0)
-    desk.after(0.0, Crashed("a"))
+    desk.after(0.0, say.Crashed("a"))
     desk.told()
     desk.worker.frame("right", 0)
     assert desk.told() == []
     desk.worker.finish()
-    assert desk.told() == [begin(1), *frames(), Finish()]
+    assert desk.told() == [begin(1), *frames(), say.Finish()]
     desk.worker.begin(8)
     desk.worker.frame("left", 0)
-    assert desk.told() == [begin(2), FrameStored("left", 0)]
+    assert desk.told() == [begin(2), say.FrameStored("left", 0)]
 
 
 def test_after_four_starts_without_a_cloud_it_stays_down_until_the_next_scan(desk: Desk) -> None:
     for _ in range(3):
-        failed(desk.after(0.0, Crashed("a")), "the worker was started again: it failed: a")
+        failed(desk.after(0.0, say.Crashed("a")), "a")
     desk.worker.begin(7)
-    assert failed(desk.after(0.0, Crashed("a")), "the worker failed 4 times in a row, the last time because") is None
+    assert failed(desk.after(0.0, say.Crashed("a")), "4 times") is None
     assert (desk.worker.pid, desk.worker.poll(), len(desk.machine.started)) == (None, None, 4)
     desk.worker.finish()
     assert failed(desk.worker.poll(), "4 times") == 7, "told when somebody waits for its points"
     assert desk.worker.poll() is None
     desk.worker.begin(8)
     assert len(desk.machine.started) == 5
-    failed(desk.after(0.0, Crashed("a")), "the worker was started again")
+    failed(desk.after(0.0, say.Crashed("a")), "")
 
 
 def test_a_full_cloud_makes_good_for_the_failures_before_and_a_coarse_one_does_not(desk: Desk) -> None:
     for full in (False, True):
         for _ in range(2):
-            desk.after(0.0, Crashed("a"))
+            desk.after(0.0, say.Crashed("a"))
         desk.ready()
         desk.worker.begin(7)
-        desk.after(0.0, CloudFound(desk.worker._ticket, full, Found(((0, 0),), SUMMARY), 0.0))
+        desk.after(0.0, say.CloudFound(desk.worker._ticket, full, Found(((0, 0),), SUMMARY), 0.0))
         assert desk.worker._fruitless == (0 if full else 2)
         desk.worker.change(desk.worker.order)
 
 
 def test_a_machine_without_room_for_a_process_says_so_and_is_asked_again(desk: Desk) -> None:
     desk.machine.room = False
-    assert failed(desk.after(0.0, Crashed("a")), "the worker was started again: it failed: a") is None
+    assert failed(desk.after(0.0, say.Crashed("a")), "a") is None
     assert len(desk.machine.started) == 1
-    assert failed(desk.worker.poll(), "no process could be started: Cannot allocate memory") is None
+    assert failed(desk.worker.poll(), "Cannot allocate memory") is None
     desk.machine.room = True
-    failed(desk.worker.poll(), "no process could be started")
+    failed(desk.worker.poll(), "")
     assert (desk.worker.pid, desk.worker.poll(), desk.worker.restarts) == (4711, None, 3)
 
 
@@ -482,7 +456,7 @@ def test_another_order_starts_another_process_in_which_no_scan_is_in_work(desk: 
         )
     assert desk.child.arguments[6] == 1000.0
     assert (desk.worker.order, desk.worker.restarts) == (order, 0)
-    assert desk.after(0.0, PatternsIdentified(1)) is None
+    assert desk.after(0.0, say.PatternsIdentified(1)) is None
 
 
 # ------------------------------------------------------------------------------------------ two exposures
@@ -491,9 +465,8 @@ def test_another_order_starts_another_process_in_which_no_scan_is_in_work(desk: 
 def whole(desk: Desk) -> None:
     """The first sequence's full cloud is there."""
     desk.ready()
-    desk.worker.begin(7)
-    desk.worker.finish()
-    desk.after(0.0, CloudFound(1, True, Found(((0, 0),), SUMMARY), 0.0))
+    desk.scan(7)
+    desk.after(0.0, say.CloudFound(1, True, Found(((0, 0),), SUMMARY), 0.0))
     desk.told()
 
 
@@ -502,14 +475,14 @@ def test_a_second_exposure_follows_the_first_without_its_frames(desk: Desk, with
     whole(desk)
     desk.worker.begin_second(7, SECOND)
     desk.worker.finish()
-    assert desk.told() == [begin(2, SECOND, second=True), Finish()]
+    assert desk.told() == [begin(2, SECOND, second=True), say.Finish()]
     found = Found(((0, 0),), SUMMARY) if with_cloud else None
-    event = desk.after(0.0, BracketJudged(2, found, (SAID,), SAID, 0.5))
+    event = desk.after(0.0, say.BracketJudged(2, found, (SAID,), SAID, 0.5))
     assert isinstance(event, PairJudged)
     assert (event.scan, event.second, event.pair, event.cpu_s) == (7, (SAID,), SAID, 0.5)
     assert (event.cloud is not None) == with_cloud
-    assert desk.told() == [CloudCopied(2)]
-    assert desk.after(3600.0, Pong()) is None, "nothing more is awaited"
+    assert desk.told() == [say.CloudCopied(2)]
+    assert desk.after(3600.0, say.Pong()) is None, "nothing more is awaited"
     assert desk.worker.restarts == 0
 
 
@@ -517,44 +490,19 @@ def test_a_process_that_does_not_know_the_first_exposure_is_told_of_it(desk: Des
     whole(desk)
     desk.worker.begin_second(7, SECOND)
     desk.worker.frame("left", 0)
-    desk.after(0.0, Crashed("a"))
+    desk.after(0.0, say.Crashed("a"))
     desk.told()
     desk.worker.finish()
-    assert desk.told() == [begin(2), *frames(), begin(2, SECOND, second=True), *frames(), Finish()]
+    assert desk.told() == [begin(2), *frames(), begin(2, SECOND, second=True), *frames(), say.Finish()]
     desk.worker.drop()
     desk.told()
     desk.worker.begin_second(7, SECOND)
     assert desk.told() == [begin(3), *frames(), begin(3, SECOND, second=True)]
-
-
-def test_the_next_scan_is_no_second_exposure_of_the_one_before(desk: Desk) -> None:
-    whole(desk)
-    desk.worker.begin_second(7, SECOND)
     desk.worker.reprocess(8)
-    assert desk.told()[1:] == [begin(3), begin(3), *frames(), Finish()]
+    assert desk.told() == [begin(4), begin(4), *frames(), say.Finish()], "another scan has no first exposure"
 
 
 # ------------------------------------------------------------------------------------------ for programs
-
-
-def test_who_has_no_heartbeat_waits_and_gets_the_first_event_or_none(desk: Desk) -> None:
-    begun_ns = desk.time.ns
-    assert desk.worker.wait(0.5) is None
-    assert (desk.time.ns - begun_ns) * 1e-9 == pytest.approx(0.5, abs=0.003)
-    for one in (Pong(), Ready(), Crashed("of what came after")):
-        desk.child.pipe.send(one)
-    assert desk.worker.wait(0.5) == WorkerReady()
-    failed(desk.worker.wait(0.5), "of what came after")
-
-
-def test_an_answer_behind_ten_that_need_none_comes_at_the_same_heartbeat(desk: Desk) -> None:
-    desk.ready()
-    desk.worker.begin(7)
-    desk.worker.finish()
-    said = SequenceJudged(1, (SAID,), 0.2)
-    assert desk.after(0.0, *[GoingOn(1)] * 10, said, said) == ScanJudged(7, (SAID,), 0.2)
-    assert desk.worker.poll() == ScanJudged(7, (SAID,), 0.2), "one event at a time"
-    assert desk.worker.poll() is None
 
 
 def test_the_points_are_those_in_the_shared_memory_and_each_cloud_has_its_place(desk: Desk) -> None:
@@ -572,8 +520,8 @@ def test_the_points_are_those_in_the_shared_memory_and_each_cloud_has_its_place(
     assert (coarse.points.xyz_mm[8:] == 7.0).all()
     del full, coarse, table, memory
     found = Found(((5, 7), (7, 8)), SUMMARY)
-    early = desk.after(0.0, CloudFound(1, False, found, 0.0))
-    late = desk.after(0.0, CloudFound(1, True, found, 0.0))
+    early = desk.after(0.0, say.CloudFound(1, False, found, 0.0))
+    late = desk.after(0.0, say.CloudFound(1, True, found, 0.0))
     assert isinstance(early, CloudReady)
     assert isinstance(late, CloudReady)
     assert early.cloud.points_mm.ravel().tolist() == list(range(100, 109))
@@ -584,33 +532,23 @@ def test_a_process_that_still_loads_is_waited_for_and_has_compiled_before(desk: 
     desk.memory_mb = 1400.0
     assert desk.after(1.5) is None, "it may compile"
     desk.memory_mb = 900.0
-    assert desk.after(0.0, Ready()) == WorkerReady()
+    assert desk.after(0.0, say.Ready()) == WorkerReady()
     for _ in range(20):
         desk.cpu_s += 2.0
         assert desk.after(3.0) is None, "it loads, and reads no messages"
     # A scan in work keeps it from loading; so its memory is bounded before it says that it has loaded.
     desk.memory_mb = 1400.0
-    failed = desk.after(1.5)
-    assert isinstance(failed, WorkerFailed)
-    assert "1400 MB" in failed.fault.detail
-    assert "allowed are 1000 MB" in failed.fault.detail
+    assert failed(desk.after(1.5), "1400 MB") is None
     desk.memory_mb = 100.0
-    assert desk.after(0.0, Ready()) == WorkerReady(), "the next one loads anew"
-    assert desk.after(1.5) is None
-
-
-def test_a_process_that_hangs_while_it_loads_is_started_again(desk: Desk) -> None:
-    assert desk.after(0.0, Ready()) == WorkerReady()
+    assert desk.after(0.0, say.Ready()) == WorkerReady(), "the next one loads anew"
     assert desk.after(1.5) is None, "it is asked"
     desk.cpu_s += 2.0
     assert desk.after(6.0) is None, "it computes"
-    failed = desk.after(6.0)
-    assert isinstance(failed, WorkerFailed)
-    assert "sign of life" in failed.fault.detail
+    assert failed(desk.after(6.0), "sign of life") is None, "it hangs"
 
 
 def test_a_process_that_loads_for_ever_is_started_again(desk: Desk) -> None:
-    assert desk.after(0.0, Ready()) == WorkerReady()
+    assert desk.after(0.0, say.Ready()) == WorkerReady()
     desk.cpu_s += 300.0
     assert desk.after(desk.worker.limits.start_s + 1.0) is None, "it is asked"
     desk.cpu_s += 300.0
@@ -626,28 +564,32 @@ def test_one_live_picture_at_a_time_is_handed_over_and_its_answer_says_when_it_w
     assert not desk.worker.look(PICTURE, 3), "not before it is ready"
     desk.ready()
     assert desk.worker.look(PICTURE, 3)
-    assert desk.told() == [LookAt(1, (300, 400), 3)]
+    assert desk.told() == [say.LookAt(1, (300, 400), 3)]
     taken_ns = desk.time.ns
     desk.time.sleep_s(1.0)
     assert not desk.worker.look(PICTURE, 3), "the first one is still looked at"
     assert desk.told() == []
-    assert desk.after(0.2, LookedAt(1, LOST, 0.1)) == LiveLookedAt(LOST, taken_ns, 0.1)
+    assert desk.after(0.2, say.LookedAt(1, LOST, 0.1)) == LiveLookedAt(LOST, taken_ns, 0.1)
     assert desk.worker.look(PICTURE, 3)
-    assert desk.told() == [LookAt(2, (300, 400), 3)]
-    assert desk.after(0.0, LookedAt(1, LOST, 0.1)) is None, "said twice"
+    assert desk.told() == [say.LookAt(2, (300, 400), 3)]
+    assert desk.after(0.0, say.LookedAt(1, LOST, 0.1)) is None, "said twice"
     desk.time.sleep_s(5.1)
     assert desk.worker.look(PICTURE, 3), "an answer that does not come is not waited for for ever"
+    assert failed(desk.after(0.0, Ends(1)), "code 1") is None
+    assert not desk.worker.look(PICTURE, 3)
+    assert desk.after(0.0, say.Ready()) == WorkerReady()
+    assert desk.worker.look(PICTURE, 3), "a new process owes no answer"
 
 
 def test_looking_takes_a_third_of_a_processor_at_most(desk: Desk) -> None:
     desk.ready()
     assert desk.worker.look(PICTURE, 3)
-    desk.after(0.3, LookedAt(1, None, 0.3))
+    desk.after(0.3, say.LookedAt(1, None, 0.3))
     desk.time.sleep_s(0.55)
     assert not desk.worker.look(PICTURE, 3), "0.3 s in every 0.9 s"
     desk.time.sleep_s(0.1)
     assert desk.worker.look(PICTURE, 3)
-    desk.after(0.1, LookedAt(2, None, 0.01))
+    desk.after(0.1, say.LookedAt(2, None, 0.01))
     assert not desk.worker.look(PICTURE, 3), "nor more often than twice and a half a second"
     desk.time.sleep_s(0.35)
     assert desk.worker.look(PICTURE, 3)
@@ -657,17 +599,8 @@ def test_a_scan_that_begins_awaits_no_guidance_and_none_is_asked_for_while_its_p
     desk.ready()
     assert desk.worker.look(PICTURE, 3)
     desk.worker.begin(7)
-    assert desk.after(0.0, LookedAt(1, LOST, 0.1)) is None, "of the place before"
+    assert desk.after(0.0, say.LookedAt(1, LOST, 0.1)) is None, "of the place before"
     desk.worker.finish()
     assert not desk.worker.look(PICTURE, 3)
-    assert desk.after(0.0, CloudFound(1, True, Found(((0, 0),), SUMMARY), 0.3)) is not None
-    assert desk.worker.look(PICTURE, 3)
-
-
-def test_a_process_that_was_started_again_owes_no_answer(desk: Desk) -> None:
-    desk.ready()
-    assert desk.worker.look(PICTURE, 3)
-    assert failed(desk.after(0.0, Ends(1)), "ended with code 1") is None
-    assert not desk.worker.look(PICTURE, 3)
-    assert desk.after(0.0, Ready()) == WorkerReady()
+    assert desk.after(0.0, say.CloudFound(1, True, Found(((0, 0),), SUMMARY), 0.3)) is not None
     assert desk.worker.look(PICTURE, 3)

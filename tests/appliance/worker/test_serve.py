@@ -133,6 +133,7 @@ class Recorded(Neighbours):
     def __init__(self, pieces: int) -> None:
         super().__init__(synthetic.calibration(WIDTH_PX, HEIGHT_PX), synthetic.WATER, build_sequence(16), 4)
         self.pieces, self.done = pieces, 0
+        self.begun: list[int | None] = []
         self.reached, self.go = threading.Semaphore(0), threading.Semaphore(0)
 
     @property
@@ -140,34 +141,13 @@ class Recorded(Neighbours):
         return self.done < self.pieces
 
     def begin(self, belongs_to: int | None) -> None:
-        self.pieces = 0
+        self.begun.append(belongs_to)
 
     def go_on(self) -> NeighbourAnswer | None:
         self.reached.release()
         assert self.go.acquire(timeout=TIMEOUT_S)
         self.done += 1
         return NeighbourAnswer(Overlap(0.5), 0.1) if self.done == self.pieces else None
-
-
-def test_scans_are_compared_in_the_pauses_and_the_answer_is_told() -> None:
-    neighbours = Recorded(3)
-    with serving([], neighbours=neighbours) as pipe:
-        assert heard(pipe) == Loaded()
-        for _ in range(3):
-            neighbours.go.release()
-        assert heard(pipe) == OverlapFound(0, Overlap(0.5), 0.1)
-
-
-def test_a_scan_that_begins_waits_for_one_piece_of_a_comparison_at_most_and_ends_it() -> None:
-    neighbours = Recorded(100)
-    with serving([], neighbours=neighbours) as pipe:
-        assert heard(pipe) == Loaded()
-        assert neighbours.reached.acquire(timeout=TIMEOUT_S)
-        pipe.send(Begin(1, AcquisitionSettings(), belongs_to=2))
-        pipe.send(Ping())
-        neighbours.go.release()
-        assert heard(pipe) == Pong()
-        assert neighbours.done == 1
 
 
 class Watched(Onlooker):
@@ -217,8 +197,9 @@ def test_a_live_picture_is_looked_at_in_the_pauses_and_the_answer_is_told() -> N
 
 
 def test_a_scan_that_begins_waits_for_one_piece_of_a_look_at_most_and_ends_it() -> None:
-    onlooker = Watched(100)
-    with serving([], aiming=(onlooker, shown(np.zeros((3, 4), np.uint8)))) as pipe:
+    neighbours, onlooker = Recorded(0), Watched(100)
+    place = shown(np.zeros((3, 4), np.uint8))
+    with serving([], neighbours=neighbours, aiming=(onlooker, place)) as pipe:
         assert heard(pipe) == Loaded()
         pipe.send(LookAt(5, (3, 4), 1))
         assert onlooker.reached.acquire(timeout=TIMEOUT_S)
@@ -226,7 +207,7 @@ def test_a_scan_that_begins_waits_for_one_piece_of_a_look_at_most_and_ends_it() 
         pipe.send(Ping())
         onlooker.go.release()
         assert heard(pipe) == Pong()
-        assert onlooker.done == 1
+        assert (onlooker.done, neighbours.begun) == (1, [2])
         pipe.send(Drop())
         onlooker.go.release()
         assert not onlooker.reached.acquire(timeout=0.2), "not even when that scan is over"

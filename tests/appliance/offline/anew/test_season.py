@@ -17,6 +17,8 @@ from tests.support.commands import Shell
 
 FIRST, SECOND = "#11698e", "#b25c00"
 """Colours of the largest group and of the next one."""
+UNKNOWN = {"points": "", "gap_mm": "", "noise_mm": "", "temperature_c": ""}
+"""Of a scan that failed."""
 
 
 def cells(number: int, **more: object) -> dict[str, str]:
@@ -29,11 +31,27 @@ def cells(number: int, **more: object) -> dict[str, str]:
     return {name: str(given.get(name, "")) for name in COLUMNS}
 
 
+def page_of(*rows: dict[str, str]) -> str:
+    return season_page(list(rows), "/a/table.csv")
+
+
+def lengths(*errors_mm: float) -> str:
+    return page_of(*(cells(k, length_error_mm=error, artefact="frustum") for k, error in enumerate(errors_mm, 1)))
+
+
+def words_of(page: str) -> str:
+    return " ".join(re.sub(r"<[^>]*>", " ", page.partition("<body>")[2]).split())
+
+
 def chart(page: str, what: str) -> str:
     """The drawing with that label."""
     found = re.search(rf'<svg[^>]*aria-label="{re.escape(what)}">(.*?)</svg>', page, re.DOTALL)
     assert found is not None, what
     return found[1]
+
+
+def caption(page: str, what: str) -> str:
+    return page.partition(f"{what}; scans")[2].partition("</figcaption>")[0]
 
 
 def dots(drawing: str) -> list[tuple[float, float, str, str]]:
@@ -44,9 +62,8 @@ def dots(drawing: str) -> list[tuple[float, float, str, str]]:
 
 def scale(drawing: str) -> tuple[float, float]:
     """Value at the drawing's top edge, and per unit downwards, by the numbers beside its lines."""
-    labels = re.findall(r'x="54" y="([\d.]+)" text-anchor="end">([−\d.e+]+)</text>', drawing)
-    labels = [(float(y) - 4.0, float(text.replace("−", "-"))) for y, text in labels]
-    assert len(labels) >= 2, labels
+    found = re.findall(r'x="54" y="([\d.]+)" text-anchor="end">([−\d.e+]+)</text>', drawing)
+    labels = [(float(y) - 4.0, float(text.replace("−", "-"))) for y, text in found]
     (y0, v0), (y1, v1) = labels[0], labels[-1]
     each = (v1 - v0) / (y1 - y0)
     for y, value in labels:
@@ -59,89 +76,28 @@ def scale(drawing: str) -> tuple[float, float]:
 
 @pytest.mark.parametrize(
     "errors_mm",
-    [
-        (0.002, 0.004, -0.003, -0.2039, -0.2021, 0.001),
-        (0.0131,),
-        (-0.5, -0.5, -0.5),
-        (0.0, 0.0),
-        (1234.5, -0.001),
-        (1e-7, 3e-7, 2e-7),
-    ],
-)
+    [(0.002, 0.004, -0.003, -0.2039, -0.2021, 0.001), (0.0131,), (-0.5, -0.5, -0.5), (0.0, 0.0), (1234.5, -0.001), (1e-7, 3e-7, 2e-7)],
+)  # fmt: skip
 def test_each_dot_is_where_its_number_is(errors_mm: tuple[float, ...]) -> None:
-    rows = [cells(k + 1, length_error_mm=error, artefact="frustum") for k, error in enumerate(errors_mm)]
-    drawing = chart(season_page(rows, "t.csv"), "length error, µm")
+    drawing = chart(lengths(*errors_mm), "length error, µm")
     top, each = scale(drawing)
-    found = dots(drawing)
-    assert len(found) == len(errors_mm)
-    for (x, y, _, words), error, k in zip(found, errors_mm, range(len(errors_mm)), strict=True):
+    for k, ((x, y, _, words), error) in enumerate(zip(dots(drawing), errors_mm, strict=True)):
         assert top + y * each == pytest.approx(1000.0 * error, abs=abs(each)), "within a pixel"
         assert x == pytest.approx(62 + (k + 0.5) * (1060 - 62 - 40) / len(errors_mm), abs=0.1)
         assert words.startswith(f"{k + 1:06d}  2031-05-{k + 1:02d} 09:12")
-    assert all(14 <= y <= 190 for _, y, _, _ in found), "within the frame"
+        assert 14 <= y <= 190, "within the frame"
 
 
-@pytest.mark.parametrize(
-    "pair", [(-1e12, 1e12), (5e-324, 1e-323), (0.0, 5e-324), (445387194.6094142, 445387194.6094143), (0.0, 0.0)]
-)
+@pytest.mark.parametrize("pair", [(-1e12, 1e12), (5e-324, 1e-323), (445387194.6094142, 445387194.6094143)])
 def test_numbers_of_any_size_have_an_axis_with_round_numbers(pair: tuple[float, float]) -> None:
-    page = season_page([cells(k + 1, length_error_mm=value, temperature_c=value) for k, value in enumerate(pair)], "t")
-    for what in ("length error, µm", "water, °C"):
-        assert all(14.0 <= y <= 190.0 for _, y, _, _ in dots(chart(page, what)))
-        assert 2 <= chart(page, what).count('text-anchor="end"') <= 16
-
-
-def test_a_page_under_another_formats_name_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    said = Shell(capsys)("season", tmp_path / "table.csv", "--out", tmp_path / "s.pdf")
-    assert said.code == 2
-    assert "a page is written as .html; give s.html" in said.error
-    assert not (tmp_path / "s.pdf").exists()
-
-
-def test_each_calibration_has_its_colour_and_is_named_once() -> None:
-    rows = [cells(k, calibration=("a" if k < 7 else "b") * 64, gap_mm=0.007 if k < 7 else 0.09) for k in range(1, 11)]
-    page = season_page(rows, "t.csv")
-    assert [colour for *_, colour, _ in dots(chart(page, "ray gap, µm"))] == [FIRST] * 6 + [SECOND] * 4
-    caption = page.partition("ray gap, µm; scans")[2].partition("</figcaption>")[0]
-    assert (caption.count("aaaaaaaaaaaa"), caption.count("bbbbbbbbbbbb")) == (1, 1)
-
-
-@pytest.mark.parametrize(
-    ("count", "named"),
-    [(1, [1]), (2, [1, 2]), (10, list(range(1, 11))), (19, list(range(1, 20, 2)))],
-)
-def test_of_few_scans_none_lacks_its_number(count: int, named: list[int]) -> None:
-    page = season_page([cells(number) for number in range(1, count + 1)], "/a/table.csv")
-    drawing = chart(page, "ray gap, µm")
-    assert [int(text) for text in re.findall(r">(\d{6})</text>", drawing)] == named
-    assert "/a/table.csv" in page
-
-
-def test_of_a_large_archive_what_stands_out_is_drawn() -> None:
-    rows = [cells(1, gap_mm=0.007 + 0.0001 * (k % 7)) | {"scan": f"{k:06d}"} for k in range(1, 20_001)]
-    rows[12_345] |= {"gap_mm": "0.09"}
-    page = season_page(rows, "t.csv")
-    drawing = chart(page, "ray gap, µm")
-    top, each = scale(drawing)
-    values = [top + y * each for _, y, _, _ in dots(drawing)]
-    assert len(values) <= 1000
-    assert max(values) == pytest.approx(90.0, abs=abs(each))
-    assert min(values) == pytest.approx(7.0, abs=abs(each))
-    assert len(page) < 1_000_000
-
-
-def test_what_is_not_known_is_left_out_and_not_drawn_as_nothing() -> None:
-    rows = [cells(1, gap_mm=""), cells(2, gap_mm="nan"), cells(3, gap_mm="inf"), cells(4, gap_mm=0.007)]
-    page = season_page(rows, "t.csv")
-    assert [words[:6] for *_, words in dots(chart(page, "ray gap, µm"))] == ["000004"]
-    assert "Nothing in the table." in page.partition("Lengths over time")[2].partition("Health")[0]
-    assert "no scan is in a --list" in page
+    page = lengths(*pair)
+    assert all(14.0 <= y <= 190.0 for _, y, _, _ in dots(chart(page, "length error, µm")))
+    assert 2 <= chart(page, "length error, µm").count('text-anchor="end"') <= 16
 
 
 def test_a_chart_has_its_frame_its_zero_line_and_its_words_below() -> None:
     rows = [cells(k + 1, length_error_mm=error, artefact="frustum") for k, error in enumerate((0.004, -0.004, 0.0))]
-    rows.append(cells(4, state="failed", reason="dark", gap_mm="", noise_mm="", temperature_c=""))
-    page = season_page(rows, "t.csv")
+    page = page_of(*rows, cells(4, state="failed", reason="dark", **UNKNOWN))
     assert '<svg viewBox="0 0 1060 230"' in page
     drawing = chart(page, "length error, µm")
     lines = re.findall(r'<line x1="62" x2="1020" y1="([\d.]+)" y2="([\d.]+)" stroke="(#\w+)"/>', drawing)
@@ -154,102 +110,97 @@ def test_a_chart_has_its_frame_its_zero_line_and_its_words_below() -> None:
     assert "#8a97a4" not in re.sub(r"<text.*?</text>", "", low), "no zero line where all numbers are above"
 
 
-@pytest.mark.parametrize(("groups", "colours", "more"), [(6, 6, ""), (7, 6, " and 1 more")])
-def test_of_many_groups_the_rare_ones_share_a_colour(groups: int, colours: int, more: str) -> None:
-    rows = [cells(k + 1, length_error_mm=0.1, artefact=f"thing {k}") for k in range(groups)]
-    page = season_page(rows, "t.csv")
-    assert len({colour for *_, colour, _ in dots(chart(page, "length error, µm"))}) == colours
-    caption = page.partition("length error, µm; scans")[2].partition("</figcaption>")[0]
-    assert re.findall(r"thing (\d)", caption) == [str(k) for k in range(6)]
-    assert caption.endswith(more or "thing 5")
+@pytest.mark.parametrize(("count", "step"), [(1, 1), (10, 1), (19, 2)])
+def test_of_few_scans_none_lacks_its_number(count: int, step: int) -> None:
+    drawing = chart(page_of(*map(cells, range(1, count + 1))), "ray gap, µm")
+    assert [int(text) for text in re.findall(r">(\d{6})</text>", drawing)] == list(range(1, count + 1, step))
+
+
+def test_of_a_large_archive_what_stands_out_is_drawn() -> None:
+    rows = [cells(1, gap_mm=0.007 + 0.0001 * (k % 7)) | {"scan": f"{k:06d}"} for k in range(1, 5_001)]
+    rows[2_345] |= {"gap_mm": "0.09"}
+    page = page_of(*rows)
+    drawing = chart(page, "ray gap, µm")
+    top, each = scale(drawing)
+    values = [top + y * each for _, y, _, _ in dots(drawing)]
+    assert len(values) <= 1000
+    assert (max(values), min(values)) == pytest.approx((90.0, 7.0), abs=abs(each))
+    assert len(page) < 1_000_000
+
+
+def test_what_is_not_known_is_left_out_and_not_drawn_as_nothing() -> None:
+    known = [cells(3, verdicts="compensation=no"), cells(4, gap_mm=0.007)]
+    page = page_of(
+        cells(1, gap_mm=""),
+        cells(2, gap_mm="nan"),
+        cells(5, gap_mm="inf"),
+        cells(6, verdicts="compensation=yes"),
+        *known,
+    )
+    assert [words[:6] for *_, words in dots(chart(page, "ray gap, µm"))] == ["000003", "000004"]
+    assert "Nothing in the table." in page.partition("Lengths over time")[2].partition("Health")[0]
+    assert season_page([], "t.csv").count("Nothing in the table.") == 4
+    failed = page_of(cells(1, state="failed", reason="x: missing", **UNKNOWN))
+    assert (failed.count("Nothing in the table."), "x: missing" in failed, "0 of 1" in failed) == (4, True, True)
+
+
+def test_groups_have_their_colours_and_the_rare_ones_share_one() -> None:
+    page = page_of(*(cells(k, calibration=("a" if k < 7 else "b") * 64) for k in range(1, 11)))
+    assert [colour for *_, colour, _ in dots(chart(page, "ray gap, µm"))] == [FIRST] * 6 + [SECOND] * 4
+    said = caption(page, "ray gap, µm")
+    assert (said.count("aaaaaaaaaaaa"), said.count("bbbbbbbbbbbb")) == (1, 1)
+    for groups, more in ((6, "thing 5"), (7, " and 1 more")):
+        page = page_of(*(cells(k + 1, length_error_mm=0.1, artefact=f"thing {k}") for k in range(groups)))
+        assert len({colour for *_, colour, _ in dots(chart(page, "length error, µm"))}) == 6
+        said = caption(page, "length error, µm")
+        assert re.findall(r"thing (\d)", said) == [str(k) for k in range(6)]
+        assert said.endswith(more)
+    page = page_of(cells(1, grade="good"), cells(2, spoilt=True, salinity_psu=0.0), cells(3), cells(4, salinity_psu=""))
+    assert all(word in caption(page, "noise, µm") for word in ("good", "spoilt", "not graded"))
+    assert all(word in caption(page, "water, °C") for word in ("35 psu", "0 psu", "not known"))
+
+
+# ------------------------------------------------------------------------------------------- words
 
 
 def test_the_head_and_the_tiles_are_counts_and_medians_of_the_rows() -> None:
-    rows = [
+    page = page_of(
         cells(1, points=1_000_000, noise_mm=0.020, grade="good", e_l_percent=-0.25, recorded=""),
         cells(2, points=2_000_000, noise_mm=0.030, grade="good", e_l_percent=0.125, calibration="b" * 64),
         cells(3, points=1_500_000, noise_mm=0.060, grade="poor", spoilt=True, faults="MOTION: 3 mm", calibration="c" * 64),
         cells(4, state="failed", reason="dark", points="", noise_mm="", calibration="d" * 64),
-    ]  # fmt: skip
-    page = season_page(rows, "t.csv")
-    words = " ".join(re.sub(r"<[^>]*>", " ", page.partition("<body>")[2]).split())
-    assert "4 scans From 2031-05-02 09:12 To 2031-05-04 09:12 Calibrations " in words
-    assert f"Calibrations {'a' * 12}, {'b' * 12}, {'c' * 12} and 1 more Table t.csv" in words
-    assert "Scans with points 2 of 4 2 good, 1 spoilt, 1 without points" in words
-    assert "Points 4.5 million 1,500,000 a scan (median)" in words
-    assert "Noise 30 µm median over scans" in words
-    assert "Largest length error 0.250 % 2 scans of artefacts" in words
-    three = season_page([cells(k, calibration="abc"[k - 1] * 64, recorded="") for k in (1, 2, 3)], "t.csv")
+    )  # fmt: skip
+    words = words_of(page)
+    for said in (
+        "4 scans From 2031-05-02 09:12 To 2031-05-04 09:12", f"Calibrations {'a' * 12}, {'b' * 12}, {'c' * 12} and 1 more Table /a/table.csv",
+        "Scans with points 2 of 4 2 good, 1 spoilt, 1 without points", "Points 4.5 million 1,500,000 a scan (median)",
+        "Noise 30 µm median over scans", "Largest length error 0.250 % 2 scans of artefacts",
+    ):  # fmt: skip
+        assert said in words
+    three = page_of(*(cells(k, calibration="abc"[k - 1] * 64, recorded="") for k in (1, 2, 3)))
     assert f"{'c' * 12}</dd>" in three, "three are named, and no more are there"
     assert three.count("no clock") == 2
 
 
-def test_charts_group_noise_by_grade_and_water_by_salt_and_know_no_gap_of_compensated_scans() -> None:
-    rows = [
-        cells(1, grade="good", verdicts="motion=no compensation=yes"), cells(2, spoilt=True, salinity_psu=0.0),
-        cells(3, verdicts="compensation=no"), cells(4, salinity_psu=""),
-    ]  # fmt: skip
-    page = season_page(rows, "t.csv")
-    captions = {
-        what: page.partition(f"{what}; scans")[2].partition("</figcaption>")[0] for what in ("noise, µm", "water, °C")
-    }
-    assert all(word in captions["noise, µm"] for word in ("good", "spoilt", "not graded"))
-    assert all(word in captions["water, °C"] for word in ("35 psu", "0 psu", "not known"))
-    assert [words[:6] for *_, words in dots(chart(page, "ray gap, µm"))] == ["000002", "000003", "000004"]
-
-
-# ------------------------------------------------------------------------------------------- refused scans
-
-
 def test_every_refused_scan_is_there_with_its_reason_and_marked_where_it_was_taken() -> None:
     rows = [cells(k) for k in range(1, 9)]
-    damaged = "/disk/scans/{0}: frames_left.npy: damaged (its checksum does not fit) in sine-x-180; bring it back"
+    damaged = "frames_left.npy: damaged (its checksum does not fit) in sine-x-180; bring it back"
     for k in (2, 5):
-        rows[k - 1] = cells(k, state="failed", reason=damaged.format(f"{k:06d}"), points="", gap_mm="", noise_mm="")
+        rows[k - 1] = cells(k, state="failed", reason=f"/disk/scans/{k:06d}: {damaged}", **UNKNOWN)
     rows[6] = cells(7, spoilt=True, faults="MOTION: the hands moved by 3 mm; BLURRED: edges of 4 px")
-    page = season_page(rows, "t.csv")
-    text = re.sub(r"<[^>]*>", " ", page.partition("<body>")[2])
-    words = " ".join(text.split())
-    assert "5 of 8 1 spoilt, 2 without points" in words
-    assert "frames_left.npy: damaged 2" in words, "counted by its kind"
-    assert "MOTION 1" in words
-    assert (
-        "000005 2031-05-05 09:12 frames_left.npy: damaged (its checksum does not fit) in sine-x-180; bring it back"
-        in words
-    )
-    assert "000007 2031-05-07 09:12 MOTION: the hands moved by 3 mm; BLURRED: edges of 4 px" in words
+    page = page_of(*rows)
+    words = words_of(page)
+    for said in (
+        "5 of 8 1 spoilt, 2 without points", "frames_left.npy: damaged 2", "MOTION 1", f"000005 2031-05-05 09:12 {damaged}",
+        "000007 2031-05-07 09:12 MOTION: the hands moved by 3 mm; BLURRED: edges of 4 px",
+    ):  # fmt: skip
+        assert said in words
     marks = [float(x) for x in re.findall(r'<path d="M([\d.]+) ', chart(page, "ray gap, µm"))]
     assert marks == [pytest.approx(62 + (k - 0.5) * 958 / 8, abs=0.1) for k in (2, 5, 7)]
-
-
-@pytest.mark.parametrize(
-    ("reason", "kind"),
-    [
-        ("dark (7 of 9); open it", "dark"),
-        ("/disk/scans/000001: dark", "dark"),
-        ("", "not known"),
-    ],
-)
-def test_a_reasons_kind_is_its_beginning_without_the_numbers_of_one_scan(reason: str, kind: str) -> None:
-    page = season_page([cells(1, state="failed", reason=reason)], "t.csv")
-    assert f"<tbody><tr><td>{kind}</td><td>1</td></tr></tbody>" in page
-    assert '<h2>Refused scans, and why</h2><p class="note">None.</p>' in season_page([cells(1)], "t.csv")
-
-
-def test_a_season_without_any_result_says_why() -> None:
-    page = season_page(
-        [cells(1, state="failed", reason="x: missing", points="", gap_mm="", noise_mm="", temperature_c="")], "t.csv"
-    )
-    assert page.count("Nothing in the table.") == 4
-    assert "x: missing" in page
-    assert "0 of 1" in page
-
-
-def test_a_table_without_scans_is_a_page_without_any() -> None:
-    assert season_page([], "t.csv").count("Nothing in the table.") == 4
-
-
-# ------------------------------------------------------------------------------------------- escaping
+    for reason, kind in (("dark (7 of 9); open it", "dark"), ("/disk/scans/000001: dark", "dark"), ("", "not known")):
+        page = page_of(cells(1, state="failed", reason=reason))
+        assert f"<tbody><tr><td>{kind}</td><td>1</td></tr></tbody>" in page
+    assert '<h2>Refused scans, and why</h2><p class="note">None.</p>' in page_of(cells(1))
 
 
 HOSTILE = """<script>throw new Error("in")</script><img src=x onerror=alert(1)>"'&amp;"""
@@ -282,9 +233,14 @@ class Elements(HTMLParser):
 
 def test_nothing_of_a_table_becomes_an_element_of_the_page() -> None:
     found = Elements(hostile_page())
-    assert found.names & {"script", "img"} == set()
-    assert found.doing == []
+    assert (found.names & {"script", "img"}, found.doing) == (set(), [])
     assert "throw new Error" in hostile_page(), "it is shown as text"
+
+
+def test_a_page_under_another_formats_name_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    said = Shell(capsys)("season", tmp_path / "table.csv", "--out", tmp_path / "s.pdf")
+    assert (said.code, "s.html" in said.error) == (2, True)
+    assert not (tmp_path / "s.pdf").exists()
 
 
 # ------------------------------------------------------------------------------------------- in a browser
@@ -303,33 +259,22 @@ def blobs(picture: Path, colour: str) -> int:
 
 @pytest.mark.foreign
 @browser
-def test_a_browser_shows_every_dot_and_asks_for_nothing(tmp_path: Path) -> None:
+def test_a_browser_shows_every_dot_asks_for_nothing_and_cuts_no_chart_on_paper(tmp_path: Path) -> None:
     rows = [
         cells(k, calibration=("a" if k < 14 else "b") * 64, gap_mm=0.007 + 0.001 * (k % 5), artefact="frustum", length_error_mm=0.002 * (k % 3))
         for k in range(1, 23)
     ]  # fmt: skip
-    (tmp_path / "season.html").write_text(season_page(rows, "t.csv"), encoding="utf-8")
-    console, asked = browse(
-        tmp_path / "season.html", tmp_path, f"--screenshot={tmp_path / 'seen.png'}", "--window-size=1200,2400"
-    )
-    assert asked == []
-    assert console == ""
-    # Four charts, one of them in two colours.
-    assert blobs(tmp_path / "seen.png", FIRST) == 3 * 22 + 13
-    assert blobs(tmp_path / "seen.png", SECOND) == 9
+    page, seen, paper = (tmp_path / name for name in ("season.html", "seen.png", "paper.pdf"))
+    page.write_text(page_of(*rows), encoding="utf-8")
+    assert browse(page, tmp_path, f"--screenshot={seen}", "--window-size=1200,2400") == ("", [])
+    assert blobs(seen, FIRST) == 3 * 22 + 13, "four charts, one of them in two colours"
+    assert blobs(seen, SECOND) == 9
+    browse(page, tmp_path, "--no-pdf-header-footer", f"--print-to-pdf={paper}")
+    assert len(re.findall(rb"/Type /Page\b", paper.read_bytes())) in (2, 3)
 
 
 @pytest.mark.foreign
 @browser
 def test_a_browser_runs_nothing_of_a_hostile_table(tmp_path: Path) -> None:
     (tmp_path / "season.html").write_text(hostile_page(), encoding="utf-8")
-    console, asked = browse(tmp_path / "season.html", tmp_path, f"--screenshot={tmp_path / 'seen.png'}")
-    assert (console, asked) == ("", [])
-
-
-@pytest.mark.foreign
-@browser
-def test_on_paper_no_chart_is_cut(tmp_path: Path) -> None:
-    (tmp_path / "season.html").write_text(season_page([cells(k) for k in range(1, 20)], "t.csv"), encoding="utf-8")
-    browse(tmp_path / "season.html", tmp_path, "--no-pdf-header-footer", f"--print-to-pdf={tmp_path / 'paper.pdf'}")
-    assert len(re.findall(rb"/Type /Page\b", (tmp_path / "paper.pdf").read_bytes())) in (2, 3)
+    assert browse(tmp_path / "season.html", tmp_path, f"--screenshot={tmp_path / 'seen.png'}") == ("", [])

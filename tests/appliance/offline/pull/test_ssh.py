@@ -56,7 +56,7 @@ def serve(tmp_path: Path) -> Iterator[Callable[..., Server]]:
 
     def start(sftp: bool = True) -> Server:
         root, identity = tmp_path / "root", tmp_path / "id"
-        (root / "data" / "scans").mkdir(parents=True)
+        (root / "data" / "scans").mkdir(parents=True, exist_ok=True)
         host_key = asyncssh.generate_private_key("ssh-ed25519")
         new_key(identity).write_public_key(str(tmp_path / "enrolled"))
         files = {"sftp_factory": lambda channel: asyncssh.SFTPServer(channel, chroot=str(root).encode())}
@@ -90,7 +90,9 @@ def refused(host: Host) -> str:
 # ------------------------------------------------------------------------------------------- files
 
 
-def test_files_and_folders_are_listed_without_links_and_files_read_from_anywhere(serve: Callable[..., Server]) -> None:
+def test_files_and_folders_are_listed_without_links_and_files_read_from_anywhere(
+    serve: Callable[..., Server], monkeypatch: pytest.MonkeyPatch
+) -> None:
     server = serve()
     data = bytes(k % 251 for k in range(5 * MB // 2))
     scans = server.root / "data" / "scans"
@@ -111,19 +113,10 @@ def test_files_and_folders_are_listed_without_links_and_files_read_from_anywhere
                 ask()
         with pytest.raises(Unreadable):
             list(source.read("scans/a", 0, 9))
-
-
-def test_a_folder_of_too_many_names_is_not_believed(
-    serve: Callable[..., Server], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    server = serve()
-    for k in range(3):
-        (server.root / "data" / "scans" / f"{k}").mkdir()
-    with SshLink(server.host, LIMIT_S)() as source:
         monkeypatch.setattr(ssh, "MOST_NAMES", 3)
         assert len(source.listing("scans")) == 3
         monkeypatch.setattr(ssh, "MOST_NAMES", 2)
-        with pytest.raises(Unreadable, match="more than 2 names"):
+        with pytest.raises(Unreadable, match="2 names"):
             source.listing("scans")
 
 
@@ -134,8 +127,7 @@ def test_an_unknown_host_key_is_refused_and_its_line_lets_the_next_call_in(serve
     server = serve()
     server.known_hosts.unlink()
     said = refused(server.host)
-    assert "its host key is not known here (SHA256:" in said
-    assert said.endswith(f"add this line to {server.known_hosts} and call again: {server.key}")
+    assert said.endswith(f"{server.known_hosts} and call again: {server.key}")
     server.known_hosts.write_text(said.rpartition("call again: ")[2] + "\n")
     with SshLink(server.host, LIMIT_S)():
         pass
@@ -146,9 +138,7 @@ def test_a_changed_host_key_is_refused_whatever_its_kind(serve: Callable[..., Se
     server = serve()
     other = asyncssh.generate_private_key(kind).export_public_key().decode()
     server.known_hosts.write_text(f"[127.0.0.1]:{server.port} {other}")
-    said = refused(server.host)
-    assert "its host key is another one than before" in said
-    assert f"`ssh-keygen -R '[127.0.0.1]:{server.port}' -f {server.known_hosts}`" in said
+    assert f"`ssh-keygen -R '[127.0.0.1]:{server.port}' -f {server.known_hosts}`" in refused(server.host)
 
 
 def test_a_name_of_the_users_configuration_brings_address_key_and_known_hosts(
@@ -168,7 +158,7 @@ def test_a_key_that_is_given_is_the_only_one_that_is_tried(serve: Callable[..., 
     server = serve()
     new_key(tmp_path / "other")
     said = refused(replace(server.host, identity=tmp_path / "other"))
-    assert "does not take this key. Enrol the public one" in said
+    assert "does not take this key" in said
     (tmp_path / "other").write_text("no key\n")
     assert "cannot be read: " in refused(replace(server.host, identity=tmp_path / "other"))
 
@@ -198,25 +188,18 @@ def free_port() -> int:
 
 
 def test_nobody_there_is_told_at_first_and_waited_for_once_there_was_a_link(serve: Callable[..., Server]) -> None:
+    both = "[Errno 111] Connect call failed ('::1', 9, 0, 0), [Errno 111] Connect call failed ('127.0.0.1', 9)"
+    found = SshLink(Host("reef", 9))._meant(asyncssh, OSError(f"Multiple exceptions: {both}"))
+    assert (type(found), "port 9" in str(found)) == (PullError, True), "at any address of a name"
     port = free_port()
-    assert f"nobody listens at port {port}; switch TRANSFER on" in refused(Host("127.0.0.1", port))
+    assert f"port {port}" in refused(Host("127.0.0.1", port))
     link = SshLink(serve().host, LIMIT_S)
     with link():
         pass
     link._host = Host("127.0.0.1", port)
     with pytest.raises(LinkLost), link():
         pass
-
-
-def test_nobody_at_any_address_of_a_name_is_told_as_nobody_at_one() -> None:
-    both = "[Errno 111] Connect call failed ('::1', 9, 0, 0), [Errno 111] Connect call failed ('127.0.0.1', 9)"
-    found = SshLink(Host("reef", 9))._meant(asyncssh, OSError(f"Multiple exceptions: {both}"))
-    assert isinstance(found, PullError)
-    assert "nobody listens at port 9" in str(found)
-
-
-def test_a_server_without_files_is_told(serve: Callable[..., Server]) -> None:
-    assert "it has no SFTP; is this the instrument?" in refused(serve(sftp=False).host)
+    assert "SFTP" in refused(serve(sftp=False).host), "a server without files"
 
 
 def test_a_server_that_says_nothing_is_a_lost_link_after_the_limit() -> None:
@@ -232,5 +215,5 @@ def test_without_the_library_one_sentence_says_what_to_install(
 ) -> None:
     monkeypatch.setitem(sys.modules, "asyncssh", None)
     assert main(["pull", "reef", str(tmp_path / "desk")]) == 1
-    assert "an instrument on the network needs asyncssh: pip install 'kingfisher-3d[desk]'" in capsys.readouterr().err
+    assert "pip install 'kingfisher-3d[desk]'" in capsys.readouterr().err
     assert not (tmp_path / "desk").exists()
