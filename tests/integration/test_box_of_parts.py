@@ -10,61 +10,35 @@ from typing import Any
 
 import pytest
 
+from appliance.bringup.guide import NAMES
 from appliance.config import load_rig
 from hw_sim.options import options_from
 from hw_sim.world import World
+from tests.integration.dived import at_the_bench
 from tests.support.box_builder import BoxBuilder
 
 pytestmark = [pytest.mark.devices, pytest.mark.timeout(1800)]
-SMALL = Path(__file__).parents[2] / "hw_sim" / "rigs" / "small.toml"
 WIDTH_PX, HEIGHT_PX = 128, 96
 PLANE_MM = 540
-MOST_CALLS = 7
-ORDER = (
-    "board",
-    "pad",
-    "vsync",
-    "cameras",
-    "trigger",
-    "raster",
-    "sides",
-    "latency",
-    "light",
-    "skew",
-    "endurance",
-    "plane",
-)
-WORLD = f"""
-object = "plane"
-object_pose = [0, 0, {PLANE_MM}, 0, 0, 0]
-medium = "air"
+MOST_CALLS = 8
+WORLD = """
 texture = "none"
-stills = true
 idle_speed = 1.5
-faults = ["laser.left off"]
-projector = {{ kind = "repeats", mirrored = true, gamma = 2.2 }}
-cameras = {{ left = {{ personality = "blackfly" }}, right = {{ personality = "blackfly" }} }}
+faults = ["laser.left off", "sensor.HUM off", "key.up stuck"]
+projector = { kind = "repeats", mirrored = true, gamma = 2.2 }
+cameras = { left = { personality = "blackfly" }, right = { personality = "blackfly" } }
 """
-"""What is wrong with the parts: a laser does not conduct; the projector is a frame late, set up for rear projection, and its gamma is on."""
+"""What is wrong with the parts: a laser does not conduct, a sensor does not answer, a key's coil is shorted; the projector is a frame late, set up for rear projection, and its gamma is on."""
 
 
 def copied_from_another(folder: Path) -> Path:
     """Return the rig file of another instrument: cameras exchanged, one on another line, the other one without overlap."""
-    text = SMALL.read_text(encoding="utf-8").replace("/var/tmp/kingfisher-sim", str(folder / "root"))
-    for old, new in (
-        ("width_px = 400", f"width_px = {WIDTH_PX}"),
-        ("height_px = 300", f"height_px = {HEIGHT_PX}"),
-        ("pixel_um = 18.0", f"pixel_um = {4.5 * 1600 / WIDTH_PX}"),
-        # Fringes that cameras this coarse can follow.
-        ("period_px = 16 ", "period_px = 64 "),
-    ):
-        assert old in text, old
-        text = text.replace(old, new)
-    text = text.replace("[rig.wires_options]", f"[rig.wires_options]{WORLD}", 1)
+    path = at_the_bench(folder, (WIDTH_PX, HEIGHT_PX), WORLD)
+    # Fringes that cameras this coarse can follow.
+    text = path.read_text(encoding="utf-8").replace("period_px = 16 ", "period_px = 64 ")
     left, right = 'serial = "KF-CAM-L"\n', 'serial = "KF-CAM-R"\n'
     text = text.replace(left, "*").replace(right, left).replace("*", right + 'trigger_source = "Line3"\n', 1)
     text = text.replace("[board]\n", '[camera.right.features]\nTriggerOverlap = "Off"\n\n[board]\n', 1)
-    path = folder / "rig.toml"
     path.write_text(text, encoding="utf-8")
     return path
 
@@ -83,6 +57,14 @@ def mend(builder: BoxBuilder, step: str, finding: dict[str, Any]) -> str:
     if step == "board" and finding["name"] == "laser.left":
         builder.deed("mend laser.left off")
         return "laser"
+    if step == "board" and finding["name"] == "sensor.HUM" and "does not answer" in said:
+        builder.deed("mend sensor.HUM off")
+        return "sensor"
+    if step == "pad" and finding["name"] == "key.up" and "see coils" in remedy:
+        return "coil"
+    if step == "pad" and finding["name"] == "coils" and "shorted" in said + remedy:
+        builder.deed("mend key.up stuck")
+        return "coil"
     if "does not see its line" in said and "trigger_source of [camera.left]" in remedy:
         # Whoever wired it knows where the wire leads.
         builder.edit("camera.left", "trigger_source", 'trigger_source = "Line0"')
@@ -112,7 +94,7 @@ def mend(builder: BoxBuilder, step: str, finding: dict[str, Any]) -> str:
     raise AssertionError(f"step {step} names what is not wrong: {finding}")
 
 
-def test_eight_things_wrong_are_found_named_and_mended_one_call_after_the_other(
+def test_ten_things_wrong_are_found_named_and_mended_one_call_after_the_other(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found: dict[str, str] = {}
@@ -132,6 +114,8 @@ def test_eight_things_wrong_are_found_named_and_mended_one_call_after_the_other(
         truth = builder.world.projector_truth
     assert found == {
         "laser": "board",
+        "sensor": "board",
+        "coil": "pad",
         "line": "cameras",
         "overlap": "cameras",
         "black of camera.left": "cameras",
@@ -140,7 +124,7 @@ def test_eight_things_wrong_are_found_named_and_mended_one_call_after_the_other(
         "sides": "sides",
         "gamma": "light",
     }
-    assert [step["name"] for step in report["steps"]] == list(ORDER)
+    assert [step["name"] for step in report["steps"]] == list(NAMES)
     rig = load_rig(builder.rig)
     # That is nobody's mistake: a picture's light comes a frame late, and the rig file knows it now.
     assert rig.projector.latency_blanks == truth.latency_blanks == 1

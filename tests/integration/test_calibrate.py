@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
-import subprocess
-import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -21,17 +18,15 @@ from appliance.calibration.guide import Step
 from appliance.calibration.water.start import start_from_air
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.config import Rig, load_rig
-from appliance.evaluation.ball_bar import BallBar, find_ball_bar
 from appliance.instrument import design_of
 from appliance.optics.model import HousedCamera, StereoRig
-from appliance.reconstruct.pipeline import Pipeline
-from appliance.reconstruct.quality import QualityLimits
 from appliance.storage.calibrations import Calibrations
 from appliance.storage.library import Library
 from hw_sim.objects.shapes import BALL_DISTANCE_MM
 from hw_sim.scene import Scene
+from tests.integration.dived import Service, ball_bar_mm
 from tests.support.calibrating import WIDTH_PX, air_of, hidden_rig
-from tests.support.rendered import RenderedScan, render_scan
+from tests.support.rendered import render_scan
 
 SEED, SIZE = 2, "800x600"
 UNTIL_THE_POWER_FAILS = """
@@ -127,37 +122,12 @@ def calibration_in_air(rig: Rig) -> Calibration:
     return start_from_air(smaller, design_of(rig))
 
 
-def length_mm(scan: RenderedScan, calibration: Calibration) -> float:
-    """Of the ball bar in a scan."""
-    with Pipeline(calibration, calibration.water, scan.sequence, QualityLimits(max_gap_mm=20.0)) as pipeline:
-        for k in range(len(scan.sequence)):
-            for side, frames in scan.frames.items():
-                pipeline.push(side, frames, k)
-        pipeline.coarse()
-        bar = find_ball_bar(pipeline.full())
-    assert isinstance(bar, BallBar)
-    return bar.length_mm
-
-
-class Instrument:
-    """The service in a process of its own, whose status is read as anybody may."""
-
-    def __init__(self, rig: Rig, root: Path, script: str) -> None:
-        self._status = rig.storage.root / "run" / "status.json"
-        path = root / "dive.script"
-        path.write_text(script)
-        command = [sys.executable, "-m", "appliance.cli", "sim", "--root", str(rig.storage.root), "--size", SIZE]
-        command += ["--object", "ballbar", "--texture", "none", "--truth", "realistic", "--seed", str(SEED)]
-        self._status.unlink(missing_ok=True)
-        self.process = subprocess.Popen([*command, "--script", str(path)])
-
-    def calibration(self) -> dict[str, Any] | None:
-        try:
-            content: dict[str, Any] = json.loads(self._status.read_text())
-        except (OSError, ValueError):
-            return None
-        found: dict[str, Any] | None = content.get("calibration")
-        return found
+def dive(rig: Rig, folder: Path, script: str) -> Service:
+    """Start the service in a process of its own, with a diver who follows ``script``."""
+    path = folder / "dive.script"
+    path.write_text(script)
+    words = f"--size {SIZE} --object ballbar --texture none --truth realistic --seed {SEED} --script"
+    return Service(rig.storage.root, *words.split(), str(path))
 
 
 @pytest.mark.long
@@ -174,24 +144,24 @@ def test_a_hidden_rig_is_calibrated_over_a_loss_of_power_and_the_old_file_comes_
     old = encode(replace(in_air, method="bundle, an older one", air_covariance=None)) + b"\n"
     store.current.write_bytes(old)
 
-    first = Instrument(rig, tmp_path, UNTIL_THE_POWER_FAILS)
+    first = dive(rig, tmp_path, UNTIL_THE_POWER_FAILS)
     deadline = time.monotonic() + 600.0
     while True:  # the power fails while the third recording, whose frames are stored, is being examined
-        at = first.calibration()
+        at: dict[str, Any] = first.status().get("calibration") or {}
         assert first.process.poll() is None, "the service ended by itself"
         assert time.monotonic() < deadline
-        if at is not None and at["step"] == "M3" and at["busy"] and list((rig.storage.root / "scans").glob(".0*/m*")):
+        if at.get("step") == "M3" and at["busy"] and list((rig.storage.root / "scans").glob(".0*/m*")):
             break
         time.sleep(0.02)
     os.kill(first.process.pid, signal.SIGKILL)
     first.process.wait(10.0)
     assert [check.step for check in store.session().trials] == [Step.M1, Step.M2]
 
-    second = Instrument(rig, tmp_path, AFTERWARDS)
+    second = dive(rig, tmp_path, AFTERWARDS)
     in_use: list[bool] = []
     while second.process.poll() is None:
-        at = second.calibration()
-        if at is not None and at["in_use"] not in in_use[-1:]:
+        at = second.status().get("calibration") or {}
+        if at and at["in_use"] not in in_use[-1:]:
             in_use.append(at["in_use"])
         assert time.monotonic() < deadline + 600.0
         time.sleep(0.02)
@@ -226,7 +196,7 @@ def test_a_hidden_rig_is_calibrated_over_a_loss_of_power_and_the_old_file_comes_
     for pose in UNSEEN:
         scan = render_scan(Scene(object="ballbar", pose=pose, texture="none"), "realistic", SEED, 800, 16)
         for name, calibration in (("old", load(store.current)), ("new", load(store.solved))):
-            errors[name].append(length_mm(scan, calibration) / truth_mm - 1.0)
+            errors[name].append(ball_bar_mm(calibration, scan.sequence, scan.frames) / truth_mm - 1.0)
     print(f"{session.verified}, residual {session.solved.residual_px:.3f} px, E_L at unseen poses {errors}")
     assert max(map(abs, errors["new"])) < 0.0006
     assert max(map(abs, errors["new"])) < max(map(abs, errors["old"])) / 3.0

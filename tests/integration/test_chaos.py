@@ -8,29 +8,22 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import pytest
+SCANS = 10
 
 
-def dive(root: Path, seed: int, scans: int) -> tuple[int, dict[str, Any]]:
+def dive(root: Path) -> tuple[int, dict[str, Any]]:
     words = ["sim", "--object", "plane", "--truth", "nominal", "--size", "400x300", "--root", str(root)]
-    words += ["--chaos", str(seed), "--scans", str(scans), "--json"]
+    words += ["--chaos", "3", "--scans", str(SCANS), "--json"]
     ended = subprocess.run([sys.executable, "-m", "appliance.cli", *words], capture_output=True, text=True, check=False)
     assert ended.stdout, ended.stderr[-2000:]
     return ended.returncode, json.loads(ended.stdout)
 
 
-@pytest.mark.parametrize(
-    ("seed", "scans"),
-    [
-        pytest.param(3, 25, marks=pytest.mark.dive),
-        pytest.param(4, 200, marks=[pytest.mark.long, pytest.mark.timeout(3000)]),
-    ],
-)
-def test_nothing_accepted_is_lost_and_no_refusal_is_silent(tmp_path: Path, seed: int, scans: int) -> None:
-    code, told = dive(tmp_path / "root", seed, scans)
+def test_nothing_accepted_is_lost_and_no_refusal_is_silent(tmp_path: Path) -> None:
+    code, told = dive(tmp_path / "root")
     assert told["lost"] == told["damaged"] == told["unexplained"] == []
     assert code == 0
-    assert told["scans"] == scans
+    assert told["scans"] == SCANS
     assert len(told["accepted"]) == told["saved"] > 0
-    assert len(told["accepted"]) + told["rejected"] + sum(told["refused"].values()) == scans
+    assert len(told["accepted"]) + told["rejected"] + sum(told["refused"].values()) == SCANS
     assert told["refused"], "nothing went wrong: this was no chaos"

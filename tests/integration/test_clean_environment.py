@@ -5,12 +5,9 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import socket
 import subprocess
 import sys
 import venv
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -90,23 +87,6 @@ class Desk:
     def json(self, *words: object) -> Any:
         return json.loads(self(*words, "--json"))
 
-    @contextmanager
-    def running(self, *words: object) -> Iterator[None]:
-        """Run a module of the environment meanwhile."""
-        with (self.folder / "dask.log").open("ab") as log:
-            process = subprocess.Popen(
-                [str(self.python), "-m", *map(str, words)],
-                cwd=self.folder,
-                env=self.environment,
-                stdout=log,
-                stderr=log,
-            )
-        try:
-            yield
-        finally:
-            process.kill()
-            process.wait(timeout=30)
-
 
 @pytest.fixture
 def desk(tmp_path: Path) -> Desk:
@@ -173,23 +153,11 @@ def test_a_desk_does_all_of_it_from_a_wheel_and_from_another_folder(desk: Desk, 
     names = manifest_of(dive / "scans" / "000002").record.sequence.patterns
     np.testing.assert_array_equal(frame, np.load(dive / "scans" / "000002" / "frames_left.npy")[names.index("bright")])
 
-    # Worked through anew, here and by a scheduler's worker; a page of it.
+    # Worked through anew; a page of it.
     here = desk.json("reprocess", packed, "--out", "out")
     assert (here["done"], here["failed"], here["left"]) == (2, 0, 0)
     desk("season", here["table"], "--out", "season.html")
     assert "2 of 2" in (desk.folder / "season.html").read_text(encoding="utf-8")
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        port = one.getsockname()[1]
-    address = f"tcp://127.0.0.1:{port}"
-    with (
-        desk.running("dask", "scheduler", "--host", "127.0.0.1", "--port", port, "--no-dashboard"),
-        desk.running("dask", "worker", address, "--nthreads", 1, "--no-dashboard"),
-    ):
-        there = desk.json("reprocess", packed, "--out", "many", "--scheduler", address)
-    assert there["done"] == 2
-    clouds = [sorted(row["cloud_sha256"] for row in said["rows"]) for said in (here, there)]
-    assert clouds[0] == clouds[1], "the same points"
     assert all(int(row["points"]) > 20_000 for row in read_table(desk.folder / here["table"]))
 
     # For other programs.
@@ -207,20 +175,7 @@ def test_a_desk_does_all_of_it_from_a_wheel_and_from_another_folder(desk: Desk, 
     assert said["points"] > 5000
 
     # Two scans as one object, and the page about it.
-    desk(
-        "object",
-        "solve",
-        "shell",
-        "000001",
-        "000002",
-        "--root",
-        back,
-        "--spacing",
-        "1",
-        "--out",
-        "shell.ply",
-        "--out",
-        "shell.html",
-    )
+    outs = ("--out", "shell.ply", "--out", "shell.html")
+    desk("object", "solve", "shell", "000001", "000002", "--root", back, "--spacing", "1", *outs)
     assert (desk.folder / "shell.ply").stat().st_size > 100_000
     assert "plotly" in (desk.folder / "shell.html").read_text(encoding="utf-8")

@@ -1,7 +1,9 @@
-"""A diver who goes where the screen points: between scans no pose is planned, only a first nudge along the pipe."""
+"""A diver who goes where the screen points along a metre of pipe, once too far: scans overlap by half, and the desk makes one object of them."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
@@ -10,29 +12,53 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
-from appliance.config import load_rig
+from appliance.calibration.file import encode
+from appliance.cli.main import main
+from appliance.config import Rig
 from appliance.machine.words import english
 from appliance.scan.guidance import LEAST_GOOD, MOST_GOOD
 from appliance.screens.painter import Painter
-from appliance.screens.views import AimView, AnyView, ReviewView
+from appliance.screens.views import AimView, AnyView, MenuView, ReviewView
 from appliance.service.app import run
-from appliance.storage.library import Library
+from appliance.service.keys import KeyReader
+from appliance.storage import objects
+from appliance.storage.library import Library, LibraryFolder
+from appliance.storage.manifest import read
+from drivers.api import KeyEvent, KeyPress
+from hw_sim.objects.motion import pose_matrix
 from hw_sim.people import script
 from hw_sim.people.follower import follow
 from hw_sim.people.operator import Operator
 from hw_sim.world import true_rig
-from tests.integration.test_many_scans_in_the_water import BEGIN, in_the_object
-from tests.support.truth import left_to_rig
+from tests.integration.dived import instrument
+from tests.support.truth import left_to_rig, true_calibration
 
-pytestmark = pytest.mark.dive
+Array = NDArray[np.float64]
 
 STEP_MM = 30
 ALIKE = 0.1
 """What was said while aiming, against what the scan has in common then: hands have not moved."""
+CPU_S = 0.5
+"""Of the overlap, as the worker measures it itself."""
+MOST_PICTURES = 2
+"""From a press to its answer: at 60 Hz a third of the 100 ms that a diver may wait."""
+FIRST = (250.0, 3.0, 553.0, 1.0, -2.0, 1.0)
 SCRIPT = f"""
-{BEGIN}
-object main 250 3 553 1 -2 1
+wait state AIM 120
+press back                # UNCALIBRATED: seen
+pause 0.5
+press up
+wait state MENU 5
+press down
+press down
+press down
+press down
+press scan
+press up                  # 1 NEW
+press scan
+press back
+wait state AIM 5
+object main {" ".join(f"{value:g}" for value in FIRST)}
 pause 0.3
 press scan
 wait state REVIEW 90
@@ -47,7 +73,14 @@ wait overlap OVERLAP* 60
 press scan
 wait scans 2 60
 wait state AIM 60
-object main -55 2 556 2 2 -2        # carried along by the current: too far
+object main -250 2 556 2 2 -2     # carried along by the current: nothing in common
+pause 0.3
+press scan
+wait state REVIEW 90
+wait overlap NO* 60
+press back 1
+wait state AIM 20
+object main -55 2 556 2 2 -2
 follow {STEP_MM} 60               # back
 press scan
 wait state REVIEW 90
@@ -59,19 +92,50 @@ end
 """
 
 
-def test_who_follows_the_arrow_takes_scans_that_overlap_by_half(tmp_path: Path) -> None:
-    (tmp_path / "dive.script").write_text(SCRIPT)
-    options = SimOptions(
-        root=tmp_path / "root", object_name="main", texture="slight", truth="nominal", seed=3, size="400x300",
-        script=tmp_path / "dive.script",
-    )  # fmt: skip
-    rig = simulated(load_rig(default_sim_rig()), options)
+@dataclass(frozen=True)
+class GuidedDive:
+    rig: Rig
+    aimed: tuple[str, ...]
+    """Words of the guidance as they were drawn."""
+    reviewed: tuple[str, ...]
+    """Words about the overlap as they were drawn."""
+    poses: tuple[tuple[float, ...], ...]
+    """Of the scans that were kept."""
+    told: tuple[KeyPress | AnyView, ...]
+    """Presses as they were heard and views as they were drawn, up to MENU and back."""
+
+    @property
+    def library(self) -> Library:
+        return Library(self.rig.storage.root)
+
+    def clouds(self) -> list[Array]:
+        """Return the points of every kept scan in the main's own frame, mm."""
+        truth, found = true_rig(self.rig.rig.wires_options), []
+        for scan, pose in zip(self.library.ids(), self.poses, strict=True):
+            cloud = self.library.load(scan).cloud()
+            assert cloud is not None
+            R, t = pose_matrix(pose)
+            found.append(np.asarray((left_to_rig(truth, cloud.points_mm) - t) @ R))
+        return found
+
+
+@pytest.fixture(scope="module")
+def dive(tmp_path_factory: pytest.TempPathFactory) -> GuidedDive:
+    folder = tmp_path_factory.mktemp("guided")
+    rig = instrument(folder, SCRIPT, object_name="main", texture="slight", truth="nominal", seed=3)
     aimed: list[str] = []
     reviewed: list[str] = []
     followed: list[tuple[float, ...]] = []
-    draw = Painter.draw
+    told: list[KeyPress | AnyView] = []
+    draw, take = Painter.draw, KeyReader.take
+
+    def taken(reader: KeyReader) -> list[KeyEvent]:
+        events = take(reader)
+        told.extend(event for event in events if isinstance(event, KeyPress))
+        return events
 
     def drawn(painter: Painter, view: AnyView, time_s: float) -> NDArray[np.uint8]:
+        told.append(view)
         if isinstance(view, AimView) and view.guidance is not None:
             aimed.append(view.guidance.whole)
         elif isinstance(view, ReviewView) and view.overlap is not None:
@@ -85,23 +149,77 @@ def test_who_follows_the_arrow_takes_scans_that_overlap_by_half(tmp_path: Path) 
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Painter, "draw", drawn)
+        patch.setattr(KeyReader, "take", taken)
         patch.setattr(script, "follow", seen)
         assert run(rig) == 0
-    scans = Library(rig.storage.root)
-    poses = [(250.0, 3.0, 553.0, 1.0, -2.0, 1.0), *followed]
-    assert len(scans.ids()) == len(poses) == 3
+    return GuidedDive(rig, tuple(dict.fromkeys(aimed)), tuple(dict.fromkeys(reviewed)), (FIRST, *followed), tuple(told))
+
+
+def shares(clouds: Sequence[Array]) -> list[float]:
+    """Return of each cloud but the first the share of points that the one before has too."""
+    near = [cKDTree(one).query(other[::20], distance_upper_bound=3.0)[0] for one, other in pairwise(clouds)]
+    return [float(np.isfinite(distance).mean()) for distance in near]
+
+
+def test_who_follows_the_arrow_takes_scans_that_overlap_by_half_and_the_screen_says_the_true_overlap(
+    dive: GuidedDive,
+) -> None:
+    assert [entry.ok for entry in dive.library.entries()] == [True] * 3
     # The main lies along x: on means to its smaller x, back to its larger.
-    assert poses[1][0] < 200.0
-    assert poses[2][0] > -55.0, poses
-    truth = true_rig(rig.rig.wires_options)
-    clouds = []
-    for scan, pose in zip(scans.ids(), poses, strict=True):
-        cloud = scans.load(scan).cloud()
-        assert cloud is not None
-        clouds.append(in_the_object(left_to_rig(truth, cloud.points_mm), pose))
-    for before, after in pairwise(clouds):
-        distance, _ = cKDTree(before).query(after[::20], distance_upper_bound=3.0)
-        assert LEAST_GOOD - ALIKE < np.isfinite(distance).mean() < MOST_GOOD + ALIKE
-    moves = [words.split(": ")[-1] for words in dict.fromkeys(aimed)]
-    assert {"GO ON", "GO BACK", "SCAN NOW"} <= set(moves)
-    assert len(dict.fromkeys(reviewed)) == 2, "and after each scan the overlap that it has"
+    assert dive.poses[1][0] < 200.0
+    assert dive.poses[2][0] > -55.0, dive.poses
+    true = shares(dive.clouds())
+    assert all(LEAST_GOOD - ALIKE < share < MOST_GOOD + ALIKE for share in true)
+    assert {"GO ON", "GO BACK", "SCAN NOW"} <= {words.split(": ")[-1] for words in dive.aimed}
+    first, too_far, second = dive.reviewed
+    assert too_far == "NO OVERLAP: GO BACK"
+    said_percent = [float(words.split()[1]) for words in (first, second)]
+    assert said_percent == pytest.approx([100.0 * share for share in true], abs=5.0)
+
+
+def test_no_key_in_the_menu_keeps_anyone_waiting(dive: GuidedDive) -> None:
+    answered = 0
+    for number, what in enumerate(dive.told):
+        before = next((view for view in reversed(dive.told[:number]) if not isinstance(view, KeyPress)), None)
+        if isinstance(what, KeyPress) and isinstance(before, MenuView):
+            after = [view for view in dive.told[number + 1 : number + 12] if not isinstance(view, KeyPress)]
+            pictures = next((k for k, view in enumerate(after, 1) if answers(before, view)), len(after) + 1)
+            assert pictures <= MOST_PICTURES, f"{what} over {before}: answered by picture {pictures}"
+            answered += 1
+    assert answered >= 6
+
+
+def answers(before: MenuView, after: AnyView) -> bool:
+    """Return whether another picture than ``before`` is shown."""
+    if not isinstance(after, MenuView):
+        return True
+    return (before.rows, before.selected, before.keys) != (after.rows, after.selected, after.keys)
+
+
+def test_every_scan_carries_the_objects_number_and_the_overlap_costs_the_worker_little(dive: GuidedDive) -> None:
+    manifests = [entry.manifest for entry in dive.library.entries()]
+    assert {manifest.record.object for manifest in manifests if manifest is not None} == {1}
+    (rejected,) = dive.library.entries(LibraryFolder.REJECTED)
+    assert read(rejected.folder).record.object == 1
+    spent = [one.record.stage_times_s["overlap_cpu"] for one in manifests[1:] if one is not None]
+    assert float(np.median(spent)) < CPU_S
+
+
+def test_one_call_at_the_desk_makes_points_mesh_and_page_of_it(dive: GuidedDive, tmp_path: Path) -> None:
+    root = dive.rig.storage.root
+    truth = tmp_path / "truth.json"
+    truth.write_bytes(encode(true_calibration(true_rig(dive.rig.rig.wires_options))))
+    outs = [tmp_path / name for name in ("object.e57", "object.stl", "report.html")]
+    # Of the first view and the second a plain pipe is in common, along which they may slide.
+    scans = dive.library.ids()[1:]
+    words = ["object", "solve", "pipe", *scans, "--root", str(root), "--spacing", "1"]
+    words += ["--calibration", str(truth), "--foreign-calibration"]
+    assert main([*words, *(word for out in outs for word in ("--out", str(out)))]) == 0
+    assert [out.stat().st_size > 10_000 for out in outs] == [True] * 3
+    stored = objects.read(root, "pipe")
+    assert stored.places is not None
+    assert list(stored.places.places) == scans
+    first, last = (np.array(place.middle_mm) for place in stored.places.places.values())
+    _, one, other = dive.clouds()
+    true_mm = float(np.linalg.norm(np.median(other, axis=0) - np.median(one, axis=0)))
+    assert float(np.linalg.norm(last - first)) == pytest.approx(true_mm, abs=6.0)

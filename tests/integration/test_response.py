@@ -9,15 +9,13 @@ import pytest
 
 from appliance.calibration import noise_file
 from appliance.calibration.response.file import encode
-from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.config import Rig, load_rig
 from appliance.config.rig import ScanRig
 from appliance.instrument import NOISE_FILE, RESPONSE_FILE
 from appliance.offline.measuring import noise_of_scan, noise_to_store, response_of_scan
 from appliance.service.app import run
-from appliance.storage.atomic import replace_file
-from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.library import Library
+from tests.integration.dived import instrument
 
 CAMERAS = {"seed": 10_003, "families": ["cameras"]}
 DIVE = """
@@ -32,32 +30,22 @@ end
 
 
 def dive(rig: Rig) -> Path:
-    """One scan, kept; its folder."""
+    """Return the folder of the one scan that is taken and kept."""
     assert run(rig) == 0
     library = Library(rig.storage.root)
-    last = library.last_id()
-    assert last is not None
-    return library.entry(last).folder
+    return library.entry(library.ids()[-1]).folder
 
 
-@pytest.mark.dive
 def test_response_and_noise_measured_under_water_are_used_from_the_next_start_on(tmp_path: Path) -> None:
-    script = tmp_path / "dive.script"
-    script.write_text(DIVE)
-    options = SimOptions(root=tmp_path / "dive", object_name="plane", truth="nominal", size="400x300", script=script)
-    rig = replace(simulated(load_rig(default_sim_rig()), options), scan=ScanRig(64))
-
+    rig = replace(instrument(tmp_path, DIVE, object_name="plane", truth="nominal"), scan=ScanRig(64))
     # Cameras of another make than the rig file's data sheets: 18,300 instead of 13,000 electrons.
     rig = replace(rig, rig=replace(rig.rig, wires_options={**rig.rig.wires_options, "outside": CAMERAS}))
     before = dive(rig)
     found = noise_of_scan(rig, before)
     (rig.storage.root / NOISE_FILE).parent.mkdir(parents=True, exist_ok=True)
-    replace_file(
-        LocalFileSystem(), rig.storage.root / NOISE_FILE, noise_file.encode(noise_to_store(rig, before, found))
-    )
+    (rig.storage.root / NOISE_FILE).write_bytes(noise_file.encode(noise_to_store(rig, before, found)))
     stored, bent = response_of_scan(rig, before, lambda what, part: None)
-    path = rig.storage.root / RESPONSE_FILE
-    replace_file(LocalFileSystem(), path, encode(stored))
+    (rig.storage.root / RESPONSE_FILE).write_bytes(encode(stored))
     after = dive(rig)
     _, straight = response_of_scan(rig, after, lambda what, part: None)
 
@@ -68,10 +56,8 @@ def test_response_and_noise_measured_under_water_are_used_from_the_next_start_on
     assert hashes == [None, stored.response.hash]
     # Each scan carries what it was taken with: the data sheets' noise, then the measured one.
     for folder, expects in ((before, 13_000.0), (after, found["left"][0].full_well_e)):
-        carried = load_rig(folder / "rig.toml")
-        assert carried.camera.left.full_well_e == pytest.approx(expects)
-    again = noise_of_scan(load_rig(after / "rig.toml"), after)
-    for measured, expected in again.values():
+        assert load_rig(folder / "rig.toml").camera.left.full_well_e == pytest.approx(expects)
+    for measured, expected in noise_of_scan(load_rig(after / "rig.toml"), after).values():
         light_dn, variance_dn2 = measured.variance_at_dn2
         assert expected.variance_dn2(light_dn) == pytest.approx(variance_dn2, rel=0.06)
     for measured, data_sheet in found.values():

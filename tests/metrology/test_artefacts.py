@@ -23,15 +23,7 @@ MEAN_OF_A_PIXEL_MM = 0.03
 resolution this is a sixteenth."""
 
 
-@pytest.mark.parametrize(
-    "pose",
-    [
-        (0.0, 0.0, 522.5, 0.0, 10.0, 15.0),
-        (0.0, -30.0, 480.0, 0.0, -20.0, -10.0),
-        (10.0, 30.0, 560.0, 0.0, 30.0, 60.0),
-        (0.0, 0.0, 522.0, 5.0, -30.0, 90.0),
-    ],
-)
+@pytest.mark.parametrize("pose", [(0.0, -30.0, 480.0, 0.0, -20.0, -10.0), (0.0, 0.0, 522.0, 5.0, -30.0, 90.0)])
 def test_a_ball_bar_in_any_pose(pose: Pose) -> None:
     scan = render_scan(Scene(object="ballbar", pose=pose), "modelled", 3, WIDTH_PX, 16)
     _, cloud = reconstruct(scan)
@@ -50,8 +42,8 @@ def test_a_ball_bar_in_any_pose(pose: Pose) -> None:
         assert ball.used.count > 500
 
 
-@pytest.mark.parametrize("pose", [(0.0, 0.0, 480.0, -10.0, 5.0, 5.0), (10.0, 5.0, 570.0, 0.0, -20.0, 0.0)])
-def test_a_plane_in_any_pose(pose: Pose) -> None:
+def test_a_plane_is_where_it_is_and_no_frustum() -> None:
+    pose = (10.0, 5.0, 570.0, 0.0, -20.0, 0.0)
     # Of the projector's own response, images as small as these show more than noise: see test_response.
     scan = render_scan(Scene(object="plane", pose=pose, imaging=Imaging("linear")), "modelled", 3, WIDTH_PX, 16)
     _, cloud = reconstruct(scan)
@@ -65,10 +57,11 @@ def test_a_plane_in_any_pose(pose: Pose) -> None:
     result = flatness(fit)
     assert result.e_f_sys < 1e-4
     assert result.noise_mm == pytest.approx(float(np.median(cloud.sigma_mm)), rel=0.2)
+    assert isinstance(find_frustum(cloud), NotFound)
 
 
-@pytest.mark.parametrize("pose", [(0.0, 0.0, 520.0, 10.0, 5.0, -20.0), (10.0, 10.0, 560.0, -5.0, 12.0, 45.0)])
-def test_a_frustum_in_any_pose(pose: Pose) -> None:
+def test_a_frustum_is_as_large_as_it_is_and_where() -> None:
+    pose = (10.0, 10.0, 560.0, -5.0, 12.0, 45.0)
     scan = render_scan(Scene(object="frustum", pose=pose), "modelled", 3, WIDTH_PX, 16)
     _, cloud = reconstruct(scan)
     frustum = find_frustum(cloud)
@@ -89,10 +82,3 @@ def test_a_frustum_in_any_pose(pose: Pose) -> None:
         away = np.linalg.norm(true[:, None] - found[None], axis=2)
         assert away.min(axis=0).max() < 0.015
         assert len(set(away.argmin(axis=0))) == 4
-
-
-def test_a_plane_is_no_frustum() -> None:
-    scan = render_scan(Scene(object="plane"), "modelled", 3, WIDTH_PX, 16)
-    found = find_frustum(reconstruct(scan)[1])
-    assert isinstance(found, NotFound)
-    assert found.reason == "top and plate of the frustum were not both found; turn its top towards the instrument"

@@ -22,7 +22,6 @@ from tests.support.truth import WATER, rig_to_left, true_calibration
 AIR = 1.0
 NO_PORT = Port((0.0, 0.0, 1.0), 0.0, 0.0, 1.0)
 POSES = [
-    (0.0, 0.0, 522.5, 0.0, 25.0, 15.0),
     (0.0, -30.0, 480.0, 0.0, -20.0, -10.0),
     (10.0, 30.0, 560.0, 0.0, 30.0, 60.0),
 ]

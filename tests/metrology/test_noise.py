@@ -7,14 +7,11 @@ import pytest
 
 from appliance.calibration.photon_transfer import NoiseError, measure_noise
 from appliance.patterns.sequence import build_sequence
-from appliance.reconstruct.pipeline import Pipeline
-from appliance.scan.noise import TYPICAL_PAIR, StereoNoise, camera_noise
-from hw_sim.outside import draw_outside
+from appliance.scan.noise import camera_noise
 from hw_sim.rendering.sensor import E_PER_DN, FULL_WELL_E, OFFSET_DN, READ_NOISE_E, Sensor
 from hw_sim.scene import Imaging, Scene
 from tests.support.bias import depth_errors, rms
 from tests.support.rendered import reconstruct, render_scan
-from tests.support.truth import WATER, true_calibration
 
 SIZE_PX = (1600, 240)
 """Full resolution across; a strip is as good as an image and takes a fifth of the time."""
@@ -35,13 +32,11 @@ def residuals(scene: Scene, period_px: int = 16, exposure_s: float = 0.012) -> t
 @pytest.mark.parametrize(
     ("scene", "period_px", "exposure_s"),
     [
-        (Scene(object="plane", imaging=Imaging("linear")), 16, 0.012),
         (Scene(object="plane", pose=TILTED, imaging=Imaging("linear")), 64, 0.012),
         (Scene(object="plane", texture="checker", imaging=Imaging("linear")), 16, 0.010),
         (Scene(object="plane", ambient=0.3, imaging=Imaging("linear")), 32, 0.008),
-        (Scene(object="ballbar"), 16, 0.012),
     ],
-    ids=["plane", "tilted, longest period", "paint", "daylight", "balls"],
+    ids=["tilted, longest period", "paint", "daylight"],
 )
 def test_the_expected_error_of_points_is_their_error(scene: Scene, period_px: int, exposure_s: float) -> None:
     _, normalised = residuals(scene, period_px, exposure_s)
@@ -49,20 +44,13 @@ def test_the_expected_error_of_points_is_their_error(scene: Scene, period_px: in
     assert np.median(np.abs(normalised)) == pytest.approx(0.6745, rel=0.10), "and is no mean of sure and unsure points"
 
 
-def test_at_the_working_distance_points_scatter_by_less_than_three_hundredths_of_a_millimetre() -> None:
-    along, normalised = residuals(Scene(object="plane"))
-    assert rms(along) < 0.030
-    assert rms(normalised) == pytest.approx(1.0, abs=0.10), "also with the projector's own response"
-
-
 @pytest.mark.parametrize(
     ("scene", "period_px"),
     [
-        (Scene(object="pipe"), 16),
         (Scene(object="frustum", texture="strong", imaging=Imaging("linear")), 16),
         (Scene(object="stones", texture="checker", ambient=0.2), 32),
     ],
-    ids=["pipe", "painted frustum", "checked stones"],
+    ids=["painted frustum", "checked stones"],
 )
 def test_every_point_of_a_bent_steep_and_broken_surface_expects_its_error(scene: Scene, period_px: int) -> None:
     """All points of a small image, where fringes are six pixels wide and a pixel sees two thirds of a millimetre: limbs,
@@ -115,35 +103,3 @@ def test_images_too_coarse_to_tell_noise_from_fringes_say_so() -> None:
         measure_noise(build_sequence(64), even)
     with pytest.raises(NoiseError, match="no noise at all"):
         measure_noise(build_sequence(64), np.full((20, 300, 400), 90, np.uint8))
-
-
-@pytest.mark.parametrize("seed", [10_001, 10_004])
-def test_of_other_cameras_the_noise_is_found_and_the_expected_errors_are_true(seed: int) -> None:
-    """Cameras as drawn for the world outside: their data sheet was wrong by a fifth, and so was every expected error."""
-    scene = Scene("plane", imaging=Imaging("linear"), outside=draw_outside(seed, ("cameras",)))
-    scan = render_scan(scene, "modelled", seed, 400, 16)
-    found = {side: measure_noise(scan.sequence, frames).figures(side, 0.0) for side, frames in scan.frames.items()}
-    traits = scene.outside.cameras
-    assert traits is not None
-    cameras = []
-    for figures in found.values():
-        noise = camera_noise(figures.full_well_e, figures.read_noise_e, figures.black_level_dn, 0.0)
-        per_e = 255.0 / traits.full_well_e
-        for light_dn in (40.0, 90.0, 150.0):
-            true = (traits.read_noise_e * per_e) ** 2 + (light_dn - traits.black_dn) * per_e + 1.0 / 12.0
-            assert noise.variance_dn2(light_dn) == pytest.approx(true, rel=0.12)
-        cameras.append(noise)
-    normalised = []
-    for pair in (StereoNoise(cameras[0], cameras[1]), TYPICAL_PAIR):
-        with Pipeline(true_calibration(scan.renderer.truth), WATER, scan.sequence, noise=pair) as pipeline:
-            for k in range(len(scan.sequence)):
-                for side, frames in scan.frames.items():
-                    pipeline.push(side, frames, k)
-            pipeline.coarse()
-            cloud = pipeline.full()
-        errors = depth_errors(scan.renderer, cloud)
-        inner = errors.seen & (np.abs(errors.along_ray_mm) < 1.0)
-        normalised.append(rms((errors.along_ray_mm / cloud.sigma_mm)[inner]))
-    measured, data_sheet = normalised
-    assert measured == pytest.approx(1.0, abs=0.1)
-    assert data_sheet < 0.9

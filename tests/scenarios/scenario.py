@@ -6,13 +6,10 @@
     given nonsense in calibration/current.json   before: a file below the storage root
     given fault camera.left slow                 before: what is broken when the power comes on
     given disk 40                                before: the storage is a disk of its own, of so many MB
-    given cameras KF-CAM-X KF-CAM-R              before: left and right camera in the calibration that ``calibrated`` gives
     given calibrated                             before: a calibration in water that is exactly right (of the nominal rig)
     given the calibration of KF-0007             before: the same, of another instrument; where it was calibrated, in its place
-    given another instance                       before: another process holds the storage
     power cut                                    in the dive: the machine is off at that moment; what follows is the next start
     ends * is gone *                             in the dive: the program ends with these words; what follows is the next start
-    refused CONFIG: ...                          instead of a dive: why the program does not start; * stands for anything
     ...                                          the dive: a diver's script (docs/protocols/world.md)
     after saved 1                                afterwards: how many scans lie there; each must be whole
     after rejected 1
@@ -33,7 +30,6 @@ import signal
 import subprocess
 import sys
 from collections.abc import Mapping
-from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -47,7 +43,6 @@ from appliance.instrument import design_of
 from appliance.service.app import run
 from appliance.storage.calibrations import Calibrations
 from appliance.storage.library import Library, LibraryFolder
-from appliance.storage.lock import hold_lock
 from appliance.storage.record import ScanRecord
 
 SMALL = {"width_px": "400", "height_px": "300", "truth": "nominal", "object": "plane", "stills": "true"}
@@ -55,8 +50,7 @@ SHELVES = {"saved": LibraryFolder.SCANS, "rejected": LibraryFolder.REJECTED, "se
 PATTERNS = {
     "world": r"world( \w+=\S+)+",
     "rig": r"rig( [\w.]+=\S+)+",
-    "given": r"given (nonsense in \S+|fault .+|disk \d+|calibrated|cameras \S+ \S+|the calibration of \S+|another instance)",
-    "refused": r"refused .+",
+    "given": r"given (nonsense in \S+|fault .+|disk \d+|calibrated|the calibration of \S+)",
     "after": r"after ((saved|rejected|set-aside) \d+|verdict [\w-]+ (passed|failed) in \d{6}|damaged \d{6}|(dated|undated|salinity) \S+ in \d{6}|measured with (current|kept|design) in \d{6})",
 }
 
@@ -67,22 +61,14 @@ class Scenario:
 
     world: Mapping[str, str]
     rig: Mapping[str, str]
-    nonsense: tuple[str, ...]
-    faults: tuple[str, ...]
-    calibrated: bool
-    cameras: tuple[str, str] | None
-    """Serial numbers that the calibration is of; ``None``: it does not say."""
-    other_serial: str | None
-    """The calibration in use is of this instrument."""
-    another: bool
-    """Another process holds the storage."""
-    refused: str | None
-    """What the program says instead of starting."""
-    disk_mb: int | None
-    """Of a disk that is the storage's alone; ``None``: whatever lies under the tests."""
+    given: tuple[str, ...]
     script: str
     """The diver's part; every line where it stands in the file."""
     after: tuple[tuple[str, ...], ...]
+
+    def given_words(self, begin: str) -> list[str]:
+        """Return what follows ``begin`` in each line about what was before."""
+        return [said.removeprefix(begin).strip() for said in self.given if said.startswith(begin)]
 
     @property
     def starts(self) -> list[tuple[str, str | None]]:
@@ -106,55 +92,35 @@ def parse(text: str) -> Scenario:
     for number, line in enumerate(text.splitlines(), 1):
         said = " ".join(line.split("#", 1)[0].split())
         verb = said.partition(" ")[0]
-        if verb not in PATTERNS:
-            script.append(line)
-            continue
-        if not re.fullmatch(PATTERNS[verb], said):
+        if verb in PATTERNS and not re.fullmatch(PATTERNS[verb], said):
             raise ValueError(f"line {number}: '{said}' is not understood; allowed: {PATTERNS[verb]}")
-        found[verb].append(said.partition(" ")[2])
-        script.append("")
-    settings = {
-        verb: dict(pair.split("=", 1) for said in found[verb] for pair in said.split()) for verb in ("world", "rig")
-    }
-    return Scenario(
-        settings["world"],
-        settings["rig"],
-        tuple(said.split()[-1] for said in found["given"] if said.startswith("nonsense")),
-        tuple(said.partition(" ")[2] for said in found["given"] if said.startswith("fault")),
-        "calibrated" in found["given"],
-        next(((said.split()[1], said.split()[2]) for said in found["given"] if said.startswith("cameras")), None),
-        next((said.split()[-1] for said in found["given"] if said.startswith("the calibration")), None),
-        "another instance" in found["given"],
-        next(iter(found["refused"]), None),
-        next((int(said.split()[1]) for said in found["given"] if said.startswith("disk")), None),
-        "\n".join(script),
-        tuple(tuple(said.split()) for said in found["after"]),
+        if verb in PATTERNS:
+            found[verb].append(said.partition(" ")[2])
+        script.append("" if verb in PATTERNS else line)
+    world, rig = (
+        dict(pair.split("=", 1) for said in found[verb] for pair in said.split()) for verb in ("world", "rig")
     )
+    after = tuple(tuple(said.split()) for said in found["after"])
+    return Scenario(world, rig, tuple(found["given"]), "\n".join(script), after)
 
 
 def play(scenario: Scenario, folder: Path) -> Library:
     """Dive, from power on to power off, and look at what is left. Raises what the script or the service raises."""
     root = folder / "root"
-    if scenario.disk_mb is not None:
-        _mount(root, scenario.disk_mb)
-    for name in scenario.nonsense:
+    for size_mb in scenario.given_words("disk"):
+        _mount(root, size_mb)
+    for name in scenario.given_words("nonsense in"):
         (root / name).parent.mkdir(parents=True, exist_ok=True)
         (root / name).write_bytes(b'{"nonsense": \x00')
-    script = folder / "dive.script"
-    rig_file = folder / "rig.toml"
+    script, rig_file = folder / "dive.script", folder / "rig.toml"
     rig_file.write_text(_rig_text(scenario), encoding="utf-8")
-    if scenario.refused is not None:
-        _refuse(scenario, rig_file, root)
-        return Library(root)
     rig = load_rig(rig_file)
-    exact = replace(
-        design_of(rig), method="bundle", made_at="2026-11-20T10:00:00+00:00", camera_serials=scenario.cameras
-    )
+    exact = replace(design_of(rig), method="bundle", made_at="2026-11-20T10:00:00+00:00")
     calibrations = Calibrations(root, rig.rig.serial)
-    if scenario.calibrated:
+    if "calibrated" in scenario.given:
         calibrations.install(exact, "2026-11-20")
-    if scenario.other_serial is not None:
-        calibrations.install(replace(exact, rig_serial=scenario.other_serial), "2026-11-21")
+    for serial in scenario.given_words("the calibration of"):
+        calibrations.install(replace(exact, rig_serial=serial), "2026-11-21")
     options = {**rig.rig.wires_options, "script": str(script), "status": str(root / "run" / "status.json")}
     *cut_short, (last, _) = scenario.starts
     for part, ends in cut_short:
@@ -185,21 +151,7 @@ def _cut_short(rig_file: Path, options: Mapping[str, Any], root: Path, ends: str
     (root / "run" / "status.json").unlink(missing_ok=True)  # it lies in memory on the instrument
 
 
-def _refuse(scenario: Scenario, rig_file: Path, root: Path) -> None:
-    """Start it, as an operator would, and read what it says."""
-    rig_file.write_text(_set(_rig_text(scenario), "storage", "root", str(root)), encoding="utf-8")
-    with hold_lock(root) if scenario.another else nullcontext():
-        started = subprocess.run(
-            [sys.executable, "-m", "appliance.cli", "run", "--rig", str(rig_file)],
-            capture_output=True, text=True, timeout=120, check=False,
-        )  # fmt: skip
-    assert started.returncode != 0, "it started"
-    said = " ".join(started.stderr.split())
-    assert "Traceback" not in said, said
-    assert fnmatch.fnmatchcase(said, f"*{scenario.refused}*"), said
-
-
-def _mount(root: Path, size_mb: int) -> None:
+def _mount(root: Path, size_mb: str) -> None:
     """A disk in memory; it goes with the last one who uses it. Skipped where this user may not mount one."""
     root.mkdir()
     mount = ["mount", "-t", "tmpfs", "-o", f"size={size_mb}m", "none", str(root)]
@@ -261,7 +213,7 @@ def _rig_text(scenario: Scenario) -> str:
     for key, value in scenario.rig.items():
         section, _, name = key.rpartition(".")
         text = _set(text, section, name, value)
-    faults = {"faults": repr(list(scenario.faults))}
+    faults = {"faults": repr(scenario.given_words("fault"))}
     for name, value in {**SMALL, **faults, **scenario.world}.items():
         text = _set(text, "rig.wires_options", name, value)
     return text
