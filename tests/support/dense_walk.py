@@ -205,18 +205,6 @@ def as_built() -> Bench:
     )
 
 
-def in_air() -> Bench:
-    """Two pinholes in air at 800 mm, and a projector that stands above the line between them."""
-    target = (0.0, 0.0, 800.0)
-    camera = HousedCamera(
-        240, 180, Lens((2100.0, 2100.0), (121.0, 87.0), (-0.12, 0.08, 0.0, 0.0, 0.0)), PERPENDICULAR, lens_in_water=True
-    )
-    throwing = HousedCamera(1024, 768, Lens((1800.0, 1800.0), (511.5, 383.5)), PERPENDICULAR, lens_in_water=True)
-    return Bench(
-        StereoRig(camera, _at(camera, (260.0, 0.0, 30.0), target)), _at(throwing, (120.0, -60.0, 10.0), target), 1.0
-    )  # fmt: skip
-
-
 def stacked() -> Bench:
     """The right camera above the left one, behind ports, and fringes of rows."""
     drawn = as_drawn()

@@ -40,13 +40,6 @@ def pipe(sections: int) -> tuple[Array, Array]:
     return along_x, faces
 
 
-def finer() -> tuple[Array, Array]:
-    """The same pipe in more triangles, of which none is longer than a tenth of it."""
-    cut: Any = trimesh.remesh.subdivide_to_size
-    vertices, faces = cut(*pipe(256), LONG_MM / 10.0)
-    return vertices, faces
-
-
 def view(low_mm: float, high_mm: float, n: int = 16_000) -> OrientedPoints:
     """What a camera beside it has of the pipe between both places on its axis: ``n`` points of a third of its round, in a frame of its own."""
     rng = np.random.default_rng(8)

@@ -5,18 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from appliance.compensation.albedo import denoised, gray_images
+from appliance.compensation.albedo import denoised
 from appliance.compensation.attempt import is_better
 from appliance.compensation.displacement import (
     FIRST_FRAME,
     FRAME_COEFFICIENTS,
     OF_PHASE,
     DisplacementField,
-    read_spline,
-    spline_noise_share,
 )
 from appliance.compensation.phase_solver import SINES, weigh_offset
-from appliance.compensation.redecode import GOOD_VARIANCE, drop_new_borders, misfit_factor, phase_variance, settled_t
+from appliance.compensation.redecode import GOOD_VARIANCE, drop_new_borders, misfit_factor, phase_variance
 from appliance.compensation.stripes import illuminated_at, stripes_of
 from appliance.patterns.sequence import Direction, build_sequence
 
@@ -31,16 +29,6 @@ def test_stripes_are_lit_where_the_pattern_is(period_px: int) -> None:
         codes = pattern.codes()
         lit = np.array([illuminated_at(x + 0.5, width_px, 0.0) for x in range(len(codes))])
         assert (lit == (codes > 0)).all(), pattern.name
-
-
-def test_albedo_is_asked_first_of_the_images_around_the_sines_that_make_the_depth() -> None:
-    sequence = build_sequence(16)
-    stripes, places, near = gray_images(sequence)
-    x, y = sequence.axis(Direction.X), sequence.axis(Direction.Y)
-    assert set(stripes.frames[:near]) == {*x.gray[-4:], *y.gray[:4]}
-    assert set(stripes.frames) == {*x.gray, *y.gray, sequence.bright}
-    followed = (*x.sine, sequence.bright, *x.gray, *y.gray)
-    assert [followed[k] for k in places] == list(stripes.frames)
 
 
 def test_even_albedo_loses_its_noise_and_borders_stay() -> None:
@@ -72,11 +60,6 @@ def test_albedo_is_asked_where_steps_shrink_or_grow() -> None:
     assert phase_variance(field_with(85.0 / 360.0)) > GOOD_VARIANCE, "steps of 175° are hardly more than two values"
 
 
-def test_depth_is_settled_sooner_where_the_hand_moves_less() -> None:
-    assert settled_t(field_with(0.0)) > settled_t(field_with(0.0, 5.0))
-    assert settled_t(field_with(0.0, 5.0)) * 5.0 < 0.05, "of a pixel"
-
-
 @pytest.mark.parametrize("steps_deg", [10.0, 30.0, 90.0, 150.0])
 @pytest.mark.parametrize("weight", [0.1, 30.0])
 def test_a_known_offset_is_one_more_value_of_the_least_squares(steps_deg: float, weight: float) -> None:
@@ -88,31 +71,6 @@ def test_a_known_offset_is_one_more_value_of_the_least_squares(steps_deg: float,
     weights = np.zeros((4, 4))
     by_offset = np.array(weigh_offset(np.cos(psi), np.sin(psi), weight, weights))
     assert weights[:3] @ y + by_offset * offset == pytest.approx(expected, rel=1e-6)
-
-
-def test_a_border_of_albedo_is_read_alike_wherever_between_pixels_it_lies() -> None:
-    def read(shift_px: float) -> np.ndarray:
-        edges = np.arange(25) - 12.3 - shift_px
-        share = np.clip(edges + 1.0, 0.0, 1.0)  # of each pixel behind the border
-        row = np.rint(40.0 + 160.0 * share).astype(np.uint8)
-        picture = np.tile(row, (9, 1)).ravel()
-        return np.array([read_spline(picture, 0, 25, np.float32(x + shift_px), np.float32(4.0)) for x in range(9, 16)])
-
-    assert max(float(np.abs(read(s) - read(0.0)).max()) for s in (0.25, 0.5, 0.75)) < 0.06 * 160.0
-
-
-def test_what_is_left_of_noise_is_what_reading_leaves() -> None:
-    rng = np.random.default_rng(3)
-    picture = np.clip(np.rint(rng.normal(120.0, 10.0, 400 * 400)), 0, 254).astype(np.uint8)
-    for u, v in ((0.0, 0.0), (0.5, 0.0), (0.3, 0.8)):
-        values = [
-            read_spline(picture, 0, 400, np.float32(x + u), np.float32(y + v))
-            for x in range(4, 390, 5)
-            for y in range(4, 390, 5)
-        ]
-        assert np.var(values) / 100.0 == pytest.approx(
-            float(spline_noise_share(np.float32(4 + u), np.float32(4 + v))), rel=0.06
-        )
 
 
 def test_a_variance_grows_by_half_of_what_the_frames_contradict_beyond_noise() -> None:

@@ -90,15 +90,6 @@ def test_a_row_is_solved_by_least_squares(steps_deg: float, weight: float) -> No
         assert abs(apart - round(apart)) < 2e-5
 
 
-def test_angles_in_turns_have_their_cosines_and_sines() -> None:
-    turns = np.linspace(-2.3, 2.3, 4001).astype(np.float32)
-    cosine, sine = np.empty_like(turns), np.empty_like(turns)
-    at.cosines(turns, cosine, sine)
-    angle = 2.0 * np.pi * turns.astype(np.float64)
-    np.testing.assert_allclose(cosine, np.cos(angle), atol=1e-6)
-    np.testing.assert_allclose(sine, np.sin(angle), atol=1e-6)
-
-
 HEIGHT, WIDTH, STEP = 12, 160, 8
 
 

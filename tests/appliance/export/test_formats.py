@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-import ast
 import importlib.util
 import json
+import re
 import struct
 import zipfile
-from dataclasses import replace
+from collections.abc import Callable
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,16 +19,14 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from appliance.export.content import CAMERA_FRAME, About, points_of_surface
+from appliance.export.content import CAMERA_FRAME, About
 from appliance.export.files import write_mesh, write_scan, write_surface
 from appliance.export.placed import PlacedGrid, write_placed
-from appliance.export.ply import encode_surface
 from appliance.export.suffixes import ExportError, require_library
 from appliance.reconstruct.organised import OrganisedCloud
 from appliance.surface.fusion import FusedCloud, PlacedScan, fuse, with_places
 from appliance.surface.libraries import MissingLibraryError
 from appliance.surface.mesh import Mesh, mesh_of_scan
-from appliance.surface.normals import normals
 from tests.support.e57 import read_e57
 from tests.support.solids import Ball, looking, seen
 
@@ -50,28 +50,122 @@ def surface() -> FusedCloud:
     return fuse([PlacedScan(one, far.rotation, far.translation_mm) for one in scans])
 
 
-def test_a_mesh_as_ply_has_faces_normals_grey_and_sigma(cloud: OrganisedCloud, tmp_path: Path) -> None:
-    mesh = mesh_of_scan(cloud)
-    write_mesh(tmp_path / "ball.ply", mesh, ABOUT)
-    read: Any = trimesh.load(tmp_path / "ball.ply", process=False)
-    np.testing.assert_allclose(read.vertices, mesh.vertices_mm, atol=UM)
-    np.testing.assert_array_equal(read.faces, mesh.faces)
-    np.testing.assert_array_equal(read.visual.vertex_colors[:, 0], mesh.grey)
+@dataclass(frozen=True)
+class Columns:
+    """What a reader that did not write the file found in it, in mm or in the file's own unit; and the words beside."""
+
+    xyz: NDArray[Any]
+    intensity: NDArray[Any]
+    normals: NDArray[Any]
+    others: dict[str, NDArray[Any]]
+    words: str
+
+
+def of_ply(path: Path) -> Columns:
+    read: Any = trimesh.load(path, process=False)
     data = read.metadata["_ply_raw"]["vertex"]["data"]
-    np.testing.assert_allclose(data["sigma"], mesh.sigma_mm, atol=1e-6)
-    np.testing.assert_allclose(
-        np.stack([data["nx"], data["ny"], data["nz"]], 1), np.nan_to_num(mesh.normals), atol=1e-6
-    )
-    head = (tmp_path / "ball.ply").read_bytes()[:600].decode("ascii", "replace")
-    assert "comment Kingfisher scan 000007: unit mm, left camera frame" in head
-    assert "water ? 10 ?C" in head, "headers are ASCII"
+    others = {name.removesuffix("_mm"): data[name] for name in data.dtype.names}
+    xyz, normals = (np.stack([data[f"{n}{axis}"] for axis in "xyz"], 1) for n in ("", "n"))
+    words = path.read_bytes().partition(b"end_header")[0].decode("ascii")
+    return Columns(xyz, data["blue"], normals, others, words)
 
 
-def test_points_as_ply_are_read_elsewhere(surface: FusedCloud, tmp_path: Path) -> None:
-    write_surface(tmp_path / "ball.ply", surface, ABOUT)
-    read: Any = trimesh.load(tmp_path / "ball.ply", process=False)
-    np.testing.assert_allclose(read.vertices, surface.points_mm, atol=UM)
-    np.testing.assert_array_equal(read.colors[:, 2], surface.grey)
+def of_e57(path: Path, scale: float = 1000.0) -> Columns:
+    read = read_e57(path)
+    others = {
+        name.removeprefix("kf:"): (1.0 if name == "kf:views" else scale) * values
+        for name, values in read.columns.items()
+        if name.startswith("kf:")
+    }
+    xyz, normals = (np.stack([read.columns[f"{of}{axis}"] for axis in "XYZ"], 1) for of in ("cartesian", "nor:normal"))
+    assert read.namespaces["nor"] == "http://www.libe57.org/E57_NOR_surface_normals.txt"
+    for axis, end in (("x", "Minimum"), ("z", "Maximum")):
+        ends = xyz[:, "xyz".index(axis)]
+        assert read.bounds_m[f"{axis}{end}"] == pytest.approx(ends.min() if end == "Minimum" else ends.max())
+    return Columns(scale * xyz, read.columns["intensity"], normals, others, f"{read.name}: {read.description}")
+
+
+def of_las(path: Path, unit: str = "metre") -> Columns:
+    """Points of an LAS 1.4 file of point format 6, from the tables of ASPRS' specification."""
+    raw, scale = path.read_bytes(), 1000.0 if unit == "metre" else 1.0
+    assert (raw[:4], raw[24], raw[25]) == (b"LASF", 1, 4)
+    assert raw[26:58].rstrip(b"\0") == f"Kingfisher, unit {unit}".encode()
+    assert raw[58:90].rstrip(b"\0") == b"kingfisher"
+    assert raw[6] & 16, "its coordinate system is in words"
+    assert raw[90:94] == bytes(4), "no date, else the same points would not give the same file"
+    header, data, vlrs, kind, length = struct.unpack_from("<HIIBH", raw, 94)
+    assert (kind, header) == (6, 375)
+    scales, offsets, bounds = (struct.unpack_from(f"<{n}d", raw, at) for n, at in ((3, 131), (3, 155), (6, 179)))
+    extra: list[tuple[str, str]] = []
+    place, texts = header, b""
+    for _ in range(vlrs):
+        user, record, size = struct.unpack_from("<2x16sHH", raw, place)
+        body = raw[place + 54 : place + 54 + size]
+        if (user.rstrip(b"\0"), record) == (b"LASF_Spec", 4):
+            assert set(body[2::192]) == {9}, "data type 9: float"
+            extra += [(body[k + 4 : k + 36].rstrip(b"\0").decode(), "<f4") for k in range(0, size, 192)]
+        if (user.rstrip(b"\0"), record) == (b"LASF_Spec", 3):
+            assert body.endswith(b"\0")
+            assert size <= 65_535
+        texts += body
+        place += 54 + size
+    fixed = [("xyz", "<i4", 3), ("intensity", "<u2"), ("returns", "u1"), ("rest", "V15")]
+    rows = np.frombuffer(raw, np.dtype([*fixed, *extra]), struct.unpack_from("<Q", raw, 247)[0], data)
+    assert rows.dtype.itemsize == length
+    assert (rows["returns"] == 0x11).all(), "the first of one"
+    assert rows["xyz"].min() >= 0, "the offset lies below all points"
+    xyz = rows["xyz"] * scales + offsets
+    np.testing.assert_allclose(bounds[1::2], xyz.min(axis=0), atol=1e-7)
+    normals = np.stack([rows[f"normal_{axis}"] for axis in "xyz"], 1)
+    lengths = {name.removesuffix("_m"): scale * rows[name] for name, _ in extra if name.endswith("_m")}
+    plain = {name: rows[name] for name, _ in extra if not name.endswith("_m")}
+    return Columns(scale * xyz, rows["intensity"] / 257, normals, lengths | plain, texts.decode("latin-1"))
+
+
+@pytest.mark.parametrize(
+    ("suffix", "read", "unit"),
+    [(".ply", of_ply, "unit mm"), (".e57", of_e57, "unit metre"), (".las", of_las, 'UNIT["metre",1.0]')],
+)
+def test_points_with_all_that_is_known_of_them_are_the_same_in_every_format(
+    suffix: str, read: Callable[[Path], Columns], unit: str, surface: FusedCloud, tmp_path: Path
+) -> None:
+    n = len(surface.grey)
+    placed = with_places(surface, np.linspace(0.001, 0.02, n), np.linspace(0.5, 0.1, n))
+    off = np.linspace(-1.0, 1.0, n).astype(np.float32)
+    off[:5] = np.nan
+    for name in ("off", "again"):
+        write_surface(tmp_path / f"{name}{suffix}", placed, ABOUT, off)
+    assert (tmp_path / f"off{suffix}").read_bytes() == (tmp_path / f"again{suffix}").read_bytes()
+    found = read(tmp_path / f"off{suffix}")
+    np.testing.assert_allclose(found.xyz, surface.points_mm, atol=UM)
+    np.testing.assert_array_equal(found.intensity, surface.grey)
+    np.testing.assert_allclose(found.normals, surface.normals, atol=1e-6)
+    assert placed.shares is not None
+    for name, values in (
+        ("sigma", placed.sigma_mm), ("deviation", off), ("sigma_bending", placed.shares.bending_mm),
+        ("sigma_place", placed.shares.place_mm), ("sigma_beside", placed.shares.beside_mm),
+    ):  # fmt: skip
+        np.testing.assert_allclose(found.others[name], values, rtol=1e-6)
+    if suffix != ".ply":
+        np.testing.assert_array_equal(found.others["views"], placed.views)
+    assert unit in found.words
+    assert "calibration abc" in found.words
+
+
+def test_a_mesh_as_ply_and_obj_is_read_elsewhere(cloud: OrganisedCloud, tmp_path: Path) -> None:
+    mesh = mesh_of_scan(cloud)
+    for suffix in (".ply", ".obj"):
+        write_mesh(tmp_path / f"ball{suffix}", mesh, ABOUT)
+        read: Any = trimesh.load(tmp_path / f"ball{suffix}", process=False, maintain_order=True)
+        np.testing.assert_allclose(read.vertices, mesh.vertices_mm, atol=UM)
+        np.testing.assert_array_equal(read.faces, mesh.faces)
+        np.testing.assert_allclose(read.visual.vertex_colors[:, 0], mesh.grey, atol=1)
+    of_mesh = of_ply(tmp_path / "ball.ply")
+    np.testing.assert_allclose(of_mesh.others["sigma"], mesh.sigma_mm, atol=1e-6)
+    np.testing.assert_allclose(of_mesh.normals, np.nan_to_num(mesh.normals), atol=1e-6)
+    assert "comment Kingfisher scan 000007: unit mm, left camera frame" in of_mesh.words
+    assert "water ? 10 ?C" in of_mesh.words, "headers are ASCII"
+    assert "unit mm" in (tmp_path / "ball.obj").read_text().splitlines()[0]
 
 
 def test_stl_is_read_elsewhere_and_its_normals_are_those_of_its_triangles(
@@ -86,15 +180,11 @@ def test_stl_is_read_elsewhere_and_its_normals_are_those_of_its_triangles(
     assert b"unit mm" in raw[:80]
     stored = np.frombuffer(raw[84:], np.dtype([("n", "<f4", 3), ("rest", "V38")]))["n"]
     np.testing.assert_allclose(stored, read.face_normals, atol=1e-3)
-
-
-def test_an_stl_triangle_without_area_has_no_normal(tmp_path: Path) -> None:
     corners = np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0]], np.float32)
     flat = Mesh(corners, np.array([[0, 1, 2]], np.int32), corners, corners[:, 0], np.zeros(3, np.uint8))
     write_mesh(tmp_path / "flat.stl", flat, replace(ABOUT, title="t" * 100))
     raw = (tmp_path / "flat.stl").read_bytes()
-    assert raw[:80] == b"Kingfisher " + b"t" * 69
-    assert raw[84:96] == bytes(12)
+    assert (raw[:80], raw[84:96]) == (b"Kingfisher " + b"t" * 69, bytes(12)), "a triangle without area has no normal"
 
 
 def test_a_line_has_at_most_two_hundred_characters_and_a_mark_two_thousand() -> None:
@@ -102,107 +192,17 @@ def test_a_line_has_at_most_two_hundred_characters_and_a_mark_two_thousand() -> 
     assert [len(line) for line in lines] == [len("t: unit mm, f"), 2000, 1999, 200]
 
 
-def test_obj_is_read_elsewhere(cloud: OrganisedCloud, tmp_path: Path) -> None:
-    mesh = mesh_of_scan(cloud)
-    write_mesh(tmp_path / "ball.obj", mesh, ABOUT)
-    read: Any = trimesh.load(tmp_path / "ball.obj", process=False, maintain_order=True)
-    np.testing.assert_allclose(read.vertices, mesh.vertices_mm, atol=UM)
-    np.testing.assert_array_equal(read.faces, mesh.faces)
-    np.testing.assert_allclose(read.visual.vertex_colors[:, 1], mesh.grey, atol=1)
-    assert "unit mm" in (tmp_path / "ball.obj").read_text().splitlines()[0]
-
-
-def test_e57_is_in_metres_and_says_so(cloud: OrganisedCloud, tmp_path: Path) -> None:
-    write_scan(tmp_path / "ball.e57", cloud, ABOUT)
-    read = read_e57(tmp_path / "ball.e57")
-    points = np.stack([read.columns[f"cartesian{axis}"] for axis in "XYZ"], 1)
-    np.testing.assert_allclose(1000.0 * points, cloud.points_mm[cloud.mask], atol=UM)
-    np.testing.assert_array_equal(read.columns["intensity"], cloud.grey[cloud.mask])
-    np.testing.assert_allclose(1000.0 * read.columns["kf:sigma"], cloud.sigma_mm[cloud.mask], rtol=1e-6)
-    found = np.stack([read.columns[f"nor:normal{axis}"] for axis in "XYZ"], 1)
-    np.testing.assert_allclose(found, np.nan_to_num(normals(cloud)[cloud.mask]), atol=1e-6)
-    assert read.namespaces["nor"] == "http://www.libe57.org/E57_NOR_surface_normals.txt"
-    assert (read.name, "unit metre" in read.description) == ("scan 000007", True)
-    assert read.bounds_m["xMinimum"] == pytest.approx(points[:, 0].min())
-    assert read.bounds_m["zMaximum"] == pytest.approx(points[:, 2].max())
-
-
-def test_the_same_points_give_the_same_e57_file(cloud: OrganisedCloud, tmp_path: Path) -> None:
-    for name in ("one.e57", "two.e57"):
-        write_scan(tmp_path / name, cloud, ABOUT)
-    assert (tmp_path / "one.e57").read_bytes() == (tmp_path / "two.e57").read_bytes()
-
-
-def las_columns(raw: bytes, unit: str = "metre") -> dict[str, NDArray[Any]]:
-    """Points of an LAS 1.4 file of point format 6, from the tables of ASPRS' specification."""
-    assert raw[:4] == b"LASF"
-    assert (raw[24], raw[25]) == (1, 4)
-    assert raw[26:58].rstrip(b"\0") == f"Kingfisher, unit {unit}".encode()
-    assert raw[58:90].rstrip(b"\0") == b"kingfisher"
-    assert raw[6] & 16, "its coordinate system is in words"
-    assert raw[90:94] == bytes(4), "no date, else the same points would not give the same file"
-    header, data, vlrs = struct.unpack_from("<HII", raw, 94)
-    kind, length = struct.unpack_from("<BH", raw, 104)
-    assert (kind, header) == (6, 375)
-    scales, offsets = struct.unpack_from("<3d", raw, 131), struct.unpack_from("<3d", raw, 155)
-    bounds = struct.unpack_from("<6d", raw, 179)
-    (count,) = struct.unpack_from("<Q", raw, 247)
-    extra: list[tuple[str, str]] = []
-    place, texts, area = header, b"", b""
-    for _ in range(vlrs):
-        user, record, size = struct.unpack_from("<2x16sHH", raw, place)
-        body = raw[place + 54 : place + 54 + size]
-        if (user.rstrip(b"\0"), record) == (b"LASF_Spec", 4):
-            for k in range(0, size, 192):
-                assert body[k + 2] == 9, "data type 9: float"
-                extra.append((body[k + 4 : k + 36].rstrip(b"\0").decode(), "<f4"))
-        if (user.rstrip(b"\0"), record) == (b"LASF_Spec", 3):
-            area = body
-        texts += body
-        place += 54 + size
-    fixed = [("x", "<i4"), ("y", "<i4"), ("z", "<i4"), ("intensity", "<u2"), ("returns", "u1"), ("rest", "V15")]
-    rows = np.frombuffer(raw, np.dtype([*fixed, *extra]), count, data)
-    assert rows.dtype.itemsize == length
-    assert min(rows[axis].min() for axis in "xyz") >= 0, "the offset lies below all points"
-    out = {name: rows[name] for name in ("intensity", "returns", *(name for name, _ in extra))}
-    xyz = np.stack([rows[axis] * scales[k] + offsets[k] for k, axis in enumerate("xyz")], 1)
-    np.testing.assert_allclose([bounds[1], bounds[3], bounds[5]], xyz.min(axis=0), atol=1e-7)
-    return {
-        **out,
-        "xyz": xyz,
-        "texts": np.frombuffer(texts, np.uint8),
-        "text area": np.frombuffer(area, np.uint8),
-        "scales": np.array(scales),
-    }
-
-
-def test_las_is_in_metres_and_a_micrometre_survives(surface: FusedCloud, tmp_path: Path) -> None:
-    write_surface(tmp_path / "ball.las", surface, ABOUT)
-    read = las_columns((tmp_path / "ball.las").read_bytes())
-    np.testing.assert_allclose(1000.0 * read["xyz"], surface.points_mm, atol=0.2 * UM)
-    assert (read["scales"] <= 1e-6).all()
-    np.testing.assert_array_equal(read["intensity"], surface.grey.astype(int) * 257)
-    assert (read["returns"] == 0x11).all(), "the first of one"
-    np.testing.assert_allclose(1000.0 * read["sigma_m"], surface.sigma_mm, rtol=1e-6)
-    np.testing.assert_allclose(read["normal_z"], surface.normals[:, 2], atol=1e-6)
-    np.testing.assert_array_equal(read["views"], surface.views)
-    texts = read["texts"].tobytes()
-    assert b'UNIT["metre",1.0]' in texts
-    assert b"standard deviation, metre" in texts
-
-
 def test_a_cloud_without_scale_has_its_unit_in_every_file(cloud: OrganisedCloud, tmp_path: Path) -> None:
     """Numbers are as they are, also where a format has metres, and no name says mm or m."""
-    unscaled = replace(ABOUT, unit="baselines")
     for suffix in (".ply", ".las", ".e57", ".npz"):
-        write_scan(tmp_path / f"ball{suffix}", cloud, unscaled)
+        write_scan(tmp_path / f"ball{suffix}", cloud, replace(ABOUT, unit="baselines"))
     points, sigma = cloud.points_mm[cloud.mask], cloud.sigma_mm[cloud.mask]
-    las, e57 = las_columns((tmp_path / "ball.las").read_bytes(), "baselines"), read_e57(tmp_path / "ball.e57")
-    np.testing.assert_allclose(las["xyz"], points, atol=1e-5)
-    np.testing.assert_allclose(las["sigma_baselines"], sigma, rtol=1e-6)
-    assert b'UNIT["baselines",1.0]' in las["texts"].tobytes()
-    np.testing.assert_allclose(e57.columns["cartesianZ"], points[:, 2], atol=1e-4)
-    assert "unit baselines" in e57.description
+    las, e57 = of_las(tmp_path / "ball.las", "baselines"), of_e57(tmp_path / "ball.e57", 1.0)
+    for found in (las, e57):
+        np.testing.assert_allclose(found.xyz, points, atol=1e-4)
+    np.testing.assert_allclose(las.others["sigma_baselines"], sigma, rtol=1e-6)
+    assert 'UNIT["baselines",1.0]' in las.words
+    assert "unit baselines" in e57.words
     header = (tmp_path / "ball.ply").read_bytes().partition(b"end_header")[0].decode()
     for said in ("unit baselines", "deviation in baselines", "float ray_gap_baselines"):
         assert said in header
@@ -220,50 +220,13 @@ def test_what_spoils_a_cloud_is_said_in_the_same_words_in_every_file(cloud: Orga
     write_mesh(tmp_path / "ball.obj", mesh_of_scan(cloud), spoilt)
     header = (tmp_path / "ball.ply").read_bytes().partition(b"end_header")[0].decode().splitlines()
     assert {f"comment {mark}", "comment wrong: a start", "comment Kingfisher calibration abc"} <= set(header)
-    text_area = las_columns((tmp_path / "ball.las").read_bytes())["text area"].tobytes()
-    assert text_area.endswith(b"\0")
-    assert {mark, "wrong: a start", "calibration abc"} <= set(text_area[:-1].decode().split("\n"))
-    many = replace(ABOUT, notes=("n" * 199,) * 400)
-    write_scan(tmp_path / "many.las", cloud, many)
-    assert len(las_columns((tmp_path / "many.las").read_bytes())["text area"]) == 65_535
+    assert {mark, "wrong: a start", "calibration abc"} <= set(re.split("[\\n\\0]", of_las(tmp_path / "ball.las").words))
+    write_scan(tmp_path / "many.las", cloud, replace(ABOUT, notes=("n" * 199,) * 400))
+    assert of_las(tmp_path / "many.las").words.count("n" * 199) > 300
     assert f"; {mark}; wrong: a start; " in read_e57(tmp_path / "ball.e57").description
     with np.load(tmp_path / "ball.npz") as archive:
         assert json.loads(str(archive["about"]))["notes"] == [mark, "wrong: a start", *ABOUT.notes]
     assert {f"# {mark}", "# wrong: a start"} <= set((tmp_path / "ball.obj").read_text().splitlines()[:10])
-
-
-def test_deviations_and_shares_of_sigma_are_columns_of_every_format_of_points(
-    surface: FusedCloud, tmp_path: Path
-) -> None:
-    n = len(surface.grey)
-    placed = with_places(surface, np.linspace(0.001, 0.02, n), np.linspace(0.5, 0.1, n))
-    off = np.linspace(-1.0, 1.0, n).astype(np.float32)
-    off[:5] = np.nan
-    for suffix in (".ply", ".e57", ".las"):
-        write_surface(tmp_path / f"off{suffix}", placed, ABOUT, off)
-    with (tmp_path / "off.ply").open("rb") as opened:
-        of_ply = trimesh.load(opened, file_type="ply").metadata["_ply_raw"]["vertex"]["data"]
-    of_las = las_columns((tmp_path / "off.las").read_bytes())
-    of_e57 = read_e57(tmp_path / "off.e57").columns
-    assert placed.shares is not None
-    for name, values in (
-        ("deviation", off), ("sigma_bending", placed.shares.bending_mm), ("sigma_place", placed.shares.place_mm),
-        ("sigma_beside", placed.shares.beside_mm),
-    ):  # fmt: skip
-        np.testing.assert_allclose(of_ply[f"{name}_mm"], values)
-        np.testing.assert_allclose(1000.0 * of_las[f"{name}_m"], values, rtol=1e-6)
-        np.testing.assert_allclose(1000.0 * of_e57[f"kf:{name}"], values, rtol=1e-6)
-    np.testing.assert_allclose(1000.0 * of_e57["kf:sigma"], placed.sigma_mm, rtol=1e-6)
-    np.testing.assert_array_equal(of_e57["kf:views"], placed.views)
-
-
-def test_e57_is_read_whole_by_the_library_that_most_programs_use(surface: FusedCloud, tmp_path: Path) -> None:
-    pye57 = pytest.importorskip("pye57")
-    site = np.array([5.0e8, 5.4e9, -2000.0])
-    write_surface(tmp_path / "far.e57", surface, ABOUT, origin_mm=site)
-    read = pye57.E57(str(tmp_path / "far.e57")).read_scan(0)
-    found = np.stack([read[f"cartesian{axis}"] for axis in "XYZ"], 1)
-    np.testing.assert_allclose(1000.0 * found - site, surface.points_mm, atol=2.0 * UM)
 
 
 POSES = tuple(Rotation.from_euler("xyz", angles, degrees=True).as_matrix() for angles in ((0, 0, 0), (20, -35, 170)))
@@ -331,20 +294,12 @@ def test_site_coordinates_are_held_or_refused(surface: FusedCloud, tmp_path: Pat
     write_surface(tmp_path / "near.ply", surface, ABOUT, origin_mm=np.array([5.1e5, 0.0, 0.0]))
     near: Any = trimesh.load(tmp_path / "near.ply", process=False)
     np.testing.assert_allclose(near.vertices[:, 0] - 5.1e5, surface.points_mm[:, 0], atol=0.02)
+    np.testing.assert_array_equal(near.colors[:, 2], surface.grey)
     with pytest.raises(ExportError, match=r"steps of 0\.0625 mm"):
         write_surface(tmp_path / "far.ply", surface, ABOUT, origin_mm=np.array([5.3e5, 0.0, 0.0]))
-    none = replace(
-        points_of_surface(surface, site),
-        points_mm=np.zeros((0, 3), np.float32),
-        grey=np.zeros(0, np.uint8),
-        sigma_mm=np.zeros(0, np.float32),
-        normals=np.zeros((0, 3), np.float32),
-        more={},
-    )
-    assert b"element vertex 0\n" in next(encode_surface(none, ABOUT))
 
 
-@pytest.mark.parametrize(("width_mm", "step_m"), [(0.0, 1e-7), (2.14e5, 1e-7), (2.15e5, 1e-6), (2.15e6, 1e-5)])
+@pytest.mark.parametrize(("width_mm", "step_m"), [(0.0, 1e-7), (2.14e5, 1e-7), (2.15e5, 1e-6)])
 def test_las_is_as_coarse_as_its_width_asks_for(
     width_mm: float, step_m: float, surface: FusedCloud, tmp_path: Path
 ) -> None:
@@ -362,35 +317,21 @@ def test_las_is_as_coarse_as_its_width_asks_for(
 
 def test_the_archive_keeps_the_grid(cloud: OrganisedCloud, tmp_path: Path) -> None:
     write_scan(tmp_path / "ball.npz", cloud, ABOUT)
-    found = {}
-    with zipfile.ZipFile(tmp_path / "ball.npz") as archive:
-        for name in archive.namelist():
-            raw = archive.read(name)
-            # The head of an .npy file of version 1: magic, two bytes, its length, a Python dictionary.
-            (long,) = struct.unpack_from("<H", raw, 8)
-            head = ast.literal_eval(raw[10 : 10 + long].decode())
-            flat, shape = np.frombuffer(raw[10 + long :], head["descr"]), head["shape"]
-            # Column by column, where an array was stored so.
-            found[name.removesuffix(".npy")] = (
-                flat.reshape(shape[::-1]).T if head["fortran_order"] else flat.reshape(shape)
-            )
+    with np.load(tmp_path / "ball.npz") as read:
+        found = {name: read[name] for name in read.files}
     assert json.loads(str(found.pop("about"))) == {
         "title": "scan 000007", "frame": CAMERA_FRAME, "unit": "mm", "notes": list(ABOUT.notes),
     }  # fmt: skip
-    assert set(found) == {"x_mm", "y_mm", "z_mm", "sigma_mm", "ray_gap_mm", "modulation_dn", "grey", "mask"}
-    assert {one.shape for one in found.values()} == {(100, 120)}
-    np.testing.assert_array_equal(found["mask"], cloud.mask)
-    np.testing.assert_array_equal(np.stack([found[f"{axis}_mm"] for axis in "xyz"], -1), cloud.points_mm)
-    np.testing.assert_array_equal(found["sigma_mm"], cloud.sigma_mm)
-    np.testing.assert_array_equal(found["grey"], cloud.grey)
-    np.testing.assert_array_equal(found["modulation_dn"], cloud.modulation_dn)
-    np.testing.assert_array_equal(found["ray_gap_mm"], cloud.ray_gap_mm)
+    np.testing.assert_array_equal(np.stack([found.pop(f"{axis}_mm") for axis in "xyz"], -1), cloud.points_mm)
+    assert set(found) == {"sigma_mm", "ray_gap_mm", "modulation_dn", "grey", "mask"}
+    for name, values in found.items():
+        np.testing.assert_array_equal(values, getattr(cloud, name), err_msg=name)
 
 
 # ---------------------------------------------------------------------------------------- what is refused
 
 
-@pytest.mark.parametrize("name", ["ball.xyz", "ball", "ball.ply.gz", "ball.stl"])
+@pytest.mark.parametrize("name", ["ball.xyz", "ball", "ball.stl"])
 def test_other_suffixes_are_refused_with_those_that_are_allowed(
     name: str, cloud: OrganisedCloud, tmp_path: Path
 ) -> None:
@@ -399,35 +340,13 @@ def test_other_suffixes_are_refused_with_those_that_are_allowed(
     assert not list(tmp_path.iterdir())
 
 
-def test_a_library_that_is_absent_is_named_with_the_remedy(
-    cloud: OrganisedCloud, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    real = importlib.import_module
-
-    def absent(name: str) -> Any:
-        if name in ("pye57", "laspy"):
-            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
-        return real(name)
-
-    monkeypatch.setattr(importlib, "import_module", absent)
-    for suffix, package in ((".e57", "pye57"), (".las", "laspy")):
-        with pytest.raises(MissingLibraryError, match=rf"needs {package}: pip install 'kingfisher-3d\[desk\]'"):
-            write_scan(tmp_path / f"ball{suffix}", cloud, ABOUT)
-    assert not list(tmp_path.iterdir()), "nothing half made is left"
-
-
-@pytest.mark.parametrize(
-    ("suffix", "package"), [(".E57", "pye57"), (".las", "laspy"), (".html", "plotly"), (".ply", "")]
-)
+@pytest.mark.parametrize(("suffix", "package"), [(".E57", "pye57"), (".html", "plotly"), (".ply", "")])
 def test_a_library_that_is_absent_is_told_before_minutes_of_work(
     suffix: str, package: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     require_library(Path(f"ball{suffix}"))
     monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
-    if package:
-        with pytest.raises(MissingLibraryError, match=f"needs {package}: pip install"):
-            require_library(Path(f"ball{suffix}"))
-    else:
+    with pytest.raises(MissingLibraryError, match=f"needs {package}: pip") if package else nullcontext():
         require_library(Path(f"ball{suffix}"))
 
 

@@ -20,8 +20,7 @@ def context() -> Iterator[moderngl.Context]:
         yield gl
 
 
-@pytest.mark.parametrize("response", [None, Response((0.45, 0.53, 0.05, -0.02))])
-@pytest.mark.parametrize("period_px", [16, 32, 64])
+@pytest.mark.parametrize(("period_px", "response"), [(16, None), (64, Response((0.45, 0.53, 0.05, -0.02)))])
 def test_every_pixel_of_every_pattern_is_its_code(
     context: moderngl.Context, period_px: int, response: Response | None
 ) -> None:
@@ -34,25 +33,14 @@ def test_every_pixel_of_every_pattern_is_its_code(
         np.testing.assert_array_equal(picture, np.broadcast_to(line, (768, 1024)), err_msg=pattern.name)
 
 
-def test_all_256_codes_survive(context: moderngl.Context) -> None:
-    ramp = np.arange(256, dtype=np.uint8)
-    along_x, along_y = draw_patterns(context, [(Direction.X, ramp), (Direction.Y, ramp)], 256, 256)
-    np.testing.assert_array_equal(along_x, np.tile(ramp, (256, 1)))
-    np.testing.assert_array_equal(along_y, np.tile(ramp, (256, 1)).T)
-
-
-def test_row_zero_is_the_top(context: moderngl.Context) -> None:
-    only_first = np.zeros(48, np.uint8)
-    only_first[0] = 255
-    (picture,) = draw_patterns(context, [(Direction.Y, only_first)], 64, 48)
-    assert picture[0].min() == 255
-    assert picture[1:].max() == 0
-
-
-def test_a_width_that_is_no_multiple_of_four_is_not_sheared(context: moderngl.Context) -> None:
-    table = np.random.default_rng(1).integers(0, 256, 61, dtype=np.uint8)
-    (picture,) = draw_patterns(context, [(Direction.X, table)], 61, 5)
-    np.testing.assert_array_equal(picture, np.tile(table, (5, 1)))
+@pytest.mark.parametrize(("width_px", "height_px"), [(256, 256), (61, 48)])
+def test_every_code_survives_row_zero_is_the_top_and_no_width_is_sheared(
+    context: moderngl.Context, width_px: int, height_px: int
+) -> None:
+    along = [np.arange(size, dtype=np.uint8)[::-1] for size in (width_px, height_px)]
+    across, down = draw_patterns(context, [(Direction.X, along[0]), (Direction.Y, along[1])], width_px, height_px)
+    np.testing.assert_array_equal(across, np.tile(along[0], (height_px, 1)), "memory of its own")
+    np.testing.assert_array_equal(down, np.tile(along[1], (width_px, 1)).T)
 
 
 def test_what_screens_have_set_in_the_shared_context_changes_no_code_and_stays_set(context: moderngl.Context) -> None:

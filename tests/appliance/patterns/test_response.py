@@ -55,17 +55,6 @@ def test_only_sine_images_change() -> None:
         assert same == (pattern.kind is not Kind.SINE), pattern.name
 
 
-def test_a_linear_projector_gets_the_codes_it_got_before() -> None:
-    linear = Response((0.5, 0.5))
-    for pattern in build_sequence(32).patterns:
-        np.testing.assert_array_equal(pattern.codes(linear), pattern.codes(), err_msg=pattern.name)
-
-
-def test_responses_are_told_apart_by_their_hash() -> None:
-    assert response().hash == response().hash
-    assert response().hash != Response((0.5, 0.5)).hash
-
-
 @pytest.mark.parametrize("harmonics", [(0.5,), (0.5, -0.5), (0.5, 0.5, 0.5), (0.5, float("nan")), (0.1,) * 30])
 def test_what_no_projector_does_is_refused(harmonics: tuple[float, ...]) -> None:
     with pytest.raises(ValueError, match="measure it again"):

@@ -20,14 +20,12 @@ from appliance.processing.bracket import (
     faults_of,
 )
 from appliance.processing.procedure import SequenceProcessor
-from appliance.reconstruct.decode.decoder import Mask
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.register import Registration
 from appliance.reconstruct.table import Cloud
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault, FaultCode
-from appliance.scan.noise import TYPICAL, StereoNoise
 from appliance.scan.verdict import Judgement, Verdict
 from hw_sim.scene import Scene
 from tests.support.rendered import RenderedScan, render_scan
@@ -111,38 +109,6 @@ def test_a_merged_point_is_as_grey_as_the_shorter_exposure_saw_it(desk: Desk) ->
     np.testing.assert_array_equal(cloud.intensity, desk.bright["short"].ravel()[cloud.pixel])
 
 
-def test_also_where_the_shorter_exposure_is_the_second_one(desk: Desk) -> None:
-    """Else the preview of a pair would be saturated wherever its first picture is."""
-    _, cloud = desk.merged(replace(desk.first, exposure=Exposure(4 * LONG.time_us)))
-    assert cloud is not None
-    np.testing.assert_array_equal(cloud.intensity, desk.bright["long"].ravel()[cloud.pixel])
-
-
-def test_of_two_exposures_the_less_noisy_one_counts_for_more(desk: Desk) -> None:
-    """The first one is taken for so noisy that nearly nothing of it is believed where the second one has a coordinate, too."""
-    noisy = replace(TYPICAL, read_dn=20.0 * TYPICAL.read_dn, dn_per_e=400.0 * TYPICAL.dn_per_e)
-    second = desk.pipeline.decoded("left").copied()
-    desk.merged(replace(desk.first, noise=StereoNoise(noisy, noisy)))
-    both = desk.pipeline.decoded("left").p_px
-    apart = [np.nanmedian(np.abs(both - maps.p_px)) for maps in (desk.first.maps["left"], second)]
-    assert apart[1] < 0.1 * apart[0]
-
-
-def test_what_only_one_exposure_shows_is_counted_for_that_one(desk: Desk) -> None:
-    """The first exposure loses a strip of the left image, the second one a wider strip beside it."""
-    for maps, columns in ((desk.first.maps["left"], slice(60, 80)), (desk.pipeline.decoded("left"), slice(120, 160))):
-        lost = np.zeros(maps.p_px.shape, bool)
-        lost[:, columns] = True
-        maps.p_px[lost] = maps.q_px[lost] = np.nan
-        maps.mask[lost] = Mask.SATURATED
-    numbers = desk.merged(desk.first)[0].judgement.verdict.numbers
-    only_first, only_second = numbers["left_only_first_percent"], numbers["left_only_second_percent"]
-    assert only_first is not None
-    assert only_second is not None
-    assert only_first == pytest.approx(2.0 * only_second, rel=0.25)
-    assert numbers["right_only_first_percent"] == pytest.approx(0.0, abs=1.0)
-
-
 @pytest.mark.parametrize("which", ["first", "second"])
 def test_a_sequence_in_which_something_moved_is_laid_against_the_other_one_in_space(desk: Desk, which: str) -> None:
     """Its maps are those of no moment, and must not be merged pixel by pixel."""
@@ -168,18 +134,6 @@ def test_a_sequence_in_which_something_moved_is_laid_against_the_other_one_in_sp
     assert np.median(grey) == pytest.approx(1.0, abs=0.03), "both clouds' grey values are those of the shorter exposure"
 
 
-def test_maps_are_not_merged_where_one_camera_sees_that_something_moved(desk: Desk) -> None:
-    """Movement may show in one camera alone: along the rays of the other."""
-    desk.first.maps["right"].p_px += np.float32(0.5)
-    merged, cloud = desk.merged(desk.first)
-    assert cloud is not None
-    assert merged.judgement.verdict.text.endswith("points were registered")
-    right, left = (merged.judgement.verdict.numbers[f"{side}_shift_over_noise"] for side in ("right", "left"))
-    assert right is not None
-    assert left is not None
-    assert right > 1.0 > left
-
-
 @pytest.mark.parametrize("which", ["first", "second"])
 def test_points_that_motion_spoilt_are_not_mixed_with_others(desk: Desk, which: str) -> None:
     if which == "first":
@@ -196,19 +150,14 @@ def test_points_that_motion_spoilt_are_not_mixed_with_others(desk: Desk, which: 
     assert merged.judgement.verdict.passed is False
 
 
-def test_a_first_exposure_without_points_has_nothing_to_lay_the_second_one_against(desk: Desk) -> None:
-    none = replace(
-        desk.first.cloud.thinned(10**9), pixel=np.zeros(0, np.uint32), points_mm=np.zeros((0, 3), np.float32)
-    )
-    merged, _ = desk.merged(replace(desk.first, cloud=none))
-    assert merged.found is None
-    assert merged.judgement.verdict.text == (
-        "the two exposures have too little in common to tell how they lie to each other"
-    )
-
-
-def test_a_first_exposure_with_a_handful_of_points_is_not_enough_either(desk: Desk) -> None:
-    merged, _ = desk.merged(replace(desk.first, cloud=desk.first.cloud.thinned(20)))
+@pytest.mark.parametrize("points", [0, 20])
+def test_a_first_exposure_with_hardly_a_point_has_nothing_to_lay_the_second_one_against(
+    desk: Desk, points: int
+) -> None:
+    few = desk.first.cloud.thinned(20)
+    if not points:
+        few = replace(few, pixel=np.zeros(0, np.uint32), points_mm=np.zeros((0, 3), np.float32))
+    merged, _ = desk.merged(replace(desk.first, cloud=few))
     assert merged.found is None
     assert "too little in common" in merged.judgement.verdict.text
 

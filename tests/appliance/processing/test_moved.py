@@ -111,12 +111,6 @@ def test_the_hands_speed_and_what_is_left_of_its_errors_are_stored(in_a_hand: Wo
     assert numbers["reference_s"] == pytest.approx(np.mean(sines) * FRAME_S)
 
 
-def test_what_is_held_for_a_second_exposure_is_the_cloud_without_motion(in_a_hand: Worked) -> None:
-    last = in_a_hand.steps[-1]
-    assert isinstance(last, FullFound)
-    assert len(in_a_hand.held.cloud.pixel) == last.found.summary.points != in_a_hand.plain
-
-
 def test_where_no_motion_could_be_told_the_verdict_says_why() -> None:
     verdict = _compensation(Attempt(None, None, "Motion was not estimated: too few points."), FRAME_S)
     assert verdict == Verdict("compensation", False, {}, "Motion was not estimated: too few points.")

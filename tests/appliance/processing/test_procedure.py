@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -22,7 +21,6 @@ from appliance.processing.procedure import (
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.fault import FaultCode
-from appliance.scan.noise import TYPICAL, StereoNoise
 from appliance.scan.verdict import Judgement, Verdict
 from hw_sim.scene import Scene
 from tests.support.rendered import RenderedScan, render_scan
@@ -70,15 +68,6 @@ def test_identity_comes_before_any_cloud_and_the_judges_between_the_two(processo
     assert full.found.gaps is not None, "the ray gaps are sampled from the full cloud's pixels"
 
 
-def test_verdicts_are_stored_under_the_names_of_the_table_in_its_order(processor: SequenceProcessor) -> None:
-    full = processor.run()
-    assert full is not None
-    names = [one.verdict.name for one in full.judgements]
-    judges = [judge.name for judge in JUDGES]
-    assert names[0] == "identity"
-    assert [name for name in names if name in judges] == judges
-
-
 def test_exchanged_cameras_are_the_first_cause_and_the_only_one(pipeline: Pipeline, still: RenderedScan) -> None:
     """Too few points, at mirrored depths and with gaps, all follow from it."""
     made = SequenceProcessor(pipeline, true_calibration(still.renderer.truth), WATER)
@@ -116,20 +105,6 @@ def test_wrong_patterns_end_it_before_any_cloud_unless_they_are_wanted_all_the_s
     assert processor.finished
 
 
-def test_it_can_be_left_after_the_coarse_cloud_and_gone_on_with(
-    processor: SequenceProcessor, pipeline: Pipeline, wall: Frames
-) -> None:
-    at_once = processor.process(wall, AcquisitionSettings())
-    expected = pipeline.table.cloud(at_once.found).points_mm.copy()
-    processor.begin(AcquisitionSettings())
-    assert len(list(processor.push_all(wall))) == N
-    steps = processor.steps()
-    assert any(isinstance(step, CoarseFound) for step in steps)
-    *_, last = steps
-    assert isinstance(last, FullFound)
-    assert np.array_equal(pipeline.table.cloud(last.found).points_mm, expected)
-
-
 def test_what_has_no_full_cloud_yet_cannot_be_one_of_two(processor: SequenceProcessor) -> None:
     with pytest.raises(ValueError, match="no full cloud yet"):
         processor.hold()
@@ -150,44 +125,8 @@ def test_specks_are_looked_for_from_one_pixel_in_five_thousand_on(speck_percent:
     assert not _specks_count(None)
 
 
-def test_a_scan_at_rest_remembers_its_windows(processor: SequenceProcessor) -> None:
-    full = processor.run()
-    assert full is not None
-    (window,) = [one for one in full.judgements if one.verdict.name == "windows"]
-    assert window.remembered is not None
-
-
-def test_a_noisier_camera_makes_points_of_larger_expected_error(
-    processor: SequenceProcessor, pipeline: Pipeline, wall: Frames
-) -> None:
-    """The noise is that of the settings that the sequence was taken with, not of the one before."""
-    quiet = np.median(pipeline.table.cloud(processor.process(wall, AcquisitionSettings()).found).sigma_mm)
-    noise = replace(TYPICAL, read_dn=2.0 * TYPICAL.read_dn, dn_per_e=4.0 * TYPICAL.dn_per_e)
-    found = processor.process(wall, AcquisitionSettings(noise=StereoNoise(noise, noise))).found
-    ratio = float(np.median(pipeline.table.cloud(found).sigma_mm) / quiet)
-    assert 1.2 < ratio <= 2.0, "the noise is twice as large; what bends and texture add is not"
-
-
 def said_of(full: FullFound) -> list[tuple[str, bool | None, Mapping[str, float | None], object]]:
     return [(one.verdict.name, one.verdict.passed, one.verdict.numbers, one.fault) for one in full.judgements]
-
-
-def test_a_scan_that_was_cut_off_leaves_nothing_in_the_verdicts_of_the_next(
-    processor: SequenceProcessor, pipeline: Pipeline, still: RenderedScan, wall: Frames
-) -> None:
-    """Judges take what they need of frames as these arrive; what they took of others must be gone."""
-    alone = said_of(processor.process(wall, AcquisitionSettings()))
-    rng = np.random.default_rng(7)
-    other = {side: rng.integers(0, 255, frames.shape, np.uint8) for side, frames in wall.items()}
-    for pushed in (1, 2, 12, N - 1):
-        interrupted = SequenceProcessor(pipeline, true_calibration(still.renderer.truth), WATER)
-        interrupted.begin(AcquisitionSettings())
-        for index in range(pushed):
-            for side, frames in other.items():
-                interrupted.push(side, frames, index)
-        assert said_of(interrupted.process(wall, AcquisitionSettings())) == alone, (
-            f"after {pushed} frames of another scan"
-        )
 
 
 def test_judges_are_told_the_same_of_frames_that_come_before_the_others_exist(

@@ -4,8 +4,10 @@ import itertools
 
 import pytest
 
-from appliance.optics.volume import WorkingVolume
+from appliance.optics.volume import STANDARD, WorkingVolume
 from appliance.ranging.reach import Range, Reach, reach_of
+
+SMALL = WorkingVolume(264.0, 300.0, 336.0)
 
 
 def at(distance_mm: float) -> Range:
@@ -13,22 +15,22 @@ def at(distance_mm: float) -> Range:
 
 
 @pytest.mark.parametrize(
-    ("distance_mm", "word"),
-    [(380.0, Reach.BACK), (439.0, Reach.BACK), (441.0, Reach.OK), (559.0, Reach.OK), (561.0, Reach.CLOSER)],
+    ("volume", "distance_mm", "word"),
+    [
+        (STANDARD, 439.0, Reach.BACK),
+        (STANDARD, 441.0, Reach.OK),
+        (STANDARD, 559.0, Reach.OK),
+        (STANDARD, 561.0, Reach.CLOSER),
+        (SMALL, 250.0, Reach.BACK),
+        (SMALL, 330.0, Reach.OK),
+        (SMALL, 350.0, Reach.CLOSER),
+    ],
 )
-def test_the_measuring_volume_is_60_mm_to_either_side_of_500(distance_mm: float, word: Reach) -> None:
-    assert reach_of(at(distance_mm)) is word
-
-
-@pytest.mark.parametrize(
-    ("distance_mm", "word"), [(250.0, Reach.BACK), (270.0, Reach.OK), (330.0, Reach.OK), (350.0, Reach.CLOSER)]
-)
-def test_another_housing_has_another_range(distance_mm: float, word: Reach) -> None:
-    assert reach_of(at(distance_mm), volume=WorkingVolume(264.0, 300.0, 336.0)) is word
-
-
-def test_without_a_dot_no_word_is_invented() -> None:
-    assert reach_of(None, Reach.OK) is Reach.UNKNOWN
+def test_the_measuring_volume_is_60_mm_to_either_side_of_500_and_another_housings_its_own(
+    volume: WorkingVolume, distance_mm: float, word: Reach
+) -> None:
+    assert reach_of(at(distance_mm), volume=volume) is word
+    assert reach_of(None, word) is Reach.UNKNOWN, "without a dot no word is invented"
 
 
 @pytest.mark.parametrize("limit_mm", [440.0, 560.0])

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import gc
 import linecache
 import sys
 import threading
 import time
-import weakref
 from collections.abc import Iterator
-from functools import partial
 from types import FrameType
 from typing import Any
 
 import pytest
 
 from appliance.reconstruct import crew as crew_module
-from appliance.reconstruct.crew import Crew, WorkItem
+from appliance.reconstruct.crew import Crew
 
 TIMEOUT_S = 20.0
 
@@ -96,25 +93,6 @@ def test_while_the_helper_is_busy_the_caller_does_what_it_waits_for(pair: Crew) 
         assert first.answer() == "let"
 
 
-def test_who_helps_does_a_part_of_what_it_waits_for(pair: Crew) -> None:
-    """The helper's task asks for two more; it can end only when somebody else does one of them at the same time."""
-    both = threading.Barrier(2, timeout=TIMEOUT_S)
-    started = threading.Event()
-
-    def part(_: int) -> int:
-        both.wait()
-        return threading.get_ident()
-
-    def whole() -> list[int]:
-        started.set()
-        return pair.each(part, range(2))
-
-    with pair.tasks() as tasks:
-        task = tasks.add(whole)
-        assert started.wait(TIMEOUT_S)
-        assert len(set(task.answer(helping=True))) == 2
-
-
 def test_what_nobody_has_begun_is_dropped_and_the_rest_awaited(pair: Crew) -> None:
     running, dropped = Gate(), Gate()
     with pair.tasks() as tasks:
@@ -128,67 +106,6 @@ def test_what_nobody_has_begun_is_dropped_and_the_rest_awaited(pair: Crew) -> No
         never.answer()
     assert pair.each(lambda k: k, range(3)) == [0, 1, 2], "who was dropped leaves nothing in the way of others"
     timer.join(TIMEOUT_S)
-
-
-def test_an_error_is_raised_each_time_it_is_asked_for_and_not_where_it_is_left(crew: Crew) -> None:
-    def work() -> None:
-        raise KeyError("a judge")
-
-    with crew.tasks() as tasks:
-        task = tasks.add(work)
-        for _ in range(2):
-            with pytest.raises(KeyError, match="a judge"):
-                task.answer()
-        tasks.add(work)
-
-
-class Evidence:
-    """Megabytes of a scan, in short."""
-
-
-@pytest.mark.parametrize("done", [True, False])
-def test_what_a_task_held_is_free_without_a_search_for_garbage(done: bool) -> None:
-    """The judges' tasks know of each other, and so of themselves; each scan's samples stayed until such a search: 12 MB."""
-    crew, evidence = Crew(0), Evidence()
-    there = weakref.ref(evidence)
-    by_name: dict[str, WorkItem[int]] = {}
-
-    def judge(given: Evidence) -> int:
-        return len(by_name) if given else 0
-
-    gc.disable()
-    try:
-        with crew.tasks() as tasks:
-            by_name["motion"] = tasks.add(partial(judge, evidence))
-            del evidence
-            assert not done or by_name["motion"].answer() == 1
-        del tasks
-        assert there() is None
-    finally:
-        gc.enable()
-
-
-def test_a_task_tells_what_its_own_thread_spent(pair: Crew) -> None:
-    begun, over, never = threading.Event(), threading.Event(), threading.Event()
-
-    def works() -> None:
-        begun.set()
-        until_s = time.monotonic() + 20.0
-        while not over.is_set() and time.monotonic() < until_s:
-            sum(range(1000))
-
-    def waits() -> None:
-        never.wait(0.1)
-
-    with pair.tasks() as tasks:
-        working = tasks.add(works)
-        assert begun.wait(20.0)
-        waiting = tasks.add(waits)
-        waiting.answer()
-        over.set()
-        working.answer()
-    # While this thread waited, the other one spent nearly all that it spent at all.
-    assert waiting.cpu_s < 0.5 * working.cpu_s
 
 
 def interrupted_at(line: int, helpers: int) -> bool:

@@ -14,8 +14,6 @@ from appliance.reconstruct.scratch import (
     MODULATION,
     MODULATION_RIGHT,
     OFFSET,
-    PHASE_VARIANCE,
-    PHASE_VARIANCE_RIGHT,
     POINT_VARIANCE,
     RIGHT_SHARE,
     SIZE,
@@ -24,7 +22,7 @@ from appliance.reconstruct.scratch import (
     UQ,
     P,
 )
-from appliance.reconstruct.sigma import SigmaFactors, expect_row, read_between, sigma_factors, without_neighbours
+from appliance.reconstruct.sigma import SigmaFactors, expect_row, read_between, sigma_factors
 from appliance.scan.noise import CameraNoise, StereoNoise, camera_noise
 
 LEFT = CameraNoise(read_dn=0.6, dn_per_e=0.02, black_dn=2.0)
@@ -78,50 +76,6 @@ SILENT = sigma_factors(PERIOD_PX, StereoNoise(QUIET, QUIET))
 def test_noise_is_that_of_both_cameras_each_at_its_own_light(next_to: bool) -> None:
     both = noise_px2(60.0, 90.0, LEFT) + 0.8 * noise_px2(40.0, 90.0 * 40.0 / 60.0, RIGHT)
     np.testing.assert_allclose(expected(FACTORS, next_to), (0.6**2 + 0.2**2) * both, rtol=1e-4)
-
-
-def test_noise_follows_light_modulation_and_the_share_that_reading_between_pixels_leaves() -> None:
-    changes = {MODULATION: 25.0, MODULATION_RIGHT: 70.0, OFFSET: 40.0, RIGHT_SHARE: 0.55, UP: -0.3, UQ: 0.5}
-    both = noise_px2(25.0, 40.0, LEFT) + 0.55 * noise_px2(70.0, 40.0 * 70.0 / 25.0, RIGHT)
-    np.testing.assert_allclose(with_row(FACTORS, changes), (0.3**2 + 0.5**2) * both, rtol=1e-4)
-
-
-@pytest.mark.parametrize("next_to", [True, False])
-@pytest.mark.parametrize("period_px", [PERIOD_PX, 2 * PERIOD_PX])
-def test_a_variance_that_the_maps_carry_is_the_noise_whatever_modulation_and_light_are(
-    next_to: bool, period_px: int
-) -> None:
-    factors = sigma_factors(period_px, StereoNoise(LEFT, RIGHT))
-    changes = {
-        PHASE_VARIANCE: 0.0004,
-        PHASE_VARIANCE_RIGHT: 0.0009,
-        MODULATION: 33.0,
-        MODULATION_RIGHT: np.nan,
-        OFFSET: np.nan,
-    }
-    found = with_row(factors, changes, next_to, variances_given=True)
-    np.testing.assert_allclose(found, (0.6**2 + 0.2**2) * (0.0004 + 0.8 * 0.0009), rtol=1e-4)
-
-
-def test_a_variance_of_maps_read_between_pixels_counts_more_where_it_is_read_off_between_right_pixels() -> None:
-    changes = {PHASE_VARIANCE: 0.0004, PHASE_VARIANCE_RIGHT: 0.0009}
-    found = with_row(read_between(FACTORS, 10.0), changes, variances_given=True)
-    np.testing.assert_allclose(found, 0.4 * (0.0004 + 0.8 * 1.17 * 0.0009), rtol=1e-4)
-
-
-def test_bend_and_slope_and_border_count_alike_whether_noise_is_given_or_follows_from_modulation() -> None:
-    """The variances given are those that the modulations make."""
-    steep = 60.0 + 4.0 * np.arange(-1, N + 1)
-    along = np.arange(-1, N + 1)
-    p = 100.0 + 1.5 * along + 0.4 * along**2
-    p[7] = np.nan
-    light = {MODULATION: steep, MODULATION_RIGHT: 40.0, OFFSET: 90.0, BEND_RIGHT: 0.3, SLOPE: 2.0}
-    given = {
-        PHASE_VARIANCE: np.array([noise_px2(m, 90.0, LEFT) for m in steep]),
-        PHASE_VARIANCE_RIGHT: np.array([noise_px2(40.0, 90.0 * 40.0 / m, RIGHT) for m in steep]),
-    }
-    plain = with_row(FACTORS, light, p=p)
-    np.testing.assert_allclose(with_row(FACTORS, light | given, p=p, variances_given=True), plain, rtol=1e-4)
 
 
 def test_a_bend_of_either_camera_counts_by_the_blur() -> None:
@@ -185,11 +139,6 @@ def test_a_ripple_that_is_lost_in_noise_does_not_count() -> None:
     assert sigma_factors(PERIOD_PX, StereoNoise(LEFT, RIGHT)).ripple_px2 == 0.0
 
 
-def test_a_longer_period_makes_noise_larger_in_proportion() -> None:
-    twice = sigma_factors(2 * PERIOD_PX, StereoNoise(LEFT, RIGHT))
-    np.testing.assert_allclose(expected(twice), 4.0 * expected(FACTORS), rtol=1e-5)
-
-
 def test_grey_values_read_between_pixels_share_noise_lose_the_ripple_and_come_from_a_wider_spot() -> None:
     ripple = Ripple(0.05, lost_px=0.04, noise_px=0.01)
     factors = sigma_factors(PERIOD_PX, StereoNoise(LEFT, RIGHT), ripple)
@@ -202,14 +151,6 @@ def test_grey_values_read_between_pixels_share_noise_lose_the_ripple_and_come_fr
     assert read.ripple_px2 == pytest.approx(0.05**2 * (third / first) ** 8, rel=1e-4)
 
 
-def test_without_neighbours_only_noise_and_ripple_are_left() -> None:
-    ripple = Ripple(0.05, lost_px=0.04, noise_px=0.01)
-    factors = sigma_factors(PERIOD_PX, StereoNoise(LEFT, RIGHT), ripple)
-    alone = without_neighbours.py_func(factors)
-    assert [float(alone.blur2_px4), float(alone.border_px2)] == [0.0, 0.0]
-    assert alone == factors._replace(blur2_px4=alone.blur2_px4, border_px2=alone.border_px2)
-
-
 def test_a_data_sheets_figures_are_the_cameras_noise_at_every_gain() -> None:
     """13 000 electrons at 255 grey values, 20 electrons of read noise: at 6.02 dB twice the grey values per electron."""
     plain, twice = camera_noise(13_000.0, 20.0, 2.0, 0.0), camera_noise(13_000.0, 20.0, 2.0, 20.0 * math.log10(2.0))
@@ -219,13 +160,3 @@ def test_a_data_sheets_figures_are_the_cameras_noise_at_every_gain() -> None:
     assert twice.read_dn == pytest.approx(math.sqrt((40.0 * 255.0 / 13_000.0) ** 2 + 1.0 / 12.0))
     assert plain.variance_dn2(102.0) == pytest.approx(plain.read_dn**2 + 100.0 * plain.dn_per_e)
     assert plain.variance_dn2(0.0) == pytest.approx(plain.read_dn**2), "below black there is no light to be missing"
-
-
-def test_where_the_left_coordinate_hardly_changes_the_right_ones_light_is_not_blown_up() -> None:
-    """The left slope counts as 0.05 at least where the right light is told from it."""
-    steep, here = 60.0 + 4.0 * np.arange(-1, N + 1), 60.0 + 4.0 * (N // 2)
-    for slope, at_least in ((0.02, 0.05), (0.06, 0.06)):
-        p = 100.0 + slope * np.arange(-1, N + 1)
-        found = with_row(SILENT, {MODULATION: steep, MODULATION_RIGHT: here, SLOPE: 1.0}, p=p)[N // 2]
-        difference = slope * 4.0 / here * (1.0 - 1.0 / at_least**2)
-        assert found == pytest.approx(0.4 * (0.2 * difference) ** 2, rel=2e-3)

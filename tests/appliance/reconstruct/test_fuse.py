@@ -115,31 +115,6 @@ def test_what_only_the_second_has_is_taken_at_its_pixel_in_the_order_of_the_pixe
     assert found.both == pytest.approx((n - 4) / n)
 
 
-def test_what_only_the_first_has_stays() -> None:
-    first = seen()
-    found = fused(first, seen(without(5, MIDDLE), apart_mm=0.05))
-    kept = np.isin(found.cloud.pixel, [5, MIDDLE])
-    np.testing.assert_array_equal(found.cloud.points_mm[kept], first.points_mm[[5, MIDDLE]])
-    assert found.both == pytest.approx(1.0 - 2.0 / (HEIGHT_PX * WIDTH_PX))
-
-
-def test_of_two_points_for_one_empty_pixel_the_first_is_taken_and_a_fused_pixel_is_not_fused_again() -> None:
-    second = seen(sigma_mm=0.04)
-    twice = Cloud(
-        points_mm=np.concatenate([second.points_mm, second.points_mm + (0.05 * NORMAL).astype(np.float32)]),
-        intensity=np.tile(second.intensity, 2),
-        modulation_dn=np.tile(second.modulation_dn, 2),
-        ray_gap_mm=np.tile(second.ray_gap_mm, 2),
-        sigma_mm=np.tile(second.sigma_mm, 2),
-        pixel=np.tile(second.pixel, 2),
-        summary=second.summary,
-    )
-    first = seen(without(MIDDLE))
-    found = fuse(surface_of(first, second, SHAPE), first, twice, AT_REST, (1.0, 1.0))
-    np.testing.assert_array_equal(found.cloud.pixel, np.arange(HEIGHT_PX * WIDTH_PX))
-    np.testing.assert_allclose(apart_mm(found.cloud), 0.0, atol=1e-3)
-
-
 def test_the_second_cloud_is_moved_before_it_is_laid_over_the_first_and_what_leaves_the_picture_is_lost() -> None:
     """A shift within the plane by four pixels, to the right and down: four rows and columns of it are outside."""
     pitch_mm = 500.0 / FOCAL_PX
@@ -196,22 +171,3 @@ def test_the_fused_clouds_numbers_are_its_own() -> None:
     first = replace(first, summary=replace(first.summary, coverage_percent=None))
     second = replace(second, summary=replace(second.summary, coverage_percent=None))
     assert fused(first, second).cloud.summary.coverage_percent is None
-
-
-def test_coverage_never_exceeds_all_that_was_lit() -> None:
-    """Each has the half that the other lacks, and all of its own light: together they have twice of either."""
-    n = HEIGHT_PX * WIDTH_PX
-    first, second = seen(np.arange(n // 2)), seen(np.arange(n // 2, n))
-    first = replace(first, summary=replace(first.summary, coverage_percent=100.0))
-    second = replace(second, summary=replace(second.summary, coverage_percent=100.0))
-    found = fused(first, second)
-    assert found.cloud.summary.coverage_percent == 100.0
-    assert found.second == pytest.approx(0.5)
-
-
-def test_two_clouds_that_contradict_everywhere_leave_nothing_and_nothing_is_said_of_it() -> None:
-    found = fused(seen(), seen(apart_mm=0.5))
-    # The lattice's corners have no neighbours on either side of one axis and still a surface: all of them are taken out.
-    assert found.cloud.summary.points == len(found.cloud.pixel) == 0
-    assert (found.cloud.summary.distance_mm, found.cloud.summary.noise_mm, found.cloud.summary.gap_mm) == (None,) * 3
-    assert (found.second, found.both, found.masked) == (0.0, 0.0, 1.0)

@@ -82,19 +82,3 @@ def test_a_knock_that_leaves_no_point_is_still_measured(images: dict[str, np.nda
     assert found.gaps is not None
     assert len(found.gaps.patch) > 0.6 * COUNT
     assert float(np.median(np.abs(found.gaps.gap_um))) == pytest.approx(460.0, rel=0.05)
-
-
-def test_nothing_seen_gives_no_patches(images: dict[str, np.ndarray]) -> None:
-    dark = {side: np.zeros_like(stack) for side, stack in images.items()}
-    gaps = cloud(dark, CALIBRATION).gaps
-    assert gaps is not None
-    assert gaps.samples == 0
-    assert len(gaps.patch) == 0
-
-
-def test_a_calibration_without_a_common_volume_still_gives_what_it_can(images: dict[str, np.ndarray]) -> None:
-    away = replace(CALIBRATION.rig.right, translation_mm=(5000.0, 0.0, 1000.0))
-    strange = replace(CALIBRATION, rig=replace(CALIBRATION.rig, right=away))
-    found = cloud(images, strange)
-    assert found.gaps is None
-    assert found.summary.points == 0

@@ -1,4 +1,7 @@
-"""Correspondence against maps in closed form: where the right point lies, its derivatives, and where there is none."""
+"""Correspondence against maps in closed form, and its limits: steps, borders, holes, steep, flat and strongly bent maps.
+
+A match is found in one of three ways, which must mean the same: from the inverse map, from the row above, and one by one.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +14,8 @@ from appliance.reconstruct.match import RightMaps, fill_inverse_map, match_row, 
 from appliance.reconstruct.scratch import (
     BEND_RIGHT,
     MODULATION_RIGHT,
+    PC,
+    QC,
     RIGHT_SHARE,
     SIZE,
     SLOPE,
@@ -26,248 +31,288 @@ from appliance.reconstruct.scratch import (
     V,
 )
 
-WIDTH, HEIGHT = 160, 120
-PROJECTOR = (512, 384)
 Surface = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+PROJECTOR = (520, 384)
+WAYS = ("inverse map", "row above", "one by one")
+NODE_PX = 10
+"""Pattern px between nodes: as many px of these small images as a large one has."""
 
 
-def sheared(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    return 40.0 + 2.5 * u + 0.3 * v, 30.0 - 0.2 * u + 2.2 * v
+def straight(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return 60.0 + 2.5 * u + 0.3 * v, 50.0 - 0.2 * u + 2.2 * v
 
 
-def bent(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    p, q = sheared(u, v)
-    return p + 0.004 * (u - 80.0) ** 2 - 0.002 * (v - 60.0) ** 2, q + 0.003 * (v - 60.0) ** 2 + 0.001 * (u - 80.0) ** 2
-
-
-def maps_of(
-    surface: Surface, holes: tuple[slice, slice] | None = None, projector: tuple[int, int] = PROJECTOR
-) -> RightMaps:
-    v, u = np.mgrid[0:HEIGHT, 0:WIDTH].astype(float)
+def maps_of(surface: Surface, width: int = 64, height: int = 48, missing: np.ndarray | None = None) -> RightMaps:
+    v, u = np.mgrid[0:height, 0:width].astype(float)
     p, q = surface(u, v)
-    if holes is not None:
-        p[holes], q[holes] = np.nan, np.nan
-    modulation = (100 + (u + 2 * v) % 100).astype(np.uint8)
-    right = right_maps(p.astype(np.float32), q.astype(np.float32), modulation, *projector)
+    if missing is not None:
+        p[missing], q[missing] = np.nan, np.nan
+    half_dn = (100 + (3 * u + 7 * v) % 100).astype(np.uint8)
+    nodes = np.zeros((PROJECTOR[1] // NODE_PX + 4, PROJECTOR[0] // NODE_PX + 4), np.uint32)
+    right = right_maps(p.astype(np.float32), q.astype(np.float32), half_dn, *PROJECTOR)
+    right = right._replace(inverse=nodes, nodes_per_px=np.float32(1.0 / NODE_PX))
     fill_inverse_map(right, 1)
     return right
 
 
 class Row:
-    """A scratch row with the coordinates of right points (n,), matched; ``above``: the row matched before it."""
+    """Points asked for, (n,), and what the matching wrote for them; ``above`` is a scratch row, None the inverse map."""
 
-    def __init__(
-        self, right: RightMaps, surface: Surface, u: np.ndarray, v: np.ndarray, above: Row | None = None
-    ) -> None:
-        self.n = len(u)
+    def __init__(self, right: RightMaps, p_px: np.ndarray, q_px: np.ndarray, above: np.ndarray | None = None) -> None:
+        self.n = len(p_px)
         self.s = np.full(SIZE, np.nan, np.float32)
-        self[P], self[Q] = surface(u, v)
-        before = self.s if above is None else above.s
+        self.s[P : P + self.n], self.s[Q : Q + self.n] = p_px, q_px
+        before = self.s if above is None else above
         match_row(right, before, self.s, self.s, self.n, above is not None, np.empty(self.n, np.int32))
 
     def __getitem__(self, place: int) -> np.ndarray:
         values: np.ndarray = self.s[place : place + self.n].astype(float)
         return values
 
-    def __setitem__(self, place: int, values: np.ndarray) -> None:
-        self.s[place : place + self.n] = values
-
     @property
-    def matched(self) -> np.ndarray:
-        found: np.ndarray = np.isfinite(self[U])
+    def matched(self) -> list[bool]:
+        found: list[bool] = np.isfinite(self[U]).tolist()
         return found
 
 
-def somewhere(seed: int, n: int = 70) -> tuple[np.ndarray, np.ndarray]:
-    rng = np.random.default_rng(seed)
-    return rng.uniform(8.0, WIDTH - 9.0, n), rng.uniform(8.0, HEIGHT - 9.0, n)
+def asked(right: RightMaps, surface: Surface, u: np.ndarray, v: np.ndarray, way: str) -> Row:
+    """The points (u, v) of a surface, found in one of three ways."""
+    p, q = surface(np.asarray(u, float), np.asarray(v, float))
+    if way == "inverse map":
+        return Row(right, p, q)
+    above = np.full(SIZE, np.nan, np.float32)
+    if way == "one by one":  # nothing is known of the row above, so that the short way fails everywhere
+        return Row(right, p, q, above)
+    n = len(p)
+    above[P : P + n], above[Q : Q + n], above[U : U + n], above[V : V + n] = p, q, u, v
+    for place in (UP, UQ, VQ, VP):
+        above[place : place + n] = 0.0
+    return Row(right._replace(inverse=np.zeros_like(right.inverse)), p, q, above)
 
 
-@pytest.mark.parametrize(("surface", "within_px"), [(sheared, 2e-4), (bent, 4e-3)])
-def test_a_point_is_found_where_its_coordinates_are(surface: Surface, within_px: float) -> None:
-    u, v = somewhere(1)
-    row = Row(maps_of(surface), surface, u, v)
-    assert row.matched.all()
-    assert np.abs(row[U] - u).max() < within_px
-    assert np.abs(row[V] - v).max() < within_px
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("bends", [(1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1)])
+def test_a_strong_bend_of_either_coordinate_in_either_direction_is_followed(
+    way: str, bends: tuple[int, int, int, int]
+) -> None:
+    puu, pvv, quu, qvv = 0.05 * np.array(bends)
 
+    def bent(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        a, b = u - 12.0, v - 12.0
+        p, q = straight(a, b)
+        return p + 0.5 * (puu * a * a + pvv * b * b), q + 0.5 * (quu * a * a + qvv * b * b)
 
-def test_the_row_above_leads_to_the_same_points() -> None:
-    right = maps_of(bent)
-    u, v = np.linspace(12.3, 140.7, 70), np.linspace(40.0, 60.0, 70)
-    first = Row(right, bent, u, v)
-    for step in (0.3, 1.0, 2.4):
-        below = Row(right, bent, u + 0.4 * step, v + step, first)
-        alone = Row(right, bent, u + 0.4 * step, v + step)
-        assert below.matched.all()
-        assert np.abs(below[U] - (u + 0.4 * step)).max() < 4e-3
-        np.testing.assert_allclose(below[U], alone[U], atol=1e-3)
-        np.testing.assert_allclose(below[V], alone[V], atol=1e-3)
-
-
-def nearest_pixel_was_read(row: Row) -> bool:
-    """Whether the short way over the whole row chose each point's pixel; what it misses is found one by one, slowly."""
-    found: bool = (np.abs(row[U_START] - row[U]) < 0.76).all() and (np.abs(row[V_START] - row[V]) < 0.76).all()
-    return found
-
-
-def test_on_a_smooth_surface_the_inverse_map_leads_the_short_way_to_every_point() -> None:
-    def wide(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return 40.0 + 0.6 * u + 0.05 * v, 100.0 - 0.02 * u + 0.7 * v
-
-    v, u = np.mgrid[0:40, 0:1600].astype(float)
-    p, q = (x.astype(np.float32) for x in wide(u, v))
-    right = right_maps(p, q, np.full(p.shape, 150, np.uint8), 1024, 768)
-    fill_inverse_map(right, 1)
-    row = Row(right, wide, np.linspace(12.3, 1580.7, 400), np.linspace(6.2, 32.7, 400))
-    assert row.matched.all()
-    assert nearest_pixel_was_read(row)
-
-
-def test_the_row_above_is_enough_to_know_where_to_look() -> None:
-    right = maps_of(bent)
-    u, v = np.linspace(12.3, 140.7, 70), np.linspace(40.0, 60.0, 70)
-    first = Row(right, bent, u, v)
-    right.inverse[:, :] = 0
-    for step in (0.3, 1.0, 2.4):
-        below = Row(right, bent, u + 0.4 * step, v + step, first)
-        assert below.matched.all()
-        assert nearest_pixel_was_read(below)
-
-
-def test_a_node_that_only_a_hole_meets_knows_a_pixel_beside_the_hole() -> None:
-    right = maps_of(sheared, (slice(48, 62), slice(66, 90)))
-    # Node 12 · 20 px, 7 · 20 px: all the pixels that would round to it are missing.
-    y, x = divmod(int(right.inverse[7 + 1, 12 + 1]), 65536)
-    assert (x, y) != (0, 0)
-    assert abs(right.p_px[y, x] - 240.0) <= 30.2
-    assert abs(right.q_px[y, x] - 140.0) <= 30.2
-
-
-def test_the_derivatives_are_those_of_the_inverse_map() -> None:
-    u, v = somewhere(2)
-    row = Row(maps_of(sheared), sheared, u, v)
-    inverse = np.linalg.inv(np.array([[2.5, 0.3], [-0.2, 2.2]]))
-    # du = UP dp − UQ dq, dv = VQ dq − VP dp
-    np.testing.assert_allclose(row[UP], inverse[0, 0], rtol=1e-4)
-    np.testing.assert_allclose(row[UQ], -inverse[0, 1], rtol=1e-3)
-    np.testing.assert_allclose(row[VQ], inverse[1, 1], rtol=1e-4)
-    np.testing.assert_allclose(row[VP], -inverse[1, 0], rtol=1e-3)
-    np.testing.assert_allclose(row[SLOPE], 2.5, rtol=1e-4)
-
-
-def test_bend_modulation_and_share_of_noise_are_those_of_the_nearest_pixel() -> None:
-    u, v = somewhere(3)
-    right = maps_of(bent)
-    row = Row(right, bent, u, v)
-    nu, nv = np.rint(u).astype(int), np.rint(v).astype(int)
-    np.testing.assert_allclose(row[BEND_RIGHT], 0.5 * (0.008 - 0.004), atol=2e-4)
-    du, dv = u - nu, v - nv
-    sure = (np.abs(du) < 0.48) & (np.abs(dv) < 0.48) & row.matched
-    assert sure.sum() > 50
-    np.testing.assert_array_equal(row[MODULATION_RIGHT][sure], 0.5 * right.modulation_half_dn[nv, nu][sure])
+    right = maps_of(bent, 24, 24)
+    du, dv = (x.ravel() for x in np.meshgrid([-0.45, -0.2, 0.1, 0.4], [-0.4, -0.1, 0.2, 0.45]))
+    u, v = 12.0 + du, 13.0 + dv
+    row = asked(right, bent, u, v, way)
+    # Straight on, they would be 0.5 · 0.45² · 0.05 / 2.2 = 0.0023 px off.
+    np.testing.assert_allclose(row[U], u, atol=4e-4)
+    np.testing.assert_allclose(row[V], v, atol=4e-4)
+    np.testing.assert_allclose(row[BEND_RIGHT], 0.5 * (puu + pvv), atol=1e-4)
+    np.testing.assert_allclose(row[SLOPE], 2.5, atol=1e-3)
     weights = [1 - du**2 - dv**2, (du**2 + du) / 2, (du**2 - du) / 2, (dv**2 + dv) / 2, (dv**2 - dv) / 2]
-    share = sum(w**2 for w in weights)
-    np.testing.assert_allclose(row[RIGHT_SHARE][sure], share[sure], atol=0.005)
+    np.testing.assert_allclose(row[RIGHT_SHARE], sum(w**2 for w in weights), atol=0.01)
+    np.testing.assert_allclose(row[MODULATION_RIGHT], 0.5 * float(right.modulation_half_dn[13, 12]))
+    slopes = np.array([[2.5, 0.3 + pvv], [-0.2, 2.2 + qvv]])
+    inverse = np.linalg.inv(slopes)
+    for place, value in (
+        (UP, inverse[0, 0]),
+        (UQ, -inverse[0, 1]),
+        (VQ, inverse[1, 1]),
+        (VP, -inverse[1, 0]),
+    ):
+        np.testing.assert_allclose(row[place], value, atol=1e-3)
 
 
-def test_beside_a_hole_one_neighbour_is_enough_and_in_it_there_is_none() -> None:
-    right = maps_of(sheared, (slice(50, 60), slice(70, 90)))
-    inside = Row(right, sheared, np.linspace(73.0, 86.0, 14), np.full(14, 55.0))
-    assert not inside.matched.any()
-    for u, v in ((69.2, 55.3), (90.3, 54.7), (80.2, 49.1), (79.7, 60.2)):
-        row = Row(right, sheared, np.array([u]), np.array([v]))
-        assert row.matched.all(), (u, v)
-        assert row[U][0] == pytest.approx(u, abs=1e-3)
-        assert row[V][0] == pytest.approx(v, abs=1e-3)
-        np.testing.assert_allclose([row[UP][0], row[UQ][0], row[SLOPE][0]], [0.39568, 0.05396, 2.5], rtol=2e-3)
-        np.testing.assert_allclose([row[VQ][0], row[VP][0]], [0.44964, -0.03597], rtol=2e-3)
-        nearest = right.modulation_half_dn[round(v), round(u)]
-        assert row[MODULATION_RIGHT][0] == pytest.approx(0.5 * float(nearest))
-        assert np.isnan(row[BEND_RIGHT][0]), "nobody knows how the surface bends there"
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize(
+    ("pixel", "du", "dv"),
+    [
+        ((1, 20), -1, 0),
+        ((62, 20), 1, 0),
+        ((30, 1), 0, -1),
+        ((30, 46), 0, 1),
+    ],
+)
+def test_three_quarters_of_a_pixel_beyond_the_last_with_neighbours_there_is_still_a_match(
+    way: str, pixel: tuple[int, int], du: int, dv: int
+) -> None:
+    right = maps_of(straight)
+    right.inverse[:, :] = pixel[1] << 16 | pixel[0]
+    for away_px, found in ((0.3, True), (0.7, True), (0.8, False)):
+        u, v = pixel[0] + du * np.array([away_px]), pixel[1] + dv * np.array([away_px])
+        row = asked(right, straight, u, v, way)
+        assert row.matched == [found], away_px
+        if found:
+            assert (row[U][0], row[V][0]) == pytest.approx((u[0], v[0]), abs=1e-4)
+            assert row[MODULATION_RIGHT][0] == 0.5 * float(right.modulation_half_dn[pixel[1], pixel[0]])
+        if way != "one by one":
+            assert (row[U_START][0], row[V_START][0]) == pixel, "whose neighbours are in the image"
 
 
-def test_a_lone_pixel_without_neighbours_is_no_match() -> None:
-    right = maps_of(sheared, (slice(40, 80), slice(60, 100)))
-    v, u = 60, 80
-    right.p_px[v, u], right.q_px[v, u] = sheared(np.array(80.0), np.array(60.0))
-    assert not Row(right, sheared, np.array([80.1]), np.array([60.0])).matched.any()
+@pytest.mark.parametrize(("axis", "sign"), [(0, -1), (1, 1)])
+@pytest.mark.parametrize(("off_px", "found"), [(0.7, True), (0.8, False)])
+def test_the_row_above_may_be_off_by_three_quarters_of_a_pixel(
+    axis: int, sign: int, off_px: float, found: bool
+) -> None:
+    """It leads to a pixel that is so far from the point; the inverse map knows nothing."""
+    right = maps_of(straight)
+    right.inverse[:, :] = 0
+    place = np.array([[30.0], [20.0]])
+    place[axis] -= sign * off_px
+    p, q = straight(place[0], place[1])
+    above = np.full(SIZE, np.nan, np.float32)
+    above[P], above[Q], above[U], above[V] = p[0], q[0], 30.0, 20.0
+    for derivative in (UP, UQ, VQ, VP):
+        above[derivative] = 0.0
+    row = Row(right, p, q, above)
+    assert row.matched == [found]
+    assert (row[U_START][0], row[V_START][0]) == (30.0, 20.0)
 
 
-def test_across_a_step_and_beyond_the_image_there_is_no_match() -> None:
+@pytest.mark.parametrize(("du", "dv"), [(1, 0), (-1, 0), (0, 1), (0, -1)])
+def test_the_short_way_from_the_inverse_map_leads_four_pixels_and_a_walk_nine_and_three_quarters(
+    du: int, dv: int
+) -> None:
+    right = maps_of(straight)
+    for away_px, short, found in ((3.8, True, True), (4.2, False, True), (9.7, False, True), (9.8, False, False)):
+        u, v = np.array([32.0 + du * away_px]), np.array([24.0 + dv * away_px])
+        right.inverse[:, :] = 24 << 16 | 32
+        p, q = straight(u, v)
+        row = Row(right, p, q)
+        assert row.matched == [found], away_px
+        # The short way leaves the coordinates of the pixel it chose; a walk reads them off on its own.
+        near = abs(row[PC][0] - p[0]) <= 0.5 * (2.5 + 0.3) and abs(row[QC][0] - q[0]) <= 0.5 * (0.2 + 2.2)
+        assert near == short, away_px
+        if found:
+            assert abs(row[U_START][0] - u[0]) <= 0.75, "the pixel it is read off from"
+            assert abs(row[V_START][0] - v[0]) <= 0.75
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("signs", [(1, 1, 1, 1), (-1, 1, 1, 1), (1, -1, 1, 1), (1, 1, -1, 1), (1, 1, 1, -1)])
+def test_steepness_is_the_sum_of_all_four_slopes_whichever_way_they_lean(
+    way: str, signs: tuple[int, int, int, int]
+) -> None:
+    """A mirrored picture too has its matches."""
+    pu, pv, qu, qv = np.array([2.0, 0.4, 0.3, 1.8]) * signs
+
+    def leaning(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return 250.0 + pu * (u - 32.0) + pv * (v - 24.0), 190.0 + qu * (u - 32.0) + qv * (v - 24.0)
+
+    right = maps_of(leaning)
+    u, v = np.array([20.2, 33.4, 45.1]), np.array([15.3, 24.4, 33.1])
+    for limit, found in ((4.6, True), (4.4, False)):
+        row = asked(right._replace(max_derivative_sum_px=np.float32(limit)), leaning, u, v, way)
+        assert row.matched == [found] * 3, limit
+        if found:
+            np.testing.assert_allclose(row[U], u, atol=2e-4)
+            np.testing.assert_allclose(row[V], v, atol=2e-4)
+
+
+@pytest.mark.parametrize(
+    ("pixel", "off"),
+    [((29, 24), (0.7, 0.2)), ((40, 24), (-0.7, -0.2)), ((34, 19), (0.2, 0.7)), ((34, 30), (-0.2, -0.7))],
+)
+def test_beside_a_hole_one_neighbour_is_enough_and_nobody_knows_the_bend(
+    pixel: tuple[int, int], off: tuple[float, float]
+) -> None:
+    hole = np.zeros((48, 64), bool)
+    hole[20:30, 30:40] = True
+    right = maps_of(straight, missing=hole)
+    u, v = np.array([pixel[0] + 0.3 * off[0]]), np.array([pixel[1] + 0.3 * off[1]])
+    row = asked(right, straight, u, v, "inverse map")
+    assert (row[U][0], row[V][0]) == pytest.approx((u[0], v[0]), abs=1e-3)
+    np.testing.assert_allclose([row[UP][0], row[UQ][0], row[SLOPE][0]], [0.39568, 0.05396, 2.5], rtol=2e-3)
+    np.testing.assert_allclose([row[VQ][0], row[VP][0]], [0.44964, -0.03597], rtol=2e-3)
+    assert row[MODULATION_RIGHT][0] == 0.5 * float(right.modulation_half_dn[pixel[1], pixel[0]])
+    assert np.isnan(row[BEND_RIGHT][0])
+    assert not any(asked(right, straight, np.array([35.0]), np.array([25.0]), "inverse map").matched), (
+        "in it there is none"
+    )
+
+
+def test_a_lone_pixel_without_neighbours_is_no_match_nor_is_a_place_across_a_step() -> None:
+    assert not any(asked(alone([(30, 20)]), straight, np.array([30.1]), np.array([20.0]), "inverse map").matched)
+
     def steps(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        p, q = sheared(u, v)
-        return p + np.where(u > 80.5, 120.0, 0.0), q
+        p, q = straight(u, v)
+        return p + np.where(u > 32.5, 120.0, 0.0), q
 
-    right = maps_of(steps, projector=(640, 384))
-    hidden_p, hidden_q = sheared(np.full(9, 80.5), np.linspace(30.0, 80.0, 9))
-    row = Row(right, lambda u, v: (hidden_p + 60.0, hidden_q), np.zeros(9), np.zeros(9))
-    assert not row.matched.any()
-    outside = Row(right, sheared, np.array([-3.0, 50.0, 50.0]), np.array([50.0, -4.0, HEIGHT + 3.0]))
-    assert not outside.matched.any()
-    near = Row(right, steps, np.array([76.2, 85.3]), np.array([60.0, 60.0]))
-    np.testing.assert_allclose(near[U], [76.2, 85.3], atol=2e-3)
+    right = maps_of(steps)
+    p, q = straight(np.full(9, 32.5), np.linspace(10.0, 38.0, 9))
+    assert not any(Row(right, p + 60.0, q).matched)
+    near = np.array([28.2, 37.3])
+    np.testing.assert_allclose(asked(right, steps, near, np.array([20.0, 20.0]), "inverse map")[U], near, atol=2e-3)
 
 
-def test_what_is_too_steep_or_has_no_area_is_no_surface() -> None:
-    def steep(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return 40.0 + 2.5 * u, 30.0 + 2.2 * v
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("mirrored", [1.0, -1.0])
+@pytest.mark.parametrize(("area", "found"), [(1.1e-4, True), (0.9e-4, False)])
+def test_a_pixel_that_covers_next_to_nothing_of_the_pattern_is_no_match(
+    way: str, mirrored: float, area: float, found: bool
+) -> None:
+    def flat(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return 1.0 + mirrored * 0.02 * (u - 32.0), area / 0.02 * v
 
-    right = maps_of(steep)
-    assert right.max_derivative_sum_px == pytest.approx(100.0), "ten for 1600 px, more for smaller images"
-    for limit, found in ((4.8, True), (4.6, False)):
-        limited = right._replace(max_derivative_sum_px=np.float32(limit))
-        assert Row(limited, steep, *somewhere(4)).matched.all() == found
-        assert Row(limited, steep, *somewhere(4)).matched.any() == found
-    line = maps_of(lambda u, v: (40.0 + 2.5 * u, 200.0 + 1e-6 * v))
-    assert not Row(line, lambda u, v: (40.0 + 2.5 * u, 200.0 + 0.0 * v), *somewhere(5)).matched.any()
-
-
-def test_without_a_coordinate_there_is_no_match_and_the_others_have_theirs() -> None:
-    u, v = somewhere(6, 140)
-
-    def gaps(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        p, q = sheared(u, v)
-        p[::3], q[::3] = np.nan, np.nan
-        return p, q
-
-    row = Row(maps_of(sheared), gaps, u, v)
-    assert np.isnan(row[U][::3]).all()
-    keep = np.arange(140) % 3 != 0
-    assert np.abs(row[U] - u)[keep].max() < 2e-4
+    right = maps_of(flat)
+    right.inverse[:, :] = 24 << 16 | 32
+    row = asked(right, flat, np.array([32.2]), np.array([24.1]), way)
+    assert row.matched == [found]
 
 
-@pytest.mark.parametrize("stride", [1, 3])
-def test_the_inverse_map_knows_a_pixel_near_every_node_of_the_surface(stride: int) -> None:
-    right = maps_of(sheared)
-    fill_inverse_map(right, stride)
-    node_px = 20
-    assert right.nodes_per_px == pytest.approx(1 / node_px)
-    assert right.inverse.shape == (384 // node_px + 4, 512 // node_px + 4)
-    # Node (i, j) serves coordinates that round to (i − 1, j − 1) · node; an empty one asks those beside it.
-    j, i = (a.ravel() for a in np.mgrid[0 : right.inverse.shape[0], 0 : right.inverse.shape[1]])
-    asked = np.stack([(i - 1.0) * node_px - 40.0, (j - 1.0) * node_px - 30.0], -1)
-    at = asked @ np.linalg.inv(np.array([[2.5, 0.3], [-0.2, 2.2]])).T
-    there = (at[:, 0] > 2) & (at[:, 0] < WIDTH - 3) & (at[:, 1] > 2) & (at[:, 1] < HEIGHT - 3)
-    assert there.sum() > 150
-    i, j = i[there], j[there]
-    assert (right.inverse[j, i] != 0).all()
-    y, x = np.divmod(right.inverse[j, i].astype(int), 65536)
-    assert x.min() >= 1
-    assert y.min() >= 1
-    assert x.max() <= WIDTH - 2
-    assert y.max() <= HEIGHT - 2
-    away_p = right.p_px[y, x] - (i - 1.0) * node_px
-    away_q = right.q_px[y, x] - (j - 1.0) * node_px
-    assert np.abs(away_p).max() <= 1.51 * node_px
-    assert np.abs(away_q).max() <= 1.51 * node_px
-    own = (np.abs(away_p) <= 0.5 * node_px) & (np.abs(away_q) <= 0.5 * node_px)
-    assert own.mean() > 0.7
+def alone(pixels: list[tuple[int, int]]) -> RightMaps:
+    """An image in which only these pixels (column, row) have coordinates."""
+    missing = np.ones((48, 64), bool)
+    for x, y in pixels:
+        missing[y, x] = False
+    return maps_of(straight, missing=missing)
 
 
-def test_a_large_image_has_nodes_two_pattern_px_apart() -> None:
-    maps = np.zeros((4, 1600), np.float32)
-    right = right_maps(maps, maps, np.zeros((4, 1600), np.uint8), 1024, 768)
-    assert right.nodes_per_px == 0.5
-    assert right.inverse.shape == (388, 516)
-    assert right.max_derivative_sum_px == 10.0
+def search_from(starts: dict[tuple[int, int], tuple[int, int]]) -> list[bool]:
+    """Whether a point at (40.2, 30.1) is found when of the nodes around its own only those at (right, down) know a pixel.
+
+    Pixel (10, 10) is one without neighbours: a walk from it is lost.
+    """
+    missing = np.zeros((48, 64), bool)
+    missing[8:13, 8:13] = True
+    missing[10, 10] = False
+    right = maps_of(straight, missing=missing)
+    right.inverse[:, :] = 0
+    p, q = straight(np.array([40.2]), np.array([30.1]))
+    i, j = int(p[0] / NODE_PX + 1.5), int(q[0] / NODE_PX + 1.5)
+    for (a, b), (x, y) in starts.items():
+        right.inverse[j + b, i + a] = y << 16 | x
+    return Row(right, p, q, np.full(SIZE, np.nan, np.float32)).matched
+
+
+GOOD, LOST = (39, 31), (10, 10)
+HERE, RIGHT, LEFT, BELOW, ABOVE = (0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)
+
+
+@pytest.mark.parametrize("side", [RIGHT, LEFT, BELOW, ABOVE])
+def test_what_is_lost_from_its_own_node_is_tried_once_more_from_a_neighbouring_one(side: tuple[int, int]) -> None:
+    assert search_from({HERE: GOOD}) == [True]
+    assert search_from({HERE: LOST}) == [False]
+    assert search_from({HERE: LOST, side: GOOD}) == [True]
+    assert search_from({side: GOOD}) == [True], "its own node knows nothing"
+    assert search_from({(2 * side[0], 2 * side[1]): GOOD}) == [False], "only the nearest neighbours are asked"
+
+
+def test_a_search_is_given_up_after_two_walks() -> None:
+    assert search_from({HERE: LOST, RIGHT: LOST, LEFT: GOOD}) == [True], "the same pixel is not tried again"
+    assert search_from({RIGHT: LOST, LEFT: GOOD}) == [True]
+    assert search_from({HERE: LOST, RIGHT: (9, 9), LEFT: GOOD}) == [False]
+
+
+@pytest.mark.parametrize(
+    ("width_px", "node_px", "limit_px"),
+    [(3200, 2, 10.0), (1600, 2, 10.0), (1599, 3, 10.00625), (1000, 4, 16.0), (457, 8, 16000 / 457)],
+)
+def test_a_smaller_image_has_wider_nodes_and_may_be_steeper(width_px: int, node_px: int, limit_px: float) -> None:
+    empty = np.zeros((4, width_px), np.float32)
+    right = right_maps(empty, empty, np.zeros((4, width_px), np.uint8), 1024, 768)
+    assert float(right.nodes_per_px) == pytest.approx(1.0 / node_px)
+    assert right.inverse.shape == (768 // node_px + 4, 1024 // node_px + 4)
+    assert float(right.max_derivative_sum_px) == pytest.approx(limit_px)

@@ -39,10 +39,13 @@ def record(
     return pipeline, truth, offset
 
 
-@pytest.mark.parametrize("period_px", [16, 32, 64])
+@pytest.mark.parametrize("period_px", [16, 64])
 def test_a_plane_is_measured_as_a_plane(period_px: int) -> None:
     pipeline, truth, offset = record(period_px, 0.0)
     coarse = pipeline.coarse()
+    left = pipeline.decoded("left")
+    error_px = (np.stack([left.p_px, left.q_px], -1) - truth)[left.mask == Mask.VALID]
+    assert np.abs(error_px).max() < 0.024 * period_px / 16
     full = pipeline.full()
     lit = np.all((truth > 1) & (truth < np.array([1022, 766])), axis=-1)
     assert len(full.points_mm) > 0.97 * np.count_nonzero(lit[2:-2, 2:-2])
@@ -50,23 +53,12 @@ def test_a_plane_is_measured_as_a_plane(period_px: int) -> None:
     assert np.abs(residual).max() < 0.12 * period_px / 16, "quantisation to 8 bit alone"
     assert abs(residual.mean()) < 0.002 * period_px / 16
     assert np.median(full.ray_gap_mm) < 0.02 * period_px / 16
-    assert set(coarse.pixel) <= set(full.pixel) or len(set(coarse.pixel) - set(full.pixel)) < 0.02 * len(coarse.pixel)
+    assert len(set(coarse.pixel) - set(full.pixel)) < 0.02 * len(coarse.pixel)
 
 
-@pytest.mark.parametrize("period_px", [16, 64])
-def test_decoded_coordinates_are_those_projected(period_px: int) -> None:
-    pipeline, truth, _ = record(period_px, 0.0)
-    pipeline.coarse()
-    left = pipeline.decoded("left")
-    valid = left.mask == Mask.VALID
-    error = np.stack([left.p_px, left.q_px], -1)[valid] - truth[valid]
-    assert np.abs(error).max() < 0.012 * period_px / 16 * 2
-
-
-@pytest.mark.parametrize("period_px", [16, 32])
-def test_sigma_predicts_the_scatter(period_px: int) -> None:
+def test_sigma_predicts_the_scatter() -> None:
     camera = CameraNoise(read_dn=float(np.hypot(1.6, 0.29)), dn_per_e=0.0, black_dn=0.0)
-    pipeline, _, offset = record(period_px, 1.6, noise=StereoNoise(camera, camera))
+    pipeline, _, offset = record(16, 1.6, noise=StereoNoise(camera, camera))
     pipeline.coarse()
     full = pipeline.full()
     from_the_plane = full.points_mm @ NORMAL - offset
@@ -109,34 +101,11 @@ def test_a_decoded_scan_can_be_reconstructed_with_another_calibration() -> None:
     changed = pipeline.full()
     common, mine, theirs = np.intersect1d(before.pixel, changed.pixel, return_indices=True)
     assert len(common) > 1000
-    points, index = changed.points_mm[theirs], synthetic.WATER.index
+    points = changed.points_mm[theirs]
     assert np.median(np.linalg.norm(points - before.points_mm[mine], axis=1)) > 0.05
-    v, u = np.divmod(common[::97].astype(int), cal.rig.left.width_px)
-    # Half way between the left pixel's ray and the other one: off by half the ray gap, as seen from the left camera.
-    seen = other.rig.left.project(points[::97].astype(float), index)
-    assert np.abs(seen - np.stack([u, v], -1)).max() < 0.5
     pipeline.recalibrate(cal, synthetic.WATER)
     assert np.array_equal(pipeline.full().points_mm, before.points_mm)
     with pytest.raises(
         ValueError, match="the calibration's left camera has 800 x 600 px, this pipeline's 400 x 300 px"
     ):
         pipeline.recalibrate(synthetic.calibration(800, 600), synthetic.WATER)
-
-
-@pytest.mark.parametrize(("period_px", "limit_mm"), [(16, 0.25), (32, 0.5)])
-def test_rays_that_miss_each_other_by_more_than_the_limit_make_no_point(period_px: int, limit_mm: float) -> None:
-    """A right camera that stands too high by so much misses every left ray by it; twice the period, twice the noise."""
-    pipeline, _, _ = record(period_px, 0.0)
-    pipeline.coarse()
-    whole = len(pipeline.full().points_mm)
-    assert whole > 50_000
-    cal = synthetic.calibration()
-    x, y, z = cal.rig.right.translation_mm
-    for factor, kept in ((0.9, True), (1.12, False)):
-        higher = replace(cal.rig.right, translation_mm=(x, y - factor * limit_mm, z))
-        pipeline.recalibrate(replace(cal, rig=replace(cal.rig, right=higher)), synthetic.WATER)
-        cloud = pipeline.full()
-        assert (len(cloud.points_mm) > 0.95 * whole) == kept, factor
-        assert (len(cloud.points_mm) < 0.05 * whole) != kept, factor
-        if kept:
-            assert np.median(cloud.ray_gap_mm) == pytest.approx(factor * limit_mm, rel=0.03)

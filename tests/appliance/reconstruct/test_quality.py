@@ -45,13 +45,6 @@ def test_the_medians_of_many_points_are_those_of_a_sample_over_the_whole_cloud()
     assert said.distance_mm == pytest.approx(500.0, abs=0.1)
 
 
-def test_of_a_cloud_just_larger_than_the_sample_no_point_is_left_out() -> None:
-    depth_mm = np.full(SAMPLE + 1, 400.0)
-    depth_mm[1::2] = 600.0
-    depth_mm[0] = 600.0  # one more than half: the median of every second point would be the other depth
-    assert summarise(1, points(depth_mm), ((0, SAMPLE + 1),)).distance_mm == pytest.approx(600.0)
-
-
 def test_the_volume_is_530_mm_away_and_300_mm_deep_and_a_point_needs_more_than_half_of_its_neighbours() -> None:
     """docs/causes.md names the volume's ends to the diver; gaps of a good calibration are below a tenth of the limit."""
     limits = QualityLimits()

@@ -39,23 +39,6 @@ def seen(R: Array, t_mm: Array, sigma_mm: float) -> Cloud:
     )  # fmt: skip
 
 
-def test_a_movement_is_found_also_where_part_of_it_leaves_the_picture() -> None:
-    R = np.asarray(cv2.Rodrigues(np.radians([0.3, -0.4, 0.5]))[0], np.float64)
-    t_mm = np.array([4.0, -1.0, 2.0]) + np.array([0.0, 0.0, 500.0]) - R @ [0.0, 0.0, 500.0]
-    first, second = seen(np.eye(3), np.zeros(3), 0.02), seen(R, t_mm, 0.02)
-    with np.errstate(invalid="raise", over="raise"):
-        found = register(surface_of(first, second, (HEIGHT_PX, WIDTH_PX)), second)
-    assert found is not None
-    assert np.degrees(np.arccos(0.5 * (np.trace(found.rotation.T @ R) - 1.0))) < 0.02
-    assert found.apply(second.points_mm) == pytest.approx(second.points_mm @ R.T + t_mm, abs=0.05)
-    assert found.shared > 0.95
-
-
-def test_too_few_points_are_not_laid_anywhere() -> None:
-    first = seen(np.eye(3), np.zeros(3), 0.02)
-    assert register(surface_of(first, first, (HEIGHT_PX, WIDTH_PX)), first.thinned(50)) is None
-
-
 def moved(angles_deg: tuple[float, float, float], t_mm: tuple[float, float, float]) -> tuple[Array, Array]:
     """A turn about the surface's middle, and a translation."""
     R = np.asarray(cv2.Rodrigues(np.radians(angles_deg))[0], np.float64)

@@ -42,12 +42,6 @@ def test_a_cloud_comes_out_as_it_went_in(n: int, capacity: int) -> None:
     assert got.gaps is None
 
 
-def test_modulation_is_kept_to_half_a_grey_value() -> None:
-    table, wanted = PointTable(4), cloud(4)
-    wanted.modulation_dn[:] = [0.24, 0.26, 33.3, 127.5]
-    assert table.cloud(table.put(wanted)).modulation_dn.tolist() == [0.0, 0.5, 33.5, 127.5]
-
-
 def test_two_tables_on_the_same_memory_hold_the_same_points_and_26_bytes_are_enough_for_one() -> None:
     """Three coordinates, gap, sigma and pixel of four bytes, modulation and grey value of one."""
     assert POINT_BYTES == 6 * 4 + 2
@@ -60,14 +54,6 @@ def test_two_tables_on_the_same_memory_hold_the_same_points_and_26_bytes_are_eno
         PointTable(10, memoryview(memory))
 
 
-def test_memory_with_room_to_spare_holds_a_table_at_its_beginning() -> None:
-    memory = bytearray(9 * POINT_BYTES + 100)
-    wanted = cloud(9)
-    table = PointTable(9, memoryview(memory))
-    assert_same(table.cloud(table.put(wanted)), wanted)
-    assert bytes(memory[9 * POINT_BYTES :]) == bytes(100)
-
-
 def test_the_pieces_of_several_threads_are_joined_without_what_lies_between() -> None:
     table, whole = PointTable(12), cloud(12)
     table.put(whole)
@@ -78,24 +64,3 @@ def test_the_pieces_of_several_threads_are_joined_without_what_lies_between() ->
     np.testing.assert_array_equal(got.modulation_dn, whole.modulation_dn[kept])
     table.put(cloud(3))
     np.testing.assert_array_equal(got.points_mm, whole.points_mm[kept], "a copy")
-
-
-@pytest.mark.parametrize(
-    ("most", "kept"), [(10, range(10)), (11, range(10)), (9, range(0, 10, 2)), (3, (0, 4, 8)), (1, (0,))]
-)
-def test_a_thinned_cloud_has_no_more_points_than_wanted_evenly_and_the_numbers_of_all(
-    most: int, kept: tuple[int, ...]
-) -> None:
-    whole = cloud(10)
-    thin = whole.thinned(most)
-    np.testing.assert_array_equal(thin.pixel, whole.pixel[list(kept)])
-    np.testing.assert_array_equal(thin.points_mm, whole.points_mm[list(kept)])
-    np.testing.assert_array_equal(thin.sigma_mm, whole.sigma_mm[list(kept)])
-    np.testing.assert_array_equal(thin.ray_gap_mm, whole.ray_gap_mm[list(kept)])
-    np.testing.assert_array_equal(thin.modulation_dn, whole.modulation_dn[list(kept)])
-    np.testing.assert_array_equal(thin.intensity, whole.intensity[list(kept)])
-    assert thin.summary is SUMMARY
-
-
-def test_a_cloud_of_no_points_can_be_thinned() -> None:
-    assert len(cloud(0).thinned(5).pixel) == 0

@@ -48,10 +48,9 @@ def scene(y: int, columns: np.ndarray, depth_mm: float) -> tuple[tuple[np.ndarra
     return (origin, direction), CAL.rig.right.project(points, INDEX)
 
 
-@pytest.mark.parametrize(("first", "stride"), [(480, 1), (549, 1), (700, 3)])
-@pytest.mark.parametrize("depth_mm", [400.0, 520.0, 660.0])
-@pytest.mark.parametrize("y", [85, 602, 1115])
-def test_a_point_seen_by_both_is_found_to_a_micrometre(y: int, first: int, stride: int, depth_mm: float) -> None:
+@pytest.mark.parametrize(("first", "stride"), [(480, 1), (700, 3)])
+@pytest.mark.parametrize(("depth_mm", "y"), [(400.0, 85), (660.0, 1115)])
+def test_a_point_seen_by_both_is_found_to_a_micrometre(depth_mm: float, y: int, first: int, stride: int) -> None:
     columns = first + stride * np.arange(80)
     (origin, direction), uv = scene(y, columns, depth_mm)
     inside = np.all((uv > 8) & (uv < [1590, 1190]), axis=1)
@@ -62,9 +61,8 @@ def test_a_point_seen_by_both_is_found_to_a_micrometre(y: int, first: int, strid
     assert found["gap"][inside].max() < 0.001
 
 
-@pytest.mark.parametrize("stride", [1, 4])
-@pytest.mark.parametrize("depth_mm", [400.0, 520.0, 660.0])
-def test_rays_that_miss_each_other_are_met_half_way_and_the_gap_is_their_distance(depth_mm: float, stride: int) -> None:
+@pytest.mark.parametrize(("stride", "depth_mm"), [(1, 400.0), (4, 660.0)])
+def test_rays_that_miss_each_other_are_met_half_way_and_the_gap_is_their_distance(stride: int, depth_mm: float) -> None:
     columns = 401 + stride * np.arange(48)
     left, uv = scene(763, columns, depth_mm)
     uv = np.add(uv, [0.0, 6.0])
@@ -75,10 +73,9 @@ def test_rays_that_miss_each_other_are_met_half_way_and_the_gap_is_their_distanc
     assert found["gap"].min() > 0.5
 
 
-@pytest.mark.parametrize("stride", [1, 4])
-@pytest.mark.parametrize("depth_mm", [390.0, 520.0, 670.0])
+@pytest.mark.parametrize(("stride", "depth_mm"), [(1, 390.0), (4, 670.0)])
 def test_sigma_is_what_an_error_of_the_right_point_moves_along_the_left_ray_at_every_depth(
-    depth_mm: float, stride: int
+    stride: int, depth_mm: float
 ) -> None:
     columns = 481 + stride * np.arange(40)
     left, uv = scene(602, columns, depth_mm)
@@ -86,49 +83,6 @@ def test_sigma_is_what_an_error_of_the_right_point_moves_along_the_left_ray_at_e
     feet = [met(left, CAL.rig.right.rays(np.add(uv, [shift, 0.0]), INDEX))[0] for shift in (-SIGMA_PX, SIGMA_PX)]
     moved_mm = np.linalg.norm(feet[1] - feet[0], axis=1) / 2.0
     np.testing.assert_allclose(found["sigma"][:, 0], moved_mm, rtol=0.012)
-
-
-def test_a_gap_across_a_slanted_baseline_is_halved_in_all_three_directions() -> None:
-    """Straight made-up rays, whose connection points into no axis."""
-
-    def lattice(x: float, y: float, sx: float, sy: float) -> RayLattice:
-        return RayLattice(500.0, 4, np.broadcast_to(np.array([x, y, sx, sy], np.float32), (4, 20, 4)).copy())
-
-    rays = rays_of(lattice(1.0, 2.0, 0.2, 0.5), lattice(4.0, 1.0, -0.4, 0.1), 64)
-    for stride in (1, 3):
-        found = triangulated(rays, 2, 0, stride, np.full((16, 2), 6.0))
-        on_left, on_right = met(
-            (np.array([[1.0, 2.0, 500.0]]), np.array([[0.2, 0.5, 1.0]])),
-            (np.array([[4.0, 1.0, 500.0]]), np.array([[-0.4, 0.1, 1.0]])),
-        )
-        assert np.abs(on_left - on_right).min() > 0.1
-        np.testing.assert_allclose(found["xyz"], np.repeat(0.5 * (on_left + on_right), 16, 0), atol=1e-3)
-        np.testing.assert_allclose(found["gap"], np.linalg.norm(on_left - on_right), atol=1e-4)
-
-
-def test_a_pixel_without_a_match_has_no_point_and_takes_none_from_its_neighbours() -> None:
-    columns = 400 + np.arange(48)
-    _, uv = scene(602, columns, 520.0)
-    whole = triangulated(RAYS, 602, 400, 1, uv)["xyz"]
-    holes = uv.copy()
-    holes[[0, 8, 20, 24, 47]] = np.nan
-    found = triangulated(RAYS, 602, 400, 1, holes)
-    gone = np.isnan(found["xyz"]).any(axis=1)
-    assert np.flatnonzero(gone).tolist() == [0, 8, 20, 24, 47]
-    np.testing.assert_allclose(found["xyz"][~gone], whole[~gone], atol=0.002)
-
-
-def test_a_step_in_the_surface_does_not_borrow_the_rays_of_the_other_side() -> None:
-    columns = 600 + np.arange(48)
-    _, near = scene(602, columns, 440.0)
-    _, far = scene(602, columns, 620.0)
-    uv = np.where((np.arange(48) % 16 < 5)[:, None], near, far)
-    depths = np.where(np.arange(48) % 16 < 5, 440.0, 620.0)
-    assert np.abs(np.diff(uv[:, 0])).max() > 16.0
-    found = triangulated(RAYS, 602, 600, 1, uv)
-    inside = (uv[:, 0] > 8) & (uv[:, 0] < 1590)
-    assert inside.all()
-    np.testing.assert_allclose(found["xyz"][inside, 2], depths[inside], atol=0.003)
 
 
 def test_lattices_that_do_not_belong_together_are_refused() -> None:
@@ -177,28 +131,9 @@ def first_order(u: np.ndarray, v: np.ndarray) -> np.ndarray:
     return np.asarray(made_up(i, j) + (u - i)[:, None] * by_u + (v - j)[:, None] * by_v)
 
 
-@pytest.mark.parametrize("stride", [1, 2])
-def test_at_the_borders_of_the_image_rays_are_as_good_as_inside(stride: int) -> None:
-    n = 16
-    along = np.linspace(0.0, 9.0, n)
-    for u, v in (
-        (0.3 + along, np.full(n, 30.0)),
-        (94.7 - along, np.full(n, 30.0)),
-        (np.full(n, 40.0), 0.3 + 0.4 * along),
-        (np.full(n, 40.0), 62.7 - 0.4 * along),
-        (94.7 - along, np.full(n, 62.7)),
-        (0.3 + along, np.full(n, 0.3)),
-    ):
-        found = triangulated(made_up_rays(), 5, 3, stride, np.stack([u, v], -1))["xyz"]
-        wanted = half_way(made_up(u, v) if stride == 1 else first_order(u, v))
-        np.testing.assert_allclose(found, wanted, atol=5e-4)
-        if stride == 1:
-            assert np.abs(half_way(first_order(u, v)) - wanted).max() > 1e-3, "a block's node has second order as well"
-
-
 @pytest.mark.parametrize(("axis", "limit_px"), [(0, 16.0), (1, 8.0)])
 @pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize("place", [0, 3, 15])
+@pytest.mark.parametrize("place", [0, 15])
 def test_beyond_its_limit_a_block_is_given_up_and_each_point_asks_its_own_node(
     axis: int, limit_px: float, sign: int, place: int
 ) -> None:
@@ -214,46 +149,7 @@ def test_beyond_its_limit_a_block_is_given_up_and_each_point_asks_its_own_node(
 
 
 @pytest.mark.parametrize("stride", [1, 2])
-@pytest.mark.parametrize("falling", [1.0, -1.0])
-def test_an_error_counts_by_the_shift_of_the_right_ray_at_the_points_own_depth(stride: int, falling: float) -> None:
-    """Rays in one plane, whose shift per px grows with the depth; a mirrored camera errs by as much."""
-    _, i = np.mgrid[0:8, 0:26].astype(float)
-    u = STEP_PX * i
-    nodes = np.stack([50.0 + falling * 0.1 * u, 0.0 * u, -0.4 + falling * 2e-3 * u, 0.0 * u], -1)
-    left = np.broadcast_to(np.array([0.0, 0.0, 0.3, 0.0], np.float32), nodes.shape).copy()
-    rays = rays_of(RayLattice(500.0, STEP_PX, left), RayLattice(500.0, STEP_PX, nodes.astype(np.float32)), 96)
-    at = 40.0 + np.linspace(0.0, 6.0, 16)
-    found = triangulated(rays, 2, 0, stride, np.column_stack([at, np.full(16, 8.0)]))
-
-    def depth_mm(u: np.ndarray) -> np.ndarray:
-        return np.asarray((50.0 + falling * 0.1 * u) / (0.3 - (-0.4 + falling * 2e-3 * u)))
-
-    moved_mm = np.abs(depth_mm(at + SIGMA_PX) - depth_mm(at - SIGMA_PX)) / 2.0 * np.hypot(1.0, 0.3)
-    np.testing.assert_allclose(found["xyz"][:, 2], 500.0 + depth_mm(at), rtol=1e-5)
-    np.testing.assert_allclose(found["sigma"][:, 0], moved_mm, rtol=2e-3)
-
-
-def test_left_rays_between_the_nodes_are_read_in_proportion_in_both_directions() -> None:
-    """A left lattice that is straight in column and row: at every pixel its ray is known."""
-    j, i = np.mgrid[0:12, 0:26].astype(float)
-    u, v = STEP_PX * i, STEP_PX * j
-    nodes = np.stack([0.5 * u + 0.1 * v, 0.2 * v - 0.1 * u, 0.3 + 1e-3 * u - 2e-3 * v, 1e-3 * v + 2e-3 * u], -1)
-    right = np.broadcast_to(np.array([60.0, 1.0, -0.4, 0.1], np.float32), nodes.shape).copy()
-    rays = rays_of(RayLattice(500.0, STEP_PX, nodes.astype(np.float32)), RayLattice(500.0, STEP_PX, right), 97)
-    for y, first, stride in ((0, 0, 1), (5, 3, 1), (43, 81, 1), (7, 1, 3), (9, 1, 2), (42, 0, 5)):
-        columns = first + stride * np.arange(16.0)
-        found = triangulated(rays, y, first, stride, np.full((16, 2), 8.0))
-        n = len(columns)
-        origin = np.column_stack([0.5 * columns + 0.1 * y, 0.2 * y - 0.1 * columns, np.full(n, 500.0)])
-        slope = np.column_stack([0.3 + 1e-3 * columns - 2e-3 * y, 1e-3 * y + 2e-3 * columns, np.ones(n)])
-        far = np.tile([60.0, 1.0, 500.0], (n, 1)), np.tile([-0.4, 0.1, 1.0], (n, 1))
-        on_left, on_right = met((origin, slope), far)
-        np.testing.assert_allclose(found["xyz"], 0.5 * (on_left + on_right), atol=2e-3)
-        np.testing.assert_allclose(found["gap"][:, 0], np.linalg.norm(on_left - on_right, axis=1), atol=1e-3)
-
-
-@pytest.mark.parametrize("stride", [1, 2])
-@pytest.mark.parametrize("wild", [1e9, -1e9, np.inf, -np.inf])
+@pytest.mark.parametrize("wild", [1e9, -np.inf])
 def test_a_row_that_means_nothing_where_there_is_no_match_leads_nowhere(stride: int, wild: float) -> None:
     """Only U is NaN without a match; V may be anything."""
     uv = np.column_stack([40.0 + 0.3 * np.arange(32), np.full(32, 30.2)])
@@ -263,13 +159,3 @@ def test_a_row_that_means_nothing_where_there_is_no_match_leads_nowhere(stride: 
     there = np.isfinite(uv[:, 0])
     # A block with such a place is given up: each of its points asks its own node.
     np.testing.assert_allclose(found[there], half_way(first_order(*uv[there].T)), atol=5e-4)
-
-
-def test_of_two_images_the_left_one_is_asked_up_to_its_last_column() -> None:
-    rays = made_up_rays(width=97)
-    assert rays.left.shape == (4, 17, 97)
-    assert rays.right.shape == (17, 26, 24)
-    assert rays.left.dtype == rays.right.dtype == np.float32
-    assert float(rays.plane_z_mm) == 500.0
-    assert rays.step_px == STEP_PX
-    assert np.isfinite(rays.left).all()

@@ -165,26 +165,5 @@ def test_gaps_in_milk_are_those_of_clear_water_within_what_is_not_known(milk: Sc
     assert "backscatter" in said.text
 
 
-def test_a_weak_veil_is_no_change_of_the_calibration(clear: Scan) -> None:
-    """On the first scan in water of 1 /m the gaps said that the calibration was to be verified."""
-    trend = HealthTrend()
-    for _ in range(3):
-        trend, _ = judge(trend, clear.gaps)
-    weak = scanned(0.02, 0.4)
-    assert weak.gaps.veil_um is not None
-    assert rms(weak.gaps.veil_um) > 4.0
-    assert rms(weak.gaps.gap_um) < 0.6 * rms(weak.gaps.veil_um)
-    _, said = judge(trend, weak.gaps)
-    assert said.point is not None
-    assert said.point.score < 3.0
-
-
 def test_clear_water_is_not_asked(clear: Scan) -> None:
     assert clear.gaps.veil_um is None
-
-
-def test_backscatter_without_fringes_leaves_the_rows_alone(clear: Scan) -> None:
-    foggy = scanned(0.0, 1.5)
-    for side in SIDES:
-        assert abs(float(np.mean(foggy.off_px[side]))) < 0.003
-        assert rms(foggy.off_px[side]) == pytest.approx(rms(clear.off_px[side]), rel=0.35), "rounding alone differs"

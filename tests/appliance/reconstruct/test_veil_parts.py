@@ -120,17 +120,6 @@ def test_a_point_shows_both_modulations_its_row_and_the_backscatter_in_the_middl
     assert found.backscatter_dn[known] == pytest.approx(24.0, abs=1.0)
 
 
-def test_points_beside_the_image_are_read_at_its_edge() -> None:
-    p, q = maps()
-    frames = frames_of(p, q, 50.0, 30.0, 24.0)
-    found = sample_side(
-        SEQUENCE, frames, p.astype(np.float32), q.astype(np.float32), np.array([[-3.0, 40.0], [99.0, -9.0]])
-    )
-    assert found.place == pytest.approx(np.array([[-1.0, 14.0 / 20.0], [39.0 / 20.0 - 1.0, -15.0 / 20.0]]))
-    assert found.row_px == pytest.approx([60.0 + 2.0 * 29.0, 60.0])
-    assert np.isfinite(found.both_dn).all()
-
-
 def test_water_that_is_as_bright_as_the_object_looks_veiled_and_clear_water_does_not() -> None:
     p, q = (np.repeat(np.repeat(one, 2, 0), 2, 1) for one in maps())
     # Its fringes are supposed to be a fortieth of it, and count from two thousandths of the object's on: of 80 DN from 6.4 on.
@@ -145,16 +134,6 @@ def test_water_that_is_as_bright_as_the_object_looks_veiled_and_clear_water_does
 def veil(left: float, right: float, gap_um: Array, doubts_um: Array, shape_um: Array) -> VeilFringes:
     sides = {side: SideVeil((0.0,) * 10, (0.0,) * 6, share) for side, share in (("left", left), ("right", right))}
     return VeilFringes(sides, VeilGaps(np.zeros((len(gap_um), 2)), gap_um, doubts_um, shape_um))
-
-
-def test_what_is_not_known_of_a_veil_stays_when_it_is_taken_out() -> None:
-    found = veil(0.05, 0.03, np.array([5.0, -5.0]), np.array([[3.0, 0.0], [0.0, 4.0]]), np.array([0.0, 5.0]))
-    # Of the first place 9, of the second 16 + 25.
-    assert found.doubt_um == pytest.approx(5.0)
-    removed = found.removed()
-    assert (removed.gaps.gap_um == 0.0).all()
-    assert removed.doubt_um == pytest.approx(5.0)
-    assert removed.sides == found.sides
 
 
 def test_six_hundredths_of_the_objects_fringes_in_either_camera_are_worth_removing() -> None:

@@ -13,7 +13,6 @@ from appliance.registration.overlap import CoarseView
 from appliance.registration.patches import projection_of
 from appliance.scan.guidance import LEAST_GOOD, MOST_GOOD, Guidance, Move
 from appliance.worker.live_picture import reduced
-from hw_sim.objects.motion import pose_matrix
 from tests.appliance.registration.test_overlap import coarse, main_at, seen, true_share
 from tests.support import synthetic
 from tests.support.views import CALIBRATION, PROJECTION, between
@@ -46,7 +45,7 @@ def said(kept: CoarseView, *pictures: NDArray[np.uint8]) -> Guidance | None:
     return last
 
 
-@pytest.mark.parametrize(("step_mm", "move"), [(45.0, Move.GO_ON), (105.0, Move.SCAN_NOW), (150.0, Move.GO_BACK)])
+@pytest.mark.parametrize(("step_mm", "move"), [(45.0, Move.GO_ON), (105.0, Move.SCAN_NOW)])
 def test_the_overlap_of_a_scan_from_here_is_told_and_the_way_to_a_good_one(step_mm: float, move: Move) -> None:
     here = ("main", "slight", main_at(-20.0 + step_mm, 1.0), 2)
     told = said(coarse(*KEPT), live(*here))
@@ -62,41 +61,6 @@ def test_the_overlap_of_a_scan_from_here_is_told_and_the_way_to_a_good_one(step_
         assert np.hypot(*told.toward) == pytest.approx(1.0)
 
 
-def test_over_the_kept_place_itself_no_way_is_better_than_another() -> None:
-    told = said(coarse(*KEPT), live("main", "slight", main_at(-20.0), 2))
-    assert told is not None
-    assert (told.move, told.toward) == (Move.GO_ON, None)
-    assert told.expected.share == pytest.approx(1.0, abs=0.03)
-
-
-def test_another_exposure_changes_no_percentage() -> None:
-    picture = live("main", "slight", main_at(85.0, 1.0), 2)
-    shares = []
-    for gain in (0.5, 1.0):
-        told = said(coarse(*KEPT), np.rint(gain * picture).astype(np.uint8))
-        assert told is not None
-        shares.append(told.expected.share)
-    assert shares[0] == pytest.approx(shares[1], abs=0.03)
-
-
-def test_points_on_a_line_tell_no_pose() -> None:
-    x = np.linspace(-80.0, 80.0, 30)
-    points = np.column_stack([x, np.zeros(30), np.full(30, 550.0)])
-    uv = CALIBRATION.rig.left.project(points, synthetic.WATER.index)
-    found = camera_pose(SIGHT, points, uv)
-    assert found is None or np.linalg.norm(found.of(points) - points, axis=1).max() < 5.0
-    assert camera_pose(SIGHT, np.repeat(points[:1], 30, axis=0), np.repeat(uv[:1], 30, axis=0)) is None
-
-
-def test_the_way_on_leads_along_a_main_and_not_off_it() -> None:
-    aside = (35.0, 30.0, 560.0, 0.0, 0.0, 0.0)
-    told = said(coarse(*KEPT), live("main", "slight", aside, 2))
-    assert told is not None
-    assert told.move is Move.GO_ON
-    assert told.toward is not None
-    assert told.toward[0] < -0.95
-
-
 def test_two_live_pictures_that_know_each_other_but_not_the_kept_scan_send_back() -> None:
     first = live("main", "slight", main_at(-340.0, 1.0), 2)
     far = [first, again(first)]
@@ -105,32 +69,6 @@ def test_two_live_pictures_that_know_each_other_but_not_the_kept_scan_send_back(
     assert told is not None
     assert told.move is Move.GO_BACK
     assert told.expected.none
-
-
-def test_after_a_scan_the_picture_of_before_is_no_witness() -> None:
-    kept, guide = coarse(*KEPT), Guide(SIGHT)
-    first = live("main", "slight", main_at(-340.0, 1.0), 2)
-    far = [first, again(first)]
-    list(guide.look(kept, far[0]))
-    guide.forget()
-    assert [*guide.look(kept, far[1])][-1] is None
-
-
-@pytest.mark.dive  # four more views, half of this file's time
-def test_of_a_bare_pipe_nothing_is_said() -> None:
-    first = live("main", "none", main_at(330.0, 1.0), 2)
-    pictures = [first, again(first)]
-    assert said(coarse("main", "none", main_at(290.0), 1), *pictures) is None
-    assert said(coarse(*KEPT), *pictures) is None, "nor where the kept place was painted"
-
-
-@pytest.mark.dive  # four more views, half of this file's time
-def test_a_print_that_repeats_gives_no_wrong_number() -> None:
-    first = ("plane", "checker", (0.0, 0.0, 522.0, 8.0, 12.0, 0.0), 1)
-    second = ("plane", "checker", (21.0, 0.0, 525.0, 8.0, 10.0, 0.0), 2)
-    told = said(coarse(*first), live(*second), live(*second))
-    true = true_share(seen(*first), seen(*second))
-    assert told is None or told.expected.share == pytest.approx(true, abs=WITHIN)
 
 
 def test_in_the_dark_and_in_noise_nothing_is_said() -> None:
@@ -156,18 +94,6 @@ def test_the_camera_is_posed_through_the_flat_port_within_a_fifth_of_a_millimetr
     assert pose is not None
     assert np.linalg.norm(pose.of(points) - true.of(points), axis=1).max() < 0.2
     assert camera_pose(SIGHT, points[:9], uv[:9]) is None, "too few"
-
-
-def test_marks_that_tell_of_two_places_tell_of_none() -> None:
-    kept = seen(*KEPT)
-    points = kept.cloud.points_mm[kept.cloud.mask][::300].astype(np.float64)
-    uv = CALIBRATION.rig.left.project(points, synthetic.WATER.index)
-    R, _ = pose_matrix((0.0, 0.0, 0.0, 0.0, 0.0, 2.0))
-    other = CALIBRATION.rig.left.project(points @ R.T + np.array([40.0, 0.0, 0.0]), synthetic.WATER.index)
-    half = np.arange(len(points)) % 5 < 3
-    assert camera_pose(SIGHT, points, np.where(half[:, None], uv, other)) is None
-    few = np.arange(len(points)) % 5 < 4
-    assert camera_pose(SIGHT, points, np.where(few[:, None], uv, other)) is not None
 
 
 @pytest.mark.parametrize(("wide_px", "long"), [(54, False), (58, True)])
@@ -214,12 +140,3 @@ def test_a_cell_is_lit_by_half_of_what_the_kept_scans_faintest_points_had(kept_d
     assert found.shape == (60, 80)
     assert bool(found[:5, :10].any()) is lit
     assert found[6:, 12:].all()
-
-
-def test_what_is_about_as_long_as_wide_has_no_axis() -> None:
-    lit = np.zeros((60, 80), bool)
-    lit[20:40, :] = True
-    axis = long_axis(lit)
-    assert axis is not None
-    assert abs(axis[0]) == pytest.approx(1.0)
-    assert long_axis(np.ones((60, 80), bool)) is None

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -11,11 +9,10 @@ from numpy.typing import NDArray
 from appliance.calibration.depth_error import COUNT, along_ray, shapes
 from appliance.optics.rotation import rotation_matrix, rotation_vector
 from appliance.registration.bow import BowNews
-from appliance.registration.fine import Fit, refine
+from appliance.registration.fine import Fit
 from appliance.registration.graph import FLOOR_MM, Edge, Placed, place
-from appliance.registration.joint import JointErrors, joint_errors
+from appliance.registration.joint import joint_errors
 from appliance.registration.rigid import Rigid
-from tests.support.views import SeenView, between, view
 
 Array = NDArray[np.float64]
 SCANS, DRAWS = 6, 250
@@ -115,92 +112,3 @@ def test_lengths_between_two_scans_err_by_what_is_stated(
     assert 0.85 < float(np.std(off)) / sigma_mm < 1.1
     if first == second:
         assert stated.places_mm < 1e-9, "no place is between two points of one scan"
-
-
-def test_neighbours_share_their_errors_and_ends_do_not(tried: list[tuple[Placed, Array]]) -> None:
-    errors = joint_errors(middling(tried))
-    at = [true_pose(k).of(MIDDLES[k]) for k in range(SCANS)]
-
-    def sigma(i: int, j: int) -> float:
-        return errors.of_length(i, at[i], j, at[j]).sigma_mm
-
-    # As if both ends erred by themselves: what covariances of single places would say.
-    u = (at[5] - at[4]) / np.linalg.norm(at[5] - at[4])
-    apart = [np.hypot(*errors.sigma_along(at[k][None], u[None], np.array([k])))[0] for k in (4, 5)]
-    assert sigma(4, 5) < 0.6 * float(np.hypot(*apart))
-    assert sigma(0, 5) > 1.7 * sigma(4, 5)
-
-
-def middling(tried: list[tuple[Placed, Array]]) -> Placed:
-    """A draw whose factor of the variances is the middle one."""
-    return sorted((placed for placed, _ in tried), key=lambda one: one.variance_factor)[len(tried) // 2]
-
-
-def over_the_row() -> tuple[Array, Array, Array, NDArray[np.int64]]:
-    """Points of all scans in their own frames, the same and their normals in the object's, and the scan of each."""
-    x, y = (one.ravel() for one in np.meshgrid(np.linspace(-60.0, 60.0, 7), np.linspace(-50.0, 50.0, 5)))
-    own = np.stack([x, y, 510.0 - y**2 / 300.0], axis=1)
-    bent = np.stack([0.0 * x, y / 150.0, np.ones_like(x)], axis=1)
-    normals = -bent / np.linalg.norm(bent, axis=1)[:, None]
-    scan = np.repeat(np.arange(SCANS), len(own))
-    at = np.concatenate([true_pose(k).of(own) for k in range(SCANS)])
-    out = np.concatenate([normals @ true_pose(k).rotation.T for k in range(SCANS)])
-    return np.tile(own, (SCANS, 1)), at, out, scan
-
-
-def test_points_err_along_their_normals_by_what_is_stated_before_and_after_the_object_is_laid_onto_something(
-    tried: list[tuple[Placed, Array]],
-) -> None:
-    own, at, normals, scan = over_the_row()
-    errors = joint_errors(middling(tried))
-    off = np.array(
-        [
-            ((np.concatenate([measured(placed, k, own[scan == k], shared) for k in range(SCANS)]) - at) * normals).sum(
-                1
-            )
-            for placed, shared in tried
-        ]
-    )
-    before = np.hypot(*errors.sigma_along(at, normals, scan))
-    assert 0.85 < np.median(off.std(axis=0) / before) < 1.12
-    middle = at.mean(axis=0)
-    rigid = np.concatenate([np.cross(at - middle, normals) / 100.0, normals], axis=1)
-    # Its own best fit, draw by draw.
-    left = off - (rigid @ np.linalg.lstsq(rigid, off.T, rcond=0.01)[0]).T
-    after = np.hypot(*errors.settled(at, normals, scan).sigma_along(at, normals, scan))
-    assert 0.8 < np.median(left.std(axis=0) / after) < 1.15
-    assert np.median(after) < 0.6 * np.median(before), "a best fit takes most of it away"
-    assert after.max() > 0.01, "and leaves how it is bent"
-
-
-def test_an_injected_error_moves_the_second_scan_as_the_errors_say() -> None:
-    """Two real registrations, with the shared error in the points and without: the way in which the place follows it, and its sign."""
-    pair = (
-        view("shell", (0.0, 0.0, 545.0, 5.0, -8.0, 12.0), "slight", 1),
-        view("shell", (30.0, -20.0, 520.0, -4.0, 6.0, 75.0), "slight", 2),
-    )
-    shared = np.zeros(COUNT)
-    shared[[0, 2]] = 0.06, -0.03
-
-    def placed(views: tuple[SeenView, SeenView]) -> Placed:
-        fit = refine(views[0].ready().fine, views[1].ready().fine, between(*pair), gate_mm=1.0)
-        assert fit is not None
-        return place(2, [Edge(0, 1, fit)], {k: np.zeros(3) for k in range(2)}, with_bow=False)
-
-    def bent(one: SeenView) -> SeenView:
-        points = one.cloud.points_mm.astype(np.float64)
-        with np.errstate(invalid="ignore"):
-            moved = points + along_ray(points) * (shapes(points) @ shared)[..., None]
-        return replace(one, cloud=replace(one.cloud, points_mm=moved.astype(np.float32)))
-
-    straight, wrong = placed(pair), placed((bent(pair[0]), bent(pair[1])))
-    some = pair[1].cloud.points_mm[pair[1].cloud.mask][::400].astype(np.float64)
-    at = straight.poses[1].of(some)
-    moved = wrong.poses[1].of(some + along_ray(some) * (shapes(some) @ shared)[:, None]) - at
-    # The one error that there is, in place of a covariance.
-    of_this: JointErrors = replace(joint_errors(straight), shared_root=shared[:, None])
-    one_way = np.tile([0.0, 0.0, 1.0], (len(at), 1))
-    _, said = of_this.sigma_along(at, one_way, np.ones(len(at), np.int64))
-    happened = np.abs(moved[:, 2])
-    assert happened.max() > 0.02, "else it would be no test"
-    assert float(np.sqrt(np.mean((said - happened) ** 2))) < 0.2 * float(np.sqrt(np.mean(happened**2)))

@@ -62,35 +62,15 @@ def main_at(x_mm: float, turn: float = 0.0) -> tuple[float, ...]:
     return (x_mm, 4.0 * turn, 560.0 + 6.0 * turn, 2.0 * turn, -3.0 * turn, 3.0 * turn)
 
 
-@pytest.mark.parametrize("step_mm", [70.0, 150.0])
-def test_along_a_painted_main_the_share_is_the_true_one(step_mm: float) -> None:
-    first, second = (
-        ("main", "slight", main_at(x, turn), seed) for x, turn, seed in ((-20.0, 0.0, 1), (-20.0 + step_mm, 1.0, 2))
-    )
+def test_along_a_painted_main_the_share_is_the_true_one() -> None:
+    first, second = (("main", "slight", main_at(x, turn), seed) for x, turn, seed in ((-20.0, 0.0, 1), (85.0, 1.0, 2)))
     share = said(coarse(*first), coarse(*second)).share
     assert share is not None
     assert share == pytest.approx(true_share(seen(*first), seen(*second)), abs=WITHIN)
 
 
-@pytest.mark.parametrize("x_mm", [-340.0])
-def test_two_painted_places_that_have_nothing_in_common_are_said_to_have_nothing(x_mm: float) -> None:
-    overlap = said(coarse("main", "slight", main_at(-20.0), 1), coarse("main", "slight", main_at(x_mm, 1.0), 2))
-    assert overlap.none
-
-
-@pytest.mark.parametrize("x_mm", [240.0, -340.0])
-def test_a_bare_pipe_slides_and_gives_no_number_whatever_is_in_common(x_mm: float) -> None:
-    """Not even that nothing is: the smooth places of two views lie upon each other as well as one place does."""
-    overlap = said(coarse("main", "none", main_at(290.0), 1), coarse("main", "none", main_at(x_mm, 1.0), 2))
-    assert overlap.share is None
-
-
-@pytest.mark.parametrize("shift_mm", [21.0, 400.0])
-def test_a_print_that_repeats_gives_no_wrong_number(shift_mm: float) -> None:
-    first = ("plane", "checker", (0.0, 0.0, 522.0, 8.0, 12.0, 0.0), 1)
-    second = ("plane", "checker", (min(shift_mm, 180.0), 0.0, 525.0, 8.0, 10.0, 0.0), 2)
-    share = said(coarse(*first), coarse(*second)).share
-    assert share is None or share == pytest.approx(true_share(seen(*first), seen(*second)), abs=WITHIN)
+def test_two_painted_places_that_have_nothing_in_common_are_said_to_have_nothing() -> None:
+    assert said(coarse("main", "slight", main_at(-20.0), 1), coarse("main", "slight", main_at(-340.0, 1.0), 2)).none
 
 
 def plane_with_marks(points: np.ndarray[tuple[int, ...], np.dtype[np.float64]], seed: int = 3) -> CoarseView:
@@ -106,7 +86,7 @@ def plane_with_marks(points: np.ndarray[tuple[int, ...], np.dtype[np.float64]], 
     )  # fmt: skip
 
 
-@pytest.mark.parametrize(("elsewhere", "told"), [(0, True), (10, True), (14, False), (22, False)])
+@pytest.mark.parametrize(("elsewhere", "told"), [(10, True), (14, False)])
 def test_marks_that_fit_in_two_places_give_no_number(elsewhere: int, told: bool) -> None:
     """Twenty-four marks say that nothing has moved, others that the second view lies 60 mm aside."""
     rng = np.random.default_rng(1)
@@ -145,15 +125,6 @@ def test_noise_and_what_drifts_by_are_no_marks() -> None:
         for k in (0, 2)
     ]
     assert said(*still).none, "marks that stay do tell"
-
-
-def test_a_scan_of_nothing_tells_nothing() -> None:
-    made = coarse("main", "slight", main_at(-20.0), 1)
-    nothing = np.full_like(made.points_mm, np.nan)
-    dark = np.zeros_like(made.pictures[0])
-    empty = CoarseView(nothing, nothing[..., 0], made.stride_px, (dark, dark), made.reduced, PROJECTION)
-    for first, second in ((made, empty), (empty, made), (empty, empty)):
-        assert said(first, second).share is None
 
 
 def looks(*cosines: float) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from appliance.reconstruct.organised import OrganisedCloud
-from appliance.registration.albedo import Paint, _without_shading, paint_of, patch_pitch_mm
+from appliance.registration.albedo import Paint, patch_pitch_mm
 from appliance.registration.candidates import by_place, overlap
 from appliance.registration.equations import (
     EXTRA_MM,
@@ -22,7 +23,7 @@ from appliance.registration.equations import (
 )
 from appliance.registration.fine import Prepared
 from appliance.registration.pair import ReadyScan
-from appliance.registration.patches import Patches, block_size_px, coarser, patches_of
+from appliance.registration.patches import Patches, block_size_px, patches_of
 from appliance.registration.repeats import repeats_of
 from appliance.registration.rigid import Rigid
 from tests.appliance.registration.test_marks import of_look
@@ -74,35 +75,42 @@ def test_a_patch_lies_on_its_points_and_is_as_certain_as_their_independent_ones(
     np.testing.assert_allclose(patch_pitch_mm(patches), np.hypot(1.0, 0.0), atol=0.13)
 
 
-@pytest.mark.parametrize(("missing", "there"), [(4, True), (5, False)])
-def test_three_quarters_of_a_patch_have_points(missing: int, there: bool) -> None:
+def some_missing(count: float) -> OrganisedCloud:
+    """Of the patch at (5, 5); that at (2, 2) is missing whole."""
     lost = np.zeros((48, 64), bool)
-    lost[20:24, 20:24].flat[:missing] = True
+    lost[20:24, 20:24].flat[: int(count)] = True
     lost[8:12, 8:12] = True
-    # Its grey is not asked for, so that nothing bridges the hole.
-    cloud = replace(without(flat(), lost), grey=np.zeros((48, 64), np.uint8))
-    patches = patches_of(cloud, PROJECTION, 4)
-    assert bool(patches.valid[5, 5]) is there
-    assert not patches.valid[2, 2]
+    return without(flat(), lost)
 
 
-@pytest.mark.parametrize(("rough_mm", "there"), [(0.11, True), (0.13, False)])
-def test_a_patch_is_no_rougher_than_an_eighth_of_a_millimetre(rough_mm: float, there: bool) -> None:
+def saddle(rough_mm: float) -> OrganisedCloud:
+    """A saddle of ±1, without slope, in the patch at (5, 5): of 16 points 13 are free."""
     cloud = flat(sigma_mm=1e-4)
-    points = cloud.points_mm.copy()
     v, u = np.mgrid[0:4, 0:4]
-    # A saddle of ±1, without slope: of 16 points 13 are free.
-    points[20:24, 20:24, 2] += rough_mm * np.sqrt(13.0 / 16.0) * np.where((u // 2 + v // 2) % 2, 1.0, -1.0)
-    patches = patches_of(replace(cloud, points_mm=points, grey=np.zeros((48, 64), np.uint8)), PROJECTION, 4)
-    assert bool(patches.valid[5, 5]) is there
-    if there:
-        assert patches.sigma_mm[5, 5] == pytest.approx(rough_mm, rel=0.01), "its plane depends on where it lies"
+    cloud.points_mm[20:24, 20:24, 2] += rough_mm * np.sqrt(13.0 / 16.0) * np.where((u // 2 + v // 2) % 2, 1.0, -1.0)
+    return cloud
 
 
-@pytest.mark.parametrize(("cosine", "there"), [(0.26, True), (0.24, False)])
-def test_a_patch_that_is_seen_too_flatly_is_none(cosine: float, there: bool) -> None:
-    cloud = flat((48, 64), 0.05, tilt=float(np.sqrt(1.0 / cosine**2 - 1.0)))
-    assert bool(patches_of(cloud, PROJECTION, 4).valid[6, 8]) is there
+def tilted(cosine: float) -> OrganisedCloud:
+    return flat((48, 64), 0.05, tilt=float(np.sqrt(1.0 / cosine**2 - 1.0)))
+
+
+@pytest.mark.parametrize(
+    ("made", "at", "limit", "beyond"),
+    [(some_missing, (5, 5), 4, 5), (saddle, (5, 5), 0.11, 0.13), (tilted, (6, 8), 0.26, 0.24)],
+    ids=["three quarters have points", "no rougher than an eighth of a millimetre", "not seen too flatly"],
+)
+def test_a_patch_has_its_points_and_is_a_plane(
+    made: Callable[[float], OrganisedCloud], at: tuple[int, int], limit: float, beyond: float
+) -> None:
+    for value, there in ((limit, True), (beyond, False)):
+        # Its grey is not asked for, so that nothing bridges a hole.
+        patches = patches_of(replace(made(value), grey=np.zeros((48, 64), np.uint8)), PROJECTION, 4)
+        assert bool(patches.valid[at]) is there
+        if there and made is saddle:
+            assert patches.sigma_mm[at] == pytest.approx(value, rel=0.01), "its plane depends on where it lies"
+        if made is some_missing:
+            assert not patches.valid[2, 2]
 
 
 @pytest.mark.parametrize(("grey", "known"), [(254, True), (255, False), (7, True), (6, False)])
@@ -133,31 +141,6 @@ def test_a_small_dark_print_is_bridged_and_counts_for_its_grey(patches_wide: int
         stepped = cloud.points_mm.copy()
         stepped[:, 60:, 2] += 4.0
         assert not patches_of(replace(cloud, points_mm=stepped), PROJECTION, 4).valid[15, 15], "at a step none is known"
-
-
-def test_joined_patches_are_means_of_those_that_are_there() -> None:
-    patches = patches_of(flat(tilt=0.2), PROJECTION, 4)
-    sigma, grey = patches.sigma_mm.copy(), patches.log_grey.copy()
-    sigma[0:3, 0:3].flat[:4] = np.nan  # five of nine are left
-    sigma[0:3, 3:6].flat[:5] = np.nan  # four
-    grey[3:6, 0:3].flat[:5] = np.nan
-    joined = coarser(replace(patches, sigma_mm=sigma, log_grey=grey), 3)
-    assert joined.sigma_mm.shape == (4, 5)
-    assert joined.block_px == 12
-    assert joined.sigma_mm[0, 0] == pytest.approx(patches.sigma_mm[0, 0], rel=1e-4)
-    assert np.isnan(joined.sigma_mm[0, 1])
-    assert np.isnan([joined.centre_mm[0, 1], joined.normal[0, 1]]).all()
-    assert np.isnan([joined.log_grey[1, 0], joined.grey_noise[1, 0]]).all()
-    assert np.isfinite(joined.sigma_mm[1, 0])
-    np.testing.assert_allclose(joined.centre_mm[1, 1], patches.centre_mm[4, 4], atol=1e-6)
-    np.testing.assert_allclose(np.linalg.norm(joined.normal[1:], axis=-1), 1.0)
-    np.testing.assert_allclose(joined.grey_noise[2, 2], patches.grey_noise[0, 0] / 3)
-
-
-def test_what_is_not_before_the_camera_is_seen_nowhere() -> None:
-    seen = PROJECTION.pixels(np.array([[0.0, 0.0, 0.9], [0.0, 0.0, -500.0], [0.0, 0.0, 1.1]]))
-    assert np.isnan(seen[:2]).all()
-    assert np.isfinite(seen[2]).all()
 
 
 # -------------------------------------------------------------------------------------------- overlap of two
@@ -225,82 +208,6 @@ def painted(value: Array, pitch_mm: float = 1.0) -> Patches:
     shade = np.log((normal * to_light).sum(-1) / away) - 2.0 * np.log(away / 500.0)
     sigma = np.full(value.shape, SIGMA_MM)
     return Patches(centre, normal, sigma, value + shade, 0.01 * np.ones_like(value), 4, PROJECTION)
-
-
-def test_shading_is_no_paint_and_paint_is_kept() -> None:
-    bare = painted(np.zeros((50, 60)))
-    assert bare.log_grey.std() > 0.015
-    holed = bare.log_grey.copy()
-    holed[20:32, 20:35] = np.nan
-    for one in (bare, replace(bare, log_grey=holed)):
-        assert np.nanmax(np.abs(paint_of(one, LIGHT_MM).value)) < 0.002
-    fine = 0.3 * np.random.default_rng(1).normal(size=(50, 60))
-    paint = paint_of(painted(fine), LIGHT_MM)
-    assert np.corrcoef(paint.value.ravel(), fine.ravel())[0, 1] > 0.98
-    np.testing.assert_array_equal(paint.noise, 0.01)
-
-
-def test_light_that_follows_from_place_and_direction_is_no_paint_whatever_the_shape() -> None:
-    """Lambert's law and the distance, light that falls off over the field, and gloss: each by itself, on a surface rough in all directions."""
-    rng = np.random.default_rng(6)
-    n = rng.normal(size=(20, 20, 3)) - np.array([0.0, 0.0, 1.0])
-    n /= np.linalg.norm(n, axis=-1, keepdims=True)
-    at = rng.uniform(-90.0, 90.0, (20, 20, 3)) + np.array([0.0, 0.0, 500.0])
-    rough = replace(painted(np.zeros((20, 20))), normal=n, centre_mm=at)
-    to_light = LIGHT_MM - at
-    away = np.linalg.norm(to_light, axis=-1)
-    cosine = np.maximum((n * to_light).sum(-1) / away, 0.05)
-    x, y, z = np.moveaxis(at / 100.0, -1, 0)
-    for shade in (
-        np.log(cosine), cosine, cosine**2, np.log(away), x, y, z, x * x, x * y, y * y,
-        n[..., 0], n[..., 1], n[..., 0] * n[..., 1], n[..., 0] ** 2 - n[..., 1] ** 2,
-    ):  # fmt: skip
-        grey = (shade - shade.mean()) / shade.std()
-        left = _without_shading(replace(rough, log_grey=grey), np.ones((20, 20), bool), LIGHT_MM)
-        assert left.std() < 0.06
-
-
-def test_glare_does_not_change_the_paint_of_the_rest() -> None:
-    bright = np.zeros((50, 60))
-    bright[5:20, 35:55] = 1.0
-    left = _without_shading(painted(bright), np.ones((50, 60), bool), LIGHT_MM)
-    assert float(np.abs(left[bright.ravel() == 0.0]).max()) < 0.05
-
-
-@pytest.mark.parametrize(("waves_mm", "kept"), [(8.0, (0.9, 1.1)), (33.0, (0.35, 0.65)), (200.0, (0.0, 0.2))])
-def test_paint_that_varies_slowly_is_left_out(waves_mm: float, kept: tuple[float, float]) -> None:
-    x = np.broadcast_to(np.arange(160.0), (80, 160))
-    wave = 0.3 * np.sin(2.0 * np.pi * x / waves_mm)
-    seen = paint_of(painted(wave), LIGHT_MM).value[20:-20, 20:-20]
-    amplitude = np.sqrt(2.0) * seen.std() / 0.3
-    assert kept[0] <= amplitude <= kept[1]
-
-
-@pytest.mark.parametrize(("count", "known"), [(39, False), (40, True)])
-def test_paint_is_told_from_forty_patches_on(count: int, known: bool) -> None:
-    value = np.full(60, np.nan)
-    value[:count] = np.random.default_rng(2).normal(size=count)
-    assert bool(np.isfinite(paint_of(painted(value.reshape(6, 10)), LIGHT_MM).value).any()) is known
-
-
-def test_the_gradient_of_paint_lies_along_the_surface_and_ends_at_edges() -> None:
-    patches = painted(np.zeros((30, 30)), 0.7)
-    patches = replace(patches, log_grey=0.2 * np.random.default_rng(3).normal(size=(30, 30)))
-    paint = paint_of(patches, LIGHT_MM)
-    c, value, g = patches.centre_mm, paint.value, paint.gradient
-    assert np.isnan(g[0]).all()
-    assert np.isnan(g[:, -1]).all()
-    for (y, x), (v, u) in (((9, 12), (0, 1)), ((20, 7), (1, 0))):
-        step = c[y + v, x + u] - c[y - v, x - u]
-        assert g[y, x] @ step == pytest.approx(value[y + v, x + u] - value[y - v, x - u])
-        assert g[y, x] @ np.cross(c[y, x + 1] - c[y, x - 1], c[y + 1, x] - c[y - 1, x]) == pytest.approx(0.0, abs=1e-12)
-    pitch_mm = patch_pitch_mm(patches)
-    for apart, known in ((5.5, True), (6.5, False)):
-        far = c.copy()
-        # Two patches beside each other lie this many pitches apart in all.
-        far[:, 15:, 0] += (apart - 2.0) * pitch_mm
-        there = paint_of(replace(patches, centre_mm=far), LIGHT_MM).gradient[10, 15]
-        assert bool(np.isfinite(there).all()) is known
 
 
 # -------------------------------------------------------------------------------------------------- repeats
@@ -378,13 +285,6 @@ def test_a_step_undoes_the_displacement_and_is_eight_millimetres_at_most() -> No
         assert np.linalg.norm(step) == pytest.approx(size)
 
 
-def test_along_what_nothing_holds_no_step_is_taken() -> None:
-    off = laid(DELTA, plane=True)
-    step = step_of(system_of(off, with_paint=False))
-    np.testing.assert_allclose(step[[2, 3, 4]], 0.0, atol=1e-6)
-    np.testing.assert_allclose(step[[0, 1, 5]], -DELTA[[0, 1, 5]], atol=1e-3)
-
-
 def test_weights_fall_for_outliers_and_for_all_where_residuals_scatter_more_than_noise_explains() -> None:
     still = laid(np.zeros(6))
     variance = SIGMA_MM**2 + EXTRA_MM**2
@@ -417,39 +317,3 @@ def test_paint_counts_from_a_hundred_and_twenty_patches_on(known: int, used: boo
         np.testing.assert_allclose(system.r[400:], 0.0, err_msg="a brighter picture is no displacement")
         np.testing.assert_allclose(system.w[400:], 1.0 / (0.02**2 + EXTRA_PAINT**2))
         np.testing.assert_array_equal(system.cluster[400:], np.arange(known))
-
-
-def test_a_plane_with_paint_is_held_by_paint_where_planes_do_not() -> None:
-    rng = np.random.default_rng(7)
-    still = laid(np.zeros(6), plane=True)
-    paint = 0.01 * np.concatenate([rng.normal(size=(400, 2)), np.zeros((400, 1))], axis=1)
-    both = replace(still, paint=np.zeros(400), paint_noise=np.full(400, 0.02), gradient_a=paint, gradient_b=paint)
-    by_paint = resistance_of(system_of(both, with_paint=True))
-    assert by_paint.paint_share == pytest.approx(1.0, abs=0.01)
-    assert resistance_of(system_of(laid(np.zeros(6)), with_paint=False)).paint_share == 0.0
-
-
-def test_noise_of_normals_holds_nothing_and_is_known_by_its_size() -> None:
-    """Along a plane stiffness is noise times noise: of the size of half the stated deviation, which doubles it for neighbours."""
-    loose = []
-    for seed in range(60):
-        found = resistance_of(system_of(laid(np.zeros(6), 150, seed, noise=0.05, plane=True), with_paint=False))
-        soft = np.argsort(np.abs(found.directions[[0, 1, 5]]).sum(axis=0))[:3]
-        loose += found.held[soft].tolist()
-        assert np.sort(found.held)[3] > 5.0
-    assert 0.35 < float(np.sqrt(np.mean(np.square(loose)))) < 0.75
-
-
-def test_a_pose_errs_by_what_is_stated_also_where_patches_of_a_tile_err_together() -> None:
-    rng = np.random.default_rng(8)
-    base = laid(np.zeros(6))
-    for tile in (1, 4):
-        scores = []
-        for _ in range(120):
-            common = np.repeat(rng.normal(size=400 // tile), tile)
-            noisy = replace(base, apart_mm=SIGMA_MM * common, tile=np.arange(400) // tile)
-            system = system_of(noisy, with_paint=False)
-            step = step_of(system)
-            after = replace(system, r=system.r + system.J @ step)
-            scores.append(step @ np.linalg.solve(resistance_of(after).covariance, step) / 6.0)
-        assert 0.8 < float(np.mean(scores)) < 1.25

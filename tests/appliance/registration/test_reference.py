@@ -70,9 +70,8 @@ def reference(motion: Rigid, scale: float = 1.0) -> NominalReference:
     return NominalReference(NominalTree.of(heap(block(), motion, scale)))
 
 
-@pytest.mark.parametrize("corner", [(-1e3, -1e3), (-60.0, -1e3)], ids=["whole", "part"])
-def test_a_view_finds_its_place_on_a_drawing_in_any_frame(corner: tuple[float, float]) -> None:
-    found = lay_onto(view(block(), corner), reference(ELSEWHERE))
+def test_a_part_finds_its_place_on_a_drawing_in_any_frame() -> None:
+    found = lay_onto(view(block(), (-60.0, -1e3)), reference(ELSEWHERE))
     off = SEEN.then(ELSEWHERE).inverse.then(found.pose)
     assert np.linalg.norm(off.of(found.middle_mm) - found.middle_mm) < 0.02
     assert np.linalg.norm(rotation_vector(off.rotation)) * found.lever_mm < 0.02
@@ -115,15 +114,3 @@ def test_another_thing_is_refused_with_both_sizes() -> None:
 def test_a_drawing_in_metres_is_refused() -> None:
     with pytest.raises(SurfaceMatchError, match=r"0\.2 x 0\.15 x 0\.05 mm; is the CAD model in metres"):
         lay_onto(view(block(), count=4_000), reference(HERE, 0.001))
-
-
-def test_a_view_of_hardly_a_point_is_refused() -> None:
-    with pytest.raises(SurfaceMatchError, match="it has 7 points; at least 120"):
-        lay_onto(OrientedPoints(np.zeros((7, 3)), np.zeros((7, 3)), np.ones(7)), reference(HERE))
-
-
-def test_beside_an_open_border_a_model_has_no_place_for_a_point() -> None:
-    sheet = nominal_of(np.array([[0.0, 0, 0], [10, 0, 0], [10, 10, 0], [0, 10, 0]]), np.array([[0, 1, 2], [0, 2, 3]]))
-    points = np.array([[5.0, 5.0, 0.5], [-1.0, 5.0, 0.0], [10.5, 10.5, -0.1]])
-    on = NominalReference(NominalTree.of(sheet)).nearest(points, 5.0)
-    np.testing.assert_allclose(on.distance_mm, [0.5, np.inf, np.inf])

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,11 +9,8 @@ import pytest
 import trimesh
 from numpy.typing import NDArray
 
-from appliance.surface.deviation import NominalTree, deviations, spread_over
-from appliance.surface.fusion import PlacedScan, fuse
-from appliance.surface.mesh import mesh_of_scan
-from appliance.surface.nominal import Nominal, nominal_of, nominal_of_mesh, read_nominal
-from tests.support.solids import Ball, around, looking, seen
+from appliance.surface.deviation import NominalTree, deviations
+from appliance.surface.nominal import Nominal, nominal_of
 
 
 def nominal_box(size_mm: tuple[float, float, float]) -> Nominal:
@@ -80,79 +75,11 @@ def test_the_far_side_of_a_thin_plate_is_not_what_was_measured() -> None:
     np.testing.assert_allclose(measured(points, plate, normals=unknown), -0.05, atol=1e-6)
 
 
-def test_a_fused_ball_lies_on_its_nominal_within_its_sigma() -> None:
-    ball = Ball((0.0, 0.0, 0.0), 20.0)
-    scans = [PlacedScan(seen([ball], p, k), p.rotation, p.translation_mm, 0.0) for k, p in enumerate(around(6, 480.0))]
-    cloud = fuse(scans)
-    sphere: Any = trimesh.creation.icosphere(subdivisions=6, radius=20.0)
-    found = deviations(cloud.points_mm, cloud.sigma_mm, nominal_of(sphere.vertices, sphere.faces), cloud.normals)
-    assert found.summary.beyond == 0
-    # The chords of 40 000 triangles lie 1 µm inside of the ball.
-    assert found.summary.mean_mm == pytest.approx(0.0006, abs=0.001)
-    assert found.summary.within_2_sigma_percent is not None
-    assert found.summary.within_2_sigma_percent > 95.0
-
-
-def test_a_scans_own_mesh_can_be_the_nominal_surface() -> None:
-    pose = looking((0.0, 0.0, -500.0))
-    ball = Ball((0.0, 0.0, 0.0), 10.0)
-    exact = mesh_of_scan(seen([ball], pose, 1, size_px=(120, 120), noise_mm=0.0, steepest=60.0))
-    noisy = seen([ball], pose, 2, size_px=(120, 120), noise_mm=0.02, steepest=50.0)
-    found = deviations(noisy.points_mm[noisy.mask], noisy.sigma_mm[noisy.mask], nominal_of_mesh(exact)).summary
-    # Along the normal a point errs by the cosine of its incidence times its error along the ray: 0.82 in the mean square.
-    assert found.rms_mm == pytest.approx(0.02 * 0.84, rel=0.05)
-    assert found.mean_mm == pytest.approx(0.0, abs=0.001)
-
-
-@pytest.mark.parametrize("suffix", [".stl", ".obj", ".ply"])
-def test_nominal_surfaces_are_read_from_files_of_other_programs(suffix: str, tmp_path: Path) -> None:
-    box: Any = trimesh.creation.box(extents=(20.0, 12.0, 6.0))
-    box.export(tmp_path / f"box{suffix}")
-    nominal = read_nominal(tmp_path / f"box{suffix}")
-    assert len(nominal.vertices_mm) == 8, "corners that a file has three times are one"
-    # Beside an edge: neither of its two faces alone knows whether that is inside.
-    assert measured(np.array([[10.5, 6.5, 0.0]]), nominal)[0] == pytest.approx(np.sqrt(0.5))
-
-
 def test_numbers_that_make_no_surface_are_refused() -> None:
     with pytest.raises(ValueError, match="no triangle has an area"):
         nominal_of(np.zeros((3, 3)), np.array([[0, 1, 2]]))
     with pytest.raises(ValueError, match=r"limit_mm is 0\.0"):
         measured(np.zeros((1, 3)), nominal_box((1.0, 1.0, 1.0)), limit_mm=0.0)
-
-
-@pytest.mark.parametrize("subdivisions", [3, 5])
-def test_of_a_thin_shell_the_side_that_was_seen_counts_whatever_its_triangles(subdivisions: int) -> None:
-    outer: Any = trimesh.creation.icosphere(subdivisions=subdivisions, radius=20.0)
-    vertices = np.concatenate([outer.vertices, 0.98 * outer.vertices])
-    shell = nominal_of(vertices, np.concatenate([outer.faces, outer.faces[:, ::-1] + len(outer.vertices)]))
-    rng = np.random.default_rng(6)
-    # 0.3 mm too low on the outside, 0.1 mm off the inner side, with normals that are up to a quarter of a right angle off.
-    triangle = rng.integers(0, len(outer.faces), 400)
-    out = outer.face_normals[triangle]
-    points = outer.triangles_center[triangle] - 0.3 * out
-    normals = out + 0.15 * rng.normal(size=out.shape)
-    normals /= np.linalg.norm(normals, axis=1)[:, None]
-    few = np.full(400, 0.01, np.float32)
-    np.testing.assert_allclose(deviations(points, few, shell, normals).deviation_mm, -0.3, atol=2e-3)
-    # And as much beyond the outer side, it was the inner one that was seen.
-    beyond = outer.triangles_center[triangle] + 0.1 * out
-    inner = deviations(beyond, few, shell, -normals).deviation_mm
-    assert inner == pytest.approx(np.full(400, -0.5), abs=0.02 if subdivisions == 5 else 0.12)
-
-
-def test_a_sharp_corner_weighs_its_triangles_by_their_angles() -> None:
-    # A spike of a pyramid, of which one side is cut into many slivers: without angles they outvote the others.
-    tip, low = np.array([0.0, 0.0, 1.0]), 4.0
-    base = np.array([[-1.0, -1.0, -low], [1.0, -1.0, -low], [1.0, 1.0, -low], [-1.0, 1.0, -low]])
-    cut = np.linspace(base[0], base[1], 13)[1:-1]
-    places = np.concatenate([[tip], base, cut])
-    ring = [1, *range(5, 5 + len(cut)), 2, 3, 4]
-    sides = [[0, one, other] for one, other in zip(ring, [*ring[1:], 1], strict=True)]
-    nominal = nominal_of(places, np.array(sides + [[4, other, one] for one, other in pairwise(ring[:-1])]))
-    assert not nominal.open_edges.any()
-    up = nominal.corner_normals[np.flatnonzero((nominal.vertices_mm == tip).all(1))[0]]
-    assert abs(up[1]) < 1e-6 * up[2] + 1e-9, "by its symmetry it points straight up"
 
 
 def test_beside_an_open_border_there_is_nothing_to_compare_with() -> None:
@@ -162,12 +89,3 @@ def test_beside_an_open_border_there_is_nothing_to_compare_with() -> None:
     found = deviations(points, few, sheet)
     np.testing.assert_allclose(found.deviation_mm, [0.5, np.nan, 0.204, np.nan, np.nan], atol=1e-3)
     assert (found.summary.beside, found.summary.beyond) == (2, 1)
-
-
-def test_places_are_spread_over_slivers_as_over_even_triangles() -> None:
-    fan: Any = trimesh.creation.cylinder(radius=5.0, height=400.0, sections=64)
-    places, face = spread_over(nominal_of(fan.vertices, fan.faces), 4000)
-    on_side = np.abs(places[:, 2]) < 199.999
-    thirds = np.histogram(places[on_side, 2], bins=8, range=(-200.0, 200.0))[0]
-    assert thirds.min() > 0.93 * thirds.mean()
-    assert len(np.unique(face[on_side])) == 128

@@ -61,17 +61,6 @@ def test_a_ball_seen_from_all_sides_is_closed_and_has_its_volume(voxel_mm: float
     assert mesh.grey.min() >= ball.grey.min()
 
 
-def test_half_a_ball_ends_where_its_points_end() -> None:
-    pose = looking((480.0, 0.0, 0.0))
-    # Beyond 60° the points of one scan are farther apart than a voxel.
-    cloud = fuse([PlacedScan(seen([BALL], pose, 1, (220, 220), steepest=60.0), pose.rotation, pose.translation_mm)])
-    mesh = mesh_of_surface(cloud)
-    read = as_trimesh(mesh)
-    assert not read.is_watertight
-    assert read.euler_number == 1, "a disc"
-    assert mesh.vertices_mm[:, 0].min() > cloud.points_mm[:, 0].min() - 0.75 * 0.5
-
-
 def test_a_hole_stays_open_unless_it_is_asked_to_be_closed(ball: FusedCloud) -> None:
     small = np.hypot(ball.points_mm[:, 0], ball.points_mm[:, 1]) < 2.0
     large = np.hypot(ball.points_mm[:, 0], ball.points_mm[:, 2]) < 6.0
@@ -86,16 +75,6 @@ def test_a_hole_stays_open_unless_it_is_asked_to_be_closed(ball: FusedCloud) -> 
     assert made_up.sum() == 1
     np.testing.assert_allclose(closed.vertices_mm[made_up][0], [0.0, 0.0, 19.9], atol=0.3)
     assert np.isfinite(open_mesh.sigma_mm).all()
-
-
-def test_a_plate_of_two_voxels_keeps_both_sides() -> None:
-    plate: list[Ball | Box] = [Box((-15.0, -15.0, 0.0), (15.0, 15.0, 1.0))]
-    mesh = mesh_of_surface(fused(plate, [looking((0.0, 30.0, z)) for z in (-500.0, 500.0)]))
-    for side, height_mm in ((1.0, 1.0), (-1.0, 0.0)):
-        facing = side * mesh.normals[:, 2] > 0.9
-        assert facing.sum() > 3000
-        assert mesh.vertices_mm[facing, 2].mean() == pytest.approx(height_mm, abs=0.002)
-        assert mesh.vertices_mm[facing, 2].std() < 0.02
 
 
 def test_nothing_gives_nothing_and_other_voxels_are_refused(ball: FusedCloud) -> None:

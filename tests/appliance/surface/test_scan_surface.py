@@ -38,29 +38,6 @@ def edges(mesh: Mesh) -> NDArray[np.int64]:
     return np.concatenate([mesh.faces[:, k].astype(np.int64) * n + mesh.faces[:, (k + 1) % 3] for k in range(3)])
 
 
-def test_a_cell_is_cut_along_its_shorter_diagonal() -> None:
-    cloud = stairs(0.0)
-    mesh = mesh_of_scan(cloud)
-    corners = mesh.vertices_mm[mesh.faces].astype(float)
-    # Of a triangle along the grid the longest side is the diagonal; each cell of four has another one.
-    h, w = cloud.shape
-    pixel = np.flatnonzero(cloud.mask.reshape(-1))
-    at = np.stack(np.unravel_index(pixel, (h, w)), 1)[mesh.faces]
-    side = [(k, (k + 1) % 3) for k in range(3)]
-    across = np.array([(np.abs(at[:, a] - at[:, b]).sum(1) == 2) for a, b in side]).argmax(0)
-    rows = np.arange(len(mesh.faces))
-    taken = np.linalg.norm(corners[rows, across] - corners[rows, (across + 1) % 3], axis=1)
-    low, points = at.min(axis=1), cloud.points_mm.astype(float)
-    both = np.stack(
-        [
-            np.linalg.norm(points[low[:, 0] + 1, low[:, 1] + 1] - points[low[:, 0], low[:, 1]], axis=1),
-            np.linalg.norm(points[low[:, 0] + 1, low[:, 1]] - points[low[:, 0], low[:, 1] + 1], axis=1),
-        ]
-    )
-    assert len(mesh.faces) == 2 * (h - 1) * (w - 1)
-    np.testing.assert_allclose(taken, both.min(axis=0), atol=1e-5)
-
-
 # ------------------------------------------------------------------------------------------- normals
 
 
@@ -77,51 +54,32 @@ def test_normals_of_a_ball_point_out_of_it_and_scatter_as_the_noise_says() -> No
     np.testing.assert_allclose(np.linalg.norm(found[cloud.mask], axis=-1), 1.0, atol=1e-5)
 
 
-def test_normals_beside_a_step_are_those_of_the_flat_they_lie_on() -> None:
-    cloud = stairs(2.0, noise_mm=0.0)
-    # Flats that face the camera: (0, 0, -1) in its frame, with no neighbour from the other level mixed in.
-    np.testing.assert_allclose(normals(cloud)[cloud.mask], np.broadcast_to([0, 0, -1], (80 * 60, 3)), atol=2e-4)
-
-
-def test_a_point_that_is_alone_has_no_normal_and_nobody_elses() -> None:
-    cloud = stairs(2.0)
-    points = np.full_like(cloud.points_mm, np.nan)
-    points[30, 10] = cloud.points_mm[30, 10]
-    points[5, 20:30] = cloud.points_mm[5, 20:30]
-    assert np.isnan(normals(replace(cloud, points_mm=points))).all(), "neither a point nor a line has a plane"
-
-
-@pytest.mark.parametrize("radius_px", [0, 8])
-def test_a_window_of_no_use_is_refused(radius_px: int) -> None:
-    with pytest.raises(ValueError, match=rf"radius_px is {radius_px}; allowed are 1\.\.7"):
-        normals(stairs(2.0), radius_px=radius_px)
-
-
-def patch(kept: str, across_mm: float = 0.2, down_mm: float = 0.2) -> OrganisedCloud:
+def patch(kept: str, down_mm: float = 0.2) -> OrganisedCloud:
     """A flat half a metre away of some pixels in a row of rows, such as ``xx./xxx``; exact."""
     rows = kept.split("/")
     v, u = np.mgrid[0 : len(rows), 0 : len(rows[0])].astype(float)
-    points = np.stack([u * across_mm, v * down_mm, np.full_like(u, 500.0)], axis=-1)
+    points = np.stack([u * 0.2, v * down_mm, np.full_like(u, 500.0)], axis=-1)
     points[np.array([[one == "." for one in row] for row in rows])] = np.nan
     column = np.full(u.shape, 0.02, np.float32)
     return OrganisedCloud(points.astype(np.float32), column, column, column, np.zeros(u.shape, np.uint8))
 
 
-@pytest.mark.parametrize(("kept", "known"), [("xxx/xxx", True), ("xx./xxx", False)])
-def test_a_normal_is_of_six_points_at_least(kept: str, known: bool) -> None:
-    assert bool(np.isfinite(normals(patch(kept))).any()) is known
-
-
-@pytest.mark.parametrize(("narrow", "known"), [(0.12, True), (0.108, False)])
-def test_points_along_a_strip_have_no_plane(narrow: float, known: bool) -> None:
-    # Of 5 x 5 points squeezed to r of their height, 4 r² / (1 + r²)² is the determinant over its largest value: 0.05 for r of 0.113.
-    squeezed = normals(patch("/".join(["xxxxx"] * 5), 0.2, 0.2 * narrow))
-    assert bool(np.isfinite(squeezed[2, 2]).all()) is known
-
-
-@pytest.mark.parametrize("radius_px", [1, 7])
-def test_windows_from_three_to_fifteen_pixels_are_used(radius_px: int) -> None:
-    assert np.isfinite(normals(patch("/".join(["x" * 15] * 15)), radius_px=radius_px)[1:-1]).all()
+@pytest.mark.parametrize(
+    ("kept", "down_mm", "known"),
+    [
+        ("xxx/xxx", 0.2, True),
+        ("xx./xxx", 0.2, False),
+        # Of 5 x 5 points squeezed to r of their height, 4 r² / (1 + r²)² is the determinant over its largest value: 0.05 for r of 0.113.
+        ("/".join(["xxxxx"] * 5), 0.2 * 0.12, True),
+        ("/".join(["xxxxx"] * 5), 0.2 * 0.108, False),
+    ],
+)
+def test_a_normal_is_of_six_points_at_least_that_have_a_plane(kept: str, down_mm: float, known: bool) -> None:
+    found = normals(patch(kept, down_mm))
+    assert bool(np.isfinite(found[2, 2] if found.shape[0] == 5 else found).any()) is known
+    for radius_px in (0, 8):
+        with pytest.raises(ValueError, match=rf"radius_px is {radius_px}; allowed are 1\.\.7"):
+            normals(patch(kept), radius_px=radius_px)
 
 
 def in_a_row(*depths_mm: float, sigma_mm: float = 0.02) -> list[bool]:
@@ -160,7 +118,7 @@ def test_neighbours_see_one_surface_up_to_a_steep_slope_and_to_a_bend(
 # ------------------------------------------------------------------------------------------- the mesh
 
 
-@pytest.mark.parametrize("height_mm", [0.5, 1.0, 30.0])
+@pytest.mark.parametrize("height_mm", [0.5, 30.0])
 def test_no_triangle_goes_across_a_step_and_none_is_missing_beside_it(height_mm: float) -> None:
     cloud = stairs(height_mm)
     mesh = mesh_of_scan(cloud)
@@ -170,24 +128,6 @@ def test_no_triangle_goes_across_a_step_and_none_is_missing_beside_it(height_mm:
     # Two levels of 40 x 60 pixels each, whole.
     assert len(mesh.faces) == 2 * 2 * 39 * 59
     assert len(mesh.vertices_mm) == 80 * 60
-
-
-def test_a_steep_slope_is_no_step() -> None:
-    tilt = np.tan(np.radians(70.0))
-    cloud = stairs(0.4)
-    v, u = np.mgrid[0:60, 0:80].astype(float)
-    rays = np.stack([(u - 39.5) * 0.0004, (v - 29.5) * 0.0004, np.ones_like(u)], axis=-1)
-    # The plane z = 500 + tan 70° · x.
-    points = rays * (500.0 / (1.0 - tilt * rays[..., 0]))[..., None]
-    noise = 1.0 + 0.02 / 500.0 * np.random.default_rng(2).standard_normal((60, 80, 1))
-    mesh = mesh_of_scan(replace(cloud, points_mm=(points * noise).astype(np.float32)))
-    assert len(mesh.faces) == 2 * 79 * 59
-
-
-def test_noise_alone_tears_nothing() -> None:
-    for noise_mm in (0.005, 0.05, 0.2):
-        faces = len(mesh_of_scan(stairs(0.0, noise_mm)).faces)
-        assert faces >= 0.999 * 2 * 79 * 59, noise_mm
 
 
 def test_faces_look_at_the_camera_and_every_inner_edge_has_two() -> None:
@@ -216,22 +156,3 @@ def test_a_hole_stays_open_and_corners_give_one_triangle() -> None:
     # pixel leaves one triangle of each of its four cells.
     assert len(mesh.faces) == 2 * (79 * 59 - 121 - 4) + 4 + 4
     assert np.isfinite(mesh.vertices_mm).all()
-
-
-def test_a_vertex_carries_what_its_pixel_knows() -> None:
-    cloud = stairs(1.0)
-    mesh = mesh_of_scan(cloud)
-    # All pixels have points, so that rows of the mesh are pixels.
-    np.testing.assert_array_equal(mesh.vertices_mm, cloud.points_mm.reshape(-1, 3))
-    np.testing.assert_array_equal(mesh.grey, cloud.grey.reshape(-1))
-    np.testing.assert_array_equal(mesh.sigma_mm, cloud.sigma_mm.reshape(-1))
-    np.testing.assert_array_equal(mesh.normals, normals(cloud).reshape(-1, 3))
-
-
-def test_an_empty_cloud_gives_an_empty_mesh() -> None:
-    cloud = stairs(1.0)
-    nothing = replace(cloud, points_mm=np.full_like(cloud.points_mm, np.nan))
-    assert not connected(nothing).right.any()
-    mesh = mesh_of_scan(nothing)
-    assert mesh.faces.shape == (0, 3)
-    assert mesh.vertices_mm.shape == (0, 3)

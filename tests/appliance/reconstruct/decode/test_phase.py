@@ -33,18 +33,6 @@ def test_the_phase_is_the_arc_tangent_in_every_direction() -> None:
     assert (s[COORDINATE], s[MODULATION_HALF_DN]) == (0.0, 0.0)
 
 
-def test_the_phase_of_every_axis_and_diagonal_is_exact() -> None:
-    for k, (cosine, sine) in enumerate([(1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1)]):
-        s = np.full(DECODING_SIZE, np.nan, np.float32)
-        stack = [100 + 50 * cosine, 100 - 50 * sine, 100 - 50 * cosine, 100 + 50 * sine]
-        i0, i1, i2, i3 = (np.full(1, one, np.uint8) for one in stack)
-        phase.py_func(i0, i1, i2, i3, s)
-        expected = k / 8 if k <= 4 else k / 8 - 1.0
-        assert abs(s[COORDINATE]) == pytest.approx(abs(expected), abs=1e-7)
-        if k != 4:
-            assert s[COORDINATE] == pytest.approx(expected, abs=1e-7)
-
-
 class Row:
     """Sine images of given coordinates, the half periods that belong to them, and what became of each pixel."""
 

@@ -108,15 +108,6 @@ def test_a_pixel_in_doubt_takes_the_period_in_which_its_phase_continues_its_neig
     assert doubtful[12, column] == 1
 
 
-def test_a_patch_in_doubt_is_told_from_its_rim_inwards() -> None:
-    c = sheet(17.3)
-    truth = numbers(c).astype(np.uint8)
-    half, doubtful, soft = truth.copy(), np.zeros_like(truth), np.zeros_like(truth)
-    half[8:20, 20:40], doubtful[8:20, 20:40], soft[8:20, 20:40] = 0, 1, 127
-    assert ask_neighbours(fringes(c), SINE, soft, half, doubtful) == 240
-    np.testing.assert_array_equal(half, truth)
-
-
 def test_neighbours_that_contradict_each_other_tell_nothing() -> None:
     """Beside a step of a whole period both surfaces continue the phase."""
     c = np.concatenate([sheet(17.3, 10), sheet(18.34, 10)])

@@ -128,14 +128,6 @@ def test_fringes_that_milk_left_three_grey_values_are_used_as_far_as_their_noise
     assert np.mean(np.abs(off_px[found]) > SEQUENCE.period_px / 2) < 100e-6
 
 
-def test_the_same_fringes_are_too_weak_for_a_camera_of_more_noise() -> None:
-    """At 18 dB the same grey values are an eighth of the electrons; the limit is then the usual one, and no higher."""
-    noisy = camera_noise(13_000.0, 10.0, 2.0, 18.0)
-    decoder = decoded_again(drawn(SEQUENCE, 5.0, FAINT_DN), noisy)
-    assert np.mean(decoder.mask[BELOW] == Mask.WEAK) > 0.9
-    assert np.mean(decoder.mask[: ROWS // 2 - 10, 10:-10] == Mask.WEAK) < 0.05
-
-
 def test_a_dark_place_stays_dark_where_the_water_is_not_bright() -> None:
     """Underexposed paint gave two fifths more points, of a quarter of a millimetre of noise, because a few other pixels saw backscatter."""
     faint = drawn(SEQUENCE, 0.8, FAINT_DN)
