@@ -16,8 +16,6 @@ from tests.drivers.aravis.foreign import LATCH, TICKS, ForeignLibrary, OnABus
 from tests.drivers.camera.scripted import SBRM, SIRM, description
 
 TICKS_HZ = 0x93C
-LATCHED = 0x1F8
-"""Register of GenCP that latches."""
 
 
 def plugged(foreign: ForeignLibrary, protocol: str, **more: Any) -> tuple[OnABus, AravisDevice, Bus]:
@@ -68,19 +66,6 @@ def test_a_usb_camera_says_who_it_is_and_images_wait_in_the_kernel(foreign: Fore
     bus.confirm(3072)
     there.camera.set(SBRM + 0x40, struct.pack("<I", 4))
     assert bus.identity(features(device)).link_speed_mbps == 480
-
-
-def test_the_usb_clock_is_latched_and_bracketed(foreign: ForeignLibrary) -> None:
-    there, _, bus = plugged(foreign, "USB3Vision")
-    there.camera.latches_take_s = [0.003]
-    sent_ns = foreign.clock.now_ns()
-    received_ns = sent_ns + 3_000_000
-    assert bus.read_clock(foreign.clock) == ClockReading(received_ns - 500_000_000, sent_ns, received_ns)
-    there.refusing[LATCHED] = 3
-    assert bus.read_clock(foreign.clock) is None
-    there.refusing[LATCHED] = 5
-    with pytest.raises(DeviceGone):
-        bus.read_clock(foreign.clock)
 
 
 def test_a_usb_camera_that_is_busy_is_there_and_one_that_says_nothing_is_gone(foreign: ForeignLibrary) -> None:

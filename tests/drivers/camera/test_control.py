@@ -288,14 +288,6 @@ def test_addresses_have_64_bits() -> None:
     assert len(memory.commands) == 2, "nothing was asked"
 
 
-def test_registers_are_little_endian_and_of_32_or_64_bits() -> None:
-    control, memory, _ = channel(good)
-    assert control.read_u32(1) == 0x04030201
-    assert control.read_u64(1) == 0x0807060504030201
-    control.write_u32(0x20, 0x01020304)
-    assert memory.commands[-1][20:] == b"\4\3\2\1"
-
-
 @pytest.mark.parametrize(
     ("payload", "command", "attempts"),
     [

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from time import monotonic
 
 import pytest
 
 from drivers.output.card import Card
-from drivers.output.drm import FlipDone
 from tests.drivers.output.kernel import Kernel, Plug, VblankEvent, mode
 
-LONG_S = 20.0
+LONG_S = 60.0
 """Time that nobody in here waits out."""
-SOON_S = 8.0
 
 
 class Held(Kernel):
@@ -25,8 +23,7 @@ class Held(Kernel):
         super().__init__([Plug(1, 11, 1, [mode(128, 96)])])
         self.readers, self.most_readers = 0, 0
         self.asked = threading.Condition()
-        self.answers: list[bytes | None] = []
-        """What the next waits find; ``None``: nothing in their time."""
+        self.answers: list[bytes] = []
 
     def wait_readable(self, timeout_s: float) -> bool:
         with self.asked:
@@ -34,63 +31,22 @@ class Held(Kernel):
             self.most_readers = max(self.most_readers, self.readers)
             self.asked.notify_all()
             self.asked.wait_for(lambda: bool(self.answers), LONG_S)
-            answer = self.answers.pop(0) if self.answers else None
             self.readers -= 1
-            if answer is None:
-                return False
-            self.events = answer
+            self.events = self.answers.pop(0)
             return True
 
-    def answer(self, *found: bytes | None) -> None:
+    def answer(self, *tokens: int) -> None:
         with self.asked:
-            self.asked.wait_for(lambda: self.readers == 1, SOON_S)
-            self.answers += found
+            self.asked.wait_for(lambda: self.readers == 1, LONG_S)
+            self.answers.append(b"".join(bytes(VblankEvent(2, 32, token, 1, 2, 3, 40)) for token in tokens))
             self.asked.notify_all()
 
 
-class Waiting:
-    """A thread that waits for the report of one flip."""
-
-    def __init__(self, card: Card, token: int, timeout_s: float) -> None:
-        self.found: FlipDone | None = None
-        self.lasted_s = LONG_S
-        self._thread = threading.Thread(target=self._wait, args=(card, token, timeout_s), daemon=True)
-        self._thread.start()
-
-    def _wait(self, card: Card, token: int, timeout_s: float) -> None:
-        begun_s = monotonic()
-        self.found = card.wait_flip(token, timeout_s)
-        self.lasted_s = monotonic() - begun_s
-
-    def token(self) -> int | None:
-        self._thread.join(SOON_S)
-        assert not self._thread.is_alive(), "it waits on although its report is there"
-        return None if self.found is None else self.found.token
-
-
-def report(token: int) -> bytes:
-    return bytes(VblankEvent(2, 32, token, 1, 2, 3, 40))
-
-
-@contextmanager
-def two_flips() -> Iterator[tuple[Held, Card, int, int]]:
-    kernel = Held()
-    card = Card(kernel, kernel.time)
-    buffer = card.create_buffer(128, 96)
-    yield kernel, card, card.submit_flip(40, buffer), card.submit_flip(50, buffer)
-    assert kernel.most_readers == 1, "the kernel gives a report to whoever reads first"
-
-
 def until(happened: Callable[[], bool]) -> None:
-    deadline_s = monotonic() + SOON_S
+    deadline_s = monotonic() + LONG_S
     while not happened():
         assert monotonic() < deadline_s
         threading.Event().wait(0.002)
-
-
-def sleeps(card: Card) -> bool:
-    """Somebody waits for what the reader finds."""
-    return bool(card._changed._waiters)  # type: ignore[attr-defined]
 
 
 FIRST, SECOND = 0, 1
@@ -105,12 +61,19 @@ FIRST, SECOND = 0, 1
     ],
 )
 def test_each_of_two_that_wait_gets_its_report_whoever_reads_it(found: list[tuple[int, ...]]) -> None:
-    with two_flips() as (kernel, card, *tokens):
-        reader = Waiting(card, tokens[FIRST], LONG_S)
+    kernel = Held()
+    card = Card(kernel, kernel.time)
+    buffer = card.create_buffer(128, 96)
+    tokens = [card.submit_flip(crtc, buffer) for crtc in (40, 50)]
+    with ThreadPoolExecutor(2) as threads:
+        waiting = [threads.submit(card.wait_flip, tokens[FIRST], LONG_S)]
         until(lambda: kernel.readers == 1)
-        waiting = (reader, Waiting(card, tokens[SECOND], LONG_S))
-        until(lambda: sleeps(card))
+        waiting.append(threads.submit(card.wait_flip, tokens[SECOND], LONG_S))
+        until(lambda: bool(card._changed._waiters))  # type: ignore[attr-defined]
         for reports in found:
-            kernel.answer(b"".join(report(tokens[who]) for who in reports))
+            kernel.answer(*(tokens[who] for who in reports))
             for who in reports:
-                assert waiting[who].token() == tokens[who]
+                done = waiting[who].result(LONG_S)
+                assert done is not None
+                assert done.token == tokens[who]
+    assert kernel.most_readers == 1, "the kernel gives a report to whoever reads first"
