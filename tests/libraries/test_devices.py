@@ -56,12 +56,6 @@ def test_a_camera_that_is_unplugged_is_gone_and_comes_back(world: World, bed: Te
         assert client.expect("read", timeout_s=60)["met"]["complete"] == 40
 
 
-def test_a_camera_that_falls_back_to_high_speed_is_seen_as_slow(world: World, bed: Testbed) -> None:
-    world.fault("camera.right slow")
-    with Client(bed, "cameras", 400, 300, 0, "KF-CAM-R") as client:
-        assert client.expect("opened")["mbps"] == 480
-
-
 def test_hidapi_hears_each_press_and_survives_the_cable(world: World, bed: Testbed) -> None:
     with Client(bed, "keys", 12) as client:
         client.expect("opened", "firmware 3")
