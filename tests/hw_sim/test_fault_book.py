@@ -67,7 +67,11 @@ def test_a_wrong_sentence_is_refused_with_what_is_allowed(sentence: str, named: 
     assert sentence in str(caught.value)
 
 
-def test_a_lasting_fault_begins_and_ends_when_it_says(hand_time: HandTime, faults: FaultBook) -> None:
+def test_a_lasting_fault_begins_and_ends_when_it_says_and_tells_the_devices(hand_time: HandTime) -> None:
+    told_ns: list[int] = []
+    faults = FaultBook(hand_time.now_ns, hand_time.at, told_ns.append)
+    begun_ns = hand_time.now_ns()
+
     def broken() -> list[bool]:
         return [faults.active(part, "off") is not None for part in ("keypad", "camera.left", "camera.right")]
 
@@ -86,6 +90,7 @@ def test_a_lasting_fault_begins_and_ends_when_it_says(hand_time: HandTime, fault
     assert broken() == [True, False, False], "for_s counts from the frame"
     hand_time.run(1.0)
     assert broken() == [False, False, False]
+    assert [(t - begun_ns) / 1e9 for t in told_ns][-4:] == [1.0, 1.0, 2.0, 3.0], "they do not poll"
 
 
 def test_a_frame_is_struck_once_and_a_count_is_kept_until_all_is_repaired(

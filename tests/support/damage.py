@@ -117,19 +117,6 @@ def _slips(value: Any) -> Sequence[Any]:
             return (str(value), [value])
 
 
-@st.composite
-def reworded(draw: st.DrawFn, sentence: str, words: Sequence[str]) -> str:
-    """A sentence with words lost, doubled, misspelt, replaced or given another amount."""
-    said = sentence.split(" ")
-    for _ in range(draw(st.integers(1, 3))):
-        at = draw(st.integers(0, len(said)))
-        word = said[at] if at < len(said) else "x=1"
-        amount = f"{word.partition('=')[0]}={draw(st.sampled_from(WORDS))}"
-        put = st.sampled_from(([], [word, word], [word[1:]], [word.upper()], [amount], said[:1]))
-        said[at : at + 1] = draw(st.one_of(put, st.sampled_from((*words, *WORDS)).map(lambda other: [other])))
-    return " ".join(said)
-
-
 def toml_of(tree: Mapping[str, Any], path: tuple[str, ...] = ()) -> str:
     """The tree as TOML. What TOML has no word for (null, other numbers) comes out as text that is none."""
     inner = {key: value for key, value in tree.items() if isinstance(value, Mapping)}

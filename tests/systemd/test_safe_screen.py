@@ -347,6 +347,15 @@ def test_switching_off_is_asked_back_and_staying_on_is_selected(
     assert Tries(tmp_path).wait_s() == WAITS_S[0], "the key costs nothing of the budget"
 
 
+def test_while_it_is_asked_back_the_time_does_not_come(
+    tmp_path: Path, pad: Pad, keys: devices.Keys, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(devices, "OFF_S", 0.25)
+    monkeypatch.setattr("kingfisher_safe.main.WAITS_S", (3,))
+    pad.send(report(0), *[report(2)] * 8, *[report(0)] * 70, report(8), report(0), report(1))
+    assert stay(safe_pages.CONFIG, screens(), "en", Tries(tmp_path), keys) == "off"
+
+
 def test_without_a_key_it_is_tried_a_few_times_and_then_no_more(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

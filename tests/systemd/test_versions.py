@@ -75,6 +75,7 @@ def test_power_fails_on_the_way_back(there: Installation) -> None:
     versions.prune(there.layout)
     assert versions.installed(there.layout) == ("new", "old"), "what failed is kept to be looked at"
     versions.try_out(there.layout, "new")
+    assert versions.outcome(there.layout) is None, "of another trial"
 
 
 def test_power_fails_while_a_version_is_accepted(there: Installation) -> None:

@@ -85,15 +85,6 @@ def test_contacts_bounce_for_20_ms_at_most_and_end_released(hold_s: float) -> No
     assert bounced >= 8 or hold_s < 0.01, "contacts that never bounce test no debouncing"
 
 
-@pytest.mark.parametrize(("key", "hold_s"), [("fire", 0.1), ("scan", 0.0), ("scan", float("nan"))])
-def test_a_press_that_cannot_be_is_refused(pad: Pad, key: str, hold_s: float) -> None:
-    with pytest.raises(ValueError, match="allowed"):
-        pad.pad.press(key, hold_s)
-    for change in (pad.pad.touch, pad.pad.let_go):
-        with pytest.raises(ValueError, match="fire"):
-            change("fire", 0)
-
-
 def test_garbage_is_mostly_recognisable_and_ends(pad: Pad) -> None:
     pad.bench.faults.add("keypad garbage for_s=20")
     pad.bench.run_s(19.9)

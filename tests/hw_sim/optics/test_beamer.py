@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pytest
 
-from hw_sim.optics.beamer import Beamer, ProjectorTruth, ShownFrame, beamed_between, slices_of
-from hw_sim.optics.light_engine import LightEngine
-from hw_sim.optics.projector import BLACK, response
+from hw_sim.optics.beamer import Beamer, ProjectorTruth, ShownFrame, slices_of
+from hw_sim.optics.projector import response
 
 FRAME_US = 50_000.0 / 3.0
 FRAME_NS = 16_666_667
@@ -63,28 +61,6 @@ def test_an_exposure_sees_the_frames_that_light_while_it_lasts(latency: int) -> 
     early = slices_of(beamer, frames[:1], -3 * FRAME_NS, 1_000_000, FRAME_NS / 1e9)
     assert sum(part.duration_s for part in early) == pytest.approx(0.051, abs=1e-6)
     assert not early[0].image.any(), "dark before the world began"
-
-
-def test_a_frame_in_pieces_adds_up_and_lamps_that_were_off_are_dark() -> None:
-    beamer = Beamer("video")
-    signal = (picture(40), picture(90), picture(200))
-    frames = [ShownFrame(k * FRAME_NS, signal) for k in range(4)]
-    start_ns, end_ns = FRAME_NS + 3_000_000, 3 * FRAME_NS + 9_000_000
-    table = response("linear")
-
-    def light(begin_s: float, until_s: float) -> float:
-        slices = slices_of(beamer, frames, start_ns, end_ns, FRAME_NS / 1e9)
-        got = beamed_between(slices, begin_s, until_s, table, LightEngine(), lambda k, at_s: 1.0)
-        return 0.0 if got is None else float(got[0, 0])
-
-    whole_s = (end_ns - start_ns) / 1e9
-    cuts = np.linspace(0.0, whole_s, 8)
-    assert sum(light(a, b) for a, b in pairwise(cuts)) == pytest.approx(light(0.0, whole_s), rel=1e-5)
-    dark = [ShownFrame(f.begin_ns, f.signal, dark=True) for f in frames]
-    slices = slices_of(beamer, dark, start_ns, end_ns, FRAME_NS / 1e9)
-    got = beamed_between(slices, 0.0, whole_s, table, LightEngine(), lambda k, at_s: 1.0)
-    assert got is not None
-    assert float(got.max()) < 2 * BLACK * whole_s
 
 
 def test_turned_and_scaled_pictures_light_elsewhere() -> None:

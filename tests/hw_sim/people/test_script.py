@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -15,7 +13,7 @@ import pytest
 
 from hw_sim.faults import FaultSyntaxError
 from hw_sim.optics.beamer import Beamer
-from hw_sim.people import computer, status_file
+from hw_sim.people import status_file
 from hw_sim.people.commands import check, do
 from hw_sim.people.script import ScriptError, parse_script
 from hw_sim.rendering.render import LightSlice, Renderer
@@ -157,25 +155,6 @@ def test_what_is_there_is_seen_and_nothing_else(seen: str, not_seen: str) -> Non
         status_file.check(kind, words)
         assert status_file.is_met(STATUS, kind, words) is there
         assert not status_file.is_met({}, kind, words), "without a status not even that an alert is gone"
-
-
-def test_a_disk_that_is_taken_away_comes_back_as_it_was_and_a_process_is_killed(tmp_path: Path) -> None:
-    status = tmp_path / "run" / "status.json"
-    (tmp_path / "scans" / "000001").mkdir(parents=True)
-    status.parent.mkdir()
-    computer.happen(("disk", "off"), status)
-    with pytest.raises(OSError):
-        (tmp_path / "scans" / "000002").mkdir()
-    computer.happen(("disk", "on"), status)
-    assert [path.name for path in (tmp_path / "scans").iterdir()] == ["000001"]
-    with pytest.raises(ValueError, match="not off"):
-        computer.happen(("disk", "on"), status)
-    with pytest.raises(ValueError, match="no process"):
-        computer.happen(("worker", "kill"), status)
-    with subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"]) as process:
-        status.write_text(json.dumps({"worker_pid": process.pid}))
-        computer.happen(("worker", "kill"), status)
-        assert process.wait(10) == -9
 
 
 def test_caps_the_projectors_menu_and_one_thing_that_is_mended() -> None:

@@ -79,6 +79,20 @@ def test_what_is_smaller_than_a_pixel_keeps_its_light_wherever_in_the_pixel_it_i
         assert np.mean(sums) == pytest.approx(SNOW_ALBEDO * 2 / 3 * area_px, rel=0.06)
 
 
+def test_a_speck_near_the_window_is_soft_and_none_of_its_light_is_lost() -> None:
+    ray = STAGE.rays("left")[150, 200]
+    far, near = (drawn("left", (ray[:3] + d * ray[3:])[None], 0.2)[0] for d in (487.5, 90.0))
+
+    def spread_px(image: np.ndarray) -> float:
+        u, _ = centroid(image)
+        return math.sqrt((image * (np.indices(image.shape)[1] - u) ** 2).sum() / image.sum())
+
+    assert spread_px(near) > 2.0 * spread_px(far)
+    assert spread_px(far) < 0.7, "in focus"
+    reduced = [30.0 + 5.0 / 1.77 + d / 1.333 for d in (487.5, 90.0)]
+    assert near.sum() / far.sum() == pytest.approx((reduced[0] / reduced[1]) ** 2, rel=0.1)
+
+
 def test_a_speck_is_lit_by_the_stripe_that_falls_on_it() -> None:
     x = np.linspace(-60.0, 60.0, 60)
     places = np.stack([x, 0.3 * x, np.full_like(x, 480.0)], -1)
