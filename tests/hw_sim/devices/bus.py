@@ -38,23 +38,6 @@ def picture() -> NDArray[np.uint8]:
     return grey
 
 
-class _Port(AbstractPort):  # type: ignore[misc]
-    """Register access for the node map."""
-
-    def __init__(self, bus: Bus) -> None:
-        super().__init__()
-        self._bus = bus
-
-    def read(self, address: int, length: int) -> bytes:
-        return self._bus.read(address, length)
-
-    def write(self, address: int, data: bytes) -> None:
-        self._bus.write(address, bytes(data))
-
-    def get_access_mode(self) -> Any:
-        return EAccessMode.RW
-
-
 @dataclass(frozen=True, slots=True)
 class Sizes:
     """What the host allows for leader, payload and trailer."""
@@ -64,10 +47,11 @@ class Sizes:
     trailer: int
 
 
-class Bus:
+class Bus(AbstractPort):  # type: ignore[misc]
     """One camera of a personality, and the host on its wire. ``exposures``: all that it has begun to expose."""
 
     def __init__(self, time: HandTime, personality: str, **options: Any) -> None:
+        super().__init__()
         self.time = time
         self.exposures: list[Exposure] = []
         faults = FaultBook(time.now_ns, time.at, lambda _: None)
@@ -75,14 +59,10 @@ class Bus:
             *("camera.left", "KF-CAM-L", (COLUMNS, ROWS), time, faults, self._expose, lambda: 30.0, 1),
             power_on=PowerOn(personality=personality, **options),
         )
-        self._request = 0
-        self.announced = 0
-        """Commands that the camera said would take longer."""
-        self._count = 0
+        self._request = self._count = 0
         self.nodes = NodeMap()
         self.nodes.load_xml_from_string(self.description())
-        self._port = _Port(self)
-        self.nodes.connect(self._port, "Device")
+        self.nodes.connect(self, "Device")
 
     def _expose(self, exposure: Exposure) -> PendingImage:
         self.exposures.append(exposure)
@@ -95,7 +75,10 @@ class Bus:
         return b"".join(self._command(0x0800, struct.pack("<QHH", address + k, 0, min(500, size - k))) for k in at)
 
     def write(self, address: int, data: bytes) -> None:
-        self._command(0x0802, struct.pack("<Q", address) + data)
+        self._command(0x0802, struct.pack("<Q", address) + bytes(data))
+
+    def get_access_mode(self) -> Any:
+        return EAccessMode.RW
 
     def u32(self, address: int) -> int:
         return int.from_bytes(self.read(address, 4), "little")
@@ -120,7 +103,6 @@ class Bus:
             magic, status, answer, size, number = struct.unpack_from("<IHHHH", raw)
             assert (magic, number, size) == (0x43563355, self._request, len(raw) - 12)
             if answer == 0x0805:
-                self.announced += 1
                 continue
             if status:
                 raise GencpError(status)
@@ -128,7 +110,7 @@ class Bus:
             return raw[12:]
 
     def status(self, code: int, payload: bytes) -> int:
-        """Of the answer to a command; 0: it was obeyed."""
+        """The status of the answer to a command; 0: it was obeyed."""
         try:
             self._command(code, payload)
         except GencpError as error:
@@ -184,19 +166,19 @@ class Bus:
             self.camera.request(0x02, 0x03 if on else 0x01, 0, STREAM, 0)
 
     def bulk(self, endpoint: int, size: int) -> bytes:
-        """What a transfer of that length reads."""
+        """The bytes that a transfer of that length reads."""
         buffer = bytearray(size)
         with self.time.condition:
             filled, _ = self.camera.read(endpoint, memoryview(buffer))
         return bytes(buffer[:filled])
 
-    def pulses(self, count: int, period_ms: float = 1000 / 60, width_ms: float = 8.0) -> None:
-        """Pulse the line, and let everything come to its end."""
+    def pulses(self, count: int, width_ms: float = 8.0) -> None:
+        """Pulse the line at 60 Hz, and let everything come to its end."""
         for _ in range(count):
             with self.time.condition:
                 self.camera.line0(self.time.now_ns(), round(width_ms * 1e6), Shot(0, self._count, None))
             self._count += 1
-            self.time.run(period_ms / 1000)
+            self.time.run(1 / 60)
         self.time.run(0.3)
 
     def frames(self) -> list[GotFrame]:

@@ -206,7 +206,7 @@ class CardHost:
         }
 
     def set_property(self, name: str, choice: str) -> None:
-        """Of the connector."""
+        """Choose a value of the connector's property."""
         form = "<QQII32sII"
         for prop in self.connector_info(self.connector)["properties"]:
             buffer = bytearray(struct.pack(form, 0, 0, prop, 0, b"", 0, 0))
