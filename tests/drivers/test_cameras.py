@@ -149,6 +149,8 @@ def test_a_camera_is_set_whole_once_and_then_only_its_light(there: Camera) -> No
         assert ("Width" in names) is ("TriggerOverlap" in names) is width
         assert names.count("UserSetLoad") == unloaded, "at opening only"
         assert ("ExposureTime", settings.exposure_us) in there.device.log
+        held = {one.feature: one.held for one in camera.read_back()}
+        assert (held["Width"], held["ExposureTime"]) == (settings.width_px, settings.exposure_us)
 
 
 def test_a_size_that_was_refused_leaves_nothing_to_start_with(there: Camera) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from drivers.api import ClockReading, DeviceError, DeviceRefused
+from drivers.api import ClockReading, DeviceError, DeviceGone, DeviceRefused
 from drivers.native import MonotonicClock
 from drivers.output.display import PictureDisplay
 from drivers.output.projector import PatternProjector
@@ -38,6 +38,8 @@ def test_the_instruments_wires_are_the_systems_own() -> None:
     with open_wires("drivers.native:open", {}) as wires:
         assert wires.usb_backend is None
         assert callable(wires.hidraw.enumerate)
+        with pytest.raises(DeviceGone, match="no-such-card"):
+            wires.open_card("/dev/no-such-card")
         assert time.monotonic_ns() <= wires.clock.now_ns() <= time.monotonic_ns()
     with pytest.raises(DeviceRefused, match="unknown options seed"), open_wires("drivers.native:open", {"seed": 1}):
         pass

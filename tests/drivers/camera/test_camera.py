@@ -102,8 +102,9 @@ def test_the_host_knows_the_link_best_and_the_camera_where_the_host_does_not_say
 def test_packets_are_as_long_as_the_camera_says_it_can_take_and_give() -> None:
     device, _ = opened()
     assert device.longest_read == 256 - 12
-    small, _ = opened(lambda device: device.set(SBRM + 0x18, struct.pack("<I", 100)))
+    small, camera = opened(lambda device: device.set(SBRM + 0x18, struct.pack("<I", 100)))
     assert small.longest_read == 88
+    assert camera.control_counters.retries == 0
 
 
 @pytest.mark.parametrize(
