@@ -6,9 +6,7 @@ Every address and layout is from the standards (GenCP 1.1, section 4; USB3 Visio
 from __future__ import annotations
 
 import errno
-import io
 import struct
-import zipfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from types import SimpleNamespace
@@ -236,7 +234,7 @@ class Bus:
 class ScriptedCamera(Device):
     """A camera as far as a driver needs it: a sparse register memory behind the control endpoint, and a stream."""
 
-    def __init__(self, clock: SteppedClock, xml: str | None = None, *, zipped: bool = False) -> None:
+    def __init__(self, clock: SteppedClock, xml: str | None = None) -> None:
         super().__init__(configuration=1)
         self.clock = clock
         self.memory: dict[int, int] = {}
@@ -258,12 +256,7 @@ class ScriptedCamera(Device):
         self.set(SBRM + 0x40, struct.pack("<I", 8))
         self.needs()
         data = (description() if xml is None else xml).encode()
-        if zipped:
-            packed = io.BytesIO()
-            with zipfile.ZipFile(packed, "w") as archive:
-                archive.writestr("camera.xml", data)
-            data = packed.getvalue()
-        self.set(MANIFEST, struct.pack("<QIIQQ40x", 1, 0x0001_0000, int(zipped) << 10, FILE, len(data)))
+        self.set(MANIFEST, struct.pack("<QIIQQ40x", 1, 0x0001_0000, 0, FILE, len(data)))
         self.set(FILE, data)
         self.set_feature("DeviceTemperature", 41.5)
         # As a camera wakes up that somebody else used: every flag is set, and pixels are added up.

@@ -127,12 +127,6 @@ def test_a_camera_that_cannot_be_used_says_why_and_is_let_go(
     assert (device.is_open, device.claimed) == (False, [])
 
 
-def test_a_zipped_description_serves_as_well() -> None:
-    device = ScriptedCamera(SteppedClock(), zipped=True)
-    UsbVisionCamera.open(SPEC, Bus(device), device.clock).configure(SETTINGS)
-    assert device.feature("Width") == 64
-
-
 def test_every_setting_that_decides_about_an_image_is_made() -> None:
     device, camera = opened()
     device.set_feature("OffsetX", 16)
@@ -421,20 +415,3 @@ def test_frames_are_counted_from_each_start_on() -> None:
     camera.next_frame(slot, 0.1)
     camera.stop()
     assert camera.stream_counters == StreamCounters()
-
-
-def test_twelve_packed_bits_become_eight_on_their_way_into_the_slot() -> None:
-    device, camera = opened(
-        lambda device: device.needs(64 * 48 * 3 // 2),
-        xml=description(choices={"PixelFormat": ("Mono16", "Mono12p")}),
-        spec=replace(SPEC, pixel_format="Mono12p"),
-    )
-    camera.configure(SETTINGS)
-    camera.start()
-    device.stream = frame_of(bytes((0x5A, 0x7C, 0xE1)) * (64 * 24), code=0x010C0047, valid=4608)
-    slot = empty_slot()
-    frame = camera.next_frame(slot, 0.1)
-    assert frame.status is FrameStatus.COMPLETE, frame.detail
-    assert slot[5, :4].tolist() == [0xC5, 0xE1, 0xC5, 0xE1]
-    device.stream = frame_of(bytes(64 * 48), 10)
-    assert "expected Mono12p" in camera.next_frame(slot, 0.1).detail
