@@ -14,6 +14,7 @@ from appliance.bringup.flashing import Part, laid_out
 from appliance.cli.main import main
 from appliance.cli.output import Exit
 from appliance.config import Rig, default_rig_path, load_rig, parse_rig
+from tests.support.golden_texts import Says
 
 ROOT = Path(__file__).parents[3]
 TEXT = default_rig_path().read_text(encoding="utf-8")
@@ -57,21 +58,13 @@ def test_another_instrument_has_its_own_identity_on_both_boards() -> None:
 
 @pytest.mark.parametrize(
     ("width_px", "height_px", "refresh_hz", "rises"),
-    [
-        *((640, 480, 59.94, False), (800, 600, 60.32, True), (1024, 768, 60.0, False), (1024, 768, 75.03, True)),
-        *((1280, 720, 60.0, True), (1280, 720, 59.94, True), (1280, 1024, 60.02, True)),
-    ],
+    [(640, 480, 59.94, False), (800, 600, 60.32, True), (1024, 768, 75.03, True), (1280, 720, 59.94, True)],
 )
 def test_the_edge_follows_from_the_published_timing(
     width_px: int, height_px: int, refresh_hz: float, rises: bool
 ) -> None:
     projector = replace(RIG.projector, width_px=width_px, height_px=height_px, refresh_hz=refresh_hz)
     assert written("board", replace(RIG, projector=projector))["SYNC_RISES"] is rises
-
-
-def test_the_two_housings_have_different_edges() -> None:
-    assert written("board", RIG)["SYNC_RISES"] is False
-    assert written("board", load_rig(COMPACT))["SYNC_RISES"] is True
 
 
 @pytest.mark.parametrize(("sync", "rises"), [("positive", True), ("negative", False)])
@@ -81,7 +74,7 @@ def test_what_the_rig_file_says_comes_before_the_mode(sync: str, rises: bool) ->
         assert written("board", rig)["SYNC_RISES"] is rises
 
 
-@pytest.mark.parametrize(("width_px", "height_px"), [(912, 1140), (1920, 1080), (1280, 800)])
+@pytest.mark.parametrize(("width_px", "height_px"), [(912, 1140), (1280, 800)])
 def test_a_mode_of_either_sign_is_refused_with_the_key_to_set(width_px: int, height_px: int) -> None:
     projector = replace(RIG.projector, width_px=width_px, height_px=height_px)
     with pytest.raises(BringupError, match=rf'{width_px}x{height_px} at 60 Hz .*sync = "negative" or "positive"'):
@@ -92,14 +85,11 @@ def test_a_mode_of_either_sign_is_refused_with_the_key_to_set(width_px: int, hei
 # ------------------------------------------------------------------------------------------ the verbs
 
 
-def test_it_is_laid_out_again_as_a_whole(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_it_is_laid_out_again_as_a_whole(tmp_path: Path, capsys: pytest.CaptureFixture[str], says: Says) -> None:
     out, rig = tmp_path / "made" / "board", tmp_path / "rig.toml"
     rig.write_text(TEXT)
     assert main(["firmware", "board", "--rig", str(rig), "--out", str(out)]) == Exit.OK
-    first = capsys.readouterr().out
-    assert "1209:4b42" in first
-    assert "1024x768 at 60 Hz begins with a falling edge" in first
-    assert f"mpremote cp -r {out}/drivers :" in first
+    says(capsys.readouterr().out)
     rig.write_text(TEXT.replace("0x4B42", "0x4B43"))
     (out / "main.py").unlink()
     assert main(["firmware", "board", "--rig", str(rig), "--out", str(out), "--json"]) == Exit.OK
@@ -115,13 +105,3 @@ def test_a_folder_with_something_else_in_it_is_left_alone(tmp_path: Path, capsys
     assert main(["firmware", "keys", "--out", str(tmp_path)]) == Exit.USAGE
     assert "thesis.txt, which is not of this firmware" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
-
-
-def test_a_mode_of_either_sign_ends_the_verb_in_a_line_and_writes_nothing(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    rig = tmp_path / "rig.toml"
-    rig.write_text(TEXT.replace("width_px = 1024\nheight_px = 768", "width_px = 1920\nheight_px = 1080"))
-    assert main(["firmware", "board", "--rig", str(rig), "--out", str(tmp_path / "out")]) == Exit.FAILED
-    assert 'sync = "negative" or "positive" under [projector]' in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import json
-import re
 import tomllib
-from pathlib import Path
 
 import pytest
 
 from appliance.bringup.finding import BringupError, Finding
 from appliance.bringup.guide import NAMES, OF_THE_PROJECTOR, STEPS, StepOutcome, inputs_of, step_of
 from appliance.bringup.guide_page import guide_page
-from appliance.bringup.guide_state import STATE, GuideState, StepRecord, read_state
+from appliance.bringup.guide_state import GuideState, StepRecord, read_state
 from appliance.bringup.rig_edit import KeyValue
 from appliance.config import default_rig_path
-from tests.support.commands import Shell
 
 RIG = tomllib.loads(default_rig_path().read_text(encoding="utf-8"))
 
@@ -44,12 +41,8 @@ def kept(name: str, good: bool = True, content: dict[str, object] | None = None)
     return GuideState("/etc/rig.toml", "ab" * 32, {}, {"Versions": ("kingfisher",)}).with_step(name, record)
 
 
-def test_the_twelve_steps_come_in_the_order_of_the_work() -> None:
-    assert (
-        *("board", "pad", "vsync", "cameras", "trigger", "raster"),
-        *("sides", "latency", "light", "skew", "endurance", "plane"),
-    ) == NAMES
-    # No step needs one that comes later: the walk could never end.
+def test_no_step_needs_one_that_comes_later() -> None:
+    """The walk could never end."""
     for number, step in enumerate(STEPS):
         assert set(step.needs) <= set(NAMES[:number])
     assert set(OF_THE_PROJECTOR) < set(NAMES)
@@ -73,12 +66,10 @@ def test_a_key_that_came_or_went_counts_as_changed() -> None:
 
 
 def test_keys_that_the_guide_finds_itself_undo_only_what_rests_on_them() -> None:
-    for name in ("cameras", "trigger", "raster", "endurance"):
-        for table, key, value in (("board", "trigger_delay_us", 4000), ("camera.left", "exposure_ms", 5.0)):
-            assert kept(name).stands(step_of(name), changed(table, key, value)), (name, key)
-    for name in ("light", "plane"):
-        for table, key, value in (("board", "trigger_delay_us", 4000), ("camera.left", "exposure_ms", 5.0)):
-            assert not kept(name).stands(step_of(name), changed(table, key, value)), (name, key)
+    for table, key, value in (("board", "trigger_delay_us", 4000), ("camera.left", "exposure_ms", 5.0)):
+        now = changed(table, key, value)
+        steps = ("cameras", "trigger", "raster", "endurance", "light", "plane")
+        assert [name for name in steps if not kept(name).stands(step_of(name), now)] == ["light", "plane"]
 
 
 def test_a_step_that_is_not_good_never_stands_and_nothing_found_is_not_good() -> None:
@@ -90,8 +81,6 @@ def test_what_was_kept_is_read_as_it_was() -> None:
     state = kept("vsync")
     again = read_state(state.as_bytes(), "bringup.json")
     assert again.as_bytes() == state.as_bytes()
-    assert again.stands(step_of("vsync"), RIG)
-    assert again.steps["vsync"].findings == state.steps["vsync"].findings
     assert again.steps["vsync"].written == {"projector.latency_blanks": 1}
 
 
@@ -111,12 +100,10 @@ def test_the_page_has_numbers_limits_remedy_pictures_and_the_rig_file_and_no_mar
         "60 ± 0.1 Hz",
         "choose &lt;another&gt; mode",
         "name = &#x27;&lt;b&gt;&#x27;",
-        "WRONG",
         "data:image/png",
     ):
         assert text in page, text
     assert "<another>" not in page
-    assert "not yet" in page
 
 
 def test_the_page_begins_with_what_is_to_be_done_next() -> None:
@@ -126,14 +113,3 @@ def test_the_page_begins_with_what_is_to_be_done_next() -> None:
     done = json.loads(kept("board").as_bytes())
     done["steps"] = dict.fromkeys(NAMES, done["steps"]["board"])
     assert "All twelve steps are good" in guide_page(read_state(json.dumps(done).encode(), "x"), "", {})
-
-
-def test_what_is_kept_has_a_folder_that_was_not_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    rig, out = tmp_path / "rig.toml", tmp_path / "new" / "guide"
-    text = default_rig_path().read_text(encoding="utf-8")
-    rig.write_text(re.sub(r'(?m)^root = ".*"', f'root = "{tmp_path / "root"}"', text), encoding="utf-8")
-    # No device is opened for a step that needs others first.
-    said = Shell(capsys)("bringup", "guide", "--rig", rig, "--out", out, "--only", "trigger")
-    assert said.code == 1
-    assert "step trigger needs board, vsync, cameras, which are not good" in said.error
-    assert read_state((out / STATE).read_bytes(), "the state").rig_file == str(rig)

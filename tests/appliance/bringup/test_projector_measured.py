@@ -10,7 +10,6 @@ import pytest
 from appliance.bringup.conclusions import conclusions, keys_of
 from appliance.bringup.exposures import Trial
 from appliance.bringup.finding import BringupError, Finding
-from appliance.bringup.page import pictures_of, projector_page
 from appliance.bringup.projector import ProjectorMeasured, measure_lines, measure_orientation, measure_projector
 from appliance.bringup.rig_edit import with_keys
 from appliance.config import default_rig_path, parse_rig
@@ -20,9 +19,6 @@ pytestmark = pytest.mark.devices
 PACKAGED = default_rig_path().read_text(encoding="utf-8")
 STEADY = Model(steady())
 VIDEO = Model(planes_in(5_000.0, 12_400.0), planes_in(500.0, 4_500.0), latency=1)
-THIRD = PERIOD_US / 3.0
-THIRDS = [planes_in(300.0 + k * THIRD, (k + 1) * THIRD) for k in range(3)]
-PATTERN = Model(THIRDS[1], joined(THIRDS[0], THIRDS[2]), latency=1)
 
 
 def measured(model: Model) -> tuple[ProjectorMeasured, dict[str, Finding]]:
@@ -39,9 +35,9 @@ def steady_measured() -> ProjectorMeasured:
     return measured(STEADY)[0]
 
 
-def seen_anew(model: Model, camera_px: tuple[int, int] = (96, 72)) -> dict[str, Finding]:
+def seen_anew(model: Model) -> dict[str, Finding]:
     """Return the findings of a steady lamp whose picture lies as that of ``model``."""
-    bench, best = ModelBench(model, camera_px=camera_px), Trial(500, 10_000)
+    bench, best = ModelBench(model), Trial(500, 10_000)
     seen, _ = measure_orientation(bench, 0, best, "green")
     lines, _ = measure_lines(bench, 0, best, "green")
     return named(replace(steady_measured(), seen=seen, lines=lines))
@@ -51,17 +47,7 @@ def wrong(findings: dict[str, Finding]) -> set[str]:
     return {name for name, one in findings.items() if not one.ok}
 
 
-def test_a_steady_lamp_takes_every_exposure() -> None:
-    found = steady_measured()
-    assert wrong(named(found)) == set()
-    assert (found.timing.latency_blanks, found.channels, found.sub_frames) == (0, "green", 1)
-    assert found.offer is not None
-    assert found.offer.exposures_us == (2000, 2500, 3200, 4000, 5000, 6300, 8000, 10000, 12000, 14000, 16000)
-    assert found.timing.begins_us == pytest.approx(0.0, abs=50.0)
-    assert found.timing.ends_us == pytest.approx(PERIOD_US, abs=100.0)
-
-
-@pytest.mark.parametrize(("latency", "lag_us"), [(0, 0.0), (1, 0.0), (2, 300.0), (1, 6_000.0), (5, 0.0)])
+@pytest.mark.parametrize(("latency", "lag_us"), [(2, 300.0), (1, 6_000.0), (5, 0.0)])
 def test_latency_is_known_in_blanks_and_the_rest_in_microseconds(latency: int, lag_us: float) -> None:
     found, findings = measured(but(STEADY, latency=latency, lag_us=lag_us))
     assert wrong(findings) == set()
@@ -76,57 +62,13 @@ def test_latency_is_known_in_blanks_and_the_rest_in_microseconds(latency: int, l
     assert max(rig.scan.exposures_ms or ()) >= 14.0
 
 
-def test_a_video_projector_is_only_exposed_for_the_whole_of_its_green() -> None:
-    found, findings = measured(VIDEO)
-    assert wrong(findings) == set()
-    assert found.timing.latency_blanks == 1
-    (window,) = found.timing.windows
-    assert window.begins_us == pytest.approx(5_000.0, abs=250.0)
-    assert window.ends_us == pytest.approx(12_400.0, abs=250.0)
-    assert (found.channels, found.sub_frames) == ("green", 1), "red and blue are other colours, of another strength"
-    assert found.offer is not None
-    for time_us in found.offer.exposures_us:
-        assert found.offer.delay_us <= 5_000
-        assert found.offer.delay_us + time_us >= 12_400
-    assert len(found.offer.exposures_us) == 1, "a longer one sees no more light"
-
-
-def test_three_sub_frames_are_found_by_drawing_into_all_channels() -> None:
-    found, findings = measured(PATTERN)
-    assert wrong(findings) == set()
-    assert (found.channels, found.sub_frames) == ("all", 3)
-    rig = parse_rig(with_keys(PACKAGED, keys_of(found, 60.0, 12.0)))
-    assert (rig.projector.channels, rig.projector.sub_frames, rig.projector.latency_blanks) == ("all", 3, 1)
-    assert rig.scan.exposures_ms == (5.556, 11.111)
-    assert rig.camera.left.exposure_ms == rig.camera.right.exposure_ms == 11.111
-
-
 def test_no_offered_exposure_is_false() -> None:
     """Bit planes of every frame in an order of their own: what is offered is straight by arithmetic."""
-    for order in ((7, 3, 5, 0, 6, 1, 4, 2), (0, 1, 2, 3, 4, 5, 6, 7), (4, 7, 1, 0, 6, 2, 5, 3)):
-        for end_us in (9_000.0, 15_300.0):
-            found, _ = measured(Model(planes_in(700.0, end_us, order)))
-            assert found.offer is not None
-            for time_us in found.offer.exposures_us:
-                assert found.offer.delay_us <= 700.0 < end_us <= found.offer.delay_us + time_us + 40.0, (order, end_us)
-
-
-def test_light_that_fills_more_than_an_exposure_holds_is_refused_with_a_remedy() -> None:
-    found, findings = measured(Model(planes_in(0.0, PERIOD_US)))
-    assert found.offer is None
-    assert wrong(findings) == {"grey"}
-    assert "bit planes" in findings["grey"].said
-    assert "pattern mode" in findings["grey"].remedy
-    with pytest.raises(ValueError, match="no exposure is good"):
-        keys_of(found, 60.0, 12.0)
-
-
-@pytest.mark.parametrize("power", [2.2, 0.45])
-def test_a_gamma_is_named_with_its_exponent(power: float) -> None:
-    _, findings = measured(but(STEADY, gamma=power))
-    assert wrong(findings) == {"grey"}
-    assert f"a power of {power:.1f}" in findings["grey"].said or power < 1.0
-    assert "switch gamma off" in findings["grey"].remedy
+    for order, end_us in (((7, 3, 5, 0, 6, 1, 4, 2), 9_000.0), ((0, 1, 2, 3, 4, 5, 6, 7), 15_300.0)):
+        found, _ = measured(Model(planes_in(700.0, end_us, order)))
+        assert found.offer is not None
+        for time_us in found.offer.exposures_us:
+            assert found.offer.delay_us <= 700.0 < end_us <= found.offer.delay_us + time_us + 40.0, (order, end_us)
 
 
 def test_a_gamma_behind_equal_sub_frames_is_named_as_such() -> None:
@@ -136,56 +78,24 @@ def test_a_gamma_behind_equal_sub_frames_is_named_as_such() -> None:
     assert found.sub_frames == 2
     assert wrong(findings) == {"grey"}
     assert "a power of 2.2" in findings["grey"].said
-    assert "switch gamma off" in findings["grey"].remedy
-
-
-def test_a_restless_lamp_is_named() -> None:
-    _, findings = measured(but(STEADY, unrest=0.05))
-    assert wrong(findings) >= {"grey"}
-    assert "restless" in findings["grey"].said
-
-
-@pytest.mark.parametrize("scale", [0.9, 1.1, 1.25, 1.875])
-def test_a_picture_that_is_scaled_beats(scale: float) -> None:
-    findings = seen_anew(but(STEADY, scale=scale))
-    assert wrong(findings) == {"raster"}
-    assert "scales its picture" in findings["raster"].said
-    assert "raster of its panel" in findings["raster"].remedy
-    findings = seen_anew(STEADY)
-    assert wrong(findings) == set()
-    assert findings["raster"].said.startswith("single lines are equally bright")
-
-
-def test_coarse_cameras_do_not_judge_the_raster() -> None:
-    findings = seen_anew(STEADY, (40, 30))
-    assert findings["raster"].ok
-    assert "cannot be told" in findings["raster"].said
 
 
 @pytest.mark.parametrize(
-    ("mirrored", "upside_down", "said", "remedy"),
+    ("mirrored", "upside_down", "said"),
     [
-        (True, False, "mirrored left to right", "rear projection"),
-        (False, True, "mirrored top to bottom", "vertical flip"),
-        (True, True, "turned by 180°", "ceiling projection"),
+        (True, False, "mirrored left to right"),
+        (False, True, "mirrored top to bottom"),
+        (True, True, "turned by 180°"),
     ],
 )
-def test_a_picture_that_lies_wrong_is_named(mirrored: bool, upside_down: bool, said: str, remedy: str) -> None:
+def test_a_picture_that_lies_wrong_is_named(mirrored: bool, upside_down: bool, said: str) -> None:
     findings = seen_anew(but(STEADY, mirrored=mirrored, upside_down=upside_down))
     assert wrong(findings) == {"orientation"}, "whoever mirrors exchanges no cameras"
     assert said in findings["orientation"].said
-    assert remedy in findings["orientation"].remedy
 
 
 def test_exchanged_cameras_are_named() -> None:
-    findings = seen_anew(STEADY)
-    assert findings["sides"].said == "left and right are as in the rig file"
-    findings = seen_anew(but(STEADY, exchanged=True))
-    assert wrong(findings) == {"sides"}
-    assert "exchange the serials" in findings["sides"].remedy
-
-
-def test_exchanged_cameras_before_a_mirrored_picture_are_both_named() -> None:
+    assert wrong(seen_anew(but(STEADY, exchanged=True))) == {"sides"}
     assert wrong(seen_anew(but(STEADY, mirrored=True, exchanged=True))) == {"orientation", "sides"}
 
 
@@ -193,7 +103,6 @@ def test_a_camera_that_exposes_late_is_named() -> None:
     found, findings = measured(but(VIDEO, late_us={"right": 300.0}))
     assert wrong(findings) == {"skew"}
     assert found.skew_us == pytest.approx(-300.0, abs=20.0)
-    assert "the right one later" in findings["skew"].said
 
 
 @pytest.mark.parametrize(
@@ -214,23 +123,3 @@ def test_a_rate_beyond_the_boards_delay_is_refused() -> None:
     bench = ModelBench(STEADY, refresh_hz=24.0)
     with pytest.raises(BringupError, match=r"projector\.refresh_hz 24: allowed here are 35\.\.240"):
         measure_projector(bench, 12.0, lambda _what, _part: None)
-
-
-def test_the_page_has_every_finding_and_all_pictures_in_it() -> None:
-    found = replace(steady_measured(), skew_us=100.0)
-    findings = named(found)
-    pictures = pictures_of(found, PERIOD_US)
-    assert set(pictures) == {
-        "light.png",
-        "grey.png",
-        "marker_left.png",
-        "marker_right.png",
-        "checker_left.png",
-        "checker_right.png",
-    }
-    assert all(data.startswith(b"\x89PNG") for _, data in pictures.values())
-    page = projector_page(list(findings.values()), {}, found, pictures)
-    assert page.count('class="no">WRONG') == 1
-    assert page.count("data:image/png;base64,") == len(pictures)
-    assert all(name in page for name in findings)
-    assert "http" not in page

@@ -5,7 +5,7 @@ from __future__ import annotations
 import multiprocessing.spawn
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any, cast
@@ -20,7 +20,6 @@ from appliance.config import Rig, load_rig
 from appliance.instrument import design_of, drawn_light_of
 from appliance.machine import events as on
 from appliance.machine.states import Device
-from appliance.ranging.beams import Pointers
 from appliance.service.aiming import AimingController
 from appliance.service.calibrating import CalibrationController
 from appliance.service.device_supervisor import DeviceSupervisor
@@ -119,10 +118,9 @@ def small_rig(root: Path) -> Rig:
 
 
 @contextmanager
-def a_desk(root: Path, pointers: Pointers | None = None, *, keep_incomplete: bool = False) -> Iterator[Desk]:
+def a_desk(root: Path) -> Iterator[Desk]:
     """All devices are there and open."""
     rig, script, pad, screen = small_rig(root), Script(), KeyPad(), Screen()
-    rig = replace(rig, storage=replace(rig.storage, keep_incomplete=keep_incomplete))
     clock, calibration = script.clock, design_of(rig)
     library = Library(root)
     library.prepare()
@@ -150,7 +148,7 @@ def a_desk(root: Path, pointers: Pointers | None = None, *, keep_incomplete: boo
         multiprocessing.spawn.set_executable("/bin/false")
         stack.callback(scans.__exit__, None, None, None)
         calibrating = stack.enter_context(CalibrationController(rig, scans))
-        ranging = stack.enter_context(RangingController(pointers, calibration, calibration.water.index, clock, 0.1))
+        ranging = stack.enter_context(RangingController(None, calibration, calibration.water.index, clock, 0.1))
         aiming = stack.enter_context(AimingController(clock, 0.1, left.black_level_dn, drawn_light_of(rig)))
         gallery = GalleryController(library, scans.submit)
         for supervisor in devices._supervisors():

@@ -134,9 +134,3 @@ def test_motion_is_told_from_images_with_two_missing_between_and_no_more(
     numbers = range(20, 20 + 5 * apart, apart)
     told = [code for number, image in zip(numbers, images, strict=True) for code in raised(seen(aiming, number, image))]
     assert told == expected
-
-
-def test_a_pair_with_images_missing_between_is_slower_than_it_looks(desk: tuple[AimingController, At]) -> None:
-    aiming, _ = desk
-    images = [picture(100.0, shift_px=(18.0 * (number % 2), 0.0), seed=number) for number in range(5)]
-    assert [raised(seen(aiming, 3 * number, image)) for number, image in enumerate(images, 1)] == [[]] * 5

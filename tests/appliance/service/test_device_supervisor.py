@@ -65,24 +65,6 @@ def test_pauses_grow_and_the_loss_is_told_once() -> None:
     assert supervisor.tried
 
 
-def test_it_comes_goes_and_comes_again() -> None:
-    clock, plug = HandClock(), Plug()
-    plug.present = True
-    supervisor = DeviceSupervisor(Device.BOARD, plug.open, clock, None)
-    assert supervisor.poll() == DeviceUp(Device.BOARD)
-    assert supervisor.value == "the device"
-    assert supervisor.poll() is None
-    assert supervisor.lose("unplugged") == [DeviceDown(Device.BOARD, "unplugged")]
-    assert supervisor.lose("unplugged") == []
-    assert [supervisor.value] == [None]
-    assert plug.closed == 1
-    assert supervisor.poll() is None, "not before the pause"
-    clock.sleep_s(PAUSES_S[0] + 0.01)
-    assert supervisor.poll() == DeviceUp(Device.BOARD)
-    supervisor.close()
-    assert plug.closed == 2
-
-
 def test_the_reason_is_told_again_when_it_is_another_one_and_pauses_begin_anew_once_it_was_there() -> None:
     clock, plug = HandClock(), Plug()
     supervisor = DeviceSupervisor(Device.BOARD, plug.open, clock, None)

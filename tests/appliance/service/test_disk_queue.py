@@ -23,25 +23,6 @@ def wait_until_answered(queue: DiskQueue) -> list[list[on.Event]]:
     return found
 
 
-def test_tasks_are_done_one_after_the_other_in_the_order_in_which_they_were_asked_for() -> None:
-    done: list[int] = []
-    gate = threading.Event()
-
-    def first() -> int:
-        gate.wait(10.0)
-        done.append(1)
-        return 1
-
-    with DiskQueue() as queue:
-        one = queue.submit(first)
-        other = queue.submit(lambda: done.append(2))
-        assert not queue.busy, "somebody else waits for these"
-        gate.set()
-        assert one.result(10.0) == 1
-        other.result(10.0)
-        assert done == [1, 2]
-
-
 def test_a_task_that_is_answered_by_events_keeps_the_queue_busy_until_they_are_fetched_once() -> None:
     gate = threading.Event()
     with DiskQueue() as queue:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import threading
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import moderngl
@@ -13,9 +13,8 @@ import pytest
 
 from appliance.instrument import standard_choices
 from appliance.machine import events as on
-from appliance.machine.states import Part, State
-from appliance.machine.words import Language, Text
-from appliance.scan.fault import Fault, FaultCode
+from appliance.machine.states import State
+from appliance.machine.words import Language
 from appliance.screens.unchanged import FrugalPainter
 from appliance.service.loop import Service
 from appliance.service.notify import ServiceManager
@@ -31,9 +30,6 @@ from tests.appliance.capture.test_course_of_a_scan import SEQUENCE
 from tests.appliance.machine.walks import PARTS, SUMMARY, UPS, run
 from tests.appliance.service.scripted import Desk, a_desk, small_rig
 from tests.drivers.clock import SteppedClock
-
-LOST = Fault(FaultCode.RECONSTRUCTION_FAILED, "no process")
-UNCALIBRATED = Fault(FaultCode.UNCALIBRATED, "there is no calibration")
 
 
 @dataclass
@@ -78,15 +74,9 @@ class Running:
         return lambda: self.service.machine.state is state
 
 
-def running(
-    desk: Desk,
-    drawing: Drawing,
-    clock: Clock | None = None,
-    conditions: tuple[Fault, ...] = (),
-    refresh_hz: float = 60.0,
-) -> Running:
-    rig, stop = replace(desk.rig, display=replace(desk.rig.display, refresh_hz=refresh_hz)), list[str]()
-    beginning = Beginning(ChoicesFile(rig.storage.root, standard_choices(rig)), conditions, ())
+def running(desk: Desk, drawing: Drawing, clock: Clock | None = None) -> Running:
+    rig, stop = desk.rig, list[str]()
+    beginning = Beginning(ChoicesFile(rig.storage.root, standard_choices(rig)), (), ())
     status = StatusFile(rig.storage.root, 7, "1.0")
     service = Service(
         rig, desk.parts, drawing.patterns, drawing.painter, status, clock or desk.script.clock, beginning,
@@ -135,37 +125,6 @@ def test_a_scan_that_is_not_wanted_is_rejected(aiming: Running, tmp_path: Path) 
     aiming.until(lambda: not aiming.desk.parts.scans.busy)
     assert Library(tmp_path).entries() == []
     assert len(list((tmp_path / "rejected").iterdir())) == 1
-
-
-def test_what_is_chosen_in_the_menu_is_used_and_remembered(aiming: Running, tmp_path: Path) -> None:
-    service, scans = aiming.service, aiming.desk.parts.scans
-    aiming.press(Key.UP, aiming.to(State.MENU))
-    shown = aiming.desk.screen.limits_s
-    assert shown == [0.5] * len(shown)
-    aiming.press(Key.DOWN, lambda: service.machine.menu and service.machine.menu.row == 1)
-    aiming.press(Key.SCAN, lambda: service.machine.menu and service.machine.menu.draft is not None)
-    aiming.press(Key.UP, lambda: True)
-    aiming.press(Key.SCAN, lambda: service.machine.choices.period_px != 16)
-    aiming.until(lambda: scans.sequence.period_px == service.machine.choices.period_px)
-    aiming.until(lambda: (tmp_path / "choices.json").exists())
-
-
-def test_a_slow_display_is_waited_for_four_periods(tmp_path: Path, drawing: Drawing) -> None:
-    with a_desk(tmp_path) as desk:
-        running(desk, drawing, refresh_hz=5.0).service.beat()
-        assert desk.screen.limits_s == [0.8]
-
-
-def test_without_a_display_a_heartbeat_takes_a_twentieth_of_a_second(tmp_path: Path, drawing: Drawing) -> None:
-    with a_desk(tmp_path) as desk:
-        clock = SteppedClock(desk.script.clock.now_ns())
-        one = running(desk, drawing, clock)
-        desk.screen.there = False
-        desk.devices.display.lose("unplugged")
-        begun_ns = clock.now_ns()
-        one.service.beat()
-        assert clock.now_ns() - begun_ns == 50_000_000
-        assert desk.screen.limits_s == []
 
 
 def test_the_end_waits_for_the_disk_but_not_for_ever(tmp_path: Path, drawing: Drawing) -> None:
@@ -225,16 +184,3 @@ def test_a_sequence_that_plays_is_ended_by_the_system_and_by_the_diver(
     aiming.press(Key.SCAN, lambda: "scan 1 of this start failed" in caplog.text)
     assert f"scan 1 of this start failed: CAPTURE_TIMEOUT: {why}" in caplog.text
     assert aiming.desk.script.shown == 0
-
-
-@pytest.mark.parametrize(("conditions", "passed"), [((), True), ((UNCALIBRATED,), False)])
-def test_the_self_test_hears_of_the_calibration_and_of_the_disk(
-    tmp_path: Path, drawing: Drawing, conditions: tuple[Fault, ...], passed: bool
-) -> None:
-    with a_desk(tmp_path) as desk:
-        one = running(desk, drawing, conditions=conditions)
-        one.service.beat()
-        tested = one.service.machine.parts[Part.CALIBRATION]
-        assert (tested.passed, tested.detail) == (passed, "" if passed else Text.NOT_MEASURED)
-        assert (UNCALIBRATED in one.service.machine.conditions) is not passed
-        assert one.service.machine.state is State.SELF_TEST, "every device was tried"

@@ -3,25 +3,43 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
-import numpy as np
 import pytest
 
 from appliance.machine import effects as do
 from appliance.machine import events as on
+from appliance.machine.states import Device
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault, FaultCode
 from appliance.service.inputs import Inputs
+from appliance.service.live import LiveViews
 from appliance.service.recording import DrawnPatterns, SequenceRecorder
-from drivers.api import FrameStatus, LaserState, Projector
+from drivers.api import (
+    BoardBooted,
+    BoardLost,
+    Key,
+    KeyEvent,
+    KeyFreed,
+    KeyLongPress,
+    KeyPress,
+    KeyRelease,
+    KeysLost,
+    KeyStuck,
+    LaserState,
+    Pulse,
+    PulsesDone,
+    Telemetry,
+    VsyncLost,
+)
 from drivers.output.gl import open_gl
 from tests.appliance.capture.test_course_of_a_scan import BEAT, SEQUENCE, N
-from tests.appliance.service.scripted import Desk, Lamp, a_desk, small_rig
+from tests.appliance.service.scripted import Desk, a_desk, small_rig
 
-EXPOSURE = Exposure(8_000, 0.0)
+EXPOSURE = Exposure(8_000, 6.0)
 WANTED = do.Arm(7, 16, EXPOSURE, object=5)
 
 
@@ -74,19 +92,6 @@ def test_a_sequence_is_armed_played_and_taken_down(desk: Desk, patterns: DrawnPa
     assert one.play(7, nothing, nothing) == on.CaptureFailed(7, Fault(FaultCode.INTERNAL, "nothing was armed"))
 
 
-def test_a_board_whose_laser_still_conducts_is_told_and_memory_is_free_again(
-    desk: Desk, patterns: DrawnPatterns
-) -> None:
-    one = recorder(desk, patterns)
-    desk.script.lasers = LaserState(True, False)
-    one.want(WANTED)
-    (failed,) = answered(desk, one)
-    assert isinstance(failed, on.CaptureFailed)
-    assert (failed.number, failed.fault.code) == (7, FaultCode.LASER_ON)
-    assert desk.parts.scans.scan is None
-    assert one.go_on() == []
-
-
 @pytest.mark.parametrize("device", ["board", "projector", "left", "right"])
 def test_without_all_devices_nothing_is_armed(desk: Desk, patterns: DrawnPatterns, device: str) -> None:
     parts: dict[str, Any] = {"board": desk.devices.board, "projector": desk.devices.projector, **desk.devices.cameras}
@@ -98,17 +103,6 @@ def test_without_all_devices_nothing_is_armed(desk: Desk, patterns: DrawnPattern
     assert isinstance(failed, on.CaptureFailed)
     assert (failed.number, failed.fault.code) == (7, FaultCode.INTERNAL)
     assert failed.fault.detail == "a capture was wanted without all devices"
-    assert desk.parts.scans.scan is None
-
-
-def test_a_frame_that_was_lost_fails_the_scan_and_frees_its_memory(desk: Desk, patterns: DrawnPatterns) -> None:
-    one = recorder(desk, patterns)
-    desk.script.damaged["left"] = (N - 1, FrameStatus.TRUNCATED)
-    one.want(WANTED)
-    answered(desk, one)
-    failed = one.play(7, nothing, nothing)
-    assert isinstance(failed, on.CaptureFailed)
-    assert failed.fault.code is not FaultCode.INTERNAL
     assert desk.parts.scans.scan is None
 
 
@@ -148,14 +142,117 @@ def test_patterns_of_another_period_are_drawn_loaded_and_recorded_with(desk: Des
     assert len(desk.parts.scans.store.frames("left")) == len(sequence)
 
 
-def test_the_live_light_lies_behind_the_dark_behind_the_patterns(desk: Desk, patterns: DrawnPatterns) -> None:
-    class Memory(Lamp):
-        def load(self, frames: object) -> None:
-            self.loaded = frames
+# ------------------------------------------------------------------------------------------------ live views
 
-    memory = Memory(desk.script)
-    patterns.load(cast("Projector", memory))
-    *drawn, dark, live = cast("list[np.ndarray]", memory.loaded)
-    assert len(drawn) == len(patterns.sequence)
-    assert dark.shape == live.shape == (desk.rig.projector.height_px, desk.rig.projector.width_px)
-    assert (dark.max(), live.max() > 0) == (0, True)
+DARK, LIT = len(SEQUENCE), len(SEQUENCE) + 1
+
+
+def until(desk: Desk, happened: Callable[[], object]) -> None:
+    end_ns = desk.script.clock.now_ns() + 5_000_000_000
+    while not happened():
+        assert desk.script.clock.now_ns() < end_ns
+        desk.script.clock.sleep_s(0.002)
+
+
+@pytest.mark.parametrize(("light", "shown"), [(True, LIT), (False, DARK)])
+def test_the_lasers_are_off_and_the_light_is_as_wanted_before_the_board_fires(
+    desk: Desk, light: bool, shown: int
+) -> None:
+    live = LiveViews(desk.rig, desk.parts, desk.inbox)
+    live.begin(do.GoLive(light, True, EXPOSURE), aiming=True, belongs_to=3)
+    board = desk.rig.board
+    fired = f"live every {board.live_every_vsyncs} delay {board.trigger_delay_us} width 8000"
+    told = [said for said in desk.said() if not said.startswith(("left", "right"))]
+    assert told == [f"show {shown}", "stop", "lasers False False", fired]
+    until(desk, lambda: all(said == ["start"] for said in desk.script.cameras.values()))
+    live.end()
+    told = [said for said in desk.said() if not said.startswith(("left", "right"))]
+    assert told == [f"show {DARK}", "lasers False False", "stop"]
+    assert desk.inbox == []
+
+
+def test_each_camera_is_exposed_as_wanted_and_shows_its_latest_image(desk: Desk) -> None:
+    live = LiveViews(desk.rig, desk.parts, desk.inbox)
+    live.begin(do.GoLive(True, False, EXPOSURE), aiming=False, belongs_to=None)
+    until(desk, lambda: all(said == ["start"] for said in desk.script.cameras.values()))
+    assert {"left 8000 us 6 dB", "right 8000 us 6 dB"} <= set(desk.said())
+    for shown in (1, 2):
+        show(desk, shown)
+
+        def all_seen(value: int = shown) -> bool:
+            live.take()
+            return {side: int(image[0, 0]) for side, image in live.images.items()} == {"left": value, "right": value}
+
+        until(desk, all_seen)
+    desk.devices.cameras["left"].lose("unplugged")
+    live.take()
+    assert set(live.images) == {"right"}, "an old image is no live one"
+
+
+def show(desk: Desk, patterns: int) -> None:
+    with desk.script.blank:
+        desk.script.shown = patterns
+        desk.script.blank.notify_all()
+
+
+WARM = Telemetry(0, 0, 0, LaserState(False, False), 41.0, 36.5, 30.0)
+
+
+def test_each_report_of_the_board_means_what_it_says(desk: Desk, caplog: pytest.LogCaptureFixture) -> None:
+    inputs = Inputs(desk.devices, desk.parts.ranging)
+    assert [inputs.telemetry] == [None]
+    assert inputs.board_event(WARM) == [on.TelemetryArrived(WARM)]
+    assert inputs.telemetry is WARM
+    assert inputs.board_event(BoardBooted("1.0", "B1", "BROWNOUT")) == [on.BoardReset("BROWNOUT")]
+    assert inputs.board_event(Pulse(1, 2, 3)) == inputs.board_event(PulsesDone(4)) == []
+    assert caplog.text == ""
+    assert inputs.board_event(VsyncLost()) == []
+    assert "no vertical sync" in caplog.text
+    assert inputs.board_event(BoardLost("unplugged")) == [on.DeviceDown(Device.BOARD, "unplugged")]
+    assert inputs.board_event(BoardLost("unplugged")) == [], "it is known"
+    assert inputs.poll() == [], "there is no board to ask"
+
+
+def test_temperatures_are_told_by_whoever_measures_them(desk: Desk) -> None:
+    inputs = Inputs(desk.devices, desk.parts.ranging)
+    for camera in desk.devices.cameras.values():
+        assert camera.value is not None
+        camera.value.live()
+        assert camera.value.idle()
+    until_s = time.monotonic() + 5.0
+    while None in (inputs.temperatures_c()["camera_left"], inputs.temperatures_c()["camera_right"]):
+        assert time.monotonic() < until_s
+    unknown = {"projector": None, "case": None, "board": None}
+    assert inputs.temperatures_c() == {**unknown, "camera_left": 30.5, "camera_right": 30.5}
+    inputs.board_event(WARM)
+    desk.devices.cameras["left"].lose("unplugged")
+    measured = {"projector": 41.0, "case": 36.5, "board": 30.0}
+    assert inputs.temperatures_c() == {**measured, "camera_left": None, "camera_right": 30.5}
+
+
+def test_keys_come_before_the_board_and_a_flood_is_read_bit_by_bit(desk: Desk) -> None:
+    inputs = Inputs(desk.devices, desk.parts.ranging)
+    board = desk.devices.board.value
+    desk.pad.waiting.append(KeyPress(Key.SCAN, 0))
+    time.sleep(0.05)
+    board._events += [BEAT] * 250  # type: ignore[union-attr]  # the script's
+    events = inputs.poll()
+    assert events[0] == on.KeyPressed(Key.SCAN)
+    assert events[1:] == [on.TelemetryArrived(BEAT)] * 200
+    assert inputs.poll() == [on.TelemetryArrived(BEAT)] * 50
+
+
+def test_every_key_event_is_heard_and_a_pad_that_is_gone_is_told_once(desk: Desk) -> None:
+    inputs = Inputs(desk.devices, desk.parts.ranging)
+    pressed: list[KeyEvent] = [KeyPress(Key.UP, 0), KeyLongPress(Key.UP, 0), KeyStuck(Key.UP), KeyFreed(Key.UP)]
+    desk.pad.waiting += [*pressed, KeyRelease(Key.UP, 0, 0.1), KeysLost("unplugged")]
+    told: list[on.Event] = []
+    until_s = time.monotonic() + 5.0
+    while len(told) < 5:
+        assert time.monotonic() < until_s
+        told += inputs.keys()
+    assert told == [
+        on.KeyPressed(Key.UP), on.KeyHeld(Key.UP), on.KeyJammed(Key.UP), on.KeyFreed(Key.UP),
+        on.DeviceDown(Device.KEYS, "unplugged"),
+    ]  # fmt: skip
+    assert inputs.keys() == [], "nobody is there to ask"

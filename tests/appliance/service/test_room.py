@@ -9,14 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from appliance.calibration.design import Design, design_calibration
-from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
-from appliance.config import load_rig
+from appliance.instrument import design_of
 from appliance.machine import events as on
 from appliance.machine.alerts import RULES
 from appliance.machine.states import Part
 from appliance.machine.words import Text
-from appliance.optics.water import Water
 from appliance.patterns.sequence import build_sequence
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import FaultCode
@@ -25,19 +22,15 @@ from appliance.service.scans import MeasuringSetup, ScanController, ScanStorage
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.library import Library
 from appliance.storage.room import FOLDER, Room
-from appliance.storage.scan import size_bytes
 from drivers.wall_clock import KernelCalendar
+from tests.appliance.service.scripted import small_rig
 from tests.drivers.clock import SteppedClock
 
 
 class Disk(LocalFileSystem):
-    """Refuses to allocate, with ``error``, as long as there is one; says that ``free`` bytes are free, if that is stated."""
+    """Refuses to allocate, with ``error``, as long as there is one."""
 
     error: int | None = None
-    free: int | None = None
-
-    def free_bytes(self, path: Path) -> int:
-        return super().free_bytes(path) if self.free is None else self.free
 
     def allocate(self, path: Path, length_bytes: int) -> None:
         if self.error is not None:
@@ -48,16 +41,11 @@ class Disk(LocalFileSystem):
 @contextmanager
 def desk_on(disk: Disk, root: Path, clock: SteppedClock) -> Iterator[ScanController]:
     """Without the process for points: nothing is recorded here."""
-    rig = simulated(load_rig(default_sim_rig()), SimOptions(root=root, size="400x300"))
-    calibration = design_calibration(
-        Design(11.5, 18.0, 230.0, 12.41, 30.0, 5.0, 1.77), "KF-TEST", 400, 300, Water(20.0, 0.0, 530.0)
-    )
-    room = Room(root, disk)
+    rig, room = small_rig(root), Room(root, disk)
     library = Library(root, room)
     library.prepare()
-    scans = ScanController(
-        rig, MeasuringSetup(calibration, build_sequence(16)), ScanStorage(library, room), clock, KernelCalendar()
-    )
+    setup = MeasuringSetup(design_of(rig), build_sequence(16))
+    scans = ScanController(rig, setup, ScanStorage(library, room), clock, KernelCalendar())
     try:
         yield scans
     finally:
@@ -103,32 +91,6 @@ def test_a_scan_for_which_no_space_can_be_allocated_is_refused_until_it_can(
         assert raised(events) == set()
         assert any(isinstance(event, on.StorageCounted) and event.scans_left for event in events)
         assert scans.begin(1, Exposure(8000, 0.0)) is None
-
-
-def told_left(scans: ScanController) -> int | None:
-    """How many more scans have room, as it is told now."""
-    scans.test_storage()
-    return next(event.scans_left for event in answered(scans) if isinstance(event, on.StorageCounted))
-
-
-def test_the_scans_left_do_not_go_up_after_a_save_by_what_other_programs_give_back(tmp_path: Path) -> None:
-    disk = Disk()
-    with desk_on(disk, tmp_path, SteppedClock()) as scans:
-        scans.test_storage()
-        answered(scans)
-        one = size_bytes(24, 400, 300)
-        disk.free = 2000 * one
-        begun = told_left(scans)
-        assert begun is not None
-        disk.free += one
-        assert told_left(scans) == begun, "2001 after 2000, and nothing was freed"
-        disk.free -= 7 * one
-        less = told_left(scans)
-        assert less == begun - 6
-        disk.free += 2 * one
-        assert told_left(scans) == less
-        disk.free += 50 * one
-        assert told_left(scans) == begun + 46, "somebody made room: that is told"
 
 
 @pytest.mark.parametrize(

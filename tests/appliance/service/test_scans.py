@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -9,25 +10,46 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from appliance.calibration.design import Design, design_calibration
-from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
-from appliance.config import load_rig
+from appliance.capture.ledger import Ledger
+from appliance.capture.scan import CaptureReport
+from appliance.capture.store import FrameStore
+from appliance.instrument import design_of
 from appliance.machine import events as on
 from appliance.machine.states import Part
-from appliance.optics.water import Water
-from appliance.patterns.sequence import Direction, build_sequence
+from appliance.machine.words import Text
+from appliance.patterns.sequence import PatternSequence, build_sequence
+from appliance.reconstruct.table import Cloud
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault, FaultCode
-from appliance.scan.verdict import Verdict
+from appliance.scan.overlap import Overlap
+from appliance.scan.sides import SIDES
+from appliance.scan.verdict import Judgement, Verdict
+from appliance.service.room import ScanRoom
+from appliance.service.scan_files import ScanFiles
+from appliance.service.scan_in_memory import ScanInMemory, SecondInMemory
 from appliance.service.scans import MeasuringSetup, ScanController, ScanStorage
+from appliance.service.worker_reports import WorkerReports
 from appliance.storage.library import Library
+from appliance.worker.looking import LiveLookedAt
 from appliance.worker.order import WorkLimits
+from appliance.worker.process import (
+    CloudReady,
+    PairJudged,
+    ScanCompared,
+    ScanJudged,
+    ScanSpoiled,
+    SequenceIdentified,
+    WorkerFailed,
+    WorkerReady,
+)
+from drivers.api import Flip, Frame, FrameStatus, Pulse
 from drivers.native import MonotonicClock
 from drivers.wall_clock import KernelCalendar
 from tests.appliance.capture.test_course_of_a_scan import SEQUENCE
-from tests.appliance.capture.test_ledger import clean
-from tests.appliance.service.scripted import Desk, a_desk
-from tests.appliance.service.test_lost_cloud import report_of
+from tests.appliance.machine.walks import SUMMARY
+from tests.appliance.service.scripted import Desk, a_desk, small_rig
+from tests.appliance.storage.scenes import FRAMES, ORIGIN, BadDisk, frames, record, second_sequence
+from tests.drivers.clock import SteppedClock
 
 
 def events_until_settled(scans: ScanController, timeout_s: float = 60.0) -> list[on.Event]:
@@ -35,39 +57,47 @@ def events_until_settled(scans: ScanController, timeout_s: float = 60.0) -> list
     found: list[on.Event] = []
     end_ns = clock.now_ns() + int(timeout_s * 1e9)
     while not scans.worker_settled and clock.now_ns() < end_ns:
-        found += [
-            event for event in scans.poll() if not isinstance(event, on.PartBusy)
-        ]  # how long it takes is the host's
+        # How long it takes is the host's.
+        found += [event for event in scans.poll() if not isinstance(event, on.PartBusy)]
         clock.sleep_s(0.01)
     return found
 
 
 def test_a_worker_that_cannot_live_is_a_condition_and_no_endless_boot(tmp_path: Path) -> None:
-    rig = simulated(load_rig(default_sim_rig()), SimOptions(root=tmp_path, size="400x300"))
-    calibration = design_calibration(
-        Design(11.5, 18.0, 230.0, 12.41, 30.0, 5.0, 1.77), "KF-TEST", 400, 300, Water(20.0, 0.0, 530.0)
-    )
-    library = Library(tmp_path)
+    rig, library = small_rig(tmp_path), Library(tmp_path)
     library.prepare()
+    setup, storage = MeasuringSetup(design_of(rig), build_sequence(16)), ScanStorage(library)
     for memory_mb, expected in ((20.0, on.ConditionRaised), (2000.0, on.ConditionCleared)):
         limits = WorkLimits(memory_mb=memory_mb, start_memory_mb=memory_mb)
-        with ScanController(
-            rig,
-            MeasuringSetup(calibration, build_sequence(16)),
-            ScanStorage(library),
-            MonotonicClock(),
-            KernelCalendar(),
-            limits,
-        ) as scans:
+        with ScanController(rig, setup, storage, MonotonicClock(), KernelCalendar(), limits) as scans:
             event, told = events_until_settled(scans)
             assert isinstance(event, expected)
             assert isinstance(told, on.PartTested)
-            assert (told.part, told.passed) == (Part.WORKER, expected is on.ConditionCleared), (
-                "the self-test hears of it"
-            )
+            assert (told.part, told.passed) == (Part.WORKER, expected is on.ConditionCleared)
             fault = event.fault if isinstance(event, on.ConditionRaised) else event
             assert fault.code is FaultCode.RECONSTRUCTION_FAILED
             assert scans.worker_settled
+
+
+PERIOD_NS = 16_666_667
+
+
+def report_of(sequence: PatternSequence, first_ns: int) -> CaptureReport:
+    """What four witnesses in agreement say of a sequence that begins at ``first_ns``."""
+    times_ns = [first_ns + k * PERIOD_NS for k in range(len(sequence))]
+    frames = tuple(Frame(FrameStatus.COMPLETE, k, t, t + PERIOD_NS) for k, t in enumerate(times_ns))
+    ledger = Ledger(
+        expected=len(sequence),
+        period_ns=PERIOD_NS,
+        start_sequence=1,
+        start_vsync=1,
+        delay_us=500,
+        flips=tuple(Flip(index=k, sequence=1 + k, time_ns=t) for k, t in enumerate(times_ns)),
+        pulses=tuple(Pulse(k, 1 + k, t // 1000) for k, t in enumerate(times_ns)),
+        frames=dict.fromkeys(SIDES, frames),
+        sync=None,
+    )
+    return CaptureReport(None, ledger, 0.4, ())
 
 
 REPORT = report_of(SEQUENCE, 5_000_000_000)
@@ -99,12 +129,8 @@ def test_a_scan_is_written_down_with_what_it_was_recorded_with_and_saved_with_th
     scans.recorded(REPORT, {"case": 31.0})
     made = scan.record
     assert made is not None
-    assert (made.exposure, made.object, made.recorded_ns, made.temperatures_c) == (
-        EXPOSURE,
-        5,
-        scan.begun_ns,
-        {"case": 31.0},
-    )
+    known = (made.exposure, made.object, made.recorded_ns, made.temperatures_c)
+    assert known == (EXPOSURE, 5, scan.begun_ns, {"case": 31.0})
     assert made.water is not None
     assert (made.water["temperature_c"], made.water["index"]) == (scans.water.temperature_c, scans.water.index)
     (verdict,) = made.verdicts
@@ -163,21 +189,6 @@ def test_a_second_sequence_is_given_up_alone_and_the_first_stays(desk: Desk) -> 
     assert [scans.scan] == [None]
 
 
-@pytest.mark.parametrize(("frames", "wanted", "kept"), [(0, True, 0), (1, True, 1), (1, False, 0)])
-def test_an_incomplete_recording_is_kept_where_it_holds_a_whole_direction_and_the_rig_file_asks(
-    tmp_path: Path, frames: int, wanted: bool, kept: int
-) -> None:
-    with a_desk(tmp_path, keep_incomplete=wanted) as desk:
-        scans = begun(desk)
-        count = SEQUENCE.axis(Direction.X).sine[-1] + frames
-        cut = replace(clean(), flips=clean().flips[:count])
-        scans.keep_incomplete(replace(REPORT, ledger=cut), Fault(FaultCode.FRAME_MISSING, "left 9"), {})
-        assert scans.busy is bool(kept)
-        scans.submit(int).result(10.0)
-        folder = tmp_path / "incomplete"
-        assert len(list(folder.iterdir()) if folder.exists() else []) == kept
-
-
 def test_other_water_another_sequence_and_another_calibration_are_measured_with_from_then_on(desk: Desk) -> None:
     scans = desk.parts.scans
     scans.use_water(35.0, 4.0)
@@ -191,3 +202,176 @@ def test_other_water_another_sequence_and_another_calibration_are_measured_with_
     order = scans.worker.order
     assert (order.water, order.calibration, order.period_px) == (scans.water, other, 64)
     assert len(scans.store.frames("left")) == len(scans.sequence)
+
+
+@pytest.mark.parametrize("refused", ["create frames_left_second.npy", "sync frames_right_second.npy"])
+def test_a_second_exposure_that_the_disk_refused_once_is_written_when_the_scan_is_saved(
+    tmp_path: Path, refused: str
+) -> None:
+    counting = BadDisk()
+    _save(tmp_path / "counted", counting)
+    disk = BadDisk(counting.calls.index(refused), error=errno.EIO)
+    first, saved = _save(tmp_path / "refused", disk)
+    assert [type(event) for event in first[:1]] == [on.SaveFailed]
+    assert [type(event) for event in saved[:1]] == [on.Saved]
+    library = Library(tmp_path / "refused")
+    (entry,) = library.entries()
+    assert library.verify(entry.scan_id).ok
+    second = library.load(entry.scan_id).second
+    assert second is not None
+    assert all(np.array_equal(second[side], frames(1)[side]) for side in ("left", "right"))
+
+
+def _save(root: Path, disk: BadDisk) -> tuple[list[on.Event], list[on.Event]]:
+    """Answers of a second exposure's own writing, and of publishing afterwards."""
+    library, clock = Library(root, disk), SteppedClock()
+    library.prepare()
+    with FrameStore(FRAMES, 8, 10, sequences=2) as store:
+        for side in ("left", "right"):
+            store.frames(side)[:] = frames(0)[side]
+            store.frames(side, second=True)[:] = frames(1)[side]
+        files = ScanFiles(library, ScanRoom(library, None, 0, clock), store, clock)
+        scan = ScanInMemory(1, clock.now_ns(), Exposure(2000), ORIGIN, record=record())
+        scan.pending = library.begin(frames(0), record(), ORIGIN)
+        scan.second = SecondInMemory(2, clock.now_ns(), Exposure(14_000), second_sequence(), merged=True)
+        return files.store_second(scan), files.publish(scan, None)
+
+
+SPOILT = Fault(FaultCode.MOVED, "the hands shook")
+GOOD, BAD = Judgement(Verdict("motion", True)), Judgement(Verdict("motion", False), SPOILT)
+PAIR = Judgement(Verdict("pair", True))
+DOWN = Fault(FaultCode.RECONSTRUCTION_FAILED, "the process ended with code -9")
+
+
+def cloud() -> Cloud:
+    ones = np.ones(5, np.float32)
+    return Cloud(
+        np.ones((5, 3), np.float32), np.ones(5, np.uint8), ones, ones, ones, np.arange(5, dtype=np.uint32), SUMMARY
+    )
+
+
+class Heard:
+    """Reports about a scan that began 2 s before, and whether what was recorded last was given up."""
+
+    def __init__(self, desk: Desk) -> None:
+        scans = desk.parts.scans
+        self.dropped = 0
+        self.reports = WorkerReports(scans.worker, scans.watch, desk.script.clock, self._drop)
+        begun_ns = desk.script.clock.now_ns() - 2_000_000_000
+        self.scan = ScanInMemory(4, begun_ns, Exposure(8_000), ORIGIN, record=record())
+
+    def _drop(self) -> None:
+        self.dropped += 1
+
+    @property
+    def verdicts(self) -> list[Verdict]:
+        assert self.scan.record is not None
+        return list(self.scan.record.verdicts)
+
+
+@pytest.fixture
+def heard(tmp_path: Path) -> Iterator[Heard]:
+    with a_desk(tmp_path) as desk:
+        yield Heard(desk)
+
+
+def test_of_another_scan_nothing_is_heard(heard: Heard) -> None:
+    about = (CloudReady(3, True, cloud(), 0.1), ScanJudged(3, (BAD,), 0.1), ScanCompared(3, Overlap(0.5), 0.1))
+    for report in about:
+        assert heard.reports.meant(report, heard.scan) == []
+        assert heard.reports.meant(report, None) == []
+    assert (heard.scan.full, heard.scan.judgements, heard.scan.times_s) == (None, (), {})
+
+
+def test_news_of_no_scan_are_told_as_they_are(heard: Heard) -> None:
+    assert [heard.reports.settled] == [False]
+    assert heard.reports.meant(WorkerReady(), None) == [
+        on.ConditionCleared(FaultCode.RECONSTRUCTION_FAILED), on.PartTested(Part.WORKER, True),
+    ]  # fmt: skip
+    assert [heard.reports.settled] == [True]
+    assert heard.reports.meant(SequenceIdentified(9), None) == [on.PatternsRight(9)]
+    assert heard.reports.meant(LiveLookedAt(None, 77, 0.1), None) == [on.Guided(None, 77)]
+
+
+def test_clouds_enter_the_scan_with_the_time_at_which_each_was_seen_first(heard: Heard) -> None:
+    scan, made = heard.scan, cloud()
+    assert heard.reports.meant(CloudReady(4, False, made, 0.25), scan) == [on.CoarseReady(4, made.summary)]
+    assert (scan.coarse, scan.full) == (made, None)
+    assert heard.reports.meant(CloudReady(4, True, made, 0.5), scan) == [on.FullReady(4, made.summary)]
+    assert (scan.full, scan.times_s["coarse_cpu"], scan.times_s["full_cpu"]) == (made, 0.25, 0.5)
+    assert 2.0 <= scan.times_s["coarse"] <= scan.times_s["full"] < 5.0
+    first_s = scan.times_s["full"]
+    heard.reports.meant(CloudReady(4, True, cloud(), 0.5), scan)
+    assert scan.times_s["full"] == first_s
+
+
+def test_judgements_are_entered_and_the_first_proposals_told(heard: Heard) -> None:
+    proposing = Judgement(Verdict("exposure", True), proposal=Exposure(4_000), second=Exposure(14_000))
+    later = Judgement(Verdict("water", True), proposal=Exposure(9_000), second=Exposure(9_000))
+    events = heard.reports.meant(ScanJudged(4, (BAD, proposing, later), 0.25), heard.scan)
+    assert events == [on.Judged(4, (SPOILT,), Exposure(4_000), Exposure(14_000))]
+    assert {"motion", "exposure", "water"} <= {one.name for one in heard.verdicts}
+    assert heard.reports.meant(ScanJudged(4, (GOOD,), 0.5), heard.scan) == [on.Judged(4)]
+    assert heard.scan.times_s["judged_cpu"] == 0.75
+    assert heard.scan.judgements == (GOOD,)
+    assert [one.passed for one in heard.verdicts if one.name == "motion"] == [True], "in place of the first word"
+
+
+def test_a_spoilt_scan_and_its_overlap_are_told(heard: Heard) -> None:
+    assert heard.reports.meant(ScanCompared(4, Overlap(0.5), 0.1), heard.scan) == [on.OverlapTold(4, Overlap(0.5))]
+    assert heard.scan.times_s["overlap_cpu"] == 0.1
+    assert heard.reports.meant(ScanSpoiled(4, GOOD), heard.scan) == []
+    assert heard.reports.meant(ScanSpoiled(4, BAD), heard.scan) == [on.ReconstructionFailed(4, SPOILT)]
+    assert BAD.verdict in heard.verdicts
+
+
+def with_second(heard: Heard) -> SecondInMemory:
+    second = SecondInMemory(5, heard.scan.begun_ns, Exposure(14_000), second_sequence())
+    heard.scan.second = second
+    return second
+
+
+def test_both_sequences_become_one_cloud(heard: Heard) -> None:
+    assert heard.reports.meant(PairJudged(4, (GOOD,), PAIR, cloud(), 0.5), heard.scan) == [], "there is no second one"
+    second, made = with_second(heard), cloud()
+    (merged,) = heard.reports.meant(PairJudged(4, (GOOD,), PAIR, made, 0.5), heard.scan)
+    assert isinstance(merged, on.PairMerged)
+    assert (merged.number, merged.summary, merged.warnings) == (4, made.summary, ())
+    assert (second.merged, heard.scan.full, heard.scan.times_s["pair_cpu"]) == (True, made, 0.5)
+    assert 2.0 <= heard.scan.times_s["pair"] < 5.0
+    assert heard.scan.coarse is not None
+    assert PAIR.verdict in heard.verdicts
+    assert second.record is not None
+    assert second.record.verdicts[-1] == GOOD.verdict
+    assert heard.dropped == 0
+
+
+@pytest.mark.parametrize("fault", [SPOILT, None])
+def test_a_second_sequence_that_does_not_fit_is_given_up_alone(heard: Heard, fault: Fault | None) -> None:
+    second = with_second(heard)
+    pair = Judgement(Verdict("pair", False, {}, "nothing in common"), fault)
+    (failed,) = heard.reports.meant(PairJudged(4, (), pair, None, 0.5), heard.scan)
+    assert failed == on.PairFailed(4, fault or Fault(FaultCode.RECONSTRUCTION_FAILED, "nothing in common"))
+    assert (second.merged, heard.scan.full, heard.dropped) == (False, None, 1)
+
+
+@pytest.mark.parametrize(
+    ("number", "second", "merged", "told"),
+    [
+        (4, False, False, on.ReconstructionFailed(4, DOWN)),
+        (4, True, False, on.PairFailed(4, DOWN)),
+        (4, True, True, on.ReconstructionFailed(4, DOWN)),
+        (3, True, False, on.ReconstructionFailed(3, DOWN)),
+        (None, False, False, None),
+    ],
+)
+def test_a_process_that_is_down_for_good_fails_what_it_had(
+    heard: Heard, number: int | None, second: bool, merged: bool, told: on.Event | None
+) -> None:
+    if second:
+        with_second(heard).merged = merged
+    events = heard.reports.meant(WorkerFailed(number, DOWN), heard.scan)
+    down = [on.ConditionRaised(DOWN), on.PartTested(Part.WORKER, False, Text.GIVEN_UP)]
+    assert events == [*([] if told is None else [told]), *down]
+    assert heard.reports.settled
+    assert heard.dropped == isinstance(told, on.PairFailed)

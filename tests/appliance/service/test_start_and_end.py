@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
-import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, nullcontext
 from multiprocessing import resource_tracker, spawn
 from pathlib import Path
@@ -18,21 +17,26 @@ import pytest
 
 from appliance.bringup.bench import Shot
 from appliance.bringup.finding import BringupError
-from appliance.config import Rig
-from appliance.machine.states import Device
-from appliance.offline.calibration.view_folder import ViewFolder
+from appliance.machine.events import KeyPressed, Tick, Told
+from appliance.machine.leading import alerts
+from appliance.machine.states import Device, boot
+from appliance.machine.step import step
 from appliance.scan.exposure import Exposure
-from appliance.service.air_live import LiveOptions, opened, record_views
+from appliance.scan.fault import FaultCode
+from appliance.service.air_live import opened
 from appliance.service.app import _signals, ask_power_off, run, take_back_power_off
 from appliance.service.device_supervisor import DeviceSupervisor
-from appliance.service.light_bench import TRIES, LightBench, light_bench
+from appliance.service.light_bench import TRIES, LightBench
+from appliance.service.starts import installation, recovered, this_run
+from appliance.storage.library import Library
 from appliance.storage.lock import holder
 from drivers import rig as drivers_rig
-from drivers.api import Board, Clock, DeviceError, DeviceGone, LaserState
+from drivers.api import Board, Clock, DeviceError, DeviceGone, Key, LaserState
 from drivers.native import MonotonicClock
 from drivers.wall_clock import KernelCalendar
 from tests.appliance.capture.test_course_of_a_scan import N
 from tests.appliance.service.scripted import Desk, a_desk, small_rig
+from tests.appliance.storage.scenes import ORIGIN, frames, record
 from tests.drivers.clock import SteppedClock
 
 
@@ -62,15 +66,6 @@ def test_a_signal_is_the_reason_to_stop_and_means_what_it_did_afterwards(number:
         os.kill(os.getpid(), number)
         assert stopping.reason == number.name
     assert signal.getsignal(number) is before
-
-
-def test_devices_that_are_there_are_had_at_once(desk: Desk) -> None:
-    clock = SteppedClock()
-    grabbers, board, projector = opened(desk.devices, clock)
-    assert (set(grabbers), board, projector) == (
-        {"left", "right"}, desk.devices.board.value, desk.devices.projector.value,
-    )  # fmt: skip
-    assert clock.now_ns() == SteppedClock().now_ns()
 
 
 def test_a_device_that_does_not_come_is_named_after_twenty_seconds(desk: Desk) -> None:
@@ -124,27 +119,6 @@ def nothing(clock: Clock) -> AbstractContextManager[Any]:
     return nullcontext(SimpleNamespace(usb_backend=usb, hidraw=hidraw, clock=clock, **more))
 
 
-def play(rig: Rig) -> None:
-    with light_bench(rig) as bench:
-        bench.load([], all_channels=True)
-
-
-def record(rig: Rig) -> None:
-    record_views(rig, ViewFolder(rig.storage.root / "views", "KF-1", None), LiveOptions(), lambda _: None)
-
-
-@pytest.mark.parametrize("begin", [play, record])
-def test_at_the_bench_missing_devices_are_named_and_all_is_given_back(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, begin: Callable[[Rig], None]
-) -> None:
-    monkeypatch.setattr(drivers_rig, "open_wires", lambda *_: nothing(SteppedClock()))
-    with pytest.raises(DeviceError) as caught:
-        begin(small_rig(tmp_path))
-    assert caught.value.device == "camera.left, camera.right, board, projector"
-    assert holder(tmp_path) is None
-    assert not [one for one in threading.enumerate() if one.name.startswith("kf-open")]
-
-
 def test_a_service_that_finds_no_device_runs_until_it_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "runtime").mkdir()
     (tmp_path / "runtime" / "power-off").touch()  # of a run before
@@ -174,3 +148,65 @@ def test_the_bench_plays_pictures_in_any_order_and_a_fault_only_thrice(desk: Des
     with pytest.raises(BringupError, match=r"3 recordings failed .*LASER_ON"):
         bench.take(range(N), Shot(500, 8_000))
     assert desk.said().count("lasers False False") == TRIES
+
+
+def told(runtime: Path | None, prefix: Path, *, ends_well: bool = True) -> list[FaultCode]:
+    """What one run tells."""
+    environment = {} if runtime is None else {"RUNTIME_DIRECTORY": str(runtime)}
+    try:
+        with this_run(environment, prefix) as news:
+            if not ends_well:
+                raise RuntimeError("as every error that ends the service")
+    except RuntimeError:
+        pass
+    return [fault.code for fault in news]
+
+
+def test_a_run_that_did_not_end_well_is_told_by_the_next_one_only(tmp_path: Path) -> None:
+    source = tmp_path / "venv"
+    assert told(tmp_path, source, ends_well=False) == []  # the first since power-on
+    assert told(tmp_path, source) == [FaultCode.RESTARTED]
+    assert told(tmp_path, source) == []
+
+
+def test_at_a_desk_nothing_is_remembered(tmp_path: Path) -> None:
+    assert told(None, tmp_path / "venv", ends_well=False) == told(None, tmp_path / "venv") == []
+
+
+@pytest.mark.parametrize(
+    ("outcome", "expected"),
+    [
+        ({"version": "new", "accepted": False, "reason": "it ended 2 times", "now": "old"}, [FaultCode.UPDATE_UNDONE]),
+        ({"version": "old", "accepted": True, "reason": "self-test passed", "now": "old"}, []),
+        ({"version": "new", "accepted": False, "reason": "it ended 2 times", "now": "older"}, []),
+        ({"accepted": False}, []),
+        ([], []),
+    ],
+)
+def test_an_update_that_was_taken_back_is_told(tmp_path: Path, outcome: object, expected: list[FaultCode]) -> None:
+    prefix = tmp_path / "versions" / "old"
+    prefix.mkdir(parents=True)
+    (tmp_path / "outcome.json").write_text(json.dumps(outcome))
+    assert told(tmp_path, prefix) == expected
+    assert installation(prefix) == "old"
+
+
+def test_it_is_read_once_and_gone_with_the_next_key(tmp_path: Path) -> None:
+    (tmp_path / "running").touch()
+    with this_run({"RUNTIME_DIRECTORY": str(tmp_path)}, tmp_path) as news:
+        machine, _ = step(boot(0), Told(news[0]))
+    machine, _ = step(machine, Tick(1))
+    assert [alert.headline for alert in alerts(machine)] == ["RESTARTED"]
+    machine, _ = step(machine, KeyPressed(Key.UP))
+    assert alerts(machine) == ()
+
+
+def test_a_scan_that_was_cut_off_while_being_saved_is_told_once(tmp_path: Path) -> None:
+    library = Library(tmp_path)
+    library.prepare()
+    begun = library.begin(frames(), record(), ORIGIN)  # whole on the disk, never published: here the power goes
+    news = recovered(Library(tmp_path).recover().recovered)
+    assert begun.scan_id in news[0].detail
+    machine, _ = step(boot(0), Told(news[0]))
+    assert [alert.headline for alert in alerts(machine)] == ["SCAN RECOVERED"]
+    assert recovered(Library(tmp_path).recover().recovered) == (), "at the next start it is a scan like any other"

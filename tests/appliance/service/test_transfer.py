@@ -52,10 +52,9 @@ def test_what_is_told_is_heard_once_a_second_and_only_while_it_is_on(status: Pat
 @pytest.mark.parametrize(
     "wrong",
     [
-        b"", b"[]", b"{", b"\xff", b"[" * 50_000, json.dumps(TOLD | {"state": "open"}).encode(),
-        json.dumps(TOLD | {"keys": True}).encode(), json.dumps(TOLD | {"keys": 1001}).encode(),
-        json.dumps(TOLD | {"keys": 1.0}).encode(), json.dumps(TOLD | {"keys": -1}).encode(),
-        json.dumps(TOLD | {"addresses": ["SHUT DOWN NOW"]}).encode(), json.dumps(TOLD | {"addresses": 7}).encode(),
+        b"", b"[]", b"\xff", b"[" * 50_000,
+        *(json.dumps(TOLD | {"keys": wrong}).encode() for wrong in (True, 1001, 1.0, -1)),
+        json.dumps(TOLD | {"state": "open"}).encode(), json.dumps(TOLD | {"addresses": ["SHUT DOWN NOW"]}).encode(),
     ],
 )  # fmt: skip
 def test_what_cannot_be_understood_is_not_shown(status: Path, wrong: bytes) -> None:
@@ -64,27 +63,16 @@ def test_what_cannot_be_understood_is_not_shown(status: Path, wrong: bytes) -> N
 
 
 def test_an_address_that_the_screen_would_cut_is_not_shown(status: Path) -> None:
-    long = "2001:db8:1111:2222:3333:4444:5555:6666"
     widest, wider = "2001:db8:1111:2222:3333::1", "2001:db8:1111:2222:3333::12"
-    for addresses, shown in (
-        ([wider], None),
-        ([widest], widest),
-        ([long], None),
-        ([long, "fe80::211:22ff:fe33:4455"], "fe80::211:22ff:fe33:4455"),
-    ):
+    for addresses, shown in (([wider], None), ([wider, widest], widest)):
         status.write_text(json.dumps(TOLD | {"addresses": addresses}))
         assert switch(status).poll(0, wanted=True) == [on.TransferTold(Transfer(Serving.ON, shown, 2))]
 
 
-def test_at_a_desk_there_is_nothing_to_switch() -> None:
-    one = TransferSwitch({})
-    one.switch(to_on=True)
-    assert not one.wanted
-    assert one.poll(0, wanted=True) == [on.TransferTold(Transfer(Serving.FAILED))]
-
-
-def test_a_note_that_cannot_be_written_ends_nothing(status: Path) -> None:
+def test_at_a_desk_there_is_nothing_to_switch_and_a_note_that_cannot_be_written_ends_nothing(status: Path) -> None:
     (status.parents[1] / "kingfisher").rmdir()
-    one = switch(status)
-    one.switch(to_on=True)
-    assert not one.wanted
+    at_a_desk = TransferSwitch({})
+    for one in (at_a_desk, switch(status)):
+        one.switch(to_on=True)
+        assert not one.wanted
+    assert at_a_desk.poll(0, wanted=True) == [on.TransferTold(Transfer(Serving.FAILED))]

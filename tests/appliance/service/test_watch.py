@@ -68,15 +68,3 @@ def test_a_length_check_takes_the_alarm_back_for_good(tmp_path: Path) -> None:
             "what the gaps show now is normal"
         )
         assert still.judge(scan(MADE, further, np.random.default_rng(3))).passed is False, "and a second knock is none"
-
-
-def test_a_calibration_that_was_never_measured_has_no_trend(tmp_path: Path) -> None:
-    rng = np.random.default_rng(1)
-    turned = with_mount_shifted(MADE.truth, MountShift("right", pitch_deg=0.2))
-    for method in ("design", "air"):
-        watch = CalibrationWatch(tmp_path, replace(CALIBRATION, method=method))
-        verdict = watch.judge(scan(MADE, turned, rng))
-        assert verdict.passed is None
-        assert verdict.text == "not judged: the calibration was never measured in water"
-        assert watch.fault is None
-        assert watch.unwritten("000001") is None

@@ -85,27 +85,14 @@ def test_signs_of_life_come_four_times_in_the_managers_patience(tmp_path: Path) 
     assert Signs(tmp_path, 20.0).during(1200) == 12  # 60 s
 
 
-def test_a_loop_that_does_not_get_on_gives_no_sign(tmp_path: Path) -> None:
+def test_a_loop_that_does_not_get_on_or_lost_sight_of_its_worker_gives_no_sign(tmp_path: Path) -> None:
     signs = Signs(tmp_path, 2.0)
     assert signs.during(100) > 0
     signs.during(1, turning=False)
     assert signs.during(100, turning=False) == 0
     assert signs.during(100) > 0
-
-
-def test_a_loop_whose_worker_was_lost_sight_of_gives_no_sign(tmp_path: Path) -> None:
-    signs = Signs(tmp_path, 2.0)
-    signs.during(1)
     assert signs.during(100, answers=False) == 0
     assert signs.during(100) > 0
-
-
-def test_without_a_watchdog_no_signs_are_sent(tmp_path: Path) -> None:
-    listener = Listener(str(tmp_path / "notify"))
-    supervision = Watchdog(ServiceManager(str(tmp_path / "notify"), None), tmp_path, "")
-    for k in range(100):
-        supervision.beaten(machine(k), worker_answers=True)
-    assert "WATCHDOG=1" not in listener.heard()
 
 
 def test_the_environment_is_taken_and_no_child_inherits_it(tmp_path: Path) -> None:

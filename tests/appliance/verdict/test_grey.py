@@ -13,6 +13,7 @@ from appliance.scan.fault import FaultCode
 from appliance.scan.verdict import Judgement
 from appliance.verdict.grey import judge_grey
 from appliance.verdict.light.levels import sample
+from tests.support.golden_texts import Says
 from tests.support.synthetic import frames as ideal_frames
 
 SEQUENCE = build_sequence(16, 128, 96)
@@ -44,21 +45,20 @@ def judged(left: NDArray[np.uint8], right: NDArray[np.uint8]) -> Judgement:
     return judge_grey({"left": sample(left, SEQUENCE), "right": sample(right, SEQUENCE)}, SEQUENCE)
 
 
-@pytest.mark.parametrize("exponent", [0.45, 0.5, 0.8])
-@pytest.mark.parametrize("side", ["left", "right"])
-def test_a_gamma_in_one_camera_is_named_with_the_camera_and_what_to_set(exponent: float, side: str) -> None:
+@pytest.mark.parametrize(("exponent", "side"), [(0.45, "left"), (0.8, "right")])
+def test_a_gamma_in_one_camera_is_named_with_the_camera_and_what_to_set(exponent: float, side: str, says: Says) -> None:
     frames = {one: recorded(k, camera=power(exponent) if one == side else straight) for k, one in enumerate(("left", "right"))}  # fmt: skip
     found = judged(**frames)
     assert found.verdict.passed is False
     assert found.fault is not None
     assert (found.fault.code, found.fault.device) == (FaultCode.GREY_BENT, f"camera.{side}")
-    assert f"Under features of camera.{side} set Gamma = 1.0, GammaEnable and LUTEnable = false" in found.fault.detail
+    says(found.fault.detail)
 
 
 @pytest.mark.parametrize(
     "lamp",
-    [straight, power(2.2), power(0.6), lambda share: 0.5 * share + 0.5 * (share > 0.5)],
-    ids=["straight", "gamma 2.2", "gamma 0.6", "a cut bit plane"],
+    [power(2.2), power(0.6), lambda share: 0.5 * share + 0.5 * (share > 0.5)],
+    ids=["gamma 2.2", "gamma 0.6", "a cut bit plane"],
 )
 def test_whatever_the_projector_makes_of_a_code_is_no_cameras_doing(lamp: Curve) -> None:
     found = judged(recorded(1, lamp=lamp), recorded(2, lamp=lamp, light=0.5, ambient=0.2))
@@ -69,18 +69,15 @@ def test_whatever_the_projector_makes_of_a_code_is_no_cameras_doing(lamp: Curve)
 def test_a_sensor_that_bends_by_two_percent_is_none() -> None:
     """At half of the full well, as data sheets say; and the other camera sees things half as bright."""
 
-    def bent(share: NDArray[np.float64]) -> NDArray[np.float64]:
-        return share + 4.0 * 0.02 * share * (1.0 - share)
-
-    assert judged(recorded(1, camera=bent), recorded(2, camera=bent, light=0.4)).verdict.passed is True
+    left, right = (recorded(k, camera=lambda s: s + 4.0 * 0.02 * s * (1.0 - s), light=0.8 / k) for k in (1, 2))
+    assert judged(left, right).verdict.passed is True
 
 
 def test_what_changes_from_one_direction_to_the_other_is_no_gamma() -> None:
     left = recorded(1).astype(np.float64)
     left[list(SEQUENCE.axis(Direction.Y).sine)] *= 0.8
     found = judged(np.rint(left).astype(np.uint8), recorded(2))
-    assert found.verdict.passed is None
-    assert found.fault is None
+    assert (found.verdict.passed, found.fault) == (None, None)
 
 
 def test_nothing_is_said_of_what_is_too_dark_or_saturated() -> None:

@@ -90,20 +90,6 @@ def test_a_hole_is_three_places_wide_and_high_and_the_largest_is_told() -> None:
     assert numbers["largest_percent"] == pytest.approx(100.0 * 12 / 200**2)
 
 
-def test_edges_are_no_holes_but_a_surface_torn_all_over_has_many() -> None:
-    mask, dark, _ = scene(0, Mask.VALID)
-    mask[50:250:4, 100:300] = Mask.EDGE
-    lines = judge_holes(mask, dark, mask == Mask.VALID)
-    assert lines.verdict.numbers["hole_percent"] == 0.0, "a quarter of the surface, in lines one place wide"
-    for y in range(50, 250, 20):
-        for x in range(100, 300, 20):
-            mask[y : y + 5, x : x + 5] = Mask.CONTRADICTION
-    torn = judge_holes(mask, dark, mask == Mask.VALID)
-    assert torn.fault is not None
-    assert torn.verdict.numbers["hole_percent"] == pytest.approx(100 * 100 * 25 / 40_000, rel=0.1)
-    assert (torn.verdict.numbers["largest_percent"] or 1.0) < 0.1
-
-
 def test_a_flange_that_was_lost_when_the_motion_was_undone_is_missing() -> None:
     mask, dark, there = scene(0, Mask.VALID)
     before = there.copy()

@@ -7,8 +7,6 @@ from functools import cache
 import numpy as np
 import pytest
 
-from appliance.machine.alerts import RULES
-from appliance.scan.fault import FaultCode
 from appliance.service.windows import WindowWatch
 from appliance.verdict.window import CELLS, Windows, ask
 from hw_sim.optics.fog import Fog
@@ -19,7 +17,6 @@ from tests.support.rendered import render_scan
 
 WIDTH = 240
 CLEAN, CLEAR = Fog(), Water()
-DISTANCES_MM = (480.0, 520.0, 560.0)
 
 
 @cache
@@ -27,10 +24,6 @@ def looked(name: str, distance_mm: float, fog: Fog = CLEAN, water: Water = CLEAR
     """One scan of an object at rest."""
     scene = Scene(object=name, pose=(4.0, -3.0, distance_mm, 5.0, 8.0, 10.0), fog=fog, water=water)
     return windows_of(render_scan(scene, "realistic", 4, WIDTH, 16))
-
-
-def raised(watch: WindowWatch) -> list[str]:
-    return [device for _, device, fault in watch.conditions() if fault is not None]
 
 
 def test_fog_on_one_window_is_found_where_it_is_and_how_much_of_it() -> None:
@@ -41,51 +34,17 @@ def test_fog_on_one_window_is_found_where_it_is_and_how_much_of_it() -> None:
     assert np.nanmax(fogged.falls["left"]) < 0.03
 
 
+def test_a_window_that_is_fogged_all_over_is_found_by_the_other_one() -> None:
+    fogged = looked("plane", 520.0, Fog(right=0.4, radius=2.0))
+    assert fogged.wholes["right"] == pytest.approx(0.4, abs=0.08)
+    assert (fogged.wholes["left"] or 0.0) < 0.03
+
+
 def test_a_clean_window_stays_clean_before_any_object_and_in_turbid_water() -> None:
     watch = WindowWatch()
-    for name, water in (("stones", CLEAR), ("shell", Water(attenuation_per_m=1.0, backscatter=0.2))):
-        for _ in range(3):  # to and fro: what belongs to the object stays where it is
-            for distance_mm in DISTANCES_MM[:2]:
-                verdict = watch.judge(looked(name, distance_mm, water=water))
-                assert verdict.passed is True, (name, distance_mm, verdict.text)
-
-
-def test_three_scans_of_changing_scenes_raise_it_and_three_clean_ones_take_it_back() -> None:
-    fog, watch = Fog(left=0.4), WindowWatch()
-    for k, distance_mm in enumerate(DISTANCES_MM):
-        assert raised(watch) == [], "two scans are not enough"
-        verdict = watch.judge(looked("plane", distance_mm, fog))
-        assert verdict.passed is (k < 2)
-    assert raised(watch) == ["camera.left"]
-    assert "left window" in verdict.text
-    assert "(cell 2, 2 of 8 x 6)" in verdict.text
-    for distance_mm in DISTANCES_MM:
-        assert raised(watch) == ["camera.left"]
-        watch.judge(looked("plane", distance_mm))
-    assert raised(watch) == []
-
-
-def test_the_same_scene_again_and_again_counts_once() -> None:
-    watch = WindowWatch()
-    for _ in range(8):
-        verdict = watch.judge(looked("plane", 520.0, Fog(left=0.4)))
-    assert verdict.passed is True
-    assert "the scene is that of before" in verdict.text
-    assert raised(watch) == []
-
-
-def test_a_window_that_is_fogged_all_over_is_found_by_the_other_one() -> None:
-    watch = WindowWatch()
-    for distance_mm in DISTANCES_MM:
-        verdict = watch.judge(looked("plane", distance_mm, Fog(right=0.4, radius=2.0)))
-    assert raised(watch) == ["camera.right"]
-    assert verdict.text.startswith("all of the right window")
-
-
-def test_the_diver_is_told_and_may_go_on() -> None:
-    rule = RULES[FaultCode.WINDOW]
-    assert not rule.blocks_scan
-    assert not rule.spoils_scan
+    for distance_mm in 3 * (480.0, 520.0):  # to and fro: what belongs to the object stays where it is
+        verdict = watch.judge(looked("shell", distance_mm, water=Water(attenuation_per_m=1.0, backscatter=0.2)))
+        assert verdict.passed is True, (distance_mm, verdict.text)
 
 
 def test_a_pixels_contrast_is_that_of_both_directions_fringes() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -92,7 +92,7 @@ class BenchBoard:
         self.dark_from_ns: int | None = None
         self.late_us: Mapping[int, int] = {}
         """How late some answers to ``vsync`` are dated, by their place in order."""
-        self.asked = self.first = self.first_asked_ns = 0
+        self.asked = self.first_asked_ns = 0
         self.info = SimpleNamespace(firmware="1.4", serial="KF-B-1", capabilities=frozenset({"SUPPLY"}))
         self.counters = SimpleNamespace(lost_reports=0, damaged_lines=0)
         self.lag_s = 0.0
@@ -113,7 +113,7 @@ class BenchBoard:
         late_us = self.late_us.get(self.asked, 0)
         self.asked += 1
         return Vsync(
-            (self.first + count) % (1 << 32),
+            count,
             round((count * PERIOD_NS - BOARD_LATER_NS) / 1000.0) + late_us,
             round((now_ns - BOARD_LATER_NS) / 1000.0),
             now_ns - 50_000,
@@ -165,8 +165,6 @@ class ValueBench:
     """``appliance.service.light_bench.LightBench`` that sees what ``seen`` says, by side, exposure and number of the take."""
 
     seen: Callable[[str, Shot, int], Image]
-    ledger: Any = None
-    fault: Any = None
     size_px: tuple[int, int] = (64, 48)
     refresh_hz: float = 60.0
     clock: SteppedClock | None = None
@@ -181,7 +179,7 @@ class ValueBench:
         self.taken.append((list(order), shot))
         if self.clock is not None:
             self.clock.advance_s(self.take_s)
-        return SimpleNamespace(fault=self.fault, ledger=self.ledger)
+        return SimpleNamespace(fault=None, ledger=None)
 
     def take(self, order: Sequence[int], shot: Shot) -> Mapping[str, Image]:
         self.record(order, shot)
@@ -189,8 +187,3 @@ class ValueBench:
 
     def frames(self, side: str, count: int) -> Image:
         return np.asarray(self.seen(side, self.taken[-1][1], len(self.taken)), np.uint8)[:count]
-
-
-def with_camera(rig: Rig, **keys: Any) -> Rig:
-    """A rig whose left camera has other keys."""
-    return replace(rig, camera=replace(rig.camera, left=replace(rig.camera.left, **keys)))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime
-import json
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -13,19 +12,15 @@ from typing import Any
 
 import pytest
 
-import appliance
 from appliance.bringup.finding import BringupError, Finding
-from appliance.bringup.guide import NAMES, OF_THE_PROJECTOR, GuideStep, StepOutcome, step_of
-from appliance.bringup.guide_state import STATE, GuideState, StepRecord
-from appliance.bringup.person import GivenUp
+from appliance.bringup.guide import OF_THE_PROJECTOR, GuideStep, StepOutcome, step_of
+from appliance.bringup.guide_state import GuideState, StepRecord
 from appliance.bringup.rig_edit import KeyValue
 from appliance.config import load_rig
-from appliance.service.bringup import folder as folders
 from appliance.service.bringup import guide
-from appliance.service.bringup.folder import GuideFolder, checksum
+from appliance.service.bringup.folder import GuideFolder
 from appliance.service.bringup.guide import GuideOptions, Walked
 from appliance.service.bringup.workplace import Workplace
-from appliance.storage.lock import holder
 from drivers.api import DeviceGone
 from tests.appliance.service.bringup.scripted import RIG_FILE, AskedPerson, Told, workplace
 from tests.drivers.clock import SteppedClock
@@ -81,25 +76,6 @@ def bench(tmp_path: Path) -> Bench:
     return Bench(tmp_path)
 
 
-def test_all_twelve_are_walked_in_order_and_kept_with_their_pictures(bench: Bench) -> None:
-    walked = bench.walk()
-    assert walked.good
-    assert walked.stopped is None
-    # Five of one measurement are done by the first of them.
-    assert walked.done == tuple(bench.told) == (*NAMES[:5], *OF_THE_PROJECTOR, *NAMES[10:])
-    assert list(walked.steps) == list(NAMES)
-    out = bench.place.folder
-    assert set(walked.written) == {out / f"{name}.png" for name in NAMES} | {out / STATE, out / "bringup.html"}
-    assert len(walked.written) == len(set(walked.written))
-    record = walked.steps["pad"]
-    assert (record.when, record.duration_s, record.good) == ("2031-05-06T07:08:09+00:00", 1.0, True)
-    assert record.inputs["keys.product_id"] == 0x4B46
-    state = bench.place.read()
-    assert state.rig_sha256 == checksum(bench.rig_file.read_text(encoding="utf-8"))
-    assert bench.walk().done == ()
-    assert (out / "pad.png").read_bytes() == PNG
-
-
 def test_the_first_that_is_not_good_ends_it_and_the_next_call_goes_on_there(bench: Bench) -> None:
     walked = bench.walk(bad("vsync"))
     assert (walked.good, walked.stopped, walked.done) == (False, None, ("board", "pad", "vsync"))
@@ -110,12 +86,6 @@ def test_the_first_that_is_not_good_ends_it_and_the_next_call_goes_on_there(benc
     walked = bench.walk(bad("light"))
     assert walked.done == ("cameras", "trigger", *OF_THE_PROJECTOR, "endurance"), "which needs no light"
     assert walked.stopped == "step plane needs light, which is not good; do that first"
-
-
-def test_a_key_that_changed_makes_what_rests_on_it_be_done_again(bench: Bench) -> None:
-    bench.walk()
-    bench.change("product_id = 0x4B46", "product_id = 0x4B47")
-    assert bench.walk().done == ("pad",)
 
 
 def test_a_step_that_writes_into_the_rig_file_rests_on_the_file_as_it_is_then(bench: Bench) -> None:
@@ -141,49 +111,6 @@ def test_only_these_and_again_those(bench: Bench) -> None:
     assert (walked.done, walked.good) == (("board",), True), "the pad was not asked for"
     assert not bench.walk(bad("pad")).good
     assert bench.walk(only=("sides", "light")).done == OF_THE_PROJECTOR
-
-
-def test_a_step_that_needs_others_says_which(bench: Bench) -> None:
-    walked = bench.walk(only=("vsync",))
-    assert (walked.done, walked.good) == ((), False)
-    assert walked.stopped == "step vsync needs board, which is not good; do that first"
-    walked = bench.walk(only=("trigger",))
-    assert walked.stopped == "step trigger needs board, vsync, cameras, which are not good; do that first"
-
-
-def test_who_gives_up_keeps_what_was_done(bench: Bench) -> None:
-    def leaving(step: GuideStep, at: Workplace) -> Mapping[str, StepOutcome]:
-        if step.name == "vsync":
-            raise GivenUp("call again to go on here")
-        return good(step, at)
-
-    walked = bench.walk(leaving)
-    assert (walked.good, walked.stopped, walked.done) == (False, "call again to go on here", ("board", "pad"))
-    assert list(bench.place.read().steps) == ["board", "pad"]
-
-
-def test_what_was_told_is_kept_already(bench: Bench) -> None:
-    def watching(step: GuideStep, at: Workplace) -> Mapping[str, StepOutcome]:
-        assert list(bench.place.read().steps) == bench.told
-        return good(step, at)
-
-    bench.walk(watching)
-    assert len(bench.told) == 12
-
-
-@pytest.mark.parametrize(("plane_mm", "wanted_mm"), [(None, 500.0), (420.0, 420.0)])
-def test_a_step_works_with_the_rig_files_distance_or_the_callers_and_his_minutes(
-    bench: Bench, plane_mm: float | None, wanted_mm: float
-) -> None:
-    seen: list[tuple[float, float]] = []
-
-    def looking(step: GuideStep, at: Workplace) -> Mapping[str, StepOutcome]:
-        seen.append((at.plane_mm, at.minutes))
-        return good(step, at)
-
-    bench.walk(looking, plane_mm=plane_mm, minutes=3.0, only=("board",))
-    assert seen == [(wanted_mm, 3.0)]
-    assert GuideOptions().minutes == 10.0
 
 
 @pytest.mark.parametrize(
@@ -235,49 +162,4 @@ def test_a_pictures_name_leads_nowhere_else(tmp_path: Path) -> None:
     assert place._pictures(record("cameras", **{"../secret.png": "?", str(tmp_path / "secret.png"): "?"})) == {}
 
 
-@pytest.mark.parametrize("over_bytes", [0, 1])
-def test_a_state_of_more_than_16_mb_is_none(tmp_path: Path, over_bytes: int) -> None:
-    place = GuideFolder(tmp_path)
-    data = json.dumps(json.loads(GuideState().as_bytes())).encode()
-    (tmp_path / STATE).write_bytes(data.ljust(16_000_000 + over_bytes))
-    if over_bytes:
-        with pytest.raises(
-            BringupError, match=r"bringup\.json: is no state of a bring-up \(16000001 bytes\); move it away"
-        ):
-            place.read()
-    else:
-        assert place.read() == GuideState()
-    assert folders.MOST_BYTES == 16_000_000
-
-
-def test_a_checksum_is_sha_256_of_the_text() -> None:
-    assert checksum("µ\n") == "31edfb4669cf541ed79a81f47ec93fdafce1dd0fb8a03d429f3775db20f75288"
-
-
 # ---------------------------------------------------------------------------------------- whole call
-
-
-def test_a_call_holds_the_instrument_and_tells_what_is_on_its_buses(tmp_path: Path) -> None:
-    rig_file = tmp_path / "rig.toml"
-    text = RIG_FILE.read_text(encoding="utf-8").replace("/var/tmp/kingfisher-sim", str(tmp_path / "root"))
-    rig_file.write_text(text.replace("[rig.wires_options]", '[rig.wires_options]\nfaults = ["keypad off"]', 1))
-    told: list[tuple[str, bool]] = []
-    walked = guide.walk(
-        rig_file, tmp_path / "out", GuideOptions(only=("pad",)), AskedPerson(), Told(),
-        lambda name, one: told.append((name, holder(tmp_path / "root") is not None and one.good)),
-    )  # fmt: skip
-    assert holder(tmp_path / "root") is None
-    assert (walked.good, walked.done, told) == (False, ("pad",), [("pad", False)])
-    assert "no key pad 1209:4b46" in walked.steps["pad"].findings[0].said
-    state = GuideFolder(tmp_path / "out").read()
-    assert state.rig_file == str(rig_file)
-    assert state.about["Versions"][0] == f"kingfisher {appliance.__version__}"
-    assert state.about["Versions"][3] == "instrument Kingfisher, simulated, KF-SIM"
-    assert len(state.about["Versions"]) == 4
-    for title, said in (
-        ("Cameras on the buses", "KF-CAM-L"),
-        ("HID devices", ""),
-        ("Serial ports", ""),
-        ("Video", "HDMI"),
-    ):
-        assert said in "".join(state.about[title]), title

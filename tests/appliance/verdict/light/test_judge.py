@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 
 import numpy as np
 import pytest
 
-from appliance.machine.alerts import alert_of
 from appliance.patterns.sequence import Direction, build_sequence
-from appliance.reconstruct.decode.decoder import CameraDecoder, Mask
 from appliance.reconstruct.images import ScanImages
 from appliance.scan.acquisition import AcquisitionSettings
-from appliance.scan.exposure import Exposure, Span, ladder
+from appliance.scan.exposure import NOMINAL, Exposure, Span, ladder
 from appliance.scan.fault import FaultCode
 from appliance.scan.noise import TYPICAL, StereoNoise, camera_noise
 from appliance.scan.verdict import Judgement
+from appliance.verdict.light.changes import LightLevel, find_frequency_hz
+from appliance.verdict.light.fit import (
+    quantile_of,
+)
 from appliance.verdict.light.judge import judge_light
+from appliance.verdict.light.propose import LEAST_COMMON, LEAST_GAINED, propose_second
 from hw_sim.light.daylight import Daylight
 from hw_sim.rendering.sensor import FULL_WELL_E, OFFSET_DN, READ_NOISE_E
 from hw_sim.scene import Scene
@@ -34,11 +36,14 @@ from tests.support.photographed import (
 from tests.support.rendered import render_scan
 
 STEPS = ladder(60.0, 500, 0.0, Span())
-NOMINAL = Exposure(12_000)
 
 
 def judge(scene: Wall, exposure: Exposure = NOMINAL, seed: int = 1, bend_px: float = 0.0) -> Judgement:
     return judge_light(photograph(scene, exposure, seed), exposure, STEPS, bend_px)
+
+
+def code(judged: Judgement) -> FaultCode | None:
+    return None if judged.fault is None else judged.fault.code
 
 
 def mains(depth: float, hz: float = 100.0, exposure_s: float = 0.012) -> tuple[float, ...]:
@@ -47,7 +52,7 @@ def mains(depth: float, hz: float = 100.0, exposure_s: float = 0.012) -> tuple[f
     return tuple(1.0 + seen * math.cos(2.0 * math.pi * hz * k / 60.0 + 0.7) for k in range(24))
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(4))
 def test_a_proposal_once_applied_proposes_nothing_more(seed: int) -> None:
     rng = np.random.default_rng(seed)
     brightest = 0.9 * 10.0 ** -rng.uniform(0.0, 1.3)
@@ -58,11 +63,10 @@ def test_a_proposal_once_applied_proposes_nothing_more(seed: int) -> None:
         return
     after = judge(scene, before.proposal, seed + 1000)
     assert after.proposal is None, f"{present.label} -> {before.proposal.label} -> {after.proposal.label}"
-    assert (after.fault is None) or after.fault.code is not FaultCode.TOO_BRIGHT or before.proposal == STEPS[0]
+    assert code(after) is not FaultCode.TOO_BRIGHT or before.proposal == STEPS[0]
 
 
-@pytest.mark.parametrize("exposure", [STEPS[0], NOMINAL, STEPS[-1]])
-@pytest.mark.parametrize("albedo", [0.12, 0.4, 0.9])
+@pytest.mark.parametrize(("exposure", "albedo"), [(STEPS[0], 0.12), (NOMINAL, 0.9), (STEPS[-1], 0.4)])
 def test_the_proposal_uses_the_scale_and_does_not_leave_it(exposure: Exposure, albedo: float) -> None:
     """Saturation of a saturated scene is not known from its frames, and has to be estimated."""
     scene = Wall(wall(3, albedo / 5.0, albedo))
@@ -72,14 +76,13 @@ def test_the_proposal_uses_the_scale_and_does_not_leave_it(exposure: Exposure, a
     assert np.quantile(frames[0], 0.997) > 125 or proposed == STEPS[-1]
 
 
-@pytest.mark.parametrize("bits", [(0.02, -0.025, 0.02), (-0.015, 0.02, -0.03)])
-def test_bits_that_an_exposure_sees_in_part_are_no_flicker(bits: tuple[float, ...]) -> None:
+def test_bits_that_an_exposure_sees_in_part_are_no_flicker() -> None:
     """Steps of the sine have harmonics 6 and 10, which neighbours have in common as they have a net of caustics."""
+    bits = (0.02, -0.025, 0.02)
     steady = judge(Wall(wall(5, 0.3, 0.5), bits=bits))
     assert steady.fault is None
     lamp = judge(Wall(wall(5, 0.3, 0.5), ambient=0.3, flicker=mains(0.8), bits=bits))
-    assert lamp.fault is not None
-    assert lamp.fault.code is FaultCode.LIGHT_FLICKERS
+    assert code(lamp) is FaultCode.LIGHT_FLICKERS
 
 
 def test_a_lamp_is_believed_where_it_does_more_than_bent_fringes_look_like() -> None:
@@ -87,55 +90,37 @@ def test_a_lamp_is_believed_where_it_does_more_than_bent_fringes_look_like() -> 
     ripple_px = max(judge(scene).verdict.numbers[f"{side}_flicker_ripple_px"] or 0.0 for side in ("left", "right"))
     # Bent fringes look like at most half of their bend.
     for bend_px, told in ((1.9 * ripple_px, True), (2.1 * ripple_px, False)):
-        fault = judge(scene, bend_px=bend_px).fault
-        assert (fault is not None and fault.code is FaultCode.LIGHT_FLICKERS) is told
+        assert (code(judge(scene, bend_px=bend_px)) is FaultCode.LIGHT_FLICKERS) is told
 
 
 def test_what_is_right_is_left_alone() -> None:
     good = judge(Wall(wall(4, 0.1, 0.55), ambient=0.05))
-    assert good.proposal is None
-    assert good.fault is None
-    assert good.verdict.passed
+    assert (good.verdict.passed, good.proposal, good.fault) == (True, None, None)
     assert good.verdict.numbers["left_saturated_percent"] == 0.0
     assert good.verdict.numbers["left_ambient_percent"] == pytest.approx(5.0, abs=0.5)
 
 
 def test_without_any_light_of_the_projector_nothing_is_judged() -> None:
     dark = judge(Wall(np.zeros((HEIGHT_PX, WIDTH_PX)), ambient=0.1))
-    assert dark.verdict.passed is None
-    assert dark.proposal is None
-    assert dark.fault is None
-
-
-def test_steps_end_before_the_next_blank_and_each_is_brighter_than_the_one_before() -> None:
-    for refresh_hz, delay_us in ((60.0, 500), (60.0, 4000), (50.0, 0), (120.0, 500)):
-        steps = ladder(refresh_hz, delay_us, 3.0, Span())
-        assert all(step.time_us + delay_us < 1e6 / refresh_hz for step in steps)
-        assert all(1.0 < b.light / a.light < 1.3 for a, b in itertools.pairwise(steps))
-        assert steps[0].gain_db == 3.0
-    with pytest.raises(ValueError, match="shorten the delay"):
-        ladder(60.0, 15_000, 0.0, Span())
+    assert (dark.verdict.passed, dark.proposal, dark.fault) == (None, None, None)
 
 
 # ------------------------------------------------------------------------------------ changing light
 
 
-@pytest.mark.parametrize("ambient", [0.1, 0.4])
-@pytest.mark.parametrize("depth", [0.1, 0.3, 0.9])
+@pytest.mark.parametrize(("ambient", "depth"), [(0.1, 0.1), (0.4, 0.3), (0.1, 0.9)])
 def test_flicker_is_a_fault_exactly_where_it_does_harm(ambient: float, depth: float) -> None:
     """Harm is what the flicker does to the phases of exact light, against the noise of the camera."""
     scene = Wall(wall(5, 0.15, 0.5), ambient=ambient, flicker=mains(depth))
     over_noise = true_ripple_over_noise(scene)
-    verdict = judge(scene)
-    numbers = verdict.verdict.numbers
+    judged = judge(scene)
+    numbers = judged.verdict.numbers
     assert numbers["left_flicker_over_noise"] == pytest.approx(over_noise, rel=0.15, abs=0.06)
     if over_noise > 0.65:
-        assert verdict.fault is not None
-        assert verdict.fault.code is FaultCode.LIGHT_FLICKERS
-        assert alert_of(verdict.fault).headline == "LIGHT FLICKERS"
+        assert code(judged) is FaultCode.LIGHT_FLICKERS
         assert numbers["flicker_alias_hz"] == pytest.approx(20.0, abs=0.5)
     if over_noise < 0.35:
-        assert verdict.fault is None
+        assert judged.fault is None
 
 
 def true_ripple_over_noise(scene: Wall) -> float:
@@ -153,36 +138,20 @@ def true_ripple_over_noise(scene: Wall) -> float:
     return float(np.sqrt(np.mean(np.square(ratios))))
 
 
-def test_the_amplitude_of_a_flicker_is_told_in_percent() -> None:
-    flicker = tuple(1.0 + 0.2 * math.cos(2.0 * math.pi * k / 3.0) for k in range(24))
-    numbers = judge(Wall(wall(6, 0.15, 0.5), 0.2, flicker)).verdict.numbers
-    assert numbers["left_ambient_flicker_percent"] == pytest.approx(20.0, rel=0.15)
-    assert numbers["left_flicker_percent"] == pytest.approx(4.0, rel=0.15)
-
-
 def test_lamps_on_mains_are_answered_by_an_exposure_of_a_whole_period() -> None:
     verdict = judge(Wall(wall(7, 0.15, 0.52), 0.4, mains(0.9)))
-    assert verdict.fault is not None
-    assert verdict.fault.code is FaultCode.LIGHT_FLICKERS
-    assert verdict.proposal == Exposure(10_000)
+    assert (code(verdict), verdict.proposal) == (FaultCode.LIGHT_FLICKERS, Exposure(10_000))
     steady = Wall(wall(7, 0.15, 0.52), 0.4, mains(0.9, exposure_s=0.010))
     again = judge(steady, Exposure(10_000))
-    assert again.fault is None
-    assert again.proposal is None
+    assert (again.fault, again.proposal) == (None, None)
 
 
-def test_lamps_in_step_with_the_frames_do_no_harm() -> None:
-    """120 Hz: each frame sees the same two flashes."""
-    assert judge(Wall(wall(8, 0.15, 0.5), 0.4, mains(0.9, hz=120.0))).fault is None
-
-
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(2))
 def test_steady_light_never_flickers(seed: int) -> None:
     rng = np.random.default_rng(seed)
     torch = np.exp(-((coordinates()[0] - 500.0) ** 2 + (coordinates()[1] - 300.0) ** 2) / 2.0 / 120.0**2)
     scene = Wall(wall(seed, 0.03, 0.55), rng.uniform(0.0, 0.6) + rng.uniform(0.0, 0.5) * torch)
-    fault = judge(scene, seed=seed).fault
-    assert fault is None or fault.code is not FaultCode.LIGHT_FLICKERS
+    assert code(judge(scene, seed=seed)) is not FaultCode.LIGHT_FLICKERS
 
 
 @pytest.mark.parametrize("flicker_depth", [0.0, 0.9])
@@ -194,9 +163,8 @@ def test_labels_on_black_rubber_flicker_only_where_the_light_does(flicker_depth:
     taken = ScanImages(scan.sequence, scan.frames, {}, AcquisitionSettings(noise=StereoNoise(camera, camera)))
     judged = judge_light(taken, NOMINAL, STEPS)
     assert (judged.verdict.numbers["left_saturated_percent"] or 0.0) > 10.0
-    flickers = judged.fault is not None and judged.fault.code is FaultCode.LIGHT_FLICKERS
-    assert flickers == (flicker_depth > 0.0)
-    if not flickers:
+    assert (code(judged) is FaultCode.LIGHT_FLICKERS) == (flicker_depth > 0.0)
+    if not flicker_depth:
         harmed = [judged.verdict.numbers[f"{side}_flicker_harmed_percent"] for side in ("left", "right")]
         assert max(one or 0.0 for one in harmed) < 5.0
 
@@ -205,9 +173,7 @@ def test_a_torch_that_sweeps_over_a_part_is_a_change_of_light_and_one_that_rests
     p, q = coordinates()
     albedo = wall(9, 0.2, 0.45)
     sweeping = {k: 0.25 * np.exp(-((p - 200.0 - 25.0 * k) ** 2 + (q - 350.0) ** 2) / 2.0 / 130.0**2) for k in range(24)}
-    fault = judge(Wall(albedo, 0.02, patches=sweeping)).fault
-    assert fault is not None
-    assert fault.code is FaultCode.LIGHT_FLICKERS
+    assert code(judge(Wall(albedo, 0.02, patches=sweeping))) is FaultCode.LIGHT_FLICKERS
     resting = judge(Wall(albedo, 0.02, patches=dict.fromkeys(range(24), sweeping[12])))
     assert resting.fault is None
     numbers = resting.verdict.numbers
@@ -215,63 +181,121 @@ def test_a_torch_that_sweeps_over_a_part_is_a_change_of_light_and_one_that_rests
     assert numbers["left_ambient_percent"] == pytest.approx(100.0 * np.median(0.02 + sweeping[12]), rel=0.1)
 
 
-def test_light_brighter_than_the_projector_is_told_apart_from_a_wrong_exposure() -> None:
-    fault = judge(Wall(wall(10, 0.05, 0.18), 1.5)).fault
-    assert fault is not None
-    assert fault.code is FaultCode.AMBIENT
-
-
-@pytest.mark.parametrize("torch", [2.0, 3.0, 8.0])
-def test_what_a_torch_burns_away_proposes_no_exposure_and_what_the_projector_does_proposes_a_shorter_one(
-    torch: float,
-) -> None:
+def test_what_a_torch_burns_away_proposes_no_exposure_and_what_the_projector_does_proposes_a_shorter_one() -> None:
     """A torch's spot was TOO BRIGHT, and the shorter exposure that was offered took the light from all around it."""
     p, q = coordinates()
-    spot = torch * np.exp(-((p - 400.0) ** 2 + (q - 300.0) ** 2) / 2.0 / 130.0**2)
+    spot = 3.0 * np.exp(-((p - 400.0) ** 2 + (q - 300.0) ** 2) / 2.0 / 130.0**2)
     albedo = wall(10, 0.2, 0.45)
     burnt, exposed = judge(Wall(albedo, spot)), judge(Wall(albedo), Exposure(16_000, 12.0))
     for judged in (burnt, exposed):
         assert (judged.verdict.numbers["left_saturated_percent"] or 0.0) > 10.0
-    assert burnt.fault is not None
-    assert burnt.fault.code is FaultCode.AMBIENT
-    assert (burnt.proposal, burnt.second) == (None, None)
+    assert (code(burnt), burnt.proposal, burnt.second) == (FaultCode.AMBIENT, None, None)
     assert (burnt.verdict.numbers["left_burnt_percent"] or 0.0) > 5.0
-    assert exposed.fault is not None
-    assert exposed.fault.code is FaultCode.TOO_BRIGHT
+    assert code(exposed) is FaultCode.TOO_BRIGHT
     assert exposed.proposal is not None
     assert exposed.proposal.light < Exposure(16_000, 12.0).light
     assert exposed.verdict.numbers["left_burnt_percent"] == 0.0
 
 
-# ----------------------------------------------------------------------------------------- saturation
+@pytest.mark.parametrize("count", [1, 2, 23, 24, 520])
+def test_quantiles_of_a_block_are_those_of_numpy(count: int) -> None:
+    """Whatever the values: evenly spread, equal, of a few kinds, or nearly all in one bin beside an outlier."""
+    rng = np.random.default_rng(count)
+    outlier = np.where(np.arange(count) == count // 2, 1e12, rng.random(count))
+    for values in (rng.normal(size=count), np.full(count, 3.0), rng.integers(0, 9, count).astype(np.float64), outlier):
+        for share in (0.0, 0.1, 0.5, 0.9, 1.0):
+            assert quantile_of(values, share) == pytest.approx(float(np.quantile(values, share)), rel=1e-12)
 
 
-def test_a_pixel_with_one_saturated_sine_never_becomes_a_point() -> None:
-    recorded = photograph(Wall(wall(11, 0.2, 0.6)), NOMINAL, 1)
-    sines = [k for k, pattern in enumerate(recorded.sequence.patterns) if pattern.kind.value == "sine"]
-    for number in sines:
-        frames = recorded.frames["left"].copy()
-        frames[number, 80:100, 50:190] = 255
-        decoder = CameraDecoder(recorded.sequence, WIDTH_PX, HEIGHT_PX)
-        for k in range(len(recorded.sequence)):
-            decoder.push(frames, k)
-        spoiled = decoder.mask[80:100, 50:190]
-        assert (spoiled == Mask.SATURATED).all()
-        assert np.isnan(decoder.p_px[80:100, 50:190]).all()
-        assert np.isnan(decoder.q_px[80:100, 50:190]).all()
+@pytest.mark.parametrize("hz", [5.0, 29.5, 30.0])
+def test_a_lamp_is_found_at_its_frequency_up_to_half_the_frame_rate(hz: float) -> None:
+    frames = np.arange(24)
+    value = 0.1 * np.cos(2.0 * np.pi * hz * frames / 60.0 + 0.4)
+    groups = np.array(["gray x", "sine x", "sine y"])[frames // 8]
+    levels = []
+    for group in np.unique(groups):
+        own = groups == group
+        mean = value[own].mean()
+        levels += [LightLevel(int(k), str(group), float(value[k] - mean)) for k in frames[own]]
+    found = find_frequency_hz(tuple(levels), 1.0 / 60.0)
+    assert found is not None
+    assert found[0] == pytest.approx(hz, abs=0.3)
+    assert found[1] > 0.99
 
 
-def test_where_only_the_bright_frame_saturates_coordinates_are_as_good_as_ever() -> None:
-    """It shifts the Gray threshold; but where no sine saturates, not by as much as the code's spare half period bears."""
-    scene = Wall(np.full((HEIGHT_PX, WIDTH_PX), 270.0 / 360.0))
-    recorded = photograph(scene, NOMINAL, 1)
-    decoder = CameraDecoder(recorded.sequence, WIDTH_PX, HEIGHT_PX)
-    for k in range(len(recorded.sequence)):
-        decoder.push(recorded.frames["left"], k)
-    only_bright = (recorded.frames["left"][recorded.sequence.bright] == 255) & (decoder.mask != Mask.SATURATED)
-    assert only_bright.sum() > 1000
-    p, q = coordinates()
-    assert (decoder.mask[only_bright] == Mask.VALID).mean() > 0.98
-    valid = only_bright & (decoder.mask == Mask.VALID)
-    assert np.abs(decoder.p_px - p)[valid].max() < 0.4
-    assert np.abs(decoder.q_px - q)[valid].max() < 0.4
+def test_frames_that_come_too_slowly_tell_no_frequency() -> None:
+    levels = tuple(LightLevel(k, "gray x", 0.1 * (-1.0) ** k) for k in range(24))
+    assert find_frequency_hz(levels, 1.0 / 1.9) is None
+    assert find_frequency_hz(levels, 1.0 / 60.0) is not None, "the same levels do at a projector's usual rate"
+
+
+FULL_DN = 253.0
+DEPTH = 0.45
+"""Modulation over the brightest level."""
+
+
+ENOUGH_DN = 5.0
+"""What decoding asks for."""
+
+
+Tones = dict[float, float]
+"""Share of the lit pixels by their brightest level at 12 ms, in grey values."""
+
+
+def light_of(tones: Tones, count: int = 10_000) -> tuple[np.ndarray[tuple[int], np.dtype[np.float32]], ...]:
+    top = np.concatenate([np.full(round(share * count), level, np.float32) for level, share in tones.items()])
+    return top, np.float32(DEPTH) * top
+
+
+def second_to(tones: Tones, present: Exposure = NOMINAL) -> Exposure | None:
+    top, modulation = light_of({level * present.light / 12_000.0: share for level, share in tones.items()})
+    return propose_second([(top, modulation)] * 2, [FULL_DN] * 2, present, STEPS)
+
+
+def shown(tones: Tones, *exposures: Exposure) -> float:
+    """Share of the pixels that at least one of them shows."""
+    factors = [one.light / 12_000.0 for one in exposures]
+    seen = {level: any(ENOUGH_DN / DEPTH <= level * f < FULL_DN for f in factors) for level in tones}
+    return sum(share for level, share in tones.items() if seen[level])
+
+
+TOO_DARK: Tones = {200.0: 0.5, 60.0: 0.2, 5.0: 0.3}
+TOO_BRIGHT: Tones = {800.0: 0.4, 100.0: 0.2, 20.0: 0.4}
+MANY: Tones = {180.0: 0.2, 120.0: 0.2, 60.0: 0.1, 15.0: 0.2, 5.0: 0.3}
+
+
+@pytest.mark.parametrize("present", [Exposure(8_000), Exposure(16_000)])
+@pytest.mark.parametrize("tones", [TOO_DARK, TOO_BRIGHT, MANY, {250.0: 0.3, 90.0: 0.3, 12.0: 0.2, 4.0: 0.2}])
+def test_the_pair_shows_clearly_more_than_any_single_exposure_and_no_other_pair_does_better(
+    tones: Tones, present: Exposure
+) -> None:
+    second = second_to(tones, present)
+    best_alone = max(shown(tones, one) for one in (present, *STEPS))
+    with_common = [one for one in STEPS if shown_by_both(tones, present, one) >= LEAST_COMMON]
+    best_pair = max((shown(tones, present, one) for one in with_common), default=0.0)
+    if second is None:
+        assert best_pair < best_alone + LEAST_GAINED or best_alone > 0.95
+        return
+    assert shown(tones, present, second) >= best_pair - 0.01
+    assert shown(tones, present, second) >= best_alone + LEAST_GAINED
+
+
+def shown_by_both(tones: Tones, first: Exposure, second: Exposure) -> float:
+    return shown(tones, first) + shown(tones, second) - shown(tones, first, second)
+
+
+def test_of_second_exposures_that_show_the_same_the_one_that_spoils_least_is_taken() -> None:
+    second = second_to(MANY)
+    assert second is not None
+    as_good = [one for one in STEPS if shown(MANY, NOMINAL, one) >= shown(MANY, NOMINAL, second)]
+    alone = [shown(MANY, one) for one in as_good]
+    assert min(alone) < shown(MANY, second) == max(alone)
+
+
+def test_one_exposure_that_serves_is_not_followed_by_a_second() -> None:
+    assert second_to({200.0: 0.5, 20.0: 0.5}) is None
+    assert second_to({600.0: 0.5, 80.0: 0.5}) is None, "a shorter one shows all of it: that is EXPOSE's"
+
+
+def test_two_exposures_that_have_nothing_in_common_cannot_be_laid_against_each_other() -> None:
+    assert second_to({250.0: 0.5, 3.0: 0.5}) is None

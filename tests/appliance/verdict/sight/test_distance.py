@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import cv2
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -13,28 +14,32 @@ from appliance.scan.noise import TYPICAL_PAIR, CameraNoise
 from appliance.verdict.sight.distance import (
     COLUMNS,
     ROWS,
-    STEP_PX,
     _clear_everywhere,
     _likeness,
     _strongest,
-    candidate_depths_mm,
     find_depths_mm,
-    seen_at_depths,
 )
 from appliance.verdict.sight.judge import look
+from appliance.verdict.sight.stripes import find_depths_by_stripes_mm
+from hw_sim.objects.motion import Motion
 from hw_sim.scene import Scene
 from hw_sim.water.medium import Water
-from tests.support import synthetic
-from tests.support.rendered import RenderedScan, render_scan
+from tests.support.rendered import FRAME_S, RenderedScan, render_scan
 from tests.support.truth import WATER, true_calibration
 
 SILT = Water(attenuation_per_m=2.0, backscatter=0.4, blur_px_per_m=1.0)
+STILL, CLEAR = Motion(), Water()
 
 
-def plane_at(depth_mm: float, water: Water, exposure_s: float, width_px: int = 200) -> RenderedScan:
+@cache
+def plane_at(
+    depth_mm: float, exposure_s: float, water: Water = CLEAR, motion: Motion = STILL, ambient: float = 0.01, width_px: int = 200
+) -> RenderedScan:  # fmt: skip
     """A plane, slanting by 12°, with fringes of about 6 px in the image, or of 12 px in a strip of a larger one."""
-    scene = Scene("plane", pose=(0.0, 0.0, depth_mm, 4.0, 12.0, 0.0), texture="slight", water=water)
-    return render_scan(scene, "realistic", 10_600, width_px, 32, exposure_s, height_px=150)
+    pose = (0.0, 0.0, depth_mm, 4.0, 12.0, 0.0)
+    scene = Scene("plane", pose=pose, texture="slight", water=water, motion=motion, ambient=ambient)
+    frame_s = 0.0 if motion.still else FRAME_S
+    return render_scan(scene, "realistic", 10_600, width_px, 32, exposure_s, frame_s=frame_s, height_px=150)
 
 
 def depths_mm(scan: RenderedScan) -> np.ndarray:
@@ -42,15 +47,20 @@ def depths_mm(scan: RenderedScan) -> np.ndarray:
     return find_depths_mm(scan.frames, scan.sequence, TYPICAL_PAIR, rig, WATER.index)
 
 
+def by_stripes_mm(left: np.ndarray, right: np.ndarray, scan: RenderedScan) -> np.ndarray:
+    rig = true_calibration(scan.renderer.truth).rig
+    return find_depths_by_stripes_mm({"left": left, "right": right}, scan.sequence, rig, WATER.index)
+
+
 @pytest.mark.parametrize(
     ("depth_mm", "water", "exposure_s", "width_px"),
-    [(530.0, Water(), 0.0002, 200), (760.0, Water(), 0.0006, 200), (760.0, SILT, 0.012, 200), (330.0, Water(), 0.0001, 200), (760.0, Water(), 0.0006, 800)],
-    ids=["dark", "dark and far", "far in silt", "dark and near", "dark and far, large images"],
-)  # fmt: skip
+    [(760.0, SILT, 0.012, 200), (330.0, Water(), 0.0001, 200), (760.0, Water(), 0.0006, 800)],
+    ids=["far in silt", "dark and near", "dark and far, large images"],
+)
 def test_what_is_too_faint_to_be_decoded_has_a_distance(
     depth_mm: float, water: Water, exposure_s: float, width_px: int
 ) -> None:
-    found = depths_mm(plane_at(depth_mm, water, exposure_s, width_px))
+    found = depths_mm(plane_at(depth_mm, exposure_s, water, width_px=width_px))
     assert abs(float(np.median(found)) / depth_mm - 1.0) < 0.07
     assert np.mean(abs(found / depth_mm - 1.0) < 0.1) > 0.7, "most windows agree, not one by luck"
 
@@ -66,7 +76,7 @@ def test_where_nothing_is_seen_there_is_no_distance(what: str) -> None:
 def test_what_one_camera_sees_clear_and_the_other_saturated_is_not_far_away() -> None:
     """The window's own place is saturated in the right picture, the likest of the others is a wrong fringe: a plane in silt at
     530 mm, exposed for too long, came as SCAN FAR, 1200 mm."""
-    scan = plane_at(530.0, SILT, 0.045)
+    scan = plane_at(530.0, 0.045, SILT)
     saturated = [float(np.mean(scan.frames[side].max(axis=0) == 255)) for side in ("left", "right")]
     assert all(0.3 < share < 0.7 for share in saturated)
     assert len(depths_mm(scan)) == 0
@@ -74,7 +84,7 @@ def test_what_one_camera_sees_clear_and_the_other_saturated_is_not_far_away() ->
 
 def test_a_few_windows_are_no_distance() -> None:
     """What two or three windows agree on may be chance."""
-    scan = plane_at(530.0, Water(), 0.0002)
+    scan = plane_at(530.0, 0.0002)
     rig = true_calibration(scan.renderer.truth).rig
     covered = {side: frames.copy() for side, frames in scan.frames.items()}
     covered["left"][:, 25:] = 2
@@ -82,43 +92,10 @@ def test_a_few_windows_are_no_distance() -> None:
     assert len(find_depths_mm(covered, scan.sequence, TYPICAL_PAIR, rig, WATER.index)) == 0
 
 
-def test_a_far_plane_in_silt_without_a_point_is_said_to_be_far() -> None:
-    scan = plane_at(760.0, SILT, 0.012)
-    rig = true_calibration(scan.renderer.truth).rig
-    nothing = PointTable(1).cloud(Found(((0, 0),), CloudSummary(0, 0.0, None, None, None)))
-    seen = look(scan.frames, scan.sequence, TYPICAL_PAIR, rig, WATER.index, nothing, QualityLimits())
-    assert (seen.numbers["far_percent"] or 0.0) > 70.0
-    assert seen.numbers["distance_mm"] == pytest.approx(760.0, rel=0.07)
-
-
 # ------------------------------------------------------------------------------------------------- by values
 
 SEQUENCE = build_sequence(8, 32, 32)
 SINE = SEQUENCE.axis(Direction.X).sine
-
-
-@pytest.mark.parametrize(("width_px", "depth_mm"), [(400, 480.0), (801, 560.0)])
-def test_a_plane_of_any_texture_is_found_to_half_a_per_cent(width_px: int, depth_mm: float) -> None:
-    rig = synthetic.calibration(width_px, 151).rig
-    rng = np.random.default_rng(3)
-    left = np.stack([
-        cv2.GaussianBlur(rng.uniform(0.0, 240.0, (151, width_px)), (0, 0), width_px / 300) for _ in SEQUENCE.patterns
-    ])  # fmt: skip
-    points = synthetic.plane_points(rig.right, np.array([0.0, 0.0, 1.0]), depth_mm)
-    at = rig.left.project(points, WATER.index).astype(np.float32)
-    right = np.stack([cv2.remap(one, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderValue=100.0) for one in left])
-    frames = {"left": np.rint(left).astype(np.uint8), "right": np.rint(right).astype(np.uint8)}
-    found = find_depths_mm(frames, SEQUENCE, TYPICAL_PAIR, rig, WATER.index)
-    assert len(found) >= 30
-    assert np.mean(abs(found / depth_mm - 1.0) < 0.005) > 0.9, "but for those whose place the right camera does not see"
-
-
-def test_depths_are_a_step_of_the_right_picture_apart() -> None:
-    rig = synthetic.calibration(801, 301).rig
-    depths = candidate_depths_mm(rig, WATER.index)
-    assert depths[[0, -1]].tolist() == pytest.approx([rig.volume.scaled(250.0), rig.volume.scaled(1500.0)])
-    way_px = np.ptp(seen_at_depths(rig, WATER.index, np.array([[400.0, 150.0]]), depths)[0, :, 0]) * 400 / 801
-    assert STEP_PX * (len(depths) - 2) <= way_px < STEP_PX * (len(depths) - 1)
 
 
 @pytest.mark.parametrize(
@@ -170,3 +147,56 @@ def test_a_window_is_compared_where_the_whole_of_it_is_in_the_picture(column: fl
         bright = np.full(right.shape[1:], 249.0, np.float32)
         bright[corner] = 250.0
         assert _clear_everywhere(bright, at[None]).tolist() == [not inside]
+
+
+# ------------------------------------------------------------------------------------- by saturated stripes
+
+
+@pytest.mark.parametrize(
+    ("depth_mm", "exposure_s", "motion", "width_px"),
+    [
+        (330.0, 0.064, STILL, 200),
+        (330.0, 0.012, Motion(velocity_mm_s=(-12.0, 12.0, -12.0)), 200),
+        (330.0, 0.012, STILL, 800),
+    ],
+    ids=["near and exposed for too long", "near and moving", "near, large images"],
+)
+def test_what_is_saturated_has_a_distance(depth_mm: float, exposure_s: float, motion: Motion, width_px: int) -> None:
+    scan = plane_at(depth_mm, exposure_s, motion=motion, width_px=width_px)
+    bright = scan.frames["left"][scan.sequence.bright]
+    assert np.mean(bright[bright > 60] == 255) > 0.8
+    found = by_stripes_mm(scan.frames["left"], scan.frames["right"], scan)
+    assert abs(float(np.median(found)) / depth_mm - 1.0) < 0.07
+    assert np.mean(abs(found / depth_mm - 1.0) < 0.1) > 0.8, "most pixels agree, not one by luck"
+
+
+@pytest.mark.parametrize("what", ["a flood light", "silt"])
+def test_where_black_stripes_are_not_black_there_is_no_distance(what: str) -> None:
+    """Other light than the projector's saturates the pixels as well, or scattered light fills the black stripes."""
+    scan = plane_at(530.0, 0.012, ambient=6.0) if what == "a flood light" else plane_at(530.0, 0.064, water=SILT)
+    assert np.mean(scan.frames["left"][scan.sequence.bright] == 255) > 0.5
+    assert len(by_stripes_mm(scan.frames["left"], scan.frames["right"], scan)) == 0
+
+
+def test_a_few_pixels_and_numbers_that_meet_anywhere_are_no_distance() -> None:
+    """In a mirrored right image each number of the left one is somewhere on its line, by chance."""
+    scan = plane_at(330.0, 0.064)
+    left, right = scan.frames["left"], scan.frames["right"]
+    assert len(by_stripes_mm(left, right[:, :, ::-1], scan)) == 0
+    assert len(by_stripes_mm(left, np.where(np.arange(200) < 150, 2, right).astype(np.uint8), scan)) == 0
+    covered = left.copy()
+    covered[:, 1:] = 2
+    assert len(by_stripes_mm(covered, right, scan)) > 40, "a row says it"
+    covered[:, :, 40:] = 2
+    assert len(by_stripes_mm(covered, right, scan)) == 0
+
+
+def test_a_saturated_plane_that_is_too_near_is_said_to_be_near() -> None:
+    """Without a point, and without a window whose fringes are clear."""
+    scan = plane_at(330.0, 0.064)
+    rig = true_calibration(scan.renderer.truth).rig
+    assert len(depths_mm(scan)) == 0
+    nothing = PointTable(1).cloud(Found(((0, 0),), CloudSummary(0, 0.0, None, None, None)))
+    seen = look(scan.frames, scan.sequence, TYPICAL_PAIR, rig, WATER.index, nothing, QualityLimits())
+    assert seen.numbers["near_percent"] == pytest.approx(100.0, abs=5.0)
+    assert seen.numbers["distance_mm"] == pytest.approx(330.0, rel=0.07)

@@ -1,36 +1,37 @@
-"""What is made of frames: of triggers that were fired, of covered cameras, and of minutes at full rate, from values alone."""
+"""What is made of frames: of triggers, of covered cameras, of minutes at full rate, of a plane and of a projector, from values alone."""
 
 from __future__ import annotations
 
+import datetime
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.bringup.bench import Shot
-from appliance.bringup.camera_check import judge_settings
+import appliance
 from appliance.bringup.endurance_check import SideEndured
 from appliance.bringup.finding import BringupError
 from appliance.capture.grabber import SideRecording
 from appliance.capture.ledger import Ledger
-from appliance.capture.timeouts import Timeouts
-from appliance.config import load_rig
-from appliance.instrument import noise_of
-from appliance.service.bringup import cameras, endurance
-from appliance.service.bringup.trigger import fired, trigger_findings
+from appliance.capture.scan import CaptureReport
+from appliance.config import load_rig, parse_rig, rig_text
+from appliance.instrument import design_of, noise_of
+from appliance.patterns.sequence import Direction, build_sequence
+from appliance.scan.exposure import Exposure
+from appliance.service.bringup import cameras, endurance, plane, projector
+from appliance.service.bringup.trigger import trigger_findings
+from appliance.storage import scan as stored
+from appliance.storage.library import Library
 from drivers.api import (
     BoardBooted,
     BoardLost,
-    CameraIdentity,
-    CameraSettings,
     DeviceGone,
     Frame,
     FrameStatus,
-    HeldSetting,
     LaserState,
     Pulse,
     PulsesDone,
@@ -42,10 +43,10 @@ from tests.appliance.service.bringup.scripted import (
     RIG_FILE,
     BenchBoard,
     ValueBench,
-    with_camera,
     workplace,
 )
 from tests.drivers.clock import SteppedClock
+from tests.support.projector_model import Model, ModelBench, planes_in
 
 RIG = load_rig(RIG_FILE)
 BLACK_DN = RIG.camera.left.black_level_dn
@@ -84,30 +85,6 @@ def test_frames_are_counted_first_and_their_stamps_compared_only_of_as_many() ->
     assert "stamps.right" not in missing, "as many frames as there are pulses, or nothing"
 
 
-def test_a_frame_that_never_came_is_no_bad_one_and_a_damaged_one_is() -> None:
-    whole = [frame(k) for k in range(20)]
-    (found,) = (
-        one for one in trigger_findings(ledger([*whole, frame(20, FrameStatus.TIMEOUT)])) if one.name == "camera.left"
-    )
-    assert found.said.startswith("20 frames of 64 pulses: some")
-    (found,) = (
-        one for one in trigger_findings(ledger([*whole, frame(20, FrameStatus.CORRUPT)])) if one.name == "camera.left"
-    )
-    assert found.said == "20 frames of 64 pulses; one arrived corrupt"
-
-
-def test_sixty_four_triggers_are_fired_before_a_black_picture_as_the_rig_file_says() -> None:
-    bench: Any = ValueBench(lambda *_: np.zeros((64, 4, 4), np.uint8))
-    rig = replace(with_camera(RIG, exposure_ms=7.5, gain_db=3.0), board=replace(RIG.board, trigger_delay_us=900))
-    fired(bench, rig)
-    fired(bench, rig, 500)
-    assert bench.taken == [([0] * 64, Shot(900, 7500, 3.0)), ([0] * 64, Shot(900, 500, 3.0))]
-    (picture,), all_channels = bench.loaded[0]
-    assert picture.shape == (768, 1024)
-    assert not picture.any()
-    assert all_channels is False
-
-
 # ------------------------------------------------------------------------------------------ covered
 
 
@@ -118,18 +95,6 @@ def dark(light_dn: float = 0.0, until_take: int = 10**9) -> ValueBench:
     frames[:48] += 100.0
     short, long = (np.clip(np.rint(one), 0, 255).astype(np.uint8) for one in (frames, frames + light_dn))
     return ValueBench(lambda _side, shot, take: long if shot.exposure_us > 500 and take <= until_take else short)
-
-
-def test_covered_cameras_are_good_at_once_by_their_last_sixteen_frames() -> None:
-    at, person, _ = workplace()
-    bench: Any = dark()
-    found, pictures = cameras._dark(at, bench)
-    assert all(one.ok for one in found), found
-    assert [one.name.split(" ", 1)[1] for one in found] == ["light", "black", "noise", "hot pixels"] * 2
-    assert person.said == ["put the caps on both lenses"]
-    assert [shot.exposure_us for _, shot in bench.taken] == [500, 12_000]
-    assert list(pictures) == ["dark_left.png", "dark_right.png"]
-    assert at.wires.clock.now_ns() == SteppedClock().now_ns(), "nothing is waited for"
 
 
 def test_light_is_waited_out_for_a_minute_and_asked_about_three_times() -> None:
@@ -147,51 +112,6 @@ def test_light_is_waited_out_for_a_minute_and_asked_about_three_times() -> None:
     found, _ = cameras._dark(at, dark(40.0, until_take=6))  # type: ignore[arg-type]
     assert all(one.ok for one in found), "the caps came on meanwhile"
     assert (at.wires.clock.now_ns() - begun_ns) / 1e9 == pytest.approx(1.5)
-
-
-def test_without_triggers_covered_cameras_say_what_the_trigger_step_would() -> None:
-    at, _, _ = workplace()
-    bench: Any = dark()
-    bench.fault, bench.ledger = object(), ledger([])
-    found, pictures = cameras._dark(at, bench)
-    assert found == list(trigger_findings(ledger([])))
-    assert pictures == {}
-    assert len(bench.taken) == 1
-
-
-def test_a_dark_picture_is_shown_eight_times_brighter() -> None:
-    image = np.full((4, 6), 5, np.uint8)
-    image[0, 0] = 40
-    caption, data = cameras._pictures({"left": image})["dark_left.png"]
-    assert caption == "Covered, 8 times brighter (left camera)"
-    shown = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
-    assert shown is not None
-    assert (int(shown[0, 0]), int(shown[2, 2])) == (255, 40)
-
-
-@pytest.mark.parametrize(
-    ("held", "shown"),
-    [
-        (HeldSetting("Gamma", None, None), "not offered"),
-        (HeldSetting("Gamma", 1.0, 1.0), "1"),
-        (HeldSetting("Width", 640, 640), "640"),
-        (HeldSetting("ExposureTime", None, 12.5), "12.5"),
-        (HeldSetting("TriggerMode", "On", "Off"), "Off (asked for On)"),
-    ],
-)
-def test_a_setting_is_shown_as_it_is_held_and_as_asked_for_where_they_differ(held: HeldSetting, shown: str) -> None:
-    assert cameras._shown(held) == shown
-
-
-def test_only_a_camera_that_can_be_asked_is_asked_for_its_settings() -> None:
-    class Readable:
-        def read_back(self) -> tuple[HeldSetting, ...]:
-            return (HeldSetting("Gamma", 1.0, 1.0),)
-
-    readable: Any = Readable()
-    dumb: Any = object()
-    assert cameras._held(readable) == (HeldSetting("Gamma", 1.0, 1.0),)
-    assert cameras._held(dumb) is None
 
 
 # ---------------------------------------------------------------------------------------- endurance
@@ -212,15 +132,6 @@ def test_what_the_board_says_ends_a_series_or_does_not(event: Any, over: bool, e
     series = endurance._Fired()
     assert (series.take(event), series.ended_by) == (over, ended_by)
     assert series.reported == isinstance(event, Pulse)
-
-
-def test_all_images_of_a_camera_lie_in_one_memory() -> None:
-    slots = endurance._one_slot(30, 40, 6400)
-    assert slots["left"].shape == slots["right"].shape == (6400, 30, 40)
-    slots["left"][0, 3, 7] = 9
-    assert slots["left"][6399, 3, 7] == 9
-    assert slots["left"][5, 7, 3] == 0
-    assert not slots["right"].any()
 
 
 def recording(frames: list[Frame], **more: Any) -> SideRecording:
@@ -293,19 +204,6 @@ def run(
     return found, board, grabbers, told_
 
 
-def test_series_follow_each_other_once_the_last_pulse_has_ended() -> None:
-    found, board, grabbers, told_ = run()
-    assert (found.asked, found.reported, found.ended_by) == (192, 192, None)
-    arms = [command for command in board.commands if command[0] == "arm"]
-    assert {(pulses, delay_us, width_us) for _, pulses, _, delay_us, width_us in arms} == {(64, 500, 12_000)}
-    # Three syncs after the one that was asked for; a series takes 66.5 periods, the last pulse 12 ms and one more.
-    assert arms[0][2] == 60 + 3
-    assert arms[1][2] == int((1.0 + 66.5 / 60.0 + 0.013) * 60.0) + 3
-    assert told_.all == [("endurance", k / 3) for k in range(3)]
-    for one in grabbers.values():
-        assert one.waits == [("ready", 2.0), ("done", 2.5)]
-
-
 def test_a_camera_that_does_not_start_ends_it_before_the_first_pulse() -> None:
     with pytest.raises(BringupError, match=r"camera.right did not start within 2 s; ask `kingfisher check`"):
         run(ready=False)
@@ -334,63 +232,11 @@ def test_a_camera_that_lost_a_frame_ends_it_but_for_the_last_series(
     assert (found.asked, found.ended_by) == (asked, ended_by)
 
 
-def test_a_camera_that_has_all_its_frames_does_not_end_it_and_the_boards_word_comes_first() -> None:
-    def finish(board: BenchBoard, recordings: dict[str, SideRecording], k: int) -> None:
-        recordings["left"].frames[:] = [frame(n) for n in range(64)]
-        recordings["left"].done = True
-        if k == 2:
-            recordings["right"].done = True
-            board.events.at_s(0.5, VsyncLost())
-
-    found = run(prepare=finish)[0]
-    assert (found.asked, found.ended_by) == (128, "the board saw no more vertical syncs")
-
-
-def test_who_still_records_is_let_go_and_waited_for() -> None:
-    clock = SteppedClock()
-    grabbers: Any = {side: BenchGrabber(clock) for side in ("left", "right")}
-    recordings = {"left": recording([]), "right": recording([], done=True)}
-    endurance._end(grabbers, recordings, Timeouts(60.0))
-    assert grabbers["left"].cancelled == [recordings["left"]]
-    assert grabbers["left"].waits == [("done", 2.5)]
-    assert grabbers["right"].cancelled == []
-
-
-def temperatures(*events: tuple[float, Any]) -> tuple[dict[str, float | None], float]:
-    clock = SteppedClock()
-    board, grabbers = BenchBoard(clock), {"left": BenchGrabber(clock)}
-    for time_s, event in events:
-        board.events.at_s(time_s, event)
-    found = endurance._temperatures(grabbers, board, clock)  # type: ignore[arg-type]
-    return found, clock.now_ns() / 1e9 - 1.0
-
-
 def warm(case_c: float) -> Telemetry:
     return Telemetry(0, 0, 0, LaserState(False, False), 50.0, case_c, 45.0)
 
 
-def test_temperatures_are_those_of_the_latest_heartbeat_of_one_and_a_half_seconds() -> None:
-    found, took_s = temperatures(*((0.5 * k, warm(20.0 + k)) for k in range(1, 9)), (1.6, Pulse(0, 0, 0)))
-    assert found == {"projector": 50.0, "case": 23.0, "board": 45.0, "camera.left": 33.0}
-    assert took_s == pytest.approx(1.6)
-
-
-def test_a_heartbeat_that_is_late_is_waited_for_and_a_silent_board_has_no_temperature() -> None:
-    busy = [(0.01 * k, Pulse(k, k, k)) for k in range(1, 300)]
-    assert temperatures(*busy, (2.0, warm(25.0)))[0]["case"] == 25.0
-    found, took_s = temperatures()
-    assert found == {"projector": None, "case": None, "board": None, "camera.left": 33.0}
-    assert took_s == pytest.approx(1.875)
-    assert temperatures(*((0.005 * k, Pulse(k, k, k)) for k in range(1, 1000)))[1] == pytest.approx(2.0), "not for ever"
-
-
-def test_a_board_without_counters_has_lost_nothing() -> None:
-    board: Any = SimpleNamespace()
-    assert endurance._lost_reports(board) == 0
-
-
-@pytest.mark.parametrize(("minutes", "series"), [(0.0, 1), (0.05, 3), (0.1, 6)])
-@pytest.mark.parametrize("unplugged", [False, True])
+@pytest.mark.parametrize(("minutes", "series", "unplugged"), [(0.0, 1, False), (0.1, 6, False), (0.05, 3, True)])
 def test_a_run_is_as_long_as_was_asked_and_cameras_are_let_go_whatever_happens(
     minutes: float, series: int, unplugged: bool
 ) -> None:
@@ -418,13 +264,8 @@ def test_a_run_is_as_long_as_was_asked_and_cameras_are_let_go_whatever_happens(
         assert (seen.wanted_minutes, seen.ended_by) == (minutes, None)
         # 66.5 periods each, its last exposure, and one millisecond more.
         assert seen.minutes == pytest.approx(series * (66.5 / 60.0 + 0.013) / 60.0)
-        assert seen.before_c == {
-            "projector": 50.0,
-            "case": 20.0,
-            "board": 45.0,
-            "camera.left": 33.0,
-            "camera.right": None,
-        }
+        warmth = {"projector": 50.0, "case": 20.0, "board": 45.0, "camera.left": 33.0, "camera.right": None}
+        assert seen.before_c == warmth
         assert seen.after_c["case"] is None
         assert seen.cameras == {"left": SideEndured(0, (), 0, 0), "right": SideEndured(0, (), 0, 0)}
     assert ("stop",) in board.commands
@@ -433,39 +274,131 @@ def test_a_run_is_as_long_as_was_asked_and_cameras_are_let_go_whatever_happens(
         assert len(one.cancelled) == 1
 
 
-class SetCamera:
-    """A camera that keeps what it was set to."""
-
-    slow_link: str | None = None
-    identity = CameraIdentity("Reef", "Eye", "1", "1.2", 5000)
-
-    def __init__(self, held: tuple[HeldSetting, ...] = ()) -> None:
-        self.settings: list[CameraSettings] = []
-        self._held = held
-
-    def configure(self, settings: CameraSettings) -> CameraSettings:
-        self.settings.append(settings)
-        return settings
-
-    def read_back(self) -> tuple[HeldSetting, ...]:
-        return self._held
+SEQUENCE = build_sequence(64, 512, 384)
+HEIGHT, WIDTH = 72, 96
+BRIGHT, DARK = SEQUENCE.bright, SEQUENCE.dark
 
 
-def test_a_camera_is_set_as_every_scan_sets_it_and_its_settings_are_judged() -> None:
-    held = (HeldSetting("GammaEnable", False, False), HeldSetting("Gamma", 1.0, 0.5))
-    camera: Any = SetCamera(held)
-    findings, read = cameras._settled(camera, "left", replace(RIG.camera.left, exposure_ms=7.5, gain_db=2.0))
-    assert camera.settings == [CameraSettings(400, 300, 7500.0, 2.0)]
-    assert read == held
-    assert findings[0].name == "camera.left link"
-    assert findings[1:] == list(judge_settings("left", held))
+def plane_seen(power: float = 1.0) -> NDArray[np.uint8]:
+    """One camera's images of a plane, by light that is a power of the code."""
+    p = np.broadcast_to(np.linspace(20.0, 490.0, WIDTH), (HEIGHT, WIDTH))
+    q = np.broadcast_to(np.linspace(10.0, 370.0, HEIGHT)[:, None], (HEIGHT, WIDTH))
+    rng = np.random.default_rng(8)
+    frames = np.zeros((len(SEQUENCE), HEIGHT, WIDTH), np.uint8)
+    for number, pattern in enumerate(SEQUENCE.patterns):
+        at = p if pattern.direction is Direction.X else q
+        codes = pattern.codes()
+        light = (
+            np.interp(at, np.arange(len(codes)), codes) / 255.0 if number not in (BRIGHT, DARK) else codes[0] / 255.0
+        )
+        frames[number] = np.clip(np.rint(10.0 + 200.0 * light**power + 0.4 * rng.standard_normal(at.shape)), 0, 255)
+    return frames
 
 
-def test_a_camera_behind_a_slow_link_is_not_set_and_one_that_cannot_be_asked_is_good() -> None:
-    camera: Any = SetCamera()
-    camera.slow_link = "the link runs at 480 Mbit/s"
-    ((link,), held) = cameras._settled(camera, "right", RIG.camera.right)
-    assert (link.ok, held, camera.settings) == (False, (), [])
-    dumb: Any = SimpleNamespace(slow_link=None, identity=SetCamera.identity, configure=lambda _settings: None)
-    (_, settings), held = cameras._settled(dumb, "right", RIG.camera.right)
-    assert (settings.name, settings.ok, held) == ("camera.right settings", True, ())
+def flat(bright: int, dark: int) -> NDArray[np.uint8]:
+    frames = np.zeros((len(SEQUENCE), 10, 10), np.uint8)
+    frames[BRIGHT], frames[DARK] = bright, dark
+    return frames
+
+
+@pytest.mark.parametrize(
+    ("saturates_from_us", "tried"),
+    [
+        (9_000, [8_000]),
+        (8_000, [8_000, 4_000]),
+        (1_500, [8_000, 4_000, 2_000, 1_000]),
+        (0, [8_000, 4_000, 2_000, 1_000]),
+    ],
+)
+def test_the_plane_is_recorded_darker_until_neither_camera_saturates(saturates_from_us: int, tried: list[int]) -> None:
+    made: list[int] = []
+
+    def record(exposure: Exposure) -> tuple[Any, plane.Frames]:
+        made.append(exposure.time_us)
+        right = flat(255 if exposure.time_us >= saturates_from_us else 200, 10)
+        return len(made), {"left": flat(200, 10), "right": right}
+
+    allowed = tuple(Exposure(1000 * k) for k in (1, 2, 4, 8, 16))
+    report: Any
+    report, frames, exposure = plane._exposed(record, SEQUENCE, allowed, Exposure(8_000))
+    assert made == tried
+    assert (made.index(exposure.time_us), report) == (len(tried) - 1, len(tried)), "the last one is that of the scan"
+    assert (frames["right"][BRIGHT, 0, 0] == 255) == (saturates_from_us <= tried[-1])
+
+
+def test_a_first_scan_is_stored_with_everything_that_is_known_of_it(tmp_path: Path) -> None:
+    rig = load_rig(RIG_FILE)
+    rig = replace(rig, storage=replace(rig.storage, root=tmp_path))
+    at, _, told = workplace(rig=rig)
+    today = SimpleNamespace(utc=datetime.datetime(2031, 5, 6, 7, 8, 9, 500, tzinfo=datetime.UTC), kept=True)
+    wires: Any = SimpleNamespace(clock=at.wires.clock, calendar=SimpleNamespace(today=lambda: today))
+    at = replace(at, wires=wires)
+    report = CaptureReport(None, ledger([frame(k) for k in range(64)]), 1.0, ())
+    frames = {side: plane_seen() for side in ("left", "right")}
+    scan_id = plane._stored(at, report, frames, SEQUENCE, Exposure(4_000, 2.0), "ab" * 32)
+    folder = Library(tmp_path).entry(scan_id).folder
+    scan = stored.load(folder)
+    np.testing.assert_array_equal(scan.frames["left"], frames["left"])
+    record = scan.manifest.record
+    assert (record.wall_time, record.clock_trusted) == ("2031-05-06T07:08:09+00:00", True)
+    assert (record.exposure, record.response_hash) == (Exposure(4_000, 2.0), "ab" * 32)
+    assert (record.rig_hash, record.software_version) == (rig.rig_hash, appliance.__version__)
+    assert record.calibration_hash == design_of(rig).hash
+    assert record.recorded_ns == wires.clock.now_ns()
+    assert record.water == {"temperature_c": 20.0, "salinity_psu": 0.0, "wavelength_nm": 530.0}
+    assert record.ledger is not None
+    assert record.ledger["expected"] == 64
+    assert (folder / "rig.toml").read_text(encoding="utf-8") == rig_text(rig)
+    flatness, why_not, faults = plane._worked_through(at, scan_id)
+    assert (flatness, faults) == (None, ())
+    assert "there is no calibration yet" in why_not
+    assert told.all == []
+
+
+# --------------------------------------------------------------------------------------- projector
+
+
+@pytest.mark.parametrize(("left_dn", "right_dn", "asked"), [(5, 5, 1), (5, 4, 3), (4, 5, 3), (0, 0, 3)])
+def test_a_wall_is_asked_for_until_both_cameras_see_light_on_it(left_dn: int, right_dn: int, asked: int) -> None:
+    lights = {"left": left_dn, "right": right_dn}
+
+    def seen(side: str, _shot: Any, _take: int) -> Any:
+        frames = np.full((24, 8, 8), 10)
+        # It comes late by more blanks than any projector.
+        frames[20:] += lights[side]
+        return frames
+
+    at, person, told = workplace()
+    bench: Any = ValueBench(seen)
+    projector._before_white(at, bench)
+    assert len(person.said) == len(told.all) == asked
+    assert person.said[0] == f"{projector.wall(at)}, and darken the room"
+    assert ["asked again" in one for one in person.said] == [False, True, True][:asked]
+    assert bench.taken[0][0] == [0] * 12 + [1] * 12
+    shot = bench.taken[0][1]
+    assert (shot.delay_us, shot.exposure_us, shot.gain_db) == (500, 12_000, 0.0)
+    (black, white), all_channels = bench.loaded[0]
+    assert black.shape == white.shape == (48, 64)
+    assert (black.max(), white.min(), all_channels) == (0, 255, False)
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_keys_are_written_all_or_none(mirrored: bool, tmp_path: Path) -> None:
+    rig_file = tmp_path / "rig.toml"
+    rig_file.write_text(RIG_FILE.read_text(encoding="utf-8"), encoding="utf-8")
+    at, _, _ = workplace(rig_file=rig_file)
+    model = Model(planes_in(0.0, 16_000.0), latency=1, mirrored=mirrored)
+    outcomes = projector._measured(at, ModelBench(model, size_px=(32, 24), camera_px=(24, 18)))
+    text = rig_file.read_text(encoding="utf-8")
+    assert list(outcomes) == ["raster", "sides", "latency", "light", "skew"]
+    if mirrored:
+        assert not all(one.good for one in outcomes.values())
+        assert text == RIG_FILE.read_text(encoding="utf-8")
+        assert not list(tmp_path.glob("rig.toml.before*"))
+    else:
+        assert all(one.good for one in outcomes.values()), outcomes
+        assert parse_rig(text).projector.latency_blanks == 1
+        assert any(one.written for one in outcomes.values())
+        assert (tmp_path / "rig.toml.before-1").read_text(encoding="utf-8") == RIG_FILE.read_text(encoding="utf-8")
+        projector._measured(at, ModelBench(model, size_px=(32, 24), camera_px=(24, 18)))
+        assert len(list(tmp_path.glob("rig.toml.before*"))) == 1, "what is right already is not written again"
