@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.calibration.gaps import DOUBTS, MODES
 from appliance.calibration.health import LEARNT_SCANS, MATTERS_DEG, MOST_VEIL_UM, SCANS_TO_FIND, HealthTrend, judge
 from appliance.calibration.judgement import PATCHES
 from appliance.calibration.patches import COUNT, PatchGaps
@@ -38,26 +37,19 @@ def learnt(rng: np.random.Generator, moved_um: Array, doubts_um: float | None) -
     return trend
 
 
-def test_turbid_water_after_a_reference_in_clear_water_is_no_alarm() -> None:
+def alarms(rng: np.random.Generator, trend: HealthTrend, moved_um: Array, doubts_um: float | None, scans: int) -> bool:
+    for _ in range(scans):
+        trend, said = judge(trend, gaps(rng, moved_um, doubts_um))
+    return bool(said.alarm)
+
+
+def test_other_water_than_that_of_the_reference_is_no_alarm() -> None:
     rng = np.random.default_rng(10_001)
-    trend = learnt(rng, np.zeros(COUNT), None)
     veiled = 5.0 * CAUSES @ np.array([0.8, -1.0, 0.9])
-    for _ in range(10):
-        trend, said = judge(trend, gaps(rng, veiled, 5.0))
-        assert not said.alarm
+    assert not alarms(rng, learnt(rng, np.zeros(COUNT), None), veiled, 5.0, 10), "turbid after clear water"
+    assert not alarms(rng, learnt(rng, veiled, 5.0), np.zeros(COUNT), None, 10), "clear after turbid water"
     # The same without the doubt is what the alarm is for.
-    trend = learnt(np.random.default_rng(1), np.zeros(COUNT), None)
-    for _ in range(2):
-        trend, told = judge(trend, gaps(rng, veiled, None))
-    assert told.alarm
-
-
-def test_what_backscatter_does_to_the_reference_is_no_alarm_in_clear_water() -> None:
-    rng = np.random.default_rng(10_002)
-    trend = learnt(rng, 5.0 * CAUSES @ np.array([1.0, 0.8, -0.9]), 5.0)
-    for _ in range(10):
-        trend, said = judge(trend, gaps(rng, np.zeros(COUNT), None))
-        assert not said.alarm
+    assert alarms(rng, learnt(rng, np.zeros(COUNT), None), veiled, None, 2)
 
 
 def test_a_reference_of_the_same_water_sees_a_knock_that_one_of_other_water_does_not() -> None:
@@ -84,13 +76,6 @@ def test_a_scan_in_which_backscatter_could_hide_a_knock_is_not_judged() -> None:
         assert trend.judged == int(judged)
     assert "backscatter" in said.text
     assert "22" in said.text
-
-
-def test_the_doubts_have_a_place_for_each_cause() -> None:
-    trend = learnt(np.random.default_rng(10_005), np.zeros(COUNT), 4.0)
-    kept = np.array(trend.reference.doubts_um).reshape(COUNT, DOUBTS + 1)
-    assert np.allclose(kept[:, :DOUBTS] / kept[:1, :DOUBTS], CAUSES / CAUSES[:1])
-    assert len(MODES) == PATTERNS.shape[1]
 
 
 TURNS_UM = np.array([[9_300.0, 0.0, 0.0, 0.0], [0.0, 0.0, 225.0, 107.0], [150.0, 1_100.0, 0.0, 0.0]])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from appliance.foreign.camera_files import FORMATS, numbers_in
 from appliance.foreign.cameras import read_rig
 from appliance.foreign.description import counted, load_description, parse_description
 from appliance.foreign.problem import ForeignError
+from tests.appliance.foreign.test_cameras import D1, HEAD, M1, OPENCV, SIZES, R, T
 from tests.support.damage import Parser, changed, damaged, toml_of
 
 TEXT = """
@@ -77,7 +79,6 @@ DESCRIPTIONS = st.one_of(
     st.sampled_from(ORDERS).map(lambda order: toml_of({**TREE, "images": {**TREE["images"], "order": order}}).encode()),
     damaged([TEXT.encode()]),
 )
-SIZES_PX = {"left": (640, 480), "right": (640, 480)}
 
 
 def read_description(data: bytes, folder: Path) -> None:
@@ -90,16 +91,11 @@ def read_description(data: bytes, folder: Path) -> None:
     try:
         if said.order is not None:
             counted(said, said.order)
-        read_rig(said, SIZES_PX)
+        read_rig(said, SIZES)
     except ForeignError as error:
         raise ForeignError(f"set.toml: {error}") from error
 
 
-K = np.array([[800.0, 0, 320], [0, 810, 240], [0, 0, 1]])
-D = np.array([[-0.1, 0.05, 0.001, -0.002, 0.01]])
-R = np.asarray(cv2.Rodrigues(np.array([0.01, -0.2, 0.03]))[0])
-T = np.array([[-100.0], [2.0], [10.0]])
-ARRAYS = {"M1": K, "D1": D, "M2": K, "D2": D, "R": R, "T": T}
 ROS = b"""camera_name: left
 camera_matrix:
   rows: 3
@@ -124,49 +120,29 @@ cam1:
     240.0]
 """
 MIDDLEBURY = b"cam0=[900 0 311; 0 900 254; 0 0 1]\ncam1=[900 0 342; 0 900 254; 0 0 1]\ndoffs=31\nbaseline=193\n"
-HEAD = """
-[images]
-left = "l*"
-right = "r*"
-order = "gray-x*8"
-[projector]
-width_px = 1024
-height_px = 768
-[x]
-stripe_px = 4
-[cameras]
-"""
 
 
 def by_opencv(suffix: str) -> bytes:
     storage = cv2.FileStorage(suffix, cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
-    for name, value in ARRAYS.items():
+    for name, value in OPENCV.items():
         storage.write(name, value)
     return storage.releaseAndGetString().encode()
 
 
-def by_matlab(**arrays: Any) -> bytes:
+def bytes_of(write: Callable[..., None], *args: Any, **arrays: Any) -> bytes:
     with io.BytesIO() as file:
-        savemat(file, arrays)
+        write(file, *args, **arrays)
         return file.getvalue()
 
 
-def by_numpy() -> tuple[bytes, bytes]:
-    archive, single = io.BytesIO(), io.BytesIO()
-    np.savez(archive, M1=K, D1=D, M2=K, D2=D, R=R, T=T)
-    np.save(single, K)
-    return archive.getvalue(), single.getvalue()
-
-
-ONE = {"IntrinsicMatrix": K.T, "RadialDistortion": D[0, :2], "TangentialDistortion": D[0, 2:4]}
+ONE = {"IntrinsicMatrix": M1.T, "RadialDistortion": D1[0, :2], "TangentialDistortion": D1[0, 2:4]}
 STRUCTURE = {"CameraParameters1": ONE, "CameraParameters2": ONE, "RotationOfCamera2": R.T, "TranslationOfCamera2": T.T}
-MATLAB = (
-    by_matlab(KK_left=K, kc_left=D, KK_right=K, kc_right=D, R=R, T=T, rig={"n": [1, 2, 3]}), by_matlab(s=STRUCTURE),
-)  # fmt: skip
-NPZ, NPY = by_numpy()
+TOOLBOX = {"KK_left": M1, "kc_left": D1, "KK_right": M1, "kc_right": D1, "R": R, "T": T, "rig": {"n": [1, 2, 3]}}
+MATLAB = (bytes_of(savemat, TOOLBOX), bytes_of(savemat, {"s": STRUCTURE}))
 QUICK = (
     *((suffix, by_opencv(suffix)) for suffix in (".yml", ".xml", ".json")), (".yaml", ROS), (".yaml", KALIBR), (".txt", MIDDLEBURY),
-    (".npz", NPZ), (".npy", NPY), (".json", json.dumps({name: value.tolist() for name, value in ARRAYS.items()}).encode()),
+    (".npz", bytes_of(np.savez, **OPENCV)), (".npy", bytes_of(np.save, M1)),
+    (".json", json.dumps({name: value.tolist() for name, value in OPENCV.items()}).encode()),
 )  # fmt: skip
 CAMERA_FILES = st.one_of(
     st.sampled_from(QUICK),
@@ -182,7 +158,9 @@ def read_cameras(case: tuple[str, bytes], folder: Path) -> None:
     for name, numbers in numbers_in(path).items():
         assert name
         assert numbers.dtype == np.float64
-    rig = read_rig(parse_description(f'{HEAD}files = "cameras{suffix}"\n', folder, "set", "set.toml"), SIZES_PX).rig
+    rig = read_rig(
+        parse_description(f'{HEAD}[cameras]\nfiles = "cameras{suffix}"\n', folder, "set", "set.toml"), SIZES
+    ).rig
     assert np.isfinite(rig.right.rotation).all()
     assert np.isfinite(rig.right.translation_mm).all()
 

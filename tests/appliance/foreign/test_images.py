@@ -25,28 +25,27 @@ def described(folder: Path, images: str) -> Description:
     return parse_description(text, folder, "set", "set.toml")
 
 
+def saved(folder: Path, count: int, picture: NDArray[np.uint8] = PICTURE[..., 0]) -> None:
+    """Pictures 0.png, 1.png …, each brighter by one than the one before."""
+    for k in range(count):
+        cv2.imwrite(str(folder / f"{k}.png"), picture + k)
+
+
 @pytest.mark.parametrize(
     ("sides", "left", "right"),
-    [
-        ("left beside right", (slice(None), slice(0, 3)), (slice(None), slice(3, 6))),
-        ("right above left", (slice(2, 4), slice(None)), (slice(0, 2), slice(None))),
-    ],
+    [("left beside right", np.s_[:, :3], np.s_[:, 3:]), ("right above left", np.s_[2:], np.s_[:2])],
 )
-def test_a_picture_of_both_cameras_is_cut(
-    tmp_path: Path, sides: str, left: tuple[slice, slice], right: tuple[slice, slice]
-) -> None:
-    for k in range(3):
-        cv2.imwrite(str(tmp_path / f"{k}.png"), PICTURE[..., k])
+def test_a_picture_of_both_cameras_is_cut(tmp_path: Path, sides: str, left: Any, right: Any) -> None:
+    saved(tmp_path, 3)
     description = described(tmp_path, f'both = "*.png"\nsides = "{sides}"\norder = "gray-x*3"')
     for side, part in (("left", left), ("right", right)):
         found = read_side(description, side)
-        assert [np.array_equal(found.images[k], PICTURE[..., k][part]) for k in range(3)] == [True] * 3
+        assert all(np.array_equal(found.images[k], (PICTURE[..., 0] + k)[part]) for k in range(3))
         assert found.shape == PICTURE[..., 0][part].shape
 
 
 def test_a_colour_picture_is_three_images(tmp_path: Path) -> None:
-    for k in range(2):
-        cv2.imwrite(str(tmp_path / f"{k}.png"), PICTURE + k)
+    saved(tmp_path, 2, PICTURE)
     found = read_side(described(tmp_path, 'left = "*.png"\nchannel = "each"\norder = "gray-x*6"'), "left")
     # OpenCV writes blue first.
     wanted = [PICTURE[..., colour] + k for k in range(2) for colour in (2, 1, 0)]
@@ -98,8 +97,7 @@ def test_headers_tell_which_image_is_unlike_the_others(tmp_path: Path) -> None:
 
 
 def test_headers_alone_tell_that_one_camera_has_more_images(tmp_path: Path) -> None:
-    for k in range(3):
-        cv2.imwrite(str(tmp_path / f"{k}.png"), PICTURE)
+    saved(tmp_path, 3)
     for right, wanted in (("[12]", "left and right have other images"), ("[0-2]", r"\[cameras.left\] is missing")):
         said = described(tmp_path, f'left.gray-x = "*.png"\nright.gray-x = "{right}.png"')
         with pytest.raises(ForeignError, match=wanted):
@@ -118,20 +116,17 @@ def test_headers_alone_tell_that_one_camera_has_more_images(tmp_path: Path) -> N
 def test_files_of_one_camera_are_told_by_turns_or_by_kind(
     tmp_path: Path, images: str, wanted: list[str], last: int
 ) -> None:
-    for k in range(4):
-        cv2.imwrite(str(tmp_path / f"{k}.png"), PICTURE + k)
+    saved(tmp_path, 4, PICTURE)
     found = read_side(described(tmp_path, images), "left")
     assert [frame.name for frame in found.files] == wanted
     assert found.images[len(wanted) - 1][0, 0] == last
 
 
 def test_what_does_not_fit_is_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for k in range(4):
-        cv2.imwrite(str(tmp_path / f"{k}.png"), PICTURE[..., 0] + k)
+    saved(tmp_path, 4)
     monkeypatch.setattr(images_module, "KEPT_BYTES", 2 * PICTURE[..., 0].size)
     found = read_side(described(tmp_path, 'left = "*.png"\norder = "gray-x*4"'), "left")
     assert all(np.array_equal(found.images[k], PICTURE[..., 0] + k) for k in range(4))
-    for k in range(4):
-        cv2.imwrite(str(tmp_path / f"{k}.png"), PICTURE[..., 0] + k + 100)
+    saved(tmp_path, 4, PICTURE[..., 0] + np.uint8(100))
     # The last picture alone is at hand besides what fits.
     assert [int(found.images[k][0, 0]) for k in (0, 1, 2, 3)] == [0, 1, 102, 103]

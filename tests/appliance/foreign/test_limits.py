@@ -14,27 +14,8 @@ from appliance.foreign.description import AxisConvention, Description, ImageFile
 from appliance.foreign.images import ImageSet, read_side
 from appliance.foreign.order import parse_order
 from appliance.foreign.problem import Table
-from appliance.foreign.reasons import Reason
 
 SIZE_PX, PERIOD_PX, BITS = 1024, 32, 6
-
-
-def test_a_code_that_goes_on_beyond_the_projector_makes_no_coordinates() -> None:
-    """Six bits number twice the pattern: what lies more than a quarter of a period beyond it is something else."""
-    edge_px = np.arange(0.25, 2.0 * SIZE_PX, 2.0)
-    number = (edge_px / PERIOD_PX).astype(int)
-    lines = [120.0 + 100.0 * np.cos(2 * np.pi * edge_px / PERIOD_PX + 0.5 * np.pi * k) for k in range(4)]
-    lines += [np.where((number ^ (number >> 1)) >> bit & 1, 220.0, 20.0) for bit in reversed(range(BITS))]
-    images = np.repeat(np.rint(lines).astype(np.uint8)[:, None], 5, axis=1)
-    shown = parse_order(f"sine-x*4 gray-x*{BITS}", "order")
-    axis = AxisConvention("x", SIZE_PX, (PERIOD_PX,), ((0.0, 90.0, 180.0, 270.0),), bits=BITS, stripe_px=PERIOD_PX)
-    files = {"left": ImageFiles(("*",))}
-    description = Description("", Path(), files, shown, "grey", None, (SIZE_PX, 768), (axis,), Table("", {}))
-    placed = decode_camera(ImageSet(shown, (), images, 255.0), description).placed["x"]
-    valid = placed.reason[2] == Reason.FOUND
-    assert np.allclose(placed.coordinate_px[2, valid], edge_px[valid] - 0.5, atol=0.5)
-    assert valid[edge_px < SIZE_PX + 6.0].all()
-    assert not valid[edge_px > SIZE_PX + 10.0].any()
 
 
 @pytest.mark.parametrize("count", [3, 5])

@@ -46,13 +46,6 @@ def test_two_directions_of_four_steps_become_a_scan_folder(shell: Shell, foreign
     assert "is there already" in again.error
 
 
-def test_another_form_is_no_scan_folder(shell: Shell, foreign_set: Sets, tmp_path: Path) -> None:
-    said = shell("import", foreign_set("inverses").description, "--out", tmp_path / "000001")
-    assert said.code == Exit.FAILED
-    assert "no scan folder can be made: it has no bright and dark image" in said.error
-    assert not (tmp_path / "000001").exists()
-
-
 def test_a_lens_that_our_files_cannot_hold_is_no_scan_folder() -> None:
     short = HousedCamera(640, 480, Lens((800.0, 800.0), (320.0, 240.0)), NO_PORT)
     long = replace(short, lens=Lens((800.0, 800.0), (320.0, 240.0), (0.1,) * 12), translation_mm=(100.0, 0.0, 0.0))

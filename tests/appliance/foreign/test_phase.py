@@ -31,16 +31,7 @@ def ideal(turns: NDArray[np.float64], steps_deg: tuple[float, ...]) -> list[NDAr
 
 
 @pytest.mark.parametrize(
-    "steps_deg",
-    [
-        (0.0, 120.0, 240.0),
-        (0.0, -120.0, -240.0),
-        (0.0, 90.0, 180.0, 270.0),
-        (270.0, 0.0, 180.0, 90.0),
-        (0.0, 90.0, 180.0),
-        (15.0, 80.0, 160.0, 200.0, 333.0),
-        tuple(360.0 * k / 16 for k in range(16)),
-    ],
+    "steps_deg", [(0.0, -120.0, -240.0), (270.0, 0.0, 180.0, 90.0), (15.0, 80.0, 160.0, 200.0, 333.0)]
 )
 def test_any_steps_tell_the_phase(steps_deg: tuple[float, ...]) -> None:
     turns = np.linspace(-0.499, 0.499, 4000).reshape(40, 100)
@@ -113,7 +104,7 @@ def own(sequence: PatternSequence, stack: NDArray[np.uint8]) -> tuple[Descriptio
     return said, ImageSet(order, (), stack, 255.0)
 
 
-@pytest.mark.parametrize("period_px", [16, 32, 64])
+@pytest.mark.parametrize("period_px", [16, 64])
 def test_our_own_images_give_the_same_coordinates_as_our_own_kernels(period_px: int) -> None:
     cal = calibration()
     sequence = build_sequence(period_px)

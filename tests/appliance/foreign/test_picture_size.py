@@ -16,22 +16,22 @@ from appliance.offline.calibration.air import Pair, PicturesError, read_pair
 
 
 @pytest.mark.parametrize("kind", [".png", ".tif", ".bmp", ".pgm", ".jpg", ".ppm"])
-@pytest.mark.parametrize("shape", [(30, 41), (1, 300), (600, 7, 3)])
-@pytest.mark.parametrize("bits", [8, 16])
-def test_size_and_depth_are_those_of_the_picture(kind: str, shape: tuple[int, ...], bits: int) -> None:
-    bits = 8 if kind in (".bmp", ".jpg") else bits
-    shape = (*shape[:2], 3) if kind == ".ppm" else shape[:2] if kind == ".pgm" else shape
-    done, data = cv2.imencode(kind, np.zeros(shape, f"uint{bits}"))
-    assert done
-    assert picture_head(data.tobytes()) == (shape[1], shape[0], bits)
-
-
-@pytest.mark.parametrize("kind", [".png", ".tif", ".bmp", ".pgm", ".jpg"])
-def test_a_file_that_ends_in_its_header_has_no_size_or_the_right_one(kind: str) -> None:
-    data = cv2.imencode(kind, np.zeros((30, 41), np.uint8))[1].tobytes()
+def test_size_and_depth_are_those_of_the_picture_and_never_another_of_a_part_of_it(kind: str) -> None:
+    for shape in ((30, 41), (1, 300), (600, 7, 3)):
+        for bits in (8,) if kind in (".bmp", ".jpg") else (8, 16):
+            drawn = (*shape[:2], 3) if kind == ".ppm" else shape[:2] if kind == ".pgm" else shape
+            data = cv2.imencode(kind, np.zeros(drawn, f"uint{bits}"))[1].tobytes()
+            assert picture_head(data) == (shape[1], shape[0], bits)
+    data = cv2.imencode(kind, np.zeros((30, 41, 3 if kind == ".ppm" else 1), np.uint8))[1].tobytes()
     for length in range(len(data)):
         assert size_px(data[:length]) in (None, (41, 30), (41, 3), (4, 30))  # a number in letters may be cut
-    assert size_px(b"") is None
+    head = b"BM" + bytes(12)  # a bitmap of the first kind, and one that begins with its upper row
+    for rest, size in (
+        (struct.pack("<IHH", 12, 640, 480), (640, 480)),
+        (struct.pack("<Iii", 40, 640, -480), (640, 480)),
+    ):
+        assert size_px(head + rest) == size
+    assert size_px(head + struct.pack("<I", 40)) is None
 
 
 def tiff(order: str, *entries: tuple[int, int, int]) -> bytes:
@@ -57,14 +57,6 @@ def test_a_tiff_of_either_byte_order_says_its_size_in_short_or_long_numbers(orde
     assert size_px(tiff(order, *((300, 3, 0) for _ in range(30)), *entries)) == (1600, 1200)
 
 
-def test_a_bitmap_may_be_of_the_first_kind_or_begin_with_its_upper_row() -> None:
-    head = b"BM" + bytes(12)
-    assert size_px(head + struct.pack("<IHH", 12, 640, 480)) == (640, 480)
-    assert size_px(head + struct.pack("<Iii", 40, 640, 480)) == (640, 480)
-    assert size_px(head + struct.pack("<Iii", 40, 640, -480)) == (640, 480)
-    assert size_px(head + struct.pack("<I", 40)) is None
-
-
 def jpeg(*segments: bytes) -> bytes:
     return b"\xff\xd8" + b"".join(segments)
 
@@ -73,7 +65,7 @@ FRAME = struct.pack(">HBHHB", 8, 8, 480, 640, 1)
 """A frame header: its length, bits, height, width."""
 
 
-@pytest.mark.parametrize("marker", [0xC0, 0xC1, 0xC2, 0xC3, 0xC9, 0xCF])
+@pytest.mark.parametrize("marker", [0xC0, 0xC3, 0xCF])
 def test_a_jpeg_says_its_size_where_its_frame_starts_whatever_comes_before(marker: int) -> None:
     frame = bytes([0xFF, marker]) + FRAME
     comment = b"\xff\xfe" + struct.pack(">H", 7) + b"\xff\xc0abc"
@@ -102,8 +94,8 @@ def promised(width_px: int, height_px: int) -> bytes:
     return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", rows) + chunk(b"IEND", b"")
 
 
-def test_a_small_file_that_promises_many_pixels_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
-    bomb, good = tmp_path / "00_left.png", tmp_path / "00_right.png"
+def test_files_that_promise_many_pixels_or_bytes_are_refused_before_they_are_read(tmp_path: Path) -> None:
+    bomb, good, endless = tmp_path / "00_left.png", tmp_path / "00_right.png", tmp_path / "endless.png"
     bomb.write_bytes(promised(20_000, 20_000))
     cv2.imwrite(str(good), np.zeros((60, 80), np.uint8))
     assert bomb.stat().st_size < 1_000_000
@@ -111,6 +103,10 @@ def test_a_small_file_that_promises_many_pixels_is_refused_before_it_is_unpacked
     with pytest.raises(PicturesError, match="20000x20000 px; the rig file has 80x60 px"):
         read_pair(Pair("00", bomb, good), 80, 60)
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kb < 100_000  # 400 MB unpacked
+    with endless.open("wb") as file:
+        file.truncate(1 << 34)  # 16 GB that take no room
+    with pytest.raises(PicturesError, match="larger than 1076800 bytes"):
+        read_pair(Pair("00", endless, good), 80, 60)
 
 
 @pytest.mark.parametrize("kind", [".png", ".tif", ".bmp", ".pgm"])
@@ -125,12 +121,3 @@ def test_a_picture_that_was_cut_off_is_refused_in_our_words_alone(
     with pytest.raises(PicturesError, match=r"00_left\.\w+: (is no picture|\d+x\d+ px)"):
         read_pair(Pair("00", left, right), 80, 60)
     assert capfd.readouterr().err == ""
-
-
-def test_a_file_of_more_bytes_than_its_pixels_can_have_is_not_read_to_its_end(tmp_path: Path) -> None:
-    endless, good = tmp_path / "00_left.png", tmp_path / "00_right.png"
-    with endless.open("wb") as file:
-        file.truncate(1 << 34)  # 16 GB that take no room
-    cv2.imwrite(str(good), np.zeros((60, 80), np.uint8))
-    with pytest.raises(PicturesError, match="larger than 1076800 bytes"):
-        read_pair(Pair("00", endless, good), 80, 60)

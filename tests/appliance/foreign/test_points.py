@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -147,17 +148,11 @@ def test_what_decoding_leaves_out_keeps_its_reason() -> None:
 
 
 def nothing_seen(camera: DecodedCamera) -> DecodedCamera:
-    return replace(
-        camera,
-        placed={
-            name: replace(
-                one,
-                coordinate_px=np.full_like(one.coordinate_px, np.nan),
-                reason=np.full_like(one.reason, Reason.WEAK),
-            )
-            for name, one in camera.placed.items()
-        },
-    )
+    def blind(one: PlacedAxis) -> PlacedAxis:
+        nowhere, weak = np.full_like(one.coordinate_px, np.nan), np.full_like(one.reason, Reason.WEAK)
+        return replace(one, coordinate_px=nowhere, reason=weak)
+
+    return replace(camera, placed={name: blind(one) for name, one in camera.placed.items()})
 
 
 @pytest.mark.parametrize("axes", ["x", "xy"])
@@ -186,12 +181,6 @@ def test_depths_follow_what_the_cameras_look_at(baseline_mm: float, toe_in_deg: 
     near_mm, far_mm = depths_of(described("x"), cameras.rig, 1.0)
     assert 0.0 < near_mm < 0.7 * depth_mm
     assert far_mm > 1.15 * depth_mm
-
-
-def test_points_of_a_baseline_longer_than_the_distance() -> None:
-    cloud = found("xy", rig(1074.0, 49.1, f_px=300.0), 930.0)
-    assert cloud.points > 0.5 * W * H
-    assert float(np.nanmedian(cloud.cloud.points_mm[..., 2])) == pytest.approx(930.0, abs=0.5)
 
 
 def test_images_wider_than_a_scratch_row_have_points_all_over() -> None:
@@ -237,35 +226,17 @@ def test_a_picture_shows_the_reason_of_each_pixel(tmp_path: Path) -> None:
         assert (drawn[H:, :20] == colour).all(axis=-1).any() == (reason.word in cloud.reasons)
 
 
-@pytest.mark.parametrize(("projector_px", "refused"), [(65536, True), (65535, False)])
-def test_a_side_that_no_map_can_number_is_refused_by_the_headers(
-    tmp_path: Path, projector_px: int, refused: bool
-) -> None:
+def test_a_side_that_no_map_can_number_is_refused_by_the_headers(tmp_path: Path) -> None:
     for k in range(8):
         cv2.imwrite(str(tmp_path / f"{k}.png"), np.zeros((30, 40), np.uint8))
-    eye = "matrix = [[50, 0, 20], [0, 50, 15], [0, 0, 1]]"
+    eye = "matrix = [[50, 0, 20], [0, 50, 15], [0, 0, 1]]\n"
     description = tmp_path / "set.toml"
-    description.write_text(f"""
-[images]
-left = "*.png"
-order = "bright dark gray-x*3 gray-y*3"
-[projector]
-width_px = {projector_px}
-height_px = 30
-[x]
-stripe_px = 8192
-[y]
-stripe_px = 8
-[cameras]
-rotation = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
-translation = [-120, 0, 0]
-[cameras.left]
-{eye}
-[cameras.right]
-{eye}
-""")
-    if refused:
-        with pytest.raises(ForeignError, match="65536 px along a side; allowed for two directions are 65535 px"):
+    for projector_px in (65536, 65535):
+        description.write_text(
+            '[images]\nleft = "*.png"\norder = "bright dark gray-x*3 gray-y*3"\n'
+            f"[projector]\nwidth_px = {projector_px}\nheight_px = 30\n[x]\nstripe_px = 8192\n[y]\nstripe_px = 8\n"
+            "[cameras]\nrotation = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\ntranslation = [-120, 0, 0]\n"
+            f"[cameras.left]\n{eye}[cameras.right]\n{eye}"
+        )
+        with pytest.raises(ForeignError, match="65536 px along a side") if projector_px > 65535 else nullcontext():
             check_import(description, tmp_path / "cloud.ply")
-    else:
-        check_import(description, tmp_path / "cloud.ply")

@@ -55,17 +55,6 @@ def taken(bench: Bench, folder: Path, patterns: Sequence[Image], names: Sequence
             save(folder / name.format(k=k), image)
 
 
-def stripes_of_one_pixel(folder: Path) -> None:
-    """Two cameras, every image with its inverse, in both directions, down to stripes of a pixel of the projector."""
-    bench = pair(WIDTH_PX, SIZE)
-    patterns = [*with_inverses(gray("x", SIZE, 10)), *with_inverses(gray("y", SIZE, 9)), flat(250, SIZE), flat(0, SIZE)]
-    taken(bench, folder, patterns, ("pattern_cam1_im{k}.png", "pattern_cam2_im{k}.png"))
-    yaml(
-        folder / "calib_stereo.yml", cam1_intrinsics=bench.left.K, cam1_distorsion=bench.left.D, cam2_intrinsics=bench.right.K,
-        cam2_distorsion=bench.right.D, R=bench.R, T=bench.T,
-    )  # fmt: skip
-
-
 def one_camera_and_a_projector(folder: Path) -> None:
     """The projector's axis leaves below its picture; codes lie in the middle of 1024 and of 512 stripes."""
     bench = with_projector(WIDTH_PX, SIZE)
@@ -160,15 +149,6 @@ def both_cameras_by_turns(folder: Path) -> None:
     opencv(bench, folder)
 
 
-def one_camera_after_the_other(folder: Path) -> None:
-    """1 to 11 of the left camera, 12 to 22 of the right one."""
-    bench = pair(WIDTH_PX, SIZE)
-    for n, images in enumerate(seen(bench, usual())):
-        for k, image in enumerate(images):
-            save(folder / f"{11 * n + k + 1}.png", image)
-    opencv(bench, folder)
-
-
 def pages_of_a_tiff(folder: Path) -> None:
     """12 bits, at the upper end of 16."""
     bench = pair(WIDTH_PX, SIZE)
@@ -187,26 +167,6 @@ def stacks_of_numpy(folder: Path) -> None:
     )
 
 
-def inverses_behind_all(folder: Path) -> None:
-    """Ten bits of X, nine of Y, then the inverses of all of them; down to stripes finer than pixels."""
-    bench = pair(WIDTH_PX, SIZE)
-    codes = [*gray("x", SIZE, 10), *gray("y", SIZE, 9)]
-    patterns = [*BRIGHT_DARK, *codes, *((250 - one).astype(np.uint8) for one in codes)]
-    taken(bench, folder, patterns, ("c0_{k}.png", "c1_{k}.png"))
-    opencv(bench, folder)
-
-
-def inverses_behind_each(folder: Path) -> None:
-    """The bits of a direction, then their inverses; of both directions the same number."""
-    bench = pair(WIDTH_PX, SIZE)
-    patterns = []
-    for axis in "xy":
-        codes = gray(axis, SIZE, 7, 5.0)
-        patterns += [*codes, *((250 - one).astype(np.uint8) for one in codes)]
-    taken(bench, folder, patterns, ("c0_{k}.png", "c1_{k}.png"))
-    opencv(bench, folder)
-
-
 def cameras_above_each_other(folder: Path) -> None:
     """Stripes of rows alone, and pictures of a board beside them; no dark image but one at the end."""
     height_px, f_px = WIDTH_PX * 3 // 4, 1.35 * WIDTH_PX
@@ -221,33 +181,12 @@ def cameras_above_each_other(folder: Path) -> None:
     opencv(bench, folder / "checkerboard")
 
 
-def names_that_are_times(folder: Path) -> None:
-    """Two periods of which one has a fringe less; names are nothing but times."""
-    bench = pair(WIDTH_PX, SIZE)
-    patterns = [one for fringes in (16, 15) for one in sine("x", SIZE, 640 / fringes, FOUR)]
-    for n, images in enumerate(seen(bench, patterns)):
-        for k, image in enumerate(images):
-            save(
-                folder
-                / "AB"[n]
-                / f"2023-05-17_14-{58 + k // 6 - 60 * (k // 12):02d}-{k % 6 * 9 + n:02d}.{137 * k % 1000:03d}.png",
-                image,
-            )
-    opencv(bench, folder)
-
-
 CASES = (
     Case(pictures_of_a_laptops_projector, ('channel = "green"', 'order = "bright dark gray-x*5 sine-x*4"'), 80.0, 0.25),
     Case(both_cameras_by_turns, ('both = "*.png"', 'sides = "left right"'), 80.0, 0.12),
-    Case(one_camera_after_the_other, ('both = "*.png"', 'sides = "left*11 right*11"'), 80.0, 0.12),
     Case(pages_of_a_tiff, ('left = "left.tif"', 'order = "bright dark gray-x*5 sine-x*4"'), 80.0, 0.12),
     Case(stacks_of_numpy, ('left = "frames.npz#left"', 'right = "frames.npz#right"'), 80.0, 0.12),
-    Case(inverses_behind_all, ('order = "bright dark gray-x*10 gray-y*9 ~gray-x*10 ~gray-y*9"',), 80.0, 0.1),
-    Case(inverses_behind_each, ('order = "gray-x*7 ~gray-x*7 gray-y*7 ~gray-y*7"',), 80.0, 0.15),
     Case(cameras_above_each_other, ('order = "gray-y*5 sine-y*4 dark"', 'left = "scene/c0/*.png"'), 80.0, 0.12),
-    Case(names_that_are_times, ("steps = 4", 'left = "A/*.png"'), 80.0, 0.2),
-    Case(stripes_of_one_pixel, ('"(gray-x ~gray-x)*10 (gray-y ~gray-y)*9 bright dark"', 'left = "pattern_cam1_im*.png"'), 80.0, 0.1,
-         "of 10 images of the code have stripes that the camera cannot tell apart, and are left out: stripes of 2 px are used"),
     Case(one_camera_and_a_projector, ("width_px = 640\nheight_px = 480", "code_offset_px = -192", "code_offset_px = -16"), 80.0, 0.06),
     Case(three_frequencies, ('"sine-x*8 sine-x2*8 sine-x3*8"', "period_px = [28.444444, 33.032258, 36.571429]"), 80.0, 0.08),
     Case(projection_matrices, ("period_px = [640, 80, 10]", 'unit = "m"'), 80.0, 0.08),

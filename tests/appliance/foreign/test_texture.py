@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from appliance.foreign.texture import LEAST_FOUND, Texture
+from appliance.foreign.texture import Texture
 
 HEIGHT, WIDTH = 240, 320
 
@@ -23,17 +23,6 @@ def speckled(moved: tuple[float, float], width: int = WIDTH) -> np.ndarray[tuple
 def places(width: int = WIDTH) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
     v, u = np.mgrid[0:HEIGHT:9, 0:width:9]
     return np.stack([u.ravel(), v.ravel()], axis=1)
-
-
-@pytest.mark.parametrize("down", [True, False])
-def test_an_offset_is_found_to_a_fraction_of_a_pixel(down: bool) -> None:
-    texture = Texture.of(speckled((0.0, 0.0)), speckled((5.0, 7.3) if down else (7.3, 5.0)))
-    said = texture.offset(places(), places() + np.array([5.25, 0.0] if down else [0.0, 5.25]), down)
-    assert said.found > 0.8 * said.asked > 4 * LEAST_FOUND
-    assert said.median_px == pytest.approx(7.3, abs=0.06)
-    assert said.spread_px < 0.3
-    assert not said.fits
-    assert texture.exchanged().offset(places(), places() - np.array([5.0, 7.3] if down else [7.3, 5.0]), down).fits
 
 
 def test_a_large_image_is_reduced_and_its_offset_is_in_its_own_pixels() -> None:

@@ -62,43 +62,19 @@ def focal_lengths(found: AnyCalibration) -> Array:
     return np.array([found.air.rig.left.lens.f_px[0], found.air.rig.right.lens.f_px[0]])
 
 
-def test_ordinary_views_give_what_the_instruments_own_calibration_gives(
-    views: list[BoardView], clean: AnyCalibration
-) -> None:
-    found, own = clean, calibrate_air(views, WIDTH_PX, HEIGHT_PX, with_field=False)
-    assert found.air.residual_px == pytest.approx(own.residual_px, rel=1e-3)
-    assert len(found.pairs) == 12
-    assert not found.exchanged
-    # Noise is the same in all views, so that weights are nearly so: the rest is a part of what noise does.
-    sd = np.sqrt(np.diag(own.covariance))
-    assert np.all(
-        np.abs(focal_lengths(found) - [own.rig.left.lens.f_px[0], own.rig.right.lens.f_px[0]]) < 0.5 * sd[[0, 8]]
-    )
-    assert np.allclose(found.air.rig.right.translation_mm, own.rig.right.translation_mm, atol=0.01)
-
-
 def test_views_that_one_camera_has_alone_tell_about_its_lens(truth: TrueRig, views: list[BoardView]) -> None:
     few = calibrated(views[:6])
-    mixed = calibrated([*views[:6], *(only(view, "left") for view in views[6:])])
-    left = "left principal distance (px)"
+    mixed = calibrated([*views[:6], *(only(view, "left") for view in views[6:11]), only(views[11], "right")])
+    dry, left = in_air(truth), "left principal distance (px)"
     assert sd_of(mixed, left) < 0.9 * sd_of(few, left)
-    assert abs(mixed.air.rig.left.lens.f_px[0] - in_air(truth).left.f_px[0]) < 5.0 * sd_of(mixed, left)
-    assert mixed.pairs == tuple(view.name for view in views[:6])
-    alone = mixed.air.views[-1]
-    assert (len(alone.left_px), len(alone.right_px)) == (len(views[-1].left_px), 0)
-    assert alone.remarks == ("only the left camera has it",)
-    assert mixed.noise_px["board 11"][1] is None
-
-
-def test_each_camera_may_have_views_of_its_own(truth: TrueRig, views: list[BoardView]) -> None:
-    sides = ["left", "right"] * 4
-    found = calibrated([*views[:4], *(only(view, side) for view, side in zip(views[4:], sides, strict=True))])
-    assert found.air.left_out == ()
-    dry = in_air(truth)
-    for side, f_px, true in zip(("left", "right"), focal_lengths(found), (dry.left, dry.right), strict=True):
-        assert abs(f_px - true.f_px[0]) < 5.0 * sd_of(found, f"{side} principal distance (px)")
+    for side, f_px, true in zip(("left", "right"), focal_lengths(mixed), (dry.left, dry.right), strict=True):
+        assert abs(f_px - true.f_px[0]) < 5.0 * sd_of(mixed, f"{side} principal distance (px)")
     base_mm = np.linalg.norm(np.subtract(dry.right.t_mm, dry.left.t_mm))
-    assert np.linalg.norm(found.air.rig.right.translation_mm) == pytest.approx(base_mm, rel=1e-3)
+    assert np.linalg.norm(mixed.air.rig.right.translation_mm) == pytest.approx(base_mm, rel=1e-3)
+    assert (mixed.pairs, mixed.air.left_out) == (tuple(view.name for view in views[:6]), ())
+    alone = mixed.air.views[-2]
+    assert (len(alone.left_px), len(alone.right_px), len(alone.remarks)) == (len(views[10].left_px), 0, 1)
+    assert mixed.noise_px["board 10"][1] is None
 
 
 def test_a_view_counts_as_much_as_its_noise_lets_it(views: list[BoardView], clean: AnyCalibration) -> None:
@@ -115,35 +91,20 @@ def test_a_view_counts_as_much_as_its_noise_lets_it(views: list[BoardView], clea
     assert off < 0.5 * off_plain
 
 
-def test_a_board_that_moved_is_left_out_and_a_blurred_one_is_not(views: list[BoardView]) -> None:
-    moved = replace(views[5], right_px=views[5].right_px + np.array([1.0, 0.7]))
-    blurred = noisy(views[9], 0.2, 9)
-    found = calibrated([*views[:5], moved, *views[6:9], blurred, *views[10:]])
-    (said,) = found.air.left_out
-    assert said.startswith("board 5: residual")
-    assert said.endswith("the board moved between the cameras' exposures")
+def test_a_board_that_moved_and_exchanged_pictures_are_left_out_and_a_blurred_one_is_not(
+    views: list[BoardView],
+) -> None:
+    spoilt = list(views)
+    spoilt[3] = replace(views[3], left_px=views[3].right_px, right_px=views[3].left_px)
+    spoilt[5] = replace(views[5], right_px=views[5].right_px + np.array([1.0, 0.7]))
+    spoilt[9] = noisy(views[9], 0.2, 9)
+    found = calibrated(spoilt)
+    assert sorted(said.split(":")[0] for said in found.air.left_out) == ["board 3", "board 5"]
+    assert any("exchanged" in said for said in found.air.left_out)
     assert "board 9" in found.pairs
-
-
-def test_a_pair_with_exchanged_pictures_is_named(views: list[BoardView]) -> None:
-    swapped = replace(views[3], left_px=views[3].right_px, right_px=views[3].left_px)
-    found = calibrated([*views[:3], swapped, *views[4:]])
-    assert found.air.left_out == ("board 3: its left and right pictures are exchanged; name them the other way round",)
     assert not found.exchanged
-
-
-def test_cameras_that_are_called_the_wrong_way_round_are_noticed(views: list[BoardView]) -> None:
     every = [replace(view, left_px=view.right_px, right_px=view.left_px) for view in views]
-    assert calibrated(every).exchanged
-
-
-def test_a_single_mistaken_corner_is_left_out_alone(views: list[BoardView]) -> None:
-    spoilt = views[2].left_px.copy()
-    spoilt[40] += (0.9, -0.7)
-    found = calibrated([*views[:2], replace(views[2], left_px=spoilt), *views[3:]])
-    assert found.air.left_out == ()
-    (remark,) = found.air.views[2].remarks
-    assert remark.startswith("1 corners left out, up to ")
+    assert calibrated(every).exchanged, "cameras that are called the wrong way round"
 
 
 def test_a_board_known_to_be_flat_keeps_flat(views: list[BoardView], clean: AnyCalibration) -> None:
@@ -155,12 +116,10 @@ def test_a_board_known_to_be_flat_keeps_flat(views: list[BoardView], clean: AnyC
 
 def test_too_few_views_are_counted_by_camera(views: list[BoardView]) -> None:
     few = [*views[:4], *(only(view, "left") for view in views[4:8])]
-    with pytest.raises(
-        AirCalibrationError, match="left camera has 8 usable views of the board, the right one 4, and 4 are"
-    ):
+    with pytest.raises(AirCalibrationError, match="8 usable views of the board, the right one 4, and 4 are"):
         calibrated(few)
     pairless = [only(view, side) for view in views[:8] for side in ("left", "right")]
-    with pytest.raises(AirCalibrationError, match="the right one 9, and 1 are of both; 6 of each camera and 3 of both"):
+    with pytest.raises(AirCalibrationError, match="the right one 9, and 1 are of both"):
         calibrated([*pairless, views[9]])
 
 

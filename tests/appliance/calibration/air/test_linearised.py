@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from appliance.calibration.air.adjustment import NO_PORT
-from appliance.calibration.air.linearised import Bend, BoardView, bend_of, each_changed, moved, seen, slopes
+from appliance.calibration.air.linearised import BoardView, bend_of, each_changed, slopes
 from appliance.optics.model import HousedCamera, StereoRig
 from appliance.optics.pinhole import Lens
 from appliance.optics.rotation import matrix3
@@ -73,14 +73,6 @@ def look(
 NO_VALUES, NO_TURN = np.zeros(22), np.zeros(3)
 
 
-def test_a_bent_board_looks_as_opencv_projects_it() -> None:
-    bend = Bend(MIDDLE_MM, REACH_MM)
-    corners = corners_mm()
-    corners[:, 2] = bend.of(corners) @ AMOUNTS_MM
-    found = seen(rig(), (turned(BOARD_RAD), BOARD_MM), corners)
-    assert found == pytest.approx(look(NO_VALUES, AMOUNTS_MM, NO_TURN, NO_TURN), abs=1e-6)
-
-
 def test_a_board_bends_about_its_middle_in_shapes_of_one_millimetre() -> None:
     view = BoardView("board", corners_mm(), np.zeros((35, 2)), np.zeros((35, 2)))
     part = replace(view, corners_mm=view.corners_mm[:20])
@@ -136,21 +128,3 @@ def test_every_slope_is_that_of_opencvs_pixels() -> None:
             assert found.by_place[:, column] == pytest.approx(wanted, rel=1e-3, abs=2e-3 * np.abs(wanted).max()), which
     wanted = slope(1e-4, "scale", 0)
     assert found.by_scale == pytest.approx(wanted, rel=1e-3, abs=2e-3 * np.abs(wanted).max())
-
-
-def test_a_board_turns_about_its_own_axes_and_shifts_in_the_rigs() -> None:
-    R, t = moved((turned(BOARD_RAD), BOARD_MM), np.array([0.0, 0.0, np.pi / 2, 1.0, 2.0, 3.0]))
-    quarter = turned(BOARD_RAD).T @ R
-    assert quarter == pytest.approx(np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]]), abs=1e-12)
-    assert t == pytest.approx(BOARD_MM + np.array([1.0, 2.0, 3.0]))
-
-
-def test_each_of_the_values_changes_its_own_part_of_the_rig() -> None:
-    start = rig()
-    rigs = each_changed(start)
-    assert len(rigs) == 22
-    for k, one in enumerate(rigs):
-        assert (one.left != start.left) == (k < 8)
-        assert (one.right.lens != start.right.lens) == (8 <= k < 16)
-    assert rigs[3].left.lens.distortion[0] == pytest.approx(start.left.lens.distortion[0] + 1e-5, abs=1e-12)
-    assert rigs[20].right.translation_mm == pytest.approx(BASE_MM + np.array([0.0, 1e-3, 0.0]))

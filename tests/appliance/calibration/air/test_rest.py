@@ -80,5 +80,12 @@ def test_what_is_missing_is_said_until_it_was_seen() -> None:
     assert flat[-1] == lean
     one = coverage([leant(0.0, 0.0, 0.0), leant(0.0, 25.0, 0.0)], 800, 600).missing
     assert one == (lean.replace("with its left edge away or ", ""),), "its right edge is nearer now"
+    # An eighth of the width is near an edge, and twelve degrees are a lean.
+    for shift_px, near in ((80.0, True), (90.0, False)):
+        said = " ".join(coverage([leant(0.0, 0.0, shift_px)], 800, 600).missing)
+        assert ("near the left edge" not in said) == near
+    sides = [f"its {side} edge away" for side in ("left", "right", "top", "bottom")]
+    for about_deg, wanted in ((11.0, 4), (13.0, 3)):
+        assert sum(side in coverage([leant(0.0, about_deg, 0.0)], 800, 600).missing[-1] for side in sides) == wanted
     every = [leant(a, b, 0.0) for a, b in ((25, 0), (-25, 0), (0, 25), (0, -25))]
     assert coverage([leant(0.0, 0.0, 0.0), *every], 800, 600).missing == ()

@@ -74,24 +74,14 @@ def test_a_board_of_three_rows_of_corners_calibrates() -> None:
 
 
 @pytest.mark.parametrize(
-    ("turns_deg", "ways"),
-    [
-        pytest.param([(0.0, 0.0)], 0, id="frontal"),
-        pytest.param([(1.0, -1.0), (-2.0, 0.0), (0.0, 2.0)], 0, id="nearly frontal"),
-        pytest.param([(20.0, 0.0)], 1, id="all parallel"),
-    ],
+    ("turns_deg", "ways"), [([(0.0, 0.0)], 0), ([(1.0, -1.0), (-2.0, 0.0), (0.0, 2.0)], 0), ([(20.0, 0.0)], 1)]
 )
 def test_boards_that_do_not_lean_are_told_the_tilts_seen_and_wanted(
     turns_deg: list[tuple[float, float]], ways: int
 ) -> None:
     for calibrate in (calibrate_any, calibrate_air):
-        with pytest.raises(AirCalibrationError) as raised:
+        with pytest.raises(AirCalibrationError, match=f"^tilt missing.*leans in {ways} different ways"):
             calibrate(views(leant(*turns_deg), board(11, 8)), WIDTH_PX, HEIGHT_PX)
-        said = str(raised.value)
-        assert said.startswith("tilt missing")
-        assert f"leans in {ways} different ways by 5° or more" in said
-        assert "2 ways are needed" in said
-        assert "20° to 35°" in said
 
 
 def test_what_stays_open_is_named_with_its_size() -> None:
@@ -101,29 +91,20 @@ def test_what_stays_open_is_named_with_its_size() -> None:
         calibrate_air(small, WIDTH_PX, HEIGHT_PX, with_field=False)
 
 
-@pytest.mark.parametrize("first", [0, 3, 7])
+@pytest.mark.parametrize("first", [0, 7])
 def test_the_first_pair_after_a_missing_picture_is_named(first: int) -> None:
-    shifted = views(poses(10, 5), board(11, 8), missing_right=first)
-    with pytest.raises(AirCalibrationError) as raised:
-        calibrate_any(shifted, WIDTH_PX, HEIGHT_PX)
-    said = str(raised.value)
-    assert said.startswith(f"pair v{first}: ")
-    assert "a right picture is missing" in said
-
-
-def test_a_missing_picture_is_told_before_all_are_looked_at() -> None:
     where = poses(10, 5)
-    with pytest.raises(AirCalibrationError, match=r"pair v3: .*a right picture is missing"):
-        check_pairs(views(where, board(11, 8), missing_right=3)[:8], WIDTH_PX, HEIGHT_PX)
+    shifted = views(where, board(11, 8), missing_right=first)
+    with pytest.raises(AirCalibrationError, match=rf"^pair v{first}: .*a right picture is missing"):
+        calibrate_any(shifted, WIDTH_PX, HEIGHT_PX)
+    exchanged = [replace(view, left_px=view.right_px, right_px=view.left_px) for view in shifted]
+    with pytest.raises(AirCalibrationError, match=rf"^pair v{first}: .*a left picture is missing"):
+        calibrate_any(exchanged, WIDTH_PX, HEIGHT_PX)
+    if first == 0:
+        with pytest.raises(AirCalibrationError, match=r"^pair v0: .*a right picture is missing"):
+            check_pairs(shifted[:8], WIDTH_PX, HEIGHT_PX)  # told before all are looked at
     for silent in (views(where, board(11, 8)), views(where, board(11, 8), missing_right=7)[:8], []):
         check_pairs(silent, WIDTH_PX, HEIGHT_PX)
-
-
-def test_a_missing_left_picture_is_told_from_a_right_one() -> None:
-    shifted = views(poses(10, 5), board(11, 8), missing_right=3)
-    exchanged = [replace(view, left_px=view.right_px, right_px=view.left_px) for view in shifted]
-    with pytest.raises(AirCalibrationError, match=r"pair v3: .*a left picture is missing"):
-        calibrate_any(exchanged, WIDTH_PX, HEIGHT_PX)
 
 
 def test_one_pair_of_two_moments_costs_itself_alone() -> None:

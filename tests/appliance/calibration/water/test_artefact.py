@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -39,15 +41,6 @@ def test_a_ray_meets_the_near_side_of_its_own_ball_and_a_ray_that_misses_comes_a
     origin, direction = rays_to(np.add(CENTRES[:1], [30.0, 0.0, 0.0]))
     (missed,) = BAR.meet(origin, direction, np.array([0]), np.zeros(8))
     assert (missed - CENTRES[0]) @ direction[0] == pytest.approx(0.0, abs=1e-9)
-
-
-def test_changes_of_a_bar_move_its_centres_and_grow_its_radii() -> None:
-    ball = np.array([0, 1])
-    origin, direction = rays_to(CENTRES)
-    moved = BAR.meet(origin, direction, ball, np.array([0.0, 0.0, 0.0, *(2.0 * direction[1]), 0.5, 0.0]))
-    still = BAR.meet(origin, direction, ball, np.zeros(8))
-    # The first ball is larger: its face is nearer. The second one went away along the ray.
-    np.testing.assert_allclose(moved - still, np.stack([-0.5 * direction[0], 2.0 * direction[1]]), atol=1e-9)
 
 
 def test_a_certificate_is_an_observation_in_its_own_standard_deviations() -> None:
@@ -109,12 +102,8 @@ def test_a_bar_is_first_put_where_its_balls_are_and_loses_what_a_camera_sees_at_
 
 @pytest.mark.parametrize(("share", "taken"), [(1.08, True), (0.92, True), (1.13, False), (0.88, False)])
 def test_a_length_that_is_ten_percent_off_is_another_bars(share: float, taken: bool) -> None:
-    recording = bar_recording(LENGTH_MM / share)
-    if taken:
-        assert isinstance(first_place(recording, RIG)[0], BarPlace)
-        return
-    with pytest.raises(RecordingError, match=rf"bar: the spheres seem {LENGTH_MM:.1f} mm apart, the certificate says"):
-        first_place(recording, RIG)
+    with nullcontext() if taken else pytest.raises(RecordingError, match=rf"bar: .* {LENGTH_MM:.1f} mm"):
+        first_place(bar_recording(LENGTH_MM / share), RIG)
 
 
 def test_a_plane_is_first_put_where_its_points_are() -> None:

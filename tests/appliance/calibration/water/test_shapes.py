@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.calibration.water.shapes import fit_plane, fit_sphere, nearest_points
+from appliance.calibration.water.shapes import fit_sphere, nearest_points
 
 Array = NDArray[np.float64]
 CENTRE = np.array([30.0, -20.0, 510.0])
@@ -21,35 +21,11 @@ def face(radius_mm: float, half_deg: float, n: int = 400, noise_mm: float = 0.0,
     return np.asarray(CENTRE + (radius_mm + noise_mm * rng.standard_normal((n, 1))) * normal)
 
 
-@pytest.mark.parametrize("tilt", [(0.0, 0.0), (0.5, -0.3), (-2.0, 1.0)])
-def test_a_planes_normal_points_away_from_the_instrument_and_its_offset_is_its_distance(
-    tilt: tuple[float, float],
-) -> None:
-    rng = np.random.default_rng(2)
-    xy = rng.uniform(-60.0, 60.0, (200, 2))
-    z = 500.0 + xy @ tilt
-    normal, offset = fit_plane(np.column_stack([xy, z]))
-    wanted = np.array([-tilt[0], -tilt[1], 1.0]) / np.sqrt(1.0 + tilt[0] ** 2 + tilt[1] ** 2)
-    np.testing.assert_allclose(normal, wanted, atol=1e-12)
-    assert offset == pytest.approx(500.0 * wanted[2], abs=1e-9)
-
-
-@pytest.mark.parametrize("half_deg", [80.0, 30.0])
-@pytest.mark.parametrize("radius_mm", [15.0, 25.0])
-def test_a_sphere_is_found_from_the_part_of_it_that_is_seen(radius_mm: float, half_deg: float) -> None:
-    centre, radius = fit_sphere(face(radius_mm, half_deg))
-    np.testing.assert_allclose(centre, CENTRE, atol=1e-7)
-    assert radius == pytest.approx(radius_mm, abs=1e-7)
-    centre, radius = fit_sphere(face(radius_mm, half_deg), radius_mm)
-    np.testing.assert_allclose(centre, CENTRE, atol=1e-9)
-    assert radius == radius_mm
-
-
 def test_a_noisy_part_of_a_sphere_is_not_found_too_small() -> None:
     """The closed form, from which the search starts, shrinks it by more than its own scatter."""
-    found = [fit_sphere(face(15.0, 45.0, 300, 0.1, seed)) for seed in range(60)]
+    found = [fit_sphere(face(15.0, 45.0, 300, 0.1, seed)) for seed in range(40)]
     radii = np.array([radius for _, radius in found])
-    assert radii.mean() == pytest.approx(15.0, abs=4.0 * radii.std() / np.sqrt(60) + 0.005)
+    assert radii.mean() == pytest.approx(15.0, abs=4.0 * radii.std() / np.sqrt(40) + 0.005)
     assert radii.std() < 0.1
 
 

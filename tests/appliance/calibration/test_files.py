@@ -1,0 +1,257 @@
+"""Files of calibrations, noise and responses come back as they were written, say what is wrong otherwise, and count where they belong."""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from appliance.calibration import file as calibration_file
+from appliance.calibration import noise_file
+from appliance.calibration.depth_error import COUNT
+from appliance.calibration.design import Design, design_calibration
+from appliance.calibration.file import CalibrationError
+from appliance.calibration.noise_file import CameraFigures, StoredNoise
+from appliance.calibration.response import file as response_file
+from appliance.calibration.response.file import StoredResponse
+from appliance.calibration.response.measure import CameraImages, ResponseError, measure_response
+from appliance.checksummed_file import with_checksum
+from appliance.config import Rig, load_rig, parse_rig
+from appliance.instrument import (
+    NOISE_FILE,
+    RESPONSE_FILE,
+    design_of,
+    exposures_of,
+    noise_of,
+    origin_of,
+    response_of,
+    with_measured_noise,
+)
+from appliance.optics.ray_shift import RayShift
+from appliance.optics.volume import STANDARD, WorkingVolume
+from appliance.optics.water import Water
+from appliance.patterns.response import Response
+from appliance.patterns.sequence import build_sequence
+from appliance.scan.exposure import Exposure
+from tests.appliance.cli.test_measure import RIG
+from tests.support.golden_texts import Says
+
+DESIGN = Design(11.5, 4.5, 230.0, 12.41, 30.0, 5.0, 1.77)
+CALIBRATION = design_calibration(DESIGN, "KF-0001", 1600, 1200, Water(20.0, 0.0, 530.0))
+LEFT, RIGHT = CameraFigures("KF-CAM-L", 9_100.0, 4.5, 6.0), CameraFigures("KF-CAM-R", 18_000.0, 25.0, 1.5)
+NOISE = StoredNoise("KF-SIM", ("000007",), LEFT, RIGHT)
+RESPONSE = StoredResponse("KF-1", ("000007",), 0.0107, Response((0.45, 0.53, 0.05, -0.02)))
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Rig:
+    rig = load_rig(RIG)
+    return replace(rig, storage=replace(rig.storage, root=tmp_path))
+
+
+def left_with(**changes: Any) -> calibration_file.Calibration:
+    left = replace(CALIBRATION.rig.left, **changes)
+    return replace(CALIBRATION, rig=replace(CALIBRATION.rig, left=left))
+
+
+def depth_errors() -> tuple[tuple[float, ...], ...]:
+    half = np.random.default_rng(4).normal(0.0, 0.01, (COUNT, COUNT))
+    rows = half @ half.T + 1e-6 * np.eye(COUNT)
+    return tuple(tuple(row) for row in (0.5 * (rows + rows.T)).tolist())
+
+
+SHIFT = RayShift(1600, 1200, (4, 3), tuple(np.random.default_rng(1).normal(0.0, 0.01, 84)))
+STATED = replace(CALIBRATION, depth_error_mm2=depth_errors())
+SMALL = replace(CALIBRATION, rig=replace(CALIBRATION.rig, volume=WorkingVolume(264.0, 300.0, 336.0)))
+
+
+@pytest.mark.parametrize(
+    ("module", "stored"),
+    [
+        *((calibration_file, one) for one in (CALIBRATION, left_with(ray_shift=SHIFT), left_with(lens_in_water=True), STATED, SMALL)),
+        (noise_file, NOISE), (response_file, RESPONSE), (response_file, replace(RESPONSE, exposure_us=12_000, trigger_delay_us=500)),
+    ],
+)  # fmt: skip
+def test_what_was_written_comes_back(module: ModuleType, stored: Any, tmp_path: Path) -> None:
+    path = tmp_path / "stored.json"
+    path.write_bytes(module.encode(stored))
+    assert module.load(path) == stored
+    if module is calibration_file:
+        assert module.load(path).hash == stored.hash
+        assert (stored.hash == CALIBRATION.hash) == (stored == CALIBRATION)
+        assert (stored.depth_error_mm2 is None) == (stored is not STATED)
+        assert (stored.rig.volume == STANDARD) == (stored is not SMALL)
+    elif stored is RESPONSE:
+        assert b"exposure_us" not in module.encode(stored), "nobody knows at which it was measured"
+
+
+def resigned(module: ModuleType, stored: Any, change: Callable[[Any], object]) -> bytes:
+    """A file with another content and the checksum that fits it."""
+    content = {key: value for key, value in json.loads(module.encode(stored)).items() if key != "sha256"}
+    change(content)
+    return with_checksum(content)
+
+
+def response(**changes: object) -> bytes:
+    return resigned(response_file, RESPONSE, lambda content: content.update(changes))
+
+
+def noise(side: str, **values: object) -> bytes:
+    return resigned(noise_file, NOISE, lambda content: content["cameras"][side].update(values))
+
+
+def calibration(**changes: object) -> bytes:
+    return resigned(calibration_file, CALIBRATION, lambda content: content.update(changes))
+
+
+BARE = {"schema": 1, "rig_serial": "KF-1", "made_from": []}
+THICK = left_with(port=replace(CALIBRATION.rig.left.port, thickness_mm=500.0))
+SKEW = replace(STATED, depth_error_mm2=(*depth_errors()[:-1], (0.0,) * COUNT))
+WRONG_FILES: list[tuple[ModuleType, bytes, str]] = [
+    (calibration_file, calibration(schema=4), "schema 4"),
+    (calibration_file, calibration_file.encode(THICK), r"thickness_mm is 500\.0; allowed: 0\.\.100"),
+    (calibration_file, calibration_file.encode(SKEW), "depth_error_mm2"),
+    (calibration_file, calibration(volume={"nearest_mm": 264.0, "working_mm": 700.0, "farthest_mm": 336.0}), "nearest"),
+    (response_file, response_file.encode(RESPONSE).replace(b"0.53", b"0.54"), "checksum"),
+    (response_file, response_file.encode(RESPONSE)[:40], "JSON"),
+    (response_file, b"[]", "object"),
+    (response_file, b" " * 70_000, "65536"),
+    (response_file, response(schema=2), "schema 2"),
+    (response_file, response(harmonics=[0.5, "0.5"]), "harmonics"),
+    (response_file, response(harmonics=[0.5, -0.5]), "grow"),
+    (response_file, response(rig_serial=None), "rig_serial"),
+    (response_file, response(exposure_us=12000.5), r"exposure_us is 12000\.5"),
+    (response_file, response(trigger_delay_us=-1), "trigger_delay_us is -1"),
+    (noise_file, noise_file.encode(NOISE).replace(b"9100.0", b"9200.0"), "checksum"),
+    (noise_file, noise_file.encode(NOISE)[:40], "JSON"),
+    (noise_file, with_checksum({"schema": 2}), "schema 2"),
+    (noise_file, with_checksum(BARE), "cameras"),
+    (noise_file, with_checksum({**BARE, "cameras": {}}), "cameras.left"),
+    (noise_file, noise("right", full_well_e=400.0), r"cameras.right.full_well_e is 400\.0; allowed are 500\.\.900000"),
+    (noise_file, noise("left", read_noise_e="4"), r"cameras.left.read_noise_e is '4'; allowed are 0\.\.900"),
+    (noise_file, noise("left", black_level_dn=True), r"cameras.left.black_level_dn is True; allowed are 0\.\.63"),
+]
+
+
+@pytest.mark.parametrize(("module", "data", "named"), WRONG_FILES)
+def test_what_is_no_such_file_is_refused_with_what_is_wrong(module: ModuleType, data: bytes, named: str) -> None:
+    errors = CalibrationError, noise_file.NoiseFileError, response_file.ResponseFileError
+    with pytest.raises(errors, match=named):
+        module.decode(data, "here")
+
+
+def test_a_file_that_cannot_be_read_is_no_missing_one(tmp_path: Path, says: Says) -> None:
+    assert noise_file.load(tmp_path / "none.json") is None
+    assert response_file.load(tmp_path / "none.json") is None
+    with pytest.raises(response_file.ResponseFileError) as unreadable:
+        response_file.load(tmp_path)
+    with pytest.raises(CalibrationError) as missing:
+        calibration_file.load(tmp_path / "none.json")
+    says(unreadable.value, missing.value)
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.integers(0, 10**6), st.integers(0, 255))
+def test_any_damaged_byte_is_noticed(where: int, value: int) -> None:
+    data = bytearray(calibration_file.encode(CALIBRATION))
+    data[where % len(data)] = value
+    try:
+        result = calibration_file.decode(bytes(data))
+    except CalibrationError:
+        return
+    assert result == CALIBRATION, "only a change of white space may pass"
+
+
+def test_design_axes_meet_500_mm_before_the_windows() -> None:
+    centre = CALIBRATION.rig.volume_centre_mm(CALIBRATION.water.index)
+    assert np.linalg.norm(centre) == pytest.approx(522.5 / np.cos(np.radians(12.41)), abs=0.5)
+    assert CALIBRATION.rig.right.translation_mm[0] > 0, "the right camera is to the right"
+
+
+# ------------------------------------------------------------------------------------------------- where they count
+def put(rig: Rig, name: Path, data: bytes) -> None:
+    path = rig.storage.root / name
+    path.parent.mkdir(exist_ok=True)
+    path.write_bytes(data)
+
+
+def noise_of_its_cameras(rig: Rig) -> StoredNoise:
+    left, right = replace(LEFT, serial=rig.camera.left.serial), replace(RIGHT, serial=rig.camera.right.serial)
+    return StoredNoise(rig.rig.serial, ("000007",), left, right)
+
+
+def test_what_was_measured_takes_the_place_of_the_data_sheets_and_goes_with_the_scans(rig: Rig) -> None:
+    put(rig, NOISE_FILE, noise_file.encode(noise_of_its_cameras(rig)))
+    used = with_measured_noise(rig)
+    for gain_db in (0.0, 6.0):
+        measured = noise_of(used, Exposure(8_000, gain_db))
+        # At 0 dB and grey value g over black: read noise and photons in electrons, and rounding.
+        for camera, figures in ((measured.left, LEFT), (measured.right, RIGHT)):
+            per_e = 255.0 / figures.full_well_e * 10.0 ** (gain_db / 20.0)
+            expected = (figures.read_noise_e * per_e) ** 2 + 100.0 * per_e + 1.0 / 12.0
+            assert camera.variance_dn2(100.0 + figures.black_level_dn) == pytest.approx(expected)
+    carried = parse_rig(origin_of(used, design_of(used)).rig.decode(), "the scan's")
+    assert noise_of(carried) == noise_of(used)
+    assert exposures_of(used) == exposures_of(rig), "and nothing else is changed"
+    assert replace(used, camera=rig.camera) == rig
+
+
+def test_noise_of_other_cameras_or_damaged_is_not_used_and_the_log_says_so(
+    rig: Rig, caplog: pytest.LogCaptureFixture
+) -> None:
+    assert with_measured_noise(rig) == rig
+    mine = noise_of_its_cameras(rig)
+    others = (
+        replace(mine, rig_serial="KF-9"),
+        replace(mine, left=replace(mine.left, serial="KF-CAM-X")),
+        replace(mine, right=replace(mine.right, serial="KF-CAM-X")),
+    )
+    with caplog.at_level(logging.WARNING, "kingfisher"):
+        for data in (*map(noise_file.encode, others), b"{}"):
+            put(rig, NOISE_FILE, data)
+            assert with_measured_noise(rig) == rig
+    assert len(caplog.records) == 4
+
+
+def test_a_response_of_another_trigger_delay_is_not_used_and_of_another_exposure_with_a_warning(
+    rig: Rig, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Bit planes: what begins at another moment of the projector's frame sees other bits."""
+    exposure_us, delay_us = round(1000 * rig.camera.left.exposure_ms), rig.board.trigger_delay_us
+    mine = replace(RESPONSE, rig_serial=rig.rig.serial)
+    warned = []
+    with caplog.at_level(logging.WARNING, "kingfisher"):
+        for exposed_us, delayed_us in (
+            (None, None),
+            (exposure_us, delay_us),
+            (exposure_us - 1, delay_us),
+            (exposure_us, delay_us + 7),
+        ):
+            put(
+                rig,
+                RESPONSE_FILE,
+                response_file.encode(replace(mine, exposure_us=exposed_us, trigger_delay_us=delayed_us)),
+            )
+            used = response_of(rig)
+            assert used == (None if delayed_us == delay_us + 7 else mine.response)
+            warned.append(len(caplog.records))
+    assert warned == [0, 0, 1, 2]
+
+
+def test_two_codes_are_too_few_for_ten_harmonics() -> None:
+    """Coordinates that jump by half a period from pixel to pixel have the same two means everywhere."""
+    sequence = build_sequence(64, 640, 480)
+    frames = np.full((len(sequence), 120, 160), 90, np.uint8)
+    frames[sequence.bright], frames[sequence.dark] = 180, 0
+    jumps = 200.0 + 32.0 * (np.indices((120, 160)).sum(axis=0) % 2).astype(np.float32)
+    with pytest.raises(ResponseError, match=r"harmonic \d"):
+        measure_response(sequence, [CameraImages(frames, jumps, jumps)])
