@@ -101,6 +101,7 @@ def test_equal_parts_of_a_frame_are_counted(count: int) -> None:
     shifted = [slices(*((begin, begin + length) for begin in late)) for length in (3_000.0, 1_700.0)]
     assert sub_frames_of(shifted, 0.0, PERIOD_US) == 1
     assert sub_frames_of([slices((0.0, PERIOD_US))], 0.0, PERIOD_US) == 1, "steady light repeats with any number"
+    assert sub_frames_of([*bits, slices((0.0, PERIOD_US))], 0.0, PERIOD_US) == count, "and says nothing against others"
     assert sub_frames_of([np.zeros(200)], 0.0, PERIOD_US) == 1
 
 
@@ -275,7 +276,7 @@ def test_a_ripple_is_measured_at_its_own_number_of_cycles(k: int) -> None:
     wanted[k] = 0.08
     found = ripple(amplitudes_px=tuple(wanted))
     assert found.amplitude_px == pytest.approx(tuple(wanted), abs=5.0 * found.uncertainty_px)
-    assert found.uncertainty_px < 0.001
+    assert found.uncertainty_px == pytest.approx(0.02 * np.sqrt(2.0 / 27_000), rel=0.1)
     assert found.noise_px == pytest.approx(0.02, rel=0.1)
 
 

@@ -59,7 +59,7 @@ def test_lengths_are_doubtful_where_the_diver_was_told_so(library: Library, doub
     assert (shown.preview, shown.damaged, shown.noise_mm, shown.corrected) == (None, False, 0.03, False)
 
 
-@pytest.mark.parametrize("name", ["preview.png", "manifest.json"])
+@pytest.mark.parametrize("name", ["preview.png", "manifest.json", "cloud.ply"])
 def test_whatever_is_cut_short_is_marked_and_the_others_are_fine(library: Library, name: str) -> None:
     damaged, fine = saved(library), saved(library)
     path = library.entry(damaged).folder / name

@@ -31,6 +31,10 @@ class Disk(LocalFileSystem):
     """Refuses to allocate, with ``error``, as long as there is one."""
 
     error: int | None = None
+    full = False
+
+    def free_bytes(self, path: Path) -> int:
+        return 0 if self.full else super().free_bytes(path)
 
     def allocate(self, path: Path, length_bytes: int) -> None:
         if self.error is not None:
@@ -134,3 +138,10 @@ def test_a_disk_that_cannot_allocate_is_used_and_said_to_be_counted_only(tmp_pat
         assert tested.passed
         assert tested.detail is Text.COUNTED_ONLY
         assert scans.begin(1, Exposure(8000, 0.0)) is None
+        scans.drop()
+        disk.full = True
+        scans.test_storage()
+        answered(scans)
+        fault = scans.begin(2, Exposure(8000, 0.0))
+        assert fault is not None
+        assert fault.code is FaultCode.STORAGE_FULL
