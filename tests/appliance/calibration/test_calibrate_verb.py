@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -94,17 +93,6 @@ def test_the_ports_of_a_hidden_rig_are_found(bench: tuple[Path, TrueRig]) -> Non
     assert {r["name"] for r in said["recordings"]} == {"bar-0", "bar-1", "plane-0", "plane-1"}
     assert len(said["estimates"]) == 28
     assert said["costs"][-1] < 0.01 * said["costs"][0]
-
-
-def test_the_page_stands_alone_and_shows_each_recording(bench: tuple[Path, TrueRig]) -> None:
-    folder, _ = bench
-    assert calibrate(folder, "--out", str(folder / "page.json"), "--method", "ports") == 0
-    page = (folder / "page-report.html").read_text()
-    assert page.count("an arrow as long as a cell") == 4
-    assert not re.search(r'(src|href)="(?!data:)', page), "nothing is loaded from elsewhere"
-    assert "KB-&lt;7&gt;" in page
-    assert "Ada &amp; Co" in page
-    assert page.count("<polyline") == 1
 
 
 def test_the_published_way_writes_its_three_models_and_replaces_none(

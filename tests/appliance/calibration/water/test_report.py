@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -116,6 +117,7 @@ def test_the_page_has_every_drawing_and_escapes_names() -> None:
     ):  # fmt: skip
         assert words in page, words
     assert page.count("<svg") == 3
+    assert not re.search(r'(src|href)="(?!data:)', page), "nothing is loaded from elsewhere"
     assert "<td>bar &lt;1&gt;</td><td>4</td><td>0.3</td>" in page
     bare = as_html(solved(residuals=(), estimates=(), costs=(), warnings=()), START, {}, {})
     for words in ("<svg", "published", "Convergence", "could see", 'class="no"'):
