@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from appliance.calibration.file import Calibration
-from appliance.calibration.recordings import ArtefactKind, Recording
+from appliance.calibration.recordings import Recording
 from appliance.calibration.water.extract import CALIBRATING_GAP_MM, BarCertificate, extract
 from appliance.cli.simrig import default_sim_rig
 from appliance.config import load_rig
@@ -29,7 +29,7 @@ from tests.support.rendered import RenderedScan, render_scan
 from tests.support.stored import store
 from tests.support.truth import WATER, true_calibration
 
-WIDTH_PX = 800
+WIDTH_PX = 640
 BAR = BarCertificate(150.0, radius_mm=BALL_RADIUS_MM)
 
 
@@ -91,17 +91,20 @@ def miss_px(case: Case) -> NDArray[np.float64]:
 def test_matches_are_true_to_hundredths_of_a_pixel_without_bias(name: str, request: pytest.FixtureRequest) -> None:
     case: Case = request.getfixturevalue(name)
     miss = miss_px(case)
-    assert len(miss) > 500
-    assert np.abs(miss.mean(axis=0)).max() < 0.005
+    assert len(miss) > 400
+    assert np.abs(miss.mean(axis=0)).max() < 0.006
     assert miss.std(axis=0).max() < 0.04
     assert np.abs(miss).max() < 0.3
-
-
-def test_points_lie_all_over_the_artefact(plane: Case, bar: Case) -> None:
-    assert np.ptp(plane.recording.left_px[:, 0]) > 0.75 * WIDTH_PX
-    on_ball = bar.recording.left_px[bar.recording.sphere == 0]
-    assert np.ptp(on_ball[:, 0]) > 1.0 * BALL_RADIUS_MM / 0.32, "more than half of the ball's width"
-    assert bar.recording.kind is ArtefactKind.BALL_BAR
+    # All over the artefact: of the plane in the image, of the first ball more than half of its width.
+    seen = case.recording.left_px[case.recording.sphere == 0, 0]
+    assert np.ptp(seen) > (0.75 * WIDTH_PX if name == "plane" else BALL_RADIUS_MM / 0.32 * WIDTH_PX / 800)
+    if name == "plane":
+        # Of windows on the borders of dark patches few remain: where fringes are blurred, their phase would be shifted.
+        bright = case.scan.frames["left"][case.scan.sequence.bright].astype(float)
+        u, v = case.recording.left_px.astype(int).T
+        slopes = [np.abs(np.gradient(bright, 4, axis=a)) / np.maximum(bright, 20.0) for a in (1, 0)]
+        steep = np.maximum(*slopes)
+        assert np.percentile(steep[v, u], 99) < 0.7 * np.percentile(steep[100:-100, 100:-100], 99)
 
 
 def test_nothing_saturated_is_near_a_used_pixel() -> None:
@@ -114,15 +117,6 @@ def test_nothing_saturated_is_near_a_used_pixel() -> None:
         u, v = px.astype(int).T
         assert not any(clipped[v + dv, u + du].any() for dv in (-3, 0, 3) for du in (-3, 0, 3))
     assert np.abs(miss_px(case).mean(axis=0)).max() < 0.01
-
-
-def test_a_change_of_albedo_is_left_out(plane: Case) -> None:
-    """Of windows on the borders of dark patches few remain: where fringes are blurred, their phase would be shifted."""
-    bright = plane.scan.frames["left"][plane.scan.sequence.bright].astype(float)
-    u, v = plane.recording.left_px.astype(int).T
-    across, down = (np.abs(np.gradient(bright, 4, axis=a)) / np.maximum(bright, 20.0) for a in (1, 0))
-    everywhere = np.maximum(across, down)
-    assert np.percentile(everywhere[v, u], 99) < 0.7 * np.percentile(everywhere[100:-100, 100:-100], 99)
 
 
 def test_an_unstated_radius_is_estimated_and_not_believed(bar: Case) -> None:
