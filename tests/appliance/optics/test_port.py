@@ -54,18 +54,6 @@ def test_projection_inverts_the_ray_in_three_steps(steps: int, within: float, mo
         np.testing.assert_allclose(np.delete(seen, 2, 0), np.delete(a, 2, 0), atol=within)
 
 
-def test_a_perpendicular_port_is_the_papers_ray_model() -> None:
-    c, d, th, n_g = 2555.6, FACING.distance_mm, FACING.thickness_mm, FACING.glass_index
-    r = np.array([50.0, 400.0, 900.0])
-    tan_a = r / c
-    sin_a = np.sin(np.arctan(tan_a))
-    tan_g, tan_w = np.tan(np.arcsin(sin_a / n_g)), np.tan(np.arcsin(sin_a / N_WATER))
-    shift = d * (tan_a / tan_w - 1) - th * (1 - tan_g / tan_w)
-    point, w = water_rays(FACING, N_WATER, unit(np.stack([r / c, 0 * r, np.ones(3)], -1)))
-    np.testing.assert_allclose(point[:, 2] - point[:, 0] * w[:, 2] / w[:, 0], -shift, atol=1e-10)
-    np.testing.assert_allclose(w[:, 0] / w[:, 2], tan_w, atol=1e-14)
-
-
 def test_a_point_in_the_housing_or_the_window_is_in_no_water() -> None:
     n = np.array(TILTED.normal)
     outer_mm = TILTED.distance_mm + TILTED.thickness_mm

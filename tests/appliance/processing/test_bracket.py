@@ -54,7 +54,7 @@ class Desk:
 
 
 def rendered(exposure: Exposure, scene: Scene = WALL) -> RenderedScan:
-    return render_scan(scene, "nominal", 1, 256, 16, exposure.time_us / 1e6)
+    return render_scan(scene, "nominal", 1, 200, 16, exposure.time_us / 1e6)
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 
-import numpy as np
 import pytest
 
 from appliance.processing import judges, procedure
@@ -16,7 +15,6 @@ from appliance.processing.judges import JUDGES, Earlier, Judge, JudgeInput
 from appliance.processing.procedure import AllJudged, CoarseFound, FullFound, OneJudged, SequenceProcessor, Step
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.scan.acquisition import AcquisitionSettings
-from appliance.scan.sides import SIDES
 from appliance.scan.verdict import Judgement
 from hw_sim.objects.motion import Motion
 from hw_sim.scene import Imaging, Scene
@@ -142,23 +140,6 @@ def test_nobody_is_at_work_on_a_scan_that_was_left(
     timer.join(TIMEOUT_S)
     monkeypatch.setattr(judges, "JUDGES", JUDGES)
     assert told(pipeline, begun(processor, straight)) == alone
-
-
-def test_it_may_be_left_at_any_step_and_the_next_scan_is_the_same(straight: RenderedScan, made: Make) -> None:
-    pipeline, processor = made(straight)
-    alone = told(pipeline, begun(processor, straight))
-    rng = np.random.default_rng(3)
-    noise = {side: rng.integers(0, 255, frames.shape, np.uint8) for side, frames in straight.frames.items()}
-    # Behind the coarse cloud, and some judges.
-    for taken in (2, 9):
-        steps = begun(processor, straight)
-        for _ in range(taken):
-            next(steps)
-        # Still there, as in a worker whose parent wants something else by now.
-        processor.begin(SETTINGS)
-        for side in SIDES:
-            processor.push(side, noise[side], 0)
-        assert told(pipeline, begun(processor, straight)) == alone, f"after {taken} steps of the one before"
 
 
 @pytest.mark.parametrize("helpers", [0, 1])

@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from appliance.config import load_rig
-from appliance.instrument import design_of, live_light_of, pointers_of
+from appliance.instrument import live_light_of, pointers_of
 from appliance.patterns.sequence import BRIGHT_CODE
-from appliance.ranging.measure import Ranger
 from appliance.ranging.witness import SURELY_A_DOT_DN, shines_in_the_dark
 from hw_sim.rendering.render import Renderer
 from hw_sim.scene import Scene
-from hw_sim.truth import draw_truth
 from hw_sim.water.medium import Water, turbid
 from tests.support.pointed import RIG_FILE, Instrument, hide, instrument, live_pair, true_dots, truth_of
-from tests.support.truth import WATER, rig_to_left
+from tests.support.truth import rig_to_left
 
-SMALL_RIG_FILE = Path("hw_sim/rigs/small.toml")
 LIGHT = live_light_of(load_rig(RIG_FILE))
 BLACK, WHITE = np.zeros_like(LIGHT), np.full_like(LIGHT, BRIGHT_CODE)
 BOTH, NONE = (True, True), (False, False)
@@ -137,21 +133,3 @@ def test_a_laser_that_shines_in_a_sequence_is_named_and_print_in_daylight_is_not
     renderer = Renderer(taught.truth, Scene(object="plane", texture="checker", ambient=ambient))
     bright, dark = (live_pair(renderer, lasers, 3, light) for light in (WHITE, BLACK))
     assert shines_in_the_dark(taught.ranger, bright, dark) == named
-
-
-def test_before_the_first_calibration_one_dot_is_not_taken_for_the_other_and_the_distance_is_right_within_what_is_said() -> (
-    None
-):
-    """Both dots are in one row of both pictures, and rays of the drawing meet nearly everywhere."""
-    rig = load_rig(SMALL_RIG_FILE)
-    pointers, calibration = pointers_of(rig), design_of(rig)
-    assert pointers is not None
-    size = calibration.rig.left.width_px, calibration.rig.left.height_px
-    for seed, z_mm in ((3, 420.0),):
-        truth = draw_truth("realistic", seed, *size, WATER.index)
-        ranger = Ranger(calibration.rig, WATER.index, pointers.beams(), measured=False)
-        measured = ranger.range_of(ranger.find(live_pair(Renderer(truth, plane(z_mm)), BOTH, 3, LIGHT)))
-        assert measured is not None
-        assert measured.dots == 2
-        assert abs(measured.distance_mm - z_mm) < 2.5 * measured.sigma_mm
-        assert measured.sigma_mm < 15.0

@@ -125,32 +125,6 @@ def test_a_strong_bend_of_either_coordinate_in_either_direction_is_followed(
         np.testing.assert_allclose(row[place], value, atol=1e-3)
 
 
-@pytest.mark.parametrize("way", WAYS)
-@pytest.mark.parametrize(
-    ("pixel", "du", "dv"),
-    [
-        ((1, 20), -1, 0),
-        ((62, 20), 1, 0),
-        ((30, 1), 0, -1),
-        ((30, 46), 0, 1),
-    ],
-)
-def test_three_quarters_of_a_pixel_beyond_the_last_with_neighbours_there_is_still_a_match(
-    way: str, pixel: tuple[int, int], du: int, dv: int
-) -> None:
-    right = maps_of(straight)
-    right.inverse[:, :] = pixel[1] << 16 | pixel[0]
-    for away_px, found in ((0.3, True), (0.7, True), (0.8, False)):
-        u, v = pixel[0] + du * np.array([away_px]), pixel[1] + dv * np.array([away_px])
-        row = asked(right, straight, u, v, way)
-        assert row.matched == [found], away_px
-        if found:
-            assert (row[U][0], row[V][0]) == pytest.approx((u[0], v[0]), abs=1e-4)
-            assert row[MODULATION_RIGHT][0] == 0.5 * float(right.modulation_half_dn[pixel[1], pixel[0]])
-        if way != "one by one":
-            assert (row[U_START][0], row[V_START][0]) == pixel, "whose neighbours are in the image"
-
-
 @pytest.mark.parametrize(("axis", "sign"), [(0, -1), (1, 1)])
 @pytest.mark.parametrize(("off_px", "found"), [(0.7, True), (0.8, False)])
 def test_the_row_above_may_be_off_by_three_quarters_of_a_pixel(

@@ -13,7 +13,6 @@ from appliance.optics.epipolar import CurveError
 from appliance.reconstruct.one_direction import (
     NoPoint,
     OneDirectionError,
-    OneDirectionLimits,
     UncheckedPoints,
     match_along_curves,
 )
@@ -141,18 +140,6 @@ def test_expected_error_is_the_scatter_of_points() -> None:
         assert float(np.nanstd(ratio)) == pytest.approx(1.0, abs=0.03)
         assert abs(float(np.nanmean(ratio))) < 0.05
     assert np.isnan(found.sigma_mm[~found.mask]).all()
-
-
-def test_a_scattered_coordinate_makes_a_lonely_point_and_a_large_error_none() -> None:
-    bench = dense_walk.as_drawn()
-    (left, right), _ = level(bench)
-    left[100, 100] += 3.0
-    limits = OneDirectionLimits(max_sigma_mm=0.03)
-    found = match_along_curves(left, right, bench.rig, bench.index, DEPTHS_MM, limits=limits)
-    assert found.reason[100, 100] == NoPoint.LONELY
-    assert found.mask[102, 100]
-    assert not match_along_curves(left, right, bench.rig, bench.index, DEPTHS_MM, (0.2, 0.2), limits).mask.any()
-    assert match_along_curves(left, right, bench.rig, bench.index, DEPTHS_MM, (0.01, 0.01), limits).mask.any()
 
 
 def test_what_cannot_be_searched_is_refused_in_words() -> None:

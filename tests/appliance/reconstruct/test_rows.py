@@ -103,19 +103,6 @@ def assert_same(one: Rows, other: Rows) -> None:
         np.testing.assert_array_equal(a, b, err_msg=name)
 
 
-def test_the_points_of_a_plane_lie_on_it_each_at_its_pixel() -> None:
-    points, left = whole(), left_maps()
-    assert len(points.pixel) > 0.4 * WIDTH_PX * HEIGHT_PX, "as many as the right camera sees too"
-    assert (np.diff(points.pixel.astype(np.int64)) > 0).all()
-    v, u = np.divmod(points.pixel.astype(np.int64), WIDTH_PX)
-    exact = synthetic.plane_points(CAL.rig.left, NORMAL, float(NORMAL @ CENTRE_MM))[v, u]
-    # The lattice of rays is coarse for so few pixels.
-    assert np.abs(points.xyz_mm - exact).max() < 0.3
-    np.testing.assert_array_equal(points.intensity, left.bright[v, u])
-    assert set(points.modulation_half_dn.tolist()) == {160}
-    assert {0, HEIGHT_PX - 1} <= set(v.tolist()), "a point at the image's edge has five neighbours"
-
-
 @pytest.mark.parametrize("cut", [1, 13])
 def test_two_threads_find_what_one_finds_behind_what_is_there(cut: int) -> None:
     """A point at the seam has neighbours on the other side of it."""

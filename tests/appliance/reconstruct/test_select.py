@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from appliance.reconstruct.scratch import GAP, SIGMA, SIZE, X, Y, Z
-from appliance.reconstruct.select import PointLimits, Points, append, judge
+from appliance.reconstruct.select import PointLimits, append, judge
+from appliance.reconstruct.table import PointTable
 
 f = np.float32
 LIMITS = PointLimits(f(0.25), f(0.5), f(380.0), f(680.0), f(2.0), f(5.0))
@@ -68,7 +69,7 @@ def test_each_of_the_eight_neighbours_counts_once(which: tuple[int, int]) -> Non
 
 
 @pytest.mark.parametrize("stride", [1, 2, 3])
-@pytest.mark.parametrize(("seed", "n"), [(0, 61), (1, 63), (2, 64), (3, 61), (4, 63), (5, 150), (6, 150)])
+@pytest.mark.parametrize(("seed", "n"), [(0, 61), (2, 64), (3, 61), (6, 150)])
 def test_what_is_chosen_is_kept_whole_in_its_place(stride: int, seed: int, n: int) -> None:
     rng = np.random.default_rng(seed)
     before, first_pixel = 5, 4000
@@ -79,15 +80,8 @@ def test_what_is_chosen_is_kept_whole_in_its_place(stride: int, seed: int, n: in
     for place in (X, Y, Z, GAP, SIGMA):
         row[place : place + n] = rng.random(n).astype(np.float32)
     bright, half_dn = (rng.integers(0, 256, n * stride).astype(np.uint8) for _ in range(2))
-    room = before + n + 4
-    points = Points(
-        np.full((room, 3), -1, np.float32),
-        np.full(room, -1, np.float32),
-        np.full(room, -1, np.float32),
-        np.zeros(room, np.uint8),
-        np.zeros(room, np.uint32),
-        np.zeros(room, np.uint8),
-    )
+    points = PointTable(before + n + 4).points
+    points.gap_mm[:] = -1
     count = append.py_func(row, good, bright, half_dn, n, stride, first_pixel, points, before)
     chosen = np.flatnonzero(good[:n])
     assert count == before + len(chosen)

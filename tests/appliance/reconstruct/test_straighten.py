@@ -9,13 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.straighten import STRAIGHT, PhaseBend, measure_bend, take_out
-from appliance.scan.sides import SIDES
-from hw_sim.scene import Scene
 from tests.support.bias import rms
-from tests.support.rendered import render_scan
-from tests.support.truth import WATER, true_calibration
 
 Floats = NDArray[np.float64]
 
@@ -160,27 +155,3 @@ def test_what_is_taken_out_is_the_wave_itself_where_it_is_illuminated_and_noise_
     assert PhaseBend(small, 0.0).variance_factor(64) - 1.0 == pytest.approx(
         1.5 * (8 * np.pi / 64 * 0.05) ** 2, rel=1e-6
     )
-
-
-def test_where_motion_is_undone_the_maps_stay_as_they_were_decoded() -> None:
-    scan = render_scan(Scene("plane"), "modelled", 3, 160, 16)
-
-    def decode(pipeline: Pipeline) -> None:
-        for k in range(len(scan.sequence)):
-            for side in SIDES:
-                pipeline.push(side, scan.frames[side], k)
-        pipeline.coarse()
-
-    with Pipeline(true_calibration(scan.renderer.truth), WATER, scan.sequence) as pipeline:
-        decode(pipeline)
-        decoded = pipeline.decoded("left").p_px.copy()
-        pipeline.find_full(straightened=False)
-        np.testing.assert_array_equal(pipeline.decoded("left").p_px, decoded)
-        pipeline.find_full()
-        once = pipeline.decoded("left").p_px.copy()
-        assert (once != decoded).mean() > 0.3
-        assert pipeline.decoded("left").variance_factor > 1.0
-        pipeline.find_full()
-        np.testing.assert_array_equal(pipeline.decoded("left").p_px, once, "nothing is left to take out")
-        decode(pipeline)
-        assert pipeline.decoded("left").variance_factor == 1.0, "another scan"

@@ -1,169 +1,142 @@
-"""Backscatter that keeps the pattern's rows: its phasor is added to the object's, and taken out again where the two directions tell it.
-
-Frames are sums of phasors, written down here: a plane before the cameras of the drawing, and light of the water on each ray's way to it.
-"""
+"""What is read of the backscatter at a point, and how its fringes are taken out of the rows, from frames and phasors written down here."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from itertools import pairwise
 
-import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.calibration.health import HealthTrend, judge
-from appliance.calibration.patches import PatchGaps
-from appliance.optics.model import HousedCamera
-from appliance.patterns.sequence import Direction, Kind, Pattern, build_sequence
-from appliance.reconstruct.pipeline import Pipeline
-from appliance.reconstruct.table import Cloud
-from tests.support.synthetic import WATER, calibration, plane_points, projector
+from appliance.calibration.gaps import VeilGaps
+from appliance.patterns.sequence import Direction, build_sequence
+from appliance.reconstruct.veil import SideVeil, VeilFringes, looks_veiled, remove_veil, sample_side
 
-SEQUENCE = build_sequence(16)
-CALIBRATION = calibration()
-SIDES = {"left": CALIBRATION.rig.left, "right": CALIBRATION.rig.right}
-OWN_DN = 40.0
-COARSE = 10
-"""The water's light is added up on every tenth pixel and spread between: it is smooth."""
-NOISE_DN, KEPT = 0.7, 0.3
 Array = NDArray[np.float64]
 
+SEQUENCE = build_sequence(16)
+HEIGHT, WIDTH = 30, 40
+ROWS = (100.0, 9.0, 24.0, -3.0, 2.0, 4.0, 1.5, -2.0, 1.0, -1.2)
+STRENGTH = (20.0, -4.0, 3.0, 2.0, -1.5, 2.5)
 
-def plane() -> tuple[Array, float]:
-    normal = np.array([-0.12, 0.15, 1.0])
-    normal /= np.linalg.norm(normal)
-    return normal, float(normal @ CALIBRATION.rig.volume_centre_mm(WATER.index))
+
+def surface(coefficients: tuple[float, ...]) -> Array:
+    """Polynomial of the image place: x from −1 to 1 over the width, y to the same scale, each at a pixel."""
+    v, u = np.mgrid[0:HEIGHT, 0:WIDTH].astype(float)
+    x, y = 2.0 * u / WIDTH - 1.0, 2.0 * (v - HEIGHT / 2.0) / WIDTH
+    terms = [x**0, x, y, x**2, x * y, y**2, x**3, x**2 * y, x * y**2, y**3]
+    return np.asarray(sum(c * t for c, t in zip(coefficients, terms, strict=False)))
 
 
-class WaterBefore:
-    """The water on each ray's way to the plane, lit with inverse squares and 2 /m, on every tenth pixel."""
+def test_rows_of_a_sum_of_phasors_become_the_objects_where_they_can_be_told() -> None:
+    """Z = B e^{iφ} + A e^{iψ}: found is the phase of Z, wanted that of its first part."""
+    own, veil, strength = 40.0, surface(ROWS), surface(STRENGTH)
+    q_object = veil + 9.0 * np.sin(0.37 * np.arange(WIDTH)) + 0.2
+    turn = 2.0 * math.pi / 16.0
+    together = own * np.exp(1j * turn * q_object) + strength * np.exp(1j * turn * veil)
+    q = q_object + np.angle(together * np.exp(-1j * turn * q_object)) / turn
+    sine = strength * np.sin(turn * (veil - q)) / own
+    q_px, p_px = q.astype(np.float32), np.full(q.shape, 7.0, np.float32)
+    q_px[3, 5] = np.nan
+    mask, half_dn = np.zeros(q.shape, np.uint8), np.full(q.shape, round(2.0 * own), np.uint8)
+    half_dn[4, :] = 22  # a dark stripe of the object: the veil is as strong as 11 grey values of fringes there
+    dark_sine = sine[4] * own / 11.0
+    lost = remove_veil(SideVeil(ROWS, STRENGTH, 0.5), 16, q_px, p_px, half_dn, mask)
+    assert np.abs(q - q_object).max() > 0.8, "a veil that moves nothing proves nothing"
+    rows = np.arange(HEIGHT) != 4
+    rows[3] = False
+    assert np.abs(q_px - q_object)[rows].max() < 2e-3
+    # Where it is nearly as strong as the object's fringes, aside of them, both are told apart no more.
+    unsure = np.abs(dark_sine) > 0.9
+    assert 0 < unsure.sum() < WIDTH
+    assert lost == np.count_nonzero(mask) == unsure.sum()
+    np.testing.assert_array_equal(mask[4] == 4, unsure)
+    np.testing.assert_array_equal(np.isnan(q_px[4]), unsure)
+    np.testing.assert_array_equal(np.isnan(p_px[4]), unsure)
+    assert np.isnan(q_px[3, 5])
+    assert p_px[3, 5] == 7.0
 
-    def __init__(self, camera: HousedCamera, shown: HousedCamera) -> None:
-        h, w = camera.height_px, camera.width_px
-        v, u = np.mgrid[0:h:COARSE, 0:w:COARSE].astype(float)
-        origin, direction = camera.rays(np.stack([u, v], -1), WATER.index)
-        normal, offset = plane()
-        length = (offset - origin @ normal) / (direction @ normal)
-        along = np.append(np.linspace(0.02, 0.98, 49), 1.0)
-        nodes = origin[..., None, :] + (length[..., None] * along)[..., None] * direction[..., None, :]
-        pq = shown.project(nodes, WATER.index)
-        far = np.linalg.norm(nodes - np.asarray(shown.translation_mm), axis=-1)
-        lit = (pq[..., 0] > 0.0) & (pq[..., 0] < SEQUENCE.width_px)
-        self._weight = np.where(lit, np.exp(-0.002 * (far + length[..., None] * along)) / far**2, 0.0)[..., :-1]
-        self._pq, self._ends = np.nan_to_num(pq[..., :-1, :]), np.nan_to_num(pq[..., -1:, 1])
-        self._at = np.mgrid[:h, :w].astype(np.float32) / COARSE
 
-    def share(self, pattern: Pattern) -> Array:
-        """(h, w): of its light, that a pattern lets through."""
-        level = pattern.codes(None).astype(float) / 255.0
-        at = self._pq[..., 0 if pattern.direction is Direction.X else 1]
-        shown = np.interp(at, np.arange(level.size), level)
-        share = self._spread((self._weight * shown).sum(-1) / np.maximum(self._weight.sum(-1), 1e-300))
-        # Of stripes along the rows light that was scattered often keeps a third.
-        return share if pattern.direction is Direction.X else 0.5 + KEPT * (share - 0.5)
+def test_a_veil_is_nowhere_less_than_nothing() -> None:
+    """Its polynomial may be, at the edge: rows stay as they are there."""
+    q_px = np.full((HEIGHT, WIDTH), 95.0, np.float32)
+    strength = (0.0, 5.0, 0.0, 0.0, 0.0, 0.0)
+    remove_veil(
+        SideVeil((99.0,) + (0.0,) * 9, strength, 0.1), 16, q_px, q_px.copy(), np.full(q_px.shape, 80, np.uint8), np.zeros(q_px.shape, np.uint8)
+    )  # fmt: skip
+    assert (q_px[:, : WIDTH // 2] == 95.0).all()
+    # δ is a quarter of a turn: 5 of 40 at the right edge move it by asin(5/40) of 16 px in 2π; the last pixel is a 20th before.
+    assert q_px[7, -1] == pytest.approx(95.0 - 16.0 / (2.0 * math.pi) * math.asin(0.95 * 5.0 / 40.0), abs=1e-4)
 
-    def rows(self) -> NDArray[np.complex128]:
-        """(h, w): sum of e^{2πi q/P}, of length 1, against the plane's own: so it is smooth enough to be spread between."""
-        turned = (self._weight * np.exp(2j * math.pi / SEQUENCE.period_px * (self._pq[..., 1] - self._ends))).sum(-1)
-        turned /= np.maximum(np.abs(turned), 1e-300)
-        return np.asarray(self._spread(turned.real) + 1j * self._spread(turned.imag))
 
-    def _spread(self, coarse: Array) -> Array:
-        return np.asarray(
-            cv2.remap(coarse, self._at[1], self._at[0], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+def frames_of(p: Array, q: Array, columns_dn: float, rows_dn: float, backscatter_dn: float) -> NDArray[np.uint8]:
+    """Frames of fringes of such modulations, and of stripes before which the water has some light."""
+    frames = np.zeros((len(SEQUENCE), *p.shape))
+    for k, pattern in enumerate(SEQUENCE.patterns):
+        along = p if pattern.direction is Direction.X else q
+        level = (
+            pattern.codes(None).astype(float)[np.clip(np.rint(along), 0, None).astype(int) % SEQUENCE.width_px] / 255.0
         )
+        # Of stripes the water shows half everywhere.
+        frames[k] = np.where(level > 0.5, 180.0 - backscatter_dn / 2.0, 5.0 + backscatter_dn / 2.0)
+    for direction, along, dn in ((Direction.X, p, columns_dn), (Direction.Y, q, rows_dn)):
+        angle = 2.0 * math.pi * along / 16.0
+        for step, k in enumerate(SEQUENCE.axis(direction).sine):
+            frames[k] = 90.0 + dn * np.cos(angle + step * math.pi / 2.0)
+    frames[SEQUENCE.bright], frames[SEQUENCE.dark] = 180.0, 5.0
+    return np.rint(frames).astype(np.uint8)
 
 
-@dataclass(frozen=True)
-class Scan:
-    cloud: Cloud
-    gaps: PatchGaps
-    off_px: dict[str, Array]
-    """Decoded row less true one, (n,)."""
-    moved_px: dict[str, Array]
-    """What the veil does to the rows where it is left in, (h, w)."""
+def maps() -> tuple[Array, Array]:
+    """Columns that pass by 3 px per pixel, rows by 2: both of several stripes."""
+    v, u = np.mgrid[0:HEIGHT, 0:WIDTH].astype(float)
+    return 200.0 + 3.0 * u, 60.0 + 2.0 * v
 
 
-def scanned(of_object: float, backscatter: float, seed: int = 10_001) -> Scan:
-    """Scan the plane with a veil of ``of_object`` of its fringes and ``backscatter`` of its light."""
-    rng = np.random.default_rng(seed)
-    shown = projector(CALIBRATION)
-    true, moved = {}, {}
-    with Pipeline(CALIBRATION, WATER, SEQUENCE) as pipeline:
-        for side, camera in SIDES.items():
-            points = plane_points(camera, *plane())
-            pq = shown.project(points, WATER.index)
-            inside = np.all((pq > 1.0) & (pq < [SEQUENCE.width_px - 2.0, SEQUENCE.height_px - 2.0]), axis=-1)
-            true[side] = np.where(inside, pq[..., 1], np.nan)
-            phase = np.exp(2j * math.pi / SEQUENCE.period_px * (np.nan_to_num(pq[..., 1]) + 0.5))
-            water = WaterBefore(camera, shown)
-            veil = of_object * OWN_DN * water.rows() * phase
-            own = np.where(inside, OWN_DN, 0.0)
-            moved[side] = np.angle(1.0 + of_object * water.rows()) * SEQUENCE.period_px / (2.0 * math.pi)
-            light = 2.0 * backscatter * OWN_DN
-            frames = []
-            for pattern in SEQUENCE.patterns:
-                at = pq[..., 0 if pattern.direction is Direction.X else 1]
-                match pattern.kind:
-                    case Kind.BRIGHT:
-                        image = 2.0 * own + light
-                    case Kind.DARK:
-                        image = np.zeros_like(own)
-                    case Kind.GRAY:
-                        lit = pattern.codes(None) > 0
-                        place = np.clip(np.nan_to_num(np.rint(at)), 0, lit.size - 1).astype(int)
-                        image = 2.0 * own * lit[place] + water.share(pattern) * light
-                    case Kind.SINE:
-                        turn = np.exp(
-                            1j * (2.0 * math.pi / SEQUENCE.period_px * (at + 0.5) + 0.5 * math.pi * pattern.index)
-                        )
-                        image = own * (1.0 + np.nan_to_num(turn.real)) + 0.5 * light
-                        if pattern.direction is Direction.Y:
-                            image += (veil * np.exp(0.5j * math.pi * pattern.index)).real
-                frames.append(np.clip(np.rint(10.0 + image + rng.normal(0.0, NOISE_DN, own.shape)), 0, 255))
-            stack = np.stack(frames).astype(np.uint8)
-            for k in range(len(SEQUENCE)):
-                pipeline.push(side, stack, k)
-        pipeline.coarse()
-        cloud = pipeline.full()
-        off = {side: (pipeline.decoded(side).q_px.astype(np.float64) - true[side]).ravel() for side in SIDES}
-    assert cloud.gaps is not None
-    return Scan(cloud, cloud.gaps, {side: one[np.isfinite(one)] for side, one in off.items()}, moved)
+def test_a_point_shows_both_modulations_its_row_and_the_backscatter_in_the_middle_of_stripes() -> None:
+    p, q = maps()
+    frames = frames_of(p, q, 50.0, 30.0, 24.0)
+    v, u = (a.ravel() for a in np.mgrid[1 : HEIGHT - 1, 1 : WIDTH - 1])
+    uv = np.stack([u + 0.3, v - 0.4], 1)
+    found = sample_side(SEQUENCE, frames, p.astype(np.float32), q.astype(np.float32), uv)
+    assert found.place == pytest.approx(np.stack([u / 20.0 - 1.0, (v - 15.0) / 20.0], 1))
+    assert found.own_dn == pytest.approx(50.0, abs=0.8)
+    # A pixel of a tenth of a square px blurs fringes by exp(−2π² s |∇|²/P²): columns here by 9, rows by 4.
+    even = math.exp(-2.0 * math.pi**2 * 0.1 * (9.0 - 4.0) / 256.0)
+    assert found.both_dn / even == pytest.approx(30.0, abs=0.8)
+    assert found.row_px == pytest.approx(q[v, u])
+    # Within 0.15 widths of the middle of stripes that are 32 or 64 px wide, as the patterns have them.
+    near = np.zeros(len(u), bool)
+    for k in SEQUENCE.axis(Direction.X).gray:
+        level = SEQUENCE.patterns[k].codes(None).astype(float)
+        ends = np.flatnonzero(np.diff(level)) + 1
+        for first, end in pairwise(ends.tolist()):
+            if end - first in (32, 64):
+                near |= np.abs(p[v, u] - (first + end - 1) / 2.0) < 0.15 * (end - first)
+    known = np.isfinite(found.backscatter_dn)
+    np.testing.assert_array_equal(known, near)
+    assert 0.2 < known.mean() < 0.8
+    assert found.backscatter_dn[known] == pytest.approx(24.0, abs=1.0)
 
 
-@pytest.fixture(scope="module")
-def clear() -> Scan:
-    return scanned(0.0, 0.0)
+def test_water_that_is_as_bright_as_the_object_looks_veiled_and_clear_water_does_not() -> None:
+    p, q = (np.repeat(np.repeat(one, 2, 0), 2, 1) for one in maps())
+    # Its fringes are supposed to be a fortieth of it, and count from two thousandths of the object's on: of 80 DN from 6.4 on.
+    for backscatter_dn, veiled in ((0.0, False), (4.0, False), (8.0, True), (100.0, True)):
+        frames = frames_of(p, q, 80.0, 80.0, backscatter_dn)
+        assert looks_veiled(SEQUENCE, frames, p.astype(np.float32), q.astype(np.float32)) == veiled
+    few = np.full_like(p, np.nan)
+    few[:4, :4] = p[:4, :4]
+    assert not looks_veiled(SEQUENCE, frames, few.astype(np.float32), q.astype(np.float32)), "a handful tells nothing"
 
 
-@pytest.fixture(scope="module")
-def milk() -> Scan:
-    return scanned(0.35, 1.5)
+def veil(left: float, right: float, gap_um: Array, doubts_um: Array, shape_um: Array) -> VeilFringes:
+    sides = {side: SideVeil((0.0,) * 10, (0.0,) * 6, share) for side, share in (("left", left), ("right", right))}
+    return VeilFringes(sides, VeilGaps(np.zeros((len(gap_um), 2)), gap_um, doubts_um, shape_um))
 
 
-def rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))
-
-
-def test_a_third_of_the_objects_fringes_is_taken_out_of_the_rows(clear: Scan, milk: Scan) -> None:
-    for side in SIDES:
-        noise_px = rms(clear.off_px[side])
-        assert rms(milk.moved_px[side]) > 0.25, "left in, it counts"
-        assert rms(milk.off_px[side]) < math.hypot(noise_px, 0.3 * rms(milk.moved_px[side]))
-    assert len(milk.cloud.pixel) > 0.98 * len(clear.cloud.pixel)
-
-
-def test_gaps_in_milk_are_those_of_clear_water_within_what_is_not_known(milk: Scan) -> None:
-    assert milk.gaps.doubts_um is not None
-    assert milk.gaps.shape_um is not None
-    doubt = np.sqrt(np.sum(milk.gaps.doubts_um**2, axis=1) + milk.gaps.shape_um**2)
-    assert rms(milk.gaps.gap_um / doubt) < 1.0
-    _, said = judge(HealthTrend(), milk.gaps)
-    assert said.point is None
-    assert "backscatter" in said.text
-
-
-def test_clear_water_is_not_asked(clear: Scan) -> None:
-    assert clear.gaps.veil_um is None
+def test_six_hundredths_of_the_objects_fringes_in_either_camera_are_worth_removing() -> None:
+    nothing = np.zeros(1)
+    for left, right, worth in ((0.059, 0.0, False), (0.061, 0.0, True), (0.0, 0.061, True), (0.06, 0.06, False)):
+        assert veil(left, right, nothing, np.zeros((1, 2)), nothing).removable == worth

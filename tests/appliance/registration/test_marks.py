@@ -110,20 +110,6 @@ def test_ten_marks_that_agree_within_a_millimetre_give_a_pose(count: int, off_mm
         assert guesses[0].support == count or off_mm
 
 
-def test_marks_at_one_place_are_one_witness_and_small_triangles_tell_no_turn() -> None:
-    a, b = seen_by_both(10)
-    for features in (a, b):
-        features.points_mm[1] = features.points_mm[0]
-    assert guess_by_features(a, b) == []
-    for scale, found in ((0.02, False), (1.0, True)):
-        points = scale * np.random.default_rng(3).uniform(-80.0, 80.0, (30, 3)) + np.array([0.0, 0.0, 540.0])
-        of_b = ASIDE.inverse.of(points)
-        assert (
-            bool(guess_by_features(Features(points, looks(30), np.ones(30)), Features(of_b, looks(30), np.ones(30))))
-            is found
-        )
-
-
 @pytest.mark.parametrize(("off_mm", "count"), [(0.75, 12), (0.85, 0)])
 def test_marks_are_in_common_where_the_pose_lays_them_within_eight_tenths(off_mm: float, count: int) -> None:
     a, b = seen_by_both(12)

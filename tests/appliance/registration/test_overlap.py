@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from functools import cache
 
-import cv2
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
@@ -102,29 +101,6 @@ def test_marks_along_a_line_hold_no_pose_and_give_no_number(beside_mm: float, to
     at = np.column_stack([np.linspace(-90.0, 90.0, 16), rng.uniform(-beside_mm, beside_mm, 16), np.full(16, 525.0)])
     share = said(plane_with_marks(at), plane_with_marks(at + rng.normal(size=at.shape) * 0.1)).share
     assert share == pytest.approx(1.0, abs=WITHIN) if told else share is None
-
-
-def test_noise_and_what_drifts_by_are_no_marks() -> None:
-    """A picture full of what is not there again would say that nothing is in common."""
-    rng = np.random.default_rng(5)
-    made = coarse("main", "none", main_at(290.0), 1)
-    # Blurred noise: as many features as paint has, in each picture others.
-    noise = [
-        np.clip(60.0 + 300.0 * cv2.GaussianBlur(rng.normal(size=made.pictures[0].shape), (0, 0), 2.0), 0, 255).astype(
-            np.uint8
-        )
-        for _ in range(4)
-    ]
-    drifting = [
-        CoarseView(made.points_mm, made.sigma_mm, made.stride_px, (noise[k], noise[k + 1]), made.reduced, PROJECTION)
-        for k in (0, 2)
-    ]
-    assert said(*drifting).share is None
-    still = [
-        CoarseView(made.points_mm, made.sigma_mm, made.stride_px, (noise[k], noise[k]), made.reduced, PROJECTION)
-        for k in (0, 2)
-    ]
-    assert said(*still).none, "marks that stay do tell"
 
 
 def looks(*cosines: float) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:

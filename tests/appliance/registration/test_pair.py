@@ -70,13 +70,6 @@ def test_what_slides_is_refused_though_its_planes_fit_as_well_as_any() -> None:
     assert abs(loose @ axis) > 0.95 * np.linalg.norm(loose) > 0.4
 
 
-@pytest.mark.parametrize(("name", "poses", "holds"), [("plane", PLANE, False), ("shell", SHELL, True)])
-def test_a_scan_tells_by_itself_whether_its_shape_holds_it(
-    name: str, poses: tuple[tuple[float, ...], tuple[float, ...]], holds: bool
-) -> None:
-    assert seen(name, "none", poses)[0].ready().holds is holds
-
-
 def motions(*of: tuple[float, ...]) -> tuple[np.ndarray[tuple[int, ...], np.dtype[np.float64]], ...]:
     """All directions of motion, of which those of ``of`` (ω mm, τ mm) are loose, mixed and in the middle, with how each is held."""
     loose = np.linalg.qr(np.array(of).T)[0] @ np.linalg.qr(np.random.default_rng(1).normal(size=(len(of), len(of))))[0]

@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.spatial import cKDTree
 
 from appliance.surface.fusion import FusedCloud, PlacedScan, _Surface, fuse, with_places
 from appliance.surface.surfels import PointsOfScan
-from tests.support.solids import Ball, Box, Pose, around, looking, seen
+from tests.support.solids import Ball, Box, Pose, looking, seen
 
 BALL = Ball((0.0, 0.0, 0.0), 30.0)
 
@@ -30,17 +29,6 @@ def placed(
     return PlacedScan(cloud, pose.rotation, pose.translation_mm, pose_sigma_mm)
 
 
-def stacked(cloud: FusedCloud, within_mm: float) -> int:
-    """Pairs of points that face the same way and lie on top of each other: nearer across the surface than ``within_mm``."""
-    pairs = cKDTree(cloud.points_mm).query_pairs(3 * within_mm, output_type="ndarray")
-    one, other = pairs[:, 0], pairs[:, 1]
-    way = cloud.points_mm[one] - cloud.points_mm[other]
-    along = np.einsum("nk,nk->n", way, cloud.normals[one])
-    across = np.sqrt(np.maximum(np.einsum("nk,nk->n", way, way) - along**2, 0.0))
-    facing = np.einsum("nk,nk->n", cloud.normals[one], cloud.normals[other]) > 0.5
-    return int(np.count_nonzero(facing & (across < within_mm)))
-
-
 def test_the_more_scans_saw_a_point_the_better_it_is_and_sigma_says_so() -> None:
     # Ten scans from one place: every point is seen ten times, by about one pixel of each scan.
     pose = looking((0.0, 0.0, 500.0))
@@ -54,23 +42,6 @@ def test_the_more_scans_saw_a_point_the_better_it_is_and_sigma_says_so() -> None
         assert abs(error.mean()) < 0.1, "a bent surface is not moved inwards"
     assert np.median(one.sigma_mm) / np.median(ten.sigma_mm) == pytest.approx(np.sqrt(10.0), rel=0.02)
     assert np.median(ten.views) == 10
-
-
-def test_poses_that_are_some_hundredths_off_leave_one_skin() -> None:
-    rng = np.random.default_rng(7)
-    poses = around(8, 500.0)
-    scans = [
-        PlacedScan(seen([BALL], pose, k), pose.rotation, pose.moved(rng.normal(0.0, 0.03, 3)).translation_mm, 0.03)
-        for k, pose in enumerate(poses)
-    ]
-    cloud = fuse(scans, spacing_mm=0.25)
-    assert stacked(cloud, 0.2) <= 1e-4 * len(cloud.grey)
-    error = BALL.off(cloud.points_mm.astype(float)) / cloud.sigma_mm
-    assert np.sqrt(np.mean(error**2)) < 1.2, "sigma knows of the poses"
-    # Were they taken for exact, there would be two skins in places: the limit does something.
-    assert stacked(fuse([replace(scan, pose_sigma_mm=0.0) for scan in scans], spacing_mm=0.25), 0.2) > 0.001 * len(
-        cloud.grey
-    )
 
 
 @pytest.mark.parametrize("thickness_mm", [0.05, 0.5])

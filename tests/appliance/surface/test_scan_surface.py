@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -144,15 +142,3 @@ def test_faces_look_at_the_camera_and_every_inner_edge_has_two() -> None:
     assert 200 < border < 2 * np.pi * 8.66 / PITCH_MM * 1.42
     # Euler's number of a disc is 1.
     assert n - (len(directed) + border) // 2 + len(mesh.faces) == 1
-
-
-def test_a_hole_stays_open_and_corners_give_one_triangle() -> None:
-    cloud = stairs(0.0)
-    points = cloud.points_mm.copy()
-    points[20:30, 20:30] = np.nan
-    points[50, 50] = np.nan
-    mesh = mesh_of_scan(replace(cloud, points_mm=points))
-    # A missing block of 10 x 10 takes its 11 x 11 cells, but for one triangle of each of the four at its corners; a missing
-    # pixel leaves one triangle of each of its four cells.
-    assert len(mesh.faces) == 2 * (79 * 59 - 121 - 4) + 4 + 4
-    assert np.isfinite(mesh.vertices_mm).all()
