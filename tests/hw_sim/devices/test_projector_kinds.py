@@ -77,7 +77,7 @@ def test_one_white_picture_among_black_ones_is_seen_so_many_blanks_late(
 def test_windows_of_light_are_where_the_truth_says(make_bench: MakeBench) -> None:
     rig = Rig(make_bench, {"kind": "video", "latency_blanks": 0, "late_us": 400.0})
     (white,) = rig.draw(colour(0, 255, 0))
-    delays_us = range(0, 16_000, 1600)
+    delays_us = range(0, 16_000, 3200)
     expected_us = np.array([rig.truth.light_of_codes(delay_us, 1000.0, "G")[255] for delay_us in delays_us])
     seen = np.array([rig.light([white] * 2, delay_us, 1000)[1] for delay_us in delays_us])
     assert np.ptp(expected_us) > 900.0, "light and dark"
@@ -87,7 +87,7 @@ def test_windows_of_light_are_where_the_truth_says(make_bench: MakeBench) -> Non
 
 def test_whole_sub_frames_are_linear_in_the_code_and_parts_are_not(make_bench: MakeBench) -> None:
     rig = Rig(make_bench, "pattern")
-    codes = np.array([0, 32, 63, 64, 127, 128, 191, 192, 255])
+    codes = np.array([0, 63, 64, 127, 128, 255])
     # Each picture stays for two blanks: the second image is its own, with latency 1.
     twice = [index for index in rig.draw(*(grey(int(code)) for code in codes)) for _ in range(2)]
     delay_us = round(rig.truth.windows_us[0].begin_us)
@@ -109,7 +109,6 @@ def test_a_mirrored_picture_lights_the_other_side(make_bench: MakeBench) -> None
         left, top = rig.see(rig.draw(halves, corner), 500, 4000)
         return float(left[:, :96].mean() - left[:, 96:].mean()), float(top[:64].mean() - top[64:].mean())
 
-    usual, mirrored, down = sides("ideal"), sides({"mirrored": True}), sides({"upside_down": True})
+    usual, mirrored = sides("ideal"), sides({"mirrored": True})
     assert min(map(abs, usual)) > 10.0
     assert mirrored[0] * usual[0] < 0.0 < mirrored[1] * usual[1]
-    assert down[1] * usual[1] < 0.0 < down[0] * usual[0]

@@ -14,7 +14,7 @@ from hw_sim.water.medium import Water
 from tests.hw_sim.pictures import FACING, renderer, shot
 
 
-def light_of_beam(scene: Scene, exposure_s: float = 0.001, side: str = "left", width_px: int = 1600) -> np.ndarray:
+def light_of_beam(scene: Scene, exposure_s: float = 0.001, side: str = "left", width_px: int = 800) -> np.ndarray:
     """What the left pointer adds to the picture; the exposure is short, so that nothing saturates."""
     r = renderer(scene, width_px)
     on, off = (shot(r, 0, exposure_s, side=side, gain_db=12.0, lasers=(lit, False)) for lit in (True, False))
@@ -29,11 +29,11 @@ def beam(width_px: int) -> tuple[TrueRig, np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("side", ["left", "right"])
 def test_both_cameras_see_the_dot_where_the_refracted_beam_ends(side: str) -> None:
     dot = light_of_beam(FACING, side=side)
-    truth, origin, direction = beam(1600)
+    truth, origin, direction = beam(800)
     met = origin + direction * (522.5 - origin[2]) / direction[2]
     np.testing.assert_allclose(met, (-20.0, 0.0, 522.5), atol=1e-9)
     (u, v), weight = project(truth, side, met[None])[0], np.where(dot > 0.3 * dot.max(), dot, 0.0)
-    vv, uu = np.mgrid[0:1200, 0:1600]
+    vv, uu = np.mgrid[0:600, 0:800]
     assert (weight * uu).sum() / weight.sum() == pytest.approx(u, abs=0.2)
     assert (weight * vv).sum() / weight.sum() == pytest.approx(v, abs=0.2)
 
@@ -43,7 +43,7 @@ def test_an_edge_that_cuts_a_beam_gets_its_share_of_the_light_even_where_the_axi
     """Of a Gaussian of 0.9 mm, on a bar of 10 mm: the middle of the beam passes its edge ``beside_mm`` outside."""
     bar = replace(FACING, object="ballbar", water=Water(backscatter=0.0))
     whole, cut = (
-        light_of_beam(replace(bar, pose=(0.0, y_mm, 522.5, 0.0, 0.0, 0.0)), 0.0005, width_px=800).sum()
+        light_of_beam(replace(bar, pose=(0.0, y_mm, 522.5, 0.0, 0.0, 0.0)), 0.0005).sum()
         for y_mm in (0.0, 5.0 + beside_mm)
     )
     assert cut / whole == pytest.approx(0.5 * math.erfc(beside_mm / 0.9 / math.sqrt(2.0)), abs=0.06)

@@ -36,7 +36,7 @@ def rays_at(name: str, count: int, seed: int) -> np.ndarray:
 
 @pytest.mark.parametrize("name", list(NAMES))
 def test_marching_finds_the_first_surface_that_small_steps_find(name: str) -> None:
-    rays = rays_at(name, 400, 8)
+    rays = rays_at(name, 150, 8)
     found = np.empty(len(rays))
     march_all(NAMES[name], SIZES, rays, found)
     at = np.arange(300.0, 720.0, 0.05)
@@ -50,7 +50,7 @@ def test_marching_finds_the_first_surface_that_small_steps_find(name: str) -> No
             hits += 1
         elif not np.isnan(distance):
             thin += 1
-    assert hits > 60
+    assert hits > 20
     assert thin <= 3
 
 

@@ -97,8 +97,8 @@ def modulation(r: Renderer, period_px: float, exposure_s: float = 0.012) -> NDAr
 
 def test_a_good_exposure_gives_the_levels_the_noise_figure_assumes() -> None:
     """12 ms, 0 dB: 200 DN from an albedo of 0.6 facing the rig; 80 DN of modulation on things as they come."""
-    assert np.median(middle(shot(renderer(FACING, 800), 247))) == pytest.approx(198, abs=8)
-    pipe = renderer(Scene(noise=False), 800)
+    assert np.median(middle(shot(renderer(FACING), 247))) == pytest.approx(198, abs=8)
+    pipe = renderer(Scene(noise=False))
     assert np.median(modulation(pipe, 16.0)[pipe.view("left", 0.0).seen_by_all]) == pytest.approx(80, abs=10)
 
 
@@ -108,7 +108,7 @@ def test_fringes_are_softer_away_from_the_projectors_focus_if_it_has_one(
 ) -> None:
     contrast = {}
     for z_mm in (462.5, 522.5, 582.5):
-        r = at_depth(z_mm, 800, imaging=Imaging("linear", projector_defocus=focused))
+        r = at_depth(z_mm, imaging=Imaging("linear", projector_defocus=focused))
         contrast[z_mm] = np.median(middle(modulation(r, 8.0, 0.004)) / middle(shot(r, 247, 0.004)))
     assert least < contrast[462.5] / contrast[522.5] < most
     assert least < contrast[582.5] / contrast[522.5] < most

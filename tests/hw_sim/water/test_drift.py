@@ -57,8 +57,8 @@ def centroid(image: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize(
     "place", [(10.0, -20.0, 500.0), (-40.0, 30.0, 420.0), (25.0, 10.0, 250.0), (-60.0, 0.0, 150.0)]
 )
-@pytest.mark.parametrize("radius_mm", [0.05, 0.5])
-def test_a_speck_is_seen_where_exact_optics_put_it(camera: str, place: tuple[float, ...], radius_mm: float) -> None:
+def test_a_speck_is_seen_where_exact_optics_put_it(camera: str, place: tuple[float, ...]) -> None:
+    radius_mm = 0.05
     exact = project(TRUTH, camera, np.array([place]))[0]
     seen = drawn(camera, np.array([place]), radius_mm)[0]
     if not (5 < exact[0] < 395 and 5 < exact[1] < 295):

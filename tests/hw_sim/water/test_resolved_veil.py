@@ -66,7 +66,7 @@ def test_fringes_survive_scattering_as_drawn_photons_carry_them() -> None:
     np.testing.assert_allclose(particles.survival(waves), drawn, atol=0.006)
 
 
-@pytest.mark.parametrize(("u_px", "v_px"), [(60, 40), (101, 73), (150, 120)])
+@pytest.mark.parametrize(("u_px", "v_px"), [(60, 40), (150, 120)])
 def test_the_veil_is_the_integral_along_the_ray(u_px: int, v_px: int) -> None:
     per_m, end_mm, particles = 1.0, 520.0, Particles(0.0, 1.07, 3.5)
     seen = veil(particles, per_m)
