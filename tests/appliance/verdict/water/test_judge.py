@@ -12,7 +12,7 @@ from appliance.reconstruct.images import ScanImages
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.scan.fault import FaultCode
 from appliance.verdict.water.backscatter import Cells
-from appliance.verdict.water.beam import FAR_MM, GatheredLight, _beam, gather, shape_of_glow
+from appliance.verdict.water.beam import FAR_MM, GatheredLight, _beam, gather, half_field, shape_of_glow
 from appliance.verdict.water.judge import WaterJudgement, halo_share, judge_water
 from hw_sim.scene import Scene
 from hw_sim.water.medium import Water
@@ -210,6 +210,14 @@ def surface(per_m: float, mean_dn: float, depth_mm: float) -> NDArray[np.float64
     at = gathered(depth_mm)
     light = at.falls * np.exp(-per_m * at.ends_m)
     return np.asarray(mean_dn * light / light.mean())
+
+
+def test_the_beam_is_as_wide_and_as_high_as_what_the_left_camera_sees() -> None:
+    camera = RIG.left
+    u, v = (camera.width_px - 1) / 2.0, (camera.height_px - 1) / 2.0
+    _, way = camera.rays(np.array([[u, v], [0.0, v], [u, 0.0]]), INDEX)
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    assert half_field(camera, INDEX) == pytest.approx(np.tan(np.arccos(way[1:] @ way[0])), rel=0.01)
 
 
 @pytest.mark.parametrize("per_m", [0.5, 1.5, 2.5, 4.0])
