@@ -85,6 +85,8 @@ def test_a_damaged_archive_is_told_with_the_frame_and_without_the_codec_what_to_
     said = desk("archive", "verify", tmp_path / "archive")
     assert (said.code, "000003  DAMAGED: frames_right.npy" in said.out) == (4, True)
     assert "gray-x-0" in desk("scans", "verify", "--root", tmp_path / "archive").out
+    assert desk("archive", "pack", root, "--out", tmp_path / "archive", "--remove").code == 1
+    assert [path.name for path in (root / "scans").iterdir()] == ["000003"], "only what has a good copy is removed"
     again = desk("archive", "unpack", tmp_path / "archive", "--out", tmp_path / "back")
     assert (again.code, "2 written, 0 already there, 1 failed" in again.out) == (1, True)
     monkeypatch.setitem(sys.modules, "imagecodecs", None)
