@@ -67,19 +67,3 @@ def test_from_a_source_tree_it_is_the_tree_itself(tree: Path, python: Path, tmp_
     assert early == "False", "nothing that computes is loaded before it is asked for"
     assert package == tree / "appliance/python/kingfisher/__init__.py"
     assert program == tree / "appliance/__init__.py"
-
-
-@pytest.mark.long
-def test_from_a_wheel_it_lies_beside_the_program(tree: Path, python: Path, tmp_path: Path) -> None:
-    said(
-        sys.executable, "-m", "pip", "--disable-pip-version-check", "wheel", "--no-deps", "--no-index", "--no-build-isolation",
-        "-w", tmp_path / "wheels", tree, cwd=tmp_path,
-    )  # fmt: skip
-    (wheel,) = (tmp_path / "wheels").glob("kingfisher_3d-*.whl")
-    shutil.rmtree(tree)
-    early, package, program = installed(python, tmp_path, wheel)
-    assert early == "False"
-    assert (package.parent / "py.typed").exists()
-    assert package.parent.parent == program.parent.parent
-    assert package.parent.parent.is_relative_to(python.parents[1])
-    assert not (program.parent / "python").exists(), "once, not twice"

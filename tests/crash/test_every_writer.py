@@ -39,7 +39,7 @@ from kingfisher_setup import durable, versions
 from kingfisher_transfer import serving
 from tests.appliance.offline.pull.instrument import instrument, pulled
 from tests.appliance.storage.scenes import ORIGIN, PREVIEW, cloud, frames, record
-from tests.support.power_loss import judge
+from tests.support.power_loss import Seen, judge
 from tests.support.solids import Ball, looking, seen
 from tests.systemd.installation import make
 
@@ -47,7 +47,8 @@ FS = LocalFileSystem()
 ROOT = Path(__file__).parents[2]
 SCANS = (LibraryFolder.SCANS,)
 ABOUT = About("scan 000007", CAMERA_FRAME, ())
-Work = Callable[[], object]
+Writing = Iterator[None]
+"""What lies there before, up to the yield; then the work, in whose middle the power goes."""
 
 
 # ------------------------------------------------------------------------------------- the writers, and what they write
@@ -62,158 +63,139 @@ def scan_on(root: Path, number: str = "000001") -> Path:
     return folder
 
 
-def files(root: Path) -> Work:
+def files(root: Path) -> Writing:
     (root / "old").write_bytes(b"of before")
-    library: Callable[[Path], object] = lambda path: path.write_bytes(b"by a library")  # noqa: E731
 
-    def work() -> None:
-        replace_file(FS, root / "old", b"new")
-        make_folders(FS, root / "a" / "b")
-        replace_file(FS, root / "a" / "b" / "new", b"one", b"two")
-        add_beside(FS, root / "old", b"other")
-        add_beside(FS, root / "c" / "old", b"other")
-        replace_by(FS, root / "old", library)  # type: ignore[arg-type]
+    def library(path: Path) -> None:
+        path.write_bytes(b"by a library")
 
-    return work
-
-
-def results(root: Path) -> Work:
-    def work() -> None:
-        made = Results.of(root / "out", {"program": "1"})
-        made.publish_failure("000001-a", {"scan": "000001", "folder": "/x", "state": "failed"})
-        made.publish("000002-a", {"scan": "000002", "folder": "/y", "state": "done"}, (b"points", b"!"))
-        made.write_table([])
-
-    return work
+    yield
+    replace_file(FS, root / "old", b"new")
+    make_folders(FS, root / "a" / "b")
+    replace_file(FS, root / "a" / "b" / "new", b"one", b"two")
+    add_beside(FS, root / "old", b"other")
+    add_beside(FS, root / "c" / "old", b"other")
+    replace_by(FS, root / "old", library)
 
 
-def packed(root: Path) -> Work:
+def results(root: Path) -> Writing:
+    yield
+    made = Results.of(root / "out", {"program": "1"})
+    made.publish_failure("000001-a", {"scan": "000001", "folder": "/x", "state": "failed"})
+    made.publish("000002-a", {"scan": "000002", "folder": "/y", "state": "done"}, (b"points", b"!"))
+    made.write_table([])
+
+
+def packed(root: Path) -> Writing:
     source = scan_on(root / "source")
     (root / "source" / "calibration").mkdir()
     (root / "source" / "calibration" / "current.json").write_text("{}")
-
-    def work() -> None:
-        archive.make_shelves(FS, root / "archive", SCANS)
-        archive.copy_beside(FS, root / "source", root / "archive")
-        target = root / "archive" / "scans" / "000001"
-        archive.pack_scan(FS, source, target)
-        archive.remove_source(FS, source, target)
-        archive.make_shelves(FS, root / "back", SCANS)
-        archive.unpack_scan(FS, target, root / "back" / "scans" / "000001")
-
-    return work
+    yield
+    archive.make_shelves(FS, root / "archive", SCANS)
+    archive.copy_beside(FS, root / "source", root / "archive")
+    target = root / "archive" / "scans" / "000001"
+    archive.pack_scan(FS, source, target)
+    archive.remove_source(FS, source, target)
+    archive.make_shelves(FS, root / "back", SCANS)
+    archive.unpack_scan(FS, target, root / "back" / "scans" / "000001")
 
 
-def pulling(root: Path) -> Work:
+def pulling(root: Path) -> Writing:
     there = instrument(root / ".disk")
-
-    def work() -> None:
-        make_folders(FS, root / "desk")  # as the verb does it
-        pulled(FolderSource(there), root / "desk")
-
-    return work
+    yield
+    make_folders(FS, root / "desk")  # as the verb does it
+    pulled(FolderSource(there), root / "desk")
 
 
-def incomplete_recording(root: Path) -> Work:
+def incomplete_recording(root: Path) -> Writing:
     (root / "data").mkdir()
     first = {side: one[:2] for side, one in frames().items()}
-    return lambda: incomplete.keep(FS, root / "data", first, record(), ORIGIN, "the board fell silent", 0)
+    yield
+    incomplete.keep(FS, root / "data", first, record(), ORIGIN, "the board fell silent", 0)
 
 
-def imported(root: Path) -> Work:
-    return lambda: publish_import(root / "foreign", frames(), record(), ORIGIN)
+def imported(root: Path) -> Writing:
+    yield
+    publish_import(root / "foreign", frames(), record(), ORIGIN)
 
 
-def views(root: Path) -> Work:
+def views(root: Path) -> Writing:
     picture = np.zeros((4, 6), np.uint8)
-
-    def work() -> None:
-        folder = ViewFolder(root / "views", "KF-1", BoardDesign())
-        folder.save(folder.next_name(), picture, picture)
-
-    return work
+    yield
+    folder = ViewFolder(root / "views", "KF-1", BoardDesign())
+    folder.save(folder.next_name(), picture, picture)
 
 
-def scans_and_labels(root: Path) -> Work:
-    def work() -> None:
-        library = Library(root / "data")
-        library.prepare()
-        scan = library.begin(frames(), record(), ORIGIN)
-        scan.publish(record(), cloud(), PREVIEW)
-        labels.write(FS, root / "data" / "scans" / scan.scan_id, labels.Label("bollard 3"))
-
-    return work
+def scans_and_labels(root: Path) -> Writing:
+    yield
+    library = Library(root / "data")
+    library.prepare()
+    scan = library.begin(frames(), record(), ORIGIN)
+    scan.publish(record(), cloud(), PREVIEW)
+    labels.write(FS, root / "data" / "scans" / scan.scan_id, labels.Label("bollard 3"))
 
 
-def calibrations(root: Path) -> Work:
-    def work() -> None:
-        kept = Calibrations(root / "data", "KF-1")
-        kept.write(kept.session())
-        kept.begin()
-        kept.write(kept.session())
-
-    return work
+def calibrations(root: Path) -> Writing:
+    yield
+    kept = Calibrations(root / "data", "KF-1")
+    kept.write(kept.session())
+    kept.begin()
+    kept.write(kept.session())
 
 
-def health(root: Path) -> Work:
+def health(root: Path) -> Writing:
     (root / "data").mkdir()
-
-    def work() -> None:
-        file = HealthFile(root / "data", "ab" * 32)
-        file.write(HealthTrend(judged=1))
-        file.write(HealthTrend(judged=2))
-
-    return work
+    yield
+    file = HealthFile(root / "data", "ab" * 32)
+    file.write(HealthTrend(judged=1))
+    file.write(HealthTrend(judged=2))
 
 
-def exported(suffix: str, root: Path) -> Work:
+def exported(suffix: str, root: Path) -> Writing:
     ball = seen([Ball((3.0, -2.0, 0.0), 8.0)], looking((0.0, 0.0, -500.0)), 5, size_px=(24, 20), steepest=70.0)
-    path = root / f"scan{suffix}"
+    mesh, path = mesh_of_scan(ball), root / f"scan{suffix}"
     path.write_bytes(b"of before")
+    yield
     if suffix in (".stl", ".obj"):
-        mesh = mesh_of_scan(ball)
-        return lambda: write_mesh(path, mesh, ABOUT)
-    return lambda: write_scan(path, ball, ABOUT)
+        write_mesh(path, mesh, ABOUT)
+    else:
+        write_scan(path, ball, ABOUT)
 
 
-def firmware(root: Path) -> Work:
+def firmware(root: Path) -> Writing:
     (root / "board").mkdir()
     (root / "board" / "main.py").write_text("of before")
-    return lambda: write_firmware(root / "board", {"main.py": b"new", "lib/wire.py": b"new, too"})
+    yield
+    write_firmware(root / "board", {"main.py": b"new", "lib/wire.py": b"new, too"})
 
 
-def setup_files(root: Path) -> Work:
+def setup_files(root: Path) -> Writing:
     (root / "unit").write_text("of before")
-
-    def work() -> None:
-        durable.write(root / "unit", b"new")
-        durable.write(root / "etc" / "systemd" / "unit", b"in a folder that was not there")
-        durable.point(root / "opt" / "current", "versions/new")
-        durable.remove(root / "unit")
-
-    return work
+    yield
+    durable.write(root / "unit", b"new")
+    durable.write(root / "etc" / "systemd" / "unit", b"in a folder that was not there")
+    durable.point(root / "opt" / "current", "versions/new")
+    durable.remove(root / "unit")
 
 
-def version_on_trial(root: Path) -> Work:
+def version_on_trial(root: Path) -> Writing:
     there = make(root)
-
-    def work() -> None:
-        versions.try_out(there.layout, "new")
-        at = versions.settle(there.layout)
-        assert at is not None
-        versions.accept(there.layout, versions.started(there.layout, at))
-
-    return work
+    yield
+    versions.try_out(there.layout, "new")
+    at = versions.settle(there.layout)
+    assert at is not None
+    versions.accept(there.layout, versions.started(there.layout, at))
 
 
-def host_key(root: Path) -> Work:
-    return lambda: serving.make_host_key(root / "state" / "key")
+def host_key(root: Path) -> Writing:
+    yield
+    serving.make_host_key(root / "state" / "key")
 
 
-EXPORTS: dict[str, Callable[[Path], Work]] = {
+EXPORTS: dict[str, Callable[[Path], Writing]] = {
     f"export as {name}": partial(exported, f".{name}") for name in ("npz", "ply", "las", "e57", "stl", "obj")
 }
-WRITERS: dict[str, Callable[[Path], Work]] = {
+WRITERS: dict[str, Callable[[Path], Writing]] = {
     one.__name__.replace("_", " "): one
     for one in (
         files, results, packed, pulling, incomplete_recording, imported, views, scans_and_labels, calibrations, health, firmware,
@@ -224,6 +206,11 @@ PASSING = {"run", "drafts", "lock"}
 """Locks, states of living processes, and drafts: nobody looks at them after a loss of power."""
 
 
+def judged(writing: Writing, root: Path) -> Seen:
+    next(writing)
+    return judge(root, lambda: next(writing, None), PASSING)
+
+
 @pytest.mark.parametrize("name", WRITERS)
 def test_a_loss_of_power_in_any_moment_leaves_nothing_half_and_takes_nothing_that_was_told(
     tmp_path: Path, name: str
@@ -232,7 +219,7 @@ def test_a_loss_of_power_in_any_moment_leaves_nothing_half_and_takes_nothing_tha
         pytest.skip("openssh-client is not installed")
     root = tmp_path / "disk"
     root.mkdir()
-    seen = judge(root, WRITERS[name](root), PASSING)
+    seen = judged(WRITERS[name](root), root)
     assert len(seen.states) > 2, "the power never went in between"
 
 
@@ -240,9 +227,10 @@ def test_a_source_goes_only_when_its_copy_would_survive(tmp_path: Path) -> None:
     """In every state that the power may leave, all frames are there once at least: under the one name or under the other."""
     root = tmp_path / "disk"
     root.mkdir()
-    work = packed(root)
+    writing = packed(root)
+    next(writing)
     names = {path.name for path in (root / "source" / "scans" / "000001").iterdir()}
-    seen = judge(root, work, PASSING)
+    seen = judge(root, lambda: next(writing, None), PASSING)
     for state in seen.states:
         source = {name for name in names if f"source/scans/000001/{name}" in state}
         copies = {name.removesuffix(".jls") for name in _inside(state, "archive/scans/000001")}

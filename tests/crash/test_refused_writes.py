@@ -22,14 +22,7 @@ from appliance.storage.choices import ChoicesFile
 from appliance.storage.filesystem import FileSystem, LocalFileSystem
 from appliance.storage.health import HealthFile
 from appliance.storage.library import Library
-from tests.appliance.storage.scenes import (
-    ORIGIN,
-    BadDisk,
-    cloud,
-    frames,
-    manifests_that_list_what_is_not_there,
-    record,
-)
+from tests.appliance.storage.scenes import ORIGIN, BadDisk, cloud, frames, manifests_that_list_what_is_not_there, record
 from tests.crash.life import HASH, NEW, OLD, SERIAL
 
 STANDARD = Choices()

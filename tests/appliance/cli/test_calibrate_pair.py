@@ -120,6 +120,7 @@ calibration = "x.json"
     assert left - right == pytest.approx(F_PX * BASE_MM / 360.0, rel=5e-3)
 
 
+@pytest.mark.dive
 def test_cameras_the_wrong_way_round_and_a_picture_of_another_size_are_named(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

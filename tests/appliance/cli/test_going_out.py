@@ -113,13 +113,13 @@ def test_a_terminal_without_unicode_gets_escapes(root: Path) -> None:
     assert r"Stra\xdfe \u6771" in ran.stdout
 
 
-class Terminal(io.StringIO):
+class AtATerminal(io.StringIO):
     def isatty(self) -> bool:
         return True
 
 
 def test_progress_on_a_terminal_is_one_line_that_is_cleared_and_silent_for_a_second() -> None:
-    now_s, terminal, file = 0.0, Terminal(), io.StringIO()
+    now_s, terminal, file = 0.0, AtATerminal(), io.StringIO()
     with Progress(terminal, lambda: now_s) as progress, Progress(file, lambda: now_s) as in_file:
         progress("verifying", 0.1)
         now_s = 0.9

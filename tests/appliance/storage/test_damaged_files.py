@@ -28,7 +28,6 @@ from appliance.calibration.response import file as response_file
 from appliance.calibration.response.file import ResponseFileError, StoredResponse
 from appliance.checksummed_file import with_checksum
 from appliance.config import ConfigError, default_rig_path, load_rig
-from appliance.config.load import parse_rig
 from appliance.machine.choices import Choices
 from appliance.offline.calibration.air import Pair, PicturesError, read_pair
 from appliance.optics.correction import ImageCorrection, node_count
@@ -338,40 +337,3 @@ PARSERS = (
 @pytest.mark.parametrize("parser", PARSERS, ids=lambda parser: parser.name)
 def test_whatever_a_file_holds_it_is_read_or_put_aside_or_refused_by_name(parser: Parser, tmp_path: Path) -> None:
     assert parser.judge(tmp_path)["accepted"], "nothing behind the first check was reached"
-
-
-# ------------------------------------------------------------------------------------------------- found so
-
-
-def altered(data: bytes, **changes: object) -> bytes:
-    return resealed({**json.loads(data), **changes})
-
-
-@pytest.mark.parametrize(
-    ("changes", "said"),
-    [
-        ({"residual": 10**400}, "must be numbers"),
-        ({"schema": "9" * 5000}, "schema"),
-        ({"harmonics": [0.25] * 5000}, "harmonics"),
-    ],
-)
-def test_a_number_beyond_any_float_is_refused_and_no_page_of_nonsense_is_quoted(
-    changes: dict[str, Any], said: str
-) -> None:
-    with pytest.raises(ResponseFileError, match=said) as caught:
-        response_file.decode(altered(RESPONSE, **changes), "response.json")
-    assert len(str(caught.value)) < 400
-
-
-def test_a_key_or_a_checksum_of_a_page_is_not_quoted_as_a_page() -> None:
-    with pytest.raises(ConfigError, match="unknown key") as refused:
-        parse_rig(f"[rig]\n{'9' * 5000} = 1\n")
-    assert len(str(refused.value)) < 400
-    with pytest.raises(ResponseFileError, match="changed or damaged") as of_checksum:
-        response_file.decode(json.dumps({**json.loads(RESPONSE), "sha256": "9" * 5000}).encode(), "response.json")
-    assert len(str(of_checksum.value)) < 400
-
-
-def test_a_session_with_a_number_that_cannot_be_keeps_nothing(tmp_path: Path) -> None:
-    first, *others = json.loads(SESSION)["trials"]
-    assert not read_session(altered(SESSION, trials=[{**first, "number": "nan"}, *others]), tmp_path).trials

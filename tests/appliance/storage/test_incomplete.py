@@ -26,10 +26,7 @@ def frames(count: int = 4) -> dict[str, NDArray[np.uint8]]:
 
 
 def kept(
-    root: Path,
-    given: dict[str, NDArray[np.uint8]] | None = None,
-    fs: FileSystem | None = None,
-    reserve_bytes: int = 0,
+    root: Path, given: dict[str, NDArray[np.uint8]] | None = None, fs: FileSystem | None = None, reserve_bytes: int = 0
 ) -> Path:
     root.mkdir(exist_ok=True)
     return incomplete.keep(fs or LocalFileSystem(), root, given or frames(), RECORD, ORIGIN, REASON, reserve_bytes)

@@ -96,10 +96,7 @@ def test_a_scan_that_was_rejected_is_nobodys_neighbour(neighbours: Neighbours) -
     ("before", "now", "compared"), [(1, 1, True), (None, None, True), (1, 2, False), (None, 1, False), (1, None, False)]
 )
 def test_scans_of_two_objects_are_not_compared(
-    before: int | None,
-    now: int | None,
-    compared: bool,
-    neighbours: Neighbours,
+    before: int | None, now: int | None, compared: bool, neighbours: Neighbours
 ) -> None:
     take(neighbours, scan_at(0), before)
     neighbours.keep()

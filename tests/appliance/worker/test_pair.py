@@ -136,6 +136,7 @@ def points_of_pair(worker: ReconstructionWorker, frames: int) -> NDArray[np.floa
     raise AssertionError("no pair")
 
 
+@pytest.mark.dive
 def test_the_worker_makes_the_same_points(short: RenderedScan, store: FrameStore, laid: Paired) -> None:
     assert laid.cloud is not None
     order = WorkOrder(true_calibration(short.renderer.truth), WATER, 16, 1024, 768, TYPICAL_PAIR)

@@ -28,7 +28,6 @@ from appliance.scan.guidance import LOST
 from appliance.scan.verdict import Judgement, Verdict
 from appliance.worker import messages as say
 from appliance.worker import process, usage
-from appliance.worker.live_picture import LivePicture
 from appliance.worker.looking import LiveLookedAt
 from appliance.worker.order import WorkOrder
 from appliance.worker.process import (
@@ -41,7 +40,6 @@ from appliance.worker.process import (
     WorkerFailed,
     WorkerReady,
 )
-from appliance.worker.shared_points import SharedPoints
 from tests.drivers.output.kernel import Time
 from tests.support import synthetic
 
@@ -503,29 +501,6 @@ def test_a_process_that_does_not_know_the_first_exposure_is_told_of_it(desk: Des
 
 
 # ------------------------------------------------------------------------------------------ for programs
-
-
-def test_the_points_are_those_in_the_shared_memory_and_each_cloud_has_its_place(desk: Desk) -> None:
-    desk.ready()
-    desk.worker.begin(7)
-    memory, places = desk.worker._results.buf, SharedPoints(400, 300)
-    full, coarse = places.full(memory), places.coarse(memory)
-    for table, offset in ((full, 0), (coarse, 100)):
-        table.points.xyz_mm[:] = 7.0
-        table.points.intensity[:] = 7
-        table.points.xyz_mm[5:8] = offset + np.arange(9, dtype=np.float32).reshape(3, 3)
-    LivePicture(memory, places.capacity).put(np.full((480, 480), 9, np.uint8))
-    # What is written to one place is not seen in another: all that was written last is still there.
-    assert (full.points.intensity == 7).all()
-    assert (coarse.points.xyz_mm[8:] == 7.0).all()
-    del full, coarse, table, memory
-    found = Found(((5, 7), (7, 8)), SUMMARY)
-    early = desk.after(0.0, say.CloudFound(1, False, found, 0.0))
-    late = desk.after(0.0, say.CloudFound(1, True, found, 0.0))
-    assert isinstance(early, CloudReady)
-    assert isinstance(late, CloudReady)
-    assert early.cloud.points_mm.ravel().tolist() == list(range(100, 109))
-    assert late.cloud.points_mm.ravel().tolist() == list(range(9))
 
 
 def test_a_process_that_still_loads_is_waited_for_and_has_compiled_before(desk: Desk) -> None:

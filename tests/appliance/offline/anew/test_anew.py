@@ -18,15 +18,7 @@ import pytest
 from appliance.calibration import file as calibration_file
 from appliance.offline.anew import results as module
 from appliance.offline.anew import task
-from appliance.offline.anew.results import (
-    COLUMNS,
-    Results,
-    ResultsError,
-    Row,
-    name_of,
-    program_digits,
-    read_table,
-)
+from appliance.offline.anew.results import COLUMNS, Results, ResultsError, Row, name_of, program_digits, read_table
 from appliance.offline.anew.task import attempt
 from appliance.offline.anew.work import AGAIN, DONE, FAILED, Again, Job
 from appliance.storage.atomic import StorageError
@@ -138,6 +130,8 @@ def test_the_table_has_every_scan_once_in_the_order_of_their_numbers(results: Re
     assert set(table[0]) == set(COLUMNS)
     plain = results.write_table([row(number) for number in (1_000_000, 999_999)])
     head, *lines = plain.read_text().splitlines()
+    numbers = [int(line.partition(",")[0]) for line in lines]
+    assert numbers == sorted(numbers), "in the file itself"
     (tmp_path / "old.csv").write_text("\n".join([head, *reversed(lines)]))
     assert read_table(tmp_path / "old.csv")[-1]["scan"] == "1000000"
     (tmp_path / "x.csv").write_text("a,b\n1,2\n")

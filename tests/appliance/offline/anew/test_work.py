@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import multiprocessing
 import os
-import shutil
 import socket
 import subprocess
 import sys
@@ -157,16 +156,14 @@ class Cluster:
 
     folder: Path
     port: int
-    environment: dict[str, str] = field(default_factory=lambda: dict(os.environ))
-    protocol: str = "tcp"
     started: list[subprocess.Popen[bytes]] = field(default_factory=list)
 
     @property
     def address(self) -> str:
-        return f"{self.protocol}://127.0.0.1:{self.port}"
+        return f"tcp://127.0.0.1:{self.port}"
 
     def scheduler(self) -> None:
-        words = ("--protocol", self.protocol, "--host", "127.0.0.1", "--port", str(self.port), "--no-dashboard")
+        words = ("--host", "127.0.0.1", "--port", str(self.port), "--no-dashboard")
         self._run("distributed.cli.dask_scheduler", *words)
 
     def worker(self) -> subprocess.Popen[bytes]:
@@ -175,9 +172,7 @@ class Cluster:
 
     def _run(self, module: str, *words: str) -> subprocess.Popen[bytes]:
         with (self.folder / "log").open("ab") as log:
-            process = subprocess.Popen(
-                [sys.executable, "-m", module, *words], cwd=ROOT, env=self.environment, stdout=log, stderr=log
-            )
+            process = subprocess.Popen([sys.executable, "-m", module, *words], cwd=ROOT, stdout=log, stderr=log)
         self.started.append(process)
         return process
 
@@ -225,54 +220,3 @@ def test_a_worker_that_is_killed_loses_nothing_and_each_scan_has_one_result(
     assert {row["cloud_sha256"] for row in rows} == clouds
     assert min(int(row["points"]) for row in rows) > 1000
     assert list((results.folder / "failed").iterdir()) == []
-
-
-# --------------------------------------------------------------------------------------------------- TLS
-
-
-def settings_of_tls(folder: Path) -> dict[str, str]:
-    """Dask's settings, by their names in the environment, for a certificate of an authority that is made in ``folder``."""
-    folder.mkdir()
-    key = ("openssl", "req", "-newkey", "rsa:2048", "-nodes", "-subj")
-    for command in (
-        (*key, "/CN=authority", "-x509", "-days", "2", "-keyout", "ca.key", "-out", "ca.pem"),
-        (*key, "/CN=desk", "-keyout", "desk.key", "-out", "desk.csr"),
-        ("openssl", "x509", "-req", "-in", "desk.csr", "-CA", "ca.pem", "-CAkey", "ca.key", "-CAcreateserial", "-days", "2", "-out", "desk.pem"),
-    ):  # fmt: skip
-        subprocess.run(command, cwd=folder, check=True, capture_output=True, timeout=60)
-    files = {f"TLS__{role}__{kind}": str(folder / f"desk.{ending}")
-             for role in ("SCHEDULER", "WORKER", "CLIENT") for kind, ending in (("CERT", "pem"), ("KEY", "key"))}  # fmt: skip
-    settings = {"REQUIRE_ENCRYPTION": "True", "TLS__CA_FILE": str(folder / "ca.pem"), **files}
-    return {f"DASK_DISTRIBUTED__COMM__{name}": value for name, value in settings.items()}
-
-
-def comes_in(address: str, settings: dict[str, str]) -> bool:
-    """Whether a caller of its own process is connected."""
-    call = "import sys; from distributed import Client; Client(sys.argv[1], timeout=5)"
-    done = subprocess.run(
-        [sys.executable, "-c", call, address], env={**os.environ, **settings}, capture_output=True, timeout=120, check=False
-    )  # fmt: skip
-    return done.returncode == 0
-
-
-@pytest.mark.long
-@pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")
-def test_with_tls_only_those_who_have_a_certificate_of_the_authority_take_part(
-    cluster: Cluster, scans: Path, results: Results, tmp_path: Path
-) -> None:
-    import dask.config
-
-    ours, strange = settings_of_tls(tmp_path / "ours"), settings_of_tls(tmp_path / "strange")
-    cluster.protocol, cluster.environment = "tls", {**os.environ, **ours}
-    cluster.scheduler()
-    cluster.worker()
-    # The same for this process, whose environment was read long ago.
-    names = {name: name.removeprefix("DASK_").replace("__", ".").lower() for name in ours}
-    with dask.config.set({names[name]: value == "True" or value for name, value in ours.items()}):
-        rows = list(work_through_all(jobs_of(scans, results)[:3], cluster.address, None, LIMIT_S))
-    assert [row["state"] for row in rows] == [DONE] * 3
-    plain = cluster.address.replace("tls", "tcp")
-    assert comes_in(cluster.address, ours)
-    assert not any(
-        comes_in(*one) for one in ((plain, ours), (cluster.address, {}), (plain, {}), (cluster.address, strange))
-    )

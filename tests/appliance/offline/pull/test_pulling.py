@@ -39,15 +39,7 @@ from appliance.storage.atomic import StorageError
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.library import Library, LibraryFolder
 from appliance.storage.manifest import Decision
-from tests.appliance.offline.pull.instrument import (
-    FS,
-    BreakingSource,
-    content,
-    instrument,
-    opened,
-    pulled,
-    scan,
-)
+from tests.appliance.offline.pull.instrument import FS, BreakingSource, content, instrument, opened, pulled, scan
 from tests.appliance.storage.scenes import ORIGIN, BadDisk, cloud, frames, record
 
 MB = 1 << 20
