@@ -83,6 +83,8 @@ def test_of_each_cube_the_first_finite_point_stays() -> None:
     points = np.array([[0.0, 0.0, 0.0], [1.9, 1.9, 1.9], [2.1, 0.0, 0.0], [0.0, 2.1, 0.0], [0.0, 0.0, 2.1]])
     assert thinned(points, 2.0).tolist() == [0, 2, 3, 4]
     assert thinned(points[::-1], 2.0).tolist() == [0, 1, 2, 3]
+    grid = np.stack(np.meshgrid(*[np.arange(0.5, 6.0)] * 3), -1).reshape(-1, 3)
+    assert len(thinned(grid, 2.0)) == 27
     assert finite_rows(np.array([[1, 2, 3], [1, np.nan, 3], [np.inf, 2, 3], [4, 5, 6]], np.float32)).tolist() == [0, 3]
 
 

@@ -116,6 +116,19 @@ def test_neighbours_see_one_surface_up_to_a_steep_slope_and_to_a_bend(
 # ------------------------------------------------------------------------------------------- the mesh
 
 
+@pytest.mark.parametrize(("lifted", "diagonal"), [(0, {1, 2}), (1, {0, 3}), (2, {0, 3}), (3, {1, 2})])
+def test_a_cell_is_cut_along_its_shorter_diagonal(lifted: int, diagonal: set[int]) -> None:
+    cloud = patch("xx/xx")
+    cloud.points_mm.reshape(-1, 3)[lifted, 2] += 0.1
+    one, other = mesh_of_scan(cloud).faces.tolist()
+    assert set(one) & set(other) == diagonal
+
+
+@pytest.mark.parametrize("kept", [".x/xx", "x./xx", "xx/.x", "xx/x."])
+def test_a_cell_of_three_corners_is_one_triangle(kept: str) -> None:
+    assert len(mesh_of_scan(patch(kept)).faces) == 1
+
+
 @pytest.mark.parametrize("height_mm", [0.5, 30.0])
 def test_no_triangle_goes_across_a_step_and_none_is_missing_beside_it(height_mm: float) -> None:
     cloud = stairs(height_mm)
