@@ -19,7 +19,7 @@ from appliance.ranging.reach import Range
 from appliance.scan.exposure import NOMINAL
 from appliance.scan.fault import Fault, FaultCode
 from drivers.api import Key
-from tests.appliance.machine.courses import BACK, DOWN, EIO, LEAK, SCAN, STOP, Then, codes, course, follow, wait, warm
+from tests.appliance.machine.courses import BACK, DOWN, EIO, LEAK, SCAN, STOP, Then, codes, course, seen, wait, warm
 from tests.appliance.machine.english import labels
 from tests.appliance.machine.walks import (
     IN_USE,
@@ -147,7 +147,7 @@ def checked() -> Machine:
 def test_a_calibration_takes_its_course(
     start: Callable[[], Machine], events: tuple[Then, ...], facts: dict[str, object]
 ) -> None:
-    follow(start, events, facts)
+    assert seen(start, events, facts) == facts
 
 
 def test_up_and_down_lead_where_their_labels_say_and_no_farther_than_what_is_done() -> None:

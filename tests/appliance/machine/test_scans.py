@@ -31,8 +31,8 @@ from tests.appliance.machine.courses import (
     Then,
     codes,
     course,
-    follow,
     raised,
+    seen,
     shown,
     wait,
 )  # fmt: skip
@@ -266,7 +266,7 @@ def wet() -> Machine:
 def test_a_scan_takes_its_course(
     start: Callable[[], Machine], events: tuple[Then, ...], facts: dict[str, object]
 ) -> None:
-    follow(start, events, facts)
+    assert seen(start, events, facts) == facts
 
 
 def again() -> Machine:
@@ -318,8 +318,10 @@ def test_what_is_told_of_a_scan_that_is_being_published_comes_too_late() -> None
 )  # fmt: skip
 def test_whatever_ends_the_second_exposure_the_first_scan_is_reviewed_as_before(lost: tuple[Then, ...]) -> None:
     kinds = do.Reject | do.CancelReconstruction
-    follow(offered, (*HOLD_DOWN, *lost), {"state": S.REVIEW, "scan": offered().scan, "never": kinds})
-    follow(offered, (*HOLD_DOWN, *lost, SCAN), {"among": do.Publish(1)})
+    facts = {"state": S.REVIEW, "scan": offered().scan, "never": kinds}
+    assert seen(offered, (*HOLD_DOWN, *lost), facts) == facts
+    kept = {"among": do.Publish(1)}
+    assert seen(offered, (*HOLD_DOWN, *lost, SCAN), kept) == kept
     machine = offered()
     for event in (*HOLD_DOWN, *lost):
         machine = run(machine, event(machine) if callable(event) else event)
