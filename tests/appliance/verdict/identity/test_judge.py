@@ -329,9 +329,7 @@ def test_what_is_too_near_and_saturated_is_no_wrong_pattern() -> None:
 
 
 def test_a_wrong_gray_image_is_found_in_a_picture_of_which_most_is_saturated(near: RenderedScan) -> None:
-    frames = {
-        side: np.clip(8 * stack.astype(np.int64), 0, 255).astype(np.uint8) for side, stack in near.frames.items()
-    }
+    frames = {side: np.clip(8 * stack.astype(np.int64), 0, 255).astype(np.uint8) for side, stack in near.frames.items()}
     gray = near.sequence.axis(Direction.X).gray
     for stack in frames.values():
         stack[gray[4]] = stack[gray[3]]

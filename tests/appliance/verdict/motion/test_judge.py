@@ -24,8 +24,8 @@ STILL, AWAY = Motion(), Motion(velocity_mm_s=(0.0, 0.0, -8.0))
 TILTED = (0.0, 0.0, 522.5, 8.0, 12.0, 0.0)
 FACING = (0.0, 0.0, 522.5, 0.0, 0.0, 0.0)
 STEADY = Daylight()
-HEIGHT_PX = 200
-"""Of the strip in the middle that is rendered: two thirds of the picture tell as much of a movement."""
+HEIGHT_PX = 150
+"""Of the strip in the middle that is rendered: half of the picture tells as much of a movement."""
 
 
 @cache
