@@ -27,7 +27,7 @@ USB_ASYNC = 1
 END_S = 5.0
 """Longest wait for the end of a stream, which takes tenths of a second."""
 STUCK = ("Aravis hangs while it ends a stream and keeps the camera", "Switch the instrument off and on")
-"""What is wrong and what to do once that wait was in vain."""
+"""The fault, and its remedy, once that wait was in vain."""
 
 
 class DeviceCode(IntEnum):
