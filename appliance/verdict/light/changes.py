@@ -137,7 +137,7 @@ def fit_early(grey: NDArray[np.uint8], sequence: PatternSequence) -> EarlyFit:
     if ends.size:
         steps, light = (values.reshape(*values.shape[:-2], -1)[..., pixels] for values in (four, contrast))
         of_blocks, of_pixels = fit_blocks(
-            steps.astype(np.float64), light.astype(np.float64), rows, columns, order, ends
+            np.ascontiguousarray(steps, np.float64), light.astype(np.float64), rows, columns, order, ends
         )  # fmt: skip
         found[:, _numbers(rows, columns, order, ends, good.shape)] = of_blocks
         rest[pixels] = of_pixels
