@@ -16,7 +16,6 @@ from bench.whole_scan.scenes import DISC
 BENCHES = find("bench")
 SMALLEST = {
     "architecture": "",
-    "import_large": "--width 400",
     "import_sequences": "--only nothing",
     "merge": "--parts pairs --pairs 1",
     "real_light": "--only nothing",
