@@ -1,0 +1,89 @@
+"""The instrument's own pictures: what examining five recordings and solving from four of them gives, and what it takes."""
+
+from __future__ import annotations
+
+import multiprocessing
+import resource
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from appliance.calibration.file import encode
+from appliance.calibration.guide import USED, RecordingCheck, Session, Step
+from appliance.calibration.water.start import start_from_air
+from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
+from appliance.config import Rig, load_rig
+from appliance.instrument import design_of, origin_of
+from appliance.service.calibrator import examine, solve
+from appliance.storage.calibrations import Calibrations
+from appliance.storage.library import Library
+from appliance.storage.record import ScanRecord, SequenceInfo
+from hw_sim.scene import Scene
+from tests.support.calibrating import air_of, hidden_rig
+from tests.support.rendered import render_scan
+
+SEED = 2
+HELD = {
+    Step.M1: ("ballbar", (-15.0, -20.0, 505.0, 0.0, 35.0, 20.0)),
+    Step.M2: ("ballbar", (15.0, 20.0, 540.0, 0.0, -35.0, 70.0)),
+    Step.M3: ("plane", (0.0, 0.0, 478.0, 8.0, -10.0, 0.0)),
+    Step.M4: ("plane", (0.0, 0.0, 570.0, -10.0, 8.0, 0.0)),
+    Step.VERIFY: ("ballbar", (0.0, 0.0, 520.0, 0.0, 5.0, -40.0)),
+}
+
+
+def record(rig: Rig) -> None:
+    """All five, rendered and stored; in a process of its own, so that its memory does not count."""
+    library, session = Library(rig.storage.root), Session()
+    library.prepare()
+    for step, (what, pose) in HELD.items():
+        scan = render_scan(Scene(object=what, pose=pose, texture="none"), "realistic", SEED, 1600, 16)
+        info = ScanRecord(SequenceInfo.of(scan.sequence), rig.rig_hash, None, "0", None, False, 0)
+        pending = library.begin(scan.frames, info, origin_of(rig, design_of(rig)))
+        pending.publish(info)
+        session = replace(session, trials=(*session.trials, RecordingCheck(step, None, None, scan_id=pending.scan_id)))
+    Calibrations(rig.storage.root, rig.rig.serial).write(session)
+
+
+@pytest.mark.long
+@pytest.mark.timeout(900)
+def test_five_recordings_at_full_size(tmp_path: Path) -> None:
+    rig = simulated(load_rig(default_sim_rig()), SimOptions(root=tmp_path))
+    store, library = Calibrations(tmp_path, rig.rig.serial), Library(tmp_path)
+    store.folder.mkdir()
+    store.air.write_bytes(encode(start_from_air(air_of(hidden_rig("realistic", SEED)), design_of(rig))))
+    renderer = multiprocessing.get_context("spawn").Process(target=record, args=(rig,))
+    renderer.start()
+    renderer.join(600.0)
+    assert renderer.exitcode == 0
+    folders = {t.step: library.entry(t.scan_id).folder for t in store.session().trials if t.scan_id is not None}
+
+    took_s: dict[str, float] = {}
+    for step in USED:
+        begun = time.process_time()
+        check = examine(rig, step, folders[step], lambda _: None).check
+        took_s[step.value] = time.process_time() - begun
+        assert check.refusal is None, check
+    begun = time.process_time()
+    reported: list[float] = []
+    solution = solve(rig, "2026-11-21T10:00:00+00:00", reported.append)
+    took_s["SOLVE"] = time.process_time() - begun
+    store.write_solved(solution.calibration, replace(store.session(), solved=solution.solved), solution.report)
+    begun = time.process_time()
+    examined = examine(rig, Step.VERIFY, folders[Step.VERIFY], lambda _: None)
+    took_s["VERIFY"] = time.process_time() - begun
+
+    most_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    print(f"\nCPU { ({k: round(v, 1) for k, v in took_s.items()}) } s, memory {most_mb:.0f} MB, {examined.verified}")
+    assert examined.verified is not None
+    assert examined.verified == solution.verified, "the same, whether it was recorded before or after solving"
+    assert examined.verified.before is not None
+    assert examined.verified.after is not None
+    assert abs(examined.verified.before) > 0.002, "from the drawing"
+    assert abs(examined.verified.after) < 0.0004
+    assert reported == sorted(reported)
+    assert solution.solved.warnings == ()
+    assert max(took_s.values()) < 60.0
+    assert (store.folder / "session" / "report.html").read_bytes().startswith(b"<!doctype html>")
