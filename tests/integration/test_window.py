@@ -61,7 +61,7 @@ def picture(screen: Xvfb, title: str) -> NDArray[np.uint8]:
     return screen.picture(window(screen, title))
 
 
-def tap(screen: Xvfb, key: str, hold_s: float = 0.15) -> None:
+def tap(screen: Xvfb, key: str, hold_s: float = 0.4) -> None:
     screen.key(key, True)
     time.sleep(hold_s)
     screen.key(key, False)
