@@ -274,7 +274,7 @@ class AravisCamera:
 
 def find_device(name: str, serial: str, aravis: Aravis) -> AravisDevice:
     """Open the camera with that serial number. Raises DeviceGone, telling which others are there, or DeviceRefused."""
-    if aravis.stuck:
+    if name in aravis.stuck:
         raise DeviceRefused(name, *STUCK)
     with aravis.finding:
         return _found(name, serial, aravis)

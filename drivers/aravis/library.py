@@ -132,8 +132,8 @@ class Aravis:
         self.finding = threading.Lock()
         """Held while cameras are opened to be asked for their numbers, which would look like another program's use."""
         self._serials: dict[str, str] = {}
-        self.stuck = False
-        """True once it did not come back from ending a stream: the camera stays its own as long as this process lives."""
+        self.stuck: set[str] = set()
+        """Cameras from the end of whose stream it did not come back: it keeps them as long as this process lives."""
         functions.arv_enable_interface(BUILT_IN.encode())
 
     @property
@@ -167,8 +167,8 @@ class Aravis:
         """Give a device back; it goes when nobody else holds it."""
         self._glib.g_object_unref(thing)
 
-    def end_stream(self, stream: int) -> bool:
-        """Give a stream back; False: the library has not come back from it after ``END_S``, and never will.
+    def end_stream(self, stream: int, camera: str) -> bool:
+        """Give a camera's stream back; False: the library has not come back from it after ``END_S``, and never will.
 
         Aravis 0.8.26 looks whether a cancelled transfer is still out and then waits to be told, without a lock around the two: about one end of
         a USB stream in a thousand misses its last word.
@@ -176,8 +176,9 @@ class Aravis:
         ending = threading.Thread(target=self.release, args=(stream,), name="kf-aravis-end", daemon=True)
         ending.start()
         ending.join(END_S)
-        self.stuck = self.stuck or ending.is_alive()
-        return not ending.is_alive()
+        if ending.is_alive():
+            self.stuck.add(camera)
+        return camera not in self.stuck
 
     def checked(self, call: Callable[[Any], Any]) -> int:
         """Return the true result of a call that takes a place for an error. Raises AravisError."""

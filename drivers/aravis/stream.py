@@ -71,7 +71,7 @@ class AravisStream:
     def close(self) -> None:
         """End it, and free its buffers; idempotent. Raises DeviceRefused when the library hangs."""
         handle, self._handle = self._handle, None
-        if handle is not None and not self._device.aravis.end_stream(handle):
+        if handle is not None and not self._device.aravis.end_stream(handle, self._device.name):
             raise DeviceRefused(self._device.name, *STUCK)
 
     def expect_since(self, camera_ns: int | None) -> None:

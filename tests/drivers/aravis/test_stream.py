@@ -224,5 +224,7 @@ def test_a_library_that_hangs_at_the_end_of_a_stream_is_told_and_is_not_asked_ag
         stream.close()
         with pytest.raises(DeviceRefused, match="off and on"):
             find_device("camera.left", "S0", library.library("camera.left"))
+        with pytest.raises(DeviceGone, match="S9 not found"):  # the other camera is looked for all the same
+            find_device("camera.right", "S9", library.library("camera.right"))
     finally:
         hangs.set()
