@@ -16,20 +16,23 @@ from bench.whole_scan.scenes import DISC
 BENCHES = find("bench")
 SMALLEST = {
     "architecture": "",
-    "import_sequences": "--only nothing",
+    "import_sequences": "--only 3ps",
+    "import_wrong_words": "--count 1",
     "merge": "--parts pairs --pairs 1",
-    "real_light": "--only nothing",
 }
 """Words of those that have sizes."""
 
 
 @pytest.mark.dive
 @pytest.mark.parametrize("name", SMALLEST)
-def test_a_bench_with_sizes_runs_at_its_smallest(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_bench_with_sizes_runs_at_its_smallest(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.chdir(tmp_path)
     main = BENCHES[name].main
     assert main is not None
     assert main(SMALLEST[name].split()) in (0, 1), "a bound of its full size may be missed"
+    assert capsys.readouterr().out, "nothing was measured"
 
 
 @pytest.mark.parametrize("name", [name for name, bench in BENCHES.items() if bench.main is not None])

@@ -91,7 +91,6 @@ AIM = AimView(
 NO_OVERLAP = OverlapSaid((Text.NO_OVERLAP, Text.GO_BACK), warns=True)
 GO_BACK = GuidanceSaid((Text.OVERLAP, "25 %"), Text.TURN_BACK, Move.GO_BACK, (-0.95, 0.31))
 GO_ON = GuidanceSaid((Text.OVERLAP, "80 %"), Text.GO_ON, Move.GO_ON, (0.6, -0.8))
-ENOUGH = GuidanceSaid((Text.OVERLAP, "50 %"), Text.SCAN_NOW, Move.SCAN_NOW)
 _POINTS = seabed.cloud()
 REVIEW = ReviewView(
     points_mm=_POINTS, values=_POINTS[:, 2], coarse=False, grade=Grade.GOOD, points=1_312_409,
