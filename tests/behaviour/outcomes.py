@@ -26,10 +26,11 @@ from appliance.calibration.water.calibrate import calibrate
 from appliance.calibration.water.method import Method
 from appliance.cli import main
 from appliance.config import load_rig
+from appliance.instrument import exposures_of
 from appliance.offline.origin import calibration_for, open_source
 from appliance.offline.reconstruct import work_through
 from appliance.offline.wish import Wish
-from appliance.storage.scan import ScanError, manifest_of
+from appliance.storage.scan import ScanError, StoredScan, manifest_of
 from tests.support.truth import WATER
 
 ROOTS = {"root": "rig.toml", "second": "second.toml"}
@@ -77,16 +78,51 @@ CALLS = (
     ("not-a-verb", "reconstrict root"),
 )
 """Name and words of each call, in the order of their effects."""
-Change = Callable[[NDArray[Any]], NDArray[Any]]
-CHANGES: dict[str, Change] = {
-    "light that flickers at 20 Hz": lambda frames: (
-        frames * (1.0 + 0.06 * np.sin(2.0 * np.pi * 20.0 / 60.0 * np.arange(len(frames))))[:, None, None]
-    ),
-    "a third of the light": lambda frames: frames / 3.0,
-    "twice the light": lambda frames: frames * 2.0,
-    "a projector that stands still": lambda frames: frames[np.minimum(np.arange(len(frames)), 5)],
+Change = Callable[[StoredScan], StoredScan]
+
+
+def _seen(change: Callable[[NDArray[Any]], NDArray[Any]], *sides: str) -> Change:
+    """Change each image that a camera took, those of ``sides`` alone where some are named."""
+
+    def changed(scan: StoredScan) -> StoredScan:
+        frames = {
+            side: np.rint(change(own)).clip(0, 255).astype(np.uint8) if side in (sides or scan.frames) else own
+            for side, own in scan.frames.items()
+        }
+        return replace(scan, frames=frames)
+
+    return changed
+
+
+def _flickers(share: float, hz: float) -> Callable[[NDArray[Any]], NDArray[Any]]:
+    def changed(frames: NDArray[Any]) -> NDArray[Any]:
+        light = 1.0 + share * np.sin(2.0 * np.pi * hz / 60.0 * np.arange(len(frames)))
+        return frames * light[:, None, None]
+
+    return changed
+
+
+def _stays(first: int) -> Callable[[NDArray[Any]], NDArray[Any]]:
+    """Show the image ``first`` to the end."""
+    return lambda frames: frames[np.minimum(np.arange(len(frames)), first)]
+
+
+def _at_the_shortest(scan: StoredScan) -> StoredScan:
+    bright = _seen(lambda frames: frames * 3.0)(scan)
+    record = replace(scan.manifest.record, exposure=exposures_of(load_rig(Path("rig.toml")))[0])
+    return replace(bright, manifest=replace(scan.manifest, record=record))
+
+
+CHANGES: dict[str, tuple[str, Change]] = {
+    "light that flickers at 20 Hz": ("000001", _seen(_flickers(0.06, 20.0))),
+    "light that flickers a little at 11 Hz, wide stripes": ("000013", _seen(_flickers(0.01, 11.0))),
+    "a third of the light": ("000001", _seen(lambda frames: frames / 3.0)),
+    "twice the light": ("000001", _seen(lambda frames: frames * 2.0)),
+    "three times the light at the shortest exposure": ("000001", _at_the_shortest),
+    "a projector that stands still": ("000001", _seen(_stays(5))),
+    "a left camera whose image stays": ("000001", _seen(_stays(19), "left")),
 }
-"""What else may happen to the images of a still scan."""
+"""What else may happen to a scan of the instrument: its number, and the change."""
 VARYING = re.compile(
     r"(_s|^s|seconds|peak_mb|host|program|software_version|made_at|made_by|^hash|^sha256|^key|^table|^stored_cloud|^cloud_sha256)$"
 )
@@ -117,8 +153,8 @@ def outcome_of(folder: Path) -> Outcome:
             outcome.said[f"manifest {name}"] = json.loads((scan / "manifest.json").read_text(encoding="utf-8"))
             assert manifest_of(scan).scan_id == scan.name
             outcome.said[f"verdicts {name}"], outcome.clouds[name] = _processed(scan, rig)
-    for name, change in CHANGES.items():
-        outcome.said[f"verdicts with {name}"], _ = _processed(Path("root/scans/000001"), ROOTS["root"], change)
+    for name, (scan_id, change) in CHANGES.items():
+        outcome.said[f"verdicts with {name}"], _ = _processed(Path("root/scans") / scan_id, ROOTS["root"], change)
     for name, words in CALLS:
         outcome.said[name] = _answer(shlex.split(words))
     for method in Method:
@@ -130,14 +166,14 @@ def outcome_of(folder: Path) -> Outcome:
     return outcome
 
 
-def _processed(scan: Path, rig: str, change: Change = lambda frames: frames) -> tuple[Any, dict[str, NDArray[Any]]]:
-    """Return verdicts and cloud of a scan after a ``change`` of each camera's images (n, h, w)."""
+def _processed(scan: Path, rig: str, change: Change = lambda scan: scan) -> tuple[Any, dict[str, NDArray[Any]]]:
+    """Return verdicts and cloud of a scan after a ``change``."""
     wish = Wish(rig=load_rig(Path(rig)), root=scan.parents[1])
     source = open_source(scan, wish)
-    seen = {side: np.rint(change(frames)).clip(0, 255).astype(np.uint8) for side, frames in source.scan.frames.items()}
-    stored = replace(source.scan, frames=seen)
     try:
-        worked = work_through(stored, source.rig, calibration_for(source, wish).calibration, lambda _: None)
+        worked = work_through(
+            change(source.scan), source.rig, calibration_for(source, wish).calibration, lambda _: None
+        )
     except ScanError as error:
         return {"refused": str(error)}, {}
     verdicts = [
