@@ -11,6 +11,7 @@ from appliance.reconstruct.decode.decoder import Mask
 from appliance.reconstruct.pipeline import Cloud, Pipeline
 from appliance.reconstruct.quality import QualityLimits
 from appliance.scan.verdict import Judgement
+from appliance.verdict.identity.judge import NAME as IDENTITY
 
 LEAST_SHARE = 0.05
 """Least share of the left pixels that were decoded which become points. A calibration that fits leaves more than half of them even in turbid water. One that
@@ -40,7 +41,8 @@ def why_empty(pipeline: Pipeline, cloud: Cloud, judgements: Sequence[Judgement])
     decoded, points = int(np.count_nonzero(mask == Mask.VALID)), cloud.summary.points
     if points > LEAST_SHARE * decoded:
         return None
-    # The order of blame: nothing was seen; rays that do not meet (the calibration); points that meet and were masked.
+    # The order of blame: nothing was seen; frames of other patterns, in which no rays can meet; rays that do not meet (the calibration);
+    # points that meet and were masked.
     if decoded < LEAST_DECODED_SHARE * mask.size:
         return Empty(
             f"shows no pattern on anything: {decoded} of {mask.size} pixels of the left camera could be decoded"
@@ -50,17 +52,19 @@ def why_empty(pipeline: Pipeline, cloud: Cloud, judgements: Sequence[Judgement])
     stride = max(1, round((mask.size / SAMPLED_PIXELS) ** 0.5))
     gaps_mm = pipeline.sample(stride).ray_gap_mm
     # With the instrument's limit, not with the caller's: evaluations ask for points with wide gaps on purpose.
-    meeting = stride**2 * int(np.count_nonzero(gaps_mm <= QualityLimits().max_gap_mm))
-    if meeting <= LEAST_SHARE * decoded:
+    meet = stride**2 * int(np.count_nonzero(gaps_mm <= QualityLimits().max_gap_mm)) > LEAST_SHARE * decoded
+    wrong_frames = any(one.verdict.name == IDENTITY and one.verdict.passed is False for one in judgements)
+    if not meet and not wrong_frames:
         return Empty(
             f"{points} points are left of {decoded} decoded pixels: the rays of both cameras do not meet, so this calibration is "
             "not that of the instrument as it was then; give the right one with --calibration FILE",
             by_calibration=True,
         )
-    if points:
+    if points and meet:
         return None
+    remedy = "scan again" if wrong_frames else "scan again, nearer or in clearer water"
     return Empty(
-        f"no points are left of {decoded} decoded pixels{_faults_in_words(judgements)}; scan again, nearer or in clearer water",
+        f"{points or 'no'} points are left of {decoded} decoded pixels{_faults_in_words(judgements)}; {remedy}",
         by_calibration=False,
     )
 

@@ -85,7 +85,13 @@ def test_rays_that_pass_each_other_are_the_calibrations_fault_whatever_the_judge
         assert empty.by_calibration
         assert empty.reason.startswith(f"{points} points are left of {decoded(pipeline)} decoded pixels: the rays")
         assert "TOO" not in empty.reason
-    # Where no pattern was seen, no calibration is blamed.
+    # Where frames are not their patterns, or no pattern was seen, no calibration is blamed.
+    stuck = said(
+        pipeline, few, Judgement(Verdict("identity", False), Fault(FaultCode.CAMERA_STUCK, "from frame 19 on"))
+    )
+    assert stuck is not None
+    assert not stuck.by_calibration
+    assert f"({FaultCode.CAMERA_STUCK.value}: from frame 19 on)" in stuck.reason
     mask = pipeline.decoded("left").mask
     mask[:] = Mask.SHADOW
     least = -(-mask.size // 1000)  # a thousandth of the picture
