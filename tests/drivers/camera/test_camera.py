@@ -28,36 +28,32 @@ SETTINGS = CameraSettings(64, 48, 8000.0, 3.0)
 
 
 def opened(
-    prepare: Callable[[ScriptedCamera], None] = lambda device: None, xml: str | None = None, spec: CameraSpec = SPEC
+    prepare: Callable[[ScriptedCamera], object] = lambda device: None,
+    xml: str | None = None,
+    spec: CameraSpec = SPEC,
+    settings: CameraSettings | None = None,
 ) -> tuple[ScriptedCamera, UsbVisionCamera]:
+    """Return a camera, after its first configuration if it has ``settings``."""
     device = ScriptedCamera(SteppedClock(), xml)
     prepare(device)
-    return device, UsbVisionCamera.open(spec, Bus(device), device.clock)
+    camera = UsbVisionCamera.open(spec, Bus(device), device.clock)
+    if settings is not None:
+        camera.configure(settings)
+        device.log.clear()
+    return device, camera
 
 
 def set_up(
-    prepare: Callable[[ScriptedCamera], None] = lambda device: None, xml: str | None = None, spec: CameraSpec = SPEC
+    prepare: Callable[[ScriptedCamera], object] = lambda device: None, xml: str | None = None, spec: CameraSpec = SPEC
 ) -> ScriptedCamera:
-    """Return a camera after its first configuration."""
+    """Return a camera after its first configuration, with all that was written."""
     device, camera = opened(prepare, xml, spec)
     camera.configure(SETTINGS)
     return device
 
 
-def configured(settings: CameraSettings = SETTINGS) -> tuple[ScriptedCamera, UsbVisionCamera]:
-    device, camera = opened(lambda device: device.needs(settings.width_px * settings.height_px))
-    camera.configure(settings)
-    device.log.clear()
-    return device, camera
-
-
 def spec_with(**features: bool | float | str) -> CameraSpec:
     return CameraSpec("camera.left", "KF-CAM-L", features=tuple(features.items()))
-
-
-def expect_refused(camera: UsbVisionCamera, said: str) -> None:
-    with pytest.raises(DeviceRefused, match=said):
-        camera.configure(SETTINGS)
 
 
 def empty_slot() -> np.ndarray:
@@ -65,9 +61,8 @@ def empty_slot() -> np.ndarray:
 
 
 def streaming() -> tuple[ScriptedCamera, UsbVisionCamera]:
-    device, camera = configured()
+    device, camera = opened(settings=SETTINGS)
     camera.start()
-    device.log.clear()
     return device, camera
 
 
@@ -108,26 +103,22 @@ def test_packets_are_as_long_as_the_camera_says_it_can_take_and_give() -> None:
 
 
 @pytest.mark.parametrize(
-    ("prepare", "said"),
+    ("address", "data", "said"),
     [
-        (lambda device: device.set(SBRM + 0x1C, struct.pack("<I", 0)), "no image stream"),
-        (lambda device: device.set(MANIFEST, struct.pack("<Q", 0)), "0 files"),
-        (lambda device: device.set(MANIFEST + 12, struct.pack("<I", 5 << 10)), "no readable description"),
-        (lambda device: device.set(MANIFEST + 32, b"\1" * 20), "SHA-1"),
-        (lambda device: device.set(0x1D8, struct.pack("<Q", (1 << 64) - 0x20)), "outside 64 bits"),
+        (SBRM + 0x1C, struct.pack("<I", 0), "no image stream"),
+        (MANIFEST + 12, struct.pack("<I", 5 << 10), "no readable description"),
+        (0x1D8, struct.pack("<Q", (1 << 64) - 0x20), "outside 64 bits"),
     ],
 )
-def test_a_camera_that_cannot_be_used_says_why_and_is_let_go(
-    prepare: Callable[[ScriptedCamera], None], said: str
-) -> None:
+def test_a_camera_that_cannot_be_used_says_why_and_is_let_go(address: int, data: bytes, said: str) -> None:
     device = ScriptedCamera(SteppedClock())
-    prepare(device)
+    device.set(address, data)
     with pytest.raises(DeviceRefused, match=f"^camera.left: .*{said}"):
         UsbVisionCamera.open(SPEC, Bus(device), device.clock)
     assert (device.is_open, device.claimed) == (False, [])
 
 
-def test_every_setting_that_decides_about_an_image_is_made() -> None:
+def test_every_setting_that_decides_about_an_image_is_made_in_its_order() -> None:
     device, camera = opened()
     device.set_feature("OffsetX", 16)
     device.set_feature("OffsetY", 8)
@@ -152,20 +143,14 @@ def test_every_setting_that_decides_about_an_image_is_made() -> None:
         assert order.index(before) < order.index(behind), f"{before} comes before {behind}"
     # The image lies in the sensor's middle only once its size is known.
     assert device.log.index(("Width", 64)) < device.log.index(("OffsetX", 400))
+    # Every other trigger is off, and the exposure's mode is written once the trigger is on.
+    triggers = [entry for entry in device.log if entry[0] in ("TriggerSelector", "TriggerMode", "ExposureMode")]
+    assert triggers[:4] == [("TriggerSelector", 0), ("TriggerMode", 0), ("TriggerSelector", 1), ("TriggerMode", 0)]
+    assert triggers[4:7] == [("TriggerSelector", 1), ("TriggerMode", 1), ("ExposureMode", 1)]
     assert camera.health().details["not offered"] == (
         "no DecimationHorizontal, no DecimationVertical, no ChunkModeActive, no TestImageSelector, no OverlapMode, "
         "no BlackLevelAuto, no LUTEnable"
     )
-
-
-def test_every_other_trigger_is_switched_off_and_the_exposures_mode_is_written_once_the_trigger_is_on() -> None:
-    device = set_up()
-    told = [(name, value) for name, value in device.log if name in ("TriggerSelector", "TriggerMode", "ExposureMode")]
-    frame_start, other, off, on, timed = 1, 0, 0, 1, 1
-    assert told[:4] == [
-        ("TriggerSelector", other), ("TriggerMode", off), ("TriggerSelector", frame_start), ("TriggerMode", off),
-    ]  # fmt: skip
-    assert told[4:7] == [("TriggerSelector", frame_start), ("TriggerMode", on), ("ExposureMode", timed)]
 
 
 @pytest.mark.parametrize(
@@ -234,95 +219,61 @@ def test_a_rig_files_features_take_the_place_of_built_in_ones_or_follow_them_in_
 
 
 @pytest.mark.parametrize(
-    ("features", "said"),
-    [
-        ({"Sharpening": 1.0}, "no feature Sharpening"),
-        ({"Gain": 3.0}, r"Gain = 3\.0 .*gain_db"),
-        ({"?Width": 64}, r"Width = 64 .*width_px"),
-        ({"TriggerOverlap": 2}, "TriggerOverlap = 2: it must be a name"),
-        ({"ReverseX": "yes"}, "ReverseX = 'yes': it must be true or false"),
-        ({"BlackLevel": True}, "BlackLevel = True: it must be a number"),
-        ({"BlackLevel": 17.0}, r"BlackLevel: 17 .*0\.\.16"),
-    ],
-)
-def test_features_that_a_camera_does_not_have_or_take_are_refused(
-    features: dict[str, bool | float | str], said: str
-) -> None:
-    with pytest.raises(DeviceRefused, match=said):
-        set_up(spec=spec_with(**features))
-
-
-@pytest.mark.parametrize(
     ("name", "value"), [("Sharpening", 1.0), ("GammaEnable", False), ("TriggerOverlap", "ReadOut")]
 )
 def test_a_marked_feature_may_be_missing(name: str, value: bool | float | str) -> None:
     """One of the maker's own, and those that the order sets by itself."""
-    _, camera = opened(xml=description(lacking=(name,)), spec=spec_with(**{f"?{name}": value}))
-    camera.configure(SETTINGS)
+    _, camera = opened(xml=description(lacking=(name,)), spec=spec_with(**{f"?{name}": value}), settings=SETTINGS)
     assert f"no {name}" in camera.health().details["not offered"]
-    _, camera = opened(xml=description(lacking=(name,)), spec=spec_with(**{name: value}))
-    expect_refused(camera, f"has no feature {name}")
+    with pytest.raises(DeviceRefused, match=f"has no feature {name}"):
+        set_up(xml=description(lacking=(name,)), spec=spec_with(**{name: value}))
 
 
-def test_a_selector_with_nothing_to_select_is_left_alone() -> None:
-    device = set_up(xml=description(choices={"TriggerSelector": ("FrameStart",)}, fixed=("TriggerSelector",)))
+def test_what_cannot_be_written_or_chosen_is_left_alone_where_that_is_right() -> None:
+    fixed = description(choices={"TriggerSelector": ("FrameStart",)}, fixed=("TriggerSelector", "ReverseX"))
+    with pytest.raises(DeviceRefused, match="ReverseX is True and cannot be written; it must be False"):
+        set_up(xml=fixed)
+    device = set_up(lambda device: device.set_feature("ReverseX", 0), fixed)
     assert ("TriggerMode", 1) in device.log
-    assert "TriggerSelector" not in [name for name, _ in device.log]
+    assert "TriggerSelector" not in [name for name, _ in device.log], "nothing to select"
+    device = set_up(xml=description(choices={"ExposureMode": ("TriggerWidth",)}))
+    assert "ExposureMode" not in [name for name, _ in device.log], "the wanted one is not offered"
+    _, camera = opened(xml=description(lacking=("Gain", "GainSelector", "GainAuto")))
+    with pytest.raises(DeviceRefused, match=r"has no gain to set.*gain_db = 0"):
+        camera.configure(SETTINGS)
+    assert camera.configure(CameraSettings(64, 48, 8000.0, 0.0)).gain_db == 0.0
 
 
-def test_what_cannot_be_written_is_taken_where_it_is_right_and_refused_where_it_is_not() -> None:
-    device, camera = opened(xml=description(fixed=("ReverseX",)))
-    expect_refused(camera, "ReverseX is True and cannot be written; it must be False")
-    device.set_feature("ReverseX", 0)
-    camera.configure(SETTINGS)
-
-
-def test_a_place_on_the_sensor_is_the_rig_files_or_the_middle() -> None:
+def test_place_and_trigger_line_are_the_rig_files_where_it_names_them() -> None:
     device = set_up(spec=replace(SPEC, offset_x_px=24, offset_y_px=0))
     assert (device.feature("OffsetX"), device.feature("OffsetY")) == (24, 0)
-    with pytest.raises(DeviceRefused, match=r"OffsetX: 804 .*0\.\.808 in steps of 8"):
-        set_up(spec=replace(SPEC, offset_x_px=804))
-
-
-def test_the_trigger_comes_from_the_line_that_the_rig_file_names_once_or_the_first_there_is() -> None:
     for spec in (replace(SPEC, trigger_source="Line2"), spec_with(TriggerSource="Line2")):
         device, camera = opened(spec=spec)
         for _ in range(2):
             camera.configure(SETTINGS)
             assert device.feature("TriggerSource") == "Line2"
     set_up(spec=replace(spec_with(TriggerSource="Line2"), trigger_source="Line2"))
-    with pytest.raises(DeviceRefused, match=r"'Line2' .*'Line1'"):
-        set_up(spec=replace(spec_with(TriggerSource="Line2"), trigger_source="Line1"))
-    with pytest.raises(DeviceRefused, match="no line"):
-        set_up(xml=description(choices={"TriggerSource": ("Software", "Counter0End")}))
+    without_lines = description(choices={"TriggerSource": ("Software", "Counter0End")})
+    for spec, xml, said in (
+        (replace(SPEC, offset_x_px=804), None, r"OffsetX: 804 .*0\.\.808 in steps of 8"),
+        (replace(spec_with(TriggerSource="Line2"), trigger_source="Line1"), None, r"'Line2' .*'Line1'"),
+        (SPEC, without_lines, "no line"),
+    ):
+        with pytest.raises(DeviceRefused, match=said):
+            set_up(xml=xml, spec=spec)
 
 
 def test_what_a_camera_holds_now_is_read_back_beside_what_was_asked_for() -> None:
-    device, camera = opened(xml=description(lacking=("ReverseX",)))
-    camera.configure(SETTINGS)
-    device.set_feature("GammaEnable", 1)
+    device, camera = opened(xml=description(lacking=("ReverseX",)), settings=SETTINGS)
+    device.set_feature("GammaEnable", 1)  # behind our back: what it is now counts
     held = {one.feature: (one.wanted, one.held) for one in camera.read_back()}
-    assert held["TriggerMode"] == ("On", "On")
-    assert held["Width"] == (SETTINGS.width_px, SETTINGS.width_px)
-    # Changed behind our back: what it is now counts, not what it was when it was set.
-    assert held["GammaEnable"] == (False, True)
-    assert held["ExposureTime"] == (None, SETTINGS.exposure_us)
-    assert held["ReverseX"] == (None, None)
-
-
-def test_a_choice_that_a_camera_does_not_offer_is_left_as_it_is() -> None:
-    device = set_up(xml=description(choices={"ExposureMode": ("TriggerWidth",)}))
-    assert "ExposureMode" not in [name for name, _ in device.log]
-
-
-def test_without_a_gain_none_can_be_asked_for() -> None:
-    _, camera = opened(xml=description(lacking=("Gain", "GainSelector", "GainAuto")))
-    expect_refused(camera, r"has no gain to set.*gain_db = 0")
-    assert camera.configure(CameraSettings(64, 48, 8000.0, 0.0)).gain_db == 0.0
+    expected = {"TriggerMode": ("On", "On"), "Width": (64, 64), "GammaEnable": (False, True)}
+    expected |= {"ExposureTime": (None, 8000.0), "ReverseX": (None, None)}
+    assert {name: held[name] for name in expected} == expected
 
 
 def test_a_start_stops_prepares_the_stream_while_it_is_disabled_and_begins_the_acquisition_last() -> None:
-    device, camera = configured()
+    device, camera = opened(settings=SETTINGS)
     device.stream = frame_of(bytes(3072))  # what lies in the pipe is thrown away
     camera.start()
     assert device.log == [*HALTED, *PREPARED, *STARTED]
@@ -334,9 +285,8 @@ def test_a_start_stops_prepares_the_stream_while_it_is_disabled_and_begins_the_a
     [((64, 48), 10, 3072), ((40, 30), 10, 2048), ((40, 30), 4, 1200), ((40, 30), 0, 1200), ((24, 42), 5, 1024)],
 )
 def test_an_image_is_one_transfer_of_whole_units(size: tuple[int, int], alignment_bits: int, transfer: int) -> None:
-    width, height = size
-    device, camera = opened(lambda device: device.needs(width * height, alignment_bits))
-    camera.configure(CameraSettings(width, height, 8000.0, 0.0))
+    needs = lambda device: device.needs(size[0] * size[1], alignment_bits)  # noqa: E731
+    device, camera = opened(needs, settings=CameraSettings(*size, 8000.0, 0.0))
     camera.start()
     assert ("SIRM transfer", transfer) in device.log
 
@@ -353,8 +303,8 @@ def test_leader_and_trailer_are_told_in_whole_units_and_have_room_in_whole_packe
     leader: int, trailer: int, bits: int, told: tuple[int, int], buffer: int
 ) -> None:
     """Also where the camera does not know their lengths yet, and says 0."""
-    device, camera = opened(lambda device: device.needs(leader=leader, trailer=trailer, alignment_bits=bits))
-    camera.configure(SETTINGS)
+    needs = lambda device: device.needs(leader=leader, trailer=trailer, alignment_bits=bits)  # noqa: E731
+    device, camera = opened(needs, settings=SETTINGS)
     camera.start()
     assert [dict(device.log)[name] for name in ("SIRM leader", "SIRM trailer")] == list(told)
     device.stream_buffers.clear()
@@ -363,39 +313,34 @@ def test_leader_and_trailer_are_told_in_whole_units_and_have_room_in_whole_packe
 
 
 def test_images_that_never_come_whole_in_one_transfer_come_in_pieces_from_the_next_start_on() -> None:
-    size = CameraSettings(1600, 1200, 8000.0, 0.0)
-    device, camera = opened(lambda device: device.needs(1600 * 1200))
-    camera.configure(size)
+    big = CameraSettings(1600, 1200, 8000.0, 0.0)
+    device, camera = opened(lambda device: device.needs(1600 * 1200), settings=big)
     camera.start()
     pixels = np.random.default_rng(3).integers(0, 256, (1200, 1600), np.uint8)
     leader, payload, trailer = frame_of(pixels.tobytes(), size=(1600, 1200))
-    device.stream = [leader, payload[: 1 << 20], payload[1 << 20 :], trailer]
+    in_pieces = [leader, payload[: 1 << 20], payload[1 << 20 :], trailer]
+    device.stream = [*in_pieces]
     slot = np.zeros((1200, 1600), np.uint8)
     assert camera.next_frame(slot, 0.1).status is not FrameStatus.COMPLETE
     device.log.clear()
     camera.start()
     transfers = [("SIRM transfer", 1 << 20), ("SIRM transfers", 1), ("SIRM final 1", 871_424), ("SIRM final 2", 0)]
     assert [entry for entry in device.log if entry in transfers] == transfers
-    device.stream = [leader, payload[: 1 << 20], payload[1 << 20 :], trailer]
+    device.stream = in_pieces
     assert camera.next_frame(slot, 0.1).status is FrameStatus.COMPLETE
     np.testing.assert_array_equal(slot, pixels)
     assert "pieces" in camera.health().details["transfers"]
-
-
-def test_one_frame_that_was_whole_keeps_whole_transfers() -> None:
     device, camera = streaming()
-    slot = empty_slot()
     device.stream = [*frame_of(bytes(3072)), *frame_of(bytes(100), 10)]
-    assert camera.next_frame(slot, 0.1).status is FrameStatus.COMPLETE
-    assert camera.next_frame(slot, 0.1).status is FrameStatus.TRUNCATED
+    statuses = [camera.next_frame(empty_slot(), 0.1).status for _ in range(2)]
+    assert statuses == [FrameStatus.COMPLETE, FrameStatus.TRUNCATED]
     camera.start()
-    assert "transfers" not in camera.health().details
+    assert "transfers" not in camera.health().details, "one frame that was whole keeps whole transfers"
 
 
 @pytest.mark.parametrize("payload", [64 * 48 - 1, 64 * 48 + 16])
 def test_more_than_the_pixels_or_less_is_refused_before_anything_streams(payload: int) -> None:
-    device, camera = opened(lambda device: device.needs(payload))
-    camera.configure(SETTINGS)
+    device, camera = opened(lambda device: device.needs(payload), settings=SETTINGS)
     with pytest.raises(DeviceRefused, match=f"wants to send {payload} bytes for an image of 3072"):
         camera.start()
     assert not any(entry in device.log for entry in STARTED)

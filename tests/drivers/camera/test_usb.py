@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import errno
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -36,13 +34,21 @@ def opened(device: Device) -> UsbCamera:
 
 
 @pytest.mark.parametrize("interrupts", [False, True], ids=["bulk", "others before the bulk endpoints"])
-def test_a_camera_is_found_by_the_serial_number_of_its_vision_descriptor(interrupts: bool) -> None:
+def test_a_camera_is_found_by_the_serial_number_of_its_vision_descriptor_or_of_the_device(interrupts: bool) -> None:
     leaving = Device("KF-CAM-R", fails={"ask": errno.ENODEV})
     devices = (Device(vision=False), leaving, Device("KF-CAM-R"), Device("KF-CAM-L", interrupts=interrupts))
     camera = found(*devices)
     assert camera.serial == "KF-CAM-L"
     assert (camera.layout.control_in, camera.layout.control_out, camera.layout.stream_in) == (0x81, 0x01, 0x83)
     assert not any(device.is_open for device in devices), "looking leaves none open"
+    for info in (DEVICE_INFO[:17] + b"\0" + DEVICE_INFO[18:], b""):
+        assert [camera.serial for camera in find_cameras(Bus(Device(info=info)))] == ["not the U3V serial"]
+
+
+def test_the_link_has_the_speed_that_the_host_says() -> None:
+    """libusb's names of speeds, rounded to whole Mbit/s; 0 is unknown."""
+    speeds_mbps = {1: 2, 2: 12, 3: 480, 4: 5000, 5: 10000, 6: 20000, 0: None, None: None}
+    assert {speed: found(Device(speed=speed)).link_speed_mbps for speed in speeds_mbps} == speeds_mbps
 
 
 @pytest.mark.parametrize(
@@ -65,11 +71,6 @@ def test_a_camera_that_is_not_found_is_gone_or_forbidden(
     assert not any(device.is_open for device in devices)
 
 
-def test_without_a_serial_number_of_its_own_the_devices_serves() -> None:
-    for info in (DEVICE_INFO[:17] + b"\0" + DEVICE_INFO[18:], b""):
-        assert [camera.serial for camera in find_cameras(Bus(Device(info=info)))] == ["not the U3V serial"]
-
-
 @pytest.mark.parametrize("configuration", [0, 1, 2])
 def test_opening_claims_control_and_stream_sets_no_configuration_anew_and_closing_returns_them(
     configuration: int,
@@ -81,14 +82,10 @@ def test_opening_claims_control_and_stream_sets_no_configuration_anew_and_closin
     camera.close()
     camera.close()
     assert (device.claimed, device.is_open) == ([], False)
-
-
-def test_a_camera_that_was_unplugged_closes_silently() -> None:
-    device = Device()
     camera = opened(device)
     device.plugged = False
     camera.close()
-    assert not device.is_open
+    assert not device.is_open, "one that was unplugged closes silently"
 
 
 @pytest.mark.parametrize("at", ["open", "claim"])
@@ -142,51 +139,20 @@ def test_each_failure_of_a_transfer_has_its_name(
 @pytest.mark.parametrize(("timeout_s", "timeout_ms"), [(0.25, 250), (0.0004, 1), (0.0, 1), (0.0026, 3), (-1.0, 1)])
 def test_a_transfer_waits_as_long_as_it_was_told_and_never_for_ever(timeout_s: float, timeout_ms: int) -> None:
     """0 is "no timeout" to libusb."""
-    device = Device(answer=b"answer")
-    pipe = opened(device).control()
-    assert pipe.read(1024, timeout_s) == b"answer"
-    pipe.write(b"command", timeout_s)
-    assert device.timeouts_ms == [timeout_ms, timeout_ms]
-
-
-def test_a_command_goes_out_whole_on_the_way_out_or_is_said_not_to() -> None:
-    device = Device(configuration=1)
+    device = Device(configuration=1, answer=b"answer")
     camera = opened(device)
-    camera.control().write(b"command", 0.1)
+    assert camera.control().read(1024, timeout_s) == b"answer"
+    camera.control().write(b"command", timeout_s)
     assert device.log == [("0x1 b'command'", 7)]
+    slot = np.full((2, 4), 9, np.uint8)
+    assert camera.stream().read_into(transfer_buffer(slot), timeout_s) == 6
+    assert slot.tobytes() == b"answer\x09\x09"
+    assert device.timeouts_ms == [timeout_ms] * 3
     device.short_by = 1
     with pytest.raises(TransferTimeout, match="6 of 7 bytes written"):
         camera.control().write(b"command", 0.1)
     with pytest.raises(ValueError, match="no way out"):
         camera.stream().write(b"command", 0.1)  # type: ignore[attr-defined]
-
-
-def test_pyusbs_libusb_backend_fills_the_callers_memory() -> None:
-    """Pins how pyusb hands a buffer to libusb: by the address that ``buffer_info`` tells."""
-    backend = object.__new__(usb.backend.libusb1._LibUSB)  # without the library: only its transfer routine is used
-    backend._finalizer = lambda: None
-    slot = np.zeros((2, 4), np.uint8)
-
-    def libusb_bulk_transfer(handle: Any, endpoint: int, data: Any, length: int, done: Any, timeout_ms: int) -> int:
-        assert (endpoint, length, timeout_ms) == (0x83, 8, 250)
-        for i in range(length):
-            data[i] = i + 1
-        done._obj.value = length
-        return 0
-
-    read = backend._LibUSB__read
-    assert read(libusb_bulk_transfer, SimpleNamespace(handle=None), 0x83, 2, transfer_buffer(slot), 250) == 8
-    assert slot.tolist() == [[1, 2, 3, 4], [5, 6, 7, 8]]
-    assert opened(Device(answer=b"pixels")).stream().read_into(transfer_buffer(slot), 0.1) == 6
-    assert slot.tobytes() == b"pixels\7\x08"
-
-
-SPEEDS_MBPS = {1: 2, 2: 12, 3: 480, 4: 5000, 5: 10000, 6: 20000, 0: None, None: None}
-
-
-def test_the_link_has_the_speed_that_the_host_says() -> None:
-    """libusb's names of speeds, rounded to whole Mbit/s; 0 is unknown."""
-    assert {speed: found(Device(speed=speed)).link_speed_mbps for speed in SPEEDS_MBPS} == SPEEDS_MBPS
 
 
 def test_a_halt_is_cleared_on_every_endpoint_of_a_pipe_and_only_a_camera_that_left_makes_it_fail() -> None:

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from drivers.camera import gencp, u3v
 from drivers.camera.descriptors import (
+    DeviceInfo,
     InterfaceDescription,
     MalformedDescriptor,
     find_device_info,
@@ -99,14 +100,12 @@ def test_leader_and_trailer_are_taken_apart_whatever_the_vendor_puts_behind_them
     assert known == [(True, False), (False, True), (False, False), (False, False)]
 
 
-def test_device_info_is_taken_apart() -> None:
+def test_device_info_and_strings_are_taken_apart() -> None:
     """GenCP 1.3 and U3V 1.0 (minor first), strings 4 5 2 6 7 8 3 9, SuperSpeed."""
-    info = parse_device_info(DEVICE_INFO)
-    assert (info.gencp_version, info.u3v_version) == ((1, 3), (1, 0))
-    assert (info.guid_index, info.vendor_index, info.model_index, info.serial_index) == (4, 5, 2, 3)
-    assert (info.device_version_index, info.manufacturer_info_index, info.family_index) == (7, 8, 6)
-    assert (info.user_name_index, info.speed_mask) == (9, 8)
-    assert parse_device_info(DEVICE_INFO + b"more") == info
+    info = DeviceInfo((1, 3), (1, 0), 4, 5, 2, 6, 7, 8, 3, 9, 8)
+    assert parse_device_info(DEVICE_INFO) == parse_device_info(DEVICE_INFO + b"more") == info
+    told = {b"\x02\x03": "", b"\x04\x03K\0": "K", b"\x06\x03K\0\0\0": "K", b"\x06\x03K\0F\0behind it": "KF"}
+    assert {data: parse_string(data) for data in told} == told
 
 
 @pytest.mark.parametrize(
@@ -137,11 +136,6 @@ def test_what_is_none_or_of_another_size_is_named(parse: Callable[[bytes], objec
         parse(data)
 
 
-def test_a_string_is_as_long_as_it_says() -> None:
-    told = {b"\x02\x03": "", b"\x04\x03K\0": "K", b"\x06\x03K\0\0\0": "K", b"\x06\x03K\0F\0garbage behind it": "KF"}
-    assert {data: parse_string(data) for data in told} == told
-
-
 @pytest.mark.parametrize(
     ("before", "found"),
     [
@@ -159,9 +153,7 @@ def test_descriptors_are_followed_as_long_as_they_chain(before: bytes, found: bo
     assert find_device_info(before + DEVICE_INFO[:-1]) is None
 
 
-@given(
-    st.binary(max_size=64) | damaged([DEVICE_INFO, bytes([5, 0x24, 0x7F, 1, 2]) + DEVICE_INFO, b"\x06\x03K\x00F\x00"])
-)
+@given(st.binary(max_size=64) | damaged([DEVICE_INFO, bytes([5, 0x24, 0x7F, 1, 2]) + DEVICE_INFO]))
 def test_arbitrary_bytes_never_break_the_search(data: bytes) -> None:
     assert find_device_info(data) is None or b"\x24\x01" in data
 
@@ -173,7 +165,6 @@ def interface(number: int, protocol: int, *bulk_in: int, bulk_out: tuple[int, ..
 CONTROL, STREAM = interface(0, 0, 0x81, bulk_out=(0x01,)), interface(2, 2, 0x83)
 NO_WAY_OUT, NO_STREAM = interface(7, 0, 0x87), interface(8, 2)
 OTHER_CLASS = InterfaceDescription(9, 0xEF, 0x02, 0, (0x88,), (0x08,), b"")
-WEBCAM = InterfaceDescription(0, 0x0E, 0x01, 0x00, (0x81,), (0x01,), b"")
 
 
 @pytest.mark.parametrize(
@@ -185,7 +176,6 @@ WEBCAM = InterfaceDescription(0, 0x0E, 0x01, 0x00, (0x81,), (0x01,), b"")
         ([NO_WAY_OUT, STREAM], False),
         ([CONTROL, NO_STREAM], False),
         ([OTHER_CLASS, STREAM], False),
-        ([WEBCAM], False),
     ],
 )
 def test_the_first_pipes_of_a_class_with_all_their_endpoints_are_a_cameras(
