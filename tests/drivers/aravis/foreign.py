@@ -8,6 +8,7 @@ from __future__ import annotations
 import ctypes
 import itertools
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -32,6 +33,16 @@ class SentImage:
     after_s: float = 0.0
     """Time until it comes."""
     claimed_bytes: int | None = None
+
+
+OF_AN_IMAGE: dict[str, Callable[[SentImage], int]] = {
+    "status": lambda sent: sent.status,
+    "frame_id": lambda sent: sent.number,
+    "timestamp": lambda sent: sent.stamp_ns,
+    "image_width": lambda sent: sent.size_px[0],
+    "image_height": lambda sent: sent.size_px[1],
+    "image_pixel_format": lambda sent: sent.pixel_format,
+}
 
 
 @dataclass
@@ -82,6 +93,12 @@ class ForeignLibrary:
         for name in dir(self):
             if name.startswith(("arv_", "g_")):
                 setattr(self, name, partial(getattr(self, name)))
+        for name, number in (("major", 0), ("minor", 8), ("micro", 26)):
+            setattr(self, f"arv_get_{name}_version", partial(lambda number: number, number))
+        for name in ("id", "serial_nbr", "protocol", "address"):
+            setattr(self, f"arv_get_device_{name}", partial(self._word, name.removesuffix("_nbr")))
+        for name, told in OF_AN_IMAGE.items():
+            setattr(self, f"arv_buffer_get_{name}", partial(self._of_buffer, told))
 
     def add(self, protocol: str, **more: Any) -> OnABus:
         """Plug in a camera."""
@@ -99,12 +116,6 @@ class ForeignLibrary:
 
     # ---- the system
 
-    def arv_get_major_version(self) -> int:
-        return 0
-
-    arv_get_minor_version = staticmethod(lambda: 8)
-    arv_get_micro_version = staticmethod(lambda: 26)
-
     def arv_enable_interface(self, name: bytes) -> None:
         self.enabled.append(name)
 
@@ -114,21 +125,9 @@ class ForeignLibrary:
     def arv_get_n_devices(self) -> int:
         return len(self.devices) if self.looked else 0
 
-    def _word(self, index: int, name: str) -> bytes | None:
+    def _word(self, name: str, index: int) -> bytes | None:
         word: str | None = getattr(self.devices[index], name)
         return None if word is None else word.encode()
-
-    def arv_get_device_id(self, index: int) -> bytes | None:
-        return self._word(index, "id")
-
-    def arv_get_device_serial_nbr(self, index: int) -> bytes | None:
-        return self._word(index, "serial")
-
-    def arv_get_device_protocol(self, index: int) -> bytes | None:
-        return self._word(index, "protocol")
-
-    def arv_get_device_address(self, index: int) -> bytes | None:
-        return self._word(index, "address")
 
     def arv_open_device(self, name: bytes, error: Any) -> int:
         device = next(one for one in self.devices if one.id == name.decode())
@@ -157,19 +156,24 @@ class ForeignLibrary:
         size._obj.value = len(device.xml) if device.claimed_bytes is None else device.claimed_bytes
         return ctypes.addressof(text) if device.xml else 0
 
+    def _refuses(self, device: OnABus, what: str, address: int, size: int, error: Any) -> bool:
+        device.asked.append((what, address, size))
+        refused = device.lost or address in device.refusing
+        if refused:
+            self.fail(error, 5 if device.lost else device.refusing[address])
+        return refused
+
     def arv_device_read_memory(self, handle: int, address: int, size: int, memory: Any, error: Any) -> int:
         device = self.open[handle]
-        device.asked.append(("read", address, size))
-        if device.lost or address in device.refusing:
-            return self.fail(error, 5 if device.lost else device.refusing[address])
+        if self._refuses(device, "read", address, size, error):
+            return 0
         memory.raw = device.camera.get(address, size)
         return 1
 
     def arv_device_write_memory(self, handle: int, address: int, size: int, memory: Any, error: Any) -> int:
         device = self.open[handle]
-        device.asked.append(("write", address, size))
-        if device.lost or address in device.refusing:
-            return self.fail(error, 5 if device.lost else device.refusing[address])
+        if self._refuses(device, "write", address, size, error):
+            return 0
         assert len(memory.raw) == size
         if address == LATCH:
             assert memory.raw == bytes((0, 0, 0, 2)), "bit 1 latches"
@@ -232,20 +236,5 @@ class ForeignLibrary:
         size._obj.value = len(sent.data) if sent.claimed_bytes is None else sent.claimed_bytes
         return ctypes.addressof(memory)
 
-    def arv_buffer_get_status(self, buffer: int) -> int:
-        return self.buffers[buffer][1].status
-
-    def arv_buffer_get_frame_id(self, buffer: int) -> int:
-        return self.buffers[buffer][1].number
-
-    def arv_buffer_get_timestamp(self, buffer: int) -> int:
-        return self.buffers[buffer][1].stamp_ns
-
-    def arv_buffer_get_image_width(self, buffer: int) -> int:
-        return self.buffers[buffer][1].size_px[0]
-
-    def arv_buffer_get_image_height(self, buffer: int) -> int:
-        return self.buffers[buffer][1].size_px[1]
-
-    def arv_buffer_get_image_pixel_format(self, buffer: int) -> int:
-        return self.buffers[buffer][1].pixel_format
+    def _of_buffer(self, told: Callable[[SentImage], int], buffer: int) -> int:
+        return told(self.buffers[buffer][1])
