@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from functools import reduce
 from operator import xor
 
@@ -16,15 +15,11 @@ SCAN, UP = 1, 4
 MS = 1_000_000
 
 
-@dataclass
 class Pad:
-    bench: Bench
-    seed: int = 1
-    reports: list[tuple[int, bytes]] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        self.pad = Keypad(self.bench.time, self.bench.faults, self.seed)
-        self.bench.changed.append(self.pad.refresh)
+    def __init__(self, made: Bench, seed: int = 1) -> None:
+        self.bench, self.pad = made, Keypad(made.time, made.faults, seed)
+        self.reports: list[tuple[int, bytes]] = []
+        made.changed.append(self.pad.refresh)
         self.listen()
 
     def listen(self) -> None:
@@ -59,33 +54,30 @@ def test_a_finger_holds_a_key_until_it_goes(pad: Pad, announced_ms: int) -> None
     assert not edges[-1][1]
 
 
-@pytest.mark.parametrize("hold_s", [0.0, 0.003, 0.017, 0.2])
-def test_contacts_bounce_for_20_ms_at_most_and_end_released(hold_s: float) -> None:
+@pytest.mark.parametrize(("hold_s", "by_finger"), [(0.0, True), (0.003, False), (0.017, True), (0.2, False)])
+def test_contacts_bounce_for_20_ms_at_most_and_end_released(hold_s: float, by_finger: bool) -> None:
     bounced = 0
     for seed in range(20):
-        for by_finger in (False, True):
-            if not (hold_s or by_finger):
-                continue
-            with bench() as made:
-                pad = Pad(made, seed)
-                begin_ns = made.time.now_ns()
-                if by_finger:
-                    pad.pad.touch("scan", 0)
-                    made.run_s(hold_s)
-                    pad.pad.let_go("scan", 0)
-                else:
-                    pad.pad.press("scan", hold_s)
-                made.run_s(0.3 + hold_s)
-                assert pad.reports[-1][1][1] == 0, f"seed {seed}: held for ever"
-                assert all(good(report) for _, report in pad.reports)
-                edges = pad.edges(SCAN)
-                end_ns = begin_ns + int(hold_s * 1e9)
-                assert all(t <= begin_ns + 20 * MS or end_ns <= t <= end_ns + 20 * MS for t, _ in edges)
-                bounced += len(edges) > 2
-    assert bounced >= 8 or hold_s < 0.01, "contacts that never bounce test no debouncing"
+        with bench() as made:
+            pad = Pad(made, seed)
+            begin_ns = made.time.now_ns()
+            if by_finger:
+                pad.pad.touch("scan", 0)
+                made.run_s(hold_s)
+                pad.pad.let_go("scan", 0)
+            else:
+                pad.pad.press("scan", hold_s)
+            made.run_s(0.3 + hold_s)
+            assert pad.reports[-1][1][1] == 0, f"seed {seed}: held for ever"
+            assert all(good(report) for _, report in pad.reports)
+            edges = pad.edges(SCAN)
+            end_ns = begin_ns + int(hold_s * 1e9)
+            assert all(t <= begin_ns + 20 * MS or end_ns <= t <= end_ns + 20 * MS for t, _ in edges)
+            bounced += len(edges) > 2
+    assert bounced >= 4 or hold_s < 0.01, "contacts that never bounce test no debouncing"
 
 
-def test_garbage_is_mostly_recognisable_and_ends(pad: Pad) -> None:
+def test_garbage_is_mostly_recognisable_and_an_unplugged_pad_comes_back_as_another_device(pad: Pad) -> None:
     pad.bench.faults.add("keypad garbage for_s=20")
     pad.bench.run_s(19.9)
     wrong = [not good(r) for _, r in pad.reports]
@@ -93,17 +85,12 @@ def test_garbage_is_mostly_recognisable_and_ends(pad: Pad) -> None:
     assert {len(r) == 8 for _, r in pad.reports} == {True, False}, "some are short"
     pad.bench.run_s(0.3)
     assert good(pad.reports[-1][1])
-
-
-def test_an_unplugged_pad_is_silent_and_comes_back_as_another_device(pad: Pad) -> None:
-    pad.bench.run_s(1.0)
     before, enumeration = len(pad.reports), pad.pad.enumeration
     pad.bench.faults.add("keypad off for_s=1.0")
-    plugged = [pad.pad.plugged]
+    assert not pad.pad.plugged
     pad.bench.run_s(3.0)
-    assert [*plugged, pad.pad.plugged] == [False, True]
+    assert (pad.pad.plugged, pad.pad.enumeration) == (True, enumeration + 1)
     assert len(pad.reports) == before, "the old handle stays dead"
-    assert pad.pad.enumeration == enumeration + 1
     pad.listen()
     pad.bench.run_s(0.3)
     assert good(pad.reports[-1][1])

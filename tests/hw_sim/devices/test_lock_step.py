@@ -88,36 +88,6 @@ def test_patience_ends_and_comes_back_with_the_next_sequence(
     assert len(good(later.record(between=lambda k: time.sleep(0.2))["left"])) == 3
 
 
-def test_an_exposure_over_a_blank_sees_both_images(bench: Bench) -> None:
-    """From 12 ms after the blank, 8 ms long: 4.667 ms of the first pattern, the rest of the second."""
-    projector, camera = bench.projector(), bench.camera(exposure_us=8000)
-    black, white = (projector.buffer(g) for g in greys([0, 200]))
-
-    def mean(images: list[int]) -> float:
-        recorder = Recorder({"left": camera}, bench.board, projector, images, bench.size)
-        return float(good(recorder.record(delay_us=12_000)["left"])[1].image.mean())
-
-    dark, bright = mean([black] * 4), mean([white] * 4)
-    falling, rising = mean([black, white, black, black]), mean([black, black, white, white])
-    share = (16.667 - 12.0) / 8.0
-    assert (falling - dark) / (bright - dark) == pytest.approx(share, abs=0.04)
-    assert (rising - dark) / (bright - dark) == pytest.approx(1 - share, abs=0.04)
-
-
-def test_in_real_time_blanks_come_whatever_the_host_does(make_bench: Callable[..., Bench]) -> None:
-    bench = make_bench(pace="realtime")
-    camera, projector = bench.camera(), bench.projector()
-    bench.world.view("left")  # the scene is built before anybody waits for an image
-    first = projector.show(0)
-    bench.board.ask("ARM", 6, int(bench.board.ask("VSYNC")[0]) + 3, 500, 8000)
-    start_s, start_ns = time.monotonic(), bench.wires.clock.now_ns()
-    assert [camera.frame(20_000, bench.size).block_id for _ in range(6)] == list(range(6))
-    last = projector.show(0)
-    real_s, world_s = time.monotonic() - start_s, (bench.wires.clock.now_ns() - start_ns) / 1e9
-    assert world_s == pytest.approx(real_s, abs=0.1)
-    assert last["sequence"] - first["sequence"] >= 8, "it did not wait for flips"
-
-
 def test_an_attended_world_is_real_time_between_sequences_and_waits_within_them(
     make_bench: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
 ) -> None:
