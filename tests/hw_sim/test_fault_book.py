@@ -33,14 +33,10 @@ def sentences_of_the_manual() -> list[str]:
     return found
 
 
-@pytest.mark.parametrize("sentence", sentences_of_the_manual())
-def test_every_sentence_of_the_manual_is_understood(sentence: str) -> None:
-    assert parse(sentence).sentence == sentence
-
-
-def test_the_manual_lists_every_fault() -> None:
-    documented = {(parse(s).component.split(".")[0], parse(s).verb) for s in sentences_of_the_manual()}
-    assert documented == set(KINDS)
+def test_every_sentence_of_the_manual_is_understood_and_every_fault_is_in_it() -> None:
+    sentences = sentences_of_the_manual()
+    assert [parse(sentence).sentence for sentence in sentences] == sentences
+    assert {(parse(s).component.split(".")[0], parse(s).verb) for s in sentences} == set(KINDS)
 
 
 @pytest.mark.parametrize(
@@ -61,9 +57,8 @@ def test_the_manual_lists_every_fault() -> None:
     ],
 )
 def test_a_wrong_sentence_is_refused_with_what_is_allowed(sentence: str, named: str) -> None:
-    with pytest.raises(FaultSyntaxError) as caught:
+    with pytest.raises(FaultSyntaxError, match=re.escape(named)) as caught:
         parse(sentence)
-    assert named in str(caught.value)
     assert sentence in str(caught.value)
 
 

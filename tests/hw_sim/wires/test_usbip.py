@@ -108,9 +108,8 @@ class Imported:
             self._kept[ended] = Ended(status, data, command == 4)
         return self._kept.pop(number)
 
-    def control(self, kind: int, request: int, value: int, length: int = 0, data: bytes = b"") -> Ended:
-        setup = struct.pack("<BBHHH", kind, request, value, 0, len(data) or length)
-        return self.finish(self.submit(0, length, data, setup))
+    def control(self, kind: int, request: int, value: int, length: int = 0) -> Ended:
+        return self.finish(self.submit(0, length, setup=struct.pack("<BBHHH", kind, request, value, 0, length)))
 
     def bulk(self, endpoint: int, length: int = 0, data: bytes = b"") -> Ended:
         return self.finish(self.submit(endpoint, length, data))

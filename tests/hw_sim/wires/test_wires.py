@@ -53,24 +53,18 @@ def in_background(act: Callable[[], object]) -> tuple[threading.Thread, list[obj
     return thread, results
 
 
-def test_the_protocol_is_known_only_while_wires_are_open() -> None:
-    with pytest.raises(ValueError, match="kfsim"):
-        port()
+def test_one_host_at_a_time_while_wires_are_open_and_each_starts_with_an_empty_buffer() -> None:
     with open_wires({**SMALL, "world": "fast"}), open_wires({"world": "fast"}):
-        port().close()
+        with port() as first:
+            with pytest.raises(serial.SerialException, match="busy"):
+                port()
+            assert first.write(PING) == len(PING)
+            assert first.read_until(b"\r\n").startswith(b"$A,1,PING,")
+            first.write(PING)
+        with port(0.0) as second:
+            assert second.read(100) == b""
     with pytest.raises(ValueError, match="kfsim"):
         port()
-
-
-def test_one_host_at_a_time_and_each_starts_with_an_empty_buffer(world: World) -> None:
-    with port() as first:
-        with pytest.raises(serial.SerialException, match="busy"):
-            port()
-        assert first.write(PING) == len(PING)
-        assert first.read_until(b"\r\n").startswith(b"$A,1,PING,")
-        first.write(PING)
-    with port(0.0) as second:
-        assert second.read(100) == b""
 
 
 def test_a_timeout_of_the_port_counts_world_time_and_returns_what_there_is(world: World) -> None:
@@ -108,20 +102,15 @@ def test_a_read_without_a_timeout_can_be_ended(by: str) -> None:
 def test_the_pad_is_enumerated_and_refused_as_by_hidapi(world: World) -> None:
     module = HidrawModule(world.keypad, world.time)
     (found,) = module.enumerate(0x1209, 0x4B46)
-    page = inspect.getdoc(hidapi.enumerate)
-    assert page is not None
+    page = inspect.getdoc(hidapi.enumerate) or ""
     documented = {line.strip("- '") for line in page.splitlines() if "- '" in line}
     assert len(documented) >= 10
     assert documented <= set(found)
     assert isinstance(found["path"], bytes)
     assert (found["vendor_id"], found["product_id"]) == (0x1209, 0x4B46)
     assert (found["usage_page"], found["usage"]) == (0xFF4B, 1)
-    assert [module.enumerate(*which) for which in ((), (0x1209,), (0x1209, 1), (1, 0x4B46))] == [
-        [found],
-        [found],
-        [],
-        [],
-    ]
+    for which, there in (((), [found]), ((0x1209,), [found]), ((0x1209, 1), []), ((1, 0x4B46), [])):
+        assert module.enumerate(*which) == there
     for maker in (module, hidapi):
         device = maker.device()
         with pytest.raises(ValueError, match="not open"):
