@@ -31,7 +31,7 @@ from tests.drivers.board.test_board import FarEnd
 from tests.drivers.camera.scripted import Bus, ScriptedCamera
 from tests.drivers.clock import SteppedClock
 from tests.drivers.keys.test_keypad import NONE, Pad, report
-from tests.drivers.output.kernel import Kernel, KernelWires, Plug, mode
+from tests.drivers.output.kernel import KernelWires, Plug, mode, plugged
 
 
 def test_the_instruments_wires_are_the_systems_own() -> None:
@@ -112,7 +112,7 @@ def test_camera_key_pad_and_board_are_opened_on_the_wires() -> None:
 
 def test_outputs_are_opened_each_on_the_connector_of_its_own() -> None:
     card = "/dev/dri/card0"
-    kernel = Kernel([Plug(1, 11, 1, [mode(128, 96)]), Plug(2, 10, 1, [mode(80, 48)])])
+    kernel = plugged(Plug(1, 11, 1, [mode(128, 96)]), Plug(2, 10, 1, [mode(80, 48)]))
     projector = OutputSpec(OutputKind.KMS, card, "HDMI-A-1", 128, 96, 60.0)
     display = OutputSpec(OutputKind.KMS, card, "DP-1", 80, 48, 60.0)
     with open_outputs(projector, display, KernelWires({card: [kernel]})) as outputs:  # type: ignore[arg-type]

@@ -10,8 +10,6 @@ import pytest
 from hw_sim.wires.umockdev.testbed import Testbed
 from hw_sim.world import World, WorldOptions
 
-SMALL = (400, 300)
-
 
 @pytest.fixture(autouse=True)
 def _umockdev() -> None:
@@ -20,9 +18,9 @@ def _umockdev() -> None:
 
 
 @pytest.fixture
-def world() -> Iterator[World]:
-    """Small cameras, real time."""
-    width, height = SMALL
+def world(request: pytest.FixtureRequest) -> Iterator[World]:
+    """Small cameras (or of the size that a test asks for), real time."""
+    width, height = getattr(request, "param", (400, 300))
     with World(
         WorldOptions(world="bed", width_px=width, height_px=height, pace="realtime", stills=True, truth="modelled")
     ) as made:

@@ -8,7 +8,6 @@ import re
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -19,9 +18,6 @@ from appliance.instrument import CALIBRATION_FILE
 from hw_sim.truth import TrueRig
 from hw_sim.wires.umockdev.testbed import Testbed
 from tests.support.truth import true_calibration
-
-LOOK_S = 0.05
-END_TIMEOUT_S = 60.0
 
 
 def rig_file(folder: Path, size: tuple[int, int]) -> Path:
@@ -40,42 +36,33 @@ class Instrument:
     """A context manager: ``kingfisher run`` from power on to the end of the block, then SIGTERM."""
 
     def __init__(self, folder: Path, bed: Testbed, truth: TrueRig, size: tuple[int, int]) -> None:
-        self._rig_path = rig_file(folder, size)
-        self._rig = load_rig(self._rig_path)
-        self.root = self._rig.storage.root
+        rig_path = rig_file(folder, size)
+        rig = load_rig(rig_path)
+        self.root = rig.storage.root
         calibration = self.root / CALIBRATION_FILE
         calibration.parent.mkdir(parents=True)
-        calibration.write_bytes(encode(true_calibration(truth, self._rig.rig.serial)))
-        self._bed, self._log_path = bed, folder / "service.log"
-        self._process: subprocess.Popen[bytes] | None = None
-
-    def __enter__(self) -> Self:
+        calibration.write_bytes(encode(true_calibration(truth, rig.rig.serial)))
+        self._log_path = folder / "service.log"
         with self._log_path.open("wb") as log:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "appliance.cli", "run", "--rig", str(self._rig_path)],
-                env={**os.environ, **self._bed.environment},
+                [sys.executable, "-m", "appliance.cli", "run", "--rig", str(rig_path)],
+                env={**os.environ, **bed.environment},
                 stdout=log,
                 stderr=subprocess.STDOUT,
             )
+
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        assert self._process is not None
         self._process.terminate()
         try:
-            self._process.wait(END_TIMEOUT_S)
+            self._process.wait(60.0)
         except subprocess.TimeoutExpired:
             self._process.kill()
-            self._process.wait(END_TIMEOUT_S)
-        self._rig_path.with_name("exit").write_text(str(self._process.returncode))
-
-    @property
-    def pid(self) -> int:
-        """Of the service."""
-        assert self._process is not None
-        return self._process.pid
+            self._process.wait(60.0)
 
     @property
     def log(self) -> str:
@@ -86,24 +73,14 @@ class Instrument:
     def status(self) -> dict[str, Any]:
         """The status file; empty before there is one."""
         path = self.root / "run" / "status.json"
-        if not path.exists():
-            return {}
-        found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        return found
-
-    def wait(self, what: str, sees: Callable[[dict[str, Any]], bool], timeout_s: float) -> dict[str, Any]:
-        """The first status that ``sees``. Fails with what is to be seen instead, and the end of the log."""
-        end = time.monotonic() + timeout_s
-        while time.monotonic() < end:
-            assert self._process is not None
-            status = self.status
-            if status and sees(status):
-                return status
-            if self._process.poll() is not None:
-                break
-            time.sleep(LOOK_S)
-        raise AssertionError(f"waited {timeout_s:g} s for {what}; there is {self.status}\n{self.log[-3000:]}")
+        return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}  # type: ignore[no-any-return]
 
     def wait_state(self, *states: str, timeout_s: float) -> dict[str, Any]:
-        """The first status in one of these states."""
-        return self.wait(" or ".join(states), lambda status: status["state"] in states, timeout_s)
+        """The first status in one of these states. Fails with what there is instead, and the end of the log."""
+        end = time.monotonic() + timeout_s
+        while time.monotonic() < end and self._process.poll() is None:
+            status = self.status
+            if status.get("state") in states:
+                return status
+            time.sleep(0.05)
+        raise AssertionError(f"waited {timeout_s:g} s for {states}; there is {self.status}\n{self.log[-3000:]}")

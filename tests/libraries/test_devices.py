@@ -14,9 +14,9 @@ import pytest
 from hw_sim.timing.world_time import BLANK_NS
 from hw_sim.wires.umockdev.testbed import Testbed
 from hw_sim.world import World
+from tests.hw_sim.devices.host import BoardHost
 from tests.libraries.client import Client
 from tests.libraries.clients.output import pattern
-from tests.libraries.commands import line
 from tests.libraries.instrument import rig_file
 
 pytestmark = pytest.mark.foreign
@@ -25,32 +25,47 @@ pytestmark = pytest.mark.foreign
 def triggered(world: World) -> None:
     """The board fires both cameras at every sixth blank, as it does while the diver aims."""
     with world.time.condition:
-        world.board.receive(line("LIVE,6,500,1000"))
+        world.board.receive(BoardHost.line("C,1,LIVE,6,500,1000"))
 
 
-def test_libusb_reads_both_cameras_at_once(world: World, bed: Testbed) -> None:
+LARGE = (1280, 960)
+"""Few transfers wait at once: one end of a stream in a thousand hangs in Aravis, the sooner the more of them there are."""
+
+
+@pytest.mark.parametrize(("kind", "world"), [("usb3vision", (400, 300)), ("aravis", LARGE)], indirect=["world"])
+def test_both_cameras_are_read_at_once(kind: str, world: World, bed: Testbed) -> None:
     world.view("left")
     triggered(world)
-    with Client(bed, "cameras", 400, 300, 20, "KF-CAM-L", "KF-CAM-R") as client:
+    size = (world.options.width_px, world.options.height_px)
+    with Client(bed, "cameras", "--kind", kind, *size, 20, "KF-CAM-L", "KF-CAM-R") as client:
         for _ in range(2):
             opened = client.expect("opened")
             assert (opened["model"], opened["mbps"]) == ("KFC1920", 5000)
         for _ in range(2):
             read = client.expect("read", timeout_s=60)
-            assert read["met"]["complete"] == 20
+            assert (read["met"], read["gaps"]) == ({"complete": 20}, 0)
             assert read["brightest"] > 0, "pixels came, not only headers"
         client.expect("cpu_s")
 
 
-def test_a_camera_that_is_unplugged_is_gone_and_comes_back(world: World, bed: Testbed) -> None:
+@pytest.mark.parametrize(
+    ("kind", "world", "said", "others"),
+    [
+        ("usb3vision", (400, 300), "unplugged while streaming", "the bus has KF-CAM-R"),
+        ("aravis", LARGE, "Check the connector; the camera is opened again by itself", "there are KF-CAM-R"),
+    ],
+    indirect=["world"],
+)
+def test_a_camera_that_is_unplugged_is_gone_and_comes_back(
+    kind: str, world: World, said: str, others: str, bed: Testbed
+) -> None:
     triggered(world)
-    with Client(bed, "cameras", 400, 300, 40, "KF-CAM-L") as client:
+    size = (world.options.width_px, world.options.height_px)
+    with Client(bed, "cameras", "--kind", kind, *size, 40, "KF-CAM-L") as client:
         client.expect("started")
         world.fault("camera.left off")
-        why = client.expect("gone")["why"]
-        assert "unplugged while streaming" in why, why
-        failed = client.expect("failed")["failed"]
-        assert "KF-CAM-L not found; the bus has KF-CAM-R" in failed
+        assert said in client.expect("gone")["why"]
+        assert f"KF-CAM-L not found; {others}" in client.expect("failed")["failed"]
         world.clear_faults()
         client.expect("opened")
         assert client.expect("read", timeout_s=60)["met"]["complete"] == 40
@@ -62,7 +77,7 @@ def test_hidapi_hears_each_press_and_survives_the_cable(world: World, bed: Testb
         for key in ("scan", "back", "up", "down"):
             world.press(key, 0.2)
             client.expect("press", key)
-            assert client.expect("release", key)["held_s"] == pytest.approx(0.2, abs=0.05)
+            assert client.expect("release", key)["held_s"] == pytest.approx(0.2, abs=0.15)
         world.fault("keypad off")
         assert "unplugged" in client.expect("gone")["gone"]
         world.clear_faults()

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import re
 import struct
 from collections.abc import Callable
 from contextlib import suppress
 
 import pytest
 from hypothesis import given
-from hypothesis import strategies as st
 
 from drivers.api import DeviceGone, DeviceRefused
 from drivers.camera.features import Features
@@ -128,32 +126,17 @@ def test_what_cannot_be_done_with_a_feature_is_refused_by_name_and_range(
     assert not any(memory.memory)
 
 
-def nested(depth: int) -> str:
-    return XML.replace("<Port ", "<Group>" * depth + "</Group>" * depth + "<Port ")
-
-
-ENTITIES = "".join(f"<!ENTITY e{n} '{f'&e{n - 1};' * 10}'>" for n in range(1, 12))
-BOMB = XML.replace(
-    "<RegisterDescription", f"<!DOCTYPE R [<!ENTITY e0 'Width'>{ENTITIES}]><RegisterDescription", 1
-).replace("<pFeature>Width</pFeature>", "<pFeature>&e11;</pFeature>")
-FILE = XML.replace(
-    "<RegisterDescription", "<!DOCTYPE R [<!ENTITY f SYSTEM 'file:///etc/passwd'>]><RegisterDescription", 1
-).replace("<pFeature>Width</pFeature>", "<pFeature>&f;</pFeature>")
-
-
 @pytest.mark.parametrize(
     ("xml", "said"),
     [
         *((text, "description") for text in ("", "<a/>", XML[:900], "\0")),
-        (nested(100_000), "nested deeper than 32"),
-        (nested(31), "parsing XML stream"),  # GenApi's own words: it knows no such nesting
-        (BOMB, "a document type is declared"),
-        (FILE, "a document type is declared"),
+        (XML.replace("<Port ", "<Group>" * 100_000 + "</Group>" * 100_000 + "<Port "), "nested deeper than 32"),
+        (XML.replace("<Port ", "<Group>" * 31 + "</Group>" * 31 + "<Port "), "parsing XML stream"),  # GenApi's words
+        (XML.replace("<RegisterDescription", "<!DOCTYPE R><RegisterDescription", 1), "a document type is declared"),
         (XML.replace("<pPort>Device<", "<pPort>Width<", 1), "cannot be loaded .*port"),
         (XML.replace("<pFeature>Width<", "<pFeature>Device<", 1), "cannot be loaded .*port"),
-        (XML.replace('encoding="utf-8"', 'encoding="inf-8"', 1), "not well-formed"),
     ],
-    ids=range(11),
+    ids=range(9),
 )
 def test_a_description_that_is_none_or_beyond_any_cameras_is_refused(xml: str, said: str) -> None:
     """A hundred thousand nested elements end the process from below Python, where nothing can be caught."""
@@ -162,31 +145,14 @@ def test_a_description_that_is_none_or_beyond_any_cameras_is_refused(xml: str, s
 
 
 TAGS = (
-    "<pValue>Width</pValue>", "<pMin>Width</pMin>", "<pAddress>Width</pAddress>", "<Length>0</Length>", "<Length>-1</Length>", "&e;", "&amp;",
-    "<Length>999999999</Length>", "<Formula>1/0</Formula>", "<Address>0xFFFFFFFFFFFFFFFF</Address>", "<pIsAvailable>TriggerMode</pIsAvailable>",
-    "<pSelected>Width</pSelected>", "<Inc>0</Inc>", "<Min>nan</Min>", "<!--", "]]>", "Name='Width'", "<pInvalidator>Width</pInvalidator>",
-    "<IntSwissKnife Name='K'><pVariable Name='W'>Width</pVariable><Formula>W/0</Formula></IntSwissKnife>", "<pFeature>Root</pFeature>",
+    "<pValue>Width</pValue>", "<pAddress>Width</pAddress>", "<Length>-1</Length>", "<Length>999999999</Length>", "&e;", "<!--", "]]>",
+    "<Formula>1/0</Formula>", "<Address>0xFFFFFFFFFFFFFFFF</Address>", "<pIsAvailable>TriggerMode</pIsAvailable>", "Name='Width'",
+    "<pSelected>Width</pSelected>", "<Inc>0</Inc>", "<Min>nan</Min>", "<pInvalidator>Width</pInvalidator>", "<pFeature>Root</pFeature>",
 )  # fmt: skip
 NAMES = ("Width", "TriggerMode", "ExposureTime", "AcquisitionStart", "Root", "WidthReg", "Device", "Nothing")
-OTHERS = *NAMES, "", *str.split("0 1 8 0x1000 -1 nan 0xFFFFFFFFFFFFFFFF 99999999 BigEndian RO NI 1/0")
 
 
-@st.composite
-def described_otherwise(draw: st.DrawFn) -> str:
-    """A description that is well-formed and says something else here and there."""
-    xml = XML
-    for _ in range(draw(st.integers(1, 3))):
-        begin, end = draw(
-            st.sampled_from([found.span(1) for found in re.finditer(r"(?:>|Name=[\"'])([^<>\"']+)[<\"']", xml)])
-        )
-        xml = xml[:begin] + draw(st.sampled_from(OTHERS)) + xml[end:]
-    return xml.replace("<Port", draw(st.sampled_from(("", "", "", *TAGS))) + "<Port")
-
-
-@given(
-    described_otherwise()
-    | damaged([XML.encode()], [tag.encode() for tag in TAGS]).map(lambda data: data.decode("utf-8", "replace"))
-)
+@given(damaged([XML.encode()], [tag.encode() for tag in TAGS]).map(lambda data: data.decode("utf-8", "replace")))
 def test_a_description_that_says_nonsense_is_refused_or_used_and_kills_nobody(xml: str) -> None:
     with suppress(DeviceRefused, DeviceGone):
         _, features = described_by(xml)

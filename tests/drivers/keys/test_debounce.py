@@ -42,13 +42,10 @@ def until(time_ms: float) -> Step:
 
 
 HELD_8_S: list[KeyEvent] = [KeyPress(SCAN, 0), KeyLongPress(SCAN, 800 * MS), KeyStuck(SCAN)]
-HALF_RECOVERED = [at(100, UP, faulty=UP), at(200, UP), until(2000)]
-OPENED_BUT_FAULTY = [at(0, SCAN), until(8100), at(8300, faulty=SCAN), until(9000)]
 CASES: dict[str, tuple[list[Step], list[KeyEvent]]] = {
     "nothing before 30 ms": ([at(100, SCAN), until(129.9)], []),
-    "a press, dated to its beginning": ([at(100, SCAN), until(130)], [KeyPress(SCAN, 100 * MS)]),
-    "bounce of 20 ms is one press": (
-        [at(100, SCAN), at(104), at(109, SCAN), at(113), at(120, SCAN), until(300)],
+    "bounce of 20 ms is one press, dated to its end": (
+        [at(100, SCAN), at(104), at(109, SCAN), at(113), at(120, SCAN), until(150)],
         [KeyPress(SCAN, 120 * MS)],
     ),
     "a ghost of 25 ms is nothing": ([at(100, UP), at(125), until(2000)], []),
@@ -56,54 +53,40 @@ CASES: dict[str, tuple[list[Step], list[KeyEvent]]] = {
         [at(100, SCAN), at(250), until(400)],
         [KeyPress(SCAN, 100 * MS), KeyRelease(SCAN, 250 * MS, 0.15)],
     ),
-    "no long press before 800 ms": ([at(0, BACK), until(799)], [KeyPress(BACK, 0)]),
-    "a long press, while it is held": (
-        [at(0, BACK), until(801)],
-        [KeyPress(BACK, 0), KeyLongPress(BACK, 800 * MS)],
-    ),
-    "each long press, and each once": (
-        [at(0, BACK), until(801), until(2000), at(2000), until(2100), at(4000, BACK), until(4900)],
+    "each long press, while it is held, and each once": (
+        [at(0, BACK), until(801), until(2000), at(2000), until(2100), at(4000, BACK), until(4799)],
         [
             *(KeyPress(BACK, 0), KeyLongPress(BACK, 800 * MS), KeyRelease(BACK, 2000 * MS, 2.0)),
-            *(KeyPress(BACK, 4000 * MS), KeyLongPress(BACK, 4800 * MS)),
+            KeyPress(BACK, 4000 * MS),
         ],
     ),
     "790 ms, noticed late, are not long": (
         [at(0, BACK), until(50), at(790), until(5000)],
         [KeyPress(BACK, 0), KeyRelease(BACK, 790 * MS, 0.79)],
     ),
-    "a release just before 800 ms that is known only after": (
-        [at(0, BACK), at(780), until(805), until(900)],
-        [KeyPress(BACK, 0), KeyRelease(BACK, 780 * MS, 0.78)],
-    ),
     "bounce at 800 ms does not prevent a long press": (
         [at(0, BACK), at(790), at(805, BACK), until(806)],
         [KeyPress(BACK, 0), KeyLongPress(BACK, 800 * MS)],
     ),
-    "stuck after 8 s, and silent": ([at(0, SCAN), until(8100), until(60_000)], HELD_8_S),
-    "stuck until it is released": (
-        [at(0, SCAN), until(8100), at(60_000), until(60_100), at(61_000, SCAN), until(61_050)],
-        [*HELD_8_S, KeyFreed(SCAN), KeyPress(SCAN, 61_000 * MS)],
-    ),
-    "a stuck key leaves the others alone": (
-        [at(0, SCAN), until(9000), at(9000, SCAN, UP), at(9100, SCAN), until(9200)],
-        [*HELD_8_S, KeyPress(UP, 9000 * MS), KeyRelease(UP, 9100 * MS, 0.1)],
-    ),
-    "a faulty coil is stuck": (
-        [at(0, faulty=DOWN), at(100, DOWN, faulty=DOWN), at(200, faulty=DOWN), until(300)],
-        [KeyStuck(DOWN)],
+    "stuck after 8 s until it is released, and the others are not": (
+        [at(0, SCAN), until(8100), at(9000, SCAN, UP), at(9100, SCAN), at(60_000), at(61_000, SCAN), until(61_050)],
+        [
+            *(*HELD_8_S, KeyPress(UP, 9000 * MS), KeyRelease(UP, 9100 * MS, 0.1)),
+            *(KeyFreed(SCAN), KeyPress(SCAN, 61_000 * MS)),
+        ],
     ),
     "a faulty coil is stuck until it recovers": (
-        [at(0, faulty=DOWN), until(300), at(400), at(500, DOWN), until(600)],
+        [at(0, faulty=DOWN), at(100, DOWN, faulty=DOWN), until(300), at(400), at(500, DOWN), until(600)],
         [KeyStuck(DOWN), KeyFreed(DOWN), KeyPress(DOWN, 500 * MS)],
     ),
-    "a coil that recovers while its key is held": (HALF_RECOVERED, [KeyStuck(UP)]),
-    "it is free when its key is released": (
-        [*HALF_RECOVERED, at(2100), until(2200), at(2300, UP), until(2400)],
+    "a coil that recovers while its key is held is free when that is released": (
+        [at(100, UP, faulty=UP), at(200, UP), until(2000), at(2100), until(2200), at(2300, UP), until(2400)],
         [KeyStuck(UP), KeyFreed(UP), KeyPress(UP, 2300 * MS)],
     ),
-    "a stuck key that opens while its coil is faulty": (OPENED_BUT_FAULTY, HELD_8_S),
-    "it is free when its coil recovers": ([*OPENED_BUT_FAULTY, at(9100), until(9200)], [*HELD_8_S, KeyFreed(SCAN)]),
+    "a stuck key that opens while its coil is faulty is free when that recovers": (
+        [at(0, SCAN), until(8100), at(8300, faulty=SCAN), until(9000), at(9100), until(9200)],
+        [*HELD_8_S, KeyFreed(SCAN)],
+    ),
     "a fault that ends as the key opens may be bounce": (
         [at(100, UP, faulty=UP), until(200), at(300), until(310)],
         [KeyStuck(UP)],
@@ -125,11 +108,8 @@ def test_contacts_become_events(steps: list[Step], said: list[KeyEvent]) -> None
 
 def test_a_key_that_was_down_before_we_listened_presses_nothing_but_may_be_found_stuck() -> None:
     pad = Pad(SCAN)
-    for step in (until(2000), at(2000), until(2100)):
+    for step in (until(2000), at(2000), until(2100), at(3000, SCAN), until(3100)):
         step(pad)
-    assert pad.said == []
-    pad.at(3000, SCAN)
-    pad.until(3100)
     assert pad.said == [KeyPress(SCAN, 3000 * MS)]
     stuck = Pad(SCAN)
     stuck.until(8000)

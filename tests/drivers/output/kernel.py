@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+PERIOD_NS = 16_666_667
 u16, u32, u64 = ctypes.c_uint16, ctypes.c_uint32, ctypes.c_uint64
 
 
@@ -70,11 +71,15 @@ class Plug:
     properties: dict[int, int] = field(default_factory=dict)
 
 
-def mode(width: int, height: int, hz: float = 60.0, flags: int = 0, kind: int = 0) -> Any:
+def plugged(*plugs: Plug, **more: Any) -> Kernel:
+    return Kernel({plug.id: plug for plug in plugs}, **more)
+
+
+def mode(width: int, height: int, hz: float = 60.0) -> Any:
     htotal, vtotal = width + 160, height + 30
     return ModeInfo(
         clock=round(htotal * vtotal * hz / 1000), hdisplay=width, htotal=htotal, vdisplay=height, vtotal=vtotal,
-        vrefresh=round(hz), flags=flags, type=kind, name=f"{width}x{height}".encode(),
+        vrefresh=round(hz), name=f"{width}x{height}".encode(),
     )  # fmt: skip
 
 
@@ -113,49 +118,44 @@ def refusing(number: int = errno.EINVAL, times: float = math.inf) -> Callable[[b
     return refuse
 
 
+@dataclass
 class Kernel:
     """The card node; see the module."""
 
-    PERIOD_NS = 16_666_667
-    ENUM_FLAG = 8
-
-    def __init__(self, plugs: list[Plug], crtcs: int = 2, pitch_align: int = 256) -> None:
-        self.time = Time()
-        self.plugs = {plug.id: plug for plug in plugs}
-        self.crtc_ids = [40 + 10 * i for i in range(crtcs)]
-        self.pitch_align = pitch_align
-        self.counts_blanks = True
-        self.throttles = True
-        self.monotonic = 1
-        self.dumb_buffers = 1
-        self.unnoticed: set[int] = set()
-        """Connectors whose cable was plugged in while nobody looked at the wire."""
-        self.gamma_size = 256
-        self.properties: dict[int, tuple[str, int, dict[str, int]]] = {}
-        self.blank = 1000
-        self.late: dict[int, int] = {}
-        """Number of the flip (from 0) → blanks that it is late."""
-        self.busy = 0
-        """So many of the next flips are refused with EBUSY."""
-        self.pulled = False
-        self.mute = False
-        """Flips are taken but never reported."""
-        self.master = True
-        self.flips = 0
-        self.calls: list[int] = []
-        self.memory: dict[int, bytearray] = {}
-        self.dumb: dict[int, tuple[int, int, int]] = {}
-        self.fbs: dict[int, int] = {}
-        self.lit: dict[int, int] = {}
-        self.gamma: dict[int, list[int]] = {}
-        self.pending: dict[int, tuple[int, int, int]] = {}
-        self.events = b""
-        self.closed = False
-        self.on_blank: Callable[[Kernel], None] = lambda kernel: None
-        self.before: dict[int, Callable[[bytearray], None]] = {}
-        """What happens before a request of this number is dealt with."""
-        self._next = 100
-        self._lock = threading.RLock()
+    plugs: dict[int, Plug]
+    crtc_ids: list[int] = field(default_factory=lambda: [40, 50])
+    pitch_align: int = 256
+    time: Time = field(default_factory=Time)
+    counts_blanks: bool = True
+    throttles: bool = True
+    monotonic: int = 1
+    dumb_buffers: int = 1
+    unnoticed: set[int] = field(default_factory=set)
+    """Connectors whose cable was plugged in while nobody looked at the wire."""
+    gamma_size: int = 256
+    properties: dict[int, tuple[str, int, dict[str, int]]] = field(default_factory=dict)
+    busy: int = 0
+    """So many of the next flips are refused with EBUSY."""
+    pulled: bool = False
+    mute: bool = False
+    """Flips are taken but never reported."""
+    master: bool = True
+    on_blank: Callable[[Kernel], None] = lambda kernel: None
+    before: dict[int, Callable[[bytearray], None]] = field(default_factory=dict)
+    """What happens before a request of this number is dealt with."""
+    blank: int = 1000
+    flips: int = 0
+    closed: bool = False
+    events: bytes = b""
+    calls: list[int] = field(default_factory=list)
+    memory: dict[int, bytearray] = field(default_factory=dict)
+    dumb: dict[int, tuple[int, int, int]] = field(default_factory=dict)
+    fbs: dict[int, int] = field(default_factory=dict)
+    lit: dict[int, int] = field(default_factory=dict)
+    gamma: dict[int, list[int]] = field(default_factory=dict)
+    pending: dict[int, tuple[int, int, int]] = field(default_factory=dict)
+    _next: int = 100
+    _lock: threading.RLock = field(default_factory=threading.RLock)
 
     # -- what a test looks at
 
@@ -213,7 +213,7 @@ class Kernel:
         with self._lock:
             deadline_ns = self.time.ns + round(timeout_s * 1e9)
             while not self.events and not self.pulled:
-                next_ns = self.time.ns + self.PERIOD_NS if self.throttles else self.time.ns + 20_000
+                next_ns = self.time.ns + PERIOD_NS if self.throttles else self.time.ns + 20_000
                 if next_ns > deadline_ns:
                     self.time.ns = max(self.time.ns, deadline_ns)
                     return False
@@ -246,16 +246,14 @@ class Kernel:
 
     def _resources(self, res: Any) -> None:
         zero(res, "min_w", "max_w", "min_h", "max_h")
-        for number, pointer in (
-            *(("fbs", "fb_ptr"), ("crtcs", "crtc_ptr")),
-            *(("connectors", "connector_ptr"), ("encoders", "encoder_ptr")),
+        for name, there in (
+            ("fb", [*self.fbs]),
+            ("crtc", self.crtc_ids),
+            ("connector", [*self.plugs]),
+            ("encoder", [plug + 1000 for plug in self.plugs]),
         ):
-            assert getattr(res, pointer) or not getattr(res, number), "room for ids at no address"
-        encoders = [plug + 1000 for plug in self.plugs]
-        self._fill(res, "fb_ptr", "fbs", [*self.fbs], u32)
-        self._fill(res, "crtc_ptr", "crtcs", self.crtc_ids, u32)
-        self._fill(res, "connector_ptr", "connectors", [*self.plugs], u32)
-        self._fill(res, "encoder_ptr", "encoders", encoders, u32)
+            assert getattr(res, f"{name}_ptr") or not getattr(res, f"{name}s"), "room for ids at no address"
+            self._fill(res, f"{name}_ptr", f"{name}s", there, u32)
         res.max_w = res.max_h = 4096
 
     def _encoder(self, enc: Any) -> None:
@@ -350,9 +348,8 @@ class Kernel:
         if self.busy or flip.crtc_id in self.pending:
             self.busy = max(0, self.busy - 1)
             raise OSError(errno.EBUSY, "Device or resource busy")
-        late = self.late.get(self.flips, 0)
         self.flips += 1
-        self.pending[flip.crtc_id] = (flip.fb_id, flip.user_data, self.blank + 1 + late)
+        self.pending[flip.crtc_id] = (flip.fb_id, flip.user_data, self.blank + 1)
 
     @staticmethod
     def _fill(owner: ctypes.Structure, pointer: str, number: str, values: list[Any], kind: Any) -> None:

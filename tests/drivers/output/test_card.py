@@ -3,42 +3,33 @@
 from __future__ import annotations
 
 import errno
-from collections.abc import Callable
 from typing import Any
 
 import pytest
 
-from drivers.output.card import Card, _U32s
-from tests.drivers.output.kernel import GetConnector, Kernel, Plug, VblankEvent, mode, refusing
+from drivers.output.card import Card
+from tests.drivers.output.kernel import GetConnector, Kernel, Plug, VblankEvent, mode, plugged, refusing
 
 ASKED = 0xA7
 
 
-def one_plug(**changes: object) -> Kernel:
-    kernel = Kernel([Plug(1, 11, 1, [mode(128, 96)], properties={7: 1})])
-    for name, value in changes.items():
-        setattr(kernel, name, value)
-    return kernel
+def one_plug(**more: Any) -> Kernel:
+    return plugged(Plug(1, 11, 1, [mode(128, 96)], properties={7: 1}), **more)
 
 
-def more_modes(plug: Plug) -> None:
-    plug.modes = [mode(128, 96), mode(64, 48), mode(32, 24)]
+GROWN: dict[str, Any] = {"modes": [mode(128, 96), mode(64, 48), mode(32, 24)], "properties": {7: 1, 8: 2, 9: 3}}
 
 
-def more_properties(plug: Plug) -> None:
-    plug.properties = {7: 1, 8: 2, 9: 3}
-
-
-@pytest.mark.parametrize(("change", "questions"), [(None, 2), (more_modes, 3), (more_properties, 3)])
+@pytest.mark.parametrize(("grows", "questions"), [(None, 2), ("modes", 3), ("properties", 3)])
 def test_a_connector_that_grows_between_two_questions_is_asked_once_more_and_not_for_ever(
-    change: Callable[[Plug], None] | None, questions: int
+    grows: str | None, questions: int
 ) -> None:
     kernel = one_plug()
     plug = kernel.plugs[1]
 
     def at_the_second_question(_: bytearray) -> None:
-        if change is not None and kernel.calls.count(ASKED) == 2:
-            change(plug)
+        if grows is not None and kernel.calls.count(ASKED) == 2:
+            setattr(plug, grows, GROWN[grows])
 
     kernel.before[ASKED] = at_the_second_question
     found = Card(kernel, kernel.time).connector(1)
@@ -79,7 +70,7 @@ def test_a_call_that_a_signal_broke_off_is_made_again_up_to_sixteen_times(reason
 
 @pytest.mark.parametrize("times", [0, 1, 2, 7, 8])
 def test_lists_that_grow_while_they_are_read_are_read_again_up_to_four_times(times: int) -> None:
-    kernel = Kernel([Plug(1, 11, 1)], crtcs=3)
+    kernel = plugged(Plug(1, 11, 1), crtc_ids=[40, 50, 60])
 
     def one_more(_: bytearray) -> None:
         if len(kernel.calls) <= times:
@@ -171,8 +162,3 @@ def test_a_buffer_that_cannot_be_mapped_or_scanned_out_is_given_back(without: in
     with pytest.raises(OSError, match="it cannot be done"):
         Card(kernel, kernel.time).create_buffer(128, 96)
     assert (kernel.dumb, kernel.fbs) == ({}, {}), "neither its memory nor its name for scan-out"
-
-
-def test_a_list_has_room_for_all_its_ids_and_for_one_if_there_is_none() -> None:
-    assert _U32s(3, 7, 8, 9).values(3) == (7, 8, 9)
-    assert _U32s(3).values(2) == (0, 0)

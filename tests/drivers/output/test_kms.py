@@ -15,26 +15,32 @@ from drivers.output.display import PictureDisplay
 from drivers.output.outputs import Outputs, open_outputs
 from drivers.output.projector import PatternProjector
 from drivers.output.spec import OutputKind, OutputSpec
-from tests.drivers.output.kernel import Kernel, KernelWires, Plug, mode, refusing
+from tests.drivers.output.kernel import Kernel, KernelWires, Plug, mode, plugged, refusing
 
-CARD = "/dev/dri/card0"
+CARD, OTHER = "/dev/dri/card0", "/dev/dri/card1"
 PROJECTOR = OutputSpec(OutputKind.KMS, CARD, "HDMI-A-1", 128, 96, 60.0)
 DISPLAY = OutputSpec(OutputKind.KMS, CARD, "DP-1", 80, 48, 60.0)
 PROJECTOR_CRTC, DISPLAY_CRTC = 40, 50
 
 
-def two_heads(**changes: object) -> Kernel:
+def two_heads(**more: Any) -> Kernel:
     hdmi = Plug(1, 11, 1, [mode(1920, 1080), mode(128, 96), mode(128, 96, 75.0)])
-    dp = Plug(2, 10, 1, [mode(80, 48)])
-    kernel = Kernel([hdmi, dp])
-    for name, value in changes.items():
-        setattr(kernel, name, value)
-    return kernel
+    return plugged(hdmi, Plug(2, 10, 1, [mode(80, 48)]), **more)
+
+
+def one_head(width: int, height: int) -> Kernel:
+    return plugged(Plug(1, 11, 1, [mode(width, height)], possible_crtcs=0b1), crtc_ids=[40])
+
+
+def outputs_on(
+    *kernels: Kernel | Exception, projector: OutputSpec = PROJECTOR, display: OutputSpec = DISPLAY
+) -> Outputs:
+    return Outputs(projector, display, KernelWires({CARD: [*kernels]}))  # type: ignore[arg-type]
 
 
 @contextmanager
 def opened(kernel: Kernel) -> Iterator[tuple[PatternProjector[Any], PictureDisplay[Any]]]:
-    with Outputs(PROJECTOR, DISPLAY, KernelWires({CARD: [kernel]})) as outputs:  # type: ignore[arg-type]
+    with outputs_on(kernel) as outputs:
         yield outputs.open_projector(), outputs.open_display()
 
 
@@ -73,8 +79,7 @@ def test_each_output_has_its_colours_in_place_whatever_the_pitch_and_closing_giv
         assert not lit[:, :, [0, 2]].any()
         assert display.present(shown, 0.5).index == -1
         np.testing.assert_array_equal(kernel.picture(DISPLAY_CRTC)[:, :, 2::-1], shown)
-    assert (kernel.lit, kernel.fbs, kernel.dumb) == ({}, {}, {})
-    assert kernel.closed
+    assert (kernel.lit, kernel.fbs, kernel.dumb, kernel.closed) == ({}, {}, {}, True)
 
 
 def test_loading_shows_black_takes_one_buffer_per_frame_and_keeps_them_for_the_next_load() -> None:
@@ -92,8 +97,7 @@ def test_loading_shows_black_takes_one_buffer_per_frame_and_keeps_them_for_the_n
 
 @pytest.mark.parametrize("throttles", [True, False])
 def test_a_card_that_does_not_count_or_throttle_plays_one_frame_per_period(throttles: bool) -> None:
-    kernel = two_heads(counts_blanks=False, throttles=throttles)
-    with opened(kernel) as (projector, _):
+    with opened(two_heads(counts_blanks=False, throttles=throttles)) as (projector, _):
         projector.load(frames(8))
         flips = projector.play([1, 2, 3, 4, 5, 6, 7], 0, lambda flip: None, never)
         told = projector.health().details.get("flips")
@@ -118,7 +122,7 @@ def test_busy_is_waited_out_but_not_for_ever() -> None:
 
 def test_a_flip_that_timed_out_is_awaited_before_the_next_but_not_after_an_opening() -> None:
     kernel = two_heads()
-    with Outputs(PROJECTOR, DISPLAY, KernelWires({CARD: [kernel]})) as outputs:  # type: ignore[arg-type]
+    with outputs_on(kernel) as outputs:
         display = outputs.open_display()
         for next_is_opened in (False, True):
             kernel.mute = True
@@ -158,24 +162,28 @@ def test_a_pulled_cable_is_gone_and_says_which_and_the_other_output_goes_on() ->
             display.present(picture(0), 0.1)
 
 
-def test_a_pulled_card_is_gone_and_closing_does_not_fail() -> None:
-    kernel = two_heads()
-    with opened(kernel) as (_, display):
-        kernel.pulled = True
-        with pytest.raises(DeviceGone, match=r"page flip failed .*No such device"):
-            display.present(picture(0), 0.5)
-    assert kernel.closed
-    kernel = two_heads()
-    with opened(kernel) as (_, display):
-        kernel.events = b"nonsense"
-        with pytest.raises(DeviceRefused, match=r"display: .*DRM event"):
-            display.present(picture(0), 0.1)
-        kernel.events = b""
+def test_a_pulled_card_is_gone_one_that_talks_nonsense_refused_and_closing_does_not_fail() -> None:
+    for change, kind, said in (
+        ({"pulled": True}, DeviceGone, r"page flip failed .*No such device"),
+        ({"events": b"nonsense"}, DeviceRefused, r"display: .*DRM event"),
+    ):
+        kernel = two_heads()
+        with opened(kernel) as (_, display):
+            vars(kernel).update(change)
+            with pytest.raises(kind, match=said):
+                display.present(picture(0), 0.1)
+            kernel.events = b""
+        assert kernel.closed
 
 
 @pytest.mark.parametrize(
     ("changes", "said"),
-    [({"master": False}, "owns the screens"), ({"dumb_buffers": 0}, "dumb buffers"), ({"monotonic": 0}, "monotonic")],
+    [
+        ({"master": False}, "owns the screens"),
+        ({"dumb_buffers": 0}, "dumb buffers"),
+        ({"monotonic": 0}, "monotonic"),
+        ({"before": {0xA6: refusing()}}, "^projector: .*HDMI-A-1"),
+    ],
 )
 def test_a_card_that_cannot_serve_is_refused_with_the_reason(changes: dict[str, object], said: str) -> None:
     kernel = two_heads(**changes)
@@ -184,8 +192,20 @@ def test_a_card_that_cannot_serve_is_refused_with_the_reason(changes: dict[str, 
     assert kernel.dumb == {}
 
 
-def test_full_range_and_linear_gamma_are_set_where_the_driver_lets_us() -> None:
-    kernel = two_heads()
+@pytest.mark.parametrize(
+    ("changes", "details"),
+    [
+        ({}, {"Broadcast RGB": "Full", "dithering mode": "off", "gamma": "linear"}),
+        ({"before": {0xAB: refusing()}}, {"property 7": "refused (it cannot be done)", "dithering mode": "off", "gamma": "linear"}),
+        ({"before": {0xA5: refusing()}}, {"Broadcast RGB": "Full", "dithering mode": "off", "gamma": "unknown (it cannot be done)"}),
+        ({"gamma_size": 1}, {"Broadcast RGB": "Full", "dithering mode": "off", "gamma": "no table"}),
+        ({"gamma_size": 2}, {"Broadcast RGB": "Full", "dithering mode": "off", "gamma": "linear"}),
+    ],
+)  # fmt: skip
+def test_full_range_and_linear_gamma_are_set_where_the_driver_lets_us_and_else_it_is_told(
+    changes: dict[str, Any], details: dict[str, str]
+) -> None:
+    kernel = two_heads(**changes)
     kernel.properties = {
         7: ("Broadcast RGB", 8, {"Automatic": 0, "Full": 1, "Limited 16:235": 2}),
         8: ("EDID", 16, {}),
@@ -194,60 +214,26 @@ def test_full_range_and_linear_gamma_are_set_where_the_driver_lets_us() -> None:
     }
     kernel.plugs[1].properties = {7: 0, 8: 55, 9: 4, 10: 1}
     with opened(kernel) as (projector, _):
-        assert kernel.plugs[1].properties == {7: 1, 8: 55, 9: 4, 10: 1}
-        assert kernel.calls.count(0xAB) == 1  # what is right already is left alone
-        ramp = kernel.gamma[PROJECTOR_CRTC]
-        assert (ramp[0], ramp[128], ramp[255]) == (0, 128 * 257, 65535)
-        assert projector.health().details == {"Broadcast RGB": "Full", "dithering mode": "off", "gamma": "linear"}
-
-
-@pytest.mark.parametrize(("size", "told"), [(1, "no table"), (2, "linear")])
-def test_the_smallest_table_of_gamma_has_two_entries(size: int, told: str) -> None:
-    kernel = two_heads(gamma_size=size)
-    with opened(kernel) as (projector, _):
-        assert projector.health().details["gamma"] == told
-    assert kernel.gamma.get(PROJECTOR_CRTC) == ([0, 65535] if told == "linear" else None)
-
-
-@pytest.mark.parametrize(
-    ("refuses", "details"),
-    [
-        (0xAB, {"property 7": "refused (it cannot be done)", "gamma": "linear"}),
-        (0xA5, {"Broadcast RGB": "Full", "gamma": "unknown (it cannot be done)"}),
-    ],
-)
-def test_an_output_whose_driver_refuses_property_or_gamma_is_an_output_and_says_so(
-    refuses: int, details: dict[str, str]
-) -> None:
-    kernel = two_heads(before={refuses: refusing()}, properties={7: ("Broadcast RGB", 8, {"Automatic": 0, "Full": 1})})
-    kernel.plugs[1].properties = {7: 0}
-    with opened(kernel) as (projector, _):
         assert projector.health().details == details
-
-
-def test_who_asks_in_vain_which_crtc_can_drive_an_output_is_named() -> None:
-    """The other output's connector is asked as well; what fails is the opening of this one."""
-    wires = KernelWires({CARD: [two_heads(before={0xA6: refusing()})]})
-    with Outputs(PROJECTOR, DISPLAY, wires) as outputs, pytest.raises(DeviceRefused, match=r"^display: .*HDMI-A-1"):  # type: ignore[arg-type]
-        outputs.open_display()
+    assert kernel.calls.count(0xAB) == 1  # what is right already is left alone
+    assert kernel.plugs[1].properties == {7: int("Broadcast RGB" in details), 8: 55, 9: 4, 10: 1}
+    if details["gamma"] == "linear":
+        ramp = kernel.gamma[PROJECTOR_CRTC]
+        assert (len(ramp), ramp[0], ramp[-1]) == (kernel.gamma_size, 0, 65535)
+        assert kernel.gamma_size == 2 or ramp[128] == 128 * 257
 
 
 @pytest.mark.parametrize("missing", [{"card": None}, {"connector": None}], ids=["card", "connector"])
 def test_a_screen_without_card_or_connector_is_refused_with_what_to_set(missing: dict[str, None]) -> None:
-    wires = KernelWires({CARD: [two_heads()]})
-    outputs = Outputs(replace(PROJECTOR, **missing), DISPLAY, wires)  # type: ignore[arg-type]
+    outputs = outputs_on(two_heads(), projector=replace(PROJECTOR, **missing))  # type: ignore[arg-type]
     with outputs, pytest.raises(DeviceRefused, match=r"projector: .*\[projector\]"):
         outputs.open_projector()
-    assert wires.opened == []
 
 
 def test_a_card_that_is_gone_at_the_very_first_opening_is_opened_once_more() -> None:
     """Nothing is lit on it and no node is kept of it yet."""
-
-    wires = KernelWires({CARD: [CardGone(CARD, "is gone", "Restart the instrument"), two_heads()]})
-    with Outputs(PROJECTOR, DISPLAY, wires) as outputs:  # type: ignore[arg-type]
+    with outputs_on(CardGone(CARD, "is gone", "Restart the instrument"), two_heads()) as outputs:
         assert outputs.open_display().size_px == (80, 48)
-    assert wires.opened == [CARD, CARD]
 
 
 def test_a_cable_that_was_plugged_in_while_nobody_looked_is_found_by_looking_at_the_wire() -> None:
@@ -258,8 +244,7 @@ def test_a_cable_that_was_plugged_in_while_nobody_looked_is_found_by_looking_at_
 def test_a_window_needs_no_crtc_whatever_stands_beside_it_in_the_rig_file() -> None:
     """Card and connector mean nothing for a window, or a monitor."""
     window = replace(DISPLAY, kind=OutputKind.WINDOW, connector="HDMI-A-1")
-    kernel = Kernel([Plug(1, 11, 1, [mode(128, 96)], possible_crtcs=0b1)], crtcs=1)
-    with Outputs(PROJECTOR, window, KernelWires({CARD: [kernel]})) as outputs:  # type: ignore[arg-type]
+    with outputs_on(one_head(128, 96), display=window) as outputs:
         assert outputs.open_projector().size_px == (128, 96)
 
 
@@ -267,7 +252,7 @@ def test_the_display_opens_while_the_projector_is_unplugged_and_keeps_its_crtc_f
     kernel = two_heads()
     kernel.plugs[1].connected = False
     kernel.plugs[1].possible_crtcs = 0b01  # the projector can only use the first
-    with Outputs(PROJECTOR, DISPLAY, KernelWires({CARD: [kernel]})) as outputs:  # type: ignore[arg-type]
+    with outputs_on(kernel) as outputs:
         with pytest.raises(DeviceGone, match=r"projector: .*HDMI-A-1"):
             outputs.open_projector()
         outputs.open_display().present(picture(7), 0.5)
@@ -283,26 +268,21 @@ def test_two_heads_on_one_crtc_are_refused_and_of_more_the_one_that_reaches_is_l
     kernel.plugs[1].possible_crtcs = kernel.plugs[2].possible_crtcs = 0b10
     with pytest.raises(DeviceRefused, match="CRTC"), opened(kernel):
         pass
-    hdmi = Plug(1, 11, 1, [mode(128, 96)], possible_crtcs=0b1000)
-    kernel = Kernel([hdmi, Plug(2, 10, 1, [mode(80, 48)], possible_crtcs=0b0001)], crtcs=4)
+    kernel = two_heads(crtc_ids=[40, 50, 60, 70])
+    kernel.plugs[1].possible_crtcs, kernel.plugs[2].possible_crtcs = 0b1000, 0b0001
     with opened(kernel):
-        assert set(kernel.lit) == {kernel.crtc_ids[3], kernel.crtc_ids[0]}
+        assert set(kernel.lit) == {70, 40}
 
 
 def test_heads_on_cards_of_their_own_need_no_crtc_of_the_other_and_do_not_go_with_its_card() -> None:
-    other = "/dev/dri/card1"
-
-    def single(width_px: int, height_px: int) -> Kernel:
-        return Kernel([Plug(1, 11, 1, [mode(width_px, height_px)], possible_crtcs=0b1)], crtcs=1)
-
-    first, second, again = single(128, 96), single(80, 48), single(128, 96)
-    wires = KernelWires({CARD: [first, again], other: [second]})
-    with Outputs(PROJECTOR, replace(DISPLAY, card=other, connector="HDMI-A-1"), wires) as outputs:  # type: ignore[arg-type]
+    first, second, again = one_head(128, 96), one_head(80, 48), one_head(128, 96)
+    wires = KernelWires({CARD: [first, again], OTHER: [second]})
+    with Outputs(PROJECTOR, replace(DISPLAY, card=OTHER, connector="HDMI-A-1"), wires) as outputs:  # type: ignore[arg-type]
         outputs.open_projector()
         screen = outputs.open_display()
         first.pulled = True
         outputs.open_projector()
-        assert wires.opened == [CARD, other, CARD]
+        assert wires.opened == [CARD, OTHER, CARD]
         screen.present(picture(7), 0.5)
         assert green(second, 40) == 7
         assert not second.closed
@@ -310,12 +290,10 @@ def test_heads_on_cards_of_their_own_need_no_crtc_of_the_other_and_do_not_go_wit
 
 def test_reopening_after_the_card_was_away_opens_its_node_anew() -> None:
     before, after = two_heads(), two_heads(crtc_ids=[140, 150])  # a driver that was loaded anew counts on
-    wires = KernelWires({CARD: [before, after]})
-    with Outputs(PROJECTOR, DISPLAY, wires) as outputs:  # type: ignore[arg-type]
+    with outputs_on(before, after) as outputs:
         outputs.open_display()
         outputs.open_projector()  # what is lit on the old node is given up with it
         before.pulled = True
         outputs.open_display().present(picture(7), 0.5)
         assert green(after, 150) == 7
-    assert wires.opened == [CARD, CARD]
     assert before.closed

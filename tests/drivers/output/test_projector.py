@@ -74,21 +74,6 @@ def loaded(lamp: Lamp, number: int = 4) -> PatternProjector[Picture]:
     return projector
 
 
-def test_a_load_that_fails_half_way_leaves_nothing_loaded() -> None:
-    """Some buffers hold new frames then and some old ones: none of them may light the scene."""
-    lamp = Lamp()
-    projector = loaded(lamp, 3)
-
-    def fail(pixels: NDArray[np.uint8]) -> None:
-        raise DeviceGone("projector", "its memory is gone", "Restart")
-
-    lamp.pictures[2].write = fail  # type: ignore[method-assign]
-    with pytest.raises(DeviceGone, match="its memory is gone"):
-        projector.load([np.zeros((2, 3), np.uint8)] * 3)
-    with pytest.raises(IndexError, match="projector frame 0; 0 are loaded"):
-        projector.show(0)
-
-
 def codes(lamp: Lamp) -> list[int]:
     """The green light of what was shown."""
     return [int(picture.pixels[0, 0, 1]) for picture in lamp.shown]
@@ -124,20 +109,16 @@ def test_a_play_begins_at_the_blank_that_was_agreed_once_or_at_the_next(agreed: 
 
     def start(flip: Flip) -> int | None:
         asked.append(flip)
-        assert flip.sequence is not None
-        return None if agreed is None else flip.sequence + agreed
+        return None if agreed is None else (flip.sequence or 0) + agreed
 
     flips = projector.play([1, 2], 3, start, lambda: False)
     assert [(flip.index, flip.sequence) for flip in asked] == [(3, 102)]
     assert [(flip.index, flip.sequence) for flip in flips] == [(1, 102 + ahead), (2, 103 + ahead)]
     assert codes(lamp) == [*[30] * ahead, 10, 20, 30], "idle before and behind"
-
-
-def test_a_play_that_were_to_begin_farther_ahead_than_600_blanks_is_a_mistake_and_idle_stays() -> None:
-    lamp = Lamp()
+    lamp.shown.clear()
     with pytest.raises(ValueError, match=r"601 blanks ahead; allowed are 2\.\.600"):
-        loaded(lamp).play([1], 3, lambda flip: (flip.sequence or 0) + 601, lambda: False)
-    assert codes(lamp) == [30]
+        projector.play([1], 3, lambda flip: (flip.sequence or 0) + 601, lambda: False)
+    assert codes(lamp) == [30], "idle stays"
 
 
 @pytest.mark.parametrize(("ahead", "polls", "shown"), [(9, 2, [30, 30, 30]), (3, 4, [30, 30, 30, 10, 20, 30])])
@@ -167,16 +148,25 @@ def test_without_a_counter_a_flip_is_late_after_one_and_a_half_periods(periods: 
     assert codes(lamp)[-1] == 30
 
 
-def test_frames_are_counted_from_nought_and_before_anything_is_loaded_there_are_none() -> None:
-    projector = loaded(Lamp(), 2)
-    assert [projector.show(k).index for k in (0, 1)] == [0, 1]
-    for wrong in (-1, 2):
-        with pytest.raises(IndexError, match=f"projector frame {wrong}; 2 are loaded"):
+def test_frames_are_counted_from_nought_and_there_are_none_before_a_load_or_after_one_that_failed() -> None:
+    lamp = Lamp()
+    projector = loaded(lamp, 3)
+    assert [projector.show(k).index for k in (0, 2)] == [0, 2]
+    for wrong in (-1, 3):
+        with pytest.raises(IndexError, match=f"projector frame {wrong}; 3 are loaded"):
             projector.show(wrong)
         with pytest.raises(IndexError):
             projector.play([0], wrong, lambda flip: None, lambda: False)
-    with pytest.raises(IndexError, match="projector frame 0; 0 are loaded"):
-        PatternProjector(Lamp()).show(0)
+
+    def fail(pixels: NDArray[np.uint8]) -> None:
+        raise DeviceGone("projector", "its memory is gone", "Restart")
+
+    lamp.pictures[2].write = fail  # type: ignore[method-assign]
+    with pytest.raises(DeviceGone, match="its memory is gone"):
+        projector.load([np.zeros((2, 3), np.uint8)] * 3)
+    for none_loaded in (projector, PatternProjector(Lamp())):
+        with pytest.raises(IndexError, match="projector frame 0; 0 are loaded"):
+            none_loaded.show(0)
 
 
 def test_a_counter_that_begins_to_count_after_the_start_was_agreed_leaves_the_clock_to_tell_it() -> None:
@@ -225,7 +215,7 @@ def test_a_display_takes_turns_between_two_pictures_with_red_and_blue_changed_ov
     assert lamp.closed == 1
 
 
-def test_a_picture_or_frame_that_does_not_fit_is_refused_and_nothing_changes() -> None:
+def test_what_does_not_fit_is_refused_and_what_fits_is_drawn_into_green_or_into_all_channels() -> None:
     lamp = Lamp()
     display, projector = PictureDisplay(lamp), loaded(lamp)
     for bad in (np.zeros((3, 2, 3), np.uint8), np.zeros((2, 3, 4), np.uint8), np.zeros((2, 3, 3))):
@@ -235,12 +225,8 @@ def test_a_picture_or_frame_that_does_not_fit_is_refused_and_nothing_changes() -
         with pytest.raises(ValueError, match=r"frame 1 is .*\(2, 3\) uint8"):
             projector.load([np.zeros((2, 3), np.uint8), frame])  # type: ignore[list-item]
     assert lamp.shown == []
-
-
-@pytest.mark.parametrize(("all_channels", "drawn"), [(False, [0, 7, 0, 0]), (True, [7, 7, 7, 0])])
-def test_a_picture_is_drawn_into_green_or_into_all_channels(all_channels: bool, drawn: list[int]) -> None:
-    lamp = Lamp()
-    projector = PatternProjector(lamp, all_channels=all_channels)
-    projector.load([np.full((2, 3), 7, np.uint8)])
-    projector.show(0)
-    assert lamp.shown[-1].pixels.reshape(-1, 4).tolist() == [drawn] * 6
+    for all_channels, drawn in ((False, [0, 7, 0, 0]), (True, [7, 7, 7, 0])):
+        projector = PatternProjector(lamp, all_channels=all_channels)
+        projector.load([np.full((2, 3), 7, np.uint8)])
+        projector.show(0)
+        assert lamp.shown[-1].pixels.reshape(-1, 4).tolist() == [drawn] * 6
