@@ -9,26 +9,23 @@ from __future__ import annotations
 import sys
 import time
 from array import array
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
 
-from drivers.board.firmware import pio
 from drivers.board.firmware.pins import gpio
 from drivers.board.firmware.sensors import crc8
 
 CLOCK_HZ = 125_000_000
 US = CLOCK_HZ // 1_000_000
 VSYNC, TRIGGER = gpio("VSYNC"), gpio("TRIGGER")
-GATE, PULSE = 0, 1
 PIO0_BASE = 0x50200000
 PIO0 = 6
 """Function of a GPIO."""
 INPUT_ENABLED = 0x40
-CTRL, FSTAT, TXF0, RXF0, IRQ, INSTR_MEM0 = 0x00, 0x04, 0x10, 0x20, 0x30, 0x48
+CTRL, FLEVEL, TXF0, RXF0, INSTR_MEM0 = 0x00, 0x0C, 0x10, 0x20, 0x48
 CLKDIV, EXECCTRL, SHIFTCTRL, INSTR, PINCTRL = 0xC8, 0xCC, 0xD0, 0xD8, 0xDC
 """Of state machine 0; the others follow 0x18 apart (RP2040 datasheet, table 366)."""
 JOIN_RX, OUT_RIGHT, IN_RIGHT = 1 << 31, 1 << 19, 1 << 18
@@ -48,12 +45,14 @@ class Chip:
         self._simulator: Any = simulator.Simulator()
         self._chip: Any = self._simulator.rp2040
         self._block: Any = self._chip.pio[0]
-        self._chip.gpio[VSYNC].pad_value |= INPUT_ENABLED
-        self._chip.gpio[TRIGGER].pad_value |= INPUT_ENABLED
-        self._chip.gpio[TRIGGER].ctrl = PIO0
-        self._chip.gpio[TRIGGER].add_listener(self._seen)
-        self.sync(0)
-        self._chip.gpio[TRIGGER].set_input_value(False)
+        for number in (VSYNC, TRIGGER):
+            self.pin(number).pad_value |= INPUT_ENABLED
+            self.pin(number).set_input_value(False)
+        self.pin(TRIGGER).ctrl = PIO0
+        self.pin(TRIGGER).add_listener(self._seen)
+
+    def pin(self, number: int) -> Any:
+        return self._chip.gpio[number]
 
     def _seen(self, state: Any, _: Any) -> None:
         level = int(state == 1)
@@ -61,7 +60,7 @@ class Chip:
             return
         self.scope.append((self.now, level))
         # The pad reads back what it drives.
-        self._chip.gpio[TRIGGER].set_input_value(bool(level))
+        self.pin(TRIGGER).set_input_value(bool(level))
 
     def write(self, offset: int, value: int) -> None:
         self._chip.write_uint32(PIO0_BASE + offset, value)
@@ -69,26 +68,20 @@ class Chip:
     def read(self, offset: int) -> int:
         return int(self._chip.read_uint32(PIO0_BASE + offset))
 
-    def control(self, pin: int) -> int:
-        return int(self._chip.gpio[pin].ctrl)
-
-    def set_control(self, pin: int, value: int) -> None:
-        self._chip.gpio[pin].ctrl = value
-
     def sync(self, level: int) -> None:
-        self._chip.gpio[VSYNC].set_input_value(bool(level))
+        self.pin(VSYNC).set_input_value(bool(level))
 
-    def load(self, machine: int, program: pio.Program, at: int, **pins: int) -> None:
-        """Put ``program`` to address ``at`` and set a machine up as MicroPython's StateMachine does; not yet running."""
+    def load(self, machine: int, prog: Any, divider: int, jmp_pin: int | None) -> None:
+        """Put a program to its address and set a machine up as MicroPython's StateMachine does; not yet running."""
+        words, at, wrap_target, _ = prog
         self.enable(self.enabled & ~(1 << machine))
-        for i, word in enumerate(program.words):
+        for i, word in enumerate(words):
             jumps = word >> 13 == 0
             self.write(INSTR_MEM0 + 4 * (at + i), word + (at if jumps else 0))
         base = 0x18 * machine
-        last = at + len(program.words) - 1
-        self.write(CLKDIV + base, pins.get("divider", 1) << 16)
-        self.write(EXECCTRL + base, pins.get("jmp_pin", 0) << 24 | last << 12 | (at + program.wrap_target) << 7)
-        self.write(SHIFTCTRL + base, (JOIN_RX if "jmp_pin" in pins else 0) | OUT_RIGHT | IN_RIGHT)
+        self.write(CLKDIV + base, divider << 16)
+        self.write(EXECCTRL + base, (jmp_pin or 0) << 24 | (at + len(words) - 1) << 12 | (at + wrap_target) << 7)
+        self.write(SHIFTCTRL + base, (0 if jmp_pin is None else JOIN_RX) | OUT_RIGHT | IN_RIGHT)
         self.write(PINCTRL + base, 1 << 26 | VSYNC << 15 | TRIGGER << 5)
         self.write(CTRL, self.enabled | 1 << 4 + machine)
         # SET PINDIRS, then a jump to the program's beginning, as instructions from outside.
@@ -99,34 +92,12 @@ class Chip:
         self.enabled = mask
         self.write(CTRL, mask)
 
-    def put(self, machine: int, words: Sequence[int]) -> None:
-        for word in words:
-            self.write(TXF0 + 4 * machine, word)
-
-    def got(self, machine: int) -> list[int]:
-        """Return what the machine has pushed."""
-        words = []
-        while not self.read(FSTAT) >> 8 + machine & 1:
-            words.append(self.read(RXF0 + 4 * machine))
-        return words
-
     def run(self, cycles: int) -> None:
         """Clock the block, one cycle at a time wherever a machine has something to do."""
         block, end = self._block, self.now + cycles
         while self.now < end:
             block.advance(1)
             self.now += 1
-
-    def syncs(self, count: int, period_us: int, width_us: int = 20) -> list[int]:
-        """Run through so many periods, each beginning with a sync; return the clocks of the rising edges."""
-        edges = []
-        for _ in range(count):
-            edges.append(self.now)
-            self.sync(1)
-            self.run(width_us * US)
-            self.sync(0)
-            self.run((period_us - width_us) * US)
-        return edges
 
     def rises(self) -> list[int]:
         return [clock for clock, level in self.scope if level]
@@ -136,7 +107,7 @@ class Chip:
 
 
 ACCESS_CYCLES = 2 * US
-PERIOD_US, SYNC_WIDTH_US = 16_667, 124
+PERIOD_US = 16_667
 TIMER, WATCHDOG_SCRATCH, IO_BANK0 = 0x40054000, 0x4005800C, 0x40014000
 VSYNC_CTRL = IO_BANK0 + 8 * VSYNC + 4
 """Function and overrides of the sync's pin (RP2040 datasheet, table 285): bits 16 and 17 turn its input over."""
@@ -151,8 +122,11 @@ def _sht40(temperature: int, humidity: int) -> bytes:
 class Emulated:
     """One chip with a video signal on it, whose time passes by what the firmware does."""
 
-    def __init__(self) -> None:
+    def __init__(self, period_us: int = PERIOD_US, sync_us: int = 124) -> None:
         self.chip = Chip()
+        self.period_us, self.sync_us = period_us, sync_us
+        self.edges: list[int] = []
+        """Clocks at which syncs began."""
         self.synced = True
         self.sync_rises = True
         """What the projector's mode does at the pin; the firmware has to know it."""
@@ -165,7 +139,7 @@ class Emulated:
         self.heard = b""
         self.said = b""
         self.listening = True
-        self.next_sync = PERIOD_US * US
+        self.next_sync = period_us * US
 
     def pass_cycles(self, cycles: int) -> None:
         """Let the chip's clock run, and the syncs come."""
@@ -175,9 +149,11 @@ class Emulated:
             if edge > self.chip.now:
                 self.chip.run(edge - self.chip.now)
             if self.chip.now == self.next_sync:
-                phase = self.next_sync // US % PERIOD_US
-                self.chip.sync(int((phase == 0 and self.synced) is self.sync_rises))
-                self.next_sync += (SYNC_WIDTH_US if phase == 0 else PERIOD_US - SYNC_WIDTH_US) * US
+                begins = self.next_sync // US % self.period_us == 0
+                if begins:
+                    self.edges.append(self.next_sync)
+                self.chip.sync(int((begins and self.synced) is self.sync_rises))
+                self.next_sync += (self.sync_us if begins else self.period_us - self.sync_us) * US
 
     # ---- mem32
 
@@ -190,7 +166,7 @@ class Emulated:
         if address == WATCHDOG_SCRATCH:
             return self.scratch
         if address == VSYNC_CTRL:
-            return self.chip.control(VSYNC)
+            return int(self.chip.pin(VSYNC).ctrl)
         return self.chip.read(address - PIO0_BASE)
 
     def __setitem__(self, address: int, value: int) -> None:
@@ -198,7 +174,7 @@ class Emulated:
         if address == WATCHDOG_SCRATCH:
             self.scratch = value
         elif address == VSYNC_CTRL:
-            self.chip.set_control(VSYNC, value)
+            self.chip.pin(VSYNC).ctrl = value
         else:
             assert address >= PIO0_BASE
             self.chip.write(address - PIO0_BASE, value)
@@ -208,21 +184,16 @@ class _Emit:
     """What the firmware uses of ``rp2.PIOASMEmit``, with the fields that a program of 1.27 has on RP2040."""
 
     def __init__(self, **settings: Any) -> None:
-        self.settings = settings
         self.prog: list[Any] = [array("H"), -1, 0, settings]
-        self._turn = 0
 
     def start_pass(self, turn: int) -> None:
-        self._turn = turn
-        self._count = 0
+        del self.prog[0][:]
 
     def wrap_target(self) -> None:
-        self.prog[2] = self._count
+        self.prog[2] = len(self.prog[0])
 
     def word(self, word: int) -> None:
-        self._count += 1
-        if self._turn:
-            self.prog[0].append(word)
+        self.prog[0].append(word)
 
 
 def modules(emulated: Emulated) -> dict[str, ModuleType]:
@@ -240,37 +211,34 @@ def modules(emulated: Emulated) -> dict[str, ModuleType]:
             if prog[1] < 0:
                 prog[1], used = used, used + len(prog[0])
                 assert used <= 32
-            pins = {"divider": 1 if freq < 0 else CLOCK_HZ // freq}
-            if "jmp_pin" in settings:
-                pins["jmp_pin"] = settings["jmp_pin"].number
             assert "in_base" not in settings or settings["in_base"].number == VSYNC
             assert "set_base" not in settings or settings["set_base"].number == TRIGGER
             assert (prog[3].get("out_shiftdir") == 1) is ("in_base" in settings), "GATE shifts to the right"
-            chip.load(self._number, SimpleNamespace(words=prog[0], wrap_target=prog[2]), prog[1], **pins)  # type: ignore[arg-type]
+            jmp_pin = settings["jmp_pin"].number if "jmp_pin" in settings else None
+            chip.load(self._number, prog, 1 if freq < 0 else CLOCK_HZ // freq, jmp_pin)
             while self.tx_fifo():
-                chip.write(
-                    0xD8 + 0x18 * self._number, 0x8080
-                )  # PULL without waiting: MicroPython empties the FIFOs here
+                # PULL without waiting: MicroPython empties the FIFOs here.
+                chip.write(INSTR + 0x18 * self._number, 0x8080)
 
         def active(self, on: int) -> None:
             chip.enable(chip.enabled | 1 << self._number if on else chip.enabled & ~(1 << self._number))
             emulated.pass_cycles(ACCESS_CYCLES)
 
         def put(self, word: int) -> None:
-            chip.put(self._number, [word])
+            chip.write(TXF0 + 4 * self._number, word)
             emulated.pass_cycles(ACCESS_CYCLES)
 
         def get(self) -> int:
-            return chip.read(0x20 + 4 * self._number)
+            return chip.read(RXF0 + 4 * self._number)
 
         def rx_fifo(self) -> int:
-            return chip.read(0x0C) >> 8 * self._number + 4 & 0xF
+            return chip.read(FLEVEL) >> 8 * self._number + 4 & 0xF
 
         def tx_fifo(self) -> int:
-            return chip.read(0x0C) >> 8 * self._number & 0xF
+            return chip.read(FLEVEL) >> 8 * self._number & 0xF
 
         def exec(self, word: int) -> None:
-            chip.write(0xD8 + 0x18 * self._number, word)
+            chip.write(INSTR + 0x18 * self._number, word)
             emulated.pass_cycles(ACCESS_CYCLES)
 
     class Pin:

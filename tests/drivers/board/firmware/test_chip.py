@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from drivers.board.firmware import instrument, pins
+from drivers.board.firmware import instrument, pins, pio
 from drivers.board.firmware.core import BoardCore
-from tests.drivers.board.firmware.emulated import PERIOD_US, US, WATCHDOG, Emulated, install
+from tests.drivers.board.firmware.emulated import CLOCK_HZ, PERIOD_US, US, WATCHDOG, Emulated, install
 from tests.drivers.board.firmware.test_conformance import Host, framed
 
 pytestmark = pytest.mark.devices
@@ -174,3 +174,91 @@ def test_the_cause_of_a_reset_is_told_once(monkeypatch: pytest.MonkeyPatch, caus
     emulated.scratch = module.HOST_MARK if asked else 0
     assert module.reset_cause("RP2040") == told
     assert emulated.scratch == 0
+
+
+# ---- the PIO programs, clock by clock, with syncs far faster than a projector's
+
+
+WAITS = 2
+"""Clocks that the emulator does not spend and the chip does: one for each WAIT that ends at once, for the pin and for the flag."""
+
+
+def hardware_on(emulated: Emulated, monkeypatch: pytest.MonkeyPatch) -> Any:
+    emulated.sync_rises = instrument.SYNC_RISES
+    return install(emulated, monkeypatch).ChipHardware("RP2040", "KF-BRD-EMU")
+
+
+@pytest.mark.parametrize(
+    ("skip", "every", "pulses", "delay_us", "width_us", "period_us"),
+    [
+        (0, 1, 1, 1, 50, 200), (1, 1, 4, 100, 60, 200), (5, 1, 7, 13, 150, 200), (0, 1, 3, 0, 50, 200),
+        (0, 1, 1, 15_000, 16_000, 16_667), (0, 1, 40, 5, 50, 100), (0, 60, 3, 5, 50, 100),
+    ],
+)  # fmt: skip
+def test_pulses_are_as_ordered_to_the_clock(
+    skip: int, every: int, pulses: int, delay_us: int, width_us: int, period_us: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    emulated = Emulated(period_us, 3 * period_us // 4)
+    hardware, chip = hardware_on(emulated, monkeypatch), emulated.chip
+    while not emulated.edges:
+        emulated.pass_cycles(US)
+    hardware.start(skip, every, None if every > 1 else pulses, delay_us, width_us)
+    begun = chip.now  # within a sync, which is not counted
+    end = begun + ((skip + every * pulses + 2) * period_us + delay_us + width_us) * US
+    while len(chip.scope) < 2 * pulses and chip.now < end:
+        emulated.pass_cycles(10 * US)
+    if every == 1:  # and no more
+        emulated.pass_cycles(2 * period_us * US)
+    edges = [edge for edge in emulated.edges if edge >= begun][skip::every][:pulses]
+    late = [
+        rise + WAITS + pio.SYNCHRONISER_CYCLES - edge - delay_us * US
+        for rise, edge in zip(chip.rises(), edges, strict=True)
+    ]
+    assert late == [0 if delay_us else pio.GATE_CYCLES + pio.SYNCHRONISER_CYCLES] * pulses
+    assert (pio.GATE_CYCLES + pio.SYNCHRONISER_CYCLES) / US < 0.1, "no delay is late by less than a tenth of a us"
+    assert chip.widths() == [width_us * US] * pulses
+
+
+def test_stamps_are_right_to_a_microsecond_for_ever_and_those_that_nobody_reads_are_told(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    emulated = Emulated(97, 31)
+    hardware = hardware_on(emulated, monkeypatch)
+    while hardware.next_sync() is not None:  # those of before anybody could look
+        pass
+    hardware.syncs_lost()
+    stamps_us: list[int] = []
+    while len(stamps_us) < 60:
+        emulated.pass_cycles(40 * US)
+        stamp_us = hardware.next_sync()
+        stamps_us += [] if stamp_us is None else [stamp_us]
+    assert all(abs(us - stamps_us[0] - 97 * k) <= 1 for k, us in enumerate(stamps_us))
+    assert not hardware.syncs_lost()
+    emulated.pass_cycles(12 * 97 * US)
+    assert hardware.syncs_lost()
+    kept_us = [hardware.next_sync() for _ in range(4)]  # the emulator does not join FIFOs; the chip's has eight
+    assert kept_us == [stamps_us[-1] + 97 * k for k in (1, 2, 3, 4)]
+
+
+def test_the_programs_fit_one_block_and_numbers_that_do_not_are_refused() -> None:
+    assert len(pio.GATE.words) + len(pio.PULSE.words) + len(pio.STAMP.words) <= 32
+    with pytest.raises(ValueError, match="delay_us=200000, every=1"):
+        pio.gate_words(0, 1, 200_000, CLOCK_HZ)
+    with pytest.raises(ValueError, match="every=257"):
+        pio.gate_words(0, 257, 0, CLOCK_HZ)
+    assert pio.gate_words(0, 60, 15_000, 150_000_000)[1] >> 24 == 59, "RP2350 at 150 MHz"
+
+
+@pytest.mark.parametrize(
+    ("stamp", "now_us", "time_us"),
+    [
+        (11, 1015, 1010),
+        (0xFFFF_FFFF, 1000 + (1 << 32), 1000 + (1 << 32) - 2),
+        (4, 1000 + (5 << 32) + 40, 1003 + (5 << 32)),
+        (0, 1000 + (5 << 32) + 40, 999 + (5 << 32)),
+        (13, 1011, 1012),
+    ],
+    ids=["young", "last before the wrap", "sixth turn", "behind the wrap", "ahead of the clock"],
+)
+def test_a_stamp_is_extended_to_the_boards_clock(stamp: int, now_us: int, time_us: int) -> None:
+    assert pio.stamp_us(stamp, 1000, now_us) == time_us
