@@ -79,7 +79,6 @@ class Instrument:
         self.cable = Cable(round(1e9 / REFRESH_HZ))
         self.status_path = folder / "status.json"
         self._drawn = 0
-        """Pictures on the diver's display."""
         self.latencies_s: list[float] = []
         """From a flip's report to its picture lighting the scene."""
 
@@ -195,7 +194,6 @@ class Instrument:
         return self.machine.screen(DISPLAY)
 
     def keep(self, name: str, picture: NDArray[np.uint8] | None = None) -> Path:
-        """A picture, or the diver's screen as it is, among the artefacts."""
         path = self.artefacts / f"{name}.png"
         cv2.imwrite(str(path), (self.machine.screen(DISPLAY) if picture is None else picture)[:, :, ::-1])
         return path

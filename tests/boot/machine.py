@@ -46,8 +46,6 @@ class Given:
 
 @dataclass(frozen=True, slots=True)
 class Uefi:
-    """A PC's firmware (OVMF), and a copy of its variables that this machine may write to."""
-
     code: Path
     variables: Path
 
@@ -59,8 +57,6 @@ class Uefi:
 
 @dataclass(frozen=True, slots=True)
 class Boot:
-    """What the machine is made of."""
-
     disk: Path
     starts: Given | Uefi
     memory_mb: int = 2048
@@ -95,12 +91,10 @@ class Monitor:
         self._lines = self._socket.makefile("rb")
         self._lock = threading.Lock()
         self.events: list[str] = []
-        """Names of what it told unasked."""
         self._lines.readline()
         self.do("qmp_capabilities")
 
     def do(self, command: str, **arguments: Any) -> Any:
-        """The answer. Raises Gone."""
         with self._lock:
             try:
                 self._socket.sendall(json.dumps({"execute": command, "arguments": arguments}).encode() + b"\n")
@@ -207,7 +201,6 @@ class Machine:
     # ------------------------------------------------------------------------------------------ from outside
 
     def press(self, *keys: str) -> None:
-        """A chord on its keyboard, by QEMU's names. Raises Gone."""
         self.monitor.do("send-key", keys=[{"type": "qcode", "data": key} for key in keys])
 
     def type(self, text: str) -> None:
@@ -217,7 +210,6 @@ class Machine:
             time.sleep(TYPING_S)
 
     def written_bytes(self) -> int:
-        """To the disk, since it was switched on. Raises Gone."""
         (disk,) = (one for one in self.monitor.do("query-blockstats") if one["device"] == "disk")
         return int(disk["stats"]["wr_bytes"])
 

@@ -49,13 +49,11 @@ class Bench:
         return card
 
     def recorder(self, patterns: int = 8, sides: tuple[str, ...] = ("left", "right")) -> Recorder:
-        """Everything that records a sequence of greys."""
         projector = self.projector()
         shades = [projector.buffer(g) for g in greys([40 + 200 * k // (patterns - 1) for k in range(patterns)])]
         return Recorder({side: self.camera(side) for side in sides}, self.board, projector, shades, self.size)
 
     def drain(self, camera: U3vHost) -> list[GotFrame]:
-        """All frames that come until the camera is silent."""
         frames = []
         while True:
             try:

@@ -61,7 +61,6 @@ class Client:
 
     @property
     def pid(self) -> int:
-        """Of the program."""
         return self._process.pid
 
     def kill(self) -> None:
@@ -88,7 +87,6 @@ class Client:
                 return said
 
     def go_on(self) -> None:
-        """Let it go on from where it waits."""
         assert self._process.stdin is not None
         self._process.stdin.write("\n")
         self._process.stdin.flush()

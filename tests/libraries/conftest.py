@@ -29,6 +29,5 @@ def world(request: pytest.FixtureRequest) -> Iterator[World]:
 
 @pytest.fixture
 def bed(world: World) -> Iterator[Testbed]:
-    """Its devices as nodes."""
     with Testbed(world) as made:
         yield made

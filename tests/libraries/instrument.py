@@ -66,7 +66,6 @@ class Instrument:
 
     @property
     def log(self) -> str:
-        """What the service printed."""
         return self._log_path.read_text(encoding="utf-8", errors="replace")
 
     @property

@@ -20,7 +20,6 @@ WARM_UP = 3
 
 
 def measure(frames: int, kind: str = USUAL) -> dict[str, float]:
-    """Figures of one run with that many frames of each camera."""
     width, height = SIZE
     options = WorldOptions(
         world="rate", width_px=width, height_px=height, pace="realtime", stills=True, truth="modelled"

@@ -16,6 +16,7 @@ from hw_sim.timing.world_time import BLANK_NS
 from hw_sim.wires.umockdev.testbed import Testbed
 from hw_sim.world import World, WorldOptions
 from tests.libraries.instrument import Instrument
+from tests.libraries.rehearsal import rehearse
 from tests.support.truth import left_to_rig
 
 pytestmark = [pytest.mark.foreign, pytest.mark.timeout(1500)]
@@ -34,16 +35,15 @@ def dive(tmp_path: Path) -> Iterator[tuple[World, Instrument]]:
     """The service, aiming at a plane; the display waits for it while it records, so that any machine can do it."""
     width, height = SIZE
     options = WorldOptions(
-        world="bed", width_px=width, height_px=height, pace="attended", stills=True, truth="modelled", object="plane", seed=11
-    )  # fmt: skip
-    with (
-        World(options) as world,
-        Testbed(world) as bed,
-        Instrument(tmp_path, bed, world.truth, SIZE) as instrument,
-    ):
-        status = instrument.wait_state("AIM", timeout_s=240)
-        assert set(status["devices"].values()) == {"ok"}
-        yield world, instrument
+        world="bed", width_px=width, height_px=height, stills=True, truth="modelled", object="plane", seed=11
+    )
+    with World(options) as world:
+        rehearse(world, tmp_path / "rehearsal")
+        world.set_pace("attended")
+        with Testbed(world) as bed, Instrument(tmp_path, bed, world.truth, SIZE) as instrument:
+            status = instrument.wait_state("AIM", timeout_s=240)
+            assert set(status["devices"].values()) == {"ok"}
+            yield world, instrument
 
 
 def press_until(world: World, instrument: Instrument, *states: str) -> None:

@@ -31,7 +31,6 @@ class SentImage:
     size_px: tuple[int, int] = (64, 48)
     pixel_format: int = 0x01080001
     after_s: float = 0.0
-    """Time until it comes."""
     claimed_bytes: int | None = None
 
 
@@ -58,16 +57,11 @@ class OnABus:
     claimed_bytes: int | None = None
     """Length of the description as the library tells it."""
     opens: tuple[int, str] | None = None
-    """Error of opening it."""
     refusing: dict[int, int] = field(default_factory=dict)
-    """Errors by address."""
     fails: dict[str, int] = field(default_factory=dict)
-    """Errors by name of a function."""
     controlled: bool = True
     lost: bool = False
-    """Nothing is answered any more."""
     asked: list[tuple[str, int, int]] = field(default_factory=list)
-    """Accesses of the memory: what, where, how much."""
     coming: deque[SentImage] = field(default_factory=deque)
     free: deque[int] = field(default_factory=deque)
     """Buffers that wait for an image."""
@@ -101,7 +95,6 @@ class ForeignLibrary:
             setattr(self, f"arv_buffer_get_{name}", partial(self._of_buffer, told))
 
     def add(self, protocol: str, **more: Any) -> OnABus:
-        """Plug in a camera."""
         of_a_kind = {"id": f"Reef-{len(self.devices)}", "serial": f"S{len(self.devices)}", "address": "10.0.0.2"}
         device = OnABus(**{**of_a_kind, "protocol": protocol, "camera": ScriptedCamera(self.clock), **more})
         self.devices.append(device)

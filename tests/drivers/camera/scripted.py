@@ -96,7 +96,6 @@ def frame_of(
     code: int = 0x01080001,
     valid: int | None = None,
 ) -> list[bytes]:
-    """Leader, pixels and trailer of one image."""
     leader = struct.pack("<4sHHQHHQIIIIIHH", b"U3VL", 0, 52, block, 0, 1, stamp_ns, code, *size, 0, 0, 0, 0)
     count = size[0] * size[1] if valid is None else valid
     return [leader, pixels, struct.pack("<4sHHQHHQI", b"U3VT", 0, 32, block, 0, 0, count, size[1])]
@@ -123,11 +122,9 @@ class Device:
     """Errors by what is done: ask, open, claim, release, clear, transfer."""
     answer: bytes = b""
     short_by: int = 0
-    """Bytes that a write leaves out."""
     configuration: int = 0
     claimed: list[int] = field(default_factory=list)
     log: list[tuple[str, float]] = field(default_factory=list)
-    """What was done and set, in order."""
     timeouts_ms: list[int] = field(default_factory=list)
     is_open: bool = False
     plugged: bool = True
@@ -239,7 +236,6 @@ class ScriptedCamera(Device):
         self.clock = clock
         self.memory: dict[int, int] = {}
         self.refusing: dict[int, int] = {}
-        """Status by address."""
         self.rounding: dict[str, int] = {}
         """What a feature's register holds whatever is written to it."""
         self.when: dict[str, Callable[[], None]] = {}

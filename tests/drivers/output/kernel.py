@@ -120,8 +120,6 @@ def refusing(number: int = errno.EINVAL, times: float = math.inf) -> Callable[[b
 
 @dataclass
 class Kernel:
-    """The card node; see the module."""
-
     plugs: dict[int, Plug]
     crtc_ids: list[int] = field(default_factory=lambda: [40, 50])
     pitch_align: int = 256
@@ -135,10 +133,8 @@ class Kernel:
     gamma_size: int = 256
     properties: dict[int, tuple[str, int, dict[str, int]]] = field(default_factory=dict)
     busy: int = 0
-    """So many of the next flips are refused with EBUSY."""
     pulled: bool = False
     mute: bool = False
-    """Flips are taken but never reported."""
     master: bool = True
     on_blank: Callable[[Kernel], None] = lambda kernel: None
     before: dict[int, Callable[[bytearray], None]] = field(default_factory=dict)

@@ -24,7 +24,6 @@ class Bench:
             refresh(time_ns)
 
     def run_s(self, duration_s: float) -> None:
-        """Everything that happens within that time happens, in order."""
         end_ns = self.time.now_ns() + round(duration_s * 1e9)
         self.time.at(end_ns, lambda _: None)
         while self.time.now_ns() < end_ns:
@@ -42,7 +41,6 @@ class Bench:
 
 @contextmanager
 def bench() -> Iterator[Bench]:
-    """A bench with the world's lock held."""
     made = Bench()
     with made.time.condition:
         yield made

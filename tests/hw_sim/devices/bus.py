@@ -87,7 +87,6 @@ class Bus(AbstractPort):  # type: ignore[misc]
         self.write(address, value.to_bytes(4, "little"))
 
     def send(self, code: int, payload: bytes, number: int) -> None:
-        """Send a command and read no answer."""
         packet = struct.pack("<IHHHH", 0x43563355, 0x4000, code, len(payload), number) + payload
         with self.time.condition:
             self.camera.write(CONTROL_OUT, packet)
@@ -127,7 +126,6 @@ class Bus(AbstractPort):  # type: ignore[misc]
         return self.nodes.get_node(name).value
 
     def set(self, **values: Any) -> None:
-        """Write features in this order."""
         for name, value in values.items():
             self.nodes.get_node(name).value = value
 
@@ -150,7 +148,6 @@ class Bus(AbstractPort):  # type: ignore[misc]
         return self.status(0x0802, struct.pack("<QI", SIRM + 4, 1))
 
     def start(self) -> None:
-        """Enable the stream, lock and start."""
         assert self.stream() == 0
         self.set(TLParamsLocked=1)
         self.press("AcquisitionStart")
@@ -166,7 +163,6 @@ class Bus(AbstractPort):  # type: ignore[misc]
             self.camera.request(0x02, 0x03 if on else 0x01, 0, STREAM, 0)
 
     def bulk(self, endpoint: int, size: int) -> bytes:
-        """The bytes that a transfer of that length reads."""
         buffer = bytearray(size)
         with self.time.condition:
             filled, _ = self.camera.read(endpoint, memoryview(buffer))
@@ -182,7 +178,6 @@ class Bus(AbstractPort):  # type: ignore[misc]
         self.time.run(0.3)
 
     def frames(self) -> list[GotFrame]:
-        """All frames that wait."""
         got: list[GotFrame] = []
         payload = int.from_bytes(self.read(SIRM + 8, 8), "little")
         room = -(-payload // 1024) * 1024 + 1024

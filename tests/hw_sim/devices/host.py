@@ -29,8 +29,6 @@ class GencpError(Exception):
 
 @dataclass
 class GotFrame:
-    """A block as it came."""
-
     leader: bytes
     payload: bytes
     trailer: bytes
@@ -58,8 +56,6 @@ class GotFrame:
 
 
 class U3vHost:
-    """One camera, opened through pyusb."""
-
     def __init__(self, backend: Any, serial_number: str) -> None:
         self.device = next(
             d
@@ -117,8 +113,6 @@ class U3vHost:
 
 
 class BoardHost:
-    """The board behind its URL."""
-
     def __init__(self, url: str = "kfsim://main/board") -> None:
         self.port = serial.serial_for_url(url, timeout=1.0)
         self.number = 100
@@ -206,7 +200,6 @@ class CardHost:
         }
 
     def set_property(self, name: str, choice: str) -> None:
-        """Choose a value of the connector's property."""
         form = "<QQII32sII"
         for prop in self.connector_info(self.connector)["properties"]:
             buffer = bytearray(struct.pack(form, 0, 0, prop, 0, b"", 0, 0))
@@ -241,7 +234,6 @@ class CardHost:
         self.node.ioctl(iowr(0xA2, len(buffer)), buffer)
 
     def flip(self, index: int, user_data: int = 0) -> None:
-        """Ask for a flip with an event."""
         self.call(0xB0, "<IIIIQ", self.crtc, self.fbs[index][0], 1, 0, user_data)
 
     def wait_flip(self, timeout_s: float = 3.0) -> dict[str, int]:
@@ -256,7 +248,6 @@ class CardHost:
 
 
 def stripes(period: int, phase: int = 0) -> NDArray[np.uint8]:
-    """A test pattern of the projector."""
     columns = np.arange(1024)
     row = (127.5 + 127.5 * np.cos(2 * np.pi * (columns / period + phase / 4))).round().astype(np.uint8)
     return np.tile(row, (768, 1))
@@ -317,5 +308,4 @@ class Recorder:
 
 
 def good(frames: list[GotFrame | str]) -> list[GotFrame]:
-    """The frames that came whole."""
     return [f for f in frames if isinstance(f, GotFrame) and f.leader[:4] == b"U3VL" and f.status == 0]

@@ -11,7 +11,7 @@ import usb.core
 
 from hw_sim.devices.u3v_stream import Block, Overflow, Region, Setup, StreamPipe
 from tests.hw_sim.conftest import Bench
-from tests.hw_sim.devices.host import GotFrame, greys
+from tests.hw_sim.devices.host import GotFrame
 
 PACKET = 1024
 WHOLE = Setup(52, 32, 4 * PACKET, 1, 0, 0)

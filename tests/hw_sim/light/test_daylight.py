@@ -10,7 +10,6 @@ import pytest
 
 from hw_sim.light.caustics import CELLS, Net
 from hw_sim.light.daylight import Daylight
-from hw_sim.objects.motion import Motion
 from hw_sim.truth import project
 from hw_sim.water.medium import Water
 from tests.hw_sim.pictures import FACING, renderer, shot
@@ -44,15 +43,6 @@ def test_a_torch_lights_its_place_and_half_as_much_at_half_its_diameter() -> Non
     assert shot(renderer(replace(PLANE, daylight=TORCH, water=dim), 400), None).max() / seen.max() == pytest.approx(
         math.exp(-2.0 * 0.5), rel=0.03
     )
-
-
-def test_the_spot_stays_where_it_is_while_the_hands_move() -> None:
-    moving = replace(PLANE, daylight=TORCH, motion=Motion(velocity_mm_s=(50.0, 0.0, 0.0)))
-    r = renderer(moving, 400)
-    columns = [shot(r, None, 0.002, time_s=t, clock_s=t).sum(axis=0) for t in (0.0, 0.4)]
-    first, last = (float(column @ np.arange(400) / column.sum()) for column in columns)
-    u = project(r.truth, "left", np.array([[20.0, 10.0, 522.5], [0.0, 10.0, 522.5]]))[:, 0]
-    assert last - first == pytest.approx(u[1] - u[0], abs=0.5)
 
 
 def test_waves_gather_light_into_lines_and_lose_none() -> None:

@@ -17,6 +17,7 @@ from hw_sim.water.medium import AIR, Water
 
 WHITE = np.full((768, 1024), 247, np.uint8)
 POSE = (5.0, -8.0, 560.0, 12.0, -15.0, 30.0)
+IN_AIR = Scene(object="board", pose=POSE, water=AIR, ambient=1.0)
 
 
 def wet_rig() -> TrueRig:
@@ -53,25 +54,21 @@ def corner_errors(rig: TrueRig, scene: Scene, side: str, projected: bool) -> np.
     return np.asarray(saddles(image, expected[inside]) - expected[inside])
 
 
-@pytest.mark.parametrize("side", ["left", "right"])
-def test_corners_are_seen_where_exact_optics_puts_them_in_air(side: str) -> None:
-    scene = Scene(object="board", pose=POSE, water=AIR, ambient=1.0)
-    errors = corner_errors(in_air(wet_rig()), scene, side, projected=False)
-    assert np.sqrt(np.mean(errors**2)) < 0.06
-    assert np.abs(errors.mean(axis=0)).max() < 0.015
-
-
-def test_corners_are_seen_where_exact_optics_puts_them_in_water_by_the_projectors_light() -> None:
-    errors = corner_errors(wet_rig(), Scene(object="board", pose=POSE, ambient=0.02), "left", projected=True)
-    assert np.sqrt(np.mean(errors**2)) < 0.08
-    assert np.abs(errors.mean(axis=0)).max() < 0.02
+@pytest.mark.parametrize(
+    ("side", "wet"), [("left", True), ("right", False)], ids=["projected, in water", "ambient, in air"]
+)
+def test_corners_are_seen_where_exact_optics_puts_them(side: str, wet: bool) -> None:
+    rig = wet_rig() if wet else in_air(wet_rig())
+    scene = Scene(object="board", pose=POSE, ambient=0.02) if wet else IN_AIR
+    errors = corner_errors(rig, scene, side, projected=wet)
+    assert np.sqrt(np.mean(errors**2)) < (0.08 if wet else 0.06)
+    assert np.abs(errors.mean(axis=0)).max() < (0.02 if wet else 0.015)
 
 
 def test_the_print_is_as_large_as_the_workshop_made_it() -> None:
     rig = in_air(wet_rig())
     larger = replace(rig, artefacts=replace(rig.artefacts, board_scale=1.01))
-    scene = Scene(object="board", pose=POSE, water=AIR, ambient=1.0)
-    assert np.sqrt(np.mean(corner_errors(larger, scene, "left", projected=False) ** 2)) < 0.06
+    assert np.sqrt(np.mean(corner_errors(larger, IN_AIR, "left", projected=False) ** 2)) < 0.06
     made = [draw_truth("realistic", seed, 800, 600, 1.334).artefacts for seed in range(40)]
     assert 5e-6 < np.std([a.board_scale for a in made]) < 2e-5
     assert 0.005 < np.std([a.board_bow_mm for a in made]) < 0.02

@@ -13,7 +13,6 @@ from hw_sim.optics.projector import LightSlice, response
 from hw_sim.outside import Outside, draw_outside
 from hw_sim.scene import Scene
 from hw_sim.truth import draw_truth, with_glass
-from tests.hw_sim.pictures import FACING, renderer, shot
 
 ENGINES = [engine for seed in range(3) if (engine := draw_outside(seed, ["projector"]).projector) is not None]
 
@@ -53,16 +52,6 @@ def test_frames_differ_in_brightness_and_the_lamp_fades_as_it_warms() -> None:
     still = replace(engine, frame_rms=0.0)
     assert still.brightness(0, 0.5, 1) == pytest.approx(1.0 - 0.01 * 0.6321, abs=1e-5)
     assert still.brightness(0, 60.0, 1) == pytest.approx(0.99)
-
-
-def test_both_cameras_see_the_same_brightness_of_the_same_frame() -> None:
-    r = renderer(replace(FACING, outside=Outside(projector=LightEngine(frame_rms=0.1))), 160)
-    left, right = (
-        np.array([shot(r, 200, side=side, clock_s=1.0 + k * FRAME_S)[50:70, 60:100].mean() for k in range(5)])
-        for side in ("left", "right")
-    )
-    assert np.std(left) / np.mean(left) > 0.03
-    np.testing.assert_allclose(left / left[0], right / right[0], atol=0.015)
 
 
 def test_indices_go_by_colour() -> None:

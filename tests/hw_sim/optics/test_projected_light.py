@@ -13,7 +13,6 @@ from hw_sim.optics.geometry import LIT, SOFT, P, Q
 from hw_sim.optics.projector import LightSlice, collect, light_between, response, soften
 from hw_sim.rendering.render import Renderer
 from hw_sim.scene import Imaging, Scene
-from hw_sim.truth import draw_truth
 from hw_sim.water.medium import Water
 from tests.hw_sim.pictures import FACING, pattern, renderer, shot
 
@@ -112,17 +111,6 @@ def test_fringes_are_softer_away_from_the_projectors_focus_if_it_has_one(
         contrast[z_mm] = np.median(middle(modulation(r, 8.0, 0.004)) / middle(shot(r, 247, 0.004)))
     assert least < contrast[462.5] / contrast[522.5] < most
     assert least < contrast[582.5] / contrast[522.5] < most
-
-
-def test_edges_far_from_the_cameras_focus_are_softer_only_when_it_has_one() -> None:
-    def steepest(z_mm: float, defocus: bool) -> float:
-        place = (0.0, 0.0, z_mm, 0.0, 0.0, 0.0)
-        scene = replace(FACING, pose=place, texture="checker", imaging=Imaging(camera_defocus=defocus))
-        seen = middle(shot(Renderer(draw_truth("nominal", 3, 1600, 100, scene.index), scene), 247))
-        return float(np.abs(np.diff(seen, axis=1)).max() / seen.max())
-
-    assert steepest(522.5, True) == pytest.approx(steepest(522.5, False), rel=0.01)
-    assert steepest(612.5, True) < 0.99 * steepest(612.5, False)
 
 
 def test_water_dims_by_the_law_of_beer_and_lambert() -> None:

@@ -12,11 +12,9 @@ from typing import Any
 
 
 def say(**what: Any) -> None:
-    """One line for the test."""
     sys.stdout.write(json.dumps(what) + "\n")
     sys.stdout.flush()
 
 
 def wait() -> None:
-    """Until the test has looked."""
     sys.stdin.readline()

@@ -64,7 +64,6 @@ def serve(serial: str, frames: int) -> None:
 
 
 def opened(stack: ExitStack, serial: str) -> Camera:
-    """As the service does: again and again."""
     end = time.monotonic() + 20.0
     spec = CameraSpec(f"camera {serial}", serial, trigger_source=ARGUMENTS.source, pixel_format=ARGUMENTS.format)
     while True:
@@ -78,7 +77,6 @@ def opened(stack: ExitStack, serial: str) -> Camera:
 
 
 def arguments() -> argparse.Namespace:
-    """What the test wants."""
     parser = argparse.ArgumentParser()
     for name in ("width", "height", "frames"):
         parser.add_argument(name, type=int)

@@ -24,7 +24,6 @@ FILL = ctypes.CFUNCTYPE(None, c_void_p, c_void_p, c_uint32, c_uint32, c_uint32)
 
 
 def library() -> Any:
-    """The functions that make a fake camera."""
     made = ctypes.CDLL("libaravis-0.8.so.0")
     for name, result, arguments in (
         ("arv_gv_fake_camera_new", c_void_p, (c_char_p, c_char_p)),
@@ -43,8 +42,6 @@ def library() -> Any:
 
 
 class Cameras:
-    """All of them, on one line."""
-
     def __init__(self, serials: list[str]) -> None:
         self._aravis = library()
         self._pixels: list[Any] = []  # held: the library has only their addresses

@@ -126,7 +126,6 @@ class Emulated:
         self.chip = Chip()
         self.period_us, self.sync_us = period_us, sync_us
         self.edges: list[int] = []
-        """Clocks at which syncs began."""
         self.synced = True
         self.sync_rises = True
         """What the projector's mode does at the pin; the firmware has to know it."""
@@ -142,7 +141,6 @@ class Emulated:
         self.next_sync = period_us * US
 
     def pass_cycles(self, cycles: int) -> None:
-        """Let the chip's clock run, and the syncs come."""
         end = self.chip.now + cycles
         while self.chip.now < end:
             edge = min(end, self.next_sync)

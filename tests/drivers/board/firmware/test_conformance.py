@@ -90,14 +90,11 @@ def running(host: Host) -> Host:
 
 def test_after_a_reset_it_says_who_it_is_and_beats_twice_a_second(host: Host) -> None:
     said = host.listen(3_100_000)
-    reports = [line for line in said if line[0] == "R"]
-    assert reports == said
-    first = next(i for i, line in enumerate(reports) if line[2] == "BOOT")
-    assert reports[first][1] == "0"
-    assert len(reports[first]) == 6
-    assert reports[first][5] in {"POWER", "WATCHDOG", "BROWNOUT", "HOST"}
-    assert [int(line[1]) for line in reports[first:]] == list(range(len(reports) - first))
-    beats = [line[3:] for line in reports[first:] if line[2] == "HB"]
+    first = next(i for i, line in enumerate(said) if line[2] == "BOOT")
+    assert (said[first][1], len(said[first])) == ("0", 6)
+    assert said[first][5] in {"POWER", "WATCHDOG", "BROWNOUT", "HOST"}
+    assert [(kind, int(number)) for kind, number, *_ in said[first:]] == [("R", k) for k in range(len(said) - first)]
+    beats = [line[3:] for line in said[first:] if line[2] == "HB"]
     times_us = [int(beat[0]) for beat in beats]
     assert len(beats) in {5, 6}
     assert all(abs(b - a - 500_000) < 5000 for a, b in itertools.pairwise(times_us))
@@ -120,23 +117,18 @@ def test_the_clock_is_in_microseconds_and_syncs_are_counted_and_dated_by_it(runn
     assert abs((int(later_us) - int(at_us)) / passed - PERIOD_US) < PERIOD_US * DRIFT + 1.0
 
 
-def test_the_printed_examples_are_understood(running: Host) -> None:
+def test_it_understands_the_printed_examples_and_says_what_is_fitted_and_senses_that(running: Host) -> None:
     (answer,) = running.answers(b"$C,7,PING*B7B3\r\n")
     assert answer[:3] == ["A", "7", "PING"]
     (answer,) = running.answers(b"$C,8,ARM,24,90124,500,12000*1E87\r\n")
     assert answer == ["A", "8", "ARM", "24", "90124", "500", "12000"]
-
-
-def test_it_says_what_is_fitted_and_senses_that(running: Host) -> None:
     kind, verb, firmware, serial, capabilities = running.ask("INFO")
-    assert (kind, verb) == ("A", "INFO")
+    assert (kind, verb, capabilities.split("+")) == ("A", "INFO", SENSORS)
     assert firmware
     assert serial
-    assert capabilities.split("+") == SENSORS
     kind, verb, *fields = running.ask("SENSE")
-    assert (kind, verb) == ("A", "SENSE")
     values = dict(field.split("=") for field in fields)
-    assert list(values) == SENSORS
+    assert (kind, verb, list(values)) == ("A", "SENSE", SENSORS)
     assert values["LEAK"] in {"0", "1"}
     assert all(value == "-" or re.fullmatch(r"-?\d+(\.\d+)?", value) for value in values.values())
 

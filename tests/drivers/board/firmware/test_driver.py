@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import random
 import threading
 import time
@@ -96,12 +97,7 @@ def test_the_driver_arms_and_hears_every_pulse(made: str) -> None:
         with pytest.raises(BoardRefused, match="Send STOP first") as caught:
             board.live(1, 0, 50)
         assert caught.value.code == Refusal.BUSY
-        pulses = []
-        for _ in range(600):
-            event = board.next_event(0.1)
-            if isinstance(event, Pulse):
-                pulses.append(event)
-            if isinstance(event, PulsesDone):
-                break
-        assert [(p.index, p.vsync) for p in pulses] == [(k, start + k) for k in range(24)]
+        events = iter(lambda: board.next_event(0.1), PulsesDone(24))
+        pulses = [(one.index, one.vsync) for one in itertools.islice(events, 600) if isinstance(one, Pulse)]
+        assert pulses == [(k, start + k) for k in range(24)]
         assert board.health().ok

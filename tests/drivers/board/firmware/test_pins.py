@@ -31,6 +31,12 @@ def test_what_could_shine_or_fire_is_held_low_until_the_firmware_runs() -> None:
             assert line.at_reset.startswith("pull-down"), line.name
     assert {line.gpio for line in board.LINES if line.direction == "adc"} <= {26, 27, 28}, "pins that convert"
     assert {camera: line for camera, line, _, _ in board.CAMERA_OUTPUTS} == {"left": "TRIGGER", "right": "TRIGGER"}
+    coils = [(coil.channel, coil.bit, coil.key) for coil in pad.COILS]
+    assert coils == [(number, bit, key.name) for number, (key, bit) in enumerate(KEY_BITS)]
+    assert board.gpio("VSYNC") == 2
+    for lines, known in ((board, "VSYNC, TRIGGER"), (pad, "SDA, SCL")):
+        with pytest.raises(ValueError, match=f"line 'VSYN'; there are {known}"):
+            lines.gpio("VSYN")
 
 
 def test_the_current_into_a_cameras_opto_isolator_is_within_its_range_at_every_corner() -> None:
@@ -43,17 +49,3 @@ def test_the_current_into_a_cameras_opto_isolator_is_within_its_range_at_every_c
     assert least_ma < weakest_ma < strongest_ma < most_ma
     e12 = (10, 12, 15, 18, 22, 27, 33, 39, 47, 56, 68, 82)
     assert board.CAMERA_SERIES_OHM in {value * 10**power for value in e12 for power in range(5)}
-
-
-def test_the_coils_are_the_keys_of_the_report() -> None:
-    assert [coil.channel for coil in pad.COILS] == [0, 1, 2, 3]
-    assert [coil.bit for coil in pad.COILS] == [bit for _, bit in KEY_BITS]
-    assert [coil.key for coil in pad.COILS] == [key.name for key, _ in KEY_BITS]
-
-
-def test_an_unknown_line_is_refused_with_the_list() -> None:
-    assert board.gpio("VSYNC") == 2
-    with pytest.raises(ValueError, match="line 'VSYN'; there are VSYNC, TRIGGER"):
-        board.gpio("VSYN")
-    with pytest.raises(ValueError, match="there are SDA, SCL"):
-        pad.gpio("X")

@@ -8,17 +8,17 @@ from drivers.board.firmware import sensors
 
 
 @pytest.mark.parametrize(
-    ("raw", "celsius"),
-    [("0000", 0.0), ("0c80", 25.0), ("f380", -25.0), ("0001", 0.0078125), ("3200", 100.0), ("ffff", -0.0078125)],
+    ("raw", "celsius", "written"),
+    [
+        *(("0000", 0.0, "0.00"), ("0c80", 25.0, "25.00"), ("f380", -25.0, "-25.00"), ("0001", 0.0078125, "0.01")),
+        *(("3200", 100.0, "100.00"), ("ffc0", -0.5, "-0.50"), ("8000", None, "-")),
+    ],
 )
-def test_a_tmp117_counts_in_steps_of_a_128th(raw: str, celsius: float) -> None:
+def test_a_tmp117_counts_in_steps_of_a_128th_and_no_value_is_a_dash(
+    raw: str, celsius: float | None, written: str
+) -> None:
     assert sensors.tmp117_c(bytes.fromhex(raw)) == celsius
-
-
-def test_a_tmp117_without_a_conversion_has_no_value_and_no_value_is_written_as_a_dash() -> None:
-    assert sensors.tmp117_c(b"\x80\x00") is None
-    assert sensors.written(None, 2) == "-"
-    assert sensors.written(-0.5, 2) == "-0.50"
+    assert sensors.written(celsius, 2) == written
 
 
 def reading(temperature: int, humidity: int) -> bytes:

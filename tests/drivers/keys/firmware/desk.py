@@ -33,7 +33,6 @@ class PadDeskHardware(PadHardware):
         self._seed = 1
 
     def advance(self, time_ms: int) -> None:
-        """Let time pass for fingers and walls."""
         self.time_ms += time_ms
         step = PRESS_PPM * time_ms / RISE_MS
         for i in range(4):
@@ -77,8 +76,6 @@ class PadDeskHardware(PadHardware):
 
 
 class PadDesk:
-    """A core on its desk."""
-
     def __init__(self) -> None:
         self.hardware = PadDeskHardware()
         self.core = PadCore(self.hardware)
