@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from drivers.api import ClockReading, DeviceError, DeviceGone, DeviceRefused
+from drivers.api import ClockReading, DeviceGone, DeviceRefused
 from drivers.native import MonotonicClock
 from drivers.output.display import PictureDisplay
 from drivers.output.projector import PatternProjector
@@ -53,14 +53,18 @@ def test_a_name_that_is_not_registered_is_neither_imported_nor_called(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A rig file from somebody else must not be able to run anything."""
-    asked: list[str] = []
-    monkeypatch.setattr("importlib.import_module", asked.append)
-    with pytest.raises(
-        DeviceRefused, match=r"is not registered; allowed: drivers\.native:open, hw_sim\.wires:open"
-    ) as caught:
+
+    def missing(module: str) -> Any:
+        raise ImportError(f"No module named {module!r}")
+
+    monkeypatch.setattr("drivers.rig.importlib", SimpleNamespace(import_module=missing))
+    said = r"is not registered; allowed: drivers\.native:open, hw_sim\.wires:open"
+    with pytest.raises(DeviceRefused, match=said) as caught:
         open_wires(name, {"args": ["touch", "/tmp/ran"]})
     assert "drivers.native:open" in caught.value.remedy
-    assert asked == []
+    with pytest.raises(DeviceRefused, match=r"'hw_sim\.wires:open': No module named 'hw_sim\.wires'") as caught:
+        open_wires("hw_sim.wires:open", {})  # registered, and not installed
+    assert caught.value.device == "wires"
 
 
 @pytest.mark.parametrize("name", REGISTERED)
@@ -81,25 +85,17 @@ def test_a_clock_sleeps_as_long_as_it_is_told_and_waits_for_a_condition(monkeypa
     assert not MonotonicClock().wait_for(condition, lambda: False, 0.5)
 
 
-def test_wires_that_are_registered_but_not_installed_are_refused_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
-    def missing(name: str) -> Any:
-        raise ImportError(f"No module named {name!r}")
-
-    monkeypatch.setattr("drivers.rig.importlib", SimpleNamespace(import_module=missing))
-    with pytest.raises(DeviceRefused, match=r"'hw_sim\.wires:open': No module named 'hw_sim\.wires'") as caught:
-        open_wires("hw_sim.wires:open", {})
-    assert caught.value.device == "wires"
-
-
 def wired(clock: Any, **parts: Any) -> Any:
     return SimpleNamespace(clock=clock, **parts)
 
 
-def test_camera_key_pad_and_board_are_opened_on_the_wires() -> None:
+def test_each_device_is_opened_on_the_wires() -> None:
     clock = SteppedClock()
     bus = Bus(ScriptedCamera(clock))
     with open_camera(CameraSpec("camera.left", "KF-CAM-L"), wired(clock, usb_backend=bus)) as camera:
         assert camera.identity.serial == "KF-CAM-L"
+        clock_of = ClockReading(camera_time_ns=1_000, host_sent_ns=5_000, host_received_ns=5_600)
+        assert (clock_of.bracket_ns, clock_of.offset_ns) == (600, 4_300), "in the middle of the question"
     pad = Pad(clock)
     pad.queue(0, report(NONE, 0, 0))
     with open_keys(KeysSpec(0x1209, 0x4B46), wired(clock, hidraw=pad)) as keys:
@@ -108,9 +104,6 @@ def test_camera_key_pad_and_board_are_opened_on_the_wires() -> None:
     with open_board(BoardSpec(far.url), wired(MonotonicClock())) as board:
         assert board.vsync().count == 300
     far.unplug()
-
-
-def test_outputs_are_opened_each_on_the_connector_of_its_own() -> None:
     card = "/dev/dri/card0"
     kernel = plugged(Plug(1, 11, 1, [mode(128, 96)]), Plug(2, 10, 1, [mode(80, 48)]))
     projector = OutputSpec(OutputKind.KMS, card, "HDMI-A-1", 128, 96, 60.0)
@@ -118,15 +111,3 @@ def test_outputs_are_opened_each_on_the_connector_of_its_own() -> None:
     with open_outputs(projector, display, KernelWires({card: [kernel]})) as outputs:  # type: ignore[arg-type]
         lit: tuple[PatternProjector[Any], PictureDisplay[Any]] = outputs.open_projector(), outputs.open_display()
         assert [one.size_px for one in lit] == [(128, 96), (80, 48)]
-
-
-def test_an_error_names_its_device_says_what_happened_and_what_to_do() -> None:
-    error = DeviceError("camera.left", "it is dark", "Take the cap off")
-    assert str(error) == "camera.left: it is dark. Take the cap off"
-    assert (error.device, error.message, error.remedy) == ("camera.left", "it is dark", "Take the cap off")
-
-
-def test_a_cameras_clock_lies_in_the_middle_of_the_question() -> None:
-    reading = ClockReading(camera_time_ns=1_000, host_sent_ns=5_000, host_received_ns=5_600)
-    assert reading.bracket_ns == 600
-    assert reading.offset_ns == 4_300
