@@ -8,7 +8,6 @@ from pathlib import Path
 from shlex import quote
 
 AGENT = Path(__file__).parent / "guest" / "agent.py"
-SERVICE = "kingfisher.service"
 
 _AGENT_UNIT = """[Unit]
 Description=The test's hands inside the machine
@@ -18,9 +17,6 @@ After=systemd-udevd.service
 ExecStart=/usr/bin/python3 /run/kingfisher-test/agent.py {port}
 StandardOutput=journal+console
 """
-_RIG_DROP_IN = """[Service]
-BindReadOnlyPaths=/run/kingfisher-test/rig.toml:{rig}
-"""
 
 
 def with_files(initrd: bytes, exporter_port: int, files: dict[str, str]) -> bytes:
@@ -28,10 +24,6 @@ def with_files(initrd: bytes, exporter_port: int, files: dict[str, str]) -> byte
 
     ``files`` by path below /run. The kernel finds the second archive at a multiple of four bytes.
     """
-    return initrd + bytes(-len(initrd) % 4) + _archive(exporter_port, files)
-
-
-def _archive(exporter_port: int, files: dict[str, str]) -> bytes:
     unit = "systemd/system/kingfisher-test-agent.service"
     content = {
         "kingfisher-test/agent.py": AGENT.read_text(encoding="utf-8"),
@@ -54,12 +46,12 @@ def _archive(exporter_port: int, files: dict[str, str]) -> bytes:
     for name, text in content.items():
         _entry(made, f"kingfisher-run/{name}", stat.S_IFREG | 0o644, text.encode())
     _entry(made, "TRAILER!!!", 0, b"")
-    return made.getvalue()
+    return initrd + bytes(-len(initrd) % 4) + made.getvalue()
 
 
 def rig_drop_in(rig: str) -> str:
     """A drop-in that shows a service the test's rig file in the place of the image's."""
-    return _RIG_DROP_IN.format(rig=rig)
+    return f"[Service]\nBindReadOnlyPaths=/run/kingfisher-test/rig.toml:{rig}\n"
 
 
 def _entry(made: io.BytesIO, name: str, mode: int, data: bytes) -> None:

@@ -61,8 +61,7 @@ def rig_file(root: Path) -> str:
         "reserve_mb = 500 ": "reserve_mb = 100 ",
     }
     for before, after in changes.items():
-        if text.count(before) != 1:
-            raise AssertionError(f"{before!r} is {text.count(before)} times in small.toml")
+        assert text.count(before) == 1, f"{before!r} is {text.count(before)} times in small.toml"
         text = text.replace(before, after)
     return text
 
@@ -79,8 +78,6 @@ class Instrument:
         self.cable = Cable(round(1e9 / REFRESH_HZ))
         self.status_path = folder / "status.json"
         self._drawn = 0
-        self.latencies_s: list[float] = []
-        """From a flip's report to its picture lighting the scene."""
 
     def __enter__(self) -> Self:
         with ExitStack() as stack:
@@ -124,11 +121,8 @@ class Instrument:
             with suppress(OSError):
                 (self.artefacts / name).write_bytes((self._folder / name).read_bytes())
 
-    # ------------------------------------------------------------------------------------------ light
-
     def _on_flip(self, head: int) -> None:
         if head == PROJECTOR:
-            self._flipped_s = time.monotonic()
             self._flipped.set()
         else:
             self._drawn += 1
@@ -139,7 +133,6 @@ class Instrument:
             if not self._flipped.wait(0.5):
                 continue
             self._flipped.clear()
-            begun_s = self._flipped_s
             try:
                 picture = self.machine.screen(PROJECTOR)
             except Gone:
@@ -149,9 +142,6 @@ class Instrument:
                     self.cable.show(np.ascontiguousarray(picture[:, :, 1]))
                 else:
                     self.cable.dark()
-            self.latencies_s.append(time.monotonic() - begun_s)
-
-    # ------------------------------------------------------------------------------------------ what is to be seen
 
     def _read_status(self) -> None:
         while not self._over.wait(POLL_S):

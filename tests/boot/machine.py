@@ -59,9 +59,7 @@ class Uefi:
 class Boot:
     disk: Path
     starts: Given | Uefi
-    memory_mb: int = 2048
-    processors: int = 2
-    model: str = "max"
+    model: str
 
 
 class Gone(Exception):
@@ -130,14 +128,13 @@ class Machine:
         """One question at a time, whoever asks."""
         self._resources: dict[int, bytes] = {}
         self.console = folder / "console.log"
-        self.started_s = 0.0
 
     def __enter__(self) -> Self:
         b, f = self._boot, self._folder
         command = [
             *("qemu-system-x86_64", "-nodefaults", "-no-user-config", "-display", "none", "-machine", "q35"),
-            *("-accel", "tcg,thread=multi,tb-size=1024", "-cpu", b.model, "-smp", str(b.processors)),
-            *("-m", str(b.memory_mb), *b.starts.arguments),
+            *("-accel", "tcg,thread=multi,tb-size=1024", "-cpu", b.model, "-smp", "2"),
+            *("-m", "2048", *b.starts.arguments),
             *("-drive", f"file={b.disk},id=disk,if=virtio,format=qcow2,discard=unmap"),
             *("-device", f"virtio-gpu-pci,id={GPU},max_outputs=2"),
             *("-netdev", "user,id=net", "-device", "virtio-net-pci,netdev=net,romfile="),
@@ -147,7 +144,6 @@ class Machine:
             *("-qmp", f"unix:{f / 'monitor'},server=on,wait=off", "-qmp", f"unix:{f / 'camera'},server=on,wait=off"),
             *("-trace", "virtio_gpu_cmd_set_scanout", "-trace", "virtio_gpu_cmd_res_flush"),
         ]
-        self.started_s = time.monotonic()
         self._process = subprocess.Popen(command, stderr=subprocess.PIPE, stdin=subprocess.DEVNULL)
         self._watcher = threading.Thread(target=self._watch, name="scan-out", daemon=True)
         self._watcher.start()
@@ -169,8 +165,6 @@ class Machine:
                 self._process.wait(20.0)
         for end in (self.monitor, self._camera, self._agent):
             end.close()
-
-    # ------------------------------------------------------------------------------------------ screens
 
     def _watch(self) -> None:
         assert self._process is not None
@@ -198,8 +192,6 @@ class Machine:
             raise Gone(f"head {head} gave no picture")
         return np.ascontiguousarray(picture[:, :, ::-1], np.uint8)
 
-    # ------------------------------------------------------------------------------------------ from outside
-
     def press(self, *keys: str) -> None:
         self.monitor.do("send-key", keys=[{"type": "qcode", "data": key} for key in keys])
 
@@ -218,8 +210,6 @@ class Machine:
         """How often the machine was reset since it was switched on. Raises Gone."""
         self.monitor.do("query-status")  # what it tells unasked is heard with an answer
         return self.monitor.events.count("RESET")
-
-    # ------------------------------------------------------------------------------------------ inside
 
     def wait_for_agent(self, timeout_s: float) -> None:
         """Until the agent has said hello, as it does once after each start of the machine. Raises Gone."""

@@ -72,7 +72,7 @@ class Instrument:
     def status(self) -> dict[str, Any]:
         """The status file; empty before there is one."""
         path = self.root / "run" / "status.json"
-        return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}  # type: ignore[no-any-return]
+        return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
 
     def wait_state(self, *states: str, timeout_s: float) -> dict[str, Any]:
         """The first status in one of these states. Fails with what there is instead, and the end of the log."""

@@ -141,7 +141,7 @@ def test_the_fake_camera_says_who_it_is_and_is_set_under_the_names_of_older_conv
         assert health.ok
         assert health.details["through"].startswith(f"Aravis {who.firmware}, Fake")
         assert "no user sets" in health.details["not offered"]
-        assert fake.driver.temperature_c() is fake.driver.read_clock() is fake.driver.slow_link is None
+        assert [fake.driver.temperature_c(), fake.driver.read_clock(), fake.driver.slow_link] == [None] * 3
         assert (fake.get(WIDTH), fake.get(EXPOSURE_TIME_US)) == (640, 10_000)
         assert fake.driver.configure(CameraSettings(640, 480, 7500.0, 0.0)).exposure_us == 7500.0
         assert fake.get(EXPOSURE_TIME_US) == 7500

@@ -94,7 +94,7 @@ def keep_attached(port: int) -> None:
 
 
 def obey(command: dict[str, object]) -> dict[str, object]:
-    """``run``: a shell command with a time limit, or ``write``: a file."""
+    """``run``: a shell command with a time limit."""
     try:
         done = subprocess.run(
             ["/bin/sh", "-c", str(command["run"])],

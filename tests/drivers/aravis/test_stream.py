@@ -123,8 +123,8 @@ def test_a_frame_that_is_not_what_was_asked_for_keeps_its_number_unless_the_buff
 ) -> None:
     """A bad buffer's numbers may be those of the frame before."""
     there, stream = streaming(foreign)
-    numbers = (None, None) if sent.status else (1, 7_000_000_000)
-    assert taken(there, stream, sent) == Frame(status, *numbers, foreign.clock.now_ns(), detail)
+    number, time_ns = (None, None) if sent.status else (1, 7_000_000_000)
+    assert taken(there, stream, sent) == Frame(status, number, time_ns, foreign.clock.now_ns(), detail)
 
 
 @pytest.mark.parametrize(

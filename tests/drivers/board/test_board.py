@@ -361,7 +361,10 @@ def test_each_refusal_of_the_protocol_has_its_reason_and_remedy_and_nonsense_is_
             assert caught.value.message == f"refused ARM: {reason or 'no reason'} (code {code})"
             assert caught.value.remedy.startswith(remedy)
         asks: list[tuple[str, list[object], Callable[[], object]]] = [
-            *(("VSYNC", fields, board.vsync) for fields in ([300, 5], ["many", 5, 6], [300, -1, 6], [1 << 32, 1, 2])),
+            ("VSYNC", [300, 5], board.vsync),
+            ("VSYNC", ["many", 5, 6], board.vsync),
+            ("VSYNC", [300, -1, 6], board.vsync),
+            ("VSYNC", [1 << 32, 1, 2], board.vsync),
             ("LASER", ["on"], lambda: board.set_lasers(True, False)),
             ("PING", ["soon"], board.read_clock),
         ]
