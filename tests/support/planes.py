@@ -35,12 +35,13 @@ def small_rig(root: Path) -> Rig:
     )
 
 
-def store_plane(rig: Rig) -> tuple[Path, np.ndarray]:
+def store_plane(rig: Rig, nearer_mm: float = 0.0) -> tuple[Path, np.ndarray]:
+    """Return its folder and its points. ``nearer_mm``: than the middle of the volume."""
     cal = design_of(rig)
     sequence = build_sequence(16)
     beamer = synthetic.projector(cal)
     index = cal.water.index
-    offset = float(NORMAL @ cal.rig.volume_centre_mm(index))
+    offset = float(NORMAL @ cal.rig.volume_centre_mm(index)) - nearer_mm
     frames = {}
     for side, camera in (("left", cal.rig.left), ("right", cal.rig.right)):
         pq = beamer.project(synthetic.plane_points(camera, NORMAL, offset), index)

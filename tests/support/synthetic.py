@@ -69,3 +69,14 @@ def frames(
         lit &= (pq[..., 1] > -0.5) & (pq[..., 1] < sequence.height_px - 0.5)
         out[k] = np.where(lit, image, 3.0)
     return out
+
+
+def wall(cal: Calibration, sequence: PatternSequence) -> dict[str, NDArray[np.uint8]]:
+    """Both cameras' frames (n, h, w) of a wall that leans, in the middle of the volume."""
+    normal = np.array([0.1, 0.0, 1.0]) / np.hypot(0.1, 1.0)
+    offset_mm = float(normal @ cal.rig.volume_centre_mm(WATER.index))
+    made = {}
+    for side, camera in (("left", cal.rig.left), ("right", cal.rig.right)):
+        pq = projector(cal).project(plane_points(camera, normal, offset_mm), WATER.index)
+        made[side] = np.rint(frames(sequence, pq)).astype(np.uint8)
+    return made

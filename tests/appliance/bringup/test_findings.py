@@ -1,8 +1,10 @@
-"""What boards, pads, syncs, cameras, triggers and planes that are wrong are told to be, from values alone."""
+"""What boards, pads, syncs, cameras, triggers, planes and projectors are told to be, from values alone."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,11 +12,17 @@ from numpy.typing import NDArray
 
 from appliance.bringup.board_check import judge_beats, judge_clock, judge_laser, judge_sensor
 from appliance.bringup.camera_check import judge_dark, judge_link, judge_settings, see_dark
+from appliance.bringup.conclusions import conclusions, keys_of
 from appliance.bringup.endurance_check import Endured, SideEndured, judge_endurance
+from appliance.bringup.exposures import Offer, Trial
 from appliance.bringup.finding import Finding
+from appliance.bringup.light import LightTiming, LightWindow
+from appliance.bringup.orientation import Orientation, SeenPicture
 from appliance.bringup.pad_check import KeyTried, PadHeard, judge_key, judge_pad
 from appliance.bringup.plane_check import LIMITS_PER_PERIOD, PlaneSeen, judge_plane
 from appliance.bringup.plane_ripple import CoordinateRipple
+from appliance.bringup.projector import ProjectorMeasured
+from appliance.bringup.raster import MOST_BEATING, MOST_NOISE, LineLight
 from appliance.bringup.response_check import ResponseShape, Shape
 from appliance.bringup.stamps_check import judge_stamps
 from appliance.bringup.triggers import PULSES, FiredFrames, judge_triggers
@@ -277,3 +285,132 @@ def test_the_noise_of_few_frames_is_that_of_many(count: int) -> None:
     """Divided by n in place of n - 1, two frames would show 71 % of it."""
     grey = np.rint(20.0 + 4.0 * np.random.default_rng(7).standard_normal((count, 200, 200))).astype(np.uint8)
     assert see_dark(grey, grey).noise_dn == pytest.approx(np.hypot(4.0, 1.0 / np.sqrt(12.0)), rel=0.02)
+
+
+STRAIGHT = ResponseShape(Shape.STRAIGHT, 0.004, 0.01, 0.001, 0.0, 1.0, 100.0)
+SEEN_LEFT, SEEN_RIGHT = SeenPicture(Orientation.UPRIGHT, 1.1, 0.9), SeenPicture(Orientation.UPRIGHT, 0.9, 0.7)
+ALIKE, UNLIKE = LineLight(0.01, 0.001), LineLight(1.1 * MOST_BEATING, 0.001)
+WINDOWS = (LightWindow(300.0, 4_300.0), LightWindow(8_300.0, 16_300.0))
+TIMING = LightTiming(1, 300.0, 16_300.0, WINDOWS)
+MEASURED = ProjectorMeasured(
+    timing=TIMING,
+    channels="green",
+    sub_frames=1,
+    skew_us=-20.0,
+    profiles={},
+    responses={Trial(500, 4_000): STRAIGHT, Trial(500, 9_000): STRAIGHT},
+    ramps={},
+    offer=Offer(500, (4_000, 9_000)),
+    lines={"columns": ALIKE, "rows": ALIKE},
+    seen={"left": SEEN_LEFT, "right": SEEN_RIGHT},
+    pictures={},
+)
+
+
+def of_shape(shape: Shape, line_rms: float = 0.2, power: float = 1.0) -> ResponseShape:
+    return replace(STRAIGHT, shape=shape, line_rms=line_rms, power=power)
+
+
+def none_good(*shapes: ResponseShape) -> dict[str, Any]:
+    return {"offer": None, "responses": {Trial(500, 4_000 + k): one for k, one in enumerate(shapes)}}
+
+
+def both(orientation: Orientation) -> dict[str, Any]:
+    return {
+        "seen": {
+            "left": replace(SEEN_LEFT, orientation=orientation),
+            "right": replace(SEEN_RIGHT, orientation=orientation),
+        }
+    }
+
+
+def right(**changes: Any) -> dict[str, Any]:
+    return {"seen": {"left": SEEN_LEFT, "right": replace(SEEN_RIGHT, **changes)}}
+
+
+DARK, RESTLESS = of_shape(Shape.DARK), of_shape(Shape.RESTLESS)
+STEPS, GAMMA = of_shape(Shape.BIT_PLANES), of_shape(Shape.GAMMA, 0.1, 2.2)
+BENT = {Trial(500, 4_000): STRAIGHT, Trial(500, 9_000): of_shape(Shape.CURVED, 0.03)}
+GOOD_ONES: list[tuple[str, dict[str, Any], dict[str, float | None]]] = [
+    ("latency", {}, {"latency_blanks": 1.0}),
+    ("latency", {"timing": replace(TIMING, latency_blanks=2)}, {"latency_blanks": 2.0}),
+    ("light", {}, {"windows": 2.0, "lit_percent": 72.0}),
+    ("light", {"sub_frames": 3, "channels": "all"}, {}),
+    ("skew", {}, {"skew_us": -20.0}),
+    ("grey", {}, {"line_percent": 0.4, "exposures": 2.0}),
+    ("grey", {"responses": BENT}, {"line_percent": 3.0}),
+    ("orientation", {}, {}),
+    ("sides", {}, {"left_ratio": 1.1, "right_ratio": 0.9}),
+    ("sides", right(scale_ratio=None), {"left_ratio": 1.1, "right_ratio": None}),
+    ("raster", {}, {"columns_beating_percent": 1.0, "camera_px_per_projector_px": 0.7}),
+    ("raster", right(px_per_px=0.69), {"camera_px_per_projector_px": 0.69}),
+    ("raster", right(px_per_px=None), {"camera_px_per_projector_px": 0.9}),
+    ("raster", {"lines": {"columns": ALIKE, "rows": LineLight(9.0, 1.1 * MOST_NOISE)}}, {}),
+]
+WRONG_ONES: list[tuple[str, dict[str, Any]]] = [
+    ("skew", {"skew_us": -20.5}),
+    ("skew", {"skew_us": 20.5}),
+    ("grey", none_good()),
+    ("grey", none_good(STEPS, GAMMA, STEPS)),
+    ("grey", none_good(STEPS, GAMMA)),
+    ("grey", none_good(STEPS)),
+    ("grey", none_good(DARK, DARK)),
+    ("grey", none_good(DARK, STEPS)),
+    ("grey", none_good(RESTLESS, RESTLESS)),
+    ("grey", none_good(RESTLESS, STEPS)),
+    ("orientation", right(orientation=Orientation.MIRRORED)),
+    *(("orientation", both(one)) for one in Orientation if one is not Orientation.UPRIGHT),
+    ("sides", {"seen": {"left": SEEN_RIGHT, "right": SEEN_LEFT}}),
+    ("raster", {"lines": {"columns": UNLIKE, "rows": ALIKE}}),
+    ("raster", {"lines": {"columns": UNLIKE, "rows": UNLIKE}}),
+]
+
+
+def concluded(name: str, changes: dict[str, Any]) -> Finding:
+    return {one.name: one for one in conclusions(replace(MEASURED, **changes), 60.0)}[name]
+
+
+def test_what_is_good_or_cannot_be_told_is_said_with_its_numbers(says: Says) -> None:
+    for name, changes, numbers in GOOD_ONES:
+        found = concluded(name, changes)
+        assert (found.ok, found.remedy) == (True, "")
+        assert {key: found.numbers[key] for key in numbers} == pytest.approx(numbers)
+    says("\n".join(concluded(name, changes).said for name, changes, _ in GOOD_ONES))
+
+
+def test_what_is_wrong_is_said_with_its_remedy(says: Says) -> None:
+    found = [concluded(name, changes) for name, changes in WRONG_ONES]
+    assert not any(one.ok for one in found)
+    says("\n".join(f"{one.name}: {one.said}\n  {one.remedy}" for one in found))
+    best = concluded("grey", none_good(STEPS, GAMMA))
+    assert best.numbers == {"line_percent": pytest.approx(10.0), "power": 2.2}
+
+
+@pytest.mark.parametrize(
+    ("changes", "exposure_ms", "light_begins_us", "nearest_ms"),
+    [
+        ({}, 12.0, 0, 9.0),
+        ({}, 6.4, 0, 4.0),
+        ({"sub_frames": 3}, 6.6, 500, 9.0),
+        ({"timing": replace(TIMING, ends_us=16_800.0)}, 1.0, 500, 4.0),
+    ],
+)
+def test_the_keys_are_those_of_the_offer_and_exposures_begin_with_late_light(
+    changes: dict[str, Any], exposure_ms: float, light_begins_us: int, nearest_ms: float
+) -> None:
+    measured = replace(MEASURED, **changes)
+    assert {".".join(key): value for key, value in keys_of(measured, 60.0, exposure_ms).items()} == {
+        "projector.latency_blanks": 1,
+        "projector.light_begins_us": light_begins_us,
+        "projector.channels": "green",
+        "projector.sub_frames": measured.sub_frames,
+        "board.trigger_delay_us": 500,
+        "scan.exposures_ms": (4.0, 9.0),
+        "camera.left.exposure_ms": nearest_ms,
+        "camera.right.exposure_ms": nearest_ms,
+    }
+
+
+def test_nothing_is_written_of_a_projector_without_a_good_exposure() -> None:
+    with pytest.raises(ValueError, match="no exposure is good"):
+        keys_of(replace(MEASURED, offer=None), 60.0, 12.0)

@@ -24,7 +24,6 @@ PARTS: tuple[Part, ...] = ("board", "keys")
 
 
 def values(content: bytes) -> dict[str, object]:
-    """Execute the module as MicroPython would, and return its names."""
     found: dict[str, object] = {}
     exec(compile(content, "instrument.py", "exec"), {}, found)
     return {name: value for name, value in found.items() if not name.startswith("__")}
@@ -32,6 +31,10 @@ def values(content: bytes) -> dict[str, object]:
 
 def written(part: Part, rig: Rig) -> dict[str, object]:
     return values(laid_out(part, rig)[f"drivers/{part}/firmware/instrument.py"])
+
+
+def shown(width_px: int, height_px: int, refresh_hz: float = 60.0) -> Rig:
+    return replace(RIG, projector=replace(RIG.projector, width_px=width_px, height_px=height_px, refresh_hz=refresh_hz))
 
 
 @pytest.mark.parametrize("part", PARTS)
@@ -57,14 +60,11 @@ def test_another_instrument_has_its_own_identity_on_both_boards() -> None:
 
 
 @pytest.mark.parametrize(
-    ("width_px", "height_px", "refresh_hz", "rises"),
-    [(640, 480, 59.94, False), (800, 600, 60.32, True), (1024, 768, 75.03, True), (1280, 720, 59.94, True)],
+    ("mode", "rises"),
+    [((640, 480, 59.94), False), ((800, 600, 60.32), True), ((1024, 768, 75.03), True), ((1280, 720, 59.94), True)],
 )
-def test_the_edge_follows_from_the_published_timing(
-    width_px: int, height_px: int, refresh_hz: float, rises: bool
-) -> None:
-    projector = replace(RIG.projector, width_px=width_px, height_px=height_px, refresh_hz=refresh_hz)
-    assert written("board", replace(RIG, projector=projector))["SYNC_RISES"] is rises
+def test_the_edge_follows_from_the_published_timing(mode: tuple[int, int, float], rises: bool) -> None:
+    assert written("board", shown(*mode))["SYNC_RISES"] is rises
 
 
 @pytest.mark.parametrize(("sync", "rises"), [("positive", True), ("negative", False)])
@@ -76,13 +76,9 @@ def test_what_the_rig_file_says_comes_before_the_mode(sync: str, rises: bool) ->
 
 @pytest.mark.parametrize(("width_px", "height_px"), [(912, 1140), (1280, 800)])
 def test_a_mode_of_either_sign_is_refused_with_the_key_to_set(width_px: int, height_px: int) -> None:
-    projector = replace(RIG.projector, width_px=width_px, height_px=height_px)
     with pytest.raises(BringupError, match=rf'{width_px}x{height_px} at 60 Hz .*sync = "negative" or "positive"'):
-        laid_out("board", replace(RIG, projector=projector))
-    assert written("keys", replace(RIG, projector=projector))["PRODUCT"] == 0x4B46, "the pad sees no sync"
-
-
-# ------------------------------------------------------------------------------------------ the verbs
+        laid_out("board", shown(width_px, height_px))
+    assert written("keys", shown(width_px, height_px))["PRODUCT"] == 0x4B46, "the pad sees no sync"
 
 
 def test_it_is_laid_out_again_as_a_whole(tmp_path: Path, capsys: pytest.CaptureFixture[str], says: Says) -> None:

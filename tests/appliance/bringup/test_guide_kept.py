@@ -18,7 +18,6 @@ RIG = tomllib.loads(default_rig_path().read_text(encoding="utf-8"))
 
 
 def changed(table: str, key: str, value: object) -> dict[str, object]:
-    """The rig file's content with one key of a table changed."""
     content = tomllib.loads(default_rig_path().read_text(encoding="utf-8"))
     inner = content
     for part in table.split("."):
@@ -28,21 +27,15 @@ def changed(table: str, key: str, value: object) -> dict[str, object]:
 
 
 def kept(name: str, good: bool = True, content: dict[str, object] | None = None) -> GuideState:
-    finding = Finding(
-        "rate", good, "60.001 Hz", "60 ± 0.1 Hz", "" if good else "choose <another> mode", {"rate_hz": 60.001}
-    )
-    outcome = StepOutcome(
-        (finding,),
-        {"Settings": ({"feature": "Gamma", "is": 1.0},)},
-        {"light.png": ("Light", b"\x89PNG light")},
-        {KeyValue("projector", "latency_blanks"): 1},
-    )
+    remedy = "" if good else "choose <another> mode"
+    finding = Finding("rate", good, "60.001 Hz", "60 ± 0.1 Hz", remedy, {"rate_hz": 60.001})
+    settings, written = ({"feature": "Gamma", "is": 1.0},), {KeyValue("projector", "latency_blanks"): 1}
+    outcome = StepOutcome((finding,), {"Settings": settings}, {"light.png": ("Light", b"\x89PNG light")}, written)
     record = StepRecord.of(outcome, "2031-05-06T07:08:09+00:00", 12.5, inputs_of(content or RIG, step_of(name)))
     return GuideState("/etc/rig.toml", "ab" * 32, {}, {"Versions": ("kingfisher",)}).with_step(name, record)
 
 
 def test_no_step_needs_one_that_comes_later() -> None:
-    """The walk could never end."""
     for number, step in enumerate(STEPS):
         assert set(step.needs) <= set(NAMES[:number])
     assert set(OF_THE_PROJECTOR) < set(NAMES)
@@ -58,17 +51,16 @@ def test_a_good_step_stands_until_a_key_that_it_rests_on_changes() -> None:
 
 
 def test_a_key_that_came_or_went_counts_as_changed() -> None:
-    state = kept("cameras")
-    assert not state.stands(step_of("cameras"), changed("camera.left", "trigger_source", "Line3"))
-    assert not state.stands(step_of("cameras"), changed("camera.left", "features", {"Gamma": 0.5}))
-    with_line = changed("camera.left", "trigger_source", "Line3")
-    assert not kept("cameras", content=with_line).stands(step_of("cameras"), RIG)
+    cameras, line = step_of("cameras"), changed("camera.left", "trigger_source", "Line3")
+    for now in (line, changed("camera.left", "features", {"Gamma": 0.5})):
+        assert not kept("cameras").stands(cameras, now)
+    assert not kept("cameras", content=line).stands(cameras, RIG)
 
 
 def test_keys_that_the_guide_finds_itself_undo_only_what_rests_on_them() -> None:
+    steps = ("cameras", "trigger", "raster", "endurance", "light", "plane")
     for table, key, value in (("board", "trigger_delay_us", 4000), ("camera.left", "exposure_ms", 5.0)):
         now = changed(table, key, value)
-        steps = ("cameras", "trigger", "raster", "endurance", "light", "plane")
         assert [name for name in steps if not kept(name).stands(step_of(name), now)] == ["light", "plane"]
 
 
@@ -95,13 +87,8 @@ def test_a_damaged_state_is_refused_with_what_to_do(data: bytes) -> None:
 
 def test_the_page_has_numbers_limits_remedy_pictures_and_the_rig_file_and_no_markup_of_others() -> None:
     page = guide_page(kept("board", good=False), "[rig]\nname = '<b>'\n", {"light.png": b"\x89PNG light"})
-    for text in (
-        "60.001 Hz",
-        "60 ± 0.1 Hz",
-        "choose &lt;another&gt; mode",
-        "name = &#x27;&lt;b&gt;&#x27;",
-        "data:image/png",
-    ):
+    rig_file, remedy = "name = &#x27;&lt;b&gt;&#x27;", "choose &lt;another&gt; mode"
+    for text in ("60.001 Hz", "60 ± 0.1 Hz", remedy, rig_file, "data:image/png"):
         assert text in page, text
     assert "<another>" not in page
 

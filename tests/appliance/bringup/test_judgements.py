@@ -43,15 +43,14 @@ def slices(*windows_us: tuple[float, float], count: int = 200) -> NDArray[np.flo
 def test_the_first_lit_frame_is_the_latency(at: int) -> None:
     levels = np.full(24, 2.0)
     levels[at] = 150.0
-    assert latency_of(levels) == at
-    levels[at + 1] = 80.0
-    assert latency_of(levels) == at, "the light goes on beyond a blank"
-    levels[at + 1] = 2.0 + 148.0 * 0.02
-    assert latency_of(levels) == at
-    levels += np.tile([0.3, -0.3, 0.0], 8)
-    assert latency_of(levels) == at, "noise is no flash"
-    levels[at : at + 2] = 6.0, 2.0
-    assert latency_of(levels) == at, "nor is it beside a faint one"
+    found = [latency_of(levels)]
+    for next_dn in (80.0, 2.0 + 148.0 * 0.02):  # the light goes on beyond a blank
+        levels[at + 1] = next_dn
+        found.append(latency_of(levels))
+    levels += np.tile([0.3, -0.3, 0.0], 8)  # noise is no flash
+    found.append(latency_of(levels))
+    levels[at : at + 2] = 6.0, 2.0  # nor is it beside a faint one
+    assert [*found, latency_of(levels)] == [at] * 5
 
 
 def test_a_flash_that_is_none_or_too_long_is_refused() -> None:
@@ -86,63 +85,69 @@ def test_light_shortly_before_a_blank_belongs_to_it() -> None:
 @pytest.mark.parametrize("count", [2, 3])
 def test_equal_parts_of_a_frame_are_counted(count: int) -> None:
     step = PERIOD_US / count
-    bits = [
-        slices(*((k * step + 500.0, k * step + 500.0 + length) for k in range(count))) for length in (3_000.0, 1_700.0)
-    ]
-    assert sub_frames_of(bits, 0.0, PERIOD_US) == count
-    # One bit that comes in the first part only: parts are not equal.
-    assert sub_frames_of([*bits, slices((500.0, 2_500.0))], 0.0, PERIOD_US) == 1
+
+    def lit(late_us: float = 0.0) -> list[NDArray[np.float64]]:
+        begins = [k * step + 500.0 + late_us * (k == count - 1) for k in range(count)]
+        return [slices(*((begin, begin + length) for begin in begins)) for length in (3_000.0, 1_700.0)]
+
+    def counted(*bits: NDArray[np.float64]) -> int:
+        return sub_frames_of(list(bits), 0.0, PERIOD_US)
+
+    bits, steady = lit(), slices((0.0, PERIOD_US))
     # The same course, a fifth dimmer in the first part and brighter in the last: what is between is as bright as the mean.
     lights = np.ones(200)
     lights[: int(step / 250.0)], lights[int((count - 1) * step / 250.0) + 1 :] = 0.8, 1.2
-    assert sub_frames_of([bit * lights for bit in bits], 0.0, PERIOD_US) == 1
-    # As much light, a millisecond later in the last part.
-    late = [k * step + 500.0 + 1_000.0 * (k == count - 1) for k in range(count)]
-    shifted = [slices(*((begin, begin + length) for begin in late)) for length in (3_000.0, 1_700.0)]
-    assert sub_frames_of(shifted, 0.0, PERIOD_US) == 1
-    assert sub_frames_of([slices((0.0, PERIOD_US))], 0.0, PERIOD_US) == 1, "steady light repeats with any number"
-    assert sub_frames_of([*bits, slices((0.0, PERIOD_US))], 0.0, PERIOD_US) == count, "and says nothing against others"
-    assert sub_frames_of([np.zeros(200)], 0.0, PERIOD_US) == 1
+    assert counted(*bits) == counted(*bits, steady) == count, "steady light repeats with any number, and says nothing"
+    for unequal in (
+        [*bits, slices((500.0, 2_500.0))],
+        [bit * lights for bit in bits],
+        lit(1_000.0),
+        [steady],
+        [np.zeros(200)],
+    ):
+        assert counted(*unequal) == 1
 
 
 def grey(curve: NDArray[np.float64], noise: float = 0.0, seed: int = 1) -> NDArray[np.float64]:
     return 2.0 + 150.0 * (curve + noise * np.random.default_rng(seed).standard_normal(len(curve)))
 
 
+STRAIGHT = CODES / 255.0
+FALLS = np.where(np.arange(len(CODES)) == 30, STRAIGHT[29], STRAIGHT)
+
+
 @pytest.mark.parametrize(
     ("curve", "shape"),
     [
-        (CODES / 255.0, Shape.STRAIGHT),
-        ((CODES / 255.0) ** 1.1, Shape.CURVED),
-        ((CODES / 255.0) ** 2.2, Shape.GAMMA),
-        ((CODES / 255.0) ** 0.45, Shape.GAMMA),
-        (CODES / 255.0 + 0.05 * (CODES >= 128), Shape.BIT_PLANES),
-        (CODES / 255.0 - 0.02 * (CODES % 32 >= 16), Shape.BIT_PLANES),
-        (np.sin(0.6 * np.pi * CODES / 255.0), Shape.BIT_PLANES),
+        (STRAIGHT, Shape.STRAIGHT), (STRAIGHT**1.1, Shape.CURVED), (STRAIGHT**2.2, Shape.GAMMA), (STRAIGHT**0.45, Shape.GAMMA),
+        (STRAIGHT + 0.05 * (CODES >= 128), Shape.BIT_PLANES), (STRAIGHT - 0.02 * (CODES % 32 >= 16), Shape.BIT_PLANES),
+        (np.sin(0.6 * np.pi * STRAIGHT), Shape.BIT_PLANES),
     ],
-)
+)  # fmt: skip
 def test_grey_is_straight_curved_gamma_or_cut(curve: NDArray[np.float64], shape: Shape) -> None:
-    found = judge_response(CODES, grey(curve, 0.001, 1), grey(curve, 0.001, 2))
-    assert found.shape is shape
-    assert found.usable == (shape in (Shape.STRAIGHT, Shape.CURVED))
+    first, second = grey(curve, 0.001, 1), grey(curve, 0.001, 2)
+    found = judge_response(CODES, first, second)
+    assert (found.shape, found.usable) == (shape, shape in (Shape.STRAIGHT, Shape.CURVED))
     backwards = np.argsort(-CODES)
-    again = judge_response(CODES[backwards], grey(curve, 0.001, 1)[backwards], grey(curve, 0.001, 2)[backwards])
+    again = judge_response(CODES[backwards], first[backwards], second[backwards])
     assert again.shape is shape, "in whatever order the codes were shown"
 
 
-def test_grey_that_changes_or_is_too_dark_is_not_judged() -> None:
-    straight = CODES / 255.0
-    assert judge_response(CODES, grey(straight, 0.02, 1), grey(straight, 0.02, 2)).shape is Shape.RESTLESS
-    assert judge_response(CODES, 0.04 * grey(straight), 0.04 * grey(straight)).shape is Shape.DARK
-    # All of it a fifth brighter in the second pass: as good a sine.
-    assert judge_response(CODES, grey(straight), 1.2 * grey(straight)).shape is Shape.STRAIGHT
-
-
-@pytest.mark.parametrize(("fall", "shape"), [(0.001, Shape.STRAIGHT), (0.003, Shape.BIT_PLANES)])
-def test_a_code_that_comes_out_darker_than_a_lower_one_is_a_wrong_bit(fall: float, shape: Shape) -> None:
-    curve = CODES / 255.0
-    curve[30] = curve[29] - fall
-    assert judge_response(CODES, grey(curve), grey(curve)).shape is shape
+@pytest.mark.parametrize(
+    ("first", "second", "shape"),
+    [
+        (grey(STRAIGHT, 0.02, 1), grey(STRAIGHT, 0.02, 2), Shape.RESTLESS),
+        (0.04 * grey(STRAIGHT), 0.04 * grey(STRAIGHT), Shape.DARK),
+        (grey(STRAIGHT), 1.2 * grey(STRAIGHT), Shape.STRAIGHT),  # all of it brighter in the second pass: as good a sine
+        # A code that comes out darker than a lower one is a wrong bit.
+        (grey(FALLS - 0.001 * (CODES[30] == CODES)), grey(FALLS - 0.001 * (CODES[30] == CODES)), Shape.STRAIGHT),
+        (grey(FALLS - 0.003 * (CODES[30] == CODES)), grey(FALLS - 0.003 * (CODES[30] == CODES)), Shape.BIT_PLANES),
+    ],
+)
+def test_grey_that_changes_is_dark_or_falls_is_told(
+    first: NDArray[np.float64], second: NDArray[np.float64], shape: Shape
+) -> None:
+    assert judge_response(CODES, first, second).shape is shape
 
 
 def test_an_exposure_begins_with_a_sub_frame_and_holds_whole_ones() -> None:
@@ -187,22 +192,14 @@ def test_lines_that_differ_beat_and_a_slow_course_does_not() -> None:
 
 
 def test_a_key_is_changed_in_its_line_and_everything_else_stays() -> None:
-    text = with_keys(
-        PACKAGED,
-        {
-            KeyValue("projector", "latency_blanks"): 1,
-            KeyValue("board", "trigger_delay_us"): 250,
-            KeyValue("scan", "exposures_ms"): (8.0, 12.0),
-            KeyValue("projector", "channels"): "all",
-        },
-    )
+    new: dict[tuple[str, str], Any] = {("projector", "latency_blanks"): 1, ("board", "trigger_delay_us"): 250, ("scan", "exposures_ms"): (8.0, 12.0), ("projector", "channels"): "all"}  # fmt: skip
+    text = with_keys(PACKAGED, {KeyValue(*key): value for key, value in new.items()})
     rig = parse_rig(text)
-    assert (rig.projector.latency_blanks, rig.board.trigger_delay_us, rig.projector.channels) == (1, 250, "all")
-    assert rig.scan.exposures_ms == (8.0, 12.0)
-    old, new = PACKAGED.split("\n"), text.split("\n")
-    assert len(new) == len(old) + 3, "three keys are new"
+    assert {(table, key): getattr(getattr(rig, table), key) for table, key in new} == new
+    lines, old = text.split("\n"), PACKAGED.split("\n")
+    assert len(lines) == len(old) + 3, "three keys are new"
     kept = [line for line in old if line != "trigger_delay_us = 500"]
-    assert [line for line in new if line in kept] == kept, "all other lines, in their order"
+    assert [line for line in lines if line in kept] == kept, "all other lines, in their order"
     again = with_keys(text, {KeyValue("camera.right", "gain_db"): 3.0})
     assert parse_rig(again).camera.left.gain_db == 0.0, "a key of a table is not looked for in another"
     again = with_keys(text, {KeyValue("projector", "latency_blanks"): 2})
@@ -288,9 +285,6 @@ def test_a_step_in_depth_and_an_empty_image_are_no_plane() -> None:
     plane = smooth_plane(p, PERIOD_PX)
     assert plane is not None
     assert ripple_of(plane, PERIOD_PX).amplitude_px[2] == pytest.approx(0.05, abs=0.005)
-
-
-# ------------------------------------------------------------------------------------------ light by code
 
 
 def test_a_saturated_plane_is_tried_with_half_of_the_light_then_with_what_is_left() -> None:

@@ -10,7 +10,7 @@ import sys
 import threading
 import tty
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
@@ -28,12 +28,9 @@ RIG = load_rig(default_rig_path())
 
 
 class Module:
-    """A module with MicroPython behind a serial port."""
-
     def __init__(self) -> None:
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)
-        self._port = os.ttyname(self._slave)
         self._process = subprocess.Popen(
             ["node", SERIAL, micropython.MODULE, str(400 * 1024), FLASH],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0,
@@ -47,65 +44,56 @@ class Module:
     def close(self) -> None:
         self._process.kill()
         self._process.wait(10.0)
-        # Both ends: the relays wait in them.
-        os.close(self._slave)
-        os.close(self._master)
+        for end in (self._slave, self._master):  # the relays wait in them
+            os.close(end)
 
     @staticmethod
     def _relay(source: int, sink: int) -> None:
-        try:
+        with suppress(OSError):
             while data := os.read(source, 4096):
                 os.write(sink, data)
-        except OSError:
-            return
 
     def typed(self, command: str, *more: str) -> str:
         """Type a command of the page here, with this module's port; return what it printed."""
         words = command.removeprefix("./dev run mpremote ").split()
         assert len(words) < len(command.split()), "a command of mpremote"
-        done = subprocess.run(
-            [sys.executable, "-m", "mpremote", "connect", self._port, *words, *more],
-            capture_output=True, text=True, timeout=60.0,
-        )  # fmt: skip
+        call = [sys.executable, "-m", "mpremote", "connect", os.ttyname(self._slave), *words, *more]
+        done = subprocess.run(call, capture_output=True, text=True, timeout=60.0)
         assert done.returncode == 0, f"{command}: {done.stdout}{done.stderr}"
         return done.stdout
 
 
-@contextmanager
+@pytest.fixture
 def module() -> Iterator[Module]:
     micropython.require()
     made = Module()
-    try:
-        yield made
-    finally:
-        made.close()
+    yield made
+    made.close()
 
 
 @pytest.mark.parametrize("part", ["board", "keys"])
-def test_the_printed_commands_bring_all_files_onto_a_module_and_may_be_repeated(part: Part, tmp_path: Path) -> None:
-    folder = tmp_path / part
-    files = laid_out(part, RIG)
+def test_the_printed_commands_bring_all_files_onto_a_module_and_may_be_repeated(
+    part: Part, module: Module, tmp_path: Path
+) -> None:
+    folder, files = tmp_path / part, laid_out(part, RIG)
     for name, content in files.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_bytes(content)
-    copying = commands(part, folder)[1:]
-    with module() as one:
-        for _ in range(2):
-            for command in copying:
-                one.typed(command)
-        for name, content in files.items():
-            assert one.typed(f"./dev run mpremote cat {name}").encode() == content, name
-        # What needs no pins runs there at once; the folder has no cache, and nothing else came along.
-        said = one.typed(
-            "./dev run mpremote exec",
-            f"from drivers.{part}.firmware import core, instrument; import os; "
-            f"print(hex(instrument.PRODUCT), len(os.listdir('drivers/{part}/firmware')), os.listdir('drivers'))",
-        )
+    for command in 2 * commands(part, folder)[1:]:
+        module.typed(command)
+    for name in (f"drivers/{part}/firmware/instrument.py", "main.py"):
+        assert module.typed(f"./dev run mpremote cat {name}").encode() == files[name], name
+    # What needs no pins runs there at once; the folder has no cache, and nothing else came along.
+    said = module.typed(
+        "./dev run mpremote exec",
+        f"from drivers.{part}.firmware import core, instrument; import os; "
+        f"print(hex(instrument.PRODUCT), len(os.listdir('drivers/{part}/firmware')), os.listdir('drivers'))",
+    )
     product = RIG.board.product_id if part == "board" else RIG.keys.product_id
     assert said.strip() == f"{product:#x} {len(files) - 1} ['{part}']"
 
 
-def test_the_library_is_asked_for_in_its_pinned_version() -> None:
+def test_the_library_is_asked_for_in_its_pinned_version(module: Module) -> None:
     asked: list[str] = []
     library = b"VERSION = 'pinned'\n"
     digest = hashlib.sha256(library).hexdigest()[:8]
@@ -125,10 +113,9 @@ def test_the_library_is_asked_for_in_its_pinned_version() -> None:
     server = ThreadingHTTPServer(("127.0.0.1", 0), Index)
     threading.Thread(target=server.serve_forever, daemon=True).start()
     try:
-        with module() as one:
-            command = commands("board", Path("build/board"))[0]
-            one.typed(command.replace(" install ", f" install --index http://127.0.0.1:{server.server_port} "))
-            found = one.typed("./dev run mpremote exec", "from usb.device import cdc; print(cdc.VERSION)")
+        command = commands("board", Path("build/board"))[0]
+        module.typed(command.replace(" install ", f" install --index http://127.0.0.1:{server.server_port} "))
+        found = module.typed("./dev run mpremote exec", "from usb.device import cdc; print(cdc.VERSION)")
     finally:
         server.shutdown()
         server.server_close()

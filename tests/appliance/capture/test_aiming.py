@@ -61,7 +61,6 @@ def test_turbid_is_what_shines_five_times_as_much_as_it_shows(
 
 @pytest.mark.parametrize(("share", "counts"), [(0.013, False), (0.03, True)])
 def test_detail_counts_from_a_fiftieth_of_the_picture_on(share: float, counts: bool) -> None:
-    """Laser dots and their streaks are less."""
     image = np.full(SIZE, 10, np.uint8)
     points = round(share * 150 * 200)
     y, x = np.divmod(np.random.default_rng(1).choice(30 * 40, points // 9, replace=False), 40)
@@ -70,9 +69,7 @@ def test_detail_counts_from_a_fiftieth_of_the_picture_on(share: float, counts: b
     assert (look(image, 0.0).detail_dn > 50.0) == counts
 
 
-@pytest.mark.parametrize(
-    ("size", "small"), [((1200, 1600), (150, 200)), ((400, 400), (200, 200)), ((1, 900), (1, 200))]
-)
+@pytest.mark.parametrize(("size", "small"), [((1200, 1600), (150, 200)), ((1, 900), (1, 200))])
 def test_images_are_looked_at_in_200_px_of_width_and_keep_their_form(
     size: tuple[int, int], small: tuple[int, int]
 ) -> None:
@@ -83,7 +80,6 @@ def test_images_are_looked_at_in_200_px_of_width_and_keep_their_form(
 
 
 def test_detail_is_what_is_finer_than_a_fortieth_of_the_picture() -> None:
-    """Fringes are finer, and a glow is smoother."""
     x = np.arange(SIZE[1])
     stripes = np.tile(np.where(x // 20 % 2, 200, 0).astype(np.uint8), (SIZE[0], 1))
     sharp, soft = (
@@ -98,13 +94,11 @@ def test_detail_is_what_is_finer_than_a_fortieth_of_the_picture() -> None:
         assert seen.detail_dn == pytest.approx(90.0 * (1.0 - left), abs=1.5)
 
 
-# ---------------------------------------------------------------------------------------------------------- motion
 def moved(x_px: float = 0.0, y_px: float = 0.0) -> Image:
     return picture(200.0, shift_px=(x_px, y_px), seed=1)
 
 
 def joined(first: Image, *others: tuple[int, Image]) -> Image:
-    """The first image, and from each of these rows on another one."""
     image = first.copy()
     for row, other in others:
         image[row:] = other[row:]
@@ -112,8 +106,8 @@ def joined(first: Image, *others: tuple[int, Image]) -> Image:
 
 
 def swum(patch_px: int) -> Image:
-    image = picture(200.0)
-    image[50 : 50 + patch_px, 100 : 100 + patch_px] = moved(10.0)[50 : 50 + patch_px, 100 : 100 + patch_px]
+    image, patch = picture(200.0), np.s_[50 : 50 + patch_px, 100 : 100 + patch_px]
+    image[patch] = moved(10.0)[patch]
     return image
 
 

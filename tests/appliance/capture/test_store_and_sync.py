@@ -42,7 +42,6 @@ def test_every_frame_of_either_side_and_sequence_has_its_own_place_in_both_proce
 
 
 def test_every_page_is_there_from_the_start_and_given_back_by_its_maker_and_only_once() -> None:
-    """A page that is only promised is found while frames arrive, or is not found at all."""
     store = FrameStore(FRAMES, 100, 200, sequences=2)
     name = store.name
     assert Path("/dev/shm", name).stat().st_blocks * 512 >= 2 * 2 * FRAMES * 100 * 200
@@ -113,7 +112,6 @@ def test_a_sync_that_is_periods_away_from_the_flip_is_counted_back_to_it(periods
 
 @pytest.mark.parametrize("answered_after_ns", [0, 6_000_000])
 def test_the_clocks_are_never_further_off_than_half_of_what_the_answer_took(answered_after_ns: int) -> None:
-    """The board may read its clock at once and answer late, or the other way round: nobody knows which."""
     found = map_vsync(FLIP, answer(1, FLIP.time_ns + 20_000_000, answered_after_ns, 6_000_000), PERIOD_NS)
     assert found is not None
     assert found.count == 200
@@ -123,14 +121,9 @@ def test_the_clocks_are_never_further_off_than_half_of_what_the_answer_took(answ
 @pytest.mark.parametrize(
     ("phase", "took", "fits"),
     [
-        (0.25, 0.0, True),
-        (-0.25, 0.0, True),
-        (0.35, 0.0, False),
-        (-0.35, 0.0, False),
-        (0.0, 0.45, True),
-        (0.0, 0.55, False),
+        (0.25, 0.0, True), (-0.25, 0.0, True), (0.35, 0.0, False), (-0.35, 0.0, False), (0.0, 0.45, True), (0.0, 0.55, False),
     ],
-)
+)  # fmt: skip
 def test_a_sync_that_is_not_the_projectors_or_an_answer_of_half_a_period_supports_no_map(
     phase: float, took: float, fits: bool
 ) -> None:

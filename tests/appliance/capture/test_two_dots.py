@@ -18,10 +18,8 @@ def bench() -> Bench:
     return Bench(400)
 
 
-@pytest.mark.parametrize("pointer", [0, 1])
-@pytest.mark.parametrize("z_mm", [380.0, 490.0, 640.0])
+@pytest.mark.parametrize(("pointer", "z_mm"), [(0, 380.0), (1, 490.0), (0, 640.0)])
 def test_the_dot_of_one_pointer_is_not_told_as_the_other_pointers(bench: Bench, pointer: int, z_mm: float) -> None:
-    """In either picture it lies near the other beam's way as well, as if it were at another depth."""
     found = bench.ranger().find(bench.pair((on(pointer, z_mm), HEIGHT_DN, HEIGHT_DN)))
     own, other = (found.left, found.right) if pointer == 0 else (found.right, found.left)
     assert own is not None
@@ -29,8 +27,7 @@ def test_the_dot_of_one_pointer_is_not_told_as_the_other_pointers(bench: Bench, 
     assert other is None
 
 
-@pytest.mark.parametrize("measured", [True, False])
-@pytest.mark.parametrize(("left_mm", "right_mm"), [(440.0, 450.0), (610.0, 620.0)])
+@pytest.mark.parametrize(("measured", "left_mm", "right_mm"), [(True, 440.0, 450.0), (False, 610.0, 620.0)])
 def test_each_pointer_gets_its_own_of_two_dots(bench: Bench, measured: bool, left_mm: float, right_mm: float) -> None:
     left, right = (one if measured else replace(one, covariance=DRAWN) for one in BEAMS)
     ranger = bench.ranger(beams=(left, right), measured=measured)

@@ -14,8 +14,7 @@ from appliance.machine.states import Machine
 from appliance.machine.step import step
 from appliance.scan.fault import Fault, FaultCode
 from drivers.api import Key
-from tests.appliance.machine.english import labels
-from tests.appliance.machine.walks import SECOND_NS, heartbeat
+from tests.appliance.machine.walks import SECOND_NS, heartbeat, labels
 
 Then = on.Event | Callable[[Machine], on.Event]
 """An event, or what makes one of the moment at which it comes."""
@@ -80,7 +79,6 @@ def course(name: str, start: Callable[[], Machine], *events: Then, **facts: Any)
 
 
 def seen(start: Callable[[], Machine], events: tuple[Then, ...], facts: dict[str, Any]) -> dict[str, Any]:
-    """Return what a row's facts are in truth; of ``among`` and ``never`` all effects where it is not as wanted."""
     machine, every = start(), list[do.Effect]()
     last: tuple[do.Effect, ...] = ()
     for event in events:

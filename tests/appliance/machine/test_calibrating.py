@@ -20,7 +20,6 @@ from appliance.scan.exposure import NOMINAL
 from appliance.scan.fault import Fault, FaultCode
 from drivers.api import Key
 from tests.appliance.machine.courses import BACK, DOWN, EIO, LEAK, SCAN, STOP, Then, codes, course, seen, wait, warm
-from tests.appliance.machine.english import labels
 from tests.appliance.machine.walks import (
     IN_USE,
     MISSING,
@@ -33,6 +32,7 @@ from tests.appliance.machine.walks import (
     calibrating,
     calibrating_at,
     good,
+    labels,
     run,
     trial_in_work,
 )

@@ -8,19 +8,9 @@ from dataclasses import replace
 import pytest
 
 from appliance.calibration.guide import Step
-from appliance.machine import acknowledge, asking, calibrate, gallery, menu, scanning
+from appliance.machine import acknowledge, asking, calibrate, choices, gallery, menu, scanning
 from appliance.machine import effects as do
 from appliance.machine import events as on
-from appliance.machine.choices import (
-    Choices,
-    Offers,
-    another_exposure,
-    another_language,
-    another_period,
-    offers_of,
-    other_water,
-    warmer,
-)
 from appliance.machine.menu import Row, row_of, shown
 from appliance.machine.states import Calibrating, Machine, Page, Settings, State, boot
 from appliance.machine.transfer import NOT_TOLD, Serving, Transfer
@@ -29,7 +19,6 @@ from appliance.scan.exposure import Exposure
 from appliance.service.menu_view import Facts, menu_view, value_of
 from drivers.api import Key
 from tests.appliance.machine.courses import BACK, DOWN, SCAN, UP, Then, course, seen
-from tests.appliance.machine.english import labels
 from tests.appliance.machine.walks import (
     PARTS,
     SECOND_NS,
@@ -39,23 +28,23 @@ from tests.appliance.machine.walks import (
     calibrating,
     in_gallery,
     in_menu,
+    labels,
     reviewing,
     run,
 )
 
 S = State
 STEPS = (Exposure(5_000), Exposure(8_000), Exposure(12_000), Exposure(16_000))
-BALTIC = Choices(Exposure(12_000), 16, 7.0, 11.6)
+BALTIC = choices.Choices(Exposure(12_000), 16, 7.0, 11.6)
 
 
 def offered() -> Machine:
     """An instrument for brackish water, in the menu."""
-    settings = Settings(choices=BALTIC, offers=offers_of(BALTIC, STEPS))
+    settings = Settings(choices=BALTIC, offers=choices.offers_of(BALTIC, STEPS))
     return run(boot(0, settings), *UPS, on.BootFinished(), *PARTS, on.Tick(SECOND_NS), UP)
 
 
 def at(row: Row, machine: Machine | None = None) -> Callable[[], Machine]:
-    """With that row of the main page selected."""
 
     def found() -> Machine:
         there = machine or offered()
@@ -73,11 +62,10 @@ def transferring() -> Machine:
 
 
 def with_object() -> Machine:
-    """Object 5 runs; scans on the disk carry up to 4."""
     return run(at(Row.OBJECT, run(offered(), on.ObjectsCounted(4)))(), SCAN, UP, SCAN)
 
 
-def taken(**changes: object) -> Choices:
+def taken(**changes: object) -> choices.Choices:
     return replace(BALTIC, **changes)  # type: ignore[arg-type]
 
 
@@ -193,20 +181,23 @@ def test_recordings_of_a_calibration_belong_to_no_object() -> None:
         assert [effect.object for effect in effects if isinstance(effect, do.Arm)] == [number]
 
 
-# --------------------------------------------------------------------------------------------------------- choices
 def test_a_new_instrument_scans_in_fresh_water_of_20_degrees_with_the_finest_fringes_in_english() -> None:
-    assert Choices() == Choices(period_px=16, salinity_psu=0.0, water_c=20.0, language="en")
-    assert (Offers().periods_px, Offers().fresh_psu, Offers().salt_psu) == ((16, 32, 64), 0.0, 35.0)
+    assert choices.Choices() == choices.Choices(period_px=16, salinity_psu=0.0, water_c=20.0, language="en")
+    assert (choices.Offers().periods_px, choices.Offers().fresh_psu, choices.Offers().salt_psu) == (
+        (16, 32, 64),
+        0.0,
+        35.0,
+    )
 
 
 @pytest.mark.parametrize(("psu", "salt"), [(0.0, False), (1.9, False), (2.0, True), (35.0, True)])
 def test_water_is_salt_from_two_grams_in_a_kilogram_on(psu: float, salt: bool) -> None:
-    chosen = Choices(salinity_psu=psu)
-    offers = offers_of(chosen, STEPS)
+    chosen = choices.Choices(salinity_psu=psu)
+    offers = choices.offers_of(chosen, STEPS)
     assert chosen.salt == salt
     assert (offers.fresh_psu, offers.salt_psu) == ((0.0, psu) if salt else (psu, 35.0))
-    other = other_water(chosen, offers)
-    assert (other.salt, other_water(other, offers)) == (not salt, chosen)
+    other = choices.other_water(chosen, offers)
+    assert (other.salt, choices.other_water(other, offers)) == (not salt, chosen)
 
 
 @pytest.mark.parametrize(
@@ -221,18 +212,22 @@ def test_water_is_salt_from_two_grams_in_a_kilogram_on(psu: float, salt: bool) -
     ],
 )
 def test_exposures_go_by_the_light_they_give_and_stay_at_their_ends(start_us: int, by: int, found_us: int) -> None:
-    offers = offers_of(Choices(), (*STEPS[:3], Exposure(16_000), Exposure(16_000, 6.0)))
-    assert another_exposure(Choices(exposure=Exposure(16_000)), offers, 1).exposure == Exposure(16_000, 6.0)
-    chosen = another_exposure(Choices(exposure=Exposure(start_us)), offers_of(Choices(), STEPS), by)
+    offers = choices.offers_of(choices.Choices(), (*STEPS[:3], Exposure(16_000), Exposure(16_000, 6.0)))
+    assert choices.another_exposure(choices.Choices(exposure=Exposure(16_000)), offers, 1).exposure == Exposure(
+        16_000, 6.0
+    )
+    chosen = choices.another_exposure(
+        choices.Choices(exposure=Exposure(start_us)), choices.offers_of(choices.Choices(), STEPS), by
+    )
     assert chosen.exposure == Exposure(found_us)
 
 
 def test_periods_languages_and_whole_degrees_stay_at_their_ends() -> None:
-    chosen, offers = Choices(), Offers()
-    assert [another_period(chosen, offers, by).period_px for by in (-1, 0, 1, 2, 3)] == [16, 16, 32, 64, 64]
-    assert [another_period(Choices(period_px=24), offers, by).period_px for by in (-1, 1)] == [16, 32]
-    assert [another_language(chosen, by).language for by in (-1, 1)] == ["de", "en"]
-    assert another_language(Choices(language="de"), 1).language == "en"
+    chosen, offers = choices.Choices(), choices.Offers()
+    assert [choices.another_period(chosen, offers, by).period_px for by in (-1, 0, 1, 2, 3)] == [16, 16, 32, 64, 64]
+    assert [choices.another_period(choices.Choices(period_px=24), offers, by).period_px for by in (-1, 1)] == [16, 32]
+    assert [choices.another_language(chosen, by).language for by in (-1, 1)] == ["de", "en"]
+    assert choices.another_language(choices.Choices(language="de"), 1).language == "en"
     degrees = {
         (20.0, 1): 21.0,
         (11.6, 1): 13.0,
@@ -242,10 +237,9 @@ def test_periods_languages_and_whole_degrees_stay_at_their_ends() -> None:
         (39.0, 1): 40.0,
         (40.0, 1): 40.0,
     }
-    assert {(c, by): warmer(Choices(water_c=c), by).water_c for c, by in degrees} == degrees
+    assert {(c, by): choices.warmer(choices.Choices(water_c=c), by).water_c for c, by in degrees} == degrees
 
 
-# ------------------------------------------------------------------------------------------------- what cannot be
 @pytest.mark.parametrize(
     "broken",
     [

@@ -36,8 +36,7 @@ from tests.appliance.machine.courses import (
     shown,
     wait,
 )  # fmt: skip
-from tests.appliance.machine.english import labels
-from tests.appliance.machine.walks import HOLD_BACK, MISSING, SUMMARY, after, aim, heartbeat, run
+from tests.appliance.machine.walks import HOLD_BACK, MISSING, SUMMARY, after, aim, heartbeat, labels, run
 
 C, S = FaultCode, State
 LIT = do.GoLive(light=True, lasers=True, exposure=NOMINAL)
@@ -58,12 +57,10 @@ def coarse() -> Machine:
 
 
 def proposed() -> Machine:
-    """In review, and a shorter exposure is proposed for the next scan."""
     return run(at.reviewing(), on.Judged(1, (Fault(C.TOO_BRIGHT),), SHORTER))
 
 
 def taken() -> Machine:
-    """The proposed exposure was taken for the next scan, which is made."""
     again = (on.Armed(2), on.CaptureFinished(2), on.FullReady(2, SUMMARY), on.Judged(2))
     return run(proposed(), DOWN, *HOLD_BACK, SCAN, *again)
 
@@ -74,12 +71,10 @@ def offered() -> Machine:
 
 
 def adding() -> Machine:
-    """The second exposure is being recorded."""
     return run(offered(), *HOLD_DOWN, on.Armed(2))
 
 
 def added() -> Machine:
-    """It is being worked out."""
     return run(adding(), on.CaptureFinished(2))
 
 
@@ -270,7 +265,6 @@ def test_a_scan_takes_its_course(
 
 
 def again() -> Machine:
-    """The first capture was stopped; the second one runs."""
     return run(at.capturing(), BACK, SCAN, on.Armed(2))
 
 

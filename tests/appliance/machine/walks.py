@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
-from typing import get_args
+from typing import Any, get_args
 
 from hypothesis import strategies as st
 
 from appliance.calibration.guide import HELD, USED, AdjustmentSummary, RecordingCheck, Session, Step, Verified
 from appliance.machine import effects as do
 from appliance.machine import events as on
+from appliance.machine import texts
+from appliance.machine.alerts import RULES
 from appliance.machine.failure import Failure, FailureKind
 from appliance.machine.states import Device, Machine, Part, State, boot
 from appliance.machine.step import step
 from appliance.machine.transfer import Serving, Transfer
+from appliance.machine.words import english
 from appliance.ranging.reach import Range
 from appliance.reconstruct.quality import CloudSummary
 from appliance.scan.exposure import Exposure
@@ -38,7 +41,6 @@ def run(machine: Machine, *events: on.Event) -> Machine:
 
 
 def after(machine: Machine, *events: on.Event) -> tuple[Machine, list[do.Effect]]:
-    """The machine and all effects of all events, in order."""
     effects: list[do.Effect] = []
     for event in events:
         machine, wanted = step(machine, event)
@@ -46,12 +48,16 @@ def after(machine: Machine, *events: on.Event) -> tuple[Machine, list[do.Effect]
     return machine, effects
 
 
+def labels(machine: Machine) -> Mapping[Key, str]:
+    """What is written beside each key, in English as the status file has it."""
+    return {key: english(label) for key, label in texts.labels(machine).items()}
+
+
 UPS = tuple(on.DeviceUp(device) for device in Device)
 PARTS = tuple(on.PartTested(part, True) for part in Part)
 
 
 def self_testing() -> Machine:
-    """The self-test found nothing wrong, and still shows it."""
     return run(boot(0), *UPS, on.BootFinished(), *PARTS, on.StorageCounted(0, None, 100))
 
 
@@ -60,7 +66,6 @@ def aim() -> Machine:
 
 
 def in_menu(*keys: Key) -> Machine:
-    """The menu after more keys."""
     return run(aim(), on.KeyPressed(Key.UP), *(on.KeyPressed(key) for key in keys))
 
 
@@ -124,12 +129,10 @@ HOLD_BACK = (on.KeyPressed(Key.BACK), on.KeyHeld(Key.BACK))
 
 
 def asked(start: Machine) -> Machine:
-    """BACK was held: whether to switch off is on the screen, STAY ON selected."""
     return run(start, *HOLD_BACK)
 
 
 def about_to_switch_off(start: Machine) -> Machine:
-    """The same, and SWITCH OFF is selected; SCAN (OK) takes it."""
     return run(asked(start), on.KeyPressed(Key.DOWN))
 
 
@@ -146,7 +149,6 @@ def safe() -> Machine:
 
 
 def safe_with_a_scan() -> Machine:
-    """The leak came while the cloud was awaited."""
     return run(reconstructing(), heartbeat(leak=True), heartbeat(leak=True))
 
 
@@ -164,7 +166,6 @@ def kept_before_the_cloud() -> Machine:
 
 
 def hot_while_aiming() -> Machine:
-    """The diver has left COOLING."""
     return run(cooling(), on.KeyPressed(Key.BACK))
 
 
@@ -200,22 +201,22 @@ def heartbeat(
     *,
     left_on: bool = False,
     right_on: bool = False,
-    leak: bool | None = None,
     temperature_case_c: float | None = None,
     temperature_projector_c: float | None = None,
-    humidity_percent: float | None = None,
-    supply_v: float | None = None,
+    **more: Any,
 ) -> on.TelemetryArrived:
     lasers = LaserState(left_on, right_on)
-    sensors = Telemetry(
-        *(0, 0, 0, lasers, temperature_projector_c, temperature_case_c),
-        leak=leak,
-        humidity_percent=humidity_percent,
-        supply_v=supply_v,
-    )
-    return on.TelemetryArrived(sensors)
+    return on.TelemetryArrived(Telemetry(0, 0, 0, lasers, temperature_projector_c, temperature_case_c, **more))
 
 
+def cost(code: FaultCode) -> tuple[object, ...]:
+    rule = RULES[code]
+    costs = rule.stops_capture, rule.forbids_light, rule.blocks_scan, rule.spoils_scan, rule.doubts_lengths
+    return *costs, rule.severity, rule.passing
+
+
+OF_EACH_COST = tuple({cost(code): code for code in FaultCode}.values())
+"""A fault of each kind by what it costs."""
 EVERY_EVENT: list[on.Event] = [
     on.Tick(1),
     on.Tick(10_000 * SECOND_NS),
@@ -230,7 +231,7 @@ EVERY_EVENT: list[on.Event] = [
     heartbeat(leak=True, left_on=True, temperature_case_c=99.0),
     heartbeat(),
     *(on.ConditionRaised(Fault(code)) for code in FaultCode),
-    *(on.ConditionCleared(code) for code in FaultCode),
+    *(on.ConditionCleared(code) for code in OF_EACH_COST),
     on.Told(Fault(FaultCode.RESTARTED)),
     on.StorageCounted(1, "000001", 0),
     *(on.OverlapTold(number, overlap) for number in (0, 1) for overlap in (UNKNOWN, NO_OVERLAP, Overlap(0.62))),
@@ -243,7 +244,8 @@ EVERY_EVENT: list[on.Event] = [
     *(on.PartBusy(part) for part in Part),
     *(on.Armed(number) for number in (0, 1, 2)),
     *(on.CaptureFinished(number) for number in (0, 1, 2)),
-    *(on.CaptureFailed(number, Fault(code)) for number in (0, 1) for code in FaultCode),
+    on.CaptureFailed(0, MISSING),
+    *(on.CaptureFailed(1, Fault(code)) for code in FaultCode),
     on.RawStored(1),
     on.PatternsRight(1),
     on.CoarseReady(1, SUMMARY),
@@ -253,7 +255,7 @@ EVERY_EVENT: list[on.Event] = [
     on.Judged(1, (), None, Exposure(3_200)),
     on.PairMerged(1, SUMMARY),
     on.PairFailed(1, Fault(FaultCode.MOVED)),
-    *(on.ReconstructionFailed(1, Fault(code)) for code in FaultCode),
+    *(on.ReconstructionFailed(1, Fault(code)) for code in OF_EACH_COST),
     on.Saved(1, "000001"),
     on.SaveFailed(1, Fault(FaultCode.NOT_SAVED, "EIO")),
     on.Rejected(1, "000001"),

@@ -55,10 +55,7 @@ def test_x_goes_right_and_y_goes_down(stage: Stage) -> None:
     points = plane()
     quarter = points[(points[:, 0] < 0) | (points[:, 1] < 0)]  # the lower right quarter is missing
     seen = lit(stage.picture(quarter))
-    assert not seen[130, 180]
-    assert seen[130, 120]
-    assert seen[70, 180]
-    assert seen[70, 120]
+    assert [bool(seen[at]) for at in ((130, 180), (130, 120), (70, 180), (70, 120))] == [False, True, True, True]
 
 
 def test_near_hides_far_whatever_the_order(stage: Stage) -> None:
@@ -90,9 +87,8 @@ def test_it_turns_gently_and_comes_back(stage: Stage) -> None:
 def test_the_divers_steps_turn_it_to_either_side(stage: Stage) -> None:
     depth = plane(half_mm=40.0)
     left, straight, right = (lit(stage.picture(depth, turn=turn)) for turn in (-2, 0, 2))
-    width = [np.ptp(np.nonzero(seen)[1]) for seen in (left, straight, right)]
-    assert width[0] < 0.9 * width[1]
-    assert width[2] < 0.9 * width[1]
+    narrow, wide, other = (np.ptp(np.nonzero(seen)[1]) for seen in (left, straight, right))
+    assert max(narrow, other) < 0.9 * wide
     heights = [seen[:, :150].any(axis=1).sum() - seen[:, 150:].any(axis=1).sum() for seen in (left, right)]
     assert heights[0] * heights[1] < 0  # the near side is the larger one: left for one, right for the other
 
@@ -100,8 +96,7 @@ def test_the_divers_steps_turn_it_to_either_side(stage: Stage) -> None:
 @pytest.mark.parametrize("number", [10, MAX_POINTS, MAX_POINTS + 1])
 def test_thinning_is_even_bounded_and_repeatable(number: int) -> None:
     chosen = thin(number)
-    assert len(chosen) == min(number, MAX_POINTS)
-    assert len(np.unique(chosen)) == len(chosen)
+    assert len(np.unique(chosen)) == len(chosen) == min(number, MAX_POINTS)
     assert chosen.max() < number
     np.testing.assert_array_equal(chosen, thin(number))
     quarters = np.histogram(chosen, bins=4, range=(0, number))[0]
@@ -131,7 +126,6 @@ def test_the_covered_area_leaves_holes_out() -> None:
 
 
 def test_odd_clouds_are_drawn_all_the_same(stage: Stage) -> None:
-    """None, a handful, a stray point, what is no number; and a new view of the same cloud costs no copy."""
     points = plane()
     whole = lit(stage.picture(points)).sum()
     stray = np.concatenate([points, np.array([[4000, 0, 9000]], np.float32)])

@@ -1,7 +1,9 @@
-"""Every screen, every alert and the operator's papers look as they did when somebody looked at them and kept them."""
+"""Every screen, every alert and the operator's papers look as they did when somebody looked at them and kept them, and say what the machine does."""
 
 from __future__ import annotations
 
+import re
+from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations
@@ -11,24 +13,24 @@ import moderngl
 import numpy as np
 import pytest
 
-from appliance.machine.words import Language, Text
+from appliance.machine.alerts import RULES, Severity
+from appliance.machine.states import State
+from appliance.machine.words import Label, Language, Text
 from appliance.scan.fault import FaultCode
+from appliance.scan.grade import SPOILS_POINTS
 from appliance.screens import theme
 from appliance.screens.canvas import Canvas
+from appliance.screens.frame import words_of
+from appliance.screens.texts import worded
 from appliance.screens.views import AnyView
-from tests.appliance.screens.golden import palette
-from tests.appliance.screens.golden.compare import compare
-from tests.appliance.screens.golden.draw import EVERY, FOLDER, Golden, Studio, studio
-from tests.appliance.screens.golden.page import PAGE, page
+from drivers.api import Key
+from tests.appliance.screens.golden import card
+from tests.appliance.screens.golden.pictures import COMMAND, EVERY, FOLDER, Golden, Studio, compare, read, studio
 from tests.appliance.screens.golden.scenes import ALERTS, SCENES
-from tests.appliance.screens.operator import card
-from tests.appliance.screens.operator.__main__ import FOLDER as PAPERS
-from tests.appliance.screens.operator.__main__ import texts
-from tests.appliance.screens.operator.meanings import MEANINGS
-from tests.appliance.screens.operator.pages import COMMAND, meant
-from tests.appliance.screens.test_legible import overlap
+from tests.appliance.screens.test_legible import BOTH, DATA, complaints, moments, overlap
 
-AGAIN = "look at it; if it is meant so: ./dev run python -m tests.appliance.screens.golden"
+DOCS = Path(__file__).parents[3] / "docs"
+AGAIN = f"look at it; if it is meant so: {COMMAND}"
 AIM = Golden("aim", Language.ENGLISH, alert=False)
 
 
@@ -39,21 +41,27 @@ def made(context: moderngl.Context) -> Iterator[Studio]:
 
 
 @pytest.mark.parametrize("golden", EVERY, ids=lambda golden: golden.path.stem)
-def test_it_looks_as_it_should(made: Studio, golden: Golden) -> None:
-    difference = compare(made.draw(golden), palette.read(golden.path))
+def test_it_looks_as_it_should_and_every_word_fits_its_room(made: Studio, golden: Golden) -> None:
+    difference = compare(made.draw(golden), read(golden.path))
     assert difference.same, f"{golden.path.name}: {difference}; {AGAIN}"
+    if not golden.alert:
+        lines, view = list(made.painter.canvas.written), SCENES[golden.name].view
+        assert lines or golden.name == "reconstruct"
+        assert not complaints(made.painter.canvas, view, lines, may_be_cut=golden.name in DATA)
 
 
 def test_every_screen_and_every_alert_has_a_picture_and_a_place_on_the_page_and_none_is_left_over() -> None:
     assert {type(scene.view) for scene in SCENES.values()} == set(AnyView.__args__)
     assert set(ALERTS) == {code.value for code in FaultCode}
-    assert {path.name for path in FOLDER.glob("*.png")} == {golden.path.name for golden in EVERY}
-    assert sum(path.stat().st_size for path in FOLDER.glob("*.png")) < 3.2e6
-    assert PAGE.read_text(encoding="utf-8") == page(), AGAIN
+    there, wanted = {path.name for path in FOLDER.glob("*.png")}, {golden.path.name for golden in EVERY}
+    assert there == wanted
+    page = (DOCS / "screens.md").read_text(encoding="utf-8")
+    assert sorted(re.findall(r"/golden/([\w.-]+)\)", page)) == sorted(wanted)
+    assert sum(path.stat().st_size for path in FOLDER.glob("*.png")) < 3.3e6
 
 
 def test_another_word_number_colour_or_place_is_noticed(made: Studio) -> None:
-    kept, picture = palette.read(AIM.path), made.draw(AIM)
+    kept, picture = read(AIM.path), made.draw(AIM)
     for line in list(made.painter.canvas.written):
         without = picture.copy()
         top, bottom, left, right = int(line.top), int(line.bottom) + 1, int(line.left), int(line.right) + 1
@@ -73,25 +81,63 @@ def test_another_word_number_colour_or_place_is_noticed(made: Studio) -> None:
         assert not compare(made.painter.draw(replace(scene.view, **other), scene.time_s), kept).same, other
 
 
-def test_a_picture_file_gives_back_its_colours(tmp_path: Path) -> None:
-    few = np.zeros((5, 7, 3), np.uint8)
-    few[1:3, 2:6] = (200, 10, 30)
-    palette.write(tmp_path / "few.png", few)
-    np.testing.assert_array_equal(palette.read(tmp_path / "few.png"), few)
+def rows(name: str, language: Language) -> dict[str, list[list[str]]]:
+    """The cells of each table row of a page, by the heading before it."""
+    found: dict[str, list[list[str]]] = defaultdict(list)
+    heading = ""
+    for line in (card.FOLDER / f"{name}.{language.value}.md").read_text(encoding="utf-8").splitlines():
+        heading = line if line.startswith("#") else heading
+        if line.startswith("| **") or (name == "keys" and line.startswith("| ")):
+            found[heading].append([cell.strip() for cell in line.strip("|").split("|")])
+    return found
 
 
-# ---------------------------------------------------------------------------------------------- the operator's papers
-def test_the_pages_have_not_drifted_and_every_word_in_them_has_two_languages() -> None:
-    found = {name: (PAPERS / name).read_text(encoding="utf-8") == text for name, text in texts().items()}
-    assert found == dict.fromkeys(found, True), f"make it again: {COMMAND}"
-    assert set(MEANINGS) == set(FaultCode)
-    assert all(english and german and english != german for english, german in MEANINGS.values())
-    said = {word for by_key in meant().values() for words in by_key.values() for word in words}
-    assert len(said) > 15
-    assert all(isinstance(word[0] if isinstance(word, tuple) else word, Text) for word in said)
+def effect(code: FaultCode, language: Language) -> str:
+    rule = RULES[code]
+    said = (
+        (rule.forbids_light, "no light", "kein Licht"),
+        (rule.blocks_scan, "no scan while it lasts", "kein Scan, solange es dauert"),
+        (rule.spoils_scan, "this scan is not used", "dieser Scan wird nicht verwendet"),
+        (code in SPOILS_POINTS, "this scan is not called good", "dieser Scan gilt nicht als gut"),
+    )
+    return ", ".join(german if language is Language.GERMAN else english for holds, english, german in said if holds)
 
 
-@pytest.mark.parametrize("language", list(Language))
+@BOTH
+def test_the_list_of_alarms_has_each_with_its_words_and_its_effect_and_a_meaning(language: Language) -> None:
+    *by_severity, many = rows("alarms", language).values()
+    assert len(by_severity) == len(Severity)
+    for severity, found in zip(sorted(Severity, reverse=True), by_severity, strict=True):
+        wanted = {
+            (*(words_of(ALERTS[code.value], language)), effect(code, language))
+            for code, rule in RULES.items()
+            if rule.severity is severity
+        }
+        assert {(headline.strip("*"), action, what) for headline, _, action, what in found} == wanted
+        assert all(len(meaning) > 10 for _, meaning, _, _ in found)
+    said = [words for headline, *_ in many for words in re.findall(r"\*\*(.*?)\*\*", headline)]
+    way = ((Text.OVERLAP, "25 %"), Text.TURN_BACK), ((Text.OVERLAP, "80 %"), Text.GO_ON), ((Text.OVERLAP, "50 %"), Text.SCAN_NOW)  # fmt: skip
+    after: tuple[Label, ...] = ((Text.OVERLAP, "62 %"), (Text.NO_OVERLAP, Text.GO_BACK), Text.OVERLAP_UNSURE)
+    aiming = [" · ".join(worded(word, language) for word in words) for words in way]
+    assert said == [*(worded(one, language) for one in after), *aiming, worded(Text.TURN_BACK, language)]
+
+
+@BOTH
+def test_the_key_map_has_every_label_of_every_state(language: Language) -> None:
+    order = (Key.SCAN, Key.BACK, Key.UP, Key.DOWN)
+    meant: dict[str, dict[Key, dict[str, None]]] = defaultdict(lambda: {key: {} for key in Key})
+    for row, by_key in moments():
+        for key, word in by_key.items():
+            assert isinstance(word[0] if isinstance(word, tuple) else word, Text), "in two languages"
+            meant[row][key][worded(word, language)] = None
+    asked = Text.POWER_OFF_ASKED
+    names = {**{state.value: state.value for state in State}, asked.english: asked.in_language(language)}
+    wanted = [[name, *(", ".join(meant[row][key]) for key in order)] for row, name in names.items()]
+    (found,) = rows("keys", language).values()
+    assert found[-len(wanted) :] == wanted
+
+
+@BOTH
 def test_the_card_is_as_it_was_and_all_of_it_can_be_read(
     context: moderngl.Context, language: Language, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -103,10 +149,10 @@ def test_the_card_is_as_it_was_and_all_of_it_can_be_read(
         begin(self, ground)
 
     monkeypatch.setattr(Canvas, "begin", keeping)
-    drawn = card.draw_card(context, palette.read(replace(AIM, language=language).path), language)
+    drawn = card.draw_card(context, read(AIM._replace(language=language).path), language)
     lines = kept[0].written
     assert len(lines) > 20
     assert not [line for line in lines if line.cut or line.size < theme.CAPTION]
     assert not [line for line in lines if line.right > kept[0].width or line.bottom > kept[0].height]
     assert not [(a.words, b.words) for a, b in combinations(lines, 2) if overlap(a, b)]
-    assert compare(drawn, palette.read(PAPERS / f"dive-card.{language.value}.png")).same, f"make it again: {COMMAND}"
+    assert compare(drawn, read(card.path(language))).same, AGAIN

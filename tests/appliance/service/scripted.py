@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing.spawn
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from functools import partial
@@ -64,8 +64,6 @@ class Lamp(ScriptedProjector):
 
 @dataclass
 class KeyPad:
-    """Gives what lies in ``waiting``."""
-
     waiting: list[KeyEvent] = field(default_factory=list)
 
     def next_event(self, timeout_s: float) -> KeyEvent | None:
@@ -77,8 +75,6 @@ class KeyPad:
 
 @dataclass
 class Screen:
-    """Takes pictures down, and how long each might take."""
-
     limits_s: list[float] = field(default_factory=list)
     there: bool = True
 
@@ -106,11 +102,23 @@ class Desk:
     def devices(self) -> Devices:
         return self.parts.devices
 
+    def until(self, happened: Callable[[], object], timeout_s: float = 10.0) -> None:
+        self.script.until(happened, timeout_s)
+
     def said(self) -> list[str]:
         """What the devices were told since the last call."""
         told = list(self.script.said)
         self.script.said.clear()
         return told
+
+
+@contextmanager
+def no_process() -> Iterator[None]:
+    """Each process that is started dies at once."""
+    before = multiprocessing.spawn.get_executable()
+    multiprocessing.spawn.set_executable("/bin/false")
+    yield
+    multiprocessing.spawn.set_executable(before)
 
 
 def small_rig(root: Path) -> Rig:
@@ -119,7 +127,6 @@ def small_rig(root: Path) -> Rig:
 
 @contextmanager
 def a_desk(root: Path) -> Iterator[Desk]:
-    """All devices are there and open."""
     rig, script, pad, screen = small_rig(root), Script(), KeyPad(), Screen()
     clock, calibration = script.clock, design_of(rig)
     library = Library(root)
@@ -144,8 +151,7 @@ def a_desk(root: Path) -> Iterator[Desk]:
     scans = ScanController(rig, MeasuringSetup(calibration, SEQUENCE), ScanStorage(library), clock, KernelCalendar())
     with ExitStack() as stack:
         # Behind the frames' memory, for whose sake Python starts a process of its own, which must live.
-        stack.callback(multiprocessing.spawn.set_executable, multiprocessing.spawn.get_executable())
-        multiprocessing.spawn.set_executable("/bin/false")
+        stack.enter_context(no_process())
         stack.callback(scans.__exit__, None, None, None)
         calibrating = stack.enter_context(CalibrationController(rig, scans))
         ranging = stack.enter_context(RangingController(None, calibration, calibration.water.index, clock, 0.1))
@@ -160,6 +166,4 @@ def a_desk(root: Path) -> Iterator[Desk]:
 
 @dataclass
 class _Wires:
-    """A clock is all that the devices of the script need."""
-
     clock: MonotonicClock

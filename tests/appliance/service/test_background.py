@@ -39,7 +39,6 @@ def background() -> Iterator[Background]:
 
 
 def answers(background: Background, timeout_s: float = 30.0) -> list[object]:
-    """Everything up to the end of the job."""
     clock = MonotonicClock()
     found: list[object] = []
     end_ns = clock.now_ns() + int(timeout_s * 1e9)
@@ -53,32 +52,26 @@ def answers(background: Background, timeout_s: float = 30.0) -> list[object]:
     raise AssertionError(f"no end of the job; so far {found}")
 
 
-def test_a_job_says_how_far_it_is_and_answers(background: Background) -> None:
+def test_a_job_says_how_far_it_is_and_answers_or_fails_in_its_words(background: Background) -> None:
     background.ask(double, 21)
     assert [background.busy] == [True]
     assert answers(background) == [Progressed(0.5), Done(42)]
     assert [background.busy] == [False]
-
-
-def test_what_a_job_raises_is_told_in_its_words(background: Background) -> None:
     background.ask(refuse)
     assert answers(background) == [Failed("no calibration fits M3", "NotConverged", "M3")]
 
 
-def test_a_process_that_dies_is_told_once_and_replaced(background: Background) -> None:
+def test_a_process_that_dies_is_told_once_and_one_that_is_no_longer_wanted_is_gone_at_once(
+    background: Background,
+) -> None:
     background.ask(die)
     (failed,) = answers(background)
     assert isinstance(failed, Failed)
     assert "ended with code" in failed.reason
     assert background.poll() is None
-    background.ask(double, 3)
-    assert answers(background)[-1] == Done(6)
-
-
-def test_a_job_that_is_no_longer_wanted_is_gone_at_once_and_never_answers(background: Background) -> None:
     background.ask(hang)
     assert background.poll() is None, "nobody waits for a job"
     background.stop()
     assert not background.busy
     background.ask(double, 5)
-    assert answers(background) == [Progressed(0.5), Done(10)]
+    assert answers(background) == [Progressed(0.5), Done(10)], "another process, and nothing of the last job"

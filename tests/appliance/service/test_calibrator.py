@@ -1,4 +1,4 @@
-"""What a calibration in water starts from, and the words when there is nothing to start from."""
+"""What a calibration in water starts from, what becomes of its recordings, and the words when there is nothing to start from."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from appliance.calibration.file import Calibration, CalibrationError, encode
 from appliance.calibration.guide import USED, AdjustmentSummary, RecordingCheck, Refusal, Session, Step, Verified
 from appliance.calibration.recordings import RecordingError
 from appliance.config import Rig
-from appliance.instrument import design_of, origin_of
+from appliance.instrument import design_of
 from appliance.machine import events as on
 from appliance.machine.failure import FailureKind
 from appliance.optics.correction import INTERVALS, ImageCorrection, node_count
@@ -25,14 +25,13 @@ from appliance.scan.fault import FaultCode
 from appliance.service.background import Done, Failed, Progressed
 from appliance.service.calibrator import Examined, Solution, basis_of, examine, solve
 from appliance.storage.calibrations import Calibrations
-from appliance.storage.library import Library, UnknownScan
-from appliance.storage.record import ScanRecord, SequenceInfo
-from hw_sim.scene import Scene
+from appliance.storage.library import UnknownScan
+from appliance.storage.record import SequenceInfo
 from tests.appliance.capture.test_course_of_a_scan import SEQUENCE
 from tests.appliance.service.scripted import Desk, a_desk, small_rig
 from tests.appliance.storage import scenes
 from tests.appliance.worker.test_parents_end import Machine
-from tests.support.rendered import render_scan
+from tests.support.planes import store_plane
 
 
 @pytest.fixture
@@ -59,29 +58,16 @@ def corrected(rig: Rig) -> Calibration:
     return replace(design, method="bundle, spline", rig=cameras)
 
 
-def record(rig: Rig, scene: Scene) -> Path:
-    """A stored scan of a scene before an instrument built to the drawing; its folder."""
-    scan = render_scan(scene, "nominal", 5, 400, 16)
-    library = Library(rig.storage.root)
-    library.prepare()
-    info = ScanRecord(SequenceInfo.of(scan.sequence), rig.rig_hash, None, "0", None, False, 0)
-    return library.begin(scan.frames, info, origin_of(rig, design_of(rig))).publish(info)
-
-
 def test_the_calibration_in_air_or_the_drawing_is_the_start_and_the_one_in_use_is_compared_with(rig: Rig) -> None:
     basis = basis_of(rig)
     assert (basis.start, basis.before, basis.bar.length_mm) == (design_of(rig), design_of(rig), 150.0)
     air, current = put(rig, "air.json", in_air(rig)), put(rig, "current.json", corrected(rig))
-    basis = basis_of(rig)
-    assert (basis.start, basis.before) == (air, current)
-
-
-def test_once_in_use_the_new_one_is_still_compared_with_the_one_before(rig: Rig) -> None:
-    before, new = put(rig, "current.json", in_air(rig)), replace(design_of(rig), method="bundle, ports")
+    assert (basis_of(rig).start, basis_of(rig).before) == (air, current)
+    new = replace(design_of(rig), method="bundle, ports")
     store = Calibrations(rig.storage.root, rig.rig.serial)
     store.write_solved(new, Session((), AdjustmentSummary(new.method, 0.03, (), new.hash)))
     assert store.use_solved("2026-11-21").in_use
-    assert basis_of(rig).before == before
+    assert basis_of(rig).before == current, "once in use, the new one is still compared with the one before"
 
 
 def test_what_there_is_nothing_to_start_from_is_named(rig: Rig) -> None:
@@ -106,13 +92,13 @@ def test_a_recording_that_is_gone_is_named(rig: Rig) -> None:
 
 
 def test_planes_and_what_is_none_are_told_apart(rig: Rig) -> None:
-    folder = record(rig, Scene(object="plane", pose=(0.0, 0.0, 475.0, 6.0, 0.0, 0.0), texture="none"))
+    folder, _ = store_plane(rig, 50.0)
     near = examine(rig, Step.M3, folder, lambda _: None).check
     assert near.refusal is None
     assert near.points > 500
     far = examine(rig, Step.M4, folder, lambda _: None).check
     assert far.refusal is Refusal.TOO_NEAR
-    assert far.number == pytest.approx(475.0, abs=1.5)
+    assert far.number == pytest.approx(474.0, abs=1.0)
     bar = examine(rig, Step.M1, folder, lambda _: None).check
     assert bar.refusal is Refusal.NOT_FOUND
     assert "ball" in bar.detail

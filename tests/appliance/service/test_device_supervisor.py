@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 
@@ -14,22 +14,7 @@ from appliance.machine.states import Device
 from appliance.scan.fault import FaultCode
 from appliance.service.device_supervisor import PAUSES_S, DeviceRejected, DeviceSupervisor
 from drivers.api import CardGone, DeviceError, DeviceGone
-
-
-class HandClock:
-    """A clock that the test turns."""
-
-    def __init__(self) -> None:
-        self.time_ns = 0
-
-    def now_ns(self) -> int:
-        return self.time_ns
-
-    def sleep_s(self, duration_s: float) -> None:
-        self.time_ns += int(duration_s * 1e9)
-
-    def wait_for(self, condition: threading.Condition, predicate: Callable[[], bool], timeout_s: float) -> bool:
-        return predicate()
+from tests.drivers.clock import SteppedClock
 
 
 class Plug:
@@ -51,7 +36,7 @@ class Plug:
 
 
 def test_pauses_grow_and_the_loss_is_told_once() -> None:
-    clock, plug = HandClock(), Plug()
+    clock, plug = SteppedClock(), Plug()
     supervisor = DeviceSupervisor(Device.BOARD, plug.open, clock, None)
     told = []
     for _ in range(4000):
@@ -66,7 +51,7 @@ def test_pauses_grow_and_the_loss_is_told_once() -> None:
 
 
 def test_the_reason_is_told_again_when_it_is_another_one_and_pauses_begin_anew_once_it_was_there() -> None:
-    clock, plug = HandClock(), Plug()
+    clock, plug = SteppedClock(), Plug()
     supervisor = DeviceSupervisor(Device.BOARD, plug.open, clock, None)
     assert not supervisor.tried
     assert supervisor.poll() == DeviceDown(Device.BOARD, "not found")
@@ -88,7 +73,7 @@ def test_the_reason_is_told_again_when_it_is_another_one_and_pauses_begin_anew_o
 
 
 def test_a_device_that_fails_at_work_is_lost_and_told_but_a_card_that_is_gone_ends_the_process() -> None:
-    clock, plug, inbox = HandClock(), Plug(), list[Event]()
+    clock, plug, inbox = SteppedClock(), Plug(), list[Event]()
     plug.present = True
     supervisor = DeviceSupervisor(Device.BOARD, plug.open, clock, None)
     supervisor.poll()
@@ -109,7 +94,7 @@ def _fail(error: DeviceError) -> None:
 
 
 def test_an_executor_opens_and_closes_and_nobody_waits() -> None:
-    clock, plug = HandClock(), Plug()
+    clock, plug = SteppedClock(), Plug()
     plug.present = True
     with ThreadPoolExecutor(1) as executor:
         gate = threading.Event()

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,12 +22,12 @@ PICTURE = np.arange(40 * 60 * 3, dtype=np.uint8).reshape(40, 60, 3)
 NUMBERS = {"points": 20, "coverage_percent": 81.5, "noise_mm": 0.03, "distance_mm": 512.0}
 
 
-def saved(library: Library, grade: str = "usable", clock_trusted: bool = True) -> str:
-    """A kept scan with a preview."""
+def saved(library: Library, clock_trusted: bool = True, preview: bool = True, doubtful: bool = False) -> str:
     _, png = cv2.imencode(".png", cv2.cvtColor(PICTURE, cv2.COLOR_RGB2BGR))
-    said = replace(record(cloud=NUMBERS), clock_trusted=clock_trusted, verdicts=(Verdict(NAME, True, {}, grade),))
+    verdict = Verdict(NAME, True, {LENGTHS_DOUBTFUL: 1.0} if doubtful else {}, "usable")
+    said = replace(record(cloud=NUMBERS), clock_trusted=clock_trusted, verdicts=(verdict,))
     pending = library.begin(frames(), said, ORIGIN)
-    pending.publish(said, cloud(), png.tobytes())
+    pending.publish(said, cloud(), png.tobytes() if preview else None)
     return pending.scan_id
 
 
@@ -48,15 +47,11 @@ def test_a_scan_is_shown_as_it_was_judged_when_it_was_taken(library: Library) ->
     np.testing.assert_array_equal(shown.preview, PICTURE)
 
 
-@pytest.mark.parametrize("doubtful", [1.0, None])
-def test_lengths_are_doubtful_where_the_diver_was_told_so(library: Library, doubtful: float | None) -> None:
-    numbers = {} if doubtful is None else {LENGTHS_DOUBTFUL: doubtful}
-    said = replace(record(cloud=NUMBERS), verdicts=(Verdict(NAME, True, numbers, "good"),))
-    pending = library.begin(frames(), said, ORIGIN)
-    pending.publish(said, cloud(), None)
-    shown = read(library, pending.scan_id)
-    assert shown.lengths_doubtful is (doubtful == 1.0)
-    assert (shown.preview, shown.damaged, shown.noise_mm, shown.corrected) == (None, False, 0.03, False)
+def test_lengths_are_doubtful_where_the_diver_was_told_so(library: Library) -> None:
+    for doubtful in (True, False):
+        shown = read(library, saved(library, preview=False, doubtful=doubtful))
+        assert (shown.lengths_doubtful, shown.preview, shown.damaged) == (doubtful, None, False)
+        assert (shown.noise_mm, shown.corrected) == (0.03, False)
 
 
 @pytest.mark.parametrize("name", ["preview.png", "manifest.json", "cloud.ply"])
@@ -69,31 +64,17 @@ def test_whatever_is_cut_short_is_marked_and_the_others_are_fine(library: Librar
     assert read(library, "000099").damaged, "one that has gone"
 
 
-class _Disk:
-    """A disk's thread that a test can hold up."""
-
-    def __init__(self) -> None:
-        self.pool = ThreadPoolExecutor(1)
-        self.free = threading.Event()
-
-    def submit(self, work: Callable[[], None]) -> Future[None]:
-        return self.pool.submit(self._do, work)
-
-    def _do(self, work: Callable[[], None]) -> None:
-        self.free.wait(10.0)
-        work()
-
-
 def test_the_newest_comes_first_and_the_latest_wish_counts_however_slow_the_disk_is(library: Library) -> None:
     ids = [saved(library) for _ in range(3)]
-    disk = _Disk()
-    gallery = GalleryController(library, disk.submit)
+    pool, free = ThreadPoolExecutor(1), threading.Event()
+    pool.submit(free.wait, 10.0)
+    gallery = GalleryController(library, pool.submit)
     gallery.list_scans()
     for scan_id in ids:
         gallery.show(scan_id)
     assert gallery.poll() == [], "nothing is waited for"
-    disk.free.set()
-    disk.pool.shutdown(wait=True)
+    free.set()
+    pool.shutdown(wait=True)
     assert gallery.poll() == [on.ScansListed(tuple(reversed(ids)))]
     assert gallery.shown is not None
     assert gallery.shown.scan_id == ids[-1]

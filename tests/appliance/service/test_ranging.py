@@ -50,7 +50,6 @@ def ranging(clock: SteppedClock) -> Iterator[RangingController]:
 
 
 def judged(ranging: RangingController, lit: bool, *pairs: Dots) -> list[on.Event]:
-    """What is told of pairs that were measured so."""
     return [event for dots in pairs for event in ranging._judge(_Measured(0, lit, dots, None))]
 
 
@@ -84,8 +83,7 @@ def test_a_laser_that_does_not_conduct_is_told_once_and_taken_back(
     clock.advance_s(0.000_001)
     assert raised(ranging.heard(LaserState(False, False))) == [(FaultCode.LASER_FAILED, "laser.left")]
     assert ranging.heard(OFF) == []
-    both = [(FaultCode.LASER_FAILED, "laser.left"), (FaultCode.LASER_FAILED, "laser.right")]
-    assert cleared(ranging.heard(ON)) == both
+    assert cleared(ranging.heard(ON)) == [(FaultCode.LASER_FAILED, f"laser.{side}") for side in ("left", "right")]
 
 
 @pytest.mark.parametrize(
@@ -150,49 +148,45 @@ def test_a_rig_without_lasers_measures_nothing(clock: SteppedClock) -> None:
         assert not ranging.wants_lasers
 
 
-@pytest.fixture
-def memory(tmp_path: Path) -> BeamsFile:
-    kept = BeamsFile(tmp_path, POINTERS)
-    kept.path.parent.mkdir(parents=True)
-    return kept
-
-
-@pytest.fixture
-def remembering(memory: BeamsFile) -> Iterator[RangingController]:
-    with RangingController(POINTERS, CALIBRATION, 1.333, MonotonicClock(), 0.1, memory) as made:
-        yield made
-
-
 def test_a_disk_that_does_not_answer_ends_neither_scan_nor_service(
-    memory: BeamsFile, remembering: RangingController, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
+    memory = BeamsFile(tmp_path, POINTERS)
+    memory.path.parent.mkdir(parents=True)
     os.mkfifo(memory.path)  # whoever reads it waits
-    assert remembering.shining(BRIGHT, DARK) is None
-    assert "lasers in the dark frame: no answer within 3 s" in caplog.text
-    with memory.path.open("wb"):  # it answers after all
-        pass
+    with RangingController(POINTERS, CALIBRATION, 1.333, MonotonicClock(), 0.1, memory) as ranging:
+        assert ranging.shining(BRIGHT, DARK) is None
+        assert "lasers in the dark frame: no answer within 3 s" in caplog.text
+        with memory.path.open("wb"):  # it answers after all
+            pass
 
 
-def test_a_distance_of_more_than_a_second_ago_is_shown_no_longer() -> None:
-    clock = SteppedClock()
-    with RangingController(POINTERS, CALIBRATION, 1.333, clock, 0.05) as ranging:
-        ranging.live(True, CALIBRATION, 1.333)
-        clock.advance_s(1.0)
-        assert _looked_at(ranging, lambda: ranging.wants_lasers)
-        ranging.switched_on(LaserState(True, True))
-        clock.advance_s(1.0)
-        for side, image in _with_a_dot().items():
-            ranging.see(side, image)
-        until = time.monotonic() + 20.0
-        while not (told := ranging.poll()) and time.monotonic() < until:
+def test_a_distance_of_more_than_a_second_ago_is_shown_no_longer(
+    ranging: RangingController, clock: SteppedClock
+) -> None:
+    def until(enough: Callable[[], object], images: dict[str, NDArray[np.uint8]] | None = None) -> None:
+        end_s = time.monotonic() + 20.0
+        while not enough():
+            assert time.monotonic() < end_s
+            for side, image in (images or {}).items():
+                ranging.see(side, image)
             time.sleep(0.02)
-        (shown,) = told
-        assert isinstance(shown, on.Ranged)
-        assert shown.range is not None
-        clock.advance_s(1.0)
-        assert ranging.poll() == []
-        clock.advance_s(1e-9)
-        assert ranging.poll() == [on.Ranged(None)]
+
+    clock.advance_s(1.0)
+    until(lambda: ranging.poll() is not None and ranging.wants_lasers, BRIGHT)
+    ranging.switched_on(ON)
+    clock.advance_s(1.0)
+    for side, image in _with_a_dot().items():
+        ranging.see(side, image)
+    told: list[on.Event] = []
+    until(lambda: told.extend(ranging.poll()) or told)  # type: ignore[func-returns-value]
+    (shown,) = told
+    assert isinstance(shown, on.Ranged)
+    assert shown.range is not None
+    clock.advance_s(1.0)
+    assert ranging.poll() == []
+    clock.advance_s(1e-9)
+    assert ranging.poll() == [on.Ranged(None)]
 
 
 def _with_a_dot() -> dict[str, NDArray[np.uint8]]:
@@ -205,13 +199,3 @@ def _with_a_dot() -> dict[str, NDArray[np.uint8]]:
         dot = 120.0 * np.exp(-((u - at_u) ** 2 + (v - at_v) ** 2) / (2.0 * 1.5**2))
         found[side] = (BRIGHT[side] + dot).astype(np.uint8)
     return found
-
-
-def _looked_at(ranging: RangingController, enough: Callable[[], bool]) -> bool:
-    until = time.monotonic() + 20.0
-    while not enough() and time.monotonic() < until:
-        for side, image in BRIGHT.items():
-            ranging.see(side, image)
-        time.sleep(0.02)
-        ranging.poll()
-    return enough()

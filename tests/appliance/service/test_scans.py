@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +12,6 @@ import pytest
 from appliance.capture.ledger import Ledger
 from appliance.capture.scan import CaptureReport
 from appliance.capture.store import FrameStore
-from appliance.instrument import design_of
 from appliance.machine import events as on
 from appliance.machine.states import Part
 from appliance.machine.words import Text
@@ -27,57 +25,17 @@ from appliance.scan.verdict import Judgement, Verdict
 from appliance.service.room import ScanRoom
 from appliance.service.scan_files import ScanFiles
 from appliance.service.scan_in_memory import ScanInMemory, SecondInMemory
-from appliance.service.scans import MeasuringSetup, ScanController, ScanStorage
+from appliance.service.scans import ScanController
 from appliance.service.worker_reports import WorkerReports
 from appliance.storage.library import Library
+from appliance.worker import process
 from appliance.worker.looking import LiveLookedAt
-from appliance.worker.order import WorkLimits
-from appliance.worker.process import (
-    CloudReady,
-    PairJudged,
-    ScanCompared,
-    ScanJudged,
-    ScanSpoiled,
-    SequenceIdentified,
-    WorkerFailed,
-    WorkerReady,
-)
 from drivers.api import Flip, Frame, FrameStatus, Pulse
-from drivers.native import MonotonicClock
-from drivers.wall_clock import KernelCalendar
 from tests.appliance.capture.test_course_of_a_scan import SEQUENCE
 from tests.appliance.machine.walks import SUMMARY
-from tests.appliance.service.scripted import Desk, a_desk, small_rig
+from tests.appliance.service.scripted import Desk
 from tests.appliance.storage.scenes import FRAMES, ORIGIN, BadDisk, frames, record, second_sequence
 from tests.drivers.clock import SteppedClock
-
-
-def events_until_settled(scans: ScanController, timeout_s: float = 60.0) -> list[on.Event]:
-    clock = MonotonicClock()
-    found: list[on.Event] = []
-    end_ns = clock.now_ns() + int(timeout_s * 1e9)
-    while not scans.worker_settled and clock.now_ns() < end_ns:
-        # How long it takes is the host's.
-        found += [event for event in scans.poll() if not isinstance(event, on.PartBusy)]
-        clock.sleep_s(0.01)
-    return found
-
-
-def test_a_worker_that_cannot_live_is_a_condition_and_no_endless_boot(tmp_path: Path) -> None:
-    rig, library = small_rig(tmp_path), Library(tmp_path)
-    library.prepare()
-    setup, storage = MeasuringSetup(design_of(rig), build_sequence(16)), ScanStorage(library)
-    for memory_mb, expected in ((20.0, on.ConditionRaised), (2000.0, on.ConditionCleared)):
-        limits = WorkLimits(memory_mb=memory_mb, start_memory_mb=memory_mb)
-        with ScanController(rig, setup, storage, MonotonicClock(), KernelCalendar(), limits) as scans:
-            event, told = events_until_settled(scans)
-            assert isinstance(event, expected)
-            assert isinstance(told, on.PartTested)
-            assert (told.part, told.passed) == (Part.WORKER, expected is on.ConditionCleared)
-            fault = event.fault if isinstance(event, on.ConditionRaised) else event
-            assert fault.code is FaultCode.RECONSTRUCTION_FAILED
-            assert scans.worker_settled
-
 
 PERIOD_NS = 16_666_667
 
@@ -86,17 +44,9 @@ def report_of(sequence: PatternSequence, first_ns: int) -> CaptureReport:
     """What four witnesses in agreement say of a sequence that begins at ``first_ns``."""
     times_ns = [first_ns + k * PERIOD_NS for k in range(len(sequence))]
     frames = tuple(Frame(FrameStatus.COMPLETE, k, t, t + PERIOD_NS) for k, t in enumerate(times_ns))
-    ledger = Ledger(
-        expected=len(sequence),
-        period_ns=PERIOD_NS,
-        start_sequence=1,
-        start_vsync=1,
-        delay_us=500,
-        flips=tuple(Flip(index=k, sequence=1 + k, time_ns=t) for k, t in enumerate(times_ns)),
-        pulses=tuple(Pulse(k, 1 + k, t // 1000) for k, t in enumerate(times_ns)),
-        frames=dict.fromkeys(SIDES, frames),
-        sync=None,
-    )
+    flips = tuple(Flip(k, 1 + k, t) for k, t in enumerate(times_ns))
+    pulses = tuple(Pulse(k, 1 + k, t // 1000) for k, t in enumerate(times_ns))
+    ledger = Ledger(len(sequence), PERIOD_NS, 1, 1, 500, flips, pulses, dict.fromkeys(SIDES, frames), None)
     return CaptureReport(None, ledger, 0.4, ())
 
 
@@ -104,10 +54,18 @@ REPORT = report_of(SEQUENCE, 5_000_000_000)
 EXPOSURE = Exposure(8_000)
 
 
-@pytest.fixture
-def desk(tmp_path: Path) -> Iterator[Desk]:
-    with a_desk(tmp_path) as made:
-        yield made
+def test_a_worker_that_cannot_live_is_a_condition_and_no_endless_boot(desk: Desk) -> None:
+    scans, told = desk.parts.scans.__enter__(), list[on.Event]()
+
+    def settled() -> bool:
+        told.extend(event for event in scans.poll() if not isinstance(event, on.PartBusy))
+        return scans.worker_settled
+
+    desk.until(settled, 60.0)
+    raised, tested = told
+    assert isinstance(raised, on.ConditionRaised)
+    assert raised.fault.code is FaultCode.RECONSTRUCTION_FAILED
+    assert tested == on.PartTested(Part.WORKER, False, Text.GIVEN_UP)
 
 
 def begun(desk: Desk, number: int = 3) -> ScanController:
@@ -223,7 +181,6 @@ def test_a_second_exposure_that_the_disk_refused_once_is_written_when_the_scan_i
 
 
 def _save(root: Path, disk: BadDisk) -> tuple[list[on.Event], list[on.Event]]:
-    """Answers of a second exposure's own writing, and of publishing afterwards."""
     library, clock = Library(root, disk), SteppedClock()
     library.prepare()
     with FrameStore(FRAMES, 8, 10, sequences=2) as store:
@@ -263,6 +220,13 @@ class Heard:
     def _drop(self) -> None:
         self.dropped += 1
 
+    def meant(self, report: process.WorkerEvent) -> list[on.Event]:
+        return self.reports.meant(report, self.scan)
+
+    def with_second(self) -> SecondInMemory:
+        self.scan.second = SecondInMemory(5, self.scan.begun_ns, Exposure(14_000), second_sequence())
+        return self.scan.second
+
     @property
     def verdicts(self) -> list[Verdict]:
         assert self.scan.record is not None
@@ -270,71 +234,68 @@ class Heard:
 
 
 @pytest.fixture
-def heard(tmp_path: Path) -> Iterator[Heard]:
-    with a_desk(tmp_path) as desk:
-        yield Heard(desk)
+def heard(desk: Desk) -> Heard:
+    return Heard(desk)
 
 
 def test_of_another_scan_nothing_is_heard(heard: Heard) -> None:
-    about = (CloudReady(3, True, cloud(), 0.1), ScanJudged(3, (BAD,), 0.1), ScanCompared(3, Overlap(0.5), 0.1))
+    about = (
+        process.CloudReady(3, True, cloud(), 0.1),
+        process.ScanJudged(3, (BAD,), 0.1),
+        process.ScanCompared(3, Overlap(0.5), 0.1),
+    )
     for report in about:
-        assert heard.reports.meant(report, heard.scan) == []
+        assert heard.meant(report) == []
         assert heard.reports.meant(report, None) == []
     assert (heard.scan.full, heard.scan.judgements, heard.scan.times_s) == (None, (), {})
 
 
 def test_news_of_no_scan_are_told_as_they_are(heard: Heard) -> None:
     assert [heard.reports.settled] == [False]
-    assert heard.reports.meant(WorkerReady(), None) == [
+    assert heard.reports.meant(process.WorkerReady(), None) == [
         on.ConditionCleared(FaultCode.RECONSTRUCTION_FAILED), on.PartTested(Part.WORKER, True),
     ]  # fmt: skip
     assert [heard.reports.settled] == [True]
-    assert heard.reports.meant(SequenceIdentified(9), None) == [on.PatternsRight(9)]
+    assert heard.reports.meant(process.SequenceIdentified(9), None) == [on.PatternsRight(9)]
     assert heard.reports.meant(LiveLookedAt(None, 77, 0.1), None) == [on.Guided(None, 77)]
 
 
 def test_clouds_enter_the_scan_with_the_time_at_which_each_was_seen_first(heard: Heard) -> None:
     scan, made = heard.scan, cloud()
-    assert heard.reports.meant(CloudReady(4, False, made, 0.25), scan) == [on.CoarseReady(4, made.summary)]
+    assert heard.meant(process.CloudReady(4, False, made, 0.25)) == [on.CoarseReady(4, made.summary)]
     assert (scan.coarse, scan.full) == (made, None)
-    assert heard.reports.meant(CloudReady(4, True, made, 0.5), scan) == [on.FullReady(4, made.summary)]
+    assert heard.meant(process.CloudReady(4, True, made, 0.5)) == [on.FullReady(4, made.summary)]
     assert (scan.full, scan.times_s["coarse_cpu"], scan.times_s["full_cpu"]) == (made, 0.25, 0.5)
-    assert 2.0 <= scan.times_s["coarse"] <= scan.times_s["full"] < 5.0
     first_s = scan.times_s["full"]
-    heard.reports.meant(CloudReady(4, True, cloud(), 0.5), scan)
+    assert 2.0 <= scan.times_s["coarse"] <= first_s < 5.0
+    heard.meant(process.CloudReady(4, True, cloud(), 0.5))
     assert scan.times_s["full"] == first_s
 
 
 def test_judgements_are_entered_and_the_first_proposals_told(heard: Heard) -> None:
     proposing = Judgement(Verdict("exposure", True), proposal=Exposure(4_000), second=Exposure(14_000))
     later = Judgement(Verdict("water", True), proposal=Exposure(9_000), second=Exposure(9_000))
-    events = heard.reports.meant(ScanJudged(4, (BAD, proposing, later), 0.25), heard.scan)
+    events = heard.meant(process.ScanJudged(4, (BAD, proposing, later), 0.25))
     assert events == [on.Judged(4, (SPOILT,), Exposure(4_000), Exposure(14_000))]
     assert {"motion", "exposure", "water"} <= {one.name for one in heard.verdicts}
-    assert heard.reports.meant(ScanJudged(4, (GOOD,), 0.5), heard.scan) == [on.Judged(4)]
+    assert heard.meant(process.ScanJudged(4, (GOOD,), 0.5)) == [on.Judged(4)]
     assert heard.scan.times_s["judged_cpu"] == 0.75
     assert heard.scan.judgements == (GOOD,)
     assert [one.passed for one in heard.verdicts if one.name == "motion"] == [True], "in place of the first word"
 
 
 def test_a_spoilt_scan_and_its_overlap_are_told(heard: Heard) -> None:
-    assert heard.reports.meant(ScanCompared(4, Overlap(0.5), 0.1), heard.scan) == [on.OverlapTold(4, Overlap(0.5))]
+    assert heard.meant(process.ScanCompared(4, Overlap(0.5), 0.1)) == [on.OverlapTold(4, Overlap(0.5))]
     assert heard.scan.times_s["overlap_cpu"] == 0.1
-    assert heard.reports.meant(ScanSpoiled(4, GOOD), heard.scan) == []
-    assert heard.reports.meant(ScanSpoiled(4, BAD), heard.scan) == [on.ReconstructionFailed(4, SPOILT)]
+    assert heard.meant(process.ScanSpoiled(4, GOOD)) == []
+    assert heard.meant(process.ScanSpoiled(4, BAD)) == [on.ReconstructionFailed(4, SPOILT)]
     assert BAD.verdict in heard.verdicts
 
 
-def with_second(heard: Heard) -> SecondInMemory:
-    second = SecondInMemory(5, heard.scan.begun_ns, Exposure(14_000), second_sequence())
-    heard.scan.second = second
-    return second
-
-
 def test_both_sequences_become_one_cloud(heard: Heard) -> None:
-    assert heard.reports.meant(PairJudged(4, (GOOD,), PAIR, cloud(), 0.5), heard.scan) == [], "there is no second one"
-    second, made = with_second(heard), cloud()
-    (merged,) = heard.reports.meant(PairJudged(4, (GOOD,), PAIR, made, 0.5), heard.scan)
+    assert heard.meant(process.PairJudged(4, (GOOD,), PAIR, cloud(), 0.5)) == [], "there is no second one"
+    second, made = heard.with_second(), cloud()
+    (merged,) = heard.meant(process.PairJudged(4, (GOOD,), PAIR, made, 0.5))
     assert isinstance(merged, on.PairMerged)
     assert (merged.number, merged.summary, merged.warnings) == (4, made.summary, ())
     assert (second.merged, heard.scan.full, heard.scan.times_s["pair_cpu"]) == (True, made, 0.5)
@@ -348,9 +309,9 @@ def test_both_sequences_become_one_cloud(heard: Heard) -> None:
 
 @pytest.mark.parametrize("fault", [SPOILT, None])
 def test_a_second_sequence_that_does_not_fit_is_given_up_alone(heard: Heard, fault: Fault | None) -> None:
-    second = with_second(heard)
+    second = heard.with_second()
     pair = Judgement(Verdict("pair", False, {}, "nothing in common"), fault)
-    (failed,) = heard.reports.meant(PairJudged(4, (), pair, None, 0.5), heard.scan)
+    (failed,) = heard.meant(process.PairJudged(4, (), pair, None, 0.5))
     assert failed == on.PairFailed(4, fault or Fault(FaultCode.RECONSTRUCTION_FAILED, "nothing in common"))
     assert (second.merged, heard.scan.full, heard.dropped) == (False, None, 1)
 
@@ -369,8 +330,8 @@ def test_a_process_that_is_down_for_good_fails_what_it_had(
     heard: Heard, number: int | None, second: bool, merged: bool, told: on.Event | None
 ) -> None:
     if second:
-        with_second(heard).merged = merged
-    events = heard.reports.meant(WorkerFailed(number, DOWN), heard.scan)
+        heard.with_second().merged = merged
+    events = heard.meant(process.WorkerFailed(number, DOWN))
     down = [on.ConditionRaised(DOWN), on.PartTested(Part.WORKER, False, Text.GIVEN_UP)]
     assert events == [*([] if told is None else [told]), *down]
     assert heard.reports.settled

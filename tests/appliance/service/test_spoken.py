@@ -1,4 +1,4 @@
-"""What the log says is written for people: no line shows how Python prints an object."""
+"""What the log, the console and the screen say of the machine: written for people, never as Python prints an object."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import logging
 import re
 import typing
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from enum import Enum
 from types import UnionType
 from typing import Any
@@ -14,10 +14,16 @@ from typing import Any
 import pytest
 
 from appliance.machine import events as on
-from appliance.machine.states import Device
+from appliance.machine.states import Device, Part, State, boot
+from appliance.ranging.marks import Marks, Track
+from appliance.ranging.reach import Range, Reach
 from appliance.scan.fault import Fault, FaultCode
+from appliance.screens.texts import to_the_minute
+from appliance.screens.views import AimView, CalibrateView, SelfTestView
 from appliance.service.loop import fault_text, spoken
+from appliance.service.view import Surroundings, view_of
 from hw_sim.people import status_file
+from tests.appliance.machine.walks import UPS, aim, run
 from tests.support.golden_texts import Says
 
 REPR = re.compile(r"<\w+[.:]|\w\(\w+=|\{'|\['|\(\)|\('|\bNone\b|Device\.|FaultCode\.")
@@ -30,7 +36,6 @@ SOME: Mapping[Any, Any] = {
 
 
 def some(kind: Any) -> Any:
-    """Any value of a type."""
     if isinstance(kind, UnionType) or typing.get_origin(kind) is typing.Union:
         kind = typing.get_args(kind)[0]
     if kind in SOME:
@@ -79,3 +84,44 @@ def test_what_the_console_sees_is_written_in_words(says: Says) -> None:
     says(status_file.summary(status))
     assert not REPR.search(status_file.summary(status))
     assert "alerts: none" in status_file.summary({})
+
+
+NOTHING = Surroundings(left=None, right=None, temperature_c=None, scan=None)
+
+
+@pytest.mark.parametrize("failed", [None, *Part])
+def test_all_is_called_ready_only_when_no_line_of_the_self_test_says_otherwise(failed: Part | None) -> None:
+    parts = [on.PartTested(part, part is not failed) for part in Part]
+    view = view_of(run(boot(0), *UPS, on.BootFinished(), *parts), NOTHING)
+    assert isinstance(view, SelfTestView)
+    assert view.finished
+    assert view.passed == (failed is None)
+
+
+@pytest.mark.parametrize("state", [State.AIM, State.CALIBRATE])
+def test_where_a_picture_is_aimed_with_the_dots_it_shows_their_marks(state: State) -> None:
+    marks = Marks((Track((0.4, 0.5), (0.5, 0.5), (0.6, 0.5)),), ())
+    view = view_of(replace(boot(0), state=state), replace(NOTHING, marks=marks))
+    assert isinstance(view, AimView | CalibrateView)
+    assert view.marks is marks
+
+
+def shown_aim(*events: on.Event) -> AimView:
+    view = view_of(run(aim(), *events), NOTHING)
+    assert isinstance(view, AimView)
+    return view
+
+
+@pytest.mark.parametrize("device", [Device.CAMERA_LEFT, Device.CAMERA_RIGHT])
+def test_with_one_camera_gone_the_gauge_pretends_no_distance(device: Device) -> None:
+    """It went on with a green OK and 515 mm."""
+    measured = on.Ranged(Range(515.0, 0.0, 0.3, 2))
+    gauge = shown_aim(measured).gauge
+    assert gauge is not None
+    assert (gauge.word, gauge.distance_mm) == (Reach.OK, 515.0)
+    assert shown_aim(on.DeviceDown(device, "gone"), measured).gauge is None
+
+
+def test_a_date_is_written_as_people_read_it() -> None:
+    dates = ("2026-11-26T20:55:56+00:00", "2026-11-26T20:55:56+02:00", "no date")
+    assert [to_the_minute(iso) for iso in dates] == ["2026-11-26 20:55 UTC", "2026-11-26 20:55", "no date"]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-from collections.abc import Iterator
 from contextlib import AbstractContextManager, nullcontext
 from multiprocessing import resource_tracker, spawn
 from pathlib import Path
@@ -17,10 +16,7 @@ import pytest
 
 from appliance.bringup.bench import Shot
 from appliance.bringup.finding import BringupError
-from appliance.machine.events import KeyPressed, Tick, Told
-from appliance.machine.leading import alerts
-from appliance.machine.states import Device, boot
-from appliance.machine.step import step
+from appliance.machine.states import Device
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import FaultCode
 from appliance.service.air_live import opened
@@ -31,19 +27,13 @@ from appliance.service.starts import installation, recovered, this_run
 from appliance.storage.library import Library
 from appliance.storage.lock import holder
 from drivers import rig as drivers_rig
-from drivers.api import Board, Clock, DeviceError, DeviceGone, Key, LaserState
+from drivers.api import Board, Clock, DeviceError, DeviceGone, LaserState
 from drivers.native import MonotonicClock
 from drivers.wall_clock import KernelCalendar
 from tests.appliance.capture.test_course_of_a_scan import N
-from tests.appliance.service.scripted import Desk, a_desk, small_rig
+from tests.appliance.service.scripted import Desk, small_rig
 from tests.appliance.storage.scenes import ORIGIN, frames, record
 from tests.drivers.clock import SteppedClock
-
-
-@pytest.fixture
-def desk(tmp_path: Path) -> Iterator[Desk]:
-    with a_desk(tmp_path) as made:
-        yield made
 
 
 def test_the_note_that_switches_off_is_in_the_units_own_folder_and_does_not_outlive_a_start(tmp_path: Path) -> None:
@@ -91,10 +81,7 @@ def test_the_right_camera_keeps_its_difference_from_the_left(desk: Desk) -> None
     for camera in desk.devices.cameras.values():
         assert camera.value is not None
         camera.value.live()
-    end_ns = desk.script.clock.now_ns() + 5_000_000_000
-    while len(desk.script.said) < 2:
-        assert desk.script.clock.now_ns() < end_ns
-        desk.script.clock.sleep_s(0.002)
+    desk.until(lambda: len(desk.script.said) >= 2)
     assert sorted(desk.said()) == ["left 8000 us 6 dB", "right 16000 us 9 dB"]
 
 
@@ -113,7 +100,6 @@ def no_card(path: str) -> None:
 
 
 def nothing(clock: Clock) -> AbstractContextManager[Any]:
-    """Wires with nothing at their ends."""
     usb, hidraw = SimpleNamespace(enumerate_devices=list), SimpleNamespace(enumerate=lambda *_: [])
     more = {"calendar": KernelCalendar(), "cards": tuple, "open_card": no_card}
     return nullcontext(SimpleNamespace(usb_backend=usb, hidraw=hidraw, clock=clock, **more))
@@ -151,7 +137,6 @@ def test_the_bench_plays_pictures_in_any_order_and_a_fault_only_thrice(desk: Des
 
 
 def told(runtime: Path | None, prefix: Path, *, ends_well: bool = True) -> list[FaultCode]:
-    """What one run tells."""
     environment = {} if runtime is None else {"RUNTIME_DIRECTORY": str(runtime)}
     try:
         with this_run(environment, prefix) as news:
@@ -162,15 +147,12 @@ def told(runtime: Path | None, prefix: Path, *, ends_well: bool = True) -> list[
     return [fault.code for fault in news]
 
 
-def test_a_run_that_did_not_end_well_is_told_by_the_next_one_only(tmp_path: Path) -> None:
+def test_a_run_that_did_not_end_well_is_told_by_the_next_one_only_and_never_at_a_desk(tmp_path: Path) -> None:
     source = tmp_path / "venv"
     assert told(tmp_path, source, ends_well=False) == []  # the first since power-on
     assert told(tmp_path, source) == [FaultCode.RESTARTED]
     assert told(tmp_path, source) == []
-
-
-def test_at_a_desk_nothing_is_remembered(tmp_path: Path) -> None:
-    assert told(None, tmp_path / "venv", ends_well=False) == told(None, tmp_path / "venv") == []
+    assert told(None, source, ends_well=False) == told(None, source) == []
 
 
 @pytest.mark.parametrize(
@@ -191,22 +173,10 @@ def test_an_update_that_was_taken_back_is_told(tmp_path: Path, outcome: object, 
     assert installation(prefix) == "old"
 
 
-def test_it_is_read_once_and_gone_with_the_next_key(tmp_path: Path) -> None:
-    (tmp_path / "running").touch()
-    with this_run({"RUNTIME_DIRECTORY": str(tmp_path)}, tmp_path) as news:
-        machine, _ = step(boot(0), Told(news[0]))
-    machine, _ = step(machine, Tick(1))
-    assert [alert.headline for alert in alerts(machine)] == ["RESTARTED"]
-    machine, _ = step(machine, KeyPressed(Key.UP))
-    assert alerts(machine) == ()
-
-
 def test_a_scan_that_was_cut_off_while_being_saved_is_told_once(tmp_path: Path) -> None:
     library = Library(tmp_path)
     library.prepare()
     begun = library.begin(frames(), record(), ORIGIN)  # whole on the disk, never published: here the power goes
     news = recovered(Library(tmp_path).recover().recovered)
-    assert begun.scan_id in news[0].detail
-    machine, _ = step(boot(0), Told(news[0]))
-    assert [alert.headline for alert in alerts(machine)] == ["SCAN RECOVERED"]
+    assert [(fault.code, begun.scan_id in fault.detail) for fault in news] == [(FaultCode.SCAN_RECOVERED, True)]
     assert recovered(Library(tmp_path).recover().recovered) == (), "at the next start it is a scan like any other"

@@ -1,4 +1,4 @@
-"""The service manager hears what is true: ready, alive only while the loop turns and the worker answers, the self-test."""
+"""Between programs: the service manager hears what is true, and the transfer is switched and heard by notes in folders."""
 
 from __future__ import annotations
 
@@ -10,16 +10,17 @@ from pathlib import Path
 
 import pytest
 
+from appliance.machine import events as on
 from appliance.machine import states
 from appliance.machine.states import Device, Machine, Part, State, boot
+from appliance.machine.transfer import NOT_TOLD, Serving, Transfer
 from appliance.scan.fault import Fault, FaultCode
 from appliance.service.notify import ServiceManager
+from appliance.service.transfer import LOOK_NS, TransferSwitch
 from appliance.service.watchdog import SELF_TEST_FILE, Watchdog
 
 
 class Listener:
-    """A service manager's end of a real datagram socket."""
-
     def __init__(self, address: str) -> None:
         self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self.socket.bind(address)
@@ -40,7 +41,6 @@ def machine(now_s: float, state: State = State.AIM) -> Machine:
 
 
 def answered(at: Machine, *lost: Device, **parts: bool) -> Machine:
-    """With a result for every device and part."""
     results = {part: states.Tested(parts.get(part.name.lower(), True)) for part in Part}
     up = frozenset(set(Device) - set(lost))
     gone = {device: Fault(FaultCode.CAMERA_LOST, "unplugged") for device in lost}
@@ -64,8 +64,6 @@ def test_it_says_ready_once_and_what_it_does(tmp_path: Path, abstract: bool) -> 
 
 
 class Signs:
-    """Counts the signs of life of a service that beats."""
-
     def __init__(self, folder: Path, watchdog_s: float) -> None:
         self.listener = Listener(str(folder / "notify"))
         self.now_s = 0.0
@@ -82,17 +80,16 @@ class Signs:
 
 
 def test_signs_of_life_come_four_times_in_the_managers_patience(tmp_path: Path) -> None:
-    assert Signs(tmp_path, 20.0).during(1200) == 12  # 60 s
+    assert Signs(tmp_path, 20.0).during(600) == 6  # 30 s
 
 
 def test_a_loop_that_does_not_get_on_or_lost_sight_of_its_worker_gives_no_sign(tmp_path: Path) -> None:
     signs = Signs(tmp_path, 2.0)
     assert signs.during(100) > 0
     signs.during(1, turning=False)
-    assert signs.during(100, turning=False) == 0
-    assert signs.during(100) > 0
-    assert signs.during(100, answers=False) == 0
-    assert signs.during(100) > 0
+    for silent in ({"turning": False}, {"answers": False}):
+        assert signs.during(100, **silent) == 0
+        assert signs.during(100) > 0
 
 
 def test_the_environment_is_taken_and_no_child_inherits_it(tmp_path: Path) -> None:
@@ -146,3 +143,70 @@ def test_the_self_test_is_written_down_with_the_version_it_was_of(
     supervision.beaten(answered(machine(0.3)), worker_answers=True)  # the camera came, and so did the calibration
     assert json.loads(mark.read_text())["failed"] == []
     assert caplog.messages == ["self-test: failed: calibration, camera.left", "self-test: passed"]
+
+
+TOLD = {"state": "on", "reason": "", "addresses": ["192.168.1.7", "fe80::1"], "keys": 2, "news": ""}
+
+
+@pytest.fixture
+def status(tmp_path: Path) -> Path:
+    (tmp_path / "kingfisher").mkdir()
+    (tmp_path / "kingfisher-transfer").mkdir()
+    return tmp_path / "kingfisher-transfer" / "status.json"
+
+
+def switch(status: Path) -> TransferSwitch:
+    return TransferSwitch({"RUNTIME_DIRECTORY": f"{status.parents[1]}/kingfisher:/run/other"})
+
+
+def test_the_note_is_what_the_unit_waits_for(status: Path) -> None:
+    unit = (Path(__file__).parents[3] / "systemd" / "kingfisher-transfer.path").read_text()
+    note = status.parents[1] / "kingfisher" / "transfer-on"
+    assert "PathExists=/run/kingfisher/transfer-on\n" in unit
+    switch(status).switch(to_on=True)
+    assert note.exists()
+    assert switch(status).wanted, "also for a service that was started again since power-on"
+    for _ in range(2):
+        switch(status).switch(to_on=False)
+    assert not note.exists()
+
+
+def test_what_is_told_is_heard_once_a_second_and_only_while_it_is_on(status: Path) -> None:
+    one = switch(status)
+    assert one.poll(0, wanted=False) == []
+    assert one.poll(0, wanted=True) == [on.TransferTold(NOT_TOLD)]
+    status.write_text(json.dumps(TOLD))
+    assert one.poll(LOOK_NS - 1, wanted=True) == []
+    assert one.poll(LOOK_NS, wanted=True) == [on.TransferTold(Transfer(Serving.ON, "192.168.1.7", 2))]
+    assert one.poll(2 * LOOK_NS, wanted=True) == [], "nothing new"
+    assert one.poll(3 * LOOK_NS, wanted=False) == []
+    assert one.poll(3 * LOOK_NS, wanted=True) != [], "switched on again, it is told anew"
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        b"", b"[]", b"\xff", b"[" * 50_000,
+        *(json.dumps(TOLD | {"keys": wrong}).encode() for wrong in (True, 1001, 1.0, -1)),
+        json.dumps(TOLD | {"state": "open"}).encode(), json.dumps(TOLD | {"addresses": ["SHUT DOWN NOW"]}).encode(),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_understood_is_not_shown(status: Path, wrong: bytes) -> None:
+    status.write_bytes(wrong)
+    assert switch(status).poll(0, wanted=True) == [on.TransferTold(NOT_TOLD)]
+
+
+def test_an_address_that_the_screen_would_cut_is_not_shown(status: Path) -> None:
+    widest, wider = "2001:db8:1111:2222:3333::1", "2001:db8:1111:2222:3333::12"
+    for addresses, shown in (([wider], None), ([wider, widest], widest)):
+        status.write_text(json.dumps(TOLD | {"addresses": addresses}))
+        assert switch(status).poll(0, wanted=True) == [on.TransferTold(Transfer(Serving.ON, shown, 2))]
+
+
+def test_at_a_desk_there_is_nothing_to_switch_and_a_note_that_cannot_be_written_ends_nothing(status: Path) -> None:
+    (status.parents[1] / "kingfisher").rmdir()
+    at_a_desk = TransferSwitch({})
+    for one in (at_a_desk, switch(status)):
+        one.switch(to_on=True)
+        assert not one.wanted
+    assert at_a_desk.poll(0, wanted=True) == [on.TransferTold(Transfer(Serving.FAILED))]

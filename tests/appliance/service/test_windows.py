@@ -1,16 +1,25 @@
-"""The sums that tell a fogged window from a fogged scene: how much counts, when an alarm begins and ends, and what is another scene."""
+"""Watches over many scans: over the calibration in use, whose alarms belong to it, and over windows that fog."""
 
 from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from appliance.calibration.file import Calibration
 from appliance.machine import events as on
+from appliance.machine.alerts import alert_of
 from appliance.scan.fault import FaultCode
 from appliance.scan.sides import SIDES
+from appliance.service.health import CalibrationWatch
 from appliance.service.windows import WindowWatch
 from appliance.verdict.window import CELLS, Windows
+from hw_sim.mount_shift import MountShift, with_mount_shifted
+from tests.support.gap_scans import calibrated, scan
 from tests.support.golden_texts import Says
+from tests.support.truth import WATER
 
 N = CELLS[0] * CELLS[1]
 
@@ -24,7 +33,6 @@ def looked(fall: float, light_dn: float, cell: int = 0, forgiven: float = 0.0, w
 
 
 def passed(watch: WindowWatch, *falls: float, forgiven: float = 0.0) -> list[bool | None]:
-    """The verdict after each scan, of scenes that change."""
     return [watch.judge(looked(fall, 100.0 + 50.0 * (k % 2), forgiven=forgiven)).passed for k, fall in enumerate(falls)]
 
 
@@ -32,14 +40,11 @@ def passed(watch: WindowWatch, *falls: float, forgiven: float = 0.0) -> list[boo
     ("falls", "forgiven", "expected"),
     [
         ((1.0, 1.0, 1.0), 0.0, [True, True, False]),
-        ((0.094, 0.094, 0.094), 0.0, [True, True, False]),
-        ((0.093, 0.093, 0.093), 0.0, [True, True, True]),
-        ((0.194, 0.194, 0.194), 0.1, [True, True, False]),
-        ((0.193, 0.193, 0.193), 0.1, [True, True, True]),
-        ((-1.0, 1.0, 1.0, 1.0), 0.0, [True, True, True, False]),
-        ((1.0, 1.0, np.nan, 1.0), 0.0, [True, True, True, False]),
+        *(((fall,) * 3, forgiven, [True, True, good]) for fall, forgiven, good in (
+            (0.094, 0.0, False), (0.093, 0.0, True), (0.194, 0.1, False), (0.193, 0.1, True))),
+        ((-1.0, 1.0, 1.0, 1.0), 0.0, [True, True, True, False]), ((1.0, 1.0, np.nan, 1.0), 0.0, [True, True, True, False]),
     ],
-)
+)  # fmt: skip
 def test_an_alarm_needs_three_scans_and_what_exceeds_the_forgiven(
     falls: tuple[float, ...], forgiven: float, expected: list[bool]
 ) -> None:
@@ -66,10 +71,10 @@ def test_a_scene_is_another_one_from_a_twentieth_of_its_light_on_unless_it_is_da
 @pytest.mark.parametrize("cell", [CELLS[0] - 1, 3 * CELLS[0] + 4])
 def test_the_place_is_named_and_a_scan_counts_once(cell: int, says: Says) -> None:
     watch = WindowWatch()
-    for scan in range(3):
-        seen = looked(1.0, 100.0 + 50.0 * scan, cell)
-        told = watch.count(scan, seen)
-        assert watch.count(scan, seen) is None
+    for number in range(3):
+        seen = looked(1.0, 100.0 + 50.0 * number, cell)
+        told = watch.count(number, seen)
+        assert watch.count(number, seen) is None
     assert told is not None
     verdict, (left, right) = told
     says(verdict.text)
@@ -80,6 +85,61 @@ def test_the_place_is_named_and_a_scan_counts_once(cell: int, says: Says) -> Non
 
 def test_a_window_that_is_soft_all_over_is_named_as_a_whole(says: Says) -> None:
     watch = WindowWatch()
-    verdicts = [watch.judge(looked(0.0, 100.0 + 50.0 * scan, whole=1.0)) for scan in range(3)]
+    verdicts = [watch.judge(looked(0.0, 100.0 + 50.0 * number, whole=1.0)) for number in range(3)]
     assert [one.passed for one in verdicts] == [True, True, False]
     says(verdicts[-1].text)
+
+
+MADE = calibrated(1)
+CALIBRATION = Calibration("KF-0001", "bundle, spline", "2026-01-01", ("a test",), WATER, MADE.rig, 0.05)
+
+
+def watched(root: Path) -> CalibrationWatch:
+    """After two normal scans and one of a knocked instrument, all written down."""
+    watch = CalibrationWatch(root, CALIBRATION)
+    rng = np.random.default_rng(1)
+    turned = with_mount_shifted(MADE.truth, MountShift("right", pitch_deg=0.03))
+    for number, truth in enumerate((MADE.truth, MADE.truth, turned), 1):
+        verdict = watch.judge(scan(MADE, truth, rng))
+        assert verdict.passed is (number < 3)
+        write = watch.unwritten(f"{number:06d}")
+        assert write is not None
+        write()
+        assert watch.unwritten("again") is None
+    return watch
+
+
+def test_an_alarm_belongs_to_its_calibration(tmp_path: Path) -> None:
+    watch = watched(tmp_path)
+    found = watch.fault
+    assert found is not None
+    assert found.code is FaultCode.VERIFY_CALIBRATION
+    assert "right camera turned by +0.03" in found.detail
+    shown = alert_of(found)
+    assert (shown.headline, shown.action) == ("VERIFY CALIBR.", "CHECK WATER AND BALL BAR")
+
+    watch.use(replace(CALIBRATION, made_at="2026-02-01"))
+    of_another = watch.fault
+    assert of_another is None, "a new calibration begins with a clean slate"
+    watch.use(CALIBRATION)
+    assert watch.fault == found, "the old one comes back with what was found"
+    again = CalibrationWatch(tmp_path, CALIBRATION)
+    assert again.fault == watch.fault
+    assert [point.scan for point in again.trend.points] == ["000001", "000002", "000003"]
+
+
+def test_a_length_check_takes_the_alarm_back_for_good(tmp_path: Path) -> None:
+    watch = watched(tmp_path)
+    write = watch.answer("the bar is right")
+    assert write is not None
+    write()
+    assert watch.answer("again") is None, "there is no alarm any more"
+    turned = with_mount_shifted(MADE.truth, MountShift("right", pitch_deg=0.03))
+    further = with_mount_shifted(MADE.truth, MountShift("right", pitch_deg=0.07))
+    for still in (watch, CalibrationWatch(tmp_path, CALIBRATION)):
+        assert still.fault is None
+        assert [answer.partition(", after: ")[0] for answer in still.trend.answers] == ["the bar is right"]
+        assert still.judge(scan(MADE, turned, np.random.default_rng(2))).passed is True, (
+            "what the gaps show now is normal"
+        )
+        assert still.judge(scan(MADE, further, np.random.default_rng(3))).passed is False, "and a second knock is none"

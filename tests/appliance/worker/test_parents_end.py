@@ -30,30 +30,19 @@ from appliance.worker import messages as say
 from appliance.worker import process, usage
 from appliance.worker.looking import LiveLookedAt
 from appliance.worker.order import WorkOrder
-from appliance.worker.process import (
-    CloudReady,
-    PairJudged,
-    ReconstructionWorker,
-    ScanJudged,
-    ScanSpoiled,
-    SequenceIdentified,
-    WorkerFailed,
-    WorkerReady,
-)
+from appliance.worker.process import CloudReady, PairJudged, ReconstructionWorker, WorkerFailed, WorkerReady
 from tests.drivers.output.kernel import Time
 from tests.support import synthetic
 
 N = 3
 SECOND = AcquisitionSettings(Exposure(3_200))
-SUMMARY = CloudSummary(0, None, None, None, None)
+FOUND = Found(((0, 0),), CloudSummary(0, None, None, None, None))
 SAID = Judgement(Verdict("identity", True))
 WRONG = Judgement(Verdict("identity", False), Fault(FaultCode.PATTERN_WRONG))
 
 
 @dataclass(frozen=True)
 class Ends:
-    """The process ends by itself, with this code."""
-
     code: int
 
 
@@ -119,7 +108,6 @@ class Desk:
         return self.machine.started[-1]
 
     def after(self, seconds: float, *says: object) -> process.WorkerEvent | None:
-        """The event of a poll so much later, when the process says this."""
         self.time.sleep_s(seconds)
         for one in says:
             if isinstance(one, Ends):
@@ -130,7 +118,6 @@ class Desk:
         return self.worker.poll()
 
     def told(self) -> list[object]:
-        """What the process was told since the last question."""
         heard: list[object] = []
         while self.child.pipe.poll(0.0):
             heard.append(self.child.pipe.recv())
@@ -182,23 +169,20 @@ def failed(event: process.WorkerEvent | None, why: str) -> int | None:
     return event.scan
 
 
-# ------------------------------------------------------------------------------------------ a scan
-
-
 def test_a_scan_from_its_first_frame_to_its_full_cloud(desk: Desk) -> None:
     desk.ready()
     desk.worker.begin(7)
     desk.worker.frame("left", 0)
     desk.worker.finish()
     assert desk.told() == [begin(1), say.FrameStored("left", 0), say.Finish()]
-    assert desk.after(0.0, say.PatternsIdentified(1)) == SequenceIdentified(7)
-    coarse = desk.after(0.0, say.CloudFound(1, False, Found(((0, 0),), SUMMARY), 0.1))
+    assert desk.after(0.0, say.PatternsIdentified(1)) == process.SequenceIdentified(7)
+    coarse = desk.after(0.0, say.CloudFound(1, False, FOUND, 0.1))
     assert isinstance(coarse, CloudReady)
     assert (coarse.scan, coarse.full, coarse.cpu_s, coarse.cloud.points_mm.shape) == (7, False, 0.1, (0, 3))
     assert desk.told() == [], "nobody waits until the coarse one was seen"
     said = say.SequenceJudged(1, (SAID,), 0.2)
-    assert desk.after(0.0, *[say.GoingOn(1)] * 10, said) == ScanJudged(7, (SAID,), 0.2), "at the same heartbeat"
-    full = desk.after(0.0, say.CloudFound(1, True, Found(((0, 0),), SUMMARY), 0.3))
+    assert desk.after(0.0, *[say.GoingOn(1)] * 10, said) == process.ScanJudged(7, (SAID,), 0.2), "at the same heartbeat"
+    full = desk.after(0.0, say.CloudFound(1, True, FOUND, 0.3))
     assert isinstance(full, CloudReady)
     assert full.full
     assert desk.told() == [say.CloudCopied(1)]
@@ -211,7 +195,7 @@ def test_what_is_said_of_an_earlier_scan_and_of_one_that_was_dropped_is_of_no_in
     desk.worker.begin(7)
     desk.worker.begin(8)
     assert desk.after(0.0, say.PatternsIdentified(1)) is None
-    assert desk.after(0.0, say.PatternsIdentified(2)) == SequenceIdentified(8)
+    assert desk.after(0.0, say.PatternsIdentified(2)) == process.SequenceIdentified(8)
     desk.worker.finish()
     desk.worker.drop()
     assert desk.told()[-1] == say.Drop()
@@ -223,16 +207,13 @@ def test_what_is_said_of_an_earlier_scan_and_of_one_that_was_dropped_is_of_no_in
 
 def test_wrong_patterns_and_frames_that_are_no_sequence_end_the_scan_and_nothing_is_awaited(desk: Desk) -> None:
     desk.ready()
-    for scan, said in ((7, say.Spoiled(1, WRONG)), (8, say.SequenceFailed(2, "frame 3 was pushed"))):
-        desk.scan(scan)
-        event = desk.after(0.0, said)
-        if scan == 7:
-            assert event == ScanSpoiled(7, WRONG)
-        else:
-            assert failed(event, "frame 3 was pushed") == 8
-        assert desk.after(20.0, say.Pong()) is None
-    assert desk.worker.restarts == 0
-    assert len(desk.machine.started) == 1
+    desk.scan(7)
+    assert desk.after(0.0, say.Spoiled(1, WRONG)) == process.ScanSpoiled(7, WRONG)
+    assert desk.after(20.0, say.Pong()) is None
+    desk.scan(8)
+    assert failed(desk.after(0.0, say.SequenceFailed(2, "frame 3 was pushed")), "frame 3 was pushed") == 8
+    assert desk.after(20.0, say.Pong()) is None
+    assert (desk.worker.restarts, len(desk.machine.started)) == (0, 1)
 
 
 def test_a_process_that_says_what_is_no_answer_is_started_again(desk: Desk) -> None:
@@ -244,13 +225,16 @@ def test_a_process_that_says_what_is_no_answer_is_started_again(desk: Desk) -> N
     assert len(desk.machine.started) == 4
 
 
-# ------------------------------------------------------------------------------------------ how long it waits
-
-
-@pytest.mark.parametrize(("late_s", "restarts"), [(239.9, 0), (240.1, 1)])
-def test_a_start_may_take_four_minutes(desk: Desk, late_s: float, restarts: int) -> None:
-    desk.after(late_s)
-    assert desk.worker.restarts == restarts
+def test_a_start_may_take_four_minutes_and_a_scan_that_waits_for_it_gets_its_time_when_it_is_ready(desk: Desk) -> None:
+    desk.after(239.9)
+    assert desk.worker.restarts == 0
+    desk.after(0.2)
+    assert desk.worker.restarts == 1
+    desk.scan(7)
+    assert desk.after(200.0) is None
+    desk.ready()
+    assert desk.after(9.9) is None
+    assert failed(desk.after(0.2), "in time") is None
 
 
 def test_each_step_of_a_scan_may_take_ten_seconds_and_one_that_is_told_begins_anew(desk: Desk) -> None:
@@ -266,7 +250,6 @@ def test_each_step_of_a_scan_may_take_ten_seconds_and_one_that_is_told_begins_an
 
 @pytest.mark.parametrize(("used_s", "steps"), [(0.51, 5), (0.49, 0)])
 def test_a_step_that_computes_is_waited_for_a_minute(desk: Desk, used_s: float, steps: int) -> None:
-    """Half a second of processor time in ten is enough: a processor that is hot, or shared."""
     desk.cpu_s = 50.0
     desk.ready()
     desk.scan(7)
@@ -275,14 +258,6 @@ def test_a_step_that_computes_is_waited_for_a_minute(desk: Desk, used_s: float, 
         assert desk.after(10.1) is None
     desk.cpu_s += 5.0 if steps else used_s
     assert failed(desk.after(10.1), "in time") is None
-
-
-def test_a_scan_that_waits_for_the_start_gets_its_time_from_the_moment_it_is_ready(desk: Desk) -> None:
-    desk.scan(7)
-    assert desk.after(200.0) is None
-    desk.ready()
-    assert desk.after(9.9) is None
-    assert failed(desk.after(0.2), "in time") is None
 
 
 def test_an_idle_process_is_asked_once_a_second_and_has_five_seconds_to_answer(desk: Desk) -> None:
@@ -362,9 +337,6 @@ def test_only_the_first_start_gets_on(desk: Desk) -> None:
     assert not desk.worker.gets_on(), "it is no start any more"
 
 
-# ------------------------------------------------------------------------------------------ started again
-
-
 def test_a_scan_in_work_is_processed_again_once_and_then_given_up(desk: Desk) -> None:
     desk.ready()
     desk.scan(7)
@@ -425,7 +397,7 @@ def test_a_full_cloud_makes_good_for_the_failures_before_and_a_coarse_one_does_n
             desk.after(0.0, say.Crashed("a"))
         desk.ready()
         desk.worker.begin(7)
-        desk.after(0.0, say.CloudFound(desk.worker._ticket, full, Found(((0, 0),), SUMMARY), 0.0))
+        desk.after(0.0, say.CloudFound(desk.worker._ticket, full, FOUND, 0.0))
         assert desk.worker._fruitless == (0 if full else 2)
         desk.worker.change(desk.worker.order)
 
@@ -446,25 +418,17 @@ def test_another_order_starts_another_process_in_which_no_scan_is_in_work(desk: 
     order = WorkOrder(synthetic.calibration(), synthetic.WATER, 18, 1024, 768)
     with FrameStore(N + 1, 300, 400) as other:
         desk.worker.change(order, other)
-        assert desk.child.arguments[2:6] == (
-            (18, 1024, 768),
-            order.noise,
-            (other.name, N + 1, 300, 400),
-            desk.machine.started[0].arguments[5],
-        )
+        known = ((18, 1024, 768), order.noise, (other.name, N + 1, 300, 400), desk.machine.started[0].arguments[5])
+        assert desk.child.arguments[2:6] == known
     assert desk.child.arguments[6] == 1000.0
     assert (desk.worker.order, desk.worker.restarts) == (order, 0)
     assert desk.after(0.0, say.PatternsIdentified(1)) is None
 
 
-# ------------------------------------------------------------------------------------------ two exposures
-
-
 def whole(desk: Desk) -> None:
-    """The first sequence's full cloud is there."""
     desk.ready()
     desk.scan(7)
-    desk.after(0.0, say.CloudFound(1, True, Found(((0, 0),), SUMMARY), 0.0))
+    desk.after(0.0, say.CloudFound(1, True, FOUND, 0.0))
     desk.told()
 
 
@@ -474,7 +438,7 @@ def test_a_second_exposure_follows_the_first_without_its_frames(desk: Desk, with
     desk.worker.begin_second(7, SECOND)
     desk.worker.finish()
     assert desk.told() == [begin(2, SECOND, second=True), say.Finish()]
-    found = Found(((0, 0),), SUMMARY) if with_cloud else None
+    found = FOUND if with_cloud else None
     event = desk.after(0.0, say.BracketJudged(2, found, (SAID,), SAID, 0.5))
     assert isinstance(event, PairJudged)
     assert (event.scan, event.second, event.pair, event.cpu_s) == (7, (SAID,), SAID, 0.5)
@@ -500,9 +464,6 @@ def test_a_process_that_does_not_know_the_first_exposure_is_told_of_it(desk: Des
     assert desk.told() == [begin(4), begin(4), *frames(), say.Finish()], "another scan has no first exposure"
 
 
-# ------------------------------------------------------------------------------------------ for programs
-
-
 def test_a_process_that_still_loads_is_waited_for_and_has_compiled_before(desk: Desk) -> None:
     desk.memory_mb = 1400.0
     assert desk.after(1.5) is None, "it may compile"
@@ -524,13 +485,10 @@ def test_a_process_that_still_loads_is_waited_for_and_has_compiled_before(desk: 
 
 def test_a_process_that_loads_for_ever_is_started_again(desk: Desk) -> None:
     assert desk.after(0.0, say.Ready()) == WorkerReady()
-    desk.cpu_s += 300.0
-    assert desk.after(desk.worker.limits.start_s + 1.0) is None, "it is asked"
-    desk.cpu_s += 300.0
-    assert isinstance(desk.after(desk.worker.limits.alive_s + 1.0), WorkerFailed)
+    for waited_s, event in ((desk.worker.limits.start_s, type(None)), (desk.worker.limits.alive_s, WorkerFailed)):
+        desk.cpu_s += 300.0
+        assert isinstance(desk.after(waited_s + 1.0), event), "it is asked, and does not answer"
 
-
-# ------------------------------------------------------------------------------------------ live pictures
 
 PICTURE = np.full((300, 400), 9, np.uint8)
 
@@ -557,16 +515,14 @@ def test_one_live_picture_at_a_time_is_handed_over_and_its_answer_says_when_it_w
 
 
 def test_looking_takes_a_third_of_a_processor_at_most(desk: Desk) -> None:
+    """0.3 s in every 0.9 s, and not more often than twice and a half a second."""
     desk.ready()
-    assert desk.worker.look(PICTURE, 3)
-    desk.after(0.3, say.LookedAt(1, None, 0.3))
-    desk.time.sleep_s(0.55)
-    assert not desk.worker.look(PICTURE, 3), "0.3 s in every 0.9 s"
-    desk.time.sleep_s(0.1)
-    assert desk.worker.look(PICTURE, 3)
-    desk.after(0.1, say.LookedAt(2, None, 0.01))
-    assert not desk.worker.look(PICTURE, 3), "nor more often than twice and a half a second"
-    desk.time.sleep_s(0.35)
+    for number, (took_s, cpu_s, too_early_s, enough_s) in enumerate(((0.3, 0.3, 0.55, 0.1), (0.1, 0.01, 0.0, 0.35)), 1):
+        assert desk.worker.look(PICTURE, 3)
+        desk.after(took_s, say.LookedAt(number, None, cpu_s))
+        desk.time.sleep_s(too_early_s)
+        assert not desk.worker.look(PICTURE, 3)
+        desk.time.sleep_s(enough_s)
     assert desk.worker.look(PICTURE, 3)
 
 
@@ -577,5 +533,5 @@ def test_a_scan_that_begins_awaits_no_guidance_and_none_is_asked_for_while_its_p
     assert desk.after(0.0, say.LookedAt(1, LOST, 0.1)) is None, "of the place before"
     desk.worker.finish()
     assert not desk.worker.look(PICTURE, 3)
-    assert desk.after(0.0, say.CloudFound(1, True, Found(((0, 0),), SUMMARY), 0.3)) is not None
+    assert desk.after(0.0, say.CloudFound(1, True, FOUND, 0.3)) is not None
     assert desk.worker.look(PICTURE, 3)

@@ -3,33 +3,28 @@
 from __future__ import annotations
 
 import sys
+import tarfile
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
 from numba.core.registry import CPUDispatcher
 
+from appliance.config import load_rig
+from appliance.offline.origin import calibration_for, open_source
+from appliance.offline.wish import Wish
 from appliance.patterns.sequence import build_sequence
 from appliance.processing.procedure import SequenceProcessor
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.sides import SIDES
 from appliance.worker.warm import run_what_an_empty_scan_does_not
-from hw_sim.light.daylight import Daylight
-from hw_sim.objects.motion import Motion
-from hw_sim.scene import Scene
-from hw_sim.water.drift import Drift
-from hw_sim.water.medium import turbid
-from tests.support.rendered import render_scan
-from tests.support.truth import WATER, true_calibration
+from tests.behaviour.frozen import RECORDINGS
+from tests.support import synthetic
 
-SCENES = {
-    "at rest": Scene("pipe"),
-    "moving": Scene("plane", texture="slight", motion=Motion(velocity_mm_s=(2.0, 0.0, 10.0))),
-    "in turbid water": Scene("pipe", water=turbid(1.5)),
-    "in flickering light": Scene("plane", ambient=0.3, daylight=Daylight(flicker_depth=1.0)),
-    "with snow": Scene("pipe", drift=Drift(particles_per_l=100.0)),
-}
+SCANS = {"compensated": "000004", "turbid water": "000007", "milk": "000008"}
+FLICKERS = "000001"
 
 
 def signatures() -> dict[str, int]:
@@ -43,33 +38,40 @@ def signatures() -> dict[str, int]:
 @pytest.fixture(scope="module")
 def warm() -> Iterator[None]:
     """As the worker is when it says that it is ready."""
-    sequence = build_sequence(16)
-    scan = render_scan(SCENES["at rest"], "nominal", 1, 200, 16)
-    calibration = true_calibration(scan.renderer.truth)
-    nothing = np.zeros((len(sequence), 150, 200), np.uint8)
-    with Pipeline(calibration, WATER, sequence) as pipeline:
-        SequenceProcessor(pipeline, calibration, WATER).process(dict.fromkeys(SIDES, nothing), AcquisitionSettings())
+    sequence, calibration = build_sequence(16), synthetic.calibration(144, 108)
+    nothing = np.zeros((len(sequence), 108, 144), np.uint8)
+    with Pipeline(calibration, synthetic.WATER, sequence) as pipeline:
+        processor = SequenceProcessor(pipeline, calibration, synthetic.WATER)
+        processor.process(dict.fromkeys(SIDES, nothing), AcquisitionSettings())
         run_what_an_empty_scan_does_not(sequence)
         yield
 
 
 @pytest.mark.usefixtures("warm")
-@pytest.mark.parametrize("name", [name for name in SCENES if name != "at rest"])
-def test_no_scan_needs_a_kernel_that_is_not_there(name: str) -> None:
+def test_no_scan_needs_a_kernel_that_is_not_there(tmp_path: Path) -> None:
     before = signatures()
-    scene = SCENES[name]
-    scan = render_scan(scene, "nominal", 1, 200, 16, frame_s=0.0 if scene.still else 1 / 60)
-    calibration = true_calibration(scan.renderer.truth)
-    with Pipeline(calibration, WATER, scan.sequence) as pipeline:
-        SequenceProcessor(pipeline, calibration, WATER).process(scan.frames, AcquisitionSettings())
-    after = signatures()
     assert before
+    with tarfile.open(RECORDINGS) as packed:
+        packed.extractall(tmp_path, filter="data")
+    wish = Wish(rig=load_rig(tmp_path / "rig.toml"), root=tmp_path / "root")
+    for number in (*SCANS.values(), FLICKERS):
+        source = open_source(tmp_path / "root" / "scans" / number, wish)
+        calibration = calibration_for(source, wish).calibration
+        played = source.scan.manifest.record.sequence
+        sequence = build_sequence(played.period_px, played.width_px, played.height_px)
+        with Pipeline(calibration, calibration.water, sequence) as pipeline:
+            frames = {side: one.copy() for side, one in source.scan.frames.items()}  # writable, as in the store
+            if number == FLICKERS:  # at 20 Hz, which no recording does
+                light = 1.0 + 0.06 * np.sin(2.0 * np.pi * np.arange(len(sequence)) / 3.0)[:, None, None]
+                frames = {side: np.rint(one * light).clip(0, 255).astype(np.uint8) for side, one in frames.items()}
+            SequenceProcessor(pipeline, calibration, calibration.water).process(frames, AcquisitionSettings())
+    after = signatures()
     assert {kernel for kernel, count in after.items() if count != before.get(kernel, 0)} == set()
 
 
 @pytest.mark.usefixtures("warm")
 def test_a_scan_that_moves_along_with_the_fringes_needs_no_compiler_either() -> None:
-    # Its steps shrink until the albedo is asked for: the scenes above do not move so.
+    # Its steps shrink until the albedo is asked for: the scans above do not move so.
     known = signatures()
     kernels = {
         "residuals.accumulate", "stripes.accumulate_gray", "phase_solver.depth_rows", "phase_solver.solve_rows",

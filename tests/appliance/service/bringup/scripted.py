@@ -39,8 +39,6 @@ class AskedPerson:
 
 
 class Told:
-    """Takes what is being done."""
-
     def __init__(self) -> None:
         self.all: list[tuple[str, float | None]] = []
 
@@ -58,15 +56,12 @@ def workplace(
 
 
 class TimedEvents:
-    """Events that come at their time, to whoever waits for them."""
-
     def __init__(self, clock: SteppedClock) -> None:
         self.clock = clock
         self._waiting: list[tuple[int, int, Any]] = []
         self._count = 0
 
     def at_s(self, time_s: float, event: Any) -> None:
-        """``time_s`` after now."""
         self._count += 1
         heapq.heappush(self._waiting, (self.clock.now_ns() + round(time_s * 1e9), self._count, event))
 
@@ -92,7 +87,7 @@ class BenchBoard:
         self.dark_from_ns: int | None = None
         self.late_us: Mapping[int, int] = {}
         """How late some answers to ``vsync`` are dated, by their place in order."""
-        self.asked = self.first_asked_ns = 0
+        self._asked = 0
         self.info = SimpleNamespace(firmware="1.4", serial="KF-B-1", capabilities=frozenset({"SUPPLY"}))
         self.counters = SimpleNamespace(lost_reports=0, damaged_lines=0)
         self.lag_s = 0.0
@@ -108,17 +103,10 @@ class BenchBoard:
         now_ns = self.clock.now_ns()
         self._said("vsync")
         seen_ns = now_ns if self.dark_from_ns is None else min(now_ns, self.dark_from_ns)
-        count = int(seen_ns / PERIOD_NS)
-        self.first_asked_ns = now_ns if self.asked == 0 else self.first_asked_ns
-        late_us = self.late_us.get(self.asked, 0)
-        self.asked += 1
-        return Vsync(
-            count,
-            round((count * PERIOD_NS - BOARD_LATER_NS) / 1000.0) + late_us,
-            round((now_ns - BOARD_LATER_NS) / 1000.0),
-            now_ns - 50_000,
-            now_ns + 50_000,
-        )
+        count, late_us = int(seen_ns / PERIOD_NS), self.late_us.get(self._asked, 0)
+        self._asked += 1
+        synced_us, read_us = (round((ns - BOARD_LATER_NS) / 1000.0) for ns in (count * PERIOD_NS, now_ns))
+        return Vsync(count, synced_us + late_us, read_us, now_ns - 50_000, now_ns + 50_000)
 
     def read_clock(self) -> BoardTime:
         self._said("clock")
@@ -149,8 +137,6 @@ class BenchBoard:
 
 
 class BenchPad:
-    """``drivers.api.Keys``."""
-
     def __init__(self, clock: SteppedClock) -> None:
         self.events = TimedEvents(clock)
         self.counters = SimpleNamespace(lost_reports=1, garbage_reports=2)

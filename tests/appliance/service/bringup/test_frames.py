@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -20,24 +21,13 @@ from appliance.capture.ledger import Ledger
 from appliance.capture.scan import CaptureReport
 from appliance.config import load_rig, parse_rig, rig_text
 from appliance.instrument import design_of, noise_of
-from appliance.patterns.sequence import Direction, build_sequence
+from appliance.patterns.sequence import build_sequence
 from appliance.scan.exposure import Exposure
 from appliance.service.bringup import cameras, endurance, plane, projector
 from appliance.service.bringup.trigger import trigger_findings
 from appliance.storage import scan as stored
 from appliance.storage.library import Library
-from drivers.api import (
-    BoardBooted,
-    BoardLost,
-    DeviceGone,
-    Frame,
-    FrameStatus,
-    LaserState,
-    Pulse,
-    PulsesDone,
-    Telemetry,
-    VsyncLost,
-)
+from drivers import api
 from tests.appliance.service.bringup.scripted import (
     PERIOD_NS,
     RIG_FILE,
@@ -52,22 +42,19 @@ RIG = load_rig(RIG_FILE)
 BLACK_DN = RIG.camera.left.black_level_dn
 
 
-def frame(k: int, status: FrameStatus = FrameStatus.COMPLETE, **more: Any) -> Frame:
+def frame(k: int, status: api.FrameStatus = api.FrameStatus.COMPLETE, **more: Any) -> api.Frame:
     made: dict[str, Any] = {"block_id": k, "camera_time_ns": round(k * PERIOD_NS) + 77, "received_ns": 0, **more}
-    return Frame(status, **made)
+    return api.Frame(status, **made)
 
 
-def ledger(left: list[Frame], pulses: int = 64) -> Ledger:
-    reported = tuple(Pulse(k, k, round(k * PERIOD_NS / 1000.0)) for k in range(pulses))
+def ledger(left: list[api.Frame], pulses: int = 64) -> Ledger:
+    reported = tuple(api.Pulse(k, k, round(k * PERIOD_NS / 1000.0)) for k in range(pulses))
     right = tuple(frame(k) for k in range(64))
     return Ledger(64, PERIOD_NS, None, None, 500, (), reported, {"left": tuple(left), "right": right}, None)
 
 
-def told(left: list[Frame], pulses: int = 64) -> dict[str, bool]:
+def told(left: list[api.Frame], pulses: int = 64) -> dict[str, bool]:
     return {one.name: one.ok for one in trigger_findings(ledger(left, pulses))}
-
-
-# ----------------------------------------------------------------------------------------- triggers
 
 
 def test_frames_are_counted_first_and_their_stamps_compared_only_of_as_many() -> None:
@@ -83,9 +70,6 @@ def test_frames_are_counted_first_and_their_stamps_compared_only_of_as_many() ->
     missing = told(whole, 63)
     assert not missing["pulses"]
     assert "stamps.right" not in missing, "as many frames as there are pulses, or nothing"
-
-
-# ------------------------------------------------------------------------------------------ covered
 
 
 def dark(light_dn: float = 0.0, until_take: int = 10**9) -> ValueBench:
@@ -114,27 +98,19 @@ def test_light_is_waited_out_for_a_minute_and_asked_about_three_times() -> None:
     assert (at.wires.clock.now_ns() - begun_ns) / 1e9 == pytest.approx(1.5)
 
 
-# ---------------------------------------------------------------------------------------- endurance
-
-
 @pytest.mark.parametrize(
     ("event", "over", "ended_by"),
     [
-        (None, False, None),
-        (Pulse(0, 1, 2), False, None),
-        (PulsesDone(64), True, None),
-        (BoardBooted("1.4", "KF", "BROWNOUT"), True, "the board restarted (BROWNOUT)"),
-        (BoardLost("unplugged"), True, "the board was lost (unplugged)"),
-        (VsyncLost(), True, "the board saw no more vertical syncs"),
+        (None, False, None), (api.Pulse(0, 1, 2), False, None), (api.PulsesDone(64), True, None), (api.BoardLost("unplugged"), True, "the board was lost (unplugged)"),
+        (api.BoardBooted("1.4", "KF", "BROWNOUT"), True, "the board restarted (BROWNOUT)"), (api.VsyncLost(), True, "the board saw no more vertical syncs"),
     ],
-)
+)  # fmt: skip
 def test_what_the_board_says_ends_a_series_or_does_not(event: Any, over: bool, ended_by: str | None) -> None:
     series = endurance._Fired()
-    assert (series.take(event), series.ended_by) == (over, ended_by)
-    assert series.reported == isinstance(event, Pulse)
+    assert (series.take(event), series.ended_by, series.reported) == (over, ended_by, isinstance(event, api.Pulse))
 
 
-def recording(frames: list[Frame], **more: Any) -> SideRecording:
+def recording(frames: list[api.Frame], **more: Any) -> SideRecording:
     return SideRecording(np.zeros((64, 1, 1), np.uint8), lambda _index: None, frames=frames, **more)
 
 
@@ -145,10 +121,10 @@ def recording(frames: list[Frame], **more: Any) -> SideRecording:
         (recording([frame(k) for k in (5, 6, 8, 8)]), SideEndured(4, (), 0, 2)),
         (recording([frame(5), frame(6, block_id=None), frame(7)]), SideEndured(3, (), 0, 1)),
         (recording([frame(5), frame(6, camera_time_ns=None)]), SideEndured(2, (), 1, 0)),
-        (recording([frame(5), frame(6, FrameStatus.TRUNCATED)]), SideEndured(1, ("truncated",), 0, 0)),
-        (recording([frame(5), frame(6, FrameStatus.TIMEOUT)]), SideEndured(1, ("timeout",), 0, 0)),
-        (recording([frame(5), frame(6, FrameStatus.TIMEOUT)], cancelled=True), SideEndured(1, (), 0, 0)),
-        (recording([frame(5), frame(6, FrameStatus.CORRUPT)], cancelled=True), SideEndured(1, ("corrupt",), 0, 0)),
+        (recording([frame(5), frame(6, api.FrameStatus.TRUNCATED)]), SideEndured(1, ("truncated",), 0, 0)),
+        (recording([frame(5), frame(6, api.FrameStatus.TIMEOUT)]), SideEndured(1, ("timeout",), 0, 0)),
+        (recording([frame(5), frame(6, api.FrameStatus.TIMEOUT)], cancelled=True), SideEndured(1, (), 0, 0)),
+        (recording([frame(5), frame(6, api.FrameStatus.CORRUPT)], cancelled=True), SideEndured(1, ("corrupt",), 0, 0)),
         (recording([frame(5)], cancelled=True, lost="unplugged"), SideEndured(1, (), 0, 0, "unplugged")),
         (recording([], cancelled=True), SideEndured(0, (), 0, 0)),
     ],
@@ -179,42 +155,47 @@ class BenchGrabber:
         self.cancelled.append(one)
 
 
-def run(
-    series: int = 3, prepare: Any = lambda *_: None, ready: bool = True
-) -> tuple[endurance._Fired, BenchBoard, dict[str, BenchGrabber], Any]:
-    """An endurance run of some series, whose every pulse is reported; ``prepare`` takes board, recordings and number of each."""
-    at, _, told_ = workplace()
-    clock: Any = at.wires.clock
-    board = BenchBoard(clock)
-    recordings = {side: recording([]) for side in ("left", "right")}
-    grabbers = {"left": BenchGrabber(clock), "right": BenchGrabber(clock, ready)}
+def fires(board: BenchBoard, prepare: Callable[[int], object] = lambda _series: None) -> None:
+    """Each series that is armed is reported pulse by pulse; ``prepare`` takes its number, and may end it by saying False."""
     armed: list[int] = []
 
     def fire(command: tuple[Any, ...]) -> None:
-        if command[0] != "arm":
-            return
-        armed.append(clock.now_ns())
-        if prepare(board, recordings, len(armed)) is not False:
-            for k in range(64):
-                board.events.at_s((k + 3) / 60.0, Pulse(k, k, 0))
-            board.events.at_s(66.5 / 60.0, PulsesDone(64))
+        if command[0] == "arm":
+            armed.append(board.clock.now_ns())
+            if prepare(len(armed)) is not False:
+                for k in range(64):
+                    board.events.at_s((k + 3) / 60.0, api.Pulse(k, k, 0))
+                board.events.at_s(66.5 / 60.0, api.PulsesDone(64))
 
     board.when = fire
-    found = endurance._fire(at, board, grabbers, recordings, series)  # type: ignore[arg-type]
-    return found, board, grabbers, told_
+
+
+class Fired:
+    """What an endurance run of three series goes through."""
+
+    def __init__(self, right_starts: bool = True) -> None:
+        self.at = workplace()[0]
+        clock: Any = self.at.wires.clock
+        self.board = BenchBoard(clock)
+        self.recordings = {side: recording([]) for side in ("left", "right")}
+        self.grabbers = {"left": BenchGrabber(clock), "right": BenchGrabber(clock, right_starts)}
+
+    def run(self, prepare: Callable[[int], object] = lambda _series: None) -> endurance._Fired:
+        fires(self.board, prepare)
+        return endurance._fire(self.at, self.board, self.grabbers, self.recordings, 3)  # type: ignore[arg-type]
 
 
 def test_a_camera_that_does_not_start_ends_it_before_the_first_pulse() -> None:
     with pytest.raises(BringupError, match=r"camera.right did not start within 2 s; ask `kingfisher check`"):
-        run(ready=False)
+        Fired(right_starts=False).run()
 
 
 def test_a_silent_board_ends_it_after_the_length_of_a_series_and_some_seconds() -> None:
-    found, board, grabbers, _ = run(prepare=lambda *_: False)
-    assert (found.asked, found.reported) == (64, 0)
-    assert found.ended_by == "the board did not say that it was done"
-    assert (board.clock.now_ns() / 1e9 - 1.0) == pytest.approx(64 / 60.0 + 5.0, abs=0.3)
-    assert grabbers["left"].waits == [("ready", 2.0)], "nobody waits for frames that do not come"
+    one = Fired()
+    found = one.run(lambda _series: False)
+    assert (found.asked, found.reported, found.ended_by) == (64, 0, "the board did not say that it was done")
+    assert (one.board.clock.now_ns() / 1e9 - 1.0) == pytest.approx(64 / 60.0 + 5.0, abs=0.3)
+    assert one.grabbers["left"].waits == [("ready", 2.0)], "nobody waits for frames that do not come"
 
 
 @pytest.mark.parametrize(
@@ -223,17 +204,19 @@ def test_a_silent_board_ends_it_after_the_length_of_a_series_and_some_seconds() 
 def test_a_camera_that_lost_a_frame_ends_it_but_for_the_last_series(
     number: int, asked: int, ended_by: str | None
 ) -> None:
-    def lose(_board: BenchBoard, recordings: dict[str, SideRecording], k: int) -> None:
-        if k == number:
-            recordings["left"].frames.append(frame(0, FrameStatus.CORRUPT))
-            recordings["left"].done = True
+    one = Fired()
 
-    found = run(prepare=lose)[0]
+    def lose(series: int) -> None:
+        if series == number:
+            one.recordings["left"].frames.append(frame(0, api.FrameStatus.CORRUPT))
+            one.recordings["left"].done = True
+
+    found = one.run(lose)
     assert (found.asked, found.ended_by) == (asked, ended_by)
 
 
-def warm(case_c: float) -> Telemetry:
-    return Telemetry(0, 0, 0, LaserState(False, False), 50.0, case_c, 45.0)
+def warm(case_c: float) -> api.Telemetry:
+    return api.Telemetry(0, 0, 0, api.LaserState(False, False), 50.0, case_c, 45.0)
 
 
 @pytest.mark.parametrize(("minutes", "series", "unplugged"), [(0.0, 1, False), (0.1, 6, False), (0.05, 3, True)])
@@ -245,18 +228,14 @@ def test_a_run_is_as_long_as_was_asked_and_cameras_are_let_go_whatever_happens(
     board, grabbers = BenchBoard(clock), {side: BenchGrabber(clock) for side in ("left", "right")}
     grabbers["right"].temperature_c = None
 
-    def fire(command: tuple[Any, ...]) -> None:
-        if command[0] == "arm":
-            if unplugged:
-                raise DeviceGone("board", "unplugged", "")
-            for k in range(64):
-                board.events.at_s((k + 3) / 60.0, Pulse(k, k, 0))
-            board.events.at_s(66.5 / 60.0, PulsesDone(64))
+    def unplug(_series: int) -> None:
+        if unplugged:
+            raise api.DeviceGone("board", "unplugged", "")
 
-    board.when = fire
+    fires(board, unplug)
     board.events.at_s(0.5, warm(20.0))
     if unplugged:
-        with pytest.raises(DeviceGone):
+        with pytest.raises(api.DeviceGone):
             endurance._endure(at, grabbers, board)  # type: ignore[arg-type]
     else:
         seen = endurance._endure(at, grabbers, board)  # type: ignore[arg-type]
@@ -265,9 +244,8 @@ def test_a_run_is_as_long_as_was_asked_and_cameras_are_let_go_whatever_happens(
         # 66.5 periods each, its last exposure, and one millisecond more.
         assert seen.minutes == pytest.approx(series * (66.5 / 60.0 + 0.013) / 60.0)
         warmth = {"projector": 50.0, "case": 20.0, "board": 45.0, "camera.left": 33.0, "camera.right": None}
-        assert seen.before_c == warmth
-        assert seen.after_c["case"] is None
-        assert seen.cameras == {"left": SideEndured(0, (), 0, 0), "right": SideEndured(0, (), 0, 0)}
+        assert (seen.before_c, seen.after_c["case"]) == (warmth, None)
+        assert seen.cameras == dict.fromkeys(("left", "right"), SideEndured(0, (), 0, 0))
     assert ("stop",) in board.commands
     for one in grabbers.values():
         assert one.recorded.shape == (64 * series, 300, 400)
@@ -275,24 +253,7 @@ def test_a_run_is_as_long_as_was_asked_and_cameras_are_let_go_whatever_happens(
 
 
 SEQUENCE = build_sequence(64, 512, 384)
-HEIGHT, WIDTH = 72, 96
 BRIGHT, DARK = SEQUENCE.bright, SEQUENCE.dark
-
-
-def plane_seen(power: float = 1.0) -> NDArray[np.uint8]:
-    """One camera's images of a plane, by light that is a power of the code."""
-    p = np.broadcast_to(np.linspace(20.0, 490.0, WIDTH), (HEIGHT, WIDTH))
-    q = np.broadcast_to(np.linspace(10.0, 370.0, HEIGHT)[:, None], (HEIGHT, WIDTH))
-    rng = np.random.default_rng(8)
-    frames = np.zeros((len(SEQUENCE), HEIGHT, WIDTH), np.uint8)
-    for number, pattern in enumerate(SEQUENCE.patterns):
-        at = p if pattern.direction is Direction.X else q
-        codes = pattern.codes()
-        light = (
-            np.interp(at, np.arange(len(codes)), codes) / 255.0 if number not in (BRIGHT, DARK) else codes[0] / 255.0
-        )
-        frames[number] = np.clip(np.rint(10.0 + 200.0 * light**power + 0.4 * rng.standard_normal(at.shape)), 0, 255)
-    return frames
 
 
 def flat(bright: int, dark: int) -> NDArray[np.uint8]:
@@ -302,14 +263,8 @@ def flat(bright: int, dark: int) -> NDArray[np.uint8]:
 
 
 @pytest.mark.parametrize(
-    ("saturates_from_us", "tried"),
-    [
-        (9_000, [8_000]),
-        (8_000, [8_000, 4_000]),
-        (1_500, [8_000, 4_000, 2_000, 1_000]),
-        (0, [8_000, 4_000, 2_000, 1_000]),
-    ],
-)
+    ("saturates_from_us", "tried"), [(9_000, [8_000]), (8_000, [8_000, 4_000]), *((us, [8_000, 4_000, 2_000, 1_000]) for us in (1_500, 0))]
+)  # fmt: skip
 def test_the_plane_is_recorded_darker_until_neither_camera_saturates(saturates_from_us: int, tried: list[int]) -> None:
     made: list[int] = []
 
@@ -334,7 +289,8 @@ def test_a_first_scan_is_stored_with_everything_that_is_known_of_it(tmp_path: Pa
     wires: Any = SimpleNamespace(clock=at.wires.clock, calendar=SimpleNamespace(today=lambda: today))
     at = replace(at, wires=wires)
     report = CaptureReport(None, ledger([frame(k) for k in range(64)]), 1.0, ())
-    frames = {side: plane_seen() for side in ("left", "right")}
+    seen = np.random.default_rng(8).integers(0, 255, (len(SEQUENCE), 72, 96)).astype(np.uint8)
+    frames = dict.fromkeys(("left", "right"), seen)
     scan_id = plane._stored(at, report, frames, SEQUENCE, Exposure(4_000, 2.0), "ab" * 32)
     folder = Library(tmp_path).entry(scan_id).folder
     scan = stored.load(folder)
@@ -343,8 +299,7 @@ def test_a_first_scan_is_stored_with_everything_that_is_known_of_it(tmp_path: Pa
     assert (record.wall_time, record.clock_trusted) == ("2031-05-06T07:08:09+00:00", True)
     assert (record.exposure, record.response_hash) == (Exposure(4_000, 2.0), "ab" * 32)
     assert (record.rig_hash, record.software_version) == (rig.rig_hash, appliance.__version__)
-    assert record.calibration_hash == design_of(rig).hash
-    assert record.recorded_ns == wires.clock.now_ns()
+    assert (record.calibration_hash, record.recorded_ns) == (design_of(rig).hash, wires.clock.now_ns())
     assert record.water == {"temperature_c": 20.0, "salinity_psu": 0.0, "wavelength_nm": 530.0}
     assert record.ledger is not None
     assert record.ledger["expected"] == 64
@@ -353,9 +308,6 @@ def test_a_first_scan_is_stored_with_everything_that_is_known_of_it(tmp_path: Pa
     assert (flatness, faults) == (None, ())
     assert "there is no calibration yet" in why_not
     assert told.all == []
-
-
-# --------------------------------------------------------------------------------------- projector
 
 
 @pytest.mark.parametrize(("left_dn", "right_dn", "asked"), [(5, 5, 1), (5, 4, 3), (4, 5, 3), (0, 0, 3)])

@@ -31,7 +31,6 @@ Outcomes = Callable[[GuideStep, Workplace], Mapping[str, StepOutcome]]
 
 
 def good(step: GuideStep, at: Workplace) -> Mapping[str, StepOutcome]:
-    """Every step is good, takes a second, and has a picture."""
     at.wires.clock.sleep_s(1.0)
     names = OF_THE_PROJECTOR if step.name in OF_THE_PROJECTOR else (step.name,)
     return {name: StepOutcome((GOOD,), {}, {f"{name}.png": ("It", PNG)}) for name in names}
@@ -46,8 +45,6 @@ def bad(*names: str) -> Outcomes:
 
 
 class Bench:
-    """One rig file and one folder, which are walked again and again."""
-
     def __init__(self, folder: Path) -> None:
         self.rig_file = folder / "rig.toml"
         self.rig_file.write_text(RIG_FILE.read_text(encoding="utf-8"), encoding="utf-8")
@@ -134,32 +131,19 @@ def test_what_ends_a_step_early_is_a_finding(
     assert guide._outcomes(step_of("board"), at) == {"board": StepOutcome((GOOD,))}
 
 
-# ------------------------------------------------------------------------------------------- folder
-
-
-def record(name: str, **pictures: str) -> GuideState:
-    outcome = StepOutcome((GOOD,), {}, {file: (caption, PNG) for file, caption in pictures.items()})
-    return GuideState().with_step(name, StepRecord.of(outcome, "", 1.0, {}))
-
-
-def test_a_folder_that_is_new_has_an_empty_state_and_the_page_shows_the_pictures(tmp_path: Path) -> None:
+def test_a_folder_that_is_new_has_an_empty_state_and_the_page_shows_its_own_pictures(tmp_path: Path) -> None:
+    (tmp_path / "secret.png").write_bytes(PNG)
     place = GuideFolder(tmp_path / "a" / "b")
     place.prepare()
     assert place.read() == GuideState()
     assert place.keep(StepOutcome((GOOD,), {}, {"dark.png": ("Dark", PNG)})) == [place.folder / "dark.png"]
-    state = record("cameras", **{"dark.png": "Dark", "gone.png": "Taken away"})
+    others = {"gone.png": "Taken away", "../../secret.png": "?", str(tmp_path / "secret.png"): "?"}
+    outcome = StepOutcome(
+        (GOOD,), {}, {file: (caption, PNG) for file, caption in ({"dark.png": "Dark"} | others).items()}
+    )
+    state = GuideState().with_step("cameras", StepRecord.of(outcome, "", 1.0, {}))
     written = place.write(state, RIG_FILE.read_text(encoding="utf-8"))
     assert [path.name for path in written] == ["bringup.json", "bringup.html"]
     assert place.read() == state
     assert (place.folder / "bringup.html").read_text(encoding="utf-8").count("data:image/png") == 1
-    assert place._pictures(state) == {"dark.png": PNG}
-
-
-def test_a_pictures_name_leads_nowhere_else(tmp_path: Path) -> None:
-    (tmp_path / "secret.png").write_bytes(PNG)
-    place = GuideFolder(tmp_path / "out")
-    place.prepare()
-    assert place._pictures(record("cameras", **{"../secret.png": "?", str(tmp_path / "secret.png"): "?"})) == {}
-
-
-# ---------------------------------------------------------------------------------------- whole call
+    assert place._pictures(state) == {"dark.png": PNG}, "a picture's name leads nowhere else"

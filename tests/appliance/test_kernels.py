@@ -1,4 +1,4 @@
-"""Kernels compiled at installation are used from a read-only disk, and never when anything in them has changed."""
+"""Kernels compiled at installation are used from a read-only disk, and never when anything in them has changed; how a process starts."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,8 @@ import pytest
 from appliance import kernel_cache
 from appliance.kernel_build import compile_pieces
 from appliance.kernel_cache import COMPLETE, VARIABLE, Origin
-from appliance.worker.warm import PIECES
+from appliance.process_start import BLAS_THREADS, use_one_blas_thread
+from appliance.worker import warm
 
 USE = """
 import json, sys
@@ -42,32 +44,23 @@ print(json.dumps({
 """
 
 
+def called(*words: object, timeout_s: float = 200.0, **changes: str) -> Any:
+    """What another process of Python prints as JSON, without a place for kernels in its environment."""
+    environment = {name: value for name, value in os.environ.items() if name != VARIABLE} | changes
+    command = [sys.executable, *map(str, words)]
+    ran = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=timeout_s, check=True)
+    return json.loads(ran.stdout)
+
+
 def started(shipped: Path, writable: Path, temporary: Path) -> dict[str, Any]:
-    """A new process that runs every kernel."""
-    environment = {name: value for name, value in os.environ.items() if name != VARIABLE}
-    environment["TMPDIR"] = str(temporary)
-    ran = subprocess.run(
-        [sys.executable, "-c", USE, str(shipped), str(writable)],
-        env=environment, capture_output=True, text=True, timeout=200, check=True,
-    )  # fmt: skip
-    said: dict[str, Any] = json.loads(ran.stdout)
-    return said
-
-
-def compiled(folder: Path, *more: str) -> Path:
-    """What an installation has compiled into ``folder``."""
-    environment = {name: value for name, value in os.environ.items() if name != VARIABLE}
-    warm = [sys.executable, "-m", "appliance.cli", "warm", "--json", "--out", str(folder), *more]
-    ran = subprocess.run(warm, env=environment, capture_output=True, text=True, timeout=900, check=True)
-    assert (Path(json.loads(ran.stdout)["folder"]) / COMPLETE).exists()
-    return folder
+    return dict(called("-c", USE, shipped, writable, TMPDIR=str(temporary)))
 
 
 @pytest.fixture(scope="module")
 def shipped(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """As an installation leaves it, from what this source tree has compiled, piece by piece."""
     mine = kernel_cache.use().path
-    compile_pieces(mine, PIECES)
+    compile_pieces(mine, warm.PIECES)
     folder = tmp_path_factory.mktemp("installation")
     copy = folder / kernel_cache.fingerprint()
     shutil.copytree(mine, copy)
@@ -111,18 +104,16 @@ def test_who_sets_the_place_keeps_it(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert kernel_cache.use(tmp_path / "a", tmp_path / "b") == kernel_cache.KernelCache(tmp_path, Origin.GIVEN)
 
 
-@pytest.mark.parametrize("file", ["appliance/reconstruct/scratch.py", "hw_sim/optics/trace.py"])
-def test_a_changed_function_in_another_file_is_another_program(
-    file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_changed_function_in_another_file_is_another_program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     tree = Path(kernel_cache.__file__).parents[1]
     for package in ("appliance", "drivers", "hw_sim"):
         shutil.copytree(tree / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
     monkeypatch.setattr(kernel_cache, "_PROGRAM", tmp_path / "appliance")
-    before = kernel_cache.fingerprint()
-    assert before == kernel_cache.fingerprint()
-    (tmp_path / file).write_text((tmp_path / file).read_text() + "\n")
-    assert kernel_cache.fingerprint() != before
+    prints = [kernel_cache.fingerprint(), kernel_cache.fingerprint()]
+    for file in ("appliance/reconstruct/scratch.py", "hw_sim/optics/trace.py"):
+        (tmp_path / file).write_text((tmp_path / file).read_text() + "\n")
+        prints.append(kernel_cache.fingerprint())
+    assert (prints[0] == prints[1], len(set(prints))) == (True, 3)
 
 
 @pytest.fixture
@@ -139,7 +130,6 @@ def last_resort(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def used() -> kernel_cache.KernelCache:
-    """What a process of its own would choose, without any place but the last resort."""
     os.environ.pop(VARIABLE, None)
     return kernel_cache.use(Path("/nothing/shipped"), Path("/proc/read-only"))
 
@@ -151,49 +141,51 @@ def prepared(folder: Path, mode: int = 0o700) -> None:
     folder.chmod(mode)
 
 
-def test_kernels_that_somebody_else_laid_into_tmp_are_never_run(last_resort: Path) -> None:
-    """Whoever starts the program next would run his code."""
-    prepared(last_resort)
-    if os.geteuid() == 0:
-        os.chown(last_resort, 65534, 65534)
-    else:  # nobody else's folder can be made here; a mode that lets others write is as bad
-        last_resort.chmod(0o777)
-    cache = used()
-    assert (cache.origin, cache.path == last_resort) == (Origin.EMPTY, False)
-    found = cache.path.lstat()
-    assert (found.st_uid, found.st_mode & 0o777) == (os.geteuid(), 0o700)
+def a_strangers(folder: Path, _: Path) -> None:
+    prepared(folder)
+    given_away(folder)
 
 
-@pytest.mark.parametrize("mode", [0o770, 0o701])
-def test_a_folder_of_kernels_that_others_may_enter_is_not_used(last_resort: Path, mode: int) -> None:
-    prepared(last_resort, mode)
-    assert used().path != last_resort
-
-
-def test_a_link_in_the_place_of_the_kernels_is_not_followed(last_resort: Path, tmp_path: Path) -> None:
-    prepared(tmp_path / "elsewhere")
-    last_resort.parent.mkdir()
-    last_resort.symlink_to(tmp_path / "elsewhere")
-    assert used().path.resolve() != (tmp_path / "elsewhere").resolve()
-
-
-def test_kernels_in_a_folder_that_anybody_may_exchange_are_not_used(last_resort: Path) -> None:
-    prepared(last_resort)
-    assert used() == kernel_cache.KernelCache(last_resort, Origin.READY)
-    last_resort.parents[1].chmod(0o777)  # no longer sticky
-    assert used().path != last_resort
-
-
-def test_kernels_below_a_folder_that_somebody_else_made_beforehand_are_not_used(last_resort: Path) -> None:
-    """Its owner may rename what others keep in it, sticky or not."""
-    above = last_resort.parent
-    above.mkdir()
-    above.chmod(0o1777)
+def given_away(folder: Path) -> None:
     if os.geteuid() != 0:
         pytest.skip("only root can make a folder of somebody else's")
-    os.chown(above, 65534, 65534)
+    os.chown(folder, 65534, 65534)
+
+
+def linked(folder: Path, elsewhere: Path) -> None:
+    prepared(elsewhere)
+    folder.parent.mkdir()
+    folder.symlink_to(elsewhere)
+
+
+def below_a_strangers(folder: Path, _: Path) -> None:
+    """Its owner may rename what others keep in it, sticky or not."""
+    folder.parent.mkdir()
+    folder.parent.chmod(0o1777)
+    given_away(folder.parent)
+
+
+def no_longer_sticky(folder: Path, _: Path) -> None:
+    prepared(folder)
+    folder.parents[1].chmod(0o777)
+
+
+@pytest.mark.parametrize(
+    "lay",
+    [
+        a_strangers, linked, below_a_strangers, no_longer_sticky,
+        lambda folder, _: prepared(folder, 0o770), lambda folder, _: prepared(folder, 0o701),
+    ],
+)  # fmt: skip
+def test_kernels_that_others_laid_into_tmp_or_may_exchange_are_never_run(
+    lay: Callable[[Path, Path], object], last_resort: Path, tmp_path: Path
+) -> None:
+    lay(last_resort, tmp_path / "elsewhere")
     cache = used()
-    assert (cache.origin, cache.path.is_relative_to(above)) == (Origin.EMPTY, False)
+    assert (cache.origin, cache.path == last_resort) == (Origin.EMPTY, False)
+    assert cache.path.resolve() != (tmp_path / "elsewhere").resolve()
+    found = cache.path.lstat()
+    assert (found.st_uid, found.st_mode & 0o777) == (os.geteuid(), 0o700)
 
 
 @pytest.mark.parametrize(
@@ -212,6 +204,8 @@ def test_the_last_resort_is_private_and_used_again(last_resort: Path) -> None:
     first = used()
     assert (first.path, first.path.lstat().st_mode & 0o777) == (last_resort, 0o700)
     assert used().path == first.path
+    (last_resort / COMPLETE).touch()
+    assert used() == kernel_cache.KernelCache(last_resort, Origin.READY)
 
 
 @pytest.mark.parametrize(
@@ -236,8 +230,12 @@ def test_whichever_command_starts_it_a_source_tree_has_one_place_for_kernels(mon
     expected = tree / ".cache/numba" / kernel_cache.fingerprint()
     told = subprocess.run(
         [sys.executable, "-m", "appliance.kernel_cache"],
-        cwd="/", capture_output=True, text=True, timeout=60, check=True,
-    )  # fmt: skip
+        cwd="/",
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
+    )
     assert Path(told.stdout.strip()) == expected
     assert kernel_cache.use().path == expected  # as `kingfisher` finds it by itself
     monkeypatch.setenv(VARIABLE, str(expected))
@@ -249,7 +247,9 @@ def test_whichever_command_starts_it_a_source_tree_has_one_place_for_kernels(mon
 def test_an_image_brings_kernels_for_processors_it_has_never_seen(tmp_path: Path) -> None:
     if not kernel_cache.runs_common(kernel_cache.this_processor()):
         pytest.skip("this processor is below x86-64-v3, which images are made for")
-    shipped = compiled(tmp_path / "image", "--common")
+    shipped = tmp_path / "image"
+    made = called("-m", "appliance.cli", "warm", "--json", "--out", shipped, "--common", timeout_s=900.0)
+    assert (Path(made["folder"]) / COMPLETE).exists()
     said = started(shipped, tmp_path / "cache", tmp_path)
     assert (said["origin"], said["compiled"]) == ("shipped", [])
     assert Path(said["path"]).name == kernel_cache.fingerprint(kernel_cache.COMMON)
@@ -264,3 +264,39 @@ def test_an_old_processor_does_not_run_the_kernels_of_an_image(tmp_path: Path, m
     old = kernel_cache.Processor("ivybridge", "+avx,+sse4.2,+popcnt,+cx16,+f16c,-avx2,-fma")
     monkeypatch.setattr(kernel_cache, "this_processor", lambda: old)
     assert kernel_cache.use(image, tmp_path / "cache").origin is Origin.EMPTY
+
+
+IMPORTS = """
+import gc, json
+from appliance.process_start import importing
+passes = []
+gc.callbacks.append(lambda phase, _: passes.append(phase))
+with importing():
+    made = [[] for _ in range(100_000)]
+inside = len(passes)
+made += [[] for _ in range(10_000)]
+print(json.dumps({"inside": inside, "after": len(passes), "looked at": len(gc.get_objects()), "on": gc.isenabled()}))
+"""
+
+
+def printed(program: str) -> str:
+    without = {name: value for name, value in os.environ.items() if name != BLAS_THREADS}
+    done = subprocess.run(
+        [sys.executable, "-c", program], env=without, capture_output=True, text=True, timeout=100, check=True
+    )
+    return done.stdout
+
+
+def test_the_collector_sleeps_while_modules_are_imported_and_never_looks_at_what_they_made() -> None:
+    seen = json.loads(printed(IMPORTS))
+    assert seen["inside"] == 0
+    assert seen["on"]
+    assert seen["after"] > 0
+    assert 10_000 <= seen["looked at"] < 20_000, "of 110,000"
+
+
+def test_linear_algebra_takes_one_thread_unless_somebody_wants_more() -> None:
+    for given, used in (({}, "1"), ({BLAS_THREADS: "3"}, "3")):
+        environment: dict[str, str] = {**given}
+        use_one_blas_thread(environment)
+        assert environment == {BLAS_THREADS: used}

@@ -1,4 +1,4 @@
-"""Whatever a person names is read only if it is a regular file of a sensible size, and refused at once by whoever reads it."""
+"""Files that people name are read only if regular and of a sensible size, and what was sealed comes back or is refused."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ import pytest
 from appliance.bounded_file import parse_toml, read_bounded, read_text
 from appliance.calibration import file as calibration_file
 from appliance.calibration.noise_file import load as load_noise
+from appliance.checksummed_file import ChecksumError, checked_content, with_checksum
 from appliance.config import default_rig_path, load_rig
 from appliance.foreign.camera_files import camera_numbers, numbers_in
 from appliance.foreign.description import load_description
@@ -24,7 +25,7 @@ from appliance.foreign.problem import ForeignError, Table
 from appliance.offline.calibration.air import Pair, read_pair
 from appliance.offline.calibration.any_pictures import common_size, read_grey
 from appliance.offline.calibration.view_folder import read_session
-from appliance.offline.scan_list import ListError, read_list
+from appliance.offline.scan_list import read_list
 
 READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "rig file": ("rig.toml", load_rig),
@@ -46,7 +47,6 @@ READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
 
 
 def refused(read: Callable[[Path], object], path: Path, words: str) -> str:
-    """What the reader says, in words of its own."""
     with pytest.raises(Exception, match=words) as raised:
         read(path)
     assert type(raised.value).__module__.startswith("appliance.")
@@ -120,14 +120,12 @@ def test_numbers_that_are_none_are_refused_in_words(
 def test_a_long_whole_number_in_a_list_in_json_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "list.json"
     path.write_text(f'{{"scan": [{{"scan": "1", "artefact": "ball-bar", "length_mm": 1{400 * "0"}}}]}}')
-    with pytest.raises(ListError, match=r"allowed are numbers 1\.\.2000"):
-        read_list(path)
+    refused(read_list, path, r"allowed are numbers 1\.\.2000")
 
 
 @pytest.mark.parametrize("number", ["nan", "inf", "1e400", "1e12"])
 @pytest.mark.parametrize(("name", "text"), [("s.txt", "{k} = {v}\n"), ("s.json", '"{k}": [{v}],')])
 def test_cameras_numbers_that_are_none_are_named(name: str, text: str, number: str, tmp_path: Path) -> None:
-    """Of rectified cameras, whose R and T are made of other numbers first."""
     values = {
         "M1": "1,0,0,0,1,0,0,0,1", "M2": "1,0,0,0,1,0,0,0,1", "R1": "1,0,0,0,1,0,0,0,1", "T1": "0,0,0", "R2": "1,0,0,0,1,0,0,0,1",
         "T2": "0,0,0", "P1": "1,0,0,0,0,1,0,0,0,0,1,0", "P2": f"1,0,0,{number},0,1,0,0,0,0,1,0",
@@ -146,7 +144,6 @@ def test_whole_numbers_of_toml_have_64_bits() -> None:
 
 
 def test_an_archive_of_zeros_is_refused_by_its_headers(tmp_path: Path) -> None:
-    """Six gigabytes in a file of kilobytes: its shape is told by a header of a hundred bytes."""
     path = tmp_path / "stack.npz"
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("left.npy", "w") as member:
         np.lib.format.write_array_header_1_0(
@@ -201,3 +198,28 @@ def test_what_small_camera_files_could_become_is_refused(name: str, data: bytes,
     with pytest.raises(ForeignError) as error:
         numbers_in(tmp_path / name)
     assert said in str(error.value)
+
+
+CONTENT = {"b": [1.5, "µm"], "a": {"deep": None}}
+
+
+@pytest.mark.parametrize("indent", [None, 2])
+def test_what_was_sealed_comes_back_whatever_its_layout(indent: int | None) -> None:
+    assert checked_content(with_checksum(CONTENT, indent), 1000) == CONTENT
+
+
+@pytest.mark.parametrize(
+    ("data", "reason"),
+    [
+        (with_checksum(CONTENT).replace(b"1.5", b"1.6"), "changed or damaged"),
+        (with_checksum(CONTENT)[:-9], "not readable as JSON"),
+        (b'{"a": 1}', "changed or damaged"),
+        (b"[]", "a JSON object was expected, not list"),
+        (b"[" * 900, "not readable as JSON"),
+        (b"\xff", "not readable as JSON"),
+        (b" " * 1001, "at most 1000 are allowed"),
+    ],
+)
+def test_anything_else_is_refused_with_the_reason(data: bytes, reason: str) -> None:
+    with pytest.raises(ChecksumError, match=reason):
+        checked_content(data, 1000)

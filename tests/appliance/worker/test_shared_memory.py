@@ -1,4 +1,4 @@
-"""Clouds are copied into memory that was there before the dive, and none changes while anybody has a part of it."""
+"""What worker and parent have in memory: clouds that nobody's part of changes, and a live picture beside the points."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from appliance.reconstruct.quality import CloudSummary
-from appliance.reconstruct.table import Cloud, Found, PointTable
+from appliance.reconstruct.table import POINT_BYTES, Cloud, Found, PointTable
 from appliance.worker.cloud_memory import CloudMemory
+from appliance.worker.live_picture import LONGEST_PX, LivePicture, behind_picture
 
 CAPACITY = 50
 PIECES = ((3, 20), (25, 40))
@@ -33,11 +34,9 @@ def values(cloud: Cloud) -> list[list[float]]:
 
 
 def test_a_copy_is_the_same_to_the_last_bit_wherever_it_lies() -> None:
-    own, kept = (
-        table_of(3).cloud(Found(PIECES, SUMMARY)),
-        CloudMemory(CAPACITY).copied(table_of(3), Found(PIECES, SUMMARY)),
-    )
-    assert values(kept) == values(own)
+    found = Found(PIECES, SUMMARY)
+    kept = CloudMemory(CAPACITY).copied(table_of(3), found)
+    assert values(kept) == values(table_of(3).cloud(found))
     assert [kept.modulation_dn.dtype, kept.pixel.dtype, kept.points_mm.shape] == [np.float32, np.uint32, (32, 3)]
     assert kept.modulation_dn[0] == 0.5 * (3 + 3)
 
@@ -61,16 +60,35 @@ def test_a_cloud_that_somebody_has_a_part_of_does_not_change(part: str) -> None:
 
 def test_scan_after_scan_takes_no_new_memory() -> None:
     memory = CloudMemory(CAPACITY)
-    places = set()
-    for number in range(6):
-        cloud = memory.copied(table_of(number), Found(PIECES, SUMMARY))
-        places.add(cloud.points_mm.ctypes.data)
-        del cloud
-    assert len(places) == 1
+
+    def places() -> set[int]:
+        return {memory.copied(table_of(k), Found(PIECES, SUMMARY)).points_mm.ctypes.data for k in range(6)}
+
+    first = places()
+    assert len(first) == 1
     held = memory.copied(table_of(0), Found(PIECES, SUMMARY))
-    for number in range(6):
-        cloud = memory.copied(table_of(number), Found(PIECES, SUMMARY))
-        places.add(cloud.points_mm.ctypes.data)
-        del cloud
-    assert len(places) == 2, "a scan that is still being published has the other one"
-    assert held.points_mm.ctypes.data in places
+    assert len(places() | first) == 2, "a scan that is still being published has the other one"
+    assert held.points_mm.ctypes.data in first
+
+
+PLACES = 5_000
+
+
+@pytest.mark.parametrize(
+    ("shape", "small"), [((1200, 1600), (360, 480)), ((300, 400), (300, 400)), ((960, 600), (480, 300))]
+)
+def test_what_is_put_is_copied_in_its_own_shape_and_no_point_is_touched(
+    shape: tuple[int, int], small: tuple[int, int]
+) -> None:
+    memory = memoryview(bytearray([7]) * behind_picture(PLACES))
+    v, u = np.mgrid[0 : shape[0], 0 : shape[1]] / max(shape)
+    picture = (100.0 + 60.0 * u + 90.0 * v).astype(np.uint8)
+    ours, theirs = LivePicture(memory, PLACES), LivePicture(memory, PLACES)
+    assert ours.put(picture) == small
+    copied = theirs.copy(small)
+    ours.put(np.zeros(shape, np.uint8))
+    v, u = np.mgrid[0 : small[0], 0 : small[1]] / min(max(shape), LONGEST_PX)
+    assert np.abs(copied - (100.0 + 60.0 * u + 90.0 * v)).max() < 2.0, "the next one does not change it"
+    assert set(memory[: PLACES * POINT_BYTES]) == {7}
+    with pytest.raises(ValueError, match="closed"):
+        LivePicture(None, 1)

@@ -1,13 +1,16 @@
-"""Nobody is told to install `kingfisher` from PyPI, which is somebody else's program; where it is installed, one sentence says so."""
+"""The program as it is installed: by its own name beside somebody else's, and imported from its source tree."""
 
 from __future__ import annotations
 
 import importlib
 import re
+import shutil
 import signal
+import site
 import subprocess
 import sys
 import tomllib
+import venv
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -24,7 +27,7 @@ SOMEBODY_ELSES = re.compile(
 """The name as pip is asked for it, with an extra or a version, or after ``pip install``."""
 
 
-def installed(folder: Path, packages: str) -> None:
+def somebody_elses(folder: Path, packages: str) -> None:
     """Leave a distribution called kingfisher 0.5.0 in ``folder``, with these packages of the top level."""
     info = folder / "kingfisher-0.5.0.dist-info"
     info.mkdir()
@@ -59,7 +62,7 @@ def test_somebody_elses_program_beside_this_one_is_named(
 ) -> None:
     assert other_program() is None
     monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
-    installed(tmp_path, "kingfisher\n")
+    somebody_elses(tmp_path, "kingfisher\n")
     said = other_program()
     assert said is not None
     assert "0.5.0: Download FASTQ" in said
@@ -76,7 +79,7 @@ def test_somebody_elses_program_beside_this_one_is_named(
 
 def test_this_program_under_its_former_name_is_not_another(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
-    installed(tmp_path, "appliance\ndrivers\nhw_sim\nkingfisher\n")
+    somebody_elses(tmp_path, "appliance\ndrivers\nhw_sim\nkingfisher\n")
     assert other_program() is None
 
 
@@ -93,3 +96,60 @@ def test_an_interruption_waits_until_a_library_is_loaded(tmp_path: Path, monkeyp
     # Only the main thread is interrupted, and another may load as well.
     with ThreadPoolExecutor(1) as pool:
         assert pool.submit(needed, "json", "json", "a page").result(10.0).__name__ == "json"
+
+
+CHECK = """
+import kingfisher
+before = set(__import__("sys").modules)
+from kingfisher import fuse, open_dive, Mesh
+import appliance.surface.fusion, appliance.offline.scripting, appliance.surface.mesh
+assert fuse.__wrapped__ is appliance.surface.fusion.fuse
+assert open_dive.__wrapped__ is appliance.offline.scripting.open_dive
+assert Mesh is appliance.surface.mesh.Mesh
+print("numba" in before, kingfisher.__file__, appliance.__file__)
+"""
+
+
+@pytest.fixture
+def tree(tmp_path: Path) -> Path:
+    made = tmp_path / "tree"
+    made.mkdir()
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, made)
+    for name in ("appliance", "drivers", "hw_sim"):
+        shutil.copytree(ROOT / name, made / name, ignore=shutil.ignore_patterns("__pycache__"))
+    return made
+
+
+@pytest.fixture
+def python(tmp_path: Path) -> Path:
+    """The interpreter of a new environment that sees this one's packages, and nothing that is installed in place here."""
+    venv.create(tmp_path / "venv", with_pip=False)
+    (packages,) = (tmp_path / "venv").glob("lib/python*/site-packages")
+    # A folder that a .pth file names is only searched: the .pth files within, by which this tree is installed, do not count.
+    (packages / "others.pth").write_text("\n".join(site.getsitepackages()))
+    return tmp_path / "venv/bin/python"
+
+
+def said(*words: object, cwd: Path) -> str:
+    done = subprocess.run(
+        [str(word) for word in words], cwd=cwd, capture_output=True, text=True, timeout=280, check=False,
+        env={"PATH": "/usr/bin:/bin", "HOME": str(cwd), "NUMBA_CACHE_DIR": str(cwd / "numba")},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
+    return done.stdout
+
+
+def installed(python: Path, tmp_path: Path, *what: object) -> tuple[str, Path, Path]:
+    pip = (sys.executable, "-m", "pip", "--disable-pip-version-check", "--python", python)
+    said(*pip, "install", "--no-deps", "--no-index", "--no-build-isolation", "--ignore-installed", *what, cwd=tmp_path)
+    early, package, program = said(python, "-c", CHECK, cwd=tmp_path).split()
+    return early, Path(package), Path(program)
+
+
+@pytest.mark.dive
+def test_from_a_source_tree_it_is_the_tree_itself(tree: Path, python: Path, tmp_path: Path) -> None:
+    early, package, program = installed(python, tmp_path, "-e", tree)
+    assert early == "False", "nothing that computes is loaded before it is asked for"
+    assert package == tree / "appliance/python/kingfisher/__init__.py"
+    assert program == tree / "appliance/__init__.py"

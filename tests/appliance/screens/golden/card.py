@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import moderngl
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +19,15 @@ from tests.appliance.screens.golden.scenes import ALERTS
 
 SIZE_PX = (1748, 2480)
 """A5 at 300 px per inch; 800 × 1135 units of the design."""
+FOLDER = Path(__file__).parents[4] / "docs" / "operator"
 _EDGE = 48.0
 _DISPLAY_TOP_PX, _DISPLAY_PX = 102.0, (460.0, 276.0)
 _LEGEND_TOP_PX, _LINE_PX = 382.0, 28.0
 _STEPS_TOP_PX, _STEP_PX = 448.0, 40.0
+
+
+def path(language: Language) -> Path:
+    return FOLDER / f"dive-card.{language.value}.png"
 
 
 def steps(language: Language) -> tuple[str, ...]:
@@ -128,15 +135,9 @@ def _alarms(canvas: Canvas, language: Language) -> None:
         canvas.words(action, _EDGE, y + 0.81 * pitch, CAPTION, BOLD, theme.WHITE)
     y = canvas.height - 84
     canvas.box(30, y, canvas.width - 60, 44, theme.YELLOW, 8)
-    said = (
-        f"GELB: Warnung, und was zu tun ist. BACK: {Text.SEEN.german}."
-        if language is Language.GERMAN
-        else f"YELLOW: a warning, and what to do. BACK: {Text.SEEN.english}."
-    )  # fmt: skip
+    german = language is Language.GERMAN
+    yellow = "GELB: Warnung, und was zu tun ist" if german else "YELLOW: a warning, and what to do"
+    said = f"{yellow}. BACK: {Text.SEEN.in_language(language)}."
     canvas.words(said, _EDGE, y + 31, CAPTION + 2, BOLD, theme.INK, max_width=canvas.width - 2 * _EDGE)
-    last = (
-        "Kein Scan wird unter Wasser gelöscht."
-        if language is Language.GERMAN
-        else "No scan is ever deleted under water."
-    )
+    last = "Kein Scan wird unter Wasser gelöscht." if german else "No scan is ever deleted under water."
     canvas.words(last, canvas.width / 2, canvas.height - 14, CAPTION, REGULAR, theme.INK, Align.CENTRE)
