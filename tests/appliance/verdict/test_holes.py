@@ -35,41 +35,39 @@ def scene(size: int, reason: Mask) -> tuple[NDArray[np.uint8], NDArray[np.uint8]
 
 @pytest.mark.parametrize("reason", list(MADE_BY))
 def test_a_scan_with_a_hole_in_its_middle_is_not_good(reason: Mask) -> None:
-    found = judge_holes(*scene(35, reason))
-    assert (found.verdict.passed, found.fault is not None and found.fault.code) == (False, MADE_BY[reason])
-    assert found.verdict.numbers["hole_percent"] == pytest.approx(100.0 * 35**2 / 200**2)
-    assert found.verdict.numbers["largest_percent"] == found.verdict.numbers["hole_percent"]
+    found, percent = judge_holes(*scene(35, reason)), pytest.approx(100.0 * 35**2 / 200**2)
+    assert found.verdict.passed is False
+    assert (found.verdict.numbers["hole_percent"], found.verdict.numbers["largest_percent"]) == (percent, percent)
     assert found.fault is not None
-    assert found.fault.numbers == {"hole_percent": found.verdict.numbers["hole_percent"]}
+    assert (found.fault.code, found.fault.numbers) == (MADE_BY[reason], {"hole_percent": percent})
     small = judge_holes(*scene(34, reason))
     assert (small.verdict.passed, small.fault) == (True, None)
 
 
 @pytest.mark.parametrize(
-    ("dark_dn", "code"), [(255, FaultCode.AMBIENT), (127, FaultCode.AMBIENT), (126, FaultCode.TOO_BRIGHT)]
+    ("reason", "saturated_rows", "dark_dn", "lit_rows", "percent", "code"),
+    [
+        # What a torch burns away is the torch's: saturated in the dark it counts as shadow.
+        (Mask.SHADOW, 0, 255, 60, 100.0, FaultCode.AMBIENT),
+        (Mask.SATURATED, 60, 127, 60, 100.0, FaultCode.AMBIENT),
+        # Where the projector alone saturates, a shorter exposure helps.
+        (Mask.SATURATED, 60, 126, 60, 100.0, FaultCode.TOO_BRIGHT),
+        # Light made holes of which half is saturated.
+        (Mask.CONTRADICTION, 29, 200, 29, 100.0 * 29 / 60, FaultCode.PART_MISSING),
+        (Mask.CONTRADICTION, 30, 200, 29, 50.0, FaultCode.TOO_BRIGHT),
+        (Mask.CONTRADICTION, 60, 200, 30, 100.0, FaultCode.AMBIENT),
+    ],
 )
-def test_what_a_torch_burns_away_is_the_torchs(dark_dn: int, code: FaultCode) -> None:
-    """Saturated in the dark it counts as shadow; and where the projector alone saturates, a shorter exposure helps."""
-    mask, dark, there = scene(60, Mask.SHADOW if dark_dn == 255 else Mask.SATURATED)
-    dark[120:180, 180:240] = dark_dn
+def test_a_hole_that_light_made_is_the_lights(
+    reason: Mask, saturated_rows: int, dark_dn: int, lit_rows: int, percent: float, code: FaultCode
+) -> None:
+    mask, dark, there = scene(60, reason)
+    mask[120 : 120 + saturated_rows, 180:240] = Mask.SATURATED
+    dark[120 : 120 + lit_rows, 180:240] = dark_dn
     found = judge_holes(mask, dark, there)
     assert found.fault is not None
     assert found.fault.code is code
-    assert found.verdict.numbers["saturated_percent"] == 100.0
-
-
-@pytest.mark.parametrize(
-    ("rows", "lit", "code"),
-    [(29, 29, FaultCode.PART_MISSING), (30, 29, FaultCode.TOO_BRIGHT), (60, 30, FaultCode.AMBIENT)],
-)
-def test_light_made_holes_of_which_half_is_saturated(rows: int, lit: int, code: FaultCode) -> None:
-    mask, dark, there = scene(60, Mask.CONTRADICTION)
-    mask[120 : 120 + rows, 180:240] = Mask.SATURATED
-    dark[120 : 120 + lit, 180:240] = 200
-    found = judge_holes(mask, dark, there)
-    assert found.fault is not None
-    assert found.fault.code is code
-    assert found.verdict.numbers["saturated_percent"] == pytest.approx(100.0 * rows / 60)
+    assert found.verdict.numbers["saturated_percent"] == pytest.approx(percent)
 
 
 @pytest.mark.parametrize("reason", [Mask.SHADOW, Mask.WEAK, Mask.VALID])
@@ -113,39 +111,32 @@ def test_a_hole_is_as_wide_on_the_surface_whatever_the_camera(width_px: int, ste
     assert grid_step_px(width_px) == step_px
 
 
+FAR, NEAR, LARGER = FaultCode.SCAN_FAR, FaultCode.SCAN_NEAR, WorkingVolume(500.0, 600.0, 700.0)
+
+
 @pytest.mark.parametrize(
     ("distance_mm", "volume", "code"),
     [
-        (578.0, STANDARD, FaultCode.SCAN_FAR),
-        (561.0, STANDARD, FaultCode.SCAN_FAR),
-        (560.0, STANDARD, None),
-        (440.0, STANDARD, None),
-        (439.0, STANDARD, FaultCode.SCAN_NEAR),
-        (578.0, WorkingVolume(500.0, 600.0, 700.0), None),
+        (561.0, STANDARD, FAR), (560.0, STANDARD, None), (440.0, STANDARD, None), (439.0, STANDARD, NEAR), (578.0, LARGER, None),
     ],
-)
-def test_a_scan_outside_of_the_measuring_volume_says_so(
+)  # fmt: skip
+def test_a_scan_outside_of_its_volume_says_so(
     distance_mm: float, volume: WorkingVolume, code: FaultCode | None
 ) -> None:
     found = judge_distance(CloudSummary(9, 90.0, distance_mm, 0.02, 0.01), volume)
     assert (None if found.fault is None else found.fault.code) is code
-    assert found.verdict.passed is (code is None)
-    assert found.verdict.numbers == {"distance_mm": distance_mm}
+    assert (found.verdict.passed, found.verdict.numbers) == (code is None, {"distance_mm": distance_mm})
     assert found.fault is None or found.fault.numbers == found.verdict.numbers
 
 
 def test_what_is_missing_is_told_once_and_only_where_nothing_else_explains_it() -> None:
-    summary, exposure = CloudSummary(9, 90.0, 578.0, 0.02, 0.01), Exposure(12_000)
+    summary = CloudSummary(9, 90.0, 578.0, 0.02, 0.01)
     missing = Judgement(Verdict("holes", False), Fault(FaultCode.PART_MISSING, "", {"hole_percent": 7.0}))
-    moved = Judgement(
-        Verdict("motion", False, {"added_noise_percent": 1.0, "score": 2.0, "score_limit": 1.0}),
-        Fault(FaultCode.COMPENSATED),
-    )
-    far = judge_distance(summary, STANDARD)
-
-    def codes(*judgements: Judgement) -> list[FaultCode]:
-        return [cause.fault.code for cause in find_causes(judgements, summary, exposure, ())]
-
-    assert codes(missing) == [FaultCode.PART_MISSING]
-    assert codes(moved, missing) == [FaultCode.COMPENSATED, FaultCode.PART_MISSING]
-    assert codes(missing, far) == [FaultCode.SCAN_FAR]
+    numbers = {"added_noise_percent": 1.0, "score": 2.0, "score_limit": 1.0}
+    moved = Judgement(Verdict("motion", False, numbers), Fault(FaultCode.COMPENSATED))
+    for judgements, codes in (
+        ((missing,), [FaultCode.PART_MISSING]),
+        ((moved, missing), [FaultCode.COMPENSATED, FaultCode.PART_MISSING]),
+        ((missing, judge_distance(summary, STANDARD)), [FaultCode.SCAN_FAR]),
+    ):
+        assert [cause.fault.code for cause in find_causes(judgements, summary, Exposure(12_000), ())] == codes

@@ -51,9 +51,7 @@ def judged(pixels: tuple[Array, Array], rig: StereoRig, exchanged: bool) -> Judg
 @pytest.mark.parametrize(
     ("distance_mm", "lean"), [(400.0, (0.6, 0.0)), (522.5, (0.0, 0.0)), (680.0, (0.0, 0.0)), (680.0, (-0.5, 0.4))]
 )
-def test_exchanged_cameras_are_named_wherever_the_object_is(
-    distance_mm: float, lean: tuple[float, float], says: Says
-) -> None:
+def test_exchanged_cameras_are_named_at_any_distance(distance_mm: float, lean: tuple[float, float], says: Says) -> None:
     pixels = seen(DRAWN, distance_mm, lean)
     fault = judged(pixels, DRAWN, exchanged=True).fault
     assert fault is not None
@@ -66,16 +64,15 @@ def test_exchanged_cameras_are_named_wherever_the_object_is(
 @pytest.mark.parametrize("kind", ["realistic", "hard", "paper"])
 def test_a_drawing_that_nobody_compared_with_the_instrument_tells_them_apart(kind: str) -> None:
     """At first light there is only the drawing: that is when serial numbers are exchanged."""
-    for seed in range(5):
+    for seed in range(3):
         pixels = seen(true_calibration(draw_truth(kind, seed, 400, 300, WATER.index)).rig)
-        assert judged(pixels, DRAWN, exchanged=False).fault is None, seed
-        assert judged(pixels, DRAWN, exchanged=True).fault is not None, seed
+        accused = [judged(pixels, DRAWN, exchanged).fault is not None for exchanged in (False, True)]
+        assert accused == [False, True], seed
 
 
 def test_what_lies_near_the_axis_says_nothing() -> None:
-    nothing = np.empty((0, 2)), np.empty((0, 2))
     for exchanged in (False, True):
-        for pixels in (seen(DRAWN, share=0.15), nothing):
+        for pixels in (seen(DRAWN, share=0.15), (np.empty((0, 2)), np.empty((0, 2)))):
             judgement = judged(pixels, DRAWN, exchanged)
             assert (judgement.verdict.passed, judgement.fault) == (None, None)
 
@@ -98,9 +95,7 @@ def rig_of(kind: str, *, air: bool = False) -> StereoRig:
     return true_calibration(in_air(truth) if air else truth).rig
 
 
-@pytest.mark.parametrize(
-    ("kind", "stated"), [("nominal", "nominal"), ("realistic", "realistic"), ("realistic", "nominal")]
-)
+@pytest.mark.parametrize(("kind", "stated"), [("realistic", "realistic"), ("realistic", "nominal")])
 def test_a_world_in_air_is_named_also_by_an_instrument_that_has_only_its_drawing(kind: str, stated: str) -> None:
     found = judge_medium(*seen(rig_of(kind, air=True), index=AIR), rig_of(stated), WATER.index)
     assert found.fault is not None, found.verdict
@@ -109,12 +104,9 @@ def test_a_world_in_air_is_named_also_by_an_instrument_that_has_only_its_drawing
     assert grade(90.0, 0.02, [found.fault.code]) is Grade.BAD
 
 
-@pytest.mark.parametrize(
-    ("kind", "stated", "distance_mm"),
-    [("nominal", "nominal", 420.0), ("hard", "nominal", 420.0), ("hard", "nominal", 640.0), ("hard", "hard", 640.0)],
-)
-def test_water_is_never_taken_for_air(kind: str, stated: str, distance_mm: float) -> None:
-    found = judge_medium(*seen(rig_of(kind), distance_mm), rig_of(stated), WATER.index)
+@pytest.mark.parametrize(("stated", "distance_mm"), [("nominal", 420.0), ("nominal", 640.0), ("hard", 640.0)])
+def test_water_is_never_taken_for_air(stated: str, distance_mm: float) -> None:
+    found = judge_medium(*seen(rig_of("hard"), distance_mm), rig_of(stated), WATER.index)
     assert found.fault is None
     assert found.verdict.passed is not False
 
@@ -129,9 +121,7 @@ def test_with_few_matches_or_in_stated_air_nothing_is_said() -> None:
 
 
 @pytest.mark.parametrize(("index", "passed"), [(1.07, False), (1.08, None), (1.12, None), (1.13, True)])
-def test_air_is_named_where_rays_miss_by_half_and_water_believed_where_they_miss_by_less(
-    index: float, passed: bool | None
-) -> None:
+def test_air_is_named_where_rays_miss_by_half_and_water_where_by_less(index: float, passed: bool | None) -> None:
     rig = rig_of("nominal")
     found = judge_medium(*seen(rig, index=index), rig, WATER.index)
     assert found.verdict.passed is passed
@@ -141,7 +131,7 @@ def test_air_is_named_where_rays_miss_by_half_and_water_believed_where_they_miss
 @pytest.mark.parametrize(
     ("share", "larger", "passed"), [(0.45, 1.0, None), (0.5, 1.0, False), (0.6, 2.0, None), (0.7, 2.0, False)]
 )
-def test_a_tenth_of_a_millimetre_in_the_standard_housing_speaks_for_air(
+def test_a_tenth_of_a_millimetre_in_the_housing_speaks_for_air(
     share: float, larger: float, passed: bool | None
 ) -> None:
     """The middle of the picture alone: gaps of 0.095, 0.131, 0.180 and more than 0.2 mm; the limit grows with the housing."""

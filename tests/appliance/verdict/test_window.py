@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from appliance.service.windows import WindowWatch
-from appliance.verdict.window import CELLS, Windows, ask
+from appliance.verdict.window import CELLS, Windows
 from hw_sim.optics.fog import Fog
 from hw_sim.scene import Scene
 from hw_sim.water.medium import Water
@@ -45,27 +45,3 @@ def test_a_clean_window_stays_clean_before_any_object_and_in_turbid_water() -> N
     for distance_mm in 3 * (480.0, 520.0):  # to and fro: what belongs to the object stays where it is
         verdict = watch.judge(looked("shell", distance_mm, water=Water(attenuation_per_m=1.0, backscatter=0.2)))
         assert verdict.passed is True, (distance_mm, verdict.text)
-
-
-def test_a_pixels_contrast_is_that_of_both_directions_fringes() -> None:
-    rng = np.random.default_rng(3)
-    shape = (30, 40)
-    grey = rng.integers(0, 250, (10, *shape)).astype(np.uint8)
-    grey[0], grey[1] = rng.integers(10, 256, shape), rng.integers(0, 40, shape)
-    mask = rng.integers(0, 2, shape).astype(np.uint8)
-    p_px, q_px = rng.uniform(-20.0, 1060.0, (2, *shape)).astype(np.float32)
-    cell_row, cell_column = np.arange(30) // 5 * 8, np.arange(40) // 5
-    per_px = (np.float32(24 / 1024), np.float32(18 / 768))
-    contrast, cell, place, total = ask(grey, mask, p_px, q_px, cell_row, cell_column, per_px)
-
-    values = grey.astype(np.float64)
-    light = values[0] - values[1]
-    good = (mask == 0) & (grey[0] < 255) & (light > 16.0)
-    assert 100 < np.count_nonzero(good) < good.size / 2
-    swing = sum(np.hypot(values[k] - values[k + 2], values[k + 1] - values[k + 3]) for k in (2, 6))
-    assert contrast == pytest.approx(0.5 * swing[good] / light[good], rel=1e-6)
-    assert np.array_equal(cell, (cell_row[:, None] + cell_column)[good])
-    across = (p_px * per_px[0]).astype(np.int64).clip(0, 23)
-    down = (q_px * per_px[1]).astype(np.int64).clip(0, 17)
-    assert np.array_equal(place, (down * 24 + across)[good])
-    assert total == pytest.approx(np.bincount(cell, light[good], 48))

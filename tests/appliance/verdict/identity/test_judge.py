@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -30,17 +29,11 @@ from tests.support.synthetic import frames as ideal_frames
 
 SEQUENCE = build_sequence(16, 128, 96)
 """Small: 18 frames, so that everything can be tried."""
-
-
 N = len(SEQUENCE)
 SIZE_PX = (144, 192)
 Frames = NDArray[np.uint8]
-
-
 Takes = Mapping[str, Frames]
 """(2, n, h, w) of each camera: the same patterns, recorded twice."""
-
-
 READ_DN, DN_PER_E = 0.5, 1.0 / 51.0
 
 
@@ -58,7 +51,7 @@ def recorded(ideal: NDArray[np.float64], seed: int, light: float = 1.0) -> Frame
 
 
 def scan(ideal: NDArray[np.float64], light: float = 1.0) -> dict[str, Frames]:
-    return {side: recorded(ideal, seed, light) for seed, side in enumerate(("left", "right"))}
+    return {side: recorded(ideal, seed, light) for seed, side in enumerate(SIDES)}
 
 
 @pytest.fixture(scope="module")
@@ -156,7 +149,7 @@ def test_both_cameras_frozen_to_the_bit_are_no_projector(board: Takes) -> None:
         ((-1, -1), "left right", "projector"),
     ],
 )
-def test_a_picture_that_is_turned_is_named_with_the_way_it_is(
+def test_a_turned_picture_is_named_with_its_way(
     board: Takes, turn: tuple[int, int], sides: str, device: str, says: Says
 ) -> None:
     """Turned in both cameras it is the projector's doing."""
@@ -193,15 +186,10 @@ def test_a_wrong_number_of_frames_is_said(board: Takes) -> None:
         judge_identity({side: takes[0, :-1] for side, takes in board.items()}, SEQUENCE)
 
 
-@pytest.mark.parametrize("name", ["dark", "moving in flicker"])
-def test_good_scans_of_hard_scenes_pass_and_each_exchanged_frame_is_found_in_them(name: str) -> None:
+def test_a_good_scan_that_moves_in_flickering_light_passes_and_each_exchanged_frame_is_found_in_it() -> None:
     hands = Motion(velocity_mm_s=(12.0, -9.0, 8.0), rotation_deg_s=(0.5, -1.0, 0.5))
-    lamp = Daylight(flicker_depth=0.5, flicker_hz=100.0)
-    scene, exposure_s, frame_s = {
-        "dark": (Scene("pipe", texture="strong", ambient=0.2), 0.0012, 0.0),
-        "moving in flicker": (Scene("frustum", ambient=0.1, motion=hands, daylight=lamp), 0.008, 1.0 / 60.0),
-    }[name]
-    seen = render_scan(scene, "realistic", 10_501, 240, 32, exposure_s, frame_s=frame_s)
+    scene = Scene("frustum", ambient=0.1, motion=hands, daylight=Daylight(flicker_depth=0.5, flicker_hz=100.0))
+    seen = render_scan(scene, "realistic", 10_501, 160, 32, 0.008, frame_s=1.0 / 60.0)
     good = judge_identity(seen.frames, seen.sequence)
     assert good.verdict.passed is True, good.verdict.text
     assert (good.verdict.numbers["doubt"] or 1.0) < 0.7
@@ -214,17 +202,10 @@ def test_good_scans_of_hard_scenes_pass_and_each_exchanged_frame_is_found_in_the
             assert witness.evidence(order).contradicted, (side, i)
 
 
-def test_what_rushes_by_is_left_to_the_judge_of_motion() -> None:
-    scene = Scene("pipe", texture="strong", motion=Motion(velocity_mm_s=(80.0, -40.0, 30.0)))
-    seen = render_scan(scene, "realistic", 10_901, 200, 32, 0.006, frame_s=1.0 / 60.0)
-    judgement = judge_identity(seen.frames, seen.sequence)
-    assert (judgement.verdict.passed, judgement.fault) == (None, None)
-
-
 def test_printed_squares_that_move_are_no_wrong_pattern_and_exchanged_frames_are_found_before_them() -> None:
     """Every fourth sample had another mean in X than in Y, so that an order which left next to no doubt was taken for movement."""
     scene = Scene("plane", texture="checker", motion=Motion(velocity_mm_s=(8.0, -8.0, 5.0)))
-    seen = render_scan(scene, "realistic", 10_902, 200, 32, 0.01, frame_s=1.0 / 60.0)
+    seen = render_scan(scene, "realistic", 10_902, 160, 32, 0.01, frame_s=1.0 / 60.0)
     assert judge_identity(seen.frames, seen.sequence).verdict.passed
     order = np.arange(len(seen.sequence))
     order[[8, 12]] = 12, 8
@@ -233,23 +214,20 @@ def test_printed_squares_that_move_are_no_wrong_pattern_and_exchanged_frames_are
     assert (fault.code, fault.numbers["frame"]) == (FaultCode.PATTERN_WRONG, 8)
 
 
-@pytest.mark.parametrize("fringe", [0.24, 0.18])
-def test_an_x_sine_in_the_place_of_a_y_sine_is_found_where_the_water_outshines_the_fringes(
-    ideal: NDArray[np.float64], fringe: float
-) -> None:
+def test_an_x_sine_for_a_y_sine_is_found_where_the_water_outshines_the_fringes(ideal: NDArray[np.float64]) -> None:
     """Weak fringes were looked for with the steps in question: those samples were left at which the wrong one fits."""
     lit = ideal.reshape(len(ideal), -1).mean(axis=1) / ideal.max()
-    water = 200.0 * (1.0 - fringe) * lit / lit[SEQUENCE.bright]
-    frames = recorded(3.0 + fringe * (ideal - 3.0) + water[:, None, None], 5)
+    water = 200.0 * (1.0 - 0.18) * lit / lit[SEQUENCE.bright]
+    frames = recorded(3.0 + 0.18 * (ideal - 3.0) + water[:, None, None], 5)
     witness = Witness(take_lines(frames, SEQUENCE, TYPICAL), SEQUENCE, TYPICAL)
 
-    def opposite(order: NDArray[np.int64]) -> float:
-        return max(doubt for name, doubt in witness.evidence(order).doubts.items() if name.startswith("opposite"))
+    def opposite(order: Sequence[int]) -> float:
+        doubts = witness.evidence(np.array(order)).doubts
+        return max(doubt for name, doubt in doubts.items() if name.startswith("opposite"))
 
-    assert opposite(np.arange(N)) < 0.5
+    assert opposite(range(N)) < 0.5
     of_x, of_y = (SEQUENCE.axis(direction).sine for direction in Direction)
-    missed = [pair for pair in zip(of_x, of_y, strict=True) if opposite(np.array(swapped(*pair))) < 1.0]
-    assert missed == []
+    assert [pair for pair in zip(of_x, of_y, strict=True) if opposite(swapped(*pair)) < 1.0] == []
 
 
 def seen_where(inside: NDArray[np.bool_]) -> NDArray[np.float64]:
@@ -272,8 +250,7 @@ def test_coarse_images_of_which_no_edge_is_seen_are_not_exchanged_unseen() -> No
     wrong = doubts(ideal, swapped(coarse, finer))
     assert max(doubt for name, doubt in wrong.items() if name != "elsewhere x") < 1.0, "nothing else sees it"
     assert wrong["elsewhere x"] > 1.5
-    order = swapped(coarse, finer)
-    frames = {"left": recorded(ideal, 1)[order], "right": recorded(ideal, 2)}
+    frames = {"left": recorded(ideal, 1)[swapped(coarse, finer)], "right": recorded(ideal, 2)}
     assert code(judge_identity(frames, SEQUENCE)) is FaultCode.PATTERN_WRONG
 
 
@@ -310,76 +287,56 @@ def test_a_camera_that_reads_one_direction_only_is_not_said_to_show_its_patterns
 def near() -> RenderedScan:
     """A pipe's front at 345 mm, in water that keeps it from being saturated."""
     scene = Scene(object="pipe", pose=(0.0, 0.0, 370.0, 0.0, 6.0, 20.0), texture="strong", water=turbid(2.0))
-    return render_scan(scene, "realistic", 5, 300, 16)
+    return render_scan(scene, "realistic", 5, 160, 32)
 
 
-def test_stripes_that_parallax_displaces_are_no_wrong_pattern(near: RenderedScan) -> None:
-    judged = judge_identity(near.frames, near.sequence)
-    assert judged.fault is None
-    assert judged.verdict.passed is None
-
-
-def test_what_is_too_near_and_saturated_is_no_wrong_pattern() -> None:
+def test_in_a_near_and_saturated_picture_a_wrong_gray_image_is_found_and_no_right_one(near: RenderedScan) -> None:
     """What is clear in it are borders of the picture and of stripes: these came as WRONG PATTERN."""
-    scene = Scene("plane", pose=(0.0, 0.0, 330.0, 4.0, 12.0, 0.0), texture="slight")
-    scan = render_scan(scene, "realistic", 10_600, 200, 32, 0.12, height_px=150)
-    bright = scan.frames["left"][scan.sequence.bright]
-    assert np.mean(bright[bright > 60] == 255) > 0.8
-    assert judge_identity(scan.frames, scan.sequence).fault is None
-
-
-def test_a_wrong_gray_image_is_found_in_a_picture_of_which_most_is_saturated(near: RenderedScan) -> None:
     frames = {side: np.clip(8 * stack.astype(np.int64), 0, 255).astype(np.uint8) for side, stack in near.frames.items()}
+    bright = frames["left"][near.sequence.bright]
+    assert np.mean(bright[bright > 60] == 255) > 0.8
+    assert judge_identity(frames, near.sequence).fault is None
     gray = near.sequence.axis(Direction.X).gray
     for stack in frames.values():
         stack[gray[4]] = stack[gray[3]]
-    judged = judge_identity(frames, near.sequence)
-    assert judged.fault is not None
-    assert judged.fault.code is FaultCode.PATTERN_WRONG
+    assert code(judge_identity(frames, near.sequence)) is FaultCode.PATTERN_WRONG
 
 
-def test_a_lamp_that_blinds_a_camera_does_not_make_it_stuck() -> None:
-    scene = replace(Scene(texture="strong"), ambient=3.0)
-    scan = render_scan(scene, "realistic", 5, 200, 16)
-    assert float(np.mean(scan.frames["left"].min(axis=0) == 255)) > 0.05
-    assert judge_identity(scan.frames, scan.sequence).fault is None
+def test_a_lamp_that_blinds_a_camera_does_not_make_it_stuck(board: Takes) -> None:
+    frames = {side: takes[0].copy() for side, takes in board.items()}
+    frames["left"][:, :, :120] = 255
+    assert judge_identity(frames, SEQUENCE).fault is None
 
 
-def lit_by_lamp(frames: NDArray[np.uint8] | NDArray[np.float64], swing_dn: float, hz: float = 3.1) -> NDArray[np.uint8]:
-    """The same before a lamp that adds up to twice ``swing_dn`` everywhere, frame by frame at 60 a second."""
-    added = swing_dn * (1.0 + np.cos(2.0 * np.pi * hz * np.arange(len(frames)) / 60.0))
+def lit_by_lamp(frames: NDArray[np.uint8] | NDArray[np.float64], swing_dn: float) -> Frames:
+    """The same before a lamp of 3.1 Hz that adds up to twice ``swing_dn`` everywhere, frame by frame at 60 a second."""
+    added = swing_dn * (1.0 + np.cos(2.0 * np.pi * 3.1 * np.arange(len(frames)) / 60.0))
     return np.asarray(np.clip(np.rint(frames + added[:, None, None]), 0, 255), np.uint8)
+
+
+def black(seed: int, swing_dn: float = 0.0) -> dict[str, Frames]:
+    """What cameras record of nothing, before a lamp of such changes."""
+    noise = np.random.default_rng(seed).standard_normal((2, N, *SIZE_PX))
+    return {side: lit_by_lamp(2.0 + 0.5 * one, swing_dn) for side, one in zip(SIDES, noise, strict=True)}
 
 
 def test_a_flickering_lamp_before_an_object_that_is_too_near_makes_no_projector_dark(near: RenderedScan) -> None:
     """The mean of the frames says nothing of the projector then: a lamp of 3 Hz before a far plane was PROJECTOR DARK."""
     frames = {side: lit_by_lamp(stack, 10.0) for side, stack in near.frames.items()}
-    judged = judge_identity(frames, near.sequence)
-    assert judged.verdict.numbers["left_samples"] == 0.0, "the stripes are displaced: nothing is left to be judged"
-    assert judged.fault is None
+    for seen in (near.frames, frames):
+        judged = judge_identity(seen, near.sequence)
+        assert (judged.verdict.passed, judged.fault) == (None, None)
+        assert judged.verdict.numbers["left_samples"] == 0.0, "the stripes are displaced: nothing is left to be judged"
 
 
 @pytest.mark.parametrize(
     ("time_us", "expected"), [(200, None), (2_000, FaultCode.PROJECTOR_DARK), (12_000, FaultCode.PROJECTOR_DARK)]
 )
-def test_only_an_exposure_that_shows_lit_water_can_tell_that_the_projector_is_dark(
-    time_us: int, expected: FaultCode | None
-) -> None:
+def test_only_an_exposure_that_shows_lit_water_tells_a_dark_projector(time_us: int, expected: FaultCode | None) -> None:
     """0.2 ms before nothing, or into thick water, was PROJECTOR DARK: a hundredth of a grey value of veil is not seen."""
-    sequence = build_sequence(16, 128, 96)
-    rng = np.random.default_rng(7)
-    black = {
-        side: np.clip(np.rint(2.0 + 0.5 * rng.standard_normal((len(sequence), 144, 192))), 0, 255).astype(np.uint8)
-        for side in ("left", "right")
-    }
-    fault = judge_identity(black, sequence, exposure=Exposure(time_us)).fault
-    assert (None if fault is None else fault.code) is expected
+    assert code(judge_identity(black(7), SEQUENCE, exposure=Exposure(time_us))) is expected
 
 
 def test_a_dark_projector_before_a_flickering_lamp_is_not_told_from_nothing_in_reach() -> None:
     """The lamp's changes are many times what lit water adds, so that its absence says nothing; the diver hears NOTHING SEEN, IS LIGHT COVERED?"""
-    sequence = build_sequence(16, 128, 96)
-    rng = np.random.default_rng(8)
-    dark = 2.0 + 0.5 * rng.standard_normal((len(sequence), 144, 192))
-    frames = {side: lit_by_lamp(dark, 1.5) for side in ("left", "right")}
-    assert judge_identity(frames, sequence).fault is None
+    assert judge_identity(black(8, 1.5), SEQUENCE).fault is None

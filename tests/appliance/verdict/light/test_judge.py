@@ -15,24 +15,12 @@ from appliance.scan.fault import FaultCode
 from appliance.scan.noise import TYPICAL, StereoNoise, camera_noise
 from appliance.scan.verdict import Judgement
 from appliance.verdict.light.changes import LightLevel, find_frequency_hz
-from appliance.verdict.light.fit import (
-    quantile_of,
-)
+from appliance.verdict.light.fit import quantile_of
 from appliance.verdict.light.judge import judge_light
 from appliance.verdict.light.propose import LEAST_COMMON, LEAST_GAINED, propose_second
-from hw_sim.light.daylight import Daylight
 from hw_sim.rendering.sensor import FULL_WELL_E, OFFSET_DN, READ_NOISE_E
 from hw_sim.scene import Scene
-from tests.support.photographed import (
-    HEIGHT_PX,
-    WHITE_DN_PER_US,
-    WIDTH_PX,
-    Wall,
-    coordinates,
-    light,
-    photograph,
-    wall,
-)
+from tests.support.photographed import HEIGHT_PX, WHITE_DN_PER_US, WIDTH_PX, Wall, coordinates, light, photograph, wall
 from tests.support.rendered import render_scan
 
 STEPS = ladder(60.0, 500, 0.0, Span())
@@ -52,7 +40,7 @@ def mains(depth: float, hz: float = 100.0, exposure_s: float = 0.012) -> tuple[f
     return tuple(1.0 + seen * math.cos(2.0 * math.pi * hz * k / 60.0 + 0.7) for k in range(24))
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(3))
 def test_a_proposal_once_applied_proposes_nothing_more(seed: int) -> None:
     rng = np.random.default_rng(seed)
     brightest = 0.9 * 10.0 ** -rng.uniform(0.0, 1.3)
@@ -146,27 +134,16 @@ def test_lamps_on_mains_are_answered_by_an_exposure_of_a_whole_period() -> None:
     assert (again.fault, again.proposal) == (None, None)
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_steady_light_never_flickers(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    torch = np.exp(-((coordinates()[0] - 500.0) ** 2 + (coordinates()[1] - 300.0) ** 2) / 2.0 / 120.0**2)
-    scene = Wall(wall(seed, 0.03, 0.55), rng.uniform(0.0, 0.6) + rng.uniform(0.0, 0.5) * torch)
-    assert code(judge(scene, seed=seed)) is not FaultCode.LIGHT_FLICKERS
-
-
-@pytest.mark.parametrize("flicker_depth", [0.0, 0.9])
-def test_labels_on_black_rubber_flicker_only_where_the_light_does(flicker_depth: float) -> None:
+def test_labels_on_black_rubber_do_not_flicker() -> None:
     """Half saturated, and dark ones before which backscatter has a larger share: neither is a change of light."""
-    scene = Scene("plane", texture="labels", ambient=0.2, daylight=Daylight(flicker_depth=flicker_depth))
-    scan = render_scan(scene, "realistic", 41, 320, 16, 0.012)
+    scan = render_scan(Scene("plane", texture="labels", ambient=0.2), "realistic", 41, 320, 16, 0.012)
     camera = camera_noise(FULL_WELL_E, READ_NOISE_E, OFFSET_DN, 0.0)
     taken = ScanImages(scan.sequence, scan.frames, {}, AcquisitionSettings(noise=StereoNoise(camera, camera)))
     judged = judge_light(taken, NOMINAL, STEPS)
-    assert (judged.verdict.numbers["left_saturated_percent"] or 0.0) > 10.0
-    assert (code(judged) is FaultCode.LIGHT_FLICKERS) == (flicker_depth > 0.0)
-    if not flicker_depth:
-        harmed = [judged.verdict.numbers[f"{side}_flicker_harmed_percent"] for side in ("left", "right")]
-        assert max(one or 0.0 for one in harmed) < 5.0
+    numbers = {name: number or 0.0 for name, number in judged.verdict.numbers.items()}
+    assert numbers["left_saturated_percent"] > 10.0
+    assert code(judged) is not FaultCode.LIGHT_FLICKERS
+    assert max(numbers[f"{side}_flicker_harmed_percent"] for side in ("left", "right")) < 5.0
 
 
 def test_a_torch_that_sweeps_over_a_part_is_a_change_of_light_and_one_that_rests_is_not() -> None:
@@ -197,7 +174,7 @@ def test_what_a_torch_burns_away_proposes_no_exposure_and_what_the_projector_doe
     assert exposed.verdict.numbers["left_burnt_percent"] == 0.0
 
 
-@pytest.mark.parametrize("count", [1, 2, 23, 24, 520])
+@pytest.mark.parametrize("count", [1, 2, 24, 520])
 def test_quantiles_of_a_block_are_those_of_numpy(count: int) -> None:
     """Whatever the values: evenly spread, equal, of a few kinds, or nearly all in one bin beside an outlier."""
     rng = np.random.default_rng(count)
@@ -209,47 +186,28 @@ def test_quantiles_of_a_block_are_those_of_numpy(count: int) -> None:
 
 @pytest.mark.parametrize("hz", [5.0, 29.5, 30.0])
 def test_a_lamp_is_found_at_its_frequency_up_to_half_the_frame_rate(hz: float) -> None:
-    frames = np.arange(24)
-    value = 0.1 * np.cos(2.0 * np.pi * hz * frames / 60.0 + 0.4)
-    groups = np.array(["gray x", "sine x", "sine y"])[frames // 8]
-    levels = []
-    for group in np.unique(groups):
-        own = groups == group
-        mean = value[own].mean()
-        levels += [LightLevel(int(k), str(group), float(value[k] - mean)) for k in frames[own]]
-    found = find_frequency_hz(tuple(levels), 1.0 / 60.0)
+    value = 0.1 * np.cos(2.0 * np.pi * hz * np.arange(24) / 60.0 + 0.4).reshape(3, 8)
+    value -= value.mean(axis=1, keepdims=True)
+    groups = ("gray x", "sine x", "sine y")
+    levels = tuple(LightLevel(k, groups[k // 8], float(one)) for k, one in enumerate(value.ravel()))
+    found = find_frequency_hz(levels, 1.0 / 60.0)
     assert found is not None
-    assert found[0] == pytest.approx(hz, abs=0.3)
-    assert found[1] > 0.99
+    assert found == (pytest.approx(hz, abs=0.3), pytest.approx(1.0, abs=0.01))
+    assert find_frequency_hz(levels, 1.0 / 1.9) is None, "frames that come too slowly tell none"
 
 
-def test_frames_that_come_too_slowly_tell_no_frequency() -> None:
-    levels = tuple(LightLevel(k, "gray x", 0.1 * (-1.0) ** k) for k in range(24))
-    assert find_frequency_hz(levels, 1.0 / 1.9) is None
-    assert find_frequency_hz(levels, 1.0 / 60.0) is not None, "the same levels do at a projector's usual rate"
-
-
-FULL_DN = 253.0
+FULL_DN, ENOUGH_DN = 253.0, 5.0
+"""White, and the modulation that decoding asks for."""
 DEPTH = 0.45
 """Modulation over the brightest level."""
-
-
-ENOUGH_DN = 5.0
-"""What decoding asks for."""
-
-
 Tones = dict[float, float]
 """Share of the lit pixels by their brightest level at 12 ms, in grey values."""
 
 
-def light_of(tones: Tones, count: int = 10_000) -> tuple[np.ndarray[tuple[int], np.dtype[np.float32]], ...]:
-    top = np.concatenate([np.full(round(share * count), level, np.float32) for level, share in tones.items()])
-    return top, np.float32(DEPTH) * top
-
-
 def second_to(tones: Tones, present: Exposure = NOMINAL) -> Exposure | None:
-    top, modulation = light_of({level * present.light / 12_000.0: share for level, share in tones.items()})
-    return propose_second([(top, modulation)] * 2, [FULL_DN] * 2, present, STEPS)
+    level = np.array(list(tones), np.float32) * np.float32(present.light / 12_000.0)
+    top = np.repeat(level, [round(10_000 * share) for share in tones.values()])
+    return propose_second([(top, np.float32(DEPTH) * top)] * 2, [FULL_DN] * 2, present, STEPS)
 
 
 def shown(tones: Tones, *exposures: Exposure) -> float:
@@ -266,9 +224,7 @@ MANY: Tones = {180.0: 0.2, 120.0: 0.2, 60.0: 0.1, 15.0: 0.2, 5.0: 0.3}
 
 @pytest.mark.parametrize("present", [Exposure(8_000), Exposure(16_000)])
 @pytest.mark.parametrize("tones", [TOO_DARK, TOO_BRIGHT, MANY, {250.0: 0.3, 90.0: 0.3, 12.0: 0.2, 4.0: 0.2}])
-def test_the_pair_shows_clearly_more_than_any_single_exposure_and_no_other_pair_does_better(
-    tones: Tones, present: Exposure
-) -> None:
+def test_the_pair_shows_clearly_more_than_any_exposure_and_any_other_pair(tones: Tones, present: Exposure) -> None:
     second = second_to(tones, present)
     best_alone = max(shown(tones, one) for one in (present, *STEPS))
     with_common = [one for one in STEPS if shown_by_both(tones, present, one) >= LEAST_COMMON]
@@ -292,10 +248,7 @@ def test_of_second_exposures_that_show_the_same_the_one_that_spoils_least_is_tak
     assert min(alone) < shown(MANY, second) == max(alone)
 
 
-def test_one_exposure_that_serves_is_not_followed_by_a_second() -> None:
-    assert second_to({200.0: 0.5, 20.0: 0.5}) is None
-    assert second_to({600.0: 0.5, 80.0: 0.5}) is None, "a shorter one shows all of it: that is EXPOSE's"
-
-
-def test_two_exposures_that_have_nothing_in_common_cannot_be_laid_against_each_other() -> None:
-    assert second_to({250.0: 0.5, 3.0: 0.5}) is None
+@pytest.mark.parametrize("tones", [{200.0: 0.5, 20.0: 0.5}, {600.0: 0.5, 80.0: 0.5}, {250.0: 0.5, 3.0: 0.5}])
+def test_where_one_exposure_serves_or_two_have_nothing_in_common_no_second_one_follows(tones: Tones) -> None:
+    """Of the second pair a shorter one shows all: that is EXPOSE's."""
+    assert second_to(tones) is None

@@ -8,12 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from appliance.reconstruct.quality import CloudSummary
-from appliance.reconstruct.table import Cloud
 from appliance.verdict.motion.drift import DriftMap
-from appliance.verdict.motion.harm import Harm, SurfaceMap, depth_per_px, facing, predict, surface_map
+from appliance.verdict.motion.harm import Harm, SurfaceMap, depth_per_px, predict
 from tests.support import synthetic
 
 CAL = synthetic.calibration()
@@ -55,13 +52,6 @@ def harm_of(left: DriftMap, right: DriftMap, steps2: float = 1.0) -> Harm:
     return predict(left, right, surface(left.u_px.shape), None, CAL.rig, INDEX, 16, 1 / 60, steps2)
 
 
-def test_a_shake_makes_less_of_a_ripple_than_its_drift_says() -> None:
-    left, right, _ = seen(500.0)
-    moving = replace(left, drift_px=np.full(left.u_px.shape, 0.1))
-    every, less = (harm_of(moving, right, steps2) for steps2 in (1.0, 0.49))
-    assert less.ripple == pytest.approx(0.7 * (every.ripple or 0.0), rel=1e-3)
-
-
 def test_an_even_drift_is_that_of_left_less_right_and_a_speed_and_makes_a_ripple_over_noise() -> None:
     left, right, _ = seen(500.0)
     per_px = depth_per_px(left, right, CAL.rig, INDEX)
@@ -75,33 +65,27 @@ def test_an_even_drift_is_that_of_left_less_right_and_a_speed_and_makes_a_ripple
     assert harm.ripple_rms_mm == pytest.approx(rms, rel=0.05)
     assert harm.noise_rms_mm == pytest.approx(noise)
     assert harm.added == pytest.approx(np.sqrt(1.0 + (harm.ripple or 0.0) ** 2) - 1.0, rel=1e-3)
+    assert harm_of(*moving, 0.49).ripple == pytest.approx(0.7 * (harm.ripple or 0.0), rel=1e-3), "a shake makes less"
 
 
 def test_what_is_within_its_uncertainty_harms_nothing_and_what_is_unknown_is_left_out() -> None:
     left, right, _ = seen(500.0)
     shape = left.u_px.shape
-    unsure = replace(left, drift_px=np.full(shape, 0.01), sd_px=np.full(shape, 0.02))
-    harm = harm_of(unsure, right)
-    assert harm.ripple == 0.0
-    assert harm.added == 0.0
-    holes = np.full(shape, 0.1)
-    holes[0] = np.nan
-    harm = harm_of(replace(left, drift_px=holes), right)
-    assert (harm.weight[0] == 0.0).all()
-    assert (harm.weight[1:] == 30.0).all()
-    few = np.full(shape, np.nan)
-    few[0, :3] = 0.1
-    assert harm_of(replace(left, drift_px=few), right).added is None
-    few[0, 3] = 0.1
-    assert harm_of(replace(left, drift_px=few), right).added is not None
-
-
-def test_a_cell_much_less_certain_than_the_others_is_left_out() -> None:
-    left, right, _ = seen(500.0)
-    sd = np.full(left.u_px.shape, 1e-3)
+    harm = harm_of(replace(left, drift_px=np.full(shape, 0.01), sd_px=np.full(shape, 0.02)), right)
+    assert (harm.ripple, harm.added) == (0.0, 0.0)
+    drift = np.full(shape, 0.1)
+    drift[0] = np.nan
+    weight = harm_of(replace(left, drift_px=drift), right).weight
+    assert (weight == np.where(np.isnan(drift), 0.0, 30.0)).all()
+    for cells, known in ((3, False), (4, True)):
+        few = np.full(shape, np.nan)
+        few[0, :cells] = 0.1
+        assert (harm_of(replace(left, drift_px=few), right).added is not None) is known
+    # A cell much less certain than the others is left out.
+    sd = np.full(shape, 1e-3)
     sd[1, 1], sd[2, 2] = 5e-3, 3e-3
-    harm = harm_of(replace(left, sd_px=sd), right)
-    assert (harm.weight[1, 1], harm.weight[2, 2]) == (0.0, 30.0)
+    weight = harm_of(replace(left, sd_px=sd), right).weight
+    assert (weight[1, 1], weight[2, 2]) == (0.0, 30.0)
 
 
 def test_paint_that_moves_to_and_fro_harms_although_the_fringes_stand_still() -> None:
@@ -118,65 +102,11 @@ def test_paint_that_moves_to_and_fro_harms_although_the_fringes_stand_still() ->
 
 def test_where_no_cell_is_known_nothing_is_predicted_and_nothing_warns() -> None:
     left, right, _ = seen(500.0)
-    blind = replace(left, drift_px=np.full(left.u_px.shape, np.nan))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        harm = harm_of(blind, right)
+        harm = harm_of(replace(left, drift_px=np.full(left.u_px.shape, np.nan)), right)
     assert (harm.ripple, harm.added, harm.ripple_rms_mm, harm.noise_rms_mm) == (None, None, None, None)
     assert not harm.weight.any()
-
-
-def test_where_either_camera_sees_nothing_depth_is_not_known() -> None:
-    left, right, _ = seen(500.0)
     for one in (left, right):
         one.u_px[:], one.v_px[:] = np.nan, np.nan
-        assert np.isnan(depth_per_px(left, right, CAL.rig, INDEX)).all()
-
-
-WIDTH_PX = 120
-
-
-def rough() -> Cloud:
-    """Points of every third column and second row, some of them missing, of a surface that stands differently everywhere."""
-    rng = np.random.default_rng(4)
-    v, u = np.mgrid[5:90:2, 7:WIDTH_PX:3]
-    z = 500.0 + rng.normal(0.0, 0.3, u.shape)
-    points = np.stack([0.5 * (u - 60.0), 0.5 * (v - 45.0), z], -1).reshape(-1, 3)
-    kept = rng.permutation(np.flatnonzero(rng.random(len(points)) < 0.97))
-    n = len(kept)
-    ones = np.ones(n, np.float32)
-    sigma = rng.uniform(0.01, 0.05, n).astype(np.float32)
-    pixel = (v * WIDTH_PX + u).ravel()[kept].astype(np.uint32)
-    return Cloud(
-        points[kept].astype(np.float32), ones.astype(np.uint8), ones, ones, sigma, pixel,
-        CloudSummary(n, None, None, None, None),
-    )  # fmt: skip
-
-
-def part(whole: Cloud, kept: NDArray[np.bool_]) -> Cloud:
-    return Cloud(
-        whole.points_mm[kept], whole.intensity[kept], whole.modulation_dn[kept], whole.ray_gap_mm[kept],
-        whole.sigma_mm[kept], whole.pixel[kept], whole.summary,
-    )  # fmt: skip
-
-
-def test_no_points_or_points_in_one_row_or_one_column_face_nowhere() -> None:
-    whole = rough()
-    nothing = np.zeros((90, WIDTH_PX), np.float32)
-    for kept in (whole.pixel < 0, whole.pixel // WIDTH_PX == 25, whole.pixel % WIDTH_PX == 40):
-        line = part(whole, kept)
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            cosine, inside = facing(line, WIDTH_PX)
-        assert (len(cosine), len(inside)) == (0, 0)
-        found = surface_map(line, nothing, nothing, np.zeros(len(line.pixel), np.float32), (2, 2))
-        assert np.isnan(found.across).all()
-
-
-def test_points_that_all_lie_at_one_place_stand_in_no_way() -> None:
-    cloud = rough()
-    cloud.points_mm[:] = (1.0, 2.0, 500.0)
-    coordinate = np.full((90, WIDTH_PX), 1.0, np.float32)
-    found = surface_map(cloud, coordinate, coordinate, np.full(len(cloud.pixel), 1e-4, np.float32), (1, 1))
-    assert found.points.tolist() == [[0.0]]
-    assert np.isnan(found.across).all()
+        assert np.isnan(depth_per_px(left, right, CAL.rig, INDEX)).all(), "where either camera sees nothing"

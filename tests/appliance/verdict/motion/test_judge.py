@@ -24,8 +24,8 @@ STILL, AWAY = Motion(), Motion(velocity_mm_s=(0.0, 0.0, -8.0))
 TILTED = (0.0, 0.0, 522.5, 8.0, 12.0, 0.0)
 FACING = (0.0, 0.0, 522.5, 0.0, 0.0, 0.0)
 STEADY = Daylight()
-HEIGHT_PX = 150
-"""Of the strip in the middle that is rendered: half of the picture tells as much of a movement."""
+HEIGHT_PX = 100
+"""Of the strip in the middle that is rendered: a third of the picture tells as much of a movement."""
 
 
 @cache
@@ -58,11 +58,8 @@ def judge(frames: dict[str, np.ndarray], gain_db: float = 0.0) -> MotionJudgemen
 )
 def test_what_stands_still_passes_in_any_light(texture: str, response: str, gain_db: float, light: Daylight) -> None:
     said = judge(clean(STILL, texture, TILTED, response, light), gain_db)
-    assert said.judgement.verdict.passed
-    assert said.judgement.fault is None
-    assert said.kind is MotionKind.STILL
-    assert said.scores.largest is not None
-    assert said.scores.largest < MOVED
+    assert (said.judgement.verdict.passed, said.judgement.fault, said.kind) == (True, None, MotionKind.STILL)
+    assert 0.0 < (said.scores.largest or 0.0) < MOVED
     assert said.added is not None
     assert said.added < 0.02
 
@@ -103,22 +100,17 @@ def test_a_turn_is_a_slope_of_the_drift() -> None:
     assert abs(np.polyfit(x_mm, rate[known], 1)[0]) == pytest.approx(np.radians(5.0), rel=0.2)
 
 
-@pytest.mark.long
-def test_shaking_is_told_from_steady_movement() -> None:
-    assert judge(clean(Motion(tremor_mm=(0.0, 0.0, 0.35), tremor_hz=6.0))).kind is MotionKind.TREMOR
-
-
 def test_something_else_that_moves_is_named_with_its_place() -> None:
     """In the upper right quarter stands what moves; all else is at rest."""
     mixed = {side: frames.copy() for side, frames in clean(STILL).items()}
     for side, moving in clean(AWAY).items():
-        mixed[side][:, 10:80, 230:320] = moving[:, 10:80, 230:320]
+        mixed[side][:, 7:53, 230:320] = moving[:, 7:53, 230:320]
     said = judge(mixed)
     assert said.kind is MotionKind.LOCAL
     assert said.place is not None
     assert said.place.word == "upper right"
     assert said.place.u_px == pytest.approx(275.0, abs=45.0)
-    assert said.place.v_px == pytest.approx(45.0, abs=35.0)
+    assert said.place.v_px == pytest.approx(30.0, abs=24.0)
 
 
 def test_where_nothing_is_lit_nothing_is_judged() -> None:

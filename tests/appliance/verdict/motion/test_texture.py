@@ -6,15 +6,11 @@ from functools import cache
 
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter
 
 from appliance.patterns.sequence import Direction, build_sequence
 from appliance.reconstruct.decode.decoder import CameraDecoder, Mask
 from appliance.verdict.motion.scores import MOVED, texture_score
-from appliance.verdict.motion.texture import (
-    TextureShift,
-    texture_shift,
-)
+from appliance.verdict.motion.texture import TextureShift, texture_shift
 
 SEQUENCE = build_sequence(16)
 X_SINE, Y_SINE = SEQUENCE.axis(Direction.X).sine, SEQUENCE.axis(Direction.Y).sine
@@ -37,17 +33,15 @@ def paint(width: int, height: int, fine_px: float, moved: tuple[float, float] = 
     return out
 
 
-def seen(
-    first: np.ndarray, second: np.ndarray, noise_dn: float = 0.8, gain: float = 1.0
-) -> tuple[np.ndarray, CameraDecoder]:
-    """Frames: ``first`` under white and under the x-sines, ``second`` under the y-sines with ``gain``, and a noise."""
+def seen(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, CameraDecoder]:
+    """Frames: ``first`` under white and under the x-sines, ``second`` under the y-sines, and a noise of 0.8."""
     height, width = first.shape
     rng = np.random.default_rng(2)
     frames = np.zeros((len(SEQUENCE), height, width), np.uint8)
-    images = dict.fromkeys(X_SINE, first) | dict.fromkeys(Y_SINE, gain * second)
+    images = dict.fromkeys(X_SINE, first) | dict.fromkeys(Y_SINE, second)
     images |= {SEQUENCE.bright: 2.0 * first - 10.0, SEQUENCE.dark: np.full_like(first, 10.0)}
     for k, image in images.items():
-        frames[k] = np.clip(np.rint(image + noise_dn * rng.standard_normal(image.shape)), 0, 255)
+        frames[k] = np.clip(np.rint(image + 0.8 * rng.standard_normal(image.shape)), 0, 255)
     decoder = CameraDecoder(SEQUENCE, width, height)
     decoder.p_px[:], decoder.q_px[:] = 1.0, 1.0
     return frames, decoder
@@ -57,49 +51,16 @@ def told(frames: np.ndarray, decoder: CameraDecoder) -> TextureShift:
     return texture_shift(frames, decoder, SEQUENCE, VARIANCE)
 
 
-@pytest.mark.parametrize(("width", "height", "bin_px"), [(400, 300, 1), (800, 300, 2), (1603, 403, 4)])
+@pytest.mark.parametrize(("width", "height", "bin_px"), [(400, 200, 1), (800, 200, 2), (1603, 203, 4)])
 def test_paint_that_slides_is_followed_right_and_down_in_px_of_the_camera(width: int, height: int, bin_px: int) -> None:
     moved = (0.7 * bin_px, -0.4 * bin_px)
     found = told(*seen(paint(width, height, 7.0 * bin_px), paint(width, height, 7.0 * bin_px, moved)))
-    assert found.bin_px == bin_px
-    assert found.flow_px == pytest.approx(moved, abs=0.03 * bin_px)
-    assert found.flow_sd_px is not None
-    assert 0.0 < found.flow_sd_px < 0.02 * bin_px
-    assert found.change is not None
-    assert found.change > 3.0
+    assert (found.bin_px, found.flow_px) == (bin_px, pytest.approx(moved, abs=0.03 * bin_px))
+    assert 0.0 < (found.flow_sd_px or 0.0) < 0.02 * bin_px
+    assert (found.change or 0.0) > 3.0
+    assert found.early_change == pytest.approx(1.0, abs=0.05), "what stands still differs by the stated noise"
     # Four x-sines, then seven or eight Gray images, then four y-sines.
     assert found.frames == np.mean(Y_SINE) - np.mean(X_SINE) == len(SEQUENCE.axis(Direction.Y).gray) + 4.0
-
-
-@pytest.mark.parametrize(("width", "height", "bin_px", "gain"), [(400, 300, 1, 0.8), (1603, 403, 4, 1.0)])
-def test_what_stands_still_differs_by_the_noise_that_is_stated(
-    width: int, height: int, bin_px: int, gain: float
-) -> None:
-    """Of photons as well: 0.04 grey values squared per grey value. Daylight that fades is a gain."""
-    picture = gaussian_filter(paint(width, height, 30.0 * bin_px), 1.0)
-    noise_dn = np.sqrt(0.8 + 0.04 * 100.0 - 1.0 / 12.0)
-    frames, decoder = seen(picture, picture, noise_dn, gain)
-    found = texture_shift(frames, decoder, SEQUENCE, (0.8, 0.04))
-    # Of the gained noise only half is known to be: 1 at a gain of 1.
-    expected = np.sqrt((1.0 + gain**2) / (2.0 * gain**2))
-    assert found.change == pytest.approx(expected, abs=0.03)
-    assert found.early_change == pytest.approx(1.0, abs=0.03)
-    calm = texture_shift(frames, decoder, SEQUENCE, (4.0 * 0.8, 4.0 * 0.04))
-    assert calm.change == pytest.approx(0.5 * expected, abs=0.02)
-
-
-def test_only_the_middle_of_a_bin_says_whether_its_coordinates_are_known() -> None:
-    frames, decoder = seen(paint(1603, 403, 28.0), paint(1603, 403, 28.0))
-    whole = told(frames, decoder)
-    for coordinate in (decoder.p_px, decoder.q_px):
-        kept = coordinate[2::4, 2::4].copy()
-        coordinate[:] = np.nan
-        coordinate[2::4, 2::4] = kept
-    assert told(frames, decoder) == whole
-    for coordinate in (decoder.p_px, decoder.q_px):
-        coordinate[:] = np.nan
-        assert told(frames, decoder).change is None
-        coordinate[:] = 1.0
 
 
 def test_fewer_than_two_hundred_pixels_away_from_borders_tell_nothing() -> None:
@@ -115,12 +76,9 @@ def test_fewer_than_two_hundred_pixels_away_from_borders_tell_nothing() -> None:
 
 
 @pytest.mark.parametrize(
-    ("mask", "followed"),
-    [(Mask.WEAK, True), (Mask.CONTRADICTION, True), (Mask.SHADOW, False), (Mask.SATURATED, False)],
+    ("mask", "followed"), [(Mask.WEAK, True), (Mask.CONTRADICTION, True), (Mask.SHADOW, False), (Mask.SATURATED, False)]
 )
-def test_paint_that_moves_too_fast_to_be_decoded_is_followed_where_it_is_illuminated(
-    mask: Mask, followed: bool
-) -> None:
+def test_paint_too_fast_to_be_decoded_is_followed_where_it_is_illuminated(mask: Mask, followed: bool) -> None:
     """60 mm/s in milk: no pixel was decoded, so nothing was said of the movement, and it came as TOO DARK."""
     frames, decoder = seen(paint(400, 300, 7.0), paint(400, 300, 7.0, (4.0, -2.0)))
     decoder.p_px[:], decoder.q_px[:], decoder.mask[:] = np.nan, np.nan, mask
@@ -149,13 +107,11 @@ def test_a_light_made_of_steps_is_no_texture_that_moves() -> None:
     v, u = np.mgrid[0:300, 0:400].astype(float)
     p, q = 100.0 + 0.61 * u + 0.05 * v, 80.0 + 0.57 * v
     of_x, of_y = (1.0 + 0.05 * np.cos(8.0 * np.pi * at / 16.0 + 0.7) for at in (p, q))
-    light, moved = paint(400, 300, 9.0), paint(400, 300, 9.0, (3.0, -1.5))
-    for second, moves in ((light, False), (moved, True)):
-        frames, decoder = seen(light * of_x, second * of_y)
-        frames[[SEQUENCE.bright, SEQUENCE.dark]] = seen(light, light)[0][[SEQUENCE.bright, SEQUENCE.dark]]
+    light, white = paint(400, 300, 9.0), [SEQUENCE.bright, SEQUENCE.dark]
+    for moved, moves in (((0.0, 0.0), False), ((3.0, -1.5), True)):
+        frames, decoder = seen(light * of_x, paint(400, 300, 9.0, moved) * of_y)
+        frames[white] = seen(light, light)[0][white]
         decoder.p_px[:], decoder.q_px[:] = p, q
         found = told(frames, decoder)
         assert found.locked > 2.0, "without the fringes' part the difference would be several times the noise"
-        score = texture_score({"left": found})
-        assert score is not None
-        assert (score > MOVED) == moves
+        assert ((texture_score({"left": found}) or 0.0) > MOVED) == moves
