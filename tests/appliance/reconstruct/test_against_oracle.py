@@ -18,18 +18,14 @@ from tests.support import oracle, synthetic
 NORMAL = np.array([-0.2, 0.15, 1.0]) / np.linalg.norm([-0.2, 0.15, 1.0])
 
 
-def noisy_scan(period_px: int, width_px: int, height_px: int) -> dict[str, np.ndarray]:
-    cal = synthetic.calibration(width_px, height_px)
-    sequence = build_sequence(period_px)
-    index = synthetic.WATER.index
-    offset = float(NORMAL @ cal.rig.volume_centre_mm(index))
-    rng = np.random.default_rng(period_px)
-    out = {}
-    for side, camera in (("left", cal.rig.left), ("right", cal.rig.right)):
-        pq = synthetic.projector(cal).project(synthetic.plane_points(camera, NORMAL, offset), index)
-        image = synthetic.frames(sequence, pq)
-        out[side] = np.clip(np.rint(image + 1.6 * rng.standard_normal(image.shape)), 0, 255).astype(np.uint8)
-    return out
+def noisy_scan(period_px: int, width_px: int, height_px: int) -> np.ndarray:
+    """Left frames of a plane."""
+    cal, sequence = synthetic.calibration(width_px, height_px), build_sequence(period_px)
+    offset = float(NORMAL @ cal.rig.volume_centre_mm(synthetic.WATER.index))
+    points = synthetic.plane_points(cal.rig.left, NORMAL, offset)
+    image = synthetic.frames(sequence, synthetic.projector(cal).project(points, synthetic.WATER.index))
+    noise = 1.6 * np.random.default_rng(period_px).standard_normal(image.shape)
+    return np.clip(np.rint(image + noise), 0, 255).astype(np.uint8)
 
 
 @pytest.mark.parametrize(("period_px", "size_px"), [(16, (400, 300)), (21, (333, 251))])
@@ -37,7 +33,7 @@ def test_every_reason_for_a_mask(period_px: int, size_px: tuple[int, int]) -> No
     """Two surfaces with a step between, a hot corner, a dim one, a dark hole, and a band where the code is wrong."""
     width, height = size_px
     sequence = build_sequence(period_px)
-    stack = noisy_scan(period_px, width, height)["left"].astype(float)
+    stack = noisy_scan(period_px, width, height).astype(float)
     stack[:, :, width // 2 :] = np.roll(stack[:, :, width // 2 :], 7, axis=1)
     stack[:, : height // 4, : width // 3] *= 1.6
     mean = stack.mean(0)
@@ -69,7 +65,7 @@ def test_nothing_of_the_scan_before_remains() -> None:
     """Light moves across the image from scan to scan, one of which is broken off; the maps are those of a new decoder."""
     width, height = 333, 251
     sequence = build_sequence(32)
-    whole = noisy_scan(32, width, height)["left"]
+    whole = noisy_scan(32, width, height)
     used = CameraDecoder(sequence, width, height)
     every = len(sequence)
     for first, stop, frames in ((0, 333, every), (30, 100, every), (150, 310, 15), (90, 200, every)):

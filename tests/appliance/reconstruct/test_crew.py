@@ -18,13 +18,6 @@ from appliance.reconstruct.crew import Crew
 TIMEOUT_S = 20.0
 
 
-@pytest.fixture(params=[0, 1, 3])
-def crew(request: pytest.FixtureRequest) -> Iterator[Crew]:
-    made = Crew(request.param)
-    yield made
-    made.close()
-
-
 @pytest.fixture
 def pair() -> Iterator[Crew]:
     """The caller and one helper."""
@@ -53,15 +46,15 @@ class Gate:
         return timer
 
 
-def test_what_is_done_for_each_comes_in_the_order_of_the_items(crew: Crew) -> None:
-    assert crew.each(lambda k: k * k, range(40)) == [k * k for k in range(40)]
+@pytest.mark.parametrize("helpers", [0, 1, 3])
+def test_what_is_done_for_each_comes_in_the_order_of_the_items_also_without_a_thread_to_spare(helpers: int) -> None:
+    crew = Crew(helpers)
 
-
-def test_a_task_may_have_others_done_without_a_thread_to_spare(crew: Crew) -> None:
     def rows(first: int) -> int:
         return sum(crew.each(lambda k: first + sum(crew.each(lambda j: j, range(k))), range(5)))
 
-    assert crew.each(rows, range(6)) == [5 * first + 10 for first in range(6)]
+    assert crew.each(rows, range(40)) == [5 * first + 10 for first in range(40)]
+    crew.close()
 
 
 def test_of_several_errors_the_first_in_order_is_raised_when_all_have_ended(pair: Crew) -> None:
@@ -81,14 +74,12 @@ def test_of_several_errors_the_first_in_order_is_raised_when_all_have_ended(pair
 
 
 def test_while_the_helper_is_busy_the_caller_does_what_it_waits_for(pair: Crew) -> None:
-    busy = Gate()
+    busy, caller = Gate(), threading.get_ident()
     with pair.tasks() as tasks:
         first = tasks.add(busy)
         assert busy.begun.wait(TIMEOUT_S)
-        assert busy.thread != threading.get_ident()
-        assert pair.each(lambda k: (k, threading.get_ident()), range(2)) == [
-            (k, threading.get_ident()) for k in range(2)
-        ]
+        assert busy.thread != caller
+        assert pair.each(lambda k: (k, threading.get_ident()), range(2)) == [(k, caller) for k in range(2)]
         busy.let.set()
         assert first.answer() == "let"
 

@@ -19,23 +19,19 @@ from tests.support import synthetic
 
 SEQUENCE = build_sequence(16)
 CALIBRATION = synthetic.calibration()
+INDEX = CALIBRATION.water.index
 NORMAL = np.array([0.1, -0.15, 1.0]) / np.linalg.norm([0.1, -0.15, 1.0])
-
-
-def frames() -> dict[str, np.ndarray]:
-    """A plane, rendered exactly; quantisation is the only noise."""
-    index = CALIBRATION.water.index
-    offset = float(NORMAL @ CALIBRATION.rig.volume_centre_mm(index))
-    made = {}
-    for side, camera in (("left", CALIBRATION.rig.left), ("right", CALIBRATION.rig.right)):
-        pq = synthetic.projector(CALIBRATION).project(synthetic.plane_points(camera, NORMAL, offset), index)
-        made[side] = np.rint(synthetic.frames(SEQUENCE, pq)).astype(np.uint8)
-    return made
+OFFSET = float(NORMAL @ CALIBRATION.rig.volume_centre_mm(INDEX))
 
 
 @pytest.fixture(scope="module")
 def images() -> dict[str, np.ndarray]:
-    return frames()
+    """A plane, rendered exactly; quantisation is the only noise."""
+    made = {}
+    for side, camera in (("left", CALIBRATION.rig.left), ("right", CALIBRATION.rig.right)):
+        pq = synthetic.projector(CALIBRATION).project(synthetic.plane_points(camera, NORMAL, OFFSET), INDEX)
+        made[side] = np.rint(synthetic.frames(SEQUENCE, pq)).astype(np.uint8)
+    return made
 
 
 def turned(pitch_deg: float, roll_deg: float) -> Calibration:
@@ -60,13 +56,11 @@ def test_every_patch_has_the_gap_of_the_exact_rays(images: dict[str, np.ndarray]
     assert gaps is not None
     assert len(gaps.patch) > 0.6 * COUNT
     # The same pairs in closed form: a lattice of left pixels, its points on the plane, seen by the true right camera.
-    v, u = np.mgrid[2:300:5, 0:400:5].astype(float)
-    left = np.stack([u, v], -1).reshape(-1, 2)
-    index = CALIBRATION.water.index
-    offset = float(NORMAL @ CALIBRATION.rig.volume_centre_mm(index))
-    points = synthetic.plane_points(CALIBRATION.rig.left, NORMAL, offset)[2:300:5, 0:400:5].reshape(-1, 3)
-    exact_um = 1000.0 * signed_gap_mm(other.rig, index, left, CALIBRATION.rig.right.project(points, index))
-    patch = (left[:, 1] // 50).astype(int) * 8 + (left[:, 0] // 50).astype(int)
+    v, u = (places.ravel() for places in np.mgrid[2:300:5, 0:400:5])
+    points = synthetic.plane_points(CALIBRATION.rig.left, NORMAL, OFFSET)[v, u]
+    right = CALIBRATION.rig.right.project(points, INDEX)
+    exact_um = 1000.0 * signed_gap_mm(other.rig, INDEX, np.stack([u, v], -1).astype(float), right)
+    patch = v // 50 * 8 + u // 50
     inner = [k for k, p in enumerate(gaps.patch) if 0 < p % 8 < 7 and 0 < p // 8 < 5]
     assert len(inner) >= 20
     for k in inner:

@@ -11,25 +11,7 @@ import numpy as np
 import pytest
 
 from appliance.reconstruct.match import RightMaps, fill_inverse_map, match_row, right_maps
-from appliance.reconstruct.scratch import (
-    BEND_RIGHT,
-    MODULATION_RIGHT,
-    PC,
-    QC,
-    RIGHT_SHARE,
-    SIZE,
-    SLOPE,
-    U_START,
-    UP,
-    UQ,
-    V_START,
-    VP,
-    VQ,
-    P,
-    Q,
-    U,
-    V,
-)
+from appliance.reconstruct.scratch import BEND_RIGHT, PC, QC, SIZE, SLOPE, U_START, UP, UQ, V_START, VP, VQ, P, Q, U, V
 
 Surface = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 PROJECTOR = (520, 384)
@@ -44,12 +26,9 @@ def straight(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def maps_of(surface: Surface, width: int = 64, height: int = 48, missing: np.ndarray | None = None) -> RightMaps:
     v, u = np.mgrid[0:height, 0:width].astype(float)
-    p, q = surface(u, v)
-    if missing is not None:
-        p[missing], q[missing] = np.nan, np.nan
-    half_dn = (100 + (3 * u + 7 * v) % 100).astype(np.uint8)
+    p, q = (np.where(False if missing is None else missing, np.nan, one).astype(np.float32) for one in surface(u, v))
     nodes = np.zeros((PROJECTOR[1] // NODE_PX + 4, PROJECTOR[0] // NODE_PX + 4), np.uint32)
-    right = right_maps(p.astype(np.float32), q.astype(np.float32), half_dn, *PROJECTOR)
+    right = right_maps(p, q, np.full(p.shape, 100, np.uint8), *PROJECTOR)
     right = right._replace(inverse=nodes, nodes_per_px=np.float32(1.0 / NODE_PX))
     fill_inverse_map(right, 1)
     return right
@@ -75,7 +54,7 @@ class Row:
         return found
 
 
-def asked(right: RightMaps, surface: Surface, u: np.ndarray, v: np.ndarray, way: str) -> Row:
+def asked(right: RightMaps, surface: Surface, u: np.ndarray, v: np.ndarray, way: str = "inverse map") -> Row:
     """The points (u, v) of a surface, found in one of three ways."""
     p, q = surface(np.asarray(u, float), np.asarray(v, float))
     if way == "inverse map":
@@ -83,18 +62,14 @@ def asked(right: RightMaps, surface: Surface, u: np.ndarray, v: np.ndarray, way:
     above = np.full(SIZE, np.nan, np.float32)
     if way == "one by one":  # nothing is known of the row above, so that the short way fails everywhere
         return Row(right, p, q, above)
-    n = len(p)
-    above[P : P + n], above[Q : Q + n], above[U : U + n], above[V : V + n] = p, q, u, v
-    for place in (UP, UQ, VQ, VP):
-        above[place : place + n] = 0.0
+    for place, values in ((P, p), (Q, q), (U, u), (V, v), (UP, 0.0), (UQ, 0.0), (VQ, 0.0), (VP, 0.0)):
+        above[place : place + len(p)] = values
     return Row(right._replace(inverse=np.zeros_like(right.inverse)), p, q, above)
 
 
 @pytest.mark.parametrize("way", WAYS)
-@pytest.mark.parametrize("bends", [(1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1)])
-def test_a_strong_bend_of_either_coordinate_in_either_direction_is_followed(
-    way: str, bends: tuple[int, int, int, int]
-) -> None:
+@pytest.mark.parametrize("bends", np.eye(4).tolist())
+def test_a_strong_bend_of_either_coordinate_in_either_direction_is_followed(way: str, bends: list[float]) -> None:
     puu, pvv, quu, qvv = 0.05 * np.array(bends)
 
     def bent(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -102,34 +77,19 @@ def test_a_strong_bend_of_either_coordinate_in_either_direction_is_followed(
         p, q = straight(a, b)
         return p + 0.5 * (puu * a * a + pvv * b * b), q + 0.5 * (quu * a * a + qvv * b * b)
 
-    right = maps_of(bent, 24, 24)
     du, dv = (x.ravel() for x in np.meshgrid([-0.45, -0.2, 0.1, 0.4], [-0.4, -0.1, 0.2, 0.45]))
-    u, v = 12.0 + du, 13.0 + dv
-    row = asked(right, bent, u, v, way)
+    row = asked(maps_of(bent, 24, 24), bent, 12.0 + du, 13.0 + dv, way)
     # Straight on, they would be 0.5 · 0.45² · 0.05 / 2.2 = 0.0023 px off.
-    np.testing.assert_allclose(row[U], u, atol=4e-4)
-    np.testing.assert_allclose(row[V], v, atol=4e-4)
+    np.testing.assert_allclose([row[U], row[V]], [12.0 + du, 13.0 + dv], atol=4e-4)
     np.testing.assert_allclose(row[BEND_RIGHT], 0.5 * (puu + pvv), atol=1e-4)
-    np.testing.assert_allclose(row[SLOPE], 2.5, atol=1e-3)
-    weights = [1 - du**2 - dv**2, (du**2 + du) / 2, (du**2 - du) / 2, (dv**2 + dv) / 2, (dv**2 - dv) / 2]
-    np.testing.assert_allclose(row[RIGHT_SHARE], sum(w**2 for w in weights), atol=0.01)
-    np.testing.assert_allclose(row[MODULATION_RIGHT], 0.5 * float(right.modulation_half_dn[13, 12]))
-    slopes = np.array([[2.5, 0.3 + pvv], [-0.2, 2.2 + qvv]])
-    inverse = np.linalg.inv(slopes)
-    for place, value in (
-        (UP, inverse[0, 0]),
-        (UQ, -inverse[0, 1]),
-        (VQ, inverse[1, 1]),
-        (VP, -inverse[1, 0]),
-    ):
+    inverse = np.linalg.inv([[2.5, 0.3 + pvv], [-0.2, 2.2 + qvv]])
+    for place, value in ((UP, inverse[0, 0]), (UQ, -inverse[0, 1]), (VQ, inverse[1, 1]), (VP, -inverse[1, 0])):
         np.testing.assert_allclose(row[place], value, atol=1e-3)
 
 
 @pytest.mark.parametrize(("axis", "sign"), [(0, -1), (1, 1)])
 @pytest.mark.parametrize(("off_px", "found"), [(0.7, True), (0.8, False)])
-def test_the_row_above_may_be_off_by_three_quarters_of_a_pixel(
-    axis: int, sign: int, off_px: float, found: bool
-) -> None:
+def test_the_row_above_may_be_off_by_three_quarters_of_a_px(axis: int, sign: int, off_px: float, found: bool) -> None:
     """It leads to a pixel that is so far from the point; the inverse map knows nothing."""
     right = maps_of(straight)
     right.inverse[:, :] = 0
@@ -137,18 +97,13 @@ def test_the_row_above_may_be_off_by_three_quarters_of_a_pixel(
     place[axis] -= sign * off_px
     p, q = straight(place[0], place[1])
     above = np.full(SIZE, np.nan, np.float32)
-    above[P], above[Q], above[U], above[V] = p[0], q[0], 30.0, 20.0
-    for derivative in (UP, UQ, VQ, VP):
-        above[derivative] = 0.0
+    above[[P, Q, U, V, UP, UQ, VQ, VP]] = p[0], q[0], 30.0, 20.0, 0.0, 0.0, 0.0, 0.0
     row = Row(right, p, q, above)
-    assert row.matched == [found]
-    assert (row[U_START][0], row[V_START][0]) == (30.0, 20.0)
+    assert (row.matched, row[U_START][0], row[V_START][0]) == ([found], 30.0, 20.0)
 
 
 @pytest.mark.parametrize(("du", "dv"), [(1, 0), (-1, 0), (0, 1), (0, -1)])
-def test_the_short_way_from_the_inverse_map_leads_four_pixels_and_a_walk_nine_and_three_quarters(
-    du: int, dv: int
-) -> None:
+def test_the_inverse_map_leads_four_pixels_and_a_walk_nine_and_three_quarters(du: int, dv: int) -> None:
     right = maps_of(straight)
     for away_px, short, found in ((3.8, True, True), (4.2, False, True), (9.7, False, True), (9.8, False, False)):
         u, v = np.array([32.0 + du * away_px]), np.array([24.0 + dv * away_px])
@@ -166,67 +121,55 @@ def test_the_short_way_from_the_inverse_map_leads_four_pixels_and_a_walk_nine_an
 
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("signs", [(1, 1, 1, 1), (-1, 1, 1, 1), (1, -1, 1, 1), (1, 1, -1, 1), (1, 1, 1, -1)])
-def test_steepness_is_the_sum_of_all_four_slopes_whichever_way_they_lean(
-    way: str, signs: tuple[int, int, int, int]
-) -> None:
+def test_steepness_is_the_sum_of_all_four_slopes_of_any_sign(way: str, signs: tuple[int, int, int, int]) -> None:
     """A mirrored picture too has its matches."""
     pu, pv, qu, qv = np.array([2.0, 0.4, 0.3, 1.8]) * signs
 
     def leaning(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return 250.0 + pu * (u - 32.0) + pv * (v - 24.0), 190.0 + qu * (u - 32.0) + qv * (v - 24.0)
 
-    right = maps_of(leaning)
     u, v = np.array([20.2, 33.4, 45.1]), np.array([15.3, 24.4, 33.1])
-    for limit, found in ((4.6, True), (4.4, False)):
-        row = asked(right._replace(max_derivative_sum_px=np.float32(limit)), leaning, u, v, way)
-        assert row.matched == [found] * 3, limit
-        if found:
-            np.testing.assert_allclose(row[U], u, atol=2e-4)
-            np.testing.assert_allclose(row[V], v, atol=2e-4)
+    steep, even = (maps_of(leaning)._replace(max_derivative_sum_px=np.float32(limit)) for limit in (4.4, 4.6))
+    assert asked(steep, leaning, u, v, way).matched == [False] * 3
+    row = asked(even, leaning, u, v, way)
+    np.testing.assert_allclose([row[U], row[V]], [u, v], atol=2e-4)
 
 
 @pytest.mark.parametrize(
-    ("pixel", "off"),
-    [((29, 24), (0.7, 0.2)), ((40, 24), (-0.7, -0.2)), ((34, 19), (0.2, 0.7)), ((34, 30), (-0.2, -0.7))],
+    ("x", "y", "right", "down"), [(29, 24, 0.7, 0.2), (40, 24, -0.7, -0.2), (34, 19, 0.2, 0.7), (34, 30, -0.2, -0.7)]
 )
-def test_beside_a_hole_one_neighbour_is_enough_and_nobody_knows_the_bend(
-    pixel: tuple[int, int], off: tuple[float, float]
-) -> None:
+def test_beside_a_hole_one_neighbour_is_enough_without_a_bend(x: int, y: int, right: float, down: float) -> None:
     hole = np.zeros((48, 64), bool)
     hole[20:30, 30:40] = True
-    right = maps_of(straight, missing=hole)
-    u, v = np.array([pixel[0] + 0.3 * off[0]]), np.array([pixel[1] + 0.3 * off[1]])
-    row = asked(right, straight, u, v, "inverse map")
+    maps = maps_of(straight, missing=hole)
+    u, v = np.array([x + 0.3 * right]), np.array([y + 0.3 * down])
+    row = asked(maps, straight, u, v)
     assert (row[U][0], row[V][0]) == pytest.approx((u[0], v[0]), abs=1e-3)
-    np.testing.assert_allclose([row[UP][0], row[UQ][0], row[SLOPE][0]], [0.39568, 0.05396, 2.5], rtol=2e-3)
-    np.testing.assert_allclose([row[VQ][0], row[VP][0]], [0.44964, -0.03597], rtol=2e-3)
-    assert row[MODULATION_RIGHT][0] == 0.5 * float(right.modulation_half_dn[pixel[1], pixel[0]])
+    found = [row[place][0] for place in (UP, UQ, SLOPE, VQ, VP)]
+    np.testing.assert_allclose(found, [0.39568, 0.05396, 2.5, 0.44964, -0.03597], rtol=2e-3)
     assert np.isnan(row[BEND_RIGHT][0])
-    assert not any(asked(right, straight, np.array([35.0]), np.array([25.0]), "inverse map").matched), (
-        "in it there is none"
-    )
+    assert asked(maps, straight, np.array([35.0]), np.array([25.0])).matched == [False], "in it"
 
 
 def test_a_lone_pixel_without_neighbours_is_no_match_nor_is_a_place_across_a_step() -> None:
-    assert not any(asked(alone([(30, 20)]), straight, np.array([30.1]), np.array([20.0]), "inverse map").matched)
+    lone = np.ones((48, 64), bool)
+    lone[20, 30] = False
+    assert asked(maps_of(straight, missing=lone), straight, np.array([30.1]), np.array([20.0])).matched == [False]
 
     def steps(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         p, q = straight(u, v)
         return p + np.where(u > 32.5, 120.0, 0.0), q
 
-    right = maps_of(steps)
+    right, near = maps_of(steps), np.array([28.2, 37.3])
     p, q = straight(np.full(9, 32.5), np.linspace(10.0, 38.0, 9))
     assert not any(Row(right, p + 60.0, q).matched)
-    near = np.array([28.2, 37.3])
-    np.testing.assert_allclose(asked(right, steps, near, np.array([20.0, 20.0]), "inverse map")[U], near, atol=2e-3)
+    np.testing.assert_allclose(asked(right, steps, near, np.array([20.0, 20.0]))[U], near, atol=2e-3)
 
 
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("mirrored", [1.0, -1.0])
 @pytest.mark.parametrize(("area", "found"), [(1.1e-4, True), (0.9e-4, False)])
-def test_a_pixel_that_covers_next_to_nothing_of_the_pattern_is_no_match(
-    way: str, mirrored: float, area: float, found: bool
-) -> None:
+def test_a_pixel_that_covers_next_to_nothing_is_no_match(way: str, mirrored: float, area: float, found: bool) -> None:
     def flat(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return 1.0 + mirrored * 0.02 * (u - 32.0), area / 0.02 * v
 
@@ -234,14 +177,6 @@ def test_a_pixel_that_covers_next_to_nothing_of_the_pattern_is_no_match(
     right.inverse[:, :] = 24 << 16 | 32
     row = asked(right, flat, np.array([32.2]), np.array([24.1]), way)
     assert row.matched == [found]
-
-
-def alone(pixels: list[tuple[int, int]]) -> RightMaps:
-    """An image in which only these pixels (column, row) have coordinates."""
-    missing = np.ones((48, 64), bool)
-    for x, y in pixels:
-        missing[y, x] = False
-    return maps_of(straight, missing=missing)
 
 
 def search_from(starts: dict[tuple[int, int], tuple[int, int]]) -> list[bool]:

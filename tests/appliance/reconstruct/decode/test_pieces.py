@@ -11,7 +11,6 @@ from appliance.reconstruct.decode.pieces import find_pieces, tell_pieces
 
 IMAGES, COARSE = 7, 4
 OPEN = 2
-SINE = np.arange(4)
 COLUMNS = np.arange(60) * 0.15
 
 
@@ -26,16 +25,12 @@ def sheet(first: float, rows: int = 30) -> NDArray[np.float64]:
     return first + COLUMNS[None, :] + 0.004 * np.arange(rows)[:, None]
 
 
-def wrapped(c: NDArray[np.float64]) -> NDArray[np.float32]:
-    return np.asarray(c - np.floor(c + 0.5), np.float32)
-
-
 def numbers(c: NDArray[np.float64]) -> NDArray[np.int64]:
     return np.floor(2.0 * c).astype(np.int64)
 
 
 def told(c: NDArray[np.float64], states: NDArray[np.uint8]) -> int:
-    ahead, members, ends = find_pieces(wrapped(c))
+    ahead, members, ends = find_pieces(np.asarray(c - np.floor(c + 0.5), np.float32))
     return tell_pieces(ahead, members, ends, np.zeros(ends.size, np.bool_), states, COARSE)
 
 
@@ -51,14 +46,9 @@ def test_bits_of_different_pixels_and_images_tell_a_piece_together() -> None:
     known = states <= 1
     assert np.mean(known) > 0.5
     np.testing.assert_array_equal(states[known], truth[known])
-
-
-def test_a_piece_of_which_no_coarse_bit_is_sure_stays_open() -> None:
-    c = sheet(17.3)
-    states = bits_of(numbers(c))
     states[:COARSE] = OPEN
     assert told(c, states) == 0
-    assert np.all(states[:COARSE] == OPEN)
+    assert np.all(states[:COARSE] == OPEN), "where no coarse bit is sure it stays open"
 
 
 def test_pieces_at_a_step_of_the_surface_are_told_apart() -> None:
@@ -84,28 +74,22 @@ def test_a_part_that_contradicts_its_piece_is_not_told_by_it() -> None:
 
 
 def fringes(c: NDArray[np.float64]) -> NDArray[np.uint8]:
-    return np.stack([np.rint(100.0 + 50.0 * np.cos(2.0 * np.pi * c + 0.5 * np.pi * k)) for k in range(4)]).astype(
-        np.uint8
-    )
+    return np.rint([100.0 + 50.0 * np.cos(2.0 * np.pi * c + 0.5 * np.pi * k) for k in range(4)]).astype(np.uint8)
 
 
 @pytest.mark.parametrize("column", [7, 26, 41])
 def test_a_pixel_in_doubt_takes_the_period_in_which_its_phase_continues_its_neighbours(column: int) -> None:
     c = sheet(17.3)
     half = numbers(c).astype(np.uint8)
-    doubtful, soft = np.zeros_like(half), np.zeros_like(half)
     true = int(half[12, column])
     gray = true ^ (true >> 1) ^ 0b0100000
     number = gray ^ (gray >> 1) ^ (gray >> 2) ^ (gray >> 3) ^ (gray >> 4) ^ (gray >> 5) ^ (gray >> 6)
-    half[12, column], doubtful[12, column], soft[12, column] = number, 1, 0b0100000
-    assert ask_neighbours(fringes(c), SINE, soft, half, doubtful) == 1
-    assert half[12, column] == true
-    assert doubtful[12, column] == 0
-    # The same pixel, were that bit beyond doubt: neighbours do not overrule it.
-    half[12, column], doubtful[12, column], soft[12, column] = number, 1, 0b0001000
-    assert ask_neighbours(fringes(c), SINE, soft, half, doubtful) == 0
-    assert half[12, column] == number
-    assert doubtful[12, column] == 1
+    # Neighbours do not overrule a bit that is beyond doubt.
+    for open_bit, asked in ((0b0100000, 1), (0b0001000, 0)):
+        doubtful, soft = np.zeros_like(half), np.zeros_like(half)
+        half[12, column], doubtful[12, column], soft[12, column] = number, 1, open_bit
+        assert ask_neighbours(fringes(c), np.arange(4), soft, half, doubtful) == asked
+        assert (half[12, column], doubtful[12, column]) == ((true, 0) if asked else (number, 1))
 
 
 def test_neighbours_that_contradict_each_other_tell_nothing() -> None:
@@ -115,6 +99,6 @@ def test_neighbours_that_contradict_each_other_tell_nothing() -> None:
     doubtful, soft = np.zeros_like(half), np.zeros_like(half)
     doubtful[9:11, 20:30], soft[9:11, 20:30] = 1, 127
     half[9, 20:30] = 0
-    ask_neighbours(fringes(c), SINE, soft, half, doubtful)
+    ask_neighbours(fringes(c), np.arange(4), soft, half, doubtful)
     wrong = (doubtful[9:11, 20:30] == 0) & (half[9:11, 20:30] != numbers(c)[9:11, 20:30])
     assert not wrong.any()

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from appliance.patterns.sequence import Direction, Kind, PatternSequence, build_sequence
 from appliance.reconstruct.decode.backscatter import read_through_backscatter
 from appliance.reconstruct.decode.decoder import CameraDecoder, Mask
-from appliance.scan.noise import CameraNoise, camera_noise
+from appliance.scan.noise import camera_noise
 
 SEQUENCE = build_sequence(16)
 ROWS, COLUMNS = 150, 400
@@ -67,37 +67,43 @@ def milk() -> Milk:
     return drawn(SEQUENCE, 5.0)
 
 
-def read(milk: Milk) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-    shape = milk.half_period.shape
-    half_period, doubtful = np.zeros(shape, np.uint8), np.zeros(shape, np.uint8)
-    mask = np.zeros(shape, np.uint8)
-    assert read_through_backscatter(SEQUENCE, milk.frames, mask, NOISE, half_period, doubtful) is not None
-    return half_period, doubtful != 0
-
-
-def test_water_five_times_as_bright_as_the_object_hides_next_to_nothing(milk: Milk) -> None:
+def test_water_five_times_as_bright_hides_next_to_nothing_and_the_rest_is_right(milk: Milk) -> None:
     """Nothing was sure of a bit there, so that the share of fine stripes stayed unknown and two thirds of a plane were lost."""
-    _, doubtful = read(milk)
-    for part in np.array_split(doubtful, 8, axis=1):
+    shape = milk.half_period.shape
+    half_period, doubtful, mask = (np.zeros(shape, np.uint8) for _ in range(3))
+    assert read_through_backscatter(SEQUENCE, milk.frames, mask, NOISE, half_period, doubtful) is not None
+    for part in np.array_split(doubtful != 0, 8, axis=1):
         assert np.mean(part) < 0.06
-
-
-def test_what_is_not_hidden_is_right(milk: Milk) -> None:
-    half_period, doubtful = read(milk)
-    off = np.abs(half_period.astype(np.int64) - milk.half_period)[~doubtful]
+    off = np.abs(half_period.astype(np.int64) - milk.half_period)[doubtful == 0]
     # Half a stripe beside a border noise may choose either; the phase tells which.
     assert np.mean(off > 1) < 100e-6
 
 
-def test_rows_are_not_lost_where_the_waters_stripes_lie_beside_the_objects(milk: Milk) -> None:
-    """A tenth of these pixels was called contradictions: their Gray bits followed the water, their phase did less so."""
+def decoded(milk: Milk) -> CameraDecoder:
     decoder = CameraDecoder(SEQUENCE, COLUMNS, ROWS)
     for k in range(len(SEQUENCE)):
         decoder.push(milk.frames, k)
     decoder.finish()
+    return decoder
+
+
+def test_rows_are_not_lost_where_the_waters_stripes_lie_beside_the_objects(milk: Milk) -> None:
+    """A tenth of these pixels was called contradictions: their Gray bits followed the water, their phase did less so."""
+    decoder = decoded(milk)
     assert decoder.read_again_through_backscatter(milk.frames, NOISE)
-    inside = decoder.mask[10:-10, 200:-10]
-    assert np.mean(inside == Mask.CONTRADICTION) < 0.03
+    assert np.mean(decoder.mask[10:-10, 200:-10] == Mask.CONTRADICTION) < 0.03
+
+
+@pytest.mark.parametrize("moved_px", [0, 4])
+def test_clear_water_is_read_once_also_where_paint_moves(moved_px: int) -> None:
+    """A scan that moved was read twice, for a tenth of a second and more: at borders of paint it is as if there were light beside the fringes."""
+    clear = drawn(SEQUENCE, 0.0, 3.0 * OBJECT_DN)
+    for k in (SEQUENCE.bright, SEQUENCE.dark):
+        clear.frames[k] = np.roll(clear.frames[k], moved_px, axis=0)
+    decoder = decoded(clear)
+    before = decoder.p_px.copy()
+    assert not decoder.read_again_through_backscatter(clear.frames, NOISE)
+    np.testing.assert_array_equal(decoder.p_px, before)
 
 
 FAINT_DN = 10.0
@@ -105,20 +111,12 @@ FAINT_DN = 10.0
 BELOW = (slice(ROWS // 2 + 10, -10), slice(10, -10))
 
 
-def decoded_again(milk: Milk, noise: CameraNoise) -> CameraDecoder:
-    decoder = CameraDecoder(SEQUENCE, COLUMNS, ROWS)
-    for k in range(len(SEQUENCE)):
-        decoder.push(milk.frames, k)
-    decoder.finish()
-    assert np.mean(decoder.mask[BELOW] == Mask.WEAK) > 0.5
-    assert decoder.read_again_through_backscatter(milk.frames, noise)
-    return decoder
-
-
 def test_fringes_that_milk_left_three_grey_values_are_used_as_far_as_their_noise_allows() -> None:
     """A fifth of the planes in milk was lost to a limit of five grey values, though a camera's noise is less than two."""
     faint = drawn(SEQUENCE, 2.0, FAINT_DN)
-    decoder = decoded_again(faint, NOISE)
+    decoder = decoded(faint)
+    assert np.mean(decoder.mask[BELOW] == Mask.WEAK) > 0.5
+    assert decoder.read_again_through_backscatter(faint.frames, NOISE)
     assert np.mean(decoder.mask[BELOW] == Mask.WEAK) < 0.15
     off_px = (decoder.p_px - faint.p_px)[BELOW]
     found = np.isfinite(off_px)
@@ -131,7 +129,8 @@ def test_fringes_that_milk_left_three_grey_values_are_used_as_far_as_their_noise
 def test_a_dark_place_stays_dark_where_the_water_is_not_bright() -> None:
     """Underexposed paint gave two fifths more points, of a quarter of a millimetre of noise, because a few other pixels saw backscatter."""
     faint = drawn(SEQUENCE, 0.8, FAINT_DN)
-    decoder = decoded_again(faint, NOISE)
+    decoder = decoded(faint)
+    assert decoder.read_again_through_backscatter(faint.frames, NOISE)
     veil_share = faint.veil_dn[BELOW] / FAINT_DN
     weak = decoder.mask[BELOW] == Mask.WEAK
     # Noise of one pixel hides on which side of a half it is; between both, the share falls.
