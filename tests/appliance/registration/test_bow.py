@@ -48,13 +48,10 @@ def test_a_pair_states_by_how_much_a_shared_error_turns_it(seen: tuple[SeenView,
 
 def test_what_was_known_is_the_calibrations_word_and_a_little_more_or_what_is_usual() -> None:
     assert known_before(None) is PRIOR_MM2
-    stated = np.diag(np.full(COUNT, 1e-4))
-    np.testing.assert_allclose(np.diag(known_before(stated)), 1e-4 + 0.006**2)
+    np.testing.assert_allclose(np.diag(known_before(np.diag(np.full(COUNT, 1e-4)))), 1e-4 + 0.006**2)
     usual = dict(zip(POWERS, np.sqrt(np.diag(PRIOR_MM2)), strict=True))
-    for powers, sigma_mm in (
-        ((2, 0, 0), 0.030), ((1, 2, 0), 0.020), ((2, 2, 0), 0.010), ((0, 5, 0), 0.007), ((1, 0, 1), 0.2 * 0.030), ((0, 3, 1), 0.2 * 0.020),
-    ):  # fmt: skip
-        assert usual[powers] == pytest.approx(sigma_mm)
+    powers = (2, 0, 0), (1, 2, 0), (2, 2, 0), (0, 5, 0), (1, 0, 1), (0, 3, 1)
+    assert [usual[one] for one in powers] == pytest.approx([0.030, 0.020, 0.010, 0.007, 0.2 * 0.030, 0.2 * 0.020])
 
 
 @pytest.mark.parametrize(("share", "told"), [(0.49, False), (0.51, True)])

@@ -36,22 +36,17 @@ def edge(
 ) -> Edge:
     pose = true_pose(j).then(true_pose(i).inverse)
     if seed is not None:
-        rng = np.random.default_rng(seed)
-        small = rng.normal(size=6) * sigma_mm / np.sqrt(6.0)
-        off_mm = (float(small[0]), float(small[1]), float(small[2]))
+        small = np.random.default_rng(seed).normal(size=6) * sigma_mm / np.sqrt(6.0)
         turn = rotation_matrix(small[3:] / 60.0)
         # About the overlap's middle, which the stated covariance speaks of.
-        pose = Rigid(turn @ pose.rotation, turn @ (pose.translation_mm - MIDDLE_MM) + MIDDLE_MM)
+        pose = Rigid(turn @ pose.rotation, turn @ (pose.translation_mm - MIDDLE_MM) + MIDDLE_MM + small[:3])
     pose = Rigid(pose.rotation, pose.translation_mm + np.array(off_mm))
-    return Edge(
-        i,
-        j,
-        Fit(
-            pose=pose, middle_mm=MIDDLE_MM, lever_mm=60.0, stiffness=np.eye(6),
-            covariance=np.eye(6) * sigma_mm**2 / 6.0, held=np.full(6, 100.0), directions=np.eye(6), patches=5000, overlap=0.6,
-            rms_mm=0.02, outliers=0.0, unmet=0.0, front=0.0, alike=0.9, paint_share=0.2, bow=NO_NEWS,
-        ),
+    fit = Fit(
+        pose=pose, middle_mm=MIDDLE_MM, lever_mm=60.0, stiffness=np.eye(6),
+        covariance=np.eye(6) * sigma_mm**2 / 6.0, held=np.full(6, 100.0), directions=np.eye(6), patches=5000, overlap=0.6,
+        rms_mm=0.02, outliers=0.0, unmet=0.0, front=0.0, alike=0.9, paint_share=0.2, bow=NO_NEWS,
     )  # fmt: skip
+    return Edge(i, j, fit)
 
 
 def middles(count: int) -> dict[int, np.ndarray[tuple[int, ...], np.dtype[np.float64]]]:
@@ -65,11 +60,8 @@ def off_mm(placed: Rigid, k: int) -> float:
 
 def test_exact_pairs_give_exact_places_in_the_frame_of_the_first_scan() -> None:
     placed = place(6, [edge(k, k + 1) for k in range(5)] + [edge(0, 2), edge(5, 3), edge(1, 4)], middles(6))
-    assert sorted(placed.poses) == list(range(6))
-    for k, pose in placed.poses.items():
-        assert off_mm(pose, k) < 1e-5
-    assert placed.unchecked == ()
-    assert placed.wrong == ()
+    assert {k: off_mm(pose, k) < 1e-5 for k, pose in placed.poses.items()} == dict.fromkeys(range(6), True)
+    assert (placed.unchecked, placed.wrong) == ((), ())
 
 
 def test_a_wrong_pair_is_found_by_the_loops_and_taken_out() -> None:
@@ -91,9 +83,7 @@ def test_a_wrong_pair_is_found_by_the_loops_and_taken_out() -> None:
         (0.2, 0.70, True),
     ],
 )
-def test_a_pair_is_wrong_beyond_chance_and_beyond_what_calibrations_leave(
-    sigma_mm: float, off_mm: float, wrong: bool
-) -> None:
+def test_a_pair_is_wrong_beyond_chance_and_what_calibrations_leave(sigma_mm: float, off_mm: float, wrong: bool) -> None:
     firm = [edge(k, j, sigma_mm=0.001) for k in range(5) for j in range(k + 1, 6) if (k, j) != (1, 4)]
     placed = place(6, [*firm, edge(1, 4, sigma_mm, off_mm=(0.0, off_mm, 0.0))], middles(6))
     assert bool(placed.wrong) is wrong
@@ -107,9 +97,7 @@ def test_a_pair_that_no_loop_checks_is_kept_and_named() -> None:
     assert placed.unchecked == (bridge,)
 
 
-def test_of_pairs_that_places_put_beside_each_other_three_of_each_scan_are_compared_the_farthest_in_time_first() -> (
-    None
-):
+def test_of_neighbours_by_place_three_of_each_scan_are_compared_the_farthest_in_time_first() -> None:
     here = Rigid(np.eye(3), np.zeros(3))
     kept = _thinned([(0, k, here) for k in range(1, 6)] + [(k, 6, here) for k in (2, 4, 5)])
     assert list(kept) == [(0, 5), (0, 4), (2, 6), (0, 3), (4, 6), (5, 6)]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -9,13 +11,13 @@ from numpy.typing import NDArray
 from appliance.calibration.depth_error import COUNT, along_ray, shapes
 from appliance.optics.rotation import rotation_matrix, rotation_vector
 from appliance.registration.bow import BowNews
-from appliance.registration.fine import Fit
-from appliance.registration.graph import FLOOR_MM, Edge, Placed, place
+from appliance.registration.graph import FLOOR_MM, Placed, place
 from appliance.registration.joint import joint_errors
 from appliance.registration.rigid import Rigid
+from tests.appliance.registration.test_graph import edge
 
 Array = NDArray[np.float64]
-SCANS, DRAWS = 6, 250
+SCANS, DRAWS = 6, 150
 STEP_MM = 60.0
 MIDDLE_MM = np.array([30.0, 0.0, 500.0])
 MIDDLES = {k: np.array([0.0, 0.0, 500.0]) for k in range(SCANS)}
@@ -43,16 +45,14 @@ def off_by(i: int, j: int, delta: Array) -> Rigid:
 
 def response_of(i: int, j: int) -> Array:
     """By how much a pair is wrong: neighbours by ``RESPONSE``, others by what neighbours make one after the other, so that loops close."""
-    if j == i + 1:
-        return RESPONSE
     found, small = np.zeros((6, COUNT)), 1e-3
     for k in np.flatnonzero(RESPONSE.any(axis=0)):
         way = Rigid(np.eye(3), np.zeros(3))
         for step in range(i, j):
             way = off_by(step, step + 1, small * RESPONSE[:, k]).then(way)
         off = off_by(i, j, np.zeros(6)).inverse.then(way)
-        found[:3, k] = LEVER_MM * rotation_vector(off.rotation) / small
-        found[3:, k] = (off.of(MIDDLE_MM) - MIDDLE_MM) / small
+        turn, shift_mm = LEVER_MM * rotation_vector(off.rotation), off.of(MIDDLE_MM) - MIDDLE_MM
+        found[:, k] = np.concatenate([turn, shift_mm]) / small
     return found
 
 
@@ -63,15 +63,10 @@ def drawn(rng: np.random.Generator, shared_mm: Array) -> Placed:
     """Places from pairs that err as they state (and by the floor that each has besides), and by the shared error."""
     edges = []
     for i, j in PAIRS:
-        response = RESPONSES[i, j]
         noise = rng.normal(size=6) * np.hypot(SIGMA_MM, FLOOR_MM) / np.sqrt(6.0)
-        fit = Fit(
-            pose=off_by(i, j, response @ shared_mm + noise), middle_mm=MIDDLE_MM, lever_mm=LEVER_MM, stiffness=np.eye(6),
-            covariance=np.eye(6) * SIGMA_MM**2 / 6.0, held=np.full(6, 100.0), directions=np.eye(6), patches=5000, overlap=0.6,
-            rms_mm=0.02, outliers=0.0, unmet=0.0, front=0.0, alike=0.9, paint_share=0.2,
-            bow=BowNews(response, np.zeros((COUNT, COUNT)), np.zeros(COUNT)),
-        )  # fmt: skip
-        edges.append(Edge(i, j, fit))
+        pose = off_by(i, j, RESPONSES[i, j] @ shared_mm + noise)
+        bow = BowNews(RESPONSES[i, j], np.zeros((COUNT, COUNT)), np.zeros(COUNT))
+        edges.append(replace(edge(i, j, SIGMA_MM), fit=replace(edge(i, j, SIGMA_MM).fit, pose=pose, bow=bow)))
     return place(SCANS, edges, MIDDLES, with_bow=False, known_mm2=np.diag(SHARED_MM**2 + 1e-12))
 
 
@@ -94,7 +89,7 @@ def tried() -> list[tuple[Placed, Array]]:
 @pytest.mark.parametrize(
     ("first", "second"), [(0, 5), (1, 4), (3, 4), (2, 2)], ids=["ends", "apart", "neighbours", "one scan"]
 )
-def test_lengths_between_two_scans_err_by_what_is_stated(
+def test_lengths_between_scans_err_by_what_is_stated(
     tried: list[tuple[Placed, Array]], first: int, second: int
 ) -> None:
     p, q = np.array([-70.0, 30.0, 520.0]), np.array([60.0, -40.0, 480.0])
@@ -108,7 +103,7 @@ def test_lengths_between_two_scans_err_by_what_is_stated(
         np.linalg.norm(measured(placed, second, q, shared) - measured(placed, first, p, shared)) - true
         for placed, shared in tried
     ]
-    # 250 draws know a standard deviation to 4.5 %; a factor that is never below 1 makes it a little larger than it need be.
-    assert 0.85 < float(np.std(off)) / sigma_mm < 1.1
+    # 150 draws know a standard deviation to 6 %; a factor that is never below 1 makes it a little larger than it need be.
+    assert 0.83 < float(np.std(off)) / sigma_mm < 1.13
     if first == second:
         assert stated.places_mm < 1e-9, "no place is between two points of one scan"

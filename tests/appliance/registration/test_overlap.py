@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -38,7 +39,8 @@ def coarse(name: str, paint: str, pose: tuple[float, ...], seed: int) -> CoarseV
         cloud.points_mm.reshape(-1, 3)[pixel], np.zeros(len(pixel), np.uint8), other, other, cloud.sigma_mm.ravel()[pixel],
         pixel.astype(np.uint32), CloudSummary(len(pixel), None, None, None, None),
     )  # fmt: skip
-    others = np.stack([seen(name, paint, pose, seed + 100).cloud.grey])
+    noise = np.random.default_rng(seed).normal(size=cloud.shape)
+    others = np.clip(np.rint(cloud.grey + noise), 0, 255).astype(np.uint8)[None]
     return coarse_view(points, STRIDE_PX, cloud.grey, others, PROJECTION)
 
 
@@ -61,28 +63,21 @@ def main_at(x_mm: float, turn: float = 0.0) -> tuple[float, ...]:
     return (x_mm, 4.0 * turn, 560.0 + 6.0 * turn, 2.0 * turn, -3.0 * turn, 3.0 * turn)
 
 
-def test_along_a_painted_main_the_share_is_the_true_one() -> None:
+def test_along_a_painted_main_the_share_is_the_true_one_and_places_that_share_nothing_are_said_to() -> None:
     first, second = (("main", "slight", main_at(x, turn), seed) for x, turn, seed in ((-20.0, 0.0, 1), (85.0, 1.0, 2)))
-    share = said(coarse(*first), coarse(*second)).share
-    assert share is not None
-    assert share == pytest.approx(true_share(seen(*first), seen(*second)), abs=WITHIN)
+    assert said(coarse(*first), coarse(*second)).share == pytest.approx(
+        true_share(seen(*first), seen(*second)), abs=WITHIN
+    )
+    assert said(coarse(*first), coarse("main", "slight", main_at(-340.0, 1.0), 2)).none
 
 
-def test_two_painted_places_that_have_nothing_in_common_are_said_to_have_nothing() -> None:
-    assert said(coarse("main", "slight", main_at(-20.0), 1), coarse("main", "slight", main_at(-340.0, 1.0), 2)).none
-
-
-def plane_with_marks(points: np.ndarray[tuple[int, ...], np.dtype[np.float64]], seed: int = 3) -> CoarseView:
+def plane_with_marks(points: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> CoarseView:
     """A bare plane at 525 mm that has marks at ``points`` (n, 3); the k-th mark looks the same on every such plane."""
     made = coarse("plane", "none", (0.0, 0.0, 525.0, 0.0, 0.0, 0.0), 1)
-    rng = np.random.default_rng(seed)
-    look = rng.normal(size=(len(points), 128)).astype(np.float32)
+    look = np.random.default_rng(3).normal(size=(len(points), 128)).astype(np.float32)
     look /= np.linalg.norm(look, axis=1, keepdims=True)
     nothing = PictureMarks(np.empty((0, 2)), np.empty((0, 128), np.float32), np.empty(0))
-    return CoarseView(
-        made.points_mm, made.sigma_mm, made.stride_px, made.pictures, made.reduced, PROJECTION,
-        (nothing, nothing), Features(points, look, np.ones(len(points))),
-    )  # fmt: skip
+    return replace(made, _marks=(nothing, nothing), _features=Features(points, look, np.ones(len(points))), _told=None)
 
 
 @pytest.mark.parametrize(("elsewhere", "told"), [(10, True), (14, False)])
@@ -124,9 +119,7 @@ def test_a_mark_is_there_again_near_by_and_alike(away_px: float, cosine: float, 
 @pytest.mark.parametrize(
     ("away_mm", "cosine", "single"), [(3.1, 0.91, True), (3.1, 0.93, False), (2.9, 0.93, True), (300.0, 0.93, False)]
 )
-def test_a_mark_that_looks_like_another_one_elsewhere_tells_no_place(
-    away_mm: float, cosine: float, single: bool
-) -> None:
+def test_a_mark_that_looks_like_one_elsewhere_tells_no_place(away_mm: float, cosine: float, single: bool) -> None:
     points = np.array([[0.0, 0.0, 525.0], [away_mm, 0.0, 525.0]])
     assert _single(Features(points, looks(1.0, cosine), np.ones(2))).tolist() == [single] * 2
 

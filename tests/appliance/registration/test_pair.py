@@ -10,15 +10,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from appliance.registration.fine import Fit, refine
-from appliance.registration.pair import (
-    HELD,
-    PairRefusal,
-    RegisteredPair,
-    _as_good,
-    freedom,
-    refusal_of,
-    register,
-)
+from appliance.registration.pair import HELD, PairRefusal, RegisteredPair, _as_good, freedom, refusal_of, register
 from appliance.registration.rigid import Rigid
 from tests.appliance.registration.test_graph import edge
 from tests.support.views import SeenView, between, displacement_mm, view
@@ -171,17 +163,10 @@ def test_a_ball_bar_with_printed_squares_is_not_taken_for_itself_turned_half_abo
     pair = registered("ballbar", "checker", HALF_ABOUT)
     assert pair.refusal is PairRefusal.AMBIGUOUS
     assert pair.fit is not None
-    assert pair.fit.alike is not None
-    assert pair.fit.alike > 0.9, "the paint tells nothing"
-
-
-@pytest.mark.dive
-def test_a_frustum_that_looks_the_same_turned_half_about_is_not_guessed() -> None:
-    assert registered("frustum", "none", SHELL).refusal is PairRefusal.AMBIGUOUS
+    assert (pair.fit.alike or 0.0) > 0.9, "the paint tells nothing"
 
 
 def test_different_things_have_nothing_in_common() -> None:
-    first, second = seen("shell", "slight", SHELL)[0], view("stones", SHELL[1], "strong", 2)
-    pair = register(first.ready(), second.ready())
-    assert not pair.accepted
-    assert pair.refusal in (PairRefusal.NOTHING_IN_COMMON, PairRefusal.CONTRADICTS, PairRefusal.TOO_LITTLE)
+    first, second = view("shell", SHELL[0], "slight", 1), view("stones", SHELL[1], "strong", 2)
+    refusal = register(first.ready(), second.ready()).refusal
+    assert refusal in (PairRefusal.NOTHING_IN_COMMON, PairRefusal.CONTRADICTS, PairRefusal.TOO_LITTLE)

@@ -11,16 +11,7 @@ import pytest
 from appliance.reconstruct.organised import OrganisedCloud
 from appliance.registration.albedo import Paint, patch_pitch_mm
 from appliance.registration.candidates import by_place, overlap
-from appliance.registration.equations import (
-    EXTRA_MM,
-    EXTRA_PAINT,
-    Laid,
-    moved,
-    resistance_of,
-    spread,
-    step_of,
-    system_of,
-)
+from appliance.registration.equations import EXTRA_PAINT, Laid, moved, resistance_of, step_of, system_of
 from appliance.registration.fine import Prepared
 from appliance.registration.pair import ReadyScan
 from appliance.registration.patches import Patches, block_size_px, patches_of
@@ -59,20 +50,17 @@ def test_a_patch_is_about_a_millimetre_wide(pitch_mm: float, size_px: int) -> No
 
 
 def test_a_patch_lies_on_its_points_and_is_as_certain_as_their_independent_ones() -> None:
-    patches = patches_of(flat(tilt=0.5), PROJECTION, 4)
+    cloud = flat(tilt=0.5)
+    patches = patches_of(cloud, PROJECTION, 4)
     assert patches.valid.shape == (12, 16)
     assert patches.valid.all()
-    np.testing.assert_allclose(
-        patches.centre_mm[3, 5], flat(tilt=0.5).points_mm[12:16, 20:24].mean(axis=(0, 1)), atol=1e-4
-    )
-    np.testing.assert_allclose(
-        patches.normal, np.broadcast_to(np.array([0.0, 0.5, -1.0]) / np.sqrt(1.25), (12, 16, 3)), atol=1e-4
-    )
+    np.testing.assert_allclose(patches.centre_mm[3, 5], cloud.points_mm[12:16, 20:24].mean(axis=(0, 1)), atol=1e-4)
+    normal = np.broadcast_to(np.array([0.0, 0.5, -1.0]) / np.sqrt(1.25), (12, 16, 3))
+    np.testing.assert_allclose(patches.normal, normal, atol=1e-4)
     # Of 16 points four are independent; their errors lie along the ray.
     np.testing.assert_allclose(patches.sigma_mm, np.hypot(SIGMA_MM / 2.0 / np.sqrt(1.25), 0.004), rtol=1e-3)
-    np.testing.assert_allclose(patches.log_grey, np.log(100.0))
     np.testing.assert_allclose(patches.grey_noise, np.sqrt(0.25 + 1.0) / 100.0 / 4)
-    np.testing.assert_allclose(patch_pitch_mm(patches), np.hypot(1.0, 0.0), atol=0.13)
+    np.testing.assert_allclose(patch_pitch_mm(patches), 1.0, atol=0.13)
 
 
 def some_missing(count: float) -> OrganisedCloud:
@@ -115,10 +103,8 @@ def test_a_patch_has_its_points_and_is_a_plane(
 
 @pytest.mark.parametrize(("grey", "known"), [(254, True), (255, False), (7, True), (6, False)])
 def test_saturated_and_black_patches_have_no_grey(grey: int, known: bool) -> None:
-    cloud = replace(flat(), grey=np.full((48, 64), grey, np.uint8))
-    patches = patches_of(cloud, PROJECTION, 4)
-    assert bool(np.isfinite(patches.log_grey).all()) is known
-    assert patches.valid.all()
+    patches = patches_of(replace(flat(), grey=np.full((48, 64), grey, np.uint8)), PROJECTION, 4)
+    assert (bool(np.isfinite(patches.log_grey).all()), bool(patches.valid.all())) == (known, True)
 
 
 @pytest.mark.parametrize(("patches_wide", "bridged"), [(3, True), (9, False)])
@@ -131,16 +117,16 @@ def test_a_small_dark_print_is_bridged_and_counts_for_its_grey(patches_wide: int
     patches = patches_of(cloud, PROJECTION, 4)
     assert bool(patches.valid[15, 15]) is bridged
     assert not patches.valid[15, 37]
-    if bridged:
-        assert patches.sigma_mm[15, 15] == 0.5
-        np.testing.assert_allclose(patches.centre_mm[15, 15, 2], 520.0, atol=0.05)
-        np.testing.assert_allclose(patches.normal[15, 15], [0.0, 0.0, -1.0], atol=1e-3)
-        assert patches.log_grey[15, 15] == pytest.approx(np.log(20.0))
-        dark = replace(cloud, grey=np.where(lost, 3, 200).astype(np.uint8))
-        assert not patches_of(dark, PROJECTION, 4).valid[15, 15]
-        stepped = cloud.points_mm.copy()
-        stepped[:, 60:, 2] += 4.0
-        assert not patches_of(replace(cloud, points_mm=stepped), PROJECTION, 4).valid[15, 15], "at a step none is known"
+    if not bridged:
+        return
+    assert (patches.sigma_mm[15, 15], patches.log_grey[15, 15]) == (0.5, pytest.approx(np.log(20.0)))
+    assert patches.centre_mm[15, 15, 2] == pytest.approx(520.0, abs=0.05)
+    np.testing.assert_allclose(patches.normal[15, 15], [0.0, 0.0, -1.0], atol=1e-3)
+    stepped = cloud.points_mm.copy()
+    stepped[:, 60:, 2] += 4.0
+    dark = replace(cloud, grey=np.where(lost, 3, 200).astype(np.uint8))
+    for unknown in (dark, replace(cloud, points_mm=stepped)):
+        assert not patches_of(unknown, PROJECTION, 4).valid[15, 15]
 
 
 # -------------------------------------------------------------------------------------------- overlap of two
@@ -173,41 +159,17 @@ def shifted(*by_mm: float) -> Rigid:
 
 
 def test_two_placed_scans_overlap_by_the_share_of_patches_within_three_millimetres() -> None:
-    scan = ready(facing())
-    points = scan.coarse.patches.centre_mm[..., 0]
-    width_mm = float(np.nanmax(points) - np.nanmin(points))
-    assert overlap(scan, scan, shifted(0.0, 0.0, 2.9)) > 0.95
-    assert overlap(scan, scan, shifted(0.0, 0.0, 3.1)) == 0.0
-    assert overlap(scan, scan, shifted(0.0, 0.0, -2.9)) > 0.95
-    assert overlap(scan, scan, shifted(0.6 * width_mm, 0.0, 0.0)) == pytest.approx(0.4, abs=0.06)
-    for share, found in ((0.26, 1), (0.14, 0)):
+    scan, width_mm = ready(facing()), float(np.ptp(facing().points_mm[..., 0]))
+    aside = (0.6 * width_mm, 0.0, 0.0)
+    for by_mm, share in (((0.0, 0.0, 2.9), 1.0), ((0.0, 0.0, 3.1), 0.0), ((0.0, 0.0, -2.9), 1.0), (aside, 0.4)):
+        assert overlap(scan, scan, shifted(*by_mm)) == pytest.approx(share, abs=0.06)
+    for share, found in ((0.26, True), (0.14, False)):
         poses = {3: shifted(0.0, 0.0, 0.0), 7: shifted((1.0 - share) * width_mm, 0.0, 0.0)}
         pairs = by_place([scan] * 8, poses, set())
         assert [(first, second) for first, second, _ in pairs] == [(3, 7)] * found
         assert by_place([scan] * 8, poses, {(3, 7)}) == []
         if found:
             np.testing.assert_allclose(pairs[0][2].translation_mm, poses[7].translation_mm)
-
-
-# ---------------------------------------------------------------------------------------------------- paint
-
-
-LIGHT_MM = np.array([60.0, 0.0, 0.0])
-
-
-def painted(value: Array, pitch_mm: float = 1.0) -> Patches:
-    """Patches of a bowl whose logarithm of grey is ``value`` under the light, with the shading that its shape makes."""
-    gh, gw = value.shape
-    v, u = np.mgrid[0:gh, 0:gw].astype(float)
-    x, y = (u - gw / 2) * pitch_mm, (v - gh / 2) * pitch_mm
-    centre = np.stack([x, y, 520.0 - (x**2 + y**2) / 160.0], axis=-1)
-    normal = np.stack([-x / 80.0, -y / 80.0, -np.ones_like(x)], axis=-1)
-    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-    to_light = LIGHT_MM - centre
-    away = np.linalg.norm(to_light, axis=-1)
-    shade = np.log((normal * to_light).sum(-1) / away) - 2.0 * np.log(away / 500.0)
-    sigma = np.full(value.shape, SIGMA_MM)
-    return Patches(centre, normal, sigma, value + shade, 0.01 * np.ones_like(value), 4, PROJECTION)
 
 
 # -------------------------------------------------------------------------------------------------- repeats
@@ -217,54 +179,50 @@ def print_of(period_mm: float, noise: float, shape: tuple[int, int] = (40, 50)) 
     v, u = np.mgrid[0 : shape[0], 0 : shape[1]].astype(float)
     stripes = np.sin(2.0 * np.pi * u / period_mm) + np.sin(2.0 * np.pi * v / 13.0)
     value = stripes + noise * np.random.default_rng(4).normal(size=shape)
-    patches = painted(np.zeros(shape))
-    flat_at = np.stack([u, v, np.full(shape, 520.0)], axis=-1)
-    return replace(patches, centre_mm=flat_at), Paint(value, np.full((*shape, 3), np.nan), np.zeros(shape))
+    at, facing_z, sigma = np.stack([u, v, np.full(shape, 520.0)], -1), np.zeros((*shape, 3)), np.full(shape, SIGMA_MM)
+    facing_z[..., 2] = -1.0
+    patches = Patches(at, facing_z, sigma, value, 0.01 * np.ones(shape), 4, PROJECTION)
+    return patches, Paint(value, np.full((*shape, 3), np.nan), np.zeros(shape))
 
 
 def test_a_print_repeats_by_its_period_and_by_no_less_than_four_millimetres() -> None:
     shifts = repeats_of(*print_of(8.0, 0.0))
-    assert shifts
     assert len(shifts) == 12, "six, and their opposites"
     assert all(round(float(x)) % 8 == 0 and round(float(y)) % 13 == 0 for x, y, _ in shifts)
     # Twice the period leaves 0.27 or 0.33 of the patches in common.
     for columns, multiples in ((22, {-8, 8}), (24, {-16, -8, 8, 16})):
         found = repeats_of(*print_of(8.0, 0.0, (16, columns)))
         assert {(round(float(x)), round(float(y))) for x, y, _ in found} == {(x, 0) for x in multiples}
-    near = repeats_of(*print_of(3.0, 0.0))
-    assert min(float(np.hypot(*one[:2])) for one in near) > 4.0
+    assert min(float(np.hypot(*one[:2])) for one in repeats_of(*print_of(3.0, 0.0))) > 4.0
 
 
-@pytest.mark.parametrize(("noise", "repeats"), [(0.8, True), (1.1, False)])
-def test_paint_repeats_where_it_correlates_with_itself_by_more_than_half(noise: float, repeats: bool) -> None:
+@pytest.mark.parametrize(
+    ("noise", "shape", "repeats"),
+    [(0.8, (40, 50), True), (1.1, (40, 50), False), (0.0, (8, 26), True), (0.0, (7, 26), False)],
+)
+def test_paint_of_two_hundred_patches_repeats_where_it_correlates_with_itself_by_more_than_half(
+    noise: float, shape: tuple[int, int], repeats: bool
+) -> None:
     # Of two waves with a variance of ½ each, correlation is 1 / (1 + noise²): 0.61 and 0.45.
-    assert bool(repeats_of(*print_of(8.0, noise))) is repeats
-
-
-@pytest.mark.parametrize(("rows", "repeats"), [(8, True), (7, False)])
-def test_paint_of_less_than_two_hundred_patches_repeats_nowhere(rows: int, repeats: bool) -> None:
-    assert bool(repeats_of(*print_of(8.0, 0.0, (rows, 26)))) is repeats
+    assert bool(repeats_of(*print_of(8.0, noise, shape))) is repeats
 
 
 # ------------------------------------------------------------------------------------------------ equations
 
 
-def laid(delta: Array, count: int = 400, seed: int = 5, noise: float = 0.0, plane: bool = False) -> Laid:
-    """Patches all about a middle that lie off A by what the displacement δ makes; ``noise`` of each scan's normals."""
-    rng = np.random.default_rng(seed)
+def laid(delta: Array, plane: bool = False) -> Laid:
+    """400 patches all about a middle that lie off A by what the displacement δ makes."""
+    rng, count = np.random.default_rng(5), 400
     x = rng.uniform(-50.0, 50.0, (count, 3)) + np.array([0.0, 0.0, 520.0])
-    if plane:
-        x[:, 2] = 520.0
+    x[:, 2] = 520.0 if plane else x[:, 2]
     arm = x - x.mean(axis=0)
     lever = np.sqrt((arm**2).sum(axis=1).mean())
     n = np.tile([0.0, 0.0, -1.0], (count, 1)) if plane else rng.normal(size=(count, 3))
     n /= np.linalg.norm(n, axis=1, keepdims=True)
     rows = np.concatenate([np.cross(arm, n) / lever, n], axis=1)
-    a, b = (n + noise * rng.normal(size=(count, 3)) for _ in range(2))
-    unknown, flat_, at_once = np.full(count, np.nan), np.zeros((count, 3)), np.ones(0, bool)
-    index = np.arange(count)
+    unknown, flat_, at_once, index = np.full(count, np.nan), np.zeros((count, 3)), np.ones(0, bool), np.arange(count)
     return Laid(
-        x_mm=x, source=index, tile=index, apart_mm=rows @ delta, normal_a=a, normal_b=b, sigma_mm=np.full(count, SIGMA_MM), paint=unknown,
+        x_mm=x, source=index, tile=index, apart_mm=rows @ delta, normal_a=n, normal_b=n, sigma_mm=np.full(count, SIGMA_MM), paint=unknown,
         gradient_a=flat_, gradient_b=flat_, paint_noise=unknown, paint_a=unknown, paint_b=unknown, unmet=at_once, front=at_once, tried=count,
     )  # fmt: skip
 
@@ -275,45 +233,22 @@ DELTA = np.array([0.1, -0.2, 0.15, 0.3, -0.1, 0.05])
 def test_a_step_undoes_the_displacement_and_is_eight_millimetres_at_most() -> None:
     system = system_of(laid(DELTA), with_paint=False)
     np.testing.assert_allclose(step_of(system), -DELTA, atol=1e-9)
-    there = moved(Rigid(np.eye(3), np.zeros(3)), system, DELTA)
-    arm = laid(DELTA).x_mm - system.middle
-    np.testing.assert_allclose(
-        there.of(laid(DELTA).x_mm) - laid(DELTA).x_mm, np.cross(DELTA[:3] / system.lever, arm) + DELTA[3:], atol=1e-3
-    )
+    x = laid(DELTA).x_mm
+    off = moved(shifted(0.0, 0.0, 0.0), system, DELTA).of(x) - x
+    np.testing.assert_allclose(off, np.cross(DELTA[:3] / system.lever, x - system.middle) + DELTA[3:], atol=1e-3)
     for factor, size in ((10.0, 10.0 * float(np.linalg.norm(DELTA))), (40.0, 8.0)):
-        step = step_of(system_of(laid(factor * DELTA), with_paint=False))
-        assert np.linalg.norm(step) == pytest.approx(size)
-
-
-def test_weights_fall_for_outliers_and_for_all_where_residuals_scatter_more_than_noise_explains() -> None:
-    still = laid(np.zeros(6))
-    variance = SIGMA_MM**2 + EXTRA_MM**2
-    np.testing.assert_allclose(system_of(still, with_paint=False).w, 1.0 / variance)
-    apart = np.zeros(400)
-    apart[0] = 3.0 * np.sqrt(variance)
-    assert system_of(replace(still, apart_mm=apart), with_paint=False).w[0] == pytest.approx(0.5 / variance)
-    apart = np.where(np.arange(400) % 2, 1.0, -1.0)
-    scatter = 1.4826**2
-    np.testing.assert_allclose(
-        system_of(replace(still, apart_mm=apart), with_paint=False).w, 1.0 / scatter / (1.0 + 1.0 / (9.0 * scatter))
-    )
-    assert spread(np.array([-1.0, 0.0, 1.0])) == pytest.approx(1.4826)
-    assert spread(np.zeros(0)) == 0.0
+        assert np.linalg.norm(step_of(system_of(laid(factor * DELTA), with_paint=False))) == pytest.approx(size)
 
 
 @pytest.mark.parametrize(("known", "used"), [(119, False), (120, True)])
 def test_paint_counts_from_a_hundred_and_twenty_patches_on(known: int, used: bool) -> None:
-    still = laid(np.zeros(6), plane=True)
-    paint = np.full(400, np.nan)
-    paint[:known] = 0.7
+    paint = np.where(np.arange(400) < known, 0.7, np.nan)
     noise = np.where(np.isfinite(paint), 0.02, np.nan)
     along = np.tile([0.05, 0.0, 0.0], (400, 1))
-    both = replace(still, paint=paint, paint_noise=noise, gradient_a=along, gradient_b=along)
+    both = replace(laid(np.zeros(6), plane=True), paint=paint, paint_noise=noise, gradient_a=along, gradient_b=along)
     system = system_of(both, with_paint=True)
     assert len(system.r) == 400 + (known if used else 0)
     assert len(system_of(both, with_paint=False).r) == 400
     if used:
-        np.testing.assert_array_equal(np.flatnonzero(system.of_paint), 400 + np.arange(known))
         np.testing.assert_allclose(system.r[400:], 0.0, err_msg="a brighter picture is no displacement")
         np.testing.assert_allclose(system.w[400:], 1.0 / (0.02**2 + EXTRA_PAINT**2))
-        np.testing.assert_array_equal(system.cluster[400:], np.arange(known))

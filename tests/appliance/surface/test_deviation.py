@@ -13,7 +13,7 @@ from appliance.surface.deviation import NominalTree, deviations
 from appliance.surface.nominal import Nominal, nominal_of
 
 
-def nominal_box(size_mm: tuple[float, float, float]) -> Nominal:
+def nominal_box(*size_mm: float) -> Nominal:
     box: Any = trimesh.creation.box(extents=size_mm)
     return nominal_of(box.vertices, box.faces)
 
@@ -29,7 +29,7 @@ def test_distances_to_a_box_are_right_beside_faces_edges_and_corners_inside_and_
     # The signed distance to a box in closed form: outside by what sticks out, inside by the nearest face.
     over = np.abs(points) - half
     expected = np.linalg.norm(np.maximum(over, 0.0), axis=1) + np.minimum(over.max(axis=1), 0.0)
-    found = measured(points, nominal_box((20.0, 12.0, 6.0)), limit_mm=50.0)
+    found = measured(points, nominal_box(20.0, 12.0, 6.0), limit_mm=50.0)
     np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
@@ -48,25 +48,22 @@ def test_large_and_small_triangles_side_by_side_are_searched_as_if_each_were_tri
 
 
 def test_what_is_far_is_counted_and_never_dropped() -> None:
-    points = np.array([[0.0, 0.0, 3.5], [0.0, 0.0, 4.5], [0.0, 0.0, 900.0], [0.0, 0.0, 2.75]])
-    sigma = np.array([0.3, 0.1, 0.1, 0.1], np.float32)
-    found = deviations(points.astype(np.float32), sigma, nominal_box((20.0, 12.0, 6.0)), limit_mm=1.0)
+    points = np.array([[0.0, 0.0, 3.5], [0.0, 0.0, 4.5], [0.0, 0.0, 900.0], [0.0, 0.0, 2.75]], np.float32)
+    sigma, box = np.array([0.3, 0.1, 0.1, 0.1], np.float32), nominal_box(20.0, 12.0, 6.0)
+    found = deviations(points, sigma, box, limit_mm=1.0)
     np.testing.assert_allclose(found.deviation_mm, [0.5, np.nan, np.nan, -0.25], atol=1e-6)
     summary = found.summary
     assert (summary.points, summary.beyond, summary.limit_mm) == (4, 2, 1.0)
-    assert summary.mean_mm == pytest.approx(0.125)
-    assert summary.rms_mm == pytest.approx(np.sqrt((0.5**2 + 0.25**2) / 2))
+    assert (summary.mean_mm, summary.rms_mm) == pytest.approx((0.125, np.sqrt((0.5**2 + 0.25**2) / 2)))
     assert (summary.least_mm, summary.most_mm) == pytest.approx((-0.25, 0.5))
     assert summary.within_2_sigma_percent == 50.0, "0.5 of 2 x 0.3, and not 0.25 of 2 x 0.1"
     assert dict(summary.percentiles_mm)[50.0] == pytest.approx(0.125)
-    nothing = deviations(
-        points[1:3].astype(np.float32), sigma[1:3], nominal_box((20.0, 12.0, 6.0)), limit_mm=1.0
-    ).summary
+    nothing = deviations(points[1:3], sigma[1:3], box, limit_mm=1.0).summary
     assert (nothing.beyond, nothing.rms_mm, nothing.percentiles_mm) == (2, None, ())
 
 
 def test_the_far_side_of_a_thin_plate_is_not_what_was_measured() -> None:
-    plate = nominal_box((40.0, 40.0, 0.2))
+    plate = nominal_box(40.0, 40.0, 0.2)
     # 0.15 mm too low on the upper side: nearer to the lower one.
     points = np.array([[1.0, 2.0, -0.05], [1.0, 2.0, -0.05]])
     normals = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]], np.float32)
@@ -76,10 +73,8 @@ def test_the_far_side_of_a_thin_plate_is_not_what_was_measured() -> None:
 
 
 def test_numbers_that_make_no_surface_are_refused() -> None:
-    with pytest.raises(ValueError, match="no triangle has an area"):
-        nominal_of(np.zeros((3, 3)), np.array([[0, 1, 2]]))
     with pytest.raises(ValueError, match=r"limit_mm is 0\.0"):
-        measured(np.zeros((1, 3)), nominal_box((1.0, 1.0, 1.0)), limit_mm=0.0)
+        measured(np.zeros((1, 3)), nominal_box(1.0, 1.0, 1.0), limit_mm=0.0)
 
 
 def test_beside_an_open_border_there_is_nothing_to_compare_with() -> None:

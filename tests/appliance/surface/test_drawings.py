@@ -35,9 +35,8 @@ def stl_at(mm: float) -> bytes:
 
 def with_corner(value: float) -> bytes:
     """The box in binary, with one coordinate of its third triangle replaced."""
-    data = bytearray(BINARY)
-    data[84 + 2 * 50 + 12 : 84 + 2 * 50 + 16] = np.float32(value).tobytes()
-    return bytes(data)
+    at = 84 + 2 * 50 + 12
+    return BINARY[:at] + np.float32(value).tobytes() + BINARY[at + 4 :]
 
 
 def triangle_to(coordinate: str) -> bytes:
@@ -97,9 +96,7 @@ def test_what_is_unambiguous_is_read(name: str, data: bytes, triangles: int, tmp
         ("part.step", b"ISO-10303-21;", r"\.stl, \.obj, \.ply, in mm; convert \.step"),
     ],
 )  # fmt: skip
-def test_a_file_that_cannot_be_right_is_refused_with_the_fact(
-    name: str, data: bytes, words: str, tmp_path: Path
-) -> None:
+def test_a_file_that_is_not_right_is_refused_with_the_fact(name: str, data: bytes, words: str, tmp_path: Path) -> None:
     (tmp_path / name).write_bytes(data)
     with pytest.raises(NominalError, match=words):
         read_triangles(tmp_path / name)
