@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -11,18 +11,11 @@ from appliance.compensation.attempt import Attempt, attempt
 from appliance.compensation.estimate import MotionEstimate
 from appliance.compensation.redecode import compensate
 from appliance.reconstruct.pipeline import Cloud, Pipeline
-from appliance.reconstruct.rows import LeftMaps
-from appliance.scan.noise import StereoNoise
 from hw_sim.objects.motion import Motion
 from hw_sim.scene import Scene
 from tests.support.moved import FRAME_S, judge_at, recorded, true_motion_mm
 from tests.support.rendered import RenderedScan, render_scan
 from tests.support.truth import WATER, true_calibration
-
-HAND = Motion((6.0, 5.0, 6.2), tremor_mm=(0.2, 0.2, 0.2), rotation_deg_s=(1.0, -1.5, 1.0))
-
-
-FRUSTUM = Scene("frustum", texture="strong")
 
 
 @dataclass(frozen=True)
@@ -33,21 +26,10 @@ class Corrected:
     said: Attempt
     cloud: Cloud
     """Compensated, also where it is not needed."""
-    maps: dict[str, LeftMaps]
-    """The maps by side that the compensated cloud was found in."""
-    noise: StereoNoise
 
 
-def corrected(motion: Motion, scene: Scene = FRUSTUM, brightness_sd: float = 0.0) -> Corrected:
-    scene = replace(scene, motion=motion)
-    scan = render_scan(scene, "modelled", 10_007, 400, 16, frame_s=FRAME_S)
-    if brightness_sd:
-        share = 1.0 + brightness_sd * np.random.default_rng(3).standard_normal((len(scan.sequence), 1, 1))
-        # Both cameras see the same flashes.
-        flashing = {
-            side: np.clip(np.rint(stack * share), 0, 255).astype(np.uint8) for side, stack in scan.frames.items()
-        }
-        scan = replace(scan, frames=flashing)
+def corrected(motion: Motion) -> Corrected:
+    scan = render_scan(Scene("frustum", texture="strong", motion=motion), "modelled", 10_007, 400, 16, frame_s=FRAME_S)
     calibration = true_calibration(scan.renderer.truth)
     with Pipeline(calibration, WATER, scan.sequence) as pipeline:
         for side, frames in scan.frames.items():
@@ -60,7 +42,10 @@ def corrected(motion: Motion, scene: Scene = FRUSTUM, brightness_sd: float = 0.0
         assert said.motion is not None
         maps = compensate(taken, calibration, WATER, said.motion)
         again = pipeline.find_replaced(maps["left"], maps["right"])
-        return Corrected(scan, plain, said.motion, said, pipeline.table.cloud(again), maps, taken.noise)
+        return Corrected(scan, plain, said.motion, said, pipeline.table.cloud(again))
+
+
+HAND = Motion((6.0, 5.0, 6.2), tremor_mm=(0.2, 0.2, 0.2), rotation_deg_s=(1.0, -1.5, 1.0))
 
 
 @pytest.fixture(scope="module")

@@ -7,12 +7,7 @@ import pytest
 
 from appliance.compensation.albedo import denoised
 from appliance.compensation.attempt import is_better
-from appliance.compensation.displacement import (
-    FIRST_FRAME,
-    FRAME_COEFFICIENTS,
-    OF_PHASE,
-    DisplacementField,
-)
+from appliance.compensation.displacement import FIRST_FRAME, FRAME_COEFFICIENTS, OF_PHASE, DisplacementField
 from appliance.compensation.phase_solver import SINES, weigh_offset
 from appliance.compensation.redecode import GOOD_VARIANCE, drop_new_borders, misfit_factor, phase_variance
 from appliance.compensation.stripes import illuminated_at, stripes_of
@@ -44,11 +39,10 @@ def test_even_albedo_loses_its_noise_and_borders_stay() -> None:
     assert np.abs((grey - truth)[:, 38:42]).max() < 8.0
 
 
-def field_with(turns_per_frame: float, px_per_t: float = 0.0) -> DisplacementField:
-    """Return the field of points that move by so much of a period in every sine frame, and by so many px more per unit of depth."""
+def field_with(turns_per_frame: float) -> DisplacementField:
+    """Return the field of points that move by so much of a period in every sine frame."""
     nodes = np.zeros((3, 3, FIRST_FRAME + FRAME_COEFFICIENTS * SINES), np.float32)
     for k in range(SINES):
-        nodes[..., FIRST_FRAME + FRAME_COEFFICIENTS * k + 1] = px_per_t
         nodes[..., FIRST_FRAME + FRAME_COEFFICIENTS * k + OF_PHASE] = turns_per_frame * k
     return DisplacementField(nodes, 20)
 
@@ -96,9 +90,7 @@ def test_a_variance_grows_by_half_of_what_the_frames_contradict_beyond_noise() -
         (1.0, 0.5, True),
     ],
 )
-def test_what_may_err_more_than_a_fifth_beyond_a_scan_at_rest_is_not_shown(
-    before: float, after: float, shown: bool
-) -> None:
+def test_what_errs_a_fifth_more_than_a_scan_at_rest_is_not_shown(before: float, after: float, shown: bool) -> None:
     assert is_better(before, after) is shown
     assert not is_better(before, after, 2.5)
 

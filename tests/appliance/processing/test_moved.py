@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import pytest
 
@@ -22,7 +23,7 @@ from appliance.processing.procedure import (
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.fault import FaultCode
-from appliance.scan.verdict import Judgement, Verdict
+from appliance.scan.verdict import Verdict
 from hw_sim.objects.motion import Motion
 from hw_sim.scene import Scene
 from tests.support.rendered import FRAME_S, RenderedScan, render_scan
@@ -34,43 +35,29 @@ HAND = Motion((0.0, 20.0, 0.0))
 
 @dataclass(frozen=True)
 class Worked:
-    scan: RenderedScan
     steps: list[Step]
     held: ProcessedSequence
-    plain: int
-    """Number of points without compensation."""
-
-    def judged(self) -> dict[str, Judgement]:
-        last = self.steps[-1]
-        assert isinstance(last, FullFound)
-        return {one.verdict.name: one for one in last.judgements}
 
 
-def worked(motion: Motion) -> Worked:
-    scan = render_scan(
-        Scene("shell", texture="slight", motion=motion), "nominal", 1, 240, 16, exposure_s=0.008, frame_s=FRAME_S
-    )
+@cache
+def scan_in_a_hand() -> RenderedScan:
+    scene = Scene("shell", texture="slight", motion=HAND)
+    return render_scan(scene, "nominal", 1, 240, 16, exposure_s=0.008, frame_s=FRAME_S)
+
+
+@pytest.fixture(scope="module")
+def in_a_hand() -> Worked:
+    scan = scan_in_a_hand()
     calibration = true_calibration(scan.renderer.truth)
     with Pipeline(calibration, WATER, scan.sequence) as pipeline:
         processor = SequenceProcessor(pipeline, calibration, WATER)
         processor.begin(AcquisitionSettings())
         for _ in processor.push_all(scan.frames):
             pass
-        plain = 0
-        steps: list[Step] = []
-        for step in processor.steps():
-            steps.append(step)
-            if isinstance(step, AllJudged) and not plain:
-                plain = pipeline.find_full(straightened=False).summary.points
-        held = processor.hold()
+        steps, held = list(processor.steps()), processor.hold()
         processor.begin(AcquisitionSettings())
         assert (processor.finished, processor._moved, processor._compensated) == (False, False, False), "another scan"
-        return Worked(scan, steps, held, plain)
-
-
-@pytest.fixture(scope="module")
-def in_a_hand() -> Worked:
-    return worked(HAND)
+        return Worked(steps, held)
 
 
 def test_it_is_told_that_motion_is_being_undone_and_again_what_came_of_it(in_a_hand: Worked) -> None:
@@ -86,11 +73,12 @@ def test_it_is_told_that_motion_is_being_undone_and_again_what_came_of_it(in_a_h
 
 
 def test_motion_that_was_undone_is_no_fault_of_the_points(in_a_hand: Worked) -> None:
-    said = in_a_hand.judged()
+    last = in_a_hand.steps[-1]
+    assert isinstance(last, FullFound)
+    said = {one.verdict.name: one for one in last.judgements}
     motion = said["motion"]
     assert motion.fault is not None
-    assert motion.fault.code is FaultCode.COMPENSATED
-    assert motion.fault.detail == motion.verdict.text
+    assert (motion.fault.code, motion.fault.detail) == (FaultCode.COMPENSATED, motion.verdict.text)
     assert said["compensation"].verdict.passed
     assert "windows" not in said, "what moves is soft in one camera and not in the other"
     assert (in_a_hand.held.moved, in_a_hand.held.spoilt) == (True, False)

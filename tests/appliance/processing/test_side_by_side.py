@@ -16,30 +16,27 @@ from appliance.processing.procedure import AllJudged, CoarseFound, FullFound, On
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.verdict import Judgement
-from hw_sim.objects.motion import Motion
 from hw_sim.scene import Imaging, Scene
-from tests.support.rendered import FRAME_S, RenderedScan, render_scan
+from tests.appliance.processing.test_moved import scan_in_a_hand
+from tests.support.rendered import RenderedScan, render_scan
 from tests.support.truth import WATER, true_calibration
 
 TIMEOUT_S = 60.0
 SETTINGS = AcquisitionSettings()
 
 
+Make = Callable[..., tuple[Pipeline, SequenceProcessor]]
+
+
 @pytest.fixture(scope="module")
 def straight() -> RenderedScan:
     """A wall before a projector without a bend: the full cloud waits for no judge but that of water."""
     scene = Scene("plane", texture="slight", imaging=Imaging(response="linear"))
-    return render_scan(scene, "nominal", 1, 240, 16)
-
-
-@pytest.fixture(scope="module")
-def moved() -> RenderedScan:
-    scene = Scene("shell", texture="slight", motion=Motion((0.0, 20.0, 0.0)), imaging=Imaging(response="linear"))
-    return render_scan(scene, "nominal", 1, 240, 16, exposure_s=0.008, frame_s=FRAME_S)
+    return render_scan(scene, "nominal", 1, 160, 16)
 
 
 @pytest.fixture
-def made() -> Iterator[Callable[[RenderedScan, int], tuple[Pipeline, SequenceProcessor]]]:
+def made() -> Iterator[Make]:
     with ExitStack() as stack:
 
         def make(scan: RenderedScan, helpers: int = 1) -> tuple[Pipeline, SequenceProcessor]:
@@ -48,9 +45,6 @@ def made() -> Iterator[Callable[[RenderedScan, int], tuple[Pipeline, SequencePro
             return pipeline, SequenceProcessor(pipeline, calibration, WATER)
 
         yield make
-
-
-Make = Callable[..., tuple[Pipeline, SequenceProcessor]]
 
 
 def begun(processor: SequenceProcessor, scan: RenderedScan) -> Iterator[Step]:
@@ -65,43 +59,47 @@ def told(pipeline: Pipeline, steps: Iterator[Step], pause_s: float = 0.0) -> lis
     """Everything that is told of a scan, but for processor times, its points as bytes; ``pause_s`` is waited at each step."""
     heard: list[object] = []
     for step in steps:
-        match step:
-            case CoarseFound(found) | FullFound(found):
-                cloud = pipeline.table.cloud(found)
-                columns = (
-                    cloud.points_mm,
-                    cloud.intensity,
-                    cloud.modulation_dn,
-                    cloud.ray_gap_mm,
-                    cloud.sigma_mm,
-                    cloud.pixel,
-                )
-                heard.append(
-                    (type(step).__name__, *(column.tobytes() for column in columns), cloud.summary, repr(cloud.gaps))
-                )
-        match step:
-            case AllJudged(judgements) | FullFound(judgements=judgements):
-                heard.append([repr((one.verdict, one.fault, one.proposal, one.second)) for one in judgements])
-            case _:
-                heard.append(repr(step)[:40])
+        heard.append(type(step).__name__)
+        if isinstance(step, CoarseFound | FullFound):
+            cloud = pipeline.table.cloud(step.found)
+            columns = (
+                cloud.points_mm,
+                cloud.intensity,
+                cloud.modulation_dn,
+                cloud.ray_gap_mm,
+                cloud.sigma_mm,
+                cloud.pixel,
+            )
+            heard += [*(column.tobytes() for column in columns), cloud.summary, repr(cloud.gaps)]
+        if isinstance(step, AllJudged | FullFound):
+            heard += [repr((one.verdict, one.fault, one.proposal, one.second)) for one in step.judgements]
         time.sleep(pause_s)
     return heard
 
 
-@pytest.mark.parametrize("moves", [False, True])
+@pytest.fixture(scope="module")
+def alone(straight: RenderedScan) -> list[object]:
+    """What is told of the wall where the caller does everything, in the order in which it is told."""
+    calibration = true_calibration(straight.renderer.truth)
+    with Pipeline(calibration, WATER, straight.sequence, helpers=0) as pipeline:
+        return told(pipeline, begun(SequenceProcessor(pipeline, calibration, WATER), straight))
+
+
 def test_points_and_verdicts_are_the_same_whoever_does_what(
-    moves: bool, straight: RenderedScan, moved: RenderedScan, made: Make, monkeypatch: pytest.MonkeyPatch
+    straight: RenderedScan, alone: list[object], made: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Alone, the caller does everything in the order in which it is told. One that dawdles at each step finds everything done by helpers."""
+    """A caller that dawdles at each step finds everything done by helpers."""
+    pipeline, processor = made(straight)
+    assert told(pipeline, begun(processor, straight), 0.05) == alone
     # What moves at its own pace looks like specks here and there; without them, the plain cloud is begun beside the judges.
     monkeypatch.setattr(procedure, "WORTH_MASKING_PERCENT", 100.0)
-    scan = moved if moves else straight
-    alone, by_helpers = (
+    scan = scan_in_a_hand()
+    by_caller, by_helpers = (
         told(pipeline, begun(processor, scan), pause_s)
         for (pipeline, processor), pause_s in ((made(scan, 0), 0.0), (made(scan, 1), 0.05))
     )
-    assert by_helpers == alone
-    assert ("name='compensation'" in str(alone[-1])) == moves
+    assert by_helpers == by_caller
+    assert "name='compensation'" in str(by_caller[-1:-20:-1])
 
 
 class Slow:
@@ -119,11 +117,10 @@ class Slow:
 
 @pytest.mark.parametrize("left_by", ["closing the steps", "beginning another scan"])
 def test_nobody_is_at_work_on_a_scan_that_was_left(
-    left_by: str, straight: RenderedScan, made: Make, monkeypatch: pytest.MonkeyPatch
+    left_by: str, straight: RenderedScan, alone: list[object], made: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its frames and maps are the next scan's from then on."""
     pipeline, processor = made(straight)
-    alone = told(pipeline, begun(processor, straight))
     slow = Slow()
     # The last of the table is what a helper begins with.
     monkeypatch.setattr(judges, "JUDGES", (*JUDGES, Judge("slow", slow.judge)))
@@ -149,20 +146,18 @@ def test_a_judge_that_fails_is_told_where_its_word_was_awaited(
     def fail(_: JudgeInput, __: Earlier) -> Judgement | None:
         raise ValueError("a judge is at a loss")
 
-    pipeline, processor = made(straight, helpers)
-    alone = told(pipeline, begun(processor, straight))
-    at = [judge.name for judge in JUDGES].index("sight")
+    _, processor = made(straight, helpers)
+    names = [judge.name for judge in JUDGES]
     table = tuple(Judge(judge.name, fail) if judge.name == "sight" else judge for judge in JUDGES)
     monkeypatch.setattr(judges, "JUDGES", table)
     heard: list[str] = []
+    steps = begun(processor, straight)
 
     def hear() -> None:
-        for step in begun(processor, straight):
+        for step in steps:
             heard.extend([step.name] if isinstance(step, OneJudged) else [])
 
     with pytest.raises(ValueError, match="at a loss"):
         hear()
-    assert heard == [judge.name for judge in JUDGES][:at]
+    assert heard == names[: names.index("sight")]
     assert not processor.finished
-    monkeypatch.setattr(judges, "JUDGES", JUDGES)
-    assert told(pipeline, begun(processor, straight)) == alone
