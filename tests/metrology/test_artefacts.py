@@ -16,15 +16,14 @@ from hw_sim.scene import Imaging, Scene
 from tests.support.rendered import reconstruct, render_scan
 from tests.support.truth import rig_to_left
 
-Pose = tuple[float, float, float, float, float, float]
 WIDTH_PX = 400
 MEAN_OF_A_PIXEL_MM = 0.03
 """A pixel of 0.64 mm sees a curved piece of the ball and returns its mean, which lies behind the surface; at full
 resolution this is a sixteenth."""
 
 
-@pytest.mark.parametrize("pose", [(0.0, -30.0, 480.0, 0.0, -20.0, -10.0), (0.0, 0.0, 522.0, 5.0, -30.0, 90.0)])
-def test_a_ball_bar_in_any_pose(pose: Pose) -> None:
+def test_a_ball_bar_is_as_long_as_it_is_and_where() -> None:
+    pose = (0.0, 0.0, 522.0, 5.0, -30.0, 90.0)
     scan = render_scan(Scene(object="ballbar", pose=pose), "modelled", 3, WIDTH_PX, 16)
     _, cloud = reconstruct(scan)
     bar = find_ball_bar(cloud)
@@ -66,12 +65,8 @@ def test_a_frustum_is_as_large_as_it_is_and_where() -> None:
     _, cloud = reconstruct(scan)
     frustum = find_frustum(cloud)
     assert isinstance(frustum, Frustum)
-    true_mm = {
-        "top": FRUSTUM_TOP_MM,
-        "base": FRUSTUM_BASE_MM,
-        "height": FRUSTUM_HEIGHT_MM,
-        "slanted": np.hypot((FRUSTUM_BASE_MM - FRUSTUM_TOP_MM) / np.sqrt(2.0), FRUSTUM_HEIGHT_MM),
-    }
+    slanted_mm = np.hypot((FRUSTUM_BASE_MM - FRUSTUM_TOP_MM) / np.sqrt(2.0), FRUSTUM_HEIGHT_MM)
+    true_mm = {"top": FRUSTUM_TOP_MM, "base": FRUSTUM_BASE_MM, "height": FRUSTUM_HEIGHT_MM, "slanted": slanted_mm}
     for name, measured in frustum.lengths_mm.items():
         assert measured == pytest.approx([true_mm[name]] * len(measured), abs=0.02)
     R, t = pose_matrix(pose)

@@ -21,10 +21,7 @@ from tests.support.truth import WATER, rig_to_left, true_calibration
 
 AIR = 1.0
 NO_PORT = Port((0.0, 0.0, 1.0), 0.0, 0.0, 1.0)
-POSES = [
-    (0.0, -30.0, 480.0, 0.0, -20.0, -10.0),
-    (10.0, 30.0, 560.0, 0.0, 30.0, 60.0),
-]
+POSE = (10.0, 30.0, 560.0, 0.0, 30.0, 60.0)
 
 
 def through_the_nominal_port(camera: HousedCamera) -> HousedCamera:
@@ -79,25 +76,17 @@ def length_error_percent(
 
 
 def test_a_pinhole_fails_in_water_and_the_true_model_does_not() -> None:
-    pinhole, exact = [], []
-    for pose in POSES:
-        scan = render_scan(Scene(object="ballbar", pose=pose), "paper", 4, 800, 16)
-        true = true_calibration(scan.renderer.truth)
-        pipeline, cloud = reconstruct(scan, true)
-        left, right = (
-            oracle.decode(scan.sequence, scan.frames["left"]),
-            oracle.decode(scan.sequence, scan.frames["right"]),
-        )
-        v, u = np.divmod(cloud.pixel.astype(np.int64), 800)
-        right_uv = oracle.match(left.pq[v, u], right.pq, pipeline.decoded("right").mask == 0)
-        found = np.isfinite(right_uv).all(-1)
-        pairs = (np.stack([u, v], -1)[found].astype(float), right_uv[found])
-        mapped = replace(
-            true.rig,
-            left=as_pinhole(through_the_nominal_port(true.rig.left)),
-            right=as_pinhole(through_the_nominal_port(true.rig.right)),
-        )
-        pinhole.append(length_error_percent(scan, replace(true, rig=mapped), AIR, pairs))
-        exact.append(length_error_percent(scan, true, WATER.index, pairs))
-    assert max(pinhole) >= 0.3, f"pinhole {pinhole}, exact {exact}"
-    assert max(exact) <= 0.10, "what the general port cannot express of this rig (lens field, wedge) costs little"
+    scan = render_scan(Scene(object="ballbar", pose=POSE), "paper", 4, 800, 16)
+    true = true_calibration(scan.renderer.truth)
+    pipeline, cloud = reconstruct(scan, true)
+    right = oracle.decode(scan.sequence, scan.frames["right"])
+    left = oracle.decode(scan.sequence, scan.frames["left"])
+    v, u = np.divmod(cloud.pixel.astype(np.int64), 800)
+    right_uv = oracle.match(left.pq[v, u], right.pq, pipeline.decoded("right").mask == 0)
+    found = np.isfinite(right_uv).all(-1)
+    pairs = (np.stack([u, v], -1)[found].astype(float), right_uv[found])
+    mapped = {side: as_pinhole(through_the_nominal_port(getattr(true.rig, side))) for side in ("left", "right")}
+    pinhole = length_error_percent(scan, replace(true, rig=replace(true.rig, **mapped)), AIR, pairs)
+    exact = length_error_percent(scan, true, WATER.index, pairs)
+    assert pinhole >= 0.3, f"pinhole {pinhole}, exact {exact}"
+    assert exact <= 0.10, "what the general port cannot express of this rig (lens field, wedge) costs little"
