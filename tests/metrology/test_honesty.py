@@ -85,8 +85,9 @@ def test_a_pinhole_fails_in_water_and_the_true_model_does_not() -> None:
     right_uv = oracle.match(left.pq[v, u], right.pq, pipeline.decoded("right").mask == 0)
     found = np.isfinite(right_uv).all(-1)
     pairs = (np.stack([u, v], -1)[found].astype(float), right_uv[found])
-    mapped = {side: as_pinhole(through_the_nominal_port(getattr(true.rig, side))) for side in ("left", "right")}
-    pinhole = length_error_percent(scan, replace(true, rig=replace(true.rig, **mapped)), AIR, pairs)
+    mapped_left, mapped_right = (as_pinhole(through_the_nominal_port(one)) for one in (true.rig.left, true.rig.right))
+    mapped = replace(true, rig=replace(true.rig, left=mapped_left, right=mapped_right))
+    pinhole = length_error_percent(scan, mapped, AIR, pairs)
     exact = length_error_percent(scan, true, WATER.index, pairs)
     assert pinhole >= 0.3, f"pinhole {pinhole}, exact {exact}"
     assert exact <= 0.10, "what the general port cannot express of this rig (lens field, wedge) costs little"

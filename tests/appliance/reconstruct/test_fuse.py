@@ -32,12 +32,10 @@ def seen(pixel: NDArray[np.int64] = EVERY, sigma_mm: float = 0.03, apart_mm: flo
     ray = np.stack([(u - 15.5) / FOCAL_PX, (v - 11.5) / FOCAL_PX, np.ones(len(pixel))], -1)
     depth = 500.0 / (1.0 - 0.2 * ray[:, 0] - 0.1 * ray[:, 1])
     points = ray * depth[:, None] + np.multiply.outer(np.broadcast_to(apart_mm, pixel.shape), NORMAL)
-    n, ones = len(pixel), np.ones(len(pixel), np.float32)
-    summary = CloudSummary(n, 100.0 * n / N, None, None, None)
-    intensity, pixels = np.full(n, 100, np.uint8), pixel.astype(np.uint32)
-    return Cloud(
-        points.astype(np.float32), intensity, 50 * ones, ones / 100, np.float32(sigma_mm) * ones, pixels, summary
-    )
+    n = len(pixel)
+    points, intensity, pixels = points.astype(np.float32), np.full(n, 100, np.uint8), pixel.astype(np.uint32)
+    modulation, gap, sigma = (np.full(n, value, np.float32) for value in (50.0, 0.01, sigma_mm))
+    return Cloud(points, intensity, modulation, gap, sigma, pixels, CloudSummary(n, 100.0 * n / N, None, None, None))
 
 
 def fused(first: Cloud, second: Cloud, found: Registration = AT_REST, grey: tuple[float, float] = (1.0, 1.0)) -> Fused:
@@ -79,12 +77,12 @@ def test_points_contradict_beyond_five_sigmas_and_up_to_a_millimetre(apart: floa
     there = np.flatnonzero(found.cloud.pixel == MIDDLE)
     if fate == "masked":
         assert (len(there), found.cloud.summary.points) == (0, N - 1)
-        assert (found.masked, found.both) == (pytest.approx(1.0 / N), 1.0)
+        assert (found.masked, found.both) == pytest.approx((1.0 / N, 1.0))
         return
     mean = fate == "mean"
     assert apart_mm(found.cloud)[there] == pytest.approx([apart * 9.0 / 25.0 if mean else 0.0], abs=3e-4)
     assert found.cloud.sigma_mm[there] == pytest.approx([0.024 if mean else 0.03], rel=1e-4)
-    assert (found.masked, found.both) == (0.0, pytest.approx(1.0 if mean else (N - 1) / N))
+    assert (found.masked, found.both) == pytest.approx((0.0, 1.0 if mean else (N - 1) / N))
 
 
 def test_what_only_the_second_has_is_taken_at_its_pixel_in_the_order_of_the_pixels() -> None:
@@ -143,7 +141,7 @@ def test_the_fused_clouds_numbers_are_its_own() -> None:
         return fused(first, second).cloud.summary
 
     said = covered(80.0, 50.0)
-    assert (said.points, said.coverage_percent, said.gap_mm) == (N, pytest.approx(50.0), pytest.approx(0.01))
+    assert (said.points, said.coverage_percent, said.gap_mm) == pytest.approx((N, 50.0, 0.01))
     assert said.distance_mm == pytest.approx(float(np.median(seen().points_mm[:, 2])), abs=0.01)
     assert said.noise_mm == pytest.approx(0.03 / np.sqrt(2.0), rel=1e-4)
     assert covered(None, None).coverage_percent is None

@@ -87,9 +87,8 @@ def found(
     n = reconstruct_rows(left, right(), rays, limits, FACTORS, *rows, stride, scratch, p, offset)
     assert (p.pixel[:offset] == 4_000_000_000).all(), "what stands before is left alone"
     assert not p.pixel[offset + n :].any(), "nothing is written behind"
-    return Rows(
-        *(column[offset : offset + n] for column in (p.xyz_mm, p.sigma_mm, p.modulation_half_dn, p.pixel, p.intensity))
-    )
+    here = slice(offset, offset + n)
+    return Rows(p.xyz_mm[here], p.sigma_mm[here], p.modulation_half_dn[here], p.pixel[here], p.intensity[here])
 
 
 def assert_same(one: Rows, other: Rows) -> None:
@@ -100,7 +99,8 @@ def assert_same(one: Rows, other: Rows) -> None:
 def test_two_threads_find_what_one_finds_behind_what_is_there() -> None:
     """A point at the seam has neighbours on the other side of it."""
     above, below = found(left_maps(), (0, 13)), found(left_maps(), (13, HEIGHT_PX), offset=17)
-    assert_same(Rows(*(np.concatenate(both) for both in zip(above, below, strict=True))), found(left_maps()))
+    both = {name: np.concatenate([getattr(above, name), getattr(below, name)]) for name in Rows._fields}
+    assert_same(Rows(**both), found(left_maps()))
 
 
 @pytest.mark.parametrize(("stride", "columns"), [(1, (16, 32)), (3, (16, 32)), (1, (0, 9))])

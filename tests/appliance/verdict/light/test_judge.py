@@ -192,7 +192,8 @@ def test_a_lamp_is_found_at_its_frequency_up_to_half_the_frame_rate(hz: float) -
     levels = tuple(LightLevel(k, groups[k // 8], float(one)) for k, one in enumerate(value.ravel()))
     found = find_frequency_hz(levels, 1.0 / 60.0)
     assert found is not None
-    assert found == (pytest.approx(hz, abs=0.3), pytest.approx(1.0, abs=0.01))
+    assert found[0] == pytest.approx(hz, abs=0.3)
+    assert found[1] > 0.99
     assert find_frequency_hz(levels, 1.0 / 1.9) is None, "frames that come too slowly tell none"
 
 
