@@ -10,16 +10,8 @@ from numpy.typing import NDArray
 
 from appliance.bringup.exposures import FEWEST, Trial, offered, promising, trials
 from appliance.bringup.finding import BringupError
-from appliance.bringup.light import (
-    LightTiming,
-    latency_of,
-    sub_frames_of,
-    timing_of,
-    windows_of,
-)
-from appliance.bringup.plane_check import (
-    next_exposure,
-)
+from appliance.bringup.light import LightTiming, latency_of, sub_frames_of, timing_of, windows_of
+from appliance.bringup.plane_check import next_exposure
 from appliance.bringup.plane_ripple import CoordinateRipple, ripple_of, smooth_plane
 from appliance.bringup.raster import LINES, compare_lines
 from appliance.bringup.response_check import Shape, judge_response, ramp_codes

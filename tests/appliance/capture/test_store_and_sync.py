@@ -25,10 +25,10 @@ BOARD_LATER_NS = 2_000_000_000
 
 
 def test_every_frame_of_either_side_and_sequence_has_its_own_place_in_both_processes() -> None:
+    places = [(side, second) for side in ("left", "right") for second in (False, True)]
     with FrameStore(FRAMES, HEIGHT_PX, WIDTH_PX, sequences=2) as store:
         with FrameStore(FRAMES, HEIGHT_PX, WIDTH_PX, attach_to=store.name) as other:
             assert (store.sequences, other.sequences) == (2, 2)
-            places = [(side, second) for side in ("left", "right") for second in (False, True)]
             for value, (side, second) in enumerate(places, start=1):
                 slots = store.frames(side, second=second)
                 assert slots.shape == (FRAMES, HEIGHT_PX, WIDTH_PX)
@@ -43,15 +43,15 @@ def test_every_frame_of_either_side_and_sequence_has_its_own_place_in_both_proce
 
 def test_every_page_is_there_from_the_start_and_given_back_by_its_maker_and_only_once() -> None:
     store = FrameStore(FRAMES, 100, 200, sequences=2)
-    name = store.name
+    name, mapped = store.name, Path("/proc/self/maps")
     assert Path("/dev/shm", name).stat().st_blocks * 512 >= 2 * 2 * FRAMES * 100 * 200
     SharedMemory(name).close()
-    assert name in Path("/proc/self/maps").read_text()
-    store.close()
-    store.close()
+    assert name in mapped.read_text()
+    for _ in range(2):
+        store.close()
+    assert name not in mapped.read_text(), "184 MB must not stay mapped"
     with pytest.raises(FileNotFoundError):
         SharedMemory(name)
-    assert name not in Path("/proc/self/maps").read_text(), "184 MB must not stay mapped"
     with pytest.raises(KeyError):
         store.frames("left")
 

@@ -7,8 +7,6 @@ from dataclasses import replace
 from itertools import pairwise
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from appliance.machine import effects as do
 from appliance.machine import events as on
@@ -417,57 +415,6 @@ def test_without_a_sensor_light_is_rationed_whatever_the_diver_does(seconds: int
     assert light_s <= RATION_S * (1.0 + seconds / 60.0) + 1.0
     assert light_s > 0.6 * RATION_S * seconds / 60.0, "rationed, not forbidden"
     assert scans >= presses // 3, "aiming leaves light for scans"
-
-
-KEY_EVENTS = [event for event in at.EVERY_EVENT if isinstance(event, on.KeyPressed | on.KeyHeld | on.KeyJammed)]
-GESTURES: tuple[tuple[on.Event, ...], ...] = (
-    *((on.KeyPressed(key),) for key in Key),
-    *((on.KeyPressed(key), on.KeyHeld(key)) for key in Key),
-    *((on.KeyJammed(key),) for key in (Key.SCAN, Key.BACK)),
-)
-
-
-def ends(machine: Machine) -> bool:
-    return machine.state is S.SHUTDOWN or machine.stopping is not None
-
-
-def answered(before: Machine, event: on.Event) -> bool:
-    question = before.off_question
-    if question is None or question.answer is not Answer.SWITCH_OFF or not isinstance(event, on.KeyPressed):
-        return False
-    # A stuck key that is seen to go down again has come loose: it means what it says once more.
-    return labels(replace(before, stuck=before.stuck - {event.key})).get(event.key) == "OK"
-
-
-def test_no_two_gestures_switch_off_without_an_answered_question() -> None:
-    def after_gesture(machine: Machine, gesture: tuple[on.Event, ...]) -> Machine:
-        for event in gesture:
-            before, machine = machine, run(machine, event)
-            if ends(machine):
-                assert answered(before, event), (gesture, event)
-                break
-        return machine
-
-    for start in (way() for way in at.STARTS):
-        for first in () if ends(start) else GESTURES:
-            between = after_gesture(start, first)
-            for second in () if ends(between) else GESTURES:
-                after_gesture(between, second)
-
-
-@given(at.START, at.WALKS, st.lists(st.sampled_from(KEY_EVENTS), max_size=12))
-@settings(deadline=None, max_examples=60)
-def test_after_any_walk_keys_alone_switch_off_by_an_answered_question_only(
-    start: Machine, events: list[on.Event], keys: list[on.Event]
-) -> None:
-    machine = run(start, *events)
-    for event in keys:
-        if ends(machine):
-            return
-        before = machine
-        machine, effects = step(machine, event)
-        if ends(machine) or any(isinstance(effect, do.Quit) for effect in effects):
-            assert answered(before, event)
 
 
 @pytest.mark.parametrize("way", [lambda: boot(0), at.self_testing, aim, at.safe])

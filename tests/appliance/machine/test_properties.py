@@ -6,6 +6,7 @@ import re
 import typing
 from collections import defaultdict
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from hypothesis import given, settings
@@ -13,9 +14,11 @@ from hypothesis import given, settings
 from appliance.calibration.guide import HELD
 from appliance.machine import effects as do
 from appliance.machine import events as on
+from appliance.machine.acknowledge import pending
+from appliance.machine.alerts import RULES, Severity, lasting
 from appliance.machine.leading import alerts
 from appliance.machine.permissions import interruption, may_lase, may_light, may_shine, refusal
-from appliance.machine.states import NEEDED_FOR_A_SCAN, Machine, State, Task
+from appliance.machine.states import NEEDED_FOR_A_SCAN, Answer, Machine, State, Task
 from appliance.machine.step import step
 from appliance.scan.fault import Fault, FaultCode
 from drivers.api import Key
@@ -23,6 +26,7 @@ from tests.appliance.machine.walks import EVERY_EVENT, SECOND_NS, START, STARTS,
 
 Effects = Sequence[do.Effect]
 DARK = (State.ARMED, State.CAPTURE)
+KEY_EVENTS = (on.KeyPressed, on.KeyHeld, on.KeyJammed)
 
 
 def test_every_event_is_in_the_list_and_every_state_is_reached_by_events() -> None:
@@ -57,6 +61,9 @@ def test_every_state_answers_every_event_and_the_page_of_states_says_how() -> No
             labels(machine)
             for promise in OF_STEPS:
                 promise(start, event, machine, effects)
+            for key in EVERY_EVENT if isinstance(event, KEY_EVENTS) else ():
+                if isinstance(key, KEY_EVENTS):  # a second one
+                    keys_switch_off_by_an_answered_question_only(machine, key, *step(machine, key))
     page = (Path(__file__).parents[3] / "docs" / "states.md").read_text(encoding="utf-8")
     steps = [(a, b) for a in State for b in State if (a, b) in found]
     wanted = [f"| {a.value} | {b.value} | {', '.join(sorted(found[a, b]))} |" for a, b in steps]
@@ -150,6 +157,36 @@ def choices_take_effect(before: Machine, event: on.Event, machine: Machine, effe
         assert label == "OK" if before.state is State.MENU else label.startswith(("EXPOSE ", "GAIN "))
 
 
+def ends(machine: Machine) -> bool:
+    return machine.state is State.SHUTDOWN or machine.stopping is not None
+
+
+def keys_switch_off_by_an_answered_question_only(
+    before: Machine, event: on.Event, machine: Machine, effects: Effects
+) -> None:
+    """By the press of OK on SWITCH OFF, of a question that was on the screen."""
+    quits = any(isinstance(effect, do.Quit) for effect in effects)
+    if ends(before) or not isinstance(event, KEY_EVENTS) or not (ends(machine) or quits):
+        return
+    question = before.off_question
+    assert question is not None
+    assert question.answer is Answer.SWITCH_OFF
+    assert isinstance(event, on.KeyPressed)
+    # A stuck key that is seen to go down again has come loose: it means what it says once more.
+    assert labels(replace(before, stuck=before.stuck - {event.key})).get(event.key) == "OK"
+
+
+def nothing_becomes_known_but_by_its_key(before: Machine, event: on.Event, machine: Machine, effects: Effects) -> None:
+    gained = set(machine.seen) - set(before.seen)
+    if gained:
+        assert isinstance(event, on.KeyPressed)
+        assert labels(replace(before, stuck=before.stuck - {event.key}))[event.key] == "SEEN"
+        assert gained == {pending(before)} or before.stuck
+    there = {(fault.code, fault.device) for fault in lasting(machine)}
+    assert all((was.code, was.device) in there for was in machine.seen)
+    assert not any(alert.seen and RULES[alert.code].severity is Severity.CRITICAL for alert in alerts(machine))
+
+
 def water_leads_to_safe(before: Machine) -> None:
     if before.state is State.SHUTDOWN or not may_light(before):
         return
@@ -176,6 +213,8 @@ OF_STEPS: tuple[Callable[[Machine, on.Event, Machine, Effects], None], ...] = (
     no_scan_is_forgotten,
     no_number_is_used_twice,
     choices_take_effect,
+    keys_switch_off_by_an_answered_question_only,
+    nothing_becomes_known_but_by_its_key,
 )
 
 
@@ -205,8 +244,7 @@ def test_back_repeated_reaches_aim_unless_what_keeps_it_dark_lasts(start: Machin
         machine = run(machine, on.Tick(machine.now_ns + SECOND_NS))
         if machine.state is State.AIM:
             return
-    ends = machine.state is State.SHUTDOWN or machine.stopping is not None
-    assert ends or (machine.state is State.SAFE and not may_light(machine))
+    assert ends(machine) or (machine.state is State.SAFE and not may_light(machine))
 
 
 @given(START, WALKS)

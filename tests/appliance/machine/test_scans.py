@@ -102,6 +102,7 @@ def wet() -> Machine:
         course("patterns are told right after the cloud", at.checking, on.CoarseReady(1, SUMMARY), on.PatternsRight(1), state=S.REVIEW),
         course("kept", at.reviewing, SCAN, state=S.SAVING, effects=[do.Publish(1)], just_saved=None),
         course("saved", at.saving, SAVED, state=S.AIM, just_saved="000001", last_scan="000001", effects=[LIT]),
+        course("and news of before is old then", at.saving, on.Told(Fault(C.RESTARTED)), SAVED, shown=[]),
         course("said until the next key", at.saving, SAVED, DOWN, just_saved=None),
         course("kept before the full cloud it waits", coarse, SCAN, state=S.SAVING, effects=[]),
         course("and is saved with it", coarse, SCAN, on.FullReady(1, SUMMARY), effects=[do.Publish(1)]),

@@ -162,6 +162,7 @@ def test_a_scan_for_which_no_space_can_be_allocated_is_refused_until_it_can(
         (CountedRoom(7, 0, 10), CountedRoom(7, 1, 10), 1),  # it was full
         (CountedRoom(7, 20, 10), CountedRoom(6, 21, 10), 21),  # a scan was taken away
         (CountedRoom(7, 20, 10), CountedRoom(7, 22, 9), 22),  # scans of a longer period are smaller
+        (CountedRoom(7, 20, 10), CountedRoom(7, 22, 10), 20),  # others take and give some
         (CountedRoom(7, 20, 10), CountedRoom(8, 22, 10), 20),
         (CountedRoom(7, 20, 10), CountedRoom(8, 19, 10), 19),
         (CountedRoom(7, 20, 10), CountedRoom(8, 23, 10), 23),

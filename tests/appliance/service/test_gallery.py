@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import threading
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable
+from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
 
@@ -65,19 +65,22 @@ def test_whatever_is_cut_short_is_marked_and_the_others_are_fine(library: Librar
 
 
 def test_the_newest_comes_first_and_the_latest_wish_counts_however_slow_the_disk_is(library: Library) -> None:
-    ids = [saved(library) for _ in range(3)]
-    pool, free = ThreadPoolExecutor(1), threading.Event()
-    pool.submit(free.wait, 10.0)
-    gallery = GalleryController(library, pool.submit)
+    ids, asked = [saved(library) for _ in range(3)], list[Callable[[], None]]()
+
+    def later(work: Callable[[], None]) -> Future[None]:
+        asked.append(work)
+        return Future()
+
+    gallery = GalleryController(library, later)
     gallery.list_scans()
     for scan_id in ids:
         gallery.show(scan_id)
-    assert gallery.poll() == [], "nothing is waited for"
-    free.set()
-    pool.shutdown(wait=True)
+    assert (gallery.poll(), gallery.shown) == ([], None), "nothing is waited for"
+    for work in asked:
+        assert gallery.shown is None, "the diver has gone on meanwhile"
+        work()
     assert gallery.poll() == [on.ScansListed(tuple(reversed(ids)))]
     assert gallery.shown is not None
-    assert gallery.shown.scan_id == ids[-1]
     assert gallery.poll() == [], "listed once"
     told = {"scan": ids[-1], "damaged": False, "grade": "usable", "taken": gallery.shown.taken}
     assert gallery.status_of(ids[-1]) == told

@@ -88,12 +88,7 @@ def test_a_laser_that_does_not_conduct_is_told_once_and_taken_back(
 
 @pytest.mark.parametrize(
     ("before_dn", "after_dn", "cameras", "ignored"),
-    [
-        (15.0, 22.5, 2, True),
-        (15.0, 22.6, 2, False),
-        (14.9, 15.0, 2, False),
-        (40.0, 40.0, 1, False),
-    ],
+    [(15.0, 22.5, 2, True), (15.0, 22.6, 2, False), (14.9, 15.0, 2, False), (40.0, 40.0, 1, False)],
 )
 def test_a_dot_that_is_no_brighter_with_the_lasers_on_is_a_laser_that_was_on(
     ranging: RangingController, before_dn: float, after_dn: float, cameras: int, ignored: bool

@@ -42,15 +42,31 @@ EXPOSURE = Exposure(8_000, 6.0)
 WANTED = do.Arm(7, 16, EXPOSURE, object=5)
 
 
+@dataclass
+class Drawing:
+    """GL and what draws by it, once for all tests here."""
+
+    gl: moderngl.Context
+    patterns: DrawnPatterns
+    painter: FrugalPainter
+
+
 @pytest.fixture(scope="module")
-def patterns(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DrawnPatterns]:
-    with open_gl() as gl:
-        yield DrawnPatterns(gl, small_rig(tmp_path_factory.mktemp("rig")), 64, None)
+def drawing(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Drawing]:
+    rig = small_rig(tmp_path_factory.mktemp("rig"))
+    size_px = rig.display.width_px, rig.display.height_px
+    with open_gl() as gl, FrugalPainter(gl, size_px, Language.ENGLISH) as painter:
+        yield Drawing(gl, DrawnPatterns(gl, rig, 64, None), painter)
 
 
-def recorder(desk: Desk, patterns: DrawnPatterns) -> SequenceRecorder:
-    inputs = Inputs(desk.devices, desk.parts.ranging)
-    return SequenceRecorder(desk.rig, desk.parts, patterns, inputs, desk.script.clock, desk.inbox)
+@pytest.fixture
+def inputs(desk: Desk) -> Inputs:
+    return Inputs(desk.devices, desk.parts.ranging)
+
+
+@pytest.fixture
+def one(desk: Desk, inputs: Inputs, drawing: Drawing) -> SequenceRecorder:
+    return SequenceRecorder(desk.rig, desk.parts, drawing.patterns, inputs, desk.script.clock, desk.inbox)
 
 
 def nothing() -> None:
@@ -63,8 +79,8 @@ def answered(desk: Desk, one: SequenceRecorder) -> list[on.Event]:
     return told
 
 
-def test_a_sequence_is_armed_played_and_taken_down(desk: Desk, patterns: DrawnPatterns) -> None:
-    one, drawn = recorder(desk, patterns), list[str]()
+def test_a_sequence_is_armed_played_and_taken_down(desk: Desk, one: SequenceRecorder) -> None:
+    drawn: list[str] = []
     one.want(WANTED)
     assert answered(desk, one) == [on.Armed(7)]
     assert one.go_on() == [], "told once"
@@ -81,10 +97,9 @@ def test_a_sequence_is_armed_played_and_taken_down(desk: Desk, patterns: DrawnPa
 
 
 @pytest.mark.parametrize("device", ["board", "projector", "left", "right"])
-def test_without_all_devices_nothing_is_armed(desk: Desk, patterns: DrawnPatterns, device: str) -> None:
+def test_without_all_devices_nothing_is_armed(desk: Desk, one: SequenceRecorder, device: str) -> None:
     parts: dict[str, Any] = {"board": desk.devices.board, "projector": desk.devices.projector, **desk.devices.cameras}
     parts[device].lose("unplugged")
-    one = recorder(desk, patterns)
     one.want(WANTED)
     assert one.go_on() == []
     (failed,) = desk.inbox
@@ -94,8 +109,8 @@ def test_without_all_devices_nothing_is_armed(desk: Desk, patterns: DrawnPattern
     assert desk.parts.scans.scan is None
 
 
-def test_nothing_is_begun_while_the_disk_is_busy(desk: Desk, patterns: DrawnPatterns) -> None:
-    one, gate = recorder(desk, patterns), threading.Event()
+def test_nothing_is_begun_while_the_disk_is_busy(desk: Desk, one: SequenceRecorder) -> None:
+    gate = threading.Event()
     desk.parts.scans.submit(lambda: gate.wait(10.0))
     desk.parts.scans.count()
     one.want(WANTED)
@@ -107,8 +122,7 @@ def test_nothing_is_begun_while_the_disk_is_busy(desk: Desk, patterns: DrawnPatt
     gate.set()
 
 
-def test_what_is_let_go_answers_nothing_and_frees_its_memory(desk: Desk, patterns: DrawnPatterns) -> None:
-    one = recorder(desk, patterns)
+def test_what_is_let_go_answers_nothing_and_frees_its_memory(desk: Desk, one: SequenceRecorder) -> None:
     one.want(WANTED)
     one.go_on()
     assert [desk.parts.scans.scan is None] == [False]
@@ -117,8 +131,8 @@ def test_what_is_let_go_answers_nothing_and_frees_its_memory(desk: Desk, pattern
     assert one.go_on() == []
 
 
-def test_patterns_of_another_period_are_drawn_loaded_and_recorded_with(desk: Desk, patterns: DrawnPatterns) -> None:
-    one, before = recorder(desk, patterns), desk.parts.scans.store
+def test_patterns_of_another_period_are_drawn_loaded_and_recorded_with(desk: Desk, one: SequenceRecorder) -> None:
+    before = desk.parts.scans.store
     one.want_period(16)
     one.go_on()
     assert desk.parts.scans.store is before, "they are in use"
@@ -170,8 +184,7 @@ def test_each_camera_is_exposed_as_wanted_and_shows_its_latest_image(desk: Desk)
 WARM = api.Telemetry(0, 0, 0, api.LaserState(False, False), 41.0, 36.5, 30.0)
 
 
-def test_each_report_of_the_board_means_what_it_says(desk: Desk, caplog: pytest.LogCaptureFixture) -> None:
-    inputs = Inputs(desk.devices, desk.parts.ranging)
+def test_each_report_of_the_board_means_what_it_says(inputs: Inputs, caplog: pytest.LogCaptureFixture) -> None:
     assert [inputs.telemetry] == [None]
     assert inputs.board_event(WARM) == [on.TelemetryArrived(WARM)]
     assert inputs.telemetry is WARM
@@ -185,8 +198,7 @@ def test_each_report_of_the_board_means_what_it_says(desk: Desk, caplog: pytest.
     assert inputs.poll() == [], "there is no board to ask"
 
 
-def test_temperatures_are_told_by_whoever_measures_them(desk: Desk) -> None:
-    inputs = Inputs(desk.devices, desk.parts.ranging)
+def test_temperatures_are_told_by_whoever_measures_them(desk: Desk, inputs: Inputs) -> None:
     for camera in desk.devices.cameras.values():
         assert camera.value is not None
         camera.value.live()
@@ -200,8 +212,7 @@ def test_temperatures_are_told_by_whoever_measures_them(desk: Desk) -> None:
     assert inputs.temperatures_c() == {**measured, "camera_left": None, "camera_right": 30.5}
 
 
-def test_keys_come_before_the_board_and_a_flood_is_read_bit_by_bit(desk: Desk) -> None:
-    inputs = Inputs(desk.devices, desk.parts.ranging)
+def test_keys_come_before_the_board_and_a_flood_is_read_bit_by_bit(desk: Desk, inputs: Inputs) -> None:
     board = desk.devices.board.value
     desk.pad.waiting.append(api.KeyPress(api.Key.SCAN, 0))
     time.sleep(0.05)
@@ -212,8 +223,7 @@ def test_keys_come_before_the_board_and_a_flood_is_read_bit_by_bit(desk: Desk) -
     assert inputs.poll() == [on.TelemetryArrived(BEAT)] * 50
 
 
-def test_every_key_event_is_heard_and_a_pad_that_is_gone_is_told_once(desk: Desk) -> None:
-    inputs = Inputs(desk.devices, desk.parts.ranging)
+def test_every_key_event_is_heard_and_a_pad_that_is_gone_is_told_once(desk: Desk, inputs: Inputs) -> None:
     pressed: list[api.KeyEvent] = [
         api.KeyPress(api.Key.UP, 0),
         api.KeyLongPress(api.Key.UP, 0),
@@ -228,23 +238,6 @@ def test_every_key_event_is_heard_and_a_pad_that_is_gone_is_told_once(desk: Desk
         on.DeviceDown(Device.KEYS, "unplugged"),
     ]  # fmt: skip
     assert inputs.keys() == [], "nobody is there to ask"
-
-
-@dataclass
-class Drawing:
-    """GL and what draws by it, once for all tests here."""
-
-    gl: moderngl.Context
-    patterns: DrawnPatterns
-    painter: FrugalPainter
-
-
-@pytest.fixture(scope="module")
-def drawing(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Drawing]:
-    rig = small_rig(tmp_path_factory.mktemp("rig"))
-    size_px = rig.display.width_px, rig.display.height_px
-    with open_gl() as gl, FrugalPainter(gl, size_px, Language.ENGLISH) as painter:
-        yield Drawing(gl, DrawnPatterns(gl, rig, 64, None), painter)
 
 
 @dataclass

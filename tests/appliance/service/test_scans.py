@@ -238,26 +238,22 @@ def heard(desk: Desk) -> Heard:
     return Heard(desk)
 
 
-def test_of_another_scan_nothing_is_heard(heard: Heard) -> None:
+def test_of_another_scan_nothing_is_heard_and_news_of_none_are_told_as_they_are(heard: Heard) -> None:
     about = (
-        process.CloudReady(3, True, cloud(), 0.1),
-        process.ScanJudged(3, (BAD,), 0.1),
-        process.ScanCompared(3, Overlap(0.5), 0.1),
-    )
+        process.CloudReady(3, True, cloud(), 0.1), process.ScanJudged(3, (BAD,), 0.1), process.ScanCompared(3, Overlap(0.5), 0.1)
+    )  # fmt: skip
     for report in about:
-        assert heard.meant(report) == []
-        assert heard.reports.meant(report, None) == []
-    assert (heard.scan.full, heard.scan.judgements, heard.scan.times_s) == (None, (), {})
-
-
-def test_news_of_no_scan_are_told_as_they_are(heard: Heard) -> None:
-    assert [heard.reports.settled] == [False]
-    assert heard.reports.meant(process.WorkerReady(), None) == [
-        on.ConditionCleared(FaultCode.RECONSTRUCTION_FAILED), on.PartTested(Part.WORKER, True),
-    ]  # fmt: skip
+        assert heard.meant(report) == heard.reports.meant(report, None) == []
+    assert (heard.scan.full, heard.scan.judgements, heard.scan.times_s, heard.reports.settled) == (None, (), {}, False)
+    ready: list[on.Event] = [on.ConditionCleared(FaultCode.RECONSTRUCTION_FAILED), on.PartTested(Part.WORKER, True)]
+    news: tuple[tuple[process.WorkerEvent, list[on.Event]], ...] = (
+        (process.WorkerReady(), ready),
+        (process.SequenceIdentified(9), [on.PatternsRight(9)]),
+        (LiveLookedAt(None, 77, 0.1), [on.Guided(None, 77)]),
+    )
+    for one, told in news:
+        assert heard.reports.meant(one, None) == told
     assert [heard.reports.settled] == [True]
-    assert heard.reports.meant(process.SequenceIdentified(9), None) == [on.PatternsRight(9)]
-    assert heard.reports.meant(LiveLookedAt(None, 77, 0.1), None) == [on.Guided(None, 77)]
 
 
 def test_clouds_enter_the_scan_with_the_time_at_which_each_was_seen_first(heard: Heard) -> None:

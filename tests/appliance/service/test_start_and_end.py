@@ -155,21 +155,18 @@ def test_a_run_that_did_not_end_well_is_told_by_the_next_one_only_and_never_at_a
     assert told(None, source, ends_well=False) == told(None, source) == []
 
 
+UNDONE = {"version": "new", "accepted": False, "reason": "it ended 2 times", "now": "old"}
+
+
 @pytest.mark.parametrize(
-    ("outcome", "expected"),
-    [
-        ({"version": "new", "accepted": False, "reason": "it ended 2 times", "now": "old"}, [FaultCode.UPDATE_UNDONE]),
-        ({"version": "old", "accepted": True, "reason": "self-test passed", "now": "old"}, []),
-        ({"version": "new", "accepted": False, "reason": "it ended 2 times", "now": "older"}, []),
-        ({"accepted": False}, []),
-        ([], []),
-    ],
+    "outcome",
+    [UNDONE, UNDONE | {"now": "older"}, UNDONE | {"version": "old", "accepted": True}, {"accepted": False}, []],
 )
-def test_an_update_that_was_taken_back_is_told(tmp_path: Path, outcome: object, expected: list[FaultCode]) -> None:
+def test_an_update_that_was_taken_back_is_told(tmp_path: Path, outcome: object) -> None:
     prefix = tmp_path / "versions" / "old"
     prefix.mkdir(parents=True)
     (tmp_path / "outcome.json").write_text(json.dumps(outcome))
-    assert told(tmp_path, prefix) == expected
+    assert told(tmp_path, prefix) == [FaultCode.UPDATE_UNDONE] * (outcome is UNDONE)
     assert installation(prefix) == "old"
 
 

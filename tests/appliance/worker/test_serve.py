@@ -133,8 +133,9 @@ def test_nothing_is_loaded_between_two_frames_of_a_scan() -> None:
         assert (heard(pipe), ran) == (say.Loaded(), ["once"])
 
 
-def test_the_next_scan_does_not_wait_for_the_one_that_was_dropped() -> None:
-    with serving(begin(1), *FRAMES, say.Finish(), say.Drop(), begin(2), *FRAMES, say.Finish(), lit=True) as pipe:
+@pytest.mark.parametrize("between", [(), (say.Drop(),)])
+def test_the_next_scan_does_not_wait_for_the_one_before(between: tuple[object, ...]) -> None:
+    with serving(begin(1), *FRAMES, say.Finish(), *between, begin(2), *FRAMES, say.Finish(), lit=True) as pipe:
         told = []
         while not (isinstance(said := heard(pipe), say.CloudFound) and said.full):
             told.append(said)

@@ -14,12 +14,7 @@ from appliance.service.bringup import board as board_module
 from appliance.service.bringup import vsync
 from appliance.service.bringup.pad import _Listener
 from drivers import api
-from tests.appliance.service.bringup.scripted import (
-    PERIOD_NS,
-    BenchBoard,
-    BenchPad,
-    workplace,
-)
+from tests.appliance.service.bringup.scripted import PERIOD_NS, BenchBoard, BenchPad, workplace
 from tests.drivers.clock import SteppedClock
 
 OFF, LEFT, RIGHT = api.LaserState(False, False), api.LaserState(True, False), api.LaserState(False, True)

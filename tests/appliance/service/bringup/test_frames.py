@@ -28,13 +28,7 @@ from appliance.service.bringup.trigger import trigger_findings
 from appliance.storage import scan as stored
 from appliance.storage.library import Library
 from drivers import api
-from tests.appliance.service.bringup.scripted import (
-    PERIOD_NS,
-    RIG_FILE,
-    BenchBoard,
-    ValueBench,
-    workplace,
-)
+from tests.appliance.service.bringup.scripted import PERIOD_NS, RIG_FILE, BenchBoard, ValueBench, workplace
 from tests.drivers.clock import SteppedClock
 from tests.support.projector_model import Model, ModelBench, planes_in
 
