@@ -97,7 +97,8 @@ def _seen(change: Callable[[NDArray[Any]], NDArray[Any]], *sides: str) -> Change
 def _flickers(share: float, hz: float) -> Callable[[NDArray[Any]], NDArray[Any]]:
     def changed(frames: NDArray[Any]) -> NDArray[Any]:
         light = 1.0 + share * np.sin(2.0 * np.pi * hz / 60.0 * np.arange(len(frames)))
-        return frames * light[:, None, None]
+        scaled: NDArray[Any] = frames * light[:, None, None]
+        return scaled
 
     return changed
 
