@@ -44,15 +44,15 @@ def test_a_bus_that_cannot_be_asked_says_why(monkeypatch: pytest.MonkeyPatch) ->
     assert second.startswith("/dev/dri/card1 could not be opened:"), "a card that no rig file names is asked as well"
 
 
-def port(device: str, vid: int | None, pid: int | None, product: str | None = None, serial: str | None = None) -> Any:
-    return SimpleNamespace(device=device, vid=vid, pid=pid, product=product, serial_number=serial)
-
-
 def test_what_has_no_usb_identity_is_no_board(monkeypatch: pytest.MonkeyPatch) -> None:
+    words = ("device", "vid", "pid", "product", "serial_number")
     ports = [
-        port("/dev/ttyS0", None, None),
-        port("/dev/ttyACM1", 0x1209, 0x4B42, "Board", "B7"),
-        port("/dev/ttyACM0", 0x2341, 1),
+        SimpleNamespace(**dict(zip(words, values, strict=True)))
+        for values in (
+            ("/dev/ttyS0", None, None, None, None),
+            ("/dev/ttyACM1", 0x1209, 0x4B42, "Board", "B7"),
+            ("/dev/ttyACM0", 0x2341, 1, None, None),
+        )
     ]
     hid = {"vendor_id": 1, "product_id": 0, "product_string": "x", "path": b"/dev/hidraw0"}
     found = listed(monkeypatch, ports, lambda *_: [hid] * (MOST + 5), list)

@@ -2,21 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
 from drivers.camera.pixels import FORMATS
-
-CODES = {
-    "Mono8": 0x01080001,
-    "Mono10": 0x01100003,
-    "Mono10p": 0x010A0046,
-    "Mono10Packed": 0x010C0004,
-    "Mono12": 0x01100005,
-    "Mono12p": 0x010C0047,
-    "Mono12Packed": 0x010C0006,
-}
-"""PFNC 32-bit values."""
 
 
 def without_gaps(values: list[int], bits: int) -> bytes:
@@ -35,29 +26,37 @@ def in_threes(values: list[int], bits: int) -> bytes:
     return bytes(packed)
 
 
-@pytest.mark.parametrize("name", list(CODES))
-def test_the_upper_eight_bits_come_back(name: str) -> None:
+def padded(values: list[int], bits: int) -> bytes:
+    return b"".join(value.to_bytes(-(-bits // 8), "little") for value in values)
+
+
+@pytest.mark.parametrize(
+    ("name", "code", "bits", "packed"),
+    [
+        ("Mono8", 0x01080001, 8, padded),
+        ("Mono10", 0x01100003, 10, padded),
+        ("Mono10p", 0x010A0046, 10, without_gaps),
+        ("Mono10Packed", 0x010C0004, 10, in_threes),
+        ("Mono12", 0x01100005, 12, padded),
+        ("Mono12p", 0x010C0047, 12, without_gaps),
+        ("Mono12Packed", 0x010C0006, 12, in_threes),
+    ],
+)
+def test_the_upper_eight_bits_come_back(
+    name: str, code: int, bits: int, packed: Callable[[list[int], int], bytes]
+) -> None:
+    """Codes are PFNC's 32-bit values."""
     wire = FORMATS[name]
-    bits = int("".join(digit for digit in name if digit.isdigit()))
     values = [int(one) for one in np.random.default_rng(7).integers(0, 1 << bits, 240)]
     values[:4] = [0, (1 << bits) - 1, 1 << (bits - 1), (1 << (bits - 8)) - 1]
-    match name:
-        case "Mono8":
-            sent = bytes(values)
-        case "Mono10" | "Mono12":
-            sent = b"".join(value.to_bytes(2, "little") for value in values)
-        case "Mono10p" | "Mono12p":
-            sent = without_gaps(values, bits)
-        case _:
-            sent = in_threes(values, bits)
-    raw = np.frombuffer(sent, np.uint8).copy()
-    image = np.zeros(len(values), np.uint8)
+    sent = packed(values, bits)
+    raw, image = np.frombuffer(sent, np.uint8).copy(), np.zeros(len(values), np.uint8)
     if wire.reduce is None:
         image[:] = raw
     else:
         wire.reduce(raw, image)
     assert image.tolist() == [value >> (bits - 8) for value in values]
-    assert (wire.payload_size(len(values)), wire.code) == (len(sent), CODES[name])
+    assert (wire.payload_size(len(values)), wire.code) == (len(sent), code)
 
 
 def test_pixels_that_fill_no_whole_group_have_no_size() -> None:
