@@ -83,11 +83,6 @@ def mode(width: int, height: int, hz: float = 60.0) -> Any:
     )  # fmt: skip
 
 
-def zero(request: ctypes.Structure, *names: str) -> None:
-    """What a call does not ask by is 0: a kernel may give any of it a meaning in a later version."""
-    assert [getattr(request, name) for name in names] == [0] * len(names), names
-
-
 class Time:
     """A clock that only moves when somebody waits."""
 
@@ -176,24 +171,35 @@ class Kernel:
                 raise OSError(errno.ENODEV, "No such device")
             if number in self.before:
                 self.before[number](buffer)
-            handlers: dict[int, tuple[Callable[[Any], None], Any]] = {
-                0x0C: (self._get_cap, GetCap), 0xA0: (self._resources, CardRes), 0xA1: (self._get_crtc, Crtc),
-                0xA2: (self._set_crtc, Crtc), 0xA5: (self._set_gamma, CrtcLut), 0xA6: (self._encoder, GetEncoder),
-                0xA7: (self._connector, GetConnector), 0xAA: (self._get_property, GetProperty),
-                0xAB: (self._set_property, SetProperty), 0xAE: (self._add_fb, FbCmd), 0xAF: (self._rm_fb, u32),
-                0xB0: (self._flip, PageFlip), 0xB2: (self._create, CreateDumb), 0xB3: (self._map, MapDumb),
-                0xB4: (self._destroy, u32),
-            }  # fmt: skip
-            handler = handlers.get(number)
-            if handler is None:
+            # What a call does not ask by is 0: a kernel may give any of it a meaning in a later version.
+            handlers: dict[int, tuple[Callable[[Any], None], Any, str]] = {
+                0x0C: (self._get_cap, GetCap, "value"),
+                0xA0: (self._resources, CardRes, "min_w max_w min_h max_h"),
+                0xA1: (self._get_crtc, Crtc, "connectors_ptr connectors fb_id x y gamma_size mode_valid"),
+                0xA2: (self._set_crtc, Crtc, "gamma_size x y"),
+                0xA5: (self._set_gamma, CrtcLut, ""),
+                0xA6: (self._encoder, GetEncoder, "type crtc_id possible_crtcs possible_clones"),
+                0xA7: (self._connector, GetConnector, "encoder_id type type_id connection mm_w mm_h subpixel pad"),
+                0xAA: (self._get_property, GetProperty, "flags"),
+                0xAB: (self._set_property, SetProperty, ""),
+                0xAE: (self._add_fb, FbCmd, "fb_id"),
+                0xAF: (lambda fb: self._rm_fb(fb.value), u32, ""),
+                0xB0: (self._flip, PageFlip, "reserved"),
+                0xB2: (self._create, CreateDumb, "flags handle pitch size"),
+                0xB3: (self._map, MapDumb, "pad offset"),
+                0xB4: (lambda handle: self.dumb.pop(handle.value), u32, ""),
+            }
+            if number not in handlers:
                 raise OSError(errno.EINVAL, "Invalid argument")
-            function, layout = handler
-            function(layout.from_buffer(buffer))
+            function, layout, zeros = handlers[number]
+            asked = layout.from_buffer(buffer)
+            assert not any(getattr(asked, name) for name in zeros.split()), (hex(number), zeros)
+            function(asked)
 
     def map(self, length: int, offset: int) -> memoryview:
-        handle = offset >> 12
-        assert len(self.memory[handle]) == length
-        return memoryview(self.memory[handle])
+        memory = self.memory[offset >> 12]
+        assert len(memory) == length
+        return memoryview(memory)
 
     def read(self, size: int) -> bytes:
         with self._lock:
@@ -237,11 +243,9 @@ class Kernel:
     # -- requests
 
     def _get_cap(self, cap: Any) -> None:
-        zero(cap, "value")
         cap.value = {1: self.dumb_buffers, 6: self.monotonic, 0x12: 1}.get(cap.capability, 0)
 
     def _resources(self, res: Any) -> None:
-        zero(res, "min_w", "max_w", "min_h", "max_h")
         for name, there in (
             ("fb", [*self.fbs]),
             ("crtc", self.crtc_ids),
@@ -253,13 +257,11 @@ class Kernel:
         res.max_w = res.max_h = 4096
 
     def _encoder(self, enc: Any) -> None:
-        zero(enc, "type", "crtc_id", "possible_crtcs", "possible_clones")
         enc.possible_crtcs = self.plugs[enc.id - 1000].possible_crtcs
 
     def _connector(self, con: Any) -> None:
         if con.id not in self.plugs:
             raise OSError(errno.ENOENT, "No such file or directory")
-        zero(con, "encoder_id", "type", "type_id", "connection", "mm_w", "mm_h", "subpixel", "pad")
         plug = self.plugs[con.id]
         if not con.modes:
             self.unnoticed.discard(con.id)  # room for no mode at all: the driver looks at the wire
@@ -272,7 +274,6 @@ class Kernel:
         self._fill(con, "encoders_ptr", "encoders", [plug.id + 1000], u32)
 
     def _get_property(self, prop: Any) -> None:
-        zero(prop, "flags")
         assert prop.name == b""
         name, flags, choices = self.properties[prop.id]
         prop.name, prop.flags = name.encode(), flags
@@ -283,8 +284,7 @@ class Kernel:
         self.plugs[prop.connector].properties[prop.id] = prop.value
 
     def _create(self, dumb: Any) -> None:
-        assert (dumb.bpp, dumb.flags) == (32, 0)
-        zero(dumb, "handle", "pitch", "size")
+        assert dumb.bpp == 32
         pitch = -(-4 * dumb.width // self.pitch_align) * self.pitch_align
         dumb.handle, dumb.pitch, dumb.size = self._number(), pitch, -(-pitch * dumb.height // 4096) * 4096
         self.memory[dumb.handle] = bytearray(b"\x5a" * dumb.size)  # dirty: black must be written
@@ -292,26 +292,20 @@ class Kernel:
 
     def _map(self, request: Any) -> None:
         assert request.handle in self.dumb
-        zero(request, "pad", "offset")
         request.offset = request.handle << 12
 
     def _add_fb(self, fb: Any) -> None:
-        zero(fb, "fb_id")
         assert self.dumb[fb.handle] == (fb.width, fb.height, fb.pitch)
         assert (fb.bpp, fb.depth) == (32, 24)
         fb.fb_id = self._number()
         self.fbs[fb.fb_id] = fb.handle
 
-    def _rm_fb(self, fb: ctypes.c_uint32) -> None:
-        del self.fbs[fb.value]
-        self.lit = {crtc: shown for crtc, shown in self.lit.items() if shown != fb.value}
-
-    def _destroy(self, handle: ctypes.c_uint32) -> None:
-        del self.dumb[handle.value]
+    def _rm_fb(self, fb: int) -> None:
+        del self.fbs[fb]
+        self.lit = {crtc: shown for crtc, shown in self.lit.items() if shown != fb}
 
     def _get_crtc(self, crtc: Any) -> None:
         assert crtc.crtc_id in self.crtc_ids
-        zero(crtc, "connectors_ptr", "connectors", "fb_id", "x", "y", "gamma_size", "mode_valid")
         crtc.gamma_size = self.gamma_size
 
     def _set_gamma(self, lut: Any) -> None:
@@ -323,9 +317,8 @@ class Kernel:
     def _set_crtc(self, crtc: Any) -> None:
         if not self.master:
             raise OSError(errno.EACCES, "Permission denied")
-        zero(crtc, "gamma_size", "x", "y")
         if not crtc.mode_valid:
-            zero(crtc, "connectors_ptr", "connectors", "fb_id")
+            assert (crtc.connectors_ptr, crtc.connectors, crtc.fb_id) == (0, 0, 0)
             assert bytes(crtc.mode) == bytes(ModeInfo())
             self.lit.pop(crtc.crtc_id, None)
             return
@@ -339,7 +332,7 @@ class Kernel:
         self.lit[crtc.crtc_id] = crtc.fb_id
 
     def _flip(self, flip: Any) -> None:
-        assert (flip.flags, flip.reserved) == (1, 0)
+        assert flip.flags == 1
         assert flip.fb_id in self.fbs
         if self.busy or flip.crtc_id in self.pending:
             self.busy = max(0, self.busy - 1)
