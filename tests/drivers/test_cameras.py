@@ -112,6 +112,10 @@ def test_a_camera_that_was_left_streaming_is_stopped_when_it_is_opened_and_let_g
     camera.close()
     assert there.done() == []
     assert not there.left_open()
+    there.refuse(ADDRESS["AcquisitionStop"])
+    with pytest.raises(DeviceRefused, match="refused the write of 4 bytes"):
+        there.open(SPEC)
+    assert not there.left_open(), "one that does not let itself be stopped is let go"
 
 
 @pytest.mark.parametrize(
@@ -125,13 +129,6 @@ def test_a_camera_that_cannot_be_used_says_why_and_is_let_go(make: Make, spec: C
     there = make(xml)
     with pytest.raises(DeviceRefused, match=f"^camera.left: .*{said}"):
         there.open(spec)
-    assert not there.left_open()
-
-
-def test_a_camera_that_does_not_let_itself_be_stopped_is_refused_and_let_go(there: Camera) -> None:
-    there.refuse(ADDRESS["AcquisitionStop"])
-    with pytest.raises(DeviceRefused, match="refused the write of 4 bytes"):
-        there.open(SPEC)
     assert not there.left_open()
 
 
@@ -151,15 +148,14 @@ def test_a_camera_is_set_whole_once_and_then_only_its_light(there: Camera) -> No
         assert ("ExposureTime", settings.exposure_us) in there.device.log
         held = {one.feature: one.held for one in camera.read_back()}
         assert (held["Width"], held["ExposureTime"]) == (settings.width_px, settings.exposure_us)
-
-
-def test_a_size_that_was_refused_leaves_nothing_to_start_with(there: Camera) -> None:
-    camera = there.streaming()
+    camera.configure(SETTINGS)
+    camera.start()
+    there.done()
     with pytest.raises(DeviceRefused, match="Width"):
         camera.configure(replace(SETTINGS, width_px=4096))
     with pytest.raises(DeviceRefused, match="before it was configured"):
         camera.start()
-    assert there.done()[:2] == HALTED
+    assert there.done()[:2] == HALTED, "a size that was refused leaves nothing to start with"
     camera.configure(SETTINGS)
     camera.start()
 
@@ -195,16 +191,6 @@ def test_a_running_camera_is_stopped_when_it_is_closed_and_a_lost_one_without_a_
         next_frame(camera)
 
 
-def test_what_was_exposed_before_the_start_is_none_of_its_frames(there: Camera) -> None:
-    camera = there.streaming()
-    # The camera's own clock stands half a second behind the host's.
-    begun_ns = there.device.clock.now_ns() - 500_000_000
-    there.send(14, begun_ns - 12_000_000)
-    there.send(1, begun_ns + 20_000_000)
-    frame = next_frame(camera)
-    assert (frame.status, frame.block_id) == (FrameStatus.COMPLETE, 1)
-
-
 def test_the_clock_is_read_four_times_and_the_reading_in_which_least_time_passed_counts(there: Camera) -> None:
     camera = there.open(SPEC)
     there.done()
@@ -215,9 +201,16 @@ def test_the_clock_is_read_four_times_and_the_reading_in_which_least_time_passed
     assert there.done() == ["latch"] * 4
 
 
-def test_a_camera_without_a_clock_to_latch_has_none_and_every_frame_counts(there: Camera) -> None:
-    there.refuse(LATCH)
+def test_what_was_exposed_before_the_start_is_none_of_its_frames_but_of_a_camera_without_a_clock(there: Camera) -> None:
     camera = there.streaming()
+    # The camera's own clock stands half a second behind the host's.
+    begun_ns = there.device.clock.now_ns() - 500_000_000
+    there.send(14, begun_ns - 12_000_000)
+    there.send(1, begun_ns + 20_000_000)
+    frame = next_frame(camera)
+    assert (frame.status, frame.block_id) == (FrameStatus.COMPLETE, 1)
+    there.refuse(LATCH)
+    camera.start()
     assert camera.read_clock() is None
     there.send(14, 1)
     assert next_frame(camera).block_id == 14
@@ -226,44 +219,36 @@ def test_a_camera_without_a_clock_to_latch_has_none_and_every_frame_counts(there
         camera.read_clock()
 
 
-def test_a_temperature_that_cannot_be_read_is_unknown_not_zero(make: Make) -> None:
-    there = make(description())
-    camera = there.open(SPEC)
-    assert camera.temperature_c() == 41.5
-    assert camera.health().details["temperature"] == "41.5 °C"
-    there.refuse(ADDRESS["DeviceTemperature"])
-    assert camera.temperature_c() is None
-    assert camera.health().details["temperature"] == "unknown"
-    there.lose()
-    with pytest.raises(DeviceGone):
-        camera.temperature_c()
-
-
 def test_health_says_what_the_camera_is_what_it_does_not_offer_and_that_it_is_gone(there: Camera) -> None:
-    camera = there.open(SPEC)
+    camera = there.open(replace(SPEC, features=(("GammaEnable", True), ("Gamma", 0.5))))
     who = camera.identity
     assert (who.vendor, who.model, who.serial, who.firmware) == ("Reef", "Eye", "KF-CAM-L", "1.2")
     health = camera.health()
     assert (health.device, health.ok, health.summary) == ("camera.left", True, "Reef Eye")
-    told = {"model": "Reef Eye", "serial": "KF-CAM-L", "firmware": "1.2", "link": "5000 Mbit/s"}
+    told = {
+        "model": "Reef Eye",
+        "serial": "KF-CAM-L",
+        "firmware": "1.2",
+        "link": "5000 Mbit/s",
+        "temperature": "41.5 °C",
+    }
     assert told.items() <= health.details.items()
+    assert camera.temperature_c() == 41.5
+    there.refuse(ADDRESS["DeviceTemperature"])
+    assert camera.temperature_c() is None, "unknown is not zero"
     camera.configure(SETTINGS)
-    details = camera.health().details
-    assert "no ReverseX" not in details["not offered"]
-    assert "no TestImageSelector, " in details["not offered"]
+    health = camera.health()
+    assert health.details["temperature"] == "unknown"
+    assert "no ReverseX" not in health.details["not offered"]
+    assert "no TestImageSelector, " in health.details["not offered"]
+    assert not health.ok
+    assert "Gamma is 0.5" in health.summary, "a curve of the grey values that somebody asked for"
     there.lose()
     lost = camera.health()
     assert not lost.ok
     assert "temperature" not in lost.details
-
-
-def test_a_curve_of_the_grey_values_that_somebody_asked_for_is_told(there: Camera) -> None:
-    camera = there.open(replace(SPEC, features=(("GammaEnable", True), ("Gamma", 0.5))))
-    camera.configure(SETTINGS)
-    health = camera.health()
-    assert not health.ok
-    assert "Gamma is 0.5" in health.summary
-    assert camera.slow_link is None
+    with pytest.raises(DeviceGone):
+        camera.temperature_c()
 
 
 def test_a_camera_without_the_optional_features_works_all_the_same(make: Make) -> None:
@@ -279,15 +264,13 @@ def test_a_camera_without_the_optional_features_works_all_the_same(make: Make) -
     assert not {name for name, _ in there.device.log} & set(optional)
 
 
-def test_what_is_locked_is_not_written(make: Make) -> None:
-    there = make(description(fixed=("TLParamsLocked",)))
-    there.streaming().stop()
+def test_what_is_locked_is_not_written_and_a_size_that_cannot_be_packed_is_refused(make: Make) -> None:
+    xml = description(choices={"PixelFormat": ("Mono16", "Mono8", "Mono10p")}, fixed=("TLParamsLocked",))
+    there = make(xml.replace("<Inc>8</Inc>", "<Inc>1</Inc>"))
+    with there.streaming() as camera:
+        camera.stop()
     assert "TLParamsLocked" not in there.done()
-
-
-def test_a_size_that_cannot_be_packed_is_refused(make: Make) -> None:
-    xml = description(choices={"PixelFormat": ("Mono16", "Mono8", "Mono10p")})
-    camera = make(xml.replace("<Inc>8</Inc>", "<Inc>1</Inc>")).open(replace(SPEC, pixel_format="Mono10p"))
+    camera = there.open(replace(SPEC, pixel_format="Mono10p"))
     camera.configure(replace(SETTINGS, width_px=65, height_px=50))
     with pytest.raises(DeviceRefused, match=r"3250 pixels .* Mono10p"):
         camera.start()

@@ -6,7 +6,6 @@ import hashlib
 import os
 import re
 import shutil
-import struct
 import subprocess
 from collections import Counter
 from collections.abc import Iterator
@@ -75,27 +74,14 @@ class Count:
         if urb.setup or event != ("C" if urb.is_in else "S") or (urb.is_in and not urb.done):
             return
         data = bytes(urb.data[:12])
-        match data[:4]:
-            case b"U3VC":
-                (command,) = struct.unpack_from("<H", data, 6)
-                self.met[COMMANDS[command]] += 1
-            case b"U3VL":
-                self.met["leader"] += 1
-            case b"U3VT":
-                self.met["trailer"] += 1
-            case _:
-                self.met["payload"] += 1
+        kind = {b"U3VC": "command", b"U3VL": "leader", b"U3VT": "trailer"}.get(data[:4], "payload")
+        self.met[COMMANDS[int.from_bytes(data[6:8], "little")] if kind == "command" else kind] += 1
 
 
 @pytest.fixture
-def capture(tmp_path: Path) -> Path:
-    return tmp_path / "bus.pcap"
-
-
-@pytest.fixture
-def heard(world: World, capture: Path) -> Iterator[tuple[Testbed, Count]]:
-    """A test bed with two listeners: a capture for Wireshark, and our own count."""
-    count = Count()
+def heard(world: World, tmp_path: Path) -> Iterator[tuple[Testbed, Count, Path]]:
+    """A test bed with two listeners: our own count, and a capture for Wireshark."""
+    count, capture = Count(), tmp_path / "bus.pcap"
     with Usbmon(capture) as monitor:
 
         def both(event: str, device: UsbDevice, urb: Urb) -> None:
@@ -103,30 +89,23 @@ def heard(world: World, capture: Path) -> Iterator[tuple[Testbed, Count]]:
             count.record(event, device, urb)
 
         with Testbed(world, both) as bed:
-            yield bed, count
+            yield bed, count, capture
 
 
-def dissected(capture: Path) -> Counter[str]:
-    """What Wireshark's dissector of USB3 Vision finds in it, after it found nothing malformed."""
+def test_wireshark_understands_every_packet_of_our_driver(world: World, heard: tuple[Testbed, Count, Path]) -> None:
+    bed, count, capture = heard
+    triggered(world)
+    with Client(bed, "cameras", 400, 300, 8, "KF-CAM-L", "KF-CAM-R") as client:
+        client.expect("cpu_s", timeout_s=90)
     assert foreign(None, "tshark", "-r", capture, "-Y", "_ws.malformed || _ws.expert.severity == error") == ""
     found: Counter[str] = Counter()
     fields = [word for field in FIELDS.values() for word in ("-e", field)]
     for line in foreign(None, "tshark", "-r", capture, "-Y", "u3v", "-T", "fields", *fields).splitlines():
         for name, value in zip(FIELDS, line.split("\t"), strict=False):
             found[name] += bool(value)
-    return found
-
-
-def test_wireshark_understands_every_packet_of_our_driver(
-    world: World, heard: tuple[Testbed, Count], capture: Path
-) -> None:
-    triggered(world)
-    with Client(heard[0], "cameras", 400, 300, 8, "KF-CAM-L", "KF-CAM-R") as client:
-        client.expect("cpu_s", timeout_s=90)
-    found = dissected(capture)
     assert min(found["leader"], found["trailer"]) >= 16
     assert found["pending"] >= 2, "AcquisitionStart takes longer than the response time"
-    assert found == heard[1].met
+    assert found == count.met
 
 
 def test_aravis_finds_both_cameras_and_passes_its_own_tests_on_them(world: World, bed: Testbed, tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 
-from drivers.api import DeviceError, DeviceGone, KeyLongPress, KeyPress, KeyRelease
+from drivers.api import DeviceError, DeviceGone, KeyPress, KeyRelease
 from drivers.keys import HidKeypad, KeysSpec
 from drivers.native import MonotonicClock, NativeWires
 from tests.libraries.clients import say
@@ -18,14 +18,8 @@ def tell(keys: HidKeypad, end: float) -> None:
         match keys.next_event(0.1):
             case KeyPress(key):
                 say(press=key.value)
-            case KeyLongPress(key):
-                say(long=key.value)
             case KeyRelease(key, _, held_s):
                 say(release=key.value, held_s=held_s)
-            case None:
-                pass
-            case other:
-                say(other=type(other).__name__)
 
 
 if __name__ == "__main__":
@@ -35,9 +29,6 @@ if __name__ == "__main__":
             with HidKeypad.open(SPEC, NativeWires().hidraw, MonotonicClock()) as keys:
                 say(opened=keys.health().summary)
                 tell(keys, end)
-        except DeviceGone as error:
-            say(gone=str(error))
-            time.sleep(0.2)
         except DeviceError as error:
-            say(failed=str(error))
+            say(**{"gone" if isinstance(error, DeviceGone) else "failed": str(error)})
             time.sleep(0.2)
