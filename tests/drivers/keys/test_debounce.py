@@ -79,9 +79,9 @@ CASES: dict[str, tuple[list[Step], list[KeyEvent]]] = {
         [at(0, faulty=DOWN), at(100, DOWN, faulty=DOWN), until(300), at(400), at(500, DOWN), until(600)],
         [KeyStuck(DOWN), KeyFreed(DOWN), KeyPress(DOWN, 500 * MS)],
     ),
-    "a coil that recovers while its key is held is not free yet": (
-        [at(100, UP, faulty=UP), at(200, UP), until(2000)],
-        [KeyStuck(UP)],
+    "a coil that recovers while its key is held or as it closes is not free yet": (
+        [at(100, UP, faulty=UP), at(200, UP), at(300, UP, faulty=DOWN), at(400, UP, DOWN), until(2000)],
+        [KeyStuck(UP), KeyStuck(DOWN)],
     ),
     "it is when that is released": (
         [at(100, UP, faulty=UP), at(200, UP), until(2000), at(2100), until(2200), at(2300, UP), until(2400)],

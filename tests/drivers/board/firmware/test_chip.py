@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import pytest
@@ -23,9 +24,10 @@ class Board:
         self.core = BoardCore(self.hardware, "KF-BRD-EMU", module.reset_cause("RP2040"))
 
     def exchange(self, data: bytes, time_us: int) -> bytes:
+        """Whoever asked goes on as soon as there is an answer: a millisecond takes the emulator forty."""
         self.emulated.heard += data
         end = self.emulated.chip.now + time_us * US
-        while self.emulated.chip.now < end:
+        while self.emulated.chip.now < end and not (data and re.search(rb"\$[AN].*\n", self.emulated.said)):
             self.core.step()
             self.hardware.pump()
             # A turn of the loop takes about a millisecond.
@@ -47,16 +49,16 @@ def board(monkeypatch: pytest.MonkeyPatch) -> Board:
 @pytest.fixture
 def host(board: Board) -> Host:
     listening = Host(board)
-    listening.listen(60_000)
+    listening.listen(40_000)
     return listening
 
 
 def test_armed_series_leave_the_pins_as_they_were_ordered_and_are_told_as_they_were(board: Board, host: Host) -> None:
     chip = board.emulated.chip
     _, _, count, sync_us, _ = host.ask("VSYNC")
-    start = int(count) + 5
+    start = int(count) + 2
     assert host.ask("ARM", 3, start, 700, 2000)[0] == "A"
-    said = host.listen(140_000)
+    said = host.listen(90_000)
     rises = chip.rises()
     assert len(rises) == 3
     # Syncs come at multiples of the period; the first counted one is the first after the firmware began.
@@ -67,13 +69,13 @@ def test_armed_series_leave_the_pins_as_they_were_ordered_and_are_told_as_they_w
     # The board's clock begins with the firmware, the emulator's before.
     began_us = board.hardware._began_us
     assert all(abs(rise / US - began_us - time_us) < 12 for rise, (_, _, time_us) in zip(rises, told, strict=True))
-    assert abs(told[0][2] - int(sync_us) - 5 * PERIOD_US - 700) <= 1, "sync and pulse are stamped by one clock"
+    assert abs(told[0][2] - int(sync_us) - 2 * PERIOD_US - 700) <= 1, "sync and pulse are stamped by one clock"
     assert [w for _, _, verb, *w in said if verb == "DONE"] == [["3"]]
     # A second series knows nothing of the syncs after the first.
     chip.scope.clear()
-    start = host.count() + 5
+    start = host.count() + 2
     assert host.ask("ARM", 1, start, 300, 1000)[0] == "A"
-    assert [int(words[1]) for words in host.reports(75_000, "PULSE")] == [start]
+    assert [int(words[1]) for words in host.reports(45_000, "PULSE")] == [start]
     assert len(chip.scope) == 2
     assert abs((chip.scope[0][0] / US - 300 + 1) % PERIOD_US - 1) < 0.1
 
@@ -87,8 +89,8 @@ def test_pulses_follow_the_edge_that_begins_the_sync_where_the_firmware_is_told_
     monkeypatch.setattr(instrument, "SYNC_RISES", emulated.sync_rises)
     host = Host(Board(emulated, install(emulated, monkeypatch)))
     host.listen(40_000)
-    host.ask("ARM", 1, host.count() + 3, 700, 2000)
-    host.listen(50_000)
+    host.ask("ARM", 1, host.count() + 2, 700, 2000)
+    host.listen(40_000)
     (rise,) = emulated.chip.rises()
     assert abs((rise / US - 700 + 1) % PERIOD_US - 1) < 0.1
 
@@ -105,15 +107,15 @@ def test_neither_a_series_nor_a_stop_within_a_live_pulse_cuts_it_and_a_lost_sign
             host.listen(1000)
 
     live_until_within_a_pulse()
-    start = board.core._count + 3
+    start = board.core._count + 2
     assert host.ask("ARM", 2, start, 500, 3000)[0] == "A"
-    host.listen(70_000)
+    host.listen(55_000)
     assert board.emulated.chip.widths()[-2:] == [3000 * US] * 2
     assert set(board.emulated.chip.widths()[:-2]) == {12_000 * US}
     scope.clear()
     live_until_within_a_pulse()
     host.ask("STOP")
-    host.listen(30_000)
+    host.listen(14_000)
     assert set(board.emulated.chip.widths()) == {12_000 * US}
     fired = len(scope)
     host.listen(20_000)
@@ -139,7 +141,7 @@ def test_lasers_are_read_back_and_the_sensors_are_those_that_answer(board: Board
     assert host.ask("SENSE")[2:] == values.split()
     del emulated.sensors[0x44]
     emulated.levels[pins.gpio("LEAK_REAR")] = 1
-    for _ in values.split():
+    for _ in 2 * values.split():
         board.core._measure_one()  # one each 40 ms
     later = dict(field.split("=") for field in host.ask("SENSE")[2:])
     assert (later["TBOARD"], later["HUM"], later["LEAK"]) == ("-", "-", "1")
@@ -207,7 +209,7 @@ def test_pulses_are_as_ordered_to_the_clock(
     end = begun + ((skip + every * pulses + 2) * period_us + delay_us + width_us) * US
     while len(chip.scope) < 2 * pulses and chip.now < end:
         emulated.pass_cycles(10 * US)
-    if every == 1:  # and no more
+    if every == 1 and period_us < 1000:  # and no more
         emulated.pass_cycles(2 * period_us * US)
     edges = [edge for edge in emulated.edges if edge >= begun][skip::every][:pulses]
     late = [
