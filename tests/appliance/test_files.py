@@ -120,7 +120,7 @@ def test_numbers_that_are_none_are_refused_in_words(
 def test_a_long_whole_number_in_a_list_in_json_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "list.json"
     path.write_text(f'{{"scan": [{{"scan": "1", "artefact": "ball-bar", "length_mm": 1{400 * "0"}}}]}}')
-    refused(read_list, path, r"allowed are numbers 1\.\.2000")
+    assert len(refused(read_list, path, r"allowed are numbers 1\.\.2000")) < 4000
 
 
 @pytest.mark.parametrize("number", ["nan", "inf", "1e400", "1e12"])
