@@ -174,7 +174,7 @@ def no_longer_sticky(folder: Path, _: Path) -> None:
     "lay",
     [
         a_strangers, linked, below_a_strangers, no_longer_sticky,
-        lambda folder, _: prepared(folder, 0o770), lambda folder, _: prepared(folder, 0o701),
+        lambda folder, _: prepared(folder, 0o740), lambda folder, _: prepared(folder, 0o701),
     ],
 )  # fmt: skip
 def test_kernels_that_others_laid_into_tmp_or_may_exchange_are_never_run(

@@ -352,14 +352,20 @@ def test_the_second_sequence_has_its_own_place_and_the_first_one_stays() -> None
             assert bench.store.frames(side, second=True)[:, 0, 0].tolist() == list(range(1, N + 1))
 
 
-class SetClock(MonotonicClock):
-    """Shows what it was set to."""
+class OddClock(MonotonicClock):
+    """Shows what it was set to, waits for a part of the time, and notes for how long the first thread waited."""
 
-    def __init__(self) -> None:
-        self.time_s = 100.0
+    def __init__(self, time_s: float | None = None, part: float = 1.0) -> None:
+        self.time_s, self._part = time_s, part
+        self.waits_s: list[float] = []
 
     def now_ns(self) -> int:
-        return round(self.time_s * 1e9)
+        return super().now_ns() if self.time_s is None else round(self.time_s * 1e9)
+
+    def wait_for(self, condition: threading.Condition, predicate: Callable[[], bool], timeout_s: float) -> bool:
+        if threading.current_thread() is threading.main_thread():
+            self.waits_s.append(timeout_s)
+        return super().wait_for(condition, predicate, self._part * timeout_s)
 
 
 @pytest.mark.parametrize(("side", "slow"), [("left", "stop"), ("right", "start")])
@@ -388,11 +394,11 @@ def test_a_camera_that_is_not_ready_in_time_is_named_and_the_next_scan_works(
 
 def test_each_half_of_making_ready_has_its_own_time(bench: Bench) -> None:
     """1.9 s to leave the live view, 1.9 s to start again: both are in time, and 2 s are not."""
-    clock, script = SetClock(), bench.script
+    clock, script = OddClock(100.0), bench.script
     script.slow = ("right", "stop")
     bench.live()
     arming = bench.arming(clock)
-    clock.time_s += 1.9
+    clock.time_s = 101.9
     assert not arming.poll(), "still in its live view"
     assert not arming.recordings
     script.go_on.set()
@@ -402,8 +408,7 @@ def test_each_half_of_making_ready_has_its_own_time(bench: Bench) -> None:
     bench.script.show(0)
     assert not arming.poll()
     assert set(arming.recordings) == set(SIDES)
-    for later_s, ready in ((1.9, False), (0.2, True)):
-        clock.time_s += later_s
+    for clock.time_s, ready in ((103.8, False), (104.0, True)):
         assert arming.poll() == ready
     assert arming.fault is not None
     assert arming.fault.device == "camera.left"
@@ -411,22 +416,10 @@ def test_each_half_of_making_ready_has_its_own_time(bench: Bench) -> None:
     arming.let_go()
 
 
-class Watched(MonotonicClock):
-    """Notes for how long the first thread has waited for something."""
-
-    def __init__(self) -> None:
-        self.waits_s: list[float] = []
-
-    def wait_for(self, condition: threading.Condition, predicate: Callable[[], bool], timeout_s: float) -> bool:
-        if threading.current_thread() is threading.main_thread():
-            self.waits_s.append(timeout_s)
-        return super().wait_for(condition, predicate, timeout_s)
-
-
 def test_making_ready_waits_for_nothing_and_what_was_armed_is_let_go_when_no_sequence_follows() -> None:
-    clock = Watched()
+    clock = OddClock()
     with a_bench(clock=clock) as bench:
-        arming = bench.arming(SetClock())
+        arming = bench.arming(OddClock(100.0))
         bench.script.until(arming.poll)
         assert arming.fault is None
         assert len(clock.waits_s) >= 4
@@ -485,15 +478,8 @@ def test_a_live_image_is_shown_once_the_newest_first_and_one_that_is_not_whole_n
     assert bench.script.cameras["left"][-1] == "stop", "whatever it was doing"
 
 
-class Hurried(MonotonicClock):
-    """Waits a fiftieth as long."""
-
-    def wait_for(self, condition: threading.Condition, predicate: Callable[[], bool], timeout_s: float) -> bool:
-        return super().wait_for(condition, predicate, 0.02 * timeout_s)
-
-
 def test_a_camera_at_rest_tells_its_temperature() -> None:
-    with a_bench(clock=Hurried()) as bench:
+    with a_bench(clock=OddClock(part=0.02)) as bench:
         grabber = bench.grabbers["left"]
         bench.script.until(lambda: grabber.temperature_c == 30.5)
         assert (grabber.side, grabber.lost) == ("left", None)

@@ -179,6 +179,11 @@ def test_each_camera_is_exposed_as_wanted_and_shows_its_latest_image(desk: Desk)
         desk.until(lambda: seen() == dict.fromkeys(("left", "right"), shown))  # noqa: B023  # it has ended by then
     desk.devices.cameras["left"].lose("unplugged")
     assert set(seen()) == {"right"}, "an old image is no live one"
+    desk.until(desk.devices.poll)  # it comes back, and its images are counted anew
+    left = desk.devices.cameras["left"].value
+    assert left is not None
+    left.live()
+    desk.until(lambda: seen() == {"left": 2, "right": 2})
 
 
 WARM = api.Telemetry(0, 0, 0, api.LaserState(False, False), 41.0, 36.5, 30.0)
