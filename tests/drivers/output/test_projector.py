@@ -40,8 +40,7 @@ class Lamp:
         self.steps: list[float] = []
         """Periods that the next flips take, in place of one."""
         self.connected, self.closed = True, 0
-        self._counts_after = counts_after
-        self._blank, self._time_ns = 100, 7_000_000_000
+        self._counts_after, self._blank, self._time_ns = counts_after, 100, 7_000_000_000
 
     def create_picture(self) -> Picture:
         self.pictures.append(Picture())

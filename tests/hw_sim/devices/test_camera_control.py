@@ -52,23 +52,6 @@ def test_the_bus_shows_two_cameras_with_three_interfaces_each_as_fast_as_their_l
     assert [host.u32(host.u64(0x1D8) + 0x40) for host in (slow, fast)] == [4, 8], "current speed"
 
 
-def test_the_device_info_descriptor_names_the_camera(bench: Bench) -> None:
-    camera = U3vHost(bench.wires.usb_backend, "KF-CAM-L")
-    info = bytes(camera.device[0][(0, 0)].extra_descriptors)
-    assert info[:3] == bytes([20, 0x24, 0x01])
-    minor, major, u3v_minor, u3v_major = struct.unpack_from("<HHHH", info, 3)
-    assert (major, u3v_major) == (1, 1)
-    assert camera.u32(0x000) == major << 16 | minor
-    assert camera.u32(camera.u64(0x1D8)) == u3v_major << 16 | u3v_minor
-    guid, vendor, model, _, version, _, serial, _ = (usb.util.get_string(camera.device, index) for index in info[11:19])
-    assert serial == "KF-CAM-L"
-    assert len(guid) == 12
-    assert guid == camera.device.serial_number
-    told = [camera.read(address, 64).rstrip(b"\0").decode() for address in (0x004, 0x0C4, MODEL)]
-    assert told == [vendor, version, model]
-    assert info[19] & 0x08, "SuperSpeed is supported"
-
-
 @pytest.mark.parametrize(
     ("code", "payload", "status"),
     [
@@ -200,20 +183,3 @@ def test_an_endpoint_left_halted_must_be_halted_before_it_is_cleared(hand_time: 
     bus.halt(False)
     assert bus.stream() == 0
     assert bus.bulk(STREAM, 1024) == b""
-
-
-def test_an_unplugged_camera_is_gone_and_another_one_when_it_comes_back(bench: Bench) -> None:
-    camera = U3vHost(bench.wires.usb_backend, "KF-CAM-L")
-    camera.put(0x200304, 7777)
-    bench.world.fault("camera.left off at_s=0.2")
-    for call in (lambda: camera.device.read(0x83, 52, 5000), lambda: camera.read(0, 4)):
-        with pytest.raises(usb.core.USBError) as caught:
-            call()
-        assert (caught.value.errno, caught.value.backend_error_code) == (19, -4)
-    assert len(list(usb.core.find(find_all=True, backend=bench.wires.usb_backend))) == 1
-    bench.world.clear_faults()
-    with pytest.raises(usb.core.USBError):
-        camera.read(0, 4)
-    again = U3vHost(bench.wires.usb_backend, "KF-CAM-L")
-    assert again.device.address != camera.device.address
-    assert again.u32(0x200304) == 5000, "it has forgotten its settings"

@@ -93,15 +93,13 @@ def test_the_dearest_turn_of_the_loop_is_within_the_answer_time(command: str) ->
 
 
 def test_a_full_outbox_loses_whole_lines_and_hands_on_pieces_of_63() -> None:
-    outbox = Outbox(200)
+    outbox, sent = Outbox(200), b""
     lines = [framed(f"R,{i}," + "x" * 60) for i in range(4)]
     assert [outbox.add(line) for line in lines] == [True, True, False, False]
-    sent = b""
     while piece := outbox.piece():
         assert len(piece) <= 63
-        taken = min(len(piece), 40)
-        sent += piece[:taken]
-        outbox.sent(taken)
+        sent += piece[:40]
+        outbox.sent(min(len(piece), 40))
     assert sent == lines[0] + lines[1]
     assert outbox.add(lines[2])
     outbox.clear()
