@@ -172,7 +172,7 @@ class Kernel:
             if number in self.before:
                 self.before[number](buffer)
             # What a call does not ask by is 0: a kernel may give any of it a meaning in a later version.
-            handlers: dict[int, tuple[Callable[[Any], None], Any, str]] = {
+            handlers: dict[int, tuple[Callable[[Any], object], Any, str]] = {
                 0x0C: (self._get_cap, GetCap, "value"),
                 0xA0: (self._resources, CardRes, "min_w max_w min_h max_h"),
                 0xA1: (self._get_crtc, Crtc, "connectors_ptr connectors fb_id x y gamma_size mode_valid"),
