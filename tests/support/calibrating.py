@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -45,6 +45,8 @@ Array = NDArray[np.float64]
 Labels = NDArray[np.intp]
 
 DESIGN = Design(11.5, 4.5, 230.0, 12.41, 30.0, 5.0, 1.77)
+SMALL = replace(DESIGN, pixel_um=18.0)
+"""The same with a quarter of the pixels each way."""
 NOISE_PX = 0.04
 CORNER_NOISE_PX = 0.03
 WIDTH_PX, HEIGHT_PX = 1600, 1200

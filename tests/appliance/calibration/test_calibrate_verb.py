@@ -24,80 +24,81 @@ from tests.support.truth import true_calibration
 SD = [0.05, 0.05, 0.05, 1e-3, 3e-3, 1e-5, 1e-5, 3e-3] * 2 + [1e-5] * 3 + [0.01] * 3
 """Of a calibration in air, in the order of its parameters."""
 DRAWN = Port((0.0, 0.0, 1.0), 30.0, 5.0, 1.77)
+Bench = tuple[Path, TrueRig]
+Capture = pytest.CaptureFixture[str]
+FOUR = ("bar-0", "bar-1", "plane-0", "plane-1")
 
 
 @pytest.fixture(scope="module")
-def bench(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, TrueRig]:
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
     """The published four recordings, a list of them, and the calibration in air: lenses as they are, ports as drawn."""
     folder = tmp_path_factory.mktemp("water")
-    truth = None
-    poses = {"bar": CALIBRATION_BARS, "plane": CALIBRATION_PLANES}
-    for name, both in poses.items():
-        for k, pose in enumerate(both):
-            scene = Scene(object="ballbar" if name == "bar" else name, pose=(*pose.at_mm, *pose.turns_deg))
-            scan = render_scan(scene, "modelled", 3, 400, 16, 0.008)
-            truth = scan.renderer.truth
-            store(scan, folder / f"{name}-{k}")
-    assert truth is not None
-    rig = true_calibration(truth).rig
+    for name, pose in zip(FOUR, (*CALIBRATION_BARS, *CALIBRATION_PLANES), strict=True):
+        shown = "ballbar" if name.startswith("bar") else "plane"
+        scan = render_scan(Scene(object=shown, pose=(*pose.at_mm, *pose.turns_deg)), "modelled", 3, 400, 16, 0.008)
+        store(scan, folder / name)
+    truth = scan.renderer.truth
+    calibration = true_calibration(truth, "KF-0001")
     start = replace(
-        true_calibration(truth, "KF-0001"),
+        calibration,
         method="air",
-        rig=StereoRig(replace(rig.left, port=DRAWN), replace(rig.right, port=DRAWN)),
+        rig=StereoRig(replace(calibration.rig.left, port=DRAWN), replace(calibration.rig.right, port=DRAWN)),
         air_covariance=tuple(tuple(float(v) for v in row) for row in np.diag(np.square(SD))),
     )
     (folder / "air.json").write_bytes(encode(start))
-    (folder / "list.toml").write_text(listed(truth))
+    (folder / "list.toml").write_text(listed(truth, *FOUR))
     return folder, truth
 
 
-def listed(truth: TrueRig, planes: tuple[str, ...] = ("plane-0", "plane-1")) -> str:
-    bars = "".join(
-        f'[[scan]]\nscan = "./bar-{k}"\nartefact = "ball-bar"\nlength_mm = {truth.artefacts.ball_distance_mm}\n'
-        f'length_sd_mm = 0.002\nradius_mm = {BALL_RADIUS_MM}\nserial = "KB-<7>"\n'
-        for k in (0, 1)
-    )
-    return 'operator = "Ada & Co"\n' + bars + "".join(f'[[scan]]\nscan = "./{p}"\nartefact = "plane"\n' for p in planes)
+def listed(truth: TrueRig, *names: str) -> str:
+    """A list in which whatever is no bar is called a plane."""
+    length = f"length_mm = {truth.artefacts.ball_distance_mm}\nlength_sd_mm = 0.002\nradius_mm = {BALL_RADIUS_MM}\n"
+    kinds = {"bar": f'artefact = "ball-bar"\n{length}serial = "KB-<7>"\n'}
+    scans = (f'[[scan]]\nscan = "./{n}"\n' + kinds.get(n.partition("-")[0], 'artefact = "plane"\n') for n in names)
+    return 'operator = "Ada & Co"\n' + "".join(scans)
 
 
-def calibrate(folder: Path, *more: str, name: str = "list.toml", start: bool = True) -> int:
-    begin = ["--start", str(folder / "air.json")] if start else []
-    return main(["calibrate", "water", str(folder / name), "--root", str(folder), *begin, *more])
+def calibrate(folder: Path, *more: str, name: str = "list.toml", start: str = "air.json") -> int:
+    words = ["--root", str(folder), "--start", str(folder / start)]
+    return main(["calibrate", "water", str(folder / name), *words, *more])
 
 
 def tilt_deg(normal: tuple[float, float, float]) -> np.ndarray:
     return np.degrees(np.array(normal[:2]) / normal[2])
 
 
-def test_the_ports_of_a_hidden_rig_are_found(bench: tuple[Path, TrueRig]) -> None:
+def test_the_ports_of_a_hidden_rig_are_found_installed_and_taken_back(bench: Bench) -> None:
     folder, truth = bench
-    out = folder / "found.json"
-    assert calibrate(folder, "--out", str(out)) == 0
+    out, current = folder / "found.json", folder / "calibration" / "current.json"
+    restore = ["calibrate", "restore", "--root", str(folder)]
+    current.parent.mkdir()
+    before = (folder / "air.json").read_bytes()
+    current.write_bytes(before)
+    assert main(restore) == 2, "there was none before"
+    assert calibrate(folder, "--out", str(out), "--install") == 0
     found = load(out)
-    assert found.method == "bundle, spline"
-    assert found.rig_serial == "KF-0001"
+    assert (found.method, found.rig_serial) == ("bundle, spline", "KF-0001")
     assert found.made_at.startswith("20")
-    assert [text for text in found.made_from if text.startswith("recording")] == [
-        f"recording {name}" for name in ("bar-0", "bar-1", "plane-0", "plane-1")
-    ]
+    assert [text for text in found.made_from if text.startswith("recording")] == [f"recording {one}" for one in FOUR]
     for side in ("left", "right"):
-        port = getattr(found.rig, side).port
-        true = truth.eye(side).port
-        before = np.abs(tilt_deg(true.normal)[1])
-        assert np.abs(tilt_deg(port.normal) - tilt_deg(true.normal))[1] < max(0.02, 0.2 * before)
+        port, true = getattr(found.rig, side).port, truth.eye(side).port
+        off_deg = np.abs(tilt_deg(port.normal) - tilt_deg(true.normal))[1]
+        assert off_deg < max(0.02, 0.2 * np.abs(tilt_deg(true.normal)[1]))
         assert abs(port.distance_mm - true.d_mm) < 1.0
     said = json.loads((folder / "found-report.json").read_text())
-    assert said["about"]["calibration"] == found.hash
-    assert said["about"]["artefact_serials"] == "KB-<7>"
+    assert (said["about"]["calibration"], said["about"]["artefact_serials"]) == (found.hash, "KB-<7>")
     assert said["residual_px"] < 0.06
-    assert {r["name"] for r in said["recordings"]} == {"bar-0", "bar-1", "plane-0", "plane-1"}
+    assert {r["name"] for r in said["recordings"]} == set(FOUR)
     assert len(said["estimates"]) == 28
     assert said["costs"][-1] < 0.01 * said["costs"][0]
+    assert load(current) == found
+    assert main(restore) == 0
+    assert current.read_bytes() == before
+    assert main(restore) == 0
+    assert load(current) == found
 
 
-def test_the_published_way_writes_its_three_models_and_replaces_none(
-    bench: tuple[Path, TrueRig], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_published_way_writes_its_three_models_and_replaces_none(bench: Bench, capsys: Capture) -> None:
     folder, _ = bench
     out = folder / "paper.json"
     assert calibrate(folder, "--out", str(out), "--method", "paper") == 0
@@ -113,60 +114,33 @@ def test_the_published_way_writes_its_three_models_and_replaces_none(
     assert "paper-pm.json exists already" in capsys.readouterr().err
 
 
-def test_a_scan_without_its_artefact_is_left_out_and_said(
-    bench: tuple[Path, TrueRig], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_scan_without_its_artefact_is_left_out_and_nothing_is_installed(bench: Bench, capsys: Capture) -> None:
     folder, truth = bench
-    (folder / "wrong.toml").write_text(listed(truth, ("plane-0", "plane-1", "bar-0")))
+    (folder / "wrong.toml").write_text(listed(truth, "bar-0", "plane-0").replace("./plane-0", "./bar-1"))
     more = ["--out", str(folder / "rest.json"), "--method", "ports", "--install"]
     assert calibrate(folder, *more, name="wrong.toml") == 1
     said = capsys.readouterr().out
-    assert "bar-0 not used: " in said
+    assert "bar-1 not used: " in said
     assert "not installed" in said
-    assert not (folder / "calibration" / "current.json").exists()
     assert (folder / "rest.json").exists()
 
 
-def test_what_cannot_be_done_is_said_before_the_work(
-    bench: tuple[Path, TrueRig], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_cannot_be_done_is_said_and_replaces_nothing(bench: Bench, capsys: Capture) -> None:
     folder, truth = bench
     (folder / "taken.json").write_text("precious")
-    assert calibrate(folder, "--out", str(folder / "taken.json")) == 2
-    assert (folder / "taken.json").read_text() == "precious"
-    frustum = listed(truth) + '[[scan]]\nscan = "./plane-0"\nartefact = "frustum"\ntop_mm = 80.0\n'
-    (folder / "frustum.toml").write_text(frustum)
-    assert calibrate(folder, "--out", str(folder / "none.json"), name="frustum.toml") == 2
-    assert "take it out of the list" in capsys.readouterr().err
-    assert not (folder / "none.json").exists()
-
-
-def test_installed_and_taken_back(bench: tuple[Path, TrueRig], capsys: pytest.CaptureFixture[str]) -> None:
-    folder, _ = bench
-    current = folder / "calibration" / "current.json"
-    root = ["--root", str(folder)]
-    assert main(["calibrate", "restore", *root]) == 2
-    assert calibrate(folder, "--out", str(folder / "a.json"), "--method", "ports", "--install") == 0
-    assert load(current) == load(folder / "a.json")
-    assert calibrate(folder, "--out", str(folder / "b.json"), "--method", "spline", "--install") == 0
-    assert load(current) == load(folder / "b.json")
-    assert main(["calibrate", "restore", *root]) == 0
-    assert load(current) == load(folder / "a.json")
-    assert main(["calibrate", "restore", *root]) == 0
-    assert load(current) == load(folder / "b.json")
-    capsys.readouterr()
-
-
-def test_another_instruments_start_is_refused(bench: tuple[Path, TrueRig], capsys: pytest.CaptureFixture[str]) -> None:
-    folder, _ = bench
+    frustum = '[[scan]]\nscan = "./plane-0"\nartefact = "frustum"\ntop_mm = 80.0\n'
+    (folder / "frustum.toml").write_text(listed(truth, *FOUR) + frustum)
+    (folder / "planes.toml").write_text(listed(truth, "plane-0"))
     (folder / "other.json").write_bytes(encode(replace(load(folder / "air.json"), rig_serial="KF-0002")))
-    assert calibrate(folder, "--start", str(folder / "other.json"), start=False) == 1
-    assert "is of instrument KF-0002; this one is KF-0001" in capsys.readouterr().err
-
-
-def test_planes_alone_calibrate_nothing(bench: tuple[Path, TrueRig], capsys: pytest.CaptureFixture[str]) -> None:
-    folder, _ = bench
-    (folder / "planes.toml").write_text('[[scan]]\nscan = "./plane-0"\nartefact = "plane"\n')
-    assert calibrate(folder, "--out", str(folder / "none.json"), name="planes.toml") == 1
-    assert "record a ball bar" in capsys.readouterr().err
+    for out, name, start, code, words in (
+        ("taken", "list", "air", 2, "exists already"),
+        ("none", "frustum", "air", 2, "take it out of the list"),
+        ("none", "planes", "air", 1, "record a ball bar"),
+        ("none", "list", "other", 1, "is of instrument KF-0002; this one is KF-0001"),
+    ):
+        assert (
+            calibrate(folder, "--out", str(folder / f"{out}.json"), name=f"{name}.toml", start=f"{start}.json") == code
+        )
+        assert words in capsys.readouterr().err
+    assert (folder / "taken.json").read_text() == "precious"
     assert not (folder / "none.json").exists()

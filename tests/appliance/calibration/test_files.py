@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
+from appliance import instrument
 from appliance.calibration import file as calibration_file
 from appliance.calibration import noise_file
 from appliance.calibration.depth_error import COUNT
-from appliance.calibration.design import Design, design_calibration
+from appliance.calibration.design import design_calibration
+from appliance.calibration.field import AirField
 from appliance.calibration.file import CalibrationError
 from appliance.calibration.noise_file import CameraFigures, StoredNoise
 from appliance.calibration.response import file as response_file
@@ -26,27 +26,19 @@ from appliance.calibration.response.file import StoredResponse
 from appliance.calibration.response.measure import CameraImages, ResponseError, measure_response
 from appliance.checksummed_file import with_checksum
 from appliance.config import Rig, load_rig, parse_rig
-from appliance.instrument import (
-    NOISE_FILE,
-    RESPONSE_FILE,
-    design_of,
-    exposures_of,
-    noise_of,
-    origin_of,
-    response_of,
-    with_measured_noise,
-)
+from appliance.instrument import NOISE_FILE, exposures_of, noise_of, with_measured_noise
+from appliance.optics.correction import ImageCorrection
 from appliance.optics.ray_shift import RayShift
-from appliance.optics.volume import STANDARD, WorkingVolume
-from appliance.optics.water import Water
+from appliance.optics.volume import WorkingVolume
 from appliance.patterns.response import Response
 from appliance.patterns.sequence import build_sequence
 from appliance.scan.exposure import Exposure
 from tests.appliance.cli.test_measure import RIG
+from tests.support.calibrating import DESIGN
 from tests.support.golden_texts import Says
+from tests.support.truth import WATER
 
-DESIGN = Design(11.5, 4.5, 230.0, 12.41, 30.0, 5.0, 1.77)
-CALIBRATION = design_calibration(DESIGN, "KF-0001", 1600, 1200, Water(20.0, 0.0, 530.0))
+CALIBRATION = design_calibration(DESIGN, "KF-0001", 1600, 1200, WATER)
 LEFT, RIGHT = CameraFigures("KF-CAM-L", 9_100.0, 4.5, 6.0), CameraFigures("KF-CAM-R", 18_000.0, 25.0, 1.5)
 NOISE = StoredNoise("KF-SIM", ("000007",), LEFT, RIGHT)
 RESPONSE = StoredResponse("KF-1", ("000007",), 0.0107, Response((0.45, 0.53, 0.05, -0.02)))
@@ -69,15 +61,17 @@ def depth_errors() -> tuple[tuple[float, ...], ...]:
     return tuple(tuple(row) for row in (0.5 * (rows + rows.T)).tolist())
 
 
+CORRECTION = ImageCorrection(1600, 1200, (6, 5), tuple(np.random.default_rng(1).normal(0.0, 0.2, 144)))
 SHIFT = RayShift(1600, 1200, (4, 3), tuple(np.random.default_rng(1).normal(0.0, 0.01, 84)))
 STATED = replace(CALIBRATION, depth_error_mm2=depth_errors())
+FIELDED = replace(CALIBRATION, air_field=AirField.of((2, 1), np.zeros(102), np.eye(102)))
 SMALL = replace(CALIBRATION, rig=replace(CALIBRATION.rig, volume=WorkingVolume(264.0, 300.0, 336.0)))
 
 
 @pytest.mark.parametrize(
     ("module", "stored"),
     [
-        *((calibration_file, one) for one in (CALIBRATION, left_with(ray_shift=SHIFT), left_with(lens_in_water=True), STATED, SMALL)),
+        *((calibration_file, one) for one in (CALIBRATION, left_with(ray_shift=SHIFT), left_with(lens_in_water=True), left_with(correction=CORRECTION), STATED, SMALL, FIELDED)),
         (noise_file, NOISE), (response_file, RESPONSE), (response_file, replace(RESPONSE, exposure_us=12_000, trigger_delay_us=500)),
     ],
 )  # fmt: skip
@@ -85,13 +79,11 @@ def test_what_was_written_comes_back(module: ModuleType, stored: Any, tmp_path: 
     path = tmp_path / "stored.json"
     path.write_bytes(module.encode(stored))
     assert module.load(path) == stored
+    for optional in ("depth_error_mm2", "air_field", "exposure_us"):
+        assert (optional.encode() in module.encode(stored)) == (getattr(stored, optional, None) is not None)
     if module is calibration_file:
         assert module.load(path).hash == stored.hash
         assert (stored.hash == CALIBRATION.hash) == (stored == CALIBRATION)
-        assert (stored.depth_error_mm2 is None) == (stored is not STATED)
-        assert (stored.rig.volume == STANDARD) == (stored is not SMALL)
-    elif stored is RESPONSE:
-        assert b"exposure_us" not in module.encode(stored), "nobody knows at which it was measured"
 
 
 def resigned(module: ModuleType, stored: Any, change: Callable[[Any], object]) -> bytes:
@@ -117,7 +109,13 @@ BARE = {"schema": 1, "rig_serial": "KF-1", "made_from": []}
 THICK = left_with(port=replace(CALIBRATION.rig.left.port, thickness_mm=500.0))
 SKEW = replace(STATED, depth_error_mm2=(*depth_errors()[:-1], (0.0,) * COUNT))
 WRONG_FILES: list[tuple[ModuleType, bytes, str]] = [
+    (calibration_file, calibration_file.encode(CALIBRATION).replace(b"1.77", b"1.78"), "checksum"),
     (calibration_file, calibration(schema=4), "schema 4"),
+    (
+        calibration_file,
+        resigned(calibration_file, FIELDED, lambda content: content["air_field"].update(root="AAAA")),
+        r"air_field\.root is .* allowed: the factor of a covariance",
+    ),
     (calibration_file, calibration_file.encode(THICK), r"thickness_mm is 500\.0; allowed: 0\.\.100"),
     (calibration_file, calibration_file.encode(SKEW), "depth_error_mm2"),
     (calibration_file, calibration(volume={"nearest_mm": 264.0, "working_mm": 700.0, "farthest_mm": 336.0}), "nearest"),
@@ -157,21 +155,6 @@ def test_a_file_that_cannot_be_read_is_no_missing_one(tmp_path: Path, says: Says
     with pytest.raises(CalibrationError) as missing:
         calibration_file.load(tmp_path / "none.json")
     says(unreadable.value, missing.value)
-
-
-@settings(max_examples=150, deadline=None)
-@given(st.integers(0, 10**6), st.integers(0, 255))
-def test_any_damaged_byte_is_noticed(where: int, value: int) -> None:
-    data = bytearray(calibration_file.encode(CALIBRATION))
-    data[where % len(data)] = value
-    try:
-        result = calibration_file.decode(bytes(data))
-    except CalibrationError:
-        return
-    assert result == CALIBRATION, "only a change of white space may pass"
-
-
-def test_design_axes_meet_500_mm_before_the_windows() -> None:
     centre = CALIBRATION.rig.volume_centre_mm(CALIBRATION.water.index)
     assert np.linalg.norm(centre) == pytest.approx(522.5 / np.cos(np.radians(12.41)), abs=0.5)
     assert CALIBRATION.rig.right.translation_mm[0] > 0, "the right camera is to the right"
@@ -199,22 +182,16 @@ def test_what_was_measured_takes_the_place_of_the_data_sheets_and_goes_with_the_
             per_e = 255.0 / figures.full_well_e * 10.0 ** (gain_db / 20.0)
             expected = (figures.read_noise_e * per_e) ** 2 + 100.0 * per_e + 1.0 / 12.0
             assert camera.variance_dn2(100.0 + figures.black_level_dn) == pytest.approx(expected)
-    carried = parse_rig(origin_of(used, design_of(used)).rig.decode(), "the scan's")
+    carried = parse_rig(instrument.origin_of(used, instrument.design_of(used)).rig.decode(), "the scan's")
     assert noise_of(carried) == noise_of(used)
     assert exposures_of(used) == exposures_of(rig), "and nothing else is changed"
     assert replace(used, camera=rig.camera) == rig
 
 
-def test_noise_of_other_cameras_or_damaged_is_not_used_and_the_log_says_so(
-    rig: Rig, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_noise_of_other_cameras_or_damaged_is_told_and_not_used(rig: Rig, caplog: pytest.LogCaptureFixture) -> None:
     assert with_measured_noise(rig) == rig
     mine = noise_of_its_cameras(rig)
-    others = (
-        replace(mine, rig_serial="KF-9"),
-        replace(mine, left=replace(mine.left, serial="KF-CAM-X")),
-        replace(mine, right=replace(mine.right, serial="KF-CAM-X")),
-    )
+    others = replace(mine, rig_serial="KF-9"), replace(mine, left=RIGHT), replace(mine, right=LEFT)
     with caplog.at_level(logging.WARNING, "kingfisher"):
         for data in (*map(noise_file.encode, others), b"{}"):
             put(rig, NOISE_FILE, data)
@@ -222,29 +199,18 @@ def test_noise_of_other_cameras_or_damaged_is_not_used_and_the_log_says_so(
     assert len(caplog.records) == 4
 
 
-def test_a_response_of_another_trigger_delay_is_not_used_and_of_another_exposure_with_a_warning(
-    rig: Rig, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_response_counts_at_its_trigger_delay_and_else_is_told(rig: Rig, caplog: pytest.LogCaptureFixture) -> None:
     """Bit planes: what begins at another moment of the projector's frame sees other bits."""
     exposure_us, delay_us = round(1000 * rig.camera.left.exposure_ms), rig.board.trigger_delay_us
     mine = replace(RESPONSE, rig_serial=rig.rig.serial)
-    warned = []
-    with caplog.at_level(logging.WARNING, "kingfisher"):
-        for exposed_us, delayed_us in (
-            (None, None),
-            (exposure_us, delay_us),
-            (exposure_us - 1, delay_us),
-            (exposure_us, delay_us + 7),
-        ):
-            put(
-                rig,
-                RESPONSE_FILE,
-                response_file.encode(replace(mine, exposure_us=exposed_us, trigger_delay_us=delayed_us)),
-            )
-            used = response_of(rig)
-            assert used == (None if delayed_us == delay_us + 7 else mine.response)
-            warned.append(len(caplog.records))
-    assert warned == [0, 0, 1, 2]
+    caplog.set_level(logging.WARNING, "kingfisher")
+    for exposed_us, delayed_us, used, warned in (
+        (None, None, mine.response, 0), (exposure_us, delay_us, mine.response, 0), (exposure_us - 1, delay_us, mine.response, 1),
+        (exposure_us, delay_us + 7, None, 2),
+    ):  # fmt: skip
+        stored = replace(mine, exposure_us=exposed_us, trigger_delay_us=delayed_us)
+        put(rig, instrument.RESPONSE_FILE, response_file.encode(stored))
+        assert (instrument.response_of(rig), len(caplog.records)) == (used, warned)
 
 
 def test_two_codes_are_too_few_for_ten_harmonics() -> None:

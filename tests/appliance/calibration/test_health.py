@@ -10,16 +10,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from appliance.calibration.health import (
-    LEARNT_SCANS,
-    MOST_OBJECTS,
-    OVERLAP_LIMIT,
-    HealthTrend,
-    OverlapNews,
-    answered,
-    judge,
-    told_by_overlaps,
-)
+from appliance.calibration import health
+from appliance.calibration.health import LEARNT_SCANS, OVERLAP_LIMIT, HealthTrend, OverlapNews, answered, judge
 from appliance.calibration.patches import PatchGaps
 from appliance.optics.water import Water
 from hw_sim.mount_shift import MountShift, with_mount_shifted
@@ -56,40 +48,29 @@ def salty(psu: float, celsius: float = 20.0) -> float:
         (in_water(MADE.truth, salty(35.0)), 1, True), (in_water(MADE.truth, salty(10.0)), 3, True),
     ],
 )  # fmt: skip
-def test_a_knock_or_wrong_water_alarms_at_the_first_or_second_scan(
-    usual: HealthTrend, changed: TrueRig, most: int, alarms: bool
-) -> None:
+def test_a_knock_or_wrong_water_alarms_soon(usual: HealthTrend, changed: TrueRig, most: int, alarms: bool) -> None:
     assert (scans_until_alarm(MADE, usual, changed, most) is not None) == alarms
 
 
-def test_water_that_is_stated_rightly_never_alarms(usual: HealthTrend) -> None:
+def test_water_that_is_stated_rightly_never_alarms_and_a_knock_before_the_first_scan_does(usual: HealthTrend) -> None:
     """The trend follows the instrument from the lake to the sea."""
     assert MADE.truth.n_water == pytest.approx(WATER.index, abs=1e-9)
     sea = salty(35.0, 12.0)
     assert scans_until_alarm(MADE, usual, in_water(MADE.truth, sea), most=6, index=sea) is None
+    assert scans_until_alarm(MADE, HealthTrend(), turned(pitch_deg=0.02), most=2) is not None
 
 
-def test_normal_scans_never_alarm() -> None:
+def test_neither_normal_scans_nor_mounts_that_follow_the_temperature_of_the_case_alarm() -> None:
+    """Turns about x and z of some thousandths of a degree, another one before each scan: no length notices them."""
     rng = np.random.default_rng(5)
     scans = (scan(MADE, MADE.truth, rng) for _ in range(24))
     totals = [said.point.total for _, said in follow(HealthTrend(), scans) if said.point]
     assert len(totals) == 24
     assert max(totals) < 3.0, "half of the limit is never reached"
-
-
-def test_a_knock_between_calibration_and_first_scan_is_noticed() -> None:
-    assert scans_until_alarm(MADE, HealthTrend(), turned(pitch_deg=0.02), most=2) is not None
-
-
-def test_mounts_that_follow_the_temperature_of_the_case_never_alarm() -> None:
-    """Turns about x and z of some thousandths of a degree, another one before each scan: no length notices them."""
     rng = np.random.default_rng(10_004)
-
-    def some() -> TrueRig:
-        pitch, roll = rng.normal(0.0, 0.002, 2)
-        return turned(pitch_deg=float(pitch), roll_deg=float(roll))
-
-    assert not any(said.alarm for _, said in follow(HealthTrend(), (scan(MADE, some(), rng) for _ in range(10))))
+    turns = rng.normal(0.0, 0.002, (10, 2))
+    warm = (scan(MADE, turned(pitch_deg=float(pitch), roll_deg=float(roll)), rng) for pitch, roll in turns)
+    assert not any(said.alarm for _, said in follow(HealthTrend(), warm))
 
 
 def test_a_slow_drift_alarms_before_it_is_learnt() -> None:
@@ -114,9 +95,7 @@ def test_an_alarm_stays_until_a_length_check_is_accepted_and_then_the_new_state_
 
 
 def only(gaps: PatchGaps, which: np.ndarray) -> PatchGaps:
-    return replace(
-        gaps, patch=gaps.patch[which], gap_um=gaps.gap_um[which], noise_um=gaps.noise_um[which], modes=gaps.modes[which]
-    )
+    return replace(gaps, **{name: getattr(gaps, name)[which] for name in ("patch", "gap_um", "noise_um", "modes")})
 
 
 def test_too_little_and_what_is_no_number_is_not_judged_and_a_corner_is_uncertain() -> None:
@@ -139,14 +118,14 @@ def test_too_little_and_what_is_no_number_is_not_judged_and_a_corner_is_uncertai
 def test_overlaps_that_bend_all_scans_alarm_once_and_the_latest_word_of_each_object_is_kept() -> None:
     fine = OverlapNews("hull", 20, 9.0, 4.0, OVERLAP_LIMIT)
     bent = OverlapNews("hull", 26, 62.0, 5.0, OVERLAP_LIMIT + 0.1)
-    trend = told_by_overlaps(HealthTrend(), fine)
-    after = told_by_overlaps(trend, bent)
+    trend = health.told_by_overlaps(HealthTrend(), fine)
+    after = health.told_by_overlaps(trend, bent)
     assert (trend.alarm, after.overlaps) == (None, (bent,))
     assert after.alarm is not None
     assert "hull" in after.alarm
     assert "62 ± 5 µm" in after.alarm
-    assert told_by_overlaps(after, fine).alarm == after.alarm, "it stands until a length check answers it"
+    assert health.told_by_overlaps(after, fine).alarm == after.alarm, "it stands until a length check answers it"
     assert answered(after, "ball bar").alarm is None
-    for k in range(MOST_OBJECTS):
-        after = told_by_overlaps(after, replace(fine, object=f"{k}"))
-    assert [one.object for one in after.overlaps] == [f"{k}" for k in range(MOST_OBJECTS)]
+    for k in range(health.MOST_OBJECTS):
+        after = health.told_by_overlaps(after, replace(fine, object=f"{k}"))
+    assert [one.object for one in after.overlaps] == [f"{k}" for k in range(health.MOST_OBJECTS)]

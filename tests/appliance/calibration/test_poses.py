@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,15 +16,8 @@ from appliance.calibration.water.calibrate import calibrate
 from appliance.calibration.water.method import Method
 from appliance.calibration.water.start import start_from_air
 from appliance.optics.volume import WorkingVolume
-from tests.support.calibrating import (
-    CALIBRATION_PLANES,
-    DESIGN,
-    Pose,
-    air_of,
-    calibration_recordings,
-    evaluate,
-    hidden_rig,
-)
+from tests.support import calibrating
+from tests.support.calibrating import DESIGN, Pose, evaluate, hidden_rig
 from tests.support.truth import WATER
 
 RIG = design_calibration(DESIGN, "KF-TEST", 1600, 1200, WATER).rig
@@ -35,12 +29,10 @@ def in_left(points_rig: np.ndarray) -> np.ndarray:
     return points_rig @ axes.T + origin
 
 
-def bar(
-    tilt_deg: float, roll_deg: float, length_mm: float = LENGTH_MM, radius_mm: float = RADIUS_MM, rms_mm: float = 0.03
-) -> FoundBar:
+def bar(tilt_deg: float, roll_deg: float, length_mm: float = LENGTH_MM, **more: Any) -> FoundBar:
     pose = Pose((5.0, -10.0, 515.0), (0.0, tilt_deg, roll_deg))
     ends = np.array([[-0.5, 0, 0], [0.5, 0, 0]]) * length_mm @ pose.rotation.T + pose.at_mm
-    return FoundBar(in_left(ends), (radius_mm, RADIUS_MM), rms_mm, 4000)
+    return replace(FoundBar(in_left(ends), (RADIUS_MM, RADIUS_MM), 0.03, 4000), **more)
 
 
 def plane(distance_mm: float, tilt_deg: float = 8.0, fill_percent: float = 85.0, rms_mm: float = 0.05) -> FoundPlane:
@@ -60,7 +52,7 @@ def plane(distance_mm: float, tilt_deg: float = 8.0, fill_percent: float = 85.0,
         (Step.M2, bar(0.0, 20.0), Refusal.STAND_UP, 20.0),
         (Step.VERIFY, bar(35.0, 20.0), Refusal.TILT_LESS, 35.0),
         (Step.M1, bar(35.0, 0.0, length_mm=200.0), Refusal.WRONG_SIZE, 200.0),
-        (Step.M1, bar(35.0, 0.0, radius_mm=12.0), Refusal.WRONG_SIZE, 12.0),
+        (Step.M1, bar(35.0, 0.0, radii_mm=(12.0, RADIUS_MM)), Refusal.WRONG_SIZE, 12.0),
         (Step.M1, bar(35.0, 0.0, rms_mm=0.8), Refusal.BAD_FIT, 0.8),
         *((step, plane(mm, tilt), None, 0.05) for tilt in (0.0, 15.0, -15.0) for step, mm in ((Step.M3, 470.0), (Step.M4, 570.0))),
         (Step.M3, plane(545.0), Refusal.TOO_FAR, 545.0),
@@ -83,18 +75,11 @@ def test_how_an_artefact_is_held_is_right_or_named_with_its_number(
     assert check.number == pytest.approx(number, abs=0.01)
 
 
-@pytest.mark.parametrize(
-    ("step", "distance_mm", "refusal"),
-    [
-        (Step.M3, 282.0, None),
-        (Step.M4, 342.0, None),
-        (Step.M3, 470.0, Refusal.TOO_FAR),
-        (Step.M4, 310.0, Refusal.TOO_NEAR),
-    ],
-)
-def test_planes_before_a_smaller_housing_belong_nearer(step: Step, distance_mm: float, refusal: Refusal | None) -> None:
+def test_planes_before_a_smaller_housing_belong_nearer() -> None:
     small = replace(RIG, volume=WorkingVolume(264.0, 300.0, 336.0))
-    assert judge_plane(step, plane(distance_mm), small).refusal is refusal
+    for step, near_mm, far_mm in ((Step.M3, 282.0, 470.0), (Step.M4, 310.0, 342.0)):
+        found = [judge_plane(step, plane(mm), small).refusal for mm in (near_mm, far_mm)]
+        assert found == ([None, Refusal.TOO_FAR] if step is Step.M3 else [Refusal.TOO_NEAR, None])
 
 
 def test_no_pose_will_do_for_two_steps() -> None:
@@ -161,7 +146,7 @@ def test_a_bar_checks_the_calibration_in_use_before_anything_is_solved() -> None
 # --------------------------------------------------------------------- what matters and what does not
 
 LYING, UPRIGHT = (-15.0, -20.0, 505.0), (15.0, 20.0, 540.0)
-PLANES = {"as usual": CALIBRATION_PLANES, "level": (Pose((0.0, 0.0, 478.0), (0.0, 0.0, 0.0)), Pose((0.0, 0.0, 570.0), (0.0, 0.0, 0.0)))}  # fmt: skip
+PLANES = {"as usual": calibrating.CALIBRATION_PLANES, "level": (Pose((0.0, 0.0, 478.0), (0.0, 0.0, 0.0)), Pose((0.0, 0.0, 570.0), (0.0, 0.0, 0.0)))}  # fmt: skip
 BARS = {
     "35° both ways": ((LYING, (0.0, 35.0, 20.0)), (UPRIGHT, (0.0, -35.0, 70.0))),
     "35° the same way": ((LYING, (0.0, 35.0, 20.0)), (UPRIGHT, (0.0, 35.0, 70.0))),
@@ -175,12 +160,12 @@ BARS = {
 @pytest.mark.parametrize("seed", [1, 2])
 def test_how_bars_and_planes_lean_changes_no_result(seed: int) -> None:
     truth = hidden_rig("realistic", seed)
-    air = air_of(truth)
+    air = calibrating.air_of(truth)
     start = start_from_air(air, design_calibration(DESIGN, "KF-TEST", 1600, 1200, WATER))
     errors = {}
     for bars, (first, second) in BARS.items():
         for planes, placed in PLANES.items():
-            recordings = calibration_recordings(truth, [Pose(*first), Pose(*second)], placed)
+            recordings = calibrating.calibration_recordings(truth, [Pose(*first), Pose(*second)], placed)
             found = calibrate(Method.SPLINE, recordings, start)
             errors[bars, planes] = evaluate(truth, found.calibration.rig).length
     print(f"\nrig {seed}, E_L in percent: " + "; ".join(f"{b}, planes {p}: {e:.3f}" for (b, p), e in errors.items()))

@@ -37,12 +37,7 @@ def test_the_packaged_rig_is_the_instrument_of_the_paper() -> None:
 @pytest.mark.parametrize(
     ("old", "new", "key", "words"),
     [
-        (
-            "exposure_ms = 12.0",
-            "exposure_ms = 25",
-            "camera.left.exposure_ms",
-            "25 > 16.6; allowed: 0.05..16.6 ms; correct it in rig.toml",
-        ),
+        ("exposure_ms = 12.0", "exposure_ms = 25", "camera.left.exposure_ms", "25 > 16.6; allowed: 0.05..16.6 ms; correct it in rig.toml"),
         ("[scan]", "[scan]\nzzzz = 1", "scan.zzzz", "known here: period_px, shortest_exposure_ms"),
         ("exposure_ms = 12.0", "exposure_m = 12.0", "camera.left.exposure_m", "did you mean camera.left.exposure_ms?"),
         ("[scan]", "[scam]", "scam", "did you mean scan?"),
@@ -53,28 +48,20 @@ def test_the_packaged_rig_is_the_instrument_of_the_paper() -> None:
         ("gain_db = 0.0\n", "", "camera.left.gain_db", "missing"),
         ("width_px = 1600", "width_px = 1600.5", "camera.left.width_px", "64..8192 px"),
         ("period_px = 16 ", "period_px = 24 ", "scan.period_px", "16, 32 or 64"),
-        ("trigger_delay_us = 500", "trigger_delay_us = 15001", "board.trigger_delay_us", "0..15000 µs"),
-        ("live_every_vsyncs = 6", "live_every_vsyncs = 0", "board.live_every_vsyncs", "0 < 1"),
         ('language = "en"', 'language = "fr"', "display.language", "'en' or 'de'"),
-        ("product_id = 0x4B46", "product_id = 0x14B46", "keys.product_id", "65535"),
-        ("product_id = 0x4B42", "product_id = 0x14B42", "board.product_id", "65535"),
         ('"drivers.native:open"', '"drivers.native"', "rig.wires", "package.module:function"),
-        ("salinity_psu = 0.0", "salinity_psu = -1", "water.salinity_psu", "0..45 psu"),
         ('root = "/var/lib/kingfisher"', 'root = ""', "storage.root", "path"),
-        ("port_index = 1.77", "port_index = inf", "design.port_index", "finite"),
+        ('"KF-CAM-R"', '"KF-CAM-L"', "camera.right.serial", "same as camera.left.serial"),
+        # Whatever opens the devices is called with what else the file says: one from elsewhere could run anything.
+        *(("drivers.native:open", wires, "rig.wires", f'rig.wires "{wires}" not registered; allowed: drivers.native:open, hw_sim.wires:open')
+          for wires in ("subprocess:Popen", "os:system", "appliance.cli:main", "drivers.native:NativeWires")),
     ],
-)
+)  # fmt: skip
 def test_each_wrong_value_names_its_key_and_what_is_allowed(old: str, new: str, key: str, words: str) -> None:
     error = refusal(changed(old, new))
     assert error.key == key
     assert words in str(error)
     assert "\n" not in str(error)
-
-
-def test_one_camera_cannot_be_both() -> None:
-    error = refusal(changed('"KF-CAM-R"', '"KF-CAM-L"'))
-    assert error.key == "camera.right.serial"
-    assert "same as camera.left.serial" in str(error)
 
 
 def test_the_diver_reads_the_language_of_the_rig_file_and_english_without_one() -> None:
@@ -98,8 +85,8 @@ def test_every_fault_of_a_rig_file_is_listed_not_counted() -> None:
         said = str(refusal(text))
         assert all(one in said for one in words)
         assert "\n" not in said
-    many = str(refusal(PACKAGED + "".join(f"key_{n} = {n}\n" for n in range(5000))))
-    assert (len(many) < 10_000, "and 4899 more" in many) == (True, True)
+    many = str(refusal(PACKAGED + "".join(f"key_{n} = {n}\n" for n in range(300))))
+    assert (len(many) < 10_000, "and 199 more" in many) == (True, True)
 
 
 def test_a_volume_that_the_cameras_do_not_look_into_is_refused() -> None:
@@ -119,28 +106,16 @@ def test_a_rig_file_without_a_volume_is_of_the_standard_housing() -> None:
     assert parse_rig(without).optical_hash == parse_rig(PACKAGED).optical_hash
 
 
-@pytest.mark.parametrize("wires", ["subprocess:Popen", "os:system", "appliance.cli:main", "drivers.native:NativeWires"])
-def test_a_rig_file_cannot_name_a_command_as_its_wires(wires: str) -> None:
-    """What opens the devices is called with whatever else the file says: a rig file from elsewhere could run anything."""
-    error = refusal(changed("drivers.native:open", wires))
-    assert error.key == "rig.wires"
-    assert error.headline == f'rig.wires "{wires}" not registered'
-    assert "allowed: drivers.native:open, hw_sim.wires:open" in str(error)
-
-
-def test_comments_order_and_number_spelling_do_not_change_the_hash_but_every_value_does() -> None:
+def test_a_hash_knows_values_and_not_their_spelling_and_the_optical_one_only_those_of_a_calibration() -> None:
     rig = parse_rig(PACKAGED)
-    respelled = changed("exposure_ms = 12.0", "exposure_ms = 12 # comment").replace("0x1209", "4617")
-    assert parse_rig(respelled).rig_hash == rig.rig_hash
     assert len(rig.rig_hash) == 64
-    assert parse_rig(changed("exposure_ms = 12.0", "exposure_ms = 12.5")).rig_hash != rig.rig_hash
-
-
-def test_a_calibration_outlives_a_new_exposure_but_not_another_camera() -> None:
-    rig = parse_rig(PACKAGED)
-    assert parse_rig(changed("exposure_ms = 12.0", "exposure_ms = 12.5")).optical_hash == rig.optical_hash
-    assert parse_rig(changed('"KF-CAM-R"', '"KF-CAM-X"')).optical_hash != rig.optical_hash
-    assert parse_rig(changed("width_px = 1600", "width_px = 800")).optical_hash != rig.optical_hash
+    respelled = changed("exposure_ms = 12.0", "exposure_ms = 12 # comment").replace("0x1209", "4617")
+    for text, same, optically in (
+        (respelled, True, True), (changed("exposure_ms = 12.0", "exposure_ms = 12.5"), False, True),
+        (changed('"KF-CAM-R"', '"KF-CAM-X"'), False, False), (changed("width_px = 1600", "width_px = 800"), False, False),
+    ):  # fmt: skip
+        other = parse_rig(text)
+        assert (other.rig_hash == rig.rig_hash, other.optical_hash == rig.optical_hash) == (same, optically)
 
 
 FEATURES = """
@@ -160,12 +135,8 @@ def test_what_a_makers_cameras_need_keeps_its_order_and_its_kinds_also_when_it_i
     rig = parse_rig(changed("[camera.right]\n", FEATURES))
     for one in (rig, parse_rig(rig_text(rig))):
         left = one.camera.left
-        assert (left.trigger_source, left.pixel_format, left.offset_x_px, left.offset_y_px) == (
-            "Line3",
-            "Mono12p",
-            16,
-            None,
-        )
+        said = left.trigger_source, left.pixel_format, left.offset_x_px, left.offset_y_px
+        assert said == ("Line3", "Mono12p", 16, None)
         assert list(left.features.items()) == [
             ("TriggerOverlap", "ReadOut"), ("BlackLevelSelector", "All"), ("BlackLevel", 1.0), ("?GammaEnable", False),
         ]  # fmt: skip
@@ -179,17 +150,13 @@ def test_what_a_makers_cameras_need_keeps_its_order_and_its_kinds_also_when_it_i
     assert "Mono12Packed" in words
 
 
-def test_a_missing_file_names_the_path(tmp_path: Path) -> None:
+def test_a_missing_file_names_the_path_and_whatever_one_holds_is_one_config_error(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"nowhere\.toml.*--rig"):
         load_rig(tmp_path / "nowhere.toml")
-
-
-@pytest.mark.parametrize("raw", [b"\xff\xfe", b"", b"x = " + b"[" * 3000, b"x = " + b"9" * 6000, b"\x00"])
-def test_whatever_the_file_holds_the_answer_is_one_config_error(tmp_path: Path, raw: bytes) -> None:
-    path = tmp_path / "rig.toml"
-    path.write_bytes(raw)
-    with pytest.raises(ConfigError):
-        load_rig(path)
+    for raw in (b"\xff\xfe", b"", b"x = " + b"[" * 3000, b"x = " + b"9" * 6000, b"\x00"):
+        (tmp_path / "rig.toml").write_bytes(raw)
+        with pytest.raises(ConfigError):
+            load_rig(tmp_path / "rig.toml")
 
 
 # ------------------------------------------------------------------------------------ written again
@@ -212,13 +179,9 @@ def test_what_options_changed_is_written_down_too_whatever_characters_are_in_it(
         "a key with blanks and ü": [1, 2.5e-07, [True, {"x": -1.0, "y z": "ω"}]], "nothing": {}, "big": 2**53,
     }  # fmt: skip
     rig = load_rig(RIG_FILES[1])
-    left = replace(rig.camera.left, width_px=80, height_px=64)
-    rig = replace(
-        rig,
-        rig=replace(rig.rig, name="Eisvogel “3” 𝔘", wires_options=options),
-        camera=replace(rig.camera, left=left),
-        storage=replace(rig.storage, root=Path("/a folder/with \\ and 'quotes'")),
-    )
+    named = replace(rig.rig, name="Eisvogel “3” 𝔘", wires_options=options)
+    camera = replace(rig.camera, left=replace(rig.camera.left, width_px=80, height_px=64))
+    rig = replace(rig, rig=named, camera=camera, storage=replace(rig.storage, root=Path("/a/with \\ and 'quotes'")))
     again = parse_rig(rig_text(rig))
     assert again == rig
     assert again.rig_hash == rig.rig_hash

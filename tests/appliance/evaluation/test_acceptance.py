@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -88,9 +89,8 @@ def test_without_a_certified_radius_there_is_no_size_and_of_a_ball_of_too_few_po
     result = measured(Certificate())
     assert {q.symbol for q in result.quantities} == {Symbol.PF, Symbol.SD}
     assert isinstance(result.fit, BallBar)
-    few = replace(
-        result.fit.first.used, indices=result.fit.first.used.indices[:4], rejected=result.fit.first.used.rejected[:0]
-    )
+    used = result.fit.first.used
+    few = replace(used, indices=used.indices[:4], rejected=used.rejected[:0])
     broken = replace(result.fit, first=replace(result.fit.first, used=few))
     quantities = of_bar(bar_cloud(), broken, LENGTH_MM, Certificate(), {})
     assert [(q.symbol, q.of) for q in quantities] == [(Symbol.PF, "second ball"), (Symbol.SD, "length")]
@@ -105,31 +105,15 @@ def test_the_flatness_error_is_the_range_of_the_plane() -> None:
     assert flat.value_mm > 0.25
 
 
-@pytest.mark.parametrize(
-    ("value_mm", "uncertainty_mm", "limit_mm", "kept"),
-    [
-        (0.04, 0.01, 0.05, Kept.PASS),
-        (-0.03, 0.01, 0.05, Kept.PASS),
-        (0.045, 0.01, 0.05, Kept.UNDECIDED),
-        (-0.055, 0.01, 0.05, Kept.UNDECIDED),
-        (0.07, 0.01, 0.05, Kept.FAIL),
-        (-0.07, 0.01, 0.05, Kept.FAIL),
-        (0.0500001, None, 0.05, Kept.FAIL),
-        (0.05, None, 0.05, Kept.PASS),
+def test_a_limit_is_kept_or_exceeded_only_beyond_the_uncertainty_and_all_together_if_each_is() -> None:
+    for value_mm, uncertainty_mm, limit_mm, kept in (
+        (0.04, 0.01, 0.05, Kept.PASS), (-0.03, 0.01, 0.05, Kept.PASS), (0.045, 0.01, 0.05, Kept.UNDECIDED), (-0.055, 0.01, 0.05, Kept.UNDECIDED),
+        (0.07, 0.01, 0.05, Kept.FAIL), (-0.07, 0.01, 0.05, Kept.FAIL), (0.0500001, None, 0.05, Kept.FAIL), (0.05, None, 0.05, Kept.PASS),
         (9.0, None, None, Kept.NO_LIMIT),
-    ],
-)
-def test_a_limit_is_kept_or_exceeded_only_beyond_the_uncertainty(
-    value_mm: float, uncertainty_mm: float | None, limit_mm: float | None, kept: Kept
-) -> None:
-    assert Quantity(Symbol.SD, "length", value_mm, uncertainty_mm, 100, 0, limit_mm).kept is kept
-
-
-def test_all_together_pass_only_if_each_does() -> None:
-    one = Quantity(Symbol.PF, "first ball", 0.1, None, 100, 0, 0.2)
-    over = Quantity(Symbol.PF, "first ball", 0.3, None, 100, 0, 0.2)
-    free = Quantity(Symbol.F, "plane", 0.3, None, 100, 0)
-    doubt = Quantity(Symbol.SD, "length", 0.2, 0.01, 100, 0, 0.2)
+    ):  # fmt: skip
+        assert Quantity(Symbol.SD, "length", value_mm, uncertainty_mm, 100, 0, limit_mm).kept is kept
+    one, over = (Quantity(Symbol.PF, "first ball", value_mm, None, 100, 0, 0.2) for value_mm in (0.1, 0.3))
+    free, doubt = Quantity(Symbol.F, "plane", 0.3, None, 100, 0), Quantity(Symbol.SD, "length", 0.2, 0.01, 100, 0, 0.2)
     for quantities, kept in (
         ([one, free], Kept.PASS), ([one, doubt], Kept.UNDECIDED), ([one, doubt, over], Kept.FAIL), ([free], Kept.NO_LIMIT), ([], Kept.NO_LIMIT),
     ):  # fmt: skip
@@ -140,26 +124,18 @@ def test_all_together_pass_only_if_each_does() -> None:
 BAR = '[[scan]]\nscan = "1"\nartefact = "ball-bar"\nlength_mm = 150.0\nradius_mm = 15.0\nradius_sd_mm = 0.001\n'
 
 
-def test_a_list_states_limits_and_the_radius_with_its_uncertainty(tmp_path: Path) -> None:
+def test_a_list_states_limits_and_the_radius_with_its_uncertainty_and_a_wrong_limit_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "list.toml"
     path.write_text("[limits]\npf_mm = 0.1\nf_mm = 0.2\n" + BAR)
     listed = read_list(path)
     assert listed.limits_mm == {Symbol.PF: 0.1, Symbol.F: 0.2}
     assert (listed.entries[0].radius_mm, listed.entries[0].radius_sd_mm) == (15.0, 0.001)
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("limits = 3\n", "limits is no table; give [limits] with pf_mm, ps_mm, sd_mm, f_mm"),
-        ("[limits]\npx_mm = 0.1\n", "limits.px_mm is unknown; allowed are f_mm, pf_mm, ps_mm, sd_mm"),
-        ("[limits]\npf_mm = 0.0\n", "limits.pf_mm is 0; allowed are 0.0001..10"),
-        ('[limits]\nsd_mm = "small"\n', "limits.sd_mm is 'small'; allowed are numbers"),
-    ],
-)
-def test_a_wrong_limit_is_refused_with_its_key(text: str, words: str, tmp_path: Path) -> None:
-    path = tmp_path / "list.toml"
-    path.write_text(text + BAR)
-    with pytest.raises(ListError) as caught:
-        read_list(path)
-    assert words in str(caught.value)
+    for text, words in (
+        ("limits = 3", "limits is no table; give [limits] with pf_mm, ps_mm, sd_mm, f_mm"),
+        ("[limits]\npx_mm = 0.1", "limits.px_mm is unknown; allowed are f_mm, pf_mm, ps_mm, sd_mm"),
+        ("[limits]\npf_mm = 0.0", "limits.pf_mm is 0; allowed are 0.0001..10"),
+        ('[limits]\nsd_mm = "small"', "limits.sd_mm is 'small'; allowed are numbers"),
+    ):
+        path.write_text(f"{text}\n{BAR}")
+        with pytest.raises(ListError, match=re.escape(words)):
+            read_list(path)

@@ -138,9 +138,7 @@ def test_what_floats_a_millimetre_off_a_ball_is_not_the_balls(off_mm: float, tak
         ((ball(LEFT)[:100],), "ball was found"),
     ],
 )
-def test_balls_are_as_large_as_each_other_as_balls_of_a_bar_are_and_seen_enough(
-    parts: tuple[Array, ...], words: str
-) -> None:
+def test_balls_are_as_large_as_each_other_and_seen_enough(parts: tuple[Array, ...], words: str) -> None:
     if words:
         assert words in refused(*parts)
     else:

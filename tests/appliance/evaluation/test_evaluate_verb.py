@@ -17,11 +17,13 @@ from tests.support.rendered import render_scan
 from tests.support.stored import store
 from tests.support.truth import true_calibration
 
+Bench = tuple[Path, TrueRig]
+Capture = pytest.CaptureFixture[str]
 ARTEFACTS = ("ballbar", "plane", "frustum")
 
 
 @pytest.fixture(scope="module")
-def bench(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, TrueRig]:
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
     """A folder with a scan of each artefact, and the calibration that states the truth."""
     folder = tmp_path_factory.mktemp("bench")
     truth = None
@@ -41,7 +43,7 @@ def evaluate(folder: Path, text: str, name: str = "list.toml", calibration: str 
 
 
 @pytest.fixture(scope="module")
-def listed(bench: tuple[Path, TrueRig]) -> str:
+def listed(bench: Bench) -> str:
     """The certificate of the bar is 0.5 % too long and that of the frustum's base 1 %: so are the errors."""
     length = {"length_mm": bench[1].artefacts.ball_distance_mm * 1.005, "length_sd_mm": 0.01}
     radius = {"radius_mm": 15.0, "radius_sd_mm": 0.002, "serial": "KB-7"}
@@ -55,14 +57,14 @@ def listed(bench: tuple[Path, TrueRig]) -> str:
 
 
 @pytest.fixture(scope="module")
-def report(bench: tuple[Path, TrueRig], listed: str) -> tuple[Any, str]:
+def report(bench: Bench, listed: str) -> tuple[Any, str]:
     """What is said to programs, and the page."""
     folder, _ = bench
     assert evaluate(folder, listed, "list.json") == 0
     return json.loads((folder / "report.json").read_text()), (folder / "report.html").read_text()
 
 
-def test_errors_are_those_of_the_truth(bench: tuple[Path, TrueRig], report: tuple[Any, str]) -> None:
+def test_errors_are_those_of_the_truth(bench: Bench, report: tuple[Any, str]) -> None:
     truth, (said, _) = bench[1], report
     assert said["complete"] is True
     summary = said["summary"]
@@ -90,9 +92,7 @@ def test_errors_are_those_of_the_truth(bench: tuple[Path, TrueRig], report: tupl
     assert (bar["provenance"]["artefact_serial"], said["about"]["operator"]) == ("KB-7", "Ada & Co")
 
 
-def test_a_scan_listed_twice_is_refused_before_it_counts_twice(
-    bench: tuple[Path, TrueRig], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_scan_listed_twice_and_a_page_over_the_list_are_refused(bench: Bench, capsys: Capture) -> None:
     folder, _ = bench
     (folder / "report.html").unlink(missing_ok=True)
     plane = '[[scan]]\nscan = "{}"\nartefact = "plane"\n'
@@ -100,11 +100,12 @@ def test_a_scan_listed_twice_is_refused_before_it_counts_twice(
     assert "scan[1] ('" in (said := capsys.readouterr().err)
     assert "is scan[0] ('./plane') once more" in said
     assert not (folder / "report.html").exists()
+    assert evaluate(folder, "{}", "report.json") == 2
+    assert "is the list itself" in capsys.readouterr().err
+    assert (folder / "report.json").read_text() == "{}"
 
 
-def test_what_is_not_there_is_said_and_the_rest_is_evaluated(
-    bench: tuple[Path, TrueRig], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_not_there_is_said_and_the_rest_is_evaluated(bench: Bench, capsys: Capture) -> None:
     folder, _ = bench
     bar = {"scan": "./plane", "artefact": "ball-bar", "length_mm": 150.0}
     text = {"scan": [bar, {"scan": "./plane", "artefact": "plane"}]}
@@ -117,35 +118,18 @@ def test_what_is_not_there_is_said_and_the_rest_is_evaluated(
     assert "Not evaluated: no ball was found" in (folder / "report.html").read_text()
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("", "at least one [[scan]]"),
-        ("x", "not readable"),
-        ('colour = "red"', "colour is unknown"),
-        ('[[scan]]\nscan = "1"\nartefact = "teapot"', "ball-bar, plane, frustum"),
-        ('[[scan]]\nscan = "1"\nartefact = "ball-bar"', "no calibrated length; give length_mm"),
-        ('[[scan]]\nscan = "1"\nartefact = "ball-bar"\nlength_mm = -3', "1..2000"),
-        ('[[scan]]\nscan = "1"\nartefact = "ball-bar"\nlength_mm = nan', "1..2000"),
-        ('[[scan]]\nscan = "1"\nartefact = "plane"\nlength_mm = 150', "scan[0].length_mm is unknown"),
-        ('[[scan]]\nscan = 1\nartefact = "plane"', "the scan's number or its folder"),
-        ('reference_mm = 0\n[[scan]]\nscan = "1"\nartefact = "plane"', "10..5000"),
-    ],
-)
-def test_a_wrong_list_is_refused_in_one_line(
-    tmp_path: Path, text: str, words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "list.toml").write_text(text)
-    out = tmp_path / "report.html"
-    assert main(["evaluate", str(tmp_path / "list.toml"), "--root", str(tmp_path), "--out", str(out)]) == 2
-    said = capsys.readouterr().err
-    assert words in said
-    assert said.count("\n") == 1
+def test_a_wrong_list_is_refused_in_one_line(tmp_path: Path, capsys: Capture) -> None:
+    path, out, scan = tmp_path / "list.toml", tmp_path / "report.html", '[[scan]]\nscan = "1"\nartefact = '
+    for text, words in (
+        ("", "at least one [[scan]]"), ("x", "not readable"), ('colour = "red"', "colour is unknown"),
+        (f'{scan}"teapot"', "ball-bar, plane, frustum"), (f'{scan}"ball-bar"', "no calibrated length; give length_mm"),
+        (f'{scan}"ball-bar"\nlength_mm = -3', "1..2000"), (f'{scan}"ball-bar"\nlength_mm = nan', "1..2000"),
+        (f'{scan}"plane"\nlength_mm = 150', "scan[0].length_mm is unknown"),
+        ('[[scan]]\nscan = 1\nartefact = "plane"', "the scan's number or its folder"), (f'reference_mm = 0\n{scan}"plane"', "10..5000"),
+    ):  # fmt: skip
+        path.write_text(text)
+        assert main(["evaluate", str(path), "--root", str(tmp_path), "--out", str(out)]) == 2
+        said = capsys.readouterr().err
+        assert words in said
+        assert said.count("\n") == 1
     assert not out.exists()
-
-
-def test_the_list_is_never_overwritten(bench: tuple[Path, TrueRig], capsys: pytest.CaptureFixture[str]) -> None:
-    folder, _ = bench
-    assert evaluate(folder, "{}", "report.json") == 2
-    assert "is the list itself" in capsys.readouterr().err
-    assert (folder / "report.json").read_text() == "{}"

@@ -73,26 +73,20 @@ def test_edges_and_height_are_those_of_the_body_and_corners_are_where_they_are_i
             np.testing.assert_allclose(side.plane.distance_mm(corners), 0.0, atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("keep", "words"),
-    [
+def test_what_is_missing_is_named_with_what_to_do() -> None:
+    rows: tuple[tuple[Kept, str], ...] = (
         (lambda x, y: x < -200.0, "the cloud has only 0 points; bring the frustum into the light"),
         (lambda x, y: (x < -60.0) & (y < 0.0), "top and plate of the frustum were not both found"),
         (lambda x, y: (x < 18.0) | (x > 42.0), "only 3 of the frustum's four sides were found"),
         (lambda x, y: np.maximum(np.abs(x), np.abs(y)) > 25.0, "top and plate of the frustum were not both found"),
-    ],
-)
-def test_what_is_missing_is_named_with_what_to_do(keep: Kept, words: str) -> None:
-    said = find_frustum(cloud(keep=keep))
-    assert isinstance(said, NotFound)
-    assert words in said.reason
-
-
-def test_the_least_cloud_that_is_looked_at_has_a_thousand_points() -> None:
+    )
+    for keep, words in rows:
+        said = find_frustum(cloud(keep=keep))
+        assert isinstance(said, NotFound)
+        assert words in said.reason
     whole = cloud()
     for n, looked_at in ((999, False), (1000, True)):
-        few = Points(whole.points_mm[:n], whole.sigma_mm[:n], whole.pixel[:n])
-        said = find_frustum(few)
+        said = find_frustum(Points(whole.points_mm[:n], whole.sigma_mm[:n], whole.pixel[:n]))
         assert isinstance(said, NotFound)
         assert ("the cloud has only" not in said.reason) is looked_at
 

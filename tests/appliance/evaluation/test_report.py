@@ -84,17 +84,12 @@ def test_the_summary_has_the_largest_error_of_each_kind_in_percent_and_the_mean_
     plane = Result(Artefact.PLANE, NotFound("why"), e_f=0.0004, e_f_sys=0.0001, noise_mm=0.02)
     other = Result(Artefact.PLANE, NotFound("why"), e_f=0.0003, e_f_sys=0.0002, noise_mm=0.05)
     deviations = (quantity(Symbol.PS, 0.01), quantity(Symbol.PS, -0.03), quantity(Symbol.PF, 0.02))
-    said = summary(evaluation(bar(200.1, 199.8, noise_mm=0.02, quantities=deviations), frustum, plane, other))
-    assert said["e_l_ball_bar_percent"] == pytest.approx(0.1)
-    assert said["e_l_frustum_percent"] == pytest.approx(0.5)
-    assert said["e_f_percent"] == pytest.approx(0.04)
-    assert said["e_f_sys_percent"] == pytest.approx(0.02)
-    assert said["noise_mm"] == pytest.approx(0.03)
-    assert said["ps_mm"] == -0.03, "the largest, with its sign"
-    assert said["pf_mm"] == 0.02
-    assert said["sd_mm"] is None
-    none = summary(evaluation(bar()))
-    assert set(none.values()) == {None}
+    said = dict(summary(evaluation(bar(200.1, 199.8, noise_mm=0.02, quantities=deviations), frustum, plane, other)))
+    assert (said.pop("ps_mm"), said.pop("sd_mm"), said.pop("f_mm")) == (-0.03, None, None), "the largest, with its sign"
+    assert said == pytest.approx({
+        "e_l_ball_bar_percent": 0.1, "e_l_frustum_percent": 0.5, "e_f_percent": 0.04, "e_f_sys_percent": 0.02, "noise_mm": 0.03, "pf_mm": 0.02,
+    })  # fmt: skip
+    assert set(summary(evaluation(bar())).values()) == {None}
 
 
 def test_the_page_says_what_was_not_evaluated_and_escapes_what_people_wrote() -> None:
@@ -119,16 +114,7 @@ def test_a_picture_lies_within_the_page_byte_for_byte_under_what_it_shows() -> N
 
 
 def test_cells_have_as_many_digits_as_are_worth_reading() -> None:
-    cells = {
-        "a<": 0.123456,
-        "b": 12.3456789,
-        "c": None,
-        "d": -9.87654,
-        "e": {"x&": 1.5, "y": None},
-        "f": {},
-        "g": 7,
-        "k": 10.0,
-    }
+    cells = {"a<": 0.123456, "b": 12.3456789, "c": None, "d": -9.87654, "e": {"x&": 1.5, "y": None}, "f": {}, "g": 7, "k": 10.0}  # fmt: skip
     shown = ("0.1235", "12.3457", "–", "-9.877", "x&amp; 1.5; y –", "–", "7", "10.0000")
     rows = (f"<tr><th>{html.escape(name)}</th><td>{cell}</td></tr>" for name, cell in zip(cells, shown, strict=True))
     assert page.table(cells) == f"<table>{''.join(rows)}</table>"

@@ -1,27 +1,32 @@
-"""Each way a camera may see: its pixels and its rays agree, and it answers water as it should."""
+"""Each way a camera may see: its pixels and its rays agree, and it answers water as it should; a correction is a smooth surface; a housing's range."""
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
-from appliance.calibration.design import Design, design_calibration
+from appliance.calibration.design import design_calibration
 from appliance.calibration.field import INTERVALS as AIR_INTERVALS
+from appliance.config import default_rig_path, load_rig
+from appliance.instrument import design_of, volume_of
 from appliance.optics import pinhole
-from appliance.optics.correction import INTERVALS, ImageCorrection
+from appliance.optics.correction import INTERVALS, ImageCorrection, basis_matrix, node_count
 from appliance.optics.model import HousedCamera, StereoRig
 from appliance.optics.pinhole import Lens
 from appliance.optics.ray_shift import INTERVALS as SHIFT_INTERVALS
 from appliance.optics.ray_shift import RayShift
+from appliance.optics.volume import STANDARD, WorkingVolume
 from appliance.optics.water import Water
+from tests.support.calibrating import DESIGN
+from tests.support.truth import WATER
 
-FRESH, SALT = Water(20.0, 0.0, 530.0).index, Water(20.0, 35.0, 530.0).index
-RIG = design_calibration(
-    Design(11.5, 4.5, 230.0, 12.41, 30.0, 5.0, 1.77), "KF", 1600, 1200, Water(20.0, 0.0, 530.0)
-).rig
+FRESH, SALT = WATER.index, Water(20.0, 35.0, 530.0).index
+RIG = design_calibration(DESIGN, "KF", 1600, 1200, WATER).rig
 SHIFT = RayShift(1600, 1200, (4, 3), tuple(np.random.default_rng(3).normal(0.0, 0.05, 84)))
 MODELS = {
     "ray field": replace(
@@ -73,65 +78,51 @@ def test_the_middle_of_the_volume_is_where_the_two_central_rays_come_nearest() -
     assert 300.0 < centre[2] < 900.0
 
 
-@pytest.mark.parametrize(("angle_mrad", "parallel"), [(0.0, True), (0.9, True), (1.1, False)])
-def test_axes_within_a_milliradian_of_each_other_are_parallel(angle_mrad: float, parallel: bool) -> None:
+def test_axes_within_a_milliradian_of_each_other_are_parallel() -> None:
     """Two hundred metres away they would meet."""
     left = HousedCamera(1600, 1200, Lens((2500.0, 2500.0), (799.5, 599.5)), RIG.right.port, lens_in_water=True)
-    c, s = float(np.cos(1e-3 * angle_mrad)), float(np.sin(1e-3 * angle_mrad))
-    turned = (c, 0.0, -s), (0.0, 1.0, 0.0), (s, 0.0, c)
-    rig = StereoRig(left, replace(left, rotation=turned, translation_mm=(230.0, 0.0, 0.0)))
-    if parallel:
-        with pytest.raises(ValueError, match="parallel; check the calibration"):
-            rig.volume_centre_mm(FRESH)
-    else:
-        assert rig.volume_centre_mm(FRESH)[2] == pytest.approx(230.0 / (1e-3 * angle_mrad), rel=1e-3)
+    for angle_rad, parallel in ((0.0, True), (0.9e-3, True), (1.1e-3, False)):
+        c, s = float(np.cos(angle_rad)), float(np.sin(angle_rad))
+        turned = (c, 0.0, -s), (0.0, 1.0, 0.0), (s, 0.0, c)
+        rig = StereoRig(left, replace(left, rotation=turned, translation_mm=(230.0, 0.0, 0.0)))
+        with pytest.raises(ValueError, match="parallel; check the calibration") if parallel else nullcontext():
+            assert rig.volume_centre_mm(FRESH)[2] == pytest.approx(230.0 / angle_rad, rel=1e-3)
 
 
-@pytest.mark.parametrize(
-    ("place", "moved"),
-    [
-        (0, (0.3 * 0.13, -0.2 * 0.13)),
-        (1, (0.3 * 0.0169, -0.2 * 0.0169)),
-        (2, (2 * 0.3 * -0.2, 0.13 + 2 * 0.04)),
-        (3, (0.13 + 2 * 0.09, 2 * 0.3 * -0.2)),
-        (4, (0.3 * 0.002197, -0.2 * 0.002197)),
-    ],
-)
-def test_distortion_is_opencvs(place: int, moved: tuple[float, float]) -> None:
-    """Against the formulas of OpenCV's manual, one coefficient at a time, at (0.3, -0.2): r² = 0.13."""
-    at = np.array([0.3, -0.2])
-    lens = Lens((1000.0, 900.0), (10.0, 20.0), tuple(0.1 * (k == place) for k in range(5)))
-    expected = (at + 0.1 * np.array(moved)) * [1000.0, 900.0] + [10.0, 20.0]
-    np.testing.assert_allclose(lens.to_pixels(at), expected, atol=1e-9)
-    np.testing.assert_allclose(lens.to_normalised(expected), at, atol=1e-12)
+def test_distortion_is_opencvs() -> None:
+    """Against OpenCV's projection, one coefficient at a time and all together."""
+    at = np.random.default_rng(2).uniform(-0.3, 0.3, (40, 2))
+    points = np.column_stack([at, np.ones(40)])
+    for bends in (*0.1 * np.eye(5), np.array([-0.1, 0.05, 2e-3, -1e-3, 0.02])):
+        lens = Lens((1000.0, 900.0), (10.0, 20.0), tuple(bends.tolist()))
+        matrix = np.array([[1000.0, 0.0, 10.0], [0.0, 900.0, 20.0], [0.0, 0.0, 1.0]])
+        seen, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix, bends)
+        expected = np.asarray(seen, np.float64).reshape(-1, 2)
+        np.testing.assert_allclose(lens.to_pixels(at), expected, atol=1e-9)
+        np.testing.assert_allclose(lens.to_normalised(expected), at, atol=1e-12)
 
 
-def test_a_strongly_bent_lens_is_inverted_in_three_steps_and_an_unknown_pixel_spoils_only_itself(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_strongly_bent_lens_is_inverted_in_three_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     """Newton's method squares the error with each step, if its slopes are those of the lens."""
     monkeypatch.setattr(pinhole, "MAX_ITERATIONS", 3)
     lens = Lens((1000.0, 900.0), (10.0, 20.0), (-0.3, 0.12, 2e-2, -3e-2, 0.05))
     xy = np.random.default_rng(1).uniform(-0.45, 0.45, (300, 2))
     xy[0], xy[1], xy[2] = (0.0, 0.0), (0.3, 0.0), (0.0, 0.3)
     uv = lens.to_pixels(xy)
-    uv[5] = np.nan
+    uv[5] = np.nan  # spoils only itself
     found = lens.to_normalised(uv)
     assert np.flatnonzero(np.isnan(found).all(axis=1)).tolist() == [5]
     np.testing.assert_allclose(np.delete(found, 5, 0), np.delete(xy, 5, 0), atol=2e-10)
 
 
-@pytest.mark.parametrize("side", [-1.0, 1.0])
-@pytest.mark.parametrize("axis", [0, 1])
-def test_a_lens_that_folds_over_is_refused_on_either_side_of_the_image(side: float, axis: int) -> None:
+def test_a_lens_that_folds_over_is_refused_on_either_side_of_the_image() -> None:
     """x (1 - 0.5 r^2) is never more than 0.55."""
     lens = Lens((1000.0, 1000.0), (0.0, 0.0), (-0.5, 0.0, 0.0, 0.0, 0.0))
-    uv = np.zeros((1, 2))
-    uv[0, axis] = 200.0 * side
-    assert lens.to_pixels(lens.to_normalised(uv)) == pytest.approx(uv, abs=1e-8)
-    uv[0, axis] = 700.0 * side
-    with pytest.raises(ValueError, match="cannot be inverted within the image; recalibrate the camera in air"):
-        lens.to_normalised(uv)
+    for way in ([[1.0, 0.0]], [[-1.0, 0.0]], [[0.0, 1.0]], [[0.0, -1.0]]):
+        uv = 200.0 * np.array(way)
+        assert lens.to_pixels(lens.to_normalised(uv)) == pytest.approx(uv, abs=1e-8)
+        with pytest.raises(ValueError, match="cannot be inverted within the image; recalibrate the camera in air"):
+            lens.to_normalised(700.0 * np.array(way))
 
 
 def test_the_free_fields_are_as_fine_as_the_documentation_says_and_the_shift_has_square_cells() -> None:
@@ -142,3 +133,62 @@ def test_the_free_fields_are_as_fine_as_the_documentation_says_and_the_shift_has
     assert f"of {AIR_INTERVALS[0]} × {AIR_INTERVALS[1]} intervals about the lenses' fields from air" in said
     assert 1600 / shift_across == 1200 / shift_down, "square on a sensor of 4 : 3"
     assert 1 / 3 < shift_across * shift_down / (across * down) < 2 / 3
+
+
+SMALL = WorkingVolume(264.0, 300.0, 336.0)
+
+
+def test_the_shipped_rig_file_states_the_standard_housing() -> None:
+    rig = load_rig(default_rig_path())
+    assert volume_of(rig) == STANDARD
+    assert design_of(rig).rig.volume == STANDARD
+
+
+def test_lengths_of_the_standard_housing_stay_as_they_are_to_the_last_bit() -> None:
+    lengths = np.random.default_rng(1).uniform(0.01, 2000.0, 1000).tolist()
+    assert [STANDARD.scaled(mm) for mm in lengths] == lengths
+    assert [SMALL.scaled(mm) for mm in (500.0, 440.0, 700.0)] == pytest.approx([300.0, 264.0, 420.0])
+
+
+def test_a_range_without_order_is_refused_with_the_remedy() -> None:
+    for wrong in ((500.0, 440.0, 560.0), (440.0, 600.0, 560.0), (-1.0, 500.0, 560.0)):
+        with pytest.raises(ValueError, match=r"correct \[volume\] in the rig file"):
+            WorkingVolume(*wrong)
+
+
+CORRECTION = ImageCorrection(1600, 1200, (6, 5), tuple(np.random.default_rng(1).normal(0.0, 0.2, 144).tolist()))
+UV = np.random.default_rng(3).uniform([0, 0], [1599, 1199], (500, 2))
+
+
+def test_one_node_acts_where_it_is_and_on_the_component_that_is_its_own() -> None:
+    """A cubic B-spline is 4/6 at its node, 1/6 one interval aside, and 0 two intervals aside."""
+    columns, rows = 6, 5
+    for component, expected in ((0, [1.0, 0.0]), (1, [0.0, 1.0])):
+        nodes = np.zeros((rows + 3, columns + 3, 2))
+        nodes[1 + 2, 1 + 4, component] = 1.0
+        c = ImageCorrection(1600, 1200, (columns, rows), tuple(nodes.ravel()))
+        u, v = 4 * 1600 / columns - 0.5, 2 * 1200 / rows - 0.5
+        across, down = 1600 / columns, 1200 / rows
+        at = [(u, v), (u + across, v), (u, v - down), (u - across, v + down), (u + 2 * across, v), (u, v + 2 * down)]
+        weights = np.array([16, 4, 4, 1, 0, 0]) / 36
+        np.testing.assert_allclose(c.shift_px(np.array(at)), weights[:, None] * expected, atol=1e-12)
+
+
+def test_the_matrix_of_weights_is_the_surface_and_sums_to_one_also_beyond_the_image() -> None:
+    uv = np.random.default_rng(5).uniform([-3, -3], [1602, 1202], (200, 2))
+    matrix = basis_matrix(uv, (1600, 1200), (6, 5))
+    nodes = np.reshape(CORRECTION.coefficients_px, (-1, 2))
+    assert len(nodes) == node_count((6, 5))
+    np.testing.assert_allclose(matrix @ nodes, CORRECTION.shift_px(uv), atol=1e-12)
+    np.testing.assert_allclose(matrix.sum(axis=1), 1.0, atol=1e-12)
+
+
+def test_real_and_ideal_pixels_invert_each_other() -> None:
+    c = CORRECTION
+    assert np.abs(c.to_real(c.to_ideal(UV)) - UV).max() < 1e-9
+    some = np.array([[np.nan, 3.0], [700.0, 300.0], [2.0, np.nan]])
+    assert np.isnan(c.to_real(some)).all(axis=1).tolist() == [True, False, True]
+    assert np.abs(c.to_ideal(c.to_real(some[1])) - some[1]).max() < 1e-9
+    assert c.to_real(np.zeros((0, 2))).shape == (0, 2)
+    with pytest.raises(ValueError, match="6 × 5 intervals need 144"):
+        ImageCorrection(1600, 1200, (6, 5), (0.0,) * 10)

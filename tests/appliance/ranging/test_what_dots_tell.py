@@ -1,14 +1,16 @@
-"""What is told of distance and tilt for given dots: which are believed, which bear each other out, and how certain it is."""
+"""What is told of distance and tilt for given dots: which are believed, how certain it is, and the word that tells the diver to go closer or back."""
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import pytest
 
+from appliance.optics.volume import STANDARD, WorkingVolume
 from appliance.ranging.beams import Pointers
 from appliance.ranging.measure import Dot, Dots, Ranger
-from appliance.ranging.reach import Range
+from appliance.ranging.reach import Range, Reach, reach_of
 from hw_sim.truth import draw_truth
 from tests.support.truth import WATER, true_calibration
 
@@ -60,47 +62,27 @@ def test_the_distance_is_where_the_axis_meets_the_surface_between_the_dots(
     assert found.tilt_deg == (told.tilt_deg if told.tilt_deg is None else pytest.approx(told.tilt_deg, abs=1e-3))
 
 
-@pytest.mark.parametrize(
-    ("clear_dn", "cameras", "faint_dn", "distance_mm"),
-    [
-        (100.0, 2, 40.0, 470.0),
-        (100.0, 2, 35.0, None),
-        (100.0, 2, 16.0, None),
-        (100.0, 2, 14.0, 550.0),
-        (100.0, 1, 14.0, None),
-        (51.0, 2, 14.0, 550.0),
-        (48.0, 2, 14.0, None),
-    ],
-)
-def test_of_two_dots_on_two_surfaces_a_faint_one_may_be_none(
-    rangers: tuple[Ranger, Ranger], clear_dn: float, cameras: int, faint_dn: float, distance_mm: float | None
-) -> None:
+def test_of_two_dots_on_two_surfaces_a_faint_one_may_be_none(rangers: tuple[Ranger, Ranger]) -> None:
     """Unless the clear one is beyond doubt nobody knows which of them is the dot."""
-    for side in (1.0, -1.0):
-        clear, faint = dot(-20.0 * side, 550.0, 0.4, clear_dn, cameras), dot(20.0 * side, 470.0, 0.4, faint_dn)
-        found = rangers[0].range_of(Dots(clear, faint) if side > 0.0 else Dots(faint, clear))
-        assert (None if found is None else found.distance_mm) == distance_mm
-        if found is not None:
-            assert (found.tilt_deg, found.dots) == (None, 2 if distance_mm == 470.0 else 1)
+    for clear_dn, cameras, faint_dn, distance_mm in (
+        (100.0, 2, 40.0, 470.0), (100.0, 2, 35.0, None), (100.0, 2, 16.0, None), (100.0, 2, 14.0, 550.0), (100.0, 1, 14.0, None),
+        (51.0, 2, 14.0, 550.0), (48.0, 2, 14.0, None),
+    ):  # fmt: skip
+        for side in (1.0, -1.0):
+            clear, faint = dot(-20.0 * side, 550.0, 0.4, clear_dn, cameras), dot(20.0 * side, 470.0, 0.4, faint_dn)
+            found = rangers[0].range_of(Dots(clear, faint) if side > 0.0 else Dots(faint, clear))
+            assert (None if found is None else found.distance_mm) == distance_mm, (clear_dn, cameras, faint_dn)
+            if found is not None:
+                assert (found.tilt_deg, found.dots) == (None, 2 if distance_mm == 470.0 else 1)
 
 
-@pytest.mark.parametrize(
-    ("contrast_dn", "sigma_mm", "believed"),
-    [
-        (6.0, 0.5, False),
-        (7.0, 0.5, True),
-        (8.0, 2.5, True),
-        (8.0, 2.8, False),
-        (14.0, 2.8, False),
-        (15.0, 2.8, True),
-        (80.0, 5.0, True),
-        (80.0, 5.2, False),
-    ],
-)
-def test_the_fainter_a_lone_dot_the_more_certain_it_has_to_be(
-    rangers: tuple[Ranger, Ranger], contrast_dn: float, sigma_mm: float, believed: bool
-) -> None:
-    assert (rangers[0].range_of(Dots(None, dot(20.0, 480.0, sigma_mm, contrast_dn))) is not None) == believed
+def test_the_fainter_a_lone_dot_the_more_certain_it_has_to_be(rangers: tuple[Ranger, Ranger]) -> None:
+    for contrast_dn, sigma_mm, believed in (
+        (6.0, 0.5, False), (7.0, 0.5, True), (8.0, 2.5, True), (8.0, 2.8, False), (14.0, 2.8, False), (15.0, 2.8, True),
+        (80.0, 5.0, True), (80.0, 5.2, False),
+    ):  # fmt: skip
+        found = rangers[0].range_of(Dots(None, dot(20.0, 480.0, sigma_mm, contrast_dn)))
+        assert (found is not None) == believed, (contrast_dn, sigma_mm)
 
 
 def test_a_distance_by_the_drawing_is_uncertain_by_a_part_of_itself(rangers: tuple[Ranger, Ranger]) -> None:
@@ -108,3 +90,29 @@ def test_a_distance_by_the_drawing_is_uncertain_by_a_part_of_itself(rangers: tup
     found = rangers[1].range_of(Dots(None, dot(20.0, 560.0, 2.0)))
     assert found is not None
     assert (found.distance_mm, found.sigma_mm) == pytest.approx((560.0, math.hypot(2.0, 0.015 * 560.0)))
+
+
+SMALL = WorkingVolume(264.0, 300.0, 336.0)
+
+
+def at(distance_mm: float) -> Range:
+    return Range(distance_mm, None, 0.3, 1)
+
+
+def test_the_measuring_volume_is_60_mm_to_either_side_of_500_and_another_housings_its_own() -> None:
+    for volume, distance_mm, word in (
+        (STANDARD, 439.0, Reach.BACK), (STANDARD, 441.0, Reach.OK), (STANDARD, 559.0, Reach.OK), (STANDARD, 561.0, Reach.CLOSER),
+        (SMALL, 250.0, Reach.BACK), (SMALL, 330.0, Reach.OK), (SMALL, 350.0, Reach.CLOSER),
+    ):  # fmt: skip
+        assert reach_of(at(distance_mm), volume=volume) is word
+        assert reach_of(None, word) is Reach.UNKNOWN, "without a dot no word is invented"
+
+
+@pytest.mark.parametrize("limit_mm", [440.0, 560.0])
+def test_hands_that_tremble_at_a_limit_do_not_make_the_word_flicker(limit_mm: float) -> None:
+    word, words = reach_of(at(limit_mm - 20.0)), []
+    for step in range(40):
+        drift_mm, tremor_mm = step - 20.0, 2.0 * (-1) ** step
+        word = reach_of(at(limit_mm + drift_mm + tremor_mm), word)
+        words.append(word)
+    assert sum(a is not b for a, b in itertools.pairwise(words)) == 1

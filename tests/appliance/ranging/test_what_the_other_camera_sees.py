@@ -59,13 +59,13 @@ def test_what_shows_anywhere_on_the_ray_is_seen_by_the_other_camera_too(bench: B
     assert not nothing_like(bench, side, THROUGH[side], spot(bench, 0.32, at))
 
 
-@pytest.mark.parametrize(("off_px", "beside"), [(4, False), (-4, False), (5, True), (-5, True)])
-def test_the_way_along_the_ray_ends_a_few_px_to_either_side(bench: Bench, off_px: int, beside: bool) -> None:
+def test_the_way_along_the_ray_ends_a_few_px_to_either_side(bench: Bench) -> None:
     """By a spot that is like it in one px alone."""
-    at = np.rint(on_ray(bench, 0, THROUGH[0], 500.0)) + np.array([0.0, off_px])
-    picture = spot(bench, 0.28, at)
-    assert np.count_nonzero(contrast_of(picture) > 0.25 * CONTRAST_DN) == 1
-    assert nothing_like(bench, 0, THROUGH[0], picture) == beside
+    for off_px, beside in ((4, False), (-4, False), (5, True), (-5, True)):
+        at = np.rint(on_ray(bench, 0, THROUGH[0], 500.0)) + np.array([0.0, off_px])
+        picture = spot(bench, 0.28, at)
+        assert np.count_nonzero(contrast_of(picture) > 0.25 * CONTRAST_DN) == 1
+        assert nothing_like(bench, 0, THROUGH[0], picture) == beside, off_px
 
 
 def test_pictures_of_full_size_are_looked_at_in_the_same_way() -> None:
@@ -75,23 +75,15 @@ def test_pictures_of_full_size_are_looked_at_in_the_same_way() -> None:
         assert nothing_like(full, 0, THROUGH[0], full.picture((at, 120.0))) == beside
 
 
-@pytest.mark.parametrize(
-    ("through_mm", "tells"),
-    [
-        ((20.9, 0.0, 490.0), True),
-        ((-20.9, 0.0, 490.0), False),
-        ((60.0, 0.0, 500.0), True),
-        ((85.0, 0.0, 500.0), False),
-        ((20.9, 120.0, 490.0), False),
-    ],
-)
-def test_a_camera_that_does_not_see_the_ray_as_far_as_the_volume_goes_cannot_tell(
-    bench: Bench, through_mm: Place, tells: bool
-) -> None:
+def test_a_camera_that_does_not_see_the_ray_as_far_as_the_volume_goes_cannot_tell(bench: Bench) -> None:
     """The right picture shows 330 mm of the first ray and 620 mm of the third one; what is beyond does not matter."""
-    inside = [bool(0 < on_ray(bench, 0, through_mm, z_mm)[0] < 400) for z_mm in (330.0, 620.0)]
-    assert inside == [through_mm[0] > 0.0, through_mm[0] < 80.0]
-    assert nothing_like(bench, 0, through_mm, np.zeros((300, 400), np.uint8)) == tells
+    for through_mm, tells in (
+        ((20.9, 0.0, 490.0), True), ((-20.9, 0.0, 490.0), False), ((60.0, 0.0, 500.0), True), ((85.0, 0.0, 500.0), False),
+        ((20.9, 120.0, 490.0), False),
+    ):  # fmt: skip
+        inside = [bool(0 < on_ray(bench, 0, through_mm, z_mm)[0] < 400) for z_mm in (330.0, 620.0)]
+        assert inside == [through_mm[0] > 0.0, through_mm[0] < 80.0]
+        assert nothing_like(bench, 0, through_mm, np.zeros((300, 400), np.uint8)) == tells, through_mm
 
 
 # ------------------------------------------------------------------------------------------------- the dark frame
@@ -110,18 +102,13 @@ def frames(bench: Bench, ground_dn: float, *heights_dn: float) -> tuple[NDArray[
     ("dark", "bright", "shines"),
     [
         # A dot of 15 grey values of contrast and more is evidence, if both cameras see it.
-        ((5.0, 21.0, 21.0), (105.0, 21.0, 21.0), False),
-        ((5.0, 34.0, 34.0), (105.0, 34.0, 34.0), True),
-        ((5.0, 120.0, 0.0), (105.0, 120.0, 0.0), False),
+        ((5.0, 21.0, 21.0), (105.0, 21.0, 21.0), False), ((5.0, 34.0, 34.0), (105.0, 34.0, 34.0), True), ((5.0, 120.0, 0.0), (105.0, 120.0, 0.0), False),
         # Ambient light is a ninth of the projector's: a print of 30 would show 270 more, a third of it is enough.
-        ((8.0, 30.0, 30.0), (80.0, 105.0, 105.0), True),
-        ((8.0, 30.0, 30.0), (80.0, 160.0, 160.0), False),
-        ((8.0, 30.0, 30.0), (80.0, 30.0, 160.0), False),
+        ((8.0, 30.0, 30.0), (80.0, 105.0, 105.0), True), ((8.0, 30.0, 30.0), (80.0, 160.0, 160.0), False), ((8.0, 30.0, 30.0), (80.0, 30.0, 160.0), False),
         # In daylight, ten times the projector's light, a print of 30 would show 3 more.
-        ((100.0, 32.0, 32.0), (110.0, 32.0, 32.0), True),
-        ((100.0, 32.0, 32.0), (110.0, 34.0, 34.0), False),
+        ((100.0, 32.0, 32.0), (110.0, 32.0, 32.0), True), ((100.0, 32.0, 32.0), (110.0, 34.0, 34.0), False),
     ],
-)
+)  # fmt: skip
 def test_a_print_becomes_brighter_in_the_projectors_light_and_a_laser_does_not(
     bench: Bench, dark: tuple[float, ...], bright: tuple[float, ...], shines: bool
 ) -> None:

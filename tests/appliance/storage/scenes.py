@@ -91,6 +91,16 @@ def manifests_that_list_what_is_not_there(root: Path) -> list[str]:
     return wrong
 
 
+class SoFull(LocalFileSystem):
+    """A disk that says that so many bytes are free."""
+
+    def __init__(self, free: int) -> None:
+        self.free = free
+
+    def free_bytes(self, path: Path) -> int:
+        return self.free
+
+
 class CountedDisk(LocalFileSystem):
     """The local disk; ``before`` is asked before each call that changes it, and may raise."""
 

@@ -33,25 +33,22 @@ def content(folder: Path) -> dict[str, bytes]:
 
 
 @pytest.fixture
-def source(tmp_path: Path) -> Path:
-    """A complete scan with both exposures."""
-    folder = tmp_path / "from" / "scans" / "000001"
-    folder.parent.mkdir(parents=True)
-    raw = stored.write_raw(FS, folder, "000001", frames(), record(), ORIGIN)
-    told = record(second=second_sequence())
-    both = stored.add_second(FS, folder, raw, frames(1), told)
-    stored.finish(FS, folder, both, Decision.KEPT, told, cloud(), PREVIEW)
-    labels.write(FS, folder, labels.Label("bollard 3"))
-    return folder
-
-
-@pytest.fixture
 def small(tmp_path: Path) -> Path:
     """A scan of one exposure, and no more files than it needs."""
     folder = tmp_path / "from" / "scans" / "000001"
     folder.parent.mkdir(parents=True)
     stored.write_raw(FS, folder, "000001", frames(), record(), ORIGIN)
     return folder
+
+
+@pytest.fixture
+def source(small: Path) -> Path:
+    """A complete scan with both exposures."""
+    told = record(second=second_sequence())
+    both = stored.add_second(FS, small, stored.manifest_of(small), frames(1), told)
+    stored.finish(FS, small, both, Decision.KEPT, told, cloud(), PREVIEW)
+    labels.write(FS, small, labels.Label("bollard 3"))
+    return small
 
 
 @pytest.fixture
@@ -79,20 +76,12 @@ def flip(path: Path, at: int) -> None:
     path.write_bytes(data)
 
 
-def test_a_packed_scan_comes_back_byte_for_byte(source: Path, target: Path, tmp_path: Path) -> None:
-    before = content(source)
+def test_a_packed_scan_is_opened_as_it_was_and_comes_back(source: Path, target: Path, tmp_path: Path) -> None:
+    before, plain = content(source), stored.load(source)
     assert pack_scan(FS, source, target) is Copied.WRITTEN
     assert content(source) == before, "the source is only read"
-    assert not list(target.glob("*.npy"))
-    back = tmp_path / "back" / "scans" / "000001"
-    archive.make_shelves(FS, tmp_path / "back", SCANS)
-    assert unpack_scan(FS, target, back) is Copied.WRITTEN
-    assert content(back) == before
-
-
-def test_whatever_opens_scans_opens_packed_ones(source: Path, there: Path) -> None:
-    plain, opened = stored.load(source), stored.load(there)
-    assert opened.manifest == plain.manifest
+    opened = stored.load(target)
+    assert opened.manifest == plain.manifest == Library(target.parent.parent).load("1").manifest
     assert opened.second is not None
     for side in ("left", "right"):
         assert np.array_equal(opened.frames[side], frames()[side])
@@ -100,18 +89,25 @@ def test_whatever_opens_scans_opens_packed_ones(source: Path, there: Path) -> No
         # Kernels are compiled for arrays that can be written, and for no others.
         assert opened.frames[side].flags.writeable
         assert opened.frames[side].flags.c_contiguous
-    assert entry_of(there, checksums=True).ok
-    assert Library(there.parent.parent).load("1").manifest == plain.manifest
-    assert not list(there.glob("*.npy")), "reading leaves nothing"
+    assert entry_of(target, checksums=True).ok
+    assert not list(target.glob("*.npy")), "reading leaves nothing"
+    archive.make_shelves(FS, tmp_path / "back", SCANS)
+    back = tmp_path / "back" / "scans" / "000001"
+    assert unpack_scan(FS, target, back) is Copied.WRITTEN
+    assert content(back) == before
 
 
-def test_smooth_pictures_take_less_room(tmp_path: Path) -> None:
+def test_smooth_pictures_take_less_room_and_scans_come_by_their_numbers(tmp_path: Path) -> None:
     v, u = np.mgrid[0:60, 0:80]
     smooth = np.stack([(u + k * v) // 2 % 200 for k in range(FRAMES)]).astype(np.uint8)
     folder = tmp_path / "000001"
     stored.write_raw(FS, folder, "000001", {"left": smooth, "right": smooth}, record(), ORIGIN)
     pack_scan(FS, folder, tmp_path / "000002")
     assert (tmp_path / "000002" / JLS).stat().st_size < (folder / "frames_left.npy").stat().st_size / 3
+    names = ["000002", "000010", "000010-2", "999999", "1000000", "10000000"]
+    for name in reversed(names):
+        (tmp_path / "scans" / name).mkdir(parents=True)
+    assert [one.name for one in archive.scan_folders(tmp_path, SCANS)] == names
 
 
 # ------------------------------------------------------------------------------------------ damage
@@ -150,17 +146,14 @@ def test_every_flipped_byte_and_every_cut_of_a_packed_file_is_found(there: Path)
             stored.load(there)
 
 
-def test_a_packed_file_of_another_scan_is_found(there: Path, tmp_path: Path) -> None:
+def test_verifying_believes_neither_file_nor_checksum(source: Path, there: Path, tmp_path: Path) -> None:
+    """As a codec would that is not lossless: everything about the file fits but what it decodes to."""
     stored.write_raw(FS, tmp_path / "000007", "000007", frames(9), record(), ORIGIN)
     pack_scan(FS, tmp_path / "000007", tmp_path / "000008")
+    index = packed.read_index(there / JLS)
     (there / JLS).write_bytes((tmp_path / "000008" / JLS).read_bytes())
     assert set(problems_of(there)) == {"frames_left.npy"}
-
-
-def test_verifying_decodes_and_does_not_believe_the_packed_files_own_checksum(source: Path, there: Path) -> None:
-    """As a codec would that is not lossless: everything about the file fits but what it decodes to."""
-    index = packed.read_index(there / JLS)
-    wrong = np.array(index.frames())
+    wrong = np.array(frames()["left"])
     wrong[1, 0, 0] ^= 1
     (there / JLS).write_bytes(b"".join(packed.pack(index.header, wrong, index.stamp, JLS)))
     assert stored.wrong_files(there, stored.manifest_of(there), checksums=True) == {}
@@ -182,20 +175,18 @@ def test_a_damaged_frame_is_named_and_the_others_are_left(there: Path) -> None:
     assert damaged_frames(there, manifest)[0].frames == tuple(range(FRAMES))
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"height_px": 0}, {"height_px": 70_000}, {"width_px": "10"}, {"streams": []}, {"streams": [1, 2]}, {"crc32": [1, 2, 3]}, {"stream_crc32": []},
-        {"length": 10**15}, {"header_bytes": 10**9}, {"sha256": None}, {"streams": [10**12, 1, 1]},
-    ],
-)  # fmt: skip
-def test_an_index_that_says_nonsense_is_refused(there: Path, change: dict[str, object]) -> None:
+def test_an_index_that_says_nonsense_is_refused(there: Path) -> None:
     data = (there / JLS).read_bytes()
     length = int.from_bytes(data[8:12], "little")
-    text = json.dumps({**json.loads(data[12 : 12 + length]), **change}).encode()
-    (there / JLS).write_bytes(data[:8] + len(text).to_bytes(4, "little") + text + data[12 + length :])
-    with pytest.raises(packed.PackedError, match="index"):
-        packed.read_index(there / JLS)
+    changes: tuple[dict[str, object], ...] = (
+        {"height_px": 0}, {"height_px": 70_000}, {"width_px": "10"}, {"streams": []}, {"streams": [1, 2]}, {"crc32": [1, 2, 3]}, {"stream_crc32": []},
+        {"length": 10**15}, {"header_bytes": 10**9}, {"sha256": None}, {"streams": [10**12, 1, 1]},
+    )  # fmt: skip
+    for change in changes:
+        text = json.dumps({**json.loads(data[12 : 12 + length]), **change}).encode()
+        (there / JLS).write_bytes(data[:8] + len(text).to_bytes(4, "little") + text + data[12 + length :])
+        with pytest.raises(packed.PackedError, match="index"):
+            packed.read_index(there / JLS)
 
 
 def taller_stream(data: bytes, index: packed.Packed) -> bytes:
@@ -210,9 +201,7 @@ def other_pixels(data: bytes, index: packed.Packed) -> bytes:
 
 
 @pytest.mark.parametrize(("spoil", "said"), [(taller_stream, "damaged"), (other_pixels, "other pixels")])
-def test_a_damaged_stream_gives_no_pixels(
-    there: Path, spoil: Callable[[bytes, packed.Packed], bytes], said: str
-) -> None:
+def test_a_damaged_stream_has_no_pixels(there: Path, spoil: Callable[[bytes, packed.Packed], bytes], said: str) -> None:
     (there / JLS).write_bytes(spoil((there / JLS).read_bytes(), packed.read_index(there / JLS)))
     with pytest.raises(ScanError, match=f"frame 1 .*{said}"):
         read_frame(there, "left", 1)
@@ -221,9 +210,7 @@ def test_a_damaged_stream_gives_no_pixels(
 # ----------------------------------------------------------------------------- resumed, and removed
 
 
-def test_a_damaged_source_and_another_scan_of_the_same_number_are_not_packed(
-    source: Path, target: Path, tmp_path: Path
-) -> None:
+def test_a_damaged_source_and_a_scan_of_a_taken_number_stay(source: Path, target: Path, tmp_path: Path) -> None:
     good = (source / "frames_right.npy").read_bytes()
     flip(source / "frames_right.npy", 200)
     with pytest.raises(ScanError, match=r"frames_right\.npy"):
@@ -251,9 +238,7 @@ def test_packing_again_adds_a_label_and_replaces_none(source: Path, target: Path
     assert content(target) == before, "people name scans in an archive, too"
 
 
-def test_packing_that_is_refused_at_any_call_leaves_the_source_and_no_half_scan(
-    small: Path, target: Path, tmp_path: Path
-) -> None:
+def test_packing_that_is_refused_at_any_call_leaves_no_half_scan(small: Path, target: Path, tmp_path: Path) -> None:
     """The disk refuses at each call in turn, packing and removing; afterwards everything is there once, and the next try ends well."""
     before, counting = content(small), BadDisk()
     moved(counting, small, tmp_path / "counted")
@@ -280,15 +265,16 @@ def test_packing_that_is_refused_at_any_call_leaves_the_source_and_no_half_scan(
         archive.remove_folder(FS, target)
 
 
-@pytest.mark.parametrize("name", ["cloud.ply", "label.json", "manifest.json", "calibration.json"])
-def test_no_source_is_removed_whose_copy_lacks_a_byte(source: Path, there: Path, name: str) -> None:
-    data = (there / name).read_bytes()
-    (there / name).write_bytes(data[:-1])
-    with pytest.raises(ScanError, match="nothing was removed"):
-        remove_source(FS, source, there)
-    (there / name).unlink()
-    with pytest.raises(ScanError, match="nothing was removed"):
-        remove_source(FS, source, there)
+def test_no_source_is_removed_whose_copy_lacks_a_byte(source: Path, there: Path) -> None:
+    for name in ("cloud.ply", "label.json", "manifest.json", "calibration.json"):
+        data = (there / name).read_bytes()
+        (there / name).write_bytes(data[:-1])
+        with pytest.raises(ScanError, match="nothing was removed"):
+            remove_source(FS, source, there)
+        (there / name).unlink()
+        with pytest.raises(ScanError, match="nothing was removed"):
+            remove_source(FS, source, there)
+        (there / name).write_bytes(data)
     assert source.is_dir()
 
 
@@ -298,9 +284,7 @@ def a_folder(path: Path) -> None:
 
 
 @pytest.mark.parametrize("make", [a_folder, Path.mkdir, lambda path: path.symlink_to("/tmp"), os.mkfifo])
-def test_a_source_with_something_in_it_that_is_no_file_stays_whole_under_its_own_name(
-    source: Path, there: Path, make: Callable[[Path], None]
-) -> None:
+def test_a_source_with_what_is_no_file_in_it_stays(source: Path, there: Path, make: Callable[[Path], None]) -> None:
     make(source / "notes")
     before = sorted(source.iterdir())
     for work in (pack_scan, remove_source):
@@ -323,10 +307,3 @@ def test_a_file_that_came_while_a_source_was_compared_is_not_removed_with_it(sou
         remove_source(Late(), source, there)
     assert (source / "note.txt").read_text() == "wait"
     assert stored.wrong_files(source, stored.manifest_of(source), checksums=True) == {}
-
-
-def test_scans_come_in_the_order_of_their_numbers_beyond_six_digits(tmp_path: Path) -> None:
-    names = ["000002", "000010", "000010-2", "999999", "1000000", "10000000"]
-    for name in reversed(names):
-        (tmp_path / "scans" / name).mkdir(parents=True)
-    assert [one.name for one in archive.scan_folders(tmp_path, SCANS)] == names

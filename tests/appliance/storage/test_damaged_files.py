@@ -11,6 +11,7 @@ import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import cv2
@@ -20,7 +21,7 @@ from hypothesis import strategies as st
 
 from appliance.calibration import file as calibration_file
 from appliance.calibration import noise_file
-from appliance.calibration.design import Design, design_calibration
+from appliance.calibration.design import design_calibration
 from appliance.calibration.guide import USED, AdjustmentSummary, RecordingCheck, Session, Step, Verified
 from appliance.calibration.health import HealthTrend, TrendPoint
 from appliance.calibration.noise_file import CameraFigures, NoiseFileError, StoredNoise
@@ -32,7 +33,6 @@ from appliance.machine.choices import Choices
 from appliance.offline.calibration.air import Pair, PicturesError, read_pair
 from appliance.optics.correction import ImageCorrection, node_count
 from appliance.optics.ray_shift import RayShift
-from appliance.optics.water import Water
 from appliance.patterns.response import Response
 from appliance.ranging.beams import Pointers
 from appliance.scan.exposure import Exposure
@@ -52,7 +52,9 @@ from appliance.storage.packed import PackedError
 from appliance.storage.ply import PlyError, encode_ply, read_ply
 from appliance.storage.scan import ScanError
 from tests.appliance.storage.scenes import ORIGIN, cloud, frames, record
+from tests.support.calibrating import DESIGN
 from tests.support.damage import Parser, changed, damaged, toml_of
+from tests.support.truth import WATER
 
 HASH = "0123456789abcdef" * 4
 RIG_TEXT = default_rig_path().read_text(encoding="utf-8")
@@ -81,9 +83,7 @@ def sealed(data: bytes, *words: str) -> st.SearchStrategy[bytes]:
 
 
 def rich_calibration() -> calibration_file.Calibration:
-    plain = design_calibration(
-        Design(11.5, 4.5, 230.0, 12.41, 30.0, 5.0, 1.77), "KF-0001", 1600, 1200, Water(20.0, 0.0, 530.0)
-    )
+    plain = design_calibration(DESIGN, "KF-0001", 1600, 1200, WATER)
     values = tuple(0.01 * k for k in range(2 * node_count((2, 1))))
     left = replace(plain.rig.left, correction=ImageCorrection(1600, 1200, (2, 1), values))
     right = replace(plain.rig.right, ray_shift=RayShift(1600, 1200, (2, 1), values))
@@ -162,21 +162,16 @@ def read_picture(data: bytes, folder: Path) -> None:
         assert image.dtype == np.uint8
 
 
-def read_calibration(data: bytes, _: Path) -> None:
-    calibration = calibration_file.decode(data, "calibration current.json")
-    again = calibration_file.decode(calibration_file.encode(calibration))
-    assert again == calibration
-    assert again.hash == calibration.hash
+def read_by(module: ModuleType, name: str) -> Callable[[bytes, Path], None]:
+    """A reader of what a module decodes, writes and decodes again."""
 
+    def read(data: bytes, _: Path) -> None:
+        stored = module.decode(data, name)
+        again = module.decode(module.encode(stored), "again")
+        assert again == stored
+        assert getattr(again, "hash", None) == getattr(stored, "hash", None)
 
-def read_response(data: bytes, _: Path) -> None:
-    stored = response_file.decode(data, "response response.json")
-    assert response_file.decode(response_file.encode(stored), "again") == stored
-
-
-def read_noise(data: bytes, _: Path) -> None:
-    stored = noise_file.decode(data, "noise noise.json")
-    assert noise_file.decode(noise_file.encode(stored), "again") == stored
+    return read
 
 
 def put(path: Path, data: bytes) -> None:
@@ -317,9 +312,9 @@ PLIES = damaged(CLOUDS)
 PARSERS = (
     Parser("rig", RIGS | damaged([RIG_TEXT.encode()]), read_rig, (ConfigError,), "CONFIG: ", longest=12_000, share=0.2),
     Parser("picture", damaged(PICTURES), read_picture, (PicturesError,), "00_left", share=0.6),
-    Parser("calibration", sealed(CALIBRATION), read_calibration, (calibration_file.CalibrationError,), "calibration current.json", share=0.6),
-    Parser("response", sealed(RESPONSE), read_response, (ResponseFileError,), "response response.json", share=0.6),
-    Parser("noise", sealed(NOISE), read_noise, (NoiseFileError,), "noise noise.json", share=0.6),
+    Parser("calibration", sealed(CALIBRATION), read_by(calibration_file, "calibration current.json"), (calibration_file.CalibrationError,), "calibration current.json", share=0.6),
+    Parser("response", sealed(RESPONSE), read_by(response_file, "response response.json"), (ResponseFileError,), "response response.json", share=0.6),
+    Parser("noise", sealed(NOISE), read_by(noise_file, "noise noise.json"), (NoiseFileError,), "noise noise.json", share=0.6),
     Parser("health", sealed(HEALTH), read_health, share=0.5),
     Parser("beams", sealed(BEAMS, "line", "covariance", "learned", "last_z_mm"), read_beams, share=0.5),
     Parser("choices", sealed(CHOICES, "language", "period_px"), read_choices, share=0.5),

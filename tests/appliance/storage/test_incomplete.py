@@ -14,20 +14,19 @@ from appliance.storage.atomic import StorageError
 from appliance.storage.filesystem import FileSystem, LocalFileSystem
 from appliance.storage.library import Library, LibraryFolder
 from appliance.storage.record import SequenceInfo
-from tests.appliance.storage.scenes import ORIGIN, BadDisk, record
+from tests.appliance.storage.scenes import ORIGIN, BadDisk, SoFull, record
 
 RECORD = record(sequence=SequenceInfo(16, 1024, 768, ("bright", "dark", "gray-x-0", "sine-x-0", "gray-y-0")))
 REASON = "CAMERA_LOST: camera.left went away"
+Frames = dict[str, NDArray[np.uint8]]
 
 
-def frames(count: int = 4) -> dict[str, NDArray[np.uint8]]:
+def frames(count: int = 4) -> Frames:
     chance = np.random.default_rng(0)
     return {side: chance.integers(0, 256, (count, 8, 10), np.uint8) for side in ("left", "right")}
 
 
-def kept(
-    root: Path, given: dict[str, NDArray[np.uint8]] | None = None, fs: FileSystem | None = None, reserve_bytes: int = 0
-) -> Path:
+def kept(root: Path, given: Frames | None = None, fs: FileSystem | None = None, reserve_bytes: int = 0) -> Path:
     root.mkdir(exist_ok=True)
     return incomplete.keep(fs or LocalFileSystem(), root, given or frames(), RECORD, ORIGIN, REASON, reserve_bytes)
 
@@ -80,14 +79,6 @@ def test_a_disk_that_fails_at_any_call_leaves_all_or_nothing(tmp_path: Path, for
         assert list((root / "incomplete").glob(".*")) == []
 
 
-class SoFull(LocalFileSystem):
-    def __init__(self, free: int) -> None:
-        self.free = free
-
-    def free_bytes(self, path: Path) -> int:
-        return self.free
-
-
 def test_a_scan_that_may_come_goes_first_and_no_more_are_kept_than_so_many(tmp_path: Path) -> None:
     needed = stored.size_bytes(5, 10, 8) + 2 * 4 * 80 + 1_000_000
     with pytest.raises(StorageError, match="room"):
@@ -100,12 +91,10 @@ def test_a_scan_that_may_come_goes_first_and_no_more_are_kept_than_so_many(tmp_p
         kept(tmp_path)
 
 
-@pytest.mark.parametrize("given", [frames(0), frames(5), frames(4) | {"right": frames(3)["right"]}])
-def test_a_whole_sequence_none_at_all_and_frames_of_different_patterns_are_not_kept(
-    tmp_path: Path, given: dict[str, NDArray[np.uint8]]
-) -> None:
-    with pytest.raises(ValueError, match=r"incomplete recording|differ"):
-        kept(tmp_path, given)
+def test_a_whole_sequence_none_at_all_and_frames_of_different_patterns_are_not_kept(tmp_path: Path) -> None:
+    for given in (frames(0), frames(5), frames(4) | {"right": frames(3)["right"]}):
+        with pytest.raises(ValueError, match=r"incomplete recording|differ"):
+            kept(tmp_path, given)
 
 
 @pytest.mark.parametrize("name", ["frames_left.npy", "frames_right.npy", "incomplete.json"])

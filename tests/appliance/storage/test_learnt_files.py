@@ -23,7 +23,6 @@ from appliance.storage.beams import MAX_BYTES, BeamsFile
 from appliance.storage.choices import FILE, ChoicesFile
 from appliance.storage.health import HealthFile
 from tests.appliance.storage.scenes import padded
-from tests.appliance.storage.volatile import PowerCut, VolatileDisk
 
 # ------------------------------------------------------------------------------------------ choices
 
@@ -42,22 +41,17 @@ def test_what_was_chosen_is_there_after_a_restart_and_the_rest_follows_the_rig_f
     assert ChoicesFile(tmp_path, corrected).read() == (replace(corrected, period_px=64, language="de"), None)
 
 
-@pytest.mark.parametrize(
-    ("name", "allowed", "refused"),
-    [
-        ("exposure_us", (50, 16_600), (49, 16_601, True)),
-        ("gain_db", (0.0, 48.0), (-0.1, 48.1, "4")),
-        ("salinity_psu", (0.0, 45.0), (-0.1, 45.1, None)),
-        ("water_c", (-2.0, 40.0), (-2.1, 40.1)),
-        ("period_px", (16, 64), (17,)),
-        ("language", ("en", "de"), ("fr",)),
-        ("object", (), (1, "1")),
-        ("objects", (0,), (-1, None)),
-    ],
-)
-def test_choices_are_taken_to_their_limits_and_not_beyond(
-    tmp_path: Path, name: str, allowed: tuple[Any, ...], refused: tuple[Any, ...]
-) -> None:
+CHOICES: dict[str, tuple[tuple[Any, ...], tuple[Any, ...]]] = {
+    "exposure_us": ((50, 16_600), (49, 16_601, True)), "gain_db": ((0.0, 48.0), (-0.1, 48.1, "4")),
+    "salinity_psu": ((0.0, 45.0), (-0.1, 45.1, None)), "water_c": ((-2.0, 40.0), (-2.1, 40.1)), "period_px": ((16, 64), (17,)),
+    "language": (("en", "de"), ("fr",)), "object": ((), (1, "1")), "objects": ((0,), (-1, None)),
+}  # fmt: skip
+"""What is taken, and what is refused."""
+
+
+@pytest.mark.parametrize("name", CHOICES)
+def test_choices_are_taken_to_their_limits_and_not_beyond(tmp_path: Path, name: str) -> None:
+    allowed, refused = CHOICES[name]
     for value in (*allowed, *refused):
         (tmp_path / FILE).write_bytes(with_checksum({"schema": 1, "chosen": {name: value}}))
         choices, fault = ChoicesFile(tmp_path, RIG).read()
@@ -112,41 +106,17 @@ def test_a_trend_is_read_as_it_was_written_and_each_calibration_has_its_own(heal
     assert HealthFile(tmp_path, "f" * 64).read() == HealthTrend()
 
 
-def test_power_cut_before_every_single_call_leaves_the_old_or_the_new_trend(tmp_path: Path) -> None:
-    total, cut_at, seen = None, 0, set()
-    while total is None:
-        root = tmp_path / f"before-{cut_at}"
-        root.mkdir()
-        disk, done = VolatileDisk(root, cut_at), 0
-        try:
-            for done in range(3):
-                HealthFile(root, HASH, disk).write(trend(done + 1))
-            done, total = 3, cut_at
-        except PowerCut:
-            pass
-        for fate in disk.fates():
-            judged = HealthFile(disk.survivors(tmp_path / "after", fate), HASH).read().judged
-            assert judged in (done, done + 1), "what was written stays"
-            seen.add(judged)
-        cut_at += 1
-    assert seen == {0, 1, 2, 3}
-
-
-@pytest.mark.parametrize(
-    ("stored", "read"),
-    [
-        (HealthTrend(judged=0, alarm="turned"), True),
-        (HealthTrend(judged=-1, alarm="turned"), False),
-        (HealthTrend(reference=Reference(gap_um=(1.0,) * COUNT)), True),
-        (HealthTrend(reference=Reference(gap_um=(1.0,) * (COUNT - 1))), False),
-        (HealthTrend(reference=Reference(variance_um2=(1.0,) * (COUNT + 1))), False),
-        (HealthTrend(reference=Reference(scans=(1,) * (COUNT + 1))), False),
-        (HealthTrend(reference=Reference(doubts_um=(0.0,) * 7)), False),
-    ],
-)
-def test_a_trend_says_nothing_that_cannot_be(health: HealthFile, stored: HealthTrend, read: bool) -> None:
-    health.write(stored)
-    assert health.read() == (stored if read else HealthTrend())
+def test_a_trend_says_nothing_that_cannot_be(health: HealthFile) -> None:
+    wrong = (
+        Reference(gap_um=(1.0,) * (COUNT - 1)), Reference(variance_um2=(1.0,) * (COUNT + 1)), Reference(scans=(1,) * (COUNT + 1)),
+        Reference(doubts_um=(0.0,) * 7),
+    )  # fmt: skip
+    for stored in (HealthTrend(judged=-1, alarm="turned"), *(HealthTrend(reference=one) for one in wrong)):
+        health.write(stored)
+        assert health.read() == HealthTrend()
+    for stored in (HealthTrend(judged=0, alarm="turned"), HealthTrend(reference=Reference(gap_um=(1.0,) * COUNT))):
+        health.write(stored)
+        assert health.read() == stored
 
 
 def test_a_trend_of_another_calibration_version_form_or_length_is_put_aside(health: HealthFile) -> None:
@@ -184,9 +154,7 @@ def taught() -> tuple[PointerBeam, PointerBeam]:
     return left, right
 
 
-def test_what_the_dots_taught_is_there_to_the_last_digit_and_for_nothing_else(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_what_the_dots_taught_is_there_to_the_last_digit(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     file = BeamsFile(tmp_path, POINTERS)
     assert file.read("abc") == DRAWN, "nothing was learned yet"
     file.write("abc", DRAWN)
@@ -242,19 +210,13 @@ def test_a_covariance_that_nothing_can_have_is_not_used(tmp_path: Path) -> None:
         assert (sealed(tmp_path, covariance=P.tolist()) != DRAWN) == taken
 
 
-@pytest.mark.parametrize(
-    ("name", "taken", "refused"),
-    [
-        ("learned", (1, 2**53), (2**53 + 1, -1, 1.5, True)),
-        ("last_z_mm", (None, 480, -999_999.0), (1e6, -1e6, True, "far")),
-        ("line", (), ([40.0, -60.0, 0.0], ["x", 0, 0, 0])),
-        ("covariance", (), ([[0.1] * 4] * 3, [[1.0]])),
-    ],
-)
-def test_what_a_beams_file_may_say_ends_somewhere(
-    tmp_path: Path, name: str, taken: tuple[object, ...], refused: tuple[object, ...]
-) -> None:
-    for value in (*taken, *refused):
-        assert (sealed(tmp_path, **{name: value}) != DRAWN) == any(value is one for one in taken), value
+def test_what_a_beams_file_may_say_ends_somewhere(tmp_path: Path) -> None:
+    rows: dict[str, tuple[tuple[object, ...], tuple[object, ...]]] = {
+        "learned": ((1, 2**53), (2**53 + 1, -1, 1.5, True)), "last_z_mm": ((None, 480, -999_999.0), (1e6, -1e6, True, "far")),
+        "line": ((), ([40.0, -60.0, 0.0], ["x", 0, 0, 0])), "covariance": ((), ([[0.1] * 4] * 3, [[1.0]])),
+    }  # fmt: skip
+    for name, (taken, refused) in rows.items():
+        for value in (*taken, *refused):
+            assert (sealed(tmp_path, **{name: value}) != DRAWN) == any(value is one for one in taken), (name, value)
     assert sealed(tmp_path, last_z_mm=480.5)[1].last_z_mm == 480.5
     assert math.isinf(sealed(tmp_path, last_z_mm=None)[1].last_z_mm)

@@ -15,8 +15,6 @@ import pytest
 from appliance.storage import objects
 from appliance.storage.objects import (
     ADDED_SINCE,
-    ComparedScans,
-    JointPlaces,
     MemberScan,
     ObjectError,
     PackedMatrix,
@@ -26,32 +24,16 @@ from appliance.storage.objects import (
 )
 
 PLACE = ScanPlace(
-    rotation=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
-    translation_mm=(1.0, 2.0, 3.0),
-    middle_mm=(10.0, 20.0, 530.0),
-    sigma_mm=0.02,
-    covariance=tuple(tuple(0.0 for _ in range(6)) for _ in range(6)),
-    bending_mm=0.01,
-    bending_unaided_mm=0.4,
-    bending_aided_mm=0.05,
-)
+    rotation=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), translation_mm=(1.0, 2.0, 3.0), middle_mm=(10.0, 20.0, 530.0),
+    sigma_mm=0.02, covariance=((0.0,) * 6,) * 6, bending_mm=0.01, bending_unaided_mm=0.4, bending_aided_mm=0.05,
+)  # fmt: skip
 MATRIX = PackedMatrix.of(np.eye(6))
 PLACES = Places(
-    calibrations=("ab" * 32,),
-    water_index=(1.335,),
-    places={"000001": PLACE},
-    pairs=(ComparedScans("000001", "000002", False, False, "slides", 80.0, None, None),),
-    left_out={"000002": "slides"},
-    warnings=("look here",),
-    shared_error_mm=(0.0,) * 7,
-    shared_error_spread_mm=0.02,
-    shared_error_aided_mm=0.005,
-    shared_error_removed=False,
-    variance_factor=1.0,
-    shared_error_score=None,
-    joint=JointPlaces(("000001",), MATRIX, MATRIX, MATRIX, 500.0),
-    clouds={},
-)
+    calibrations=("ab" * 32,), water_index=(1.335,), places={"000001": PLACE}, clouds={}, left_out={"000002": "slides"}, warnings=("look here",),
+    pairs=(objects.ComparedScans("000001", "000002", False, False, "slides", 80.0, None, None),),
+    shared_error_mm=(0.0,) * 7, shared_error_spread_mm=0.02, shared_error_aided_mm=0.005, shared_error_removed=False, shared_error_score=None,
+    variance_factor=1.0, joint=objects.JointPlaces(("000001",), MATRIX, MATRIX, MATRIX, 500.0),
+)  # fmt: skip
 OBJECT = StoredObject("hull 3", (MemberScan("000001", "scans/000001", ("aa", "bb")),), PLACES)
 
 
@@ -85,24 +67,21 @@ def solved(*numbers: int) -> StoredObject:
     return StoredObject("hull 3", tuple(map(scan, numbers)), replace(PLACES, places=places, left_out={}))
 
 
-def test_added_scans_have_no_place_yet_and_the_others_keep_theirs(tmp_path: Path) -> None:
+def test_a_scan_that_is_added_also_while_the_object_is_solved_is_not_lost_and_has_no_place_yet(tmp_path: Path) -> None:
+    def places_are_those_of_the_first_two(stored: StoredObject) -> None:
+        assert stored == objects.read(tmp_path, "hull 3")
+        assert [one.name for one in stored.scans] == ["000001", "000002", "000003"]
+        assert stored.places is not None
+        assert sorted(stored.places.places) == ["000001", "000002"]
+        assert stored.places.left_out == {"000003": ADDED_SINCE}
+
     objects.write(tmp_path, solved(1, 2))
-    objects.update(tmp_path, "hull 3", with_more(3))
-    places = objects.read(tmp_path, "hull 3").places
-    assert places is not None
-    assert sorted(places.places) == ["000001", "000002"]
-    assert places.left_out == {"000003": ADDED_SINCE}
-
-
-def test_a_scan_that_is_added_while_the_object_is_solved_is_not_lost(tmp_path: Path) -> None:
-    objects.update(tmp_path, "hull 3", with_more(1, 2))
-    objects.update(tmp_path, "hull 3", with_more(3))
-    stored = objects.update(tmp_path, "hull 3", lambda now: objects.published(now, solved(1, 2)))
-    assert stored == objects.read(tmp_path, "hull 3")
-    assert [one.name for one in stored.scans] == ["000001", "000002", "000003"]
-    assert stored.places is not None
-    assert sorted(stored.places.places) == ["000001", "000002"]
-    assert stored.places.left_out == {"000003": ADDED_SINCE}
+    places_are_those_of_the_first_two(objects.update(tmp_path, "hull 3", with_more(3)))
+    objects.write(tmp_path, StoredObject("hull 3"))
+    objects.update(tmp_path, "hull 3", with_more(1, 2, 3))
+    places_are_those_of_the_first_two(
+        objects.update(tmp_path, "hull 3", lambda now: objects.published(now, solved(1, 2)))
+    )
 
 
 def test_scans_that_are_added_at_once_are_all_in_the_object(tmp_path: Path) -> None:
@@ -137,7 +116,7 @@ def test_places_do_not_replace_those_of_more_scans_or_of_an_object_that_was_made
         objects.published(again, solved(1, 2))
 
 
-def test_a_scan_is_not_taken_twice_under_whatever_name(tmp_path: Path) -> None:
+def test_a_scan_is_not_taken_twice_under_whatever_name() -> None:
     with pytest.raises(ObjectError, match="000009 is in it already, as 000001"):
         objects.with_scans(OBJECT, (MemberScan("000009", "copy/000009", ("aa", "bb")),))
     with pytest.raises(ObjectError, match="another scan called 000001"):

@@ -15,8 +15,8 @@ import pytest
 from numpy.typing import NDArray
 
 from appliance.storage.atomic import StorageError, draft_of, replace_file
-from appliance.storage.filesystem import LocalFileSystem, WritableFile
-from appliance.storage.library import Library, LibraryFolder
+from appliance.storage.filesystem import LocalFileSystem
+from appliance.storage.library import Library
 from appliance.storage.room import FOLDER, Room, is_full, is_read_only, plan
 from appliance.storage.scan import cloud_bytes, frames_bytes
 from tests.appliance.storage.scenes import FRAMES, ORIGIN, PREVIEW, BadDisk, cloud, record
@@ -84,16 +84,11 @@ def test_what_is_held_is_not_taken_again_and_what_is_too_short_hollow_or_another
     assert piece.stat().st_nlink == 1, "nobody else's file is written over"
 
 
-@pytest.mark.parametrize(
-    ("error", "counted"),
-    [
-        *((error, True) for error in (errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL)),
-        *((error, False) for error in (errno.ENOSPC, errno.EIO, errno.EROFS)),
-    ],
-)
-def test_where_nothing_can_be_allocated_space_is_counted_and_where_it_is_refused_that_is_told(
-    tmp_path: Path, error: int, counted: bool
-) -> None:
+ALLOCATING = {errno.EOPNOTSUPP: True, errno.ENOSYS: True, errno.EINVAL: True, errno.ENOSPC: False, errno.EIO: False, errno.EROFS: False}  # fmt: skip
+
+
+@pytest.mark.parametrize(("error", "counted"), ALLOCATING.items())
+def test_space_that_cannot_be_allocated_is_counted_and_refusals_told(tmp_path: Path, error: int, counted: bool) -> None:
     room = Room(tmp_path, BadDisk(2, 99, error))
     with nullcontext() if counted else pytest.raises(StorageError):
         room.hold(FEW)
@@ -156,49 +151,6 @@ def test_a_piece_that_a_stored_scan_has_under_another_name_is_not_written_to(tmp
 # ------------------------------------------------------------------------------------------ disks that are full
 
 
-class FullDisk(LocalFileSystem):
-    """No block can be had any more; what was allocated before can be written."""
-
-    def make_folder(self, path: Path) -> None:
-        raise OSError(errno.ENOSPC, "no space left")
-
-    def create(self, path: Path) -> WritableFile:
-        raise OSError(errno.ENOSPC, "no space left")
-
-    def allocate(self, path: Path, length_bytes: int) -> None:
-        raise OSError(errno.ENOSPC, "no space left")
-
-    def reopen(self, path: Path) -> WritableFile:
-        return _Bounded(super().reopen(path), path.stat().st_size)
-
-
-class _Bounded:
-    def __init__(self, file: WritableFile, room: int) -> None:
-        self._room = room
-        self._file, self.sync, self.close = file, file.sync, file.close
-
-    def write(self, data: bytes | bytearray | memoryview) -> None:
-        self._room -= len(data)
-        if self._room < 0:
-            raise OSError(errno.ENOSPC, "no space left")
-        self._file.write(data)
-
-
-@pytest.mark.parametrize("kept", [True, False])
-def test_a_disk_that_gives_no_block_any_more_still_takes_the_scan_that_was_recorded(tmp_path: Path, kept: bool) -> None:
-    library_with_room(tmp_path)
-    library = Library(tmp_path, Room(tmp_path, FullDisk()))  # as after a restart: the room is still there
-    scan = library.begin(frames(), record(), ORIGIN)
-    if kept:
-        scan.publish(record(), cloud(10_000), PREVIEW * 1000)
-    else:
-        scan.reject("moved")
-    (entry,) = library.entries(LibraryFolder.SCANS if kept else LibraryFolder.REJECTED)
-    assert library.verify(entry.scan_id).problems == ()
-    assert is_full(refusal(lambda: library.begin(frames(1), record(), ORIGIN)))
-    assert list((tmp_path / "scans").glob(".*")) == [], "nothing of the scan that found no room stays"
-
-
 @contextmanager
 def small_disk(folder: Path) -> Iterator[Path]:
     """A file system of its own; skipped where this user may not mount one."""
@@ -237,20 +189,26 @@ def somebody_fills(folder: Path) -> Iterator[None]:
         thief.join(30.0)
 
 
-def test_a_scan_is_saved_while_somebody_takes_every_block_that_gets_free(tmp_path: Path) -> None:
+@pytest.mark.parametrize("kept", [True, False])
+def test_a_scan_is_saved_while_somebody_takes_every_block_that_gets_free(tmp_path: Path, kept: bool) -> None:
     with small_disk(tmp_path / "disk") as root:
         Library(root).prepare()
         before = FS.free_bytes(root)
         library, room = library_with_room(root)
         assert FS.free_bytes(root) == before - room.held_bytes <= before - sum(LENGTHS.values())
         assert library.scans_left(1_000_000, 0) == before // 1_000_000, "free for scans, and for nobody else"
+        library = Library(root, Room(root, FS))  # as after a restart: the room is still there
         with somebody_fills(root):
             assert FS.free_bytes(root) < 100_000, "nothing is left for a scan of 4 MB"
             scan = library.begin(frames(), record(), ORIGIN)
-            scan.publish(record(), cloud(10_000), PREVIEW * 1000)
+            if kept:
+                scan.publish(record(), cloud(10_000), PREVIEW * 1000)
+            else:
+                scan.reject("moved")
             assert library.verify(scan.scan_id).problems == ()
             assert is_full(refusal(lambda: room.hold(LENGTHS))), "the next one is refused before it is recorded"
             assert is_full(refusal(lambda: Library(root).begin(frames(), record(), ORIGIN)))
+            assert list((root / "scans").glob(".*")) == [], "nothing of the scan that found no room stays"
         assert (library.load(scan.scan_id).frames["left"] == frames()["left"]).all()
 
 

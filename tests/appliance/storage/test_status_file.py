@@ -90,9 +90,7 @@ FEW = RecordingCheck(M2, Refusal.FEW_POINTS, 3.0, 3, "3 points")
         (Calibrating(M2, latest=FITS, failed=Failure(FailureKind.DISK, "full")), (M2.value, False, "FAILED", "full")),
     ],
 )
-def test_a_calibration_under_way_tells_its_step_and_what_came_of_the_latest_recording(
-    at: Calibrating, said: tuple[object, ...]
-) -> None:
+def test_a_calibration_under_way_tells_its_step_and_result(at: Calibrating, said: tuple[object, ...]) -> None:
     kept = "0001-2026-11-21.json"
     machine = replace(aim(), session=Session((FITS,), verified=Verified(0.003, -0.0001, 0.00004, "ab"), kept=kept))
     assert told(machine, "calibration") is None, "while nobody calibrates"

@@ -105,8 +105,6 @@ class VolatileDisk(HastyDisk):
         self._pending: list[_Change] = []
         self._changes = 0
 
-    # ------------------------------------------------------------------------------------------ calls
-
     def _count(self) -> None:
         if self.calls == self.cut_at:
             raise PowerCut
@@ -171,8 +169,6 @@ class VolatileDisk(HastyDisk):
         self._count()
         super().remove(path)
         self._change(path, None)
-
-    # ------------------------------------------------------------------------------------- what is left
 
     def fates(self, seed: int = 0) -> Iterator[Fate]:
         """States that a loss of power may leave now, no two of which are the same on the disk: every one where few changes

@@ -57,10 +57,7 @@ def test_dictionary_layout_squares_and_markers_are_found(name: str, across: int,
 def test_corners_of_the_old_layout_are_where_they_truly_are() -> None:
     """On the simulator's own pictures, with noise and blur."""
     rig = in_air(draw_truth("modelled", 3, 800, 600, WATER.index))
-    board = cv2.aruco.CharucoBoard(
-        (ACROSS, DOWN), SQUARE_MM, MARKER_MM, cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_250)
-    )
-    board.setLegacyPattern(True)
+    board = BoardDesign(ACROSS, DOWN, SQUARE_MM, MARKER_MM, cv2.aruco.DICT_4X4_250, legacy=True).pattern()
     drawn = np.asarray(board.generateImage((ACROSS * CELLS, DOWN * CELLS)), np.uint8)
     renderer = Renderer(rig, Scene(object="board"), (drawn > 127).astype(np.uint8))
     (pose,) = poses_in_air(1, 5)
@@ -76,18 +73,15 @@ def test_corners_of_the_old_layout_are_where_they_truly_are() -> None:
     assert isinstance(find_corners(both.left, found.design), dict)
 
 
-@pytest.mark.parametrize(
-    ("wanted", "words"),
-    [
+def test_what_was_told_and_is_not_so_is_named_with_what_was_seen() -> None:
+    image = picture(Printed(), TILTED, "left", 1)
+    for wanted, words in (
         (Wanted(15.0, 10, 8), "11 squares across and 8"),
         (Wanted(15.0, 11, 9), "--board 11x9"),
         (Wanted(15.0, 11, 8, 14.0), "--marker-mm 14: in the pictures a marker's side is 0.7"),
-    ],
-)
-def test_what_was_told_and_is_not_so_is_named_with_what_was_seen(wanted: Wanted, words: str) -> None:
-    image = picture(Printed(), TILTED, "left", 1)
-    with pytest.raises(BoardNotFoundError, match=words):
-        searched(image, wanted=wanted)
+    ):
+        with pytest.raises(BoardNotFoundError, match=words):
+            searched(image, wanted=wanted)
     # The number of squares may be told either way round.
     design = searched(image, wanted=Wanted(15.0, 8, 11, 11.25)).design
     assert (design.across, design.down, design.marker_mm) == (11, 8, 11.25)

@@ -46,31 +46,21 @@ def corners_mm() -> np.ndarray:
     return np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
 
 
-def look(
-    values: np.ndarray, amounts_mm: np.ndarray, turn: np.ndarray, shift_mm: np.ndarray, scale: float = 0.0
-) -> np.ndarray:
-    """Pixels of both cameras by OpenCV: left u, v of each corner, then right."""
+def look(values: np.ndarray, amounts_mm: np.ndarray, place: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    """Pixels of both cameras by OpenCV, left u, v of each corner, then right; ``place``: turns about the board's axes, and a shift."""
     corners = corners_mm()
     p, q = (corners[:, :2] - MIDDLE_MM[:2]).T / REACH_MM
-    for amount, rise in zip(
-        amounts_mm, (1 - 2 * (p**2 + q**2), p**2 - q**2, 2 * p * q, p - p**3, q - q**3), strict=True
-    ):
-        corners[:, 2] += amount * rise
+    shapes = (1 - 2 * (p**2 + q**2), p**2 - q**2, 2 * p * q, p - p**3, q - q**3)
+    corners[:, 2] += sum(amount * rise for amount, rise in zip(amounts_mm, shapes, strict=True))
     corners += scale * (corners - MIDDLE_MM)
-    points = corners @ (turned(BOARD_RAD) @ turned(turn)).T + BOARD_MM + shift_mm
+    points = corners @ (turned(BOARD_RAD) @ turned(place[:3])).T + BOARD_MM + place[3:]
     found = []
     for camera in (rig(values).left, rig(values).right):
         R, t = np.asarray(camera.rotation), np.asarray(camera.translation_mm)
-        matrix = np.array(
-            [[camera.lens.f_px[0], 0, camera.lens.c_px[0]], [0, camera.lens.f_px[1], camera.lens.c_px[1]], [0, 0, 1]]
-        )
-        found.append(
-            cv2.projectPoints(points, cv2.Rodrigues(R.T)[0], -R.T @ t, matrix, np.array(camera.lens.distortion))[0]
-        )
+        (fx, fy), (cx, cy), bends = camera.lens.f_px, camera.lens.c_px, np.array(camera.lens.distortion)
+        matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+        found.append(cv2.projectPoints(points, cv2.Rodrigues(R.T)[0], -R.T @ t, matrix, bends)[0])
     return np.concatenate(found).ravel()
-
-
-NO_VALUES, NO_TURN = np.zeros(22), np.zeros(3)
 
 
 def test_a_board_bends_about_its_middle_in_shapes_of_one_millimetre() -> None:
@@ -90,41 +80,24 @@ def test_a_board_bends_about_its_middle_in_shapes_of_one_millimetre() -> None:
 
 
 def test_every_slope_is_that_of_opencvs_pixels() -> None:
-    changes = np.concatenate(
-        [np.tile([0.3, 0.2, -0.4, 1e-3, -2e-3, 1e-4, 2e-4, 1e-3], 2), [1e-3, -2e-3, 1e-3], [0.5, 0.2, -0.3]]
-    )
-    place = turned(BOARD_RAD), BOARD_MM
+    lens = [0.3, 0.2, -0.4, 1e-3, -2e-3, 1e-4, 2e-4, 1e-3]
+    changes = np.array([*lens, *lens, 1e-3, -2e-3, 1e-3, 0.5, 0.2, -0.3])
     corners = corners_mm()
     bend = bend_of([BoardView("", corners, corners, corners)])
-    now = look(changes, AMOUNTS_MM, NO_TURN, NO_TURN)
-    off = np.random.default_rng(2).normal(0.0, 0.3, now.size)
-    left, right = (now + off).reshape(2, -1, 2)
-    changed = each_changed(rig(), changes)
-    found = slopes(rig(changes), changed, place, BoardView("board", corners, left, right), bend, AMOUNTS_MM)
+    now = {"values": changes, "amounts_mm": AMOUNTS_MM, "place": np.zeros(6), "scale": np.zeros(1)}
+    seen = look(**now)
+    off = np.random.default_rng(2).normal(0.0, 0.3, seen.size)
+    left, right = (seen + off).reshape(2, -1, 2)
+    view, place = BoardView("board", corners, left, right), (turned(BOARD_RAD), BOARD_MM)
+    found = slopes(rig(changes), each_changed(rig(), changes), place, view, bend, AMOUNTS_MM)
     assert found.residual == pytest.approx(off, abs=1e-6), "seen less computed"
-
-    def slope(step: float, which: str, k: int) -> np.ndarray:
-        ways = []
-        for sign in (1.0, -1.0):
-            values, amounts, turn, shift, scale = changes.copy(), AMOUNTS_MM.copy(), NO_TURN.copy(), NO_TURN.copy(), 0.0
-            target = {"value": values, "amount": amounts, "turn": turn, "shift": shift}.get(which)
-            if target is None:
-                scale = sign * step
-            else:
-                target[k] += sign * step
-            ways.append(look(values, amounts, turn, shift, scale))
-        return np.asarray((ways[0] - ways[1]) / (2.0 * step))
-
     steps = [1e-2] * 3 + [1e-4] * 5
-    for k, step in enumerate(steps * 2 + [1e-5] * 3 + [1e-2] * 3):
-        wanted = slope(step, "value", k)
-        assert found.by_rig[:, k] == pytest.approx(wanted, rel=1e-3, abs=2e-3 * np.abs(wanted).max()), f"value {k}"
-    for k in range(5):
-        wanted = slope(1e-2, "amount", k)
-        assert found.by_rig[:, 22 + k] == pytest.approx(wanted, rel=1e-3, abs=2e-3 * np.abs(wanted).max()), f"shape {k}"
-    for k in range(3):
-        for column, which, step in ((k, "turn", 1e-5), (3 + k, "shift", 1e-2)):
-            wanted = slope(step, which, k)
-            assert found.by_place[:, column] == pytest.approx(wanted, rel=1e-3, abs=2e-3 * np.abs(wanted).max()), which
-    wanted = slope(1e-4, "scale", 0)
-    assert found.by_scale == pytest.approx(wanted, rel=1e-3, abs=2e-3 * np.abs(wanted).max())
+    for what, by, each in (
+        ("values", found.by_rig[:, :22], steps * 2 + [1e-5] * 3 + [1e-2] * 3), ("amounts_mm", found.by_rig[:, 22:], [1e-2] * 5),
+        ("place", found.by_place, [1e-5] * 3 + [1e-2] * 3), ("scale", found.by_scale[:, None], [1e-4]),
+    ):  # fmt: skip
+        for k, (column, step) in enumerate(zip(by.T, each, strict=True)):
+            further = step * np.eye(len(each))[k]
+            ends = [look(**{**now, what: now[what] + sign * further}) for sign in (1.0, -1.0)]
+            wanted = (ends[0] - ends[1]) / (2.0 * step)
+            assert column == pytest.approx(wanted, rel=1e-3, abs=2e-3 * np.abs(wanted).max()), (what, k)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from appliance.calibration.air.adjustment import AirCalibrationError, calibrate_air
 from appliance.calibration.air.any_views import calibrate_any, check_pairs, view_of
 from appliance.calibration.air.linearised import BoardView
+from appliance.calibration.determined import UndeterminedError, solved
 from appliance.calibration.parameters import AIR, NAMES
 from tests.support.any_boards import BASE_MM, F_PX, HEIGHT_PX, WIDTH_PX, poses
 from tests.support.calibrating import Pose
@@ -47,16 +48,7 @@ def views(where: Sequence[Pose], corners_mm: Array, noise_px: float = 0.03, miss
 
 def leant(*turns_deg: tuple[float, float]) -> list[Pose]:
     """Boards at eight places near and far, which lean in turn."""
-    places = (
-        (0, 0, 360),
-        (10, 5, 400),
-        (-10, 5, 320),
-        (8, -6, 380),
-        (-8, -6, 340),
-        (0, 8, 390),
-        (5, 5, 330),
-        (-5, 0, 370),
-    )
+    places = ((0, 0, 360), (10, 5, 400), (-10, 5, 320), (8, -6, 380), (-8, -6, 340), (0, 8, 390), (5, 5, 330), (-5, 0, 370))  # fmt: skip
     return [
         Pose((BASE_MM / 2 + x, float(y), float(z)), (*turns_deg[k % len(turns_deg)], 0.0))
         for k, (x, y, z) in enumerate(places)
@@ -76,7 +68,7 @@ def test_a_board_of_three_rows_of_corners_calibrates() -> None:
 @pytest.mark.parametrize(
     ("turns_deg", "ways"), [([(0.0, 0.0)], 0), ([(1.0, -1.0), (-2.0, 0.0), (0.0, 2.0)], 0), ([(20.0, 0.0)], 1)]
 )
-def test_boards_that_do_not_lean_are_told_the_tilts_seen_and_wanted(
+def test_boards_that_do_not_lean_are_told_tilts_seen_and_wanted(
     turns_deg: list[tuple[float, float]], ways: int
 ) -> None:
     for calibrate in (calibrate_any, calibrate_air):
@@ -135,3 +127,30 @@ def test_a_single_row_of_corners_tells_no_place() -> None:
     one = BoardView("row", wide[list(row)], np.stack(list(row.values())), np.stack(list(row.values())))
     found = calibrate_air([*good, one], WIDTH_PX, HEIGHT_PX, with_field=False)
     assert found.left_out == ("row: the corners seen by both cameras are in one row; show more of the board",)
+
+
+UNITS = ("length (mm)", "turn (rad)", "shift (mm)")
+
+
+def test_units_of_any_size_are_solved() -> None:
+    rows = np.random.default_rng(1).normal(size=(9, 3)) * [1e6, 1e-6, 1.0]
+    truth = np.array([3e-6, 2e6, -1.0])
+    assert solved(rows.T @ rows, rows.T @ (rows @ truth), UNITS) == pytest.approx(truth)
+    scale = np.sqrt(np.diag(rows.T @ rows))
+    inverse = solved(rows.T @ rows, np.eye(3), UNITS) * np.outer(scale, scale)
+    assert np.allclose(inverse @ (rows.T @ rows / np.outer(scale, scale)), np.eye(3), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("free", "names"),
+    [
+        ([[1.0, 2.0, 0.0], [2.0, 4.0, 0.0], [0.0, 0.0, 1.0]], UNITS[:2]),
+        ([[1.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 1.0]], UNITS[1:2]),
+        ([[1.0, 0.0, 0.0], [0.0, 1.0, np.nan], [0.0, np.nan, 1.0]], UNITS[1:]),
+        ([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]], UNITS[1:2]),
+    ],
+)
+def test_what_is_free_is_named(free: list[list[float]], names: tuple[str, ...]) -> None:
+    with pytest.raises(UndeterminedError) as raised:
+        solved(np.array(free), np.ones(3), UNITS)
+    assert raised.value.names == names

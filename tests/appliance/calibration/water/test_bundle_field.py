@@ -9,15 +9,16 @@ import numpy as np
 import pytest
 
 from appliance.calibration import parameters
-from appliance.calibration.design import Design, design_calibration
+from appliance.calibration.design import design_calibration
 from appliance.calibration.recordings import ArtefactKind, Recording, RecordingError
 from appliance.calibration.water.bundle import BundleSettings, Problem, adjust
 from appliance.calibration.water.method import Method
 from appliance.optics.model import StereoRig
 from appliance.optics.water import Water
+from tests.support.calibrating import SMALL
+from tests.support.truth import WATER
 
-WATER = Water(20.0, 0.0, 530.0)
-DRAWN = design_calibration(Design(11.5, 4.5 * 4, 230.0, 12.41, 30.0, 5.0, 1.77), "KF", 400, 300, WATER)
+DRAWN = design_calibration(SMALL, "KF", 400, 300, WATER)
 SETTINGS = BundleSettings(points_per_recording=60)
 AIR_COVARIANCE = np.diag(np.array([0.05, 0.05, 0.05, 1e-3, 1e-3, 1e-4, 1e-4, 1e-3] * 2 + [1e-4] * 3 + [0.05] * 3) ** 2)
 START = replace(DRAWN, air_covariance=tuple(tuple(row) for row in AIR_COVARIANCE.tolist()))
@@ -111,20 +112,21 @@ def test_an_adjustment_that_does_not_settle_says_so_and_one_that_does_states_the
     assert result.calibration.rig.left.correction is None
 
 
+def test_a_plane_seen_along_one_line_is_named() -> None:
+    """About that line the plane may turn as it likes."""
+    line = np.column_stack([np.linspace(-75.0, 75.0, 60), np.zeros(60), np.full(60, 520.0)])
+    plane = Recording("line", ArtefactKind.PLANE, *seen(START.rig, line), WATER, np.zeros(60, np.intp))
+    with pytest.raises(RecordingError, match="the place of line"):
+        adjust([recordings(START.rig)[-1], plane], START, Method.PORTS, SETTINGS)
+
+
 def test_a_spline_needs_the_covariance_of_the_air_and_widens_it() -> None:
     exact = recordings(START.rig)
     with pytest.raises(RecordingError, match="use ports"):
         adjust(exact, DRAWN, Method.SPLINE, SETTINGS)
     refocus = float(np.hypot(0.05, 1e-4 * START.rig.left.lens.f_px[0]))
-    wanted = {
-        0: np.radians(0.7),
-        2: 3.0,
-        6: refocus,
-        14: refocus,
-        7: 0.05,
-        22: np.hypot(1e-4, np.radians(0.01)),
-        25: np.hypot(0.05, 0.02),
-    }
+    pose = {22: np.hypot(1e-4, np.radians(0.01)), 25: np.hypot(0.05, 0.02)}
+    wanted = {0: np.radians(0.7), 2: 3.0, 6: refocus, 14: refocus, 7: 0.05, **pose}
     prior = problem_of(Method.SPLINE, exact).prior_sd
     assert {k: prior[k] for k in wanted} == pytest.approx(wanted, rel=1e-6)
     bare = problem_of(Method.SPLINE, exact, replace(SETTINGS, spline_px=0.0))
@@ -140,12 +142,8 @@ def test_nodes_are_held_by_their_size_and_by_their_bends_not_by_a_slope() -> Non
     for nodes in (problem._left_nodes, problem._right_nodes):
         block = problem.prior[nodes, nodes]
         assert len(block) == 2 * count
-        for surface, bends in (
-            (np.full(count, 0.3), 0),
-            (0.01 * x - 0.02 * y, 0),
-            (0.01 * x**2, bent[0]),
-            (0.01 * y**2, bent[1]),
-        ):
+        surfaces = (np.full(count, 0.3), 0), (0.01 * x - 0.02 * y, 0), (0.01 * x**2, bent[0]), (0.01 * y**2, bent[1])
+        for surface, bends in surfaces:
             held = float(np.sum(surface**2)) / value_sd**2 + bends * (0.02 / bend_sd) ** 2
             for second in (False, True):
                 values = np.concatenate([0.0 * surface, surface] if second else [surface, 0.0 * surface])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from appliance.calibration import parameters
 from appliance.calibration.depth_error import BORDER, COUNT, along_ray, coefficients_of, shapes
-from appliance.calibration.design import Design, design_calibration
+from appliance.calibration.design import design_calibration
 from appliance.calibration.recordings import ArtefactKind, Recording
 from appliance.calibration.water.expected import (
     Columns,
@@ -24,14 +25,14 @@ from appliance.calibration.water.expected import (
 )
 from appliance.optics.correction import ImageCorrection
 from appliance.optics.model import HousedCamera, StereoRig
-from appliance.optics.water import Water
+from tests.support.calibrating import SMALL
 from tests.support.golden_texts import Says
+from tests.support.truth import WATER
 
 Array = NDArray[np.float64]
 
-WATER = Water(20.0, 0.0, 530.0)
 WIDTH_PX, HEIGHT_PX = 400, 300
-START = design_calibration(Design(11.5, 4.5 * 4, 230.0, 12.41, 30.0, 5.0, 1.77), "KF", WIDTH_PX, HEIGHT_PX, WATER).rig
+START = design_calibration(SMALL, "KF", WIDTH_PX, HEIGHT_PX, WATER).rig
 ACTIVE = (5, *range(6, 28))
 """Not all parameters, and not in the places of their names."""
 NODES = (5, 4)
@@ -162,19 +163,16 @@ def some(group: str, seed: int = 31) -> Array:
     return x
 
 
-@pytest.mark.parametrize(
-    ("group", "seed"),
-    [
-        ("left nodes", 31),
-        ("right nodes", 31),
-        *(("rig", seed) for seed in (35, 39, 42, 45)),
-    ],  # each makes another bar worst
-)
-def test_an_unknown_that_is_unsure_makes_expect_what_another_rig_would_measure(group: str, seed: int) -> None:
-    x = some(group, seed)
-    found = expected(RIG, BAR, Doubt(np.outer(x, x), NOTHING, 0.0, 0.0), COLUMNS)
-    wanted = wrong_percent(lambda size: (changed(size * x), 0.0, WATER.index))
-    assert (found.length_percent, found.flat_percent) == pytest.approx(wanted, rel=0.01)
+def of_size(x: Array, size: float) -> tuple[StereoRig, float, float]:
+    return changed(size * x), 0.0, WATER.index
+
+
+def test_an_unknown_that_is_unsure_makes_expect_what_another_rig_would_measure() -> None:
+    seeds = ("left nodes", 31), ("right nodes", 31), *(("rig", seed) for seed in (35, 39, 42, 45))
+    for x in (some(group, seed) for group, seed in seeds):  # each makes another bar worst
+        found = expected(RIG, BAR, Doubt(np.outer(x, x), NOTHING, 0.0, 0.0), COLUMNS)
+        wanted = wrong_percent(partial(of_size, x))
+        assert (found.length_percent, found.flat_percent) == pytest.approx(wanted, rel=0.01)
 
 
 def test_what_is_left_is_an_error_of_each_place_and_the_index_counts_with_the_adjustments_answer() -> None:
@@ -202,18 +200,13 @@ def test_doubts_that_have_nothing_to_do_with_each_other_add_as_squares(name: str
     assert 0.015 < size(Doubt(square * a**2, NOTHING, 1e-3 * b, 0.1 * c)) <= 0.01 * 3.0**0.5 * 1.00001
 
 
-@pytest.mark.parametrize(
-    ("bars", "planes", "length", "flat", "warned"),
-    [
+def test_ten_recordings_must_do_better_than_four() -> None:
+    for bars, planes, length, flat, warned in (
         (2, 2, 0.05, 0.05, False), (2, 2, 0.051, 0.01, True), (2, 2, 0.01, 0.051, True), (4, 6, 0.025, 0.05, False),
         (4, 6, 0.026, 0.01, True), (3, 9, 0.05, 0.05, False), (4, 5, 0.05, 0.05, False),
-    ],
-)  # fmt: skip
-def test_ten_recordings_must_do_better_in_lengths_than_four(
-    bars: int, planes: int, length: float, flat: float, warned: bool
-) -> None:
-    said = warnings_about_expected(Expected(length, flat), [BAR] * bars + [PLANE] * planes, 0.0, True)
-    assert len(said) == warned
+    ):  # fmt: skip
+        said = warnings_about_expected(Expected(length, flat), [BAR] * bars + [PLANE] * planes, 0.0, True)
+        assert len(said) == warned, (bars, planes, length, flat)
 
 
 def test_the_remedy_is_for_what_is_missing(says: Says) -> None:

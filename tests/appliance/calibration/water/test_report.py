@@ -1,4 +1,4 @@
-"""What a calibration in water leaves of its recordings, and what its report says of it to people and programs."""
+"""What a calibration in water leaves of its recordings, and what its report says and draws of it for people and programs."""
 
 from __future__ import annotations
 
@@ -11,17 +11,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from appliance.calibration.design import Design, design_calibration
+from appliance.calibration.design import design_calibration
 from appliance.calibration.judgement import Estimate
 from appliance.calibration.recordings import ArtefactKind, Recording
+from appliance.calibration.water.drawings import cost_svg, residual_svg, seen_svg
 from appliance.calibration.water.method import Method, WaterResult
 from appliance.calibration.water.report import as_html, as_json
 from appliance.calibration.water.residuals import Residuals, residuals_of
 from appliance.optics.model import StereoRig
-from appliance.optics.water import Water
+from tests.support.calibrating import SMALL
+from tests.support.truth import WATER
 
-WATER = Water(20.0, 0.0, 530.0)
-START = design_calibration(Design(11.5, 4.5 * 4, 230.0, 12.41, 30.0, 5.0, 1.77), "KF", 400, 300, WATER)
+START = design_calibration(SMALL, "KF", 400, 300, WATER)
 
 
 def plane_seen_by(rig: StereoRig, noise_px: float = 0.0, n: int = 300) -> Recording:
@@ -78,31 +79,26 @@ def solved(**changed: Any) -> WaterResult:
 
 def test_programs_are_told_the_ports_before_and_after_what_is_left_and_what_was_not_seen() -> None:
     said = json.loads(json.dumps(as_json(solved(), START, {"who": "Ada"}, {"7": "too dark"})))
-    assert said["schema"] == 1
-    assert said["about"]["who"] == "Ada"
-    assert said["about"]["started_from"] == START.hash != said["about"]["calibration"] == solved().calibration.hash
-    assert (said["about"]["water_temperature_c"], said["about"]["water_salinity_psu"]) == (20.0, 0.0)
-    assert said["about"]["water_index"] == pytest.approx(1.3354, abs=5e-4)
-    assert said["ports"]["left"]["before"] == said["ports"]["left"]["after"]
-    assert said["ports"]["right"]["before"]["tilt_x_deg"] == pytest.approx(0.0)
-    assert said["ports"]["right"]["after"] == pytest.approx({"distance_mm": 30.0, "tilt_x_deg": 1.0, "tilt_y_deg": 0.0})
-    assert (said["residual_px"], said["systematic_px"]) == (0.041, 0.012)
-    assert said["recordings"] == [{"name": "bar <1>", "points": 4, "residual_px": pytest.approx(0.3)}]
-    assert said["unobserved"] == ["shift"]
+    about, ports = said.pop("about"), said.pop("ports")
+    assert (about["who"], about["water_temperature_c"], about["water_salinity_psu"]) == ("Ada", 20.0, 0.0)
+    assert about["started_from"] == START.hash != about["calibration"] == solved().calibration.hash
+    assert about["water_index"] == pytest.approx(1.3354, abs=5e-4)
+    assert ports["left"]["before"] == ports["left"]["after"]
+    assert ports["right"]["before"]["tilt_x_deg"] == pytest.approx(0.0)
+    assert ports["right"]["after"] == pytest.approx({"distance_mm": 30.0, "tilt_x_deg": 1.0, "tilt_y_deg": 0.0})
     assert said["estimates"][0] == {
         "name": "right port tilt x (rad)", "change": 0.0174, "prior_sd": 0.0122, "sd": 0.0001, "at_prior": False,
     }  # fmt: skip
-    assert said["costs"] == [300.0, 20.0]
-    assert said["before"] == {}
-    assert said["left_out"] == {"7": "too dark"}
-    assert said["warnings"] == ["the water & the bar do not go together"]
-
-
-def test_the_published_way_tells_what_each_of_its_models_leaves() -> None:
+    wanted = {
+        "schema": 1, "residual_px": 0.041, "systematic_px": 0.012, "costs": [300.0, 20.0], "before": {}, "left_out": {"7": "too dark"},
+        "unobserved": ["shift"], "warnings": ["the water & the bar do not go together"],
+        "recordings": [{"name": "bar <1>", "points": 4, "residual_px": pytest.approx(0.3)}],
+    }  # fmt: skip
+    assert {name: said[name] for name in wanted} == wanted
     result = solved(method=Method.PAPER, before={"pm": replace(START, residual_px=0.9), "rm": START})
-    said = as_json(result, START, {}, {})
-    assert said["before"]["pm"]["residual_px"] == 0.9
-    assert said["before"]["rm"] == {"calibration": START.hash, "residual_px": None}
+    before = as_json(result, START, {}, {})["before"]
+    assert before["pm"]["residual_px"] == 0.9
+    assert before["rm"] == {"calibration": START.hash, "residual_px": None}
     assert "residual_px 0.9" in as_html(result, START, {}, {})
 
 
@@ -122,3 +118,61 @@ def test_the_page_has_every_drawing_and_escapes_names() -> None:
     bare = as_html(solved(residuals=(), estimates=(), costs=(), warnings=()), START, {}, {})
     for words in ("<svg", "published", "Convergence", "could see", 'class="no"'):
         assert words not in bare, words
+
+
+def numbers(svg: str, element: str) -> list[dict[str, float]]:
+    """The numeric attributes of every element of a kind, in order."""
+    return [
+        {name: float(value) for name, value in re.findall(r'([\w-]+)="(-?[\d.]+)"', body)}
+        for body in re.findall(rf"<{element} ([^>]*)/?>", svg)
+    ]
+
+
+def test_arrows_are_the_means_of_cells_from_their_middles_and_the_longest_usual_one_fills_nine_tenths() -> None:
+    """A picture of 400 x 300: cells of 20 px. Two of them have points enough, one has two, and one of them at the last pixel."""
+    left = [(10.0, 10.0)] * 3 + [(399.6, 299.6)] * 5 + [(210.0, 10.0)] * 2
+    miss = [(0.03, 0.0), (0.05, 0.0), (0.04, 0.0)] + [(0.0, -0.02)] * 5 + [(9.0, 9.0)] * 2
+    svg, unit_px = residual_svg(Residuals("plane", np.array(left), np.array(miss)), (400, 300))
+    dots, arrows = numbers(svg, "circle"), numbers(svg, "line")
+    assert [(dot["cx"], dot["cy"]) for dot in dots] == [(10.0, 10.0), (390.0, 290.0)], (
+        "cells of fewer than three are not shown"
+    )
+    (a, b) = ((one["x2"] - one["x1"], one["y2"] - one["y1"]) for one in arrows)
+    assert [(one["x1"], one["y1"]) for one in arrows] == [(10.0, 10.0), (390.0, 290.0)]
+    # 95 % of the way from 0.02 to 0.04 px is the longest usual one: 0.039 px are 18 px of the picture.
+    assert a == pytest.approx((18.0 * 0.04 / 0.039, 0.0), abs=0.51)
+    assert b == pytest.approx((0.0, -18.0 * 0.02 / 0.039), abs=0.51)
+    assert unit_px == pytest.approx(0.039 / 0.9)
+    assert 'viewBox="0 0 400 300"' in svg
+    nothing, unit_px = residual_svg(Residuals("plane", np.array(left[:2]), np.array(miss[:2])), (400, 300))
+    assert (numbers(nothing, "line"), unit_px) == ([], 0.0)
+
+
+def test_the_cost_falls_from_left_to_right_between_powers_of_ten() -> None:
+    svg = cost_svg((2000.0, 100.0, 20.0))
+    dots = numbers(svg, "circle")
+    assert [dot["cx"] for dot in dots] == [40.0, 240.0, 440.0]
+    # 240 high: 10 000 is at 20, 10 at 200.
+    wanted = [20 + 180 * (4 - np.log10(cost)) / 3 for cost in (2000.0, 100.0, 20.0)]
+    assert [dot["cy"] for dot in dots] == pytest.approx(wanted, abs=0.06)
+    assert re.findall(r">([^<]+)</text>", svg) == ["1e4", "1e1", "0", "1", "2"]
+    for dot in dots:
+        assert f"{dot['cx']:.1f},{dot['cy']:.1f}" in svg, "the line passes through them"
+    one = numbers(cost_svg((100.0,)), "circle")
+    assert [(dot["cx"], dot["cy"]) for dot in one] == [(40.0, 200.0)], "a whole power is the lower end of its decade"
+
+
+def test_a_bar_is_as_long_as_what_the_recordings_took_from_the_prior() -> None:
+    estimates = (
+        Estimate("tilt", 0.001, 0.01, 0.0025),
+        Estimate("shift", 0.0, 0.2, 0.2),
+        Estimate("worse than before", 0.0, 0.1, 0.3),
+    )
+    svg = seen_svg(estimates)
+    bars = re.findall(r'<rect x="260" y="(\d+)" width="([\d.]+)" height="12" fill="(#\w+)"/>', svg)
+    assert bars == [
+        ("6", "200", "#ddd"), ("6", "150.0", "#2166ac"), ("23", "200", "#ddd"), ("23", "0.0", "#b2182b"),
+        ("40", "200", "#ddd"), ("40", "0.0", "#b2182b"),
+    ]  # fmt: skip
+    assert 'viewBox="0 0 480 59"' in svg
+    assert re.findall(r'y="(\d+)">(\w+)', svg)[0] == ("16", "tilt")
