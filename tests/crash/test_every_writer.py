@@ -50,9 +50,6 @@ Writing = Iterator[None]
 """What lies there before, up to the yield; then the work, in whose middle the power goes."""
 
 
-# ------------------------------------------------------------------------------------- the writers, and what they write
-
-
 def scan_on(root: Path, number: str = "000001") -> Path:
     """A whole scan that lay there before."""
     folder = root / "scans" / number
@@ -244,9 +241,6 @@ def test_a_writer_that_keeps_no_order_is_found(tmp_path: Path, work: Callable[[P
     (tmp_path / "file").write_bytes(b"of before")
     with pytest.raises(AssertionError, match="may be l"):
         judge(tmp_path, partial(work, tmp_path))
-
-
-# --------------------------------------------------------------------------------- none is forgotten
 
 
 JUDGED = {

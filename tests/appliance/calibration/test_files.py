@@ -160,7 +160,6 @@ def test_a_file_that_cannot_be_read_is_no_missing_one(tmp_path: Path, says: Says
     assert CALIBRATION.rig.right.translation_mm[0] > 0, "the right camera is to the right"
 
 
-# ------------------------------------------------------------------------------------------------- where they count
 def put(rig: Rig, name: Path, data: bytes) -> None:
     path = rig.storage.root / name
     path.parent.mkdir(exist_ok=True)

@@ -68,8 +68,8 @@ def test_neither_normal_scans_nor_mounts_that_follow_the_temperature_of_the_case
     assert len(totals) == 24
     assert max(totals) < 3.0, "half of the limit is never reached"
     rng = np.random.default_rng(10_004)
-    turns = rng.normal(0.0, 0.002, (10, 2))
-    warm = (scan(MADE, turned(pitch_deg=float(pitch), roll_deg=float(roll)), rng) for pitch, roll in turns)
+    some = (rng.normal(0.0, 0.002, 2).tolist() for _ in range(10))
+    warm = (scan(MADE, turned(pitch_deg=pitch, roll_deg=roll), rng) for pitch, roll in some)
     assert not any(said.alarm for _, said in follow(HealthTrend(), warm))
 
 

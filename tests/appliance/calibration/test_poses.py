@@ -94,9 +94,6 @@ def test_no_pose_will_do_for_two_steps() -> None:
         assert [judge_plane(s, found_plane, RIG).refusal for s in (Step.M3, Step.M4)].count(None) <= 1
 
 
-# ------------------------------------------------------------------------------------------ session
-
-
 def done(*steps: Step) -> Session:
     return Session(tuple(RecordingCheck(step, None, 0.03) for step in steps))
 
@@ -142,8 +139,6 @@ def test_a_bar_checks_the_calibration_in_use_before_anything_is_solved() -> None
     assert begun.check(Step.VERIFY) is None, "and the check was recorded for another purpose"
     assert begun.next_step is Step.M2
 
-
-# --------------------------------------------------------------------- what matters and what does not
 
 LYING, UPRIGHT = (-15.0, -20.0, 505.0), (15.0, 20.0, 540.0)
 PLANES = {"as usual": calibrating.CALIBRATION_PLANES, "level": (Pose((0.0, 0.0, 478.0), (0.0, 0.0, 0.0)), Pose((0.0, 0.0, 570.0), (0.0, 0.0, 0.0)))}  # fmt: skip

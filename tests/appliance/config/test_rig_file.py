@@ -159,9 +159,6 @@ def test_a_missing_file_names_the_path_and_whatever_one_holds_is_one_config_erro
             load_rig(tmp_path / "rig.toml")
 
 
-# ------------------------------------------------------------------------------------ written again
-
-
 RIG_FILES = (default_rig_path(), *sorted((Path(__file__).parents[3] / "hw_sim" / "rigs").glob("*.toml")))
 
 

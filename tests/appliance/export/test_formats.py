@@ -296,9 +296,6 @@ def test_the_archive_keeps_the_grid(cloud: OrganisedCloud, tmp_path: Path) -> No
         np.testing.assert_array_equal(values, getattr(cloud, name), err_msg=name)
 
 
-# ---------------------------------------------------------------------------------------- what is refused
-
-
 def test_other_suffixes_and_absent_libraries_are_told_before_minutes_of_work(
     cloud: OrganisedCloud, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -324,9 +321,6 @@ def test_a_file_that_cannot_be_written_leaves_the_one_of_before(cloud: Organised
             write_scan(path, nothing, ABOUT)
         assert (path.read_bytes() == b"of before") == (suffix == ".e57")
     assert len(list(tmp_path.iterdir())) == 4, "no draft is left"
-
-
-# ---------------------------------------------------------------------------------------- libraries of others
 
 
 def test_e57_is_the_same_to_a_micrometre_for_a_library_in_rust(surface: FusedCloud, tmp_path: Path) -> None:

@@ -164,9 +164,6 @@ def test_which_spots_are_dots_by_how_many_cameras(bench: Bench, spots: list[Spot
     assert bench.ranger().find(pair, (False, True)).left is None, "a pointer that is not lit is not looked for"
 
 
-# ------------------------------------------------------------------------------------------- one camera alone
-
-
 @pytest.mark.parametrize(("pointer", "z_mm"), [(0, 450.0), (1, 520.0)])
 def test_a_dot_that_one_camera_sees_is_where_its_ray_meets_the_beam(bench: Bench, pointer: int, z_mm: float) -> None:
     """Each pointer's dot in the other side's camera. It is as uncertain as the beam across the ray, by how flat both cross."""
@@ -202,9 +199,6 @@ def test_what_one_camera_sees_alone_is_bright_does_not_jump_and_needs_a_calibrat
     assert after(ranger, other).right is None, "another camera's spot is another spot"
 
 
-# --------------------------------------------------------------------------------------- without a calibration
-
-
 @pytest.mark.parametrize(("height_dn", "believed"), [(27.0, False), (48.0, True)])
 def test_by_the_drawing_a_dot_is_clear_and_teaches_no_beam(bench: Bench, height_dn: float, believed: bool) -> None:
     """20 grey values of contrast: rays meet nearly everywhere then."""
@@ -226,9 +220,6 @@ def test_a_beam_that_was_learned_elsewhere_is_looked_for_there(bench: Bench) -> 
     assert ranger.beams[0].learned == 4
     assert np.linalg.norm(ranger.beams[0].at(np.array(480.0)) - on(0, 480.0)) < 0.5
     assert ranger.find(bench.pair((on(0, 480.0, off_mm=(0.0, 9.0)), HEIGHT_DN, HEIGHT_DN))).left is None
-
-
-# ------------------------------------------------------------------------------------------------- the picture
 
 
 def broad(pointer: int, sd_mm: float) -> PointerBeam:

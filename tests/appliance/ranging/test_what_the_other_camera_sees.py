@@ -86,9 +86,6 @@ def test_a_camera_that_does_not_see_the_ray_as_far_as_the_volume_goes_cannot_tel
         assert nothing_like(bench, 0, through_mm, np.zeros((300, 400), np.uint8)) == tells, through_mm
 
 
-# ------------------------------------------------------------------------------------------------- the dark frame
-
-
 def frames(bench: Bench, ground_dn: float, *heights_dn: float) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """Both cameras' pictures with a spot where the right pointer's dot is at 490 mm."""
     left, right = (

@@ -71,9 +71,6 @@ def plain(text: str) -> str:
     return " ".join(re.sub(r"<[^>]*>", " ", body).replace("\u202f", " ").split())
 
 
-# ------------------------------------------------------------------------------------------- what it says
-
-
 def test_everything_that_was_handed_in_is_said_with_its_unit(report: Report, written: str) -> None:
     said = plain(written)
     for words in (
@@ -115,9 +112,6 @@ def test_a_comparison_of_other_points_is_refused(report: Report, surface: FusedC
         replace(report, surface=fewer)
 
 
-# ------------------------------------------------------------------------------------------- what it draws
-
-
 def test_few_points_are_drawn_and_they_are_all_over_the_surface(report: Report) -> None:
     full = shown(report)
     assert full is not None
@@ -145,9 +139,6 @@ def test_a_thinned_mesh_is_still_the_surface() -> None:
 
     assert len(few.points_mm) <= 1500
     assert area(few.points_mm, few.faces) == pytest.approx(area(full.points_mm, full.faces), rel=0.03)
-
-
-# ------------------------------------------------------------------------------------------- in a browser
 
 
 def red_pixels(picture: Path) -> int:

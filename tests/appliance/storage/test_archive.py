@@ -110,9 +110,6 @@ def test_smooth_pictures_take_less_room_and_scans_come_by_their_numbers(tmp_path
     assert [one.name for one in archive.scan_folders(tmp_path, SCANS)] == names
 
 
-# ------------------------------------------------------------------------------------------ damage
-
-
 def test_one_frame_is_read_although_all_others_are_destroyed(source: Path, there: Path) -> None:
     index = packed.read_index(there / JLS)
     data = bytearray((there / JLS).read_bytes())
@@ -205,9 +202,6 @@ def test_a_damaged_stream_has_no_pixels(there: Path, spoil: Callable[[bytes, pac
     (there / JLS).write_bytes(spoil((there / JLS).read_bytes(), packed.read_index(there / JLS)))
     with pytest.raises(ScanError, match=f"frame 1 .*{said}"):
         read_frame(there, "left", 1)
-
-
-# ----------------------------------------------------------------------------- resumed, and removed
 
 
 def test_a_damaged_source_and_a_scan_of_a_taken_number_stay(source: Path, target: Path, tmp_path: Path) -> None:

@@ -51,9 +51,6 @@ def session_file(store: Calibrations) -> Path:
     return store.folder / "session" / "session.json"
 
 
-# ------------------------------------------------------------------------------------------ sessions
-
-
 def test_a_session_is_the_same_after_a_new_start_and_of_this_instrument(store: Calibrations, tmp_path: Path) -> None:
     session = with_solution(store)
     assert Calibrations(tmp_path, "KF-TEST").session() == session
@@ -110,9 +107,6 @@ def test_a_session_names_no_file_outside_of_the_kept_ones(store: Calibrations) -
         assert (session.kept, store.kept(session)) == (None, None), ascii(name)
         with pytest.raises(SessionError):
             store.restore()
-
-
-# ------------------------------------------------------------------------------------------ in use, and back
 
 
 def test_everything_of_a_calibration_lies_below_one_folder(tmp_path: Path) -> None:

@@ -144,9 +144,6 @@ def scan_files() -> dict[str, bytes]:
 SCAN = scan_files()
 
 
-# ------------------------------------------------------------------------------------------------- readers
-
-
 def read_rig(data: bytes, folder: Path) -> None:
     (folder / "rig.toml").write_bytes(data)
     rig = load_rig(folder / "rig.toml")

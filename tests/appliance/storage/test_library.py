@@ -47,9 +47,6 @@ def saved(library: Library, seed: int = 0, **said: object) -> str:
     return scan.scan_id
 
 
-# ------------------------------------------------------------------------------------------ what was recorded
-
-
 def test_what_was_recorded_is_what_is_read(empty: Library) -> None:
     scan_id = saved(empty)
     stored = empty.load(scan_id)
@@ -118,9 +115,6 @@ def test_a_cloud_is_added_later_once_and_to_no_damaged_scan(empty: Library) -> N
         empty.add_cloud("2", cloud(), None, record())
 
 
-# ------------------------------------------------------------------------------------------ the second exposure
-
-
 def test_both_exposures_are_read_back_with_their_ledgers_and_verdicts(empty: Library) -> None:
     scan = empty.begin(frames(1), record(), ORIGIN)
     with pytest.raises(ValueError, match="second"):
@@ -136,8 +130,6 @@ def test_both_exposures_are_read_back_with_their_ledgers_and_verdicts(empty: Lib
     files = [f"frames_{side}{end}.npy" for side in OF_BOTH for end in ("", "_second")]
     assert sorted(stored.manifest.frame_crc32) == sorted(files)
 
-
-# ------------------------------------------------------------------------------------------ damage
 
 FILES = ("frames_left.npy", "frames_right.npy", "calibration.json", "rig.toml", "cloud.ply", "preview.png", "manifest.json")  # fmt: skip
 
@@ -176,9 +168,6 @@ def test_a_scan_copied_elsewhere_is_read_under_any_name_but_another_number(libra
         assert entry.label == Label("bollard", None)
         assert entry.size_bytes == sum(path.stat().st_size for path in copied.iterdir()) > 1000
     assert entry_of(tmp_path / "none", checksums=False).size_bytes == 0
-
-
-# ------------------------------------------------------------------------------------------ after a loss of power
 
 
 def test_what_is_whole_is_recovered_and_marked_and_the_rest_set_aside(empty: Library) -> None:
@@ -248,9 +237,6 @@ def test_one_scan_that_cannot_be_moved_does_not_keep_the_others_from_the_list(em
     (failed,) = outcome.failed
     assert "scans/000002" in failed
     assert empty.recover().recovered == ("000002",)
-
-
-# ------------------------------------------------------------------------------------------ numbers and shelves
 
 
 def test_a_scan_is_found_by_its_number_however_it_is_spelled(library: Library) -> None:
@@ -331,9 +317,6 @@ def test_the_room_left_is_counted_in_whole_scans_above_the_reserve(empty: Librar
     assert Library(empty.root / "nowhere").scans_left(300, 0) is None
     needed = (2 * 24 + 25) * 1600 * 1200  # both cameras' frames, a point for every pixel
     assert needed + 1_500_000 < size_bytes(24, 1600, 1200) < needed + 10_000_000
-
-
-# ------------------------------------------------------------------------------------------ objects of a dive
 
 
 def test_scans_are_found_by_their_objects_number(empty: Library, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -34,7 +34,6 @@ from tests.appliance.storage.test_objects import PLACE, PLACES
 
 MANIFEST = Manifest("000001", Stage.RAW, Decision.UNDECIDED, record(), {}, frame_crc32={})
 
-# ------------------------------------------------------------------------------------------ the form
 
 ORACLE = TypeAdapter(Manifest)
 OTHERS: tuple[Any, ...] = (None, True, False, 0, 1, -3, 1.0, 2.5, "x", "", [], {}, [1], {"a": 1}, "kept", "raw", ...)
@@ -136,9 +135,6 @@ def test_numbers_of_numpy_are_written_times_that_are_not_known_are_left_out_and_
             form.encode(replace(MANIFEST, record=record(ledger={"a": value})))
 
 
-# ------------------------------------------------------------------------------------------ files of frames
-
-
 @pytest.mark.parametrize(
     ("old", "new"),
     [("3, 8, 10)", "2, 8, 10)"), ("8, 10)", "8, 9) "), ("(3, 8, 10)", "(3, 0, 80)"), ("(3, 8", "((3,8"), ("'|u1'", "'|O' ")],
@@ -169,8 +165,6 @@ def test_frames_of_another_form_are_refused_before_anything_is_made(tmp_path: Pa
                 write_raw(LocalFileSystem(), tmp_path / "000001", "000001", given, record(), ORIGIN)
     assert list(tmp_path.iterdir()) == []
 
-
-# ------------------------------------------------------------------------------------------ names
 
 BAD = (
     "../x", "../../../../ESCAPED", "/etc/x", "..", ".", "a/b", "a\\b", "~x", "", "a\0b", "a\nb", "a\x1b[2J", "a\u202eb", ".hidden", "-rf", " x", "x.",
@@ -230,8 +224,6 @@ def test_names_that_people_and_the_program_give_are_taken(tmp_path: Path) -> Non
     (tmp_path / "objects" / "hull").rename(tmp_path / "objects" / "bow")
     assert objects.read(tmp_path, "bow").name == "bow", "an object is called as its folder is"
 
-
-# ------------------------------------------------------------------------------------------ what a record says
 
 CLOUD = {"points": 20, "coverage_percent": 81.5, "noise_mm": 0.03, "distance_mm": 512.0, "gap_mm": 0.0002}
 UNDONE = Verdict("compensation", True, {}, "Motion of 3.1 px during the x fringes was undone")

@@ -51,9 +51,6 @@ def refusal(work: object) -> StorageError:
     return refused.value
 
 
-# ------------------------------------------------------------------------------------------ what is held
-
-
 def test_one_scan_needs_both_cameras_frames_the_points_and_something_for_each_small_file() -> None:
     lengths = plan(46_000_000, 48_000_000)
     assert (lengths["frames-left"], lengths["frames-right"], lengths["cloud"]) == (46_000_000, 46_000_000, 48_000_000)
@@ -146,9 +143,6 @@ def test_a_piece_that_a_stored_scan_has_under_another_name_is_not_written_to(tmp
         library.begin(frames(seed), record(), ORIGIN).publish(record(), cloud(seed=seed), PREVIEW)
         room.hold(LENGTHS)
     assert [library.verify(entry.scan_id).problems for entry in library.entries()] == [(), (), ()]
-
-
-# ------------------------------------------------------------------------------------------ disks that are full
 
 
 @contextmanager
