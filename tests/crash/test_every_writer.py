@@ -103,21 +103,13 @@ def pulling(root: Path) -> Writing:
     pulled(FolderSource(there), root / "desk")
 
 
-def incomplete_recording(root: Path) -> Writing:
+def recordings(root: Path) -> Writing:
+    """One that broke off, one of another rig, and views of a board."""
     (root / "data").mkdir()
-    first = {side: one[:2] for side, one in frames().items()}
+    first, picture = {side: one[:2] for side, one in frames().items()}, np.zeros((4, 6), np.uint8)
     yield
     incomplete.keep(FS, root / "data", first, record(), ORIGIN, "the board fell silent", 0)
-
-
-def imported(root: Path) -> Writing:
-    yield
     publish_import(root / "foreign", frames(), record(), ORIGIN)
-
-
-def views(root: Path) -> Writing:
-    picture = np.zeros((4, 6), np.uint8)
-    yield
     folder = ViewFolder(root / "views", "KF-1", BoardDesign())
     folder.save(folder.next_name(), picture, picture)
 
@@ -136,18 +128,12 @@ def scans_and_labels(root: Path) -> Writing:
 
 def calibrations(root: Path) -> Writing:
     yield
-    kept = Calibrations(root / "data", "KF-1")
+    kept, health = Calibrations(root / "data", "KF-1"), HealthFile(root / "data", "ab" * 32)
     kept.write(kept.session())
     kept.begin()
     kept.write(kept.session())
-
-
-def health(root: Path) -> Writing:
-    (root / "data").mkdir()
-    yield
-    file = HealthFile(root / "data", "ab" * 32)
-    file.write(HealthTrend(judged=1))
-    file.write(HealthTrend(judged=2))
+    for judged in (1, 2):
+        health.write(HealthTrend(judged=judged))
 
 
 def exported(suffix: str, root: Path) -> Writing:
@@ -194,8 +180,7 @@ EXPORTS: dict[str, Callable[[Path], Writing]] = {
 WRITERS: dict[str, Callable[[Path], Writing]] = {
     one.__name__.replace("_", " "): one
     for one in (
-        files, results, packed, pulling, incomplete_recording, imported, views, scans_and_labels, calibrations, health, firmware,
-        setup_files, version_on_trial, host_key,
+        files, results, packed, pulling, recordings, scans_and_labels, calibrations, firmware, setup_files, version_on_trial, host_key,
     )
 } | EXPORTS  # fmt: skip
 PASSING = {"run", "drafts", "lock", "room"}
@@ -246,15 +231,15 @@ def test_a_writer_that_keeps_no_order_is_found(tmp_path: Path, work: Callable[[P
 JUDGED = {
     "appliance/cli/firmware.py": "firmware",
     "appliance/offline/anew/results.py": "results",
-    "appliance/offline/calibration/view_folder.py": "views",
-    "appliance/offline/foreign_import.py": "imported",
+    "appliance/offline/calibration/view_folder.py": "recordings",
+    "appliance/offline/foreign_import.py": "recordings",
     "appliance/offline/pull/taking.py": "pulling",
     "appliance/storage/archive.py": "packed",
     "appliance/storage/atomic.py": "files",
     "appliance/storage/calibrations.py": "calibrations",
     "appliance/storage/filesystem.py": "files",
-    "appliance/storage/health.py": "health",
-    "appliance/storage/incomplete.py": "incomplete recording",
+    "appliance/storage/health.py": "calibrations",
+    "appliance/storage/incomplete.py": "recordings",
     "appliance/storage/library.py": "scans and labels",
     "appliance/storage/room.py": "scans and labels",
     "appliance/storage/scan.py": "scans and labels",

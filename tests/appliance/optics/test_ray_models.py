@@ -1,4 +1,4 @@
-"""Each way a camera may see: its pixels and its rays agree, and it answers water as it should; a correction is a smooth surface; a housing's range."""
+"""Each way a camera may see: pixels and rays agree, corrections are smooth, and water is answered as it should."""
 
 from __future__ import annotations
 

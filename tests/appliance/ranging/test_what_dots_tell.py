@@ -1,4 +1,4 @@
-"""What is told of distance and tilt for given dots: which are believed, how certain it is, and the word that tells the diver to go closer or back."""
+"""What given dots tell: which are believed, where a surface is and how certain, and the word that tells the diver to go closer or back."""
 
 from __future__ import annotations
 

@@ -215,6 +215,9 @@ def test_a_damaged_source_and_a_scan_of_a_taken_number_stay(source: Path, target
     stored.write_raw(FS, tmp_path / "000001", "000001", frames(9), record(), ORIGIN)
     with pytest.raises(ScanError, match="another scan"):
         pack_scan(FS, tmp_path / "000001", target)
+    (target / JLS).write_bytes((target / JLS).read_bytes()[:-1])
+    with pytest.raises(ScanError, match="move it away"):
+        pack_scan(FS, source, target)
 
 
 def test_packing_again_adds_a_label_and_replaces_none(source: Path, target: Path) -> None:

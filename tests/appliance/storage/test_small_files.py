@@ -1,4 +1,4 @@
-"""What the diver chose and named, what the dots taught, a calibration's health and the next number survive a restart; what cannot be is not used, and is told."""
+"""What was chosen, named, learnt or counted survives a restart; what cannot be is not used, and is told."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Four recordings in water calibrate a rig that nobody knows, whose windows lean; the published search finds distances of perpendicular ones."""
+"""Four recordings in water calibrate a hidden rig; the published search finds distances of windows that do not lean."""
 
 from __future__ import annotations
 
