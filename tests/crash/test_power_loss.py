@@ -62,7 +62,7 @@ def ends_of_a_dive(tmp_path: Path, allocated: bool) -> Iterator[tuple[Promises, 
         with suppress(PowerCut):
             dive(top, disk, allocated, told)
             complete = True
-        for fate in disk.fates(cut_at):
+        for fate in disk.fates():
             key = (repr(told), disk.state(fate))
             if key not in seen:
                 seen.add(key)
@@ -136,7 +136,7 @@ def test_a_second_power_cut_during_the_recovery_loses_nothing_either(tmp_path: P
     cut_at, cut = 0, True
     while cut:
         disk, _, cut = cut_short(tmp_path, cut_at, recovering=True)
-        for fate in disk.fates(cut_at):
+        for fate in disk.fates():
             after = Library(disk.survivors(tmp_path / "after", fate), HastyDisk())
             after.recover()
             assert [entry.scan_id for entry in after.entries()] == ["000001"]
@@ -157,7 +157,7 @@ def test_what_a_killed_process_left_and_was_set_aside_survives_a_loss_of_power(t
         for scan_id in outcome.set_aside:
             left = {path.name for path in (top / "set-aside" / scan_id).iterdir()}
             set_aside.add(frozenset(left))
-            for fate in disk.fates(cut_at):
+            for fate in disk.fates():
                 after = disk.survivors(tmp_path / "after", fate)
                 assert {path.name for path in (after / "set-aside" / scan_id).iterdir()} == left
                 assert not (after / "scans" / f".{scan_id}").exists()

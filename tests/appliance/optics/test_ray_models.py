@@ -12,8 +12,6 @@ import pytest
 
 from appliance.calibration.design import design_calibration
 from appliance.calibration.field import INTERVALS as AIR_INTERVALS
-from appliance.config import default_rig_path, load_rig
-from appliance.instrument import design_of, volume_of
 from appliance.optics import pinhole
 from appliance.optics.correction import INTERVALS, ImageCorrection, basis_matrix, node_count
 from appliance.optics.model import HousedCamera, StereoRig
@@ -136,12 +134,6 @@ def test_the_free_fields_are_as_fine_as_the_documentation_says_and_the_shift_has
 
 
 SMALL = WorkingVolume(264.0, 300.0, 336.0)
-
-
-def test_the_shipped_rig_file_states_the_standard_housing() -> None:
-    rig = load_rig(default_rig_path())
-    assert volume_of(rig) == STANDARD
-    assert design_of(rig).rig.volume == STANDARD
 
 
 def test_lengths_of_the_standard_housing_stay_as_they_are_to_the_last_bit() -> None:

@@ -14,14 +14,13 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from itertools import chain, combinations
 from pathlib import Path
-from random import Random
 
 from appliance.storage.filesystem import Bytes, LocalFileSystem, WritableFile
 
 FEW = 4
 """Up to so many changes of names that are not durable, every subset is tried."""
-LATEST, SAMPLES = 2, 1
-"""Of more: each of so many of the latest alone and left out, and so many subsets at random."""
+LATEST = 2
+"""Of more: each of so many of the latest alone and left out."""
 RUBBISH = b"\x5a"
 """What an earlier file left in blocks that were allocated anew."""
 
@@ -170,17 +169,17 @@ class VolatileDisk(HastyDisk):
         super().remove(path)
         self._change(path, None)
 
-    def fates(self, seed: int = 0) -> Iterator[Fate]:
+    def fates(self) -> Iterator[Fate]:
         """States that a loss of power may leave now, no two of which are the same on the disk: every one where few changes
-        of names are not durable; of many none, all, each of the latest alone, all but each of them, and some at random."""
+        of names are not durable; of many none, all, each of the latest alone, and all but each of them."""
         pending, seen = self._pending, set()
-        for chosen in self._chosen(pending, seed):
+        for chosen in self._chosen(pending):
             tree = self._tree(self._top, chosen, {})
             if tree not in seen:
                 seen.add(tree)
                 yield chosen
 
-    def _chosen(self, pending: list[_Change], seed: int) -> Iterator[Fate]:
+    def _chosen(self, pending: list[_Change]) -> Iterator[Fate]:
         if len(pending) <= FEW:
             subsets = chain.from_iterable(combinations(pending, size) for size in range(len(pending) + 1))
             yield from (frozenset(one) for one in subsets if self._closed(one) == frozenset(one))
@@ -190,9 +189,6 @@ class VolatileDisk(HastyDisk):
         for one in pending[-LATEST:]:  # each was the latest once
             yield self._closed([one])
             yield frozenset(other for other in pending if one not in self._closed([other]))
-        chance = Random(seed)
-        for _ in range(SAMPLES):
-            yield self._closed(chance.sample(pending, chance.randrange(1, len(pending))))
 
     def _closed(self, chosen: Iterable[_Change]) -> Fate:
         """The changes, and all those without which they cannot be found."""
