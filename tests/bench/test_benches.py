@@ -35,18 +35,15 @@ def test_a_bench_with_sizes_runs_at_its_smallest(
     assert capsys.readouterr().out, "nothing was measured"
 
 
-@pytest.mark.parametrize("name", [name for name, bench in BENCHES.items() if bench.main is not None])
-def test_a_bench_says_what_it_can(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("name", BENCHES)
+def test_a_bench_is_described_and_says_what_it_can(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert BENCHES[name].summary
     main = BENCHES[name].main
-    assert main is not None
-    with pytest.raises(SystemExit) as ended:
-        main(["--help"])
-    assert ended.value.code == 0
-    assert f"./dev bench {name}" in capsys.readouterr().out
-
-
-def test_every_bench_is_found_and_described() -> None:
-    assert all(bench.summary for bench in BENCHES.values())
+    if main is not None:
+        with pytest.raises(SystemExit) as ended:
+            main(["--help"])
+        assert ended.value.code == 0
+        assert f"./dev bench {name}" in capsys.readouterr().out
 
 
 SMALL: Mapping[str, Callable[[Path], Iterable[Measured]]] = {

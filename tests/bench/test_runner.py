@@ -13,6 +13,12 @@ import pytest
 from bench.result import Measured
 from bench.runner import find, main
 
+BODIES = {
+    "crash": "yield Measured('first', 1.0, 'ms'); raise RuntimeError('boom')",
+    "good": "yield Measured('time', 1.0, 'ms', at_most=2.0)",
+    "missed": "yield Measured('ratio', 39.0, '1', at_least=40.0)",
+}
+
 
 @pytest.fixture
 def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
@@ -25,37 +31,27 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         del sys.modules[name]
 
 
-def benchmark(package: Path, name: str, body: str) -> None:
-    (package / f"bench_{name}.py").write_text(
-        f'"""Measures {name}."""\nfrom bench.result import Measured\ndef measure():\n    {body}\n'
-    )
+def benchmark(package: Path, name: str) -> None:
+    text = f'"""Measures."""\nfrom bench.result import Measured\ndef measure():\n    {BODIES[name]}\n'
+    (package / f"bench_{name}.py").write_text(text)
 
 
-def test_a_missed_bound_fails_the_run_and_says_so(
-    package: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(("name", "code"), [("crash", 1), ("missed", 1), ("good", 0)])
+def test_a_missed_bound_or_a_crash_fails_the_run_is_told_and_lets_the_others_run(
+    package: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, code: int
 ) -> None:
-    benchmark(package, "bad", "yield Measured('ratio', 39.0, '1', at_least=40.0)")
-    benchmark(package, "good", "yield Measured('time', 1.0, 'ms', at_most=2.0)")
-    assert main([], "measured_here", tmp_path / "out") == 1
-    assert "at least 40: MISSED" in capsys.readouterr().out
+    for one in {name, "good"}:
+        benchmark(package, one)
+    assert main([], "measured_here", tmp_path / "out") == code
+    assert ("at least 40: MISSED" in capsys.readouterr().out) == (name == "missed")
     assert (tmp_path / "out" / "good.json").exists()
+    record = json.loads((tmp_path / "out" / f"{name}.json").read_text())
+    assert len(record["measured"]) == 1, "a crash keeps its numbers"
+    assert ("boom" in str(record.get("error"))) == (name == "crash")
 
 
-def test_a_crash_fails_the_run_keeps_its_numbers_and_lets_the_others_run(package: Path, tmp_path: Path) -> None:
-    benchmark(package, "a", "yield Measured('first', 1.0, 'ms'); raise RuntimeError('boom')")
-    benchmark(package, "b", "yield Measured('time', 1.0, 'ms')")
-    assert main([], "measured_here", tmp_path / "out") == 1
-    record = json.loads((tmp_path / "out" / "a.json").read_text())
-    assert "boom" in record["error"]
-    assert [number["name"] for number in record["measured"]] == ["first"]
-    assert (tmp_path / "out" / "b.json").exists()
-
-
-def test_a_benchmark_without_measure_is_an_error_not_a_silence(package: Path) -> None:
+def test_a_benchmark_without_measure_is_an_error_and_not_a_number_keeps_no_bound(package: Path) -> None:
     (package / "bench_empty.py").write_text('"""Measures nothing."""\n')
     with pytest.raises(TypeError, match="bench_empty has no function measure"):
         find("measured_here")
-
-
-def test_not_a_number_keeps_no_bound() -> None:
     assert not Measured("error", math.nan, "mm", at_most=1.0).kept

@@ -1,29 +1,10 @@
-"""Scans that are kept are found again, and only for what they show; shares come with exact limits."""
+"""Shares that are counted come with exact limits."""
 
 from __future__ import annotations
 
-from dataclasses import replace
-from pathlib import Path
-
-import numpy as np
 import pytest
 
 from bench.verdict.binomial import counted, limits, rate, tally
-from bench.verdict.kept_scans import KeptScans, Take
-from bench.verdict.motion_cases import draw_case
-
-
-def test_a_kept_scan_is_not_drawn_again_and_no_other_is_taken_for_it(tmp_path: Path) -> None:
-    case = draw_case(10_000_000_004, "axial", "slight", 64)
-    first = KeptScans(tmp_path, 80).frames(case, Take.REST)
-    kept = sorted(tmp_path.iterdir())
-    assert len(kept) == 1
-    # What lies there is what comes back.
-    np.save(kept[0], np.zeros((2, *first["left"].shape), np.uint8))
-    assert not KeptScans(tmp_path, 80).frames(case, Take.REST)["left"].any()
-    other = KeptScans(tmp_path, 80).frames(replace(case, exposure_s=0.5 * case.exposure_s), Take.REST)
-    assert other["left"].any()
-    assert len(list(tmp_path.iterdir())) == 2
 
 
 def test_exact_limits_of_a_share() -> None:
