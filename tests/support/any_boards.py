@@ -38,10 +38,7 @@ class Printed:
     def drawing(self) -> Image:
         """The print, dark on white, a square's width of paper all around it."""
         board = cv2.aruco.CharucoBoard(
-            (self.across, self.down),
-            self.square_mm,
-            self.marker_mm,
-            cv2.aruco.getPredefinedDictionary(self.dictionary),
+            (self.across, self.down), self.square_mm, self.marker_mm, cv2.aruco.getPredefinedDictionary(self.dictionary)
         )
         board.setLegacyPattern(self.legacy)
         drawn = np.asarray(board.generateImage((self.across * DOTS, self.down * DOTS)), np.uint8)

@@ -342,8 +342,7 @@ def unseen(
         seen_bars.append(record_bar(truth, pose, f"unseen bar {k}", 1000, NOISE_PX, 300 + k, water))
     for k in range(planes):
         pose = Pose(
-            (0.0, 0.0, float(rng.uniform(465, 580))),
-            (float(rng.uniform(-20, 20)), float(rng.uniform(-20, 20)), 0.0),
+            (0.0, 0.0, float(rng.uniform(465, 580))), (float(rng.uniform(-20, 20)), float(rng.uniform(-20, 20)), 0.0)
         )
         seen_planes.append(record_plane(truth, pose, f"unseen plane {k}", 2000, 0.0, 400 + k, water))
     for k in range(frustums):

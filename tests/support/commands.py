@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 import resource
 import subprocess
@@ -43,21 +45,26 @@ class Said:
         return lines[0]
 
 
-def kingfisher(*words: object, cwd: Path = ROOT, most_bytes: int | None = None, most_s: float = 240.0) -> Said:
-    """What the program said, in a process of its own; it can make no file larger than ``most_bytes``, and takes ``most_s`` at most."""
+def kingfisher(*words: object, most_bytes: int | None = None) -> Said:
+    """What the program said, in a process of its own; it can make no file larger than ``most_bytes``."""
+    limit = None if most_bytes is None else partial(resource.setrlimit, resource.RLIMIT_FSIZE, (most_bytes,) * 2)
     done = subprocess.run(
         [sys.executable, "-m", "appliance.cli", *map(str, words)],
-        cwd=cwd,
-        capture_output=True,
-        text=True,
-        timeout=most_s,
-        check=False,
-        preexec_fn=None
-        if most_bytes is None
-        else partial(resource.setrlimit, resource.RLIMIT_FSIZE, (most_bytes,) * 2),
-    )
+        cwd=ROOT, capture_output=True, text=True, timeout=240.0, check=False, preexec_fn=limit,
+    )  # fmt: skip
     assert "Traceback" not in done.stderr, done.stderr
     return Said(done.returncode, done.stdout, done.stderr)
+
+
+def notebook_says(name: str) -> str:
+    """What the cells of a notebook of the documents print, one after the other, run in this process."""
+    cells = json.loads((ROOT / "docs" / "notebooks" / name).read_text(encoding="utf-8"))["cells"]
+    said, names = io.StringIO(), dict[str, Any]()
+    with contextlib.redirect_stdout(said):
+        for k, cell in enumerate(cells):
+            if cell["cell_type"] == "code":
+                exec(compile("".join(cell["source"]), f"cell {k}", "exec"), names)
+    return said.getvalue()
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,6 @@ whatever a description can say.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,10 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibration.file import encode
-from hw_sim.rendering.render import LightSlice, Renderer
+from hw_sim.rendering.render import Renderer
 from hw_sim.scene import Scene
 from hw_sim.truth import TrueEye, TruePort, TrueRig, draw_truth
 from hw_sim.water.medium import Water
+from tests.support.rendered import exposed
 from tests.support.truth import true_calibration
 
 Image = NDArray[np.uint8]
@@ -195,22 +195,8 @@ def make_set(
     height_px = width_px * 3 // 4
     truth = true_rig(convention, width_px, height_px, scene)
     renderer = Renderer(truth, scene)
-    patterns = convention.patterns()
     exposure_s = EXPOSURE_S if convention.water else AIR_EXPOSURE_S
-
-    def camera(side: str) -> list[Image]:
-        shots = []
-        for k, pattern in enumerate(patterns):
-            light = [LightSlice(pattern.image(), exposure_s)]
-            shots.append(
-                renderer.expose(
-                    side, light, 0.0, exposure_s, 0.0, (False, False), seed + 2 * k + (side == "left"), k / 60.0
-                )
-            )
-        return shots
-
-    with ThreadPoolExecutor(2) as pool:
-        frames = dict(zip(("left", "right"), pool.map(camera, ("left", "right")), strict=True))
+    frames = exposed(renderer, [pattern.image() for pattern in convention.patterns()], exposure_s, seed=seed)
     for side, images in frames.items():
         for k, image in enumerate(images):
             name = convention.names.format(side=side, k=k, n=0 if side == "left" else 1)

@@ -15,14 +15,7 @@ from appliance.calibration.water.bundle import adjust
 from appliance.calibration.water.method import Method
 from appliance.optics.model import StereoRig
 from hw_sim.truth import TrueRig
-from tests.support.calibrating import (
-    Pose,
-    air_of,
-    calibration_recordings,
-    hidden_rig,
-    record_plane,
-    start_of,
-)
+from tests.support.calibrating import Pose, air_of, calibration_recordings, hidden_rig, record_plane, start_of
 from tests.support.truth import WATER
 
 POINTS = 4_000

@@ -12,7 +12,7 @@ from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.noise import TYPICAL_PAIR, StereoNoise
 from appliance.scan.sides import SIDES
 from hw_sim.objects.motion import object_pose
-from tests.support.rendered import Accuracy, RenderedScan
+from tests.support.rendered import Accuracy, RenderedScan, judge
 from tests.support.truth import left_to_rig
 
 FRAME_S = 1.0 / 60.0
@@ -42,13 +42,5 @@ def true_motion_mm(
 
 
 def judge_at(scan: RenderedScan, cloud: Cloud, time_s: float) -> Accuracy:
-    """A cloud against the true surface at ``time_s``, and against what all three eyes truly see of it then."""
-    seen = scan.renderer.view("left", time_s).seen_by_all.ravel()
-    found = np.zeros(seen.size, bool)
-    found[cloud.pixel] = True
-    distance = scan.renderer.surface(time_s).distance_mm(left_to_rig(scan.renderer.truth, cloud.points_mm))
-    return Accuracy(
-        100.0 * float((found & seen).sum()) / float(seen.sum()),
-        1e6 * float(np.mean(np.abs(distance) > 1.0)),
-        float(np.sqrt(np.mean(distance**2))),
-    )
+    """A cloud against the true surface at ``time_s``."""
+    return judge(scan, cloud, time_s)

@@ -84,10 +84,7 @@ def _edges(m: Array, limits: MaskLimits) -> NDArray[np.bool_]:
     around = np.pad(m, 1, constant_values=np.nan)
     here = around[1:-1, 1:-1]
     found = np.zeros(m.shape, bool)
-    for before, after in (
-        (around[1:-1, :-2], around[1:-1, 2:]),
-        (around[:-2, 1:-1], around[2:, 1:-1]),
-    ):
+    for before, after in ((around[1:-1, :-2], around[1:-1, 2:]), (around[:-2, 1:-1], around[2:, 1:-1])):
         a, b = here - before, after - here
         found |= (np.abs(a) > limits.jump_px) | (np.abs(b) > limits.jump_px) | (np.abs(b - a) > limits.bend_px)
     return found

@@ -28,10 +28,7 @@ def small_rig(root: Path) -> Rig:
         right=replace(rig.camera.right, width_px=400, height_px=300),
     )
     return replace(
-        rig,
-        camera=cameras,
-        design=replace(rig.design, pixel_um=18.0),
-        storage=replace(rig.storage, root=root),
+        rig, camera=cameras, design=replace(rig.design, pixel_um=18.0), storage=replace(rig.storage, root=root)
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -13,6 +13,7 @@ from appliance.calibration.file import Calibration
 from appliance.patterns.response import Response
 from appliance.patterns.sequence import Direction, PatternSequence, build_sequence
 from appliance.reconstruct.pipeline import Cloud, Pipeline
+from appliance.scan.sides import SIDES
 from hw_sim.rendering.render import LightSlice, Renderer
 from hw_sim.scene import Scene
 from hw_sim.truth import TrueRig, draw_truth
@@ -51,49 +52,37 @@ def pictures(sequence: PatternSequence, response: Response | None = None) -> lis
     ]
 
 
+def exposed(
+    renderer: Renderer, shown: Sequence[NDArray[np.uint8]], exposure_s: float, frame_s: float = 0.0, gain_db: float = 0.0, seed: int = 0
+) -> dict[str, NDArray[np.uint8]]:  # fmt: skip
+    """Both cameras' frames (n, h, w) of patterns, ``frame_s`` after one another (0: the hands are at rest, and the frames
+    ``FRAME_S`` apart by the clock of daylight and drift)."""
+
+    def camera(side: str) -> NDArray[np.uint8]:
+        shots = []
+        for k, one in enumerate(shown):
+            light, noise = [LightSlice(one, exposure_s)], seed + 2 * k + (side == "left")
+            at_s, clock_s = k * frame_s, k * (frame_s or FRAME_S)
+            shots.append(renderer.expose(side, light, at_s, exposure_s, gain_db, (False, False), noise, clock_s))
+        return np.stack(shots)
+
+    with ThreadPoolExecutor(2) as pool:
+        return dict(zip(SIDES, pool.map(camera, SIDES), strict=True))
+
+
 def render_scan(
-    scene: Scene,
-    truth_set: str,
-    seed: int,
-    width_px: int,
-    period_px: int,
-    exposure_s: float = EXPOSURE_S,
-    height_px: int | None = None,
-    response: Response | None = None,
-    frame_s: float = 0.0,
-    gain_db: float = 0.0,
-    change: Callable[[TrueRig], TrueRig] | None = None,
-) -> RenderedScan:
-    """Both cameras' frames of a scene, ``frame_s`` after one another (0: the hands are at rest, and the frames
-    ``FRAME_S`` apart by the clock of daylight and drift).
+    scene: Scene, truth_set: str, seed: int, width_px: int, period_px: int, exposure_s: float = EXPOSURE_S, height_px: int | None = None,
+    response: Response | None = None, frame_s: float = 0.0, gain_db: float = 0.0, change: Callable[[TrueRig], TrueRig] | None = None,
+) -> RenderedScan:  # fmt: skip
+    """Both cameras' frames of a scene, timed as those that are ``exposed``.
 
     A smaller ``height_px`` is a strip out of the middle; ``response``: the projector's, that the patterns are drawn for;
     ``change``: what became of the drawn rig since.
     """
     truth = draw_truth(truth_set, seed, width_px, height_px or width_px * 3 // 4, scene.water.index)
-    truth = truth if change is None else change(truth)
-    renderer = Renderer(truth, scene)
-    sequence = build_sequence(period_px)
-
-    def camera(side: str) -> NDArray[np.uint8]:
-        shots = [
-            renderer.expose(
-                side,
-                [LightSlice(p, exposure_s)],
-                k * frame_s,
-                exposure_s,
-                gain_db,
-                (False, False),
-                2 * k + (side == "left"),
-                k * (frame_s or FRAME_S),
-            )
-            for k, p in enumerate(pictures(sequence, response))
-        ]
-        return np.stack(shots)
-
-    with ThreadPoolExecutor(2) as pool:
-        left, right = pool.map(camera, ("left", "right"))
-    return RenderedScan(renderer, sequence, {"left": left, "right": right}, exposure_s, frame_s)
+    renderer, sequence = Renderer(truth if change is None else change(truth), scene), build_sequence(period_px)
+    frames = exposed(renderer, pictures(sequence, response), exposure_s, frame_s, gain_db)
+    return RenderedScan(renderer, sequence, frames, exposure_s, frame_s)
 
 
 def reconstruct(scan: RenderedScan, calibration: Calibration | None = None) -> tuple[Pipeline, Cloud]:
@@ -113,12 +102,12 @@ class Accuracy:
     rms_mm: float
 
 
-def judge(scan: RenderedScan, cloud: Cloud) -> Accuracy:
-    """A cloud against the true surface, and against what all three eyes truly see of it."""
-    seen = scan.renderer.view("left", 0.0).seen_by_all.ravel()
+def judge(scan: RenderedScan, cloud: Cloud, time_s: float = 0.0) -> Accuracy:
+    """A cloud against the true surface at ``time_s``, and against what all three eyes truly see of it then."""
+    seen = scan.renderer.view("left", time_s).seen_by_all.ravel()
     found = np.zeros(seen.size, bool)
     found[cloud.pixel] = True
-    distance = scan.renderer.surface(0.0).distance_mm(left_to_rig(scan.renderer.truth, cloud.points_mm))
+    distance = scan.renderer.surface(time_s).distance_mm(left_to_rig(scan.renderer.truth, cloud.points_mm))
     return Accuracy(
         100.0 * float((found & seen).sum()) / float(seen.sum()),
         1e6 * float(np.mean(np.abs(distance) > 1.0)),

@@ -42,11 +42,7 @@ def store(
         response_hash=response_hash,
         exposure=None if exposure_ms is None else Exposure(round(1000.0 * exposure_ms), gain_db),
         object=belongs_to,
-        water={
-            "temperature_c": water.temperature_c,
-            "salinity_psu": water.salinity_psu,
-            "wavelength_nm": GREEN_NM,
-        },
+        water={"temperature_c": water.temperature_c, "salinity_psu": water.salinity_psu, "wavelength_nm": GREEN_NM},
         temperatures_c={"projector": 41.5, "case": None},
     )
     height_px, width_px = scan.frames["left"].shape[1:]

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-KEYSYMS = {"Return": 0xFF0D, "BackSpace": 0xFF08, "Escape": 0xFF1B, "Up": 0xFF52, "Down": 0xFF54}
+KEYSYMS = {"Return": 0xFF0D}
 """X11/keysymdef.h; letters are their Latin-1 codes."""
 SCREEN_PX = (1400, 900)
 START_S = 20.0
@@ -86,15 +86,11 @@ class Xvfb:
         part = pixels[window.y : window.y + window.height, window.x : window.x + window.width, 2::-1]
         return np.ascontiguousarray(part)
 
-    def point(self, window: XWindow, right: int = 0, down: int = 0) -> None:
-        """Move the pointer into a window, which so gets the keyboard: so many px from the window's middle."""
+    def point(self, window: XWindow) -> None:
+        """Move the pointer into the middle of a window, which so gets the keyboard."""
         motion = struct.pack("<BBxxIII", 6, 0, 0, self._root, 0)
-        x, y = window.x + window.width // 2 + right, window.y + window.height // 2 + down
+        x, y = window.x + window.width // 2, window.y + window.height // 2
         self._fake(motion + struct.pack("<xxxxhh8x", x, y))
-
-    def button(self, number: int, down: bool) -> None:
-        """Press or release a button of the mouse: 1 is the left one, 3 the right one, 4 the wheel upwards."""
-        self._fake(struct.pack("<BBxxII", 4 if down else 5, number, 0, 0) + bytes(20))
 
     def key(self, name: str, down: bool) -> None:
         """Press or release a key of the keyboard."""

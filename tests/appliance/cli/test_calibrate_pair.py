@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
+import json
 import re
 import shutil
-from contextlib import redirect_stdout
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,41 +26,32 @@ from tests.support.commands import Shell
 COUNT = 7
 
 
+@dataclass(frozen=True)
+class CalibratedPair:
+    """A folder of pictures, and what one call made of it."""
+
+    pictures: Path
+    file: Path
+    report: dict[str, Any]
+    told: str
+
+
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Seven pairs of a board of the old layout; in the last one it fills an eighth of the picture; one camera has an eighth view alone."""
-    folder = tmp_path_factory.mktemp("theirs")
+def mine(tmp_path_factory: pytest.TempPathFactory) -> CalibratedPair:
+    """Of seven pairs of a board of the old layout; in the last one it fills an eighth of the picture; one camera has an eighth view alone."""
+    folder, out = tmp_path_factory.mktemp("theirs"), tmp_path_factory.mktemp("out") / "mine.json"
     where = poses(COUNT + 1, 3)
-    far = poses(1, 5, 470.0, 475.0)
-    write_pairs(folder, Printed(), [*where[: COUNT - 1], *far, where[COUNT]])
+    write_pairs(folder, Printed(), [*where[: COUNT - 1], *poses(1, 5, 470.0, 475.0), where[COUNT]])
     (folder / f"v{COUNT}_right.png").unlink()
-    return folder
+    said, told = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(told):
+        assert main(["calibrate", "pair", str(folder), "--square-mm", "15", "--out", str(out), "--json"]) == 0
+    return CalibratedPair(folder, out, json.loads(said.getvalue()), told.getvalue())
 
 
-def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, Any, str]:
-    said = Shell(capsys)("calibrate", "pair", *words, "--square-mm", "15", "--json")
-    return said.code, said.document if said.out else None, said.err
-
-
-@pytest.fixture(scope="module")
-def mine(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The calibration of these pictures, of a board whose size is told."""
-    out = tmp_path_factory.mktemp("out") / "mine.json"
-    words = ["--square-mm", "15", "--out", str(out), "--board", "8x11", "--marker-mm", "11.25", "--flat"]
-    said = io.StringIO()
-    with redirect_stdout(said):
-        assert main(["calibrate", "pair", str(recorded), *words]) == 0
-    for told in ("layout before OpenCV 4.6", f"{COUNT} of {COUNT + 1} views used", "left and right in their names"):
-        assert told in said.getvalue()
-    assert "0.000, 0.000, 0.000 mm" in said.getvalue().replace("-0.000", "0.000"), "flat"
-    return out
-
-
-def test_a_folder_of_others_becomes_a_calibration(
-    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    code, report, said = run(capsys, recorded, "--out", tmp_path / "mine.json")
-    assert (code, report["pairs"], report["left_out"]) == (0, [f"v{k}" for k in range(COUNT)], [])
+def test_a_folder_of_others_becomes_a_calibration(mine: CalibratedPair) -> None:
+    report = mine.report
+    assert (report["pairs"], report["left_out"]) == ([f"v{k}" for k in range(COUNT)], [])
     assert report["board"].startswith("11x8 squares of 15 mm, markers of 11")
     assert report["board"].endswith("DICT_5X5_50, layout before OpenCV 4.6")
     assert report["residual_px"] < 0.08
@@ -66,24 +59,23 @@ def test_a_folder_of_others_becomes_a_calibration(
     small = re.fullmatch(r"the board fills ([\d.]+) % of the left picture", report["views"][COUNT - 1]["remarks"][0])
     assert small is not None
     assert float(small[1]) == pytest.approx(12.5, abs=1.2)
-    assert f"the board is small in 1 of {COUNT + 1} views (v{COUNT - 1}): " in said
+    assert f"the board is small in 1 of {COUNT + 1} views (v{COUNT - 1}): " in mine.told
+    assert "coverage is poor: no corners yet" in mine.told
     for f_px, sd_px in zip(report["principal_distance_px"], report["principal_distance_sd_px"], strict=True):
         assert abs(f_px - F_PX) < max(5.0 * sd_px, 1.0)
         assert sd_px < 3.0
     assert report["baseline_mm"] == pytest.approx(BASE_MM, rel=5e-3)
-    assert "coverage is poor: no corners yet" in said
-    start = load(tmp_path / "mine.json")
-    assert (start.method, start.rig_serial) == ("air", recorded.name)
-    assert any("layout before OpenCV 4.6" in text for text in start.made_from)
+    start = load(mine.file)
+    assert (start.method, start.rig_serial) == ("air", mine.pictures.name)
     assert (start.rig.left.width_px, start.rig.left.height_px) == (WIDTH_PX, HEIGHT_PX)
     assert all(cv2.imread(path) is not None for path in report["pictures"])
 
 
-def test_opencv_reads_the_same_cameras(mine: Path) -> None:
+def test_opencv_reads_the_same_cameras(mine: CalibratedPair) -> None:
     """A point of space goes to the same pixels by OpenCV's own projection with the file for it."""
-    store = cv2.FileStorage(str(mine.with_suffix(".yml")), cv2.FILE_STORAGE_READ)
+    store = cv2.FileStorage(str(mine.file.with_suffix(".yml")), cv2.FILE_STORAGE_READ)
     point = np.array([[12.0, -7.0, 350.0]])
-    camera = load(mine).rig.right
+    camera = load(mine.file).rig.right
     local = (point - np.array(camera.translation_mm)) @ np.array(camera.rotation)
     ours = Lens(camera.lens.f_px, camera.lens.c_px, camera.lens.distortion).to_pixels(local[:, :2] / local[:, 2:])
     R, T, M, D = (store.getNode(name).mat() for name in ("R", "T", "M2", "D2"))
@@ -92,9 +84,9 @@ def test_opencv_reads_the_same_cameras(mine: Path) -> None:
     assert T[0, 0] < 0.0
 
 
-def test_import_takes_the_file_that_was_written_for_a_rig_in_air(mine: Path, tmp_path: Path) -> None:
+def test_import_takes_the_file_that_was_written_for_a_rig_in_air(mine: CalibratedPair, tmp_path: Path) -> None:
     """It was taken for a rig in water: a plane at 360 mm came out at 489."""
-    shutil.copy(mine, tmp_path / "x.json")
+    shutil.copy(mine.file, tmp_path / "x.json")
     text = """[images]
 left = "left/*.png"
 right = "right/*.png"
@@ -122,22 +114,22 @@ calibration = "x.json"
 
 @pytest.mark.dive
 def test_cameras_the_wrong_way_round_and_a_picture_of_another_size_are_named(
-    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    mine: CalibratedPair, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "pictures"
-    shutil.copytree(recorded, folder)
+    shutil.copytree(mine.pictures, folder)
     cv2.imwrite(str(folder / "v0_left.png"), np.zeros((300, 400), np.uint8))
     cut = folder / "v0_right.png"
     cut.write_bytes(cut.read_bytes()[:20_000])
     image = cv2.imread(str(folder / "v1_left.png"), cv2.IMREAD_UNCHANGED)
     assert image is not None
     cv2.imwrite(str(folder / "v1_left.png"), np.ascontiguousarray(image[:, ::-1]))
-    code, report, said = run(capsys, str(folder), "--left", "v*_right.png", "--right", "v*_left.png")
-    assert code == 0
-    assert report["exchanged"]
-    assert "left and right are exchanged" in said
+    words = ("--left", "v*_right.png", "--right", "v*_left.png", "--board", "8x11", "--marker-mm", "11.25", "--flat")
+    said = Shell(capsys)("calibrate", "pair", folder, "--square-mm", "15", "--json", *words)
+    report = said.document
+    assert (said.code, report["exchanged"], "left and right are exchanged" in said.err) == (0, True, True)
     # A picture that cannot be decoded costs itself alone, and is told with its place before anything else is looked at.
-    assert f"not used: {cut}: is damaged and cannot be decoded" in said.splitlines()[0]
+    assert f"not used: {cut}: is damaged and cannot be decoded" in said.err.splitlines()[0]
     assert report["left_out"] == [
         f"{cut}: is damaged and cannot be decoded; bring it back from a copy",
         "v0_left.png: 400x300 px, the other pictures have 720x540 px",
@@ -155,18 +147,16 @@ def test_cameras_the_wrong_way_round_and_a_picture_of_another_size_are_named(
     ],
 )  # fmt: skip
 def test_what_cannot_be_is_named(
-    words: str, message: str, code: int, recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    words: str, message: str, code: int, mine: CalibratedPair, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    said = Shell(capsys)("calibrate", "pair", recorded, "--out", tmp_path / "a.json", *words.split())
-    assert (said.code, message in said.err) == (code, True), said.err
-    assert not (tmp_path / "a.json").exists()
+    said = Shell(capsys)("calibrate", "pair", mine.pictures, "--out", tmp_path / "a.json", *words.split())
+    assert (said.code, message in said.err, (tmp_path / "a.json").exists()) == (code, True, False), said.err
 
 
 def test_pictures_without_a_board_are_counted_as_they_were_looked_at(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for k in range(8):
-        for side in ("left", "right"):
-            cv2.imwrite(str(tmp_path / f"v{k}_{side}.png"), np.full((64, 96), 128, np.uint8))
-    code, _, said = run(capsys, tmp_path)
-    assert (code, "4 of 16 pictures that were looked at (v0_left.png, v2_left.png," in said) == (1, True)
+    for name in (f"v{k}_{side}.png" for k in range(8) for side in ("left", "right")):
+        cv2.imwrite(str(tmp_path / name), np.full((64, 96), 128, np.uint8))
+    said = Shell(capsys)("calibrate", "pair", tmp_path, "--square-mm", "15")
+    assert (said.code, "4 of 16 pictures that were looked at (v0_left.png, v2_left.png," in said.err) == (1, True)

@@ -10,23 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from appliance.cli import main
 from appliance.cli.listing import number, say_report, shown
 from appliance.storage.lock import hold_lock
-
-
-def code_of(argv: list[str]) -> int:
-    try:
-        return main(argv)
-    except SystemExit as end:
-        return int(end.code or 0)
+from tests.support.commands import Shell
 
 
 def error_of(argv: list[str], capsys: pytest.CaptureFixture[str], code: int = 2) -> str:
-    assert code_of(argv) == code
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1, error
-    return error
+    """The one line of the error."""
+    said = Shell(capsys)(*argv)
+    assert said.code == code
+    return said.error
 
 
 @pytest.mark.parametrize("verb", [["reconstruct", "1"], ["scans", "merge", "1", "2"]])
@@ -42,8 +35,8 @@ def test_a_cloud_is_not_written_under_a_name_that_promises_another_format(
 def test_garbage_as_a_script_is_one_line_and_no_traceback(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     script = tmp_path / "garbage.bin"
     script.write_bytes(np.random.default_rng(1).bytes(100_000))
-    assert code_of(["sim", "--script", str(script), "--size", "400x300", "--root", str(tmp_path / "root")]) == 2
-    assert "garbage.bin: byte" in capfd.readouterr().err.splitlines()[-1]
+    said = Shell(capfd)("sim", "--script", script, "--size", "400x300", "--root", tmp_path / "root")
+    assert (said.code, "garbage.bin: byte" in said.err.splitlines()[-1]) == (2, True)
 
 
 @pytest.mark.parametrize("verb", [["run"], ["sim"], ["scans", "list"], ["reconstruct", "1"]])
@@ -55,16 +48,13 @@ def test_a_file_as_storage_root_is_called_a_file(
     assert f"--root {file}: is a file" in error_of([*verb, "--root", str(file)], capsys)
 
 
-def test_the_instrument_runs_on_a_root_of_its_own(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_the_instrument_runs_on_a_root_of_its_own_and_a_board_that_begins_with_a_minus_is_a_board(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     """At a developer's desk it must not make /var/lib/kingfisher; a taken root shows that the given one is used."""
     with hold_lock(tmp_path):
         assert f"cannot use {tmp_path}" in error_of(["run", "--root", str(tmp_path)], capfd, 1)
-
-
-def test_a_board_that_begins_with_a_minus_is_judged_as_a_board(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    error = error_of(["calibrate", "air", str(tmp_path), "--board", "-5x3x1x1"], capsys)
+    error = error_of(["calibrate", "air", str(tmp_path), "--board", "-5x3x1x1"], capfd)
     assert ("expected one argument" in error, "-5x3x1x1" in error) == (False, True)
 
 

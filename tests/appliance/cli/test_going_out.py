@@ -22,6 +22,7 @@ from appliance.storage import manifest as form
 from appliance.storage.library import Library
 from tests.appliance.cli.test_loaded import EVERY
 from tests.appliance.storage.scenes import ORIGIN, PREVIEW, cloud, frames, record
+from tests.support.commands import ROOT
 
 ESCAPES = "\x1b[2J\x1b]0;gone\x07 \x9b31m \u202e evil"
 """Clear the screen, name the window, turn red by a C1 code, and write from right to left."""
@@ -80,37 +81,28 @@ def test_what_is_not_to_be_read_is_written_as_an_escape_of_json(text: str, writt
 
 
 @pytest.mark.parametrize(
-    ("shell", "code", "lines", "unbuffered"),
+    ("shell", "code", "lines", "environment"),
     [
-        ("scans list --root R > /dev/full", Exit.FAILED, 1, ""),
-        ("scans list --root R > /dev/full", Exit.FAILED, 1, "1"),
-        ("scans list --root R >&-", Exit.FAILED, 1, ""),
-        ("scans list --root R 2>&-", Exit.OK, 0, ""),
-        ("scans show 99 --root R 2>/dev/full", Exit.FAILED, 0, ""),
-        ("--help > /dev/full", Exit.FAILED, 1, ""),
-        ("scans show 1 --root R | head -c 1 > /dev/null; exit ${PIPESTATUS[0]}", Exit.OK, 0, "1"),
+        ("scans list --root R > /dev/full", Exit.FAILED, 1, {}),
+        ("scans list --root R > /dev/full", Exit.FAILED, 1, {"PYTHONUNBUFFERED": "1"}),
+        ("scans list --root R >&-", Exit.FAILED, 1, {}),
+        ("scans list --root R 2>&-", Exit.OK, 0, {}),
+        ("scans show 99 --root R 2>/dev/full", Exit.FAILED, 0, {}),
+        ("--help > /dev/full", Exit.FAILED, 1, {}),
+        ("scans show 1 --root R | head -c 1 > /dev/null; exit ${PIPESTATUS[0]}", Exit.OK, 0, {"PYTHONUNBUFFERED": "1"}),
+        # A terminal without Unicode gets escapes.
+        (r"scans list --root R | grep -F 'Stra\xdfe \u6771' > /dev/null", Exit.OK, 0, {"PYTHONUTF8": "0", "LC_ALL": "C", "PYTHONCOERCECLOCALE": "0"}),
     ],
-)
+)  # fmt: skip
 def test_results_that_cannot_be_written_are_one_line_and_an_exit_code(
-    shell: str, code: Exit, lines: int, unbuffered: str, root: Path
+    shell: str, code: Exit, lines: int, environment: dict[str, str], root: Path
 ) -> None:
+    assert main(["scans", "name", "1", "Straße 東", "--root", str(root)]) == 0
+    command = f"{sys.executable} -m appliance.cli {shell.replace('R', str(root), 1)}"
     ran = subprocess.run(
-        ["bash", "-c", f"{sys.executable} -m appliance.cli {shell.replace('R', str(root), 1)}"],
-        capture_output=True, text=True, timeout=60, check=False, cwd=Path(__file__).parents[3],
-        env={**os.environ, "PYTHONUNBUFFERED": unbuffered},
+        ["bash", "-c", command], capture_output=True, text=True, timeout=60, check=False, cwd=ROOT, env={**os.environ, **environment}
     )  # fmt: skip
     assert (ran.returncode, len(ran.stderr.splitlines())) == (code, lines), ran.stderr
-
-
-def test_a_terminal_without_unicode_gets_escapes(root: Path) -> None:
-    (root / "scans" / "000001" / "label.json").unlink(missing_ok=True)
-    assert main(["scans", "name", "1", "Straße 東", "--root", str(root)]) == 0
-    plain_ascii = {**os.environ, "PYTHONUTF8": "0", "LC_ALL": "C", "PYTHONCOERCECLOCALE": "0"}
-    ran = subprocess.run(
-        [sys.executable, "-m", "appliance.cli", "scans", "list", "--root", str(root)],
-        capture_output=True, text=True, timeout=60, check=True, cwd=Path(__file__).parents[3], env=plain_ascii,
-    )  # fmt: skip
-    assert r"Stra\xdfe \u6771" in ran.stdout
 
 
 class AtATerminal(io.StringIO):
@@ -129,8 +121,7 @@ def test_progress_on_a_terminal_is_one_line_that_is_cleared_and_silent_for_a_sec
         progress("verifying", 0.5)
         in_file("verifying", 0.5)
         assert terminal.getvalue() == "\rverifying  50 %"
-    assert terminal.getvalue().endswith("\r" + " " * 15 + "\r")
-    assert file.getvalue() == ""
+    assert (terminal.getvalue()[-17:], file.getvalue()) == ("\r" + " " * 15 + "\r", "")
 
 
 def test_where_there_is_no_terminal_progress_comes_in_lines_some_seconds_apart() -> None:

@@ -54,19 +54,12 @@ def scans(shell: Shell, root: Path, *words: str, code: int = 0) -> Any:
 
 
 def test_the_list_shows_each_scan_with_its_state_time_and_points(root: Path, tmp_path: Path, shell: Shell) -> None:
-    head, first, second, *more = scans(shell, root, "list").out.splitlines()
+    head, first, second, *_, last = scans(shell, root, "list", "--all").out.splitlines()
     assert head.split() == ["SCAN", "STATE", "GRADE", "TIME", "POINTS", "OBJECT", "MB", "NAME", "REMARK", "NOTE"]
-    assert first.split()[:2] == ["000001", "saved"]
-    assert ("2031-05-06T07:08:09+00:00 ?" in first, "+00:00 ?" in second, "20" in first, len(more)) == (
-        True,
-        False,
-        True,
-        1,
-    )
-    last = scans(shell, root, "list", "--all").out.splitlines()[-1]
+    assert (first.split()[:2], "20" in first) == (["000001", "saved"], True)
+    assert ["+00:00 ?" in line for line in (first, second)] == [True, False], "whose clock nobody set"
     assert (last.startswith("000004  rejected"), last.endswith("moved 3 px")) == (True, True)
-    listed = scans(shell, root, "list", "--json").document
-    assert [(one["scan"], one["points"], one["ok"]) for one in listed] == [(f"{k:06d}", 20, True) for k in (1, 2, 3)]
+    assert len(scans(shell, root, "list", "--json").document) == 3
     (tmp_path / "empty").mkdir()
     assert scans(shell, tmp_path / "empty", "list").out == f"no scans under {tmp_path / 'empty'}\n"
     assert "--root" in scans(shell, tmp_path / "none", "list", code=2).error
@@ -95,27 +88,21 @@ def test_a_damaged_scan_is_marked_and_the_others_are_fine(root: Path, shell: She
     for words in ("000001  DAMAGED: frames_left.npy", "000002  ok", "3 checked, 1 damaged"):
         assert words in out
     scans(shell, root, "verify", "2")
-    report = scans(shell, root, "verify", "--json", code=4).document
-    assert (report["checked"], report["damaged"]) == (3, 1)
-    (root / "scans" / "000001" / "manifest.json").unlink()
+    path.with_name("manifest.json").unlink()
     assert "DAMAGED" in scans(shell, root, "list").out
 
 
 def test_show_prints_the_manifest_and_what_to_look_at_ashore(root: Path, shell: Shell) -> None:
     lines = scans(shell, root, "show", "1").lines
-    assert lines["manifest.record.water.index"] == "1.3347"
-    assert lines["manifest.record.temperatures_c.case"] == "-"
-    assert scans(shell, root, "show", "1", "--json").document["manifest"]["record"]["rig_hash"] == "ab" * 32
-    causes = Verdict("causes", False, {"too_bright_percent": 7.0})
-    dark = (Verdict("identity", False, {}, "PROJECTOR_DARK: all is dark"), causes)
+    assert (lines["manifest.record.water.index"], lines["manifest.record.temperatures_c.case"]) == ("1.3347", "-")
+    dark = (
+        Verdict("identity", False, {}, "PROJECTOR_DARK: all is dark"),
+        Verdict("causes", False, {"too_bright_percent": 7.0}),
+    )
     Library(root).begin(frames(4), record(), ORIGIN).reject("dark", record(verdicts=dark))
-    ashore = {
-        key: text for key, text in shell("scans", "show", root / "rejected" / "000005").lines.items() if "ashore" in key
-    }
+    shown = shell("scans", "show", root / "rejected" / "000005").lines
+    ashore = {key: text for key, text in shown.items() if "ashore" in key}
     assert ashore == {"ashore.PROJECTOR_DARK": ASHORE[FaultCode.PROJECTOR_DARK]}
-
-
-# ------------------------------------------------------------------------------------------ names and the trash
 
 
 def test_a_name_and_a_note_are_listed_and_shown_and_a_damaged_label_is_told(root: Path, shell: Shell) -> None:
@@ -127,8 +114,6 @@ def test_a_name_and_a_note_are_listed_and_shown_and_a_damaged_label_is_told(root
     assert {name: after[name] for name in before} == before, "the manifest's bytes are those of the dive"
     line = scans(shell, root, "list").out.splitlines()[2]
     assert ("bollard 3" in line, line.endswith("north side, before cleaning")) == (True, True)
-    shown = scans(shell, root, "show", "2", "--json").document
-    assert (shown["name"], shown["note"]) == ("bollard 3", "north side, before cleaning")
     (folder / "label.json").write_bytes(after["label.json"].replace(b"bollard", b"ballard"))
     assert "label.json" in scans(shell, root, "verify", "2", code=4).out
     scans(shell, root, "name", "2", "bollard 3")
@@ -186,9 +171,6 @@ def test_a_disk_that_refuses_leaves_the_old_label_and_the_scan_in_its_place(root
             assert labels.read(root / "scans" / "000001") in (Label("before", None), Label("after", "x"))
             places = [root / shelf / "000002" / "manifest.json" for shelf in ("scans", "trash")]
             assert sum(place.is_file() for place in places) == 1
-
-
-# ------------------------------------------------------------------------------------------ the root
 
 
 def test_the_root_is_the_one_that_somebody_stands_in_or_else_that_of_the_environment(

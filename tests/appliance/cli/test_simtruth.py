@@ -36,22 +36,19 @@ def test_the_calibration_sees_every_point_where_the_true_cameras_see_it(truth: s
 
 
 @pytest.mark.parametrize("size", ["400x300", "1600x1200"])
-def test_a_nominal_start_is_calibrated_at_any_size(size: str, tmp_path: Path) -> None:
+def test_a_nominal_start_is_calibrated_at_any_size_and_what_is_there_is_never_touched(
+    size: str, tmp_path: Path
+) -> None:
     rig = rig_of(tmp_path, "nominal", size)
     assert calibration_of(rig)[1], "without a calibration the screen says UNCALIBRATED"
     bring_calibration(rig)
     calibration, conditions = calibration_of(rig)
     assert (calibration.method, conditions) == ("truth", ())
-
-
-def test_a_calibration_that_is_there_is_never_touched(tmp_path: Path) -> None:
-    rig = rig_of(tmp_path, "nominal")
-    bring_calibration(rig)
     path = tmp_path / CALIBRATION_FILE
     path.write_bytes(path.read_bytes().replace(b"unknown", b"mine"))
     mine, at = path.read_bytes(), path.stat().st_mtime_ns
-    bring_calibration(rig)
-    bring_calibration(rig_of(tmp_path, "nominal", "400x300"))
+    for other in (size, "800x600"):
+        bring_calibration(rig_of(tmp_path, "nominal", other))
     assert (path.read_bytes(), path.stat().st_mtime_ns) == (mine, at)
 
 

@@ -65,7 +65,7 @@ def errors() -> JointErrors:
 
 def measured(errors: JointErrors, times_sigma: float) -> FusedCloud:
     """The plate as those scans see it, bent by so many of its standard deviations."""
-    points, normals, _ = grid(3.0)
+    points, normals, _ = grid(5.0)
     rng = np.random.default_rng(4)
     scan = np.abs(points[:, :1] - SCANS_MM).argmin(1).astype(np.uint16)
     off = points[:, 0] - SCANS_MM[scan]

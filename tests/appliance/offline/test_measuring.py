@@ -52,10 +52,12 @@ def measured(full_well_e: float, read_e: float, black_dn: float) -> MeasuredNois
     return MeasuredNoise(per_e, (100.0, variance_dn2), black_dn, 50_000)
 
 
+FOUND = {"left": (measured(4_000.0, 12.0, 6.0), EXPECTED), "right": (measured(3_000.0, 9.0, 2.0), EXPECTED)}
+
+
 def test_figures_are_those_at_no_gain_whatever_each_camera_was_set_to(rig: Rig, tmp_path: Path) -> None:
-    found = {"left": (measured(4_000.0, 12.0, 6.0), EXPECTED), "right": (measured(3_000.0, 9.0, 2.0), EXPECTED)}
     for exposure, gains_db in ((None, (1.0, 4.0)), (Exposure(8_000, 6.0), (6.0, 9.0))):
-        stored = noise_to_store(rig, scan(tmp_path / str(gains_db[0]), exposure), found)
+        stored = noise_to_store(rig, scan(tmp_path / str(gains_db[0]), exposure), FOUND)
         assert (stored.rig_serial, stored.made_from) == ("KF-SIM", (str(gains_db[0]),))
         assert (stored.left.serial, stored.right.serial) == ("KF-CAM-L", "KF-CAM-R")
         # Twenty decibels are ten times the grey value of an electron.
@@ -67,16 +69,16 @@ def test_figures_are_those_at_no_gain_whatever_each_camera_was_set_to(rig: Rig, 
 
 def test_an_instrument_with_these_figures_expects_the_noise_that_was_seen(rig: Rig, tmp_path: Path) -> None:
     folder = scan(tmp_path / "1", Exposure(8_000, 6.0))
-    found = {"left": (measured(4_000.0, 12.0, 6.0), EXPECTED), "right": (measured(3_000.0, 9.0, 2.0), EXPECTED)}
-    stored = noise_to_store(rig, folder, found)
-    cameras = [
-        replace(camera, full_well_e=one.full_well_e, read_noise_e=one.read_noise_e, black_level_dn=one.black_level_dn)
-        for camera, one in ((rig.camera.left, stored.left), (rig.camera.right, stored.right))
-    ]
-    used = replace(rig, camera=replace(rig.camera, left=cameras[0], right=cameras[1]))
+    stored, cameras = noise_to_store(rig, folder, FOUND), {}
+    for side in ("left", "right"):
+        one, camera = getattr(stored, side), getattr(rig.camera, side)
+        figures = {name: getattr(one, name) for name in ("full_well_e", "read_noise_e", "black_level_dn")}
+        cameras[side] = replace(camera, **figures)
+    used = replace(rig, camera=replace(rig.camera, **cameras))
     expected = noise_of(used, exposure_of_scan(load(folder, only_raw=True).manifest.record, used))
-    assert expected.left.variance_dn2(100.0) == pytest.approx(found["left"][0].variance_at_dn2[1])
-    assert expected.right.variance_dn2(100.0) == pytest.approx(found["right"][0].variance_at_dn2[1])
+    for side in ("left", "right"):
+        seen_dn2 = FOUND[side][0].variance_at_dn2[1]
+        assert getattr(expected, side).variance_dn2(100.0) == pytest.approx(seen_dn2)
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from appliance.scan.exposure import Exposure
 from appliance.scan.noise import CameraNoise, StereoNoise
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.record import SecondSequence, SequenceInfo
-from appliance.storage.scan import ScanError, add_second, write_raw
+from appliance.storage.scan import ScanError, add_second, manifest_of, write_raw
 from tests.appliance.storage.scenes import ORIGIN, record
 
 SEQUENCE = build_sequence(16)
@@ -38,9 +38,6 @@ def scene(shift: float = 0.0) -> NDArray[np.uint8]:
         for step, k in enumerate(SEQUENCE.axis(direction).sine):
             frames[k] = np.round(100.0 + 40.0 * np.cos(2.0 * np.pi * (x / 16.0 - step / 4.0) + shift))
     return frames
-
-
-# ------------------------------------------------------------------------------------------ one image
 
 
 @pytest.mark.parametrize("step", range(4))
@@ -100,9 +97,6 @@ def test_a_pixel_at_the_border_of_a_stripe_counts_neither_as_lit_nor_as_dark() -
         assert (frames[lost] == made).all()
 
 
-# ------------------------------------------------------------------------------------------ a scan on the disk
-
-
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """A scan of ``scene``."""
@@ -112,13 +106,12 @@ def folder(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def both(tmp_path: Path) -> Path:
-    """A scan with another exposure."""
-    there = tmp_path / "000002"
-    manifest = write_raw(LocalFileSystem(), there, "000002", {"left": scene(), "right": scene(0.5)}, RECORD, ORIGIN)
+def both(folder: Path) -> Path:
+    """The same with another exposure."""
     told = replace(RECORD, exposure=Exposure(8_000), second=SecondSequence(Exposure(14_000), 99))
-    add_second(LocalFileSystem(), there, manifest, {"left": scene(1.0), "right": scene(1.5)}, told)
-    return there
+    frames = {"left": scene(1.0), "right": scene(1.5)}
+    add_second(LocalFileSystem(), folder, manifest_of(folder), frames, told)
+    return folder
 
 
 def damage(folder: Path, file: str, *frames: int) -> None:

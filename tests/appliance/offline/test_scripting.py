@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import ast
-import contextlib
 import importlib
 import inspect
-import io
-import json
 import pydoc
 import re
 from dataclasses import replace
@@ -32,9 +29,9 @@ from appliance.storage.scan import ScanError
 from appliance.surface.fusion import PlacedScan, fuse
 from appliance.surface.mesh import mesh_of_scan
 from tests.appliance.storage.scenes import ORIGIN, frames, record
+from tests.support.commands import ROOT, notebook_says
 from tests.support.planes import small_rig, store_plane
 
-ROOT = Path(__file__).parents[3]
 PACKAGE = importlib.import_module("kingfisher")
 Dive = tuple[Path, NDArray[np.float32]]
 
@@ -141,9 +138,6 @@ def test_what_is_not_there_or_damaged_is_said(dive: Dive, tmp_path: Path) -> Non
         open_scan(folder).points()
 
 
-# ------------------------------------------------------------------------------------------ the package and its pages
-
-
 def test_every_name_of_the_package_is_the_programs_own_and_in_its_help() -> None:
     tree = ast.parse((ROOT / "appliance/python/kingfisher/__init__.py").read_text())
     typed = {
@@ -189,15 +183,10 @@ def test_the_page_names_what_there_is_and_calls_functions_as_they_are() -> None:
 def test_the_notebook_runs_from_the_first_cell_to_the_last(
     dive: Dive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    notebook = json.loads((ROOT / "docs/notebooks/first_scan.ipynb").read_text())
     monkeypatch.setenv("KINGFISHER_ROOT", str(dive[0]))
     monkeypatch.chdir(tmp_path)
-    said, names = io.StringIO(), dict[str, Any]()
-    with contextlib.redirect_stdout(said):
-        for k, cell in enumerate(notebook["cells"]):
-            if cell["cell_type"] == "code":
-                exec(compile("".join(cell["source"]), f"cell {k}", "exec"), names)
+    said = notebook_says("first_scan.ipynb")
     # A plane by itself slides along itself.
     for words in (f"{len(dive[1])} points", "seen 2 times", "accepted: False", "1 placed, left out: ["):
-        assert words in said.getvalue()
+        assert words in said
     assert {"first.stl", "first.npz", "first.html"} == {path.name for path in tmp_path.iterdir()}

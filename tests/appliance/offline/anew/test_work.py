@@ -1,16 +1,12 @@
-"""Scans given out by Dask: to processes of this computer, to threads of this process, and to workers in processes of their own, of which some die."""
+"""Scans given out by Dask: to threads of this process, and to processes of this computer, of which some die."""
 
 from __future__ import annotations
 
-import hashlib
 import multiprocessing
 import os
 import socket
-import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import suppress
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -19,27 +15,12 @@ import pytest
 from appliance import kernel_cache
 from appliance.offline.anew import work
 from appliance.offline.anew.results import Results, program_digits
-from appliance.offline.anew.work import (
-    AGAIN,
-    DONE,
-    FAILED,
-    TROUBLES_IN_A_ROW,
-    Again,
-    Job,
-    SchedulerError,
-    work_through_all,
-)
-from hw_sim.scene import Scene
-from tests.support.commands import ROOT
-from tests.support.rendered import render_scan
-from tests.support.stored import origin_of, store
+from appliance.offline.anew.work import AGAIN, FAILED, TROUBLES_IN_A_ROW, Again, Job, SchedulerError, work_through_all
 
 distributed = pytest.importorskip("distributed")
 MADE_WITH = {"calibration": None, "foreign": False, "water": None, "clouds": True, "program": program_digits()}
 LIMIT_S = 60.0
 COUNT = 20
-TINY = 5
-"""Scans of which each is worked through: more than there are workers."""
 
 
 def jobs_of(shelf: Path, results: Results) -> list[Job]:
@@ -60,6 +41,11 @@ def broken(tmp_path: Path) -> Path:
     return tmp_path / "scans"
 
 
+def all_failed(rows: list[Any], shelf: Path) -> None:
+    assert sorted(row["folder"] for row in rows) == sorted(map(str, shelf.iterdir()))
+    assert {row["state"] for row in rows} == {FAILED}
+
+
 @pytest.fixture(scope="module")
 def here() -> Iterator[Any]:
     """A scheduler with two workers, all threads of this process."""
@@ -67,14 +53,6 @@ def here() -> Iterator[Any]:
         n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None
     ) as cluster:
         yield cluster
-
-
-# ------------------------------------------------------------------------------------------- workers that live
-
-
-def all_failed(rows: list[Any], shelf: Path) -> None:
-    assert sorted(row["folder"] for row in rows) == sorted(map(str, shelf.iterdir()))
-    assert {row["state"] for row in rows} == {FAILED}
 
 
 def test_every_scan_is_done_once_and_no_more_are_given_out_than_a_bound(
@@ -122,9 +100,6 @@ def test_a_scheduler_that_is_not_there_or_has_no_certificate_or_worker_is_one_cl
             next(work_through_all([], asked, None, LIMIT_S))
 
 
-# ------------------------------------------------------------------------------------------- workers that die
-
-
 @pytest.mark.dive
 def test_a_process_of_this_computer_that_is_killed_loses_nothing(broken: Path, results: Results) -> None:
     seen = []
@@ -148,75 +123,3 @@ def test_a_scan_that_never_ends_ends_its_workers_and_is_left_while_the_others_ar
     assert left["scan"] == "000007"
     assert "died" in left["reason"]
     assert len(rows) == COUNT
-
-
-@dataclass
-class Cluster:
-    """A scheduler and workers on this computer, in processes of their own."""
-
-    folder: Path
-    port: int
-    started: list[subprocess.Popen[bytes]] = field(default_factory=list)
-
-    @property
-    def address(self) -> str:
-        return f"tcp://127.0.0.1:{self.port}"
-
-    def scheduler(self) -> None:
-        words = ("--host", "127.0.0.1", "--port", str(self.port), "--no-dashboard")
-        self._run("distributed.cli.dask_scheduler", *words)
-
-    def worker(self) -> subprocess.Popen[bytes]:
-        words = ("--nthreads", "1", "--no-nanny", "--no-dashboard", "--local-directory", str(self.folder))
-        return self._run("distributed.cli.dask_worker", self.address, *words)
-
-    def _run(self, module: str, *words: str) -> subprocess.Popen[bytes]:
-        with (self.folder / "log").open("ab") as log:
-            process = subprocess.Popen([sys.executable, "-m", module, *words], cwd=ROOT, stdout=log, stderr=log)
-        self.started.append(process)
-        return process
-
-
-@pytest.fixture
-def cluster(tmp_path: Path) -> Iterator[Cluster]:
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        cluster = Cluster(tmp_path, one.getsockname()[1])
-    yield cluster
-    for process in cluster.started:
-        with suppress(ProcessLookupError):
-            process.kill()
-        process.wait(timeout=30)
-
-
-@pytest.fixture(scope="module")
-def scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A shelf of small scans that are the same but for their numbers: each gives the same points."""
-    scan = render_scan(Scene("frustum", texture="checker"), "nominal", 3, 200, 16)
-    shelf = tmp_path_factory.mktemp("archive") / "scans"
-    shelf.mkdir()
-    for number in range(TINY):
-        store(scan, shelf / f"{number + 1:06d}", origin=origin_of(scan.renderer.truth, 200, 150))
-    return shelf
-
-
-@pytest.mark.long
-def test_a_worker_that_is_killed_loses_nothing_and_each_scan_has_one_result(
-    cluster: Cluster, scans: Path, results: Results
-) -> None:
-    cluster.scheduler()
-    first, _ = cluster.worker(), cluster.worker()
-    rows = []
-    for row in work_through_all(jobs_of(scans, results), cluster.address, None, LIMIT_S):
-        rows.append(row)
-        if len(rows) == 2:
-            first.kill()
-    assert sorted(row["scan"] for row in rows) == [folder.name for folder in sorted(scans.iterdir())]
-    assert {row["state"] for row in rows} == {DONE}
-    folders = sorted((results.folder / "results").iterdir())
-    assert [folder.name.partition("-")[0] for folder in folders] == sorted(row["scan"] for row in rows)
-    clouds = {hashlib.sha256((folder / "cloud.ply").read_bytes()).hexdigest() for folder in folders}
-    assert len(clouds) == 1, "the same frames give the same points, whoever worked them through"
-    assert {row["cloud_sha256"] for row in rows} == clouds
-    assert min(int(row["points"]) for row in rows) > 1000
-    assert list((results.folder / "failed").iterdir()) == []

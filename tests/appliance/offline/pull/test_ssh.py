@@ -87,9 +87,6 @@ def refused(host: Host) -> str:
     return str(error.value)
 
 
-# ------------------------------------------------------------------------------------------- files
-
-
 def test_files_and_folders_are_listed_without_links_and_files_read_from_anywhere(
     serve: Callable[..., Server], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -120,10 +117,9 @@ def test_files_and_folders_are_listed_without_links_and_files_read_from_anywhere
             source.listing("scans")
 
 
-# ------------------------------------------------------------------------------------ keys and names
-
-
-def test_an_unknown_host_key_is_refused_and_its_line_lets_the_next_call_in(serve: Callable[..., Server]) -> None:
+def test_an_unknown_or_changed_host_key_is_refused_and_an_unknown_ones_line_lets_the_next_call_in(
+    serve: Callable[..., Server],
+) -> None:
     server = serve()
     server.known_hosts.unlink()
     said = refused(server.host)
@@ -131,14 +127,10 @@ def test_an_unknown_host_key_is_refused_and_its_line_lets_the_next_call_in(serve
     server.known_hosts.write_text(said.rpartition("call again: ")[2] + "\n")
     with SshLink(server.host, LIMIT_S)():
         pass
-
-
-@pytest.mark.parametrize("kind", ["ssh-ed25519", "ecdsa-sha2-nistp256"])
-def test_a_changed_host_key_is_refused_whatever_its_kind(serve: Callable[..., Server], kind: str) -> None:
-    server = serve()
-    other = asyncssh.generate_private_key(kind).export_public_key().decode()
-    server.known_hosts.write_text(f"[127.0.0.1]:{server.port} {other}")
-    assert f"`ssh-keygen -R '[127.0.0.1]:{server.port}' -f {server.known_hosts}`" in refused(server.host)
+    for kind in ("ssh-ed25519", "ecdsa-sha2-nistp256"):
+        other = asyncssh.generate_private_key(kind).export_public_key().decode()
+        server.known_hosts.write_text(f"[127.0.0.1]:{server.port} {other}")
+        assert f"`ssh-keygen -R '[127.0.0.1]:{server.port}' -f {server.known_hosts}`" in refused(server.host)
 
 
 def test_a_name_of_the_users_configuration_brings_address_key_and_known_hosts(
@@ -154,16 +146,7 @@ def test_a_name_of_the_users_configuration_brings_address_key_and_known_hosts(
         assert source.listing("scans") == []
 
 
-def test_a_key_that_is_given_is_the_only_one_that_is_tried(serve: Callable[..., Server], tmp_path: Path) -> None:
-    server = serve()
-    new_key(tmp_path / "other")
-    said = refused(replace(server.host, identity=tmp_path / "other"))
-    assert "does not take this key" in said
-    (tmp_path / "other").write_text("no key\n")
-    assert "cannot be read: " in refused(replace(server.host, identity=tmp_path / "other"))
-
-
-def test_beside_a_key_that_is_given_no_agent_is_asked_for_others(
+def test_a_key_that_is_given_is_the_only_one_that_is_tried_and_no_agent_is_asked(
     serve: Callable[..., Server], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     server = serve()
@@ -174,11 +157,13 @@ def test_beside_a_key_that_is_given_no_agent_is_asked_for_others(
         monkeypatch.setenv("SSH_AUTH_SOCK", str(tmp_path / "agent"))
         with SshLink(server.host, LIMIT_S)():
             pass
+        new_key(tmp_path / "other")
+        other = replace(server.host, identity=tmp_path / "other")
+        assert "does not take this key" in refused(other)
         with pytest.raises(BlockingIOError):
             agent.accept()
-
-
-# ----------------------------------------------------------------------------------------- refusals
+    (tmp_path / "other").write_text("no key\n")
+    assert "cannot be read: " in refused(other)
 
 
 def free_port() -> int:
