@@ -1,15 +1,12 @@
-"""What a person types to keep scans in a third of the room, and what is said where that does not work."""
+"""What a person types to keep scans in a third of the room loses nothing: what is removed has a copy, and nothing that is there is replaced."""
 
 from __future__ import annotations
 
 import sys
 from pathlib import Path
 
-import cv2
-import numpy as np
 import pytest
 
-from appliance.storage import scan as stored
 from appliance.storage.library import Library
 from appliance.storage.lock import hold_lock
 from tests.appliance.storage.scenes import ORIGIN, frames, record
@@ -39,22 +36,19 @@ def everything(root: Path) -> dict[str, bytes]:
     return {path.relative_to(root).as_posix(): path.read_bytes() for path in wanted if path.is_file()}
 
 
-def test_there_and_back_and_a_second_time_nothing_is_done(root: Path, tmp_path: Path, desk: Shell) -> None:
-    before = everything(root)
-    packed, back = tmp_path / "archive", tmp_path / "back"
+def test_there_and_back_beside_a_running_instrument_and_a_second_time_nothing_is_done(
+    root: Path, tmp_path: Path, desk: Shell
+) -> None:
+    before, packed, back = everything(root), tmp_path / "archive", tmp_path / "back"
     with hold_lock(root):
         said = desk("archive", "pack", root, "--out", packed, "--remove")
         assert (said.code, "another instance" in said.error) == (1, True)
         said = desk("archive", "pack", root, "--out", packed)  # reading disturbs nobody
-    assert (said.code, said.err) == (0, "")
-    assert said.out.startswith("3 written, 0 already there, 0 failed; ")
+    assert (said.code, said.err, said.out[:38]) == (0, "", "3 written, 0 already there, 0 failed; ")
     assert desk("archive", "pack", root, "--out", packed, "--json").document["already_there"] == 3
-    assert desk("archive", "verify", packed).out.splitlines()[-1] == "3 decoded, 0 damaged"
     assert desk("scans", "verify", "--root", packed).code == 0, "an archive is a storage root"
     assert desk("archive", "unpack", packed, "--out", back).code == 0
     assert everything(back) == before == everything(root)
-    assert desk("archive", "unpack", packed, "2", "--out", tmp_path / "one").out.startswith("1 written")
-    assert [path.name for path in (tmp_path / "one" / "scans").iterdir()] == ["000002"]
 
 
 def test_a_source_is_removed_only_when_that_was_asked_for_and_its_copy_was_compared(
@@ -65,11 +59,9 @@ def test_a_source_is_removed_only_when_that_was_asked_for_and_its_copy_was_compa
     damaged = root / "scans" / "000002" / "frames_left.npy"
     damaged.write_bytes(damaged.read_bytes()[:-1] + b"\0")
     said = desk("archive", "pack", root, "--out", packed, "--remove")
-    assert said.code == 1
-    assert "000002  failed: " in said.out
+    assert (said.code, "000002  failed: " in said.out) == (1, True)
     assert "2 written, 0 already there, 1 failed" in said.out
     assert [path.name for path in (root / "scans").iterdir()] == ["000002"]
-    assert stored.manifest_of(packed / "scans" / "000001").scan_id == "000001"
     assert desk("archive", "unpack", packed, "--out", tmp_path / "back").code == 0
     assert everything(tmp_path / "back") == {name: data for name, data in before.items() if "000002" not in name}
 
@@ -77,37 +69,26 @@ def test_a_source_is_removed_only_when_that_was_asked_for_and_its_copy_was_compa
 def test_a_damaged_archive_is_told_with_the_frame_and_without_the_codec_what_to_install(
     root: Path, tmp_path: Path, desk: Shell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    desk("archive", "pack", root, "--out", tmp_path / "archive")
-    path = tmp_path / "archive" / "scans" / "000003" / "frames_right.npy.jls"
+    packed = tmp_path / "archive"
+    desk("archive", "pack", root, "--out", packed)
+    path = packed / "scans" / "000003" / "frames_right.npy.jls"
     data = bytearray(path.read_bytes())
     data[-40] ^= 1
     path.write_bytes(data)
-    said = desk("archive", "verify", tmp_path / "archive")
+    said = desk("archive", "verify", packed)
     assert (said.code, "000003  DAMAGED: frames_right.npy" in said.out) == (4, True)
-    assert "gray-x-0" in desk("scans", "verify", "--root", tmp_path / "archive").out
-    assert desk("archive", "pack", root, "--out", tmp_path / "archive", "--remove").code == 1
+    assert "gray-x-0" in desk("scans", "verify", "--root", packed).out
+    assert desk("archive", "pack", root, "--out", packed, "--remove").code == 1
     assert [path.name for path in (root / "scans").iterdir()] == ["000003"], "only what has a good copy is removed"
-    again = desk("archive", "unpack", tmp_path / "archive", "--out", tmp_path / "back")
+    again = desk("archive", "unpack", packed, "--out", tmp_path / "back")
     assert (again.code, "2 written, 0 already there, 1 failed" in again.out) == (1, True)
-    monkeypatch.setitem(sys.modules, "imagecodecs", None)
-    said = desk("archive", "verify", tmp_path / "archive")
-    assert (said.code, "kingfisher-3d[desk]" in said.error) == (1, True)
-
-
-def test_one_frame_as_a_picture(root: Path, tmp_path: Path, desk: Shell) -> None:
-    desk("archive", "pack", root, "--out", tmp_path / "archive")
-    scan = tmp_path / "archive" / "scans" / "000001"
-    assert desk("archive", "frame", scan, "left", "dark", "--out", tmp_path / "dark.png").code == 0
-    picture = cv2.imread(str(tmp_path / "dark.png"), cv2.IMREAD_GRAYSCALE)
-    assert picture is not None
-    assert np.array_equal(picture, frames(0)["left"][1])
+    scan, missing = packed / "scans" / "000001", tmp_path / "pictures" / "dark.png"
     assert "bright, dark, gray-x-0" in desk("archive", "frame", scan, "left", "sine").error
-    missing = tmp_path / "pictures" / "dark.png"
     said = desk("archive", "frame", scan, "left", "dark", "--out", missing)
     assert (said.code, f"--out {missing}" in said.error, ".draft" in said.error) == (2, True, False)
-
-
-# -------------------------------------------------------------------------- nothing that is there is replaced
+    monkeypatch.setitem(sys.modules, "imagecodecs", None)
+    said = desk("archive", "verify", packed)
+    assert (said.code, "kingfisher-3d[desk]" in said.error) == (1, True)
 
 
 def test_what_was_worked_out_in_an_archive_and_the_calibration_in_use_stay(
@@ -123,8 +104,7 @@ def test_what_was_worked_out_in_an_archive_and_the_calibration_in_use_stay(
         said = desk("archive", "pack", root, "--out", packed)
         assert (said.code, (packed / path).read_text()) == (0, "solved, three scans"), call
         (copy,) = (packed / path).parent.glob("object.*.json")
-        assert copy.read_text() == "two scans"
-        assert f"{path}  DIFFERS: " in said.out
+        assert (copy.read_text(), f"{path}  DIFFERS: " in said.out) == ("two scans", True)
     copy.write_text("something else")
     said = desk("archive", "pack", root, "--out", packed)
     assert (said.code, copy.read_text()) == (1, "something else")
@@ -146,7 +126,5 @@ def test_a_second_call_takes_nothing_away_from_one_that_is_still_writing(
     half.parent.mkdir(parents=True)
     half.write_text("{")
     with hold_lock(out):
-        assert desk("archive", verb, root, "--out", out).code == 1
-        assert half.exists()
-    assert desk("archive", verb, root, "--out", out).code == 0
-    assert not half.parent.exists()
+        assert (desk("archive", verb, root, "--out", out).code, half.exists()) == (1, True)
+    assert (desk("archive", verb, root, "--out", out).code, half.parent.exists()) == (0, False)

@@ -8,11 +8,11 @@ import sys
 from pathlib import Path
 from typing import Any
 
-SCANS = 10
+SCANS = 7
 
 
 def dive(root: Path) -> tuple[int, dict[str, Any]]:
-    words = ["sim", "--object", "plane", "--truth", "nominal", "--size", "400x300", "--root", str(root)]
+    words = ["sim", "--object", "plane", "--truth", "nominal", "--size", "320x240", "--root", str(root)]
     words += ["--chaos", "3", "--scans", str(SCANS), "--json"]
     ended = subprocess.run([sys.executable, "-m", "appliance.cli", *words], capture_output=True, text=True, check=False)
     assert ended.stdout, ended.stderr[-2000:]

@@ -13,14 +13,10 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-import cv2
-import numpy as np
 import pytest
 from packaging.requirements import Requirement
 
 from appliance.distribution import DISTRIBUTION
-from appliance.offline.anew.results import read_table
-from appliance.storage.scan import manifest_of
 from hw_sim.scene import Scene
 from tests.support.commands import ROOT
 from tests.support.foreign_sets import convention, make_set
@@ -128,54 +124,41 @@ def dive(tmp_path: Path) -> Path:
     return root
 
 
-def files(root: Path) -> dict[str, bytes]:
-    return {path.relative_to(root).as_posix(): path.read_bytes() for path in root.rglob("scans/*/*")}
-
-
 @pytest.mark.long
 @pytest.mark.timeout(2400)
 def test_a_desk_does_all_of_it_from_a_wheel_and_from_another_folder(desk: Desk, dive: Path, tmp_path: Path) -> None:
+    """What comes of each call say other tests; here is only asked whether it works with what is installed."""
+    code = "import importlib.util as u; print(*(u.find_spec(n) is not None for n in ('pytest', 'mypy', 'tests')))"
     listed = subprocess.run(
-        [str(desk.python), "-c", "import importlib.util as u; print(*(u.find_spec(n) is not None for n in ('pytest', 'mypy', 'tests')))"],
+        [str(desk.python), "-c", code],
         cwd=desk.folder, env=desk.environment, capture_output=True, text=True, timeout=60, check=True,
     )  # fmt: skip
     assert listed.stdout.split() == ["False"] * 3, "nothing of the developers' is there"
 
-    # Packed, compared, brought back, and one frame of it.
     packed, back = desk.folder / "packed", desk.folder / "back"
     assert desk.json("archive", "pack", dive, "--out", packed)["written"] == 2
-    assert desk.json("archive", "verify", packed)["damaged"] == 0
     desk("archive", "unpack", packed, "--out", back)
-    assert files(back) == files(dive)
+    files = [path.relative_to(dive) for path in dive.rglob("scans/*/*")]
+    assert all((back / name).read_bytes() == (dive / name).read_bytes() for name in files)
     desk("archive", "frame", packed / "scans" / "000002", "left", "bright", "--out", "frame.png")
-    frame = cv2.imread(str(desk.folder / "frame.png"), cv2.IMREAD_UNCHANGED)
-    assert frame is not None
-    names = manifest_of(dive / "scans" / "000002").record.sequence.patterns
-    np.testing.assert_array_equal(frame, np.load(dive / "scans" / "000002" / "frames_left.npy")[names.index("bright")])
-
-    # Worked through anew; a page of it.
     here = desk.json("reprocess", packed, "--out", "out")
     assert (here["done"], here["failed"], here["left"]) == (2, 0, 0)
     desk("season", here["table"], "--out", "season.html")
-    assert "2 of 2" in (desk.folder / "season.html").read_text(encoding="utf-8")
-    assert all(int(row["points"]) > 20_000 for row in read_table(desk.folder / here["table"]))
-
-    # For other programs.
-    for name in ("scan.e57", "scan.las", "scan.npz"):
-        desk("export", packed / "scans" / "000001", "--out", name)
-        assert (desk.folder / name).stat().st_size > 100_000
-    desk("export", packed / "scans" / "000001", "--mesh", "--out", "scan.stl")
-    assert (desk.folder / "scan.stl").stat().st_size > 100_000
-
-    # Images of another rig.
+    for name, more in (("scan.e57", ()), ("scan.las", ()), ("scan.npz", ()), ("scan.stl", ("--mesh",))):
+        desk("export", packed / "scans" / "000001", *more, "--out", name)
     foreign = make_set(convention("three-steps"), tmp_path / "foreign", 240)
-    said = desk.json("import", foreign.description, "--out", "foreign.ply")
-    header = (desk.folder / "foreign.ply").read_bytes()[:4000].partition(b"end_header")[0].decode()
-    assert f"element vertex {said['points']}\n" in header
-    assert said["points"] > 5000
-
-    # Two scans as one object, and the page about it.
+    assert desk.json("import", foreign.description, "--out", "foreign.ply")["points"] > 5000
     outs = ("--out", "shell.ply", "--out", "shell.html")
     desk("object", "solve", "shell", "000001", "000002", "--root", back, "--spacing", "1", *outs)
-    assert (desk.folder / "shell.ply").stat().st_size > 100_000
-    assert "plotly" in (desk.folder / "shell.html").read_text(encoding="utf-8")
+    made = (
+        "frame.png",
+        "season.html",
+        "scan.e57",
+        "scan.las",
+        "scan.npz",
+        "scan.stl",
+        "foreign.ply",
+        "shell.ply",
+        "shell.html",
+    )
+    assert all((desk.folder / name).stat().st_size > 5000 for name in made)

@@ -1,19 +1,16 @@
-"""A diver who goes where the screen points along a metre of pipe, once too far: scans overlap by half, and the desk makes one object of them."""
+"""A diver who goes where the screen points along a metre of pipe, once too far: scans overlap by half."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from appliance.calibration.file import encode
-from appliance.cli.main import main
 from appliance.config import Rig
 from appliance.machine.words import english
 from appliance.scan.guidance import LEAST_GOOD, MOST_GOOD
@@ -21,7 +18,6 @@ from appliance.screens.painter import Painter
 from appliance.screens.views import AimView, AnyView, MenuView, ReviewView
 from appliance.service.app import run
 from appliance.service.keys import KeyReader
-from appliance.storage import objects
 from appliance.storage.library import Library, LibraryFolder
 from appliance.storage.manifest import read
 from drivers.api import KeyEvent, KeyPress
@@ -31,7 +27,7 @@ from hw_sim.people.follower import follow
 from hw_sim.people.operator import Operator
 from hw_sim.world import true_rig
 from tests.integration.dived import instrument
-from tests.support.truth import left_to_rig, true_calibration
+from tests.support.truth import left_to_rig
 
 Array = NDArray[np.float64]
 
@@ -95,18 +91,26 @@ end
 @dataclass(frozen=True)
 class GuidedDive:
     rig: Rig
-    aimed: tuple[str, ...]
-    """Words of the guidance as they were drawn."""
-    reviewed: tuple[str, ...]
-    """Words about the overlap as they were drawn."""
     poses: tuple[tuple[float, ...], ...]
     """Of the scans that were kept."""
     told: tuple[KeyPress | AnyView, ...]
-    """Presses as they were heard and views as they were drawn, up to MENU and back."""
+    """Presses as they were heard and views as they were drawn."""
 
     @property
     def library(self) -> Library:
         return Library(self.rig.storage.root)
+
+    @property
+    def aimed(self) -> set[str]:
+        """Words of the guidance as they were drawn."""
+        aimed = (view for view in self.told if isinstance(view, AimView))
+        return {view.guidance.whole for view in aimed if view.guidance is not None}
+
+    @property
+    def reviewed(self) -> list[str]:
+        """Words about the overlap as they were drawn."""
+        reviewed = (view for view in self.told if isinstance(view, ReviewView))
+        return list(dict.fromkeys(english(view.overlap.words) for view in reviewed if view.overlap is not None))
 
     def clouds(self) -> list[Array]:
         """Return the points of every kept scan in the main's own frame, mm."""
@@ -123,8 +127,6 @@ class GuidedDive:
 def dive(tmp_path_factory: pytest.TempPathFactory) -> GuidedDive:
     folder = tmp_path_factory.mktemp("guided")
     rig = instrument(folder, SCRIPT, object_name="main", texture="slight", truth="nominal", seed=3)
-    aimed: list[str] = []
-    reviewed: list[str] = []
     followed: list[tuple[float, ...]] = []
     told: list[KeyPress | AnyView] = []
     draw, take = Painter.draw, KeyReader.take
@@ -136,10 +138,6 @@ def dive(tmp_path_factory: pytest.TempPathFactory) -> GuidedDive:
 
     def drawn(painter: Painter, view: AnyView, time_s: float) -> NDArray[np.uint8]:
         told.append(view)
-        if isinstance(view, AimView) and view.guidance is not None:
-            aimed.append(view.guidance.whole)
-        elif isinstance(view, ReviewView) and view.overlap is not None:
-            reviewed.append(english(view.overlap.words))
         return draw(painter, view, time_s)
 
     def seen(diver: Operator, step_mm: float, timeout_s: float) -> bool:
@@ -152,7 +150,7 @@ def dive(tmp_path_factory: pytest.TempPathFactory) -> GuidedDive:
         patch.setattr(KeyReader, "take", taken)
         patch.setattr(script, "follow", seen)
         assert run(rig) == 0
-    return GuidedDive(rig, tuple(dict.fromkeys(aimed)), tuple(dict.fromkeys(reviewed)), (FIRST, *followed), tuple(told))
+    return GuidedDive(rig, (FIRST, *followed), tuple(told))
 
 
 def shares(clouds: Sequence[Array]) -> list[float]:
@@ -178,10 +176,11 @@ def test_who_follows_the_arrow_takes_scans_that_overlap_by_half_and_the_screen_s
 
 
 def test_no_key_in_the_menu_keeps_anyone_waiting(dive: GuidedDive) -> None:
-    answered = 0
+    answered, before = 0, None
     for number, what in enumerate(dive.told):
-        before = next((view for view in reversed(dive.told[:number]) if not isinstance(view, KeyPress)), None)
-        if isinstance(what, KeyPress) and isinstance(before, MenuView):
+        if not isinstance(what, KeyPress):
+            before = what
+        elif isinstance(before, MenuView):
             after = [view for view in dive.told[number + 1 : number + 12] if not isinstance(view, KeyPress)]
             pictures = next((k for k, view in enumerate(after, 1) if answers(before, view)), len(after) + 1)
             assert pictures <= MOST_PICTURES, f"{what} over {before}: answered by picture {pictures}"
@@ -197,29 +196,7 @@ def answers(before: MenuView, after: AnyView) -> bool:
 
 
 def test_every_scan_carries_the_objects_number_and_the_overlap_costs_the_worker_little(dive: GuidedDive) -> None:
-    manifests = [entry.manifest for entry in dive.library.entries()]
-    assert {manifest.record.object for manifest in manifests if manifest is not None} == {1}
-    (rejected,) = dive.library.entries(LibraryFolder.REJECTED)
-    assert read(rejected.folder).record.object == 1
-    spent = [one.record.stage_times_s["overlap_cpu"] for one in manifests[1:] if one is not None]
-    assert float(np.median(spent)) < CPU_S
-
-
-def test_one_call_at_the_desk_makes_points_mesh_and_page_of_it(dive: GuidedDive, tmp_path: Path) -> None:
-    root = dive.rig.storage.root
-    truth = tmp_path / "truth.json"
-    truth.write_bytes(encode(true_calibration(true_rig(dive.rig.rig.wires_options))))
-    outs = [tmp_path / name for name in ("object.e57", "object.stl", "report.html")]
-    # Of the first view and the second a plain pipe is in common, along which they may slide.
-    scans = dive.library.ids()[1:]
-    words = ["object", "solve", "pipe", *scans, "--root", str(root), "--spacing", "1"]
-    words += ["--calibration", str(truth), "--foreign-calibration"]
-    assert main([*words, *(word for out in outs for word in ("--out", str(out)))]) == 0
-    assert [out.stat().st_size > 10_000 for out in outs] == [True] * 3
-    stored = objects.read(root, "pipe")
-    assert stored.places is not None
-    assert list(stored.places.places) == scans
-    first, last = (np.array(place.middle_mm) for place in stored.places.places.values())
-    _, one, other = dive.clouds()
-    true_mm = float(np.linalg.norm(np.median(other, axis=0) - np.median(one, axis=0)))
-    assert float(np.linalg.norm(last - first)) == pytest.approx(true_mm, abs=6.0)
+    shelves = (LibraryFolder.SCANS, LibraryFolder.REJECTED)
+    *kept, rejected = [read(entry.folder).record for shelf in shelves for entry in dive.library.entries(shelf)]
+    assert {record.object for record in (*kept, rejected)} == {1}
+    assert float(np.median([record.stage_times_s["overlap_cpu"] for record in kept[1:]])) < CPU_S

@@ -35,35 +35,31 @@ LEFT_BEHIND: Mapping[str, dict[str, Any]] = {
     "alvium": {"OffsetX": 40, "ExposureAuto": "Continuous", "LineMode[Line0]": "Output"},
 }
 """What the last owner of these cameras saved in them."""
-NAMES = {"blackfly": "FLIR Blackfly S", "ace": "Basler a2A1920", "alvium": "Allied Vision 1800 U"}
-SOURCE = {"usual": None, "blackfly": None, "ace": "Line1", "alvium": None}
 
 
 def instrument_of(folder: Path, left: str, right: str, script: str, features: Mapping[str, Any] | None = None) -> Rig:
     """Return a rig with cameras of these makers, used ones; ``features``: of the left one in the rig file."""
     rig = instrument(folder, script, object_name="pipe", truth="nominal", seed=11)
     makers = {"left": left, "right": right}
-    power_on = {side: {"personality": one, "saved": LEFT_BEHIND.get(one, {})} for side, one in makers.items()}
-    if right == "usual":
-        del power_on["right"]["saved"]
+    power_on = {side: {"personality": one, "saved": LEFT_BEHIND[one]} for side, one in makers.items()}
+    source = {side: "Line1" if one == "ace" else None for side, one in makers.items()}
     cameras = replace(
         rig.camera,
-        left=replace(rig.camera.left, trigger_source=SOURCE[left], features=features or {}),
-        right=replace(rig.camera.right, trigger_source=SOURCE[right]),
+        left=replace(rig.camera.left, trigger_source=source["left"], features=features or {}),
+        right=replace(rig.camera.right, trigger_source=source["right"]),
     )
-    return replace(
-        rig, camera=cameras, rig=replace(rig.rig, wires_options={**rig.rig.wires_options, "cameras": power_on})
-    )
+    wires = {**rig.rig.wires_options, "cameras": power_on}
+    return replace(rig, camera=cameras, rig=replace(rig.rig, wires_options=wires))
 
 
-@pytest.mark.parametrize(("left", "right"), [("blackfly", "ace"), ("alvium", "usual")])
-def test_an_instrument_with_used_cameras_is_checked_and_scans(tmp_path: Path, left: str, right: str) -> None:
-    rig = instrument_of(tmp_path, left, right, KEPT)
+def test_an_instrument_with_used_cameras_is_checked_and_scans(tmp_path: Path) -> None:
+    rig = instrument_of(tmp_path, "blackfly", "ace", KEPT)
     calibrate_exactly(rig)
     ashore = {name: value for name, value in rig.rig.wires_options.items() if name != "script"}
     found = {health.device: health for health in check(replace(rig, rig=replace(rig.rig, wires_options=ashore)))}
     assert all(health.ok for health in found.values()), found
-    assert NAMES[left] in found["camera.left"].details["model"]
+    models = [found[f"camera.{side}"].details["model"] for side in ("left", "right")]
+    assert ("FLIR Blackfly S" in models[0], "Basler a2A1920" in models[1]) == (True, True)
     assert run(rig) == 0
     off_mm = off_surface_mm(rig, Library(rig.storage.root).ids()[-1])
     assert len(off_mm) > 40_000
@@ -74,10 +70,8 @@ def test_an_instrument_with_used_cameras_is_checked_and_scans(tmp_path: Path, le
     ("maker", "features", "code", "told"),
     [
         ("blackfly", {"TriggerOverlap": "Off"}, "CAMERA_TOO_SLOW", "one for every 2 pulses"),
-        ("ace", {"TriggerSelector": "FrameBurstStart", "TriggerMode": "On"}, "CAMERA_SILENT", "trigger_source"),
         ("blackfly", {"TriggerDelay": 3000.0}, "SYNC_LOST", "ms late"),
         ("alvium", {"ReverseX": True}, "PICTURE_MIRRORED", "sees the picture mirrored left to right"),
-        ("blackfly", {"LUTEnable": True}, "GREY_BENT", "LUTEnable = false"),
         ("blackfly", {"ExposureAuto": "Continuous"}, "CAMERA_REFUSED", "ExposureTime: 12000 refused"),
     ],
 )  # fmt: skip

@@ -7,7 +7,6 @@
     given fault camera.left slow                 before: what is broken when the power comes on
     given disk 40                                before: the storage is a disk of its own, of so many MB
     given calibrated                             before: a calibration in water that is exactly right (of the nominal rig)
-    given the calibration of KF-0007             before: the same, of another instrument; where it was calibrated, in its place
     power cut                                    in the dive: the machine is off at that moment; what follows is the next start
     ends * is gone *                             in the dive: the program ends with these words; what follows is the next start
     ...                                          the dive: a diver's script (docs/protocols/world.md)
@@ -17,7 +16,6 @@
     after damaged 000007                         and no other
     after dated 2026-11-20T10:00 in 000001       how its date begins, which somebody kept; undated: nobody did
     after salinity 35 in 000001                  g/kg, of the water that it was measured in
-    after measured with design in 000001         the calibration that it names: current or kept (of the files there), or no file
 
 Every scan that the screen called SAVED must be there and whole, whether the text says so or not.
 """
@@ -36,7 +34,6 @@ from typing import Any
 
 import pytest
 
-from appliance.calibration.file import load
 from appliance.cli.simrig import default_sim_rig
 from appliance.config import load_rig
 from appliance.instrument import design_of
@@ -50,8 +47,8 @@ SHELVES = {"saved": LibraryFolder.SCANS, "rejected": LibraryFolder.REJECTED, "se
 PATTERNS = {
     "world": r"world( \w+=\S+)+",
     "rig": r"rig( [\w.]+=\S+)+",
-    "given": r"given (nonsense in \S+|fault .+|disk \d+|calibrated|the calibration of \S+)",
-    "after": r"after ((saved|rejected|set-aside) \d+|verdict [\w-]+ (passed|failed) in \d{6}|damaged \d{6}|(dated|undated|salinity) \S+ in \d{6}|measured with (current|kept|design) in \d{6})",
+    "given": r"given (nonsense in \S+|fault .+|disk \d+|calibrated)",
+    "after": r"after ((saved|rejected|set-aside) \d+|verdict [\w-]+ (passed|failed) in \d{6}|damaged \d{6}|(dated|undated|salinity) \S+ in \d{6})",
 }
 
 
@@ -115,12 +112,9 @@ def play(scenario: Scenario, folder: Path) -> Library:
     script, rig_file = folder / "dive.script", folder / "rig.toml"
     rig_file.write_text(_rig_text(scenario), encoding="utf-8")
     rig = load_rig(rig_file)
-    exact = replace(design_of(rig), method="bundle", made_at="2026-11-20T10:00:00+00:00")
-    calibrations = Calibrations(root, rig.rig.serial)
     if "calibrated" in scenario.given:
-        calibrations.install(exact, "2026-11-20")
-    for serial in scenario.given_words("the calibration of"):
-        calibrations.install(replace(exact, rig_serial=serial), "2026-11-21")
+        exact = replace(design_of(rig), method="bundle", made_at="2026-11-20T10:00:00+00:00")
+        Calibrations(root, rig.rig.serial).install(exact, "2026-11-20")
     options = {**rig.rig.wires_options, "script": str(script), "status": str(root / "run" / "status.json")}
     *cut_short, (last, _) = scenario.starts
     for part, ends in cut_short:
@@ -188,23 +182,11 @@ def judge(scenario: Scenario, library: Library) -> list[str]:
                 water = _record(library, scan_id).water
                 if water["salinity_psu"] != float(psu):
                     wrong.append(f"{' '.join(words)}: {water}")
-            case ("measured", "with", which, "in", scan_id):
-                used = _record(library, scan_id).calibration_hash
-                if used is None or _origin(library.root, used) != which:
-                    wrong.append(f"{' '.join(words)}: {used}")
             case (shelf, number):
                 found = [entry.scan_id for entry in library.entries(SHELVES[shelf])]
                 if len(found) != int(number):
                     wrong.append(f"{' '.join(words)}: there are {found}")
     return wrong
-
-
-def _origin(root: Path, calibration_hash: str) -> str:
-    """Which file has the calibration of that hash; that of the design is in none."""
-    folder = root / "calibration"
-    if any(load(path).hash == calibration_hash for path in (folder / "kept").glob("*.json")):
-        return "kept"
-    return "current" if load(folder / "current.json").hash == calibration_hash else "design"
 
 
 def _rig_text(scenario: Scenario) -> str:

@@ -13,14 +13,7 @@ from drivers.api import CameraSettings, Wires
 from drivers.board import TriggerBoard
 from drivers.camera import UsbVisionCamera
 from drivers.keys import HidKeypad
-from drivers.rig import (
-    BoardSpec,
-    CameraSpec,
-    KeysSpec,
-    open_board,
-    open_keys,
-    open_wires,
-)
+from drivers.rig import BoardSpec, CameraSpec, KeysSpec, open_board, open_keys, open_wires
 from hw_sim.world import World, WorldOptions
 
 WIDTH, HEIGHT = 160, 120

@@ -42,51 +42,44 @@ WAYWARD = {
     "gain_auto": "Continuous", "acquisition_mode": "SingleFrame", "offset_x_px": 16, "offset_y_px": 8, "keeps_stale": True,
 }  # fmt: skip
 """The same of the usual camera, which keeps frames of an earlier stream besides."""
-NAMED_LINE = {"ace": "Line1"}
 
 
 @contextmanager
-def opened(name: str, power_on: dict[str, Any], **spec: Any) -> Iterator[tuple[UsbVisionCamera, Any, Any]]:
+def opened(
+    name: str, power_on: dict[str, Any], size_px: tuple[int, int] = (WIDTH, HEIGHT), **spec: Any
+) -> Iterator[tuple[UsbVisionCamera, Any, Any]]:
     options = WorldOptions(
-        world=name, width_px=WIDTH, height_px=HEIGHT, noise=False, ambient=0.2, cameras={"left": power_on}
+        world=name, width_px=size_px[0], height_px=size_px[1], noise=False, ambient=0.2, cameras={"left": power_on}
     )
     with World(options), open_wires("hw_sim.wires:open", {"world": name}) as wires, ExitStack() as stack:
-        camera = stack.enter_context(
-            UsbVisionCamera.open(CameraSpec("camera.left", "KF-CAM-L", **spec), wires.usb_backend, wires.clock)
-        )
+        wanted = CameraSpec("camera.left", "KF-CAM-L", **spec)
+        camera = stack.enter_context(UsbVisionCamera.open(wanted, wires.usb_backend, wires.clock))
         board = stack.enter_context(open_board(BoardSpec(f"kfsim://{name}/board"), wires))
         yield camera, board, wires.clock
 
 
-def recorded(camera: UsbVisionCamera, board: Any, clock: Any) -> tuple[NDArray[np.uint8], list[int]]:
+def recorded(camera: UsbVisionCamera, board: Any, clock: Any) -> tuple[NDArray[np.uint8], list[int | None]]:
     """Return the last of some frames at 60 Hz, and the block ids of all; the camera's clock is asked for none."""
+    camera.configure(SETTINGS)
     camera.start()
     clock.sleep_s(0.05)
     board.live(1, *PULSE_US)
     image = np.zeros((HEIGHT, WIDTH), np.uint8)
-    ids: list[int] = []
-    stamps_ns: list[int] = []
-    for _ in range(FRAMES):
-        frame = camera.next_frame(image, 1.0)
-        assert frame.status is FrameStatus.COMPLETE, frame.detail
-        assert frame.block_id is not None
-        assert frame.camera_time_ns is not None
-        ids.append(frame.block_id)
-        stamps_ns.append(frame.camera_time_ns)
+    frames = [camera.next_frame(image, 1.0) for _ in range(FRAMES)]
     board.stop()
     camera.stop()
+    assert [frame.status for frame in frames] == [FrameStatus.COMPLETE] * FRAMES, frames
     # Frames that are lost need not leave a gap in the ids.
-    apart_ms = np.diff(stamps_ns) / 1e6
+    apart_ms = np.diff([frame.camera_time_ns or 0 for frame in frames]) / 1e6
     assert np.all(np.abs(apart_ms - 1000 / 60) < 2.0), apart_ms
-    return image.copy(), ids
+    return image, [frame.block_id for frame in frames]
 
 
 @pytest.fixture(scope="module")
 def usual() -> NDArray[np.uint8]:
     """The picture that the usual camera takes: light on a thing with a texture, not two alike in the row or the column."""
-    with opened("makers-usual", {}) as (camera, board, clock):
-        camera.configure(SETTINGS)
-        image, _ = recorded(camera, board, clock)
+    with opened("makers-usual", {}) as parts:
+        image, _ = recorded(*parts)
     light = image.astype(float)
     for other in (light[:, ::-1], light[::-1], np.roll(light, 8, 1)):
         assert np.abs(light - other).mean() > 4.0, "a picture that would not tell"
@@ -103,11 +96,10 @@ def test_a_makers_camera_takes_the_usual_picture_at_the_usual_moments(
         power_on = WAYWARD
     elif used:
         power_on |= {"saved": LEFT_BEHIND[maker], "lacks": ["UserSetLoad"], **STREAM_LEFT[maker]}
-    with opened(f"makers-{maker}-{used}", power_on, trigger_source=NAMED_LINE.get(maker)) as (camera, board, clock):
-        camera.configure(SETTINGS)
-        assert ("no user sets" in camera.health().details.get("not offered", "")) == used
-        image, ids = recorded(camera, board, clock)
-    assert ids == list(range(ids[0], ids[0] + FRAMES))
+    with opened(f"makers-{maker}-{used}", power_on, trigger_source="Line1" if maker == "ace" else None) as parts:
+        image, ids = recorded(*parts)
+        assert ("no user sets" in parts[0].health().details.get("not offered", "")) == used
+    assert ids == list(range(FRAMES))
     # Black levels differ by two grey values.
     assert np.abs(image.astype(int) - usual.astype(int)).max() <= 4
 
@@ -115,23 +107,16 @@ def test_a_makers_camera_takes_the_usual_picture_at_the_usual_moments(
 @pytest.mark.parametrize("pixel_format", ["Mono10p", "Mono12"])
 def test_more_bits_are_the_same_picture(pixel_format: str, usual: NDArray[np.uint8]) -> None:
     with opened(f"makers-{pixel_format}", {"personality": "alvium"}, pixel_format=pixel_format) as parts:
-        camera, board, clock = parts
-        camera.configure(SETTINGS)
-        image, _ = recorded(camera, board, clock)
+        image, _ = recorded(*parts)
     assert np.abs(image.astype(int) - usual.astype(int)).max() <= 4
 
 
 def test_images_that_a_host_refuses_whole_come_in_pieces_from_the_next_start_on() -> None:
     size_px = 1200, 900  # a little more than the MiB that the host takes
-    options = WorldOptions("pieces", "nominal", 1, *size_px, cameras={"left": {"largest_transfer_bytes": 1 << 20}})
-    with World(options), open_wires("hw_sim.wires:open", {"world": "pieces"}) as wires, ExitStack() as stack:
-        camera = stack.enter_context(
-            UsbVisionCamera.open(CameraSpec("camera.left", "KF-CAM-L"), wires.usb_backend, wires.clock)
-        )
+    statuses = []
+    with opened("pieces", {"largest_transfer_bytes": 1 << 20}, size_px) as (camera, board, _):
         camera.configure(CameraSettings(*size_px, 2000.0, 0.0))
-        board = stack.enter_context(open_board(BoardSpec("kfsim://pieces/board"), wires))
-        statuses = []
-        for _ in range(2):
+        for _start in range(2):
             camera.start()
             board.live(6, *PULSE_US)
             image = np.zeros(size_px[::-1], np.uint8)
