@@ -73,8 +73,3 @@ def debian(folder: Path) -> Iterator[Path]:
         yield folder
     finally:
         shutil.rmtree(folder)
-
-
-def as_service(root: Path, *command: object, check: bool = True) -> subprocess.CompletedProcess[str]:
-    user = ("chroot", "--userspec=kingfisher:kingfisher", root, "env", "-i", "PATH=/usr/local/bin:/usr/bin:/bin")
-    return run(*user, "CACHE_DIRECTORY=/var/cache/kingfisher", *command, check=check)

@@ -16,7 +16,8 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[2]
+from tests.support.commands import ROOT, kingfisher
+
 SMALL_RIG = ROOT / "hw_sim" / "rigs" / "small.toml"
 WATCHDOG_S = 2.0
 START_S = 120.0
@@ -49,21 +50,24 @@ class Supervised:
 def supervised(folder: Path) -> Iterator[Supervised]:
     """``kingfisher sim`` with a manager's environment."""
     address = folder / "notify"
+    words = ("sim", "--rig", SMALL_RIG, "--root", folder / "root", "--seed", "3")
+    environment = {"NOTIFY_SOCKET": str(address), "WATCHDOG_USEC": str(int(WATCHDOG_S * 1e6))}
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listening, (folder / "stderr").open("w") as stderr:
         listening.bind(str(address))
         process = subprocess.Popen(
-            [sys.executable, "-m", "appliance.cli", "sim", "--rig", SMALL_RIG, "--root", folder / "root", "--seed", "3"],
-            cwd=ROOT, stdout=subprocess.DEVNULL, stderr=stderr, text=True,
-            env={
-                **os.environ, "NOTIFY_SOCKET": str(address), "WATCHDOG_USEC": str(int(WATCHDOG_S * 1e6)),
-                "RUNTIME_DIRECTORY": str(folder), "INVOCATION_ID": "4711",
-            },
+            [sys.executable, "-m", "appliance.cli", *map(str, words)],
+            cwd=ROOT, stdout=subprocess.DEVNULL, stderr=stderr, text=True, env=os.environ | of_manager(folder) | environment,
         )  # fmt: skip
         try:
             yield Supervised(process, listening, folder / "root")
         finally:
             process.kill()
             process.wait(30)
+
+
+def of_manager(folder: Path) -> dict[str, str]:
+    """What a service finds in its environment."""
+    return {"RUNTIME_DIRECTORY": str(folder), "INVOCATION_ID": "4711"}
 
 
 def test_a_main_loop_that_hangs_falls_silent_and_says_where_when_it_is_ended(tmp_path: Path) -> None:
@@ -77,12 +81,11 @@ def test_a_main_loop_that_hangs_falls_silent_and_says_where_when_it_is_ended(tmp
         deadline_s = time.monotonic() + START_S
         while service.next(WATCHDOG_S) is not None:
             assert time.monotonic() < deadline_s, "it never fell silent"
-        assert service.process.poll() is None  # it hangs: all its other threads are well
+        assert service.process.poll() is None, "it hangs: all its other threads are well"
         service.process.send_signal(signal.SIGABRT)  # as the manager does
         assert service.process.wait(30) == -signal.SIGABRT
     main_thread = (tmp_path / "stderr").read_text().partition("Current thread")[2]
-    assert "storage/status.py" in main_thread
-    assert "in beat" in main_thread
+    assert ("storage/status.py" in main_thread, "in beat" in main_thread) == (True, True)
 
 
 @pytest.mark.dive
@@ -105,16 +108,12 @@ def test_it_runs_through_its_self_test_and_ends_when_asked(tmp_path: Path) -> No
     ],
 )
 def test_what_keeps_it_from_starting_is_left_for_the_safe_screen(
-    tmp_path: Path, right: str, wrong: str, kind: str, words: str
+    tmp_path: Path, right: str, wrong: str, kind: str, words: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rig = tmp_path / "rig.toml"
     rig.write_text(SMALL_RIG.read_text().replace(right, wrong))
-    done = subprocess.run(
-        [sys.executable, "-m", "appliance.cli", "run", "--rig", rig],
-        cwd=ROOT, capture_output=True, text=True, timeout=120, check=False,
-        env={**os.environ, "RUNTIME_DIRECTORY": str(tmp_path), "INVOCATION_ID": "4711"},
-    )  # fmt: skip
-    assert done.returncode in (1, 2)
+    for name, value in of_manager(tmp_path).items():
+        monkeypatch.setenv(name, value)
+    assert kingfisher("run", "--rig", rig).code in (1, 2)
     left = json.loads((tmp_path / "last-words.json").read_text())
-    assert (left["invocation"], left["kind"]) == ("4711", kind)
-    assert words in left["text"]
+    assert (left["invocation"], left["kind"], words in left["text"]) == ("4711", kind, True)

@@ -48,18 +48,14 @@ def settings(name: str) -> dict[str, list[str]]:
 
 
 @needs_systemd
-@pytest.mark.parametrize(("key", "spoilt"), [("RestartSec=", "RestartSec="), ("RestartSec=", "RestartSecs=")])
-def test_systemd_accepts_the_units_and_would_notice_a_misspelt_key(tmp_path: Path, key: str, spoilt: str) -> None:
+@pytest.mark.parametrize("spoilt", ["RestartSec=", "RestartSecs="])
+def test_systemd_accepts_the_units_and_would_notice_a_misspelt_key(tmp_path: Path, spoilt: str) -> None:
     """It ends with 0 even on keys it does not know."""
     for name in UNITS:
         text = ON_INSTRUMENT.sub(r"\1/bin/true", (SYSTEMD / name).read_text())
-        (tmp_path / name).write_text(text.replace(key, spoilt))
-    said = [
-        line
-        for line in analyzed("verify", "--man=no", *UNITS, cwd=tmp_path).stderr.splitlines()
-        if "kingfisher" in line
-    ]
-    assert bool(said) == (key != spoilt), said
+        (tmp_path / name).write_text(text.replace("RestartSec=", spoilt))
+    said = analyzed("verify", "--man=no", *UNITS, cwd=tmp_path).stderr
+    assert ("kingfisher" in said) == (spoilt != "RestartSec="), said
 
 
 @needs_systemd
@@ -92,9 +88,7 @@ def test_the_program_understands_the_command_of_the_unit(tmp_path: Path, capsys:
     (command,) = settings("kingfisher.service")["ExecStart"]
     missing = str(tmp_path / "rig.toml")
     arguments = [missing if word.endswith(".toml") else word for word in command.split()[1:]]
-    assert missing in arguments
-    assert main(arguments) == 2
-    assert missing in capsys.readouterr().err
+    assert (missing in arguments, main(arguments), missing in capsys.readouterr().err) == (True, 2, True)
     assert settings("kingfisher.service")["RestartPreventExitStatus"] == ["2"]  # it would be refused again
 
 

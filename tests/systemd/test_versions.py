@@ -93,29 +93,26 @@ def test_power_fails_while_a_version_is_accepted(there: Installation) -> None:
         assert versions.installed(there.layout) == ("new", "old")
 
 
-def test_a_half_made_version_is_never_used(there: Installation) -> None:
-    (there.layout.version("new") / versions.COMPLETE).unlink()
+def test_a_half_made_version_is_never_used_and_a_damaged_trial_file_does_not_stop_the_instrument(
+    there: Installation,
+) -> None:
+    whole = there.layout.version("new") / versions.COMPLETE
+    name = whole.read_text()
+    whole.unlink()
     with pytest.raises(SetupError, match="not a whole version"):
         versions.try_out(there.layout, "new")
     assert versions.settle(there.layout) is None
     assert versions.current(there.layout) == there.unit() == "old"
-
-
-def test_a_damaged_trial_file_does_not_stop_the_instrument(there: Installation) -> None:
+    whole.write_text(name)
     versions.try_out(there.layout, "new")
     there.layout.trial.write_text('{"version": [')
-    assert versions.settle(there.layout) is None
-    assert versions.current(there.layout) == "new"
+    assert (versions.settle(there.layout), versions.current(there.layout)) == (None, "new")
     assert not there.layout.trial.exists()
 
 
 def test_two_setups_do_not_work_at_once(there: Installation) -> None:
-    with (
-        versions.locked(there.layout),
-        pytest.raises(SetupError, match="another setup"),
-        versions.locked(there.layout),
-    ):
-        pass
+    with versions.locked(there.layout), pytest.raises(SetupError, match="another setup"):
+        versions.locked(there.layout).__enter__()
     with versions.locked(there.layout):
         assert versions.current(there.layout) == "old"
 
