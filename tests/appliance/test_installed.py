@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import importlib
 import re
-import shutil
 import signal
-import site
 import subprocess
 import sys
 import tomllib
-import venv
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -110,46 +107,12 @@ print("numba" in before, kingfisher.__file__, appliance.__file__)
 """
 
 
-@pytest.fixture
-def tree(tmp_path: Path) -> Path:
-    made = tmp_path / "tree"
-    made.mkdir()
-    for name in ("pyproject.toml", "README.md", "LICENSE"):
-        shutil.copy(ROOT / name, made)
-    for name in ("appliance", "drivers", "hw_sim"):
-        shutil.copytree(ROOT / name, made / name, ignore=shutil.ignore_patterns("__pycache__"))
-    return made
-
-
-@pytest.fixture
-def python(tmp_path: Path) -> Path:
-    """The interpreter of a new environment that sees this one's packages, and nothing that is installed in place here."""
-    venv.create(tmp_path / "venv", with_pip=False)
-    (packages,) = (tmp_path / "venv").glob("lib/python*/site-packages")
-    # A folder that a .pth file names is only searched: the .pth files within, by which this tree is installed, do not count.
-    (packages / "others.pth").write_text("\n".join(site.getsitepackages()))
-    return tmp_path / "venv/bin/python"
-
-
-def said(*words: object, cwd: Path) -> str:
-    done = subprocess.run(
-        [str(word) for word in words], cwd=cwd, capture_output=True, text=True, timeout=280, check=False,
-        env={"PATH": "/usr/bin:/bin", "HOME": str(cwd), "NUMBA_CACHE_DIR": str(cwd / "numba")},
-    )  # fmt: skip
-    assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
-    return done.stdout
-
-
-def installed(python: Path, tmp_path: Path, *what: object) -> tuple[str, Path, Path]:
-    pip = (sys.executable, "-m", "pip", "--disable-pip-version-check", "--python", python)
-    said(*pip, "install", "--no-deps", "--no-index", "--no-build-isolation", "--ignore-installed", *what, cwd=tmp_path)
-    early, package, program = said(python, "-c", CHECK, cwd=tmp_path).split()
-    return early, Path(package), Path(program)
-
-
-@pytest.mark.dive
-def test_from_a_source_tree_it_is_the_tree_itself(tree: Path, python: Path, tmp_path: Path) -> None:
-    early, package, program = installed(python, tmp_path, "-e", tree)
+def test_imported_from_a_source_tree_it_is_the_tree_itself(tmp_path: Path) -> None:
+    """As this environment has it, which no folder or variable leads to it."""
+    said = subprocess.run(
+        [sys.executable, "-I", "-c", CHECK], cwd=tmp_path, capture_output=True, text=True, timeout=100, check=True
+    )
+    early, package, program = said.stdout.split()
     assert early == "False", "nothing that computes is loaded before it is asked for"
-    assert package == tree / "appliance/python/kingfisher/__init__.py"
-    assert program == tree / "appliance/__init__.py"
+    assert Path(package) == ROOT / "appliance/python/kingfisher/__init__.py"
+    assert Path(program) == ROOT / "appliance/__init__.py"
