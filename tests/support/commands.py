@@ -45,12 +45,12 @@ class Said:
         return lines[0]
 
 
-def kingfisher(*words: object, most_bytes: int | None = None) -> Said:
-    """What the program said, in a process of its own; it can make no file larger than ``most_bytes``."""
+def kingfisher(*words: object, cwd: Path = ROOT, most_bytes: int | None = None, most_s: float = 240.0) -> Said:
+    """What the program said, in a process of its own; it can make no file larger than ``most_bytes``, and takes ``most_s`` at most."""
     limit = None if most_bytes is None else partial(resource.setrlimit, resource.RLIMIT_FSIZE, (most_bytes,) * 2)
     done = subprocess.run(
         [sys.executable, "-m", "appliance.cli", *map(str, words)],
-        cwd=ROOT, capture_output=True, text=True, timeout=240.0, check=False, preexec_fn=limit,
+        cwd=cwd, capture_output=True, text=True, timeout=most_s, check=False, preexec_fn=limit,
     )  # fmt: skip
     assert "Traceback" not in done.stderr, done.stderr
     return Said(done.returncode, done.stdout, done.stderr)
