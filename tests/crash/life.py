@@ -1,16 +1,10 @@
-"""A process that does all that a dive does to the disk, again and again, until it is killed; says what it did.
-
-    python -m tests.crash.life ROOT SAID
-
-Reads ``SEED CALL`` lines, forks for each, answers the pid, and after the next line waits for its end.
-"""
+"""All that a dive does to the disk, until it dies at a call; says what it did."""
 
 from __future__ import annotations
 
 import os
 import random
 import signal
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -92,25 +86,3 @@ def live(root: Path, said: Path, seed: int, die_at: int) -> None:
             if session.kept is not None:
                 store.restore()
     say("CALLS", disk.calls)
-
-
-def main() -> None:
-    """Serve lives until the input ends."""
-    root, said = Path(sys.argv[1]), Path(sys.argv[2])
-    Calibrations(root, SERIAL).install(OLD, "2026-11-20")
-    while line := sys.stdin.readline():
-        seed, die_at = map(int, line.split())
-        pid = os.fork()
-        if pid == 0:
-            try:
-                live(root, said, seed, die_at)
-            finally:
-                os._exit(0)
-        print(pid, flush=True)
-        sys.stdin.readline()
-        os.waitpid(pid, 0)
-        print("ended", flush=True)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,16 +1,13 @@
 """The process is killed at any moment of a dive: every scan it called saved is there, whole, under its own number.
 
-One process has everything loaded and is forked for each life, so that many deaths take seconds. A life dies by its own SIGKILL at the
-n-th call that changes the disk (in the middle of a write, where that is one), or from outside at a moment drawn at random.
+Each life is a fork of this process, so that many deaths take seconds. It dies by its own SIGKILL at the n-th call that changes the
+disk (in the middle of a write, where that is one), or from outside at a moment drawn at random.
 """
 
 from __future__ import annotations
 
-import os
+import multiprocessing
 import random
-import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -19,39 +16,25 @@ from appliance.storage.calibrations import Calibrations
 from appliance.storage.health import HealthFile
 from appliance.storage.library import Library, LibraryFolder
 from tests.appliance.storage.scenes import ORIGIN, frames, record
-from tests.crash.life import CALIBRATIONS, HASH, SERIAL
+from tests.crash.life import CALIBRATIONS, HASH, OLD, SERIAL, live
 
-ROOT = Path(__file__).parents[2]
+FORKED = multiprocessing.get_context("fork")
 BY_CALL, BY_TIME = 66, 20
 """Lives that die at a call, and at a moment."""
 
 
-class Lives:
-    """Starts one life after the other under a storage root, and reads what each said before it died."""
-
-    def __init__(self, root: Path) -> None:
-        self._said = root.with_name("said")
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "tests.crash.life", str(root), str(self._said)],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=ROOT, env={"PYTHONPATH": str(ROOT)},
-        )  # fmt: skip
-
-    def end(self) -> None:
-        self._process.communicate(timeout=30)
-
-    def live(self, seed: int, die_at_call: int = -1, kill_after_s: float | None = None) -> list[str]:
-        """The words of one life; with neither way to die it ends by itself."""
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        self._said.write_text("")
-        print(seed, die_at_call, file=self._process.stdin, flush=True)
-        pid = int(self._process.stdout.readline())
-        if kill_after_s is not None:
-            time.sleep(kill_after_s)
-            os.kill(pid, signal.SIGKILL)  # not yet waited for by its parent: the number is still its own
-        print("waited", file=self._process.stdin, flush=True)
-        assert self._process.stdout.readline() == "ended\n"
-        return [line.rstrip(".") for line in self._said.read_text().splitlines() if line.endswith(".")]
+def lived(root: Path, seed: int, die_at_call: int = -1, kill_after_s: float | None = None) -> list[str]:
+    """The words of one life; with neither way to die it ends by itself."""
+    said = root.with_name("said")
+    said.write_text("")
+    process = FORKED.Process(target=live, args=(root, said, seed, die_at_call))
+    process.start()
+    if kill_after_s is not None:
+        time.sleep(kill_after_s)
+        process.kill()
+    process.join(60.0)
+    assert process.exitcode is not None
+    return [line.rstrip(".") for line in said.read_text().splitlines() if line.endswith(".")]
 
 
 class Book:
@@ -93,22 +76,22 @@ class Book:
 
 def test_sigkill_at_moments_spread_over_all_of_a_dive(tmp_path: Path) -> None:
     chance, died, root = random.Random(20), 0, tmp_path / "root"
-    book, lives = Book(root), Lives(root)
-    book.enter(lives.live(0))  # makes what the later ones find
+    Calibrations(root, SERIAL).install(OLD, "2026-11-20")
+    book = Book(root)
+    book.enter(lived(root, 0))  # makes what the later ones find
     begun = time.monotonic()
-    words = lives.live(0)
+    words = lived(root, 0)
     whole_s = time.monotonic() - begun
     (calls,) = (int(line.removeprefix("CALLS ")) for line in words if line.startswith("CALLS"))
     book.enter(words)
     for k in range(BY_CALL + BY_TIME):
         if k < BY_CALL:  # each stretch of the life once
-            words = lives.live(k, die_at_call=(k * calls) // BY_CALL if k % 2 else chance.randrange(calls))
+            words = lived(root, k, die_at_call=(k * calls) // BY_CALL if k % 2 else chance.randrange(calls))
         else:
-            words = lives.live(k, kill_after_s=chance.uniform(0.0, 1.2 * whole_s))
+            words = lived(root, k, kill_after_s=chance.uniform(0.0, 1.2 * whole_s))
         died += not any(line.startswith("CALLS") for line in words)
         book.enter(words)
         book.check_files()
-    lives.end()
     book.check_scans()
     assert died >= 60, "the lives ended before they were killed"
     assert len(book.said["SAVED"]) > 40
