@@ -90,27 +90,21 @@ def test_recordings_that_calibrate_nothing_are_refused(case: Case) -> None:
         calibrating.record_plane(case.truth, calibrating.CALIBRATION_BARS[0], "scrap", 20, 0.0, 1)
 
 
-REACH_MM = 2.0
-
-
 def upright(truth: TrueRig, off_mm: tuple[float, float]) -> tuple[TrueRig, Calibration]:
     """A rig with perpendicular ports, and its true calibration but for the interface distances."""
-    eyes = {
-        side: replace(truth.eye(side), port=replace(truth.eye(side).port, normal=(0.0, 0.0, 1.0)))
-        for side in ("left", "right")
-    }
-    straight = replace(truth, left=eyes["left"], right=eyes["right"])
+    left, right = (replace(one, port=replace(one.port, normal=(0.0, 0.0, 1.0))) for one in (truth.left, truth.right))
+    straight = replace(truth, left=left, right=right)
     calibration = true_calibration(straight)
-    cameras = [
+    first, second = (
         replace(camera, port=replace(camera.port, distance_mm=camera.port.distance_mm + off))
         for camera, off in zip((calibration.rig.left, calibration.rig.right), off_mm, strict=True)
-    ]
-    return straight, replace(calibration, rig=StereoRig(cameras[0], cameras[1]))
+    )
+    return straight, replace(calibration, rig=StereoRig(first, second))
 
 
 def test_distances_of_perpendicular_ports_are_found() -> None:
     truth, start = upright(hidden_rig("modelled", 4), (0.9, -0.7))
-    result = search_distances(calibration_recordings(truth, noise_px=0.0), start, reach_mm=REACH_MM)
+    result = search_distances(calibration_recordings(truth, noise_px=0.0), start, reach_mm=2.0)
     assert result.calibration.rig.left.port.distance_mm == pytest.approx(truth.left.port.d_mm, abs=0.15)
     assert result.calibration.rig.right.port.distance_mm == pytest.approx(truth.right.port.d_mm, abs=0.15)
     assert result.warnings == ()
