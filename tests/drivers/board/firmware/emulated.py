@@ -107,7 +107,8 @@ class Chip:
 
 
 ACCESS_CYCLES = 2 * US
-PERIOD_US = 16_667
+PERIOD_US = 5_000
+"""Syncs come more often than a projector's: a millisecond takes the emulator forty."""
 TIMER, WATCHDOG_SCRATCH, IO_BANK0 = 0x40054000, 0x4005800C, 0x40014000
 VSYNC_CTRL = IO_BANK0 + 8 * VSYNC + 4
 """Function and overrides of the sync's pin (RP2040 datasheet, table 285): bits 16 and 17 turn its input over."""
