@@ -57,7 +57,7 @@ def test_every_screen_and_every_alert_has_a_picture_and_a_place_on_the_page_and_
     assert there == wanted
     page = (DOCS / "screens.md").read_text(encoding="utf-8")
     assert sorted(re.findall(r"/golden/([\w.-]+)\)", page)) == sorted(wanted)
-    assert sum(path.stat().st_size for path in FOLDER.glob("*.png")) < 3.3e6
+    assert sum(path.stat().st_size for path in FOLDER.glob("*.png")) < 3.2e6
 
 
 def test_another_word_number_colour_or_place_is_noticed(made: Studio) -> None:

@@ -51,7 +51,8 @@ EVERY = (
 
 def write(path: Path, picture: Picture) -> None:
     """Write a small file, with 256 colours."""
-    Image.fromarray(picture).quantize(256, dither=Image.Dither.NONE).save(path, optimize=True)
+    reduced = Image.fromarray(picture).quantize(256, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+    reduced.save(path, optimize=True)
 
 
 def read(path: Path) -> Picture:
