@@ -13,7 +13,6 @@ import numba
 import numpy as np
 import pytest
 
-from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.label import Label
 from appliance.storage.library import Library, LibraryFolder, UnknownScan, entry_of
 from appliance.storage.manifest import Decision, Stage
@@ -218,25 +217,6 @@ def test_what_a_loss_of_power_damaged_costs_only_itself(empty: Library, name: st
     assert (stored.folder / f"{name}.partial").stat().st_size == 100, "nothing is deleted"
     assert (stored.folder / "preview.png").exists() == (name == "cloud.ply")
     assert (stored.folder / "frames_right_second.npy.partial").exists() == ("second" in name)
-
-
-class OneRefused(LocalFileSystem):
-    """Renames everything but one folder."""
-
-    def rename(self, source: Path, target: Path) -> None:
-        if source.name == ".000002" and target.parent != source:
-            raise OSError(5, "Input/output error")
-        super().rename(source, target)
-
-
-def test_one_scan_that_cannot_be_moved_does_not_keep_the_others_from_the_list(empty: Library) -> None:
-    for seed in range(3):
-        empty.begin(frames(seed), record(), ORIGIN)
-    outcome = Library(empty.root, OneRefused()).recover()
-    assert (outcome.recovered, outcome.rejected, outcome.set_aside) == (("000001", "000003"), (), ())
-    (failed,) = outcome.failed
-    assert "scans/000002" in failed
-    assert empty.recover().recovered == ("000002",)
 
 
 def test_a_scan_is_found_by_its_number_however_it_is_spelled(library: Library) -> None:
