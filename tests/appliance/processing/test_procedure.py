@@ -82,8 +82,7 @@ def test_who_needs_another_judge_needs_one_that_needs_none() -> None:
 
 def test_wrong_patterns_end_it_unless_wanted_all_the_same(processor: SequenceProcessor, still: RenderedScan) -> None:
     swapped = {side: frames.copy() for side, frames in still.frames.items()}
-    for frames in swapped.values():
-        frames[[4, 9]] = frames[[9, 4]]
+    swapped["left"][[4, 9]] = swapped["left"][[9, 4]]
     processor.begin(AcquisitionSettings())
     assert len(list(processor.push_all(swapped))) == N
     (only,) = processor.steps()

@@ -17,7 +17,7 @@ from appliance.registration.rigid import Rigid
 from tests.appliance.registration.test_graph import edge
 
 Array = NDArray[np.float64]
-SCANS, DRAWS = 6, 150
+SCANS, DRAWS = 6, 100
 STEP_MM = 60.0
 MIDDLE_MM = np.array([30.0, 0.0, 500.0])
 MIDDLES = {k: np.array([0.0, 0.0, 500.0]) for k in range(SCANS)}
@@ -103,7 +103,7 @@ def test_lengths_between_scans_err_by_what_is_stated(
         np.linalg.norm(measured(placed, second, q, shared) - measured(placed, first, p, shared)) - true
         for placed, shared in tried
     ]
-    # 150 draws know a standard deviation to 6 %; a factor that is never below 1 makes it a little larger than it need be.
-    assert 0.83 < float(np.std(off)) / sigma_mm < 1.13
+    # 100 draws know a standard deviation to 7 %; a factor that is never below 1 makes it a little larger than it need be.
+    assert 0.82 < float(np.std(off)) / sigma_mm < 1.15
     if first == second:
         assert stated.places_mm < 1e-9, "no place is between two points of one scan"

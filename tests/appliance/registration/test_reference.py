@@ -47,10 +47,10 @@ def block() -> list[Any]:
     ]
 
 
-def view(bodies: list[Any], corner: tuple[float, float] = (-1e3, -1e3), count: int = 6_000) -> OrientedPoints:
+def view(bodies: list[Any], corner: tuple[float, float] = (-1e3, -1e3)) -> OrientedPoints:
     """What is seen of the bodies from above, obliquely too, beyond a corner in x and y; in the view's frame."""
     nominal = heap(bodies)
-    places, face = spread_over(nominal, 2 * count)
+    places, face = spread_over(nominal, 8_000)
     normals = nominal.face_normals[face]
     hidden = np.zeros(len(places), bool)
     for low, high in (one.bounds for one in bodies[1:]):
@@ -85,7 +85,7 @@ def test_a_part_finds_its_place_on_a_drawing_in_any_frame() -> None:
 def test_what_fits_in_several_places_is_said_with_the_start_that_leads_to_each() -> None:
     frustum: Any = trimesh.creation.cylinder(radius=60.0, height=40.0, sections=4)
     frustum.vertices[frustum.vertices[:, 2] > 0.0, :2] *= 0.5
-    points, there_mm = view([frustum], count=5_000), np.array([3e5, 0.0, -2e3])
+    points, there_mm = view([frustum]), np.array([3e5, 0.0, -2e3])
     seen = cloud(points)
     nominal = NominalSurface("frustum", replace(heap([frustum]), origin_mm=there_mm))
     found = compare(seen, nominal)
@@ -107,6 +107,6 @@ def test_what_fits_in_several_places_is_said_with_the_start_that_leads_to_each()
 def test_another_thing_or_a_drawing_in_metres_is_refused_with_both_sizes() -> None:
     stone: Any = trimesh.creation.icosphere(subdivisions=3, radius=70.0)
     with pytest.raises(SurfaceMatchError, match=r"must: is it the same thing, in mm.* and 200 x 150 x 5\d"):
-        lay_onto(view([stone], count=4_000), reference(HERE))
+        lay_onto(view([stone]), reference(HERE))
     with pytest.raises(SurfaceMatchError, match=r"0\.2 x 0\.15 x 0\.05 mm; is the CAD model in metres"):
-        lay_onto(view(block(), count=4_000), reference(HERE, 0.001))
+        lay_onto(view(block()), reference(HERE, 0.001))

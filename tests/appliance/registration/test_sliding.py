@@ -30,7 +30,7 @@ def along(found: LaidOnto) -> float:
 
 @cache
 def searched() -> LaidOnto:
-    return laid(*pipe(120), view(20.0, 200.0, 8_000))
+    return laid(*pipe(120), view(20.0, 200.0, 4_000))
 
 
 def test_a_flange_in_view_holds_a_pipe_and_turning_it_changes_nothing() -> None:
@@ -44,7 +44,7 @@ def test_a_flange_in_view_holds_a_pipe_and_turning_it_changes_nothing() -> None:
 
 
 def test_a_start_is_kept_along_what_nothing_holds() -> None:
-    points = view(-200.0, 40.0, 8_000)
+    points = view(-200.0, 40.0, 4_000)
     start = TRUE.then(Rigid(np.eye(3), np.array([-SLID_MM, 0.5, -0.3])))
     found = laid(*pipe(90), points, start)
     assert along(found) == pytest.approx(-SLID_MM, abs=0.5)

@@ -297,8 +297,7 @@ def test_in_a_near_and_saturated_picture_a_wrong_gray_image_is_found_and_no_righ
     assert np.mean(bright[bright > 60] == 255) > 0.8
     assert judge_identity(frames, near.sequence).fault is None
     gray = near.sequence.axis(Direction.X).gray
-    for stack in frames.values():
-        stack[gray[4]] = stack[gray[3]]
+    frames["left"][gray[4]] = frames["left"][gray[3]]
     assert code(judge_identity(frames, near.sequence)) is FaultCode.PATTERN_WRONG
 
 

@@ -10,7 +10,7 @@ import pytest
 from appliance.patterns.sequence import Direction, build_sequence
 from appliance.reconstruct.decode.decoder import CameraDecoder
 from appliance.verdict.motion import edges as motion_edges
-from appliance.verdict.motion.albedo import AlbedoShifts
+from appliance.verdict.motion.albedo import AlbedoShifts, albedo_shifts
 from appliance.verdict.motion.cells import COLUMNS as SUMS
 from appliance.verdict.motion.cells import COUNT, RunSums, _collect, cell_sums, run_sums
 from appliance.verdict.motion.edges import edge_shifts
@@ -79,6 +79,7 @@ def test_runs_summed_before_y_are_the_pixels_that_are_left_when_y_has_taken_some
 
 
 GRAY_X = SEQUENCE.axis(Direction.X).gray
+GRAY = (*GRAY_X, *SEQUENCE.axis(Direction.Y).gray)
 
 
 # --------------------------------------------------------------------------------------------------- edges
@@ -142,6 +143,32 @@ def test_edges_of_what_lies_below_the_last_row_of_cells_are_added_nowhere() -> N
 
 
 # --------------------------------------------------------------------------------------------------- paint
+
+
+def painted(width: int, height: int) -> tuple[np.ndarray, CameraDecoder]:
+    """Paint that lies somewhere else in every Gray image, under a light that grows; coordinates are anywhere."""
+    rng = np.random.default_rng(3)
+    v, u = np.mgrid[0:height, 0:width].astype(float)
+    decoder = CameraDecoder(SEQUENCE, width, height)
+    for coordinate, size in ((decoder.p_px, 320), (decoder.q_px, 200)):
+        coordinate[:] = rng.integers(-2, 2 * size + 3, coordinate.shape) / 2.0
+    frames = np.zeros((len(SEQUENCE), height, width), np.uint8)
+    noise = rng.normal(0.0, 1.5, frames.shape)
+    for k in range(len(SEQUENCE)):
+        shift = k if k in GRAY else 0
+        x, y = u - 0.05 * shift, v + 0.03 * shift
+        light = 120.0 + 40.0 * np.sin(x / 4.0) * np.cos(y / 5.0) + 25.0 * np.sin(0.21 * x + 0.33 * y)
+        frames[k] = np.clip(np.rint((1.0 + 0.01 * k) * light + noise[k]), 0, 254)
+    frames[SEQUENCE.dark] = rng.integers(3, 30, u.shape)
+    return frames, decoder
+
+
+def test_paint_is_found_where_it_lies_in_every_gray_image_that_shows_enough_of_it() -> None:
+    found = albedo_shifts(*painted(640, 300), SEQUENCE, (1.2, 0.04))
+    known = np.flatnonzero(np.isfinite(found.sd_px))
+    assert len(known) > 6
+    assert set(known) <= set(GRAY)
+    assert found.shift_px[known] == pytest.approx(np.outer(known, (0.05, -0.03)), rel=0.3, abs=0.1)
 
 
 def test_a_double_step_is_the_way_from_a_frame_to_the_next_but_one_without_its_noise() -> None:
