@@ -59,7 +59,7 @@ def test_every_contract_holds_and_each_bites(tree: Path) -> None:
     assert held.returncode == 0, held.stdout + held.stderr
     assert f"{len(FORBIDDEN)} kept, 0 broken" in held.stdout
     for contract, chains in FORBIDDEN.items():
-        inits = {}
+        inits: dict[Path, str] = {}
         for chain in chains:
             importer, imported = chain.split(" -> ")
             init = tree.joinpath(*importer.split("."), "__init__.py")
