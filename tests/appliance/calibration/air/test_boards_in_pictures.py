@@ -23,7 +23,7 @@ from tests.support.calibrating import HEIGHT_PX, WIDTH_PX, hidden_rig
 from tests.support.truth import WATER
 
 Image = NDArray[np.uint8]
-SIZE_PX = 800, 600
+SIZE_PX = 640, 480
 VIEWS = 6
 
 
@@ -42,7 +42,7 @@ def views(truth: TrueRig) -> list[BoardView]:
 def shots(truth: TrueRig) -> list[Pictures]:
     """Three pictures of a board that rests, one after it has moved by 0.3 mm, and one from far away."""
     renderer = Renderer(in_air(truth), Scene(object="board"))
-    (x, *rest), far = poses_in_air(1, 5)[0], (0.0, 0.0, 1500.0, 5.0, 5.0, 0.0)
+    (x, *rest), far = poses_in_air(1, 5)[0], (0.0, 0.0, 1250.0, 5.0, 5.0, 0.0)
     at, moved = (x, *rest), (x + 0.3, *rest)
     return [picture(renderer, pose, AIR, k) for k, pose in enumerate((at, at, at, moved, far))]  # type: ignore[arg-type]
 
@@ -77,13 +77,13 @@ def test_corners_and_lengths_are_as_exact_optics_says(truth: TrueRig, views: lis
     for side in ("left", "right"):
         off = corners_off_px(dry, views, side)
         assert len(off) > 600
-        assert np.sqrt(np.mean(off**2)) < 0.055
+        assert np.sqrt(np.mean(off**2)) < 0.065
         assert np.abs(off.mean(axis=0)).max() < 0.005
         assert np.abs(off).max() < 0.25
     air = calibrate_air(views, *SIZE_PX, with_field=False)
     assert air.left_out == ()
     assert [view.remarks for view in air.views] == [()] * VIEWS
-    assert all(view.residual_px < 0.08 for view in air.views)
+    assert all(view.residual_px < 0.09 for view in air.views)
     assert abs(dry.artefacts.board_scale - 1.0) < 3e-5
     assert np.abs(lengths_off_percent(dry, air)).max() < 0.012
 
@@ -121,12 +121,12 @@ def test_light_distance_and_an_arm_before_the_board_are_named(shots: list[Pictur
         (lit(near.left, 5.0), lit(near.right, 5.0), "pair 1: the left image is overexposed; less light"),
         (lit(near.left, 0.07), lit(near.right, 0.07), "is dark; more"),
         (far.left, far.right, "pair 1: the board is small in the left image; bring it nearer"),
-        (near.left, hidden_beyond(near.right, 165), "corners in the right image"),
+        (near.left, hidden_beyond(near.right, 132), "corners in the right image"),
     ):
         found = find_board("pair 1", left, right, BOARD)
         assert isinstance(found, NoBoard), words
         assert words in found.reason
-    half = find_board("pair 1", near.left, hidden_beyond(near.right, 375), BOARD)
+    half = find_board("pair 1", near.left, hidden_beyond(near.right, 300), BOARD)
     assert isinstance(half, BoardView)
     (remark,) = calibrate_air([*views, half], *SIZE_PX, with_field=False).views[-1].remarks
     assert "the board is half hidden" in remark
@@ -141,8 +141,8 @@ def test_a_view_counts_when_the_board_rested_and_is_not_where_it_was_before(shot
     assert isinstance(found, NoBoard)
     assert found.reason.startswith("02: the board moved by 0.")
     assert found.reason.endswith("let it rest")
-    assert (REST_PX, NEW_PLACE * SIZE_PX[0]) == (0.1, 20.0)
-    for off_px, new in ((19.5, False), (20.5, True)):
+    assert (REST_PX, NEW_PLACE * SIZE_PX[0]) == (0.1, 16.0)
+    for off_px, new in ((15.5, False), (16.5, True)):
         known = replace(view, name="01", left_px=np.add(view.left_px, [off_px, 0.0]))
         again = view_of("02", left[:3], right[:3], [known], BOARD)
         assert isinstance(again, BoardView) == new
