@@ -9,7 +9,6 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from threading import Thread
 from typing import Any
 
 import numpy as np
@@ -36,7 +35,6 @@ KIND = ("--kind", "aravis")
 CLOCK = MonotonicClock()
 WIDTH, EXPOSURE_TIME_US = 0x100, 0x120
 """Registers of the fake camera's own description."""
-PERIOD_S = 4
 STRIPES = 255
 """Grey values of its picture."""
 
@@ -190,32 +188,6 @@ def test_frames_come_in_order_with_the_cameras_time_and_again_after_a_start() ->
         camera.stop()
         with pytest.raises(DeviceRefused, match="asked for a frame while stopped"):
             camera.next_frame(slot_of(SMALL), 0.1)
-
-
-def test_without_a_trigger_the_wait_ends_when_it_was_to_end_and_at_a_stop() -> None:
-    with faked() as fake:
-        camera = fake.driver
-        camera.start()
-        fake.line(1 / PERIOD_S)
-        for _ in range(PERIOD_S):
-            # Until the long period has begun: its frames come at whole multiples of it.
-            begin_s = time.monotonic()
-            frame = camera.next_frame(slot_of(SMALL), 0.6)
-            if frame.status is FrameStatus.TIMEOUT:
-                break
-        assert 0.6 <= time.monotonic() - begin_s < 1.2
-        assert (frame.status, frame.block_id, frame.camera_time_ns) == (FrameStatus.TIMEOUT, None, None)
-        late = camera.next_frame(slot_of(SMALL), 2.0 * PERIOD_S)
-        assert late.status is FrameStatus.COMPLETE, "the next one is a whole period away"
-        met: list[Frame] = []
-        reader = Thread(target=lambda: met.append(camera.next_frame(slot_of(SMALL), PERIOD_S - 1.0)))
-        reader.start()
-        time.sleep(0.3)
-        stopped_s = time.monotonic()
-        camera.stop()
-        reader.join(2 * PERIOD_S)
-        assert [one.status for one in met] == [FrameStatus.TIMEOUT]
-        assert (met[0].received_ns * 1e-9) - stopped_s < 1.0, "the reader was let go, not waited for"
 
 
 def test_an_image_of_another_size_than_asked_for_is_damaged_and_the_next_is_not() -> None:

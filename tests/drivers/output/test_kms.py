@@ -230,19 +230,13 @@ def test_a_screen_without_card_or_connector_is_refused_with_what_to_set(missing:
         outputs.open_projector()
 
 
-def test_a_card_that_is_gone_at_the_very_first_opening_is_opened_once_more() -> None:
-    """Nothing is lit on it and no node is kept of it yet."""
+def test_outputs_open_whatever_happened_before_or_stands_beside_them_in_the_rig_file() -> None:
+    with opened(two_heads(unnoticed={1, 2})) as (projector, display):  # cables are found by looking at the wire
+        assert (projector.size_px, display.size_px) == ((128, 96), (80, 48))
+    # A card that is gone at the very first opening, before anything is lit on it, is opened once more.
     with outputs_on(CardGone(CARD, "is gone", "Restart the instrument"), two_heads()) as outputs:
         assert outputs.open_display().size_px == (80, 48)
-
-
-def test_a_cable_that_was_plugged_in_while_nobody_looked_is_found_by_looking_at_the_wire() -> None:
-    with opened(two_heads(unnoticed={1, 2})) as (projector, display):
-        assert (projector.size_px, display.size_px) == ((128, 96), (80, 48))
-
-
-def test_a_window_needs_no_crtc_whatever_stands_beside_it_in_the_rig_file() -> None:
-    """Card and connector mean nothing for a window, or a monitor."""
+    # A window needs no CRTC: card and connector mean nothing for it, or a monitor.
     window = replace(DISPLAY, kind=OutputKind.WINDOW, connector="HDMI-A-1")
     with outputs_on(one_head(128, 96), display=window) as outputs:
         assert outputs.open_projector().size_px == (128, 96)

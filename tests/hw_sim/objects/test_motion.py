@@ -29,16 +29,17 @@ def test_at_time_zero_nothing_has_moved(still: Motion | HandTrack) -> None:
     np.testing.assert_allclose(rig_point(still, 0.0, MIDDLE), MIDDLE, atol=1e-12)
 
 
-def test_a_rig_moving_right_sees_the_object_move_left() -> None:
+def test_a_rig_moving_right_sees_the_object_move_left_and_turns_about_the_middle_of_the_volume() -> None:
     motion = Motion(velocity_mm_s=(8.0, 0.0, -4.0), acceleration_mm_s2=(0.0, 10.0, 0.0))
     np.testing.assert_allclose(rig_point(motion, 0.5, MIDDLE) - MIDDLE, [-4.0, -1.25, 2.0], atol=1e-12)
-
-
-def test_turning_is_about_the_middle_of_the_volume() -> None:
     turn, two = Motion(rotation_deg_s=(0.0, 4.0, 0.0)), math.radians(2.0)
     np.testing.assert_allclose(rig_point(turn, 0.5, MIDDLE), MIDDLE, atol=1e-12)
     beside = rig_point(turn, 0.5, MIDDLE + np.array([50.0, 0.0, 0.0])) - MIDDLE
     np.testing.assert_allclose(beside, [50.0 * math.cos(two), 0.0, 50.0 * math.sin(two)], atol=1e-9)
+    track, h = HandTrack(jerk_mm_s3=(60.0, -30.0, 12.0)), 0.01
+    at = [rig_point(track, k * h, MIDDLE) for k in range(4)]
+    third = (at[3] - 3 * at[2] + 3 * at[1] - at[0]) / h**3
+    np.testing.assert_allclose(third, [-60.0, 30.0, -12.0], rtol=1e-6, err_msg="jerk is the third derivative")
 
 
 @pytest.mark.parametrize(
@@ -54,12 +55,6 @@ def test_tremor_and_swell_go_as_far_as_they_say_and_return(
     path = np.array([rig_point(shaken, s, MIDDLE) for s in np.linspace(0.0, period_s, 401)])
     np.testing.assert_allclose(np.ptp(path, axis=0), range_mm, atol=1e-3)
     np.testing.assert_allclose(path[-1], path[0], atol=1e-9)
-
-
-def test_jerk_is_the_third_derivative() -> None:
-    track, h = HandTrack(jerk_mm_s3=(60.0, -30.0, 12.0)), 0.01
-    at = [rig_point(track, k * h, MIDDLE) for k in range(4)]
-    np.testing.assert_allclose((at[3] - 3 * at[2] + 3 * at[1] - at[0]) / h**3, [-60.0, 30.0, -12.0], rtol=1e-6)
 
 
 def test_turns_leave_the_shoulder_where_it_is_and_swing_the_rig_by_its_arm() -> None:
