@@ -47,7 +47,7 @@ from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.health import HealthFile
 from appliance.storage.label import LabelError
 from appliance.storage.library import Library, LibraryFolder
-from appliance.storage.manifest import Decision, Manifest, ManifestError, Stage
+from appliance.storage.manifest import ManifestError
 from appliance.storage.packed import PackedError
 from appliance.storage.ply import PlyError, encode_ply, read_ply
 from appliance.storage.scan import ScanError
@@ -113,12 +113,6 @@ SESSION = written(lambda root: Calibrations(root, "KF-TEST").write(session()))
 BEAMS = written(lambda root: BeamsFile(root, POINTERS).write(HASH, POINTERS.beams()))
 CHOICES = written(lambda root: ChoicesFile(root, STANDARD).write(CHOSEN))
 LABEL = with_checksum({"schema": 1, "name": "bollard 3", "note": "north side"})
-MANIFEST = form.encode(
-    Manifest(
-        "000042", Stage.COMPLETE, Decision.KEPT, record(), {"frames_left.npy": Stamp(10, HASH), "cloud.ply": Stamp(7, HASH)},
-        frame_crc32={"frames_left.npy": ("00" * 4,)},
-    )
-)  # fmt: skip
 PICTURES = tuple(
     cv2.imencode(kind, np.arange(48, dtype=np.uint8).reshape(6, 8))[1].tobytes()
     for kind in (".png", ".tif", ".bmp", ".pgm", ".jpg")
@@ -318,7 +312,7 @@ PARSERS = (
     Parser("session", sealed(SESSION), read_session, share=0.5),
     Parser("label", sealed(LABEL, "name", "note", "schema"), read_label, (LabelError,), labels.FILE_NAME, share=0.6),
     Parser("counter", COUNTS | COUNTS.flatmap(lambda line: damaged([line])), read_count, (StorageError,), share=0.5),
-    Parser("manifest", sealed(MANIFEST, "files", "record", "../x"), read_manifest, (ManifestError,), "manifest.json", share=0.6),
+    Parser("manifest", sealed(SCAN[form.FILE_NAME], "files", "record", "../x"), read_manifest, (ManifestError,), "manifest.json", share=0.6),
     Parser("cloud", PLIES | PLIES.map(with_crc), read_cloud, (PlyError,), "cloud.ply", share=0.6),
     Parser("packed", damaged([packed_frames()]), read_packed, (PackedError,), share=0.6),
     Parser("scan", scan_folder(), open_scan, (ScanError,), "000001", share=0.5),
