@@ -28,7 +28,7 @@ from appliance.processing.judges import JUDGES, JudgeInput
 from appliance.processing.procedure import SequenceProcessor
 from appliance.reconstruct import straighten
 from appliance.reconstruct.decode.backscatter import warm_up as warm_backscatter
-from appliance.reconstruct.decode.specks import mask_specks
+from appliance.reconstruct.decode.specks import warm_up as warm_specks
 from appliance.reconstruct.fuse import fuse
 from appliance.reconstruct.images import ScanImages
 from appliance.reconstruct.pipeline import Pipeline
@@ -57,13 +57,13 @@ _ALONG_MM = -0.67
 def what_an_empty_scan_does_not_run(
     sequence: PatternSequence,
 ) -> tuple[Callable[[], object], ...]:
-    """Return what runs the kernels for bent fringes, changing light, backscatter, motion and a second exposure; else the first scan
+    """Return what runs the kernels for bent fringes, changing light, backscatter, specks, motion and a second exposure; else the first scan
     that has some would wait for a compiler. Each loads for a fraction of a second; what more scans need comes first."""
     # Types decide what is loaded, not sizes: large pictures of nothing would only have to be paged in.
     frames = np.zeros((len(sequence), *reversed(_SIZE_PX)), np.uint8)
     return (
         straighten.warm_up, warm_light, warm_water, warm_surface, warm_texture, partial(warm_backscatter, sequence, frames, TYPICAL), warm_veil,
-        compensate_wall, _run_pair,
+        partial(warm_specks, frames), compensate_wall, _run_pair,
     )  # fmt: skip
 
 
@@ -167,7 +167,7 @@ def read_through_backscatter() -> None:
     with _nothing() as (pipeline, _, frames):
         warm_backscatter(pipeline.sequence, frames, TYPICAL)
         warm_veil()
-        _mask_specks(pipeline, frames)
+        warm_specks(frames)
 
 
 def merge_walls() -> None:
@@ -180,14 +180,7 @@ def run_every_kernel() -> None:
     with _nothing() as (pipeline, calibration, frames):
         processor = SequenceProcessor(pipeline, calibration, _WATER)
         processor.process(dict.fromkeys(SIDES, frames), AcquisitionSettings())
-        _mask_specks(pipeline, frames)
         run_what_an_empty_scan_does_not(pipeline.sequence)
-
-
-def _mask_specks(pipeline: Pipeline, frames: NDArray[np.uint8]) -> None:
-    decoded = pipeline.decoded("left")
-    decoded.mask.fill(0)
-    mask_specks(pipeline.sequence, frames, decoded, TYPICAL)
 
 
 @contextmanager

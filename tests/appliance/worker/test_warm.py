@@ -23,7 +23,7 @@ from appliance.worker.warm import run_what_an_empty_scan_does_not
 from tests.behaviour.frozen import RECORDINGS
 from tests.support import synthetic
 
-SCANS = {"compensated": "000004", "turbid water": "000007", "milk": "000008"}
+SCANS = {"compensated": "000004", "turbid water": "000007", "milk": "000008", "specks": "000009"}
 FLICKERS = "000001"
 
 
