@@ -289,7 +289,7 @@ def misfit(stack: NDArray[np.float64], steps_deg: tuple[float, ...]) -> float:
     """Return the root mean square that the best sines leave of images (n, pixels), as a share of their modulation."""
     angles = np.deg2rad(np.asarray(steps_deg))
     columns = np.stack([np.ones_like(angles), np.cos(angles), -np.sin(angles)], axis=1)
-    values, *_ = np.linalg.lstsq(columns, stack, rcond=None)
+    values = np.linalg.pinv(columns) @ stack
     left = np.sqrt(np.square(stack - columns @ values).sum(axis=0) / max(1, len(angles) - 3))
     return float(np.median(left / np.maximum(np.hypot(values[1], values[2]), 1e-6)))
 

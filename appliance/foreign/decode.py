@@ -34,6 +34,7 @@ from appliance.foreign.phase import (
     unbend,
 )
 from appliance.foreign.reasons import Reason
+from appliance.reconstruct.decode.fringes import choose_fringes
 
 LEAST_MODULATION, MOST_LEAST_MODULATION = 1.0 / 255.0, 5.0 / 255.0
 """Least modulation of a pixel that is used, as a share of full scale: so many ``NOISE_SIGMAS`` of its noise, within these."""
@@ -46,7 +47,7 @@ UNSURE_PERIODS = 0.36
 """Distance from the stripe's middle beyond which a stripe of a whole period is a coin's toss, and the neighbours are asked."""
 MAX_PERIODS_MISFIT = 0.09
 """Largest disagreement of the phases of several periods, as root mean square in turns."""
-PIXELS_AT_ONCE = 1 << 16
+PIXELS_AT_ONCE = 1 << 13
 """Pixels that are worked on together, so that they stay in the cache."""
 MOST_FINER = 0.35
 """Largest disagreement of a period with the next finer one, in turns of that."""
@@ -266,50 +267,32 @@ def by_periods(
     Of micro phase shifting cosines take the phases' place, and all images together the finest period's.
     Sources: Huntley, Saldner, Appl. Opt. 32 (1993) 3047; Gupta, Nayar, CVPR 2012.
     """
-    periods = [
-        (np.float32(period), np.float32(begin / 360.0))
-        for period, begin in zip(axis.periods_px, axis.begins_deg, strict=True)
-    ]
-    period, first_begin = periods.pop(axis.finest)
-    finest, others = turns[axis.finest], singles or [one for k, one in enumerate(turns) if k != axis.finest]
-    end_px = np.float32(axis.size_px + SLACK_PERIODS * axis.period_px)
+    conventions = np.array([axis.periods_px, np.divide(axis.begins_deg, 360.0)], np.float32)
+    others = singles or [one for k, one in enumerate(turns) if k != axis.finest]
+    period, first_begin = conventions[:, axis.finest]
+    conventions = np.delete(conventions, axis.finest, axis=1)
+    finest, end_px = turns[axis.finest], np.float32(axis.size_px + SLACK_PERIODS * axis.period_px)
     coordinate_px, misfit = np.full((2, *finest.shape), np.nan, np.float32)
     places = np.arange(finest.size) if usable is None else np.flatnonzero(usable)
     for first in range(0, places.size, PIXELS_AT_ONCE):
         here = places[first : first + PIXELS_AT_ONCE]
         own = finest.ravel()[here] - first_begin
         own -= np.floor(own)
-        seen = [(one.ravel()[here], other, begin) for one, (other, begin) in zip(others, periods, strict=True)]
-        best, best_px = np.full(here.shape, np.inf, np.float32), np.zeros(here.shape, np.float32)
-        for fringe in range(_fringes(axis)):
-            edge_px = period * (own + np.float32(fringe))
-            apart = np.zeros(here.shape, np.float32)
-            for one, other, begin in seen:
-                off = edge_px / other + begin
-                if singles:
-                    # A cosine's slope is 2π / √2 to a turn, on the mean.
-                    off = (np.cos(np.float32(TURN) * off) - one) * np.float32(2.0**0.5 / TURN)
-                else:
-                    off -= one
-                    off -= np.rint(off)
-                apart += np.square(off)
-            # What lies beyond the pattern looks like its other end where one fringe covers it.
-            better = (apart < best) & (edge_px < end_px)
-            best, best_px = np.where(better, apart, best), np.where(better, edge_px, best_px)
+        seen = np.array([one.ravel()[here] for one in others], np.float32).reshape(-1, here.size)
+        best_px, best = found = np.empty((2, here.size), np.float32)
+        choose_fringes(own, period, end_px, _fringes(axis), seen, conventions, bool(singles), found)
         if singles:
-            best_px += _all_together(best_px, seen, period)
+            best_px += _all_together(best_px, seen, conventions, period)
         coordinate_px.ravel()[here] = best_px - np.float32(0.5)
-        misfit.ravel()[here] = np.sqrt(best / np.float32(max(1, len(periods))))
+        misfit.ravel()[here] = np.sqrt(best / np.float32(max(1, len(others))))
     return coordinate_px, misfit
 
 
-def _all_together(
-    edge_px: Floats, cosines: Sequence[tuple[Floats, np.float32, np.float32]], period: np.float32
-) -> Floats:
+def _all_together(edge_px: Floats, cosines: Floats, conventions: Floats, period: np.float32) -> Floats:
     """Return what least squares over all images of micro phase shifting add to what the first period says (one step of Gauss and Newton)."""
     weight = np.full(edge_px.shape, np.float32(1.5 * (TURN / period) ** 2))
     total = np.zeros_like(weight)
-    for cosine, other, begin in cosines:
+    for cosine, other, begin in zip(cosines, *conventions, strict=True):
         angle = np.float32(TURN) * (edge_px / other + begin)
         slope = np.float32(-TURN / other) * np.sin(angle)
         # Mean and modulation are those of the first period's steps: their own error is small beside one image's.

@@ -109,8 +109,10 @@ class Texture:
             asked += 1
             alike = cv2.matchTemplate(strip, patch, cv2.TM_CCOEFF_NORMED)[:, 0]
             k = int(alike.argmax())
-            others = np.r_[alike[: max(0, k - SAME_PX)], alike[k + SAME_PX + 1 :]]
-            if 0 < k < 2 * reach and alike[k] > max(ALIKE, others.max() + CLEARLY):
+            other = max(
+                float(one.max(initial=-1.0)) for one in (alike[: max(0, k - SAME_PX)], alike[k + SAME_PX + 1 :])
+            )
+            if 0 < k < 2 * reach and alike[k] > max(ALIKE, other + CLEARLY):
                 before, here, after = alike[k - 1 : k + 2]
                 found.append(k - reach + 0.5 * (before - after) / (before - 2.0 * here + after) + beside)
         return Offset.of(self.reduced * np.array(found), asked, self.reduced * MOST_OFFSET_PX)

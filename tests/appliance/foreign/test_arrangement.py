@@ -68,95 +68,25 @@ def turned(bench: Bench, axis: int, degrees: float) -> Array:
 
 
 def told(
-    axes: str, bench: Bench | None = None, exchanged: bool = False, change: Callable[[DecodedCamera], DecodedCamera] | None = None,
-    **cameras: Any,
+    axes: str, bench: Bench, exchanged: bool = False, change: Callable[[DecodedCamera], DecodedCamera] = lambda one: one, **cameras: Any
 ) -> Mapping[str, ExaminedAssumption]:  # fmt: skip
     """What is said by word."""
-    bench = bench or pair(WIDTH_PX, SIZE)
     description, rig = described(bench, axes, **cameras)
     views = (bench.right, bench.left) if exchanged else (bench.left, bench.right)
     found = {side: seen(view, bench.projector) for side, view in zip(("left", "right"), views, strict=True)}
     if bench.right is bench.projector:
         del found["right"]
-    thinned = {side: replace(one, placed={axis: one.placed[axis] for axis in axes}) for side, one in found.items()}
-    if change:
-        thinned = {side: change(one) for side, one in thinned.items()}
-    said = examine_cameras(description, rig, thinned)
+    said = examine_cameras(
+        description,
+        rig,
+        {side: change(replace(one, placed={axis: one.placed[axis] for axis in axes})) for side, one in found.items()},
+    )
     assert len({one.about for one in said}) == len(said)
     return {one.about: one for one in said}
 
 
 def outcomes(said: Mapping[str, ExaminedAssumption], outcome: Outcome) -> set[str]:
     return {about for about, one in said.items() if one.outcome is outcome}
-
-
-R, T = pair(WIDTH_PX, SIZE).R, pair(WIDTH_PX, SIZE).T
-K = np.diag([0.5, 0.5, 1.0])
-
-
-@pytest.mark.parametrize("axes", ["x", "xy"])
-def test_right_cameras_fit_and_what_nothing_sees_is_said(axes: str) -> None:
-    """Thinned images are told with the lens of the whole ones; a small turn about the columns is seen by nothing."""
-
-    def thin(one: DecodedCamera) -> DecodedCamera:
-        placed = {name: replace(p, coordinate_px=p.coordinate_px[::2, ::2]) for name, p in one.placed.items()}
-        return replace(one, placed=placed, grey=one.grey[::2, ::2])
-
-    for said in (
-        told(axes),
-        told(axes, change=thin) if axes == "xy" else told(axes, R=turned(pair(WIDTH_PX, SIZE), 1, 0.3)),
-    ):
-        assert outcomes(said, Outcome.FITS) == {POSE, LEFT, IMAGES_SIZE}
-        assert {TURN, "cameras.unit"} <= outcomes(said, Outcome.UNCHECKED)
-
-
-@pytest.mark.parametrize(
-    ("axes", "about", "text", "wrong"),
-    [
-        ("x", LEFT, "if left and right are exchanged", {"exchanged": True}),
-        ("xy", POSE, "if they are R and T of right to left", {"R": R.T, "T": -R.T @ T}),
-        ("x", POSE, "if R is transposed", {"R": R.T}),
-        ("xy", POSE, "if T is negated", {"T": -T}),
-        ("x", POSE, "if R is transposed and T negated", {"R": R.T, "T": -T}),
-        ("xy", POSE, "no better if cameras, R or T are exchanged", {"R": turned(pair(WIDTH_PX, SIZE), 0, 1.0)}),
-        ("x", IMAGES_SIZE, "half the size, multiply the matrices by 2",
-         {"K1": K @ pair(WIDTH_PX, SIZE).left.K, "K2": K @ pair(WIDTH_PX, SIZE).right.K}),
-    ],
-)  # fmt: skip
-def test_wrong_cameras_are_named(axes: str, about: str, text: str, wrong: Mapping[str, Any]) -> None:
-    said = told(axes, **wrong)
-    assert outcomes(said, Outcome.WRONG) == {about}
-    assert text in said[about].text
-
-
-@pytest.mark.parametrize(
-    ("degrees", "outcome", "text"),
-    [(0.3, Outcome.WRONG, "if it is 0.3° less"), (-0.3, Outcome.WRONG, "if it is 0.3° more"), (0.15, Outcome.UNCHECKED, "")],
-)  # fmt: skip
-def test_a_projector_that_is_turned_about_the_columns_is_not_passed_over(
-    degrees: float, outcome: Outcome, text: str
-) -> None:
-    """Of its two directions the other one moves across the disparity, by 3 px."""
-    bench = with_projector(WIDTH_PX, SIZE)
-    said = told("xy", bench, R=turned(bench, 1, degrees))
-    assert said[TURN].outcome is outcome
-    assert said[TURN].text.endswith(text)
-
-
-def test_without_texture_one_direction_leaves_the_cameras_unchecked() -> None:
-    smooth = told("x", change=lambda one: replace(one, grey=np.full_like(one.grey, 90)))
-    assert {POSE, LEFT} <= outcomes(smooth, Outcome.UNCHECKED)
-    assert "too few to tell" in smooth[POSE].text
-
-
-# ---------------------------------------------------------------------------------------------- a projector
-
-
-def test_of_several_that_do_as_well_none_is_left_out() -> None:
-    bench = with_projector(WIDTH_PX, SIZE)
-    said = told("x", bench, R=bench.R.T, T=-bench.T)[POSE]
-    assert said.outcome is Outcome.WRONG
-    assert "if they are R and T of right to left or R is transposed and T negated" in said.text
 
 
 def scaled(scale: float, shift_px: float, name: str = "x") -> Callable[[DecodedCamera], DecodedCamera]:
@@ -170,57 +100,93 @@ def scaled(scale: float, shift_px: float, name: str = "x") -> Callable[[DecodedC
     return change
 
 
-PATTERN = {"x.period_px", "x.start_deg", "projector.width_px", "projector.height_px"}
-
-
-def test_one_direction_of_a_projector_checks_its_sign_alone_and_two_hardly_leave_anything() -> None:
-    """Windows and water are nearly a longer lens, seen from half a metre away: nothing sees them."""
-    said = told("x", with_projector(WIDTH_PX, SIZE))
-    assert outcomes(said, Outcome.FITS) == {"x.sign", XY, IMAGES_SIZE}
-    assert outcomes(said, Outcome.UNCHECKED) == {POSE, "cameras.unit", *PATTERN}
-    assert "50 % of 640 px" in said["projector.width_px"].text
-    said = told("xy", with_projector(WIDTH_PX, SIZE))
-    assert outcomes(said, Outcome.WRONG) == set()
-    assert outcomes(said, Outcome.UNCHECKED) <= {TURN, "cameras.unit"}
-    bench = pair(WIDTH_PX, SIZE)
-    wet = "[water]\nindex = 1.0\n[ports]\ndistance_mm = 4.0\nthickness_mm = 1.0\nglass_index = 1.5\n"
-    description, rig = described(bench, "x", more=wet)
-    found = {side: seen(view, bench.projector) for side, view in (("left", bench.left), ("right", bench.right))}
-    unchecked = {one.about for one in examine_cameras(description, rig, found) if one.outcome is Outcome.UNCHECKED}
-    assert {"ports.distance_mm", "ports.thickness_mm", "water.index"} <= unchecked
-
-
 def on_its_head(one: DecodedCamera) -> DecodedCamera:
     return scaled(-1.0, SIZE[1] - 1.0, "y")(scaled(-1.0, SIZE[0] - 1.0)(one))
-
-
-@pytest.mark.parametrize(
-    ("axes", "change", "instead"),
-    [("x", scaled(-1.0, SIZE[0] - 100.0), {"x.sign": -1}), ("xy", on_its_head, {"x.sign": -1, "y.sign": -1})],
-)
-def test_a_pattern_that_runs_backwards_would_light_the_surface_from_behind(
-    axes: str, change: Callable[[DecodedCamera], DecodedCamera], instead: dict[str, int]
-) -> None:
-    said = told(axes, with_projector(WIDTH_PX, SIZE), change=change)
-    assert outcomes(said, Outcome.WRONG) == {"x.sign"}
-    assert said["x.sign"].instead == instead
 
 
 def exchanged(one: DecodedCamera) -> DecodedCamera:
     return replace(one, placed={"x": one.placed["y"], "y": one.placed["x"]})
 
 
+def thin(one: DecodedCamera) -> DecodedCamera:
+    placed = {name: replace(p, coordinate_px=p.coordinate_px[::2, ::2]) for name, p in one.placed.items()}
+    return replace(one, placed=placed, grey=one.grey[::2, ::2])
+
+
+TWO, BEAM = pair(WIDTH_PX, SIZE), with_projector(WIDTH_PX, SIZE)
+R, T, K = TWO.R, TWO.T, np.diag([0.5, 0.5, 1.0])
+
+
 @pytest.mark.parametrize(
-    ("word", "change"),
-    [
-        ("x.period_px", scaled(2.0, 0.5)),
-        ("y.period_px", scaled(0.5, -0.25, "y")),
-        ("x.start_deg", scaled(1.0, 80.0)),
-        (XY, exchanged),
-    ],
+    ("axes", "change"), [("x", {}), ("x", {"R": turned(TWO, 1, 0.3)}), ("xy", {}), ("xy", {"change": thin})]
 )
-def test_the_third_ray_of_two_directions_checks_the_pattern(
-    word: str, change: Callable[[DecodedCamera], DecodedCamera]
+def test_right_cameras_fit_and_what_nothing_sees_is_said(axes: str, change: Mapping[str, Any]) -> None:
+    """Thinned images are told with the lens of the whole ones; a small turn about the columns is seen by nothing."""
+    said = told(axes, TWO, **change)
+    assert outcomes(said, Outcome.FITS) == {POSE, LEFT, IMAGES_SIZE}
+    assert {TURN, "cameras.unit"} <= outcomes(said, Outcome.UNCHECKED)
+
+
+BOTH_SIGNS = {"x.sign": -1, "y.sign": -1}
+
+
+@pytest.mark.parametrize(
+    ("axes", "bench", "wrong", "about", "text", "instead"),
+    [
+        ("x", TWO, {"exchanged": True}, LEFT, "if left and right are exchanged", {}),
+        ("xy", TWO, {"R": R.T, "T": -R.T @ T}, POSE, "if they are R and T of right to left", {}),
+        ("x", TWO, {"R": R.T}, POSE, "if R is transposed", {}),
+        ("xy", TWO, {"T": -T}, POSE, "if T is negated", {}),
+        ("x", TWO, {"R": R.T, "T": -T}, POSE, "if R is transposed and T negated", {}),
+        ("xy", TWO, {"R": turned(TWO, 0, 1.0)}, POSE, "no better if cameras, R or T are exchanged", {}),
+        ("x", TWO, {"K1": K @ TWO.left.K, "K2": K @ TWO.right.K}, IMAGES_SIZE, "half the size, multiply the matrices by 2", {}),
+        # Of several that do as well none is left out.
+        ("x", BEAM, {"R": BEAM.R.T, "T": -BEAM.T}, POSE, "if they are R and T of right to left or R is transposed and T negated", {}),
+        # Of two directions of a projector the other one moves across the disparity, by 3 px.
+        ("xy", BEAM, {"R": turned(BEAM, 1, 0.3)}, TURN, "if it is 0.3° less", {}),
+        ("xy", BEAM, {"R": turned(BEAM, 1, -0.3)}, TURN, "if it is 0.3° more", {}),
+        # A pattern that runs backwards would light the surface from behind.
+        ("x", BEAM, {"change": scaled(-1.0, SIZE[0] - 100.0)}, "x.sign", "", {"x.sign": -1}),
+        ("xy", BEAM, {"change": on_its_head}, "x.sign", "", BOTH_SIGNS),
+        # The third ray of two directions checks the pattern.
+        ("xy", BEAM, {"change": scaled(2.0, 0.5)}, "x.period_px", "", {}),
+        ("xy", BEAM, {"change": scaled(0.5, -0.25, "y")}, "y.period_px", "", {}),
+        ("xy", BEAM, {"change": scaled(1.0, 80.0)}, "x.start_deg", "", {}),
+        ("xy", BEAM, {"change": exchanged}, XY, "", {}),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_named_alone(
+    axes: str, bench: Bench, wrong: Mapping[str, Any], about: str, text: str, instead: Mapping[str, int]
 ) -> None:
-    said = told("xy", with_projector(WIDTH_PX, SIZE), change=change)
-    assert outcomes(said, Outcome.WRONG) == {word}
+    said = told(axes, bench, **wrong)
+    assert outcomes(said, Outcome.WRONG) == {about}
+    assert text in said[about].text
+    assert not instead or said[about].instead == instead
+
+
+def test_half_of_the_turn_that_is_tried_is_no_contradiction() -> None:
+    assert told("xy", BEAM, R=turned(BEAM, 1, 0.15))[TURN].outcome is Outcome.UNCHECKED
+
+
+def test_without_texture_one_direction_leaves_the_cameras_unchecked() -> None:
+    smooth = told("x", TWO, change=lambda one: replace(one, grey=np.full_like(one.grey, 90)))
+    assert {POSE, LEFT} <= outcomes(smooth, Outcome.UNCHECKED)
+    assert "too few to tell" in smooth[POSE].text
+
+
+def test_one_direction_of_a_projector_checks_its_sign_alone_and_two_hardly_leave_anything() -> None:
+    pattern = {"x.period_px", "x.start_deg", "projector.width_px", "projector.height_px"}
+    said = told("x", BEAM)
+    assert outcomes(said, Outcome.FITS) == {"x.sign", XY, IMAGES_SIZE}
+    assert outcomes(said, Outcome.UNCHECKED) == {POSE, "cameras.unit", *pattern}
+    assert "50 % of 640 px" in said["projector.width_px"].text
+    said = told("xy", BEAM)
+    assert outcomes(said, Outcome.WRONG) == set()
+    assert outcomes(said, Outcome.UNCHECKED) <= {TURN, "cameras.unit"}
+
+
+def test_nothing_sees_windows_and_water() -> None:
+    """They are nearly a longer lens, from half a metre away."""
+    wet = "[water]\nindex = 1.0\n[ports]\ndistance_mm = 4.0\nthickness_mm = 1.0\nglass_index = 1.5\n"
+    said = told("x", TWO, more=wet)
+    assert {"ports.distance_mm", "ports.thickness_mm", "water.index"} <= outcomes(said, Outcome.UNCHECKED)

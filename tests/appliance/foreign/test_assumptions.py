@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -57,6 +58,42 @@ def test_every_word_of_a_gray_code_beside_sines_could_have_failed() -> None:
     said = told("sine-x*4 gray-x*5", CODED, [*sines(32), *gray(5)])
     assert words(said, Outcome.FITS) == ["steps", *CODE_WORDS, "sign", "stripe_px", "start_deg"]
     assert len(said) == 7
+
+
+def shifted(degrees: float) -> Lines:
+    return sines(32, [step + degrees for step in FOUR])
+
+
+def of_periods(*fringes: float) -> Lines:
+    return [line for one in fringes for line in sines(one)]
+
+
+SEVERAL = AxisConvention("x", SIZE_PX, tuple(SIZE_PX / one for one in (42, 48, 49)), (FOUR,) * 3)
+
+
+@pytest.mark.parametrize(
+    ("order", "axis", "lines", "about", "instead"),
+    [
+        ("sine-x*4 gray-x*5", CODED, [*sines(32, sign=-1), *gray(5)], "sign", {"sign": -1}),
+        ("sine-x*4 gray-x*5", CODED, [*shifted(90.0), *gray(5)], "start_deg", {"start_deg": 90.0}),
+        ("sine-x*4 gray-x*5", CODED, [*shifted(180.0), *gray(5)], "code_offset_px", {"code_offset_px": -16.0}),
+        ("sine-x*4 gray-x*6", replace(CODED, bits=6), [*sines(32), *gray(6)], "stripe_px", {"stripe_px": 16.0}),
+        ("sine-x*4 gray-x*5", CODED, [*sines(32), *(240.0 - one for one in gray(5))], "code_inverted", {"inverted": True}),
+        ("sine-x*4 gray-x*5", CODED, [*sines(32), *gray(5)[::-1]], "code_order", {"fine_first": True}),
+        ("sine-x*4 gray-x*5", CODED, [*sines(32, (0.0, 180.0, 90.0, 270.0)), *gray(5)], "steps", {}),
+        ("sine-x*4 sine-x2*4 sine-x3*4", SEVERAL, of_periods(49, 48, 42), "period_px", {"periods_px": SEVERAL.periods_px[::-1]}),
+        ("sine-x*4 sine-x2*4", AxisConvention("x", SIZE_PX, (64.0, SIZE_PX / 15), (FOUR,) * 2), [*sines(16, FOUR[::-1]), *sines(15, FOUR[::-1])],
+         "start_deg", {"start_deg": 90.0}),
+    ],
+)  # fmt: skip
+def test_a_wrong_word_is_named_with_what_fits(
+    order: str, axis: AxisConvention, lines: Lines, about: str, instead: dict[str, Any]
+) -> None:
+    (wrong,) = (one for one in told(order, axis, lines) if one.outcome is Outcome.WRONG)
+    assert wrong.about == f"x.{about}"
+    assert {name: wrong.instead[name] for name in instead} == instead
+    if about == "steps":
+        assert "x.steps_deg = [0, 180, 90, 270] leaves" in wrong.text
 
 
 def test_a_plain_binary_code_is_as_good_inverted_which_stays_unchecked() -> None:

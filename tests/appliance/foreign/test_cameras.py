@@ -109,27 +109,6 @@ def named(folder: Path, names: str, suffix: str) -> str:
     return files(path.name)
 
 
-def matrices_and_pose(folder: Path) -> str:
-    """In several files, with others that nobody needs."""
-    written(folder / "left.yml", camera_matrix=M1, distortion_coefficients=D1)
-    written(folder / "right.yml", camera_matrix=M2, distortion_coefficients=D2)
-    written(folder / "extrinsics.yml", R=R, T=0.001 * T, R1=np.eye(3), Q=np.eye(4))
-    return files("right.yml", "left.yml", "extrinsics.yml") + '\nunit = "m"'
-
-
-def odd_names(folder: Path) -> str:
-    written(folder / "odd.yml", eye_a=M1, eye_b=M2, d_a=D1, d_b=D2, twist=cv2.Rodrigues(R)[0], shift=T)
-    names = {
-        "left_matrix": "eye_a",
-        "right_matrix": "eye_b",
-        "left_distortion": "d_a",
-        "right_distortion": "d_b",
-        "rotation": "twist",
-    }
-    said = "".join(f'{name} = "{called}"\n' for name, called in {**names, "translation": "shift"}.items())
-    return f"{files('odd.yml')}\n[cameras.names]\n{said}"
-
-
 def nested_json(folder: Path) -> str:
     left, right = ({"camera_matrix": K.tolist(), "dist_coeffs": D.ravel().tolist()} for _, K, D in BOTH)
     content = {"left": left, "right": right, "R": R.tolist(), "T": T.ravel().tolist(), "image_size": [640, 480]}
@@ -137,14 +116,14 @@ def nested_json(folder: Path) -> str:
 
 
 def poses(folder: Path) -> str:
+    """Each device's own pose of the world, one level down in a file of a folder of its own."""
     for n, (K, D, turn, way) in enumerate(((M1, D1, WORLD_R, WORLD_T), (M2, D2, R @ WORLD_R, R @ WORLD_T + T))):
         (folder / f"cam_{n}").mkdir()
-        storage = cv2.FileStorage(str(folder / f"cam_{n}" / "c.xml"), cv2.FILE_STORAGE_WRITE)
-        storage.startWriteStruct("Camera", cv2.FileNode_MAP)
-        for name, value in (("Matrix", K), ("Distortion", D), ("Rotation", turn), ("Translation", way)):
-            storage.write(name, value)
-        storage.endWriteStruct()
-        storage.release()
+        named = {"Matrix": K, "Distortion": D, "Rotation": turn, "Translation": way}
+        said = "".join(
+            f"<{name}>{' '.join(map(repr, value.ravel().tolist()))}</{name}>" for name, value in named.items()
+        )
+        text(folder, f"cam_{n}/c.xml", f"<opencv_storage><Camera>{said}</Camera></opencv_storage>")
     return files("cam_0/c.xml", "cam_1/c.xml")
 
 
@@ -207,19 +186,15 @@ def named_turn(folder: Path) -> str:
 
 
 def a_list_of_tables(folder: Path) -> str:
-    both = [{"K": K.tolist(), "D": D.ravel().tolist()} for K, D in ((M1, D1), (M2, D2))]
-    (folder / "c.json").write_text(json.dumps({"rig": {"cameras": both}, "R": R.tolist(), "T": T.ravel().tolist()}))
-    return files("c.json")
+    both = [{"K": K.tolist(), "D": D.ravel().tolist()} for _, K, D in BOTH]
+    content = {"rig": {"cameras": both}, "R": R.tolist(), "T": T.ravel().tolist()}
+    return text(folder, "c.json", json.dumps(content))
 
 
 def lines_below_names(folder: Path) -> str:
+    named = {"left K": M1, "left D": D1, "right K": M2, "right D": D2, "R": R, "T": T}
     with np.printoptions(precision=17):
-        said = [
-            f"{name}:\n{value}\n"
-            for name, value in (("left K", M1), ("left D", D1), ("right K", M2), ("right D", D2), ("R", R), ("T", T))
-        ]
-    (folder / "c.txt").write_text("".join(said))
-    return files("c.txt")
+        return text(folder, "c.txt", "".join(f"{name}:\n{value}\n" for name, value in named.items()))
 
 
 def slmaster(folder: Path) -> str:
@@ -229,60 +204,38 @@ def slmaster(folder: Path) -> str:
     return files("c.yml")
 
 
-def rows(values: Any, indent: str = "  ") -> str:
-    """A matrix as PyYAML writes nested lists: each row's dash at the level of the key."""
-    return "\n".join(f"{indent}- [{', '.join(f'{one:.12g}' for one in row)}]" for row in np.atleast_2d(values))
-
-
 def kalibr(folder: Path, model: str = "radtan") -> str:
-    pose = np.vstack([np.column_stack([R, 0.001 * T]), [0.0, 0.0, 0.0, 1.0]])
+    """Lists as its YAML has them: each row's dash at the level of the key."""
     said = []
-    for n, (K, D) in enumerate(((M1, D1), (M2, D2))):
-        said.append(f"cam{n}:")
-        if n:
-            said.append(f"  T_cn_cnm1:\n{rows(pose)}")
+    for n, (_, K, D) in enumerate(BOTH):
         said.append(
-            f"  cam_overlaps: [{1 - n}]\n  camera_model: pinhole\n  distortion_coeffs: [{flat(D[0, :4])}]\n  distortion_model: {model}\n"
-            f"  intrinsics: [{flat((K[0, 0], K[1, 1], K[0, 2], K[1, 2]))}]\n  resolution: [640, 480]\n  rostopic: /cam{n}/image_raw"
+            f"cam{n}:\n  cam_overlaps: [{1 - n}]\n  camera_model: pinhole\n  distortion_coeffs: [{flat(D[0, :4])}]\n  distortion_model: {model}\n"
+            f"  intrinsics: [{flat((K[0, 0], K[1, 1], K[0, 2], K[1, 2]))}]\n  resolution: [640, 480]\n  rostopic: /cam{n}/image_raw\n"
         )
-    (folder / "camchain.yaml").write_text("\n".join(said) + "\n")
-    return files("camchain.yaml") + '\nunit = "m"'
+    pose = np.vstack([np.column_stack([R, 0.001 * T]), [0.0, 0.0, 0.0, 1.0]])
+    said += ["  T_cn_cnm1:\n", *(f"  - [{flat(row)}]\n" for row in pose)]
+    return text(folder, "camchain.yaml", "".join(said)) + '\nunit = "m"'
 
 
 def ros(folder: Path) -> str:
     """``camera_info`` of both: the pose is in what rectifies them."""
     R1, R2, P1, P2 = cv2.stereoRectify(M1, D1, M2, D2, (640, 480), R, 0.001 * T)[:4]
-    for side, K, D, turn, P in (("left", M1, D1, R1, P1), ("right", M2, D2, R2, P2)):
+    for (side, K, D), turn, P in zip(BOTH, (R1, R2), (P1, P2), strict=True):
         parts = {"camera_matrix": K, "distortion_coefficients": D, "rectification_matrix": turn, "projection_matrix": P}
-        said = [f"image_width: 640\nimage_height: 480\ncamera_name: {side}\ndistortion_model: plumb_bob"]
-        said += [
-            f"{name}:\n  rows: {m.shape[0]}\n  cols: {m.shape[1]}\n  data: [{flat(m)}]" for name, m in parts.items()
-        ]
-        (folder / f"{side}.yaml").write_text("\n".join(said) + "\n")
+        said = [f"image_width: 640\nimage_height: 480\ncamera_name: {side}\ndistortion_model: plumb_bob\n"]
+        for name, m in parts.items():
+            said.append(f"{name}:\n  rows: {m.shape[0]}\n  cols: {m.shape[1]}\n  data: [{flat(m)}]\n")
+        text(folder, f"{side}.yaml", "".join(said))
     return files("right.yaml", "left.yaml") + '\nunit = "m"'
-
-
-def pyyaml(folder: Path) -> str:
-    """``yaml.dump`` of lists of lists: a dash before a dash, nothing indented."""
-    said = []
-    for name, values in (("camera_matrix_left", M1), ("dist_coeff_left", D1), ("camera_matrix_right", M2),
-                         ("dist_coeff_right", D2), ("R", R), ("T", T)):  # fmt: skip
-        said.append(f"{name}:")
-        said += [
-            "\n".join(f"{'- -' if k == 0 else '  -'} {one!r}" for k, one in enumerate(row.tolist())) for row in values
-        ]
-    (folder / "stereo.yaml").write_text("\n".join(said) + "\n")
-    return files("stereo.yaml")
 
 
 def matlab_struct() -> dict[str, Any]:
     """``toStruct(stereoParams)``: pixels from 1, rows times matrices."""
     cameras = {}
-    for n, (K, D) in enumerate(((M1, D1), (M2, D2)), 1):
-        from_one = K + np.array([[0, 0, 1.0], [0, 0, 1.0], [0, 0, 0]])
+    for n, (_, K, D) in enumerate(BOTH, 1):
         cameras[f"CameraParameters{n}"] = {
-            "RadialDistortion": D[0, :2], "TangentialDistortion": D[0, 2:4], "ImageSize": np.array([480.0, 640.0]),
-            "IntrinsicMatrix": from_one.T, "WorldUnits": "mm", "EstimateSkew": False,
+            "RadialDistortion": D[0, :2], "TangentialDistortion": D[0, 2:4], "ImageSize": np.array([480.0, 640.0]), "EstimateSkew": False,
+            "IntrinsicMatrix": (K + np.array([[0, 0, 1.0], [0, 0, 1.0], [0, 0, 0]])).T, "WorldUnits": "mm",
         }  # fmt: skip
     return {**cameras, "RotationOfCamera2": R.T, "TranslationOfCamera2": T.ravel(), "Version": {"Major": 1.0}}
 
@@ -293,20 +246,13 @@ def matlab(folder: Path) -> str:
 
 
 def matlab_json(folder: Path) -> str:
-    said = json.dumps(matlab_struct(), default=lambda one: one.tolist())
-    (folder / "stereo.json").write_text(said)
-    return files("stereo.json")
+    return text(folder, "stereo.json", json.dumps(matlab_struct(), default=lambda one: one.tolist()))
 
 
 def bouguet(folder: Path) -> str:
     values: dict[str, Any] = {"om": cv2.Rodrigues(R)[0], "R": R, "T": T, "nx": 640.0, "recompute_intrinsic_left": 1.0}
-    for side, K, D in (("left", M1, D1), ("right", M2, D2)):
-        values |= {
-            f"fc_{side}": K[[0, 1], [0, 1]][:, None],
-            f"cc_{side}": K[:2, 2:],
-            f"kc_{side}": D.T,
-            f"alpha_c_{side}": 0.0,
-        }
+    for side, K, D in BOTH:
+        values |= {f"fc_{side}": K[[0, 1], [0, 1]][:, None], f"cc_{side}": K[:2, 2:], f"kc_{side}": D.T, f"alpha_c_{side}": 0.0}  # fmt: skip
     savemat(folder / "Calib_Results_stereo.mat", values)
     return files("Calib_Results_stereo.mat")
 
@@ -331,15 +277,6 @@ def a_file_for_each(folder: Path) -> str:
     return files("mtx_left.npy", "dist_left.npy", "K_right.txt", "D_right.csv", "R.txt", "T.txt")
 
 
-def opencv_without_its_first_line(folder: Path) -> str:
-    said = [
-        f"{name}: !!opencv-matrix\n   rows: {m.shape[0]}\n   cols: {m.shape[1]}\n   dt: d\n   data: [ {flat(m)} ]"
-        for name, m in (("M1", M1), ("D1", D1), ("M2", M2), ("D2", D2), ("R", R), ("T", T))
-    ]
-    (folder / "stereo.yml").write_text("---\n" + "\n".join(said) + "\n")
-    return files("stereo.yml")
-
-
 OF_PROGRAMS: dict[str, Callable[[Path], str]] = {
     "opencv": partial(named, names="M1 D1 M2 D2 R T", suffix=".yml"),
     "opencv xml": partial(named, names="cameraMatrix1 distCoeffs1 cameraMatrix2 distCoeffs2 R T", suffix=".xml"),
@@ -348,9 +285,8 @@ OF_PROGRAMS: dict[str, Callable[[Path], str]] = {
     "from nought": partial(named, names="K0 D0 K1 D1 R T", suffix=".npz"),
     "toolbox": partial(named, names="KK_left kc_left KK_right kc_right om T", suffix=".mat"),
     **{write.__name__: write for write in (
-        in_words, matrices_and_pose, odd_names, nested_json, of_no_sides, of_the_world, of_the_right_alone, rectified_too, poses,
-        named_turn, two_ways_of_which_one_is_named, a_list_of_tables, lines_below_names, kalibr, ros, pyyaml, matlab, matlab_json,
-        bouguet, a_file_for_each, opencv_without_its_first_line,
+        in_words, nested_json, of_no_sides, of_the_world, of_the_right_alone, rectified_too, poses, named_turn, two_ways_of_which_one_is_named,
+        a_list_of_tables, lines_below_names, kalibr, ros, matlab, matlab_json, bouguet, a_file_for_each,
     )},
 }  # fmt: skip
 OF_PROJECTORS: dict[str, Callable[[Path], str]] = {

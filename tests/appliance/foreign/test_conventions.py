@@ -16,7 +16,7 @@ from appliance.cli.output import Exit
 from appliance.foreign.problem import ForeignError
 from appliance.offline.foreign_import import import_cloud
 from tests.support.commands import Shell
-from tests.support.foreign_sets import ForeignSet, convention
+from tests.support.foreign_sets import ForeignSet
 from tests.support.truth import left_to_rig
 
 Sets = Callable[[str], ForeignSet]
@@ -34,10 +34,10 @@ def points_of(grid: Mapping[str, NDArray[np.float32]]) -> NDArray[np.float32]:
     return np.stack([grid[f"{axis}_mm"] for axis in "xyz"], -1)
 
 
-# The other two are measured by the benchmark; the strangers' sets have a code alone, and several periods.
-@pytest.mark.parametrize("name", ["eight-steps", "half-off", "two-directions"])
+# Two directions are made of a folder, below; the strangers' sets have a code alone, and several periods.
+@pytest.mark.parametrize("name", ["eight-steps", "half-off"])
 def test_points_of_another_rig_lie_on_the_surface(foreign_set: Sets, tmp_path: Path, name: str) -> None:
-    made, wanted = foreign_set(name), convention(name)
+    made = foreign_set(name)
     out = tmp_path / "cloud.npz"
     report = import_cloud(made.description, out, lambda _: None)
     with np.load(out) as grid:
@@ -51,8 +51,8 @@ def test_points_of_another_rig_lie_on_the_surface(foreign_set: Sets, tmp_path: P
     assert 0.2 < sigma_mm / off_mm < 8.0
     assert report["wrong"] == []
     # With one direction nothing has checked the points, and the report says so.
-    assert report["unchecked"][0].startswith("fringes of one direction only") == wanted.one_direction
-    assert (report["gap_mm"] is None) == wanted.one_direction
+    assert report["unchecked"][0].startswith("fringes of one direction only")
+    assert report["gap_mm"] is None
     # All judges need the same, or are asked later: one line says so, not one for each.
     assert sum("motion" in line for line in report["unchecked"]) == 1
     assert sum(report["reasons"].values()) == there.size - report["points"]
@@ -61,14 +61,7 @@ def test_points_of_another_rig_lie_on_the_surface(foreign_set: Sets, tmp_path: P
 @pytest.mark.parametrize(
     ("name", "changes", "said"),
     [
-        ("eight-steps", [('sign = "-"', 'sign = "+"')], 'with x.sign = "-"'),
         ("three-steps", [("bright dark", "dark bright")], "they are exchanged"),
-        ("half-off", [("code_offset_px = -32", "")], "they fit with x.start_deg = 180, or x.code_offset_px = -32"),
-        ("eight-steps", [("start_deg = 180", "start_deg = 90")], "phase and code are 90 degrees apart: they fit with x.start_deg = 180"),
-        ("eight-steps", [('gray = "complementary"', "")], "with x.stripe_px = 16"),
-        ("three-steps", [("steps = 3", "steps = 3\ncode_inverted = true")], "100 % with x.code_inverted = false"),
-        ("two-directions", [("[0, 180, 90, 270]", "[0, 90, 180, 270]")], "x.steps_deg = [0, 180, 90, 270] leaves"),
-        ("periods", [("[49, 48, 42]", "[42, 48, 49]")], "with x.period_px = [20.898, 21.3333, 24.381]"),
         ("inverses", [("gray-x ~gray-x", "~gray-x gray-x")], "x.code_inverted = true"),
     ],
 )  # fmt: skip
@@ -113,35 +106,27 @@ def test_of_one_direction_texture_checks_the_cameras(shell: Shell, foreign_set: 
     assert "cameras: which is left" in refused.error
 
 
-def said_in(path: Path) -> str:
-    """The words that a cloud's file has about all of it."""
-    if path.suffix == ".npz":
-        with np.load(path) as grid:
-            return "\n".join(json.loads(str(grid["about"]))["notes"])
-    return path.read_bytes()[:8192].decode("ascii", "replace").replace("comment ", "\n")
-
-
-@pytest.mark.parametrize("suffix", [".ply", ".npz"])
-def test_a_wrong_word_may_be_insisted_on_and_the_file_tells(foreign_set: Sets, tmp_path: Path, suffix: str) -> None:
+def test_a_wrong_word_may_be_insisted_on_and_the_file_tells(foreign_set: Sets, tmp_path: Path) -> None:
     # Phases of both cameras are wrong alike: points are there, and the file says what the images say against them.
-    described = foreign_set("eight-steps").described(("start_deg = 180", "start_deg = 130"))
-    out = tmp_path / f"cloud{suffix}"
-    if suffix == ".ply":
-        with pytest.raises(ForeignError, match="contradict it"):
-            import_cloud(described, out, lambda _: None)
-    import_cloud(described, out, lambda _: None, as_described=True)
-    said = said_in(out)
-    assert re.search(
-        r"\nwrong: left: x.start_deg: phase and code are 5\d degrees apart: they fit with x.start_deg = 180", said
+    described, out = (
+        foreign_set("eight-steps").described(("start_deg = 180", "start_deg = 130")),
+        tmp_path / "cloud.npz",
     )
-    assert "unchecked: fringes of one direction only" in said
+    with pytest.raises(ForeignError, match="contradict it"):
+        import_cloud(described, out, lambda _: None)
+    import_cloud(described, out, lambda _: None, as_described=True)
+    with np.load(out) as grid:
+        notes = json.loads(str(grid["about"]))["notes"]
+    wrong = r"wrong: left: x.start_deg: phase and code are 5\d degrees apart: they fit with x.start_deg = 180"
+    assert any(re.match(wrong, note) for note in notes)
+    assert any(note.startswith("unchecked: fringes of one direction only") for note in notes)
 
 
 def test_a_folder_becomes_a_cloud_and_a_description_that_works(shell: Shell, foreign_set: Sets, tmp_path: Path) -> None:
     made = foreign_set("two-directions")
     folder = made.description.parent
-    said = shell("import", folder, "--out", tmp_path / "cloud.npz", "--json")
-    assert said.code == Exit.OK, said.err
+    found = shell("import", folder, "--out", tmp_path / "cloud.npz", "--json")
+    assert found.code == Exit.OK, found.err
     assert sorted(path.name for path in tmp_path.iterdir()) == [
         "cloud.cloud.png",
         "cloud.npz",
@@ -157,3 +142,4 @@ def test_a_folder_becomes_a_cloud_and_a_description_that_works(shell: Shell, for
         complete, off_mm = judged(made, points_of(grid), grid["mask"])
     assert complete > 0.94
     assert off_mm < 0.08
+    assert found.document["gap_mm"] is not None

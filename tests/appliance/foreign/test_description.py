@@ -74,12 +74,7 @@ def test_an_order_that_cannot_be_read_says_where(text: str, said: str) -> None:
 
 
 def test_names_come_as_people_count() -> None:
-    assert sorted(["a10.png", "a2.png", "B1.png", "a02b.png"], key=natural_key) == [
-        "a2.png",
-        "a02b.png",
-        "a10.png",
-        "B1.png",
-    ]
+    assert sorted(["a10", "a2", "B1", "a02b"], key=natural_key) == ["a2", "a02b", "a10", "B1"]
 
 
 def test_conventions_in_one_word() -> None:
@@ -165,21 +160,15 @@ def test_of_two_cameras_the_pattern_is_what_the_code_covers() -> None:
         (("width_px = 512", 'width_px = "512"'), "projector.width_px is '512'; allowed: a whole number"),
         (('left = "left/*.png"', "left = 3"), "images.left is 3; allowed: a name, with wildcards"),
         (('order = "', 'channel = "cyan"\norder = "'), "images.channel is 'cyan'; allowed: grey, red, green, blue"),
-        (
-            ("[cameras]", "[range]\nnear_mm = 500\nfar_mm = 400\n[cameras]"),
-            "range.near_mm is 500; allowed: less than far_mm = 400",
-        ),
+        (("[cameras]", "[range]\nnear_mm = 500\nfar_mm = 400\n[cameras]"), "range.near_mm is 500; allowed: less than far_mm = 400"),
         (("[cameras]", "[water]\n[cameras]"), "water.index or water.temperature_c: give one of them"),
         (("[cameras]", "[ports]\ndistance_mm = 30\nthickness_mm = 5\n[cameras]"), "ports.glass_index is missing"),
         (("[images]", "[images"), "correct that line (TOML 1.0)"),
-        (
-            ('left = "left/*.png"\nright', 'both = "*.png"\nsides = "left*2 up*2"\n# right'),
-            "images.sides is 'left*2 up*2'",
-        ),
+        (('left = "left/*.png"\nright', 'both = "*.png"\nsides = "left*2 up*2"\n# right'), "images.sides is 'left*2 up*2'"),
         (('left = "left/*.png"', 'both = "*.png"'), "give names for both together, or for each"),
         (('left = "left/*.png"', 'left.bright = "a.png"'), "images.left and images.right name other kinds of images"),
     ],
-)
+)  # fmt: skip
 def test_a_word_that_cannot_be_followed_is_named(change: tuple[str, str], said: str) -> None:
     with pytest.raises(ForeignError) as error:
         parsed(change)
