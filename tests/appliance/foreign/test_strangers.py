@@ -14,6 +14,8 @@ import pytest
 from appliance.foreign.guess import guess_sequence
 from appliance.offline.foreign_folder import guessed_text
 from appliance.offline.foreign_import import import_cloud
+from tests.support.imported import import_folder
+from tests.support.other_programs import PROGRAMS
 from tests.support.strangers import (
     Bench,
     Image,
@@ -192,3 +194,11 @@ def test_a_strangers_folder_needs_no_more_than_a_guess(tmp_path: Path, case: Cas
     assert 100.0 * there.mean() > case.at_least_percent
     assert off_mm < case.at_most_mm
     assert 0.5 < sigma_mm / off_mm < 6.0
+
+
+def test_another_programs_folder_becomes_a_whole_cloud_by_one_command(tmp_path: Path) -> None:
+    """The bench ``import_sequences`` has twenty of them."""
+    (program,) = (one for one in PROGRAMS if one.name == "SLStudio 2x3")
+    drawn = program.make(tmp_path / "set", 3, WIDTH_PX)
+    found = import_folder(tmp_path / "set", tmp_path / "cloud.npz", drawn)
+    assert found.outcome == "whole", found
