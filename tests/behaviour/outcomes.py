@@ -147,7 +147,7 @@ class Outcome:
 
 def outcome_of(folder: Path) -> Outcome:
     """Return everything that is made of the recordings unpacked in ``folder``, where the caller stands; files are added to it."""
-    outcome = Outcome()
+    outcome, today = Outcome(), datetime.now(UTC).strftime("%Y-%m-%d")
     for root, rig in ROOTS.items():
         for scan in sorted(path.parent for path in Path(root).glob("*/*/manifest.json")):
             name = f"{root}/{scan.name}"
@@ -157,13 +157,13 @@ def outcome_of(folder: Path) -> Outcome:
     for name, (scan_id, change) in CHANGES.items():
         outcome.said[f"verdicts with {name}"], _ = _processed(Path("root/scans") / scan_id, ROOTS["root"], change)
     for name, words in CALLS:
-        outcome.said[name] = _answer(shlex.split(words))
+        outcome.said[name] = _answer(shlex.split(words), today)
     for method in Method:
-        outcome.said[f"calibrated in water: {method.value}"] = _calibrated_in_water(Path("water"), method)
+        outcome.said[f"calibrated in water: {method.value}"] = _calibrated_in_water(Path("water"), method, today)
     for path in sorted(folder.glob("*.ply")):
         outcome.clouds[path.name] = _cloud_file(path)
     for path in sorted(folder.glob("*.json")):
-        outcome.said[f"file {path.name}"] = _steady(json.loads(path.read_text(encoding="utf-8")))
+        outcome.said[f"file {path.name}"] = _steady(json.loads(path.read_text(encoding="utf-8")), today)
     return outcome
 
 
@@ -194,7 +194,7 @@ def _processed(scan: Path, rig: str, change: Change = lambda scan: scan) -> tupl
     return {"grade": worked.grade.value, "verdicts": verdicts}, arrays
 
 
-def _calibrated_in_water(folder: Path, method: Method) -> Any:
+def _calibrated_in_water(folder: Path, method: Method, today: str) -> Any:
     stored: dict[str, dict[str, Any]] = {}
     with np.load(folder / "recordings.npz") as arrays:
         for key in arrays:
@@ -208,10 +208,12 @@ def _calibrated_in_water(folder: Path, method: Method) -> Any:
     ]
     result = calibrate(method, recordings, load(folder / "air.json"))
     said = json.loads(encode(result.calibration))
-    return _steady({"calibration": said, "systematic_px": result.systematic_px, "warnings": list(result.warnings)})
+    return _steady(
+        {"calibration": said, "systematic_px": result.systematic_px, "warnings": list(result.warnings)}, today
+    )
 
 
-def _answer(words: list[str]) -> dict[str, Any]:
+def _answer(words: list[str], today: str) -> dict[str, Any]:
     out, err = io.StringIO(), io.StringIO()
     with redirect_stdout(out), redirect_stderr(err):
         try:
@@ -222,7 +224,7 @@ def _answer(words: list[str]) -> dict[str, Any]:
     said = json.loads(text) if text else None
     # Progress comes where a computer is slow.
     errors = [line for line in err.getvalue().splitlines() if not line.startswith('{"info"')]
-    return {"exit": code, "said": _steady(said), "error": _steady(errors) if code else None}
+    return {"exit": code, "said": _steady(said, today), "error": _steady(errors, today) if code else None}
 
 
 def _cloud_file(path: Path) -> dict[str, NDArray[Any]]:
@@ -239,19 +241,15 @@ def _cloud_file(path: Path) -> dict[str, NDArray[Any]]:
     return {name: table[name].copy() for name, _ in fields}
 
 
-def _steady(value: Any) -> Any:
+def _steady(value: Any, today: str) -> Any:
     """Return a document without times of today, durations and the folder that it was made in."""
     if isinstance(value, dict):
-        return {key: _steady(one) for key, one in value.items() if not VARYING.search(key)}
+        return {key: _steady(one, today) for key, one in value.items() if not VARYING.search(key)}
     if isinstance(value, list):
-        return [_steady(one) for one in value]
+        return [_steady(one, today) for one in value]
     if not isinstance(value, str):
         return value
-    return NOW.sub(_not_today, value.replace(str(Path.cwd()), "HERE"))
-
-
-def _not_today(found: re.Match[str]) -> str:
-    return "<now>" if found[0][:10] >= datetime.now(UTC).strftime("%Y-%m-%d") else found[0]
+    return NOW.sub(lambda found: "<now>" if found[0] >= today else found[0], value.replace(str(Path.cwd()), "HERE"))
 
 
 def differences(wanted: Any, found: Any, share: float, at: str = "", beside: float = FLOOR) -> Iterator[str]:
