@@ -107,7 +107,6 @@ def read_bits(images: ImageSet, axis: AxisConvention, sine_mean: Floats | None) 
         if swing is None:
             # One bit, and of narrow stripes two, may be in the middle of turning: the others tell how much light there is.
             swing = np.partition(np.abs(stack), len(stack) // 4, axis=0)[len(stack) // 4]
-            swing *= np.float32(1.0 if len(inverse) else 2.0)
         seen = told[kept][0 if axis.fine_first else -1] >= MODULATED
         contrast[part] = swing * cv2.resize(seen.astype(np.float32), swing.shape[::-1], interpolation=cv2.INTER_NEAREST)
         if borders is not None:

@@ -183,6 +183,13 @@ def test_stripes_that_light_the_room_do_not_vote_on_finer_ones() -> None:
     assert not valid[:, 460:].any()
 
 
+@pytest.mark.parametrize(("swing", "reason"), [(2.0, Reason.WEAK), (6.0, Reason.FOUND)])
+def test_a_code_alone_needs_a_swing_of_four_grey_values(swing: float, reason: Reason) -> None:
+    signs = [(1 - 2 * inverse) * (bit - 0.5) for bit in gray(EDGE_PX, 32, 5) for inverse in (0, 1)]
+    found = decoded([0.5 + swing / 200.0 * one for one in signs], "(gray-x ~gray-x)*5", "stripe_px = 32")
+    assert (found.placed["x"].reason == reason).mean() > 0.95
+
+
 def test_more_fringes_than_four_thousand_are_told_apart() -> None:
     edge_px = np.array([[900.0, 9001.0, 9900.0]])
     shots = [*steps(edge_px, 2.0, 4), *steps(edge_px, 2.0 * 5000 / 71, 4), *steps(edge_px, 10000.0, 4)]

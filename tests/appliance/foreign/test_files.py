@@ -28,7 +28,7 @@ def told(folder: Path) -> str:
     ("names", "wanted"),
     [
         ("10 9 8", "left *.png: 8 9 10"),
-        ("left/0 left/1 left/2 right/0 right/1 right/2", "left left/*.png: 0 1 2; right right/*.png: 0 1 2"),
+        ("1_right/0 1_right/1 1_right/2 2_left/0 2_left/1 2_left/2", "left 2_left/*.png: 0 1 2; right 1_right/*.png: 0 1 2"),
         ("r0 r1 r2 l0 l1 l2", "left l*.png: l0 l1 l2; right r*.png: r0 r1 r2"),
         ("a_cam0 b_cam0 c_cam0 a_cam1 b_cam1 c_cam1", "left *cam0*.png: a_cam0 b_cam0 c_cam0; right *cam1*.png: a_cam1 b_cam1"),
         ("0 1 2 calib/1 mask", "left *.png: 0 1 2"),

@@ -79,13 +79,21 @@ def three_frequencies_by_turns(folder: Path) -> None:
     )  # fmt: skip
 
 
-def projection_matrices(folder: Path) -> None:
-    """Fringes of 1, 8 and 64 periods for camera and projector, both of which are given as matrices of 3 x 4, in metres."""
+def by_projection_matrices(folder: Path, patterns: Sequence[Image]) -> None:
+    """Camera and projector are given as matrices of 3 x 4, in metres."""
     bench = without_distortion(with_projector(WIDTH_PX, SIZE))
-    patterns = [one for fringes in (1, 8, 64) for one in sine("x", SIZE, 640 / fringes, (0.0, 90.0, 180.0, 270.0))]
     taken(bench, folder, patterns, ("{k}.bmp",))
     left, right = (one.K @ np.column_stack([one.R, 0.001 * one.t_mm]) for one in (bench.left, bench.right))
     np.savez(folder / "calib.npz", P_cam=left, P_proj=right)
+
+
+def fringes_of_a_projector(folder: Path) -> None:
+    by_projection_matrices(folder, [one for fringes in (1, 8, 64) for one in sine("x", SIZE, 640 / fringes, FOUR)])
+
+
+def code_half_a_period_off(folder: Path) -> None:
+    """Before the projector's width is known it is guessed for 1024 px."""
+    by_projection_matrices(folder, [*BRIGHT_DARK, *gray("x", SIZE, 6, 10.0, -5.0), *sine("x", SIZE, 10.0, FOUR)])
 
 
 def three_steps_of_a_part(folder: Path) -> None:
@@ -169,7 +177,8 @@ CASES = (
     Case(cameras_above_each_other, ('order = "gray-y*5 sine-y*4 dark"', 'left = "scene/c0/*.png"'), 80.0, 0.12),
     Case(one_camera_and_a_projector, ("width_px = 640\nheight_px = 480", "code_offset_px = -192", "code_offset_px = -16"), 80.0, 0.06),
     Case(three_frequencies_by_turns, ('both = "*.png"', 'sides = "left right"', '"sine-x*8 sine-x2*8 sine-x3*8"', "period_px = [28.444444, 33.032258, 36.571429]"), 80.0, 0.08),
-    Case(projection_matrices, ("period_px = [640, 80, 10]", 'unit = "m"'), 80.0, 0.08),
+    Case(code_half_a_period_off, ("period_px = 10", "code_offset_px = -5"), 80.0, 0.08),
+    Case(fringes_of_a_projector, ("period_px = [640, 80, 10]", 'unit = "m"'), 80.0, 0.08),
     Case(three_steps_of_a_part, ('"dark gray-x*6 sine-x*3 bright"', 'left = "cam0*.tif"'), 75.0, 0.08),
 )  # fmt: skip
 
