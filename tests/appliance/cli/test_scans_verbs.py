@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 
 from appliance.calibration.file import encode
-from appliance.cli import main
 from appliance.config import default_rig_path, load_rig
 from appliance.instrument import CALIBRATION_FILE, design_of
 from appliance.machine.ashore import ASHORE
@@ -24,6 +23,8 @@ from appliance.storage.library import Library, LibraryFolder
 from appliance.storage.lock import hold_lock
 from tests.appliance.storage.scenes import ORIGIN, PREVIEW, BadDisk, cloud, frames, record
 from tests.support.commands import Shell
+
+DEFAULT_ROOT = load_rig(default_rig_path()).storage.root
 
 
 @pytest.fixture
@@ -190,30 +191,25 @@ def test_the_root_is_the_one_that_somebody_stands_in_or_else_that_of_the_environ
     assert (said.code, f"KINGFISHER_ROOT={gone}" in said.error) == (2, True)
 
 
+@pytest.mark.skipif(DEFAULT_ROOT.exists(), reason="this computer has the default root, as an instrument does")
 @pytest.mark.parametrize("verb", [["scans", "list"], ["reconstruct", "1"], ["object", "show", "thing"]])
 def test_where_there_is_no_root_it_is_said_where_was_looked(
     verb: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shell: Shell
 ) -> None:
-    default = load_rig(default_rig_path()).storage.root
-    if default.exists():
-        pytest.skip(f"this computer has {default}, as an instrument does")
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("KINGFISHER_ROOT", raising=False)
     said = shell(*verb)
     assert said.code == 2
-    for where in ("the folder you stand in", "KINGFISHER_ROOT is not set", str(default), "--root PATH"):
+    for where in ("the folder you stand in", "KINGFISHER_ROOT is not set", str(DEFAULT_ROOT), "--root PATH"):
         assert where in said.error
     with pytest.raises(NotADirectoryError, match="KINGFISHER_ROOT"):
         open_dive()
 
 
-def test_the_calibration_of_a_root_is_shown_without_its_rig_file(
-    root: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_calibration_of_a_root_is_shown_without_its_rig_file(root: Path, shell: Shell) -> None:
     # The packaged rig file draws KF-0001: that drawing was shown instead.
-    assert main(["calibration", "show", "--root", str(root), "--json"]) == 0
-    shown = json.loads(capsys.readouterr().out)
+    shown = shell("calibration", "show", "--root", root, "--json").document
     assert (shown["rig_serial"], shown["method"]) == ("KF-0042", "bundle")
     (root / CALIBRATION_FILE).unlink()
-    assert main(["calibration", "show", "--root", str(root)]) == 1
-    assert str(root / CALIBRATION_FILE) in capsys.readouterr().err
+    said = shell("calibration", "show", "--root", root)
+    assert (said.code, str(root / CALIBRATION_FILE) in said.error) == (1, True)
