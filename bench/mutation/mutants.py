@@ -61,8 +61,6 @@ class Mutant:
     span: Span
     replacement: str
     statement: ast.stmt
-    in_function: bool
-    """Or it runs when its file is imported."""
 
     def applied(self, text: str) -> str:
         return text[: self.span[0]] + self.replacement + text[self.span[1] :]
@@ -151,15 +149,15 @@ class Source:
                 inner, inside = f"{within}.{child.name}".lstrip("."), not isinstance(child, ast.ClassDef)
             if isinstance(child, ast.stmt) and not isinstance(child, ast.Assert | ast.Import | ast.ImportFrom):
                 for span, replacement in self._edits(child, in_function):
-                    self._add(span, replacement, child, inner, in_function)
+                    self._add(span, replacement, child, inner)
             if not (isinstance(child, ast.If) and ast.unparse(child.test) == "TYPE_CHECKING"):
                 self.visit(child, inner, in_function=inside)
 
-    def _add(self, span: Span, new: str, statement: ast.stmt, within: str, in_function: bool) -> None:
+    def _add(self, span: Span, new: str, statement: ast.stmt, within: str) -> None:
         head, tail = self.text.rfind("\n", 0, span[0]) + 1, self.text.find("\n", span[1] - 1)
         before = " ".join(self.text[head:tail].split())
         after = " ".join((self.text[head : span[0]] + new + self.text[span[1] : tail]).split())
-        self.found.append(Mutant(Listed(self.path, within, before, after), span, new, statement, in_function))
+        self.found.append(Mutant(Listed(self.path, within, before, after), span, new, statement))
 
     def _edits(self, node: ast.stmt, in_function: bool) -> Iterator[tuple[Span, str]]:
         match node:

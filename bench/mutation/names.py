@@ -1,19 +1,20 @@
-"""Owns who uses a name: which compiled kernels a change makes stale, and which functions run when a kernel or constant is used.
+"""Owns who uses a name: which compiled kernels a change makes stale, and which tests are to notice it.
 
-A compiled kernel keeps the callees and constants that it was compiled with, also those of other files, and no probe can stand
-in it.
+A compiled kernel keeps the callees and constants that it was compiled with, also those of other files.
 """
 
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator
+from collections import defaultdict
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from bench.mutation.mutants import PACKAGES, Mutant
 
-Function = ast.FunctionDef | ast.AsyncFunctionDef
+UNITS = ("tests/appliance/", "tests/drivers/", "tests/hw_sim/")
+"""Folders of tests that ask one room; whole dives take too long for one line."""
+FROZEN = "tests/behaviour/test_behaviour.py"
 
 
 @dataclass(slots=True, eq=False)
@@ -30,48 +31,39 @@ class Definition:
         decorators = getattr(self.node, "decorator_list", [])
         return any(word in ast.unparse(one) for one in decorators for word in ("njit", "vectorize"))
 
-    @property
-    def is_function(self) -> bool:
-        return isinstance(self.node, Function) and not self.is_kernel
-
 
 class Names:
     """The names at the top levels of the packages' and the tests' files."""
 
     def __init__(self, root: Path) -> None:
         paths = [path for package in (*PACKAGES, "tests") for path in sorted((root / package).rglob("*.py"))]
-        self.trees = {path.relative_to(root).as_posix(): ast.parse(path.read_text(encoding="utf-8")) for path in paths}
+        self._trees = {path.relative_to(root).as_posix(): ast.parse(path.read_text(encoding="utf-8")) for path in paths}
         self._of_file = {
             path: {name: Definition(path, name, node) for node in tree.body for name in _names(node)}
-            for path, tree in self.trees.items()
+            for path, tree in self._trees.items()
         }
-        for path, tree in self.trees.items():
+        self._importers: dict[str, list[str]] = defaultdict(list)
+        for path, tree in self._trees.items():
             self._link(path, tree)
 
     def stale_kernels(self, mutant: Mutant) -> list[Definition]:
         """Every kernel that may have been compiled with what the mutant changes, itself among them."""
-        return [one for one in self._reached(self._of(mutant), beyond_functions=True) if one.is_kernel]
-
-    def at_work(self, mutant: Mutant) -> Iterator[tuple[str, ast.stmt]]:
-        """The nearest functions that are at work whenever the mutant's kernel or constant is."""
-        for one in self._reached(self._of(mutant), beyond_functions=False):
-            if isinstance(one.node, ast.ClassDef) or one.is_function:
-                yield from ((one.path, inner) for inner in ast.walk(one.node) if isinstance(inner, Function))
-
-    def in_kernel(self, mutant: Mutant) -> bool:
-        """Return True if the mutant stands within a kernel."""
-        return any(one.is_kernel for one in self._of(mutant))
-
-    def _of(self, mutant: Mutant) -> list[Definition]:
         line, every = mutant.statement.lineno, self._of_file[mutant.listed.path].values()
-        return [one for one in every if one.node.lineno <= line <= (one.node.end_lineno or 0)]
-
-    def _reached(self, first: list[Definition], *, beyond_functions: bool) -> list[Definition]:
-        found = list(first)
+        found = [one for one in every if one.node.lineno <= line <= (one.node.end_lineno or 0)]
         for one in found:
-            if beyond_functions or not one.is_function:
-                found += [user for user in dict.fromkeys(one.users) if user not in found]
-        return found
+            found += [user for user in dict.fromkeys(one.users) if user not in found]
+        return [one for one in found if one.is_kernel]
+
+    def tests_of(self, path: str) -> list[str]:
+        """The files of tests for a file: those that import it, those of its room, and the frozen behaviour of the instrument."""
+        tests = [one for one in self._trees if one.startswith(UNITS) and "/test_" in one]
+        chosen = [one for one in tests if one in self._importers[path]]
+        folder = f"tests/{path.rpartition('/')[0]}"
+        while folder.count("/") > 1 and not any(one.startswith(f"{folder}/") for one in tests):
+            folder = folder.rpartition("/")[0]
+        if folder.count("/") > 1 or folder == "tests/drivers":
+            chosen += [one for one in tests if one.startswith(f"{folder}/")]
+        return [*dict.fromkeys(chosen), *([FROZEN] if path.startswith("appliance/") else [])]
 
     def _link(self, path: str, tree: ast.Module) -> None:
         modules: dict[str, str] = {}
@@ -80,7 +72,9 @@ class Names:
             if isinstance(node, ast.ImportFrom) and node.module and not node.level:
                 for alias in node.names:
                     name, inner = alias.asname or alias.name, self._file(f"{node.module}.{alias.name}")
-                    outer = self._of_file.get(self._file(node.module) or "", {}).get(alias.name)
+                    whole = self._file(node.module)
+                    outer = self._of_file.get(whole or "", {}).get(alias.name)
+                    self._importers[inner or whole or ""].append(path)
                     if inner:
                         modules[name] = inner
                     elif outer:
@@ -98,7 +92,7 @@ class Names:
 
     def _file(self, module: str) -> str | None:
         path = module.replace(".", "/")
-        return next((one for one in (f"{path}.py", f"{path}/__init__.py") if one in self.trees), None)
+        return next((one for one in (f"{path}.py", f"{path}/__init__.py") if one in self._trees), None)
 
 
 def _names(node: ast.stmt) -> list[str]:

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from bench.mutation.mutants import draw, find, mutants_of, read
+from bench.mutation.names import FROZEN, Names
 
 LIMITS = "def is_over(value, top):\n    return value > top\n"
 HALF = "HALF = 0.5\n\n\ndef half(x):\n    return x * HALF\n"
@@ -50,3 +51,25 @@ def test_a_seed_draws_every_file_once_before_one_twice_and_a_mutant_is_found_whe
     moved = find(tmp_path, boundary)
     assert moved is not None
     assert moved.applied(f"import math\n\n\n{LIMITS}").count(">=") == 1
+
+
+def test_a_line_is_asked_of_those_who_import_it_then_of_its_room_and_a_kernel_of_others_is_compiled_anew(
+    tmp_path: Path,
+) -> None:
+    files = {
+        "appliance/a/half.py": f"import numba\n\n{HALF}",
+        "appliance/b/twice.py": "from appliance.a.half import half\n\n\n@numba.njit\ndef twice(x):\n    return 4 * half(x)\n",
+        "tests/appliance/a/test_room.py": "",
+        "tests/appliance/b/test_user.py": "from appliance.a import half\n",
+        "tests/appliance/b/test_other.py": "from appliance.b.twice import twice\n",
+        "tests/scenarios/test_dive.py": "from appliance.a.half import half\n",
+    }
+    for name, text in files.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    names = Names(tmp_path)
+    assert names.tests_of("appliance/a/half.py") == [
+        "tests/appliance/b/test_user.py", "tests/appliance/a/test_room.py", FROZEN,
+    ]  # fmt: skip
+    mutant = mutants_of("appliance/a/half.py", files["appliance/a/half.py"])[0]
+    assert [one.name for one in names.stale_kernels(mutant)] == ["twice"]
