@@ -66,6 +66,13 @@ def test_near_hides_far_whatever_the_order(stage: Stage) -> None:
         assert middle.sum() > 1.5 * edge.sum()  # the bright end of the colours is the low end
 
 
+def test_what_lies_behind_an_edge_is_in_its_shadow(stage: Stage) -> None:
+    points = np.concatenate([plane(470.0, half_mm=20.0), plane(530.0)])
+    row = stage.picture(points, np.where(points[:, 2] < 500, 0.0, 1.0).astype(np.float32))[100].astype(int).sum(axis=1)
+    assert row[85] == row[110] > 0
+    assert 0 < row[85:150].min() < 0.9 * row[85]
+
+
 def test_a_closed_surface_has_no_holes_and_a_hole_stays_one(stage: Stage) -> None:
     points = plane()
     whole = lit(stage.picture(points))

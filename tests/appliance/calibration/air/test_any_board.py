@@ -17,6 +17,7 @@ from appliance.calibration.air.any_board import (
     Wanted,
     find_corners_of,
     search_board,
+    spread_of,
 )
 from appliance.calibration.air.board import BoardDesign, NoBoard, find_board, find_corners
 from hw_sim.objects.print import ACROSS, CELLS, DOWN, MARKER_MM, SQUARE_MM
@@ -135,3 +136,7 @@ def test_a_small_board_is_used_here_and_refused_by_the_guided_way() -> None:
     own = find_board("pair 1", left, right, BoardDesign(11, 8, 15.0, 11.25, printed.dictionary))
     assert isinstance(own, NoBoard)
     assert "small" in own.reason
+
+
+def test_the_spread_of_corners_is_their_box_in_the_picture() -> None:
+    assert spread_of(np.array([[10.0, 20.0], [60.0, 70.0], [30.0, 30.0]]), (100, 200)) == pytest.approx(0.125)
