@@ -9,12 +9,13 @@ from dataclasses import replace
 import pytest
 
 from appliance.machine import events as on
-from appliance.machine.states import Device, Part, State, boot
+from appliance.machine.states import Device, Gallery, Part, State, boot
 from appliance.ranging.marks import Marks, Track
 from appliance.ranging.reach import Range, Reach
 from appliance.scan.fault import Fault, FaultCode
 from appliance.screens.texts import to_the_minute
-from appliance.screens.views import AimView, CalibrateView, SelfTestView
+from appliance.screens.views import AimView, CalibrateView, GalleryView, SelfTestView
+from appliance.service.gallery import Shown
 from appliance.service.loop import fault_text, spoken
 from appliance.service.view import Surroundings, view_of
 from hw_sim.people import status_file
@@ -65,6 +66,20 @@ def test_what_the_console_sees_is_written_in_words(says: Says) -> None:
 
 
 NOTHING = Surroundings(left=None, right=None, temperature_c=None, scan=None)
+
+
+def test_the_gallery_shows_the_scan_that_is_looked_at_and_of_another_that_was_loaded_nothing() -> None:
+    machine = replace(aim(), state=State.GALLERY, gallery=Gallery(("000003", "000002"), 1))
+    loaded = Shown("000002", damaged=False, points=44_597, coverage_percent=81.7)
+    view, other = (view_of(machine, replace(NOTHING, shown=one)) for one in (loaded, replace(loaded, scan_id="000003")))
+    assert isinstance(view, GalleryView)
+    assert isinstance(other, GalleryView)
+    assert (view.scan_id, view.index, view.count, view.points, view.coverage_percent) == ("000002", 1, 2, 44_597, 81.7)
+    assert (other.scan_id, other.count, other.points) == ("000002", 2, None)
+    for empty in (None, Gallery(), Gallery(())):
+        blank = view_of(replace(machine, gallery=empty), replace(NOTHING, shown=loaded))
+        assert isinstance(blank, GalleryView)
+        assert (blank.scan_id, blank.count, blank.points) == (None, 0, None)
 
 
 @pytest.mark.parametrize("failed", [None, *Part])
