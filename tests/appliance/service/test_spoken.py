@@ -79,7 +79,7 @@ def test_the_gallery_shows_the_scan_that_is_looked_at_and_of_another_that_was_lo
     for empty in (None, Gallery(), Gallery(())):
         blank = view_of(replace(machine, gallery=empty), replace(NOTHING, shown=loaded))
         assert isinstance(blank, GalleryView)
-        assert (blank.scan_id, blank.count, blank.points) == (None, 0, None)
+        assert (blank.scan_id, blank.count, blank.points) == ("", 0, None)
 
 
 @pytest.mark.parametrize("failed", [None, *Part])
