@@ -104,7 +104,7 @@ def test_show_prints_the_manifest_and_what_to_look_at_ashore(root: Path, shell: 
     shown = shell("scans", "show", root / "rejected" / "000005").lines
     ashore = {key: text for key, text in shown.items() if "ashore" in key}
     assert ashore == {"ashore.PROJECTOR_DARK": ASHORE[FaultCode.PROJECTOR_DARK]}
-    assert shown["manifest.record.verdicts.causes.numbers.too_bright_percent"] == "7.0"
+    assert shown["manifest.record.verdicts.causes.numbers.too_bright_percent"] == "7.00"
 
 
 def test_a_name_and_a_note_are_listed_and_shown_and_a_damaged_label_is_told(root: Path, shell: Shell) -> None:
