@@ -62,9 +62,9 @@ def why_empty(pipeline: Pipeline, cloud: Cloud, judgements: Sequence[Judgement])
         )
     if points and meet:
         return None
-    remedy = "scan again" if wrong_frames else "scan again, nearer or in clearer water"
+    where = "" if wrong_frames else ", nearer or in clearer water"
     return Empty(
-        f"{points or 'no'} points are left of {decoded} decoded pixels{_faults_in_words(judgements)}; {remedy}",
+        f"{points or 'no'} points are left of {decoded} decoded pixels{_faults_in_words(judgements)}; scan again{where}",
         by_calibration=False,
     )
 
