@@ -40,12 +40,13 @@ def test_every_drawn_pattern_lights_the_scene_code_for_code_and_closing_darkens_
             projector.show(index)
             np.testing.assert_array_equal(rig.world.scanned_out("projector"), frame)
         projector.show(0)
+        np.testing.assert_array_equal(rig.world.scanned_out("projector"), frames[0])
         outputs.close_projector()
         outputs.close_projector()
-        assert not rig.world.scanned_out("projector").any()
         picture = np.random.default_rng(5).integers(0, 256, (480, 800, 3), dtype=np.uint8)
-        display.present(picture, 2.0)
+        display.present(picture, 2.0)  # until the next blank the scene is lit by what was scanned out before
         np.testing.assert_array_equal(rig.world.scanned_out("display"), picture)
+        assert not rig.world.scanned_out("projector").any()
 
 
 def test_a_play_has_consecutive_blanks_in_world_time_while_another_thread_presents(rig: Rig) -> None:
