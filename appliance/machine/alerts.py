@@ -64,8 +64,6 @@ class Rule:
     """True if a capture ends when it comes."""
     forbids_light: bool = False
     """True if neither projector nor lasers may shine while it lasts."""
-    spoils_scan: bool = False
-    """True if it makes a recorded scan worthless."""
     doubts_lengths: bool = False
     """True if, while it lasts, shapes are right and lengths may not be: no scan is called good without saying so."""
     passing: bool = False
@@ -86,56 +84,38 @@ _SERVICE = Words("END DIVE, NEEDS SERVICE", "AUFTAUCHEN, SERVICE NÖTIG")
 
 RULES: Mapping[FaultCode, Rule] = MappingProxyType(
     {
-        FaultCode.FRAME_MISSING: Rule(_W, _INCOMPLETE, _REPEAT, Words("INCOMPLETE", "UNVOLLSTÄNDIG"), spoils_scan=True),
-        FaultCode.FRAME_REPEATED: Rule(
-            _W, _INCOMPLETE, _REPEAT, Words("FRAME REPEATED", "BILD DOPPELT"), spoils_scan=True
-        ),
-        FaultCode.FRAME_ORDER: Rule(
-            _W, _INCOMPLETE, _REPEAT, Words("FRAME ORDER", "BILDFOLGE FALSCH"), spoils_scan=True
-        ),
-        FaultCode.FRAME_TRUNCATED: Rule(
-            _W, _INCOMPLETE, _REPEAT, Words("FRAME CUT SHORT", "BILD ABGESCHNITTEN"), spoils_scan=True
-        ),
-        FaultCode.FRAME_CORRUPT: Rule(
-            _W, _INCOMPLETE, _REPEAT, Words("FRAME DAMAGED", "BILD BESCHÄDIGT"), spoils_scan=True
-        ),
+        FaultCode.FRAME_MISSING: Rule(_W, _INCOMPLETE, _REPEAT, Words("INCOMPLETE", "UNVOLLSTÄNDIG")),
+        FaultCode.FRAME_REPEATED: Rule(_W, _INCOMPLETE, _REPEAT, Words("FRAME REPEATED", "BILD DOPPELT")),
+        FaultCode.FRAME_ORDER: Rule(_W, _INCOMPLETE, _REPEAT, Words("FRAME ORDER", "BILDFOLGE FALSCH")),
+        FaultCode.FRAME_TRUNCATED: Rule(_W, _INCOMPLETE, _REPEAT, Words("FRAME CUT SHORT", "BILD ABGESCHNITTEN")),
+        FaultCode.FRAME_CORRUPT: Rule(_W, _INCOMPLETE, _REPEAT, Words("FRAME DAMAGED", "BILD BESCHÄDIGT")),
         FaultCode.CAMERA_TOO_SLOW: Rule(
-            *(_W, Words("{side}CAM SLOW", "{side}KAMERA TRÄGE"), _SWITCH, Words("CAMERA SLOW", "KAMERA TRÄGE")),
-            spoils_scan=True,
+            _W, Words("{side}CAM SLOW", "{side}KAMERA TRÄGE"), _SWITCH, Words("CAMERA SLOW", "KAMERA TRÄGE")
         ),
         FaultCode.CAMERA_SILENT: Rule(
-            *(_W, Words("{side}CAM SILENT", "{side}KAMERA STUMM"), _RESTART, Words("CAMERA SILENT", "KAMERA STUMM")),
-            spoils_scan=True,
+            _W, Words("{side}CAM SILENT", "{side}KAMERA STUMM"), _RESTART, Words("CAMERA SILENT", "KAMERA STUMM")
         ),
         FaultCode.CAMERA_STUCK: Rule(
-            _W,
-            Words("{side}CAM STUCK", "{side}KAMERA HÄNGT"),
-            _REPEAT,
-            Words("CAMERA STUCK", "KAMERA HÄNGT"),
-            spoils_scan=True,
+            _W, Words("{side}CAM STUCK", "{side}KAMERA HÄNGT"), _REPEAT, Words("CAMERA STUCK", "KAMERA HÄNGT")
         ),
-        FaultCode.PATTERN_WRONG: Rule(_W, Words("WRONG PATTERN", "FALSCHES MUSTER"), _REPEAT, spoils_scan=True),
+        FaultCode.PATTERN_WRONG: Rule(_W, Words("WRONG PATTERN", "FALSCHES MUSTER"), _REPEAT),
         FaultCode.PICTURE_MIRRORED: Rule(
-            *(
-                _W,
-                Words("{side}CAM MIRROR", "{side}GESPIEGELT"),
-                _SERVICE,
-                Words("PICTURE MIRRORED", "BILD GESPIEGELT"),
-            ),
-            spoils_scan=True,
+            _W,
+            Words("{side}CAM MIRROR", "{side}GESPIEGELT"),
+            _SERVICE,
+            Words("PICTURE MIRRORED", "BILD GESPIEGELT"),
         ),
-        FaultCode.SYNC_LOST: Rule(_W, Words("SYNC LOST", "KEIN GLEICHTAKT"), _RESTART, spoils_scan=True),
-        FaultCode.LATE_FLIP: Rule(_W, Words("PROJECTOR LATE", "PROJEKTOR SPÄT"), _REPEAT, spoils_scan=True),
-        FaultCode.PROJECTOR_TIMING: Rule(_W, Words("PROJECTOR TIMING", "PROJEKTORTAKT"), _RESTART, spoils_scan=True),
-        FaultCode.PROJECTOR_DARK: Rule(_W, Words("PROJECTOR DARK", "PROJEKTOR DUNKEL"), _UNCOVER, spoils_scan=True),
+        FaultCode.SYNC_LOST: Rule(_W, Words("SYNC LOST", "KEIN GLEICHTAKT"), _RESTART),
+        FaultCode.LATE_FLIP: Rule(_W, Words("PROJECTOR LATE", "PROJEKTOR SPÄT"), _REPEAT),
+        FaultCode.PROJECTOR_TIMING: Rule(_W, Words("PROJECTOR TIMING", "PROJEKTORTAKT"), _RESTART),
+        FaultCode.PROJECTOR_DARK: Rule(_W, Words("PROJECTOR DARK", "PROJEKTOR DUNKEL"), _UNCOVER),
         FaultCode.PULSE_MISSING: Rule(
             _W,
             Words("PULSES {received:.0f}/{expected:.0f}", "PULSE {received:.0f}/{expected:.0f}"),
             _REPEAT,
             Words("PULSE MISSING", "PULS FEHLT"),
-            spoils_scan=True,
         ),
-        FaultCode.CAPTURE_TIMEOUT: Rule(_W, Words("SCAN TIMED OUT", "SCAN ZU LANGSAM"), _REPEAT, spoils_scan=True),
+        FaultCode.CAPTURE_TIMEOUT: Rule(_W, Words("SCAN TIMED OUT", "SCAN ZU LANGSAM"), _REPEAT),
         FaultCode.MOVED: Rule(
             _W,
             Words("MOVED {shift_px:.1f} px", "BEWEGT {shift_px:.1f} px"),
@@ -244,7 +224,6 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
             _W,
             Words("BOARD RESET", "PLATINE NEU GESTARTET"),
             Words("REPEAT IF A SCAN WAS RUNNING", "LIEF EIN SCAN: NOCHMAL"),
-            spoils_scan=True,
         ),
         FaultCode.VSYNC_LOST: Rule(
             _W,
@@ -424,12 +403,7 @@ RULES: Mapping[FaultCode, Rule] = MappingProxyType(
             blocks_scan=True,
             forbids_light=True,
         ),
-        FaultCode.INTERNAL: Rule(
-            _W,
-            Words("INTERNAL FAULT", "INTERNER FEHLER"),
-            _RESTART,
-            spoils_scan=True,
-        ),
+        FaultCode.INTERNAL: Rule(_W, Words("INTERNAL FAULT", "INTERNER FEHLER"), _RESTART),
     }
 )
 

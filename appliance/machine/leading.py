@@ -17,7 +17,7 @@ from appliance.machine.overlaps import OverlapSaid
 from appliance.machine.states import Machine, State
 from appliance.ranging.reach import Reach
 from appliance.scan.fault import FaultCode
-from appliance.scan.grade import SPOILS_POINTS
+from appliance.scan.grade import SPOILS_POINTS, SPOILS_SCAN
 
 _TESTED = frozenset(
     {
@@ -60,7 +60,7 @@ _REMEDIES = (
 def urgency(code: FaultCode) -> tuple[int, ...]:
     """Return what messages are ordered by: the smallest leads."""
     rule = RULES[code]
-    flags = rule.forbids_light, rule.blocks_scan, rule.spoils_scan, code in SPOILS_POINTS
+    flags = rule.forbids_light, rule.blocks_scan, code in SPOILS_SCAN, code in SPOILS_POINTS
     place = _REMEDIES.index(code) if code in _REMEDIES else len(_REMEDIES)
     # The codes' own order makes it total: the same two faults are never shown in another order.
     return (-rule.severity, *(not flag for flag in flags), place, list(FaultCode).index(code))

@@ -8,13 +8,13 @@ from typing import assert_never
 from appliance.machine import calibrate, saving, thermal
 from appliance.machine import effects as do
 from appliance.machine import events as on
-from appliance.machine.alerts import RULES
 from appliance.machine.conditions import raised
 from appliance.machine.moves import RECORDING, Result, enter, home
 from appliance.machine.permissions import other_exposure, refusal, second_exposure
 from appliance.machine.states import Device, Machine, Notice, NoticeKind, ScanInHand, State, seconds_ns
 from appliance.ranging.reach import Reach
 from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.grade import SPOILS_SCAN
 from drivers.api import Key
 
 SILENT_RETRIES = 1
@@ -187,7 +187,7 @@ def reconstruction(machine: Machine, event: on.CoarseReady | on.FullReady | on.R
         case on.ReconstructionFailed():
             if scan.publishing:
                 return machine, ()  # it was accepted with what there was
-            if RULES[event.fault.code].spoils_scan:
+            if event.fault.code in SPOILS_SCAN:
                 dropped, effects = drop(machine, event.fault.detail or event.fault.code.value)
                 return replace(dropped, notice=Notice(event.fault, NoticeKind.FAILURE)), effects
             return no_cloud(machine, event.fault, cancel=False)

@@ -15,14 +15,13 @@ from appliance.instrument import (
     settings_of,
     settings_of_scan,
 )
-from appliance.machine.alerts import RULES
 from appliance.offline.origin import Chosen, SourceScan, lost
 from appliance.offline.reprocess import refuse_empty, reprocess, reprocess_bracket
 from appliance.offline.salvage import Salvaged
 from appliance.optics.water import Water
 from appliance.reconstruct.pipeline import Cloud
 from appliance.scan.fault import Fault
-from appliance.scan.grade import Grade, grade
+from appliance.scan.grade import SPOILS_SCAN, Grade, grade
 from appliance.scan.verdict import Judgement
 from appliance.storage import scan as stored
 from appliance.storage.atomic import replace_file
@@ -104,7 +103,7 @@ class WorkedThrough:
     def grade(self) -> Grade:
         """The grade that the instrument gives such a scan; BAD where it would not keep it."""
         codes = {fault.code for fault in self.faults}
-        if any(RULES[code].spoils_scan for code in codes):
+        if not SPOILS_SCAN.isdisjoint(codes):
             return Grade.BAD
         return grade(self.cloud.summary.coverage_percent, self.cloud.summary.noise_mm, codes)
 

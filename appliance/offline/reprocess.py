@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibration.file import Calibration
-from appliance.machine.alerts import RULES
 from appliance.offline.empty import Empty, why_empty
 from appliance.optics.water import Water
 from appliance.patterns.sequence import PatternSequence, build_sequence
@@ -20,7 +19,7 @@ from appliance.reconstruct.pipeline import Cloud, Pipeline
 from appliance.reconstruct.quality import QualityLimits
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.fault import Fault, FaultCode
-from appliance.scan.grade import SPOILS_POINTS
+from appliance.scan.grade import SPOILS_POINTS, SPOILS_SCAN
 from appliance.scan.verdict import Judgement
 from appliance.storage import scan as stored
 
@@ -56,7 +55,7 @@ class ReprocessedScan:
 
 
 def _spoils_maps(fault: Fault) -> bool:
-    return RULES[fault.code].spoils_scan or fault.code in SPOILS_POINTS | {FaultCode.COMPENSATED}
+    return fault.code in SPOILS_SCAN | SPOILS_POINTS | {FaultCode.COMPENSATED}
 
 
 def reprocess(

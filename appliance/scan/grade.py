@@ -17,6 +17,29 @@ LENGTHS_DOUBTFUL = "lengths_doubtful"
 """Name of that verdict's number that is 1 where lengths were not to be trusted when the scan was taken."""
 GOOD_COVERAGE_PERCENT, GOOD_NOISE_MM = 60.0, 0.06
 USABLE_COVERAGE_PERCENT, USABLE_NOISE_MM = 25.0, 0.25
+SPOILS_SCAN = frozenset(
+    {
+        FaultCode.FRAME_MISSING,
+        FaultCode.FRAME_REPEATED,
+        FaultCode.FRAME_ORDER,
+        FaultCode.FRAME_TRUNCATED,
+        FaultCode.FRAME_CORRUPT,
+        FaultCode.CAMERA_TOO_SLOW,
+        FaultCode.CAMERA_SILENT,
+        FaultCode.CAMERA_STUCK,
+        FaultCode.PATTERN_WRONG,
+        FaultCode.PICTURE_MIRRORED,
+        FaultCode.SYNC_LOST,
+        FaultCode.LATE_FLIP,
+        FaultCode.PROJECTOR_TIMING,
+        FaultCode.PROJECTOR_DARK,
+        FaultCode.PULSE_MISSING,
+        FaultCode.CAPTURE_TIMEOUT,
+        FaultCode.BOARD_RESET,
+        FaultCode.INTERNAL,
+    }
+)
+"""Faults that make a recorded scan worthless: it is not kept."""
 SPOILS_POINTS = frozenset(
     {FaultCode.MOVED, FaultCode.LIGHT_FLICKERS, FaultCode.SIDES_EXCHANGED, FaultCode.NOT_IN_WATER}
 )

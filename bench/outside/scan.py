@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibration.file import Calibration
-from appliance.machine.alerts import RULES
 from appliance.optics.water import Water
 from appliance.patterns.sequence import Direction, PatternSequence, build_sequence
 from appliance.processing.procedure import FullFound, SequenceProcessor
@@ -20,7 +19,7 @@ from appliance.reconstruct.table import Cloud
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import FaultCode
-from appliance.scan.grade import Grade, grade
+from appliance.scan.grade import SPOILS_SCAN, Grade, grade
 from appliance.scan.noise import StereoNoise, camera_noise
 from bench.outside.kept import Row
 from bench.outside.world import BLACK_DN, FRAME_S, STEPS, Frames, World
@@ -88,7 +87,7 @@ def worked_through(
         cloud = pipeline.table.cloud(full.found)
     faults = tuple(one.fault for one in full.judgements if one.fault is not None)
     summary = full.found.summary
-    spoilt = any(RULES[fault.code].spoils_scan for fault in faults)
+    spoilt = any(fault.code in SPOILS_SCAN for fault in faults)
     said = Grade.BAD if spoilt else grade(summary.coverage_percent, summary.noise_mm, {fault.code for fault in faults})
     codes = tuple(fault.code for fault in faults if fault.code is not FaultCode.COMPENSATED)
     return Scanned(cloud, full, said, codes, cpu_s)

@@ -24,14 +24,14 @@ from typing import Any
 import numpy as np
 
 import appliance
-from appliance.machine.alerts import RULES, alert_of
+from appliance.machine.alerts import alert_of
 from appliance.patterns.sequence import Direction
 from appliance.processing.procedure import SequenceProcessor
 from appliance.reconstruct.pipeline import Cloud, Pipeline
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import FaultCode
-from appliance.scan.grade import Grade, grade
+from appliance.scan.grade import SPOILS_SCAN, Grade, grade
 from bench.outside.stated import Stated, stated_truth
 from bench.outside.world import TRIGGER_DELAY_US
 from bench.verdict.causes_frames import TRUTH_SET, frames_of
@@ -98,7 +98,7 @@ def judged(scan: RenderedScan, exposure: Exposure, stated: Stated | None = None)
     faults = tuple(one.fault for one in judgements if one.fault is not None)
     summary = cloud.summary
     # What spoils a scan outright is all that its diver hears of.
-    spoilt = [fault for fault in faults if RULES[fault.code].spoils_scan]
+    spoilt = [fault for fault in faults if fault.code in SPOILS_SCAN]
     ranked = spoilt or sorted(faults, key=lambda fault: -alert_of(fault).severity)
     good, error_mm = _worth(scan, cloud)
     return Outcome(

@@ -18,7 +18,6 @@ from typing import Any
 from appliance.calibration.file import Calibration, CalibrationError, load
 from appliance.evaluation.points import NotFound
 from appliance.instrument import exposures_label
-from appliance.machine.alerts import RULES
 from appliance.offline.anew.results import Results, Row, name_of, program_digits
 from appliance.offline.anew.work import DONE, FAILED, Again, Job
 from appliance.offline.evaluation import run_evaluation
@@ -27,6 +26,7 @@ from appliance.offline.reconstruct import work_through
 from appliance.offline.scan_list import ListedScan, ScanList
 from appliance.offline.wish import Wish
 from appliance.process_start import raise_if_interrupted
+from appliance.scan.grade import SPOILS_SCAN
 from appliance.storage.atomic import StorageError
 from appliance.storage.damage import refuse_damaged_frames
 from appliance.storage.packed import PackedError
@@ -101,7 +101,7 @@ def _worked_through(job: Job, settings: Mapping[str, Any], wish: Wish) -> tuple[
         **asdict(worked.cloud.summary),
         "exposure": exposures_label(record, source.rig),
         "grade": worked.grade.value,
-        "spoilt": any(RULES[fault.code].spoils_scan for fault in worked.faults),
+        "spoilt": any(fault.code in SPOILS_SCAN for fault in worked.faults),
         "faults": "; ".join(f"{fault.code.value}: {fault.detail}" for fault in worked.faults),
         "verdicts": " ".join(f"{one.verdict.name}={_PASSED[one.verdict.passed]}" for one in worked.judgements),
         "temperature_c": worked.water.temperature_c,

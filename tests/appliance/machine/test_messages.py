@@ -24,6 +24,7 @@ from appliance.machine.states import Device, Machine, Notice, NoticeKind, State,
 from appliance.machine.words import Language, Text, english
 from appliance.ranging.reach import Reach
 from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.grade import SPOILS_SCAN
 from appliance.scan.guidance import LOST, Guidance
 from appliance.scan.overlap import NO_OVERLAP, UNKNOWN, Overlap
 from appliance.screens.texts import worded
@@ -226,7 +227,7 @@ WITNESSES = {
 @pytest.mark.parametrize("code", FaultCode)
 def test_what_a_fault_costs_is_what_its_rule_says_and_what_the_machine_does(code: FaultCode) -> None:
     rule, event = rules.RULES[code], raised(code)
-    found = (rule.stops_capture, rule.forbids_light, rule.blocks_scan, rule.spoils_scan, rule.doubts_lengths)
+    found = (rule.stops_capture, rule.forbids_light, rule.blocks_scan, code in SPOILS_SCAN, rule.doubts_lengths)
     wanted = (
         code in NEEDED, code in HEAT_AND_WATER, code in REFUSES, code in WITNESSES,
         code in (C.UNCALIBRATED, C.LENGTH_ERROR, C.VERIFY_CALIBRATION),

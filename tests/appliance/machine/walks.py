@@ -22,6 +22,7 @@ from appliance.ranging.reach import Range
 from appliance.reconstruct.quality import CloudSummary
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.grade import SPOILS_SCAN
 from appliance.scan.guidance import LOST, Guidance
 from appliance.scan.overlap import NO_OVERLAP, UNKNOWN, Overlap
 from drivers.api import Key, LaserState, Telemetry
@@ -211,7 +212,7 @@ def heartbeat(
 
 def cost(code: FaultCode) -> tuple[object, ...]:
     rule = RULES[code]
-    costs = rule.stops_capture, rule.forbids_light, rule.blocks_scan, rule.spoils_scan, rule.doubts_lengths
+    costs = rule.stops_capture, rule.forbids_light, rule.blocks_scan, code in SPOILS_SCAN, rule.doubts_lengths
     return *costs, rule.severity, rule.passing
 
 

@@ -17,7 +17,7 @@ from appliance.machine.alerts import RULES, Severity
 from appliance.machine.states import State
 from appliance.machine.words import Label, Language, Text
 from appliance.scan.fault import FaultCode
-from appliance.scan.grade import SPOILS_POINTS
+from appliance.scan.grade import SPOILS_POINTS, SPOILS_SCAN
 from appliance.screens import theme
 from appliance.screens.canvas import Canvas
 from appliance.screens.frame import words_of
@@ -97,7 +97,7 @@ def effect(code: FaultCode, language: Language) -> str:
     said = (
         (rule.forbids_light, "no light", "kein Licht"),
         (rule.blocks_scan, "no scan while it lasts", "kein Scan, solange es dauert"),
-        (rule.spoils_scan, "this scan is not used", "dieser Scan wird nicht verwendet"),
+        (code in SPOILS_SCAN, "this scan is not used", "dieser Scan wird nicht verwendet"),
         (code in SPOILS_POINTS, "this scan is not called good", "dieser Scan gilt nicht als gut"),
     )
     return ", ".join(german if language is Language.GERMAN else english for holds, english, german in said if holds)
