@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 import logging
-import math
 from dataclasses import replace
 from pathlib import Path
-
-import numpy as np
-from numpy.typing import NDArray
 
 from appliance.calibration import owner
 from appliance.calibration.design import Design, design_calibration
@@ -18,22 +14,12 @@ from appliance.calibration.noise_file import load as load_noise
 from appliance.calibration.owner import Misfit, Owner
 from appliance.calibration.response.file import ResponseFileError
 from appliance.calibration.response.file import load as load_response
-from appliance.calibration.water.start import check_start
-from appliance.capture.timeouts import Timeouts
 from appliance.config import Rig, rig_text
 from appliance.config.checks import into_light_us
 from appliance.config.rig import CameraRig
-from appliance.machine.choices import Choices, offers_of
-from appliance.machine.states import Settings, TemperatureLimits
-from appliance.optics.model import HousedCamera
-from appliance.optics.pinhole import Lens
-from appliance.optics.port import Port
 from appliance.optics.volume import WorkingVolume
 from appliance.optics.water import Water
 from appliance.patterns.response import Response
-from appliance.patterns.sequence import PERIODS_PX, build_sequence
-from appliance.ranging.beams import Pointers
-from appliance.ranging.expected_light import DrawnLight, live_light
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.exposure import STEPS_MS, Exposure, Span, ladder
 from appliance.scan.fault import Fault, FaultCode
@@ -81,45 +67,12 @@ def calibration_of(rig: Rig) -> tuple[Calibration, tuple[Fault, ...]]:
 def _usable(rig: Rig, path: Path) -> tuple[Calibration | None, Misfit | None]:
     """Return a file's calibration, and why this instrument cannot measure with it."""
     try:
-        calibration = _of_volume(load(path), rig)
+        calibration = with_volume(load(path), rig)
     except CalibrationError as error:
         return None, Misfit(str(error))
     if calibration.method == IN_AIR:
         return calibration, Misfit(ONLY_IN_AIR)
     return calibration, owner.misfit(calibration, owner_of(rig))
-
-
-def start_of(rig: Rig, path: Path | None = None) -> Calibration:
-    """Return what a calibration in water begins with: ``path``, else the calibration in air, else the one in use.
-
-    Raises CalibrationError for a file that cannot be used, RecordingError for one in use that is no start.
-    """
-    in_air = rig.storage.root / AIR_FILE
-    if path is not None:
-        start = _of_volume(load(path), rig)
-        problem = _of_another(start, rig)  # the size is compared with that of the scans, and so are the cameras
-    elif in_air.exists():
-        start = _of_volume(load(in_air), rig)
-        problem = misfit(start, rig)
-    else:
-        start, problem = calibration_of(rig)[0], None
-    if problem is not None:
-        raise CalibrationError(f"{path or in_air}: {problem}; calibrate in air, or take another file")
-    check_start(start)
-    return start
-
-
-def refuse_drawing(rig: Rig, path: Path | None) -> None:
-    """Raises CalibrationError where calibrating in water would begin with the drawing without anybody having said so."""
-    if (
-        path is None
-        and not (rig.storage.root / AIR_FILE).exists()
-        and not (rig.storage.root / CALIBRATION_FILE).exists()
-    ):
-        raise CalibrationError(
-            f"{rig.storage.root / AIR_FILE}: missing; calibrate in air (`kingfisher calibrate air`), or give with --start FILE "
-            "what to begin with, be it the drawing (`kingfisher calibration nominal`)"
-        )
 
 
 def response_of(rig: Rig) -> Response | None:
@@ -177,32 +130,6 @@ def volume_of(rig: Rig) -> WorkingVolume:
     """Return the range in which the housing measures."""
     stated = rig.volume
     return WorkingVolume(stated.nearest_mm, stated.working_mm, stated.farthest_mm)
-
-
-def pointers_of(rig: Rig) -> Pointers | None:
-    """Return the laser pointers as drawn; ``None``: there are none."""
-    lasers = rig.lasers
-    if lasers is None:
-        return None
-    window_mm = lasers.x_mm, lasers.y_mm, lasers.z_mm
-    return Pointers(window_mm, (lasers.aim_x_mm, lasers.aim_y_mm, lasers.aim_z_mm), lasers.tolerance_deg)
-
-
-def live_light_of(rig: Rig) -> NDArray[np.uint8]:
-    """Return what the projector shows in the live views, (h, w) uint8."""
-    return drawn_light_of(rig).codes
-
-
-def drawn_light_of(rig: Rig) -> DrawnLight:
-    """Return the light of the live views, with the projector that throws it."""
-    d, out = rig.design, rig.projector
-    # As drawn: the calibration knows the cameras alone, and the dark lanes are wide enough for that (ADR 0024).
-    f_px = 1000.0 * d.projector_principal_distance_mm / d.projector_pixel_um
-    lens = Lens((f_px, f_px), ((out.width_px - 1) / 2.0, (out.height_px - 1) / 2.0))
-    port = Port((0.0, 0.0, 1.0), d.port_distance_mm, d.port_thickness_mm, d.port_index)
-    projector = HousedCamera(out.width_px, out.height_px, lens, port)
-    volume = volume_of(rig)
-    return DrawnLight(projector, live_light(projector, pointers_of(rig), water_of(rig).index, volume), volume)
 
 
 def water_of(rig: Rig) -> Water:
@@ -300,48 +227,9 @@ def _whole_sub_frames_ms(rig: Rig) -> tuple[float, ...]:
     return tuple(round(k * projector.sub_frame_ms, 3) for k in range(1, projector.sub_frames + 1))
 
 
-def _allowed(rig: Rig, choices: Choices) -> Choices:
-    """Return choices of before with an exposure that this rig file allows: the nearest, where it names some and theirs is none of them."""
-    if rig.scan.exposures_ms is None and rig.projector.sub_frames == 1:
-        return choices
-    steps = [exposure_of(rig), *exposures_of(rig)]
-    chosen = choices.exposure
-    if chosen.time_us in {one.time_us for one in steps}:
-        return choices
-    return replace(choices, exposure=min(steps, key=lambda one: abs(math.log(one.light / chosen.light))))
-
-
 def origin_of(rig: Rig, calibration: Calibration) -> ScanOrigin:
     """Return what a scan that is taken now carries with it: the calibration in use and the rig as it is understood."""
     return ScanOrigin(encode(calibration), rig_text(rig).encode())
-
-
-def standard_choices(rig: Rig) -> Choices:
-    """Return what the rig file states of what the diver may choose."""
-    water = rig.water
-    return Choices(exposure_of(rig), rig.scan.period_px, water.salinity_psu, water.temperature_c, rig.display.language)
-
-
-def machine_settings(rig: Rig, choices: Choices | None = None) -> Settings:
-    """Return what the rig file says to the machine. ``choices``: what the diver chose before the start, if it is remembered."""
-    limits = rig.limits
-    choices = standard_choices(rig) if choices is None else _allowed(rig, choices)
-    width_px, height_px = rig.projector.width_px, rig.projector.height_px
-    offered = [period_px for period_px in PERIODS_PX if period_px <= min(width_px, height_px)]
-    sequences = {period_px: len(build_sequence(period_px, width_px, height_px)) for period_px in offered}
-    return Settings(
-        choices=choices,
-        offers=offers_of(standard_choices(rig), exposures_of(rig), tuple(sequences)),
-        frames=sequences,
-        refresh_hz=rig.projector.refresh_hz,
-        capture_margin_s=Timeouts(rig.projector.refresh_hz).margin_s,
-        temperatures={
-            "case": TemperatureLimits(limits.case_warm_c, limits.case_hot_c, limits.case_off_c),
-            "projector": TemperatureLimits(limits.projector_warm_c, limits.projector_hot_c, limits.projector_off_c),
-        },
-        supply_low_v=limits.supply_low_v,
-        volume=volume_of(rig),
-    )
 
 
 def misfit(calibration: Calibration, rig: Rig) -> str | None:
@@ -357,7 +245,7 @@ def owner_of(rig: Rig) -> Owner:
     return Owner(rig.rig.serial, sizes_px, (left.serial, right.serial))
 
 
-def _of_volume(calibration: Calibration, rig: Rig) -> Calibration:
+def with_volume(calibration: Calibration, rig: Rig) -> Calibration:
     """Return the calibration with the volume that the rig file states: the file is its home, a calibration only carries it along."""
     volume = volume_of(rig)
     if calibration.rig.volume == volume:
@@ -365,7 +253,8 @@ def _of_volume(calibration: Calibration, rig: Rig) -> Calibration:
     return replace(calibration, rig=replace(calibration.rig, volume=volume))
 
 
-def _of_another(calibration: Calibration, rig: Rig) -> str | None:
+def of_another(calibration: Calibration, rig: Rig) -> str | None:
+    """Return why a calibration is not of this instrument, whichever cameras it has now; ``None`` where it is."""
     if calibration.rig_serial == rig.rig.serial:
         return None
     return f"the calibration is of instrument {calibration.rig_serial}; this one is {rig.rig.serial}"

@@ -64,7 +64,7 @@ class CalibrateWater(WithRoot):
             scan_in(wish, place_of(self.list, entry.scan))
         compile_kernels()
         from appliance.calibration import file as calibration_file
-        from appliance.instrument import refuse_drawing, start_of
+        from appliance.offline.calibration.start import refuse_drawing, start_of
         from appliance.offline.calibration.water import check_list, run_water_calibration
         from appliance.offline.origin import instrument_of, open_source, refuse_misfit
         from appliance.storage.calibrations import Calibrations

@@ -13,15 +13,7 @@ from types import FrameType
 
 import appliance
 from appliance.config import Rig
-from appliance.instrument import (
-    calibration_of,
-    drawn_light_of,
-    noise_of,
-    pointers_of,
-    response_of,
-    standard_choices,
-    with_measured_noise,
-)
+from appliance.instrument import calibration_of, noise_of, response_of, with_measured_noise
 from appliance.machine.words import Language
 from appliance.optics.water import Water
 from appliance.screens.unchanged import FrugalPainter
@@ -35,6 +27,7 @@ from appliance.service.parts import Beginning, Parts
 from appliance.service.ranging import RangingController
 from appliance.service.recording import DrawnPatterns
 from appliance.service.scans import MeasuringSetup, ScanController, ScanStorage
+from appliance.service.settings import drawn_light_of, pointers_of, standard_choices
 from appliance.service.starts import installation, recovered, this_run
 from appliance.service.transfer import TransferSwitch
 from appliance.service.watchdog import Watchdog

@@ -29,8 +29,9 @@ from appliance.config import Rig
 from appliance.evaluation.ball_bar import BallBar, find_ball_bar
 from appliance.evaluation.plane import PlaneFit, fit_plane
 from appliance.evaluation.points import NotFound
-from appliance.instrument import calibration_of, settings_of_scan, start_of
+from appliance.instrument import calibration_of, settings_of_scan
 from appliance.offline.calibration.recordings import cameras_of, recording_of_scan
+from appliance.offline.calibration.start import start_of
 from appliance.offline.reprocess import ReprocessedScan, reprocess
 from appliance.reconstruct.pipeline import Cloud
 from appliance.reconstruct.quality import QualityLimits

@@ -13,7 +13,6 @@ from typing import assert_never
 
 from appliance.calibration.design import METHOD as DRAWN
 from appliance.config import Rig
-from appliance.instrument import machine_settings
 from appliance.machine import effects as do
 from appliance.machine import events as on
 from appliance.machine.alerts import lengths_doubtful
@@ -34,6 +33,7 @@ from appliance.service.live import LiveViews
 from appliance.service.menu_view import Facts
 from appliance.service.parts import Beginning, Parts
 from appliance.service.recording import DrawnPatterns, SequenceRecorder
+from appliance.service.settings import machine_settings
 from appliance.service.view import Surroundings, held_against, view_of
 from appliance.service.watchdog import Watchdog
 from appliance.storage.atomic import StorageError

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from appliance.capture.scan import Arming, ScanRecorder, ScanSettings
 from appliance.config import Rig
-from appliance.instrument import live_light_of
 from appliance.machine import effects as do
 from appliance.machine import events as on
 from appliance.patterns.draw import draw_sequence
@@ -29,6 +28,7 @@ from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.sides import SIDES
 from appliance.service.inputs import Inputs
 from appliance.service.parts import Parts
+from appliance.service.settings import live_light_of
 from drivers.api import Clock, Projector
 
 

@@ -11,13 +11,13 @@ from scipy.spatial import cKDTree
 
 from appliance.cli.simrig import default_sim_rig
 from appliance.config import load_rig
-from appliance.instrument import live_light_of
 from appliance.patterns.sequence import Direction
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.registration.guidance import Guide, Sight
 from appliance.registration.overlap import CoarseView, coarse_view
 from appliance.registration.patches import projection_of
 from appliance.scan.guidance import Guidance, Move
+from appliance.service.settings import live_light_of
 from appliance.worker.live_picture import reduced
 from bench.merge.views import EXPOSURE, Array
 from bench.outside.scan import SEQUENCE, data_sheet

@@ -19,8 +19,10 @@ from appliance.calibration import file as calibration_file
 from appliance.calibration.guide import Step
 from appliance.cli import main
 from appliance.config import load_rig
-from appliance.instrument import calibration_of, pointers_of, standard_choices, start_of
+from appliance.instrument import calibration_of
+from appliance.offline.calibration.start import start_of
 from appliance.offline.object_errors import errors_of
+from appliance.service.settings import pointers_of, standard_choices
 from appliance.storage import objects
 from appliance.storage.beams import BeamsFile
 from appliance.storage.calibrations import Calibrations

@@ -17,15 +17,7 @@ from appliance.calibration.water.start import start_from_air
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.cli.simtruth import bring_calibration, true_calibration
 from appliance.config import Rig, load_rig
-from appliance.instrument import (
-    design_of,
-    exposure_of,
-    live_light_of,
-    machine_settings,
-    origin_of,
-    settings_of,
-    volume_of,
-)
+from appliance.instrument import design_of, exposure_of, origin_of, settings_of, volume_of
 from appliance.optics.volume import STANDARD
 from appliance.patterns.sequence import DARK_CODE, PatternSequence, build_sequence
 from appliance.processing.procedure import SequenceProcessor
@@ -33,6 +25,7 @@ from appliance.reconstruct.pipeline import Pipeline
 from appliance.scan.fault import FaultCode
 from appliance.service.app import run
 from appliance.service.calibrator import Solution, examine, solve
+from appliance.service.settings import live_light_of, machine_settings
 from appliance.storage.calibrations import Calibrations
 from appliance.storage.library import Library, LibraryFolder
 from appliance.storage.record import ScanRecord, SequenceInfo

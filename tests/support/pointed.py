@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.config import load_rig
-from appliance.instrument import live_light_of, pointers_of
 from appliance.ranging.measure import Ranger
+from appliance.service.settings import live_light_of, pointers_of
 from hw_sim.optics.view import Surface
 from hw_sim.rendering.render import LightSlice, Renderer
 from hw_sim.scene import Scene

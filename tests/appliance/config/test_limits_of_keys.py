@@ -14,8 +14,9 @@ from pydantic import ValidationError
 
 from appliance.config import ConfigError, default_rig_path, parse_rig
 from appliance.config.rig import LimitsRig
-from appliance.instrument import exposures_of, machine_settings, standard_choices
+from appliance.instrument import exposures_of
 from appliance.scan.exposure import Exposure
+from appliance.service.settings import machine_settings, standard_choices
 
 PACKAGED = default_rig_path().read_text(encoding="utf-8")
 RIG = parse_rig(PACKAGED)

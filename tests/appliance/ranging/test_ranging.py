@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from appliance.config import load_rig
-from appliance.instrument import live_light_of
 from appliance.patterns.sequence import BRIGHT_CODE
 from appliance.ranging.witness import SURELY_A_DOT_DN, shines_in_the_dark
+from appliance.service.settings import live_light_of
 from hw_sim.rendering.render import Renderer
 from hw_sim.scene import Scene
 from hw_sim.water.medium import Water, turbid

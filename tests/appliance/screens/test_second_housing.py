@@ -12,7 +12,6 @@ from appliance.calibration.guide import HELD, RecordingCheck, Refusal, Session, 
 from appliance.calibration.recordings import ArtefactKind
 from appliance.cli.simrig import default_sim_rig
 from appliance.config import Rig, load_rig
-from appliance.instrument import machine_settings
 from appliance.machine.states import Calibrating, Device, State, boot
 from appliance.machine.words import Language
 from appliance.optics.volume import WorkingVolume
@@ -20,6 +19,7 @@ from appliance.ranging.reach import Range, Reach, reach_of
 from appliance.screens.canvas import Written
 from appliance.screens.painter import Painter
 from appliance.screens.views import AimView, AnyView, CalibrateView, GalleryView, ReviewView
+from appliance.service.settings import machine_settings
 from appliance.service.view import Surroundings, view_of
 from tests.appliance.screens.golden.scenes import SCENES
 from tests.appliance.screens.test_legible import DATA, complaints, written

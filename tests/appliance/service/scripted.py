@@ -17,7 +17,7 @@ from appliance.capture.grabber import Grabber
 from appliance.capture.timeouts import Timeouts
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.config import Rig, load_rig
-from appliance.instrument import design_of, drawn_light_of
+from appliance.instrument import design_of
 from appliance.machine import events as on
 from appliance.machine.states import Device
 from appliance.service.aiming import AimingController
@@ -29,6 +29,7 @@ from appliance.service.keys import KeyReader
 from appliance.service.parts import Parts
 from appliance.service.ranging import RangingController
 from appliance.service.scans import MeasuringSetup, ScanController, ScanStorage
+from appliance.service.settings import drawn_light_of
 from appliance.service.transfer import TransferSwitch
 from appliance.storage.library import Library
 from drivers.api import Board, Camera, CameraSettings, DeviceGone, Display, Flip, KeyEvent, Keys, Projector, Wires

@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 
 from appliance.capture.aiming import WIDTH_PX, Aimed, Shade, look
 from appliance.config import load_rig
-from appliance.instrument import design_of, drawn_light_of
+from appliance.instrument import design_of
 from appliance.machine import events as on
 from appliance.scan.exposure import NOMINAL
 from appliance.scan.fault import FaultCode
 from appliance.service.aiming import DEVICE, AimingController
+from appliance.service.settings import drawn_light_of
 from drivers.native import MonotonicClock
 from hw_sim.light.daylight import Daylight
 from hw_sim.rendering.render import LightSlice, Renderer

@@ -13,7 +13,6 @@ from typing import Any
 import moderngl
 import pytest
 
-from appliance.instrument import standard_choices
 from appliance.machine import effects as do
 from appliance.machine import events as on
 from appliance.machine.states import Device, State
@@ -27,6 +26,7 @@ from appliance.service.loop import Service
 from appliance.service.notify import ServiceManager
 from appliance.service.parts import Beginning
 from appliance.service.recording import DrawnPatterns, SequenceRecorder
+from appliance.service.settings import standard_choices
 from appliance.service.watchdog import Watchdog
 from appliance.storage.choices import ChoicesFile
 from appliance.storage.library import Library
