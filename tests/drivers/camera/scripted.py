@@ -161,6 +161,8 @@ class Bus:
         return SimpleNamespace(bNumInterfaces=3 if device.vision else 1, bConfigurationValue=1)
 
     def get_interface_descriptor(self, device: Device, index: int, alternate: int, config: int) -> Any:
+        if alternate or config:
+            raise IndexError(f"interface {index} has no alternate setting {alternate} in configuration {config}")
         return SimpleNamespace(
             bInterfaceNumber=index,
             bNumEndpoints=(2 if index == 0 else 1) + int(device.interrupts),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import struct
 from collections.abc import Callable
 
@@ -50,6 +51,10 @@ def test_the_bus_shows_two_cameras_with_three_interfaces_each_as_fast_as_their_l
             assert list((endpoint.extra_descriptors or ())[:2]) == companion, "SuperSpeed companion"
     slow, fast = (U3vHost(bench.wires.usb_backend, f"KF-CAM-{side}") for side in "LR")
     assert [host.u32(host.u64(0x1D8) + 0x40) for host in (slow, fast)] == [4, 8], "current speed"
+    slow.device.write(0x01, struct.pack("<IHHHHQHH", 0x43563355, 0x4000, READ, 12, 1, MODEL, 0, 64))
+    with pytest.raises(usb.core.USBError) as babbled:
+        slow.device.read(CONTROL_IN, 16, 1000)
+    assert babbled.value.errno == errno.EOVERFLOW, "76 bytes"
 
 
 @pytest.mark.parametrize(

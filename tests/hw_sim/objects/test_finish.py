@@ -66,14 +66,16 @@ def test_gloss_shines_where_a_mirror_would_and_nowhere_else() -> None:
     truth = draw_truth("nominal", 1, 160, 120, Water().index)
     # The left camera looks from 12.4° at the side: a plane that leans by half of that mirrors the projector into it.
     levels = {}
-    for lean_deg in (6.2, -25.0):
+    for lean_deg in (6.2, 0.0, -25.0):
         scene = Scene("plane", (0.0, 0.0, 522.5, 0.0, lean_deg, 0.0), "none", CLEAR, 0.0, False)
         stages = [Stage(truth, None, coat) for coat in (None, Finish(gloss_index=1.16, roughness=0.1))]
         lit = [stage.geometry("left", scene, stage.pose(scene, 0.0)).pixels[55:65, 75:85, 2].mean() for stage in stages]
         levels[lean_deg] = float(lit[1] / lit[0])
     mirrored = {lean: ratio - 1.0 for lean, ratio in levels.items()}
     shine = max(mirrored.values())
-    assert shine > 20.0 * min(mirrored.values())
+    assert shine > 20.0 * mirrored[-25.0]
+    # By Beckmann's facets, which now lean by half of 12.4°.
+    assert mirrored[0.0] / shine == pytest.approx(math.exp(-((math.tan(math.radians(6.2)) / 0.1) ** 2)), rel=0.3)
     straight = math.pi * fresnel(1.0, 1.16) / (4.0 * math.pi * 0.1**2) / 0.6
     assert 0.3 * straight < shine < 1.3 * straight
 

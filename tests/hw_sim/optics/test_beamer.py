@@ -30,6 +30,11 @@ def test_video_shows_colours_in_turn_and_green_for_45_percent() -> None:
     ends = [windows[0].begin_us - 100.0, *(w.end_us for w in windows)]
     assert all(w.begin_us > end for w, end in zip(windows, ends, strict=False)), "dark between, and late"
     assert windows[-1].end_us < FRAME_US + 120.0
+    bits, flash_ends = Beamer("video").pieces()
+    assert np.diff(flash_ends, prepend=0.0).max() == pytest.approx(64.0 / 1023.0), (
+        "no flash is longer: colours do not flicker"
+    )
+    assert [int((bits == bit).sum()) for bit in range(10)] == [1] * 7 + [2, 4, 8]
     once = truth(kind="video", order="RGB").windows_us
     assert once[1].end_us - once[1].begin_us == pytest.approx(0.45 * FRAME_US)
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hw_sim.optics.projector import LightSlice
-from hw_sim.rendering.frame_cache import FrameCache
+from hw_sim.rendering.frame_cache import MOST, FrameCache, Image
 
 PATTERN = np.arange(256, dtype=np.uint8).reshape(16, 16)
 LIGHT = LightSlice(PATTERN, 0.012)
@@ -30,3 +30,20 @@ ASKED: Mapping[str, Any] = {
 def test_whatever_changes_the_image_makes_another(change: dict[str, object]) -> None:
     assert FrameCache.key(**{**ASKED, "slices": (LightSlice(PATTERN.copy(), 0.012),)}) == FrameCache.key(**ASKED)
     assert FrameCache.key(**{**ASKED, **change}) != FrameCache.key(**ASKED)
+
+
+def test_an_image_is_made_once_and_the_one_not_asked_for_longest_goes() -> None:
+    cache, made = FrameCache(), list[int]()
+
+    def asked(frame: int) -> None:
+        def make() -> Image:
+            made.append(frame)
+            return np.full((2, 2), frame, np.uint8)
+
+        assert cache.get(frame, make).tolist() == [[frame] * 2] * 2
+
+    for frame in (*range(MOST), 0, MOST, 0):
+        asked(frame)
+    assert made == [*range(MOST + 1)]
+    asked(1)
+    assert made[-1] == 1

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import inspect
+import os
+import select
 import threading
 import time
 import tomllib
@@ -18,6 +20,8 @@ from hw_sim import wires
 from hw_sim.timing.world_time import BLANK_NS
 from hw_sim.wires import open as open_wires
 from hw_sim.wires.hidraw import HidrawModule
+from hw_sim.wires.umockdev.hidraw_node import HidFile, PluggedPad
+from hw_sim.wires.umockdev.readiness import Readiness
 from hw_sim.world import World, WorldOptions
 from tests.hw_sim.conftest import SMALL, Bench
 from tests.hw_sim.devices.test_board_firmware import framed
@@ -147,6 +151,24 @@ def test_reads_of_the_pad_wait_in_world_time_until_it_is_unplugged(world: World)
     with pytest.raises(OSError, match="read error"):
         device.read(8, 1000)
     assert module.enumerate()[0]["path"] != before
+
+
+def test_a_node_of_the_pad_gives_one_report_a_read_cut_to_what_was_asked_for(world: World, tmp_path: Path) -> None:
+    file = HidFile(PluggedPad(world.keypad, world.time, Readiness(tmp_path / "hidraw0")))
+    reports = [file.read(size) for size in (64, 5)]
+    assert [len(report) for report in reports] == [8, 5]
+    assert reports[1][2] == (reports[0][2] + 1) % 256, "each counts on"
+
+
+@pytest.mark.parametrize(("mode", "wanted"), [(os.O_RDONLY, select.POLLIN), (os.O_WRONLY, select.POLLOUT)])
+def test_who_waits_for_a_node_that_goes_finds_it_ready(mode: int, wanted: int, tmp_path: Path) -> None:
+    ready, waiting = Readiness(tmp_path / "node", for_writing=mode == os.O_WRONLY), select.poll()
+    node = os.open(tmp_path / "node", mode | os.O_NONBLOCK)
+    waiting.register(node, wanted)
+    assert waiting.poll(0) == []
+    ready.close()
+    assert waiting.poll(0)[0][1] & wanted
+    os.close(node)
 
 
 def test_a_world_that_was_refused_is_not_found_by_the_next_who_asks_for_its_name() -> None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from appliance.calibration.air.adjustment import AirCalibration, BoardView, calibrate_air
 from appliance.calibration.air.board import NoBoard, find_board
-from appliance.calibration.air.coverage import coverage
+from appliance.calibration.air.coverage import EDGES, coverage, covered
 from appliance.calibration.air.rest import NEW_PLACE, REST_PX, view_of
 from appliance.calibration.water.shapes import triangulate
 from hw_sim.rendering.render import Renderer
@@ -181,6 +181,11 @@ def test_what_is_missing_is_said_until_it_was_seen() -> None:
     for shift_px, near in ((80.0, True), (90.0, False)):
         said = " ".join(coverage([leant(0.0, 0.0, shift_px)], 800, 600).missing)
         assert ("near the left edge" not in said) == near
+    # Six corners are enough at an edge; five are not.
+    for count, near in ((6, True), (5, False)):
+        four = np.repeat([[10.0, 300.0], [790.0, 300.0], [400.0, 10.0], [400.0, 590.0]], count, axis=0)
+        said = covered([(four, four)], [], [], 800, 600).missing[0]
+        assert [f"near the {edge} edge" in said for edge in EDGES] == [not near] * 4
     sides = [f"its {side} edge away" for side in ("left", "right", "top", "bottom")]
     for about_deg, wanted in ((11.0, 4), (13.0, 3)):
         assert sum(side in coverage([leant(0.0, about_deg, 0.0)], 800, 600).missing[-1] for side in sides) == wanted

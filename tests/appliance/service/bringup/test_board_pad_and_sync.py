@@ -6,6 +6,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
+import numpy as np
 import pytest
 
 from appliance.bringup.finding import Finding
@@ -108,6 +109,15 @@ def test_syncs_that_end_are_told_by_their_last_one(dark_after_s: float | None, s
     else:
         assert found_ms is None
         assert took_s == pytest.approx(3.0, abs=0.011)
+
+
+def test_syncs_of_three_seconds_are_stamped_once_each_however_often_they_are_asked_for() -> None:
+    clock = SteppedClock()
+    stamps = vsync._stamps(cast("Any", BenchBoard(clock)), clock, 0.4 * PERIOD_NS / 1e9)
+    assert len(stamps) == pytest.approx(3.0 * 60.0, abs=1.5)
+    counts, times_us = np.diff(np.array(stamps), axis=0).T
+    assert (counts == 1).all()
+    assert np.abs(times_us - PERIOD_NS / 1000.0).max() < 1.5
 
 
 def test_a_flip_is_tried_three_times_until_its_sync_is_found() -> None:
