@@ -9,11 +9,9 @@ from pathlib import Path
 from appliance.calibration import owner
 from appliance.calibration.design import Design, design_calibration
 from appliance.calibration.file import IN_AIR, Calibration, CalibrationError, encode, load
-from appliance.calibration.noise_file import CameraFigures, NoiseFileError
-from appliance.calibration.noise_file import load as load_noise
+from appliance.calibration.noise_file import NOISE, CameraFigures
 from appliance.calibration.owner import Misfit, Owner
-from appliance.calibration.response.file import ResponseFileError
-from appliance.calibration.response.file import load as load_response
+from appliance.calibration.response.file import RESPONSE
 from appliance.config import Rig, rig_text
 from appliance.config.checks import into_light_us
 from appliance.config.rig import CameraRig
@@ -24,6 +22,7 @@ from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.exposure import STEPS_MS, Exposure, Span, ladder
 from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.noise import CameraNoise, StereoNoise, camera_noise
+from appliance.sealed_file import ContentError
 from appliance.storage.record import ScanRecord
 from appliance.storage.scan import ScanOrigin
 
@@ -80,8 +79,8 @@ def response_of(rig: Rig) -> Response | None:
     logged)."""
     path = rig.storage.root / RESPONSE_FILE
     try:
-        stored = load_response(path)
-    except ResponseFileError as error:
+        stored = RESPONSE.load(path)
+    except ContentError as error:
         log.warning("patterns are drawn without compensation: %s", error)
         return None
     if stored is None:
@@ -156,20 +155,20 @@ def with_measured_noise(rig: Rig) -> Rig:
     """
     path = rig.storage.root / NOISE_FILE
     try:
-        stored = load_noise(path)
-    except NoiseFileError as error:
+        stored = NOISE.load(path)
+    except ContentError as error:
         log.warning("the data sheets' noise is believed: %s", error)
         return rig
     if stored is None:
         return rig
-    cameras = rig.camera
-    if (stored.rig_serial, stored.left.serial, stored.right.serial) != (
+    cameras, known = rig.camera, stored.cameras
+    if (stored.rig_serial, known.left.serial, known.right.serial) != (
         rig.rig.serial, cameras.left.serial, cameras.right.serial,
     ):  # fmt: skip
         log.warning(
             "the data sheets' noise is believed: %s is of instrument %s with cameras %s and %s, this one is %s with %s and %s; "
             "measure its own, or remove the file",
-            path, stored.rig_serial, stored.left.serial, stored.right.serial,
+            path, stored.rig_serial, known.left.serial, known.right.serial,
             rig.rig.serial, cameras.left.serial, cameras.right.serial,
         )  # fmt: skip
         return rig
@@ -180,7 +179,7 @@ def with_measured_noise(rig: Rig) -> Rig:
         )
 
     log.info("the cameras' noise is that which was measured")
-    both = replace(cameras, left=measured(cameras.left, stored.left), right=measured(cameras.right, stored.right))
+    both = replace(cameras, left=measured(cameras.left, known.left), right=measured(cameras.right, known.right))
     return replace(rig, camera=both)
 
 

@@ -3,28 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
-from pathlib import Path
+from typing import Annotated
 
-from appliance.calibration.measured_file import MeasuredFile, MeasuredFileError
-from appliance.checksummed_file import is_number, with_checksum
-from appliance.scan.sides import SIDES
+from appliance.sealed_file import SealedFile, Within
 
-SCHEMA = 1
-LIMITS = {"full_well_e": (500.0, 9e5), "read_noise_e": (0.0, 900.0), "black_level_dn": (0.0, 63.0)}
+LIMITS = {"full_well_e": Within(500.0, 9e5), "read_noise_e": Within(0.0, 900.0), "black_level_dn": Within(0.0, 63.0)}
 """Range of each figure, within that of the rig file's key of the same name."""
-
-
-class NoiseFileError(MeasuredFileError):
-    """A file of noise cannot be used; the text says which, why and what to do."""
-
-
-_KIND = MeasuredFile(
-    "noise",
-    SCHEMA,
-    "measure the noise again, or remove the file: the rig file's data sheets are then believed",
-    NoiseFileError,
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,12 +17,20 @@ class CameraFigures:
 
     serial: str
     """The camera's serial number: another one has another noise."""
-    full_well_e: float
+    full_well_e: Annotated[float, LIMITS["full_well_e"]]
     """Electrons at 255 grey values and 0 dB."""
-    read_noise_e: float
+    read_noise_e: Annotated[float, LIMITS["read_noise_e"]]
     """All noise that does not depend on light, but rounding to grey values."""
-    black_level_dn: float
+    black_level_dn: Annotated[float, LIMITS["black_level_dn"]]
     """Grey value of no light."""
+
+
+@dataclass(frozen=True, slots=True)
+class BothFigures:
+    """The figures of both cameras."""
+
+    left: CameraFigures
+    right: CameraFigures
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,47 +40,10 @@ class StoredNoise:
     rig_serial: str
     made_from: tuple[str, ...]
     """Ids of the scans."""
-    left: CameraFigures
-    right: CameraFigures
+    cameras: BothFigures
 
 
-def encode(stored: StoredNoise) -> bytes:
-    """Return the file's bytes: JSON with sorted keys; ``sha256`` is that of the compact form of everything else."""
-    cameras = {
-        side: {"serial": one.serial, **{name: getattr(one, name) for name in LIMITS}}
-        for side, one in zip(SIDES, (stored.left, stored.right), strict=True)
-    }
-    return with_checksum(
-        {
-            "schema": SCHEMA,
-            "rig_serial": stored.rig_serial,
-            "made_from": list(stored.made_from),
-            "cameras": cameras,
-        }
-    )
-
-
-def decode(data: bytes, name: str) -> StoredNoise:
-    """Parse and check a file's bytes. Raises NoiseFileError naming ``name``, what is wrong and the remedy."""
-
-    wrong, content = partial(_KIND.wrong, name), _KIND.content(data, name)
-    serial, sources, cameras = content.get("rig_serial"), content.get("made_from"), content.get("cameras")
-    if not isinstance(serial, str) or not isinstance(sources, list) or not isinstance(cameras, dict):
-        raise wrong("rig_serial, made_from or cameras is missing")
-    found = []
-    for side in SIDES:
-        one = cameras.get(side)
-        if not isinstance(one, dict) or not isinstance(one.get("serial"), str):
-            raise wrong(f"cameras.{side} or its serial is missing")
-        for key, (lowest, highest) in LIMITS.items():
-            value = one.get(key)
-            if not is_number(value) or not lowest <= value <= highest:
-                raise wrong(f"cameras.{side}.{key} is {value!r:.40}; allowed are {lowest:g}..{highest:g}")
-        found.append(CameraFigures(one["serial"], **{key: float(one[key]) for key in LIMITS}))
-    return StoredNoise(serial, tuple(str(source) for source in sources), *found)
-
-
-def load(path: Path) -> StoredNoise | None:
-    """Read a file of noise; ``None`` where there is none. Raises NoiseFileError."""
-    found = _KIND.data(path)
-    return None if found is None else decode(*found)
+NOISE = SealedFile(
+    StoredNoise, schema=1, max_bytes=64 * 1024, what="noise",
+    remedy="measure the noise again, or remove the file: the rig file's data sheets are then believed",
+)  # fmt: skip

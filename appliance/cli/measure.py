@@ -35,7 +35,7 @@ class MeasureResponse(WithRoot):
         _never_replaced(self.out)
         scan_in(wish, self.scan)
         compile_kernels()
-        from appliance.calibration.response.file import encode
+        from appliance.calibration.response.file import RESPONSE
         from appliance.calibration.response.measure import ResponseError
         from appliance.instrument import RESPONSE_FILE
         from appliance.offline.measuring import response_of_scan
@@ -58,7 +58,7 @@ class MeasureResponse(WithRoot):
                 raise ScanError(f"{folder}: {error}") from error
         with writing(path):
             make_folders(LocalFileSystem(), path.parent)
-            replace_file(LocalFileSystem(), path, encode(found))
+            replace_file(LocalFileSystem(), path, RESPONSE.encode(found))
         fringes = measured.fringe_harmonics
         report = {
             "file": str(path),
@@ -85,7 +85,7 @@ class MeasureNoise(WithRoot):
         wish = self.wish()
         scan_in(wish, self.scan)
         compile_kernels()
-        from appliance.calibration.noise_file import encode
+        from appliance.calibration.noise_file import NOISE
         from appliance.calibration.photon_transfer import NoiseError
         from appliance.instrument import NOISE_FILE
         from appliance.offline.measuring import noise_of_scan, noise_to_store
@@ -108,11 +108,11 @@ class MeasureNoise(WithRoot):
         if self.install:
             with writing(path):
                 make_folders(LocalFileSystem(), path.parent)
-                replace_file(LocalFileSystem(), path, encode(to_store))
+                replace_file(LocalFileSystem(), path, NOISE.encode(to_store))
         report: dict[str, dict[str, float]] = {}
         for side, (measured, expected) in found.items():
             light_dn, variance_dn2 = measured.variance_at_dn2
-            figures = of_side(to_store, side)
+            figures = of_side(to_store.cameras, side)
             report[side] = {
                 "light_dn": light_dn,
                 "noise_dn": math.sqrt(variance_dn2),

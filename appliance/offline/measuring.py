@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from appliance.calibration.noise_file import LIMITS, StoredNoise
+from appliance.calibration.noise_file import LIMITS, BothFigures, StoredNoise
 from appliance.calibration.photon_transfer import MeasuredNoise, NoiseError, measure_noise
 from appliance.calibration.response.file import StoredResponse
 from appliance.calibration.response.measure import CameraImages, MeasuredResponse, ResponseError, measure_response
@@ -52,7 +52,9 @@ def response_of_scan(
         seen.append(CameraImages(frames, decoder.p_px, decoder.q_px))
     measured = measure_response(sequence, seen, drawn_for)
     taken_us = exposure_of_scan(record, rig).time_us, rig.board.trigger_delay_us
-    found = StoredResponse(rig.rig.serial, (scan.manifest.scan_id,), measured.residual, measured.response, *taken_us)
+    found = StoredResponse(
+        rig.rig.serial, (scan.manifest.scan_id,), measured.residual, measured.response.harmonics, *taken_us
+    )
     return found, measured
 
 
@@ -130,15 +132,15 @@ def noise_to_store(rig: Rig, folder: Path, found: dict[str, tuple[MeasuredNoise,
         # Both cameras are set to the scan's gain; what the right one's differs by in the rig file is kept.
         gain_db = exposure.gain_db + camera.gain_db - cameras.left.gain_db
         one = found[side][0].figures(camera.serial, gain_db)
-        for name, (lowest, highest) in LIMITS.items():
+        for name, limits in LIMITS.items():
             value = getattr(one, name)
-            if not lowest <= value <= highest:
+            if not limits.takes(value):
                 raise NoiseError(
-                    f"{name} of the {side} camera would be {value:.4g}; allowed are {lowest:g}..{highest:g}; scan something light and "
+                    f"{name} of the {side} camera would be {value:.4g}; allowed are {limits.allowed}; scan something light and "
                     "dark with still hands, in the dark"
                 )
         figures.append(one)
-    return StoredNoise(rig.rig.serial, (manifest.scan_id,), *figures)
+    return StoredNoise(rig.rig.serial, (manifest.scan_id,), BothFigures(*figures))
 
 
 def _drawn_for(rig: Rig, scan_id: str, response_hash: str | None) -> Response | None:

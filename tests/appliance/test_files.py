@@ -15,7 +15,7 @@ import pytest
 
 from appliance.bounded_file import parse_toml, read_bounded, read_text
 from appliance.calibration import file as calibration_file
-from appliance.calibration.noise_file import load as load_noise
+from appliance.calibration.noise_file import NOISE
 from appliance.checksummed_file import ChecksumError, checked_content, with_checksum
 from appliance.config import default_rig_path, load_rig
 from appliance.foreign.camera_files import camera_numbers, numbers_in
@@ -33,7 +33,7 @@ READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "list": ("list.toml", read_list),
     "list in JSON": ("list.json", read_list),
     "calibration": ("calibration.json", calibration_file.load),
-    "noise": ("noise.json", load_noise),
+    "noise": ("noise.json", NOISE.load),
     "session": ("board.json", lambda path: read_session(path.parent)),
     **{f"cameras {suffix}": (f"stereo{suffix}", numbers_in) for suffix in (".yml", ".xml", ".json", ".npz", ".npy", ".mat", ".txt", ".csv")},
     "image": ("a.png", lambda path: FrameReader().raw(Frame(path))),

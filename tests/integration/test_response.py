@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from appliance.calibration import noise_file
-from appliance.calibration.response.file import encode
+from appliance.calibration.noise_file import NOISE
+from appliance.calibration.response.file import RESPONSE
 from appliance.config import Rig, load_rig
 from appliance.config.rig import ScanRig
 from appliance.instrument import NOISE_FILE, RESPONSE_FILE
@@ -43,9 +43,9 @@ def test_response_and_noise_measured_under_water_are_used_from_the_next_start_on
     before = dive(rig)
     found = noise_of_scan(rig, before)
     (rig.storage.root / NOISE_FILE).parent.mkdir(parents=True, exist_ok=True)
-    (rig.storage.root / NOISE_FILE).write_bytes(noise_file.encode(noise_to_store(rig, before, found)))
+    (rig.storage.root / NOISE_FILE).write_bytes(NOISE.encode(noise_to_store(rig, before, found)))
     stored, bent = response_of_scan(rig, before, lambda what, part: None)
-    (rig.storage.root / RESPONSE_FILE).write_bytes(encode(stored))
+    (rig.storage.root / RESPONSE_FILE).write_bytes(RESPONSE.encode(stored))
     after = dive(rig)
     _, straight = response_of_scan(rig, after, lambda what, part: None)
 

@@ -2,84 +2,42 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import partial
-from pathlib import Path
+import math
+from dataclasses import dataclass, field
+from typing import Annotated
 
-from appliance.calibration.measured_file import MeasuredFile, MeasuredFileError
-from appliance.checksummed_file import is_number, with_checksum
-from appliance.patterns.response import HIGHEST_ORDER, Response
+from appliance.patterns.response import Response
+from appliance.sealed_file import FINITE, LEFT_OUT, SealedFile, Within
 
-SCHEMA = 1
-
-
-class ResponseFileError(MeasuredFileError):
-    """A response file cannot be used; the text says which, why and what to do."""
-
-
-_KIND = MeasuredFile(
-    "response",
-    SCHEMA,
-    "measure the response again, or remove the file: patterns are then drawn without compensation",
-    ResponseFileError,
-)
+_WholeUs = Annotated[int, Within(0, math.inf, whole=True)]
 
 
 @dataclass(frozen=True, slots=True)
 class StoredResponse:
-    """A response and where it comes from."""
+    """A response and where it comes from. Raises ValueError for harmonics that no response has."""
 
     rig_serial: str
     made_from: tuple[str, ...]
     """Ids of the scans."""
-    residual: float
+    residual: Annotated[float, FINITE]
     """RMS of what was seen against the response, as a fraction of the bright light."""
-    response: Response
-    exposure_us: int | None = None
+    harmonics: tuple[Annotated[float, FINITE], ...]
+    """Those of the response."""
+    exposure_us: _WholeUs | None = field(default=None, metadata=LEFT_OUT)
     """Exposure that it was measured with: a projector of bit planes has another one for each. ``None``: not known."""
-    trigger_delay_us: int | None = None
+    trigger_delay_us: _WholeUs | None = field(default=None, metadata=LEFT_OUT)
     """Time from the vertical sync to the beginning of that exposure; ``None``: not known."""
 
+    def __post_init__(self) -> None:
+        Response(self.harmonics)
 
-def encode(stored: StoredResponse) -> bytes:
-    """Return the file's bytes: JSON with sorted keys; ``sha256`` is that of the compact form of everything else."""
-    content = {
-        "schema": SCHEMA,
-        "rig_serial": stored.rig_serial,
-        "made_from": list(stored.made_from),
-        "residual": stored.residual,
-        "harmonics": list(stored.response.harmonics),
-    }
-    taken = {"exposure_us": stored.exposure_us, "trigger_delay_us": stored.trigger_delay_us}
-    return with_checksum(content | {key: value for key, value in taken.items() if value is not None})
+    @property
+    def response(self) -> Response:
+        """The projector's response."""
+        return Response(self.harmonics)
 
 
-def decode(data: bytes, name: str) -> StoredResponse:
-    """Parse and check a file's bytes. Raises ResponseFileError naming ``name``, what is wrong and the remedy."""
-
-    wrong, content = partial(_KIND.wrong, name), _KIND.content(data, name)
-    serial, sources = content.get("rig_serial"), content.get("made_from")
-    if not isinstance(serial, str) or not isinstance(sources, list):
-        raise wrong("rig_serial or made_from is missing")
-    residual, harmonics = content.get("residual"), content.get("harmonics")
-    if not is_number(residual) or not isinstance(harmonics, list) or not all(is_number(b) for b in harmonics):
-        raise wrong(f"residual and harmonics must be numbers, of the latter at most {HIGHEST_ORDER + 1}")
-    if len(harmonics) > HIGHEST_ORDER + 1:
-        raise wrong(f"{len(harmonics)} harmonics; at most {HIGHEST_ORDER + 1} are allowed")
-    taken_us = []
-    for key in ("exposure_us", "trigger_delay_us"):
-        value = content.get(key)
-        if value is not None and (not is_number(value) or not isinstance(value, int) or value < 0):
-            raise wrong(f"{key} is {value!r:.40}; allowed are whole numbers from 0")
-        taken_us.append(value)
-    try:
-        response = Response(tuple(float(b) for b in harmonics))
-    except ValueError as error:
-        raise ResponseFileError(f"{name}: {error}") from error
-    return StoredResponse(serial, tuple(str(source) for source in sources), float(residual), response, *taken_us)
-
-
-def load(path: Path) -> StoredResponse | None:
-    """Read a response file; ``None`` where there is none. Raises ResponseFileError."""
-    found = _KIND.data(path)
-    return None if found is None else decode(*found)
+RESPONSE = SealedFile(
+    StoredResponse, schema=1, max_bytes=64 * 1024, what="response",
+    remedy="measure the response again, or remove the file: patterns are then drawn without compensation",
+)  # fmt: skip

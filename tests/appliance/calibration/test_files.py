@@ -7,7 +7,6 @@ import logging
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -15,13 +14,13 @@ import pytest
 
 from appliance import instrument
 from appliance.calibration import file as calibration_file
-from appliance.calibration import noise_file
 from appliance.calibration.depth_error import COUNT
 from appliance.calibration.design import design_calibration
 from appliance.calibration.field import AirField
 from appliance.calibration.file import CalibrationError
-from appliance.calibration.noise_file import CameraFigures, StoredNoise
-from appliance.calibration.response import file as response_file
+from appliance.calibration.noise_file import NOISE as NOISE_SEAL
+from appliance.calibration.noise_file import BothFigures, CameraFigures, StoredNoise
+from appliance.calibration.response.file import RESPONSE as RESPONSE_SEAL
 from appliance.calibration.response.file import StoredResponse
 from appliance.calibration.response.measure import CameraImages, ResponseError, measure_response
 from appliance.checksummed_file import with_checksum
@@ -30,9 +29,9 @@ from appliance.instrument import NOISE_FILE, exposures_of, noise_of, with_measur
 from appliance.optics.correction import ImageCorrection
 from appliance.optics.ray_shift import RayShift
 from appliance.optics.volume import WorkingVolume
-from appliance.patterns.response import Response
 from appliance.patterns.sequence import build_sequence
 from appliance.scan.exposure import Exposure
+from appliance.sealed_file import ContentError
 from tests.appliance.cli.test_measure import RIG
 from tests.support.calibrating import DESIGN
 from tests.support.golden_texts import Says
@@ -40,8 +39,8 @@ from tests.support.truth import WATER
 
 CALIBRATION = design_calibration(DESIGN, "KF-0001", 1600, 1200, WATER)
 LEFT, RIGHT = CameraFigures("KF-CAM-L", 9_100.0, 4.5, 6.0), CameraFigures("KF-CAM-R", 18_000.0, 25.0, 1.5)
-NOISE = StoredNoise("KF-SIM", ("000007",), LEFT, RIGHT)
-RESPONSE = StoredResponse("KF-1", ("000007",), 0.0107, Response((0.45, 0.53, 0.05, -0.02)))
+NOISE = StoredNoise("KF-SIM", ("000007",), BothFigures(LEFT, RIGHT))
+RESPONSE = StoredResponse("KF-1", ("000007",), 0.0107, (0.45, 0.53, 0.05, -0.02))
 
 
 @pytest.fixture
@@ -72,10 +71,10 @@ SMALL = replace(CALIBRATION, rig=replace(CALIBRATION.rig, volume=WorkingVolume(2
     ("module", "stored"),
     [
         *((calibration_file, one) for one in (CALIBRATION, left_with(ray_shift=SHIFT), left_with(lens_in_water=True), left_with(correction=CORRECTION), STATED, SMALL, FIELDED)),
-        (noise_file, NOISE), (response_file, RESPONSE), (response_file, replace(RESPONSE, exposure_us=12_000, trigger_delay_us=500)),
+        (NOISE_SEAL, NOISE), (RESPONSE_SEAL, RESPONSE), (RESPONSE_SEAL, replace(RESPONSE, exposure_us=12_000, trigger_delay_us=500)),
     ],
 )  # fmt: skip
-def test_what_was_written_comes_back(module: ModuleType, stored: Any, tmp_path: Path) -> None:
+def test_what_was_written_comes_back(module: Any, stored: Any, tmp_path: Path) -> None:
     path = tmp_path / "stored.json"
     path.write_bytes(module.encode(stored))
     assert module.load(path) == stored
@@ -86,7 +85,7 @@ def test_what_was_written_comes_back(module: ModuleType, stored: Any, tmp_path: 
         assert (stored.hash == CALIBRATION.hash) == (stored == CALIBRATION)
 
 
-def resigned(module: ModuleType, stored: Any, change: Callable[[Any], object]) -> bytes:
+def resigned(module: Any, stored: Any, change: Callable[[Any], object]) -> bytes:
     """A file with another content and the checksum that fits it."""
     content = {key: value for key, value in json.loads(module.encode(stored)).items() if key != "sha256"}
     change(content)
@@ -94,11 +93,11 @@ def resigned(module: ModuleType, stored: Any, change: Callable[[Any], object]) -
 
 
 def response(**changes: object) -> bytes:
-    return resigned(response_file, RESPONSE, lambda content: content.update(changes))
+    return resigned(RESPONSE_SEAL, RESPONSE, lambda content: content.update(changes))
 
 
 def noise(side: str, **values: object) -> bytes:
-    return resigned(noise_file, NOISE, lambda content: content["cameras"][side].update(values))
+    return resigned(NOISE_SEAL, NOISE, lambda content: content["cameras"][side].update(values))
 
 
 def calibration(**changes: object) -> bytes:
@@ -108,7 +107,7 @@ def calibration(**changes: object) -> bytes:
 BARE = {"schema": 1, "rig_serial": "KF-1", "made_from": []}
 THICK = left_with(port=replace(CALIBRATION.rig.left.port, thickness_mm=500.0))
 SKEW = replace(STATED, depth_error_mm2=(*depth_errors()[:-1], (0.0,) * COUNT))
-WRONG_FILES: list[tuple[ModuleType, bytes, str]] = [
+WRONG_FILES: list[tuple[Any, bytes, str]] = [
     (calibration_file, calibration_file.encode(CALIBRATION).replace(b"1.77", b"1.78"), "checksum"),
     (calibration_file, calibration(schema=4), "schema 4"),
     (
@@ -119,39 +118,39 @@ WRONG_FILES: list[tuple[ModuleType, bytes, str]] = [
     (calibration_file, calibration_file.encode(THICK), r"thickness_mm is 500\.0; allowed: 0\.\.100"),
     (calibration_file, calibration_file.encode(SKEW), "depth_error_mm2"),
     (calibration_file, calibration(volume={"nearest_mm": 264.0, "working_mm": 700.0, "farthest_mm": 336.0}), "nearest"),
-    (response_file, response_file.encode(RESPONSE).replace(b"0.53", b"0.54"), "checksum"),
-    (response_file, response_file.encode(RESPONSE)[:40], "JSON"),
-    (response_file, b"[]", "object"),
-    (response_file, b" " * 70_000, "65536"),
-    (response_file, response(schema=2), "schema 2"),
-    (response_file, response(harmonics=[0.5, "0.5"]), "harmonics"),
-    (response_file, response(harmonics=[0.5, -0.5]), "grow"),
-    (response_file, response(rig_serial=None), "rig_serial"),
-    (response_file, response(exposure_us=12000.5), r"exposure_us is 12000\.5"),
-    (response_file, response(trigger_delay_us=-1), "trigger_delay_us is -1"),
-    (noise_file, noise_file.encode(NOISE).replace(b"9100.0", b"9200.0"), "checksum"),
-    (noise_file, noise_file.encode(NOISE)[:40], "JSON"),
-    (noise_file, with_checksum({"schema": 2}), "schema 2"),
-    (noise_file, with_checksum(BARE), "cameras"),
-    (noise_file, with_checksum({**BARE, "cameras": {}}), "cameras.left"),
-    (noise_file, noise("right", full_well_e=400.0), r"cameras.right.full_well_e is 400\.0; allowed are 500\.\.900000"),
-    (noise_file, noise("left", read_noise_e="4"), r"cameras.left.read_noise_e is '4'; allowed are 0\.\.900"),
-    (noise_file, noise("left", black_level_dn=True), r"cameras.left.black_level_dn is True; allowed are 0\.\.63"),
+    (RESPONSE_SEAL, RESPONSE_SEAL.encode(RESPONSE).replace(b"0.53", b"0.54"), "checksum"),
+    (RESPONSE_SEAL, RESPONSE_SEAL.encode(RESPONSE)[:40], "JSON"),
+    (RESPONSE_SEAL, b"[]", "object"),
+    (RESPONSE_SEAL, b" " * 70_000, "65536"),
+    (RESPONSE_SEAL, response(schema=2), "schema 2"),
+    (RESPONSE_SEAL, response(harmonics=[0.5, "0.5"]), "harmonics"),
+    (RESPONSE_SEAL, response(harmonics=[0.5, -0.5]), "grow"),
+    (RESPONSE_SEAL, response(rig_serial=None), "rig_serial"),
+    (RESPONSE_SEAL, response(exposure_us=12000.5), r"exposure_us is 12000\.5"),
+    (RESPONSE_SEAL, response(trigger_delay_us=-1), "trigger_delay_us is -1"),
+    (NOISE_SEAL, NOISE_SEAL.encode(NOISE).replace(b"9100.0", b"9200.0"), "checksum"),
+    (NOISE_SEAL, NOISE_SEAL.encode(NOISE)[:40], "JSON"),
+    (NOISE_SEAL, with_checksum({"schema": 2}), "schema 2"),
+    (NOISE_SEAL, with_checksum(BARE), "cameras"),
+    (NOISE_SEAL, with_checksum({**BARE, "cameras": {}}), "cameras.left"),
+    (NOISE_SEAL, noise("right", full_well_e=400.0), r"cameras.right.full_well_e is 400\.0; allowed: 500\.\.900000"),
+    (NOISE_SEAL, noise("left", read_noise_e="4"), r"cameras.left.read_noise_e is '4'; allowed: 0\.\.900"),
+    (NOISE_SEAL, noise("left", black_level_dn=True), r"cameras.left.black_level_dn is True; allowed: 0\.\.63"),
 ]
 
 
 @pytest.mark.parametrize(("module", "data", "named"), WRONG_FILES)
-def test_what_is_no_such_file_is_refused_with_what_is_wrong(module: ModuleType, data: bytes, named: str) -> None:
-    errors = CalibrationError, noise_file.NoiseFileError, response_file.ResponseFileError
+def test_what_is_no_such_file_is_refused_with_what_is_wrong(module: Any, data: bytes, named: str) -> None:
+    errors = CalibrationError, ContentError
     with pytest.raises(errors, match=named):
         module.decode(data, "here")
 
 
 def test_a_file_that_cannot_be_read_is_no_missing_one(tmp_path: Path, says: Says) -> None:
-    assert noise_file.load(tmp_path / "none.json") is None
-    assert response_file.load(tmp_path / "none.json") is None
-    with pytest.raises(response_file.ResponseFileError) as unreadable:
-        response_file.load(tmp_path)
+    assert NOISE_SEAL.load(tmp_path / "none.json") is None
+    assert RESPONSE_SEAL.load(tmp_path / "none.json") is None
+    with pytest.raises(ContentError) as unreadable:
+        RESPONSE_SEAL.load(tmp_path)
     with pytest.raises(CalibrationError) as missing:
         calibration_file.load(tmp_path / "none.json")
     says(unreadable.value, missing.value)
@@ -168,11 +167,11 @@ def put(rig: Rig, name: Path, data: bytes) -> None:
 
 def noise_of_its_cameras(rig: Rig) -> StoredNoise:
     left, right = replace(LEFT, serial=rig.camera.left.serial), replace(RIGHT, serial=rig.camera.right.serial)
-    return StoredNoise(rig.rig.serial, ("000007",), left, right)
+    return StoredNoise(rig.rig.serial, ("000007",), BothFigures(left, right))
 
 
 def test_what_was_measured_takes_the_place_of_the_data_sheets_and_goes_with_the_scans(rig: Rig) -> None:
-    put(rig, NOISE_FILE, noise_file.encode(noise_of_its_cameras(rig)))
+    put(rig, NOISE_FILE, NOISE_SEAL.encode(noise_of_its_cameras(rig)))
     used = with_measured_noise(rig)
     for gain_db in (0.0, 6.0):
         measured = noise_of(used, Exposure(8_000, gain_db))
@@ -190,9 +189,13 @@ def test_what_was_measured_takes_the_place_of_the_data_sheets_and_goes_with_the_
 def test_noise_of_other_cameras_or_damaged_is_told_and_not_used(rig: Rig, caplog: pytest.LogCaptureFixture) -> None:
     assert with_measured_noise(rig) == rig
     mine = noise_of_its_cameras(rig)
-    others = replace(mine, rig_serial="KF-9"), replace(mine, left=RIGHT), replace(mine, right=LEFT)
+    others = (
+        replace(mine, rig_serial="KF-9"),
+        replace(mine, cameras=BothFigures(RIGHT, mine.cameras.right)),
+        replace(mine, cameras=BothFigures(mine.cameras.left, LEFT)),
+    )
     with caplog.at_level(logging.WARNING, "kingfisher"):
-        for data in (*map(noise_file.encode, others), b"{}"):
+        for data in (*map(NOISE_SEAL.encode, others), b"{}"):
             put(rig, NOISE_FILE, data)
             assert with_measured_noise(rig) == rig
     assert len(caplog.records) == 4
@@ -208,7 +211,7 @@ def test_a_response_counts_at_its_trigger_delay_and_else_is_told(rig: Rig, caplo
         (exposure_us, delay_us + 7, None, 2),
     ):  # fmt: skip
         stored = replace(mine, exposure_us=exposed_us, trigger_delay_us=delayed_us)
-        put(rig, instrument.RESPONSE_FILE, response_file.encode(stored))
+        put(rig, instrument.RESPONSE_FILE, RESPONSE_SEAL.encode(stored))
         assert (instrument.response_of(rig), len(caplog.records)) == (used, warned)
 
 

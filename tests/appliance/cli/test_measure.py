@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from appliance.calibration.response.file import load
+from appliance.calibration.response.file import RESPONSE
 from appliance.config import load_rig, rig_text
 from appliance.instrument import NOISE_FILE, noise_of, with_measured_noise
 from appliance.scan.sides import of_side
@@ -42,7 +42,8 @@ def test_the_file_lies_where_the_instrument_looks_and_is_never_replaced(
     scan = store(plane, tmp_path / "plane")
     report = shell("measure", "response", scan, *words, "--json").document
     path = tmp_path / "calibration" / "response.json"
-    stored = load(path)
+    stored = RESPONSE.load(path)
+    assert stored is not None
     assert stored is not None
     assert (report["file"], report["hash"], stored.made_from) == (str(path), stored.response.hash, ("plane",))
     assert report["harmonics_percent"][1] == pytest.approx(-3.5, abs=0.3), "the third, of which the phase knows"

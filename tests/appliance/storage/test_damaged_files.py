@@ -11,7 +11,6 @@ import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import cv2
@@ -20,22 +19,22 @@ import pytest
 from hypothesis import strategies as st
 
 from appliance.calibration import file as calibration_file
-from appliance.calibration import noise_file
 from appliance.calibration.design import design_calibration
 from appliance.calibration.guide import USED, AdjustmentSummary, RecordingCheck, Session, Step, Verified
 from appliance.calibration.health import HealthTrend, TrendPoint
-from appliance.calibration.noise_file import CameraFigures, NoiseFileError, StoredNoise
-from appliance.calibration.response import file as response_file
-from appliance.calibration.response.file import ResponseFileError, StoredResponse
+from appliance.calibration.noise_file import NOISE as NOISE_FILE
+from appliance.calibration.noise_file import BothFigures, CameraFigures, StoredNoise
+from appliance.calibration.response.file import RESPONSE as RESPONSE_FILE
+from appliance.calibration.response.file import StoredResponse
 from appliance.checksummed_file import with_checksum
 from appliance.config import ConfigError, default_rig_path, load_rig
 from appliance.machine.choices import Choices
 from appliance.offline.calibration.air import Pair, PicturesError, read_pair
 from appliance.optics.correction import ImageCorrection, node_count
 from appliance.optics.ray_shift import RayShift
-from appliance.patterns.response import Response
 from appliance.ranging.beams import Pointers
 from appliance.scan.exposure import Exposure
+from appliance.sealed_file import ContentError
 from appliance.storage import counter, packed
 from appliance.storage import label as labels
 from appliance.storage import manifest as form
@@ -106,8 +105,8 @@ FIGURES = CameraFigures("L", 9_100.0, 4.5, 6.0), CameraFigures("R", 18_000.0, 25
 STANDARD, CHOSEN = Choices(), Choices(Exposure(8000, 6.0), 32, 35.0, 12.5, "de")
 POINTERS = Pointers((40.0, -60.0, 30.0), (25.0, 0.0, 522.5), 0.3)
 CALIBRATION = calibration_file.encode(rich_calibration())
-RESPONSE = response_file.encode(StoredResponse("KF-1", ("000007",), 0.0107, Response((0.45, 0.53, 0.05, -0.02))))
-NOISE = noise_file.encode(StoredNoise("KF-1", ("000007",), *FIGURES))
+RESPONSE = RESPONSE_FILE.encode(StoredResponse("KF-1", ("000007",), 0.0107, (0.45, 0.53, 0.05, -0.02)))
+NOISE = NOISE_FILE.encode(StoredNoise("KF-1", ("000007",), BothFigures(*FIGURES)))
 HEALTH = written(lambda root: HealthFile(root, HASH).write(TREND))
 SESSION = written(lambda root: Calibrations(root, "KF-TEST").write(session()))
 BEAMS = written(lambda root: BeamsFile(root, POINTERS).write(HASH, POINTERS.beams()))
@@ -153,7 +152,7 @@ def read_picture(data: bytes, folder: Path) -> None:
         assert image.dtype == np.uint8
 
 
-def read_by(module: ModuleType, name: str) -> Callable[[bytes, Path], None]:
+def read_by(module: Any, name: str) -> Callable[[bytes, Path], None]:
     """A reader of what a module decodes, writes and decodes again."""
 
     def read(data: bytes, _: Path) -> None:
@@ -304,8 +303,8 @@ PARSERS = (
     Parser("rig", RIGS | damaged([RIG_TEXT.encode()]), read_rig, (ConfigError,), "CONFIG: ", longest=12_000, share=0.2),
     Parser("picture", damaged(PICTURES), read_picture, (PicturesError,), "00_left", share=0.6),
     Parser("calibration", sealed(CALIBRATION), read_by(calibration_file, "calibration current.json"), (calibration_file.CalibrationError,), "calibration current.json", share=0.6),
-    Parser("response", sealed(RESPONSE), read_by(response_file, "response response.json"), (ResponseFileError,), "response response.json", share=0.6),
-    Parser("noise", sealed(NOISE), read_by(noise_file, "noise noise.json"), (NoiseFileError,), "noise noise.json", share=0.6),
+    Parser("response", sealed(RESPONSE), read_by(RESPONSE_FILE, "response response.json"), (ContentError,), "response response.json", share=0.6),
+    Parser("noise", sealed(NOISE), read_by(NOISE_FILE, "noise noise.json"), (ContentError,), "noise noise.json", share=0.6),
     Parser("health", sealed(HEALTH), read_health, share=0.5),
     Parser("beams", sealed(BEAMS, "line", "covariance", "learned", "last_z_mm"), read_beams, share=0.5),
     Parser("choices", sealed(CHOICES, "language", "period_px"), read_choices, share=0.5),
