@@ -23,15 +23,16 @@ from appliance.scan.exposure import STEPS_MS, Exposure, Span, ladder
 from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.noise import CameraNoise, StereoNoise, camera_noise
 from appliance.sealed_file import ContentError
+from appliance.storage.names import CALIBRATION_IN_AIR, CALIBRATIONS, CURRENT_CALIBRATION
 from appliance.storage.record import ScanRecord
 from appliance.storage.scan import ScanOrigin
 
 log = logging.getLogger("kingfisher")
 
-CALIBRATION_FILE = Path("calibration", "current.json")
+CALIBRATION_FILE = Path(CALIBRATIONS, CURRENT_CALIBRATION)
 RESPONSE_FILE = CALIBRATION_FILE.with_name("response.json")
 NOISE_FILE = CALIBRATION_FILE.with_name("noise.json")
-AIR_FILE = CALIBRATION_FILE.with_name("air.json")
+AIR_FILE = CALIBRATION_FILE.with_name(CALIBRATION_IN_AIR)
 KEPT = CALIBRATION_FILE.with_name("kept")
 """Places of the calibration's files, relative to the storage root."""
 ONLY_IN_AIR = "the calibration is one in air, a start for calibrating in water; windows and water are not in it"

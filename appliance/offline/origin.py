@@ -13,8 +13,8 @@ from appliance.config import ConfigError, Rig, parse_rig
 from appliance.offline.wish import Wish, root_of
 from appliance.scan.sides import SIDES, of_side
 from appliance.storage import scan as stored
-from appliance.storage.calibrations import CURRENT, FOLDER
 from appliance.storage.manifest import Manifest
+from appliance.storage.names import CALIBRATIONS, CURRENT_CALIBRATION
 from appliance.storage.scan import CALIBRATION, RIG, ScanError, StoredScan
 
 FOREIGN_OPTION = "--foreign-calibration"
@@ -89,7 +89,7 @@ def calibration_for(scan: SourceScan, wish: Wish) -> Chosen:
     if wish.calibration is not None:
         chosen = Chosen(load(wish.calibration), f"--calibration {wish.calibration}")
     elif wish.current:
-        path = scan.storage_root / FOLDER / CURRENT
+        path = scan.storage_root / CALIBRATIONS / CURRENT_CALIBRATION
         chosen = Chosen(load(path), str(path))
     else:
         chosen = _of_the_scan(scan.scan)

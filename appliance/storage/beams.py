@@ -19,8 +19,8 @@ import numpy as np
 from appliance.checksummed_file import checked_content, with_checksum
 from appliance.ranging.beams import PointerBeam, Pointers
 from appliance.storage.atomic import make_folders, replace_file
-from appliance.storage.calibrations import FOLDER
 from appliance.storage.filesystem import FileSystem, LocalFileSystem
+from appliance.storage.names import CALIBRATIONS
 
 log = logging.getLogger("kingfisher")
 
@@ -36,7 +36,7 @@ class BeamsFile:
 
     def __init__(self, root: Path, pointers: Pointers, fs: FileSystem | None = None) -> None:
         """Remember beams below ``root``; ``pointers`` are as the rig file draws them."""
-        self.path = root / FOLDER / FILE
+        self.path = root / CALIBRATIONS / FILE
         self._pointers = pointers
         self._fs: FileSystem = fs or LocalFileSystem()
 

@@ -30,11 +30,10 @@ from appliance.calibration.guide import Session
 from appliance.checksummed_file import checked_content, with_checksum
 from appliance.storage.atomic import StorageError, make_folders, move_folder, remedy_for, replace_file
 from appliance.storage.filesystem import FileSystem, LocalFileSystem
-from appliance.storage.names import CALIBRATIONS, CURRENT_CALIBRATION, is_kept_calibration
+from appliance.storage.names import CALIBRATION_IN_AIR, CALIBRATIONS, CURRENT_CALIBRATION, is_kept_calibration
 
 SCHEMA = 1
-FOLDER, CURRENT = CALIBRATIONS, CURRENT_CALIBRATION
-AIR, SOLVED, SESSION = "air.json", "solved.json", "session.json"
+SOLVED, SESSION = "solved.json", "session.json"
 MAX_BYTES = 1024 * 1024
 _SESSION = TypeAdapter(Session)
 
@@ -48,19 +47,19 @@ class Calibrations:
 
     def __init__(self, root: Path, rig_serial: str, fs: FileSystem | None = None) -> None:
         """Remember where to store; nothing is touched until a method is called."""
-        self.folder = root / FOLDER
+        self.folder = root / CALIBRATIONS
         self._serial = rig_serial
         self._fs: FileSystem = fs or LocalFileSystem()
 
     @property
     def current(self) -> Path:
         """The file in use."""
-        return self.folder / CURRENT
+        return self.folder / CURRENT_CALIBRATION
 
     @property
     def air(self) -> Path:
         """The calibration in air, from which every adjustment in water starts; there may be none."""
-        return self.folder / AIR
+        return self.folder / CALIBRATION_IN_AIR
 
     @property
     def solved(self) -> Path:

@@ -10,8 +10,8 @@ import math
 import re
 import unicodedata
 
-CALIBRATIONS, CURRENT_CALIBRATION = "calibration", "current.json"
-"""Folder below a storage root with its calibrations, and the file in it that is in use."""
+CALIBRATIONS, CURRENT_CALIBRATION, CALIBRATION_IN_AIR = "calibration", "current.json", "air.json"
+"""Folder below a storage root with its calibrations, the file in it that is in use, and the one in air that others begin with."""
 OBJECTS = "objects"
 """Folder below a storage root with its objects."""
 MOST_CHARACTERS, MOST_BYTES = 100, 200

@@ -30,11 +30,10 @@ from appliance.calibration.parameters import AIR, NAMES
 from appliance.calibration.water.start import start_from_air
 from appliance.config import Rig
 from appliance.foreign.picture_size import KNOWN, size_px
-from appliance.instrument import design_of
+from appliance.instrument import AIR_FILE, design_of
 from appliance.offline.calibration.view_folder import LEFT, RIGHT
 from appliance.patterns.sequence import build_sequence
 from appliance.scan.sides import SIDES
-from appliance.storage import calibrations
 from appliance.storage import scan as stored
 from appliance.storage.atomic import make_folders, refused, replace_file
 from appliance.storage.filesystem import LocalFileSystem
@@ -42,8 +41,6 @@ from appliance.storage.manifest import FILE_NAME
 
 Image = NDArray[np.uint8]
 
-AIR_FILE = Path(calibrations.FOLDER, calibrations.AIR)
-"""File below the storage root: where calibrating in water begins."""
 KINDS = (".png", ".tif", ".tiff", ".bmp", ".pgm")
 _LEAST_BYTES, _BYTES_PER_PIXEL = 1_000_000, 16
 """Most bytes that a file may have: headers and notes, and four channels of 32 bits. The cameras' pictures have one byte a pixel."""
