@@ -7,6 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from appliance.cli.verbs import VERBS, Group
+from appliance.machine.states import State
+from appliance.scan.fault import FaultCode
+
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "systemd").glob("*.md")])
 TRACKED = ("appliance", "drivers", "hw_sim", "bench", "docs", "systemd", "tests")
@@ -82,6 +86,41 @@ def test_every_scenario_is_in_the_list_of_faults() -> None:
     scenarios = sorted(path.name for path in (ROOT / "tests" / "scenarios").glob("*.scn"))
     assert scenarios
     assert [name for name in scenarios if f"scenarios/{name})" not in listed] == []
+
+
+DICTIONARY = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")
+ENTRY = re.compile(r"\| \*\*(.+)\*\* \| (.+) \| (.+) \|")
+
+
+def test_the_dictionary_has_one_word_for_one_thing() -> None:
+    words: list[str] = []
+    replaced: list[str] = []
+    for section in DICTIONARY.split("\n## "):
+        rows = [row for row in section.split("\n") if row.startswith("| **")]
+        entries = [entry.groups() for row in rows if (entry := ENTRY.fullmatch(row))]
+        assert len(entries) == len(rows), section.partition("\n")[0]
+        ours = [word.lower() for word, _, _ in entries]
+        assert ours == sorted(ours), section.partition("\n")[0]
+        words += ours
+        for _, _, others in entries:
+            replaced += [] if others == "–" else [other.lower() for other in re.split(r", (?![^(]*\))", others)]
+    assert len(words) > 200
+    assert [word for word in words if words.count(word) > 1] == []
+    assert [other for other in replaced if replaced.count(other) > 1 or other in words] == []
+
+
+def test_words_that_the_dictionary_calls_promised_are_there() -> None:
+    def promised(kind: str) -> set[str]:
+        row = re.search(rf"^\| {kind} \| (.+) \| \[", DICTIONARY, re.MULTILINE)
+        assert row, kind
+        return set(re.findall("`([^`]+)`", row[1]))
+
+    assert promised("states") <= {state.value for state in State}
+    assert promised("faults") <= {code.value for code in FaultCode}
+    verbs = {verb.name for verb in VERBS}
+    verbs |= {f"{group.name} {verb.name}" for group in VERBS if isinstance(group, Group) for verb in group.verbs}
+    written = {words.partition(" ")[::2] for words in promised("verbs")}
+    assert {f"{name} {one}".strip() for name, others in written for one in others.split("/")} <= verbs
 
 
 MEASURED = (
