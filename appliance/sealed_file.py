@@ -143,9 +143,9 @@ class SealedFile(Generic[T]):
         except ValueError as error:
             raise ContentError(name, str(error), remedy=self.remedy) from error
 
-    def load(self, path: Path, of: Mapping[str, Any] = OF_ANYBODY) -> T | None:
-        """Read a file; ``None`` where there is none. Raises ContentError."""
-        name = f"{self.what} {path}".lstrip()
+    def load(self, path: Path, of: Mapping[str, Any] = OF_ANYBODY, name: str | None = None) -> T | None:
+        """Read a file; ``None`` where there is none. Raises ContentError naming it by its path, or by ``name``."""
+        name = f"{self.what} {path}".lstrip() if name is None else name
         try:
             data = read_bounded(path, self.max_bytes)
         except FileNotFoundError:

@@ -13,7 +13,8 @@ from typing import ClassVar
 from appliance.cli.arguments import operand, operands
 from appliance.cli.output import Exit, UsageError, say, say_json
 from appliance.cli.places import WithRoot
-from appliance.storage.label import LONGEST_NAME, LONGEST_NOTE, Label, LabelError, checked, read
+from appliance.sealed_file import ContentError
+from appliance.storage.label import LONGEST_NAME, LONGEST_NOTE, Label, checked, read
 from appliance.storage.library import Library
 from appliance.storage.lock import hold_lock
 
@@ -79,7 +80,7 @@ class RestoreScans(WithRoot):
 def _checked(what: str, text: str, longest: int) -> str | None:
     try:
         return checked(what, text, longest)
-    except LabelError as error:
+    except ContentError as error:
         raise UsageError(str(error)) from error
 
 
@@ -90,7 +91,7 @@ def _label(root: Path, scan_id: str, change: Callable[[Label], Label], *, json: 
         try:
             # Name and note are one file: changing the one keeps the other.
             before = read(entry.folder)
-        except LabelError:
+        except ContentError:
             before = Label()  # a damaged one is written anew: that is what the person wants
         label = change(before)
         library.set_label(entry.scan_id, label)

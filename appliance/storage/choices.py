@@ -8,31 +8,48 @@ Only what differs from the rig file is written, so that a corrected rig file sti
 from __future__ import annotations
 
 import logging
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from appliance.checksummed_file import checked_content, with_checksum
 from appliance.machine.choices import COLDEST_C, LANGUAGES, WARMEST_C, Choices
 from appliance.patterns.sequence import PERIODS_PX
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault, FaultCode
+from appliance.sealed_file import Among, ContentError, SealedFile, Within, shaped
 from appliance.storage.atomic import replace_file
 from appliance.storage.filesystem import FileSystem, LocalFileSystem
 
 log = logging.getLogger("kingfisher")
 
 FILE = "choices.json"
-SCHEMA = 1
-MAX_BYTES = 10_000
-_RANGES: dict[str, tuple[float, float]] = {
-    "exposure_us": (50, 16_600),
-    "gain_db": (0.0, 48.0),
-    "salinity_psu": (0.0, 45.0),
-    "water_c": (COLDEST_C, WARMEST_C),
-}
 MOST_OBJECTS = 999_999
 """Largest number of an object that is believed."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Chosen:
+    """All that is remembered."""
+
+    exposure_us: Annotated[int, Within(50, 16_600)]
+    gain_db: Annotated[float, Within(0.0, 48.0)]
+    period_px: Annotated[int, Among(PERIODS_PX)]
+    salinity_psu: Annotated[float, Within(0.0, 45.0)]
+    water_c: Annotated[float, Within(COLDEST_C, WARMEST_C)]
+    language: Annotated[str, Among(LANGUAGES)]
+    object: Annotated[int, Within(1, MOST_OBJECTS, whole=True)] | None
+    objects: Annotated[int, Within(0, MOST_OBJECTS, whole=True)]
+
+
+@dataclass(frozen=True, slots=True)
+class _Differing:
+    """Content of the file: what differs from the rig file."""
+
+    chosen: Mapping[str, Any]
+
+
+CHOICES = SealedFile(_Differing, schema=1, max_bytes=10_000)
 
 
 class ChoicesFile:
@@ -47,70 +64,27 @@ class ChoicesFile:
     def read(self) -> tuple[Choices, Fault | None]:
         """Read the diver's choices; the rig file's values, with a condition, where the file cannot be used."""
         try:
-            with self.path.open("rb") as file:
-                data = file.read(MAX_BYTES + 1)
-        except FileNotFoundError:
-            return self._standard, None
-        except OSError as error:
-            return self._lost(error.strerror or str(error))
-        try:
-            return self._decoded(data), None
-        except ValueError as error:
-            return self._lost(str(error))
+            found = CHOICES.load(self.path, name="")
+            if found is None:
+                return self._standard, None
+            chosen = shaped(_Chosen, {**asdict(_spelled(self._standard)), **found.chosen})
+            if chosen.object is not None and chosen.object > chosen.objects:
+                raise ContentError("", f"object is {chosen.object}", f"1..{chosen.objects}, the largest number of one")
+        except ContentError as error:
+            log.warning("%s: %s; the rig file's values hold until something is chosen anew", self.path, error)
+            return self._standard, Fault(FaultCode.SETTINGS_LOST, f"{self.path.name}: {error}")
+        known = {name: value for name, value in asdict(chosen).items() if name not in ("exposure_us", "gain_db")}
+        return replace(self._standard, exposure=Exposure(chosen.exposure_us, chosen.gain_db), **known), None
 
     def write(self, choices: Choices) -> None:
         """Write it all down; it is durable on return. Raises StorageError."""
-        standard, chosen = _spelled(self._standard), _spelled(choices)
+        standard, chosen = asdict(_spelled(self._standard)), asdict(_spelled(choices))
         content = {name: value for name, value in chosen.items() if value != standard[name]}
-        replace_file(self._fs, self.path, with_checksum({"schema": SCHEMA, "chosen": content}))
-
-    def _lost(self, why: str) -> tuple[Choices, Fault]:
-        log.warning("%s: %s; the rig file's values hold until something is chosen anew", self.path, why)
-        return self._standard, Fault(FaultCode.SETTINGS_LOST, f"{self.path.name}: {why}")
-
-    def _decoded(self, data: bytes) -> Choices:
-        """Raises ValueError."""
-        content = checked_content(data, MAX_BYTES)
-        chosen = content.get("chosen")
-        if content.get("schema") != SCHEMA or not isinstance(chosen, dict):
-            raise ValueError(f"schema {content.get('schema')!r}; {SCHEMA} is known here")
-        values = {**_spelled(self._standard), **chosen}
-        for name, (low, high) in _RANGES.items():
-            value = values[name]
-            if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-                raise ValueError(f"{name} {value!r}; allowed are {low:g}..{high:g}")
-        if values["period_px"] not in PERIODS_PX or values["language"] not in LANGUAGES:
-            raise ValueError(
-                f"period_px {values['period_px']!r}, language {values['language']!r}; they are not offered"
-            )
-        number, numbers = values["object"], values["objects"]
-        whole = all(
-            isinstance(one, int) and not isinstance(one, bool) for one in (numbers, 0 if number is None else number)
-        )
-        if not whole or not 0 <= numbers <= MOST_OBJECTS or (number is not None and not 1 <= number <= numbers):
-            raise ValueError(
-                f"object {number!r} of objects {numbers!r}; allowed are 1..{MOST_OBJECTS}, and none above the second"
-            )
-        return replace(
-            self._standard,
-            exposure=Exposure(int(values["exposure_us"]), float(values["gain_db"])),
-            period_px=int(values["period_px"]),
-            salinity_psu=float(values["salinity_psu"]),
-            water_c=float(values["water_c"]),
-            language=str(values["language"]),
-            object=number,
-            objects=numbers,
-        )
+        replace_file(self._fs, self.path, CHOICES.encode(_Differing(content)))
 
 
-def _spelled(choices: Choices) -> dict[str, Any]:
-    return {
-        "exposure_us": choices.exposure.time_us,
-        "gain_db": choices.exposure.gain_db,
-        "period_px": choices.period_px,
-        "salinity_psu": choices.salinity_psu,
-        "water_c": choices.water_c,
-        "language": choices.language,
-        "object": choices.object,
-        "objects": choices.objects,
-    }
+def _spelled(choices: Choices) -> _Chosen:
+    return _Chosen(
+        choices.exposure.time_us, choices.exposure.gain_db, choices.period_px, choices.salinity_psu, choices.water_c,
+        choices.language, choices.object, choices.objects,
+    )  # fmt: skip

@@ -9,24 +9,41 @@ read is put aside under another name: the trend begins anew, and a person can lo
 from __future__ import annotations
 
 import logging
-import math
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-
-from pydantic import TypeAdapter, ValidationError
 
 from appliance.calibration.gaps import DOUBTS
 from appliance.calibration.health import HealthTrend
 from appliance.calibration.patches import COUNT
-from appliance.checksummed_file import checked_content, with_checksum
+from appliance.sealed_file import ContentError, SealedFile
 from appliance.storage.atomic import StorageError, make_folders, refused, remedy_for, replace_file
 from appliance.storage.filesystem import FileSystem, LocalFileSystem
 
 log = logging.getLogger("kingfisher")
 
 FOLDER = Path("calibration", "health")
-SCHEMA = 1
-MAX_BYTES = 1_000_000
-_TREND = TypeAdapter(HealthTrend)
+
+
+@dataclass(frozen=True, slots=True)
+class _StoredHealth:
+    """Content of the file."""
+
+    trend: HealthTrend
+
+
+def _refuse_impossible(stored: _StoredHealth) -> None:
+    """Raises ValueError."""
+    reference = stored.trend.reference
+    if stored.trend.judged < 0:
+        raise ValueError(f"trend.judged is {stored.trend.judged}; allowed: whole numbers from 0")
+    if any(len(of) != COUNT for of in (reference.gap_um, reference.variance_um2, reference.scans)):
+        raise ValueError(f"its reference has not {COUNT} patches")
+    if len(reference.doubts_um) != COUNT * (DOUBTS + 1):
+        raise ValueError(f"its reference has not {DOUBTS + 1} doubts of {COUNT} patches")
+
+
+HEALTH = SealedFile(_StoredHealth, schema=1, max_bytes=1_000_000, indent=None, check=_refuse_impossible)
 
 
 class HealthFile:
@@ -34,71 +51,32 @@ class HealthFile:
 
     def __init__(self, root: Path, calibration_hash: str, fs: FileSystem | None = None) -> None:
         self._fs: FileSystem = fs or LocalFileSystem()
-        self._hash = calibration_hash
+        self._of: Mapping[str, str] = {"calibration": calibration_hash}
         self.path = root / FOLDER / f"{calibration_hash[:16]}.json"
 
     def read(self) -> HealthTrend:
         """Read the remembered trend; an empty one where there is none, or none that can be read."""
         try:
-            with self.path.open("rb") as file:
-                data = file.read(MAX_BYTES + 1)
-        except FileNotFoundError:
+            found = HEALTH.load(self.path, self._of, name=str(self.path))
+        except ContentError as error:
+            log.warning("%s; the trend of the ray gaps begins anew", error)
             return HealthTrend()
-        except OSError as error:
-            log.warning("%s: %s; the trend of the ray gaps begins anew", self.path, error.strerror or error)
-            return HealthTrend()
-        try:
-            return self._decoded(data)
-        except ValueError as error:
-            log.warning("%s: %s; the trend of the ray gaps begins anew", self.path, error)
-            return HealthTrend()
+        return HealthTrend() if found is None else found.trend
 
     def write(self, trend: HealthTrend) -> None:
         """Write it all down; it is durable on return. Raises StorageError."""
         make_folders(self._fs, self.path.parent)
         self._set_aside()
-        content = {"schema": SCHEMA, "calibration": self._hash, "trend": _TREND.dump_python(trend, mode="json")}
-        replace_file(self._fs, self.path, with_checksum(content, indent=None))
+        replace_file(self._fs, self.path, HEALTH.encode(_StoredHealth(trend), self._of))
 
     def _set_aside(self) -> None:
         """Move a file that cannot be read aside, so that it is not overwritten."""
         if not self.path.exists():
             return
         try:
-            self._decoded(self.path.read_bytes())
+            HEALTH.decode(self.path.read_bytes(), str(self.path), self._of)
         except OSError as error:
             raise StorageError("cannot read", self.path, error.strerror or str(error), remedy_for(error)) from error
-        except ValueError:
+        except ContentError:
             with refused("cannot rename", self.path):
                 self._fs.rename(self.path, self.path.with_suffix(".damaged"))
-
-    def _decoded(self, data: bytes) -> HealthTrend:
-        """Raises ValueError."""
-        content = checked_content(data, MAX_BYTES)
-        if content.get("schema") != SCHEMA or content.get("calibration") != self._hash:
-            raise ValueError("it is of another version or another calibration")
-        try:
-            trend = _TREND.validate_python(content.get("trend"))
-        except ValidationError as error:
-            raise ValueError(str(error.errors(include_url=False)[0]["msg"])) from error
-        if trend.judged < 0 or not _is_finite(_TREND.dump_python(trend)):
-            raise ValueError("it has a number that cannot be")
-        reference = trend.reference
-        if any(len(of) != COUNT for of in (reference.gap_um, reference.variance_um2, reference.scans)):
-            raise ValueError(f"its reference has not {COUNT} patches")
-        if len(reference.doubts_um) != COUNT * (DOUBTS + 1):
-            raise ValueError(f"its reference has not {DOUBTS + 1} doubts of {COUNT} patches")
-        return trend
-
-
-def _is_finite(value: object) -> bool:
-    """Tell whether every number in a tree of values is finite."""
-    match value:
-        case dict():
-            return all(map(_is_finite, value.values()))
-        case list() | tuple():
-            return all(map(_is_finite, value))
-        case float():
-            return math.isfinite(value)
-        case _:
-            return True

@@ -21,12 +21,13 @@ from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from appliance.sealed_file import ContentError
 from appliance.storage import counter, scan
 from appliance.storage import label as labels
 from appliance.storage import manifest as form
 from appliance.storage.atomic import StorageError, move_folder, refused, replace_file
 from appliance.storage.filesystem import FileSystem, LocalFileSystem
-from appliance.storage.label import NO_LABEL, Label, LabelError
+from appliance.storage.label import NO_LABEL, Label
 from appliance.storage.manifest import Decision, Manifest, ManifestError
 from appliance.storage.names import by_number, scan_number
 from appliance.storage.record import ScanRecord
@@ -353,7 +354,7 @@ def entry_of(folder: Path, *, checksums: bool) -> ScanEntry:
     label = NO_LABEL
     try:
         label = labels.read(folder)
-    except LabelError as error:
+    except ContentError as error:
         if checksums:  # no damage to the scan: told where every byte is looked at
             found.append(str(error))
     return ScanEntry(whole.name, shelf, folder, manifest, tuple(found), size_bytes, label)

@@ -226,7 +226,7 @@ def _take_label(found: FoundRecording, source: Source, fs: AppendingFileSystem, 
     if not found.label_bytes:
         return 0
     with given():
-        theirs = text_of(source, f"{found.path}/{labels.FILE_NAME}", labels.MAX_BYTES)
+        theirs = text_of(source, f"{found.path}/{labels.FILE_NAME}", labels.LABEL.max_bytes)
     path = folder / labels.FILE_NAME
     with refused("cannot read", path):
         ours = path.read_bytes() if path.exists() else None

@@ -23,7 +23,6 @@ from appliance.calibration.noise_file import BothFigures, CameraFigures, StoredN
 from appliance.calibration.response.file import RESPONSE as RESPONSE_SEAL
 from appliance.calibration.response.file import StoredResponse
 from appliance.calibration.response.measure import CameraImages, ResponseError, measure_response
-from appliance.checksummed_file import with_checksum
 from appliance.config import Rig, load_rig, parse_rig
 from appliance.instrument import NOISE_FILE, exposures_of, noise_of, with_measured_noise
 from appliance.optics.correction import ImageCorrection
@@ -35,6 +34,7 @@ from appliance.sealed_file import ContentError
 from tests.appliance.cli.test_measure import RIG
 from tests.support.calibrating import DESIGN
 from tests.support.golden_texts import Says
+from tests.support.sealing import sealed
 from tests.support.truth import WATER
 
 CALIBRATION = design_calibration(DESIGN, "KF-0001", 1600, 1200, WATER)
@@ -89,7 +89,7 @@ def resigned(module: Any, stored: Any, change: Callable[[Any], object]) -> bytes
     """A file with another content and the checksum that fits it."""
     content = {key: value for key, value in json.loads(module.encode(stored)).items() if key != "sha256"}
     change(content)
-    return with_checksum(content)
+    return sealed(content)
 
 
 def response(**changes: object) -> bytes:
@@ -130,9 +130,9 @@ WRONG_FILES: list[tuple[Any, bytes, str]] = [
     (RESPONSE_SEAL, response(trigger_delay_us=-1), "trigger_delay_us is -1"),
     (NOISE_SEAL, NOISE_SEAL.encode(NOISE).replace(b"9100.0", b"9200.0"), "checksum"),
     (NOISE_SEAL, NOISE_SEAL.encode(NOISE)[:40], "JSON"),
-    (NOISE_SEAL, with_checksum({"schema": 2}), "schema 2"),
-    (NOISE_SEAL, with_checksum(BARE), "cameras"),
-    (NOISE_SEAL, with_checksum({**BARE, "cameras": {}}), "cameras.left"),
+    (NOISE_SEAL, sealed({"schema": 2}), "schema 2"),
+    (NOISE_SEAL, sealed(BARE), "cameras"),
+    (NOISE_SEAL, sealed({**BARE, "cameras": {}}), "cameras.left"),
     (NOISE_SEAL, noise("right", full_well_e=400.0), r"cameras.right.full_well_e is 400\.0; allowed: 500\.\.900000"),
     (NOISE_SEAL, noise("left", read_noise_e="4"), r"cameras.left.read_noise_e is '4'; allowed: 0\.\.900"),
     (NOISE_SEAL, noise("left", black_level_dn=True), r"cameras.left.black_level_dn is True; allowed: 0\.\.63"),

@@ -11,7 +11,6 @@ import pytest
 from appliance.calibration.file import Calibration, CalibrationError, decode, encode
 from appliance.calibration.owner import Owner, exchanged, misfit
 from appliance.calibration.recordings import RecordingError
-from appliance.checksummed_file import with_checksum
 from appliance.config import Rig, default_rig_path, load_rig
 from appliance.instrument import calibration_of, design_of, origin_of
 from appliance.machine.alerts import alert_of
@@ -19,6 +18,7 @@ from appliance.offline.calibration.recordings import cameras_of
 from appliance.scan.fault import FaultCode
 from appliance.storage.library import Library
 from tests.appliance.storage.scenes import frames, record
+from tests.support.sealing import sealed
 
 OWN = ("KF-CAM-L", "KF-CAM-R")
 
@@ -55,7 +55,7 @@ def test_serial_numbers_of_the_cameras_are_written_and_files_without_them_accept
     del said["sha256"]
     for wrong in ("L and R", ["L", "R"], {"left": "L"}, {"left": 3, "right": "R"}):
         with pytest.raises(CalibrationError, match=r"camera_serials|left is|right is"):
-            decode(with_checksum({**said, "schema": 1, "camera_serials": wrong}))
+            decode(sealed({**said, "schema": 1, "camera_serials": wrong}))
 
 
 @pytest.mark.parametrize(

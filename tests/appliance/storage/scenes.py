@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.checksummed_file import with_checksum
 from appliance.scan.exposure import Exposure
 from appliance.scan.verdict import Verdict
 from appliance.storage import manifest as form
@@ -20,6 +19,7 @@ from appliance.storage.ply import StoredCloud
 from appliance.storage.record import ScanRecord, SecondSequence, SequenceInfo
 from appliance.storage.room import plan
 from appliance.storage.scan import ScanOrigin
+from tests.support.sealing import sealed
 
 FRAMES = 3
 
@@ -74,7 +74,7 @@ PREVIEW = b"\x89PNG\r\n\x1a\n" + bytes(50)
 
 def padded(content: dict[str, object], length: int) -> bytes:
     """A sealed file of that length, of which some is white space."""
-    data = with_checksum(content)
+    data = sealed(content)
     assert len(data) <= length
     return data[:-2] + b" " * (length - len(data)) + data[-2:]
 

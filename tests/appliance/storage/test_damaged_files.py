@@ -8,7 +8,7 @@ import shutil
 import tempfile
 import tomllib
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,6 @@ from appliance.calibration.noise_file import NOISE as NOISE_FILE
 from appliance.calibration.noise_file import BothFigures, CameraFigures, StoredNoise
 from appliance.calibration.response.file import RESPONSE as RESPONSE_FILE
 from appliance.calibration.response.file import StoredResponse
-from appliance.checksummed_file import with_checksum
 from appliance.config import ConfigError, default_rig_path, load_rig
 from appliance.machine.choices import Choices
 from appliance.offline.calibration.air import Pair, PicturesError, read_pair
@@ -44,7 +43,6 @@ from appliance.storage.calibrations import Calibrations
 from appliance.storage.choices import ChoicesFile
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.health import HealthFile
-from appliance.storage.label import LabelError
 from appliance.storage.library import Library, LibraryFolder
 from appliance.storage.manifest import ManifestError
 from appliance.storage.packed import PackedError
@@ -53,6 +51,7 @@ from appliance.storage.scan import ScanError
 from tests.appliance.storage.scenes import ORIGIN, cloud, frames, record
 from tests.support.calibrating import DESIGN
 from tests.support.damage import Parser, changed, damaged, toml_of
+from tests.support.sealing import sealed
 from tests.support.truth import WATER
 
 HASH = "0123456789abcdef" * 4
@@ -68,17 +67,10 @@ def written(write: Callable[[Path], object]) -> bytes:
         return next(path for path in sorted(Path(folder).rglob("*.json"))).read_bytes()
 
 
-def resealed(content: Mapping[str, Any]) -> bytes:
-    """A file with a checksum that fits, whatever there was to seal."""
-    content = {key: value for key, value in content.items() if key != "sha256"}
-    digest = hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
-    return json.dumps({**content, "sha256": digest}, sort_keys=True).encode()
-
-
-def sealed(data: bytes, *words: str) -> st.SearchStrategy[bytes]:
+def of_sealed(data: bytes, *words: str) -> st.SearchStrategy[bytes]:
     """A sealed file that is damaged, or of other content that has the checksum that fits it."""
     content = {key: value for key, value in json.loads(data).items() if key != "sha256"}
-    return changed(content, ("x", *words)).map(resealed) | damaged([data])
+    return changed(content, ("x", *words)).map(sealed) | damaged([data])
 
 
 def rich_calibration() -> calibration_file.Calibration:
@@ -111,7 +103,7 @@ HEALTH = written(lambda root: HealthFile(root, HASH).write(TREND))
 SESSION = written(lambda root: Calibrations(root, "KF-TEST").write(session()))
 BEAMS = written(lambda root: BeamsFile(root, POINTERS).write(HASH, POINTERS.beams()))
 CHOICES = written(lambda root: ChoicesFile(root, STANDARD).write(CHOSEN))
-LABEL = with_checksum({"schema": 1, "name": "bollard 3", "note": "north side"})
+LABEL = sealed({"schema": 1, "name": "bollard 3", "note": "north side"})
 PICTURES = tuple(
     cv2.imencode(kind, np.arange(48, dtype=np.uint8).reshape(6, 8))[1].tobytes()
     for kind in (".png", ".tif", ".bmp", ".pgm", ".jpg")
@@ -261,7 +253,7 @@ def scan_folder(draw: st.DrawFn) -> dict[str, bytes]:
     files = dict(SCAN)
     name = draw(st.sampled_from(sorted(files)))
     if name == form.FILE_NAME:
-        return {**files, name: draw(sealed(files[name], *SCAN))}
+        return {**files, name: draw(of_sealed(files[name], *SCAN))}
     if draw(st.sampled_from((True, *[False] * 9))):
         del files[name]
         return files
@@ -272,7 +264,7 @@ def scan_folder(draw: st.DrawFn) -> dict[str, bytes]:
     if draw(st.sampled_from((True, True, False))):
         manifest = json.loads(files[form.FILE_NAME])
         manifest["files"][name] = {"length": len(files[name]), "sha256": hashlib.sha256(files[name]).hexdigest()}
-        files[form.FILE_NAME] = resealed(manifest)
+        files[form.FILE_NAME] = sealed(manifest)
     return files
 
 
@@ -302,16 +294,16 @@ PLIES = damaged(CLOUDS)
 PARSERS = (
     Parser("rig", RIGS | damaged([RIG_TEXT.encode()]), read_rig, (ConfigError,), "CONFIG: ", longest=12_000, share=0.2),
     Parser("picture", damaged(PICTURES), read_picture, (PicturesError,), "00_left", share=0.6),
-    Parser("calibration", sealed(CALIBRATION), read_by(calibration_file, "calibration current.json"), (calibration_file.CalibrationError,), "calibration current.json", share=0.6),
-    Parser("response", sealed(RESPONSE), read_by(RESPONSE_FILE, "response response.json"), (ContentError,), "response response.json", share=0.6),
-    Parser("noise", sealed(NOISE), read_by(NOISE_FILE, "noise noise.json"), (ContentError,), "noise noise.json", share=0.6),
-    Parser("health", sealed(HEALTH), read_health, share=0.5),
-    Parser("beams", sealed(BEAMS, "line", "covariance", "learned", "last_z_mm"), read_beams, share=0.5),
-    Parser("choices", sealed(CHOICES, "language", "period_px"), read_choices, share=0.5),
-    Parser("session", sealed(SESSION), read_session, share=0.5),
-    Parser("label", sealed(LABEL, "name", "note", "schema"), read_label, (LabelError,), labels.FILE_NAME, share=0.6),
+    Parser("calibration", of_sealed(CALIBRATION), read_by(calibration_file, "calibration current.json"), (calibration_file.CalibrationError,), "calibration current.json", share=0.6),
+    Parser("response", of_sealed(RESPONSE), read_by(RESPONSE_FILE, "response response.json"), (ContentError,), "response response.json", share=0.6),
+    Parser("noise", of_sealed(NOISE), read_by(NOISE_FILE, "noise noise.json"), (ContentError,), "noise noise.json", share=0.6),
+    Parser("health", of_sealed(HEALTH), read_health, share=0.5),
+    Parser("beams", of_sealed(BEAMS, "line", "covariance", "learned", "last_z_mm"), read_beams, share=0.5),
+    Parser("choices", of_sealed(CHOICES, "language", "period_px"), read_choices, share=0.5),
+    Parser("session", of_sealed(SESSION), read_session, share=0.5),
+    Parser("label", of_sealed(LABEL, "name", "note", "schema"), read_label, (ContentError,), labels.FILE_NAME, share=0.6),
     Parser("counter", COUNTS | COUNTS.flatmap(lambda line: damaged([line])), read_count, (StorageError,), share=0.5),
-    Parser("manifest", sealed(SCAN[form.FILE_NAME], "files", "record", "../x"), read_manifest, (ManifestError,), "manifest.json", share=0.6),
+    Parser("manifest", of_sealed(SCAN[form.FILE_NAME], "files", "record", "../x"), read_manifest, (ManifestError,), "manifest.json", share=0.6),
     Parser("cloud", PLIES | PLIES.map(with_crc), read_cloud, (PlyError,), "cloud.ply", share=0.6),
     Parser("packed", damaged([packed_frames()]), read_packed, (PackedError,), share=0.6),
     Parser("scan", scan_folder(), open_scan, (ScanError,), "000001", share=0.5),

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
-from appliance.checksummed_file import with_checksum
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import FaultCode
 from appliance.scan.grade import NAME, Grade
@@ -31,6 +30,7 @@ from appliance.storage.scan import ScanError, cloud_bytes, frames_bytes, load, m
 from appliance.storage.shape import ShapeError, shaped
 from tests.appliance.storage.scenes import ORIGIN, cloud, frames, record, second_sequence
 from tests.appliance.storage.test_objects import PLACE, PLACES
+from tests.support.sealing import sealed
 
 MANIFEST = Manifest("000001", Stage.RAW, Decision.UNDECIDED, record(), {}, frame_crc32={})
 
@@ -110,7 +110,7 @@ def test_a_manifest_has_a_checksum_16_mib_and_this_schema(tmp_path: Path) -> Non
     content = {key: value for key, value in json.loads(data).items() if key != "sha256"}
     for wrong, said in (
         (data.replace(b"41.5", b"21.5"), "checksum"), (b'{"a": NaN}', "NaN"), (b'{"a": 1e999}', "1e999"),
-        (with_checksum({**content, "schema": 2}), "schema 2"), (with_checksum({**content, "stage": "half"}), "stage: "),
+        (sealed({**content, "schema": 2}), "schema 2"), (sealed({**content, "stage": "half"}), "stage: "),
     ):  # fmt: skip
         with pytest.raises(ManifestError, match=f"^here: .*{said}"):
             form.decode(wrong, "here")
@@ -174,7 +174,7 @@ OBJECT = StoredObject("hull", (MemberScan("000001", "scans/000001", ("aa",)),), 
 
 
 def broken_off(manifest: Manifest) -> bytes:
-    return with_checksum({**form.as_json(manifest), "kind": incomplete.KIND, "missing": []})
+    return sealed({**form.as_json(manifest), "kind": incomplete.KIND, "missing": []})
 
 
 def read_object(root: Path, stored: StoredObject) -> None:
@@ -182,7 +182,7 @@ def read_object(root: Path, stored: StoredObject) -> None:
     folder = root / "objects" / "hull"
     folder.mkdir(parents=True, exist_ok=True)
     content = objects._form().dump_python(stored, mode="json")
-    (folder / objects.FILE).write_bytes(with_checksum(content))
+    (folder / objects.FILE).write_bytes(sealed(content))
     objects.read(root, "hull")
 
 

@@ -17,20 +17,21 @@ import pytest
 
 from appliance.calibration.health import MOST_POINTS, HealthTrend, Reference, TrendPoint
 from appliance.calibration.patches import COUNT
-from appliance.checksummed_file import checked_content, with_checksum
 from appliance.machine.choices import Choices
 from appliance.ranging.beams import PointerBeam, Pointers
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import FaultCode
+from appliance.sealed_file import ContentError
 from appliance.storage import counter, label
 from appliance.storage.atomic import StorageError
-from appliance.storage.beams import MAX_BYTES, BeamsFile
+from appliance.storage.beams import BeamsFile
 from appliance.storage.choices import FILE, ChoicesFile
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.health import HealthFile
-from appliance.storage.label import Label, LabelError
+from appliance.storage.label import Label
 from appliance.storage.lock import hold_lock, holder
 from tests.appliance.storage.scenes import padded
+from tests.support.sealing import opened, sealed
 
 RIG = Choices(Exposure(12_000), 16, 0.0, 20.0)
 CHOSEN = Choices(Exposure(16_000, 4.0), 32, 35.0, 7.0, "de", 3, 4)
@@ -59,7 +60,7 @@ CHOICES: dict[str, tuple[tuple[Any, ...], tuple[Any, ...]]] = {
 def test_choices_are_taken_to_their_limits_and_not_beyond(tmp_path: Path, name: str) -> None:
     allowed, refused = CHOICES[name]
     for value in (*allowed, *refused):
-        (tmp_path / FILE).write_bytes(with_checksum({"schema": 1, "chosen": {name: value}}))
+        (tmp_path / FILE).write_bytes(sealed({"schema": 1, "chosen": {name: value}}))
         choices, fault = ChoicesFile(tmp_path, RIG).read()
         assert (fault is None) == (any(value is one for one in allowed)), value
         if fault is None:
@@ -72,7 +73,7 @@ def test_choices_are_taken_to_their_limits_and_not_beyond(tmp_path: Path, name: 
 def test_a_file_of_another_form_version_or_length_is_refused_and_choosing_anew_repairs_it(tmp_path: Path) -> None:
     file, content = ChoicesFile(tmp_path, RIG), {"schema": 1, "chosen": {"period_px": 32}}
     for data, read in (
-        (b"", False), (with_checksum({"schema": 2, "chosen": {}}), False), (b"[1]", False), (with_checksum({"schema": 1, "chosen": [1]}), False),
+        (b"", False), (sealed({"schema": 2, "chosen": {}}), False), (b"[1]", False), (sealed({"schema": 1, "chosen": [1]}), False),
         (padded(content, 10_000), True), (padded(content, 10_001), False),
     ):  # fmt: skip
         (tmp_path / FILE).write_bytes(data)
@@ -125,13 +126,13 @@ def test_a_trend_says_nothing_that_cannot_be(health: HealthFile) -> None:
 
 def test_a_trend_of_another_calibration_version_form_or_length_is_put_aside(health: HealthFile) -> None:
     health.write(trend(3))
-    whole = checked_content(health.path.read_bytes(), 10**6)
+    whole = opened(health.path.read_bytes())
     without: dict[str, Any] = json.loads(json.dumps(whole))
     del without["trend"]["reference"]["doubts_um"]
     for data, read in (
-        (with_checksum({**whole, "calibration": HASH[:16] + "0" * 48}), False), (with_checksum({**whole, "schema": 2}), False),
-        (with_checksum({**whole, "trend": {"judged": "many"}}), False), (with_checksum(whole).replace(b'"judged": 3', b'"judged": 4'), False),
-        (padded(whole, 1_000_000), True), (padded(whole, 1_000_001), False), (with_checksum(without), True), (b"", False),
+        (sealed({**whole, "calibration": HASH[:16] + "0" * 48}), False), (sealed({**whole, "schema": 2}), False),
+        (sealed({**whole, "trend": {"judged": "many"}}), False), (sealed(whole).replace(b'"judged": 3', b'"judged": 4'), False),
+        (padded(whole, 1_000_000), True), (padded(whole, 1_000_001), False), (sealed(without), True), (b"", False),
     ):  # fmt: skip
         health.path.write_bytes(data)
         assert health.read() == (trend(3) if read else HealthTrend())
@@ -167,11 +168,11 @@ def test_what_the_dots_taught_is_there_to_the_last_digit(tmp_path: Path, caplog:
     assert file.read("def") == DRAWN
     other = replace(POINTERS, aim_mm=(24.0, 0.0, 522.5))
     assert BeamsFile(tmp_path, other).read("abc") == other.beams()
-    whole = checked_content(file.path.read_bytes(), MAX_BYTES)
+    whole = opened(file.path.read_bytes())
     beams = whole["beams"]
     wrong = [("beams", one) for one in (None, [], beams[:1], [*beams, beams[0]])]
     for name, value in (*wrong, ("schema", 2)):
-        file.path.write_bytes(with_checksum({**whole, name: value}))
+        file.path.write_bytes(sealed({**whole, name: value}))
         assert file.read("abc") == DRAWN
     assert len(caplog.messages) == 7, "each is told"
     for length, read in ((20_000, True), (20_001, False)):
@@ -179,13 +180,13 @@ def test_what_the_dots_taught_is_there_to_the_last_digit(tmp_path: Path, caplog:
         assert (file.read("abc") == taught()) == read
 
 
-def sealed(tmp_path: Path, **changes: object) -> tuple[PointerBeam, PointerBeam]:
+def changed_beam(tmp_path: Path, **changes: object) -> tuple[PointerBeam, PointerBeam]:
     """What is read of a file whose right beam, as it was drawn, was changed so and sealed anew."""
     file = BeamsFile(tmp_path, POINTERS)
     file.write("abc", DRAWN)
-    content = checked_content(file.path.read_bytes(), MAX_BYTES)
+    content = opened(file.path.read_bytes())
     content["beams"][1].update({"learned": 7} | changes)  # so that it differs from the drawing
-    file.path.write_bytes(with_checksum(json.loads(json.dumps(content))))
+    file.path.write_bytes(sealed(json.loads(json.dumps(content))))
     return file.read("abc")
 
 
@@ -195,13 +196,13 @@ def test_a_beam_is_within_six_tolerances_of_the_drawing_and_not_less_certain(tmp
     for sigmas, taken in ((5.8, True), (-5.8, True), (6.2, False), (-6.2, False)):
         line = list(DRAWN[1].line)
         line[value] += sigmas * (0.7 if value < 2 else math.radians(0.3))
-        found = sealed(tmp_path, line=line)
+        found = changed_beam(tmp_path, line=line)
         assert (found != DRAWN) == taken
         assert not taken or found[1].line == pytest.approx(line)
     for times, taken in ((0.0, True), (1.0005, True), (1.01, False), (-0.1, False)):
         P = np.array(DRAWN[1].covariance)
         P[value, value] *= times
-        assert (sealed(tmp_path, covariance=P.tolist()) != DRAWN) == taken
+        assert (changed_beam(tmp_path, covariance=P.tolist()) != DRAWN) == taken
 
 
 def test_a_covariance_that_nothing_can_have_is_not_used(tmp_path: Path) -> None:
@@ -209,7 +210,7 @@ def test_a_covariance_that_nothing_can_have_is_not_used(tmp_path: Path) -> None:
     P = np.array(DRAWN[1].covariance)
     for share, taken in ((0.9, True), (-0.9, True), (1.2, False), (-1.2, False)):
         P[0, 2] = P[2, 0] = share * math.sqrt(P[0, 0] * P[2, 2])
-        assert (sealed(tmp_path, covariance=P.tolist()) != DRAWN) == taken
+        assert (changed_beam(tmp_path, covariance=P.tolist()) != DRAWN) == taken
 
 
 def test_what_a_beams_file_may_say_ends_somewhere(tmp_path: Path) -> None:
@@ -219,9 +220,12 @@ def test_what_a_beams_file_may_say_ends_somewhere(tmp_path: Path) -> None:
     }  # fmt: skip
     for name, (taken, refused) in rows.items():
         for value in (*taken, *refused):
-            assert (sealed(tmp_path, **{name: value}) != DRAWN) == any(value is one for one in taken), (name, value)
-    assert sealed(tmp_path, last_z_mm=480.5)[1].last_z_mm == 480.5
-    assert math.isinf(sealed(tmp_path, last_z_mm=None)[1].last_z_mm)
+            assert (changed_beam(tmp_path, **{name: value}) != DRAWN) == any(value is one for one in taken), (
+                name,
+                value,
+            )
+    assert changed_beam(tmp_path, last_z_mm=480.5)[1].last_z_mm == 480.5
+    assert math.isinf(changed_beam(tmp_path, last_z_mm=None)[1].last_z_mm)
 
 
 FS = LocalFileSystem()
@@ -251,10 +255,10 @@ def test_numbers_begin_with_one_never_repeat_and_end(tmp_path: Path) -> None:
 def test_a_label_has_so_many_characters_that_can_be_read(what: str, longest: int) -> None:
     limit = {"name": label.LONGEST_NAME, "note": label.LONGEST_NOTE}[what]
     assert label.checked(what, f"  {'x' * longest} ", limit) == "x" * longest
-    with pytest.raises(LabelError, match=f"{what}: {longest + 1} characters"):
+    with pytest.raises(ContentError, match=f"{what}: {longest + 1} characters"):
         label.checked(what, "x" * (longest + 1), limit)
     for character in "\n\t\u202e\u2028\u2029\ue000\u0378\x7f\udcff":
-        with pytest.raises(LabelError, match=rf"{what}: character 3 is U\+{ord(character):04X}"):
+        with pytest.raises(ContentError, match=rf"{what}: character 3 is U\+{ord(character):04X}"):
             label.checked(what, f"ab{character}c", limit)
     assert label.checked(what, "Bo\u0308je", limit) == "B\u00f6je", "two spellings of one letter are one"
     assert label.checked(what, " \t ", limit) is None
@@ -269,15 +273,15 @@ def test_a_label_is_read_as_it_was_written_and_another_hands_with_the_same_care(
     path.write_bytes(padded(named, 16_384))
     assert label.read(tmp_path).name == "a"
     for data, said in (
-        (with_checksum({"schema": 2, "name": "a"}), "schema 2"), (with_checksum({"schema": 1, "name": 7}), "name is 7"),
-        (with_checksum({"schema": 1, "note": "x" * 1001}), "1001"), (with_checksum({"schema": 1, "name": "a\x07"}), "name"), (padded(named, 16_385), "16384"),
+        (sealed({"schema": 2, "name": "a"}), "schema 2"), (sealed({"schema": 1, "name": 7}), "name is 7"),
+        (sealed({"schema": 1, "note": "x" * 1001}), "1001"), (sealed({"schema": 1, "name": "a\x07"}), "name"), (padded(named, 16_385), "16384"),
     ):  # fmt: skip
         path.write_bytes(data)
-        with pytest.raises(LabelError, match=rf"^label\.json: .*{said}"):
+        with pytest.raises(ContentError, match=rf"^label\.json: .*{said}"):
             label.read(tmp_path)
     path.unlink()
     path.mkdir()
-    with pytest.raises(LabelError, match=r"label\.json"):
+    with pytest.raises(ContentError, match=r"label\.json"):
         label.read(tmp_path)
 
 
