@@ -36,9 +36,11 @@ def whole(rig: Rig) -> StoredScan:
     return stored.load(store_plane(rig)[0])
 
 
-def broken(rig: Rig, whole: StoredScan, count: int) -> incomplete.IncompleteRecording:
-    """A recording of which ``count`` frames were made."""
-    frames = {side: np.array(one[:count]) for side, one in whole.frames.items()}
+def broken(rig: Rig, whole: StoredScan, count: int, rows: slice = slice(None)) -> incomplete.IncompleteRecording:
+    """A recording of which ``count`` frames were made, dark but for some ``rows``."""
+    frames = {side: np.zeros_like(one[:count]) for side, one in whole.frames.items()}
+    for side, dark in frames.items():
+        dark[:, rows] = whole.frames[side][:count, rows]
     origin, record = ScanOrigin(encode(design_of(rig)), rig_text(rig).encode()), whole.manifest.record
     root, reason = rig.storage.root, "CAMERA_LOST: it went away"
     return incomplete.load(incomplete.keep(LocalFileSystem(), root, frames, record, origin, reason, 0))
@@ -56,6 +58,8 @@ def test_the_points_are_those_of_the_whole_scan_and_say_that_nothing_checked_the
     out = tmp_path / "rescued.ply"
     with pytest.raises(ScanError, match="12 frames"):
         rescued(broken(rig, whole, OF_X - 1), out)
+    with pytest.raises(ScanError, match="nothing can be rescued"):
+        rescued(broken(rig, whole, OF_X, slice(40, 42)), out)
     assert not out.exists()
     report = rescued(broken(rig, whole, OF_X), out)
     cloud, wanted = read_ply(out), whole.cloud()

@@ -67,6 +67,7 @@ def test_indices_go_by_colour() -> None:
     for name in ("left", "right", "projector"):
         less = truth.eye(name).port.n_g - coloured.eye(name).port.n_g
         assert less == pytest.approx(sapphire_index(530.0) - sapphire_index(540.0), rel=0.05)
+    assert np.ptp(LightEngine().spectrum(20.0)[0]) == 0.0, "the usual lamp has one colour"
     warm = LightEngine(led_nm_per_k=0.05)
     (cold_nm, shares), (warm_nm, _) = warm.spectrum(4.0), warm.spectrum(29.0)
     assert float(shares @ (warm_nm - cold_nm)) == pytest.approx(1.25)
