@@ -14,28 +14,22 @@ them. Nothing in here deletes anything. One process writes, from one thread at a
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
-
-from pydantic import TypeAdapter, ValidationError
 
 from appliance.calibration import file as calibration_file
 from appliance.calibration.file import Calibration, CalibrationError
 from appliance.calibration.guide import Session
-from appliance.checksummed_file import checked_content, with_checksum
+from appliance.sealed_file import ContentError, SealedFile
 from appliance.storage.atomic import StorageError, make_folders, move_folder, remedy_for, replace_file
 from appliance.storage.filesystem import FileSystem, LocalFileSystem
 from appliance.storage.names import CALIBRATION_IN_AIR, CALIBRATIONS, CURRENT_CALIBRATION, is_kept_calibration
 
-SCHEMA = 1
 SOLVED, SESSION = "solved.json", "session.json"
-MAX_BYTES = 1024 * 1024
-_SESSION = TypeAdapter(Session)
+SESSIONS = SealedFile(Session, schema=1, max_bytes=1024 * 1024)
 
 
 class SessionError(Exception):
@@ -48,7 +42,7 @@ class Calibrations:
     def __init__(self, root: Path, rig_serial: str, fs: FileSystem | None = None) -> None:
         """Remember where to store; nothing is touched until a method is called."""
         self.folder = root / CALIBRATIONS
-        self._serial = rig_serial
+        self._of: Mapping[str, str] = {"rig_serial": rig_serial}
         self._fs: FileSystem = fs or LocalFileSystem()
 
     @property
@@ -95,17 +89,9 @@ class Calibrations:
         return replace(session, in_use=in_use, kept=kept)
 
     def _read(self) -> Session:
-        data = _bytes(self.folder / "session" / SESSION)
-        if data is None:
-            return Session()
         try:
-            content = checked_content(data, MAX_BYTES)
-            if (content.pop("schema"), content.pop("rig_serial")) != (SCHEMA, self._serial):
-                return Session()
-            session = _SESSION.validate_python(content)
-            json.dumps(_plain(asdict(session)), allow_nan=False)  # pydantic takes "nan" for a number
-            return session
-        except (ValueError, KeyError, ValidationError):
+            return SESSIONS.load(self.folder / "session" / SESSION, self._of) or Session()
+        except ContentError:
             return Session()
 
     def kept(self, session: Session) -> Calibration | None:
@@ -123,8 +109,7 @@ class Calibrations:
         """Make the session durable; answers it as it lies on the disk now."""
         make_folders(self._fs, self.folder / "session")
         kept = replace(session, in_use=False)  # never written down
-        content = {"schema": SCHEMA, "rig_serial": self._serial, **_plain(asdict(kept))}
-        replace_file(self._fs, self.folder / "session" / SESSION, with_checksum(content))
+        replace_file(self._fs, self.folder / "session" / SESSION, SESSIONS.encode(kept, self._of))
         return self.session()
 
     def write_solved(
@@ -247,8 +232,3 @@ def _hash_of(path: Path) -> str | None:
         return calibration_file.load(path).hash
     except CalibrationError:
         return None
-
-
-def _plain(value: Mapping[str, Any]) -> dict[str, Any]:
-    plain: dict[str, Any] = json.loads(json.dumps(value, default=lambda one: one.value))
-    return plain

@@ -10,10 +10,10 @@ import pytest
 from appliance.calibration.design import design_calibration
 from appliance.calibration.file import Calibration, CalibrationError, encode, load
 from appliance.calibration.guide import USED, AdjustmentSummary, RecordingCheck, Session, Step, Verified
-from appliance.checksummed_file import checked_content, with_checksum
 from appliance.storage.calibrations import Calibrations, SessionError
 from tests.appliance.storage.scenes import padded
 from tests.support.calibrating import DESIGN
+from tests.support.sealing import opened, sealed
 from tests.support.truth import WATER
 
 OLD = design_calibration(DESIGN, "KF-TEST", 1600, 1200, WATER)
@@ -62,11 +62,11 @@ def test_a_session_is_the_same_after_a_new_start_and_of_this_instrument(store: C
 
 def test_a_session_is_read_whole_and_of_this_version_else_put_away(store: Calibrations, session_file: Path) -> None:
     whole = session_file.read_bytes()
-    content = checked_content(whole, 1024 * 1024)
+    content = opened(whole)
     for data, read in (
-        (padded(content, 1024 * 1024), True), (padded(content, 1024 * 1024 + 1), False), (with_checksum({**content, "schema": 2}), False),
-        (with_checksum({name: value for name, value in content.items() if name != "schema"}), False),
-        (with_checksum({**content, "rig_serial": "KF-OTHER"}), False), (whole.replace(b"0.03", b"0.04"), False),
+        (padded(content, 1024 * 1024), True), (padded(content, 1024 * 1024 + 1), False), (sealed({**content, "schema": 2}), False),
+        (sealed({name: value for name, value in content.items() if name != "schema"}), False),
+        (sealed({**content, "rig_serial": "KF-OTHER"}), False), (whole.replace(b"0.03", b"0.04"), False),
         (b"", False), (b"{}", False), (b"[1]", False), (b"\xff\xfe", False),
     ):  # fmt: skip
         session_file.write_bytes(data)
