@@ -12,12 +12,12 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from appliance.checksummed_file import ChecksumError, checked_content, with_checksum
 from appliance.scan.sides import SIDES
+from appliance.sealed_file import ContentError, SealedFile
 from appliance.storage import manifest as form
 from appliance.storage.atomic import (
     Stamp,
@@ -45,7 +45,6 @@ from appliance.storage.scan import (
     npy_parts,
     size_bytes,
 )
-from appliance.storage.shape import ShapeError, shaped
 
 if TYPE_CHECKING:
     import numpy as np
@@ -54,9 +53,20 @@ if TYPE_CHECKING:
 FOLDER = "incomplete"
 MOST = 50
 """Most recordings that are kept: 2.7 GB. Such a rig has another trouble than lost scans."""
-KIND = "incomplete recording"
+OF = {"kind": "incomplete recording"}
+"""Kind of the file, which tells it from a scan's manifest."""
 _NAME = re.compile(r"\.?([0-9]{6})")
 _OTHER_BYTES = 1_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class BrokenManifest(Manifest):
+    """Manifest of a scan that broke off, with the names of the patterns whose frames are missing."""
+
+    missing: tuple[str, ...] = field(default=(), kw_only=True)
+
+
+INCOMPLETE = SealedFile(BrokenManifest, form.MANIFEST.schema, form.MANIFEST.max_bytes, check=form.refuse_names)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,11 +138,12 @@ def _write(
     for name, content in ((CALIBRATION, origin.calibration), (RIG, origin.rig)):
         files[name] = write_new(fs, draft / name, (content,))
     checks = {frames_file(side): frame_checks(frames[side]) for side in SIDES}
-    manifest = Manifest(number, Stage.RAW, Decision.UNDECIDED, record, files, reason, frame_crc32=checks)
-    missing = list(record.sequence.patterns[len(frames[SIDES[0]]) :])
-    content_of_all = {**form.as_json(manifest), "kind": KIND, "missing": missing}
+    missing = record.sequence.patterns[len(frames[SIDES[0]]) :]
+    manifest = BrokenManifest(
+        number, Stage.RAW, Decision.UNDECIDED, record, files, reason, frame_crc32=checks, missing=missing
+    )
     # Last, and the folder's name after it: a folder without a dot is whole.
-    replace_file(fs, draft / form.INCOMPLETE_NAME, with_checksum(content_of_all))
+    replace_file(fs, draft / form.INCOMPLETE_NAME, INCOMPLETE.encode(form.with_known_times(manifest), OF))
 
 
 def _sweep(fs: FileSystem, shelf: Path) -> list[int]:
@@ -171,12 +182,12 @@ def load(folder: Path) -> IncompleteRecording:
     """Open an incomplete recording; every byte is compared with its checksum. Raises ScanError."""
     path = folder / form.INCOMPLETE_NAME
     try:
-        with path.open("rb") as file:
-            manifest, missing = decode(file.read(form.MAX_BYTES + 1), str(path))
-    except FileNotFoundError:
-        raise ScanError(f"{folder}: not an incomplete recording (no {form.INCOMPLETE_NAME} in it)") from None
-    except OSError as error:
-        raise ScanError(f"{path}: {error.strerror or error}") from error
+        manifest = INCOMPLETE.load(path, OF, name=str(path))
+    except ContentError as error:
+        raise ScanError(str(error)) from error
+    if manifest is None:
+        raise ScanError(f"{folder}: not an incomplete recording (no {form.INCOMPLETE_NAME} in it)")
+    missing = manifest.missing
     count = len(manifest.record.sequence.patterns) - len(missing)
     if missing != manifest.record.sequence.patterns[count:]:
         raise ScanError(f"{path}: the missing frames are not the last of the sequence")
@@ -184,22 +195,6 @@ def load(folder: Path) -> IncompleteRecording:
         _compare(folder / name, manifest.files.get(name))
     frames = {side: map_frames(folder / frames_file(side), count) for side in SIDES}
     return IncompleteRecording(StoredScan(folder, manifest, frames), missing)
-
-
-def decode(data: bytes, name: str) -> tuple[Manifest, tuple[str, ...]]:
-    """Return the manifest in the bytes of ``incomplete.json``, and the patterns whose frames are missing. Raises ScanError naming
-    ``name``."""
-    try:
-        content = checked_content(data, form.MAX_BYTES)
-        if content.get("kind") != KIND or content.get("schema") != form.SCHEMA:
-            raise ScanError(f"{name}: not of an incomplete recording that this version reads")
-        return form.checked_names(shaped(Manifest, content), name), tuple(
-            str(one) for one in content.get("missing", ())
-        )
-    except form.ManifestError as error:
-        raise ScanError(str(error)) from error
-    except (ChecksumError, ShapeError) as error:
-        raise ScanError(f"{name}: {error}") from error
 
 
 def _compare(path: Path, stamp: Stamp | None) -> None:

@@ -28,7 +28,7 @@ from appliance.storage import manifest as form
 from appliance.storage.atomic import StorageError, move_folder, refused, replace_file
 from appliance.storage.filesystem import FileSystem, LocalFileSystem
 from appliance.storage.label import NO_LABEL, Label
-from appliance.storage.manifest import Decision, Manifest, ManifestError
+from appliance.storage.manifest import Decision, Manifest
 from appliance.storage.names import by_number, scan_number
 from appliance.storage.record import ScanRecord
 
@@ -170,7 +170,7 @@ class Library:
         """Return the folder's manifest, marked, with the files that are right; ``None`` without whole raw frames."""
         try:
             manifest = form.read(folder)
-        except ManifestError:
+        except ContentError:
             return None
         # Every byte is read: after a loss of power a file may have its length and hold zeros.
         wrong = scan.wrong_files(folder, manifest, checksums=True)
@@ -330,7 +330,7 @@ def _belongs(folder: Path) -> LibraryFolder:
     would be."""
     try:
         return LibraryFolder.REJECTED if form.read(folder).decision is Decision.REJECTED else LibraryFolder.SCANS
-    except ManifestError:
+    except ContentError:
         return LibraryFolder.SCANS
 
 
@@ -345,7 +345,7 @@ def entry_of(folder: Path, *, checksums: bool) -> ScanEntry:
     size_bytes = _size(folder)
     try:
         manifest = form.read(folder)
-    except ManifestError as error:
+    except ContentError as error:
         return ScanEntry(whole.name, shelf, folder, None, (str(error),), size_bytes)
     wrong = scan.wrong_files(folder, manifest, checksums=checksums)
     found = [f"{name}: {what}" for name, what in wrong.items()]

@@ -6,9 +6,9 @@ tell. Numbers ascend with the scans', so that the newest scan that carries one c
 
 from __future__ import annotations
 
+from appliance.sealed_file import ContentError
 from appliance.storage import manifest as form
 from appliance.storage.library import Library, LibraryFolder
-from appliance.storage.manifest import ManifestError
 
 LOOKED_AT = 500
 """Largest number of manifests that are read for it, the newest ones: a start must not take longer with every dive."""
@@ -19,7 +19,7 @@ def largest_number(library: Library) -> int:
     for folder in library.newest_first()[:LOOKED_AT]:
         try:
             number = form.read(folder).record.object
-        except ManifestError:
+        except ContentError:
             continue  # damaged: the next older one tells
         if number is not None:
             return number

@@ -15,27 +15,23 @@ import io
 import zipfile
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
-from functools import cache
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
-from appliance.checksummed_file import checked_content, with_checksum
+from appliance.sealed_file import ContentError, SealedFile
 from appliance.storage.atomic import StorageError, make_folders, replace_file
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.lock import hold_lock
 from appliance.storage.names import OBJECTS, NameShapeError, component, is_object
 
-if TYPE_CHECKING:  # a list of objects needs no NumPy, and an unknown name no pydantic
+if TYPE_CHECKING:  # a list of objects needs no NumPy
     import numpy as np
     from numpy.typing import NDArray
-    from pydantic import TypeAdapter
 
 FOLDER = OBJECTS
 FILE = "object.json"
 CLOUDS = "clouds"
-SCHEMA = 1
-MAX_BYTES = 50_000_000
 ADDED_SINCE = "added after the others were placed: kingfisher object solve"
 """Reason why a scan has no place yet."""
 _LOCK_S = 30.0
@@ -192,14 +188,26 @@ class StoredObject:
     scans: tuple[MemberScan, ...] = ()
     places: Places | None = None
     """``None``: never solved. Scans that were added since are left out of them (``ADDED_SINCE``)."""
-    schema: int = field(default=SCHEMA)
 
 
-@cache
-def _form() -> TypeAdapter[StoredObject]:
-    from pydantic import TypeAdapter
+def _refuse_names(stored: StoredObject) -> None:
+    """Raises NameShapeError for a name in it that no part of a path may be called: clouds are kept under those of scans."""
+    for scan in stored.scans:
+        component(scan.name, "a scan's name")
+        if ".." in PurePosixPath(scan.folder).parts or "\0" in scan.folder:
+            raise NameShapeError(
+                f"the folder of scan {scan.name} is {scan.folder!r:.60}; allowed is one below the root, or an absolute one"
+            )
+    if stored.places is not None:
+        pairs = (name for pair in stored.places.pairs for name in (pair.first, pair.second))
+        for name in (*stored.places.places, *stored.places.left_out, *stored.places.clouds, *pairs):
+            component(name, "a scan's name")
 
-    return TypeAdapter(StoredObject)
+
+OBJECT = SealedFile(
+    StoredObject, schema=1, max_bytes=50_000_000, check=_refuse_names,
+    remedy="the scans are untouched: move the folder away and make the object again",
+)  # fmt: skip
 
 
 def checked_name(name: str) -> str:
@@ -226,40 +234,14 @@ def read(root: Path, name: str) -> StoredObject:
     """Read an object. Raises ObjectError for one that is not there or is damaged."""
     path = folder_of(root, name) / FILE
     try:
-        with path.open("rb") as file:
-            data = file.read(MAX_BYTES + 1)
-    except FileNotFoundError as error:
+        found = OBJECT.load(path, name=str(path))
+    except ContentError as error:
+        raise ObjectError(str(error)) from error
+    if found is None:
         known = ", ".join(names(root)) or "none yet"
-        raise ObjectError(
-            f"object '{name}': there is none under {root} ({known}); make it: kingfisher object new"
-        ) from error
-    except OSError as error:
-        raise ObjectError(f"{path}: {error.strerror or error}") from error
-    try:
-        content = checked_content(data, MAX_BYTES)
-        if content.get("schema") != SCHEMA:
-            raise ValueError(f"schema {content.get('schema')!r:.20}; this version reads schema {SCHEMA}")
-        # The folder's name is the object's, also where somebody renamed it: what is written next must not go to another's folder.
-        return replace(_checked(_form().validate_python(content)), name=name)
-    except ValueError as error:  # pydantic's, too
-        raise ObjectError(
-            f"{path}: damaged ({str(error).splitlines()[0]}); the scans are untouched: move the folder away and make the object again"
-        ) from error
-
-
-def _checked(stored: StoredObject) -> StoredObject:
-    """Return ``stored``. Raises NameShapeError for a name in it that no part of a path may be called: clouds are kept under those of scans."""
-    for scan in stored.scans:
-        component(scan.name, "a scan's name")
-        if ".." in PurePosixPath(scan.folder).parts or "\0" in scan.folder:
-            raise NameShapeError(
-                f"the folder of scan {scan.name} is {scan.folder!r:.60}; allowed is one below the root, or an absolute one"
-            )
-    if stored.places is not None:
-        pairs = (name for pair in stored.places.pairs for name in (pair.first, pair.second))
-        for name in (*stored.places.places, *stored.places.left_out, *stored.places.clouds, *pairs):
-            component(name, "a scan's name")
-    return stored
+        raise ObjectError(f"object '{name}': there is none under {root} ({known}); make it: kingfisher object new")
+    # The folder's name is the object's, also where somebody renamed it: what is written next must not go to another's folder.
+    return replace(found, name=name)
 
 
 def exists(root: Path, name: str) -> bool:
@@ -276,7 +258,7 @@ def update(root: Path, name: str, change: Callable[[StoredObject | None], Stored
     make_folders(fs, folder)
     with hold_lock(folder, _LOCK_S):
         changed = change(read(root, name) if exists(root, name) else None)
-        replace_file(fs, folder / FILE, with_checksum(_form().dump_python(changed, mode="json")))
+        replace_file(fs, folder / FILE, OBJECT.encode(changed))
     return changed
 
 

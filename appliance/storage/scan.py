@@ -21,10 +21,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from appliance.scan.sides import SIDES
+from appliance.sealed_file import ContentError
 from appliance.storage import manifest as form
 from appliance.storage.atomic import Stamp, checked_stamp, discard, draft_of, refused, replace_file, write_new
 from appliance.storage.filesystem import Bytes, FileSystem
-from appliance.storage.manifest import Decision, Manifest, ManifestError, Stage
+from appliance.storage.manifest import Decision, Manifest, Stage
 from appliance.storage.packed import Packed, PackedError, packed_path, read_index
 from appliance.storage.record import ScanRecord
 
@@ -268,7 +269,7 @@ def manifest_of(folder: Path) -> Manifest:
     """Return the manifest of a scan's folder. Raises ScanError."""
     try:
         return form.read(folder)
-    except ManifestError as error:
+    except ContentError as error:
         raise ScanError(str(error)) from error
 
 

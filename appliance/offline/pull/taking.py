@@ -15,6 +15,7 @@ from enum import Enum
 from pathlib import Path
 
 from appliance.offline.pull.source import NotThere, RemoteEntry, Source, Unreadable, text_of
+from appliance.sealed_file import ContentError
 from appliance.storage import incomplete, packed
 from appliance.storage import label as labels
 from appliance.storage import manifest as form
@@ -30,7 +31,7 @@ from appliance.storage.atomic import (
     replace_file,
 )
 from appliance.storage.filesystem import AppendingFileSystem
-from appliance.storage.manifest import Manifest, ManifestError
+from appliance.storage.manifest import Manifest
 from appliance.storage.names import is_component
 from appliance.storage.scan import ScanError
 
@@ -98,9 +99,9 @@ def find(source: Source, path: str) -> FoundRecording:
             about_name = next((one for one in (form.FILE_NAME, form.INCOMPLETE_NAME) if one in entries), None)
             if about_name is None:
                 raise NotYet(PullOutcome.FAILED, f"{path}: has no manifest there; look at it on the instrument")
-            about = text_of(source, f"{path}/{about_name}", form.MAX_BYTES)
+            about = text_of(source, f"{path}/{about_name}", form.MANIFEST.max_bytes)
         manifest = _manifest(about, about_name, path)
-    except (ManifestError, ScanError) as error:
+    except (ContentError, ScanError) as error:
         raise NotYet(PullOutcome.FAILED, f"its manifest cannot be used there: {error}") from error
     if manifest.scan_id != Path(path).name.partition("-")[0]:
         raise NotYet(PullOutcome.FAILED, f"{path}: its manifest is of scan {manifest.scan_id}")
@@ -123,7 +124,7 @@ def present(found: FoundRecording, source: Source, fs: AppendingFileSystem, targ
         ours = path.read_bytes() if path.exists() else b""
     try:
         here = dict(_manifest(ours, found.about_name, str(target)).files)
-    except (ManifestError, ScanError):
+    except (ContentError, ScanError):
         here = {}
     other = sorted(name for name, stamp in found.manifest.files.items() if here.get(name) != stamp)
     if ours != found.about and (other or not here):
@@ -133,7 +134,7 @@ def present(found: FoundRecording, source: Source, fs: AppendingFileSystem, targ
             "folder: give another DIR for another instrument, or move the folder away to have the instrument's",
         )
     if found.about_name == form.FILE_NAME:
-        wrong = stored.wrong_files(target, form.decode(ours, str(target)), checksums=False)
+        wrong = stored.wrong_files(target, form.MANIFEST.decode(ours, str(target)), checksums=False)
         if wrong:
             raise NotYet(
                 PullOutcome.FAILED, f"is here, and damaged ({target}): {_told(wrong)}; move it away, and call again"
@@ -250,7 +251,11 @@ def _wrong(found: FoundRecording, draft: Path) -> dict[str, str]:
 
 
 def _manifest(about: bytes, name: str, where: str) -> Manifest:
-    return form.decode(about, where) if name == form.FILE_NAME else incomplete.decode(about, where)[0]
+    return (
+        form.MANIFEST.decode(about, where)
+        if name == form.FILE_NAME
+        else incomplete.INCOMPLETE.decode(about, where, incomplete.OF)
+    )
 
 
 def _packed_name(name: str) -> str:

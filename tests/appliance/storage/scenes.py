@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from appliance.scan.exposure import Exposure
 from appliance.scan.verdict import Verdict
+from appliance.sealed_file import ContentError
 from appliance.storage import manifest as form
 from appliance.storage import scan
 from appliance.storage.filesystem import Bytes, LocalFileSystem, WritableFile
 from appliance.storage.library import LibraryFolder
-from appliance.storage.manifest import ManifestError
 from appliance.storage.ply import StoredCloud
 from appliance.storage.record import ScanRecord, SecondSequence, SequenceInfo
 from appliance.storage.room import plan
@@ -85,7 +85,7 @@ def manifests_that_list_what_is_not_there(root: Path) -> list[str]:
     for folder in [folder for shelf in LibraryFolder for folder in (root / shelf.value).glob("*")]:
         try:
             manifest = form.read(folder)
-        except ManifestError:
+        except ContentError:
             continue
         wrong += [f"{folder.name}: {found}" for found in scan.wrong_files(folder, manifest, checksums=True).items()]
     return wrong

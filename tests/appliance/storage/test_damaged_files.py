@@ -44,7 +44,6 @@ from appliance.storage.choices import ChoicesFile
 from appliance.storage.filesystem import LocalFileSystem
 from appliance.storage.health import HealthFile
 from appliance.storage.library import Library, LibraryFolder
-from appliance.storage.manifest import ManifestError
 from appliance.storage.packed import PackedError
 from appliance.storage.ply import PlyError, encode_ply, read_ply
 from appliance.storage.scan import ScanError
@@ -224,9 +223,9 @@ def read_count(data: bytes, folder: Path) -> None:
 
 
 def read_manifest(data: bytes, _: Path) -> None:
-    manifest = form.decode(data, "manifest.json")
+    manifest = form.MANIFEST.decode(data, "manifest.json")
     assert all("/" not in name for name in manifest.files)
-    again = form.decode(form.encode(manifest), "manifest.json, written again")
+    again = form.MANIFEST.decode(form.encode(manifest), "manifest.json, written again")
     assert again.scan_id == manifest.scan_id
     assert again.files == manifest.files
 
@@ -303,7 +302,7 @@ PARSERS = (
     Parser("session", of_sealed(SESSION), read_session, share=0.5),
     Parser("label", of_sealed(LABEL, "name", "note", "schema"), read_label, (ContentError,), labels.FILE_NAME, share=0.6),
     Parser("counter", COUNTS | COUNTS.flatmap(lambda line: damaged([line])), read_count, (StorageError,), share=0.5),
-    Parser("manifest", of_sealed(SCAN[form.FILE_NAME], "files", "record", "../x"), read_manifest, (ManifestError,), "manifest.json", share=0.6),
+    Parser("manifest", of_sealed(SCAN[form.FILE_NAME], "files", "record", "../x"), read_manifest, (ContentError,), "manifest.json", share=0.6),
     Parser("cloud", PLIES | PLIES.map(with_crc), read_cloud, (PlyError,), "cloud.ply", share=0.6),
     Parser("packed", damaged([packed_frames()]), read_packed, (PackedError,), share=0.6),
     Parser("scan", scan_folder(), open_scan, (ScanError,), "000001", share=0.5),
