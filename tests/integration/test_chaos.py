@@ -27,3 +27,4 @@ def test_nothing_accepted_is_lost_and_no_refusal_is_silent(tmp_path: Path) -> No
     assert len(told["accepted"]) == told["saved"] > 0
     assert len(told["accepted"]) + told["rejected"] + sum(told["refused"].values()) == SCANS
     assert told["refused"], "nothing went wrong: this was no chaos"
+    assert set(told["refused"]) & set(told["alerts"]), "what kept it from a scan was an alert"

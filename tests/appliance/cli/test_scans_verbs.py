@@ -121,7 +121,7 @@ def test_a_name_and_a_note_are_listed_and_shown_and_a_damaged_label_is_told(root
     scans(shell, root, "name", "2", "bollard 3")
     scans(shell, root, "verify", "2")
     scans(shell, root, "note", "2", "south")
-    scans(shell, root, "name", "2", "")
+    assert scans(shell, root, "name", "2", "").out == "000002  name: -; note: south\n"
     assert labels.read(folder) == Label(None, "south")
 
 

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from hw_sim.wires.usbip.exporter import Exporter
+from hw_sim.wires.usbip.messages import ProtocolError, Submit, parse_command
 from hw_sim.world import World, WorldOptions
 
 EPIPE, ECONNRESET = 32, 104
@@ -171,6 +172,28 @@ def test_a_kernel_can_enumerate_each_device_and_one_host_has_it(port: int) -> No
 
 def framed(body: bytes) -> bytes:
     return b"$%s*%04X\r\n" % (body, binascii.crc_hqx(body, 0xFFFF))
+
+
+@pytest.mark.parametrize(
+    ("command", "direction", "endpoint", "length", "packets", "named"),
+    [
+        *((1, 1, 15, 16 << 20, 0, None), (3, 1, 1, 64, 0, "command 0x3"), (1, 1, 1, 64, 7, "7 isochronous")),
+        *(
+            (1, 1, 1, (16 << 20) + 1, 0, "16777217 bytes"),
+            (1, 2, 1, 64, 0, "direction 2"),
+            (1, 1, 16, 64, 0, "endpoint 16"),
+        ),
+    ],
+)
+def test_a_command_that_no_device_here_can_obey_is_refused(
+    command: int, direction: int, endpoint: int, length: int, packets: int, named: str | None
+) -> None:
+    header = struct.pack(">IIIIIIiiIi8x", command, 5, 1, direction, endpoint, 0, length, 0, packets, 0)
+    if named is None:
+        assert parse_command(header) == Submit(5, 0x80 | endpoint, True, 0, length, bytes(8))
+    else:
+        with pytest.raises(ProtocolError, match=named):
+            parse_command(header)
 
 
 def test_the_board_answers_a_terminal_that_is_ready_and_leaves_the_bus_without_power(world: World, port: int) -> None:
