@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from appliance.reconstruct.decode.decoder import Mask
+from appliance.patterns.sequence import build_sequence
+from appliance.reconstruct.decode.decoder import CameraDecoder, Mask
 from appliance.reconstruct.decode.gray_code import threshold
 from appliance.reconstruct.decode.phase import AxisDecoding, close_row
 from appliance.reconstruct.scratch import COORDINATE, DECODING_SIZE
@@ -92,3 +93,9 @@ def test_of_two_directions_the_smaller_modulation_counts_and_nothing_new_is_told
     row.half_dn[:], row.mask[1] = [90, 200, 130], Mask.WEAK
     assert row.close(AXIS._replace(second=True)) is False
     assert row.half_dn[[0, 2]].tolist() == pytest.approx([90, 120], abs=1)
+
+
+def test_half_periods_beyond_those_that_a_byte_counts_are_refused() -> None:
+    CameraDecoder(build_sequence(8, 1024), 4, 4)  # 256
+    with pytest.raises(ValueError, match="9 Gray images"):
+        CameraDecoder(build_sequence(8, 1028), 4, 4)
