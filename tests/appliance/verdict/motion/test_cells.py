@@ -78,6 +78,13 @@ def test_runs_summed_before_y_are_the_pixels_that_are_left_when_y_has_taken_some
     assert (np.abs(before - wanted) > 1.0).any()
 
 
+def test_cells_hold_what_runs_hold_where_all_rows_are_known_in_a_picture_taller_than_wide_too() -> None:
+    given = scene(90, 120)
+    given.q[:] = np.linspace(1.0, 199.0, 120)[:, None]
+    early = given.early()
+    np.testing.assert_allclose(given.sums(early).sum((0, 1)), early.sums.sum(0, dtype=float), rtol=1e-5, atol=1e-2)
+
+
 GRAY_X = SEQUENCE.axis(Direction.X).gray
 GRAY = (*GRAY_X, *SEQUENCE.axis(Direction.Y).gray)
 
