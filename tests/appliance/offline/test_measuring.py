@@ -59,19 +59,19 @@ def test_figures_are_those_at_no_gain_whatever_each_camera_was_set_to(rig: Rig, 
     for exposure, gains_db in ((None, (1.0, 4.0)), (Exposure(8_000, 6.0), (6.0, 9.0))):
         stored = noise_to_store(rig, scan(tmp_path / str(gains_db[0]), exposure), FOUND)
         assert (stored.rig_serial, stored.made_from) == ("KF-SIM", (str(gains_db[0]),))
-        assert (stored.left.serial, stored.right.serial) == ("KF-CAM-L", "KF-CAM-R")
+        assert (stored.cameras.left.serial, stored.cameras.right.serial) == ("KF-CAM-L", "KF-CAM-R")
         # Twenty decibels are ten times the grey value of an electron.
-        assert stored.left.full_well_e == pytest.approx(4_000.0 * 10.0 ** (gains_db[0] / 20.0))
-        assert stored.right.full_well_e == pytest.approx(3_000.0 * 10.0 ** (gains_db[1] / 20.0))
-        assert (stored.left.read_noise_e, stored.right.read_noise_e) == pytest.approx((12.0, 9.0))
-        assert (stored.left.black_level_dn, stored.right.black_level_dn) == (6.0, 2.0)
+        assert stored.cameras.left.full_well_e == pytest.approx(4_000.0 * 10.0 ** (gains_db[0] / 20.0))
+        assert stored.cameras.right.full_well_e == pytest.approx(3_000.0 * 10.0 ** (gains_db[1] / 20.0))
+        assert (stored.cameras.left.read_noise_e, stored.cameras.right.read_noise_e) == pytest.approx((12.0, 9.0))
+        assert (stored.cameras.left.black_level_dn, stored.cameras.right.black_level_dn) == (6.0, 2.0)
 
 
 def test_an_instrument_with_these_figures_expects_the_noise_that_was_seen(rig: Rig, tmp_path: Path) -> None:
     folder = scan(tmp_path / "1", Exposure(8_000, 6.0))
     stored, cameras = noise_to_store(rig, folder, FOUND), {}
     for side in ("left", "right"):
-        one, camera = getattr(stored, side), getattr(rig.camera, side)
+        one, camera = getattr(stored.cameras, side), getattr(rig.camera, side)
         figures = {name: getattr(one, name) for name in ("full_well_e", "read_noise_e", "black_level_dn")}
         cameras[side] = replace(camera, **figures)
     used = replace(rig, camera=replace(rig.camera, **cameras))
