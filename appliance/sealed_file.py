@@ -14,7 +14,7 @@ import hashlib
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import MISSING, dataclass, field, fields, is_dataclass
+from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
 from enum import Enum
 from functools import cache
 from pathlib import Path
@@ -25,6 +25,7 @@ from typing import (
     Generic,
     SupportsFloat,
     SupportsIndex,
+    TypeGuard,
     TypeVar,
     Union,
     get_args,
@@ -61,7 +62,7 @@ class Within:
     whole: bool = False
     """A fraction is not taken, even if it is whole."""
 
-    def takes(self, value: Any) -> bool:
+    def takes(self, value: Any) -> TypeGuard[float]:
         """Tell whether a value of JSON lies in the range."""
         right = isinstance(value, int if self.whole else int | float) and not isinstance(value, bool)
         return right and self.low <= value <= self.high
@@ -86,7 +87,7 @@ class Among:
 
     def takes(self, value: Any) -> bool:
         """Tell whether a value of JSON is one of them."""
-        return value in self.values
+        return any(type(value) is type(one) and value == one for one in self.values)
 
     @property
     def allowed(self) -> str:
@@ -201,8 +202,10 @@ def _not_finite(text: str) -> float:
 def plain(value: Any) -> Any:
     """Convert a value to what JSON holds: plain numbers, None for what is not finite. Raises TypeError for what it cannot hold."""
     match value:
-        case None | bool() | str():
+        case None | bool() | int() | str():
             return value
+        case float():
+            return value if math.isfinite(value) else None
         case Enum():
             return value.value
         case Mapping():
@@ -214,9 +217,9 @@ def plain(value: Any) -> Any:
             return {one.name: plain(held) for one, held in named if one.metadata != LEFT_OUT or held != one.default}
         case _ if str(getattr(value, "dtype", None)) == "bool":  # NumPy's, which need not be loaded for that
             return bool(value)
-        case SupportsIndex():  # int and NumPy's integers
+        case SupportsIndex():  # NumPy's integers
             return int(value)
-        case SupportsFloat():  # float and NumPy's
+        case SupportsFloat():  # NumPy's other numbers
             number = float(value)
             return number if math.isfinite(number) else None
         case _:
@@ -286,7 +289,17 @@ def _fields(kind: Any, value: object, path: str) -> Any:
 def _hints(kind: Any) -> tuple[tuple[str, Any, bool], ...]:
     """Return the name of each field, its type, and whether it must be there."""
     hints = get_type_hints(kind, include_extras=True)
-    return tuple((f.name, hints[f.name], f.default is MISSING and f.default_factory is MISSING) for f in fields(kind))
+    return tuple(
+        (one.name, _there(hints[one.name], one), one.default is MISSING and one.default_factory is MISSING)
+        for one in fields(kind)
+    )
+
+
+def _there(hint: Any, one: Field[Any]) -> Any:
+    """Return the type of a field that is there: null does not stand for one that is left out."""
+    if one.metadata == LEFT_OUT and get_origin(hint) in (Union, UnionType):
+        return next(option for option in get_args(hint) if option is not NoneType)
+    return hint
 
 
 def _single(kind: Any, value: object, path: str) -> Any:

@@ -10,9 +10,9 @@ coordinates px, angles never appear (rotations are matrices).
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, astuple, dataclass, field
 from pathlib import Path
-from typing import Any, cast
+from typing import Annotated
 
 import numpy as np
 
@@ -20,24 +20,22 @@ from appliance.bounded_file import read_bounded
 from appliance.calibration.depth_error import COUNT as DEPTH_ERRORS
 from appliance.calibration.depth_error import Rows
 from appliance.calibration.field import AIR_VALUES, EYES, AirField
-from appliance.checksummed_file import ChecksumError, checked_content, digest, with_checksum
 from appliance.one_line import one_line
 from appliance.optics.correction import ImageCorrection, node_count
-from appliance.optics.model import HousedCamera, Matrix3, StereoRig
+from appliance.optics.model import HousedCamera, StereoRig
 from appliance.optics.pinhole import Lens
 from appliance.optics.port import Port
 from appliance.optics.ray_shift import RayShift
 from appliance.optics.volume import WorkingVolume
 from appliance.optics.water import Water
+from appliance.sealed_file import LEFT_OUT, Among, ContentError, SealedFile, Within, digest
 
 Matrix22 = tuple[tuple[float, ...], ...]
 """(22, 22), symmetric, positive definite."""
 
-SCHEMA = 1
 IN_AIR = "air"
 """Method of a calibration in air, which only calibrating in water begins with."""
 MAX_INTERVALS = 64
-MAX_BYTES = 16 * 1024 * 1024
 
 
 class CalibrationError(Exception):
@@ -77,51 +75,28 @@ class Calibration:
     @property
     def hash(self) -> str:
         """SHA-256 of the content, hexadecimal."""
-        return digest(_content(self))
+        return digest(CALIBRATION.content(_Written.of(self)))
 
 
 def encode(calibration: Calibration) -> bytes:
-    """Return the file's bytes. Raises CalibrationError for a camera model that is for comparison only."""
-    return with_checksum(_content(calibration))
+    """Return the file's bytes."""
+    return CALIBRATION.encode(_Written.of(calibration))
 
 
 def decode(data: bytes, name: str = "calibration") -> Calibration:
     """Parse and check a file's bytes. Raises CalibrationError naming ``name``, the key, the value and the remedy."""
-    remedy = "restore the previous calibration or calibrate again"
     try:
-        content = checked_content(data, MAX_BYTES)
-    except ChecksumError as error:
-        raise CalibrationError(f"{name}: {error}; {remedy}") from error
-    schema = content.get("schema")
-    if schema != SCHEMA:
-        raise CalibrationError(f"{name}: schema {schema!r:.40}; this version reads schema {SCHEMA}; {remedy}")
-    reader = _Reader(name, remedy)
-    cameras = reader.table(content, "cameras")
-    residual = content.get("residual_px")
-    water = reader.table(content, "water")
-    return Calibration(
-        rig_serial=reader.text(content, "rig_serial"),
-        method=reader.text(content, "method"),
-        made_at=reader.text(content, "made_at"),
-        made_from=tuple(str(item) for item in reader.sequence(content, "made_from")),
-        water=Water(
-            reader.number(water, "temperature_c", -2.0, 40.0),
-            reader.number(water, "salinity_psu", 0.0, 45.0),
-            reader.number(water, "wavelength_nm", 380.0, 750.0),
-        ),
-        rig=StereoRig(reader.camera(cameras, "left"), reader.camera(cameras, "right"), reader.volume(content)),
-        residual_px=None if residual is None else reader.number(content, "residual_px", 0.0, 1e6),
-        air_covariance=reader.covariance(content),
-        air_field=reader.air_field(content),
-        depth_error_mm2=reader.depth_error(content),
-        camera_serials=reader.serials(content),
-    )
+        return CALIBRATION.decode(data, name).calibration()
+    except ContentError as error:
+        raise CalibrationError(str(error)) from error
+    except ValueError as error:
+        raise CalibrationError(f"{name}: {error}; {CALIBRATION.remedy}") from error
 
 
 def load(path: Path | str) -> Calibration:
     """Read a calibration file. Raises CalibrationError also for a missing or unreadable file."""
     try:
-        data = read_bounded(Path(path), MAX_BYTES)
+        data = read_bounded(Path(path), CALIBRATION.max_bytes)
     except OSError as error:
         raise CalibrationError(
             f"calibration {path}: cannot be read ({error.strerror}); calibrate, or copy the instrument's file there"
@@ -129,211 +104,199 @@ def load(path: Path | str) -> Calibration:
     return decode(data, f"calibration {path}")
 
 
-def _content(calibration: Calibration) -> dict[str, Any]:
-    content: dict[str, Any] = {
-        "schema": SCHEMA,
-        "rig_serial": calibration.rig_serial,
-        "method": calibration.method,
-        "made_at": calibration.made_at,
-        "made_from": list(calibration.made_from),
-        "residual_px": calibration.residual_px,
-        "water": {
-            "temperature_c": calibration.water.temperature_c,
-            "salinity_psu": calibration.water.salinity_psu,
-            "wavelength_nm": calibration.water.wavelength_nm,
-        },
-        "cameras": {"left": _camera(calibration.rig.left), "right": _camera(calibration.rig.right)},
-        "volume": asdict(calibration.rig.volume),
-    }
-    if calibration.air_covariance is not None:
-        content["air_covariance"] = [list(row) for row in calibration.air_covariance]
-    if calibration.air_field is not None:
-        field = calibration.air_field
-        content["air_field"] = {"intervals": list(field.intervals), "mean": list(field.mean), "root": field.text}
-    if calibration.depth_error_mm2 is not None:
-        content["depth_error_mm2"] = [list(row) for row in calibration.depth_error_mm2]
-    if calibration.camera_serials is not None:
-        content["camera_serials"] = dict(zip(("left", "right"), calibration.camera_serials, strict=True))
-    return content
+# ------------------------------------------------------------------------------------------ as it is written
 
-
-def _camera(camera: HousedCamera) -> dict[str, Any]:
-    table: dict[str, Any] = {
-        "width_px": camera.width_px,
-        "height_px": camera.height_px,
-        "f_px": list(camera.lens.f_px),
-        "c_px": list(camera.lens.c_px),
-        "distortion": list(camera.lens.distortion),
-        "rotation": [list(row) for row in camera.rotation],
-        "translation_mm": list(camera.translation_mm),
-        "port": {
-            "normal": list(camera.port.normal),
-            "distance_mm": camera.port.distance_mm,
-            "thickness_mm": camera.port.thickness_mm,
-            "glass_index": camera.port.glass_index,
-        },
-    }
-    if camera.correction is not None:
-        table["correction"] = {
-            "intervals": list(camera.correction.intervals),
-            "coefficients_px": list(camera.correction.coefficients_px),
-        }
-    if camera.ray_shift is not None:
-        table["ray_shift"] = {
-            "intervals": list(camera.ray_shift.intervals),
-            "coefficients_mm": list(camera.ray_shift.coefficients_mm),
-        }
-    if camera.lens_in_water:
-        table["lens_in_water"] = True
-    return table
+_Pixels = Annotated[float, Within(16, 16384)]
+_Intervals = tuple[Annotated[float, Within(1, MAX_INTERVALS)], Annotated[float, Within(1, MAX_INTERVALS)]]
+_Hundred = Annotated[float, Within(-100.0, 100.0)]
+_Focal = Annotated[float, Within(1.0, 1e6)]
+_Centre = Annotated[float, Within(-1e5, 1e5)]
+_Place = Annotated[float, Within(-10_000.0, 10_000.0)]
+_Unit = Annotated[float, Within(-1.0, 1.0)]
+_Rotated = Annotated[float, Within(-1.001, 1.001)]
+_Row = tuple[_Rotated, _Rotated, _Rotated]
+_Distance = Annotated[float, Within(1.0, 10_000.0)]
+_Covariance = tuple[tuple[Annotated[float, Within(-1e12, 1e12)], ...], ...]
 
 
 @dataclass(frozen=True, slots=True)
-class _Reader:
-    """Checked access to the parsed JSON; every complaint names the file, the key, the value and the range."""
+class _WrittenWater:
+    temperature_c: Annotated[float, Within(-2.0, 40.0)]
+    salinity_psu: Annotated[float, Within(0.0, 45.0)]
+    wavelength_nm: Annotated[float, Within(380.0, 750.0)]
 
-    name: str
-    remedy: str
 
-    def fail(self, key: str, value: object, allowed: str) -> CalibrationError:
-        return CalibrationError(f"{self.name}: {key} is {value!r:.80}; allowed: {allowed}; {self.remedy}")
+@dataclass(frozen=True, slots=True)
+class _WrittenVolume:
+    nearest_mm: _Distance
+    working_mm: _Distance
+    farthest_mm: _Distance
 
-    def table(self, parent: dict[str, Any], key: str) -> dict[str, Any]:
-        value = parent.get(key)
-        if not isinstance(value, dict):
-            raise self.fail(key, value, "a table")
-        return value
 
-    def text(self, parent: dict[str, Any], key: str) -> str:
-        value = parent.get(key)
-        if not isinstance(value, str):
-            raise self.fail(key, value, "a text")
-        return value
+@dataclass(frozen=True, slots=True)
+class _WrittenPort:
+    normal: tuple[_Unit, _Unit, _Unit]
+    distance_mm: Annotated[float, Within(0.0, 1000.0)]
+    thickness_mm: Annotated[float, Within(0.0, 100.0)]
+    glass_index: Annotated[float, Within(1.0, 3.0)]
 
-    def sequence(self, parent: dict[str, Any], key: str, length: int | None = None) -> list[Any]:
-        value = parent.get(key)
-        if not isinstance(value, list) or (length is not None and len(value) != length):
-            raise self.fail(key, value, "a list" if length is None else f"a list of {length}")
-        return value
 
-    def number(self, parent: dict[str, Any], key: str, low: float, high: float) -> float:
-        return self._number(parent.get(key), key, low, high)
+@dataclass(frozen=True, slots=True)
+class _WrittenCorrection:
+    intervals: _Intervals
+    coefficients_px: tuple[_Hundred, ...]
 
-    def _number(self, value: object, key: str, low: float, high: float) -> float:
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise self.fail(key, value, f"a number {low:g}..{high:g}")
-        if not low <= value <= high:
-            raise self.fail(key, value, f"{low:g}..{high:g}")
-        return float(value)
 
-    def numbers(self, parent: dict[str, Any], key: str, length: int, low: float, high: float) -> tuple[float, ...]:
-        items = self.sequence(parent, key, length)
-        return tuple(self._number(item, f"{key}[{i}]", low, high) for i, item in enumerate(items))
+@dataclass(frozen=True, slots=True)
+class _WrittenShift:
+    intervals: _Intervals
+    coefficients_mm: tuple[_Hundred, ...]
 
-    def camera(self, parent: dict[str, Any], side: str) -> HousedCamera:
-        table = self.table(parent, side)
-        port = self.table(table, "port")
-        rows = self.sequence(table, "rotation", 3)
-        rotation = tuple(self.numbers({f"{side}.rotation": row}, f"{side}.rotation", 3, -1.001, 1.001) for row in rows)
-        R = np.array(rotation)
+
+@dataclass(frozen=True, slots=True)
+class _WrittenCamera:
+    width_px: _Pixels
+    height_px: _Pixels
+    f_px: tuple[_Focal, _Focal]
+    c_px: tuple[_Centre, _Centre]
+    distortion: tuple[_Hundred, ...]
+    rotation: tuple[_Row, _Row, _Row]
+    translation_mm: tuple[_Place, _Place, _Place]
+    port: _WrittenPort
+    correction: _WrittenCorrection | None = field(default=None, metadata=LEFT_OUT)
+    ray_shift: _WrittenShift | None = field(default=None, metadata=LEFT_OUT)
+    lens_in_water: Annotated[bool, Among((True, False))] = field(default=False, metadata=LEFT_OUT)
+
+    @classmethod
+    def of(cls, camera: HousedCamera) -> _WrittenCamera:
+        """Return what is written of a camera."""
+        lens, port, correction, shift = camera.lens, camera.port, camera.correction, camera.ray_shift
+        return cls(
+            camera.width_px, camera.height_px, lens.f_px, lens.c_px, lens.distortion, camera.rotation, camera.translation_mm,
+            _WrittenPort(port.normal, port.distance_mm, port.thickness_mm, port.glass_index),
+            None if correction is None else _WrittenCorrection(correction.intervals, correction.coefficients_px),
+            None if shift is None else _WrittenShift(shift.intervals, shift.coefficients_mm),
+            camera.lens_in_water,
+        )  # fmt: skip
+
+    def camera(self, side: str) -> HousedCamera:
+        """Return the camera. Raises ValueError for one that cannot be."""
+        R, normal = np.array(self.rotation), self.port.normal
         if np.abs(R @ R.T - np.eye(3)).max() > 1e-6 or np.linalg.det(R) < 0.0:
-            raise self.fail(f"{side}.rotation", rows, "a rotation matrix")
-        normal = self.numbers(port, "normal", 3, -1.0, 1.0)
+            raise ValueError(f"{side}.rotation is {self.rotation!r:.80}; allowed: a rotation matrix")
         if abs(math.hypot(*normal) - 1.0) > 1e-6 or normal[2] < 0.5:
-            raise self.fail(f"{side}.port.normal", normal, "a unit vector towards the water")
-        distortion = self.numbers(table, "distortion", 5, -100.0, 100.0)
-        width_px, height_px = (int(self.number(table, key, 16, 16384)) for key in ("width_px", "height_px"))
+            raise ValueError(f"{side}.port.normal is {normal!r:.80}; allowed: a unit vector towards the water")
+        size_px = int(self.width_px), int(self.height_px)
+        correction, shift = self.correction, self.ray_shift
+        if len(self.distortion) != 5:
+            raise ValueError(f"{side}.distortion is {self.distortion!r:.80}; allowed: a list of 5")
         return HousedCamera(
-            width_px=width_px,
-            height_px=height_px,
-            lens=Lens(
-                cast(tuple[float, float], self.numbers(table, "f_px", 2, 1.0, 1e6)),
-                cast(tuple[float, float], self.numbers(table, "c_px", 2, -1e5, 1e5)),
-                cast(tuple[float, float, float, float, float], distortion),
-            ),
-            port=Port(
-                cast(tuple[float, float, float], normal),
-                self.number(port, "distance_mm", 0.0, 1000.0),
-                self.number(port, "thickness_mm", 0.0, 100.0),
-                self.number(port, "glass_index", 1.0, 3.0),
-            ),
-            rotation=cast(Matrix3, rotation),
-            translation_mm=cast(
-                tuple[float, float, float], self.numbers(table, "translation_mm", 3, -10000.0, 10000.0)
-            ),
-            correction=self.correction(table, width_px, height_px),
-            ray_shift=self.ray_shift(table, width_px, height_px),
-            lens_in_water=self.lens_in_water(table),
-        )
+            *size_px, Lens(self.f_px, self.c_px, self.distortion), Port(*astuple(self.port)), self.rotation, self.translation_mm,
+            None if correction is None else ImageCorrection(*size_px, _whole(correction.intervals), correction.coefficients_px),
+            None if shift is None else RayShift(*size_px, _whole(shift.intervals), shift.coefficients_mm),
+            self.lens_in_water,
+        )  # fmt: skip
 
-    def correction(self, camera: dict[str, Any], width_px: int, height_px: int) -> ImageCorrection | None:
-        if "correction" not in camera:
-            return None
-        return ImageCorrection(width_px, height_px, *self.spline(camera, "correction", "coefficients_px"))
 
-    def ray_shift(self, camera: dict[str, Any], width_px: int, height_px: int) -> RayShift | None:
-        if "ray_shift" not in camera:
-            return None
-        return RayShift(width_px, height_px, *self.spline(camera, "ray_shift", "coefficients_mm"))
+@dataclass(frozen=True, slots=True)
+class _WrittenCameras:
+    left: _WrittenCamera
+    right: _WrittenCamera
 
-    def spline(self, camera: dict[str, Any], key: str, values: str) -> tuple[tuple[int, int], tuple[float, ...]]:
-        table = self.table(camera, key)
-        across, down = (int(n) for n in self.numbers(table, "intervals", 2, 1, MAX_INTERVALS))
-        count = 2 * node_count((across, down))
-        return (across, down), self.numbers(table, values, count, -100.0, 100.0)
 
-    def volume(self, content: dict[str, Any]) -> WorkingVolume:
-        """Return the measuring volume."""
-        table = self.table(content, "volume")
-        numbers = [self.number(table, key, 1.0, 10_000.0) for key in ("nearest_mm", "working_mm", "farthest_mm")]
+@dataclass(frozen=True, slots=True)
+class _WrittenSerials:
+    left: str
+    right: str
+
+
+@dataclass(frozen=True, slots=True)
+class _WrittenField:
+    intervals: _Intervals
+    mean: tuple[Annotated[float, Within(-1e3, 1e3)], ...]
+    root: str
+
+    def field(self) -> AirField:
+        """Return the lenses' fields from air. Raises ValueError for numbers or a text of another length."""
+        intervals = _whole(self.intervals)
+        size = AIR_VALUES + EYES * node_count(intervals)
+        if len(self.mean) != size:
+            raise ValueError(f"air_field.mean has {len(self.mean)} numbers; allowed: {size}")
         try:
-            return WorkingVolume(*numbers)
+            return AirField.from_text(intervals, self.mean, self.root)
         except ValueError as error:
-            raise self.fail("volume", table, str(error)) from error
+            raise ValueError(
+                f"air_field.root is {self.root!r:.80}; allowed: the factor of a covariance, base64 ({error})"
+            ) from error
 
-    def covariance(self, content: dict[str, Any]) -> Matrix22 | None:
-        """Return the covariance of the calibration in air; ``None``: the file has none."""
-        if "air_covariance" not in content:
-            return None
-        return self._matrix(content, "air_covariance", AIR_VALUES)
 
-    def depth_error(self, content: dict[str, Any]) -> Rows | None:
-        """Return the covariance of the shared depth error; ``None``: the file has none."""
-        if "depth_error_mm2" not in content:
-            return None
-        return self._matrix(content, "depth_error_mm2", DEPTH_ERRORS)
+@dataclass(frozen=True, slots=True)
+class _Written:
+    """Content of the file."""
 
-    def _matrix(self, content: dict[str, Any], key: str, size: int) -> tuple[tuple[float, ...], ...]:
-        """Return a covariance (size, size)."""
-        rows = self.sequence(content, key, size)
-        matrix = tuple(self.numbers({key: row}, key, size, -1e12, 1e12) for row in rows)
-        C = np.array(matrix)
-        sd = np.sqrt(np.maximum(np.diag(C), 1e-300))  # units differ by many powers of ten
-        if not np.array_equal(C, C.T) or np.linalg.eigvalsh(C / np.outer(sd, sd))[0] <= 0.0:
-            raise self.fail(key, rows, "a symmetric, positive definite matrix")
-        return matrix
+    rig_serial: str
+    method: str
+    made_at: str
+    made_from: tuple[str, ...]
+    water: _WrittenWater
+    cameras: _WrittenCameras
+    volume: _WrittenVolume
+    residual_px: Annotated[float, Within(0.0, 1e6)] | None = None
+    air_covariance: _Covariance | None = field(default=None, metadata=LEFT_OUT)
+    air_field: _WrittenField | None = field(default=None, metadata=LEFT_OUT)
+    depth_error_mm2: _Covariance | None = field(default=None, metadata=LEFT_OUT)
+    camera_serials: _WrittenSerials | None = field(default=None, metadata=LEFT_OUT)
 
-    def air_field(self, content: dict[str, Any]) -> AirField | None:
-        """Return the lenses' fields from air; ``None``: the file has none."""
-        if "air_field" not in content:
-            return None
-        table = self.table(content, "air_field")
-        across, down = (int(n) for n in self.numbers(table, "intervals", 2, 1, MAX_INTERVALS))
-        size = AIR_VALUES + EYES * node_count((across, down))
-        mean, root = self.numbers(table, "mean", size, -1e3, 1e3), self.text(table, "root")
-        try:
-            return AirField.from_text((across, down), mean, root)
-        except ValueError as error:
-            raise self.fail("air_field.root", root, f"the factor of a covariance, base64 ({error})") from error
+    @classmethod
+    def of(cls, calibration: Calibration) -> _Written:
+        """Return what is written of a calibration."""
+        rig, of_air, serials = calibration.rig, calibration.air_field, calibration.camera_serials
+        return cls(
+            calibration.rig_serial, calibration.method, calibration.made_at, calibration.made_from,
+            _WrittenWater(**asdict(calibration.water)),
+            _WrittenCameras(_WrittenCamera.of(rig.left), _WrittenCamera.of(rig.right)),
+            _WrittenVolume(**asdict(rig.volume)),
+            calibration.residual_px,
+            calibration.air_covariance,
+            None if of_air is None else _WrittenField(of_air.intervals, of_air.mean, of_air.text),
+            calibration.depth_error_mm2,
+            None if serials is None else _WrittenSerials(*serials),
+        )  # fmt: skip
 
-    def serials(self, content: dict[str, Any]) -> tuple[str, str] | None:
-        if "camera_serials" not in content:
-            return None
-        table = self.table(content, "camera_serials")
-        return self.text(table, "left"), self.text(table, "right")
+    def calibration(self) -> Calibration:
+        """Return the calibration. Raises ValueError for what no instrument is."""
+        cameras, serials = self.cameras, self.camera_serials
+        return Calibration(
+            self.rig_serial, self.method, self.made_at, self.made_from,
+            Water(**asdict(self.water)),
+            StereoRig(
+                cameras.left.camera("cameras.left"), cameras.right.camera("cameras.right"), WorkingVolume(**asdict(self.volume))
+            ),
+            self.residual_px,
+            _covariance("air_covariance", self.air_covariance, AIR_VALUES),
+            None if self.air_field is None else self.air_field.field(),
+            _covariance("depth_error_mm2", self.depth_error_mm2, DEPTH_ERRORS),
+            None if serials is None else (serials.left, serials.right),
+        )  # fmt: skip
 
-    def lens_in_water(self, camera: dict[str, Any]) -> bool:
-        value = camera.get("lens_in_water", False)
-        if not isinstance(value, bool):
-            raise self.fail("lens_in_water", value, "true or false")
-        return value
+
+def _whole(intervals: tuple[float, float]) -> tuple[int, int]:
+    return int(intervals[0]), int(intervals[1])
+
+
+def _covariance(key: str, rows: _Covariance | None, size: int) -> _Covariance | None:
+    """Return a covariance (size, size). Raises ValueError for what is none."""
+    if rows is None:
+        return None
+    if [len(row) for row in rows] != [size] * size:
+        raise ValueError(f"{key} is {rows!r:.80}; allowed: {size} lists of {size}")
+    C = np.array(rows)
+    sd = np.sqrt(np.maximum(np.diag(C), 1e-300))  # units differ by many powers of ten
+    if not np.array_equal(C, C.T) or np.linalg.eigvalsh(C / np.outer(sd, sd))[0] <= 0.0:
+        raise ValueError(f"{key} is {rows!r:.80}; allowed: a symmetric, positive definite matrix")
+    return rows
+
+
+CALIBRATION = SealedFile(
+    _Written, schema=1, max_bytes=16 * 1024 * 1024, what="calibration", remedy="restore the previous calibration or calibrate again"
+)  # fmt: skip
