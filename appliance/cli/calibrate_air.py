@@ -64,7 +64,8 @@ class CalibrateAir(WithRoot):
         from appliance.calibration.air.board import BoardDesign, BoardError, parse_board
         from appliance.offline.calibration.air import PicturesError, calibrate_folder
         from appliance.offline.calibration.air import install as install_air
-        from appliance.offline.calibration.view_folder import FolderError, read_session
+        from appliance.offline.calibration.view_folder import read_session
+        from appliance.sealed_file import ContentError
 
         target = self.out or self.folder / DEFAULT_NAME
         try:
@@ -77,7 +78,7 @@ class CalibrateAir(WithRoot):
             design = design or (begun[1] if begun is not None else BoardDesign())
             with Progress() as progress, writing(target):
                 report = calibrate_folder(rig, self.folder, design, target, datetime.now(UTC), progress)
-        except (BoardError, PicturesError, FolderError) as error:
+        except (BoardError, PicturesError, ContentError) as error:
             raise UsageError(str(error)) from error
         except (AirCalibrationError, LiveFailed) as error:
             complain(str(error), as_json=self.json)

@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from appliance.bounded_file import parse_toml, read_text
-from appliance.checksummed_file import is_number
 from appliance.evaluation.acceptance import Symbol
 from appliance.evaluation.flatness import REFERENCE_MM
 from appliance.evaluation.result import LENGTHS, Artefact
+from appliance.sealed_file import Within
 
 MOST_BYTES = 1_000_000
 LENGTH_MM, REFERENCE_RANGE_MM = (1.0, 2000.0), (10.0, 5000.0)
@@ -143,10 +143,7 @@ def _text(path: Path, table: dict[str, Any], key: str) -> str | None:
 
 
 def _number(path: Path, key: str, value: object, allowed: tuple[float, float]) -> float:
-    low, high = allowed
-    # TOML has true, inf and nan; Python counts true among the integers.
-    if not is_number(value):
-        raise ListError(f"LIST {path}: {key} is {value!r:.60}; allowed are numbers {low:g}..{high:g}; correct it")
-    if not low <= value <= high:
-        raise ListError(f"LIST {path}: {key} is {value:g}; allowed are {low:g}..{high:g}; correct it")
+    within = Within(*allowed)
+    if not within.takes(value):
+        raise ListError(f"LIST {path}: {key} is {value!r:.60}; allowed are numbers {within.allowed}; correct it")
     return float(value)

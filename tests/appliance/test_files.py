@@ -1,4 +1,4 @@
-"""Files that people name are read only if regular and of a sensible size, and what was sealed comes back or is refused."""
+"""Files that people name are read only if regular and of a sensible size."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ import pytest
 from appliance.bounded_file import parse_toml, read_bounded, read_text
 from appliance.calibration import file as calibration_file
 from appliance.calibration.noise_file import NOISE
-from appliance.checksummed_file import ChecksumError, checked_content, with_checksum
 from appliance.config import default_rig_path, load_rig
 from appliance.foreign.camera_files import camera_numbers, numbers_in
 from appliance.foreign.description import load_description
@@ -198,28 +197,3 @@ def test_what_small_camera_files_could_become_is_refused(name: str, data: bytes,
     with pytest.raises(ForeignError) as error:
         numbers_in(tmp_path / name)
     assert said in str(error.value)
-
-
-CONTENT = {"b": [1.5, "µm"], "a": {"deep": None}}
-
-
-@pytest.mark.parametrize("indent", [None, 2])
-def test_what_was_sealed_comes_back_whatever_its_layout(indent: int | None) -> None:
-    assert checked_content(with_checksum(CONTENT, indent), 1000) == CONTENT
-
-
-@pytest.mark.parametrize(
-    ("data", "reason"),
-    [
-        (with_checksum(CONTENT).replace(b"1.5", b"1.6"), "changed or damaged"),
-        (with_checksum(CONTENT)[:-9], "not readable as JSON"),
-        (b'{"a": 1}', "changed or damaged"),
-        (b"[]", "a JSON object was expected, not list"),
-        (b"[" * 900, "not readable as JSON"),
-        (b"\xff", "not readable as JSON"),
-        (b" " * 1001, "at most 1000 are allowed"),
-    ],
-)
-def test_anything_else_is_refused_with_the_reason(data: bytes, reason: str) -> None:
-    with pytest.raises(ChecksumError, match=reason):
-        checked_content(data, 1000)

@@ -7,30 +7,38 @@ board.json      which board, which instrument
 
 from __future__ import annotations
 
-import json
 import re
 import shutil
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.bounded_file import read_bounded
-from appliance.calibration.air.board import BoardDesign, BoardError, parse_board
+from appliance.calibration.air.board import BoardDesign, parse_board
+from appliance.sealed_file import ContentError, SealedFile
 from appliance.storage.atomic import make_folders, move_folder, refused, replace_file, write_new
 from appliance.storage.filesystem import LocalFileSystem
 
 Image = NDArray[np.uint8]
 
 SESSION = "board.json"
-SCHEMA = 1
-MOST_BYTES = 64 * 1024
 LEFT, RIGHT = "left.png", "right.png"
 
 
-class FolderError(Exception):
-    """A folder cannot take views; the text says why and what to do."""
+@dataclass(frozen=True, slots=True)
+class _Begun:
+    """Content of ``board.json``."""
+
+    rig_serial: str
+    board: str
+
+
+BEGUN = SealedFile(
+    _Begun, schema=1, max_bytes=64 * 1024, indent=1, checksum=False, check=lambda begun: parse_board(begun.board),
+    remedy="restore it, or remove it and give --board",
+)  # fmt: skip
 
 
 class ViewFolder:
@@ -39,7 +47,7 @@ class ViewFolder:
     def __init__(self, folder: Path, rig_serial: str, design: BoardDesign | None) -> None:
         """Make the folder, or go on with one. ``design`` ``None``: the folder's, else the usual board.
 
-        Raises FolderError for a folder of another board or instrument, StorageError.
+        Raises ContentError for a folder of another board or instrument, StorageError.
         """
         self.folder = folder
         self._fs = LocalFileSystem()
@@ -47,16 +55,17 @@ class ViewFolder:
         begun = read_session(folder)
         if begun is None:
             self.design = design or BoardDesign()
-            content = {"schema": SCHEMA, "rig_serial": rig_serial, "board": str(self.design)}
-            replace_file(self._fs, folder / SESSION, (json.dumps(content, indent=1) + "\n").encode())
+            replace_file(self._fs, folder / SESSION, BEGUN.encode(_Begun(rig_serial, str(self.design))))
         else:
             serial, self.design = begun
             if serial != rig_serial:
-                raise FolderError(
-                    f"FOLDER {folder}: views of instrument {serial}; this one is {rig_serial}; give another"
+                raise ContentError(
+                    f"FOLDER {folder}", f"views of instrument {serial}; this one is {rig_serial}", remedy="give another"
                 )
             if design is not None and design != self.design:
-                raise FolderError(f"FOLDER {folder}: views of board {self.design}, not {design}; give another folder")
+                raise ContentError(
+                    f"FOLDER {folder}", f"views of board {self.design}, not {design}", remedy="give another folder"
+                )
         self._tidy()
 
     def next_name(self) -> str:
@@ -88,14 +97,7 @@ class ViewFolder:
 
 
 def read_session(folder: Path) -> tuple[str, BoardDesign] | None:
-    """Return instrument and board of a folder that ``--live`` filled; ``None`` for any other. Raises FolderError."""
+    """Return instrument and board of a folder that ``--live`` filled; ``None`` for any other. Raises ContentError."""
     path = folder / SESSION
-    if not path.exists():
-        return None
-    try:
-        content = json.loads(read_bounded(path, MOST_BYTES))
-        if content["schema"] != SCHEMA:
-            raise FolderError(f"{path}: schema {content['schema']!r}; this version reads {SCHEMA}; give another folder")
-        return str(content["rig_serial"]), parse_board(str(content["board"]))
-    except (OSError, ValueError, KeyError, TypeError, BoardError) as error:
-        raise FolderError(f"{path}: cannot be read ({error}); restore it, or remove it and give --board") from error
+    begun = BEGUN.load(path, name=str(path))
+    return None if begun is None else (begun.rig_serial, parse_board(begun.board))

@@ -13,7 +13,8 @@ import pytest
 from numpy.typing import NDArray
 
 from appliance.calibration.air.board import BoardDesign
-from appliance.offline.calibration.view_folder import FolderError, ViewFolder, read_session
+from appliance.offline.calibration.view_folder import ViewFolder, read_session
+from appliance.sealed_file import ContentError
 from appliance.storage.atomic import StorageError
 
 LEFT: NDArray[np.uint8] = np.arange(64, dtype=np.uint8).reshape(8, 8)
@@ -53,16 +54,19 @@ def test_who_goes_on_finds_the_folders_board_and_what_a_loss_of_power_left_of_a_
     content = json.loads((tmp_path / "board.json").read_text())
     assert content == {"schema": 1, "rig_serial": "KF-1", "board": str(usual)}
     for serial, design, said in (("KF-2", None, "KF-1.*KF-2"), ("KF-1", replace(usual, across=14), f"{usual}, not ")):
-        with pytest.raises(FolderError, match=said):
+        with pytest.raises(ContentError, match=said):
             ViewFolder(tmp_path, serial, design)
 
 
 @pytest.mark.parametrize(
-    "content",
-    [b"{", b"[1]", b'{"schema": 2, "rig_serial": "KF-1", "board": "x"}', b'{"schema": 1, "rig_serial": "KF-1"}', b'{"schema": 1, "rig_serial": "KF-1", "board": "x"}'],
+    ("content", "said"),
+    [
+        (b"{", "not readable as JSON"), (b"[1]", "a JSON object"), (b'{"schema": 2, "rig_serial": "KF-1", "board": "x"}', "schema 2"),
+        (b'{"schema": 1, "rig_serial": "KF-1"}', "board is missing"), (b'{"schema": 1, "rig_serial": "KF-1", "board": "x"}', "board x"),
+    ],
 )  # fmt: skip
-def test_a_damaged_session_is_refused_and_left(tmp_path: Path, content: bytes) -> None:
+def test_a_damaged_session_is_refused_and_left(tmp_path: Path, content: bytes, said: str) -> None:
     (tmp_path / "board.json").write_bytes(content)
-    with pytest.raises(FolderError, match="schema 2" if b'"schema": 2' in content else "cannot be read"):
+    with pytest.raises(ContentError, match=rf"board\.json: {said}.*; restore it, or remove it and give --board$"):
         ViewFolder(tmp_path, "KF-1", None)
     assert (tmp_path / "board.json").read_bytes() == content
