@@ -23,6 +23,7 @@ FORBIDDEN = {
         "appliance.registration -> appliance.storage",
         "appliance.machine -> appliance.service",
         "appliance.offline -> appliance.service",
+        "appliance.service -> appliance.workshop",
     ),
     "pure-core": ("appliance.machine -> threading", "appliance.optics -> pathlib"),
     "rooms-of-the-world": ("hw_sim.optics -> hw_sim.water", "hw_sim.devices -> hw_sim.rendering"),

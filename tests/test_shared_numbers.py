@@ -28,7 +28,7 @@ SIMULATOR = tuple(
 PRODUCT = tuple(
     f"appliance/{room}" for room in ("scan", "optics", "patterns", "evaluation", "calibration", "capture", "ranging", "reconstruct",
     "verdict", "compensation", "processing", "worker", "config", "offline", "service", "machine", "surface", "registration", "foreign",
-    "storage", "bringup")
+    "storage", "workshop")
 )  # fmt: skip
 _UNITS = "px mm um nm deg rad hz ms us ns s c k dn e db per_m psu"
 _SMALL = (

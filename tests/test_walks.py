@@ -22,6 +22,7 @@ MOST = {
     "A verdict": 3,
     "A sequence of patterns": 1,
     "A screen with a state of its own": 10,
+    "A step of the guided bring-up": 2,
     "A fault": 2,
 }
 
@@ -123,6 +124,12 @@ def test_a_fault_has_its_name_and_its_row_in_the_files_of_its_walk() -> None:
     name, row = walks()["A fault"]
     assert (ROOT / name, ROOT / row) == (source_of(FaultCode), source_of(Rule))
     assert row in naming(r"FaultCode\.LEAK")
+
+
+def test_a_step_of_the_bring_up_is_named_in_its_row_and_nowhere_above() -> None:
+    folder, rows = walks()["A step of the guided bring-up"]
+    assert folder == "appliance/workshop/<name>.py"
+    assert naming(r"pad\.do") == {rows}
 
 
 def test_every_fault_has_its_row() -> None:

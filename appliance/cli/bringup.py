@@ -1,20 +1,87 @@
-"""Owns the verbs ``bringup``: what a new instrument measures of itself before its first scan."""
+"""Owns the verbs ``bringup``: what a new instrument measures of itself before its first scan, and how they speak with whoever stands at it."""
 
 from __future__ import annotations
 
+import os
+import select
+import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
+from io import UnsupportedOperation
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TextIO
 
-from appliance.cli.arguments import option, switch
+from appliance.cli.arguments import number, option, repeated, switch
 from appliance.cli.desk import writing
 from appliance.cli.output import Exit, Progress, UsageError, complain, say, say_json, table
 from appliance.cli.places import WithRig
-from appliance.storage.atomic import make_folders, replace_file
-from appliance.storage.filesystem import LocalFileSystem
 
-if TYPE_CHECKING:  # both bring OpenCV, which `--help` can do without
-    from appliance.bringup.finding import Finding
+if TYPE_CHECKING:  # these bring OpenCV, which `--help` can do without
+    from appliance.workshop.finding import Finding
+    from appliance.workshop.guide import Walked
+    from appliance.workshop.kept import StepRecord
+
+ANSWERED_WITHIN_S = 3600.0
+"""Time for which an Enter is waited for: whoever is away for longer calls again, and goes on where he was."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BringupGuide(WithRig):
+    """Walk from a box of parts to the first plane in twelve steps, each checked; a second call goes on where the first one stopped."""
+
+    out: Path | None = option("--out", "folder for state, page and pictures", parse=Path, metavar="FOLDER")
+    only: Sequence[str] = repeated("--only", "this step and no other; may be repeated", metavar="STEP")
+    again: Sequence[str] = repeated("--again", "this step although it is good; may be repeated", metavar="STEP")
+    endurance_minutes: float = option(
+        "--endurance-minutes",
+        "length of the step endurance (default: %(default)g)",
+        default=10.0,
+        parse=number(0.02, 1440.0),
+        metavar="MIN",
+    )
+    plane_mm: float | None = option(
+        "--plane-mm",
+        "distance at which the white plane stands (default: the rig file's working distance)",
+        parse=number(50.0, 3000.0),
+        metavar="MM",
+    )
+
+    def run(self) -> Exit:
+        if self.rig is None:
+            raise UsageError("--rig: not given, and the packaged rig file is never changed; give the instrument's")
+        if self.out is None:
+            raise UsageError("--out: not given; give a folder, in which state, page and pictures are kept")
+        _check_folder(self.out)
+        self.read_rig()
+        from appliance.workshop import steps
+        from appliance.workshop.finding import BringupError
+        from appliance.workshop.guide import GuideOptions, walk
+
+        names = [step.name for step in steps.STEPS]
+        for flag, wanted in (("--only", self.only), ("--again", self.again)):
+            for name in wanted:
+                if name not in names:
+                    raise UsageError(f"{flag} {name}: no such step; allowed are {', '.join(names)}")
+        options = GuideOptions(tuple(self.only), tuple(self.again), self.endurance_minutes, self.plane_mm)
+        try:
+            with Progress() as progress:
+                walked = walk(self.rig, self.out, options, AtTheTerminal(sys.stdin, sys.stderr), progress, self._tell)
+        except BringupError as error:
+            complain(str(error), as_json=self.json)
+            return Exit.FAILED
+        # On stderr, where errors are looked for: findings are results, this is why there are no more.
+        if walked.stopped is not None:
+            complain(walked.stopped, as_json=self.json)
+        if self.json:
+            say_json(report_of(walked))
+        else:
+            say(_end(walked, self.out, len(names)))
+        return Exit.OK if walked.good else Exit.FAILED
+
+    def _tell(self, name: str, record: StepRecord) -> None:
+        if not self.json:
+            say(f"\n{name}: {'good' if record.good else 'WRONG'}")
+            say_findings(record.findings)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,43 +98,49 @@ class BringupProjector(WithRig):
                 "--rig: not given, and the packaged rig file is never changed; give the instrument's, or measure with --dry-run"
             )
         # Before minutes of measuring, not after them.
-        if self.out is not None and self.out.exists() and not self.out.is_dir():
-            raise UsageError(f"--out {self.out}: is a file; give a folder, which is made if it is not there")
-        from appliance.bringup.conclusions import conclusions, keys_of
-        from appliance.bringup.finding import BringupError
-        from appliance.bringup.page import PAGE, pictures_of, projector_page
-        from appliance.bringup.projector import measure_projector
-        from appliance.bringup.rig_edit import replace_rig, with_keys
-        from appliance.service.light_bench import light_bench
+        if self.out is not None:
+            _check_folder(self.out)
+        from appliance.workshop import projector
+        from appliance.workshop.bench import light_bench
+        from appliance.workshop.finding import BringupError
+        from appliance.workshop.guide import judge_together, keys_of
+        from appliance.workshop.kept import GuideFolder
+        from appliance.workshop.page import outcomes_page
+        from appliance.workshop.rig_edit import replace_rig, with_keys
+        from appliance.workshop.steps import STEPS
 
         # Read before the long measurement, so that a file that cannot be edited is known by then.
         path = None if self.rig is None else self.rig
         text = "" if path is None else path.read_text(encoding="utf-8-sig")
         try:
             with Progress() as progress, light_bench(rig) as bench:
-                measured = measure_projector(bench, rig.scan.most_gain_db, progress)
-            findings = conclusions(measured, rig.projector.refresh_hz)
-            good = all(one.ok for one in findings)
-            keys = keys_of(measured, rig.projector.refresh_hz, rig.camera.left.exposure_ms) if good else {}
+                measured = projector.measure_projector(bench, rig.scan.most_gain_db, progress)
+            outcomes, findings = projector.in_order(judge_together(STEPS, projector.do, measured, rig).values())
+            keys = keys_of(outcomes)
             changed = with_keys(text, keys) if keys and path is not None else text
         except BringupError as error:
             complain(str(error), as_json=self.json)
             return Exit.FAILED
+        good = all(one.ok for one in findings)
         written: list[Path] = []
         if self.out is not None:
-            pictures = pictures_of(measured, 1e6 / rig.projector.refresh_hz)
-            written += write_page(self.out, PAGE, projector_page(findings, keys, measured, pictures), pictures)
-        kept = None
+            page = outcomes_page("Kingfisher: the projector, as its own cameras see it", findings, outcomes)
+            pictures = {name: png for one in outcomes for name, (_, png) in one.pictures.items()}
+            with writing(self.out):
+                folder = GuideFolder(self.out)
+                folder.prepare()
+                written += folder.write({projector.PAGE: page.encode(), **pictures})
+        kept, timing = None, measured.lamp.timing
         if keys and path is not None and not self.dry_run and changed != text:
             kept = replace_rig(path, text, changed)
         report = {
             "good": good,
             "findings": [one.as_dict() for one in findings],
             "light": {
-                "latency_blanks": measured.timing.latency_blanks,
-                "begins_us": measured.timing.begins_us,
-                "ends_us": measured.timing.ends_us,
-                "windows_us": [[one.begins_us, one.ends_us] for one in measured.timing.windows],
+                "latency_blanks": timing.latency_blanks,
+                "begins_us": timing.begins_us,
+                "ends_us": timing.ends_us,
+                "windows_us": [[one.begins_us, one.ends_us] for one in timing.windows],
             },
             "keys": {f"{place.table}.{place.key}": value for place, value in keys.items()},
             "rig_file": str(path) if kept is not None else None,
@@ -90,8 +163,8 @@ class BringupTrigger(WithRig):
 
     def run(self) -> Exit:
         rig = self.read_rig()
-        from appliance.service.bringup.trigger import fired, trigger_findings
-        from appliance.service.light_bench import light_bench
+        from appliance.workshop.bench import light_bench
+        from appliance.workshop.trigger import fired, trigger_findings
 
         with Progress() as progress, light_bench(rig) as bench:
             progress("firing")
@@ -103,7 +176,7 @@ class BringupTrigger(WithRig):
         return Exit.OK if all(one.ok for one in findings) else Exit.FAILED
 
 
-def say_findings(findings: tuple[Finding, ...]) -> None:
+def say_findings(findings: Sequence[Finding]) -> None:
     """Print findings as a table, and remedies below it."""
     say(table(("CHECK", "", "SEEN"), [(one.name, "ok" if one.ok else "WRONG", one.said) for one in findings]))
     for one in findings:
@@ -111,11 +184,68 @@ def say_findings(findings: tuple[Finding, ...]) -> None:
             say(f"{one.name}: {one.remedy}" + (f" (allowed: {one.limits})" if one.limits else ""))
 
 
-def write_page(folder: Path, name: str, page: str, pictures: dict[str, tuple[str, bytes]]) -> list[Path]:
-    """Write a page and its pictures into a folder, which is made. Raises UsageError, StorageError."""
-    files = {name: page.encode(), **{picture: data for picture, (_, data) in pictures.items()}}
-    with writing(folder):
-        make_folders(LocalFileSystem(), folder)
-        for file, data in files.items():
-            replace_file(LocalFileSystem(), folder / file, data)
-    return [folder / file for file in files]
+class AtTheTerminal:
+    """``appliance.workshop.step.Person`` at a terminal, or a program in the place of one."""
+
+    def __init__(self, answers: TextIO, lines: TextIO) -> None:
+        self._answers, self._lines = answers, lines
+
+    def tell(self, what: str) -> None:
+        """Say it, in a line that begins with ``DO:``."""
+        self._lines.write(f"DO: {what}\n")
+        self._lines.flush()
+
+    def ask(self, what: str) -> None:
+        """Say it, and wait for an Enter. Raises GivenUp at the end of the input, or after an hour."""
+        from appliance.workshop.step import GivenUp
+
+        self.tell(f"{what}; then press Enter")
+        answer = _line(self._answers, ANSWERED_WITHIN_S)
+        if answer is None:
+            raise GivenUp(f"nobody answered within {ANSWERED_WITHIN_S / 60.0:g} minutes; call again to go on here")
+        if not answer.endswith("\n"):
+            raise GivenUp("the input ended; call again to go on here")
+
+
+def _line(stream: TextIO, timeout_s: float) -> str | None:
+    """Return the next line, without an end where the input ended; ``None``: none came in time."""
+    try:
+        descriptor = stream.fileno()
+    except UnsupportedOperation:  # no file behind it: whatever is in it can be read at once
+        return stream.readline()
+    # Byte by byte, past the stream's buffer: lines that wait in there would be seen by nobody who asks the kernel.
+    found = b""
+    while not found.endswith(b"\n"):
+        if not select.select([descriptor], [], [], timeout_s)[0]:
+            return None
+        byte = os.read(descriptor, 1)
+        if not byte:
+            break
+        found += byte
+    return found.decode(errors="replace")
+
+
+def report_of(walked: Walked) -> dict[str, Any]:
+    """Return what came of a call, JSON-ready."""
+    return {
+        "good": walked.good,
+        "steps": [
+            {"name": name, "good": one.good, "findings": [finding.as_dict() for finding in one.findings]}
+            for name, one in walked.steps.items()
+        ],
+        "done": list(walked.done),
+        "stopped": walked.stopped,
+        "written": [str(path) for path in walked.written],
+    }
+
+
+def _end(walked: Walked, folder: Path, count: int) -> str:
+    good, page = sum(one.good for one in walked.steps.values()), folder / "bringup.html"
+    if walked.good and good == count:
+        return f"\nall {count} steps are good; the page is {page}; next: calibrate (docs/calibration.md)"
+    return f"\n{good} of {count} steps are good; the page to send to somebody who helps is {page}"
+
+
+def _check_folder(folder: Path) -> None:
+    if folder.exists() and not folder.is_dir():
+        raise UsageError(f"--out {folder}: is a file; give a folder, which is made if it is not there")

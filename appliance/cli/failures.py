@@ -13,7 +13,7 @@ FAILED = frozenset(
     (
         STORAGE,
         DEVICE,
-        "appliance.bringup.finding:BringupError",
+        "appliance.workshop.finding:BringupError",
         "appliance.calibration.file:CalibrationError",
         "appliance.calibration.recordings:RecordingError",
         "appliance.cli.output:OutputError",

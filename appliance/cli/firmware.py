@@ -15,7 +15,7 @@ from appliance.storage.atomic import make_folders, move_folder, replace_file
 from appliance.storage.filesystem import LocalFileSystem
 
 if TYPE_CHECKING:  # brings pydantic, which `--help` can do without
-    from appliance.bringup.flashing import Part
+    from appliance.workshop.flashing import Part
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,7 +29,7 @@ class _LayOut(WithRig):
 
     def run(self) -> Exit:
         rig = self.read_rig()
-        from appliance.bringup.flashing import commands, instrument_values, laid_out
+        from appliance.workshop.flashing import commands, instrument_values, laid_out
 
         folder = self.out or Path("build") / self.part
         files = laid_out(self.part, rig)

@@ -45,7 +45,7 @@ VERBS: tuple[Listed | Group, ...] = (
         "bringup",
         "measure a new instrument before its first scan",
         (
-            Listed("guide", "from a box of parts to the first plane, in twelve steps", "bringup_guide:BringupGuide"),
+            Listed("guide", "from a box of parts to the first plane, in twelve steps", "bringup:BringupGuide"),
             Listed("trigger", "64 pulses, and what board and cameras make of them", "bringup:BringupTrigger"),
             Listed(
                 "projector", "its light, latency, exposures, raster, by its own cameras", "bringup:BringupProjector"

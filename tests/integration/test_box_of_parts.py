@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from appliance.bringup.guide import NAMES
 from appliance.config import load_rig
+from appliance.workshop.steps import STEPS
 from hw_sim.options import options_from
 from hw_sim.world import World
 from tests.integration.dived import at_the_bench
@@ -97,7 +97,7 @@ def test_seven_things_wrong_are_found_named_and_mended_one_call_after_the_other(
         truth = builder.world.projector_truth
     cameras = dict.fromkeys(("line", "overlap", "camera.left black", "camera.right black"), "cameras")
     assert found == {**cameras, "mirror": "raster", "sides": "sides", "gamma": "light"}
-    assert [step["name"] for step in report["steps"]] == list(NAMES)
+    assert [step["name"] for step in report["steps"]] == [step.name for step in STEPS]
     rig = load_rig(builder.rig)
     # That is nobody's mistake: a picture's light comes a frame late, and the rig file knows it now.
     assert rig.projector.latency_blanks == truth.latency_blanks == 1

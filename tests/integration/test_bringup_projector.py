@@ -1,6 +1,6 @@
 """``kingfisher bringup projector`` through the shipped drivers: what a simulated projector does is found, written, and kept apart.
 
-Colours in turn; ``test_box_of_parts`` has one that repeats, and is mirrored and bent; ``tests/appliance/bringup`` has every kind.
+Colours in turn; ``test_box_of_parts`` has one that repeats, and is mirrored and bent; ``tests/appliance/workshop`` has every kind.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.bringup.bench import Image, Shot
+from appliance.workshop.bench import Image, Shot
 
 PERIOD_US = 1e6 / 60.0
 FINE = 4
@@ -66,7 +66,7 @@ class Model:
 
 @dataclass
 class ModelBench:
-    """``appliance.bringup.bench.Bench`` on a ``Model``."""
+    """``appliance.workshop.bench.Bench`` on a ``Model``."""
 
     model: Model
     size_px: tuple[int, int] = (64, 48)

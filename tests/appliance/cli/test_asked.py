@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from appliance.bringup.person import GivenUp
 from appliance.cli import main
-from appliance.cli.bringup_guide import AtTheTerminal, _line
+from appliance.cli.bringup import AtTheTerminal, _line
 from appliance.config import default_rig_path
+from appliance.workshop.step import GivenUp
 
 
 def piped(sent: bytes, *, closed: bool = True) -> tuple[io.TextIOBase, Callable[[], None]]:

@@ -14,18 +14,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from appliance.bringup.bench import Shot
-from appliance.bringup.finding import BringupError
 from appliance.machine.states import Device
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import FaultCode
 from appliance.service.air_live import opened
 from appliance.service.app import _signals, ask_power_off, run, take_back_power_off
 from appliance.service.device_supervisor import DeviceSupervisor
-from appliance.service.light_bench import TRIES, LightBench
 from appliance.service.starts import installation, recovered, this_run
 from appliance.storage.library import Library
 from appliance.storage.lock import holder
+from appliance.workshop.bench import TRIES, LightBench, Shot
+from appliance.workshop.finding import BringupError
 from drivers import rig as drivers_rig
 from drivers.api import Board, Clock, DeviceError, DeviceGone, LaserState
 from drivers.native import MonotonicClock

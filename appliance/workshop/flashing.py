@@ -1,0 +1,98 @@
+"""Owns what goes onto a trigger board and a key pad: which files, and what the rig file says in one of them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Literal
+
+import drivers
+from appliance.config.rig import ProjectorRig, Rig
+from appliance.workshop.finding import BringupError
+
+Part = Literal["board", "keys"]
+
+LIBRARIES: Mapping[Part, str] = {"board": "usb-device-cdc@0.1.2", "keys": "usb-device-hid@0.2.0"}
+"""Library of micropython-lib that each firmware needs, in the version of its manifest there."""
+INSTRUMENT = "instrument.py"
+START = "main.py"
+
+NEGATIVE, POSITIVE = False, True
+SYNCS: Mapping[tuple[int, int, int], bool] = {
+    (640, 480, 60): NEGATIVE,
+    (800, 600, 60): POSITIVE,
+    (848, 480, 60): POSITIVE,
+    (1024, 768, 60): NEGATIVE,
+    (1024, 768, 70): NEGATIVE,
+    (1024, 768, 75): POSITIVE,
+    (1280, 720, 50): POSITIVE,
+    (1280, 720, 60): POSITIVE,
+    (1280, 960, 60): POSITIVE,
+    (1280, 1024, 60): POSITIVE,
+}
+"""Sign of the vertical sync, by width, height and rate of a mode whose published timings all agree about it
+(VESA DMT 1.13, CTA-861). They do not about 1280x800, 1920x1080 or 1920x1200: reduced blanking, or the other standard, has the
+other sign."""
+
+
+def sync_rises(projector: ProjectorRig) -> bool:
+    """Return whether the sync at the board's pin begins with a rising edge. Raises BringupError where nobody has said so."""
+    if projector.sync is not None:
+        return projector.sync == "positive"
+    mode = (projector.width_px, projector.height_px, round(projector.refresh_hz))
+    known = SYNCS.get(mode)
+    if known is None:
+        # A guess would shift every trigger by the width of the sync, and nothing would look broken.
+        raise BringupError(
+            f"projector: {mode[0]}x{mode[1]} at {mode[2]} Hz is made with either sign of the vertical sync; "
+            'allowed: sync = "negative" or "positive" under [projector]; read it in the mode (docs/build/firmware.md)'
+        )
+    return known
+
+
+def instrument_values(part: Part, rig: Rig) -> dict[str, int | bool]:
+    """Return what stands in the firmware's ``instrument.py``, by name. Raises BringupError."""
+    owner = rig.board if part == "board" else rig.keys
+    values: dict[str, int | bool] = {"VENDOR": owner.vendor_id, "PRODUCT": owner.product_id}
+    if part == "board":
+        values["SYNC_RISES"] = sync_rises(rig.projector)
+    return values
+
+
+def laid_out(part: Part, rig: Rig) -> dict[str, bytes]:
+    """Return every file of one firmware by its path on the microcontroller, without caches. Raises BringupError."""
+    folder = Path(drivers.__file__).parent / part / "firmware"
+    sources = sorted(folder.glob("*.py"))
+    if not sources:
+        raise BringupError(
+            f"{folder}: the firmware's sources are not part of an installation; "
+            f"call it within the source tree: ./dev run kingfisher firmware {part}"
+        )
+    files: dict[str, bytes] = {}
+    for source in sources:
+        content = source.read_bytes()
+        if source.name == INSTRUMENT:
+            content = _written(content.decode(), instrument_values(part, rig)).encode()
+        # MicroPython starts the main.py at the root, and the modules import each other by their names here.
+        files[START if source.name == START else f"drivers/{part}/firmware/{source.name}"] = content
+    return files
+
+
+def commands(part: Part, folder: Path) -> tuple[str, ...]:
+    """Return what is typed to bring ``folder`` onto a module with MicroPython; each may be repeated."""
+    return (
+        f"./dev run mpremote mip install {LIBRARIES[part]}",
+        f"./dev run mpremote cp -r {folder}/drivers :",
+        # Last: a module that was unplugged in between has no start, and shows its prompt.
+        f"./dev run mpremote cp {folder}/{START} :{START}",
+    )
+
+
+def _written(text: str, values: Mapping[str, int | bool]) -> str:
+    for name, value in values.items():
+        spelt = str(value) if isinstance(value, bool) else f"0x{value:04X}"
+        text, count = re.subn(rf"^{name} = .*$", f"{name} = {spelt}", text, flags=re.MULTILINE)
+        if count != 1:
+            raise BringupError(f"{INSTRUMENT} has {count} lines '{name} = …' instead of one: restore the file")
+    return text

@@ -1,0 +1,224 @@
+"""Owns the walk through the steps of the guided bring-up: which is next, what is kept of each, and what ends it."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+import tomllib
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import appliance
+from appliance.config import Rig, load_rig
+from appliance.service.checkup import whatever_is_there
+from appliance.storage.lock import hold_lock
+from appliance.workshop import steps
+from appliance.workshop.finding import BringupError, Finding
+from appliance.workshop.kept import PAGE, STATE, STATE_FILE, GuideFolder, GuideState, StepRecord
+from appliance.workshop.page import guide_page
+from appliance.workshop.rig_edit import KeyValue, Value, replace_rig, with_keys
+from appliance.workshop.step import GivenUp, GuideStep, Person, Say, StepOutcome, Workplace, inputs_of, refusal
+from drivers import rig as drivers_rig
+from drivers.api import DeviceError, Wires
+
+
+@dataclass(frozen=True, slots=True)
+class GuideOptions:
+    """Wishes for one call of the guide."""
+
+    only: tuple[str, ...] = ()
+    """Steps to be done and no others; empty: on from the first that is not good."""
+    again: tuple[str, ...] = ()
+    """Steps to be done although they are good."""
+    minutes: float = 10.0
+    """Length of the endurance run."""
+    plane_mm: float | None = None
+    """Distance of the plane; ``None``: the rig file's working distance."""
+
+
+@dataclass(frozen=True, slots=True)
+class Walked:
+    """Outcome of one call."""
+
+    good: bool
+    """Every step that was asked for is good; without ``only``: all are."""
+    steps: Mapping[str, StepRecord]
+    """Everything that is known now, by step, in their order."""
+    done: tuple[str, ...]
+    """Steps that this call did."""
+    written: tuple[Path, ...]
+    stopped: str | None = None
+    """Reason why the guide ended before its end; ``None``: it did not, or a step's findings say it."""
+
+
+def walk(
+    rig_file: Path,
+    folder: Path,
+    options: GuideOptions,
+    person: Person,
+    say: Say,
+    told: Callable[[str, StepRecord], None],
+) -> Walked:
+    """Walk the steps from where the last call ended, and stop at the first that is not good.
+
+    ``told`` is called with each step that was done. State and page are written after each: whatever interrupts it, the next call
+    goes on. Raises ConfigError, StorageError (also where an instrument is running), DeviceError without wires, BringupError for
+    a damaged state.
+    """
+    rig = load_rig(rig_file)
+    place = GuideFolder(folder)
+    with (
+        hold_lock(rig.storage.root),
+        drivers_rig.open_wires(rig.rig.wires, rig.rig.wires_options) as wires,
+    ):
+        place.prepare()
+        state = replace(place.read(), rig_file=str(rig_file), about=_about(rig, wires))
+        return _Walk(rig_file, place, options, wires, person, say, told, state, steps.STEPS).walk()
+
+
+@dataclass(slots=True)
+class _Walk:
+    """One call of the guide."""
+
+    rig_file: Path
+    place: GuideFolder
+    options: GuideOptions
+    wires: Wires
+    person: Person
+    say: Say
+    told: Callable[[str, StepRecord], None]
+    state: GuideState
+    steps: Sequence[GuideStep]
+    done: list[str] = field(default_factory=list)
+    written: dict[Path, None] = field(default_factory=dict)
+
+    def walk(self) -> Walked:
+        stopped: str | None = None
+        by_name = {step.name: step for step in self.steps}
+        try:
+            for step in self._wanted():
+                missing = [name for name in step.needs if not self._stands(by_name[name])]
+                if missing:
+                    verb = "is not good" if len(missing) == 1 else "are not good"
+                    stopped = f"step {step.name} needs {', '.join(missing)}, which {verb}; do that first"
+                    break
+                self._do(step)
+                if not self._stands(step):
+                    break
+        except GivenUp as error:
+            stopped = str(error)
+        self._keep()
+        asked = [by_name[name] for name in self.options.only] or self.steps
+        good = stopped is None and all(self._stands(step) for step in asked)
+        return Walked(good, self.state.steps, tuple(self.done), tuple(self.written), stopped)
+
+    def _wanted(self) -> Iterator[GuideStep]:
+        """Yield what is to be done, each once, in the order of the guide."""
+        for step in self.steps:
+            # Here and not before: what stands is asked anew after each step that may have changed the rig file.
+            if self.options.only and step.name not in self.options.only:
+                continue
+            anew = step.name in self.options.again or step.name in self.options.only
+            # Steps of one measurement are done together: the first of them does it for all.
+            if step.name not in self.done and (anew or not self._stands(step)):
+                yield step
+
+    def _do(self, step: GuideStep) -> None:
+        begun_ns = self.wires.clock.now_ns()
+        outcomes = self._outcomes(step)
+        duration_s = (self.wires.clock.now_ns() - begun_ns) / 1e9
+        when = self.wires.calendar.today().utc.isoformat(timespec="seconds")
+        for one, outcome in outcomes.items():
+            self._write({name: png for name, (_, png) in outcome.pictures.items()})
+            # Read again: keys may have been written, and the step rests on the file as it is now.
+            record = StepRecord.of(outcome, when, duration_s, self._inputs(one))
+            self.state = replace(self.state, steps={**self.state.steps, one.name: record})
+            self.done.append(one.name)
+        # Kept before it is told: whoever sees it and switches off has it.
+        self._keep()
+        for one in outcomes:
+            self.told(one.name, self.state.steps[one.name])
+
+    def _outcomes(self, step: GuideStep) -> dict[GuideStep, StepOutcome]:
+        """Do a step, and those of the same measurement; what ends it early is a finding like any other. Raises GivenUp, StorageError."""
+        rig = load_rig(self.rig_file)
+        plane_mm = self.options.plane_mm or rig.volume.working_mm
+        at = Workplace(rig, self.wires, self.person, self.say, self.options.minutes, plane_mm)
+        # Before minutes of measuring: a file that cannot be read is known by then.
+        text = self._rig_text()
+        try:
+            outcomes = judge_together(self.steps, step.do, step.do(at), rig)
+            keys = keys_of(outcomes.values())
+            new = with_keys(text, keys) if keys else text
+        except DeviceError as error:
+            return {step: StepOutcome((refusal(error),))}
+        except BringupError as error:
+            said, _, remedy = str(error).partition("; ")
+            finding = Finding("measurement", False, said, "", remedy or "see the findings before")
+            return {step: StepOutcome((finding,))}
+        if new != text:
+            replace_rig(self.rig_file, text, new)
+        return {one: outcome if keys else replace(outcome, keys={}) for one, outcome in outcomes.items()}
+
+    def _keep(self) -> None:
+        """Write state and page, the state first: it is what the next call goes by."""
+        text, known = self._rig_text(), self.state.steps
+        in_order = {step.name: known[step.name] for step in self.steps if step.name in known}
+        self.state = replace(self.state, rig_sha256=hashlib.sha256(text.encode()).hexdigest(), steps=in_order)
+        page = guide_page(self.state, self.steps, text, self.place.pictures(self.state))
+        self._write({STATE: STATE_FILE.encode(self.state), PAGE: page.encode()})
+
+    def _write(self, files: Mapping[str, bytes]) -> None:
+        self.written |= dict.fromkeys(self.place.write(files))
+
+    def _stands(self, step: GuideStep) -> bool:
+        return stands(self.state, step, self._inputs(step))
+
+    def _inputs(self, step: GuideStep) -> dict[str, Any]:
+        return inputs_of(tomllib.loads(self._rig_text()), step, self.steps)
+
+    def _rig_text(self) -> str:
+        return self.rig_file.read_text(encoding="utf-8-sig")
+
+
+def stands(state: GuideState, step: GuideStep, inputs: Mapping[str, Any]) -> bool:
+    """Tell whether a step was good, and the keys of the rig file that it rests on are still these."""
+    record = state.steps.get(step.name)
+    return record is not None and record.good and record.inputs == inputs
+
+
+def judge_together(
+    steps: Sequence[GuideStep], do: Callable[[Workplace], Any], found: Any, rig: Rig
+) -> dict[GuideStep, StepOutcome]:
+    """Return the outcome of each step that is done by ``do``, which ``found`` it."""
+    return {step: step.judge(found, rig) for step in steps if step.do == do}
+
+
+def keys_of(outcomes: Collection[StepOutcome]) -> dict[KeyValue, Value]:
+    """Return the keys that follow from one measurement: all or nothing.
+
+    A mirrored picture's latency is right, but who puts the picture right measures again.
+    """
+    if not all(one.good for one in outcomes):
+        return {}
+    return {place: value for one in outcomes for place, value in one.keys.items()}
+
+
+def _about(rig: Rig, wires: Wires) -> dict[str, tuple[str, ...]]:
+    """Return versions, and what is on the buses now."""
+    there = whatever_is_there(rig, wires)
+    versions = (
+        f"kingfisher {appliance.__version__}",
+        f"Python {platform.python_version()}",
+        f"{platform.system()} {platform.release()} ({platform.machine()})",
+        f"instrument {rig.rig.name}, {rig.rig.serial}",
+    )
+    return {
+        "Versions": versions,
+        "Cameras on the buses": there.cameras,
+        "Serial ports": there.ports,
+        "HID devices": there.hid,
+        "Video": there.connectors,
+    }
