@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibration.health import LIMIT, SLACK, HealthTrend, judge
-from appliance.calibration.patches import PatchGaps
 from appliance.calibration.water.method import Method
+from appliance.scan.cloud import PatchGaps
 from bench.health_changes import Change, changes, length_error_percent
 from bench.health_picture import draw_health
 from bench.result import Measured

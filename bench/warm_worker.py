@@ -9,15 +9,11 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from appliance.capture.store import FrameStore
+from appliance.scan.news import CoarseCloud, FullCloud, News, PatternIdentity, Verdicts
 from appliance.scan.sides import SIDES
+from appliance.worker.messages import Ready
 from appliance.worker.order import WorkOrder
-from appliance.worker.process import (
-    CloudReady,
-    ReconstructionWorker,
-    ScanJudged,
-    SequenceIdentified,
-    WorkerReady,
-)
+from appliance.worker.process import ReconstructionWorker
 from bench.result import Measured
 from bench.scan_frames import ScanFrames
 from bench.timing import median_of
@@ -44,7 +40,7 @@ def worker(scan: ScanFrames, starts: int, paced_scans: int) -> Iterator[Measured
         for start in range(starts + 1):
             begun_s = time.monotonic()
             with ReconstructionWorker(order, store, clock) as process:
-                if process.wait(START_TIMEOUT_S) != WorkerReady():
+                if process.wait(START_TIMEOUT_S) != Ready():
                     raise RuntimeError("the worker did not start")
                 ready_s.append(time.monotonic() - begun_s)
                 process.reprocess(0)
@@ -89,9 +85,11 @@ def clouds_after_s(process: ReconstructionWorker, since_s: float) -> tuple[float
     took_s: list[float] = []
     while len(took_s) < 2:
         match process.wait(CLOUD_TIMEOUT_S):
-            case CloudReady(full=full) if full == bool(took_s):
+            case News(_, CoarseCloud() | FullCloud() as cloud) if isinstance(cloud, FullCloud) == bool(took_s):
                 took_s.append(time.monotonic() - since_s)
-            case SequenceIdentified() | ScanJudged():
+            case News(_, PatternIdentity(judgement)) if judgement.fault is None:
+                pass
+            case News(_, Verdicts()):
                 pass
             case other:
                 raise RuntimeError(f"the worker answered {other!r:.200}")

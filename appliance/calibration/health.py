@@ -30,7 +30,8 @@ from numpy.typing import NDArray
 
 from appliance.calibration.gaps import DOUBTS, MODES
 from appliance.calibration.judgement import PATCHES
-from appliance.calibration.patches import COUNT, PatchGaps
+from appliance.calibration.patches import COUNT
+from appliance.scan.cloud import PatchGaps
 
 Array = NDArray[np.float64]
 Four = tuple[float, float, float, float]

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibration.gaps import DOUBTS, MODES, GapModes, VeilGaps
 from appliance.calibration.judgement import PATCHES
+from appliance.scan.cloud import PatchGaps
 from appliance.scan.noise import MAD_TO_SIGMA
 
 Array = NDArray[np.float64]
@@ -18,32 +19,6 @@ FEWEST_IN_PATCH = 20
 OUTLIER_SIGMAS = 3.0
 """Distance from the median in robust standard deviations beyond which a match is false and says nothing about the
 calibration."""
-
-
-@dataclass(frozen=True, slots=True)
-class PatchGaps:
-    """Mean signed ray gaps of one scan, before any limit of quality. Arrays have one row per patch that was seen."""
-
-    patch: NDArray[np.intp]
-    """(k,) row·8 + column of the patch in the left image."""
-    gap_um: Array
-    """(k,) robust mean."""
-    noise_um: Array
-    """(k,) its standard error, from the scatter inside the patch."""
-    modes: Array
-    """(k, 4) the patterns of ``GapModes`` there."""
-    samples: int
-    """Correspondences that were looked at."""
-    water_index: float
-    """Refractive index of the water in which the rays were traced."""
-    veil_um: Array | None = None
-    """(k,) what backscatter with fringes of its own added to the gap; ``gap_um`` is without it. ``None``, as the next two: there is none."""
-    doubts_um: Array | None = None
-    """(k, DOUBTS) by how much that may be wrong, one standard deviation of each cause, all patches together."""
-    shape_um: Array | None = None
-    """(k,) standard deviation of what is left of it, smooth over the image."""
-    turns_um: Array | None = None
-    """(3, 4) amplitudes per degree that the right camera is turned by, about x, y, z; ``None``: nobody asked."""
 
 
 def without_veil(gaps: PatchGaps, veil: VeilGaps, size_px: tuple[int, int]) -> PatchGaps:

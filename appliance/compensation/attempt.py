@@ -14,7 +14,7 @@ from appliance.compensation.redecode import compensate
 from appliance.optics.water import Water
 from appliance.reconstruct.images import ScanImages
 from appliance.reconstruct.pipeline import Pipeline
-from appliance.reconstruct.table import Found
+from appliance.scan.cloud import Found
 
 LEAST_KEPT = 0.8
 """Share of the plain cloud's points below which a compensated cloud is not shown in its place."""

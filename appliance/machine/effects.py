@@ -69,8 +69,8 @@ class StoreRaw:
 
 @dataclass(frozen=True, slots=True)
 class StartReconstruction:
-    """Reconstruct a sequence. Answer CoarseReady (may be left out) and then FullReady, or ReconstructionFailed; of a
-    second sequence PairMerged or PairFailed."""
+    """Reconstruct a sequence. Answer News, the last of which is a FullCloud, a PatternIdentity with a fault, or a ReconstructionFailure; of
+    a second sequence a Bracket or a ReconstructionFailure."""
 
     number: int
 

@@ -1,13 +1,12 @@
 """Owns what can happen to the instrument: every input of ``step`` as a frozen value.
 
-Events about a scan carry the ``number`` of the Capture effect that began it, so that an answer that comes too late
+What a scan's frames give comes as ``News``, as the worker tells it. Events about a scan carry the ``number`` of the Capture effect that began it, so that an answer that comes too late
 is recognised and ignored.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from appliance.calibration.guide import RecordingCheck, Session
 from appliance.machine.failure import Failure
@@ -15,14 +14,9 @@ from appliance.machine.states import Device, Part
 from appliance.machine.transfer import Transfer
 from appliance.machine.words import Label
 from appliance.ranging.reach import Range
-from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault, FaultCode
-from appliance.scan.guidance import Guidance
-from appliance.scan.overlap import Overlap
+from appliance.scan.news import LiveGuidance, News
 from drivers.api import Key, Telemetry
-
-if TYPE_CHECKING:
-    from appliance.reconstruct.quality import CloudSummary
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,82 +171,6 @@ class RawStored:
 
 
 @dataclass(frozen=True, slots=True)
-class PatternsRight:
-    """Every frame shows the pattern it should."""
-
-    number: int
-
-
-@dataclass(frozen=True, slots=True)
-class CoarseReady:
-    number: int
-    summary: CloudSummary
-
-
-@dataclass(frozen=True, slots=True)
-class FullReady:
-    number: int
-    summary: CloudSummary
-
-
-@dataclass(frozen=True, slots=True)
-class Judged:
-    """The judges spoke: what they hold against the scan now, in place of what they said before; nothing: it is good."""
-
-    number: int
-    warnings: tuple[Fault, ...] = ()
-    proposal: Exposure | None = None
-    """Exposure proposed for the next scan, if not that of this one."""
-    second: Exposure | None = None
-    """Exposure by which a second sequence of the same scene would add something; ``None``: one exposure serves."""
-
-
-@dataclass(frozen=True, slots=True)
-class OverlapTold:
-    """It is known how much of the scan lies on the one before of its object; it may come after the scan was saved."""
-
-    number: int
-    overlap: Overlap
-
-
-@dataclass(frozen=True, slots=True)
-class Guided:
-    """A live picture was looked at: what a scan from there would have in common with the one that was kept."""
-
-    guidance: Guidance | None
-    """``None``: it cannot be told."""
-    taken_ns: int
-    """Time of the picture."""
-
-
-@dataclass(frozen=True, slots=True)
-class PairMerged:
-    """The second sequence shows the same as the first: the scan's cloud is that of both."""
-
-    number: int
-    """Number of the scan, which is the first sequence's."""
-    summary: CloudSummary
-    warnings: tuple[Fault, ...] = ()
-    """Faults held against both, in place of what was held against the first."""
-
-
-@dataclass(frozen=True, slots=True)
-class PairFailed:
-    """No pair came of the second sequence; the scan is what it was before."""
-
-    number: int
-    fault: Fault
-
-
-@dataclass(frozen=True, slots=True)
-class ReconstructionFailed:
-    """A fault that spoils the scan (a wrong pattern) ends it; any other leaves the raw frames to be kept."""
-
-    number: int
-    fault: Fault
-
-
-@dataclass(frozen=True, slots=True)
 class Saved:
     """Published: the scan survives the loss of power a millisecond later."""
 
@@ -350,15 +268,8 @@ Event = (
     | CaptureFinished
     | CaptureFailed
     | RawStored
-    | PatternsRight
-    | CoarseReady
-    | FullReady
-    | Judged
-    | OverlapTold
-    | Guided
-    | PairMerged
-    | PairFailed
-    | ReconstructionFailed
+    | News
+    | LiveGuidance
     | Saved
     | SaveFailed
     | Rejected

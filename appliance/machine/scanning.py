@@ -7,14 +7,25 @@ from typing import assert_never
 
 from appliance.machine import calibrate, saving, thermal
 from appliance.machine import effects as do
-from appliance.machine import events as on
 from appliance.machine.conditions import raised
 from appliance.machine.moves import RECORDING, Result, enter, home
 from appliance.machine.permissions import other_exposure, refusal, second_exposure
 from appliance.machine.states import Device, Machine, Notice, NoticeKind, ScanInHand, State, seconds_ns
 from appliance.ranging.reach import Reach
 from appliance.scan.fault import Fault, FaultCode
-from appliance.scan.grade import SPOILS_SCAN
+from appliance.scan.grade import SPOILS_SCAN, faults_of_both
+from appliance.scan.news import (
+    Bracket,
+    CoarseCloud,
+    FullCloud,
+    PatternIdentity,
+    ReconstructionFailure,
+    ScanOverlap,
+    SequenceFact,
+    Verdicts,
+    WorkProgress,
+)
+from appliance.scan.verdict import Judgement, faults_in
 from drivers.api import Key
 
 SILENT_RETRIES = 1
@@ -167,59 +178,79 @@ def failed(machine: Machine, number: int, fault: Fault) -> Result:
 # ------------------------------------------------------------------------------------- checked
 
 
-def patterns_right(machine: Machine, number: int) -> Result:
+def told(machine: Machine, number: int, fact: SequenceFact) -> Result:
+    """Take over a fact about what the frames of scan ``number`` give."""
+    if isinstance(fact, ScanOverlap):
+        # Also where the diver kept it before this was known.
+        return (replace(machine, overlap=fact.overlap), ()) if number == machine.overlap_of else (machine, ())
+    scan = machine.scan
+    if scan is None or scan.number != number:
+        return machine, ()
+    match fact:
+        case PatternIdentity(judgement):
+            return _patterns_right(machine) if judgement.fault is None else _no_points(machine, scan, judgement.fault)
+        case CoarseCloud(found):
+            return _show(replace(machine, scan=replace(scan, coarse=found.summary)))
+        case Verdicts(judgements):
+            return replace(machine, scan=_judged(scan, judgements)), ()
+        case FullCloud(found, judgements):
+            return _show(replace(machine, scan=replace(_judged(scan, judgements), full=found.summary, failed=None)))
+        case Bracket():
+            return _second_known(machine, scan, fact)
+        case ReconstructionFailure(fault):
+            return _no_points(machine, scan, fault)
+        case WorkProgress():
+            return machine, ()
+        case _:
+            assert_never(fact)
+
+
+def _patterns_right(machine: Machine) -> Result:
     """Go on to the points, as each frame shows the pattern it should."""
-    if machine.state is not State.CHECK or machine.scan is None or machine.scan.number != number:
+    if machine.state is not State.CHECK:
         return machine, ()
     return enter(machine, State.RECONSTRUCT, machine.settings.reconstruct_s), ()
 
 
-def reconstruction(machine: Machine, event: on.CoarseReady | on.FullReady | on.ReconstructionFailed) -> Result:
-    """Take over news of the cloud."""
-    scan = machine.scan
-    if scan is None or scan.number != event.number:
+def _judged(scan: ScanInHand, judgements: tuple[Judgement, ...]) -> ScanInHand:
+    """Return the scan with what is held against it now, and with the first proposals of its judges."""
+    proposal = next((one.proposal for one in judgements if one.proposal is not None), None)
+    second = next((one.second for one in judgements if one.second is not None), None)
+    return replace(scan, warnings=faults_in(judgements), proposal=proposal, second=second)
+
+
+def _no_points(machine: Machine, scan: ScanInHand, fault: Fault) -> Result:
+    """Go on without points of the sequence that was recorded last."""
+    if scan.publishing:
+        return machine, ()  # it was accepted with what there was
+    # Where the scan has its points, only a second sequence can have failed to get any.
+    if scan.full is not None:
+        return _not_added(machine, scan, fault)
+    if fault.code in SPOILS_SCAN:
+        dropped, effects = drop(machine, fault.detail or fault.code.value)
+        return replace(dropped, notice=Notice(fault, NoticeKind.FAILURE)), effects
+    return no_cloud(machine, fault, cancel=False)
+
+
+def _second_known(machine: Machine, scan: ScanInHand, bracket: Bracket) -> Result:
+    """Go to the review of a scan that is one of two exposures now, or of the first one alone."""
+    if bracket.found is None:
+        return _not_added(machine, scan, bracket.fault)
+    if machine.state is not State.RECONSTRUCT or scan.adding is None:
         return machine, ()
-    match event:
-        case on.CoarseReady():
-            return _show(replace(machine, scan=replace(scan, coarse=event.summary)))
-        case on.FullReady():
-            return _show(replace(machine, scan=replace(scan, full=event.summary, failed=None)))
-        case on.ReconstructionFailed():
-            if scan.publishing:
-                return machine, ()  # it was accepted with what there was
-            if event.fault.code in SPOILS_SCAN:
-                dropped, effects = drop(machine, event.fault.detail or event.fault.code.value)
-                return replace(dropped, notice=Notice(event.fault, NoticeKind.FAILURE)), effects
-            return no_cloud(machine, event.fault, cancel=False)
-        case _:
-            assert_never(event)
-
-
-def judged(machine: Machine, said: on.Judged) -> Machine:
-    """Take over what is held against the scan now."""
-    scan = machine.scan
-    if scan is None or scan.number != said.number:
-        return machine
-    return replace(machine, scan=replace(scan, warnings=said.warnings, proposal=said.proposal, second=said.second))
-
-
-def merged(machine: Machine, said: on.PairMerged) -> Result:
-    """Go to the review of a scan that is one of two exposures now."""
-    scan = machine.scan
-    if machine.state is not State.RECONSTRUCT or scan is None or scan.number != said.number or scan.adding is None:
-        return machine, ()
+    summary = bracket.found.summary
     scan = replace(
-        scan, full=said.summary, coarse=said.summary, warnings=said.warnings, added=scan.second, second=None,
+        scan, full=summary, coarse=summary, added=scan.second, second=None,
+        warnings=faults_of_both((*scan.warnings, *faults_in((*bracket.second, bracket.pair)))),
         # The second frames are in memory only until StoreRaw is answered; durable is said of all of the scan.
         adding=None, proposal=None, raw_durable=False,
     )  # fmt: skip
     return replace(enter(machine, State.REVIEW), scan=scan), (do.StoreRaw(scan.number),)
 
 
-def not_merged(machine: Machine, number: int, fault: Fault) -> Result:
+def _not_added(machine: Machine, scan: ScanInHand, fault: Fault) -> Result:
     """Go back to the review of the first sequence, as it was."""
-    scan = machine.scan
-    if machine.state is not State.RECONSTRUCT or scan is None or scan.number != number or scan.adding is None:
+    if machine.state is not State.RECONSTRUCT or scan.adding is None:
         return machine, ()
     return replace(home(machine), notice=_failure(machine, fault)), ()
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import TYPE_CHECKING
 
 from appliance.calibration.guide import RecordingCheck, Session, Step
 from appliance.machine.choices import Choices, Offers
@@ -19,14 +18,12 @@ from appliance.machine.words import Label
 from appliance.optics.volume import STANDARD, WorkingVolume
 from appliance.patterns.sequence import PERIODS_PX, build_sequence
 from appliance.ranging.reach import Range, Reach
+from appliance.scan.cloud import CloudSummary
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault
 from appliance.scan.guidance import Guidance
 from appliance.scan.overlap import Overlap
 from drivers.api import Key
-
-if TYPE_CHECKING:  # carried from the worker to the screens, never read here: no kernels are needed to decide
-    from appliance.reconstruct.quality import CloudSummary
 
 
 class State(Enum):

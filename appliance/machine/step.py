@@ -21,6 +21,7 @@ from appliance.machine.states import Device, Ending, Machine, Notice, NoticeKind
 from appliance.machine.transfer import NOT_TOLD
 from appliance.ranging.reach import Reach, reach_of
 from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.news import LiveGuidance, News
 
 
 def step(machine: Machine, event: on.Event) -> Result:
@@ -92,22 +93,11 @@ def _react(machine: Machine, event: on.Event) -> Result:
             return scanning.failed(machine, number, fault)
         case on.RawStored(number):
             return calibrate.stored(saving.raw_stored(machine, number), number)
-        case on.PatternsRight(number):
-            return scanning.patterns_right(machine, number)
-        case on.CoarseReady() | on.FullReady() | on.ReconstructionFailed():
-            return scanning.reconstruction(machine, event)
-        case on.Judged():
-            return scanning.judged(machine, event), ()
-        case on.OverlapTold(number, overlap):
-            # Also where the diver kept it before this was known.
-            return (replace(machine, overlap=overlap), ()) if number == machine.overlap_of else (machine, ())
-        case on.Guided(guidance, taken_ns):
+        case News(number, fact):
+            return scanning.told(machine, number, fact)
+        case LiveGuidance(guidance, taken_ns):
             # One that could not be told does not unsay the one before, which goes by its age.
             return (machine if guidance is None else replace(machine, guidance=guidance, guided_ns=taken_ns)), ()
-        case on.PairMerged():
-            return scanning.merged(machine, event)
-        case on.PairFailed(number, fault):
-            return scanning.not_merged(machine, number, fault)
         case on.Saved(number, scan_id):
             return saving.saved(machine, number, scan_id)
         case on.SaveFailed(number, fault):

@@ -13,14 +13,15 @@ from appliance.calibration.file import Calibration
 from appliance.offline.empty import Empty, why_empty
 from appliance.optics.water import Water
 from appliance.patterns.sequence import PatternSequence, build_sequence
-from appliance.processing.bracket import ProcessedSequence, faults_of
-from appliance.processing.procedure import AllJudged, FullFound, SequenceProcessor
+from appliance.processing.bracket import ProcessedSequence
+from appliance.processing.procedure import SequenceProcessor
 from appliance.reconstruct.pipeline import Cloud, Pipeline
 from appliance.reconstruct.quality import QualityLimits
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.fault import Fault, FaultCode
-from appliance.scan.grade import SPOILS_POINTS, SPOILS_SCAN
-from appliance.scan.verdict import Judgement
+from appliance.scan.grade import SPOILS_POINTS, SPOILS_SCAN, faults_of_both
+from appliance.scan.news import FullCloud, Verdicts
+from appliance.scan.verdict import Judgement, faults_in
 from appliance.storage import scan as stored
 
 
@@ -95,7 +96,7 @@ class ReprocessedBracket:
     @property
     def faults(self) -> tuple[Fault, ...]:
         """The faults that are held against the pair."""
-        return faults_of(self.first, self.second, self.pair)
+        return faults_of_both(faults_in((*self.first, *self.second, self.pair)))
 
 
 def reprocess_bracket(
@@ -128,7 +129,7 @@ def reprocess_bracket(
         merged = processor.merge_with(held[0])
         cloud = None if merged.found is None else pipeline.table.cloud(merged.found)
         empty = None if cloud is None else why_empty(pipeline, cloud, judged[1])
-        return ReprocessedBracket(cloud, water, judged[0], judged[1], merged.judgement, empty)
+        return ReprocessedBracket(cloud, water, judged[0], judged[1], merged.pair, empty)
 
 
 def _work_through(
@@ -137,19 +138,19 @@ def _work_through(
     settings: AcquisitionSettings,
     count: int,
     progress: Callable[[str], None],
-) -> FullFound:
+) -> FullCloud:
     """Take every step with one stored sequence of ``count`` frames, also where it shows wrong patterns; return the last one."""
     progress("loading")
     processor.begin(settings)
     for index in processor.push_all(frames):
         progress(f"decoding frame {index + 1} of {count}")
     progress("judging")
-    full: FullFound | None = None
+    full: FullCloud | None = None
     for step in processor.steps(even_if_wrong=True):
         match step:
-            case AllJudged():
+            case Verdicts():
                 progress("taking the motion out" if step.compensating else "matching")
-            case FullFound():
+            case FullCloud():
                 full = step
             case _:
                 pass

@@ -6,7 +6,7 @@ own points, and the second cloud is laid against the first. Anything else is ref
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -18,10 +18,11 @@ from appliance.reconstruct.merge import Agreement, merge
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.register import Registration, register
 from appliance.reconstruct.surface import surface_of
-from appliance.reconstruct.table import Cloud, Found
+from appliance.reconstruct.table import Cloud
+from appliance.scan.cloud import Found
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault, FaultCode
-from appliance.scan.grade import MADE_UP_FOR
+from appliance.scan.news import Bracket
 from appliance.scan.noise import StereoNoise
 from appliance.scan.sides import SIDES, of_side
 from appliance.scan.verdict import Judgement, Verdict
@@ -54,31 +55,21 @@ class ProcessedSequence:
     """True if the points are spoilt, too: the motion could not be taken out of them."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Merged:
-    """Result of merging both sequences."""
-
-    found: Found | None
-    """The cloud of both, in the pipeline's table; ``None``: refused, and the judgement has the fault."""
-    judgement: Judgement
-    """The verdict ``pair``."""
-
-
 @dataclass(slots=True)
 class _Story:
     numbers: dict[str, float | None] = field(default_factory=dict)
 
-    def refused(self, why: str) -> Merged:
+    def refused(self, why: str) -> Bracket:
         verdict = Verdict("pair", False, self.numbers, why)
-        return Merged(None, Judgement(verdict, Fault(FaultCode.MOVED, why, _known(self.numbers))))
+        return Bracket(None, Judgement(verdict, Fault(FaultCode.MOVED, why, _known(self.numbers))))
 
-    def merged(self, found: Found, how: str) -> Merged:
+    def merged(self, found: Found, how: str) -> Bracket:
         self.numbers["points"] = float(found.summary.points)
-        return Merged(found, Judgement(Verdict("pair", True, self.numbers, how)))
+        return Bracket(found, Judgement(Verdict("pair", True, self.numbers, how)))
 
 
-def merge_bracket(pipeline: Pipeline, first: ProcessedSequence, second: ProcessedSequence) -> Merged:
-    """Return the cloud of both in the frame of the first; after ``pipeline`` found the second one's full cloud.
+def merge_bracket(pipeline: Pipeline, first: ProcessedSequence, second: ProcessedSequence) -> Bracket:
+    """Return the cloud of both in the frame of the first, and their judgement; after ``pipeline`` found the second one's full cloud.
 
     The pipeline's maps are changed. The same two sequences give the same points, bit by bit.
     """
@@ -117,17 +108,6 @@ def merge_bracket(pipeline: Pipeline, first: ProcessedSequence, second: Processe
     story.numbers["points_both_percent"] = 100.0 * both.both
     story.numbers["points_masked_percent"] = 100.0 * both.masked
     return story.merged(pipeline.table.put(both.cloud), f"moved by {_amount(found)} in between: points were registered")
-
-
-def faults_of(first: Iterable[Judgement], second: Iterable[Judgement], pair: Judgement) -> tuple[Fault, ...]:
-    """Return the faults of the pair: those of either sequence's judges, but for too much or too little light, which the
-    other one makes up for."""
-    # The first one of a code stands: the order is that in which they were found.
-    codes: dict[FaultCode, Fault] = {}
-    for judgement in (*first, *second, pair):
-        if judgement.fault is not None and judgement.fault.code not in MADE_UP_FOR:
-            codes.setdefault(judgement.fault.code, judgement.fault)
-    return tuple(codes.values())
 
 
 def _merge_maps(

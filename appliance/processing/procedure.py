@@ -6,9 +6,10 @@ and the tests all run it, so that the same frames get the same points and the sa
 
 from __future__ import annotations
 
+import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from appliance.calibration.file import Calibration
 from appliance.compensation.attempt import Attempt, attempt
 from appliance.optics.water import Water
-from appliance.processing.bracket import Merged, ProcessedSequence, merge_bracket
+from appliance.processing.bracket import ProcessedSequence, merge_bracket
 from appliance.processing.gathering import Gatherer
 from appliance.processing.judges import JudgeInput, in_order, is_fault, judged_by_all
 from appliance.reconstruct.crew import WorkItem, WorkList, answers
@@ -25,10 +26,19 @@ from appliance.reconstruct.decode.decoder import DecodedMaps
 from appliance.reconstruct.decode.specks import mask_specks
 from appliance.reconstruct.images import ScanImages
 from appliance.reconstruct.pipeline import Pipeline
-from appliance.reconstruct.quality import CloudSummary
-from appliance.reconstruct.table import Cloud, Found
+from appliance.reconstruct.table import Cloud
 from appliance.scan.acquisition import AcquisitionSettings
+from appliance.scan.cloud import CloudSummary, Found
 from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.news import (
+    Bracket,
+    CoarseCloud,
+    FullCloud,
+    PatternIdentity,
+    SequenceFact,
+    Verdicts,
+    WorkProgress,
+)
 from appliance.scan.sides import SIDES, of_side
 from appliance.scan.verdict import Judgement, Verdict
 from appliance.verdict.causes import with_causes
@@ -37,51 +47,6 @@ from appliance.verdict.identity.judge import judge_identity
 
 WORTH_MASKING_PERCENT = 0.02
 """Share of the pixels with coordinates; where specks disturb fewer, they are not looked for one by one: 20 ms of a scan."""
-
-
-@dataclass(frozen=True, slots=True)
-class Identified:
-    """The identity of the frames was judged: each shows the pattern it should, or not. With a fault, points would mean
-    nothing."""
-
-    judgement: Judgement
-
-
-@dataclass(frozen=True, slots=True)
-class CoarseFound:
-    """The coarse cloud is in the pipeline's table."""
-
-    found: Found
-
-
-@dataclass(frozen=True, slots=True)
-class OneJudged:
-    """One judge has spoken; more follow. It shows that the work goes on."""
-
-    name: str
-
-
-@dataclass(frozen=True, slots=True)
-class AllJudged:
-    """All judgements of the scan, identity first, in place of what was said before."""
-
-    judgements: tuple[Judgement, ...]
-    cpu_s: float
-    """Processor time of all judges but that of identity; 0 where they are only weighed anew."""
-    compensating: bool = False
-    """Instrument and scene moved against each other; it is tried next to take that out of the points."""
-
-
-@dataclass(frozen=True, slots=True)
-class FullFound:
-    """The full cloud is in the pipeline's table, and nothing follows."""
-
-    found: Found
-    judgements: tuple[Judgement, ...]
-    """Final judgements of the scan, weighed with the full cloud."""
-
-
-Step = Identified | CoarseFound | OneJudged | AllJudged | FullFound
 
 
 class SequenceProcessor:
@@ -145,17 +110,19 @@ class SequenceProcessor:
             for side in SIDES:
                 self.push(side, frames[side], index)
 
-    def steps(self, *, even_if_wrong: bool = False) -> Iterator[Step]:
-        """Work on the sequence after its last frame; yields what is known as soon as it is. It may be left at any step.
+    def steps(self, *, even_if_wrong: bool = False) -> Iterator[SequenceFact]:
+        """Work on the sequence after its last frame; yields each fact as soon as it is known. It may be left at any of them.
 
-        Where a frame shows another pattern than it should, nothing follows ``Identified`` unless ``even_if_wrong``. Raises
+        Where a frame shows another pattern than it should, nothing follows ``PatternIdentity`` unless ``even_if_wrong``. Raises
         ValueError where frames are missing.
         """
+        begun_s = time.process_time()
         with self._tasks as tasks:
             answers(self._last_frames)
-            yield from self._steps(tasks, even_if_wrong)
+            yield from self._steps(tasks, begun_s, even_if_wrong)
 
-    def _steps(self, tasks: WorkList, even_if_wrong: bool) -> Iterator[Step]:
+    def _steps(self, tasks: WorkList, told_s: float, even_if_wrong: bool) -> Iterator[SequenceFact]:
+        """``told_s``: processor time up to which facts have said what they took."""
         pipeline, settings, rig = self._pipeline, self._settings, self._calibration.rig
         gathered = {side: gatherer.finish() for side, gatherer in self._gatherers.items()}
         lines = {side: one.lines for side, one in gathered.items()}
@@ -164,7 +131,7 @@ class SequenceProcessor:
         # begun beside it, and then was made in vain.
         finding = tasks.add(pipeline.find_coarse)
         identity = judge_identity(self._frames, pipeline.sequence, settings.noise, settings.exposure, lines)
-        yield Identified(identity)
+        yield PatternIdentity(identity)
         if identity.fault is not None and not even_if_wrong:
             return
         coarse = finding.answer(helping=True)
@@ -174,7 +141,9 @@ class SequenceProcessor:
         given = JudgeInput(images, gathered, pipeline.table.cloud(coarse), rig, self._water.index, identity, pipeline)
         bend = pipeline.bend()
         judging = judged_by_all(given, tasks)
-        yield CoarseFound(coarse)
+        now_s = time.process_time()
+        yield CoarseCloud(coarse, now_s - told_s)
+        told_s = now_s
 
         spoken: dict[str, Judgement | None] = {}
         judged_s = 0.0
@@ -186,10 +155,12 @@ class SequenceProcessor:
             # coordinates are changed first, specks masked or a bend taken out, it waits: judges read them.
             if one.name == "water" and not bend.counts and not _specks_count(one.judgement):
                 begun = pipeline.begin_full(tasks)
-            yield OneJudged(one.name)
+            yield WorkProgress(one.name)
         said = in_order(spoken)
         self._moved = is_fault(said["motion"])
-        yield AllJudged((identity, *self._weighed(said, coarse.summary)), judged_s, compensating=self._moved)
+        # The judges' own time: the full cloud may be in work before all of them have spoken.
+        told_s += judged_s
+        yield Verdicts((identity, *self._weighed(said, coarse.summary)), judged_s, compensating=self._moved)
 
         full: Found | None = None
         if self._moved:
@@ -205,7 +176,9 @@ class SequenceProcessor:
                 self._compensated = True
                 said["motion"] = replace(motion, fault=Fault(FaultCode.COMPENSATED, motion.verdict.text))
             said["compensation"] = Judgement(_compensation(tried, settings.frame_s))
-            yield AllJudged((identity, *self._weighed(said, full.summary)), 0.0)
+            now_s = time.process_time()
+            yield Verdicts((identity, *self._weighed(said, full.summary)), now_s - told_s)
+            told_s = now_s
         # Not both: specks are told by frames that differ, which they do wherever something moved.
         elif _specks_count(said["water"]):
             pipeline.crew.each(self._mask_specks, SIDES)  # what passed by makes no points
@@ -214,7 +187,32 @@ class SequenceProcessor:
         full = full or (begun() if begun is not None else pipeline.find_full())
         self._full = full
         said["holes"], said["distance"] = self._judge_holes(full), judge_distance(full.summary, rig.volume)
-        yield FullFound(full, (identity, *self._weighed(said, full.summary)))
+        # Causes are weighed again, with the full cloud.
+        weighed = (identity, *self._weighed(said, full.summary))
+        yield FullCloud(full, weighed, time.process_time() - told_s)
+
+    def bracket_steps(self, first: ProcessedSequence) -> Iterator[SequenceFact]:
+        """Work on the second sequence of a scan after its last frame, and merge it with the ``first``; the last fact is the ``Bracket``.
+
+        It may be left at any of them. Raises ValueError where frames are missing.
+        """
+        begun_s = time.process_time()
+        judgements: tuple[Judgement, ...] = ()
+        for fact in self.steps():
+            match fact:
+                case PatternIdentity(judgement):
+                    judgements = (judgement,)
+                case FullCloud():
+                    judgements = fact.judgements
+                case _:
+                    pass
+            yield WorkProgress("second exposure")
+        if self.finished:
+            bracket = self.merge_with(first)
+        else:
+            verdict = Verdict("pair", False, {}, "the second exposure's frames are not what they should be")
+            bracket = Bracket(None, Judgement(verdict, judgements[0].fault))
+        yield replace(bracket, second=judgements, cpu_s=time.process_time() - begun_s)
 
     def _judge_holes(self, full: Found) -> Judgement:
         """Judge the final cloud, which is in the table, against what the left camera saw."""
@@ -235,12 +233,12 @@ class SequenceProcessor:
         decoded, noise = self._pipeline.decoded(side), of_side(self._settings.noise, side)
         mask_specks(self._pipeline.sequence, self._frames[side], decoded, noise)
 
-    def run(self, *, even_if_wrong: bool = False) -> FullFound | None:
+    def run(self, *, even_if_wrong: bool = False) -> FullCloud | None:
         """Take all ``steps`` at once; returns the last one, ``None`` where wrong patterns ended them. Raises ValueError."""
         (last,) = deque(self.steps(even_if_wrong=even_if_wrong), maxlen=1)
-        return last if isinstance(last, FullFound) else None
+        return last if isinstance(last, FullCloud) else None
 
-    def process(self, frames: Mapping[str, NDArray[np.uint8]], settings: AcquisitionSettings) -> FullFound:
+    def process(self, frames: Mapping[str, NDArray[np.uint8]], settings: AcquisitionSettings) -> FullCloud:
         """Do everything with a whole sequence, also where it shows wrong patterns: ``begin``, ``push`` and all ``steps``.
 
         Raises ValueError where ``frames`` are not of the sequence.
@@ -258,14 +256,14 @@ class SequenceProcessor:
         return self._full is not None
 
     def cloud(self, found: Found) -> Cloud:
-        """Return a copy of the points that a step has just found."""
+        """Return a copy of the points that were found last."""
         return self._pipeline.table.cloud(found)
 
     def hold(self) -> ProcessedSequence:
         """Return a copy of this sequence, for a second one to be merged with. Raises ValueError unless ``finished``."""
         return self._processed({side: self._pipeline.decoded(side).copied() for side in SIDES})
 
-    def merge_with(self, first: ProcessedSequence) -> Merged:
+    def merge_with(self, first: ProcessedSequence) -> Bracket:
         """Merge this sequence, the second of its scan, with the ``first`` one; raises ValueError unless ``finished``."""
         return merge_bracket(self._pipeline, first, self._processed({}))
 

@@ -13,9 +13,10 @@ from appliance.optics.water import Water
 from appliance.patterns.sequence import Direction, PatternSequence
 from appliance.reconstruct.decode.decoder import CameraDecoder, edge_limits_px
 from appliance.reconstruct.one_direction import OneDirectionLimits, UncheckedPoints, match_along_curves
-from appliance.reconstruct.quality import CloudSummary, QualityLimits
+from appliance.reconstruct.quality import QualityLimits
 from appliance.reconstruct.sigma import four_step_variance_px2
 from appliance.reconstruct.table import Cloud
+from appliance.scan.cloud import CloudSummary
 from appliance.scan.noise import CameraNoise, StereoNoise
 from appliance.scan.sides import SIDES, of_side
 

@@ -16,10 +16,10 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.reconstruct.quality import CloudSummary
 from appliance.reconstruct.register import Registration
 from appliance.reconstruct.surface import TERMS, Surface, normal_at, pixel_of
 from appliance.reconstruct.table import Cloud
+from appliance.scan.cloud import CloudSummary
 
 MAX_SIGMA = 5.0
 """Largest distance over its noise of two points of one surface: they are farther apart once in a million."""

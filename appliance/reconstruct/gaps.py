@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibration.gaps import GapModes
-from appliance.calibration.patches import PatchGaps, average
+from appliance.calibration.patches import average
 from appliance.reconstruct.match import RightMaps, match_row
 from appliance.reconstruct.scratch import SIZE, SX1, SX2, SY1, SY2, X1, X2, Y1, Y2, P, Q, U, V, Z
 from appliance.reconstruct.triangulate import Rays, triangulate_row
+from appliance.scan.cloud import PatchGaps
 
 SAMPLES = 5_000
 """Number of left pixels that are asked: a hundred in each patch of a lit image, so that noise is a tenth of that of a point."""

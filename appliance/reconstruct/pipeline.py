@@ -35,9 +35,10 @@ from appliance.reconstruct.scratch import MAX_WIDTH_PX
 from appliance.reconstruct.select import PointLimits
 from appliance.reconstruct.sigma import SigmaFactors, read_between, sigma_factors
 from appliance.reconstruct.straighten import CoordinateMaps, PhaseBend, measure_bend, take_out
-from appliance.reconstruct.table import Cloud, Found, PointTable
+from appliance.reconstruct.table import Cloud, PointTable
 from appliance.reconstruct.triangulate import Rays, rays_of
 from appliance.reconstruct.veil import VeilFringes, find_veil, looks_veiled, remove_veil
+from appliance.scan.cloud import Found
 from appliance.scan.noise import TYPICAL_PAIR, StereoNoise
 from appliance.scan.sides import SIDES, of_side
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from appliance.optics.volume import WorkingVolume
 from appliance.reconstruct.select import Points
+from appliance.scan.cloud import CloudSummary
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,21 +32,6 @@ class QualityLimits:
         return replace(
             self, min_depth_mm=volume.scaled(self.min_depth_mm), max_depth_mm=volume.scaled(self.max_depth_mm)
         )
-
-
-@dataclass(frozen=True, slots=True)
-class CloudSummary:
-    """Numbers of a cloud that the diver and the manifest are told."""
-
-    points: int
-    coverage_percent: float | None
-    """Points over left pixels with projector light; ``None`` when nothing was lit."""
-    distance_mm: float | None
-    """Median distance of the points from the rig's front along the viewing direction, as depth in the left frame."""
-    noise_mm: float | None
-    """Median expected sigma."""
-    gap_mm: float | None
-    """Median ray gap; ``None`` also where points have none."""
 
 
 SAMPLE = 8_000

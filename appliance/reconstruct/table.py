@@ -8,9 +8,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibration.patches import PatchGaps
-from appliance.reconstruct.quality import CloudSummary
 from appliance.reconstruct.select import Points
+from appliance.scan.cloud import CloudSummary, Found, PatchGaps
 
 Column = TypeVar("Column", bound=np.generic)
 _XYZ_BYTES, _FLOAT_BYTES, _PIXEL_BYTES = 12, 4, 4
@@ -43,17 +42,6 @@ class Cloud:
             self.points_mm[k], self.intensity[k], self.modulation_dn[k], self.ray_gap_mm[k], self.sigma_mm[k],
             self.pixel[k], self.summary,
         )  # fmt: skip
-
-
-@dataclass(frozen=True, slots=True)
-class Found:
-    """A found cloud: where in the table its points are, and what describes it."""
-
-    pieces: tuple[tuple[int, int], ...]
-    """(first, stop) of each thread's share; what lies between them means nothing."""
-    summary: CloudSummary
-    gaps: PatchGaps | None = None
-    """Signed gaps before any limit, as ``Cloud.gaps``."""
 
 
 class PointTable:

@@ -6,10 +6,10 @@ It is made once, on board, from the numbers of the cloud and what the judges hol
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from enum import Enum
 
-from appliance.scan.fault import FaultCode
+from appliance.scan.fault import Fault, FaultCode
 
 NAME = "grade"
 """Name of the verdict whose text is the grade's value."""
@@ -78,3 +78,14 @@ def _within(coverage_percent: float | None, noise_mm: float | None, least: float
     if coverage_percent is None or noise_mm is None:
         return False
     return coverage_percent >= least and noise_mm <= most_mm
+
+
+def faults_of_both(faults: Iterable[Fault]) -> tuple[Fault, ...]:
+    """Return the faults of a scan of two exposures, given those held against either sequence and against the pair: but for too much
+    or too little light, which the other exposure makes up for."""
+    # The first one of a code stands: the order is that in which they were found.
+    codes: dict[FaultCode, Fault] = {}
+    for fault in faults:
+        if fault.code not in MADE_UP_FOR:
+            codes.setdefault(fault.code, fault)
+    return tuple(codes.values())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from appliance.scan.exposure import Exposure
@@ -16,7 +16,7 @@ class Verdict:
     name: str
     """Name like ``ledger``, ``identity``, ``motion``, ``exposure`` …"""
     passed: bool | None
-    numbers: Mapping[str, float | None] = field(default_factory=dict)
+    numbers: Mapping[str, float | None] = field(default_factory=dict, hash=False)
     text: str = ""
 
     @classmethod
@@ -39,3 +39,8 @@ class Judgement:
     remembered: object | None = None
     """Evidence for whoever compares scans with each other, given beside the verdict and never stored. ``None``:
     nothing."""
+
+
+def faults_in(judgements: Iterable[Judgement]) -> tuple[Fault, ...]:
+    """Return the faults of ``judgements``, in their order."""
+    return tuple(one.fault for one in judgements if one.fault is not None)

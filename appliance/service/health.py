@@ -9,8 +9,8 @@ from pathlib import Path
 from appliance.calibration.file import Calibration
 from appliance.calibration.gaps import TURNS, GapModes, in_words
 from appliance.calibration.health import UNMEASURED, HealthJudgement, HealthTrend, answered, judge, likeliest
-from appliance.calibration.patches import PatchGaps
 from appliance.machine import events as on
+from appliance.scan.cloud import PatchGaps
 from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.verdict import Verdict
 from appliance.storage.atomic import StorageError

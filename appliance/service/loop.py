@@ -26,7 +26,8 @@ from appliance.machine.words import Language, Text
 from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.grade import LENGTHS_DOUBTFUL, Grade, grade
 from appliance.scan.grade import NAME as GRADE
-from appliance.scan.verdict import Verdict
+from appliance.scan.news import FullCloud, News, PatternIdentity, ReconstructionFailure, Verdicts
+from appliance.scan.verdict import Verdict, faults_in
 from appliance.screens.painter import Painter
 from appliance.service.inputs import Inputs
 from appliance.service.live import LiveViews
@@ -310,9 +311,11 @@ def spoken(event: on.Event) -> tuple[int, str] | None:
             return logging.WARNING, f"scan {number} of this start failed: {fault_text(fault)}"
         case on.SaveFailed(number, fault):
             return logging.WARNING, f"scan {number} of this start is not saved: {fault_text(fault)}"
-        case on.ReconstructionFailed(number, fault):
+        case News(number, ReconstructionFailure(fault)):
             return logging.WARNING, f"scan {number} of this start was not reconstructed: {fault_text(fault)}"
-        case on.Judged(number, warnings) if warnings:
+        case News(number, PatternIdentity(judgement)) if judgement.fault is not None:
+            return logging.WARNING, f"scan {number} of this start was not reconstructed: {fault_text(judgement.fault)}"
+        case News(number, Verdicts(judgements) | FullCloud(_, judgements)) if warnings := faults_in(judgements):
             # What the screen has room for names the fault; what to do about it in full stands here.
             return logging.INFO, f"scan {number} of this start: {'; '.join(fault_text(one) for one in warnings)}"
         case _:

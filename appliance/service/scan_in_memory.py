@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 from appliance.reconstruct.pipeline import Cloud
 from appliance.scan.exposure import Exposure
-from appliance.scan.verdict import Judgement, Verdict
+from appliance.scan.verdict import Verdict
 from appliance.storage.library import PendingScan
 from appliance.storage.record import ScanRecord, SecondSequence
 from appliance.storage.scan import ScanOrigin
@@ -42,8 +42,6 @@ class ScanInMemory:
     full: Cloud | None = None
     pending: PendingScan | None = None
     raw: Future[PendingScan] | None = None
-    judgements: tuple[Judgement, ...] = ()
-    """The judges' word on the first sequence."""
     second: SecondInMemory | None = None
     times_s: dict[str, float] = field(default_factory=dict)
     """Times since the key press and processor times by stage, as ``ScanRecord.stage_times_s``."""

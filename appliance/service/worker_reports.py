@@ -1,4 +1,4 @@
-"""Owns what the reports of the reconstruction's process mean for the scan in hand, and what the machine hears of them."""
+"""Owns what the worker's news mean for the scan in hand. What they mean for the instrument, the machine says, which gets them as they are."""
 
 from __future__ import annotations
 
@@ -10,27 +10,30 @@ from typing import assert_never
 from appliance.machine import events as on
 from appliance.machine.states import Part
 from appliance.machine.words import Text
-from appliance.processing.bracket import faults_of
 from appliance.reconstruct.pipeline import COARSE_POINTS
 from appliance.reconstruct.table import Cloud
 from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.news import (
+    Bracket,
+    CoarseCloud,
+    FullCloud,
+    LiveGuidance,
+    News,
+    PatternIdentity,
+    ReconstructionFailure,
+    ScanOverlap,
+    SequenceFact,
+    Verdicts,
+    WorkerFailure,
+    WorkProgress,
+)
+from appliance.scan.verdict import Judgement
 from appliance.service.health import CalibrationWatch
 from appliance.service.scan_in_memory import ScanInMemory
 from appliance.service.windows import WindowWatch
 from appliance.verdict.window import Windows
-from appliance.worker.looking import LiveLookedAt
-from appliance.worker.process import (
-    CloudReady,
-    PairJudged,
-    ReconstructionWorker,
-    ScanCompared,
-    ScanJudged,
-    ScanSpoiled,
-    SequenceIdentified,
-    WorkerEvent,
-    WorkerFailed,
-    WorkerReady,
-)
+from appliance.worker.messages import Ready
+from appliance.worker.process import ReconstructionWorker, WorkerEvent
 from drivers.api import Clock
 
 log = logging.getLogger("kingfisher")
@@ -66,56 +69,72 @@ class WorkerReports:
         return events
 
     def meant(self, report: WorkerEvent, scan: ScanInMemory | None) -> list[on.Event]:
+        """Return what the machine hears after ``report``; ``scan`` is the one in hand."""
         match report:
-            case WorkerReady():
+            case Ready():
                 self.settled = True
                 return [on.ConditionCleared(FaultCode.RECONSTRUCTION_FAILED), on.PartTested(Part.WORKER, True)]
-            case WorkerFailed():
-                return self._failed(report, scan)
-            case SequenceIdentified():
-                # The machine compares the number by itself; nothing of the scan in hand is changed.
-                return [on.PatternsRight(report.scan)]
-            case LiveLookedAt(guidance, taken_ns):
-                return [on.Guided(guidance, taken_ns)]
-            case _:
-                pass  # about one scan
-        # The worker may still report on a scan that was dropped or published meanwhile: nobody wants that any more.
-        return [] if scan is None or scan.number != report.scan else self._entered(report, scan)
-
-    def _entered(
-        self, report: CloudReady | ScanJudged | PairJudged | ScanSpoiled | ScanCompared, scan: ScanInMemory
-    ) -> list[on.Event]:
-        match report:
-            case ScanCompared(_, overlap, cpu_s):
-                scan.times_s["overlap_cpu"] = cpu_s
-                return [on.OverlapTold(scan.number, overlap)]
-            case CloudReady():
-                return self._cloud(report, scan)
-            case ScanJudged():
-                return self._judged(report, scan)
-            case PairJudged():
-                return self._bracket(report, scan)
-            case ScanSpoiled(_, judgement):
-                if judgement.fault is None:
+            case LiveGuidance():
+                return [report]
+            case WorkerFailure(text):
+                log.warning("%s", text)
+                return self._given_up(text)
+            case News(number, ReconstructionFailure(fault)):
+                log.warning("%s", fault.detail)
+                if scan is not None and scan.number == number:
+                    self._without_second(scan, fault)
+                return [report, *self._given_up(fault.detail)]
+            case News():
+                # The worker may still tell of a scan that was dropped or published meanwhile: nobody wants that any more.
+                if scan is None or scan.number != report.number:
                     return []
-                scan.enter(judgement.verdict)
-                return [on.ReconstructionFailed(scan.number, judgement.fault)]
+                conditions = self._entered(report.fact, scan)
+                return [] if conditions is None else [report, *conditions]
             case unknown:
                 assert_never(unknown)
 
-    def _cloud(self, ready: CloudReady, scan: ScanInMemory) -> list[on.Event]:
-        stage = "full" if ready.full else "coarse"
+    def _given_up(self, why: str) -> list[on.Event]:
+        """Return what is told of a process that stays down until the next scan begins: frames can still be recorded and saved."""
+        if self._worker.pid is not None:
+            return []
+        self.settled = True
+        fault = Fault(FaultCode.RECONSTRUCTION_FAILED, why)
+        return [on.ConditionRaised(fault), on.PartTested(Part.WORKER, False, Text.GIVEN_UP)]
+
+    def _entered(self, fact: SequenceFact, scan: ScanInMemory) -> list[on.Event] | None:
+        """Enter a fact into its scan; return the conditions that follow, ``None``: the machine is not told of it."""
+        match fact:
+            case PatternIdentity(judgement):
+                if judgement.fault is not None:
+                    scan.enter(judgement.verdict)
+            case CoarseCloud():
+                self._see("coarse", fact.cpu_s, scan)
+                scan.coarse = self._worker.coarse
+            case Verdicts():
+                scan.times_s["judged_cpu"] = scan.times_s.get("judged_cpu", 0.0) + fact.cpu_s
+                return self._judged(fact.judgements, scan)
+            case FullCloud():
+                self._see("full", fact.cpu_s, scan)
+                conditions = self._judged(fact.judgements, scan)
+                # Only the first full cloud of a scan counts for the calibration: its gaps are one sample, however often it is made.
+                again, scan.full = scan.full is not None, self._worker.full
+                return (
+                    conditions if again or scan.full is None else conditions + self._judge_calibration(scan, scan.full)
+                )
+            case Bracket():
+                return self._bracket(fact, scan)
+            case ScanOverlap():
+                scan.times_s["overlap_cpu"] = fact.cpu_s
+            case WorkProgress() | ReconstructionFailure():
+                return None
+            case unknown:
+                assert_never(unknown)
+        return []
+
+    def _see(self, stage: str, cpu_s: float, scan: ScanInMemory) -> None:
         # A scan that is processed again was seen when it was seen first.
         scan.times_s.setdefault(stage, scan.since_begun_s(self._clock.now_ns()))
-        scan.times_s[f"{stage}_cpu"] = ready.cpu_s
-        summary = ready.cloud.summary
-        if not ready.full:
-            scan.coarse = ready.cloud
-            return [on.CoarseReady(scan.number, summary)]
-        # Only the first full cloud of a scan counts for the calibration: its gaps are one sample, however often it is made.
-        again = scan.full is not None
-        scan.full = ready.cloud
-        return [on.FullReady(scan.number, summary), *([] if again else self._judge_calibration(scan, ready.cloud))]
+        scan.times_s[f"{stage}_cpu"] = cpu_s
 
     def _judge_calibration(self, scan: ScanInMemory, cloud: Cloud) -> list[on.Event]:
         """Judge whether the calibration still holds. The scan keeps the verdict; the trend goes to the disk later."""
@@ -125,11 +144,10 @@ class WorkerReports:
         fault = self._calibration.fault
         return [] if fault is None else [on.ConditionRaised(fault)]
 
-    def _judged(self, judged: ScanJudged, scan: ScanInMemory) -> list[on.Event]:
-        scan.times_s["judged_cpu"] = scan.times_s.get("judged_cpu", 0.0) + judged.cpu_s
-        scan.judgements = judged.judgements
+    def _judged(self, judgements: tuple[Judgement, ...], scan: ScanInMemory) -> list[on.Event]:
+        """Write verdicts down; return the conditions that follow from what several scans have said."""
         events: list[on.Event] = []
-        for judgement in judged.judgements:
+        for judgement in judgements:
             if isinstance(judgement.remembered, Windows):
                 counted = self._windows.count(scan.number, judgement.remembered)
                 if counted is not None:
@@ -138,48 +156,28 @@ class WorkerReports:
                     events += conditions
             else:
                 scan.enter(judgement.verdict)
-        faults = tuple(judgement.fault for judgement in judged.judgements if judgement.fault is not None)
-        proposal = next((judgement.proposal for judgement in judged.judgements if judgement.proposal is not None), None)
-        second = next((judgement.second for judgement in judged.judgements if judgement.second is not None), None)
-        return [on.Judged(scan.number, faults, proposal, second), *events]
-
-    def _bracket(self, judged: PairJudged, scan: ScanInMemory) -> list[on.Event]:
-        """Take the cloud of both sequences as the scan's, or give the second one up: nothing has changed then."""
-        second = scan.second
-        if second is None or second.record is None:
-            return []
-        if judged.cloud is None:
-            self._drop()
-            fault = judged.pair.fault or Fault(FaultCode.RECONSTRUCTION_FAILED, judged.pair.verdict.text)
-            log.warning("second exposure of %s not added: %s", second.exposure.label, judged.pair.verdict.text)
-            return [on.PairFailed(scan.number, fault)]
-        verdicts = (*second.record.verdicts, *(judgement.verdict for judgement in judged.second))
-        second.record, second.merged = replace(second.record, verdicts=verdicts), True
-        scan.enter(judged.pair.verdict)
-        scan.full, scan.coarse = judged.cloud, judged.cloud.thinned(COARSE_POINTS)
-        scan.times_s["pair"], scan.times_s["pair_cpu"] = scan.since_begun_s(self._clock.now_ns()), judged.cpu_s
-        faults = faults_of(scan.judgements, judged.second, judged.pair)
-        return [on.PairMerged(scan.number, judged.cloud.summary, faults)]
-
-    def _failed(self, failed: WorkerFailed, scan: ScanInMemory | None) -> list[on.Event]:
-        log.warning("%s", failed.fault.detail)
-        events: list[on.Event] = []
-        if failed.scan is not None:
-            events.append(self._lost(failed.scan, failed.fault, scan))
-        if self._worker.pid is None:
-            # It has given up until the next scan begins: frames can still be recorded and saved.
-            self.settled = True
-            events.append(on.ConditionRaised(failed.fault))
-            events.append(on.PartTested(Part.WORKER, False, Text.GIVEN_UP))
         return events
 
-    def _lost(self, number: int, fault: Fault, scan: ScanInMemory | None) -> on.Event:
-        """Return what fails where the worker found no points: the scan, or its second sequence alone."""
-        if scan is None or scan.number != number or scan.second is None or scan.second.merged:
-            return on.ReconstructionFailed(number, fault)
-        log.warning("second exposure of %s not added: %s", scan.second.exposure.label, fault.detail)
-        self._drop()
-        return on.PairFailed(number, fault)
+    def _bracket(self, bracket: Bracket, scan: ScanInMemory) -> list[on.Event] | None:
+        """Take the cloud of both sequences as the scan's, or give the second one up: nothing has changed then."""
+        second, cloud = scan.second, self._worker.full
+        if second is None or second.record is None:
+            return None
+        if bracket.found is None or cloud is None:
+            self._without_second(scan, bracket.fault)
+            return []
+        verdicts = (*second.record.verdicts, *(judgement.verdict for judgement in bracket.second))
+        second.record, second.merged = replace(second.record, verdicts=verdicts), True
+        scan.enter(bracket.pair.verdict)
+        scan.full, scan.coarse = cloud, cloud.thinned(COARSE_POINTS)
+        scan.times_s["pair"], scan.times_s["pair_cpu"] = scan.since_begun_s(self._clock.now_ns()), bracket.cpu_s
+        return []
+
+    def _without_second(self, scan: ScanInMemory, fault: Fault) -> None:
+        """Give up a second sequence that is under way: the scan is what it was before."""
+        if scan.second is not None and not scan.second.merged:
+            log.warning("second exposure of %s not added: %s", scan.second.exposure.label, fault.detail)
+            self._drop()
 
 
 def _only_tells(report: WorkerEvent) -> bool:
@@ -189,7 +187,9 @@ def _only_tells(report: WorkerEvent) -> bool:
     answered by the machine before anything else is heard.
     """
     match report:
-        case SequenceIdentified() | ScanJudged() | CloudReady(full=False):
+        case News(_, PatternIdentity(judgement)):
+            return judgement.fault is None
+        case News(_, CoarseCloud() | Verdicts()):
             return True
         case _:
             return False

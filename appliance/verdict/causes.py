@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 
 from appliance.optics.water import sight_m
 from appliance.reconstruct.decode.decoder import MIN_MODULATION_DN
-from appliance.reconstruct.quality import CloudSummary
+from appliance.scan.cloud import CloudSummary
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.grade import USABLE_COVERAGE_PERCENT, USABLE_NOISE_MM, is_usable

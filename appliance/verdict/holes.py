@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from appliance.optics.volume import WorkingVolume
 from appliance.reconstruct.decode.decoder import Mask
-from appliance.reconstruct.quality import CloudSummary
+from appliance.scan.cloud import CloudSummary
 from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.noise import FULL_DN
 from appliance.scan.verdict import Judgement, Verdict

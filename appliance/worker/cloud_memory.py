@@ -11,7 +11,8 @@ import sys
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.reconstruct.table import CLOUD_BYTES, Cloud, Found, PointTable
+from appliance.reconstruct.table import CLOUD_BYTES, Cloud, PointTable
+from appliance.scan.cloud import Found
 
 MOST_BLOCKS = 2
 """A scan that is still being published has one while the next one's cloud comes; so have both exposures of one scan."""

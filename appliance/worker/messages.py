@@ -1,6 +1,6 @@
-"""Owns what the worker process and its parent say to each other: typed values, pickled on one pipe.
+"""Owns the messages between the worker process and its parent, pickled on one pipe: orders to it, its signs of life, and ``News``.
 
-A ticket numbers the sequences that were begun; what is said of an earlier one is of no interest any more. Pixels and points
+A ticket numbers the sequences that were begun; news of an earlier one are of no interest any more. Pixels and points
 are never in a message: frames lie in the shared store, clouds in shared memory, where ``Found`` says which part.
 """
 
@@ -8,11 +8,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from appliance.reconstruct.table import Found
 from appliance.scan.acquisition import AcquisitionSettings
-from appliance.scan.guidance import Guidance
-from appliance.scan.overlap import Overlap
-from appliance.scan.verdict import Judgement
+from appliance.scan.news import LiveGuidance, News, WorkerFailure
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,8 +53,8 @@ class Keep:
 class LookAt:
     """The order to the worker: the diver aims at what the live picture in the shared memory shows, and wants to be guided."""
 
-    number: int
-    """Counts these orders; the answer carries it."""
+    taken_ns: int
+    """Time at which the picture was put there; ``LiveGuidance``, the answer, carries it."""
     shape: tuple[int, int]
     """Height and width of the picture, px."""
     belongs_to: int
@@ -78,12 +75,7 @@ class Ping:
 
 @dataclass(frozen=True, slots=True)
 class Ready:
-    """The worker's report: what every scan needs is loaded, and buffers are allocated."""
-
-
-@dataclass(frozen=True, slots=True)
-class Loaded:
-    """The worker's report, some time after ``Ready``: what only some scans need is loaded, too."""
+    """The worker's report: what every scan needs is loaded, and buffers are allocated. Its parent hands it on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,107 +83,5 @@ class Pong:
     """The worker's report: it is there."""
 
 
-@dataclass(frozen=True, slots=True)
-class GoingOn:
-    """The worker's report: one step more is done, which tells a slow processor from a process that hangs."""
-
-    ticket: int
-
-
-@dataclass(frozen=True, slots=True)
-class PatternsIdentified:
-    """The worker's report: every frame shows the pattern it should."""
-
-    ticket: int
-
-
-@dataclass(frozen=True, slots=True)
-class Spoiled:
-    """The worker's report: a frame shows another pattern than it should; there will be no cloud."""
-
-    ticket: int
-    judgement: Judgement
-
-
-@dataclass(frozen=True, slots=True)
-class CloudFound:
-    """The worker's report: a cloud is in its place in the shared memory; for a full one ``CloudCopied`` is awaited."""
-
-    ticket: int
-    full: bool
-    found: Found
-    cpu_s: float
-
-
-@dataclass(frozen=True, slots=True)
-class SequenceJudged:
-    """The worker's report: what is to be said of the sequence, in place of what was said before."""
-
-    ticket: int
-    judgements: tuple[Judgement, ...]
-    cpu_s: float
-
-
-@dataclass(frozen=True, slots=True)
-class BracketJudged:
-    """The worker's report: what became of a second exposure; with a cloud, ``CloudCopied`` is awaited."""
-
-    ticket: int
-    found: Found | None
-    """The cloud of both; ``None``: ``pair`` says why there is none."""
-    second: tuple[Judgement, ...]
-    """The judges' word on the second sequence alone."""
-    pair: Judgement
-    cpu_s: float
-
-
-@dataclass(frozen=True, slots=True)
-class OverlapFound:
-    """The worker's report, some time after the full cloud: how much of the scan lies on the one before."""
-
-    ticket: int
-    overlap: Overlap
-    cpu_s: float
-
-
-@dataclass(frozen=True, slots=True)
-class LookedAt:
-    """The worker's report: a live picture was looked at. None comes where a scan began meanwhile."""
-
-    number: int
-    guidance: Guidance | None
-    """``None``: it cannot be told."""
-    cpu_s: float
-
-
-@dataclass(frozen=True, slots=True)
-class SequenceFailed:
-    """The worker's report: the frames are not what was agreed; the next sequence's may be."""
-
-    ticket: int
-    text: str
-
-
-@dataclass(frozen=True, slots=True)
-class Crashed:
-    """The worker's report: its last words."""
-
-    text: str
-
-
 ToWorker = Begin | FrameStored | Finish | Drop | Keep | LookAt | CloudCopied | Ping
-FromWorker = (
-    Ready
-    | Loaded
-    | Pong
-    | GoingOn
-    | PatternsIdentified
-    | Spoiled
-    | CloudFound
-    | SequenceJudged
-    | BracketJudged
-    | OverlapFound
-    | LookedAt
-    | SequenceFailed
-    | Crashed
-)
+FromWorker = Ready | Pong | News | LiveGuidance | WorkerFailure

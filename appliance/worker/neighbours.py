@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,15 +18,8 @@ from appliance.patterns.sequence import Direction, PatternSequence
 from appliance.reconstruct.table import Cloud
 from appliance.registration.overlap import CoarseView, coarse_view, compare
 from appliance.registration.patches import projection_of
+from appliance.scan.news import ScanOverlap
 from appliance.scan.overlap import Overlap
-
-
-@dataclass(frozen=True, slots=True)
-class NeighbourAnswer:
-    """The answer, and what it took."""
-
-    overlap: Overlap
-    cpu_s: float
 
 
 class Neighbours:
@@ -81,7 +73,7 @@ class Neighbours:
         """There is a piece of work left."""
         return self._work is not None
 
-    def go_on(self) -> NeighbourAnswer | None:
+    def go_on(self) -> ScanOverlap | None:
         """Do one piece; returns the answer with the last one."""
         if self._work is None:
             return None
@@ -91,4 +83,4 @@ class Neighbours:
         if overlap is None:
             return None
         self._work = None
-        return NeighbourAnswer(overlap, self._spent_s)
+        return ScanOverlap(overlap, self._spent_s)

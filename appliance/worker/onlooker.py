@@ -17,13 +17,14 @@ from appliance.optics.water import Water
 from appliance.registration.guidance import Guide, Sight
 from appliance.registration.patches import projection_of
 from appliance.scan.guidance import Guidance
-from appliance.worker.messages import LookAt, LookedAt
+from appliance.scan.news import LiveGuidance
+from appliance.worker.messages import LookAt
 from appliance.worker.neighbours import Neighbours
 
 
 @dataclass(slots=True)
 class _Look:
-    number: int
+    taken_ns: int
     work: Iterator[Guidance | None]
     spent_s: float = 0.0
     guidance: Guidance | None = None
@@ -47,14 +48,14 @@ class Onlooker:
     def look(self, order: LookAt, picture: NDArray[np.uint8]) -> None:
         """Get ready to look at a live ``picture`` (h, w) uint8, instead of one that is in work."""
         kept = self._neighbours.kept(order.belongs_to)
-        self._look = _Look(order.number, iter(()) if kept is None else self._guide.look(kept, picture))
+        self._look = _Look(order.taken_ns, iter(()) if kept is None else self._guide.look(kept, picture))
 
     @property
     def waits(self) -> bool:
         """There is a piece of work left."""
         return self._look is not None
 
-    def go_on(self) -> LookedAt | None:
+    def go_on(self) -> LiveGuidance | None:
         """Do one piece; returns the answer with the last one."""
         look = self._look
         if look is None:
@@ -69,4 +70,4 @@ class Onlooker:
         if not ended:
             return None
         self._look = None
-        return LookedAt(look.number, look.guidance, look.spent_s)
+        return LiveGuidance(look.guidance, look.taken_ns, look.spent_s)

@@ -9,14 +9,13 @@ import gc
 import os
 import signal
 import sys
-import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from multiprocessing.connection import Connection
 from multiprocessing.shared_memory import SharedMemory
-from typing import assert_never
 
 import numpy as np
 
@@ -25,44 +24,35 @@ from appliance.capture.store import FrameStore
 from appliance.optics.water import Water
 from appliance.patterns.sequence import PatternSequence, build_sequence
 from appliance.processing.bracket import ProcessedSequence
-from appliance.processing.procedure import (
-    AllJudged,
-    CoarseFound,
-    FullFound,
-    Identified,
-    OneJudged,
-    SequenceProcessor,
-    Step,
-)
+from appliance.processing.procedure import SequenceProcessor
 from appliance.reconstruct.pipeline import Pipeline
-from appliance.reconstruct.table import Found, PointTable
+from appliance.reconstruct.table import PointTable
 from appliance.scan.acquisition import AcquisitionSettings
+from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.news import (
+    Bracket,
+    CoarseCloud,
+    FullCloud,
+    News,
+    ReconstructionFailure,
+    SequenceFact,
+    WorkerFailure,
+)
 from appliance.scan.noise import StereoNoise
 from appliance.scan.sides import SIDES
-from appliance.scan.verdict import Judgement, Verdict
 from appliance.worker.live_picture import LivePicture
 from appliance.worker.messages import (
     Begin,
-    BracketJudged,
     CloudCopied,
-    CloudFound,
-    Crashed,
     Drop,
     Finish,
     FrameStored,
     FromWorker,
-    GoingOn,
     Keep,
-    Loaded,
     LookAt,
-    OverlapFound,
-    PatternsIdentified,
     Ping,
     Pong,
     Ready,
-    SequenceFailed,
-    SequenceJudged,
-    Spoiled,
     ToWorker,
 )
 from appliance.worker.neighbours import Neighbours
@@ -144,7 +134,7 @@ def _work(
         except (EOFError, OSError):
             raise
         except Exception as error:  # the one place where it can still be named
-            pipe.send(Crashed(f"{type(error).__name__}: {error}"))
+            pipe.send(WorkerFailure(f"{type(error).__name__}: {error}"))
 
 
 @contextmanager
@@ -177,22 +167,21 @@ class Server:
         neighbours: Neighbours | None = None,
         aiming: tuple[Onlooker, LivePicture] | None = None,
     ) -> None:
-        """``coarse``: where coarse clouds are left for the parent. ``left``: what remains to be loaded; done piece by piece while nothing else is, then said to be ``Loaded``. ``neighbours``: what
+        """``coarse``: where coarse clouds are left for the parent. ``left``: what remains to be loaded; done piece by piece while nothing else is. ``neighbours``: what
         scans are compared by; ``None``: they are not. ``aiming``: what live pictures are looked at by, and where they lie; ``None``: they
         are not."""
         self._pipe, self._processor, self._store = pipe, processor, store
         self._coarse = coarse
         self._neighbours = neighbours
         self._aiming = aiming
-        self._left: deque[Callable[[], object]] | None = deque(left)
-        """``None``: all of it is loaded, and that was said."""
+        self._left: deque[Callable[[], object]] = deque(left)
         self._in_hand = False
         """A sequence was begun and is neither finished nor dropped."""
         self._ticket = 0
         """The sequence in work, as the parent numbers them."""
         self._failed = False
-        self._steps: Iterator[Step] | None = None
-        """Steps that are left of the sequence; ``None``: all of them."""
+        self._steps: Iterator[SequenceFact] | None = None
+        """Steps that are left of the scan's first sequence; ``None``: all of them."""
         self._first: ProcessedSequence | None = None
         """The first sequence of the scan in work, once a second one was begun."""
         self._second = False
@@ -207,7 +196,7 @@ class Server:
                 self._do(message)
             except ValueError as error:  # the frames are not what was agreed; the next scan's may be
                 self._failed, self._in_hand, self._steps = True, False, None
-                self._say(SequenceFailed(self._ticket, str(error)))
+                self._tell(ReconstructionFailure(Fault(FaultCode.RECONSTRUCTION_FAILED, str(error))))
 
     def _hear(self) -> ToWorker:
         """Return the next message; while there is none, and no sequence in hand, load what is left, then compare scans, then look at what the
@@ -221,18 +210,15 @@ class Server:
         """Do a piece of what can wait; returns False where there is none."""
         if self._left:
             self._left.popleft()()
-        elif self._left is not None:
-            self._left = None
-            self._say(Loaded())
         elif self._neighbours is not None and self._neighbours.waits:
-            compared = self._neighbours.go_on()
-            if compared is not None:
-                self._say(OverlapFound(self._ticket, compared.overlap, compared.cpu_s))
+            overlap = self._neighbours.go_on()
+            if overlap is not None:
+                self._tell(overlap)
         elif self._aiming is not None and self._aiming[0].waits:
             # Last: a scan's own answer is awaited by who has just kept it.
-            looked = self._aiming[0].go_on()
-            if looked is not None:
-                self._say(looked)
+            guidance = self._aiming[0].go_on()
+            if guidance is not None:
+                self._say(guidance)
         else:
             return False
         return True
@@ -257,10 +243,7 @@ class Server:
                 self._processor.push(side, self._store.frames(side, second=self._second), index)
             case Finish() if not self._failed:
                 self._in_hand = False
-                if self._first is None:
-                    self._finish()
-                else:
-                    self._finish_bracket(self._first)
+                self._finish()
             case Drop():
                 # What still comes of this sequence (frames on their way, Finish) is passed over until the next Begin.
                 self._failed, self._in_hand = True, False
@@ -277,45 +260,32 @@ class Server:
     def _say(self, message: FromWorker) -> None:
         self._pipe.send(message)
 
+    def _tell(self, fact: SequenceFact) -> None:
+        self._say(News(self._ticket, fact))
+
     def _finish(self) -> None:
-        """Say everything that is to be said of the sequence, as soon as it is known, until nobody wants to hear it any more."""
-        self._steps = self._processor.steps()
-        begun_s = time.process_time()
-        told_s = 0.0
-        """Processor time of what was told since the coarse cloud; the full one may be in work before all judges have spoken."""
-        reported: tuple[Judgement, ...] = ()
-        for step in self._steps:
-            spent_s = time.process_time() - begun_s
-            match step:
-                case Identified(judgement) if judgement.fault is not None:
-                    self._say(Spoiled(self._ticket, judgement))
-                case Identified():
-                    self._say(PatternsIdentified(self._ticket))
-                case CoarseFound(found):
+        """Send each fact of the sequence as soon as it is known, until another order ends the work on it."""
+        if self._first is None:
+            facts = self._steps = self._processor.steps()
+        else:
+            facts = self._processor.bracket_steps(self._first)
+        for fact in facts:
+            match fact:
+                case CoarseCloud(found):
                     coarse = self._processor.cloud(found)
                     if self._neighbours is not None:
                         self._neighbours.coarse(coarse)
                     # Out of the way of the full cloud, so that nobody waits until the parent has seen this one.
-                    self._say(CloudFound(self._ticket, full=False, found=self._coarse.put(coarse), cpu_s=spent_s))
-                    begun_s += spent_s
-                case OneJudged():
-                    self._say(GoingOn(self._ticket))
-                case AllJudged(judgements, cpu_s):
-                    # Of compensation, all that was not the first judges'.
-                    cost_s = cpu_s if not reported else spent_s - told_s
-                    reported, told_s = judgements, told_s + cost_s
-                    self._say(SequenceJudged(self._ticket, judgements, cost_s))
-                case FullFound(found, judgements):
-                    # Holes and distance are judged only now, and causes are weighed with the full cloud (`with_causes`).
-                    self._say(SequenceJudged(self._ticket, judgements, 0.0))
-                    self._say(CloudFound(self._ticket, full=True, found=found, cpu_s=spent_s - told_s))
+                    self._tell(replace(fact, found=self._coarse.put(coarse)))
+                case FullCloud() | Bracket():
+                    self._tell(fact)
                     # Copied in the time that the parent takes for the points.
-                    if self._neighbours is not None:
+                    if self._neighbours is not None and self._first is None:
                         self._neighbours.whole(self._store.frames("left"))
                     self._await_taken()
                     return
-                case unknown:
-                    assert_never(unknown)
+                case _:
+                    self._tell(fact)
             if self._is_unwanted():
                 return
 
@@ -328,28 +298,6 @@ class Server:
             for _ in self._steps or self._processor.steps():
                 pass
         return self._processor.hold()
-
-    def _finish_bracket(self, first: ProcessedSequence) -> None:
-        """Give one answer for the second sequence: what its judges say, and the cloud of both."""
-        begun_s = time.process_time()
-        judgements: tuple[Judgement, ...] = ()
-        for step in self._processor.steps():
-            match step:
-                case Identified(judgement):
-                    judgements = (judgement,)
-                case FullFound():
-                    judgements = step.judgements
-                case _:
-                    self._say(GoingOn(self._ticket))
-        found: Found | None = None
-        if self._processor.finished:
-            merged = self._processor.merge_with(first)
-            pair, found = merged.judgement, merged.found
-        else:
-            verdict = Verdict("pair", False, {}, "the second exposure's frames are not what they should be")
-            pair = Judgement(verdict, judgements[0].fault)
-        self._say(BracketJudged(self._ticket, found, judgements, pair, time.process_time() - begun_s))
-        self._await_taken()
 
     def _is_unwanted(self) -> bool:
         """Tell whether the parent has dropped the sequence in work, or begun another one; never waits."""

@@ -32,12 +32,12 @@ from appliance.reconstruct.decode.specks import warm_up as warm_specks
 from appliance.reconstruct.fuse import fuse
 from appliance.reconstruct.images import ScanImages
 from appliance.reconstruct.pipeline import Pipeline
-from appliance.reconstruct.quality import CloudSummary
 from appliance.reconstruct.register import register
 from appliance.reconstruct.surface import surface_of
-from appliance.reconstruct.table import Cloud, Found
+from appliance.reconstruct.table import Cloud
 from appliance.reconstruct.veil import warm_up as warm_veil
 from appliance.scan.acquisition import AcquisitionSettings
+from appliance.scan.cloud import CloudSummary, Found
 from appliance.scan.noise import TYPICAL, TYPICAL_PAIR
 from appliance.scan.sides import SIDES
 from appliance.scan.verdict import Judgement, Verdict

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from appliance.calibration.gaps import MODES
 from appliance.calibration.health import LIMIT, SCANS_TO_FIND, HealthJudgement, HealthTrend, judge
-from appliance.calibration.patches import PatchGaps
+from appliance.scan.cloud import PatchGaps
 from bench.outside.draws import drawn_scene, joined
 from bench.outside.figures import CALIBRATION, false_alarms, median, rows_of
 from bench.outside.kept import Row, kept_row, kept_scan

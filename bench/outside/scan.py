@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 from appliance.calibration.file import Calibration
 from appliance.optics.water import Water
 from appliance.patterns.sequence import Direction, PatternSequence, build_sequence
-from appliance.processing.procedure import FullFound, SequenceProcessor
+from appliance.processing.procedure import SequenceProcessor
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.table import Cloud
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import FaultCode
 from appliance.scan.grade import SPOILS_SCAN, Grade, grade
+from appliance.scan.news import FullCloud
 from appliance.scan.noise import StereoNoise, camera_noise
 from bench.outside.kept import Row
 from bench.outside.world import BLACK_DN, FRAME_S, STEPS, Frames, World
@@ -47,7 +48,7 @@ class Scanned:
     """A sequence as the instrument worked it through."""
 
     cloud: Cloud
-    full: FullFound
+    full: FullCloud
     grade: Grade
     codes: tuple[FaultCode, ...]
     """The faults that were found, without what is only shown."""

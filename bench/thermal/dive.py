@@ -9,9 +9,10 @@ from appliance.machine import effects as do
 from appliance.machine import events as on
 from appliance.machine.states import Device, Machine, Part, State, boot
 from appliance.machine.step import step
-from appliance.reconstruct.quality import CloudSummary
+from appliance.scan.cloud import CloudSummary
 from drivers.api import Key, LaserState, Telemetry
 from hw_sim.heat import Housing, Powers
+from tests.support import news
 
 TICK_S = 0.5
 """The board's heartbeat, and the time step of everything here."""
@@ -99,9 +100,9 @@ class Dive:
         self._lit = True
         self.wait(TICK_S)
         self._lit = False
-        self.say(on.CaptureFinished(number), on.RawStored(number), on.PatternsRight(number))
+        self.say(on.CaptureFinished(number), on.RawStored(number), news.right(number))
         self.wait(TICK_S)
-        self.say(on.CoarseReady(number, SUMMARY), on.FullReady(number, SUMMARY))
+        self.say(news.coarse(number, SUMMARY), news.full(number, SUMMARY))
         self.wait(LOOK_S)
         self.say(on.KeyPressed(Key.SCAN))
         self.wait(TICK_S)

@@ -20,7 +20,7 @@ from appliance.compensation.attempt import Attempt, attempt
 from appliance.optics.model import StereoRig
 from appliance.optics.water import Water
 from appliance.reconstruct.pipeline import Pipeline
-from appliance.reconstruct.table import Found
+from appliance.scan.cloud import Found
 from appliance.scan.noise import TYPICAL_PAIR, StereoNoise
 from appliance.scan.sides import SIDES
 from bench.result import Measured

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from appliance.compensation.attempt import attempt
 from appliance.reconstruct.pipeline import Cloud, Pipeline
-from appliance.reconstruct.table import Found
+from appliance.scan.cloud import Found
 from bench.verdict.compensation_cases import NAMED, OBJECTS
 from hw_sim.objects.motion import Motion
 from hw_sim.scene import Scene

@@ -11,11 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from appliance.processing.procedure import FullFound, SequenceProcessor
+from appliance.processing.procedure import SequenceProcessor
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.table import Cloud
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.exposure import NOMINAL, Exposure
+from appliance.scan.news import FullCloud
 from bench.result import Measured
 from bench.verdict.light_scenes import STEPS, noise_at
 from bench.verdict.parts import Say
@@ -82,7 +83,7 @@ def _case(name: str, seed: int, rng: np.random.Generator) -> dict[str, Any]:
             if way == "at rest":
                 case["alone"][light.second.label] = _figures(second, cloud)
             merged = processor.merge_with(held)
-            verdict = merged.judgement.verdict
+            verdict = merged.pair.verdict
             case[f"{way}: verdict"] = {"text": verdict.text, **verdict.numbers}
             case[way] = None if merged.found is None else _figures(first, pipeline.table.cloud(merged.found))
         if light.proposal is not None:
@@ -99,7 +100,7 @@ def _render(scene: Scene, exposure: Exposure, seed: int) -> RenderedScan:
     )
 
 
-def _process(processor: SequenceProcessor, scan: RenderedScan, exposure: Exposure) -> FullFound:
+def _process(processor: SequenceProcessor, scan: RenderedScan, exposure: Exposure) -> FullCloud:
     return processor.process(scan.frames, AcquisitionSettings(exposure, noise=noise_at(exposure), steps=STEPS))
 
 

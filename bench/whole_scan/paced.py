@@ -16,18 +16,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from appliance.capture.store import FrameStore
+from appliance.scan.news import CoarseCloud, FullCloud, News, PatternIdentity, Verdicts
 from appliance.scan.sides import SIDES
+from appliance.scan.verdict import Judgement, faults_in
 from appliance.service.disk import DiskQueue
 from appliance.storage.library import Library, PendingScan
 from appliance.storage.record import SequenceInfo
+from appliance.worker.messages import Ready
 from appliance.worker.order import WorkLimits, WorkOrder
-from appliance.worker.process import (
-    CloudReady,
-    ReconstructionWorker,
-    ScanJudged,
-    SequenceIdentified,
-    WorkerReady,
-)
+from appliance.worker.process import ReconstructionWorker
 from bench.warm_worker import FRAME_S, START_TIMEOUT_S, peak_memory_mb
 from bench.whole_scan.scenes import TimedScene
 from drivers.native import MonotonicClock
@@ -167,14 +164,15 @@ class PacedWorker:
             event = self._process.wait(CLOUD_TIMEOUT_S)
             now_s = time.monotonic()
             match event:
-                case SequenceIdentified():
+                case News(_, PatternIdentity(judgement)) if judgement.fault is None:
                     pass
-                case CloudReady(full=False):
+                case News(_, CoarseCloud()):
                     heard.coarse_s = now_s
-                case CloudReady(cloud=cloud, cpu_s=cpu_s):
-                    heard.full_s, heard.full_cpu_s, heard.points = now_s, cpu_s, len(cloud.points_mm)
-                case ScanJudged(judgements=judgements, cpu_s=cpu_s):
-                    heard.faults = tuple(one.fault.code.value for one in judgements if one.fault is not None)
+                case News(_, FullCloud(found, judgements, cpu_s)):
+                    heard.full_s, heard.full_cpu_s, heard.points = now_s, cpu_s, found.summary.points
+                    heard.faults = _codes(judgements)
+                case News(_, Verdicts(judgements, cpu_s)):
+                    heard.faults = _codes(judgements)
                     if heard.verdict_s is None:
                         heard.verdict_s, heard.judging_cpu_s = now_s, cpu_s
                     else:
@@ -182,6 +180,10 @@ class PacedWorker:
                 case other:
                     raise RuntimeError(f"the worker answered {other!r:.200}")
         return heard
+
+
+def _codes(judgements: tuple[Judgement, ...]) -> tuple[str, ...]:
+    return tuple(fault.code.value for fault in faults_in(judgements))
 
 
 @contextmanager
@@ -200,7 +202,7 @@ def paced_worker(scene: TimedScene, disk: Path) -> Iterator[PacedWorker]:
         library.prepare()
         writer = stack.enter_context(DiskQueue())
         process = stack.enter_context(ReconstructionWorker(order, store, MonotonicClock(), LIMITS))
-        if process.wait(START_TIMEOUT_S) != WorkerReady():
+        if process.wait(START_TIMEOUT_S) != Ready():
             raise RuntimeError("the worker did not start")
         worker = PacedWorker(scene, process, library, writer)
         for _ in range(WARM_UPS):

@@ -11,16 +11,10 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
-from appliance.processing.procedure import (
-    AllJudged,
-    CoarseFound,
-    FullFound,
-    Identified,
-    OneJudged,
-    SequenceProcessor,
-)
+from appliance.processing.procedure import SequenceProcessor
 from appliance.reconstruct.decode.decoder import CameraDecoder
 from appliance.reconstruct.pipeline import Pipeline
+from appliance.scan.news import CoarseCloud, FullCloud, PatternIdentity, Verdicts, WorkProgress
 from appliance.scan.sides import SIDES, of_side
 from bench.whole_scan.scenes import TimedScene
 
@@ -56,16 +50,16 @@ class Procedure:
         judged = False
         for step in processor.steps():
             match step:
-                case Identified():
+                case PatternIdentity():
                     self._note(IDENTITY, clock)
-                case CoarseFound():
+                case CoarseCloud():
                     self._note(COARSE, clock)
-                case OneJudged(name):
+                case WorkProgress(name):
                     self._note(name, clock)
-                case AllJudged():
+                case Verdicts():
                     self._note(COMPENSATION if judged else WEIGHING, clock)
                     judged = True
-                case FullFound():
+                case FullCloud():
                     self._note(FULL, clock)
         self._taken_ms[BACKSCATTER].append(self._backscatter_ms())
 

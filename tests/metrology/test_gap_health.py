@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from appliance.calibration.health import HealthTrend, judge
-from appliance.calibration.patches import PatchGaps
 from appliance.patterns.sequence import build_sequence
 from appliance.reconstruct.pipeline import Pipeline
+from appliance.scan.cloud import PatchGaps
 from appliance.scan.sides import SIDES
 from hw_sim.mount_shift import MountShift, with_mount_shifted
 from hw_sim.rendering.render import LightSlice, Renderer

@@ -10,10 +10,11 @@ import numpy as np
 
 from appliance.calibration.gaps import GapModes, signed_gap_mm
 from appliance.calibration.health import HealthJudgement, HealthTrend, judge
-from appliance.calibration.patches import PatchGaps, average
+from appliance.calibration.patches import average
 from appliance.calibration.water.bundle import adjust
 from appliance.calibration.water.method import Method
 from appliance.optics.model import StereoRig
+from appliance.scan.cloud import PatchGaps
 from hw_sim.truth import TrueRig
 from tests.support.calibrating import Pose, air_of, calibration_recordings, hidden_rig, record_plane, start_of
 from tests.support.truth import WATER

@@ -11,9 +11,9 @@ import pytest
 from appliance.calibration import health
 from appliance.calibration.gaps import MODES, TURNS, GapModes, pairs_in_volume, signed_gap_mm
 from appliance.calibration.health import LEARNT_SCANS, HealthTrend, OverlapNews, answered, judge
-from appliance.calibration.patches import PatchGaps
 from appliance.optics.model import StereoRig
 from appliance.optics.water import Water
+from appliance.scan.cloud import PatchGaps
 from hw_sim.mount_shift import MountShift, with_mount_shifted
 from hw_sim.truth import TrueRig, project, ray
 from tests.support.calibrating import hidden_rig, inside

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from appliance.calibration.health import LEARNT_SCANS, MATTERS_DEG, MOST_VEIL_UM, SCANS_TO_FIND, HealthTrend, judge
 from appliance.calibration.judgement import PATCHES
-from appliance.calibration.patches import COUNT, PatchGaps
+from appliance.calibration.patches import COUNT
+from appliance.scan.cloud import PatchGaps
 
 Array = NDArray[np.float64]
 Y, X = np.divmod(np.arange(COUNT), PATCHES[0])

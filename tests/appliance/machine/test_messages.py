@@ -26,6 +26,7 @@ from appliance.ranging.reach import Reach
 from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.grade import SPOILS_SCAN
 from appliance.scan.guidance import LOST, Guidance
+from appliance.scan.news import LiveGuidance
 from appliance.scan.overlap import NO_OVERLAP, UNKNOWN, Overlap
 from appliance.screens.texts import worded
 from drivers.api import Key
@@ -57,6 +58,7 @@ from tests.appliance.machine.walks import (
     labels,
     run,
 )
+from tests.support import news
 
 C, S = FaultCode, State
 UNCALIBRATED = raised(C.UNCALIBRATED, "no file calibration/current.json")
@@ -236,7 +238,7 @@ def test_what_a_fault_costs_is_what_its_rule_says_and_what_the_machine_does(code
     assert (run(at.capturing(), event).state is not S.CAPTURE) == (code in NEEDED | HEAT_AND_WATER)
     assert (run(aim(), event, SCAN).state is not S.ARMED) == (code in REFUSES)
     assert may_light(run(aim(), event)) == (code not in HEAT_AND_WATER)
-    machine, effects = after(at.reconstructing(), on.ReconstructionFailed(1, Fault(code, "because")))
+    machine, effects = after(at.reconstructing(), news.failed(1, Fault(code, "because")))
     assert any(isinstance(effect, do.Reject) for effect in effects) == (code in WITNESSES)
     assert (machine.state is S.REVIEW) == (code not in WITNESSES)
 
@@ -410,12 +412,12 @@ def overlap(machine: Machine) -> tuple[str, bool] | None:
 def test_the_overlap_is_said_in_words_and_a_lack_of_it_only_of_an_object(
     share: Overlap, words: str, warns: bool, alone: bool
 ) -> None:
-    assert overlap(run(of_object(at.reviewing()), on.OverlapTold(1, share))) == (words, warns)
-    said = overlap(run(of_object(at.reviewing(), None), on.OverlapTold(1, share)))
+    assert overlap(run(of_object(at.reviewing()), news.overlap(1, share))) == (words, warns)
+    said = overlap(run(of_object(at.reviewing(), None), news.overlap(1, share)))
     assert (said is not None and said[0] == words) == alone, "scans of nothing in particular"
 
 
-NONE_TOLD, KEEP = on.OverlapTold(1, NO_OVERLAP), (SCAN, on.RawStored(1), on.Saved(1, "000001"))
+NONE_TOLD, KEEP = news.overlap(1, NO_OVERLAP), (SCAN, on.RawStored(1), on.Saved(1, "000001"))
 ANOTHER_OBJECT = tuple(on.KeyPressed(key) for key in (Key.UP, *(Key.DOWN,) * 4, Key.SCAN, Key.UP, Key.SCAN))
 
 
@@ -423,7 +425,7 @@ ANOTHER_OBJECT = tuple(on.KeyPressed(key) for key in (Key.UP, *(Key.DOWN,) * 4, 
     ("events", "said"),
     [
         ((), False),
-        ((on.OverlapTold(7, NO_OVERLAP),), False),  # of another scan
+        ((news.overlap(7, NO_OVERLAP),), False),  # of another scan
         ((*KEEP, NONE_TOLD), True),
         ((*KEEP, NONE_TOLD, SCAN), False),
         ((*KEEP, SCAN, NONE_TOLD), False),  # too late
@@ -440,7 +442,7 @@ TAKEN_NS = 50 * SECOND_NS
 
 
 def guided(guidance: Guidance | None, *events: on.Event, number: int | None = 3) -> Machine:
-    return run(of_object(run(aim(), on.Tick(TAKEN_NS)), number), on.Guided(guidance, TAKEN_NS), *events)
+    return run(of_object(run(aim(), on.Tick(TAKEN_NS)), number), LiveGuidance(guidance, TAKEN_NS), *events)
 
 
 def said_of(machine: Machine) -> str | None:
@@ -479,10 +481,10 @@ def test_nobody_is_told_to_scan_where_the_distance_is_wrong(reach: Reach) -> Non
     [
         ((on.Tick(TAKEN_NS + 14 * SECOND_NS // 10),), "GO BACK"),
         ((on.Tick(TAKEN_NS + 16 * SECOND_NS // 10),), None),
-        ((on.Tick(TAKEN_NS + 2 * SECOND_NS), on.Guided(LOST, TAKEN_NS)), None),  # the picture's age counts
-        ((on.Guided(None, TAKEN_NS + SECOND_NS),), "GO BACK"),
-        ((on.Guided(None, TAKEN_NS + SECOND_NS), on.Tick(TAKEN_NS + 16 * SECOND_NS // 10)), None),
-        ((SCAN, on.Guided(LOST, TAKEN_NS)), None),
+        ((on.Tick(TAKEN_NS + 2 * SECOND_NS), LiveGuidance(LOST, TAKEN_NS)), None),  # the picture's age counts
+        ((LiveGuidance(None, TAKEN_NS + SECOND_NS),), "GO BACK"),
+        ((LiveGuidance(None, TAKEN_NS + SECOND_NS), on.Tick(TAKEN_NS + 16 * SECOND_NS // 10)), None),
+        ((SCAN, LiveGuidance(LOST, TAKEN_NS)), None),
         ((UP,), None),
     ],
 )
@@ -494,6 +496,6 @@ def test_the_way_is_said_for_a_second_and_a_half_while_aiming(events: tuple[on.E
 def test_overlaps_and_ways_lead_nowhere() -> None:
     for way in WAYS.values():
         before = way()
-        for event in (on.Guided(LOST, before.now_ns), on.OverlapTold(before.captures, NO_OVERLAP)):
+        for event in (LiveGuidance(LOST, before.now_ns), news.overlap(before.captures, NO_OVERLAP)):
             assert run(before, event).state is before.state
-    assert run(aim(), on.OverlapTold(0, NO_OVERLAP)).overlap is None
+    assert run(aim(), news.overlap(0, NO_OVERLAP)).overlap is None

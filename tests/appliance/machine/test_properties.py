@@ -21,8 +21,21 @@ from appliance.machine.permissions import interruption, may_lase, may_light, may
 from appliance.machine.states import NEEDED_FOR_A_SCAN, Answer, Machine, State, Task
 from appliance.machine.step import step
 from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.news import News, PatternIdentity, ReconstructionFailure
 from drivers.api import Key
-from tests.appliance.machine.walks import EVERY_EVENT, SECOND_NS, START, STARTS, WALKS, WAYS, capturing, labels, run
+from tests.appliance.machine.walks import (
+    EVERY_EVENT,
+    KINDS,
+    SECOND_NS,
+    START,
+    STARTS,
+    WALKS,
+    WAYS,
+    capturing,
+    kind,
+    labels,
+    run,
+)
 
 Effects = Sequence[do.Effect]
 DARK = (State.ARMED, State.CAPTURE)
@@ -30,7 +43,7 @@ KEY_EVENTS = (on.KeyPressed, on.KeyHeld, on.KeyJammed)
 
 
 def test_every_event_is_in_the_list_and_every_state_is_reached_by_events() -> None:
-    assert {type(event) for event in EVERY_EVENT} == set(typing.get_args(on.Event))
+    assert {kind(event) for event in EVERY_EVENT} == KINDS
     assert [way().state for way in WAYS.values()] == list(State)
 
 
@@ -40,10 +53,12 @@ def called(before: Machine, event: on.Event) -> str:
             return f"key {labels(before).get(key, key.value)}"
         case on.ConditionRaised(fault):
             return fault.code.value
+        case News(_, PatternIdentity(judgement)) if judgement.fault is not None:
+            return judgement.fault.code.value
         case on.Tick():
             return "time"
         case _:
-            return type(event).__name__
+            return kind(event).__name__
 
 
 def test_every_state_answers_every_event_and_the_page_of_states_says_how() -> None:
@@ -122,6 +137,15 @@ def no_recording_of_a_step_is_forgotten(before: Machine, event: on.Event, machin
         assert not any(isinstance(e, work) for e in effects), "one task at a time"
 
 
+def no_points(event: on.Event) -> bool:
+    """Whether an event says that the frames give none."""
+    if not isinstance(event, News):
+        return False
+    fact = event.fact
+    wrong = isinstance(fact, PatternIdentity) and fact.judgement.fault is not None
+    return wrong or isinstance(fact, ReconstructionFailure)
+
+
 def no_scan_is_forgotten(before: Machine, event: on.Event, machine: Machine, effects: Effects) -> None:
     kept = before.scan
     if kept is None or machine.scan is not None:
@@ -132,10 +156,10 @@ def no_scan_is_forgotten(before: Machine, event: on.Event, machine: Machine, eff
     if not kept.kept or isinstance(event, on.Saved):
         return
     if any(isinstance(effect, do.Quit) for effect in effects):
-        assert kept.failures >= 1 or isinstance(event, on.ReconstructionFailed), "the disk refused it again and again"
+        assert kept.failures >= 1 or no_points(event), "the disk refused it again and again"
         return
     asked = isinstance(event, on.KeyPressed | on.KeyHeld) and before.state is State.REVIEW
-    spoilt = isinstance(event, on.ReconstructionFailed) and not kept.publishing
+    spoilt = no_points(event) and not kept.publishing
     assert asked or spoilt, "only the diver gives it up, after the disk refused it, or it was worthless"
 
 

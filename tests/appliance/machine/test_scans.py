@@ -37,6 +37,7 @@ from tests.appliance.machine.courses import (
     wait,
 )  # fmt: skip
 from tests.appliance.machine.walks import HOLD_BACK, MISSING, SUMMARY, after, aim, heartbeat, labels, run
+from tests.support import news
 
 C, S = FaultCode, State
 LIT = do.GoLive(light=True, lasers=True, exposure=NOMINAL)
@@ -53,21 +54,21 @@ REFUSED = on.SaveFailed(1, EIO)
 
 
 def coarse() -> Machine:
-    return run(at.reconstructing(), on.CoarseReady(1, SUMMARY))
+    return run(at.reconstructing(), news.coarse(1, SUMMARY))
 
 
 def proposed() -> Machine:
-    return run(at.reviewing(), on.Judged(1, (Fault(C.TOO_BRIGHT),), SHORTER))
+    return run(at.reviewing(), news.judged(1, (Fault(C.TOO_BRIGHT),), SHORTER))
 
 
 def taken() -> Machine:
-    again = (on.Armed(2), on.CaptureFinished(2), on.FullReady(2, SUMMARY), on.Judged(2))
+    again = (on.Armed(2), on.CaptureFinished(2), news.full(2, SUMMARY), news.judged(2))
     return run(proposed(), DOWN, *HOLD_BACK, SCAN, *again)
 
 
 def offered() -> Machine:
     """In review, and a second exposure would add to the scan."""
-    return run(at.reviewing(), on.FullReady(1, SUMMARY), on.Judged(1, (), None, SECOND))
+    return run(at.reviewing(), news.full(1, SUMMARY), news.judged(1, (), None, SECOND))
 
 
 def adding() -> Machine:
@@ -79,7 +80,7 @@ def added() -> Machine:
 
 
 def merged() -> Machine:
-    return run(added(), on.PairMerged(1, SUMMARY))
+    return run(added(), news.merged(1, SUMMARY))
 
 
 def kept_and_refused() -> Machine:
@@ -98,14 +99,14 @@ def wet() -> Machine:
         course("captured", at.armed, on.Armed(1), state=S.CAPTURE, effects=[do.Capture(1)]),
         course("stored and looked at", at.capturing, on.CaptureFinished(1), state=S.CHECK,
                effects=[do.StoreRaw(1), do.StartReconstruction(1)]),
-        course("patterns are right", at.checking, on.PatternsRight(1), state=S.RECONSTRUCT),
-        course("patterns are told right after the cloud", at.checking, on.CoarseReady(1, SUMMARY), on.PatternsRight(1), state=S.REVIEW),
+        course("patterns are right", at.checking, news.right(1), state=S.RECONSTRUCT),
+        course("patterns are told right after the cloud", at.checking, news.coarse(1, SUMMARY), news.right(1), state=S.REVIEW),
         course("kept", at.reviewing, SCAN, state=S.SAVING, effects=[do.Publish(1)], just_saved=None),
         course("saved", at.saving, SAVED, state=S.AIM, just_saved="000001", last_scan="000001", effects=[LIT]),
         course("and news of before is old then", at.saving, on.Told(Fault(C.RESTARTED)), SAVED, shown=[]),
         course("said until the next key", at.saving, SAVED, DOWN, just_saved=None),
         course("kept before the full cloud it waits", coarse, SCAN, state=S.SAVING, effects=[]),
-        course("and is saved with it", coarse, SCAN, on.FullReady(1, SUMMARY), effects=[do.Publish(1)]),
+        course("and is saved with it", coarse, SCAN, news.full(1, SUMMARY), effects=[do.Publish(1)]),
         # What ends a capture.
         course("a missing frame", at.capturing, on.CaptureFailed(1, MISSING), state=S.AIM, shown=[("INCOMPLETE 23/24", "REPEAT")], on_scan="REPEAT"),
         course("is repeated by OK", at.capturing, on.CaptureFailed(1, MISSING), SCAN, among=do.Arm(2, 16, NOMINAL), shown=[]),
@@ -154,20 +155,21 @@ def wet() -> Machine:
         course("a distance is forgotten with the lasers", aim, on.Ranged(Range(500.0, 1.0, 0.3, 2)), SCAN, range=None),
         course("also one that is told after", aim, SCAN, on.Ranged(Range(480.0, 1.0, 0.3, 2)), state=S.ARMED, range=None),
         # The review.
-        course("a dead worker leaves the frames", at.reconstructing, on.ReconstructionFailed(1, DIED), state=S.REVIEW, effects=[],
+        course("a dead worker leaves the frames", at.reconstructing, news.failed(1, DIED), state=S.REVIEW, effects=[],
                shown=[("PROCESS LATER", "KEEP RAW FRAMES OR REPEAT")]),
-        course("to be kept", at.reconstructing, on.ReconstructionFailed(1, DIED), SCAN, effects=[do.Publish(1)]),
-        course("a late cloud is welcome", at.reconstructing, on.ReconstructionFailed(1, DIED), on.FullReady(1, SUMMARY), cloud=SUMMARY, shown=[]),
+        course("to be kept", at.reconstructing, news.failed(1, DIED), SCAN, effects=[do.Publish(1)]),
+        course("a late cloud is welcome", at.reconstructing, news.failed(1, DIED), news.full(1, SUMMARY), cloud=SUMMARY, shown=[]),
         course("a hanging worker is given up", at.reconstructing, wait(61.0), state=S.REVIEW, effects=[do.CancelReconstruction(1)]),
         course("also while the save waits", at.kept_before_the_cloud, wait(61.0), effects=[do.CancelReconstruction(1), do.Publish(1)]),
-        course("a wrong pattern is no cloud", at.reconstructing, on.ReconstructionFailed(1, Fault(C.PROJECTOR_TIMING, "one frame late")),
+        course("a wrong pattern is no cloud", at.reconstructing, news.wrong(1, Fault(C.PROJECTOR_TIMING, "one frame late")),
                state=S.AIM, among=do.Reject(1, "one frame late"), codes=[C.PROJECTOR_TIMING]),
-        course("without a sentence it is rejected by its name", at.reconstructing, on.ReconstructionFailed(1, SPOILT),
+        course("without a sentence it is rejected by its name", at.reconstructing, news.wrong(1, SPOILT),
                among=do.Reject(1, "PATTERN_WRONG")),
-        course("a moved scan says so", coarse, on.Judged(1, (MOVED,)), on.FullReady(1, SUMMARY), shown=[("MOVED 1.8 px", "REPEAT")]),
-        course("and can be kept", coarse, on.Judged(1, (MOVED,)), SCAN, state=S.SAVING),
-        course("the judges' last word counts", coarse, on.Judged(1, (MOVED,)), on.Judged(1), shown=[]),
-        course("of this scan", coarse, on.Judged(2, (MOVED,)), shown=[]),
+        course("a moved scan says so", coarse, news.judged(1, (MOVED,)), news.full(1, SUMMARY, MOVED), shown=[("MOVED 1.8 px", "REPEAT")]),
+        course("and can be kept", coarse, news.judged(1, (MOVED,)), SCAN, state=S.SAVING),
+        course("the judges' last word counts", coarse, news.judged(1, (MOVED,)), news.judged(1), shown=[]),
+        course("which comes with the full cloud", coarse, news.judged(1, (MOVED,)), news.full(1, SUMMARY), shown=[]),
+        course("of this scan", coarse, news.judged(2, (MOVED,)), shown=[]),
         *(course(f"a glove on BACK costs nothing in {way.__name__}", way, BACK, state=way().state, scan=way().scan, effects=[],
                  on_back="HOLD: REDO") for way in (at.checking, at.reconstructing, at.reviewing)),
         course("held since before there was a scan", aim, BACK, SCAN, on.Armed(1), on.CaptureFinished(1), on.KeyHeld(Key.BACK), effects=[],
@@ -190,19 +192,21 @@ def wet() -> Machine:
                among=do.Arm(3, 16, SHORTER)),
         course("no proposal, no change", at.reviewing, DOWN, exposure=NOMINAL),
         course("BACK is stuck", proposed, on.KeyJammed(Key.BACK), DOWN, exposure=NOMINAL),
-        course("more gain is named as such", proposed, on.Judged(1, (), Exposure(12_000, 4.0)), on_down="GAIN 4 dB"),
+        course("more gain is named as such", proposed, news.judged(1, (), Exposure(12_000, 4.0)), on_down="GAIN 4 dB"),
         # A second exposure.
         course("offered", offered, on_down="HOLD: ADD 3.2 ms"),
         course("recorded", offered, *HOLD_DOWN, among=do.Arm(2, 16, SECOND, second=True), never=do.Reject | do.StoreRaw),
         course("worked out", adding, on.CaptureFinished(2), among=do.StartReconstruction(2), never=do.Reject | do.StoreRaw),
-        course("merged, and its frames made durable, too", added, on.PairMerged(1, replace(SUMMARY, points=1500)), state=S.REVIEW,
+        course("merged, and its frames made durable, too", added, news.merged(1, replace(SUMMARY, points=1500)), state=S.REVIEW,
                effects=[do.StoreRaw(1)], cloud=replace(SUMMARY, points=1500), on_down=None, exposure=NOMINAL),
+        course("what is held against either is held against both, but for the light", added, news.judged(1, (MOVED, Fault(C.TOO_BRIGHT)), None, SECOND),
+               news.merged(1, SUMMARY, Fault(C.TOO_DARK), Fault(C.WATER_DIRTY)), codes=[C.MOVED, C.WATER_DIRTY]),
         course("two are kept", merged, SCAN, among=do.Publish(1)),
         course("their frames are stored again", merged, REFUSED, wait(5.0), effects=[do.StoreRaw(1)]),
-        course("wrong points are not added to", offered, on.Judged(1, (Fault(C.MOVED),), None, SECOND), on_down=None),
-        course("a part of a cloud is not added to", coarse, on.Judged(1, (), None, SECOND), on_down=None),
+        course("wrong points are not added to", offered, news.judged(1, (Fault(C.MOVED),), None, SECOND), on_down=None),
+        course("a part of a cloud is not added to", coarse, news.judged(1, (), None, SECOND), on_down=None),
         course("a glove that brushes DOWN", offered, DOWN, state=S.REVIEW, exposure=NOMINAL, scan=offered().scan),
-        course("one that lay on it before the offer", at.reviewing, DOWN, on.FullReady(1, SUMMARY), on.Judged(1, (), None, SECOND),
+        course("one that lay on it before the offer", at.reviewing, DOWN, news.full(1, SUMMARY), news.judged(1, (), None, SECOND),
                on.KeyHeld(Key.DOWN), state=S.REVIEW, on_down="HOLD: ADD 3.2 ms"),
         course("refused, and the review goes on", offered, BOARD_GONE, *HOLD_DOWN, state=S.REVIEW, effects=[], scan=offered().scan,
                first=("BOARD LOST", "SCAN REFUSED")),
@@ -226,8 +230,8 @@ def wet() -> Machine:
         course("raw frames are refused", at.reconstructing, REFUSED, wait(4.9), effects=[], codes=[C.NOT_SAVED]),
         course("and stored again", at.reconstructing, REFUSED, wait(5.0), effects=[do.StoreRaw(1)]),
         course("which ends the message", at.reconstructing, REFUSED, wait(5.0), on.RawStored(1), shown=[]),
-        course("kept and refused it waits", kept_and_refused, on.FullReady(1, SUMMARY), state=S.SAVING, effects=[]),
-        course("until that is tried again", kept_and_refused, on.FullReady(1, SUMMARY), wait(5.0), effects=[do.Publish(1)]),
+        course("kept and refused it waits", kept_and_refused, news.full(1, SUMMARY), state=S.SAVING, effects=[]),
+        course("until that is tried again", kept_and_refused, news.full(1, SUMMARY), wait(5.0), effects=[do.Publish(1)]),
         course("without a cloud not for ever", kept_and_refused, wait(60.0), wait(1.0), state=S.SAVING, effects=[do.Publish(1)]),
         course("of another scan", at.reconstructing, on.SaveFailed(7, EIO), scan=at.reconstructing().scan, codes=[C.NOT_SAVED]),
         course("a disk that tells no number is as full as it was", aim, FULL_DISK, on.StorageCounted(3, "000003", None), codes=[C.STORAGE_FULL]),
@@ -235,8 +239,8 @@ def wet() -> Machine:
         # The end.
         course("stopping waits for the save", at.saving, STOP, state=S.SAVING, effects=[]),
         course("and for nothing else", at.saving, STOP, SAVED, effects=[do.Quit(power_off=False)]),
-        course("kept before its cloud it is saved with it", at.kept_before_the_cloud, STOP, on.FullReady(1, SUMMARY), effects=[do.Publish(1)]),
-        course("a worthless one keeps nobody", at.kept_before_the_cloud, STOP, on.ReconstructionFailed(1, SPOILT), state=S.SHUTDOWN,
+        course("kept before its cloud it is saved with it", at.kept_before_the_cloud, STOP, news.full(1, SUMMARY), effects=[do.Publish(1)]),
+        course("a worthless one keeps nobody", at.kept_before_the_cloud, STOP, news.wrong(1, SPOILT), state=S.SHUTDOWN,
                among=(do.Reject(1, "PATTERN_WRONG"), do.Quit(power_off=False))),
         *(course(f"stopped in {way().state.value}", way, STOP, state=S.SHUTDOWN, effects=[*ends, do.Quit(power_off=False)]) for way, ends in (
             (aim, [do.StopLive()]), (at.armed, [do.AbortCapture(1)]), (at.capturing, [do.AbortCapture(1)]),
@@ -245,12 +249,12 @@ def wet() -> Machine:
         course("a leak ends a capture", at.capturing, *LEAK, state=S.SAFE, effects=[do.LightsOff(), do.AbortCapture(1)]),
         course("a leak publishes what nobody will be asked about", at.reviewing, *LEAK, effects=[do.LightsOff(), do.Publish(1)]),
         course("a leak waits for the cloud", at.reconstructing, *LEAK, SCAN, state=S.SAFE, effects=[], on_scan=None),
-        course("which is saved", at.safe_with_a_scan, on.CoarseReady(1, SUMMARY), on.FullReady(1, SUMMARY), SCAN, state=S.SAFE,
+        course("which is saved", at.safe_with_a_scan, news.coarse(1, SUMMARY), news.full(1, SUMMARY), SCAN, state=S.SAFE,
                among=do.Publish(1), effects=[], on_scan=None),
-        course("and kept", at.safe_with_a_scan, on.FullReady(1, SUMMARY), SAVED, state=S.SAFE, scan=None, last_scan="000001"),
-        course("refused it is tried by SCAN", at.safe_with_a_scan, on.FullReady(1, SUMMARY), REFUSED, SCAN, effects=[do.Publish(1)]),
+        course("and kept", at.safe_with_a_scan, news.full(1, SUMMARY), SAVED, state=S.SAFE, scan=None, last_scan="000001"),
+        course("refused it is tried by SCAN", at.safe_with_a_scan, news.full(1, SUMMARY), REFUSED, SCAN, effects=[do.Publish(1)]),
         course("but not for ever", at.safe_with_a_scan, wait(60.0), effects=[do.CancelReconstruction(1), do.Publish(1)]),
-        course("worthless it is put away in the dark", at.safe_with_a_scan, on.ReconstructionFailed(1, SPOILT), state=S.SAFE, scan=None,
+        course("worthless it is put away in the dark", at.safe_with_a_scan, news.wrong(1, SPOILT), state=S.SAFE, scan=None,
                deadline_ns=None, among=do.Reject(1, "PATTERN_WRONG")),
         course("a save under way keeps its time", wet, wait(39.9), state=S.SAFE, publishing=True),
         course("and no more", wet, wait(40.0), publishing=False, codes=[C.LEAK, C.NOT_SAVED]),
@@ -270,12 +274,12 @@ def again() -> Machine:
 
 
 CLOUDS = (
-    on.CoarseReady(1, SUMMARY),
-    on.FullReady(1, SUMMARY),
-    on.ReconstructionFailed(1, MISSING),
-    on.PatternsRight(1),
+    news.coarse(1, SUMMARY),
+    news.full(1, SUMMARY),
+    news.failed(1, MISSING),
+    news.right(1),
 )
-PAIR = (on.PairMerged(1, SUMMARY), on.PairFailed(1, DIED))
+PAIR = (news.merged(1, SUMMARY), news.not_merged(1, DIED))
 
 
 @pytest.mark.parametrize(
@@ -285,9 +289,9 @@ PAIR = (on.PairMerged(1, SUMMARY), on.PairFailed(1, DIED))
         (lambda: run(at.capturing(), BACK, SCAN), (on.Armed(1),)),
         (again, (on.CaptureFailed(1, MISSING), on.CaptureFinished(1))),
         (lambda: run(again(), on.CaptureFinished(2)), CLOUDS),
-        (added, (on.PairMerged(2, SUMMARY), on.PairFailed(2, DIED))),
-        (offered, PAIR), (at.reconstructing, PAIR), (lambda: run(added(), BACK), PAIR), (lambda: run(added(), *LEAK), PAIR),
-        (lambda: run(at.checking(), on.CoarseReady(1, SUMMARY)), (on.PatternsRight(1),)),
+        (added, (news.merged(2, SUMMARY), news.not_merged(2, DIED))),
+        (offered, PAIR), (at.reconstructing, PAIR), (lambda: run(added(), BACK), (*PAIR, news.failed(1, DIED))), (lambda: run(added(), *LEAK), PAIR),
+        (lambda: run(at.checking(), news.coarse(1, SUMMARY)), (news.right(1),)),
         (aim, (on.BootFinished(),)), (at.reviewing, (on.BootFinished(),)), (at.safe, (on.BootFinished(),)),
         (lambda: run(at.in_gallery(), BACK), (on.ScansListed(("000009",)),)),
     ],
@@ -298,7 +302,7 @@ def test_answers_that_nobody_waits_for_change_nothing(way: Callable[[], Machine]
 
 
 def test_what_is_told_of_a_scan_that_is_being_published_comes_too_late() -> None:
-    for event in (on.FullReady(1, SUMMARY), on.ReconstructionFailed(1, SPOILT), on.ReconstructionFailed(1, DIED)):
+    for event in (news.full(1, SUMMARY), news.wrong(1, SPOILT), news.failed(1, DIED)):
         machine, effects = after(at.saving(), event)
         assert (machine.state, machine.scan is not None and machine.scan.publishing, effects) == (S.SAVING, True, [])
 
@@ -308,7 +312,7 @@ def test_what_is_told_of_a_scan_that_is_being_published_comes_too_late() -> None
     [
         (BACK,), (on.Armed(2), BACK), (on.CaptureFailed(2, MISSING),), (on.Armed(2), BOARD_GONE), (on.Armed(2), on.BoardReset("WATCHDOG")),
         (on.Armed(2), wait(10_000)), (on.Armed(2), on.CaptureFinished(2), BACK), (on.Armed(2), on.CaptureFinished(2), wait(10_000)),
-        (on.Armed(2), on.CaptureFinished(2), on.PairFailed(1, Fault(C.MOVED))),
+        (on.Armed(2), on.CaptureFinished(2), news.not_merged(1, Fault(C.MOVED))), (on.Armed(2), on.CaptureFinished(2), news.failed(1, DIED)),
     ],
 )  # fmt: skip
 def test_whatever_ends_the_second_exposure_the_first_scan_is_reviewed_as_before(lost: tuple[Then, ...]) -> None:
@@ -326,12 +330,12 @@ def test_whatever_ends_the_second_exposure_the_first_scan_is_reviewed_as_before(
 
 
 def test_exposures_are_proposed_and_added_in_the_review_only() -> None:
-    proposal, offer = on.Judged(1, (), SHORTER), on.Judged(1, (), None, SECOND)
+    proposal, offer = news.judged(1, (), SHORTER), news.judged(1, (), None, SECOND)
     assert (other_exposure(proposed()), second_exposure(offered())) == (SHORTER, SECOND)
     for way in (at.checking(), run(at.reviewing(), SCAN), aim()):
         assert (other_exposure(run(way, proposal)), second_exposure(run(way, offer))) == (None, None)
     assert other_exposure(at.reviewing()) is None
-    for judged in (on.Judged(1), on.Judged(1, (Fault(C.MOVED),))):
+    for judged in (news.judged(1), news.judged(1, (Fault(C.MOVED),))):
         assert Key.DOWN not in labels(run(at.reviewing(), judged)), "DOWN means the exposure, or nothing"
 
 

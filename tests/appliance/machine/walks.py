@@ -19,13 +19,15 @@ from appliance.machine.step import step
 from appliance.machine.transfer import Serving, Transfer
 from appliance.machine.words import english
 from appliance.ranging.reach import Range
-from appliance.reconstruct.quality import CloudSummary
+from appliance.scan.cloud import CloudSummary
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.grade import SPOILS_SCAN
 from appliance.scan.guidance import LOST, Guidance
+from appliance.scan.news import LiveGuidance, News, SequenceFact, WorkProgress
 from appliance.scan.overlap import NO_OVERLAP, UNKNOWN, Overlap
 from drivers.api import Key, LaserState, Telemetry
+from tests.support import news
 from tests.support.typed import built
 
 SECOND_NS = 1_000_000_000
@@ -87,11 +89,11 @@ def checking() -> Machine:
 
 
 def reconstructing() -> Machine:
-    return run(checking(), on.PatternsRight(1))
+    return run(checking(), news.right(1))
 
 
 def reviewing() -> Machine:
-    return run(reconstructing(), on.RawStored(1), on.CoarseReady(1, SUMMARY), on.FullReady(1, SUMMARY))
+    return run(reconstructing(), on.RawStored(1), news.coarse(1, SUMMARY), news.full(1, SUMMARY))
 
 
 def saving() -> Machine:
@@ -162,8 +164,13 @@ def self_test_without_a_camera() -> Machine:
     return run(boot(0), *UPS, lost, on.BootFinished(), *PARTS, on.StorageCounted(0, None, 100))
 
 
+def reviewing_a_part() -> Machine:
+    """The coarse cloud is there, and the full one is awaited."""
+    return run(reconstructing(), news.coarse(1, SUMMARY))
+
+
 def kept_before_the_cloud() -> Machine:
-    return run(reconstructing(), on.CoarseReady(1, SUMMARY), on.KeyPressed(Key.SCAN))
+    return run(reviewing_a_part(), on.KeyPressed(Key.SCAN))
 
 
 def hot_while_aiming() -> Machine:
@@ -235,8 +242,8 @@ EVERY_EVENT: list[on.Event] = [
     *(on.ConditionCleared(code) for code in OF_EACH_COST),
     on.Told(Fault(FaultCode.RESTARTED)),
     on.StorageCounted(1, "000001", 0),
-    *(on.OverlapTold(number, overlap) for number in (0, 1) for overlap in (UNKNOWN, NO_OVERLAP, Overlap(0.62))),
-    *(on.Guided(guidance, 1) for guidance in (None, LOST, Guidance(Overlap(0.62), (1.0, 0.0)))),
+    *(news.overlap(number, overlap) for number in (0, 1) for overlap in (UNKNOWN, NO_OVERLAP, Overlap(0.62))),
+    *(LiveGuidance(guidance, 1) for guidance in (None, LOST, Guidance(Overlap(0.62), (1.0, 0.0)))),
     on.ObjectsCounted(0),
     on.ObjectsCounted(7),
     on.TransferTold(SERVED),
@@ -248,15 +255,18 @@ EVERY_EVENT: list[on.Event] = [
     on.CaptureFailed(0, MISSING),
     *(on.CaptureFailed(1, Fault(code)) for code in FaultCode),
     on.RawStored(1),
-    on.PatternsRight(1),
-    on.CoarseReady(1, SUMMARY),
-    on.FullReady(1, SUMMARY),
-    on.Judged(1, (MISSING,)),
-    on.Judged(1, (), Exposure(8_000)),
-    on.Judged(1, (), None, Exposure(3_200)),
-    on.PairMerged(1, SUMMARY),
-    on.PairFailed(1, Fault(FaultCode.MOVED)),
-    *(on.ReconstructionFailed(1, Fault(code)) for code in OF_EACH_COST),
+    news.right(1),
+    news.coarse(1, SUMMARY),
+    news.full(1, SUMMARY),
+    news.judged(1, (MISSING,)),
+    news.judged(1, (), Exposure(8_000)),
+    news.judged(1, (), None, Exposure(3_200)),
+    news.full(1, SUMMARY, MISSING),
+    News(1, WorkProgress("light")),
+    news.merged(1, SUMMARY),
+    news.not_merged(1, Fault(FaultCode.MOVED)),
+    news.wrong(1, Fault(FaultCode.PATTERN_WRONG)),
+    *(news.failed(1, Fault(code)) for code in OF_EACH_COST),
     on.Saved(1, "000001"),
     on.SaveFailed(1, Fault(FaultCode.NOT_SAVED, "EIO")),
     on.Rejected(1, "000001"),
@@ -276,6 +286,7 @@ STARTS: tuple[Callable[[], Machine], ...] = (
     safe_with_a_scan,
     refused_by_the_disk,
     self_test_without_a_camera,
+    reviewing_a_part,
     kept_before_the_cloud,
     hot_while_aiming,
     gallery_from_the_menu,
@@ -299,8 +310,18 @@ STARTS: tuple[Callable[[], Machine], ...] = (
     *(partial(calibrating_at, session) for session in SESSIONS),
 )
 
+
+def kind(event: on.Event) -> type[object]:
+    """The class of an event; of news, that of the fact."""
+    return type(event.fact) if isinstance(event, News) else type(event)
+
+
+KINDS = ({*get_args(on.Event)} - {News}) | {*get_args(SequenceFact)}
 EVENTS: st.SearchStrategy[on.Event] = st.one_of(
-    *(st.sampled_from([event for event in EVERY_EVENT if isinstance(event, kind)]) for kind in get_args(on.Event)),
+    *(
+        st.sampled_from([event for event in EVERY_EVENT if kind(event) is one])
+        for one in sorted(KINDS, key=lambda one: one.__name__)
+    ),
     built(on.Tick, st.integers(0, 200).map(lambda s: s * SECOND_NS)),
     built(
         heartbeat,

@@ -13,8 +13,7 @@ from appliance.optics.water import Water
 from appliance.patterns.sequence import Direction, build_sequence
 from appliance.reconstruct.decode.decoder import Mask
 from appliance.reconstruct.pipeline import Pipeline
-from appliance.reconstruct.quality import CloudSummary
-from appliance.reconstruct.table import Found
+from appliance.scan.cloud import CloudSummary, Found
 from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.verdict import Judgement, Verdict
 

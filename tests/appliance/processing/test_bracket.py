@@ -14,10 +14,8 @@ from appliance.processing.bracket import (
     MAX_MOVED_MM,
     MAX_RESIDUAL,
     MAX_TURNED_DEG,
-    Merged,
     ProcessedSequence,
     _refusal,
-    faults_of,
 )
 from appliance.processing.procedure import SequenceProcessor
 from appliance.reconstruct.pipeline import Pipeline
@@ -26,7 +24,9 @@ from appliance.reconstruct.table import Cloud
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault, FaultCode
-from appliance.scan.verdict import Judgement, Verdict
+from appliance.scan.grade import faults_of_both
+from appliance.scan.news import Bracket
+from appliance.scan.verdict import Judgement, Verdict, faults_in
 from hw_sim.scene import Scene
 from tests.support.rendered import RenderedScan, render_scan
 from tests.support.truth import WATER, true_calibration
@@ -48,7 +48,7 @@ class Desk:
     short_dn: NDArray[np.uint8]
     """(h, w): the short exposure's left bright frame."""
 
-    def merged(self, first: ProcessedSequence) -> tuple[Merged, Cloud | None]:
+    def merged(self, first: ProcessedSequence) -> tuple[Bracket, Cloud | None]:
         made = self.processor.merge_with(first)
         return made, None if made.found is None else self.pipeline.table.cloud(made.found)
 
@@ -74,9 +74,9 @@ def desk(scans: tuple[RenderedScan, RenderedScan]) -> Iterator[Desk]:
 def test_at_rest_the_pair_is_merged_pixel_by_pixel_and_is_better_than_either(desk: Desk) -> None:
     merged, cloud = desk.merged(desk.first)
     assert cloud is not None
-    verdict = merged.judgement.verdict
+    verdict = merged.pair.verdict
     assert (verdict.name, verdict.passed, verdict.text) == ("pair", True, "nothing moved: merged pixel by pixel")
-    assert merged.judgement.fault is None
+    assert merged.pair.fault is None
     numbers = {name: number for name, number in verdict.numbers.items() if number is not None}
     assert (numbers["first_ms"], numbers["second_ms"]) == (3.0, 12.0)
     assert (numbers["first_gain_db"], numbers["second_gain_db"]) == (0.0, 0.0)
@@ -104,7 +104,7 @@ def test_a_sequence_in_which_something_moved_is_laid_against_the_other_one_in_sp
     desk.processor._moved = desk.processor._compensated = which == "second"
     merged, cloud = desk.merged(first)
     assert cloud is not None
-    verdict = merged.judgement.verdict
+    verdict = merged.pair.verdict
     assert verdict.passed
     assert verdict.text.endswith("points were registered")
     numbers = {name: number or 0.0 for name, number in verdict.numbers.items()}
@@ -125,12 +125,12 @@ def test_points_that_motion_spoilt_or_that_are_hardly_any_are_not_mixed_with_oth
     for cloud in (few, none):
         merged, _ = desk.merged(replace(desk.first, cloud=cloud))
         assert merged.found is None
-        assert "too little in common" in merged.judgement.verdict.text
+        assert "too little in common" in merged.pair.verdict.text
     for which, first in (("first", replace(desk.first, moved=True, spoilt=True)), ("second", desk.first)):
         desk.processor._moved = which == "second"
         merged, _ = desk.merged(first)
-        assert (merged.found, merged.judgement.verdict.passed) == (None, False)
-        fault = merged.judgement.fault
+        assert (merged.found, merged.pair.verdict.passed) == (None, False)
+        fault = merged.pair.fault
         assert fault is not None
         assert fault.code is FaultCode.MOVED
         assert fault.detail == f"instrument and scene moved while the {which} exposure was recorded"
@@ -167,7 +167,7 @@ def judged(code: FaultCode | None, detail: str = "") -> Judgement:
 def test_a_pairs_faults_are_those_of_both_without_what_the_other_one_makes_up_for() -> None:
     first = [judged(FaultCode.TOO_BRIGHT), judged(None), judged(FaultCode.WATER_DIRTY, "in the first")]
     second = [judged(FaultCode.TOO_DARK), judged(FaultCode.WATER_DIRTY, "in the second"), judged(FaultCode.WINDOW)]
-    found = faults_of(first, second, judged(FaultCode.MOVED))
+    found = faults_of_both(faults_in((*first, *second, judged(FaultCode.MOVED))))
     assert [fault.code for fault in found] == [FaultCode.WATER_DIRTY, FaultCode.WINDOW, FaultCode.MOVED]
     assert found[0].detail == "in the first", "told once, as it was found first"
-    assert faults_of([judged(None)], [judged(FaultCode.TOO_DARK)], judged(None)) == ()
+    assert faults_of_both(faults_in((judged(None), judged(FaultCode.TOO_DARK), judged(None)))) == ()

@@ -10,19 +10,11 @@ import pytest
 from appliance.compensation.attempt import Attempt
 from appliance.processing.bracket import ProcessedSequence
 from appliance.processing.judges import JUDGES
-from appliance.processing.procedure import (
-    AllJudged,
-    CoarseFound,
-    FullFound,
-    Identified,
-    OneJudged,
-    SequenceProcessor,
-    Step,
-    _compensation,
-)
+from appliance.processing.procedure import SequenceProcessor, _compensation
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.fault import FaultCode
+from appliance.scan.news import CoarseCloud, FullCloud, PatternIdentity, SequenceFact, Verdicts, WorkProgress
 from appliance.scan.verdict import Verdict
 from hw_sim.objects.motion import Motion
 from hw_sim.scene import Scene
@@ -35,7 +27,7 @@ HAND = Motion((0.0, 20.0, 0.0))
 
 @dataclass(frozen=True)
 class Worked:
-    steps: list[Step]
+    steps: list[SequenceFact]
     held: ProcessedSequence
 
 
@@ -62,8 +54,8 @@ def in_a_hand() -> Worked:
 
 def test_it_is_told_that_motion_is_being_undone_and_again_what_came_of_it(in_a_hand: Worked) -> None:
     kinds = [type(step) for step in in_a_hand.steps]
-    assert kinds == [Identified, CoarseFound, *[OneJudged] * len(JUDGES), AllJudged, AllJudged, FullFound]
-    before, after = (step for step in in_a_hand.steps if isinstance(step, AllJudged))
+    assert kinds == [PatternIdentity, CoarseCloud, *[WorkProgress] * len(JUDGES), Verdicts, Verdicts, FullCloud]
+    before, after = (step for step in in_a_hand.steps if isinstance(step, Verdicts))
     assert (before.compensating, after.compensating) == (True, False)
     said = {one.verdict.name: one for one in before.judgements}
     assert said["motion"].fault is not None
@@ -74,7 +66,7 @@ def test_it_is_told_that_motion_is_being_undone_and_again_what_came_of_it(in_a_h
 
 def test_motion_that_was_undone_is_no_fault_of_the_points(in_a_hand: Worked) -> None:
     last = in_a_hand.steps[-1]
-    assert isinstance(last, FullFound)
+    assert isinstance(last, FullCloud)
     said = {one.verdict.name: one for one in last.judgements}
     motion = said["motion"]
     assert motion.fault is not None

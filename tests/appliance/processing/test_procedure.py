@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator, Mapping
 
 import numpy as np
@@ -9,18 +10,11 @@ import pytest
 
 from appliance.patterns.sequence import build_sequence
 from appliance.processing.judges import JUDGES
-from appliance.processing.procedure import (
-    AllJudged,
-    CoarseFound,
-    FullFound,
-    Identified,
-    OneJudged,
-    SequenceProcessor,
-    _specks_count,
-)
+from appliance.processing.procedure import SequenceProcessor, _specks_count
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.fault import FaultCode
+from appliance.scan.news import Bracket, CoarseCloud, FullCloud, PatternIdentity, Verdicts, WorkProgress
 from appliance.scan.verdict import Judgement, Verdict
 from hw_sim.scene import Scene
 from tests.support.rendered import RenderedScan, render_scan
@@ -54,16 +48,21 @@ def processor(pipeline: Pipeline, still: RenderedScan) -> SequenceProcessor:
 def test_identity_comes_before_any_cloud_and_the_judges_between_the_two(processor: SequenceProcessor) -> None:
     with pytest.raises(ValueError, match="no full cloud yet"):
         processor.hold()
+    begun_s = time.process_time()
     steps = list(processor.steps())
+    took_s = time.process_time() - begun_s
     kinds = [type(step) for step in steps]
-    assert kinds == [Identified, CoarseFound, *[OneJudged] * len(JUDGES), AllJudged, FullFound]
+    assert kinds == [PatternIdentity, CoarseCloud, *[WorkProgress] * len(JUDGES), Verdicts, FullCloud]
     coarse, full = steps[1], steps[-1]
-    assert isinstance(coarse, CoarseFound)
-    assert isinstance(full, FullFound)
+    assert isinstance(coarse, CoarseCloud)
+    assert isinstance(full, FullCloud)
     assert 0 < coarse.found.summary.points < 1.01 * full.found.summary.points
     assert coarse.found.gaps is None
     assert full.found.gaps is not None, "the ray gaps are sampled from the full cloud's pixels"
     assert len(processor.hold().cloud.pixel) == full.found.summary.points
+    costs_s = [one.cpu_s for one in steps if isinstance(one, CoarseCloud | Verdicts | FullCloud)]
+    assert min(costs_s) > 0.0
+    assert 0.8 * took_s < sum(costs_s) <= took_s + 0.001, "each part of the work is told once"
 
 
 def test_exchanged_cameras_are_the_only_cause(processor: SequenceProcessor, still: RenderedScan) -> None:
@@ -86,13 +85,34 @@ def test_wrong_patterns_end_it_unless_wanted_all_the_same(processor: SequencePro
     processor.begin(AcquisitionSettings())
     assert len(list(processor.push_all(swapped))) == N
     (only,) = processor.steps()
-    assert isinstance(only, Identified)
+    assert isinstance(only, PatternIdentity)
     assert only.judgement.fault is not None
     assert only.judgement.fault.code in {FaultCode.PATTERN_WRONG, FaultCode.PROJECTOR_TIMING}
     assert not processor.finished
     all_the_same = processor.process(swapped, AcquisitionSettings())
     assert all_the_same.judgements[0].fault == only.judgement.fault
     assert processor.finished
+
+
+def test_a_second_exposure_gives_one_bracket_or_the_fault_of_its_frames(
+    processor: SequenceProcessor, still: RenderedScan
+) -> None:
+    processor.run()
+    first = processor.hold()
+    swapped = {side: frames.copy() for side, frames in still.frames.items()}
+    swapped["right"][[4, 9]] = swapped["right"][[9, 4]]
+    for frames, right in ((still.frames, True), (swapped, False)):
+        processor.begin(AcquisitionSettings())
+        assert len(list(processor.push_all(frames))) == N
+        *others, bracket = processor.bracket_steps(first)
+        assert {type(one) for one in others} == {WorkProgress}
+        assert isinstance(bracket, Bracket)
+        assert bracket.cpu_s > 0.0
+        assert (bracket.found is not None, bracket.pair.verdict.passed) == (right, right)
+        assert bracket.second[0].verdict.name == "identity"
+        assert (len(bracket.second) > 1) == right
+        if not right:
+            assert bracket.fault == bracket.second[0].fault
 
 
 def test_frames_that_are_missing_are_refused(processor: SequenceProcessor, still: RenderedScan) -> None:
@@ -108,7 +128,7 @@ def test_specks_are_looked_for_from_one_pixel_in_five_thousand_on(speck_percent:
     assert not _specks_count(None)
 
 
-def said_of(full: FullFound | None) -> list[tuple[str, bool | None, Mapping[str, float | None], object]]:
+def said_of(full: FullCloud | None) -> list[tuple[str, bool | None, Mapping[str, float | None], object]]:
     assert full is not None
     return [(one.verdict.name, one.verdict.passed, one.verdict.numbers, one.fault) for one in full.judgements]
 

@@ -12,9 +12,10 @@ import pytest
 
 from appliance.processing import judges, procedure
 from appliance.processing.judges import JUDGES, Earlier, Judge, JudgeInput
-from appliance.processing.procedure import AllJudged, CoarseFound, FullFound, OneJudged, SequenceProcessor, Step
+from appliance.processing.procedure import SequenceProcessor
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.scan.acquisition import AcquisitionSettings
+from appliance.scan.news import CoarseCloud, FullCloud, SequenceFact, Verdicts, WorkProgress
 from appliance.scan.verdict import Judgement
 from hw_sim.scene import Imaging, Scene
 from tests.appliance.processing.test_moved import scan_in_a_hand
@@ -47,7 +48,7 @@ def made() -> Iterator[Make]:
         yield make
 
 
-def begun(processor: SequenceProcessor, scan: RenderedScan) -> Iterator[Step]:
+def begun(processor: SequenceProcessor, scan: RenderedScan) -> Iterator[SequenceFact]:
     """All frames pushed, no step taken."""
     processor.begin(SETTINGS)
     for _ in processor.push_all(scan.frames):
@@ -55,12 +56,12 @@ def begun(processor: SequenceProcessor, scan: RenderedScan) -> Iterator[Step]:
     return processor.steps()
 
 
-def told(pipeline: Pipeline, steps: Iterator[Step], pause_s: float = 0.0) -> list[object]:
+def told(pipeline: Pipeline, steps: Iterator[SequenceFact], pause_s: float = 0.0) -> list[object]:
     """Everything that is told of a scan, but for processor times, its points as bytes; ``pause_s`` is waited at each step."""
     heard: list[object] = []
     for step in steps:
         heard.append(type(step).__name__)
-        if isinstance(step, CoarseFound | FullFound):
+        if isinstance(step, CoarseCloud | FullCloud):
             cloud = pipeline.table.cloud(step.found)
             columns = (
                 cloud.points_mm,
@@ -71,7 +72,7 @@ def told(pipeline: Pipeline, steps: Iterator[Step], pause_s: float = 0.0) -> lis
                 cloud.pixel,
             )
             heard += [*(column.tobytes() for column in columns), cloud.summary, repr(cloud.gaps)]
-        if isinstance(step, AllJudged | FullFound):
+        if isinstance(step, Verdicts | FullCloud):
             heard += [repr((one.verdict, one.fault, one.proposal, one.second)) for one in step.judgements]
         time.sleep(pause_s)
     return heard
@@ -125,7 +126,7 @@ def test_nobody_is_at_work_on_a_scan_that_was_left(
     # The last of the table is what a helper begins with.
     monkeypatch.setattr(judges, "JUDGES", (*JUDGES, Judge("slow", slow.judge)))
     steps = begun(processor, straight)
-    assert any(isinstance(step, CoarseFound) for step in steps)
+    assert any(isinstance(step, CoarseCloud) for step in steps)
     assert slow.begun.wait(TIMEOUT_S), "a judge is at work while the coarse cloud is shown"
     timer = threading.Timer(0.2, slow.let.set)
     timer.start()
@@ -155,7 +156,7 @@ def test_a_judge_that_fails_is_told_where_its_word_was_awaited(
 
     def hear() -> None:
         for step in steps:
-            heard.extend([step.name] if isinstance(step, OneJudged) else [])
+            heard.extend([step.step] if isinstance(step, WorkProgress) else [])
 
     with pytest.raises(ValueError, match="at a loss"):
         hear()

@@ -12,10 +12,10 @@ import pytest
 from numpy.typing import NDArray
 
 from appliance.reconstruct.fuse import Fused, fuse
-from appliance.reconstruct.quality import CloudSummary
 from appliance.reconstruct.register import Registration
 from appliance.reconstruct.surface import surface_of
 from appliance.reconstruct.table import Cloud
+from appliance.scan.cloud import CloudSummary
 
 Array = NDArray[np.float64]
 SHAPE = HEIGHT_PX, WIDTH_PX = 24, 32

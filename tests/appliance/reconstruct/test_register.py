@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.reconstruct.quality import CloudSummary
 from appliance.reconstruct.register import Registration, register
 from appliance.reconstruct.surface import surface_of
 from appliance.reconstruct.table import Cloud
+from appliance.scan.cloud import CloudSummary
 
 Array = NDArray[np.float64]
 WIDTH_PX, HEIGHT_PX, FOCAL_PX = 160, 120, 320.0

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from appliance.reconstruct.quality import CloudSummary
-from appliance.reconstruct.table import POINT_BYTES, Cloud, Found, PointTable
+from appliance.reconstruct.table import POINT_BYTES, Cloud, PointTable
+from appliance.scan.cloud import CloudSummary, Found
 
 SUMMARY = CloudSummary(5, 50.0, 500.0, 0.02, 0.01)
 

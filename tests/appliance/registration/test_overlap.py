@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from appliance.reconstruct.quality import CloudSummary
 from appliance.reconstruct.table import Cloud
 from appliance.registration.features import Features, PictureMarks
 from appliance.registration.overlap import CoarseView, _again, _single, coarse_view, compare, share_on
 from appliance.registration.rigid import Rigid
+from appliance.scan.cloud import CloudSummary
 from appliance.scan.overlap import Overlap
 from tests.support.views import PROJECTION, SeenView, between, view
 

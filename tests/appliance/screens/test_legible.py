@@ -35,6 +35,7 @@ from appliance.service.menu_view import Facts, menu_view
 from drivers.api import Key
 from tests.appliance.machine.walks import STARTS, armed, in_gallery, reviewing, run
 from tests.appliance.screens.golden.scenes import AIM, ALERTS, GALLERY, REVIEW, SCENES, Scene, alert, keys
+from tests.support import news
 
 DATA = {"fault", "self-test-failed"}
 """Scenes with words of others, which may be cut."""
@@ -316,8 +317,8 @@ def moments() -> Iterator[tuple[str, dict[Key, Label]]]:
     other = Exposure(8_000)
     more = (
         run(in_gallery(), on.KeyPressed(Key.DOWN)),
-        run(reviewing(), on.Judged(1, (Fault(FaultCode.TOO_BRIGHT),), other)),
-        run(reviewing(), on.Judged(1, (), None, other)),
+        run(reviewing(), news.judged(1, (Fault(FaultCode.TOO_BRIGHT),), other)),
+        run(reviewing(), news.judged(1, (), None, other)),
         run(armed(), on.CaptureFailed(1, Fault(FaultCode.FRAME_MISSING))),
     )
     for machine in (*(start() for start in STARTS), *more):

@@ -37,6 +37,7 @@ from tests.appliance.capture.test_course_of_a_scan import BEAT, SEQUENCE, N
 from tests.appliance.machine.walks import PARTS, SUMMARY, UPS, run
 from tests.appliance.service.scripted import Desk, a_desk, small_rig
 from tests.drivers.clock import SteppedClock
+from tests.support import news
 
 EXPOSURE = Exposure(8_000, 6.0)
 WANTED = do.Arm(7, 16, EXPOSURE, object=5)
@@ -311,7 +312,7 @@ def test_a_scan_from_the_key_to_the_gallery(aiming: Running, tmp_path: Path) -> 
 def test_a_scan_that_is_not_wanted_is_rejected(aiming: Running, tmp_path: Path) -> None:
     aiming.press(api.Key.SCAN, aiming.to(State.CHECK))
     aiming.until(lambda: aiming.desk.parts.scans.folder(1))
-    aiming.tell(on.PatternsRight(1), on.CoarseReady(1, SUMMARY), on.FullReady(1, SUMMARY))
+    aiming.tell(news.right(1), news.coarse(1, SUMMARY), news.full(1, SUMMARY))
     aiming.until(aiming.to(State.REVIEW))
     for _ in range(3):  # the alert is seen first
         aiming.press(api.Key.BACK, lambda: not aiming.desk.pad.waiting)

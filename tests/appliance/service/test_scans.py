@@ -17,8 +17,23 @@ from appliance.machine.states import Part
 from appliance.machine.words import Text
 from appliance.patterns.sequence import PatternSequence, build_sequence
 from appliance.reconstruct.table import Cloud
+from appliance.scan.cloud import Found
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.news import (
+    Bracket,
+    CoarseCloud,
+    FullCloud,
+    LiveGuidance,
+    News,
+    PatternIdentity,
+    ReconstructionFailure,
+    ScanOverlap,
+    SequenceFact,
+    Verdicts,
+    WorkerFailure,
+    WorkProgress,
+)
 from appliance.scan.overlap import Overlap
 from appliance.scan.sides import SIDES
 from appliance.scan.verdict import Judgement, Verdict
@@ -28,8 +43,8 @@ from appliance.service.scan_in_memory import ScanInMemory, SecondInMemory
 from appliance.service.scans import ScanController
 from appliance.service.worker_reports import WorkerReports
 from appliance.storage.library import Library
-from appliance.worker import process
-from appliance.worker.looking import LiveLookedAt
+from appliance.worker.messages import Ready
+from appliance.worker.process import WorkerEvent
 from drivers.api import Flip, Frame, FrameStatus, Pulse
 from tests.appliance.capture.test_course_of_a_scan import SEQUENCE
 from tests.appliance.machine.walks import SUMMARY
@@ -197,6 +212,7 @@ def _save(root: Path, disk: BadDisk) -> tuple[list[on.Event], list[on.Event]]:
 SPOILT = Fault(FaultCode.MOVED, "the hands shook")
 GOOD, BAD = Judgement(Verdict("motion", True)), Judgement(Verdict("motion", False), SPOILT)
 PAIR = Judgement(Verdict("pair", True))
+RIGHT, FOUND = PatternIdentity(Judgement(Verdict("identity", True))), Found(((0, 5),), SUMMARY)
 DOWN = Fault(FaultCode.RECONSTRUCTION_FAILED, "the process ended with code -9")
 
 
@@ -213,6 +229,7 @@ class Heard:
     def __init__(self, desk: Desk) -> None:
         scans = desk.parts.scans
         self.dropped = 0
+        self.worker = scans.worker
         self.reports = WorkerReports(scans.worker, scans.watch, desk.script.clock, self._drop)
         begun_ns = desk.script.clock.now_ns() - 2_000_000_000
         self.scan = ScanInMemory(4, begun_ns, Exposure(8_000), ORIGIN, record=record())
@@ -220,8 +237,13 @@ class Heard:
     def _drop(self) -> None:
         self.dropped += 1
 
-    def meant(self, report: process.WorkerEvent) -> list[on.Event]:
+    def meant(self, report: WorkerEvent) -> list[on.Event]:
         return self.reports.meant(report, self.scan)
+
+    def told(self, fact: SequenceFact, points: Cloud | None = None) -> list[on.Event]:
+        """What is heard of a fact about the scan, whose ``points`` the worker has copied."""
+        self.worker.coarse = self.worker.full = points
+        return self.meant(News(4, fact))
 
     def with_second(self) -> SecondInMemory:
         self.scan.second = SecondInMemory(5, self.scan.begun_ns, Exposure(14_000), second_sequence())
@@ -239,61 +261,68 @@ def heard(desk: Desk) -> Heard:
 
 
 def test_of_another_scan_nothing_is_heard_and_news_of_none_are_told_as_they_are(heard: Heard) -> None:
-    about = (
-        process.CloudReady(3, True, cloud(), 0.1), process.ScanJudged(3, (BAD,), 0.1), process.ScanCompared(3, Overlap(0.5), 0.1)
-    )  # fmt: skip
-    for report in about:
-        assert heard.meant(report) == heard.reports.meant(report, None) == []
-    assert (heard.scan.full, heard.scan.judgements, heard.scan.times_s, heard.reports.settled) == (None, (), {}, False)
-    ready: list[on.Event] = [on.ConditionCleared(FaultCode.RECONSTRUCTION_FAILED), on.PartTested(Part.WORKER, True)]
-    news: tuple[tuple[process.WorkerEvent, list[on.Event]], ...] = (
-        (process.WorkerReady(), ready),
-        (process.SequenceIdentified(9), [on.PatternsRight(9)]),
-        (LiveLookedAt(None, 77, 0.1), [on.Guided(None, 77)]),
+    heard.worker.coarse = heard.worker.full = cloud()
+    facts = (
+        RIGHT,
+        CoarseCloud(FOUND, 0.1),
+        FullCloud(FOUND, (BAD,), 0.1),
+        Verdicts((BAD,), 0.1),
+        ScanOverlap(Overlap(0.5), 0.1),
     )
-    for one, told in news:
-        assert heard.reports.meant(one, None) == told
-    assert [heard.reports.settled] == [True]
+    for fact in facts:
+        assert heard.meant(News(3, fact)) == heard.reports.meant(News(4, fact), None) == []
+    assert (heard.scan.full, heard.scan.times_s, heard.reports.settled) == (None, {}, False)
+    assert BAD.verdict not in heard.verdicts
+    ready: list[on.Event] = [on.ConditionCleared(FaultCode.RECONSTRUCTION_FAILED), on.PartTested(Part.WORKER, True)]
+    assert heard.reports.meant(Ready(), None) == ready
+    assert heard.reports.settled
+    assert heard.reports.meant(LiveGuidance(None, 77, 0.1), None) == [LiveGuidance(None, 77, 0.1)]
+
+
+def test_the_machine_hears_a_fact_as_it_is(heard: Heard) -> None:
+    for fact in (RIGHT, CoarseCloud(FOUND), Verdicts((BAD,)), FullCloud(FOUND, (BAD,)), ScanOverlap(Overlap(0.5))):
+        assert heard.told(fact, cloud()) == [News(4, fact)]
+    assert heard.told(WorkProgress("light")) == []
 
 
 def test_clouds_enter_the_scan_with_the_time_at_which_each_was_seen_first(heard: Heard) -> None:
     scan, made = heard.scan, cloud()
-    assert heard.meant(process.CloudReady(4, False, made, 0.25)) == [on.CoarseReady(4, made.summary)]
+    heard.told(CoarseCloud(FOUND, 0.25), made)
     assert (scan.coarse, scan.full) == (made, None)
-    assert heard.meant(process.CloudReady(4, True, made, 0.5)) == [on.FullReady(4, made.summary)]
+    heard.told(FullCloud(FOUND, (), 0.5), made)
     assert (scan.full, scan.times_s["coarse_cpu"], scan.times_s["full_cpu"]) == (made, 0.25, 0.5)
     first_s = scan.times_s["full"]
     assert 2.0 <= scan.times_s["coarse"] <= first_s < 5.0
-    heard.meant(process.CloudReady(4, True, cloud(), 0.5))
+    heard.told(FullCloud(FOUND, (), 0.5), cloud())
     assert scan.times_s["full"] == first_s
 
 
-def test_judgements_are_entered_and_the_first_proposals_told(heard: Heard) -> None:
+def test_judgements_are_entered_in_place_of_those_before(heard: Heard) -> None:
     proposing = Judgement(Verdict("exposure", True), proposal=Exposure(4_000), second=Exposure(14_000))
-    later = Judgement(Verdict("water", True), proposal=Exposure(9_000), second=Exposure(9_000))
-    events = heard.meant(process.ScanJudged(4, (BAD, proposing, later), 0.25))
-    assert events == [on.Judged(4, (SPOILT,), Exposure(4_000), Exposure(14_000))]
-    assert {"motion", "exposure", "water"} <= {one.name for one in heard.verdicts}
-    assert heard.meant(process.ScanJudged(4, (GOOD,), 0.5)) == [on.Judged(4)]
+    heard.told(Verdicts((BAD, proposing), 0.25))
+    assert {"motion", "exposure"} <= {one.name for one in heard.verdicts}
+    heard.told(Verdicts((GOOD,), 0.5))
     assert heard.scan.times_s["judged_cpu"] == 0.75
-    assert heard.scan.judgements == (GOOD,)
     assert [one.passed for one in heard.verdicts if one.name == "motion"] == [True], "in place of the first word"
+    heard.told(FullCloud(FOUND, (BAD,), 0.5), cloud())
+    assert heard.scan.times_s["judged_cpu"] == 0.75
+    assert [one.passed for one in heard.verdicts if one.name == "motion"] == [False], "the last word"
 
 
 def test_a_spoilt_scan_and_its_overlap_are_told(heard: Heard) -> None:
-    assert heard.meant(process.ScanCompared(4, Overlap(0.5), 0.1)) == [on.OverlapTold(4, Overlap(0.5))]
+    heard.told(ScanOverlap(Overlap(0.5), 0.1))
     assert heard.scan.times_s["overlap_cpu"] == 0.1
-    assert heard.meant(process.ScanSpoiled(4, GOOD)) == []
-    assert heard.meant(process.ScanSpoiled(4, BAD)) == [on.ReconstructionFailed(4, SPOILT)]
+    spoilt = PatternIdentity(BAD)
+    assert heard.told(spoilt) == [News(4, spoilt)]
     assert BAD.verdict in heard.verdicts
 
 
 def test_both_sequences_become_one_cloud(heard: Heard) -> None:
-    assert heard.meant(process.PairJudged(4, (GOOD,), PAIR, cloud(), 0.5)) == [], "there is no second one"
+    bracket = Bracket(FOUND, PAIR, (GOOD,), 0.5)
+    assert heard.told(bracket, cloud()) == [], "there is no second one"
+    assert [heard.scan.full] == [None]
     second, made = heard.with_second(), cloud()
-    (merged,) = heard.meant(process.PairJudged(4, (GOOD,), PAIR, made, 0.5))
-    assert isinstance(merged, on.PairMerged)
-    assert (merged.number, merged.summary, merged.warnings) == (4, made.summary, ())
+    assert heard.told(bracket, made) == [News(4, bracket)]
     assert (second.merged, heard.scan.full, heard.scan.times_s["pair_cpu"]) == (True, made, 0.5)
     assert 2.0 <= heard.scan.times_s["pair"] < 5.0
     assert heard.scan.coarse is not None
@@ -306,29 +335,30 @@ def test_both_sequences_become_one_cloud(heard: Heard) -> None:
 @pytest.mark.parametrize("fault", [SPOILT, None])
 def test_a_second_sequence_that_does_not_fit_is_given_up_alone(heard: Heard, fault: Fault | None) -> None:
     second = heard.with_second()
-    pair = Judgement(Verdict("pair", False, {}, "nothing in common"), fault)
-    (failed,) = heard.meant(process.PairJudged(4, (), pair, None, 0.5))
-    assert failed == on.PairFailed(4, fault or Fault(FaultCode.RECONSTRUCTION_FAILED, "nothing in common"))
+    bracket = Bracket(None, Judgement(Verdict("pair", False, {}, "nothing in common"), fault))
+    assert heard.told(bracket) == [News(4, bracket)]
+    assert bracket.fault == (fault or Fault(FaultCode.RECONSTRUCTION_FAILED, "nothing in common"))
     assert (second.merged, heard.scan.full, heard.dropped) == (False, None, 1)
 
 
 @pytest.mark.parametrize(
-    ("number", "second", "merged", "told"),
+    ("number", "second", "merged", "dropped"),
     [
-        (4, False, False, on.ReconstructionFailed(4, DOWN)),
-        (4, True, False, on.PairFailed(4, DOWN)),
-        (4, True, True, on.ReconstructionFailed(4, DOWN)),
-        (3, True, False, on.ReconstructionFailed(3, DOWN)),
-        (None, False, False, None),
+        (4, False, False, 0),
+        (4, True, False, 1),
+        (4, True, True, 0),
+        (3, True, False, 0),
+        (None, False, False, 0),
     ],
 )
 def test_a_process_that_is_down_for_good_fails_what_it_had(
-    heard: Heard, number: int | None, second: bool, merged: bool, told: on.Event | None
+    heard: Heard, number: int | None, second: bool, merged: bool, dropped: int
 ) -> None:
     if second:
         heard.with_second().merged = merged
-    events = heard.meant(process.WorkerFailed(number, DOWN))
+    lost = None if number is None else News(number, ReconstructionFailure(DOWN))
+    events = heard.meant(WorkerFailure(DOWN.detail) if lost is None else lost)
     down = [on.ConditionRaised(DOWN), on.PartTested(Part.WORKER, False, Text.GIVEN_UP)]
-    assert events == [*([] if told is None else [told]), *down]
+    assert events == [*([] if lost is None else [lost]), *down]
     assert heard.reports.settled
-    assert heard.dropped == isinstance(told, on.PairFailed)
+    assert heard.dropped == dropped, "the second sequence, and no more"

@@ -13,13 +13,15 @@ from appliance.machine.states import Device, Gallery, Part, State, boot
 from appliance.ranging.marks import Marks, Track
 from appliance.ranging.reach import Range, Reach
 from appliance.scan.fault import Fault, FaultCode
+from appliance.scan.news import FullCloud, PatternIdentity, ReconstructionFailure, Verdicts
 from appliance.screens.texts import to_the_minute
 from appliance.screens.views import AimView, CalibrateView, GalleryView, SelfTestView
 from appliance.service.gallery import Shown
 from appliance.service.loop import fault_text, spoken
 from appliance.service.view import Surroundings, view_of
 from hw_sim.people import status_file
-from tests.appliance.machine.walks import EVERY_EVENT, UPS, aim, run
+from tests.appliance.machine.walks import EVERY_EVENT, UPS, aim, kind, run
+from tests.support import news
 from tests.support.golden_texts import Says
 
 REPR = re.compile(r"<\w+[.:]|\w\(\w+=|\{'|\['|\(\)|\('|\bNone\b|Device\.|FaultCode\.")
@@ -28,8 +30,9 @@ REPR = re.compile(r"<\w+[.:]|\w\(\w+=|\{'|\['|\(\)|\('|\bNone\b|Device\.|FaultCo
 
 def test_no_event_is_logged_as_python_prints_it() -> None:
     lines = {event: line for event in EVERY_EVENT if (line := spoken(event)) is not None}
-    said = (on.DeviceUp, on.DeviceDown, on.CaptureFailed, on.SaveFailed, on.ReconstructionFailed, on.Judged)
-    assert {type(event) for event in lines} == set(said)
+    said = (on.DeviceUp, on.DeviceDown, on.CaptureFailed, on.SaveFailed)
+    told = (PatternIdentity, ReconstructionFailure, Verdicts, FullCloud)
+    assert {kind(event) for event in lines} == {*said, *told}
     for level, text in lines.values():
         assert level in (logging.INFO, logging.WARNING)
         assert not REPR.search(text), text
@@ -42,13 +45,13 @@ def test_what_happened_is_told_with_its_numbers_and_its_remedy(says: Says) -> No
         on.DeviceDown(Device.DISPLAY, "/dev/dri/card0 cannot be opened (No such file or directory)"),
         on.DeviceDown(Device.CAMERA_LEFT, "480 Mbit/s", FaultCode.CAMERA_SLOW_LINK),
         on.CaptureFailed(3, moved),
-        on.Judged(3, (bent,)),
+        news.judged(3, (bent,)),
     )
     lines = [spoken(one) for one in told]
     assert [line and line[0] for line in lines] == [logging.WARNING] * 3 + [logging.INFO]
     says("\n".join(line[1] for line in lines if line is not None))
     assert fault_text(Fault(FaultCode.INTERNAL)) == "INTERNAL"
-    assert spoken(on.Judged(3)) is None
+    assert spoken(news.judged(3)) is spoken(news.right(3)) is None
 
 
 def test_what_the_console_sees_is_written_in_words(says: Says) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from appliance.machine.alerts import headline_of
 from appliance.machine.words import Language
-from appliance.reconstruct.quality import CloudSummary
+from appliance.scan.cloud import CloudSummary
 from appliance.scan.exposure import Exposure, Span, ladder
 from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.sides import SIDES

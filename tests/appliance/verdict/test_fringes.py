@@ -9,12 +9,13 @@ import pytest
 from numpy.typing import NDArray
 
 from appliance.patterns.sequence import build_sequence
-from appliance.processing.procedure import FullFound, SequenceProcessor
+from appliance.processing.procedure import SequenceProcessor
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.straighten import PhaseBend
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import FaultCode
+from appliance.scan.news import FullCloud
 from appliance.scan.sides import SIDES
 from appliance.verdict.fringes import judge_fringes
 from hw_sim.outside import draw_outside
@@ -48,7 +49,7 @@ def test_a_bend_that_noise_hides_is_none() -> None:
     assert judged.verdict.numbers["noise_factor"] == 1.0
 
 
-def processed(exposure_us: int, seed: int = 10_004) -> FullFound:
+def processed(exposure_us: int, seed: int = 10_004) -> FullCloud:
     """Return what is said of a plane before a projector of bit planes, as bright as at 12 ms: only which bits are seen is another."""
     sequence = build_sequence(16)
     scene = Scene("plane", outside=draw_outside(seed, ("projector",)))

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from appliance.optics.volume import STANDARD, WorkingVolume
 from appliance.reconstruct.decode.decoder import Mask
-from appliance.reconstruct.quality import CloudSummary
+from appliance.scan.cloud import CloudSummary
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.verdict import Judgement, Verdict

@@ -9,12 +9,13 @@ import pytest
 from numpy.typing import NDArray
 
 from appliance.patterns.sequence import build_sequence
-from appliance.reconstruct.quality import CloudSummary
 from appliance.reconstruct.table import Cloud
+from appliance.scan.cloud import CloudSummary
 from appliance.scan.guidance import Move
+from appliance.scan.news import LiveGuidance
 from appliance.scan.overlap import Overlap
 from appliance.worker.live_picture import reduced
-from appliance.worker.messages import LookAt, LookedAt
+from appliance.worker.messages import LookAt
 from appliance.worker.neighbours import Neighbours
 from appliance.worker.onlooker import Onlooker
 from tests.support import synthetic
@@ -67,10 +68,10 @@ class Between:
                 return found.overlap
         raise AssertionError(f"no answer after {MOST_PIECES} pieces")
 
-    def look(self, number: int, picture: NDArray[np.uint8]) -> None:
-        self.onlooker.look(LookAt(number, (picture.shape[0], picture.shape[1]), 1), picture)
+    def look(self, taken_ns: int, picture: NDArray[np.uint8]) -> None:
+        self.onlooker.look(LookAt(taken_ns, (picture.shape[0], picture.shape[1]), 1), picture)
 
-    def looked(self) -> LookedAt:
+    def looked(self) -> LiveGuidance:
         for _ in range(MOST_PIECES):
             if (found := self.onlooker.go_on()) is not None:
                 assert not self.onlooker.waits
@@ -133,7 +134,7 @@ def test_a_picture_is_looked_at_against_the_scan_that_was_kept(between: Between,
     between.take(0, keep=True)
     between.look(4, near)
     found = between.looked()
-    assert (found.number, found.cpu_s > 0.0) == (4, True)
+    assert (found.taken_ns, found.cpu_s > 0.0) == (4, True)
     assert found.guidance is not None
     assert found.guidance.move is Move.GO_ON
 
@@ -148,4 +149,4 @@ def test_a_scan_that_begins_ends_it_and_a_later_picture_takes_its_place(
     assert (between.onlooker.waits, between.onlooker.go_on()) == (False, None)
     between.look(2, near)
     between.look(3, near)
-    assert between.looked().number == 3
+    assert between.looked().taken_ns == 3

@@ -48,6 +48,6 @@ def test_after_a_small_movement_the_clouds_are_laid_against_each_other() -> None
     ratio = np.array([sigma_mm / before[pixel] for pixel, sigma_mm in both if pixel in before])
     assert ratio.max() <= 1.0001, "what both have is not worse than what the first had"
     assert (ratio < 0.8).mean() > 0.5
-    numbers = merged.judgement.verdict.numbers
+    numbers = merged.pair.verdict.numbers
     assert numbers["moved_mm"] == pytest.approx(float(np.linalg.norm(BY[:3])), abs=0.5)
     assert numbers["turned_deg"] == pytest.approx(float(np.linalg.norm(BY[3:])), abs=0.06)

@@ -19,18 +19,31 @@ import numpy as np
 import pytest
 
 from appliance.capture.store import FrameStore
-from appliance.reconstruct.quality import CloudSummary
-from appliance.reconstruct.table import Found
 from appliance.scan.acquisition import AcquisitionSettings
+from appliance.scan.cloud import CloudSummary, Found
 from appliance.scan.exposure import Exposure
 from appliance.scan.fault import Fault, FaultCode
 from appliance.scan.guidance import LOST
+from appliance.scan.news import (
+    Bracket,
+    CoarseCloud,
+    FullCloud,
+    LiveGuidance,
+    News,
+    PatternIdentity,
+    ReconstructionFailure,
+    ScanOverlap,
+    SequenceFact,
+    Verdicts,
+    WorkerFailure,
+    WorkProgress,
+)
+from appliance.scan.overlap import Overlap
 from appliance.scan.verdict import Judgement, Verdict
 from appliance.worker import messages as say
-from appliance.worker import process, usage
-from appliance.worker.looking import LiveLookedAt
+from appliance.worker import usage
 from appliance.worker.order import WorkOrder
-from appliance.worker.process import CloudReady, PairJudged, ReconstructionWorker, WorkerFailed, WorkerReady
+from appliance.worker.process import ReconstructionWorker, WorkerEvent
 from tests.drivers.output.kernel import Time
 from tests.support import synthetic
 
@@ -39,6 +52,9 @@ SECOND = AcquisitionSettings(Exposure(3_200))
 FOUND = Found(((0, 0),), CloudSummary(0, None, None, None, None))
 SAID = Judgement(Verdict("identity", True))
 WRONG = Judgement(Verdict("identity", False), Fault(FaultCode.PATTERN_WRONG))
+RIGHT, COARSE, FULL = PatternIdentity(SAID), CoarseCloud(FOUND, 0.1), FullCloud(FOUND, (SAID,), 0.3)
+PROGRESS, JUDGED = WorkProgress("light"), Verdicts((SAID,), 0.2)
+UNFIT = ReconstructionFailure(Fault(FaultCode.RECONSTRUCTION_FAILED, "frame 3 was pushed"))
 
 
 @dataclass(frozen=True)
@@ -107,7 +123,7 @@ class Desk:
     def child(self) -> ScriptedProcess:
         return self.machine.started[-1]
 
-    def after(self, seconds: float, *says: object) -> process.WorkerEvent | None:
+    def after(self, seconds: float, *says: object) -> WorkerEvent | None:
         self.time.sleep_s(seconds)
         for one in says:
             if isinstance(one, Ends):
@@ -127,9 +143,12 @@ class Desk:
         self.worker.begin(number)
         self.worker.finish()
 
+    def told_of(self, number: int, *facts: SequenceFact) -> WorkerEvent | None:
+        """The process tells these facts of the sequence with that ticket."""
+        return self.after(0.0, *(News(number, fact) for fact in facts))
+
     def ready(self) -> None:
-        assert self.after(0.0, say.Ready()) == WorkerReady()
-        assert self.after(0.0, say.Loaded()) is None
+        assert self.after(0.0, say.Ready()) == say.Ready()
 
 
 @pytest.fixture
@@ -137,7 +156,8 @@ def desk(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Desk]:
     machine, time = Machine(tmp_path), Time()
     monkeypatch.setattr(multiprocessing, "get_context", lambda kind: machine)
     order = WorkOrder(synthetic.calibration(), synthetic.WATER, 16, 1024, 768)
-    with FrameStore(N, 300, 400) as store, ReconstructionWorker(order, store, time) as worker:
+    with FrameStore(N, 300, 400) as store:
+        worker = ReconstructionWorker(order, store, time)
         made = Desk(worker, machine, time)
 
         def below(path: str) -> Path:
@@ -147,8 +167,9 @@ def desk(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Desk]:
             return tmp_path / path.removeprefix("/proc/")
 
         monkeypatch.setattr(usage, "Path", below)
-        yield made
-        last = made.child if worker.pid is not None else None
+        with worker:
+            yield made
+            last = made.child if worker.pid is not None else None
     if last is not None:
         assert (last.waits_s, last.killed) == ([2.0], False), "one that is well is given time to end"
 
@@ -161,12 +182,18 @@ def begin(ticket: int, settings: AcquisitionSettings | None = None, *, second: b
     return say.Begin(ticket, settings or AcquisitionSettings(), second)
 
 
-def failed(event: process.WorkerEvent | None, why: str) -> int | None:
-    """The scan that was lost; the event must be a failure that says ``why``."""
-    assert isinstance(event, WorkerFailed)
-    assert event.fault.code is FaultCode.RECONSTRUCTION_FAILED
-    assert why in event.fault.detail
-    return event.scan
+def failed(event: WorkerEvent | None, why: str) -> int | None:
+    """The scan that was lost, ``None``: none; the event must be a failure that says ``why``."""
+    match event:
+        case WorkerFailure(text):
+            assert why in text
+            return None
+        case News(number, ReconstructionFailure(fault)):
+            assert fault.code is FaultCode.RECONSTRUCTION_FAILED
+            assert why in fault.detail
+            return number
+        case _:
+            raise AssertionError(f"{event} is no failure")
 
 
 def test_a_scan_from_its_first_frame_to_its_full_cloud(desk: Desk) -> None:
@@ -175,17 +202,22 @@ def test_a_scan_from_its_first_frame_to_its_full_cloud(desk: Desk) -> None:
     desk.worker.frame("left", 0)
     desk.worker.finish()
     assert desk.told() == [begin(1), say.FrameStored("left", 0), say.Finish()]
-    assert desk.after(0.0, say.PatternsIdentified(1)) == process.SequenceIdentified(7)
-    coarse = desk.after(0.0, say.CloudFound(1, False, FOUND, 0.1))
-    assert isinstance(coarse, CloudReady)
-    assert (coarse.scan, coarse.full, coarse.cpu_s, coarse.cloud.points_mm.shape) == (7, False, 0.1, (0, 3))
+    assert desk.told_of(1, RIGHT) == News(7, RIGHT), "as it was told, with the number of the scan"
+    assert [desk.worker.coarse] == [None]
+    assert desk.told_of(1, COARSE) == News(7, COARSE)
+    coarse = desk.worker.coarse
+    assert (coarse and coarse.points_mm.shape, desk.worker.full) == ((0, 3), None)
     assert desk.told() == [], "nobody waits until the coarse one was seen"
-    said = say.SequenceJudged(1, (SAID,), 0.2)
-    assert desk.after(0.0, *[say.GoingOn(1)] * 10, said) == process.ScanJudged(7, (SAID,), 0.2), "at the same heartbeat"
-    full = desk.after(0.0, say.CloudFound(1, True, FOUND, 0.3))
-    assert isinstance(full, CloudReady)
-    assert full.full
+    assert desk.told_of(1, *[PROGRESS] * 10, JUDGED) == News(7, JUDGED), "at the same heartbeat"
+    assert desk.told_of(1, FULL) == News(7, FULL)
+    assert desk.worker.full is not None
     assert desk.told() == [say.CloudCopied(1)]
+    share = ScanOverlap(Overlap(0.5), 0.1)
+    assert desk.told_of(1, share) == News(7, share)
+    desk.worker.begin(8)
+    assert [desk.worker.coarse, desk.worker.full] == [None, None]
+    desk.worker.drop()
+    desk.told()
     assert desk.after(3600.0, say.Pong()) is None, "nothing more is awaited"
     assert desk.worker.restarts == 0
 
@@ -194,13 +226,13 @@ def test_what_is_said_of_an_earlier_scan_and_of_one_that_was_dropped_is_of_no_in
     desk.ready()
     desk.worker.begin(7)
     desk.worker.begin(8)
-    assert desk.after(0.0, say.PatternsIdentified(1)) is None
-    assert desk.after(0.0, say.PatternsIdentified(2)) == process.SequenceIdentified(8)
+    assert desk.told_of(1, RIGHT) is None
+    assert desk.told_of(2, RIGHT) == News(8, RIGHT)
     desk.worker.finish()
     desk.worker.drop()
     assert desk.told()[-1] == say.Drop()
-    assert desk.after(0.0, say.SequenceJudged(2, (SAID,), 0.0)) is None
-    assert desk.after(4.9) is None, "no cloud is awaited any more"
+    assert desk.told_of(2, JUDGED) is None
+    assert desk.after(20.0) is None, "no cloud is awaited any more"
     desk.worker.finish()
     assert say.Finish() not in desk.told(), "there is nothing to finish"
 
@@ -208,10 +240,11 @@ def test_what_is_said_of_an_earlier_scan_and_of_one_that_was_dropped_is_of_no_in
 def test_wrong_patterns_and_frames_that_are_no_sequence_end_the_scan_and_nothing_is_awaited(desk: Desk) -> None:
     desk.ready()
     desk.scan(7)
-    assert desk.after(0.0, say.Spoiled(1, WRONG)) == process.ScanSpoiled(7, WRONG)
+    assert desk.told_of(1, PatternIdentity(WRONG)) == News(7, PatternIdentity(WRONG))
+    assert desk.told_of(1, JUDGED) is None
     assert desk.after(20.0, say.Pong()) is None
     desk.scan(8)
-    assert failed(desk.after(0.0, say.SequenceFailed(2, "frame 3 was pushed")), "frame 3 was pushed") == 8
+    assert failed(desk.told_of(2, UNFIT), "frame 3 was pushed") == 8
     assert desk.after(20.0, say.Pong()) is None
     assert (desk.worker.restarts, len(desk.machine.started)) == (0, 1)
 
@@ -219,7 +252,7 @@ def test_wrong_patterns_and_frames_that_are_no_sequence_end_the_scan_and_nothing
 def test_a_process_that_says_what_is_no_answer_is_started_again(desk: Desk) -> None:
     desk.ready()
     assert failed(desk.after(0.0, "hello"), "str") is None
-    assert failed(desk.after(0.0, say.Crashed("MemoryError")), "MemoryError") is None
+    assert failed(desk.after(0.0, WorkerFailure("MemoryError")), "MemoryError") is None
     assert failed(desk.after(0.0, Ends(9)), "code 9") is None
     assert desk.worker.restarts == 3
     assert len(desk.machine.started) == 4
@@ -234,17 +267,17 @@ def test_a_start_may_take_four_minutes_and_a_scan_that_waits_for_it_gets_its_tim
     assert desk.after(200.0) is None
     desk.ready()
     assert desk.after(9.9) is None
-    assert failed(desk.after(0.2), "in time") is None
+    assert failed(desk.after(0.2), "10 s") is None
 
 
 def test_each_step_of_a_scan_may_take_ten_seconds_and_one_that_is_told_begins_anew(desk: Desk) -> None:
     desk.ready()
     desk.scan(7)
-    assert desk.after(9.9, say.GoingOn(1)) is None
-    assert desk.after(9.9, say.SequenceJudged(1, (), 0.0)) is not None
+    assert desk.after(9.9, News(1, PROGRESS)) is None
+    assert desk.after(9.9, News(1, JUDGED)) is not None
     assert desk.after(9.9) is None
     assert desk.worker.answers
-    assert failed(desk.after(0.2), "in time") is None
+    assert failed(desk.after(0.2), "no sign of life for 10 s") is None
     assert desk.told()[-len(frames()) - 2 :] == [begin(1), *frames(), say.Finish()], "its frames are still there"
 
 
@@ -257,7 +290,8 @@ def test_a_step_that_computes_is_waited_for_a_minute(desk: Desk, used_s: float, 
         desk.cpu_s += used_s
         assert desk.after(10.1) is None
     desk.cpu_s += 5.0 if steps else used_s
-    assert failed(desk.after(10.1), "in time") is None
+    why = "computed for 60 s" if steps else "no sign of life for 10 s"
+    assert failed(desk.after(10.1), why) is None
 
 
 def test_an_idle_process_is_asked_once_a_second_and_has_five_seconds_to_answer(desk: Desk) -> None:
@@ -293,7 +327,7 @@ def test_the_watchdog_waits_longer_than_the_worker_does_itself(desk: Desk) -> No
     desk.scan(7)
     assert answers_after(14.9, 0.2) == [True, False], "a cloud that does not come"
     desk.machine.room = False
-    failed(desk.after(0.0, say.Crashed("a")), "a")
+    failed(desk.after(0.0, WorkerFailure("a")), "a")
     assert answers_after(0.0) == [True], "it is known not to be there"
 
 
@@ -316,48 +350,51 @@ def test_memory_is_looked_at_twice_a_second_and_a_compiler_may_take_more(desk: D
 
 @pytest.mark.parametrize(("used_s", "on"), [(0.09, False), (0.11, True)])
 def test_the_first_start_gets_on_if_it_takes_a_twentieth_of_a_processor(desk: Desk, used_s: float, on: bool) -> None:
-    desk.cpu_s = 1.0
-    assert desk.worker.gets_on()
     desk.time.sleep_s(1.9)
     desk.cpu_s += used_s
-    assert not desk.worker.gets_on(), "it was only just asked"
-    desk.time.sleep_s(0.2)
+    assert not desk.worker.gets_on(), "it was only just started"
+    desk.time.sleep_s(0.1)
+    desk.worker.poll()
     assert desk.worker.gets_on() == on
+    assert not desk.worker.gets_on(), "it was only just asked"
 
 
 def test_only_the_first_start_gets_on(desk: Desk) -> None:
-    desk.cpu_s = 5.0
-    desk.after(0.0, say.Crashed("once"))
-    assert not desk.worker.gets_on(), "a start that failed before may fail for ever"
+    def gets_on() -> bool:
+        desk.cpu_s += 5.0
+        desk.time.sleep_s(5.0)
+        return desk.worker.gets_on()
+
+    assert gets_on()
+    desk.after(0.0, WorkerFailure("once"))
+    assert not gets_on(), "a start that failed before may fail for ever"
     desk.worker.change(desk.worker.order)
-    assert desk.worker.gets_on()
+    assert gets_on()
     desk.ready()
-    desk.cpu_s += 50.0
-    desk.time.sleep_s(5.0)
-    assert not desk.worker.gets_on(), "it is no start any more"
+    assert not gets_on(), "it is no start any more"
 
 
 def test_a_scan_in_work_is_processed_again_once_and_then_given_up(desk: Desk) -> None:
     desk.ready()
     desk.scan(7)
-    assert failed(desk.after(0.0, say.Crashed("a")), "a") is None
+    assert failed(desk.after(0.0, WorkerFailure("a")), "a") is None
     desk.ready()
-    assert failed(desk.after(0.0, say.Crashed("b")), "b") == 7
+    assert failed(desk.after(0.0, WorkerFailure("b")), "b") == 7
     desk.told()
     desk.ready()
     assert desk.told() == [], "nobody asks for it any more"
-    assert desk.after(0.0, say.PatternsIdentified(1)) is None
+    assert desk.told_of(1, RIGHT) is None
 
 
 def test_a_scan_that_is_lost_before_its_frames_are_there_is_told_when_they_are(desk: Desk) -> None:
     desk.ready()
-    for scan, said in ((7, [say.Crashed("a"), say.Crashed("b")]), (8, [say.SequenceFailed(2, "b")])):
+    for scan, said, why in ((7, [WorkerFailure("a"), WorkerFailure("b")], "b"), (8, [News(2, UNFIT)], "pushed")):
         desk.worker.begin(scan)
         assert [failed(desk.after(0.0, one), "") for one in said] == [None] * len(said)
         desk.ready()
         desk.worker.finish()
         assert say.Finish() not in desk.told()
-        assert failed(desk.worker.poll(), "b") == scan
+        assert failed(desk.worker.poll(), why) == scan
         assert desk.after(20.0, say.Pong()) is None, "nothing more is awaited"
 
 
@@ -366,7 +403,7 @@ def test_frames_that_come_while_a_process_is_new_are_told_all_at_once(desk: Desk
     desk.ready()
     desk.worker.begin(7)
     desk.worker.frame("left", 0)
-    desk.after(0.0, say.Crashed("a"))
+    desk.after(0.0, WorkerFailure("a"))
     desk.told()
     desk.worker.frame("right", 0)
     assert desk.told() == []
@@ -379,32 +416,32 @@ def test_frames_that_come_while_a_process_is_new_are_told_all_at_once(desk: Desk
 
 def test_after_four_starts_without_a_cloud_it_stays_down_until_the_next_scan(desk: Desk) -> None:
     for _ in range(3):
-        failed(desk.after(0.0, say.Crashed("a")), "a")
+        failed(desk.after(0.0, WorkerFailure("a")), "a")
     desk.worker.begin(7)
-    assert failed(desk.after(0.0, say.Crashed("a")), "4 times") is None
+    assert failed(desk.after(0.0, WorkerFailure("a")), "4 times") is None
     assert (desk.worker.pid, desk.worker.poll(), len(desk.machine.started)) == (None, None, 4)
     desk.worker.finish()
     assert failed(desk.worker.poll(), "4 times") == 7, "told when somebody waits for its points"
     assert desk.worker.poll() is None
     desk.worker.begin(8)
     assert len(desk.machine.started) == 5
-    failed(desk.after(0.0, say.Crashed("a")), "")
+    failed(desk.after(0.0, WorkerFailure("a")), "")
 
 
 def test_a_full_cloud_makes_good_for_the_failures_before_and_a_coarse_one_does_not(desk: Desk) -> None:
-    for full in (False, True):
+    for full, fact in ((False, COARSE), (True, FULL)):
         for _ in range(2):
-            desk.after(0.0, say.Crashed("a"))
+            desk.after(0.0, WorkerFailure("a"))
         desk.ready()
         desk.worker.begin(7)
-        desk.after(0.0, say.CloudFound(desk.worker._ticket, full, FOUND, 0.0))
+        desk.told_of(desk.worker._ticket, fact)
         assert desk.worker._fruitless == (0 if full else 2)
         desk.worker.change(desk.worker.order)
 
 
 def test_a_machine_without_room_for_a_process_says_so_and_is_asked_again(desk: Desk) -> None:
     desk.machine.room = False
-    assert failed(desk.after(0.0, say.Crashed("a")), "a") is None
+    assert failed(desk.after(0.0, WorkerFailure("a")), "a") is None
     assert len(desk.machine.started) == 1
     assert failed(desk.worker.poll(), "Cannot allocate memory") is None
     desk.machine.room = True
@@ -422,13 +459,13 @@ def test_another_order_starts_another_process_in_which_no_scan_is_in_work(desk: 
         assert desk.child.arguments[2:6] == known
     assert desk.child.arguments[6] == 1000.0
     assert (desk.worker.order, desk.worker.restarts) == (order, 0)
-    assert desk.after(0.0, say.PatternsIdentified(1)) is None
+    assert desk.told_of(1, RIGHT) is None
 
 
 def whole(desk: Desk) -> None:
     desk.ready()
     desk.scan(7)
-    desk.after(0.0, say.CloudFound(1, True, FOUND, 0.0))
+    desk.told_of(1, FULL)
     desk.told()
 
 
@@ -438,11 +475,9 @@ def test_a_second_exposure_follows_the_first_without_its_frames(desk: Desk, with
     desk.worker.begin_second(7, SECOND)
     desk.worker.finish()
     assert desk.told() == [begin(2, SECOND, second=True), say.Finish()]
-    found = FOUND if with_cloud else None
-    event = desk.after(0.0, say.BracketJudged(2, found, (SAID,), SAID, 0.5))
-    assert isinstance(event, PairJudged)
-    assert (event.scan, event.second, event.pair, event.cpu_s) == (7, (SAID,), SAID, 0.5)
-    assert (event.cloud is not None) == with_cloud
+    bracket = Bracket(FOUND if with_cloud else None, SAID, (SAID,), 0.5)
+    assert desk.told_of(2, PROGRESS, bracket) == News(7, bracket)
+    assert (desk.worker.full is not None) == with_cloud
     assert desk.told() == [say.CloudCopied(2)]
     assert desk.after(3600.0, say.Pong()) is None, "nothing more is awaited"
     assert desk.worker.restarts == 0
@@ -452,7 +487,7 @@ def test_a_process_that_does_not_know_the_first_exposure_is_told_of_it(desk: Des
     whole(desk)
     desk.worker.begin_second(7, SECOND)
     desk.worker.frame("left", 0)
-    desk.after(0.0, say.Crashed("a"))
+    desk.after(0.0, WorkerFailure("a"))
     desk.told()
     desk.worker.finish()
     assert desk.told() == [begin(2), *frames(), begin(2, SECOND, second=True), *frames(), say.Finish()]
@@ -468,15 +503,15 @@ def test_a_process_that_still_loads_is_waited_for_and_has_compiled_before(desk: 
     desk.memory_mb = 1400.0
     assert desk.after(1.5) is None, "it may compile"
     desk.memory_mb = 900.0
-    assert desk.after(0.0, say.Ready()) == WorkerReady()
+    desk.ready()
     for _ in range(20):
         desk.cpu_s += 2.0
         assert desk.after(3.0) is None, "it loads, and reads no messages"
-    # A scan in work keeps it from loading; so its memory is bounded before it says that it has loaded.
+    # A scan in work keeps it from loading; so its memory is bounded before it has loaded.
     desk.memory_mb = 1400.0
     assert failed(desk.after(1.5), "1400 MB") is None
     desk.memory_mb = 100.0
-    assert desk.after(0.0, say.Ready()) == WorkerReady(), "the next one loads anew"
+    desk.ready()
     assert desk.after(1.5) is None, "it is asked"
     desk.cpu_s += 2.0
     assert desk.after(6.0) is None, "it computes"
@@ -484,10 +519,11 @@ def test_a_process_that_still_loads_is_waited_for_and_has_compiled_before(desk: 
 
 
 def test_a_process_that_loads_for_ever_is_started_again(desk: Desk) -> None:
-    assert desk.after(0.0, say.Ready()) == WorkerReady()
-    for waited_s, event in ((desk.worker.limits.start_s, type(None)), (desk.worker.limits.alive_s, WorkerFailed)):
+    desk.ready()
+    assert desk.after(1.1) is None, "it is asked"
+    for waited_s, event in ((59.9, type(None)), (0.2, WorkerFailure)):
         desk.cpu_s += 300.0
-        assert isinstance(desk.after(waited_s + 1.0), event), "it is asked, and does not answer"
+        assert isinstance(desk.after(waited_s), event), "it does not answer"
 
 
 PICTURE = np.full((300, 400), 9, np.uint8)
@@ -497,29 +533,31 @@ def test_one_live_picture_at_a_time_is_handed_over_and_its_answer_says_when_it_w
     assert not desk.worker.look(PICTURE, 3), "not before it is ready"
     desk.ready()
     assert desk.worker.look(PICTURE, 3)
-    assert desk.told() == [say.LookAt(1, (300, 400), 3)]
+    assert desk.told() == [say.LookAt(desk.time.ns, (300, 400), 3)]
     taken_ns = desk.time.ns
     desk.time.sleep_s(1.0)
     assert not desk.worker.look(PICTURE, 3), "the first one is still looked at"
     assert desk.told() == []
-    assert desk.after(0.2, say.LookedAt(1, LOST, 0.1)) == LiveLookedAt(LOST, taken_ns, 0.1)
+    answer = LiveGuidance(LOST, taken_ns, 0.1)
+    assert desk.after(0.2, answer) == answer
+    assert desk.after(0.0, answer) is None, "said at once again"
     assert desk.worker.look(PICTURE, 3)
-    assert desk.told() == [say.LookAt(2, (300, 400), 3)]
-    assert desk.after(0.0, say.LookedAt(1, LOST, 0.1)) is None, "said twice"
+    assert desk.told() == [say.LookAt(desk.time.ns, (300, 400), 3)]
+    assert desk.after(0.0, answer) is None, "said twice"
     desk.time.sleep_s(5.1)
     assert desk.worker.look(PICTURE, 3), "an answer that does not come is not waited for for ever"
     assert failed(desk.after(0.0, Ends(1)), "code 1") is None
     assert not desk.worker.look(PICTURE, 3)
-    assert desk.after(0.0, say.Ready()) == WorkerReady()
+    desk.ready()
     assert desk.worker.look(PICTURE, 3), "a new process owes no answer"
 
 
 def test_looking_takes_a_third_of_a_processor_at_most(desk: Desk) -> None:
     """0.3 s in every 0.9 s, and not more often than twice and a half a second."""
     desk.ready()
-    for number, (took_s, cpu_s, too_early_s, enough_s) in enumerate(((0.3, 0.3, 0.55, 0.1), (0.1, 0.01, 0.0, 0.35)), 1):
+    for took_s, cpu_s, too_early_s, enough_s in ((0.3, 0.3, 0.55, 0.1), (0.1, 0.01, 0.0, 0.35)):
         assert desk.worker.look(PICTURE, 3)
-        desk.after(took_s, say.LookedAt(number, None, cpu_s))
+        desk.after(took_s, LiveGuidance(None, desk.time.ns, cpu_s))
         desk.time.sleep_s(too_early_s)
         assert not desk.worker.look(PICTURE, 3)
         desk.time.sleep_s(enough_s)
@@ -530,8 +568,8 @@ def test_a_scan_that_begins_awaits_no_guidance_and_none_is_asked_for_while_its_p
     desk.ready()
     assert desk.worker.look(PICTURE, 3)
     desk.worker.begin(7)
-    assert desk.after(0.0, say.LookedAt(1, LOST, 0.1)) is None, "of the place before"
+    assert desk.after(0.0, LiveGuidance(LOST, desk.time.ns, 0.1)) is None, "of the place before"
     desk.worker.finish()
     assert not desk.worker.look(PICTURE, 3)
-    assert desk.after(0.0, say.CloudFound(1, True, FOUND, 0.3)) is not None
+    assert desk.told_of(1, FULL) is not None
     assert desk.worker.look(PICTURE, 3)

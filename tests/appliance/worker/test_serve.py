@@ -21,11 +21,11 @@ from appliance.processing.procedure import SequenceProcessor
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.reconstruct.table import PointTable
 from appliance.scan.acquisition import AcquisitionSettings
+from appliance.scan.news import FullCloud, LiveGuidance, News, PatternIdentity, ReconstructionFailure, ScanOverlap
 from appliance.scan.overlap import Overlap
 from appliance.scan.sides import SIDES
 from appliance.worker import messages as say
 from appliance.worker.live_picture import LivePicture, behind_picture
-from appliance.worker.neighbours import NeighbourAnswer
 from appliance.worker.serve import Server
 from appliance.worker.warm import compiler_watched
 from tests.support import synthetic
@@ -34,7 +34,7 @@ WIDTH_PX, HEIGHT_PX = 120, 90
 TIMEOUT_S = 60.0
 SEQUENCE, CALIBRATION = build_sequence(16), synthetic.calibration(WIDTH_PX, HEIGHT_PX)
 FRAMES = [say.FrameStored(side, k) for k in range(len(SEQUENCE)) for side in SIDES]
-LOOK, LOOKED = say.LookAt(5, (3, 4), 1), say.LookedAt(5, None, 0.1)
+LOOK, LOOKED = say.LookAt(5, (3, 4), 1), LiveGuidance(None, 5, 0.1)
 
 
 def begin(ticket: int) -> say.Begin:
@@ -113,35 +113,46 @@ def heard(pipe: Connection) -> Any:
 
 def test_a_scan_that_is_there_at_once_does_not_wait_for_what_only_some_scans_need() -> None:
     ran: list[str] = []
-    left: list[Callable[[], object]] = [lambda: ran.append("first"), lambda: ran.append("second")]
+    loaded = threading.Event()
+    left: list[Callable[[], object]] = [lambda: ran.append("first"), lambda: ran.append("second"), loaded.set]
     with serving(begin(1), *FRAMES, say.Finish(), left=left) as pipe:
-        assert isinstance(heard(pipe), say.Spoiled), "dark frames show no patterns"
-        assert heard(pipe) == say.Loaded()
+        said = heard(pipe)
+        assert isinstance(said.fact, PatternIdentity)
+        assert said.fact.judgement.fault is not None, "dark frames show no patterns"
+        assert loaded.wait(TIMEOUT_S)
         assert ran == ["first", "second"]
         pipe.send(say.Ping())
-        assert heard(pipe) == say.Pong(), "it is said once"
+        assert heard(pipe) == say.Pong(), "nothing is said of it"
 
 
 def test_nothing_is_loaded_between_two_frames_of_a_scan() -> None:
-    ran: list[str] = []
-    with serving(begin(1), FRAMES[0], say.Ping(), left=[lambda: ran.append("once")]) as pipe:
+    loaded = threading.Event()
+    with serving(begin(1), FRAMES[0], say.Ping(), left=[loaded.set]) as pipe:
         assert heard(pipe) == say.Pong()
         time.sleep(0.05)  # the pause between two frames
         pipe.send(say.Ping())
-        assert (heard(pipe), ran) == (say.Pong(), [])
+        assert (heard(pipe), loaded.is_set()) == (say.Pong(), False)
         pipe.send(say.Drop())
-        assert (heard(pipe), ran) == (say.Loaded(), ["once"])
+        assert loaded.wait(TIMEOUT_S)
 
 
 @pytest.mark.parametrize("between", [(), (say.Drop(),)])
 def test_the_next_scan_does_not_wait_for_the_one_before(between: tuple[object, ...]) -> None:
     with serving(begin(1), *FRAMES, say.Finish(), *between, begin(2), *FRAMES, say.Finish(), lit=True) as pipe:
         told = []
-        while not (isinstance(said := heard(pipe), say.CloudFound) and said.full):
+        while not isinstance((said := heard(pipe)).fact, FullCloud):
             told.append(said)
-        assert said.ticket == 2
-        assert say.PatternsIdentified(2) in told
-        assert not any(isinstance(one, say.SequenceJudged) and one.ticket == 1 for one in told), "its work has ended"
+        assert said.number == 2
+        assert any(one.number == 2 and isinstance(one.fact, PatternIdentity) for one in told)
+        assert len([one for one in told if one.number == 1]) <= 1, "its work has ended"
+
+
+def test_frames_that_are_no_sequence_fail_it_and_the_next_one_is_done() -> None:
+    with serving(begin(1), FRAMES[0], say.Finish(), begin(2), *FRAMES, say.Finish(), lit=True) as pipe:
+        said = heard(pipe)
+        assert isinstance(said.fact, ReconstructionFailure)
+        assert (said.number, "frames" in said.fact.fault.detail) == (1, True)
+        assert isinstance(heard(pipe).fact, PatternIdentity)
 
 
 def test_what_had_to_be_compiled_is_told_from_what_was_there() -> None:
@@ -159,15 +170,14 @@ def test_what_had_to_be_compiled_is_told_from_what_was_there() -> None:
 
 
 def test_a_live_picture_is_looked_at_in_the_pauses_behind_a_scan_that_is_compared() -> None:
-    neighbours = Pieces(2, NeighbourAnswer(Overlap(0.5), 0.1))
+    neighbours = Pieces(2, ScanOverlap(Overlap(0.5), 0.1))
     onlooker = Pieces(3, LOOKED, wanted=False)
     with serving(neighbours=neighbours, onlooker=onlooker) as pipe:
-        assert heard(pipe) == say.Loaded()
         assert neighbours.reached.acquire(timeout=TIMEOUT_S)
         pipe.send(LOOK)
         for work in (*[onlooker] * 3, *[neighbours] * 2):
             work.go.release()
-        assert heard(pipe) == say.OverlapFound(0, Overlap(0.5), 0.1)
+        assert heard(pipe) == News(0, ScanOverlap(Overlap(0.5), 0.1))
         assert heard(pipe) == LOOKED
         np.testing.assert_array_equal(onlooker.pictures, [np.arange(12).reshape(3, 4)])
 
@@ -175,7 +185,6 @@ def test_a_live_picture_is_looked_at_in_the_pauses_behind_a_scan_that_is_compare
 def test_a_scan_that_begins_waits_for_one_piece_of_a_look_at_most_and_ends_it() -> None:
     neighbours, onlooker = Pieces(0, None), Pieces(100, LOOKED, wanted=False)
     with serving(neighbours=neighbours, onlooker=onlooker) as pipe:
-        assert heard(pipe) == say.Loaded()
         pipe.send(LOOK)
         assert onlooker.reached.acquire(timeout=TIMEOUT_S)
         pipe.send(begin(1))

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from appliance.reconstruct.quality import CloudSummary
-from appliance.reconstruct.table import POINT_BYTES, Cloud, Found, PointTable
+from appliance.reconstruct.table import POINT_BYTES, Cloud, PointTable
+from appliance.scan.cloud import CloudSummary, Found
 from appliance.worker.cloud_memory import CloudMemory
 from appliance.worker.live_picture import LONGEST_PX, LivePicture, behind_picture
 

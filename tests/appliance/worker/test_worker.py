@@ -16,17 +16,11 @@ from appliance.processing.procedure import SequenceProcessor
 from appliance.reconstruct.pipeline import Pipeline
 from appliance.scan.acquisition import AcquisitionSettings
 from appliance.scan.exposure import Exposure
+from appliance.scan.news import Bracket, CoarseCloud, FullCloud, News, PatternIdentity, Verdicts, WorkerFailure
 from appliance.scan.sides import SIDES
+from appliance.worker.messages import Ready
 from appliance.worker.order import WorkOrder
-from appliance.worker.process import (
-    CloudReady,
-    PairJudged,
-    ReconstructionWorker,
-    ScanJudged,
-    SequenceIdentified,
-    WorkerFailed,
-    WorkerReady,
-)
+from appliance.worker.process import ReconstructionWorker, WorkerEvent
 from drivers.native import MonotonicClock
 from tests.support import synthetic
 
@@ -51,7 +45,7 @@ def store() -> Iterator[FrameStore]:
 def worker(store: FrameStore) -> Iterator[ReconstructionWorker]:
     """One for all: starting the process is most of what a test here takes."""
     with ReconstructionWorker(WorkOrder(CALIBRATION, synthetic.WATER, 16, 1024, 768), store, MonotonicClock()) as made:
-        assert made.wait(PATIENCE_S) == WorkerReady()
+        assert made.wait(PATIENCE_S) == Ready()
         yield made
 
 
@@ -59,6 +53,13 @@ def tell(worker: ReconstructionWorker, first: int = 0, stop: int = len(SEQUENCE)
     for index in range(first, stop):
         for side in SIDES:
             worker.frame(side, index)
+
+
+def fact_of(event: WorkerEvent | None) -> object:
+    """The fact of news about scan 1."""
+    assert isinstance(event, News)
+    assert event.number == 1
+    return event.fact
 
 
 def test_same_points_in_the_worker_of_one_sequence_and_of_two(worker: ReconstructionWorker, store: FrameStore) -> None:
@@ -71,19 +72,20 @@ def test_same_points_in_the_worker_of_one_sequence_and_of_two(worker: Reconstruc
         assert merged is not None
         both = pipeline.table.cloud(merged)
     worker.reprocess(1, FIRST)
-    events = [worker.wait(PATIENCE_S) for _ in range(5)]
-    assert [type(one) for one in events] == [SequenceIdentified, CloudReady, ScanJudged, ScanJudged, CloudReady]
-    coarse, full = (one for one in events if isinstance(one, CloudReady))
-    assert (coarse.full, full.full) == (False, True)
-    assert full.cloud.summary == expected.summary
+    facts = [fact_of(worker.wait(PATIENCE_S)) for _ in range(4)]
+    assert [type(one) for one in facts] == [PatternIdentity, CoarseCloud, Verdicts, FullCloud]
+    full = worker.full
+    assert full is not None
+    assert full.summary == expected.summary
     worker.begin_second(1, SECOND)
     tell(worker)
     worker.finish()
-    while not isinstance(pair := worker.wait(PATIENCE_S), PairJudged):
+    while not isinstance(pair := fact_of(worker.wait(PATIENCE_S)), Bracket):
         assert pair is not None
-    assert pair.cloud is not None
+    assert pair.found is not None
+    assert worker.full is not None
     assert [one.verdict.name for one in pair.second][:1] == ["identity"]
-    for found, wanted in ((full.cloud, expected), (pair.cloud, both)):
+    for found, wanted in ((full, expected), (worker.full, both)):
         np.testing.assert_array_equal(found.points_mm, wanted.points_mm)
         np.testing.assert_array_equal(found.pixel, wanted.pixel)
     maps = Path(f"/proc/{worker.pid}/maps").read_text()
@@ -105,12 +107,13 @@ def test_whatever_becomes_of_a_worker_no_scan_is_lost(
     tell(worker, 10)
     worker.finish()
     events = [worker.wait(PATIENCE_S)]
-    while not (isinstance(events[-1], CloudReady) and events[-1].full):
+    while not (isinstance(events[-1], News) and isinstance(events[-1].fact, FullCloud)):
         assert events[-1] is not None
         events.append(worker.wait(PATIENCE_S))
-    (failed,) = (one for one in events if isinstance(one, WorkerFailed))
-    assert (failed.scan, said in failed.fault.detail) == (None, True), "said once, and the scan was not given up"
-    assert [one.scan for one in events if isinstance(one, CloudReady)] == [7, 7]
+    (failed,) = (one for one in events if isinstance(one, WorkerFailure))
+    assert said in failed.text
+    clouds = [one for one in events if isinstance(one, News) and isinstance(one.fact, CoarseCloud | FullCloud)]
+    assert [one.number for one in clouds] == [7, 7], "said once, and the scan was not given up"
     assert worker.restarts == restarts + 1
     for side in SIDES:
         np.testing.assert_array_equal(store.frames(side), before[side])

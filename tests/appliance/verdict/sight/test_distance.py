@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from appliance.patterns.sequence import Direction, build_sequence
-from appliance.reconstruct.quality import CloudSummary, QualityLimits
-from appliance.reconstruct.table import Found, PointTable
+from appliance.reconstruct.quality import QualityLimits
+from appliance.reconstruct.table import PointTable
+from appliance.scan.cloud import CloudSummary, Found
 from appliance.scan.noise import TYPICAL_PAIR, CameraNoise
 from appliance.verdict.sight.distance import COLUMNS, ROWS, _clear_everywhere, _likeness, _strongest, find_depths_mm
 from appliance.verdict.sight.judge import look

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from appliance.patterns.sequence import Direction, build_sequence
-from appliance.reconstruct.quality import CloudSummary, QualityLimits
+from appliance.reconstruct.quality import QualityLimits
 from appliance.reconstruct.table import Cloud
+from appliance.scan.cloud import CloudSummary
 from appliance.scan.noise import CameraNoise, StereoNoise
 from appliance.verdict.sight.judge import distance_of, look, see
 from tests.support import synthetic
