@@ -24,6 +24,7 @@ FAILED = frozenset(
         "appliance.offline.anew.work:SchedulerError",
         "appliance.offline.pull.source:PullError",
         "appliance.registration.reference:SurfaceMatchError",
+        "appliance.sealed_file:ContentError",
         "appliance.storage.library:UnknownScan",
         "appliance.storage.objects:ObjectError",
         "appliance.storage.scan:ScanError",
