@@ -45,12 +45,15 @@ class ContentError(Exception):
     """Reason why a file cannot be used. ``what``: the file; ``value``: its key and the value there, or what else is wrong."""
 
     def __init__(self, what: str, value: str, allowed: str = "", remedy: str = "") -> None:
-        said = f"{what}: {value}" if what else value
-        super().__init__("; ".join(part for part in (said, allowed and f"allowed: {allowed}", remedy) if part))
+        super().__init__(what, value, allowed, remedy)
         self.what = what
         self.value = value
         self.allowed = allowed
         self.remedy = remedy
+
+    def __str__(self) -> str:
+        said = f"{self.what}: {self.value}" if self.what else self.value
+        return "; ".join(part for part in (said, self.allowed and f"allowed: {self.allowed}", self.remedy) if part)
 
 
 @dataclass(frozen=True, slots=True)

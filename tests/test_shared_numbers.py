@@ -207,9 +207,6 @@ MAY_BE_EQUAL: Mapping[str, frozenset[str]] = {
     "published modes of displays: VESA DMT, CTA-861": frozenset(
         {"768 - = -", "768 projector_px = -", "1280 projector_px = -"}
     ),
-    "the saltiest water of any sea, rounded up: either side refuses more, and computes nothing from it": frozenset(
-        {"45 salinity_psu = salinity_psu"}
-    ),
     "the ordinary world's alone; outside draws it (families cameras and surfaces, workshop of the rig)": frozenset(
         {
             "13000 FULL_WELL_E = full_well_e",

@@ -188,6 +188,7 @@ class StoredObject:
     scans: tuple[MemberScan, ...] = ()
     places: Places | None = None
     """``None``: never solved. Scans that were added since are left out of them (``ADDED_SINCE``)."""
+    schema: int = 1
 
 
 def _refuse_names(stored: StoredObject) -> None:

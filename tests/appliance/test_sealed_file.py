@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import pickle
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from pathlib import Path
@@ -124,6 +125,16 @@ def test_a_value_that_cannot_be_is_named_with_what_is_allowed(change: dict[str, 
         FILE.decode(sealed(CONTENT | change), "here")
     assert str(refused.value).startswith(f"here: {said}")
     assert (refused.value.what, refused.value.remedy) == ("here", "buy another")
+
+
+def test_a_refusal_comes_whole_from_another_process() -> None:
+    told = ContentError("here", "hours is -1", "whole numbers from 0", "buy another")
+    again = pickle.loads(pickle.dumps(told))
+    assert (
+        (str(again), again.allowed)
+        == (str(told), told.allowed)
+        == ("here: hours is -1; allowed: whole numbers from 0; buy another", told.allowed)
+    )
 
 
 def test_a_key_that_is_missing_and_a_content_that_cannot_be_are_named() -> None:

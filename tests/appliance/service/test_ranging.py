@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from appliance.machine import events as on
-from appliance.ranging.beams import Pointers
+from appliance.ranging.beams import PointerBeam, Pointers
 from appliance.ranging.measure import Dot, Dots
 from appliance.ranging.rig_frame import RigFrame
 from appliance.scan.fault import FaultCode
@@ -143,17 +143,26 @@ def test_a_rig_without_lasers_measures_nothing(clock: SteppedClock) -> None:
         assert not ranging.wants_lasers
 
 
+class SilentBeams(BeamsFile):
+    """Beams on a disk that does not answer before it is told to."""
+
+    def __init__(self, root: Path) -> None:
+        super().__init__(root, POINTERS)
+        self.answers = threading.Event()
+
+    def read(self, calibration_hash: str) -> tuple[PointerBeam, PointerBeam]:
+        assert self.answers.wait(60.0)
+        return super().read(calibration_hash)
+
+
 def test_a_disk_that_does_not_answer_ends_neither_scan_nor_service(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    memory = BeamsFile(tmp_path, POINTERS)
-    memory.path.parent.mkdir(parents=True)
-    os.mkfifo(memory.path)  # whoever reads it waits
+    memory = SilentBeams(tmp_path)
     with RangingController(POINTERS, CALIBRATION, 1.333, MonotonicClock(), 0.1, memory) as ranging:
         assert ranging.shining(BRIGHT, DARK) is None
         assert "lasers in the dark frame: no answer within 3 s" in caplog.text
-        with memory.path.open("wb"):  # it answers after all
-            pass
+        memory.answers.set()
 
 
 def test_a_distance_of_more_than_a_second_ago_is_shown_no_longer(
