@@ -75,17 +75,12 @@ def fit_sine(images: Sequence[NDArray[Any]] | NDArray[Any], steps_deg: tuple[flo
     weights = np.round(step_weights(steps_deg), 12).astype(np.float32)
     angles = np.deg2rad(np.asarray(steps_deg, np.float64))
     columns = np.stack([np.cos(angles), np.sin(angles)]).astype(np.float32)
-    count, shape = len(images), images[0].shape
-    found = [np.empty(shape, np.float32) for _ in range(4)]
+    whole = np.ascontiguousarray(images)
+    shape = whole.shape[1:]
+    turns, modulation, offset, misfit = (np.empty(shape, np.float32) for _ in range(4))
     saturated = np.empty(shape, np.bool_)
-    for begin in range(0, shape[0], ROWS_AT_ONCE):
-        rows = slice(begin, begin + ROWS_AT_ONCE)
-        block = np.stack([image[rows] for image in images]).astype(np.float32)
-        part = np.empty((4, *block.shape[1:]), np.float32)
-        fit_steps(block, weights, columns, np.float32(white), part, saturated[rows])
-        for whole, one in zip(found, part, strict=True):
-            whole[rows] = one
-    return SineFit(found[0], found[1], found[2], found[3] if count > 3 else None, saturated)
+    fit_steps(whole, weights, columns, np.float32(white), (turns, modulation, offset, misfit), saturated)
+    return SineFit(turns, modulation, offset, misfit if len(whole) > 3 else None, saturated)
 
 
 def some_pixels(maps: NDArray[Any]) -> NDArray[Any]:

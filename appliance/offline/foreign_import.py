@@ -202,7 +202,6 @@ def _unit(scan: ForeignScan) -> str:
 def _report(scan: ForeignScan, found: ForeignCloud) -> dict[str, Any]:
     cloud, there = found.cloud, found.cloud.mask
     unit = _unit(scan) or "mm"
-    gaps_mm, sigma_mm = cloud.ray_gap_mm[there], cloud.sigma_mm[there]
     needed = "need four steps of 90° in two directions with bright and dark"
     if not isinstance(own_sequence(scan.description, scan.cameras["left"].images), str):
         needed = "are asked when the scan folder is reconstructed"
@@ -211,9 +210,9 @@ def _report(scan: ForeignScan, found: ForeignCloud) -> dict[str, Any]:
         "points": found.points,
         "coverage_percent": 100.0 * found.points / found.lit,
         "decoded_percent": {side: 100.0 * camera.decoded for side, camera in scan.cameras.items()},
-        f"distance_{unit}": float(np.median(cloud.points_mm[..., 2][there])),
-        f"noise_{unit}": float(np.nanmedian(sigma_mm)) if np.isfinite(sigma_mm).any() else None,
-        f"gap_{unit}": float(np.median(gaps_mm)) if np.isfinite(gaps_mm).any() else None,
+        f"distance_{unit}": _median(cloud.points_mm[..., 2], there),
+        f"noise_{unit}": _median(cloud.sigma_mm, there),
+        f"gap_{unit}": _median(cloud.ray_gap_mm, there),
         "index": scan.rig.index,
         f"baseline_{unit}": float(np.linalg.norm(scan.rig.rig.right.translation_mm)),
         "without_point": found.largest_reasons(),
@@ -227,6 +226,13 @@ def _report(scan: ForeignScan, found: ForeignCloud) -> dict[str, Any]:
             f"{', '.join(judge.name for judge in JUDGES)}: {needed}",
         ],
     }
+
+
+def _median(values: NDArray[np.float32], there: NDArray[np.bool_]) -> float | None:
+    """Return the median of a map's finite values where points are; ``None`` where it has none."""
+    known = values[there & np.isfinite(values)]
+    # In place: a large set's values need much room.
+    return float(np.median(known, overwrite_input=True)) if known.size else None
 
 
 def calibration_of(scan: ForeignScan) -> Calibration:
