@@ -29,12 +29,14 @@ from appliance.calibration.response.file import StoredResponse
 from appliance.config import ConfigError, default_rig_path, load_rig
 from appliance.machine.choices import Choices
 from appliance.offline.calibration.air import Pair, PicturesError, read_pair
+from appliance.offline.calibration.view_folder import ViewFolder
+from appliance.offline.calibration.view_folder import read_session as read_views
 from appliance.optics.correction import ImageCorrection, node_count
 from appliance.optics.ray_shift import RayShift
 from appliance.ranging.beams import Pointers
 from appliance.scan.exposure import Exposure
 from appliance.sealed_file import ContentError
-from appliance.storage import counter, packed
+from appliance.storage import counter, incomplete, objects, packed
 from appliance.storage import label as labels
 from appliance.storage import manifest as form
 from appliance.storage.atomic import Stamp, StorageError
@@ -48,6 +50,7 @@ from appliance.storage.packed import PackedError
 from appliance.storage.ply import PlyError, encode_ply, read_ply
 from appliance.storage.scan import ScanError
 from tests.appliance.storage.scenes import ORIGIN, cloud, frames, record
+from tests.appliance.storage.test_objects import OBJECT as STORED_OBJECT
 from tests.support.calibrating import DESIGN
 from tests.support.damage import Parser, changed, damaged, toml_of
 from tests.support.sealing import sealed
@@ -69,7 +72,11 @@ def written(write: Callable[[Path], object]) -> bytes:
 def of_sealed(data: bytes, *words: str) -> st.SearchStrategy[bytes]:
     """A sealed file that is damaged, or of other content that has the checksum that fits it."""
     content = {key: value for key, value in json.loads(data).items() if key != "sha256"}
-    return changed(content, ("x", *words)).map(sealed) | damaged([data])
+    # Of a content that lost its last key something else than an object may be made.
+    other = changed(content, ("x", *words)).map(
+        lambda one: sealed(one) if isinstance(one, dict) else json.dumps(one).encode()
+    )
+    return other | damaged([data])
 
 
 def rich_calibration() -> calibration_file.Calibration:
@@ -102,6 +109,8 @@ HEALTH = written(lambda root: HealthFile(root, HASH).write(TREND))
 SESSION = written(lambda root: Calibrations(root, "KF-TEST").write(session()))
 BEAMS = written(lambda root: BeamsFile(root, POINTERS).write(HASH, POINTERS.beams()))
 CHOICES = written(lambda root: ChoicesFile(root, STANDARD).write(CHOSEN))
+OBJECT = objects.OBJECT.encode(STORED_OBJECT)
+BOARD = written(lambda folder: ViewFolder(folder, "KF-1", None))
 LABEL = sealed({"schema": 1, "name": "bollard 3", "note": "north side"})
 PICTURES = tuple(
     cv2.imencode(kind, np.arange(48, dtype=np.uint8).reshape(6, 8))[1].tobytes()
@@ -126,6 +135,7 @@ def scan_files() -> dict[str, bytes]:
 
 
 SCAN = scan_files()
+BROKEN = sealed({**json.loads(SCAN[form.FILE_NAME]), **incomplete.OF, "missing": ["bright"]})
 
 
 def read_rig(data: bytes, folder: Path) -> None:
@@ -230,6 +240,20 @@ def read_manifest(data: bytes, _: Path) -> None:
     assert again.files == manifest.files
 
 
+def read_broken(data: bytes, _: Path) -> None:
+    broken = incomplete.INCOMPLETE.decode(data, "incomplete.json", incomplete.OF)
+    assert all(isinstance(name, str) for name in broken.missing)
+    again = incomplete.INCOMPLETE.encode(broken, incomplete.OF)
+    assert incomplete.INCOMPLETE.decode(again, "again", incomplete.OF) == broken
+
+
+def read_board(data: bytes, folder: Path) -> None:
+    (folder / "board.json").write_bytes(data)
+    begun = read_views(folder)
+    assert begun is not None
+    assert ViewFolder(folder, *begun).design == begun[1]
+
+
 def with_crc(data: bytes) -> bytes:
     """A cloud whose checksum fits whatever its body is."""
     head, end, body = data.partition(b"end_header\n")
@@ -303,6 +327,9 @@ PARSERS = (
     Parser("label", of_sealed(LABEL, "name", "note", "schema"), read_label, (ContentError,), labels.FILE_NAME, share=0.6),
     Parser("counter", COUNTS | COUNTS.flatmap(lambda line: damaged([line])), read_count, (StorageError,), share=0.5),
     Parser("manifest", of_sealed(SCAN[form.FILE_NAME], "files", "record", "../x"), read_manifest, (ContentError,), "manifest.json", share=0.6),
+    Parser("broken", of_sealed(BROKEN, "missing", "kind", "../x"), read_broken, (ContentError,), "incomplete.json", share=0.6),
+    Parser("object", of_sealed(OBJECT, "places", "../x"), read_by(objects.OBJECT, "object.json"), (ContentError,), "object.json", share=0.6),
+    Parser("board", damaged([BOARD]) | changed(json.loads(BOARD)).map(lambda one: json.dumps(one).encode()), read_board, (ContentError,), "board.json", share=0.6),
     Parser("cloud", PLIES | PLIES.map(with_crc), read_cloud, (PlyError,), "cloud.ply", share=0.6),
     Parser("packed", damaged([packed_frames()]), read_packed, (PackedError,), share=0.6),
     Parser("scan", scan_folder(), open_scan, (ScanError,), "000001", share=0.5),
