@@ -179,17 +179,17 @@ class _WrittenCamera:
             camera.lens_in_water,
         )  # fmt: skip
 
-    def camera(self, side: str) -> HousedCamera:
+    def camera(self) -> HousedCamera:
         """Return the camera. Raises ValueError for one that cannot be."""
         R, normal = np.array(self.rotation), self.port.normal
         if np.abs(R @ R.T - np.eye(3)).max() > 1e-6 or np.linalg.det(R) < 0.0:
-            raise ValueError(f"{side}.rotation is {self.rotation!r:.80}; allowed: a rotation matrix")
+            raise ValueError(f"rotation is {self.rotation!r:.80}; allowed: a rotation matrix")
         if abs(math.hypot(*normal) - 1.0) > 1e-6 or normal[2] < 0.5:
-            raise ValueError(f"{side}.port.normal is {normal!r:.80}; allowed: a unit vector towards the water")
+            raise ValueError(f"port.normal is {normal!r:.80}; allowed: a unit vector towards the water")
         size_px = int(self.width_px), int(self.height_px)
         correction, shift = self.correction, self.ray_shift
         if len(self.distortion) != 5:
-            raise ValueError(f"{side}.distortion is {self.distortion!r:.80}; allowed: a list of 5")
+            raise ValueError(f"distortion is {self.distortion!r:.80}; allowed: a list of 5")
         return HousedCamera(
             *size_px, Lens(self.f_px, self.c_px, self.distortion), Port(*astuple(self.port)), self.rotation, self.translation_mm,
             None if correction is None else ImageCorrection(*size_px, _whole(correction.intervals), correction.coefficients_px),
@@ -202,6 +202,16 @@ class _WrittenCamera:
 class _WrittenCameras:
     left: _WrittenCamera
     right: _WrittenCamera
+
+    def cameras(self) -> tuple[HousedCamera, HousedCamera]:
+        """Return both cameras. Raises ValueError naming the one that cannot be."""
+        found = []
+        for side, written in (("left", self.left), ("right", self.right)):
+            try:
+                found.append(written.camera())
+            except ValueError as error:
+                raise ValueError(f"cameras.{side}: {error}") from error
+        return found[0], found[1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,13 +275,11 @@ class _Written:
 
     def calibration(self) -> Calibration:
         """Return the calibration. Raises ValueError for what no instrument is."""
-        cameras, serials = self.cameras, self.camera_serials
+        serials = self.camera_serials
         return Calibration(
             self.rig_serial, self.method, self.made_at, self.made_from,
             Water(**asdict(self.water)),
-            StereoRig(
-                cameras.left.camera("cameras.left"), cameras.right.camera("cameras.right"), WorkingVolume(**asdict(self.volume))
-            ),
+            StereoRig(*self.cameras.cameras(), WorkingVolume(**asdict(self.volume))),
             self.residual_px,
             _covariance("air_covariance", self.air_covariance, AIR_VALUES),
             None if self.air_field is None else self.air_field.field(),

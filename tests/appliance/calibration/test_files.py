@@ -106,6 +106,9 @@ def calibration(**changes: object) -> bytes:
 
 BARE = {"schema": 1, "rig_serial": "KF-1", "made_from": []}
 THICK = left_with(port=replace(CALIBRATION.rig.left.port, thickness_mm=500.0))
+TURNED = left_with(rotation=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, -1.0)))
+AWRY = left_with(port=replace(CALIBRATION.rig.left.port, normal=(0.9, 0.0, 0.0)))
+FOLDED = left_with(lens=replace(CALIBRATION.rig.left.lens, distortion=(0.0,) * 12))
 SKEW = replace(STATED, depth_error_mm2=(*depth_errors()[:-1], (0.0,) * COUNT))
 WRONG_FILES: list[tuple[Any, bytes, str]] = [
     (calibration_file, calibration_file.encode(CALIBRATION).replace(b"1.77", b"1.78"), "checksum"),
@@ -117,6 +120,24 @@ WRONG_FILES: list[tuple[Any, bytes, str]] = [
     ),
     (calibration_file, calibration_file.encode(THICK), r"thickness_mm is 500\.0; allowed: 0\.\.100"),
     (calibration_file, calibration_file.encode(SKEW), "depth_error_mm2"),
+    (
+        calibration_file,
+        calibration_file.encode(TURNED),
+        r"cameras\.left: rotation is .*; allowed: a rotation matrix; restore",
+    ),
+    (calibration_file, calibration_file.encode(AWRY), r"cameras\.left: port\.normal is .*; allowed: a unit vector"),
+    (calibration_file, calibration_file.encode(FOLDED), r"cameras\.left: distortion is .*; allowed: a list of 5"),
+    (
+        calibration_file,
+        resigned(
+            calibration_file,
+            left_with(ray_shift=SHIFT),
+            lambda content: content["cameras"]["left"]["ray_shift"]["coefficients_mm"].pop(),
+        ),
+        r"cameras\.left: ray shift with 83",
+    ),
+    (calibration_file, calibration(air_covariance=None), "air_covariance is None"),
+    (calibration_file, calibration(air_covariance=[[1.0]]), "air_covariance is .*; allowed: 22 lists of 22"),
     (calibration_file, calibration(volume={"nearest_mm": 264.0, "working_mm": 700.0, "farthest_mm": 336.0}), "nearest"),
     (RESPONSE_SEAL, RESPONSE_SEAL.encode(RESPONSE).replace(b"0.53", b"0.54"), "checksum"),
     (RESPONSE_SEAL, RESPONSE_SEAL.encode(RESPONSE)[:40], "JSON"),
