@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 
-from appliance.process_start import use_one_blas_thread
+from appliance.base.process_start import use_one_blas_thread
 
 # As in the product's own processes; NumPy reads it when it is imported, which the runner does.
 use_one_blas_thread(os.environ)

@@ -20,9 +20,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from appliance.base.kernel_build import PIECE_S
 from appliance.cli.simrig import simulator_kernels
-from appliance.kernel_build import PIECE_S
-from appliance.worker.warm import PIECES
+from appliance.measure.warm import PIECES
 from bench.document import COMPILING
 from bench.result import Measured
 from bench.runner import machine

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibration.health import LIMIT, SLACK, HealthTrend, judge
-from appliance.calibration.water.method import Method
-from appliance.scan.cloud import PatchGaps
+from appliance.calibrate.health import LIMIT, SLACK, HealthTrend, judge
+from appliance.calibrate.water.method import Method
+from appliance.measure.cloud import PatchGaps
 from bench.health_changes import Change, changes, length_error_percent
 from bench.health_picture import draw_health
 from bench.result import Measured

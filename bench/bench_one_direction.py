@@ -12,12 +12,12 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from appliance.foreign.points import find_points
-from appliance.foreign.reading import read_foreign
-from appliance.reconstruct.first_direction import first_direction_cloud
-from appliance.reconstruct.one_direction import NoPoint
-from appliance.reconstruct.pipeline import Pipeline
-from appliance.scan.sides import SIDES
+from appliance.desk.foreign.points import find_points
+from appliance.desk.foreign.reading import read_foreign
+from appliance.measure.light.sides import SIDES
+from appliance.measure.points.first_direction import first_direction_cloud
+from appliance.measure.points.one_direction import NoPoint
+from appliance.measure.points.pipeline import Pipeline
 from bench.result import Measured
 from bench.turbidity.scan import noise_of, set_water
 from bench.verdict.kept_scans import kept_scan

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from appliance.patterns.response import Response
+from appliance.measure.light.response import Response
 from bench.phase_bias.page import write_page
 from bench.phase_bias.tables import (
     Row,

@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from appliance.reconstruct.pipeline import Pipeline
-from appliance.reconstruct.table import Cloud
-from appliance.scan.sides import SIDES
+from appliance.measure.light.sides import SIDES
+from appliance.measure.points.pipeline import Pipeline
+from appliance.measure.points.table import Cloud
 from bench import foreign, roofline
 from bench.disk import durable
 from bench.judgement import judged, judged_at_steps, precision

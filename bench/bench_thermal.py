@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
-from appliance.machine.states import Settings
+from appliance.instrument.machine.states import Settings
 from bench.result import Measured
 from bench.thermal.dive import Dive, boat_then_dive, dive_of
 from bench.turbidity.plot import Line, Panel, draw
@@ -97,7 +97,7 @@ def page(table: Sequence[str]) -> str:
     """The whole of docs/thermal.md."""
     return f"""# Warmth
 
-Heat is what limits an instrument in a closed housing. What it does about it is decided in `appliance/machine/thermal.py`, from
+Heat is what limits an instrument in a closed housing. What it does about it is decided in `appliance/instrument/machine/thermal.py`, from
 two temperatures (case, projector), with limits of the rig file (`[limits]`), each left only 3 °C below where it began:
 
 | band | what happens | the diver sees |

@@ -24,14 +24,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibration.file import encode
 from appliance.cli.kernels import compile_kernels
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated, simulator_kernels
-from appliance.config import load_rig
-from appliance.instrument import CALIBRATION_FILE
-from appliance.service.app import run
-from appliance.storage.library import Library
-from appliance.storage.scan import StoredScan
+from appliance.instrument.service.app import run
+from appliance.measure.calibration.file import encode
+from appliance.store.config import load_rig
+from appliance.store.instrument import CALIBRATION_FILE
+from appliance.store.library import Library
+from appliance.store.scan import StoredScan
 from hw_sim.options import options_from
 from hw_sim.rendering.render import Renderer
 from hw_sim.truth import draw_truth

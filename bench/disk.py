@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.reconstruct.table import Cloud
-from appliance.storage.library import Library
-from appliance.storage.record import SequenceInfo
+from appliance.measure.points.table import Cloud
+from appliance.store.library import Library
+from appliance.store.record import SequenceInfo
 from bench.result import Measured
 from bench.scan_frames import ScanFrames
 from bench.timing import median_of
-from tests.appliance.storage.scenes import ORIGIN
-from tests.appliance.storage.scenes import record as plain_record
+from tests.appliance.store.scenes import ORIGIN
+from tests.appliance.store.scenes import record as plain_record
 
 
 def durable(scan: ScanFrames, cloud: Cloud, parent: Path, rounds: int) -> Iterator[Measured]:

@@ -22,13 +22,13 @@ from dataclasses import replace as changed
 from pathlib import Path
 from typing import Any
 
-from appliance.calibration.file import encode
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
-from appliance.config import Rig, load_rig
-from appliance.instrument import CALIBRATION_FILE
-from appliance.service.app import run
-from appliance.storage.library import Library
-from appliance.worker.usage import own_memory_mb
+from appliance.instrument.service.app import run
+from appliance.instrument.worker.usage import own_memory_mb
+from appliance.measure.calibration.file import encode
+from appliance.store.config import Rig, load_rig
+from appliance.store.instrument import CALIBRATION_FILE
+from appliance.store.library import Library
 from hw_sim import registry
 from hw_sim.options import options_from
 from hw_sim.truth import draw_truth

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibration.water.shapes import triangulate
-from appliance.optics.model import StereoRig
-from appliance.optics.water import Water
+from appliance.calibrate.water.shapes import triangulate
+from appliance.measure.light.model import StereoRig
+from appliance.measure.light.water import Water
 from hw_sim.mount_shift import MountShift, with_mount_shifted
 from hw_sim.truth import TrueEye, TrueRig, project
 from tests.support.calibrating import Pose

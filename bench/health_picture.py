@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibration.gaps import MODES, GapModes
-from appliance.calibration.health import LIMIT, HealthTrend
+from appliance.calibrate.health import LIMIT, HealthTrend
+from appliance.measure.calibration.gaps import MODES, GapModes
 
 MAP_PX, GAP_PX, TOP_PX, PLOT_PX, LEFT_PX = (240, 180), 16, 44, 150, 150
 INK, FAINT, RED = (40, 40, 40), (225, 225, 225), (50, 50, 210)

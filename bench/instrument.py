@@ -13,11 +13,11 @@ from typing import cast
 
 import numpy as np
 
-from appliance.capture.grabber import Grabber
-from appliance.capture.scan import ScanRecorder, ScanSettings
-from appliance.capture.store import FrameStore
-from appliance.patterns.sequence import PatternSequence, build_sequence
-from appliance.scan.sides import SIDES
+from appliance.instrument.capture.grabber import Grabber
+from appliance.instrument.capture.scan import ScanRecorder, ScanSettings
+from appliance.instrument.capture.store import FrameStore
+from appliance.measure.light.sequence import PatternSequence, build_sequence
+from appliance.measure.light.sides import SIDES
 from drivers import rig as drivers_rig
 from drivers.api import CameraSettings, Wires
 from hw_sim.options import WorldOptions

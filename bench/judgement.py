@@ -6,11 +6,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from appliance.patterns.sequence import Direction
-from appliance.reconstruct.decode.phase import phase
-from appliance.reconstruct.pipeline import Pipeline
-from appliance.reconstruct.scratch import COORDINATE, DECODING_SIZE
-from appliance.reconstruct.table import Cloud
+from appliance.measure.decode.phase import phase
+from appliance.measure.decode.scratch import COORDINATE, DECODING_SIZE
+from appliance.measure.light.sequence import Direction
+from appliance.measure.points.pipeline import Pipeline
+from appliance.measure.points.table import Cloud
 from bench.result import Measured
 from bench.scan_frames import ScanFrames
 from tests.support import oracle, synthetic

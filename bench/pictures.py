@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.storage.library import Library
+from appliance.store.library import Library
 
 OUT = Path(__file__).parents[1] / "docs" / "pictures"
 SIZE_PX = (800, 480)

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.patterns.gray import inverse_gray
-from appliance.patterns.sequence import Direction, PatternSequence
+from appliance.measure.light.gray import inverse_gray
+from appliance.measure.light.sequence import Direction, PatternSequence
 from bench.scan_frames import ScanFrames
 from tests.support import oracle, synthetic
 

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from appliance.patterns.sequence import Direction
-from appliance.reconstruct.pipeline import Pipeline
+from appliance.measure.light.sequence import Direction
+from appliance.measure.points.pipeline import Pipeline
 from bench import foreign, references
 from bench.foreign import Peer, PeerFailed
 from bench.roofline import Memory

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibration.file import Calibration
-from appliance.optics.model import HousedCamera
-from appliance.patterns.sequence import PatternSequence, build_sequence
+from appliance.measure.calibration.file import Calibration
+from appliance.measure.light.model import HousedCamera
+from appliance.measure.light.sequence import PatternSequence, build_sequence
 from tests.support import synthetic
 
 NOISE_DN = 1.6

@@ -6,8 +6,8 @@ import time
 from dataclasses import dataclass
 from itertools import pairwise
 
-from appliance.reconstruct.pipeline import Pipeline
-from appliance.scan.sides import SIDES
+from appliance.measure.light.sides import SIDES
+from appliance.measure.points.pipeline import Pipeline
 from bench.scan_frames import ScanFrames
 
 

@@ -8,12 +8,12 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
-from appliance.capture.store import FrameStore
-from appliance.scan.news import CoarseCloud, FullCloud, News, PatternIdentity, Verdicts
-from appliance.scan.sides import SIDES
-from appliance.worker.messages import Ready
-from appliance.worker.order import WorkOrder
-from appliance.worker.process import ReconstructionWorker
+from appliance.instrument.capture.store import FrameStore
+from appliance.instrument.worker.messages import Ready
+from appliance.instrument.worker.order import WorkOrder
+from appliance.instrument.worker.process import ReconstructionWorker
+from appliance.measure.light.sides import SIDES
+from appliance.measure.news import CoarseCloud, FullCloud, News, PatternIdentity, Verdicts
 from bench.result import Measured
 from bench.scan_frames import ScanFrames
 from bench.timing import median_of

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from appliance import kernel_cache
-from appliance.process_start import use_one_blas_thread
+from appliance.base import kernel_cache
+from appliance.base.process_start import use_one_blas_thread
 from tests.support.golden_texts import Says
 
 STAGES = {

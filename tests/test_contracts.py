@@ -11,21 +11,36 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 FORBIDDEN = {
-    "independent-truth": ("hw_sim -> drivers.api", "hw_sim -> appliance.optics"),
-    "unaware-product": ("appliance.capture -> hw_sim", "drivers.camera -> hw_sim"),
-    "drivers-below": ("drivers.board -> appliance.capture",),
+    "independent-truth": ("hw_sim -> drivers.api", "hw_sim -> appliance.measure.light"),
+    "unaware-product": ("appliance.instrument.capture -> hw_sim", "drivers.camera -> hw_sim"),
+    "drivers-below": ("drivers.board -> appliance.instrument.capture",),
     "firmware-alone": ("drivers.board.firmware -> drivers.board.line",),
-    "concrete-drivers": ("appliance.capture -> drivers.camera", "appliance.machine -> drivers.rig"),
-    "data-flow": (
-        "appliance.patterns -> appliance.capture",
-        "appliance.reconstruct -> appliance.machine",
-        "appliance.surface -> appliance.storage",
-        "appliance.registration -> appliance.storage",
-        "appliance.machine -> appliance.service",
-        "appliance.offline -> appliance.service",
-        "appliance.service -> appliance.workshop",
+    "concrete-drivers": (
+        "appliance.instrument.capture -> drivers.camera",
+        "appliance.instrument.machine -> drivers.rig",
+        "appliance.desk -> drivers.camera",
     ),
-    "pure-core": ("appliance.machine -> threading", "appliance.optics -> pathlib"),
+    "rooms": (
+        "appliance.base -> appliance.measure",
+        "appliance.measure -> appliance.store",
+        "appliance.store -> appliance.calibrate",
+        "appliance.calibrate -> appliance.desk",
+        "appliance.desk -> appliance.instrument",
+        "appliance.instrument -> appliance.desk",
+        "appliance.instrument -> appliance.workshop",
+        "appliance.workshop -> appliance.cli",
+    ),
+    "measuring-core": (
+        "appliance.measure.light -> appliance.measure.points",
+        "appliance.measure.decode -> appliance.measure.points",
+        "appliance.measure.points -> appliance.measure.verdicts",
+    ),
+    "running-instrument": (
+        "appliance.instrument.machine -> appliance.instrument.service",
+        "appliance.instrument.capture -> appliance.instrument.worker",
+    ),
+    "pure-core": ("appliance.instrument.machine -> subprocess", "appliance.measure.light -> pathlib"),
+    "one-thread": ("appliance.instrument.machine -> threading", "appliance.measure.light -> threading"),
     "rooms-of-the-world": ("hw_sim.optics -> hw_sim.water", "hw_sim.devices -> hw_sim.rendering"),
     "timeless-physics": ("hw_sim.water -> hw_sim.timing",),
 }

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from appliance.cli.verbs import VERBS, Group
-from appliance.machine.states import State
-from appliance.scan.fault import FaultCode
+from appliance.instrument.machine.states import State
+from appliance.measure.fault import FaultCode
 
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "systemd").glob("*.md")])

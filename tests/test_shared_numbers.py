@@ -25,11 +25,12 @@ SIMULATOR = tuple(
     "workshop.py", "heat.py", "clocks.py", "in_dive.py", "mount_shift.py", "options.py", "outside.py", "ranges.py", "drawings.py",
     "world.py", "faults.py", "punctuality.py")
 )  # fmt: skip
-PRODUCT = tuple(
-    f"appliance/{room}" for room in ("scan", "optics", "patterns", "evaluation", "calibration", "capture", "ranging", "reconstruct",
-    "verdict", "compensation", "processing", "worker", "config", "offline", "service", "machine", "surface", "registration", "foreign",
-    "storage", "workshop")
-)  # fmt: skip
+PRODUCT = (
+    *("appliance/measure", "appliance/store", "appliance/calibrate", "appliance/workshop"),
+    *(f"appliance/instrument/{room}" for room in ("capture", "ranging", "worker", "service", "machine")),
+    *(f"appliance/desk/{room}" for room in ("foreign", "registration", "surface", "anew", "pull")),
+    *(f"appliance/desk/{file.name}" for file in sorted((ROOT / "appliance" / "desk").glob("*.py"))),
+)
 _UNITS = "px mm um nm deg rad hz ms us ns s c k dn e db per_m psu"
 _SMALL = (
     "percent ppm bytes least most max min first last count number default limit limits size width height index kind name "

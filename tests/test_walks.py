@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from appliance.machine.alerts import RULES, Rule
-from appliance.patterns.sequence import PatternSequence
-from appliance.processing.judges import JUDGES, Judge
-from appliance.scan.fault import FaultCode
+from appliance.instrument.machine.alerts import RULES, Rule
+from appliance.measure.fault import FaultCode
+from appliance.measure.judges import JUDGES, Judge
+from appliance.measure.light.sequence import PatternSequence
 from drivers.camera_families import families
 
 ROOT = Path(__file__).parents[1]
@@ -86,8 +86,8 @@ def test_the_files_of_a_walk_are_there(walk: str) -> None:
 
 
 def test_a_judge_is_named_in_the_table_and_nowhere_above() -> None:
-    above = {name for name in naming("judge_water") if not name.startswith("appliance/verdict/")}
-    assert above == {"appliance/processing/judges.py"}
+    above = {name for name in naming("judge_water") if not name.startswith("appliance/measure/verdicts/")}
+    assert above == {"appliance/measure/judges.py"}
     assert "water" in {judge.name for judge in JUDGES}
 
 
@@ -95,15 +95,15 @@ def test_a_screen_is_named_in_the_files_of_its_walk() -> None:
     named = naming(r"State\.COOLING|COOLING|CoolingView|cooling")
     shared = {name for name in walks()["A screen with a state of its own"] if "<name>" not in name}
     assert shared <= named, "a file of the walk that the example does not touch"
-    own = {"appliance/machine/safety.py", "appliance/screens/stops.py"}
-    enters = {"appliance/machine/scanning.py", "appliance/machine/leading.py"}
+    own = {"appliance/instrument/machine/safety.py", "appliance/instrument/screens/stops.py"}
+    enters = {"appliance/instrument/machine/scanning.py", "appliance/instrument/machine/leading.py"}
     assert named - shared - own <= enters, "a file that the example touches is missing from the walk"
 
 
 def test_a_verdict_is_named_in_the_files_of_its_walk() -> None:
     """By its judge, which has a row in one table, and by its fault, which has a row in another."""
     folder, judges, alerts = walks()["A verdict"]
-    assert folder == "appliance/verdict/<name>.py"
+    assert folder == "appliance/measure/verdicts/<name>.py"
     assert (ROOT / judges, ROOT / alerts) == (source_of(Judge), source_of(Rule))
     assert judges in naming("judge_water")
     assert alerts in naming(r"FaultCode\.WATER_DIRTY")

@@ -12,8 +12,8 @@ from appliance.cli.arguments import Verb, operand, operands, option, switch
 from appliance.cli.desk import writable, writing
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json
 from appliance.cli.places import scan_folder
-from appliance.scan.sides import SIDES
-from appliance.storage.archive import (
+from appliance.measure.light.sides import SIDES
+from appliance.store.archive import (
     BesideFile,
     Copied,
     copy_beside,
@@ -25,11 +25,11 @@ from appliance.storage.archive import (
     scan_folders,
     unpack_scan,
 )
-from appliance.storage.atomic import make_folders, replace_file
-from appliance.storage.filesystem import LocalFileSystem
-from appliance.storage.library import Library, LibraryFolder
-from appliance.storage.lock import hold_lock
-from appliance.storage.scan import ScanError, manifest_of, read_frame
+from appliance.store.atomic import make_folders, replace_file
+from appliance.store.filesystem import LocalFileSystem
+from appliance.store.library import Library, LibraryFolder
+from appliance.store.lock import hold_lock
+from appliance.store.scan import ScanError, manifest_of, read_frame
 
 MB = 1e6
 

@@ -8,15 +8,15 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, ClassVar
 
-from appliance.calibration.water.method import BEFORE_OPERATOR, Method
+from appliance.calibrate.water.method import BEFORE_OPERATOR, Method
 from appliance.cli.arguments import operand, option, switch
 from appliance.cli.desk import place_of, scan_in, whole_scan, writable, writing
 from appliance.cli.kernels import compile_kernels
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json
 from appliance.cli.places import WithRoot
-from appliance.storage.atomic import replace_file
-from appliance.storage.filesystem import LocalFileSystem
-from appliance.storage.lock import hold_lock
+from appliance.store.atomic import replace_file
+from appliance.store.filesystem import LocalFileSystem
+from appliance.store.lock import hold_lock
 
 DEFAULT_OUT = Path("calibration-water.json")
 SCANS_CHECKED = 0.1
@@ -57,17 +57,17 @@ class CalibrateWater(WithRoot):
                 )
         if data.absolute() == self.list.absolute():
             raise UsageError(f"--out {target}: {data} is the list itself; give another name")
-        from appliance.offline.scan_list import read_list
+        from appliance.store.scan_list import read_list
 
         scans = read_list(self.list)
         for entry in scans.entries:  # a wrong number is told before minutes of compiling, and of comparing checksums
             scan_in(wish, place_of(self.list, entry.scan))
         compile_kernels()
-        from appliance.calibration import file as calibration_file
-        from appliance.offline.calibration.start import refuse_drawing, start_of
-        from appliance.offline.calibration.water import check_list, run_water_calibration
-        from appliance.offline.origin import instrument_of, open_source, refuse_misfit
-        from appliance.storage.calibrations import Calibrations
+        from appliance.calibrate.calibrations import Calibrations
+        from appliance.calibrate.in_water import check_list, run_water_calibration
+        from appliance.calibrate.start import refuse_drawing, start_of
+        from appliance.measure.calibration import file as calibration_file
+        from appliance.store.origin import instrument_of, open_source, refuse_misfit
 
         check_list(scans)
         made_at = datetime.now(UTC).isoformat(timespec="seconds")
@@ -126,8 +126,8 @@ class RestoreCalibration(WithRoot):
 
     def run(self) -> Exit:
         rig = self.rooted_rig()
-        from appliance.calibration.file import load
-        from appliance.storage.calibrations import Calibrations, SessionError
+        from appliance.calibrate.calibrations import Calibrations, SessionError
+        from appliance.measure.calibration.file import load
 
         now = datetime.now(UTC).isoformat(timespec="seconds")
         with hold_lock(rig.storage.root):

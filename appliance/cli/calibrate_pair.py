@@ -60,11 +60,11 @@ class CalibratePair(Verb):
             raise UsageError(f"--marker-mm {self.marker_mm:g}: allowed are sizes below --square-mm {self.square_mm:g}")
         writable(self.out)
         existing("FOLDER", self.folder, "the pictures of the board")
-        from appliance.calibration.air.adjustment import AirCalibrationError
-        from appliance.calibration.air.any_board import BoardNotFoundError, Wanted
-        from appliance.offline.calibration.air import PicturesError
-        from appliance.offline.calibration.any_pair import calibrate_pictures
-        from appliance.offline.calibration.any_pictures import Patterns, named_pictures
+        from appliance.calibrate.air.adjustment import AirCalibrationError
+        from appliance.calibrate.air.any_board import BoardNotFoundError, Wanted
+        from appliance.calibrate.any_pair import calibrate_pictures
+        from appliance.calibrate.any_pictures import Patterns, named_pictures
+        from appliance.calibrate.in_air import PicturesError
 
         target = self.out or self.folder / DEFAULT_NAME
         patterns = None if self.left is None or self.right is None else Patterns(self.left, self.right)

@@ -14,12 +14,12 @@ from appliance.cli.output import Exit, Progress, UsageError, say, say_json
 from appliance.cli.places import WithCalibration
 
 if TYPE_CHECKING:
-    from appliance.export.content import About
-    from appliance.offline.comparing import NominalSurface
-    from appliance.offline.wish import Wish
-    from appliance.registration.rigid import Rigid
-    from appliance.storage.objects import StoredObject
-    from appliance.surface.fusion import FusedCloud
+    from appliance.desk.comparing import NominalSurface
+    from appliance.desk.export.content import About
+    from appliance.desk.object_store import StoredObject
+    from appliance.desk.surface.fusion import FusedCloud
+    from appliance.measure.overlap.rigid import Rigid
+    from appliance.store.wish import Wish
 
 _PLACE = 6
 _NOMINAL = "a CAD model in mm (.stl .obj .ply), or the name of another object"
@@ -99,8 +99,8 @@ class _Comparing(WithCalibration):
 
     def compared(self, nominal: NominalSurface, surface: FusedCloud, about: About, stored: StoredObject | None) -> Exit:
         """Compare, write what was asked for, and say what came of it."""
-        from appliance.offline.comparing import compare, figures_of, write_comparison
-        from appliance.offline.object_errors import errors_of
+        from appliance.desk.comparing import compare, figures_of, write_comparison
+        from appliance.desk.object_errors import errors_of
 
         with Progress() as progress:
             progress(f"laying it onto {nominal.name}")
@@ -131,9 +131,9 @@ class _Comparing(WithCalibration):
     def checked(self, nominal: str, root: Path) -> None:
         """Raises ObjectError for an object under ``root`` that is not there, UsageError for files that cannot be written, and MissingLibraryError where what reads ``nominal`` or writes them is absent: before
         minutes of work."""
-        from appliance.export.suffixes import SURFACE_SUFFIXES, ExportError, checked_suffix, require_library
-        from appliance.surface.drawing_file import checked_drawing
-        from appliance.surface.libraries import require
+        from appliance.base.libraries import require
+        from appliance.desk.export.suffixes import SURFACE_SUFFIXES, ExportError, checked_suffix, require_library
+        from appliance.desk.surface.drawing_file import checked_drawing
 
         require("igl", "libigl", "a comparison")
         if _is_file(nominal):
@@ -142,7 +142,7 @@ class _Comparing(WithCalibration):
                 require("trimesh", "trimesh", "a CAD model")
         else:
             require("skimage.measure", "scikit-image", "the mesh of an object")
-            from appliance.storage import objects
+            from appliance.desk import object_store as objects
 
             objects.read(root, nominal)
 
@@ -157,8 +157,8 @@ class _Comparing(WithCalibration):
     def _start(self) -> Rigid | None:
         import numpy as np
 
-        from appliance.optics.rotation import rotation_matrix
-        from appliance.registration.rigid import Rigid
+        from appliance.measure.light.rotation import rotation_matrix
+        from appliance.measure.overlap.rigid import Rigid
 
         if self.start is None:
             return None
@@ -166,12 +166,12 @@ class _Comparing(WithCalibration):
 
     def surface_named(self, named: str, root: Path, wish: Wish, progress: Progress) -> NominalSurface:
         """Return the CAD model or the object called ``named``. Raises NominalError, ObjectError."""
-        from appliance.offline.comparing import NominalSurface
-        from appliance.offline.object_errors import errors_of, laid_onto_something
-        from appliance.offline.objects import surface_of
-        from appliance.storage import objects
-        from appliance.surface.nominal import nominal_of_mesh, read_nominal
-        from appliance.surface.object_mesh import VOXEL_MM, mesh_of_surface
+        from appliance.desk import object_store as objects
+        from appliance.desk.comparing import NominalSurface
+        from appliance.desk.object_errors import errors_of, laid_onto_something
+        from appliance.desk.objects import surface_of
+        from appliance.desk.surface.nominal import nominal_of_mesh, read_nominal
+        from appliance.desk.surface.object_mesh import VOXEL_MM, mesh_of_surface
 
         path = Path(named)
         if _is_file(named):
@@ -191,7 +191,7 @@ class CompareObject(_Comparing):
     nominal: str = operand("MODEL", _NOMINAL)
 
     def run(self) -> Exit:
-        from appliance.storage import objects
+        from appliance.desk import object_store as objects
 
         wish = self.wish()
         measuring(wish.calibration)
@@ -199,7 +199,7 @@ class CompareObject(_Comparing):
         self.checked(self.nominal, root)
         stored = objects.read(root, self.name)
         compile_kernels()
-        from appliance.offline.objects import about_object, surface_of
+        from appliance.desk.objects import about_object, surface_of
 
         with Progress() as progress:
             nominal = self.surface_named(self.nominal, root, wish, progress)
@@ -225,10 +225,10 @@ class CompareScan(_Comparing):
             compile_kernels()
             import numpy as np
 
-            from appliance.export.content import CAMERA_FRAME, About
-            from appliance.offline.organised_scan import organised_scan
-            from appliance.offline.origin import calibration_for, open_source
-            from appliance.surface.fusion import PlacedScan, fuse
+            from appliance.desk.export.content import CAMERA_FRAME, About
+            from appliance.desk.organised_scan import organised_scan
+            from appliance.desk.surface.fusion import PlacedScan, fuse
+            from appliance.store.origin import calibration_for, open_source
 
             nominal = self.surface_named(self.nominal, root, wish, progress)
             source = open_source(folder, wish)

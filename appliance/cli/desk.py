@@ -11,9 +11,9 @@ from pathlib import Path
 
 from appliance.cli.output import UsageError
 from appliance.cli.places import root_of_rig, scan_folder
-from appliance.offline.wish import Wish
-from appliance.storage.atomic import StorageError, remedy_for
-from appliance.storage.library import Library
+from appliance.store.atomic import StorageError, remedy_for
+from appliance.store.library import Library
+from appliance.store.wish import Wish
 
 CLOUD_SUFFIX, PAGE_SUFFIX = ".ply", ".html"
 
@@ -26,7 +26,7 @@ def whole_scan(wish: Wish, scan: str) -> Path:
     not be whole. Raises UnknownScan, ScanError, UsageError.
     """
     folder = scan_in(wish, scan)
-    from appliance.storage.damage import refuse_damaged_frames
+    from appliance.store.damage import refuse_damaged_frames
 
     refuse_damaged_frames(folder)
     return folder
@@ -51,7 +51,7 @@ def measuring(calibration: Path | None) -> None:
     """Raises UsageError for a ``--calibration`` in air: what the windows do is not in it. Raises CalibrationError."""
     if calibration is None:
         return
-    from appliance.calibration.file import IN_AIR, load
+    from appliance.measure.calibration.file import IN_AIR, load
 
     if load(calibration).method == IN_AIR:
         raise UsageError(

@@ -4,32 +4,32 @@ from __future__ import annotations
 
 from appliance.cli.output import Exit
 
-CONFIG = "appliance.config.load:ConfigError"
-STORAGE = "appliance.storage.atomic:StorageError"
+CONFIG = "appliance.store.config.load:ConfigError"
+STORAGE = "appliance.store.atomic:StorageError"
 DEVICE = "drivers.errors:DeviceError"
 # A rig file and a list are typed by a person, too, so that an error in them is one of usage.
-USAGE = frozenset((CONFIG, "appliance.cli.output:UsageError", "appliance.offline.scan_list:ListError"))
+USAGE = frozenset((CONFIG, "appliance.cli.output:UsageError", "appliance.store.scan_list:ListError"))
 FAILED = frozenset(
     (
         STORAGE,
         DEVICE,
         "appliance.workshop.finding:BringupError",
-        "appliance.calibration.file:CalibrationError",
-        "appliance.calibration.recordings:RecordingError",
+        "appliance.measure.calibration.file:CalibrationError",
+        "appliance.calibrate.recordings:RecordingError",
         "appliance.cli.output:OutputError",
-        "appliance.export.suffixes:ExportError",
-        "appliance.foreign.problem:ForeignError",
-        "appliance.kernel_build:CompileError",
-        "appliance.offline.anew.results:ResultsError",
-        "appliance.offline.anew.work:SchedulerError",
-        "appliance.offline.pull.source:PullError",
-        "appliance.registration.reference:SurfaceMatchError",
-        "appliance.sealed_file:ContentError",
-        "appliance.storage.library:UnknownScan",
-        "appliance.storage.objects:ObjectError",
-        "appliance.storage.scan:ScanError",
-        "appliance.surface.libraries:MissingLibraryError",
-        "appliance.surface.drawing_file:NominalError",
+        "appliance.desk.export.suffixes:ExportError",
+        "appliance.desk.foreign.problem:ForeignError",
+        "appliance.base.kernel_build:CompileError",
+        "appliance.desk.anew.results:ResultsError",
+        "appliance.desk.anew.work:SchedulerError",
+        "appliance.desk.pull.source:PullError",
+        "appliance.desk.registration.reference:SurfaceMatchError",
+        "appliance.base.sealed_file:ContentError",
+        "appliance.store.library:UnknownScan",
+        "appliance.desk.object_store:ObjectError",
+        "appliance.store.scan:ScanError",
+        "appliance.base.libraries:MissingLibraryError",
+        "appliance.desk.surface.drawing_file:NominalError",
     )
 )
 """Errors whose text is for the person at the keyboard, as ``module:class``."""

@@ -11,8 +11,8 @@ from appliance.cli.arguments import option
 from appliance.cli.desk import writing
 from appliance.cli.output import Exit, UsageError, say, say_json
 from appliance.cli.places import WithRig
-from appliance.storage.atomic import make_folders, move_folder, replace_file
-from appliance.storage.filesystem import LocalFileSystem
+from appliance.store.atomic import make_folders, move_folder, replace_file
+from appliance.store.filesystem import LocalFileSystem
 
 if TYPE_CHECKING:  # brings pydantic, which `--help` can do without
     from appliance.workshop.flashing import Part

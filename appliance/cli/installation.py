@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import ClassVar
 
 from appliance import __version__
+from appliance.base.distribution import other_program
 from appliance.cli.arguments import Verb, option, switch
 from appliance.cli.output import Exit, UsageError, complain, say, say_json
-from appliance.distribution import other_program
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,14 +39,14 @@ class Warm(Verb):
     common: bool = switch("--common", "for every x86-64-v3 processor instead of this one: for images")
 
     def run(self) -> Exit:
-        from appliance import kernel_build, kernel_cache
+        from appliance.base import kernel_build, kernel_cache
         from appliance.cli.kernels import CompileProgress
-        from appliance.storage.atomic import remedy_for
+        from appliance.store.atomic import remedy_for
 
         target = self.out or kernel_cache.shipped_folder()
         if target.exists() and not target.is_dir():
             raise UsageError(f"--out {target}: is a file; give a folder, which is made if it is not there")
-        from appliance.worker.warm import PIECES
+        from appliance.measure.warm import PIECES
 
         with CompileProgress() as progress:
             try:

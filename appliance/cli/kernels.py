@@ -11,12 +11,12 @@ from collections.abc import Callable, Iterable, Sequence
 from types import TracebackType
 from typing import TextIO
 
-from appliance import kernel_cache
+from appliance.base import kernel_cache
+from appliance.base.kernel_build import CompileError, Compiling, Piece, compile_pieces, missing
+from appliance.base.kernel_cache import KernelCache, Origin
+from appliance.base.process_start import importing
 from appliance.cli import output
 from appliance.cli.output import Progress
-from appliance.kernel_build import CompileError, Compiling, Piece, compile_pieces, missing
-from appliance.kernel_cache import KernelCache, Origin
-from appliance.process_start import importing
 
 log = logging.getLogger(__name__)
 service_log = logging.getLogger("kingfisher")
@@ -33,7 +33,7 @@ def compile_kernels(more: Callable[[], Iterable[tuple[str, str]]] = tuple) -> No
     """Have everything compiled that a scan needs, recorded or stored, and the pieces (what for, function) of ``more``."""
     cache = kernel_cache.use()  # before numba is imported
     with importing():
-        from appliance.worker.warm import PIECES
+        from appliance.measure.warm import PIECES
 
         pieces = (*PIECES, *(Piece(what, function) for what, function in more()))
     _compile(cache, pieces)
@@ -43,7 +43,7 @@ def compile_point_kernels() -> None:
     """Have compiled what makes points of coordinates, without anything that judges a scan: most of what imported images need."""
     cache = kernel_cache.use()
     with importing():
-        from appliance.worker.warm import POINT_PIECES
+        from appliance.measure.warm import POINT_PIECES
     _compile(cache, POINT_PIECES)
 
 

@@ -42,8 +42,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return Exit.INTERRUPTED
     except Exception as error:
+        from appliance.base.process_start import interrupts
         from appliance.cli.failures import exit_code_of
-        from appliance.process_start import interrupts
 
         if interrupts(error):
             return Exit.INTERRUPTED
@@ -73,8 +73,8 @@ def _last_words(verb: Verb) -> Iterator[None]:
     if not verb.service:
         yield
         return
+    from appliance.base.process_start import use_one_blas_thread
     from appliance.cli.last_words import last_words
-    from appliance.process_start import use_one_blas_thread
 
     use_one_blas_thread(os.environ)
     with last_words(os.environ):

@@ -13,10 +13,10 @@ from appliance.cli.kernels import compile_kernels
 from appliance.cli.listing import say_report
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json, table
 from appliance.cli.places import WithRoot
-from appliance.scan.sides import of_side
-from appliance.storage.atomic import make_folders, replace_file
-from appliance.storage.filesystem import LocalFileSystem
-from appliance.storage.scan import ScanError
+from appliance.measure.light.sides import of_side
+from appliance.store.atomic import make_folders, replace_file
+from appliance.store.filesystem import LocalFileSystem
+from appliance.store.scan import ScanError
 
 SHOWN_HARMONICS = 6
 LEVELS = 255.0
@@ -35,11 +35,11 @@ class MeasureResponse(WithRoot):
         _never_replaced(self.out)
         scan_in(wish, self.scan)
         compile_kernels()
-        from appliance.calibration.response.file import RESPONSE
-        from appliance.calibration.response.measure import ResponseError
-        from appliance.instrument import RESPONSE_FILE
-        from appliance.offline.measuring import response_of_scan
-        from appliance.offline.origin import instrument_of, open_source
+        from appliance.calibrate.response.measure import ResponseError
+        from appliance.desk.measuring import response_of_scan
+        from appliance.measure.calibration.response_file import RESPONSE
+        from appliance.store.instrument import RESPONSE_FILE
+        from appliance.store.origin import instrument_of, open_source
 
         with Progress() as progress:
             progress("comparing checksums")
@@ -85,11 +85,11 @@ class MeasureNoise(WithRoot):
         wish = self.wish()
         scan_in(wish, self.scan)
         compile_kernels()
-        from appliance.calibration.noise_file import NOISE
-        from appliance.calibration.photon_transfer import NoiseError
-        from appliance.instrument import NOISE_FILE
-        from appliance.offline.measuring import noise_of_scan, noise_to_store
-        from appliance.offline.origin import instrument_of, open_source
+        from appliance.calibrate.photon_transfer import NoiseError
+        from appliance.desk.measuring import noise_of_scan, noise_to_store
+        from appliance.measure.calibration.noise_file import NOISE
+        from appliance.store.instrument import NOISE_FILE
+        from appliance.store.origin import instrument_of, open_source
 
         with Progress() as progress:
             progress("comparing checksums")
@@ -148,8 +148,8 @@ class MeasureExposures(WithRoot):
         for scan in self.scans:
             scan_in(wish, scan)
         compile_kernels()
-        from appliance.offline.measuring import exposure_found
-        from appliance.offline.origin import instrument_of, open_source
+        from appliance.desk.measuring import exposure_found
+        from appliance.store.origin import instrument_of, open_source
 
         with Progress() as progress:
             sources = []

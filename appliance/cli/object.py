@@ -8,16 +8,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
+from appliance.base.process_start import use_one_blas_thread
 from appliance.cli.arguments import operand, operands, option, switch, whole
 from appliance.cli.desk import library_root, measuring, scan_in
 from appliance.cli.kernels import compile_kernels
 from appliance.cli.object_files import ObjectFiles
 from appliance.cli.output import Exit, Progress, UsageError, complain, say, say_json
 from appliance.cli.places import WithRoot
-from appliance.process_start import use_one_blas_thread
 
 if TYPE_CHECKING:
-    from appliance.storage.objects import MemberScan, Places, StoredObject
+    from appliance.desk.object_store import MemberScan, Places, StoredObject
 
 LEAST_SCANS = 2
 """Placed scans that make an object."""
@@ -36,7 +36,7 @@ class NewObject(WithRoot):
     taken_as: int | None = option("--taken-as", _TAKEN_AS, default=None, parse=whole(1, 999_999), metavar="N")
 
     def run(self) -> Exit:
-        from appliance.storage.objects import StoredObject
+        from appliance.desk.object_store import StoredObject
 
         root = library_root(self.wish())
 
@@ -60,7 +60,7 @@ class AddToObject(WithRoot):
     taken_as: int | None = option("--taken-as", _TAKEN_AS, parse=whole(1, 999_999), metavar="N")
 
     def run(self) -> Exit:
-        from appliance.storage import objects
+        from appliance.desk import object_store as objects
 
         if not self.scans and self.taken_as is None:
             raise UsageError("which scans? Give their numbers or folders, or --taken-as N")
@@ -79,7 +79,7 @@ class ShowObject(WithRoot):
     name: str | None = operand("NAME", _NAME, optional=True)
 
     def run(self) -> Exit:
-        from appliance.storage import objects
+        from appliance.desk import object_store as objects
 
         root = library_root(self.wish())
         if self.name is None:
@@ -117,8 +117,8 @@ class SolveObject(ObjectFiles):
         wish = self.wish()
         measuring(wish.calibration)
         outs = self.checked_outs([Path(one) for one in self.out])
-        from appliance.storage import objects
-        from appliance.storage.objects import StoredObject
+        from appliance.desk import object_store as objects
+        from appliance.desk.object_store import StoredObject
 
         root = library_root(wish)
         if self.scans or self.taken_as is not None:
@@ -126,7 +126,7 @@ class SolveObject(ObjectFiles):
         else:
             found = objects.read(root, self.name)
         compile_kernels()
-        from appliance.offline.objects import solve_object
+        from appliance.desk.objects import solve_object
 
         with Progress() as progress:
             answer = solve_object(root, found, wish, progress, with_shared_error=self.with_estimate)
@@ -153,11 +153,11 @@ class ExportObject(ObjectFiles):
         wish = self.wish()
         measuring(wish.calibration)
         outs = self.checked_outs([Path(one) for one in self.out or (f"{self.name}.ply",)])
-        from appliance.storage import objects
+        from appliance.desk import object_store as objects
 
         root = library_root(wish)
         solved = objects.read(root, self.name)
-        from appliance.offline.object_errors import errors_of
+        from appliance.desk.object_errors import errors_of
 
         # Says at once where it is not solved.
         errors_of(solved)
@@ -174,7 +174,7 @@ class ExportObject(ObjectFiles):
 
 def _warn_of_added(solved: StoredObject, *, as_json: bool) -> None:
     """Say which scans are in no file, since they were added after the others were placed."""
-    from appliance.storage.objects import ADDED_SINCE
+    from appliance.desk.object_store import ADDED_SINCE
 
     left_out = {} if solved.places is None else solved.places.left_out
     since = ", ".join(name for name, why in left_out.items() if why == ADDED_SINCE)
@@ -184,11 +184,11 @@ def _warn_of_added(solved: StoredObject, *, as_json: bool) -> None:
 
 def _tell_health(root: Path, solved: StoredObject, *, as_json: bool) -> None:
     """Write what the overlaps tell of the calibration beside what its scans told; the instrument reads it at its next start."""
-    from appliance.calibration.health import told_by_overlaps
-    from appliance.offline.objects import overlap_news
-    from appliance.storage.atomic import StorageError
-    from appliance.storage.health import HealthFile
-    from appliance.storage.lock import hold_lock
+    from appliance.calibrate.health import told_by_overlaps
+    from appliance.calibrate.health_file import HealthFile
+    from appliance.desk.objects import overlap_news
+    from appliance.store.atomic import StorageError
+    from appliance.store.lock import hold_lock
 
     told = overlap_news(solved)
     if told is None:
@@ -211,8 +211,8 @@ def _added(
 
     ``begin``: the object to add to, of what is stored under its name. Raises what it raises, UsageError, ScanError, ObjectError.
     """
-    from appliance.storage import objects
-    from appliance.storage.objects import with_scans
+    from appliance.desk import object_store as objects
+    from appliance.desk.object_store import with_scans
 
     stored = begin(objects.read(root, verb.name) if objects.exists(root, verb.name) else None)
     # All of them are looked up before the first byte is read, and before what reads them is imported.
@@ -231,8 +231,8 @@ def _added(
 
 def _member(root: Path, folder: Path) -> MemberScan:
     """Return a scan as a member of an object. Raises ScanError."""
-    from appliance.offline.objects import member_of
-    from appliance.storage.damage import refuse_damaged_frames
+    from appliance.desk.objects import member_of
+    from appliance.store.damage import refuse_damaged_frames
 
     refuse_damaged_frames(folder)
     return member_of(root, folder)
@@ -242,8 +242,8 @@ def _taken_as(root: Path, number: int | None) -> Sequence[str]:
     """Return the scans of an object by the number that the diver began it under. Raises UsageError for one that no scan carries."""
     if number is None:
         return ()
-    from appliance.storage.library import Library
-    from appliance.storage.object_numbers import numbers, scans_of
+    from appliance.store.library import Library
+    from appliance.store.object_numbers import numbers, scans_of
 
     library = Library(root)
     scans = scans_of(library, number)
@@ -257,7 +257,7 @@ def _say_object(stored: StoredObject, *, as_json: bool) -> None:
     if as_json:
         from pydantic import TypeAdapter
 
-        from appliance.storage.objects import StoredObject as Kind
+        from appliance.desk.object_store import StoredObject as Kind
 
         # The joint errors are for programs that compute lengths (import kingfisher), and megabytes of text for everybody else.
         say_json(TypeAdapter(Kind).dump_python(stored, mode="json", exclude={"places": {"joint"}}))
@@ -291,7 +291,7 @@ def lines_of(places: Places) -> list[str]:
     lines += [f"  {pair.first} - {pair.second}: overlap –; {pair.text}" for pair in places.pairs if not pair.used]
     lines += [f"warning: {one}" for one in places.warnings]
     if places.shared_error_score is not None:
-        from appliance.calibration.health import OVERLAP_LIMIT
+        from appliance.calibrate.health import OVERLAP_LIMIT
 
         lines.append(
             f"overlaps and calibration agree: {places.shared_error_score:.1f} times what is stated"

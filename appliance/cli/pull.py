@@ -10,17 +10,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
+from appliance.base.libraries import require
 from appliance.cli.arguments import Verb, number, operand, option, switch, whole
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json, time_text
-from appliance.offline.pull.pulling import HowFar, Open, Pulled, pull
-from appliance.offline.pull.source import FolderSource, is_linked
-from appliance.offline.pull.ssh import ANSWER_S, LIBRARY, NEEDS_IT, PORT, Host, SshLink
-from appliance.offline.pull.taking import PullOutcome
-from appliance.storage.atomic import make_folders
-from appliance.storage.filesystem import LocalFileSystem
-from appliance.storage.library import LibraryFolder
-from appliance.storage.lock import hold_lock
-from appliance.surface.libraries import require
+from appliance.desk.pull.pulling import HowFar, Open, Pulled, pull
+from appliance.desk.pull.source import FolderSource, is_linked
+from appliance.desk.pull.ssh import ANSWER_S, LIBRARY, NEEDS_IT, PORT, Host, SshLink
+from appliance.desk.pull.taking import PullOutcome
+from appliance.store.atomic import make_folders
+from appliance.store.filesystem import LocalFileSystem
+from appliance.store.library import LibraryFolder
+from appliance.store.lock import hold_lock
 
 ROOTS = (".", "lib/kingfisher", "var/lib/kingfisher")
 """Places of the scans below a folder that is given: the storage root itself, the instrument's data partition, its whole disk."""

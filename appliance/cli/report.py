@@ -22,7 +22,7 @@ class DiveReport(WithRoot):
         """Raises UnknownScan, UsageError, StorageError."""
         out = self.out or Path("dive.html")
         writable_page(out)
-        from appliance.storage.library import Library
+        from appliance.store.library import Library
 
         root = self.existing_root()
         library = Library(root)
@@ -32,8 +32,8 @@ class DiveReport(WithRoot):
             raise UsageError(
                 f"--root {root}: holds no scans; give the storage root of a dive, the folder that holds scans/"
             )
-        from appliance.offline.dive_report import report_of_dive
-        from appliance.report.page import write_report
+        from appliance.desk.dive_report import report_of_dive
+        from appliance.desk.report.page import write_report
 
         with Progress() as progress:
             report = report_of_dive(root, entries, progress)

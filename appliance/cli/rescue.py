@@ -11,7 +11,7 @@ from appliance.cli.kernels import compile_kernels
 from appliance.cli.listing import say_report
 from appliance.cli.output import Exit, Progress
 from appliance.cli.places import WithCalibration, scan_folder
-from appliance.storage import incomplete
+from appliance.store import incomplete
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,8 +30,8 @@ class Rescue(WithCalibration):
             folder = scan_folder(self.recording) or incomplete.find(library_root(wish), self.recording)
             recording = incomplete.load(folder)
             compile_kernels()
-            from appliance.offline.origin import calibration_for, open_source
-            from appliance.offline.rescue import rescue_recording
+            from appliance.desk.rescue import rescue_recording
+            from appliance.store.origin import calibration_for, open_source
 
             source = open_source(folder, wish, recording.scan)
             chosen = calibration_for(source, wish)

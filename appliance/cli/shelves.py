@@ -10,13 +10,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar
 
+from appliance.base.sealed_file import ContentError
 from appliance.cli.arguments import operand, operands
 from appliance.cli.output import Exit, UsageError, say, say_json
 from appliance.cli.places import WithRoot
-from appliance.sealed_file import ContentError
-from appliance.storage.label import LONGEST_NAME, LONGEST_NOTE, Label, checked, read
-from appliance.storage.library import Library
-from appliance.storage.lock import hold_lock
+from appliance.store.label import LONGEST_NAME, LONGEST_NOTE, Label, checked, read
+from appliance.store.library import Library
+from appliance.store.lock import hold_lock
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

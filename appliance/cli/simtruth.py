@@ -15,17 +15,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibration.file import Calibration, CalibrationError, encode, load
 from appliance.cli.output import UsageError
 from appliance.cli.simrig import SIMULATOR
-from appliance.config import Rig
-from appliance.instrument import CALIBRATION_FILE, KEPT, NOISE_FILE, RESPONSE_FILE, volume_of
-from appliance.optics.model import HousedCamera, StereoRig
-from appliance.optics.pinhole import Lens
-from appliance.optics.port import Port
-from appliance.optics.water import Water
-from appliance.storage.atomic import make_folders, replace_file
-from appliance.storage.filesystem import LocalFileSystem
+from appliance.measure.calibration.file import Calibration, CalibrationError, encode, load
+from appliance.measure.light.model import HousedCamera, StereoRig
+from appliance.measure.light.pinhole import Lens
+from appliance.measure.light.port import Port
+from appliance.measure.light.water import Water
+from appliance.store.atomic import make_folders, replace_file
+from appliance.store.config import Rig
+from appliance.store.filesystem import LocalFileSystem
+from appliance.store.instrument import CALIBRATION_FILE, KEPT, NOISE_FILE, RESPONSE_FILE, volume_of
 
 METHOD = "truth"
 KNOWN_SET = "nominal"

@@ -10,15 +10,15 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.capture.grabber import Grabber
-from appliance.capture.scan import CaptureReport, ScanRecorder, ScanSettings
-from appliance.capture.store import FrameStore
-from appliance.config import Rig
-from appliance.scan.fault import Fault
-from appliance.scan.sides import SIDES
-from appliance.service.air_live import opened
-from appliance.service.devices import Devices
-from appliance.storage.lock import hold_lock
+from appliance.instrument.capture.grabber import Grabber
+from appliance.instrument.capture.scan import CaptureReport, ScanRecorder, ScanSettings
+from appliance.instrument.capture.store import FrameStore
+from appliance.instrument.service.air_live import opened
+from appliance.instrument.service.devices import Devices
+from appliance.measure.fault import Fault
+from appliance.measure.light.sides import SIDES
+from appliance.store.config import Rig
+from appliance.store.lock import hold_lock
 from appliance.workshop.finding import BringupError
 from drivers import rig as drivers_rig
 from drivers.api import Board, Flip, Projector, Wires

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
-from appliance.capture.grabber import Grabber, SideRecording
-from appliance.capture.timeouts import Timeouts
-from appliance.service.air_live import opened
-from appliance.service.devices import Devices
+from appliance.instrument.capture.grabber import Grabber, SideRecording
+from appliance.instrument.capture.timeouts import Timeouts
+from appliance.instrument.service.air_live import opened
+from appliance.instrument.service.devices import Devices
 from appliance.workshop.finding import BringupError, Finding, judged
 from appliance.workshop.step import StepOutcome, Workplace
 from appliance.workshop.trigger import PULSES

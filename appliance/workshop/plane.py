@@ -20,24 +20,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 import appliance
-from appliance.capture.scan import CaptureReport, ScanRecorder, ScanSettings
-from appliance.capture.store import FrameStore
-from appliance.evaluation.flatness import Flatness, flatness
-from appliance.evaluation.plane import fit_plane
-from appliance.evaluation.points import NotFound
-from appliance.instrument import calibration_of, exposure_of, exposures_of, origin_of, response_of, with_measured_noise
-from appliance.offline.reconstruct import work_through
-from appliance.patterns.sequence import Direction, PatternSequence
-from appliance.reconstruct.decode.decoder import CameraDecoder
-from appliance.scan.exposure import Exposure
-from appliance.scan.sides import SIDES
-from appliance.service.air_live import opened
-from appliance.service.devices import Devices
-from appliance.service.recording import DrawnPatterns
-from appliance.storage import scan as stored
-from appliance.storage.library import Library
-from appliance.storage.record import ScanRecord, SequenceInfo
-from appliance.storage.scan import ScanError
+from appliance.desk.reconstruct import work_through
+from appliance.instrument.capture.scan import CaptureReport, ScanRecorder, ScanSettings
+from appliance.instrument.capture.store import FrameStore
+from appliance.instrument.service.air_live import opened
+from appliance.instrument.service.devices import Devices
+from appliance.instrument.service.recording import DrawnPatterns
+from appliance.measure.accept.flatness import Flatness, flatness
+from appliance.measure.accept.plane import fit_plane
+from appliance.measure.accept.points import NotFound
+from appliance.measure.decode.decoder import CameraDecoder
+from appliance.measure.light.exposure import Exposure
+from appliance.measure.light.sequence import Direction, PatternSequence
+from appliance.measure.light.sides import SIDES
+from appliance.store import scan as stored
+from appliance.store.instrument import (
+    calibration_of,
+    exposure_of,
+    exposures_of,
+    origin_of,
+    response_of,
+    with_measured_noise,
+)
+from appliance.store.library import Library
+from appliance.store.record import ScanRecord, SequenceInfo
+from appliance.store.scan import ScanError
 from appliance.workshop.bench import Image
 from appliance.workshop.finding import BringupError, Finding, judged
 from appliance.workshop.plots import plot, png

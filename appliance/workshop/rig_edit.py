@@ -9,9 +9,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from appliance.config import ConfigError, parse_rig
-from appliance.storage.atomic import replace_file
-from appliance.storage.filesystem import LocalFileSystem
+from appliance.store.atomic import replace_file
+from appliance.store.config import ConfigError, parse_rig
+from appliance.store.filesystem import LocalFileSystem
 from appliance.workshop.finding import BringupError
 
 _HEADER = re.compile(r"^\s*\[(?P<name>[^\[\]]+)\]\s*(#.*)?$")

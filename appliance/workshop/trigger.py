@@ -8,9 +8,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from appliance.capture.ledger import Ledger
-from appliance.capture.scan import CaptureReport
-from appliance.config import Rig
+from appliance.instrument.capture.ledger import Ledger
+from appliance.instrument.capture.scan import CaptureReport
+from appliance.store.config import Rig
 from appliance.workshop.bench import LightBench, Shot, bench_on
 from appliance.workshop.finding import Finding, judged
 from appliance.workshop.step import StepOutcome, Workplace

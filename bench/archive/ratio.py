@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 
-from appliance.scan.sides import SIDES
-from appliance.storage import scan as stored
-from appliance.storage.archive import Copied, pack_scan
-from appliance.storage.filesystem import LocalFileSystem
+from appliance.measure.light.sides import SIDES
+from appliance.store import scan as stored
+from appliance.store.archive import Copied, pack_scan
+from appliance.store.filesystem import LocalFileSystem
 from bench.archive.scenes import Drawn
 from bench.result import Measured
 

@@ -11,12 +11,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from appliance.calibration import file as calibration_file
-from appliance.config import default_rig_path, parse_rig
-from appliance.scan.exposure import Exposure
-from appliance.storage.filesystem import LocalFileSystem
-from appliance.storage.record import ScanRecord, SequenceInfo
-from appliance.storage.scan import ScanOrigin, write_raw
+from appliance.measure.calibration import file as calibration_file
+from appliance.measure.light.exposure import Exposure
+from appliance.store.config import default_rig_path, parse_rig
+from appliance.store.filesystem import LocalFileSystem
+from appliance.store.record import ScanRecord, SequenceInfo
+from appliance.store.scan import ScanOrigin, write_raw
 from bench.outside.draws import scene_world
 from bench.outside.scan import SEQUENCE
 from bench.outside.stated import stated_truth

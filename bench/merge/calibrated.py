@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 
-from appliance.calibration.depth_error import BORDER
-from appliance.calibration.water.calibrate import calibrate
-from appliance.calibration.water.method import Method
-from appliance.calibration.water.shapes import nearest_points
-from appliance.reconstruct.organised import OrganisedCloud
+from appliance.calibrate.water.calibrate import calibrate
+from appliance.calibrate.water.method import Method
+from appliance.calibrate.water.shapes import nearest_points
+from appliance.measure.calibration.depth_error import BORDER
+from appliance.measure.points.organised import OrganisedCloud
 from bench.outside.rigs import SETS, drawn, recorded
 from bench.outside.stated import stated_truth
 from hw_sim.scene import Scene
@@ -34,7 +34,7 @@ class Distortion:
     scale: float
     """Length over true length, of the volume as a whole: the single scans' own error."""
     stated_mm2: Array | None
-    """What the calibration states of the depth error that all scans share, (32, 32), by the shapes of ``calibration/depth_error.py``."""
+    """What the calibration states of the depth error that all scans share, (32, 32), by the shapes of ``measure/calibration/depth_error.py``."""
 
     def of(self, cloud: OrganisedCloud) -> OrganisedCloud:
         """Return a cloud as this calibration would have made it."""

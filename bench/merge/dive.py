@@ -14,10 +14,10 @@ from pathlib import Path
 
 import numpy as np
 
-from appliance.calibration.file import encode
 from appliance.cli.main import main
-from appliance.registration.rigid import Rigid
-from appliance.storage import objects
+from appliance.desk import object_store as objects
+from appliance.measure.calibration.file import encode
+from appliance.measure.overlap.rigid import Rigid
 from bench.merge.row import poses_along
 from bench.merge.views import AMBIENT, EXPOSURE
 from bench.outside.scan import SEQUENCE

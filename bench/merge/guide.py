@@ -10,15 +10,15 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from appliance.cli.simrig import default_sim_rig
-from appliance.config import load_rig
-from appliance.patterns.sequence import Direction
-from appliance.reconstruct.pipeline import Pipeline
-from appliance.registration.guidance import Guide, Sight
-from appliance.registration.overlap import CoarseView, coarse_view
-from appliance.registration.patches import projection_of
-from appliance.scan.guidance import Guidance, Move
-from appliance.service.settings import live_light_of
-from appliance.worker.live_picture import reduced
+from appliance.instrument.service.settings import live_light_of
+from appliance.instrument.worker.live_picture import reduced
+from appliance.measure.guidance_fact import Guidance, Move
+from appliance.measure.light.sequence import Direction
+from appliance.measure.overlap.guidance import Guide, Sight
+from appliance.measure.overlap.overlap import CoarseView, coarse_view
+from appliance.measure.overlap.patches import projection_of
+from appliance.measure.points.pipeline import Pipeline
+from appliance.store.config import load_rig
 from bench.merge.views import EXPOSURE, Array
 from bench.outside.scan import SEQUENCE, data_sheet
 from bench.outside.stated import stated_truth

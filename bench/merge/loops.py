@@ -1,7 +1,7 @@
 """Owns what loops and overlaps notice: pairs that were made wrong in a row of scans, and a depth error that the calibration does not state.
 
 The row is placed once. Then a pair is given another pose, or all pairs are given what a shared error would do to them (by their own
-derivatives, which ``tests/appliance/registration/test_bow.py`` holds against real registrations), and the graph is solved again.
+derivatives, which ``tests/appliance/desk/registration/test_bow.py`` holds against real registrations), and the graph is solved again.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from appliance.calibration.health import OVERLAP_LIMIT
-from appliance.optics.rotation import rotation_matrix
-from appliance.registration.bow import PRIOR_MM2, bow_score, known_before
-from appliance.registration.graph import Edge, place
-from appliance.registration.pair import ReadyScan
-from appliance.registration.rigid import Rigid
-from appliance.registration.solve import edges_of, middle_of, solve
+from appliance.calibrate.health import OVERLAP_LIMIT
+from appliance.desk.registration.graph import Edge, place
+from appliance.desk.registration.pair import ReadyScan
+from appliance.desk.registration.solve import edges_of, middle_of, solve
+from appliance.measure.light.rotation import rotation_matrix
+from appliance.measure.overlap.bow import PRIOR_MM2, bow_score, known_before
+from appliance.measure.overlap.rigid import Rigid
 from bench.merge.pairs import ready_of
 from bench.merge.row import FORTH, drawn
 from bench.merge.views import Array, view_of

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from appliance.offline.objects import light_of
-from appliance.optics.rotation import rotation_matrix
-from appliance.registration.fine import lay
-from appliance.registration.pair import ReadyScan, ready, register
-from appliance.registration.rigid import Rigid
+from appliance.desk.objects import light_of
+from appliance.desk.registration.pair import ReadyScan, ready, register
+from appliance.measure.light.rotation import rotation_matrix
+from appliance.measure.overlap.fine import lay
+from appliance.measure.overlap.rigid import Rigid
 from bench.merge.views import Array, PlacedView, Wanted, view_of
 from bench.progress import Progress
 from bench.result import Measured

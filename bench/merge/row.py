@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from appliance.calibration.depth_error import COUNT, along_ray, shapes
-from appliance.optics.rotation import rotation_matrix
-from appliance.reconstruct.organised import OrganisedCloud
-from appliance.registration.bow import bow_score, known_before
-from appliance.registration.graph import Placed, place
-from appliance.registration.solve import Compared, edges_of, middle_of, solve
+from appliance.desk.registration.graph import Placed, place
+from appliance.desk.registration.solve import Compared, edges_of, middle_of, solve
+from appliance.measure.calibration.depth_error import COUNT, along_ray, shapes
+from appliance.measure.light.rotation import rotation_matrix
+from appliance.measure.overlap.bow import bow_score, known_before
+from appliance.measure.points.organised import OrganisedCloud
 from bench.merge.calibrated import Distortion, distortion
 from bench.merge.pairs import angles_deg, ready_of
 from bench.merge.views import Array, PlacedView, Wanted, view_of

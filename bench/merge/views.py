@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibration.file import Calibration
-from appliance.reconstruct.organised import OrganisedCloud, organised
-from appliance.reconstruct.pipeline import Pipeline
-from appliance.registration.rigid import Rigid
-from appliance.scan.exposure import Exposure
+from appliance.measure.calibration.file import Calibration
+from appliance.measure.light.exposure import Exposure
+from appliance.measure.overlap.rigid import Rigid
+from appliance.measure.points.organised import OrganisedCloud, organised
+from appliance.measure.points.pipeline import Pipeline
 from bench.outside.scan import SEQUENCE, data_sheet
 from bench.outside.stated import stated_truth
 from bench.outside.world import expose, world_of

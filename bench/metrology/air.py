@@ -8,11 +8,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from appliance.calibration.air.adjustment import AirCalibration, BoardView, calibrate_air
-from appliance.calibration.air.board import find_board
-from appliance.calibration.design import design_calibration
-from appliance.calibration.file import Calibration
-from appliance.calibration.water.start import start_from_air
+from appliance.calibrate.air.adjustment import AirCalibration, BoardView, calibrate_air
+from appliance.calibrate.air.board import find_board
+from appliance.calibrate.water.start import start_from_air
+from appliance.measure.calibration.design import design_calibration
+from appliance.measure.calibration.file import Calibration
 from hw_sim.rendering.render import Renderer
 from hw_sim.scene import Scene
 from hw_sim.truth import TrueRig, in_air

@@ -8,15 +8,15 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from appliance.calibration.file import Calibration
-from appliance.calibration.recordings import Recording
-from appliance.calibration.water.extract import CALIBRATING_GAP_MM, BarCertificate, extract
-from appliance.evaluation.points import NotFound
-from appliance.offline.evaluation import JUDGING_GAP_MM
-from appliance.optics.water import Water
-from appliance.reconstruct.pipeline import Pipeline
-from appliance.reconstruct.quality import QualityLimits
-from appliance.scan.sides import SIDES
+from appliance.calibrate.recordings import Recording
+from appliance.calibrate.water.extract import CALIBRATING_GAP_MM, BarCertificate, extract
+from appliance.desk.evaluation import JUDGING_GAP_MM
+from appliance.measure.accept.points import NotFound
+from appliance.measure.calibration.file import Calibration
+from appliance.measure.light.sides import SIDES
+from appliance.measure.light.water import Water
+from appliance.measure.points.pipeline import Pipeline
+from appliance.measure.points.quality import QualityLimits
 from bench.instrument import Instrument, open_instrument
 from bench.metrology.air import air_of, start_of
 from bench.metrology.judge import Errors, Seen, look_at, summed_up

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.evaluation.points import NotFound
-from appliance.evaluation.result import Artefact, Result, evaluate
-from appliance.reconstruct.table import Cloud
+from appliance.measure.accept.points import NotFound
+from appliance.measure.accept.result import Artefact, Result, evaluate
+from appliance.measure.points.table import Cloud
 from hw_sim.objects.shapes import FRUSTUM_BASE_MM, FRUSTUM_HEIGHT_MM, FRUSTUM_TOP_MM
 from hw_sim.truth import TrueRig
 

@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibration.file import Calibration
-from appliance.calibration.recordings import Recording
-from appliance.calibration.water.paper import STEPS_MM, search_distances
-from appliance.optics.model import HousedCamera
+from appliance.calibrate.recordings import Recording
+from appliance.calibrate.water.paper import STEPS_MM, search_distances
+from appliance.measure.calibration.file import Calibration
+from appliance.measure.light.model import HousedCamera
 
 Array = NDArray[np.float64]
 

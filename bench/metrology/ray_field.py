@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from appliance.calibration.file import Calibration
-from appliance.calibration.recordings import Recording
-from appliance.calibration.water.artefact import Place
-from appliance.calibration.water.bundle import BundleSettings, Problem, adjusted, smoothness
-from appliance.calibration.water.method import Method
-from appliance.calibration.water.slopes import NodeBasis, NodeSlopes, Slopes
-from appliance.optics.model import HousedCamera, StereoRig
-from appliance.optics.ray_shift import INTERVALS, RayShift
+from appliance.calibrate.recordings import Recording
+from appliance.calibrate.water.artefact import Place
+from appliance.calibrate.water.bundle import BundleSettings, Problem, adjusted, smoothness
+from appliance.calibrate.water.method import Method
+from appliance.calibrate.water.slopes import NodeBasis, NodeSlopes, Slopes
+from appliance.measure.calibration.file import Calibration
+from appliance.measure.light.model import HousedCamera, StereoRig
+from appliance.measure.light.ray_shift import INTERVALS, RayShift
 
 Array = NDArray[np.float64]
 

@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibration.air.adjustment import BoardView, calibrate_air
-from appliance.calibration.file import Calibration
-from appliance.calibration.recordings import Recording
-from appliance.calibration.water.bundle import BundleSettings, adjust
-from appliance.calibration.water.calibrate import calibrate
-from appliance.calibration.water.method import Method
-from appliance.calibration.water.paper import FIELD_MM, cubic, mapped_through_ports, search_distances
-from appliance.calibration.water.shapes import fit_plane
-from appliance.optics.water import Water
+from appliance.calibrate.air.adjustment import BoardView, calibrate_air
+from appliance.calibrate.recordings import Recording
+from appliance.calibrate.water.bundle import BundleSettings, adjust
+from appliance.calibrate.water.calibrate import calibrate
+from appliance.calibrate.water.method import Method
+from appliance.calibrate.water.paper import FIELD_MM, cubic, mapped_through_ports, search_distances
+from appliance.calibrate.water.shapes import fit_plane
+from appliance.measure.calibration.file import Calibration
+from appliance.measure.light.water import Water
 from bench.metrology.air import boards_in_water
 from bench.metrology.poses import CALIBRATION_BARS, CALIBRATION_PLANES
 from bench.metrology.poses import Pose as ObjectPose

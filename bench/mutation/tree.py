@@ -49,7 +49,7 @@ class Tree:
         venv.create(self.path / ".venv", symlinks=True)
         site = next((self.path / ".venv").glob("lib/python*/site-packages"))
         packages = next(Path(sys.prefix).glob("lib/python*/site-packages"))
-        own = (self.path, self.path / "systemd", self.path / "appliance/python")
+        own = (self.path, self.path / "systemd", self.path / "appliance/desk/python")
         (site / "packages.pth").write_text("\n".join(map(str, (*own, packages))))
         for script in (Path(sys.prefix) / "bin").iterdir():
             target = self.path / ".venv/bin" / script.name

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from appliance.scan.fault import FaultCode
+from appliance.measure.fault import FaultCode
 from bench.outside.kept import Row
 from bench.result import Measured
 from bench.verdict.binomial import tally

@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibration.gaps import MODES
-from appliance.calibration.health import LIMIT, SCANS_TO_FIND, HealthJudgement, HealthTrend, judge
-from appliance.scan.cloud import PatchGaps
+from appliance.calibrate.health import LIMIT, SCANS_TO_FIND, HealthJudgement, HealthTrend, judge
+from appliance.measure.calibration.gaps import MODES
+from appliance.measure.cloud import PatchGaps
 from bench.outside.draws import drawn_scene, joined
 from bench.outside.figures import CALIBRATION, false_alarms, median, rows_of
 from bench.outside.kept import Row, kept_row, kept_scan

@@ -10,11 +10,11 @@ from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
-from appliance.calibration.photon_transfer import measure_noise
-from appliance.patterns.sequence import build_sequence
-from appliance.scan.exposure import Exposure
-from appliance.scan.noise import StereoNoise, camera_noise
-from appliance.scan.sides import SIDES
+from appliance.calibrate.photon_transfer import measure_noise
+from appliance.measure.light.exposure import Exposure
+from appliance.measure.light.noise import StereoNoise, camera_noise
+from appliance.measure.light.sequence import build_sequence
+from appliance.measure.light.sides import SIDES
 from bench.outside.kept import kept_row
 from bench.outside.scan import data_sheet
 from bench.outside.world import World, expose, world_with

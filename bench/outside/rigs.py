@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from appliance.calibration.recordings import Recording
-from appliance.calibration.water.calibrate import calibrate
-from appliance.calibration.water.method import Method
+from appliance.calibrate.recordings import Recording
+from appliance.calibrate.water.calibrate import calibrate
+from appliance.calibrate.water.method import Method
 from bench.outside.kept import Row, kept_row
 from bench.result import Measured
 from bench.spread import spread

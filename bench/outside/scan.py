@@ -10,18 +10,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibration.file import Calibration
-from appliance.optics.water import Water
-from appliance.patterns.sequence import Direction, PatternSequence, build_sequence
-from appliance.processing.procedure import SequenceProcessor
-from appliance.reconstruct.pipeline import Pipeline
-from appliance.reconstruct.table import Cloud
-from appliance.scan.acquisition import AcquisitionSettings
-from appliance.scan.exposure import Exposure
-from appliance.scan.fault import FaultCode
-from appliance.scan.grade import SPOILS_SCAN, Grade, grade
-from appliance.scan.news import FullCloud
-from appliance.scan.noise import StereoNoise, camera_noise
+from appliance.measure.calibration.file import Calibration
+from appliance.measure.fault import FaultCode
+from appliance.measure.grade import SPOILS_SCAN, Grade, grade
+from appliance.measure.light.acquisition import AcquisitionSettings
+from appliance.measure.light.exposure import Exposure
+from appliance.measure.light.noise import StereoNoise, camera_noise
+from appliance.measure.light.sequence import Direction, PatternSequence, build_sequence
+from appliance.measure.light.water import Water
+from appliance.measure.news import FullCloud
+from appliance.measure.points.pipeline import Pipeline
+from appliance.measure.points.table import Cloud
+from appliance.measure.procedure import SequenceProcessor
 from bench.outside.kept import Row
 from bench.outside.world import BLACK_DN, FRAME_S, STEPS, Frames, World
 from bench.verdict.motion_truth import displaced, displacement

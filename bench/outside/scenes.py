@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from appliance.calibration.health import LIMIT
+from appliance.calibrate.health import LIMIT
 from bench.outside.draws import scene_world
 from bench.outside.figures import CALIBRATION, of_families, of_scenes
 from bench.outside.health import followed

@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibration.file import Calibration
-from appliance.optics.correction import ImageCorrection, basis_matrix
-from appliance.optics.model import HousedCamera, StereoRig
-from appliance.optics.ray_shift import RayShift
-from appliance.optics.water import Water
+from appliance.measure.calibration.file import Calibration
+from appliance.measure.light.correction import ImageCorrection, basis_matrix
+from appliance.measure.light.model import HousedCamera, StereoRig
+from appliance.measure.light.ray_shift import RayShift
+from appliance.measure.light.water import Water
 from hw_sim.scene import Scene
 from hw_sim.truth import TrueRig, ray
 from tests.support.truth import MIDDLE_MM, rig_to_left, true_calibration

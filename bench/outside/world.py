@@ -14,11 +14,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.patterns.response import Response
-from appliance.patterns.sequence import PatternSequence
-from appliance.scan.exposure import Exposure, Span, ladder
-from appliance.scan.sides import SIDES
-from appliance.verdict.light.propose import propose
+from appliance.measure.light.exposure import Exposure, Span, ladder
+from appliance.measure.light.response import Response
+from appliance.measure.light.sequence import PatternSequence
+from appliance.measure.light.sides import SIDES
+from appliance.measure.verdicts.light.propose import propose
 from hw_sim.in_dive import REFERENCE_C, in_dive
 from hw_sim.outside import ALL, Outside, draw_outside
 from hw_sim.rendering.render import LightSlice, Renderer

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibration.response.measure import CameraImages, MeasuredResponse, measure_response
-from appliance.evaluation.flatness import cubic_of
-from appliance.patterns.response import Response
-from appliance.reconstruct.pipeline import Cloud, Pipeline
+from appliance.calibrate.response.measure import CameraImages, MeasuredResponse, measure_response
+from appliance.measure.accept.flatness import cubic_of
+from appliance.measure.light.response import Response
+from appliance.measure.points.pipeline import Cloud, Pipeline
 from hw_sim.scene import Scene
 from tests.support.bias import DepthErrors, coordinate_errors, depth_errors, ripple, rms
 from tests.support.rendered import RenderedScan, render_scan

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from appliance.evaluation.ball_bar import BallBar, find_ball_bar
-from appliance.evaluation.flatness import flatness
-from appliance.evaluation.frustum import Frustum, find_frustum
-from appliance.evaluation.plane import PlaneFit, fit_plane
-from appliance.patterns.response import Response
+from appliance.measure.accept.ball_bar import BallBar, find_ball_bar
+from appliance.measure.accept.flatness import flatness
+from appliance.measure.accept.frustum import Frustum, find_frustum
+from appliance.measure.accept.plane import PlaneFit, fit_plane
+from appliance.measure.light.response import Response
 from bench.phase_bias.conditions import (
     EXPOSURE_S,
     FAR,

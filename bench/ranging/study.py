@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.config import load_rig
-from appliance.ranging.measure import Dot, Dots
-from appliance.ranging.reach import Range
-from appliance.service.settings import live_light_of
+from appliance.instrument.ranging.measure import Dot, Dots
+from appliance.instrument.ranging.reach import Range
+from appliance.instrument.service.settings import live_light_of
+from appliance.store.config import load_rig
 from bench.ranging.scenes import Case, aimed, drawn, seen
 from hw_sim.rendering.render import Renderer
 from tests.support.pointed import RIG_FILE, Instrument, hide, instrument, live_pair, true_dots, truth_of

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field
 
-from appliance.machine import effects as do
-from appliance.machine import events as on
-from appliance.machine.states import Device, Machine, Part, State, boot
-from appliance.machine.step import step
-from appliance.scan.cloud import CloudSummary
+from appliance.instrument.machine import effects as do
+from appliance.instrument.machine import events as on
+from appliance.instrument.machine.states import Device, Machine, Part, State, boot
+from appliance.instrument.machine.step import step
+from appliance.measure.cloud import CloudSummary
 from drivers.api import Key, LaserState, Telemetry
 from hw_sim.heat import Housing, Powers
 from tests.support import news

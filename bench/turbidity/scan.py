@@ -8,16 +8,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.optics.water import Water as SetWater
-from appliance.patterns.sequence import PatternSequence, build_sequence
-from appliance.reconstruct.decode.decoder import Mask
-from appliance.reconstruct.images import ScanImages
-from appliance.reconstruct.pipeline import Cloud, Pipeline
-from appliance.scan.acquisition import AcquisitionSettings
-from appliance.scan.exposure import Exposure
-from appliance.scan.noise import StereoNoise, camera_noise
-from appliance.scan.sides import SIDES
-from appliance.verdict.water.judge import WaterJudgement, judge_water
+from appliance.measure.decode.decoder import Mask
+from appliance.measure.light.acquisition import AcquisitionSettings
+from appliance.measure.light.exposure import Exposure
+from appliance.measure.light.noise import StereoNoise, camera_noise
+from appliance.measure.light.sequence import PatternSequence, build_sequence
+from appliance.measure.light.sides import SIDES
+from appliance.measure.light.water import Water as SetWater
+from appliance.measure.points.images import ScanImages
+from appliance.measure.points.pipeline import Cloud, Pipeline
+from appliance.measure.verdicts.water.judge import WaterJudgement, judge_water
 from hw_sim.rendering.render import LightSlice, Renderer
 from hw_sim.rendering.sensor import FULL_WELL_E, OFFSET_DN, READ_NOISE_E
 from hw_sim.scene import Scene

@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibration.file import Calibration
-from appliance.calibration.water.shapes import triangulate
-from appliance.optics.model import HousedCamera, StereoRig
-from appliance.optics.water import Water
-from appliance.reconstruct.pipeline import Cloud
+from appliance.calibrate.water.shapes import triangulate
+from appliance.measure.calibration.file import Calibration
+from appliance.measure.light.model import HousedCamera, StereoRig
+from appliance.measure.light.water import Water
+from appliance.measure.points.pipeline import Cloud
 from hw_sim.optics.view import TrueView
 from hw_sim.truth import TrueRig, project
 from tests.support.calibrating import WIDTH_PX as CALIBRATED_PX

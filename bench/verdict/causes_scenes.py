@@ -12,7 +12,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from appliance.scan.exposure import Exposure, Span, ladder
+from appliance.measure.light.exposure import Exposure, Span, ladder
 from hw_sim.light.daylight import Daylight
 from hw_sim.objects.motion import Motion
 from hw_sim.objects.shapes import DEFAULT_POSE

@@ -24,14 +24,14 @@ from typing import Any
 import numpy as np
 
 import appliance
-from appliance.machine.alerts import alert_of
-from appliance.patterns.sequence import Direction
-from appliance.processing.procedure import SequenceProcessor
-from appliance.reconstruct.pipeline import Cloud, Pipeline
-from appliance.scan.acquisition import AcquisitionSettings
-from appliance.scan.exposure import Exposure
-from appliance.scan.fault import FaultCode
-from appliance.scan.grade import SPOILS_SCAN, Grade, grade
+from appliance.instrument.machine.alerts import alert_of
+from appliance.measure.fault import FaultCode
+from appliance.measure.grade import SPOILS_SCAN, Grade, grade
+from appliance.measure.light.acquisition import AcquisitionSettings
+from appliance.measure.light.exposure import Exposure
+from appliance.measure.light.sequence import Direction
+from appliance.measure.points.pipeline import Cloud, Pipeline
+from appliance.measure.procedure import SequenceProcessor
 from bench.outside.stated import Stated, stated_truth
 from bench.outside.world import TRIGGER_DELAY_US
 from bench.verdict.causes_frames import TRUTH_SET, frames_of

@@ -15,14 +15,14 @@ from typing import Any
 
 import numpy as np
 
-from appliance.calibration.file import Calibration
-from appliance.compensation.attempt import Attempt, attempt
-from appliance.optics.model import StereoRig
-from appliance.optics.water import Water
-from appliance.reconstruct.pipeline import Pipeline
-from appliance.scan.cloud import Found
-from appliance.scan.noise import TYPICAL_PAIR, StereoNoise
-from appliance.scan.sides import SIDES
+from appliance.measure.calibration.file import Calibration
+from appliance.measure.cloud import Found
+from appliance.measure.light.model import StereoRig
+from appliance.measure.light.noise import TYPICAL_PAIR, StereoNoise
+from appliance.measure.light.sides import SIDES
+from appliance.measure.light.water import Water
+from appliance.measure.motion.attempt import Attempt, attempt
+from appliance.measure.points.pipeline import Pipeline
 from bench.result import Measured
 from bench.verdict.calibrations import KINDS, Own, TrueScene, calibration_of
 from bench.verdict.compensation_cases import (

@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.compensation.attempt import attempt
-from appliance.reconstruct.pipeline import Cloud, Pipeline
-from appliance.scan.cloud import Found
+from appliance.measure.cloud import Found
+from appliance.measure.motion.attempt import attempt
+from appliance.measure.points.pipeline import Cloud, Pipeline
 from bench.verdict.compensation_cases import NAMED, OBJECTS
 from hw_sim.objects.motion import Motion
 from hw_sim.scene import Scene

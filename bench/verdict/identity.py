@@ -17,14 +17,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.patterns.sequence import Kind, PatternSequence
-from appliance.scan.fault import FaultCode
-from appliance.scan.noise import TYPICAL_PAIR, CameraNoise, StereoNoise
-from appliance.scan.sides import SIDES, of_side
-from appliance.scan.verdict import Judgement
-from appliance.verdict.identity.evidence import Witness
-from appliance.verdict.identity.judge import judge_identity
-from appliance.verdict.identity.lines import take_lines
+from appliance.measure.fault import FaultCode
+from appliance.measure.light.noise import TYPICAL_PAIR, CameraNoise, StereoNoise
+from appliance.measure.light.sequence import Kind, PatternSequence
+from appliance.measure.light.sides import SIDES, of_side
+from appliance.measure.verdict import Judgement
+from appliance.measure.verdicts.identity.evidence import Witness
+from appliance.measure.verdicts.identity.judge import judge_identity
+from appliance.measure.verdicts.identity.lines import take_lines
 from bench.result import Measured
 from bench.verdict.binomial import rate, tally
 from bench.verdict.outside import noise_of, recorded_scan

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from appliance.patterns.sequence import build_sequence
-from appliance.verdict.identity.judge import judge_identity
+from appliance.measure.light.sequence import build_sequence
+from appliance.measure.verdicts.identity.judge import judge_identity
 from bench.result import Measured
 from bench.verdict.binomial import rate, tally
 from bench.verdict.kept_scans import Scans, Take

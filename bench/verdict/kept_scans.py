@@ -16,9 +16,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.optics.water import Water
-from appliance.patterns.sequence import build_sequence
-from appliance.scan.noise import StereoNoise
+from appliance.measure.light.noise import StereoNoise
+from appliance.measure.light.sequence import build_sequence
+from appliance.measure.light.water import Water
 from bench.verdict.motion_cases import FRAME_S, TRUTH_SET, Case, without_fish
 from hw_sim.rendering.render import Renderer
 from hw_sim.scene import Scene

@@ -13,15 +13,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.patterns.sequence import Direction
-from appliance.reconstruct.decode.decoder import CameraDecoder
-from appliance.reconstruct.merge import merge
-from appliance.reconstruct.pipeline import Pipeline
-from appliance.scan.exposure import Exposure
-from appliance.scan.fault import FaultCode
-from appliance.scan.sides import SIDES
-from appliance.verdict.light.changes import HARMFUL_RIPPLE
-from appliance.verdict.light.judge import MAX_HARMED, judge_light
+from appliance.measure.decode.decoder import CameraDecoder
+from appliance.measure.fault import FaultCode
+from appliance.measure.light.exposure import Exposure
+from appliance.measure.light.sequence import Direction
+from appliance.measure.light.sides import SIDES
+from appliance.measure.points.merge import merge
+from appliance.measure.points.pipeline import Pipeline
+from appliance.measure.verdicts.light.changes import HARMFUL_RIPPLE
+from appliance.measure.verdicts.light.judge import MAX_HARMED, judge_light
 from bench.result import Measured
 from bench.verdict.light_scenes import (
     HEIGHT_PX,

@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.patterns.sequence import PatternSequence, build_sequence
-from appliance.reconstruct.images import ScanImages
-from appliance.scan.acquisition import AcquisitionSettings
-from appliance.scan.exposure import Exposure, Span, ladder
-from appliance.scan.noise import StereoNoise, camera_noise
+from appliance.measure.light.acquisition import AcquisitionSettings
+from appliance.measure.light.exposure import Exposure, Span, ladder
+from appliance.measure.light.noise import StereoNoise, camera_noise
+from appliance.measure.light.sequence import PatternSequence, build_sequence
+from appliance.measure.points.images import ScanImages
 from hw_sim.light.daylight import Daylight
 from hw_sim.rendering.render import LightSlice, Renderer
 from hw_sim.scene import Scene

@@ -14,12 +14,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.compensation.attempt import attempt
-from appliance.optics.water import Water
-from appliance.patterns.sequence import Direction, build_sequence
-from appliance.reconstruct.pipeline import Cloud, Pipeline
-from appliance.scan.noise import StereoNoise
-from appliance.verdict.motion.judge import MotionJudgement, judge_motion
+from appliance.measure.light.noise import StereoNoise
+from appliance.measure.light.sequence import Direction, build_sequence
+from appliance.measure.light.water import Water
+from appliance.measure.motion.attempt import attempt
+from appliance.measure.points.pipeline import Cloud, Pipeline
+from appliance.measure.verdicts.motion.judge import MotionJudgement, judge_motion
 from bench.result import Measured
 from bench.spread import spread
 from bench.verdict.kept_scans import KeptScans, Recorded, Scans, Take

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.verdict.motion.judge import MOST_ADDED, MotionJudgement
+from appliance.measure.verdicts.motion.judge import MOST_ADDED, MotionJudgement
 from bench.picture import write
 from bench.verdict.motion_cases import KINDS
 from bench.verdict.motion_figures import DISTURBANCES, GROUPS, HARMFUL, HARMLESS, LOST, roc_table

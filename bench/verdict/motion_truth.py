@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.reconstruct.pipeline import Cloud
+from appliance.measure.points.pipeline import Cloud
 from hw_sim.rendering.render import Renderer, Surface
 from tests.support.truth import left_to_rig
 

@@ -17,10 +17,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.optics.water import Water
-from appliance.patterns.sequence import build_sequence
-from appliance.scan.noise import StereoNoise, camera_noise
-from appliance.scan.sides import SIDES
+from appliance.measure.light.noise import StereoNoise, camera_noise
+from appliance.measure.light.sequence import build_sequence
+from appliance.measure.light.sides import SIDES
+from appliance.measure.light.water import Water
 from bench.outside.world import FRAME_S, TRIGGER_DELAY_US, World, world_with
 from bench.verdict.kept_scans import Recorded, Take, scene_of
 from bench.verdict.motion_cases import TRUTH_SET, Case

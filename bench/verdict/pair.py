@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from appliance.processing.procedure import SequenceProcessor
-from appliance.reconstruct.pipeline import Pipeline
-from appliance.reconstruct.table import Cloud
-from appliance.scan.acquisition import AcquisitionSettings
-from appliance.scan.exposure import NOMINAL, Exposure
-from appliance.scan.news import FullCloud
+from appliance.measure.light.acquisition import AcquisitionSettings
+from appliance.measure.light.exposure import NOMINAL, Exposure
+from appliance.measure.news import FullCloud
+from appliance.measure.points.pipeline import Pipeline
+from appliance.measure.points.table import Cloud
+from appliance.measure.procedure import SequenceProcessor
 from bench.result import Measured
 from bench.verdict.light_scenes import STEPS, noise_at
 from bench.verdict.parts import Say

@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.processing.procedure import SequenceProcessor
-from appliance.reconstruct.decode.decoder import Mask
-from appliance.reconstruct.pipeline import Cloud, Pipeline
-from appliance.scan.acquisition import AcquisitionSettings
-from appliance.scan.exposure import Exposure
-from appliance.scan.verdict import Judgement
+from appliance.measure.decode.decoder import Mask
+from appliance.measure.light.acquisition import AcquisitionSettings
+from appliance.measure.light.exposure import Exposure
+from appliance.measure.points.pipeline import Cloud, Pipeline
+from appliance.measure.procedure import SequenceProcessor
+from appliance.measure.verdict import Judgement
 from bench.result import Measured
 from bench.turbidity.scan import WRONG_MM, WRONG_SIGMAS, rig_in, set_water
 from bench.turbidity.scenes import drawn_scene

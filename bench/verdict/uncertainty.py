@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.patterns.response import Response
-from appliance.patterns.sequence import build_sequence
-from appliance.reconstruct.pipeline import Cloud, Pipeline
-from appliance.scan.noise import StereoNoise, camera_noise
+from appliance.measure.light.noise import StereoNoise, camera_noise
+from appliance.measure.light.response import Response
+from appliance.measure.light.sequence import build_sequence
+from appliance.measure.points.pipeline import Cloud, Pipeline
 from bench.result import Measured
 from bench.verdict.parts import Say
 from hw_sim.objects.shapes import DEFAULT_POSE

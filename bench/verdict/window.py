@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from appliance.scan.fault import FaultCode
-from appliance.scan.sides import SIDES
-from appliance.service.windows import WindowWatch
-from appliance.verdict.window import Windows
+from appliance.instrument.service.windows import WindowWatch
+from appliance.measure.fault import FaultCode
+from appliance.measure.light.sides import SIDES
+from appliance.measure.verdicts.window import Windows
 from bench.result import Measured
 from bench.turbidity.scenes import drawn_scene
 from bench.verdict.parts import Say

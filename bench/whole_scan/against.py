@@ -183,7 +183,7 @@ def other_tree(revision: str, trees: Path = TREES) -> Tree:
         shutil.rmtree(old)
     environment = {key: value for key, value in os.environ.items() if not key.startswith("NUMBA_")}
     environment["PYTHONPATH"] = str(root)
-    folder = _python(root, environment, ("-m", "appliance.kernel_cache"), GIT_TIMEOUT_S).strip()
+    folder = _python(root, environment, ("-m", "appliance.base.kernel_cache"), GIT_TIMEOUT_S).strip()
     environment["NUMBA_CACHE_DIR"] = folder
     Path(folder).mkdir(parents=True, exist_ok=True, mode=0o700)
     _python(root, environment, ("-m", "bench.kernels"), COMPILE_TIMEOUT_S)

@@ -13,8 +13,8 @@ import json
 import sys
 from pathlib import Path
 
-from appliance.processing.procedure import SequenceProcessor
-from appliance.reconstruct.pipeline import Pipeline
+from appliance.measure.points.pipeline import Pipeline
+from appliance.measure.procedure import SequenceProcessor
 from bench.whole_scan.parts import procedure
 from bench.whole_scan.scenes import TimedScene, timed_scene
 

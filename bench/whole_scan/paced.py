@@ -15,21 +15,21 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from appliance.capture.store import FrameStore
-from appliance.scan.news import CoarseCloud, FullCloud, News, PatternIdentity, Verdicts
-from appliance.scan.sides import SIDES
-from appliance.scan.verdict import Judgement, faults_in
-from appliance.service.disk import DiskQueue
-from appliance.storage.library import Library, PendingScan
-from appliance.storage.record import SequenceInfo
-from appliance.worker.messages import Ready
-from appliance.worker.order import WorkLimits, WorkOrder
-from appliance.worker.process import ReconstructionWorker
+from appliance.instrument.capture.store import FrameStore
+from appliance.instrument.service.disk import DiskQueue
+from appliance.instrument.worker.messages import Ready
+from appliance.instrument.worker.order import WorkLimits, WorkOrder
+from appliance.instrument.worker.process import ReconstructionWorker
+from appliance.measure.light.sides import SIDES
+from appliance.measure.news import CoarseCloud, FullCloud, News, PatternIdentity, Verdicts
+from appliance.measure.verdict import Judgement, faults_in
+from appliance.store.library import Library, PendingScan
+from appliance.store.record import SequenceInfo
 from bench.warm_worker import FRAME_S, START_TIMEOUT_S, peak_memory_mb
 from bench.whole_scan.scenes import TimedScene
 from drivers.native import MonotonicClock
-from tests.appliance.storage.scenes import ORIGIN
-from tests.appliance.storage.scenes import record as plain_record
+from tests.appliance.store.scenes import ORIGIN
+from tests.appliance.store.scenes import record as plain_record
 
 CLOUD_TIMEOUT_S = 60.0
 """A compensation takes seconds."""

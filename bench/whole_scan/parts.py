@@ -11,11 +11,11 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
-from appliance.processing.procedure import SequenceProcessor
-from appliance.reconstruct.decode.decoder import CameraDecoder
-from appliance.reconstruct.pipeline import Pipeline
-from appliance.scan.news import CoarseCloud, FullCloud, PatternIdentity, Verdicts, WorkProgress
-from appliance.scan.sides import SIDES, of_side
+from appliance.measure.decode.decoder import CameraDecoder
+from appliance.measure.light.sides import SIDES, of_side
+from appliance.measure.news import CoarseCloud, FullCloud, PatternIdentity, Verdicts, WorkProgress
+from appliance.measure.points.pipeline import Pipeline
+from appliance.measure.procedure import SequenceProcessor
 from bench.whole_scan.scenes import TimedScene
 
 RECORDING, LAST_PAIR, COARSE, BACKSCATTER = "recording", "last pair", "coarse cloud", "of it: backscatter"

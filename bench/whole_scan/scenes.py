@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibration.file import Calibration
-from appliance.optics.water import Water
-from appliance.patterns.sequence import PatternSequence, build_sequence
-from appliance.scan.acquisition import AcquisitionSettings
-from appliance.scan.exposure import Exposure
-from appliance.scan.sides import SIDES
+from appliance.measure.calibration.file import Calibration
+from appliance.measure.light.acquisition import AcquisitionSettings
+from appliance.measure.light.exposure import Exposure
+from appliance.measure.light.sequence import PatternSequence, build_sequence
+from appliance.measure.light.sides import SIDES
+from appliance.measure.light.water import Water
 from bench.scan_frames import make_scan
 from bench.turbidity.scan import FRAME_S, PERIOD_PX, noise_of, set_water
 from bench.verdict.compensation_cases import NAMED

@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from appliance.config import Rig, default_rig_path, load_rig
-from appliance.optics.water import quan_fry_index
+from appliance.measure.light.water import quan_fry_index
+from appliance.store.config import Rig, default_rig_path, load_rig
 
 PAGE = Path(__file__).parents[2] / "docs" / "build" / "housing.md"
 BEGIN, END = "<!-- figures begin -->", "<!-- figures end -->"

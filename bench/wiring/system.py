@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from appliance.config import default_rig_path, load_rig
+from appliance.store.config import default_rig_path, load_rig
 from bench.wiring.sheet import COLOURS, Point, Sheet
 from drivers.board.firmware import pins
 

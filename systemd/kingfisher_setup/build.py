@@ -22,8 +22,8 @@ PARTS = (*PACKAGES, "systemd", "pyproject.toml", "requirements.lock", "README.md
 SHARED = ("drivers/__init__.py", "drivers/output/__init__.py", "drivers/output/drm.py")
 """What the safe screen has in common with the program."""
 CHECK = """
-import appliance.service.app, drivers.native, sys
-from appliance.config import load_rig
+import appliance.instrument.service.app, drivers.native, sys
+from appliance.store.config import load_rig
 load_rig(sys.argv[1])
 """
 """That all parts load and accept the rig file; nothing is opened."""

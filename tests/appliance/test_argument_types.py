@@ -13,15 +13,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.argument_types import fits, named, refuse_wrong_types, shown
-from appliance.offline.comparing import NominalSurface
-from appliance.offline.object_scripting import ObjectOfDive
-from appliance.offline.scripting import Dive, ScanOfDive
-from appliance.offline.wish import Wish
-from appliance.optics.water import Water
-from appliance.reconstruct.organised import OrganisedCloud
-from appliance.registration.rigid import Rigid
-from appliance.surface.fusion import PlacedScan
+from appliance.base.argument_types import fits, named, refuse_wrong_types, shown
+from appliance.desk.comparing import NominalSurface
+from appliance.desk.object_scripting import ObjectOfDive
+from appliance.desk.scripting import Dive, ScanOfDive
+from appliance.desk.surface.fusion import PlacedScan
+from appliance.measure.light.water import Water
+from appliance.measure.overlap.rigid import Rigid
+from appliance.measure.points.organised import OrganisedCloud
+from appliance.store.wish import Wish
 
 PACKAGE = importlib.import_module("kingfisher")
 FUNCTIONS = {name: getattr(PACKAGE, name) for name in PACKAGE.__all__ if inspect.isfunction(getattr(PACKAGE, name))}

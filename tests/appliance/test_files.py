@@ -13,18 +13,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from appliance.bounded_file import parse_toml, read_bounded, read_text
-from appliance.calibration import file as calibration_file
-from appliance.calibration.noise_file import NOISE
-from appliance.config import default_rig_path, load_rig
-from appliance.foreign.camera_files import camera_numbers, numbers_in
-from appliance.foreign.description import load_description
-from appliance.foreign.frames import Frame, FrameReader, frames_in
-from appliance.foreign.problem import ForeignError, Table
-from appliance.offline.calibration.air import Pair, read_pair
-from appliance.offline.calibration.any_pictures import common_size, read_grey
-from appliance.offline.calibration.view_folder import read_session
-from appliance.offline.scan_list import read_list
+from appliance.base.bounded_file import parse_toml, read_bounded, read_text
+from appliance.calibrate.any_pictures import common_size, read_grey
+from appliance.calibrate.in_air import Pair, read_pair
+from appliance.calibrate.view_folder import read_session
+from appliance.desk.foreign.camera_files import camera_numbers, numbers_in
+from appliance.desk.foreign.description import load_description
+from appliance.desk.foreign.frames import Frame, FrameReader, frames_in
+from appliance.desk.foreign.problem import ForeignError, Table
+from appliance.measure.calibration import file as calibration_file
+from appliance.measure.calibration.noise_file import NOISE
+from appliance.store.config import default_rig_path, load_rig
+from appliance.store.scan_list import read_list
 
 READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "rig file": ("rig.toml", load_rig),

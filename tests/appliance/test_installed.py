@@ -13,9 +13,9 @@ from pathlib import Path
 
 import pytest
 
+from appliance.base.distribution import DISTRIBUTION, EXTRA, other_program
+from appliance.base.libraries import MissingLibraryError, needed
 from appliance.cli import main
-from appliance.distribution import DISTRIBUTION, EXTRA, other_program
-from appliance.surface.libraries import MissingLibraryError, needed
 
 ROOT = Path(__file__).parents[2]
 SOMEBODY_ELSES = re.compile(
@@ -99,10 +99,10 @@ CHECK = """
 import kingfisher
 before = set(__import__("sys").modules)
 from kingfisher import fuse, open_dive, Mesh
-import appliance.surface.fusion, appliance.offline.scripting, appliance.surface.mesh
-assert fuse.__wrapped__ is appliance.surface.fusion.fuse
-assert open_dive.__wrapped__ is appliance.offline.scripting.open_dive
-assert Mesh is appliance.surface.mesh.Mesh
+import appliance.desk.surface.fusion, appliance.desk.scripting, appliance.desk.surface.mesh
+assert fuse.__wrapped__ is appliance.desk.surface.fusion.fuse
+assert open_dive.__wrapped__ is appliance.desk.scripting.open_dive
+assert Mesh is appliance.desk.surface.mesh.Mesh
 print("numba" in before, kingfisher.__file__, appliance.__file__)
 """
 
@@ -114,5 +114,5 @@ def test_imported_from_a_source_tree_it_is_the_tree_itself(tmp_path: Path) -> No
     )
     early, package, program = said.stdout.split()
     assert early == "False", "nothing that computes is loaded before it is asked for"
-    assert Path(package) == ROOT / "appliance/python/kingfisher/__init__.py"
+    assert Path(package) == ROOT / "appliance/desk/python/kingfisher/__init__.py"
     assert Path(program) == ROOT / "appliance/__init__.py"

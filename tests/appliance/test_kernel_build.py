@@ -14,9 +14,9 @@ from pathlib import Path
 
 import pytest
 
-from appliance import kernel_build, kernel_cache
+from appliance.base import kernel_build, kernel_cache
+from appliance.base.kernel_build import CompileError, Compiling, Piece, compile_pieces, missing
 from appliance.cli.kernels import CompileProgress
-from appliance.kernel_build import CompileError, Compiling, Piece, compile_pieces, missing
 
 HERE = "tests.appliance.test_kernel_build"
 LOG = "KERNEL_TEST_LOG"
@@ -94,7 +94,7 @@ def test_garbage_is_looked_for_between_pieces_and_not_within(ran: Path, tmp_path
 def test_who_starts_meanwhile_waits_and_compiles_nothing_twice(ran: Path, tmp_path: Path) -> None:
     code = f"""
 from pathlib import Path
-from appliance.kernel_build import compile_pieces
+from appliance.base.kernel_build import compile_pieces
 from {HERE} import PIECES
 if __name__ == "__main__":
     compile_pieces(Path({str(tmp_path / "kernels")!r}), PIECES, print, processes=1)

@@ -15,18 +15,18 @@ from typing import Any
 import numba
 import pytest
 
-from appliance import kernel_cache
-from appliance.kernel_build import compile_pieces
-from appliance.kernel_cache import COMPLETE, VARIABLE, Origin
-from appliance.process_start import BLAS_THREADS, use_one_blas_thread
-from appliance.worker import warm
+from appliance.base import kernel_cache
+from appliance.base.kernel_build import compile_pieces
+from appliance.base.kernel_cache import COMPLETE, VARIABLE, Origin
+from appliance.base.process_start import BLAS_THREADS, use_one_blas_thread
+from appliance.measure import warm
 
 USE = """
 import json, sys
 from pathlib import Path
-from appliance import kernel_cache
+from appliance.base import kernel_cache
 cache = kernel_cache.use(Path(sys.argv[1]), Path(sys.argv[2]))
-from appliance.worker.warm import run_every_kernel
+from appliance.measure.warm import run_every_kernel
 run_every_kernel()
 import gc
 from numba.core.registry import CPUDispatcher
@@ -105,12 +105,12 @@ def test_who_sets_the_place_keeps_it(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 
 def test_a_changed_function_in_another_file_is_another_program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    tree = Path(kernel_cache.__file__).parents[1]
+    tree = Path(kernel_cache.__file__).parents[2]
     for package in ("appliance", "drivers", "hw_sim"):
         shutil.copytree(tree / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
     monkeypatch.setattr(kernel_cache, "_PROGRAM", tmp_path / "appliance")
     prints = [kernel_cache.fingerprint(), kernel_cache.fingerprint()]
-    for file in ("appliance/reconstruct/scratch.py", "hw_sim/optics/trace.py"):
+    for file in ("appliance/measure/decode/scratch.py", "hw_sim/optics/trace.py"):
         (tmp_path / file).write_text((tmp_path / file).read_text() + "\n")
         prints.append(kernel_cache.fingerprint())
     assert (prints[0] == prints[1], len(set(prints))) == (True, 3)
@@ -224,12 +224,12 @@ def test_the_service_and_its_user_have_a_place(
 
 
 def test_whichever_command_starts_it_a_source_tree_has_one_place_for_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
-    tree = Path(kernel_cache.__file__).parents[1]
+    tree = Path(kernel_cache.__file__).parents[2]
     monkeypatch.delenv(VARIABLE, raising=False)
     monkeypatch.delenv("CACHE_DIRECTORY", raising=False)
     expected = tree / ".cache/numba" / kernel_cache.fingerprint()
     told = subprocess.run(
-        [sys.executable, "-m", "appliance.kernel_cache"],
+        [sys.executable, "-m", "appliance.base.kernel_cache"],
         cwd="/",
         capture_output=True,
         text=True,
@@ -268,7 +268,7 @@ def test_an_old_processor_does_not_run_the_kernels_of_an_image(tmp_path: Path, m
 
 IMPORTS = """
 import gc, json
-from appliance.process_start import importing
+from appliance.base.process_start import importing
 passes = []
 gc.callbacks.append(lambda phase, _: passes.append(phase))
 with importing():

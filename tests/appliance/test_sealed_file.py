@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 import pytest
 
-from appliance.sealed_file import FINITE, LEFT_OUT, Among, ContentError, SealedFile, Within
+from appliance.base.sealed_file import FINITE, LEFT_OUT, Among, ContentError, SealedFile, Within
 from tests.support.sealing import opened, sealed
 
 

@@ -20,17 +20,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibration.file import encode, load
-from appliance.calibration.recordings import ArtefactKind, Recording
-from appliance.calibration.water.calibrate import calibrate
-from appliance.calibration.water.method import Method
+from appliance.calibrate.recordings import ArtefactKind, Recording
+from appliance.calibrate.water.calibrate import calibrate
+from appliance.calibrate.water.method import Method
 from appliance.cli import main
-from appliance.config import load_rig
-from appliance.instrument import exposures_of
-from appliance.offline.origin import calibration_for, open_source
-from appliance.offline.reconstruct import work_through
-from appliance.offline.wish import Wish
-from appliance.storage.scan import ScanError, StoredScan, manifest_of
+from appliance.desk.reconstruct import work_through
+from appliance.measure.calibration.file import encode, load
+from appliance.store.config import load_rig
+from appliance.store.instrument import exposures_of
+from appliance.store.origin import calibration_for, open_source
+from appliance.store.scan import ScanError, StoredScan, manifest_of
+from appliance.store.wish import Wish
 from tests.support.truth import WATER
 
 ROOTS = {"root": "rig.toml", "second": "second.toml"}

@@ -15,14 +15,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from appliance.calibration import file as calibration_file
-from appliance.calibration.file import IN_AIR
-from appliance.config import load_rig
-from appliance.instrument import design_of
-from appliance.optics.correction import node_count
-from appliance.optics.model import HousedCamera
-from appliance.optics.ray_shift import RayShift
-from appliance.storage.calibrations import Calibrations
+from appliance.calibrate.calibrations import Calibrations
+from appliance.measure.calibration import file as calibration_file
+from appliance.measure.calibration.file import IN_AIR
+from appliance.measure.light.correction import node_count
+from appliance.measure.light.model import HousedCamera
+from appliance.measure.light.ray_shift import RayShift
+from appliance.store.config import load_rig
+from appliance.store.instrument import design_of
 from tests.support.any_boards import Printed, poses, write_pairs
 from tests.support.calibrating import air_of, calibration_recordings, hidden_rig, start_of
 from tests.support.foreign_sets import convention, make_set

@@ -48,7 +48,7 @@ def test_a_bench_is_described_and_says_what_it_can(name: str, capsys: pytest.Cap
 
 SMALL: Mapping[str, Callable[[Path], Iterable[Measured]]] = {
     "compile": lambda folder: bench_compile.figures(
-        bench_compile.compiled([("pattern identity", "appliance.worker.warm:judge_patterns")], 1), 1.0
+        bench_compile.compiled([("pattern identity", "appliance.measure.warm:judge_patterns")], 1), 1.0
     ),
     "endurance": lambda folder: bench_endurance.judged(bench_endurance.dive(folder, 2, "400x300")),
     "reconstruction": lambda folder: bench_reconstruction.measured_with(

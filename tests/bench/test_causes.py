@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from appliance.scan.fault import FaultCode
-from appliance.scan.grade import Grade
+from appliance.measure.fault import FaultCode
+from appliance.measure.grade import Grade
 from bench.verdict.causes_frames import frames_of
 from bench.verdict.causes_scenes import Spoilt, draw_base, exposure_of, grid_of
 from bench.verdict.causes_truth import judged

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from appliance.reconstruct.table import Cloud
-from appliance.scan.cloud import CloudSummary
+from appliance.measure.cloud import CloudSummary
+from appliance.measure.points.table import Cloud
 from bench.outside.scan import errors_mm
 from hw_sim.objects.motion import Motion
 from hw_sim.rendering.render import Renderer

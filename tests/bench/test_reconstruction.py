@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from appliance.reconstruct.pipeline import Pipeline
+from appliance.measure.points.pipeline import Pipeline
 from bench import references
 from bench.judgement import completeness_percent, false_ppm
 from bench.scan_frames import ScanFrames, make_scan

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from appliance.optics.pinhole import Lens
-from appliance.optics.port import Port
+from appliance.measure.light.pinhole import Lens
+from appliance.measure.light.port import Port
 from bench.metrology.poses import CALIBRATION_BARS, CALIBRATION_PLANES
 from bench.metrology.printed import PrintedCamera
 from bench.metrology.rungs import Known, climb

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from appliance.machine.states import Settings, State
+from appliance.instrument.machine.states import Settings, State
 from bench.thermal.dive import Dive, dive_of
 
 LIMITS = Settings().temperatures

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from appliance.config import default_rig_path, load_rig
+from appliance.store.config import default_rig_path, load_rig
 from bench.wiring.housing import BEGIN, END, PAGE, STEEP_PX, table, window
 from bench.wiring.plans import FOLDER, PLANS
 from drivers.board.firmware import pins as board

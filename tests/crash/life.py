@@ -8,16 +8,16 @@ import signal
 from dataclasses import replace
 from pathlib import Path
 
-from appliance.calibration.design import Design, design_calibration
-from appliance.calibration.guide import USED, AdjustmentSummary, RecordingCheck, Session
-from appliance.calibration.health import HealthTrend, TrendPoint
-from appliance.optics.water import Water
-from appliance.storage.calibrations import Calibrations
-from appliance.storage.filesystem import Bytes, WritableFile
-from appliance.storage.health import HealthFile
-from appliance.storage.library import Library
-from appliance.storage.room import Room
-from tests.appliance.storage.scenes import ORIGIN, PLAN, PREVIEW, CountedDisk, cloud, frames, record
+from appliance.calibrate.calibrations import Calibrations
+from appliance.calibrate.guide import USED, AdjustmentSummary, RecordingCheck, Session
+from appliance.calibrate.health import HealthTrend, TrendPoint
+from appliance.calibrate.health_file import HealthFile
+from appliance.measure.calibration.design import Design, design_calibration
+from appliance.measure.light.water import Water
+from appliance.store.filesystem import Bytes, WritableFile
+from appliance.store.library import Library
+from appliance.store.room import Room
+from tests.appliance.store.scenes import ORIGIN, PLAN, PREVIEW, CountedDisk, cloud, frames, record
 
 SERIAL = "KF-TEST"
 HASH = "0123456789abcdef" * 4

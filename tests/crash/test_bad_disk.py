@@ -11,21 +11,21 @@ from pathlib import Path
 
 import pytest
 
-from appliance.calibration import file as calibration_file
-from appliance.calibration.guide import USED, AdjustmentSummary, RecordingCheck, Session
-from appliance.calibration.health import HealthTrend
-from appliance.machine.choices import Choices
-from appliance.scan.exposure import Exposure
-from appliance.storage import counter
-from appliance.storage.atomic import StorageError
-from appliance.storage.calibrations import Calibrations
-from appliance.storage.choices import ChoicesFile
-from appliance.storage.filesystem import FileSystem, LocalFileSystem
-from appliance.storage.health import HealthFile
-from appliance.storage.library import Library, LibraryFolder, PendingScan
-from appliance.storage.room import Room
-from tests.appliance.storage import scenes
-from tests.appliance.storage.scenes import ORIGIN, BadDisk, cloud, frames, record
+from appliance.calibrate.calibrations import Calibrations
+from appliance.calibrate.guide import USED, AdjustmentSummary, RecordingCheck, Session
+from appliance.calibrate.health import HealthTrend
+from appliance.calibrate.health_file import HealthFile
+from appliance.instrument.machine.choices import Choices
+from appliance.instrument.service.choices import ChoicesFile
+from appliance.measure.calibration import file as calibration_file
+from appliance.measure.light.exposure import Exposure
+from appliance.store import counter
+from appliance.store.atomic import StorageError
+from appliance.store.filesystem import FileSystem, LocalFileSystem
+from appliance.store.library import Library, LibraryFolder, PendingScan
+from appliance.store.room import Room
+from tests.appliance.store import scenes
+from tests.appliance.store.scenes import ORIGIN, BadDisk, cloud, frames, record
 from tests.crash.life import HASH, NEW, OLD, SERIAL
 
 

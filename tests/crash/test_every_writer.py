@@ -1,7 +1,7 @@
 """Whoever writes a file leaves the old or the new one whole when the power goes, and what was told as written is there afterwards.
 
 Every writer is judged here: by its own order of calls where it makes one, else by that of the two rooms that own such an order for
-all others, ``appliance.storage.atomic`` and ``kingfisher_setup.durable``. A module that is new and writes otherwise is found by its source.
+all others, ``appliance.store.atomic`` and ``kingfisher_setup.durable``. A module that is new and writes otherwise is found by its source.
 """
 
 from __future__ import annotations
@@ -15,29 +15,29 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from appliance.calibration.air.board import BoardDesign
-from appliance.calibration.health import HealthTrend
+from appliance.calibrate.air.board import BoardDesign
+from appliance.calibrate.calibrations import Calibrations
+from appliance.calibrate.health import HealthTrend
+from appliance.calibrate.health_file import HealthFile
+from appliance.calibrate.view_folder import ViewFolder
 from appliance.cli.firmware import _write as write_firmware
-from appliance.export.content import CAMERA_FRAME, About
-from appliance.export.files import write_scan
-from appliance.offline.anew.results import Results
-from appliance.offline.calibration.view_folder import ViewFolder
-from appliance.offline.foreign_import import _publish as publish_import
-from appliance.offline.pull.source import FolderSource
-from appliance.storage import archive, incomplete
-from appliance.storage import label as labels
-from appliance.storage import scan as stored
-from appliance.storage.atomic import add_beside, make_folders, replace_by, replace_file
-from appliance.storage.calibrations import Calibrations
-from appliance.storage.filesystem import LocalFileSystem
-from appliance.storage.health import HealthFile
-from appliance.storage.library import Library, LibraryFolder
-from appliance.storage.manifest import Decision
-from appliance.storage.room import Room
+from appliance.desk.anew.results import Results
+from appliance.desk.export.content import CAMERA_FRAME, About
+from appliance.desk.export.files import write_scan
+from appliance.desk.foreign_import import _publish as publish_import
+from appliance.desk.pull.source import FolderSource
+from appliance.store import archive, incomplete
+from appliance.store import label as labels
+from appliance.store import scan as stored
+from appliance.store.atomic import add_beside, make_folders, replace_by, replace_file
+from appliance.store.filesystem import LocalFileSystem
+from appliance.store.library import Library, LibraryFolder
+from appliance.store.manifest import Decision
+from appliance.store.room import Room
 from kingfisher_setup import durable, versions
 from kingfisher_transfer import serving
-from tests.appliance.offline.pull.instrument import instrument, pulled
-from tests.appliance.storage.scenes import ORIGIN, PLAN, PREVIEW, cloud, frames, record
+from tests.appliance.desk.pull.instrument import instrument, pulled
+from tests.appliance.store.scenes import ORIGIN, PLAN, PREVIEW, cloud, frames, record
 from tests.support.power_loss import judge
 from tests.support.solids import Ball, looking, seen
 from tests.systemd.installation import make
@@ -230,38 +230,38 @@ def test_a_writer_that_keeps_no_order_is_found(tmp_path: Path, work: Callable[[P
 
 JUDGED = {
     "appliance/cli/firmware.py": "firmware",
-    "appliance/offline/anew/results.py": "results",
-    "appliance/offline/calibration/view_folder.py": "recordings",
-    "appliance/offline/foreign_import.py": "recordings",
-    "appliance/offline/pull/taking.py": "pulling",
-    "appliance/storage/archive.py": "packed",
-    "appliance/storage/atomic.py": "files",
-    "appliance/storage/calibrations.py": "calibrations",
-    "appliance/storage/filesystem.py": "files",
-    "appliance/storage/health.py": "calibrations",
-    "appliance/storage/incomplete.py": "recordings",
-    "appliance/storage/library.py": "scans and labels",
-    "appliance/storage/room.py": "scans and labels",
-    "appliance/storage/scan.py": "scans and labels",
+    "appliance/desk/anew/results.py": "results",
+    "appliance/calibrate/view_folder.py": "recordings",
+    "appliance/desk/foreign_import.py": "recordings",
+    "appliance/desk/pull/taking.py": "pulling",
+    "appliance/store/archive.py": "packed",
+    "appliance/store/atomic.py": "files",
+    "appliance/calibrate/calibrations.py": "calibrations",
+    "appliance/store/filesystem.py": "files",
+    "appliance/calibrate/health_file.py": "calibrations",
+    "appliance/store/incomplete.py": "recordings",
+    "appliance/store/library.py": "scans and labels",
+    "appliance/store/room.py": "scans and labels",
+    "appliance/store/scan.py": "scans and labels",
     "systemd/kingfisher_setup/durable.py": "setup files",
     "systemd/kingfisher_setup/versions.py": "version on trial",
     "systemd/kingfisher_transfer/serving.py": "host key",
 }
 """Modules with an order of calls of their own, and the writer above that stands for it (scans more closely in ``test_power_loss.py``)."""
 OTHERWISE = {
-    "appliance/kernel_build.py": "compiled kernels: made again",
-    "appliance/kernel_cache.py": "compiled kernels: made again",
+    "appliance/base/kernel_build.py": "compiled kernels: made again",
+    "appliance/base/kernel_cache.py": "compiled kernels: made again",
     "appliance/cli/last_words.py": "in memory: for the safe screen of this start",
-    "appliance/export/npz.py": "bytes for replace_file",
-    "appliance/export/placed.py": "under the draft's name, from replace_by",
-    "appliance/service/air_live.py": "run/status.json: worthless after a restart",
-    "appliance/service/app.py": "a note in memory",
-    "appliance/service/starts.py": "a mark in memory",
-    "appliance/service/transfer.py": "a note in memory",
-    "appliance/service/watchdog.py": "the folder run, which a restart makes again",
-    "appliance/storage/lock.py": "a lock ends with its process",
-    "appliance/storage/objects.py": "bytes for replace_file",
-    "appliance/storage/status.py": "run/status.json: worthless after a restart",
+    "appliance/desk/export/npz.py": "bytes for replace_file",
+    "appliance/desk/export/placed.py": "under the draft's name, from replace_by",
+    "appliance/instrument/service/air_live.py": "run/status.json: worthless after a restart",
+    "appliance/instrument/service/app.py": "a note in memory",
+    "appliance/instrument/service/starts.py": "a mark in memory",
+    "appliance/instrument/service/transfer.py": "a note in memory",
+    "appliance/instrument/service/watchdog.py": "the folder run, which a restart makes again",
+    "appliance/store/lock.py": "a lock ends with its process",
+    "appliance/desk/object_store.py": "bytes for replace_file",
+    "appliance/instrument/service/status.py": "run/status.json: worthless after a restart",
     "systemd/kingfisher_safe/main.py": "a count in memory",
     "systemd/kingfisher_setup/build.py": "tens of thousands of files: the whole disk is synced before the mark that says so",
 }

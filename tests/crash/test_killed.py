@@ -11,11 +11,11 @@ import random
 import time
 from pathlib import Path
 
-from appliance.calibration import file as calibration_file
-from appliance.storage.calibrations import Calibrations
-from appliance.storage.health import HealthFile
-from appliance.storage.library import Library, LibraryFolder
-from tests.appliance.storage.scenes import ORIGIN, frames, record
+from appliance.calibrate.calibrations import Calibrations
+from appliance.calibrate.health_file import HealthFile
+from appliance.measure.calibration import file as calibration_file
+from appliance.store.library import Library, LibraryFolder
+from tests.appliance.store.scenes import ORIGIN, frames, record
 from tests.crash.life import CALIBRATIONS, HASH, OLD, SERIAL, live
 
 FORKED = multiprocessing.get_context("fork")

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from appliance.storage import scan as content
-from appliance.storage.filesystem import AllocatingFileSystem
-from appliance.storage.library import Library, LibraryFolder
-from appliance.storage.room import Room
-from tests.appliance.storage import scenes
-from tests.appliance.storage.scenes import ORIGIN, PLAN, PREVIEW, cloud, frames, record
-from tests.appliance.storage.volatile import HastyDisk, PowerCut, VolatileDisk
+from appliance.store import scan as content
+from appliance.store.filesystem import AllocatingFileSystem
+from appliance.store.library import Library, LibraryFolder
+from appliance.store.room import Room
+from tests.appliance.store import scenes
+from tests.appliance.store.scenes import ORIGIN, PLAN, PREVIEW, cloud, frames, record
+from tests.appliance.store.volatile import HastyDisk, PowerCut, VolatileDisk
 
 ROOT = Path("data") / "storage"
 """Below the disk's top: the folders above the scans are made by the instrument too."""

@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibration.file import Calibration, encode
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
-from appliance.config import Rig, load_rig
-from appliance.evaluation.ball_bar import BallBar, find_ball_bar
-from appliance.instrument import CALIBRATION_FILE
-from appliance.patterns.sequence import PatternSequence
-from appliance.reconstruct.pipeline import Pipeline
-from appliance.reconstruct.quality import QualityLimits
-from appliance.storage.library import Library
+from appliance.measure.accept.ball_bar import BallBar, find_ball_bar
+from appliance.measure.calibration.file import Calibration, encode
+from appliance.measure.light.sequence import PatternSequence
+from appliance.measure.points.pipeline import Pipeline
+from appliance.measure.points.quality import QualityLimits
+from appliance.store.config import Rig, load_rig
+from appliance.store.instrument import CALIBRATION_FILE
+from appliance.store.library import Library
 from hw_sim.options import options_from
 from hw_sim.rendering.render import Renderer
 from hw_sim.world import true_rig

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from appliance.storage.library import Library
-from appliance.storage.lock import hold_lock
-from tests.appliance.storage.scenes import ORIGIN, frames, record
+from appliance.store.library import Library
+from appliance.store.lock import hold_lock
+from tests.appliance.store.scenes import ORIGIN, frames, record
 from tests.support.commands import Shell
 
 

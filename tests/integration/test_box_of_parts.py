@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from appliance.config import load_rig
+from appliance.store.config import load_rig
 from appliance.workshop.steps import STEPS
 from hw_sim.options import options_from
 from hw_sim.world import World

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from appliance.cli import main
-from appliance.config import load_rig
+from appliance.store.config import load_rig
 from hw_sim.options import options_from
 from hw_sim.world import World
 from tests.integration.dived import at_the_bench

@@ -12,16 +12,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from appliance.calibration.air.adjustment import AirCalibration
-from appliance.calibration.file import Calibration, encode, load
-from appliance.calibration.guide import Step
-from appliance.calibration.water.start import start_from_air
+from appliance.calibrate.air.adjustment import AirCalibration
+from appliance.calibrate.calibrations import Calibrations
+from appliance.calibrate.guide import Step
+from appliance.calibrate.water.start import start_from_air
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
-from appliance.config import Rig, load_rig
-from appliance.instrument import design_of
-from appliance.optics.model import HousedCamera, StereoRig
-from appliance.storage.calibrations import Calibrations
-from appliance.storage.library import Library
+from appliance.measure.calibration.file import Calibration, encode, load
+from appliance.measure.light.model import HousedCamera, StereoRig
+from appliance.store.config import Rig, load_rig
+from appliance.store.instrument import design_of
+from appliance.store.library import Library
 from hw_sim.scene import Scene
 from tests.integration.dived import Service, ball_bar_mm
 from tests.support.calibrating import WIDTH_PX, air_of, hidden_rig

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from appliance.calibration.file import load
 from appliance.cli import main
+from appliance.measure.calibration.file import load
 from hw_sim.truth import draw_truth, in_air
 from tests.support.board_pictures import poses_in_air
 from tests.support.truth import WATER

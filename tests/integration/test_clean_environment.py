@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 from packaging.requirements import Requirement
 
-from appliance.distribution import DISTRIBUTION
+from appliance.base.distribution import DISTRIBUTION
 from hw_sim.scene import Scene
 from tests.support.commands import ROOT
 from tests.support.foreign_sets import convention, make_set

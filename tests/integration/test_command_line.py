@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from appliance.calibration.file import load
-from appliance.calibration.health import HealthTrend, TrendPoint
-from appliance.instrument import CALIBRATION_FILE
-from appliance.storage.health import HealthFile
-from appliance.storage.lock import hold_lock
+from appliance.calibrate.health import HealthTrend, TrendPoint
+from appliance.calibrate.health_file import HealthFile
+from appliance.measure.calibration.file import load
+from appliance.store.instrument import CALIBRATION_FILE
+from appliance.store.lock import hold_lock
 from tests.support.commands import ROOT, Shell, kingfisher
 
 SMALL_RIG = ROOT / "hw_sim" / "rigs" / "small.toml"

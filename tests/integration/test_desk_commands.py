@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from appliance.calibration import file as calibration_file
-from appliance.config import default_rig_path
-from appliance.storage.ply import read_ply
+from appliance.measure.calibration import file as calibration_file
+from appliance.store.config import default_rig_path
+from appliance.store.ply import read_ply
 from tests.support.commands import Shell, kingfisher
 from tests.support.planes import small_rig, store_plane
 

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from appliance.config import Rig
-from appliance.scan.sides import SIDES
-from appliance.scan.verdict import Verdict
-from appliance.service.app import run
-from appliance.storage import incomplete
-from appliance.storage.library import Library, LibraryFolder
+from appliance.instrument.service.app import run
+from appliance.measure.light.sides import SIDES
+from appliance.measure.verdict import Verdict
+from appliance.store import incomplete
+from appliance.store.config import Rig
+from appliance.store.library import Library, LibraryFolder
 from tests.integration.dived import calibrate_exactly, instrument, off_surface_mm
 from tests.support.commands import Shell
 
@@ -131,7 +131,7 @@ def test_a_moved_scan_is_put_right_or_said_to_be_wrong_and_the_manifest_says_whi
 def test_what_is_left_of_a_scan_that_broke_in_its_second_direction_is_kept_apart_and_rescued_unchecked(
     library: Library, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Its points are those of a whole scan: ``tests/appliance/offline/test_rescue.py``."""
+    """Its points are those of a whole scan: ``tests/appliance/desk/test_rescue.py``."""
     (folder,) = (library.root / incomplete.FOLDER).iterdir()
     recording = incomplete.load(folder)
     frames = recording.scan.frames

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from appliance.capture.grabber import Grabber
-from appliance.capture.scan import CaptureReport, ScanRecorder, ScanSettings
-from appliance.capture.store import FrameStore
-from appliance.patterns.sequence import build_sequence
-from appliance.scan.fault import Fault, FaultCode
+from appliance.instrument.capture.grabber import Grabber
+from appliance.instrument.capture.scan import CaptureReport, ScanRecorder, ScanSettings
+from appliance.instrument.capture.store import FrameStore
+from appliance.measure.fault import Fault, FaultCode
+from appliance.measure.light.sequence import build_sequence
 from drivers import rig as drivers_rig
 from drivers.api import Board, CameraSettings
 from hw_sim.wires import open as open_wires

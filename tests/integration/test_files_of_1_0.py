@@ -15,21 +15,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-from appliance.calibration import file as calibration_file
-from appliance.calibration.guide import Step
+from appliance.calibrate.calibrations import Calibrations
+from appliance.calibrate.guide import Step
+from appliance.calibrate.health_file import HealthFile
+from appliance.calibrate.start import start_of
 from appliance.cli import main
-from appliance.config import load_rig
-from appliance.instrument import calibration_of
-from appliance.offline.calibration.start import start_of
-from appliance.offline.object_errors import errors_of
-from appliance.service.settings import pointers_of, standard_choices
-from appliance.storage import objects
-from appliance.storage.beams import BeamsFile
-from appliance.storage.calibrations import Calibrations
-from appliance.storage.choices import ChoicesFile
-from appliance.storage.health import HealthFile
-from appliance.storage.library import Library, LibraryFolder
-from appliance.storage.manifest import Stage
+from appliance.desk import object_store as objects
+from appliance.desk.object_errors import errors_of
+from appliance.instrument.service.beams import BeamsFile
+from appliance.instrument.service.choices import ChoicesFile
+from appliance.instrument.service.settings import pointers_of, standard_choices
+from appliance.measure.calibration import file as calibration_file
+from appliance.store.config import load_rig
+from appliance.store.instrument import calibration_of
+from appliance.store.library import Library, LibraryFolder
+from appliance.store.manifest import Stage
 
 RECORDINGS = Path(__file__).parents[1] / "recordings"
 VERSIONS = sorted(path.name.removesuffix(".tar.xz") for path in RECORDINGS.glob("*.tar.xz"))

@@ -11,15 +11,15 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from appliance.config import Rig
-from appliance.machine.words import english
-from appliance.scan.guidance import LEAST_GOOD, MOST_GOOD
-from appliance.screens.painter import Painter
-from appliance.screens.views import AimView, AnyView, MenuView, ReviewView
-from appliance.service.app import run
-from appliance.service.keys import KeyReader
-from appliance.storage.library import Library, LibraryFolder
-from appliance.storage.manifest import read
+from appliance.instrument.machine.words import english
+from appliance.instrument.screens.painter import Painter
+from appliance.instrument.screens.views import AimView, AnyView, MenuView, ReviewView
+from appliance.instrument.service.app import run
+from appliance.instrument.service.keys import KeyReader
+from appliance.measure.guidance_fact import LEAST_GOOD, MOST_GOOD
+from appliance.store.config import Rig
+from appliance.store.library import Library, LibraryFolder
+from appliance.store.manifest import read
 from drivers.api import KeyEvent, KeyPress
 from hw_sim.objects.motion import pose_matrix
 from hw_sim.people import script

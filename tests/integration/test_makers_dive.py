@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from appliance.config import Rig
-from appliance.service.app import run
-from appliance.service.checkup import check
-from appliance.storage.library import Library
+from appliance.instrument.service.app import run
+from appliance.instrument.service.checkup import check
+from appliance.store.config import Rig
+from appliance.store.library import Library
 from tests.integration.dived import calibrate_exactly, instrument, off_surface_mm
 
 pytestmark = pytest.mark.devices

@@ -23,15 +23,15 @@ import numpy as np
 import pytest
 
 from appliance.cli import main
-from appliance.offline.pull.pulling import HowFar
-from appliance.offline.pull.ssh import Host, SshLink
-from appliance.storage import scan as stored
-from appliance.storage.library import Library
-from appliance.storage.manifest import Decision
+from appliance.desk.pull.pulling import HowFar
+from appliance.desk.pull.ssh import Host, SshLink
+from appliance.store import scan as stored
+from appliance.store.library import Library
+from appliance.store.manifest import Decision
 from kingfisher_transfer import keys, serving
 from kingfisher_transfer.serving import Places
-from tests.appliance.offline.pull.instrument import FS, content, instrument, pulled
-from tests.appliance.storage.scenes import ORIGIN, record
+from tests.appliance.desk.pull.instrument import FS, content, instrument, pulled
+from tests.appliance.store.scenes import ORIGIN, record
 
 SYSTEMD = Path(__file__).parents[2] / "systemd"
 pytestmark = [

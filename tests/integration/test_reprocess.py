@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from appliance.offline.anew.results import read_table
-from appliance.storage.lock import hold_lock
+from appliance.desk.anew.results import read_table
+from appliance.store.lock import hold_lock
 from hw_sim.scene import Scene
 from tests.support.commands import Shell
 from tests.support.rendered import render_scan

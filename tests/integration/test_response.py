@@ -7,14 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from appliance.calibration.noise_file import NOISE
-from appliance.calibration.response.file import RESPONSE
-from appliance.config import Rig, load_rig
-from appliance.config.rig import ScanRig
-from appliance.instrument import NOISE_FILE, RESPONSE_FILE
-from appliance.offline.measuring import noise_of_scan, noise_to_store, response_of_scan
-from appliance.service.app import run
-from appliance.storage.library import Library
+from appliance.desk.measuring import noise_of_scan, noise_to_store, response_of_scan
+from appliance.instrument.service.app import run
+from appliance.measure.calibration.noise_file import NOISE
+from appliance.measure.calibration.response_file import RESPONSE
+from appliance.store.config import Rig, load_rig
+from appliance.store.config.rig import ScanRig
+from appliance.store.instrument import NOISE_FILE, RESPONSE_FILE
+from appliance.store.library import Library
 from tests.integration.dived import instrument
 
 CAMERAS = {"seed": 10_003, "families": ["cameras"]}

@@ -10,25 +10,25 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.calibration.air.adjustment import AirCalibration, calibrate_air
-from appliance.calibration.file import Calibration, encode
-from appliance.calibration.guide import USED, RecordingCheck, Refusal, Session, Step
-from appliance.calibration.water.start import start_from_air
+from appliance.calibrate.air.adjustment import AirCalibration, calibrate_air
+from appliance.calibrate.calibrations import Calibrations
+from appliance.calibrate.calibrator import Solution, examine, solve
+from appliance.calibrate.guide import USED, RecordingCheck, Refusal, Session, Step
+from appliance.calibrate.water.start import start_from_air
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.cli.simtruth import bring_calibration, true_calibration
-from appliance.config import Rig, load_rig
-from appliance.instrument import design_of, exposure_of, origin_of, settings_of, volume_of
-from appliance.optics.volume import STANDARD
-from appliance.patterns.sequence import DARK_CODE, PatternSequence, build_sequence
-from appliance.processing.procedure import SequenceProcessor
-from appliance.reconstruct.pipeline import Pipeline
-from appliance.scan.fault import FaultCode
-from appliance.service.app import run
-from appliance.service.calibrator import Solution, examine, solve
-from appliance.service.settings import live_light_of, machine_settings
-from appliance.storage.calibrations import Calibrations
-from appliance.storage.library import Library, LibraryFolder
-from appliance.storage.record import ScanRecord, SequenceInfo
+from appliance.instrument.service.app import run
+from appliance.instrument.service.settings import live_light_of, machine_settings
+from appliance.measure.calibration.file import Calibration, encode
+from appliance.measure.fault import FaultCode
+from appliance.measure.light.sequence import DARK_CODE, PatternSequence, build_sequence
+from appliance.measure.light.volume import STANDARD
+from appliance.measure.points.pipeline import Pipeline
+from appliance.measure.procedure import SequenceProcessor
+from appliance.store.config import Rig, load_rig
+from appliance.store.instrument import design_of, exposure_of, origin_of, settings_of, volume_of
+from appliance.store.library import Library, LibraryFolder
+from appliance.store.record import ScanRecord, SequenceInfo
 from hw_sim.options import options_from
 from hw_sim.rendering.render import Renderer
 from hw_sim.truth import TrueRig, in_air

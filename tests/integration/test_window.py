@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.storage.library import Library
+from appliance.store.library import Library
 from hw_sim.window import open_windows
 from hw_sim.wires import open as open_wires
 from hw_sim.world import World, WorldOptions

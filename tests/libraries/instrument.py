@@ -12,9 +12,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from appliance.calibration.file import encode
-from appliance.config import default_rig_path, load_rig
-from appliance.instrument import CALIBRATION_FILE
+from appliance.measure.calibration.file import encode
+from appliance.store.config import default_rig_path, load_rig
+from appliance.store.instrument import CALIBRATION_FILE
 from hw_sim.truth import TrueRig
 from hw_sim.wires.umockdev.testbed import Testbed
 from tests.support.truth import true_calibration

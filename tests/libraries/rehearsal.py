@@ -10,8 +10,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
-from appliance.config import load_rig
-from appliance.service.app import run
+from appliance.instrument.service.app import run
+from appliance.store.config import load_rig
 from hw_sim.world import World
 
 SCRIPT = """

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from appliance.storage.library import Library
-from appliance.storage.scan import StoredScan
+from appliance.store.library import Library
+from appliance.store.scan import StoredScan
 from hw_sim.timing.world_time import BLANK_NS
 from hw_sim.wires.umockdev.testbed import Testbed
 from hw_sim.world import World, WorldOptions

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from appliance.evaluation.ball_bar import BallBar, find_ball_bar
-from appliance.evaluation.flatness import flatness
-from appliance.evaluation.frustum import Frustum, find_frustum
-from appliance.evaluation.plane import PlaneFit, fit_plane
-from appliance.evaluation.points import NotFound
+from appliance.measure.accept.ball_bar import BallBar, find_ball_bar
+from appliance.measure.accept.flatness import flatness
+from appliance.measure.accept.frustum import Frustum, find_frustum
+from appliance.measure.accept.plane import PlaneFit, fit_plane
+from appliance.measure.accept.points import NotFound
 from hw_sim.objects.motion import pose_matrix
 from hw_sim.objects.shapes import BALL_RADIUS_MM, FRUSTUM_BASE_MM, FRUSTUM_HEIGHT_MM, FRUSTUM_TOP_MM
 from hw_sim.scene import Imaging, Scene

@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from appliance.calibration.health import HealthTrend, judge
-from appliance.patterns.sequence import build_sequence
-from appliance.reconstruct.pipeline import Pipeline
-from appliance.scan.cloud import PatchGaps
-from appliance.scan.sides import SIDES
+from appliance.calibrate.health import HealthTrend, judge
+from appliance.measure.cloud import PatchGaps
+from appliance.measure.light.sequence import build_sequence
+from appliance.measure.light.sides import SIDES
+from appliance.measure.points.pipeline import Pipeline
 from hw_sim.mount_shift import MountShift, with_mount_shifted
 from hw_sim.rendering.render import LightSlice, Renderer
 from hw_sim.scene import Scene

@@ -10,16 +10,16 @@ from pathlib import Path
 
 import pytest
 
-from appliance.calibration.file import encode
-from appliance.calibration.guide import USED, RecordingCheck, Session, Step
-from appliance.calibration.water.start import start_from_air
+from appliance.calibrate.calibrations import Calibrations
+from appliance.calibrate.calibrator import examine, solve
+from appliance.calibrate.guide import USED, RecordingCheck, Session, Step
+from appliance.calibrate.water.start import start_from_air
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
-from appliance.config import Rig, load_rig
-from appliance.instrument import design_of, origin_of
-from appliance.service.calibrator import examine, solve
-from appliance.storage.calibrations import Calibrations
-from appliance.storage.library import Library
-from appliance.storage.record import ScanRecord, SequenceInfo
+from appliance.measure.calibration.file import encode
+from appliance.store.config import Rig, load_rig
+from appliance.store.instrument import design_of, origin_of
+from appliance.store.library import Library
+from appliance.store.record import ScanRecord, SequenceInfo
 from hw_sim.scene import Scene
 from tests.support.calibrating import air_of, hidden_rig
 from tests.support.rendered import render_scan

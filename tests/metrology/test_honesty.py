@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize
 
-from appliance.calibration.file import Calibration
-from appliance.optics.model import HousedCamera
-from appliance.optics.pinhole import Lens
-from appliance.optics.port import Port
+from appliance.measure.calibration.file import Calibration
+from appliance.measure.light.model import HousedCamera
+from appliance.measure.light.pinhole import Lens
+from appliance.measure.light.port import Port
 from hw_sim.objects.motion import pose_matrix
 from hw_sim.objects.shapes import BALL_DISTANCE_MM, BALL_RADIUS_MM
 from hw_sim.scene import Scene

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from appliance.calibration.response.measure import CameraImages, MeasuredResponse, ResponseError, measure_response
-from appliance.patterns.response import Response, phase_error_rad
-from appliance.reconstruct.pipeline import Pipeline
+from appliance.calibrate.response.measure import CameraImages, MeasuredResponse, ResponseError, measure_response
+from appliance.measure.light.response import Response, phase_error_rad
+from appliance.measure.points.pipeline import Pipeline
 from hw_sim.objects.motion import Motion
 from hw_sim.optics.projector import response as true_response
 from hw_sim.scene import Imaging, Scene

@@ -28,13 +28,13 @@ import llvmlite.binding as llvm
 import numpy as np
 
 from appliance import __version__
-from appliance.calibration import file as calibration_file
-from appliance.calibration.file import IN_AIR, Calibration
-from appliance.config import load_rig
-from appliance.instrument import design_of
-from appliance.optics.correction import ImageCorrection, node_count
-from appliance.optics.ray_shift import RayShift
-from appliance.storage.calibrations import Calibrations
+from appliance.calibrate.calibrations import Calibrations
+from appliance.measure.calibration import file as calibration_file
+from appliance.measure.calibration.file import IN_AIR, Calibration
+from appliance.measure.light.correction import ImageCorrection, node_count
+from appliance.measure.light.ray_shift import RayShift
+from appliance.store.config import load_rig
+from appliance.store.instrument import design_of
 
 SIZE = (160, 120)
 DAYS = ("2026-11-20", "2026-11-21", "2026-11-22")

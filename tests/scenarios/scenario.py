@@ -34,13 +34,13 @@ from typing import Any
 
 import pytest
 
+from appliance.calibrate.calibrations import Calibrations
 from appliance.cli.simrig import default_sim_rig
-from appliance.config import load_rig
-from appliance.instrument import design_of
-from appliance.service.app import run
-from appliance.storage.calibrations import Calibrations
-from appliance.storage.library import Library, LibraryFolder
-from appliance.storage.record import ScanRecord
+from appliance.instrument.service.app import run
+from appliance.store.config import load_rig
+from appliance.store.instrument import design_of
+from appliance.store.library import Library, LibraryFolder
+from appliance.store.record import ScanRecord
 
 SMALL = {"width_px": "400", "height_px": "300", "truth": "nominal", "object": "plane", "stills": "true"}
 SHELVES = {"saved": LibraryFolder.SCANS, "rejected": LibraryFolder.REJECTED, "set-aside": LibraryFolder.SET_ASIDE}

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.appliance.service.test_spoken import REPR
+from tests.appliance.instrument.service.test_spoken import REPR
 from tests.scenarios.scenario import judge, parse, play
 
 SCENARIOS = sorted(Path(__file__).parent.glob("*.scn"))

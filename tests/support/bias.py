@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.reconstruct.pipeline import Cloud, Pipeline
+from appliance.measure.points.pipeline import Cloud, Pipeline
 from hw_sim.rendering.render import Renderer
 from hw_sim.truth import TrueRig, project, ray
 

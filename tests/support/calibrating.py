@@ -9,17 +9,17 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibration.air.adjustment import AirCalibration, BoardView, calibrate_air
-from appliance.calibration.design import Design, design_calibration
-from appliance.calibration.file import Calibration
-from appliance.calibration.recordings import ArtefactKind, Recording
-from appliance.calibration.water.shapes import fit_plane, fit_sphere, triangulate
-from appliance.calibration.water.start import start_from_air
-from appliance.evaluation.frustum import EDGE_MM, Face, Frustum
-from appliance.evaluation.plane import Plane, orthogonal_plane
-from appliance.evaluation.points import Used
-from appliance.optics.model import StereoRig
-from appliance.optics.water import Water
+from appliance.calibrate.air.adjustment import AirCalibration, BoardView, calibrate_air
+from appliance.calibrate.recordings import ArtefactKind, Recording
+from appliance.calibrate.water.shapes import fit_plane, fit_sphere, triangulate
+from appliance.calibrate.water.start import start_from_air
+from appliance.measure.accept.frustum import EDGE_MM, Face, Frustum
+from appliance.measure.accept.plane import Plane, orthogonal_plane
+from appliance.measure.accept.points import Used
+from appliance.measure.calibration.design import Design, design_calibration
+from appliance.measure.calibration.file import Calibration
+from appliance.measure.light.model import StereoRig
+from appliance.measure.light.water import Water
 from hw_sim.objects.shapes import (
     BALL_DISTANCE_MM,
     BALL_RADIUS_MM,

@@ -13,12 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.optics.correction import ImageCorrection, node_count
-from appliance.optics.model import HousedCamera, StereoRig
-from appliance.optics.pinhole import Lens
-from appliance.optics.port import Port
-from appliance.optics.ray_shift import RayShift
-from appliance.optics.rotation import matrix3, rotation_matrix
+from appliance.measure.light.correction import ImageCorrection, node_count
+from appliance.measure.light.model import HousedCamera, StereoRig
+from appliance.measure.light.pinhole import Lens
+from appliance.measure.light.port import Port
+from appliance.measure.light.ray_shift import RayShift
+from appliance.measure.light.rotation import matrix3, rotation_matrix
 
 Array = NDArray[np.float64]
 

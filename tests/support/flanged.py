@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from appliance.optics.rotation import rotation_matrix
-from appliance.registration.reference import OrientedPoints
-from appliance.registration.rigid import Rigid
-from appliance.surface.fusion import FusedCloud
+from appliance.desk.registration.reference import OrientedPoints
+from appliance.desk.surface.fusion import FusedCloud
+from appliance.measure.light.rotation import rotation_matrix
+from appliance.measure.overlap.rigid import Rigid
 from tests.support.views import Array
 
 RADIUS_MM, FLANGE_MM, AT_MM, WIDTH_MM, LONG_MM = 60.0, 82.0, 140.0, 22.0, 600.0

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from appliance.reconstruct.decode.decoder import CameraDecoder
-from appliance.reconstruct.images import ScanImages
-from appliance.verdict.window import Windows, look_at_windows
+from appliance.measure.decode.decoder import CameraDecoder
+from appliance.measure.points.images import ScanImages
+from appliance.measure.verdicts.window import Windows, look_at_windows
 from tests.support.rendered import RenderedScan
 
 

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibration.file import encode
+from appliance.measure.calibration.file import encode
 from hw_sim.rendering.render import Renderer
 from hw_sim.scene import Scene
 from hw_sim.truth import TrueEye, TruePort, TrueRig, draw_truth

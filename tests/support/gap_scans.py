@@ -8,13 +8,13 @@ from functools import cache
 
 import numpy as np
 
-from appliance.calibration.gaps import GapModes, signed_gap_mm
-from appliance.calibration.health import HealthJudgement, HealthTrend, judge
-from appliance.calibration.patches import average
-from appliance.calibration.water.bundle import adjust
-from appliance.calibration.water.method import Method
-from appliance.optics.model import StereoRig
-from appliance.scan.cloud import PatchGaps
+from appliance.calibrate.health import HealthJudgement, HealthTrend, judge
+from appliance.calibrate.water.bundle import adjust
+from appliance.calibrate.water.method import Method
+from appliance.measure.calibration.gaps import GapModes, signed_gap_mm
+from appliance.measure.calibration.patches import average
+from appliance.measure.cloud import PatchGaps
+from appliance.measure.light.model import StereoRig
 from hw_sim.truth import TrueRig
 from tests.support.calibrating import Pose, air_of, calibration_recordings, hidden_rig, record_plane, start_of
 from tests.support.truth import WATER

@@ -7,15 +7,15 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibration.file import Calibration
-from appliance.optics.water import Water
-from appliance.patterns.sequence import build_sequence
-from appliance.reconstruct.images import ScanImages
-from appliance.reconstruct.pipeline import Cloud, Pipeline
-from appliance.scan.acquisition import AcquisitionSettings
-from appliance.scan.exposure import Exposure
-from appliance.scan.noise import StereoNoise, camera_noise
-from appliance.verdict.motion.judge import MotionJudgement, judge_motion
+from appliance.measure.calibration.file import Calibration
+from appliance.measure.light.acquisition import AcquisitionSettings
+from appliance.measure.light.exposure import Exposure
+from appliance.measure.light.noise import StereoNoise, camera_noise
+from appliance.measure.light.sequence import build_sequence
+from appliance.measure.light.water import Water
+from appliance.measure.points.images import ScanImages
+from appliance.measure.points.pipeline import Cloud, Pipeline
+from appliance.measure.verdicts.motion.judge import MotionJudgement, judge_motion
 from hw_sim.rendering.sensor import E_PER_DN, FULL_WELL_E, OFFSET_DN, READ_NOISE_E, Sensor
 from tests.support.moved import FRAME_S
 from tests.support.truth import WATER

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.compensation.prior import LEVER_MM
-from appliance.reconstruct.images import ScanImages
-from appliance.reconstruct.pipeline import Cloud, Pipeline
-from appliance.scan.acquisition import AcquisitionSettings
-from appliance.scan.noise import TYPICAL_PAIR, StereoNoise
-from appliance.scan.sides import SIDES
+from appliance.measure.light.acquisition import AcquisitionSettings
+from appliance.measure.light.noise import TYPICAL_PAIR, StereoNoise
+from appliance.measure.light.sides import SIDES
+from appliance.measure.motion.prior import LEVER_MM
+from appliance.measure.points.images import ScanImages
+from appliance.measure.points.pipeline import Cloud, Pipeline
 from hw_sim.objects.motion import object_pose
 from tests.support.rendered import Accuracy, RenderedScan, judge
 from tests.support.truth import left_to_rig

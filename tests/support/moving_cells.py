@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from appliance.verdict.motion.harm import Harm
-from appliance.verdict.motion.texture import TextureShift
+from appliance.measure.verdicts.motion.harm import Harm
+from appliance.measure.verdicts.motion.texture import TextureShift
 
 ROWS, COLUMNS = 6, 8
 NO_COURSE = (np.full(8, np.nan), np.full(8, np.nan))

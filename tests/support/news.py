@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from appliance.scan.cloud import CloudSummary, Found
-from appliance.scan.exposure import Exposure
-from appliance.scan.fault import Fault
-from appliance.scan.news import (
+from appliance.measure.cloud import CloudSummary, Found
+from appliance.measure.fault import Fault
+from appliance.measure.light.exposure import Exposure
+from appliance.measure.news import (
     Bracket,
     CoarseCloud,
     FullCloud,
@@ -15,8 +15,8 @@ from appliance.scan.news import (
     ScanOverlap,
     Verdicts,
 )
-from appliance.scan.overlap import Overlap
-from appliance.scan.verdict import Judgement, Verdict
+from appliance.measure.overlap_fact import Overlap
+from appliance.measure.verdict import Judgement, Verdict
 
 
 def held(name: str, fault: Fault) -> Judgement:

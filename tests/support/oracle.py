@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from appliance.calibration.file import Calibration
-from appliance.patterns.gray import inverse_gray
-from appliance.patterns.sequence import Direction, PatternSequence
+from appliance.measure.calibration.file import Calibration
+from appliance.measure.light.gray import inverse_gray
+from appliance.measure.light.sequence import Direction, PatternSequence
 
 Array = NDArray[np.float64]
 

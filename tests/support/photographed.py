@@ -11,11 +11,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.patterns.sequence import Direction, PatternSequence, build_sequence
-from appliance.reconstruct.images import ScanImages
-from appliance.scan.acquisition import AcquisitionSettings
-from appliance.scan.exposure import Exposure
-from appliance.scan.noise import FULL_DN, TYPICAL, TYPICAL_PAIR, CameraNoise, StereoNoise, camera_noise
+from appliance.measure.light.acquisition import AcquisitionSettings
+from appliance.measure.light.exposure import Exposure
+from appliance.measure.light.noise import FULL_DN, TYPICAL, TYPICAL_PAIR, CameraNoise, StereoNoise, camera_noise
+from appliance.measure.light.sequence import Direction, PatternSequence, build_sequence
+from appliance.measure.points.images import ScanImages
 
 WHITE_DN_PER_US = 0.030
 """Of white on an albedo of 1: 360 DN in 12 ms."""

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from appliance.config import Rig, load_rig
-from appliance.config.load import default_rig_path
-from appliance.instrument import design_of, origin_of
-from appliance.patterns.sequence import build_sequence
-from appliance.reconstruct.pipeline import Pipeline
-from appliance.storage.library import Library
-from appliance.storage.record import ScanRecord, SequenceInfo
+from appliance.measure.light.sequence import build_sequence
+from appliance.measure.points.pipeline import Pipeline
+from appliance.store.config import Rig, load_rig
+from appliance.store.config.load import default_rig_path
+from appliance.store.instrument import design_of, origin_of
+from appliance.store.library import Library
+from appliance.store.record import ScanRecord, SequenceInfo
 from tests.support import synthetic
 
 NORMAL = np.array([0.0, 0.1, 1.0]) / np.hypot(0.1, 1.0)

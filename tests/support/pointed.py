@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.config import load_rig
-from appliance.ranging.measure import Ranger
-from appliance.service.settings import live_light_of, pointers_of
+from appliance.instrument.ranging.measure import Ranger
+from appliance.instrument.service.settings import live_light_of, pointers_of
+from appliance.store.config import load_rig
 from hw_sim.optics.view import Surface
 from hw_sim.rendering.render import LightSlice, Renderer
 from hw_sim.scene import Scene

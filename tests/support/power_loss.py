@@ -1,6 +1,6 @@
 """Owns how any writer of files is judged by what a loss of power may leave: seen at its system calls, whatever it writes with.
 
-The book is that of ``tests.appliance.storage.volatile``. It is kept by watching the functions of Python's ``os`` and ``io`` modules, so
+The book is that of ``tests.appliance.store.volatile``. It is kept by watching the functions of Python's ``os`` and ``io`` modules, so
 that a writer needs no port for it; what a library writes from C is found where it is synced or renamed, and counts as lost until then.
 """
 
@@ -17,7 +17,7 @@ from typing import Any
 
 import pytest
 
-from tests.appliance.storage.volatile import Fate, VolatileDisk, _Change, _Node
+from tests.appliance.store.volatile import Fate, VolatileDisk, _Change, _Node
 
 State = Mapping[str, bytes | None]
 """Files by their path below the root; ``None`` for a folder."""

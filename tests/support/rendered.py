@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibration.file import Calibration
-from appliance.patterns.response import Response
-from appliance.patterns.sequence import Direction, PatternSequence, build_sequence
-from appliance.reconstruct.pipeline import Cloud, Pipeline
-from appliance.scan.sides import SIDES
+from appliance.measure.calibration.file import Calibration
+from appliance.measure.light.response import Response
+from appliance.measure.light.sequence import Direction, PatternSequence, build_sequence
+from appliance.measure.light.sides import SIDES
+from appliance.measure.points.pipeline import Cloud, Pipeline
 from hw_sim.rendering.render import LightSlice, Renderer
 from hw_sim.scene import Scene
 from hw_sim.truth import TrueRig, draw_truth

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.reconstruct.organised import OrganisedCloud
+from appliance.measure.points.organised import OrganisedCloud
 
 Vectors = NDArray[np.float64]
 

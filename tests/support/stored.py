@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from appliance.calibration import file as calibration_file
-from appliance.scan.exposure import Exposure
-from appliance.storage.filesystem import LocalFileSystem
-from appliance.storage.record import ScanRecord, SequenceInfo
-from appliance.storage.scan import ScanOrigin, write_raw
+from appliance.measure.calibration import file as calibration_file
+from appliance.measure.light.exposure import Exposure
+from appliance.store.filesystem import LocalFileSystem
+from appliance.store.record import ScanRecord, SequenceInfo
+from appliance.store.scan import ScanOrigin, write_raw
 from hw_sim.truth import TrueRig
 from hw_sim.water.medium import GREEN_NM
 from tests.support.commands import ROOT
@@ -53,7 +53,7 @@ def store(
 
 def origin_of(truth: TrueRig, width_px: int, height_px: int) -> ScanOrigin:
     """Return the calibration that states ``truth``, and the packaged rig file with cameras of that size."""
-    rig = (ROOT / "appliance" / "rigs" / "kingfisher.toml").read_text(encoding="utf-8")
+    rig = (ROOT / "appliance" / "store" / "rigs" / "kingfisher.toml").read_text(encoding="utf-8")
     rig = rig.replace("width_px = 1600", f"width_px = {width_px}").replace(
         "height_px = 1200", f"height_px = {height_px}"
     )

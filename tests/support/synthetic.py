@@ -11,13 +11,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibration.design import Design, design_calibration
-from appliance.calibration.file import Calibration
-from appliance.optics.model import HousedCamera
-from appliance.optics.pinhole import Lens
-from appliance.optics.port import Port
-from appliance.optics.water import Water
-from appliance.patterns.sequence import Direction, PatternSequence
+from appliance.measure.calibration.design import Design, design_calibration
+from appliance.measure.calibration.file import Calibration
+from appliance.measure.light.model import HousedCamera
+from appliance.measure.light.pinhole import Lens
+from appliance.measure.light.port import Port
+from appliance.measure.light.sequence import Direction, PatternSequence
+from appliance.measure.light.water import Water
 
 WATER = Water(20.0, 0.0, 530.0)
 

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import find
 from hypothesis import strategies as st
 
-from appliance.machine import events as on
-from appliance.scan.fault import Fault, FaultCode
+from appliance.instrument.machine import events as on
+from appliance.measure.fault import Fault, FaultCode
 from tests.support.typed import MistypedError, built, well_typed
 
 

@@ -10,12 +10,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibration.file import Calibration
-from appliance.optics.correction import ImageCorrection, basis_matrix
-from appliance.optics.model import HousedCamera, StereoRig
-from appliance.optics.pinhole import Lens
-from appliance.optics.port import Port
-from appliance.optics.water import Water
+from appliance.measure.calibration.file import Calibration
+from appliance.measure.light.correction import ImageCorrection, basis_matrix
+from appliance.measure.light.model import HousedCamera, StereoRig
+from appliance.measure.light.pinhole import Lens
+from appliance.measure.light.port import Port
+from appliance.measure.light.water import Water
 from hw_sim.truth import TrueEye, TrueRig, ray
 
 WATER = Water(20.0, 0.0, 530.0)

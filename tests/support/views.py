@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibration.file import Calibration
-from appliance.reconstruct.organised import OrganisedCloud
-from appliance.registration.pair import ReadyScan, ready_with
-from appliance.registration.patches import projection_of
-from appliance.registration.rigid import Rigid
+from appliance.desk.registration.pair import ReadyScan, ready_with
+from appliance.measure.calibration.file import Calibration
+from appliance.measure.overlap.patches import projection_of
+from appliance.measure.overlap.rigid import Rigid
+from appliance.measure.points.organised import OrganisedCloud
 from hw_sim.objects import shapes, texture
 from hw_sim.objects.motion import pose_matrix
 from tests.support import synthetic

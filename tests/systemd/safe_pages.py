@@ -17,7 +17,7 @@ CONFIG = Cause(
     "config",
     "CONFIG: camera.left.exposure_ms 25 > 16.6; allowed: 0.05..16.6 ms; correct it in /etc/kingfisher/rig.toml",
 )
-HANG = Cause("hang", 'in "appliance/storage/status.py", line 118 in update')
+HANG = Cause("hang", 'in "appliance/instrument/service/status.py", line 118 in update')
 PAGES = {
     "safe-config.en": notice(CONFIG, "en", None),
     "safe-config.de": notice(CONFIG, "de", None),

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from appliance.config import default_rig_path, load_rig
+from appliance.store.config import default_rig_path, load_rig
 from kingfisher_setup import identities, main, placed, versions
 from kingfisher_setup.errors import SetupError
 from kingfisher_setup.layout import Layout

@@ -24,7 +24,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.config import default_rig_path
+from appliance.store.config import default_rig_path
 from drivers.board.line import Kind, Sentence, format_line, parse_line
 from hw_sim.devices.card import Card
 from hw_sim.devices.card_file import CardFile
@@ -134,7 +134,7 @@ LOOP = [
 HUNG = [
     "kingfisher.service: Watchdog timeout (limit 20s)!", "Fatal Python error: Aborted",
     'Current thread 0x1 (most recent call first):',
-    '  File "/opt/kingfisher/current/lib/python3.11/site-packages/appliance/storage/status.py", line 7 in update',
+    '  File "/opt/kingfisher/current/lib/python3.11/site-packages/appliance/instrument/service/status.py", line 7 in update',
     "kingfisher.service: Main process exited, code=dumped, status=6/ABRT",
 ]  # fmt: skip
 
@@ -142,7 +142,7 @@ HUNG = [
 @pytest.mark.parametrize(
     ("journal", "key", "detail"),
     [
-        (LOOP, "program", "ValueError: no such crystal"), (HUNG, "hang", 'in "appliance/storage/status.py", line 7 in update'),
+        (LOOP, "program", "ValueError: no such crystal"), (HUNG, "hang", 'in "appliance/instrument/service/status.py", line 7 in update'),
         (["x", "kingfisher.service: Main process exited, code=killed, status=9/KILL"], "killed", "by signal 9/KILL; x"),
         (["kingfisher.service: Main process exited, code=dumped, status=11/SEGV"], "killed", "11/SEGV"),
         (["kingfisher.service: Main process exited, code=exited, status=203/EXEC"], "missing", "203/EXEC"),

@@ -23,7 +23,7 @@ EMPTY = """drivers/__init__.py drivers/output/__init__.py drivers/output/drm.py 
 systemd/install systemd/kingfisher.service systemd/kingfisher.sysusers appliance/__pycache__/a"""
 TREE = dict.fromkeys(EMPTY.split(), "") | {
     "appliance/__init__.py": '__version__ = "1.2.3"\n',
-    "appliance/rigs/kingfisher.toml": "rig",
+    "appliance/store/rigs/kingfisher.toml": "rig",
     "pyproject.toml": '[project]\ndependencies = ["NumPy>=2"]\n[build-system]\nrequires = ["setuptools"]\n',
     "requirements.lock": PINS,
 }

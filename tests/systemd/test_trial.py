@@ -27,7 +27,7 @@ def there(tmp_path: Path) -> Installation:
 
 
 def service_says(layout: Layout, installation: str, *failed: str) -> None:
-    """As the service itself writes it down (tests/appliance/service/test_watchdog.py)."""
+    """As the service itself writes it down (tests/appliance/instrument/service/test_watchdog.py)."""
     layout.self_test.parent.mkdir(parents=True, exist_ok=True)
     layout.self_test.write_text(json.dumps({"installation": installation, "failed": list(failed)}))
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from appliance.cli import main
-from appliance.service.loop import QUIT_TIMEOUT_S
+from appliance.instrument.service.loop import QUIT_TIMEOUT_S
 from kingfisher_setup import placed
 
 SYSTEMD = Path(__file__).parents[2] / "systemd"
@@ -116,7 +116,7 @@ def test_nothing_sleeps_and_names_are_stable() -> None:
     rules = (SYSTEMD / "70-kingfisher.rules").read_text()
     usb = [line for line in rules.splitlines() if 'SUBSYSTEM=="usb"' in line]
     assert ['ATTR{power/control}="on"' in line for line in usb] == [True, True, True]
-    rig = (SYSTEMD.parent / "appliance" / "rigs" / "kingfisher.toml").read_text()
+    rig = (SYSTEMD.parent / "appliance" / "store" / "rigs" / "kingfisher.toml").read_text()
     assert 'url = "/dev/kingfisher-board"' in rig
     assert 'SYMLINK+="kingfisher-board"' in rules
     assert "usbcore.usbfs_memory_mb=256" in (SYSTEMD / "kingfisher.grub").read_text()

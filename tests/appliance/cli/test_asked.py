@@ -11,7 +11,7 @@ import pytest
 
 from appliance.cli import main
 from appliance.cli.bringup import AtTheTerminal, _line
-from appliance.config import default_rig_path
+from appliance.store.config import default_rig_path
 from appliance.workshop.step import GivenUp
 
 

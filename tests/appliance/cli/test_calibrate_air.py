@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
-from appliance.calibration.file import IN_AIR, load
 from appliance.cli import main
-from appliance.config import parse_rig
-from appliance.instrument import calibration_of
+from appliance.measure.calibration.file import IN_AIR, load
+from appliance.store.config import parse_rig
+from appliance.store.instrument import calibration_of
 from hw_sim.rendering.render import Renderer
 from hw_sim.scene import Scene
 from hw_sim.truth import TrueRig, draw_truth, in_air

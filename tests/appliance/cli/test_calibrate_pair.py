@@ -15,11 +15,11 @@ import cv2
 import numpy as np
 import pytest
 
-from appliance.calibration.file import load
 from appliance.cli import main
-from appliance.foreign.cameras import read_rig
-from appliance.foreign.description import parse_description
-from appliance.optics.pinhole import Lens
+from appliance.desk.foreign.cameras import read_rig
+from appliance.desk.foreign.description import parse_description
+from appliance.measure.calibration.file import load
+from appliance.measure.light.pinhole import Lens
 from tests.support.any_boards import BASE_MM, F_PX, HEIGHT_PX, WIDTH_PX, Printed, poses, write_pairs
 from tests.support.commands import Shell
 

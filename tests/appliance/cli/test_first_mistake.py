@@ -13,9 +13,9 @@ import pytest
 
 from appliance.cli.output import Exit
 from appliance.cli.verbs import Listed
-from appliance.storage.library import Library
+from appliance.store.library import Library
 from tests.appliance.cli.test_loaded import EVERY
-from tests.appliance.storage.scenes import ORIGIN, PREVIEW, cloud, frames, record
+from tests.appliance.store.scenes import ORIGIN, PREVIEW, cloud, frames, record
 
 HEAVY = (
     "numba", "scipy", "cv2", "distributed", "dask", "trimesh", "skimage", "laspy", "pye57", "plotly", "imagecodecs", "moderngl", "usb",

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from appliance.cli.listing import number, say_report, shown
-from appliance.storage.lock import hold_lock
+from appliance.store.lock import hold_lock
 from tests.support.commands import Shell
 
 

@@ -13,15 +13,15 @@ from pathlib import Path
 
 import pytest
 
+from appliance.base.process_start import interrupts
 from appliance.cli import main
 from appliance.cli.output import Exit, Progress, complain, plain
 from appliance.cli.verbs import Listed
-from appliance.process_start import interrupts
-from appliance.scan.verdict import Verdict
-from appliance.storage import manifest as form
-from appliance.storage.library import Library
+from appliance.measure.verdict import Verdict
+from appliance.store import manifest as form
+from appliance.store.library import Library
 from tests.appliance.cli.test_loaded import EVERY
-from tests.appliance.storage.scenes import ORIGIN, PREVIEW, cloud, frames, record
+from tests.appliance.store.scenes import ORIGIN, PREVIEW, cloud, frames, record
 from tests.support.commands import ROOT
 
 ESCAPES = "\x1b[2J\x1b]0;gone\x07 \x9b31m \u202e evil"

@@ -13,7 +13,7 @@ from appliance.cli import main
 from appliance.cli.output import Exit, UsageError, log_lines
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated, with_simulated_wires
 from appliance.cli.verbs import SECTIONS, VERBS
-from appliance.config import default_rig_path, load_rig
+from appliance.store.config import default_rig_path, load_rig
 from hw_sim.options import options_from
 from hw_sim.truth import SETS
 

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import pytest
 
-from appliance.calibration.file import CalibrationError
 from appliance.cli import main
 from appliance.cli.arguments import (
     Verb,
@@ -28,12 +27,13 @@ from appliance.cli.arguments import (
 from appliance.cli.failures import exit_code_of
 from appliance.cli.output import Exit
 from appliance.cli.verbs import VERBS, Group, Listed
-from appliance.config import default_rig_path
-from appliance.storage.library import Library, UnknownScan
-from tests.appliance.storage.scenes import ORIGIN, PREVIEW, cloud, frames, record
+from appliance.measure.calibration.file import CalibrationError
+from appliance.store.config import default_rig_path
+from appliance.store.library import Library, UnknownScan
+from tests.appliance.store.scenes import ORIGIN, PREVIEW, cloud, frames, record
 
 COMPUTES = ("numpy", "numba", "llvmlite", "scipy", "cv2")
-DEVICES = ("usb", "serial", "moderngl", "hw_sim", "appliance.service", "appliance.offline")
+DEVICES = ("usb", "serial", "moderngl", "hw_sim", "appliance.instrument.service", "appliance.desk")
 EVERY = [
     ((*words, one.name), one)
     for group in VERBS
@@ -57,7 +57,9 @@ def loaded(*words: str | Path) -> set[str]:
     return set(done.stdout.splitlines()[-1].split())
 
 
-@pytest.mark.parametrize(("word", "more"), [("--help", ()), ("version", ("cli.installation", "distribution"))])
+@pytest.mark.parametrize(
+    ("word", "more"), [("--help", ()), ("version", ("cli.installation", "base", "base.distribution"))]
+)
 def test_help_and_the_version_load_nothing_else_of_the_product(word: str, more: tuple[str, ...]) -> None:
     mine = {name for name in loaded(word) if name.partition(".")[0] in ("appliance", "drivers")}
     needed = ("cli", "cli.main", "cli.arguments", "cli.output", "cli.verbs")
@@ -71,9 +73,9 @@ def test_looking_at_scans_loads_nothing_that_computes_and_no_device(tmp_path: Pa
     text = default_rig_path().read_text(encoding="utf-8").replace("/var/lib/kingfisher", str(tmp_path))
     rig.write_text(text, encoding="utf-8")
     for words in (("scans", "list", "--root", tmp_path), ("scans", "show", "1", "--root", tmp_path)):
-        assert loaded(*words).isdisjoint((*COMPUTES, *DEVICES, "pydantic", "appliance.config"))
+        assert loaded(*words).isdisjoint((*COMPUTES, *DEVICES, "pydantic", "appliance.store.config"))
     found = loaded("scans", "list", "--rig", rig)
-    assert (found.isdisjoint((*COMPUTES, *DEVICES)), "appliance.config" in found) == (True, True)
+    assert (found.isdisjoint((*COMPUTES, *DEVICES)), "appliance.store.config" in found) == (True, True)
 
 
 @pytest.mark.parametrize(("words", "listed"), EVERY, ids=lambda one: " ".join(one) if isinstance(one, tuple) else "")

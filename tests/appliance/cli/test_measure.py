@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from appliance.calibration.response.file import RESPONSE
-from appliance.config import load_rig, rig_text
-from appliance.instrument import NOISE_FILE, noise_of, with_measured_noise
-from appliance.scan.sides import of_side
-from appliance.storage.scan import ScanOrigin
+from appliance.measure.calibration.response_file import RESPONSE
+from appliance.measure.light.sides import of_side
+from appliance.store.config import load_rig, rig_text
+from appliance.store.instrument import NOISE_FILE, noise_of, with_measured_noise
+from appliance.store.scan import ScanOrigin
 from hw_sim.outside import draw_outside
 from hw_sim.scene import Imaging, Scene
 from tests.support.commands import Shell

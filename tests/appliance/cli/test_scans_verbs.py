@@ -9,19 +9,19 @@ from typing import Any
 
 import pytest
 
-from appliance.calibration.file import encode
-from appliance.config import default_rig_path, load_rig
-from appliance.instrument import CALIBRATION_FILE, design_of
-from appliance.machine.ashore import ASHORE
-from appliance.offline.scripting import open_dive
-from appliance.scan.fault import FaultCode
-from appliance.scan.verdict import Verdict
-from appliance.storage import label as labels
-from appliance.storage.atomic import StorageError
-from appliance.storage.label import Label
-from appliance.storage.library import Library, LibraryFolder
-from appliance.storage.lock import hold_lock
-from tests.appliance.storage.scenes import ORIGIN, PREVIEW, BadDisk, cloud, frames, record
+from appliance.desk.scripting import open_dive
+from appliance.instrument.machine.ashore import ASHORE
+from appliance.measure.calibration.file import encode
+from appliance.measure.fault import FaultCode
+from appliance.measure.verdict import Verdict
+from appliance.store import label as labels
+from appliance.store.atomic import StorageError
+from appliance.store.config import default_rig_path, load_rig
+from appliance.store.instrument import CALIBRATION_FILE, design_of
+from appliance.store.label import Label
+from appliance.store.library import Library, LibraryFolder
+from appliance.store.lock import hold_lock
+from tests.appliance.store.scenes import ORIGIN, PREVIEW, BadDisk, cloud, frames, record
 from tests.support.commands import Shell
 
 DEFAULT_ROOT = load_rig(default_rig_path()).storage.root

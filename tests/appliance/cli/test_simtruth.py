@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from appliance.calibration.file import load
 from appliance.cli.output import UsageError
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.cli.simtruth import bring_calibration, true_calibration
-from appliance.config import Rig, load_rig
-from appliance.instrument import CALIBRATION_FILE, calibration_of
+from appliance.measure.calibration.file import load
+from appliance.store.config import Rig, load_rig
+from appliance.store.instrument import CALIBRATION_FILE, calibration_of
 from hw_sim.truth import project
 from hw_sim.world import true_rig
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from appliance.cli.simrig import default_sim_rig
-from appliance.config import Rig, default_rig_path, load_rig
+from appliance.store.config import Rig, default_rig_path, load_rig
 from appliance.workshop import projector
 from appliance.workshop.bench import Image, Shot
 from appliance.workshop.finding import Finding

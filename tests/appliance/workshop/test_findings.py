@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.evaluation.flatness import Flatness
-from appliance.scan.exposure import Exposure
+from appliance.measure.accept.flatness import Flatness
+from appliance.measure.light.exposure import Exposure
 from appliance.workshop.board import judge_beats, judge_clock, judge_laser, judge_sensor
 from appliance.workshop.cameras import judge_dark, judge_link, judge_settings, see_dark
 from appliance.workshop.endurance import Endured, SideEndured, judge_endurance

@@ -11,7 +11,7 @@ import pytest
 
 from appliance.cli.main import main
 from appliance.cli.output import Exit
-from appliance.config import Rig, default_rig_path, load_rig, parse_rig
+from appliance.store.config import Rig, default_rig_path, load_rig, parse_rig
 from appliance.workshop.finding import BringupError
 from appliance.workshop.flashing import Part, laid_out
 from tests.support.golden_texts import Says

@@ -14,15 +14,15 @@ import pytest
 from numpy.typing import NDArray
 
 import appliance
-from appliance.capture.grabber import SideRecording
-from appliance.capture.ledger import Ledger
-from appliance.capture.scan import CaptureReport
-from appliance.config import load_rig, rig_text
-from appliance.instrument import design_of, noise_of
-from appliance.patterns.sequence import build_sequence
-from appliance.scan.exposure import Exposure
-from appliance.storage import scan as stored
-from appliance.storage.library import Library
+from appliance.instrument.capture.grabber import SideRecording
+from appliance.instrument.capture.ledger import Ledger
+from appliance.instrument.capture.scan import CaptureReport
+from appliance.measure.light.exposure import Exposure
+from appliance.measure.light.sequence import build_sequence
+from appliance.store import scan as stored
+from appliance.store.config import load_rig, rig_text
+from appliance.store.instrument import design_of, noise_of
+from appliance.store.library import Library
 from appliance.workshop import cameras, endurance, plane, projector
 from appliance.workshop.endurance import SideEndured
 from appliance.workshop.finding import BringupError

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from appliance.cli.main import main
-from appliance.config import default_rig_path, parse_rig
+from appliance.store.config import default_rig_path, parse_rig
 from appliance.workshop import guide, projector, steps
 from appliance.workshop.finding import BringupError, Finding
 from appliance.workshop.guide import GuideOptions, Walked, stands
@@ -25,7 +25,7 @@ from appliance.workshop.step import GuideStep, StepOutcome, Workplace, inputs_of
 from appliance.workshop.steps import STEPS
 from drivers import rig as drivers_rig
 from drivers.api import DeviceGone
-from tests.appliance.service.test_start_and_end import nothing
+from tests.appliance.instrument.service.test_start_and_end import nothing
 from tests.appliance.workshop.scripted import RIG_FILE, AskedPerson, Told
 from tests.drivers.clock import SteppedClock
 from tests.support.projector_model import Model, ModelBench, planes_in

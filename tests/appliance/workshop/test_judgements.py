@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.config import default_rig_path, parse_rig
-from appliance.scan.exposure import Exposure
+from appliance.measure.light.exposure import Exposure
+from appliance.store.config import default_rig_path, parse_rig
 from appliance.workshop import light
 from appliance.workshop.finding import BringupError
 from appliance.workshop.latency import latency_of

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from appliance.config import default_rig_path, load_rig
+from appliance.store.config import default_rig_path, load_rig
 from appliance.workshop.flashing import LIBRARIES, Part, commands, laid_out
 from tests.support import micropython
 

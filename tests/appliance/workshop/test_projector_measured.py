@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from appliance.config import default_rig_path, parse_rig
+from appliance.store.config import default_rig_path, parse_rig
 from appliance.workshop.bench import Shot
 from appliance.workshop.finding import BringupError, Finding
 from appliance.workshop.light import keys_of

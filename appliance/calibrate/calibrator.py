@@ -1,0 +1,279 @@
+"""Owns the long computations of a calibration in water, as jobs for ``Background``: examine a recording, solve, verify."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from appliance import __version__
+from appliance.calibrate.calibrations import Calibrations
+from appliance.calibrate.guide import HELD, USED, AdjustmentSummary, RecordingCheck, Refusal, Step, Verified
+from appliance.calibrate.poses import FoundBar, FoundPlane, judge_bar, judge_plane
+from appliance.calibrate.recordings import (
+    ArtefactKind,
+    CertificateMissing,
+    NotConverged,
+    Recording,
+    RecordingError,
+)
+from appliance.calibrate.start import start_of
+from appliance.calibrate.stored_recordings import cameras_of, recording_of_scan
+from appliance.calibrate.water import report as report_of
+from appliance.calibrate.water.calibrate import calibrate
+from appliance.calibrate.water.extract import CALIBRATING_GAP_MM, BarCertificate, extract
+from appliance.calibrate.water.method import Method
+from appliance.measure.accept.ball_bar import BallBar, find_ball_bar
+from appliance.measure.accept.plane import PlaneFit, fit_plane
+from appliance.measure.accept.points import NotFound
+from appliance.measure.calibration import file as calibration_file
+from appliance.measure.calibration.file import Calibration
+from appliance.measure.fault import FaultCode
+from appliance.measure.points.pipeline import Cloud
+from appliance.measure.points.quality import QualityLimits
+from appliance.store import scan as stored
+from appliance.store.config import Rig
+from appliance.store.instrument import calibration_of, settings_of_scan
+from appliance.store.library import Library
+from appliance.store.reprocess import ReprocessedScan, reprocess
+
+VERIFY_GAP_MM = 20.0
+"""Largest ray gap of a point that verifies, as in ``kingfisher evaluate``: the calibration of before must not hide its own worst points."""
+Report = Callable[[float], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Basis:
+    """The files that a calibration in water starts from and is compared with."""
+
+    start: Calibration
+    """Lenses and pose from air, ports as drawn; else the calibration in use."""
+    before: Calibration
+    """Calibration that the instrument measured with until now."""
+    before_hash: str | None
+    """Hash of the file of ``before``; ``None``: it is the drawing."""
+    rig: Rig
+    bar: BarCertificate
+    """Certificate of the ball bar; its radius is stated."""
+
+
+@dataclass(frozen=True, slots=True)
+class Examined:
+    """A recording, judged; with what it says about lengths if it verifies."""
+
+    check: RecordingCheck
+    verified: Verified | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution:
+    """The calibration that the recordings gave."""
+
+    calibration: Calibration
+    solved: AdjustmentSummary
+    verified: Verified | None
+    """Length check of it; ``None`` where there was no recording for one."""
+    report: Mapping[str, bytes]
+    """Files for the office, by name: what was adjusted, what is left, what the recordings could see."""
+
+
+def basis_of(rig: Rig) -> Basis:
+    """Return what is known of this instrument now.
+
+    Raises RecordingError without a certificate or without anything to start from, CalibrationError for a file in air that
+    cannot be used.
+    """
+    bar = rig.ball_bar
+    if bar is None:
+        raise CertificateMissing("no certificate of the ball bar; give [ball_bar] in the rig file")
+    calibrations = Calibrations(rig.storage.root, rig.rig.serial)
+    current, _ = calibration_of(rig)
+    session = calibrations.session()
+    # Once the solved calibration is in use, the one to compare it with is the kept file.
+    kept = calibrations.kept(session) if session.in_use else None
+    certificate = BarCertificate(bar.length_mm, bar.length_sd_mm, bar.radius_mm, bar.radius_sd_mm)
+    before_hash = calibrations.in_use if kept is None else kept.hash
+    return Basis(start_of(rig), kept or current, before_hash, rig, certificate)
+
+
+def examine(rig: Rig, step: Step, folder: Path, report: Report) -> Examined:
+    """Judge a stored scan as a recording of ``step``.
+
+    VERIFY judges with what was solved, or else with the calibration in use. Raises RecordingError, ScanError,
+    CalibrationError.
+    """
+    basis = basis_of(rig)
+    scan = stored.load(folder)
+    if step is Step.VERIFY:
+        solved = _solved(rig)
+        checked = basis.before if solved is None else solved
+        fairly = _fairly(scan, checked, basis)
+        spoilt = _spoilt(step, fairly)
+        if spoilt is not None:
+            return Examined(spoilt)
+        bar = find_ball_bar(fairly.cloud)
+        check = _judged_bar(step, bar, fairly.cloud, checked, basis.bar)
+        if check.refusal is not None or isinstance(bar, NotFound):
+            return Examined(check)
+        return Examined(check, _measured(bar, basis) if solved is None else _compared(scan, bar, basis))
+    widely = _wide(scan, basis)
+    spoilt = _spoilt(step, widely)
+    if spoilt is not None:
+        return Examined(spoilt)
+    pipeline, cloud, water = widely.pipeline, widely.cloud, widely.water
+    if HELD[step] is ArtefactKind.BALL_BAR:
+        check = _judged_bar(step, find_ball_bar(cloud), cloud, basis.start, basis.bar)
+    else:
+        check = _judged_plane(step, fit_plane(cloud), cloud, basis.start)
+    if check.refusal is not None:
+        return Examined(check)
+    certificate = basis.bar if HELD[step] is ArtefactKind.BALL_BAR else None
+    left, right = pipeline.decoded("left"), pipeline.decoded("right")
+    # Extracted for its count only, and again when it is solved: a recording that would fail then is refused while the
+    # artefact is still in the water.
+    recording = extract(step.value, certificate, cloud, left, right, basis.start, water)
+    if isinstance(recording, NotFound):
+        return Examined(replace(check, refusal=Refusal.FEW_POINTS, number=None, detail=recording.reason))
+    return Examined(replace(check, points=len(recording.left_px)))
+
+
+def _spoilt(step: Step, seen: ReprocessedScan) -> RecordingCheck | None:
+    """Return the refusal of a recording whose points would be wrong, whatever it shows."""
+    fault = seen.unfit
+    if fault is None:
+        return None
+    # Compensated points may be looked at, but the decoded maps, which calibrate, are still those of the motion.
+    if fault.code in (FaultCode.MOVED, FaultCode.COMPENSATED):
+        return RecordingCheck(step, Refusal.MOVED, fault.numbers.get("shift_px"), detail=fault.detail)
+    return RecordingCheck(step, Refusal.WRONG_PATTERN, None, detail=f"{fault.code.value}: {fault.detail}")
+
+
+def solve(rig: Rig, date: str, report: Report) -> Solution:
+    """Adjust to the scans of the session; compare with the one of VERIFY where there is one.
+
+    ``date`` is ISO 8601. Raises RecordingError, ScanError, CalibrationError, UnknownScan.
+    """
+    basis = basis_of(rig)
+    library = Library(rig.storage.root)
+    trials = Calibrations(rig.storage.root, rig.rig.serial).session().trials
+    folders = {check.step: library.entry(check.scan_id).folder for check in trials if check.scan_id is not None}
+    missing = [step.value for step in USED if step not in folders]
+    if missing:
+        raise RecordingError(f"no recording of {', '.join(missing)}; record it", about=missing[0])
+    # An adjustment would bend the lenses of other cameras until they fit, and not say so.
+    serials = cameras_of((folders[step] for step in USED), basis.start)
+    recordings = []
+    for k, step in enumerate(USED):
+        report(0.15 * k)
+        recordings.append(_recording(step, folders[step], basis))
+    report(0.6)
+    # The spline frees lenses and pose as well, held by their covariance from air; without that, only the ports are
+    # adjusted.
+    method = Method.PORTS if basis.start.air_covariance is None else Method.SPLINE
+    result = calibrate(method, recordings, basis.start)
+    report(0.9)
+    calibration = replace(result.calibration, made_at=date, camera_serials=serials)
+    result = replace(result, calibration=calibration)
+    if calibration.residual_px is None:
+        raise NotConverged(f"{method.value} says nothing about what is left; use another method")
+    solved = AdjustmentSummary(calibration.method, calibration.residual_px, result.warnings, calibration.hash)
+    verified = None
+    if Step.VERIFY in folders:
+        scan = stored.load(folders[Step.VERIFY])
+        bar = find_ball_bar(_fair(scan, calibration, basis))
+        verified = None if isinstance(bar, NotFound) else _compared(scan, bar, basis)
+    about = {"rig_serial": rig.rig.serial, "made_at": date, "software_version": __version__}
+    files = {
+        "report.html": report_of.as_html(result, basis.start, about, {}).encode(),
+        "report.json": json.dumps(report_of.as_json(result, basis.start, about, {}), indent=1).encode(),
+    }
+    return Solution(calibration, solved, verified, files)
+
+
+def _recording(step: Step, folder: Path, basis: Basis) -> Recording:
+    certificate = basis.bar if HELD[step] is ArtefactKind.BALL_BAR else None
+    recording = recording_of_scan(folder, certificate, basis.start, basis.rig, _silent)
+    if isinstance(recording, NotFound):
+        reason = f"{step.value}, scan {folder.name}: {recording.reason}; record {step.value} again"
+        raise RecordingError(reason, about=step.value)
+    return replace(recording, name=f"{step.value}, scan {folder.name}")
+
+
+def _solved(rig: Rig) -> Calibration | None:
+    """Return what the session solved; ``None`` where nothing is."""
+    calibrations = Calibrations(rig.storage.root, rig.rig.serial)
+    return None if calibrations.session().solved is None else calibration_file.load(calibrations.solved)
+
+
+def _compared(scan: stored.StoredScan, bar: BallBar, basis: Basis) -> Verified:
+    """Return the bar's length with the new calibration and with the one of before."""
+    old = find_ball_bar(_fair(scan, basis.before, basis))
+    before = None if isinstance(old, NotFound) else _error(old, basis)
+    return Verified(before, _error(bar, basis), _uncertainty(bar, basis), basis.before_hash)
+
+
+def _measured(bar: BallBar, basis: Basis) -> Verified:
+    """Return the bar's length with the calibration in use: nothing is solved."""
+    return Verified(_error(bar, basis), None, _uncertainty(bar, basis), basis.before_hash)
+
+
+def _error(bar: BallBar, basis: Basis) -> float:
+    return (bar.length_mm - basis.bar.length_mm) / basis.bar.length_mm
+
+
+def _uncertainty(bar: BallBar, basis: Basis) -> float:
+    return float(np.hypot(bar.sigma_length_mm, basis.bar.length_sd_mm)) / basis.bar.length_mm
+
+
+def _judged_bar(
+    step: Step, bar: BallBar | NotFound, cloud: Cloud, calibration: Calibration, certificate: BarCertificate
+) -> RecordingCheck:
+    if isinstance(bar, NotFound):
+        return RecordingCheck(step, Refusal.NOT_FOUND, None, cloud.summary.points, bar.reason)
+    if certificate.radius_mm is None:
+        raise CertificateMissing("the ball bar's radius is not stated; give ball_bar.radius_mm in the rig file")
+    balls = (bar.first, bar.second)
+    found = FoundBar(
+        np.array([ball.sphere.centre_mm for ball in balls]),
+        (bar.first.sphere.radius_mm, bar.second.sphere.radius_mm),
+        max(ball.used.rms_mm for ball in balls),
+        sum(ball.used.count for ball in balls),
+    )
+    return judge_bar(step, found, calibration.rig, certificate.length_mm, certificate.radius_mm)
+
+
+def _judged_plane(step: Step, plane: PlaneFit | NotFound, cloud: Cloud, calibration: Calibration) -> RecordingCheck:
+    if isinstance(plane, NotFound):
+        return RecordingCheck(step, Refusal.NOT_FOUND, None, cloud.summary.points, plane.reason)
+    camera = calibration.rig.left
+    found = FoundPlane(
+        np.array(plane.plane.centre_mm),
+        np.array(plane.plane.normal),
+        plane.used.rms_mm,
+        plane.used.count,
+        100.0 * plane.used.count / (camera.width_px * camera.height_px),
+    )
+    return judge_plane(step, found, calibration.rig)
+
+
+def _wide(scan: stored.StoredScan, basis: Basis) -> ReprocessedScan:
+    """Reprocess with room for rays that miss each other because nobody knows the ports."""
+    settings = settings_of_scan(scan.manifest.record, basis.rig)
+    return reprocess(scan, basis.start, settings, _silent, QualityLimits(max_gap_mm=CALIBRATING_GAP_MM))
+
+
+def _fairly(scan: stored.StoredScan, calibration: Calibration, basis: Basis) -> ReprocessedScan:
+    settings = settings_of_scan(scan.manifest.record, basis.rig)
+    return reprocess(scan, calibration, settings, _silent, QualityLimits(max_gap_mm=VERIFY_GAP_MM))
+
+
+def _fair(scan: stored.StoredScan, calibration: Calibration, basis: Basis) -> Cloud:
+    """Return the cloud with room for the errors of any calibration, so that all are judged by the same points."""
+    return _fairly(scan, calibration, basis).cloud
+
+
+def _silent(what: str) -> None:
+    """Tell nobody of the progress on a single scan: it takes a second."""

@@ -1,0 +1,60 @@
+"""Owns what is done with calibration files away from the instrument: describe one, write the drawing's."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+from appliance.measure.calibration import file as calibration_file
+from appliance.measure.calibration.file import Calibration
+from appliance.measure.light.sides import of_side
+from appliance.store.atomic import make_folders, replace_file
+from appliance.store.config import Rig
+from appliance.store.filesystem import LocalFileSystem
+from appliance.store.instrument import (
+    CALIBRATION_FILE,
+    calibration_of,
+    design_of,
+)
+
+
+def describe_calibration(rig: Rig, path: Path | None) -> dict[str, Any]:
+    """Return what a calibration file says (``None``: the instrument's own). Raises CalibrationError."""
+    calibration = calibration_file.load(path) if path is not None else calibration_of(rig)[0]
+    left, right = calibration.rig.left, calibration.rig.right
+    # A lens calibrated in water has swallowed its port: distance and tilt are numbers without a meaning then.
+    has_ports = not (left.lens_in_water or right.lens_in_water)
+    return {
+        "rig_serial": calibration.rig_serial,
+        "camera_serials": " / ".join(calibration.camera_serials) if calibration.camera_serials else None,
+        "method": calibration.method,
+        "made_at": calibration.made_at,
+        "made_from": "; ".join(calibration.made_from),
+        "residual_px": calibration.residual_px,
+        "water_index": calibration.water.index,
+        "size_px": f"{left.width_px}x{left.height_px}",
+        "principal_distance_px": f"{left.lens.f_px[0]:.2f} / {right.lens.f_px[0]:.2f}",
+        "interface_distance_mm": f"{left.port.distance_mm:.3f} / {right.port.distance_mm:.3f}" if has_ports else None,
+        "port_tilt_deg": (
+            f"{_tilt_deg(calibration, 'left'):.3f} / {_tilt_deg(calibration, 'right'):.3f}" if has_ports else None
+        ),
+        "baseline_mm": sum(x * x for x in right.translation_mm) ** 0.5,
+        "hash": calibration.hash,
+    }
+
+
+def write_nominal_calibration(rig: Rig, out: Path | None) -> Path:
+    """Write the design's calibration to ``out`` (``None``: ``calibration/nominal.json`` below the storage root).
+
+    Raises StorageError.
+    """
+    path = out if out is not None else rig.storage.root / CALIBRATION_FILE.with_name("nominal.json")
+    make_folders(LocalFileSystem(), path.parent)
+    replace_file(LocalFileSystem(), path, calibration_file.encode(design_of(rig)))
+    return path
+
+
+def _tilt_deg(calibration: Calibration, side: str) -> float:
+    port = of_side(calibration.rig, side).port
+    return math.degrees(math.acos(min(1.0, port.normal[2])))

@@ -1,0 +1,473 @@
+"""Owns the judgement whether a calibration still holds: each scan's ray gaps against those right after it, and their trend.
+
+Pure values and functions. A scan gives four amplitudes (``gaps.MODES``), and is judged in three steps:
+
+reference   the first scans of a calibration teach each patch what is usual there, so that what the calibration leaves over (a
+            lens that no formula has) does not count. Patches that no scan has shown yet count with the uncertainty of that
+            pattern. Reference and trend belong to a calibration: one that comes back brings its own.
+amplitudes  least squares over the patches seen, with their standard deviations in normal operation: noise, and a share of the
+            pattern left over, since objects show different parts of it, propagated as a smooth surface. A scan of a corner of
+            the image so has wide standard deviations instead of a wrong verdict. Where the stated water changes, the height
+            may change with it, as imperfect calibrations do. What backscatter may do wrongly has known shapes, and is
+            adjusted along with the amplitudes.
+overlaps    of many scans of one object tell of a depth error that all share, which gaps do not see; their word is kept beside, and
+            alarms where it is clear.
+sum         scores (amplitudes in standard deviations, with their direction) are added up by Crosier's multivariate CUSUM: a
+            big change alarms at once, a small one when it stays; scatter does not, and an offset of one standard deviation
+            hardly ever.
+
+``docs/calibration-health.md`` has which changes are seen so.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.measure.calibration.gaps import DOUBTS, MODES
+from appliance.measure.calibration.judgement import PATCHES
+from appliance.measure.calibration.patches import COUNT
+from appliance.measure.cloud import PatchGaps
+
+Array = NDArray[np.float64]
+Four = tuple[float, float, float, float]
+
+UNMEASURED = ("design", "air")
+"""Methods of calibrations whose ports nobody measured: their rays miss each other anyway."""
+LEARNT_SCANS = 10
+"""Scans that teach a patch its reference."""
+FEWEST_PATCHES = 8
+SLACK = 2.0
+"""Score that every scan is forgiven: scatter alone never adds up to the limit."""
+LIMIT = 6.0
+"""Limit of the sum: one score of 8, two of 5, three of 4."""
+TEACHES_UP_TO = 2.0
+"""A scan after which the sum is larger teaches nothing: a knock must not become the reference."""
+LEAST_UM = 0.3
+"""Scatter of an amplitude that remains with the best calibration."""
+DRIFT_UM = (27.0, 3.6, 0.0, 0.0)
+"""Standard deviation of amplitudes from mounts that turn with the temperature of the case: 0.003° about x (520 mm away) and about z
+(70 mm aside). Neither spoils a length, and so much leaves a knock of 0.02° to be found by the second scan. A turn about y spoils
+lengths, and is forgiven nothing."""
+PATCH_UM = 0.5
+"""Scatter of a patch that remains with the best calibration."""
+SHARE_KNOWN = 0.5
+"""Share of the pattern left over by the calibration that changes with the distance of the object; the reference takes
+the rest away. Where a patch has no reference yet, all of it is there."""
+SMOOTH_OVER = 0.25
+"""Share of the image's width over which that pattern is alike."""
+IMAGE_HEIGHT = 0.75
+"""Height of an image in image widths."""
+HEIGHT_PER_INDEX_UM = 600.0
+"""Change of height per unit of the water's index that an imperfect calibration allows, with the index stated rightly: 4
+µm from fresh to salt."""
+MOST_POINTS = 200
+"""Scans kept for looking back."""
+MOST_ANSWERS = 20
+MOST_OBJECTS = 50
+"""Objects kept for looking back."""
+OVERLAP_LIMIT = 4.0
+"""Score of an object's overlaps that alarms: calibrated rigs of the world ``outside`` have 0.4 to 1.6 (docs/objects.md)."""
+OFFSET_SHARE = 0.05
+"""Uncertainty of an accepted change as a share of it: turns and shifts of the same amplitude differ a little with
+distance."""
+MOST_VEIL_UM = 22.0
+"""Doubt about what backscatter does to the gaps, rms, beyond which a scan is not judged: a turn of 0.02° about z gives no more."""
+MATTERS_DEG = 0.02
+"""Turn of a camera that three scans should find; where they would not, the verdict says what they do find."""
+SCANS_TO_FIND = 3
+LASTING = 2.5
+"""Multiple of its standard deviation at which doubt about backscatter counts: its causes stay, and the sum must not add them up. By the rate of
+false alarms (``docs/calibration-health.md``): shapes of causes are only as good as the model of the water."""
+TAKEN_WRONGLY = 0.4
+"""Standard deviation of what is taken off an amplitude for backscatter, of it: as far as the model of the water is off beyond its causes."""
+_WIDE_UM = 1e3
+"""Standard deviation of an amplitude that the seen patches say nothing about."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrendPoint:
+    """One judged scan."""
+
+    scan: str | None
+    """Number of the scan, where it has one."""
+    amplitudes_um: Four
+    """Height, twist, scale, shear against the reference, RMS over the volume."""
+    sigma_um: Four
+    """Standard deviations of the amplitudes in normal operation."""
+    rest_um: float
+    """RMS of the pattern that the four leave over, without noise."""
+    score: float
+    """Length of the amplitudes in standard deviations; 2 is usual."""
+    total: float
+    """The sum after this scan; the alarm is at ``LIMIT``."""
+    alarm: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Reference:
+    """Gaps of each patch of the left image in the first normal scans; zeros where no scan has shown the patch yet."""
+
+    gap_um: tuple[float, ...] = (0.0,) * COUNT
+    variance_um2: tuple[float, ...] = (0.0,) * COUNT
+    scans: tuple[int, ...] = (0,) * COUNT
+    rests_um: tuple[float, ...] = ()
+    """RMS rests in µm of the scans that taught the reference."""
+    water_index: float | None = None
+    """Mean refractive index of the scans that taught."""
+    offset_um: Four = (0.0, 0.0, 0.0, 0.0)
+    """Amplitudes that a length check found harmless: they are normal, too."""
+    doubts_um: tuple[float, ...] = (0.0,) * (COUNT * (DOUBTS + 1))
+    """Standard deviations of what backscatter did to the gaps, patch after patch: mean of the scans that taught it of
+    ``PatchGaps.doubts_um`` and ``PatchGaps.shape_um``. The same causes are wrong in the same way in later scans."""
+
+
+@dataclass(frozen=True, slots=True)
+class OverlapNews:
+    """The word of one object's overlaps on the smooth depth error that all its scans share (``calibration.depth_error``)."""
+
+    object: str
+    scans: int
+    bend_um: float
+    """RMS over the view of the error found."""
+    sigma_um: float
+    """RMS over the view of what is left uncertain of it."""
+    score: float
+    """Distance from what the calibration states, in standard deviations; about 1 is usual."""
+
+    @property
+    def alarm(self) -> bool:
+        """Tell whether the calibration is not what it was."""
+        return self.score > OVERLAP_LIMIT
+
+
+@dataclass(frozen=True, slots=True)
+class HealthTrend:
+    """Everything remembered about one calibration."""
+
+    reference: Reference = Reference()
+    total: Four = (0.0, 0.0, 0.0, 0.0)
+    """The sum of scores, with its direction."""
+    judged: int = 0
+    points: tuple[TrendPoint, ...] = ()
+    """The latest scans, oldest first."""
+    alarm: str | None = None
+    """Finding in words, until somebody answered it."""
+    answers: tuple[str, ...] = ()
+    """Length checks after which an alarm was taken back."""
+    overlaps: tuple[OverlapNews, ...] = ()
+    """Words of objects' overlaps, the latest of each object, oldest first."""
+
+    def alarmed(self, text: str) -> HealthTrend:
+        """Return the trend with these words for its finding."""
+        return replace(self, alarm=text)
+
+    def named(self, scan: str) -> HealthTrend:
+        """Return the trend with the number that the latest scan gets on the disk."""
+        return replace(self, points=(*self.points[:-1], replace(self.points[-1], scan=scan)))
+
+
+@dataclass(frozen=True, slots=True)
+class HealthJudgement:
+    """Findings of one scan about the calibration."""
+
+    point: TrendPoint | None
+    """Point of the trend; ``None``: not judged."""
+    alarm: bool
+    text: str
+    numbers: Mapping[str, float | None]
+
+
+def judge(trend: HealthTrend, gaps: PatchGaps, scan: str | None = None) -> tuple[HealthTrend, HealthJudgement]:
+    """Return the trend after one more scan (its number, where it has one already), and what is to be said about it."""
+    if len(gaps.patch) < FEWEST_PATCHES:
+        text = f"not judged: {len(gaps.patch)} of {COUNT} patches seen, {FEWEST_PATCHES} are needed"
+        return trend, HealthJudgement(None, trend.alarm is not None, text, _counts(gaps))
+    if not all(np.isfinite(values).all() for values in (gaps.gap_um, gaps.noise_um, gaps.modes)):
+        return trend, HealthJudgement(None, trend.alarm is not None, "not judged: a gap is not a number", _counts(gaps))
+    veil_um = _veil_doubt_um(gaps)
+    if veil_um > MOST_VEIL_UM:
+        text = f"not judged: backscatter may move the gaps by {veil_um:.0f} µm, allowed are {MOST_VEIL_UM:.0f}; scan in clearer water"
+        return trend, HealthJudgement(None, trend.alarm is not None, text, _counts(gaps))
+    # The three steps of the module's head. The median with the taught scans keeps one odd scan from widening its own
+    # limits.
+    rest_um = _rest(gaps)
+    usual_um = float(np.median([*trend.reference.rests_um, rest_um]))
+    amplitudes, covariance = _compared(trend.reference, gaps, usual_um)
+    least_deg = found_from_deg(gaps, covariance)
+    z = _whitened(amplitudes, covariance)
+    total = _summed(np.array(trend.total), z)
+    size = float(np.linalg.norm(total))
+    # An alarm stays until somebody answers it: it is not raised twice, and the sum that caused it is kept.
+    found = trend.alarm is None and size > LIMIT
+    point = TrendPoint(
+        scan, _four(amplitudes), _four(np.sqrt(np.diag(covariance))), rest_um, float(np.linalg.norm(z)), size,
+        found or trend.alarm is not None,
+    )  # fmt: skip
+    reference = trend.reference
+    # The reference learns from scans that are beyond doubt; else a slow drift would teach itself to be normal.
+    if not point.alarm and size <= TEACHES_UP_TO:
+        reference = _taught(reference, gaps, rest_um)
+    text = _said(point, reference)
+    if least_deg is not None and max(least_deg) > MATTERS_DEG and not point.alarm:
+        text += f"; {_blind_to(least_deg)}{_veiled(gaps)}"
+    after = HealthTrend(
+        reference=reference,
+        total=_four(total),
+        judged=trend.judged + 1,
+        points=(*trend.points, point)[-MOST_POINTS:],
+        alarm=trend.alarm or (text if found else None),
+        answers=trend.answers,
+    )
+    return after, HealthJudgement(point, point.alarm, text, _numbers(point, gaps) | _turns(least_deg))
+
+
+def answered(trend: HealthTrend, answer: str) -> HealthTrend:
+    """Return the trend after an accepted length check: the latest scan's state is normal from now on. ``answer`` says
+    what was found."""
+    # The offset moves the expectation by whole patterns instead of patch by patch, and every patch keeps the weight of
+    # one scan at most, so that it follows what the next scans show.
+    latest = trend.points[-1].amplitudes_um if trend.points else (0.0,) * len(MODES)
+    reference = replace(
+        trend.reference,
+        offset_um=_four(np.array(trend.reference.offset_um) + np.array(latest)),
+        scans=tuple(min(n, 1) for n in trend.reference.scans),
+    )
+    return replace(
+        trend,
+        reference=reference,
+        total=(0.0, 0.0, 0.0, 0.0),
+        alarm=None,
+        answers=(*trend.answers, answer)[-MOST_ANSWERS:],
+    )
+
+
+def told_by_overlaps(trend: HealthTrend, news: OverlapNews) -> HealthTrend:
+    """Return the trend after an object was solved; what the same object told before is replaced."""
+    others = tuple(one for one in trend.overlaps if one.object != news.object)
+    alarm = trend.alarm
+    if alarm is None and news.alarm:
+        alarm = (
+            f"scans of object {news.object} overlap as if all were bent by {news.bend_um:.0f} ± {news.sigma_um:.0f} µm: "
+            f"{news.score:.1f} times what the calibration states"
+        )
+    return replace(trend, alarm=alarm, overlaps=(*others, news)[-MOST_OBJECTS:])
+
+
+def found_from_deg(gaps: PatchGaps, covariance: Array) -> tuple[float, float, float] | None:
+    """Return the smallest turns of the right camera about x, y, z that ``SCANS_TO_FIND`` scans like this one alarm at, in degrees.
+
+    ``covariance`` (4, 4) is that of the scan's amplitudes; ``None``: how they answer to turns was not asked.
+    """
+    if gaps.turns_um is None:
+        return None
+    # As many equal scores reach the limit when each exceeds the slack by its share of the limit.
+    score = SLACK + LIMIT / SCANS_TO_FIND
+    per_deg = [float(np.linalg.norm(_whitened(turn, covariance))) for turn in gaps.turns_um]
+    x, y, z = (score / max(one, 1e-9) for one in per_deg)
+    return x, y, z
+
+
+def likeliest(amplitudes_um: Four, answers: Mapping[str, tuple[Array, float]]) -> tuple[str, float, float]:
+    """Return the one change that explains amplitudes best: its name, its size, and the share (0..1) that it explains.
+
+    ``answers`` are those of ``GapModes.of_parameters`` for the changes in question.
+    """
+    a = np.array(amplitudes_um)
+    best = ("", 0.0, 0.0)
+    for name, (one, _) in answers.items():
+        size = float(one @ a / (one @ one))
+        share = 1.0 - float(np.sum((a - size * one) ** 2) / max(float(a @ a), 1e-12))
+        if share > best[2]:
+            best = (name, size, share)
+    return best
+
+
+def _rest(gaps: PatchGaps) -> float:
+    """Return the RMS of what the four patterns leave over, less what noise alone leaves."""
+    amplitudes = _solver(gaps.modes, np.diag(1.0 / (gaps.noise_um**2 + PATCH_UM**2))) @ gaps.gap_um
+    # Unbiased variance of the rest: squares over the degrees of freedom, less the mean variance of the noise.
+    left = gaps.gap_um - gaps.modes @ amplitudes
+    freedom = max(len(left) - len(MODES), 1)
+    return math.sqrt(max(float(np.sum(left**2)) / freedom - float(np.mean(gaps.noise_um**2)), 0.0))
+
+
+def _compared(reference: Reference, gaps: PatchGaps, usual_um: float) -> tuple[Array, Array]:
+    """Return amplitudes (4,) against the reference and their covariance in normal operation."""
+    offset = np.array(reference.offset_um)
+    # Model: gap = expected + modes · a + smooth rest + white noise. A patch without a reference has all of the rest,
+    # one with a reference the share that changes with distance.
+    expected = np.array(reference.gap_um)[gaps.patch] + gaps.modes @ offset
+    known = np.array(reference.scans)[gaps.patch] > 0
+    left_over = usual_um * np.where(known, SHARE_KNOWN, 1.0)
+    white = gaps.noise_um**2 + PATCH_UM**2 + np.array(reference.variance_um2)[gaps.patch]
+    # What backscatter may do wrongly it does to the reference, too: only the difference counts.
+    causes, shape = _doubts(gaps)
+    known_causes = np.array(reference.doubts_um).reshape(COUNT, DOUBTS + 1)[gaps.patch]
+    doubted_um = _size(causes)
+    causes, shape = causes - known_causes[:, :DOUBTS], shape - known_causes[:, DOUBTS]
+    share_new = min(_size(causes) / max(doubted_um, 1e-9), 1.0)
+    # Generalised least squares: a cause moves all patches together, so that its pattern is told from that of a knock by the
+    # scan itself. What is left over counts as if patches were independent, and its covariance as they are: it is smooth, but
+    # how smooth is known too roughly to make use of it.
+    weight = np.linalg.inv(np.diag(white + left_over**2 + shape**2) + causes @ causes.T)
+    solve = _solver(gaps.modes, weight)
+    amplitudes = solve @ (gaps.gap_um - expected)
+    # Propagation of the true covariance S through the estimator K: K S Kᵀ. What the patches do not determine, (I − K
+    # M), is as uncertain as before.
+    smooth = np.outer(left_over, left_over) + np.outer(shape, shape)
+    scatter = np.diag(white) + smooth * _alike(gaps.patch) + causes @ causes.T
+    unseen = np.eye(len(MODES)) - solve @ gaps.modes
+    covariance = (
+        _misfit(gaps, expected, amplitudes, weight) * (solve @ scatter @ solve.T) + unseen @ unseen.T * _WIDE_UM**2
+    )
+    # Floors that no number of patches takes away: the best calibration's scatter, mounts that follow the temperature, the
+    # part of an accepted change that varies with distance, for height the index times the change of the stated water, and of
+    # what backscatter did a share, as far as it did something else to the reference.
+    least = np.full(len(MODES), LEAST_UM**2) + np.square(DRIFT_UM) + (OFFSET_SHARE * offset) ** 2
+    if reference.water_index is not None:
+        least[0] += (HEIGHT_PER_INDEX_UM * (gaps.water_index - reference.water_index)) ** 2
+    if gaps.veil_um is not None:
+        independent = _solver(gaps.modes, np.diag(1.0 / (white + left_over**2 + shape**2)))
+        least += (TAKEN_WRONGLY * share_new * (independent @ gaps.veil_um)) ** 2
+    return amplitudes, covariance + np.diag(least)
+
+
+def _misfit(gaps: PatchGaps, expected: Array, amplitudes: Array, weight: Array) -> float:
+    """Return how much larger the variance of what is left of the gaps is than expected, at least 1; 1 where backscatter moves nothing."""
+    # Shapes of causes are only as good as the model of the water. Where amplitudes and causes leave more than they may, all is as
+    # much less certain; a knock leaves next to nothing. What a calibration leaves over is counted by itself (``rest_um``).
+    if gaps.doubts_um is None:
+        return 1.0
+    left = gaps.gap_um - expected - gaps.modes @ amplitudes
+    return max(1.0, float(left @ weight @ left) / (len(left) - len(MODES)))
+
+
+def _doubts(gaps: PatchGaps) -> tuple[Array, Array]:
+    """Return the standard deviations of what backscatter does wrongly: of each cause (k, DOUBTS), and smooth ones (k,)."""
+    if gaps.doubts_um is None or gaps.shape_um is None:
+        return np.zeros((len(gaps.patch), DOUBTS)), np.zeros(len(gaps.patch))
+    return LASTING * gaps.doubts_um, LASTING * gaps.shape_um
+
+
+def _veil_doubt_um(gaps: PatchGaps) -> float:
+    """Return the standard deviation of what backscatter does wrongly, rms over the patches."""
+    if gaps.doubts_um is None or gaps.shape_um is None:
+        return 0.0
+    return float(np.sqrt(np.mean(np.sum(gaps.doubts_um**2, axis=1) + gaps.shape_um**2)))
+
+
+def _size(causes: Array) -> float:
+    return float(np.sqrt(np.mean(np.sum(causes**2, axis=1))))
+
+
+def _alike(patch: NDArray[np.intp]) -> Array:
+    """Compute the correlation (k, k) between the rests of patches: lenses are smooth."""
+    across, down = (patch % PATCHES[0]) / PATCHES[0], (patch // PATCHES[0]) / PATCHES[1] * IMAGE_HEIGHT
+    far2 = np.subtract.outer(across, across) ** 2 + np.subtract.outer(down, down) ** 2
+    return np.asarray(np.exp(-0.5 * far2 / SMOOTH_OVER**2))
+
+
+def _solver(modes: Array, weight: Array) -> Array:
+    """Return the matrix (4, k) that makes amplitudes of gaps whose inverse covariance is ``weight`` (k, k); small where the
+    patches say nothing."""
+    # Least squares with a weak prior of _WIDE_UM: patterns that no patch shows stay near zero instead of exploding.
+    weighted = modes.T @ weight
+    return np.asarray(np.linalg.solve(weighted @ modes + np.eye(len(MODES)) / _WIDE_UM**2, weighted))
+
+
+def _whitened(amplitudes: Array, covariance: Array) -> Array:
+    # C^(-1/2) a by the eigenvectors: symmetric, so that every score keeps the direction of its pattern and the sums of
+    # scans with different covariances can be added.
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray(vectors @ ((vectors.T @ amplitudes) / np.sqrt(values)))
+
+
+def _summed(total: Array, z: Array) -> Array:
+    """Return the next sum after Crosier 1988: add, then shrink by the slack."""
+    # Crosier's multivariate CUSUM: s ← (s + z)(1 − k / |s + z|), and 0 where |s + z| ≤ k. It keeps the direction, so
+    # that scatter cancels and a constant shift adds up.
+    together = total + z
+    length = float(np.linalg.norm(together))
+    return np.zeros_like(total) if length <= SLACK else np.asarray(together * (1.0 - SLACK / length))
+
+
+def _taught(reference: Reference, gaps: PatchGaps, rest_um: float) -> Reference:
+    mean, variance, scans = (
+        np.array(values, float) for values in (reference.gap_um, reference.variance_um2, reference.scans)
+    )
+    learning = gaps.patch[scans[gaps.patch] < LEARNT_SCANS]
+    if not len(learning):
+        return reference
+    at = np.isin(gaps.patch, learning)
+    n = scans[learning]
+    seen = gaps.gap_um[at] - gaps.modes[at] @ np.array(reference.offset_um)
+    # Running mean of n + 1 scans, and the variance of that mean: (n² v + σ²) / (n + 1)².
+    mean[learning] = (n * mean[learning] + seen) / (n + 1.0)
+    variance[learning] = (n**2 * variance[learning] + gaps.noise_um[at] ** 2) / (n + 1.0) ** 2
+    doubts = np.array(reference.doubts_um).reshape(COUNT, DOUBTS + 1)
+    causes, shape = _doubts(gaps)
+    doubts[learning] = (n[:, None] * doubts[learning] + np.column_stack([causes, shape])[at]) / (n[:, None] + 1.0)
+    scans[learning] += 1.0
+    rests, index = reference.rests_um, reference.water_index
+    if len(rests) < LEARNT_SCANS:
+        index = gaps.water_index if index is None else (len(rests) * index + gaps.water_index) / (len(rests) + 1)
+        rests = (*rests, rest_um)
+    return replace(
+        reference,
+        gap_um=tuple(float(v) for v in mean),
+        variance_um2=tuple(float(v) for v in variance),
+        scans=tuple(int(n) for n in scans),
+        doubts_um=tuple(float(v) for v in doubts.ravel()),
+        rests_um=rests,
+        water_index=index,
+    )
+
+
+def _said(point: TrendPoint, reference: Reference) -> str:
+    parts = ", ".join(f"{name} {value:+.1f} µm" for name, value in zip(MODES, point.amplitudes_um, strict=True))
+    if point.alarm:
+        return f"the ray gaps have changed since the calibration: {parts}; {point.score:.1f} standard deviations"
+    taught = len(reference.rests_um)
+    learning = f"; {taught} of {LEARNT_SCANS} scans of the reference" if taught < LEARNT_SCANS else ""
+    return f"as since the calibration: {parts}{learning}"
+
+
+def _blind_to(least_deg: tuple[float, float, float]) -> str:
+    """Return which turns are found late, in words."""
+    late = [f"{axis} below {least:.2g}°" for axis, least in zip("xyz", least_deg, strict=True) if least > MATTERS_DEG]
+    return f"{SCANS_TO_FIND} such scans do not find turns of a camera about {', '.join(late)}"
+
+
+def _veiled(gaps: PatchGaps) -> str:
+    doubt_um = _veil_doubt_um(gaps)
+    return f" (backscatter may move the gaps by {doubt_um:.0f} µm)" if doubt_um >= 1.0 else ""
+
+
+def _turns(least_deg: tuple[float, float, float] | None) -> dict[str, float | None]:
+    return (
+        {} if least_deg is None else {f"found_{axis}_deg": least for axis, least in zip("xyz", least_deg, strict=True)}
+    )
+
+
+def _numbers(point: TrendPoint, gaps: PatchGaps) -> dict[str, float | None]:
+    numbers: dict[str, float | None] = {}
+    for name, value, sigma in zip(MODES, point.amplitudes_um, point.sigma_um, strict=True):
+        numbers |= {f"{name}_um": value, f"{name}_sigma_um": sigma}
+    if gaps.veil_um is not None:
+        numbers |= {"veil_um": float(np.sqrt(np.mean(gaps.veil_um**2))), "veil_doubt_um": _veil_doubt_um(gaps)}
+    numbers |= {"rest_um": point.rest_um, "score": point.score, "sum": point.total, "limit": LIMIT}
+    return numbers | _counts(gaps)
+
+
+def _counts(gaps: PatchGaps) -> dict[str, float | None]:
+    return {"patches": float(len(gaps.patch)), "samples": float(gaps.samples)}
+
+
+def _four(values: Array) -> Four:
+    a, b, c, d = (float(v) for v in values)
+    return a, b, c, d

@@ -1,0 +1,109 @@
+"""Owns a calibration in water from list to result: which scan shows what, each reconstructed, all of them adjusted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from appliance import __version__
+from appliance.calibrate.stored_recordings import cameras_of, recording_of_scan
+from appliance.calibrate.water import report
+from appliance.calibrate.water.calibrate import calibrate
+from appliance.calibrate.water.extract import BarCertificate
+from appliance.calibrate.water.method import Method, WaterResult
+from appliance.measure.accept.points import NotFound
+from appliance.measure.accept.result import Artefact
+from appliance.measure.calibration.file import Calibration
+from appliance.store.config import Rig
+from appliance.store.origin import SourceScan
+from appliance.store.scan_list import ListedScan, ListError, ScanList
+
+RECONSTRUCTED = 0.8
+"""The part of the progress that the scans get."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WaterCalibration:
+    """The outcome of a list of recordings."""
+
+    result: WaterResult
+    start: Calibration
+    about: Mapping[str, Any]
+    """Who, serials, version, dates: JSON-ready."""
+    left_out: Mapping[str, str]
+    """Scans whose artefact was not found, with the reason in words."""
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the report for programs."""
+        return report.as_json(self.result, self.start, self.about, self.left_out)
+
+    def as_html(self) -> str:
+        """Return the report for people."""
+        return report.as_html(self.result, self.start, self.about, self.left_out)
+
+
+def check_list(listed: ScanList) -> None:
+    """Raises ListError for what cannot calibrate, before the work is done."""
+    for entry in listed.entries:
+        if entry.artefact is Artefact.FRUSTUM:
+            raise ListError(
+                f"scan {entry.scan} shows a frustum; ball bars and planes calibrate, a frustum only evaluates; "
+                f"take it out of the list"
+            )
+
+
+def run_water_calibration(
+    rig: Rig,
+    listed: ScanList,
+    sources: Sequence[SourceScan],
+    start: Calibration,
+    method: Method,
+    made_at: str,
+    progress: Callable[[str, float], None],
+) -> WaterCalibration:
+    """Reconstruct every scan of the list and calibrate; ``sources`` are they, in its order, with whole raw frames.
+
+    ``made_at`` is the date for the file, ISO 8601. Raises ListError, ScanError, RecordingError.
+    """
+    check_list(listed)
+    serials = cameras_of([source.scan.folder for source in sources], start)
+    recordings, left_out = [], {}
+    for k, (entry, source) in enumerate(zip(listed.entries, sources, strict=True)):
+        folder = source.scan.folder
+        at = RECONSTRUCTED * k / len(sources)
+
+        def step(what: str, at: float = at, name: str = folder.name) -> None:
+            progress(f"{name}: {what}", at)
+
+        found = recording_of_scan(folder, _certificate(entry), start, source.rig, step)
+        if isinstance(found, NotFound):
+            left_out[folder.name] = found.reason
+        else:
+            recordings.append(found)
+    # How many there were is told: one calibration of recordings in different water leans on the formula of the index.
+    waters = {(r.water.temperature_c, r.water.salinity_psu) for r in recordings}
+    result = calibrate(method, recordings, start, lambda what: progress(what, RECONSTRUCTED))
+    # The solver knows numbers only; day and cameras are the file's.
+    calibration, *before = (
+        replace(one, made_at=made_at, camera_serials=serials) for one in (result.calibration, *result.before.values())
+    )
+    result = replace(result, calibration=calibration, before=dict(zip(result.before, before, strict=True)))
+    about = {
+        "operator": listed.operator,
+        "rig_serial": rig.rig.serial,
+        "made_at": made_at,
+        "software_version": __version__,
+        "waters": len(waters),
+        "artefact_serials": ", ".join(sorted({e.serial for e in listed.entries if e.serial is not None})) or None,
+    }
+    return WaterCalibration(result, start, about, left_out)
+
+
+def _certificate(entry: ListedScan) -> BarCertificate | None:
+    if entry.artefact is Artefact.PLANE:
+        return None
+    # What a certificate does not state keeps the uncertainty that is usual for such a bar.
+    usual = BarCertificate(entry.calibrated_mm["length"], radius_mm=entry.radius_mm)
+    stated = {"length_sd_mm": entry.length_sd_mm, "radius_sd_mm": entry.radius_sd_mm}
+    return replace(usual, **{name: value for name, value in stated.items() if value is not None})

@@ -1,0 +1,132 @@
+"""Owns how a camera's noise is found in a recorded scan: photon transfer, from the four sine images.
+
+I0 + I2 − I1 − I3 of a pixel is zero but for noise and the response's even harmonics, whatever is painted there. Along a fringe
+the harmonics are smooth and noise is not: fourth differences keep the noise, and of the fringes of columns, which are taken
+down the image, that of whole rows, too. Its variance against the mean of the four images is a straight line; the slope is grey
+values per electron (EMVA 1288).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.measure.calibration.noise_file import CameraFigures
+from appliance.measure.light.noise import MAD_TO_SIGMA, QUANTISATION_DN2
+from appliance.measure.light.sequence import Direction, PatternSequence
+
+Array = NDArray[np.float64]
+
+DIFFERENCE = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
+BRIGHTEST_DN = 235.0
+"""No image of a pixel may come near the end of the scale."""
+BIN_DN = 8.0
+FEWEST_IN_BIN = 2_000
+FEWEST_BINS = 3
+LEVELS = 255.0
+
+
+SHORTEST_FRINGE_PX = 5.0
+"""Shortest fringe in camera px; of shorter ones, which lean against the image, fourth differences keep harmonics, too."""
+DARKEST_SHARE = 0.02
+"""Share of the dark frame's blocks that tell the grey value of no light."""
+BLOCK_PX = 10
+
+
+class NoiseError(Exception):
+    """A scan does not tell the noise; the text says why and what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredNoise:
+    """One camera's noise as a scan shows it."""
+
+    dn_per_e: float
+    """Grey values per electron at the gain of the scan."""
+    variance_at_dn2: tuple[float, float]
+    """Mean light of the scan in grey values, and the variance of one grey value there."""
+    darkest_dn: float
+    """Mean grey value of the darkest parts of the dark frame: black, and what ambient light they have."""
+    pixels: int
+
+    @property
+    def full_well_e(self) -> float:
+        """Electrons at 255 grey values, at the gain of the scan."""
+        return LEVELS / self.dn_per_e
+
+    def figures(self, serial: str, gain_db: float) -> CameraFigures:
+        """Return what the camera with this ``serial`` number has at 0 dB, as a data sheet says it; ``gain_db``: of the scan.
+
+        The line through the variances is kept exactly: where the darkest parts have ambient light, black is stated too high and
+        read noise with it, and the variance of every grey value is the same.
+        """
+        light_dn, variance_dn2 = self.variance_at_dn2
+        read_dn2 = variance_dn2 - self.dn_per_e * (light_dn - self.darkest_dn) - QUANTISATION_DN2
+        full_well_e = self.full_well_e * 10.0 ** (gain_db / 20.0)
+        return CameraFigures(serial, full_well_e, math.sqrt(max(read_dn2, 0.0)) / self.dn_per_e, self.darkest_dn)
+
+
+def measure_noise(sequence: PatternSequence, frames: NDArray[np.uint8]) -> MeasuredNoise:
+    """Return the noise of the camera that recorded ``frames`` (n, h, w) uint8, hands at rest. Raises NoiseError."""
+    fringe_px = sequence.period_px * frames.shape[2] / sequence.width_px
+    if fringe_px < SHORTEST_FRINGE_PX:
+        raise NoiseError(
+            f"fringes of about {fringe_px:.0f} px in images {frames.shape[2]} px wide; needed are {SHORTEST_FRINGE_PX:.0f} px; "
+            "record with a longer scan.period_px"
+        )
+    light, noise = [], []
+    for direction in Direction:
+        sines = frames[list(sequence.axis(direction).sine)].astype(np.float64)
+        # Steps of 90°: the fundamental and all odd harmonics cancel in I0 + I2 − I1 − I3, whatever phase and albedo
+        # are. Its variance is four times that of one image.
+        alternating = sines[0] + sines[2] - sines[1] - sines[3]
+        # Even harmonics remain and are smooth along a fringe; the fourth difference (1, −4, 6, −4, 1) takes them away and
+        # multiplies the variance of white noise by 70 = Σ d². Fringes of columns run down, those of rows across.
+        if direction is Direction.X:
+            alternating, sines = alternating.T, sines.transpose(0, 2, 1)
+        along = np.apply_along_axis(np.convolve, 1, alternating, DIFFERENCE, "valid")
+        mean, top = (np.asarray(f(sines, axis=0))[:, 2:-2] for f in (np.mean, np.max))
+        # Differences that share pixels are correlated and would make the bins look better filled than they are.
+        level = mean[:, :: len(DIFFERENCE)]  # each pixel is used once
+        good = top[:, :: len(DIFFERENCE)] <= BRIGHTEST_DN
+        light.append(level[good])
+        noise.append(along[:, :: len(DIFFERENCE)][good])
+    return _line(np.concatenate(light), np.concatenate(noise), _darkest_dn(frames[sequence.dark]))
+
+
+def _darkest_dn(dark: NDArray[np.uint8]) -> float:
+    """Return the mean grey value of the darkest blocks of the dark frame: of blocks, as single pixels have offsets of their own."""
+    rows, columns = (size // BLOCK_PX for size in dark.shape)
+    cut = dark[: rows * BLOCK_PX, : columns * BLOCK_PX].reshape(rows, BLOCK_PX, columns, BLOCK_PX)
+    return float(np.quantile(cut.mean(axis=(1, 3)), DARKEST_SHARE))
+
+
+def _line(light: Array, noise: Array, darkest_dn: float) -> MeasuredNoise:
+    """Return a line through robust variances in bins of light. Raises NoiseError."""
+    centres, variances, weights = [], [], []
+    which = np.floor(light / BIN_DN).astype(np.intp)
+    for k in np.unique(which):
+        inside = noise[which == k]
+        if len(inside) < FEWEST_IN_BIN:
+            continue
+        # Robust: edges of the scene leave large differences, and they are few.
+        sigma = MAD_TO_SIGMA * float(np.median(np.abs(inside)))
+        if sigma == 0.0:
+            raise NoiseError("no noise at all, which no camera has; give a recorded scan")
+        centres.append(float(light[which == k].mean()))
+        variances.append(sigma**2 / (4.0 * float(DIFFERENCE @ DIFFERENCE)))
+        weights.append(math.sqrt(len(inside)) / variances[-1])  # one over the variance's standard error
+    if len(centres) < FEWEST_BINS:
+        raise NoiseError(
+            f"light of {len(centres)} levels, {BIN_DN:g} grey values apart; needed are {FEWEST_BINS}; scan something that is "
+            "light and dark in large parts, without glare"
+        )
+    # EMVA 1288: variance = offset + light · (grey values per electron). The offset is read noise and quantisation.
+    slope, offset = np.polyfit(centres, variances, 1, w=weights)
+    if not slope > 0.0:
+        raise NoiseError(f"noise that does not grow with light (by {slope:.4f} per grey value); scan with still hands")
+    middle = float(np.average(centres, weights=weights))
+    return MeasuredNoise(float(slope), (middle, float(offset + slope * middle)), darkest_dn, int(light.size))

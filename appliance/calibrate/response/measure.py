@@ -1,0 +1,186 @@
+"""Owns how the projector's response is found in a recorded scan: fringes on a smooth surface show every code at once.
+
+A pixel of known pattern coordinate was lit by known codes: what it saw, less the dark and over the bright frame, is their
+light. The coordinate that the scan's own phases give is bent by the very harmonics that are looked for. On a smooth
+surface the mean over a whole period is not: the error repeats four times a period. So coordinates are smoothed over one
+period, and the fringes' harmonics follow by least squares.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.measure.calibration.determined import UndeterminedError, solved
+from appliance.measure.light.response import CODES, Response, phase_error_rad
+from appliance.measure.light.sequence import Direction, PatternSequence
+from appliance.measure.light.sine import AMPLITUDE_CODE, MEAN_CODE, STEPS, fringe
+
+ORDER = 9
+"""Highest harmonic: those beyond are below 1e-4 of the first in any response without kinks."""
+SHORTEST_PERIOD_PX = 32
+"""Blur takes 13 % of the third harmonic of fringes of 32 px, 40 % of those of 16 px."""
+FEWEST_PIXELS, MOST_PIXELS = 5_000, 100_000
+"""Needed, and used of each camera and direction: noise leaves 1e-5 of the light then."""
+MOST_RESIDUAL = 0.03
+"""RMS, as a fraction of the bright frame's light; noise makes 0.01."""
+ACROSS_PX = 5
+"""Rows (of 1600 columns' size) over which coordinates are smoothed across their direction."""
+
+
+class ResponseError(Exception):
+    """A scan does not tell the response; the text says why and what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class CameraImages:
+    """Images of one camera: frames (n, h, w) uint8 of the whole sequence, and its decoded coordinates (h, w), NaN:
+    none."""
+
+    frames: NDArray[np.uint8]
+    p_px: NDArray[np.float32]
+    q_px: NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredResponse:
+    """Projector response as one scan shows it."""
+
+    response: Response
+    fringe_harmonics: tuple[float, ...]
+    """Harmonics of the light of the fringes as they were drawn; those of the response where nothing was compensated."""
+    residual: float
+    """RMS of what was seen against the response, as a fraction of the bright frame's light."""
+    pixels: int
+
+    @property
+    def phase_error_rad(self) -> float:
+        """Largest error of the phase in that scan."""
+        return phase_error_rad(self.fringe_harmonics)
+
+
+def measure_response(
+    sequence: PatternSequence, seen: Sequence[CameraImages], drawn_for: Response | None = None
+) -> MeasuredResponse:
+    """Return the response of the projector that lit a scan of a smooth surface, for example a plane.
+
+    ``drawn_for``: the response for which the patterns of that scan were drawn. Raises ResponseError.
+    """
+    if sequence.period_px < SHORTEST_PERIOD_PX:
+        raise ResponseError(
+            f"the scan's fringe period is {sequence.period_px} px; allowed are {SHORTEST_PERIOD_PX} px and more, of which "
+            "blur leaves the harmonics; set scan.period_px = 64 in the rig file and record again"
+        )
+    codes = _Sums(ORDER)
+    phases = _Sums(ORDER)
+    for one in seen:
+        for direction, coordinate in ((Direction.X, one.p_px), (Direction.Y, one.q_px)):
+            # The phase error of the harmonics has period 90° of phase and mean zero over a whole fringe: the mean over
+            # one period is the true coordinate of a smooth surface.
+            smooth = _smooth(coordinate, direction, sequence.period_px)
+            for step, light, at in _lights(sequence, one, direction, smooth):
+                drawn = _drawn(sequence, direction, step, drawn_for)
+                x = np.interp(at, np.arange(len(drawn)), (drawn - MEAN_CODE) / AMPLITUDE_CODE)
+                codes.add(np.arccos(np.clip(x, -1.0, 1.0)), light)
+                # The same light against the phase as it was drawn: where the patterns were compensated, these are the
+                # harmonics that remain.
+                phases.add(2.0 * np.pi * (at + 0.5) / sequence.period_px + step * np.pi / 2.0, light)
+    if codes.count < FEWEST_PIXELS * STEPS:
+        raise ResponseError(
+            f"{codes.count // STEPS} pixels see a smooth surface over a whole fringe period; needed are "
+            f"{FEWEST_PIXELS}; fill the image with a plane, without glare"
+        )
+    harmonics, residual = codes.solve()
+    if residual > MOST_RESIDUAL:
+        raise ResponseError(
+            f"what was seen differs from any response by {residual:.3f} of the bright light; allowed is {MOST_RESIDUAL}; "
+            "record a still plane without glare"
+        )
+    try:
+        response = Response(_normalised(harmonics))
+    except ValueError as error:
+        raise ResponseError(f"{error}; record a still plane without glare") from error
+    return MeasuredResponse(response, tuple(float(b) for b in phases.solve()[0]), residual, codes.count // STEPS)
+
+
+def _smooth(coordinate: NDArray[np.float32], direction: Direction, period_px: int) -> NDArray[np.float64]:
+    """Return the mean over one period along the direction, NaN where a pixel of the window has no coordinate."""
+    valid = np.isfinite(coordinate)
+    filled = np.where(valid, coordinate, 0.0).astype(np.float64)
+    slope = np.abs(np.diff(coordinate, axis=1 if direction is Direction.X else 0))
+    typical = float(np.nanmedian(slope)) if np.isfinite(slope).any() else 1.0
+    along = 2 * round(0.5 * period_px / max(typical, 1e-3)) + 1
+    across = max(3, 2 * round(0.5 * ACROSS_PX * coordinate.shape[1] / 1600.0) + 1)
+    size = (along, across) if direction is Direction.X else (across, along)
+    if size[0] >= coordinate.shape[1] or size[1] >= coordinate.shape[0]:
+        return np.full(coordinate.shape, np.nan)
+    mean = cv2.boxFilter(filled, -1, size, borderType=cv2.BORDER_CONSTANT)
+    whole = cv2.erode(valid.astype(np.uint8), np.ones(size[::-1], np.uint8), borderValue=0) > 0
+    return np.where(whole, mean, np.nan)
+
+
+def _lights(
+    sequence: PatternSequence, seen: CameraImages, direction: Direction, smooth: NDArray[np.float64]
+) -> list[tuple[int, NDArray[np.float64], NDArray[np.float64]]]:
+    """Step, light and coordinate of the usable pixels in each of the four sine images."""
+    bright, dark = (seen.frames[k].astype(np.float64) for k in (sequence.bright, sequence.dark))
+    use = np.flatnonzero(np.isfinite(smooth) & (bright < 250.0) & (bright - dark >= 40.0))
+    use = use[:: max(1, use.size // MOST_PIXELS)]
+    black = dark.reshape(-1)[use]
+    at, span = smooth.reshape(-1)[use], bright.reshape(-1)[use] - black
+    sines = sequence.axis(direction).sine
+    return [(step, (seen.frames[k].reshape(-1)[use] - black) / span, at) for step, k in enumerate(sines)]
+
+
+def _drawn(
+    sequence: PatternSequence, direction: Direction, step: int, response: Response | None
+) -> NDArray[np.float64]:
+    """Return the codes along the direction before they were rounded, or as they were drawn for a response."""
+    size_px = sequence.axis(direction).size_px
+    if response is None:
+        return np.asarray(MEAN_CODE + AMPLITUDE_CODE * fringe(size_px, sequence.period_px, step))
+    return response.sine_codes(size_px, sequence.period_px, step).astype(np.float64)
+
+
+def _normalised(harmonics: NDArray[np.float64]) -> tuple[float, ...]:
+    """Return light 0 at the first and 1 at the last code of fringes."""
+    ends = np.polynomial.chebyshev.chebval((np.array(CODES) - MEAN_CODE) / AMPLITUDE_CODE, harmonics)
+    scaled = harmonics / (ends[1] - ends[0])
+    scaled[0] -= ends[0] / (ends[1] - ends[0])
+    return tuple(float(b) for b in scaled)
+
+
+class _Sums:
+    """Normal equations of light = Σ b_k cos kθ."""
+
+    def __init__(self, order: int) -> None:
+        self._matrix = np.zeros((order + 1, order + 1))
+        self._vector = np.zeros(order + 1)
+        self._squares = 0.0
+        self.count = 0
+
+    def add(self, angle: NDArray[np.float64], light: NDArray[np.float64]) -> None:
+        basis = np.cos(np.arange(len(self._vector))[:, None] * angle[None, :])
+        self._matrix += basis @ basis.T
+        self._vector += basis @ light
+        self._squares += float(light @ light)
+        self.count += light.size
+
+    def solve(self) -> tuple[NDArray[np.float64], float]:
+        """Return the coefficients and the RMS residual. Raises ResponseError where the angles do not tell them."""
+        names = [f"harmonic {k}" for k in range(len(self._vector))]
+        try:
+            b = solved(self._matrix, self._vector, names)
+        except UndeterminedError as error:
+            raise ResponseError(
+                f"the scan does not show enough codes of its fringes to tell {', '.join(error.names)}; fill the image with a plane "
+                "that many fringes fall on"
+            ) from error
+        # Σ(light − basis b)² = Σ light² − bᵀv at the minimum, without a second pass over the pixels.
+        unexplained = self._squares - float(np.dot(b, self._vector))
+        return b, math.sqrt(max(unexplained, 0.0) / self.count)

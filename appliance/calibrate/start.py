@@ -1,0 +1,43 @@
+"""Owns what a calibration in water begins with: a file that was named, the calibration in air, or the one in use."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from appliance.calibrate.water.start import check_start
+from appliance.measure.calibration.file import Calibration, CalibrationError, load
+from appliance.store.config import Rig
+from appliance.store.instrument import AIR_FILE, CALIBRATION_FILE, calibration_of, misfit, of_another, with_volume
+
+
+def start_of(rig: Rig, path: Path | None = None) -> Calibration:
+    """Return what a calibration in water begins with: ``path``, else the calibration in air, else the one in use.
+
+    Raises CalibrationError for a file that cannot be used, RecordingError for one in use that is no start.
+    """
+    in_air = rig.storage.root / AIR_FILE
+    if path is not None:
+        start = with_volume(load(path), rig)
+        problem = of_another(start, rig)  # the size is compared with that of the scans, and so are the cameras
+    elif in_air.exists():
+        start = with_volume(load(in_air), rig)
+        problem = misfit(start, rig)
+    else:
+        start, problem = calibration_of(rig)[0], None
+    if problem is not None:
+        raise CalibrationError(f"{path or in_air}: {problem}; calibrate in air, or take another file")
+    check_start(start)
+    return start
+
+
+def refuse_drawing(rig: Rig, path: Path | None) -> None:
+    """Raises CalibrationError where calibrating in water would begin with the drawing without anybody having said so."""
+    if (
+        path is None
+        and not (rig.storage.root / AIR_FILE).exists()
+        and not (rig.storage.root / CALIBRATION_FILE).exists()
+    ):
+        raise CalibrationError(
+            f"{rig.storage.root / AIR_FILE}: missing; calibrate in air (`kingfisher calibrate air`), or give with --start FILE "
+            "what to begin with, be it the drawing (`kingfisher calibration nominal`)"
+        )

@@ -1,0 +1,70 @@
+"""Owns the way from a stored scan of an artefact to a recording that calibrates."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+from appliance.calibrate.recordings import CamerasDiffer, Recording
+from appliance.calibrate.water.extract import CALIBRATING_GAP_MM, BarCertificate, extract
+from appliance.measure.accept.points import NotFound
+from appliance.measure.calibration.file import Calibration
+from appliance.measure.calibration.owner import exchanged
+from appliance.measure.points.quality import QualityLimits
+from appliance.store import scan as stored
+from appliance.store.config import ConfigError, Rig, load_rig
+from appliance.store.instrument import settings_of_scan
+from appliance.store.reprocess import reprocess
+
+
+def cameras_of(folders: Iterable[Path], start: Calibration) -> tuple[str, str] | None:
+    """Return the serial numbers of the left and right camera that recorded these scans; ``None``: of no scan.
+
+    Raises CamerasDiffer where scans are of different cameras, or ``start`` is of others, CalibrationError or ScanError for a
+    scan whose rig file cannot be read.
+    """
+    known: tuple[str, str] | None = None
+    of: Path | None = None
+    for folder in folders:
+        found = _cameras(folder)
+        if known is not None and of is not None and (other := exchanged(known, found)) is not None:
+            raise CamerasDiffer(
+                f"scans {of.name} and {folder.name} are of different cameras ({other.reason}); calibrate with scans of the same"
+            )
+        known, of = found, folder
+    # Last, so that scans that disagree among themselves are named first: that is the nearer cause.
+    wrong = exchanged(start.camera_serials, known)
+    if wrong is not None:
+        raise CamerasDiffer(
+            f"the scans are of other cameras than what they start from ({wrong.reason}); calibrate in air again"
+        )
+    return known
+
+
+def _cameras(folder: Path) -> tuple[str, str]:
+    """Return the serial numbers in the rig file that a scan carries."""
+    try:
+        camera = load_rig(folder / stored.RIG).camera
+    except ConfigError as error:
+        raise stored.ScanError(f"{folder}: {error}") from error
+    return camera.left.serial, camera.right.serial
+
+
+def recording_of_scan(
+    folder: Path, certificate: BarCertificate | None, start: Calibration, rig: Rig, progress: Callable[[str], None]
+) -> Recording | NotFound:
+    """Return the recording of a stored scan: of a ball bar with its certificate, of a plane with ``None``.
+
+    ``start`` has the lenses and pose of the calibration in air and the ports as drawn. The water is the scan's. The
+    answer is ``NotFound`` with the reason in words where the artefact is not seen well enough. Raises ScanError.
+    """
+    scan = stored.load(folder, only_raw=True)
+    settings = settings_of_scan(scan.manifest.record, rig)
+    # The ports are still as drawn: within the instrument's limit of the gap, just the pixels that could correct them
+    # would be lacking.
+    reprocessed = reprocess(scan, start, settings, progress, QualityLimits(max_gap_mm=CALIBRATING_GAP_MM))
+    if reprocessed.unfit is not None:
+        return NotFound(f"{reprocessed.unfit.code.value}: {reprocessed.unfit.detail}; record it again")
+    progress("looking for the artefact")
+    left, right = reprocessed.pipeline.decoded("left"), reprocessed.pipeline.decoded("right")
+    return extract(scan.manifest.scan_id, certificate, reprocessed.cloud, left, right, start, reprocessed.water)

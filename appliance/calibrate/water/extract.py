@@ -1,0 +1,181 @@
+"""Owns how a scanned artefact becomes a recording: which pixels are fit to calibrate with, and their matches.
+
+The artefact is found in the cloud as evaluation finds it; then each pixel's match is looked up anew in the phase maps
+of both cameras, because a cloud has forgotten by how much the two rays missed each other. Left out is what would bend
+a calibration without being noticed: neighbours of edges and of masked (dark, saturated) pixels, grazing views, and
+pixels where the albedo changes, which shifts the phase of a blurred fringe.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.calibrate.recordings import MIN_POINTS, ArtefactKind, Recording
+from appliance.calibrate.water.correspond import HALF_WINDOW_PX, matched_right_px
+from appliance.measure.accept.ball_bar import Ball, BallBar, find_ball_bar
+from appliance.measure.accept.plane import fit_plane
+from appliance.measure.accept.points import NotFound, PointSource
+from appliance.measure.accept.sphere import STEEPEST_COS
+from appliance.measure.calibration.file import Calibration
+from appliance.measure.light.water import Water
+
+Flags = NDArray[np.bool_]
+Pixels = NDArray[np.intp]
+
+CALIBRATING_GAP_MM = 15.0
+"""Limit of the ray gap for scans that calibrate: with ports that nobody has measured, true rays miss by millimetres.
+Two ports tilted by 2° away from each other make 9 mm; 5 mm left an instrument like the paper's without a single point."""
+GUARD_PX = HALF_WINDOW_PX + 2
+"""A pixel is used if all within this distance are measured: beside the window, what an edge's blur may reach."""
+MAX_CONTRAST = 0.08
+"""Relative RMS of the smoothed modulation in a window; more is a change of albedo."""
+LARGEST_BOW_MM = 1.0
+"""RMS of a plane's points about it; ports as drawn bend a plane by some tenths. More is something else."""
+POINTS_PER_SURFACE = 4000
+"""Wanted; a surface that fills the image gives about so many, evenly spread."""
+UNSTATED_RADIUS_SD_MM = 0.2
+"""Standard deviation of a radius that no certificate states and that is taken from the cloud of a calibration yet to be
+made."""
+
+
+@dataclass(frozen=True, slots=True)
+class BarCertificate:
+    """Certified dimensions of a ball bar. Lengths in mm."""
+
+    length_mm: float
+    """Distance between the centres."""
+    length_sd_mm: float = 0.003
+    """Standard uncertainty of the distance (half of the expanded one)."""
+    radius_mm: float | None = None
+    """Radius of both balls; ``None``: not stated, it is estimated."""
+    radius_sd_mm: float = 0.01
+
+
+class DecodedImage(Protocol):
+    """One camera's decoded scan; ``appliance.measure.decode.decoder.CameraDecoder`` is one."""
+
+    p_px: NDArray[np.float32]
+    """(h, w) pattern column, NaN where it is unknown."""
+    q_px: NDArray[np.float32]
+    modulation_half_dn: NDArray[np.uint8]
+
+
+def extract(
+    name: str,
+    certificate: BarCertificate | None,
+    cloud: PointSource,
+    left: DecodedImage,
+    right: DecodedImage,
+    start: Calibration,
+    water: Water,
+) -> Recording | NotFound:
+    """Return the recording that a scan makes: of a ball bar with its certificate, of a plane with ``None``.
+
+    ``cloud`` was reconstructed from the same maps with ``start`` and the wide gap limit ``CALIBRATING_GAP_MM``. The answer is
+    ``NotFound`` with the reason in words where the artefact is not seen well enough. Deterministic.
+    """
+    bar: BallBar | None = None
+    if certificate is None:
+        plane = fit_plane(cloud)
+        if isinstance(plane, NotFound):
+            return plane
+        if plane.used.rms_mm > LARGEST_BOW_MM:
+            return NotFound(
+                f"{name}: the points lie {plane.used.rms_mm:.1f} mm (RMS) about the nearest plane; only a flat face "
+                f"calibrates; see whether the list names the right artefact"
+            )
+        surfaces = {"plane": np.sort(plane.used.indices)}
+    else:
+        found = find_ball_bar(cloud)
+        if isinstance(found, NotFound):
+            return found
+        bar = found
+        surfaces = {
+            f"{which} ball": _well_seen(ball, cloud, start)
+            for which, ball in (("first", bar.first), ("second", bar.second))
+        }
+    width_px = left.p_px.shape[1]
+    clean_left, clean_right = _clean(left), _clean(right)
+    chosen, labels = [], []
+    for label, rows in enumerate(surfaces.values()):
+        v, u = np.divmod(cloud.pixel[rows].astype(np.intp), width_px)
+        chosen.append(rows[_even(u, v) & clean_left[v, u]])
+        labels.append(np.full(len(chosen[-1]), label, np.intp))
+    rows, sphere = np.concatenate(chosen), np.concatenate(labels)
+    v, u = np.divmod(cloud.pixel[rows].astype(np.intp), width_px)
+    left_px = np.stack([u, v], -1)
+    # The point is projected rather than the match looked up: the cloud does not keep the right pixel, and the search is
+    # wide enough for ports as drawn.
+    guess = start.rig.right.project(cloud.points_mm[rows].astype(np.float64), water.index)
+    right_px, good = matched_right_px((left.p_px, left.q_px), (right.p_px, right.q_px), left_px, guess)
+    nearest = np.rint(np.where(good[:, None], right_px, 0.0)).astype(np.intp)
+    good &= clean_right[nearest[:, 1], nearest[:, 0]]
+    # A fringe that is blurred over a change of albedo is a mean with unequal weights: its phase moves towards the
+    # brighter side, and by the same way in every image.
+    good &= _even_albedo(left, left_px) & _even_albedo(right, nearest)
+    for label, (what, on_surface) in enumerate(surfaces.items()):
+        count = int(np.count_nonzero(good & (sphere == label)))
+        if count < MIN_POINTS:
+            return NotFound(
+                f"{name}: of {len(on_surface)} points on the {what} only {count} are fit to calibrate with, {MIN_POINTS} "
+                f"are needed; clean the artefact, avoid glare, and bring it whole into the picture of both cameras"
+            )
+    picked = left_px[good].astype(np.float64), right_px[good]
+    if certificate is None or bar is None:
+        return Recording(name, ArtefactKind.PLANE, *picked, water, sphere[good])
+    stated = certificate.radius_mm
+    radius_mm = stated if stated is not None else 0.5 * (bar.first.sphere.radius_mm + bar.second.sphere.radius_mm)
+    return Recording(
+        name,
+        ArtefactKind.BALL_BAR,
+        *picked,
+        water,
+        sphere[good],
+        length_mm=certificate.length_mm,
+        length_sd_mm=certificate.length_sd_mm,
+        radius_mm=radius_mm,
+        radius_sd_mm=certificate.radius_sd_mm if stated is not None else UNSTATED_RADIUS_SD_MM,
+    )
+
+
+def _well_seen(ball: Ball, cloud: PointSource, start: Calibration) -> Pixels:
+    """Return rows of a ball's used points that the right camera, too, does not see flatter than 55°; in order."""
+    rows = np.sort(ball.used.indices)
+    points = cloud.points_mm[rows].astype(np.float64)
+    outward = (points - np.array(ball.sphere.centre_mm)) / ball.sphere.radius_mm
+    sight = np.asarray(start.rig.right.translation_mm) - points
+    return np.asarray(rows[np.sum(outward * sight, 1) > STEEPEST_COS * np.linalg.norm(sight, axis=1)])
+
+
+def _clean(image: DecodedImage) -> Flags:
+    """Return (h, w): pixels with nothing unknown within the guard distance; the image's border counts as unknown."""
+    known = (np.isfinite(image.p_px) & np.isfinite(image.q_px)).astype(np.uint8)
+    # Erosion of the known pixels by the guard; unknown outside of the image.
+    box = np.ones((2 * GUARD_PX + 1, 2 * GUARD_PX + 1), np.uint8)
+    return np.asarray(cv2.erode(known, box, borderType=cv2.BORDER_CONSTANT, borderValue=0) == 1)
+
+
+def _even(u: Pixels, v: Pixels) -> Flags:
+    """Return pixels on a square grid so wide that about the wanted number remains and windows share little."""
+    step = max(HALF_WINDOW_PX + 1, int((len(u) / POINTS_PER_SURFACE) ** 0.5))
+    return np.asarray((u % step == 0) & (v % step == 0))
+
+
+def _even_albedo(image: DecodedImage, px: Pixels) -> Flags:
+    """Tell whether the modulation around pixels (n, 2), all inside the guard, is the same all over the window."""
+    offsets = np.arange(-HALF_WINDOW_PX, HALF_WINDOW_PX + 1)
+    v, u = (grid.ravel() for grid in np.meshgrid(offsets, offsets, indexing="ij"))
+    height, width = image.modulation_half_dn.shape
+    rows = np.clip(px[:, 1:] + v, 0, height - 1)
+    columns = np.clip(px[:, :1] + u, 0, width - 1)
+    window = image.modulation_half_dn[rows, columns].astype(np.float64)
+    # Two orthonormal slopes of the window; their RMS is that of the plane through the modulation.
+    slopes = np.stack([u, v], -1) / float(np.sqrt(np.sum(u * u)))
+    # Only the gradient: two numbers of twenty-five keep the noise of a dark picture from looking like a pattern.
+    rms = np.linalg.norm(window @ slopes, axis=1) / len(u) ** 0.5
+    return np.asarray(rms <= MAX_CONTRAST * window.mean(axis=1))

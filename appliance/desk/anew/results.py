@@ -1,0 +1,176 @@
+"""Owns where results of reprocessing lie, and that there is one of each, whole, whoever else was making the same one.
+
+    <out>/<key>/settings.json           what the key stands for
+    <out>/<key>/results/<name>/         row.json, and cloud.ply where clouds were asked for; published by one rename
+    <out>/<key>/failed/<name>.json      why there is no result; tried again by the next call
+    <out>/<key>/drafts/                 what is being made
+    <out>/<key>/table.csv               all rows
+
+A name is the scan's number and a checksum of its manifest, so that scans of several instruments do not meet. Any number of processes and
+computers may make results at once: the first rename wins, and the others see it.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib import metadata
+from pathlib import Path
+from shutil import rmtree
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import appliance
+from appliance import __version__
+from appliance.store.atomic import StorageError, make_folders, move_folder, refused, replace_file, write_new
+from appliance.store.filesystem import Bytes, LocalFileSystem
+from appliance.store.manifest import FILE_NAME
+from appliance.store.names import by_number
+
+ROW, CLOUD, TABLE, SETTINGS = "row.json", "cloud.ply", "table.csv", "settings.json"
+KEY_DIGITS, NAME_DIGITS = 16, 12
+COMPUTING = ("numpy", "scipy", "numba", "llvmlite", "opencv-python-headless")
+"""Distributions whose versions may change a point; codecs are not among them, for every decoded frame has its checksum."""
+COLUMNS = (
+    "scan", "state", "reason", "recorded", "points", "coverage_percent", "distance_mm", "noise_mm", "gap_mm", "exposure",
+    "grade", "spoilt", "faults", "verdicts", "e_l_percent", "length_error_mm", "artefact", "temperature_c", "salinity_psu", "water_index",
+    "calibration", "same_calibration", "recorded_by_version", "cpu_s", "wall_s", "peak_mb", "host", "cloud_sha256", "folder",
+)  # fmt: skip
+"""Columns of the table, which are keys of a row; what is not known is empty."""
+Row = dict[str, Any]
+
+
+class ResultsError(Exception):
+    """A folder of results cannot be used; the text says which and why."""
+
+
+@dataclass(frozen=True, slots=True)
+class Results:
+    """Results of one key below ``out``. Every method raises StorageError for what the disk refuses."""
+
+    folder: Path
+
+    @classmethod
+    def of(cls, out: Path, settings: Mapping[str, Any]) -> Results:
+        """Return the results made with ``settings`` (JSON-ready), their folder made where it is not there."""
+        text = json.dumps(settings, indent=1, sort_keys=True) + "\n"
+        results = cls(out / hashlib.sha256(text.encode()).hexdigest()[:KEY_DIGITS])
+        for name in ("results", "failed", "drafts"):
+            make_folders(LocalFileSystem(), results.folder / name)
+        if not (results.folder / SETTINGS).exists():
+            replace_file(LocalFileSystem(), results.folder / SETTINGS, text.encode())
+        return results
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        """The settings that all of them are made with."""
+        return _read(self.folder / SETTINGS)
+
+    def row(self, name: str) -> Row | None:
+        """Return the published result's row; ``None`` where there is none."""
+        path = self.folder / "results" / name / ROW
+        return _read(path) if path.exists() else None
+
+    def publish(self, name: str, row: Row, cloud: tuple[Bytes, ...] | None) -> Row:
+        """Publish a result, whole, by one rename; where another process was first, what that one published is returned."""
+        fs, target = LocalFileSystem(), self.folder / "results" / name
+        with refused("cannot publish", target), TemporaryDirectory(dir=self.folder / "drafts") as made:
+            draft = Path(made) / name
+            fs.make_folder(draft)
+            if cloud is not None:
+                row = {**row, "cloud_sha256": write_new(fs, draft / CLOUD, cloud).sha256}
+            write_new(fs, draft / ROW, (_encoded(row),))
+            # rename(2) refuses a folder that is not empty: of two who are done at once, one gets the name.
+            try:
+                move_folder(fs, draft, target)
+            except StorageError:
+                if not target.is_dir():
+                    raise
+            published = _read(target / ROW)
+            (self.folder / "failed" / f"{name}.json").unlink(missing_ok=True)
+        return published
+
+    def publish_failure(self, name: str, row: Row) -> Row:
+        """Write down why there is no result."""
+        replace_file(LocalFileSystem(), self.folder / "failed" / f"{name}.json", _encoded(row))
+        return row
+
+    def sweep(self) -> int:
+        """Remove what processes left unfinished that are gone, and return how many there were. For whoever holds the folder's lock."""
+        with refused("cannot sweep", self.folder / "drafts"):
+            old = list((self.folder / "drafts").iterdir())
+            for draft in old:
+                rmtree(draft)
+        return len(old)
+
+    def write_table(self, rows: Sequence[Row]) -> Path:
+        """Write the table of ``rows``, and of all other scans that have a result or a failure under this key, in the order of their numbers."""
+        published = (*self.folder.glob("failed/*.json"), *self.folder.glob(f"results/*/{ROW}"))
+        # Of a scan that has several, the last one holds: of this call, else a result, else a failure, else why it is left.
+        of_all = (
+            *(row for row in rows if "result" not in row),
+            *map(_read, published),
+            *(row for row in rows if "result" in row),
+        )
+        found = {row["folder"]: row for row in of_all}
+        text = io.StringIO()
+        writer = csv.DictWriter(text, COLUMNS, extrasaction="ignore", lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(sorted(found.values(), key=_order))
+        replace_file(LocalFileSystem(), self.folder / TABLE, text.getvalue().encode())
+        return self.folder / TABLE
+
+
+@cache
+def program_digits(top: Path = Path(appliance.__file__).parent) -> str:
+    """Return what of an installation decides about points: version, digits of its files below ``top``, versions of the libraries."""
+    digest = hashlib.sha256()
+    for path in sorted((*top.rglob("*.py"), *top.rglob("*.toml"))):
+        digest.update(path.relative_to(top).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
+    libraries = " ".join(f"{name} {metadata.version(name)}" for name in COMPUTING)
+    return f"kingfisher {__version__}-{digest.hexdigest()[:NAME_DIGITS]} {libraries}"
+
+
+def name_of(folder: Path) -> str:
+    """Return the name of a scan's result, which follows its manifest. Raises OSError where that cannot be read."""
+    if not (folder / FILE_NAME).exists():
+        return f"{folder.name}-unreadable"
+    return f"{folder.name}-{hashlib.sha256((folder / FILE_NAME).read_bytes()).hexdigest()[:NAME_DIGITS]}"
+
+
+def read_table(path: Path) -> list[dict[str, str]]:
+    """Return the rows of a table in the order of the scans' numbers, each a text by column; missing columns are empty. Raises ResultsError."""
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            reader = csv.DictReader(file)
+            if not {"scan", "state"} <= set(reader.fieldnames or ()):
+                raise ResultsError(f"TABLE {path}: is no table of `kingfisher reprocess`: give its {TABLE}")
+            return sorted(({name: row.get(name) or "" for name in COLUMNS} for row in reader), key=_order)
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise ResultsError(
+            f"TABLE {path}: cannot be read ({error}); give a {TABLE} of `kingfisher reprocess`"
+        ) from error
+
+
+def _order(row: Mapping[str, Any]) -> tuple[float, str, str]:
+    """Return what orders rows by the number of their scan: of several instruments, those of one number by their folders."""
+    return *by_number(str(row["scan"])), str(row.get("folder") or "")
+
+
+def _read(path: Path) -> Row:
+    try:
+        row: Row = json.loads(path.read_bytes())
+    except (OSError, ValueError) as error:
+        raise StorageError(
+            "cannot read", path, str(error), "let it be seen under the same path, or move it away"
+        ) from error
+    return row
+
+
+def _encoded(row: Row) -> bytes:
+    return (json.dumps(row, indent=1, sort_keys=True, ensure_ascii=False) + "\n").encode()

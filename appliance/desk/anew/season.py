@@ -1,0 +1,176 @@
+"""Owns the page about a season: lengths over time, health of the calibration, water, and which scans were refused and why.
+
+Made from a table of ``kingfisher reprocess`` alone; it asks for nothing from outside, on a screen and on paper.
+"""
+
+from __future__ import annotations
+
+import html
+import math
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from statistics import median
+
+from appliance.desk.report.frame import document, head, table, tiles
+from appliance.measure.grade import Grade
+
+Cells = Mapping[str, str]
+_POLICY = "default-src 'none'; style-src 'unsafe-inline'"
+_WIDE, _HIGH = 1060, 230
+_LEFT, _RIGHT, _TOP, _BOTTOM = 62, 40, 14, 40
+_COLOURS = ("#11698e", "#b25c00", "#4b7f2a", "#8a3d8f", "#a32638", "#5b6b7b")
+_SHOWN_DIGITS, _TICKS = 12, 5
+_MOST_NAMED = 10
+"""Scans that have their number below the chart; their dates are as wide as a tenth of it."""
+_BINS = 400
+"""Places along a chart; where several scans of a group share one, the lowest and the highest are drawn."""
+_MOST = 1e12
+"""Largest number of a table that is believed: axes of larger ones would not be finite."""
+
+
+def season_page(rows: Sequence[Cells], source: str) -> str:
+    """Return the page about the ``rows`` of a table (``results.read_table``); ``source`` is named on it."""
+    # Rows of a compensated scan come from a model, in which rays always meet.
+    known = [row if "compensation=yes" not in row["verdicts"].split() else {**row, "gap_mm": ""} for row in rows]
+    times = sorted(_recorded(row) for row in rows if row["recorded"]) or ["no clock"]
+    calibrations = sorted({row["calibration"][:_SHOWN_DIGITS] for row in rows if row["calibration"]})
+    about = {"From": times[0], "To": times[-1], "Calibrations": _few(calibrations, 3, ", "), "Table": source}
+    parts = (
+        head("Season at a glance", f"{len(rows)} scans", about),
+        tiles(_tiles(rows)),
+        "<h2>Lengths over time</h2>",
+        _note("Measured, less what the certificate says. A step is a knock or a new calibration, a slope a housing that moves."),
+        _chart(rows, "length_error_mm", "length error, µm", lambda row: row["artefact"]),
+        "<h2>Health of the calibration</h2>",
+        _note("Median distance at which the two rays of a point miss each other. It rises when a camera moved or the water is another."),
+        _chart(known, "gap_mm", "ray gap, µm", lambda row: row["calibration"][:_SHOWN_DIGITS]),
+        "<h2>Noise</h2>",
+        _note("Median expected standard deviation of a point."),
+        _chart(rows, "noise_mm", "noise, µm", lambda row: "spoilt" if row["spoilt"] == "True" else row["grade"] or "not graded"),
+        "<h2>Water</h2>",
+        _note("Temperature that the scans were worked through with."),
+        _chart(rows, "temperature_c", "water, °C", lambda row: f"{row['salinity_psu'].removesuffix('.0')} psu" if row["salinity_psu"] else ""),
+        "<h2>Refused scans, and why</h2>",
+        _refused([row for row in rows if _is_refused(row)]),
+    )  # fmt: skip
+    return document("Season", _POLICY, parts)
+
+
+def _note(words: str) -> str:
+    return f'<p class="note">{words}</p>'
+
+
+def _tiles(rows: Sequence[Cells]) -> list[tuple[str, str, str]]:
+    done = [row for row in rows if row["state"] == "done"]
+    used = [row for row in rows if not _is_refused(row)]
+    errors, noises, points = (
+        [abs(value) for row in done if (value := _number(row[column])) is not None]
+        for column in ("e_l_percent", "noise_mm", "points")
+    )
+    grades = Counter(row["grade"] for row in used)
+    counts = [f"{grades[grade.value]} {grade.value}" for grade in Grade if grades[grade.value]]
+    counts += [f"{len(done) - len(used)} spoilt", f"{len(rows) - len(done)} without points"]
+    of_lists = f"{len(errors)} scans of artefacts" if errors else "no scan is in a --list"
+    return [
+        ("Scans with points", f"{len(used)} of {len(rows)}", ", ".join(counts)),
+        ("Points", f"{sum(points) / 1e6:.1f} million", f"{median(points):,.0f} a scan (median)" if points else ""),
+        ("Noise", f"{1000 * median(noises):.0f} µm" if noises else "–", "median over scans"),
+        ("Largest length error", f"{max(errors):.3f} %" if errors else "–", of_lists),
+    ]
+
+
+def _chart(rows: Sequence[Cells], column: str, what: str, group: Callable[[Cells], str]) -> str:
+    """Return dots over the scans' order, coloured by their group, with round numbers beside them."""
+    scale = 1000.0 if column.endswith("_mm") else 1.0
+    # By number of the scan: the order in which they were taken, whatever a clock said.
+    points = [(scale * value, at) for at, row in enumerate(rows) if (value := _number(row[column])) is not None]
+    if not points:
+        return _note("Nothing in the table.")
+    low, high = min(points)[0], max(points)[0]
+    largest = max(abs(low), abs(high))
+    # Of numbers that differ in their last digits alone, or are hardly more than nothing, an axis would have no length.
+    rough = max((high - low or largest or 1.0) / _TICKS, 1e-9 * largest, 1e-12)
+    power = 10.0 ** math.floor(math.log10(rough))
+    step = power * next(one for one in (1.0, 2.0, 5.0, 10.0) if one * power >= rough)
+    low, high = step * math.floor(low / step), step * math.ceil(high / step)
+    high = high if high > low else low + step
+
+    def x(at: int) -> float:
+        return _LEFT + (at + 0.5) / len(rows) * (_WIDE - _LEFT - _RIGHT)
+
+    def y(value: float) -> float:
+        return _HIGH - _BOTTOM - (value - low) / (high - low) * (_HIGH - _TOP - _BOTTOM)
+
+    drawn = []
+    for value in (low + k * step for k in range(round((high - low) / step) + 1)):
+        zero = abs(value) < step / 2
+        ink = "#8a97a4" if zero and low < 0.0 < high else "#d5dde5"
+        said = f"{0.0 if zero else value:.6g}".replace("-", "−")
+        drawn.append(
+            f'<line x1="{_LEFT}" x2="{_WIDE - _RIGHT}" y1="{y(value):.1f}" y2="{y(value):.1f}" stroke="{ink}"/>'
+            f'<text x="{_LEFT - 8}" y="{y(value) + 4:.1f}" text-anchor="end">{said}</text>'
+        )
+    for place in sorted({f"{x(at):.1f}" for at, row in enumerate(rows) if _is_refused(row)}, key=float):
+        drawn.append(f'<path d="M{place} {_HIGH - _BOTTOM + 1}v6" stroke="#c2281d" stroke-width="2"/>')
+    for at in sorted({round(k * (len(rows) - 1) / (_MOST_NAMED - 1)) for k in range(_MOST_NAMED)}):
+        for text, up_px in ((rows[at]["scan"], 22), (rows[at]["recorded"][:10], 7)):
+            drawn.append(f'<text x="{x(at):.1f}" y="{_HIGH - up_px}" text-anchor="middle">{html.escape(text)}</text>')
+    groups = [name for name, _ in Counter(group(rows[at]) for _, at in points).most_common()]
+    colour = {name: _COLOURS[min(k, len(_COLOURS) - 1)] for k, name in enumerate(groups)}
+    bins: dict[tuple[int, str], list[tuple[float, int]]] = {}
+    for value, at in points:
+        bins.setdefault((at * min(len(rows), _BINS) // len(rows), group(rows[at])), []).append((value, at))
+    for (_, name), some in bins.items():
+        for value, at in sorted({min(some), max(some)}):
+            words = html.escape(f"{rows[at]['scan']}  {_recorded(rows[at])}  {value:.4g}")
+            drawn.append(
+                f'<circle cx="{x(at):.1f}" cy="{y(value):.1f}" r="3" fill="{colour[name]}" fill-opacity=".75"><title>{words}</title></circle>'
+            )
+    names = [f'<span style="color:{colour[name]}">●</span> {html.escape(name) or "not known"}' for name in groups]
+    return (
+        f'<figure><svg viewBox="0 0 {_WIDE} {_HIGH}" style="width:100%;height:auto" font-size="12" fill="#5b6b7b" role="img" '
+        f'aria-label="{what}">{"".join(drawn)}</svg><figcaption>{what}; scans in the order they were taken, red marks are refused ones. '
+        f"{_few(names, len(_COLOURS), ' ')}</figcaption></figure>"
+    )
+
+
+def _few(names: Sequence[str], most: int, between: str) -> str:
+    return between.join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+
+
+def _is_refused(row: Cells) -> bool:
+    return row["state"] != "done" or row["spoilt"] == "True"
+
+
+def _refused(refused: Sequence[Cells]) -> str:
+    if not refused:
+        return _note("None.")
+    kinds = Counter(_kind(row) for row in refused).most_common()
+    each = ((row["scan"], _recorded(row) or "–", _told(row)) for row in refused)
+    return (
+        table(("reason", "scans"), ((html.escape(kind), str(count)) for kind, count in kinds))
+        + "<h2>Each of them</h2>"
+        + table(("scan", "recorded", "what was found"), (map(html.escape, row) for row in each))
+    )
+
+
+def _recorded(row: Cells) -> str:
+    return row["recorded"][:16].replace("T", " ")
+
+
+def _told(row: Cells) -> str:
+    """Return why a scan is refused, without its folder, which is in the table."""
+    return (row["reason"] or row["faults"]).replace(row["folder"], "").lstrip("/: ") or "not known"
+
+
+def _kind(row: Cells) -> str:
+    """Return a reason's kind, without the numbers of that one scan: the first fault's name, or how an error begins."""
+    return _told(row).partition(";" if row["reason"] else ":")[0].partition(" (")[0]
+
+
+def _number(text: str) -> float | None:
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if abs(value) <= _MOST else None

@@ -1,0 +1,79 @@
+"""Owns an evaluation from list to report: which scan shows what, each reconstructed, its artefact measured."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from appliance import __version__
+from appliance.measure.accept.acceptance import Certificate
+from appliance.measure.accept.report import Evaluation, Item
+from appliance.measure.accept.result import evaluate
+from appliance.measure.calibration.file import Calibration
+from appliance.measure.points.quality import QualityLimits
+from appliance.store import scan as stored
+from appliance.store.instrument import settings_of_scan
+from appliance.store.origin import SourceScan
+from appliance.store.reprocess import refuse_empty, reprocess
+from appliance.store.scan_list import ScanList
+
+JUDGING_GAP_MM = 20.0
+"""The instrument masks points whose rays pass at more than 0.25 mm. A wrong calibration would so hide its own worst points,
+many more than the 0.3 % that may be removed; here every calibration is judged by the same points."""
+
+
+def run_evaluation(
+    listed: ScanList,
+    sources: Sequence[SourceScan],
+    chosen: Calibration,
+    progress: Callable[[str, float], None],
+) -> Evaluation:
+    """Reconstruct and measure every scan of the list; ``sources`` are they, in its order, with whole raw frames.
+
+    Raises ScanError, also for a scan that the calibration leaves no points of.
+    """
+    items = []
+    for k, (entry, source) in enumerate(zip(listed.entries, sources, strict=True)):
+        at, scan = k / len(sources), source.scan
+
+        def step(what: str, at: float = at, name: str = scan.folder.name) -> None:
+            progress(f"{name}: {what}", at)
+
+        settings = settings_of_scan(scan.manifest.record, source.rig)
+        reprocessed = reprocess(scan, chosen, settings, step, QualityLimits(max_gap_mm=JUDGING_GAP_MM))
+        # An artefact that was not found is a result; a calibration that does not fit the scan measures nothing.
+        if reprocessed.empty is not None and reprocessed.empty.by_calibration:
+            refuse_empty(scan.folder, reprocessed.empty)
+        cloud, water = reprocessed.cloud, reprocessed.water
+        step(f"looking for the {entry.artefact.value}")
+        certificate = Certificate(entry.length_sd_mm, entry.radius_mm, entry.radius_sd_mm)
+        result = evaluate(
+            cloud, entry.artefact, entry.calibrated_mm, listed.reference_mm, certificate, listed.limits_mm
+        )
+        record = scan.manifest.record
+        provenance = {
+            "recorded": record.wall_time,
+            "clock_trusted": record.clock_trusted,
+            "artefact_serial": entry.serial,
+            "points": cloud.summary.points,
+            "coverage_percent": cloud.summary.coverage_percent,
+            "ray_gap_mm": cloud.summary.gap_mm,
+            "water": {"temperature_c": water.temperature_c, "salinity_psu": water.salinity_psu, "index": water.index},
+            "temperatures_c": dict(record.temperatures_c),
+            "period_px": record.sequence.period_px,
+            "warnings": [f"{fault.code.value}: {fault.detail}" for fault in reprocessed.faults],
+            "recorded_by_version": record.software_version,
+            "recorded_with_rig": record.rig_hash,
+            "recorded_with_calibration": record.calibration_hash,
+            # Which frames were measured can be proved later, wherever the folder has gone.
+            "sha256": {name: scan.manifest.files[name].sha256 for name in stored.RAW_FILES},
+        }
+        items.append(Item(scan.manifest.scan_id, result, provenance))
+    about = {
+        "operator": listed.operator,
+        "rig_serial": chosen.rig_serial,
+        "calibration": chosen.hash,
+        "calibration_method": chosen.method,
+        "calibration_made_at": chosen.made_at,
+        "software_version": __version__,
+    }
+    return Evaluation(about, listed.reference_mm, chosen.rig.left.width_px, tuple(items))

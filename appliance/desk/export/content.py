@@ -1,0 +1,124 @@
+"""Owns what goes into a file for another program: points with what is known about each, and what is said about all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.desk.export.suffixes import ExportError
+from appliance.desk.surface.drawings import COARSEST_MM
+from appliance.desk.surface.fusion import FusedCloud
+from appliance.desk.surface.mesh import Mesh
+from appliance.desk.surface.normals import normals
+from appliance.measure.points.organised import OrganisedCloud
+
+MM_PER_M = 1000.0
+MOST_CHARACTERS, MOST_OF_MARK = 200, 2000
+"""Longest line, and longest mark: as long as in the instrument's own clouds (``appliance.store.ply``)."""
+CAMERA_FRAME = "left camera frame (x right, y down, z forward)"
+OBJECT_FRAME = "object frame"
+
+
+@dataclass(frozen=True, slots=True)
+class About:
+    """Description of a file in it, as far as its format has room; ASCII, since most formats have nothing else."""
+
+    title: str
+    """Name of the scan or the object."""
+    frame: str
+    """Frame of reference, in words."""
+    notes: tuple[str, ...] = ()
+    """Further lines: calibration, water, warnings."""
+    marks: tuple[str, ...] = ()
+    """Whatever spoils the whole, each with its word in front (``unchecked: …``): in every format these very words, never shortened to
+    a line's length, so that one search finds them in any file."""
+    unit: str = ""
+    """Unit of all lengths, in place of the format's own: of a cloud whose scale nobody knows."""
+
+    def lines(self, unit: str) -> list[str]:
+        """Return all of it as ASCII lines, with the format's ``unit`` of lengths; but for marks, of at most 200 characters."""
+        said = [f"{self.title}: unit {self.unit or unit}, {self.frame}", *self.notes]
+        first, *others = [_plain(line)[:MOST_CHARACTERS] for line in said]
+        return [first, *self.mark_lines(), *others]
+
+    def mark_lines(self) -> list[str]:
+        """Return the marks alone, as they stand among the lines."""
+        return [_plain(mark)[:MOST_OF_MARK] for mark in self.marks]
+
+
+def _plain(line: str) -> str:
+    return " ".join(line.encode("ascii", "replace").decode("ascii").split())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExportedPoints:
+    """Points as they are handed to a writer; all arrays have the same length n."""
+
+    points_mm: NDArray[np.float32]
+    """(n, 3) float32."""
+    sigma_mm: NDArray[np.float32]
+    grey: NDArray[np.uint8]
+    normals: NDArray[np.float32]
+    """(n, 3) float32; NaN where unknown."""
+    more: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
+    """Further columns (n,) float32 by name, each name with its unit."""
+    origin_mm: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+    """(3,) float64: place of ``points_mm``'s (0, 0, 0) in the frame. Site coordinates need more digits than float32 has."""
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.points_mm).all() and np.isfinite(self.origin_mm).all()):
+            raise ExportError("a point has a coordinate that is no number; nothing is written")
+
+
+def points_of_scan(cloud: OrganisedCloud, unit: str = "mm") -> ExportedPoints:
+    """Return the points of one scan, in the order of their pixels, with normals; ``unit``: what its lengths are in."""
+    there = cloud.mask
+    return ExportedPoints(
+        points_mm=cloud.points_mm[there],
+        sigma_mm=cloud.sigma_mm[there],
+        grey=cloud.grey[there],
+        normals=normals(cloud)[there],
+        more={"modulation_dn": cloud.modulation_dn[there], f"ray_gap_{unit}": cloud.ray_gap_mm[there]},
+    )
+
+
+def points_of_surface(cloud: FusedCloud, origin_mm: NDArray[np.float64] | None = None) -> ExportedPoints:
+    """Return the points of a fused surface, with the number of scans that saw each, and the shares of sigma where they are known."""
+    more = {"views": cloud.views.astype(np.float32)}
+    if cloud.shares is not None:
+        more |= {
+            "sigma_beside_mm": cloud.shares.beside_mm,
+            "sigma_place_mm": cloud.shares.place_mm,
+            "sigma_bending_mm": cloud.shares.bending_mm,
+        }
+    origin = np.zeros(3) if origin_mm is None else origin_mm
+    return ExportedPoints(cloud.points_mm, cloud.sigma_mm, cloud.grey, cloud.normals, more, origin)
+
+
+def points_of_mesh(mesh: Mesh) -> ExportedPoints:
+    """Return the vertices of a mesh."""
+    return ExportedPoints(mesh.vertices_mm, mesh.sigma_mm, mesh.grey, mesh.normals)
+
+
+def single_precision(points: ExportedPoints, suffix: str) -> NDArray[np.float32]:
+    """Return the points (n, 3) in their frame as float32. Raises ExportError where that is too coarse for them."""
+    if not points.origin_mm.any() or not len(points.points_mm):
+        return points.points_mm
+    whole = points.points_mm.astype(np.float64) + points.origin_mm
+    farthest = float(np.abs(whole).max())
+    step_mm = float(np.spacing(np.float32(farthest)))
+    if step_mm > COARSEST_MM:
+        raise ExportError(
+            f"{suffix} has single precision, which {farthest / MM_PER_M:,.0f} m from the frame's origin has steps of {step_mm:g} mm; write .e57 or .las"
+        )
+    return whole.astype(np.float32)
+
+
+def finite(values: NDArray[Any]) -> NDArray[Any]:
+    """Return the values with 0 for what is unknown: formats have no word for it, and most readers stumble over NaN."""
+    known: NDArray[Any] = np.nan_to_num(values, nan=0.0)
+    return known

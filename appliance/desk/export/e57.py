@@ -1,0 +1,164 @@
+"""Owns the E57 file: metres, one entry a scan, normals by the registered extension, sigma and further columns by one of our own.
+
+Places are single-precision floats: 0.06 µm at 1 m. Each scan is written about an origin of its own, with the way into the file's frame as its
+pose in double: where an object's scan lies, or the middle of what is far from its frame's origin. Readers that know neither extension pass over both.
+The file's GUID is made of its content, so that the same points give the same file.
+Sources: ASTM E2807-11; the extension for surface normals is that of libe57.org. Written by libE57Format, which pye57 (MIT) brings.
+"""
+
+from __future__ import annotations
+
+import uuid
+import zlib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from appliance.base.libraries import needed
+from appliance.desk.export.content import MM_PER_M, About, ExportedPoints, finite
+
+NORMALS = ("nor", "http://www.libe57.org/E57_NOR_surface_normals.txt")
+OWN = ("kf", "urn:kingfisher:e57:1")
+"""Prefix and name of our extension: ``sigma``, the standard deviation of a point in metres, and further columns by their names: those in mm without
+it and in metres, like everything in the file (``deviation_mm`` is ``kf:deviation``)."""
+_MM = "_mm"
+_AXES = ("X", "Y", "Z")
+_GREY = (0.0, 255.0)
+_INVALID = "cartesianInvalidState"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class E57Scan:
+    """One scan entry: a point p of ``points`` lies at rotation · p + ``points.origin_mm`` in the frame of the file."""
+
+    points: ExportedPoints
+    title: str
+    rotation: NDArray[np.float64] = field(default_factory=lambda: np.eye(3))
+    """(3, 3) float64."""
+
+
+def write_e57(path: Path, scans: Iterable[E57Scan], about: About) -> None:
+    """Write the file at ``path``; one scan is held at a time. ``about``: of all of them; each entry has it under its own title.
+
+    Raises MissingLibraryError where pye57 is absent, ValueError for a scan without points, OSError, and what ``scans`` raises.
+    """
+    library = needed("pye57", "pye57", "an E57 file").libe57
+    try:
+        file = library.ImageFile(str(path), "w")
+        try:
+            entries = _begin(library, file)
+            keys = [_add(library, file, entries, scan, replace(about, title=scan.title)) for scan in scans]
+            file.root().set("guid", library.StringNode(file, _guid(keys)))
+        finally:
+            file.close()
+    except library.E57Exception as error:
+        # Its own errors are no OSErrors, although a full disk is what most of them are.
+        raise OSError(None, f"the E57 library could not write: {error}") from error
+
+
+def _guid(keys: Sequence[str], part: str = "") -> str:
+    whole = uuid.uuid5(uuid.NAMESPACE_URL, "\n".join(keys))
+    return f"{{{uuid.uuid5(whole, part) if part else whole}}}"
+
+
+def _columns(points: ExportedPoints) -> dict[str, NDArray[Any]]:
+    if not len(points.grey):
+        raise ValueError("an E57 file needs at least one point of each scan")
+    metres = (points.points_mm / np.float32(MM_PER_M)).astype(np.float32)
+    known = finite(points.normals)
+    return {
+        **{f"cartesian{axis}": metres[:, k] for k, axis in enumerate(_AXES)},
+        # Every point is one: some readers refuse a file that does not say so. A column that can only be 0 takes no room.
+        _INVALID: np.zeros(len(metres), np.int8),
+        "intensity": points.grey.astype(np.float32),
+        **{f"nor:normal{axis}": known[:, k] for k, axis in enumerate(_AXES)},
+        f"{OWN[0]}:sigma": points.sigma_mm / np.float32(MM_PER_M),
+        **dict(_further(name, values) for name, values in points.more.items()),
+    }
+
+
+def _further(name: str, values: NDArray[np.float32]) -> tuple[str, NDArray[np.float32]]:
+    # One unit in the whole file: a reader cannot know which columns differ.
+    in_metres = name.endswith(_MM)
+    return f"{OWN[0]}:{name.removesuffix(_MM)}", values / np.float32(MM_PER_M) if in_metres else values
+
+
+def _begin(library: Any, file: Any) -> Any:
+    """Write all but the GUID and the scans; return the node that takes the scans."""
+    file.extensionsAdd("", library.E57_V1_0_URI)
+    file.extensionsAdd(*NORMALS)
+    file.extensionsAdd(*OWN)
+    root = file.root()
+    root.set("formatName", library.StringNode(file, "ASTM E57 3D Imaging Data File"))
+    root.set("versionMajor", library.IntegerNode(file, library.E57_FORMAT_MAJOR))
+    root.set("versionMinor", library.IntegerNode(file, library.E57_FORMAT_MINOR))
+    root.set("e57LibraryVersion", library.StringNode(file, library.E57_LIBRARY_ID))
+    root.set("coordinateMetadata", library.StringNode(file, ""))
+    scans = library.VectorNode(file, True)
+    root.set("data3D", scans)
+    root.set("images2D", library.VectorNode(file, True))
+    return scans
+
+
+def _add(library: Any, file: Any, scans: Any, one: E57Scan, about: About) -> str:
+    """Write one scan; return a text that is another one for any other content."""
+
+    def number(value: float) -> Any:
+        return library.FloatNode(file, float(value))
+
+    columns, lines = _columns(one.points), about.lines("metre")
+    checksum = 0
+    for values in columns.values():
+        checksum = zlib.crc32(np.ascontiguousarray(values).tobytes(), checksum)
+    key = f"{OWN[1]} {checksum:08x} {len(columns['intensity'])} {' '.join(lines)}"
+    scan = library.StructureNode(file)
+    scan.set("guid", library.StringNode(file, _guid([key], "scan")))
+    scan.set("name", library.StringNode(file, one.title.encode("ascii", "replace").decode("ascii")))
+    scan.set("description", library.StringNode(file, "; ".join(lines)))
+    origin_m = one.points.origin_mm / MM_PER_M
+    if origin_m.any() or not np.array_equal(one.rotation, np.eye(3)):
+        pose, turn, shift = (library.StructureNode(file) for _ in range(3))
+        quaternion = Rotation.from_matrix(one.rotation).as_quat(canonical=True, scalar_first=True)
+        for name, value in zip("wxyz", quaternion, strict=True):
+            turn.set(name, number(value))
+        for name, value in zip("xyz", origin_m, strict=True):
+            shift.set(name, number(value))
+        scan.set("pose", pose)
+        pose.set("rotation", turn)
+        pose.set("translation", shift)
+        key += f" {quaternion.tolist()} {origin_m.tolist()}"
+    bounds = library.StructureNode(file)
+    for axis in _AXES:
+        values = columns[f"cartesian{axis}"]
+        bounds.set(f"{axis.lower()}Minimum", number(values.min()))
+        bounds.set(f"{axis.lower()}Maximum", number(values.max()))
+    scan.set("cartesianBounds", bounds)
+    limits = library.StructureNode(file)
+    for name, value in zip(("intensityMinimum", "intensityMaximum"), _GREY, strict=True):
+        limits.set(name, number(value))
+    scan.set("intensityLimits", limits)
+
+    prototype = library.StructureNode(file)
+    buffers = library.VectorSourceDestBuffer()
+    kept = []
+    for name, values in columns.items():
+        flag = name == _INVALID
+        prototype.set(
+            name, library.IntegerNode(file, 0, 0, 0) if flag else library.FloatNode(file, 0.0, library.E57_SINGLE)
+        )
+        column = np.array(values, np.int8 if flag else np.float32)
+        # The library keeps a bare pointer: the array must live until the writer is closed.
+        kept.append(column)
+        buffers.append(library.SourceDestBuffer(file, name, column, len(column), True, True))
+    vector = library.CompressedVectorNode(file, prototype, library.VectorNode(file, True))
+    scan.set("points", vector)
+    scans.append(scan)
+    writer = vector.writer(buffers)
+    writer.write(len(kept[0]))
+    writer.close()
+    return key

@@ -1,0 +1,67 @@
+"""Owns the PLY file of a fused surface and of a mesh: normals, grey as colour, sigma, and faces where there are some.
+
+Binary little-endian, mm. A raw scan has a PLY file of its own (``appliance.store.ply``), with a checksum and without normals.
+Source: G. Turk, "The PLY Polygon File Format" (1994); names of properties as MeshLab and CloudCompare read them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import chain
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.desk.export.content import About, ExportedPoints, finite, single_precision
+
+_FIXED = (
+    ("x", "<f4", "float"),
+    ("y", "<f4", "float"),
+    ("z", "<f4", "float"),
+    ("nx", "<f4", "float"),
+    ("ny", "<f4", "float"),
+    ("nz", "<f4", "float"),
+    ("red", "u1", "uchar"),
+    ("green", "u1", "uchar"),
+    ("blue", "u1", "uchar"),
+    ("sigma", "<f4", "float"),
+)
+_AT_ONCE = 1 << 16
+"""Vertices that are encoded together."""
+_FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
+
+
+def encode_surface(points: ExportedPoints, about: About, faces: NDArray[np.int32] | None = None) -> Iterator[bytes]:
+    """Return header, vertices and faces ((m, 3) int32; ``None``: points alone). Unknown normals are (0, 0, 0).
+
+    Vertices are encoded as they are asked for: all of a large cloud need much room.
+    """
+    n, places = len(points.grey), single_precision(points, "PLY")
+    columns = [*_FIXED, *((name, "<f4", "float") for name in points.more)]
+    kinds = np.dtype([(name, kind) for name, kind, _ in columns])
+
+    def encoded(some: slice) -> bytes:
+        rows, known = np.empty(len(points.grey[some]), kinds), finite(points.normals[some])
+        for axis in range(3):
+            rows["xyz"[axis]] = places[some, axis]
+            rows[f"n{'xyz'[axis]}"] = known[:, axis]
+        for name in ("red", "green", "blue"):
+            rows[name] = points.grey[some]
+        rows["sigma"] = points.sigma_mm[some]
+        for name, values in points.more.items():
+            rows[name] = values[some]
+        return rows.tobytes()
+
+    header = ["ply", "format binary_little_endian 1.0"]
+    marks = about.mark_lines()
+    # Marks stand as in the instrument's own clouds, behind "comment" alone: one reader knows both.
+    header += [f"comment {'' if line in marks else 'Kingfisher '}{line}" for line in about.lines("mm")]
+    header += [f"comment sigma: standard deviation in {about.unit or 'mm'}", f"element vertex {n}"]
+    header += [f"property {word} {name}" for name, _, word in columns]
+    triangles = np.zeros(0 if faces is None else len(faces), _FACE)
+    if faces is not None:
+        triangles["count"], triangles["corners"] = 3, faces
+        header += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
+    header += ["end_header", ""]
+    vertices = (encoded(slice(begin, begin + _AT_ONCE)) for begin in range(0, n, _AT_ONCE))
+    return chain(["\n".join(header).encode("ascii")], vertices, [triangles.tobytes()])

@@ -1,0 +1,231 @@
+"""Owns the cameras of a foreign rig: from OpenCV's files, from ours, or from matrices in the description.
+
+OpenCV's R and T map a point of the left camera into the right one: x_right = R x_left + T. Ours is the other way, the right camera's
+frame in that of the left one. Lengths become mm by ``cameras.unit``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.desk.foreign.camera_dialects import KINDS, CameraNumbers, facts_of, rotation_of, understood
+from appliance.desk.foreign.camera_files import camera_numbers, flat, numeric, without_scale
+from appliance.desk.foreign.description import Description, Medium
+from appliance.desk.foreign.problem import ForeignError, Table
+from appliance.measure.calibration import file as calibration_file
+from appliance.measure.light.model import HousedCamera, StereoRig
+from appliance.measure.light.pinhole import Lens
+from appliance.measure.light.port import Port
+from appliance.measure.light.rotation import matrix3
+from appliance.measure.light.sides import SIDES
+from appliance.measure.light.water import quan_fry_index
+
+Array = NDArray[np.float64]
+
+UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}
+NO_PORT = Port((0.0, 0.0, 1.0), 0.0, 0.0, 1.0)
+LEAST_BASELINE_MM, MOST_BASELINE_MM = 1.0, 20_000.0
+"""Distances of two cameras: others are in another unit."""
+USUAL_MM = (10.0, 3000.0)
+"""Distances of two cameras by which a unit is proposed."""
+ASIDE = 0.3
+"""Distance of a principal point from the middle, in sizes of the image, that is worth a line."""
+MOST_BESIDE = 2.5
+"""Largest distance of a principal point beside its image, in sizes of it: projectors shift theirs by half a picture, and a cropped image
+may lie where it likes."""
+
+
+@dataclass(frozen=True, slots=True)
+class ForeignRig:
+    """The cameras, and the index of what is between them and the object."""
+
+    rig: StereoRig
+    index: float
+    calibration: calibration_file.Calibration | None = None
+    """The calibration file it is from, where it is one of ours."""
+    stated_px: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+    """Width and height by side that camera files state; of a camera and a projector the projector is ``right``."""
+    scale_known: bool = True
+    """False: the translation has length 1, as calibrations without scale have; then lengths are in units of it."""
+    notes: tuple[str, ...] = ()
+    """Oddities of the cameras' numbers that are worth a look, a line each."""
+
+    @property
+    def in_air(self) -> bool:
+        return self.index == 1.0
+
+
+def read_rig(description: Description, sizes_px: Mapping[str, tuple[int, int]]) -> ForeignRig:
+    """Return the rig of a description; ``sizes_px`` are (width, height) by side. Raises ForeignError."""
+    ours = _our_own(description, sizes_px)
+    if ours is not None:
+        return ours
+    table, of_projector = description.cameras, "right" not in description.files
+    table.only("files", "names", "unit", *SIDES, "rotation", "translation")
+    unit = table.choice("unit", tuple(UNITS_MM), "mm")
+    said = camera_numbers(description.folder, table, of_projector) if "files" in table.content else _in_words(table)
+    notes = list(said.notes)
+    for side, stated in said.stated_px.items():
+        # Some programs write the height first.
+        found = sizes_px.get(side, description.projector_px)
+        stated = stated[::-1] if stated[::-1] == found else stated
+        where = f"cameras.files: {said.sizes[side].where}"
+        if side in sizes_px:
+            _check_size(where, side, stated, found, of_projector)
+        elif stated != found:
+            notes.append(f"{where} says {stated[0]} x {stated[1]} px, and [projector] {found[0]} x {found[1]} px")
+    R, T = rotation_of(said.found["rotation"]), said.found["translation"]
+    if np.abs(R @ R.T - np.eye(3)).max() > 1e-3 or np.linalg.det(R) < 0.0:
+        raise ForeignError(f"cameras: rotation {R.round(4).tolist()} is no rotation; name the right matrix")
+    u, _, vt = np.linalg.svd(R)
+    R = u @ vt  # Written with few digits, it is not quite a rotation.
+    length = float(np.linalg.norm(T))
+    scale_known = unit != "mm" or not without_scale(length)
+    if scale_known:
+        _check_baseline(length, unit)
+        T = UNITS_MM[unit] * T
+    if without_scale(length):
+        notes.append(
+            f"cameras.unit: the translation is 1 {unit} long, as calibrations without scale have it"
+            if scale_known
+            else "cameras.unit: the translation has length 1: a calibration without scale; lengths are in distances of the two"
+        )
+    cameras = []
+    for side, rotation, t_mm in (("left", np.eye(3), np.zeros(3)), ("right", R.T, -R.T @ T)):
+        size_px = sizes_px[side]
+        lens = lens_of(said.found[f"{side}_matrix"].reshape(3, 3), said.found[f"{side}_distortion"], size_px, side)
+        notes += [
+            f"cameras.{side}.matrix: the principal point is at {100 * c / size:.0f} % of the {what}: a shifted lens, or the calibration of other images"
+            for c, size, what in zip(lens.c_px, size_px, ("width", "height"), strict=True)
+            if abs(c / size - 0.5) > ASIDE
+        ]
+        x, y, z = t_mm.tolist()
+        cameras.append(HousedCamera(*size_px, lens, NO_PORT, matrix3(rotation), (x, y, z)))
+    stated_px = {side: sizes_px[side] for side in said.sizes if side in sizes_px}
+    rig = _behind_ports(description, StereoRig(cameras[0], cameras[1]))
+    return replace(rig, stated_px=stated_px, scale_known=scale_known, notes=tuple(notes))
+
+
+def _in_words(table: Table) -> CameraNumbers:
+    """Return what the description itself says of the cameras. Raises ForeignError."""
+    for side in SIDES:
+        camera = table.table(side)
+        if camera is None:
+            raise ForeignError(
+                f"[cameras.{side}] is missing: give cameras.files (OpenCV), cameras.calibration (ours), or its matrix and distortion"
+            )
+        camera.only("matrix", "distortion")
+    said = {key: table.content[key] for key in (*SIDES, "rotation", "translation") if key in table.content}
+    content = {name: value for name, value in flat(said) if value != []}
+    files = {"[cameras]": numeric(content)}
+    known = {fact.name for fact in facts_of(files)}
+    for name, value in content.items():
+        if name not in known:
+            counts = " or ".join(str(one) for kind, (counts, _) in KINDS.items() if kind in name for one in counts)
+            raise ForeignError(f"cameras.{name} is {value!r:.80}; allowed: {counts} numbers; correct it")
+    return understood(files, Table("cameras.names.", {}), of_projector=False)
+
+
+def _check_size(where: str, side: str, stated: tuple[int, int], found: tuple[int, int], of_projector: bool) -> None:
+    """Raise ForeignError where images have another size than their calibration's."""
+    there, why, remedy = f"the {side} images have", "another calibration", "give the calibration of these images"
+    if of_projector and side == "right":
+        there, why, remedy = "[projector] says", "another projector", "correct its size, or give the file of this one"
+    elif abs(stated[0] * found[1] - stated[1] * found[0]) <= max(found):
+        times = stated[0] / found[0]
+        why = f"a calibration of images of {({0.5: 'half the', 2.0: 'twice the'}).get(times, f'{times:.3g} times their')} size"
+    if stated != found:
+        raise ForeignError(
+            f"{where} says {stated[0]} x {stated[1]} px, and {there} {found[0]} x {found[1]} px: {why}; {remedy}"
+        )
+
+
+def _check_baseline(length: float, unit: str) -> None:
+    if length * UNITS_MM[unit] < 1e-6:
+        raise ForeignError("cameras: translation is zero; name the vector between both cameras")
+    if not LEAST_BASELINE_MM <= length * UNITS_MM[unit] <= MOST_BASELINE_MM:
+        fits = [f'"{one}"' for one, mm in UNITS_MM.items() if USUAL_MM[0] < length * mm < USUAL_MM[1]]
+        raise ForeignError(
+            f"cameras: the two are {length:.3g} {unit} apart; allowed: {LEAST_BASELINE_MM:g} mm to {MOST_BASELINE_MM / 1000:g} m; say in which "
+            f"unit the translation is: cameras.unit = {' or '.join(fits) or 'mm, cm, m or inch'}"
+        )
+
+
+def lens_of(matrix: Array, distortion: Array, size_px: tuple[int, int], side: str) -> Lens:
+    """Return the lens with OpenCV's camera matrix and 0, 4, 5, 8, 12 or 14 distortion values. Raises ForeignError."""
+    f_px, c_px = (float(matrix[0, 0]), float(matrix[1, 1])), (float(matrix[0, 2]), float(matrix[1, 2]))
+    if abs(matrix[0, 1]) > 1e-3 * f_px[0] or min(f_px) <= 1.0:
+        raise ForeignError(
+            f"cameras: {side} matrix {matrix.round(3).tolist()} has no two focal lengths, or a skew; name another one"
+        )
+    width_px, height_px = size_px
+    if not all(-MOST_BESIDE * size < c < (1.0 + MOST_BESIDE) * size for c, size in zip(c_px, size_px, strict=True)):
+        raise ForeignError(
+            f"cameras: the {side} principal point {c_px[0]:.0f}, {c_px[1]:.0f} lies far outside of images of {width_px} x {height_px} px; "
+            "the calibration is of other images, or left and right are exchanged"
+        )
+    if distortion.size not in (0, 4, 5, 8, 12, 14) or np.any(distortion[12:] != 0.0):
+        raise ForeignError(
+            f"cameras: {side} distortion has {distortion.size} values, {distortion.tolist()!r:.200}; allowed are 4, 5, 8, 12, 14, the last two zero "
+            "(no tilted sensor); correct it"
+        )
+    values = np.zeros(12 if np.any(distortion[5:] != 0.0) else 5)
+    values[: min(values.size, distortion.size)] = distortion[: values.size]
+    return Lens(f_px, c_px, tuple(values.tolist()))
+
+
+def _our_own(description: Description, sizes_px: Mapping[str, tuple[int, int]]) -> ForeignRig | None:
+    """Return the cameras of a file of ours that ``cameras.calibration``, or ``cameras.files`` alone, name; ``None`` where none is named."""
+    table = description.cameras
+    named = "calibration" in table.content
+    files = table.content.get("files")
+    name = table.text("calibration") if named else files[0] if isinstance(files, list) and len(files) == 1 else files
+    if not named and not str(name).lower().endswith(".json"):
+        return None
+    path = description.folder / str(name)
+    try:
+        ours = calibration_file.load(path)
+    except calibration_file.CalibrationError as error:
+        if named:
+            raise ForeignError(str(error)) from error
+        return None
+    table.only("calibration" if named else "files")
+    cameras = {"left": ours.rig.left, "right": ours.rig.right}
+    stated_px = {side: (camera.width_px, camera.height_px) for side, camera in cameras.items()}
+    for side, stated in stated_px.items():
+        _check_size(str(path), side, stated, sizes_px[side], "right" not in description.files)
+    if not any(
+        one.port.distance_mm or one.port.thickness_mm or one.correction or one.ray_shift or one.lens_in_water
+        for one in cameras.values()
+    ):
+        # Of `calibrate pair`: like OpenCV's files it knows neither windows nor water.
+        return replace(_behind_ports(description, ours.rig), stated_px=stated_px)
+    if description.ports is not None:
+        raise ForeignError(f"[ports] is there, and {path.name} has its own; take [ports] out")
+    # Made in water unless somebody says so: our own files know theirs.
+    index = ours.water.index if description.medium.is_air else _index_of(description.medium)
+    return ForeignRig(ours.rig, index, ours, stated_px)
+
+
+def _index_of(medium: Medium) -> float:
+    """Return the index relative to air. Raises ForeignError."""
+    if medium.index is not None or medium.temperature_c is None:
+        return medium.index or 1.0
+    return quan_fry_index(medium.temperature_c, medium.salinity_psu, medium.wavelength_nm)
+
+
+def _behind_ports(description: Description, rig: StereoRig) -> ForeignRig:
+    """Return the cameras behind the description's ports; without these rays go straight, in water too: so they were calibrated there."""
+    ports = description.ports
+
+    def housed(camera: HousedCamera, normal: int) -> HousedCamera:
+        if ports is None or (description.medium.is_air and ports.thickness_mm == 0.0):
+            return replace(camera, port=NO_PORT, lens_in_water=True)
+        port = Port(ports.normals[normal], ports.distance_mm, ports.thickness_mm, ports.glass_index)
+        return replace(camera, port=port)
+
+    return ForeignRig(StereoRig(housed(rig.left, 0), housed(rig.right, 1)), _index_of(description.medium))

@@ -1,0 +1,158 @@
+"""Owns which image files of a folder belong to which camera: by folders of their own, or by their names."""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from appliance.desk.foreign.description import ImageFiles
+from appliance.desk.foreign.frames import PAGED, STACKS, SUFFIXES, Frame, arrays_in, frame_head, frames_in
+from appliance.desk.foreign.images import natural_key, of_side
+from appliance.desk.foreign.problem import ForeignError
+from appliance.measure.light.sides import SIDES
+
+LEAST_IMAGES, MOST_FILES = 3, 2000
+WIDE, HIGH = 2.0, 1.2
+"""Width over height from which on, and height over width above which a picture may be two."""
+_RIGHT = re.compile(r"(^|[^a-z])(right|r|slave)([^a-z]|$)|right", re.IGNORECASE)
+_LEFT = re.compile(r"(^|[^a-z])(left|l|master)([^a-z]|$)|left", re.IGNORECASE)
+_SIDE = re.compile(
+    r"left|right|master|slave|(?:cam(?:era)?|view|sensor)[_-]?\d+|(?<![a-z])[lrc]\d?(?![a-z0-9])", re.IGNORECASE
+)
+_ASIDE = re.compile(r"calib|chess|board|checker|charuco|result|output|depth|mask", re.IGNORECASE)
+"""Folders and files beside a sequence, left out where the names tell nothing otherwise."""
+
+
+@dataclass(frozen=True, slots=True)
+class CameraFiles:
+    """The images of one camera."""
+
+    side: str
+    """``left`` or ``right``."""
+    named: ImageFiles
+    """Names of the files in the words of a description, relative to the folder."""
+    files: tuple[Frame, ...]
+    """The images themselves, in natural order."""
+
+
+def camera_files(folder: Path) -> list[CameraFiles]:
+    """Return the images of the one or two cameras below ``folder``, the left one first. Raises ForeignError."""
+    if not folder.is_dir():
+        raise ForeignError(f"{folder}: is no folder; give the one with the images")
+    stacks = _stacks(folder)
+    if stacks is not None:
+        return stacks
+    found = [path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES and path.is_file()]
+    if not LEAST_IMAGES <= len(found) <= MOST_FILES:
+        raise ForeignError(
+            f"{folder}: {len(found)} images are in it; allowed are {LEAST_IMAGES} to {MOST_FILES}; give the folder of one set"
+        )
+    names = [str(path.relative_to(folder)) for path in found]
+    # What lies beside a sequence first goes; where everything is called so, it is the sequence.
+    best = _best([name for name in names if not _ASIDE.search(name)]) or _best(names)
+    if best is None:
+        raise ForeignError(
+            f"{folder}: which of its {len(names)} images are of which camera cannot be told by their names; put those of each camera into "
+            "a folder of its own, left and right"
+        )
+    return [
+        CameraFiles(
+            side, ImageFiles((pattern,)), tuple(Frame(folder / name) for name in sorted(best[pattern], key=natural_key))
+        )
+        for side, pattern in zip(SIDES, _left_first(best), strict=False)
+    ]
+
+
+def _left_first(names: Iterable[str]) -> list[str]:
+    ordered = sorted(names, key=natural_key)
+    if len(ordered) == 2 and (_RIGHT.search(ordered[0]) or _LEFT.search(ordered[1])) and not _LEFT.search(ordered[0]):
+        ordered.reverse()
+    return ordered
+
+
+def _stacks(folder: Path) -> list[CameraFiles] | None:
+    """Return the one or two stacks of images below ``folder``; ``None`` where there is none, or more than that."""
+    found: dict[str, tuple[Frame, ...]] = {}
+    for path in sorted(folder.rglob("*")):
+        if path.suffix.lower() not in (*STACKS, *PAGED) or not path.is_file():
+            continue
+        name = str(path.relative_to(folder))
+        for array in arrays_in(path) if path.suffix.lower() == ".npz" else ("",):
+            try:
+                frames = frames_in(path, array)
+            except ForeignError:
+                continue  # no stack of images
+            if len(frames) >= LEAST_IMAGES:
+                found[f"{name}#{array}" if array else name] = frames
+    if not 1 <= len(found) <= 2 or len({len(frames) for frames in found.values()}) != 1:
+        return None
+    return [
+        CameraFiles(side, ImageFiles((name,)), found[name])
+        for side, name in zip(SIDES, _left_first(found), strict=False)
+    ]
+
+
+def in_halves(camera: CameraFiles) -> Iterator[list[CameraFiles]]:
+    """Yield two cameras that share each picture, beside or above each other, where its shape allows it."""
+    head = frame_head(camera.files[0])
+    if head is not None:
+        height_px, width_px = head.shape
+        if width_px >= WIDE * height_px:
+            yield _shared(camera, "left beside right")
+        elif height_px > HIGH * width_px:
+            yield _shared(camera, "left above right")
+
+
+def taken_in_turns(camera: CameraFiles) -> Iterator[list[CameraFiles]]:
+    """Yield the ways in which two cameras may share one sequence: by turns, and one after the other."""
+    count = len(camera.files)
+    if count % 2 == 0 and count >= 2 * LEAST_IMAGES:
+        yield _shared(camera, "left right")
+        yield _shared(camera, f"left*{count // 2} right*{count // 2}")
+
+
+def _shared(camera: CameraFiles, sides: str) -> list[CameraFiles]:
+    named = replace(camera.named, sides=sides)
+    return [CameraFiles(side, named, tuple(of_side(camera.files, sides, side))) for side in SIDES]
+
+
+def other_way_round(cameras: Sequence[CameraFiles]) -> tuple[CameraFiles, ...]:
+    """Return two cameras of which the first is the right one."""
+    sides = re.sub("left|right", lambda found: SIDES[found[0] == "left"], cameras[0].named.sides)
+    return tuple(
+        CameraFiles(side, replace(one.named, sides=sides), one.files)
+        for side, one in zip(SIDES, reversed(cameras), strict=True)
+    )
+
+
+def _best(names: list[str]) -> dict[str, list[str]] | None:
+    """Return the images of one or two cameras by the pattern of their names; ``None`` where the names do not tell."""
+    best: dict[str, list[str]] | None = None
+    for patterns in zip(*(_patterns(name) for name in names), strict=True):
+        groups: dict[str, list[str]] = defaultdict(list)
+        for pattern, name in zip(patterns, names, strict=True):
+            groups[pattern].append(name)
+        sizes = {len(group) for group in groups.values()}
+        if "" not in groups and len(groups) <= 2 and len(sizes) == 1 and sizes.pop() >= LEAST_IMAGES:
+            # Two cameras are likelier than one whose images are named in two ways.
+            if len(groups) == 2:
+                return groups
+            best = best or groups
+    return best
+
+
+def _patterns(name: str) -> Iterator[str]:
+    """Yield the patterns that a name may share with the others of its camera, the likeliest first; empty where it has no such part."""
+    path = Path(name)
+    yield str(path.with_name(f"*{path.suffix}"))
+    # One of the numbers in a name counts the images: the last one, or the one before, …
+    numbers = list(re.finditer(r"\d+", name))[::-1]
+    for place in range(4):
+        yield f"{name[: numbers[place].start()]}*{name[numbers[place].end() :]}" if place < len(numbers) else ""
+    # Whatever stands about a word for one of two cameras: 00_left.png, bright_R.png, cam0_gray_03.png.
+    *_, side = [None, *_SIDE.finditer(path.name)]
+    # A wildcard stands for no part of a folder's name.
+    yield str(path.with_name(f"{'*' if side.start() else ''}{side[0]}*{path.suffix}")) if side else ""

@@ -1,0 +1,128 @@
+"""Owns the phase of any number of steps: least squares over sine images whose steps are known.
+
+Image k shows I_k = A + B cos(φ + δ_k) = A + C cos δ_k − S sin δ_k with C = B cos φ and S = B sin φ: linear in A, C and S, so that
+their best values are fixed weights times the images (the pseudo-inverse of the columns 1, cos δ_k, −sin δ_k). The kernel that does it
+stands beside the instrument's own for four steps (``appliance/measure/decode/steps.py``;
+``docs/adr/0057-foreign-frames-are-decoded-beside-our-own.md``).
+Source: Greivenkamp, Opt. Eng. 23 (1984) 350.
+
+A response that is no straight line adds harmonics, of which N equal steps leave an error that repeats N times in a period. Phases that are
+spread evenly are then denser at some places than at others: how many lie below one is its true value (``unbend``).
+Source: Guo, He, Chen, Appl. Opt. 43 (2004) 2906.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.desk.foreign.problem import ForeignError
+from appliance.measure.decode.steps import fit_steps
+
+Floats = NDArray[np.float32]
+
+WORST_CONDITION = 30.0
+"""Largest ratio of the singular values of the three columns: steps that lie too near to each other tell no phase."""
+ROWS_AT_ONCE = 64
+"""Rows that are worked on together, so that they stay in the cache."""
+TURN = 2.0 * math.pi
+BINS, SOME = 1024, 1_000_000
+CLEARLY = 2.0
+"""A response is bent where its harmonic of the phases' histogram is so many times that of its neighbours, which the thing itself makes."""
+LEAST_LEFT = 2.0
+"""A bent response leaves at least so many times as much of the steps as it bends the phase, in radians."""
+REST = 0.25
+"""Share of a bend that remains, since bright and dark places are bent differently: measured on rendered sets with 16 and 64 fringes."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SineFit:
+    """The best sine through the images of one period, (h, w) each; grey values are the images' own."""
+
+    turns: Floats
+    """Phase φ in turns, −½ … ½."""
+    modulation: Floats
+    """Half the swing, B."""
+    offset: NDArray[Any]
+    """Mean A."""
+    misfit: NDArray[np.floating[Any]] | None
+    """Root mean square of what is left, with the degrees of freedom that are left; ``None`` for three steps, which always fit."""
+    saturated: NDArray[np.bool_]
+    """True where an image is at full scale."""
+
+
+def step_weights(steps_deg: tuple[float, ...]) -> NDArray[np.float64]:
+    """Return the (3, n) weights that make A, C and S of n images. Raises ForeignError for steps that cannot tell a phase."""
+    angles = np.deg2rad(np.asarray(steps_deg, np.float64))
+    columns = np.stack([np.ones_like(angles), np.cos(angles), -np.sin(angles)], axis=1)
+    singular = np.linalg.svd(columns, compute_uv=False)
+    if len(steps_deg) < 3 or singular[-1] * WORST_CONDITION < singular[0]:
+        said = ", ".join(f"{step:g}" for step in steps_deg)
+        raise ForeignError(
+            f"steps_deg {said} lie too near to each other to tell a phase; correct them, three must differ by far"
+        )
+    return np.asarray(np.linalg.pinv(columns))
+
+
+def fit_sine(images: Sequence[NDArray[Any]] | NDArray[Any], steps_deg: tuple[float, ...], white: float) -> SineFit:
+    """Fit the ``images`` (h, w) of the steps ``steps_deg``, whose saturated grey value is ``white``. Raises ForeignError."""
+    # To twelve digits: weights of four steps of 90° are halves and noughts then, and exact.
+    weights = np.round(step_weights(steps_deg), 12).astype(np.float32)
+    angles = np.deg2rad(np.asarray(steps_deg, np.float64))
+    columns = np.stack([np.cos(angles), np.sin(angles)]).astype(np.float32)
+    whole = np.ascontiguousarray(images)
+    shape = whole.shape[1:]
+    turns, modulation, offset, misfit = (np.empty(shape, np.float32) for _ in range(4))
+    saturated = np.empty(shape, np.bool_)
+    fit_steps(whole, weights, columns, np.float32(white), (turns, modulation, offset, misfit), saturated)
+    return SineFit(turns, modulation, offset, misfit if len(whole) > 3 else None, saturated)
+
+
+def some_pixels(maps: NDArray[Any]) -> NDArray[Any]:
+    """Return the values (…, n) of maps (…, h, w) at some pixels, equally far apart."""
+    flat = maps.reshape(*maps.shape[:-2], -1)
+    return flat[..., :: 1 + flat.shape[-1] // SOME].copy()
+
+
+def misfit_samples(fit: SineFit) -> tuple[Floats, Floats] | None:
+    """Return misfit and modulation of some pixels; ``None`` where the steps fit anything."""
+    return None if fit.misfit is None else (some_pixels(fit.misfit), some_pixels(fit.modulation))
+
+
+def misfit_share(samples: tuple[Floats, Floats] | None, usable: NDArray[np.bool_]) -> float | None:
+    """Return what the best sine leaves of the steps, over its modulation; ``None`` where they fit anything, or nothing is seen."""
+    known = some_pixels(usable)
+    if samples is None or not known.any():
+        return None
+    return float(np.median(samples[0][known] / samples[1][known]))
+
+
+def unbend(turns: Floats, usable: NDArray[np.bool_], steps: int, share: float | None) -> float:
+    """Take from the phases ``turns`` what a bent response adds to them, where it is clearly seen.
+
+    Returns the standard deviation of what remains, in turns; ``share`` is what the steps leave.
+    """
+    some = turns.ravel()[np.flatnonzero(usable)[:: 1 + usable.size // SOME]]
+    counts = np.bincount(np.clip((some + 0.5) * BINS, 0, BINS - 1).astype(np.int32), minlength=BINS)
+    middles = (np.arange(BINS) + 0.5) / BINS - 0.5
+    orders = [steps - 1, steps + 1, steps, 2 * steps, 3 * steps]
+    # Mean of exp(i n φ): an error ε sin(n φ) makes it ε n / 2.
+    means = np.exp(1j * TURN * np.outer(orders, middles)) @ counts / max(1, counts.sum())
+    own = float(np.abs(means[:2]).max())
+    size = 2.0 * np.sqrt(np.maximum(np.abs(means[2:]) ** 2 - own**2, 0.0)) / orders[2:] / TURN
+    bend = math.sqrt(0.5 * float(size @ size))
+    most = math.inf if share is None else share / LEAST_LEFT / TURN
+    if bend > most or abs(means[2]) < CLEARLY * own:
+        return min(bend, most)
+    angles = TURN * np.outer(orders[2:], middles) - np.angle(means[2:])[:, None]
+    table = size @ np.sin(angles)
+    for begin in range(0, len(turns), ROWS_AT_ONCE):
+        turns[begin : begin + ROWS_AT_ONCE] += np.interp(turns[begin : begin + ROWS_AT_ONCE], middles, table).astype(
+            np.float32
+        )
+    return REST * bend

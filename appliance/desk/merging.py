@@ -1,0 +1,96 @@
+"""Owns two stored scans as one cloud: two exposures of the same scene, for what is too bright in one and too dark in the other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from appliance.measure.calibration.file import Calibration
+from appliance.measure.light.water import Water
+from appliance.measure.points.pipeline import Cloud
+from appliance.measure.verdict import Verdict
+from appliance.store import scan as stored
+from appliance.store.config import Rig
+from appliance.store.instrument import exposure_of_scan, settings_of_scan
+from appliance.store.origin import Chosen, SourceScan
+from appliance.store.ply import write_ply
+from appliance.store.reprocess import refuse_empty, reprocess_bracket
+from appliance.store.scan import ScanError
+
+
+def merge_scans(
+    sources: tuple[SourceScan, SourceScan], chosen: Chosen, out: Path | None, progress: Callable[[str], None]
+) -> dict[str, Any]:
+    """Make one cloud of two stored scans of the same scene with different exposures, written as PLY to ``out``
+    (``None``: ``NAME+NAME.ply`` here).
+
+    Raises ScanError, also for scans that do not show the same, or are the same; CalibrationError, OSError.
+    """
+    rig, calibration = sources[0].rig, chosen.calibration
+    refuse_the_same(sources[0].scan, sources[1].scan)
+    # The shorter exposure's grey values are those of the cloud: they are not saturated.
+    scans = sorted(
+        (source.scan for source in sources), key=lambda scan: exposure_of_scan(scan.manifest.record, rig).light
+    )
+    cloud, verdict, water = merged_cloud_of((scans[0], scans[1]), rig, calibration, progress)
+    names = [scan.manifest.scan_id for scan in scans]
+    target = out if out is not None else Path(f"{'+'.join(names)}.ply")
+    progress("writing")
+    write_ply(target, cloud)
+    s = cloud.summary
+    return {
+        "scans": " + ".join(names),
+        "exposures": " + ".join(exposure_of_scan(scan.manifest.record, rig).label for scan in scans),
+        "file": str(target),
+        "points": s.points,
+        "coverage_percent": s.coverage_percent,
+        "noise_mm": s.noise_mm,
+        "gap_mm": s.gap_mm,
+        "merged": verdict.text,
+        **verdict.numbers,
+        "calibration": calibration.hash,
+        "calibration_from": chosen.whose,
+        "calibration_method": calibration.method,
+        "water_index": water.index,
+    }
+
+
+def refuse_the_same(first: stored.StoredScan, second: stored.StoredScan) -> None:
+    """Raises ScanError for two scans with a file of frames in common, whatever their numbers.
+
+    The same frames counted twice would claim less noise than there is, by the root of two.
+    """
+    of_frames = (*stored.RAW_FILES, *stored.SECOND_FILES)
+    # By their content: a copy under another number is the same scan.
+    sums = [{scan.manifest.files[n].sha256 for n in of_frames if n in scan.manifest.files} for scan in (first, second)]
+    if sums[0] & sums[1]:
+        raise ScanError(
+            f"{first.folder} and {second.folder} are the same scan: they have the same frames, which must not count twice; "
+            "merge two scans of different exposures"
+        )
+
+
+def merged_cloud_of(
+    scans: tuple[stored.StoredScan, stored.StoredScan],
+    rig: Rig,
+    calibration: Calibration,
+    progress: Callable[[str], None],
+) -> tuple[Cloud, Verdict, Water]:
+    """Return the full cloud of two scans as one, in the frame of the first; the verdict ``pair``, and the water.
+
+    Raises ScanError for scans of different patterns, or of two sequences, or that do not show the same.
+    """
+    first, second = scans
+    for scan in scans:
+        if scan.second is not None:
+            raise ScanError(f"{scan.folder}: is of two exposures already; merge scans of one")
+    # Pixel by pixel, coordinates are compared: those of other patterns mean other places.
+    if first.manifest.record.sequence != second.manifest.record.sequence:
+        raise ScanError("the scans were recorded with different patterns; merge two of the same fringe period")
+    settings = (settings_of_scan(first.manifest.record, rig), settings_of_scan(second.manifest.record, rig))
+    made = reprocess_bracket(first, second.frames, settings, calibration, progress)
+    if made.cloud is None:
+        raise ScanError(f"{made.pair.verdict.text}: merge scans that were taken from one place")
+    refuse_empty(first.folder, made.empty)
+    return made.cloud, made.pair.verdict, made.water

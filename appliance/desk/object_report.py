@@ -1,0 +1,115 @@
+"""Owns what the page about an object says: its places, pairs, budget and warnings as the report's values."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from appliance import __version__
+from appliance.desk.object_errors import length_between
+from appliance.desk.object_store import ComparedScans, Places, ScanPlace, StoredObject
+from appliance.desk.report.content import Report, ReportBudget, ReportPair, ReportScan, ReportTerm, ReportVerdict, when
+from appliance.desk.surface.fusion import FusedCloud
+from appliance.measure.light.rotation import rotation_vector
+
+SHOWN_DIGITS = 12
+_UNCHECKED = "in no loop: nothing checks it; one more scan across both would"
+
+
+def report_of(stored_object: StoredObject, surface: FusedCloud) -> Report:
+    """Return the page's content for a solved object and its fused surface. Raises ValueError for one that is not solved."""
+    places = stored_object.places
+    if places is None:
+        raise ValueError(f"object '{stored_object.name}' is not solved; solve it before its report is made")
+    return Report(
+        title=stored_object.name,
+        subtitle=f"{len(places.places)} of {len(stored_object.scans)} scans placed",
+        about={
+            "Calibration": ", ".join(one[:SHOWN_DIGITS] for one in places.calibrations),
+            "Refractive index of the water": f"{places.water_index[0]:.5f}",
+            "Software": f"Kingfisher {__version__}",
+            "Frame": f"left camera of scan {next(iter(places.places), '-')}, mm",
+        },
+        scans=[_scan(one.name, places) for one in stored_object.scans],
+        pairs=[_pair(one) for one in places.pairs],
+        budget=_budget(stored_object, places),
+        surface=surface,
+        warnings=places.warnings,
+    )
+
+
+def _scan(name: str, places: Places) -> ReportScan:
+    warnings = tuple(one.partition(": ")[2] for one in places.warnings if one.startswith(f"scan {name}: "))
+    cloud, place = places.clouds.get(name), places.places.get(name)
+    known = ReportScan(name, ReportVerdict.REFUSED, places.left_out.get(name, ""), warnings=warnings)
+    if cloud is not None:
+        known = replace(
+            known,
+            recorded=None if cloud.recorded is None else when(cloud.recorded),
+            points=cloud.points,
+            distance_mm=cloud.distance_mm,
+            sigma_mm=cloud.sigma_mm,
+            ray_gap_mm=cloud.ray_gap_mm,
+        )
+    if place is None:
+        return known
+    turn = np.degrees(rotation_vector(np.array(place.rotation)))
+    return replace(
+        known,
+        verdict=ReportVerdict.DOUBTFUL if warnings else ReportVerdict.GOOD,
+        reason="",
+        position_mm=place.translation_mm,
+        rotation_deg=(float(turn[0]), float(turn[1]), float(turn[2])),
+        pose_sigma_mm=place.sigma_mm,
+    )
+
+
+def _pair(pair: ComparedScans) -> ReportPair:
+    checked = ReportVerdict.UNCHECKED if pair.discrepancy_mm is None else ReportVerdict.GOOD
+    verdict = checked if pair.used else ReportVerdict.REFUSED
+    return ReportPair(
+        first=pair.first,
+        second=pair.second,
+        verdict=verdict,
+        reason=_UNCHECKED if verdict is ReportVerdict.UNCHECKED else "" if pair.used else pair.text,
+        overlap_percent=pair.overlap_percent,
+        matches=pair.matches,
+        residual_mm=pair.discrepancy_mm,
+        sigma_mm=pair.sigma_mm,
+        sigma_deg=pair.sigma_deg,
+    )
+
+
+def _budget(stored_object: StoredObject, places: Places) -> ReportBudget | None:
+    """Return the uncertainty of the distance between the first scan's middle and that of the farthest one; ``None`` for one scan."""
+    if len(places.places) < 2:
+        return None
+    names = list(places.places)
+    first = places.places[names[0]]
+    name = max(names, key=lambda one: _apart_mm(first, places.places[one]))
+    farthest = places.places[name]
+    length = length_between(stored_object, names[0], first.middle_mm, name, farthest.middle_mm)
+    terms = (
+        ReportTerm(
+            "places of the scans", length.places_mm, "pairs along the graph: residuals of the overlaps, robust by tiles"
+        ),
+        ReportTerm(
+            "depth error that all scans share",
+            length.bending_mm,
+            "what the overlaps' estimate leaves of it"
+            if places.shared_error_removed
+            else "what the calibration states",
+        ),
+    )
+    return ReportBudget(
+        over_mm=length.length_mm,
+        terms=terms,
+        combined_mm=length.sigma_mm,
+        statement=f"Distance from the centre of scan {names[0]} to the centre of scan {name}. Bending may displace scan {name} by {farthest.bending_mm:.3f} mm "
+        f"sideways ({farthest.bending_aided_mm:.3f} mm with --with-estimate). Scale and the noise of single points are not included: see the calibration's evaluation.",
+    )
+
+
+def _apart_mm(first: ScanPlace, place: ScanPlace) -> float:
+    return float(np.linalg.norm(np.subtract(place.middle_mm, first.middle_mm)))

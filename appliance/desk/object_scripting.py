@@ -1,0 +1,98 @@
+"""Owns what a script at the desk does with an object that ``kingfisher object`` keeps: its places, placed points, surface, errors and lengths."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from appliance.base.argument_types import refuse_wrong_types
+from appliance.desk import object_store as objects
+from appliance.desk.comparing import Comparison, NominalSurface, compare
+from appliance.desk.object_errors import errors_of, length_between
+from appliance.desk.object_store import ObjectError, StoredObject
+from appliance.desk.objects import placed_scans, surface_of
+from appliance.desk.registration.joint import JointErrors, LengthSigma
+from appliance.desk.scripting import open_dive
+from appliance.desk.surface.deviation import LIMIT_MM
+from appliance.desk.surface.fusion import SPACING_MM, FusedCloud, PlacedScan
+from appliance.measure.overlap.rigid import Rigid
+from appliance.store.wish import Wish
+
+Doing = Callable[[str, float | None], None]
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectOfDive:
+    """One object under a storage root; its file is read whenever it is asked for. Everything is in the object's frame, mm."""
+
+    root: Path
+    name: str
+    wish: Wish
+
+    @property
+    def stored(self) -> StoredObject:
+        """The record: scans, places, pairs, warnings. Raises ObjectError."""
+        return objects.read(self.root, self.name)
+
+    @property
+    def errors(self) -> JointErrors:
+        """Errors of all places as they hang together. Raises ObjectError where it is not solved."""
+        return errors_of(self.stored)
+
+    @refuse_wrong_types
+    def placed_scans(self, progress: Doing = lambda *_: None) -> Iterator[PlacedScan]:
+        """Yield the scans that have a place, one at a time. Raises ObjectError, ScanError, CalibrationError."""
+        return placed_scans(self.root, self.stored, self.wish, progress)
+
+    @refuse_wrong_types
+    def surface(self, spacing_mm: float = SPACING_MM, progress: Doing = lambda *_: None) -> FusedCloud:
+        """Return one surface of all placed scans, a point about every ``spacing_mm``. Raises ObjectError, ScanError, CalibrationError."""
+        return surface_of(self.root, self.stored, self.wish, progress, spacing_mm)
+
+    @refuse_wrong_types
+    def length(
+        self, first: str, at_first_mm: Sequence[float], second: str, at_second_mm: Sequence[float]
+    ) -> LengthSigma:
+        """Return the distance between a point of scan ``first`` and one of ``second``, with its standard deviation. Raises ObjectError."""
+        return length_between(self.stored, first, at_first_mm, second, at_second_mm)
+
+    @refuse_wrong_types
+    def compare(
+        self,
+        nominal: NominalSurface,
+        spacing_mm: float = SPACING_MM,
+        limit_mm: float = LIMIT_MM,
+        start: Rigid | None = None,
+    ) -> Comparison:
+        """Align its surface to ``nominal`` and return the deviations, with the object's own errors in their sigma. Raises SurfaceMatchError, and
+        what ``surface`` raises."""
+        return compare(self.surface(spacing_mm), nominal, limit_mm, start, self.errors)
+
+    def __repr__(self) -> str:
+        """Return one line; it never raises, whatever lies in the file."""
+        try:
+            stored = self.stored
+        except ObjectError as error:
+            return f"<object {self.name}: {error}>"
+        placed = "not solved" if stored.places is None else f"{len(stored.places.places)} placed"
+        return f"<object {self.name}: {len(stored.scans)} scans, {placed}>"
+
+
+def open_object(
+    root: Path | str,
+    name: str,
+    rig: Path | str | None = None,
+    calibration: Path | str | None = None,
+    *,
+    current_calibration: bool = False,
+    foreign_calibration: bool = False,
+) -> ObjectOfDive:
+    """Return the object of that name under a storage root. The options are those of ``open_dive``; ``calibration``: the file of another one than each scan's
+    own, as ``--calibration``. Raises ObjectError, NotADirectoryError, ConfigError."""
+    dive = open_dive(root, rig, current_calibration=current_calibration, foreign_calibration=foreign_calibration)
+    wish = dive.wish if calibration is None else replace(dive.wish, calibration=Path(calibration), current=False)
+    found = ObjectOfDive(dive.root, name, wish)
+    # Read and thrown away: a wrong name is better said now than at the first points.
+    objects.read(found.root, name)
+    return found

@@ -1,0 +1,57 @@
+"""Owns a stored scan on the pixel grid of its left image: made from the raw frames as ``reconstruct`` does, with its bright image."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.desk.reconstruct import cloud_of_scan
+from appliance.measure.fault import Fault
+from appliance.measure.light.water import Water
+from appliance.measure.points.organised import OrganisedCloud, organised
+from appliance.store.origin import Chosen, SourceScan
+from appliance.store.reprocess import sequence_of_scan
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OrganisedScan:
+    """A stored scan's cloud with its neighbours, and what is known about it."""
+
+    cloud: OrganisedCloud
+    water: Water
+    """Water in which it was reconstructed."""
+    faults: tuple[Fault, ...]
+    """Warnings about the scan; its points are there all the same."""
+
+    def __repr__(self) -> str:
+        """Return one line: how many points, and their median sigma."""
+        sigma_mm = self.sigma_mm
+        said = [f"{len(sigma_mm):,} points"]
+        if len(sigma_mm):
+            said.append(f"{1000.0 * float(np.median(sigma_mm)):.0f} µm")
+        return f"<{', '.join((*said, *(fault.code.value for fault in self.faults)))}>"
+
+    @property
+    def points_mm(self) -> NDArray[np.float32]:
+        """(n, 3) float32: the points alone, in the order of their pixels; left camera frame."""
+        return self.cloud.points_mm[self.cloud.mask]
+
+    @property
+    def sigma_mm(self) -> NDArray[np.float32]:
+        """(n,) float32: the standard deviation of each along its ray."""
+        return self.cloud.sigma_mm[self.cloud.mask]
+
+
+def organised_scan(source: SourceScan, chosen: Chosen, progress: Callable[[str], None]) -> OrganisedScan:
+    """Return the full cloud of a stored scan, of both exposures where it has two, on the grid of its left image.
+
+    Raises ScanError, also where no points are left.
+    """
+    scan = source.scan
+    cloud, water, faults = cloud_of_scan(scan, source.rig, chosen.calibration, progress)
+    # A copy: the frames may be a file that is mapped, and the cloud outlives it.
+    bright = np.array(scan.frames["left"][sequence_of_scan(scan).bright])
+    return OrganisedScan(organised(cloud, bright), water, faults)

@@ -1,0 +1,188 @@
+"""Owns the link to an instrument: asyncssh, which does keys, host keys, encryption and SFTP, and what its complaints mean."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import socket
+from collections.abc import Coroutine, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any, TypeVar
+
+from appliance.base.libraries import needed
+from appliance.desk.pull.source import BLOCK_BYTES, LinkLost, NotThere, PullError, RemoteEntry, Unreadable, entry_of
+
+LIBRARY = "asyncssh"
+NEEDS_IT = "an instrument on the network"
+USER = "kingfisher-pull"
+PORT = 2222
+"""Port of the instrument's server; not 22, which a Debian with a login of its own may use."""
+SERVED = "data"
+"""Folder in which the instrument's server shows its storage root; beside it lies ``instrument`` with the rig file."""
+ANSWER_S = 30.0
+"""Longest silence before a link counts as broken."""
+MOST_NAMES = 200_000
+"""Most names in a folder that are believed."""
+KNOWN_HOSTS = "~/.ssh/known_hosts"
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class Host:
+    """An instrument on the network."""
+
+    name: str
+    """``[user@]host``, or a name of the user's ssh configuration."""
+    port: int = PORT
+    identity: Path | None = None
+    known_hosts: Path | None = None
+    """File of the host keys that are trusted; ``None``: the user's own."""
+
+
+class SshLink:
+    """Opens links to one instrument, one after the other."""
+
+    def __init__(self, host: Host, limit_s: float = ANSWER_S) -> None:
+        self._host, self._limit_s = host, limit_s
+        self._linked = False
+        """True once there was a link: what is wrong later may pass."""
+
+    @contextmanager
+    def __call__(self) -> Iterator[SftpSource]:
+        """Open a link, which ends with the block. Raises LinkLost, PullError where trying again is of no use, MissingLibraryError."""
+        library = needed(LIBRARY, LIBRARY, NEEDS_IT)
+        # The loop runs only while something is waited for, so that Ctrl-C ends that wait, and the runner all that is left then.
+        with asyncio.Runner() as runner:
+            loop = runner.get_loop()
+            try:
+                connecting = asyncio.wait_for(self._connected(library), self._limit_s)
+                connection, sftp = loop.run_until_complete(connecting)
+            except (library.Error, OSError) as error:
+                raise self._meant(library, error) from error
+            self._linked = True
+            try:
+                yield SftpSource(library, loop, sftp, self._limit_s, SERVED)
+            finally:
+                connection.abort()
+
+    async def _connected(self, library: ModuleType) -> tuple[Any, Any]:
+        """Return a connection to a host whose key is known, and its SFTP; only keys are tried, and nothing is asked."""
+        user, _, address = self._host.name.rpartition("@")
+        try:
+            options = library.SSHClientConnectionOptions(
+                config=(), host=address, port=self._host.port, username=user or USER, preferred_auth="publickey",
+                # The instrument has one host key; asked only for kinds that are known already, it would not show another one.
+                server_host_key_algs="default",
+                # Done by the processor itself, and so twice as fast as the library's first choice.
+                encryption_algs="^aes128-gcm@openssh.com", **self._keys(),
+            )  # fmt: skip
+            files = options.known_hosts if self._host.known_hosts is None else [str(self._host.known_hosts)]
+            files = [str(Path(one).expanduser()) for one in files or [KNOWN_HOSTS]]
+            known = library.read_known_hosts([one for one in files if Path(one).exists()])
+        except (ValueError, OSError) as error:
+            raise self._final(f"the private key, or ssh's own files, cannot be read: {error}") from error
+        try:
+            connection = await library.connect(address, self._host.port, options=options, known_hosts=known)
+        except library.HostKeyNotVerifiable as error:
+            key = await library.get_server_host_key(address, self._host.port)
+            host, port = options.host_key_alias or options.host, options.port
+            place = host if port == library.DEFAULT_PORT else f"[{host}]:{port}"
+            if any(library.match_known_hosts(known, host, "", port)[0]):
+                raise self._final(
+                    f"its host key is another one than before ({key.get_fingerprint()}). If the instrument's disk was made anew, "
+                    f"forget the old one with `ssh-keygen -R '{place}' -f {files[0]}`; if not, this is another computer"
+                ) from error
+            raise self._final(
+                f"its host key is not known here ({key.get_fingerprint()}). If it is the instrument that answers there, add this "
+                f"line to {files[0]} and call again: {place} {key.export_public_key().decode().strip()}"
+            ) from error
+        return connection, await connection.start_sftp_client(path_errors="surrogateescape")
+
+    def _keys(self) -> dict[str, Any]:
+        """Return which private keys are tried; one that is given is the only one, and the agent may hold it by its public half."""
+        if self._host.identity is None:
+            return {}
+        public = Path(f"{self._host.identity}.pub")
+        agent = {"agent_identities": [str(public)]} if public.exists() else {"agent_path": None}
+        return {"client_keys": [str(self._host.identity)], "ignore_encrypted": True, **agent}
+
+    def _final(self, meaning: str) -> PullError:
+        return PullError(f"{self._host.name}: {meaning}")
+
+    def _meant(self, library: ModuleType, error: Exception) -> LinkLost | PullError:
+        """Return what to tell of a link that was not to be had; what may pass by itself once there was one is a link that is lost."""
+        said = str(error) or "nothing came"
+        if isinstance(error, library.PermissionDenied):
+            return self._final(
+                "it does not take this key. Enrol the public one (a stick with kingfisher-keys.pub while TRANSFER is on), or give "
+                f"the right private one with --identity; one with a passphrase has to be in ssh-agent ({said})"
+            )
+        if isinstance(error, library.ChannelOpenError):
+            return self._final(f"it has no SFTP; is this the instrument? ({said})")
+        if isinstance(error, socket.gaierror) and not self._linked:
+            return self._final(
+                "no computer of that name is known; give the address that the instrument's menu shows under TRANSFER "
+                f"({said})"
+            )
+        # With several addresses of one name, asyncio tells all their errors in one text.
+        refused = isinstance(error, ConnectionRefusedError) or f"[Errno {errno.ECONNREFUSED}]" in said
+        if refused and not self._linked:
+            return self._final(
+                f"nobody listens at port {self._host.port}; switch TRANSFER on in the instrument's menu (it is off after each "
+                f"power-on) ({said})"
+            )
+        return LinkLost(f"{self._host.name}: {said}")
+
+
+class SftpSource:
+    """A storage root on an SFTP server. After LinkLost it is of no more use."""
+
+    def __init__(
+        self, library: ModuleType, loop: asyncio.AbstractEventLoop, sftp: Any, limit_s: float, root: str
+    ) -> None:
+        self._library, self._loop, self._sftp = library, loop, sftp
+        self._limit_s, self._root = limit_s, root
+
+    def listing(self, folder: str) -> list[RemoteEntry]:
+        """See ``Source``."""
+        return self._answer(self._listed(f"{self._root}/{folder}"), folder)
+
+    def read(self, path: str, start: int, end: int) -> Iterator[bytes]:
+        """See ``Source``."""
+        file = self._answer(self._sftp.open(f"{self._root}/{path}", "rb"), path)
+        # The library asks for the parts of a block at once: else each of them would cost a journey there and back.
+        while start < end and (block := self._answer(file.read(min(BLOCK_BYTES, end - start), start), path)):
+            start += len(block)
+            yield block
+        # Where reading ended early the link ends, too, and the handle with it.
+        self._answer(file.close(), path)
+
+    async def _listed(self, path: str) -> list[RemoteEntry]:
+        found: list[RemoteEntry] = []
+        async for one in self._sftp.scandir(path):
+            about = one.attrs
+            entry = entry_of(one.filename, about.permissions or 0, about.size or 0)
+            if entry is not None and entry.name not in (".", ".."):
+                found.append(entry)
+            if len(found) > MOST_NAMES:
+                raise Unreadable(f"{path}: more than {MOST_NAMES} names")
+        return sorted(found, key=lambda entry: entry.name)
+
+    def _answer(self, asked: Coroutine[Any, Any, T], path: str) -> T:
+        """Wait for an answer about ``path``. Raises LinkLost, NotThere, Unreadable."""
+        library = self._library
+        try:
+            return self._loop.run_until_complete(asyncio.wait_for(asked, self._limit_s))
+        except TimeoutError:
+            raise LinkLost(f"nothing came for {self._limit_s:g} s") from None
+        except (library.SFTPNoSuchFile, library.SFTPNoSuchPath) as error:
+            raise NotThere(f"{path}: not there") from error
+        except (library.SFTPConnectionLost, library.SFTPNoConnection, library.SFTPBadMessage) as error:
+            raise LinkLost(f"the link broke ({error})") from error
+        except library.SFTPError as error:
+            raise Unreadable(f"{path}: not given by the server ({error})") from error
+        except (library.Error, OSError) as error:
+            raise LinkLost(f"the link broke ({error})") from error

@@ -1,0 +1,163 @@
+"""Open what dives left on the disk: points as NumPy arrays in mm, objects of many scans, meshes, deviations, files for other programs.
+
+    dive = kingfisher.open_dive("ROOT")           the folder that holds scans/
+    scan = dive[7]                                <scan 000007: 282,679 points, 21 µm, good>
+    made = scan.points()                          made.points_mm (n, 3), made.sigma_mm (n,)
+    kingfisher.export(made, "scan.e57")
+
+The names, each with a help of its own, in ``kingfisher.__all__``:
+
+    scans          open_dive open_scan Dive ScanOfDive Grade OrganisedScan OrganisedCloud Water
+    calibrations   load_calibration save_calibration Calibration
+    registration   ready_scan register solve ReadyScan RegisteredPair Rigid Solved
+    objects        open_object ObjectOfDive StoredObject JointErrors LengthSigma
+    surfaces       PlacedScan fuse FusedCloud normals mesh_of_scan mesh_of_surface Mesh
+    deviations     read_nominal nominal_of_mesh compare deviations Nominal NominalSurface Comparison Deviation
+    files          export Report ReportBudget ReportNominal ReportPair ReportScan ReportTerm ReportVerdict write_report
+    errors         CalibrationError ConfigError ExportError MissingLibraryError NominalError ObjectError ScanError StorageError
+                   SurfaceMatchError UnknownScan; a wrong type is a TypeError, a folder that is not there a NotADirectoryError
+
+Each is loaded when it is first asked for. They are the program's own classes and functions under one roof; functions compare their
+arguments with their annotations first. Before the first of them is loaded, compiled kernels are looked for, as the command line does: numba asks
+for their folder when a kernel is defined.
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import inspect
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:  # for editors and type checkers; at run time ``__getattr__`` finds each by the table below
+    from appliance.base.libraries import MissingLibraryError as MissingLibraryError
+    from appliance.desk.comparing import Comparison as Comparison
+    from appliance.desk.comparing import NominalSurface as NominalSurface
+    from appliance.desk.comparing import compare as compare
+    from appliance.desk.export.suffixes import ExportError as ExportError
+    from appliance.desk.object_scripting import ObjectOfDive as ObjectOfDive
+    from appliance.desk.object_scripting import open_object as open_object
+    from appliance.desk.object_store import ObjectError as ObjectError
+    from appliance.desk.object_store import StoredObject as StoredObject
+    from appliance.desk.objects import ready_scan as ready_scan
+    from appliance.desk.organised_scan import OrganisedScan as OrganisedScan
+    from appliance.desk.registration.joint import JointErrors as JointErrors
+    from appliance.desk.registration.joint import LengthSigma as LengthSigma
+    from appliance.desk.registration.pair import ReadyScan as ReadyScan
+    from appliance.desk.registration.pair import RegisteredPair as RegisteredPair
+    from appliance.desk.registration.pair import register as register
+    from appliance.desk.registration.reference import SurfaceMatchError as SurfaceMatchError
+    from appliance.desk.registration.solve import Solved as Solved
+    from appliance.desk.registration.solve import solve as solve
+    from appliance.desk.report.content import Report as Report
+    from appliance.desk.report.content import ReportBudget as ReportBudget
+    from appliance.desk.report.content import ReportNominal as ReportNominal
+    from appliance.desk.report.content import ReportPair as ReportPair
+    from appliance.desk.report.content import ReportScan as ReportScan
+    from appliance.desk.report.content import ReportTerm as ReportTerm
+    from appliance.desk.report.content import ReportVerdict as ReportVerdict
+    from appliance.desk.report.page import write_report as write_report
+    from appliance.desk.scripting import Dive as Dive
+    from appliance.desk.scripting import ScanOfDive as ScanOfDive
+    from appliance.desk.scripting import export as export
+    from appliance.desk.scripting import open_dive as open_dive
+    from appliance.desk.scripting import open_scan as open_scan
+    from appliance.desk.scripting import save_calibration as save_calibration
+    from appliance.desk.surface.deviation import Deviation as Deviation
+    from appliance.desk.surface.deviation import deviations as deviations
+    from appliance.desk.surface.fusion import FusedCloud as FusedCloud
+    from appliance.desk.surface.fusion import PlacedScan as PlacedScan
+    from appliance.desk.surface.fusion import fuse as fuse
+    from appliance.desk.surface.mesh import Mesh as Mesh
+    from appliance.desk.surface.mesh import mesh_of_scan as mesh_of_scan
+    from appliance.desk.surface.nominal import Nominal as Nominal
+    from appliance.desk.surface.nominal import NominalError as NominalError
+    from appliance.desk.surface.nominal import nominal_of_mesh as nominal_of_mesh
+    from appliance.desk.surface.nominal import read_nominal as read_nominal
+    from appliance.desk.surface.normals import normals as normals
+    from appliance.desk.surface.object_mesh import mesh_of_surface as mesh_of_surface
+    from appliance.measure.calibration.file import Calibration as Calibration
+    from appliance.measure.calibration.file import CalibrationError as CalibrationError
+    from appliance.measure.calibration.file import load as load_calibration  # noqa: F401
+    from appliance.measure.grade import Grade as Grade
+    from appliance.measure.light.water import Water as Water
+    from appliance.measure.overlap.rigid import Rigid as Rigid
+    from appliance.measure.points.organised import OrganisedCloud as OrganisedCloud
+    from appliance.store.atomic import StorageError as StorageError
+    from appliance.store.config import ConfigError as ConfigError
+    from appliance.store.library import UnknownScan as UnknownScan
+    from appliance.store.scan import ScanError as ScanError
+
+_HOMES = {
+    "appliance.measure.calibration.file": ("Calibration", "CalibrationError", "load as load_calibration"),
+    "appliance.store.config": ("ConfigError",),
+    "appliance.desk.export.suffixes": ("ExportError",),
+    "appliance.desk.comparing": ("Comparison", "NominalSurface", "compare"),
+    "appliance.desk.object_scripting": ("ObjectOfDive", "open_object"),
+    "appliance.desk.objects": ("ready_scan",),
+    "appliance.desk.organised_scan": ("OrganisedScan",),
+    "appliance.desk.scripting": ("Dive", "ScanOfDive", "export", "open_dive", "open_scan", "save_calibration"),
+    "appliance.measure.light.water": ("Water",),
+    "appliance.measure.points.organised": ("OrganisedCloud",),
+    "appliance.desk.registration.joint": ("JointErrors", "LengthSigma"),
+    "appliance.desk.registration.pair": ("ReadyScan", "RegisteredPair", "register"),
+    "appliance.desk.registration.reference": ("SurfaceMatchError",),
+    "appliance.measure.overlap.rigid": ("Rigid",),
+    "appliance.desk.registration.solve": ("Solved", "solve"),
+    "appliance.desk.report.content": (
+        "Report", "ReportBudget", "ReportNominal", "ReportPair", "ReportScan", "ReportTerm", "ReportVerdict",
+    ),
+    "appliance.desk.report.page": ("write_report",),
+    "appliance.measure.grade": ("Grade",),
+    "appliance.store.atomic": ("StorageError",),
+    "appliance.store.library": ("UnknownScan",),
+    "appliance.desk.object_store": ("ObjectError", "StoredObject"),
+    "appliance.store.scan": ("ScanError",),
+    "appliance.desk.surface.deviation": ("Deviation", "deviations"),
+    "appliance.desk.surface.fusion": ("FusedCloud", "PlacedScan", "fuse"),
+    "appliance.base.libraries": ("MissingLibraryError",),
+    "appliance.desk.surface.mesh": ("Mesh", "mesh_of_scan"),
+    "appliance.desk.surface.nominal": ("Nominal", "NominalError", "nominal_of_mesh", "read_nominal"),
+    "appliance.desk.surface.normals": ("normals",),
+    "appliance.desk.surface.object_mesh": ("mesh_of_surface",),
+}  # fmt: skip
+"""Modules with what is taken from each, under its own name or another."""
+_FOUND = {
+    wanted.rpartition(" as ")[2]: (module, wanted.partition(" as ")[0])
+    for module, names in _HOMES.items()
+    for wanted in names
+}
+
+__version__ = importlib.import_module("appliance").__version__
+__all__ = [*sorted(_FOUND), "__version__"]
+
+
+def __getattr__(name: str) -> Any:
+    """Return one of the names above. Raises AttributeError for any other."""
+    if name not in _FOUND:
+        from appliance.base.distribution import other_program
+
+        there = f"module 'kingfisher' has no attribute {name!r}; there are: {', '.join(sorted(_FOUND))}"
+        raise AttributeError("; ".join(filter(None, (there, other_program()))))
+    return _loaded(name)
+
+
+@functools.cache
+def _loaded(name: str) -> Any:
+    from appliance.base import kernel_cache
+
+    kernel_cache.use()
+    module, attribute = _FOUND[name]
+    found = getattr(importlib.import_module(module), attribute)
+    if not inspect.isfunction(found):
+        return found
+    from appliance.base.argument_types import refuse_wrong_types
+
+    checked = refuse_wrong_types(found, name)
+    # As what it is known by here, it is found again by pickles, too.
+    checked.__module__, checked.__name__, checked.__qualname__ = __name__, name, name
+    return checked
+
+
+def __dir__() -> list[str]:
+    return __all__

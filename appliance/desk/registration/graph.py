@@ -1,0 +1,299 @@
+"""Owns the places of many scans from the poses of their pairs: loops closed, wrong pairs found by them, and how certain each place is.
+
+Every pair says where one scan lies in another's frame, with a covariance. All places are adjusted at once by least squares (Gauss-Newton
+on small motions), together with the depth error that all scans share (``bow``). A pair that contradicts the loops it is in is taken out
+and named. What no loop checks is said, too.
+
+Symbols: T_i  rigid motion from scan i's frame into the object's (that of the first scan);  ξ = (ω rad, τ mm)  a small motion of T_i, in
+         the object's frame;  δ  discrepancy of a pair, a turn (mm at its lever) and a shift;  W  its weight, 1/mm²
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from appliance.measure.calibration.depth_error import COUNT
+from appliance.measure.light.rotation import rotation_matrix, rotation_vector
+from appliance.measure.overlap.bow import PRIOR_MM2
+from appliance.measure.overlap.fine import Fit
+from appliance.measure.overlap.patches import Array
+from appliance.measure.overlap.rigid import Rigid
+
+FLOOR_MM = 0.015
+"""Standard deviation that every pair has besides its own: what calibrations leave between places of the image."""
+ROUNDS = 25
+WRONG = 45.0
+"""Squared discrepancy of a pair over its variance above which it is wrong; χ² with 6 degrees of freedom exceeds 39 in one of a million."""
+WRONG_MM = 0.25
+"""Pairs that discrepancies of less than this are found in are kept: such a thing is the calibrations', and is in the variance factor."""
+_IDENTITY = Rigid(np.eye(3), np.zeros(3))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Edge:
+    """A pair that was accepted: scan ``second`` lies in the frame of ``first`` by ``fit``."""
+
+    first: int
+    second: int
+    fit: Fit
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Placed:
+    """Scans placed in one frame."""
+
+    poses: Mapping[int, Rigid]
+    """Motion from each scan's frame into the object's; scans that nothing ties to the others are not in it."""
+    covariance: Mapping[int, Array]
+    """(6, 6) of ω and τ of each place, rad and mm, about the scan's own middle, relative to the first scan; shared error included."""
+    wrong: tuple[Edge, ...]
+    """Pairs that contradict their loops, taken out."""
+    unchecked: tuple[Edge, ...]
+    """Pairs that are in no loop: nothing but their own judge vouches for them."""
+    used: tuple[Edge, ...]
+    discrepancy_mm: Mapping[tuple[int, int], float]
+    """RMS displacement between each pair's own pose and the places."""
+    variance_factor: float
+    """Mean squared discrepancy over its variance; above 1 the covariances are scaled by it."""
+    bow_mm: Array
+    """(k,): coefficients of the shared depth error (``calibration.depth_error``)."""
+    bow_covariance: Array
+    """(k, k)."""
+    bending_mm: Mapping[int, float]
+    """Standard deviation of each scan's middle by the shared error alone: what may bend the object."""
+    bending_unaided_mm: Mapping[int, float]
+    """The same with what was known of the shared error before any overlap."""
+    joint_covariance: Array
+    """(6 n, 6 n) of the places of all n scans in ascending order, turns about the object's origin (rad) and shifts (mm); without the shared error."""
+    follow: Array
+    """(6 n, k): how these places follow the coefficients of the shared error, rad and mm per mm."""
+
+
+def place(
+    count: int,
+    edges: Sequence[Edge],
+    middles_mm: Mapping[int, Array],
+    with_bow: bool = True,
+    known_mm2: Array = PRIOR_MM2,
+) -> Placed:
+    """Place ``count`` scans by ``edges``; ``middles_mm``: the middle (3,) of each scan's points in its own frame.
+
+    ``with_bow``: the shared depth error is estimated, too; else it is taken for zero, and its whole prior is in the budget. ``known_mm2``:
+    that prior, the covariance (k, k) of its coefficients before any overlap is seen.
+    The largest set of connected scans is placed, in the frame of its first scan.
+    """
+    kept = list(edges)
+    wrong: list[Edge] = []
+    while True:
+        members = _largest(count, kept)
+        inside = [edge for edge in kept if edge.first in members]
+        solution = _solve(members, inside, with_bow, known_mm2)
+        worst = _worst(solution, members, inside, with_bow, known_mm2)
+        if worst is None:
+            break
+        wrong.append(worst)
+        kept = [edge for edge in kept if edge is not worst]
+    return _described(solution, members, inside, tuple(wrong), middles_mm, known_mm2, with_bow)
+
+
+def _largest(count: int, edges: Sequence[Edge]) -> list[int]:
+    """Return the members of the largest connected set, ascending; of equal ones the first."""
+    label = list(range(count))
+
+    def root(k: int) -> int:
+        while label[k] != k:
+            k = label[k]
+        return k
+
+    for edge in edges:
+        one, other = root(edge.first), root(edge.second)
+        label[max(one, other)] = min(one, other)
+    groups: dict[int, list[int]] = {}
+    for k in range(count):
+        groups.setdefault(root(k), []).append(k)
+    return max(groups.values(), key=len, default=[])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Solution:
+    poses: dict[int, Rigid]
+    bow: Array
+    hessian: Array
+    """Second derivatives by ξ of all members but the first, then by the coefficients."""
+    squared: Array
+    """(edges,): squared discrepancy over variance."""
+    freedom: int
+
+
+def _weight(fit: Fit) -> Array:
+    return np.asarray(np.linalg.inv(fit.covariance + FLOOR_MM**2 / 6.0 * np.eye(6)))
+
+
+def _solve(members: Sequence[int], edges: Sequence[Edge], with_bow: bool, known_mm2: Array) -> _Solution:
+    poses = _spanned(members, edges)
+    column = {scan: 6 * k for k, scan in enumerate(members[1:])}
+    size, m = 6 * max(len(members) - 1, 0), COUNT
+    bow = np.zeros(m)
+    prior = np.linalg.inv(known_mm2)
+    weights = [_weight(edge.fit) for edge in edges]
+    for _ in range(ROUNDS):
+        H, g = np.zeros((size + m, size + m)), np.zeros(size + m)
+        H[size:, size:] += prior
+        g[size:] += prior @ bow
+        squared = np.zeros(len(edges))
+        for k, (edge, W) in enumerate(zip(edges, weights, strict=True)):
+            delta = _discrepancy(poses, edge) + edge.fit.bow.response @ bow
+            squared[k] = delta @ W @ delta
+            blocks = [
+                (column[scan], sign * _jacobian(poses, edge))
+                for scan, sign in ((edge.first, -1.0), (edge.second, 1.0))
+                if scan in column
+            ]
+            blocks.append((size, edge.fit.bow.response))
+            for at, A in blocks:
+                g[at : at + A.shape[1]] += A.T @ W @ delta
+                for to, B in blocks:
+                    H[at : at + A.shape[1], to : to + B.shape[1]] += A.T @ W @ B
+            H[size:, size:] += edge.fit.bow.information
+            g[size:] += edge.fit.bow.gradient + edge.fit.bow.information @ bow
+        step = np.zeros(size + m)
+        n = size + m if with_bow else size
+        if n:
+            step[:n] = -np.linalg.solve(H[:n, :n], g[:n])
+        for scan, at in column.items():
+            poses[scan] = _moved(poses[scan], step[at : at + 6])
+        bow = bow + step[size:]
+        if np.abs(step).max(initial=0.0) < 1e-7:
+            break
+    return _Solution(poses, bow, H, squared, 6 * len(edges) - size)
+
+
+def _spanned(members: Sequence[int], edges: Sequence[Edge]) -> dict[int, Rigid]:
+    """Return first places along the most certain pairs."""
+    poses = {members[0]: _IDENTITY} if members else {}
+    ordered = sorted(edges, key=lambda edge: edge.fit.sigma_mm)
+    while len(poses) < len(members):
+        for edge in ordered:
+            if edge.first in poses and edge.second not in poses:
+                poses[edge.second] = edge.fit.pose.then(poses[edge.first])
+                break
+            if edge.second in poses and edge.first not in poses:
+                poses[edge.first] = edge.fit.pose.inverse.then(poses[edge.second])
+                break
+    return poses
+
+
+def _discrepancy(poses: Mapping[int, Rigid], edge: Edge) -> Array:
+    """Return δ (6,): by how much the places put ``second`` elsewhere than the pair does, in the first's frame."""
+    fit = edge.fit
+    now = poses[edge.second].then(poses[edge.first].inverse)
+    off = fit.pose.inverse.then(now)
+    return np.concatenate([fit.lever_mm * rotation_vector(off.rotation), off.of(fit.middle_mm) - fit.middle_mm])
+
+
+def _jacobian(poses: Mapping[int, Rigid], edge: Edge) -> Array:
+    """Return ∂δ/∂ξ (6, 6) of the second scan; that of the first is its negative."""
+    fit, to_first = edge.fit, poses[edge.first].rotation.T
+    at = poses[edge.first].of(fit.middle_mm)
+    # A small motion moves the middle by τ + ω × p.
+    cross = np.array([[0.0, at[2], -at[1]], [-at[2], 0.0, at[0]], [at[1], -at[0], 0.0]])
+    J = np.zeros((6, 6))
+    J[:3, :3] = fit.lever_mm * to_first
+    J[3:, :3] = to_first @ cross
+    J[3:, 3:] = to_first
+    return J
+
+
+def _moved(pose: Rigid, motion: Array) -> Rigid:
+    turn = rotation_matrix(motion[:3])
+    return Rigid(turn @ pose.rotation, turn @ pose.translation_mm + motion[3:])
+
+
+def _worst(
+    solution: _Solution, members: Sequence[int], edges: Sequence[Edge], with_bow: bool, known_mm2: Array
+) -> Edge | None:
+    """Return the pair without which the others agree best, where they contradict each other beyond chance."""
+    bridges = {id(edge) for edge in _bridges(members, edges)}
+    suspects = [
+        k
+        for k in np.argsort(-solution.squared)
+        if solution.squared[k] > WRONG
+        and id(edges[k]) not in bridges
+        and np.linalg.norm(_discrepancy(solution.poses, edges[k])) > WRONG_MM
+    ][:4]
+    best: tuple[float, Edge] | None = None
+    for k in suspects:
+        rest = [edge for number, edge in enumerate(edges) if number != k]
+        left = float(_solve(members, rest, with_bow, known_mm2).squared.sum())
+        if best is None or left < best[0]:
+            best = (left, edges[k])
+    return None if best is None else best[1]
+
+
+def _bridges(members: Sequence[int], edges: Sequence[Edge]) -> list[Edge]:
+    """Return the edges that are in no loop."""
+    found = []
+    for edge in edges:
+        rest = [one for one in edges if one is not edge]
+        if len(_largest(max(members) + 1, rest)) < len(members):
+            found.append(edge)
+    return found
+
+
+def _described(
+    solution: _Solution,
+    members: Sequence[int],
+    edges: Sequence[Edge],
+    wrong: tuple[Edge, ...],
+    middles_mm: Mapping[int, Array],
+    known_mm2: Array,
+    with_bow: bool,
+) -> Placed:
+    m = COUNT
+    size = len(solution.hessian) - m
+    factor = float(solution.squared.sum()) / solution.freedom if solution.freedom > 0 else 1.0
+    scale = max(factor, 1.0)
+    joint = np.asarray(np.linalg.inv(solution.hessian), np.float64)
+    # Without an estimate nothing is known of the shared error but what was known before.
+    bow_covariance = joint[size:, size:] if with_bow else known_mm2
+    # Given the coefficients, places follow them by this: the poses that the pairs' own responses lead to.
+    follow = (
+        -np.linalg.solve(solution.hessian[:size, :size], solution.hessian[:size, size:]) if size else np.zeros((0, m))
+    )
+    own = np.linalg.inv(solution.hessian[:size, :size]) * scale if size else np.zeros((0, 0))
+    covariance: dict[int, Array] = {members[0]: np.zeros((6, 6))} if members else {}
+    bending, unaided = dict.fromkeys(members[:1], 0.0), dict.fromkeys(members[:1], 0.0)
+    for k, scan in enumerate(members[1:]):
+        at = slice(6 * k, 6 * k + 6)
+        # About the scan's own middle, where people think of it.
+        p = solution.poses[scan].of(middles_mm[scan])
+        about = np.eye(6)
+        about[3:, :3] = np.array([[0.0, p[2], -p[1]], [-p[2], 0.0, p[0]], [p[1], -p[0], 0.0]])
+        by_bow = about @ follow[at]
+        covariance[scan] = about @ own[at, at] @ about.T + by_bow @ bow_covariance @ by_bow.T
+        bending[scan] = float(np.sqrt(np.trace(by_bow[3:] @ bow_covariance @ by_bow[3:].T)))
+        unaided[scan] = float(np.sqrt(np.trace(by_bow[3:] @ known_mm2 @ by_bow[3:].T)))
+    return Placed(
+        poses=solution.poses,
+        covariance=covariance,
+        wrong=wrong,
+        unchecked=tuple(_bridges(members, edges)),
+        used=tuple(edges),
+        discrepancy_mm={
+            (edge.first, edge.second): float(
+                np.linalg.norm(_discrepancy(solution.poses, edge) + edge.fit.bow.response @ solution.bow)
+            )
+            for edge in edges
+        },
+        variance_factor=factor,
+        bow_mm=solution.bow,
+        bow_covariance=bow_covariance,
+        bending_mm=bending,
+        bending_unaided_mm=unaided,
+        # The first scan is the frame: it is where it is.
+        joint_covariance=np.pad(own, ((6 * bool(members), 0), (6 * bool(members), 0))),
+        follow=np.pad(follow, ((6 * bool(members), 0), (0, 0))),
+    )

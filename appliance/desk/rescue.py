@@ -1,0 +1,71 @@
+"""Owns the cloud of an incomplete recording: of its first direction alone, unchecked, and marked so wherever it goes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from appliance.measure.light.epipolar import CurveError
+from appliance.measure.points.first_direction import first_direction_cloud
+from appliance.measure.points.one_direction import UNCHECKED, NoPoint, OneDirectionError
+from appliance.store.atomic import replace_file
+from appliance.store.filesystem import LocalFileSystem
+from appliance.store.incomplete import IncompleteRecording
+from appliance.store.instrument import settings_of_scan
+from appliance.store.origin import Chosen, SourceScan
+from appliance.store.ply import encode_ply
+from appliance.store.reprocess import sequence_of_scan, water_of_scan
+from appliance.store.scan import ScanError
+
+FEWEST_POINTS = 100
+
+
+def rescue_recording(
+    recording: IncompleteRecording,
+    source: SourceScan,
+    chosen: Chosen,
+    out: Path | None,
+    progress: Callable[[str], None],
+) -> dict[str, Any]:
+    """Make the cloud of ``recording``, which ``source`` is of, written as PLY to ``out`` (``None``: ``incomplete-NUMBER.ply`` here).
+
+    File and report say that it is unchecked, and what is missing. Raises ScanError, also where (nearly) no points are left;
+    StorageError.
+    """
+    scan, calibration = recording.scan, chosen.calibration
+    record = scan.manifest.record
+    water = water_of_scan(scan, calibration)
+    progress("matching along epipolar curves")
+    try:
+        cloud, found = first_direction_cloud(
+            scan.frames, sequence_of_scan(scan), calibration, water, settings_of_scan(record, source.rig).noise
+        )
+    except (OneDirectionError, CurveError, ValueError) as error:
+        raise ScanError(f"{scan.folder}: {error}") from error
+    if cloud.summary.points < FEWEST_POINTS:
+        raise ScanError(f"{scan.folder}: {cloud.summary.points} points; nothing can be rescued of it")
+    target = out if out is not None else Path(f"incomplete-{scan.manifest.scan_id}.ply")
+    progress("writing")
+    # The word itself begins the header's line.
+    note = f"{UNCHECKED.removeprefix('unchecked: ')}; {scan.manifest.reason}"
+    replace_file(LocalFileSystem(), target, *encode_ply(cloud, unchecked=note))
+    s = cloud.summary
+    return {
+        "recording": scan.manifest.scan_id,
+        "file": str(target),
+        "unchecked": note,
+        "missing": ", ".join(recording.missing),
+        "points": s.points,
+        "coverage_percent": s.coverage_percent,
+        "distance_mm": s.distance_mm,
+        "noise_mm": s.noise_mm,
+        "without_points": {
+            reason.name.lower(): found.count(reason) for reason in NoPoint if reason is not NoPoint.FOUND
+        },
+        "calibration": calibration.hash,
+        "calibration_from": chosen.whose,
+        "calibration_method": calibration.method,
+        "same_calibration": calibration.hash == record.calibration_hash,
+        "water_index": water.index,
+    }

@@ -1,0 +1,263 @@
+"""Owns what a script at the desk works with: a dive's scans, their frames, and points made of them as one wishes. ``import kingfisher`` names it.
+
+Everything that is returned is of the classes that the program itself uses, arrays are NumPy's with units in their names, and errors are those
+of the command line: one sentence that says what is wrong and what to do.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from datetime import datetime
+from pathlib import Path
+from typing import Literal, assert_never
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.base.argument_types import refuse_wrong_types
+from appliance.desk.export.content import CAMERA_FRAME, OBJECT_FRAME, About
+from appliance.desk.export.files import write_mesh, write_scan, write_surface
+from appliance.desk.organised_scan import OrganisedScan, organised_scan
+from appliance.desk.surface.fusion import FusedCloud
+from appliance.desk.surface.mesh import Mesh
+from appliance.measure.calibration.file import Calibration, CalibrationError, encode
+from appliance.measure.grade import Grade
+from appliance.measure.light.exposure import Exposure
+from appliance.measure.light.water import Water
+from appliance.measure.points.organised import OrganisedCloud
+from appliance.measure.verdict import Verdict
+from appliance.store import scan as stored
+from appliance.store.atomic import replace_file
+from appliance.store.config import load_rig
+from appliance.store.damage import refuse_damaged_frames
+from appliance.store.filesystem import LocalFileSystem
+from appliance.store.library import Library, ScanEntry
+from appliance.store.manifest import Manifest
+from appliance.store.origin import Chosen, calibration_for, open_source, refuse_misfit
+from appliance.store.root import standing_root, where_none_was_found
+from appliance.store.scan import ScanError, manifest_of
+from appliance.store.wish import Wish
+
+Said = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class ScanOfDive:
+    """One stored scan; nothing of it is read until it is asked for."""
+
+    folder: Path
+    wish: Wish = field(default_factory=Wish)
+
+    @property
+    def name(self) -> str:
+        """The scan's number as its folder has it."""
+        return self.folder.name
+
+    @property
+    def manifest(self) -> Manifest:
+        """The scan's manifest, read from the disk each time: what was recorded, how, and what was found then. Raises ScanError."""
+        return manifest_of(self.folder)
+
+    @property
+    def time(self) -> datetime | None:
+        """Time at which it was taken, as the instrument's clock had it (``manifest.record.clock_trusted``); ``None``: it had none. Raises ScanError."""
+        wall_time = self.manifest.record.wall_time
+        return None if wall_time is None else datetime.fromisoformat(wall_time)
+
+    @property
+    def object(self) -> int | None:
+        """Number of the object that the diver said it belongs to; ``None``: of none. Raises ScanError."""
+        return self.manifest.record.object
+
+    @property
+    def exposure(self) -> Exposure | None:
+        """Exposure of the left camera; ``None``: as the rig file has it. Raises ScanError."""
+        return self.manifest.record.exposure
+
+    @property
+    def grade(self) -> Grade | None:
+        """The one word that screen, lists and pages have for it; ``None``: it has no cloud. Raises ScanError."""
+        return self.manifest.record.grade
+
+    @property
+    def verdicts(self) -> tuple[Verdict, ...]:
+        """Each judge's verdict on it, as it stands in the manifest. Raises ScanError."""
+        return self.manifest.record.verdicts
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Warnings that the diver had about it, in words, with the judge's name in front; mostly none. Raises ScanError."""
+        failed = [one for one in self.verdicts if one.passed is False]
+        return tuple(f"{one.name}: {one.text}" if one.text else one.name for one in failed)
+
+    @property
+    def calibration(self) -> Calibration:
+        """The calibration its points are made with where no other is given. Raises CalibrationError, ScanError."""
+        return calibration_for(open_source(self.folder, self.wish), self.wish).calibration
+
+    @refuse_wrong_types
+    def frames(self, side: Literal["left", "right"] = "left", *, second: bool = False) -> NDArray[np.uint8]:
+        """Return the raw frames of one camera, (n, h, w) uint8, packed or not; ``manifest.record.sequence.patterns`` names them.
+
+        Every byte is compared with its checksum first. ``second``: of the second exposure. Raises ScanError, MissingLibraryError.
+        """
+        refuse_damaged_frames(self.folder)
+        scan = stored.load(self.folder, only_raw=True)
+        frames = scan.second if second else scan.frames
+        if frames is None:
+            raise ScanError(f"{self.folder}: has one exposure; take second=False")
+        return frames[side]
+
+    @refuse_wrong_types
+    def points(
+        self,
+        calibration: Calibration | Path | str | None = None,
+        water: Water | None = None,
+        progress: Said = lambda _: None,
+    ) -> OrganisedScan:
+        """Make the scan's points from its raw frames, every byte of which is compared with its checksum first.
+
+        ``calibration``: another one than the scan's own, or the path of its file; ``water``: another than it was recorded in.
+        Left camera frame. Raises ScanError, also where no points are left, and CalibrationError.
+        """
+        refuse_damaged_frames(self.folder)
+        wish = self.wish
+        if isinstance(calibration, Path | str):
+            wish = replace(wish, calibration=Path(calibration), current=False)
+        source = open_source(self.folder, wish)
+        if isinstance(calibration, Calibration):
+            chosen = Chosen(calibration, "the one that was handed in")
+            refuse_misfit(calibration, chosen.whose, source, foreign=wish.foreign)
+        else:
+            chosen = calibration_for(source, wish)
+        if water is not None:
+            conditions = {
+                "temperature_c": water.temperature_c,
+                "salinity_psu": water.salinity_psu,
+                "wavelength_nm": water.wavelength_nm,
+            }
+            manifest = source.scan.manifest
+            told = replace(manifest, record=replace(manifest.record, water=conditions))
+            source = replace(source, scan=replace(source.scan, manifest=told))
+        return organised_scan(source, chosen, progress)
+
+    def __repr__(self) -> str:
+        """Return one line; it never raises, whatever lies in the folder."""
+        try:
+            record = self.manifest.record
+        except ScanError as error:
+            return f"<scan {self.name}: {error}>"
+        points, noise_mm = record.cloud.get("points"), record.cloud.get("noise_mm")
+        parts = ["no points" if points is None else f"{points:,.0f} points"]
+        if noise_mm is not None:
+            parts.append(f"{1000.0 * noise_mm:.0f} µm")
+        if record.grade is not None:
+            parts.append(record.grade.value)
+        return f"<scan {self.name}: {', '.join(parts)}>"
+
+
+@dataclass(frozen=True, slots=True)
+class Dive:
+    """The scans under one storage root, in the order of their numbers."""
+
+    root: Path
+    wish: Wish = field(default_factory=Wish)
+
+    def scans(self) -> list[ScanOfDive]:
+        """Return all scans that were kept, whole or not; ``entries`` says what is wrong with one."""
+        return [ScanOfDive(entry.folder, self.wish) for entry in self.entries()]
+
+    def entries(self) -> list[ScanEntry]:
+        """Return the list that ``kingfisher scans list`` prints."""
+        return Library(self.root).entries()
+
+    @refuse_wrong_types
+    def scan(self, number: int | str) -> ScanOfDive:
+        """Return a scan by its number, wherever under the root it lies; ``dive[7]`` is the same. Raises UnknownScan."""
+        return ScanOfDive(Library(self.root).entry(str(number)).folder, self.wish)
+
+    __getitem__ = scan
+
+    def __iter__(self) -> Iterator[ScanOfDive]:
+        return iter(self.scans())
+
+    def __len__(self) -> int:
+        return len(self.entries())
+
+    def __repr__(self) -> str:
+        return f"<dive {self.root}: {len(self)} scans>"
+
+
+def open_dive(
+    root: Path | str | None = None,
+    rig: Path | str | None = None,
+    *,
+    current_calibration: bool = False,
+    foreign_calibration: bool = False,
+) -> Dive:
+    """Return the dive under a storage root: the folder that holds ``scans/``; ``None``: the one around the working directory, else that of the
+    environment variable ``KINGFISHER_ROOT``.
+
+    ``rig``: a rig file in the place of each scan's own. ``current_calibration``: the one in
+    use under the root instead of each scan's own; ``foreign_calibration``: also one of another instrument. Raises NotADirectoryError, ConfigError.
+    """
+    place = standing_root(os.environ) if root is None else Path(root)
+    if place is None:
+        raise NotADirectoryError(f"no storage root: {where_none_was_found(os.environ)}; give open_dive(root)")
+    if not place.is_dir():
+        raise NotADirectoryError(f"{place}: no such folder; give the storage root that holds scans/")
+    return Dive(place, _wish(rig, place, current=current_calibration, foreign=foreign_calibration))
+
+
+def open_scan(folder: Path | str, rig: Path | str | None = None, *, foreign_calibration: bool = False) -> ScanOfDive:
+    """Return one scan by its folder, wherever that was copied to. Raises ScanError for a folder that is none, ConfigError."""
+    scan = ScanOfDive(Path(folder), _wish(rig, None, foreign=foreign_calibration))
+    # Read and thrown away: a wrong folder is better said now than at the first points.
+    manifest_of(scan.folder)
+    return scan
+
+
+def save_calibration(calibration: Calibration, path: Path | str) -> None:
+    """Write a calibration, for ``load_calibration``, ``--calibration`` and other instruments' desks. Never replaces a file.
+
+    Raises CalibrationError where there is one of that name, StorageError.
+    """
+    target = Path(path)
+    if target.exists():
+        raise CalibrationError(f"{target}: is there already, and a calibration is never replaced; give a new name")
+    replace_file(LocalFileSystem(), target, encode(calibration))
+
+
+def export(
+    what: OrganisedScan | OrganisedCloud | FusedCloud | Mesh,
+    path: Path | str,
+    title: str = "",
+    notes: tuple[str, ...] = (),
+    frame: str | None = None,
+) -> None:
+    """Write points or a mesh for other programs; the suffix says how, as for ``kingfisher export``.
+
+    ``frame``: the frame of reference in words; by default the object's of a fused surface, else the left camera's. Raises
+    ExportError for a suffix that is not allowed, MissingLibraryError, StorageError.
+    """  # fmt: skip
+    target = Path(path)
+    about = About(
+        title or target.stem, frame or (OBJECT_FRAME if isinstance(what, FusedCloud) else CAMERA_FRAME), notes
+    )
+    match what:
+        case Mesh():
+            write_mesh(target, what, about)
+        case FusedCloud():
+            write_surface(target, what, about)
+        case OrganisedScan():
+            write_scan(target, what.cloud, about)
+        case OrganisedCloud():
+            write_scan(target, what, about)
+        case unknown:
+            assert_never(unknown)
+
+
+def _wish(rig: Path | str | None, root: Path | None, *, current: bool = False, foreign: bool = False) -> Wish:
+    return Wish(rig=None if rig is None else load_rig(Path(rig)), root=root, current=current, foreign=foreign)

@@ -1,0 +1,259 @@
+"""Owns the thread of one camera: what it is waiting for, and where its frames go.
+
+One thread per camera, named ``kf-camera-left`` and ``kf-camera-right``; it alone calls the camera. Others give orders
+(idle, live, record) and read results. A lost camera ends the thread; the service opens a new one.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from types import TracebackType
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.instrument.capture.timeouts import Timeouts
+from drivers.api import Camera, CameraSettings, Clock, ClockReading, DeviceError, Frame, FrameStatus
+
+LIVE_TIMEOUT_S = 0.15
+"""Longest time that an order to stop waits for a live image: the board fires no more by then. One that comes later,
+where the projector is slow, is waited for again."""
+JOIN_TIMEOUT_S = 5.0
+
+
+@dataclass(slots=True)
+class SideRecording:
+    """One side of a sequence being recorded. Filled by the camera's thread, read after ``done``."""
+
+    slots: NDArray[np.uint8]
+    """(n, h, w) uint8: where the frames go."""
+    on_frame: Callable[[int], None]
+    """Called in the camera's thread after each complete frame, with its index. Must not block."""
+    ready: bool = False
+    done: bool = False
+    cancelled: bool = False
+    frames: list[Frame] = field(default_factory=list)
+    """Frames in order of arrival; ends with the first frame that is not complete."""
+    clock: ClockReading | None = None
+    """The camera's clock just before the sequence."""
+    lost: str | None = None
+    """Reason why the camera was lost, if it was."""
+
+    @property
+    def complete(self) -> bool:
+        """All frames arrived whole (their ids are the ledger's business)."""
+        return self.done and len(self.frames) == len(self.slots) and self.frames[-1].status is FrameStatus.COMPLETE
+
+
+class Grabber:
+    """Runs one camera in its own thread. A context manager: leaving it stops the thread, not the camera's life."""
+
+    def __init__(self, side: str, camera: Camera, clock: Clock, settings: CameraSettings, timeouts: Timeouts) -> None:
+        """Prepare the thread, with the ``settings`` that the camera has, and the ``timeouts`` with frames of a
+        sequence."""
+        self.side = side
+        self._camera = camera
+        self._clock = clock
+        self._changed = threading.Condition()
+        self._order: Literal["idle", "live", "record", "end"] = "idle"
+        self._state: Literal["idle", "start", "live", "record"] = "idle"
+        self._recording: SideRecording | None = None
+        self._settings = self._wanted = settings
+        self._timeouts = timeouts
+        self._live = np.zeros((2, settings.height_px, settings.width_px), np.uint8)
+        self._live_count = 0
+        self._lost: str | None = None
+        self._temperature_c: float | None = None
+        self._thread = threading.Thread(target=self._run, name=f"kf-camera-{side}", daemon=True)
+
+    def __enter__(self) -> Grabber:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._set("end")
+        self._thread.join(JOIN_TIMEOUT_S)
+
+    @property
+    def lost(self) -> str | None:
+        """Reason why the camera was lost; ``None`` while it is there."""
+        with self._changed:
+            return self._lost
+
+    @property
+    def temperature_c(self) -> float | None:
+        """The camera's own temperature when it last was idle."""
+        with self._changed:
+            return self._temperature_c
+
+    def expose(self, exposure_us: float, gain_db: float) -> None:
+        """Set the exposure from the next start of the camera on; ``live`` and ``record`` start it."""
+        with self._changed:
+            self._wanted = replace(self._settings, exposure_us=exposure_us, gain_db=gain_db)
+
+    def live(self) -> None:
+        """Show what the camera sees, at whatever rate the board triggers."""
+        self._set("live")
+
+    def leave(self) -> None:
+        """Order the camera to stop; returns at once. ``idle`` waits for it."""
+        self._set("idle")
+
+    def idle(self, timeout_s: float = 2.0) -> bool:
+        """Stop the camera; True when it has stopped (or is lost)."""
+        self._set("idle")
+        with self._changed:
+            return self._clock.wait_for(
+                self._changed, lambda: self._state == "idle" or self._lost is not None, timeout_s
+            )
+
+    def latest(self, newer_than: int) -> tuple[int, NDArray[np.uint8]] | None:
+        """Return the newest live image (h, w) uint8 as a copy and its running number, if newer than ``newer_than``."""
+        with self._changed:
+            # The copy is made under the lock: the other half of the double buffer is being filled, and after the next
+            # frame this one will be.
+            if self._live_count <= newer_than or self._live_count == 0:
+                return None
+            return self._live_count, self._live[self._live_count % 2].copy()
+
+    def record(self, slots: NDArray[np.uint8], on_frame: Callable[[int], None]) -> SideRecording:
+        """Start recording ``len(slots)`` frames; returns at once. Wait for ``ready`` before arming, then for ``done``."""
+        recording = SideRecording(slots, on_frame)
+        with self._changed:
+            # A camera that is lost ends the recording here: its thread is over, and nobody else would.
+            if self._lost is not None:
+                recording.lost, recording.done = self._lost, True
+                return recording
+            self._recording = recording
+            self._order = "record"
+            self._changed.notify_all()
+        return recording
+
+    def wait(self, recording: SideRecording, what: Literal["ready", "done"], timeout_s: float) -> bool:
+        """Wait for a recording to be ready or done."""
+        with self._changed:
+            return self._clock.wait_for(
+                self._changed, lambda: recording.done or bool(getattr(recording, what)), timeout_s
+            )
+
+    def cancel(self, recording: SideRecording) -> None:
+        """End a recording at the next frame or timeout."""
+        with self._changed:
+            recording.cancelled = True
+            self._changed.notify_all()
+
+    def _set(self, order: Literal["idle", "live", "record", "end"]) -> None:
+        with self._changed:
+            self._order = order
+            self._changed.notify_all()
+
+    def _run(self) -> None:
+        try:
+            while True:
+                with self._changed:
+                    self._clock.wait_for(self._changed, lambda: self._order != "idle", 1.0)
+                    order = self._order
+                    if order in {"live", "record"}:
+                        self._state = "start"  # idle() waits for a camera that is starting as for one that runs
+                if order == "end":
+                    self._camera.stop()
+                    return
+                if order == "live":
+                    self._run_live()
+                elif order == "record":
+                    self._run_record()
+                else:
+                    self._rest()
+        except DeviceError as error:
+            self._fail(error.message)
+
+    def _rest(self) -> None:
+        temperature_c = self._camera.temperature_c()
+        with self._changed:
+            self._temperature_c = temperature_c
+
+    def _start(self) -> None:
+        with self._changed:
+            wanted = self._wanted
+        if wanted != self._settings:
+            self._camera.configure(wanted)
+            self._settings = wanted
+        self._camera.start()
+
+    def _run_live(self) -> None:
+        self._start()
+        with self._changed:
+            self._state = "live"
+            self._changed.notify_all()
+        while True:
+            with self._changed:
+                if self._order != "live":
+                    break
+                # Double buffer: the reader copies the half that was filled last while the driver fills the other one.
+                back = self._live[(self._live_count + 1) % 2]
+            frame = self._camera.next_frame(back, LIVE_TIMEOUT_S)
+            if frame.status is FrameStatus.COMPLETE:
+                with self._changed:
+                    self._live_count += 1
+                    self._changed.notify_all()
+        self._camera.stop()
+        with self._changed:
+            self._state = "idle"
+            self._changed.notify_all()
+
+    def _run_record(self) -> None:
+        with self._changed:
+            recording = self._recording
+        assert recording is not None
+        self._start()
+        # Read while the camera waits for its first pulse: a question during the stream would compete with the frames.
+        clock = self._camera.read_clock()
+        with self._changed:
+            recording.clock = clock
+            self._state = "record"
+            recording.ready = True
+            self._changed.notify_all()
+        timeout_s = self._timeouts.first_frame_s
+        for index, slot in enumerate(recording.slots):
+            frame = self._camera.next_frame(slot, timeout_s)
+            timeout_s = self._timeouts.next_frame_s
+            with self._changed:
+                recording.frames.append(frame)
+                stop = recording.cancelled or frame.status is not FrameStatus.COMPLETE
+            # The first bad frame ends the recording: whatever follows cannot make a cloud, and the play ends at the
+            # next blank.
+            if stop:
+                break
+            recording.on_frame(index)
+        else:
+            self._expect_silence(recording)
+        self._camera.stop()
+        with self._changed:
+            recording.done = True
+            if self._recording is recording:  # not one that was ordered meanwhile
+                self._recording = None
+                if self._order == "record":
+                    self._order = "idle"
+            self._state = "idle"
+            self._changed.notify_all()
+
+    def _expect_silence(self, recording: SideRecording) -> None:
+        """Check that nothing follows the last frame: a frame too many is evidence like one too few."""
+        frame = self._camera.next_frame(self._live[0], self._timeouts.silence_s)
+        if frame.status is not FrameStatus.TIMEOUT:
+            with self._changed:
+                recording.frames.append(frame)
+
+    def _fail(self, reason: str) -> None:
+        with self._changed:
+            self._lost = reason
+            self._state = "idle"
+            if self._recording is not None:
+                self._recording.lost = reason
+                self._recording.done = True
+            self._changed.notify_all()

@@ -1,0 +1,370 @@
+"""Owns the comparison of the four witnesses of a sequence: flips, pulses, left frames, right frames.
+
+Each witness alone can be fooled; together they cannot: a flip that came late, a pulse that was not fired, a frame that
+was dropped, doubled, swapped or cut all make two of them disagree. Any disagreement is a named fault. Nothing is
+interpolated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from typing import Any
+
+from appliance.instrument.capture.sync import SyncMap
+from appliance.measure.fault import Fault, FaultCode
+from drivers.api import ClockReading, Flip, Frame, FrameStatus, Pulse
+
+MAX_SKEW_NS = 200_000
+"""Exposure starts of left and right, and of frame and pulse, may wander by this much against each other …"""
+CLOCKS_PPM = 200.0
+"""Rate by which two clocks of 100 ppm each may drift apart, where a sequence is so long that this is more."""
+MAX_APART_NS = 500_000
+"""First exposures of left and right, by the host's clock, beyond what reading the cameras' clocks leaves open."""
+LEAST_REGULAR = 3
+"""Frames of which two steps between them can be alike."""
+MAX_FLIP_PHASE = 0.4
+"""Pulse minus flip minus trigger delay, in periods."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ledger:
+    """Testimony of the four witnesses. ``flips`` … are in order of arrival; ``frames`` by side."""
+
+    expected: int
+    period_ns: float
+    start_sequence: int | None
+    """Vertical-blank number planned for the first pattern; ``None`` where the display has no counter."""
+    start_vsync: int | None
+    """The board's number of the blank of its light; ``None`` when the board was never armed."""
+    delay_us: int
+    flips: tuple[Flip, ...]
+    pulses: tuple[Pulse, ...]
+    frames: Mapping[str, tuple[Frame, ...]]
+    sync: SyncMap | None
+    clocks: Mapping[str, ClockReading] = field(default_factory=dict, hash=False)
+    """The cameras' clocks as read before the sequence; a camera that cannot be asked is missing."""
+    latency_blanks: int = 0
+    """Blanks from a flip to its light, as the rig file states them."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the ledger JSON-ready, for the manifest."""
+        return {
+            "expected": self.expected,
+            "period_ns": self.period_ns,
+            "start_sequence": self.start_sequence,
+            "start_vsync": self.start_vsync,
+            "trigger_delay_us": self.delay_us,
+            "latency_blanks": self.latency_blanks,
+            "flips": [{"sequence": f.sequence, "time_ns": f.time_ns} for f in self.flips],
+            "pulses": [{"index": p.index, "vsync": p.vsync, "board_time_us": p.board_time_us} for p in self.pulses],
+            "frames": {
+                side: [
+                    {
+                        "status": f.status.value,
+                        "block_id": f.block_id,
+                        "camera_time_ns": f.camera_time_ns,
+                        "received_ns": f.received_ns,
+                    }
+                    for f in frames
+                ]
+                for side, frames in self.frames.items()
+            },
+            "clocks": {
+                side: {
+                    "camera_time_ns": clock.camera_time_ns,
+                    "host_sent_ns": clock.host_sent_ns,
+                    "host_received_ns": clock.host_received_ns,
+                }
+                for side, clock in self.clocks.items()
+            },
+        }
+
+
+def audit(ledger: Ledger) -> Fault | None:
+    """Return the first disagreement of the witnesses, most telling first; ``None`` when all agree."""
+    return (
+        # In the order of cause and effect: a late flip moves everything behind it, a missing pulse takes a frame from
+        # both cameras, a missing frame concerns one. Times are compared only once all counts agree, so that the lists
+        # have equal lengths.
+        _flips(ledger)
+        or _pulses(ledger)
+        or frame_fault(ledger, "left")
+        or frame_fault(ledger, "right")
+        or _flips_against_pulses(ledger)
+        or _times(ledger)
+        or _apart(ledger)
+    )
+
+
+def agreed_frames(ledger: Ledger) -> int:
+    """Return how many of the first frames all four witnesses agree on, however the rest of the sequence ended; 0 for none."""
+    most = min(
+        len(ledger.flips), len(ledger.pulses), *(len(frames) for frames in ledger.frames.values()), ledger.expected
+    )
+    for count in range(most, 0, -1):
+        # What a sequence of so many frames would have been told: nothing that came later can make an earlier frame right.
+        begun = replace(
+            ledger,
+            expected=count,
+            flips=ledger.flips[:count],
+            pulses=ledger.pulses[:count],
+            frames={side: frames[:count] for side, frames in ledger.frames.items()},
+        )
+        if audit(begun) is None:
+            return count
+    return 0
+
+
+def _flips(ledger: Ledger) -> Fault | None:
+    for k, flip in enumerate(ledger.flips):
+        # Vertical blanks as the kernel counts them; where it does not, the time between flips in periods.
+        if flip.sequence is not None and ledger.start_sequence is not None:
+            late = flip.sequence - (ledger.start_sequence + k)
+        elif k > 0:
+            late = round((flip.time_ns - ledger.flips[k - 1].time_ns) / ledger.period_ns) - 1
+        else:
+            late = 0
+        if late != 0:
+            return Fault(
+                FaultCode.LATE_FLIP,
+                f"pattern {k} reached the screen {late} vertical blanks late",
+                {"frame": k, "late_blanks": late},
+                "projector",
+            )
+    if len(ledger.flips) != ledger.expected:
+        return Fault(
+            FaultCode.LATE_FLIP,
+            f"{len(ledger.flips)} of {ledger.expected} patterns reached the screen",
+            {"frame": len(ledger.flips), "received": len(ledger.flips), "expected": ledger.expected},
+            "projector",
+        )
+    return None
+
+
+def _pulses(ledger: Ledger) -> Fault | None:
+    numbers = {"received": float(len(ledger.pulses)), "expected": float(ledger.expected)}
+    if [p.index for p in ledger.pulses] != list(range(ledger.expected)):
+        return Fault(
+            FaultCode.PULSE_MISSING,
+            f"the board reported pulses {_ranges([p.index for p in ledger.pulses])} of {ledger.expected}",
+            numbers,
+            "board",
+        )
+    for p in ledger.pulses:
+        if ledger.start_vsync is None or p.vsync != ledger.start_vsync + p.index:
+            return Fault(
+                FaultCode.SYNC_LOST,  # all pulses came: "PULSES 24/24" would be no reason
+                f"pulse {p.index} was fired on vertical sync {p.vsync}, not {(ledger.start_vsync or 0) + p.index}",
+                {"frame": p.index},
+                "board",
+            )
+    return None
+
+
+def frame_fault(ledger: Ledger, side: str) -> Fault | None:
+    """Return what is wrong with one side's frames by themselves."""
+    device = f"camera.{side}"
+    frames = ledger.frames.get(side, ())
+    for k, frame in enumerate(frames):
+        code = _STATUS_FAULT[frame.status]
+        if code is not None and frame.status is not FrameStatus.TIMEOUT:
+            return Fault(
+                code,
+                f"{device}: frame {k} arrived {frame.status.value} ({frame.detail})",
+                {"frame": k, "received": k, "expected": ledger.expected},
+                device,
+            )
+    # The driver's own judgement of a frame comes first, then repetition, order, and number by the cameras' block ids.
+    arrived = [f for f in frames if f.status is FrameStatus.COMPLETE]
+    ids = [f.block_id for f in arrived if f.block_id is not None]
+    for k in range(1, len(ids)):
+        # Block ids grow by one with each frame (USB3 Vision): repeated, falling and jumping ids are three different
+        # faults.
+        if ids[k] in ids[:k]:
+            return Fault(
+                FaultCode.FRAME_REPEATED, f"{device}: block {ids[k]} arrived again as frame {k}", {"frame": k}, device
+            )
+    for k in range(1, len(ids)):
+        if ids[k] < ids[k - 1]:
+            return Fault(
+                FaultCode.FRAME_ORDER,
+                f"{device}: block {ids[k]} arrived after block {ids[k - 1]}",
+                {"frame": k},
+                device,
+            )
+    if len(arrived) != ledger.expected or len(ids) != len(arrived) or ids[-1] - ids[0] != len(ids) - 1:
+        return _missing(ledger, side, arrived)
+    return None
+
+
+def _missing(ledger: Ledger, side: str, arrived: Sequence[Frame]) -> Fault:
+    """Name the want of frames: of all, of all but each n-th, or of some; the first two are no chance, and come again."""
+    device = f"camera.{side}"
+    said = f"{device}: {len(arrived)} of {ledger.expected} frames arrived"
+    where = _first_gap(ledger, side, arrived) if arrived else 0
+    numbers = {"frame": where, "received": min(len(arrived), ledger.expected - 1), "expected": ledger.expected}
+    every = _every(ledger, arrived)
+    # To repeat the scan helps against chance alone: these two are settings or wiring, and come again each time.
+    if len(ledger.pulses) == ledger.expected and not arrived:
+        remedy = "check the trigger cable and trigger_source of this camera"
+        return Fault(FaultCode.CAMERA_SILENT, f"{said} of as many pulses; {remedy}", numbers, device)
+    if every is not None:
+        remedy = "its exposures do not overlap with reading out, or its frame rate or throughput is limited: look at its features"
+        said = f"{said}, one for every {every} pulses; {remedy}"
+        return Fault(FaultCode.CAMERA_TOO_SLOW, said, {**numbers, "every": every}, device)
+    return Fault(FaultCode.FRAME_MISSING, f"{said}; the first gap is at frame {where}", numbers, device)
+
+
+def _every(ledger: Ledger, arrived: Sequence[Frame]) -> int | None:
+    """Return how many pulses a camera needs for each of its frames, by its clock; ``None`` where they lie otherwise.
+
+    A camera that is still busy ignores a pulse, and takes the next one that finds it ready.
+    """
+    times_ns = [frame.camera_time_ns for frame in arrived if frame.camera_time_ns is not None]
+    if len(times_ns) < LEAST_REGULAR:
+        return None
+    # Block ids cannot tell it: a pulse that was ignored uses none up.
+    steps = {round((after - before) / ledger.period_ns) for before, after in pairwise(times_ns)}
+    every = min(steps)
+    return every if len(steps) == 1 and every > 1 and len(arrived) == -(-ledger.expected // every) else None
+
+
+def _first_gap(ledger: Ledger, side: str, arrived: Sequence[Frame]) -> int:
+    """Return the number of the first frame of one side that is not there, by block ids and by the camera's clock.
+
+    A camera that did not see a pulse uses no id up, but its clock goes on.
+    """
+    late = _begins_late(ledger, side)
+    for k, frame in enumerate(arrived):
+        # A frame that was lost on the way leaves a gap in the ids; a pulse that the camera missed leaves one only in
+        # its clock.
+        by_id = by_clock = k
+        if frame.block_id is not None and arrived[0].block_id is not None:
+            by_id = frame.block_id - arrived[0].block_id + late
+        if frame.camera_time_ns is not None and arrived[0].camera_time_ns is not None:
+            by_clock = round((frame.camera_time_ns - arrived[0].camera_time_ns) / ledger.period_ns) + late
+        if max(by_id, by_clock) > k:
+            return k
+    return len(arrived)
+
+
+def _begins_late(ledger: Ledger, side: str) -> int:
+    """Count the first frames that one side lacks and the other one has: by the host's clock; where cameras cannot be
+    asked for theirs, by block ids, which begin alike, since both cameras are started anew for every sequence."""
+    begun_ns = _begun_ns(ledger)
+    if len(begun_ns) == 2:
+        # In periods: the reading of a camera's clock is uncertain by far less.
+        return round((begun_ns[side] - min(begun_ns.values())) / ledger.period_ns)
+    first_ids = {one: frames[0].block_id for one, frames in ledger.frames.items() if frames}
+    known = [block_id for block_id in first_ids.values() if block_id is not None]
+    own = first_ids.get(side)
+    return 0 if own is None else own - min(known)
+
+
+def _flips_against_pulses(ledger: Ledger) -> Fault | None:
+    if ledger.sync is None:
+        return Fault(FaultCode.SYNC_LOST, "the board's vertical sync was never matched to the projector's", {}, "board")
+    for flip, pulse in zip(ledger.flips, ledger.pulses, strict=True):
+        # Board time → host time by the matched vertical syncs, then pulse minus flip minus the delay that was asked
+        # for and the projector's latency: zero but for jitter.
+        expected_ns = flip.time_ns + ledger.delay_us * 1000 + ledger.latency_blanks * ledger.period_ns
+        after_ns = ledger.sync.host_ns(pulse.board_time_us) - expected_ns
+        if abs(after_ns) > MAX_FLIP_PHASE * ledger.period_ns:
+            return Fault(
+                FaultCode.PROJECTOR_TIMING,
+                f"pulse {pulse.index} came {after_ns / 1e6:.1f} ms away from where its pattern's flip puts it",
+                {"frame": pulse.index, "shift_frames": round(after_ns / ledger.period_ns)},
+                "projector",
+            )
+    return None
+
+
+def _times(ledger: Ledger) -> Fault | None:
+    """Frames must follow the pulses in the cameras' own clocks, and each other; a clock's offset is free, its rate
+    to 100 ppm."""
+    first_us = ledger.pulses[0].board_time_us
+    relative: dict[str, list[int]] = {}
+    for side, frames in ledger.frames.items():
+        times = [f.camera_time_ns for f in frames]
+        if any(t is None for t in times):
+            continue  # a camera without time stamps; its ids have been checked
+        # Relative to the first frame: a camera's clock starts anywhere.
+        start = times[0] or 0
+        relative[side] = [(t or 0) - start for t in times]
+        for k, (dt, pulse) in enumerate(zip(relative[side], ledger.pulses, strict=True)):
+            passed_ns = (pulse.board_time_us - first_us) * 1000
+            skew_ns = dt - passed_ns
+            if abs(skew_ns) > _wander_ns(MAX_SKEW_NS, passed_ns):
+                return _skew(
+                    f"camera.{side}: frame {k} was exposed {skew_ns / 1e6:.2f} ms off its pulse", k, skew_ns, side
+                )
+    if len(relative) == 2:
+        for k, (left, right) in enumerate(zip(relative["left"], relative["right"], strict=True)):
+            if abs(left - right) > _wander_ns(MAX_SKEW_NS, left):
+                return _skew(
+                    f"frame {k}: left and right are {(left - right) / 1e6:.2f} ms apart", k, left - right, "left"
+                )
+    return None
+
+
+def _apart(ledger: Ledger) -> Fault | None:
+    """A camera that is late by the same time in every frame is seen by nothing but the host's clock beside the cameras'.
+
+    Only the two are compared: which moment of an exposure a time stamp means is the maker's choice, and they are alike.
+    """
+    begun_ns = _begun_ns(ledger)
+    if len(begun_ns) < 2:
+        return None
+    # The clocks were read before the sequence and drift from then on: their error grows with the wait.
+    waited_ns = max(begun_ns[side] - clock.camera_time_ns - clock.offset_ns for side, clock in ledger.clocks.items())
+    apart_ns = begun_ns["right"] - begun_ns["left"]
+    if (
+        abs(apart_ns)
+        <= _wander_ns(MAX_APART_NS, waited_ns) + sum(clock.bracket_ns for clock in ledger.clocks.values()) // 2
+    ):
+        return None
+    late = "right" if apart_ns > 0 else "left"
+    return _skew(f"all frames of camera.{late} are exposed {abs(apart_ns) / 1e6:.2f} ms late", 0, abs(apart_ns), late)
+
+
+def _begun_ns(ledger: Ledger) -> dict[str, int]:
+    """Return when the first frame of each side was exposed, in the host's clock; without those of which it is not
+    known."""
+    found = {}
+    for side, clock in ledger.clocks.items():
+        frames = ledger.frames.get(side, ())
+        if frames and frames[0].camera_time_ns is not None:
+            found[side] = frames[0].camera_time_ns + clock.offset_ns
+    return found
+
+
+def _wander_ns(least_ns: int, passed_ns: int) -> float:
+    """Return how far two clocks may be apart after a time in which each went as it pleases."""
+    return max(least_ns, CLOCKS_PPM * 1e-6 * passed_ns)
+
+
+def _skew(detail: str, frame: int, skew_ns: int, side: str) -> Fault:
+    return Fault(FaultCode.SYNC_LOST, detail, {"frame": frame, "skew_ms": skew_ns / 1e6}, f"camera.{side}")
+
+
+def _ranges(numbers: Sequence[int]) -> str:
+    """Spell numbers like ``0-8, 10-23``."""
+    parts: list[list[int]] = []
+    for n in numbers:
+        if parts and n == parts[-1][1] + 1:
+            parts[-1][1] = n
+        else:
+            parts.append([n, n])
+    return ", ".join(str(a) if a == b else f"{a}-{b}" for a, b in parts) or "none"
+
+
+_STATUS_FAULT: dict[FrameStatus, FaultCode | None] = {
+    FrameStatus.COMPLETE: None,
+    FrameStatus.TRUNCATED: FaultCode.FRAME_TRUNCATED,
+    FrameStatus.CORRUPT: FaultCode.FRAME_CORRUPT,
+    FrameStatus.WRONG_ID: FaultCode.FRAME_CORRUPT,
+    FrameStatus.DISCARDED: FaultCode.FRAME_MISSING,
+    FrameStatus.TIMEOUT: FaultCode.FRAME_MISSING,
+}

@@ -1,0 +1,342 @@
+"""Owns the course of one scan: lasers off, cameras ready, board armed, patterns played, frames collected, audited.
+
+Called from the thread that owns the screens; the two camera threads fill the frame store meanwhile.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sized
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.instrument.capture.grabber import Grabber, SideRecording
+from appliance.instrument.capture.ledger import Ledger, audit, frame_fault
+from appliance.instrument.capture.store import FrameStore
+from appliance.instrument.capture.sync import SyncError, SyncMap, synchronise
+from appliance.instrument.capture.timeouts import Timeouts
+from appliance.measure.fault import Fault, FaultCode
+from appliance.measure.light.sides import SIDES
+from drivers.api import (
+    Board,
+    BoardBooted,
+    BoardEvent,
+    BoardLost,
+    Clock,
+    DeviceError,
+    Flip,
+    Projector,
+    Pulse,
+    PulsesDone,
+    VsyncLost,
+)
+
+LEAD_BLANKS = 3
+"""Vertical blanks between arming and the first pattern: time for the answer to travel."""
+ARM_POLL_S = 0.002
+MAX_BOARD_EVENTS = 400
+
+
+@dataclass(frozen=True, slots=True)
+class ScanSettings:
+    """Settings of a sequence's trigger."""
+
+    refresh_hz: float
+    exposure_us: int
+    trigger_delay_us: int
+    latency_blanks: int = 0
+    """Blanks from a flip to its light."""
+
+    @property
+    def timeouts(self) -> Timeouts:
+        """Time limits of everything that follows the projector."""
+        return Timeouts(self.refresh_hz)
+
+
+@dataclass(frozen=True, slots=True)
+class CaptureReport:
+    """Outcome of a scan. With a fault there is no cloud; the frames are evidence only."""
+
+    fault: Fault | None
+    ledger: Ledger
+    recording_s: float
+    board_events: tuple[BoardEvent, ...]
+    """Everything else the board said meanwhile (telemetry, resets), for whoever watches it."""
+
+
+class Arming:
+    """One sequence that is being made ready: lasers off and proven off, then both cameras waiting for the first pulse.
+
+    Nothing in it waits, so that a heartbeat can go on meanwhile. Not ready in time is a fault like any other.
+    """
+
+    def __init__(
+        self,
+        grabbers: Mapping[str, Grabber],
+        board: Board,
+        clock: Clock,
+        slots: Mapping[str, NDArray[np.uint8]],
+        on_frame: Callable[[str, int], None],
+        ready_s: float,
+    ) -> None:
+        self._grabbers, self._board, self._clock = grabbers, board, clock
+        self._ready_s = ready_s
+        self._slots, self._on_frame = slots, on_frame
+        self.recordings: dict[str, SideRecording] = {}
+        self.events: list[BoardEvent] = []
+        """Events that the board sent meanwhile, for whoever watches it."""
+        self.fault: Fault | None = None
+        try:
+            self._lights_off()
+        except DeviceError as error:
+            self.fault = device_fault(error.device, error.message)
+        for grabber in self._grabbers.values():
+            grabber.leave()  # both at once, so that one waiting time is enough
+        self._wait_on()
+
+    def poll(self) -> bool:
+        """Go on; True when everything is ready, or there is a fault."""
+        if self.fault is not None:
+            return True
+        if not self.recordings:
+            if not all(grabber.idle(0.0) for grabber in self._grabbers.values()):
+                return self._late("did not leave live view", lambda side: self._grabbers[side].idle(0.0))
+            try:
+                self._read_away()
+            except DeviceError as error:
+                self.fault = device_fault(error.device, error.message)
+                return True
+            for side, slots in self._slots.items():
+                self.recordings[side] = self._grabbers[side].record(slots, partial(self._on_frame, side))
+            self._wait_on()
+        if all(self._ready(side) for side in self.recordings):
+            return True
+        return self._late("did not start", self._ready)
+
+    def let_go(self) -> None:
+        """No sequence follows: the cameras need not wait for it."""
+        for side, recording in self.recordings.items():
+            self._grabbers[side].cancel(recording)
+            self._grabbers[side].leave()
+
+    def _lights_off(self) -> None:
+        self._board.stop()
+        lasers = self._board.set_lasers(False, False)
+        if lasers.left_on or lasers.right_on:
+            which = " and ".join(n for n, on in (("left", lasers.left_on), ("right", lasers.right_on)) if on)
+            self.fault = Fault(FaultCode.LASER_ON, f"the {which} laser still conducts after switching off", {}, "board")
+
+    def _read_away(self) -> None:
+        """Read away the reports of before: pulses of the live views are among them."""
+        for _ in range(MAX_BOARD_EVENTS):
+            event = self._board.next_event(0.0)
+            if event is None:
+                return
+            if not isinstance(event, Pulse | PulsesDone):
+                self.events.append(event)
+
+    def _ready(self, side: str) -> bool:
+        return self._grabbers[side].wait(self.recordings[side], "ready", 0.0)
+
+    def _wait_on(self) -> None:
+        self._until_ns = self._clock.now_ns() + int(self._ready_s * 1e9)
+
+    def _late(self, what: str, done: Callable[[str], bool]) -> bool:
+        if self._clock.now_ns() < self._until_ns:
+            return False
+        side = next((side for side in self._grabbers if not done(side)), SIDES[0])
+        said = f"camera.{side} {what} in {self._ready_s:g} s"
+        self.fault = Fault(FaultCode.CAMERA_REFUSED, said, {}, f"camera.{side}")
+        return True
+
+
+class ScanRecorder:
+    """Records sequences with devices that are open and patterns that are loaded (index = frame, ``idle`` = dark).
+
+    What the patterns show is nothing to it: of a sequence it wants to know how many frames there are.
+    """
+
+    def __init__(
+        self,
+        grabbers: Mapping[str, Grabber],
+        board: Board,
+        projector: Projector,
+        clock: Clock,
+        settings: ScanSettings,
+    ) -> None:
+        self._grabbers = grabbers
+        self._board = board
+        self._projector = projector
+        self._clock = clock
+        self._settings = settings
+
+    def arm(
+        self,
+        sequence: Sized,
+        store: FrameStore,
+        on_frame: Callable[[str, int], None],
+        *,
+        second: bool = False,
+    ) -> Arming:
+        """Begin to make ready for one sequence into ``store``, the ``second`` one in the place for it; ``poll`` the answer
+        until it is done, then ``play``.
+
+        ``on_frame(side, index)`` is called in the camera threads as frames arrive.
+        """
+        slots = {side: store.frames(side, second=second)[: len(sequence)] for side in SIDES}
+        return Arming(self._grabbers, self._board, self._clock, slots, on_frame, self._settings.timeouts.ready_s)
+
+    def record(
+        self,
+        sequence: Sized,
+        store: FrameStore,
+        on_frame: Callable[[str, int], None],
+        abort: Callable[[], Fault | None],
+    ) -> CaptureReport:
+        """Arm, wait and play; for who has nothing else to do meanwhile."""
+        arming = self.arm(sequence, store, on_frame)
+        while not arming.poll():
+            self._clock.sleep_s(ARM_POLL_S)
+        return self.play(sequence, arming, abort)
+
+    def play(self, sequence: Sized, arming: Arming, abort: Callable[[], Fault | None]) -> CaptureReport:
+        """Record what was armed. Never raises for a device: every failure is the report's fault.
+
+        ``abort()`` is asked at every vertical blank and ends the scan with the fault it returns. Ends within the
+        sequence's length and the margin of ``Timeouts``.
+        """
+        period_ns, timeouts = 1e9 / self._settings.refresh_hz, self._settings.timeouts
+        latency = self._settings.latency_blanks
+        begun_ns = self._clock.now_ns()
+        recordings, events = arming.recordings, arming.events
+        flips: list[Flip] = []
+        sync: list[SyncMap] = []
+        start: list[int | None] = []
+        fault = arming.fault
+
+        def should_stop() -> bool:
+            nonlocal fault
+            fault = fault or abort()
+            return fault is not None or any(r.done and not r.complete for r in recordings.values())
+
+        def arm(flip: Flip) -> int | None:
+            found = synchronise(self._board, flip, period_ns)
+            # The board needs the vertical sync at which it begins, and the first flip must be on its way by then:
+            # blanks that passed while it was asked are added.
+            lead = LEAD_BLANKS + round((self._clock.now_ns() - flip.time_ns) / period_ns)
+            first_light = found.count + lead + latency
+            self._board.arm(len(sequence), first_light, self._settings.trigger_delay_us, self._settings.exposure_us)
+            sync.append(found)
+            start.append(None if flip.sequence is None else flip.sequence + lead)
+            start.append(first_light)
+            return (flip.sequence or 0) + lead
+
+        try:
+            if fault is None:
+                flips = self._projector.play(range(len(sequence)), len(sequence), arm, should_stop)
+            # Cameras still deliver the last frames when the last pattern was flipped; after an early end they are
+            # cancelled instead.
+            whole = len(flips) == len(sequence)
+            for side in SIDES:
+                if whole:
+                    self._grabbers[side].wait(recordings[side], "done", timeouts.collect_s + latency * period_ns / 1e9)
+        except SyncError as error:
+            fault = Fault(FaultCode.SYNC_LOST, str(error), {}, "board")
+        except DeviceError as error:
+            fault = device_fault(error.device, error.message)
+        recording_s = (self._clock.now_ns() - begun_ns) / 1e9
+        played = len(flips) == len(sequence) and fault is None
+        if not played:
+            self._disarm()  # at once: what is left of the sequence would expose nothing but the dark
+        for side, recording in recordings.items():
+            if not recording.done:
+                self._grabbers[side].cancel(recording)
+                self._grabbers[side].wait(recording, "done", timeouts.collect_s)
+        # After the cameras: most of the reports have arrived by then.
+        pulses = self._collect_pulses(len(sequence) if played else 0, events)
+        # A pulse is missing: the board may still be armed and would expose the live views.
+        if played and len(pulses) < len(sequence):
+            self._disarm()
+        ledger = Ledger(
+            expected=len(sequence),
+            period_ns=period_ns,
+            start_sequence=start[0] if start else None,
+            start_vsync=start[1] if start else None,
+            delay_us=self._settings.trigger_delay_us,
+            latency_blanks=latency,
+            flips=tuple(flips),
+            pulses=tuple(pulses),
+            frames={side: tuple(r.frames) for side, r in recordings.items()},
+            sync=sync[0] if sync else None,
+            clocks={side: r.clock for side, r in recordings.items() if r.clock is not None},
+        )
+        return CaptureReport(
+            fault=_first_fault(fault, recordings, events, ledger),
+            ledger=ledger,
+            recording_s=recording_s,
+            board_events=tuple(events),
+        )
+
+    def _collect_pulses(self, expected: int, events: list[BoardEvent]) -> list[Pulse]:
+        pulses: list[Pulse] = []
+        for _ in range(MAX_BOARD_EVENTS):
+            event = self._board.next_event(self._settings.timeouts.pulse_s if expected else 0.0)
+            match event:
+                case None | PulsesDone():
+                    break
+                case Pulse():
+                    pulses.append(event)
+                case _:
+                    events.append(event)
+        return pulses
+
+    def _disarm(self) -> None:
+        with suppress(DeviceError):  # its loss is reported by its own event
+            self._board.stop()
+
+
+def device_fault(device: str, detail: str) -> Fault:
+    """Return the fault that a lost device makes of a scan."""
+    codes = {"projector": FaultCode.PROJECTOR_LOST, "display": FaultCode.DISPLAY_LOST, "board": FaultCode.BOARD_LOST}
+    code = FaultCode.CAMERA_LOST if device.startswith("camera") else codes.get(device, FaultCode.INTERNAL)
+    return Fault(code, detail, {}, device)
+
+
+def _first_fault(
+    fault: Fault | None, recordings: Mapping[str, SideRecording], events: list[BoardEvent], ledger: Ledger
+) -> Fault | None:
+    """Lost devices explain everything else, so they come first; then what stopped the play; then the audit."""
+    # A lost camera looks like missing frames, a board that restarted like missing pulses: the cause is told, not the
+    # effect.
+    for side, recording in recordings.items():
+        if recording.lost is not None:
+            return device_fault(f"camera.{side}", recording.lost)
+    for event in events:
+        match event:
+            case BoardBooted():
+                return Fault(FaultCode.BOARD_RESET, f"the board restarted ({event.cause})", {}, "board")
+            case BoardLost():
+                return Fault(FaultCode.BOARD_LOST, event.reason, {}, "board")
+            case VsyncLost():
+                return Fault(FaultCode.VSYNC_LOST, "no vertical sync from the projector's video", {}, "board")
+            case _:
+                pass
+    if fault is not None:
+        return fault
+    if _ended_by_a_frame(ledger):
+        found = [fault for fault in (frame_fault(ledger, side) for side in SIDES) if fault is not None]
+        # The other camera was cancelled and lacks frames too: damage is the cause, missing frames may be the effect.
+        found.sort(key=lambda one: one.code is FaultCode.FRAME_MISSING)
+        return found[0] if found else audit(ledger)
+    return audit(ledger)
+
+
+def _ended_by_a_frame(ledger: Ledger) -> bool:
+    """The flips were in time as far as they went, but not all were played: a bad frame is the cause."""
+    if len(ledger.flips) == ledger.expected or not ledger.flips:
+        return False
+    last = ledger.flips[-1].sequence
+    return last is None or ledger.start_sequence is None or last == ledger.start_sequence + len(ledger.flips) - 1

@@ -1,0 +1,283 @@
+"""Owns what can happen to the instrument: every input of ``step`` as a frozen value.
+
+What a scan's frames give comes as ``News``, as the worker tells it. Events about a scan carry the ``number`` of the Capture effect that began it, so that an answer that comes too late
+is recognised and ignored.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from appliance.calibrate.guide import RecordingCheck, Session
+from appliance.instrument.machine.failure import Failure
+from appliance.instrument.machine.states import Device, Part
+from appliance.instrument.machine.transfer import Transfer
+from appliance.instrument.machine.words import Label
+from appliance.instrument.ranging.reach import Range
+from appliance.measure.fault import Fault, FaultCode
+from appliance.measure.news import LiveGuidance, News
+from drivers.api import Key, Telemetry
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """Time passed. Sent at least ten times a second; deadlines are judged here only."""
+
+    now_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class KeyPressed:
+    key: Key
+
+
+@dataclass(frozen=True, slots=True)
+class KeyHeld:
+    """The key of the latest KeyPressed has been held for 0.8 s."""
+
+    key: Key
+
+
+@dataclass(frozen=True, slots=True)
+class KeyJammed:
+    """The key does not come back; the driver masks it until it is seen released."""
+
+    key: Key
+
+
+@dataclass(frozen=True, slots=True)
+class KeyFreed:
+    """A key that was jammed is up again, and works."""
+
+    key: Key
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceUp:
+    device: Device
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceDown:
+    """A device was lost; ``code`` where the loss has a more precise name than LOST (a slow link, a refused setting)."""
+
+    device: Device
+    reason: str
+    code: FaultCode | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class BoardReset:
+    """The board's boot banner: everything it was told is forgotten."""
+
+    cause: str
+
+
+@dataclass(frozen=True, slots=True)
+class TelemetryArrived:
+    telemetry: Telemetry
+
+
+@dataclass(frozen=True, slots=True)
+class ConditionRaised:
+    """Something is wrong until cleared (uncalibrated, no vertical sync)."""
+
+    fault: Fault
+
+
+@dataclass(frozen=True, slots=True)
+class ConditionCleared:
+    code: FaultCode
+    device: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """Something that happened by itself before the machine began; read once, gone with the next key."""
+
+    fault: Fault
+
+
+@dataclass(frozen=True, slots=True)
+class StorageCounted:
+    """The library was counted: what it holds and how many scans still fit; ``scans_left`` is None where the disk does
+    not tell."""
+
+    scans: int
+    last_scan: str | None
+    scans_left: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectsCounted:
+    """The scans on the disk were looked at: the largest number of an object that one of them carries, 0 if none does."""
+
+    largest: int
+
+
+@dataclass(frozen=True, slots=True)
+class TransferTold:
+    """The program that serves scans to desks told something new."""
+
+    transfer: Transfer
+
+
+@dataclass(frozen=True, slots=True)
+class BootFinished:
+    """Everything that can be opened was tried once."""
+
+
+@dataclass(frozen=True, slots=True)
+class PartTested:
+    """The self-test's result of a part that is no device."""
+
+    part: Part
+    passed: bool
+    detail: Label = ""
+
+
+@dataclass(frozen=True, slots=True)
+class PartBusy:
+    """A part without a result yet was seen to get on with what leads to one."""
+
+    part: Part
+
+
+@dataclass(frozen=True, slots=True)
+class Armed:
+    """Lasers are proven off, and both cameras wait for the first pulse."""
+
+    number: int
+
+
+@dataclass(frozen=True, slots=True)
+class CaptureFinished:
+    """The sequence is complete and every witness agrees."""
+
+    number: int
+
+
+@dataclass(frozen=True, slots=True)
+class CaptureFailed:
+    number: int
+    fault: Fault
+
+
+@dataclass(frozen=True, slots=True)
+class RawStored:
+    """The raw frames survive the loss of power from now on."""
+
+    number: int
+
+
+@dataclass(frozen=True, slots=True)
+class Saved:
+    """Published: the scan survives the loss of power a millisecond later."""
+
+    number: int
+    scan_id: str
+
+
+@dataclass(frozen=True, slots=True)
+class SaveFailed:
+    """Raw frames or publication were refused by the disk; everything is still in memory."""
+
+    number: int
+    fault: Fault
+
+
+@dataclass(frozen=True, slots=True)
+class Rejected:
+    """The scan the diver did not want lies among the rejected ones."""
+
+    number: int
+    scan_id: str
+
+
+@dataclass(frozen=True, slots=True)
+class TrialExamined:
+    """A recording for a step of the calibration was judged."""
+
+    number: int
+    check: RecordingCheck
+
+
+@dataclass(frozen=True, slots=True)
+class SessionChanged:
+    """The calibration's session as it lies on the disk now; also the answer to what changed it."""
+
+    session: Session
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationProgressed:
+    """The adjustment went on: its progress, 0..1."""
+
+    progress: float
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationFailed:
+    """A request of the calibration came to nothing; the session is as it was."""
+
+    failure: Failure
+
+
+@dataclass(frozen=True, slots=True)
+class Ranged:
+    """The laser dots in the live images were measured: where the object is now; ``None``: nothing can be said for
+    sure."""
+
+    range: Range | None
+
+
+@dataclass(frozen=True, slots=True)
+class ScansListed:
+    """The numbers of all scans on the disk, the newest first."""
+
+    scans: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class StopRequested:
+    """The operating system wants the service to end (SIGTERM)."""
+
+    reason: str
+
+
+Event = (
+    Tick
+    | KeyPressed
+    | KeyHeld
+    | KeyJammed
+    | KeyFreed
+    | DeviceUp
+    | DeviceDown
+    | BoardReset
+    | TelemetryArrived
+    | ConditionRaised
+    | ConditionCleared
+    | Told
+    | StorageCounted
+    | ObjectsCounted
+    | TransferTold
+    | BootFinished
+    | PartTested
+    | PartBusy
+    | Armed
+    | CaptureFinished
+    | CaptureFailed
+    | RawStored
+    | News
+    | LiveGuidance
+    | Saved
+    | SaveFailed
+    | Rejected
+    | TrialExamined
+    | SessionChanged
+    | CalibrationProgressed
+    | CalibrationFailed
+    | Ranged
+    | ScansListed
+    | StopRequested
+)

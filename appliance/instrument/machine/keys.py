@@ -1,0 +1,114 @@
+"""Owns what the four keys mean: in each state one press has one meaning; holding is for what cannot be taken back or wants
+a still hand: rejecting a scan, a second exposure, putting a calibration away, and asking whether to switch off."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import assert_never
+
+from appliance.instrument.machine import acknowledge, asking, calibrate, gallery, menu, safety, scanning, start
+from appliance.instrument.machine.moves import Result
+from appliance.instrument.machine.permissions import second_exposure
+from appliance.instrument.machine.states import Machine, State
+from drivers.api import Key
+
+HELD_TO_SWITCH_OFF = (State.BOOT, State.SELF_TEST, State.AIM, State.SAFE)
+"""States in which BACK held asks whether to switch off."""
+HELD_TO_REJECT = (State.CHECK, State.RECONSTRUCT, State.REVIEW)
+"""States in which BACK held rejects the scan in hand: a glove that brushes the key costs no scan."""
+
+
+def meaning(machine: Machine, key: Key) -> Key:
+    """Return the key a press stands for: while SCAN is stuck UP takes over, while BACK is stuck DOWN does."""
+    if key is Key.UP and Key.SCAN in machine.stuck:
+        return Key.SCAN
+    if key is Key.DOWN and Key.BACK in machine.stuck:
+        return Key.BACK
+    return key
+
+
+def pressed(machine: Machine, key: Key) -> Result:
+    """Do what a key that went down means; ``key`` is what it stands for."""
+    # Asked before the notice is taken away: the press is about what was on the screen when the finger came down.
+    known = acknowledge.pending(machine) if key is Key.BACK else None
+    machine = replace(machine, notice=None, just_saved=None, last_key_ns=machine.now_ns)
+    if key is Key.BACK:
+        # That a key is held is known 0.8 s after the press. In between the state may change by itself (a capture
+        # ends, a cloud is there), and what was meant for the state before must neither reject a scan nor switch
+        # off.
+        machine = replace(machine, back_from=machine.state, back_spent=False)
+    if key is Key.DOWN:
+        machine = replace(machine, add_offered=second_exposure(machine) is not None)
+    if known is not None:
+        return acknowledge.acknowledged(machine, known), ()
+    if key is not Key.SCAN:
+        # To insist is to press SCAN twice in a row: any other key takes the first press back.
+        machine = replace(machine, insists_until_ns=None)
+    if machine.off_question is not None:
+        return asking.pressed(machine, key)
+    match machine.state:
+        case State.SELF_TEST:
+            return start.pressed(machine, key)
+        case State.AIM:
+            return _aim_key(machine, key)
+        case State.MENU:
+            return menu.pressed(machine, key)
+        case State.GALLERY:
+            return gallery.pressed(machine, key)
+        case State.ARMED | State.CAPTURE:
+            return scanning.abandon(machine, None) if key is Key.BACK else (machine, ())
+        case State.CHECK | State.RECONSTRUCT:
+            return scanning.stopped_adding(machine) if key is Key.BACK else (machine, ())
+        case State.REVIEW:
+            return scanning.review_key(machine, key)
+        case State.CALIBRATE:
+            return _calibrate_key(machine, key)
+        case State.COOLING:
+            return safety.cooling_key(machine, key)
+        case State.SAFE:
+            return safety.safe_key(machine, key)
+        case State.BOOT | State.SAVING | State.SHUTDOWN:
+            return machine, ()
+        case _:
+            assert_never(machine.state)
+
+
+def held(machine: Machine, key: Key) -> Result:
+    """BACK held rejects the scan in hand, or asks whether to switch off; DOWN held adds a second exposure to the scan in review,
+    and at the calibration's result puts that away for a new one."""
+    if machine.off_question is not None:
+        return machine, ()
+    if key is Key.DOWN and calibrate.may_begin_session(machine):
+        return calibrate.begin_session(machine)
+    if key is Key.DOWN and machine.state is State.REVIEW and machine.add_offered:
+        return scanning.add(machine)
+    if key is not Key.BACK or machine.back_spent:
+        return machine, ()
+    if machine.state in HELD_TO_REJECT and machine.back_from in HELD_TO_REJECT:
+        return scanning.rejected(machine)
+    # Both sides are looked at: BOOT and SELF_TEST pass by themselves while a key is held, and still mean the
+    # same.
+    if machine.state in HELD_TO_SWITCH_OFF and machine.back_from in (None, *HELD_TO_SWITCH_OFF):
+        return asking.ask(machine), ()
+    return machine, ()
+
+
+def _aim_key(machine: Machine, key: Key) -> Result:
+    match key:
+        case Key.SCAN:
+            return scanning.wanted(machine)
+        case Key.UP:
+            return menu.open_menu(machine)
+        case Key.DOWN:
+            return gallery.open_gallery(machine)
+        case Key.BACK:
+            return machine, ()
+        case _:
+            assert_never(key)
+
+
+def _calibrate_key(machine: Machine, key: Key) -> Result:
+    at = machine.calibrating
+    if key is not Key.SCAN or at is None or at.task is not None or not calibrate.records(machine):
+        return calibrate.pressed(machine, key)
+    return scanning.wanted(replace(machine, calibrating=replace(at, latest=None, failed=None)))

@@ -1,0 +1,376 @@
+"""Owns the screens of the calibration: a step that records, the adjustment, and what it gave."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import assert_never
+
+from appliance.calibrate.guide import HELD, STEPS, UNITS, USED, RecordingCheck, Refusal, Session, Step, Verified
+from appliance.calibrate.poses import plane_place
+from appliance.calibrate.recordings import ArtefactKind
+from appliance.instrument.machine.failure import FailureKind
+from appliance.instrument.machine.states import Task
+from appliance.instrument.machine.words import STEP_NAMES, Language, Text
+from appliance.instrument.screens import theme
+from appliance.instrument.screens.canvas import Align, Canvas
+from appliance.instrument.screens.frame import alerts_top, draw_title
+from appliance.instrument.screens.marks import draw_marks
+from appliance.instrument.screens.sketch import FROM_THE_SIDE, sketch_depth, sketch_front
+from appliance.instrument.screens.texts import numbered
+from appliance.instrument.screens.theme import BLACK, BODY, BOLD, CAPTION, HUGE, REGULAR, TITLE
+from appliance.instrument.screens.views import CalibrateView
+
+_TOP_PX, _SKETCH_PX = 68.0, 180.0
+_LIVE_PX = (364.0, 273.0)
+_WORDS_PX = 392.0
+_BOX_PX = 370.0
+_BAND_PX, _WORKING_PX = 84.0, 52.0
+"""Heights of what was found and what is right, and of one line."""
+_TICKS_PX = 24.0
+"""Distance of the marks' middle from the lower edge, in units of the design."""
+
+_HOLD = {
+    Step.M1: (Text.LYING, Text.FROM_ABOVE),
+    Step.M2: (Text.UPRIGHT, Text.FROM_THE_SIDE),
+    Step.M3: (Text.PLANE_AWAY, Text.FROM_THE_SIDE),
+    Step.M4: (Text.PLANE_AWAY, Text.FROM_THE_SIDE),
+    Step.VERIFY: (Text.LEVEL, Text.FROM_ABOVE),
+}
+_VERDICTS = {
+    True: (Text.BETTER, theme.GREEN),
+    None: (Text.NO_DIFFERENCE, theme.WHITE),
+    False: (Text.WORSE, theme.YELLOW),
+}
+_TASKS = {
+    Task.STORE: Text.STORING,
+    Task.EXAMINE: Text.LOOKING,
+    Task.ACCEPT: Text.ENTERING,
+    Task.SOLVE: Text.SOLVING,
+    Task.SWITCH: Text.SWITCHING,
+}
+
+
+def draw_calibrate(canvas: Canvas, view: CalibrateView, language: Language, time_s: float) -> None:
+    title = STEP_NAMES[view.step].in_language(language)
+    if view.step is Step.VERIFY:
+        title = f"{title}  {Text.BALL_BAR.in_language(language)}"
+    draw_title(canvas, title, view.keys, language)
+    # From below to above: an alert first, over it what became of the recording, and sketches and picture share
+    # what is left.
+    bottom = alerts_top(canvas, view.alerts) + (-4 if view.alerts else 8)
+    free = bottom - _latest_px(view)
+    if view.step in HELD:
+        _how(canvas, view, free, language)
+        _live(canvas, view, free, language)
+    elif view.step is Step.SOLVE:
+        _solve(canvas, view, free, language)
+    else:
+        _result(canvas, view, free, language)
+    _latest(canvas, view, bottom, language, time_s)
+    _ticks(canvas, view)
+
+
+def _latest_px(view: CalibrateView) -> float:
+    """Return the height of what is said at the lower end of the screen."""
+    check = view.at.latest or view.session.check(view.step)
+    if view.at.task is not None:
+        return _WORKING_PX
+    if view.at.failed is not None or check is not None:
+        return _BAND_PX
+    return 36.0 if view.step is Step.SOLVE else 0.0
+
+
+_FAILURES = {
+    FailureKind.RECORDING: (Text.NOT_USABLE, Text.RECORD_AGAIN),
+    FailureKind.CERTIFICATE: (Text.NO_CERTIFICATE, Text.AT_THE_DESK),
+    FailureKind.CAMERAS: (Text.OTHER_CAMERAS, Text.CALIBRATE_IN_AIR),
+    FailureKind.NO_SOLUTION: (Text.NO_SOLUTION, Text.RECORD_ALL),
+    FailureKind.FILES: (Text.FILES_DO_NOT_FIT, Text.AT_THE_DESK),
+    FailureKind.DISK: (Text.DISK_REFUSED, Text.TRY_AGAIN),
+    FailureKind.BROKEN_OFF: (Text.BROKEN_OFF, Text.TRY_AGAIN),
+    FailureKind.NO_ANSWER: (Text.ANSWERED_LATE, Text.TRY_AGAIN),
+}
+"""Words for each failure: what came to nothing, and what to do. The details are in the log and in the status file."""
+
+
+def _step_name(about: str, language: Language) -> str:
+    """Return the name of the step that a failure is about; empty where it is about none."""
+    return next((name.in_language(language) for step, name in STEP_NAMES.items() if step.value == about), about)
+
+
+def refusal_words(check: RecordingCheck) -> tuple[Text, Text]:
+    """Return what the diver reads about a recording that will not do: what is wrong, and what to do or what is right."""
+    bar = HELD[check.step] is ArtefactKind.BALL_BAR
+    match check.refusal:
+        case None:
+            return Text.ACCEPTED, Text.ACCEPTED
+        case Refusal.NOT_FOUND:
+            return (Text.NO_BAR, Text.BOTH_BALLS_LIT) if bar else (Text.NO_PLANE, Text.ONLY_THE_PLANE)
+        case Refusal.FEW_POINTS:
+            return Text.FEW_POINTS, Text.WIPE_AND_SHOW
+        case Refusal.BAD_FIT:
+            return Text.BAD_FIT, Text.STILL_AND_CLEAN
+        case Refusal.WRONG_SIZE:
+            return Text.WRONG_SIZE, Text.SEE_CERTIFICATE
+        case Refusal.LAY_DOWN:
+            return Text.LAY_DOWN, Text.AGAINST_LEVEL
+        case Refusal.STAND_UP:
+            return Text.STAND_UP, Text.AGAINST_LEVEL
+        case Refusal.TILT_MORE:
+            return Text.TILT_MORE, Text.IN_DEPTH_20_50
+        case Refusal.TILT_LESS:
+            # VERIFY wants the bar level: M1 and M2, from which lengths are learned, have theirs tilted in depth.
+            right = Text.IN_DEPTH_15 if check.step is Step.VERIFY else Text.IN_DEPTH_20_50 if bar else Text.PLANE_35
+            return Text.TILT_LESS, right
+        case Refusal.TOO_NEAR | Refusal.TOO_FAR:
+            what = Text.TOO_NEAR if check.refusal is Refusal.TOO_NEAR else Text.TOO_FAR
+            return what, Text.RIGHT_RANGE
+        case Refusal.NOT_FILLED:
+            return Text.NOT_FILLED, Text.FILL_45
+        case Refusal.MOVED:
+            return Text.MOVED, Text.STILL_AND_AGAIN
+        case Refusal.WRONG_PATTERN:
+            return Text.WRONG_PATTERN, Text.RECORD_AGAIN
+        case unknown:
+            assert_never(unknown)
+
+
+def _how(canvas: Canvas, view: CalibrateView, bottom: float, language: Language) -> None:
+    """Draw two sketches side by side, and the same in words; smaller where what is below needs the room."""
+    step = view.step
+    words, depth = _HOLD[step]
+    # 92 px are the caption below the sketches and two lines of words.
+    size = min(_SKETCH_PX, bottom - _TOP_PX - 92.0)
+    for slot, picture, left, caption in (
+        ("sketch.front", sketch_front(step), 8.0, Text.FRONT),
+        ("sketch.depth", sketch_depth(step, view.volume), 204.0, depth),
+    ):
+        canvas.image(slot, picture, left, _TOP_PX, _SKETCH_PX, size)
+        canvas.words(
+            caption.in_language(language), left + _SKETCH_PX / 2, _TOP_PX + size + 22, CAPTION, REGULAR,
+            theme.MUTED, Align.CENTRE, _SKETCH_PX,
+        )  # fmt: skip
+    # The words and the drawing say the same from two tables: this holds them together.
+    assert (depth is Text.FROM_THE_SIDE) == (step in FROM_THE_SIDE)
+    numbers = (plane_place(step, view.volume).wanted_mm,) if HELD[step] is ArtefactKind.PLANE else ()
+    lines = words.filled(language, *numbers).split(", ")
+    for number, line in enumerate(lines):
+        canvas.words(
+            line,
+            _WORDS_PX / 2,
+            _TOP_PX + size + 52 + 33 * number,
+            BODY,
+            BOLD,
+            align=Align.CENTRE,
+            max_width=_WORDS_PX - 16,
+        )
+
+
+def _live(canvas: Canvas, view: CalibrateView, bottom: float, language: Language) -> None:
+    """Draw the left camera's picture, with the laser dots' marks, and the distance that they say."""
+    pixels, gauge = view.left, view.gauge
+    width, height = _LIVE_PX[0], min(_LIVE_PX[1], bottom - _TOP_PX)
+    left = canvas.width - width
+    if pixels is not None:
+        canvas.image("left", pixels, left, _TOP_PX, width, height)
+        distance_mm = None if gauge is None else gauge.distance_mm
+        if view.marks is not None:
+            draw_marks(canvas, view.marks.left, pixels, left, _TOP_PX, width, height, distance_mm is not None)
+        if gauge is not None:
+            known = distance_mm is not None
+            said = f"{distance_mm:.0f} mm" if known else Text.DOT_ON_IT.in_language(language)
+            wide = canvas.measure(said, CAPTION + 2, BLACK) + 20
+            canvas.box(left + 10, _TOP_PX + 10, wide, 42, theme.INK, 10)
+            ink = theme.WHITE if known else theme.YELLOW
+            canvas.words(said, left + 20, _TOP_PX + 41, CAPTION + 2, BLACK, ink)
+        return
+    canvas.box(canvas.width - width, _TOP_PX, width, height, theme.DEEP, 10, theme.YELLOW, 4)
+    canvas.words(
+        Text.NO_IMAGE.in_language(language), canvas.width - width / 2, _TOP_PX + height / 2, TITLE, BLACK,
+        theme.YELLOW, Align.CENTRE,
+    )  # fmt: skip
+
+
+def _latest(canvas: Canvas, view: CalibrateView, bottom: float, language: Language, time_s: float) -> None:
+    """Draw the band over the lower labels, or over an alert: what is done now, or what became of the latest
+    recording."""
+    at = view.at
+    # What this visit recorded, else what the session has of the step from before, perhaps from before a restart.
+    check = at.latest or view.session.check(view.step)
+    if at.task is not None:
+        _working(canvas, at.task, at.progress, language, time_s, bottom)
+    elif at.failed is not None:
+        came, remedy = (text.in_language(language) for text in _FAILURES[at.failed.kind])
+        _band(canvas, theme.YELLOW, came, remedy, _step_name(at.failed.about, language), bottom)
+    elif check is not None and check.refusal is None:
+        number = "" if check.number is None else f"{1000.0 * check.number:.0f} µm"
+        what = f"{STEP_NAMES[check.step].in_language(language)} {Text.ACCEPTED.in_language(language)}"
+        _band(canvas, theme.GREEN, what, f"{check.points} {Text.POINTS.in_language(language)}", number, bottom)
+    elif check is not None and check.refusal is not None:
+        words, why = refusal_words(check)
+        # An angle is written without the space that SI puts before other units.
+        number = "" if check.number is None else f"{check.number:.3g} {UNITS[check.refusal]}".replace(" °", "°")
+        number = numbered(number, language)
+        numbers: tuple[float, ...] = ()
+        if why is Text.RIGHT_RANGE:
+            place = plane_place(check.step, view.volume)
+            numbers = (place.nearest_mm, place.farthest_mm)
+        _band(canvas, theme.YELLOW, words.in_language(language), why.filled(language, *numbers), number, bottom)
+    elif view.step is Step.SOLVE:
+        said = Text.SOME_SECONDS.in_language(language)
+        canvas.words(said, canvas.width / 2, bottom - 16, CAPTION, REGULAR, theme.MUTED, Align.CENTRE)
+
+
+def _band(canvas: Canvas, fill: theme.Colour, what: str, why: str, number: str, bottom: float) -> None:
+    top, ink = bottom - _BAND_PX, theme.INK
+    canvas.box(0, top, canvas.width, _BAND_PX, fill)
+    right = canvas.width - 16
+    if number:
+        right -= canvas.words(number, right, top + 39, TITLE - 4, BLACK, ink, Align.RIGHT) + 18
+    canvas.words(what, 16, top + 39, TITLE - 4, BLACK, ink, max_width=right - 16)
+    canvas.words(why, 16, top + 72, CAPTION + 2, BOLD, ink, max_width=canvas.width - 32)
+
+
+def _working(
+    canvas: Canvas, task: Task, progress: float | None, language: Language, time_s: float, bottom: float
+) -> None:
+    top = bottom - _WORKING_PX
+    canvas.box(0, top, canvas.width, _WORKING_PX, theme.INK)
+    canvas.words(_TASKS[task].in_language(language), 16, top + 38, BODY, BLACK, max_width=300)
+    left, width = 330.0, canvas.width - 346.0
+    canvas.box(left, top + 12, width, 28, theme.PANEL, 14)
+    if progress is not None:
+        canvas.box(left, top + 12, max(28.0, width * min(1.0, progress)), 28, theme.AQUA, 14)
+    else:  # something that moves, without pretending to a length
+        swing = 1.0 - abs(2.0 * (0.4 * time_s % 1.0) - 1.0)
+        canvas.box(left + (width - 120.0) * swing, top + 12, 120, 28, theme.AQUA, 14)
+
+
+def _solve(canvas: Canvas, view: CalibrateView, bottom: float, language: Language) -> None:
+    middle, room = canvas.width / 2, bottom - _TOP_PX
+    top = _TOP_PX
+    if view.at.failed is None:
+        top, low, size = (top + 84.0, 24.0, TITLE) if room > 240 else (top + 38.0, 7.0, TITLE - 6)
+        said = Text.FOUR_READY.in_language(language)
+        canvas.words(said, middle, top - low, size, BLACK, align=Align.CENTRE, max_width=760)
+    # Rows move together where an alert needs room; all four stay, as the diver compares them.
+    pitch = min(40.0, (bottom - top - 4) / len(USED))
+    size = BODY if pitch > 34 else CAPTION
+    for row, step in enumerate(USED):
+        check = view.session.check(step)
+        if check is None:
+            continue
+        baseline = top + pitch * (row + 0.75)
+        canvas.words(STEP_NAMES[step].in_language(language), 120, baseline, size, BOLD)
+        canvas.words(
+            f"{check.points} {Text.POINTS.in_language(language)}",
+            560,
+            baseline,
+            CAPTION,
+            REGULAR,
+            theme.MUTED,
+            Align.RIGHT,
+        )
+        if check.number is not None:
+            canvas.words(f"{1000.0 * check.number:.0f} µm", 690, baseline, size, BOLD, align=Align.RIGHT)
+
+
+@dataclass(frozen=True, slots=True)
+class _Box:
+    """The box of a length error, as high as what is below leaves room for."""
+
+    left: float
+    top: float
+    height: float
+    used: bool
+    """True if the calibration of the box is the one in use."""
+
+    def draw(self, canvas: Canvas, name: Text, error: float | None, language: Language) -> None:
+        """Draw the name above, the error in percent in the middle."""
+        edge, width = (theme.AQUA, 6) if self.used else (theme.LINE, 3)
+        canvas.box(self.left, self.top, _BOX_PX, self.height, theme.DEEP, 20, edge, width)
+        canvas.words(name.in_language(language), self.left + 24, self.name_at, BODY, BLACK, theme.MUTED)
+        text = "—" if error is None else numbered(f"{100.0 * abs(error):.3f} %", language)
+        # 76 units are the lines of name and verdict, between which the number stands.
+        size = round(min(HUGE - 18.0, 0.8 * (self.height - 76)))
+        # Figures are 0.72 of the type size high: half of that below the middle is where their baseline has to be.
+        level = 0.5 * (self.name_at + self.verdict_at - 26) + 0.36 * size
+        canvas.words(text, self.left + _BOX_PX / 2, level, size, BLACK, align=Align.CENTRE, max_width=340)
+
+    def judge(
+        self, canvas: Canvas, word: Text, colour: theme.Colour, verified: Verified | None, language: Language
+    ) -> None:
+        """Draw the verdict in a word, and how sure it is."""
+        canvas.words(word.in_language(language), self.left + 24, self.verdict_at, BODY, BLACK, colour)
+        if verified is not None:
+            said = numbered(f"± {100.0 * verified.sigma:.3f} %", language)
+            canvas.words(said, self.left + 346, self.verdict_at, CAPTION, BOLD, theme.MUTED, Align.RIGHT)
+
+    @property
+    def name_at(self) -> float:
+        """Baseline of the name."""
+        return self.top + min(44.0, 0.2 * self.height + 8)
+
+    @property
+    def verdict_at(self) -> float:
+        """Baseline of the verdict."""
+        return self.top + self.height - 14
+
+
+def _result(canvas: Canvas, view: CalibrateView, bottom: float, language: Language) -> None:
+    session = view.session
+    top = _TOP_PX + 34
+    height = min(190.0, bottom - top - 34)
+    below = top + height + 27
+    canvas.words(
+        Text.LENGTH_ERROR.in_language(language), canvas.width / 2, top - 9, BODY, BOLD, theme.MUTED, Align.CENTRE
+    )
+    verified = session.verified
+    # Without anything solved the bar has checked the calibration in use: there is nothing to compare it with.
+    if verified is not None and verified.after is None:
+        _checked(canvas, session, _Box(215.0, top, height, used=True), below, language)
+        return
+    before = None if verified is None else verified.before
+    new = None if verified is None else verified.after
+    # Before on the left, new on the right, whichever is in use: the edge says which, and nothing moves when it changes.
+    boxes = _Box(20.0, top, height, not session.in_use), _Box(410.0, top, height, session.in_use)
+    for box, name, value in zip(boxes, (Text.BEFORE, Text.NEW), (before, new), strict=True):
+        box.draw(canvas, name, value, language)
+        if box.used:
+            said = Text.IN_USE.in_language(language)
+            canvas.words(said, box.left + 346, box.name_at, CAPTION, BOLD, theme.AQUA, Align.RIGHT)
+    if verified is not None:
+        verdict, colour = _VERDICTS[verified.better]
+        boxes[1].judge(canvas, verdict, colour, verified, language)
+    if session.solved is not None:
+        said = f"{Text.RESIDUAL.in_language(language)} {numbered(f'{session.solved.residual_px:.3f}', language)} px"
+        canvas.words(said, 20, below, CAPTION, BOLD, max_width=370)
+        if session.solved.warnings:
+            said = f"{Text.WARNINGS.in_language(language)}: {len(session.solved.warnings)}"
+            canvas.words(said, canvas.width - 20, below, CAPTION, BOLD, theme.YELLOW, Align.RIGHT, 370)
+
+
+def _checked(canvas: Canvas, session: Session, box: _Box, below: float, language: Language) -> None:
+    """Draw the length error of the calibration in use, which the bar only checks."""
+    box.draw(canvas, Text.IN_USE, session.length_error, language)
+    word, colour = (Text.NOT_RIGHT, theme.YELLOW) if session.wrong else (Text.RIGHT, theme.GREEN)
+    box.judge(canvas, word, colour, session.verified, language)
+    if session.wrong:
+        said = Text.CHECK_WATER.in_language(language)
+        canvas.words(said, canvas.width / 2, below, CAPTION + 2, BOLD, theme.YELLOW, Align.CENTRE, canvas.width - 40)
+
+
+def _ticks(canvas: Canvas, view: CalibrateView) -> None:
+    """Draw a mark per step between the lower labels: filled when done, ringed where the diver is."""
+    pitch, size = 52.0, 26.0
+    left, y = canvas.width / 2 - pitch * (len(STEPS) - 1) / 2, canvas.height - _TICKS_PX
+    for number, step in enumerate(STEPS):
+        x = left + pitch * number
+        done, here = view.session.done(step), step is view.step
+        if here:
+            canvas.box(x - size, y - size / 2 - 6, 2 * size, size + 12, theme.PANEL, 10, theme.WHITE, 3)
+        canvas.box(
+            x - size / 2, y - size / 2, size, size, theme.GREEN if done else theme.LINE, size / 2 if not done else 5
+        )  # fmt: skip
+        if done:
+            canvas.words("✓", x, y + 9, CAPTION, BLACK, theme.INK, Align.CENTRE)

@@ -1,0 +1,47 @@
+"""Owns the marks in the live pictures where the laser dots are going to be seen: what the diver lays on what is measured."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.instrument.ranging.marks import Place, Track
+from appliance.instrument.screens import theme
+from appliance.instrument.screens.canvas import Canvas
+
+_RING_PX, _RIM_PX = 22.0, 3.0
+_END_PX = 6.0
+_NOTHING = theme.INK.faded(0.0)
+
+
+def draw_marks(
+    canvas: Canvas, tracks: Sequence[Track], pixels: NDArray[np.uint8], left: float, top: float, width: float,
+    height: float, seen: bool,
+) -> None:  # fmt: skip
+    """Draw a ring for each dot at the working distance, and two points where it is at the ends of the measuring volume.
+
+    ``pixels`` (h, w) is the picture in the box, in its middle and as large as fits; ``seen``: a dot was found, so that the
+    marks need not call for attention.
+    """
+    shape = pixels.shape[1] / pixels.shape[0]
+    shown_width, shown_height = min(width, height * shape), min(height, width / shape)
+    left, top = left + (width - shown_width) / 2, top + (height - shown_height) / 2
+    width, height = shown_width, shown_height
+    colour = theme.WHITE if seen else theme.YELLOW
+    for track in tracks:
+        for end in (track.near, track.far):
+            # Each mark has a dark rim: the live picture behind it may be white or black.
+            _dot(canvas, end, left, top, width, height, _END_PX + 2 * 2.0, theme.INK, None)
+            _dot(canvas, end, left, top, width, height, _END_PX, colour, None)
+        _dot(canvas, track.middle, left, top, width, height, _RING_PX + 2.0, _NOTHING, theme.INK)
+        _dot(canvas, track.middle, left, top, width, height, _RING_PX, _NOTHING, colour)
+
+
+def _dot(
+    canvas: Canvas, at: Place, left: float, top: float, width: float, height: float, size: float,
+    fill: theme.Colour, edge: theme.Colour | None,
+) -> None:  # fmt: skip
+    x, y = left + at[0] * width, top + at[1] * height
+    canvas.box(x - size / 2, y - size / 2, size, size, fill, size / 2, edge, 0.0 if edge is None else _RIM_PX)

@@ -1,0 +1,67 @@
+"""Owns the pages of the menu: rows to choose from, and what is chosen now."""
+
+from __future__ import annotations
+
+from appliance.instrument.machine.words import Language
+from appliance.instrument.screens import theme
+from appliance.instrument.screens.canvas import Align, Canvas
+from appliance.instrument.screens.frame import alerts_top, draw_title
+from appliance.instrument.screens.texts import worded
+from appliance.instrument.screens.theme import BAR_PX, BLACK, BODY, BOLD, TITLE
+from appliance.instrument.screens.views import MenuRow, MenuView
+
+_ROW_PX, _LEFT_PX, _PAD_PX = 31.0, 24.0, 20.0
+"""The least height of a row: with an alert all of a page's rows stay on the screen, closer together."""
+_TALL_ROW_PX = 62.0
+
+
+def draw_menu(canvas: Canvas, view: MenuView, language: Language) -> None:
+    draw_title(canvas, view.title.in_language(language), view.keys, language)
+    top, bottom = BAR_PX + 4, alerts_top(canvas, view.alerts) - 2
+    # Rows move together before any is hidden: what is not on the screen is not found with cold hands.
+    fit = int((bottom - top) / _ROW_PX)
+    pitch = min(_TALL_ROW_PX, (bottom - top) / max(1, min(fit, len(view.rows))))
+    first = first_shown(len(view.rows), view.selected, fit)
+    for place, row in enumerate(view.rows[first : first + fit]):
+        selected = first + place == view.selected
+        _row(canvas, row, top + place * pitch, pitch, selected, selected and view.changing, language)
+    # What is above or below shows as a stroke at the edge of the list.
+    middle = canvas.width / 2
+    for hidden, y in ((first > 0, top - 4), (first + fit < len(view.rows), bottom - 2)):
+        if hidden:
+            canvas.box(middle - 60, y, 120, 5, theme.AQUA, 2)
+
+
+def _row(
+    canvas: Canvas, row: MenuRow, top: float, height: float, selected: bool, changing: bool, language: Language
+) -> None:
+    left, right = _LEFT_PX, canvas.width - _LEFT_PX
+    name, said = (BODY + 2, BODY) if height > 40 else (BODY - 2, BODY - 4)
+    baseline = top + (height - 5) / 2 + 0.36 * (said if height > 40 else name)
+    if selected:
+        canvas.box(left, top, right - left, height - 5, theme.WHITE, 12)
+    ink = theme.INK if selected else theme.WHITE
+    value = worded(row.value, language)
+    text = row.text.in_language(language)
+    room = right - left - 2 * _PAD_PX - 16 - canvas.measure(text, name, BLACK)
+    if changing:
+        # UP and DOWN change it: the marks are those beside the keys.
+        large = TITLE - 6 if height > 40 else said
+        # No larger than the value's own box, which is what they stand out from.
+        mark, lower = (TITLE + 8, 5.0) if height > 40 else (TITLE - 6, 2.0)
+        width = min(room - 72, canvas.measure(value, large, BLACK)) + 112
+        canvas.box(right - width, top, width, height - 5, theme.AQUA, 12)
+        canvas.words("▲", right - width + 8, baseline + lower, mark, BLACK, theme.INK)
+        canvas.words("▼", right - 8, baseline + lower, mark, BLACK, theme.INK, Align.RIGHT)
+        canvas.words(value, right - width / 2, baseline, large, BLACK, theme.INK, Align.CENTRE, width - 104)
+        value_px = width
+    else:
+        value_px = canvas.words(value, right - _PAD_PX, baseline, said, BOLD, ink, Align.RIGHT, room) + _PAD_PX
+    name_px = right - value_px - 16 - left - _PAD_PX
+    canvas.words(text, left + _PAD_PX, baseline, name, BLACK, ink, max_width=name_px)
+
+
+def first_shown(rows: int, selected: int, fit: int) -> int:
+    """Return the first row on a screen of ``fit`` rows, such that the selected one is on it, in the middle where it
+    can be."""
+    return max(0, min(selected - fit // 2, rows - fit))

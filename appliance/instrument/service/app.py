@@ -1,0 +1,146 @@
+"""Owns the start and the end of the service: what is opened in which order, and what the exit code says."""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from types import FrameType
+
+import appliance
+from appliance.instrument.machine.words import Language
+from appliance.instrument.screens.unchanged import FrugalPainter
+from appliance.instrument.service.aiming import AimingController
+from appliance.instrument.service.beams import BeamsFile
+from appliance.instrument.service.calibrating import CalibrationController
+from appliance.instrument.service.choices import ChoicesFile
+from appliance.instrument.service.devices import Devices
+from appliance.instrument.service.gallery import GalleryController
+from appliance.instrument.service.loop import Service
+from appliance.instrument.service.notify import ServiceManager
+from appliance.instrument.service.parts import Beginning, Parts
+from appliance.instrument.service.ranging import RangingController
+from appliance.instrument.service.recording import DrawnPatterns
+from appliance.instrument.service.scans import MeasuringSetup, ScanController, ScanStorage
+from appliance.instrument.service.settings import drawn_light_of, pointers_of, standard_choices
+from appliance.instrument.service.starts import installation, recovered, this_run
+from appliance.instrument.service.status import StatusFile
+from appliance.instrument.service.transfer import TransferSwitch
+from appliance.instrument.service.watchdog import Watchdog
+from appliance.measure.light.water import Water
+from appliance.store.config import Rig
+from appliance.store.filesystem import LocalFileSystem
+from appliance.store.instrument import calibration_of, noise_of, response_of, with_measured_noise
+from appliance.store.library import Library
+from appliance.store.lock import hold_lock
+from appliance.store.room import Room
+from drivers import rig as drivers_rig
+from drivers.output.gl import open_gl
+
+log = logging.getLogger("kingfisher")
+
+
+def run(rig: Rig) -> int:
+    """Run the instrument until it is switched off; returns the process's exit code.
+
+    Raises DeviceError when there is no GL or no wires, StorageError when the disk refuses the library, LockError when
+    another service runs on the same storage. Devices that are missing do not end it.
+    """
+    with ExitStack() as stack:
+        take_back_power_off(os.environ)
+        # First of all that stays: a start that fails further down is still told to whoever started it.
+        manager = stack.enter_context(ServiceManager.of(os.environ))
+        news = stack.enter_context(this_run(os.environ, Path(sys.prefix)))
+        # Before anything is read below the root, and before any device: a second service would take the cameras from
+        # the first.
+        stack.enter_context(hold_lock(rig.storage.root))
+        rig = with_measured_noise(rig)
+        room = Room(rig.storage.root, LocalFileSystem())
+        library = Library(rig.storage.root, room)
+        library.prepare()
+        # Before the worker and the devices: what the power left is put right while nothing writes.
+        recovery = library.recover()
+        if recovery.recovered or recovery.set_aside:
+            found, aside = (", ".join(ids) or "none" for ids in (recovery.recovered, recovery.set_aside))
+            log.warning("scans recovered: %s; set aside: %s", found, aside)
+        news = (*news, *recovered(recovery.recovered))  # last, for it says more than that the run before ended
+        stopping = stack.enter_context(_signals())
+        wires = stack.enter_context(drivers_rig.open_wires(rig.rig.wires, rig.rig.wires_options))
+        calibration, conditions = calibration_of(rig)
+        gl = stack.enter_context(open_gl())
+        response = response_of(rig)
+        choices = ChoicesFile(rig.storage.root, standard_choices(rig))
+        chosen, _ = choices.read()
+        patterns = DrawnPatterns(gl, rig, chosen.period_px, response)
+        water = Water(chosen.water_c, chosen.salinity_psu, rig.water.wavelength_nm)
+        setup = MeasuringSetup(calibration, patterns.sequence, noise_of(rig), response, water)
+        # The order of this stack is that of closing, turned round: devices first, so that no camera writes into memory
+        # that is gone; then whoever works on frames; the lock last.
+        scans = stack.enter_context(ScanController(rig, setup, ScanStorage(library, room), wires.clock, wires.calendar))
+        calibrating = stack.enter_context(CalibrationController(rig, scans))
+        live_s = rig.board.live_every_vsyncs / rig.projector.refresh_hz
+        pointers = pointers_of(rig)
+        beams = None if pointers is None else BeamsFile(rig.storage.root, pointers)
+        ranging = stack.enter_context(
+            RangingController(pointers, calibration, water.index, wires.clock, live_s, beams, scans.submit)
+        )
+        black_dn, light = rig.camera.left.black_level_dn, drawn_light_of(rig)
+        aiming = stack.enter_context(AimingController(wires.clock, live_s, black_dn, light))
+        painter = stack.enter_context(
+            FrugalPainter(gl, (rig.display.width_px, rig.display.height_px), Language(rig.display.language))
+        )
+        devices = stack.enter_context(Devices(rig, wires, patterns.load))
+        status = StatusFile(rig.storage.root, os.getpid(), appliance.__version__)
+        gallery = GalleryController(library, scans.submit)
+        parts = Parts(devices, scans, calibrating, gallery, ranging, aiming, TransferSwitch(os.environ))
+        beginning = Beginning(choices, conditions, news)
+        service = Service(rig, parts, patterns, painter, status, wires.clock, beginning, lambda: stopping.reason)
+        ended = service.run(Watchdog(manager, rig.storage.root, installation(Path(sys.prefix))))
+        if ended.power_off:
+            ask_power_off(os.environ)
+        log.info("switched off" if ended.power_off else "stopped")
+    return 0
+
+
+def ask_power_off(environment: Mapping[str, str]) -> None:
+    """Leave the note that makes the unit switch the machine off after the service has ended; nothing at a desk."""
+    note = _power_off_note(environment)
+    if note is not None:
+        note.touch()
+
+
+def take_back_power_off(environment: Mapping[str, str]) -> None:
+    """Take away the note of an earlier run, which does not count."""
+    note = _power_off_note(environment)
+    if note is not None:
+        note.unlink(missing_ok=True)
+
+
+def _power_off_note(environment: Mapping[str, str]) -> Path | None:
+    folder = environment.get("RUNTIME_DIRECTORY")
+    return None if not folder else Path(folder.split(":")[0]) / "power-off"
+
+
+class _Stopping:
+    """Set by SIGTERM and SIGINT."""
+
+    def __init__(self) -> None:
+        self.reason: str | None = None
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        self.reason = signal.Signals(number).name
+
+
+@contextmanager
+def _signals() -> Iterator[_Stopping]:
+    stopping = _Stopping()
+    before = {number: signal.signal(number, stopping) for number in (signal.SIGTERM, signal.SIGINT)}
+    try:
+        yield stopping
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,229 @@
+"""Owns the calibration under way: its session on the disk, its long computations in the background, and what they answer."""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import dataclass, replace
+from types import TracebackType
+from typing import Self, assert_never
+
+from appliance.calibrate import calibrator
+from appliance.calibrate.calibrations import Calibrations, SessionError
+from appliance.calibrate.calibrator import Examined, Solution
+from appliance.calibrate.guide import RecordingCheck, Session, Step, Verified
+from appliance.calibrate.recordings import CamerasDiffer, CertificateMissing, NotConverged, RecordingError
+from appliance.instrument.machine import events as on
+from appliance.instrument.machine.failure import Failure, FailureKind
+from appliance.instrument.service.background import Background, Done, Failed, Progressed
+from appliance.instrument.service.health import write_trend
+from appliance.instrument.service.scans import ScanController
+from appliance.measure.calibration.file import Calibration, CalibrationError
+from appliance.measure.fault import Fault, FaultCode
+from appliance.measure.verdict import Verdict
+from appliance.store.atomic import StorageError
+from appliance.store.config import Rig
+from appliance.store.instrument import calibration_of
+from appliance.store.scan import ScanError
+
+log = logging.getLogger("kingfisher")
+
+_FAILURES = {
+    RecordingError.__name__: FailureKind.RECORDING,
+    CertificateMissing.__name__: FailureKind.CERTIFICATE,
+    CamerasDiffer.__name__: FailureKind.CAMERAS,
+    NotConverged.__name__: FailureKind.NO_SOLUTION,
+    ScanError.__name__: FailureKind.RECORDING,
+    CalibrationError.__name__: FailureKind.FILES,
+    SessionError.__name__: FailureKind.FILES,
+    StorageError.__name__: FailureKind.DISK,
+}
+"""Kinds of failure by the name of an exception's class: what a job raises in its own process arrives as words."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Changed:
+    """The session on the disk; with the calibration in use and what is wrong with it, where that may have changed."""
+
+    session: Session
+    in_use: tuple[Calibration, tuple[Fault, ...]] | None = None
+
+
+class CalibrationController:
+    """Everything about the calibration that is neither a device nor a decision. A context manager."""
+
+    def __init__(self, rig: Rig, scans: ScanController) -> None:
+        """Disk work goes through the thread of ``scans``."""
+        self._rig = rig
+        self._scans = scans
+        self._store = Calibrations(rig.storage.root, rig.rig.serial)
+        self._background = Background()
+        self._number = 0
+        """Number of the recording that is examined."""
+        self._verified: Verified | None = None
+        """Length check of the latest recording of VERIFY."""
+        self._passed: deque[str] = deque(maxlen=1)
+        """Length checks that are on the disk and found lengths right, from the disk's thread: what they say."""
+        self._answers: list[Future[_Changed]] = []
+        self._events: list[on.Event] = []
+
+    def __enter__(self) -> Self:
+        self._ask(lambda: _Changed(self._store.session()))
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._background.stop()
+
+    # ------------------------------------------------------------------------------------- what is wanted
+
+    def warm(self) -> None:
+        """Somebody calibrates: let the first recording find the process ready."""
+        try:
+            self._background.start()
+        except OSError as error:
+            log.warning("no process for calibrating yet: %s", error)
+
+    def examine(self, number: int, step: Step) -> None:
+        """Answer TrialExamined or CalibrationFailed."""
+        folder = self._scans.folder(number)
+        if folder is None:
+            reason = "the recording is not on the disk; record it again"
+            self._events.append(on.CalibrationFailed(Failure(FailureKind.RECORDING, reason)))
+            return
+        self._number = number
+        self._background.ask(calibrator.examine, self._rig, step, folder)
+
+    def accept(self, number: int, check: RecordingCheck) -> None:
+        """Publish the scan and enter it into the session; answer SessionChanged or SaveFailed."""
+        numbers = {"points": float(check.points), "rms_mm": check.number}
+        verdict = Verdict("calibration", True, numbers, f"{check.step.value}: {check.detail}")
+        verified = self._verified
+
+        def entered(scan_id: str) -> list[on.Event]:
+            # In the disk's thread, behind the publication: the session never names a scan that is not there (ADR 0020).
+            session = self._store.session().with_check(replace(check, scan_id=scan_id))
+            if check.step is Step.VERIFY:
+                session = replace(session, verified=verified)
+            session = self._store.write(session)
+            if check.step is Step.VERIFY and session.right and session.length_error is not None:
+                # Left for the heartbeat: the watch over the ray gaps is changed by one thread only.
+                self._passed.append(f"VERIFY, scan {scan_id}: ball bar {100.0 * session.length_error:+.3f} %")
+            return [on.SessionChanged(session)]
+
+        self._scans.accept(number, verdict, entered)
+
+    def solve(self) -> None:
+        """Answer CalibrationProgressed, then SessionChanged or CalibrationFailed."""
+        self._background.ask(
+            calibrator.solve, self._rig, self._scans.calendar.today().utc.isoformat(timespec="seconds")
+        )
+
+    def use_solved(self) -> None:
+        """Answer SessionChanged or CalibrationFailed; the calibration in use is another from then on."""
+        date = self._scans.calendar.today().utc.date().isoformat()
+        # Read back from the disk behind the change: what is measured with from now on is what the next start would
+        # find.
+        self._ask(lambda: _Changed(self._store.use_solved(date), calibration_of(self._rig)))
+
+    def restore(self) -> None:
+        """Go back to the file of before; answer as ``use_solved``."""
+        self._ask(lambda: _Changed(self._store.restore(), calibration_of(self._rig)))
+
+    def begin(self) -> None:
+        """Begin a new session; answer SessionChanged or CalibrationFailed."""
+        self._ask(lambda: _Changed(self._store.begin()))
+
+    def cancel(self) -> None:
+        """Give up what is computed: it is no longer wanted."""
+        self._background.stop()
+
+    # ------------------------------------------------------------------------------------- answers
+
+    def poll(self) -> list[on.Event]:
+        """Return what the disk and the background answered since the last call."""
+        events, self._events = self._events, []
+        done = [answer for answer in self._answers if answer.done()]
+        self._answers = [answer for answer in self._answers if not answer.done()]
+        for answer in done:
+            events += self._changed(answer)
+        while self._passed:
+            events += self._lengths_right(self._passed.popleft())
+        match self._background.poll():
+            case Progressed(progress):
+                events.append(on.CalibrationProgressed(progress))
+            case Done(Examined(check, verified)):
+                log.info("calibration %s: %s (%s)", check.step.value, _outcome(check), check.detail)
+                self._verified = verified
+                events.append(on.TrialExamined(self._number, check))
+            case Done(Solution() as solution):
+                self._solved(solution)
+            # A job answers what it likes: one that fits nothing must not leave the diver waiting.
+            case Done(answer):
+                events.append(
+                    on.CalibrationFailed(Failure(FailureKind.BROKEN_OFF, f"it answered with a {type(answer).__name__}"))
+                )
+            case Failed(reason, error, about):
+                log.warning("calibration: %s", reason)
+                events.append(on.CalibrationFailed(_failure(error, reason, about)))
+            case None:
+                pass
+            case unknown:
+                assert_never(unknown)
+        return events
+
+    @property
+    def busy(self) -> bool:
+        """Something is on its way to the disk."""
+        return bool(self._answers)
+
+    def _lengths_right(self, evidence: str) -> list[on.Event]:
+        """Answer an alarm of the ray gaps, as a bar was measured right: what they show now is normal."""
+        write = self._scans.watch.answer(evidence)
+        if write is None:
+            return []
+        log.info("ray gaps accepted: %s", evidence)
+        self._scans.submit(lambda: write_trend(write))
+        return [on.ConditionCleared(FaultCode.VERIFY_CALIBRATION)]
+
+    def _solved(self, solution: Solution) -> None:
+        for warning in solution.solved.warnings:
+            log.warning("calibration: %s", warning)
+
+        def write() -> _Changed:
+            session = replace(self._store.session(), solved=solution.solved, verified=solution.verified)
+            return _Changed(self._store.write_solved(solution.calibration, session, solution.report))
+
+        self._ask(write)
+
+    def _changed(self, answer: Future[_Changed]) -> list[on.Event]:
+        try:
+            changed = answer.result()
+        except (StorageError, SessionError, CalibrationError) as error:
+            log.warning("calibration: %s", error)
+            return [on.CalibrationFailed(_failure(type(error).__name__, str(error)))]
+        events: list[on.Event] = [on.SessionChanged(changed.session)]
+        if changed.in_use is not None:
+            calibration, faults = changed.in_use
+            log.info("in use: %s of %s", calibration.method, calibration.made_at)
+            self._scans.use(calibration)
+            # Cleared first, then raised where they hold for the new one: both conditions are about the calibration of
+            # before.
+            events += [on.ConditionCleared(code) for code in (FaultCode.UNCALIBRATED, FaultCode.VERIFY_CALIBRATION)]
+            held = self._scans.watch.fault
+            events += [on.ConditionRaised(fault) for fault in (*faults, held) if fault is not None]
+        return events
+
+    def _ask(self, work: Callable[[], _Changed]) -> None:
+        self._answers.append(self._scans.submit(work))
+
+
+def _failure(error: str | None, reason: str, about: str = "") -> Failure:
+    return Failure(_FAILURES.get(error or "", FailureKind.BROKEN_OFF), reason, about)
+
+
+def _outcome(check: RecordingCheck) -> str:
+    return "will do" if check.refusal is None else check.refusal.value

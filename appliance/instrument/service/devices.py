@@ -1,0 +1,181 @@
+"""Owns which devices a rig has and how each is opened: the composition root."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from dataclasses import replace
+from types import TracebackType
+from typing import Any, Self
+
+from appliance.instrument.capture.grabber import Grabber
+from appliance.instrument.capture.timeouts import Timeouts
+from appliance.instrument.machine.events import DeviceDown, DeviceUp
+from appliance.instrument.machine.states import Device
+from appliance.instrument.service.device_supervisor import DeviceRejected, DeviceSupervisor
+from appliance.instrument.service.keys import KeyReader
+from appliance.measure.fault import FaultCode
+from appliance.measure.light.exposure import Exposure
+from appliance.measure.light.sides import of_side
+from appliance.store.config import Rig
+from appliance.store.config.rig import CameraRig, OutputRig
+from drivers import rig as drivers_rig
+from drivers.api import Board, Camera, CameraSettings, DeviceRefused, Display, Projector, Wires
+
+
+class Devices:
+    """All devices, each kept open by its supervisor. A context manager."""
+
+    def __init__(self, rig: Rig, wires: Wires, load_projector: Callable[[Projector], None]) -> None:
+        """``load_projector`` is called with each newly opened projector, to give it its patterns."""
+        self._rig = rig
+        self._wires = wires
+        self._timeouts = Timeouts(rig.projector.refresh_hz)
+        self._load_projector = load_projector
+        self._executor = ThreadPoolExecutor(4, "kf-open")
+        projector = replace(output_spec(rig.projector), all_channels=rig.projector.channels == "all")
+        self._outputs = drivers_rig.open_outputs(projector, output_spec(rig.display), wires)
+        clock = wires.clock
+        self.cameras: dict[str, DeviceSupervisor[Grabber]] = {
+            "left": DeviceSupervisor(Device.CAMERA_LEFT, lambda: self._camera("left"), clock, self._executor),
+            "right": DeviceSupervisor(Device.CAMERA_RIGHT, lambda: self._camera("right"), clock, self._executor),
+        }
+        self.board: DeviceSupervisor[Board] = DeviceSupervisor(Device.BOARD, self._board, clock, self._executor)
+        self.keys: DeviceSupervisor[KeyReader] = DeviceSupervisor(Device.KEYS, self._keys, clock, self._executor)
+        # No executor: outputs draw by GL, whose context belongs to the heartbeat's thread.
+        self.display: DeviceSupervisor[Display] = DeviceSupervisor(Device.DISPLAY, self._display, clock, None)
+        self.projector: DeviceSupervisor[Projector] = DeviceSupervisor(Device.PROJECTOR, self._projector, clock, None)
+
+    def __enter__(self) -> Self:
+        self._outputs.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for supervisor in self._supervisors():
+            supervisor.close()
+        self._executor.shutdown(wait=True, cancel_futures=True)
+        self._outputs.__exit__(kind, error, trace)
+
+    @property
+    def all_tried(self) -> bool:
+        """Every device was tried once."""
+        return all(supervisor.tried for supervisor in self._supervisors())
+
+    def openers(self) -> dict[str, Callable[[], AbstractContextManager[Any]]]:
+        """Return how to open each device once, by its name in the rig file, to ask its health."""
+        wires, rig = self._wires, self._rig
+        keys = drivers_rig.KeysSpec(rig.keys.vendor_id, rig.keys.product_id)
+        return {
+            "camera.left": lambda: self._set_up("left"),
+            "camera.right": lambda: self._set_up("right"),
+            "board": lambda: drivers_rig.open_board(drivers_rig.BoardSpec(rig.board.url), wires),
+            "keys": lambda: drivers_rig.open_keys(keys, wires),
+            "projector": self._projector,
+            "display": self._display,
+        }
+
+    def _supervisors(self) -> list[DeviceSupervisor[Any]]:
+        """Return all of them, in the order of closing."""
+        return [*self.cameras.values(), self.keys, self.board, self.projector, self.display]
+
+    def poll(self) -> list[DeviceUp | DeviceDown]:
+        """Return what came and went since the last call."""
+        changes: list[DeviceUp | DeviceDown | None] = []
+        for camera in self.cameras.values():
+            # A grabber that lost its camera says so itself: its thread cannot close what the heartbeat may be using.
+            reason = camera.value.lost if camera.value is not None else None
+            changes += camera.lose(reason) if reason is not None else [camera.poll()]
+        changes += [self.display.poll(), self.board.poll(), self.keys.poll(), self.projector.poll()]
+        return [change for change in changes if change is not None]
+
+    @contextmanager
+    def _camera(self, side: str) -> Iterator[Grabber]:
+        with ExitStack() as stack:
+            try:
+                camera, settings = self._configured(side, stack)
+            except DeviceRefused as error:  # it is there: its plug is not what to look at
+                said = f"{error.message}; {error.remedy}"
+                raise DeviceRejected(error.device, said, error.remedy, FaultCode.CAMERA_REFUSED) from error
+            yield stack.enter_context(Grabber(side, camera, self._wires.clock, settings, self._timeouts))
+
+    def _configured(self, side: str, stack: ExitStack) -> tuple[Camera, CameraSettings]:
+        """Return a camera that is open until ``stack`` closes, and its settings. Raises DeviceError."""
+        camera = stack.enter_context(self.open_camera(side))
+        slow = camera.slow_link
+        if slow is not None:
+            # At 480 Mbit/s a frame of 1.92 MB takes 32 ms at the very least; the projector's period is 16.7 ms.
+            raise DeviceRejected(f"camera.{side}", slow, "Check connector and cable", FaultCode.CAMERA_SLOW_LINK)
+        settings = self._settings(side)
+        camera.configure(settings)
+        return camera, settings
+
+    @contextmanager
+    def _set_up(self, side: str) -> Iterator[Camera]:
+        """Inside: a camera that took its settings, unless its link is slow, which it says by itself."""
+        with self.open_camera(side) as camera:
+            # Setting it is half of the check: what a camera refuses is known before the first scan.
+            if camera.slow_link is None:
+                camera.configure(self._settings(side))
+            yield camera
+
+    def _settings(self, side: str) -> CameraSettings:
+        spec = self._camera_rig(side)
+        return CameraSettings(spec.width_px, spec.height_px, 1000.0 * spec.exposure_ms, spec.gain_db)
+
+    def open_camera(self, side: str) -> AbstractContextManager[Camera]:
+        """Open one camera once, for whoever only wants to look at it: it is not set."""
+        camera = self._camera_rig(side)
+        spec = drivers_rig.CameraSpec(
+            f"camera.{side}", camera.serial, camera.trigger_source, camera.pixel_format, camera.offset_x_px, camera.offset_y_px,
+            tuple(camera.features.items()),
+        )  # fmt: skip
+        return drivers_rig.open_camera(spec, self._wires, self._rig.camera.kind)
+
+    def _camera_rig(self, side: str) -> CameraRig:
+        return of_side(self._rig.camera, side)
+
+    def expose(self, exposure: Exposure) -> None:
+        """Expose both cameras so from their next image on; one that comes later is told then.
+
+        Where the rig file sets the right camera otherwise than the left one, it keeps the difference.
+        """
+        left, right = self._rig.camera.left, self._rig.camera.right
+        for side, spec in (("left", left), ("right", right)):
+            grabber = self.cameras[side].value
+            if grabber is not None:
+                time_us = exposure.time_us * spec.exposure_ms / left.exposure_ms
+                grabber.expose(time_us, exposure.gain_db + spec.gain_db - left.gain_db)
+
+    @contextmanager
+    def _board(self) -> Iterator[Board]:
+        with drivers_rig.open_board(drivers_rig.BoardSpec(self._rig.board.url), self._wires) as board:
+            board.stop()
+            # Whatever a process before this one has left on.
+            board.set_lasers(False, False)
+            yield board
+
+    @contextmanager
+    def _keys(self) -> Iterator[KeyReader]:
+        spec = drivers_rig.KeysSpec(self._rig.keys.vendor_id, self._rig.keys.product_id)
+        with drivers_rig.open_keys(spec, self._wires) as pad, KeyReader(pad) as reader:
+            yield reader
+
+    @contextmanager
+    def _display(self) -> Iterator[Display]:
+        yield self._outputs.open_display()
+
+    @contextmanager
+    def _projector(self) -> Iterator[Projector]:
+        projector = self._outputs.open_projector()
+        self._load_projector(projector)
+        yield projector
+
+
+def output_spec(spec: OutputRig) -> drivers_rig.OutputSpec:
+    """Return what is to be opened for an output of the rig file."""
+    return drivers_rig.OutputSpec(
+        drivers_rig.OutputKind(spec.kind), spec.card, spec.connector, spec.width_px, spec.height_px, spec.refresh_hz
+    )

@@ -1,0 +1,128 @@
+"""Owns what the gallery shows: scans read from the disk by its own thread, so that the screen never waits for them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.instrument.machine import events as on
+from appliance.measure.grade import LENGTHS_DOUBTFUL, NAME, Grade
+from appliance.store.atomic import StorageError
+from appliance.store.library import Library, ScanEntry, UnknownScan
+from appliance.store.scan import PREVIEW
+
+MAX_PREVIEW_BYTES = 20_000_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shown:
+    """One scan as the gallery shows it. What a damaged scan does not tell is ``None``."""
+
+    scan_id: str
+    damaged: bool
+    preview: NDArray[np.uint8] | None = None
+    """(h, w, 3) uint8 RGB."""
+    grade: Grade | None = None
+    corrected: bool = False
+    """Motion was taken out of its points."""
+    lengths_doubtful: bool = False
+    points: int | None = None
+    coverage_percent: float | None = None
+    noise_mm: float | None = None
+    distance_mm: float | None = None
+    taken: str | None = None
+    """Wall time; ``None`` where the clock was not to be trusted."""
+
+
+class GalleryController:
+    """Lists and loads in ``submit``'s thread; the latest wish counts."""
+
+    def __init__(self, library: Library, submit: Callable[[Callable[[], None]], Future[None]]) -> None:
+        self._library, self._submit = library, submit
+        self._wanted: str | None = None
+        self._tasks: list[Future[None]] = []
+        self._listed: tuple[str, ...] | None = None
+        self.shown: Shown | None = None
+
+    def list_scans(self) -> None:
+        """Answer ScansListed."""
+        self._tasks.append(self._submit(self._list))
+
+    def show(self, scan_id: str) -> None:
+        """``shown`` becomes this one."""
+        self._wanted = scan_id
+        self._tasks.append(self._submit(lambda: self._load(scan_id)))
+
+    def status_of(self, scan_id: str | None) -> Mapping[str, Any] | None:
+        """Return what the status file says of the scan that the diver looks at; ``None`` until it was read."""
+        shown = self.shown
+        if shown is None or shown.scan_id != scan_id:
+            return None
+        word = None if shown.grade is None else shown.grade.value
+        return {"scan": shown.scan_id, "damaged": shown.damaged, "grade": word, "taken": shown.taken}
+
+    def poll(self) -> list[on.Event]:
+        """Return what the disk answered since the last call."""
+        self._tasks = [task for task in self._tasks if not task.done()]
+        listed, self._listed = self._listed, None
+        return [] if listed is None else [on.ScansListed(listed)]
+
+    def _list(self) -> None:
+        try:
+            # One assignment: the heartbeat sees the old tuple or the new one.
+            self._listed = tuple(reversed(self._library.ids()))
+        except StorageError:
+            self._listed = ()
+
+    def _load(self, scan_id: str) -> None:
+        if scan_id == self._wanted:  # else the diver has gone on meanwhile
+            self.shown = read(self._library, scan_id)
+
+
+def read(library: Library, scan_id: str) -> Shown:
+    """Read one scan from the disk. Never raises: what cannot be read is damaged."""
+    try:
+        entry = library.entry(scan_id)
+    except (StorageError, UnknownScan):
+        return Shown(scan_id, damaged=True)
+    if entry.manifest is None:
+        return Shown(scan_id, damaged=True)
+    record = entry.manifest.record
+    graded = next((verdict for verdict in record.verdicts if verdict.name == NAME), None)
+    preview, readable = _preview(entry)
+    points = record.cloud.get("points")
+    return Shown(
+        scan_id,
+        damaged=not entry.ok or not readable,
+        preview=preview,
+        grade=record.grade,
+        corrected=record.compensated,
+        lengths_doubtful=graded is not None and graded.numbers.get(LENGTHS_DOUBTFUL) == 1.0,
+        points=None if points is None else int(points),
+        coverage_percent=record.cloud.get("coverage_percent"),
+        noise_mm=record.cloud.get("noise_mm"),
+        distance_mm=record.cloud.get("distance_mm"),
+        taken=record.wall_time if record.clock_trusted else None,
+    )
+
+
+def _preview(entry: ScanEntry) -> tuple[NDArray[np.uint8] | None, bool]:
+    """Return the picture, and whether it is as it should be: there and readable, or never made."""
+    # A scan that was recovered, or kept without a cloud, never had one.
+    if entry.manifest is None or PREVIEW not in entry.manifest.files:
+        return None, True
+    try:
+        with (entry.folder / PREVIEW).open("rb") as file:
+            data = file.read(MAX_PREVIEW_BYTES)
+    except OSError:
+        return None, False
+    picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) if data else None
+    if picture is None:
+        return None, False
+    return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB), np.uint8), True

@@ -1,0 +1,334 @@
+"""Owns the heartbeat: one thread that gathers what happened, lets the machine decide, does what it wants, and draws.
+
+The thread is the process's main one and the sole owner of GL. A heartbeat is paced by the display's vertical blank.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import assert_never
+
+from appliance.instrument.machine import effects as do
+from appliance.instrument.machine import events as on
+from appliance.instrument.machine.alerts import lengths_doubtful
+from appliance.instrument.machine.ashore import ASHORE
+from appliance.instrument.machine.choices import Choices
+from appliance.instrument.machine.keys import meaning
+from appliance.instrument.machine.permissions import LOST_CODES
+from appliance.instrument.machine.states import Machine, Part, State, boot
+from appliance.instrument.machine.step import step
+from appliance.instrument.machine.words import Language, Text
+from appliance.instrument.screens.painter import Painter
+from appliance.instrument.service.inputs import Inputs
+from appliance.instrument.service.live import LiveViews
+from appliance.instrument.service.menu_view import Facts
+from appliance.instrument.service.parts import Beginning, Parts
+from appliance.instrument.service.recording import DrawnPatterns, SequenceRecorder
+from appliance.instrument.service.settings import machine_settings
+from appliance.instrument.service.status import StatusFile
+from appliance.instrument.service.view import Surroundings, held_against, view_of
+from appliance.instrument.service.watchdog import Watchdog
+from appliance.measure.calibration.design import METHOD as DRAWN
+from appliance.measure.fault import Fault, FaultCode
+from appliance.measure.grade import LENGTHS_DOUBTFUL, Grade, grade
+from appliance.measure.grade import NAME as GRADE
+from appliance.measure.news import FullCloud, News, PatternIdentity, ReconstructionFailure, Verdicts
+from appliance.measure.verdict import Verdict, faults_in
+from appliance.store.atomic import StorageError
+from appliance.store.config import Rig
+from drivers.api import Clock, Key
+
+log = logging.getLogger("kingfisher")
+
+PRESENT_TIMEOUT_S, PRESENT_PERIODS = 0.5, 4
+"""Longest time that a picture may take to the diver's display, in s and in periods of it: the longer of both holds."""
+BEAT_WITHOUT_DISPLAY_S = 0.05
+QUIT_TIMEOUT_S = 30.0
+
+
+class Service:
+    """The running instrument. ``run`` returns when it was switched off."""
+
+    def __init__(
+        self,
+        rig: Rig,
+        parts: Parts,
+        patterns: DrawnPatterns,
+        painter: Painter,
+        status: StatusFile,
+        clock: Clock,
+        beginning: Beginning,
+        stop_reason: Callable[[], str | None],
+    ) -> None:
+        """``stop_reason`` says why the process should end; ``None``: it should not."""
+        chosen, lost = beginning.choices.read()
+        self._rig = rig
+        self._parts = parts
+        self._choices = beginning.choices
+        self._painter = painter
+        self._status = status
+        self._clock = clock
+        self._stop_reason = stop_reason
+        self.machine: Machine = boot(
+            clock.now_ns(), machine_settings(rig, replace(chosen, transfer=parts.transfer.wanted))
+        )
+        self._inbox: list[on.Event] = []
+        """Events for the next heartbeat. Everybody who works within one adds to the same list: it is emptied, never replaced."""
+        self._inputs = Inputs(parts.devices, parts.ranging)
+        self._live = LiveViews(rig, parts, self._inbox)
+        self._recorder = SequenceRecorder(rig, parts, patterns, self._inputs, clock, self._inbox)
+        raised = [*beginning.conditions, parts.scans.watch.fault, lost]
+        self._inbox += [on.ConditionRaised(fault) for fault in raised if fault is not None]
+        self._inbox += [on.Told(fault) for fault in beginning.news]
+        uncalibrated = any(fault.code is FaultCode.UNCALIBRATED for fault in beginning.conditions)
+        self._inbox.append(on.PartTested(Part.CALIBRATION, not uncalibrated, Text.NOT_MEASURED if uncalibrated else ""))
+        self._drawn: State | None = None
+        """The state that the diver's display shows."""
+        self._boot_told = False
+        self._stop_told = False
+        self._quit: do.Quit | None = None
+
+    def run(self, watchdog: Watchdog) -> do.Quit:
+        """Beat until the machine wants to quit, then finish what is being written."""
+
+        def beat() -> None:
+            self.beat()
+            watchdog.beaten(self.machine, worker_answers=self._parts.scans.worker.answers)
+
+        self._parts.scans.test_storage()
+        self._parts.scans.count_objects()
+        while self._quit is None:
+            beat()
+        watchdog.stopping()
+        end_ns = self._clock.now_ns() + int(QUIT_TIMEOUT_S * 1e9)
+        # The heart goes on beating: SAVING stays on the screen, and the watchdog does not take a slow disk for a hang.
+        while (self._parts.scans.busy or self._parts.calibrating.busy) and self._clock.now_ns() < end_ns:
+            beat()
+        self._tell_status()
+        return self._quit
+
+    def beat(self) -> None:
+        """Do one heartbeat. It waits for the display and, while patterns are played, for the projector; for nothing
+        else."""
+        for event in self._gather():
+            self._handle(event)
+        # The tick behind the news: an answer that came in time must not be judged by a deadline first.
+        self._handle(on.Tick(self._clock.now_ns()))
+        # Behind the tick: what the machine wanted in this heartbeat is begun in the same one.
+        for event in self._recorder.go_on():
+            self._handle(event)
+        self._tell_status()
+        self._draw()
+
+    def _tell_status(self) -> None:
+        at = self.machine.gallery
+        shown = None if at is None else self._parts.gallery.status_of(at.scan_id)
+        self._status.update(self.machine, self._parts.scans.worker.pid, shown)
+
+    # --------------------------------------------------------------------------------- what happened
+
+    def _gather(self) -> list[on.Event]:
+        # What the last beat left comes first: it happened before anything that is read now.
+        events = list(self._inbox)
+        self._inbox.clear()
+        parts = self._parts
+        events += parts.devices.poll()
+        events += self._inputs.poll()
+        events += parts.scans.poll()
+        events += parts.calibrating.poll()
+        events += parts.gallery.poll()
+        events += parts.ranging.poll()
+        events += parts.aiming.poll()
+        events += parts.transfer.poll(self._clock.now_ns(), wanted=self.machine.choices.transfer)
+        events += self._live.switch_lasers_on()
+        if not self._boot_told and parts.devices.all_tried:
+            self._boot_told = True
+            events.append(on.BootFinished())
+        reason = self._stop_reason()
+        if reason is not None and not self._stop_told:
+            self._stop_told = True
+            events.append(on.StopRequested(reason))
+        return events
+
+    def _handle(self, event: on.Event) -> None:
+        before = self.machine
+        self.machine, wanted = step(before, event)
+        if self.machine.state is not before.state:
+            log.info("%s → %s (%s)", before.state.value, self.machine.state.value, type(event).__name__)
+            if self.machine.state is State.CALIBRATE:
+                self._parts.calibrating.warm()
+            elif before.state is State.CALIBRATE and self.machine.calibrating is None:
+                self._parts.calibrating.cancel()  # its process takes memory
+            # The picture is read back from GL, in this thread, while the painter still has the cloud; only if it was
+            # drawn at all.
+            if before.state is State.REVIEW and self._drawn is State.REVIEW:
+                self._parts.scans.preview = self._painter.preview()
+        line = spoken(event)
+        if line is not None:
+            log.log(*line)
+        for effect in wanted:
+            self._execute(effect)
+
+    # --------------------------------------------------------------------------------- what is wanted
+
+    def _execute(self, effect: do.Effect) -> None:
+        match effect:
+            case do.GoLive():
+                aiming = self.machine.state is State.AIM
+                self._live.begin(effect, aiming=aiming, belongs_to=self.machine.choices.object)
+            case do.StopLive():
+                self._live.end()
+            case do.LightsOff():
+                self._live.end()
+            case do.Arm():
+                self._recorder.want(effect)
+            case do.Capture():
+                # For the next heartbeat, not handled here: the effects behind this one are still to be executed.
+                self._inbox.append(self._recorder.play(effect.number, self._draw, self._abort))
+            case do.AbortCapture():
+                self._recorder.let_go()
+            case do.StoreRaw():
+                self._parts.scans.store_raw(effect.number)
+            case do.StartReconstruction():
+                self._parts.scans.worker.finish()
+            case do.CancelReconstruction():
+                self._parts.scans.worker.drop()
+            case do.Publish():
+                self._publish(effect.number)
+            case do.Reject():
+                self._parts.scans.reject(effect.number, effect.reason)
+            case do.CheckRecording():
+                self._parts.calibrating.examine(effect.number, effect.step)
+            case do.AcceptRecording():
+                self._parts.calibrating.accept(effect.number, effect.check)
+            case do.SolveCalibration():
+                self._parts.calibrating.solve()
+            case do.UseSolved():
+                self._parts.calibrating.use_solved()
+            case do.RestoreKeptCalibration():
+                self._parts.calibrating.restore()
+            case do.BeginSession():
+                self._parts.calibrating.begin()
+            case do.CancelCalibration():
+                self._parts.calibrating.cancel()
+            case do.RememberChoices():
+                self._parts.scans.submit(partial(self._remember, effect.choices))
+            case do.SwitchTransfer():
+                self._parts.transfer.switch(effect.to_on)
+            case do.UsePeriod():
+                self._recorder.want_period(effect.period_px)
+            case do.UseWater():
+                self._parts.scans.use_water(effect.salinity_psu, effect.temperature_c)
+            case do.ListGallery():
+                self._parts.gallery.list_scans()
+            case do.ShowGalleryScan():
+                self._parts.gallery.show(effect.scan_id)
+            case do.ReopenDevice():
+                for side, camera in self._parts.devices.cameras.items():
+                    if effect.device is None or effect.device.value == f"camera.{side}":
+                        self._inbox += camera.lose("opened again: its images do not follow the patterns")
+            case do.Quit():
+                self._live.end()
+                self._quit = effect
+            case _:
+                assert_never(effect)
+
+    def _abort(self) -> Fault | None:
+        """Return why the sequence that plays is to end: the system or the diver wants it; ``None``: nobody does."""
+        reason = self._stop_reason()
+        if reason is not None:
+            return Fault(FaultCode.CAPTURE_TIMEOUT, f"stopped: {reason}")
+        pressed = self._inputs.keys()
+        self._inbox += pressed  # the machine hears of every key, also of those that end nothing
+        if any(isinstance(e, on.KeyPressed) and meaning(self.machine, e.key) is Key.BACK for e in pressed):
+            return Fault(FaultCode.CAPTURE_TIMEOUT, "stopped by the diver")
+        return None
+
+    def _remember(self, choices: Choices) -> None:
+        try:
+            self._choices.write(choices)
+        except StorageError as error:
+            log.warning("the choices hold until the next start only: %s", error)
+
+    def _publish(self, number: int) -> None:
+        scan = self._parts.scans.scan
+        summary = scan.full.summary if scan is not None and scan.full is not None else None
+        verdict = None
+        if summary is not None:
+            # The word that the diver was shown is stored with the scan: nobody judges it by other limits later.
+            word = grade(summary.coverage_percent, summary.noise_mm, held_against(self.machine))
+            numbers = {LENGTHS_DOUBTFUL: float(lengths_doubtful(self.machine))}
+            verdict = Verdict(GRADE, word is not Grade.BAD, numbers, word.value)
+        self._parts.scans.publish(number, self._parts.scans.preview, verdict)
+
+    def _facts(self) -> Facts:
+        calibration = self._parts.scans.calibration
+        return Facts(
+            serial=self._rig.rig.serial,
+            calibrated=Text.FROM_DRAWING if calibration.method == DRAWN else calibration.made_at[:10],
+        )
+
+    # --------------------------------------------------------------------------------- what is shown
+
+    def _draw(self) -> None:
+        display = self._parts.devices.display
+        if display.value is None:
+            # Nothing paces the heartbeat now: without this pause it would take a whole processor.
+            self._clock.sleep_s(BEAT_WITHOUT_DISPLAY_S)
+            return
+        self._live.take()
+        telemetry = self._inputs.telemetry
+        around = Surroundings(
+            left=self._live.images.get("left"),
+            right=self._live.images.get("right"),
+            temperature_c=telemetry.temperature_case_c if telemetry is not None else None,
+            scan=self._parts.scans.scan,
+            shown=self._parts.gallery.shown,
+            facts=self._facts(),
+            marks=self._parts.ranging.marks,
+        )
+        # Asked at each picture, so that a language chosen in the menu shows at once.
+        self._painter.language = Language(self.machine.choices.language)
+        picture = self._painter.draw(view_of(self.machine, around), self._clock.now_ns() / 1e9)
+        self._drawn = self.machine.state
+        limit_s = max(PRESENT_TIMEOUT_S, PRESENT_PERIODS / self._rig.display.refresh_hz)
+        with display.watched(self._inbox):
+            display.value.present(picture, limit_s)
+
+
+def spoken(event: on.Event) -> tuple[int, str] | None:
+    """Return level and text of a log line; ``None`` for what needs none: it is seen in the states, or comes all the time."""
+    match event:
+        case on.DeviceUp(device):
+            return logging.INFO, f"{device.value} works"
+        case on.DeviceDown(device, reason, code):
+            named = "" if code is None else f" ({code.value})"
+            return logging.WARNING, f"{device.value} lost{named}: {reason}{_ashore(code or LOST_CODES[device])}"
+        case on.CaptureFailed(number, fault):
+            return logging.WARNING, f"scan {number} of this start failed: {fault_text(fault)}"
+        case on.SaveFailed(number, fault):
+            return logging.WARNING, f"scan {number} of this start is not saved: {fault_text(fault)}"
+        case News(number, ReconstructionFailure(fault)):
+            return logging.WARNING, f"scan {number} of this start was not reconstructed: {fault_text(fault)}"
+        case News(number, PatternIdentity(judgement)) if judgement.fault is not None:
+            return logging.WARNING, f"scan {number} of this start was not reconstructed: {fault_text(judgement.fault)}"
+        case News(number, Verdicts(judgements) | FullCloud(_, judgements)) if warnings := faults_in(judgements):
+            # What the screen has room for names the fault; what to do about it in full stands here.
+            return logging.INFO, f"scan {number} of this start: {'; '.join(fault_text(one) for one in warnings)}"
+        case _:
+            return None
+
+
+def fault_text(fault: Fault) -> str:
+    """Return code, device, the detector's words and its numbers, in one line."""
+    numbers = ", ".join(f"{name} {value:.4g}" for name, value in fault.numbers.items())
+    of = "" if fault.device is None else f" of {fault.device}"
+    detail = "; ".join(filter(None, (fault.detail, numbers)))
+    return f"{fault.code.value}{of}" + (f": {detail}" if detail else "") + _ashore(fault.code)
+
+
+def _ashore(code: FaultCode) -> str:
+    return f"; ashore: {ASHORE[code]}" if code in ASHORE else ""

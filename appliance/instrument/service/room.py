@@ -1,0 +1,114 @@
+"""Owns whether there is room for the next scan: allocated before the shot, counted, and asked for again where there is none."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, replace
+
+from appliance.instrument.machine import events as on
+from appliance.instrument.machine.words import Label, Text
+from appliance.measure.fault import Fault, FaultCode
+from appliance.store.atomic import StorageError
+from appliance.store.library import Library
+from appliance.store.room import Room, is_full, is_read_only, plan
+from appliance.store.scan import cloud_bytes, frames_bytes, size_bytes
+from drivers.api import Clock
+
+log = logging.getLogger("kingfisher")
+
+ASK_AGAIN_S = 5.0
+"""Time between two questions to a full disk whether there is room for a scan by now."""
+FREED_SCANS = 3
+"""Number of scans from whose room on it is told that some came from nowhere: logs and other programs take and give some all the
+time, and a number that goes up after a save would not be believed."""
+
+
+@dataclass(frozen=True, slots=True)
+class CountedRoom:
+    """The room on the disk as the diver was told of it."""
+
+    scans: int
+    """Scans that were on the disk."""
+    left: int
+    """Scans that had room besides."""
+    scan_bytes: int
+    """Bytes that one of them takes."""
+
+
+def steady(before: CountedRoom | None, now: CountedRoom) -> CountedRoom:
+    """Return what to tell after ``before``: ``now``, but no more scans than before while nothing noticeable was freed.
+
+    Scans that were taken away, scans of another size, a disk that was full, and room for ``FREED_SCANS`` more count as freed.
+    """
+    if before is None or before.scan_bytes != now.scan_bytes or now.scans < before.scans or before.left == 0:
+        return now
+    return now if now.left >= before.left + FREED_SCANS else replace(now, left=min(now.left, before.left))
+
+
+class ScanRoom:
+    """``counted`` runs in the disk's thread, the rest in the heartbeat's; they share one reference at a time."""
+
+    def __init__(self, library: Library, room: Room | None, reserve_bytes: int, clock: Clock) -> None:
+        """``room``: the library's file system, where it allocates space; without one, space is only counted."""
+        self._library, self._room = library, room
+        self.reserve_bytes = reserve_bytes
+        """Space that nothing of a scan may take."""
+        self._clock = clock
+        self._counted_ns = 0
+        self._scan_bytes = 1
+        self._plan: dict[str, int] = {}
+        self._shown: CountedRoom | None = None
+        self.missing: Fault | None = None
+        """The fault for which no scan may begin; ``None``: there is room."""
+
+    def size(self, frames: int, width_px: int, height_px: int) -> None:
+        """Count with scans of another size from now on."""
+        self._scan_bytes = size_bytes(frames, width_px, height_px)
+        self._plan = plan(frames_bytes(frames, width_px, height_px), cloud_bytes(width_px, height_px))
+
+    @property
+    def due(self) -> bool:
+        """It is time to count again: there was no room, and some time has passed."""
+        return self.missing is not None and self._clock.now_ns() - self._counted_ns > ASK_AGAIN_S * 1e9
+
+    @property
+    def summary(self) -> Label:
+        """The self-test's words for the room, after ``counted``."""
+        allocates = self._room is not None and self._room.allocates
+        return f"{self._scan_bytes / 1e6:.0f} MB / SCAN" if allocates else Text.COUNTED_ONLY
+
+    def counted(self) -> list[on.Event]:
+        """Allocate what the next scan needs; how many there are, how many more fit, and what the disk has against it.
+
+        Raises StorageError where the scans cannot be listed.
+        """
+        fault = self._refused()
+        left = self._library.scans_left(self._scan_bytes, self.reserve_bytes)
+        # What cannot be allocated is not free, whatever the disk's own count says.
+        if fault is not None and fault.code is FaultCode.STORAGE_FULL:
+            left = 0
+        elif fault is None and left == 0:
+            fault = Fault(FaultCode.STORAGE_FULL, "no room for another scan")
+        self.missing, self._counted_ns = fault, self._clock.now_ns()
+        scans = self._library.count()
+        if left is not None:
+            self._shown = steady(self._shown, CountedRoom(scans, left, self._scan_bytes))
+            left = self._shown.left
+        events: list[on.Event] = [on.StorageCounted(scans, self._library.last_id(), left)]
+        # STORAGE_FULL is not among them: the machine raises it from the count.
+        for code in (FaultCode.DISK_READ_ONLY, FaultCode.DISK_REFUSES):
+            there = fault is not None and fault.code is code
+            events.append(on.ConditionRaised(fault) if fault is not None and there else on.ConditionCleared(code))
+        return events
+
+    def _refused(self) -> Fault | None:
+        """Return why the space cannot be allocated; ``None`` where it is."""
+        if self._room is None:
+            return None
+        try:
+            self._room.hold(self._plan)
+        except StorageError as error:
+            log.warning("no space for the next scan: %s", error)
+            code = FaultCode.DISK_READ_ONLY if is_read_only(error) else FaultCode.DISK_REFUSES
+            return Fault(FaultCode.STORAGE_FULL if is_full(error) else code, str(error))
+        return None

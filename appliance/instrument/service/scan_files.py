@@ -1,0 +1,190 @@
+"""Owns what the disk's thread does with a scan: write its frames, publish or reject it, and say what came of that."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.instrument.capture.store import FrameStore
+from appliance.instrument.machine import events as on
+from appliance.instrument.machine.states import Part
+from appliance.instrument.machine.words import Text
+from appliance.instrument.service.room import ScanRoom
+from appliance.instrument.service.scan_in_memory import ScanInMemory
+from appliance.measure.fault import Fault, FaultCode
+from appliance.measure.light.sides import SIDES
+from appliance.measure.points.table import Cloud
+from appliance.store import incomplete
+from appliance.store.atomic import StorageError, replace_file
+from appliance.store.filesystem import LocalFileSystem
+from appliance.store.library import Library, PendingScan
+from appliance.store.object_numbers import largest_number
+from appliance.store.record import ScanRecord
+from appliance.store.scan import ScanOrigin
+from drivers.api import Clock
+
+log = logging.getLogger("kingfisher")
+
+PROBE = "self-test"
+PROBE_CONTENT = b"written and read back at every start\n"
+
+
+class ScanFiles:
+    """Writes scans into the library. All of it runs in the disk's thread, but for ``use``, and is answered by events.
+
+    A scan that could not be written stays in memory and is written from there when it is published or rejected: every
+    method does first what failed before.
+    """
+
+    def __init__(self, library: Library, room: ScanRoom, store: FrameStore, clock: Clock) -> None:
+        self._library, self._room, self._clock = library, room, clock
+        self._store = store
+        self._fs = LocalFileSystem()
+
+    def use(self, store: FrameStore) -> None:
+        """Take frames from another store from now on. Call when nothing is on its way to the disk."""
+        self._store = store
+
+    def raw_stored(self, scan: ScanInMemory) -> list[on.Event]:
+        """Answer RawStored or SaveFailed, once ``scan.raw`` has ended, which was asked for before this."""
+        assert scan.raw is not None
+        try:
+            scan.pending = scan.raw.result()
+        except (StorageError, ValueError) as error:
+            return self._not_saved(scan, error)
+        scan.times_s["saved"] = scan.since_begun_s(self._clock.now_ns())
+        return [on.RawStored(scan.number), *self.count()]
+
+    def store_second(self, scan: ScanInMemory) -> list[on.Event]:
+        """Write the second sequence's frames; answer RawStored or SaveFailed."""
+        try:
+            self._pending(scan)
+        except (StorageError, ValueError) as error:
+            return self._not_saved(scan, error)
+        return [on.RawStored(scan.number), *self.count()]
+
+    def publish(self, scan: ScanInMemory, preview: NDArray[np.uint8] | None) -> list[on.Event]:
+        """Publish with the cloud there is and ``preview`` (h, w, 3) RGB uint8; answer Saved or SaveFailed."""
+        assert scan.record is not None
+        record = replace(scan.whole, stage_times_s=dict(scan.times_s), cloud=_numbers(scan.full))
+        png = None
+        if preview is not None:
+            _, encoded = cv2.imencode(".png", cv2.cvtColor(preview, cv2.COLOR_RGB2BGR))
+            png = encoded.tobytes()
+        try:
+            pending = self._pending(scan)
+            pending.publish(record, scan.full, png)
+        except (StorageError, ValueError) as error:
+            return self._not_saved(scan, error)
+        return [on.Saved(scan.number, pending.scan_id), *self.count()]
+
+    def accept(self, scan: ScanInMemory, entered: Callable[[str], list[on.Event]]) -> list[on.Event]:
+        """Publish a scan, then let it be ``entered`` by its id; answer Saved and what that answers, or SaveFailed."""
+        events = self.publish(scan, None)
+        saved = next((event for event in events if isinstance(event, on.Saved)), None)
+        if saved is None:
+            return events
+        try:
+            return events + entered(saved.scan_id)
+        except StorageError as error:
+            return [*events, on.SaveFailed(scan.number, Fault(FaultCode.NOT_SAVED, str(error)))]
+
+    def reject(self, scan: ScanInMemory, reason: str) -> list[on.Event]:
+        """Answer Rejected or SaveFailed."""
+        try:
+            pending = self._pending(scan)
+            pending.reject(reason, None if scan.record is None else scan.whole)
+        except (StorageError, ValueError) as error:
+            return self._not_saved(scan, error)
+        return [on.Rejected(scan.number, pending.scan_id), *self.count()]
+
+    def keep_incomplete(
+        self, frames: Mapping[str, NDArray[np.uint8]], record: ScanRecord, origin: ScanOrigin, fault: Fault
+    ) -> list[on.Event]:
+        """Keep what was recorded before ``fault``, if there is room beside the next scan; nobody is told but the log."""
+        try:
+            kept = incomplete.keep(
+                self._fs,
+                self._library.root,
+                frames,
+                record,
+                origin,
+                f"{fault.code.value}: {fault.detail}",
+                self._room.reserve_bytes,
+            )
+        except (StorageError, ValueError) as error:
+            log.warning("the incomplete recording was not kept: %s", error)
+            return []
+        log.info("an incomplete recording was kept: %s", kept)
+        return self.count()
+
+    def test(self) -> list[on.Event]:
+        """Answer PartTested: whether the disk takes a file and gives it back."""
+        probe = self._library.root / PROBE
+        try:
+            replace_file(self._fs, probe, PROBE_CONTENT)
+            # Read from memory, most likely: it shows that the disk takes files, not what the medium holds.
+            if probe.read_bytes() != PROBE_CONTENT:
+                return _test_failed(f"{probe} does not hold what was written")
+            counted = self._room.counted()
+        except (StorageError, OSError) as error:
+            return _test_failed(str(error))
+        return [*counted, on.PartTested(Part.STORAGE, True, self._room.summary)]
+
+    def count_objects(self) -> list[on.Event]:
+        """Answer ObjectsCounted; where manifests cannot be listed, what the diver's choices remember counts alone."""
+        try:
+            return [on.ObjectsCounted(largest_number(self._library))]
+        except OSError as error:
+            log.warning("numbers of objects are not looked up: %s", error)
+            return [on.ObjectsCounted(0)]
+
+    def count(self) -> list[on.Event]:
+        """Answer StorageCounted, or nothing where the scans cannot be listed."""
+        try:
+            return self._room.counted()
+        except StorageError as error:
+            log.warning("scans are not counted: %s", error)
+            return []
+
+    def _not_saved(self, scan: ScanInMemory, error: Exception) -> list[on.Event]:
+        # What it took from the room is allocated again at once: it will be tried again.
+        return [on.SaveFailed(scan.number, Fault(FaultCode.NOT_SAVED, str(error))), *self.count()]
+
+    def _pending(self, scan: ScanInMemory) -> PendingScan:
+        """Return the scan on the disk, with every sequence it has; what failed before is done again."""
+        if scan.pending is None:
+            assert scan.record is not None
+            frames: dict[str, NDArray[np.uint8]] = {side: self._store.frames(side) for side in SIDES}
+            scan.pending = self._library.begin(frames, scan.record, scan.origin)
+            scan.times_s["saved"] = scan.since_begun_s(self._clock.now_ns())
+        second = scan.second
+        if second is not None and second.merged and not second.stored:
+            frames = {side: self._store.frames(side, second=True) for side in SIDES}
+            scan.pending.add_second(frames, scan.whole)
+            # After the return: where it raises, the next attempt writes them again.
+            second.stored = True
+        return scan.pending
+
+
+def _test_failed(why: str) -> list[on.Event]:
+    log.warning("self-test of the storage: %s", why)
+    return [on.PartTested(Part.STORAGE, False, Text.REFUSES_FILES)]
+
+
+def _numbers(cloud: Cloud | None) -> dict[str, float | None]:
+    if cloud is None:
+        return {}
+    s = cloud.summary
+    return {
+        "points": s.points,
+        "coverage_percent": s.coverage_percent,
+        "distance_mm": s.distance_mm,
+        "noise_mm": s.noise_mm,
+        "gap_mm": s.gap_mm,
+    }

@@ -1,0 +1,86 @@
+"""Owns what the rig file says to the running instrument: the machine's settings, its laser pointers and its live light."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.instrument.capture.timeouts import Timeouts
+from appliance.instrument.machine.choices import Choices, offers_of
+from appliance.instrument.machine.states import Settings, TemperatureLimits
+from appliance.instrument.ranging.beams import Pointers
+from appliance.instrument.ranging.expected_light import DrawnLight, live_light
+from appliance.measure.light.model import HousedCamera
+from appliance.measure.light.pinhole import Lens
+from appliance.measure.light.port import Port
+from appliance.measure.light.sequence import PERIODS_PX, build_sequence
+from appliance.store.config import Rig
+from appliance.store.instrument import exposure_of, exposures_of, volume_of, water_of
+
+
+def pointers_of(rig: Rig) -> Pointers | None:
+    """Return the laser pointers as drawn; ``None``: there are none."""
+    lasers = rig.lasers
+    if lasers is None:
+        return None
+    window_mm = lasers.x_mm, lasers.y_mm, lasers.z_mm
+    return Pointers(window_mm, (lasers.aim_x_mm, lasers.aim_y_mm, lasers.aim_z_mm), lasers.tolerance_deg)
+
+
+def live_light_of(rig: Rig) -> NDArray[np.uint8]:
+    """Return what the projector shows in the live views, (h, w) uint8."""
+    return drawn_light_of(rig).codes
+
+
+def drawn_light_of(rig: Rig) -> DrawnLight:
+    """Return the light of the live views, with the projector that throws it."""
+    d, out = rig.design, rig.projector
+    # As drawn: the calibration knows the cameras alone, and the dark lanes are wide enough for that (ADR 0024).
+    f_px = 1000.0 * d.projector_principal_distance_mm / d.projector_pixel_um
+    lens = Lens((f_px, f_px), ((out.width_px - 1) / 2.0, (out.height_px - 1) / 2.0))
+    port = Port((0.0, 0.0, 1.0), d.port_distance_mm, d.port_thickness_mm, d.port_index)
+    projector = HousedCamera(out.width_px, out.height_px, lens, port)
+    volume = volume_of(rig)
+    return DrawnLight(projector, live_light(projector, pointers_of(rig), water_of(rig).index, volume), volume)
+
+
+def standard_choices(rig: Rig) -> Choices:
+    """Return what the rig file states of what the diver may choose."""
+    water = rig.water
+    return Choices(exposure_of(rig), rig.scan.period_px, water.salinity_psu, water.temperature_c, rig.display.language)
+
+
+def machine_settings(rig: Rig, choices: Choices | None = None) -> Settings:
+    """Return what the rig file says to the machine. ``choices``: what the diver chose before the start, if it is remembered."""
+    limits = rig.limits
+    choices = standard_choices(rig) if choices is None else _allowed(rig, choices)
+    width_px, height_px = rig.projector.width_px, rig.projector.height_px
+    offered = [period_px for period_px in PERIODS_PX if period_px <= min(width_px, height_px)]
+    sequences = {period_px: len(build_sequence(period_px, width_px, height_px)) for period_px in offered}
+    return Settings(
+        choices=choices,
+        offers=offers_of(standard_choices(rig), exposures_of(rig), tuple(sequences)),
+        frames=sequences,
+        refresh_hz=rig.projector.refresh_hz,
+        capture_margin_s=Timeouts(rig.projector.refresh_hz).margin_s,
+        temperatures={
+            "case": TemperatureLimits(limits.case_warm_c, limits.case_hot_c, limits.case_off_c),
+            "projector": TemperatureLimits(limits.projector_warm_c, limits.projector_hot_c, limits.projector_off_c),
+        },
+        supply_low_v=limits.supply_low_v,
+        volume=volume_of(rig),
+    )
+
+
+def _allowed(rig: Rig, choices: Choices) -> Choices:
+    """Return choices of before with an exposure that this rig file allows: the nearest, where it names some and theirs is none of them."""
+    if rig.scan.exposures_ms is None and rig.projector.sub_frames == 1:
+        return choices
+    steps = [exposure_of(rig), *exposures_of(rig)]
+    chosen = choices.exposure
+    if chosen.time_us in {one.time_us for one in steps}:
+        return choices
+    return replace(choices, exposure=min(steps, key=lambda one: abs(math.log(one.light / chosen.light))))

@@ -1,0 +1,87 @@
+"""Owns the messages between the worker process and its parent, pickled on one pipe: orders to it, its signs of life, and ``News``.
+
+A ticket numbers the sequences that were begun; news of an earlier one are of no interest any more. Pixels and points
+are never in a message: frames lie in the shared store, clouds in shared memory, where ``Found`` says which part.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from appliance.measure.light.acquisition import AcquisitionSettings
+from appliance.measure.news import LiveGuidance, News, WorkerFailure
+
+
+@dataclass(frozen=True, slots=True)
+class Begin:
+    """The order to the worker: the frames of a new sequence will follow."""
+
+    ticket: int
+    settings: AcquisitionSettings
+    second: bool = False
+    """True if the frames are the second exposure of the scan begun last, and lie in the second place of the store."""
+    belongs_to: int | None = None
+    """Number of the scan's object: it is compared with the scan before where that is of the same one, or both are of none."""
+
+
+@dataclass(frozen=True, slots=True)
+# No ticket: the pipe keeps the order, so that what follows a ``Begin`` belongs to it. Answers need one, since they
+# cross with orders that are on their way.
+class FrameStored:
+    """The order to the worker: frame ``index`` of the camera ``side`` is in the store."""
+
+    side: str
+    index: int
+
+
+@dataclass(frozen=True, slots=True)
+class Finish:
+    """The order to the worker: all frames are there; say everything that is to be said of them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Drop:
+    """The order to the worker: nobody wants the sequence any more."""
+
+
+@dataclass(frozen=True, slots=True)
+class Keep:
+    """The order to the worker: the diver keeps the scan begun last, and the next one is to be compared with it."""
+
+
+@dataclass(frozen=True, slots=True)
+class LookAt:
+    """The order to the worker: the diver aims at what the live picture in the shared memory shows, and wants to be guided."""
+
+    taken_ns: int
+    """Time at which the picture was put there; ``LiveGuidance``, the answer, carries it."""
+    shape: tuple[int, int]
+    """Height and width of the picture, px."""
+    belongs_to: int
+    """Number of the object that the next scan will be of."""
+
+
+@dataclass(frozen=True, slots=True)
+class CloudCopied:
+    """The order to the worker: the full cloud was copied, and its memory may be used again."""
+
+    ticket: int
+
+
+@dataclass(frozen=True, slots=True)
+class Ping:
+    """The order to the worker: answer ``Pong``."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ready:
+    """The worker's report: what every scan needs is loaded, and buffers are allocated. Its parent hands it on."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pong:
+    """The worker's report: it is there."""
+
+
+ToWorker = Begin | FrameStored | Finish | Drop | Keep | LookAt | CloudCopied | Ping
+FromWorker = Ready | Pong | News | LiveGuidance | WorkerFailure

@@ -1,0 +1,331 @@
+"""Owns the child's side of the warm process: messages in, clouds out, until the pipe closes.
+
+Whatever goes wrong here ends the process with a last message that names it; the parent starts another.
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+import signal
+import sys
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
+from multiprocessing.connection import Connection
+from multiprocessing.shared_memory import SharedMemory
+
+import numpy as np
+
+from appliance.instrument.capture.store import FrameStore
+from appliance.instrument.worker.live_picture import LivePicture
+from appliance.instrument.worker.messages import (
+    Begin,
+    CloudCopied,
+    Drop,
+    Finish,
+    FrameStored,
+    FromWorker,
+    Keep,
+    LookAt,
+    Ping,
+    Pong,
+    Ready,
+    ToWorker,
+)
+from appliance.instrument.worker.neighbours import Neighbours
+from appliance.instrument.worker.onlooker import Onlooker
+from appliance.instrument.worker.own_memory import give_back_memory, limit_memory, share_freed_memory
+from appliance.instrument.worker.shared_points import SharedPoints
+from appliance.measure.bracket import ProcessedSequence
+from appliance.measure.calibration.file import Calibration, decode
+from appliance.measure.fault import Fault, FaultCode
+from appliance.measure.light.acquisition import AcquisitionSettings
+from appliance.measure.light.noise import StereoNoise
+from appliance.measure.light.sequence import PatternSequence, build_sequence
+from appliance.measure.light.sides import SIDES
+from appliance.measure.light.water import Water
+from appliance.measure.news import (
+    Bracket,
+    CoarseCloud,
+    FullCloud,
+    News,
+    ReconstructionFailure,
+    SequenceFact,
+    WorkerFailure,
+)
+from appliance.measure.points.pipeline import Pipeline
+from appliance.measure.points.table import PointTable
+from appliance.measure.procedure import SequenceProcessor
+from appliance.measure.warm import compiler_watched, what_an_empty_scan_does_not_run
+
+NICENESS = 5
+"""Priority of the process, behind the heartbeat and the cameras."""
+
+
+def work(
+    pipe: Connection,
+    calibration: bytes,
+    water: Water,
+    sequence: tuple[int, int, int],
+    noise: StereoNoise,
+    store: tuple[str, int, int, int],
+    results: str,
+    headroom_mb: float,
+) -> None:
+    """Work as the child's main function. ``headroom_mb``: memory it may still ask for once it is warm, beyond what it
+    has then."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the service decides when to end
+    os.nice(NICENESS)
+    share_freed_memory()
+    name, frames, height_px, width_px = store
+    memory = SharedMemory(name=results)
+    frame_store = FrameStore(frames, height_px, width_px, attach_to=name)
+    try:
+        # In a function of its own: with a view of it alive, shared memory cannot be closed.
+        _work(pipe, decode(calibration), water, build_sequence(*sequence), noise, frame_store, memory, headroom_mb)
+    except (EOFError, OSError):
+        pass  # the parent closed the pipe: the normal end
+    finally:
+        gc.collect()  # what points at itself keeps its views until then
+        frame_store.close()
+        memory.close()
+
+
+def _work(
+    pipe: Connection,
+    calibration: Calibration,
+    water: Water,
+    sequence: PatternSequence,
+    noise: StereoNoise,
+    store: FrameStore,
+    memory: SharedMemory,
+    headroom_mb: float,
+) -> None:
+    left = calibration.rig.left
+    points = SharedPoints(left.width_px, left.height_px)
+    with Pipeline(calibration, water, sequence, table=points.full(memory.buf), noise=noise) as pipeline:
+        processor = SequenceProcessor(pipeline, calibration, water)
+        # So that the first real scan is as fast as the others.
+        with _missing("scipy.linalg"):
+            nothing = np.zeros(store.shape, np.uint8)
+            with compiler_watched() as compiled:
+                processor.process(dict.fromkeys(SIDES, nothing), AcquisitionSettings())
+        give_back_memory()
+        remaining: tuple[Callable[[], object], ...] = (
+            *what_an_empty_scan_does_not_run(sequence),
+            give_back_memory,
+            partial(limit_memory, headroom_mb),
+        )
+        if compiled():
+            # Not in the pauses of the first scans: what is compiled takes half a minute, not a fraction of a second.
+            for run in remaining:
+                run()
+            remaining = ()
+        pipe.send(Ready())
+        neighbours = Neighbours(calibration, water, sequence, pipeline.coarse_stride)
+        try:
+            onlooker = Onlooker(calibration, water, neighbours)
+            picture = LivePicture(memory.buf, points.capacity)
+            coarse = points.coarse(memory.buf)
+            Server(pipe, processor, store, coarse, remaining, neighbours, (onlooker, picture)).serve()
+        except (EOFError, OSError):
+            raise
+        except Exception as error:  # the one place where it can still be named
+            pipe.send(WorkerFailure(f"{type(error).__name__}: {error}"))
+
+
+@contextmanager
+def _missing(module: str) -> Iterator[None]:
+    """Importing ``module`` fails inside, unless it is there already.
+
+    With its first kernel numba imports all of SciPy's linear algebra, only to see whether ``np.dot`` could be compiled
+    (``numba.np.arraymath``): a sixth of the worker's start and 9 MB, for something that no kernel here uses.
+    """
+    if module in sys.modules:
+        yield
+        return
+    sys.modules[module] = None  # type: ignore[assignment]  # the documented way: the import raises ModuleNotFoundError
+    try:
+        yield
+    finally:
+        del sys.modules[module]
+
+
+class Server:
+    """Does what the messages say, in order. A sequence that is dropped, or followed by another, is not finished."""
+
+    def __init__(
+        self,
+        pipe: Connection,
+        processor: SequenceProcessor,
+        store: FrameStore,
+        coarse: PointTable,
+        left: Iterable[Callable[[], object]] = (),
+        neighbours: Neighbours | None = None,
+        aiming: tuple[Onlooker, LivePicture] | None = None,
+    ) -> None:
+        """``coarse``: where coarse clouds are left for the parent. ``left``: what remains to be loaded; done piece by piece while nothing else is. ``neighbours``: what
+        scans are compared by; ``None``: they are not. ``aiming``: what live pictures are looked at by, and where they lie; ``None``: they
+        are not."""
+        self._pipe, self._processor, self._store = pipe, processor, store
+        self._coarse = coarse
+        self._neighbours = neighbours
+        self._aiming = aiming
+        self._left: deque[Callable[[], object]] = deque(left)
+        self._in_hand = False
+        """A sequence was begun and is neither finished nor dropped."""
+        self._ticket = 0
+        """The sequence in work, as the parent numbers them."""
+        self._failed = False
+        self._steps: Iterator[SequenceFact] | None = None
+        """Steps that are left of the scan's first sequence; ``None``: all of them."""
+        self._first: ProcessedSequence | None = None
+        """The first sequence of the scan in work, once a second one was begun."""
+        self._second = False
+        """The frames that come are the second sequence's."""
+        self._put_back: deque[ToWorker] = deque()
+
+    def serve(self) -> None:
+        """Serve until the pipe closes: then EOFError or OSError is raised."""
+        while True:
+            message = self._put_back.popleft() if self._put_back else self._hear()
+            try:
+                self._do(message)
+            except ValueError as error:  # the frames are not what was agreed; the next scan's may be
+                self._failed, self._in_hand, self._steps = True, False, None
+                self._tell(ReconstructionFailure(Fault(FaultCode.RECONSTRUCTION_FAILED, str(error))))
+
+    def _hear(self) -> ToWorker:
+        """Return the next message; while there is none, and no sequence in hand, load what is left, then compare scans, then look at what the
+        diver aims at."""
+        while not self._in_hand and not self._pipe.poll(0.0) and self._did_one_piece():
+            pass
+        message: ToWorker = self._pipe.recv()
+        return message
+
+    def _did_one_piece(self) -> bool:
+        """Do a piece of what can wait; returns False where there is none."""
+        if self._left:
+            self._left.popleft()()
+        elif self._neighbours is not None and self._neighbours.waits:
+            overlap = self._neighbours.go_on()
+            if overlap is not None:
+                self._tell(overlap)
+        elif self._aiming is not None and self._aiming[0].waits:
+            # Last: a scan's own answer is awaited by who has just kept it.
+            guidance = self._aiming[0].go_on()
+            if guidance is not None:
+                self._say(guidance)
+        else:
+            return False
+        return True
+
+    def _do(self, message: ToWorker) -> None:
+        match message:
+            case Begin(ticket, settings, second, belongs_to):
+                self._ticket, self._failed, self._second = ticket, False, second
+                self._in_hand = True
+                if self._neighbours is not None and not second:
+                    self._neighbours.begin(belongs_to)
+                if self._aiming is not None:
+                    self._aiming[0].begin()
+                if not second:
+                    self._first = None
+                elif self._first is None:
+                    # A restarted worker hears of the first sequence again; then this is where its points are found.
+                    self._first = self._work_through_first()
+                self._steps = None
+                self._processor.begin(settings)
+            case FrameStored(side, index) if not self._failed:
+                self._processor.push(side, self._store.frames(side, second=self._second), index)
+            case Finish() if not self._failed:
+                self._in_hand = False
+                self._finish()
+            case Drop():
+                # What still comes of this sequence (frames on their way, Finish) is passed over until the next Begin.
+                self._failed, self._in_hand = True, False
+            case Keep() if self._neighbours is not None:
+                self._neighbours.keep()
+            case LookAt(shape=shape) if self._aiming is not None:
+                onlooker, picture = self._aiming
+                onlooker.look(message, picture.copy(shape))
+            case Ping():
+                self._say(Pong())
+            case _:
+                pass
+
+    def _say(self, message: FromWorker) -> None:
+        self._pipe.send(message)
+
+    def _tell(self, fact: SequenceFact) -> None:
+        self._say(News(self._ticket, fact))
+
+    def _finish(self) -> None:
+        """Send each fact of the sequence as soon as it is known, until another order ends the work on it."""
+        if self._first is None:
+            facts = self._steps = self._processor.steps()
+        else:
+            facts = self._processor.bracket_steps(self._first)
+        for fact in facts:
+            match fact:
+                case CoarseCloud(found):
+                    coarse = self._processor.cloud(found)
+                    if self._neighbours is not None:
+                        self._neighbours.coarse(coarse)
+                    # Out of the way of the full cloud, so that nobody waits until the parent has seen this one.
+                    self._tell(replace(fact, found=self._coarse.put(coarse)))
+                case FullCloud() | Bracket():
+                    self._tell(fact)
+                    # Copied in the time that the parent takes for the points.
+                    if self._neighbours is not None and self._first is None:
+                        self._neighbours.whole(self._store.frames("left"))
+                    self._await_taken()
+                    return
+                case _:
+                    self._tell(fact)
+            if self._is_unwanted():
+                return
+
+    def _work_through_first(self) -> ProcessedSequence:
+        """Do without a word what was left of the first sequence: all of it, where this process was started since.
+
+        Raises ValueError.
+        """
+        if not self._processor.finished:
+            for _ in self._steps or self._processor.steps():
+                pass
+        return self._processor.hold()
+
+    def _is_unwanted(self) -> bool:
+        """Tell whether the parent has dropped the sequence in work, or begun another one; never waits."""
+        while self._pipe.poll(0.0):
+            if self._ends_work(self._pipe.recv()):
+                return True
+        return False
+
+    def _await_taken(self) -> None:
+        """Wait until what was found was copied, or nobody wants it any more."""
+        while True:
+            # The parent copies at its next heartbeat; until then the table in shared memory must stay as it is.
+            message: ToWorker = self._pipe.recv()
+            if message == CloudCopied(self._ticket) or self._ends_work(message):
+                return
+
+    def _ends_work(self, message: ToWorker) -> bool:
+        """Do what a message wants that was read in the midst of a sequence; returns True where it ends the work on it."""
+        match message:
+            case Begin() | Drop():
+                # Read here, but meant for `serve`, which does it next.
+                self._put_back.append(message)
+                return True
+            case Keep():
+                # There is nothing to keep before all is done.
+                self._put_back.append(message)
+            case Ping():
+                self._say(Pong())
+            case _:
+                pass
+        return False

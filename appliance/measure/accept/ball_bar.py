@@ -1,0 +1,176 @@
+"""Owns how a ball bar is found in a cloud, whatever else is in it, and the distance between its two centres."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from appliance.measure.accept.points import Array, Indices, NotFound, PointSource, Used, finite_rows, thinned
+from appliance.measure.accept.sphere import STEEPEST_COS, Sphere, SphereSolution, algebraic_sphere, fit_sphere
+
+CELL_MM = 2.0
+"""The search works on one point in each cube of this size."""
+PATCH_MM = 6.0
+"""Radius of the neighbourhoods that propose spheres."""
+RADII_MM = (5.0, 40.0)
+AGREES_MM = 0.3
+"""Distance within which a point of the search agrees with a proposal."""
+BELONGS_MM = 1.0
+"""Distance within which a point is taken for the ball's: far more than any error of one point, so that this is no way
+to remove outliers."""
+ALIKE = 0.15
+"""Greatest relative difference of the two radii."""
+STEM_COS = 0.82
+"""The bar joins each ball within 35° of the direction to the other one; nothing there is used."""
+MOST_PROPOSALS = 400
+LEAST_FILL = 0.2
+"""The part of a ball's face that must have been measured."""
+ROUNDS = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ball:
+    """One ball: the sphere and the points it rests on."""
+
+    sphere: Sphere
+    used: Used
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BallBar:
+    """Two balls, the one with the smaller x first."""
+
+    first: Ball
+    second: Ball
+
+    @property
+    def length_mm(self) -> float:
+        """Distance of the centres, L_a of the paper's Eq. (6)."""
+        return float(np.linalg.norm(self._between()))
+
+    @property
+    def sigma_length_mm(self) -> float:
+        """Standard deviation of the length from the points' noise; systematic errors are not in it."""
+        along = self._between() / self.length_mm
+        both = self.first.sphere.covariance_mm2[:3, :3] + self.second.sphere.covariance_mm2[:3, :3]
+        return float(np.sqrt(along @ both @ along))
+
+    def _between(self) -> Array:
+        return np.subtract(self.second.sphere.centre_mm, self.first.sphere.centre_mm)
+
+
+def find_ball_bar(cloud: PointSource) -> BallBar | NotFound:
+    """Return the two balls of nearly equal radius (5..40 mm) that most of the cloud's points agree on.
+    Deterministic."""
+    rows = finite_rows(cloud.points_mm)
+    if rows.size < 100:
+        return NotFound(
+            f"the cloud has only {rows.size} points; bring the ball bar into the light of the projector, at the working distance, or see whether the calibration is of this instrument"
+        )
+    points = cloud.points_mm[rows].astype(np.float64)
+    # One point per cube: a near, bright ball must not have more votes than the one that is turned away.
+    few = points[thinned(points, CELL_MM)]
+    first = _best(few, None)
+    if first is None:
+        return NotFound("no ball was found; hold the bar so that both balls are lit and seen by both cameras")
+    rest = few[np.linalg.norm(few - first[0], axis=1) > 1.3 * first[1]]
+    second = _best(rest, first[1])
+    if second is None:
+        return NotFound("only one ball was found; turn the bar so that both are lit")
+    guesses = sorted((first, second), key=lambda ball: float(ball[0][0]))
+    balls = _refine(cloud, rows, points, guesses)
+    if balls is None:
+        return NotFound("a ball has too few good points for its centre; turn the bar or bring it nearer to the middle")
+    return BallBar(*balls)
+
+
+_Guess = tuple[Array, float]
+
+
+def _best(points: Array, radius_mm: float | None) -> _Guess | None:
+    """Return the sphere that most points (thinned) agree on, enough of them to be the face of a ball."""
+    if len(points) < 20:
+        return None
+    from scipy.spatial import cKDTree  # half a second that a start of the service does not need
+
+    tree = cKDTree(points)
+    best: _Guess | None = None
+    most = 0
+    # Patches are spread evenly over the cloud; flat ones drop out by their radius, so that few cost more than a fit.
+    proposals = 0
+    for k in _spread(len(points)):
+        patch = tree.query_ball_point(points[k], PATCH_MM)
+        if len(patch) < 8:
+            continue
+        guess = algebraic_sphere(points[patch])
+        # The second ball is known by the first: both of a bar are alike, so that a bottle or a fist does not pass for
+        # one.
+        if guess is None or not _possible(guess, radius_mm):
+            continue
+        # Consensus over the whole cloud, as in RANSAC, but with patches instead of random points: points far apart
+        # hardly ever lie on one ball.
+        off = np.abs(np.linalg.norm(points - guess[0], axis=1) - guess[1])
+        if (count := int((off < AGREES_MM).sum())) > most:
+            best, most = guess, count
+        proposals += 1
+        if proposals == MOST_PROPOSALS:
+            break
+    if best is None:
+        return None
+    for _ in range(4):  # a patch is small: let all that agrees improve it
+        off = np.abs(np.linalg.norm(points - best[0], axis=1) - best[1])
+        better = algebraic_sphere(points[off < 2.0 * AGREES_MM])
+        if better is None or not _possible(better, radius_mm):
+            break
+        best = better
+    # Any rounded edge agrees with some sphere; only a ball is covered over a good part of its face.
+    return best if _fill(points, best) > LEAST_FILL else None
+
+
+def _spread(count: int) -> Indices:
+    """Return all of 0..count−1, in an order that is spread evenly however early it is left (golden section)."""
+    return np.argsort((np.arange(count) * 0.6180339887498949) % 1.0, kind="stable")
+
+
+def _possible(guess: _Guess, radius_mm: float | None) -> bool:
+    low, high = RADII_MM if radius_mm is None else ((1 - ALIKE) * radius_mm, (1 + ALIKE) * radius_mm)
+    return low <= guess[1] <= high and float(guess[0][2]) > 0.0
+
+
+def _fill(points: Array, guess: _Guess) -> float:
+    """Compute how much of the ball's face that can be used is covered by points (thinned): those that agree, over its
+    area."""
+    centre, radius = guess
+    away = points - centre
+    length = np.linalg.norm(away, axis=1)
+    # Area of a spherical cap up to the steepest angle: 2π r² (1 − cos). Thinned points stand for one cell each.
+    facing = -(away @ centre) / np.maximum(length, 1e-9) / np.linalg.norm(centre)
+    count = int(((np.abs(length - radius) < AGREES_MM) & (facing > STEEPEST_COS)).sum())
+    return count * CELL_MM**2 / float(2.0 * np.pi * radius**2 * (1.0 - STEEPEST_COS))
+
+
+def _refine(cloud: PointSource, rows: Indices, points: Array, guesses: list[_Guess]) -> tuple[Ball, Ball] | None:
+    solutions: list[tuple[Indices, SphereSolution]] = []
+    for _ in range(ROUNDS):
+        solutions = []
+        for k in (0, 1):
+            (centre, radius), other = guesses[k], guesses[1 - k][0]
+            away = points - centre
+            length = np.linalg.norm(away, axis=1)
+            towards = (other - centre) / np.linalg.norm(other - centre)
+            # Points towards the other ball are the stem's, not the ball's.
+            mine = np.flatnonzero((np.abs(length - radius) < BELONGS_MM) & (away @ towards < STEM_COS * length))
+            solution = fit_sphere(points[mine], cloud.sigma_mm[rows[mine]].astype(np.float64), (centre, radius))
+            if solution is None:
+                return None
+            solutions.append((rows[mine], solution))
+        guesses = [(np.array(s.sphere.centre_mm), s.sphere.radius_mm) for _, s in solutions]
+    first, second = (_ball(cloud, mine, solution) for mine, solution in solutions)
+    return first, second
+
+
+def _ball(cloud: PointSource, rows: Indices, solution: SphereSolution) -> Ball:
+    kept = rows[solution.used]
+    used = Used(kept, cloud.pixel[kept], solution.residual_mm[solution.used], rows[solution.outlier])
+    return Ball(solution.sphere, used)

@@ -1,0 +1,178 @@
+"""Owns what an evaluation says to people and programs: one JSON-ready table, and one HTML page that needs no other file."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from appliance.measure.accept.acceptance import Symbol, overall
+from appliance.measure.accept.page import PAGE_END, figure, page_head, rows, table
+from appliance.measure.accept.pictures import deviation_map, histogram, scale_mm
+from appliance.measure.accept.points import OUTLIER_SHARE, NotFound, Used
+from appliance.measure.accept.result import Artefact, Result
+
+SCHEMA = 1
+TITLE = "Evaluation after VDI/VDE 2634"
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """One scan of the evaluation, with where it came from."""
+
+    scan: str
+    result: Result
+    provenance: Mapping[str, Any]
+    """Provenance of the cloud: time, water, temperatures, hashes; JSON-ready."""
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluation:
+    """All scans and what they have in common."""
+
+    about: Mapping[str, Any]
+    """Who, serials, calibration, version: JSON-ready."""
+    reference_mm: float
+    left_width_px: int
+    items: Sequence[Item]
+
+    @property
+    def complete(self) -> bool:
+        """True if every artefact was found."""
+        return not any(isinstance(item.result.fit, NotFound) for item in self.items)
+
+
+def as_json(evaluation: Evaluation) -> dict[str, Any]:
+    """Return the evaluation JSON-ready; errors in percent, lengths in mm, unknown values null."""
+    return {
+        "schema": SCHEMA,
+        "title": TITLE,
+        "about": dict(evaluation.about),
+        "reference_mm": evaluation.reference_mm,
+        "outliers_allowed_percent": 100.0 * OUTLIER_SHARE,
+        "complete": evaluation.complete,
+        "limits_kept": overall(q for item in evaluation.items for q in item.result.quantities).value,
+        "summary": summary(evaluation),
+        "scans": [_item(item) for item in evaluation.items],
+    }
+
+
+def summary(evaluation: Evaluation) -> dict[str, float | None]:
+    """Return the paper's Table 2 for this evaluation: the largest error of each kind in percent, the mean noise in
+    mm; and the largest PF, PS, SD and F."""
+    results = [item.result for item in evaluation.items]
+
+    def worst(values: list[float | None]) -> float | None:
+        return max((100.0 * v for v in values if v is not None), default=None)
+
+    noises = [r.noise_mm for r in results if r.noise_mm is not None]
+    return {
+        "e_l_ball_bar_percent": worst([r.worst_e_l for r in results if r.artefact is Artefact.BALL_BAR]),
+        "e_l_frustum_percent": worst([r.worst_e_l for r in results if r.artefact is Artefact.FRUSTUM]),
+        "e_f_percent": worst([r.e_f for r in results]),
+        "e_f_sys_percent": worst([r.e_f_sys for r in results]),
+        "noise_mm": sum(noises) / len(noises) if noises else None,
+        **{f"{symbol.value.lower()}_mm": _largest(results, symbol) for symbol in Symbol},
+    }
+
+
+def _largest(results: Sequence[Result], symbol: Symbol) -> float | None:
+    """Return the value of a quantity with the largest size, with its sign."""
+    values = [q.value_mm for result in results for q in result.quantities if q.symbol is symbol]
+    # PS and SD have signs, which say whether a ball or the bar came out too large or too small.
+    return max(values, key=abs, default=None)
+
+
+def as_html(evaluation: Evaluation) -> str:
+    """Return the page; pictures are in it as PNG, and nothing is loaded from elsewhere."""
+    content = as_json(evaluation)
+    parts = [
+        page_head(TITLE),
+        table(content["about"]),
+        "<h2>Largest errors, mean noise</h2>",
+        table(content["summary"]),
+        (
+            f"<p>E_L = (measured − calibrated)/calibrated. E_F = range of the distances to the best-fit plane / d_r, "
+            f"d_r = {evaluation.reference_mm:g} mm; E_F,sys is that of a bivariate cubic through them. At most "
+            f"{100 * OUTLIER_SHARE:g} % of a surface's points are removed as outliers.</p>"
+        ),
+        (
+            "<p>PF = range of the radial distances of a ball's points from their best-fit sphere, its radius free. PS = its "
+            "diameter − the calibrated one. SD = measured − calibrated distance of the centres. F = range of the distances "
+            "from the best-fit plane. Uncertainties are expanded (k = 2), of noise and certificate; a limit is kept when "
+            f"it is for every value within them. Limits: <b>{html.escape(content['limits_kept'])}</b>.</p>"
+        ),
+    ]
+    for item, written in zip(evaluation.items, content["scans"], strict=True):
+        parts.append(f"<h2>Scan {html.escape(item.scan)}: {item.result.artefact.value}</h2>")
+        # On the page as in the JSON: an artefact that was not found must not look like one without errors.
+        if written["reason"] is not None:
+            parts.append(f'<p class="no">Not evaluated: {html.escape(written["reason"])}.</p>')
+        parts.append(table({key: written[key] for key in ("e_f_percent", "e_f_sys_percent", "noise_mm")}))
+        if written["lengths"]:
+            parts.append(rows(written["lengths"]))
+        if written["quantities"]:
+            parts.append(rows(written["quantities"]))
+        if written["surfaces"]:
+            parts.append(rows(written["surfaces"]))
+        parts += [_pictures(n, u, evaluation.left_width_px) for n, u in item.result.surfaces.items()]
+        parts.append(table(written["provenance"]))
+    return "\n".join([*parts, PAGE_END])
+
+
+def _item(item: Item) -> dict[str, Any]:
+    result = item.result
+    return {
+        "scan": item.scan,
+        "artefact": result.artefact.value,
+        "reason": result.fit.reason if isinstance(result.fit, NotFound) else None,
+        "e_f_percent": None if result.e_f is None else 100.0 * result.e_f,
+        "e_f_sys_percent": None if result.e_f_sys is None else 100.0 * result.e_f_sys,
+        "noise_mm": result.noise_mm,
+        "lengths": [
+            {
+                "name": length.name,
+                "measured_mm": length.measured_mm,
+                "calibrated_mm": length.calibrated_mm,
+                "error_mm": length.measured_mm - length.calibrated_mm,
+                "sigma_mm": length.sigma_mm,
+                "certificate_sd_mm": length.certificate_sd_mm,
+                "expanded_uncertainty_mm": length.uncertainty_mm,
+                "e_l_percent": 100.0 * length.e_l,
+            }
+            for length in result.lengths
+        ],
+        "quantities": [
+            {
+                "quantity": quantity.symbol.value,
+                "of": quantity.of,
+                "value_mm": quantity.value_mm,
+                "expanded_uncertainty_mm": quantity.uncertainty_mm,
+                "limit_mm": quantity.limit_mm,
+                "kept": quantity.kept.value,
+                "points": quantity.points,
+                "rejected": quantity.rejected,
+            }
+            for quantity in result.quantities
+        ],
+        "surfaces": [
+            {
+                "name": name,
+                "points": used.count,
+                "rejected": used.rejected_count,
+                "rms_mm": used.rms_mm,
+                "range_mm": used.range_mm,
+            }
+            for name, used in result.surfaces.items()
+        ],
+        "provenance": dict(item.provenance),
+    }
+
+
+def _pictures(name: str, used: Used, width_px: int) -> str:
+    limit_um = 1000.0 * scale_mm(used)
+    figures = []
+    for what, data in (("deviation", deviation_map(used, width_px)), ("histogram", histogram(used))):
+        figures.append(figure(f"{name}: {what}, ±{limit_um:.0f} µm", data))
+    return "".join(figures)

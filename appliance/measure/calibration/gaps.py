@@ -1,0 +1,160 @@
+"""Owns the signed ray gap: by how much two rays that should meet miss each other, and how it answers to each change.
+
+A true correspondence's rays meet if the calibration is right. If it is not, they pass each other, mostly up or down in
+the image: the gap is the only quantity of a scan of an unknown object that must be zero. Its sign is that of the left
+ray below the right one (+y of the left camera frame).
+
+The pattern of the gap over the image tells changes apart only as far as their patterns differ. Four patterns carry nearly
+all that mechanics and water can do (``docs/calibration-health.md``); each is the answer of the model itself to a change of
+the right camera, freed of the earlier ones:
+
+    height   turn about x: both ends of the image alike
+    twist    turn about z: opposite at left and right
+    scale    principal distance: opposite at top and bottom
+    shear    turn about y: opposite at neighbouring corners
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.measure.calibration import parameters
+from appliance.measure.light.model import StereoRig
+
+Array = NDArray[np.float64]
+
+MODES = ("height", "twist", "scale", "shear")
+_PRIMARIES = (
+    "right camera's turn x (rad)",
+    "right camera's turn z (rad)",
+    "right principal distance (px)",
+    "right camera's turn y (rad)",
+)
+WATER_INDEX = "water index"
+TURNS = tuple(f"right camera's turn {axis} (rad)" for axis in "xyz")
+FIELD_NODES = (12, 9)
+FIELD_DEPTHS_MM = (460.0, 525.0, 590.0)
+"""Depths, of the standard housing, of the lattice over the image on which amplitudes are normalised, inside the measuring volume."""
+INDEX_STEP = 1e-5
+
+
+@dataclass(frozen=True, slots=True)
+class VeilGaps:
+    """Ray gaps in µm that backscatter with fringes of its own makes at n places of the left image."""
+
+    left_px: Array
+    """(n, 2)."""
+    gap_um: Array
+    """(n,) what it is expected to add."""
+    doubts_um: Array
+    """(n, DOUBTS) by how much that may be wrong, one standard deviation of each cause; all places together."""
+    shape_um: Array
+    """(n,) the standard deviation of what is left of it, smooth over the image."""
+
+
+DOUBTS = 3
+"""Causes for which what backscatter adds may be wrong everywhere at once: its strength, and two directions in which the projector may
+stand elsewhere."""
+
+
+def signed_gap_mm(rig: StereoRig, water_index: float, left_px: Array, right_px: Array) -> Array:
+    """Return the gaps (n,) in mm of matched pixels (n, 2) of both cameras."""
+    return _gap(*rig.left.rays(left_px, water_index), *rig.right.rays(right_px, water_index))
+
+
+def pairs_in_volume(rig: StereoRig, water_index: float) -> tuple[Array, Array]:
+    """Return matched pixels (n, 2) of both cameras, spread over the image and the depth of the measuring volume."""
+    left, right = rig.left, rig.right
+    share = [np.linspace(0.03, 0.97, nodes) for nodes in FIELD_NODES]
+    u, v = np.meshgrid(share[0] * (left.width_px - 1), share[1] * (left.height_px - 1))
+    uv = np.stack([u, v], -1).reshape(-1, 2)
+    origin, direction = left.rays(uv, water_index)
+    seen = []
+    for depth_mm in (rig.volume.scaled(mm) for mm in FIELD_DEPTHS_MM):
+        points = origin + direction * ((depth_mm - origin[:, 2:]) / direction[:, 2:])
+        other = right.project(points, water_index)
+        with np.errstate(invalid="ignore"):
+            inside = np.all((other >= 0.0) & (other <= [right.width_px - 1, right.height_px - 1]), axis=1)
+        seen.append((uv[inside], other[inside]))
+    return np.concatenate([a for a, _ in seen]), np.concatenate([b for _, b in seen])
+
+
+class GapModes:
+    """The four patterns of one calibration in one water. Amplitudes are µm RMS over the measuring volume.
+
+    Raises ValueError when the cameras share too little of the volume to tell the patterns apart.
+    """
+
+    def __init__(self, rig: StereoRig, water_index: float) -> None:
+        self._rig = rig
+        self.water_index = water_index
+        self.size_px = (rig.left.width_px, rig.left.height_px)
+        self.volume = rig.volume
+        self.field_px = pairs_in_volume(rig, water_index)
+        """Matched pixels, (n, 2) of each camera, over which amplitudes are normalised."""
+        if len(self.field_px[0]) < 4 * len(MODES):
+            raise ValueError("the cameras share too little of the measuring volume; check the relative orientation")
+        steps = [parameters.NAMES.index(name) for name in _PRIMARIES]
+        self._changed = [self._with(k, parameters.STEPS[k]) for k in steps]
+        self._mix = np.eye(len(MODES))
+        raw = self.at(*self.field_px)
+        r = np.linalg.qr(raw / np.sqrt(len(raw)), mode="r")
+        signs = np.sign(np.diag(r))
+        if not np.abs(np.diag(r)).min() >= 1e-9:  # NaN neither
+            raise ValueError("two gap patterns of this calibration are the same; check the relative orientation")
+        self._mix = np.linalg.inv(r) * signs
+        # A primary's own amplitudes are its column of R, mm of one step.
+        of_step = 1000.0 * signs[:, None] * r
+        per_deg = {name: np.radians(of_step[:, k] / parameters.STEPS[steps[k]]) for k, name in enumerate(_PRIMARIES)}
+        self.turns_um = np.stack([per_deg[name] for name in TURNS])
+        """Amplitudes (3, 4) per degree that the right camera is turned by, about x, y, z."""
+
+    def at(self, left_px: Array, right_px: Array) -> Array:
+        """Return the patterns (n, 4) at matched pixels (n, 2): µm of gap per µm of amplitude."""
+        p, a = self._rig.left.rays(left_px, self.water_index)
+        base = _gap(p, a, *self._rig.right.rays(right_px, self.water_index))
+        columns = [_gap(p, a, *rig.right.rays(right_px, self.water_index)) - base for rig in self._changed]
+        return np.asarray(np.stack(columns, -1) @ self._mix)
+
+    def of_parameters(self, names: Sequence[str] = (*parameters.NAMES, WATER_INDEX)) -> dict[str, tuple[Array, float]]:
+        """Compute the amplitudes (4,) that a change of each named calibration number, or of the water's index, causes,
+        and the RMS of what the patterns do not hold, in µm per unit of that number."""
+        modes = self.at(*self.field_px)
+        found = {}
+        for k, name in enumerate(parameters.NAMES):
+            if name not in names:
+                continue
+            step = float(parameters.STEPS[k])
+            plus, minus = (signed_gap_mm(self._with(k, s), self.water_index, *self.field_px) for s in (step, -step))
+            found[name] = _split(modes, 1000.0 * (plus - minus) / (2.0 * step))
+        if WATER_INDEX in names:
+            plus, minus = (
+                signed_gap_mm(self._rig, self.water_index + s, *self.field_px) for s in (INDEX_STEP, -INDEX_STEP)
+            )
+            found[WATER_INDEX] = _split(modes, 1000.0 * (plus - minus) / (2.0 * INDEX_STEP))
+        return found
+
+    def _with(self, parameter: int, change: float) -> StereoRig:
+        x = np.zeros(parameters.COUNT)
+        x[parameter] = change
+        return parameters.rig_with(self._rig, x)
+
+
+def in_words(parameter: str, change: float) -> str:
+    """Return a turn of the right camera in a technician's words."""
+    return f"the right camera turned by {np.degrees(change):+.3f}° about its {parameter.split()[3]} axis"
+
+
+def _gap(p: Array, a: Array, q: Array, b: Array) -> Array:
+    across = np.cross(a, b)
+    across *= np.sign(across[..., 1:2])
+    return np.asarray(np.sum((p - q) * across, -1) / np.linalg.norm(across, axis=-1))
+
+
+def _split(modes: Array, gap_um: Array) -> tuple[Array, float]:
+    amplitudes, *_ = np.linalg.lstsq(modes, gap_um, rcond=None)
+    return np.asarray(amplitudes, np.float64), float(np.sqrt(np.mean((gap_um - modes @ amplitudes) ** 2)))

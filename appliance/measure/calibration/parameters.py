@@ -1,0 +1,76 @@
+"""Owns the list of numbers that a calibration may change, as increments on a rig, and how a rig looks with them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.measure.light.model import HousedCamera, StereoRig
+from appliance.measure.light.pinhole import Lens
+from appliance.measure.light.port import Port
+from appliance.measure.light.rotation import matrix3, rotation_matrix
+
+Array = NDArray[np.float64]
+
+_PORT = ("port tilt x (rad)", "port tilt y (rad)", "interface distance (mm)")
+_LENS = ("principal distance (px)", "principal point u (px)", "principal point v (px)", "k1", "k2", "p1", "p2", "k3")
+_POSE = ("turn x (rad)", "turn y (rad)", "turn z (rad)", "shift x (mm)", "shift y (mm)", "shift z (mm)")
+
+NAMES = (
+    *(f"{side} {name}" for side in ("left", "right") for name in _PORT),
+    *(f"{side} {name}" for side in ("left", "right") for name in _LENS),
+    *(f"right camera's {name}" for name in _POSE),
+)
+"""All parameters: the ports' six, then the twenty-two that a calibration in air delivers."""
+PORTS = slice(0, 6)
+AIR = slice(6, 28)
+POSE = slice(22, 28)
+COUNT = 28
+STEPS = np.array(
+    [1e-5, 1e-5, 1e-3] * 2 + [1e-2, 1e-2, 1e-2, 1e-5, 1e-5, 1e-6, 1e-6, 1e-5] * 2 + [1e-6] * 3 + [1e-3] * 3
+)
+"""Increments for difference quotients: hundredths of a pixel at the image's edge, where the model is straight."""
+
+
+def rig_with(rig: StereoRig, x: Array) -> StereoRig:
+    """Return ``rig`` changed by the increments ``x`` (28,), in the order of ``NAMES``.
+
+    Tilts lean the port's normal towards the camera's x and y; turns are about the right camera's own axes.
+    """
+    turned = np.asarray(rig.right.rotation) @ rotation_matrix(x[22:25])
+    shifted = np.asarray(rig.right.translation_mm) + x[25:28]
+    right = _camera_with(rig.right, x[3:6], x[14:22])
+    return replace(
+        rig,
+        left=_camera_with(rig.left, x[0:3], x[6:14]),
+        right=replace(right, rotation=matrix3(turned), translation_mm=_triple(shifted)),
+    )
+
+
+def _camera_with(camera: HousedCamera, port: Array, lens: Array) -> HousedCamera:
+    n = np.asarray(camera.port.normal)
+    across = np.array([n[2], 0.0, -n[0]])
+    across /= np.linalg.norm(across)
+    leaned = n + math.tan(port[0]) * across + math.tan(port[1]) * np.cross(n, across)
+    leaned /= np.linalg.norm(leaned)
+    old = camera.lens
+    scale = (old.f_px[0] + lens[0]) / old.f_px[0]
+    k1, k2, p1, p2, k3 = (float(a + b) for a, b in zip(old.distortion, lens[3:8], strict=True))
+    return replace(
+        camera,
+        lens=Lens(
+            (float(old.f_px[0] * scale), float(old.f_px[1] * scale)),
+            (float(old.c_px[0] + lens[1]), float(old.c_px[1] + lens[2])),
+            (k1, k2, p1, p2, k3),
+        ),
+        port=Port(
+            _triple(leaned), float(camera.port.distance_mm + port[2]), camera.port.thickness_mm, camera.port.glass_index
+        ),
+    )
+
+
+def _triple(v: Array) -> tuple[float, float, float]:
+    return float(v[0]), float(v[1]), float(v[2])

@@ -1,0 +1,43 @@
+"""Owns the file of the projector's response: small, checksummed, readable JSON, beside the calibration."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Annotated
+
+from appliance.base.sealed_file import FINITE, LEFT_OUT, SealedFile, Within
+from appliance.measure.light.response import Response
+
+_WholeUs = Annotated[int, Within(0, math.inf, whole=True)]
+
+
+@dataclass(frozen=True, slots=True)
+class StoredResponse:
+    """A response and where it comes from. Raises ValueError for harmonics that no response has."""
+
+    rig_serial: str
+    made_from: tuple[str, ...]
+    """Ids of the scans."""
+    residual: Annotated[float, FINITE]
+    """RMS of what was seen against the response, as a fraction of the bright light."""
+    harmonics: tuple[Annotated[float, FINITE], ...]
+    """Those of the response."""
+    exposure_us: _WholeUs | None = field(default=None, metadata=LEFT_OUT)
+    """Exposure that it was measured with: a projector of bit planes has another one for each. ``None``: not known."""
+    trigger_delay_us: _WholeUs | None = field(default=None, metadata=LEFT_OUT)
+    """Time from the vertical sync to the beginning of that exposure; ``None``: not known."""
+
+    def __post_init__(self) -> None:
+        Response(self.harmonics)
+
+    @property
+    def response(self) -> Response:
+        """The projector's response."""
+        return Response(self.harmonics)
+
+
+RESPONSE = SealedFile(
+    StoredResponse, schema=1, max_bytes=64 * 1024, what="response",
+    remedy="measure the response again, or remove the file: patterns are then drawn without compensation",
+)  # fmt: skip

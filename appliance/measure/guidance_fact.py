@@ -1,0 +1,45 @@
+"""Owns the words for where to go before the next scan: how much it would have in common with the one that was kept, and which way is better."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from appliance.measure.overlap_fact import NO_OVERLAP, Overlap
+
+LEAST_GOOD, MOST_GOOD = 0.4, 0.6
+"""Shares between which a scan holds well and shows enough that is new."""
+
+
+class Move(Enum):
+    """The thing to do before the next scan."""
+
+    GO_BACK = "GO BACK"
+    SCAN_NOW = "SCAN NOW"
+    GO_ON = "GO ON"
+
+
+@dataclass(frozen=True, slots=True)
+class Guidance:
+    """The overlap that a scan taken from here would have with the one that was kept last, and the way to a better one."""
+
+    expected: Overlap
+    """Overlap that it would have. Its share is never ``None``: what cannot be told is no guidance."""
+    toward: tuple[float, float] | None = None
+    """Direction of a good view in the left picture, right and down, of length 1; ``None``: any will do, or it is not known."""
+
+    def __post_init__(self) -> None:
+        """Raises ValueError for an overlap without a share."""
+        if self.expected.share is None:
+            raise ValueError(
+                "guidance without a share; allowed are 0..1; give no guidance where the overlap is not known"
+            )
+
+    @property
+    def move(self) -> Move:
+        share = self.expected.share or 0.0
+        return Move.GO_BACK if share < LEAST_GOOD else Move.GO_ON if share > MOST_GOOD else Move.SCAN_NOW
+
+
+LOST = Guidance(NO_OVERLAP)
+"""Nothing of what is seen lies on the scan that was kept."""

@@ -1,0 +1,190 @@
+"""Owns the list of frames of one scan: what each shows, in which order.
+
+Drawing, the ledger, the identity check and decoding all read this list; nothing else knows the order.
+Source: paper, section 4 (Gray code 7/6/5 images and 4 sine images per direction for periods 16/32/64 px, two
+orthogonal directions); the two images the paper leaves unnamed are a bright and a dark reference.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from itertools import zip_longest
+from typing import assert_never
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.measure.light.gray import bit_count, gray_bit
+from appliance.measure.light.response import Response
+from appliance.measure.light.sine import STEP_DEG, STEPS, sine_codes
+
+PERIODS_PX = (16, 32, 64)
+BRIGHT_CODE = 247
+DARK_CODE = 0
+REFERENCES = 2
+"""Number of frames before those of X: bright and dark."""
+
+
+class Direction(Enum):
+    """The pattern coordinate along which a pattern varies."""
+
+    X = "x"
+    """Varies from column to column: vertical stripes."""
+    Y = "y"
+    """Varies from row to row: horizontal stripes."""
+
+
+class Kind(Enum):
+    BRIGHT = "bright"
+    DARK = "dark"
+    GRAY = "gray"
+    SINE = "sine"
+
+
+@dataclass(frozen=True, slots=True)
+class Pattern:
+    """One frame of the sequence. ``index`` is the Gray bit (0 = most significant) or the sine step (0..3)."""
+
+    kind: Kind
+    direction: Direction
+    index: int
+    period_px: int
+    size_px: int
+    """Length of the varying axis."""
+
+    @property
+    def name(self) -> str:
+        """Short name for manifests, reports and pictures: ``bright``, ``gray-x-0``, ``sine-y-270``."""
+        match self.kind:
+            case Kind.BRIGHT | Kind.DARK:
+                return "bright" if self.kind is Kind.BRIGHT else "dark"
+            case Kind.GRAY:
+                return f"gray-{self.direction.value}-{self.index}"
+            case Kind.SINE:
+                return f"sine-{self.direction.value}-{STEP_DEG * self.index}"
+            case unknown:
+                assert_never(unknown)
+
+    def codes(self, response: Response | None = None) -> NDArray[np.uint8]:
+        """Return the 8-bit codes along the varying axis: shape (size_px,) uint8. Gray stripes use the bright code.
+
+        ``response`` is the projector's, if it was measured; the light of sine fringes is then a sine, else their codes are.
+        """
+        match self.kind:
+            case Kind.BRIGHT:
+                return np.full(self.size_px, BRIGHT_CODE, np.uint8)
+            case Kind.DARK:
+                return np.full(self.size_px, DARK_CODE, np.uint8)
+            case Kind.GRAY:
+                lit = gray_bit(self.size_px, self.period_px, self.index)
+                return np.where(lit, BRIGHT_CODE, DARK_CODE).astype(np.uint8)
+            case Kind.SINE:
+                draw = sine_codes if response is None else response.sine_codes
+                return draw(self.size_px, self.period_px, self.index)
+            case unknown:
+                assert_never(unknown)
+
+
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """Frame numbers of one direction in the sequence."""
+
+    direction: Direction
+    size_px: int
+    gray: tuple[int, ...]
+    """Frame numbers of the Gray-code images, most significant bit first."""
+    sine: tuple[int, int, int, int]
+    """Frame numbers of the steps 0°, 90°, 180°, 270°."""
+
+
+@dataclass(frozen=True, slots=True)
+class PatternSequence:
+    """All patterns of a scan in the order of projection.
+
+    Whoever decodes, judges or compensates a scan may rely on this, and on nothing else (``docs/adr/0039-what-a-sequence-promises.md``):
+
+    * the bright and the dark reference are the first two frames, in whichever order;
+    * there are two directions: every frame that varies along X comes before every one that varies along Y, and the last
+      frame of Y is the last of all;
+    * a direction begins with its Gray-code images, the most significant bit first, as many as number all half periods;
+    * they are followed at once by ``STEPS`` = 4 sine images, 90° apart, in the order 0°, 90°, 180°, 270°;
+    * all have the same period and each the size of its axis.
+
+    Raises ValueError for anything else, with the first frame that is wrong.
+    """
+
+    period_px: int
+    width_px: int
+    height_px: int
+    patterns: tuple[Pattern, ...]
+
+    def __post_init__(self) -> None:
+        bright, dark, *rest = _promised(self.period_px, self.width_px, self.height_px)
+        # Either order keeps the promise (ADR 0039); what is built here begins with the bright one.
+        references = (dark, bright) if self.patterns[:1] == (dark,) else (bright, dark)
+        for k, (wanted, found) in enumerate(zip_longest((*references, *rest), self.patterns)):
+            if wanted != found:
+                raise ValueError(
+                    f"frame {k} of the sequence: {_named(found)}; {_named(wanted)} belongs there (class PatternSequence)"
+                )
+
+    def __len__(self) -> int:
+        return len(self.patterns)
+
+    @property
+    def bright(self) -> int:
+        """Frame number of the bright reference."""
+        return 0 if self.patterns[0].kind is Kind.BRIGHT else 1
+
+    @property
+    def dark(self) -> int:
+        """Frame number of the dark reference."""
+        return 1 - self.bright
+
+    def __hash__(self) -> int:
+        # The promise leaves nothing else to choose; hashing two dozen patterns would cost every judge's look into a cache.
+        return hash((self.period_px, self.width_px, self.height_px, self.bright))
+
+    def axis(self, direction: Direction) -> Axis:
+        """Return the frame numbers that encode ``direction``."""
+        # Counted, not searched for: it is asked for each frame and by each judge.
+        size, first = self.width_px, REFERENCES
+        bits = bit_count(size, self.period_px)
+        if direction is Direction.Y:
+            size, first = self.height_px, first + bits + STEPS
+            bits = bit_count(size, self.period_px)
+        sine = first + bits
+        return Axis(direction, size, tuple(range(first, sine)), (sine, sine + 1, sine + 2, sine + 3))
+
+
+def build_sequence(period_px: int, width_px: int = 1024, height_px: int = 768) -> PatternSequence:
+    """Return the sequence for a fringe period: 24, 22 or 20 frames for 16, 32 or 64 px on 1024 × 768, one more on 1280 × 720.
+
+    Any period ≥ 4 px is accepted here (also no power of two); the rig file restricts what a diver may choose.
+    Raises ValueError for a period outside 4..size.
+    """
+    if not 4 <= period_px <= min(width_px, height_px):
+        raise ValueError(
+            f"fringe period {period_px} px; allowed are 4..{min(width_px, height_px)} px; choose one of {PERIODS_PX}"
+        )
+    return PatternSequence(period_px, width_px, height_px, tuple(_promised(period_px, width_px, height_px)))
+
+
+def _promised(period_px: int, width_px: int, height_px: int) -> list[Pattern]:
+    """Return the patterns in the order that ``PatternSequence`` promises."""
+    patterns = [
+        Pattern(Kind.BRIGHT, Direction.X, 0, period_px, width_px),
+        Pattern(Kind.DARK, Direction.X, 0, period_px, width_px),
+    ]
+    # The references name X as their direction although they do not vary: a Pattern needs one, and its codes one length.
+    for direction, size_px in ((Direction.X, width_px), (Direction.Y, height_px)):
+        patterns += [
+            Pattern(Kind.GRAY, direction, bit, period_px, size_px) for bit in range(bit_count(size_px, period_px))
+        ]
+        patterns += [Pattern(Kind.SINE, direction, step, period_px, size_px) for step in range(STEPS)]
+    return patterns
+
+
+def _named(pattern: Pattern | None) -> str:
+    return "nothing" if pattern is None else f"{pattern.name} ({pattern.size_px} px, period {pattern.period_px} px)"

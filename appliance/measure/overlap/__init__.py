@@ -1,0 +1,1 @@
+"""Overlap of two scans, and guidance to where the next one should be taken from."""

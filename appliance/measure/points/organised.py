@@ -1,0 +1,65 @@
+"""Owns a cloud on the pixel grid of the left image: which points are neighbours, and where there are none."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.base.one_line import one_line
+from appliance.measure.points.table import Cloud
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OrganisedCloud:
+    """A full cloud of one scan, left camera frame; every array is (h, w) or (h, w, 3) over the left image's pixels.
+
+    Where a pixel has no point, floating point values are NaN. Arrays are not copied; do not write to them.
+    """
+
+    points_mm: NDArray[np.float32]
+    """(h, w, 3) float32."""
+    sigma_mm: NDArray[np.float32]
+    """Expected standard deviation of the point along its ray."""
+    modulation_dn: NDArray[np.float32]
+    ray_gap_mm: NDArray[np.float32]
+    grey: NDArray[np.uint8]
+    """The left camera's bright frame, also where there are no points."""
+
+    __repr__ = one_line
+
+    @property
+    def mask(self) -> NDArray[np.bool_]:
+        """(h, w) bool: the pixel has a point."""
+        return np.isfinite(self.points_mm[..., 2])
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(h, w)."""
+        return (self.grey.shape[0], self.grey.shape[1])
+
+
+def organised(cloud: Cloud, bright: NDArray[np.uint8]) -> OrganisedCloud:
+    """Lay the points of ``cloud`` on the grid of the left camera's ``bright`` frame, (h, w) uint8.
+
+    Raises ValueError for a cloud of a larger image.
+    """
+    h, w = bright.shape
+    if len(cloud.pixel) and int(cloud.pixel.max()) >= h * w:
+        raise ValueError(
+            f"the cloud has a point of pixel {int(cloud.pixel.max())}; the image has {h * w}: give its own"
+        )
+
+    def grid(values: NDArray[np.float32], *more: int) -> NDArray[np.float32]:
+        out = np.full((h * w, *more), np.nan, np.float32)
+        out[cloud.pixel] = values
+        return out.reshape(h, w, *more)
+
+    return OrganisedCloud(
+        points_mm=grid(cloud.points_mm, 3),
+        sigma_mm=grid(cloud.sigma_mm),
+        modulation_dn=grid(cloud.modulation_dn),
+        ray_gap_mm=grid(cloud.ray_gap_mm),
+        grey=bright,
+    )

@@ -1,0 +1,100 @@
+"""Owns where points are left: columns in one block of memory, which two processes may share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.measure.cloud import CloudSummary, Found, PatchGaps
+from appliance.measure.points.select import Points
+
+Column = TypeVar("Column", bound=np.generic)
+_XYZ_BYTES, _FLOAT_BYTES, _PIXEL_BYTES = 12, 4, 4
+POINT_BYTES = _XYZ_BYTES + 2 * _FLOAT_BYTES + _PIXEL_BYTES + 2
+CLOUD_BYTES = _XYZ_BYTES + 3 * _FLOAT_BYTES + _PIXEL_BYTES + 1
+"""Bytes of one point of a ``Cloud``."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cloud:
+    """Points in the left camera frame, with what is known about each. All arrays have the same length n."""
+
+    points_mm: NDArray[np.float32]
+    """(n, 3) float32."""
+    intensity: NDArray[np.uint8]
+    """(n,) uint8, the left camera's bright frame."""
+    modulation_dn: NDArray[np.float32]
+    ray_gap_mm: NDArray[np.float32]
+    sigma_mm: NDArray[np.float32]
+    pixel: NDArray[np.uint32]
+    """(n,) uint32: flat index of the left pixel."""
+    summary: CloudSummary
+    gaps: PatchGaps | None = None
+    """Signed gaps before any limit; of the full cloud only."""
+
+    def thinned(self, most: int) -> Cloud:
+        """Return at most about ``most`` of its points, evenly over the image; numbers are those of all."""
+        k = slice(None, None, max(1, -(-len(self.pixel) // most)))
+        return Cloud(
+            self.points_mm[k], self.intensity[k], self.modulation_dn[k], self.ray_gap_mm[k], self.sigma_mm[k],
+            self.pixel[k], self.summary,
+        )  # fmt: skip
+
+
+class PointTable:
+    """Room for ``capacity`` points in ``memory`` (``POINT_BYTES`` each), or in memory of its own."""
+
+    def __init__(self, capacity: int, memory: memoryview | None = None) -> None:
+        self.capacity = capacity
+        whole = np.frombuffer(memory if memory is not None else bytearray(capacity * POINT_BYTES), np.uint8)
+        # Bytes last, so that all else is aligned.
+        ends = np.cumsum([_XYZ_BYTES, _FLOAT_BYTES, _FLOAT_BYTES, _PIXEL_BYTES, 1, 1]) * capacity
+        xyz, gap, sigma, pixel, modulation, intensity = np.split(whole[: ends[-1]], ends[:-1])
+        self.points = Points(
+            xyz.view(np.float32).reshape(capacity, 3),
+            gap.view(np.float32),
+            sigma.view(np.float32),
+            modulation,
+            pixel.view(np.uint32),
+            intensity,
+        )
+
+    def put(self, cloud: Cloud) -> Found:
+        """Copy a cloud of at most ``capacity`` points in, in place of whatever was there."""
+        n = len(cloud.pixel)
+        points = self.points
+        points.xyz_mm[:n], points.gap_mm[:n], points.sigma_mm[:n] = cloud.points_mm, cloud.ray_gap_mm, cloud.sigma_mm
+        points.modulation_half_dn[:n] = np.rint(2.0 * cloud.modulation_dn).astype(np.uint8)
+        points.pixel[:n], points.intensity[:n] = cloud.pixel, cloud.intensity
+        return Found(((0, n),), cloud.summary, cloud.gaps)
+
+    def cloud(self, found: Found, block: NDArray[np.uint8] | None = None) -> Cloud:
+        """Copy the points out, in one piece: into ``block``, ``CLOUD_BYTES`` for each at least, or into memory of their own."""
+        count = sum(stop - first for first, stop in found.pieces)
+        # Columns of four bytes first, so that all are aligned.
+        ends = np.cumsum([_XYZ_BYTES, _FLOAT_BYTES, _FLOAT_BYTES, _FLOAT_BYTES, _PIXEL_BYTES, 1]) * count
+        places: list[NDArray[np.uint8] | None] = [None] * len(ends)
+        if block is not None:
+            places[:] = np.split(block[: ends[-1]], ends[:-1])
+
+        def join(column: NDArray[Column], place: NDArray[np.uint8] | None) -> NDArray[Column]:
+            into = None if place is None else place.view(column.dtype).reshape(count, *column.shape[1:])
+            return np.concatenate([column[first:stop] for first, stop in found.pieces], out=into)
+
+        points = self.points
+        xyz, modulation, gap, sigma, pixel, intensity = places
+        modulation_dn = np.empty(count, np.float32) if modulation is None else modulation.view(np.float32)
+        half_dn = np.concatenate([points.modulation_half_dn[first:stop] for first, stop in found.pieces])
+        return Cloud(
+            points_mm=join(points.xyz_mm, xyz),
+            intensity=join(points.intensity, intensity),
+            modulation_dn=np.multiply(half_dn, np.float32(0.5), out=modulation_dn),
+            ray_gap_mm=join(points.gap_mm, gap),
+            sigma_mm=join(points.sigma_mm, sigma),
+            pixel=join(points.pixel, pixel),
+            summary=found.summary,
+            gaps=found.gaps,
+        )

@@ -1,0 +1,353 @@
+"""Owns whether light that is not the projector's changed during a sequence, where, how often, and what that does to phases.
+
+Of four sine images I0..I3, (I0 − I2, I3 − I1) is 2B (cos φ, sin φ): a circle about the origin whose radius is known from
+bright and dark. Extra light δ that differs between the images shifts the circle by (δ0 − δ2, δ3 − δ1), and by just that it
+biases the phase. So the shift is fitted in blocks of the image, from the length of the vector over its direction; the
+fringes themselves, motion along them and the projector's harmonics have no such term. Beside it are fitted smooth terms, the
+projector's third harmonic, and the water's backscatter, which is in the light but not in the fringes and so shortens the circle
+of dark surfaces more than that of bright ones. What is finer than a block (a net of caustics) is in I0 − I1 + I2 − I3, which has
+neither fringe nor texture, and gives the third difference of a direction: what neighbouring pixels have there in common is light,
+for noise they have not. A level common to all four images of a direction is neither seen nor harmful.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache, partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.measure.decode.decoder import MIN_CONTRAST_DN, MIN_MODULATION_DN
+from appliance.measure.light.noise import FULL_DN, MAD_TO_SIGMA, CameraNoise
+from appliance.measure.light.sequence import Direction, PatternSequence
+from appliance.measure.points.quantile import median
+from appliance.measure.verdicts.light.fit import (
+    CLIP,
+    COSINE,
+    EXPECTED,
+    SIGMA,
+    SINE,
+    THIRD,
+    common_of_neighbours,
+    fit_blocks,
+    in_blocks,
+    medians_of,
+    stripe_levels,
+)
+from appliance.measure.verdicts.light.levels import Sample
+
+BLOCK_ROWS, BLOCK_COLUMNS = 6, 8
+MIN_PIXELS = 100
+"""Least number of pixels of a block for its light to be judged."""
+FINE_FACTOR = 1.5
+"""Squares of both differences that bias phases, over that of the third: 1 for light that changes at random from image to
+image, 2 for light that drifts."""
+CLEAR_DN = 248.0
+"""No image of the pixel may be brighter."""
+SURE = 0.5
+"""A block is judged when its shift is known better than this, times what would harm."""
+HARMFUL_RIPPLE = 0.5
+"""Bias of the phase, as a share of its noise, from which on it is seen in the surface."""
+EXPLAINED = 0.8
+"""Share of the changes that one frequency must explain to be named."""
+MIN_LEVELS = 12
+FINE_IMAGES = 4
+"""Number of each direction's finest Gray images that are used: all of a block's pixels do not lie in one of their
+stripes."""
+RANK = 1e-10
+"""Relative cut-off below which a cosine or a sine counts as missing: at half the frame rate there is only one of
+them."""
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class LightLevel:
+    """Light in one frame, as a share of the projector's, less the mean of the frames of its group."""
+
+    frame: int
+    group: str
+    """``gray x``, ``sine x`` …: what patterns add is the same only within a group."""
+    share: float
+
+
+@dataclass(frozen=True, slots=True)
+class Changes:
+    """Changes of light that one camera saw; ``None``: too little is illuminated to tell."""
+
+    harmed: float | None
+    """Share of judged pixels, 0..1, whose phase is biased by more than ``HARMFUL_RIPPLE`` of its noise."""
+    ripple: float | None
+    """The bias over the noise, rms over the fringe, median over the image."""
+    ripple_px: float | None
+    """The same in pattern px."""
+    common: float | None
+    """Amplitude of what all blocks have in common, as a share of the projector's light."""
+    local: float | None
+    """Amplitude of what they have not: rms over the blocks, the fit's own noise taken off."""
+    levels: tuple[LightLevel, ...]
+    """Levels that all blocks have in common, frame by frame."""
+    ambient_flicker: float | None
+    """``common`` over ambient light; unknown where there is next to none."""
+
+
+UNKNOWN = Changes(None, None, None, None, None, (), None)
+
+
+@dataclass(frozen=True, slots=True)
+class _Fit:
+    """One direction: differences of the four levels in each block, over the projector's light, and their sigma."""
+
+    cosine: Floats
+    sine: Floats
+    third: Floats
+    sigma: Floats
+    expected: Floats
+    """The sigma that there would be with a noise of one grey value in each difference: how well the phases are
+    spread."""
+    fine: Floats
+    """Mean square of the third difference within the block, less its mean, that neighbours have in common: light of finer grain
+    than a block."""
+
+
+@dataclass(frozen=True, slots=True)
+class EarlyFit:
+    """Fit of X as X alone tells it; arrays over the sample's pixels (rows, columns) and over its blocks, row by row."""
+
+    good: NDArray[np.bool_]
+    """(rows, columns): pixels that the fit was made with."""
+    found: Floats
+    """(5, blocks): what ``fit_blocks`` found; NaN of blocks with too few pixels."""
+    rest: Floats
+    """(rows · columns,): what it left of their third differences, of the good pixels."""
+
+
+def fit_early(grey: NDArray[np.uint8], sequence: PatternSequence) -> EarlyFit:
+    """Fit one camera's sine images of X, while Y is still being recorded; ``grey`` (n, rows, columns) as in ``Sample``."""
+    four = np.stack([grey[k] for k in sequence.axis(Direction.X).sine]).astype(np.float32)
+    bright, contrast = grey[sequence.bright], grey[sequence.bright].astype(np.float32) - grey[sequence.dark]
+    top_dn = np.maximum(bright, four.max(axis=0))
+    modulation_dn = np.float32(0.5) * np.sqrt((four[0] - four[2]) ** 2 + (four[3] - four[1]) ** 2)
+    good = _good((contrast >= MIN_CONTRAST_DN) | (bright >= FULL_DN), top_dn, modulation_dn)
+    pixels, rows, columns, order, ends = in_blocks(good, (BLOCK_ROWS, BLOCK_COLUMNS), MIN_PIXELS)
+    found, rest = np.full((5, BLOCK_ROWS * BLOCK_COLUMNS), np.nan), np.zeros(good.size)
+    if ends.size:
+        steps, light = (values.reshape(*values.shape[:-2], -1)[..., pixels] for values in (four, contrast))
+        of_blocks, of_pixels = fit_blocks(
+            np.ascontiguousarray(steps, np.float64), light.astype(np.float64), rows, columns, order, ends
+        )  # fmt: skip
+        found[:, _numbers(rows, columns, order, ends, good.shape)] = of_blocks
+        rest[pixels] = of_pixels
+    return EarlyFit(good, found, rest)
+
+
+def _good(
+    illuminated: NDArray[np.bool_], top_dn: NDArray[np.float32], modulation_dn: NDArray[np.float32]
+) -> NDArray[np.bool_]:
+    """Return the pixels by which light is judged."""
+    # Where noise alone decides what is saturated, only pixels with favourable phases would be left.
+    return np.asarray(illuminated & (top_dn <= CLEAR_DN) & (modulation_dn >= MIN_MODULATION_DN))
+
+
+def _numbers(
+    rows: NDArray[np.intp],
+    columns: NDArray[np.intp],
+    order: NDArray[np.intp],
+    ends: NDArray[np.intp],
+    shape: tuple[int, ...],
+) -> NDArray[np.intp]:
+    """Return the numbers (blocks,) of the blocks that ``in_blocks`` kept, of an image of ``shape``."""
+    first = order[ends - np.diff(ends, prepend=0)]
+    down, across = rows[first] * BLOCK_ROWS // shape[0], columns[first] * BLOCK_COLUMNS // shape[1]
+    return np.asarray(down * BLOCK_COLUMNS + across)
+
+
+def measure_changes(s: Sample, sequence: PatternSequence, noise: CameraNoise, early: EarlyFit | None = None) -> Changes:
+    """Measure one camera's changes of light by its sine and Gray images.
+
+    ``early``: what ``fit_early`` returned, where it was asked while the frames arrived.
+    """
+    good = _good(s.illuminated, s.top_dn, s.modulation_dn)
+    pixels, rows, columns, order, ends = in_blocks(good, (BLOCK_ROWS, BLOCK_COLUMNS), MIN_PIXELS)
+    if not ends.size:
+        return UNKNOWN
+    grey = s.grey.reshape(len(s.grey), -1)
+    contrast = s.contrast_dn.reshape(-1)[pixels].astype(np.float64)
+    four = {d: np.stack([grey[k][pixels] for k in sequence.axis(d).sine]).astype(np.float64) for d in Direction}
+    places = rows, columns
+    fit_x = fit_blocks if early is None else partial(_fit_the_rest, early, good)
+    fits = {
+        Direction.X: _fit(fit_x, four[Direction.X], contrast, places, order, ends),
+        Direction.Y: _fit(fit_blocks, four[Direction.Y], contrast, places, order, ends),
+    }
+    # Noise of a block's pixels against their contrast, as the phase has it: rms of sigma over contrast.
+    mean = four[Direction.X].mean(axis=0)
+    variance = noise.variance_dn2(mean) / contrast**2
+    relative = np.sqrt(medians_of(variance, order, ends))
+    counts = np.diff(ends, prepend=0).astype(np.float64)
+    expected = np.maximum(*(fit.expected for fit in fits.values())) * math.sqrt(2.0 * median(variance * contrast**2))
+    judged = expected < SURE * HARMFUL_RIPPLE * relative
+    if not judged.any():
+        return UNKNOWN
+    weight, relative = counts[judged] / counts[judged].sum(), relative[judged]
+    # Mean square of the shift without that of its own noise, and the light of finer grain than a block.
+    squares = [
+        (np.maximum(f.cosine**2 + f.sine**2 - 2.0 * f.sigma**2, 0.0) + FINE_FACTOR * np.maximum(f.fine, 0.0))[judged]
+        for f in fits.values()
+    ]
+    square = (squares[0] + squares[1]) / 2.0
+    ripple = np.sqrt(square) / (2.0 * relative)
+    # A fringe's amplitude is half of the contrast: phase = difference / (2 √2 B).
+    ripple_px = sequence.period_px / (2.0 * np.pi) * np.sqrt(square) / np.sqrt(2.0)
+    common, local, sines = _apart(fits, judged, weight, sequence)
+    levels = (*_gray_levels(grey, sequence, pixels, contrast), *sines)
+    ambient = median((s.dark_dn.reshape(-1)[pixels] - noise.black_dn) / contrast)
+    return Changes(
+        harmed=float(weight[ripple > HARMFUL_RIPPLE].sum()),
+        ripple=_median(ripple, weight),
+        ripple_px=_median(ripple_px, weight),
+        common=common,
+        local=local,
+        levels=levels,
+        ambient_flicker=common / ambient if ambient > 0.02 else None,
+    )
+
+
+def find_frequency_hz(levels: tuple[LightLevel, ...], frame_s: float) -> tuple[float, float] | None:
+    """Return the frequency, up to half the frame rate, that explains most of the levels' changes, and the share it
+    explains.
+
+    Lamps that flicker faster appear at another one: 100 Hz at 20 Hz, 120 Hz not at all, at 60 frames per second.
+    ``None`` where no frequency stands out, for fewer than twelve frames, or where frames come so slowly that none could
+    be told (below four a second).
+    """
+    if len(levels) < MIN_LEVELS:
+        return None
+    frame = np.array([level.frame for level in levels], np.float64)
+    share = np.array([level.share for level in levels])
+    _, group = np.unique([level.group for level in levels], return_inverse=True)
+    value = _centred(share, group)
+    total = float(np.sum(value**2))
+    if total == 0.0:
+        return None
+    candidates, basis, inverse = _waves(tuple(frame.tolist()), tuple(group.tolist()), frame_s)
+    if not candidates.size:
+        return None
+    fitted = np.einsum("cnk,ck->cn", basis, inverse @ value)
+    shares = 1.0 - np.sum((value - fitted) ** 2, axis=1) / total
+    best = int(np.argmax(shares))
+    hz, explained = float(candidates[best]), float(shares[best])
+    return (hz, explained) if explained >= EXPLAINED else None
+
+
+@lru_cache(maxsize=4)
+def _waves(frame: tuple[float, ...], group: tuple[int, ...], frame_s: float) -> tuple[Floats, Floats, Floats]:
+    """Return frequencies that levels in these frames, of these groups, may tell, their waves (frequencies, frames, 2) and the inverses
+    of these. They are the same in every scan, and not to be written to."""
+    candidates = np.arange(2.0, 0.5 / frame_s + 0.01, 0.25)
+    # A cosine and a sine of each candidate, without the mean of each group, as the levels are.
+    angle = 2.0 * np.pi * frame_s * np.outer(candidates, frame)
+    of = np.array(group)
+    basis = np.stack([_centred(np.cos(angle), of), _centred(np.sin(angle), of)], axis=-1)
+    return candidates, basis, np.asarray(np.linalg.pinv(basis, rcond=RANK), np.float64)
+
+
+def _fit_the_rest(
+    early: EarlyFit,
+    good: NDArray[np.bool_],
+    four: Floats,
+    contrast: Floats,
+    rows: NDArray[np.intp],
+    columns: NDArray[np.intp],
+    order: NDArray[np.intp],
+    ends: NDArray[np.intp],
+) -> tuple[Floats, Floats]:
+    """Return what ``fit_blocks`` does, of which only those blocks are fitted that have lost a pixel since the ``early`` fit."""
+    numbers = _numbers(rows, columns, order, ends, good.shape)
+    v, u = np.nonzero(good != early.good)
+    lost = np.bincount(
+        v * BLOCK_ROWS // good.shape[0] * BLOCK_COLUMNS + u * BLOCK_COLUMNS // good.shape[1],
+        minlength=early.found.shape[1],
+    )
+    same = lost[numbers] == 0
+    counts = np.diff(ends, prepend=0)
+    kept = np.repeat(same, counts)
+    found, rest = fit_blocks(four, contrast, rows, columns, order[~kept], np.cumsum(counts[~same]))
+    both = np.empty((len(found), ends.size))
+    both[:, same], both[:, ~same] = early.found[:, numbers[same]], found
+    # Pixels outside of all blocks keep their third difference, as it is.
+    mine = order[kept]
+    rest[mine] = early.rest[rows[mine] * good.shape[1] + columns[mine]]
+    return both, rest
+
+
+def _fit(
+    fit: Callable[..., tuple[Floats, Floats]],
+    four: Floats,
+    contrast: Floats,
+    places: tuple[NDArray[np.intp], NDArray[np.intp]],
+    order: NDArray[np.intp],
+    ends: NDArray[np.intp],
+) -> _Fit:
+    """Fit ``four`` (4, n) sine images of the pixels at ``places`` (row and column) by ``fit``, in blocks as ``fit_blocks`` takes them."""
+    found, third = fit(four, contrast, *places, order, ends)
+    # Light that is usual before dark pixels is many grey values before bright ones; noise is not. Either is no edge.
+    usual = CLIP * MAD_TO_SIGMA
+    most_dn, most_share = usual * median(np.abs(third * contrast)), usual * median(np.abs(third))
+    fine = common_of_neighbours(third, contrast, *places, order, ends, most_dn, most_share)
+    return _Fit(found[COSINE], found[SINE], found[THIRD], found[SIGMA], found[EXPECTED], fine)
+
+
+def _apart(
+    fits: dict[Direction, _Fit], judged: NDArray[np.bool_], weight: Floats, sequence: PatternSequence
+) -> tuple[float, float, list[LightLevel]]:
+    """Return the amplitude of what blocks have in common, of what they have not, and the common levels of the sine
+    images."""
+    levels: list[LightLevel] = []
+    common2, local2 = 0.0, 0.0
+    for direction, fit in fits.items():
+        parts = np.stack([fit.cosine, fit.sine, fit.third])[:, judged]
+        middle = [_median(part, weight) for part in parts]
+        apart2 = np.sum((parts[:2].T - middle[:2]) ** 2, axis=1) - 2.0 * fit.sigma[judged] ** 2
+        local2 += float(np.sum(weight * np.maximum(apart2, 0.0)))
+        # The four levels that have these differences and no sum: the inverse of (δ0 − δ2, δ3 − δ1, δ0 − δ1 + δ2 − δ3).
+        c, s, third = middle
+        own = (third / 4.0 + c / 2.0, -third / 4.0 - s / 2.0, third / 4.0 - c / 2.0, -third / 4.0 + s / 2.0)
+        group = f"sine {direction.value}"
+        levels += [LightLevel(k, group, level) for k, level in zip(sequence.axis(direction).sine, own, strict=True)]
+        common2 += sum(level * level for level in own)
+    # A sine of amplitude a has a mean square of a²/2; a difference of two images has twice the square of one.
+    return float(np.sqrt(2.0 * common2 / 8.0)), float(np.sqrt(local2 / 4.0)), levels
+
+
+def _gray_levels(
+    grey: NDArray[np.uint8], sequence: PatternSequence, pixels: NDArray[np.intp], contrast: Floats
+) -> list[LightLevel]:
+    """Return the common levels of the fine Gray images: what scatters from illuminated stripes into dark ones
+    cancels."""
+    found: list[LightLevel] = []
+    for direction in Direction:
+        numbers = np.array(sequence.axis(direction).gray[-FINE_IMAGES:], np.int64)
+        own = stripe_levels(grey, numbers, sequence.dark, pixels, contrast, MIN_PIXELS)
+        known = np.isfinite(own)
+        group = f"gray {direction.value}"
+        mean = own[known].mean() if known.any() else 0.0
+        found += [
+            LightLevel(int(k), group, float(level - mean)) for k, level in zip(numbers[known], own[known], strict=True)
+        ]
+    return found
+
+
+def _centred(value: Floats, group: NDArray[np.intp]) -> Floats:
+    """Return ``value`` (..., n) less the mean of each group."""
+    member = (group[:, None] == np.arange(group.max() + 1)).astype(np.float64)
+    return np.asarray(value - value @ member / member.sum(axis=0) @ member.T, np.float64)
+
+
+def _median(value: Floats, weight: Floats) -> float:
+    order = np.argsort(value)
+    at = np.searchsorted(np.cumsum(weight[order]), 0.5 * weight.sum())
+    return float(value[order][min(int(at), value.size - 1)])

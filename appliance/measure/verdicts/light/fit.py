@@ -1,0 +1,507 @@
+"""Owns the fit, block by block, of how far light that is not the projector's shifts the circle of the sine images.
+
+A weighted robust regression in each of some fifty blocks and either direction: small systems, for which calling a library
+costs more than solving them. ``changes`` says what is fitted and why.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.measure.light.noise import MAD_TO_SIGMA
+
+Floats = NDArray[np.float64]
+
+ROUNDS = 2
+CLIP = 3.0
+"""Residuals beyond so many of their usual size are edges of the texture."""
+RIDGE = 1e-9
+"""Share of the normal equations' trace that is added to their diagonal."""
+STRONGEST = 0.9
+"""Contrasts above this quantile weigh no more than it."""
+FEW = 24
+"""Number of values from which on down they are sorted."""
+BINS = 2000
+"""Bins per unit of contrast, into which stripes are counted."""
+STRIPE_EDGE = 0.3
+"""Share of the contrast below which a pixel lies in a dark stripe, and above one minus which it lies in an
+illuminated one."""
+SHIFT_TERMS, TWICE_TERMS = 11, 7
+COSINE, SINE, THIRD, SIGMA, EXPECTED = range(5)
+"""Rows of what ``fit_blocks`` finds."""
+
+
+def warm_up() -> None:
+    """Run every kernel on next to nothing."""
+    some, place, ends = np.ones(4), np.arange(4), np.array([4])
+    fit_blocks(np.eye(4), some, place, place, place, ends)
+    common_of_neighbours(some, some, place, place, place, ends, 1.0, 1.0)
+    stripe_levels(np.ones((2, 4), np.uint8), np.array([1]), 0, place, some, 1)
+    in_blocks(np.ones((2, 2), np.bool_), (1, 1), 1)
+    medians_of(some, place, ends)
+
+
+# Symbols. (c, s) is the direction of the vector (I0 − I2, I3 − I1), (c2, s2) that of twice its angle; length is its
+# radius over the contrast, third is (I0 − I1 + I2 − I3) over the contrast. (x, y) is the pixel's place in its block,
+# from −1 to 1. shift and twice hold the terms of the two regressions row by row, with one column for each pixel of the
+# block.
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def in_blocks(
+    good: NDArray[np.bool_], blocks: tuple[int, int], least: int
+) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+    """Return the pixels (n,) that are ``good``, of an image (rows, columns), their rows and columns, and which of them lie in each of rows and
+    columns of ``blocks`` that has at least so many: ``order`` and ``ends`` as ``fit_blocks`` takes them."""
+    height, width = good.shape
+    counts = np.zeros(blocks[0] * blocks[1], np.intp)
+    # The block of each row and column, so that no pixel has to be divided.
+    down, across = np.empty(height, np.intp), np.empty(width, np.intp)
+    for v in range(height):
+        down[v] = v * blocks[0] // height * blocks[1]
+    for u in range(width):
+        across[u] = u * blocks[1] // width
+    # How many pixels each block has.
+    for v in range(height):
+        for u in range(width):
+            counts[down[v] + across[u]] += good[v, u]
+    # Where each block's pixels begin; those of small blocks lie nowhere.
+    begins, total, inside, kept = np.empty(counts.size, np.intp), 0, 0, 0
+    for k in range(counts.size):
+        total += counts[k]
+        if counts[k] >= least:
+            begins[k] = inside
+            inside += counts[k]
+            kept += 1
+        else:
+            begins[k] = -1
+    # Blocks that are kept follow each other.
+    ends, order = np.empty(kept, np.intp), np.empty(inside, np.intp)
+    kept = 0
+    for k in range(counts.size):
+        if begins[k] >= 0:
+            ends[kept] = begins[k] + counts[k]
+            kept += 1
+    # Each pixel goes to the next place of its block.
+    pixels, rows, columns = np.empty(total, np.intp), np.empty(total, np.intp), np.empty(total, np.intp)
+    n = 0
+    for v in range(height):
+        for u in range(width):
+            if good[v, u]:
+                pixels[n], rows[n], columns[n] = v * width + u, v, u
+                k = down[v] + across[u]
+                if begins[k] >= 0:
+                    order[begins[k]] = n
+                    begins[k] += 1
+                n += 1
+    return pixels, rows, columns, order, ends
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def medians_of(values: Floats, order: NDArray[np.intp], ends: NDArray[np.intp]) -> Floats:
+    """Return the median of each block's ``values`` (n,); blocks as ``fit_blocks`` takes them."""
+    found = np.empty(ends.size)
+    begin = 0
+    for k in range(ends.size):
+        found[k] = quantile_of(values[order[begin : ends[k]]], 0.5)
+        begin = ends[k]
+    return found
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def fit_blocks(
+    four: Floats,
+    contrast: Floats,
+    row: NDArray[np.intp],
+    column: NDArray[np.intp],
+    order: NDArray[np.intp],
+    ends: NDArray[np.intp],
+) -> tuple[Floats, Floats]:
+    """Fit n pixels' four sine images (4, n) block by block: return what was found in each block, (5, blocks), and what
+    is left of each pixel's third difference over ``contrast`` (n,); outside of blocks, all of it.
+
+    The pixels of block k are ``order[ends[k − 1]:ends[k]]``; ``row`` and ``column`` (n,) are their places.
+    """
+    found = np.empty((5, ends.size))
+    rest = (four[0] - four[1] + four[2] - four[3]) / contrast
+    begin = 0
+    for k in range(ends.size):
+        block = order[begin : ends[k]]
+        begin = ends[k]
+        n = block.size
+        cosine, sine, light, third = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
+        shift, twice = np.empty((SHIFT_TERMS, n)), np.empty((TWICE_TERMS, n))
+        # The pixels' places in their block, from −1 to 1: small systems stay well conditioned.
+        first_y, span_y = _span(row, block)
+        first_x, span_x = _span(column, block)
+        for j in range(n):
+            at = block[j]
+            cosine[j], sine[j] = four[0, at] - four[2, at], four[3, at] - four[1, at]
+            light[j], third[j] = contrast[at], rest[at]
+            shift[6, j], shift[5, j] = (2.0 * row[at] - first_y) / span_y, (2.0 * column[at] - first_x) / span_x
+        # From here on in loops so short that the compiler makes vectors of them.
+        # (c, s) = (cos φ, sin φ) by four steps of 90°; length is the circle's radius over the light.
+        radius, length, c, s = np.empty(n), np.empty(n), shift[0], shift[1]
+        for j in range(n):
+            radius[j] = np.sqrt(cosine[j] * cosine[j] + sine[j] * sine[j])
+        _over(radius, light, length)
+        _over(cosine, radius, c)
+        _over(sine, radius, s)
+        # length = a·(c, s) + third harmonics (seen at 4 φ) + a smooth surface + backscatter: a is the shift
+        # that is looked for.
+        c2, s2, c4, s4 = twice[1], twice[2], shift[2], shift[3]
+        _sum_of_angles(c, s, c, s, c2, s2)
+        _sum_of_angles(c2, s2, c2, s2, c4, s4)
+        shift[4], x, y = 1.0, shift[5], shift[6]
+        for j in range(n):
+            shift[7, j], shift[8, j], shift[9, j] = x[j] * x[j], x[j] * y[j], y[j] * y[j]
+        # The water's backscatter is in the contrast, and has no fringes: a larger share of it before what is dark.
+        usual = np.mean(light)
+        for j in range(n):
+            shift[10, j] = usual / light[j]
+        # Harmonics 2, 6 and 10: those that four steps of 90° leave in the third difference. Beyond the second they come from
+        # an exposure that sees a part of the projector's bit planes, which makes steps of the sine.
+        twice[0] = 1.0
+        _sum_of_angles(c4, s4, c2, s2, twice[3], twice[4])
+        _sum_of_angles(twice[3], twice[4], c4, s4, twice[5], twice[6])
+        # Pixels weigh as the noise of what is fitted allows.
+        weight = np.minimum(light, quantile_of(light, STRONGEST)) ** 2
+        of_shift, found[SIGMA, k], found[EXPECTED, k] = regress(length, shift, light, weight)
+        found[COSINE, k], found[SINE, k] = of_shift[0], of_shift[1]
+        # The third difference: its mean is a change of light, its terms at 2, 6 and 10 φ are the projector's harmonics.
+        of_twice, _, _ = regress(third, twice, light, weight)
+        found[THIRD, k] = of_twice[0]
+        for j in range(n):
+            left = third[j]
+            for a in range(TWICE_TERMS):
+                left -= of_twice[a] * twice[a, j]
+            rest[block[j]] = left
+    return found, rest
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _over(value: Floats, by: Floats, found: Floats) -> None:
+    for j in range(found.size):
+        found[j] = value[j] / by[j]
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _sum_of_angles(c: Floats, s: Floats, d: Floats, t: Floats, cosine: Floats, sine: Floats) -> None:
+    """Write cosine and sine of the sum of two angles, whose own are (c, s) and (d, t)."""
+    for j in range(cosine.size):
+        cosine[j] = c[j] * d[j] - s[j] * t[j]
+    for j in range(sine.size):
+        sine[j] = s[j] * d[j] + c[j] * t[j]
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def common_of_neighbours(
+    rest: Floats,
+    contrast: Floats,
+    row: NDArray[np.intp],
+    column: NDArray[np.intp],
+    order: NDArray[np.intp],
+    ends: NDArray[np.intp],
+    most_dn: float,
+    most_share: float,
+) -> Floats:
+    """Return each block's mean square of what a pixel and those next to it have in common of ``rest`` (n,): what noise
+    has not, and light has.
+
+    What is beyond both ``most_share`` and ``most_dn`` over the contrast is cut off there.
+
+    Pairs weigh as their noise allows: in grey values, ``rest`` · ``contrast``, it is about the same everywhere. Pixels
+    come row by row, from left to right.
+    """
+    found = np.zeros(ends.size)
+    value = rest * contrast
+    # Each pixel learns its block, and its value is clipped: one edge must not outweigh a block.
+    block = np.empty(rest.size, np.intp)
+    for at in range(rest.size):
+        block[at] = -1
+    begin = 0
+    for k in range(ends.size):
+        for at in order[begin : ends[k]]:
+            block[at] = k
+            most = max(most_dn, most_share * contrast[at])
+            value[at] = min(max(value[at], -most), most)
+        begin = ends[k]
+    # Both sums of each block's least squares.
+    sums, weights = np.zeros(ends.size), np.zeros(ends.size)
+    # Pairs beside and below each other; below runs ahead through the sorted pixels, so that all is one pass.
+    below = 0
+    for at in range(rest.size):
+        k = block[at]
+        while below < rest.size and (
+            row[below] < row[at] + 1 or (row[below] == row[at] + 1 and column[below] < column[at])
+        ):
+            below += 1
+        # Both pixels must lie in a block; a pair across a border counts for the block of its first.
+        for other in (at + 1, below):
+            if other >= rest.size or k < 0 or block[other] < 0:
+                continue
+            beside = row[other] == row[at] and column[other] == column[at] + 1
+            under = row[other] == row[at] + 1 and column[other] == column[at]
+            if beside or under:
+                # Least squares of v_a v_b = m · c_a c_b over the pairs: m = Σ v_a v_b c_a c_b / Σ (c_a c_b)².
+                both = contrast[at] * contrast[other]
+                sums[k] += value[at] * value[other] * both
+                weights[k] += both * both
+    # A block without any pair has nothing in common: 0.
+    for k in range(ends.size):
+        found[k] = sums[k] / max(weights[k], 1e-12)
+    return found
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def stripe_levels(
+    grey: NDArray[np.uint8],
+    numbers: NDArray[np.int64],
+    dark: int,
+    pixels: NDArray[np.intp],
+    contrast: Floats,
+    least: int,
+) -> Floats:
+    """Return the level of each image in ``numbers``: half way between the medians of its dark and of its illuminated
+    stripes, from dark (0) to bright (1); NaN where fewer than ``least`` pixels are either. ``grey`` (images, n) and
+    what ``pixels`` of them have as ``contrast``."""
+    found = np.empty(numbers.size)
+    count, black, shares = np.empty(2 * BINS + 1, np.int64), np.empty(pixels.size), np.empty(pixels.size)
+    bins = np.empty(pixels.size, np.int64)
+    for i in range(pixels.size):
+        black[i] = grey[dark, pixels[i]]
+    for j in range(numbers.size):
+        # Two histograms in one array: dark stripes in its first half, illuminated ones in the second; behind them, what is neither.
+        # Which it is changes from pixel to pixel: a number that is chosen costs less than a branch that is foreseen wrongly.
+        count[:] = 0
+        image = grey[numbers[j]]
+        # Divided several at once, which counting could not.
+        for i in range(pixels.size):
+            shares[i] = np.float64(image[pixels[i]])
+        for i in range(pixels.size):
+            shares[i] = (shares[i] - black[i]) / contrast[i]
+        for i in range(pixels.size):
+            share = shares[i]
+            low = min(max(int((share - STRIPE_EDGE) * BINS + BINS), 0), BINS - 1)
+            high = BINS + min(max(int((share - 1.0 + STRIPE_EDGE) * BINS), 0), BINS - 1)
+            bin_ = high if share > 1.0 - STRIPE_EDGE else 2 * BINS
+            bins[i] = low if share < STRIPE_EDGE else bin_
+        for i in range(pixels.size):
+            count[bins[i]] += 1
+        low_bin, high_bin = _median_bin(count[:BINS], least), _median_bin(count[BINS : 2 * BINS], least)
+        # From bins back to shares of the contrast, then half way between the two medians.
+        found[j] = 0.5 * (STRIPE_EDGE - 1.0 + low_bin / BINS + 1.0 - STRIPE_EDGE + high_bin / BINS)
+    return found
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _median_bin(count: NDArray[np.int64], least: int) -> float:
+    """Return the median of the counted values, in bins; NaN for fewer than ``least``."""
+    half = 0.5 * count.sum()
+    if 2.0 * half < least:
+        return np.nan
+    below = 0.0
+    for k in range(count.size):
+        if below + count[k] >= half:
+            return float(k + (half - below) / count[k])
+        below += count[k]
+    return float(count.size)
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _span(place: NDArray[np.intp], block: NDArray[np.intp]) -> tuple[int, int]:
+    """Return the sum of the least and the greatest place, and how far they are apart: what takes places to −1..1."""
+    low, high = place[block[0]], place[block[0]]
+    for at in block:
+        low, high = min(low, place[at]), max(high, place[at])
+    return low + high, max(high - low, 1)
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def regress(value: Floats, terms: Floats, contrast: Floats, weight: Floats) -> tuple[Floats, float, float]:
+    """Return the coefficients of a robust fit of ``terms`` (k, n), weighted by ``weight`` (n,), the larger sigma of the first two,
+    and what that would be for ``value`` · ``contrast`` (n,) with a noise of 1."""
+    size, n = terms.shape
+    # Normal equations of weighted least squares: X W Xᵀ b = X W y, with the terms X and the values y.
+    normal, right = _normal(value, terms, weight)
+    used = np.ones(n, np.bool_)
+    residual, off = np.empty(n), np.empty(n)
+    for again in range(ROUNDS):
+        inverse = _inverse(_ridged(normal))
+        coefficients = _times(inverse, right)
+        # A loop: assigning an array to an array compiles a second of text, for the message that their shapes differ.
+        for j in range(n):
+            residual[j] = value[j]
+        for a in range(size):
+            for j in range(n):
+                residual[j] -= coefficients[a] * terms[a, j]
+        if again == ROUNDS - 1:
+            break
+        # What is far off, at an edge of the texture, is left out, and the fit repeated. Few are: taking their part out of the
+        # normal equations is quicker than summing all others anew.
+        for j in range(n):
+            off[j] = abs(residual[j]) * contrast[j]
+        limit = CLIP * max(MAD_TO_SIGMA * quantile_of(off, 0.5), 1e-3)
+        count = 0
+        for j in range(n):
+            count += off[j] > limit
+        far, count = np.empty(count, np.intp), 0
+        for j in range(n):
+            if off[j] > limit and used[j]:
+                far[count] = j
+                used[j] = False
+                count += 1
+        far = far[:count]
+        theirs, product = _normal(value[far], terms[:, far], weight[far])
+        normal -= theirs
+        right -= product
+    # Σ w r² of what is used, over the degrees of freedom: the variance of a residual.
+    squares, count = 0.0, 0
+    for j in range(n):
+        if used[j]:
+            squares += weight[j] * residual[j] ** 2
+            count += 1
+    # Covariance of weighted least squares, for a noise of one grey value and for the one that is found.
+    expected = np.sqrt(max(inverse[0, 0], inverse[1, 1]))
+    return coefficients, expected * np.sqrt(squares / max(count - size, 1)), expected
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
+def _dot(a: Floats, b: Floats) -> float:
+    """Return the sum of products in whatever order is fastest."""
+    total = 0.0
+    for j in range(a.size):
+        total += a[j] * b[j]
+    return total
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def quantile_of(values: Floats, share: float) -> float:
+    """Return the value below which ``share`` of the finite ``values`` lie, interpolated between two of them.
+
+    Values are counted into bins, and only the wanted one is looked at again: a partition's exchanges cannot be predicted, and cost a
+    block of some hundred pixels more than its fit.
+    """
+    place = share * (values.size - 1)
+    rank = int(place)
+    asked, aside = values, place - rank
+    counts = np.empty(BINS, np.int64)
+    while True:
+        low, high = _ends(values)
+        bins = min(BINS, values.size)
+        scale = bins / (high - low)
+        if values.size <= FEW or not scale < np.inf:  # too near to each other for bins
+            break
+        counts[:bins] = 0
+        for i in range(values.size):
+            counts[_bin(values[i], low, scale, bins)] += 1
+        wanted, below = 0, 0
+        while below + counts[wanted] <= rank:
+            below += counts[wanted]
+            wanted += 1
+        inside, n = np.empty(counts[wanted]), 0
+        for i in range(values.size):
+            if _bin(values[i], low, scale, bins) == wanted:
+                inside[n] = values[i]
+                n += 1
+        values, rank = inside, rank - below
+    ordered = _in_order(values)
+    if not aside > 0.0:
+        return float(ordered[rank])
+    following = np.inf
+    if rank + 1 < ordered.size:
+        following = ordered[rank + 1]
+    else:
+        # The next one lies in another bin; it is seldom asked for. Equal values share a bin.
+        for i in range(asked.size):
+            following = min(following, asked[i] if asked[i] > ordered[rank] else np.inf)
+    return float(ordered[rank] + aside * (following - ordered[rank]))
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _in_order(values: Floats) -> Floats:
+    """Return ``values`` (n,) sorted: a few, or as many as lie so near to each other that they are next to equal."""
+    ordered = values.copy()
+    for i in range(1, ordered.size):
+        value, at = ordered[i], i
+        while at > 0 and value < ordered[at - 1]:
+            ordered[at] = ordered[at - 1]
+            at -= 1
+        ordered[at] = value
+    return ordered
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _ends(values: Floats) -> tuple[float, float]:
+    """Return the least and the greatest of ``values`` (n,), by four at once that do not wait for each other."""
+    low0 = low1 = low2 = low3 = high0 = high1 = high2 = high3 = values[0]
+    whole = values.size // 4 * 4
+    for i in range(0, whole, 4):
+        low0, high0 = min(low0, values[i]), max(high0, values[i])
+        low1, high1 = min(low1, values[i + 1]), max(high1, values[i + 1])
+        low2, high2 = min(low2, values[i + 2]), max(high2, values[i + 2])
+        low3, high3 = min(low3, values[i + 3]), max(high3, values[i + 3])
+    for i in range(whole, values.size):
+        low0, high0 = min(low0, values[i]), max(high0, values[i])
+    return min(min(low0, low1), min(low2, low3)), max(max(high0, high1), max(high2, high3))
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _bin(value: float, low: float, scale: float, bins: int) -> int:
+    """Return the bin of a value; the last one for the greatest, and for what is no number, which must not lead out of the table."""
+    place = (value - low) * scale
+    return int(place) if place < bins else bins - 1
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _normal(value: Floats, terms: Floats, weight: Floats) -> tuple[Floats, Floats]:
+    """Return the matrix and the right side of the normal equations."""
+    size = terms.shape[0]
+    normal, right = np.empty((size, size)), np.empty(size)
+    weighted = np.empty(value.size)
+    for a in range(size):
+        for j in range(value.size):
+            weighted[j] = weight[j] * terms[a, j]
+        right[a] = _dot(weighted, value)
+        for b in range(a + 1):
+            normal[a, b] = normal[b, a] = _dot(weighted, terms[b])
+    return normal, right
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _ridged(normal: Floats) -> Floats:
+    """Return ``normal`` with a ridge on its diagonal."""
+    ridged, trace = normal.copy(), np.trace(normal)
+    for a in range(ridged.shape[0]):
+        ridged[a, a] += RIDGE * trace
+    return ridged
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _times(matrix: Floats, vector: Floats) -> Floats:
+    found = np.zeros(vector.size)
+    for a in range(vector.size):
+        for b in range(vector.size):
+            found[a] += matrix[a, b] * vector[b]
+    return found
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _inverse(matrix: Floats) -> Floats:
+    """Invert a symmetric positive definite matrix by Gauss and Jordan: with a ridge it needs no pivots."""
+    size = matrix.shape[0]
+    left, right = matrix.copy(), np.eye(size)
+    for a in range(size):
+        by = 1.0 / left[a, a]
+        for b in range(size):
+            left[a, b] *= by
+            right[a, b] *= by
+        for c in range(size):
+            factor = left[c, a]
+            if c != a and factor != 0.0:
+                for b in range(size):
+                    left[c, b] -= factor * left[a, b]
+                    right[c, b] -= factor * right[a, b]
+    return right

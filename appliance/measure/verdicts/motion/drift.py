@@ -1,0 +1,131 @@
+"""Owns the map of phase drift: how far the fringes move from one sine image to the next, place by place.
+
+Four steps of 90° leave one combination that holds no phase, C = I₀ − I₁ + I₂ − I₃. On a thing at rest it is noise, but for
+what daylight adds between images (in proportion to the modulation) and for the second harmonic of the projector's light
+(cos 2φ). A fringe that drifts by ε from image to image makes C = 2 ε B (sin φ − cos φ). Least squares over a cell of the
+pattern therefore tell ε, signed. Flickering and drifting daylight adds a part of the mean light and of the modulation to each image, and the
+projector's second harmonic a cos 2φ: all three are terms of the fit. So is its sixth, the only other one below the tenth that is
+left in C: a light that is made of bit planes and seen for a part of a frame has steps, and these have harmonics. Depth steps, shadows and edges of albedo at rest give the same
+C as any other pixel: nothing. Cells are squares of the *pattern*, so that both cameras' cells are the same place on the
+thing, whatever its shape.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.measure.decode.decoder import CameraDecoder
+from appliance.measure.light.sequence import PatternSequence
+from appliance.measure.verdicts.motion.cells import (
+    APART_NOISE,
+    APART_SCALE,
+    COUNT,
+    INVERSE,
+    LIGHT,
+    SLOPE,
+    SLOPES,
+    TERMS,
+    TEXTURE,
+    TEXTURES,
+    CellSums,
+    RunSums,
+    U,
+    V,
+    cell_sums,
+)
+
+LEAST_LEFT = 0.3
+"""Least share of the drift's terms that is left in C, whatever the second harmonic takes of them."""
+MIN_PIXELS = 40
+"""Fewer in a cell tell nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class DriftMap:
+    """One camera's cells; arrays (rows, columns) float64 of the pattern's cells, NaN where there are too few pixels."""
+
+    drift_px: NDArray[np.float64]
+    """Drift of the fringes ε, pattern px per frame; positive: a pixel's coordinate grows."""
+    early_px: NDArray[np.float64]
+    """The same from the first sine image to the third."""
+    late_px: NDArray[np.float64]
+    """The same from the second to the fourth: of a steady movement, no other."""
+    sd_px: NDArray[np.float64]
+    """Standard deviation of it from what the fit leaves."""
+    u_px: NDArray[np.float64]
+    """Mean place in the image."""
+    v_px: NDArray[np.float64]
+    slope_per_px: NDArray[np.float64]
+    """Pattern px per image px to the right."""
+    noise_rad2: NDArray[np.float64]
+    """Variance of the phase from the cameras' noise."""
+    texture_per_px2: NDArray[np.float64]
+    """Mean square of how much the light changes per pattern px across the fringes, in modulations."""
+    uneven_rad2: NDArray[np.float64]
+    """Mean square difference, from one pixel to that below, of the phase error that moving albedo makes."""
+    second2: NDArray[np.float64]
+    """Square of the second harmonic's share of the first, of the projector's light as it was recorded."""
+
+
+def drift_map(
+    frames: NDArray[np.uint8],
+    decoded: CameraDecoder,
+    sequence: PatternSequence,
+    variance_dn2: tuple[float, float],
+    runs: RunSums | None = None,
+) -> DriftMap:
+    """Measure the drift in one camera's frames (n, h, w) uint8, by the sine images across which depth moves the
+    pattern.
+
+    ``variance_dn2``: of the cameras' noise as (dark, per grey value), see ``CameraNoise``. ``runs``: what ``cells.run_sums`` returned,
+    where it was asked while the frames arrived.
+    """
+    sums = cell_sums(frames, decoded.p_px, decoded.q_px, sequence, variance_dn2, runs)
+    return _solve(sums, sequence.period_px / (2.0 * np.pi), variance_dn2)
+
+
+def _solve(sums: CellSums, px_per_rad: float, variance_dn2: tuple[float, float]) -> DriftMap:
+    ones = sums.ones
+    count = ones[..., COUNT]
+    enough = count >= MIN_PIXELS
+    normal, right = sums.here[..., :TERMS, :TERMS], sums.here[..., TERMS, :TERMS]
+    # A little of the trace keeps cells with few fringes solvable; it is far below what any cell can tell.
+    trace = np.trace(normal, axis1=-2, axis2=-1)
+    normal = normal + (1e-6 * np.maximum(trace, 1.0))[..., None, None] * np.eye(TERMS)
+    inverse = np.linalg.inv(normal)
+    fit = (inverse @ right[..., None])[..., 0]
+    # Residual variance of the fit: (Σ C² − fit · right) / degrees of freedom.
+    rest = np.maximum(sums.here[..., TERMS, TERMS] - np.sum(fit * right, -1), 0.0) / np.maximum(count - TERMS, 1.0)
+    # C = 2 ε B (sin φ − cos φ): the coefficients of B sin φ and B cos φ are 2 ε and −2 ε; ε is a quarter of their difference.
+    drift = 0.25 * (fit[..., 2] - fit[..., 1])
+    # A second harmonic κ puts 4 κ cos 2φ into C, and a drift bends φ itself, by 2 ε κ sin 2φ (cos φ − sin φ): of the
+    # drift's own terms, 4 κ² are then missing from C.
+    second2 = (fit[..., 3] ** 2 + fit[..., 4] ** 2) / 16.0
+    px = px_per_rad / np.maximum(1.0 - 4.0 * second2, LEAST_LEFT)
+    variance = rest * 0.0625 * (inverse[..., 1, 1] + inverse[..., 2, 2] - 2.0 * inverse[..., 1, 2])
+    # Σ (C − fit · x)² of differences from one pixel to that below, which a drift does not make: down an x-fringe the phase hardly
+    # changes. What the light's own steps leave of the fit, which follows the phase, is none of it, and neither is noise.
+    left = np.concatenate([-fit, np.ones((*count.shape, 1))], -1)
+    apart = np.sum(left * (sums.apart @ left[..., None])[..., 0], -1)
+
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = np.where(enough[..., None], ones[..., U : LIGHT + 1] / count[..., None], np.nan)
+        dark, per_dn = variance_dn2
+        noise = dark + per_dn * mean[..., LIGHT - U]
+        return DriftMap(
+            np.where(enough, px * drift, np.nan),
+            np.where(enough, px * 0.5 * fit[..., 2], np.nan),
+            np.where(enough, px * -0.5 * fit[..., 1], np.nan),
+            np.where(enough, px * np.sqrt(variance), np.nan),
+            mean[..., 0],
+            mean[..., V - U],
+            np.where(enough, ones[..., SLOPE] / ones[..., SLOPES], np.nan),
+            0.5 * noise * mean[..., INVERSE - U],
+            np.where(enough, np.maximum(ones[..., TEXTURE] / ones[..., TEXTURES], 0.0), np.nan),
+            # A cell without a pair of pixels knows nothing.
+            np.where(enough, (apart - ones[..., APART_NOISE]) / ones[..., APART_SCALE], np.nan),
+            np.where(enough, second2, np.nan),
+        )

@@ -1,0 +1,367 @@
+"""Owns the verdict on movement: whether, which, where, how fast, and whether it spoils the points.
+
+Seen is not spoilt. A scan is refused when what the movement adds to the points' noise, predicted from the drift of the
+fringes (``harm``), exceeds ``MOST_ADDED``; a movement that is seen but harmless is named and passes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.measure.decode.decoder import CameraDecoder, Mask
+from appliance.measure.fault import Fault, FaultCode
+from appliance.measure.light.model import StereoRig
+from appliance.measure.light.noise import CameraNoise
+from appliance.measure.light.sides import SIDES, of_side
+from appliance.measure.points.images import ScanImages
+from appliance.measure.points.sigma import four_step_variance_px2
+from appliance.measure.points.table import Cloud
+from appliance.measure.verdict import Judgement, Verdict
+from appliance.measure.verdicts.motion.albedo import AlbedoShifts, albedo_shifts
+from appliance.measure.verdicts.motion.cells import RunSums
+from appliance.measure.verdicts.motion.course import steps2
+from appliance.measure.verdicts.motion.drift import DriftMap, drift_map
+from appliance.measure.verdicts.motion.edges import edge_shifts
+from appliance.measure.verdicts.motion.harm import Harm, Place, place_of, predict, surface_map
+from appliance.measure.verdicts.motion.scores import (
+    EDGE_FLOOR_PX,
+    MOVED,
+    DriftTrend,
+    Scores,
+    drift_trend,
+    edge_course,
+    edges_score,
+    flow_score,
+    texture_score,
+)
+from appliance.measure.verdicts.motion.texture import Means, TextureShift, texture_shift
+
+NAME = "motion"
+MOST_ADDED = 0.07
+"""Largest fraction of the noise that a movement may add. Between what nobody notices (0.05) and what must not be kept (0.10) it lies half-way, as a
+ratio of what is added to the square of the noise: predictions of that are as often too large as too small."""
+
+_SHADOW, _SATURATED, _CONTRADICTION = (np.uint8(m) for m in (Mask.SHADOW, Mask.SATURATED, Mask.CONTRADICTION))
+
+Array = NDArray[np.float64]
+
+
+class MotionKind(Enum):
+    """Kinds of movement; the word is for texts and manifests."""
+
+    STILL = "still"
+    AXIAL = "axial"
+    """Movement towards the instrument or away from it."""
+    LATERAL = "lateral"
+    ROTATION = "rotation"
+    TREMOR = "tremor"
+    """Movement to and fro within the sequence."""
+    LOCAL = "local"
+    """Something else moves: most of the harm is in a small part of the image."""
+
+
+@dataclass(frozen=True, slots=True)
+class MotionJudgement:
+    """The judgement, and all that it was made from."""
+
+    judgement: Judgement
+    kind: MotionKind
+    added: float | None
+    """Addition to the points' noise, as a fraction of it; ``None``: too little was seen to tell."""
+    axial_mm_s: float | None
+    """Median speed at which the surface recedes along the left camera's rays; ``None``: not known."""
+    lateral_mm_s: tuple[float, float] | None
+    """Speed of the texture across the left image, right and down; ``None``: no texture to follow."""
+    shift_px: float | None
+    """Movement over the whole sequence, in px of the left image: texture's and fringes' movement together."""
+    place: Place | None
+    """Place of most of the harm."""
+    scores: Scores
+    harm: Harm
+    """Maps over the cells of the pattern."""
+    drift: Mapping[str, DriftMap]
+    """``left`` and ``right``."""
+    albedo: Mapping[str, AlbedoShifts]
+
+
+def judge_motion(
+    images: ScanImages,
+    cloud: Cloud,
+    rig: StereoRig,
+    water_index: float,
+    means: Mapping[str, Means] | None = None,
+    runs: Mapping[str, RunSums] | None = None,
+) -> MotionJudgement:
+    """Judge a whole sequence with its coarse ``cloud``; ``rig`` and ``water_index`` turn px into mm. About 40 ms of CPU at
+    full size.
+
+    ``means`` of both sides and ``runs`` of X, where they were taken while the frames arrived.
+    """
+    sequence = images.sequence
+    noise = {side: of_side(images.noise, side) for side in SIDES}
+    drift, edges, textures, albedo = {}, {}, {}, {}
+    for side in SIDES:
+        frames, decoded, variance = images.frames[side], images.decoded[side], _variance(noise[side])
+        drift[side] = drift_map(frames, decoded, sequence, variance, runs[side] if runs else None)
+        edges[side] = edge_shifts(frames, decoded, sequence)
+        textures[side] = texture_shift(frames, decoded, sequence, variance, means[side] if means else None)
+        albedo[side] = albedo_shifts(frames, decoded, sequence, variance)
+    lost = float(np.mean([_lost_share(images.decoded[side]) for side in SIDES]))
+    left = images.decoded["left"]
+    light_dn = np.float32(left.offset_per_threshold) * left.gray_threshold.ravel()[cloud.pixel]
+    variance_px2 = four_step_variance_px2(cloud.modulation_dn, light_dn, noise["left"], sequence.period_px)
+    surface = surface_map(cloud, left.p_px, left.q_px, variance_px2, drift["left"].drift_px.shape)
+    flow, texture = flow_score(textures), texture_score(textures)
+    double_step2 = _double_step2(albedo, flow, texture)
+    harm = predict(
+        drift["left"], drift["right"], surface, double_step2, rig, water_index, sequence.period_px, images.frame_s
+    )  # fmt: skip
+    trend = drift_trend(harm)
+    course = edge_course(edges, harm)
+    shaken = steps2(course, drift["left"], drift["right"], harm, sequence, images.frame_s)
+    if shaken is not None:
+        harm = predict(
+            drift["left"], drift["right"], surface, double_step2, rig, water_index, sequence.period_px, images.frame_s, shaken
+        )  # fmt: skip
+    scores = Scores(
+        None if trend is None else trend.score,
+        edges_score(course),
+        flow,
+        texture,
+    )
+    axial = _axial(harm)
+    lateral = _lateral(textures["left"], harm, rig, water_index, images.frame_s)
+    kind = _kind(scores, trend, harm, course, axial, lateral)
+    place = place_of(harm, (rig.left.width_px, rig.left.height_px))
+    shift = _shift(drift["left"], harm, textures["left"], len(sequence))
+    judgement = _judgement(kind, harm, axial, lateral, shift, place, scores, lost)
+    return MotionJudgement(
+        judgement,
+        kind,
+        harm.added,
+        axial,
+        lateral,
+        shift,
+        place,
+        scores,
+        harm,
+        drift,
+        albedo,
+    )
+
+
+def _double_step2(albedo: Mapping[str, AlbedoShifts], flow: float | None, texture: float | None) -> float | None:
+    """Return the mean over the cameras that see any albedo; ``None`` unless the scores of ``flow`` or ``texture`` say that it moved.
+
+    The water's light goes with the stripes, and looks like a way of what is lit by them.
+    """
+    if max(flow or 0.0, texture or 0.0) < MOVED:
+        return None
+    known = [step2 for one in albedo.values() if (step2 := one.double_step2) is not None]
+    return float(np.mean(known)) if known else None
+
+
+def _variance(noise: CameraNoise) -> tuple[float, float]:
+    """Return the noise's variance in DN² as (at grey value 0, per grey value)."""
+    return noise.dark_variance_dn2, noise.dn_per_e
+
+
+def _lost_share(decoded: CameraDecoder) -> float:
+    """Return the share of the illuminated pixels whose frames contradict each other or that look like an edge. What
+    is saturated has no phase that could, and what the water hides does so at rest, too."""
+    illuminated, lost = (int(pixels) - decoded.backscatter_pixels for pixels in _count(decoded.mask))
+    return lost / illuminated if illuminated > 0 else 0.0
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _count(mask: NDArray[np.uint8]) -> tuple[np.int64, np.int64]:
+    """Return how many pixels of ``mask`` (h, w) are illuminated and not saturated, and how many lost their coordinates at an edge or
+    by a contradiction."""
+    illuminated = lost = np.int64(0)
+    for v in range(mask.shape[0]):
+        in_light, without = _count_row(mask[v])
+        illuminated += np.int64(in_light)
+        lost += np.int64(without)
+    return illuminated, lost
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _count_row(row: NDArray[np.uint8]) -> tuple[np.uint16, np.uint16]:
+    """Return the same of one ``row`` (w,) of less than 65,536 pixels: the processor adds many numbers of 16 bits at once."""
+    in_light = without = np.uint16(0)
+    for u in range(row.size):
+        in_light = np.uint16(in_light + np.uint16((row[u] != _SHADOW) & (row[u] != _SATURATED)))
+        without = np.uint16(without + np.uint16(row[u] >= _CONTRADICTION))
+    return in_light, without
+
+
+def _axial(harm: Harm) -> float | None:
+    known = (harm.weight > 0.0) & np.isfinite(harm.depth_rate_mm_s)
+    return float(np.median(harm.depth_rate_mm_s[known])) if known.any() else None
+
+
+def _turning_mm_s(harm: Harm) -> float:
+    """Return the RMS over the cells: a turn's median says nothing."""
+    known = (harm.weight > 0.0) & np.isfinite(harm.depth_rate_mm_s)
+    return float(np.sqrt(np.mean(harm.depth_rate_mm_s[known] ** 2)))
+
+
+def _lateral(
+    texture: TextureShift, harm: Harm, rig: StereoRig, water_index: float, frame_s: float
+) -> tuple[float, float] | None:
+    """Return the texture's speed right and down, in mm/s at the distance of the volume's middle."""
+    if texture.flow_px is None:
+        return None
+    camera = rig.left
+    middle = np.array([(camera.width_px - 1) / 2.0, (camera.height_px - 1) / 2.0])
+    # Rays begin at the window, not at the lens.
+    origin, along = camera.rays(np.stack([middle, middle + np.array([1.0, 0.0])]), water_index)
+    here, beside = origin + along * ((rig.volume_centre_mm(water_index) - origin[0]) @ along[0])
+    # mm across the middle of the volume per px of the image, per second.
+    scale = float(np.linalg.norm(beside - here)) / (texture.frames * frame_s)
+    return texture.flow_px[0] * scale, texture.flow_px[1] * scale
+
+
+def _shift(left: DriftMap, harm: Harm, texture: TextureShift, frames: int) -> float | None:
+    known = (harm.weight > 0.0) & np.isfinite(left.slope_per_px)
+    if not known.any():
+        return None
+    fringes = float(np.median(np.abs(left.drift_px[known] / left.slope_per_px[known]))) * frames
+    flow = 0.0 if texture.flow_px is None else float(np.hypot(*texture.flow_px)) * frames / texture.frames
+    return float(np.hypot(fringes, flow))
+
+
+TO_AND_FRO = 0.25
+"""Share of the way there from which on a way back is shaking."""
+LOCAL_CELLS, LOCAL_SHARE, LOCAL_REACH_CELLS = 0.2, 0.7, 4.0
+"""Something else moves when so small a part of the cells has so great a part of the harm."""
+
+
+def _kind(
+    scores: Scores,
+    trend: DriftTrend | None,
+    harm: Harm,
+    course: tuple[Array, Array],
+    axial_mm_s: float | None,
+    lateral_mm_s: tuple[float, float] | None,
+) -> MotionKind:
+    """Return the first kind that fits."""
+    if _is_local(harm, scores):
+        return MotionKind.LOCAL
+    largest = scores.largest
+    if largest is None or largest < MOVED:
+        return MotionKind.STILL
+    if _to_and_fro(course):
+        return MotionKind.TREMOR
+    sideways = 0.0 if lateral_mm_s is None or (scores.flow or 0.0) < MOVED else float(np.hypot(*lateral_mm_s))
+    if sideways > 1.5 * abs(axial_mm_s or 0.0) and not _turns(trend, most=1.5):
+        return MotionKind.LATERAL
+    if _turns(trend, most=0.7):
+        return MotionKind.ROTATION
+    if scores.drift is not None and scores.drift >= MOVED:
+        return MotionKind.AXIAL
+    return MotionKind.LATERAL if (scores.flow or 0.0) >= MOVED or (scores.texture or 0.0) >= MOVED else MotionKind.AXIAL
+
+
+def _turns(trend: DriftTrend | None, most: float) -> bool:
+    """Say whether the drift's slope across the pattern exceeds its mean, and is certain."""
+    if trend is None:
+        return False
+    slope = float(np.hypot(trend.across, trend.down))
+    return slope > most * abs(trend.mean) and slope > MOVED * float(np.hypot(trend.sd[1], trend.sd[2]))
+
+
+def _to_and_fro(course: tuple[Array, Array]) -> bool:
+    """Say whether between the first Gray image and the sine images the depth went one way, and back again by a good
+    part of it."""
+    shift, sd = course
+    known = np.isfinite(shift)
+    if not known.any():
+        return False
+    # The coarse bits of the Gray code have few edges: what they say of the depth is known too badly to count here.
+    known &= np.nan_to_num(sd, nan=np.inf) < 2.5 * np.median(sd[known])
+    if np.count_nonzero(known) < 4:
+        return False
+    # The sine images are what shifts are counted from.
+    at = np.append(shift[known], 0.0)
+    rise = float(np.max(at - np.minimum.accumulate(at)))
+    fall = float(np.max(np.maximum.accumulate(at) - at))
+    back = min(rise, fall)
+    return back > TO_AND_FRO * max(rise, fall) and back > 4.0 * float(np.max(np.hypot(sd[known], EDGE_FLOOR_PX)))
+
+
+def _is_local(harm: Harm, scores: Scores) -> bool:
+    """Say whether albedo and Gray edges stand still as a whole, and most of the harm is in few cells close to each
+    other."""
+    known = (harm.weight > 0.0) & (harm.noise_mm > 0.0)
+    if np.count_nonzero(known) < 20 or (scores.flow or 0.0) >= MOVED or (scores.edges or 0.0) >= MOVED:
+        return False
+    # Uncertain cells have large ripples by chance.
+    certain = known & (np.abs(harm.drift_px) > 6.0 * harm.sd_px)
+    squared = np.where(certain, np.nan_to_num(harm.ripple_mm / harm.noise_mm) ** 2 * harm.weight, 0.0)
+    if squared.sum() <= 0.01 * harm.weight.sum():
+        return False
+    few = int(LOCAL_CELLS * np.count_nonzero(known))
+    row, column = np.unravel_index(np.argsort(squared, axis=None)[::-1][:few], squared.shape)
+    near = np.hypot(row - row[0], column - column[0]) <= LOCAL_REACH_CELLS
+    return bool(squared[row, column][near].sum() > LOCAL_SHARE * squared.sum())
+
+
+def _judgement(
+    kind: MotionKind,
+    harm: Harm,
+    axial_mm_s: float | None,
+    lateral_mm_s: tuple[float, float] | None,
+    shift_px: float | None,
+    place: Place | None,
+    scores: Scores,
+    lost: float,
+) -> Judgement:
+    moved = kind is not MotionKind.STILL
+    speeds = []
+    if axial_mm_s is not None and (scores.drift or 0.0) >= MOVED:
+        speeds.append(_turning_mm_s(harm) if kind is MotionKind.ROTATION else axial_mm_s)
+    if lateral_mm_s is not None and (scores.flow or 0.0) >= MOVED:
+        speeds += lateral_mm_s
+    speed = float(np.linalg.norm(speeds)) if speeds else None
+    added = harm.added
+    numbers: dict[str, float | None] = {
+        "added_noise_percent": None if added is None else 100.0 * added,
+        "limit_percent": 100.0 * MOST_ADDED,
+        "lost_percent": 100.0 * lost,
+        "ripple_mm": harm.ripple_rms_mm,
+        "noise_mm": harm.noise_rms_mm,
+        "shift_px": shift_px,
+        "speed_mm_s": speed,
+        "axial_mm_s": axial_mm_s,
+        "right_mm_s": None if lateral_mm_s is None else lateral_mm_s[0],
+        "down_mm_s": None if lateral_mm_s is None else lateral_mm_s[1],
+        "score": scores.largest,
+        "score_limit": MOVED,
+        "score_drift": scores.drift,
+        "score_edges": scores.edges,
+        "score_flow": scores.flow,
+        "score_texture": scores.texture,
+        "place_u_px": None if place is None or not moved else place.u_px,
+        "place_v_px": None if place is None or not moved else place.v_px,
+    }
+    if added is None:
+        return Judgement(Verdict(NAME, None, numbers, "too little to judge by"))
+    text = kind.value
+    if moved:
+        where = "" if place is None else f", {place.word}"
+        text = f"{kind.value}{'' if speed is None else f' {speed:.1f} mm/s'}{where}; adds {100.0 * added:.0f} % noise"
+    # What no sign of movement goes with is something else: specks between two images look like albedo that moves.
+    passed = added <= MOST_ADDED or not moved
+    fault = None
+    if not passed:
+        known = {"shift_px": shift_px, "added_noise_percent": 100.0 * added, "speed_mm_s": speed}
+        evidence = {name: value for name, value in known.items() if value is not None}
+        fault = Fault(FaultCode.MOVED, text, evidence)
+    return Judgement(Verdict(NAME, passed, numbers, text), fault)

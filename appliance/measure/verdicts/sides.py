@@ -1,0 +1,64 @@
+"""Owns the judgement whether left is left: which of the two orders of the cameras brings the rays of a scan together.
+
+Cameras that are toed in see what lies aside of the axis at different heights: each sees larger what is nearer to it. If the pictures of
+the two are exchanged, rays of one point pass each other above the axis in one sense at the left and in the other at the right,
+by centimetres at the corners, however the object lies; depths come out mirrored about where the axes cross, and most
+points are lost to the limit on gaps. No mounting error does that: with the other order the rays meet, or nearly.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.measure.calibration.gaps import signed_gap_mm
+from appliance.measure.fault import Fault, FaultCode
+from appliance.measure.light.model import StereoRig
+from appliance.measure.verdict import Judgement, Verdict
+
+Array = NDArray[np.float64]
+
+NAME = "sides"
+MOST_ASKED = 600
+"""Matches that are looked at: a median of so many is good to some percent."""
+FEWEST = 60
+LEAST_APART_MM = 1.0
+"""Distance in the standard housing by which both orders must differ, in the median: what is seen near the axis alone tells nothing."""
+MEETS, MISSES = 0.4, 0.6
+"""Shares of that distance: below the first the rays of an order meet, from the second on they do not. A drawing that nobody has compared
+with the instrument misses by up to a fifth."""
+
+
+def judge_sides(left_px: Array, right_px: Array, rig: StereoRig, water_index: float) -> Judgement:
+    """Judge matched pixels (n, 2) of the cameras that are taken for left and right.
+
+    Failed with SIDES_EXCHANGED: they are exchanged. Passed: they are not. ``None``: what is seen tells nothing. Numbers, in mm and medians:
+    ``gap_mm``, by how far rays miss each other; ``exchanged_mm``, the same with the cameras exchanged; ``apart_mm``, what
+    exchanging them changes.
+    """
+    step = max(1, len(left_px) // MOST_ASKED)
+    left_px, right_px = left_px[::step], right_px[::step]
+    numbers: dict[str, float | None] = {"gap_mm": None, "exchanged_mm": None, "apart_mm": None}
+    if len(left_px) < FEWEST:
+        return Judgement(Verdict(NAME, None, numbers, "too little is seen to tell left from right"))
+    usual = signed_gap_mm(rig, water_index, left_px, right_px)
+    other = signed_gap_mm(StereoRig(rig.right, rig.left, rig.volume), water_index, left_px, right_px)
+    # A shift of all is a camera that nods, and says nothing of its side.
+    apart = _spread(usual + other), _spread(usual - other)
+    gap_mm, exchanged_mm, apart_mm = _spread(usual), _spread(other), max(apart)
+    numbers = {"gap_mm": gap_mm, "exchanged_mm": exchanged_mm, "apart_mm": apart_mm}
+    if apart_mm < rig.volume.scaled(LEAST_APART_MM):
+        return Judgement(Verdict(NAME, None, numbers, "what is seen lies where left and right look alike"))
+    if exchanged_mm < MEETS * apart_mm and gap_mm >= MISSES * apart_mm:
+        text = (
+            f"rays miss each other by {gap_mm:.1f} mm, and by {exchanged_mm:.1f} mm with the cameras exchanged: exchange the serial numbers of "
+            "camera.left and camera.right in the rig file"
+        )
+        fault = Fault(FaultCode.SIDES_EXCHANGED, text, {"gap_mm": gap_mm, "exchanged_mm": exchanged_mm})
+        return Judgement(Verdict(NAME, False, numbers, text), fault)
+    passed = True if gap_mm < MEETS * apart_mm else None
+    return Judgement(Verdict(NAME, passed, numbers, "left is left" if passed else "neither order brings rays together"))
+
+
+def _spread(gap_mm: Array) -> float:
+    return float(np.median(np.abs(gap_mm - np.median(gap_mm))))

@@ -1,0 +1,210 @@
+"""Owns what a scan says about the cameras' windows: where fringes are softer than the other camera sees them.
+
+Fog, a scratch, dirt on a window throw light aside: fringes lose contrast there, mean light hardly does. Contrast is also lost
+on the object (light from one part of it on another, a soft projector) and in the water. But what happens on the object both
+cameras see, at the same pattern coordinates; so each camera is compared with the other one, place by place on the object. The
+water's backscatter differs between them, and smoothly over the image; a smooth surface is therefore taken off first. What is left in
+one cell of the image is the window's, if it stays there while the scene changes: that is ``appliance.instrument.service.windows``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from appliance.measure.decode.decoder import Mask
+from appliance.measure.light.noise import FULL_DN
+from appliance.measure.light.sequence import Direction, PatternSequence
+from appliance.measure.light.sides import SIDES
+from appliance.measure.points.grid import PixelGrid
+from appliance.measure.points.images import ScanImages
+from appliance.measure.verdict import Verdict
+from appliance.measure.verdicts.light.fit import medians_of
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+
+NAME = "windows"
+CELLS = (8, 6)
+"""Columns and rows of cells over each image; a place on the window that is smaller is blurred over one."""
+PLACES = (24, 18)
+"""Columns and rows of places over the pattern, at which the cameras are compared."""
+SAMPLES = 40_000
+"""Pixels asked of each camera, at most."""
+MIN_PER_CELL, MIN_PER_PLACE = 40, 12
+MIN_CELLS = 12
+"""Fewer do not tell a local fall from anything."""
+MIN_LIGHT_DN = 16.0
+"""Bright minus dark below this: the contrast is noise."""
+ROUNDS, TUNED = 6, 0.03
+"""Iterations of the robust fit, and the fall from which on a cell counts less."""
+SLACK = 0.08
+"""A fall that every cell is forgiven: three times what a clean window shows on any object in clear water."""
+USUAL_QUANTILE, USUAL = 0.65, 2.0
+"""Quantile of the cells' falls and the factor on it that a cell is forgiven: in turbid water the backscatter's own
+pattern remains."""
+_FULL, _NO_REASON = np.uint8(FULL_DN), np.uint8(Mask.VALID)
+
+
+@dataclass(frozen=True, slots=True)
+class Windows:
+    """One scan. By side ``left`` and ``right``; arrays (CELLS[0] · CELLS[1],), cells by row."""
+
+    falls: Mapping[str, Array]
+    """Share of the contrast that is missing in each cell; NaN where it cannot be told."""
+    wholes: Mapping[str, float | None]
+    """The same of all of the window, against the other one; ``None`` where it cannot be told."""
+    forgiven: Mapping[str, float]
+    """A fall of this size says nothing in this scan."""
+    light: Mapping[str, Array]
+    """Mean light of the object in each cell, DN; 0 where none is seen. It tells one scene from another."""
+
+    def verdict(self) -> Verdict:
+        """Return what is written down. Nothing is refused by a single scan: ``passed`` is always None."""
+        numbers: dict[str, float | None] = {}
+        parts = []
+        for side in SIDES:
+            falls = self.falls[side]
+            known = bool(np.isfinite(falls).any())
+            worst = int(np.nanargmax(falls)) if known else 0
+            whole = self.wholes[side]
+            numbers[f"{side}_fall_percent"] = 100.0 * float(falls[worst]) if known else None
+            numbers[f"{side}_column"] = float(worst % CELLS[0]) if known else None
+            numbers[f"{side}_row"] = float(worst // CELLS[0]) if known else None
+            numbers[f"{side}_whole_percent"] = None if whole is None else 100.0 * whole
+            numbers[f"{side}_forgiven_percent"] = 100.0 * self.forgiven[side]
+            if known:
+                parts.append(f"{side} at most {100.0 * float(falls[worst]):.0f} % softer in a cell")
+        return Verdict(
+            NAME, None, numbers, ", ".join(parts) or "too little seen by both cameras to judge the windows by"
+        )
+
+
+def window_grid(sequence: PatternSequence) -> PixelGrid:
+    """Return the grid of pixels by which windows are judged: bright, dark, the sines of X and Y."""
+    sines = [k for direction in Direction for k in sequence.axis(direction).sine]
+
+    def steps(rows: int, columns: int) -> tuple[int, int]:
+        step = max(1, math.ceil(math.sqrt(rows * columns / SAMPLES)))
+        return step, step
+
+    return PixelGrid([sequence.bright, sequence.dark, *sines], steps)
+
+
+def look_at_windows(images: ScanImages, grids: Mapping[str, PixelGrid] | None = None) -> Windows:
+    """Compare the cameras' fringes place by place. ``grids`` of both sides, where they were taken while the frames arrived."""
+    grids = grids or {side: window_grid(images.sequence).taken(images.frames[side]) for side in SIDES}
+    seen = {side: _look(images, side, grids[side]) for side in SIDES}
+    falls: dict[str, Array] = {}
+    wholes: dict[str, float | None] = {}
+    forgiven: dict[str, float] = {}
+    for side, other in (SIDES, SIDES[::-1]):
+        falls[side], wholes[side] = _falls(seen[side], seen[other])
+        finite = falls[side][np.isfinite(falls[side])]
+        usual = float(np.quantile(np.abs(finite), USUAL_QUANTILE)) if len(finite) else 0.0
+        forgiven[side] = max(SLACK, USUAL * usual)
+    return Windows(falls, wholes, forgiven, {side: seen[side].light for side in SIDES})
+
+
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """One camera's sampled pixels with coordinates, n of them."""
+
+    contrast: Floats
+    cell: NDArray[np.intp]
+    place: NDArray[np.intp]
+    light: Array
+    """Mean light of the object by cell, DN."""
+
+
+def _look(images: ScanImages, side: str, grid: PixelGrid) -> _Seen:
+    decoded, sequence = images.decoded[side], images.sequence
+    mask = decoded.mask[grid.at]
+    row, column = (np.arange(n) * m // n for n, m in zip(mask.shape, CELLS[::-1], strict=True))
+    places_per_px = (np.float32(PLACES[0] / sequence.width_px), np.float32(PLACES[1] / sequence.height_px))
+    contrast, cell, place, total = ask(
+        grid.grey, mask, decoded.p_px[grid.at], decoded.q_px[grid.at], CELLS[0] * row, column, places_per_px
+    )  # fmt: skip
+    return _Seen(contrast, cell, place, total / max(1.0, mask.size / len(total)))
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def ask(
+    grey: NDArray[np.uint8],
+    mask: NDArray[np.uint8],
+    p_px: Floats,
+    q_px: Floats,
+    cell_row: NDArray[np.int64],
+    cell_column: NDArray[np.int64],
+    places_per_px: tuple[np.float32, np.float32],
+) -> tuple[Floats, NDArray[np.int64], NDArray[np.int64], Array]:
+    """Return contrast, cell and place of the pixels (h, w) with coordinates and enough light, (n,) each, and each cell's sum of light.
+
+    ``grey`` (10, h, w): bright, dark, sines. The cell is the sum of ``cell_row`` and ``cell_column``.
+    """
+    rows, columns = mask.shape
+    contrast = np.empty(mask.size, np.float32)
+    cell, place = np.empty(mask.size, np.int64), np.empty(mask.size, np.int64)
+    total = np.zeros(CELLS[0] * CELLS[1])
+    n = 0
+    for j in range(rows):
+        for i in range(columns):
+            light = np.float32(grey[0, j, i]) - np.float32(grey[1, j, i])
+            if mask[j, i] != _NO_REASON or grey[0, j, i] >= _FULL or not light > np.float32(MIN_LIGHT_DN):
+                continue
+            # 2 B of each direction; over twice the light it is the contrast.
+            swing = np.float32(0.0)
+            for k in (2, 6):
+                cosine = np.float32(grey[k, j, i]) - np.float32(grey[k + 2, j, i])
+                sine = np.float32(grey[k + 1, j, i]) - np.float32(grey[k + 3, j, i])
+                swing += np.sqrt(cosine * cosine + sine * sine)
+            contrast[n] = np.float32(0.5) * swing / light
+            cell[n] = cell_row[j] + cell_column[i]
+            total[cell[n]] += light
+            # The place on the pattern; what lies a little beyond its borders belongs to the outermost ones.
+            across = min(max(int(p_px[j, i] * places_per_px[0]), 0), PLACES[0] - 1)
+            down = min(max(int(q_px[j, i] * places_per_px[1]), 0), PLACES[1] - 1)
+            place[n] = down * PLACES[0] + across
+            n += 1
+    return contrast[:n].copy(), cell[:n].copy(), place[:n].copy(), total
+
+
+def _falls(mine: _Seen, others: _Seen) -> tuple[Array, float | None]:
+    """Return, (cells,) and in all, how much softer this camera's fringes are than the other's at the same places of
+    the object."""
+    count = np.bincount(others.place, minlength=PLACES[0] * PLACES[1])
+    mean = np.bincount(others.place, others.contrast, PLACES[0] * PLACES[1]) / np.maximum(count, 1)
+    known = count[mine.place] >= MIN_PER_PLACE
+    cell, ratio = mine.cell[known], mine.contrast[known] / mean[mine.place[known]]
+    size = CELLS[0] * CELLS[1]
+    ratios, falls = np.full(size, np.nan), np.full(size, np.nan)
+    order = np.argsort(cell.astype(np.uint8), kind="stable")  # a byte is sorted by counting
+    borders = np.searchsorted(cell[order], np.arange(size + 1))
+    pixels = np.diff(borders)
+    enough = pixels >= MIN_PER_CELL
+    ratios[enough] = medians_of(ratio, order[np.repeat(enough, pixels)], np.cumsum(pixels[enough]))
+    judged = np.flatnonzero(np.isfinite(ratios))
+    if len(judged) < MIN_CELLS:
+        return falls, None
+    falls[judged] = 1.0 - ratios[judged] / _smooth(judged, ratios[judged])
+    return falls, 1.0 - float(np.median(ratios[judged]))
+
+
+def _smooth(cells: NDArray[np.intp], ratios: Array) -> Array:
+    """Return the ratios as they would be if they changed smoothly: a plane over the image, that cells with a fall
+    hardly pull."""
+    x, y = cells % CELLS[0] / (CELLS[0] - 1.0) - 0.5, cells // CELLS[0] / (CELLS[1] - 1.0) - 0.5
+    A = np.stack([np.ones_like(x), x, y], -1)
+    fit = np.full(len(cells), np.median(ratios))
+    for _ in range(ROUNDS):
+        # Cauchy weights: a cell with a fall hardly pulls the plane.
+        weight = 1.0 / (1.0 + ((ratios / fit - 1.0) / TUNED) ** 2)
+        rooted = np.sqrt(weight)
+        fit = A @ np.linalg.lstsq(A * rooted[:, None], ratios * rooted, rcond=None)[0]
+        fit = np.maximum(fit, 0.1)
+    return np.asarray(fit)

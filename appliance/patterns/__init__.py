@@ -1,1 +1,0 @@
-"""The projected patterns: the one list of frames that drives drawing, capturing and decoding."""

@@ -1,1 +1,0 @@
-"""The data that survives the loss of power: scans, their manifests, clouds, the status file."""

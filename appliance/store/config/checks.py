@@ -1,0 +1,199 @@
+"""Owns the rules between keys of the rig file: what each value may be in view of the others."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from appliance.store.config.rig import OutputRig, Rig
+from drivers.camera_families import USUAL, families
+from drivers.registered_wires import NATIVE, REGISTERED
+
+BOUNDARY_US = 100
+"""Largest distance of a trigger from the beginning of a sub-frame."""
+WHOLE_MS = 0.02
+"""Largest difference of an exposure from whole sub-frames: what rounding to hundredths of a millisecond makes, and a little more."""
+MOST_DELAY_US = 15_000
+"""Largest delay that the board takes (ARM)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Complaint:
+    """One broken rule: the key, its value, how it relates to what is allowed, and what to do."""
+
+    key: str
+    value: object
+    relation: str
+    """Relation that is violated: ``> 16.16``, ``missing``, ``same as camera.left.serial``."""
+    allowed: str
+    remedy: str
+
+
+def complaints(rig: Rig) -> Iterator[Complaint]:
+    """Yield every broken rule, in the order of the file."""
+    if rig.rig.wires not in REGISTERED:
+        yield Complaint(
+            "rig.wires",
+            rig.rig.wires,
+            "not registered",
+            ", ".join(REGISTERED),
+            f"correct it; on an instrument it is {NATIVE}",
+        )
+    if rig.camera.kind not in families():
+        yield Complaint(
+            "camera.kind",
+            rig.camera.kind,
+            "is no family of cameras",
+            ", ".join(families()),
+            f'correct it; usually it is "{USUAL}", and may be left out',
+        )
+    yield from _exposures_fit(rig)
+    yield from _volume_is_seen(rig)
+    if rig.camera.left.serial == rig.camera.right.serial:
+        yield Complaint(
+            "camera.right.serial",
+            rig.camera.right.serial,
+            "same as camera.left.serial",
+            "two different serial numbers",
+            "read both from the cameras' type plates or with `kingfisher check`",
+        )
+    yield from _output_is_complete("projector", rig.projector)
+    yield from _output_is_complete("display", rig.display)
+    # One card may drive both, and on the instrument it does; one connector cannot.
+    same_output = (rig.projector.card, rig.projector.connector) == (rig.display.card, rig.display.connector)
+    if rig.projector.kind == "kms" and rig.display.kind == "kms" and same_output:
+        yield Complaint(
+            "display.connector",
+            rig.display.connector,
+            "same as projector.connector",
+            "two different connectors",
+            "the projector and the diver's screen each need their own",
+        )
+    limits = rig.limits
+    for part, warm, hot, off in (
+        ("case", limits.case_warm_c, limits.case_hot_c, limits.case_off_c),
+        ("projector", limits.projector_warm_c, limits.projector_hot_c, limits.projector_off_c),
+    ):
+        if hot >= off:
+            yield Complaint(
+                f"limits.{part}_off_c", off, f"<= {hot:g}", f"above {part}_hot_c", "cool down before switching off"
+            )
+        if warm >= hot:
+            yield Complaint(
+                f"limits.{part}_warm_c", warm, f">= {hot:g}", f"below {part}_hot_c", "warn before scans are blocked"
+            )
+
+
+def _exposures_fit(rig: Rig) -> Iterator[Complaint]:
+    period_ms = 1000.0 / rig.projector.refresh_hz
+    delay_ms = into_light_us(rig) / 1000.0
+    # The exposure must end before the next pattern is on the screen: it begins trigger_delay_us after the vertical
+    # sync, and light that begins later ends later.
+    longest_ms = period_ms - delay_ms
+    for side, camera in (("left", rig.camera.left), ("right", rig.camera.right)):
+        if camera.exposure_ms > longest_ms:
+            yield Complaint(
+                f"camera.{side}.exposure_ms",
+                camera.exposure_ms,
+                f"> {_floor_2(longest_ms):g}",
+                f"0.05..{_floor_2(longest_ms):g} ms (period {period_ms:.2f} ms less trigger delay {delay_ms:g} ms)",
+                "shorten the exposure, or board.trigger_delay_us",
+            )
+    allowed_ms, left_ms = rig.scan.exposures_ms, rig.camera.left.exposure_ms
+    if allowed_ms is not None and left_ms not in allowed_ms:
+        yield Complaint(
+            "camera.left.exposure_ms",
+            left_ms,
+            "is none of scan.exposures_ms",
+            ", ".join(f"{one:g}" for one in allowed_ms),
+            "choose one of them, or measure this one with `kingfisher measure exposures`",
+        )
+    if rig.projector.sub_frames > 1:
+        yield from _whole_sub_frames(rig)
+
+
+def into_light_us(rig: Rig) -> int:
+    """Return how long after a picture's light begins an exposure does: the trigger's delay, less the light's own where that is known and not
+    longer."""
+    delay_us, begins_us = rig.board.trigger_delay_us, rig.projector.light_begins_us
+    return delay_us - begins_us if delay_us >= begins_us else delay_us
+
+
+def _whole_sub_frames(rig: Rig) -> Iterator[Complaint]:
+    """Yield what is exposed for other than whole sub-frames: there each grey has another weight than in the rest."""
+    projector, delay_us = rig.projector, rig.board.trigger_delay_us
+    step_ms = projector.sub_frame_ms
+    begins_us = [projector.light_begins_us + round(1000.0 * k * step_ms) for k in range(projector.sub_frames)]
+    if min(abs(delay_us - begins) for begins in begins_us) > BOUNDARY_US:
+        yield Complaint(
+            "board.trigger_delay_us",
+            delay_us,
+            f"is not where one of projector.sub_frames {projector.sub_frames} begins",
+            ", ".join(str(one) for one in begins_us if one <= MOST_DELAY_US) + f" us, each to {BOUNDARY_US} us",
+            "begin with a sub-frame, or measure the projector with `kingfisher bringup projector`",
+        )
+    left_ms, right_ms = rig.camera.left.exposure_ms, rig.camera.right.exposure_ms
+    asked = [("camera.left.exposure_ms", left_ms), *(("scan.exposures_ms", one) for one in rig.scan.exposures_ms or ())]
+    for key, exposure_ms in asked:
+        count = round(exposure_ms / step_ms)
+        if count < 1 or abs(exposure_ms - count * step_ms) > WHOLE_MS:
+            yield Complaint(
+                key,
+                exposure_ms,
+                f"is no multiple of a sub-frame of {step_ms:.3f} ms",
+                ", ".join(f"{k * step_ms:.3f}" for k in range(1, projector.sub_frames + 1)),
+                "choose one of them, or correct projector.sub_frames",
+            )
+    if right_ms != left_ms:
+        yield Complaint(
+            "camera.right.exposure_ms",
+            right_ms,
+            "differs from camera.left.exposure_ms",
+            f"{left_ms:g}, as on the left",
+            "set both alike: what a camera needs more is its gain_db",
+        )
+
+
+def _volume_is_seen(rig: Rig) -> Iterator[Complaint]:
+    """The volume has an order, and the cameras as drawn look into it."""
+    volume = rig.volume
+    if not volume.nearest_mm < volume.working_mm < volume.farthest_mm:
+        yield Complaint(
+            "volume.working_mm",
+            volume.working_mm,
+            "not between volume.nearest_mm and volume.farthest_mm",
+            "nearest_mm < working_mm < farthest_mm",
+            "state the distances that the housing was built for",
+        )
+        return
+    if rig.design.toe_in_deg <= 0.0:
+        return
+    crossing_mm = 0.5 * rig.design.baseline_mm / math.tan(math.radians(rig.design.toe_in_deg))
+    if not volume.nearest_mm <= crossing_mm <= volume.farthest_mm:
+        yield Complaint(
+            "volume.working_mm",
+            volume.working_mm,
+            f"does not fit [design], whose cameras' axes cross at {crossing_mm:.0f} mm",
+            f"a volume that holds this distance; it is {volume.nearest_mm:g}..{volume.farthest_mm:g} mm",
+            "state [volume] for this housing, or correct design.baseline_mm and design.toe_in_deg",
+        )
+
+
+def _output_is_complete(table: str, output: OutputRig) -> Iterator[Complaint]:
+    if output.kind == "window":
+        return
+    for key, value in (("card", output.card), ("connector", output.connector)):
+        if value is None:
+            yield Complaint(
+                f"{table}.{key}",
+                None,
+                "missing",
+                'a name, since kind = "kms"',
+                'add it, or set kind = "window"',
+            )
+
+
+def _floor_2(value: float) -> float:
+    # Rounded down: the limit that the message names must itself be accepted.
+    return int(value * 100.0) / 100.0

@@ -1,0 +1,66 @@
+"""Owns what a person calls a scan: a name and a note, in ``label.json`` beside the manifest.
+
+    {"schema": 1, "name": "bollard 3", "note": "north side, before cleaning", "sha256": "…"}
+
+A file of its own: the manifest's bytes stay those of the dive, and a version that knows no labels reads the scan as before. It
+travels with the folder. A damaged label is no damage to the scan.
+"""
+
+from __future__ import annotations
+
+import unicodedata
+from dataclasses import dataclass
+from pathlib import Path
+
+from appliance.base.sealed_file import ContentError, SealedFile
+from appliance.store.atomic import replace_file
+from appliance.store.filesystem import FileSystem
+
+FILE_NAME = "label.json"
+_CONTROL = ("Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp")
+"""Unicode's categories of what is no character to read: controls, formats, surrogates, unassigned ones, line ends."""
+LONGEST_NAME, LONGEST_NOTE = 60, 1000
+"""Greatest lengths in characters: a name is a column of a list, a note a paragraph."""
+
+
+@dataclass(frozen=True, slots=True)
+class Label:
+    """Name and note of a scan; ``None``: there is none."""
+
+    name: str | None = None
+    note: str | None = None
+
+
+NO_LABEL = Label()
+LABEL = SealedFile(Label, schema=1, max_bytes=16_384)
+
+
+def checked(what: str, text: str, longest: int) -> str | None:
+    """Return ``text`` in Unicode's composed form without blanks around it; ``None`` where nothing is left.
+
+    ``what``: ``name`` or ``note``, for the message. Raises ContentError for control characters, among them line ends and
+    those that turn the direction of writing, and for more than ``longest`` characters.
+    """
+    plain = unicodedata.normalize("NFC", text).strip()
+    for at, character in enumerate(plain):
+        if unicodedata.category(character) in _CONTROL:
+            raise ContentError(
+                what, f"character {at + 1} is U+{ord(character):04X}, a control character", remedy="leave it out"
+            )
+    if len(plain) > longest:
+        raise ContentError(what, f"{len(plain)} characters", str(longest), "shorten it")
+    return plain or None
+
+
+def read(folder: Path) -> Label:
+    """Return the label of a scan's folder; an empty one where there is none. Raises ContentError."""
+    found = LABEL.load(folder / FILE_NAME, name=FILE_NAME) or NO_LABEL
+    return Label(
+        checked(f"{FILE_NAME}: name", found.name or "", LONGEST_NAME),
+        checked(f"{FILE_NAME}: note", found.note or "", LONGEST_NOTE),
+    )
+
+
+def write(fs: FileSystem, folder: Path, label: Label) -> None:
+    """Write the label; it is durable and whole on return. Raises StorageError."""
+    replace_file(fs, folder / FILE_NAME, LABEL.encode(label))

@@ -1,0 +1,449 @@
+"""Owns all scans of an instrument: new ones, published and rejected ones, and what a loss of power left behind.
+
+    <root>/scans/000123       published
+    <root>/scans/.000123      being written, or waiting for the diver's decision
+    <root>/rejected/000123    not wanted, kept all the same
+    <root>/set-aside/000123   incomplete after a loss of power
+    <root>/trash/000123       put away at the desk; made when it is first needed
+    <root>/next-id            see ``appliance.store.counter``
+    <root>/room               space for the next scan, see ``appliance.store.room``
+
+Nothing in here deletes a scan. One process writes (``appliance.store.lock``), from one thread at a time; any number
+may read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from appliance.base.sealed_file import ContentError
+from appliance.store import counter, scan
+from appliance.store import label as labels
+from appliance.store import manifest as form
+from appliance.store.atomic import StorageError, move_folder, refused, replace_file
+from appliance.store.filesystem import FileSystem, LocalFileSystem
+from appliance.store.label import NO_LABEL, Label
+from appliance.store.manifest import Decision, Manifest
+from appliance.store.names import by_number, scan_number
+from appliance.store.record import ScanRecord
+
+if TYPE_CHECKING:  # NumPy is loaded where pixels and points are: a list of scans touches none
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from appliance.store.ply import PointCloud
+
+
+class LibraryFolder(Enum):
+    """Folders that a finished scan can lie in; the values are folder names."""
+
+    SCANS = "scans"
+    REJECTED = "rejected"
+    SET_ASIDE = "set-aside"
+    TRASH = "trash"
+
+
+@dataclass(frozen=True, slots=True)
+class ScanEntry:
+    """One scan in the list. A damaged one is listed like the others, with its problems."""
+
+    scan_id: str
+    shelf: LibraryFolder
+    folder: Path
+    manifest: Manifest | None
+    problems: tuple[str, ...]
+    size_bytes: int
+    label: Label = NO_LABEL
+
+    @property
+    def ok(self) -> bool:
+        """True if nothing wrong was found."""
+        return not self.problems
+
+
+@dataclass(frozen=True, slots=True)
+class Recovery:
+    """Outcome of ``recover``: ids of scans published after all, put among the rejected, set aside, and what failed."""
+
+    recovered: tuple[str, ...] = ()
+    rejected: tuple[str, ...] = ()
+    set_aside: tuple[str, ...] = ()
+    failed: tuple[str, ...] = ()
+
+
+class UnknownScan(Exception):
+    """There is no scan of that number."""
+
+
+class Library:
+    """The scans under one root. Raises StorageError for whatever the disk refuses."""
+
+    def __init__(self, root: Path, fs: FileSystem | None = None) -> None:
+        """Remember where the scans are; nothing is touched until ``prepare`` or a reading method is called."""
+        self.root = root
+        self._fs: FileSystem = fs or LocalFileSystem()
+
+    # ------------------------------------------------------------------------------------- writing
+
+    def prepare(self) -> None:
+        """Make the folders that are missing, durably. Raises StorageError."""
+        for folder in (self.root, *(self._shelf(shelf) for shelf in LibraryFolder if shelf is not LibraryFolder.TRASH)):
+            self._make(folder)
+
+    def _make(self, folder: Path) -> None:
+        if folder.is_dir():
+            return
+        # From the top down: a folder is durable only once its entry in its parent is.
+        for one in reversed([one for one in (folder, *folder.parents) if not one.exists()]):
+            with refused("cannot make", one):
+                self._fs.make_folder(one)
+                self._fs.sync_folder(one.parent)
+
+    def begin(
+        self, frames: Mapping[str, NDArray[np.uint8]], record: ScanRecord, origin: scan.ScanOrigin
+    ) -> PendingScan:
+        """Make a scan's raw frames and their ``origin`` durable, hidden from the list, before anything is decided.
+
+        ``frames``: by side, (n, h, w) uint8; not used after return. On failure nothing of this scan stays, the
+        frames are still the caller's, and ``begin`` may be called again. Raises StorageError, ValueError.
+        """
+        # The number is durably gone before anything is written: whatever fails below, it is never given to another
+        # scan.
+        scan_id = counter.spell_id(counter.take(self._fs, self.root, self._numbers()))
+        folder = self._shelf(LibraryFolder.SCANS) / f".{scan_id}"
+        try:
+            manifest = scan.write_raw(self._fs, folder, scan_id, frames, record, origin)
+            with refused("cannot make durable", folder):
+                # The hidden name becomes durable here; what lies inside is durable already (``write_raw``).
+                self._fs.sync_folder(folder.parent)
+        except (StorageError, ValueError):
+            with suppress(StorageError):
+                # The frames are still in memory and are tried again under a new number; half a folder would only take
+                # room.
+                scan.discard_raw(self._fs, folder)
+            raise
+        return PendingScan(self._fs, self.root, folder, manifest)
+
+    def recover(self) -> Recovery:
+        """Look through what an earlier process left unfinished; call once at the start, before ``begin``.
+
+        A folder whose manifest and checksums are right becomes a scan, marked as recovered. Any other is set aside.
+        Nothing is deleted, and one folder that cannot be moved does not keep the others from it.
+        """
+        done: dict[str, list[str]] = {"recovered": [], "rejected": [], "set_aside": [], "failed": []}
+        # Hidden folders are scans that were not published before the power was lost.
+        for folder in sorted(self._folders(LibraryFolder.SCANS, hidden=True)):
+            scan_id = folder.name.removeprefix(".")
+            try:
+                done[self._recover(folder, scan_id)].append(scan_id)
+            except StorageError as error:
+                done["failed"].append(str(error))
+        return Recovery(**{name: tuple(ids) for name, ids in done.items()})
+
+    def _recover(self, folder: Path, scan_id: str) -> str:
+        manifest = self._salvaged(folder)
+        if manifest is None:
+            move_folder(self._fs, folder, self._free_name(LibraryFolder.SET_ASIDE, scan_id))
+            return "set_aside"
+        for path in sorted(folder.iterdir()):
+            if path.name not in manifest.files and path.name != form.FILE_NAME:
+                with refused("cannot rename", path):  # half of a cloud, or of a manifest: kept, but not trusted
+                    self._fs.rename(path, path.with_name(f"{path.name.removeprefix('.')}.partial"))
+        # The manifest says "recovered" before the folder is published, not after: a second loss of power in between
+        # finds the same state again.
+        replace_file(self._fs, folder / form.FILE_NAME, form.encode(manifest))
+        rejected = manifest.decision is Decision.REJECTED
+        target = self._shelf(LibraryFolder.REJECTED if rejected else LibraryFolder.SCANS) / scan_id
+        # Only a copy made by hand can have the number; neither of both is overwritten.
+        if target.exists():
+            move_folder(self._fs, folder, self._free_name(LibraryFolder.SET_ASIDE, scan_id))
+            return "set_aside"
+        move_folder(self._fs, folder, target)
+        return "rejected" if rejected else "recovered"
+
+    def _salvaged(self, folder: Path) -> Manifest | None:
+        """Return the folder's manifest, marked, with the files that are right; ``None`` without whole raw frames."""
+        try:
+            manifest = form.read(folder)
+        except ContentError:
+            return None
+        # Every byte is read: after a loss of power a file may have its length and hold zeros.
+        wrong = scan.wrong_files(folder, manifest, checksums=True)
+        if manifest.scan_id != folder.name.removeprefix(".") or any(name in wrong for name in scan.RAW_FILES):
+            return None
+        if any(name in wrong for name in scan.SECOND_FILES):
+            # One exposure is a scan, half of a second one is nothing.
+            manifest = replace(manifest, record=replace(manifest.record, second=None))
+            wrong |= dict.fromkeys(scan.SECOND_FILES, "of no use alone")
+        files = {name: stamp for name, stamp in manifest.files.items() if name not in wrong}
+        return replace(manifest, files=files, recovered=True)
+
+    def add_cloud(self, scan_id: str, cloud: PointCloud, preview_png: bytes | None, record: ScanRecord) -> Manifest:
+        """Give a published scan that has no cloud one (reconstructed later). Raises StorageError, UnknownScan, ScanError.
+
+        A scan with a cloud keeps it: what was seen at the time of the dive is not rewritten.
+        """
+        entry = self.entry(scan_id)
+        if entry.manifest is None or entry.problems:
+            raise scan.ScanError(f"scan {scan_id}: {'; '.join(entry.problems)}")
+        if scan.CLOUD in entry.manifest.files:
+            raise scan.ScanError(f"scan {scan_id}: has a cloud already; write the new one elsewhere with --out FILE")
+        return scan.finish(self._fs, entry.folder, entry.manifest, entry.manifest.decision, record, cloud, preview_png)
+
+    def trash(self, scan_id: str) -> Path:
+        """Put a scan away: it is no longer listed or shown, and keeps its number and every byte. Answers its folder.
+
+        Raises UnknownScan, ScanError for one that lies in the trash already or is set aside, StorageError.
+        """
+        shelf, folder = self._find(scan_id)
+        if shelf is LibraryFolder.TRASH:
+            raise scan.ScanError(f"scan {folder.name} is in the trash already; `kingfisher scans restore` takes it out")
+        if shelf is LibraryFolder.SET_ASIDE:
+            raise scan.ScanError(
+                f"scan {folder.name} is set aside: it is not whole, and in no list; nothing to put away"
+            )
+        return self._moved(folder, self._shelf(LibraryFolder.TRASH) / folder.name)
+
+    def restore(self, scan_id: str) -> Path:
+        """Take a scan out of the trash, to where its manifest says that it belongs. Answers its folder.
+
+        Raises UnknownScan for one that is not in the trash, ScanError where another of its number lies there, StorageError.
+        """
+        folder = self._find_on(LibraryFolder.TRASH, scan_id)
+        if folder is None:
+            raise UnknownScan(
+                f"no scan {scan_id!r} in the trash of {self.root}; `kingfisher scans list --trash --root {self.root}` shows it"
+            )
+        return self._moved(folder, self._shelf(_belongs(folder)) / folder.name)
+
+    def _moved(self, folder: Path, target: Path) -> Path:
+        # The trash is made when it is first needed.
+        self._make(target.parent)
+        if target.exists():
+            raise scan.ScanError(f"scan {folder.name}: {target} is there already; move one of them elsewhere")
+        move_folder(self._fs, folder, target)
+        return target
+
+    def set_label(self, scan_id: str, label: Label) -> None:
+        """Give a scan a name and a note, durably; nothing else in its folder changes. Raises UnknownScan, StorageError."""
+        labels.write(self._fs, self._find(scan_id)[1], label)
+
+    # ------------------------------------------------------------------------------------- reading
+
+    def entries(self, shelf: LibraryFolder = LibraryFolder.SCANS) -> list[ScanEntry]:
+        """Return all scans of a shelf by number; manifests and lengths are checked, checksums are not (``verify``)."""
+        return [entry_of(folder, checksums=False) for folder in self._sorted(shelf)]
+
+    def entry(self, scan_id: str) -> ScanEntry:
+        """Return one scan by its number, wherever it lies. Raises UnknownScan."""
+        return entry_of(self._find(scan_id)[1], checksums=False)
+
+    def verify(self, scan_id: str) -> ScanEntry:
+        """Return the entry of a scan like ``entry``, but read every byte. Raises UnknownScan."""
+        return entry_of(self._find(scan_id)[1], checksums=True)
+
+    def load(self, scan_id: str) -> scan.StoredScan:
+        """Open a scan. Raises UnknownScan, ScanError."""
+        return scan.load(self._find(scan_id)[1])
+
+    def count(self) -> int:
+        """Return the number of published scans."""
+        return sum(1 for _ in self._folders(LibraryFolder.SCANS))
+
+    def newest_first(self) -> list[Path]:
+        """Return the folders of all scans, wherever they lie, those that were taken last first."""
+        folders = [folder for shelf in LibraryFolder for folder in self._folders(shelf)]
+        return sorted(folders, key=_number, reverse=True)
+
+    def ids(self) -> list[str]:
+        """Return numbers of all published scans, the oldest first."""
+        return [folder.name for folder in self._sorted(LibraryFolder.SCANS)]
+
+    def last_id(self) -> str | None:
+        """Return the newest published scan."""
+        folders = self._sorted(LibraryFolder.SCANS)
+        return folders[-1].name if folders else None
+
+    def scans_left(self, scan_bytes: int, reserve_bytes: int) -> int | None:
+        """Estimate how many more scans of that size fit above the reserve; ``None`` where the disk does not tell."""
+        try:
+            free = self._fs.free_bytes(self.root)
+        except OSError:
+            return None
+        return max(0, (free - reserve_bytes) // scan_bytes)
+
+    # ------------------------------------------------------------------------------------- folders
+
+    def _shelf(self, shelf: LibraryFolder) -> Path:
+        return self.root / shelf.value
+
+    def _folders(self, shelf: LibraryFolder, *, hidden: bool = False) -> Iterator[Path]:
+        with refused("cannot list", self._shelf(shelf)):
+            try:
+                children = list(self._shelf(shelf).iterdir())
+            except FileNotFoundError:
+                return
+        for child in children:
+            if child.name.startswith(".") == hidden and _numbered(child) is not None and child.is_dir():
+                yield child
+
+    def _sorted(self, shelf: LibraryFolder) -> list[Path]:
+        return sorted(self._folders(shelf), key=lambda folder: by_number(folder.name))
+
+    def _numbers(self) -> Iterator[int]:
+        for shelf in LibraryFolder:
+            for hidden in (False, True):
+                yield from (_number(folder) for folder in self._folders(shelf, hidden=hidden))
+
+    def _free_name(self, shelf: LibraryFolder, scan_id: str) -> Path:
+        # Nothing that was set aside is ever overwritten by something else with its number.
+        names = (scan_id, *(f"{scan_id}-{k}" for k in range(2, 1000)))
+        return next(path for name in names if not (path := self._shelf(shelf) / name).exists())
+
+    def _find(self, scan_id: str) -> tuple[LibraryFolder, Path]:
+        for shelf in LibraryFolder:
+            folder = self._find_on(shelf, scan_id)
+            if folder is not None:
+                return shelf, folder
+        raise UnknownScan(
+            f"no scan {scan_id!r} under {self.root}; `kingfisher scans list --all --root {self.root}` shows what there is"
+        )
+
+    def _find_on(self, shelf: LibraryFolder, scan_id: str) -> Path | None:
+        for folder in self._sorted(shelf):
+            # isascii: digits of other scripts are digits, too, and no folder has any. As texts: int() refuses thousands of them.
+            plain_number = (
+                scan_id.isascii() and scan_id.isdigit() and (scan_id.lstrip("0") or "0") == str(_number(folder))
+            )
+            if folder.name == scan_id or plain_number:
+                return folder
+        return None
+
+
+def _belongs(folder: Path) -> LibraryFolder:
+    """Return the folder in which a scan lay before it came into the trash; a damaged one is listed, as a stored one
+    would be."""
+    try:
+        return LibraryFolder.REJECTED if form.read(folder).decision is Decision.REJECTED else LibraryFolder.SCANS
+    except ContentError:
+        return LibraryFolder.SCANS
+
+
+def entry_of(folder: Path, *, checksums: bool) -> ScanEntry:
+    """Return one scan by its folder, be it in a library or copied elsewhere; ``checksums``: every byte is read.
+
+    A folder outside of any library counts as one of published scans, and may have any name. A number as its name must be
+    the scan's own.
+    """
+    whole = folder.absolute()
+    shelf = next((one for one in LibraryFolder if one.value == whole.parent.name), LibraryFolder.SCANS)
+    size_bytes = _size(folder)
+    try:
+        manifest = form.read(folder)
+    except ContentError as error:
+        return ScanEntry(whole.name, shelf, folder, None, (str(error),), size_bytes)
+    wrong = scan.wrong_files(folder, manifest, checksums=checksums)
+    found = [f"{name}: {what}" for name, what in wrong.items()]
+    if _numbered(whole) not in (None, manifest.scan_id):
+        found.append(f"its manifest is of scan {manifest.scan_id}")
+    label = NO_LABEL
+    try:
+        label = labels.read(folder)
+    except ContentError as error:
+        if checksums:  # no damage to the scan: told where every byte is looked at
+            found.append(str(error))
+    return ScanEntry(whole.name, shelf, folder, manifest, tuple(found), size_bytes, label)
+
+
+def _number(folder: Path) -> int:
+    found = _numbered(folder)
+    if found is None:
+        raise ValueError(f"{folder} is no scan's folder")
+    return int(found)
+
+
+def _numbered(folder: Path) -> str | None:
+    """Return the number in a folder's name, hidden or not; ``None`` where it is no scan's."""
+    return scan_number(folder.name.removeprefix("."))
+
+
+def _size(folder: Path) -> int:
+    try:
+        return sum(path.stat().st_size for path in folder.iterdir())
+    except OSError:
+        return 0  # the list goes on; what is wrong is among the entry's problems
+
+
+class PendingScan:
+    """A scan whose raw frames are durable and that waits for the diver's decision. One thread at a time."""
+
+    def __init__(self, fs: FileSystem, root: Path, folder: Path, manifest: Manifest) -> None:
+        self._fs = fs
+        self._root = root
+        self._folder = folder
+        self._manifest = manifest
+        self._done = False
+
+    @property
+    def scan_id(self) -> str:
+        """Number of the scan, six digits; also the name of its folder once published."""
+        return self._manifest.scan_id
+
+    @property
+    def folder(self) -> Path:
+        """Return the path at which the scan lies now."""
+        return self._folder
+
+    def add_second(self, frames: Mapping[str, NDArray[np.uint8]], record: ScanRecord) -> None:
+        """Make a second exposure's frames durable beside the first one's; ``record`` tells of both.
+
+        After a failure it is the scan it was; may be called again. Raises StorageError, ValueError.
+        """
+        if not self._done:
+            self._manifest = scan.add_second(self._fs, self._folder, self._manifest, frames, record)
+
+    def publish(self, record: ScanRecord, cloud: PointCloud | None = None, preview_png: bytes | None = None) -> Path:
+        """Add cloud and preview and put the scan on the shelf; it survives the loss of power from the return on.
+
+        May be called again after StorageError; once done it only returns the folder. Raises StorageError, ValueError.
+        """
+        return self._end(LibraryFolder.SCANS, Decision.KEPT, record, cloud, preview_png, "")
+
+    def reject(self, reason: str, record: ScanRecord | None = None) -> Path:
+        """Put the scan among the rejected ones; nothing is deleted. Does nothing to one that is published.
+
+        Raises StorageError; may be called again then.
+        """
+        return self._end(LibraryFolder.REJECTED, Decision.REJECTED, record or self._manifest.record, None, None, reason)
+
+    def _end(
+        self,
+        shelf: LibraryFolder,
+        decision: Decision,
+        record: ScanRecord,
+        cloud: PointCloud | None,
+        preview_png: bytes | None,
+        reason: str,
+    ) -> Path:
+        if self._done:
+            return self._folder
+        # After a failure everything but the raw frames is written anew: a failed fsync may have dropped it.
+        final = scan.finish(self._fs, self._folder, self._manifest, decision, record, cloud, preview_png, reason)
+        target = self._root / shelf.value / self.scan_id
+        if self._folder != target:
+            try:
+                move_folder(self._fs, self._folder, target)
+            finally:
+                if target.exists() and not self._folder.exists():
+                    self._folder = target  # also when the disk failed after the rename
+        else:
+            with refused("cannot publish", target):
+                self._fs.sync_folder(target.parent)
+        self._manifest = final
+        self._done = True
+        return target

@@ -1,0 +1,74 @@
+"""Owns the right to write under a storage root: one process at a time."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from appliance.store.atomic import StorageError, refused, remedy_for
+
+FILE_NAME = "lock"
+_LOOK_S = 0.02
+"""Time in seconds between two looks at a lock that is waited for."""
+
+
+@contextmanager
+def hold_lock(root: Path, wait_s: float = 0.0) -> Iterator[None]:
+    """Hold the lock of ``root``; the kernel releases it however the process ends. Raises StorageError if it is taken, and still is after ``wait_s``."""
+    path = root / "run" / FILE_NAME
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    except OSError as error:
+        raise StorageError("cannot open", path, error.strerror or str(error), remedy_for(error)) from error
+    try:
+        try:
+            _take(descriptor, time.monotonic() + wait_s)
+        except OSError as error:
+            owner = os.read(descriptor, 32).decode("ascii", "replace").strip() or "unknown"
+            raise StorageError(
+                "cannot use", root, f"another instance (process {owner}) is using it", "stop that one first"
+            ) from error
+        with refused("cannot write", path):
+            # The number is for messages only; the lock does not depend on it.
+            os.ftruncate(descriptor, 0)
+            os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def _take(descriptor: int, until_s: float) -> None:
+    never = threading.Event()  # set by nobody: its wait is a pause that Ctrl-C ends
+    while True:
+        try:
+            # flock belongs to the open file: it ends with the process, also with a killed one. A file with a number in
+            # it would outlive it.
+            return fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            if time.monotonic() >= until_s:
+                raise
+        never.wait(_LOOK_S)
+
+
+def holder(root: Path) -> str | None:
+    """Return the process that holds the lock of ``root``; ``None`` where nobody does. Changes nothing, and never
+    raises."""
+    try:
+        descriptor = os.open(root / "run" / FILE_NAME, os.O_RDONLY | os.O_CLOEXEC)
+    except OSError:
+        return None
+    try:
+        # A shared lock asks without shutting out another one who asks.
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except OSError:
+        return os.read(descriptor, 32).decode("ascii", "replace").strip() or "unknown"
+    else:
+        return None
+    finally:
+        os.close(descriptor)

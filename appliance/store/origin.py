@@ -1,0 +1,189 @@
+"""Owns what a scan was taken with: every scan carries its calibration and its rig file; another one is refused where it does not fit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from appliance.measure.calibration import owner as belonging
+from appliance.measure.calibration.file import IN_AIR, Calibration, CalibrationError, load
+from appliance.measure.calibration.owner import Owner
+from appliance.measure.light.sides import SIDES, of_side
+from appliance.store import scan as stored
+from appliance.store.config import ConfigError, Rig, parse_rig
+from appliance.store.manifest import Manifest
+from appliance.store.names import CALIBRATIONS, CURRENT_CALIBRATION
+from appliance.store.scan import CALIBRATION, RIG, ScanError, StoredScan
+from appliance.store.wish import Wish, root_of
+
+FOREIGN_OPTION = "--foreign-calibration"
+SHOWN_DIGITS = 12
+"""Digits of a hash that people are shown."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SourceScan:
+    """A stored scan and the instrument that took it."""
+
+    scan: StoredScan
+    rig: Rig
+    root: Path | None
+    """The storage root that was given, or that the scan's folder lies in."""
+
+    @property
+    def storage_root(self) -> Path:
+        """The folder of the instrument's own files."""
+        return self.root or self.rig.storage.root
+
+
+@dataclass(frozen=True, slots=True)
+class Chosen:
+    """The calibration a scan is reconstructed with."""
+
+    calibration: Calibration
+    whose: str
+    """Source of the calibration, in words."""
+
+
+def open_source(folder: Path, wish: Wish, scan: StoredScan | None = None) -> SourceScan:
+    """Open a scan and the rig it was taken with: ``--rig``, else its own.
+
+    ``scan``: what was opened of it already. Raises ScanError, also for a rig file that is damaged or whose cameras are of another size.
+    """
+    scan = scan or stored.load(folder, only_raw=True)
+    root = wish.root or root_of(folder)
+    if wish.rig is not None:
+        for side, camera in (("left", wish.rig.camera.left), ("right", wish.rig.camera.right)):
+            _same_size(scan, side, (camera.width_px, camera.height_px), f"the rig file ({wish.rig.rig.name})", "--rig")
+        return SourceScan(scan, wish.rig, root)
+    remedy = "give the rig file of the instrument with --rig PATH"
+    problem = lost(folder, scan.manifest, RIG)
+    if problem is not None:
+        raise ScanError(f"{folder / RIG}: {problem}; {remedy}")
+    try:
+        return SourceScan(scan, parse_rig((folder / RIG).read_text(encoding="utf-8"), str(folder / RIG)), root)
+    except (ConfigError, OSError, UnicodeDecodeError) as error:
+        raise ScanError(f"{folder / RIG}: {error}; {remedy}") from error
+
+
+def instrument_of(scans: Sequence[SourceScan], wish: Wish) -> Rig:
+    """Return the instrument that all ``scans`` (one or more) are of, with its storage root. Raises ScanError for scans of several instruments."""
+    rig = wish.rig or scans[0].rig
+    for one in scans:
+        # Not `rig_hash`: exposure and folders may differ from scan to scan, cameras and raster may not.
+        if one.rig.optical_hash != rig.optical_hash:
+            raise ScanError(
+                f"{one.scan.folder}: is of {_cameras(one.rig)}, not of {_cameras(rig)} as the others; "
+                "take scans of one instrument"
+            )
+    root = wish.root or next((one.root for one in scans if one.root is not None), None)
+    return rig if root is None else replace(rig, storage=replace(rig.storage, root=root))
+
+
+def calibration_for(scan: SourceScan, wish: Wish) -> Chosen:
+    """Return the calibration for a scan: the one asked for, else its own.
+
+    Raises CalibrationError for one that is missing or does not fit; the text says what to do.
+    """
+    if wish.calibration is not None:
+        chosen = Chosen(load(wish.calibration), f"--calibration {wish.calibration}")
+    elif wish.current:
+        path = scan.storage_root / CALIBRATIONS / CURRENT_CALIBRATION
+        chosen = Chosen(load(path), str(path))
+    else:
+        chosen = _of_the_scan(scan.scan)
+    refuse_misfit(chosen.calibration, chosen.whose, scan, foreign=wish.foreign)
+    return chosen
+
+
+def one_calibration(scans: Sequence[SourceScan], wish: Wish) -> Chosen:
+    """Return the calibration for several scans at once. Raises CalibrationError also where they were taken with
+    different ones."""
+    chosen = [calibration_for(scan, wish) for scan in scans]
+    other = next((k for k, one in enumerate(chosen) if one.calibration != chosen[0].calibration), None)
+    if other is None:
+        return chosen[0]
+    first, second = (chosen[k].calibration for k in (0, other))
+    raise CalibrationError(
+        f"{scans[0].scan.folder} was taken with calibration {first.hash[:SHOWN_DIGITS]} of {first.made_at}, "
+        f"{scans[other].scan.folder} with {second.hash[:SHOWN_DIGITS]} of {second.made_at}; choose one for all with "
+        "--calibration FILE, or the instrument's with --current"
+    )
+
+
+def refuse_misfit(
+    calibration: Calibration, whose: str, scan: SourceScan, *, foreign: bool, start: bool = False
+) -> None:
+    """Raises CalibrationError where ``misfit`` has a reason. ``whose``: where the calibration is from, in words."""
+    problem = misfit(calibration, scan, foreign=foreign, start=start)
+    if problem is not None:
+        raise CalibrationError(f"{whose}: {problem} ({scan.scan.folder})")
+
+
+def misfit(calibration: Calibration, scan: SourceScan, *, foreign: bool = False, start: bool = False) -> str | None:
+    """Return why a scan cannot be measured with a calibration, and what to do; ``None`` where it can.
+
+    The images must have its size. Instrument and cameras must be those of the rig file too, unless ``foreign``. ``start``: it is what a
+    calibration begins with.
+    """
+    option = "--start" if start else "--calibration"
+    remedy = f"give the one of the instrument that recorded it with {option} FILE"
+    for side in SIDES:
+        eye = of_side(calibration.rig, side)
+        height_px, width_px = scan.scan.frames[side].shape[1:]
+        if (width_px, height_px) != (eye.width_px, eye.height_px):
+            return f"is for {side} images of {eye.width_px}x{eye.height_px} px; the scan's are {width_px}x{height_px} px; {remedy}"
+    if calibration.method == IN_AIR and not start:
+        return (
+            "is one in air, which only calibrating in water begins with; give one made in water with --calibration FILE"
+        )
+    # The very calibration that the scan was taken with fits it by definition, whatever serial numbers say.
+    if foreign or calibration.hash == scan.scan.manifest.record.calibration_hash:
+        return None
+    other = belonging.misfit(calibration, _owner(scan))
+    if other is None:
+        return None
+    return f"{other.reason}; {remedy}" + ("" if start else f", or use it all the same with {FOREIGN_OPTION}")
+
+
+def _owner(scan: SourceScan) -> Owner:
+    """Return the instrument that took a scan."""
+    left, right = (scan.scan.frames[side].shape for side in SIDES)
+    sizes_px = ((left[2], left[1]), (right[2], right[1]))
+    camera = scan.rig.camera
+    return Owner(scan.rig.rig.serial, sizes_px, (camera.left.serial, camera.right.serial))
+
+
+def _of_the_scan(scan: StoredScan) -> Chosen:
+    path = scan.folder / CALIBRATION
+    problem = lost(scan.folder, scan.manifest, CALIBRATION)
+    if problem is not None:
+        named = (scan.manifest.record.calibration_hash or "not named")[:SHOWN_DIGITS]
+        raise CalibrationError(
+            f"{path}: {problem}; the scan's calibration is {named}: give its file with --calibration FILE, or take the "
+            "instrument's newest with --current --root PATH"
+        )
+    return Chosen(load(path), "the scan's own")
+
+
+def lost(folder: Path, manifest: Manifest, name: str) -> str | None:
+    """Return what is wrong with one of a scan's files, its bytes compared with their checksum; ``None`` where it is whole."""
+    if name not in manifest.files:
+        return "not in the manifest"
+    alone = replace(manifest, files={name: manifest.files[name]})
+    return stored.wrong_files(folder, alone, checksums=True).get(name)
+
+
+def _same_size(scan: StoredScan, side: str, size: tuple[int, int], whose: str, option: str) -> None:
+    height_px, width_px = scan.frames[side].shape[1:]
+    if (width_px, height_px) != size:
+        raise ScanError(
+            f"{scan.folder}: its {side} images are {width_px}x{height_px} px; {whose} is for {size[0]}x{size[1]} px; give the "
+            f"one of the instrument that recorded it ({option}), or none where the scan carries its own"
+        )
+
+
+def _cameras(rig: Rig) -> str:
+    left, right = rig.camera.left, rig.camera.right
+    return f"instrument {rig.rig.serial} with cameras {left.serial} and {right.serial} of {left.width_px}x{left.height_px} px"

@@ -1,0 +1,401 @@
+"""Owns the content of a scan's folder: which files it has, when each is written, and how it is read back.
+
+Two steps. ``write_raw``: frames, what they were taken with (``ScanOrigin``) and a first manifest, durable before the diver
+decides. ``finish``: cloud and preview, then the manifest that lists them. In between, ``add_second`` may add the frames
+of a second exposure. Each manifest replaces the one before atomically, so that at any instant the folder holds a manifest
+and every file it lists, or no manifest at all.
+
+At a desk a file of frames may lie in its packed form instead (``appliance.store.packed``); the manifest is the same, and
+whatever opens the scan reads it as it reads others.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import zlib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from appliance.base.sealed_file import ContentError
+from appliance.measure.light.sides import SIDES
+from appliance.store import manifest as form
+from appliance.store.atomic import Stamp, checked_stamp, discard, draft_of, refused, replace_file, write_new
+from appliance.store.filesystem import Bytes, FileSystem
+from appliance.store.manifest import Decision, Manifest, Stage
+from appliance.store.packed import Packed, PackedError, packed_path, read_index
+from appliance.store.record import ScanRecord
+
+if TYPE_CHECKING:  # NumPy is loaded where pixels and points are: a list of scans touches none
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from appliance.store.ply import PointCloud, StoredCloud
+
+_HEADER_BYTES = 256
+_HEADER = re.compile(
+    rb"\x93NUMPY\x01\x00(..)\{'descr': '\|u1', 'fortran_order': False, 'shape': \((\d{1,9}), (\d{1,9}), (\d{1,9})\), \} *\n",
+    re.DOTALL,
+)
+"""Header of NumPy's format 1.0."""
+CLOUD = "cloud.ply"
+PREVIEW = "preview.png"
+CALIBRATION = "calibration.json"
+RIG = "rig.toml"
+ORIGIN_FILES = (CALIBRATION, RIG)
+"""Files that say what a scan was taken with."""
+DERIVED_FILES = (CLOUD, PREVIEW)
+"""Files that can be made again from the others."""
+
+
+def frames_file(side: str) -> str:
+    """Name of the file with one camera's frames."""
+    return f"frames_{side}.npy"
+
+
+def second_frames_file(side: str) -> str:
+    """Name of the file with one camera's frames of the second exposure, where a scan has one."""
+    return f"frames_{side}_second.npy"
+
+
+RAW_FILES = tuple(frames_file(side) for side in SIDES)
+SECOND_FILES = tuple(second_frames_file(side) for side in SIDES)
+
+
+class ScanError(Exception):
+    """A stored scan cannot be used; the text says which and why."""
+
+
+@dataclass(frozen=True, slots=True)
+class ScanOrigin:
+    """The means a scan was taken with, as the bytes of the files that describe them: with these its folder can be read
+    anywhere."""
+
+    calibration: bytes
+    """A calibration file: the one in use, or the drawing's where none was."""
+    rig: bytes
+    """A rig file, changed options and defaults included (``appliance.store.config.rig_text``)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StoredScan:
+    """A scan as it lies on disk. ``frames`` by side: (n, h, w) uint8, mapped; in memory where they were packed."""
+
+    folder: Path
+    manifest: Manifest
+    frames: Mapping[str, NDArray[np.uint8]]
+    second: Mapping[str, NDArray[np.uint8]] | None = None
+    """Frames of the second exposure, like ``frames``; ``None``: there is none."""
+
+    def cloud(self) -> StoredCloud | None:
+        """Return the stored cloud; ``None`` where the scan has none. Raises ScanError."""
+        if CLOUD not in self.manifest.files:
+            return None
+        from appliance.store.ply import PlyError, read_ply
+
+        try:
+            return read_ply(self.folder / CLOUD)
+        except PlyError as error:
+            raise ScanError(str(error)) from error
+
+
+def write_raw(
+    fs: FileSystem,
+    folder: Path,
+    scan_id: str,
+    frames: Mapping[str, NDArray[np.uint8]],
+    record: ScanRecord,
+    origin: ScanOrigin,
+) -> Manifest:
+    """Make ``folder`` with the frames, their ``origin`` and the first manifest. Durable on return but for its own name.
+
+    ``frames``: by side, (n, h, w) uint8. Raises StorageError, ValueError.
+    """
+    _check(frames, record)
+    with refused("cannot make", folder):
+        fs.make_folder(folder)
+    files = {frames_file(side): write_new(fs, folder / frames_file(side), npy_parts(frames[side])) for side in SIDES}
+    for name, content in ((CALIBRATION, origin.calibration), (RIG, origin.rig)):
+        files[name] = write_new(fs, folder / name, (content,))
+    with refused("cannot make durable", folder):
+        fs.sync_folder(folder)
+    # The manifest comes last, after everything that it lists is durable: a folder with a manifest is a scan, one
+    # without is not.
+    checks = {frames_file(side): frame_checks(frames[side]) for side in SIDES}
+    manifest = Manifest(scan_id, Stage.RAW, Decision.UNDECIDED, record, files, frame_crc32=checks)
+    replace_file(fs, folder / form.FILE_NAME, form.encode(manifest))
+    return manifest
+
+
+def add_second(
+    fs: FileSystem,
+    folder: Path,
+    manifest: Manifest,
+    frames: Mapping[str, NDArray[np.uint8]],
+    record: ScanRecord,
+) -> Manifest:
+    """Add the second exposure's ``frames``, as in ``write_raw``, and the manifest whose ``record`` tells of it.
+
+    Durable on return. On failure the folder is the scan it was, but for files that its manifest does not list; may be
+    called again. Raises StorageError, ValueError.
+    """
+    _check(frames, record)
+    if record.second is None:
+        raise ValueError("the record tells of no second sequence; give it before its frames")
+    # Files of an earlier attempt are not in the manifest and may be damaged: they are written anew.
+    files = {name: stamp for name, stamp in manifest.files.items() if name not in SECOND_FILES}
+    checks = dict(manifest.frame_crc32)
+    for side in SIDES:
+        name = second_frames_file(side)
+        discard(fs, folder / name)
+        files[name] = write_new(fs, folder / name, npy_parts(frames[side]))
+        checks[name] = frame_checks(frames[side])
+    with refused("cannot make durable", folder):
+        fs.sync_folder(folder)
+    added = replace(manifest, record=record, files=files, frame_crc32=checks)
+    # From here on there are two exposures; before, the folder is the scan with one.
+    replace_file(fs, folder / form.FILE_NAME, form.encode(added))
+    return added
+
+
+def frame_checks(frames: NDArray[np.uint8]) -> tuple[str, ...]:
+    """Return the CRC-32 of each of ``frames`` (n, h, w) uint8, 8 hexadecimal digits: which one of them is damaged,
+    not whether."""
+    import numpy as np
+
+    return tuple(f"{zlib.crc32(np.ascontiguousarray(frame).reshape(-1).data):08x}" for frame in frames)
+
+
+def _check(frames: Mapping[str, NDArray[np.uint8]], record: ScanRecord) -> None:
+    expected = len(record.sequence.patterns)
+    for side in SIDES:
+        shape, dtype = frames[side].shape, frames[side].dtype
+        if len(shape) != 3 or shape[0] != expected or dtype != "uint8":
+            raise ValueError(f"{side} frames are {dtype} {shape}; uint8 ({expected}, height, width) is needed")
+
+
+def finish(
+    fs: FileSystem,
+    folder: Path,
+    manifest: Manifest,
+    decision: Decision,
+    record: ScanRecord,
+    cloud: PointCloud | None = None,
+    preview_png: bytes | None = None,
+    reason: str = "",
+) -> Manifest:
+    """Add what there is to add and write the final manifest. May be repeated after a failure. Raises StorageError."""
+    files = {name: stamp for name, stamp in manifest.files.items() if name not in DERIVED_FILES}
+    # Cloud and preview can be computed again; they are written before the manifest that lists them.
+    added: dict[str, tuple[Bytes, ...]] = {}
+    if cloud is not None:
+        from appliance.store.ply import encode_ply
+
+        added[CLOUD] = encode_ply(cloud)
+    if preview_png is not None:
+        added[PREVIEW] = (preview_png,)
+    for name, parts in added.items():
+        discard(fs, folder / name)
+        files[name] = write_new(fs, folder / name, parts)
+    with refused("cannot make durable", folder):
+        fs.sync_folder(folder)
+    final = replace(manifest, stage=Stage.COMPLETE, decision=decision, record=record, files=files, reason=reason)
+    replace_file(fs, folder / form.FILE_NAME, form.encode(final))
+    return final
+
+
+def discard_raw(fs: FileSystem, folder: Path) -> None:
+    """Take back a ``write_raw`` that failed, whose frames are still in memory. Raises StorageError."""
+    for name in (form.FILE_NAME, *RAW_FILES, *ORIGIN_FILES):  # the manifest first: it must never list what is gone
+        discard(fs, folder / name)
+        discard(fs, draft_of(folder / name))
+    discard(fs, folder)
+
+
+def wrong_files(folder: Path, manifest: Manifest, *, checksums: bool) -> dict[str, str]:
+    """Return what is wrong, by name, with the files a scan must have and those its manifest lists.
+
+    Lengths are compared, and with ``checksums`` every byte.
+    """
+    needed = RAW_FILES if manifest.record.second is None else (*RAW_FILES, *SECOND_FILES)
+    wrong = {name: "not in the manifest" for name in needed if name not in manifest.files}
+    for name, stamp in sorted(manifest.files.items()):
+        if is_packed(folder, name):
+            problem = _wrong_packed(packed_path(folder / name), stamp, checksums=checksums)
+            if problem is not None:
+                wrong[name] = problem
+            continue
+        try:
+            length = (folder / name).stat().st_size
+            if length != stamp.length:
+                wrong[name] = f"{length} bytes instead of {stamp.length}"
+            elif checksums and checked_stamp(folder / name) != stamp:
+                wrong[name] = "damaged (its checksum does not fit)"
+        except FileNotFoundError:
+            wrong[name] = "missing"
+        except OSError as error:
+            wrong[name] = error.strerror or str(error)
+    return wrong
+
+
+def is_packed(folder: Path, name: str) -> bool:
+    """Return True if the file of frames ``name`` lies in ``folder`` in its packed form only."""
+    frames = name in RAW_FILES or name in SECOND_FILES
+    return frames and not (folder / name).exists() and packed_path(folder / name).exists()
+
+
+def _wrong_packed(path: Path, stamp: Stamp, *, checksums: bool) -> str | None:
+    """Return what is wrong with a packed file whose frames must be those of ``stamp``; nothing is decoded."""
+    try:
+        index = read_index(path)
+        length = path.stat().st_size
+        if length != index.length_bytes:
+            return f"packed: {length} bytes instead of {index.length_bytes}"
+        if index.stamp != stamp:
+            return "packed: of other frames"
+        if checksums and not index.whole():
+            return "damaged (its checksum does not fit)"
+    except PackedError as error:
+        return f"packed: {error}"
+    except OSError as error:
+        return error.strerror or str(error)
+    return None
+
+
+def manifest_of(folder: Path) -> Manifest:
+    """Return the manifest of a scan's folder. Raises ScanError."""
+    try:
+        return form.read(folder)
+    except ContentError as error:
+        raise ScanError(str(error)) from error
+
+
+def load(folder: Path, *, only_raw: bool = False) -> StoredScan:
+    """Open a scan; its files' lengths are checked, checksums are not (``Library.verify``). Raises ScanError.
+
+    ``only_raw``: whatever is not a file of frames may be missing or damaged.
+    """
+    manifest = manifest_of(folder)
+    wrong = wrong_files(folder, manifest, checksums=False)
+    if only_raw:
+        wrong = {name: what for name, what in wrong.items() if name in (*RAW_FILES, *SECOND_FILES)}
+    if wrong:
+        raise ScanError(f"{folder}: {'; '.join(f'{name}: {what}' for name, what in wrong.items())}")
+    count = len(manifest.record.sequence.patterns)
+    frames = {side: map_frames(folder / frames_file(side), count) for side in SIDES}
+    second = None
+    if manifest.record.second is not None:
+        second = {side: map_frames(folder / second_frames_file(side), count) for side in SIDES}
+    return StoredScan(folder, manifest, frames, second)
+
+
+def read_header(data: bytes) -> tuple[int, tuple[int, int, int]] | None:
+    """Return the length of the header of a file of frames that begins with ``data``, and (n, h, w); ``None`` for anything
+    else.
+
+    It is compared with the one that ``npy_parts`` writes, nothing in it is executed.
+    """
+    found = _HEADER.match(data[:_HEADER_BYTES])
+    if found is None:
+        return None
+    return 10 + int.from_bytes(found[1], "little"), (int(found[2]), int(found[3]), int(found[4]))
+
+
+def read_frame(folder: Path, side: str, k: int, *, second: bool = False) -> NDArray[np.uint8]:
+    """Return frame ``k`` of one camera, (h, w) uint8, compared with its checksum.
+
+    Nothing else of the frames is read, packed or not. ``second``: of the second exposure. Raises ScanError, MissingLibraryError.
+    """
+    import numpy as np
+
+    manifest = manifest_of(folder)
+    name = second_frames_file(side) if second else frames_file(side)
+    names = manifest.record.sequence.patterns
+    if not 0 <= k < len(names):
+        raise ScanError(f"{folder}: there is no frame {k}; allowed are 0 to {len(names) - 1}")
+    if is_packed(folder, name):
+        frame = _frame_of_packed(packed_path(folder / name), k, len(names))
+    else:
+        frame = np.array(map_frames(folder / name, len(names))[k])
+    if frame_checks(frame[None]) != manifest.frame_crc32.get(name, ())[k : k + 1]:
+        raise ScanError(f"{folder / name}: frame {names[k]} is damaged (its checksum does not fit)")
+    return frame
+
+
+def _frame_of_packed(path: Path, k: int, count: int) -> NDArray[np.uint8]:
+    with _as_scan_error(path):
+        return _index_of(path, count).frame(k)
+
+
+def _index_of(path: Path, count: int) -> Packed:
+    index = read_index(path)
+    if index.count != count:
+        raise PackedError(f"has {index.count} frames instead of {count}")
+    return index
+
+
+@contextmanager
+def _as_scan_error(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except PackedError as error:
+        raise ScanError(f"{path}: {error}") from error
+    except (OSError, ValueError) as error:
+        raise ScanError(f"{path}: not readable as frames ({error})") from error
+
+
+def map_frames(path: Path, count: int) -> NDArray[np.uint8]:
+    """Return the ``count`` frames of a file, (n, h, w) uint8: mapped, or decoded into memory where it is packed. What is written to
+    them never reaches the file. Raises ScanError, MissingLibraryError."""
+    import numpy as np
+
+    if is_packed(path.parent, path.name):
+        with _as_scan_error(packed_path(path)):
+            return _index_of(packed_path(path), count).frames()
+    with _as_scan_error(path):
+        # The header is compared by bytes, not parsed by NumPy: its header is a Python literal, and a damaged one may be
+        # anything.
+        with path.open("rb") as file:
+            header = read_header(file.read(_HEADER_BYTES))
+        if header is None or header[1][0] != count:
+            raise ScanError(f"{path}: not {count} frames of 8 bits")
+        header_bytes, shape = header
+        if not 0 < shape[0] * shape[1] * shape[2] == path.stat().st_size - header_bytes:
+            raise ScanError(f"{path}: {path.stat().st_size} bytes are not {count} frames of {shape[2]} x {shape[1]} px")
+        # Copied on writing: nothing can change the file, and still they are the same kind of array as frames that were just
+        # recorded. numba would compile each kernel a second time for arrays that cannot be written.
+        return np.memmap(path, np.uint8, "c", header_bytes, shape)
+
+
+def npy_parts(frames: NDArray[np.uint8]) -> tuple[Bytes, Bytes]:
+    """Return the header and body of an .npy file (NumPy format 1.0), without a copy of the pixels."""
+    import numpy as np
+
+    solid = np.ascontiguousarray(frames)
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, np.lib.format.header_data_from_array_1_0(solid))
+    return header.getvalue(), solid.reshape(-1).data
+
+
+def size_bytes(frames: int, width_px: int, height_px: int) -> int:
+    """Return the room one scan with one exposure needs at most: both cameras' frames, a point for every left pixel,
+    and a margin for the rest. A second exposure takes its frames once more."""
+    return 2 * frames_bytes(frames, width_px, height_px) + cloud_bytes(width_px, height_px) + 3_500_000
+
+
+def frames_bytes(frames: int, width_px: int, height_px: int) -> int:
+    """Return the length of the file with one camera's frames."""
+    import numpy as np
+
+    header, _ = npy_parts(np.empty((frames, height_px, width_px), np.uint8))
+    return len(header) + frames * width_px * height_px
+
+
+def cloud_bytes(width_px: int, height_px: int) -> int:
+    """Return the length that the file with the points has at most: one for every left pixel."""
+    from appliance.store.ply import POINT
+
+    return POINT.itemsize * width_px * height_px + 4096

@@ -1,0 +1,77 @@
+"""Long computations in a process of their own: answers, failures, deaths and changes of mind, none of which is waited for."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from appliance.calibrate.recordings import NotConverged
+from appliance.instrument.service.background import Background, Done, Failed, Progressed
+from drivers.native import MonotonicClock
+
+
+def double(x: int, report: Callable[[float], None]) -> int:
+    report(0.5)
+    return 2 * x
+
+
+def refuse(report: Callable[[float], None]) -> None:
+    raise NotConverged("no calibration fits M3", about="M3")
+
+
+def die(report: Callable[[float], None]) -> None:
+    os.abort()
+
+
+def hang(report: Callable[[float], None]) -> None:
+    while True:
+        time.sleep(0.05)
+
+
+@pytest.fixture
+def background() -> Iterator[Background]:
+    made = Background()
+    yield made
+    made.stop()
+
+
+def answers(background: Background, timeout_s: float = 30.0) -> list[object]:
+    clock = MonotonicClock()
+    found: list[object] = []
+    end_ns = clock.now_ns() + int(timeout_s * 1e9)
+    while clock.now_ns() < end_ns:
+        said = background.poll()
+        if said is not None:
+            found.append(said)
+            if not isinstance(said, Progressed):
+                return found
+        clock.sleep_s(0.01)
+    raise AssertionError(f"no end of the job; so far {found}")
+
+
+def test_a_job_says_how_far_it_is_and_answers_or_fails_in_its_words(background: Background) -> None:
+    background.ask(double, 21)
+    assert [background.busy] == [True]
+    assert answers(background) == [Progressed(0.5), Done(42)]
+    assert [background.busy] == [False]
+    background.ask(refuse)
+    assert answers(background) == [Failed("no calibration fits M3", "NotConverged", "M3")]
+
+
+def test_a_process_that_dies_is_told_once_and_one_that_is_no_longer_wanted_is_gone_at_once(
+    background: Background,
+) -> None:
+    background.ask(die)
+    (failed,) = answers(background)
+    assert isinstance(failed, Failed)
+    assert "ended with code" in failed.reason
+    assert background.poll() is None
+    background.ask(hang)
+    assert background.poll() is None, "nobody waits for a job"
+    background.stop()
+    assert not background.busy
+    background.ask(double, 5)
+    assert answers(background) == [Progressed(0.5), Done(10)], "another process, and nothing of the last job"

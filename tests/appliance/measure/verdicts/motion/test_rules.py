@@ -1,0 +1,383 @@
+"""The rules by which signs of movement become a kind and a verdict: each at its limit, by numbers made for it."""
+
+from __future__ import annotations
+
+from dataclasses import astuple, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from appliance.measure.decode.decoder import CameraDecoder, Mask
+from appliance.measure.fault import FaultCode
+from appliance.measure.light.sequence import build_sequence
+from appliance.measure.verdicts.motion.albedo import AlbedoShifts
+from appliance.measure.verdicts.motion.drift import DriftMap
+from appliance.measure.verdicts.motion.edges import EdgeShifts
+from appliance.measure.verdicts.motion.harm import Harm, Place, place_of
+from appliance.measure.verdicts.motion.judge import (
+    MotionKind,
+    _axial,
+    _double_step2,
+    _judgement,
+    _kind,
+    _lost_share,
+    _shift,
+    _to_and_fro,
+    _turning_mm_s,
+)
+from appliance.measure.verdicts.motion.scores import (
+    MOVED,
+    DriftTrend,
+    Scores,
+    drift_trend,
+    edge_course,
+    edges_score,
+    texture_score,
+)
+from tests.support.golden_texts import Says
+from tests.support.moving_cells import COLUMNS, NO_COURSE, ROWS, cells, harm, texture
+
+REST = Scores(0.5, 0.5, 0.5, 0.5)
+STILL, AXIAL, LATERAL = MotionKind.STILL, MotionKind.AXIAL, MotionKind.LATERAL
+ROTATION, TREMOR, LOCAL = MotionKind.ROTATION, MotionKind.TREMOR, MotionKind.LOCAL
+
+
+# ------------------------------------------------------------------------------------------------- verdict
+
+
+def judged(added: float | None, kind: MotionKind, scores: Scores = REST, **more: Any) -> Any:
+    ripple = None if added is None else float(np.sqrt((1.0 + added) ** 2 - 1.0))
+    values: dict[str, Any] = {
+        "axial_mm_s": 3.0,
+        "lateral_mm_s": (-4.0, 2.0),
+        "shift_px": 1.5,
+        "place": None,
+        "lost": 0.02,
+    }
+    return _judgement(kind, harm(ripple), scores=scores, **values | more)
+
+
+@pytest.mark.parametrize(
+    ("added", "kind", "passed"), [(0.069, AXIAL, True), (0.071, AXIAL, False), (0.30, STILL, True), (None, STILL, None)]
+)
+def test_a_scan_is_refused_for_the_noise_that_a_movement_adds_and_never_at_rest_as_in_snow(
+    added: float | None, kind: MotionKind, passed: bool | None
+) -> None:
+    said = judged(added, kind)
+    assert said.verdict.passed is passed
+    assert (None if said.fault is None else said.fault.code) == (FaultCode.MOVED if passed is False else None)
+
+
+def test_a_refusal_names_speed_place_and_what_is_added_and_leaves_out_what_is_not_known(says: Says) -> None:
+    said = judged(0.2, AXIAL, Scores(5.0, 0.0, 0.0, 0.0), place=Place(1.0, 2.0, "upper left"))
+    assert said.fault.numbers == pytest.approx({"shift_px": 1.5, "added_noise_percent": 20.0, "speed_mm_s": 3.0})
+    blind = judged(0.2, AXIAL, Scores(0.0, 9.0, 0.0, 0.0), shift_px=None)
+    assert blind.fault.numbers == pytest.approx({"added_noise_percent": 20.0})
+    says(said.verdict.text, blind.verdict.text, judged(0.2, STILL).verdict.text)
+
+
+@pytest.mark.parametrize(
+    ("scores", "speed_mm_s"),
+    [((4.5, 0.0, 4.4, 0.0), 3.0), ((4.4, 0.0, 4.5, 0.0), np.hypot(4.0, 2.0)), ((4.4, 9.0, None, 9.0), None)],
+)
+def test_what_is_certain_has_a_say_in_the_speed(scores: tuple[float | None, ...], speed_mm_s: float | None) -> None:
+    found = judged(0.2, AXIAL, Scores(*scores)).verdict.numbers["speed_mm_s"]
+    assert found == (None if speed_mm_s is None else pytest.approx(speed_mm_s))
+
+
+def test_a_turn_has_the_speed_of_its_cells_whose_median_says_nothing() -> None:
+    rates = np.where(np.arange(COLUMNS) < COLUMNS // 2, -6.0, 6.0) + cells(0.0)
+    turning = harm(0.6, depth_rate_mm_s=rates)
+    assert (_axial(turning), _turning_mm_s(turning)) == pytest.approx((0.0, 6.0))
+    said = _judgement(ROTATION, turning, 0.0, None, 1.0, None, Scores(9.0, None, None, None), 0.0)
+    assert said.verdict.numbers["speed_mm_s"] == pytest.approx(6.0)
+    # Cells without points say nothing.
+    weight = np.where(rates > 0.0, 1.0, 0.0)
+    rates[1, -1] = np.nan
+    given = harm(depth_rate_mm_s=rates, weight=weight)
+    assert (_axial(given), _turning_mm_s(given)) == pytest.approx((6.0, 6.0))
+    assert _axial(harm(weight=cells(0.0))) is None
+
+
+# ---------------------------------------------------------------------------------------------------- kind
+
+EVEN = DriftTrend(0.02, 0.001, 0.001, (0.001, 0.001, 0.001), 20.0)
+
+
+def kind(
+    scores: Scores, trend: DriftTrend | None = EVEN, course: Any = NO_COURSE, given: Harm | None = None, **more: Any
+) -> MotionKind:
+    speed: dict[str, Any] = {"axial_mm_s": 3.0, "lateral_mm_s": None} | more
+    return _kind(scores, trend, given or harm(), course, **speed)
+
+
+@pytest.mark.parametrize("sign", ["drift", "edges", "flow", "texture"])
+def test_whatever_exceeds_the_score_is_a_movement(sign: str) -> None:
+    for score, still in ((4.4, True), (4.5, False)):
+        assert (kind(replace(REST, **{sign: score})) is STILL) == still
+    assert kind(Scores(None, None, None, None)) is STILL
+
+
+BOTH, DRIFT = Scores(9.0, 0.0, 9.0, 0.0), replace(REST, drift=9.0)
+
+
+@pytest.mark.parametrize(
+    ("scores", "trend", "lateral_mm_s", "axial_mm_s", "expected"),
+    [
+        # Sideways is what is faster across than along by half and does not turn.
+        (BOTH, EVEN, (4.6, 0.0), 3.0, LATERAL),
+        (BOTH, EVEN, (4.4, 0.0), 3.0, AXIAL),
+        (BOTH, EVEN, (4.0, 3.0), -3.5, AXIAL),
+        (BOTH, replace(EVEN, across=0.029), (4.0, 3.0), 3.0, LATERAL),
+        (BOTH, replace(EVEN, across=0.031), (4.0, 3.0), 3.0, ROTATION),
+        (BOTH, None, (0.1, 0.0), None, LATERAL),
+        # A score of 4.5 is the first that is certain.
+        (replace(BOTH, flow=4.5), EVEN, (40.0, 30.0), 3.0, LATERAL),
+        (replace(BOTH, flow=4.4), EVEN, (40.0, 30.0), 3.0, AXIAL),
+        (replace(REST, drift=4.5), None, None, 3.0, AXIAL),
+        (replace(REST, flow=4.5), None, None, 3.0, LATERAL),
+        (replace(REST, texture=4.5), None, None, 3.0, LATERAL),
+        (replace(REST, edges=9.0), None, None, 3.0, AXIAL),
+        (replace(REST, edges=9.0), None, None, None, AXIAL),
+        (Scores(4.4, 9.0, 4.4, None), None, None, 3.0, AXIAL),
+        # A turn is a slope of the drift that is steep and certain.
+        (DRIFT, replace(EVEN, across=0.013), None, 3.0, AXIAL),
+        (DRIFT, replace(EVEN, across=0.015), None, 3.0, ROTATION),
+        (DRIFT, replace(EVEN, down=-0.015), None, 3.0, ROTATION),
+        (DRIFT, replace(EVEN, mean=-0.03, across=0.015), None, 3.0, AXIAL),
+        (DRIFT, replace(EVEN, across=0.015, sd=(9.0, 0.0023, 0.0023)), None, 3.0, ROTATION),
+        (DRIFT, replace(EVEN, across=0.015, sd=(0.001, 0.003, 0.003)), None, 3.0, AXIAL),
+        (DRIFT, replace(EVEN, down=0.015, sd=(0.0, 0.0034, 0.0)), None, 3.0, AXIAL),
+        (DRIFT, replace(EVEN, down=0.015, sd=(0.0, 0.0, 0.0034)), None, 3.0, AXIAL),
+    ],
+)
+def test_kinds_at_their_limits(
+    scores: Scores,
+    trend: DriftTrend | None,
+    lateral_mm_s: tuple[float, float] | None,
+    axial_mm_s: float | None,
+    expected: MotionKind,
+) -> None:
+    assert kind(scores, trend, lateral_mm_s=lateral_mm_s, axial_mm_s=axial_mm_s) is expected
+
+
+NAN = float("nan")
+
+
+@pytest.mark.parametrize(
+    ("course", "second_sd", "shaking"),
+    [
+        # A quarter of the way back.
+        ((1.0, 0.8, 0.6, 0.4, 0.66, 0.3, 0.2, 0.1), 0.01, True),
+        ((1.0, 0.8, 0.6, 0.4, 0.64, 0.3, 0.2, 0.1), 0.01, False),
+        ((0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.05), 0.01, False),
+        # Four times its uncertainty, 0.0269.
+        ((0.0, 0.11, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), 0.01, True),
+        ((0.0, 0.105, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), 0.01, False),
+        # Coarse bits, beyond 2.5 times the usual uncertainty, have no say.
+        ((0.0, 9.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), 0.0249, True),
+        ((0.0, 9.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), 0.0251, False),
+        ((0.0, 9.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), NAN, False),
+        # Four frames tell, three do not.
+        ((0.0, 0.9, 0.0, 0.0, NAN, NAN, NAN, NAN), 0.01, True),
+        ((0.0, 0.9, 0.0, NAN, NAN, NAN, NAN, NAN), 0.01, False),
+        ((NAN,) * 8, NAN, False),
+    ],
+)
+def test_a_quarter_of_the_way_back_is_shaking(course: tuple[float, ...], second_sd: float, shaking: bool) -> None:
+    sd = np.full(8, 0.01)
+    sd[1] = second_sd
+    for way in (1.0, -1.0):
+        given = way * np.array(course), sd
+        assert _to_and_fro(given) == shaking
+        assert kind(DRIFT, course=given) is (TREMOR if shaking else AXIAL)
+
+
+GROUP = [(row, column) for row in (1, 2) for column in (4, 5, 6)]
+TWELVE = [(row, column) for row in (1, 2, 3) for column in (3, 4, 5, 6)]
+FAR = [(5, 0), (5, 1), (4, 0)]
+
+
+@pytest.mark.parametrize(
+    ("harmed", "drift", "expected"),
+    [
+        # Of nine cells in all that have most of the harm, three lie elsewhere.
+        (dict.fromkeys(GROUP, 4.0) | dict.fromkeys(FAR, 3.2), 0.1, LOCAL),
+        (dict.fromkeys(GROUP, 4.0) | dict.fromkeys(FAR, 3.6), 0.1, STILL),
+        (dict.fromkeys(TWELVE, 4.0), 0.1, LOCAL),
+        (dict.fromkeys([*TWELVE, (2, 2)], 4.0), 0.1, STILL),
+        ({(2, 1): 4.0, (2, 5): 3.9}, 0.1, LOCAL),
+        ({(2, 1): 4.0, (2, 6): 3.9}, 0.1, STILL),
+        ({(1, 2): 4.0, (5, 2): 3.9}, 0.1, LOCAL),
+        ({(0, 2): 4.0, (5, 2): 3.9}, 0.1, STILL),
+        # A hundredth of what noise does to the whole scan is the least: 0.08 in six of 48 cells.
+        (dict.fromkeys(GROUP, 0.082), 0.1, LOCAL),
+        (dict.fromkeys(GROUP, 0.078), 0.1, STILL),
+        (dict.fromkeys(GROUP, 4.0), -0.0125, LOCAL),
+        (dict.fromkeys(GROUP, 4.0), 0.0115, STILL),
+    ],
+)
+def test_local_movements_at_their_limits(
+    harmed: dict[tuple[int, int], float], drift: float, expected: MotionKind
+) -> None:
+    assert kind(REST, given=harm(ripple_mm=rippled(harmed), drift_px=cells(drift))) is expected
+
+
+def rippled(harmed: dict[tuple[int, int], float]) -> np.ndarray:
+    """A harm of so many times the noise, in squares, in some cells."""
+    ripple = cells(0.0)
+    for at, square in harmed.items():
+        ripple[at] = 0.02 * np.sqrt(square)
+    return ripple
+
+
+def test_a_local_movement_needs_twenty_cells_and_that_nothing_else_moves() -> None:
+    for many, found in ((20, LOCAL), (19, STILL)):
+        weight = np.where(np.arange(ROWS * COLUMNS) < many, 1.0, 0.0).reshape(ROWS, COLUMNS)
+        corner: dict[str, Any] = {"ripple_mm": rippled({(0, 0): 4.0, (0, 1): 4.0}), "drift_px": cells(0.1)}
+        assert kind(REST, given=harm(**corner, weight=weight)) is found
+        assert kind(REST, given=harm(**corner, noise_mm=np.where(weight > 0.0, 0.02, np.nan))) is found
+    there = harm(ripple_mm=rippled(dict.fromkeys(GROUP, 4.0)), drift_px=cells(0.1))
+    for sign in ("flow", "edges"):
+        for score, local in ((4.5, False), (4.4, True)):
+            assert (kind(replace(REST, **{sign: score}), given=there) is LOCAL) is local
+    assert kind(Scores(0.5, None, None, 0.5), given=there) is LOCAL
+
+
+# --------------------------------------------------------------------------------------------------- place
+
+
+def test_a_harm_that_is_everywhere_has_its_middle_but_no_side() -> None:
+    place = place_of(harm(), (400, 300))
+    assert place is not None
+    assert astuple(place) == (pytest.approx(200.0), pytest.approx(150.0), "everywhere")
+    assert place_of(harm(ripple_mm=cells(0.0)), (400, 300)) is None
+    # Four tenths of the cells are 20 of 48; one is harmed from a quarter of the mean square on, 0.065 here.
+    for strong, weaker, square, everywhere in ((20, 0, 0.0, True), (19, 0, 0.0, False), (12, 8, 0.070, True), (12, 8, 0.060, False)):  # fmt: skip
+        ripple2 = np.repeat([1.0, square, 0.0], [strong, weaker, ROWS * COLUMNS - strong - weaker])
+        found = place_of(harm(ripple_mm=0.05 * np.sqrt(ripple2).reshape(ROWS, COLUMNS)), (400, 300))
+        assert found is not None
+        assert (found.word == "everywhere") == everywhere
+
+
+@pytest.mark.parametrize(
+    ("right_px", "down_px", "side"),
+    [
+        (47.5, 35.5, "middle"), (-47.5, -35.5, "middle"), (48.5, 0.0, "right"), (-48.5, 0.0, "left"), (0.0, 36.5, "lower"),
+        (0.0, -36.5, "upper"), (-48.5, 36.5, "lower left"),
+    ],
+)  # fmt: skip
+def test_a_side_begins_an_eighth_of_the_image_from_what_is_seen(right_px: float, down_px: float, side: str) -> None:
+    ripple, u, v = cells(0.0), cells(180.0), cells(140.0)
+    ripple[2, 3] = 0.05
+    u[2, 3], u[3, 3] = 180.0 + right_px, 180.0 - right_px
+    v[2, 3], v[3, 3] = 140.0 + down_px, 140.0 - down_px
+    place = place_of(harm(ripple_mm=ripple, u_px=u, v_px=v), (400, 300))
+    assert place is not None
+    assert astuple(place) == (pytest.approx(180.0 + right_px), pytest.approx(140.0 + down_px), side)
+
+
+# --------------------------------------------------------------------------------------------- ways and noise
+
+
+def test_fringes_and_paint_make_one_way_of_the_cells_with_points_and_a_slope() -> None:
+    drift, slope, weight = cells(0.02), cells(0.5), cells(1.0)
+    drift[:3], weight[:3] = 0.5, 0.0
+    drift[3], slope[3] = 0.5, np.nan
+    rest = {name: cells(0.0) for name in DriftMap.__dataclass_fields__}
+    known = DriftMap(**(rest | {"drift_px": drift, "slope_per_px": slope}))
+    backwards = replace(known, drift_px=-drift)
+    for one in (known, backwards):
+        assert _shift(one, harm(weight=weight), texture(), 24) == pytest.approx(0.02 / 0.5 * 24)
+    both = _shift(known, harm(weight=weight), texture((0.3, -0.4)), 24)
+    assert both == pytest.approx(np.hypot(0.96, 0.5 * 24 / 12))
+    assert _shift(known, harm(weight=cells(0.0)), texture((0.3, 0.4)), 24) is None
+
+
+def test_what_is_shadow_or_saturated_or_veiled_was_not_lost_to_a_movement() -> None:
+    decoder = CameraDecoder(build_sequence(16), 10, 10)
+    kinds = (Mask.SHADOW, Mask.SATURATED, Mask.VALID, Mask.WEAK, Mask.CONTRADICTION, Mask.EDGE)
+    decoder.mask[:] = np.repeat(kinds, (40, 10, 30, 5, 9, 6)).reshape(10, 10)
+    decoder.backscatter_pixels = 3
+    assert _lost_share(decoder) == pytest.approx((9 + 6 - 3) / (100 - 40 - 10 - 3))
+    decoder.mask[:] = Mask.SHADOW
+    decoder.backscatter_pixels = 0
+    assert _lost_share(decoder) == 0.0
+
+
+def test_the_way_of_the_paint_is_the_mean_of_the_cameras_that_see_any_unless_only_its_light_changes() -> None:
+    def double_step2(left_px: float, right_px: float, flow: float | None, texture: float | None) -> float | None:
+        ways = (np.array([[0.0, 0.0], [0.0, 0.0], [px, 0.0]]) for px in (left_px, right_px))
+        left, right = (AlbedoShifts(way, np.zeros(3)) for way in ways)
+        return _double_step2({"left": left, "right": right}, flow, texture)
+
+    assert double_step2(1.0, 3.0, None, 5.0) == pytest.approx(5.0)
+    assert double_step2(NAN, 3.0, 5.0, 0.0) == pytest.approx(9.0)
+    assert double_step2(NAN, NAN, 5.0, 5.0) is None
+    # Stripes of light in turbid water are no paint that moves.
+    assert double_step2(1.0, 3.0, MOVED - 0.1, None) is None
+    assert double_step2(1.0, 3.0, MOVED, None) == pytest.approx(5.0)
+
+
+def test_six_cells_with_points_make_a_trend_and_five_do_not() -> None:
+    weight = cells(0.0)
+    weight[0, :5] = 1.0
+    assert drift_trend(harm(weight=weight)) is None
+    weight[0, 5] = 1.0
+    assert drift_trend(harm(weight=weight)) is not None
+
+
+def test_edges_count_in_units_of_the_drift_where_at_least_half_of_the_cells_are_certain_of_it() -> None:
+    drift = 0.02 * np.where(np.arange(COLUMNS) % 2 == 0, -1.0, 1.0) + cells(0.0)
+    left = edges(0.0)
+    left.shift_px[:] = 10.0 * drift
+
+    def middle(certain: np.ndarray, sd: float = 0.0066, **more: Any) -> float:
+        given = harm(drift_px=drift, sd_px=np.where(certain, sd, 1.0), **more)
+        return float(edge_course({"left": left, "right": edges(0.0)}, given)[0][0])
+
+    every, half = np.full((ROWS, COLUMNS), True), np.arange(ROWS * COLUMNS).reshape(ROWS, COLUMNS) < 24
+    fewer = half.copy()
+    fewer[0, 0] = False
+    assert middle(every) == pytest.approx(0.2)
+    assert middle(every, sd=0.0067) == pytest.approx(0.0), "three standard deviations"
+    assert middle(half) == pytest.approx(0.2)
+    assert middle(fewer) != pytest.approx(0.2)
+    # What has no points is asked for nothing: eight of fifteen are enough then.
+    weight = np.zeros((ROWS, COLUMNS))
+    weight[0], weight[5, :7] = 1.0, 1.0
+    assert middle(half, weight=weight) == pytest.approx(0.2)
+    weight[5, 7], weight[4, 0] = 1.0, 1.0
+    assert middle(half, weight=weight) != pytest.approx(0.2)
+
+
+def edges(shift: float, frames: int = 3, holes: int = 0) -> EdgeShifts:
+    maps = np.full((frames, ROWS, COLUMNS), shift)
+    maps.reshape(frames, -1)[:, :holes] = np.nan
+    return EdgeShifts(maps)
+
+
+def test_gray_edges_count_left_less_right_by_their_median() -> None:
+    middle, sd = edge_course({"left": edges(0.3), "right": edges(0.1)}, harm(drift_px=cells(0.0)))
+    assert middle == pytest.approx([0.2] * 3)
+    assert sd == pytest.approx([0.0] * 3)
+    assert edges_score((middle, sd)) == pytest.approx(0.2 / 0.025)
+    assert edges_score((np.array([0.1, -0.4, np.nan]), np.array([0.02, 0.06, np.nan]))) == pytest.approx(0.4 / 0.065)
+    assert edges_score(NO_COURSE) is None
+    for known, told in ((5, False), (6, True)):
+        few = {"left": edges(0.3, holes=ROWS * COLUMNS - known), "right": edges(0.1)}
+        assert np.isfinite(edge_course(few, harm(drift_px=cells(0.0)))[0]).all() == told
+
+
+def test_paint_that_changes_between_the_means_counts_against_what_it_does_at_rest() -> None:
+    assert texture_score({"left": texture(change=1.045, early=1.10)}) == pytest.approx(0.0, abs=1e-9)
+    assert texture_score({"left": texture(change=1.145, early=1.10)}) == pytest.approx(5.0)
+    both = {"left": texture(change=1.0, early=1.45), "right": texture(change=1.045, early=1.1)}
+    assert texture_score(both) == pytest.approx(5.0)
+    assert texture_score({"left": texture(change=2.0)}) is None
+
+
+def test_the_largest_of_the_known_scores_counts() -> None:
+    assert Scores(None, 2.0, None, 1.0).largest == 2.0
+    assert Scores(None, None, None, None).largest is None
