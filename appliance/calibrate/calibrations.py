@@ -25,6 +25,7 @@ from appliance.calibrate.guide import Session
 from appliance.measure.calibration import file as calibration_file
 from appliance.measure.calibration.file import Calibration, CalibrationError
 from appliance.store.atomic import StorageError, make_folders, move_folder, remedy_for, replace_file
+from appliance.store.calibration_file import load_calibration
 from appliance.store.filesystem import FileSystem, LocalFileSystem
 from appliance.store.names import CALIBRATION_IN_AIR, CALIBRATIONS, CURRENT_CALIBRATION, is_kept_calibration
 
@@ -99,7 +100,7 @@ class Calibrations:
         if session.kept is None:
             return None
         try:
-            return calibration_file.load(self.folder / "kept" / session.kept)
+            return load_calibration(self.folder / "kept" / session.kept)
         except CalibrationError:
             return None
 
@@ -148,7 +149,7 @@ class Calibrations:
         if session.kept is None:
             raise SessionError("no calibration of before is kept; calibrate")
         path = self.folder / "kept" / session.kept
-        calibration_file.load(path)
+        load_calibration(path)
         data = _bytes(path)
         if data is None:
             raise SessionError(f"{path} cannot be read; copy the instrument's calibration to {self.current}")
@@ -177,7 +178,7 @@ class Calibrations:
             what = "no other calibration is kept" if name is None else f"no calibration {name} is kept"
             raise SessionError(f"{what} in {self.folder / 'kept'} (there: {there}); calibrate, or give one of these")
         path = others[-1]
-        calibration_file.load(path)
+        load_calibration(path)
         data = path.read_bytes()
         # What is in use now may be kept nowhere yet, as where somebody copied it in.
         if now is not None:
@@ -229,6 +230,6 @@ def _bytes(path: Path) -> bytes | None:
 
 def _hash_of(path: Path) -> str | None:
     try:
-        return calibration_file.load(path).hash
+        return load_calibration(path).hash
     except CalibrationError:
         return None

@@ -29,12 +29,12 @@ from appliance.calibrate.water.method import Method
 from appliance.measure.accept.ball_bar import BallBar, find_ball_bar
 from appliance.measure.accept.plane import PlaneFit, fit_plane
 from appliance.measure.accept.points import NotFound
-from appliance.measure.calibration import file as calibration_file
 from appliance.measure.calibration.file import Calibration
 from appliance.measure.fault import FaultCode
 from appliance.measure.points.pipeline import Cloud
 from appliance.measure.points.quality import QualityLimits
 from appliance.store import scan as stored
+from appliance.store.calibration_file import load_calibration
 from appliance.store.config import Rig
 from appliance.store.instrument import calibration_of, settings_of_scan
 from appliance.store.library import Library
@@ -205,7 +205,7 @@ def _recording(step: Step, folder: Path, basis: Basis) -> Recording:
 def _solved(rig: Rig) -> Calibration | None:
     """Return what the session solved; ``None`` where nothing is."""
     calibrations = Calibrations(rig.storage.root, rig.rig.serial)
-    return None if calibrations.session().solved is None else calibration_file.load(calibrations.solved)
+    return None if calibrations.session().solved is None else load_calibration(calibrations.solved)
 
 
 def _compared(scan: stored.StoredScan, bar: BallBar, basis: Basis) -> Verified:

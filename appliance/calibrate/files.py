@@ -10,6 +10,7 @@ from appliance.measure.calibration import file as calibration_file
 from appliance.measure.calibration.file import Calibration
 from appliance.measure.light.sides import of_side
 from appliance.store.atomic import make_folders, replace_file
+from appliance.store.calibration_file import load_calibration
 from appliance.store.config import Rig
 from appliance.store.filesystem import LocalFileSystem
 from appliance.store.instrument import (
@@ -21,7 +22,7 @@ from appliance.store.instrument import (
 
 def describe_calibration(rig: Rig, path: Path | None) -> dict[str, Any]:
     """Return what a calibration file says (``None``: the instrument's own). Raises CalibrationError."""
-    calibration = calibration_file.load(path) if path is not None else calibration_of(rig)[0]
+    calibration = load_calibration(path) if path is not None else calibration_of(rig)[0]
     left, right = calibration.rig.left, calibration.rig.right
     # A lens calibrated in water has swallowed its port: distance and tilt are numbers without a meaning then.
     has_ports = not (left.lens_in_water or right.lens_in_water)

@@ -33,6 +33,7 @@ from appliance.measure.light.sequence import build_sequence
 from appliance.measure.light.sides import SIDES
 from appliance.store import scan as stored
 from appliance.store.atomic import make_folders, refused, replace_file
+from appliance.store.calibration_file import load_calibration
 from appliance.store.config import Rig
 from appliance.store.filesystem import LocalFileSystem
 from appliance.store.instrument import AIR_FILE, design_of
@@ -186,7 +187,7 @@ def install(rig: Rig, file: Path) -> tuple[Path, Path | None]:
 
     Raises CalibrationError for another instrument's, StorageError.
     """
-    start = calibration_file.load(file)
+    start = load_calibration(file)
     if start.method != IN_AIR or start.rig_serial != rig.rig.serial:
         raise CalibrationError(
             f"{file} is of instrument {start.rig_serial}, method {start.method}; wanted is one in air of {rig.rig.serial}"

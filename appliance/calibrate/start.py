@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from appliance.calibrate.water.start import check_start
-from appliance.measure.calibration.file import Calibration, CalibrationError, load
+from appliance.measure.calibration.file import Calibration, CalibrationError
+from appliance.store.calibration_file import load_calibration
 from appliance.store.config import Rig
 from appliance.store.instrument import AIR_FILE, CALIBRATION_FILE, calibration_of, misfit, of_another, with_volume
 
@@ -17,10 +18,10 @@ def start_of(rig: Rig, path: Path | None = None) -> Calibration:
     """
     in_air = rig.storage.root / AIR_FILE
     if path is not None:
-        start = with_volume(load(path), rig)
+        start = with_volume(load_calibration(path), rig)
         problem = of_another(start, rig)  # the size is compared with that of the scans, and so are the cameras
     elif in_air.exists():
-        start = with_volume(load(in_air), rig)
+        start = with_volume(load_calibration(in_air), rig)
         problem = misfit(start, rig)
     else:
         start, problem = calibration_of(rig)[0], None

@@ -127,7 +127,7 @@ class RestoreCalibration(WithRoot):
     def run(self) -> Exit:
         rig = self.rooted_rig()
         from appliance.calibrate.calibrations import Calibrations, SessionError
-        from appliance.measure.calibration.file import load
+        from appliance.store.calibration_file import load_calibration
 
         now = datetime.now(UTC).isoformat(timespec="seconds")
         with hold_lock(rig.storage.root):
@@ -135,7 +135,7 @@ class RestoreCalibration(WithRoot):
                 path = Calibrations(rig.storage.root, rig.rig.serial).bring_back(self.name, _day(now))
             except SessionError as error:
                 raise UsageError(f"calibrate restore: {error}") from error
-        found = load(path)
+        found = load_calibration(path)
         if self.json:
             say_json({"file": str(path), "calibration": found.hash, "method": found.method, "made_at": found.made_at})
         else:

@@ -25,9 +25,9 @@ class ShowCalibration(WithRoot):
             # Whoever names a root asks for what lies there, whichever instrument the packaged rig file draws.
             file = root / CALIBRATIONS / CURRENT_CALIBRATION
         if file is not None:
-            from appliance.measure.calibration.file import load
+            from appliance.store.calibration_file import load_calibration
 
-            load(file)  # one that cannot be read is told before what describes it is loaded
+            load_calibration(file)  # one that cannot be read is told before what describes it is loaded
         from appliance.calibrate.files import describe_calibration
 
         content = describe_calibration(rig, file)

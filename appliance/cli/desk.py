@@ -51,9 +51,10 @@ def measuring(calibration: Path | None) -> None:
     """Raises UsageError for a ``--calibration`` in air: what the windows do is not in it. Raises CalibrationError."""
     if calibration is None:
         return
-    from appliance.measure.calibration.file import IN_AIR, load
+    from appliance.measure.calibration.file import IN_AIR
+    from appliance.store.calibration_file import load_calibration
 
-    if load(calibration).method == IN_AIR:
+    if load_calibration(calibration).method == IN_AIR:
         raise UsageError(
             f"--calibration {calibration}: is one in air, which only calibrating in water begins with; "
             "give one made in water (`kingfisher calibrate water`)"

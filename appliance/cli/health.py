@@ -143,10 +143,10 @@ class AcceptHealth(WithRoot):
 
 
 def _in_use(rig: Rig) -> Calibration:
-    from appliance.measure.calibration.file import load
+    from appliance.store.calibration_file import load_calibration
     from appliance.store.names import CALIBRATIONS, CURRENT_CALIBRATION
 
-    return load(rig.storage.root / CALIBRATIONS / CURRENT_CALIBRATION)
+    return load_calibration(rig.storage.root / CALIBRATIONS / CURRENT_CALIBRATION)
 
 
 def _content(report: Path, calibration_hash: str) -> dict[str, Any]:

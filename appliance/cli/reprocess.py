@@ -65,12 +65,12 @@ class Reprocess(Verb):
             compile_kernels()  # once, before any worker starts: each of them would compile the same minute
         from appliance.desk.anew.results import Results, program_digits
         from appliance.desk.anew.work import AGAIN, DONE, FAILED, Job, work_through_all
-        from appliance.measure.calibration import file as calibration_file
+        from appliance.store.calibration_file import load_calibration
 
         results = Results.of(
             self.out.absolute(),
             {
-                "calibration": None if self.calibration is None else calibration_file.load(self.calibration).hash,
+                "calibration": None if self.calibration is None else load_calibration(self.calibration).hash,
                 "foreign": self.foreign_calibration,
                 "water": None if self.temperature_c is None else (self.temperature_c, self.salinity_psu),
                 "clouds": not self.table_only,

@@ -17,12 +17,13 @@ from numpy.typing import NDArray
 
 from appliance.cli.output import UsageError
 from appliance.cli.simrig import SIMULATOR
-from appliance.measure.calibration.file import Calibration, CalibrationError, encode, load
+from appliance.measure.calibration.file import Calibration, CalibrationError, encode
 from appliance.measure.light.model import HousedCamera, StereoRig
 from appliance.measure.light.pinhole import Lens
 from appliance.measure.light.port import Port
 from appliance.measure.light.water import Water
 from appliance.store.atomic import make_folders, replace_file
+from appliance.store.calibration_file import load_calibration
 from appliance.store.config import Rig
 from appliance.store.filesystem import LocalFileSystem
 from appliance.store.instrument import CALIBRATION_FILE, KEPT, NOISE_FILE, RESPONSE_FILE, volume_of
@@ -79,7 +80,7 @@ def _refuse_nominal(rig: Rig) -> None:
     """A calibration that was brought for the nominal rig would give wrong lengths with another, without a word."""
     path = rig.storage.root / CALIBRATION_FILE
     try:
-        found = load(path)
+        found = load_calibration(path)
     except CalibrationError:
         return  # the service says what is wrong with it
     if found.method == METHOD and any(one.endswith(f"rig: {KNOWN_SET}") for one in found.made_from):

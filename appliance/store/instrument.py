@@ -9,7 +9,7 @@ from pathlib import Path
 from appliance.base.sealed_file import ContentError
 from appliance.measure.calibration import owner
 from appliance.measure.calibration.design import Design, design_calibration
-from appliance.measure.calibration.file import IN_AIR, Calibration, CalibrationError, encode, load
+from appliance.measure.calibration.file import IN_AIR, Calibration, CalibrationError, encode
 from appliance.measure.calibration.noise_file import NOISE, CameraFigures
 from appliance.measure.calibration.owner import Misfit, Owner
 from appliance.measure.calibration.response_file import RESPONSE
@@ -20,6 +20,7 @@ from appliance.measure.light.noise import CameraNoise, StereoNoise, camera_noise
 from appliance.measure.light.response import Response
 from appliance.measure.light.volume import WorkingVolume
 from appliance.measure.light.water import Water
+from appliance.store.calibration_file import load_calibration
 from appliance.store.config import Rig, rig_text
 from appliance.store.config.checks import into_light_us
 from appliance.store.config.rig import CameraRig
@@ -67,7 +68,7 @@ def calibration_of(rig: Rig) -> tuple[Calibration, tuple[Fault, ...]]:
 def _usable(rig: Rig, path: Path) -> tuple[Calibration | None, Misfit | None]:
     """Return a file's calibration, and why this instrument cannot measure with it."""
     try:
-        calibration = with_volume(load(path), rig)
+        calibration = with_volume(load_calibration(path), rig)
     except CalibrationError as error:
         return None, Misfit(str(error))
     if calibration.method == IN_AIR:

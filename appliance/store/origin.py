@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from appliance.measure.calibration import owner as belonging
-from appliance.measure.calibration.file import IN_AIR, Calibration, CalibrationError, load
+from appliance.measure.calibration.file import IN_AIR, Calibration, CalibrationError
 from appliance.measure.calibration.owner import Owner
 from appliance.measure.light.sides import SIDES, of_side
 from appliance.store import scan as stored
+from appliance.store.calibration_file import load_calibration
 from appliance.store.config import ConfigError, Rig, parse_rig
 from appliance.store.manifest import Manifest
 from appliance.store.names import CALIBRATIONS, CURRENT_CALIBRATION
@@ -87,10 +88,10 @@ def calibration_for(scan: SourceScan, wish: Wish) -> Chosen:
     Raises CalibrationError for one that is missing or does not fit; the text says what to do.
     """
     if wish.calibration is not None:
-        chosen = Chosen(load(wish.calibration), f"--calibration {wish.calibration}")
+        chosen = Chosen(load_calibration(wish.calibration), f"--calibration {wish.calibration}")
     elif wish.current:
         path = scan.storage_root / CALIBRATIONS / CURRENT_CALIBRATION
-        chosen = Chosen(load(path), str(path))
+        chosen = Chosen(load_calibration(path), str(path))
     else:
         chosen = _of_the_scan(scan.scan)
     refuse_misfit(chosen.calibration, chosen.whose, scan, foreign=wish.foreign)
@@ -164,7 +165,7 @@ def _of_the_scan(scan: StoredScan) -> Chosen:
             f"{path}: {problem}; the scan's calibration is {named}: give its file with --calibration FILE, or take the "
             "instrument's newest with --current --root PATH"
         )
-    return Chosen(load(path), "the scan's own")
+    return Chosen(load_calibration(path), "the scan's own")
 
 
 def lost(folder: Path, manifest: Manifest, name: str) -> str | None:

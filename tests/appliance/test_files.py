@@ -21,8 +21,8 @@ from appliance.desk.foreign.camera_files import camera_numbers, numbers_in
 from appliance.desk.foreign.description import load_description
 from appliance.desk.foreign.frames import Frame, FrameReader, frames_in
 from appliance.desk.foreign.problem import ForeignError, Table
-from appliance.measure.calibration import file as calibration_file
 from appliance.measure.calibration.noise_file import NOISE
+from appliance.store.calibration_file import load_calibration
 from appliance.store.config import default_rig_path, load_rig
 from appliance.store.scan_list import read_list
 
@@ -31,7 +31,7 @@ READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "description": ("set.toml", load_description),
     "list": ("list.toml", read_list),
     "list in JSON": ("list.json", read_list),
-    "calibration": ("calibration.json", calibration_file.load),
+    "calibration": ("calibration.json", load_calibration),
     "noise": ("noise.json", NOISE.load),
     "session": ("board.json", lambda path: read_session(path.parent)),
     **{f"cameras {suffix}": (f"stereo{suffix}", numbers_in) for suffix in (".yml", ".xml", ".json", ".npz", ".npy", ".mat", ".txt", ".csv")},

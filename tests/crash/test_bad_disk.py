@@ -17,10 +17,10 @@ from appliance.calibrate.health import HealthTrend
 from appliance.calibrate.health_file import HealthFile
 from appliance.instrument.machine.choices import Choices
 from appliance.instrument.service.choices import ChoicesFile
-from appliance.measure.calibration import file as calibration_file
 from appliance.measure.light.exposure import Exposure
 from appliance.store import counter
 from appliance.store.atomic import StorageError
+from appliance.store.calibration_file import load_calibration
 from appliance.store.filesystem import FileSystem, LocalFileSystem
 from appliance.store.library import Library, LibraryFolder, PendingScan
 from appliance.store.room import Room
@@ -170,12 +170,12 @@ def with_solution(root: Path) -> None:
 
 def in_use(root: Path) -> str:
     store = Calibrations(root, SERIAL)
-    session, found = store.session(), calibration_file.load(store.current).hash
+    session, found = store.session(), load_calibration(store.current).hash
     if session.solved is not None:
         assert session.in_use == (found == NEW.hash)
     if session.in_use:  # and there is a way back
         store.restore()
-        assert calibration_file.load(store.current).hash == OLD.hash
+        assert load_calibration(store.current).hash == OLD.hash
         store.use_solved("2026-11-21")
     return found
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from appliance.calibrate.calibrations import Calibrations
 from appliance.calibrate.health_file import HealthFile
-from appliance.measure.calibration import file as calibration_file
+from appliance.store.calibration_file import load_calibration
 from appliance.store.library import Library, LibraryFolder
 from tests.appliance.store.scenes import ORIGIN, frames, record
 from tests.crash.life import CALIBRATIONS, HASH, OLD, SERIAL, live
@@ -51,7 +51,7 @@ class Book:
 
     def check_files(self) -> None:
         """What is replaced as a whole is the last one written or a newer one, never none and never half of one."""
-        assert calibration_file.load(Calibrations(self.root, SERIAL).current).hash in CALIBRATIONS
+        assert load_calibration(Calibrations(self.root, SERIAL).current).hash in CALIBRATIONS
         assert HealthFile(self.root, HASH).read().judged >= int(self.said["JUDGED"][-1])
         assert len(Calibrations(self.root, SERIAL).session().trials) >= 1
 

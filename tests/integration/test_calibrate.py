@@ -17,8 +17,9 @@ from appliance.calibrate.calibrations import Calibrations
 from appliance.calibrate.guide import Step
 from appliance.calibrate.water.start import start_from_air
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
-from appliance.measure.calibration.file import Calibration, encode, load
+from appliance.measure.calibration.file import Calibration, encode
 from appliance.measure.light.model import HousedCamera, StereoRig
+from appliance.store.calibration_file import load_calibration
 from appliance.store.config import Rig, load_rig
 from appliance.store.instrument import design_of
 from appliance.store.library import Library
@@ -188,6 +189,6 @@ def test_a_hidden_rig_is_calibrated_over_a_loss_of_power_and_the_old_file_comes_
     ]
     of_old, of_new = (
         max(abs(ball_bar_mm(calibration, scan.sequence, scan.frames) / truth_mm - 1.0) for scan in scans)
-        for calibration in (load(store.current), load(store.solved))
+        for calibration in (load_calibration(store.current), load_calibration(store.solved))
     )
     assert of_new < min(0.0006, of_old / 3.0)

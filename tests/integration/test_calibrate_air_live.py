@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from appliance.cli import main
-from appliance.measure.calibration.file import load
+from appliance.store.calibration_file import load_calibration
 from hw_sim.truth import draw_truth, in_air
 from tests.support.board_pictures import poses_in_air
 from tests.support.truth import WATER
@@ -79,7 +79,7 @@ def test_views_are_recorded_kept_and_gone_on_with(tmp_path: Path, caplog: pytest
     assert any(line.startswith("view 06") for line in said)
     assert not (folder / ".04").exists()
 
-    start = load(tmp_path / "root" / "calibration" / "air.json")
+    start = load_calibration(tmp_path / "root" / "calibration" / "air.json")
     dry = in_air(draw_truth("modelled", SEED, 800, 600, WATER.index))
     assert start.rig.left.lens.f_px[0] == pytest.approx(dry.left.f_px[0], abs=1.0)
     base_mm = np.linalg.norm(np.subtract(dry.right.t_mm, dry.left.t_mm))

@@ -10,7 +10,7 @@ import pytest
 
 from appliance.calibrate.health import HealthTrend, TrendPoint
 from appliance.calibrate.health_file import HealthFile
-from appliance.measure.calibration.file import load
+from appliance.store.calibration_file import load_calibration
 from appliance.store.instrument import CALIBRATION_FILE
 from appliance.store.lock import hold_lock
 from tests.support.commands import ROOT, Shell, kingfisher
@@ -95,7 +95,7 @@ def test_an_alarm_is_taken_back_by_a_length_check_that_is_an_answer_to_it(shell:
     assert shell(*nominal).code == 0
     before, again = path.read_bytes(), shell(*nominal)
     assert (again.code, str(path) in again.error, path.read_bytes() == before) == (2, True, True), "never replaced"
-    used = load(path).hash
+    used = load_calibration(path).hash
     normal = TrendPoint("000002", (1.0, 0.0, 0.0, 0.0), (1.0,) * 4, 1.0, 1.0, 1.0, False)
     knocked = TrendPoint("000003", (-280.0, 0.0, 0.0, 0.0), (1.0,) * 4, 1.0, 280.0, 279.0, True)
     HealthFile(root, used).write(HealthTrend(judged=3, points=(normal, knocked), alarm="right camera turned"))

@@ -12,6 +12,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from appliance.measure.calibration import file as calibration_file
+from appliance.store.calibration_file import load_calibration
 from appliance.store.config import default_rig_path
 from appliance.store.ply import read_ply
 from tests.support.commands import Shell, kingfisher
@@ -42,7 +43,7 @@ def copy(root: Path, tmp_path: Path) -> Path:
 
 def changed(copy: Path, to: Path, **what: object) -> Path:
     """Write a calibration file with something else in it than in the scan's own."""
-    own = calibration_file.load(copy / "calibration.json")
+    own = load_calibration(copy / "calibration.json")
     to.write_bytes(calibration_file.encode(replace(own, **what)))  # type: ignore[arg-type]
     return to
 
@@ -98,7 +99,7 @@ def test_what_gives_no_cloud_is_one_line_that_names_it(copy: Path, tmp_path: Pat
         assert (said.code, (tmp_path / "x.ply").exists()) == (1, False)
         assert all(word in said.error for word in words), said.error
 
-    own = calibration_file.load(copy / "calibration.json")
+    own = load_calibration(copy / "calibration.json")
     x, y, z = own.rig.right.translation_mm
     right = replace(own.rig.right, translation_mm=(x, y + 10.0, z))
     knocked = changed(copy, tmp_path / "knocked.json", rig=replace(own.rig, right=right))

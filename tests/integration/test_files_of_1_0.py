@@ -25,7 +25,7 @@ from appliance.desk.object_errors import errors_of
 from appliance.instrument.service.beams import BeamsFile
 from appliance.instrument.service.choices import ChoicesFile
 from appliance.instrument.service.settings import pointers_of, standard_choices
-from appliance.measure.calibration import file as calibration_file
+from appliance.store.calibration_file import load_calibration
 from appliance.store.config import load_rig
 from appliance.store.instrument import calibration_of
 from appliance.store.library import Library, LibraryFolder
@@ -83,7 +83,7 @@ def test_every_scan_is_listed_whole_and_says_what_it_said(recorded: Recorded) ->
 def test_calibrations_of_every_model_are_read_and_are_the_same_ones(recorded: Recorded) -> None:
     folder = recorded.root / "calibration"
     files = [path for path in (*folder.glob("*.json"), *folder.glob("kept/*.json")) if path.name != "beams.json"]
-    found = {path: calibration_file.load(path) for path in files}
+    found = {path: load_calibration(path) for path in files}
     for path, one in found.items():
         assert (one.rig_serial, one.rig.left.width_px, one.rig.left.height_px) == ("KF-SIM", WIDTH_PX, HEIGHT_PX)
         assert one.hash == json.loads(path.read_text(encoding="utf-8"))["sha256"], "scans name it by this"
@@ -107,14 +107,14 @@ def test_the_instrument_starts_with_what_was_in_use_and_recovers_what_was_not_de
     rig = load_rig(recorded.rig_file)
     rig = replace(rig, storage=replace(rig.storage, root=root))
     calibration = root / "calibration"
-    assert calibration_of(rig) == (calibration_file.load(calibration / "current.json"), ())
-    assert start_of(rig) == calibration_file.load(calibration / "air.json")
+    assert calibration_of(rig) == (load_calibration(calibration / "current.json"), ())
+    assert start_of(rig) == load_calibration(calibration / "air.json")
     session = Calibrations(root, rig.rig.serial).session()
     assert [(check.step, check.scan_id) for check in session.trials] == [(Step.M3, "000004")]
     chosen, fault = ChoicesFile(root, standard_choices(rig)).read()
     assert (chosen.period_px, fault) == (16, None)
     for path in (calibration / "kept").glob("000[12]*.json"):
-        assert HealthFile(root, calibration_file.load(path).hash).read().points
+        assert HealthFile(root, load_calibration(path).hash).read().points
     pointers = pointers_of(rig)
     assert pointers is not None
     known = json.loads((calibration / "beams.json").read_text(encoding="utf-8"))["calibration"]

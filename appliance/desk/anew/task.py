@@ -22,9 +22,10 @@ from appliance.desk.anew.work import DONE, FAILED, Again, Job
 from appliance.desk.evaluation import run_evaluation
 from appliance.desk.reconstruct import work_through
 from appliance.measure.accept.points import NotFound
-from appliance.measure.calibration.file import Calibration, CalibrationError, load
+from appliance.measure.calibration.file import Calibration, CalibrationError
 from appliance.measure.grade import SPOILS_SCAN
 from appliance.store.atomic import StorageError
+from appliance.store.calibration_file import load_calibration
 from appliance.store.damage import refuse_damaged_frames
 from appliance.store.instrument import exposures_label
 from appliance.store.origin import SourceScan, calibration_for, open_source
@@ -85,7 +86,7 @@ def _refuse_unfit(job: Job, settings: Mapping[str, Any]) -> None:
     if not Path(job.folder).is_dir():
         raise Again(f"does not see {job.folder}; mount SOURCE there under the same path")
     # The key was made from the caller's file: one that was exchanged meanwhile would be published under a wrong key.
-    if job.calibration is not None and load(Path(job.calibration)).hash != settings["calibration"]:
+    if job.calibration is not None and load_calibration(Path(job.calibration)).hash != settings["calibration"]:
         raise Again(f"sees another calibration in {job.calibration}; let it see the same file, and call again")
 
 

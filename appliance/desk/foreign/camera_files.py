@@ -24,6 +24,7 @@ from appliance.desk.foreign.camera_dialects import CameraNumbers, NumbersOf, fac
 from appliance.desk.foreign.matlab import MOST_NUMBERS, MatlabError, matlab_tables
 from appliance.desk.foreign.problem import ForeignError, Table
 from appliance.measure.calibration import file as calibration_file
+from appliance.store.calibration_file import load_calibration
 
 Array = NDArray[np.float64]
 
@@ -56,7 +57,7 @@ def cameras_in(folder: Path) -> dict[str, Any]:
             name = str(path.relative_to(folder))
             with suppress(calibration_file.CalibrationError):
                 if path.suffix == ".json":
-                    calibration_file.load(path)
+                    load_calibration(path)
                     return {"calibration": name}
             with suppress(ForeignError):
                 files[name] = numbers_in(path)

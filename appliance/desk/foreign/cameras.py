@@ -23,6 +23,7 @@ from appliance.measure.light.port import Port
 from appliance.measure.light.rotation import matrix3
 from appliance.measure.light.sides import SIDES
 from appliance.measure.light.water import quan_fry_index
+from appliance.store.calibration_file import load_calibration
 
 Array = NDArray[np.float64]
 
@@ -188,7 +189,7 @@ def _our_own(description: Description, sizes_px: Mapping[str, tuple[int, int]]) 
         return None
     path = description.folder / str(name)
     try:
-        ours = calibration_file.load(path)
+        ours = load_calibration(path)
     except calibration_file.CalibrationError as error:
         if named:
             raise ForeignError(str(error)) from error

@@ -11,12 +11,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, astuple, dataclass, field
-from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 
-from appliance.base.bounded_file import read_bounded
 from appliance.base.one_line import one_line
 from appliance.base.sealed_file import LEFT_OUT, Among, ContentError, SealedFile, Within, digest
 from appliance.measure.calibration.depth_error import COUNT as DEPTH_ERRORS
@@ -91,17 +89,6 @@ def decode(data: bytes, name: str = "calibration") -> Calibration:
         raise CalibrationError(str(error)) from error
     except ValueError as error:
         raise CalibrationError(f"{name}: {error}; {CALIBRATION.remedy}") from error
-
-
-def load(path: Path | str) -> Calibration:
-    """Read a calibration file. Raises CalibrationError also for a missing or unreadable file."""
-    try:
-        data = read_bounded(Path(path), CALIBRATION.max_bytes)
-    except OSError as error:
-        raise CalibrationError(
-            f"calibration {path}: cannot be read ({error.strerror}); calibrate, or copy the instrument's file there"
-        ) from error
-    return decode(data, f"calibration {path}")
 
 
 # ------------------------------------------------------------------------------------------ as it is written

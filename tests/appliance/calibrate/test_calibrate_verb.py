@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from appliance.cli import main
-from appliance.measure.calibration.file import encode, load
+from appliance.measure.calibration.file import encode
 from appliance.measure.light.model import StereoRig
 from appliance.measure.light.port import Port
+from appliance.store.calibration_file import load_calibration
 from hw_sim.objects.shapes import BALL_RADIUS_MM
 from hw_sim.scene import Scene
 from hw_sim.truth import TrueRig
@@ -76,7 +77,7 @@ def test_the_ports_of_a_hidden_rig_are_found_installed_and_taken_back(bench: Ben
     current.write_bytes(before)
     assert main(restore) == 2, "there was none before"
     assert calibrate(folder, "--out", str(out), "--install") == 0
-    found = load(out)
+    found = load_calibration(out)
     assert (found.method, found.rig_serial) == ("bundle, spline", "KF-0001")
     assert found.made_at.startswith("20")
     assert [text for text in found.made_from if text.startswith("recording")] == [f"recording {one}" for one in FOUR]
@@ -91,18 +92,18 @@ def test_the_ports_of_a_hidden_rig_are_found_installed_and_taken_back(bench: Ben
     assert {r["name"] for r in said["recordings"]} == set(FOUR)
     assert len(said["estimates"]) == 28
     assert said["costs"][-1] < 0.01 * said["costs"][0]
-    assert load(current) == found
+    assert load_calibration(current) == found
     assert main(restore) == 0
     assert current.read_bytes() == before
     assert main(restore) == 0
-    assert load(current) == found
+    assert load_calibration(current) == found
 
 
 def test_the_published_way_writes_its_three_models_and_replaces_none(bench: Bench, capsys: Capture) -> None:
     folder, _ = bench
     out = folder / "paper.json"
     assert calibrate(folder, "--out", str(out), "--method", "paper") == 0
-    pm, rm, rmd = (load(folder / f"{name}.json") for name in ("paper-pm", "paper-rm", "paper"))
+    pm, rm, rmd = (load_calibration(folder / f"{name}.json") for name in ("paper-pm", "paper-rm", "paper"))
     assert pm.rig.left.lens_in_water
     assert (rm.method, rmd.method) == ("search of distances", "search of distances, operator")
     assert pm.made_at == rm.made_at == rmd.made_at
@@ -131,7 +132,7 @@ def test_what_cannot_be_done_is_said_and_replaces_nothing(bench: Bench, capsys: 
     frustum = '[[scan]]\nscan = "./plane-0"\nartefact = "frustum"\ntop_mm = 80.0\n'
     (folder / "frustum.toml").write_text(listed(truth, *FOUR) + frustum)
     (folder / "planes.toml").write_text(listed(truth, "plane-0"))
-    (folder / "other.json").write_bytes(encode(replace(load(folder / "air.json"), rig_serial="KF-0002")))
+    (folder / "other.json").write_bytes(encode(replace(load_calibration(folder / "air.json"), rig_serial="KF-0002")))
     for out, name, start, code, words in (
         ("taken", "list", "air", 2, "exists already"),
         ("none", "frustum", "air", 2, "take it out of the list"),

@@ -29,6 +29,7 @@ from appliance.measure.light.ray_shift import RayShift
 from appliance.measure.light.sequence import build_sequence
 from appliance.measure.light.volume import WorkingVolume
 from appliance.store import instrument
+from appliance.store.calibration_file import load_calibration
 from appliance.store.config import Rig, load_rig, parse_rig
 from appliance.store.instrument import NOISE_FILE, exposures_of, noise_of, with_measured_noise
 from tests.appliance.cli.test_measure import RIG
@@ -68,20 +69,21 @@ SMALL = replace(CALIBRATION, rig=replace(CALIBRATION.rig, volume=WorkingVolume(2
 
 
 @pytest.mark.parametrize(
-    ("module", "stored"),
+    ("module", "load", "stored"),
     [
-        *((calibration_file, one) for one in (CALIBRATION, left_with(ray_shift=SHIFT), left_with(lens_in_water=True), left_with(correction=CORRECTION), STATED, SMALL, FIELDED)),
-        (NOISE_SEAL, NOISE), (RESPONSE_SEAL, RESPONSE), (RESPONSE_SEAL, replace(RESPONSE, exposure_us=12_000, trigger_delay_us=500)),
+        *((calibration_file, load_calibration, one) for one in (CALIBRATION, left_with(ray_shift=SHIFT), left_with(lens_in_water=True), left_with(correction=CORRECTION), STATED, SMALL, FIELDED)),
+        (NOISE_SEAL, NOISE_SEAL.load, NOISE), (RESPONSE_SEAL, RESPONSE_SEAL.load, RESPONSE),
+        (RESPONSE_SEAL, RESPONSE_SEAL.load, replace(RESPONSE, exposure_us=12_000, trigger_delay_us=500)),
     ],
 )  # fmt: skip
-def test_what_was_written_comes_back(module: Any, stored: Any, tmp_path: Path) -> None:
+def test_what_was_written_comes_back(module: Any, load: Callable[[Path], Any], stored: Any, tmp_path: Path) -> None:
     path = tmp_path / "stored.json"
     path.write_bytes(module.encode(stored))
-    assert module.load(path) == stored
+    assert load(path) == stored
     for optional in ("depth_error_mm2", "air_field", "exposure_us"):
         assert (optional.encode() in module.encode(stored)) == (getattr(stored, optional, None) is not None)
     if module is calibration_file:
-        assert module.load(path).hash == stored.hash
+        assert load(path).hash == stored.hash
         assert (stored.hash == CALIBRATION.hash) == (stored == CALIBRATION)
 
 
@@ -173,7 +175,7 @@ def test_a_file_that_cannot_be_read_is_no_missing_one(tmp_path: Path, says: Says
     with pytest.raises(ContentError) as unreadable:
         RESPONSE_SEAL.load(tmp_path)
     with pytest.raises(CalibrationError) as missing:
-        calibration_file.load(tmp_path / "none.json")
+        load_calibration(tmp_path / "none.json")
     says(unreadable.value, missing.value)
     centre = CALIBRATION.rig.volume_centre_mm(CALIBRATION.water.index)
     assert np.linalg.norm(centre) == pytest.approx(522.5 / np.cos(np.radians(12.41)), abs=0.5)

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from appliance.cli import main
-from appliance.measure.calibration.file import IN_AIR, load
+from appliance.measure.calibration.file import IN_AIR
+from appliance.store.calibration_file import load_calibration
 from appliance.store.config import parse_rig
 from appliance.store.instrument import calibration_of
 from hw_sim.rendering.render import Renderer
@@ -70,10 +71,10 @@ def test_a_folder_becomes_a_start_for_water_and_the_one_before_is_kept(
     assert report["principal_distance_px"][0] == pytest.approx(dry.left.f_px[0], abs=0.5)
     base = np.linalg.norm(np.subtract(dry.right.t_mm, dry.left.t_mm))
     assert abs(report["baseline_mm"] - base) < 5.0 * report["baseline_sd_mm"] < 0.5
-    start = load(out)
+    start = load_calibration(out)
     assert (start.method, start.rig_serial, start.air_covariance is None) == (IN_AIR, "KF-SIM", False)
     assert start.rig.left.port.distance_mm == 30.0, "ports are as drawn"
-    assert load(kept / "air.json") == start
+    assert load_calibration(kept / "air.json") == start
     for path in report["pictures"]:
         drawn = cv2.imread(path)
         assert drawn is not None

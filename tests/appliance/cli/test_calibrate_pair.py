@@ -18,8 +18,8 @@ import pytest
 from appliance.cli import main
 from appliance.desk.foreign.cameras import read_rig
 from appliance.desk.foreign.description import parse_description
-from appliance.measure.calibration.file import load
 from appliance.measure.light.pinhole import Lens
+from appliance.store.calibration_file import load_calibration
 from tests.support.any_boards import BASE_MM, F_PX, HEIGHT_PX, WIDTH_PX, Printed, poses, write_pairs
 from tests.support.commands import Shell
 
@@ -65,7 +65,7 @@ def test_a_folder_of_others_becomes_a_calibration(mine: CalibratedPair) -> None:
         assert abs(f_px - F_PX) < max(5.0 * sd_px, 1.0)
         assert sd_px < 3.0
     assert report["baseline_mm"] == pytest.approx(BASE_MM, rel=5e-3)
-    start = load(mine.file)
+    start = load_calibration(mine.file)
     assert (start.method, start.rig_serial) == ("air", mine.pictures.name)
     assert (start.rig.left.width_px, start.rig.left.height_px) == (WIDTH_PX, HEIGHT_PX)
     assert all(cv2.imread(path) is not None for path in report["pictures"])
@@ -75,7 +75,7 @@ def test_opencv_reads_the_same_cameras(mine: CalibratedPair) -> None:
     """A point of space goes to the same pixels by OpenCV's own projection with the file for it."""
     store = cv2.FileStorage(str(mine.file.with_suffix(".yml")), cv2.FILE_STORAGE_READ)
     point = np.array([[12.0, -7.0, 350.0]])
-    camera = load(mine.file).rig.right
+    camera = load_calibration(mine.file).rig.right
     local = (point - np.array(camera.translation_mm)) @ np.array(camera.rotation)
     ours = Lens(camera.lens.f_px, camera.lens.c_px, camera.lens.distortion).to_pixels(local[:, :2] / local[:, 2:])
     R, T, M, D = (store.getNode(name).mat() for name in ("R", "T", "M2", "D2"))

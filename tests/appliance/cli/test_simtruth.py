@@ -11,7 +11,7 @@ import pytest
 from appliance.cli.output import UsageError
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.cli.simtruth import bring_calibration, true_calibration
-from appliance.measure.calibration.file import load
+from appliance.store.calibration_file import load_calibration
 from appliance.store.config import Rig, load_rig
 from appliance.store.instrument import CALIBRATION_FILE, calibration_of
 from hw_sim.truth import project
@@ -72,4 +72,4 @@ def test_another_true_rig_is_not_measured_with_the_nominal_calibration(tmp_path:
     bring_calibration(rig_of(tmp_path, "nominal"))
     with pytest.raises(UsageError, match=r"has another true rig.*give another folder, --truth nominal, or remove"):
         bring_calibration(rig_of(tmp_path, "realistic"))
-    assert load(tmp_path / CALIBRATION_FILE).method == "truth"
+    assert load_calibration(tmp_path / CALIBRATION_FILE).method == "truth"

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from appliance.desk.merging import merge_scans, merged_cloud_of
-from appliance.measure.calibration.file import encode, load
+from appliance.measure.calibration.file import encode
 from appliance.store import scan as stored
+from appliance.store.calibration_file import load_calibration
 from appliance.store.config import Rig, load_rig
 from appliance.store.config.load import default_rig_path
 from appliance.store.origin import one_calibration, open_source
@@ -53,9 +54,9 @@ def test_a_cloud_of_two_exposures_has_more_points_and_is_as_true(rig: Rig, tmp_p
     assert report["scans"] == "000002 + 000001", "the shorter one gives the grey values"
     assert report["exposures"] == "2.5 ms + 16 ms"
     loaded = (stored.load(folders["000002"]), stored.load(folders["000001"]))
-    cloud, _, _ = merged_cloud_of(loaded, rig, load(path), silent)
+    cloud, _, _ = merged_cloud_of(loaded, rig, load_calibration(path), silent)
     np.testing.assert_array_equal(read_ply(out).points_mm, cloud.points_mm)
-    alone = [judge(scan, reconstruct(scan, load(path))[1]) for scan in scans.values()]
+    alone = [judge(scan, reconstruct(scan, load_calibration(path))[1]) for scan in scans.values()]
     together = judge(scans["000001"], cloud)
     assert together.completeness_percent > max(one.completeness_percent for one in alone) + 2.0
     assert together.rms_mm < 1.05 * max(one.rms_mm for one in alone)

@@ -18,7 +18,8 @@ from appliance.calibrate.health import OVERLAP_LIMIT
 from appliance.cli.main import main
 from appliance.desk import object_store as objects
 from appliance.measure.calibration.depth_error import COUNT
-from appliance.measure.calibration.file import encode, load
+from appliance.measure.calibration.file import encode
+from appliance.store.calibration_file import load_calibration
 from appliance.store.config import default_rig_path, load_rig
 from appliance.store.instrument import design_of
 from appliance.store.library import Library
@@ -223,7 +224,7 @@ def test_what_overlaps_tell_of_the_calibration_goes_into_its_health(
     dive: Path, capsys: pytest.CaptureFixture[str], wrong_by: float, alarms: bool
 ) -> None:
     """Ten micrometres are stated. One lens's third-order distortion is wrong by 0.008, which bends the depth by some tenths of a millimetre."""
-    true = load(dive / "calibration" / "truth.json")
+    true = load_calibration(dive / "calibration" / "truth.json")
     lens = true.rig.right.lens
     k1, k2, p1, p2, k3 = lens.distortion
     right = replace(true.rig.right, lens=replace(lens, distortion=(k1 + wrong_by, k2, p1, p2, k3)))

@@ -21,10 +21,11 @@ from appliance.calibrate.calibrations import Calibrations
 from appliance.desk.scripting import export, open_dive, open_scan, save_calibration
 from appliance.desk.surface.fusion import PlacedScan, fuse
 from appliance.desk.surface.mesh import mesh_of_scan
-from appliance.measure.calibration.file import CalibrationError, encode, load
+from appliance.measure.calibration.file import CalibrationError, encode
 from appliance.measure.grade import Grade
 from appliance.measure.light.water import Water
 from appliance.measure.verdict import Verdict
+from appliance.store.calibration_file import load_calibration
 from appliance.store.instrument import design_of
 from appliance.store.library import Library, UnknownScan
 from appliance.store.scan import ScanError
@@ -119,7 +120,7 @@ def test_each_kind_of_result_is_written_and_a_calibration_once(dive: Dive, tmp_p
     save_calibration(calibration, str(path))
     with pytest.raises(CalibrationError, match="never replaced"):
         save_calibration(replace(calibration, made_at="2031-01-01"), path)
-    assert load(str(path)) == calibration
+    assert load_calibration(str(path)) == calibration
 
 
 def test_what_is_not_there_or_damaged_is_said(dive: Dive, tmp_path: Path) -> None:

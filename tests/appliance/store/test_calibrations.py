@@ -10,7 +10,8 @@ import pytest
 from appliance.calibrate.calibrations import Calibrations, SessionError
 from appliance.calibrate.guide import USED, AdjustmentSummary, RecordingCheck, Session, Step, Verified
 from appliance.measure.calibration.design import design_calibration
-from appliance.measure.calibration.file import Calibration, CalibrationError, encode, load
+from appliance.measure.calibration.file import Calibration, CalibrationError, encode
+from appliance.store.calibration_file import load_calibration
 from tests.appliance.store.scenes import padded
 from tests.support.calibrating import DESIGN
 from tests.support.sealing import opened, sealed
@@ -56,7 +57,7 @@ def test_a_session_is_the_same_after_a_new_start_and_of_this_instrument(store: C
     assert Calibrations(tmp_path, "KF-TEST").session() == session
     assert (session.next_step, session.verified) == (Step.RESULT, VERIFIED)
     assert (store.folder / "session" / "report.txt").read_bytes() == b"0.026 px", "beside its solution"
-    assert load(store.solved).hash == NEW.hash
+    assert load_calibration(store.solved).hash == NEW.hash
     assert Calibrations(tmp_path, "KF-OTHER").session() == Session()
 
 
@@ -116,7 +117,7 @@ def test_everything_of_a_calibration_lies_below_one_folder(tmp_path: Path) -> No
     assert store.solved == tmp_path / "calibration" / "session" / "solved.json"
     assert (store.in_use, list(tmp_path.iterdir())) == (None, []), "nothing is touched"
     assert store.install(NEW, DAY) is None, "the first one has nothing to keep"
-    assert store.in_use == load(store.current).hash == NEW.hash
+    assert store.in_use == load_calibration(store.current).hash == NEW.hash
     with pytest.raises(SessionError, match="no other calibration"):
         store.bring_back(None, DAY)
 

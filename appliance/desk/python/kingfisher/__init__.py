@@ -78,18 +78,19 @@ if TYPE_CHECKING:  # for editors and type checkers; at run time ``__getattr__`` 
     from appliance.desk.surface.object_mesh import mesh_of_surface as mesh_of_surface
     from appliance.measure.calibration.file import Calibration as Calibration
     from appliance.measure.calibration.file import CalibrationError as CalibrationError
-    from appliance.measure.calibration.file import load as load_calibration  # noqa: F401
     from appliance.measure.grade import Grade as Grade
     from appliance.measure.light.water import Water as Water
     from appliance.measure.overlap.rigid import Rigid as Rigid
     from appliance.measure.points.organised import OrganisedCloud as OrganisedCloud
     from appliance.store.atomic import StorageError as StorageError
+    from appliance.store.calibration_file import load_calibration as load_calibration
     from appliance.store.config import ConfigError as ConfigError
     from appliance.store.library import UnknownScan as UnknownScan
     from appliance.store.scan import ScanError as ScanError
 
 _HOMES = {
-    "appliance.measure.calibration.file": ("Calibration", "CalibrationError", "load as load_calibration"),
+    "appliance.measure.calibration.file": ("Calibration", "CalibrationError"),
+    "appliance.store.calibration_file": ("load_calibration",),
     "appliance.store.config": ("ConfigError",),
     "appliance.desk.export.suffixes": ("ExportError",),
     "appliance.desk.comparing": ("Comparison", "NominalSurface", "compare"),

@@ -133,7 +133,7 @@ def test_a_list_states_limits_and_the_radius_with_its_uncertainty_and_a_wrong_li
     for text, words in (
         ("limits = 3", "limits is no table; give [limits] with pf_mm, ps_mm, sd_mm, f_mm"),
         ("[limits]\npx_mm = 0.1", "limits.px_mm is unknown; allowed are f_mm, pf_mm, ps_mm, sd_mm"),
-        ("[limits]\npf_mm = 0.0", "limits.pf_mm is 0; allowed are 0.0001..10"),
+        ("[limits]\npf_mm = 0.0", "limits.pf_mm is 0.0; allowed are numbers 0.0001..10"),
         ('[limits]\nsd_mm = "small"', "limits.sd_mm is 'small'; allowed are numbers"),
     ):
         path.write_text(f"{text}\n{BAR}")
