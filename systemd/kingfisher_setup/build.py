@@ -77,7 +77,7 @@ def build(layout: Layout, tree: Path, wheels: Path | None, say: Say) -> str:
         copy.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(folder / "source" / shared, copy)
     shutil.move(folder / "source" / "systemd", folder / "systemd")
-    rig = layout.rig if layout.rig.exists() else folder / "source" / "appliance" / "rigs" / "kingfisher.toml"
+    rig = layout.rig if layout.rig.exists() else folder / "source" / "appliance" / "store" / "rigs" / "kingfisher.toml"
     if rig != layout.rig:
         durable.write(layout.rig, rig.read_bytes())
     for leftover in ("source", "wheels"):

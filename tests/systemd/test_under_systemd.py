@@ -226,7 +226,7 @@ def test_an_upgrade_that_passes_its_self_test_stays(instrument: Instrument, tmp_
 def test_an_upgrade_that_does_not_start_is_taken_back(instrument: Instrument, tmp_path: Path) -> None:
     before, scans, old = instrument.status, instrument.scans(), instrument.in_use
     broken = copied(instrument.tree, tmp_path / "broken")
-    app = broken / "appliance" / "service" / "app.py"
+    app = broken / "appliance" / "instrument" / "service" / "app.py"
     # Not where it is imported: that the setup finds before it puts a version on trial.
     app.write_text(app.read_text() + '\n\ndef run(rig):\n    raise RuntimeError("a mistake in the new version")\n')
     code, said = upgrade(instrument, broken, "broken")

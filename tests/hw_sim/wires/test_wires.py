@@ -200,7 +200,7 @@ def test_a_world_that_fails_says_so(make_bench: Callable[..., Bench], monkeypatc
 
 @pytest.mark.parametrize("name", ["full", "small"])
 def test_the_simulated_rigs_differ_from_the_instrument_only_in_what_is_simulated(name: str) -> None:
-    instrument = tomllib.loads((RIGS.parents[1] / "appliance" / "rigs" / "kingfisher.toml").read_text())
+    instrument = tomllib.loads((RIGS.parents[1] / "appliance" / "store" / "rigs" / "kingfisher.toml").read_text())
     rig = tomllib.loads((RIGS / f"{name}.toml").read_text())
     assert rig["rig"]["wires"] == "hw_sim.wires:open"
     assert rig["board"]["url"] == "kfsim://main/board"
