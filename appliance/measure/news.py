@@ -9,8 +9,7 @@ from dataclasses import dataclass
 
 from appliance.measure.cloud import Found
 from appliance.measure.fault import Fault, FaultCode
-from appliance.measure.guidance_fact import Guidance
-from appliance.measure.overlap_fact import Overlap
+from appliance.measure.guidance import Guidance, Overlap
 from appliance.measure.verdict import Judgement
 
 

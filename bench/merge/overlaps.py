@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
+from appliance.measure.guidance import Overlap
 from appliance.measure.overlap.overlap import compare
-from appliance.measure.overlap_fact import Overlap
 from bench.merge.guide import KEPT_AT_MM, PAINTS, SURFACE_MM, Place, held, kept_scan
 from bench.progress import Progress
 from bench.result import Measured

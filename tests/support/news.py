@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from appliance.measure.cloud import CloudSummary, Found
 from appliance.measure.fault import Fault
+from appliance.measure.guidance import Overlap
 from appliance.measure.light.exposure import Exposure
 from appliance.measure.news import (
     Bracket,
@@ -15,7 +16,6 @@ from appliance.measure.news import (
     ScanOverlap,
     Verdicts,
 )
-from appliance.measure.overlap_fact import Overlap
 from appliance.measure.verdict import Judgement, Verdict
 
 

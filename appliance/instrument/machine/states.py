@@ -18,11 +18,10 @@ from appliance.instrument.machine.words import Label
 from appliance.instrument.ranging.reach import Range, Reach
 from appliance.measure.cloud import CloudSummary
 from appliance.measure.fault import Fault
-from appliance.measure.guidance_fact import Guidance
+from appliance.measure.guidance import Guidance, Overlap
 from appliance.measure.light.exposure import Exposure
 from appliance.measure.light.sequence import PERIODS_PX, build_sequence
 from appliance.measure.light.volume import STANDARD, WorkingVolume
-from appliance.measure.overlap_fact import Overlap
 from drivers.api import Key
 
 

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.measure.guidance_fact import LEAST_GOOD, LOST, MOST_GOOD, Guidance
+from appliance.measure.guidance import LEAST_GOOD, LOST, MOST_GOOD, Guidance, Overlap
 from appliance.measure.light.model import HousedCamera
 from appliance.measure.light.rotation import rotation_matrix
 from appliance.measure.overlap.coarse import ENOUGH_INLIERS, matches, turn_error_mm
@@ -25,7 +25,6 @@ from appliance.measure.overlap.features import PictureMarks, marks_of
 from appliance.measure.overlap.overlap import APART_MM, ENOUGH_AROUND, MOST_MARKS, REACH_MM, RIVAL, TOLD, CoarseView
 from appliance.measure.overlap.patches import Array, Projection
 from appliance.measure.overlap.rigid import Rigid
-from appliance.measure.overlap_fact import Overlap
 
 SAMPLES = 300
 """Triples that a pose is tried with."""

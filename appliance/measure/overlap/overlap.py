@@ -16,13 +16,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.measure.guidance import NO_OVERLAP, UNKNOWN, Overlap
 from appliance.measure.overlap.albedo import Paint
 from appliance.measure.overlap.coarse import Guess, guess_by_features, guess_by_shape, in_common, turn_error_mm
 from appliance.measure.overlap.features import Features, PictureMarks, marks_of, points_below
 from appliance.measure.overlap.fine import Prepared, refine
 from appliance.measure.overlap.patches import Array, Projection, patches_of
 from appliance.measure.overlap.rigid import Rigid
-from appliance.measure.overlap_fact import NO_OVERLAP, UNKNOWN, Overlap
 from appliance.measure.points.organised import OrganisedCloud
 from appliance.measure.points.table import Cloud
 

@@ -12,12 +12,11 @@ import pytest
 from appliance.instrument.machine.alerts import RULES, Severity
 from appliance.measure.fault import Fault, FaultCode
 from appliance.measure.grade import SPOILS_POINTS, TOLD_BESIDE_GOOD, Grade, grade, is_usable
-from appliance.measure.guidance_fact import LOST, Guidance, Move
+from appliance.measure.guidance import LOST, UNKNOWN, Guidance, Move, Overlap
 from appliance.measure.light.acquisition import AcquisitionSettings
 from appliance.measure.light.exposure import NOMINAL, Exposure, Span, ladder
 from appliance.measure.light.noise import MAD_TO_SIGMA, TYPICAL, CameraNoise, StereoNoise, camera_noise
 from appliance.measure.light.sides import SIDES, of_side
-from appliance.measure.overlap_fact import UNKNOWN, Overlap
 from appliance.measure.verdict import Verdict
 from appliance.store.config.load import default_rig_path, load_rig
 

@@ -15,8 +15,7 @@ from appliance.instrument.machine.failure import Failure, FailureKind
 from appliance.instrument.machine.states import Answer, Calibrating, Device, Machine, OffQuestion, Task, boot
 from appliance.instrument.ranging.reach import Range, Reach
 from appliance.instrument.service.status import StatusFile, describe
-from appliance.measure.guidance_fact import Guidance
-from appliance.measure.overlap_fact import Overlap
+from appliance.measure.guidance import Guidance, Overlap
 from tests.appliance.instrument.machine.walks import MISSING, aim, capturing, run
 
 

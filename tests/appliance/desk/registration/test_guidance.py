@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from appliance.instrument.worker.live_picture import reduced
-from appliance.measure.guidance_fact import LEAST_GOOD, MOST_GOOD, Guidance, Move
+from appliance.measure.guidance import LEAST_GOOD, MOST_GOOD, Guidance, Move
 from appliance.measure.overlap.guidance import Guide, Sight, long_axis
 from appliance.measure.overlap.overlap import CoarseView
 from appliance.measure.overlap.patches import projection_of

@@ -10,10 +10,10 @@ import pytest
 from scipy.spatial import cKDTree
 
 from appliance.measure.cloud import CloudSummary
+from appliance.measure.guidance import Overlap
 from appliance.measure.overlap.features import Features, PictureMarks
 from appliance.measure.overlap.overlap import CoarseView, _again, _single, coarse_view, compare, share_on
 from appliance.measure.overlap.rigid import Rigid
-from appliance.measure.overlap_fact import Overlap
 from appliance.measure.points.table import Cloud
 from tests.support.views import PROJECTION, SeenView, between, view
 

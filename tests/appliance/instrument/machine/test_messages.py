@@ -26,9 +26,8 @@ from appliance.instrument.ranging.reach import Reach
 from appliance.instrument.screens.texts import worded
 from appliance.measure.fault import Fault, FaultCode
 from appliance.measure.grade import SPOILS_SCAN
-from appliance.measure.guidance_fact import LOST, Guidance
+from appliance.measure.guidance import LOST, NO_OVERLAP, UNKNOWN, Guidance, Overlap
 from appliance.measure.news import LiveGuidance
-from appliance.measure.overlap_fact import NO_OVERLAP, UNKNOWN, Overlap
 from drivers.api import Key
 from tests.appliance.instrument.machine import walks as at
 from tests.appliance.instrument.machine.courses import (

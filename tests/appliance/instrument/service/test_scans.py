@@ -24,6 +24,7 @@ from appliance.instrument.worker.messages import Ready
 from appliance.instrument.worker.process import WorkerEvent
 from appliance.measure.cloud import Found
 from appliance.measure.fault import Fault, FaultCode
+from appliance.measure.guidance import Overlap
 from appliance.measure.light.exposure import Exposure
 from appliance.measure.light.sequence import PatternSequence, build_sequence
 from appliance.measure.light.sides import SIDES
@@ -41,7 +42,6 @@ from appliance.measure.news import (
     WorkerFailure,
     WorkProgress,
 )
-from appliance.measure.overlap_fact import Overlap
 from appliance.measure.points.table import Cloud
 from appliance.measure.verdict import Judgement, Verdict
 from appliance.store.library import Library

@@ -13,10 +13,9 @@ from appliance.instrument.worker.messages import LookAt
 from appliance.instrument.worker.neighbours import Neighbours
 from appliance.instrument.worker.onlooker import Onlooker
 from appliance.measure.cloud import CloudSummary
-from appliance.measure.guidance_fact import Move
+from appliance.measure.guidance import Move, Overlap
 from appliance.measure.light.sequence import build_sequence
 from appliance.measure.news import LiveGuidance
-from appliance.measure.overlap_fact import Overlap
 from appliance.measure.points.table import Cloud
 from tests.support import synthetic
 from tests.support.views import CALIBRATION, view

@@ -25,7 +25,7 @@ from appliance.instrument.worker.order import WorkOrder
 from appliance.instrument.worker.process import ReconstructionWorker, WorkerEvent
 from appliance.measure.cloud import CloudSummary, Found
 from appliance.measure.fault import Fault, FaultCode
-from appliance.measure.guidance_fact import LOST
+from appliance.measure.guidance import LOST, Overlap
 from appliance.measure.light.acquisition import AcquisitionSettings
 from appliance.measure.light.exposure import Exposure
 from appliance.measure.news import (
@@ -42,7 +42,6 @@ from appliance.measure.news import (
     WorkerFailure,
     WorkProgress,
 )
-from appliance.measure.overlap_fact import Overlap
 from appliance.measure.verdict import Judgement, Verdict
 from tests.drivers.output.kernel import Time
 from tests.support import synthetic

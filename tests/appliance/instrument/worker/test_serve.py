@@ -19,11 +19,11 @@ from appliance.instrument.capture.store import FrameStore
 from appliance.instrument.worker import messages as say
 from appliance.instrument.worker.live_picture import LivePicture, behind_picture
 from appliance.instrument.worker.serve import Server
+from appliance.measure.guidance import Overlap
 from appliance.measure.light.acquisition import AcquisitionSettings
 from appliance.measure.light.sequence import build_sequence
 from appliance.measure.light.sides import SIDES
 from appliance.measure.news import FullCloud, LiveGuidance, News, PatternIdentity, ReconstructionFailure, ScanOverlap
-from appliance.measure.overlap_fact import Overlap
 from appliance.measure.points.pipeline import Pipeline
 from appliance.measure.points.table import PointTable
 from appliance.measure.procedure import SequenceProcessor

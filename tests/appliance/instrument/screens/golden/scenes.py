@@ -18,7 +18,7 @@ from appliance.instrument.ranging.reach import Reach
 from appliance.instrument.screens import views
 from appliance.measure.fault import Fault, FaultCode
 from appliance.measure.grade import Grade
-from appliance.measure.guidance_fact import Move
+from appliance.measure.guidance import Move
 from drivers.api import Key
 from tests.appliance.instrument.screens.golden import seabed
 

@@ -1,11 +1,34 @@
-"""Owns the words for where to go before the next scan: how much it would have in common with the one that was kept, and which way is better."""
+"""Owns the words for what two scans have in common: a share, none, or that nobody can tell; and for where to take the next one from."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
 
-from appliance.measure.overlap_fact import NO_OVERLAP, Overlap
+
+@dataclass(frozen=True, slots=True)
+class Overlap:
+    """Overlap of a scan with the one before."""
+
+    share: float | None
+    """Share, 0..1, of this scan's surface that the other one has, too; ``None``: it cannot be told (a smooth pipe fits everywhere)."""
+
+    @property
+    def none(self) -> bool:
+        """True if it is known that so little is in common that the scans cannot be placed to each other."""
+        return self.share is not None and self.share < LEAST_SHARE
+
+    @property
+    def scant(self) -> bool:
+        """True if it is known to be less than half of what is wanted: the next step should be shorter."""
+        return self.share is not None and self.share < SCANT_SHARE
+
+
+LEAST_SHARE = 0.08
+"""Smaller overlaps hold no pair of scans together (``appliance.desk.registration.pair``)."""
+SCANT_SHARE = 0.25
+"""Overlaps of 40 to 60 % are good: enough to hold, and new surface in every scan."""
+NO_OVERLAP, UNKNOWN = Overlap(0.0), Overlap(None)
 
 LEAST_GOOD, MOST_GOOD = 0.4, 0.6
 """Shares between which a scan holds well and shows enough that is new."""
