@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibrate.health import LIMIT, SLACK, HealthTrend, judge
+from appliance.calibrate.health import LIMIT, SLACK, HealthTrend, judge_health
 from appliance.calibrate.water.method import Method
 from appliance.measure.cloud import PatchGaps
 from bench.health_changes import Change, changes, length_error_percent
@@ -107,7 +107,7 @@ def _smallest(trend: HealthTrend, pairs: list[tuple[PatchGaps, PatchGaps]], chan
             at = trend
             for normal, other in pairs[k : k + scans]:
                 gap = normal.gap_um + size / change.size * (other.gap_um - normal.gap_um)
-                at, said = judge(at, replace(normal, gap_um=gap))
+                at, said = judge_health(at, replace(normal, gap_um=gap))
                 if said.alarm:
                     hits += 1
                     break

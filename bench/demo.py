@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from appliance.cli.kernels import compile_kernels
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated, simulator_kernels
 from appliance.instrument.service.app import run
-from appliance.measure.calibration.file import encode
+from appliance.measure.calibration.file import encode_calibration
 from appliance.store.config import load_rig
 from appliance.store.instrument import CALIBRATION_FILE
 from appliance.store.library import Library
@@ -129,7 +129,7 @@ def _demonstrate(wanted: argparse.Namespace, pulse: Pulse) -> int:
     truth = draw_truth(world.truth, world.seed, world.width_px, world.height_px, world.scene().water.index)
     calibration = rig.storage.root / CALIBRATION_FILE
     calibration.parent.mkdir(parents=True)
-    calibration.write_bytes(encode(true_calibration(truth, rig.rig.serial)))
+    calibration.write_bytes(encode_calibration(true_calibration(truth, rig.rig.serial)))
 
     begun = time.perf_counter()
     pulse.begin(f"a dive: a {wanted.object} at {wanted.size}, somebody presses SCAN, looks, and keeps it")

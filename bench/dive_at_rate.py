@@ -25,7 +25,7 @@ from typing import Any
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.instrument.service.app import run
 from appliance.instrument.worker.usage import own_memory_mb
-from appliance.measure.calibration.file import encode
+from appliance.measure.calibration.file import encode_calibration
 from appliance.store.config import Rig, load_rig
 from appliance.store.instrument import CALIBRATION_FILE
 from appliance.store.library import Library
@@ -220,7 +220,7 @@ def rig_of(root: Path, size: str) -> Rig:
     truth = draw_truth(world.truth, world.seed, world.width_px, world.height_px, world.scene().water.index)
     calibration = rig.storage.root / CALIBRATION_FILE
     calibration.parent.mkdir(parents=True, exist_ok=True)
-    calibration.write_bytes(encode(true_calibration(truth, rig.rig.serial)))
+    calibration.write_bytes(encode_calibration(true_calibration(truth, rig.rig.serial)))
     return rig
 
 

@@ -26,7 +26,7 @@ STAGES = {
 """Stage of a folder's tests that state none (``./dev test --stage=NAME``)."""
 STAGE_NAMES = frozenset(STAGES.values())
 
-kernel_cache.use()
+kernel_cache.use_kernel_cache()
 use_one_blas_thread(os.environ)  # before anything imports NumPy
 
 

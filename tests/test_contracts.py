@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
+import pkgutil
 import shutil
 import subprocess
 import sys
@@ -10,6 +12,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
+ROOMS = ("base", "measure", "store", "calibrate", "desk", "instrument", "workshop")
 FORBIDDEN = {
     "independent-truth": ("hw_sim -> drivers.api", "hw_sim -> appliance.measure.light"),
     "unaware-product": ("appliance.instrument.capture -> hw_sim", "drivers.camera -> hw_sim"),
@@ -30,6 +33,14 @@ FORBIDDEN = {
         "appliance.instrument -> appliance.workshop",
         "appliance.workshop -> appliance.cli",
     ),
+    "face-of-base": ("appliance.store -> appliance.base.face",),
+    "face-of-measure": ("appliance.desk -> appliance.measure.light.water",),
+    "face-of-store": ("appliance.desk.report -> appliance.store.atomic",),
+    "face-of-calibrate": ("appliance.cli -> appliance.calibrate.health",),
+    "face-of-desk": ("appliance.cli -> appliance.desk.objects",),
+    "face-of-instrument": ("appliance.workshop -> appliance.instrument.capture",),
+    "face-of-workshop": ("appliance.cli -> appliance.workshop.steps",),
+    "face-of-cli": ("appliance -> appliance.cli.main",),
     "measuring-core": (
         "appliance.measure.light -> appliance.measure.points",
         "appliance.measure.decode -> appliance.measure.points",
@@ -86,3 +97,12 @@ def test_every_contract_holds_and_each_bites(tree: Path) -> None:
             init.write_text(before)
         assert bitten.returncode == 1, bitten.stdout + bitten.stderr
         assert all(chain in bitten.stdout for chain in chains), bitten.stdout
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_a_face_hands_out_no_name_that_a_module_of_its_room_has(room: str) -> None:
+    """Python gives the module in the place of the name, as soon as somebody has imported the module."""
+    face = importlib.import_module(f"appliance.{room}")
+    assert not {module.name for module in pkgutil.iter_modules(face.__path__)} & {*face.__all__}
+    with pytest.raises(AttributeError, match="its face has"):
+        getattr(face, "no_such_name")  # noqa: B009

@@ -251,7 +251,6 @@ MAY_BE_EQUAL: Mapping[str, frozenset[str]] = {
             "105 - = _COLOURS",
             "105 _BOX = _COLOURS",
             "106 _BOX = _COLOURS",
-            "12 KEPT_INTERVALS = INTERVALS",
             "12 _AROUND = AROUND_MM",
             "160 NEAR_GLARE_PX = COARSE_PX",
             "1.25 - = SCALES",

@@ -68,7 +68,7 @@ class CompileError(Exception):
 Said = Callable[[Compiling], None]
 
 
-def missing(folder: Path, pieces: Sequence[Piece]) -> list[Piece]:
+def missing_kernels(folder: Path, pieces: Sequence[Piece]) -> list[Piece]:
     """Return those of the pieces that are still to be compiled into ``folder``."""
     now = stamps()
     return [piece for piece in pieces if _read(_mark(folder, piece)) != now]
@@ -87,18 +87,18 @@ def compile_pieces(
     beginning, at each change, and at least every ``TICK_S``; ``processes`` defaults to the cores that this process may use.
     Raises CompileError after everything else was compiled, OSError when the folder cannot be written.
     """
-    if not missing(folder, pieces):
+    if not missing_kernels(folder, pieces):
         return
     begun_s = time.monotonic()
     folder.mkdir(parents=True, exist_ok=True)
     # Looked at twice: who waited for the lock finds that the other process has done the work.
     with _alone(folder / LOCK, lambda: said(Compiling(0, 0, (), time.monotonic() - begun_s))):
-        left = missing(folder, pieces)
+        left = missing_kernels(folder, pieces)
         if left:
             _Team(folder, left, said, processor, begun_s).work(processes or len(os.sched_getaffinity(0)))
 
 
-def build(
+def build_kernels(
     target: Path, pieces: Sequence[Piece], said: Said = lambda _: None, processor: Processor | None = None
 ) -> Path:
     """Compile ``pieces`` into a folder of ``target``, which is there whole or not at all; return that folder.

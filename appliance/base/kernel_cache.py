@@ -53,13 +53,13 @@ class Processor:
     features: str
 
 
-COMMON = Processor("x86-64-v3", "")
+COMMON_KERNELS = Processor("x86-64-v3", "")
 """Every x86 since 2013 to 2015; its features follow from the name."""
 COMMON_NEEDS = frozenset(("avx", "avx2", "bmi", "bmi2", "cx16", "f16c", "fma", "lzcnt", "movbe", "popcnt", "sse4.2"))
 """The x86-64 psABI's level 3, by LLVM's names."""
 
 
-class Origin(Enum):
+class KernelOrigin(Enum):
     """The source of the kernels in use."""
 
     GIVEN = "given"
@@ -77,7 +77,7 @@ class KernelCache:
     """The folder that numba uses from now on."""
 
     path: Path
-    origin: Origin
+    origin: KernelOrigin
 
 
 def this_processor() -> Processor:
@@ -145,7 +145,7 @@ def _packages() -> list[str]:
     return sorted(name for name in {*named, _PROGRAM.name} if (_PROGRAM.parent / name).is_dir())
 
 
-def shipped_folder() -> Path:
+def shipped_kernels() -> Path:
     """Return the folder of what an installation compiled: within its own environment, so that it goes when that goes."""
     return Path(sys.prefix) / "share" / "kingfisher" / "kernels"
 
@@ -165,19 +165,19 @@ def writable_folder(environment: Mapping[str, str]) -> Path:
     return Path(home) / ".cache/kingfisher/kernels" if home else _last_resort()
 
 
-def use(shipped: Path | None = None, writable: Path | None = None) -> KernelCache:
+def use_kernel_cache(shipped: Path | None = None, writable: Path | None = None) -> KernelCache:
     """Point numba at kernels of exactly this program. Call before any module with kernels is imported.
 
     Never fails: without a place that can be written and trusted, the kernels go to a new temporary one.
     """
     given = os.environ.get(VARIABLE)
-    own, common = _fingerprints(this_processor(), COMMON)
+    own, common = _fingerprints(this_processor(), COMMON_KERNELS)
     # A folder with our own fingerprint was set by `./dev` or by a parent process: it is kept up like any other.
     if given and Path(given).name != own:
-        return KernelCache(Path(given), Origin.GIVEN)
+        return KernelCache(Path(given), KernelOrigin.GIVEN)
     if given:
         writable = Path(given).parent
-    base = shipped or shipped_folder()
+    base = shipped or shipped_kernels()
     source, compiled_for = _shipped(base / own, base / common)
     for place in (writable or writable_folder(os.environ), _last_resort()):
         # Without links from here on: what is looked at is what numba reads.
@@ -190,7 +190,7 @@ def use(shipped: Path | None = None, writable: Path | None = None) -> KernelCach
         return KernelCache(folder, origin)
     folder = Path(tempfile.mkdtemp(prefix="kingfisher-kernels-"))
     point_at(folder)
-    return KernelCache(folder, Origin.EMPTY)
+    return KernelCache(folder, KernelOrigin.EMPTY)
 
 
 def _shipped(own: Path, common: Path) -> tuple[Path, Processor | None]:
@@ -200,7 +200,7 @@ def _shipped(own: Path, common: Path) -> tuple[Path, Processor | None]:
     if (own / COMPLETE).exists() or not (common / COMPLETE).exists():
         return own, None
     runs = platform.machine() == "x86_64" and runs_common(this_processor())
-    return (common, COMMON) if runs else (own, None)
+    return (common, COMMON_KERNELS) if runs else (own, None)
 
 
 def point_at(folder: Path, processor: Processor | None = None) -> None:
@@ -218,7 +218,7 @@ def point_at(folder: Path, processor: Processor | None = None) -> None:
         config.CPU_NAME, config.CPU_FEATURES = processor.name, processor.features
 
 
-def _fill(folder: Path, source: Path) -> Origin:
+def _fill(folder: Path, source: Path) -> KernelOrigin:
     """Make ``folder`` usable; raises OSError when it cannot be, or when somebody else could have put kernels there."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     # mkdir with the mode, not chmod after it: in between somebody else could write into a folder of /tmp.
@@ -227,14 +227,14 @@ def _fill(folder: Path, source: Path) -> Origin:
     _refuse_unless_private(folder)
     _try_writing(folder)
     if (folder / COMPLETE).exists():
-        return Origin.READY
+        return KernelOrigin.READY
     if not (source / COMPLETE).exists():
-        return Origin.READY if (folder / MARKS).is_dir() else Origin.EMPTY
+        return KernelOrigin.READY if (folder / MARKS).is_dir() else KernelOrigin.EMPTY
     # The mark comes last; numba's own files are renamed into place, so that two starts at once do no harm.
     shutil.copytree(source, folder, dirs_exist_ok=True, ignore=shutil.ignore_patterns(COMPLETE))
     folder.chmod(_PRIVATE)  # copytree gave it the mode of the source
     (folder / COMPLETE).touch()
-    return Origin.SHIPPED
+    return KernelOrigin.SHIPPED
 
 
 def _refuse_unless_private(folder: Path) -> None:

@@ -35,14 +35,8 @@ from appliance.calibrate.air.joint import BoardTolerance
 from appliance.calibrate.air.linearised import BoardView
 from appliance.calibrate.air.pictures import coverage_picture, residual_picture
 from appliance.calibrate.any_pictures import AnyPair, NamedPictures, common_size, read_grey
-from appliance.measure.calibration import file as calibration_file
-from appliance.measure.calibration.file import IN_AIR, Calibration
-from appliance.measure.calibration.parameters import AIR, NAMES
-from appliance.measure.light.model import StereoRig
-from appliance.measure.light.sides import SIDES
-from appliance.measure.light.water import Water
-from appliance.store.atomic import replace_file
-from appliance.store.filesystem import LocalFileSystem
+from appliance.measure import AIR, IN_AIR, PARAMETER_NAMES, SIDES, Calibration, StereoRig, Water, encode_calibration
+from appliance.store import LocalFileSystem, replace_file
 
 Array = NDArray[np.float64]
 
@@ -105,7 +99,7 @@ def calibrate_pictures(
         (paths["coverage"], coverage_picture(views, seen, *size_px)),
         (paths["residuals"], residual_picture(views, *size_px)),
         (out.with_suffix(".yml"), opencv_file(found.air.rig)),
-        (out, calibration_file.encode(start)),
+        (out, encode_calibration(start)),
     ):
         replace_file(LocalFileSystem(), path, data)
     return {
@@ -229,7 +223,7 @@ def _board_report(board: FoundBoard, found: AnyCalibration) -> dict[str, Any]:
 def _report(found: AnyCalibration, looked: _Looked, seen: Coverage) -> dict[str, Any]:
     air = found.air
     left, right = air.rig.left, air.rig.right
-    sd = dict(zip(NAMES[AIR], np.sqrt(np.diag(air.covariance)), strict=True))
+    sd = dict(zip(PARAMETER_NAMES[AIR], np.sqrt(np.diag(air.covariance)), strict=True))
     baseline = np.array(right.translation_mm)
     baseline_mm = float(np.linalg.norm(baseline))
     # Error of the length along the baseline alone: √(eᵀ Σ e), with its unit vector e.

@@ -17,11 +17,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.base.bounded_file import read_bounded
+from appliance.base import read_bounded
 from appliance.calibrate.in_air import KINDS, PicturesError, quiet_decoder
-from appliance.measure.light.noise import FULL_DN
-from appliance.store.atomic import refused
-from appliance.store.picture_size import KNOWN, size_px
+from appliance.measure import FULL_DN
+from appliance.store import KNOWN, refused, size_px
 
 Image = NDArray[np.uint8]
 

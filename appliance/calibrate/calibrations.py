@@ -20,14 +20,23 @@ from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
-from appliance.base.sealed_file import ContentError, SealedFile
+from appliance.base import ContentError, SealedFile
 from appliance.calibrate.guide import Session
-from appliance.measure.calibration import file as calibration_file
-from appliance.measure.calibration.file import Calibration, CalibrationError
-from appliance.store.atomic import StorageError, make_folders, move_folder, remedy_for, replace_file
-from appliance.store.calibration_file import load_calibration
-from appliance.store.filesystem import FileSystem, LocalFileSystem
-from appliance.store.names import CALIBRATION_IN_AIR, CALIBRATIONS, CURRENT_CALIBRATION, is_kept_calibration
+from appliance.measure import Calibration, CalibrationError, encode_calibration
+from appliance.store import (
+    CALIBRATION_IN_AIR,
+    CALIBRATIONS,
+    CURRENT_CALIBRATION,
+    FileSystem,
+    LocalFileSystem,
+    StorageError,
+    is_kept_calibration,
+    load_calibration,
+    make_folders,
+    move_folder,
+    remedy_for,
+    replace_file,
+)
 
 SOLVED, SESSION = "solved.json", "session.json"
 SESSIONS = SealedFile(Session, schema=1, max_bytes=1024 * 1024)
@@ -121,7 +130,7 @@ class Calibrations:
         for name, data in report.items():
             replace_file(self._fs, self.folder / "session" / name, data)
         # The session comes last: until it speaks of them, these files mean nothing, whenever the power goes.
-        replace_file(self._fs, self.solved, calibration_file.encode(calibration))
+        replace_file(self._fs, self.solved, encode_calibration(calibration))
         return self.write(session)
 
     def use_solved(self, date: str) -> Session:
@@ -161,7 +170,7 @@ class Calibrations:
         before = _bytes(self.current)
         kept = None if before is None else self._keep(before, date)
         make_folders(self._fs, self.folder)
-        replace_file(self._fs, self.current, calibration_file.encode(calibration))
+        replace_file(self._fs, self.current, encode_calibration(calibration))
         return None if kept is None else self.folder / "kept" / kept
 
     def bring_back(self, name: str | None, date: str) -> Path:

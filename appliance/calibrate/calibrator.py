@@ -26,19 +26,28 @@ from appliance.calibrate.water import report as report_of
 from appliance.calibrate.water.calibrate import calibrate
 from appliance.calibrate.water.extract import CALIBRATING_GAP_MM, BarCertificate, extract
 from appliance.calibrate.water.method import Method
-from appliance.measure.accept.ball_bar import BallBar, find_ball_bar
-from appliance.measure.accept.plane import PlaneFit, fit_plane
-from appliance.measure.accept.points import NotFound
-from appliance.measure.calibration.file import Calibration
-from appliance.measure.fault import FaultCode
-from appliance.measure.points.pipeline import Cloud
-from appliance.measure.points.quality import QualityLimits
-from appliance.store import scan as stored
-from appliance.store.calibration_file import load_calibration
-from appliance.store.config import Rig
-from appliance.store.instrument import calibration_of, settings_of_scan
-from appliance.store.library import Library
-from appliance.store.reprocess import ReprocessedScan, reprocess
+from appliance.measure import (
+    BallBar,
+    Calibration,
+    Cloud,
+    FaultCode,
+    NotFound,
+    PlaneFit,
+    QualityLimits,
+    find_ball_bar,
+    fit_plane,
+)
+from appliance.store import (
+    Library,
+    ReprocessedScan,
+    Rig,
+    StoredScan,
+    calibration_of,
+    load_calibration,
+    load_scan,
+    reprocess_scan,
+    settings_of_scan,
+)
 
 VERIFY_GAP_MM = 20.0
 """Largest ray gap of a point that verifies, as in ``kingfisher evaluate``: the calibration of before must not hide its own worst points."""
@@ -99,14 +108,14 @@ def basis_of(rig: Rig) -> Basis:
     return Basis(start_of(rig), kept or current, before_hash, rig, certificate)
 
 
-def examine(rig: Rig, step: Step, folder: Path, report: Report) -> Examined:
+def examine_recording(rig: Rig, step: Step, folder: Path, report: Report) -> Examined:
     """Judge a stored scan as a recording of ``step``.
 
     VERIFY judges with what was solved, or else with the calibration in use. Raises RecordingError, ScanError,
     CalibrationError.
     """
     basis = basis_of(rig)
-    scan = stored.load(folder)
+    scan = load_scan(folder)
     if step is Step.VERIFY:
         solved = _solved(rig)
         checked = basis.before if solved is None else solved
@@ -151,7 +160,7 @@ def _spoilt(step: Step, seen: ReprocessedScan) -> RecordingCheck | None:
     return RecordingCheck(step, Refusal.WRONG_PATTERN, None, detail=f"{fault.code.value}: {fault.detail}")
 
 
-def solve(rig: Rig, date: str, report: Report) -> Solution:
+def solve_calibration(rig: Rig, date: str, report: Report) -> Solution:
     """Adjust to the scans of the session; compare with the one of VERIFY where there is one.
 
     ``date`` is ISO 8601. Raises RecordingError, ScanError, CalibrationError, UnknownScan.
@@ -182,7 +191,7 @@ def solve(rig: Rig, date: str, report: Report) -> Solution:
     solved = AdjustmentSummary(calibration.method, calibration.residual_px, result.warnings, calibration.hash)
     verified = None
     if Step.VERIFY in folders:
-        scan = stored.load(folders[Step.VERIFY])
+        scan = load_scan(folders[Step.VERIFY])
         bar = find_ball_bar(_fair(scan, calibration, basis))
         verified = None if isinstance(bar, NotFound) else _compared(scan, bar, basis)
     about = {"rig_serial": rig.rig.serial, "made_at": date, "software_version": __version__}
@@ -208,7 +217,7 @@ def _solved(rig: Rig) -> Calibration | None:
     return None if calibrations.session().solved is None else load_calibration(calibrations.solved)
 
 
-def _compared(scan: stored.StoredScan, bar: BallBar, basis: Basis) -> Verified:
+def _compared(scan: StoredScan, bar: BallBar, basis: Basis) -> Verified:
     """Return the bar's length with the new calibration and with the one of before."""
     old = find_ball_bar(_fair(scan, basis.before, basis))
     before = None if isinstance(old, NotFound) else _error(old, basis)
@@ -259,18 +268,18 @@ def _judged_plane(step: Step, plane: PlaneFit | NotFound, cloud: Cloud, calibrat
     return judge_plane(step, found, calibration.rig)
 
 
-def _wide(scan: stored.StoredScan, basis: Basis) -> ReprocessedScan:
+def _wide(scan: StoredScan, basis: Basis) -> ReprocessedScan:
     """Reprocess with room for rays that miss each other because nobody knows the ports."""
     settings = settings_of_scan(scan.manifest.record, basis.rig)
-    return reprocess(scan, basis.start, settings, _silent, QualityLimits(max_gap_mm=CALIBRATING_GAP_MM))
+    return reprocess_scan(scan, basis.start, settings, _silent, QualityLimits(max_gap_mm=CALIBRATING_GAP_MM))
 
 
-def _fairly(scan: stored.StoredScan, calibration: Calibration, basis: Basis) -> ReprocessedScan:
+def _fairly(scan: StoredScan, calibration: Calibration, basis: Basis) -> ReprocessedScan:
     settings = settings_of_scan(scan.manifest.record, basis.rig)
-    return reprocess(scan, calibration, settings, _silent, QualityLimits(max_gap_mm=VERIFY_GAP_MM))
+    return reprocess_scan(scan, calibration, settings, _silent, QualityLimits(max_gap_mm=VERIFY_GAP_MM))
 
 
-def _fair(scan: stored.StoredScan, calibration: Calibration, basis: Basis) -> Cloud:
+def _fair(scan: StoredScan, calibration: Calibration, basis: Basis) -> Cloud:
     """Return the cloud with room for the errors of any calibration, so that all are judged by the same points."""
     return _fairly(scan, calibration, basis).cloud
 

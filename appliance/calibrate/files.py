@@ -6,17 +6,16 @@ import math
 from pathlib import Path
 from typing import Any
 
-from appliance.measure.calibration import file as calibration_file
-from appliance.measure.calibration.file import Calibration
-from appliance.measure.light.sides import of_side
-from appliance.store.atomic import make_folders, replace_file
-from appliance.store.calibration_file import load_calibration
-from appliance.store.config import Rig
-from appliance.store.filesystem import LocalFileSystem
-from appliance.store.instrument import (
+from appliance.measure import Calibration, encode_calibration, of_side
+from appliance.store import (
     CALIBRATION_FILE,
+    LocalFileSystem,
+    Rig,
     calibration_of,
     design_of,
+    load_calibration,
+    make_folders,
+    replace_file,
 )
 
 
@@ -52,7 +51,7 @@ def write_nominal_calibration(rig: Rig, out: Path | None) -> Path:
     """
     path = out if out is not None else rig.storage.root / CALIBRATION_FILE.with_name("nominal.json")
     make_folders(LocalFileSystem(), path.parent)
-    replace_file(LocalFileSystem(), path, calibration_file.encode(design_of(rig)))
+    replace_file(LocalFileSystem(), path, encode_calibration(design_of(rig)))
     return path
 
 

@@ -28,10 +28,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.measure.calibration.gaps import DOUBTS, MODES
-from appliance.measure.calibration.judgement import PATCHES
-from appliance.measure.calibration.patches import COUNT
-from appliance.measure.cloud import PatchGaps
+from appliance.measure import DOUBTS, MODES, PATCH_COUNT, PATCHES, PatchGaps
 
 Array = NDArray[np.float64]
 Four = tuple[float, float, float, float]
@@ -112,16 +109,16 @@ class TrendPoint:
 class Reference:
     """Gaps of each patch of the left image in the first normal scans; zeros where no scan has shown the patch yet."""
 
-    gap_um: tuple[float, ...] = (0.0,) * COUNT
-    variance_um2: tuple[float, ...] = (0.0,) * COUNT
-    scans: tuple[int, ...] = (0,) * COUNT
+    gap_um: tuple[float, ...] = (0.0,) * PATCH_COUNT
+    variance_um2: tuple[float, ...] = (0.0,) * PATCH_COUNT
+    scans: tuple[int, ...] = (0,) * PATCH_COUNT
     rests_um: tuple[float, ...] = ()
     """RMS rests in µm of the scans that taught the reference."""
     water_index: float | None = None
     """Mean refractive index of the scans that taught."""
     offset_um: Four = (0.0, 0.0, 0.0, 0.0)
     """Amplitudes that a length check found harmless: they are normal, too."""
-    doubts_um: tuple[float, ...] = (0.0,) * (COUNT * (DOUBTS + 1))
+    doubts_um: tuple[float, ...] = (0.0,) * (PATCH_COUNT * (DOUBTS + 1))
     """Standard deviations of what backscatter did to the gaps, patch after patch: mean of the scans that taught it of
     ``PatchGaps.doubts_um`` and ``PatchGaps.shape_um``. The same causes are wrong in the same way in later scans."""
 
@@ -182,10 +179,10 @@ class HealthJudgement:
     numbers: Mapping[str, float | None]
 
 
-def judge(trend: HealthTrend, gaps: PatchGaps, scan: str | None = None) -> tuple[HealthTrend, HealthJudgement]:
+def judge_health(trend: HealthTrend, gaps: PatchGaps, scan: str | None = None) -> tuple[HealthTrend, HealthJudgement]:
     """Return the trend after one more scan (its number, where it has one already), and what is to be said about it."""
     if len(gaps.patch) < FEWEST_PATCHES:
-        text = f"not judged: {len(gaps.patch)} of {COUNT} patches seen, {FEWEST_PATCHES} are needed"
+        text = f"not judged: {len(gaps.patch)} of {PATCH_COUNT} patches seen, {FEWEST_PATCHES} are needed"
         return trend, HealthJudgement(None, trend.alarm is not None, text, _counts(gaps))
     if not all(np.isfinite(values).all() for values in (gaps.gap_um, gaps.noise_um, gaps.modes)):
         return trend, HealthJudgement(None, trend.alarm is not None, "not judged: a gap is not a number", _counts(gaps))
@@ -307,7 +304,7 @@ def _compared(reference: Reference, gaps: PatchGaps, usual_um: float) -> tuple[A
     white = gaps.noise_um**2 + PATCH_UM**2 + np.array(reference.variance_um2)[gaps.patch]
     # What backscatter may do wrongly it does to the reference, too: only the difference counts.
     causes, shape = _doubts(gaps)
-    known_causes = np.array(reference.doubts_um).reshape(COUNT, DOUBTS + 1)[gaps.patch]
+    known_causes = np.array(reference.doubts_um).reshape(PATCH_COUNT, DOUBTS + 1)[gaps.patch]
     doubted_um = _size(causes)
     causes, shape = causes - known_causes[:, :DOUBTS], shape - known_causes[:, DOUBTS]
     share_new = min(_size(causes) / max(doubted_um, 1e-9), 1.0)
@@ -409,7 +406,7 @@ def _taught(reference: Reference, gaps: PatchGaps, rest_um: float) -> Reference:
     # Running mean of n + 1 scans, and the variance of that mean: (n² v + σ²) / (n + 1)².
     mean[learning] = (n * mean[learning] + seen) / (n + 1.0)
     variance[learning] = (n**2 * variance[learning] + gaps.noise_um[at] ** 2) / (n + 1.0) ** 2
-    doubts = np.array(reference.doubts_um).reshape(COUNT, DOUBTS + 1)
+    doubts = np.array(reference.doubts_um).reshape(PATCH_COUNT, DOUBTS + 1)
     causes, shape = _doubts(gaps)
     doubts[learning] = (n[:, None] * doubts[learning] + np.column_stack([causes, shape])[at]) / (n[:, None] + 1.0)
     scans[learning] += 1.0

@@ -13,12 +13,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from appliance.base.sealed_file import ContentError, SealedFile
+from appliance.base import ContentError, SealedFile
 from appliance.calibrate.health import HealthTrend
-from appliance.measure.calibration.gaps import DOUBTS
-from appliance.measure.calibration.patches import COUNT
-from appliance.store.atomic import StorageError, make_folders, refused, remedy_for, replace_file
-from appliance.store.filesystem import FileSystem, LocalFileSystem
+from appliance.measure import DOUBTS, PATCH_COUNT
+from appliance.store import FileSystem, LocalFileSystem, StorageError, make_folders, refused, remedy_for, replace_file
 
 log = logging.getLogger("kingfisher")
 
@@ -37,10 +35,10 @@ def _refuse_impossible(stored: _StoredHealth) -> None:
     reference = stored.trend.reference
     if stored.trend.judged < 0:
         raise ValueError(f"trend.judged is {stored.trend.judged}; allowed: whole numbers from 0")
-    if any(len(of) != COUNT for of in (reference.gap_um, reference.variance_um2, reference.scans)):
-        raise ValueError(f"its reference has not {COUNT} patches")
-    if len(reference.doubts_um) != COUNT * (DOUBTS + 1):
-        raise ValueError(f"its reference has not {DOUBTS + 1} doubts of {COUNT} patches")
+    if any(len(of) != PATCH_COUNT for of in (reference.gap_um, reference.variance_um2, reference.scans)):
+        raise ValueError(f"its reference has not {PATCH_COUNT} patches")
+    if len(reference.doubts_um) != PATCH_COUNT * (DOUBTS + 1):
+        raise ValueError(f"its reference has not {DOUBTS + 1} doubts of {PATCH_COUNT} patches")
 
 
 HEALTH = SealedFile(_StoredHealth, schema=1, max_bytes=1_000_000, indent=None, check=_refuse_impossible)

@@ -19,26 +19,37 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.base.bounded_file import read_bounded
+from appliance.base import read_bounded
 from appliance.calibrate.air.adjustment import AirCalibration, AirCalibrationError, BoardView, calibrate_air
 from appliance.calibrate.air.board import BoardDesign, NoBoard, find_board
 from appliance.calibrate.air.coverage import Coverage, coverage
 from appliance.calibrate.air.pictures import coverage_picture, residual_picture
 from appliance.calibrate.view_folder import LEFT, RIGHT
 from appliance.calibrate.water.start import start_from_air
-from appliance.measure.calibration import file as calibration_file
-from appliance.measure.calibration.file import IN_AIR, Calibration, CalibrationError
-from appliance.measure.calibration.parameters import AIR, NAMES
-from appliance.measure.light.sequence import build_sequence
-from appliance.measure.light.sides import SIDES
-from appliance.store import scan as stored
-from appliance.store.atomic import make_folders, refused, replace_file
-from appliance.store.calibration_file import load_calibration
-from appliance.store.config import Rig
-from appliance.store.filesystem import LocalFileSystem
-from appliance.store.instrument import AIR_FILE, design_of
-from appliance.store.manifest import FILE_NAME
-from appliance.store.picture_size import KNOWN, size_px
+from appliance.measure import (
+    AIR,
+    IN_AIR,
+    PARAMETER_NAMES,
+    SIDES,
+    Calibration,
+    CalibrationError,
+    build_sequence,
+    encode_calibration,
+)
+from appliance.store import (
+    AIR_FILE,
+    KNOWN,
+    MANIFEST_FILE,
+    LocalFileSystem,
+    Rig,
+    design_of,
+    load_calibration,
+    load_scan,
+    make_folders,
+    refused,
+    replace_file,
+    size_px,
+)
 
 Image = NDArray[np.uint8]
 
@@ -82,7 +93,7 @@ def pairs_of(folder: Path) -> list[Pair]:
     for path in sorted(folder.iterdir()):
         stem, _, side = path.stem.rpartition("_")
         # A manifest makes a folder a scan, whatever else it holds.
-        if path.is_dir() and (path / FILE_NAME).is_file():
+        if path.is_dir() and (path / MANIFEST_FILE).is_file():
             found.append(Pair(path.name, path, path))
         elif (path / LEFT).is_file() and (path / RIGHT).is_file() and not path.name.startswith("."):
             found.append(Pair(path.name, path / LEFT, path / RIGHT))
@@ -109,7 +120,7 @@ def pairs_of(folder: Path) -> list[Pair]:
 def read_pair(pair: Pair, width_px: int, height_px: int) -> tuple[Image, Image]:
     """Return both pictures (h, w) uint8. Raises PicturesError, ScanError."""
     if pair.left == pair.right:
-        scan = stored.load(pair.left)
+        scan = load_scan(pair.left)
         made = scan.manifest.record.sequence
         bright = build_sequence(made.period_px, made.width_px, made.height_px).bright
         left, right = (np.array(scan.frames[side][bright]) for side in SIDES)
@@ -164,7 +175,7 @@ def calibrate_folder(
     for path, data in (
         (out.with_name(RESULTS[0]), coverage_picture(air.views, seen, *size_px)),
         (out.with_name(RESULTS[1]), residual_picture(air.views, *size_px)),
-        (out, calibration_file.encode(start)),
+        (out, encode_calibration(start)),
     ):
         replace_file(LocalFileSystem(), path, data)
     return _report(out, air, start, seen, found.rejected)
@@ -201,7 +212,7 @@ def install(rig: Rig, file: Path) -> tuple[Path, Path | None]:
         # Named by its content: the same file is kept once, however often it is installed.
         before = target.with_name(f"air-{hashlib.sha256(data).hexdigest()[:8]}.json")
         replace_file(LocalFileSystem(), before, data)
-    replace_file(LocalFileSystem(), target, calibration_file.encode(start))
+    replace_file(LocalFileSystem(), target, encode_calibration(start))
     return target, before
 
 
@@ -209,7 +220,7 @@ def _report(
     out: Path, air: AirCalibration, start: Calibration, seen: Coverage, rejected: Sequence[str]
 ) -> dict[str, Any]:
     left, right = air.rig.left, air.rig.right
-    sd = dict(zip(NAMES[AIR], np.sqrt(np.diag(air.covariance)), strict=True))
+    sd = dict(zip(PARAMETER_NAMES[AIR], np.sqrt(np.diag(air.covariance)), strict=True))
     baseline = np.array(right.translation_mm)
     baseline_mm = float(np.linalg.norm(baseline))
     # Error of the length along the baseline alone: √(eᵀ Σ e), with its unit vector e.

@@ -12,12 +12,8 @@ from appliance.calibrate.water import report
 from appliance.calibrate.water.calibrate import calibrate
 from appliance.calibrate.water.extract import BarCertificate
 from appliance.calibrate.water.method import Method, WaterResult
-from appliance.measure.accept.points import NotFound
-from appliance.measure.accept.result import Artefact
-from appliance.measure.calibration.file import Calibration
-from appliance.store.config import Rig
-from appliance.store.origin import SourceScan
-from appliance.store.scan_list import ListedScan, ListError, ScanList
+from appliance.measure import Artefact, Calibration, NotFound
+from appliance.store import ListedScan, ListError, Rig, ScanList, SourceScan
 
 RECONSTRUCTED = 0.8
 """The part of the progress that the scans get."""

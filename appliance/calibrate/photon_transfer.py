@@ -14,9 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.measure.calibration.noise_file import CameraFigures
-from appliance.measure.light.noise import MAD_TO_SIGMA, QUANTISATION_DN2
-from appliance.measure.light.sequence import Direction, PatternSequence
+from appliance.measure import MAD_TO_SIGMA, QUANTISATION_DN2, CameraFigures, Direction, PatternSequence
 
 Array = NDArray[np.float64]
 

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibrate.guide import RecordingCheck, Refusal, Step
-from appliance.measure.light.model import StereoRig
-from appliance.measure.light.volume import WorkingVolume
+from appliance.measure import StereoRig, WorkingVolume
 
 Array = NDArray[np.float64]
 

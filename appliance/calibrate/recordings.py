@@ -9,7 +9,7 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.measure.light.water import Water
+from appliance.measure import Water
 
 Array = NDArray[np.float64]
 Labels = NDArray[np.intp]

@@ -5,10 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 
 from appliance.calibrate.water.start import check_start
-from appliance.measure.calibration.file import Calibration, CalibrationError
-from appliance.store.calibration_file import load_calibration
-from appliance.store.config import Rig
-from appliance.store.instrument import AIR_FILE, CALIBRATION_FILE, calibration_of, misfit, of_another, with_volume
+from appliance.measure import Calibration, CalibrationError
+from appliance.store import (
+    AIR_FILE,
+    CALIBRATION_FILE,
+    Rig,
+    calibration_of,
+    instrument_misfit,
+    load_calibration,
+    of_another,
+    with_volume,
+)
 
 
 def start_of(rig: Rig, path: Path | None = None) -> Calibration:
@@ -22,7 +29,7 @@ def start_of(rig: Rig, path: Path | None = None) -> Calibration:
         problem = of_another(start, rig)  # the size is compared with that of the scans, and so are the cameras
     elif in_air.exists():
         start = with_volume(load_calibration(in_air), rig)
-        problem = misfit(start, rig)
+        problem = instrument_misfit(start, rig)
     else:
         start, problem = calibration_of(rig)[0], None
     if problem is not None:

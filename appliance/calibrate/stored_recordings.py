@@ -7,14 +7,8 @@ from pathlib import Path
 
 from appliance.calibrate.recordings import CamerasDiffer, Recording
 from appliance.calibrate.water.extract import CALIBRATING_GAP_MM, BarCertificate, extract
-from appliance.measure.accept.points import NotFound
-from appliance.measure.calibration.file import Calibration
-from appliance.measure.calibration.owner import exchanged
-from appliance.measure.points.quality import QualityLimits
-from appliance.store import scan as stored
-from appliance.store.config import ConfigError, Rig, load_rig
-from appliance.store.instrument import settings_of_scan
-from appliance.store.reprocess import reprocess
+from appliance.measure import Calibration, NotFound, QualityLimits, exchanged
+from appliance.store import RIG_FILE, ConfigError, Rig, ScanError, load_rig, load_scan, reprocess_scan, settings_of_scan
 
 
 def cameras_of(folders: Iterable[Path], start: Calibration) -> tuple[str, str] | None:
@@ -44,9 +38,9 @@ def cameras_of(folders: Iterable[Path], start: Calibration) -> tuple[str, str] |
 def _cameras(folder: Path) -> tuple[str, str]:
     """Return the serial numbers in the rig file that a scan carries."""
     try:
-        camera = load_rig(folder / stored.RIG).camera
+        camera = load_rig(folder / RIG_FILE).camera
     except ConfigError as error:
-        raise stored.ScanError(f"{folder}: {error}") from error
+        raise ScanError(f"{folder}: {error}") from error
     return camera.left.serial, camera.right.serial
 
 
@@ -58,11 +52,11 @@ def recording_of_scan(
     ``start`` has the lenses and pose of the calibration in air and the ports as drawn. The water is the scan's. The
     answer is ``NotFound`` with the reason in words where the artefact is not seen well enough. Raises ScanError.
     """
-    scan = stored.load(folder, only_raw=True)
+    scan = load_scan(folder, only_raw=True)
     settings = settings_of_scan(scan.manifest.record, rig)
     # The ports are still as drawn: within the instrument's limit of the gap, just the pixels that could correct them
     # would be lacking.
-    reprocessed = reprocess(scan, start, settings, progress, QualityLimits(max_gap_mm=CALIBRATING_GAP_MM))
+    reprocessed = reprocess_scan(scan, start, settings, progress, QualityLimits(max_gap_mm=CALIBRATING_GAP_MM))
     if reprocessed.unfit is not None:
         return NotFound(f"{reprocessed.unfit.code.value}: {reprocessed.unfit.detail}; record it again")
     progress("looking for the artefact")

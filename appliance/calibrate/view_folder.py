@@ -16,10 +16,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.base.sealed_file import ContentError, SealedFile
+from appliance.base import ContentError, SealedFile
 from appliance.calibrate.air.board import BoardDesign, parse_board
-from appliance.store.atomic import make_folders, move_folder, refused, replace_file, write_new
-from appliance.store.filesystem import LocalFileSystem
+from appliance.store import LocalFileSystem, make_folders, move_folder, refused, replace_file, write_new
 
 Image = NDArray[np.uint8]
 

@@ -12,24 +12,28 @@ from appliance.cli.arguments import Verb, operand, operands, option, switch
 from appliance.cli.desk import writable, writing
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json
 from appliance.cli.places import scan_folder
-from appliance.measure.light.sides import SIDES
-from appliance.store.archive import (
+from appliance.measure import SIDES
+from appliance.store import (
     BesideFile,
     Copied,
+    Library,
+    LibraryFolder,
+    LocalFileSystem,
+    ScanError,
     copy_beside,
     finish_removals,
+    hold_lock,
+    make_folders,
     make_shelves,
+    manifest_of,
     pack_scan,
     problems_of,
+    read_frame,
     remove_source,
+    replace_file,
     scan_folders,
     unpack_scan,
 )
-from appliance.store.atomic import make_folders, replace_file
-from appliance.store.filesystem import LocalFileSystem
-from appliance.store.library import Library, LibraryFolder
-from appliance.store.lock import hold_lock
-from appliance.store.scan import ScanError, manifest_of, read_frame
 
 MB = 1e6
 

@@ -17,9 +17,7 @@ from appliance.cli.output import Exit, Progress, UsageError, complain, say, say_
 from appliance.cli.places import WithRig
 
 if TYPE_CHECKING:  # these bring OpenCV, which `--help` can do without
-    from appliance.workshop.finding import Finding
-    from appliance.workshop.guide import Walked
-    from appliance.workshop.kept import StepRecord
+    from appliance.workshop import Finding, StepRecord, Walked
 
 ANSWERED_WITHIN_S = 3600.0
 """Time for which an Enter is waited for: whoever is away for longer calls again, and goes on where he was."""
@@ -53,11 +51,9 @@ class BringupGuide(WithRig):
             raise UsageError("--out: not given; give a folder, in which state, page and pictures are kept")
         _check_folder(self.out)
         self.read_rig()
-        from appliance.workshop import steps
-        from appliance.workshop.finding import BringupError
-        from appliance.workshop.guide import GuideOptions, walk
+        from appliance.workshop import STEPS, BringupError, GuideOptions, walk
 
-        names = [step.name for step in steps.STEPS]
+        names = [step.name for step in STEPS]
         for flag, wanted in (("--only", self.only), ("--again", self.again)):
             for name in wanted:
                 if name not in names:
@@ -100,22 +96,29 @@ class BringupProjector(WithRig):
         # Before minutes of measuring, not after them.
         if self.out is not None:
             _check_folder(self.out)
-        from appliance.workshop import projector
-        from appliance.workshop.bench import light_bench
-        from appliance.workshop.finding import BringupError
-        from appliance.workshop.guide import judge_together, keys_of
-        from appliance.workshop.kept import GuideFolder
-        from appliance.workshop.page import outcomes_page
-        from appliance.workshop.rig_edit import replace_rig, with_keys
-        from appliance.workshop.steps import STEPS
+        from appliance.workshop import (
+            PROJECTOR_PAGE,
+            STEPS,
+            BringupError,
+            GuideFolder,
+            judge_together,
+            keys_of,
+            light_bench,
+            measure_on_wall,
+            measure_projector,
+            outcomes_in_order,
+            outcomes_page,
+            replace_rig,
+            with_keys,
+        )
 
         # Read before the long measurement, so that a file that cannot be edited is known by then.
         path = None if self.rig is None else self.rig
         text = "" if path is None else path.read_text(encoding="utf-8-sig")
         try:
             with Progress() as progress, light_bench(rig) as bench:
-                measured = projector.measure_projector(bench, rig.scan.most_gain_db, progress)
-            outcomes, findings = projector.in_order(judge_together(STEPS, projector.do, measured, rig).values())
+                measured = measure_projector(bench, rig.scan.most_gain_db, progress)
+            outcomes, findings = outcomes_in_order(judge_together(STEPS, measure_on_wall, measured, rig).values())
             keys = keys_of(outcomes)
             changed = with_keys(text, keys) if keys and path is not None else text
         except BringupError as error:
@@ -129,7 +132,7 @@ class BringupProjector(WithRig):
             with writing(self.out):
                 folder = GuideFolder(self.out)
                 folder.prepare()
-                written += folder.write({projector.PAGE: page.encode(), **pictures})
+                written += folder.write({PROJECTOR_PAGE: page.encode(), **pictures})
         kept, timing = None, measured.lamp.timing
         if keys and path is not None and not self.dry_run and changed != text:
             kept = replace_rig(path, text, changed)
@@ -163,8 +166,7 @@ class BringupTrigger(WithRig):
 
     def run(self) -> Exit:
         rig = self.read_rig()
-        from appliance.workshop.bench import light_bench
-        from appliance.workshop.trigger import fired, trigger_findings
+        from appliance.workshop import fired, light_bench, trigger_findings
 
         with Progress() as progress, light_bench(rig) as bench:
             progress("firing")
@@ -197,7 +199,7 @@ class AtTheTerminal:
 
     def ask(self, what: str) -> None:
         """Say it, and wait for an Enter. Raises GivenUp at the end of the input, or after an hour."""
-        from appliance.workshop.step import GivenUp
+        from appliance.workshop import GivenUp
 
         self.tell(f"{what}; then press Enter")
         answer = _line(self._answers, ANSWERED_WITHIN_S)

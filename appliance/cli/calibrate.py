@@ -8,15 +8,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, ClassVar
 
-from appliance.calibrate.water.method import BEFORE_OPERATOR, Method
+from appliance.calibrate import BEFORE_OPERATOR, Method
 from appliance.cli.arguments import operand, option, switch
 from appliance.cli.desk import place_of, scan_in, whole_scan, writable, writing
 from appliance.cli.kernels import compile_kernels
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json
 from appliance.cli.places import WithRoot
-from appliance.store.atomic import replace_file
-from appliance.store.filesystem import LocalFileSystem
-from appliance.store.lock import hold_lock
+from appliance.store import LocalFileSystem, hold_lock, replace_file
 
 DEFAULT_OUT = Path("calibration-water.json")
 SCANS_CHECKED = 0.1
@@ -57,17 +55,15 @@ class CalibrateWater(WithRoot):
                 )
         if data.absolute() == self.list.absolute():
             raise UsageError(f"--out {target}: {data} is the list itself; give another name")
-        from appliance.store.scan_list import read_list
+        from appliance.store import read_list
 
         scans = read_list(self.list)
         for entry in scans.entries:  # a wrong number is told before minutes of compiling, and of comparing checksums
             scan_in(wish, place_of(self.list, entry.scan))
         compile_kernels()
-        from appliance.calibrate.calibrations import Calibrations
-        from appliance.calibrate.in_water import check_list, run_water_calibration
-        from appliance.calibrate.start import refuse_drawing, start_of
-        from appliance.measure.calibration import file as calibration_file
-        from appliance.store.origin import instrument_of, open_source, refuse_misfit
+        from appliance.calibrate import Calibrations, check_list, refuse_drawing, run_water_calibration, start_of
+        from appliance.measure import encode_calibration
+        from appliance.store import instrument_of, open_source, refuse_misfit
 
         check_list(scans)
         made_at = datetime.now(UTC).isoformat(timespec="seconds")
@@ -91,8 +87,8 @@ class CalibrateWater(WithRoot):
         text = json_form.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
         files = {page: made.as_html().encode(), data: text.encode()}
         for name, path in targets.items():
-            files[path] = calibration_file.encode(made.result.before[name])
-        files[target] = calibration_file.encode(made.result.calibration)
+            files[path] = encode_calibration(made.result.before[name])
+        files[target] = encode_calibration(made.result.calibration)
         # The report first, the calibration last: one that is there has its report beside it.
         for path, written in files.items():
             with writing(path):
@@ -126,8 +122,8 @@ class RestoreCalibration(WithRoot):
 
     def run(self) -> Exit:
         rig = self.rooted_rig()
-        from appliance.calibrate.calibrations import Calibrations, SessionError
-        from appliance.store.calibration_file import load_calibration
+        from appliance.calibrate import Calibrations, SessionError
+        from appliance.store import load_calibration
 
         now = datetime.now(UTC).isoformat(timespec="seconds")
         with hold_lock(rig.storage.root):

@@ -14,8 +14,8 @@ from appliance.cli.output import Exit, Progress, UsageError, complain, say, say_
 from appliance.cli.places import WithRoot
 
 if TYPE_CHECKING:  # imported inside the verb: a wrong word can do without
-    from appliance.calibrate.air.board import BoardDesign
-    from appliance.store.config import Rig
+    from appliance.calibrate import BoardDesign
+    from appliance.store import Rig
 
 log = logging.getLogger(__name__)
 
@@ -60,12 +60,17 @@ class CalibrateAir(WithRoot):
         writable(self.out)
         if not self.live:  # which makes it
             existing("FOLDER", self.folder, "the pictures of the board")
-        from appliance.base.sealed_file import ContentError
-        from appliance.calibrate.air.adjustment import AirCalibrationError
-        from appliance.calibrate.air.board import BoardDesign, BoardError, parse_board
-        from appliance.calibrate.in_air import PicturesError, calibrate_folder
-        from appliance.calibrate.in_air import install as install_air
-        from appliance.calibrate.view_folder import read_session
+        from appliance.base import ContentError
+        from appliance.calibrate import (
+            AirCalibrationError,
+            BoardDesign,
+            BoardError,
+            PicturesError,
+            calibrate_folder,
+            parse_board,
+            read_session,
+        )
+        from appliance.calibrate import install as install_air
 
         target = self.out or self.folder / DEFAULT_NAME
         try:
@@ -93,8 +98,8 @@ class CalibrateAir(WithRoot):
         return Exit.OK
 
     def _record(self, rig: Rig, design: BoardDesign | None) -> None:
-        from appliance.calibrate.view_folder import ViewFolder
-        from appliance.instrument.service.air_live import LiveError, LiveOptions, record_views
+        from appliance.calibrate import ViewFolder
+        from appliance.instrument import LiveError, LiveOptions, record_views
 
         wanted = LiveOptions(self.views, not self.room_light, self.exposure_ms, self.patience_s)
         try:

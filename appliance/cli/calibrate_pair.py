@@ -60,11 +60,15 @@ class CalibratePair(Verb):
             raise UsageError(f"--marker-mm {self.marker_mm:g}: allowed are sizes below --square-mm {self.square_mm:g}")
         writable(self.out)
         existing("FOLDER", self.folder, "the pictures of the board")
-        from appliance.calibrate.air.adjustment import AirCalibrationError
-        from appliance.calibrate.air.any_board import BoardNotFoundError, Wanted
-        from appliance.calibrate.any_pair import calibrate_pictures
-        from appliance.calibrate.any_pictures import Patterns, named_pictures
-        from appliance.calibrate.in_air import PicturesError
+        from appliance.calibrate import (
+            AirCalibrationError,
+            BoardNotFoundError,
+            Patterns,
+            PicturesError,
+            Wanted,
+            calibrate_pictures,
+            named_pictures,
+        )
 
         target = self.out or self.folder / DEFAULT_NAME
         patterns = None if self.left is None or self.right is None else Patterns(self.left, self.right)

@@ -10,7 +10,7 @@ from appliance.cli.desk import writable, writing
 from appliance.cli.listing import say_report
 from appliance.cli.output import Exit, UsageError, say, say_json
 from appliance.cli.places import WithRoot
-from appliance.store.names import CALIBRATIONS, CURRENT_CALIBRATION
+from appliance.store import CALIBRATIONS, CURRENT_CALIBRATION
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,10 +25,10 @@ class ShowCalibration(WithRoot):
             # Whoever names a root asks for what lies there, whichever instrument the packaged rig file draws.
             file = root / CALIBRATIONS / CURRENT_CALIBRATION
         if file is not None:
-            from appliance.store.calibration_file import load_calibration
+            from appliance.store import load_calibration
 
             load_calibration(file)  # one that cannot be read is told before what describes it is loaded
-        from appliance.calibrate.files import describe_calibration
+        from appliance.calibrate import describe_calibration
 
         content = describe_calibration(rig, file)
         say_report(content, as_json=self.json)
@@ -44,8 +44,8 @@ class NominalCalibration(WithRoot):
     def run(self) -> Exit:
         rig = self.rooted_rig()
         writable(self.out)
-        from appliance.calibrate.files import write_nominal_calibration
-        from appliance.store.instrument import CALIBRATION_FILE
+        from appliance.calibrate import write_nominal_calibration
+        from appliance.store import CALIBRATION_FILE
 
         path = self.out or rig.storage.root / CALIBRATION_FILE.with_name("nominal.json")
         if path.exists():

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json
 from appliance.cli.simrig import SimOptions, simulated
-from appliance.store.library import Library, UnknownScan
+from appliance.store import Library, UnknownScan
 
 if TYPE_CHECKING:
-    from appliance.store.config import Rig
+    from appliance.store import Rig
 
 OPTION = "chaos"
 """Name of the option of the simulated world (docs/protocols/world.md)."""

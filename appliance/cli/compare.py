@@ -14,12 +14,9 @@ from appliance.cli.output import Exit, Progress, UsageError, say, say_json
 from appliance.cli.places import WithCalibration
 
 if TYPE_CHECKING:
-    from appliance.desk.comparing import NominalSurface
-    from appliance.desk.export.content import About
-    from appliance.desk.object_store import StoredObject
-    from appliance.desk.surface.fusion import FusedCloud
-    from appliance.measure.overlap.rigid import Rigid
-    from appliance.store.wish import Wish
+    from appliance.desk import About, FusedCloud, NominalSurface, StoredObject
+    from appliance.measure import Rigid
+    from appliance.store import Wish
 
 _PLACE = 6
 _NOMINAL = "a CAD model in mm (.stl .obj .ply), or the name of another object"
@@ -99,8 +96,7 @@ class _Comparing(WithCalibration):
 
     def compared(self, nominal: NominalSurface, surface: FusedCloud, about: About, stored: StoredObject | None) -> Exit:
         """Compare, write what was asked for, and say what came of it."""
-        from appliance.desk.comparing import compare, figures_of, write_comparison
-        from appliance.desk.object_errors import errors_of
+        from appliance.desk import compare, errors_of, figures_of, write_comparison
 
         with Progress() as progress:
             progress(f"laying it onto {nominal.name}")
@@ -131,9 +127,8 @@ class _Comparing(WithCalibration):
     def checked(self, nominal: str, root: Path) -> None:
         """Raises ObjectError for an object under ``root`` that is not there, UsageError for files that cannot be written, and MissingLibraryError where what reads ``nominal`` or writes them is absent: before
         minutes of work."""
-        from appliance.base.libraries import require
-        from appliance.desk.export.suffixes import SURFACE_SUFFIXES, ExportError, checked_suffix, require_library
-        from appliance.desk.surface.drawing_file import checked_drawing
+        from appliance.base import require
+        from appliance.desk import SURFACE_SUFFIXES, ExportError, checked_drawing, checked_suffix, require_library
 
         require("igl", "libigl", "a comparison")
         if _is_file(nominal):
@@ -142,9 +137,9 @@ class _Comparing(WithCalibration):
                 require("trimesh", "trimesh", "a CAD model")
         else:
             require("skimage.measure", "scikit-image", "the mesh of an object")
-            from appliance.desk import object_store as objects
+            from appliance.desk import read_object
 
-            objects.read(root, nominal)
+            read_object(root, nominal)
 
         for out in map(Path, self.out):
             writable(out)
@@ -157,8 +152,7 @@ class _Comparing(WithCalibration):
     def _start(self) -> Rigid | None:
         import numpy as np
 
-        from appliance.measure.light.rotation import rotation_matrix
-        from appliance.measure.overlap.rigid import Rigid
+        from appliance.measure import Rigid, rotation_matrix
 
         if self.start is None:
             return None
@@ -166,17 +160,22 @@ class _Comparing(WithCalibration):
 
     def surface_named(self, named: str, root: Path, wish: Wish, progress: Progress) -> NominalSurface:
         """Return the CAD model or the object called ``named``. Raises NominalError, ObjectError."""
-        from appliance.desk import object_store as objects
-        from appliance.desk.comparing import NominalSurface
-        from appliance.desk.object_errors import errors_of, laid_onto_something
-        from appliance.desk.objects import surface_of
-        from appliance.desk.surface.nominal import nominal_of_mesh, read_nominal
-        from appliance.desk.surface.object_mesh import VOXEL_MM, mesh_of_surface
+        from appliance.desk import (
+            VOXEL_MM,
+            NominalSurface,
+            errors_of,
+            laid_onto_something,
+            mesh_of_surface,
+            nominal_of_mesh,
+            read_nominal,
+            read_object,
+            surface_of,
+        )
 
         path = Path(named)
         if _is_file(named):
             return NominalSurface(path.name, read_nominal(path))
-        other = objects.read(root, named)
+        other = read_object(root, named)
         # What the two are laid onto each other by, no error of the other's frame is left in.
         surface = laid_onto_something(surface_of(root, other, wish, progress, self.spacing), errors_of(other))
         mesh = mesh_of_surface(surface, max(VOXEL_MM, 2.0 * self.spacing))
@@ -191,15 +190,15 @@ class CompareObject(_Comparing):
     nominal: str = operand("MODEL", _NOMINAL)
 
     def run(self) -> Exit:
-        from appliance.desk import object_store as objects
+        from appliance.desk import read_object
 
         wish = self.wish()
         measuring(wish.calibration)
         root = library_root(wish)
         self.checked(self.nominal, root)
-        stored = objects.read(root, self.name)
+        stored = read_object(root, self.name)
         compile_kernels()
-        from appliance.desk.objects import about_object, surface_of
+        from appliance.desk import about_object, surface_of
 
         with Progress() as progress:
             nominal = self.surface_named(self.nominal, root, wish, progress)
@@ -225,10 +224,8 @@ class CompareScan(_Comparing):
             compile_kernels()
             import numpy as np
 
-            from appliance.desk.export.content import CAMERA_FRAME, About
-            from appliance.desk.organised_scan import organised_scan
-            from appliance.desk.surface.fusion import PlacedScan, fuse
-            from appliance.store.origin import calibration_for, open_source
+            from appliance.desk import CAMERA_FRAME, About, PlacedScan, fuse, organised_scan
+            from appliance.store import calibration_for, open_source
 
             nominal = self.surface_named(self.nominal, root, wish, progress)
             source = open_source(folder, wish)

@@ -11,9 +11,7 @@ from pathlib import Path
 
 from appliance.cli.output import UsageError
 from appliance.cli.places import root_of_rig, scan_folder
-from appliance.store.atomic import StorageError, remedy_for
-from appliance.store.library import Library
-from appliance.store.wish import Wish
+from appliance.store import Library, StorageError, Wish, remedy_for
 
 CLOUD_SUFFIX, PAGE_SUFFIX = ".ply", ".html"
 
@@ -26,7 +24,7 @@ def whole_scan(wish: Wish, scan: str) -> Path:
     not be whole. Raises UnknownScan, ScanError, UsageError.
     """
     folder = scan_in(wish, scan)
-    from appliance.store.damage import refuse_damaged_frames
+    from appliance.store import refuse_damaged_frames
 
     refuse_damaged_frames(folder)
     return folder
@@ -51,8 +49,8 @@ def measuring(calibration: Path | None) -> None:
     """Raises UsageError for a ``--calibration`` in air: what the windows do is not in it. Raises CalibrationError."""
     if calibration is None:
         return
-    from appliance.measure.calibration.file import IN_AIR
-    from appliance.store.calibration_file import load_calibration
+    from appliance.measure import IN_AIR
+    from appliance.store import load_calibration
 
     if load_calibration(calibration).method == IN_AIR:
         raise UsageError(

@@ -12,8 +12,7 @@ from appliance.cli.desk import measuring, place_of, scan_in, whole_scan, writabl
 from appliance.cli.kernels import compile_kernels
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json, table
 from appliance.cli.places import WithCalibration
-from appliance.store.atomic import replace_file
-from appliance.store.filesystem import LocalFileSystem
+from appliance.store import LocalFileSystem, replace_file
 
 DEFAULT_OUT = Path("evaluation.html")
 SCANS_CHECKED = 0.1
@@ -41,16 +40,16 @@ class Evaluate(WithCalibration):
         writable_page(page)
         writable(data)
         measuring(wish.calibration)
-        from appliance.store.scan_list import read_list, refuse_repeats
+        from appliance.store import read_list, refuse_repeats
 
         scans = read_list(self.list)
         # A wrong number is told before minutes of compiling, and of comparing checksums.
         folders = [scan_in(wish, place_of(self.list, entry.scan)) for entry in scans.entries]
         refuse_repeats(self.list, scans.entries, folders)
         compile_kernels()
-        from appliance.desk.evaluation import run_evaluation
-        from appliance.measure.accept.report import as_html, as_json
-        from appliance.store.origin import instrument_of, one_calibration, open_source
+        from appliance.desk import run_evaluation
+        from appliance.measure import as_html, as_json
+        from appliance.store import instrument_of, one_calibration, open_source
 
         with Progress() as progress:
             sources = []

@@ -32,7 +32,7 @@ class Export(WithCalibration):
     )
 
     def run(self) -> Exit:
-        from appliance.desk.export.suffixes import MESH_SUFFIXES, SCAN_SUFFIXES, ExportError, checked_suffix
+        from appliance.desk import MESH_SUFFIXES, SCAN_SUFFIXES, ExportError, checked_suffix
 
         wish = self.wish()
         # Before minutes of work, and as what it is: a word that was typed wrong.
@@ -62,8 +62,8 @@ class Export(WithCalibration):
                 progress(f"comparing checksums ({number} of {len(outs)})")
                 folder = whole_scan(wish, scan)
                 compile_kernels()
-                from appliance.desk.export_scan import export_scan
-                from appliance.store.origin import calibration_for, open_source
+                from appliance.desk import export_scan
+                from appliance.store import calibration_for, open_source
 
                 source = open_source(folder, wish)
                 with writing(out):

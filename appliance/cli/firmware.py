@@ -11,11 +11,10 @@ from appliance.cli.arguments import option
 from appliance.cli.desk import writing
 from appliance.cli.output import Exit, UsageError, say, say_json
 from appliance.cli.places import WithRig
-from appliance.store.atomic import make_folders, move_folder, replace_file
-from appliance.store.filesystem import LocalFileSystem
+from appliance.store import LocalFileSystem, make_folders, move_folder, replace_file
 
 if TYPE_CHECKING:  # brings pydantic, which `--help` can do without
-    from appliance.workshop.flashing import Part
+    from appliance.workshop import Part
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,7 +28,7 @@ class _LayOut(WithRig):
 
     def run(self) -> Exit:
         rig = self.read_rig()
-        from appliance.workshop.flashing import commands, instrument_values, laid_out
+        from appliance.workshop import commands, instrument_values, laid_out
 
         folder = self.out or Path("build") / self.part
         files = laid_out(self.part, rig)

@@ -35,14 +35,14 @@ class Import(Verb):
         writable(self.reasons, "--reasons")
         if self.source.is_dir():
             return self._of_folder(out)
-        from appliance.desk.foreign.description import load_description
+        from appliance.desk import load_description
 
         # A wrong word is the usual end of a first try, as is a picture that is not there: told before anything that computes is loaded, and before a minute of compiling.
         load_description(self.source)
-        from appliance.desk.foreign.first_look import look_first
+        from appliance.desk import look_first
 
         look_first(self.source)
-        from appliance.desk.foreign_import import check_import, import_cloud, import_scan
+        from appliance.desk import check_import, import_cloud, import_scan
 
         check_import(self.source, out)
         with Progress() as progress:
@@ -55,7 +55,7 @@ class Import(Verb):
 
     def _check_cloud(self, out: Path) -> None:
         writable(out)
-        from appliance.desk.export.suffixes import SCAN_SUFFIXES, ExportError, checked_suffix, require_library
+        from appliance.desk import SCAN_SUFFIXES, ExportError, checked_suffix, require_library
 
         try:
             checked_suffix(out, SCAN_SUFFIXES, "a cloud")
@@ -73,7 +73,7 @@ class Import(Verb):
             raise UsageError(f"{description} is there already: import it, or give another name with --out FILE")
         with Progress() as progress:
             progress("looking for images")
-            from appliance.desk.foreign_folder import import_folder
+            from appliance.desk import import_folder
 
             compile_point_kernels()
             with writing(out):

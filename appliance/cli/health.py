@@ -12,9 +12,9 @@ from appliance.cli.output import Exit, UsageError, say, say_json, table
 from appliance.cli.places import WithRoot
 
 if TYPE_CHECKING:  # imported in the verbs, after what a wrong word needs
-    from appliance.calibrate.health import HealthTrend
-    from appliance.measure.calibration.file import Calibration
-    from appliance.store.config import Rig
+    from appliance.calibrate import HealthTrend
+    from appliance.measure import Calibration
+    from appliance.store import Rig
 
 SHOWN = 20
 """Latest scans in the table; ``--json`` has all that are remembered."""
@@ -33,9 +33,8 @@ class ShowHealth(WithRoot):
         """Raises CalibrationError where there is none."""
         rig = self.rooted_rig()
         calibration = _in_use(rig)
-        from appliance.calibrate.health import LEARNT_SCANS, UNMEASURED
-        from appliance.calibrate.health_file import HealthFile
-        from appliance.measure.calibration.gaps import MODES
+        from appliance.calibrate import LEARNT_SCANS, UNMEASURED, HealthFile
+        from appliance.measure import MODES
 
         trend = HealthFile(rig.storage.root, calibration.hash).read()
         measured = calibration.method not in UNMEASURED
@@ -121,9 +120,8 @@ class AcceptHealth(WithRoot):
                 f"REPORT {self.report}: largest E_L of the ball bar is {worst:.3f} %; allowed are up to {self.at_most_percent:g} %: "
                 "calibrate again, or state another limit with --at-most-percent"
             )
-        from appliance.calibrate.health import answered
-        from appliance.calibrate.health_file import HealthFile
-        from appliance.store.lock import hold_lock
+        from appliance.calibrate import HealthFile, answered
+        from appliance.store import hold_lock
 
         # The running service keeps the trend in memory and would write it over this answer.
         with hold_lock(root):
@@ -143,8 +141,7 @@ class AcceptHealth(WithRoot):
 
 
 def _in_use(rig: Rig) -> Calibration:
-    from appliance.store.calibration_file import load_calibration
-    from appliance.store.names import CALIBRATIONS, CURRENT_CALIBRATION
+    from appliance.store import CALIBRATIONS, CURRENT_CALIBRATION, load_calibration
 
     return load_calibration(rig.storage.root / CALIBRATIONS / CURRENT_CALIBRATION)
 
@@ -177,7 +174,7 @@ def _worst_percent(report: Path, content: dict[str, Any]) -> float:
 
 def _recorded_since(report: Path, content: dict[str, Any], trend: HealthTrend) -> None:
     """Raise UsageError for lengths of before the alarm: they say nothing about the instrument of now."""
-    from appliance.measure.accept.result import Artefact
+    from appliance.measure import Artefact
 
     # Scans are numbered in the order of recording, and the clock may be wrong: before and after go by the number.
     first = next((point.scan for point in trend.points if point.alarm and point.scan is not None), None)
@@ -191,7 +188,7 @@ def _recorded_since(report: Path, content: dict[str, Any], trend: HealthTrend) -
 
 
 def _points(trend: HealthTrend) -> str:
-    from appliance.measure.calibration.gaps import MODES
+    from appliance.measure import MODES
 
     rows = []
     for point in trend.points[-SHOWN:]:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from appliance import __version__
-from appliance.base.distribution import other_program
+from appliance.base import other_program
 from appliance.cli.arguments import Verb, option, switch
 from appliance.cli.output import Exit, UsageError, complain, say, say_json
 
@@ -39,18 +39,18 @@ class Warm(Verb):
     common: bool = switch("--common", "for every x86-64-v3 processor instead of this one: for images")
 
     def run(self) -> Exit:
-        from appliance.base import kernel_build, kernel_cache
+        from appliance.base import COMMON_KERNELS, build_kernels, shipped_kernels
         from appliance.cli.kernels import CompileProgress
-        from appliance.store.atomic import remedy_for
+        from appliance.store import remedy_for
 
-        target = self.out or kernel_cache.shipped_folder()
+        target = self.out or shipped_kernels()
         if target.exists() and not target.is_dir():
             raise UsageError(f"--out {target}: is a file; give a folder, which is made if it is not there")
-        from appliance.measure.warm import PIECES
+        from appliance.measure import PIECES
 
         with CompileProgress() as progress:
             try:
-                folder = kernel_build.build(target, PIECES, progress, kernel_cache.COMMON if self.common else None)
+                folder = build_kernels(target, PIECES, progress, COMMON_KERNELS if self.common else None)
             except OSError as error:
                 raise UsageError(
                     f"{target}: {error.strerror or error}; {remedy_for(error)}; --out DIR writes elsewhere"

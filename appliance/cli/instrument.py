@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
-from appliance.base.process_start import importing
+from appliance.base import importing
 from appliance.cli.output import Exit, Progress, say, say_json, table
 from appliance.cli.places import WithRig, WithRoot
 
 if TYPE_CHECKING:
-    from appliance.store.config import Rig
+    from appliance.store import Rig
     from drivers.api import Health
 
 # The service is imported when it starts: it brings drivers and compiled kernels, which a wrong word can do without.
@@ -38,7 +38,7 @@ class Check(WithRig):
 
     def run(self) -> Exit:
         rig = self.read_rig()
-        from appliance.instrument.service.checkup import check
+        from appliance.instrument import check
 
         with Progress() as progress:
             progress("asking the devices")
@@ -78,6 +78,6 @@ def serve(rig: Rig) -> Exit:
     """Run the instrument's service on ``rig`` until it ends. Its kernels must have been found before."""
     faulthandler.enable(all_threads=True)  # who kills it because it hangs, or it dies in a library: where was it?
     with importing():
-        from appliance.instrument.service.app import run
+        from appliance.instrument import run
 
     return Exit(run(rig))

@@ -11,10 +11,17 @@ from collections.abc import Callable, Iterable, Sequence
 from types import TracebackType
 from typing import TextIO
 
-from appliance.base import kernel_cache
-from appliance.base.kernel_build import CompileError, Compiling, Piece, compile_pieces, missing
-from appliance.base.kernel_cache import KernelCache, Origin
-from appliance.base.process_start import importing
+from appliance.base import (
+    CompileError,
+    Compiling,
+    KernelCache,
+    KernelOrigin,
+    Piece,
+    compile_pieces,
+    importing,
+    missing_kernels,
+    use_kernel_cache,
+)
 from appliance.cli import output
 from appliance.cli.output import Progress
 
@@ -24,16 +31,16 @@ service_log = logging.getLogger("kingfisher")
 
 def find_kernels() -> None:
     """Use what was compiled before. What was not is compiled when it is first needed: only that is worth a line."""
-    cache = kernel_cache.use()
-    level = logging.INFO if cache.origin is Origin.EMPTY else logging.DEBUG
+    cache = use_kernel_cache()
+    level = logging.INFO if cache.origin is KernelOrigin.EMPTY else logging.DEBUG
     service_log.log(level, "kernels: %s, in %s", cache.origin.value, cache.path)
 
 
 def compile_kernels(more: Callable[[], Iterable[tuple[str, str]]] = tuple) -> None:
     """Have everything compiled that a scan needs, recorded or stored, and the pieces (what for, function) of ``more``."""
-    cache = kernel_cache.use()  # before numba is imported
+    cache = use_kernel_cache()  # before numba is imported
     with importing():
-        from appliance.measure.warm import PIECES
+        from appliance.measure import PIECES
 
         pieces = (*PIECES, *(Piece(what, function) for what, function in more()))
     _compile(cache, pieces)
@@ -41,15 +48,15 @@ def compile_kernels(more: Callable[[], Iterable[tuple[str, str]]] = tuple) -> No
 
 def compile_point_kernels() -> None:
     """Have compiled what makes points of coordinates, without anything that judges a scan: most of what imported images need."""
-    cache = kernel_cache.use()
+    cache = use_kernel_cache()
     with importing():
-        from appliance.measure.warm import POINT_PIECES
+        from appliance.measure import POINT_PIECES
     _compile(cache, POINT_PIECES)
 
 
 def _compile(cache: KernelCache, pieces: Sequence[Piece]) -> None:
     # Whoever set NUMBA_CACHE_DIR keeps that folder up to date (ADR 0019).
-    if cache.origin is Origin.GIVEN or not missing(cache.path, pieces):
+    if cache.origin is KernelOrigin.GIVEN or not missing_kernels(cache.path, pieces):
         return
     try:
         with CompileProgress() as progress:

@@ -42,7 +42,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return Exit.INTERRUPTED
     except Exception as error:
-        from appliance.base.process_start import interrupts
+        from appliance.base import interrupts
         from appliance.cli.failures import exit_code_of
 
         if interrupts(error):
@@ -73,7 +73,7 @@ def _last_words(verb: Verb) -> Iterator[None]:
     if not verb.service:
         yield
         return
-    from appliance.base.process_start import use_one_blas_thread
+    from appliance.base import use_one_blas_thread
     from appliance.cli.last_words import last_words
 
     use_one_blas_thread(os.environ)

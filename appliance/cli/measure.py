@@ -13,10 +13,8 @@ from appliance.cli.kernels import compile_kernels
 from appliance.cli.listing import say_report
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json, table
 from appliance.cli.places import WithRoot
-from appliance.measure.light.sides import of_side
-from appliance.store.atomic import make_folders, replace_file
-from appliance.store.filesystem import LocalFileSystem
-from appliance.store.scan import ScanError
+from appliance.measure import of_side
+from appliance.store import LocalFileSystem, ScanError, make_folders, replace_file
 
 SHOWN_HARMONICS = 6
 LEVELS = 255.0
@@ -35,11 +33,10 @@ class MeasureResponse(WithRoot):
         _never_replaced(self.out)
         scan_in(wish, self.scan)
         compile_kernels()
-        from appliance.calibrate.response.measure import ResponseError
-        from appliance.desk.measuring import response_of_scan
-        from appliance.measure.calibration.response_file import RESPONSE
-        from appliance.store.instrument import RESPONSE_FILE
-        from appliance.store.origin import instrument_of, open_source
+        from appliance.calibrate import ResponseError
+        from appliance.desk import response_of_scan
+        from appliance.measure import RESPONSE
+        from appliance.store import RESPONSE_FILE, instrument_of, open_source
 
         with Progress() as progress:
             progress("comparing checksums")
@@ -85,11 +82,10 @@ class MeasureNoise(WithRoot):
         wish = self.wish()
         scan_in(wish, self.scan)
         compile_kernels()
-        from appliance.calibrate.photon_transfer import NoiseError
-        from appliance.desk.measuring import noise_of_scan, noise_to_store
-        from appliance.measure.calibration.noise_file import NOISE
-        from appliance.store.instrument import NOISE_FILE
-        from appliance.store.origin import instrument_of, open_source
+        from appliance.calibrate import NoiseError
+        from appliance.desk import noise_of_scan, noise_to_store
+        from appliance.measure import NOISE
+        from appliance.store import NOISE_FILE, instrument_of, open_source
 
         with Progress() as progress:
             progress("comparing checksums")
@@ -148,8 +144,8 @@ class MeasureExposures(WithRoot):
         for scan in self.scans:
             scan_in(wish, scan)
         compile_kernels()
-        from appliance.desk.measuring import exposure_found
-        from appliance.store.origin import instrument_of, open_source
+        from appliance.desk import exposure_found
+        from appliance.store import instrument_of, open_source
 
         with Progress() as progress:
             sources = []

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
-from appliance.base.process_start import use_one_blas_thread
+from appliance.base import use_one_blas_thread
 from appliance.cli.arguments import operand, operands, option, switch, whole
 from appliance.cli.desk import library_root, measuring, scan_in
 from appliance.cli.kernels import compile_kernels
@@ -17,7 +17,7 @@ from appliance.cli.output import Exit, Progress, UsageError, complain, say, say_
 from appliance.cli.places import WithRoot
 
 if TYPE_CHECKING:
-    from appliance.desk.object_store import MemberScan, Places, StoredObject
+    from appliance.desk import MemberScan, Places, StoredObject
 
 LEAST_SCANS = 2
 """Placed scans that make an object."""
@@ -36,7 +36,7 @@ class NewObject(WithRoot):
     taken_as: int | None = option("--taken-as", _TAKEN_AS, default=None, parse=whole(1, 999_999), metavar="N")
 
     def run(self) -> Exit:
-        from appliance.desk.object_store import StoredObject
+        from appliance.desk import StoredObject
 
         root = library_root(self.wish())
 
@@ -60,12 +60,12 @@ class AddToObject(WithRoot):
     taken_as: int | None = option("--taken-as", _TAKEN_AS, parse=whole(1, 999_999), metavar="N")
 
     def run(self) -> Exit:
-        from appliance.desk import object_store as objects
+        from appliance.desk import read_object
 
         if not self.scans and self.taken_as is None:
             raise UsageError("which scans? Give their numbers or folders, or --taken-as N")
         root = library_root(self.wish())
-        added = _added(self, root, lambda now: objects.read(root, self.name) if now is None else now)
+        added = _added(self, root, lambda now: read_object(root, self.name) if now is None else now)
         _say_object(added, as_json=self.json)
         return Exit.OK
 
@@ -79,11 +79,11 @@ class ShowObject(WithRoot):
     name: str | None = operand("NAME", _NAME, optional=True)
 
     def run(self) -> Exit:
-        from appliance.desk import object_store as objects
+        from appliance.desk import object_names, read_object
 
         root = library_root(self.wish())
         if self.name is None:
-            found = objects.names(root)
+            found = object_names(root)
             if self.json:
                 say_json({"objects": found})
             else:
@@ -92,7 +92,7 @@ class ShowObject(WithRoot):
                 if not found:
                     say(f"no objects under {root}; make one: kingfisher object new NAME SCAN...")
             return Exit.OK
-        _say_object(objects.read(root, self.name), as_json=self.json)
+        _say_object(read_object(root, self.name), as_json=self.json)
         return Exit.OK
 
 
@@ -117,21 +117,20 @@ class SolveObject(ObjectFiles):
         wish = self.wish()
         measuring(wish.calibration)
         outs = self.checked_outs([Path(one) for one in self.out])
-        from appliance.desk import object_store as objects
-        from appliance.desk.object_store import StoredObject
+        from appliance.desk import StoredObject, published_object, read_object, update_object
 
         root = library_root(wish)
         if self.scans or self.taken_as is not None:
             found = _added(self, root, lambda now: StoredObject(self.name) if now is None else now)
         else:
-            found = objects.read(root, self.name)
+            found = read_object(root, self.name)
         compile_kernels()
-        from appliance.desk.objects import solve_object
+        from appliance.desk import solve_object
 
         with Progress() as progress:
             answer = solve_object(root, found, wish, progress, with_shared_error=self.with_estimate)
         # What was added in these minutes stays.
-        solved = objects.update(root, self.name, lambda now: objects.published(now, answer))
+        solved = update_object(root, self.name, lambda now: published_object(now, answer))
         _tell_health(root, solved, as_json=self.json)
         placed = 0 if solved.places is None else len(solved.places.places)
         if placed >= LEAST_SCANS:
@@ -153,11 +152,11 @@ class ExportObject(ObjectFiles):
         wish = self.wish()
         measuring(wish.calibration)
         outs = self.checked_outs([Path(one) for one in self.out or (f"{self.name}.ply",)])
-        from appliance.desk import object_store as objects
+        from appliance.desk import read_object
 
         root = library_root(wish)
-        solved = objects.read(root, self.name)
-        from appliance.desk.object_errors import errors_of
+        solved = read_object(root, self.name)
+        from appliance.desk import errors_of
 
         # Says at once where it is not solved.
         errors_of(solved)
@@ -174,7 +173,7 @@ class ExportObject(ObjectFiles):
 
 def _warn_of_added(solved: StoredObject, *, as_json: bool) -> None:
     """Say which scans are in no file, since they were added after the others were placed."""
-    from appliance.desk.object_store import ADDED_SINCE
+    from appliance.desk import ADDED_SINCE
 
     left_out = {} if solved.places is None else solved.places.left_out
     since = ", ".join(name for name, why in left_out.items() if why == ADDED_SINCE)
@@ -184,11 +183,9 @@ def _warn_of_added(solved: StoredObject, *, as_json: bool) -> None:
 
 def _tell_health(root: Path, solved: StoredObject, *, as_json: bool) -> None:
     """Write what the overlaps tell of the calibration beside what its scans told; the instrument reads it at its next start."""
-    from appliance.calibrate.health import told_by_overlaps
-    from appliance.calibrate.health_file import HealthFile
-    from appliance.desk.objects import overlap_news
-    from appliance.store.atomic import StorageError
-    from appliance.store.lock import hold_lock
+    from appliance.calibrate import HealthFile, told_by_overlaps
+    from appliance.desk import overlap_news
+    from appliance.store import StorageError, hold_lock
 
     told = overlap_news(solved)
     if told is None:
@@ -211,10 +208,9 @@ def _added(
 
     ``begin``: the object to add to, of what is stored under its name. Raises what it raises, UsageError, ScanError, ObjectError.
     """
-    from appliance.desk import object_store as objects
-    from appliance.desk.object_store import with_scans
+    from appliance.desk import object_exists, read_object, update_object, with_scans
 
-    stored = begin(objects.read(root, verb.name) if objects.exists(root, verb.name) else None)
+    stored = begin(read_object(root, verb.name) if object_exists(root, verb.name) else None)
     # All of them are looked up before the first byte is read, and before what reads them is imported.
     folders = [scan_in(verb.wish(), scan) for scan in verb.scans]
     folders_taken = [scan_in(verb.wish(), scan) for scan in _taken_as(root, verb.taken_as)]
@@ -226,13 +222,13 @@ def _added(
         return with_scans(stored, (*named, *(one for one in taken if one.frames_sha256 not in have)))
 
     more(stored)  # a scan that is refused leaves no folder behind
-    return objects.update(root, verb.name, lambda now: more(begin(now)))
+    return update_object(root, verb.name, lambda now: more(begin(now)))
 
 
 def _member(root: Path, folder: Path) -> MemberScan:
     """Return a scan as a member of an object. Raises ScanError."""
-    from appliance.desk.objects import member_of
-    from appliance.store.damage import refuse_damaged_frames
+    from appliance.desk import member_of
+    from appliance.store import refuse_damaged_frames
 
     refuse_damaged_frames(folder)
     return member_of(root, folder)
@@ -242,13 +238,12 @@ def _taken_as(root: Path, number: int | None) -> Sequence[str]:
     """Return the scans of an object by the number that the diver began it under. Raises UsageError for one that no scan carries."""
     if number is None:
         return ()
-    from appliance.store.library import Library
-    from appliance.store.object_numbers import numbers, scans_of
+    from appliance.store import Library, numbers_of_object, scans_of_object
 
     library = Library(root)
-    scans = scans_of(library, number)
+    scans = scans_of_object(library, number)
     if not scans:
-        known = ", ".join(str(one) for one in numbers(library)) or "none; name the scans instead"
+        known = ", ".join(str(one) for one in numbers_of_object(library)) or "none; name the scans instead"
         raise UsageError(f"--taken-as {number}: no scan under {root} was taken as that object; there are {known}")
     return scans
 
@@ -257,7 +252,7 @@ def _say_object(stored: StoredObject, *, as_json: bool) -> None:
     if as_json:
         from pydantic import TypeAdapter
 
-        from appliance.desk.object_store import StoredObject as Kind
+        from appliance.desk import StoredObject as Kind
 
         # The joint errors are for programs that compute lengths (import kingfisher), and megabytes of text for everybody else.
         say_json(TypeAdapter(Kind).dump_python(stored, mode="json", exclude={"places": {"joint"}}))
@@ -291,7 +286,7 @@ def lines_of(places: Places) -> list[str]:
     lines += [f"  {pair.first} - {pair.second}: overlap –; {pair.text}" for pair in places.pairs if not pair.used]
     lines += [f"warning: {one}" for one in places.warnings]
     if places.shared_error_score is not None:
-        from appliance.calibrate.health import OVERLAP_LIMIT
+        from appliance.calibrate import OVERLAP_LIMIT
 
         lines.append(
             f"overlaps and calibration agree: {places.shared_error_score:.1f} times what is stated"

@@ -13,9 +13,8 @@ from appliance.cli.output import Progress, UsageError
 from appliance.cli.places import WithCalibration
 
 if TYPE_CHECKING:
-    from appliance.desk.export.placed import PlacedGrid
-    from appliance.desk.object_store import StoredObject
-    from appliance.store.wish import Wish
+    from appliance.desk import PlacedGrid, StoredObject
+    from appliance.store import Wish
 
 PAGE, GRIDS, POSED, TRIANGLES = ".html", ".npz", ".e57", (".stl", ".obj")
 SPACING_MM = 0.3
@@ -48,8 +47,8 @@ class ObjectFiles(WithCalibration):
 
     def checked_outs(self, outs: Sequence[Path]) -> Sequence[Path]:
         """Return ``outs``. Raises UsageError for a file that cannot be written, and MissingLibraryError, before minutes of work."""
-        from appliance.base.libraries import require
-        from appliance.desk.export.suffixes import SURFACE_SUFFIXES, ExportError, checked_suffix, require_library
+        from appliance.base import require
+        from appliance.desk import SURFACE_SUFFIXES, ExportError, checked_suffix, require_library
 
         for out in outs:
             writable(out)
@@ -76,12 +75,17 @@ class ObjectFiles(WithCalibration):
         """Write the files of a solved object; the surface and its mesh are made once, when they are first wanted. Raises StorageError, ScanError."""
         if not outs:
             return
-        from appliance.desk.export.files import write_mesh, write_surface
-        from appliance.desk.export.placed import write_placed
-        from appliance.desk.object_report import report_of
-        from appliance.desk.objects import about_object, surface_of
-        from appliance.desk.report.page import write_report
-        from appliance.desk.surface.object_mesh import VOXEL_MM, mesh_of_surface
+        from appliance.desk import (
+            VOXEL_MM,
+            about_object,
+            mesh_of_surface,
+            report_of,
+            surface_of,
+            write_mesh,
+            write_placed,
+            write_report,
+            write_surface,
+        )
 
         with Progress() as progress:
             # Pages, points and meshes are of one surface: it is fused once, or never.
@@ -113,8 +117,7 @@ def _grids(root: Path, solved: StoredObject, wish: Wish, progress: Progress) -> 
     """Yield the scans that have a place, one at a time."""
     import numpy as np
 
-    from appliance.desk.export.placed import PlacedGrid
-    from appliance.desk.objects import placed_scans
+    from appliance.desk import PlacedGrid, placed_scans
 
     places = {} if solved.places is None else solved.places.places
     for (name, place), scan in zip(places.items(), placed_scans(root, solved, wish, progress), strict=True):

@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING
 
 from appliance.cli.arguments import Verb, option, switch
 from appliance.cli.output import UsageError
-from appliance.store.root import VARIABLE, standing_root, where_none_was_found
+from appliance.store import VARIABLE, standing_root, where_none_was_found
 
 if TYPE_CHECKING:  # imported where they are needed: a verb that needs neither loads neither
-    from appliance.store.config import Rig
-    from appliance.store.wish import Wish
+    from appliance.store import Rig, Wish
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,7 +23,7 @@ class WithRig(Verb):
 
     def read_rig(self) -> Rig:
         """Read the rig file that was given, else the packaged one. Raises ConfigError."""
-        from appliance.store.config import default_rig_path, load_rig
+        from appliance.store import default_rig_path, load_rig
 
         return load_rig(self.rig or default_rig_path())
 
@@ -67,7 +66,7 @@ class WithRoot(WithRig):
 
     def wish(self) -> Wish:
         """Return what was asked for beside a scan. Reads a rig file only where one was given. Raises ConfigError, UsageError."""
-        from appliance.store.wish import Wish
+        from appliance.store import Wish
 
         return Wish(
             # Not the packaged rig file instead: a scan brings its own, and a default would pass for somebody's wish.
@@ -118,7 +117,7 @@ def root_of_rig(rig: Rig | None) -> Path:
     found = _standing()
     if found is not None:
         return found
-    from appliance.store.config import default_rig_path, load_rig
+    from appliance.store import default_rig_path, load_rig
 
     root = load_rig(default_rig_path()).storage.root
     if not root.is_dir():

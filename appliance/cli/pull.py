@@ -10,17 +10,25 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
-from appliance.base.libraries import require
+from appliance.base import require
 from appliance.cli.arguments import Verb, number, operand, option, switch, whole
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json, time_text
-from appliance.desk.pull.pulling import HowFar, Open, Pulled, pull
-from appliance.desk.pull.source import FolderSource, is_linked
-from appliance.desk.pull.ssh import ANSWER_S, LIBRARY, NEEDS_IT, PORT, Host, SshLink
-from appliance.desk.pull.taking import PullOutcome
-from appliance.store.atomic import make_folders
-from appliance.store.filesystem import LocalFileSystem
-from appliance.store.library import LibraryFolder
-from appliance.store.lock import hold_lock
+from appliance.desk import (
+    ANSWER_S,
+    LIBRARY,
+    NEEDS_IT,
+    PORT,
+    FolderSource,
+    Host,
+    HowFar,
+    Open,
+    Pulled,
+    PullOutcome,
+    SshLink,
+    is_linked,
+    pull_scans,
+)
+from appliance.store import LibraryFolder, LocalFileSystem, hold_lock, make_folders
 
 ROOTS = (".", "lib/kingfisher", "var/lib/kingfisher")
 """Places of the scans below a folder that is given: the storage root itself, the instrument's data partition, its whole disk."""
@@ -54,7 +62,7 @@ class Pull(Verb):
             begun_s = time.monotonic()
             # An Event that nobody sets: it waits, and Ctrl-C ends the wait.
             wait = threading.Event().wait
-            done = pull(opened, target, LocalFileSystem(), every=self.all, far=_Said(progress), wait=wait)
+            done = pull_scans(opened, target, LocalFileSystem(), every=self.all, far=_Said(progress), wait=wait)
         self._tell(done, time.monotonic() - begun_s)
         return Exit.OK if done.whole else Exit.FAILED
 

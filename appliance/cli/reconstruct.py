@@ -30,9 +30,8 @@ class Reconstruct(WithCalibration):
             # Salvaging wants damaged scans, and looks for the damage by itself.
             folder = scan_in(wish, self.scan) if self.salvage else whole_scan(wish, self.scan)
             compile_kernels()
-            from appliance.desk.reconstruct import reconstruct_scan
-            from appliance.desk.salvage import salvage
-            from appliance.store.origin import calibration_for, open_source
+            from appliance.desk import reconstruct_scan, salvage
+            from appliance.store import calibration_for, open_source
 
             salvaged = salvage(folder) if self.salvage else None
             source = open_source(folder, wish, None if salvaged is None else salvaged.scan)
@@ -62,8 +61,8 @@ class MergeScans(WithCalibration):
                 scan_in(wish, scan)  # both, before every byte of one is read
             first, second = (whole_scan(wish, scan) for scan in (self.first, self.second))
             compile_kernels()
-            from appliance.desk.merging import merge_scans
-            from appliance.store.origin import instrument_of, one_calibration, open_source
+            from appliance.desk import merge_scans
+            from appliance.store import instrument_of, one_calibration, open_source
 
             sources = (open_source(first, wish), open_source(second, wish))
             instrument_of(sources, wish)  # refuses two

@@ -22,7 +22,7 @@ class DiveReport(WithRoot):
         """Raises UnknownScan, UsageError, StorageError."""
         out = self.out or Path("dive.html")
         writable_page(out)
-        from appliance.store.library import Library
+        from appliance.store import Library
 
         root = self.existing_root()
         library = Library(root)
@@ -32,8 +32,7 @@ class DiveReport(WithRoot):
             raise UsageError(
                 f"--root {root}: holds no scans; give the storage root of a dive, the folder that holds scans/"
             )
-        from appliance.desk.dive_report import report_of_dive
-        from appliance.desk.report.page import write_report
+        from appliance.desk import report_of_dive, write_report
 
         with Progress() as progress:
             report = report_of_dive(root, entries, progress)

@@ -10,19 +10,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
-from appliance.base.libraries import require
+from appliance.base import require
 from appliance.cli.arguments import Verb, number, operand, option, switch, whole
 from appliance.cli.desk import measuring, writable_page, writing
 from appliance.cli.kernels import compile_kernels
 from appliance.cli.output import Exit, Progress, UsageError, say, say_json, time_text
-from appliance.store.archive import scan_folders
-from appliance.store.atomic import replace_file
-from appliance.store.filesystem import LocalFileSystem
-from appliance.store.library import LibraryFolder
-from appliance.store.lock import hold_lock
+from appliance.store import LibraryFolder, LocalFileSystem, hold_lock, replace_file, scan_folders
 
 if TYPE_CHECKING:  # brings NumPy
-    from appliance.store.scan_list import ListedScan, ScanList
+    from appliance.store import ListedScan, ScanList
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,9 +59,8 @@ class Reprocess(Verb):
         begun_s = time.monotonic()
         if self.scheduler is None:
             compile_kernels()  # once, before any worker starts: each of them would compile the same minute
-        from appliance.desk.anew.results import Results, program_digits
-        from appliance.desk.anew.work import AGAIN, DONE, FAILED, Job, work_through_all
-        from appliance.store.calibration_file import load_calibration
+        from appliance.desk import AGAIN, DONE, FAILED, Job, Results, program_digits, work_through_all
+        from appliance.store import load_calibration
 
         results = Results.of(
             self.out.absolute(),
@@ -119,7 +114,7 @@ class Reprocess(Verb):
             raise UsageError(
                 f"SOURCE {self.source}: there is no scan in it{'' if self.all else '; --all takes the rejected ones, too'}"
             )
-        from appliance.store.scan_list import read_list
+        from appliance.store import read_list
 
         scans = None if self.list is None else read_list(self.list)
         listed = {} if scans is None else {_number(Path(one.scan)): one for one in scans.entries}
@@ -146,8 +141,7 @@ class Season(Verb):
 
     def run(self) -> Exit:
         """Raises UsageError, ResultsError, StorageError."""
-        from appliance.desk.anew.results import read_table
-        from appliance.desk.anew.season import season_page
+        from appliance.desk import read_table, season_page
 
         page = self.out or Path("season.html")
         writable_page(page)

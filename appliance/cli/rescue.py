@@ -11,7 +11,7 @@ from appliance.cli.kernels import compile_kernels
 from appliance.cli.listing import say_report
 from appliance.cli.output import Exit, Progress
 from appliance.cli.places import WithCalibration, scan_folder
-from appliance.store import incomplete
+from appliance.store import find_incomplete, load_incomplete
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,11 +27,11 @@ class Rescue(WithCalibration):
         measuring(wish.calibration)
         with Progress() as progress:
             progress("comparing checksums")
-            folder = scan_folder(self.recording) or incomplete.find(library_root(wish), self.recording)
-            recording = incomplete.load(folder)
+            folder = scan_folder(self.recording) or find_incomplete(library_root(wish), self.recording)
+            recording = load_incomplete(folder)
             compile_kernels()
-            from appliance.desk.rescue import rescue_recording
-            from appliance.store.origin import calibration_for, open_source
+            from appliance.desk import rescue_recording
+            from appliance.store import calibration_for, open_source
 
             source = open_source(folder, wish, recording.scan)
             chosen = calibration_for(source, wish)

@@ -10,10 +10,9 @@ from appliance.cli.arguments import operand, operands, switch
 from appliance.cli.listing import shown
 from appliance.cli.output import Exit, Progress, say, say_json, table
 from appliance.cli.places import WithRoot, scan_folder
-from appliance.instrument.machine.ashore import ASHORE
-from appliance.measure.fault import FaultCode
-from appliance.store.library import Library, LibraryFolder, ScanEntry, entry_of
-from appliance.store.manifest import Stage, as_json
+from appliance.instrument import ASHORE
+from appliance.measure import FaultCode
+from appliance.store import Library, LibraryFolder, ScanEntry, Stage, entry_of, manifest_json
 
 EVERY = "also those rejected, set aside or in the trash"
 
@@ -72,7 +71,7 @@ class ShowScan(WithRoot):
         full = {
             **_brief(entry),
             "ashore": ashore,
-            "manifest": None if entry.manifest is None else as_json(entry.manifest),
+            "manifest": None if entry.manifest is None else manifest_json(entry.manifest),
         }
         if self.json:
             say_json(full)
@@ -125,7 +124,7 @@ def _with_frames_named(entry: ScanEntry) -> ScanEntry:
     """Return ``entry`` with the damaged frames named in its problems, where it is known which they are."""
     if entry.ok or entry.manifest is None:
         return entry
-    from appliance.store.damage import damaged_frames  # looks into frames, which a list can do without
+    from appliance.store import damaged_frames
 
     # The checksum of the file said that something is wrong; the CRC of each frame says in which image (ADR 0033).
     frames = {one.file: str(one) for one in damaged_frames(entry.folder, entry.manifest)}

@@ -10,13 +10,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar
 
-from appliance.base.sealed_file import ContentError
+from appliance.base import ContentError
 from appliance.cli.arguments import operand, operands
 from appliance.cli.output import Exit, UsageError, say, say_json
 from appliance.cli.places import WithRoot
-from appliance.store.label import LONGEST_NAME, LONGEST_NOTE, Label, checked, read
-from appliance.store.library import Library
-from appliance.store.lock import hold_lock
+from appliance.store import LONGEST_NAME, LONGEST_NOTE, Label, Library, checked_label, hold_lock, read_label
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,7 +77,7 @@ class RestoreScans(WithRoot):
 
 def _checked(what: str, text: str, longest: int) -> str | None:
     try:
-        return checked(what, text, longest)
+        return checked_label(what, text, longest)
     except ContentError as error:
         raise UsageError(str(error)) from error
 
@@ -90,7 +88,7 @@ def _label(root: Path, scan_id: str, change: Callable[[Label], Label], *, json: 
         entry = library.entry(scan_id)
         try:
             # Name and note are one file: changing the one keeps the other.
-            before = read(entry.folder)
+            before = read_label(entry.folder)
         except ContentError:
             before = Label()  # a damaged one is written anew: that is what the person wants
         label = change(before)

@@ -28,7 +28,7 @@ from appliance.cli.simrig import (
 )
 
 if TYPE_CHECKING:  # brings pydantic, which `--help` can do without
-    from appliance.store.config import Rig
+    from appliance.store import Rig
 
 SEED = whole(0, 999_999_999)
 
@@ -57,7 +57,7 @@ class Sim(WithRoot):
     window: bool = switch("--window", "show both screens in windows; the keyboard is the key pad")
 
     def run(self) -> Exit:
-        from appliance.store.config import load_rig
+        from appliance.store import load_rig
 
         rig = load_rig(self.rig or default_sim_rig())
         options = SimOptions(

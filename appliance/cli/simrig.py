@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from appliance.cli.output import UsageError
 
 if TYPE_CHECKING:
-    from appliance.store.config import Rig
+    from appliance.store import Rig
 
 SIMULATOR = "hw_sim"
 OBJECTS = ("plane", "ballbar", "frustum", "pipe", "shell", "stones", "board", "main")

@@ -17,16 +17,28 @@ from numpy.typing import NDArray
 
 from appliance.cli.output import UsageError
 from appliance.cli.simrig import SIMULATOR
-from appliance.measure.calibration.file import Calibration, CalibrationError, encode
-from appliance.measure.light.model import HousedCamera, StereoRig
-from appliance.measure.light.pinhole import Lens
-from appliance.measure.light.port import Port
-from appliance.measure.light.water import Water
-from appliance.store.atomic import make_folders, replace_file
-from appliance.store.calibration_file import load_calibration
-from appliance.store.config import Rig
-from appliance.store.filesystem import LocalFileSystem
-from appliance.store.instrument import CALIBRATION_FILE, KEPT, NOISE_FILE, RESPONSE_FILE, volume_of
+from appliance.measure import (
+    Calibration,
+    CalibrationError,
+    HousedCamera,
+    Lens,
+    Port,
+    StereoRig,
+    Water,
+    encode_calibration,
+)
+from appliance.store import (
+    CALIBRATION_FILE,
+    KEPT,
+    NOISE_FILE,
+    RESPONSE_FILE,
+    LocalFileSystem,
+    Rig,
+    load_calibration,
+    make_folders,
+    replace_file,
+    volume_of,
+)
 
 METHOD = "truth"
 KNOWN_SET = "nominal"
@@ -47,7 +59,7 @@ def bring_calibration(rig: Rig) -> None:
     if nominal and not _calibrated_before(path.parent):
         # Written like any calibration, before the service starts: nothing in the product knows that it is the truth.
         make_folders(LocalFileSystem(), path.parent)
-        replace_file(LocalFileSystem(), path, encode(true_calibration(rig)))
+        replace_file(LocalFileSystem(), path, encode_calibration(true_calibration(rig)))
         log.info("calibration: that of the simulated instrument as drawn, in %s", path)
     elif not nominal and path.is_file():
         _refuse_nominal(rig)

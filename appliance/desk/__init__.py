@@ -1,1 +1,164 @@
 """Work with stored scans away from the instrument: clouds, objects, comparison, reports, import, archives, Python."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from appliance.base import lazy_face
+
+if TYPE_CHECKING:
+    from .anew.results import (
+        Results,  # Results of one key below out. Every method raises StorageError for what the disk refuses
+        program_digits,  # Return what of an installation decides about points
+        read_table,  # Return the rows of a table in the order of the scans' numbers, each a text by column
+    )
+    from .anew.season import (
+        season_page,  # Return the page about the rows of a table (results.read_table); source is named on it
+    )
+    from .anew.work import (
+        AGAIN,
+        DONE,
+        FAILED,
+        Job,  # Everything that one scan's task must know; small, and the same bytes on every computer
+        work_through_all,  # Yield a row of every job, as they are done by workers of scheduler
+    )
+    from .comparing import (
+        NominalSurface,  # A surface that others are compared with
+        compare,  # Lay surface onto nominal by shape alone and return how far each point lies from it
+        figures_of,  # Return a comparison in numbers, JSON-ready; lengths in mm
+        write_comparison,  # Write a comparison: points with their deviation (.ply .e57 .las) in the nominal
+    )
+    from .dive_report import (
+        report_of_dive,  # Return the page's content for scans under a storage root
+    )
+    from .evaluation import (
+        run_evaluation,  # Reconstruct and measure every scan of the list
+    )
+    from .export.content import (
+        CAMERA_FRAME,
+        About,  # Description of a file in it, as far as its format has room
+    )
+    from .export.files import (
+        write_mesh,  # Write a mesh (MESH_SUFFIXES). Raises ExportError, StorageError,
+        write_surface,  # Write the points of a fused surface (SURFACE_SUFFIXES)
+    )
+    from .export.placed import (
+        PlacedGrid,  # One scan of an object and where it lies
+        write_placed,  # Write the scans (SUFFIXES), whole or not at all; one is held at a time
+    )
+    from .export.suffixes import (
+        MESH_SUFFIXES,
+        SCAN_SUFFIXES,
+        SURFACE_SUFFIXES,
+        ExportError,  # A file cannot be made; the text says which, why, and what to do
+        checked_suffix,  # Return the suffix of path in lower case. Raises ExportError for one
+        require_library,  # Raises MissingLibraryError
+    )
+    from .foreign.description import (
+        load_description,  # Read and check a description. Raises ForeignError for whatever the file holds
+    )
+    from .foreign.first_look import (
+        look_first,  # Check all of a description that takes no time
+    )
+    from .foreign_folder import (
+        import_folder,  # Guess what the images below folder show
+    )
+    from .foreign_import import (
+        check_import,  # Refuse whatever can be refused at once
+        import_cloud,  # Write the points of the images that the description at path describes
+        import_scan,  # Make the scan folder out of images that have our own form. Raises as import_cloud
+    )
+    from .measuring import (
+        exposure_found,  # Return how straight the fringes of a stored scan are. Raises ScanError
+        noise_of_scan,  # Return by side the camera's noise in a stored scan, and what the rig file makes expect
+        noise_to_store,  # Return what noise_of_scan found in a stored scan as figures of the instrument's cameras
+        response_of_scan,  # Return the projector's response from the raw frames of a stored scan
+    )
+    from .merging import (
+        merge_scans,  # Make one cloud of two stored scans of the same scene with different exposures
+    )
+    from .object_errors import (
+        errors_of,  # Return the joint errors of an object's places, scans in the order of places
+        laid_onto_something,  # Return the surface with the sigma
+    )
+    from .object_report import (
+        report_of,  # Return the page's content for a solved object and its fused surface. Raises ValueError for one
+    )
+    from .object_store import (
+        ADDED_SINCE,  # Reason why a scan has no place yet
+        MemberScan,  # A scan that belongs to the object
+        Places,  # Places of an object's scans, and all that was found on the way
+        StoredObject,  # An object: its scans, and where they lie if that was found out
+        object_exists,  # Return whether there is an object of that name
+        object_names,  # Return the names of all objects under a storage root, in order
+        published_object,  # Return the object as it is stored now with the places
+        read_object,  # Read an object. Raises ObjectError for one that is not there or is damaged
+        update_object,  # Replace an object by change of what is stored now (None: there is none), under its lock
+        with_scans,  # Return the object with scans added
+    )
+    from .objects import (
+        about_object,  # Return what a file of the object says of it
+        member_of,  # Return a stored scan as a member of an object. Raises ScanError
+        overlap_news,  # Return the hash of the calibration
+        placed_scans,  # Yield the scans that have a place, each with how certain it is beside its neighbours
+        solve_object,  # Find where every scan of an object lies and return the object with its places
+        surface_of,  # Return one surface of all scans that have a place, a point about every spacing_mm
+    )
+    from .organised import (
+        organised_scan,  # Return the full cloud of a stored scan, of both exposures where it has two
+    )
+    from .pull.pulling import (
+        HowFar,  # State of a call
+        Open,
+        Pulled,  # Result of a call
+        pull_scans,  # Take what is finished there and not here to the storage root target, which is there. every
+    )
+    from .pull.source import (
+        FolderSource,  # A storage root on this computer: a mounted share, the instrument's disk, a USB disk
+        is_linked,  # Return True if a component of path below root is a link
+    )
+    from .pull.ssh import (
+        ANSWER_S,  # Longest silence before a link counts as broken
+        LIBRARY,
+        NEEDS_IT,
+        PORT,  # Port of the instrument's server; not 22, which a Debian with a login of its own may use
+        Host,  # An instrument on the network
+        SshLink,  # Opens links to one instrument, one after the other
+    )
+    from .pull.taking import (
+        PullOutcome,  # Outcomes for one recording
+    )
+    from .reconstruct import (
+        reconstruct_scan,  # Make the cloud of a stored scan from its raw frames, written as PLY to out (None
+        work_through,  # Reconstruct and judge a scan, one sequence or both. Raises ScanError
+    )
+    from .report.page import (
+        write_report,  # Write the page, whole or not at all. Raises StorageError
+    )
+    from .rescue import (
+        rescue_recording,  # Make the cloud of recording, which source is of, written as PLY to out (None
+    )
+    from .salvaging import (
+        salvage,  # Open a scan, damaged or not. Raises ScanError that names what cannot be done without
+    )
+    from .scan_export import (
+        export_scan,  # Write the points of a stored scan, or with mesh its triangles, to out; the suffix says how
+    )
+    from .surface.drawing_file import (
+        checked_drawing,  # Return the suffix of a CAD model in lower case. Raises NominalError for a format
+    )
+    from .surface.fusion import (
+        FusedCloud,  # Points of one surface, in the object's frame; all arrays have the same length n
+        PlacedScan,  # One scan and where it is: its points p are at rotation · p + translation in the object's frame
+        fuse,  # Return one surface of all scans, a point about every spacing_mm. One scan is held at a time
+    )
+    from .surface.nominal import (
+        nominal_of_mesh,  # Return a mesh as the surface
+        read_nominal,  # Read a nominal surface in mm about a local origin. Raises NominalError
+    )
+    from .surface.object_mesh import (
+        VOXEL_MM,
+        mesh_of_surface,  # Return the mesh of a fused surface, whose points should be about half a voxel apart
+    )
+else:
+    __getattr__, __dir__, __all__ = lazy_face(__name__)

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.base.argument_types import refuse_wrong_fields
-from appliance.base.one_line import one_line
+from appliance.base import one_line, refuse_wrong_fields
 from appliance.desk.export.content import About
 from appliance.desk.export.files import write_surface
 from appliance.desk.object_errors import laid_onto_something
@@ -24,8 +23,7 @@ from appliance.desk.report.page import write_report
 from appliance.desk.surface.deviation import LIMIT_MM, Deviation, NominalTree, deviations, spread_over
 from appliance.desk.surface.fusion import FusedCloud
 from appliance.desk.surface.nominal import Nominal
-from appliance.measure.light.rotation import rotation_vector
-from appliance.measure.overlap.rigid import Rigid
+from appliance.measure import Rigid, rotation_vector
 
 PAGE = ".html"
 SURE = 2.0

@@ -11,12 +11,10 @@ import numpy as np
 from appliance import __version__
 from appliance.desk.report.content import Report, ReportScan, ReportVerdict, when
 from appliance.desk.report.still import picture_of_scan
-from appliance.measure.grade import NAME as GRADE
-from appliance.measure.grade import Grade
-from appliance.measure.verdicts.causes import NAME as CAUSES
-from appliance.store import scan as stored
-from appliance.store.library import ScanEntry
-from appliance.store.record import ScanRecord
+from appliance.measure import CAUSES_NAME as CAUSES
+from appliance.measure import GRADE_NAME as GRADE
+from appliance.measure import Grade
+from appliance.store import ScanEntry, ScanError, ScanRecord, load_scan
 
 _SHOWN_DIGITS = 12
 _VERDICTS: Mapping[Grade, ReportVerdict] = {
@@ -96,8 +94,8 @@ def _scan(entry: ScanEntry) -> ReportScan:
     if entry.problems:
         return replace(found, verdict=ReportVerdict.REFUSED, grade=None)
     try:
-        cloud = stored.load(entry.folder).cloud()
-    except stored.ScanError as error:
+        cloud = load_scan(entry.folder).cloud()
+    except ScanError as error:
         return replace(found, verdict=ReportVerdict.REFUSED, grade=None, warnings=(*found.warnings, str(error)))
     if cloud is None or not len(cloud.points_mm):
         # Its frames are whole: its points can be made again.

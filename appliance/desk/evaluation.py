@@ -5,16 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from appliance import __version__
-from appliance.measure.accept.acceptance import Certificate
-from appliance.measure.accept.report import Evaluation, Item
-from appliance.measure.accept.result import evaluate
-from appliance.measure.calibration.file import Calibration
-from appliance.measure.points.quality import QualityLimits
-from appliance.store import scan as stored
-from appliance.store.instrument import settings_of_scan
-from appliance.store.origin import SourceScan
-from appliance.store.reprocess import refuse_empty, reprocess
-from appliance.store.scan_list import ScanList
+from appliance.measure import Calibration, Certificate, Evaluation, Item, QualityLimits, evaluate
+from appliance.store import RAW_FILES, ScanList, SourceScan, refuse_empty, reprocess_scan, settings_of_scan
 
 JUDGING_GAP_MM = 20.0
 """The instrument masks points whose rays pass at more than 0.25 mm. A wrong calibration would so hide its own worst points,
@@ -39,7 +31,7 @@ def run_evaluation(
             progress(f"{name}: {what}", at)
 
         settings = settings_of_scan(scan.manifest.record, source.rig)
-        reprocessed = reprocess(scan, chosen, settings, step, QualityLimits(max_gap_mm=JUDGING_GAP_MM))
+        reprocessed = reprocess_scan(scan, chosen, settings, step, QualityLimits(max_gap_mm=JUDGING_GAP_MM))
         # An artefact that was not found is a result; a calibration that does not fit the scan measures nothing.
         if reprocessed.empty is not None and reprocessed.empty.by_calibration:
             refuse_empty(scan.folder, reprocessed.empty)
@@ -65,7 +57,7 @@ def run_evaluation(
             "recorded_with_rig": record.rig_hash,
             "recorded_with_calibration": record.calibration_hash,
             # Which frames were measured can be proved later, wherever the folder has gone.
-            "sha256": {name: scan.manifest.files[name].sha256 for name in stored.RAW_FILES},
+            "sha256": {name: scan.manifest.files[name].sha256 for name in RAW_FILES},
         }
         items.append(Item(scan.manifest.scan_id, result, provenance))
     about = {

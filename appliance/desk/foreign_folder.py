@@ -11,8 +11,7 @@ from appliance.desk.foreign.problem import ForeignError
 from appliance.desk.foreign.sheet import contact_sheet
 from appliance.desk.foreign.writing import description_text, joined
 from appliance.desk.foreign_import import import_cloud
-from appliance.store.atomic import replace_file
-from appliance.store.filesystem import LocalFileSystem
+from appliance.store import LocalFileSystem, replace_file
 
 
 def beside_cloud(out: Path) -> tuple[Path, Path, Path]:

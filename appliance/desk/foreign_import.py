@@ -25,19 +25,35 @@ from appliance.desk.foreign.problem import ForeignError
 from appliance.desk.foreign.reading import ForeignScan, read_foreign
 from appliance.desk.reason_picture import draw_reasons
 from appliance.desk.report.still import picture_of_scan
-from appliance.measure.calibration.file import Calibration, encode
-from appliance.measure.judges import JUDGES
-from appliance.measure.light.model import HousedCamera
-from appliance.measure.light.sequence import PatternSequence
-from appliance.measure.light.sides import SIDES, of_side
-from appliance.measure.light.water import Water
-from appliance.measure.points.quality import QualityLimits
-from appliance.store.atomic import StorageError, draft_of, move_folder, replace_file
-from appliance.store.config import Rig, default_rig_path, load_rig, rig_text
-from appliance.store.filesystem import LocalFileSystem
-from appliance.store.manifest import Decision
-from appliance.store.record import ScanRecord, SequenceInfo
-from appliance.store.scan import ScanOrigin, discard_raw, finish, write_raw
+from appliance.measure import (
+    JUDGES,
+    SIDES,
+    Calibration,
+    HousedCamera,
+    PatternSequence,
+    QualityLimits,
+    Water,
+    encode_calibration,
+    of_side,
+)
+from appliance.store import (
+    Decision,
+    LocalFileSystem,
+    Rig,
+    ScanOrigin,
+    ScanRecord,
+    SequenceInfo,
+    StorageError,
+    default_rig_path,
+    discard_raw,
+    draft_of,
+    finish_scan,
+    load_rig,
+    move_folder,
+    replace_file,
+    rig_text,
+    write_raw,
+)
 
 METHOD = "foreign"
 """Method of a calibration that was made by others."""
@@ -144,7 +160,7 @@ def import_scan(
             "index": water.index,
         },
     )  # fmt: skip
-    _publish(out, frames, record, ScanOrigin(encode(calibration), rig_text(rig).encode()))
+    _publish(out, frames, record, ScanOrigin(encode_calibration(calibration), rig_text(rig).encode()))
     return {"folder": str(out), "frames": len(sequence), "period_px": sequence.period_px, **_report(scan, found)}
 
 
@@ -155,7 +171,7 @@ def _publish(out: Path, frames: Mapping[str, NDArray[np.uint8]], record: ScanRec
         discard_raw(files, draft)  # of an attempt that was interrupted
     try:
         manifest = write_raw(files, draft, out.name, frames, record, origin)
-        finish(files, draft, manifest, Decision.KEPT, record)
+        finish_scan(files, draft, manifest, Decision.KEPT, record)
         move_folder(files, draft, out)
     except BaseException:
         with suppress(StorageError):

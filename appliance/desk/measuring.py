@@ -7,22 +7,39 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from appliance.calibrate.photon_transfer import MeasuredNoise, NoiseError, measure_noise
-from appliance.calibrate.response.measure import CameraImages, MeasuredResponse, ResponseError, measure_response
-from appliance.measure.calibration.noise_file import LIMITS, BothFigures, StoredNoise
-from appliance.measure.calibration.response_file import StoredResponse
-from appliance.measure.decode.decoder import CameraDecoder
-from appliance.measure.light.exposure import Exposure
-from appliance.measure.light.noise import CameraNoise
-from appliance.measure.light.response import Response
-from appliance.measure.light.sequence import build_sequence
-from appliance.measure.light.sides import SIDES, of_side
-from appliance.measure.points.straighten import measure_bend
-from appliance.store import scan as stored
-from appliance.store.config import Rig
-from appliance.store.instrument import RESPONSE_FILE, exposure_of_scan, noise_of, response_of
-from appliance.store.origin import SourceScan
-from appliance.store.scan import ScanError
+from appliance.calibrate import (
+    CameraImages,
+    MeasuredNoise,
+    MeasuredResponse,
+    NoiseError,
+    ResponseError,
+    measure_noise,
+    measure_response,
+)
+from appliance.measure import (
+    LIMITS,
+    SIDES,
+    BothFigures,
+    CameraDecoder,
+    CameraNoise,
+    Exposure,
+    Response,
+    StoredNoise,
+    StoredResponse,
+    build_sequence,
+    measure_bend,
+    of_side,
+)
+from appliance.store import (
+    RESPONSE_FILE,
+    Rig,
+    ScanError,
+    SourceScan,
+    exposure_of_scan,
+    load_scan,
+    noise_of,
+    response_of,
+)
 
 MOST_NOISIER = 1.1
 """Factor by which points may be noisier for the exposure they were taken with: of a response as other projectors have, 1.01."""
@@ -36,7 +53,7 @@ def response_of_scan(
 
     Raises ScanError, ResponseError.
     """
-    scan = stored.load(folder, only_raw=True)
+    scan = load_scan(folder, only_raw=True)
     record = scan.manifest.record
     sequence = build_sequence(record.sequence.period_px, record.sequence.width_px, record.sequence.height_px)
     # A scan drawn for a response shows what is left of it: without that very response its codes are not known.
@@ -80,7 +97,7 @@ class ExposureFound:
 
 def exposure_found(source: SourceScan) -> ExposureFound:
     """Return how straight the fringes of a stored scan are. Raises ScanError, also for one that shows too little to tell."""
-    scan = stored.load(source.scan.folder, only_raw=True)
+    scan = load_scan(source.scan.folder, only_raw=True)
     record = scan.manifest.record
     sequence = build_sequence(record.sequence.period_px, record.sequence.width_px, record.sequence.height_px)
     decoders = []
@@ -107,7 +124,7 @@ def noise_of_scan(rig: Rig, folder: Path) -> dict[str, tuple[MeasuredNoise, Came
 
     Raises ScanError, NoiseError.
     """
-    scan = stored.load(folder, only_raw=True)
+    scan = load_scan(folder, only_raw=True)
     made = scan.manifest.record.sequence
     sequence = build_sequence(made.period_px, made.width_px, made.height_px)
     # The gain is the scan's own where it says so; full well, read noise and black level are the camera's and stand in
@@ -124,7 +141,7 @@ def noise_to_store(rig: Rig, folder: Path, found: dict[str, tuple[MeasuredNoise,
 
     Raises ScanError, and NoiseError for figures that no camera has.
     """
-    manifest = stored.load(folder, only_raw=True).manifest
+    manifest = load_scan(folder, only_raw=True).manifest
     exposure, cameras = exposure_of_scan(manifest.record, rig), rig.camera
     figures = []
     for side in SIDES:

@@ -6,17 +6,21 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from appliance.measure.calibration.file import Calibration
-from appliance.measure.light.water import Water
-from appliance.measure.points.pipeline import Cloud
-from appliance.measure.verdict import Verdict
-from appliance.store import scan as stored
-from appliance.store.config import Rig
-from appliance.store.instrument import exposure_of_scan, settings_of_scan
-from appliance.store.origin import Chosen, SourceScan
-from appliance.store.ply import write_ply
-from appliance.store.reprocess import refuse_empty, reprocess_bracket
-from appliance.store.scan import ScanError
+from appliance.measure import Calibration, Cloud, Verdict, Water
+from appliance.store import (
+    RAW_FILES,
+    SECOND_FILES,
+    Chosen,
+    Rig,
+    ScanError,
+    SourceScan,
+    StoredScan,
+    exposure_of_scan,
+    refuse_empty,
+    reprocess_bracket,
+    settings_of_scan,
+    write_ply,
+)
 
 
 def merge_scans(
@@ -56,12 +60,12 @@ def merge_scans(
     }
 
 
-def refuse_the_same(first: stored.StoredScan, second: stored.StoredScan) -> None:
+def refuse_the_same(first: StoredScan, second: StoredScan) -> None:
     """Raises ScanError for two scans with a file of frames in common, whatever their numbers.
 
     The same frames counted twice would claim less noise than there is, by the root of two.
     """
-    of_frames = (*stored.RAW_FILES, *stored.SECOND_FILES)
+    of_frames = (*RAW_FILES, *SECOND_FILES)
     # By their content: a copy under another number is the same scan.
     sums = [{scan.manifest.files[n].sha256 for n in of_frames if n in scan.manifest.files} for scan in (first, second)]
     if sums[0] & sums[1]:
@@ -72,7 +76,7 @@ def refuse_the_same(first: stored.StoredScan, second: stored.StoredScan) -> None
 
 
 def merged_cloud_of(
-    scans: tuple[stored.StoredScan, stored.StoredScan],
+    scans: tuple[StoredScan, StoredScan],
     rig: Rig,
     calibration: Calibration,
     progress: Callable[[str], None],

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from appliance.desk.object_store import JointPlaces, ObjectError, PackedMatrix, StoredObject
 from appliance.desk.registration.joint import JointErrors, LengthSigma
 from appliance.desk.surface.fusion import FusedCloud, with_places
-from appliance.measure.light.volume import STANDARD, WorkingVolume
-from appliance.measure.overlap.rigid import Rigid
+from appliance.measure import STANDARD, Rigid, WorkingVolume
 
 _LAID = 12_000
 """Points of a surface that say which motion it would be laid onto something by."""

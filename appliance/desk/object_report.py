@@ -11,7 +11,7 @@ from appliance.desk.object_errors import length_between
 from appliance.desk.object_store import ComparedScans, Places, ScanPlace, StoredObject
 from appliance.desk.report.content import Report, ReportBudget, ReportPair, ReportScan, ReportTerm, ReportVerdict, when
 from appliance.desk.surface.fusion import FusedCloud
-from appliance.measure.light.rotation import rotation_vector
+from appliance.measure import rotation_vector
 
 SHOWN_DIGITS = 12
 _UNCHECKED = "in no loop: nothing checks it; one more scan across both would"

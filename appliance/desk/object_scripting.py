@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from appliance.base.argument_types import refuse_wrong_types
+from appliance.base import refuse_wrong_types
 from appliance.desk import object_store as objects
 from appliance.desk.comparing import Comparison, NominalSurface, compare
 from appliance.desk.object_errors import errors_of, length_between
@@ -16,8 +16,8 @@ from appliance.desk.registration.joint import JointErrors, LengthSigma
 from appliance.desk.scripting import open_dive
 from appliance.desk.surface.deviation import LIMIT_MM
 from appliance.desk.surface.fusion import SPACING_MM, FusedCloud, PlacedScan
-from appliance.measure.overlap.rigid import Rigid
-from appliance.store.wish import Wish
+from appliance.measure import Rigid
+from appliance.store import Wish
 
 Doing = Callable[[str, float | None], None]
 
@@ -33,7 +33,7 @@ class ObjectOfDive:
     @property
     def stored(self) -> StoredObject:
         """The record: scans, places, pairs, warnings. Raises ObjectError."""
-        return objects.read(self.root, self.name)
+        return objects.read_object(self.root, self.name)
 
     @property
     def errors(self) -> JointErrors:
@@ -94,5 +94,5 @@ def open_object(
     wish = dive.wish if calibration is None else replace(dive.wish, calibration=Path(calibration), current=False)
     found = ObjectOfDive(dive.root, name, wish)
     # Read and thrown away: a wrong name is better said now than at the first points.
-    objects.read(found.root, name)
+    objects.read_object(found.root, name)
     return found

@@ -19,11 +19,18 @@ from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
-from appliance.base.sealed_file import ContentError, SealedFile
-from appliance.store.atomic import StorageError, make_folders, replace_file
-from appliance.store.filesystem import LocalFileSystem
-from appliance.store.lock import hold_lock
-from appliance.store.names import OBJECTS, NameShapeError, component, is_object
+from appliance.base import ContentError, SealedFile
+from appliance.store import (
+    OBJECTS,
+    LocalFileSystem,
+    NameShapeError,
+    StorageError,
+    component,
+    hold_lock,
+    is_object,
+    make_folders,
+    replace_file,
+)
 
 if TYPE_CHECKING:  # a list of objects needs no NumPy
     import numpy as np
@@ -226,12 +233,12 @@ def folder_of(root: Path, name: str) -> Path:
     return root / FOLDER / checked_name(name)
 
 
-def names(root: Path) -> list[str]:
+def object_names(root: Path) -> list[str]:
     """Return the names of all objects under a storage root, in order."""
     return sorted(path.parent.name for path in (root / FOLDER).glob(f"*/{FILE}") if is_object(path.parent.name))
 
 
-def read(root: Path, name: str) -> StoredObject:
+def read_object(root: Path, name: str) -> StoredObject:
     """Read an object. Raises ObjectError for one that is not there or is damaged."""
     path = folder_of(root, name) / FILE
     try:
@@ -239,18 +246,18 @@ def read(root: Path, name: str) -> StoredObject:
     except ContentError as error:
         raise ObjectError(str(error)) from error
     if found is None:
-        known = ", ".join(names(root)) or "none yet"
+        known = ", ".join(object_names(root)) or "none yet"
         raise ObjectError(f"object '{name}': there is none under {root} ({known}); make it: kingfisher object new")
     # The folder's name is the object's, also where somebody renamed it: what is written next must not go to another's folder.
     return replace(found, name=name)
 
 
-def exists(root: Path, name: str) -> bool:
+def object_exists(root: Path, name: str) -> bool:
     """Return whether there is an object of that name, also a damaged one. Raises ObjectError for an impossible name."""
     return (folder_of(root, name) / FILE).exists()
 
 
-def update(root: Path, name: str, change: Callable[[StoredObject | None], StoredObject]) -> StoredObject:
+def update_object(root: Path, name: str, change: Callable[[StoredObject | None], StoredObject]) -> StoredObject:
     """Replace an object by ``change`` of what is stored now (``None``: there is none), under its lock; return it, durable.
 
     Raises what ``change`` raises, StorageError, ObjectError.
@@ -258,14 +265,14 @@ def update(root: Path, name: str, change: Callable[[StoredObject | None], Stored
     fs, folder = LocalFileSystem(), folder_of(root, name)
     make_folders(fs, folder)
     with hold_lock(folder, _LOCK_S):
-        changed = change(read(root, name) if exists(root, name) else None)
+        changed = change(read_object(root, name) if object_exists(root, name) else None)
         replace_file(fs, folder / FILE, OBJECT.encode(changed))
     return changed
 
 
 def write(root: Path, stored: StoredObject) -> None:
     """Write an object in the place of whatever is stored under its name; it is durable on return. Raises StorageError, ObjectError."""
-    update(root, stored.name, lambda _: stored)
+    update_object(root, stored.name, lambda _: stored)
 
 
 def with_scans(stored: StoredObject, added: tuple[MemberScan, ...]) -> StoredObject:
@@ -286,7 +293,7 @@ def with_scans(stored: StoredObject, added: tuple[MemberScan, ...]) -> StoredObj
     return _with_places(replace(stored, scans=(*stored.scans, *added)), stored.places)
 
 
-def published(now: StoredObject | None, solved: StoredObject) -> StoredObject:
+def published_object(now: StoredObject | None, solved: StoredObject) -> StoredObject:
     """Return the object as it is stored now with the places that were found for what it was before; scans that were added meanwhile have none yet.
 
     Raises ObjectError where it was made again meanwhile, or solved with more scans: what is stored is worth more then.

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance import __version__
-from appliance.calibrate.health import OverlapNews
+from appliance.calibrate import OverlapNews
 from appliance.desk import object_store as objects
 from appliance.desk.export.content import OBJECT_FRAME, About
 from appliance.desk.object_errors import errors_of, in_the_frame, packed
@@ -25,20 +25,25 @@ from appliance.desk.object_store import (
     ScanPlace,
     StoredObject,
 )
-from appliance.desk.organised_scan import OrganisedScan, organised_scan
+from appliance.desk.organised import OrganisedScan, organised_scan
 from appliance.desk.registration.graph import Edge, Placed
 from appliance.desk.registration.joint import JointErrors, joint_errors
 from appliance.desk.registration.pair import ReadyScan, ready
 from appliance.desk.registration.solve import Compared, Solved, middle_of, solve
 from appliance.desk.surface.fusion import POSE_SIGMA_MM, FusedCloud, PlacedScan, fuse
-from appliance.measure.calibration.file import Calibration
-from appliance.measure.light.rotation import matrix3
-from appliance.measure.overlap.bow import bow_score, corrected, known_before, spread_mm
-from appliance.measure.points.organised import OrganisedCloud
-from appliance.store import scan as stored
-from appliance.store.origin import Chosen, SourceScan, calibration_for, open_source
-from appliance.store.reprocess import water_of_scan
-from appliance.store.wish import Wish
+from appliance.measure import Calibration, OrganisedCloud, bow_score, corrected, known_before, matrix3, spread_mm
+from appliance.store import (
+    RAW_FILES,
+    SECOND_FILES,
+    Chosen,
+    ScanError,
+    SourceScan,
+    Wish,
+    calibration_for,
+    manifest_of,
+    open_source,
+    water_of_scan,
+)
 
 Progress = Callable[[str, float | None], None]
 CLEAR_FACTOR = 4.0
@@ -61,10 +66,8 @@ class MemberCloud:
 
 def member_of(root: Path, folder: Path) -> MemberScan:
     """Return a stored scan as a member of an object. Raises ScanError."""
-    manifest = stored.manifest_of(folder)
-    sums = tuple(
-        manifest.files[name].sha256 for name in (*stored.RAW_FILES, *stored.SECOND_FILES) if name in manifest.files
-    )
+    manifest = manifest_of(folder)
+    sums = tuple(manifest.files[name].sha256 for name in (*RAW_FILES, *SECOND_FILES) if name in manifest.files)
     whole = folder.absolute()
     inside = whole.is_relative_to(root.absolute())
     return MemberScan(manifest.scan_id, str(whole.relative_to(root.absolute()) if inside else whole), sums)
@@ -85,7 +88,7 @@ def _cloud_of(root: Path, name: str, member: MemberScan, wish: Wish) -> MemberCl
     folder = root / member.folder
     now = member_of(root, folder)
     if now.frames_sha256 != member.frames_sha256:
-        raise stored.ScanError(
+        raise ScanError(
             f"{folder}: holds other frames than when it was added to object '{name}'; make the object again"
         )
     source = open_source(folder, wish)

@@ -9,8 +9,7 @@ import numpy as np
 
 from appliance.desk.foreign.points import ForeignCloud
 from appliance.desk.foreign.reasons import Reason
-from appliance.store.atomic import replace_file
-from appliance.store.filesystem import LocalFileSystem
+from appliance.store import LocalFileSystem, replace_file
 
 COLOURS = {
     Reason.SATURATED: (255, 255, 0), Reason.WEAK: (16, 16, 72), Reason.CONTRADICTION: (214, 39, 40), Reason.OUTSIDE: (148, 103, 189),

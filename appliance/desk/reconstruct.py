@@ -8,25 +8,27 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from appliance.desk.salvage import Salvaged
-from appliance.measure.calibration.file import Calibration
-from appliance.measure.fault import Fault
-from appliance.measure.grade import SPOILS_SCAN, Grade, grade
-from appliance.measure.light.water import Water
-from appliance.measure.points.pipeline import Cloud
-from appliance.measure.verdict import Judgement
-from appliance.store import scan as stored
-from appliance.store.atomic import replace_file
-from appliance.store.config import Rig
-from appliance.store.filesystem import Bytes, LocalFileSystem
-from appliance.store.instrument import (
+from appliance.desk.salvaging import Salvaged
+from appliance.measure import SPOILS_SCAN, Calibration, Cloud, Fault, Grade, Judgement, Water, grade
+from appliance.store import (
+    CLOUD_FILE,
+    Bytes,
+    Chosen,
+    LocalFileSystem,
+    Rig,
+    ScanError,
+    SourceScan,
+    StoredScan,
+    encode_ply,
     exposures_label,
+    lost,
+    refuse_empty,
+    replace_file,
+    reprocess_bracket,
+    reprocess_scan,
     settings_of,
     settings_of_scan,
 )
-from appliance.store.origin import Chosen, SourceScan, lost
-from appliance.store.ply import encode_ply
-from appliance.store.reprocess import refuse_empty, reprocess, reprocess_bracket
 
 
 def reconstruct_scan(
@@ -73,9 +75,9 @@ def reconstruct_scan(
     }
 
 
-def _stored_cloud(scan: stored.StoredScan, *parts: Bytes) -> str:
+def _stored_cloud(scan: StoredScan, *parts: Bytes) -> str:
     """Return what became of the cloud that the instrument stored, beside the new one in ``parts``."""
-    stamp = scan.manifest.files.get(stored.CLOUD)
+    stamp = scan.manifest.files.get(CLOUD_FILE)
     if stamp is None:
         return "none was stored"
     digest = hashlib.sha256()
@@ -83,10 +85,10 @@ def _stored_cloud(scan: stored.StoredScan, *parts: Bytes) -> str:
         digest.update(part)
     # By its checksum in the manifest, so that it can be said also where the stored cloud itself is damaged or gone.
     same = digest.hexdigest() == stamp.sha256
-    problem = lost(scan.folder, scan.manifest, stored.CLOUD)
+    problem = lost(scan.folder, scan.manifest, CLOUD_FILE)
     if problem is None:
         return "the same, byte for byte" if same else "other points"
-    return f"{stored.CLOUD}: {problem}; {'made again, byte for byte' if same else 'these are not the points it had'}"
+    return f"{CLOUD_FILE}: {problem}; {'made again, byte for byte' if same else 'these are not the points it had'}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,7 +111,7 @@ class WorkedThrough:
 
 
 def cloud_of_scan(
-    scan: stored.StoredScan,
+    scan: StoredScan,
     rig: Rig,
     calibration: Calibration,
     progress: Callable[[str], None],
@@ -124,7 +126,7 @@ def cloud_of_scan(
 
 
 def work_through(
-    scan: stored.StoredScan,
+    scan: StoredScan,
     rig: Rig,
     calibration: Calibration,
     progress: Callable[[str], None],
@@ -137,13 +139,13 @@ def work_through(
         # A made-up frame is noisier than a recorded one, and the points' sigmas must say so.
         settings = replace(settings, noise=salvaged.noise(settings.noise))
     if scan.second is None or record.second is None:
-        reprocessed = reprocess(scan, calibration, settings, progress)
+        reprocessed = reprocess_scan(scan, calibration, settings, progress)
         # No file for a cloud without points: it would look like a result.
         refuse_empty(scan.folder, reprocessed.empty)
         return WorkedThrough(reprocessed.cloud, reprocessed.water, reprocessed.faults, reprocessed.judgements)
     both = (settings, settings_of(rig, record.second.exposure))
     pair = reprocess_bracket(scan, scan.second, both, calibration, progress)
     if pair.cloud is None:
-        raise stored.ScanError(f"{scan.folder}: {pair.pair.verdict.text}")
+        raise ScanError(f"{scan.folder}: {pair.pair.verdict.text}")
     refuse_empty(scan.folder, pair.empty)
     return WorkedThrough(pair.cloud, pair.water, pair.faults, (*pair.first, *pair.second, pair.pair))

@@ -6,17 +6,19 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from appliance.measure.light.epipolar import CurveError
-from appliance.measure.points.first_direction import first_direction_cloud
-from appliance.measure.points.one_direction import UNCHECKED, NoPoint, OneDirectionError
-from appliance.store.atomic import replace_file
-from appliance.store.filesystem import LocalFileSystem
-from appliance.store.incomplete import IncompleteRecording
-from appliance.store.instrument import settings_of_scan
-from appliance.store.origin import Chosen, SourceScan
-from appliance.store.ply import encode_ply
-from appliance.store.reprocess import sequence_of_scan, water_of_scan
-from appliance.store.scan import ScanError
+from appliance.measure import UNCHECKED, CurveError, NoPoint, OneDirectionError, first_direction_cloud
+from appliance.store import (
+    Chosen,
+    IncompleteRecording,
+    LocalFileSystem,
+    ScanError,
+    SourceScan,
+    encode_ply,
+    replace_file,
+    sequence_of_scan,
+    settings_of_scan,
+    water_of_scan,
+)
 
 FEWEST_POINTS = 100
 

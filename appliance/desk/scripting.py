@@ -16,29 +16,41 @@ from typing import Literal, assert_never
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.base.argument_types import refuse_wrong_types
+from appliance.base import refuse_wrong_types
 from appliance.desk.export.content import CAMERA_FRAME, OBJECT_FRAME, About
 from appliance.desk.export.files import write_mesh, write_scan, write_surface
-from appliance.desk.organised_scan import OrganisedScan, organised_scan
+from appliance.desk.organised import OrganisedScan, organised_scan
 from appliance.desk.surface.fusion import FusedCloud
 from appliance.desk.surface.mesh import Mesh
-from appliance.measure.calibration.file import Calibration, CalibrationError, encode
-from appliance.measure.grade import Grade
-from appliance.measure.light.exposure import Exposure
-from appliance.measure.light.water import Water
-from appliance.measure.points.organised import OrganisedCloud
-from appliance.measure.verdict import Verdict
-from appliance.store import scan as stored
-from appliance.store.atomic import replace_file
-from appliance.store.config import load_rig
-from appliance.store.damage import refuse_damaged_frames
-from appliance.store.filesystem import LocalFileSystem
-from appliance.store.library import Library, ScanEntry
-from appliance.store.manifest import Manifest
-from appliance.store.origin import Chosen, calibration_for, open_source, refuse_misfit
-from appliance.store.root import standing_root, where_none_was_found
-from appliance.store.scan import ScanError, manifest_of
-from appliance.store.wish import Wish
+from appliance.measure import (
+    Calibration,
+    CalibrationError,
+    Exposure,
+    Grade,
+    OrganisedCloud,
+    Verdict,
+    Water,
+    encode_calibration,
+)
+from appliance.store import (
+    Chosen,
+    Library,
+    LocalFileSystem,
+    Manifest,
+    ScanEntry,
+    ScanError,
+    Wish,
+    calibration_for,
+    load_rig,
+    load_scan,
+    manifest_of,
+    open_source,
+    refuse_damaged_frames,
+    refuse_misfit,
+    replace_file,
+    standing_root,
+    where_none_was_found,
+)
 
 Said = Callable[[str], None]
 
@@ -104,7 +116,7 @@ class ScanOfDive:
         Every byte is compared with its checksum first. ``second``: of the second exposure. Raises ScanError, MissingLibraryError.
         """
         refuse_damaged_frames(self.folder)
-        scan = stored.load(self.folder, only_raw=True)
+        scan = load_scan(self.folder, only_raw=True)
         frames = scan.second if second else scan.frames
         if frames is None:
             raise ScanError(f"{self.folder}: has one exposure; take second=False")
@@ -227,7 +239,7 @@ def save_calibration(calibration: Calibration, path: Path | str) -> None:
     target = Path(path)
     if target.exists():
         raise CalibrationError(f"{target}: is there already, and a calibration is never replaced; give a new name")
-    replace_file(LocalFileSystem(), target, encode(calibration))
+    replace_file(LocalFileSystem(), target, encode_calibration(calibration))
 
 
 def export(

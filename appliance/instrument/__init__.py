@@ -1,1 +1,58 @@
 """The running instrument: capture, laser pointers, the reconstruction's process, the machine, its screens, and the service that ties them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from appliance.base import lazy_face
+
+if TYPE_CHECKING:
+    from .capture.grabber import (
+        Grabber,  # Runs one camera in its own thread. A context manager
+        SideRecording,  # One side of a sequence being recorded. Filled by the camera's thread, read after done
+    )
+    from .capture.ledger import (
+        Ledger,  # Testimony of the four witnesses. flips … are in order of arrival; frames by side
+    )
+    from .capture.scan import (
+        CaptureReport,  # Outcome of a scan. With a fault there is no cloud; the frames are evidence only
+        ScanRecorder,  # Records sequences with devices that are open and patterns that are loaded (index = frame
+        ScanSettings,  # Settings of a sequence's trigger
+    )
+    from .capture.store import (
+        FrameStore,  # Slots for one or more sequences of both cameras, allocated once. A context manager
+    )
+    from .capture.sync import (
+        SyncError,  # The board's vertical sync does not follow the projector's; the text says by how much
+        SyncMap,  # Board vsync count is the blank of flip; board time converts to host time around it
+        synchronise,  # Ask the board until two queries agree (at most ten). Raises SyncError
+    )
+    from .capture.timeouts import (
+        Timeouts,  # Time limits of a sequence. At 60 Hz and faster the seconds count, at slower rates the periods
+    )
+    from .machine.ashore import (
+        ASHORE,
+    )
+    from .service.air_live import (
+        LiveError,  # No more views can be recorded; the text says why and what to do. Those that were are kept
+        LiveOptions,  # The way in which boards are recorded
+        opened,  # Return cameras, board and projector
+        record_views,  # Fill target up to the wanted number of views
+    )
+    from .service.app import (
+        run,  # Run the instrument until it is switched off; returns the process's exit code
+    )
+    from .service.checkup import (
+        ask_devices,  # Open each device, or only those of these names, one after the other
+        check,  # Open every device once, one after the other, through the shipped drivers
+        whatever_is_there,  # List what is on the buses, and on every graphics card. Never raises for a device
+    )
+    from .service.devices import (
+        Devices,  # All devices, each kept open by its supervisor. A context manager
+        output_spec,  # Return what is to be opened for an output of the rig file
+    )
+    from .service.recording import (
+        DrawnPatterns,  # The sequence in use and its pictures. For the thread that owns GL
+    )
+else:
+    __getattr__, __dir__, __all__ = lazy_face(__name__)

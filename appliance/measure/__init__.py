@@ -1,1 +1,406 @@
 """The measuring core: images and a calibration become points, errors and verdicts. It knows no file, clock, device or screen."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from appliance.base import lazy_face
+
+if TYPE_CHECKING:
+    from .accept.acceptance import (
+        Certificate,  # Statements of an artefact's certificate besides its lengths; None: nothing
+        Symbol,  # Quantities by the letters of the guideline
+    )
+    from .accept.ball_bar import (
+        Ball,  # One ball: the sphere and the points it rests on
+        BallBar,  # Two balls, the one with the smaller x first
+        find_ball_bar,  # Return the two balls of nearly equal radius (5..40 mm)
+    )
+    from .accept.flatness import (
+        REFERENCE_MM,  # d_r: a constant of the instrument, fixed by its measuring field
+        Flatness,  # Flatness of a measured plane, as parts of d_r (1 is 100 %)
+        flatness,  # Return E_F, E_F,sys and noise of a plane; the 0.3 % outliers are out already
+    )
+    from .accept.page import (
+        PAGE_END,
+        drawing,  # Return a drawing, a whole svg element, with what it shows
+        figure,  # Return a picture with what it shows
+        page_head,  # Return the page down to its title
+        rows,  # Return a table with one row each (at least one), all with the keys of the first
+        table,  # Return a table of names and values
+    )
+    from .accept.plane import (
+        PlaneFit,  # A plane found in a cloud and the points it rests on
+        fit_plane,  # Return the plane that most of the cloud lies on
+    )
+    from .accept.points import (
+        NotFound,  # Reason why there is no result, in one sentence for the person who holds the artefact
+        PointSource,  # Points in the left camera frame; appliance.measure.points.table.Cloud is one
+    )
+    from .accept.report import (
+        Evaluation,  # All scans and what they have in common
+        Item,  # One scan of the evaluation, with where it came from
+        as_html,  # Return the page; pictures are in it as PNG, and nothing is loaded from elsewhere
+        as_json,  # Return the evaluation JSON-ready; errors in percent, lengths in mm, unknown values null
+    )
+    from .accept.result import (
+        LENGTHS,  # The calibrated lengths that an artefact may have
+        Artefact,  # Artefacts that can be evaluated
+        evaluate,  # Find artefact in cloud and compare it with its calibrated lengths (names in LENGTHS) and
+    )
+    from .accept.sphere import (
+        STEEPEST_COS,  # Least cosine between the view and the sphere's normal
+    )
+    from .bracket import (
+        ProcessedSequence,  # One of the two sequences after its full cloud
+    )
+    from .calibration.depth_error import (
+        BORDER,  # x/z at the border of the view
+        DEPTH_ERROR_TERMS,
+        DISTANCE_MM,  # Distance in the standard housing at which coefficients are mm
+        along_ray,  # Return the vectors (…, 3) by which points move per mm of depth
+        coefficients_of,  # Return the coefficients (COUNT, …) of depth errors (n, …) at points (n, 3)
+        shapes,  # Return φ (…, COUNT) at points (…, 3) of a scan's own frame
+    )
+    from .calibration.design import (
+        METHOD,
+        Design,  # The optical design: two equal cameras, toed in symmetrically
+        design_calibration,  # Return the calibration of an instrument built exactly to the drawing
+    )
+    from .calibration.determined import (
+        UndeterminedError,  # Observations leave a combination of unknowns free; names has those that take part in it
+        solved,  # Return x (n, …) with matrix (n, n), symmetric, times x = right (n, …)
+    )
+    from .calibration.field import (
+        EYES,  # Blocks of nodes of a rig: left across, left down, right across, right down
+        FIELD_CELLS,  # Intervals across and down the image
+        AirField,  # The lenses' fields as boards in air tell of them, together with all else
+        FieldPrior,  # Mean and covariance of unknowns of which the last EYES blocks are nodes of fields
+    )
+    from .calibration.file import (
+        CALIBRATION,
+        IN_AIR,  # Method of a calibration in air, which only calibrating in water begins with
+        Calibration,  # The instrument as measured. hash identifies it in every scan made with it
+        CalibrationError,  # A calibration file cannot be used; the text says which, why and what to do
+        decode_calibration,  # Parse and check a file's bytes. Raises CalibrationError naming name, the key
+        encode_calibration,  # Return the file's bytes
+    )
+    from .calibration.gaps import (
+        DOUBTS,  # Causes for which what backscatter adds may be wrong everywhere at once
+        MODES,
+        TURNS,
+        GapModes,  # The four patterns of one calibration in one water. Amplitudes are µm RMS over the measuring
+        in_words,  # Return a turn of the right camera in a technician's words
+    )
+    from .calibration.judgement import (
+        PATCHES,  # Patches across and down the left image over which residuals are averaged
+        Estimate,  # One parameter: its change and what is known about it
+        judged,  # Return one estimate per parameter
+        systematic_px,  # Return the RMS per coordinate of the patches' mean residuals
+        warnings_about,  # Return the systematic rest in px, and warnings in words
+    )
+    from .calibration.noise_file import (
+        LIMITS,  # Range of each figure, within that of the rig file's key of the same name
+        NOISE,
+        BothFigures,  # The figures of both cameras
+        CameraFigures,  # One camera's figures as the rig file has them, measured instead of read in a data sheet
+        StoredNoise,  # The noise of both cameras and where it comes from
+    )
+    from .calibration.owner import (
+        Misfit,  # Reason why a calibration is not of an instrument
+        Owner,  # An instrument, as a rig file or a stored scan states it
+        exchanged,  # Return which cameras are not those of the calibration; None: they are, or nobody knows
+        owner_misfit,  # Return why calibration is not of owner; None where it is, as far as is known
+    )
+    from .calibration.parameters import (
+        AIR,
+        PARAMETER_COUNT,
+        PARAMETER_NAMES,  # All parameters: the ports' six, then the twenty-two that a calibration in air delivers
+        PARAMETER_STEPS,  # Increments for difference quotients
+        PORT_PARAMETERS,
+        rig_with,  # Return rig changed by the increments x (28,), in the order of NAMES
+    )
+    from .calibration.patches import (
+        PATCH_COUNT,
+    )
+    from .calibration.response_file import (
+        RESPONSE,
+        StoredResponse,  # A response and where it comes from. Raises ValueError for harmonics that no response has
+    )
+    from .cloud import (
+        CloudSummary,  # Numbers of a cloud that the diver and the manifest are told
+        Found,  # A found cloud: where in the table its points are, and what describes it
+        PatchGaps,  # Mean signed ray gaps of one scan
+    )
+    from .decode.decoder import (
+        CameraDecoder,  # Decodes one camera's sequence as its frames arrive. Buffers are allocated once and reused
+        Mask,  # Reason why a pixel has no coordinates; the first that applies
+    )
+    from .decode.fringes import (
+        choose_fringes,  # Write the places in px of the best fringes that begin before end_px
+    )
+    from .decode.steps import (
+        fit_steps,  # Fit sines to images (n, h, w), of any type of numbers, by weights (3, n), which make A
+    )
+    from .fault import (
+        Fault,  # One case of a fault: what, in the detector's words, with its numbers, and of which device if of one
+        FaultCode,  # One name per distinguishable fault. In brackets: the numbers its headline shows
+    )
+    from .grading import (
+        GRADE_NAME,  # Name of the verdict whose text is the grade's value
+        LENGTHS_DOUBTFUL,  # Name of that verdict's number that is 1
+        MADE_UP_FOR,  # Faults of one sequence that a second one with another exposure makes up for
+        SPOILS_POINTS,  # Faults that make points of a recorded scan wrong
+        SPOILS_SCAN,  # Faults that make a recorded scan worthless: it is not kept
+        Grade,  # The verdict on a scan
+        faults_of_both,  # Return the faults of a scan of two exposures
+        grade,  # Return the grade of a scan whose cloud covers so much of what is lit, with that median sigma
+    )
+    from .guidance import (
+        Guidance,  # The overlap that a scan taken from here would have with the one that was kept last
+        Move,  # The thing to do before the next scan
+        Overlap,  # Overlap of a scan with the one before
+    )
+    from .judges import (
+        JUDGES,  # Judges in the order in which their verdicts are told and stored
+    )
+    from .light.acquisition import (
+        AcquisitionSettings,  # Settings that a sequence is taken with
+    )
+    from .light.correction import (
+        CORRECTION_INTERVALS,  # Intervals across and down the image
+        ImageCorrection,  # A shift of pixels as a bicubic B-spline, in px
+        basis_entries,  # Return the sixteen nodes (n, 16) that touch pixels (n, 2), and their weights (n, 16)
+        basis_matrix,  # Return the weights (n, nodes) of all nodes at pixels (n, 2), nodes row by row
+        node_count,  # Return the number of nodes of a bicubic B-spline with intervals (across, down)
+    )
+    from .light.draw import (
+        draw_sequence,  # Return every pattern of a sequence in the order of projection, (height, width) uint8 each
+    )
+    from .light.epipolar import (
+        CurveError,  # The depths that were asked for have no curves; says which depths would do
+    )
+    from .light.exposure import (
+        NOMINAL,  # Exposure of an instrument whose rig file nobody has read
+        STEPS_MS,  # Exposure times, about a quarter more light each. 10 ms is a whole period of lamps on 50 Hz
+        Exposure,  # Exposure of both cameras, which share one trigger pulse
+        Span,  # Exposures that may be proposed, whatever the projector's period allows
+        ladder,  # Return all steps from dark to bright for a projector's vertical period
+    )
+    from .light.model import (
+        IDENTITY,
+        HousedCamera,  # A camera in its housing. rotation and translation_mm map its frame into the left camera
+        Matrix3,
+        StereoRig,  # Both cameras; the left one's frame is the frame of everything measured
+    )
+    from .light.noise import (
+        FULL_DN,  # Largest grey value of a camera's eight bits
+        MAD_TO_SIGMA,  # The standard deviation of normally distributed values over the median of their distances
+        QUANTISATION_DN2,  # Variance of rounding to whole grey values
+        TYPICAL_PAIR,
+        CameraNoise,  # One camera's temporal noise: variance = read_dn² + dn_per_e · (grey value − black_dn)
+        StereoNoise,  # The temporal noise of both cameras
+        camera_noise,  # Build the noise model from the figures of a data sheet after EMVA 1288 (saturation
+    )
+    from .light.pinhole import (
+        FoldingLens,  # A lens of others, whose distortion may fold over within the image
+        Lens,  # A pinhole with distortion. Normalised coordinates are x = X/Z, y = Y/Z in the camera frame
+        distort,  # Return the distorted normalised coordinates (..., 2) of ideal ones (..., 2)
+    )
+    from .light.port import (
+        Port,  # A plane-parallel window in front of a camera
+        air_directions,  # Return the directions in air (..., 3), not normalised, under which water points (...
+    )
+    from .light.rays import (
+        ray_lattice,  # Trace the lattice of one camera, every step_px px or as its width wants it
+        usual_step_px,  # Return the distance of the nodes that a camera's width wants
+    )
+    from .light.response import (
+        CODES,  # First and last code of sine fringes
+        Response,  # One projector's response. Raises ValueError where light does not grow with the code
+        phase_error_rad,  # Return the largest error of a four-step phase on fringes with these harmonics, in radians
+    )
+    from .light.rotation import (
+        matrix3,  # Return a rotation matrix (3, 3) as the immutable value that a HousedCamera keeps
+        rotation_matrix,  # Return the rotation matrix (3, 3) that turns about the direction of vector_rad (3,)
+        rotation_vector,  # Return the vector (3,), rad, of a rotation matrix, for turns of less than 180°
+    )
+    from .light.sequence import (
+        BRIGHT_CODE,
+        DARK_CODE,
+        PERIODS_PX,
+        Direction,  # The pattern coordinate along which a pattern varies
+        Kind,
+        Pattern,  # One frame of the sequence. index is the Gray bit (0 = most significant) or the sine step (0..3)
+        PatternSequence,  # All patterns of a scan in the order of projection
+        build_sequence,  # Return the sequence for a fringe period
+    )
+    from .light.sides import (
+        SIDES,  # Left as the diver sees it. The cloud is in the left camera's frame and has at most one point for
+        of_side,  # Return the part of both that belongs to the camera side
+    )
+    from .light.sine import (
+        AMPLITUDE_CODE,  # Codes run from 8 to 247: clear of the ends of the scale, where projectors clip
+        MEAN_CODE,
+        PHASE_STEPS,  # Number of phase steps, 90° apart; PatternSequence says what relies on it
+        fringe,  # Return cos(φ + step·90°) at the pixels' centres: shape (size_px,), −1 … 1
+    )
+    from .light.volume import (
+        STANDARD,  # The volume of the standard housing: of rig files and calibrations that say nothing else
+        STANDARD_MM,  # Working distance of the housing that this software's lengths were found on
+        WorkingVolume,  # The range in which a housing measures; by default that of the standard housing
+    )
+    from .light.water import (
+        Water,  # The water around the instrument, and the wavelength of the light that travels through it
+        quan_fry_index,  # Return the refractive index of water relative to air, Quan & Fry
+    )
+    from .news import (
+        Bracket,  # Outcome of a second exposure: the cloud of both, or the fault for which there is none
+        CoarseCloud,  # Cloud of every few pixels
+        FullCloud,  # Cloud of every pixel, with the final judgements of the scan
+        LiveGuidance,  # Guidance by a live picture. It belongs to no sequence: a scan that begins ends it
+        News,  # Envelope of a fact
+        PatternIdentity,  # Judgement whether each frame shows the pattern it should. With a fault
+        ReconstructionFailure,  # Fault for which the frames get no points now; the next scan's may
+        ScanOverlap,  # Overlap of the scan with the one before of its object, found some time after the full cloud
+        SequenceFact,
+        Verdicts,  # All judgements of the scan, identity first, in place of those before
+        WorkerFailure,  # Failure of the worker's process, in words
+        WorkProgress,  # One step more of the work, of which nothing else is to be told
+    )
+    from .overlap.albedo import (
+        Paint,  # Paint over the grid of Patches; arrays (gh, gw) and (gh, gw, 3), NaN where it is not known
+        paint_of,  # Return the paint of patches that are lit from light_mm (3,) in the scan's frame
+        patch_pitch_mm,  # Return the median distance of neighbouring patches, mm
+    )
+    from .overlap.bow import (
+        PRIOR_MM2,  # Covariance before any overlap is seen, of a calibration that states none
+        bow_score,  # Return how far an estimate (k,) lies from what was known before, in standard deviations
+        corrected,  # Return points (…, 3) of a scan's own frame with the shared error taken out
+        known_before,  # Return the covariance (k, k), mm²
+        spread_mm,  # Return the RMS depth over the view that coefficients of this covariance (k, k) may have
+    )
+    from .overlap.coarse import (
+        Guess,  # A coarse pose of B in A's frame
+        guess_by_features,  # Return at most most distinct poses that enough features agree on, the best first
+        guess_by_shape,  # Return at most most distinct poses of B on A that fit by shape, the best first
+        in_common,  # Return the points (n, 3) in A's frame of the features that two scans have in common
+        same,  # Return whether two poses of B put points around the middle of the volume to the same place
+    )
+    from .overlap.equations import (
+        FEWEST,  # Fewest patches in common
+        Laid,  # Patches of B laid upon A: n of them that meet a patch of A, in A's frame
+        Resistance,  # The resistance to a displacement of the pose found, and how certain that pose is
+        System,  # The equations of one round
+        moved,  # Return pose displaced by δ (6,)
+        resistance_of,  # Return what resists a displacement in equations at the pose that solves them
+        spread,  # Return the standard deviation of most of the values (1.4826 times the median distance from their
+        step_of,  # Return the displacement δ (6,) that makes the residuals least; none along what nothing holds
+        system_of,  # Return the equations of patches as they lie; with_paint: paint's beside those of the planes
+    )
+    from .overlap.features import (
+        Features,  # n features
+        features_of,  # Find at most most features of the bright image that have a point below them
+    )
+    from .overlap.fine import (
+        Fit,  # A fine pose with what is known about it
+        Prepared,  # One scan at one resolution, ready to be registered
+        own_resistance,  # Return what resists a displacement of a scan's shape laid upon itself. A pair has part of
+        refine,  # Return the fine pose that start leads to; None where too little overlaps to tell
+    )
+    from .overlap.guidance import (
+        Guide,  # Follows live pictures of one kept scan after another. Used by one thread
+        Sight,  # The camera that aims, in its water
+    )
+    from .overlap.overlap import (
+        CoarseView,  # A scan as it is compared under water. What takes time is made when it is first asked for
+        coarse_view,  # Keep what a scan is compared by. cloud: every stride_px-th pixel's point
+        compare,  # Find how much of b lies on a
+    )
+    from .overlap.patches import (
+        Array,
+        Patches,  # A scan as patches; arrays are (gh, gw, …), NaN where there is none
+        Projection,  # The pixel in which a point is seen, as a polynomial of its direction and inverse depth
+        coarser,  # Join factor × factor patches to one, for searching from afar
+        patches_of,  # Cut cloud into patches of block_px pixels a side (None: of about PATCH_MM)
+        projection_of,  # Fit the projection of a camera in water of water_index to its own refracted rays
+    )
+    from .overlap.rigid import (
+        Rigid,  # A rigid motion: x' = rotation x + translation_mm
+    )
+    from .points.first_direction import (
+        first_direction_cloud,  # Return the cloud of a sequence's frames up to the last of X
+    )
+    from .points.match import (
+        fill_inverse_map,  # Enter every stride-th right pixel at its node
+        right_maps,  # Return the right camera's maps (h, w) with room for an inverse map
+    )
+    from .points.one_direction import (
+        UNCHECKED,  # The note that every file of such a cloud carries
+        NoPoint,  # Reason why a left pixel has no point; the first that applies
+        OneDirectionError,  # One direction cannot do with these maps; says why, and what would help
+        OneDirectionLimits,  # Limits of a search. What is None follows from the maps themselves
+        match_along_curves,  # Find the point of each left pixel whose coordinate the right image has along the
+    )
+    from .points.organised import (
+        OrganisedCloud,  # A full cloud of one scan, left camera frame
+        organised,  # Lay the points of cloud on the grid of the left camera's bright frame, (h, w) uint8
+    )
+    from .points.pipeline import (
+        COARSE_POINTS,  # Number of left pixels asked for the coarse cloud
+        Pipeline,  # A reconstruction of scans of one sequence with one calibration in one water
+        coarse_stride_px,  # Return the distance of a coarse cloud's points in a left image of that size
+    )
+    from .points.quality import (
+        QualityLimits,  # A point outside of any limit is masked, never moved or invented
+    )
+    from .points.rows import (
+        LeftMaps,  # Maps of the left camera that are reconstructed, (h, w) but for illuminated_columns
+        reconstruct_rows,  # Write the points of left rows start … stop − 1 (every stride-th) into points from
+        scratch_rows,  # Return the scratch memory of one thread for reconstruct_rows
+    )
+    from .points.select import (
+        PointLimits,  # Limits that a point must keep to be chosen
+    )
+    from .points.sigma import (
+        sigma_factors,  # Return the factors for fringes of period_px, cameras of that noise
+    )
+    from .points.straighten import (
+        measure_bend,  # Measure it in all coordinates of the cameras at once; STRAIGHT where too few pixels have any
+    )
+    from .points.table import (
+        CLOUD_BYTES,  # Bytes of one point of a Cloud
+        POINT_BYTES,
+        Cloud,  # Points in the left camera frame, with what is known about each. All arrays have the same length n
+        PointTable,  # Room for capacity points in memory (POINT_BYTES each), or in memory of its own
+    )
+    from .points.triangulate import (
+        rays_of,  # Lay out two lattices of equal step and plane. Raises ValueError when they differ
+    )
+    from .procedure import (
+        SequenceProcessor,  # Takes one sequence after the other through pipeline and past the judges
+    )
+    from .verdict import (
+        Judgement,  # A verdict, and the fault to tell the diver of
+        Verdict,  # One judgement with its numbers; passed is None where there was nothing to judge
+        faults_in,  # Return the faults of judgements, in their order
+    )
+    from .verdicts.causes import (
+        CAUSES_NAME,
+    )
+    from .verdicts.identity.judge import (
+        IDENTITY_NAME,
+    )
+    from .verdicts.window import (
+        CELLS,  # Columns and rows of cells over each image
+        SLACK,  # A fall that every cell is forgiven
+        Windows,  # One scan. By side left and right; arrays (CELLS[0] · CELLS[1],), cells by row
+    )
+    from .warm import (
+        PIECES,  # Everything that a scan may need, just recorded or stored
+        POINT_PIECES,  # All that points need where the images were decoded by something else
+        compiler_watched,  # Watch numba inside; yields what tells whether it had to compile anything
+        what_an_empty_scan_does_not_run,  # Return what runs the kernels for bent fringes, changing light
+    )
+else:
+    __getattr__, __dir__, __all__ = lazy_face(__name__)

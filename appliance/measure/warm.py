@@ -16,7 +16,7 @@ import numpy as np
 from numba.core import event
 from numpy.typing import NDArray
 
-from appliance.base.kernel_build import Piece
+from appliance.base import Piece
 from appliance.measure.calibration.design import Design, design_calibration
 from appliance.measure.calibration.file import Calibration
 from appliance.measure.cloud import CloudSummary, Found

@@ -1,1 +1,225 @@
 """Everything that is kept: formats and their promises, the library of scans, the rig file, and a stored scan processed again."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from appliance.base import lazy_face
+
+if TYPE_CHECKING:
+    from .archive import (
+        BesideFile,  # A calibration's or object's file that is another one in the source and in the target
+        Copied,  # Outcomes for one scan that was to be written
+        copy_beside,  # Copy calibrations and objects from one storage root to another
+        finish_removals,  # Remove what is left of sources whose removal was interrupted
+        make_shelves,  # Make the folders that scans come into
+        pack_scan,  # Pack the scan in source as target, which is compared with it before it gets its name
+        problems_of,  # Return what is wrong with a scan, by file
+        remove_source,  # Remove the scan in source after everything in it was found in copy, byte for byte
+        scan_folders,  # Return the folders of all scans on those shelves of root, in order. Raises StorageError
+        unpack_scan,  # Unpack the scan in source as target: the folder that was packed, byte for byte
+    )
+    from .atomic import (
+        StorageError,  # The disk refused. path and the reason are in the text, and what to do
+        add_beside,  # Write a file that comes from elsewhere, and replace nothing
+        checked_stamp,  # Return the length and sha256 of a file as it lies on the disk. Raises OSError
+        discard,  # Remove what an earlier, failed attempt left. Raises StorageError
+        draft_of,  # Return the path at which the new content of path is written before it replaces the old
+        make_folders,  # Make a folder and those above it that are missing
+        move_folder,  # Rename a folder, whose files are durable, so that the new name is durable
+        refused,  # Turns OSError into StorageError that names what was tried on path
+        remedy_for,  # Return what to do about a disk's refusal, by its number (errno.h)
+        replace_by,  # Replace (or make) a file by what write leaves at the name that it is given
+        replace_file,  # Replace (or make) a file: afterwards, and at any instant before
+        replace_parts,  # Replace (or make) a file as replace_file does
+        write_new,  # Write a file that does not exist yet
+    )
+    from .calibration_file import (
+        load_calibration,  # Read a calibration file. Raises CalibrationError also for a missing or unreadable file
+    )
+    from .config import (
+        ConfigError,  # RE-EXPORT appliance.store.config.load
+        Rig,  # RE-EXPORT appliance.store.config.rig
+        default_rig_path,  # RE-EXPORT appliance.store.config.load
+        load_rig,  # RE-EXPORT appliance.store.config.load
+        parse_rig,  # RE-EXPORT appliance.store.config.load
+        rig_text,  # RE-EXPORT appliance.store.config.spell
+    )
+    from .config.rig import (
+        CameraRig,  # [camera.left] and [camera.right]
+        OutputRig,  # [projector], and most of [display]: a connector of a graphics card, or a window on a desk
+        ProjectorRig,
+    )
+    from .damage import (
+        damaged_frames,  # Compare every byte of the frames with its checksum; empty where all are whole
+        frames_as_they_are,  # Return the frames of a damaged file, (n, h, w) uint8
+        refuse_damaged_frames,  # Compare every byte of a scan's frames with its checksum. Raises ScanError
+    )
+    from .filesystem import (
+        AppendingFileSystem,  # A file system on which a file
+        Bytes,
+        FileSystem,  # The operations that storage needs of a file system. Every call raises OSError on failure
+        LocalFileSystem,  # The disk of this machine (POSIX)
+    )
+    from .incomplete import (
+        INCOMPLETE,
+        INCOMPLETE_FOLDER,
+        INCOMPLETE_OF,  # Kind of the file, which tells it from a scan's manifest
+        IncompleteRecording,  # An incomplete recording as it lies on disk
+        find_incomplete,  # Return the folder of a recording by its number. Raises ScanError
+        keep_incomplete,  # Make the first frames of a sequence durable, all or nothing, and return their folder
+        load_incomplete,  # Open an incomplete recording; every byte is compared with its checksum. Raises ScanError
+    )
+    from .instrument import (
+        AIR_FILE,
+        CALIBRATION_FILE,
+        KEPT,  # Places of the calibration's files, relative to the storage root
+        NOISE_FILE,
+        RESPONSE_FILE,
+        calibration_of,  # Return the instrument's calibration
+        design_of,  # Return the calibration that the drawing in the rig file stands for
+        exposure_of,  # Return the exposure of both cameras, as the rig file sets that of the left one
+        exposure_of_scan,  # Return the exposure that a stored scan was recorded with
+        exposures_label,  # Return the exposure as a label, 8 ms; of a pair 3.2 ms, then 14 ms
+        exposures_of,  # Return the exposures that may be proposed to the diver, from dark to bright
+        instrument_misfit,  # Return why a calibration, in air or in water
+        noise_of,  # Return the noise of both cameras, by default at the gain the rig file sets, else at exposure's
+        of_another,  # Return why a calibration is not of this instrument, whichever cameras it has now
+        origin_of,  # Return what a scan that is taken now carries with it
+        response_of,  # Return the projector's response as it was measured
+        settings_of,  # Return how a sequence is taken with exposure. Raises ValueError for a rig
+        settings_of_scan,  # Return how a stored scan was taken. Raises ValueError for a rig
+        volume_of,  # Return the range in which the housing measures
+        water_of,  # Return the water the rig file states
+        with_measured_noise,  # Return the rig with the cameras' noise as it was measured in place of their data
+        with_volume,  # Return the calibration with the volume that the rig file states
+    )
+    from .label import (
+        LABEL,
+        LABEL_FILE,
+        LONGEST_NAME,
+        LONGEST_NOTE,
+        Label,  # Name and note of a scan; None: there is none
+        checked_label,  # Return text in Unicode's composed form without blanks around it; None where nothing is left
+        read_label,  # Return the label of a scan's folder; an empty one where there is none. Raises ContentError
+    )
+    from .library import (
+        Library,  # The scans under one root. Raises StorageError for whatever the disk refuses
+        LibraryFolder,  # Folders that a finished scan can lie in; the values are folder names
+        PendingScan,  # A scan whose raw frames are durable and
+        ScanEntry,  # One scan in the list. A damaged one is listed like the others, with its problems
+        UnknownScan,  # There is no scan of that number
+        entry_of,  # Return one scan by its folder, be it in a library or copied elsewhere
+    )
+    from .lock import (
+        hold_lock,  # Hold the lock of root; the kernel releases it however the process ends. Raises StorageError if
+        holder,  # Return the process that holds the lock of root; None where nobody does. Changes nothing, and never
+    )
+    from .manifest import (
+        INCOMPLETE_MANIFEST_FILE,  # The file that stands in its place where a scan broke off (incomplete)
+        MANIFEST,
+        MANIFEST_FILE,
+        Decision,  # Decisions of the diver about a scan
+        Manifest,  # The whole manifest. files maps the name of every file but the manifest to its length and
+        Stage,  # Stages that a scan goes through
+        manifest_json,  # Return the content as JSON holds it. Raises TypeError as encode
+    )
+    from .names import (
+        CALIBRATION_IN_AIR,
+        CALIBRATIONS,
+        CURRENT_CALIBRATION,
+        OBJECTS,  # Folder below a storage root with its objects
+        NameShapeError,  # A name cannot be part of a path; the text says which and what is allowed
+        by_number,  # Return what orders names of scans as they were taken, 1000000 after 999999
+        component,  # Return name, which is one component of a path. what it is the name of is for the message.
+        is_component,  # Return True if name is one component of a path
+        is_kept_calibration,  # Return True if name is that of a kept calibration, and of nothing outside its folder
+        is_object,  # Return True if name can name an object, whose folder and files are called so
+        scan_number,  # Return the number in the name of a scan's folder
+    )
+    from .object_numbers import (
+        largest_number,  # Return the largest number that one of the newest scans carries, wherever it lies
+        numbers_of_object,  # Return every number that a published scan carries, ascending
+        scans_of_object,  # Return the published scans that belong to an object
+    )
+    from .origin import (
+        Chosen,  # The calibration a scan is reconstructed with
+        SourceScan,  # A stored scan and the instrument that took it
+        calibration_for,  # Return the calibration for a scan: the one asked for, else its own
+        instrument_of,  # Return the instrument that all scans (one or more) are of
+        lost,  # Return what is wrong with one of a scan's files, its bytes compared with their checksum
+        one_calibration,  # Return the calibration for several scans at once. Raises CalibrationError also
+        open_source,  # Open a scan and the rig it was taken with: --rig, else its own
+        refuse_misfit,  # Raises CalibrationError where misfit has a reason. whose
+    )
+    from .packed import (
+        PackedError,  # A packed file cannot be used; the text says why, without its path
+        packed_path,  # Return where the packed form of a file of frames lies
+    )
+    from .picture_size import (
+        KNOWN,
+        picture_head,  # Return width, height and bits that the header states
+        size_px,  # Return the width and height that the header states; None as picture_head
+    )
+    from .ply import (
+        encode_ply,  # Return the header and body of the file
+        write_ply,  # Write a cloud for a desk, whole or not at all
+    )
+    from .record import (
+        ScanRecord,  # Everything known about a scan but its files. Complete it with dataclasses.replace as more is
+        SecondSequence,  # A second sequence of the same scene with another exposure
+        SequenceInfo,  # Pattern that each frame shows
+    )
+    from .reprocess import (
+        ReprocessedScan,  # A stored scan after everything the instrument does with one
+        refuse_empty,  # Raises ScanError where why_empty had a reason
+        reprocess_bracket,  # Reconstruct and judge first and the frames of a second sequence as one
+        reprocess_scan,  # Reconstruct and judge a stored scan with calibration, as the instrument does
+        sequence_of_scan,  # Return the patterns it was recorded with
+        water_of_scan,  # Return the water the scan was recorded in, as its manifest says
+    )
+    from .room import (
+        Room,  # A file system whose new files are made of what is allocated
+        is_full,  # Tell whether the disk refused for want of space, or of a quota
+        is_read_only,  # Tell whether the disk takes no changes at all, as after a mount for reading only
+        plan_room,  # Return lengths in bytes of what one scan needs
+    )
+    from .root import (
+        VARIABLE,
+        standing_root,  # Return the storage root around the working directory, else that of KINGFISHER_ROOT
+        where_none_was_found,  # Return where standing_root looked in vain, in words
+    )
+    from .scan import (
+        CLOUD_FILE,
+        PREVIEW_FILE,
+        RAW_FILES,
+        RIG_FILE,
+        SECOND_FILES,
+        ScanError,  # A stored scan cannot be used; the text says which and why
+        ScanOrigin,  # The means a scan was taken with, as the bytes of the files that describe them
+        StoredScan,  # A scan as it lies on disk. frames by side: (n, h, w) uint8, mapped
+        cloud_bytes,  # Return the length that the file with the points has at most: one for every left pixel
+        discard_raw,  # Take back a write_raw that failed, whose frames are still in memory. Raises StorageError
+        finish_scan,  # Add what there is to add and write the final manifest. May be repeated after a failure.
+        frames_bytes,  # Return the length of the file with one camera's frames
+        frames_file,  # Name of the file with one camera's frames
+        load_scan,  # Open a scan; its files' lengths are checked
+        manifest_of,  # Return the manifest of a scan's folder. Raises ScanError
+        read_frame,  # Return frame k of one camera, (h, w) uint8, compared with its checksum
+        second_frames_file,  # Name of the file with one camera's frames of the second exposure, where a scan has one
+        size_bytes,  # Return the room one scan with one exposure needs at most
+        write_raw,  # Make folder with the frames
+        wrong_files,  # Return what is wrong, by name, with the files a scan must have and those its manifest lists
+    )
+    from .scan_list import (
+        ListedScan,  # One scan of the list, and what it shows
+        ListError,  # The list of scans cannot be used
+        ScanList,  # A list of scans as the metrologist wrote it down
+        read_list,  # Read a list, TOML or (by its name) JSON: docs/evaluation.md. Raises ListError
+        refuse_repeats,  # Raise ListError for an artefact
+    )
+    from .wish import (
+        Wish,  # The options that were given beside the scan itself; None: nothing was said
+    )
+else:
+    __getattr__, __dir__, __all__ = lazy_face(__name__)

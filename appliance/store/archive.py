@@ -210,7 +210,7 @@ def _present(fs: FileSystem, source: Path, target: Path) -> Copied:
 
     Raises ScanError, also where such a file is another one at both ends, and StorageError.
     """
-    ours, theirs = (folder / form.FILE_NAME for folder in (source, target))
+    ours, theirs = (folder / form.MANIFEST_FILE for folder in (source, target))
     with refused("cannot compare", target):
         same = theirs.is_file() and ours.read_bytes() == theirs.read_bytes()
     if not same:
@@ -222,7 +222,11 @@ def _present(fs: FileSystem, source: Path, target: Path) -> Copied:
     other = []
     for path in _files(source):
         # Names and notes are written after the dive, also after the scan was packed, and in an archive as well.
-        if path.name not in manifest.files and not path.name.endswith(packed.SUFFIX) and path.name != form.FILE_NAME:
+        if (
+            path.name not in manifest.files
+            and not path.name.endswith(packed.SUFFIX)
+            and path.name != form.MANIFEST_FILE
+        ):
             with refused("cannot copy", path):
                 content, copy = path.read_bytes(), target / path.name
                 there = copy.read_bytes() if copy.exists() else None
@@ -272,7 +276,7 @@ def _write(fs: FileSystem, draft: Path, parts: dict[str, Iterable[Bytes]]) -> No
         fs.make_folder(draft)
     try:
         # The manifest last, as in every folder of a scan: without it, nobody takes the folder for one.
-        for name in sorted(parts, key=lambda one: (one == form.FILE_NAME, one)):
+        for name in sorted(parts, key=lambda one: (one == form.MANIFEST_FILE, one)):
             write_new(fs, draft / name, parts[name])
     except BaseException:
         with suppress(StorageError):  # half a copy on a full disk helps nobody; what stays is removed by the next call

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from appliance.base.bounded_file import read_bounded
-from appliance.measure.calibration.file import CALIBRATION, Calibration, CalibrationError, decode
+from appliance.base import read_bounded
+from appliance.measure import CALIBRATION, Calibration, CalibrationError, decode_calibration
 
 
 def load_calibration(path: Path | str) -> Calibration:
@@ -16,4 +16,4 @@ def load_calibration(path: Path | str) -> Calibration:
         raise CalibrationError(
             f"calibration {path}: cannot be read ({error.strerror}); calibrate, or copy the instrument's file there"
         ) from error
-    return decode(data, f"calibration {path}")
+    return decode_calibration(data, f"calibration {path}")

@@ -7,11 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from appliance.measure.decode.decoder import Mask
-from appliance.measure.points.pipeline import Cloud, Pipeline
-from appliance.measure.points.quality import QualityLimits
-from appliance.measure.verdict import Judgement
-from appliance.measure.verdicts.identity.judge import NAME as IDENTITY
+from appliance.measure import IDENTITY_NAME as IDENTITY
+from appliance.measure import Cloud, Judgement, Mask, Pipeline, QualityLimits
 
 LEAST_SHARE = 0.05
 """Least share of the left pixels that were decoded which become points. A calibration that fits leaves more than half of them even in turbid water. One that

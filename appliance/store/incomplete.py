@@ -16,8 +16,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from appliance.base.sealed_file import ContentError, SealedFile
-from appliance.measure.light.sides import SIDES
+from appliance.base import ContentError, SealedFile
+from appliance.measure import SIDES
 from appliance.store import manifest as form
 from appliance.store.atomic import (
     Stamp,
@@ -35,7 +35,7 @@ from appliance.store.names import scan_number
 from appliance.store.record import ScanRecord
 from appliance.store.scan import (
     CALIBRATION,
-    RIG,
+    RIG_FILE,
     ScanError,
     ScanOrigin,
     StoredScan,
@@ -50,10 +50,10 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-FOLDER = "incomplete"
+INCOMPLETE_FOLDER = "incomplete"
 MOST = 50
 """Most recordings that are kept: 2.7 GB. Such a rig has another trouble than lost scans."""
-OF = {"kind": "incomplete recording"}
+INCOMPLETE_OF = {"kind": "incomplete recording"}
 """Kind of the file, which tells it from a scan's manifest."""
 _NAME = re.compile(r"\.?([0-9]{6})")
 _OTHER_BYTES = 1_000_000
@@ -79,7 +79,7 @@ class IncompleteRecording:
     """Names of the patterns whose frames are missing."""
 
 
-def keep(
+def keep_incomplete(
     fs: FileSystem,
     root: Path,
     frames: Mapping[str, NDArray[np.uint8]],
@@ -101,7 +101,7 @@ def keep(
     (count, height_px, width_px) = shapes.pop()
     if not 0 < count < len(patterns):
         raise ValueError(f"{count} of {len(patterns)} frames are no incomplete recording")
-    shelf = root / FOLDER
+    shelf = root / INCOMPLETE_FOLDER
     taken = _sweep(fs, shelf)
     if len(taken) >= MOST:
         raise ValueError(f"{shelf} has {MOST} recordings already; look at them, and move them elsewhere")
@@ -135,7 +135,7 @@ def _write(
     with refused("cannot make", draft):
         fs.make_folder(draft)
     files = {frames_file(side): write_new(fs, draft / frames_file(side), npy_parts(frames[side])) for side in SIDES}
-    for name, content in ((CALIBRATION, origin.calibration), (RIG, origin.rig)):
+    for name, content in ((CALIBRATION, origin.calibration), (RIG_FILE, origin.rig)):
         files[name] = write_new(fs, draft / name, (content,))
     checks = {frames_file(side): frame_checks(frames[side]) for side in SIDES}
     missing = record.sequence.patterns[len(frames[SIDES[0]]) :]
@@ -143,7 +143,9 @@ def _write(
         number, Stage.RAW, Decision.UNDECIDED, record, files, reason, frame_crc32=checks, missing=missing
     )
     # Last, and the folder's name after it: a folder without a dot is whole.
-    replace_file(fs, draft / form.INCOMPLETE_NAME, INCOMPLETE.encode(form.with_known_times(manifest), OF))
+    replace_file(
+        fs, draft / form.INCOMPLETE_MANIFEST_FILE, INCOMPLETE.encode(form.with_known_times(manifest), INCOMPLETE_OF)
+    )
 
 
 def _sweep(fs: FileSystem, shelf: Path) -> list[int]:
@@ -168,25 +170,27 @@ def _remove(fs: FileSystem, draft: Path) -> None:
         discard(fs, draft)
 
 
-def find(root: Path, recording: str) -> Path:
+def find_incomplete(root: Path, recording: str) -> Path:
     """Return the folder of a recording by its number. Raises ScanError."""
     number = recording.zfill(6)
-    folder = root / FOLDER / number
+    folder = root / INCOMPLETE_FOLDER / number
     # The whole word: the last part of a path may be a number, too.
     if not recording or scan_number(number) is None or not folder.is_dir():
-        raise ScanError(f"no incomplete recording {recording!r} under {root / FOLDER}; give its number or its folder")
+        raise ScanError(
+            f"no incomplete recording {recording!r} under {root / INCOMPLETE_FOLDER}; give its number or its folder"
+        )
     return folder
 
 
-def load(folder: Path) -> IncompleteRecording:
+def load_incomplete(folder: Path) -> IncompleteRecording:
     """Open an incomplete recording; every byte is compared with its checksum. Raises ScanError."""
-    path = folder / form.INCOMPLETE_NAME
+    path = folder / form.INCOMPLETE_MANIFEST_FILE
     try:
-        manifest = INCOMPLETE.load(path, OF, name=str(path))
+        manifest = INCOMPLETE.load(path, INCOMPLETE_OF, name=str(path))
     except ContentError as error:
         raise ScanError(str(error)) from error
     if manifest is None:
-        raise ScanError(f"{folder}: not an incomplete recording (no {form.INCOMPLETE_NAME} in it)")
+        raise ScanError(f"{folder}: not an incomplete recording (no {form.INCOMPLETE_MANIFEST_FILE} in it)")
     missing = manifest.missing
     count = len(manifest.record.sequence.patterns) - len(missing)
     if missing != manifest.record.sequence.patterns[count:]:

@@ -6,20 +6,34 @@ import logging
 from dataclasses import replace
 from pathlib import Path
 
-from appliance.base.sealed_file import ContentError
-from appliance.measure.calibration import owner
-from appliance.measure.calibration.design import Design, design_calibration
-from appliance.measure.calibration.file import IN_AIR, Calibration, CalibrationError, encode
-from appliance.measure.calibration.noise_file import NOISE, CameraFigures
-from appliance.measure.calibration.owner import Misfit, Owner
-from appliance.measure.calibration.response_file import RESPONSE
-from appliance.measure.fault import Fault, FaultCode
-from appliance.measure.light.acquisition import AcquisitionSettings
-from appliance.measure.light.exposure import STEPS_MS, Exposure, Span, ladder
-from appliance.measure.light.noise import CameraNoise, StereoNoise, camera_noise
-from appliance.measure.light.response import Response
-from appliance.measure.light.volume import WorkingVolume
-from appliance.measure.light.water import Water
+from appliance.base import ContentError
+from appliance.measure import (
+    IN_AIR,
+    NOISE,
+    RESPONSE,
+    STEPS_MS,
+    AcquisitionSettings,
+    Calibration,
+    CalibrationError,
+    CameraFigures,
+    CameraNoise,
+    Design,
+    Exposure,
+    Fault,
+    FaultCode,
+    Misfit,
+    Owner,
+    Response,
+    Span,
+    StereoNoise,
+    Water,
+    WorkingVolume,
+    camera_noise,
+    design_calibration,
+    encode_calibration,
+    ladder,
+    owner_misfit,
+)
 from appliance.store.calibration_file import load_calibration
 from appliance.store.config import Rig, rig_text
 from appliance.store.config.checks import into_light_us
@@ -73,7 +87,7 @@ def _usable(rig: Rig, path: Path) -> tuple[Calibration | None, Misfit | None]:
         return None, Misfit(str(error))
     if calibration.method == IN_AIR:
         return calibration, Misfit(ONLY_IN_AIR)
-    return calibration, owner.misfit(calibration, owner_of(rig))
+    return calibration, owner_misfit(calibration, owner_of(rig))
 
 
 def response_of(rig: Rig) -> Response | None:
@@ -230,12 +244,12 @@ def _whole_sub_frames_ms(rig: Rig) -> tuple[float, ...]:
 
 def origin_of(rig: Rig, calibration: Calibration) -> ScanOrigin:
     """Return what a scan that is taken now carries with it: the calibration in use and the rig as it is understood."""
-    return ScanOrigin(encode(calibration), rig_text(rig).encode())
+    return ScanOrigin(encode_calibration(calibration), rig_text(rig).encode())
 
 
-def misfit(calibration: Calibration, rig: Rig) -> str | None:
+def instrument_misfit(calibration: Calibration, rig: Rig) -> str | None:
     """Return why a calibration, in air or in water, is not of this instrument and its cameras; ``None`` where it is."""
-    found = owner.misfit(calibration, owner_of(rig))
+    found = owner_misfit(calibration, owner_of(rig))
     return None if found is None else found.reason
 
 

@@ -12,11 +12,11 @@ import unicodedata
 from dataclasses import dataclass
 from pathlib import Path
 
-from appliance.base.sealed_file import ContentError, SealedFile
+from appliance.base import ContentError, SealedFile
 from appliance.store.atomic import replace_file
 from appliance.store.filesystem import FileSystem
 
-FILE_NAME = "label.json"
+LABEL_FILE = "label.json"
 _CONTROL = ("Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp")
 """Unicode's categories of what is no character to read: controls, formats, surrogates, unassigned ones, line ends."""
 LONGEST_NAME, LONGEST_NOTE = 60, 1000
@@ -35,7 +35,7 @@ NO_LABEL = Label()
 LABEL = SealedFile(Label, schema=1, max_bytes=16_384)
 
 
-def checked(what: str, text: str, longest: int) -> str | None:
+def checked_label(what: str, text: str, longest: int) -> str | None:
     """Return ``text`` in Unicode's composed form without blanks around it; ``None`` where nothing is left.
 
     ``what``: ``name`` or ``note``, for the message. Raises ContentError for control characters, among them line ends and
@@ -52,15 +52,15 @@ def checked(what: str, text: str, longest: int) -> str | None:
     return plain or None
 
 
-def read(folder: Path) -> Label:
+def read_label(folder: Path) -> Label:
     """Return the label of a scan's folder; an empty one where there is none. Raises ContentError."""
-    found = LABEL.load(folder / FILE_NAME, name=FILE_NAME) or NO_LABEL
+    found = LABEL.load(folder / LABEL_FILE, name=LABEL_FILE) or NO_LABEL
     return Label(
-        checked(f"{FILE_NAME}: name", found.name or "", LONGEST_NAME),
-        checked(f"{FILE_NAME}: note", found.note or "", LONGEST_NOTE),
+        checked_label(f"{LABEL_FILE}: name", found.name or "", LONGEST_NAME),
+        checked_label(f"{LABEL_FILE}: note", found.note or "", LONGEST_NOTE),
     )
 
 
 def write(fs: FileSystem, folder: Path, label: Label) -> None:
     """Write the label; it is durable and whole on return. Raises StorageError."""
-    replace_file(fs, folder / FILE_NAME, LABEL.encode(label))
+    replace_file(fs, folder / LABEL_FILE, LABEL.encode(label))

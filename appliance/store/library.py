@@ -21,7 +21,7 @@ from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from appliance.base.sealed_file import ContentError
+from appliance.base import ContentError
 from appliance.store import counter, scan
 from appliance.store import label as labels
 from appliance.store import manifest as form
@@ -151,12 +151,12 @@ class Library:
             move_folder(self._fs, folder, self._free_name(LibraryFolder.SET_ASIDE, scan_id))
             return "set_aside"
         for path in sorted(folder.iterdir()):
-            if path.name not in manifest.files and path.name != form.FILE_NAME:
+            if path.name not in manifest.files and path.name != form.MANIFEST_FILE:
                 with refused("cannot rename", path):  # half of a cloud, or of a manifest: kept, but not trusted
                     self._fs.rename(path, path.with_name(f"{path.name.removeprefix('.')}.partial"))
         # The manifest says "recovered" before the folder is published, not after: a second loss of power in between
         # finds the same state again.
-        replace_file(self._fs, folder / form.FILE_NAME, form.encode(manifest))
+        replace_file(self._fs, folder / form.MANIFEST_FILE, form.encode(manifest))
         rejected = manifest.decision is Decision.REJECTED
         target = self._shelf(LibraryFolder.REJECTED if rejected else LibraryFolder.SCANS) / scan_id
         # Only a copy made by hand can have the number; neither of both is overwritten.
@@ -191,9 +191,11 @@ class Library:
         entry = self.entry(scan_id)
         if entry.manifest is None or entry.problems:
             raise scan.ScanError(f"scan {scan_id}: {'; '.join(entry.problems)}")
-        if scan.CLOUD in entry.manifest.files:
+        if scan.CLOUD_FILE in entry.manifest.files:
             raise scan.ScanError(f"scan {scan_id}: has a cloud already; write the new one elsewhere with --out FILE")
-        return scan.finish(self._fs, entry.folder, entry.manifest, entry.manifest.decision, record, cloud, preview_png)
+        return scan.finish_scan(
+            self._fs, entry.folder, entry.manifest, entry.manifest.decision, record, cloud, preview_png
+        )
 
     def trash(self, scan_id: str) -> Path:
         """Put a scan away: it is no longer listed or shown, and keeps its number and every byte. Answers its folder.
@@ -249,7 +251,7 @@ class Library:
 
     def load(self, scan_id: str) -> scan.StoredScan:
         """Open a scan. Raises UnknownScan, ScanError."""
-        return scan.load(self._find(scan_id)[1])
+        return scan.load_scan(self._find(scan_id)[1])
 
     def count(self) -> int:
         """Return the number of published scans."""
@@ -353,7 +355,7 @@ def entry_of(folder: Path, *, checksums: bool) -> ScanEntry:
         found.append(f"its manifest is of scan {manifest.scan_id}")
     label = NO_LABEL
     try:
-        label = labels.read(folder)
+        label = labels.read_label(folder)
     except ContentError as error:
         if checksums:  # no damage to the scan: told where every byte is looked at
             found.append(str(error))
@@ -433,7 +435,7 @@ class PendingScan:
         if self._done:
             return self._folder
         # After a failure everything but the raw frames is written anew: a failed fsync may have dropped it.
-        final = scan.finish(self._fs, self._folder, self._manifest, decision, record, cloud, preview_png, reason)
+        final = scan.finish_scan(self._fs, self._folder, self._manifest, decision, record, cloud, preview_png, reason)
         target = self._root / shelf.value / self.scan_id
         if self._folder != target:
             try:

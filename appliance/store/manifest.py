@@ -12,13 +12,13 @@ from enum import Enum
 from pathlib import Path
 from typing import Any, TypeVar
 
-from appliance.base.sealed_file import ContentError, SealedFile
+from appliance.base import ContentError, SealedFile
 from appliance.store.atomic import Stamp
 from appliance.store.names import component, is_component
 from appliance.store.record import ScanRecord
 
-FILE_NAME = "manifest.json"
-INCOMPLETE_NAME = "incomplete.json"
+MANIFEST_FILE = "manifest.json"
+INCOMPLETE_MANIFEST_FILE = "incomplete.json"
 """The file that stands in its place where a scan broke off (``incomplete``): such a folder is no scan."""
 
 
@@ -62,7 +62,7 @@ def refuse_names(manifest: Manifest) -> None:
     # after the scan.
     component(manifest.scan_id, "scan_id")
     for file_name in manifest.files:
-        if not is_component(file_name) or file_name == FILE_NAME:
+        if not is_component(file_name) or file_name == MANIFEST_FILE:
             raise ValueError(f"{file_name!r:.60} is not the name of a file beside it")
 
 
@@ -76,7 +76,7 @@ def encode(manifest: Manifest) -> bytes:
     return MANIFEST.encode(with_known_times(manifest))
 
 
-def as_json(manifest: Manifest) -> dict[str, Any]:
+def manifest_json(manifest: Manifest) -> dict[str, Any]:
     """Return the content as JSON holds it. Raises TypeError as ``encode``."""
     return MANIFEST.content(with_known_times(manifest))
 
@@ -89,11 +89,11 @@ def with_known_times(manifest: AnyManifest) -> AnyManifest:
 
 def read(folder: Path) -> Manifest:
     """Return the manifest of a scan's folder. Raises ContentError."""
-    path = folder / FILE_NAME
+    path = folder / MANIFEST_FILE
     found = MANIFEST.load(path, name=str(path))
     if found is not None:
         return found
-    if (folder / INCOMPLETE_NAME).exists():
+    if (folder / INCOMPLETE_MANIFEST_FILE).exists():
         raise ContentError(
             str(folder),
             "an incomplete recording is no scan, and nothing is measured, evaluated or calibrated with it",

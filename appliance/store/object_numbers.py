@@ -6,7 +6,7 @@ tell. Numbers ascend with the scans', so that the newest scan that carries one c
 
 from __future__ import annotations
 
-from appliance.base.sealed_file import ContentError
+from appliance.base import ContentError
 from appliance.store import manifest as form
 from appliance.store.library import Library, LibraryFolder
 
@@ -26,7 +26,7 @@ def largest_number(library: Library) -> int:
     return 0
 
 
-def scans_of(library: Library, number: int) -> list[str]:
+def scans_of_object(library: Library, number: int) -> list[str]:
     """Return the published scans that belong to an object, by their numbers in the order they were taken."""
     return [
         entry.scan_id
@@ -35,7 +35,7 @@ def scans_of(library: Library, number: int) -> list[str]:
     ]
 
 
-def numbers(library: Library) -> list[int]:
+def numbers_of_object(library: Library) -> list[int]:
     """Return every number that a published scan carries, ascending."""
     entries = library.entries(LibraryFolder.SCANS)
     found = {None if entry.manifest is None else entry.manifest.record.object for entry in entries}

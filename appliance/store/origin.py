@@ -6,16 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from appliance.measure.calibration import owner as belonging
-from appliance.measure.calibration.file import IN_AIR, Calibration, CalibrationError
-from appliance.measure.calibration.owner import Owner
-from appliance.measure.light.sides import SIDES, of_side
+from appliance.measure import IN_AIR, SIDES, Calibration, CalibrationError, Owner, of_side, owner_misfit
 from appliance.store import scan as stored
 from appliance.store.calibration_file import load_calibration
 from appliance.store.config import ConfigError, Rig, parse_rig
 from appliance.store.manifest import Manifest
 from appliance.store.names import CALIBRATIONS, CURRENT_CALIBRATION
-from appliance.store.scan import CALIBRATION, RIG, ScanError, StoredScan
+from appliance.store.scan import CALIBRATION, RIG_FILE, ScanError, StoredScan
 from appliance.store.wish import Wish, root_of
 
 FOREIGN_OPTION = "--foreign-calibration"
@@ -52,20 +49,22 @@ def open_source(folder: Path, wish: Wish, scan: StoredScan | None = None) -> Sou
 
     ``scan``: what was opened of it already. Raises ScanError, also for a rig file that is damaged or whose cameras are of another size.
     """
-    scan = scan or stored.load(folder, only_raw=True)
+    scan = scan or stored.load_scan(folder, only_raw=True)
     root = wish.root or root_of(folder)
     if wish.rig is not None:
         for side, camera in (("left", wish.rig.camera.left), ("right", wish.rig.camera.right)):
             _same_size(scan, side, (camera.width_px, camera.height_px), f"the rig file ({wish.rig.rig.name})", "--rig")
         return SourceScan(scan, wish.rig, root)
     remedy = "give the rig file of the instrument with --rig PATH"
-    problem = lost(folder, scan.manifest, RIG)
+    problem = lost(folder, scan.manifest, RIG_FILE)
     if problem is not None:
-        raise ScanError(f"{folder / RIG}: {problem}; {remedy}")
+        raise ScanError(f"{folder / RIG_FILE}: {problem}; {remedy}")
     try:
-        return SourceScan(scan, parse_rig((folder / RIG).read_text(encoding="utf-8"), str(folder / RIG)), root)
+        return SourceScan(
+            scan, parse_rig((folder / RIG_FILE).read_text(encoding="utf-8"), str(folder / RIG_FILE)), root
+        )
     except (ConfigError, OSError, UnicodeDecodeError) as error:
-        raise ScanError(f"{folder / RIG}: {error}; {remedy}") from error
+        raise ScanError(f"{folder / RIG_FILE}: {error}; {remedy}") from error
 
 
 def instrument_of(scans: Sequence[SourceScan], wish: Wish) -> Rig:
@@ -142,7 +141,7 @@ def misfit(calibration: Calibration, scan: SourceScan, *, foreign: bool = False,
     # The very calibration that the scan was taken with fits it by definition, whatever serial numbers say.
     if foreign or calibration.hash == scan.scan.manifest.record.calibration_hash:
         return None
-    other = belonging.misfit(calibration, _owner(scan))
+    other = owner_misfit(calibration, _owner(scan))
     if other is None:
         return None
     return f"{other.reason}; {remedy}" + ("" if start else f", or use it all the same with {FOREIGN_OPTION}")

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
-from appliance.base.libraries import needed
+from appliance.base import needed
 from appliance.store.atomic import Stamp, checked_stamp
 from appliance.store.filesystem import Bytes
 

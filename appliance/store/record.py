@@ -9,14 +9,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from appliance.measure.fault import FaultCode
-from appliance.measure.grade import MADE_UP_FOR, Grade
-from appliance.measure.grade import NAME as GRADE
-from appliance.measure.light.exposure import Exposure
-from appliance.measure.verdict import Verdict
+from appliance.measure import GRADE_NAME as GRADE
+from appliance.measure import MADE_UP_FOR, Exposure, FaultCode, Grade, Verdict
 
 if TYPE_CHECKING:  # brings NumPy, which a list of scans can do without
-    from appliance.measure.light.sequence import PatternSequence
+    from appliance.measure import PatternSequence
 
 
 @dataclass(frozen=True, slots=True)

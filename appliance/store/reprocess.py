@@ -9,18 +9,27 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.measure.bracket import ProcessedSequence
-from appliance.measure.calibration.file import Calibration
-from appliance.measure.fault import Fault, FaultCode
-from appliance.measure.grade import SPOILS_POINTS, SPOILS_SCAN, faults_of_both
-from appliance.measure.light.acquisition import AcquisitionSettings
-from appliance.measure.light.sequence import PatternSequence, build_sequence
-from appliance.measure.light.water import Water
-from appliance.measure.news import FullCloud, Verdicts
-from appliance.measure.points.pipeline import Cloud, Pipeline
-from appliance.measure.points.quality import QualityLimits
-from appliance.measure.procedure import SequenceProcessor
-from appliance.measure.verdict import Judgement, faults_in
+from appliance.measure import (
+    SPOILS_POINTS,
+    SPOILS_SCAN,
+    AcquisitionSettings,
+    Calibration,
+    Cloud,
+    Fault,
+    FaultCode,
+    FullCloud,
+    Judgement,
+    PatternSequence,
+    Pipeline,
+    ProcessedSequence,
+    QualityLimits,
+    SequenceProcessor,
+    Verdicts,
+    Water,
+    build_sequence,
+    faults_in,
+    faults_of_both,
+)
 from appliance.store import scan as stored
 from appliance.store.empty import Empty, why_empty
 
@@ -59,7 +68,7 @@ def _spoils_maps(fault: Fault) -> bool:
     return fault.code in SPOILS_SCAN | SPOILS_POINTS | {FaultCode.COMPENSATED}
 
 
-def reprocess(
+def reprocess_scan(
     scan: stored.StoredScan,
     calibration: Calibration,
     settings: AcquisitionSettings,

@@ -17,12 +17,12 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TypeVar
 
-from appliance.measure.light.sides import SIDES
+from appliance.measure import SIDES
 from appliance.store.atomic import StorageError, draft_of, refused
 from appliance.store.counter import FILE_NAME as NUMBER
 from appliance.store.filesystem import AllocatingFileSystem, WritableFile
-from appliance.store.manifest import FILE_NAME as MANIFEST
-from appliance.store.scan import CALIBRATION, CLOUD, PREVIEW, RIG, frames_file, second_frames_file
+from appliance.store.manifest import MANIFEST_FILE as MANIFEST
+from appliance.store.scan import CALIBRATION, CLOUD_FILE, PREVIEW_FILE, RIG_FILE, frames_file, second_frames_file
 
 log = logging.getLogger("kingfisher")
 
@@ -36,10 +36,10 @@ PLACES: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         **{frames_file(side): (f"frames-{side}",) for side in SIDES},
         **{second_frames_file(side): (f"frames-{side}",) for side in SIDES},
-        CLOUD: ("cloud",),
-        PREVIEW: ("preview",),
+        CLOUD_FILE: ("cloud",),
+        PREVIEW_FILE: ("preview",),
         CALIBRATION: ("calibration",),
-        RIG: ("rig",),
+        RIG_FILE: ("rig",),
         draft_of(Path(MANIFEST)).name: ("manifest-1", "manifest-2"),  # with the raw frames, and at the end
         draft_of(Path(NUMBER)).name: ("number",),
     }
@@ -62,7 +62,7 @@ SMALL = MappingProxyType(
 Answer = TypeVar("Answer")
 
 
-def plan(frames_bytes: int, cloud_bytes: int) -> dict[str, int]:
+def plan_room(frames_bytes: int, cloud_bytes: int) -> dict[str, int]:
     """Return lengths in bytes of what one scan needs: ``frames_bytes`` for each camera, ``cloud_bytes`` at most for
     the points."""
     return {**{f"frames-{side}": frames_bytes for side in SIDES}, "cloud": cloud_bytes, **SMALL}

@@ -20,8 +20,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from appliance.base.sealed_file import ContentError
-from appliance.measure.light.sides import SIDES
+from appliance.base import ContentError
+from appliance.measure import SIDES
 from appliance.store import manifest as form
 from appliance.store.atomic import Stamp, checked_stamp, discard, draft_of, refused, replace_file, write_new
 from appliance.store.filesystem import Bytes, FileSystem
@@ -41,13 +41,13 @@ _HEADER = re.compile(
     re.DOTALL,
 )
 """Header of NumPy's format 1.0."""
-CLOUD = "cloud.ply"
-PREVIEW = "preview.png"
+CLOUD_FILE = "cloud.ply"
+PREVIEW_FILE = "preview.png"
 CALIBRATION = "calibration.json"
-RIG = "rig.toml"
-ORIGIN_FILES = (CALIBRATION, RIG)
+RIG_FILE = "rig.toml"
+ORIGIN_FILES = (CALIBRATION, RIG_FILE)
 """Files that say what a scan was taken with."""
-DERIVED_FILES = (CLOUD, PREVIEW)
+DERIVED_FILES = (CLOUD_FILE, PREVIEW_FILE)
 """Files that can be made again from the others."""
 
 
@@ -92,12 +92,12 @@ class StoredScan:
 
     def cloud(self) -> StoredCloud | None:
         """Return the stored cloud; ``None`` where the scan has none. Raises ScanError."""
-        if CLOUD not in self.manifest.files:
+        if CLOUD_FILE not in self.manifest.files:
             return None
         from appliance.store.ply import PlyError, read_ply
 
         try:
-            return read_ply(self.folder / CLOUD)
+            return read_ply(self.folder / CLOUD_FILE)
         except PlyError as error:
             raise ScanError(str(error)) from error
 
@@ -118,7 +118,7 @@ def write_raw(
     with refused("cannot make", folder):
         fs.make_folder(folder)
     files = {frames_file(side): write_new(fs, folder / frames_file(side), npy_parts(frames[side])) for side in SIDES}
-    for name, content in ((CALIBRATION, origin.calibration), (RIG, origin.rig)):
+    for name, content in ((CALIBRATION, origin.calibration), (RIG_FILE, origin.rig)):
         files[name] = write_new(fs, folder / name, (content,))
     with refused("cannot make durable", folder):
         fs.sync_folder(folder)
@@ -126,7 +126,7 @@ def write_raw(
     # without is not.
     checks = {frames_file(side): frame_checks(frames[side]) for side in SIDES}
     manifest = Manifest(scan_id, Stage.RAW, Decision.UNDECIDED, record, files, frame_crc32=checks)
-    replace_file(fs, folder / form.FILE_NAME, form.encode(manifest))
+    replace_file(fs, folder / form.MANIFEST_FILE, form.encode(manifest))
     return manifest
 
 
@@ -157,7 +157,7 @@ def add_second(
         fs.sync_folder(folder)
     added = replace(manifest, record=record, files=files, frame_crc32=checks)
     # From here on there are two exposures; before, the folder is the scan with one.
-    replace_file(fs, folder / form.FILE_NAME, form.encode(added))
+    replace_file(fs, folder / form.MANIFEST_FILE, form.encode(added))
     return added
 
 
@@ -177,7 +177,7 @@ def _check(frames: Mapping[str, NDArray[np.uint8]], record: ScanRecord) -> None:
             raise ValueError(f"{side} frames are {dtype} {shape}; uint8 ({expected}, height, width) is needed")
 
 
-def finish(
+def finish_scan(
     fs: FileSystem,
     folder: Path,
     manifest: Manifest,
@@ -194,22 +194,22 @@ def finish(
     if cloud is not None:
         from appliance.store.ply import encode_ply
 
-        added[CLOUD] = encode_ply(cloud)
+        added[CLOUD_FILE] = encode_ply(cloud)
     if preview_png is not None:
-        added[PREVIEW] = (preview_png,)
+        added[PREVIEW_FILE] = (preview_png,)
     for name, parts in added.items():
         discard(fs, folder / name)
         files[name] = write_new(fs, folder / name, parts)
     with refused("cannot make durable", folder):
         fs.sync_folder(folder)
     final = replace(manifest, stage=Stage.COMPLETE, decision=decision, record=record, files=files, reason=reason)
-    replace_file(fs, folder / form.FILE_NAME, form.encode(final))
+    replace_file(fs, folder / form.MANIFEST_FILE, form.encode(final))
     return final
 
 
 def discard_raw(fs: FileSystem, folder: Path) -> None:
     """Take back a ``write_raw`` that failed, whose frames are still in memory. Raises StorageError."""
-    for name in (form.FILE_NAME, *RAW_FILES, *ORIGIN_FILES):  # the manifest first: it must never list what is gone
+    for name in (form.MANIFEST_FILE, *RAW_FILES, *ORIGIN_FILES):  # the manifest first: it must never list what is gone
         discard(fs, folder / name)
         discard(fs, draft_of(folder / name))
     discard(fs, folder)
@@ -273,7 +273,7 @@ def manifest_of(folder: Path) -> Manifest:
         raise ScanError(str(error)) from error
 
 
-def load(folder: Path, *, only_raw: bool = False) -> StoredScan:
+def load_scan(folder: Path, *, only_raw: bool = False) -> StoredScan:
     """Open a scan; its files' lengths are checked, checksums are not (``Library.verify``). Raises ScanError.
 
     ``only_raw``: whatever is not a file of frames may be missing or damaged.

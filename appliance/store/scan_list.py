@@ -11,11 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from appliance.base.bounded_file import parse_toml, read_text
-from appliance.base.sealed_file import Within
-from appliance.measure.accept.acceptance import Symbol
-from appliance.measure.accept.flatness import REFERENCE_MM
-from appliance.measure.accept.result import LENGTHS, Artefact
+from appliance.base import Within, parse_toml, read_text
+from appliance.measure import LENGTHS, REFERENCE_MM, Artefact, Symbol
 
 MOST_BYTES = 1_000_000
 LENGTH_MM, REFERENCE_RANGE_MM = (1.0, 2000.0), (10.0, 5000.0)

@@ -10,15 +10,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.instrument.capture.grabber import Grabber
-from appliance.instrument.capture.scan import CaptureReport, ScanRecorder, ScanSettings
-from appliance.instrument.capture.store import FrameStore
-from appliance.instrument.service.air_live import opened
-from appliance.instrument.service.devices import Devices
-from appliance.measure.fault import Fault
-from appliance.measure.light.sides import SIDES
-from appliance.store.config import Rig
-from appliance.store.lock import hold_lock
+from appliance.instrument import CaptureReport, Devices, FrameStore, Grabber, ScanRecorder, ScanSettings, opened
+from appliance.measure import SIDES, Fault
+from appliance.store import Rig, hold_lock
 from appliance.workshop.finding import BringupError
 from drivers import rig as drivers_rig
 from drivers.api import Board, Flip, Projector, Wires

@@ -8,11 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from appliance.instrument.service.checkup import ask_devices
-from appliance.instrument.service.devices import Devices
-from appliance.measure.light.sides import SIDES, of_side
-from appliance.store.config.rig import CameraRig
-from appliance.store.instrument import noise_of
+from appliance.instrument import Devices, ask_devices
+from appliance.measure import SIDES, of_side
+from appliance.store import CameraRig, noise_of
 from appliance.workshop.bench import Image, LightBench, bench_on
 from appliance.workshop.finding import Finding, judged
 from appliance.workshop.plots import png, side_by_side

@@ -15,10 +15,7 @@ import numpy as np
 from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
-from appliance.instrument.capture.grabber import Grabber, SideRecording
-from appliance.instrument.capture.timeouts import Timeouts
-from appliance.instrument.service.air_live import opened
-from appliance.instrument.service.devices import Devices
+from appliance.instrument import Devices, Grabber, SideRecording, Timeouts, opened
 from appliance.workshop.finding import BringupError, Finding, judged
 from appliance.workshop.step import StepOutcome, Workplace
 from appliance.workshop.trigger import PULSES

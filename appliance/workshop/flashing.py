@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 import drivers
-from appliance.store.config.rig import ProjectorRig, Rig
+from appliance.store import ProjectorRig, Rig
 from appliance.workshop.finding import BringupError
 
 Part = Literal["board", "keys"]

@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import appliance
-from appliance.instrument.service.checkup import whatever_is_there
-from appliance.store.config import Rig, load_rig
-from appliance.store.lock import hold_lock
+from appliance.instrument import whatever_is_there
+from appliance.store import Rig, hold_lock, load_rig
 from appliance.workshop import steps
 from appliance.workshop.finding import BringupError, Finding
 from appliance.workshop.kept import PAGE, STATE, STATE_FILE, GuideFolder, GuideState, StepRecord

@@ -7,9 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from appliance.base.sealed_file import ContentError, SealedFile
-from appliance.store.atomic import make_folders, refused, replace_file
-from appliance.store.filesystem import LocalFileSystem
+from appliance.base import ContentError, SealedFile
+from appliance.store import LocalFileSystem, make_folders, refused, replace_file
 from appliance.workshop.finding import BringupError, Finding
 from appliance.workshop.step import StepOutcome
 

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.measure.light.exposure import STEPS_MS
-from appliance.store.config import Rig
+from appliance.measure import STEPS_MS
+from appliance.store import Rig
 from appliance.workshop.finding import BringupError, Finding, judged
 from appliance.workshop.plots import plot
 from appliance.workshop.response import RAMP_CODES, STRAIGHT, ResponseShape, Shape, ramp_codes

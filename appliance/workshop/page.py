@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 from collections.abc import Mapping, Sequence
 
-from appliance.measure.accept.page import PAGE_END, figure, page_head, rows, table
+from appliance.measure import PAGE_END, figure, page_head, rows, table
 from appliance.workshop.finding import Finding
 from appliance.workshop.kept import GuideState, StepRecord
 from appliance.workshop.step import GuideStep, StepOutcome

@@ -20,31 +20,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 import appliance
-from appliance.desk.reconstruct import work_through
-from appliance.instrument.capture.scan import CaptureReport, ScanRecorder, ScanSettings
-from appliance.instrument.capture.store import FrameStore
-from appliance.instrument.service.air_live import opened
-from appliance.instrument.service.devices import Devices
-from appliance.instrument.service.recording import DrawnPatterns
-from appliance.measure.accept.flatness import Flatness, flatness
-from appliance.measure.accept.plane import fit_plane
-from appliance.measure.accept.points import NotFound
-from appliance.measure.decode.decoder import CameraDecoder
-from appliance.measure.light.exposure import Exposure
-from appliance.measure.light.sequence import Direction, PatternSequence
-from appliance.measure.light.sides import SIDES
-from appliance.store import scan as stored
-from appliance.store.instrument import (
+from appliance.desk import work_through
+from appliance.instrument import CaptureReport, Devices, DrawnPatterns, FrameStore, ScanRecorder, ScanSettings, opened
+from appliance.measure import (
+    SIDES,
+    CameraDecoder,
+    Direction,
+    Exposure,
+    Flatness,
+    NotFound,
+    PatternSequence,
+    fit_plane,
+    flatness,
+)
+from appliance.store import (
+    Library,
+    ScanError,
+    ScanRecord,
+    SequenceInfo,
     calibration_of,
     exposure_of,
     exposures_of,
+    load_scan,
     origin_of,
     response_of,
     with_measured_noise,
 )
-from appliance.store.library import Library
-from appliance.store.record import ScanRecord, SequenceInfo
-from appliance.store.scan import ScanError
 from appliance.workshop.bench import Image
 from appliance.workshop.finding import BringupError, Finding, judged
 from appliance.workshop.plots import plot, png
@@ -332,7 +333,7 @@ def _worked_through(at: Workplace, scan_id: str) -> tuple[Flatness | None, str, 
     # The drawing's geometry would make a cloud, too, whose flatness says nothing about the instrument.
     if conditions:
         return None, "there is no calibration yet; calibrate next (docs/calibration.md)", ()
-    scan = stored.load(Library(rig.storage.root).entry(scan_id).folder)
+    scan = load_scan(Library(rig.storage.root).entry(scan_id).folder)
     try:
         worked = work_through(scan, rig, calibration, lambda what: at.say(what, None))
     except ScanError as error:

@@ -53,7 +53,7 @@ WALL_FRAMES = 12
 """Frames of white, as of black before them, by which a wall is looked for: more than the most blanks that a picture's light comes late."""
 LEAST_LIGHT_DN = 4.0
 """Difference of an image's mean between black and white pictures from which something that is lit is seen."""
-PAGE = "projector.html"
+PROJECTOR_PAGE = "projector.html"
 _MEASURED = ("latency", "light", "skew", "grey", "orientation", "sides", "raster")
 
 
@@ -72,7 +72,7 @@ class ProjectorMeasured:
     """Pictures as the cameras see them, (h, w), by what and side, ``checker_left``."""
 
 
-def in_order(outcomes: Iterable[StepOutcome]) -> tuple[list[StepOutcome], list[Finding]]:
+def outcomes_in_order(outcomes: Iterable[StepOutcome]) -> tuple[list[StepOutcome], list[Finding]]:
     """Return the outcomes of the projector's steps and all their findings, each in the order in which they are measured."""
 
     def place(finding: Finding) -> int:
@@ -82,7 +82,7 @@ def in_order(outcomes: Iterable[StepOutcome]) -> tuple[list[StepOutcome], list[F
     return ordered, sorted((finding for one in ordered for finding in one.findings), key=place)
 
 
-def do(at: Workplace) -> ProjectorMeasured:
+def measure_on_wall(at: Workplace) -> ProjectorMeasured:
     """Ask for a white wall, and measure the projector on it. Raises DeviceError, BringupError, GivenUp."""
     with bench_on(at.rig, at.wires) as bench:
         _before_white(at, bench)

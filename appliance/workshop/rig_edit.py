@@ -9,9 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from appliance.store.atomic import replace_file
-from appliance.store.config import ConfigError, parse_rig
-from appliance.store.filesystem import LocalFileSystem
+from appliance.store import ConfigError, LocalFileSystem, parse_rig, replace_file
 from appliance.workshop.finding import BringupError
 
 _HEADER = re.compile(r"^\s*\[(?P<name>[^\[\]]+)\]\s*(#.*)?$")

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from appliance.store.config import Rig
+from appliance.store import Rig
 from appliance.workshop.finding import Finding
 from appliance.workshop.rig_edit import KeyValue, Value
 from drivers.api import DeviceError, Wires

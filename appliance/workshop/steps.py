@@ -24,7 +24,7 @@ _EXPOSED = (*_LIGHT_PATH, "board", "scan")
 _BOARD = ("rig.wires", "board.url", "board.firmware", "limits.supply_low_v")
 _VSYNC = ("rig.wires", "board.url", "projector")
 
-_ON_A_WALL = (("trigger",), _LIGHT_PATH, projector.do)
+_ON_A_WALL = (("trigger",), _LIGHT_PATH, projector.measure_on_wall)
 """Columns of the steps that are read from one measurement of the projector: each by itself would take two minutes again."""
 
 # Name, title, steps that must be good before, keys of the rig file that it depends on, how it is done, how that is judged.
@@ -38,7 +38,7 @@ STEPS: tuple[GuideStep, ...] = (
     GuideStep("sides", "Left and right", *_ON_A_WALL, lambda m, _: sides.judge(m.seen)),
     GuideStep("latency", "The projector's latency", *_ON_A_WALL, lambda m, _: latency.judge(m.lamp.timing.latency_blanks)),
     GuideStep(
-        "light", "Light within the frame", ("trigger",), _EXPOSED, projector.do, lambda m, rig: light.judge(m.lamp, rig),
+        "light", "Light within the frame", ("trigger",), _EXPOSED, projector.measure_on_wall, lambda m, rig: light.judge(m.lamp, rig),
         uses_written=True, writes=light.KEYS,
     ),
     GuideStep("skew", "Both cameras at once", *_ON_A_WALL, lambda m, _: skew.judge(m.skew_us)),

@@ -8,9 +8,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from appliance.instrument.capture.ledger import Ledger
-from appliance.instrument.capture.scan import CaptureReport
-from appliance.store.config import Rig
+from appliance.instrument import CaptureReport, Ledger
+from appliance.store import Rig
 from appliance.workshop.bench import LightBench, Shot, bench_on
 from appliance.workshop.finding import Finding, judged
 from appliance.workshop.step import StepOutcome, Workplace

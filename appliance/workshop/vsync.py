@@ -9,8 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from appliance.instrument.capture.sync import SyncError, SyncMap, synchronise
-from appliance.instrument.service.devices import output_spec
+from appliance.instrument import SyncError, SyncMap, output_spec, synchronise
 from appliance.workshop.finding import Finding, judged
 from appliance.workshop.step import StepOutcome, Workplace
 from drivers import rig as drivers_rig

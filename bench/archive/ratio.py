@@ -52,7 +52,7 @@ def packed_scans(drawn: Sequence[Drawn], archive: Path, say: Callable[[str], Non
             raise RuntimeError(f"{target} was not written")
         pack_s = time.process_time() - begun_s
         begun_s = time.process_time()
-        stored.load(target)
+        stored.load_scan(target)
         open_s = time.process_time() - begun_s
         frame_s = median(_frame_cpu_s(target, side, k) for side in SIDES for k in range(0, 24, 4))
         sizes = [sum(path.stat().st_size for path in folder.glob("frames_*")) for folder in (one.folder, target)]

@@ -73,7 +73,7 @@ def _take(world: str, number: int, size_px: tuple[int, int]) -> _Taken:
     rig = parse_rig(rig_text, "the packaged rig file")
     serials = (rig.camera.left.serial, rig.camera.right.serial)
     calibration = replace(stated.calibration, rig_serial=rig.rig.serial, camera_serials=serials)
-    encoded = calibration_file.encode(calibration)
+    encoded = calibration_file.encode_calibration(calibration)
     water = {
         "temperature_c": stated.water.temperature_c,
         "salinity_psu": stated.water.salinity_psu,
@@ -81,7 +81,9 @@ def _take(world: str, number: int, size_px: tuple[int, int]) -> _Taken:
         "index": stated.water.index,
     }
     origin = ScanOrigin(encoded, rig_text.encode())
-    return _Taken(expose(renderer, SEQUENCE, exposure), exposure, origin, calibration_file.decode(encoded).hash, water)
+    return _Taken(
+        expose(renderer, SEQUENCE, exposure), exposure, origin, calibration_file.decode_calibration(encoded).hash, water
+    )
 
 
 def _store(folder: Path, taken: _Taken) -> None:

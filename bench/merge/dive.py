@@ -16,7 +16,7 @@ import numpy as np
 
 from appliance.cli.main import main
 from appliance.desk import object_store as objects
-from appliance.measure.calibration.file import encode
+from appliance.measure.calibration.file import encode_calibration
 from appliance.measure.overlap.rigid import Rigid
 from bench.merge.row import poses_along
 from bench.merge.views import AMBIENT, EXPOSURE
@@ -47,9 +47,9 @@ def measure(seed: int, size_px: tuple[int, int], keep: Path | None) -> list[Meas
         scene = _scene(poses[0])
         rig = world_of(scene, seed, (), truth_set=RIG_SET, size_px=size_px).rig
         calibration = root / "calibration.json"
-        calibration.write_bytes(encode(stated_truth(rig, scene).calibration))
+        calibration.write_bytes(encode_calibration(stated_truth(rig, scene).calibration))
         names = [f"{number:06}" for number in range(1, SCANS + 1)]
-        name = NAME if not (root / "objects" / NAME).exists() else f"{NAME} {len(objects.names(root)) + 1}"
+        name = NAME if not (root / "objects" / NAME).exists() else f"{NAME} {len(objects.object_names(root)) + 1}"
         words = ["object", "solve", name, *names, "--root", str(root), "--calibration", str(calibration)]
         words += ["--foreign-calibration", *(word for one in FILES for word in ("--out", str(root / one)))]
         begun = time.process_time()
@@ -70,7 +70,7 @@ def measure(seed: int, size_px: tuple[int, int], keep: Path | None) -> list[Meas
 
 def judged(root: Path, name: str, seed: int, size_px: tuple[int, int]) -> list[Measured]:
     """Return how many scans of the object are placed, and how far they are off."""
-    places = objects.read(root, name).places
+    places = objects.read_object(root, name).places
     if places is None:
         return [Measured("dive: scans placed by one call", 0.0, f"of {SCANS}", at_least=SCANS)]
     poses = poses_along(seed, SCANS, 0)

@@ -13,7 +13,7 @@ import numpy as np
 
 from appliance.desk.registration.graph import Placed, place
 from appliance.desk.registration.solve import Compared, edges_of, middle_of, solve
-from appliance.measure.calibration.depth_error import COUNT, along_ray, shapes
+from appliance.measure.calibration.depth_error import DEPTH_ERROR_TERMS, along_ray, shapes
 from appliance.measure.light.rotation import rotation_matrix
 from appliance.measure.overlap.bow import bow_score, known_before
 from appliance.measure.points.organised import OrganisedCloud
@@ -28,7 +28,7 @@ FORTH, BACK = 14, 12
 END_MM = 400.0
 TURNED_DEG = 50.0
 DISTANCE_MM = 585.0
-SHARED_MM = np.zeros(COUNT)
+SHARED_MM = np.zeros(DEPTH_ERROR_TERMS)
 SHARED_MM[:7] = [0.030, 0.0, -0.015, 0.009, 0.0, 0.009, 0.0]
 """A bow of 30 µm across the view, and what comes with it."""
 LENGTH_MM = 600.0
@@ -53,11 +53,12 @@ def measure(
     found: list[Measured] = []
     rows: list[dict[str, Any]] = []
     kinds: list[tuple[str, Array, Distortion | None]] = [
-        ("as they are", np.zeros(COUNT), None),
+        ("as they are", np.zeros(DEPTH_ERROR_TERMS), None),
         ("with a shared bow of 30 um", SHARED_MM, None),
     ]
     kinds += [
-        (f"as rig {seed + k} calibrates itself", np.zeros(COUNT), distortion(seed + k, 4)) for k in range(calibrated)
+        (f"as rig {seed + k} calibrates itself", np.zeros(DEPTH_ERROR_TERMS), distortion(seed + k, 4))
+        for k in range(calibrated)
     ]
     for name, shared, own in kinds:
         stated = None if own is None else own.stated_mm2

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibrate.health import LIMIT, SCANS_TO_FIND, HealthJudgement, HealthTrend, judge
+from appliance.calibrate.health import LIMIT, SCANS_TO_FIND, HealthJudgement, HealthTrend, judge_health
 from appliance.measure.calibration.gaps import MODES
 from appliance.measure.cloud import PatchGaps
 from bench.outside.draws import drawn_scene, joined
@@ -96,7 +96,7 @@ def followed(rows: Iterable[Row]) -> Iterator[HealthJudgement]:
     """Yield what the watch over the calibration says after each of an instrument's scans."""
     trend = HealthTrend()
     for number, gaps in enumerate(_seen(rows), 1):
-        trend, said = judge(trend, gaps, f"{number:06d}")
+        trend, said = judge_health(trend, gaps, f"{number:06d}")
         yield said
 
 
@@ -120,20 +120,22 @@ def _turned_figures(instruments: Sequence[Sequence[PatchGaps]]) -> list[Measured
     found, tried, silent = [0, 0, 0], 0, 0
     for scans in instruments:
         judged = [
-            gaps for gaps in scans if gaps.turns_um is not None and judge(HealthTrend(), gaps)[1].point is not None
+            gaps
+            for gaps in scans
+            if gaps.turns_um is not None and judge_health(HealthTrend(), gaps)[1].point is not None
         ]
         if len(judged) <= SCANS_TO_FIND:
             continue
         trend = HealthTrend()
         for gaps in judged[:-SCANS_TO_FIND]:
-            trend, _ = judge(trend, gaps)
+            trend, _ = judge_health(trend, gaps)
         tried += 2
         for axis in range(3):
             for turn_deg in (KNOCK_DEG, -KNOCK_DEG):
                 at, sees = trend, []
                 for gaps in judged[-SCANS_TO_FIND:]:
                     moved_um = gaps.gap_um + turn_deg * (gaps.modes @ _turns_um(gaps)[axis])
-                    at, said = judge(at, replace(gaps, gap_um=moved_um))
+                    at, said = judge_health(at, replace(gaps, gap_um=moved_um))
                     sees.append(_sees(said, axis))
                 found[axis] += at.alarm is not None
                 silent += at.alarm is None and all(sees)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from appliance.measure.calibration.file import Calibration
 from appliance.measure.fault import FaultCode
-from appliance.measure.grade import SPOILS_SCAN, Grade, grade
+from appliance.measure.grading import SPOILS_SCAN, Grade, grade
 from appliance.measure.light.acquisition import AcquisitionSettings
 from appliance.measure.light.exposure import Exposure
 from appliance.measure.light.noise import StereoNoise, camera_noise

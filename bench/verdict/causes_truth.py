@@ -26,7 +26,7 @@ import numpy as np
 import appliance
 from appliance.instrument.machine.alerts import alert_of
 from appliance.measure.fault import FaultCode
-from appliance.measure.grade import SPOILS_SCAN, Grade, grade
+from appliance.measure.grading import SPOILS_SCAN, Grade, grade
 from appliance.measure.light.acquisition import AcquisitionSettings
 from appliance.measure.light.exposure import Exposure
 from appliance.measure.light.sequence import Direction

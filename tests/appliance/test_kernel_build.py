@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from appliance.base import kernel_build, kernel_cache
-from appliance.base.kernel_build import CompileError, Compiling, Piece, compile_pieces, missing
+from appliance.base.kernel_build import CompileError, Compiling, Piece, compile_pieces, missing_kernels
 from appliance.cli.kernels import CompileProgress
 
 HERE = "tests.appliance.test_kernel_build"
@@ -80,9 +80,11 @@ def test_pieces_are_compiled_side_by_side_into_the_folder_and_never_again(
     assert all(b.seconds - a.seconds < 10.0 for a, b in pairwise(said))
     compile_pieces(folder, PIECES, said.append)
     assert len(lines(ran)) == 2
-    assert missing(folder, PIECES) == []
+    assert missing_kernels(folder, PIECES) == []
     monkeypatch.setattr(kernel_build, "stamps", lambda: "after a checkout")
-    assert missing(folder, PIECES) == list(PIECES), "what was compiled of a file that is written anew does not count"
+    assert missing_kernels(folder, PIECES) == list(PIECES), (
+        "what was compiled of a file that is written anew does not count"
+    )
 
 
 def test_garbage_is_looked_for_between_pieces_and_not_within(ran: Path, tmp_path: Path) -> None:
@@ -114,7 +116,7 @@ def test_what_cannot_be_compiled_is_named_and_the_rest_is_done(ran: Path, tmp_pa
         compile_pieces(tmp_path / "kernels", (*bad, *PIECES), processes=1)
     for said in ("the broken one: TypeError: cannot unify int64 and array", "the dies one: ", "code 9"):
         assert said in str(refused.value)
-    assert missing(tmp_path / "kernels", (*bad, *PIECES)) == bad
+    assert missing_kernels(tmp_path / "kernels", (*bad, *PIECES)) == bad
 
 
 class Terminal(io.StringIO):

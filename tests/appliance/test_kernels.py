@@ -17,7 +17,7 @@ import pytest
 
 from appliance.base import kernel_cache
 from appliance.base.kernel_build import compile_pieces
-from appliance.base.kernel_cache import COMPLETE, VARIABLE, Origin
+from appliance.base.kernel_cache import COMPLETE, VARIABLE, KernelOrigin
 from appliance.base.process_start import BLAS_THREADS, use_one_blas_thread
 from appliance.measure import warm
 
@@ -59,7 +59,7 @@ def started(shipped: Path, writable: Path, temporary: Path) -> dict[str, Any]:
 @pytest.fixture(scope="module")
 def shipped(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """As an installation leaves it, from what this source tree has compiled, piece by piece."""
-    mine = kernel_cache.use().path
+    mine = kernel_cache.use_kernel_cache().path
     compile_pieces(mine, warm.PIECES)
     folder = tmp_path_factory.mktemp("installation")
     copy = folder / kernel_cache.fingerprint()
@@ -77,7 +77,7 @@ def test_what_the_installation_compiled_is_not_compiled_again(
     assert first["twice"] == [], "an array cannot be written: make it writable where it is made"
     assert Path(first["path"]).parent == tmp_path / "cache"
     again = chosen(monkeypatch, tmp_path / "gone", tmp_path / "cache")
-    assert (again.origin, again.path) == (Origin.READY, Path(first["path"]))
+    assert (again.origin, again.path) == (KernelOrigin.READY, Path(first["path"]))
 
 
 def chosen(monkeypatch: pytest.MonkeyPatch, shipped: Path, writable: Path) -> kernel_cache.KernelCache:
@@ -85,7 +85,7 @@ def chosen(monkeypatch: pytest.MonkeyPatch, shipped: Path, writable: Path) -> ke
     config: Any = numba.config
     monkeypatch.setattr(config, "CACHE_DIR", config.CACHE_DIR)  # given back afterwards
     monkeypatch.delenv(VARIABLE, raising=False)
-    return kernel_cache.use(shipped, writable)
+    return kernel_cache.use_kernel_cache(shipped, writable)
 
 
 def test_without_a_place_to_write_there_is_a_temporary_one_and_a_copy_that_was_cut_off_is_not_trusted(
@@ -93,15 +93,17 @@ def test_without_a_place_to_write_there_is_a_temporary_one_and_a_copy_that_was_c
 ) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     said = chosen(monkeypatch, shipped, Path("/proc/read-only"))
-    assert (said.origin, tmp_path in said.path.parents) == (Origin.SHIPPED, True)
+    assert (said.origin, tmp_path in said.path.parents) == (KernelOrigin.SHIPPED, True)
     (folder,) = (f for f in shipped.iterdir() if f.is_dir())
     shutil.copytree(folder, tmp_path / "half" / folder.name, ignore=shutil.ignore_patterns(COMPLETE))
-    assert chosen(monkeypatch, tmp_path / "half", tmp_path / "cache").origin is Origin.EMPTY
+    assert chosen(monkeypatch, tmp_path / "half", tmp_path / "cache").origin is KernelOrigin.EMPTY
 
 
 def test_who_sets_the_place_keeps_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(VARIABLE, str(tmp_path))
-    assert kernel_cache.use(tmp_path / "a", tmp_path / "b") == kernel_cache.KernelCache(tmp_path, Origin.GIVEN)
+    assert kernel_cache.use_kernel_cache(tmp_path / "a", tmp_path / "b") == kernel_cache.KernelCache(
+        tmp_path, KernelOrigin.GIVEN
+    )
 
 
 def test_a_changed_function_in_another_file_is_another_program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -131,7 +133,7 @@ def last_resort(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def used() -> kernel_cache.KernelCache:
     os.environ.pop(VARIABLE, None)
-    return kernel_cache.use(Path("/nothing/shipped"), Path("/proc/read-only"))
+    return kernel_cache.use_kernel_cache(Path("/nothing/shipped"), Path("/proc/read-only"))
 
 
 def prepared(folder: Path, mode: int = 0o700) -> None:
@@ -182,7 +184,7 @@ def test_kernels_that_others_laid_into_tmp_or_may_exchange_are_never_run(
 ) -> None:
     lay(last_resort, tmp_path / "elsewhere")
     cache = used()
-    assert (cache.origin, cache.path == last_resort) == (Origin.EMPTY, False)
+    assert (cache.origin, cache.path == last_resort) == (KernelOrigin.EMPTY, False)
     assert cache.path.resolve() != (tmp_path / "elsewhere").resolve()
     found = cache.path.lstat()
     assert (found.st_uid, found.st_mode & 0o777) == (os.geteuid(), 0o700)
@@ -205,7 +207,7 @@ def test_the_last_resort_is_private_and_used_again(last_resort: Path) -> None:
     assert (first.path, first.path.lstat().st_mode & 0o777) == (last_resort, 0o700)
     assert used().path == first.path
     (last_resort / COMPLETE).touch()
-    assert used() == kernel_cache.KernelCache(last_resort, Origin.READY)
+    assert used() == kernel_cache.KernelCache(last_resort, KernelOrigin.READY)
 
 
 @pytest.mark.parametrize(
@@ -237,10 +239,10 @@ def test_whichever_command_starts_it_a_source_tree_has_one_place_for_kernels(mon
         check=True,
     )
     assert Path(told.stdout.strip()) == expected
-    assert kernel_cache.use().path == expected  # as `kingfisher` finds it by itself
+    assert kernel_cache.use_kernel_cache().path == expected  # as `kingfisher` finds it by itself
     monkeypatch.setenv(VARIABLE, str(expected))
-    assert kernel_cache.use().path == expected  # as what ./dev starts finds it
-    assert kernel_cache.use().origin is not Origin.GIVEN
+    assert kernel_cache.use_kernel_cache().path == expected  # as what ./dev starts finds it
+    assert kernel_cache.use_kernel_cache().origin is not KernelOrigin.GIVEN
 
 
 @pytest.mark.long
@@ -252,18 +254,18 @@ def test_an_image_brings_kernels_for_processors_it_has_never_seen(tmp_path: Path
     assert (Path(made["folder"]) / COMPLETE).exists()
     said = started(shipped, tmp_path / "cache", tmp_path)
     assert (said["origin"], said["compiled"]) == ("shipped", [])
-    assert Path(said["path"]).name == kernel_cache.fingerprint(kernel_cache.COMMON)
+    assert Path(said["path"]).name == kernel_cache.fingerprint(kernel_cache.COMMON_KERNELS)
 
 
 def test_an_old_processor_does_not_run_the_kernels_of_an_image(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(VARIABLE, raising=False)
     image = tmp_path / "image"
-    common = image / kernel_cache.fingerprint(kernel_cache.COMMON)
+    common = image / kernel_cache.fingerprint(kernel_cache.COMMON_KERNELS)
     common.mkdir(parents=True)
     (common / COMPLETE).touch()
     old = kernel_cache.Processor("ivybridge", "+avx,+sse4.2,+popcnt,+cx16,+f16c,-avx2,-fma")
     monkeypatch.setattr(kernel_cache, "this_processor", lambda: old)
-    assert kernel_cache.use(image, tmp_path / "cache").origin is Origin.EMPTY
+    assert kernel_cache.use_kernel_cache(image, tmp_path / "cache").origin is KernelOrigin.EMPTY
 
 
 IMPORTS = """

@@ -25,7 +25,7 @@ from appliance.calibrate.water.calibrate import calibrate
 from appliance.calibrate.water.method import Method
 from appliance.cli import main
 from appliance.desk.reconstruct import work_through
-from appliance.measure.calibration.file import encode
+from appliance.measure.calibration.file import encode_calibration
 from appliance.store.calibration_file import load_calibration
 from appliance.store.config import load_rig
 from appliance.store.instrument import exposures_of
@@ -208,7 +208,7 @@ def _calibrated_in_water(folder: Path, method: Method, today: str) -> Any:
         for name, one in stored.items()
     ]
     result = calibrate(method, recordings, load_calibration(folder / "air.json"))
-    said = json.loads(encode(result.calibration))
+    said = json.loads(encode_calibration(result.calibration))
     return _steady(
         {"calibration": said, "systematic_px": result.systematic_px, "warnings": list(result.warnings)}, today
     )

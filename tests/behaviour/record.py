@@ -211,7 +211,7 @@ def install(rig_file: Path, root: Path) -> None:
     )
     Calibrations(root, rig.rig.serial).install(made, DAY)
     air = replace(made, method=IN_AIR, air_covariance=tuple(map(tuple, (np.eye(22) * 1e-4).tolist())))
-    (root / "calibration" / "air.json").write_bytes(calibration_file.encode(air))
+    (root / "calibration" / "air.json").write_bytes(calibration_file.encode_calibration(air))
 
 
 def dive(rig_file: Path, root: Path, text: str, seed: int) -> None:
@@ -228,7 +228,9 @@ def record_artefacts(folder: Path) -> None:
     """Record what two ball bars and two planes show of a hidden rig, and the calibration in air to start from."""
     folder.mkdir()
     truth = hidden_rig("modelled", 3)
-    (folder / "air.json").write_bytes(calibration_file.encode(replace(start_of(air_of(truth)), air_field=None)))
+    (folder / "air.json").write_bytes(
+        calibration_file.encode_calibration(replace(start_of(air_of(truth)), air_field=None))
+    )
     arrays = {}
     for recording in calibration_recordings(truth):
         for name in ("left_px", "right_px", "sphere"):

@@ -55,7 +55,7 @@ def scan_on(root: Path, number: str = "000001") -> Path:
     folder = root / "scans" / number
     folder.parent.mkdir(parents=True, exist_ok=True)
     raw = stored.write_raw(FS, folder, number, frames(), record(), ORIGIN)
-    stored.finish(FS, folder, raw, Decision.KEPT, record(), cloud(), PREVIEW)
+    stored.finish_scan(FS, folder, raw, Decision.KEPT, record(), cloud(), PREVIEW)
     return folder
 
 
@@ -108,7 +108,7 @@ def recordings(root: Path) -> Writing:
     (root / "data").mkdir()
     first, picture = {side: one[:2] for side, one in frames().items()}, np.zeros((4, 6), np.uint8)
     yield
-    incomplete.keep(FS, root / "data", first, record(), ORIGIN, "the board fell silent", 0)
+    incomplete.keep_incomplete(FS, root / "data", first, record(), ORIGIN, "the board fell silent", 0)
     publish_import(root / "foreign", frames(), record(), ORIGIN)
     folder = ViewFolder(root / "views", "KF-1", BoardDesign())
     folder.save(folder.next_name(), picture, picture)

@@ -91,7 +91,7 @@ def test_power_cut_before_every_single_call_of_a_dive(tmp_path: Path, allocated:
             manifest = scans[scan_id].manifest
             assert manifest is not None
             assert not manifest.recovered
-            assert scan_id not in told["cloud"] or content.CLOUD in manifest.files, f"{when} lost a cloud"
+            assert scan_id not in told["cloud"] or content.CLOUD_FILE in manifest.files, f"{when} lost a cloud"
             assert (scan_id in told["second"]) == (manifest.record.second is not None)
         assert told["rejected"] <= set(on[LibraryFolder.REJECTED])
         assert not told["rejected"] & {*scans, *on[LibraryFolder.SET_ASIDE]}, f"{when}: rejected, and there twice"

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.measure.accept.ball_bar import BallBar, find_ball_bar
-from appliance.measure.calibration.file import Calibration, encode
+from appliance.measure.calibration.file import Calibration, encode_calibration
 from appliance.measure.light.sequence import PatternSequence
 from appliance.measure.points.pipeline import Pipeline
 from appliance.measure.points.quality import QualityLimits
@@ -59,7 +59,7 @@ def calibrate_exactly(rig: Rig) -> None:
     """Store the true rig's calibration, as if made on the day before."""
     path = rig.storage.root / CALIBRATION_FILE
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(encode(true_calibration(true_rig(rig.rig.wires_options), rig.rig.serial)))
+    path.write_bytes(encode_calibration(true_calibration(true_rig(rig.rig.wires_options), rig.rig.serial)))
 
 
 def off_surface_mm(rig: Rig, scan_id: str, **wires: Any) -> NDArray[np.float64]:

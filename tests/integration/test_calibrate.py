@@ -17,7 +17,7 @@ from appliance.calibrate.calibrations import Calibrations
 from appliance.calibrate.guide import Step
 from appliance.calibrate.water.start import start_from_air
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
-from appliance.measure.calibration.file import Calibration, encode
+from appliance.measure.calibration.file import Calibration, encode_calibration
 from appliance.measure.light.model import HousedCamera, StereoRig
 from appliance.store.calibration_file import load_calibration
 from appliance.store.config import Rig, load_rig
@@ -140,8 +140,8 @@ def test_a_hidden_rig_is_calibrated_over_a_loss_of_power_and_the_old_file_comes_
     store, library = Calibrations(rig.storage.root, rig.rig.serial), Library(rig.storage.root)
     in_air = calibration_in_air(rig)
     store.folder.mkdir(parents=True)
-    store.air.write_bytes(encode(in_air))
-    old = encode(replace(in_air, method="bundle, an older one", air_covariance=None)) + b"\n"
+    store.air.write_bytes(encode_calibration(in_air))
+    old = encode_calibration(replace(in_air, method="bundle, an older one", air_covariance=None)) + b"\n"
     store.current.write_bytes(old)
 
     first = dive(rig, tmp_path, UNTIL_THE_POWER_FAILS)

@@ -44,7 +44,7 @@ def copy(root: Path, tmp_path: Path) -> Path:
 def changed(copy: Path, to: Path, **what: object) -> Path:
     """Write a calibration file with something else in it than in the scan's own."""
     own = load_calibration(copy / "calibration.json")
-    to.write_bytes(calibration_file.encode(replace(own, **what)))  # type: ignore[arg-type]
+    to.write_bytes(calibration_file.encode_calibration(replace(own, **what)))  # type: ignore[arg-type]
     return to
 
 

@@ -132,8 +132,8 @@ def test_what_is_left_of_a_scan_that_broke_in_its_second_direction_is_kept_apart
     library: Library, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Its points are those of a whole scan: ``tests/appliance/desk/test_rescue.py``."""
-    (folder,) = (library.root / incomplete.FOLDER).iterdir()
-    recording = incomplete.load(folder)
+    (folder,) = (library.root / incomplete.INCOMPLETE_FOLDER).iterdir()
+    recording = incomplete.load_incomplete(folder)
     frames = recording.scan.frames
     assert 14 <= len(frames["left"]) == len(frames["right"]) == 24 - len(recording.missing) <= 18
     assert recording.scan.manifest.reason.startswith("CAMERA_LOST: ")

@@ -119,8 +119,8 @@ def test_the_instrument_starts_with_what_was_in_use_and_recovers_what_was_not_de
     assert pointers is not None
     known = json.loads((calibration / "beams.json").read_text(encoding="utf-8"))["calibration"]
     assert BeamsFile(root, pointers).read(known) != pointers.beams(), "what the dots taught is not lost"
-    (name,) = objects.names(root)
-    stored = objects.read(root, name)
+    (name,) = objects.object_names(root)
+    stored = objects.read_object(root, name)
     assert [scan.name for scan in stored.scans] == ["000001", "000006"]
     assert errors_of(stored) is not None
 

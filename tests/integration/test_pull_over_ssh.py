@@ -153,7 +153,7 @@ def large_scan(root: Path, number: str) -> Path:
     frames = {side: chance.integers(0, 256, (3, 2000, 2000), np.uint8) for side in ("left", "right")}
     folder = root / "scans" / number
     raw = stored.write_raw(FS, folder, number, frames, record(), ORIGIN)
-    stored.finish(FS, folder, raw, Decision.KEPT, record(), None, None)
+    stored.finish_scan(FS, folder, raw, Decision.KEPT, record(), None, None)
     return folder
 
 

@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 from appliance.calibrate.air.adjustment import AirCalibration, calibrate_air
 from appliance.calibrate.calibrations import Calibrations
-from appliance.calibrate.calibrator import Solution, examine, solve
+from appliance.calibrate.calibrator import Solution, examine_recording, solve_calibration
 from appliance.calibrate.guide import USED, RecordingCheck, Refusal, Session, Step
 from appliance.calibrate.water.start import start_from_air
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.cli.simtruth import bring_calibration, true_calibration
 from appliance.instrument.service.app import run
 from appliance.instrument.service.settings import live_light_of, machine_settings
-from appliance.measure.calibration.file import Calibration, encode
+from appliance.measure.calibration.file import Calibration, encode_calibration
 from appliance.measure.fault import FaultCode
 from appliance.measure.light.sequence import DARK_CODE, PatternSequence, build_sequence
 from appliance.measure.light.volume import STANDARD
@@ -180,7 +180,7 @@ def calibrated(tmp_path_factory: pytest.TempPathFactory) -> Calibrated:
     store, library, session = Calibrations(root, rig.rig.serial), Library(root), Session()
     library.prepare()
     store.folder.mkdir(exist_ok=True)
-    store.air.write_bytes(encode(start_from_air(air, design_of(rig))))
+    store.air.write_bytes(encode_calibration(start_from_air(air, design_of(rig))))
     checks = {}
     for step, (what, pose) in HELD.items():
         sequence, frames = scanned(rig, truth, what, pose)
@@ -190,9 +190,9 @@ def calibrated(tmp_path_factory: pytest.TempPathFactory) -> Calibrated:
         trial = RecordingCheck(step, None, None, scan_id=pending.scan_id)
         session = replace(session, trials=(*session.trials, trial))
         if step in USED:
-            checks[step] = examine(rig, step, library.entry(pending.scan_id).folder, lambda _: None).check
+            checks[step] = examine_recording(rig, step, library.entry(pending.scan_id).folder, lambda _: None).check
     store.write(session)
-    return Calibrated(rig, truth, air, checks, solve(rig, "2026-11-24T10:00:00+00:00", lambda _: None))
+    return Calibrated(rig, truth, air, checks, solve_calibration(rig, "2026-11-24T10:00:00+00:00", lambda _: None))
 
 
 def test_boards_in_air_find_lenses_and_baseline_and_recordings_at_its_distances_will_do(calibrated: Calibrated) -> None:

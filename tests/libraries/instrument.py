@@ -12,7 +12,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from appliance.measure.calibration.file import encode
+from appliance.measure.calibration.file import encode_calibration
 from appliance.store.config import default_rig_path, load_rig
 from appliance.store.instrument import CALIBRATION_FILE
 from hw_sim.truth import TrueRig
@@ -41,7 +41,7 @@ class Instrument:
         self.root = rig.storage.root
         calibration = self.root / CALIBRATION_FILE
         calibration.parent.mkdir(parents=True)
-        calibration.write_bytes(encode(true_calibration(truth, rig.rig.serial)))
+        calibration.write_bytes(encode_calibration(true_calibration(truth, rig.rig.serial)))
         self._log_path = folder / "service.log"
         with self._log_path.open("wb") as log:
             self._process = subprocess.Popen(

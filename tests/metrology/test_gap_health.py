@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from appliance.calibrate.health import HealthTrend, judge
+from appliance.calibrate.health import HealthTrend, judge_health
 from appliance.measure.cloud import PatchGaps
 from appliance.measure.light.sequence import build_sequence
 from appliance.measure.light.sides import SIDES
@@ -65,17 +65,17 @@ def test_normal_scans_are_quiet_and_the_second_scan_after_a_knock_is_not() -> No
     instrument, trend = Instrument(draw_truth("modelled", 7, 400, 300, WATER.index)), HealthTrend()
     totals = []
     for scene in NORMAL:
-        trend, judgement = judge(trend, instrument.scan(scene))
+        trend, judgement = judge_health(trend, instrument.scan(scene))
         assert not judgement.alarm
         totals += [] if judgement.point is None else [judgement.point.total]
     assert len(totals) >= 4, "of the one in turbid water nothing is said where backscatter may move the gaps"
     assert max(totals) < 4.0
     turned = with_mount_shifted(instrument.truth, MountShift("left", roll_deg=-0.02))
-    knocked, _ = judge(trend, instrument.scan(Scene(object="shell"), turned))
-    _, judgement = judge(knocked, instrument.scan(Scene(object="plane"), turned))
+    knocked, _ = judge_health(trend, instrument.scan(Scene(object="shell"), turned))
+    _, judgement = judge_health(knocked, instrument.scan(Scene(object="plane"), turned))
     assert judgement.alarm
     # In the words that the technician reads: the amplitude of a turn is that turn, within a twentieth.
     turned = with_mount_shifted(instrument.truth, MountShift("right", pitch_deg=0.03))
-    after, judgement = judge(trend, instrument.scan(Scene(object="plane"), turned))
+    after, judgement = judge_health(trend, instrument.scan(Scene(object="plane"), turned))
     assert judgement.alarm
     assert abs(after.points[-1].amplitudes_um[0]) == pytest.approx(math.radians(0.03) * 530_000.0, rel=0.05)

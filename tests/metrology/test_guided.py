@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 
 from appliance.calibrate.calibrations import Calibrations
-from appliance.calibrate.calibrator import examine, solve
+from appliance.calibrate.calibrator import examine_recording, solve_calibration
 from appliance.calibrate.guide import USED, RecordingCheck, Session, Step
 from appliance.calibrate.water.start import start_from_air
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
-from appliance.measure.calibration.file import encode
+from appliance.measure.calibration.file import encode_calibration
 from appliance.store.config import Rig, load_rig
 from appliance.store.instrument import design_of, origin_of
 from appliance.store.library import Library
@@ -53,7 +53,7 @@ def test_five_recordings_at_full_size(tmp_path: Path) -> None:
     rig = simulated(load_rig(default_sim_rig()), SimOptions(root=tmp_path))
     store, library = Calibrations(tmp_path, rig.rig.serial), Library(tmp_path)
     store.folder.mkdir()
-    store.air.write_bytes(encode(start_from_air(air_of(hidden_rig("realistic", SEED)), design_of(rig))))
+    store.air.write_bytes(encode_calibration(start_from_air(air_of(hidden_rig("realistic", SEED)), design_of(rig))))
     renderer = multiprocessing.get_context("spawn").Process(target=record, args=(rig,))
     renderer.start()
     renderer.join(600.0)
@@ -63,16 +63,16 @@ def test_five_recordings_at_full_size(tmp_path: Path) -> None:
     took_s: dict[str, float] = {}
     for step in USED:
         begun = time.process_time()
-        check = examine(rig, step, folders[step], lambda _: None).check
+        check = examine_recording(rig, step, folders[step], lambda _: None).check
         took_s[step.value] = time.process_time() - begun
         assert check.refusal is None, check
     begun = time.process_time()
     reported: list[float] = []
-    solution = solve(rig, "2026-11-21T10:00:00+00:00", reported.append)
+    solution = solve_calibration(rig, "2026-11-21T10:00:00+00:00", reported.append)
     took_s["SOLVE"] = time.process_time() - begun
     store.write_solved(solution.calibration, replace(store.session(), solved=solution.solved), solution.report)
     begun = time.process_time()
-    examined = examine(rig, Step.VERIFY, folders[Step.VERIFY], lambda _: None)
+    examined = examine_recording(rig, Step.VERIFY, folders[Step.VERIFY], lambda _: None)
     took_s["VERIFY"] = time.process_time() - begun
 
     most_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024

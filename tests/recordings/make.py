@@ -152,7 +152,7 @@ def main(out: Path) -> None:
         calibrations.install(made, day)
         if k == 0:
             air = replace(made, method=IN_AIR, air_covariance=tuple(map(tuple, (np.eye(22) * 1e-4).tolist())))
-            (root / "calibration" / "air.json").write_bytes(calibration_file.encode(air))
+            (root / "calibration" / "air.json").write_bytes(calibration_file.encode_calibration(air))
         for dive in under_it:
             script = out / "dive.script"
             script.write_text(dive, encoding="utf-8")

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.measure.calibration.file import encode
+from appliance.measure.calibration.file import encode_calibration
 from hw_sim.rendering.render import Renderer
 from hw_sim.scene import Scene
 from hw_sim.truth import TrueEye, TruePort, TrueRig, draw_truth
@@ -235,7 +235,7 @@ def write_cameras(truth: TrueRig, folder: Path, water: bool) -> None:
     """The true cameras: in water as a calibration of ours, in air as OpenCV writes them."""
     calibration = true_calibration(truth)
     if water:
-        (folder / "calibration.json").write_bytes(encode(calibration))
+        (folder / "calibration.json").write_bytes(encode_calibration(calibration))
         return
     left, right = calibration.rig.left, calibration.rig.right
     storage = cv2.FileStorage(str(folder / "stereo.yml"), cv2.FILE_STORAGE_WRITE)

@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 
-from appliance.calibrate.health import HealthJudgement, HealthTrend, judge
+from appliance.calibrate.health import HealthJudgement, HealthTrend, judge_health
 from appliance.calibrate.water.bundle import adjust
 from appliance.calibrate.water.method import Method
 from appliance.measure.calibration.gaps import GapModes, signed_gap_mm
@@ -61,7 +61,7 @@ def scan(made: Calibrated, truth: TrueRig, rng: np.random.Generator, index: floa
 def follow(trend: HealthTrend, scans: Iterable[PatchGaps]) -> Iterator[tuple[HealthTrend, HealthJudgement]]:
     """The trend after each scan, and what was said."""
     for number, gaps in enumerate(scans, 1):
-        trend, judgement = judge(trend, gaps, f"{number:06d}")
+        trend, judgement = judge_health(trend, gaps, f"{number:06d}")
         yield trend, judgement
 
 

@@ -58,4 +58,4 @@ def origin_of(truth: TrueRig, width_px: int, height_px: int) -> ScanOrigin:
         "height_px = 1200", f"height_px = {height_px}"
     )
     calibration = replace(true_calibration(truth), rig_serial="KF-0001", camera_serials=None)
-    return ScanOrigin(calibration_file.encode(calibration), rig.encode())
+    return ScanOrigin(calibration_file.encode_calibration(calibration), rig.encode())

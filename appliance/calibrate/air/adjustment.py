@@ -19,13 +19,18 @@ from appliance.calibrate.air.coverage import check_tilts
 from appliance.calibrate.air.free_form import adjust_with_field
 from appliance.calibrate.air.joint import BoardTolerance, adjust
 from appliance.calibrate.air.linearised import VALUES, BoardView
-from appliance.measure.calibration.determined import UndeterminedError
-from appliance.measure.calibration.field import AirField
-from appliance.measure.calibration.parameters import AIR, NAMES
-from appliance.measure.light.model import HousedCamera, StereoRig
-from appliance.measure.light.pinhole import Lens
-from appliance.measure.light.port import Port
-from appliance.measure.light.rotation import matrix3, rotation_matrix
+from appliance.measure import (
+    AIR,
+    PARAMETER_NAMES,
+    AirField,
+    HousedCamera,
+    Lens,
+    Port,
+    StereoRig,
+    UndeterminedError,
+    matrix3,
+    rotation_matrix,
+)
 
 Array = NDArray[np.float64]
 
@@ -78,7 +83,7 @@ def check_certain(rig: StereoRig, covariance: Array) -> None:
     base_mm = float(np.linalg.norm(rig.right.translation_mm))
     known = {0: rig.left.lens.f_px[0], 8: rig.right.lens.f_px[0], **dict.fromkeys((19, 20, 21), base_mm)}
     vague = [
-        f"{NAMES[AIR][k]} better than ± {np.sqrt(covariance[k, k]):.3g} of {of:.4g}"
+        f"{PARAMETER_NAMES[AIR][k]} better than ± {np.sqrt(covariance[k, k]):.3g} of {of:.4g}"
         for k, of in known.items()
         if not np.sqrt(covariance[k, k]) < VAGUE * abs(of)
     ]

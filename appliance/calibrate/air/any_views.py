@@ -32,10 +32,7 @@ from appliance.calibrate.air.adjustment import (
 from appliance.calibrate.air.joint import Adjusted, BoardTolerance, adjust
 from appliance.calibrate.air.linearised import VALUES, BoardView, bend_of, each_changed, slopes
 from appliance.calibrate.air.pairing import Pairing, Place, pair_up
-from appliance.measure.light.model import HousedCamera, StereoRig
-from appliance.measure.light.pinhole import Lens
-from appliance.measure.light.rotation import matrix3, rotation_matrix
-from appliance.measure.light.sides import SIDES
+from appliance.measure import SIDES, HousedCamera, Lens, StereoRig, matrix3, rotation_matrix
 
 Array = NDArray[np.float64]
 

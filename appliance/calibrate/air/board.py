@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibrate.air.adjustment import MIN_CORNERS, BoardView
-from appliance.measure.light.noise import FULL_DN
+from appliance.measure import FULL_DN
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]

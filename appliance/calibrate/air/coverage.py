@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibrate.air.linearised import BoardView
-from appliance.measure.light.sides import SIDES
+from appliance.measure import SIDES
 
 Array = NDArray[np.float64]
 Sighting = tuple[Array, Array]

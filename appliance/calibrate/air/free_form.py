@@ -12,11 +12,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibrate.air.linearised import PLACE, SHAPES, VALUES, BoardView, bend_of, each_changed, moved, slopes
-from appliance.measure.calibration.determined import solved
-from appliance.measure.calibration.field import EYES, INTERVALS, AirField, FieldPrior
-from appliance.measure.calibration.parameters import AIR, COUNT, rig_with
-from appliance.measure.light.correction import basis_matrix, node_count
-from appliance.measure.light.model import StereoRig
+from appliance.measure import (
+    AIR,
+    EYES,
+    FIELD_CELLS,
+    PARAMETER_COUNT,
+    AirField,
+    FieldPrior,
+    StereoRig,
+    basis_matrix,
+    node_count,
+    rig_with,
+    solved,
+)
 
 Array = NDArray[np.float64]
 
@@ -42,12 +50,14 @@ def adjust_with_field(
     is where the estimate of the corners' noise begins.
     """
     size_px = rig.left.width_px, rig.left.height_px
-    nodes = node_count(INTERVALS)
+    nodes = node_count(FIELD_CELLS)
     first = VALUES + SHAPES
     m = first + EYES * nodes
     sd = np.concatenate([FREE, np.full(SHAPES, shape_sd_mm), np.zeros(EYES * nodes)])
-    prior = FieldPrior(np.diag(sd**2), np.zeros(m), size_px, INTERVALS)
-    bases = [(basis_matrix(v.left_px, size_px, INTERVALS), basis_matrix(v.right_px, size_px, INTERVALS)) for v in views]
+    prior = FieldPrior(np.diag(sd**2), np.zeros(m), size_px, FIELD_CELLS)
+    bases = [
+        (basis_matrix(v.left_px, size_px, FIELD_CELLS), basis_matrix(v.right_px, size_px, FIELD_CELLS)) for v in views
+    ]
     bend = bend_of(views)
     places = list(boards)
     nodes_alone = _squares(bases)
@@ -96,11 +106,11 @@ def adjust_with_field(
     along = covariance @ (by_scale / noise_px**2)
     covariance += scale_sd**2 * np.outer(along, along)
     kept = np.concatenate([np.arange(VALUES), np.arange(first, m)])
-    return AirField.of(INTERVALS, x[kept], covariance[np.ix_(kept, kept)])
+    return AirField.of(FIELD_CELLS, x[kept], covariance[np.ix_(kept, kept)])
 
 
 def _with(rig: StereoRig, values: Array) -> StereoRig:
-    x = np.zeros(COUNT)
+    x = np.zeros(PARAMETER_COUNT)
     x[AIR] = values
     return rig_with(rig, x)
 

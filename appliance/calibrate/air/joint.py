@@ -22,13 +22,14 @@ from appliance.calibrate.air.linearised import (
     moved,
     slopes,
 )
-from appliance.measure.calibration.determined import solved
-from appliance.measure.calibration.parameters import AIR, COUNT, NAMES, rig_with
-from appliance.measure.light.model import StereoRig
+from appliance.measure import AIR, PARAMETER_COUNT, PARAMETER_NAMES, StereoRig, rig_with, solved
 
 Array = NDArray[np.float64]
 
-UNKNOWNS = (*NAMES[AIR], *(f"the board's {shape}" for shape in ("bow", "saddle", "twist", "S across", "S down")))
+UNKNOWNS = (
+    *PARAMETER_NAMES[AIR],
+    *(f"the board's {shape}" for shape in ("bow", "saddle", "twist", "S across", "S down")),
+)
 STEPS_AT_MOST = 30
 LEAST_NOISE_PX = 1e-3
 """Least noise that the shapes' prior is weighed by: a prior of no weight determines nothing."""
@@ -113,7 +114,7 @@ def adjust(
         information[VALUES:, VALUES:] += prior
         gradient[VALUES:] -= prior @ shapes
         step = solved(information, gradient, UNKNOWNS)
-        full = np.zeros(COUNT)
+        full = np.zeros(PARAMETER_COUNT)
         full[AIR] = step[:VALUES]
         rig = rig_with(rig, full)
         shapes = shapes + step[VALUES:]

@@ -8,9 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.measure.calibration.parameters import AIR, COUNT, STEPS, rig_with
-from appliance.measure.light.model import HousedCamera, StereoRig
-from appliance.measure.light.rotation import rotation_matrix
+from appliance.measure import AIR, PARAMETER_COUNT, PARAMETER_STEPS, HousedCamera, StereoRig, rig_with, rotation_matrix
 
 Array = NDArray[np.float64]
 
@@ -93,7 +91,7 @@ def slopes(
         more[:, 2] += SHAPE_STEP_MM * rise[:, k]
         return (seen(rig, board, more) - now) / SHAPE_STEP_MM
 
-    by_rig = [(seen(r, board, corners) - now) / s for r, s in zip(changed, STEPS[AIR], strict=True)]
+    by_rig = [(seen(r, board, corners) - now) / s for r, s in zip(changed, PARAMETER_STEPS[AIR], strict=True)]
     by_place = [(seen(rig, moved(board, step), corners) - now) / float(step.sum()) for step in np.diag(_BOARD_STEPS)]
     return ViewSlopes(
         np.concatenate([view.left_px.ravel(), view.right_px.ravel()]) - now,
@@ -118,10 +116,10 @@ def each_changed(rig: StereoRig, at: Array | None = None) -> list[StereoRig]:
     """Return ``rig`` changed by ``at`` (22,), and by each of the 22 values a step more."""
     found = []
     for k in range(AIR.start, AIR.stop):
-        x = np.zeros(COUNT)
+        x = np.zeros(PARAMETER_COUNT)
         if at is not None:
             x[AIR] = at
-        x[k] += STEPS[k]
+        x[k] += PARAMETER_STEPS[k]
         found.append(rig_with(rig, x))
     return found
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibrate.air.linearised import BoardView
-from appliance.measure.light.rotation import rotation_matrix
+from appliance.measure import rotation_matrix
 
 Array = NDArray[np.float64]
 Place = tuple[Array, Array]

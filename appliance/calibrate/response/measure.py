@@ -16,10 +16,19 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.measure.calibration.determined import UndeterminedError, solved
-from appliance.measure.light.response import CODES, Response, phase_error_rad
-from appliance.measure.light.sequence import Direction, PatternSequence
-from appliance.measure.light.sine import AMPLITUDE_CODE, MEAN_CODE, STEPS, fringe
+from appliance.measure import (
+    AMPLITUDE_CODE,
+    CODES,
+    MEAN_CODE,
+    PHASE_STEPS,
+    Direction,
+    PatternSequence,
+    Response,
+    UndeterminedError,
+    fringe,
+    phase_error_rad,
+    solved,
+)
 
 ORDER = 9
 """Highest harmonic: those beyond are below 1e-4 of the first in any response without kinks."""
@@ -90,9 +99,9 @@ def measure_response(
                 # The same light against the phase as it was drawn: where the patterns were compensated, these are the
                 # harmonics that remain.
                 phases.add(2.0 * np.pi * (at + 0.5) / sequence.period_px + step * np.pi / 2.0, light)
-    if codes.count < FEWEST_PIXELS * STEPS:
+    if codes.count < FEWEST_PIXELS * PHASE_STEPS:
         raise ResponseError(
-            f"{codes.count // STEPS} pixels see a smooth surface over a whole fringe period; needed are "
+            f"{codes.count // PHASE_STEPS} pixels see a smooth surface over a whole fringe period; needed are "
             f"{FEWEST_PIXELS}; fill the image with a plane, without glare"
         )
     harmonics, residual = codes.solve()
@@ -105,7 +114,7 @@ def measure_response(
         response = Response(_normalised(harmonics))
     except ValueError as error:
         raise ResponseError(f"{error}; record a still plane without glare") from error
-    return MeasuredResponse(response, tuple(float(b) for b in phases.solve()[0]), residual, codes.count // STEPS)
+    return MeasuredResponse(response, tuple(float(b) for b in phases.solve()[0]), residual, codes.count // PHASE_STEPS)
 
 
 def _smooth(coordinate: NDArray[np.float32], direction: Direction, period_px: int) -> NDArray[np.float64]:

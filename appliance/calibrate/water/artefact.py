@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from appliance.calibrate.recordings import ArtefactKind, Recording, RecordingError
 from appliance.calibrate.water.shapes import fit_plane, fit_sphere, triangulate
-from appliance.measure.light.model import StereoRig
+from appliance.measure import StereoRig
 
 Array = NDArray[np.float64]
 

@@ -25,15 +25,27 @@ from appliance.calibrate.water.expected import (
 )
 from appliance.calibrate.water.method import Method, WaterResult
 from appliance.calibrate.water.slopes import NodeBasis, NodeSlopes, Slopes
-from appliance.measure.calibration import parameters
-from appliance.measure.calibration.determined import UndeterminedError, solved
-from appliance.measure.calibration.field import FieldPrior
-from appliance.measure.calibration.file import Calibration
-from appliance.measure.calibration.judgement import judged, systematic_px, warnings_about
-from appliance.measure.light.correction import INTERVALS, ImageCorrection, node_count
-from appliance.measure.light.model import HousedCamera, StereoRig
-from appliance.measure.light.sides import SIDES
-from appliance.measure.light.water import Water
+from appliance.measure import (
+    CORRECTION_INTERVALS,
+    PARAMETER_COUNT,
+    PARAMETER_NAMES,
+    PARAMETER_STEPS,
+    PORT_PARAMETERS,
+    SIDES,
+    Calibration,
+    FieldPrior,
+    HousedCamera,
+    ImageCorrection,
+    StereoRig,
+    UndeterminedError,
+    Water,
+    judged,
+    node_count,
+    rig_with,
+    solved,
+    systematic_px,
+    warnings_about,
+)
 
 Array = NDArray[np.float64]
 
@@ -139,7 +151,7 @@ def _adjusted(problem: Problem) -> WaterResult:
     rig = problem.rig(x)
     counts = problem.active
     estimates = judged(
-        [parameters.NAMES[k] for k in counts],
+        [PARAMETER_NAMES[k] for k in counts],
         x[: len(counts)] - problem.mean[: len(counts)],
         problem.prior_sd,
         np.sqrt(np.diag(covariance))[: len(counts)],
@@ -218,7 +230,7 @@ class Problem:
         self.method = method
         self.settings = settings
         rig, air_field = start.rig, start.air_field
-        self.active = list(range(parameters.PORTS.stop if method is Method.PORTS else parameters.COUNT))
+        self.active = list(range(PORT_PARAMETERS.stop if method is Method.PORTS else PARAMETER_COUNT))
         count = len(self.active)
         tilt = math.radians(settings.tilt_deg)
         # Priors as an information matrix, that is the inverse of a covariance: independent for the ports, which only
@@ -230,7 +242,7 @@ class Problem:
             information[6:, 6:] = np.linalg.inv(_widened(np.array(start.air_covariance), rig, settings))
         self.prior_sd = np.sqrt(np.diag(np.linalg.inv(information)))
         self.has_nodes = method is Method.SPLINE and settings.spline_px > 0.0
-        self._intervals = INTERVALS if air_field is None else air_field.intervals
+        self._intervals = CORRECTION_INTERVALS if air_field is None else air_field.intervals
         nodes = 2 * node_count(self._intervals) if self.has_nodes else 0
         # Order of the unknowns x: rig parameters, nodes of the left and right image correction, then each artefact's pose.
         self._left_nodes, self._right_nodes = slice(count, count + nodes), slice(count + nodes, count + 2 * nodes)
@@ -276,7 +288,7 @@ class Problem:
     @property
     def names(self) -> list[str]:
         """Names of all unknowns, in order."""
-        named = [parameters.NAMES[k] for k in self.active]
+        named = [PARAMETER_NAMES[k] for k in self.active]
         for side, at in zip(SIDES, (self._left_nodes, self._right_nodes), strict=True):
             named += [f"{side} image correction"] * (at.stop - at.start)
         for recording, at in zip(self.recordings, self._slices, strict=True):
@@ -317,7 +329,7 @@ class Problem:
         residuals = []
         rig = self.bare(x)
         changed = []
-        for k, step in enumerate(parameters.STEPS[self.active]):
+        for k, step in enumerate(PARAMETER_STEPS[self.active]):
             y = x.copy()
             y[k] += step
             changed.append((self.bare(y), step))
@@ -384,9 +396,9 @@ class Problem:
 
     def bare(self, x: Array) -> StereoRig:
         """Return the rig at ``x``, without its corrections."""
-        full = np.zeros(parameters.COUNT)
+        full = np.zeros(PARAMETER_COUNT)
         full[self.active] = x[: len(self.active)]
-        return parameters.rig_with(self.start.rig, full)
+        return rig_with(self.start.rig, full)
 
 
 def _index_sd(water: Water, led_nm: float) -> float:

@@ -13,8 +13,7 @@ from appliance.calibrate.water.method import Method, WaterResult
 from appliance.calibrate.water.paper import calibrate_as_published
 from appliance.calibrate.water.residuals import Residuals, residuals_of
 from appliance.calibrate.water.start import check_start
-from appliance.measure.calibration.file import Calibration
-from appliance.measure.calibration.judgement import warnings_about
+from appliance.measure import Calibration, warnings_about
 
 
 def _silent(_: str) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibrate.water.residuals import Residuals
-from appliance.measure.calibration.judgement import Estimate
+from appliance.measure import Estimate
 
 Array = NDArray[np.float64]
 

@@ -10,10 +10,16 @@ from numpy.typing import NDArray
 
 from appliance.calibrate.recordings import ArtefactKind, Recording
 from appliance.calibrate.water.shapes import nearest_points
-from appliance.measure.calibration import parameters
-from appliance.measure.calibration.depth_error import BORDER, DISTANCE_MM, coefficients_of
-from appliance.measure.light.correction import basis_matrix
-from appliance.measure.light.model import StereoRig
+from appliance.measure import (
+    BORDER,
+    DISTANCE_MM,
+    PARAMETER_COUNT,
+    PARAMETER_STEPS,
+    StereoRig,
+    basis_matrix,
+    coefficients_of,
+    rig_with,
+)
 
 Array = NDArray[np.float64]
 
@@ -207,9 +213,9 @@ def _slopes(
     now = met(rig)
     found = np.zeros((len(points), 3, size))
     for column, k in enumerate(columns.active):
-        x = np.zeros(parameters.COUNT)
-        x[k] = parameters.STEPS[k]
-        found[:, :, column] = (met(parameters.rig_with(rig, x)) - now) / parameters.STEPS[k]
+        x = np.zeros(PARAMETER_COUNT)
+        x[k] = PARAMETER_STEPS[k]
+        found[:, :, column] = (met(rig_with(rig, x)) - now) / PARAMETER_STEPS[k]
     by_pixel = (met(rig, right=right + np.array([PIXEL_STEP, 0.0])) - now) / PIXEL_STEP
     by_water = (met(rig, water_index=water_index + INDEX_STEP) - now) / INDEX_STEP
     by_nodes: list[Callable[[Array], Array]] = [

@@ -17,12 +17,17 @@ from numpy.typing import NDArray
 
 from appliance.calibrate.recordings import MIN_POINTS, ArtefactKind, Recording
 from appliance.calibrate.water.correspond import HALF_WINDOW_PX, matched_right_px
-from appliance.measure.accept.ball_bar import Ball, BallBar, find_ball_bar
-from appliance.measure.accept.plane import fit_plane
-from appliance.measure.accept.points import NotFound, PointSource
-from appliance.measure.accept.sphere import STEEPEST_COS
-from appliance.measure.calibration.file import Calibration
-from appliance.measure.light.water import Water
+from appliance.measure import (
+    STEEPEST_COS,
+    Ball,
+    BallBar,
+    Calibration,
+    NotFound,
+    PointSource,
+    Water,
+    find_ball_bar,
+    fit_plane,
+)
 
 Flags = NDArray[np.bool_]
 Pixels = NDArray[np.intp]

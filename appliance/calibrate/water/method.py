@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:  # names alone are asked for where a verb lists its choices
     from appliance.calibrate.water.expected import Expected
     from appliance.calibrate.water.residuals import Residuals
-    from appliance.measure.calibration.file import Calibration
-    from appliance.measure.calibration.judgement import Estimate
+    from appliance.measure import Calibration, Estimate
 
 
 class Method(Enum):

@@ -21,13 +21,20 @@ from numpy.typing import NDArray
 from appliance.calibrate.recordings import ArtefactKind, Recording, RecordingError, thinned
 from appliance.calibrate.water.method import BEFORE_OPERATOR, Method, WaterResult
 from appliance.calibrate.water.shapes import fit_plane, fit_sphere, nearest_points, triangulate
-from appliance.measure.calibration.file import Calibration
-from appliance.measure.light.correction import INTERVALS, ImageCorrection, basis_matrix
-from appliance.measure.light.model import IDENTITY, HousedCamera, StereoRig
-from appliance.measure.light.pinhole import Lens, distort
-from appliance.measure.light.sides import SIDES
-from appliance.measure.light.volume import WorkingVolume
-from appliance.measure.light.water import Water
+from appliance.measure import (
+    CORRECTION_INTERVALS,
+    IDENTITY,
+    SIDES,
+    Calibration,
+    HousedCamera,
+    ImageCorrection,
+    Lens,
+    StereoRig,
+    Water,
+    WorkingVolume,
+    basis_matrix,
+    distort,
+)
 
 Array = NDArray[np.float64]
 
@@ -185,12 +192,14 @@ def _operator(camera: HousedCamera, seen: Sequence[tuple[Array, Array]]) -> Hous
             f"{len(uv)} points of the planes lie in the water before a camera; {LEAST_POINTS} are needed; check the start, and record again"
         )
     coefficients = np.linalg.lstsq(cubic(_unit(camera, uv)), missing, rcond=None)[0]
-    grid = _grid(camera, 4 * INTERVALS[0] + 1, 4 * INTERVALS[1] + 1)
-    matrix = basis_matrix(grid, (camera.width_px, camera.height_px), INTERVALS)
+    grid = _grid(camera, 4 * CORRECTION_INTERVALS[0] + 1, 4 * CORRECTION_INTERVALS[1] + 1)
+    matrix = basis_matrix(grid, (camera.width_px, camera.height_px), CORRECTION_INTERVALS)
     # The spline's nodes follow from the cubic on a grid four times finer than the intervals: exact but for rounding, as
     # a cubic is a spline.
     nodes = np.linalg.lstsq(matrix, cubic(_unit(camera, grid)) @ coefficients, rcond=None)[0]
-    correction = ImageCorrection(camera.width_px, camera.height_px, INTERVALS, tuple(float(c) for c in nodes.ravel()))
+    correction = ImageCorrection(
+        camera.width_px, camera.height_px, CORRECTION_INTERVALS, tuple(float(c) for c in nodes.ravel())
+    )
     return replace(camera, correction=correction)
 
 

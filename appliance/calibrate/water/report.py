@@ -9,10 +9,7 @@ from typing import Any
 
 from appliance.calibrate.water.drawings import cost_svg, residual_svg, seen_svg
 from appliance.calibrate.water.method import WaterResult
-from appliance.measure.accept.page import PAGE_END, drawing, page_head, rows, table
-from appliance.measure.calibration.file import Calibration
-from appliance.measure.calibration.judgement import Estimate
-from appliance.measure.light.model import HousedCamera
+from appliance.measure import PAGE_END, Calibration, Estimate, HousedCamera, drawing, page_head, rows, table
 
 SCHEMA = 1
 TITLE = "Calibration in water"

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from appliance.calibrate.recordings import Recording, thinned
 from appliance.calibrate.water.artefact import first_place
-from appliance.measure.light.model import StereoRig
+from appliance.measure import StereoRig
 
 Array = NDArray[np.float64]
 

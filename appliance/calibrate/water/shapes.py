@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.measure.light.model import StereoRig
+from appliance.measure import StereoRig
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.measure.light.correction import basis_entries, node_count
+from appliance.measure import basis_entries, node_count
 
 Array = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from appliance.calibrate.air.adjustment import AirCalibration
 from appliance.calibrate.recordings import RecordingError
-from appliance.measure.calibration.file import IN_AIR, Calibration
+from appliance.measure import IN_AIR, Calibration
 
 
 def start_from_air(

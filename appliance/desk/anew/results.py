@@ -27,10 +27,18 @@ from typing import Any
 
 import appliance
 from appliance import __version__
-from appliance.store.atomic import StorageError, make_folders, move_folder, refused, replace_file, write_new
-from appliance.store.filesystem import Bytes, LocalFileSystem
-from appliance.store.manifest import FILE_NAME
-from appliance.store.names import by_number
+from appliance.store import (
+    MANIFEST_FILE,
+    Bytes,
+    LocalFileSystem,
+    StorageError,
+    by_number,
+    make_folders,
+    move_folder,
+    refused,
+    replace_file,
+    write_new,
+)
 
 ROW, CLOUD, TABLE, SETTINGS = "row.json", "cloud.ply", "table.csv", "settings.json"
 KEY_DIGITS, NAME_DIGITS = 16, 12
@@ -138,9 +146,9 @@ def program_digits(top: Path = Path(appliance.__file__).parent) -> str:
 
 def name_of(folder: Path) -> str:
     """Return the name of a scan's result, which follows its manifest. Raises OSError where that cannot be read."""
-    if not (folder / FILE_NAME).exists():
+    if not (folder / MANIFEST_FILE).exists():
         return f"{folder.name}-unreadable"
-    return f"{folder.name}-{hashlib.sha256((folder / FILE_NAME).read_bytes()).hexdigest()[:NAME_DIGITS]}"
+    return f"{folder.name}-{hashlib.sha256((folder / MANIFEST_FILE).read_bytes()).hexdigest()[:NAME_DIGITS]}"
 
 
 def read_table(path: Path) -> list[dict[str, str]]:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from statistics import median
 
 from appliance.desk.report.frame import document, head, table, tiles
-from appliance.measure.grade import Grade
+from appliance.measure import Grade
 
 Cells = Mapping[str, str]
 _POLICY = "default-src 'none'; style-src 'unsafe-inline'"

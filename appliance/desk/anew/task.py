@@ -15,25 +15,28 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from appliance.base.libraries import MissingLibraryError
-from appliance.base.process_start import raise_if_interrupted
+from appliance.base import MissingLibraryError, raise_if_interrupted
 from appliance.desk.anew.results import Results, Row, name_of, program_digits
 from appliance.desk.anew.work import DONE, FAILED, Again, Job
 from appliance.desk.evaluation import run_evaluation
 from appliance.desk.reconstruct import work_through
-from appliance.measure.accept.points import NotFound
-from appliance.measure.calibration.file import Calibration, CalibrationError
-from appliance.measure.grade import SPOILS_SCAN
-from appliance.store.atomic import StorageError
-from appliance.store.calibration_file import load_calibration
-from appliance.store.damage import refuse_damaged_frames
-from appliance.store.instrument import exposures_label
-from appliance.store.origin import SourceScan, calibration_for, open_source
-from appliance.store.packed import PackedError
-from appliance.store.ply import encode_ply
-from appliance.store.scan import ScanError, manifest_of
-from appliance.store.scan_list import ListedScan, ScanList
-from appliance.store.wish import Wish
+from appliance.measure import SPOILS_SCAN, Calibration, CalibrationError, NotFound
+from appliance.store import (
+    ListedScan,
+    PackedError,
+    ScanError,
+    ScanList,
+    SourceScan,
+    StorageError,
+    Wish,
+    calibration_for,
+    encode_ply,
+    exposures_label,
+    load_calibration,
+    manifest_of,
+    open_source,
+    refuse_damaged_frames,
+)
 
 _MB = 1024.0
 _PASSED = {True: "yes", False: "no", None: "-"}

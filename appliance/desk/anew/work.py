@@ -18,11 +18,9 @@ from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
-from appliance.base import kernel_cache
-from appliance.base.kernel_build import missing
-from appliance.base.libraries import needed
+from appliance.base import KernelOrigin, missing_kernels, needed, use_kernel_cache
 from appliance.desk.anew.results import Row
-from appliance.store.scan_list import ListedScan
+from appliance.store import ListedScan
 
 DONE, FAILED, AGAIN = "done", "failed", "again"
 """States of a row; one that is to be tried again is never published."""
@@ -113,11 +111,11 @@ def do(job: Job, limit_s: float) -> Row:
 
 @cache
 def _find_kernels() -> None:
-    kernels = kernel_cache.use()  # before any kernel is imported
-    from appliance.measure.warm import PIECES
+    kernels = use_kernel_cache()  # before any kernel is imported
+    from appliance.measure import PIECES
 
     # Each worker would compile all of them by itself, at the same time, for longer than a scan's limit.
-    if kernels.origin is not kernel_cache.Origin.GIVEN and missing(kernels.path, PIECES):
+    if kernels.origin is not KernelOrigin.GIVEN and missing_kernels(kernels.path, PIECES):
         raise Again("its kernels are not compiled; call `kingfisher warm` there, once")
 
 

@@ -14,7 +14,7 @@ from appliance.desk.surface.drawings import COARSEST_MM
 from appliance.desk.surface.fusion import FusedCloud
 from appliance.desk.surface.mesh import Mesh
 from appliance.desk.surface.normals import normals
-from appliance.measure.points.organised import OrganisedCloud
+from appliance.measure import OrganisedCloud
 
 MM_PER_M = 1000.0
 MOST_CHARACTERS, MOST_OF_MARK = 200, 2000

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from appliance.base.libraries import needed
+from appliance.base import needed
 from appliance.desk.export.content import MM_PER_M, About, ExportedPoints, finite
 
 NORMALS = ("nor", "http://www.libe57.org/E57_NOR_surface_normals.txt")

@@ -25,9 +25,8 @@ from appliance.desk.export.suffixes import MESH_SUFFIXES, SCAN_SUFFIXES, SURFACE
 from appliance.desk.export.triangles import encode_obj, encode_stl
 from appliance.desk.surface.fusion import FusedCloud
 from appliance.desk.surface.mesh import Mesh
-from appliance.measure.points.organised import OrganisedCloud
-from appliance.store.atomic import replace_by, replace_file, replace_parts
-from appliance.store.filesystem import LocalFileSystem
+from appliance.measure import OrganisedCloud
+from appliance.store import LocalFileSystem, replace_by, replace_file, replace_parts
 
 
 def write_scan(path: Path, cloud: OrganisedCloud, about: About) -> None:

@@ -13,7 +13,7 @@ import io
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.base.libraries import needed
+from appliance.base import needed
 from appliance.desk.export.content import MM_PER_M, About, ExportedPoints, finite
 
 SCALE_M = 1e-7

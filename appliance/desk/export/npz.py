@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.desk.export.content import About
-from appliance.measure.points.organised import OrganisedCloud
-from appliance.store.filesystem import Bytes
+from appliance.measure import OrganisedCloud
+from appliance.store import Bytes
 
 LEVEL = 1
 """Level of compression: noise has little to be found, and the usual one takes six times as long for a tenth less."""

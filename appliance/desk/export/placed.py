@@ -26,9 +26,8 @@ from appliance.desk.export.content import About, points_of_scan
 from appliance.desk.export.e57 import E57Scan, write_e57
 from appliance.desk.export.npz import arrays_of
 from appliance.desk.export.suffixes import checked_suffix
-from appliance.measure.points.organised import OrganisedCloud
-from appliance.store.atomic import replace_by
-from appliance.store.filesystem import LocalFileSystem
+from appliance.measure import OrganisedCloud
+from appliance.store import LocalFileSystem, replace_by
 
 SUFFIXES = (".npz", ".e57")
 _LEVEL = 1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from appliance.base.libraries import require
+from appliance.base import require
 
 
 class ExportError(Exception):

@@ -28,10 +28,16 @@ from appliance.desk.foreign.phase import Floats
 from appliance.desk.foreign.points import depths_of, own_px
 from appliance.desk.foreign.reasons import Reason
 from appliance.desk.foreign.texture import Offset, Texture
-from appliance.measure.light.epipolar import CurveError
-from appliance.measure.light.model import HousedCamera, StereoRig
-from appliance.measure.light.rotation import matrix3
-from appliance.measure.points.one_direction import NoPoint, OneDirectionError, OneDirectionLimits, match_along_curves
+from appliance.measure import (
+    CurveError,
+    HousedCamera,
+    NoPoint,
+    OneDirectionError,
+    OneDirectionLimits,
+    StereoRig,
+    match_along_curves,
+    matrix3,
+)
 
 COARSE_PX, LEAST_NEIGHBOURS = 160, 3
 """Largest width of what points are made of, and neighbours that a point has there."""

@@ -15,7 +15,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.base.bounded_file import refuse_irregular
+from appliance.base import refuse_irregular
 
 HEADER_BYTES = 16 * 1024
 """Bytes that are read for a header; those of arrays of numbers have some hundred."""

@@ -18,13 +18,13 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from appliance.base.bounded_file import read_bounded
+from appliance.base import read_bounded
 from appliance.desk.foreign.arrays import ArrayError, array_heads, load_array
 from appliance.desk.foreign.camera_dialects import CameraNumbers, NumbersOf, facts_of, refuse_other_lenses, understood
 from appliance.desk.foreign.matlab import MOST_NUMBERS, MatlabError, matlab_tables
 from appliance.desk.foreign.problem import ForeignError, Table
-from appliance.measure.calibration import file as calibration_file
-from appliance.store.calibration_file import load_calibration
+from appliance.measure import CalibrationError
+from appliance.store import load_calibration
 
 Array = NDArray[np.float64]
 
@@ -55,7 +55,7 @@ def cameras_in(folder: Path) -> dict[str, Any]:
     for path in sorted(folder.rglob("*")):
         if path.suffix.lower() in FORMATS and path.is_file():
             name = str(path.relative_to(folder))
-            with suppress(calibration_file.CalibrationError):
+            with suppress(CalibrationError):
                 if path.suffix == ".json":
                     load_calibration(path)
                     return {"calibration": name}

@@ -16,14 +16,18 @@ from appliance.desk.foreign.camera_dialects import KINDS, CameraNumbers, facts_o
 from appliance.desk.foreign.camera_files import camera_numbers, flat, numeric, without_scale
 from appliance.desk.foreign.description import Description, Medium
 from appliance.desk.foreign.problem import ForeignError, Table
-from appliance.measure.calibration import file as calibration_file
-from appliance.measure.light.model import HousedCamera, StereoRig
-from appliance.measure.light.pinhole import Lens
-from appliance.measure.light.port import Port
-from appliance.measure.light.rotation import matrix3
-from appliance.measure.light.sides import SIDES
-from appliance.measure.light.water import quan_fry_index
-from appliance.store.calibration_file import load_calibration
+from appliance.measure import (
+    SIDES,
+    Calibration,
+    CalibrationError,
+    HousedCamera,
+    Lens,
+    Port,
+    StereoRig,
+    matrix3,
+    quan_fry_index,
+)
+from appliance.store import load_calibration
 
 Array = NDArray[np.float64]
 
@@ -46,7 +50,7 @@ class ForeignRig:
 
     rig: StereoRig
     index: float
-    calibration: calibration_file.Calibration | None = None
+    calibration: Calibration | None = None
     """The calibration file it is from, where it is one of ours."""
     stated_px: Mapping[str, tuple[int, int]] = field(default_factory=dict)
     """Width and height by side that camera files state; of a camera and a projector the projector is ``right``."""
@@ -190,7 +194,7 @@ def _our_own(description: Description, sizes_px: Mapping[str, tuple[int, int]]) 
     path = description.folder / str(name)
     try:
         ours = load_calibration(path)
-    except calibration_file.CalibrationError as error:
+    except CalibrationError as error:
         if named:
             raise ForeignError(str(error)) from error
         return None

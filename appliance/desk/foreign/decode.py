@@ -34,7 +34,7 @@ from appliance.desk.foreign.phase import (
     unbend,
 )
 from appliance.desk.foreign.reasons import Reason
-from appliance.measure.decode.fringes import choose_fringes
+from appliance.measure import choose_fringes
 
 LEAST_MODULATION, MOST_LEAST_MODULATION = 1.0 / 255.0, 5.0 / 255.0
 """Least modulation of a pixel that is used, as a share of full scale: so many ``NOISE_SIGMAS`` of its noise, within these."""

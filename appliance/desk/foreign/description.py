@@ -11,10 +11,10 @@ import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from appliance.base.bounded_file import parse_toml, read_text
+from appliance.base import parse_toml, read_text
 from appliance.desk.foreign.order import FRINGES, MOST_IMAGES, ShownImage, Shows, numbered, parse_order, words_in
 from appliance.desk.foreign.problem import ForeignError, Table
-from appliance.measure.light.sides import SIDES
+from appliance.measure import SIDES
 
 MAX_BYTES = 1_000_000
 LEAST_STEPS, MOST_STEPS = 3, 16

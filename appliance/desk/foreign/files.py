@@ -12,7 +12,7 @@ from appliance.desk.foreign.description import ImageFiles
 from appliance.desk.foreign.frames import PAGED, STACKS, SUFFIXES, Frame, arrays_in, frame_head, frames_in
 from appliance.desk.foreign.images import natural_key, of_side
 from appliance.desk.foreign.problem import ForeignError
-from appliance.measure.light.sides import SIDES
+from appliance.measure import SIDES
 
 LEAST_IMAGES, MOST_FILES = 3, 2000
 WIDE, HIGH = 2.0, 1.2

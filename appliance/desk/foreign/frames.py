@@ -17,10 +17,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.base.bounded_file import read_bounded, refuse_irregular
+from appliance.base import read_bounded, refuse_irregular
 from appliance.desk.foreign.arrays import ArrayError, array_heads, load_array
 from appliance.desk.foreign.problem import ForeignError
-from appliance.store.picture_size import picture_head, size_px
+from appliance.store import picture_head, size_px
 
 SUFFIXES = (".png", ".bmp", ".tif", ".tiff", ".jpg", ".jpeg", ".pgm", ".ppm", ".pnm", ".webp", ".jp2", ".exr", ".hdr")
 STACKS = (".npy", ".npz")

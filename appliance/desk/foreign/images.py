@@ -21,7 +21,7 @@ from appliance.desk.foreign.description import EACH, HALVES, Description
 from appliance.desk.foreign.frames import Frame, FrameReader, frame_head, frames_in, split_name
 from appliance.desk.foreign.order import ShownImage, Shows, numbered, words_in
 from appliance.desk.foreign.problem import ForeignError
-from appliance.measure.light.sides import SIDES
+from appliance.measure import SIDES
 
 FULL_SCALES = (255.0, 1023.0, 4095.0, 16383.0, 65535.0)
 """Grey values of saturation that sensors have."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from appliance.desk.foreign.description import AxisConvention, Description
 from appliance.desk.foreign.images import ImageSet
 from appliance.desk.foreign.order import Shows
-from appliance.measure.light.sequence import Direction, PatternSequence, build_sequence
+from appliance.measure import Direction, PatternSequence, build_sequence
 
 _FOUR_DEG = [0, 90, 180, 270]
 

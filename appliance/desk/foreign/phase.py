@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.desk.foreign.problem import ForeignError
-from appliance.measure.decode.steps import fit_steps
+from appliance.measure import fit_steps
 
 Floats = NDArray[np.float32]
 

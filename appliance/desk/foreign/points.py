@@ -22,19 +22,29 @@ from appliance.desk.foreign.cameras import ForeignRig
 from appliance.desk.foreign.description import Description
 from appliance.desk.foreign.phase import Floats
 from appliance.desk.foreign.reasons import BEFORE_POINTS, GAP_PIXELS, REASONS, SIGMA_PIXELS, Reason
-from appliance.measure.light.epipolar import CurveError
-from appliance.measure.light.model import HousedCamera, StereoRig
-from appliance.measure.light.noise import TYPICAL_PAIR
-from appliance.measure.light.pinhole import FoldingLens
-from appliance.measure.light.rays import ray_lattice, usual_step_px
-from appliance.measure.points.match import fill_inverse_map, right_maps
-from appliance.measure.points.one_direction import UNCHECKED, OneDirectionError, OneDirectionLimits, match_along_curves
-from appliance.measure.points.organised import OrganisedCloud
-from appliance.measure.points.rows import LeftMaps, reconstruct_rows, scratch_rows
-from appliance.measure.points.select import PointLimits
-from appliance.measure.points.sigma import sigma_factors
-from appliance.measure.points.table import PointTable
-from appliance.measure.points.triangulate import rays_of
+from appliance.measure import (
+    TYPICAL_PAIR,
+    UNCHECKED,
+    CurveError,
+    FoldingLens,
+    HousedCamera,
+    LeftMaps,
+    OneDirectionError,
+    OneDirectionLimits,
+    OrganisedCloud,
+    PointLimits,
+    PointTable,
+    StereoRig,
+    fill_inverse_map,
+    match_along_curves,
+    ray_lattice,
+    rays_of,
+    reconstruct_rows,
+    right_maps,
+    scratch_rows,
+    sigma_factors,
+    usual_step_px,
+)
 
 USUAL_STEP_PX = 0.63
 """Change of a coordinate from one pixel to the next on the instrument, for images 1600 px wide."""

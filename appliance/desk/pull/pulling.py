@@ -23,11 +23,17 @@ from appliance.desk.pull.taking import (
     present,
     take,
 )
-from appliance.store import incomplete
-from appliance.store.atomic import add_beside
-from appliance.store.filesystem import AppendingFileSystem
-from appliance.store.library import LibraryFolder
-from appliance.store.names import CALIBRATIONS, OBJECTS, by_number, is_component, scan_number
+from appliance.store import (
+    CALIBRATIONS,
+    INCOMPLETE_FOLDER,
+    OBJECTS,
+    AppendingFileSystem,
+    LibraryFolder,
+    add_beside,
+    by_number,
+    is_component,
+    scan_number,
+)
 
 WAITS_S = (1.0, 2.0, 4.0, 8.0, 15.0)
 """Waits before the second attempt, the third, …"""
@@ -104,7 +110,7 @@ class HowFar:
 Far = Callable[[HowFar], None]
 
 
-def pull(
+def pull_scans(
     opened: Open, target: Path, fs: AppendingFileSystem, *, every: bool, far: Far, wait: Callable[[float], object]
 ) -> Pulled:
     """Take what is finished there and not here to the storage root ``target``, which is there. ``every``: also rejected scans.
@@ -136,7 +142,7 @@ def pull(
 
 
 def _attempt(source: Source, target: Path, fs: AppendingFileSystem, done: Pulled, *, every: bool, far: Far) -> None:
-    shelves = [LibraryFolder.SCANS.value, incomplete.FOLDER] + ([LibraryFolder.REJECTED.value] if every else [])
+    shelves = [LibraryFolder.SCANS.value, INCOMPLETE_FOLDER] + ([LibraryFolder.REJECTED.value] if every else [])
     paths = list(_recordings(source, shelves, done))
     _beside(source, target, fs, done)
     wanted: list[FoundRecording] = []
@@ -193,7 +199,7 @@ def _recordings(source: Source, shelves: list[str], done: Pulled) -> Iterator[st
 def _here(target: Path, path: str) -> Path | None:
     """Return where a recording lies here already: at its place, or, a scan, wherever somebody put it since."""
     shelf, _, name = path.partition("/")
-    shelves = [shelf] if shelf == incomplete.FOLDER else [shelf, *(one.value for one in LibraryFolder)]
+    shelves = [shelf] if shelf == INCOMPLETE_FOLDER else [shelf, *(one.value for one in LibraryFolder)]
     return next((folder for one in shelves if (folder := target / one / name).is_dir()), None)
 
 

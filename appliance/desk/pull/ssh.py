@@ -12,7 +12,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeVar
 
-from appliance.base.libraries import needed
+from appliance.base import needed
 from appliance.desk.pull.source import BLOCK_BYTES, LinkLost, NotThere, PullError, RemoteEntry, Unreadable, entry_of
 
 LIBRARY = "asyncssh"

@@ -14,26 +14,31 @@ from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 
-from appliance.base.sealed_file import ContentError
+from appliance.base import ContentError
 from appliance.desk.pull.source import NotThere, RemoteEntry, Source, Unreadable, text_of
-from appliance.store import incomplete, packed
-from appliance.store import label as labels
-from appliance.store import manifest as form
-from appliance.store import scan as stored
-from appliance.store.archive import problems_of
-from appliance.store.atomic import (
+from appliance.store import (
+    INCOMPLETE,
+    INCOMPLETE_MANIFEST_FILE,
+    INCOMPLETE_OF,
+    LABEL,
+    LABEL_FILE,
+    MANIFEST,
+    MANIFEST_FILE,
+    AppendingFileSystem,
+    Manifest,
+    ScanError,
     StorageError,
     checked_stamp,
     discard,
+    is_component,
     make_folders,
     move_folder,
+    packed_path,
+    problems_of,
     refused,
     replace_file,
+    wrong_files,
 )
-from appliance.store.filesystem import AppendingFileSystem
-from appliance.store.manifest import Manifest
-from appliance.store.names import is_component
-from appliance.store.scan import ScanError
 
 TIMES = 3
 """Number of times that a recording whose bytes do not fit is read."""
@@ -96,10 +101,10 @@ def find(source: Source, path: str) -> FoundRecording:
     try:
         with given():
             entries = {one.name: one for one in source.listing(path) if not one.folder and is_component(one.name)}
-            about_name = next((one for one in (form.FILE_NAME, form.INCOMPLETE_NAME) if one in entries), None)
+            about_name = next((one for one in (MANIFEST_FILE, INCOMPLETE_MANIFEST_FILE) if one in entries), None)
             if about_name is None:
                 raise NotYet(PullOutcome.FAILED, f"{path}: has no manifest there; look at it on the instrument")
-            about = text_of(source, f"{path}/{about_name}", form.MANIFEST.max_bytes)
+            about = text_of(source, f"{path}/{about_name}", MANIFEST.max_bytes)
         manifest = _manifest(about, about_name, path)
     except (ContentError, ScanError) as error:
         raise NotYet(PullOutcome.FAILED, f"its manifest cannot be used there: {error}") from error
@@ -108,8 +113,8 @@ def find(source: Source, path: str) -> FoundRecording:
     lacking = [name for name in manifest.files if entries.keys().isdisjoint((name, _packed_name(name)))]
     if lacking:
         raise NotYet(PullOutcome.FAILED, f"{path}: {', '.join(sorted(lacking))} missing there")
-    files = tuple(one for name, one in entries.items() if name not in (about_name, labels.FILE_NAME))
-    label_bytes = entries[labels.FILE_NAME].size_bytes if labels.FILE_NAME in entries else 0
+    files = tuple(one for name, one in entries.items() if name not in (about_name, LABEL_FILE))
+    label_bytes = entries[LABEL_FILE].size_bytes if LABEL_FILE in entries else 0
     return FoundRecording(path, about, about_name, files, label_bytes, manifest)
 
 
@@ -133,8 +138,8 @@ def present(found: FoundRecording, source: Source, fs: AppendingFileSystem, targ
             f"{'; '.join(other) or 'its manifest'}: not the same at both ends, and left alone ({target}); one instrument, one "
             "folder: give another DIR for another instrument, or move the folder away to have the instrument's",
         )
-    if found.about_name == form.FILE_NAME:
-        wrong = stored.wrong_files(target, form.MANIFEST.decode(ours, str(target)), checksums=False)
+    if found.about_name == MANIFEST_FILE:
+        wrong = wrong_files(target, MANIFEST.decode(ours, str(target)), checksums=False)
         if wrong:
             raise NotYet(
                 PullOutcome.FAILED, f"is here, and damaged ({target}): {_told(wrong)}; move it away, and call again"
@@ -227,8 +232,8 @@ def _take_label(found: FoundRecording, source: Source, fs: AppendingFileSystem, 
     if not found.label_bytes:
         return 0
     with given():
-        theirs = text_of(source, f"{found.path}/{labels.FILE_NAME}", labels.LABEL.max_bytes)
-    path = folder / labels.FILE_NAME
+        theirs = text_of(source, f"{found.path}/{LABEL_FILE}", LABEL.max_bytes)
+    path = folder / LABEL_FILE
     with refused("cannot read", path):
         ours = path.read_bytes() if path.exists() else None
     if ours is None:
@@ -240,7 +245,7 @@ def _take_label(found: FoundRecording, source: Source, fs: AppendingFileSystem, 
 
 def _wrong(found: FoundRecording, draft: Path) -> dict[str, str]:
     """Return what is not as the manifest says, by name, every byte read back from the disk; packed frames are decoded."""
-    if found.about_name == form.FILE_NAME:
+    if found.about_name == MANIFEST_FILE:
         return problems_of(draft)
     with refused("cannot read", draft):
         return {
@@ -251,15 +256,11 @@ def _wrong(found: FoundRecording, draft: Path) -> dict[str, str]:
 
 
 def _manifest(about: bytes, name: str, where: str) -> Manifest:
-    return (
-        form.MANIFEST.decode(about, where)
-        if name == form.FILE_NAME
-        else incomplete.INCOMPLETE.decode(about, where, incomplete.OF)
-    )
+    return MANIFEST.decode(about, where) if name == MANIFEST_FILE else INCOMPLETE.decode(about, where, INCOMPLETE_OF)
 
 
 def _packed_name(name: str) -> str:
-    return packed.packed_path(Path(name)).name
+    return packed_path(Path(name)).name
 
 
 def _told(wrong: dict[str, str]) -> str:

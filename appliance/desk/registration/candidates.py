@@ -8,9 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.desk.registration.pair import ReadyScan
-from appliance.measure.overlap.features import Features
-from appliance.measure.overlap.patches import Array
-from appliance.measure.overlap.rigid import Rigid
+from appliance.measure import Array, Features, Rigid
 
 VOTERS = 400
 """Features of a scan that vote, its strongest ones."""

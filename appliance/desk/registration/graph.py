@@ -15,12 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from appliance.measure.calibration.depth_error import COUNT
-from appliance.measure.light.rotation import rotation_matrix, rotation_vector
-from appliance.measure.overlap.bow import PRIOR_MM2
-from appliance.measure.overlap.fine import Fit
-from appliance.measure.overlap.patches import Array
-from appliance.measure.overlap.rigid import Rigid
+from appliance.measure import DEPTH_ERROR_TERMS, PRIOR_MM2, Array, Fit, Rigid, rotation_matrix, rotation_vector
 
 FLOOR_MM = 0.015
 """Standard deviation that every pair has besides its own: what calibrations leave between places of the image."""
@@ -135,7 +130,7 @@ def _weight(fit: Fit) -> Array:
 def _solve(members: Sequence[int], edges: Sequence[Edge], with_bow: bool, known_mm2: Array) -> _Solution:
     poses = _spanned(members, edges)
     column = {scan: 6 * k for k, scan in enumerate(members[1:])}
-    size, m = 6 * max(len(members) - 1, 0), COUNT
+    size, m = 6 * max(len(members) - 1, 0), DEPTH_ERROR_TERMS
     bow = np.zeros(m)
     prior = np.linalg.inv(known_mm2)
     weights = [_weight(edge.fit) for edge in edges]
@@ -252,7 +247,7 @@ def _described(
     known_mm2: Array,
     with_bow: bool,
 ) -> Placed:
-    m = COUNT
+    m = DEPTH_ERROR_TERMS
     size = len(solution.hessian) - m
     factor = float(solution.squared.sum()) / solution.freedom if solution.freedom > 0 else 1.0
     scale = max(factor, 1.0)

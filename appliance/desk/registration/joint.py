@@ -18,12 +18,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.base.one_line import one_line
+from appliance.base import one_line
 from appliance.desk.registration.graph import Placed
-from appliance.measure.calibration.depth_error import along_ray, shapes
-from appliance.measure.light.volume import STANDARD, WorkingVolume
-from appliance.measure.overlap.patches import Array
-from appliance.measure.overlap.rigid import Rigid
+from appliance.measure import STANDARD, Array, Rigid, WorkingVolume, along_ray, shapes
 
 _BLOCK = 20_000
 """Points that are worked on at once: their shapes take some megabytes."""

@@ -11,18 +11,33 @@ from enum import Enum
 
 import numpy as np
 
-from appliance.base.one_line import one_line
+from appliance.base import one_line
 from appliance.desk.registration.repeats import repeats_of
-from appliance.measure.light.model import HousedCamera
-from appliance.measure.light.volume import STANDARD, WorkingVolume
-from appliance.measure.overlap.albedo import Paint, paint_of
-from appliance.measure.overlap.coarse import Guess, guess_by_features, guess_by_shape, same
-from appliance.measure.overlap.equations import Resistance
-from appliance.measure.overlap.features import Features, features_of
-from appliance.measure.overlap.fine import Fit, Prepared, own_resistance, refine
-from appliance.measure.overlap.patches import Array, Projection, coarser, patches_of, projection_of
-from appliance.measure.overlap.rigid import Rigid
-from appliance.measure.points.organised import OrganisedCloud
+from appliance.measure import (
+    STANDARD,
+    Array,
+    Features,
+    Fit,
+    Guess,
+    HousedCamera,
+    OrganisedCloud,
+    Paint,
+    Prepared,
+    Projection,
+    Resistance,
+    Rigid,
+    WorkingVolume,
+    coarser,
+    features_of,
+    guess_by_features,
+    guess_by_shape,
+    own_resistance,
+    paint_of,
+    patches_of,
+    projection_of,
+    refine,
+    same,
+)
 
 HELD = 5.0
 """Least stiffness of the softest direction, in standard deviations of what noise alone would make of it."""

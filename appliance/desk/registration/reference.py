@@ -22,18 +22,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 
-from appliance.measure.overlap.equations import (
-    FEWEST,
-    Laid,
-    System,
-    moved,
-    resistance_of,
-    spread,
-    step_of,
-    system_of,
-)  # fmt: skip
-from appliance.measure.overlap.patches import Array
-from appliance.measure.overlap.rigid import Rigid
+from appliance.measure import FEWEST, Array, Laid, Rigid, System, moved, resistance_of, spread, step_of, system_of
 
 USED = 12_000
 """Points of the measured surface that lead the fit."""

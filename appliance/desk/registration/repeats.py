@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.measure.overlap.albedo import Paint, patch_pitch_mm
-from appliance.measure.overlap.patches import Array, Patches
+from appliance.measure import Array, Paint, Patches, patch_pitch_mm
 
 ALIKE = 0.55
 """Correlation of the paint with itself, moved, from which on it repeats."""

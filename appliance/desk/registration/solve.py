@@ -7,14 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from appliance.base.one_line import one_line
+from appliance.base import one_line
 from appliance.desk.registration import candidates
 from appliance.desk.registration.graph import Edge, Placed, place
 from appliance.desk.registration.pair import PairRefusal, ReadyScan, RegisteredPair, register
-from appliance.measure.overlap.bow import known_before
-from appliance.measure.overlap.coarse import in_common
-from appliance.measure.overlap.patches import Array
-from appliance.measure.overlap.rigid import Rigid
+from appliance.measure import Array, Rigid, in_common, known_before
 
 PLACES = 3
 """Largest number of pairs per scan that are added because places predict an overlap."""

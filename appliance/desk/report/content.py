@@ -9,7 +9,7 @@ from enum import Enum
 from appliance.desk.surface.deviation import Deviation
 from appliance.desk.surface.fusion import FusedCloud
 from appliance.desk.surface.mesh import Mesh
-from appliance.measure.grade import Grade
+from appliance.measure import Grade
 
 Vector = tuple[float, float, float]
 

@@ -23,9 +23,8 @@ from appliance.desk.report.frame import document, head, table, tiles
 from appliance.desk.report.shown import ShownSurface, shown, thinned
 from appliance.desk.report.still import still
 from appliance.desk.report.turned import turned
-from appliance.measure.grade import Grade
-from appliance.store.atomic import replace_file
-from appliance.store.filesystem import LocalFileSystem
+from appliance.measure import Grade
+from appliance.store import LocalFileSystem, replace_file
 
 SUFFIX = ".html"
 _POLICY = "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src 'unsafe-inline' 'unsafe-eval'"

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.base.libraries import needed
+from appliance.base import needed
 from appliance.desk.report.charts import hex_of
 from appliance.desk.report.content import Vector
 from appliance.desk.report.shown import Colouring, ShownSurface

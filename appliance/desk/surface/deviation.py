@@ -19,8 +19,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.base.libraries import needed
-from appliance.base.one_line import one_line
+from appliance.base import needed, one_line
 from appliance.desk.surface.nominal import Nominal
 
 LIMIT_MM = 5.0

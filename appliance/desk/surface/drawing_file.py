@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from appliance.base.bounded_file import refuse_irregular
+from appliance.base import refuse_irregular
 
 SUFFIXES = (".stl", ".obj", ".ply")
 MOST_BYTES = 2 * 1024**3

@@ -17,8 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.base.bounded_file import read_bounded
-from appliance.base.libraries import needed
+from appliance.base import needed, read_bounded
 from appliance.desk.surface.drawing_file import MOST_BYTES, NominalError, checked_drawing
 
 FARTHEST_MM = 1e11

@@ -29,11 +29,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.base.argument_types import refuse_wrong_fields
-from appliance.base.one_line import one_line
+from appliance.base import one_line, refuse_wrong_fields
 from appliance.desk.surface.normals import normals
 from appliance.desk.surface.surfels import EMPTY, CellTable, Discs, PointsOfScan, absorb, assign, rehash
-from appliance.measure.points.organised import OrganisedCloud
+from appliance.measure import OrganisedCloud
 
 SPACING_MM = 0.25
 POSE_SIGMA_MM = 0.03

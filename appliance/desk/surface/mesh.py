@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.base.one_line import one_line
+from appliance.base import one_line
 from appliance.desk.surface.normals import normals
 from appliance.desk.surface.steps import connected
-from appliance.measure.points.organised import OrganisedCloud
+from appliance.measure import OrganisedCloud
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.base.one_line import one_line
+from appliance.base import one_line
 from appliance.desk.surface.drawing_file import NominalError as NominalError
 from appliance.desk.surface.drawings import read_triangles
 from appliance.desk.surface.mesh import Mesh

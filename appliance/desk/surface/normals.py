@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.desk.surface.steps import Connected, connected
-from appliance.measure.points.organised import OrganisedCloud
+from appliance.measure import OrganisedCloud
 
 RADIUS_PX = 2
 """Half of a window's side less the middle: 5 x 5 pixels."""

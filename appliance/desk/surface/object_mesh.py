@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from appliance.base.libraries import needed
+from appliance.base import needed
 from appliance.desk.surface.fusion import FusedCloud
 from appliance.desk.surface.mesh import Mesh
 

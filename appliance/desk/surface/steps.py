@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.measure.points.organised import OrganisedCloud
+from appliance.measure import OrganisedCloud
 
 SURE = np.float32(4.0)
 """Standard deviations of noise beyond which a difference is none of noise."""

@@ -19,8 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.measure.fault import Fault, FaultCode
-from appliance.measure.light.noise import FULL_DN
+from appliance.measure import FULL_DN, Fault, FaultCode
 
 WIDTH_PX = 200
 """Images are looked at in this width."""

@@ -13,7 +13,7 @@ from itertools import pairwise
 from typing import Any
 
 from appliance.instrument.capture.sync import SyncMap
-from appliance.measure.fault import Fault, FaultCode
+from appliance.measure import Fault, FaultCode
 from drivers.api import ClockReading, Flip, Frame, FrameStatus, Pulse
 
 MAX_SKEW_NS = 200_000

@@ -18,8 +18,7 @@ from appliance.instrument.capture.ledger import Ledger, audit, frame_fault
 from appliance.instrument.capture.store import FrameStore
 from appliance.instrument.capture.sync import SyncError, SyncMap, synchronise
 from appliance.instrument.capture.timeouts import Timeouts
-from appliance.measure.fault import Fault, FaultCode
-from appliance.measure.light.sides import SIDES
+from appliance.measure import SIDES, Fault, FaultCode
 from drivers.api import (
     Board,
     BoardBooted,

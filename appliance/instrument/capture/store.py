@@ -14,7 +14,7 @@ from types import TracebackType
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.measure.light.sides import SIDES
+from appliance.measure import SIDES
 
 
 class FrameStore:

@@ -12,7 +12,7 @@ from appliance.instrument.machine.alerts import Severity, lasting
 from appliance.instrument.machine.leading import in_full, on_screen
 from appliance.instrument.machine.moves import RECORDING
 from appliance.instrument.machine.states import Machine, State
-from appliance.measure.fault import Fault
+from appliance.measure import Fault
 
 
 def pending(machine: Machine) -> Fault | None:

@@ -15,7 +15,7 @@ from typing import assert_never
 
 from appliance.instrument.machine.states import Machine, NoticeKind
 from appliance.instrument.machine.words import Language, Words
-from appliance.measure.fault import Fault, FaultCode
+from appliance.measure import Fault, FaultCode
 from drivers.api import Key
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from appliance.measure.fault import FaultCode
+from appliance.measure import FaultCode
 
 _CABLE = "check the cable and its connectors inside of the housing, then `kingfisher check`"
 _SETTINGS = "compare the camera's section of the rig file with the camera, by `kingfisher check`"

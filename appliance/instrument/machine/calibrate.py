@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from appliance.calibrate.guide import HELD, STEPS, RecordingCheck, Session, Step
+from appliance.calibrate import HELD, STEPS, RecordingCheck, Session, Step
 from appliance.instrument.machine import effects as do
 from appliance.instrument.machine.conditions import cleared, raised
 from appliance.instrument.machine.failure import Failure, FailureKind
 from appliance.instrument.machine.moves import Result, enter
 from appliance.instrument.machine.states import Calibrating, Machine, State, Task
-from appliance.measure.fault import Fault, FaultCode
+from appliance.measure import Fault, FaultCode
 from drivers.api import Key
 
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
-from appliance.measure.light.exposure import NOMINAL, Exposure
-from appliance.measure.light.sequence import PERIODS_PX
+from appliance.measure import NOMINAL, PERIODS_PX, Exposure
 
 T = TypeVar("T")
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from appliance.instrument.machine.permissions import LOST_CODES
 from appliance.instrument.machine.states import Device, Machine, seconds_ns
-from appliance.measure.fault import Fault, FaultCode
+from appliance.measure import Fault, FaultCode
 from drivers.api import Telemetry
 
 LEAK_HEARTBEATS = 2

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from appliance.calibrate.guide import RecordingCheck, Step
+from appliance.calibrate import RecordingCheck, Step
 from appliance.instrument.machine.choices import Choices
 from appliance.instrument.machine.states import Device
-from appliance.measure.light.exposure import Exposure
+from appliance.measure import Exposure
 
 
 @dataclass(frozen=True, slots=True)

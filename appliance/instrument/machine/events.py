@@ -8,14 +8,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from appliance.calibrate.guide import RecordingCheck, Session
+from appliance.calibrate import RecordingCheck, Session
 from appliance.instrument.machine.failure import Failure
 from appliance.instrument.machine.states import Device, Part
 from appliance.instrument.machine.transfer import Transfer
 from appliance.instrument.machine.words import Label
 from appliance.instrument.ranging.reach import Range
-from appliance.measure.fault import Fault, FaultCode
-from appliance.measure.news import LiveGuidance, News
+from appliance.measure import Fault, FaultCode, LiveGuidance, News
 from drivers.api import Key, Telemetry
 
 

@@ -8,7 +8,7 @@ from typing import assert_never
 from appliance.instrument.machine.states import Machine, State
 from appliance.instrument.machine.words import Label, Text, english
 from appliance.instrument.ranging.reach import Reach
-from appliance.measure.guidance import Move
+from appliance.measure import Move
 
 STALE_NS = 1_500_000_000
 """Guidance that is older is of another place: hands go on."""

@@ -16,8 +16,7 @@ from appliance.instrument.machine.alerts import RULES, Alert, Severity, alert_of
 from appliance.instrument.machine.overlaps import OverlapSaid
 from appliance.instrument.machine.states import Machine, State
 from appliance.instrument.ranging.reach import Reach
-from appliance.measure.fault import FaultCode
-from appliance.measure.grade import SPOILS_POINTS, SPOILS_SCAN
+from appliance.measure import SPOILS_POINTS, SPOILS_SCAN, FaultCode
 
 _TESTED = frozenset(
     {

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from appliance.instrument.machine.alerts import RULES
 from appliance.instrument.machine.states import NEEDED_FOR_A_SCAN, Device, Machine, State
-from appliance.measure.fault import Fault, FaultCode
-from appliance.measure.grade import SPOILS_POINTS
-from appliance.measure.light.exposure import Exposure
+from appliance.measure import SPOILS_POINTS, Exposure, Fault, FaultCode
 
 LOST_CODES = {
     Device.CAMERA_LEFT: FaultCode.CAMERA_LOST,

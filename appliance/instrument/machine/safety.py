@@ -13,7 +13,7 @@ from appliance.instrument.machine.alerts import RULES
 from appliance.instrument.machine.moves import RECORDING, Result, enter
 from appliance.instrument.machine.permissions import interruption, too_hot_to_shine
 from appliance.instrument.machine.states import Device, Ending, Machine, Notice, NoticeKind, State, seconds_ns
-from appliance.measure.fault import Fault, FaultCode
+from appliance.measure import Fault, FaultCode
 from drivers.api import Key
 
 COOLS_DOWN = (FaultCode.HOT, FaultCode.TOO_HOT)

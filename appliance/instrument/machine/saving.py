@@ -9,7 +9,7 @@ from appliance.instrument.machine import effects as do
 from appliance.instrument.machine.conditions import cleared, raised
 from appliance.instrument.machine.moves import Result, enter
 from appliance.instrument.machine.states import Ending, Machine, ScanInHand, State, seconds_ns
-from appliance.measure.fault import Fault, FaultCode
+from appliance.measure import Fault, FaultCode
 
 RETRIES = 3
 """Number of unasked tries after the disk refused; then the diver decides."""

@@ -12,20 +12,23 @@ from appliance.instrument.machine.moves import RECORDING, Result, enter, home
 from appliance.instrument.machine.permissions import other_exposure, refusal, second_exposure
 from appliance.instrument.machine.states import Device, Machine, Notice, NoticeKind, ScanInHand, State, seconds_ns
 from appliance.instrument.ranging.reach import Reach
-from appliance.measure.fault import Fault, FaultCode
-from appliance.measure.grade import SPOILS_SCAN, faults_of_both
-from appliance.measure.news import (
+from appliance.measure import (
+    SPOILS_SCAN,
     Bracket,
     CoarseCloud,
+    Fault,
+    FaultCode,
     FullCloud,
+    Judgement,
     PatternIdentity,
     ReconstructionFailure,
     ScanOverlap,
     SequenceFact,
     Verdicts,
     WorkProgress,
+    faults_in,
+    faults_of_both,
 )
-from appliance.measure.verdict import Judgement, faults_in
 from drivers.api import Key
 
 SILENT_RETRIES = 1

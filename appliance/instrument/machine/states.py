@@ -10,18 +10,23 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 
-from appliance.calibrate.guide import RecordingCheck, Session, Step
+from appliance.calibrate import RecordingCheck, Session, Step
 from appliance.instrument.machine.choices import Choices, Offers
 from appliance.instrument.machine.failure import Failure
 from appliance.instrument.machine.transfer import NOT_TOLD, Transfer
 from appliance.instrument.machine.words import Label
 from appliance.instrument.ranging.reach import Range, Reach
-from appliance.measure.cloud import CloudSummary
-from appliance.measure.fault import Fault
-from appliance.measure.guidance import Guidance, Overlap
-from appliance.measure.light.exposure import Exposure
-from appliance.measure.light.sequence import PERIODS_PX, build_sequence
-from appliance.measure.light.volume import STANDARD, WorkingVolume
+from appliance.measure import (
+    PERIODS_PX,
+    STANDARD,
+    CloudSummary,
+    Exposure,
+    Fault,
+    Guidance,
+    Overlap,
+    WorkingVolume,
+    build_sequence,
+)
 from drivers.api import Key
 
 

@@ -31,8 +31,7 @@ from appliance.instrument.machine.permissions import may_lase, may_light, may_sh
 from appliance.instrument.machine.states import Device, Ending, Machine, Notice, NoticeKind, State
 from appliance.instrument.machine.transfer import NOT_TOLD
 from appliance.instrument.ranging.reach import Reach, reach_of
-from appliance.measure.fault import Fault, FaultCode
-from appliance.measure.news import LiveGuidance, News
+from appliance.measure import Fault, FaultCode, LiveGuidance, News
 
 
 def step(machine: Machine, event: on.Event) -> Result:

@@ -11,7 +11,7 @@ from dataclasses import replace
 from appliance.instrument.machine.conditions import cleared, has, raised
 from appliance.instrument.machine.permissions import rationed
 from appliance.instrument.machine.states import Machine, State, TemperatureLimits, seconds_ns
-from appliance.measure.fault import Fault, FaultCode
+from appliance.measure import Fault, FaultCode
 from drivers.api import Telemetry
 
 HYSTERESIS_C = 3.0

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum, unique
 
-from appliance.calibrate.guide import Step
+from appliance.calibrate import Step
 
 
 class Language(Enum):

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from appliance.instrument.ranging.beams import PointerBeam
 from appliance.instrument.ranging.rig_frame import RigFrame
-from appliance.measure.light.model import HousedCamera
-from appliance.measure.light.volume import STANDARD, WorkingVolume
+from appliance.measure import STANDARD, HousedCamera, WorkingVolume
 
 Array = NDArray[np.float64]
 

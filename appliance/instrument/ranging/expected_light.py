@@ -16,9 +16,7 @@ from numpy.typing import NDArray
 from appliance.instrument.ranging.beams import Pointers
 from appliance.instrument.ranging.dots import dot_depths_mm
 from appliance.instrument.ranging.rig_frame import RigFrame
-from appliance.measure.light.model import HousedCamera, StereoRig
-from appliance.measure.light.sequence import BRIGHT_CODE, DARK_CODE
-from appliance.measure.light.volume import STANDARD, WorkingVolume
+from appliance.measure import BRIGHT_CODE, DARK_CODE, STANDARD, HousedCamera, StereoRig, WorkingVolume
 
 LEAN_SIGMAS = 3.0
 AROUND_MM = 5.0

@@ -8,7 +8,7 @@ import numpy as np
 
 from appliance.instrument.ranging.beams import PointerBeam
 from appliance.instrument.ranging.rig_frame import RigFrame
-from appliance.measure.light.model import StereoRig
+from appliance.measure import StereoRig
 
 Place = tuple[float, float]
 """Position in shares of a picture's width and height, from its upper left corner."""

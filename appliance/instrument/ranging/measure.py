@@ -18,7 +18,7 @@ from appliance.instrument.ranging.marks import Marks, marks_of
 from appliance.instrument.ranging.other_camera import OtherCamera
 from appliance.instrument.ranging.reach import Range
 from appliance.instrument.ranging.rig_frame import RigFrame
-from appliance.measure.light.model import StereoRig
+from appliance.measure import StereoRig
 
 Array = NDArray[np.float64]
 Images = tuple[NDArray[np.uint8], NDArray[np.uint8]]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from appliance.instrument.ranging.dots import COARSE_PX, EDGE_PX, contrast_of, dot_range_mm
 from appliance.instrument.ranging.rig_frame import RigFrame
-from appliance.measure.light.model import StereoRig
+from appliance.measure import StereoRig
 
 Array = NDArray[np.float64]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-from appliance.measure.light.volume import STANDARD, WorkingVolume
+from appliance.measure import STANDARD, WorkingVolume
 
 HYSTERESIS_MM = 4.0
 """A word stays until the distance is so far beyond its limit: hands tremble by 1 to 2 mm."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.measure.light.model import StereoRig
+from appliance.measure import StereoRig
 
 Array = NDArray[np.float64]
 

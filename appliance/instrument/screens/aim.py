@@ -18,7 +18,7 @@ from appliance.instrument.screens.marks import draw_marks
 from appliance.instrument.screens.texts import numbered, worded
 from appliance.instrument.screens.theme import BLACK, BODY, BOLD, CAPTION, REGULAR, TITLE
 from appliance.instrument.screens.views import AimView
-from appliance.measure.fault import FaultCode
+from appliance.measure import FaultCode
 
 LIVE_PX = (398.0, 298.5)
 """Nearly a quarter of the cameras' 1600 × 1200."""

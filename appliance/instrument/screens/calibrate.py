@@ -5,9 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import assert_never
 
-from appliance.calibrate.guide import HELD, STEPS, UNITS, USED, RecordingCheck, Refusal, Session, Step, Verified
-from appliance.calibrate.poses import plane_place
-from appliance.calibrate.recordings import ArtefactKind
+from appliance.calibrate import (
+    HELD,
+    STEPS,
+    UNITS,
+    USED,
+    ArtefactKind,
+    RecordingCheck,
+    Refusal,
+    Session,
+    Step,
+    Verified,
+    plane_place,
+)
 from appliance.instrument.machine.failure import FailureKind
 from appliance.instrument.machine.states import Task
 from appliance.instrument.machine.words import STEP_NAMES, Language, Text

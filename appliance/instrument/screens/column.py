@@ -10,7 +10,7 @@ from appliance.instrument.screens import theme
 from appliance.instrument.screens.canvas import Align, Canvas
 from appliance.instrument.screens.texts import numbered
 from appliance.instrument.screens.theme import BLACK, BODY, BOLD, CAPTION, HEADLINE, REGULAR, TITLE
-from appliance.measure.grade import Grade
+from appliance.measure import Grade
 
 GRADES = {
     Grade.GOOD: (Text.GOOD, theme.GREEN),

@@ -19,7 +19,7 @@ from appliance.instrument.screens.frame import alerts_top, draw_title, room_betw
 from appliance.instrument.screens.texts import to_the_minute
 from appliance.instrument.screens.theme import BAR_PX, BLACK, BODY, BOLD, CAPTION, HEADLINE, REGULAR, TITLE
 from appliance.instrument.screens.views import GalleryView
-from appliance.measure.fault import FaultCode
+from appliance.measure import FaultCode
 
 _TOP_PX = 66.0
 

@@ -15,7 +15,7 @@ from appliance.instrument.screens import theme
 from appliance.instrument.screens.canvas import Align, Canvas
 from appliance.instrument.screens.theme import BLACK, BODY, BOLD, CAPTION, TITLE
 from appliance.instrument.screens.views import Gauge
-from appliance.measure.light.volume import WorkingVolume
+from appliance.measure import WorkingVolume
 
 SCALE_PX = (208.0, 492.0)
 """Left and right end of the scale."""

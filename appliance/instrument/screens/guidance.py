@@ -8,7 +8,7 @@ from appliance.instrument.screens import theme
 from appliance.instrument.screens.canvas import Align, Canvas
 from appliance.instrument.screens.texts import worded
 from appliance.instrument.screens.theme import BLACK, BODY, CAPTION
-from appliance.measure.guidance import Move
+from appliance.measure import Move
 
 WORDS_PX = BODY + 4
 PLATE_PX, SMALL_PLATE_PX = 54.0, 42.0

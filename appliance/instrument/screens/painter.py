@@ -50,7 +50,7 @@ from appliance.instrument.screens.views import (
     SelfTestView,
     ShutdownView,
 )
-from appliance.measure.fault import FaultCode
+from appliance.measure import FaultCode
 from drivers.api import Key
 
 _NONE: frozenset[Key] = frozenset()

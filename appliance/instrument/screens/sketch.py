@@ -9,10 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibrate.guide import HELD, Step
-from appliance.calibrate.poses import plane_place
-from appliance.calibrate.recordings import ArtefactKind
-from appliance.measure.light.volume import STANDARD, STANDARD_MM, WorkingVolume
+from appliance.calibrate import HELD, ArtefactKind, Step, plane_place
+from appliance.measure import STANDARD, STANDARD_MM, WorkingVolume
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]

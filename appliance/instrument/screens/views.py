@@ -15,7 +15,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibrate.guide import Session, Step
+from appliance.calibrate import Session, Step
 from appliance.instrument.machine.alerts import Alert
 from appliance.instrument.machine.guiding import GuidanceSaid
 from appliance.instrument.machine.overlaps import OverlapSaid
@@ -23,8 +23,7 @@ from appliance.instrument.machine.states import Calibrating
 from appliance.instrument.machine.words import Label, Text
 from appliance.instrument.ranging.marks import Marks
 from appliance.instrument.ranging.reach import Reach
-from appliance.measure.grade import Grade
-from appliance.measure.light.volume import STANDARD, WorkingVolume
+from appliance.measure import STANDARD, Grade, WorkingVolume
 from drivers.api import Key
 
 KeyLabels = Mapping[Key, Label]

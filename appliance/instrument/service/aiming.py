@@ -18,9 +18,7 @@ from numpy.typing import NDArray
 from appliance.instrument.capture.aiming import WIDTH_PX, Aimed, look, moved_px, too_fast
 from appliance.instrument.machine import events as on
 from appliance.instrument.ranging.expected_light import DrawnLight
-from appliance.measure.calibration.file import Calibration
-from appliance.measure.fault import Fault, FaultCode
-from appliance.measure.light.exposure import NOMINAL, Exposure
+from appliance.measure import NOMINAL, Calibration, Exposure, Fault, FaultCode
 from drivers.api import Clock
 
 log = logging.getLogger("kingfisher")

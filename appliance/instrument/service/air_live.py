@@ -16,22 +16,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibrate.air.adjustment import BoardView
-from appliance.calibrate.air.board import NoBoard
-from appliance.calibrate.air.coverage import coverage
-from appliance.calibrate.air.rest import mean_of, view_of
-from appliance.calibrate.in_air import find_boards, pairs_of
-from appliance.calibrate.view_folder import ViewFolder
+from appliance.calibrate import BoardView, NoBoard, ViewFolder, coverage, find_boards, mean_of, pairs_of, view_of
 from appliance.instrument.capture.grabber import Grabber
 from appliance.instrument.capture.scan import ScanRecorder, ScanSettings
 from appliance.instrument.capture.store import FrameStore
 from appliance.instrument.service.device_supervisor import DeviceSupervisor
 from appliance.instrument.service.devices import Devices
-from appliance.measure.fault import Fault
-from appliance.measure.light.sequence import Direction, Kind, Pattern
-from appliance.measure.light.sides import SIDES
-from appliance.store.config import Rig
-from appliance.store.lock import hold_lock
+from appliance.measure import SIDES, Direction, Fault, Kind, Pattern
+from appliance.store import Rig, hold_lock
 from drivers import rig as drivers_rig
 from drivers.api import Board, Clock, DeviceError, Projector, Wires
 

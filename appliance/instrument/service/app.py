@@ -31,13 +31,18 @@ from appliance.instrument.service.starts import installation, recovered, this_ru
 from appliance.instrument.service.status import StatusFile
 from appliance.instrument.service.transfer import TransferSwitch
 from appliance.instrument.service.watchdog import Watchdog
-from appliance.measure.light.water import Water
-from appliance.store.config import Rig
-from appliance.store.filesystem import LocalFileSystem
-from appliance.store.instrument import calibration_of, noise_of, response_of, with_measured_noise
-from appliance.store.library import Library
-from appliance.store.lock import hold_lock
-from appliance.store.room import Room
+from appliance.measure import Water
+from appliance.store import (
+    Library,
+    LocalFileSystem,
+    Rig,
+    Room,
+    calibration_of,
+    hold_lock,
+    noise_of,
+    response_of,
+    with_measured_noise,
+)
 from drivers import rig as drivers_rig
 from drivers.output.gl import open_gl
 

@@ -15,11 +15,9 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from appliance.base.sealed_file import FINITE, ContentError, SealedFile, Within, plain
+from appliance.base import FINITE, ContentError, SealedFile, Within, plain
 from appliance.instrument.ranging.beams import PointerBeam, Pointers
-from appliance.store.atomic import make_folders, replace_file
-from appliance.store.filesystem import FileSystem, LocalFileSystem
-from appliance.store.names import CALIBRATIONS
+from appliance.store import CALIBRATIONS, FileSystem, LocalFileSystem, make_folders, replace_file
 
 log = logging.getLogger("kingfisher")
 

@@ -10,23 +10,29 @@ from dataclasses import dataclass, replace
 from types import TracebackType
 from typing import Self, assert_never
 
-from appliance.calibrate import calibrator
-from appliance.calibrate.calibrations import Calibrations, SessionError
-from appliance.calibrate.calibrator import Examined, Solution
-from appliance.calibrate.guide import RecordingCheck, Session, Step, Verified
-from appliance.calibrate.recordings import CamerasDiffer, CertificateMissing, NotConverged, RecordingError
+from appliance.calibrate import (
+    Calibrations,
+    CamerasDiffer,
+    CertificateMissing,
+    Examined,
+    NotConverged,
+    RecordingCheck,
+    RecordingError,
+    Session,
+    SessionError,
+    Solution,
+    Step,
+    Verified,
+    examine_recording,
+    solve_calibration,
+)
 from appliance.instrument.machine import events as on
 from appliance.instrument.machine.failure import Failure, FailureKind
 from appliance.instrument.service.background import Background, Done, Failed, Progressed
 from appliance.instrument.service.health import write_trend
 from appliance.instrument.service.scans import ScanController
-from appliance.measure.calibration.file import Calibration, CalibrationError
-from appliance.measure.fault import Fault, FaultCode
-from appliance.measure.verdict import Verdict
-from appliance.store.atomic import StorageError
-from appliance.store.config import Rig
-from appliance.store.instrument import calibration_of
-from appliance.store.scan import ScanError
+from appliance.measure import Calibration, CalibrationError, Fault, FaultCode, Verdict
+from appliance.store import Rig, ScanError, StorageError, calibration_of
 
 log = logging.getLogger("kingfisher")
 
@@ -95,7 +101,7 @@ class CalibrationController:
             self._events.append(on.CalibrationFailed(Failure(FailureKind.RECORDING, reason)))
             return
         self._number = number
-        self._background.ask(calibrator.examine, self._rig, step, folder)
+        self._background.ask(examine_recording, self._rig, step, folder)
 
     def accept(self, number: int, check: RecordingCheck) -> None:
         """Publish the scan and enter it into the session; answer SessionChanged or SaveFailed."""
@@ -119,7 +125,7 @@ class CalibrationController:
     def solve(self) -> None:
         """Answer CalibrationProgressed, then SessionChanged or CalibrationFailed."""
         self._background.ask(
-            calibrator.solve, self._rig, self._scans.calendar.today().utc.isoformat(timespec="seconds")
+            solve_calibration, self._rig, self._scans.calendar.today().utc.isoformat(timespec="seconds")
         )
 
     def use_solved(self) -> None:

@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from appliance.instrument.service.devices import Devices
-from appliance.store.config import Rig
-from appliance.store.lock import holder
+from appliance.store import Rig, holder
 from drivers import rig as drivers_rig
 from drivers.api import DeviceError, DeviceRefused, Health, Projector, Wires
 from drivers.inventory import OnTheBuses, on_the_buses

@@ -13,13 +13,10 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
-from appliance.base.sealed_file import Among, ContentError, SealedFile, Within, shaped
+from appliance.base import Among, ContentError, SealedFile, Within, shaped
 from appliance.instrument.machine.choices import COLDEST_C, LANGUAGES, WARMEST_C, Choices
-from appliance.measure.fault import Fault, FaultCode
-from appliance.measure.light.exposure import Exposure
-from appliance.measure.light.sequence import PERIODS_PX
-from appliance.store.atomic import replace_file
-from appliance.store.filesystem import FileSystem, LocalFileSystem
+from appliance.measure import PERIODS_PX, Exposure, Fault, FaultCode
+from appliance.store import FileSystem, LocalFileSystem, replace_file
 
 log = logging.getLogger("kingfisher")
 

@@ -9,7 +9,7 @@ from typing import Generic, TypeVar
 
 from appliance.instrument.machine.events import DeviceDown, DeviceUp, Event
 from appliance.instrument.machine.states import Device
-from appliance.measure.fault import FaultCode
+from appliance.measure import FaultCode
 from drivers.api import CardGone, Clock, DeviceError
 
 T = TypeVar("T")

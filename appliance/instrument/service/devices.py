@@ -15,11 +15,8 @@ from appliance.instrument.machine.events import DeviceDown, DeviceUp
 from appliance.instrument.machine.states import Device
 from appliance.instrument.service.device_supervisor import DeviceRejected, DeviceSupervisor
 from appliance.instrument.service.keys import KeyReader
-from appliance.measure.fault import FaultCode
-from appliance.measure.light.exposure import Exposure
-from appliance.measure.light.sides import of_side
-from appliance.store.config import Rig
-from appliance.store.config.rig import CameraRig, OutputRig
+from appliance.measure import Exposure, FaultCode, of_side
+from appliance.store import CameraRig, OutputRig, Rig
 from drivers import rig as drivers_rig
 from drivers.api import Board, Camera, CameraSettings, DeviceRefused, Display, Projector, Wires
 

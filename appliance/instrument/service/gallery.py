@@ -12,10 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.instrument.machine import events as on
-from appliance.measure.grade import LENGTHS_DOUBTFUL, NAME, Grade
-from appliance.store.atomic import StorageError
-from appliance.store.library import Library, ScanEntry, UnknownScan
-from appliance.store.scan import PREVIEW
+from appliance.measure import GRADE_NAME, LENGTHS_DOUBTFUL, Grade
+from appliance.store import PREVIEW_FILE, Library, ScanEntry, StorageError, UnknownScan
 
 MAX_PREVIEW_BYTES = 20_000_000
 
@@ -94,7 +92,7 @@ def read(library: Library, scan_id: str) -> Shown:
     if entry.manifest is None:
         return Shown(scan_id, damaged=True)
     record = entry.manifest.record
-    graded = next((verdict for verdict in record.verdicts if verdict.name == NAME), None)
+    graded = next((verdict for verdict in record.verdicts if verdict.name == GRADE_NAME), None)
     preview, readable = _preview(entry)
     points = record.cloud.get("points")
     return Shown(
@@ -115,10 +113,10 @@ def read(library: Library, scan_id: str) -> Shown:
 def _preview(entry: ScanEntry) -> tuple[NDArray[np.uint8] | None, bool]:
     """Return the picture, and whether it is as it should be: there and readable, or never made."""
     # A scan that was recovered, or kept without a cloud, never had one.
-    if entry.manifest is None or PREVIEW not in entry.manifest.files:
+    if entry.manifest is None or PREVIEW_FILE not in entry.manifest.files:
         return None, True
     try:
-        with (entry.folder / PREVIEW).open("rb") as file:
+        with (entry.folder / PREVIEW_FILE).open("rb") as file:
             data = file.read(MAX_PREVIEW_BYTES)
     except OSError:
         return None, False

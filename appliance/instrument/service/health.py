@@ -6,16 +6,10 @@ import logging
 from collections.abc import Callable
 from pathlib import Path
 
-from appliance.calibrate.health import UNMEASURED, HealthJudgement, HealthTrend, answered, judge, likeliest
-from appliance.calibrate.health_file import HealthFile
+from appliance.calibrate import UNMEASURED, HealthFile, HealthJudgement, HealthTrend, answered, judge_health, likeliest
 from appliance.instrument.machine import events as on
-from appliance.measure.calibration.file import Calibration
-from appliance.measure.calibration.gaps import TURNS, GapModes, in_words
-from appliance.measure.cloud import PatchGaps
-from appliance.measure.fault import Fault, FaultCode
-from appliance.measure.verdict import Verdict
-from appliance.store.atomic import StorageError
-from appliance.store.filesystem import FileSystem
+from appliance.measure import TURNS, Calibration, Fault, FaultCode, GapModes, PatchGaps, Verdict, in_words
+from appliance.store import FileSystem, StorageError
 
 log = logging.getLogger("kingfisher")
 
@@ -50,7 +44,7 @@ class CalibrationWatch:
             text = "not judged: the calibration was never measured in water"
             return Verdict(VERDICT, None, {}, text)
         before = self.trend
-        self.trend, outcome = judge(before, gaps)
+        self.trend, outcome = judge_health(before, gaps)
         passed = None if outcome.point is None else not outcome.alarm
         text = outcome.text + self._explained(outcome, gaps)
         # The words are of the scan that brought the alarm; later ones only keep it.

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from appliance.instrument.machine import effects as do
 from appliance.instrument.machine import events as on
 from appliance.instrument.service.parts import Parts
-from appliance.measure.light.sides import SIDES
-from appliance.store.config import Rig
+from appliance.measure import SIDES
+from appliance.store import Rig
 
 GUIDES = "left"
 """Camera whose frame clouds are in."""

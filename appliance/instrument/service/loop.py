@@ -31,14 +31,23 @@ from appliance.instrument.service.settings import machine_settings
 from appliance.instrument.service.status import StatusFile
 from appliance.instrument.service.view import Surroundings, held_against, view_of
 from appliance.instrument.service.watchdog import Watchdog
-from appliance.measure.calibration.design import METHOD as DRAWN
-from appliance.measure.fault import Fault, FaultCode
-from appliance.measure.grade import LENGTHS_DOUBTFUL, Grade, grade
-from appliance.measure.grade import NAME as GRADE
-from appliance.measure.news import FullCloud, News, PatternIdentity, ReconstructionFailure, Verdicts
-from appliance.measure.verdict import Verdict, faults_in
-from appliance.store.atomic import StorageError
-from appliance.store.config import Rig
+from appliance.measure import GRADE_NAME as GRADE
+from appliance.measure import (
+    LENGTHS_DOUBTFUL,
+    Fault,
+    FaultCode,
+    FullCloud,
+    Grade,
+    News,
+    PatternIdentity,
+    ReconstructionFailure,
+    Verdict,
+    Verdicts,
+    faults_in,
+    grade,
+)
+from appliance.measure import METHOD as DRAWN
+from appliance.store import Rig, StorageError
 from drivers.api import Clock, Key
 
 log = logging.getLogger("kingfisher")

@@ -12,7 +12,7 @@ from appliance.instrument.service.gallery import GalleryController
 from appliance.instrument.service.ranging import RangingController
 from appliance.instrument.service.scans import ScanController
 from appliance.instrument.service.transfer import TransferSwitch
-from appliance.measure.fault import Fault
+from appliance.measure import Fault
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,11 +24,9 @@ from appliance.instrument.ranging.measure import Dot, Dots, Ranger
 from appliance.instrument.ranging.reach import Range
 from appliance.instrument.ranging.witness import SURELY_A_DOT_DN, shines_in_the_dark
 from appliance.instrument.service.beams import BeamsFile
-from appliance.measure.calibration.design import METHOD as DRAWN
-from appliance.measure.calibration.file import Calibration
-from appliance.measure.fault import Fault, FaultCode
-from appliance.measure.light.sides import SIDES, of_side
-from appliance.store.atomic import StorageError
+from appliance.measure import METHOD as DRAWN
+from appliance.measure import SIDES, Calibration, Fault, FaultCode, of_side
+from appliance.store import StorageError
 from drivers.api import Clock, LaserState
 
 log = logging.getLogger("kingfisher")

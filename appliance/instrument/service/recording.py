@@ -22,13 +22,17 @@ from appliance.instrument.machine import events as on
 from appliance.instrument.service.inputs import Inputs
 from appliance.instrument.service.parts import Parts
 from appliance.instrument.service.settings import live_light_of
-from appliance.measure.fault import Fault, FaultCode
-from appliance.measure.light.draw import draw_sequence
-from appliance.measure.light.exposure import Exposure
-from appliance.measure.light.response import Response
-from appliance.measure.light.sequence import PatternSequence, build_sequence
-from appliance.measure.light.sides import SIDES
-from appliance.store.config import Rig
+from appliance.measure import (
+    SIDES,
+    Exposure,
+    Fault,
+    FaultCode,
+    PatternSequence,
+    Response,
+    build_sequence,
+    draw_sequence,
+)
+from appliance.store import Rig
 from drivers.api import Clock, Projector
 
 

@@ -7,11 +7,18 @@ from dataclasses import dataclass, replace
 
 from appliance.instrument.machine import events as on
 from appliance.instrument.machine.words import Label, Text
-from appliance.measure.fault import Fault, FaultCode
-from appliance.store.atomic import StorageError
-from appliance.store.library import Library
-from appliance.store.room import Room, is_full, is_read_only, plan
-from appliance.store.scan import cloud_bytes, frames_bytes, size_bytes
+from appliance.measure import Fault, FaultCode
+from appliance.store import (
+    Library,
+    Room,
+    StorageError,
+    cloud_bytes,
+    frames_bytes,
+    is_full,
+    is_read_only,
+    plan_room,
+    size_bytes,
+)
 from drivers.api import Clock
 
 log = logging.getLogger("kingfisher")
@@ -64,7 +71,7 @@ class ScanRoom:
     def size(self, frames: int, width_px: int, height_px: int) -> None:
         """Count with scans of another size from now on."""
         self._scan_bytes = size_bytes(frames, width_px, height_px)
-        self._plan = plan(frames_bytes(frames, width_px, height_px), cloud_bytes(width_px, height_px))
+        self._plan = plan_room(frames_bytes(frames, width_px, height_px), cloud_bytes(width_px, height_px))
 
     @property
     def due(self) -> bool:

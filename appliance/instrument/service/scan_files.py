@@ -16,16 +16,18 @@ from appliance.instrument.machine.states import Part
 from appliance.instrument.machine.words import Text
 from appliance.instrument.service.room import ScanRoom
 from appliance.instrument.service.scan_in_memory import ScanInMemory
-from appliance.measure.fault import Fault, FaultCode
-from appliance.measure.light.sides import SIDES
-from appliance.measure.points.table import Cloud
-from appliance.store import incomplete
-from appliance.store.atomic import StorageError, replace_file
-from appliance.store.filesystem import LocalFileSystem
-from appliance.store.library import Library, PendingScan
-from appliance.store.object_numbers import largest_number
-from appliance.store.record import ScanRecord
-from appliance.store.scan import ScanOrigin
+from appliance.measure import SIDES, Cloud, Fault, FaultCode
+from appliance.store import (
+    Library,
+    LocalFileSystem,
+    PendingScan,
+    ScanOrigin,
+    ScanRecord,
+    StorageError,
+    keep_incomplete,
+    largest_number,
+    replace_file,
+)
 from drivers.api import Clock
 
 log = logging.getLogger("kingfisher")
@@ -108,7 +110,7 @@ class ScanFiles:
     ) -> list[on.Event]:
         """Keep what was recorded before ``fault``, if there is room beside the next scan; nobody is told but the log."""
         try:
-            kept = incomplete.keep(
+            kept = keep_incomplete(
                 self._fs,
                 self._library.root,
                 frames,

@@ -5,12 +5,8 @@ from __future__ import annotations
 from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 
-from appliance.measure.light.exposure import Exposure
-from appliance.measure.points.pipeline import Cloud
-from appliance.measure.verdict import Verdict
-from appliance.store.library import PendingScan
-from appliance.store.record import ScanRecord, SecondSequence
-from appliance.store.scan import ScanOrigin
+from appliance.measure import Cloud, Exposure, Verdict
+from appliance.store import PendingScan, ScanOrigin, ScanRecord, SecondSequence
 
 
 @dataclass(slots=True)

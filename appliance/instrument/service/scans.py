@@ -30,22 +30,35 @@ from appliance.instrument.service.scan_in_memory import ScanInMemory, SecondInMe
 from appliance.instrument.service.worker_reports import WorkerReports
 from appliance.instrument.worker.order import WorkLimits, WorkOrder
 from appliance.instrument.worker.process import ReconstructionWorker
-from appliance.measure.calibration.file import Calibration
-from appliance.measure.fault import Fault, FaultCode
-from appliance.measure.light.acquisition import AcquisitionSettings
-from appliance.measure.light.exposure import Exposure
-from appliance.measure.light.noise import TYPICAL_PAIR, StereoNoise
-from appliance.measure.light.response import Response
-from appliance.measure.light.sequence import Direction, PatternSequence
-from appliance.measure.light.sides import SIDES
-from appliance.measure.light.water import Water
-from appliance.measure.verdict import Verdict
-from appliance.store.atomic import StorageError
-from appliance.store.config import Rig
-from appliance.store.instrument import exposure_of, noise_of, origin_of, settings_of, water_of
-from appliance.store.library import Library
-from appliance.store.record import ScanRecord, SecondSequence, SequenceInfo
-from appliance.store.room import Room
+from appliance.measure import (
+    SIDES,
+    TYPICAL_PAIR,
+    AcquisitionSettings,
+    Calibration,
+    Direction,
+    Exposure,
+    Fault,
+    FaultCode,
+    PatternSequence,
+    Response,
+    StereoNoise,
+    Verdict,
+    Water,
+)
+from appliance.store import (
+    Library,
+    Rig,
+    Room,
+    ScanRecord,
+    SecondSequence,
+    SequenceInfo,
+    StorageError,
+    exposure_of,
+    noise_of,
+    origin_of,
+    settings_of,
+    water_of,
+)
 from drivers.api import Calendar, Clock
 
 Answer = TypeVar("Answer")

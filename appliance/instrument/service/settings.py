@@ -13,12 +13,8 @@ from appliance.instrument.machine.choices import Choices, offers_of
 from appliance.instrument.machine.states import Settings, TemperatureLimits
 from appliance.instrument.ranging.beams import Pointers
 from appliance.instrument.ranging.expected_light import DrawnLight, live_light
-from appliance.measure.light.model import HousedCamera
-from appliance.measure.light.pinhole import Lens
-from appliance.measure.light.port import Port
-from appliance.measure.light.sequence import PERIODS_PX, build_sequence
-from appliance.store.config import Rig
-from appliance.store.instrument import exposure_of, exposures_of, volume_of, water_of
+from appliance.measure import PERIODS_PX, HousedCamera, Lens, Port, build_sequence
+from appliance.store import Rig, exposure_of, exposures_of, volume_of, water_of
 
 
 def pointers_of(rig: Rig) -> Pointers | None:

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from appliance.measure.fault import Fault, FaultCode
+from appliance.measure import Fault, FaultCode
 
 log = logging.getLogger("kingfisher")
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from appliance.calibrate.guide import STEPS
+from appliance.calibrate import STEPS
 from appliance.instrument.machine.guiding import guidance_said
 from appliance.instrument.machine.leading import alerts
 from appliance.instrument.machine.overlaps import overlap_said

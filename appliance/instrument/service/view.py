@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import appliance
-from appliance.calibrate.guide import HELD
+from appliance.calibrate import HELD
 from appliance.instrument.machine import safety, start, thermal
 from appliance.instrument.machine.alerts import alert_of, lengths_doubtful
 from appliance.instrument.machine.guiding import guidance_said
@@ -43,8 +43,7 @@ from appliance.instrument.screens.views import (
 from appliance.instrument.service.gallery import Shown
 from appliance.instrument.service.menu_view import Facts, menu_view, question_view
 from appliance.instrument.service.scan_in_memory import ScanInMemory
-from appliance.measure.fault import Fault, FaultCode
-from appliance.measure.grade import Grade, grade
+from appliance.measure import Fault, FaultCode, Grade, grade
 
 NO_POINTS = np.empty((0, 3), np.float32)
 NO_VALUES = np.empty(0, np.float32)

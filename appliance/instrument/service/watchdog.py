@@ -15,8 +15,7 @@ from pathlib import Path
 from appliance.instrument.machine.start import finished
 from appliance.instrument.machine.states import Machine, State
 from appliance.instrument.service.notify import ServiceManager
-from appliance.store.atomic import StorageError, replace_file
-from appliance.store.filesystem import FileSystem, LocalFileSystem
+from appliance.store import FileSystem, LocalFileSystem, StorageError, replace_file
 
 log = logging.getLogger("kingfisher")
 

@@ -14,10 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.instrument.machine import events as on
-from appliance.measure.fault import Fault, FaultCode
-from appliance.measure.light.sides import SIDES
-from appliance.measure.verdict import Verdict
-from appliance.measure.verdicts.window import CELLS, SLACK, Windows
+from appliance.measure import CELLS, SIDES, SLACK, Fault, FaultCode, Verdict, Windows
 
 Array = NDArray[np.float64]
 

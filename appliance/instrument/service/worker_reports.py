@@ -15,11 +15,15 @@ from appliance.instrument.service.scan_in_memory import ScanInMemory
 from appliance.instrument.service.windows import WindowWatch
 from appliance.instrument.worker.messages import Ready
 from appliance.instrument.worker.process import ReconstructionWorker, WorkerEvent
-from appliance.measure.fault import Fault, FaultCode
-from appliance.measure.news import (
+from appliance.measure import (
+    COARSE_POINTS,
     Bracket,
+    Cloud,
     CoarseCloud,
+    Fault,
+    FaultCode,
     FullCloud,
+    Judgement,
     LiveGuidance,
     News,
     PatternIdentity,
@@ -27,13 +31,10 @@ from appliance.measure.news import (
     ScanOverlap,
     SequenceFact,
     Verdicts,
+    Windows,
     WorkerFailure,
     WorkProgress,
 )
-from appliance.measure.points.pipeline import COARSE_POINTS
-from appliance.measure.points.table import Cloud
-from appliance.measure.verdict import Judgement
-from appliance.measure.verdicts.window import Windows
 from drivers.api import Clock
 
 log = logging.getLogger("kingfisher")

@@ -11,7 +11,7 @@ from importlib import import_module
 from multiprocessing.connection import Connection
 from typing import Any
 
-from appliance.base.process_start import importing, use_one_blas_thread
+from appliance.base import importing, use_one_blas_thread
 
 KILL_TIMEOUT_S = 2.0
 """Longest wait for a process that was killed, or that has closed its pipe."""

@@ -11,8 +11,7 @@ import sys
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.measure.cloud import Found
-from appliance.measure.points.table import CLOUD_BYTES, Cloud, PointTable
+from appliance.measure import CLOUD_BYTES, Cloud, Found, PointTable
 
 MOST_BLOCKS = 2
 """A scan that is still being published has one while the next one's cloud comes; so have both exposures of one scan."""

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.measure.points.table import POINT_BYTES
+from appliance.measure import POINT_BYTES
 
 LONGEST_PX = 480
 """Longest side of the picture: smaller detail tells no more, and takes twice the time at 640."""

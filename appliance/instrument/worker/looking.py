@@ -4,7 +4,7 @@ most."""
 from __future__ import annotations
 
 from appliance.instrument.worker.messages import LookAt
-from appliance.measure.news import LiveGuidance
+from appliance.measure import LiveGuidance
 
 EVERY_S, SHARE = 0.4, 1.0 / 3.0
 """Least time from one picture to the next, and the most of a processor that looking at them may take."""

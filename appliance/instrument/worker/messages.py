@@ -8,8 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from appliance.measure.light.acquisition import AcquisitionSettings
-from appliance.measure.news import LiveGuidance, News, WorkerFailure
+from appliance.measure import AcquisitionSettings, LiveGuidance, News, WorkerFailure
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,14 +12,19 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.measure.calibration.file import Calibration
-from appliance.measure.guidance import Overlap
-from appliance.measure.light.sequence import Direction, PatternSequence
-from appliance.measure.light.water import Water
-from appliance.measure.news import ScanOverlap
-from appliance.measure.overlap.overlap import CoarseView, coarse_view, compare
-from appliance.measure.overlap.patches import projection_of
-from appliance.measure.points.table import Cloud
+from appliance.measure import (
+    Calibration,
+    Cloud,
+    CoarseView,
+    Direction,
+    Overlap,
+    PatternSequence,
+    ScanOverlap,
+    Water,
+    coarse_view,
+    compare,
+    projection_of,
+)
 
 
 class Neighbours:

@@ -14,12 +14,7 @@ from numpy.typing import NDArray
 
 from appliance.instrument.worker.messages import LookAt
 from appliance.instrument.worker.neighbours import Neighbours
-from appliance.measure.calibration.file import Calibration
-from appliance.measure.guidance import Guidance
-from appliance.measure.light.water import Water
-from appliance.measure.news import LiveGuidance
-from appliance.measure.overlap.guidance import Guide, Sight
-from appliance.measure.overlap.patches import projection_of
+from appliance.measure import Calibration, Guidance, Guide, LiveGuidance, Sight, Water, projection_of
 
 
 @dataclass(slots=True)

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from appliance.measure.calibration.file import Calibration
-from appliance.measure.light.noise import TYPICAL_PAIR, StereoNoise
-from appliance.measure.light.water import Water
+from appliance.measure import TYPICAL_PAIR, Calibration, StereoNoise, Water
 
 
 @dataclass(frozen=True, slots=True)

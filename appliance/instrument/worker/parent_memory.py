@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from appliance.instrument.worker.cloud_memory import CloudMemory
 from appliance.instrument.worker.live_picture import LivePicture
 from appliance.instrument.worker.shared_points import SharedPoints
-from appliance.measure.cloud import Found
-from appliance.measure.points.table import Cloud
+from appliance.measure import Cloud, Found
 
 
 class ParentMemory:

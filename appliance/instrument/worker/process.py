@@ -33,13 +33,14 @@ from appliance.instrument.worker.order import WorkLimits, WorkOrder
 from appliance.instrument.worker.parent_memory import ParentMemory
 from appliance.instrument.worker.serve import work
 from appliance.instrument.worker.usage import cpu_s, own_memory_mb
-from appliance.measure.calibration.file import encode
-from appliance.measure.fault import Fault, FaultCode
-from appliance.measure.light.acquisition import AcquisitionSettings
-from appliance.measure.light.sides import SIDES
-from appliance.measure.news import (
+from appliance.measure import (
+    SIDES,
+    AcquisitionSettings,
     Bracket,
+    Cloud,
     CoarseCloud,
+    Fault,
+    FaultCode,
     FullCloud,
     LiveGuidance,
     News,
@@ -48,8 +49,8 @@ from appliance.measure.news import (
     SequenceFact,
     WorkerFailure,
     WorkProgress,
+    encode_calibration,
 )
-from appliance.measure.points.table import Cloud
 from drivers.api import Clock
 
 STOP_TIMEOUT_S = 2.0
@@ -373,7 +374,7 @@ class ReconstructionWorker:
         order = self.order
         self._looking.stop()
         self._child.start(
-            encode(order.calibration),
+            encode_calibration(order.calibration),
             order.water,
             (order.period_px, order.projector_width_px, order.projector_height_px),
             order.noise,

@@ -39,27 +39,31 @@ from appliance.instrument.worker.neighbours import Neighbours
 from appliance.instrument.worker.onlooker import Onlooker
 from appliance.instrument.worker.own_memory import give_back_memory, limit_memory, share_freed_memory
 from appliance.instrument.worker.shared_points import SharedPoints
-from appliance.measure.bracket import ProcessedSequence
-from appliance.measure.calibration.file import Calibration, decode
-from appliance.measure.fault import Fault, FaultCode
-from appliance.measure.light.acquisition import AcquisitionSettings
-from appliance.measure.light.noise import StereoNoise
-from appliance.measure.light.sequence import PatternSequence, build_sequence
-from appliance.measure.light.sides import SIDES
-from appliance.measure.light.water import Water
-from appliance.measure.news import (
+from appliance.measure import (
+    SIDES,
+    AcquisitionSettings,
     Bracket,
+    Calibration,
     CoarseCloud,
+    Fault,
+    FaultCode,
     FullCloud,
     News,
+    PatternSequence,
+    Pipeline,
+    PointTable,
+    ProcessedSequence,
     ReconstructionFailure,
     SequenceFact,
+    SequenceProcessor,
+    StereoNoise,
+    Water,
     WorkerFailure,
+    build_sequence,
+    compiler_watched,
+    decode_calibration,
+    what_an_empty_scan_does_not_run,
 )
-from appliance.measure.points.pipeline import Pipeline
-from appliance.measure.points.table import PointTable
-from appliance.measure.procedure import SequenceProcessor
-from appliance.measure.warm import compiler_watched, what_an_empty_scan_does_not_run
 
 NICENESS = 5
 """Priority of the process, behind the heartbeat and the cameras."""
@@ -85,7 +89,16 @@ def work(
     frame_store = FrameStore(frames, height_px, width_px, attach_to=name)
     try:
         # In a function of its own: with a view of it alive, shared memory cannot be closed.
-        _work(pipe, decode(calibration), water, build_sequence(*sequence), noise, frame_store, memory, headroom_mb)
+        _work(
+            pipe,
+            decode_calibration(calibration),
+            water,
+            build_sequence(*sequence),
+            noise,
+            frame_store,
+            memory,
+            headroom_mb,
+        )
     except (EOFError, OSError):
         pass  # the parent closed the pipe: the normal end
     finally:

@@ -7,8 +7,7 @@ other place, which nothing is written to before the next sequence has been begun
 from __future__ import annotations
 
 from appliance.instrument.worker.live_picture import behind_picture
-from appliance.measure.points.pipeline import coarse_stride_px
-from appliance.measure.points.table import POINT_BYTES, PointTable
+from appliance.measure import POINT_BYTES, PointTable, coarse_stride_px
 
 ALIGNED_BYTES = 64
 

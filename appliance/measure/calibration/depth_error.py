@@ -21,7 +21,7 @@ POWERS: tuple[tuple[int, int, int], ...] = (
     *((total - j, j, 1) for total in range(1, 5) for j in range(total + 1)),
 )
 """Exponents i, j, k of u, v and w. What is constant or tilts only moves or turns a scan, and overlaps absorb it."""
-COUNT = len(POWERS)
+DEPTH_ERROR_TERMS = len(POWERS)
 DISTANCE_MM = 525.0
 """Distance in the standard housing at which coefficients are mm."""
 BORDER = 0.24
@@ -55,4 +55,4 @@ def coefficients_of(points_mm: Array, depth_error_mm: Array, volume: WorkingVolu
     far = z / volume.scaled(DISTANCE_MM)
     others = np.stack([np.ones_like(z), u * far, v * far, far], axis=1)
     design = np.concatenate([shapes(points_mm, volume), others], axis=1)
-    return np.asarray(np.linalg.lstsq(design, depth_error_mm, rcond=None)[0][:COUNT])
+    return np.asarray(np.linalg.lstsq(design, depth_error_mm, rcond=None)[0][:DEPTH_ERROR_TERMS])

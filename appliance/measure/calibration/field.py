@@ -20,7 +20,7 @@ from appliance.measure.light.correction import node_count
 
 Array = NDArray[np.float64]
 
-INTERVALS = (16, 12)
+FIELD_CELLS = (16, 12)
 """Intervals across and down the image: square on 4:3. A twelfth of the width is followed to within a tenth of its height."""
 REACHES = (0.5, 0.2, 0.07)
 """Lengths of the processes, as shares of the image's width: from what bends the whole image to what a flaw of a window does."""

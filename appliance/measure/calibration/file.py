@@ -15,9 +15,8 @@ from typing import Annotated
 
 import numpy as np
 
-from appliance.base.one_line import one_line
-from appliance.base.sealed_file import LEFT_OUT, Among, ContentError, SealedFile, Within, digest
-from appliance.measure.calibration.depth_error import COUNT as DEPTH_ERRORS
+from appliance.base import LEFT_OUT, Among, ContentError, SealedFile, Within, digest, one_line
+from appliance.measure.calibration.depth_error import DEPTH_ERROR_TERMS as DEPTH_ERRORS
 from appliance.measure.calibration.depth_error import Rows
 from appliance.measure.calibration.field import AIR_VALUES, EYES, AirField
 from appliance.measure.light.correction import ImageCorrection, node_count
@@ -76,12 +75,12 @@ class Calibration:
         return digest(CALIBRATION.content(_Written.of(self)))
 
 
-def encode(calibration: Calibration) -> bytes:
+def encode_calibration(calibration: Calibration) -> bytes:
     """Return the file's bytes."""
     return CALIBRATION.encode(_Written.of(calibration))
 
 
-def decode(data: bytes, name: str = "calibration") -> Calibration:
+def decode_calibration(data: bytes, name: str = "calibration") -> Calibration:
     """Parse and check a file's bytes. Raises CalibrationError naming ``name``, the key, the value and the remedy."""
     try:
         return CALIBRATION.decode(data, name).calibration()

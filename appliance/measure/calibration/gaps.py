@@ -98,8 +98,8 @@ class GapModes:
         """Matched pixels, (n, 2) of each camera, over which amplitudes are normalised."""
         if len(self.field_px[0]) < 4 * len(MODES):
             raise ValueError("the cameras share too little of the measuring volume; check the relative orientation")
-        steps = [parameters.NAMES.index(name) for name in _PRIMARIES]
-        self._changed = [self._with(k, parameters.STEPS[k]) for k in steps]
+        steps = [parameters.PARAMETER_NAMES.index(name) for name in _PRIMARIES]
+        self._changed = [self._with(k, parameters.PARAMETER_STEPS[k]) for k in steps]
         self._mix = np.eye(len(MODES))
         raw = self.at(*self.field_px)
         r = np.linalg.qr(raw / np.sqrt(len(raw)), mode="r")
@@ -109,7 +109,9 @@ class GapModes:
         self._mix = np.linalg.inv(r) * signs
         # A primary's own amplitudes are its column of R, mm of one step.
         of_step = 1000.0 * signs[:, None] * r
-        per_deg = {name: np.radians(of_step[:, k] / parameters.STEPS[steps[k]]) for k, name in enumerate(_PRIMARIES)}
+        per_deg = {
+            name: np.radians(of_step[:, k] / parameters.PARAMETER_STEPS[steps[k]]) for k, name in enumerate(_PRIMARIES)
+        }
         self.turns_um = np.stack([per_deg[name] for name in TURNS])
         """Amplitudes (3, 4) per degree that the right camera is turned by, about x, y, z."""
 
@@ -120,15 +122,17 @@ class GapModes:
         columns = [_gap(p, a, *rig.right.rays(right_px, self.water_index)) - base for rig in self._changed]
         return np.asarray(np.stack(columns, -1) @ self._mix)
 
-    def of_parameters(self, names: Sequence[str] = (*parameters.NAMES, WATER_INDEX)) -> dict[str, tuple[Array, float]]:
+    def of_parameters(
+        self, names: Sequence[str] = (*parameters.PARAMETER_NAMES, WATER_INDEX)
+    ) -> dict[str, tuple[Array, float]]:
         """Compute the amplitudes (4,) that a change of each named calibration number, or of the water's index, causes,
         and the RMS of what the patterns do not hold, in µm per unit of that number."""
         modes = self.at(*self.field_px)
         found = {}
-        for k, name in enumerate(parameters.NAMES):
+        for k, name in enumerate(parameters.PARAMETER_NAMES):
             if name not in names:
                 continue
-            step = float(parameters.STEPS[k])
+            step = float(parameters.PARAMETER_STEPS[k])
             plus, minus = (signed_gap_mm(self._with(k, s), self.water_index, *self.field_px) for s in (step, -step))
             found[name] = _split(modes, 1000.0 * (plus - minus) / (2.0 * step))
         if WATER_INDEX in names:
@@ -139,7 +143,7 @@ class GapModes:
         return found
 
     def _with(self, parameter: int, change: float) -> StereoRig:
-        x = np.zeros(parameters.COUNT)
+        x = np.zeros(parameters.PARAMETER_COUNT)
         x[parameter] = change
         return parameters.rig_with(self._rig, x)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from appliance.base.sealed_file import SealedFile, Within
+from appliance.base import SealedFile, Within
 
 LIMITS = {"full_well_e": Within(500.0, 9e5), "read_noise_e": Within(0.0, 900.0), "black_level_dn": Within(0.0, 63.0)}
 """Range of each figure, within that of the rig file's key of the same name."""

@@ -32,7 +32,7 @@ class Misfit:
     """Sides (``left``, ``right`` or both) whose cameras were exchanged, where nothing else is another."""
 
 
-def misfit(calibration: Calibration, owner: Owner) -> Misfit | None:
+def owner_misfit(calibration: Calibration, owner: Owner) -> Misfit | None:
     """Return why ``calibration`` is not of ``owner``; ``None`` where it is, as far as is known."""
     if calibration.rig_serial != owner.rig_serial:
         return Misfit(f"the calibration is of instrument {calibration.rig_serial}; this one is {owner.rig_serial}")

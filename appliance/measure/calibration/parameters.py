@@ -19,17 +19,17 @@ _PORT = ("port tilt x (rad)", "port tilt y (rad)", "interface distance (mm)")
 _LENS = ("principal distance (px)", "principal point u (px)", "principal point v (px)", "k1", "k2", "p1", "p2", "k3")
 _POSE = ("turn x (rad)", "turn y (rad)", "turn z (rad)", "shift x (mm)", "shift y (mm)", "shift z (mm)")
 
-NAMES = (
+PARAMETER_NAMES = (
     *(f"{side} {name}" for side in ("left", "right") for name in _PORT),
     *(f"{side} {name}" for side in ("left", "right") for name in _LENS),
     *(f"right camera's {name}" for name in _POSE),
 )
 """All parameters: the ports' six, then the twenty-two that a calibration in air delivers."""
-PORTS = slice(0, 6)
+PORT_PARAMETERS = slice(0, 6)
 AIR = slice(6, 28)
 POSE = slice(22, 28)
-COUNT = 28
-STEPS = np.array(
+PARAMETER_COUNT = 28
+PARAMETER_STEPS = np.array(
     [1e-5, 1e-5, 1e-3] * 2 + [1e-2, 1e-2, 1e-2, 1e-5, 1e-5, 1e-6, 1e-6, 1e-5] * 2 + [1e-6] * 3 + [1e-3] * 3
 )
 """Increments for difference quotients: hundredths of a pixel at the image's edge, where the model is straight."""

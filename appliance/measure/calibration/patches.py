@@ -14,7 +14,7 @@ from appliance.measure.light.noise import MAD_TO_SIGMA
 
 Array = NDArray[np.float64]
 
-COUNT = PATCHES[0] * PATCHES[1]
+PATCH_COUNT = PATCHES[0] * PATCHES[1]
 FEWEST_IN_PATCH = 20
 OUTLIER_SIGMAS = 3.0
 """Distance from the median in robust standard deviations beyond which a match is false and says nothing about the
@@ -24,11 +24,11 @@ calibration."""
 def without_veil(gaps: PatchGaps, veil: VeilGaps, size_px: tuple[int, int]) -> PatchGaps:
     """Return ``gaps`` less what backscatter is expected to have added, with what is not known of that. ``size_px`` is the image's."""
     patch = _patch_of(veil.left_px, size_px)
-    counts = np.bincount(patch, minlength=COUNT)
+    counts = np.bincount(patch, minlength=PATCH_COUNT)
 
     def mean(values: Array) -> Array:
         # A patch without a sample is like the mean of all.
-        sums = np.bincount(patch, values, minlength=COUNT)
+        sums = np.bincount(patch, values, minlength=PATCH_COUNT)
         return np.asarray(np.where(counts > 0, sums / np.maximum(counts, 1), np.mean(values))[gaps.patch])
 
     moved = mean(veil.gap_um)
@@ -45,11 +45,11 @@ def average(modes: GapModes, left_px: Array, right_px: Array, gap_um: Array) -> 
     away = np.abs(gap_um - middle[patch])
     sigma = MAD_TO_SIGMA * _medians(patch, away)
     kept = away <= OUTLIER_SIGMAS * sigma[patch]
-    counts = np.bincount(patch[kept], minlength=COUNT)
+    counts = np.bincount(patch[kept], minlength=PATCH_COUNT)
     good = np.flatnonzero(counts >= FEWEST_IN_PATCH)
 
     def mean(values: Array) -> Array:
-        return np.asarray(np.bincount(patch[kept], values[kept], minlength=COUNT)[good] / counts[good])
+        return np.asarray(np.bincount(patch[kept], values[kept], minlength=PATCH_COUNT)[good] / counts[good])
 
     seen_px = [np.stack([mean(px[:, k]) for k in (0, 1)], -1) for px in (left_px, right_px)]
     return PatchGaps(
@@ -73,10 +73,10 @@ def _medians(patch: NDArray[np.intp], values: Array) -> Array:
     """Return the median of each patch, (48,); zero where it is empty."""
     order = np.argsort(values)
     order = order[np.argsort(patch[order].astype(np.uint8), kind="stable")]  # six times as fast as lexsort
-    counts = np.bincount(patch, minlength=COUNT)
+    counts = np.bincount(patch, minlength=PATCH_COUNT)
     first = np.cumsum(counts) - counts
     ordered = values[order]
-    medians = np.zeros(COUNT)
+    medians = np.zeros(PATCH_COUNT)
     seen = counts > 0
     low, high = first + (counts - 1) // 2, first + counts // 2
     medians[seen] = 0.5 * (ordered[low[seen]] + ordered[high[seen]])

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Annotated
 
-from appliance.base.sealed_file import FINITE, LEFT_OUT, SealedFile, Within
+from appliance.base import FINITE, LEFT_OUT, SealedFile, Within
 from appliance.measure.light.response import Response
 
 _WholeUs = Annotated[int, Within(0, math.inf, whole=True)]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-INTERVALS = (6, 5)
+CORRECTION_INTERVALS = (6, 5)
 """Intervals across and down the image: the coarsest that follow what lenses do beyond five coefficients."""
 SUBSTITUTIONS = 12
 TOLERANCE_PX = 1e-11

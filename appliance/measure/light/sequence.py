@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from appliance.measure.light.gray import bit_count, gray_bit
 from appliance.measure.light.response import Response
-from appliance.measure.light.sine import STEP_DEG, STEPS, sine_codes
+from appliance.measure.light.sine import PHASE_STEPS, STEP_DEG, sine_codes
 
 PERIODS_PX = (16, 32, 64)
 BRIGHT_CODE = 247
@@ -152,7 +152,7 @@ class PatternSequence:
         size, first = self.width_px, REFERENCES
         bits = bit_count(size, self.period_px)
         if direction is Direction.Y:
-            size, first = self.height_px, first + bits + STEPS
+            size, first = self.height_px, first + bits + PHASE_STEPS
             bits = bit_count(size, self.period_px)
         sine = first + bits
         return Axis(direction, size, tuple(range(first, sine)), (sine, sine + 1, sine + 2, sine + 3))
@@ -182,7 +182,7 @@ def _promised(period_px: int, width_px: int, height_px: int) -> list[Pattern]:
         patterns += [
             Pattern(Kind.GRAY, direction, bit, period_px, size_px) for bit in range(bit_count(size_px, period_px))
         ]
-        patterns += [Pattern(Kind.SINE, direction, step, period_px, size_px) for step in range(STEPS)]
+        patterns += [Pattern(Kind.SINE, direction, step, period_px, size_px) for step in range(PHASE_STEPS)]
     return patterns
 
 

@@ -11,9 +11,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-STEPS = 4
+PHASE_STEPS = 4
 """Number of phase steps, 90° apart; ``PatternSequence`` says what relies on it."""
-STEP_DEG = 360 // STEPS
+STEP_DEG = 360 // PHASE_STEPS
 MEAN_CODE = 127.5
 AMPLITUDE_CODE = 119.5
 """Codes run from 8 to 247: clear of the ends of the scale, where projectors clip."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from appliance.base.argument_types import refuse_wrong_fields
+from appliance.base import refuse_wrong_fields
 
 
 @refuse_wrong_fields

@@ -31,7 +31,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.measure.light.sine import STEPS
+from appliance.measure.light.sine import PHASE_STEPS
 from appliance.measure.motion.displacement import (
     FIRST_FRAME,
     FRAME_COEFFICIENTS,
@@ -76,7 +76,7 @@ from appliance.measure.motion.row_solver import (
     solve_sines,
 )
 
-SINES = STEPS
+SINES = PHASE_STEPS
 BRIGHT, FIRST_GRAY = 4, 5
 """Places of the followed frames behind the 4 x-sines: the bright frame, then the Gray images of x, then those of y."""
 MAX_GRAY = 8

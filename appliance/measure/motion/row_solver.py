@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from appliance.measure.decode.phase import ATAN_TURNS
 from appliance.measure.decode.scratch import MAX_WIDTH_PX
-from appliance.measure.light.sine import STEPS
+from appliance.measure.light.sine import PHASE_STEPS
 from appliance.measure.motion.displacement import FIRST_FRAME, FRAME_COEFFICIENTS, OF_PHASE, OF_V, P_OF_T, Q_OF_T
 from appliance.measure.motion.row_reader import coefficient_row, noise_row, parabola_row, place_row, read_row
 
@@ -58,7 +58,7 @@ def read_sines(
 ) -> None:  # fmt: skip
     """Read the four sines where points of columns ``first`` to ``stop`` − 1 at DEPTH were: GREY, NOISE and TURNS of each."""
     t, u, v = s[DEPTH : DEPTH + width], s[U : U + width], s[V : V + width]
-    for k in range(STEPS):
+    for k in range(PHASE_STEPS):
         at = FIRST_FRAME + FRAME_COEFFICIENTS * k
         grey, noise, turns = GREY_0 + k * _SLOT, NOISE_0 + k * _SLOT, TURNS_0 + 3 * k * _SLOT
         parabola_row(at_row, shares, at, t, first, stop, u)
@@ -97,7 +97,7 @@ def solve_sines(
     Writes OFFSET, MODULATION, PHASE, VARIANCE and MISFIT, and what the harmonic and the sines' mean follow from.
     """
     s = s[first:]  # counted from zero: of an index that may be negative, numba asks each time whether it is
-    for k in range(STEPS):
+    for k in range(PHASE_STEPS):
         at, n = 3 * k * _SLOT, stop - first
         cosines(s[TURNS_0 + at :][:n], s[COS_0 + at :][:n], s[SIN_0 + at :][:n])
     g0, g1, g2, g3 = gains[0], gains[1], gains[2], gains[3]

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from appliance.measure.calibration.depth_error import COUNT
+from appliance.measure.calibration.depth_error import DEPTH_ERROR_TERMS
 from appliance.measure.overlap.albedo import Paint, patch_pitch_mm
 from appliance.measure.overlap.bow import BowNews, derivatives, news_of
 from appliance.measure.overlap.equations import (
@@ -249,7 +249,7 @@ def _judged(a: Prepared, b: Prepared, pose: Rigid, with_paint: bool) -> Fit | No
 
 def _bow(system: System, laid: Laid, b: Prepared, pose: Rigid, resistance: Resistance) -> BowNews:
     at_b = b.patches.centre_mm.reshape(-1, 3)[laid.source]
-    B = np.zeros((len(system.r), COUNT))
+    B = np.zeros((len(system.r), DEPTH_ERROR_TERMS))
     B[: len(at_b)] = derivatives(laid.normal_a, laid.x_mm, at_b, pose.rotation, b.patches.projection.volume)
     J = 0.5 * (system.J + system.Z)
     # Residuals of a tile err together: so many times are sums of them more uncertain than of independent ones.

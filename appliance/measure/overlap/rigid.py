@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from appliance.base.one_line import one_line
+from appliance.base import one_line
 from appliance.measure.light.rotation import rotation_matrix, rotation_vector
 from appliance.measure.overlap.patches import Array
 

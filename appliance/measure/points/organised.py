@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.base.one_line import one_line
+from appliance.base import one_line
 from appliance.measure.points.table import Cloud
 
 

@@ -19,14 +19,14 @@ from dataclasses import dataclass, replace
 from appliance.measure.cloud import CloudSummary
 from appliance.measure.decode.decoder import MIN_MODULATION_DN
 from appliance.measure.fault import Fault, FaultCode
-from appliance.measure.grade import USABLE_COVERAGE_PERCENT, USABLE_NOISE_MM, is_usable
+from appliance.measure.grading import USABLE_COVERAGE_PERCENT, USABLE_NOISE_MM, is_usable
 from appliance.measure.light.exposure import Exposure
 from appliance.measure.light.sides import SIDES
 from appliance.measure.light.water import sight_m
 from appliance.measure.verdict import Judgement, Verdict
 from appliance.measure.verdicts.water.judge import MOST_SIGHT_M, hides_object
 
-NAME = "causes"
+CAUSES_NAME = "causes"
 MOVED_LIKE_FLICKER = 2.4
 """Largest multiple of the motion's ripple that the judge of light may see and that is still motion: 1.5 to 1.7 times
 is usual where something moves. What exceeds it is light."""
@@ -131,23 +131,23 @@ def with_causes(
     causes = [_with_sight(cause, water) for cause in find_causes(judgements, summary, present, steps)]
     judges = {one.fault.code: one.verdict.name for one in judgements if one.fault is not None and not _is_weighed(one)}
     judges |= _JUDGES
-    left = {one.verdict.name: one for one in judgements if one.verdict.name != NAME}
+    left = {one.verdict.name: one for one in judgements if one.verdict.name != CAUSES_NAME}
     ranked: list[Judgement] = []
     for cause in causes:
-        judge = judges.get(cause.fault.code, NAME)
-        if judge in left and judge != NAME:
+        judge = judges.get(cause.fault.code, CAUSES_NAME)
+        if judge in left and judge != CAUSES_NAME:
             one = left.pop(judge)
             ranked.append(replace(one, fault=cause.fault, verdict=_failed(one.verdict, cause)))
         else:
-            ranked.append(Judgement(Verdict(NAME, None), cause.fault))
+            ranked.append(Judgement(Verdict(CAUSES_NAME, None), cause.fault))
     others = [_without_fault(one) if name != "identity" else one for name, one in left.items()]
     numbers: dict[str, float | None] = {
         f"{cause.fault.code.value.lower()}_percent": 100.0 * cause.share for cause in causes
     }
     text = ", ".join(f"{cause.fault.code.value} {100.0 * cause.share:.0f} %" for cause in causes) or "nothing ails it"
-    verdict = Verdict(NAME, not causes, numbers, text)
-    whole = [replace(one, verdict=verdict) if one.verdict.name == NAME else one for one in ranked]
-    if not any(one.verdict.name == NAME for one in whole):
+    verdict = Verdict(CAUSES_NAME, not causes, numbers, text)
+    whole = [replace(one, verdict=verdict) if one.verdict.name == CAUSES_NAME else one for one in ranked]
+    if not any(one.verdict.name == CAUSES_NAME for one in whole):
         whole.append(Judgement(verdict))
     identity = [one for one in others if one.verdict.name == "identity"]
     return (*identity, *whole, *(one for one in others if one.verdict.name != "identity"))
@@ -182,7 +182,7 @@ def _with_sight(cause: Cause, water: Numbers) -> Cause:
 def _is_weighed(one: Judgement) -> bool:
     """Say whether a judge's numbers are weighed here; the fault of any other judge stands as it says, behind the
     weighed ones."""
-    return one.verdict.name in {NAME, "identity", *_JUDGES.values()}
+    return one.verdict.name in {CAUSES_NAME, "identity", *_JUDGES.values()}
 
 
 def _failed(verdict: Verdict, cause: Cause) -> Verdict:

@@ -13,7 +13,7 @@ from typing import Any, get_type_hints
 from pydantic import TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
-from appliance.base.bounded_file import parse_toml, read_text
+from appliance.base import parse_toml, read_text
 from appliance.store.config.checks import Complaint, complaints
 from appliance.store.config.rig import Rig
 

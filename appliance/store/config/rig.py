@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, ConfigDict, Field, Strict
 from pydantic.dataclasses import dataclass
 
-from appliance.measure.light.volume import STANDARD
+from appliance.measure import STANDARD
 from drivers.camera_families import USUAL
 
 # A misspelt key must not pass for a default, and TOML has words for inf and nan, which lie within no range.

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from appliance.cli import main
-from appliance.measure.calibration.file import encode
+from appliance.measure.calibration.file import encode_calibration
 from appliance.measure.light.model import StereoRig
 from appliance.measure.light.port import Port
 from appliance.store.calibration_file import load_calibration
@@ -46,7 +46,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
         rig=StereoRig(replace(calibration.rig.left, port=DRAWN), replace(calibration.rig.right, port=DRAWN)),
         air_covariance=tuple(tuple(float(v) for v in row) for row in np.diag(np.square(SD))),
     )
-    (folder / "air.json").write_bytes(encode(start))
+    (folder / "air.json").write_bytes(encode_calibration(start))
     (folder / "list.toml").write_text(listed(truth, *FOUR))
     return folder, truth
 
@@ -132,7 +132,9 @@ def test_what_cannot_be_done_is_said_and_replaces_nothing(bench: Bench, capsys: 
     frustum = '[[scan]]\nscan = "./plane-0"\nartefact = "frustum"\ntop_mm = 80.0\n'
     (folder / "frustum.toml").write_text(listed(truth, *FOUR) + frustum)
     (folder / "planes.toml").write_text(listed(truth, "plane-0"))
-    (folder / "other.json").write_bytes(encode(replace(load_calibration(folder / "air.json"), rig_serial="KF-0002")))
+    (folder / "other.json").write_bytes(
+        encode_calibration(replace(load_calibration(folder / "air.json"), rig_serial="KF-0002"))
+    )
     for out, name, start, code, words in (
         ("taken", "list", "air", 2, "exists already"),
         ("none", "frustum", "air", 2, "take it out of the list"),

@@ -7,6 +7,7 @@ import logging
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,11 +15,10 @@ import pytest
 
 from appliance.base.sealed_file import ContentError
 from appliance.calibrate.response.measure import CameraImages, ResponseError, measure_response
-from appliance.measure.calibration import file as calibration_file
-from appliance.measure.calibration.depth_error import COUNT
+from appliance.measure.calibration.depth_error import DEPTH_ERROR_TERMS
 from appliance.measure.calibration.design import design_calibration
 from appliance.measure.calibration.field import AirField
-from appliance.measure.calibration.file import CalibrationError
+from appliance.measure.calibration.file import Calibration, CalibrationError, decode_calibration, encode_calibration
 from appliance.measure.calibration.noise_file import NOISE as NOISE_SEAL
 from appliance.measure.calibration.noise_file import BothFigures, CameraFigures, StoredNoise
 from appliance.measure.calibration.response_file import RESPONSE as RESPONSE_SEAL
@@ -38,6 +38,8 @@ from tests.support.golden_texts import Says
 from tests.support.sealing import sealed
 from tests.support.truth import WATER
 
+calibration_file = SimpleNamespace(encode=encode_calibration, decode=decode_calibration)
+
 CALIBRATION = design_calibration(DESIGN, "KF-0001", 1600, 1200, WATER)
 LEFT, RIGHT = CameraFigures("KF-CAM-L", 9_100.0, 4.5, 6.0), CameraFigures("KF-CAM-R", 18_000.0, 25.0, 1.5)
 NOISE = StoredNoise("KF-SIM", ("000007",), BothFigures(LEFT, RIGHT))
@@ -50,14 +52,14 @@ def rig(tmp_path: Path) -> Rig:
     return replace(rig, storage=replace(rig.storage, root=tmp_path))
 
 
-def left_with(**changes: Any) -> calibration_file.Calibration:
+def left_with(**changes: Any) -> Calibration:
     left = replace(CALIBRATION.rig.left, **changes)
     return replace(CALIBRATION, rig=replace(CALIBRATION.rig, left=left))
 
 
 def depth_errors() -> tuple[tuple[float, ...], ...]:
-    half = np.random.default_rng(4).normal(0.0, 0.01, (COUNT, COUNT))
-    rows = half @ half.T + 1e-6 * np.eye(COUNT)
+    half = np.random.default_rng(4).normal(0.0, 0.01, (DEPTH_ERROR_TERMS, DEPTH_ERROR_TERMS))
+    rows = half @ half.T + 1e-6 * np.eye(DEPTH_ERROR_TERMS)
     return tuple(tuple(row) for row in (0.5 * (rows + rows.T)).tolist())
 
 
@@ -111,24 +113,32 @@ THICK = left_with(port=replace(CALIBRATION.rig.left.port, thickness_mm=500.0))
 TURNED = left_with(rotation=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, -1.0)))
 AWRY = left_with(port=replace(CALIBRATION.rig.left.port, normal=(0.9, 0.0, 0.0)))
 FOLDED = left_with(lens=replace(CALIBRATION.rig.left.lens, distortion=(0.0,) * 12))
-SKEW = replace(STATED, depth_error_mm2=(*depth_errors()[:-1], (0.0,) * COUNT))
+SKEW = replace(STATED, depth_error_mm2=(*depth_errors()[:-1], (0.0,) * DEPTH_ERROR_TERMS))
 WRONG_FILES: list[tuple[Any, bytes, str]] = [
-    (calibration_file, calibration_file.encode(CALIBRATION).replace(b"1.77", b"1.78"), "checksum"),
+    (calibration_file, encode_calibration(CALIBRATION).replace(b"1.77", b"1.78"), "checksum"),
     (calibration_file, calibration(schema=4), "schema 4"),
     (
         calibration_file,
         resigned(calibration_file, FIELDED, lambda content: content["air_field"].update(root="AAAA")),
         r"air_field\.root is .* allowed: the factor of a covariance",
     ),
-    (calibration_file, calibration_file.encode(THICK), r"thickness_mm is 500\.0; allowed: 0\.\.100"),
-    (calibration_file, calibration_file.encode(SKEW), "depth_error_mm2"),
+    (calibration_file, encode_calibration(THICK), r"thickness_mm is 500\.0; allowed: 0\.\.100"),
+    (calibration_file, encode_calibration(SKEW), "depth_error_mm2"),
     (
         calibration_file,
-        calibration_file.encode(TURNED),
+        encode_calibration(TURNED),
         r"cameras\.left: rotation is .*; allowed: a rotation matrix; restore",
     ),
-    (calibration_file, calibration_file.encode(AWRY), r"cameras\.left: port\.normal is .*; allowed: a unit vector"),
-    (calibration_file, calibration_file.encode(FOLDED), r"cameras\.left: distortion is .*; allowed: a list of 5"),
+    (
+        calibration_file,
+        encode_calibration(AWRY),
+        r"cameras\.left: port\.normal is .*; allowed: a unit vector",
+    ),
+    (
+        calibration_file,
+        encode_calibration(FOLDED),
+        r"cameras\.left: distortion is .*; allowed: a list of 5",
+    ),
     (
         calibration_file,
         resigned(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from appliance.calibrate import health
-from appliance.calibrate.health import LEARNT_SCANS, HealthTrend, OverlapNews, answered, judge
+from appliance.calibrate.health import LEARNT_SCANS, HealthTrend, OverlapNews, answered, judge_health
 from appliance.measure.calibration.gaps import MODES, TURNS, GapModes, pairs_in_volume, signed_gap_mm
 from appliance.measure.cloud import PatchGaps
 from appliance.measure.light.model import StereoRig
@@ -163,11 +163,11 @@ def test_too_little_and_what_is_no_number_is_not_judged_and_a_corner_is_uncertai
     whole = scan(MADE, MADE.truth, np.random.default_rng(1))
     spoilt = replace(whole, gap_um=np.where(np.arange(len(whole.gap_um)) == 3, np.nan, whole.gap_um))
     for gaps, named in ((only(whole, np.arange(5)), "5 of 48"), (spoilt, "not a number")):
-        trend, said = judge(HealthTrend(), gaps, "000001")
+        trend, said = judge_health(HealthTrend(), gaps, "000001")
         assert (trend, said.point, bool(said.alarm)) == (HealthTrend(), None, False)
         assert named in said.text
     part = only(whole, np.isin(whole.patch, [0, 1, 2, 8, 9, 10, 16, 17, 18]))
-    of_whole, of_part = (judge(HealthTrend(), gaps, None)[1] for gaps in (whole, part))
+    of_whole, of_part = (judge_health(HealthTrend(), gaps, None)[1] for gaps in (whole, part))
     assert of_part.point is not None
     assert of_whole.point is not None
     # Height and twist have the drift of mounts in them, however much is seen.

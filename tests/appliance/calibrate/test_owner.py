@@ -11,8 +11,8 @@ import pytest
 from appliance.calibrate.recordings import RecordingError
 from appliance.calibrate.stored_recordings import cameras_of
 from appliance.instrument.machine.alerts import alert_of
-from appliance.measure.calibration.file import Calibration, CalibrationError, decode, encode
-from appliance.measure.calibration.owner import Owner, exchanged, misfit
+from appliance.measure.calibration.file import Calibration, CalibrationError, decode_calibration, encode_calibration
+from appliance.measure.calibration.owner import Owner, exchanged, owner_misfit
 from appliance.measure.fault import FaultCode
 from appliance.store.config import Rig, default_rig_path, load_rig
 from appliance.store.instrument import calibration_of, design_of, origin_of
@@ -41,21 +41,21 @@ def measured(rig: Rig, serials: tuple[str, str] | None) -> Calibration:
 def installed(rig: Rig, name: str, serials: tuple[str, str] | None) -> Calibration:
     path = rig.storage.root / "calibration" / name
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(encode(measured(rig, serials)))
-    return decode(path.read_bytes())
+    path.write_bytes(encode_calibration(measured(rig, serials)))
+    return decode_calibration(path.read_bytes())
 
 
 def test_serial_numbers_of_the_cameras_are_written_and_files_without_them_accepted(rig: Rig) -> None:
-    said = json.loads(encode(measured(rig, OWN)))
+    said = json.loads(encode_calibration(measured(rig, OWN)))
     assert (said.pop("camera_serials"), said.pop("schema")) == ({"left": "KF-CAM-L", "right": "KF-CAM-R"}, 1)
-    assert "camera_serials" not in json.loads(encode(measured(rig, None)))
+    assert "camera_serials" not in json.loads(encode_calibration(measured(rig, None)))
     for serials in (None, OWN):
         kept = installed(rig, "current.json", serials)
         assert calibration_of(rig) == (kept, ())
     del said["sha256"]
     for wrong in ("L and R", ["L", "R"], {"left": "L"}, {"left": 3, "right": "R"}):
         with pytest.raises(CalibrationError, match=r"camera_serials|left is|right is"):
-            decode(sealed({**said, "schema": 1, "camera_serials": wrong}))
+            decode_calibration(sealed({**said, "schema": 1, "camera_serials": wrong}))
 
 
 @pytest.mark.parametrize(
@@ -91,9 +91,9 @@ def test_instrument_and_image_size_come_before_the_cameras_and_unknown_ones_are_
     calibration = measured(rig, OWN)
     size_px = (rig.camera.left.width_px, rig.camera.left.height_px)
     for serials in (OWN, None):
-        assert misfit(calibration, Owner(rig.rig.serial, (size_px, size_px), serials)) is None
-    of_another = misfit(calibration, Owner("KF-0009", (size_px, size_px), ("A", "B")))
-    smaller = misfit(calibration, Owner(rig.rig.serial, (size_px, (800, 600)), OWN))
+        assert owner_misfit(calibration, Owner(rig.rig.serial, (size_px, size_px), serials)) is None
+    of_another = owner_misfit(calibration, Owner("KF-0009", (size_px, size_px), ("A", "B")))
+    smaller = owner_misfit(calibration, Owner(rig.rig.serial, (size_px, (800, 600)), OWN))
     for found, named in ((of_another, ("KF-0001", "KF-0009")), (smaller, ("right", "1600x1200", "800x600"))):
         assert found is not None
         assert all(words in found.reason for words in named)

@@ -43,7 +43,7 @@ def root(tmp_path: Path) -> Path:
     changed = form.Manifest(
         "000001", form.Stage.COMPLETE, form.Decision.KEPT, strange, form.read(folder).files, frame_crc32={}
     )
-    (folder / form.FILE_NAME).write_bytes(form.encode(changed))
+    (folder / form.MANIFEST_FILE).write_bytes(form.encode(changed))
     return tmp_path
 
 

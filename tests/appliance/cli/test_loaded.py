@@ -58,7 +58,7 @@ def loaded(*words: str | Path) -> set[str]:
 
 
 @pytest.mark.parametrize(
-    ("word", "more"), [("--help", ()), ("version", ("cli.installation", "base", "base.distribution"))]
+    ("word", "more"), [("--help", ()), ("version", ("cli.installation", "base", "base.face", "base.distribution"))]
 )
 def test_help_and_the_version_load_nothing_else_of_the_product(word: str, more: tuple[str, ...]) -> None:
     mine = {name for name in loaded(word) if name.partition(".")[0] in ("appliance", "drivers")}

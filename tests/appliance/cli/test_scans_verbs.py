@@ -11,7 +11,7 @@ import pytest
 
 from appliance.desk.scripting import open_dive
 from appliance.instrument.machine.ashore import ASHORE
-from appliance.measure.calibration.file import encode
+from appliance.measure.calibration.file import encode_calibration
 from appliance.measure.fault import FaultCode
 from appliance.measure.verdict import Verdict
 from appliance.store import label as labels
@@ -39,7 +39,7 @@ def root(tmp_path: Path) -> Path:
     library.begin(frames(4), record(), ORIGIN).reject("moved 3 px")
     made = replace(design_of(load_rig(default_rig_path())), rig_serial="KF-0042", method="bundle")
     (root / CALIBRATION_FILE).parent.mkdir()
-    (root / CALIBRATION_FILE).write_bytes(encode(made))
+    (root / CALIBRATION_FILE).write_bytes(encode_calibration(made))
     return root
 
 
@@ -122,7 +122,7 @@ def test_a_name_and_a_note_are_listed_and_shown_and_a_damaged_label_is_told(root
     scans(shell, root, "verify", "2")
     scans(shell, root, "note", "2", "south")
     assert scans(shell, root, "name", "2", "").out == "000002  name: -; note: south\n"
-    assert labels.read(folder) == Label(None, "south")
+    assert labels.read_label(folder) == Label(None, "south")
 
 
 def test_a_trashed_scan_is_gone_from_the_lists_and_comes_back_whole(root: Path, shell: Shell) -> None:
@@ -170,7 +170,7 @@ def test_a_disk_that_refuses_leaves_the_old_label_and_the_scan_in_its_place(root
                 Library(root, bad).trash("2")
             assert len(bad.calls) <= call, "nothing failed"
         except StorageError:
-            assert labels.read(root / "scans" / "000001") in (Label("before", None), Label("after", "x"))
+            assert labels.read_label(root / "scans" / "000001") in (Label("before", None), Label("after", "x"))
             places = [root / shelf / "000002" / "manifest.json" for shelf in ("scans", "trash")]
             assert sum(place.is_file() for place in places) == 1
 

@@ -13,7 +13,7 @@ from appliance.desk.object_errors import in_the_frame
 from appliance.desk.registration.joint import JointErrors
 from appliance.desk.surface.fusion import FusedCloud
 from appliance.desk.surface.nominal import Nominal, nominal_of
-from appliance.measure.calibration.depth_error import COUNT
+from appliance.measure.calibration.depth_error import DEPTH_ERROR_TERMS
 from appliance.measure.overlap.rigid import Rigid
 
 Array = NDArray[np.float64]
@@ -53,11 +53,11 @@ def plate() -> Nominal:
 @pytest.fixture(scope="module")
 def errors() -> JointErrors:
     """Seven scans in a row, each turned a little against the one before by what they share: a parabola."""
-    follow = np.zeros((6 * len(SCANS_MM), COUNT))
+    follow = np.zeros((6 * len(SCANS_MM), DEPTH_ERROR_TERMS))
     # z = -F c, by a turn about y and a shift that make the parabola's tangent.
     follow[1::6, 0] = 2.0 * BEND * SCANS_MM
     follow[5::6, 0] = BEND * SCANS_MM**2
-    shared = np.zeros((COUNT, 1))
+    shared = np.zeros((DEPTH_ERROR_TERMS, 1))
     shared[0] = COEFFICIENT_MM
     poses = tuple(Rigid(np.eye(3), np.array([x, 0.0, -500.0])) for x in SCANS_MM)
     return JointErrors(poses, np.zeros((6 * len(poses), 1)), follow, shared)

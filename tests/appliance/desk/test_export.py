@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from appliance.cli.output import Exit
-from appliance.measure.calibration.file import encode
+from appliance.measure.calibration.file import encode_calibration
 from appliance.store.instrument import design_of
 from tests.support.commands import Shell
 from tests.support.e57 import read_e57
@@ -29,7 +29,7 @@ def plane(tmp_path_factory: pytest.TempPathFactory) -> Plane:
     root = tmp_path_factory.mktemp("plane")
     rig = small_rig(root / "storage")
     folder, points = store_plane(rig)
-    (root / "calibration.json").write_bytes(encode(design_of(rig)))
+    (root / "calibration.json").write_bytes(encode_calibration(design_of(rig)))
     return folder, root / "calibration.json", points
 
 

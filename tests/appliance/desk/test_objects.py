@@ -17,8 +17,8 @@ from scipy.spatial import cKDTree
 from appliance.calibrate.health import OVERLAP_LIMIT
 from appliance.cli.main import main
 from appliance.desk import object_store as objects
-from appliance.measure.calibration.depth_error import COUNT
-from appliance.measure.calibration.file import encode
+from appliance.measure.calibration.depth_error import DEPTH_ERROR_TERMS
+from appliance.measure.calibration.file import encode_calibration
 from appliance.store.calibration_file import load_calibration
 from appliance.store.config import default_rig_path, load_rig
 from appliance.store.instrument import design_of
@@ -54,7 +54,7 @@ def dive(tmp_path_factory: pytest.TempPathFactory) -> Path:
         store(scan, root / "scans" / name, exposure_ms=12.0, belongs_to=NUMBERS.get(name))
         truth = scan.renderer.truth
     (root / "calibration").mkdir()
-    (root / "calibration" / "truth.json").write_bytes(encode(complete_calibration(truth)))
+    (root / "calibration" / "truth.json").write_bytes(encode_calibration(complete_calibration(truth)))
     # The true place of each view, for the tests.
     origin = left_to_rig(truth, np.zeros((1, 3)))[0]
     axes = (left_to_rig(truth, np.eye(3)) - origin).T
@@ -72,7 +72,7 @@ def small(tmp_path: Path) -> Path:
         library.begin(frames(k), said, ORIGIN).publish(said)
     rig = load_rig(default_rig_path())
     (library.root / "calibration").mkdir()
-    (library.root / "calibration" / "truth.json").write_bytes(encode(design_of(rig)))
+    (library.root / "calibration" / "truth.json").write_bytes(encode_calibration(design_of(rig)))
     return library.root
 
 
@@ -93,7 +93,7 @@ def test_scans_of_a_shell_are_placed_and_a_bare_plane_is_left_out(
     out = dive / "find.ply"
     code = run(dive, "solve", "find", "000003", BARE, "--out", str(out), "--spacing", "1", "--json", *calibrated(dive))
     assert code == 5, "a scan is left out, and a program notices"
-    solved = objects.read(dive, "find")
+    solved = objects.read_object(dive, "find")
     assert solved.places is not None
     assert sorted(solved.places.places) == sorted(POSES)
     assert list(solved.places.left_out) == [BARE]
@@ -145,7 +145,7 @@ def test_a_solved_object_is_written_again_in_every_form_without_solving(
     assert len(read.faces) > 5_000
 
     # Each scan's grid, put where it lies, is on the surface of all of them.
-    places = objects.read(dive, "kept").places
+    places = objects.read_object(dive, "kept").places
     assert places is not None
     points = vertices_of(again)
     parts = sum(points[f"sigma_{part}_mm"] ** 2 for part in ("beside", "place", "bending"))
@@ -201,7 +201,7 @@ def test_what_cannot_be_done_with_an_object_is_refused_in_a_line(
 
 
 def members(root: Path, name: str) -> list[str]:
-    return [one.name for one in objects.read(root, name).scans]
+    return [one.name for one in objects.read_object(root, name).scans]
 
 
 def test_the_scans_of_an_object_of_the_dive_are_collected_by_its_number(
@@ -228,10 +228,10 @@ def test_what_overlaps_tell_of_the_calibration_goes_into_its_health(
     lens = true.rig.right.lens
     k1, k2, p1, p2, k3 = lens.distortion
     right = replace(true.rig.right, lens=replace(lens, distortion=(k1 + wrong_by, k2, p1, p2, k3)))
-    stated = tuple(tuple(row) for row in (0.01**2 * np.eye(COUNT)).tolist())
+    stated = tuple(tuple(row) for row in (0.01**2 * np.eye(DEPTH_ERROR_TERMS)).tolist())
     bent = replace(true, rig=replace(true.rig, right=right), depth_error_mm2=stated)
     used = dive / "calibration" / "current.json"
-    used.write_bytes(encode(bent))
+    used.write_bytes(encode_calibration(bent))
     name = f"bent {wrong_by}"
     try:
         words = ("--calibration", str(used), "--foreign-calibration", "--json")

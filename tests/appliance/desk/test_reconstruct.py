@@ -11,7 +11,7 @@ import pytest
 from appliance.calibrate.calibrations import Calibrations
 from appliance.calibrate.files import describe_calibration, write_nominal_calibration
 from appliance.desk.reconstruct import reconstruct_scan
-from appliance.measure.calibration.file import CalibrationError, encode
+from appliance.measure.calibration.file import CalibrationError, encode_calibration
 from appliance.measure.light.model import StereoRig
 from appliance.store.config import Rig
 from appliance.store.instrument import CALIBRATION_FILE, calibration_of, design_of
@@ -31,7 +31,7 @@ def test_another_calibration_gives_other_points(rig: Rig, tmp_path: Path) -> Non
     folder, points = store_plane(rig)
     other, out = replace(design_of(rig), method="bundle"), tmp_path / "again.ply"
     moved = replace(other.rig.left, port=replace(other.rig.left.port, distance_mm=33.0))
-    (tmp_path / "other.json").write_bytes(encode(replace(other, rig=replace(other.rig, left=moved))))
+    (tmp_path / "other.json").write_bytes(encode_calibration(replace(other, rig=replace(other.rig, left=moved))))
     wish, seen = Wish(rig, calibration=tmp_path / "other.json"), list[str]()
     source = open_source(folder, wish)
     report = reconstruct_scan(source, calibration_for(source, wish), out, seen.append)
@@ -48,7 +48,7 @@ def test_when_the_calibration_is_damaged_or_anothers_the_one_before_is_used_and_
     calibrations.install(second, "2026-02-01")
     path = rig.storage.root / CALIBRATION_FILE
     assert calibration_of(rig) == (second, ())
-    for wrong in (path.read_bytes()[:-40], encode(replace(second, rig_serial="KF-0007"))):
+    for wrong in (path.read_bytes()[:-40], encode_calibration(replace(second, rig_serial="KF-0007"))):
         path.write_bytes(wrong)
         used, (condition,) = calibration_of(rig)
         assert (used, condition.code.value) == (first, "UNCALIBRATED")
@@ -64,7 +64,7 @@ def test_a_calibration_that_fits_is_used_and_else_the_design(rig: Rig, change: s
         good = replace(good, rig_serial="OTHER")
     if change == "size":
         good = replace(good, rig=replace(good.rig, left=replace(good.rig.left, width_px=200)))
-    data = encode(good)
+    data = encode_calibration(good)
     path = rig.storage.root / CALIBRATION_FILE
     path.parent.mkdir(parents=True)
     if change != "missing":
@@ -88,7 +88,7 @@ def test_a_calibration_is_described_and_a_lens_calibrated_in_water_has_no_port_t
     drawn = design_of(rig)
     left, right = (replace(camera, lens_in_water=True) for camera in (drawn.rig.left, drawn.rig.right))
     path = tmp_path / "wet.json"
-    path.write_bytes(encode(replace(drawn, method="pinhole, in water", rig=StereoRig(left, right))))
+    path.write_bytes(encode_calibration(replace(drawn, method="pinhole, in water", rig=StereoRig(left, right))))
     described = describe_calibration(rig, path)
     assert (described["interface_distance_mm"], described["port_tilt_deg"]) == (None, None)
     assert described["baseline_mm"] == pytest.approx(230.0)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from appliance.desk.rescue import rescue_recording
-from appliance.measure.calibration.file import encode
+from appliance.measure.calibration.file import encode_calibration
 from appliance.store import incomplete
 from appliance.store import scan as stored
 from appliance.store.config import Rig
@@ -33,7 +33,7 @@ def rig(tmp_path: Path) -> Rig:
 
 @pytest.fixture
 def whole(rig: Rig) -> StoredScan:
-    return stored.load(store_plane(rig)[0])
+    return stored.load_scan(store_plane(rig)[0])
 
 
 def broken(rig: Rig, whole: StoredScan, count: int, rows: slice = slice(None)) -> incomplete.IncompleteRecording:
@@ -41,9 +41,11 @@ def broken(rig: Rig, whole: StoredScan, count: int, rows: slice = slice(None)) -
     frames = {side: np.zeros_like(one[:count]) for side, one in whole.frames.items()}
     for side, dark in frames.items():
         dark[:, rows] = whole.frames[side][:count, rows]
-    origin, record = ScanOrigin(encode(design_of(rig)), rig_text(rig).encode()), whole.manifest.record
+    origin, record = ScanOrigin(encode_calibration(design_of(rig)), rig_text(rig).encode()), whole.manifest.record
     root, reason = rig.storage.root, "CAMERA_LOST: it went away"
-    return incomplete.load(incomplete.keep(LocalFileSystem(), root, frames, record, origin, reason, 0))
+    return incomplete.load_incomplete(
+        incomplete.keep_incomplete(LocalFileSystem(), root, frames, record, origin, reason, 0)
+    )
 
 
 def rescued(recording: incomplete.IncompleteRecording, out: Path) -> dict[str, object]:

@@ -21,8 +21,8 @@ from appliance.calibrate.calibrations import Calibrations
 from appliance.desk.scripting import export, open_dive, open_scan, save_calibration
 from appliance.desk.surface.fusion import PlacedScan, fuse
 from appliance.desk.surface.mesh import mesh_of_scan
-from appliance.measure.calibration.file import CalibrationError, encode
-from appliance.measure.grade import Grade
+from appliance.measure.calibration.file import CalibrationError, encode_calibration
+from appliance.measure.grading import Grade
 from appliance.measure.light.water import Water
 from appliance.measure.verdict import Verdict
 from appliance.store.calibration_file import load_calibration
@@ -82,7 +82,7 @@ def test_another_calibration_and_other_water_give_other_points(dive: Dive, tmp_p
     design = design_of(small_rig(root))
     left = replace(design.rig.left, port=replace(design.rig.left.port, distance_mm=33.0))
     other = replace(design, method="bundle", rig=replace(design.rig, left=left))
-    (tmp_path / "other.json").write_bytes(encode(other))
+    (tmp_path / "other.json").write_bytes(encode_calibration(other))
     by_value, by_path = scan.points(calibration=other), scan.points(calibration=str(tmp_path / "other.json"))
     np.testing.assert_array_equal(by_value.points_mm, by_path.points_mm)
     assert abs(by_value.points_mm[:, 2].max() - points[:, 2].max()) > 0.2

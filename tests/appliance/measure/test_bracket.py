@@ -18,7 +18,7 @@ from appliance.measure.bracket import (
     _refusal,
 )
 from appliance.measure.fault import Fault, FaultCode
-from appliance.measure.grade import faults_of_both
+from appliance.measure.grading import faults_of_both
 from appliance.measure.light.acquisition import AcquisitionSettings
 from appliance.measure.light.exposure import Exposure
 from appliance.measure.news import Bracket

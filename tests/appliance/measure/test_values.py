@@ -11,7 +11,7 @@ import pytest
 
 from appliance.instrument.machine.alerts import RULES, Severity
 from appliance.measure.fault import Fault, FaultCode
-from appliance.measure.grade import SPOILS_POINTS, TOLD_BESIDE_GOOD, Grade, grade, is_usable
+from appliance.measure.grading import SPOILS_POINTS, TOLD_BESIDE_GOOD, Grade, grade, is_usable
 from appliance.measure.guidance import LOST, UNKNOWN, Guidance, Move, Overlap
 from appliance.measure.light.acquisition import AcquisitionSettings
 from appliance.measure.light.exposure import NOMINAL, Exposure, Span, ladder

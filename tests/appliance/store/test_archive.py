@@ -46,7 +46,7 @@ def source(small: Path) -> Path:
     """A complete scan with both exposures."""
     told = record(second=second_sequence())
     both = stored.add_second(FS, small, stored.manifest_of(small), frames(1), told)
-    stored.finish(FS, small, both, Decision.KEPT, told, cloud(), PREVIEW)
+    stored.finish_scan(FS, small, both, Decision.KEPT, told, cloud(), PREVIEW)
     labels.write(FS, small, labels.Label("bollard 3"))
     return small
 
@@ -77,10 +77,10 @@ def flip(path: Path, at: int) -> None:
 
 
 def test_a_packed_scan_is_opened_as_it_was_and_comes_back(source: Path, target: Path, tmp_path: Path) -> None:
-    before, plain = content(source), stored.load(source)
+    before, plain = content(source), stored.load_scan(source)
     assert pack_scan(FS, source, target) is Copied.WRITTEN
     assert content(source) == before, "the source is only read"
-    opened = stored.load(target)
+    opened = stored.load_scan(target)
     assert opened.manifest == plain.manifest == Library(target.parent.parent).load("1").manifest
     assert opened.second is not None
     for side in ("left", "right"):
@@ -140,7 +140,7 @@ def test_every_flipped_byte_and_every_cut_of_a_packed_file_is_found(there: Path)
         (there / JLS).write_bytes(good[:length])
         assert "frames_left.npy" in stored.wrong_files(there, manifest, checksums=False)
         with pytest.raises(ScanError, match=r"frames_left\.npy"):
-            stored.load(there)
+            stored.load_scan(there)
 
 
 def test_verifying_believes_neither_file_nor_checksum(source: Path, there: Path, tmp_path: Path) -> None:
@@ -221,12 +221,12 @@ def test_a_damaged_source_and_a_scan_of_a_taken_number_stay(source: Path, target
 
 
 def test_packing_again_adds_a_label_and_replaces_none(source: Path, target: Path) -> None:
-    label = (source / labels.FILE_NAME).read_bytes()
-    (source / labels.FILE_NAME).unlink()
+    label = (source / labels.LABEL_FILE).read_bytes()
+    (source / labels.LABEL_FILE).unlink()
     pack_scan(FS, source, target)
-    (source / labels.FILE_NAME).write_bytes(label)
+    (source / labels.LABEL_FILE).write_bytes(label)
     assert pack_scan(FS, source, target) is Copied.ALREADY
-    assert labels.read(target).name == "bollard 3"
+    assert labels.read_label(target).name == "bollard 3"
     before = content(target)
     assert pack_scan(FS, source, target) is Copied.ALREADY
     labels.write(FS, source, labels.Label("bollard 4"))

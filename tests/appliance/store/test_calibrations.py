@@ -10,7 +10,7 @@ import pytest
 from appliance.calibrate.calibrations import Calibrations, SessionError
 from appliance.calibrate.guide import USED, AdjustmentSummary, RecordingCheck, Session, Step, Verified
 from appliance.measure.calibration.design import design_calibration
-from appliance.measure.calibration.file import Calibration, CalibrationError, encode
+from appliance.measure.calibration.file import Calibration, CalibrationError, encode_calibration
 from appliance.store.calibration_file import load_calibration
 from tests.appliance.store.scenes import padded
 from tests.support.calibrating import DESIGN
@@ -42,7 +42,7 @@ def kept_names(store: Calibrations) -> list[str]:
 def store(tmp_path: Path) -> Calibrations:
     made = Calibrations(tmp_path, "KF-TEST")
     made.folder.mkdir()
-    made.current.write_bytes(encode(OLD) + b"\n")  # a blank more than this version writes
+    made.current.write_bytes(encode_calibration(OLD) + b"\n")  # a blank more than this version writes
     return made
 
 
@@ -89,7 +89,7 @@ def test_sessions_are_put_away_under_growing_numbers(store: Calibrations) -> Non
 def test_a_solution_whose_file_is_another_one_is_none_and_is_not_put_in_use(store: Calibrations) -> None:
     """Power was lost between the two files."""
     with_solution(store)
-    store.solved.write_bytes(encode(OLD))
+    store.solved.write_bytes(encode_calibration(OLD))
     session = store.session()
     assert (session.solved, session.verified, session.trials) == (None, None, TRIALS)
     with pytest.raises(SessionError, match="nothing is solved"):

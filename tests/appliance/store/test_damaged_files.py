@@ -103,7 +103,7 @@ TREND = HealthTrend(
 FIGURES = CameraFigures("L", 9_100.0, 4.5, 6.0), CameraFigures("R", 18_000.0, 25.0, 1.5)
 STANDARD, CHOSEN = Choices(), Choices(Exposure(8000, 6.0), 32, 35.0, 12.5, "de")
 POINTERS = Pointers((40.0, -60.0, 30.0), (25.0, 0.0, 522.5), 0.3)
-CALIBRATION = calibration_file.encode(rich_calibration())
+CALIBRATION = calibration_file.encode_calibration(rich_calibration())
 RESPONSE = RESPONSE_FILE.encode(StoredResponse("KF-1", ("000007",), 0.0107, (0.45, 0.53, 0.05, -0.02)))
 NOISE = NOISE_FILE.encode(StoredNoise("KF-1", ("000007",), BothFigures(*FIGURES)))
 HEALTH = written(lambda root: HealthFile(root, HASH).write(TREND))
@@ -136,7 +136,7 @@ def scan_files() -> dict[str, bytes]:
 
 
 SCAN = scan_files()
-BROKEN = sealed({**json.loads(SCAN[form.FILE_NAME]), **incomplete.OF, "missing": ["bright"]})
+BROKEN = sealed({**json.loads(SCAN[form.MANIFEST_FILE]), **incomplete.INCOMPLETE_OF, "missing": ["bright"]})
 
 
 def read_rig(data: bytes, folder: Path) -> None:
@@ -209,8 +209,8 @@ def read_session(data: bytes, folder: Path) -> Session:
 
 
 def read_label(data: bytes, folder: Path) -> None:
-    (folder / labels.FILE_NAME).write_bytes(data)
-    label = labels.read(folder)
+    (folder / labels.LABEL_FILE).write_bytes(data)
+    label = labels.read_label(folder)
     for text, longest in ((label.name, labels.LONGEST_NAME), (label.note, labels.LONGEST_NOTE)):
         assert text is None or (0 < len(text) <= longest and "\n" not in text and "\x1b" not in text)
 
@@ -242,10 +242,10 @@ def read_manifest(data: bytes, _: Path) -> None:
 
 
 def read_broken(data: bytes, _: Path) -> None:
-    broken = incomplete.INCOMPLETE.decode(data, "incomplete.json", incomplete.OF)
+    broken = incomplete.INCOMPLETE.decode(data, "incomplete.json", incomplete.INCOMPLETE_OF)
     assert all(isinstance(name, str) for name in broken.missing)
-    again = incomplete.INCOMPLETE.encode(broken, incomplete.OF)
-    assert incomplete.INCOMPLETE.decode(again, "again", incomplete.OF) == broken
+    again = incomplete.INCOMPLETE.encode(broken, incomplete.INCOMPLETE_OF)
+    assert incomplete.INCOMPLETE.decode(again, "again", incomplete.INCOMPLETE_OF) == broken
 
 
 def read_board(data: bytes, folder: Path) -> None:
@@ -276,7 +276,7 @@ def scan_folder(draw: st.DrawFn) -> dict[str, bytes]:
     """A scan's folder with one file lost or damaged; its manifest mostly believes in what is there."""
     files = dict(SCAN)
     name = draw(st.sampled_from(sorted(files)))
-    if name == form.FILE_NAME:
+    if name == form.MANIFEST_FILE:
         return {**files, name: draw(of_sealed(files[name], *SCAN))}
     if draw(st.sampled_from((True, *[False] * 9))):
         del files[name]
@@ -286,9 +286,9 @@ def scan_folder(draw: st.DrawFn) -> dict[str, bytes]:
     old, new = draw(st.sampled_from(headers))
     files[name] = draw(damaged([files[name]]) | st.just(files[name].replace(old, new, 1)))
     if draw(st.sampled_from((True, True, False))):
-        manifest = json.loads(files[form.FILE_NAME])
+        manifest = json.loads(files[form.MANIFEST_FILE])
         manifest["files"][name] = {"length": len(files[name]), "sha256": hashlib.sha256(files[name]).hexdigest()}
-        files[form.FILE_NAME] = sealed(manifest)
+        files[form.MANIFEST_FILE] = sealed(manifest)
     return files
 
 
@@ -325,9 +325,9 @@ PARSERS = (
     Parser("beams", of_sealed(BEAMS, "line", "covariance", "learned", "last_z_mm"), read_beams, share=0.5),
     Parser("choices", of_sealed(CHOICES, "language", "period_px"), read_choices, share=0.5),
     Parser("session", of_sealed(SESSION), read_session, share=0.5),
-    Parser("label", of_sealed(LABEL, "name", "note", "schema"), read_label, (ContentError,), labels.FILE_NAME, share=0.6),
+    Parser("label", of_sealed(LABEL, "name", "note", "schema"), read_label, (ContentError,), labels.LABEL_FILE, share=0.6),
     Parser("counter", COUNTS | COUNTS.flatmap(lambda line: damaged([line])), read_count, (StorageError,), share=0.5),
-    Parser("manifest", of_sealed(SCAN[form.FILE_NAME], "files", "record", "../x"), read_manifest, (ContentError,), "manifest.json", share=0.6),
+    Parser("manifest", of_sealed(SCAN[form.MANIFEST_FILE], "files", "record", "../x"), read_manifest, (ContentError,), "manifest.json", share=0.6),
     Parser("broken", of_sealed(BROKEN, "missing", "kind", "../x"), read_broken, (ContentError,), "incomplete.json", share=0.6),
     Parser("object", of_sealed(OBJECT, "places", "../x"), read_by(objects.OBJECT, "object.json"), (ContentError,), "object.json", share=0.6),
     Parser("board", damaged([BOARD]) | changed(json.loads(BOARD)).map(lambda one: json.dumps(one).encode()), read_board, (ContentError,), "board.json", share=0.6),

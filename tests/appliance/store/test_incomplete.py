@@ -28,26 +28,28 @@ def frames(count: int = 4) -> Frames:
 
 def kept(root: Path, given: Frames | None = None, fs: FileSystem | None = None, reserve_bytes: int = 0) -> Path:
     root.mkdir(exist_ok=True)
-    return incomplete.keep(fs or LocalFileSystem(), root, given or frames(), RECORD, ORIGIN, REASON, reserve_bytes)
+    return incomplete.keep_incomplete(
+        fs or LocalFileSystem(), root, given or frames(), RECORD, ORIGIN, REASON, reserve_bytes
+    )
 
 
 def test_what_is_kept_is_read_back_with_what_is_missing_and_why_and_found_by_its_number(tmp_path: Path) -> None:
     folder = kept(tmp_path)
     assert folder == tmp_path / "incomplete" / "000001"
-    found = incomplete.load(folder)
+    found = incomplete.load_incomplete(folder)
     assert found.missing == ("gray-y-0",)
     assert (found.scan.manifest.reason, found.scan.manifest.record) == (REASON, RECORD)
     for side, given in frames().items():
         np.testing.assert_array_equal(found.scan.frames[side], given)
     assert (folder / stored.CALIBRATION).read_bytes() == ORIGIN.calibration
-    assert (folder / stored.RIG).read_bytes() == ORIGIN.rig
+    assert (folder / stored.RIG_FILE).read_bytes() == ORIGIN.rig
     assert kept(tmp_path).name == "000002"
     for other in ("incomplete/000000", "incomplete/.000001", "incomplete/00kept", "scans/000001"):
         (tmp_path / other).mkdir(parents=True)
-    assert incomplete.find(tmp_path, "1") == folder
+    assert incomplete.find_incomplete(tmp_path, "1") == folder
     for none in ("7", "../scans/000001", "000001/../000001", "kept", ".000001", ""):
         with pytest.raises(stored.ScanError, match="no incomplete recording"):
-            incomplete.find(tmp_path, none)
+            incomplete.find_incomplete(tmp_path, none)
 
 
 def test_it_is_no_scan_for_anybody(tmp_path: Path) -> None:
@@ -73,9 +75,9 @@ def test_a_disk_that_fails_at_any_call_leaves_all_or_nothing(tmp_path: Path, for
         with pytest.raises(StorageError):
             kept(root, fs=BadDisk(call, for_calls))
         for folder in (root / "incomplete").glob("[0-9]*"):
-            assert incomplete.load(folder).missing == ("gray-y-0",)
+            assert incomplete.load_incomplete(folder).missing == ("gray-y-0",)
         # Whatever was left is out of the way of the next one.
-        assert incomplete.load(kept(root)).missing == ("gray-y-0",)
+        assert incomplete.load_incomplete(kept(root)).missing == ("gray-y-0",)
         assert list((root / "incomplete").glob(".*")) == []
 
 
@@ -104,7 +106,7 @@ def test_a_flipped_byte_or_a_missing_file_is_noticed(tmp_path: Path, name: str) 
     content[len(content) // 2] ^= 4
     (folder / name).write_bytes(content)
     with pytest.raises(stored.ScanError, match=name):
-        incomplete.load(folder)
+        incomplete.load_incomplete(folder)
     (folder / name).unlink()
     with pytest.raises(stored.ScanError, match="incomplete" if name.endswith("json") else name):
-        incomplete.load(folder)
+        incomplete.load_incomplete(folder)

@@ -16,8 +16,8 @@ import pytest
 from appliance.store.label import Label
 from appliance.store.library import Library, LibraryFolder, UnknownScan, entry_of
 from appliance.store.manifest import Decision, Stage
-from appliance.store.object_numbers import LOOKED_AT, largest_number, numbers, scans_of
-from appliance.store.scan import ScanError, load, size_bytes
+from appliance.store.object_numbers import LOOKED_AT, largest_number, numbers_of_object, scans_of_object
+from appliance.store.scan import ScanError, load_scan, size_bytes
 from tests.appliance.store.scenes import ORIGIN, PREVIEW, SoFull, cloud, frames, record, second_sequence
 
 OF_BOTH = ("left", "right")
@@ -75,7 +75,7 @@ def test_what_was_recorded_is_what_is_read(empty: Library) -> None:
 def test_raw_frames_are_safe_but_not_listed_before_the_decision_and_that_is_made_once(empty: Library) -> None:
     scan = empty.begin(frames(), record(), ORIGIN)
     assert (empty.entries(), empty.count()) == ([], 0)
-    assert (load(scan.folder).frames["right"] == frames()["right"]).all()
+    assert (load_scan(scan.folder).frames["right"] == frames()["right"]).all()
     assert (scan.folder / "rig.toml").read_bytes() == ORIGIN.rig
     first = scan.publish(record(), cloud(), PREVIEW)
     assert scan.publish(record()) == scan.reject("changed my mind") == first
@@ -152,7 +152,7 @@ def test_any_damaged_byte_range_is_found_and_leaves_the_others_fine(empty: Libra
     with pytest.raises(ScanError):
         empty.load(bad)
     if not name.startswith(("frames", "manifest")):
-        assert (load(empty.entry(bad).folder, only_raw=True).frames["left"] == frames(1)["left"]).all()
+        assert (load_scan(empty.entry(bad).folder, only_raw=True).frames["left"] == frames(1)["left"]).all()
     path.write_bytes(whole)
     assert empty.verify(bad).ok
 
@@ -302,14 +302,18 @@ def test_the_room_left_is_counted_in_whole_scans_above_the_reserve(empty: Librar
 def test_scans_are_found_by_their_objects_number(empty: Library, monkeypatch: pytest.MonkeyPatch) -> None:
     assert largest_number(empty) == 0
     ids = [saved(empty, object=number) for number in (1, None, 2, 1)]
-    assert (scans_of(empty, 1), scans_of(empty, 7), numbers(empty)) == ([ids[0], ids[3]], [], [1, 2])
+    assert (scans_of_object(empty, 1), scans_of_object(empty, 7), numbers_of_object(empty)) == (
+        [ids[0], ids[3]],
+        [],
+        [1, 2],
+    )
     empty.begin(frames(), record(object=3), ORIGIN).reject("blurred")
     assert largest_number(empty) == 3
     empty.trash(saved(empty, object=4))
     assert largest_number(empty) == 4
     damaged = saved(empty, object=5)
     (empty.root / "scans" / damaged / "manifest.json").write_bytes(b"{}")
-    assert (largest_number(empty), numbers(empty)) == (4, [1, 2]), "a damaged manifest is passed over"
+    assert (largest_number(empty), numbers_of_object(empty)) == (4, [1, 2]), "a damaged manifest is passed over"
     for _ in range(2):
         saved(empty)
     assert LOOKED_AT >= 100

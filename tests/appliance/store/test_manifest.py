@@ -17,7 +17,7 @@ from appliance.desk import object_store as objects
 from appliance.desk.object_store import CloudFacts, MemberScan, ObjectError, StoredObject
 from appliance.instrument.service.gallery import read
 from appliance.measure.fault import FaultCode
-from appliance.measure.grade import NAME, Grade
+from appliance.measure.grading import GRADE_NAME, Grade
 from appliance.measure.light.exposure import Exposure
 from appliance.measure.verdict import Verdict
 from appliance.store import incomplete
@@ -25,10 +25,10 @@ from appliance.store import manifest as form
 from appliance.store.atomic import Stamp
 from appliance.store.filesystem import LocalFileSystem
 from appliance.store.library import Library, UnknownScan
-from appliance.store.manifest import Decision, Manifest, Stage, as_json
+from appliance.store.manifest import Decision, Manifest, Stage, manifest_json
 from appliance.store.names import is_component
 from appliance.store.record import ScanRecord, SecondSequence
-from appliance.store.scan import ScanError, cloud_bytes, frames_bytes, load, map_frames, write_raw
+from appliance.store.scan import ScanError, cloud_bytes, frames_bytes, load_scan, map_frames, write_raw
 from tests.appliance.store.scenes import ORIGIN, cloud, frames, record, second_sequence
 from tests.appliance.store.test_objects import PLACE, PLACES
 from tests.support.sealing import sealed
@@ -48,7 +48,7 @@ def whole() -> dict[str, Any]:
         second=second_sequence(), exposure=Exposure(8000, 1.5), verdicts=verdicts, cloud={"points": 20, "noise_mm": 0.5}
     )
     manifest = replace(MANIFEST, record=complete, files={"f": Stamp(3, "ab")}, frame_crc32={"f": ("1", "2")})
-    found: dict[str, Any] = json.loads(json.dumps(as_json(manifest)))
+    found: dict[str, Any] = json.loads(json.dumps(manifest_json(manifest)))
     del found["schema"]
     return found
 
@@ -150,9 +150,11 @@ def test_a_file_whose_header_says_something_else_is_not_mapped(tmp_path: Path, o
     path.write_bytes(data.replace(old.encode(), new.encode(), 1))
     assert (path.stat().st_size, path.read_bytes() == data) == (len(data), False)
     with pytest.raises(ScanError, match=r"frames_right\.npy"):
-        load(tmp_path / "000001")
+        load_scan(tmp_path / "000001")
     np.save(path, frames()["right"])
-    assert np.array_equal(load(tmp_path / "000001").frames["right"], frames()["right"]), "NumPy's own header is read"
+    assert np.array_equal(load_scan(tmp_path / "000001").frames["right"], frames()["right"]), (
+        "NumPy's own header is read"
+    )
     path.unlink()
     with pytest.raises(ScanError, match=r"frames_right\.npy"):
         map_frames(path, 3)
@@ -175,7 +177,7 @@ OBJECT = StoredObject("hull", (MemberScan("000001", "scans/000001", ("aa",)),), 
 
 
 def broken_off(manifest: Manifest) -> bytes:
-    return sealed({**form.as_json(manifest), **incomplete.OF, "missing": []})
+    return sealed({**form.manifest_json(manifest), **incomplete.INCOMPLETE_OF, "missing": []})
 
 
 def read_object(root: Path, stored: StoredObject) -> None:
@@ -183,7 +185,7 @@ def read_object(root: Path, stored: StoredObject) -> None:
     folder = root / "objects" / "hull"
     folder.mkdir(parents=True, exist_ok=True)
     (folder / objects.FILE).write_bytes(objects.OBJECT.encode(stored))
-    objects.read(root, "hull")
+    objects.read_object(root, "hull")
 
 
 def of_places(**changes: Any) -> StoredObject:
@@ -193,15 +195,15 @@ def of_places(**changes: Any) -> StoredObject:
 REFUSING: dict[str, Callable[[Path, str], object]] = {
     "a manifest's scan_id": lambda _, bad: form.MANIFEST.decode(form.encode(replace(MANIFEST, scan_id=bad)), "there"),
     "a manifest's files": lambda _, bad: form.MANIFEST.decode(form.encode(replace(MANIFEST, files={bad: Stamp(1, "aa")})), "there"),
-    "a broken recording's scan_id": lambda _, bad: incomplete.INCOMPLETE.decode(broken_off(replace(MANIFEST, scan_id=bad)), "there", incomplete.OF),
-    "a broken recording's files": lambda _, bad: incomplete.INCOMPLETE.decode(broken_off(replace(MANIFEST, files={bad: Stamp(1, "aa")})), "there", incomplete.OF),
+    "a broken recording's scan_id": lambda _, bad: incomplete.INCOMPLETE.decode(broken_off(replace(MANIFEST, scan_id=bad)), "there", incomplete.INCOMPLETE_OF),
+    "a broken recording's files": lambda _, bad: incomplete.INCOMPLETE.decode(broken_off(replace(MANIFEST, files={bad: Stamp(1, "aa")})), "there", incomplete.INCOMPLETE_OF),
     "an object's scans": lambda root, bad: read_object(root, replace(OBJECT, scans=(MemberScan(bad, "scans/1", ()),))),
     "an object's places": lambda root, bad: read_object(root, of_places(places={bad: PLACE})),
     "an object's scans left out": lambda root, bad: read_object(root, of_places(left_out={bad: "slides"})),
     "an object's clouds": lambda root, bad: read_object(root, of_places(clouds={bad: CloudFacts(9, 540.0, 0.02, None, None)})),
     "the first of an object's pairs": lambda root, bad: read_object(root, of_places(pairs=(replace(PLACES.pairs[0], first=bad),))),
     "the second of an object's pairs": lambda root, bad: read_object(root, of_places(pairs=(replace(PLACES.pairs[0], second=bad),))),
-    "an object's name": objects.read,
+    "an object's name": objects.read_object,
     "a scan's number": lambda root, bad: Library(root).entry(bad),
 }  # fmt: skip
 """Whatever reads a name, with a storage root of its own and that name."""
@@ -222,7 +224,7 @@ def test_names_that_people_and_the_program_give_are_taken(tmp_path: Path) -> Non
     assert all(map(is_component, ("000001", "000007-2", "frames_left.npy", "skull 3ps", "Straße", "1+2", "スキャン")))
     objects.write(tmp_path, OBJECT)
     (tmp_path / "objects" / "hull").rename(tmp_path / "objects" / "bow")
-    assert objects.read(tmp_path, "bow").name == "bow", "an object is called as its folder is"
+    assert objects.read_object(tmp_path, "bow").name == "bow", "an object is called as its folder is"
 
 
 CLOUD = {"points": 20, "coverage_percent": 81.5, "noise_mm": 0.03, "distance_mm": 512.0, "gap_mm": 0.0002}
@@ -238,12 +240,12 @@ def of(*verdicts: Verdict, **changes: object) -> ScanRecord:
 
 
 def test_a_stored_scan_has_one_grade_the_word_that_the_diver_read(tmp_path: Path) -> None:
-    assert of(causes(FaultCode.MOVED), Verdict(NAME, True, {}, "good")).grade is Grade.GOOD
-    assert of(Verdict(NAME, True, {}, "splendid")).grade is of(causes()).grade is None
+    assert of(causes(FaultCode.MOVED), Verdict(GRADE_NAME, True, {}, "good")).grade is Grade.GOOD
+    assert of(Verdict(GRADE_NAME, True, {}, "splendid")).grade is of(causes()).grade is None
     library = Library(tmp_path)
     library.prepare()
     for verdicts in ((UNDONE,), ()):
-        kept = of(Verdict(NAME, True, {}, "usable"), *verdicts)
+        kept = of(Verdict(GRADE_NAME, True, {}, "usable"), *verdicts)
         pending = library.begin(frames(), kept, ORIGIN)
         pending.publish(kept, cloud())
         shown = read(library, pending.scan_id)

@@ -43,14 +43,14 @@ def test_an_object_comes_back_as_it_was_written_and_damage_and_odd_names_are_tol
             objects.write(tmp_path, replace(OBJECT, name=name))
     assert not list(tmp_path.iterdir())
     objects.write(tmp_path, OBJECT)
-    assert objects.read(tmp_path, "hull 3") == OBJECT
-    assert objects.names(tmp_path) == ["hull 3"]
+    assert objects.read_object(tmp_path, "hull 3") == OBJECT
+    assert objects.object_names(tmp_path) == ["hull 3"]
     with pytest.raises(ObjectError, match=r"'reef'.*hull 3"):
-        objects.read(tmp_path, "reef")
+        objects.read_object(tmp_path, "reef")
     path = tmp_path / "objects" / "hull 3" / "object.json"
     path.write_text(path.read_text().replace("0.02", "0.03"))
     with pytest.raises(ObjectError, match="damaged"):
-        objects.read(tmp_path, "hull 3")
+        objects.read_object(tmp_path, "hull 3")
 
 
 def scan(number: int) -> MemberScan:
@@ -69,23 +69,23 @@ def solved(*numbers: int) -> StoredObject:
 
 def test_a_scan_that_is_added_also_while_the_object_is_solved_is_not_lost_and_has_no_place_yet(tmp_path: Path) -> None:
     def places_are_those_of_the_first_two(stored: StoredObject) -> None:
-        assert stored == objects.read(tmp_path, "hull 3")
+        assert stored == objects.read_object(tmp_path, "hull 3")
         assert [one.name for one in stored.scans] == ["000001", "000002", "000003"]
         assert stored.places is not None
         assert sorted(stored.places.places) == ["000001", "000002"]
         assert stored.places.left_out == {"000003": ADDED_SINCE}
 
     objects.write(tmp_path, solved(1, 2))
-    places_are_those_of_the_first_two(objects.update(tmp_path, "hull 3", with_more(3)))
+    places_are_those_of_the_first_two(objects.update_object(tmp_path, "hull 3", with_more(3)))
     objects.write(tmp_path, StoredObject("hull 3"))
-    objects.update(tmp_path, "hull 3", with_more(1, 2, 3))
+    objects.update_object(tmp_path, "hull 3", with_more(1, 2, 3))
     places_are_those_of_the_first_two(
-        objects.update(tmp_path, "hull 3", lambda now: objects.published(now, solved(1, 2)))
+        objects.update_object(tmp_path, "hull 3", lambda now: objects.published_object(now, solved(1, 2)))
     )
 
 
 def test_scans_that_are_added_at_once_are_all_in_the_object(tmp_path: Path) -> None:
-    objects.update(tmp_path, "hull 3", with_more(1))
+    objects.update_object(tmp_path, "hull 3", with_more(1))
     together = threading.Barrier(3, timeout=20.0)
 
     def add(number: int) -> None:
@@ -96,24 +96,26 @@ def test_scans_that_are_added_at_once_are_all_in_the_object(tmp_path: Path) -> N
             return add_one(now)
 
         together.wait()
-        objects.update(tmp_path, "hull 3", slowly)
+        objects.update_object(tmp_path, "hull 3", slowly)
 
     with ThreadPoolExecutor(3) as pool:
         list(pool.map(add, (2, 3, 4)))
-    assert sorted(one.name for one in objects.read(tmp_path, "hull 3").scans) == [f"{k:06d}" for k in (1, 2, 3, 4)]
+    assert sorted(one.name for one in objects.read_object(tmp_path, "hull 3").scans) == [
+        f"{k:06d}" for k in (1, 2, 3, 4)
+    ]
 
 
 def test_places_do_not_replace_those_of_more_scans_or_of_an_object_that_was_made_again(tmp_path: Path) -> None:
     objects.write(tmp_path, solved(1, 2, 3))
     with pytest.raises(ObjectError, match="was solved with 000003, too, meanwhile"):
-        objects.update(tmp_path, "hull 3", lambda now: objects.published(now, solved(1, 2)))
-    assert objects.read(tmp_path, "hull 3") == solved(1, 2, 3)
+        objects.update_object(tmp_path, "hull 3", lambda now: objects.published_object(now, solved(1, 2)))
+    assert objects.read_object(tmp_path, "hull 3") == solved(1, 2, 3)
     for now in (None, solved(1, 3)):
         with pytest.raises(ObjectError, match="was made again while it was solved"):
-            objects.published(now, solved(1, 2))
+            objects.published_object(now, solved(1, 2))
     again = replace(solved(1, 2), scans=(scan(1), replace(scan(2), frames_sha256=("other frames",))))
     with pytest.raises(ObjectError, match="was made again"):
-        objects.published(again, solved(1, 2))
+        objects.published_object(again, solved(1, 2))
 
 
 def test_a_scan_is_not_taken_twice_under_whatever_name() -> None:

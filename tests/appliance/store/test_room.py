@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 from appliance.store.atomic import StorageError, draft_of, replace_file
 from appliance.store.filesystem import LocalFileSystem
 from appliance.store.library import Library
-from appliance.store.room import FOLDER, Room, is_full, is_read_only, plan
+from appliance.store.room import FOLDER, Room, is_full, is_read_only, plan_room
 from appliance.store.scan import cloud_bytes, frames_bytes
 from tests.appliance.store.scenes import FRAMES, ORIGIN, PREVIEW, BadDisk, cloud, record
 
 FS = LocalFileSystem()
 HEIGHT, WIDTH = 600, 800
-LENGTHS = {**plan(frames_bytes(FRAMES, WIDTH, HEIGHT), cloud_bytes(200, 100)), "preview": 200_000}
+LENGTHS = {**plan_room(frames_bytes(FRAMES, WIDTH, HEIGHT), cloud_bytes(200, 100)), "preview": 200_000}
 FEW = {"frames-left": 10_000, "number": 1}
 
 
@@ -52,7 +52,7 @@ def refusal(work: object) -> StorageError:
 
 
 def test_one_scan_needs_both_cameras_frames_the_points_and_something_for_each_small_file() -> None:
-    lengths = plan(46_000_000, 48_000_000)
+    lengths = plan_room(46_000_000, 48_000_000)
     assert (lengths["frames-left"], lengths["frames-right"], lengths["cloud"]) == (46_000_000, 46_000_000, 48_000_000)
     small = {name: length for name, length in lengths.items() if length < 10_000_000}
     assert set(small) == {"preview", "calibration", "rig", "manifest-1", "manifest-2", "number", "slack"}

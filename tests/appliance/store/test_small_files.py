@@ -22,7 +22,7 @@ from appliance.instrument.machine.choices import Choices
 from appliance.instrument.ranging.beams import PointerBeam, Pointers
 from appliance.instrument.service.beams import BeamsFile
 from appliance.instrument.service.choices import FILE, ChoicesFile
-from appliance.measure.calibration.patches import COUNT
+from appliance.measure.calibration.patches import PATCH_COUNT
 from appliance.measure.fault import FaultCode
 from appliance.measure.light.exposure import Exposure
 from appliance.store import counter, label
@@ -113,13 +113,16 @@ def test_a_trend_is_read_as_it_was_written_and_each_calibration_has_its_own(heal
 
 def test_a_trend_says_nothing_that_cannot_be(health: HealthFile) -> None:
     wrong = (
-        Reference(gap_um=(1.0,) * (COUNT - 1)), Reference(variance_um2=(1.0,) * (COUNT + 1)), Reference(scans=(1,) * (COUNT + 1)),
+        Reference(gap_um=(1.0,) * (PATCH_COUNT - 1)), Reference(variance_um2=(1.0,) * (PATCH_COUNT + 1)), Reference(scans=(1,) * (PATCH_COUNT + 1)),
         Reference(doubts_um=(0.0,) * 7),
     )  # fmt: skip
     for stored in (HealthTrend(judged=-1, alarm="turned"), *(HealthTrend(reference=one) for one in wrong)):
         health.write(stored)
         assert health.read() == HealthTrend()
-    for stored in (HealthTrend(judged=0, alarm="turned"), HealthTrend(reference=Reference(gap_um=(1.0,) * COUNT))):
+    for stored in (
+        HealthTrend(judged=0, alarm="turned"),
+        HealthTrend(reference=Reference(gap_um=(1.0,) * PATCH_COUNT)),
+    ):
         health.write(stored)
         assert health.read() == stored
 
@@ -254,35 +257,35 @@ def test_numbers_begin_with_one_never_repeat_and_end(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("what", "longest"), [("name", 60), ("note", 1000)])
 def test_a_label_has_so_many_characters_that_can_be_read(what: str, longest: int) -> None:
     limit = {"name": label.LONGEST_NAME, "note": label.LONGEST_NOTE}[what]
-    assert label.checked(what, f"  {'x' * longest} ", limit) == "x" * longest
+    assert label.checked_label(what, f"  {'x' * longest} ", limit) == "x" * longest
     with pytest.raises(ContentError, match=f"{what}: {longest + 1} characters"):
-        label.checked(what, "x" * (longest + 1), limit)
+        label.checked_label(what, "x" * (longest + 1), limit)
     for character in "\n\t\u202e\u2028\u2029\ue000\u0378\x7f\udcff":
         with pytest.raises(ContentError, match=rf"{what}: character 3 is U\+{ord(character):04X}"):
-            label.checked(what, f"ab{character}c", limit)
-    assert label.checked(what, "Bo\u0308je", limit) == "B\u00f6je", "two spellings of one letter are one"
-    assert label.checked(what, " \t ", limit) is None
+            label.checked_label(what, f"ab{character}c", limit)
+    assert label.checked_label(what, "Bo\u0308je", limit) == "B\u00f6je", "two spellings of one letter are one"
+    assert label.checked_label(what, " \t ", limit) is None
 
 
 def test_a_label_is_read_as_it_was_written_and_another_hands_with_the_same_care(tmp_path: Path) -> None:
-    assert label.read(tmp_path) == Label(None, None)
+    assert label.read_label(tmp_path) == Label(None, None)
     for written in (Label("bollard 3", "north side"), Label(None, "x" * 1000), Label("\u6d77" * 60, None)):
         label.write(FS, tmp_path, written)
-        assert label.read(tmp_path) == written
-    path, named = tmp_path / label.FILE_NAME, {"schema": 1, "name": "a", "note": None}
+        assert label.read_label(tmp_path) == written
+    path, named = tmp_path / label.LABEL_FILE, {"schema": 1, "name": "a", "note": None}
     path.write_bytes(padded(named, 16_384))
-    assert label.read(tmp_path).name == "a"
+    assert label.read_label(tmp_path).name == "a"
     for data, said in (
         (sealed({"schema": 2, "name": "a"}), "schema 2"), (sealed({"schema": 1, "name": 7}), "name is 7"),
         (sealed({"schema": 1, "note": "x" * 1001}), "1001"), (sealed({"schema": 1, "name": "a\x07"}), "name"), (padded(named, 16_385), "16384"),
     ):  # fmt: skip
         path.write_bytes(data)
         with pytest.raises(ContentError, match=rf"^label\.json: .*{said}"):
-            label.read(tmp_path)
+            label.read_label(tmp_path)
     path.unlink()
     path.mkdir()
     with pytest.raises(ContentError, match=r"label\.json"):
-        label.read(tmp_path)
+        label.read_label(tmp_path)
 
 
 def test_one_process_holds_a_root_and_others_are_told_which(tmp_path: Path) -> None:

@@ -65,8 +65,8 @@ def named(findings: Sequence[Finding]) -> dict[str, Finding]:
 
 
 def projector_findings(found: ProjectorMeasured) -> dict[str, Finding]:
-    outcomes = judge_together(STEPS, projector.do, found, load_rig(default_rig_path()))
-    return named(projector.in_order(outcomes.values())[1])
+    outcomes = judge_together(STEPS, projector.measure_on_wall, found, load_rig(default_rig_path()))
+    return named(projector.outcomes_in_order(outcomes.values())[1])
 
 
 class TimedEvents:

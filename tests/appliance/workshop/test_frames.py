@@ -287,7 +287,7 @@ def test_a_first_scan_is_stored_with_everything_that_is_known_of_it(tmp_path: Pa
     frames = dict.fromkeys(("left", "right"), seen)
     scan_id = plane._stored(at, report, frames, SEQUENCE, Exposure(4_000, 2.0), "ab" * 32)
     folder = Library(tmp_path).entry(scan_id).folder
-    scan = stored.load(folder)
+    scan = stored.load_scan(folder)
     np.testing.assert_array_equal(scan.frames["left"], frames["left"])
     record = scan.manifest.record
     assert (record.wall_time, record.clock_trusted) == ("2031-05-06T07:08:09+00:00", True)

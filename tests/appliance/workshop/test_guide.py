@@ -35,7 +35,7 @@ PNG = b"\x89PNG dark"
 RIG = tomllib.loads(default_rig_path().read_text(encoding="utf-8"))
 NAMES = tuple(step.name for step in STEPS)
 BY_NAME = {step.name: step for step in STEPS}
-OF_THE_PROJECTOR = tuple(step.name for step in STEPS if step.do == projector.do)
+OF_THE_PROJECTOR = tuple(step.name for step in STEPS if step.do == projector.measure_on_wall)
 
 
 def scripted(*bad: str) -> tuple[GuideStep, ...]:

@@ -30,7 +30,7 @@ import inspect
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # for editors and type checkers; at run time ``__getattr__`` finds each by the table below
-    from appliance.base.libraries import MissingLibraryError as MissingLibraryError
+    from appliance.base import MissingLibraryError as MissingLibraryError
     from appliance.desk.comparing import Comparison as Comparison
     from appliance.desk.comparing import NominalSurface as NominalSurface
     from appliance.desk.comparing import compare as compare
@@ -40,7 +40,7 @@ if TYPE_CHECKING:  # for editors and type checkers; at run time ``__getattr__`` 
     from appliance.desk.object_store import ObjectError as ObjectError
     from appliance.desk.object_store import StoredObject as StoredObject
     from appliance.desk.objects import ready_scan as ready_scan
-    from appliance.desk.organised_scan import OrganisedScan as OrganisedScan
+    from appliance.desk.organised import OrganisedScan as OrganisedScan
     from appliance.desk.registration.joint import JointErrors as JointErrors
     from appliance.desk.registration.joint import LengthSigma as LengthSigma
     from appliance.desk.registration.pair import ReadyScan as ReadyScan
@@ -76,17 +76,17 @@ if TYPE_CHECKING:  # for editors and type checkers; at run time ``__getattr__`` 
     from appliance.desk.surface.nominal import read_nominal as read_nominal
     from appliance.desk.surface.normals import normals as normals
     from appliance.desk.surface.object_mesh import mesh_of_surface as mesh_of_surface
-    from appliance.measure.calibration.file import Calibration as Calibration
-    from appliance.measure.calibration.file import CalibrationError as CalibrationError
-    from appliance.measure.grade import Grade as Grade
-    from appliance.measure.light.water import Water as Water
-    from appliance.measure.overlap.rigid import Rigid as Rigid
-    from appliance.measure.points.organised import OrganisedCloud as OrganisedCloud
-    from appliance.store.atomic import StorageError as StorageError
-    from appliance.store.calibration_file import load_calibration as load_calibration
-    from appliance.store.config import ConfigError as ConfigError
-    from appliance.store.library import UnknownScan as UnknownScan
-    from appliance.store.scan import ScanError as ScanError
+    from appliance.measure import Calibration as Calibration
+    from appliance.measure import CalibrationError as CalibrationError
+    from appliance.measure import Grade as Grade
+    from appliance.measure import OrganisedCloud as OrganisedCloud
+    from appliance.measure import Rigid as Rigid
+    from appliance.measure import Water as Water
+    from appliance.store import ConfigError as ConfigError
+    from appliance.store import ScanError as ScanError
+    from appliance.store import StorageError as StorageError
+    from appliance.store import UnknownScan as UnknownScan
+    from appliance.store import load_calibration as load_calibration
 
 _HOMES = {
     "appliance.measure.calibration.file": ("Calibration", "CalibrationError"),
@@ -96,7 +96,7 @@ _HOMES = {
     "appliance.desk.comparing": ("Comparison", "NominalSurface", "compare"),
     "appliance.desk.object_scripting": ("ObjectOfDive", "open_object"),
     "appliance.desk.objects": ("ready_scan",),
-    "appliance.desk.organised_scan": ("OrganisedScan",),
+    "appliance.desk.organised": ("OrganisedScan",),
     "appliance.desk.scripting": ("Dive", "ScanOfDive", "export", "open_dive", "open_scan", "save_calibration"),
     "appliance.measure.light.water": ("Water",),
     "appliance.measure.points.organised": ("OrganisedCloud",),
@@ -109,7 +109,7 @@ _HOMES = {
         "Report", "ReportBudget", "ReportNominal", "ReportPair", "ReportScan", "ReportTerm", "ReportVerdict",
     ),
     "appliance.desk.report.page": ("write_report",),
-    "appliance.measure.grade": ("Grade",),
+    "appliance.measure.grading": ("Grade",),
     "appliance.store.atomic": ("StorageError",),
     "appliance.store.library": ("UnknownScan",),
     "appliance.desk.object_store": ("ObjectError", "StoredObject"),
@@ -136,7 +136,7 @@ __all__ = [*sorted(_FOUND), "__version__"]
 def __getattr__(name: str) -> Any:
     """Return one of the names above. Raises AttributeError for any other."""
     if name not in _FOUND:
-        from appliance.base.distribution import other_program
+        from appliance.base import other_program
 
         there = f"module 'kingfisher' has no attribute {name!r}; there are: {', '.join(sorted(_FOUND))}"
         raise AttributeError("; ".join(filter(None, (there, other_program()))))
@@ -145,14 +145,14 @@ def __getattr__(name: str) -> Any:
 
 @functools.cache
 def _loaded(name: str) -> Any:
-    from appliance.base import kernel_cache
+    from appliance.base import use_kernel_cache
 
-    kernel_cache.use()
+    use_kernel_cache()
     module, attribute = _FOUND[name]
     found = getattr(importlib.import_module(module), attribute)
     if not inspect.isfunction(found):
         return found
-    from appliance.base.argument_types import refuse_wrong_types
+    from appliance.base import refuse_wrong_types
 
     checked = refuse_wrong_types(found, name)
     # As what it is known by here, it is found again by pickles, too.

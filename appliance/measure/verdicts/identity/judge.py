@@ -18,7 +18,7 @@ from appliance.measure.verdicts.identity.evidence import DECIDED, MIN_FRINGE, Li
 from appliance.measure.verdicts.identity.explain import WAYS_ROUND, Explanation, What, explain, still
 from appliance.measure.verdicts.identity.lines import Lines, can_follow, take_lines
 
-NAME = "identity"
+IDENTITY_NAME = "identity"
 LEAST_LIGHT_DN = 0.05
 """Mean of the bright frame above that of the dark one, where even the water's backscatter is gone."""
 LIGHT_SIGMA = 4.0
@@ -121,12 +121,12 @@ def judge_identity(
         numbers[f"{side}_light_dn"] = camera.light_dn
     if fault is not None:
         text = f"{fault.code.value}: {fault.detail}"
-        return Judgement(Verdict(NAME, False, numbers, text), fault)
+        return Judgement(Verdict(IDENTITY_NAME, False, numbers, text), fault)
     if not judged:
         text = "too little is seen of the patterns, or too much moves before them"
-        return Judgement(Verdict(NAME, None, numbers, text))
+        return Judgement(Verdict(IDENTITY_NAME, None, numbers, text))
     seen = " and ".join(camera.device for camera in judged)
-    return Judgement(Verdict(NAME, True, numbers, f"each frame of {seen} is its pattern"))
+    return Judgement(Verdict(IDENTITY_NAME, True, numbers, f"each frame of {seen} is its pattern"))
 
 
 def _look(

@@ -12,7 +12,7 @@ from appliance.calibrate.air.adjustment import AirCalibrationError, calibrate_ai
 from appliance.calibrate.air.any_views import AnyCalibration, calibrate_any, view_of
 from appliance.calibrate.air.joint import BoardTolerance
 from appliance.calibrate.air.linearised import BoardView
-from appliance.measure.calibration.parameters import AIR, NAMES
+from appliance.measure.calibration.parameters import AIR, PARAMETER_NAMES
 from hw_sim.truth import TrueRig, in_air
 from tests.support.calibrating import HEIGHT_PX, WIDTH_PX, board_views, hidden_rig
 
@@ -54,7 +54,7 @@ def calibrated(views: list[BoardView]) -> AnyCalibration:
 
 
 def sd_of(found: AnyCalibration, name: str) -> float:
-    k = NAMES[AIR].index(name)
+    k = PARAMETER_NAMES[AIR].index(name)
     return float(np.sqrt(found.air.covariance[k, k]))
 
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from appliance.calibrate.air.adjustment import NO_PORT
 from appliance.calibrate.air.free_form import adjust_with_field
 from appliance.calibrate.air.linearised import SHAPES, BoardView, bend_of, each_changed, slopes
-from appliance.measure.calibration.field import AIR_VALUES, INTERVALS, AirField
-from appliance.measure.calibration.parameters import AIR, COUNT, rig_with
+from appliance.measure.calibration.field import AIR_VALUES, FIELD_CELLS, AirField
+from appliance.measure.calibration.parameters import AIR, PARAMETER_COUNT, rig_with
 from appliance.measure.light.correction import basis_matrix, node_count
 from appliance.measure.light.model import HousedCamera, StereoRig
 from appliance.measure.light.pinhole import Lens
@@ -22,7 +22,7 @@ from appliance.measure.light.rotation import matrix3
 Array = NDArray[np.float64]
 SIZE_PX = (1600, 1200)
 NOISE_PX, BOW_MM, SCALE_SD = 0.02, 0.06, 4e-4
-NODES = node_count(INTERVALS)
+NODES = node_count(FIELD_CELLS)
 
 
 def turned(vector: Array) -> Array:
@@ -76,7 +76,7 @@ def of_boards_not_used(field: AirField | None) -> tuple[float, float]:
     """RMS by which flat boards that were not used are seen elsewhere than computed, in px, and what the covariance makes expect of
     it. Each board's place is fitted."""
     mean = np.zeros(AIR_VALUES + 4 * NODES) if field is None else np.array(field.mean)
-    values = np.zeros(COUNT)
+    values = np.zeros(PARAMETER_COUNT)
     values[AIR] = mean[:AIR_VALUES]
     squares, variances, count = 0.0, 0.0, 0
     rng = np.random.default_rng(20_002)
@@ -90,7 +90,7 @@ def of_boards_not_used(field: AirField | None) -> tuple[float, float]:
             half = len(now.residual) // 2
             rows = slice(half * eye + component, half * (eye + 1), 2)
             seen = (view.left_px, view.right_px)[eye]
-            by_nodes[rows, block * NODES : (block + 1) * NODES] = basis_matrix(seen, SIZE_PX, INTERVALS)
+            by_nodes[rows, block * NODES : (block + 1) * NODES] = basis_matrix(seen, SIZE_PX, FIELD_CELLS)
         aside = np.eye(len(now.residual)) - now.by_place @ np.linalg.pinv(now.by_place)
         squares += float(np.sum((aside @ (now.residual - by_nodes @ mean[AIR_VALUES:])) ** 2))
         count += len(now.residual) - 6

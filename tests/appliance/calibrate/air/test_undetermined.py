@@ -13,7 +13,7 @@ from appliance.calibrate.air.adjustment import AirCalibrationError, calibrate_ai
 from appliance.calibrate.air.any_views import calibrate_any, check_pairs, view_of
 from appliance.calibrate.air.linearised import BoardView
 from appliance.measure.calibration.determined import UndeterminedError, solved
-from appliance.measure.calibration.parameters import AIR, NAMES
+from appliance.measure.calibration.parameters import AIR, PARAMETER_NAMES
 from tests.support.any_boards import BASE_MM, F_PX, HEIGHT_PX, WIDTH_PX, poses
 from tests.support.calibrating import Pose
 
@@ -107,7 +107,7 @@ def test_one_pair_of_two_moments_costs_itself_alone() -> None:
     (said,) = found.air.left_out
     assert said.startswith("v4: the left and the right picture show the board at different places, ")
     assert found.pairs == tuple(f"v{k}" for k in range(10) if k != 4)
-    k = NAMES[AIR].index("left principal distance (px)")
+    k = PARAMETER_NAMES[AIR].index("left principal distance (px)")
     assert abs(found.air.rig.left.lens.f_px[0] - F_PX) < 5.0 * np.sqrt(found.air.covariance[k, k])
 
 

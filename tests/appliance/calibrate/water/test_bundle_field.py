@@ -57,7 +57,9 @@ def corrected() -> tuple[Problem, np.ndarray, StereoRig]:
     problem = problem_of(Method.SPLINE, recordings(START.rig))
     rng = np.random.default_rng(6)
     x = np.zeros(problem.size)
-    x[: parameters.COUNT] = 5.0 * parameters.STEPS * rng.normal(0.0, 1.0, parameters.COUNT)
+    x[: parameters.PARAMETER_COUNT] = (
+        5.0 * parameters.PARAMETER_STEPS * rng.normal(0.0, 1.0, parameters.PARAMETER_COUNT)
+    )
     for nodes in (problem._left_nodes, problem._right_nodes):
         x[nodes] = 0.2 * rng.normal(0.0, 1.0, nodes.stop - nodes.start)
     return problem, x, problem.rig(x)
@@ -78,7 +80,7 @@ def test_the_gradient_is_the_slope_of_the_cost_in_every_group_of_unknowns(method
         way = np.zeros(problem.size)
         way[group] = rng.normal(0.0, 1.0, group.stop - group.start)
         if name in {"ports", "lenses", "pose"}:
-            way[group] *= parameters.STEPS[group]
+            way[group] *= parameters.PARAMETER_STEPS[group]
         elif name == "places":
             way[group] *= np.concatenate([place.steps for place in problem._places])
         else:

@@ -21,7 +21,7 @@ from appliance.calibrate.water.expected import (
     warnings_about_expected,
 )
 from appliance.measure.calibration import parameters
-from appliance.measure.calibration.depth_error import BORDER, COUNT, along_ray, coefficients_of, shapes
+from appliance.measure.calibration.depth_error import BORDER, DEPTH_ERROR_TERMS, along_ray, coefficients_of, shapes
 from appliance.measure.calibration.design import design_calibration
 from appliance.measure.light.correction import ImageCorrection
 from appliance.measure.light.model import HousedCamera, StereoRig
@@ -67,7 +67,7 @@ RIG = with_surfaces(START, np.zeros(SIZE))
 
 
 def changed(x: Array) -> StereoRig:
-    values = np.zeros(parameters.COUNT)
+    values = np.zeros(parameters.PARAMETER_COUNT)
     values[list(ACTIVE)] = x[: len(ACTIVE)]
     return with_surfaces(parameters.rig_with(START, values), x)
 
@@ -156,7 +156,7 @@ def some(group: str, seed: int = 31) -> Array:
     x = np.zeros(SIZE)
     rng = np.random.default_rng(seed)
     if group == "rig":
-        x[: len(ACTIVE)] = 3.0 * rng.normal(size=len(ACTIVE)) * parameters.STEPS[list(ACTIVE)]
+        x[: len(ACTIVE)] = 3.0 * rng.normal(size=len(ACTIVE)) * parameters.PARAMETER_STEPS[list(ACTIVE)]
     else:
         where = GROUPS[["left nodes", "right nodes"].index(group)]
         x[where] = 0.05 * rng.normal(size=where.stop - where.start)
@@ -218,7 +218,7 @@ def test_coefficients_are_those_that_made_a_depth_error_whatever_overlaps_absorb
     rng = np.random.default_rng(3)
     z = rng.uniform(480.0, 570.0, 400)
     points = z[:, None] * np.column_stack([rng.uniform(-BORDER, BORDER, (400, 2)), np.ones(400)])
-    true = rng.normal(size=COUNT) * 0.02
+    true = rng.normal(size=DEPTH_ERROR_TERMS) * 0.02
     error = shapes(points) @ true
     np.testing.assert_allclose(coefficients_of(points, error), true, atol=1e-10)
     absorbed = 0.3 + 0.002 * points[:, 0] - 0.001 * points[:, 1] + 0.002 * (z - 525.0)

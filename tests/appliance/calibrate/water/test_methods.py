@@ -12,7 +12,7 @@ import pytest
 from appliance.calibrate.recordings import Recording, RecordingError
 from appliance.calibrate.water.calibrate import calibrate
 from appliance.calibrate.water.method import Method, WaterResult
-from appliance.measure.calibration.file import Calibration, decode, encode
+from appliance.measure.calibration.file import Calibration, decode_calibration, encode_calibration
 from appliance.measure.light.water import Water
 from hw_sim.truth import TrueRig
 from tests.support import calibrating
@@ -101,7 +101,7 @@ def test_every_calibration_goes_through_its_file_and_is_no_start(case: Case) -> 
     for result in case.results.values():
         assert [r.name for r in result.residuals] == [r.name for r in case.recordings]
         for calibration in (result.calibration, *result.before.values()):
-            assert decode(encode(calibration)) == calibration
+            assert decode_calibration(encode_calibration(calibration)) == calibration
             assert calibration.air_covariance is None, "it is no longer the prior of these values"
             assert calibration.air_field is None
     for finished in (case.results[Method.SPLINE].calibration, case.results[Method.PAPER].before["pm"]):

@@ -154,7 +154,7 @@ def test_a_computer_that_can_do_no_such_job_writes_nothing_down_and_says_what_to
         attempted(3, shelf, results)
     with pytest.raises(StorageError, match="same path"):
         attempted(2, shelf, Results(tmp_path / "nowhere" / "key"))
-    encoded = calibration_file.encode(true_calibration(draw_truth("nominal", 1, 64, 48, 1.34)))
+    encoded = calibration_file.encode_calibration(true_calibration(draw_truth("nominal", 1, 64, 48, 1.34)))
     (tmp_path / "other.json").write_bytes(encoded)
     with pytest.raises(Again, match="calibration"):
         attempted(2, shelf, results, str(tmp_path / "other.json"))

@@ -19,7 +19,7 @@ from appliance.desk.foreign.camera_files import cameras_in, numbers_in
 from appliance.desk.foreign.cameras import ForeignRig, lens_of, read_rig
 from appliance.desk.foreign.description import parse_description
 from appliance.desk.foreign.problem import ForeignError
-from appliance.measure.calibration.file import IN_AIR, Calibration, encode
+from appliance.measure.calibration.file import IN_AIR, Calibration, encode_calibration
 from appliance.measure.light.water import Water
 
 SIZES = {"left": (640, 480), "right": (640, 480)}
@@ -351,7 +351,7 @@ def test_our_own_calibration_is_found_first(tmp_path: Path) -> None:
     assert cameras_in(tmp_path) == {}
     found = rig(tmp_path, in_folders(tmp_path), head=ALONE)
     mine = Calibration("pair", IN_AIR, "unknown", ("pictures",), Water(20.0, 0.0, 530.0), found.rig)
-    (tmp_path / "pair.json").write_bytes(encode(mine))
+    (tmp_path / "pair.json").write_bytes(encode_calibration(mine))
     assert cameras_in(tmp_path) == {"calibration": "pair.json"}
 
 

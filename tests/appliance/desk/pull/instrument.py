@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from appliance.desk.pull.pulling import HowFar, Open, Pulled, pull
+from appliance.desk.pull.pulling import HowFar, Open, Pulled, pull_scans
 from appliance.desk.pull.source import FolderSource, LinkLost, RemoteEntry, Source
 from appliance.store import incomplete
 from appliance.store import label as labels
@@ -23,7 +23,7 @@ def scan(root: Path, number: str, first: int = 0, shelf: str = "scans") -> Path:
     folder = root / shelf / number
     folder.parent.mkdir(parents=True, exist_ok=True)
     raw = stored.write_raw(FS, folder, number, frames(first), record(), ORIGIN)
-    stored.finish(FS, folder, raw, Decision.KEPT, record(), cloud(), PREVIEW)
+    stored.finish_scan(FS, folder, raw, Decision.KEPT, record(), cloud(), PREVIEW)
     return folder
 
 
@@ -40,7 +40,7 @@ def instrument(disk: Path) -> Path:
     (disk / "etc" / "kingfisher").mkdir(parents=True)
     (disk / "etc" / "kingfisher" / "rig.toml").write_text('serial = "KF-0001"\n')
     broken = {side: one[:2] for side, one in frames().items()}
-    incomplete.keep(FS, root, broken, record(), ORIGIN, "the board fell silent", 0)
+    incomplete.keep_incomplete(FS, root, broken, record(), ORIGIN, "the board fell silent", 0)
     return root
 
 
@@ -66,7 +66,7 @@ def pulled(
 ) -> Pulled:  # fmt: skip
     """One call, which waits for nothing."""
     target.mkdir(exist_ok=True)
-    return pull(link if callable(link) else opened(link), target, fs, every=every, far=far, wait=lambda _: None)
+    return pull_scans(link if callable(link) else opened(link), target, fs, every=every, far=far, wait=lambda _: None)
 
 
 class BreakingSource:

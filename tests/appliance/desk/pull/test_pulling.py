@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from appliance.cli import main
-from appliance.desk.pull.pulling import HowFar, Pulled, pull
+from appliance.desk.pull.pulling import HowFar, Pulled, pull_scans
 from appliance.desk.pull.source import (
     FolderSource,
     LinkLost,
@@ -85,7 +85,7 @@ def test_everything_that_is_finished_comes_byte_for_byte_and_once(there: Path, h
     assert {path: ours.get(path) for path in wanted} == wanted
     assert ours.keys() - wanted.keys() == {"instrument/rig.toml"}
     assert all(entry.ok for entry in map(Library(here).verify, ("000001", "000002", "000003")))
-    assert incomplete.load(here / "incomplete" / "000001").missing
+    assert incomplete.load_incomplete(here / "incomplete" / "000001").missing
     assert content(there.parent.parent) == before, "the instrument is as it was"
     came = {path: len(data) for path, data in ours.items() if not path.endswith(("manifest.json", "incomplete.json"))}
     assert done.taken_bytes == sum(came.values())
@@ -139,7 +139,7 @@ def test_what_was_worked_on_packed_or_put_away_at_the_desk_is_not_taken_again(th
     stored.write_raw(FS, there / "scans" / "000007", "000007", frames(7), record(), ORIGIN)
     pulled(FolderSource(there), here)
     mine = here / "scans" / "000007"
-    stored.finish(FS, mine, stored.manifest_of(mine), Decision.KEPT, record(), cloud(), None)
+    stored.finish_scan(FS, mine, stored.manifest_of(mine), Decision.KEPT, record(), cloud(), None)
     assert pulled(FolderSource(there), here).whole
     Library(here).trash("000001")
     archived = here.with_name("archive")
@@ -159,14 +159,14 @@ def test_what_differs_at_both_ends_is_named_and_left_alone(there: Path, here: Pa
     scan(here, "000003", 9)
     before = content(here / "scans" / "000003")
     labels.write(FS, here / "scans" / "000001", labels.Label("the wreck"))
-    (here / "scans" / "000002" / labels.FILE_NAME).unlink()
+    (here / "scans" / "000002" / labels.LABEL_FILE).unlink()
     done = pulled(FolderSource(there), here)
     said = reasons(done, DIFFERS)
     assert (set(said), done.whole) == ({"scans/000001", "scans/000003"}, False)
     assert "frames_left.npy" in said["scans/000003"]
     assert content(here / "scans" / "000003") == before
-    assert labels.read(here / "scans" / "000001").name == "the wreck"
-    assert labels.read(here / "scans" / "000002").name == "bollard 1", "one that is not here comes later, too"
+    assert labels.read_label(here / "scans" / "000001").name == "the wreck"
+    assert labels.read_label(here / "scans" / "000002").name == "bollard 1", "one that is not here comes later, too"
 
 
 def test_what_cannot_be_a_whole_recording_is_told_and_never_published(there: Path, here: Path) -> None:
@@ -282,14 +282,14 @@ def test_a_link_that_breaks_now_and_then_is_opened_again_and_one_over_which_noth
     links = iter(BreakingSource(there, 2_000) for _ in range(1000))
     waits: list[float] = []
     here.mkdir()
-    done = pull(lambda: opened(next(links))(), here, FS, every=False, far=lambda _: None, wait=waits.append)
+    done = pull_scans(lambda: opened(next(links))(), here, FS, every=False, far=lambda _: None, wait=waits.append)
     assert done.whole
     assert done.links == len(waits) + 1 > 3
     assert len(done.of(TAKEN)) == 7, "what came over an earlier link is not looked at again"
     assert set(waits) == {1.0}, "each link brought something: none waits longer than after the first break"
     waits.clear()
     with pytest.raises(PullError, match="6 times"):
-        pull(opened(BreakingSource(there, 0)), here, FS, every=False, far=lambda _: None, wait=waits.append)
+        pull_scans(opened(BreakingSource(there, 0)), here, FS, every=False, far=lambda _: None, wait=waits.append)
     assert waits == [1.0, 2.0, 4.0, 8.0, 15.0]
 
 
@@ -302,7 +302,7 @@ def test_a_draft_is_gone_on_with_only_for_its_own_scan_and_made_durable(
     other = tmp_path / "other"
     scan(other, "000001", 77)
     draft = draft_folder(here / "scans" / "000001")
-    for name in ("incomplete.json", labels.FILE_NAME, "notes.bin"):
+    for name in ("incomplete.json", labels.LABEL_FILE, "notes.bin"):
         (draft / name).write_text("of another one")
     shutil.copy(other / "scans" / "000001" / "rig.toml", draft)  # written, and nobody had the time for its sync
     disk = BadDisk()

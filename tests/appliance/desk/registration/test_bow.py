@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from appliance.measure.calibration.depth_error import COUNT, POWERS, along_ray, shapes
+from appliance.measure.calibration.depth_error import DEPTH_ERROR_TERMS, POWERS, along_ray, shapes
 from appliance.measure.light.rotation import rotation_vector
 from appliance.measure.overlap.bow import PRIOR_MM2, bow_score, known_before
 from appliance.measure.overlap.fine import Fit, refine
 from tests.support.views import SeenView, between, view
 
 POSES = (0.0, 0.0, 545.0, 5.0, -8.0, 12.0), (30.0, -20.0, 520.0, -4.0, 6.0, 75.0)
-SHARED_MM = np.zeros(COUNT)
+SHARED_MM = np.zeros(DEPTH_ERROR_TERMS)
 SHARED_MM[[0, 2]] = 0.06, -0.03
 
 
@@ -48,7 +48,7 @@ def test_a_pair_states_by_how_much_a_shared_error_turns_it(seen: tuple[SeenView,
 
 def test_what_was_known_is_the_calibrations_word_and_a_little_more_or_what_is_usual() -> None:
     assert known_before(None) is PRIOR_MM2
-    np.testing.assert_allclose(np.diag(known_before(np.diag(np.full(COUNT, 1e-4)))), 1e-4 + 0.006**2)
+    np.testing.assert_allclose(np.diag(known_before(np.diag(np.full(DEPTH_ERROR_TERMS, 1e-4)))), 1e-4 + 0.006**2)
     usual = dict(zip(POWERS, np.sqrt(np.diag(PRIOR_MM2)), strict=True))
     powers = (2, 0, 0), (1, 2, 0), (2, 2, 0), (0, 5, 0), (1, 0, 1), (0, 3, 1)
     assert [usual[one] for one in powers] == pytest.approx([0.030, 0.020, 0.010, 0.007, 0.2 * 0.030, 0.2 * 0.020])

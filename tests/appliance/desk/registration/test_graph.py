@@ -10,7 +10,7 @@ import pytest
 from appliance.desk.registration.graph import Edge, place
 from appliance.desk.registration.pair import PairRefusal, RegisteredPair
 from appliance.desk.registration.solve import Compared, _left_out, _thinned, edges_of
-from appliance.measure.calibration.depth_error import COUNT
+from appliance.measure.calibration.depth_error import DEPTH_ERROR_TERMS
 from appliance.measure.light.rotation import rotation_matrix
 from appliance.measure.overlap.bow import BowNews
 from appliance.measure.overlap.fine import Fit
@@ -18,7 +18,9 @@ from appliance.measure.overlap.rigid import Rigid
 
 STEP_MM = 60.0
 MIDDLE_MM = np.array([30.0, 0.0, 500.0])
-NO_NEWS = BowNews(np.zeros((6, COUNT)), np.zeros((COUNT, COUNT)), np.zeros(COUNT))
+NO_NEWS = BowNews(
+    np.zeros((6, DEPTH_ERROR_TERMS)), np.zeros((DEPTH_ERROR_TERMS, DEPTH_ERROR_TERMS)), np.zeros(DEPTH_ERROR_TERMS)
+)
 
 
 def true_pose(k: int) -> Rigid:

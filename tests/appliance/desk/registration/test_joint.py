@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from appliance.desk.registration.graph import FLOOR_MM, Placed, place
 from appliance.desk.registration.joint import joint_errors
-from appliance.measure.calibration.depth_error import COUNT, along_ray, shapes
+from appliance.measure.calibration.depth_error import DEPTH_ERROR_TERMS, along_ray, shapes
 from appliance.measure.light.rotation import rotation_matrix, rotation_vector
 from appliance.measure.overlap.bow import BowNews
 from appliance.measure.overlap.rigid import Rigid
@@ -23,10 +23,10 @@ MIDDLE_MM = np.array([30.0, 0.0, 500.0])
 MIDDLES = {k: np.array([0.0, 0.0, 500.0]) for k in range(SCANS)}
 PAIRS = [(k, k + 1) for k in range(SCANS - 1)] + [(0, 2), (3, 5)]
 SIGMA_MM, LEVER_MM = 0.02, 60.0
-SHARED_MM = np.zeros(COUNT)
+SHARED_MM = np.zeros(DEPTH_ERROR_TERMS)
 """Standard deviation of each coefficient."""
 SHARED_MM[[0, 1, 2, 20]] = 0.03, 0.02, 0.03, 0.01
-RESPONSE = np.zeros((6, COUNT))
+RESPONSE = np.zeros((6, DEPTH_ERROR_TERMS))
 """Of a pair of neighbours: turned about y and x by a bow, shifted by another shape."""
 RESPONSE[1, 0], RESPONSE[0, 2], RESPONSE[5, 1] = 6.0, -2.0, 3.0
 
@@ -45,7 +45,7 @@ def off_by(i: int, j: int, delta: Array) -> Rigid:
 
 def response_of(i: int, j: int) -> Array:
     """By how much a pair is wrong: neighbours by ``RESPONSE``, others by what neighbours make one after the other, so that loops close."""
-    found, small = np.zeros((6, COUNT)), 1e-3
+    found, small = np.zeros((6, DEPTH_ERROR_TERMS)), 1e-3
     for k in np.flatnonzero(RESPONSE.any(axis=0)):
         way = Rigid(np.eye(3), np.zeros(3))
         for step in range(i, j):
@@ -65,7 +65,7 @@ def drawn(rng: np.random.Generator, shared_mm: Array) -> Placed:
     for i, j in PAIRS:
         noise = rng.normal(size=6) * np.hypot(SIGMA_MM, FLOOR_MM) / np.sqrt(6.0)
         pose = off_by(i, j, RESPONSES[i, j] @ shared_mm + noise)
-        bow = BowNews(RESPONSES[i, j], np.zeros((COUNT, COUNT)), np.zeros(COUNT))
+        bow = BowNews(RESPONSES[i, j], np.zeros((DEPTH_ERROR_TERMS, DEPTH_ERROR_TERMS)), np.zeros(DEPTH_ERROR_TERMS))
         edges.append(replace(edge(i, j, SIGMA_MM), fit=replace(edge(i, j, SIGMA_MM).fit, pose=pose, bow=bow)))
     return place(SCANS, edges, MIDDLES, with_bow=False, known_mm2=np.diag(SHARED_MM**2 + 1e-12))
 
@@ -81,7 +81,7 @@ def tried() -> list[tuple[Placed, Array]]:
     rng = np.random.default_rng(8)
     draws = []
     for _ in range(DRAWS):
-        shared = rng.normal(size=COUNT) * SHARED_MM
+        shared = rng.normal(size=DEPTH_ERROR_TERMS) * SHARED_MM
         draws.append((drawn(rng, shared), shared))
     return draws
 

@@ -25,7 +25,7 @@ from appliance.instrument.machine.words import Language, Text, english
 from appliance.instrument.ranging.reach import Reach
 from appliance.instrument.screens.texts import worded
 from appliance.measure.fault import Fault, FaultCode
-from appliance.measure.grade import SPOILS_SCAN
+from appliance.measure.grading import SPOILS_SCAN
 from appliance.measure.guidance import LOST, NO_OVERLAP, UNKNOWN, Guidance, Overlap
 from appliance.measure.news import LiveGuidance
 from drivers.api import Key

@@ -21,7 +21,7 @@ from appliance.instrument.machine.words import english
 from appliance.instrument.ranging.reach import Range
 from appliance.measure.cloud import CloudSummary
 from appliance.measure.fault import Fault, FaultCode
-from appliance.measure.grade import SPOILS_SCAN
+from appliance.measure.grading import SPOILS_SCAN
 from appliance.measure.guidance import LOST, NO_OVERLAP, UNKNOWN, Guidance, Overlap
 from appliance.measure.light.exposure import Exposure
 from appliance.measure.news import LiveGuidance, News, SequenceFact, WorkProgress

@@ -30,7 +30,7 @@ from appliance.instrument.screens.texts import worded
 from appliance.instrument.screens.views import AimView, AnyView, CalibrateView, Gauge, MenuView, ShutdownView
 from appliance.instrument.service.menu_view import Facts, menu_view
 from appliance.measure.fault import Fault, FaultCode
-from appliance.measure.grade import Grade
+from appliance.measure.grading import Grade
 from appliance.measure.light.exposure import Exposure, Span, ladder
 from drivers.api import Key
 from tests.appliance.instrument.machine.walks import STARTS, armed, in_gallery, reviewing, run

@@ -29,7 +29,7 @@ from appliance.instrument.screens.painter import Painter
 from appliance.instrument.screens.sketch import sketch_depth, sketch_front
 from appliance.instrument.screens.unchanged import MOVES_HZ, FrugalPainter
 from appliance.measure.fault import FaultCode
-from appliance.measure.grade import Grade
+from appliance.measure.grading import Grade
 from appliance.measure.light.volume import STANDARD, WorkingVolume
 from drivers.api import Key
 from tests.appliance.instrument.screens.golden.scenes import SCENES

@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 
 from appliance.calibrate.calibrations import Calibrations
-from appliance.calibrate.calibrator import Examined, Solution, basis_of, examine, solve
+from appliance.calibrate.calibrator import Examined, Solution, basis_of, examine_recording, solve_calibration
 from appliance.calibrate.guide import USED, AdjustmentSummary, RecordingCheck, Refusal, Session, Step, Verified
 from appliance.calibrate.recordings import RecordingError
 from appliance.instrument.machine import events as on
 from appliance.instrument.machine.failure import FailureKind
 from appliance.instrument.service.background import Done, Failed, Progressed
-from appliance.measure.calibration.file import Calibration, CalibrationError, encode
+from appliance.measure.calibration.file import Calibration, CalibrationError, encode_calibration
 from appliance.measure.fault import FaultCode
-from appliance.measure.light.correction import INTERVALS, ImageCorrection, node_count
+from appliance.measure.light.correction import CORRECTION_INTERVALS, ImageCorrection, node_count
 from appliance.measure.light.exposure import Exposure
 from appliance.measure.light.model import StereoRig
 from appliance.store.config import Rig
@@ -41,7 +41,7 @@ def rig(tmp_path: Path) -> Rig:
 
 
 def put(rig: Rig, name: str, calibration: Calibration) -> Calibration:
-    (rig.storage.root / "calibration" / name).write_bytes(encode(calibration))
+    (rig.storage.root / "calibration" / name).write_bytes(encode_calibration(calibration))
     return calibration
 
 
@@ -53,7 +53,7 @@ def in_air(rig: Rig) -> Calibration:
 def corrected(rig: Rig) -> Calibration:
     design = design_of(rig)
     size = design.rig.left.width_px, design.rig.left.height_px
-    bent = ImageCorrection(*size, INTERVALS, (0.01,) * (2 * node_count(INTERVALS)))
+    bent = ImageCorrection(*size, CORRECTION_INTERVALS, (0.01,) * (2 * node_count(CORRECTION_INTERVALS)))
     cameras = StereoRig(replace(design.rig.left, correction=bent), replace(design.rig.right, correction=bent))
     return replace(design, method="bundle, spline", rig=cameras)
 
@@ -85,21 +85,21 @@ def test_a_recording_that_is_gone_is_named(rig: Rig) -> None:
     store = Calibrations(rig.storage.root, rig.rig.serial)
     store.write(Session(tuple(RecordingCheck(step, None, 0.03) for step in USED)))
     with pytest.raises(RecordingError, match="no recording of M1, M2, M3, M4"):
-        solve(rig, "2026-11-21", lambda _: None)
+        solve_calibration(rig, "2026-11-21", lambda _: None)
     store.write(Session(tuple(RecordingCheck(step, None, 0.03, scan_id="000099") for step in USED)))
     with pytest.raises(UnknownScan, match="000099"):
-        solve(rig, "2026-11-21", lambda _: None)
+        solve_calibration(rig, "2026-11-21", lambda _: None)
 
 
 def test_planes_and_what_is_none_are_told_apart(rig: Rig) -> None:
     folder, _ = store_plane(rig, 50.0)
-    near = examine(rig, Step.M3, folder, lambda _: None).check
+    near = examine_recording(rig, Step.M3, folder, lambda _: None).check
     assert near.refusal is None
     assert near.points > 500
-    far = examine(rig, Step.M4, folder, lambda _: None).check
+    far = examine_recording(rig, Step.M4, folder, lambda _: None).check
     assert far.refusal is Refusal.TOO_NEAR
     assert far.number == pytest.approx(474.0, abs=1.0)
-    bar = examine(rig, Step.M1, folder, lambda _: None).check
+    bar = examine_recording(rig, Step.M1, folder, lambda _: None).check
     assert bar.refusal is Refusal.NOT_FOUND
     assert "ball" in bar.detail
 
@@ -140,7 +140,7 @@ def test_a_recording_is_examined_and_entered_into_the_session(heard: Heard, step
     scans.store_raw(4)
     after()
     calibrating.examine(4, step)
-    assert machine.started[-1].pipe.recv()[1:] == (examine, (desk.rig, step, scans.folder(4)))
+    assert machine.started[-1].pipe.recv()[1:] == (examine_recording, (desk.rig, step, scans.folder(4)))
     check, verified, right = RecordingCheck(step, None, 0.03), Verified(0.0001, None, 0.00004), step is Step.VERIFY
     assert after(Done(Examined(check, verified))) == [on.TrialExamined(4, check)]
     scans.watch.trend = scans.watch.trend.alarmed("the ray gaps have grown")
@@ -162,7 +162,7 @@ def test_what_is_solved_is_used_and_what_comes_to_nothing_is_told(heard: Heard) 
     calibrating.cancel()
     assert (len(machine.started), machine.started[0].waits_s) == (1, [0.0, 2.0]), "it computes no more"
     calibrating.solve()
-    assert machine.started[-1].pipe.recv()[1] is solve
+    assert machine.started[-1].pipe.recv()[1] is solve_calibration
     assert after(Progressed(0.5)) == [on.CalibrationProgressed(0.5)]
     summary = AdjustmentSummary(made.method, 0.03, (), made.hash)
     (solved,) = after(Done(Solution(made, summary, None, {})))

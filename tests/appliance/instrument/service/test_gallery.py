@@ -13,7 +13,7 @@ import pytest
 
 from appliance.instrument.machine import events as on
 from appliance.instrument.service.gallery import GalleryController, read
-from appliance.measure.grade import LENGTHS_DOUBTFUL, NAME, Grade
+from appliance.measure.grading import GRADE_NAME, LENGTHS_DOUBTFUL, Grade
 from appliance.measure.verdict import Verdict
 from appliance.store.library import Library
 from tests.appliance.store.scenes import ORIGIN, cloud, frames, record
@@ -24,7 +24,7 @@ NUMBERS = {"points": 20, "coverage_percent": 81.5, "noise_mm": 0.03, "distance_m
 
 def saved(library: Library, clock_trusted: bool = True, preview: bool = True, doubtful: bool = False) -> str:
     _, png = cv2.imencode(".png", cv2.cvtColor(PICTURE, cv2.COLOR_RGB2BGR))
-    verdict = Verdict(NAME, True, {LENGTHS_DOUBTFUL: 1.0} if doubtful else {}, "usable")
+    verdict = Verdict(GRADE_NAME, True, {LENGTHS_DOUBTFUL: 1.0} if doubtful else {}, "usable")
     said = replace(record(cloud=NUMBERS), clock_trusted=clock_trusted, verdicts=(verdict,))
     pending = library.begin(frames(), said, ORIGIN)
     pending.publish(said, cloud(), png.tobytes() if preview else None)

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from appliance.cli import main
-from appliance.measure.calibration.file import encode
+from appliance.measure.calibration.file import encode_calibration
 from hw_sim.objects.shapes import FRUSTUM_BASE_MM, FRUSTUM_TOP_MM
 from hw_sim.scene import Scene
 from hw_sim.truth import TrueRig
@@ -32,7 +32,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
         truth = scan.renderer.truth
         store(scan, folder / name)
     assert truth is not None
-    (folder / "calibration.json").write_bytes(encode(true_calibration(truth, "KF-<7>")))
+    (folder / "calibration.json").write_bytes(encode_calibration(true_calibration(truth, "KF-<7>")))
     return folder, truth
 
 

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from appliance.measure.calibration.design import design_calibration
-from appliance.measure.calibration.field import INTERVALS as AIR_INTERVALS
+from appliance.measure.calibration.field import FIELD_CELLS as AIR_INTERVALS
 from appliance.measure.light import pinhole
-from appliance.measure.light.correction import INTERVALS, ImageCorrection, basis_matrix, node_count
+from appliance.measure.light.correction import CORRECTION_INTERVALS, ImageCorrection, basis_matrix, node_count
 from appliance.measure.light.model import HousedCamera, StereoRig
 from appliance.measure.light.pinhole import Lens
 from appliance.measure.light.ray_shift import INTERVALS as SHIFT_INTERVALS
@@ -125,7 +125,7 @@ def test_a_lens_that_folds_over_is_refused_on_either_side_of_the_image() -> None
 
 def test_the_free_fields_are_as_fine_as_the_documentation_says_and_the_shift_has_square_cells() -> None:
     """Depth shows less than an image, so that the ray shift is coarser."""
-    (across, down), (shift_across, shift_down) = INTERVALS, SHIFT_INTERVALS
+    (across, down), (shift_across, shift_down) = CORRECTION_INTERVALS, SHIFT_INTERVALS
     said = (Path(__file__).parents[4] / "docs" / "calibration.md").read_text(encoding="utf-8")
     assert f"of {across} × {down} from a start that has none" in said
     assert f"of {AIR_INTERVALS[0]} × {AIR_INTERVALS[1]} intervals about the lenses' fields from air" in said

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from appliance.measure.fault import FaultCode
-from appliance.measure.grade import Grade, grade
+from appliance.measure.grading import Grade, grade
 from appliance.measure.light.model import StereoRig
 from appliance.measure.light.volume import STANDARD, WorkingVolume
 from appliance.measure.verdict import Judgement

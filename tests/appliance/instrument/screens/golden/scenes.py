@@ -17,7 +17,7 @@ from appliance.instrument.machine.words import Label, Text
 from appliance.instrument.ranging.reach import Reach
 from appliance.instrument.screens import views
 from appliance.measure.fault import Fault, FaultCode
-from appliance.measure.grade import Grade
+from appliance.measure.grading import Grade
 from appliance.measure.guidance import Move
 from drivers.api import Key
 from tests.appliance.instrument.screens.golden import seabed

@@ -9,11 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.desk.reconstruct import cloud_of_scan
-from appliance.measure.fault import Fault
-from appliance.measure.light.water import Water
-from appliance.measure.points.organised import OrganisedCloud, organised
-from appliance.store.origin import Chosen, SourceScan
-from appliance.store.reprocess import sequence_of_scan
+from appliance.measure import Fault, OrganisedCloud, Water, organised
+from appliance.store import Chosen, SourceScan, sequence_of_scan
 
 
 @dataclass(frozen=True, slots=True, eq=False)

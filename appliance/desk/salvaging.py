@@ -23,13 +23,28 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.measure.light.noise import CameraNoise, StereoNoise
-from appliance.measure.light.sequence import Direction, Kind, PatternSequence, build_sequence
-from appliance.measure.light.sides import SIDES, of_side
-from appliance.measure.light.sine import STEPS
-from appliance.store import scan as stored
-from appliance.store.damage import damaged_frames, frames_as_they_are
-from appliance.store.scan import SECOND_FILES, ScanError, StoredScan, frames_file, second_frames_file
+from appliance.measure import (
+    PHASE_STEPS,
+    SIDES,
+    CameraNoise,
+    Direction,
+    Kind,
+    PatternSequence,
+    StereoNoise,
+    build_sequence,
+    of_side,
+)
+from appliance.store import (
+    SECOND_FILES,
+    ScanError,
+    StoredScan,
+    damaged_frames,
+    frames_as_they_are,
+    frames_file,
+    load_scan,
+    manifest_of,
+    second_frames_file,
+)
 
 Frames = NDArray[np.uint8]
 SATURATED = 255
@@ -57,10 +72,10 @@ class Salvaged:
 
 def salvage(folder: Path) -> Salvaged:
     """Open a scan, damaged or not. Raises ScanError that names what cannot be done without."""
-    manifest = stored.manifest_of(folder)
+    manifest = manifest_of(folder)
     damaged = damaged_frames(folder, manifest)
     if not damaged:
-        return Salvaged(stored.load(folder, only_raw=True), (), dict.fromkeys(SIDES, 1.0))
+        return Salvaged(load_scan(folder, only_raw=True), (), dict.fromkeys(SIDES, 1.0))
     second = manifest.record.second
     of_second = [one for one in damaged if one.file in SECOND_FILES]
     of_first = [one for one in damaged if one.file not in SECOND_FILES]
@@ -104,7 +119,7 @@ def _make_up(frames: Frames, sequence: PatternSequence, lost: Sequence[int], wha
                     f"{what}: two of the four sine images of a direction are lost; bring the folder back from a copy"
                 )
             # In the order after, opposite, before: I(k) = I(k+1) + I(k−1) − I(k+2), indices modulo 4.
-            frames[k] = _sine(*(frames[steps[(pattern.index + by) % STEPS]] for by in (1, 2, 3)))
+            frames[k] = _sine(*(frames[steps[(pattern.index + by) % PHASE_STEPS]] for by in (1, 2, 3)))
             variance = THREE_STEP_VARIANCE
             notes.append(f"{pattern.name} was made up from the other three steps")
     if sequence.bright in lost and sequence.dark in lost:

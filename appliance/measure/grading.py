@@ -11,7 +11,7 @@ from enum import Enum
 
 from appliance.measure.fault import Fault, FaultCode
 
-NAME = "grade"
+GRADE_NAME = "grade"
 """Name of the verdict whose text is the grade's value."""
 LENGTHS_DOUBTFUL = "lengths_doubtful"
 """Name of that verdict's number that is 1 where lengths were not to be trusted when the scan was taken."""

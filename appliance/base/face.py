@@ -1,0 +1,39 @@
+"""The face of a room: the names that others may import from it, loaded when somebody asks for one.
+
+A room's ``__init__`` lists them under ``if TYPE_CHECKING:``, as ``from .module import Name as Name  # a sentence``, where type checkers,
+import contracts and readers find them. Loading all of them at once would load every kernel before a verb's first mistake is told.
+"""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+__all__ = ["lazy_face"]
+
+
+def lazy_face(room: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+    """Return ``__getattr__``, ``__dir__`` and ``__all__`` of the package ``room``, after the imports in its ``__init__``'s type-checking block."""
+    package = sys.modules[room]
+    modules = {
+        alias.asname or alias.name: f"{room}.{statement.module}"
+        for block in ast.parse(Path(str(package.__file__)).read_text(encoding="utf-8")).body
+        if isinstance(block, ast.If)
+        for statement in block.body
+        if isinstance(statement, ast.ImportFrom)
+        for alias in statement.names
+    }
+
+    def load(name: str) -> Any:
+        if name not in modules:
+            raise AttributeError(f"{room} has no name {name!r}; its face has: {', '.join(sorted(modules))}")
+        value = getattr(importlib.import_module(modules[name]), name)
+        setattr(package, name, value)
+        return value
+
+    names = sorted(modules)
+    return load, lambda: names, names
