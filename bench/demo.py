@@ -29,7 +29,7 @@ from appliance.cli.simrig import SimOptions, default_sim_rig, simulated, simulat
 from appliance.instrument.service.app import run
 from appliance.measure.calibration.file import encode_calibration
 from appliance.store.config import load_rig
-from appliance.store.instrument import CALIBRATION_FILE
+from appliance.store.instrument import Instrument
 from appliance.store.library import Library
 from appliance.store.scan import StoredScan
 from hw_sim.options import options_from
@@ -127,7 +127,7 @@ def _demonstrate(wanted: argparse.Namespace, pulse: Pulse) -> int:
     rig = replace(rig, scan=replace(rig.scan, period_px=wanted.period))
     world = options_from(rig.rig.wires_options)
     truth = draw_truth(world.truth, world.seed, world.width_px, world.height_px, world.scene().water.index)
-    calibration = rig.storage.root / CALIBRATION_FILE
+    calibration = Instrument(rig).calibration_file
     calibration.parent.mkdir(parents=True)
     calibration.write_bytes(encode_calibration(true_calibration(truth, rig.rig.serial)))
 

@@ -27,7 +27,7 @@ from appliance.instrument.service.app import run
 from appliance.instrument.worker.usage import own_memory_mb
 from appliance.measure.calibration.file import encode_calibration
 from appliance.store.config import Rig, load_rig
-from appliance.store.instrument import CALIBRATION_FILE
+from appliance.store.instrument import Instrument
 from appliance.store.library import Library
 from hw_sim import registry
 from hw_sim.options import options_from
@@ -218,7 +218,7 @@ def rig_of(root: Path, size: str) -> Rig:
     rig = changed(rig, rig=changed(rig.rig, wires_options={**rig.rig.wires_options, "stills": True}))
     world = options_from(rig.rig.wires_options)
     truth = draw_truth(world.truth, world.seed, world.width_px, world.height_px, world.scene().water.index)
-    calibration = rig.storage.root / CALIBRATION_FILE
+    calibration = Instrument(rig).calibration_file
     calibration.parent.mkdir(parents=True, exist_ok=True)
     calibration.write_bytes(encode_calibration(true_calibration(truth, rig.rig.serial)))
     return rig

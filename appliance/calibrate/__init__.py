@@ -9,7 +9,7 @@ from appliance.base import lazy_face
 if TYPE_CHECKING:
     from .air.adjustment import (
         AirCalibrationError,  # The views do not suffice for a calibration in air; the text says why and what to do
-        BoardView,  # RE-EXPORT appliance.calibrate.air.linearised
+        BoardView,  # One board seen by both cameras at once
     )
     from .air.any_board import (
         BoardNotFoundError,  # No picture shows a board of a kind that is known

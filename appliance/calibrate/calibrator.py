@@ -38,15 +38,14 @@ from appliance.measure import (
     fit_plane,
 )
 from appliance.store import (
+    Instrument,
     Library,
     ReprocessedScan,
     Rig,
     StoredScan,
-    calibration_of,
     load_calibration,
     load_scan,
     reprocess_scan,
-    settings_of_scan,
 )
 
 VERIFY_GAP_MM = 20.0
@@ -99,7 +98,7 @@ def basis_of(rig: Rig) -> Basis:
     if bar is None:
         raise CertificateMissing("no certificate of the ball bar; give [ball_bar] in the rig file")
     calibrations = Calibrations(rig.storage.root, rig.rig.serial)
-    current, _ = calibration_of(rig)
+    current, _ = Instrument(rig).calibration()
     session = calibrations.session()
     # Once the solved calibration is in use, the one to compare it with is the kept file.
     kept = calibrations.kept(session) if session.in_use else None
@@ -270,12 +269,12 @@ def _judged_plane(step: Step, plane: PlaneFit | NotFound, cloud: Cloud, calibrat
 
 def _wide(scan: StoredScan, basis: Basis) -> ReprocessedScan:
     """Reprocess with room for rays that miss each other because nobody knows the ports."""
-    settings = settings_of_scan(scan.manifest.record, basis.rig)
+    settings = Instrument(basis.rig).settings_of_scan(scan.manifest.record)
     return reprocess_scan(scan, basis.start, settings, _silent, QualityLimits(max_gap_mm=CALIBRATING_GAP_MM))
 
 
 def _fairly(scan: StoredScan, calibration: Calibration, basis: Basis) -> ReprocessedScan:
-    settings = settings_of_scan(scan.manifest.record, basis.rig)
+    settings = Instrument(basis.rig).settings_of_scan(scan.manifest.record)
     return reprocess_scan(scan, calibration, settings, _silent, QualityLimits(max_gap_mm=VERIFY_GAP_MM))
 
 

@@ -7,21 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from appliance.measure import Calibration, encode_calibration, of_side
-from appliance.store import (
-    CALIBRATION_FILE,
-    LocalFileSystem,
-    Rig,
-    calibration_of,
-    design_of,
-    load_calibration,
-    make_folders,
-    replace_file,
-)
+from appliance.store import Instrument, LocalFileSystem, Rig, load_calibration, make_folders, replace_file
 
 
 def describe_calibration(rig: Rig, path: Path | None) -> dict[str, Any]:
     """Return what a calibration file says (``None``: the instrument's own). Raises CalibrationError."""
-    calibration = load_calibration(path) if path is not None else calibration_of(rig)[0]
+    calibration = load_calibration(path) if path is not None else Instrument(rig).calibration()[0]
     left, right = calibration.rig.left, calibration.rig.right
     # A lens calibrated in water has swallowed its port: distance and tilt are numbers without a meaning then.
     has_ports = not (left.lens_in_water or right.lens_in_water)
@@ -49,9 +40,9 @@ def write_nominal_calibration(rig: Rig, out: Path | None) -> Path:
 
     Raises StorageError.
     """
-    path = out if out is not None else rig.storage.root / CALIBRATION_FILE.with_name("nominal.json")
+    path = out if out is not None else Instrument(rig).nominal_file
     make_folders(LocalFileSystem(), path.parent)
-    replace_file(LocalFileSystem(), path, encode_calibration(design_of(rig)))
+    replace_file(LocalFileSystem(), path, encode_calibration(Instrument(rig).design()))
     return path
 
 

@@ -37,12 +37,11 @@ from appliance.measure import (
     encode_calibration,
 )
 from appliance.store import (
-    AIR_FILE,
     KNOWN,
     MANIFEST_FILE,
+    Instrument,
     LocalFileSystem,
     Rig,
-    design_of,
     load_calibration,
     load_scan,
     make_folders,
@@ -188,7 +187,7 @@ def start_of(rig: Rig, air: AirCalibration, design: BoardDesign, found: FoundBoa
         f"board {design}, bent by {air.board_bow_mm:.4f} mm",
         *(text for view, text in zip(found.views, found.made_from, strict=True) if view.name in used),
     )
-    start = start_from_air(air, design_of(rig), made_from)
+    start = start_from_air(air, Instrument(rig).design(), made_from)
     serials = (rig.camera.left.serial, rig.camera.right.serial)
     return replace(start, made_at=made_at.astimezone(UTC).isoformat(timespec="seconds"), camera_serials=serials)
 
@@ -203,7 +202,7 @@ def install(rig: Rig, file: Path) -> tuple[Path, Path | None]:
         raise CalibrationError(
             f"{file} is of instrument {start.rig_serial}, method {start.method}; wanted is one in air of {rig.rig.serial}"
         )
-    target = rig.storage.root / AIR_FILE
+    target = Instrument(rig).air_file
     before = None
     make_folders(LocalFileSystem(), target.parent)
     if target.is_file():

@@ -6,16 +6,7 @@ from pathlib import Path
 
 from appliance.calibrate.water.start import check_start
 from appliance.measure import Calibration, CalibrationError
-from appliance.store import (
-    AIR_FILE,
-    CALIBRATION_FILE,
-    Rig,
-    calibration_of,
-    instrument_misfit,
-    load_calibration,
-    of_another,
-    with_volume,
-)
+from appliance.store import Instrument, Rig, load_calibration
 
 
 def start_of(rig: Rig, path: Path | None = None) -> Calibration:
@@ -23,15 +14,17 @@ def start_of(rig: Rig, path: Path | None = None) -> Calibration:
 
     Raises CalibrationError for a file that cannot be used, RecordingError for one in use that is no start.
     """
-    in_air = rig.storage.root / AIR_FILE
+    in_air = Instrument(rig).air_file
     if path is not None:
-        start = with_volume(load_calibration(path), rig)
-        problem = of_another(start, rig)  # the size is compared with that of the scans, and so are the cameras
+        start = Instrument(rig).with_volume(load_calibration(path))
+        problem = Instrument(rig).of_another(
+            start
+        )  # the size is compared with that of the scans, and so are the cameras
     elif in_air.exists():
-        start = with_volume(load_calibration(in_air), rig)
-        problem = instrument_misfit(start, rig)
+        start = Instrument(rig).with_volume(load_calibration(in_air))
+        problem = Instrument(rig).misfit(start)
     else:
-        start, problem = calibration_of(rig)[0], None
+        start, problem = Instrument(rig).calibration()[0], None
     if problem is not None:
         raise CalibrationError(f"{path or in_air}: {problem}; calibrate in air, or take another file")
     check_start(start)
@@ -40,12 +33,8 @@ def start_of(rig: Rig, path: Path | None = None) -> Calibration:
 
 def refuse_drawing(rig: Rig, path: Path | None) -> None:
     """Raises CalibrationError where calibrating in water would begin with the drawing without anybody having said so."""
-    if (
-        path is None
-        and not (rig.storage.root / AIR_FILE).exists()
-        and not (rig.storage.root / CALIBRATION_FILE).exists()
-    ):
+    if path is None and not (Instrument(rig).air_file).exists() and not (Instrument(rig).calibration_file).exists():
         raise CalibrationError(
-            f"{rig.storage.root / AIR_FILE}: missing; calibrate in air (`kingfisher calibrate air`), or give with --start FILE "
+            f"{Instrument(rig).air_file}: missing; calibrate in air (`kingfisher calibrate air`), or give with --start FILE "
             "what to begin with, be it the drawing (`kingfisher calibration nominal`)"
         )

@@ -8,7 +8,7 @@ from pathlib import Path
 from appliance.calibrate.recordings import CamerasDiffer, Recording
 from appliance.calibrate.water.extract import CALIBRATING_GAP_MM, BarCertificate, extract
 from appliance.measure import Calibration, NotFound, QualityLimits, exchanged
-from appliance.store import RIG_FILE, ConfigError, Rig, ScanError, load_rig, load_scan, reprocess_scan, settings_of_scan
+from appliance.store import RIG_FILE, ConfigError, Instrument, Rig, ScanError, load_rig, load_scan, reprocess_scan
 
 
 def cameras_of(folders: Iterable[Path], start: Calibration) -> tuple[str, str] | None:
@@ -53,7 +53,7 @@ def recording_of_scan(
     answer is ``NotFound`` with the reason in words where the artefact is not seen well enough. Raises ScanError.
     """
     scan = load_scan(folder, only_raw=True)
-    settings = settings_of_scan(scan.manifest.record, rig)
+    settings = Instrument(rig).settings_of_scan(scan.manifest.record)
     # The ports are still as drawn: within the instrument's limit of the gap, just the pixels that could correct them
     # would be lacking.
     reprocessed = reprocess_scan(scan, start, settings, progress, QualityLimits(max_gap_mm=CALIBRATING_GAP_MM))

@@ -45,9 +45,9 @@ class NominalCalibration(WithRoot):
         rig = self.rooted_rig()
         writable(self.out)
         from appliance.calibrate import write_nominal_calibration
-        from appliance.store import CALIBRATION_FILE
+        from appliance.store import Instrument
 
-        path = self.out or rig.storage.root / CALIBRATION_FILE.with_name("nominal.json")
+        path = self.out or Instrument(rig).nominal_file
         if path.exists():
             raise UsageError(f"--out {path}: exists already; a calibration is never replaced; give a new name")
         with writing(path):

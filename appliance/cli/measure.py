@@ -36,13 +36,13 @@ class MeasureResponse(WithRoot):
         from appliance.calibrate import ResponseError
         from appliance.desk import response_of_scan
         from appliance.measure import RESPONSE
-        from appliance.store import RESPONSE_FILE, instrument_of, open_source
+        from appliance.store import Instrument, instrument_of, open_source
 
         with Progress() as progress:
             progress("comparing checksums")
             source = open_source(whole_scan(wish, self.scan), wish)
             folder, rig = source.scan.folder, instrument_of((source,), wish)
-            path = self.out or rig.storage.root / RESPONSE_FILE
+            path = self.out or Instrument(rig).response_file
             _never_replaced(path)  # once more: the default place is known only now
             # Below, missing folders are made: a root that was mistyped would become a new instrument's without a word.
             if not rig.storage.root.is_dir():
@@ -85,13 +85,13 @@ class MeasureNoise(WithRoot):
         from appliance.calibrate import NoiseError
         from appliance.desk import noise_of_scan, noise_to_store
         from appliance.measure import NOISE
-        from appliance.store import NOISE_FILE, instrument_of, open_source
+        from appliance.store import Instrument, instrument_of, open_source
 
         with Progress() as progress:
             progress("comparing checksums")
             source = open_source(whole_scan(wish, self.scan), wish)
             folder, rig = source.scan.folder, instrument_of((source,), wish)
-            path = rig.storage.root / NOISE_FILE
+            path = Instrument(rig).noise_file
             if self.install:
                 _never_replaced(path, "--install", "the cameras' noise")
                 _root_there(rig.storage.root)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import importlib
 import logging
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,16 +27,12 @@ from appliance.measure import (
     encode_calibration,
 )
 from appliance.store import (
-    CALIBRATION_FILE,
-    KEPT,
-    NOISE_FILE,
-    RESPONSE_FILE,
+    Instrument,
     LocalFileSystem,
     Rig,
     load_calibration,
     make_folders,
     replace_file,
-    volume_of,
 )
 
 METHOD = "truth"
@@ -52,11 +47,11 @@ def bring_calibration(rig: Rig) -> None:
 
     Raises UsageError where the one that lies there was brought for a rig that is not the one of this start, StorageError.
     """
-    path = rig.storage.root / CALIBRATION_FILE
+    path = Instrument(rig).calibration_file
     options = rig.rig.wires_options
     # In air the windows refract otherwise: what is true there is no calibration to measure in water with.
     nominal = options.get("truth") == KNOWN_SET and options.get("medium", "water") == "water"
-    if nominal and not _calibrated_before(path.parent):
+    if nominal and not _calibrated_before(Instrument(rig)):
         # Written like any calibration, before the service starts: nothing in the product knows that it is the truth.
         make_folders(LocalFileSystem(), path.parent)
         replace_file(LocalFileSystem(), path, encode_calibration(true_calibration(rig)))
@@ -76,21 +71,22 @@ def true_calibration(rig: Rig) -> Calibration:
         made_at="unknown",
         made_from=(f"the simulated true rig: {told['set']}",),
         water=Water(rig.water.temperature_c, rig.water.salinity_psu, rig.water.wavelength_nm),
-        rig=StereoRig(_camera(left, left), _camera(right, left), volume_of(rig)),
+        rig=StereoRig(_camera(left, left), _camera(right, left), Instrument(rig).volume),
         camera_serials=(rig.camera.left.serial, rig.camera.right.serial),
     )
 
 
-def _calibrated_before(folder: Path) -> bool:
-    """Somebody has calibrated, or begun to: what lies there is theirs."""
-    return (folder / KEPT.name).exists() or any(
-        one.name not in (RESPONSE_FILE.name, NOISE_FILE.name) for one in folder.glob("*.json")
+def _calibrated_before(instrument: Instrument) -> bool:
+    """Tell whether somebody has calibrated, or begun to: what lies there is theirs."""
+    measured = (instrument.response_file, instrument.noise_file)
+    return instrument.kept_folder.exists() or any(
+        path not in measured for path in instrument.calibration_file.parent.glob("*.json")
     )
 
 
 def _refuse_nominal(rig: Rig) -> None:
     """A calibration that was brought for the nominal rig would give wrong lengths with another, without a word."""
-    path = rig.storage.root / CALIBRATION_FILE
+    path = Instrument(rig).calibration_file
     try:
         found = load_calibration(path)
     except CalibrationError:

@@ -16,9 +16,9 @@ if TYPE_CHECKING:
         season_page,  # Return the page about the rows of a table (results.read_table); source is named on it
     )
     from .anew.work import (
-        AGAIN,
-        DONE,
-        FAILED,
+        AGAIN,  # States of a row; one that is to be tried again is never published
+        DONE,  # States of a row; one that is to be tried again is never published
+        FAILED,  # States of a row; one that is to be tried again is never published
         Job,  # Everything that one scan's task must know; small, and the same bytes on every computer
         work_through_all,  # Yield a row of every job, as they are done by workers of scheduler
     )

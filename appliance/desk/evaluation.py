@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 from appliance import __version__
 from appliance.measure import Calibration, Certificate, Evaluation, Item, QualityLimits, evaluate
-from appliance.store import RAW_FILES, ScanList, SourceScan, refuse_empty, reprocess_scan, settings_of_scan
+from appliance.store import RAW_FILES, Instrument, ScanList, SourceScan, refuse_empty, reprocess_scan
 
 JUDGING_GAP_MM = 20.0
 """The instrument masks points whose rays pass at more than 0.25 mm. A wrong calibration would so hide its own worst points,
@@ -30,7 +30,7 @@ def run_evaluation(
         def step(what: str, at: float = at, name: str = scan.folder.name) -> None:
             progress(f"{name}: {what}", at)
 
-        settings = settings_of_scan(scan.manifest.record, source.rig)
+        settings = Instrument(source.rig).settings_of_scan(scan.manifest.record)
         reprocessed = reprocess_scan(scan, chosen, settings, step, QualityLimits(max_gap_mm=JUDGING_GAP_MM))
         # An artefact that was not found is a result; a calibration that does not fit the scan measures nothing.
         if reprocessed.empty is not None and reprocessed.empty.by_calibration:

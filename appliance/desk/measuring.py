@@ -30,16 +30,7 @@ from appliance.measure import (
     measure_bend,
     of_side,
 )
-from appliance.store import (
-    RESPONSE_FILE,
-    Rig,
-    ScanError,
-    SourceScan,
-    exposure_of_scan,
-    load_scan,
-    noise_of,
-    response_of,
-)
+from appliance.store import Instrument, Rig, ScanError, SourceScan, load_scan
 
 MOST_NOISIER = 1.1
 """Factor by which points may be noisier for the exposure they were taken with: of a response as other projectors have, 1.01."""
@@ -68,7 +59,7 @@ def response_of_scan(
         decoder.finish()
         seen.append(CameraImages(frames, decoder.p_px, decoder.q_px))
     measured = measure_response(sequence, seen, drawn_for)
-    taken_us = exposure_of_scan(record, rig).time_us, rig.board.trigger_delay_us
+    taken_us = Instrument(rig).exposure_of_scan(record).time_us, rig.board.trigger_delay_us
     found = StoredResponse(
         rig.rig.serial, (scan.manifest.scan_id,), measured.residual, measured.response.harmonics, *taken_us
     )
@@ -114,7 +105,7 @@ def exposure_found(source: SourceScan) -> ExposureFound:
             f"{scan.folder}: too few points to tell how straight its fringes are; scan a surface that fills the image"
         )
     return ExposureFound(
-        scan.manifest.scan_id, exposure_of_scan(record, source.rig), source.rig.board.trigger_delay_us, bend.rms_px,
+        scan.manifest.scan_id, Instrument(source.rig).exposure_of_scan(record), source.rig.board.trigger_delay_us, bend.rms_px,
         bend.noise_px, math.sqrt(bend.variance_factor(sequence.period_px)),
     )  # fmt: skip
 
@@ -129,7 +120,7 @@ def noise_of_scan(rig: Rig, folder: Path) -> dict[str, tuple[MeasuredNoise, Came
     sequence = build_sequence(made.period_px, made.width_px, made.height_px)
     # The gain is the scan's own where it says so; full well, read noise and black level are the camera's and stand in
     # the rig file only.
-    expected = noise_of(rig, exposure_of_scan(scan.manifest.record, rig))
+    expected = Instrument(rig).noise(Instrument(rig).exposure_of_scan(scan.manifest.record))
     return {
         "left": (measure_noise(sequence, scan.frames["left"]), expected.left),
         "right": (measure_noise(sequence, scan.frames["right"]), expected.right),
@@ -142,7 +133,7 @@ def noise_to_store(rig: Rig, folder: Path, found: dict[str, tuple[MeasuredNoise,
     Raises ScanError, and NoiseError for figures that no camera has.
     """
     manifest = load_scan(folder, only_raw=True).manifest
-    exposure, cameras = exposure_of_scan(manifest.record, rig), rig.camera
+    exposure, cameras = Instrument(rig).exposure_of_scan(manifest.record), rig.camera
     figures = []
     for side in SIDES:
         camera = of_side(cameras, side)
@@ -164,10 +155,10 @@ def _drawn_for(rig: Rig, scan_id: str, response_hash: str | None) -> Response | 
     """Return the response that a scan's patterns were drawn for."""
     if response_hash is None:
         return None
-    response = response_of(rig)
+    response = Instrument(rig).response()
     if response is None or response.hash != response_hash:
         raise ResponseError(
-            f"scan {scan_id} was drawn for another response than that in {rig.storage.root / RESPONSE_FILE}; bring that file "
+            f"scan {scan_id} was drawn for another response than that in {Instrument(rig).response_file}; bring that file "
             "back, or record a scan without one"
         )
     return response

@@ -11,14 +11,13 @@ from appliance.store import (
     RAW_FILES,
     SECOND_FILES,
     Chosen,
+    Instrument,
     Rig,
     ScanError,
     SourceScan,
     StoredScan,
-    exposure_of_scan,
     refuse_empty,
     reprocess_bracket,
-    settings_of_scan,
     write_ply,
 )
 
@@ -35,7 +34,8 @@ def merge_scans(
     refuse_the_same(sources[0].scan, sources[1].scan)
     # The shorter exposure's grey values are those of the cloud: they are not saturated.
     scans = sorted(
-        (source.scan for source in sources), key=lambda scan: exposure_of_scan(scan.manifest.record, rig).light
+        (source.scan for source in sources),
+        key=lambda scan: Instrument(rig).exposure_of_scan(scan.manifest.record).light,
     )
     cloud, verdict, water = merged_cloud_of((scans[0], scans[1]), rig, calibration, progress)
     names = [scan.manifest.scan_id for scan in scans]
@@ -45,7 +45,7 @@ def merge_scans(
     s = cloud.summary
     return {
         "scans": " + ".join(names),
-        "exposures": " + ".join(exposure_of_scan(scan.manifest.record, rig).label for scan in scans),
+        "exposures": " + ".join(Instrument(rig).exposure_of_scan(scan.manifest.record).label for scan in scans),
         "file": str(target),
         "points": s.points,
         "coverage_percent": s.coverage_percent,
@@ -92,7 +92,10 @@ def merged_cloud_of(
     # Pixel by pixel, coordinates are compared: those of other patterns mean other places.
     if first.manifest.record.sequence != second.manifest.record.sequence:
         raise ScanError("the scans were recorded with different patterns; merge two of the same fringe period")
-    settings = (settings_of_scan(first.manifest.record, rig), settings_of_scan(second.manifest.record, rig))
+    settings = (
+        Instrument(rig).settings_of_scan(first.manifest.record),
+        Instrument(rig).settings_of_scan(second.manifest.record),
+    )
     made = reprocess_bracket(first, second.frames, settings, calibration, progress)
     if made.cloud is None:
         raise ScanError(f"{made.pair.verdict.text}: merge scans that were taken from one place")

@@ -14,20 +14,18 @@ from appliance.store import (
     CLOUD_FILE,
     Bytes,
     Chosen,
+    Instrument,
     LocalFileSystem,
     Rig,
     ScanError,
     SourceScan,
     StoredScan,
     encode_ply,
-    exposures_label,
     lost,
     refuse_empty,
     replace_file,
     reprocess_bracket,
     reprocess_scan,
-    settings_of,
-    settings_of_scan,
 )
 
 
@@ -62,7 +60,7 @@ def reconstruct_scan(
         "distance_mm": s.distance_mm,
         "noise_mm": s.noise_mm,
         "gap_mm": s.gap_mm,
-        "exposure": exposures_label(record, rig),
+        "exposure": Instrument(rig).exposures_label(record),
         "period_px": record.sequence.period_px,
         "stored_cloud": before,
         "salvaged": list(notes) or None,
@@ -134,7 +132,7 @@ def work_through(
 ) -> WorkedThrough:
     """Reconstruct and judge a scan, one sequence or both. Raises ScanError, also where no points are left."""
     record = scan.manifest.record
-    settings = settings_of_scan(record, rig)
+    settings = Instrument(rig).settings_of_scan(record)
     if salvaged is not None:
         # A made-up frame is noisier than a recorded one, and the points' sigmas must say so.
         settings = replace(settings, noise=salvaged.noise(settings.noise))
@@ -143,7 +141,7 @@ def work_through(
         # No file for a cloud without points: it would look like a result.
         refuse_empty(scan.folder, reprocessed.empty)
         return WorkedThrough(reprocessed.cloud, reprocessed.water, reprocessed.faults, reprocessed.judgements)
-    both = (settings, settings_of(rig, record.second.exposure))
+    both = (settings, Instrument(rig).settings(record.second.exposure))
     pair = reprocess_bracket(scan, scan.second, both, calibration, progress)
     if pair.cloud is None:
         raise ScanError(f"{scan.folder}: {pair.pair.verdict.text}")

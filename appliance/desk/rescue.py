@@ -10,13 +10,13 @@ from appliance.measure import UNCHECKED, CurveError, NoPoint, OneDirectionError,
 from appliance.store import (
     Chosen,
     IncompleteRecording,
+    Instrument,
     LocalFileSystem,
     ScanError,
     SourceScan,
     encode_ply,
     replace_file,
     sequence_of_scan,
-    settings_of_scan,
     water_of_scan,
 )
 
@@ -41,7 +41,11 @@ def rescue_recording(
     progress("matching along epipolar curves")
     try:
         cloud, found = first_direction_cloud(
-            scan.frames, sequence_of_scan(scan), calibration, water, settings_of_scan(record, source.rig).noise
+            scan.frames,
+            sequence_of_scan(scan),
+            calibration,
+            water,
+            Instrument(source.rig).settings_of_scan(record).noise,
         )
     except (OneDirectionError, CurveError, ValueError) as error:
         raise ScanError(f"{scan.folder}: {error}") from error

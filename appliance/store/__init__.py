@@ -38,12 +38,12 @@ if TYPE_CHECKING:
         load_calibration,  # Read a calibration file. Raises CalibrationError also for a missing or unreadable file
     )
     from .config import (
-        ConfigError,  # RE-EXPORT appliance.store.config.load
-        Rig,  # RE-EXPORT appliance.store.config.rig
-        default_rig_path,  # RE-EXPORT appliance.store.config.load
-        load_rig,  # RE-EXPORT appliance.store.config.load
-        parse_rig,  # RE-EXPORT appliance.store.config.load
-        rig_text,  # RE-EXPORT appliance.store.config.spell
+        ConfigError,  # The rig file cannot be used. headline fits a safe screen
+        Rig,  # One instrument, as its rig file describes it. Checked when built: see appliance.store.config.checks
+        default_rig_path,  # Return the rig file that is packaged with the product
+        load_rig,  # Read and check a rig file. Raises ConfigError, never anything else, for whatever the file holds
+        parse_rig,  # Read a rig from text like load_rig; source names it in messages
+        rig_text,  # Return the text of a rig file that loads as rig, with the same rig_hash
     )
     from .config.rig import (
         CameraRig,  # [camera.left] and [camera.right]
@@ -71,34 +71,13 @@ if TYPE_CHECKING:
         load_incomplete,  # Open an incomplete recording; every byte is compared with its checksum. Raises ScanError
     )
     from .instrument import (
-        AIR_FILE,
-        CALIBRATION_FILE,
-        KEPT,  # Places of the calibration's files, relative to the storage root
-        NOISE_FILE,
-        RESPONSE_FILE,
-        calibration_of,  # Return the instrument's calibration
-        design_of,  # Return the calibration that the drawing in the rig file stands for
-        exposure_of,  # Return the exposure of both cameras, as the rig file sets that of the left one
-        exposure_of_scan,  # Return the exposure that a stored scan was recorded with
-        exposures_label,  # Return the exposure as a label, 8 ms; of a pair 3.2 ms, then 14 ms
-        exposures_of,  # Return the exposures that may be proposed to the diver, from dark to bright
-        instrument_misfit,  # Return why a calibration, in air or in water
-        noise_of,  # Return the noise of both cameras, by default at the gain the rig file sets, else at exposure's
-        of_another,  # Return why a calibration is not of this instrument, whichever cameras it has now
-        origin_of,  # Return what a scan that is taken now carries with it
-        response_of,  # Return the projector's response as it was measured
-        settings_of,  # Return how a sequence is taken with exposure. Raises ValueError for a rig
-        settings_of_scan,  # Return how a stored scan was taken. Raises ValueError for a rig
-        volume_of,  # Return the range in which the housing measures
-        water_of,  # Return the water the rig file states
-        with_measured_noise,  # Return the rig with the cameras' noise as it was measured in place of their data
-        with_volume,  # Return the calibration with the volume that the rig file states
+        Instrument,  # The instrument of a rig file
     )
     from .label import (
         LABEL,
         LABEL_FILE,
-        LONGEST_NAME,
-        LONGEST_NOTE,
+        LONGEST_NAME,  # Greatest lengths in characters: a name is a column of a list, a note a paragraph
+        LONGEST_NOTE,  # Greatest lengths in characters: a name is a column of a list, a note a paragraph
         Label,  # Name and note of a scan; None: there is none
         checked_label,  # Return text in Unicode's composed form without blanks around it; None where nothing is left
         read_label,  # Return the label of a scan's folder; an empty one where there is none. Raises ContentError
@@ -125,9 +104,9 @@ if TYPE_CHECKING:
         manifest_json,  # Return the content as JSON holds it. Raises TypeError as encode
     )
     from .names import (
-        CALIBRATION_IN_AIR,
-        CALIBRATIONS,
-        CURRENT_CALIBRATION,
+        CALIBRATION_IN_AIR,  # Folder below a storage root with its calibrations, the file in it that is in use
+        CALIBRATIONS,  # Folder below a storage root with its calibrations, the file in it that is in use
+        CURRENT_CALIBRATION,  # Folder below a storage root with its calibrations, the file in it that is in use
         OBJECTS,  # Folder below a storage root with its objects
         NameShapeError,  # A name cannot be part of a path; the text says which and what is allowed
         by_number,  # Return what orders names of scans as they were taken, 1000000 after 999999

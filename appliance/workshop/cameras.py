@@ -10,7 +10,7 @@ import numpy as np
 
 from appliance.instrument import Devices, ask_devices
 from appliance.measure import SIDES, of_side
-from appliance.store import CameraRig, noise_of
+from appliance.store import CameraRig, Instrument
 from appliance.workshop.bench import Image, LightBench, bench_on
 from appliance.workshop.finding import Finding, judged
 from appliance.workshop.plots import png, side_by_side
@@ -162,7 +162,7 @@ def _dark(at: Workplace, bench: LightBench) -> tuple[list[Finding], dict[str, tu
 
 def _judged(at: Workplace, seen: Mapping[str, DarkSeen]) -> list[Finding]:
     # At the gain of the rig file, at which the pictures were taken.
-    noise = noise_of(at.rig)
+    noise = Instrument(at.rig).noise()
     found: list[Finding] = []
     for side, one in seen.items():
         found += judge_dark(side, one, of_side(at.rig.camera, side).black_level_dn, of_side(noise, side).read_dn)

@@ -33,19 +33,7 @@ from appliance.measure import (
     fit_plane,
     flatness,
 )
-from appliance.store import (
-    Library,
-    ScanError,
-    ScanRecord,
-    SequenceInfo,
-    calibration_of,
-    exposure_of,
-    exposures_of,
-    load_scan,
-    origin_of,
-    response_of,
-    with_measured_noise,
-)
+from appliance.store import Instrument, Library, ScanError, ScanRecord, SequenceInfo, load_scan
 from appliance.workshop.bench import Image
 from appliance.workshop.finding import BringupError, Finding, judged
 from appliance.workshop.plots import plot, png
@@ -157,14 +145,14 @@ def do(at: Workplace) -> StepOutcome:
     """Do the step. Raises DeviceError, BringupError, GivenUp, StorageError."""
     with open_gl() as gl:
         # The response, if it was measured, is drawn for: what is left of the ripple is what scans have.
-        response = response_of(at.rig)
+        response = Instrument(at.rig).response()
         patterns = DrawnPatterns(gl, at.rig, at.rig.scan.period_px, response)
         sequence = patterns.sequence
-        exposure = exposure_of(at.rig)
+        exposure = Instrument(at.rig).exposure
         for turn in range(MOST_ASKED):
             at.person.ask(numbered(wall(at), turn))
             report, frames, exposure = _exposed(
-                partial(_recorded, at, patterns), sequence, exposures_of(at.rig), exposure
+                partial(_recorded, at, patterns), sequence, Instrument(at.rig).exposures, exposure
             )
             if all(_lit(one, sequence).mean() >= LEAST_LIT for one in frames.values()):
                 break
@@ -263,7 +251,7 @@ def _stored(
     """Store the scan among the instrument's others, and return its number. Raises StorageError."""
     library = Library(at.rig.storage.root)
     library.prepare()
-    calibration, _ = calibration_of(at.rig)
+    calibration, _ = Instrument(at.rig).calibration()
     date, water = at.wires.calendar.today(), at.rig.water
     record = ScanRecord(
         sequence=SequenceInfo.of(sequence),
@@ -282,7 +270,7 @@ def _stored(
         },
         ledger=report.ledger.as_dict(),
     )
-    pending = library.begin(frames, record, origin_of(at.rig, calibration))
+    pending = library.begin(frames, record, Instrument(at.rig).origin(calibration))
     pending.publish(record)
     return pending.scan_id
 
@@ -328,8 +316,8 @@ def _seen_response(
 
 def _worked_through(at: Workplace, scan_id: str) -> tuple[Flatness | None, str, tuple[str, ...]]:
     """Return how flat the stored scan's cloud is, else why that is not known, and what the judges hold against it."""
-    rig = with_measured_noise(at.rig)
-    calibration, conditions = calibration_of(rig)
+    rig = Instrument(at.rig).with_measured_noise()
+    calibration, conditions = Instrument(rig).calibration()
     # The drawing's geometry would make a cloud, too, whose flatness says nothing about the instrument.
     if conditions:
         return None, "there is no calibration yet; calibrate next (docs/calibration.md)", ()

@@ -28,7 +28,7 @@ from appliance.desk.reconstruct import work_through
 from appliance.measure.calibration.file import encode_calibration
 from appliance.store.calibration_file import load_calibration
 from appliance.store.config import load_rig
-from appliance.store.instrument import exposures_of
+from appliance.store.instrument import Instrument
 from appliance.store.origin import calibration_for, open_source
 from appliance.store.scan import ScanError, StoredScan, manifest_of
 from appliance.store.wish import Wish
@@ -111,7 +111,7 @@ def _stays(first: int) -> Callable[[NDArray[Any]], NDArray[Any]]:
 
 def _at_the_shortest(scan: StoredScan) -> StoredScan:
     bright = _seen(lambda frames: frames * 3.0)(scan)
-    record = replace(scan.manifest.record, exposure=exposures_of(load_rig(Path("rig.toml")))[0])
+    record = replace(scan.manifest.record, exposure=Instrument(load_rig(Path("rig.toml"))).exposures[0])
     return replace(bright, manifest=replace(scan.manifest, record=record))
 
 

@@ -22,7 +22,7 @@ from appliance.measure.light.correction import node_count
 from appliance.measure.light.model import HousedCamera
 from appliance.measure.light.ray_shift import RayShift
 from appliance.store.config import load_rig
-from appliance.store.instrument import design_of
+from appliance.store.instrument import Instrument
 from tests.support.any_boards import Printed, poses, write_pairs
 from tests.support.calibrating import air_of, calibration_recordings, hidden_rig, start_of
 from tests.support.foreign_sets import convention, make_set
@@ -196,7 +196,7 @@ def install(rig_file: Path, root: Path) -> None:
     """Install the drawing with a small ray shift, and the same as a calibration in air."""
     rig = load_rig(rig_file)
     random = np.random.default_rng(5)
-    design = design_of(rig)
+    design = Instrument(rig).design()
 
     def shifted(eye: HousedCamera) -> HousedCamera:
         amounts = np.round(0.003 * random.standard_normal(2 * node_count(INTERVALS)), 6)

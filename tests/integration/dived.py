@@ -19,7 +19,7 @@ from appliance.measure.light.sequence import PatternSequence
 from appliance.measure.points.pipeline import Pipeline
 from appliance.measure.points.quality import QualityLimits
 from appliance.store.config import Rig, load_rig
-from appliance.store.instrument import CALIBRATION_FILE
+from appliance.store.instrument import Instrument
 from appliance.store.library import Library
 from hw_sim.options import options_from
 from hw_sim.rendering.render import Renderer
@@ -57,7 +57,7 @@ class Service:
 
 def calibrate_exactly(rig: Rig) -> None:
     """Store the true rig's calibration, as if made on the day before."""
-    path = rig.storage.root / CALIBRATION_FILE
+    path = Instrument(rig).calibration_file
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(encode_calibration(true_calibration(true_rig(rig.rig.wires_options), rig.rig.serial)))
 

@@ -21,7 +21,7 @@ from appliance.measure.calibration.file import Calibration, encode_calibration
 from appliance.measure.light.model import HousedCamera, StereoRig
 from appliance.store.calibration_file import load_calibration
 from appliance.store.config import Rig, load_rig
-from appliance.store.instrument import design_of
+from appliance.store.instrument import Instrument
 from appliance.store.library import Library
 from hw_sim.scene import Scene
 from tests.integration.dived import Service, ball_bar_mm
@@ -119,7 +119,7 @@ def calibration_in_air(rig: Rig) -> Calibration:
         covariance=air.covariance * np.outer(scale, scale),
     )
     assert isinstance(smaller, AirCalibration)
-    return start_from_air(smaller, design_of(rig))
+    return start_from_air(smaller, Instrument(rig).design())
 
 
 def dive(rig: Rig, folder: Path, script: str) -> Service:

@@ -27,7 +27,7 @@ from appliance.instrument.service.choices import ChoicesFile
 from appliance.instrument.service.settings import pointers_of, standard_choices
 from appliance.store.calibration_file import load_calibration
 from appliance.store.config import load_rig
-from appliance.store.instrument import calibration_of
+from appliance.store.instrument import Instrument
 from appliance.store.library import Library, LibraryFolder
 from appliance.store.manifest import Stage
 
@@ -107,7 +107,7 @@ def test_the_instrument_starts_with_what_was_in_use_and_recovers_what_was_not_de
     rig = load_rig(recorded.rig_file)
     rig = replace(rig, storage=replace(rig.storage, root=root))
     calibration = root / "calibration"
-    assert calibration_of(rig) == (load_calibration(calibration / "current.json"), ())
+    assert Instrument(rig).calibration() == (load_calibration(calibration / "current.json"), ())
     assert start_of(rig) == load_calibration(calibration / "air.json")
     session = Calibrations(root, rig.rig.serial).session()
     assert [(check.step, check.scan_id) for check in session.trials] == [(Step.M3, "000004")]

@@ -13,7 +13,7 @@ from appliance.measure.calibration.noise_file import NOISE
 from appliance.measure.calibration.response_file import RESPONSE
 from appliance.store.config import Rig, load_rig
 from appliance.store.config.rig import ScanRig
-from appliance.store.instrument import NOISE_FILE, RESPONSE_FILE
+from appliance.store.instrument import Instrument
 from appliance.store.library import Library
 from tests.integration.dived import instrument
 
@@ -42,10 +42,10 @@ def test_response_and_noise_measured_under_water_are_used_from_the_next_start_on
     rig = replace(rig, rig=replace(rig.rig, wires_options={**rig.rig.wires_options, "outside": CAMERAS}))
     before = dive(rig)
     found = noise_of_scan(rig, before)
-    (rig.storage.root / NOISE_FILE).parent.mkdir(parents=True, exist_ok=True)
-    (rig.storage.root / NOISE_FILE).write_bytes(NOISE.encode(noise_to_store(rig, before, found)))
+    (Instrument(rig).noise_file).parent.mkdir(parents=True, exist_ok=True)
+    (Instrument(rig).noise_file).write_bytes(NOISE.encode(noise_to_store(rig, before, found)))
     stored, bent = response_of_scan(rig, before, lambda what, part: None)
-    (rig.storage.root / RESPONSE_FILE).write_bytes(RESPONSE.encode(stored))
+    (Instrument(rig).response_file).write_bytes(RESPONSE.encode(stored))
     after = dive(rig)
     _, straight = response_of_scan(rig, after, lambda what, part: None)
 

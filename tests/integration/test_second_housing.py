@@ -26,7 +26,7 @@ from appliance.measure.light.volume import STANDARD
 from appliance.measure.points.pipeline import Pipeline
 from appliance.measure.procedure import SequenceProcessor
 from appliance.store.config import Rig, load_rig
-from appliance.store.instrument import design_of, exposure_of, origin_of, settings_of, volume_of
+from appliance.store.instrument import Instrument
 from appliance.store.library import Library, LibraryFolder
 from appliance.store.record import ScanRecord, SequenceInfo
 from hw_sim.options import options_from
@@ -130,7 +130,7 @@ def scanned(rig: Rig, truth: TrueRig, what: str, pose: Pose) -> tuple[PatternSeq
 def test_without_its_own_volume_it_has_no_point_and_exchanged_cameras_are_named_by_its_drawing_alone() -> None:
     """Drawing and world state the same twice: where they differ, lengths would be wrong."""
     rig = simulated(load_rig(COMPACT), SimOptions(texture="none", truth="nominal", size="480x300"))
-    drawn, exact = design_of(rig), true_calibration(rig)
+    drawn, exact = Instrument(rig).design(), true_calibration(rig)
     for mine, its in ((drawn.rig.left, exact.rig.left), (drawn.rig.right, exact.rig.right)):
         assert mine.lens.f_px == pytest.approx(its.lens.f_px)
         assert (mine.lens.c_px, mine.port) == (its.lens.c_px, its.port)
@@ -145,7 +145,7 @@ def test_without_its_own_volume_it_has_no_point_and_exchanged_cameras_are_named_
     def faults(calibration: Calibration, left: str, right: str) -> tuple[int, list[FaultCode]]:
         with Pipeline(calibration, WATER, sequence) as pipeline:
             processor = SequenceProcessor(pipeline, calibration, WATER)
-            processor.begin(settings_of(rig, exposure_of(rig)))
+            processor.begin(Instrument(rig).settings(Instrument(rig).exposure))
             list(processor.push_all({"left": frames[left], "right": frames[right]}))
             full = processor.run()
             assert full is not None
@@ -153,7 +153,7 @@ def test_without_its_own_volume_it_has_no_point_and_exchanged_cameras_are_named_
             return len(pipeline.table.cloud(full.found).points_mm), named
 
     assert faults(drawn, "right", "left")[1] == [FaultCode.SIDES_EXCHANGED]
-    assert exact.rig.volume == volume_of(rig) != STANDARD
+    assert exact.rig.volume == Instrument(rig).volume != STANDARD
     points, named = faults(replace(exact, rig=replace(exact.rig, volume=STANDARD)), "left", "right")
     assert (points, FaultCode.SCAN_NEAR in named) == (0, True)
 
@@ -180,12 +180,12 @@ def calibrated(tmp_path_factory: pytest.TempPathFactory) -> Calibrated:
     store, library, session = Calibrations(root, rig.rig.serial), Library(root), Session()
     library.prepare()
     store.folder.mkdir(exist_ok=True)
-    store.air.write_bytes(encode_calibration(start_from_air(air, design_of(rig))))
+    store.air.write_bytes(encode_calibration(start_from_air(air, Instrument(rig).design())))
     checks = {}
     for step, (what, pose) in HELD.items():
         sequence, frames = scanned(rig, truth, what, pose)
         info = ScanRecord(SequenceInfo.of(sequence), rig.rig_hash, None, "0", None, False, 0)
-        pending = library.begin(frames, info, origin_of(rig, design_of(rig)))
+        pending = library.begin(frames, info, Instrument(rig).origin(Instrument(rig).design()))
         pending.publish(info)
         trial = RecordingCheck(step, None, None, scan_id=pending.scan_id)
         session = replace(session, trials=(*session.trials, trial))
@@ -207,13 +207,13 @@ def test_boards_in_air_find_lenses_and_baseline_and_recordings_at_its_distances_
 def test_lengths_at_a_pose_that_nobody_recorded_are_right_afterwards(calibrated: Calibrated) -> None:
     """Within the limits of the standard housing (``test_calibrate``), against the truth, which no certificate states."""
     solution, rig, truth = calibrated.solution, calibrated.rig, calibrated.truth
-    assert (solution.calibration.rig.volume, solution.solved.warnings) == (volume_of(rig), ())
+    assert (solution.calibration.rig.volume, solution.solved.warnings) == (Instrument(rig).volume, ())
     verified = solution.verified
     assert verified is not None
     assert abs(verified.after or 1.0) < min(0.0005, abs(verified.before or 0.0) / 3.0)
     sequence, frames = scanned(rig, truth, "ballbar", UNSEEN)
     before, after = (
         abs(ball_bar_mm(calibration, sequence, frames) / truth.artefacts.ball_distance_mm - 1.0)
-        for calibration in (start_from_air(calibrated.air, design_of(rig)), solution.calibration)
+        for calibration in (start_from_air(calibrated.air, Instrument(rig).design()), solution.calibration)
     )
     assert after < min(0.0006, before / 3.0)

@@ -17,7 +17,7 @@ from appliance.calibrate.water.start import start_from_air
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.measure.calibration.file import encode_calibration
 from appliance.store.config import Rig, load_rig
-from appliance.store.instrument import design_of, origin_of
+from appliance.store.instrument import Instrument
 from appliance.store.library import Library
 from appliance.store.record import ScanRecord, SequenceInfo
 from hw_sim.scene import Scene
@@ -41,7 +41,7 @@ def record(rig: Rig) -> None:
     for step, (what, pose) in HELD.items():
         scan = render_scan(Scene(object=what, pose=pose, texture="none"), "realistic", SEED, 1600, 16)
         info = ScanRecord(SequenceInfo.of(scan.sequence), rig.rig_hash, None, "0", None, False, 0)
-        pending = library.begin(scan.frames, info, origin_of(rig, design_of(rig)))
+        pending = library.begin(scan.frames, info, Instrument(rig).origin(Instrument(rig).design()))
         pending.publish(info)
         session = replace(session, trials=(*session.trials, RecordingCheck(step, None, None, scan_id=pending.scan_id)))
     Calibrations(rig.storage.root, rig.rig.serial).write(session)
@@ -53,7 +53,9 @@ def test_five_recordings_at_full_size(tmp_path: Path) -> None:
     rig = simulated(load_rig(default_sim_rig()), SimOptions(root=tmp_path))
     store, library = Calibrations(tmp_path, rig.rig.serial), Library(tmp_path)
     store.folder.mkdir()
-    store.air.write_bytes(encode_calibration(start_from_air(air_of(hidden_rig("realistic", SEED)), design_of(rig))))
+    store.air.write_bytes(
+        encode_calibration(start_from_air(air_of(hidden_rig("realistic", SEED)), Instrument(rig).design()))
+    )
     renderer = multiprocessing.get_context("spawn").Process(target=record, args=(rig,))
     renderer.start()
     renderer.join(600.0)

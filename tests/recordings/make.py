@@ -34,7 +34,7 @@ from appliance.measure.calibration.file import IN_AIR, Calibration
 from appliance.measure.light.correction import ImageCorrection, node_count
 from appliance.measure.light.ray_shift import RayShift
 from appliance.store.config import load_rig
-from appliance.store.instrument import design_of
+from appliance.store.instrument import Instrument
 
 SIZE = (160, 120)
 DAYS = ("2026-11-20", "2026-11-21", "2026-11-22")
@@ -148,7 +148,7 @@ def main(out: Path) -> None:
         (CALIBRATING_AND_MOVING,),
         (ANOTHER_PERIOD_AND_A_POWER_CUT, A_POWER_CUT_LATER),
     )
-    for k, (made, day, under_it) in enumerate(zip(of_every_model(design_of(rig)), DAYS, dives, strict=True)):
+    for k, (made, day, under_it) in enumerate(zip(of_every_model(Instrument(rig).design()), DAYS, dives, strict=True)):
         calibrations.install(made, day)
         if k == 0:
             air = replace(made, method=IN_AIR, air_covariance=tuple(map(tuple, (np.eye(22) * 1e-4).tolist())))

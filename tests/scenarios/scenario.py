@@ -38,7 +38,7 @@ from appliance.calibrate.calibrations import Calibrations
 from appliance.cli.simrig import default_sim_rig
 from appliance.instrument.service.app import run
 from appliance.store.config import load_rig
-from appliance.store.instrument import design_of
+from appliance.store.instrument import Instrument
 from appliance.store.library import Library, LibraryFolder
 from appliance.store.record import ScanRecord
 
@@ -113,7 +113,7 @@ def play(scenario: Scenario, folder: Path) -> Library:
     rig_file.write_text(_rig_text(scenario), encoding="utf-8")
     rig = load_rig(rig_file)
     if "calibrated" in scenario.given:
-        exact = replace(design_of(rig), method="bundle", made_at="2026-11-20T10:00:00+00:00")
+        exact = replace(Instrument(rig).design(), method="bundle", made_at="2026-11-20T10:00:00+00:00")
         Calibrations(root, rig.rig.serial).install(exact, "2026-11-20")
     options = {**rig.rig.wires_options, "script": str(script), "status": str(root / "run" / "status.json")}
     *cut_short, (last, _) = scenario.starts

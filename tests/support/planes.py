@@ -11,7 +11,7 @@ from appliance.measure.light.sequence import build_sequence
 from appliance.measure.points.pipeline import Pipeline
 from appliance.store.config import Rig, load_rig
 from appliance.store.config.load import default_rig_path
-from appliance.store.instrument import design_of, origin_of
+from appliance.store.instrument import Instrument
 from appliance.store.library import Library
 from appliance.store.record import ScanRecord, SequenceInfo
 from tests.support import synthetic
@@ -34,7 +34,7 @@ def small_rig(root: Path) -> Rig:
 
 def store_plane(rig: Rig, nearer_mm: float = 0.0) -> tuple[Path, np.ndarray]:
     """Return its folder and its points. ``nearer_mm``: than the middle of the volume."""
-    cal = design_of(rig)
+    cal = Instrument(rig).design()
     sequence = build_sequence(16)
     beamer = synthetic.projector(cal)
     index = cal.water.index
@@ -61,4 +61,4 @@ def store_plane(rig: Rig, nearer_mm: float = 0.0) -> tuple[Path, np.ndarray]:
     )
     library = Library(rig.storage.root)
     library.prepare()
-    return library.begin(frames, record, origin_of(rig, cal)).publish(record, cloud), cloud.points_mm
+    return library.begin(frames, record, Instrument(rig).origin(cal)).publish(record, cloud), cloud.points_mm

@@ -22,6 +22,7 @@ from appliance.desk.evaluation import run_evaluation
 from appliance.desk.reconstruct import work_through
 from appliance.measure import SPOILS_SCAN, Calibration, CalibrationError, NotFound
 from appliance.store import (
+    Instrument,
     ListedScan,
     PackedError,
     ScanError,
@@ -31,7 +32,6 @@ from appliance.store import (
     Wish,
     calibration_for,
     encode_ply,
-    exposures_label,
     load_calibration,
     manifest_of,
     open_source,
@@ -103,7 +103,7 @@ def _worked_through(job: Job, settings: Mapping[str, Any], wish: Wish) -> tuple[
     record = source.scan.manifest.record
     found: Row = {
         **asdict(worked.cloud.summary),
-        "exposure": exposures_label(record, source.rig),
+        "exposure": Instrument(source.rig).exposures_label(record),
         "grade": worked.grade.value,
         "spoilt": any(fault.code in SPOILS_SCAN for fault in worked.faults),
         "faults": "; ".join(f"{fault.code.value}: {fault.detail}" for fault in worked.faults),

@@ -32,17 +32,7 @@ from appliance.instrument.service.status import StatusFile
 from appliance.instrument.service.transfer import TransferSwitch
 from appliance.instrument.service.watchdog import Watchdog
 from appliance.measure import Water
-from appliance.store import (
-    Library,
-    LocalFileSystem,
-    Rig,
-    Room,
-    calibration_of,
-    hold_lock,
-    noise_of,
-    response_of,
-    with_measured_noise,
-)
+from appliance.store import Instrument, Library, LocalFileSystem, Rig, Room, hold_lock
 from drivers import rig as drivers_rig
 from drivers.output.gl import open_gl
 
@@ -63,7 +53,7 @@ def run(rig: Rig) -> int:
         # Before anything is read below the root, and before any device: a second service would take the cameras from
         # the first.
         stack.enter_context(hold_lock(rig.storage.root))
-        rig = with_measured_noise(rig)
+        rig = Instrument(rig).with_measured_noise()
         room = Room(rig.storage.root, LocalFileSystem())
         library = Library(rig.storage.root, room)
         library.prepare()
@@ -75,14 +65,14 @@ def run(rig: Rig) -> int:
         news = (*news, *recovered(recovery.recovered))  # last, for it says more than that the run before ended
         stopping = stack.enter_context(_signals())
         wires = stack.enter_context(drivers_rig.open_wires(rig.rig.wires, rig.rig.wires_options))
-        calibration, conditions = calibration_of(rig)
+        calibration, conditions = Instrument(rig).calibration()
         gl = stack.enter_context(open_gl())
-        response = response_of(rig)
+        response = Instrument(rig).response()
         choices = ChoicesFile(rig.storage.root, standard_choices(rig))
         chosen, _ = choices.read()
         patterns = DrawnPatterns(gl, rig, chosen.period_px, response)
         water = Water(chosen.water_c, chosen.salinity_psu, rig.water.wavelength_nm)
-        setup = MeasuringSetup(calibration, patterns.sequence, noise_of(rig), response, water)
+        setup = MeasuringSetup(calibration, patterns.sequence, Instrument(rig).noise(), response, water)
         # The order of this stack is that of closing, turned round: devices first, so that no camera writes into memory
         # that is gone; then whoever works on frames; the lock last.
         scans = stack.enter_context(ScanController(rig, setup, ScanStorage(library, room), wires.clock, wires.calendar))

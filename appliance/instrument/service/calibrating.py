@@ -32,7 +32,7 @@ from appliance.instrument.service.background import Background, Done, Failed, Pr
 from appliance.instrument.service.health import write_trend
 from appliance.instrument.service.scans import ScanController
 from appliance.measure import Calibration, CalibrationError, Fault, FaultCode, Verdict
-from appliance.store import Rig, ScanError, StorageError, calibration_of
+from appliance.store import Instrument, Rig, ScanError, StorageError
 
 log = logging.getLogger("kingfisher")
 
@@ -133,11 +133,11 @@ class CalibrationController:
         date = self._scans.calendar.today().utc.date().isoformat()
         # Read back from the disk behind the change: what is measured with from now on is what the next start would
         # find.
-        self._ask(lambda: _Changed(self._store.use_solved(date), calibration_of(self._rig)))
+        self._ask(lambda: _Changed(self._store.use_solved(date), Instrument(self._rig).calibration()))
 
     def restore(self) -> None:
         """Go back to the file of before; answer as ``use_solved``."""
-        self._ask(lambda: _Changed(self._store.restore(), calibration_of(self._rig)))
+        self._ask(lambda: _Changed(self._store.restore(), Instrument(self._rig).calibration()))
 
     def begin(self) -> None:
         """Begin a new session; answer SessionChanged or CalibrationFailed."""

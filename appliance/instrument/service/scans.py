@@ -45,20 +45,7 @@ from appliance.measure import (
     Verdict,
     Water,
 )
-from appliance.store import (
-    Library,
-    Rig,
-    Room,
-    ScanRecord,
-    SecondSequence,
-    SequenceInfo,
-    StorageError,
-    exposure_of,
-    noise_of,
-    origin_of,
-    settings_of,
-    water_of,
-)
+from appliance.store import Instrument, Library, Rig, Room, ScanRecord, SecondSequence, SequenceInfo, StorageError
 from drivers.api import Calendar, Clock
 
 Answer = TypeVar("Answer")
@@ -103,14 +90,14 @@ class ScanController:
         left, sequence = rig.camera.left, setup.sequence
         self._rig = rig
         self._calibration = setup.calibration
-        self._origin = origin_of(rig, setup.calibration)
+        self._origin = Instrument(rig).origin(setup.calibration)
         self._response = setup.response
-        self._settings = settings_of(rig, exposure_of(rig))
+        self._settings = Instrument(rig).settings(Instrument(rig).exposure)
         self._library = storage.library
         self._clock = clock
         self.calendar = calendar
         self.sequence = sequence
-        self.water = setup.water or water_of(rig)
+        self.water = setup.water or Instrument(rig).water
         # Before the dive, with room for a second exposure (ADR 0025): memory that is short is noticed at the start, not
         # under water.
         self.store = FrameStore(len(sequence), left.height_px, left.width_px, sequences=2)
@@ -193,7 +180,7 @@ class ScanController:
         return None
 
     def _settings_at(self, exposure: Exposure) -> AcquisitionSettings:
-        return replace(self._settings, exposure=exposure, noise=noise_of(self._rig, exposure))
+        return replace(self._settings, exposure=exposure, noise=Instrument(self._rig).noise(exposure))
 
     def recorded(self, report: CaptureReport, temperatures_c: dict[str, float | None]) -> None:
         """Take down what a sequence was recorded with; it ended, and every witness agrees."""
@@ -339,7 +326,7 @@ class ScanController:
     def use(self, calibration: Calibration) -> None:
         """Measure with another calibration of this instrument from now on."""
         self._calibration = calibration
-        self._origin = origin_of(self._rig, calibration)
+        self._origin = Instrument(self._rig).origin(calibration)
         self.watch.use(calibration)
         # The worker is started again: ray lattices and limits are computed when it starts, and a mixture of two
         # calibrations is none.

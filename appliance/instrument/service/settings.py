@@ -14,7 +14,7 @@ from appliance.instrument.machine.states import Settings, TemperatureLimits
 from appliance.instrument.ranging.beams import Pointers
 from appliance.instrument.ranging.expected_light import DrawnLight, live_light
 from appliance.measure import PERIODS_PX, HousedCamera, Lens, Port, build_sequence
-from appliance.store import Rig, exposure_of, exposures_of, volume_of, water_of
+from appliance.store import Instrument, Rig
 
 
 def pointers_of(rig: Rig) -> Pointers | None:
@@ -39,14 +39,16 @@ def drawn_light_of(rig: Rig) -> DrawnLight:
     lens = Lens((f_px, f_px), ((out.width_px - 1) / 2.0, (out.height_px - 1) / 2.0))
     port = Port((0.0, 0.0, 1.0), d.port_distance_mm, d.port_thickness_mm, d.port_index)
     projector = HousedCamera(out.width_px, out.height_px, lens, port)
-    volume = volume_of(rig)
-    return DrawnLight(projector, live_light(projector, pointers_of(rig), water_of(rig).index, volume), volume)
+    volume = Instrument(rig).volume
+    return DrawnLight(projector, live_light(projector, pointers_of(rig), Instrument(rig).water.index, volume), volume)
 
 
 def standard_choices(rig: Rig) -> Choices:
     """Return what the rig file states of what the diver may choose."""
     water = rig.water
-    return Choices(exposure_of(rig), rig.scan.period_px, water.salinity_psu, water.temperature_c, rig.display.language)
+    return Choices(
+        Instrument(rig).exposure, rig.scan.period_px, water.salinity_psu, water.temperature_c, rig.display.language
+    )
 
 
 def machine_settings(rig: Rig, choices: Choices | None = None) -> Settings:
@@ -58,7 +60,7 @@ def machine_settings(rig: Rig, choices: Choices | None = None) -> Settings:
     sequences = {period_px: len(build_sequence(period_px, width_px, height_px)) for period_px in offered}
     return Settings(
         choices=choices,
-        offers=offers_of(standard_choices(rig), exposures_of(rig), tuple(sequences)),
+        offers=offers_of(standard_choices(rig), Instrument(rig).exposures, tuple(sequences)),
         frames=sequences,
         refresh_hz=rig.projector.refresh_hz,
         capture_margin_s=Timeouts(rig.projector.refresh_hz).margin_s,
@@ -67,7 +69,7 @@ def machine_settings(rig: Rig, choices: Choices | None = None) -> Settings:
             "projector": TemperatureLimits(limits.projector_warm_c, limits.projector_hot_c, limits.projector_off_c),
         },
         supply_low_v=limits.supply_low_v,
-        volume=volume_of(rig),
+        volume=Instrument(rig).volume,
     )
 
 
@@ -75,7 +77,7 @@ def _allowed(rig: Rig, choices: Choices) -> Choices:
     """Return choices of before with an exposure that this rig file allows: the nearest, where it names some and theirs is none of them."""
     if rig.scan.exposures_ms is None and rig.projector.sub_frames == 1:
         return choices
-    steps = [exposure_of(rig), *exposures_of(rig)]
+    steps = [Instrument(rig).exposure, *Instrument(rig).exposures]
     chosen = choices.exposure
     if chosen.time_us in {one.time_us for one in steps}:
         return choices

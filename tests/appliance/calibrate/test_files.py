@@ -28,10 +28,9 @@ from appliance.measure.light.exposure import Exposure
 from appliance.measure.light.ray_shift import RayShift
 from appliance.measure.light.sequence import build_sequence
 from appliance.measure.light.volume import WorkingVolume
-from appliance.store import instrument
 from appliance.store.calibration_file import load_calibration
 from appliance.store.config import Rig, load_rig, parse_rig
-from appliance.store.instrument import NOISE_FILE, exposures_of, noise_of, with_measured_noise
+from appliance.store.instrument import NOISE_FILE, RESPONSE_FILE, Instrument
 from tests.appliance.cli.test_measure import RIG
 from tests.support.calibrating import DESIGN
 from tests.support.golden_texts import Says
@@ -205,22 +204,22 @@ def noise_of_its_cameras(rig: Rig) -> StoredNoise:
 
 def test_what_was_measured_takes_the_place_of_the_data_sheets_and_goes_with_the_scans(rig: Rig) -> None:
     put(rig, NOISE_FILE, NOISE_SEAL.encode(noise_of_its_cameras(rig)))
-    used = with_measured_noise(rig)
+    used = Instrument(rig).with_measured_noise()
     for gain_db in (0.0, 6.0):
-        measured = noise_of(used, Exposure(8_000, gain_db))
+        measured = Instrument(used).noise(Exposure(8_000, gain_db))
         # At 0 dB and grey value g over black: read noise and photons in electrons, and rounding.
         for camera, figures in ((measured.left, LEFT), (measured.right, RIGHT)):
             per_e = 255.0 / figures.full_well_e * 10.0 ** (gain_db / 20.0)
             expected = (figures.read_noise_e * per_e) ** 2 + 100.0 * per_e + 1.0 / 12.0
             assert camera.variance_dn2(100.0 + figures.black_level_dn) == pytest.approx(expected)
-    carried = parse_rig(instrument.origin_of(used, instrument.design_of(used)).rig.decode(), "the scan's")
-    assert noise_of(carried) == noise_of(used)
-    assert exposures_of(used) == exposures_of(rig), "and nothing else is changed"
+    carried = parse_rig(Instrument(used).origin(Instrument(used).design()).rig.decode(), "the scan's")
+    assert Instrument(carried).noise() == Instrument(used).noise()
+    assert Instrument(used).exposures == Instrument(rig).exposures, "and nothing else is changed"
     assert replace(used, camera=rig.camera) == rig
 
 
 def test_noise_of_other_cameras_or_damaged_is_told_and_not_used(rig: Rig, caplog: pytest.LogCaptureFixture) -> None:
-    assert with_measured_noise(rig) == rig
+    assert Instrument(rig).with_measured_noise() == rig
     mine = noise_of_its_cameras(rig)
     others = (
         replace(mine, rig_serial="KF-9"),
@@ -230,7 +229,7 @@ def test_noise_of_other_cameras_or_damaged_is_told_and_not_used(rig: Rig, caplog
     with caplog.at_level(logging.WARNING, "kingfisher"):
         for data in (*map(NOISE_SEAL.encode, others), b"{}"):
             put(rig, NOISE_FILE, data)
-            assert with_measured_noise(rig) == rig
+            assert Instrument(rig).with_measured_noise() == rig
     assert len(caplog.records) == 4
 
 
@@ -244,8 +243,8 @@ def test_a_response_counts_at_its_trigger_delay_and_else_is_told(rig: Rig, caplo
         (exposure_us, delay_us + 7, None, 2),
     ):  # fmt: skip
         stored = replace(mine, exposure_us=exposed_us, trigger_delay_us=delayed_us)
-        put(rig, instrument.RESPONSE_FILE, RESPONSE_SEAL.encode(stored))
-        assert (instrument.response_of(rig), len(caplog.records)) == (used, warned)
+        put(rig, RESPONSE_FILE, RESPONSE_SEAL.encode(stored))
+        assert (Instrument(rig).response(), len(caplog.records)) == (used, warned)
 
 
 def test_two_codes_are_too_few_for_ten_harmonics() -> None:

@@ -15,7 +15,7 @@ from appliance.measure.calibration.file import Calibration, CalibrationError, de
 from appliance.measure.calibration.owner import Owner, exchanged, owner_misfit
 from appliance.measure.fault import FaultCode
 from appliance.store.config import Rig, default_rig_path, load_rig
-from appliance.store.instrument import calibration_of, design_of, origin_of
+from appliance.store.instrument import Instrument
 from appliance.store.library import Library
 from tests.appliance.store.scenes import frames, record
 from tests.support.sealing import sealed
@@ -35,7 +35,7 @@ def with_cameras(rig: Rig, serials: tuple[str, str]) -> Rig:
 
 
 def measured(rig: Rig, serials: tuple[str, str] | None) -> Calibration:
-    return replace(design_of(rig), method="bundle", camera_serials=serials)
+    return replace(Instrument(rig).design(), method="bundle", camera_serials=serials)
 
 
 def installed(rig: Rig, name: str, serials: tuple[str, str] | None) -> Calibration:
@@ -51,7 +51,7 @@ def test_serial_numbers_of_the_cameras_are_written_and_files_without_them_accept
     assert "camera_serials" not in json.loads(encode_calibration(measured(rig, None)))
     for serials in (None, OWN):
         kept = installed(rig, "current.json", serials)
-        assert calibration_of(rig) == (kept, ())
+        assert Instrument(rig).calibration() == (kept, ())
     del said["sha256"]
     for wrong in ("L and R", ["L", "R"], {"left": "L"}, {"left": 3, "right": "R"}):
         with pytest.raises(CalibrationError, match=r"camera_serials|left is|right is"):
@@ -71,7 +71,7 @@ def test_a_calibration_of_other_cameras_is_not_used(
     rig: Rig, serials: tuple[str, str], named: tuple[str, ...], action: str, german: str
 ) -> None:
     installed(rig, "current.json", serials)
-    calibration, (fault,) = calibration_of(rig)
+    calibration, (fault,) = Instrument(rig).calibration()
     assert (calibration.method, fault.code) == ("design", FaultCode.UNCALIBRATED)
     assert all(words in fault.detail for words in named)
     assert (alert_of(fault).action, alert_of(fault).german) == (action, ("UNKALIBRIERT", german))
@@ -80,9 +80,9 @@ def test_a_calibration_of_other_cameras_is_not_used(
 def test_after_an_exchange_a_kept_calibration_counts_only_if_it_says_that_it_is_of_these_cameras(rig: Rig) -> None:
     installed(rig, "current.json", ("KF-OLD", "KF-CAM-R"))
     installed(rig, "kept/0002-2026-11-20.json", None)
-    assert calibration_of(rig)[0].method == "design"
+    assert Instrument(rig).calibration()[0].method == "design"
     own = installed(rig, "kept/0001-2026-11-19.json", OWN)
-    calibration, (fault,) = calibration_of(rig)
+    calibration, (fault,) = Instrument(rig).calibration()
     assert calibration == own
     assert "0001-2026-11-19.json, which was in use before, is used" in fault.detail
 
@@ -103,7 +103,7 @@ def test_instrument_and_image_size_come_before_the_cameras_and_unknown_ones_are_
 
 def scanned(rig: Rig, library: Library, serials: tuple[str, str]) -> Path:
     """A stored scan that was taken with these cameras."""
-    origin = origin_of(with_cameras(rig, serials), design_of(rig))
+    origin = Instrument(with_cameras(rig, serials)).origin(Instrument(rig).design())
     return library.begin(frames(), record(), origin).publish(record())
 
 

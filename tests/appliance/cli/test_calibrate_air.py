@@ -13,7 +13,7 @@ from appliance.cli import main
 from appliance.measure.calibration.file import IN_AIR
 from appliance.store.calibration_file import load_calibration
 from appliance.store.config import parse_rig
-from appliance.store.instrument import calibration_of
+from appliance.store.instrument import Instrument
 from hw_sim.rendering.render import Renderer
 from hw_sim.scene import Scene
 from hw_sim.truth import TrueRig, draw_truth, in_air
@@ -83,7 +83,7 @@ def test_a_folder_becomes_a_start_for_water_and_the_one_before_is_kept(
     assert before.read_bytes() == b"of before"
     # Nothing measures in water with a calibration in air.
     shutil.copy(out, kept / "current.json")
-    used, (condition,) = calibration_of(parse_rig(rig.read_text(encoding="utf-8")))
+    used, (condition,) = Instrument(parse_rig(rig.read_text(encoding="utf-8"))).calibration()
     assert (used.method, "in air" in condition.detail) == ("design", True)
     said = shell("reconstruct", "1", "--rig", rig, "--calibration", kept / "current.json")
     assert (said.code, "in air" in said.error) == (2, True)

@@ -11,7 +11,7 @@ import pytest
 from appliance.measure.calibration.response_file import RESPONSE
 from appliance.measure.light.sides import of_side
 from appliance.store.config import load_rig, rig_text
-from appliance.store.instrument import NOISE_FILE, noise_of, with_measured_noise
+from appliance.store.instrument import NOISE_FILE, Instrument
 from appliance.store.scan import ScanOrigin
 from hw_sim.outside import draw_outside
 from hw_sim.scene import Imaging, Scene
@@ -66,7 +66,7 @@ def test_installed_noise_is_what_the_instrument_expects_from_then_on(
     assert (said.code, said.out.split()[:3]) == (0, ["left", "right", "light_dn"])
     assert not (root / NOISE_FILE).exists(), "only on demand"
     report = shell("measure", "noise", scan, "--install", "--rig", its_own, "--json").document
-    used = with_measured_noise(rig)
+    used = Instrument(rig).with_measured_noise()
     assert used.camera.left.full_well_e == report["left"]["full_well_e"] != rig.camera.left.full_well_e
     for side in ("left", "right"):
         one = report[side]
@@ -74,7 +74,7 @@ def test_installed_noise_is_what_the_instrument_expects_from_then_on(
         assert one["expected_electrons_at_255"] == pytest.approx(13_000)
         assert one["pixels"] > 40_000
         assert one["noise_dn"] == pytest.approx(one["expected_dn"], rel=0.05)
-        expected_dn2 = of_side(noise_of(used), side).variance_dn2(one["light_dn"])
+        expected_dn2 = of_side(Instrument(used).noise(), side).variance_dn2(one["light_dn"])
         assert expected_dn2 == pytest.approx(one["noise_dn"] ** 2)
     kept = (root / NOISE_FILE).read_bytes()
     said = shell("measure", "noise", scan, "--install", "--rig", its_own)

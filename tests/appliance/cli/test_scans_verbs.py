@@ -17,7 +17,7 @@ from appliance.measure.verdict import Verdict
 from appliance.store import label as labels
 from appliance.store.atomic import StorageError
 from appliance.store.config import default_rig_path, load_rig
-from appliance.store.instrument import CALIBRATION_FILE, design_of
+from appliance.store.instrument import CALIBRATION_FILE, Instrument
 from appliance.store.label import Label
 from appliance.store.library import Library, LibraryFolder
 from appliance.store.lock import hold_lock
@@ -37,7 +37,7 @@ def root(tmp_path: Path) -> Path:
         kept = record(cloud={"points": 20}, clock_trusted=seed == 2)
         library.begin(frames(seed), kept, ORIGIN).publish(kept, cloud(), PREVIEW)
     library.begin(frames(4), record(), ORIGIN).reject("moved 3 px")
-    made = replace(design_of(load_rig(default_rig_path())), rig_serial="KF-0042", method="bundle")
+    made = replace(Instrument(load_rig(default_rig_path())).design(), rig_serial="KF-0042", method="bundle")
     (root / CALIBRATION_FILE).parent.mkdir()
     (root / CALIBRATION_FILE).write_bytes(encode_calibration(made))
     return root

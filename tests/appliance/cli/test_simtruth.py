@@ -13,7 +13,7 @@ from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.cli.simtruth import bring_calibration, true_calibration
 from appliance.store.calibration_file import load_calibration
 from appliance.store.config import Rig, load_rig
-from appliance.store.instrument import CALIBRATION_FILE, calibration_of
+from appliance.store.instrument import CALIBRATION_FILE, Instrument
 from hw_sim.truth import project
 from hw_sim.world import true_rig
 
@@ -40,9 +40,9 @@ def test_a_nominal_start_is_calibrated_at_any_size_and_what_is_there_is_never_to
     size: str, tmp_path: Path
 ) -> None:
     rig = rig_of(tmp_path, "nominal", size)
-    assert calibration_of(rig)[1], "without a calibration the screen says UNCALIBRATED"
+    assert Instrument(rig).calibration()[1], "without a calibration the screen says UNCALIBRATED"
     bring_calibration(rig)
-    calibration, conditions = calibration_of(rig)
+    calibration, conditions = Instrument(rig).calibration()
     assert (calibration.method, conditions) == ("truth", ())
     path = tmp_path / CALIBRATION_FILE
     path.write_bytes(path.read_bytes().replace(b"unknown", b"mine"))

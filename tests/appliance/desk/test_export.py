@@ -10,7 +10,7 @@ import pytest
 
 from appliance.cli.output import Exit
 from appliance.measure.calibration.file import encode_calibration
-from appliance.store.instrument import design_of
+from appliance.store.instrument import Instrument
 from tests.support.commands import Shell
 from tests.support.e57 import read_e57
 from tests.support.planes import small_rig, store_plane
@@ -29,7 +29,7 @@ def plane(tmp_path_factory: pytest.TempPathFactory) -> Plane:
     root = tmp_path_factory.mktemp("plane")
     rig = small_rig(root / "storage")
     folder, points = store_plane(rig)
-    (root / "calibration.json").write_bytes(encode_calibration(design_of(rig)))
+    (root / "calibration.json").write_bytes(encode_calibration(Instrument(rig).design()))
     return folder, root / "calibration.json", points
 
 

@@ -16,7 +16,7 @@ from appliance.measure.light.noise import CameraNoise
 from appliance.measure.light.sequence import build_sequence
 from appliance.store.config import Rig, load_rig
 from appliance.store.filesystem import LocalFileSystem
-from appliance.store.instrument import exposure_of_scan, noise_of
+from appliance.store.instrument import Instrument
 from appliance.store.record import ScanRecord, SequenceInfo
 from appliance.store.scan import load_scan, write_raw
 from tests.appliance.store.scenes import ORIGIN
@@ -75,7 +75,9 @@ def test_an_instrument_with_these_figures_expects_the_noise_that_was_seen(rig: R
         figures = {name: getattr(one, name) for name in ("full_well_e", "read_noise_e", "black_level_dn")}
         cameras[side] = replace(camera, **figures)
     used = replace(rig, camera=replace(rig.camera, **cameras))
-    expected = noise_of(used, exposure_of_scan(load_scan(folder, only_raw=True).manifest.record, used))
+    expected = Instrument(used).noise(
+        Instrument(used).exposure_of_scan(load_scan(folder, only_raw=True).manifest.record)
+    )
     for side in ("left", "right"):
         seen_dn2 = FOUND[side][0].variance_at_dn2[1]
         assert getattr(expected, side).variance_dn2(100.0) == pytest.approx(seen_dn2)

@@ -21,7 +21,7 @@ from appliance.measure.calibration.depth_error import DEPTH_ERROR_TERMS
 from appliance.measure.calibration.file import encode_calibration
 from appliance.store.calibration_file import load_calibration
 from appliance.store.config import default_rig_path, load_rig
-from appliance.store.instrument import design_of
+from appliance.store.instrument import Instrument
 from appliance.store.library import Library
 from appliance.store.ply import PlyError, read_ply
 from hw_sim.objects.motion import pose_matrix
@@ -72,7 +72,7 @@ def small(tmp_path: Path) -> Path:
         library.begin(frames(k), said, ORIGIN).publish(said)
     rig = load_rig(default_rig_path())
     (library.root / "calibration").mkdir()
-    (library.root / "calibration" / "truth.json").write_bytes(encode_calibration(design_of(rig)))
+    (library.root / "calibration" / "truth.json").write_bytes(encode_calibration(Instrument(rig).design()))
     return library.root
 
 

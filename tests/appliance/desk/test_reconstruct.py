@@ -14,7 +14,7 @@ from appliance.desk.reconstruct import reconstruct_scan
 from appliance.measure.calibration.file import CalibrationError, encode_calibration
 from appliance.measure.light.model import StereoRig
 from appliance.store.config import Rig
-from appliance.store.instrument import CALIBRATION_FILE, calibration_of, design_of
+from appliance.store.instrument import Instrument
 from appliance.store.origin import calibration_for, open_source
 from appliance.store.ply import read_ply
 from appliance.store.wish import Wish
@@ -29,7 +29,7 @@ def rig(tmp_path: Path) -> Rig:
 def test_another_calibration_gives_other_points(rig: Rig, tmp_path: Path) -> None:
     """The scan's own gives the same bytes again: ``tests/integration/test_desk_commands.py``."""
     folder, points = store_plane(rig)
-    other, out = replace(design_of(rig), method="bundle"), tmp_path / "again.ply"
+    other, out = replace(Instrument(rig).design(), method="bundle"), tmp_path / "again.ply"
     moved = replace(other.rig.left, port=replace(other.rig.left.port, distance_mm=33.0))
     (tmp_path / "other.json").write_bytes(encode_calibration(replace(other, rig=replace(other.rig, left=moved))))
     wish, seen = Wish(rig, calibration=tmp_path / "other.json"), list[str]()
@@ -42,15 +42,15 @@ def test_another_calibration_gives_other_points(rig: Rig, tmp_path: Path) -> Non
 
 
 def test_when_the_calibration_is_damaged_or_anothers_the_one_before_is_used_and_that_is_said(rig: Rig) -> None:
-    first, second = (replace(design_of(rig), method=method) for method in ("bundle", "operator"))
+    first, second = (replace(Instrument(rig).design(), method=method) for method in ("bundle", "operator"))
     calibrations = Calibrations(rig.storage.root, rig.rig.serial)
     calibrations.install(first, "2026-01-01")
     calibrations.install(second, "2026-02-01")
-    path = rig.storage.root / CALIBRATION_FILE
-    assert calibration_of(rig) == (second, ())
+    path = Instrument(rig).calibration_file
+    assert Instrument(rig).calibration() == (second, ())
     for wrong in (path.read_bytes()[:-40], encode_calibration(replace(second, rig_serial="KF-0007"))):
         path.write_bytes(wrong)
-        used, (condition,) = calibration_of(rig)
+        used, (condition,) = Instrument(rig).calibration()
         assert (used, condition.code.value) == (first, "UNCALIBRATED")
         assert "0001-2026-02-01.json" in condition.detail
 
@@ -59,17 +59,17 @@ def test_when_the_calibration_is_damaged_or_anothers_the_one_before_is_used_and_
     ("change", "complaint"), [("none", None), ("missing", ""), ("serial", "OTHER"), ("size", "200x300"), ("bytes", "checksum")]
 )  # fmt: skip
 def test_a_calibration_that_fits_is_used_and_else_the_design(rig: Rig, change: str, complaint: str | None) -> None:
-    good = replace(design_of(rig), method="bundle")
+    good = replace(Instrument(rig).design(), method="bundle")
     if change == "serial":
         good = replace(good, rig_serial="OTHER")
     if change == "size":
         good = replace(good, rig=replace(good.rig, left=replace(good.rig.left, width_px=200)))
     data = encode_calibration(good)
-    path = rig.storage.root / CALIBRATION_FILE
+    path = Instrument(rig).calibration_file
     path.parent.mkdir(parents=True)
     if change != "missing":
         path.write_bytes(data.replace(b"30.0", b"31.0", 1) if change == "bytes" else data)
-    calibration, conditions = calibration_of(rig)
+    calibration, conditions = Instrument(rig).calibration()
     if complaint is None:
         assert (calibration, conditions) == (good, ())
         return
@@ -85,7 +85,7 @@ def test_a_calibration_is_described_and_a_lens_calibrated_in_water_has_no_port_t
     assert described["baseline_mm"] == pytest.approx(230.0)
     with pytest.raises(CalibrationError, match="cannot be read"):
         describe_calibration(rig, tmp_path / "nothing.json")
-    drawn = design_of(rig)
+    drawn = Instrument(rig).design()
     left, right = (replace(camera, lens_in_water=True) for camera in (drawn.rig.left, drawn.rig.right))
     path = tmp_path / "wet.json"
     path.write_bytes(encode_calibration(replace(drawn, method="pinhole, in water", rig=StereoRig(left, right))))

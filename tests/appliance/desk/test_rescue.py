@@ -14,7 +14,7 @@ from appliance.store import scan as stored
 from appliance.store.config import Rig
 from appliance.store.config.spell import rig_text
 from appliance.store.filesystem import LocalFileSystem
-from appliance.store.instrument import design_of
+from appliance.store.instrument import Instrument
 from appliance.store.origin import calibration_for, open_source
 from appliance.store.ply import read_ply
 from appliance.store.scan import ScanError, ScanOrigin, StoredScan
@@ -41,7 +41,10 @@ def broken(rig: Rig, whole: StoredScan, count: int, rows: slice = slice(None)) -
     frames = {side: np.zeros_like(one[:count]) for side, one in whole.frames.items()}
     for side, dark in frames.items():
         dark[:, rows] = whole.frames[side][:count, rows]
-    origin, record = ScanOrigin(encode_calibration(design_of(rig)), rig_text(rig).encode()), whole.manifest.record
+    origin, record = (
+        ScanOrigin(encode_calibration(Instrument(rig).design()), rig_text(rig).encode()),
+        whole.manifest.record,
+    )
     root, reason = rig.storage.root, "CAMERA_LOST: it went away"
     return incomplete.load_incomplete(
         incomplete.keep_incomplete(LocalFileSystem(), root, frames, record, origin, reason, 0)

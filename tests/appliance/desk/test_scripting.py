@@ -26,7 +26,7 @@ from appliance.measure.grading import Grade
 from appliance.measure.light.water import Water
 from appliance.measure.verdict import Verdict
 from appliance.store.calibration_file import load_calibration
-from appliance.store.instrument import design_of
+from appliance.store.instrument import Instrument
 from appliance.store.library import Library, UnknownScan
 from appliance.store.scan import ScanError
 from tests.appliance.store.scenes import ORIGIN, frames, record
@@ -42,7 +42,7 @@ def dive(tmp_path_factory: pytest.TempPathFactory) -> Dive:
     """A storage root with one scan and its calibration, and the points that the instrument had."""
     rig = small_rig(tmp_path_factory.mktemp("dive"))
     folder, points = store_plane(rig)
-    Calibrations(rig.storage.root, rig.rig.serial).install(design_of(rig), "2026-01-01")
+    Calibrations(rig.storage.root, rig.rig.serial).install(Instrument(rig).design(), "2026-01-01")
     return folder.parent.parent, points
 
 
@@ -79,7 +79,7 @@ def test_another_calibration_and_other_water_give_other_points(dive: Dive, tmp_p
     share = salt.water.index / Water(20.0, 0.0, 530.0).index - 1.0
     narrower = 1.0 - salt.cloud.points_mm[both, 0].std() / own.cloud.points_mm[both, 0].std()
     assert 0.5 * share < narrower < 1.5 * share
-    design = design_of(small_rig(root))
+    design = Instrument(small_rig(root)).design()
     left = replace(design.rig.left, port=replace(design.rig.left.port, distance_mm=33.0))
     other = replace(design, method="bundle", rig=replace(design.rig, left=left))
     (tmp_path / "other.json").write_bytes(encode_calibration(other))
@@ -116,7 +116,7 @@ def test_each_kind_of_result_is_written_and_a_calibration_once(dive: Dive, tmp_p
     surface = fuse([PlacedScan(made.cloud, np.eye(3), np.zeros(3))], spacing_mm=2.0)
     export(surface, tmp_path / "surface.ply", title="plane")
     assert b"plane: unit mm, object frame" in (tmp_path / "surface.ply").read_bytes()[:300]
-    calibration, path = design_of(small_rig(tmp_path)), tmp_path / "mine.json"
+    calibration, path = Instrument(small_rig(tmp_path)).design(), tmp_path / "mine.json"
     save_calibration(calibration, str(path))
     with pytest.raises(CalibrationError, match="never replaced"):
         save_calibration(replace(calibration, made_at="2031-01-01"), path)

@@ -11,6 +11,7 @@ import zlib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -318,7 +319,7 @@ PLIES = damaged(CLOUDS)
 PARSERS = (
     Parser("rig", RIGS | damaged([RIG_TEXT.encode()]), read_rig, (ConfigError,), "CONFIG: ", longest=12_000, share=0.2),
     Parser("picture", damaged(PICTURES), read_picture, (PicturesError,), "00_left", share=0.6),
-    Parser("calibration", of_sealed(CALIBRATION), read_by(calibration_file, "calibration current.json"), (calibration_file.CalibrationError,), "calibration current.json", share=0.6),
+    Parser("calibration", of_sealed(CALIBRATION), read_by(SimpleNamespace(decode=calibration_file.decode_calibration, encode=calibration_file.encode_calibration), "calibration current.json"), (calibration_file.CalibrationError,), "calibration current.json", share=0.6),
     Parser("response", of_sealed(RESPONSE), read_by(RESPONSE_FILE, "response response.json"), (ContentError,), "response response.json", share=0.6),
     Parser("noise", of_sealed(NOISE), read_by(NOISE_FILE, "noise noise.json"), (ContentError,), "noise noise.json", share=0.6),
     Parser("health", of_sealed(HEALTH), read_health, share=0.5),

@@ -21,7 +21,7 @@ from appliance.measure.light.exposure import Exposure
 from appliance.measure.light.sequence import build_sequence
 from appliance.store import scan as stored
 from appliance.store.config import load_rig, rig_text
-from appliance.store.instrument import design_of, noise_of
+from appliance.store.instrument import Instrument
 from appliance.store.library import Library
 from appliance.workshop import cameras, endurance, plane, projector
 from appliance.workshop.endurance import SideEndured
@@ -69,7 +69,7 @@ def test_frames_are_counted_first_and_their_stamps_compared_only_of_as_many() ->
 def dark(light_dn: float = 0.0, until_take: int = 10**9) -> ValueBench:
     """Cameras whose longer exposures are brighter by ``light_dn`` in the first takes; only the last 16 frames are calm."""
     rng = np.random.default_rng(1)
-    frames = BLACK_DN + noise_of(RIG).left.read_dn * rng.standard_normal((64, 16, 24))
+    frames = BLACK_DN + Instrument(RIG).noise().left.read_dn * rng.standard_normal((64, 16, 24))
     frames[:48] += 100.0
     short, long = (np.clip(np.rint(one), 0, 255).astype(np.uint8) for one in (frames, frames + light_dn))
     return ValueBench(lambda _side, shot, take: long if shot.exposure_us > 500 and take <= until_take else short)
@@ -293,7 +293,7 @@ def test_a_first_scan_is_stored_with_everything_that_is_known_of_it(tmp_path: Pa
     assert (record.wall_time, record.clock_trusted) == ("2031-05-06T07:08:09+00:00", True)
     assert (record.exposure, record.response_hash) == (Exposure(4_000, 2.0), "ab" * 32)
     assert (record.rig_hash, record.software_version) == (rig.rig_hash, appliance.__version__)
-    assert (record.calibration_hash, record.recorded_ns) == (design_of(rig).hash, wires.clock.now_ns())
+    assert (record.calibration_hash, record.recorded_ns) == (Instrument(rig).design().hash, wires.clock.now_ns())
     assert record.water == {"temperature_c": 20.0, "salinity_psu": 0.0, "wavelength_nm": 530.0}
     assert record.ledger is not None
     assert record.ledger["expected"] == 64

@@ -30,7 +30,7 @@ from appliance.instrument.service.scans import MeasuringSetup, ScanController, S
 from appliance.instrument.service.settings import drawn_light_of
 from appliance.instrument.service.transfer import TransferSwitch
 from appliance.store.config import Rig, load_rig
-from appliance.store.instrument import design_of
+from appliance.store.instrument import Instrument
 from appliance.store.library import Library
 from drivers.api import Board, Camera, CameraSettings, DeviceGone, Display, Flip, KeyEvent, Keys, Projector, Wires
 from drivers.native import MonotonicClock
@@ -129,7 +129,7 @@ def small_rig(root: Path) -> Rig:
 @contextmanager
 def a_desk(root: Path) -> Iterator[Desk]:
     rig, script, pad, screen = small_rig(root), Script(), KeyPad(), Screen()
-    clock, calibration = script.clock, design_of(rig)
+    clock, calibration = script.clock, Instrument(rig).design()
     library = Library(root)
     library.prepare()
     wires = cast("Wires", _Wires(clock))

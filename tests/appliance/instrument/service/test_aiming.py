@@ -18,7 +18,7 @@ from appliance.instrument.service.settings import drawn_light_of
 from appliance.measure.fault import FaultCode
 from appliance.measure.light.exposure import NOMINAL
 from appliance.store.config import load_rig
-from appliance.store.instrument import design_of
+from appliance.store.instrument import Instrument
 from drivers.native import MonotonicClock
 from hw_sim.light.daylight import Daylight
 from hw_sim.rendering.render import LightSlice, Renderer
@@ -29,7 +29,7 @@ from tests.appliance.instrument.capture.test_aiming import BLACK_DN, picture
 from tests.drivers.clock import SteppedClock
 
 RIG = load_rig(Path("hw_sim/rigs/small.toml"))
-CALIBRATION, LIGHT = design_of(RIG), drawn_light_of(RIG)
+CALIBRATION, LIGHT = Instrument(RIG).design(), drawn_light_of(RIG)
 EVEN = replace(LIGHT, codes=np.full_like(LIGHT.codes, 255))
 """Light without dark lanes, as of a rig without lasers."""
 BRIGHT, DARK = picture(100.0), picture(0.0)
@@ -129,7 +129,7 @@ def test_motion_is_told_from_images_with_two_missing_between_and_no_more(
 
 
 SIZE = (RIG.camera.left.width_px, RIG.camera.left.height_px)
-SHADE = LIGHT.shade(design_of(RIG).rig, Water().index, WIDTH_PX)
+SHADE = LIGHT.shade(Instrument(RIG).design().rig, Water().index, WIDTH_PX)
 MILKY = Water(attenuation_per_m=3.0, backscatter=0.35)
 
 
@@ -166,7 +166,7 @@ def test_the_shade_is_where_the_projector_throws_no_light_at_any_distance() -> N
     shade = pictured(Scene(object="plane", pose=(0.0, 0.0, 555.0, 0.0, 0.0, 0.0), ambient=0.0)).shade
     assert shade is not None
     assert shade.bright_dn < 20.0, "while the plane around it is white"
-    assert LIGHT.shade(design_of(RIG).rig, Water().index, 20) is None, "too few pixels"
+    assert LIGHT.shade(Instrument(RIG).design().rig, Water().index, 20) is None, "too few pixels"
 
 
 SMALL: NDArray[np.uint8] = np.zeros((1, 1), np.uint8)

@@ -24,7 +24,7 @@ from appliance.measure.light.correction import CORRECTION_INTERVALS, ImageCorrec
 from appliance.measure.light.exposure import Exposure
 from appliance.measure.light.model import StereoRig
 from appliance.store.config import Rig
-from appliance.store.instrument import design_of
+from appliance.store.instrument import Instrument
 from appliance.store.library import UnknownScan
 from appliance.store.record import SequenceInfo
 from tests.appliance.instrument.capture.test_course_of_a_scan import SEQUENCE
@@ -47,11 +47,11 @@ def put(rig: Rig, name: str, calibration: Calibration) -> Calibration:
 
 def in_air(rig: Rig) -> Calibration:
     covariance = tuple(tuple(float(x) for x in row) for row in np.diag(np.full(22, 1e-6)))
-    return replace(design_of(rig), method="air", air_covariance=covariance)
+    return replace(Instrument(rig).design(), method="air", air_covariance=covariance)
 
 
 def corrected(rig: Rig) -> Calibration:
-    design = design_of(rig)
+    design = Instrument(rig).design()
     size = design.rig.left.width_px, design.rig.left.height_px
     bent = ImageCorrection(*size, CORRECTION_INTERVALS, (0.01,) * (2 * node_count(CORRECTION_INTERVALS)))
     cameras = StereoRig(replace(design.rig.left, correction=bent), replace(design.rig.right, correction=bent))
@@ -60,10 +60,14 @@ def corrected(rig: Rig) -> Calibration:
 
 def test_the_calibration_in_air_or_the_drawing_is_the_start_and_the_one_in_use_is_compared_with(rig: Rig) -> None:
     basis = basis_of(rig)
-    assert (basis.start, basis.before, basis.bar.length_mm) == (design_of(rig), design_of(rig), 150.0)
+    assert (basis.start, basis.before, basis.bar.length_mm) == (
+        Instrument(rig).design(),
+        Instrument(rig).design(),
+        150.0,
+    )
     air, current = put(rig, "air.json", in_air(rig)), put(rig, "current.json", corrected(rig))
     assert (basis_of(rig).start, basis_of(rig).before) == (air, current)
-    new = replace(design_of(rig), method="bundle, ports")
+    new = replace(Instrument(rig).design(), method="bundle, ports")
     store = Calibrations(rig.storage.root, rig.rig.serial)
     store.write_solved(new, Session((), AdjustmentSummary(new.method, 0.03, (), new.hash)))
     assert store.use_solved("2026-11-21").in_use
@@ -154,7 +158,7 @@ def test_a_recording_is_examined_and_entered_into_the_session(heard: Heard, step
 
 def test_what_is_solved_is_used_and_what_comes_to_nothing_is_told(heard: Heard) -> None:
     desk, machine, after = heard
-    calibrating, made = desk.parts.calibrating, replace(design_of(desk.rig), method="bundle, ports")
+    calibrating, made = desk.parts.calibrating, replace(Instrument(desk.rig).design(), method="bundle, ports")
     calibrating.warm()
     for said, kind in ((Failed("no fit", "NotConverged"), FailureKind.NO_SOLUTION), (Done(7), FailureKind.BROKEN_OFF)):
         calibrating.solve()

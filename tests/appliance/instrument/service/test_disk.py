@@ -24,7 +24,7 @@ from appliance.measure.fault import FaultCode
 from appliance.measure.light.exposure import Exposure
 from appliance.measure.light.sequence import build_sequence
 from appliance.store.filesystem import LocalFileSystem
-from appliance.store.instrument import design_of
+from appliance.store.instrument import Instrument
 from appliance.store.library import Library
 from appliance.store.room import FOLDER, Room
 from drivers.wall_clock import KernelCalendar
@@ -111,7 +111,7 @@ def desk_on(disk: Disk, root: Path, clock: SteppedClock) -> Iterator[ScanControl
     rig, room = small_rig(root), Room(root, disk)
     library = Library(root, room)
     library.prepare()
-    setup = MeasuringSetup(design_of(rig), build_sequence(16))
+    setup = MeasuringSetup(Instrument(rig).design(), build_sequence(16))
     resource_tracker.ensure_running()  # the memory of frames wants it
     with no_process(), ScanController(rig, setup, ScanStorage(library, room), clock, KernelCalendar()) as scans:
         yield scans

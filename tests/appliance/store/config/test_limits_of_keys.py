@@ -16,7 +16,7 @@ from appliance.instrument.service.settings import machine_settings, standard_cho
 from appliance.measure.light.exposure import Exposure
 from appliance.store.config import ConfigError, default_rig_path, parse_rig
 from appliance.store.config.rig import LimitsRig
-from appliance.store.instrument import exposures_of
+from appliance.store.instrument import Instrument
 
 PACKAGED = default_rig_path().read_text(encoding="utf-8")
 RIG = parse_rig(PACKAGED)
@@ -131,9 +131,9 @@ def test_the_only_exposures_are_a_list_within_the_range_that_has_the_rigs_own() 
     with pytest.raises(ConfigError, match=r"camera\.left\.exposure_ms 12 .*allowed: 5, 16"):
         parse_rig(with_list("[5.0, 16.0]"))
     only = replace(RIG, scan=replace(RIG.scan, exposures_ms=(8.0, 12.0), most_gain_db=2.0))
-    proposed = [(one.time_us, one.gain_db) for one in exposures_of(only)]
+    proposed = [(one.time_us, one.gain_db) for one in Instrument(only).exposures]
     assert proposed == [(8000, 0.0), (8000, 2.0), (12000, 0.0), (12000, 2.0)]
-    assert exposures_of(RIG)[0].time_us == 2000
+    assert Instrument(RIG).exposures[0].time_us == 2000
 
 
 def test_outputs_share_a_connector_only_where_they_are_two() -> None:
@@ -171,8 +171,8 @@ def pattern_mode(delay_us: int = 500, left_ms: float = 11.11, right_ms: float = 
 
 def test_what_a_projector_of_sub_frames_is_exposed_for_are_whole_ones() -> None:
     rig = parse_rig(pattern_mode())
-    assert [one.time_us for one in exposures_of(rig) if one.gain_db == 0.0] == [5556, 11111]
-    assert exposures_of(parse_rig(pattern_mode(more="exposures_ms = [11.11]")))[0].time_us == 11110
+    assert [one.time_us for one in Instrument(rig).exposures if one.gain_db == 0.0] == [5556, 11111]
+    assert Instrument(parse_rig(pattern_mode(more="exposures_ms = [11.11]"))).exposures[0].time_us == 11110
     for left_ms in (11.1, 11.13, 5.56):
         assert parse_rig(pattern_mode(left_ms=left_ms, right_ms=left_ms)).camera.left.exposure_ms == left_ms
     for left_ms in (11.0, 11.09, 11.14, 0.06):
@@ -197,12 +197,12 @@ def test_an_exposure_may_last_as_much_longer_as_its_light_begins_later() -> None
     with pytest.raises(ConfigError, match=r"> 10\.66"):
         parse_rig(late)
     rig = parse_rig(late.replace("[display]", "light_begins_us = 6000\n\n[display]", 1))
-    assert exposures_of(rig)[-1].time_us == 16_000
+    assert Instrument(rig).exposures[-1].time_us == 16_000
     # A trigger before the light begins gains nothing: what was shown before is seen first.
     early = PACKAGED.replace("trigger_delay_us = 500", "trigger_delay_us = 3000")
     begins = parse_rig(early.replace("[display]", "light_begins_us = 6000\n\n[display]", 1))
-    assert exposures_of(begins) == exposures_of(parse_rig(early))
-    assert exposures_of(begins)[-1].time_us == 12_000
+    assert Instrument(begins).exposures == Instrument(parse_rig(early)).exposures
+    assert Instrument(begins).exposures[-1].time_us == 12_000
 
 
 def test_an_exposure_of_before_that_is_not_allowed_any_more_becomes_the_nearest() -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from appliance.measure.light.volume import STANDARD
 from appliance.store.config import ConfigError, default_rig_path, load_rig, parse_rig, rig_text
-from appliance.store.instrument import volume_of
+from appliance.store.instrument import Instrument
 
 PACKAGED = default_rig_path().read_text(encoding="utf-8")
 
@@ -102,7 +102,7 @@ def test_a_rig_file_without_a_volume_is_of_the_standard_housing() -> None:
         part for part in PACKAGED.splitlines(keepends=True)
         if not part.startswith(("[volume]", "nearest_mm", "working_mm", "farthest_mm"))
     )  # fmt: skip
-    assert volume_of(parse_rig(without)) == STANDARD == volume_of(parse_rig(PACKAGED))
+    assert Instrument(parse_rig(without)).volume == STANDARD == Instrument(parse_rig(PACKAGED)).volume
     assert parse_rig(without).optical_hash == parse_rig(PACKAGED).optical_hash
 
 
