@@ -95,20 +95,20 @@ if TYPE_CHECKING:
         holder,  # Return the process that holds the lock of root; None where nobody does. Changes nothing, and never
     )
     from .manifest import (
+        Decision,  # Decisions of the diver about a scan
         INCOMPLETE_MANIFEST_FILE,  # The file that stands in its place where a scan broke off (incomplete)
         MANIFEST,
         MANIFEST_FILE,
-        Decision,  # Decisions of the diver about a scan
         Manifest,  # The whole manifest. files maps the name of every file but the manifest to its length and
         Stage,  # Stages that a scan goes through
         manifest_json,  # Return the content as JSON holds it. Raises TypeError as encode
     )
     from .names import (
-        CALIBRATION_IN_AIR,  # Folder below a storage root with its calibrations, the file in it that is in use
         CALIBRATIONS,  # Folder below a storage root with its calibrations, the file in it that is in use
+        CALIBRATION_IN_AIR,  # Folder below a storage root with its calibrations, the file in it that is in use
         CURRENT_CALIBRATION,  # Folder below a storage root with its calibrations, the file in it that is in use
-        OBJECTS,  # Folder below a storage root with its objects
         NameShapeError,  # A name cannot be part of a path; the text says which and what is allowed
+        OBJECTS,  # Folder below a storage root with its objects
         by_number,  # Return what orders names of scans as they were taken, 1000000 after 999999
         component,  # Return name, which is one component of a path. what it is the name of is for the message.
         is_component,  # Return True if name is one component of a path
@@ -191,8 +191,8 @@ if TYPE_CHECKING:
         wrong_files,  # Return what is wrong, by name, with the files a scan must have and those its manifest lists
     )
     from .scan_list import (
-        ListedScan,  # One scan of the list, and what it shows
         ListError,  # The list of scans cannot be used
+        ListedScan,  # One scan of the list, and what it shows
         ScanList,  # A list of scans as the metrologist wrote it down
         read_list,  # Read a list, TOML or (by its name) JSON: docs/evaluation.md. Raises ListError
         refuse_repeats,  # Raise ListError for an artefact

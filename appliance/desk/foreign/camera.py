@@ -14,6 +14,7 @@ from appliance.desk.foreign.images import ImageSet
 from appliance.desk.foreign.order import Shows
 from appliance.desk.foreign.phase import ROWS_AT_ONCE, Floats
 from appliance.desk.foreign.reasons import Reason
+from appliance.measure import CoordinateMap
 
 MAD_TO_SIGMA = 1.4826
 JUMP_STEPS, BEND_STEPS, EDGE_SIGMAS = 6.0, 1.5, 8.0
@@ -64,23 +65,11 @@ def _picture(images: ImageSet, measured: Mapping[str, Measured]) -> NDArray[np.u
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CleanAxis:
-    """Coordinates of one direction without edges, with their noise."""
-
-    coordinate_px: Floats
-    """(h, w) float32; NaN where there is none."""
-    sigma_px: Floats
-    """(h, w) float32: standard deviation by noise, in px of the pattern."""
-    step_px: float
-    """Usual change from a pixel to the next, in either direction of the image."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class CleanCamera:
     """One camera's coordinates as points are made of them. Maps are (h, w)."""
 
     images: ImageSet
-    axes: Mapping[str, CleanAxis]
+    axes: Mapping[str, CoordinateMap]
     """Keyed ``x`` and ``y``."""
     grey: NDArray[np.uint8]
     modulation_dn: Floats
@@ -107,7 +96,7 @@ def clean_camera(camera: DecodedCamera) -> CleanCamera:
     return CleanCamera(camera.images, axes, camera.grey, modulation_dn, reason, decoded)
 
 
-def clean(placed: PlacedAxis) -> CleanAxis:
+def clean(placed: PlacedAxis) -> CoordinateMap:
     """Mask the edges of one direction and estimate its noise from neighbours: that of the light, over the modulation."""
     coordinate = placed.coordinate_px
     typical_px, step_px = _noise(coordinate), _usual_step(coordinate)
@@ -136,7 +125,7 @@ def clean(placed: PlacedAxis) -> CleanAxis:
         sigma_px = np.hypot(sigma_px, np.float32(drawn_px))
     if placed.bend_px:
         sigma_px = np.hypot(sigma_px, np.float32(placed.bend_px))
-    return CleanAxis(kept, np.asarray(sigma_px, np.float32), step_px)
+    return CoordinateMap(kept, np.asarray(sigma_px, np.float32), step_px)
 
 
 def _fourth_differences(values: Floats, lag: int) -> Floats:

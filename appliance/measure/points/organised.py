@@ -40,6 +40,12 @@ class OrganisedCloud:
         return (self.grey.shape[0], self.grey.shape[1])
 
 
+def no_points(grey: NDArray[np.uint8]) -> OrganisedCloud:
+    """Return a cloud without points on the grid of the image ``grey``, (h, w) uint8, to be filled in."""
+    points, *others = (np.full((*grey.shape, *more), np.nan, np.float32) for more in ((3,), (), (), ()))
+    return OrganisedCloud(points, others[0], others[1], others[2], grey)
+
+
 def organised(cloud: Cloud, bright: NDArray[np.uint8]) -> OrganisedCloud:
     """Lay the points of ``cloud`` on the grid of the left camera's ``bright`` frame, (h, w) uint8.
 
