@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from appliance.desk.foreign.assumptions import equal_steps
 from appliance.desk.foreign.phase import ROWS_AT_ONCE, fit_sine, step_weights
-from appliance.measure.decode.phase import phase, turns_of
+from appliance.measure.decode.phase import fit_steps, phase, turns_of
 from appliance.measure.decode.scratch import COORDINATE, MODULATION_HALF_DN
-from appliance.measure.decode.steps import fit_steps
 from bench.result import Measured
 from bench.timing import cpu_ms, median_of
 

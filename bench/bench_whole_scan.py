@@ -15,7 +15,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
-from appliance.instrument.worker.order import WorkLimits
+from appliance.instrument.worker.messages import WorkLimits
 from bench import references
 from bench.bench_reconstruction import NUMPY_THERE_MS, OPENCV_THERE_MS
 from bench.document import AGAINST

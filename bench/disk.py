@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from appliance.measure.points.table import Cloud
 from appliance.store.library import Library
-from appliance.store.record import SequenceInfo
+from appliance.store.manifest import SequenceInfo
 from bench.result import Measured
 from bench.scan_frames import ScanFrames
 from bench.timing import median_of

@@ -16,7 +16,7 @@ import numpy as np
 from appliance.instrument.capture.grabber import Grabber
 from appliance.instrument.capture.scan import ScanRecorder, ScanSettings
 from appliance.instrument.capture.store import FrameStore
-from appliance.measure.light.sequence import PatternSequence, build_sequence
+from appliance.measure.light.patterns import PatternSequence, build_sequence
 from appliance.measure.light.sides import SIDES
 from drivers import rig as drivers_rig
 from drivers.api import CameraSettings, Wires

@@ -8,7 +8,7 @@ import numpy as np
 
 from appliance.measure.decode.phase import phase
 from appliance.measure.decode.scratch import COORDINATE, DECODING_SIZE
-from appliance.measure.light.sequence import Direction
+from appliance.measure.light.patterns import Direction
 from appliance.measure.points.pipeline import Pipeline
 from appliance.measure.points.table import Cloud
 from bench.result import Measured

@@ -10,8 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.measure.light.gray import inverse_gray
-from appliance.measure.light.sequence import Direction, PatternSequence
+from appliance.measure.light.patterns import Direction, PatternSequence, inverse_gray
 from bench.scan_frames import ScanFrames
 from tests.support import oracle, synthetic
 

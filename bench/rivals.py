@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from appliance.measure.light.sequence import Direction
+from appliance.measure.light.patterns import Direction
 from appliance.measure.points.pipeline import Pipeline
 from bench import foreign, references
 from bench.foreign import Peer, PeerFailed

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from appliance.measure.calibration.file import Calibration
 from appliance.measure.light.model import HousedCamera
-from appliance.measure.light.sequence import PatternSequence, build_sequence
+from appliance.measure.light.patterns import PatternSequence, build_sequence
 from tests.support import synthetic
 
 NOISE_DN = 1.6

@@ -9,8 +9,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from appliance.instrument.capture.store import FrameStore
-from appliance.instrument.worker.messages import Ready
-from appliance.instrument.worker.order import WorkOrder
+from appliance.instrument.worker.messages import Ready, WorkOrder
 from appliance.instrument.worker.process import ReconstructionWorker
 from appliance.measure.light.sides import SIDES
 from appliance.measure.news import CoarseCloud, FullCloud, News, PatternIdentity, Verdicts

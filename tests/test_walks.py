@@ -13,7 +13,7 @@ import pytest
 from appliance.instrument.machine.alerts import RULES, Rule
 from appliance.measure.fault import FaultCode
 from appliance.measure.judges import JUDGES, Judge
-from appliance.measure.light.sequence import PatternSequence
+from appliance.measure.light.patterns import PatternSequence
 from drivers.camera_families import families
 
 ROOT = Path(__file__).parents[1]

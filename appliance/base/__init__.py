@@ -47,10 +47,10 @@ if TYPE_CHECKING:
         use_one_blas_thread,  # Let linear algebra take one thread in processes of this environment
     )
     from .sealed_file import (
-        Among,  # The only values that are taken
-        ContentError,  # Reason why a file cannot be used. what: the file
         FINITE,
         LEFT_OUT,  # Metadata of a field that is not written while it has its default
+        Among,  # The only values that are taken
+        ContentError,  # Reason why a file cannot be used. what: the file
         SealedFile,  # One kind of file, whose content is the frozen dataclass kind
         Within,  # Range of a number, both ends included. A truth value is none
         digest,  # Return SHA-256 (hex) of the compact form with sorted keys

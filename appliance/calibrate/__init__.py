@@ -9,7 +9,6 @@ from appliance.base import lazy_face
 if TYPE_CHECKING:
     from .air.adjustment import (
         AirCalibrationError,  # The views do not suffice for a calibration in air; the text says why and what to do
-        BoardView,  # One board seen by both cameras at once
     )
     from .air.any_board import (
         BoardNotFoundError,  # No picture shows a board of a kind that is known
@@ -23,6 +22,9 @@ if TYPE_CHECKING:
     )
     from .air.coverage import (
         coverage,  # Determine what views cover and what they lack
+    )
+    from .air.linearised import (
+        BoardView,  # One board seen by both cameras at once
     )
     from .air.rest import (
         mean_of,  # Return the mean (h, w) uint8 of pictures (n, h, w), rounded: less noise than each has
@@ -51,22 +53,22 @@ if TYPE_CHECKING:
     )
     from .guide import (
         HELD,  # The steps with a recording, and what is held before the instrument
-        RecordingCheck,  # One recording of one step, judged. refusal None: it will do
-        Refusal,  # Reasons why a recording will not do
         STEPS,
-        Session,  # Progress of one calibration. Its recordings are stored scans
-        Step,  # Steps in their order: four recordings, the adjustment, a fifth recording that it has not seen
         UNITS,  # Unit of the number that is shown with a refusal
         USED,  # The recordings that the adjustment uses
+        RecordingCheck,  # One recording of one step, judged. refusal None: it will do
+        Refusal,  # Reasons why a recording will not do
+        Session,  # Progress of one calibration. Its recordings are stored scans
+        Step,  # Steps in their order: four recordings, the adjustment, a fifth recording that it has not seen
         Verified,  # The length of a bar that the adjustment has not seen
     )
     from .health import (
-        HealthJudgement,  # Findings of one scan about the calibration
-        HealthTrend,  # Everything remembered about one calibration
         LEARNT_SCANS,  # Scans that teach a patch its reference
         OVERLAP_LIMIT,  # Score of an object's overlaps that alarms
-        OverlapNews,  # The word of one object's overlaps on the smooth depth error
         UNMEASURED,  # Methods of calibrations whose ports nobody measured: their rays miss each other anyway
+        HealthJudgement,  # Findings of one scan about the calibration
+        HealthTrend,  # Everything remembered about one calibration
+        OverlapNews,  # The word of one object's overlaps on the smooth depth error
         answered,  # Return the trend after an accepted length check
         judge_health,  # Return the trend after one more scan (its number, where it has one already)
         likeliest,  # Return the one change that explains amplitudes best

@@ -13,7 +13,7 @@ FAILED = frozenset(
     (
         STORAGE,
         DEVICE,
-        "appliance.workshop.finding:BringupError",
+        "appliance.workshop.step:BringupError",
         "appliance.measure.calibration.file:CalibrationError",
         "appliance.calibrate.recordings:RecordingError",
         "appliance.cli.output:OutputError",

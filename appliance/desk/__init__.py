@@ -35,8 +35,8 @@ if TYPE_CHECKING:
         run_evaluation,  # Reconstruct and measure every scan of the list
     )
     from .export.content import (
-        About,  # Description of a file in it, as far as its format has room
         CAMERA_FRAME,
+        About,  # Description of a file in it, as far as its format has room
     )
     from .export.files import (
         write_mesh,  # Write a mesh (MESH_SUFFIXES). Raises ExportError, StorageError,
@@ -47,10 +47,10 @@ if TYPE_CHECKING:
         write_placed,  # Write the scans (SUFFIXES), whole or not at all; one is held at a time
     )
     from .export.suffixes import (
-        ExportError,  # A file cannot be made; the text says which, why, and what to do
         MESH_SUFFIXES,
         SCAN_SUFFIXES,
         SURFACE_SUFFIXES,
+        ExportError,  # A file cannot be made; the text says which, why, and what to do
         checked_suffix,  # Return the suffix of path in lower case. Raises ExportError for one
         require_library,  # Raises MissingLibraryError
     )
@@ -119,10 +119,10 @@ if TYPE_CHECKING:
     )
     from .pull.ssh import (
         ANSWER_S,  # Longest silence before a link counts as broken
-        Host,  # An instrument on the network
         LIBRARY,
         NEEDS_IT,
         PORT,  # Port of the instrument's server; not 22, which a Debian with a login of its own may use
+        Host,  # An instrument on the network
         SshLink,  # Opens links to one instrument, one after the other
     )
     from .pull.taking import (

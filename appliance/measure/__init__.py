@@ -17,8 +17,8 @@ if TYPE_CHECKING:
         find_ball_bar,  # Return the two balls of nearly equal radius (5..40 mm)
     )
     from .accept.flatness import (
-        Flatness,  # Flatness of a measured plane, as parts of d_r (1 is 100 %)
         REFERENCE_MM,  # d_r: a constant of the instrument, fixed by its measuring field
+        Flatness,  # Flatness of a measured plane, as parts of d_r (1 is 100 %)
         flatness,  # Return E_F, E_F,sys and noise of a plane; the 0.3 % outliers are out already
     )
     from .accept.page import (
@@ -44,8 +44,8 @@ if TYPE_CHECKING:
         as_json,  # Return the evaluation JSON-ready; errors in percent, lengths in mm, unknown values null
     )
     from .accept.result import (
-        Artefact,  # Artefacts that can be evaluated
         LENGTHS,  # The calibrated lengths that an artefact may have
+        Artefact,  # Artefacts that can be evaluated
         evaluate,  # Find artefact in cloud and compare it with its calibrated lengths (names in LENGTHS) and
     )
     from .accept.sphere import (
@@ -63,8 +63,8 @@ if TYPE_CHECKING:
         shapes,  # Return φ (…, COUNT) at points (…, 3) of a scan's own frame
     )
     from .calibration.design import (
-        Design,  # The optical design: two equal cameras, toed in symmetrically
         METHOD,
+        Design,  # The optical design: two equal cameras, toed in symmetrically
         design_calibration,  # Return the calibration of an instrument built exactly to the drawing
     )
     from .calibration.determined import (
@@ -72,38 +72,38 @@ if TYPE_CHECKING:
         solved,  # Return x (n, …) with matrix (n, n), symmetric, times x = right (n, …)
     )
     from .calibration.field import (
-        AirField,  # The lenses' fields as boards in air tell of them, together with all else
         EYES,  # Blocks of nodes of a rig: left across, left down, right across, right down
         FIELD_CELLS,  # Intervals across and down the image
+        AirField,  # The lenses' fields as boards in air tell of them, together with all else
         FieldPrior,  # Mean and covariance of unknowns of which the last EYES blocks are nodes of fields
     )
     from .calibration.file import (
         CALIBRATION,
+        IN_AIR,  # Method of a calibration in air, which only calibrating in water begins with
         Calibration,  # The instrument as measured. hash identifies it in every scan made with it
         CalibrationError,  # A calibration file cannot be used; the text says which, why and what to do
-        IN_AIR,  # Method of a calibration in air, which only calibrating in water begins with
         decode_calibration,  # Parse and check a file's bytes. Raises CalibrationError naming name, the key
         encode_calibration,  # Return the file's bytes
     )
     from .calibration.gaps import (
         DOUBTS,  # Causes for which what backscatter adds may be wrong everywhere at once
-        GapModes,  # The four patterns of one calibration in one water. Amplitudes are µm RMS over the measuring
         MODES,
         TURNS,
+        GapModes,  # The four patterns of one calibration in one water. Amplitudes are µm RMS over the measuring
         in_words,  # Return a turn of the right camera in a technician's words
     )
     from .calibration.judgement import (
-        Estimate,  # One parameter: its change and what is known about it
         PATCHES,  # Patches across and down the left image over which residuals are averaged
+        Estimate,  # One parameter: its change and what is known about it
         judged,  # Return one estimate per parameter
         systematic_px,  # Return the RMS per coordinate of the patches' mean residuals
         warnings_about,  # Return the systematic rest in px, and warnings in words
     )
     from .calibration.noise_file import (
-        BothFigures,  # The figures of both cameras
-        CameraFigures,  # One camera's figures as the rig file has them, measured instead of read in a data sheet
         LIMITS,  # Range of each figure, within that of the rig file's key of the same name
         NOISE,
+        BothFigures,  # The figures of both cameras
+        CameraFigures,  # One camera's figures as the rig file has them, measured instead of read in a data sheet
         StoredNoise,  # The noise of both cameras and where it comes from
     )
     from .calibration.owner import (
@@ -136,25 +136,13 @@ if TYPE_CHECKING:
         CameraDecoder,  # Decodes one camera's sequence as its frames arrive. Buffers are allocated once and reused
         Mask,  # Reason why a pixel has no coordinates; the first that applies
     )
-    from .decode.fringes import (
+    from .decode.phase import (
         choose_fringes,  # Write the places in px of the best fringes that begin before end_px
-    )
-    from .decode.steps import (
         fit_steps,  # Fit sines to images (n, h, w), of any type of numbers, by weights (3, n), which make A
     )
     from .fault import (
         Fault,  # One case of a fault: what, in the detector's words, with its numbers, and of which device if of one
         FaultCode,  # One name per distinguishable fault. In brackets: the numbers its headline shows
-    )
-    from .grading import (
-        GRADE_NAME,  # Name of the verdict whose text is the grade's value
-        Grade,  # The verdict on a scan
-        LENGTHS_DOUBTFUL,  # Name of that verdict's number that is 1
-        MADE_UP_FOR,  # Faults of one sequence that a second one with another exposure makes up for
-        SPOILS_POINTS,  # Faults that make points of a recorded scan wrong
-        SPOILS_SCAN,  # Faults that make a recorded scan worthless: it is not kept
-        faults_of_both,  # Return the faults of a scan of two exposures
-        grade,  # Return the grade of a scan whose cloud covers so much of what is lit, with that median sigma
     )
     from .guidance import (
         Guidance,  # The overlap that a scan taken from here would have with the one that was kept last
@@ -181,26 +169,36 @@ if TYPE_CHECKING:
         CurveError,  # The depths that were asked for have no curves; says which depths would do
     )
     from .light.exposure import (
-        Exposure,  # Exposure of both cameras, which share one trigger pulse
         NOMINAL,  # Exposure of an instrument whose rig file nobody has read
         STEPS_MS,  # Exposure times, about a quarter more light each. 10 ms is a whole period of lamps on 50 Hz
+        Exposure,  # Exposure of both cameras, which share one trigger pulse
         Span,  # Exposures that may be proposed, whatever the projector's period allows
         ladder,  # Return all steps from dark to bright for a projector's vertical period
     )
     from .light.model import (
-        HousedCamera,  # A camera in its housing. rotation and translation_mm map its frame into the left camera
         IDENTITY,
+        HousedCamera,  # A camera in its housing. rotation and translation_mm map its frame into the left camera
         Matrix3,
         StereoRig,  # Both cameras; the left one's frame is the frame of everything measured
     )
     from .light.noise import (
-        CameraNoise,  # One camera's temporal noise: variance = read_dn² + dn_per_e · (grey value − black_dn)
         FULL_DN,  # Largest grey value of a camera's eight bits
         MAD_TO_SIGMA,  # The standard deviation of normally distributed values over the median of their distances
         QUANTISATION_DN2,  # Variance of rounding to whole grey values
-        StereoNoise,  # The temporal noise of both cameras
         TYPICAL_PAIR,
+        CameraNoise,  # One camera's temporal noise: variance = read_dn² + dn_per_e · (grey value − black_dn)
+        StereoNoise,  # The temporal noise of both cameras
         camera_noise,  # Build the noise model from the figures of a data sheet after EMVA 1288 (saturation
+    )
+    from .light.patterns import (
+        BRIGHT_CODE,
+        DARK_CODE,
+        PERIODS_PX,
+        Direction,  # The pattern coordinate along which a pattern varies
+        Kind,
+        Pattern,  # One frame of the sequence. index is the Gray bit (0 = most significant) or the sine step (0..3)
+        PatternSequence,  # All patterns of a scan in the order of projection
+        build_sequence,  # Return the sequence for a fringe period
     )
     from .light.pinhole import (
         FoldingLens,  # A lens of others, whose distortion may fold over within the image
@@ -220,16 +218,6 @@ if TYPE_CHECKING:
         matrix3,  # Return a rotation matrix (3, 3) as the immutable value that a HousedCamera keeps
         rotation_matrix,  # Return the rotation matrix (3, 3) that turns about the direction of vector_rad (3,)
         rotation_vector,  # Return the vector (3,), rad, of a rotation matrix, for turns of less than 180°
-    )
-    from .light.sequence import (
-        BRIGHT_CODE,
-        DARK_CODE,
-        Direction,  # The pattern coordinate along which a pattern varies
-        Kind,
-        PERIODS_PX,
-        Pattern,  # One frame of the sequence. index is the Gray bit (0 = most significant) or the sine step (0..3)
-        PatternSequence,  # All patterns of a scan in the order of projection
-        build_sequence,  # Return the sequence for a fringe period
     )
     from .light.sides import (
         SIDES,  # Left as the diver sees it. The cloud is in the left camera's frame and has at most one point for
@@ -261,8 +249,8 @@ if TYPE_CHECKING:
         ScanOverlap,  # Overlap of the scan with the one before of its object, found some time after the full cloud
         SequenceFact,
         Verdicts,  # All judgements of the scan, identity first, in place of those before
-        WorkProgress,  # One step more of the work, of which nothing else is to be told
         WorkerFailure,  # Failure of the worker's process, in words
+        WorkProgress,  # One step more of the work, of which nothing else is to be told
     )
     from .overlap.albedo import (
         Paint,  # Paint over the grid of Patches; arrays (gh, gw) and (gh, gw, 3), NaN where it is not known
@@ -333,10 +321,10 @@ if TYPE_CHECKING:
         points_of_maps,  # Return the points where rays meet, without any limit
     )
     from .points.one_direction import (
+        UNCHECKED,  # The note that every file of such a cloud carries
         NoPoint,  # Reason why a left pixel has no point; the first that applies
         OneDirectionError,  # One direction cannot do with these maps; says why, and what would help
         OneDirectionLimits,  # Limits of a search. What is None follows from the maps themselves
-        UNCHECKED,  # The note that every file of such a cloud carries
         match_along_curves,  # Find the point of each left pixel whose coordinate the right image has along the
     )
     from .points.organised import (
@@ -357,17 +345,25 @@ if TYPE_CHECKING:
     )
     from .points.table import (
         CLOUD_BYTES,  # Bytes of one point of a Cloud
-        Cloud,  # Points in the left camera frame, with what is known about each. All arrays have the same length n
         POINT_BYTES,
+        Cloud,  # Points in the left camera frame, with what is known about each. All arrays have the same length n
         PointTable,  # Room for capacity points in memory (POINT_BYTES each), or in memory of its own
     )
     from .procedure import (
         SequenceProcessor,  # Takes one sequence after the other through pipeline and past the judges
     )
     from .verdict import (
+        GRADE_NAME,  # Name of the verdict whose text is the grade's value
+        LENGTHS_DOUBTFUL,  # Name of that verdict's number that is 1
+        MADE_UP_FOR,  # Faults of one sequence that a second one with another exposure makes up for
+        SPOILS_POINTS,  # Faults that make points of a recorded scan wrong
+        SPOILS_SCAN,  # Faults that make a recorded scan worthless: it is not kept
+        Grade,  # The verdict on a scan
         Judgement,  # A verdict, and the fault to tell the diver of
         Verdict,  # One judgement with its numbers; passed is None where there was nothing to judge
         faults_in,  # Return the faults of judgements, in their order
+        faults_of_both,  # Return the faults of a scan of two exposures
+        grade,  # Return the grade of a scan whose cloud covers so much of what is lit, with that median sigma
     )
     from .verdicts.causes import (
         CAUSES_NAME,

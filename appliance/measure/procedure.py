@@ -21,8 +21,7 @@ from appliance.measure.cloud import CloudSummary, Found
 from appliance.measure.decode.decoder import DecodedMaps
 from appliance.measure.decode.specks import mask_specks
 from appliance.measure.fault import Fault, FaultCode
-from appliance.measure.gathering import Gatherer
-from appliance.measure.judges import JudgeInput, in_order, is_fault, judged_by_all
+from appliance.measure.judges import Gatherer, JudgeInput, in_order, is_fault, judged_by_all
 from appliance.measure.light.acquisition import AcquisitionSettings
 from appliance.measure.light.sides import SIDES, of_side
 from appliance.measure.light.water import Water

@@ -22,11 +22,10 @@ from appliance.measure.calibration.file import Calibration
 from appliance.measure.cloud import CloudSummary, Found
 from appliance.measure.decode.backscatter import warm_up as warm_backscatter
 from appliance.measure.decode.specks import warm_up as warm_specks
-from appliance.measure.gathering import gather
-from appliance.measure.judges import JUDGES, JudgeInput
+from appliance.measure.judges import JUDGES, JudgeInput, gather
 from appliance.measure.light.acquisition import AcquisitionSettings
 from appliance.measure.light.noise import TYPICAL, TYPICAL_PAIR
-from appliance.measure.light.sequence import PatternSequence, build_sequence
+from appliance.measure.light.patterns import PatternSequence, build_sequence
 from appliance.measure.light.sides import SIDES
 from appliance.measure.light.water import Water
 from appliance.measure.motion.estimate import estimate

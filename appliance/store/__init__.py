@@ -34,9 +34,6 @@ if TYPE_CHECKING:
         replace_parts,  # Replace (or make) a file as replace_file does
         write_new,  # Write a file that does not exist yet
     )
-    from .calibration_file import (
-        load_calibration,  # Read a calibration file. Raises CalibrationError also for a missing or unreadable file
-    )
     from .config import (
         ConfigError,  # The rig file cannot be used. headline fits a safe screen
         Rig,  # One instrument, as its rig file describes it. Checked when built: see appliance.store.config.checks
@@ -72,6 +69,7 @@ if TYPE_CHECKING:
     )
     from .instrument import (
         Instrument,  # The instrument of a rig file
+        load_calibration,  # Read a calibration file. Raises CalibrationError also for a missing or unreadable file
     )
     from .label import (
         LABEL,
@@ -95,20 +93,23 @@ if TYPE_CHECKING:
         holder,  # Return the process that holds the lock of root; None where nobody does. Changes nothing, and never
     )
     from .manifest import (
-        Decision,  # Decisions of the diver about a scan
         INCOMPLETE_MANIFEST_FILE,  # The file that stands in its place where a scan broke off (incomplete)
         MANIFEST,
         MANIFEST_FILE,
+        Decision,  # Decisions of the diver about a scan
         Manifest,  # The whole manifest. files maps the name of every file but the manifest to its length and
+        ScanRecord,  # Everything known about a scan but its files. Complete it with dataclasses.replace as more is
+        SecondSequence,  # A second sequence of the same scene with another exposure
+        SequenceInfo,  # Pattern that each frame shows
         Stage,  # Stages that a scan goes through
         manifest_json,  # Return the content as JSON holds it. Raises TypeError as encode
     )
     from .names import (
-        CALIBRATIONS,  # Folder below a storage root with its calibrations, the file in it that is in use
         CALIBRATION_IN_AIR,  # Folder below a storage root with its calibrations, the file in it that is in use
+        CALIBRATIONS,  # Folder below a storage root with its calibrations, the file in it that is in use
         CURRENT_CALIBRATION,  # Folder below a storage root with its calibrations, the file in it that is in use
-        NameShapeError,  # A name cannot be part of a path; the text says which and what is allowed
         OBJECTS,  # Folder below a storage root with its objects
+        NameShapeError,  # A name cannot be part of a path; the text says which and what is allowed
         by_number,  # Return what orders names of scans as they were taken, 1000000 after 999999
         component,  # Return name, which is one component of a path. what it is the name of is for the message.
         is_component,  # Return True if name is one component of a path
@@ -143,11 +144,6 @@ if TYPE_CHECKING:
     from .ply import (
         encode_ply,  # Return the header and body of the file
         write_ply,  # Write a cloud for a desk, whole or not at all
-    )
-    from .record import (
-        ScanRecord,  # Everything known about a scan but its files. Complete it with dataclasses.replace as more is
-        SecondSequence,  # A second sequence of the same scene with another exposure
-        SequenceInfo,  # Pattern that each frame shows
     )
     from .reprocess import (
         ReprocessedScan,  # A stored scan after everything the instrument does with one
@@ -191,8 +187,8 @@ if TYPE_CHECKING:
         wrong_files,  # Return what is wrong, by name, with the files a scan must have and those its manifest lists
     )
     from .scan_list import (
-        ListError,  # The list of scans cannot be used
         ListedScan,  # One scan of the list, and what it shows
+        ListError,  # The list of scans cannot be used
         ScanList,  # A list of scans as the metrologist wrote it down
         read_list,  # Read a list, TOML or (by its name) JSON: docs/evaluation.md. Raises ListError
         refuse_repeats,  # Raise ListError for an artefact

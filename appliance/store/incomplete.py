@@ -30,9 +30,8 @@ from appliance.store.atomic import (
     write_new,
 )
 from appliance.store.filesystem import FileSystem
-from appliance.store.manifest import Decision, Manifest, Stage
+from appliance.store.manifest import Decision, Manifest, ScanRecord, Stage
 from appliance.store.names import scan_number
-from appliance.store.record import ScanRecord
 from appliance.store.scan import (
     CALIBRATION,
     RIG_FILE,

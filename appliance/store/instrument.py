@@ -1,4 +1,7 @@
-"""Owns what is known of the instrument: its calibration or the drawing's, its water, its cameras' noise, its projector."""
+"""Owns what is known of the instrument: its calibration or the drawing's, its water, its cameras' noise, its projector.
+
+A calibration read from its file.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +9,9 @@ import logging
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from appliance.base import ContentError
+from appliance.base import ContentError, read_bounded
 from appliance.measure import (
+    CALIBRATION,
     IN_AIR,
     NOISE,
     RESPONSE,
@@ -29,18 +33,30 @@ from appliance.measure import (
     Water,
     WorkingVolume,
     camera_noise,
+    decode_calibration,
     design_calibration,
     encode_calibration,
     ladder,
     owner_misfit,
 )
-from appliance.store.calibration_file import load_calibration
 from appliance.store.config import Rig, rig_text
 from appliance.store.config.checks import into_light_us
 from appliance.store.config.rig import CameraRig
+from appliance.store.manifest import ScanRecord
 from appliance.store.names import CALIBRATION_IN_AIR, CALIBRATIONS, CURRENT_CALIBRATION
-from appliance.store.record import ScanRecord
 from appliance.store.scan import ScanOrigin
+
+
+def load_calibration(path: Path | str) -> Calibration:
+    """Read a calibration file. Raises CalibrationError also for a missing or unreadable file."""
+    try:
+        data = read_bounded(Path(path), CALIBRATION.max_bytes)
+    except OSError as error:
+        raise CalibrationError(
+            f"calibration {path}: cannot be read ({error.strerror}); calibrate, or copy the instrument's file there"
+        ) from error
+    return decode_calibration(data, f"calibration {path}")
+
 
 log = logging.getLogger("kingfisher")
 

@@ -5,7 +5,7 @@
     <root>/rejected/000123    not wanted, kept all the same
     <root>/set-aside/000123   incomplete after a loss of power
     <root>/trash/000123       put away at the desk; made when it is first needed
-    <root>/next-id            see ``appliance.store.counter``
+    <root>/next-id            see ``appliance.store.names``
     <root>/room               space for the next scan, see ``appliance.store.room``
 
 Nothing in here deletes a scan. One process writes (``appliance.store.lock``), from one thread at a time; any number
@@ -22,15 +22,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from appliance.base import ContentError
-from appliance.store import counter, scan
 from appliance.store import label as labels
 from appliance.store import manifest as form
+from appliance.store import names, scan
 from appliance.store.atomic import StorageError, move_folder, refused, replace_file
 from appliance.store.filesystem import FileSystem, LocalFileSystem
 from appliance.store.label import NO_LABEL, Label
-from appliance.store.manifest import Decision, Manifest
+from appliance.store.manifest import Decision, Manifest, ScanRecord
 from appliance.store.names import by_number, scan_number
-from appliance.store.record import ScanRecord
 
 if TYPE_CHECKING:  # NumPy is loaded where pixels and points are: a list of scans touches none
     import numpy as np
@@ -114,7 +113,7 @@ class Library:
         """
         # The number is durably gone before anything is written: whatever fails below, it is never given to another
         # scan.
-        scan_id = counter.spell_id(counter.take(self._fs, self.root, self._numbers()))
+        scan_id = names.spell_id(names.take_number(self._fs, self.root, self._numbers()))
         folder = self._shelf(LibraryFolder.SCANS) / f".{scan_id}"
         try:
             manifest = scan.write_raw(self._fs, folder, scan_id, frames, record, origin)

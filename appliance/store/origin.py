@@ -5,15 +5,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from appliance.measure import IN_AIR, SIDES, Calibration, CalibrationError, Owner, of_side, owner_misfit
 from appliance.store import scan as stored
-from appliance.store.calibration_file import load_calibration
 from appliance.store.config import ConfigError, Rig, parse_rig
+from appliance.store.instrument import load_calibration
 from appliance.store.manifest import Manifest
 from appliance.store.names import CALIBRATIONS, CURRENT_CALIBRATION
 from appliance.store.scan import CALIBRATION, RIG_FILE, ScanError, StoredScan
 from appliance.store.wish import Wish, root_of
+
+if TYPE_CHECKING:
+    from appliance.store.config import Rig
+
 
 FOREIGN_OPTION = "--foreign-calibration"
 SHOWN_DIGITS = 12

@@ -19,9 +19,9 @@ from typing import TypeVar
 
 from appliance.measure import SIDES
 from appliance.store.atomic import StorageError, draft_of, refused
-from appliance.store.counter import FILE_NAME as NUMBER
 from appliance.store.filesystem import AllocatingFileSystem, WritableFile
 from appliance.store.manifest import MANIFEST_FILE as MANIFEST
+from appliance.store.names import NUMBER_FILE as NUMBER
 from appliance.store.scan import CALIBRATION, CLOUD_FILE, PREVIEW_FILE, RIG_FILE, frames_file, second_frames_file
 
 log = logging.getLogger("kingfisher")

@@ -25,9 +25,8 @@ from appliance.measure import SIDES
 from appliance.store import manifest as form
 from appliance.store.atomic import Stamp, checked_stamp, discard, draft_of, refused, replace_file, write_new
 from appliance.store.filesystem import Bytes, FileSystem
-from appliance.store.manifest import Decision, Manifest, Stage
+from appliance.store.manifest import Decision, Manifest, ScanRecord, Stage
 from appliance.store.packed import Packed, PackedError, packed_path, read_index
-from appliance.store.record import ScanRecord
 
 if TYPE_CHECKING:  # NumPy is loaded where pixels and points are: a list of scans touches none
     import numpy as np

@@ -15,7 +15,7 @@ from appliance.measure.calibration import file as calibration_file
 from appliance.measure.light.exposure import Exposure
 from appliance.store.config import default_rig_path, parse_rig
 from appliance.store.filesystem import LocalFileSystem
-from appliance.store.record import ScanRecord, SequenceInfo
+from appliance.store.manifest import ScanRecord, SequenceInfo
 from appliance.store.scan import ScanOrigin, write_raw
 from bench.outside.draws import scene_world
 from bench.outside.scan import SEQUENCE

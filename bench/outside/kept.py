@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from appliance.measure.light.exposure import Exposure
+from appliance.measure.light.patterns import PatternSequence
 from appliance.measure.light.response import Response
-from appliance.measure.light.sequence import PatternSequence
 from appliance.measure.light.sides import SIDES
 from bench.outside.world import STEPS, TRIGGER_DELAY_US, Frames, World, chosen_exposure, expose
 from bench.verdict.causes_truth import sources_digest

@@ -13,7 +13,7 @@ from types import MappingProxyType
 from appliance.calibrate.photon_transfer import measure_noise
 from appliance.measure.light.exposure import Exposure
 from appliance.measure.light.noise import StereoNoise, camera_noise
-from appliance.measure.light.sequence import build_sequence
+from appliance.measure.light.patterns import build_sequence
 from appliance.measure.light.sides import SIDES
 from bench.outside.kept import kept_row
 from bench.outside.scan import data_sheet

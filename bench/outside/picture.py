@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.measure.light.sequence import Direction
+from appliance.measure.light.patterns import Direction
 from bench.outside.draws import scene_world
 from bench.outside.scan import SEQUENCE, still
 from bench.outside.world import chosen_exposure, expose

@@ -12,16 +12,16 @@ from numpy.typing import NDArray
 
 from appliance.measure.calibration.file import Calibration
 from appliance.measure.fault import FaultCode
-from appliance.measure.grading import SPOILS_SCAN, Grade, grade
 from appliance.measure.light.acquisition import AcquisitionSettings
 from appliance.measure.light.exposure import Exposure
 from appliance.measure.light.noise import StereoNoise, camera_noise
-from appliance.measure.light.sequence import Direction, PatternSequence, build_sequence
+from appliance.measure.light.patterns import Direction, PatternSequence, build_sequence
 from appliance.measure.light.water import Water
 from appliance.measure.news import FullCloud
 from appliance.measure.points.pipeline import Pipeline
 from appliance.measure.points.table import Cloud
 from appliance.measure.procedure import SequenceProcessor
+from appliance.measure.verdict import SPOILS_SCAN, Grade, grade
 from bench.outside.kept import Row
 from bench.outside.world import BLACK_DN, FRAME_S, STEPS, Frames, World
 from bench.verdict.motion_truth import displaced, displacement

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.measure.light.exposure import Exposure, Span, ladder
+from appliance.measure.light.patterns import PatternSequence
 from appliance.measure.light.response import Response
-from appliance.measure.light.sequence import PatternSequence
 from appliance.measure.light.sides import SIDES
-from appliance.measure.verdicts.light.propose import propose
+from appliance.measure.verdicts.light.judge import propose
 from hw_sim.in_dive import REFERENCE_C, in_dive
 from hw_sim.outside import ALL, Outside, draw_outside
 from hw_sim.rendering.render import LightSlice, Renderer

@@ -12,7 +12,7 @@ from appliance.measure.decode.decoder import Mask
 from appliance.measure.light.acquisition import AcquisitionSettings
 from appliance.measure.light.exposure import Exposure
 from appliance.measure.light.noise import StereoNoise, camera_noise
-from appliance.measure.light.sequence import PatternSequence, build_sequence
+from appliance.measure.light.patterns import PatternSequence, build_sequence
 from appliance.measure.light.sides import SIDES
 from appliance.measure.light.water import Water as SetWater
 from appliance.measure.points.images import ScanImages

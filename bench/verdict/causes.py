@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from appliance.measure.grading import Grade
+from appliance.measure.verdict import Grade
 from bench.result import Measured
 from bench.verdict.binomial import counted, rate, tally
 from bench.verdict.causes_scenes import Base, Spoilt, draw_base, grid_of

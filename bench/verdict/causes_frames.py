@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.measure.light.exposure import Exposure
-from appliance.measure.light.sequence import build_sequence
+from appliance.measure.light.patterns import build_sequence
 from bench.verdict.causes_scenes import FRAME_S, HEIGHT_PX, PERIOD_PX, WIDTH_PX, Base, Spoilt, exposure_of, scene_of
 from bench.verdict.outside import put_outside, record_sequence
 from bench.verdict.worlds import ORDINARY

@@ -26,12 +26,12 @@ import numpy as np
 import appliance
 from appliance.instrument.machine.alerts import alert_of
 from appliance.measure.fault import FaultCode
-from appliance.measure.grading import SPOILS_SCAN, Grade, grade
 from appliance.measure.light.acquisition import AcquisitionSettings
 from appliance.measure.light.exposure import Exposure
-from appliance.measure.light.sequence import Direction
+from appliance.measure.light.patterns import Direction
 from appliance.measure.points.pipeline import Cloud, Pipeline
 from appliance.measure.procedure import SequenceProcessor
+from appliance.measure.verdict import SPOILS_SCAN, Grade, grade
 from bench.outside.stated import Stated, stated_truth
 from bench.outside.world import TRIGGER_DELAY_US
 from bench.verdict.causes_frames import TRUTH_SET, frames_of

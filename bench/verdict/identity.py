@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from appliance.measure.fault import FaultCode
 from appliance.measure.light.noise import TYPICAL_PAIR, CameraNoise, StereoNoise
-from appliance.measure.light.sequence import Kind, PatternSequence
+from appliance.measure.light.patterns import Kind, PatternSequence
 from appliance.measure.light.sides import SIDES, of_side
 from appliance.measure.verdict import Judgement
 from appliance.measure.verdicts.identity.evidence import Witness

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from appliance.measure.light.sequence import build_sequence
+from appliance.measure.light.patterns import build_sequence
 from appliance.measure.verdicts.identity.judge import judge_identity
 from bench.result import Measured
 from bench.verdict.binomial import rate, tally

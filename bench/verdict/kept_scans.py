@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.measure.light.noise import StereoNoise
-from appliance.measure.light.sequence import build_sequence
+from appliance.measure.light.patterns import build_sequence
 from appliance.measure.light.water import Water
 from bench.verdict.motion_cases import FRAME_S, TRUTH_SET, Case, without_fish
 from hw_sim.rendering.render import Renderer

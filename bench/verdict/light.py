@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from appliance.measure.decode.decoder import CameraDecoder
 from appliance.measure.fault import FaultCode
 from appliance.measure.light.exposure import Exposure
-from appliance.measure.light.sequence import Direction
+from appliance.measure.light.patterns import Direction
 from appliance.measure.light.sides import SIDES
 from appliance.measure.points.merge import merge
 from appliance.measure.points.pipeline import Pipeline

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.measure.light.noise import StereoNoise
-from appliance.measure.light.sequence import Direction, build_sequence
+from appliance.measure.light.patterns import Direction, build_sequence
 from appliance.measure.light.water import Water
 from appliance.measure.motion.attempt import attempt
 from appliance.measure.points.pipeline import Cloud, Pipeline

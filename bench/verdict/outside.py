@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.measure.light.noise import StereoNoise, camera_noise
-from appliance.measure.light.sequence import build_sequence
+from appliance.measure.light.patterns import build_sequence
 from appliance.measure.light.sides import SIDES
 from appliance.measure.light.water import Water
 from bench.outside.world import FRAME_S, TRIGGER_DELAY_US, World, world_with

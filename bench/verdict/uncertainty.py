@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.measure.light.noise import StereoNoise, camera_noise
+from appliance.measure.light.patterns import build_sequence
 from appliance.measure.light.response import Response
-from appliance.measure.light.sequence import build_sequence
 from appliance.measure.points.pipeline import Cloud, Pipeline
 from bench.result import Measured
 from bench.verdict.parts import Say

@@ -16,15 +16,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from appliance.instrument.capture.store import FrameStore
-from appliance.instrument.service.disk import DiskQueue
-from appliance.instrument.worker.messages import Ready
-from appliance.instrument.worker.order import WorkLimits, WorkOrder
+from appliance.instrument.service.room import DiskQueue
+from appliance.instrument.worker.messages import Ready, WorkLimits, WorkOrder
 from appliance.instrument.worker.process import ReconstructionWorker
 from appliance.measure.light.sides import SIDES
 from appliance.measure.news import CoarseCloud, FullCloud, News, PatternIdentity, Verdicts
 from appliance.measure.verdict import Judgement, faults_in
 from appliance.store.library import Library, PendingScan
-from appliance.store.record import SequenceInfo
+from appliance.store.manifest import SequenceInfo
 from bench.warm_worker import FRAME_S, START_TIMEOUT_S, peak_memory_mb
 from bench.whole_scan.scenes import TimedScene
 from drivers.native import MonotonicClock

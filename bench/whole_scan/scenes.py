@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from appliance.measure.calibration.file import Calibration
 from appliance.measure.light.acquisition import AcquisitionSettings
 from appliance.measure.light.exposure import Exposure
-from appliance.measure.light.sequence import PatternSequence, build_sequence
+from appliance.measure.light.patterns import PatternSequence, build_sequence
 from appliance.measure.light.sides import SIDES
 from appliance.measure.light.water import Water
 from bench.scan_frames import make_scan

@@ -22,8 +22,8 @@ from appliance.desk.foreign.description import load_description
 from appliance.desk.foreign.frames import Frame, FrameReader, frames_in
 from appliance.desk.foreign.problem import ForeignError, Table
 from appliance.measure.calibration.noise_file import NOISE
-from appliance.store.calibration_file import load_calibration
 from appliance.store.config import default_rig_path, load_rig
+from appliance.store.instrument import load_calibration
 from appliance.store.scan_list import read_list
 
 READERS: dict[str, tuple[str, Callable[[Path], object]]] = {

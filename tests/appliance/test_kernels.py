@@ -25,7 +25,7 @@ USE = """
 import json, sys
 from pathlib import Path
 from appliance.base import kernel_cache
-cache = kernel_cache.use(Path(sys.argv[1]), Path(sys.argv[2]))
+cache = kernel_cache.use_kernel_cache(Path(sys.argv[1]), Path(sys.argv[2]))
 from appliance.measure.warm import run_every_kernel
 run_every_kernel()
 import gc

@@ -26,9 +26,8 @@ from appliance.calibrate.water.method import Method
 from appliance.cli import main
 from appliance.desk.reconstruct import work_through
 from appliance.measure.calibration.file import encode_calibration
-from appliance.store.calibration_file import load_calibration
 from appliance.store.config import load_rig
-from appliance.store.instrument import Instrument
+from appliance.store.instrument import Instrument, load_calibration
 from appliance.store.origin import calibration_for, open_source
 from appliance.store.scan import ScanError, StoredScan, manifest_of
 from appliance.store.wish import Wish

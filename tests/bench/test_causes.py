@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from appliance.measure.fault import FaultCode
-from appliance.measure.grading import Grade
+from appliance.measure.verdict import Grade
 from bench.verdict.causes_frames import frames_of
 from bench.verdict.causes_scenes import Spoilt, draw_base, exposure_of, grid_of
 from bench.verdict.causes_truth import judged

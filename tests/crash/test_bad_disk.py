@@ -18,10 +18,10 @@ from appliance.calibrate.health_file import HealthFile
 from appliance.instrument.machine.choices import Choices
 from appliance.instrument.service.choices import ChoicesFile
 from appliance.measure.light.exposure import Exposure
-from appliance.store import counter
+from appliance.store import names
 from appliance.store.atomic import StorageError
-from appliance.store.calibration_file import load_calibration
 from appliance.store.filesystem import FileSystem, LocalFileSystem
+from appliance.store.instrument import load_calibration
 from appliance.store.library import Library, LibraryFolder, PendingScan
 from appliance.store.room import Room
 from tests.appliance.store import scenes
@@ -253,12 +253,12 @@ def test_a_refusal_leaves_old_or_new_and_a_retry_works(tmp_path: Path, name: str
 
 def test_each_call_refused_while_counting_gives_no_number_twice(tmp_path: Path) -> None:
     disk = BadDisk()
-    counter.take(disk, tmp_path, [])
+    names.take_number(disk, tmp_path, [])
     given = [1]
     for bad in range(len(disk.calls)):
         with pytest.raises(StorageError):
-            given.append(counter.take(BadDisk(bad), tmp_path, []))
-        given.append(counter.take(LocalFileSystem(), tmp_path, []))
+            given.append(names.take_number(BadDisk(bad), tmp_path, []))
+        given.append(names.take_number(LocalFileSystem(), tmp_path, []))
     assert len(given) == len(set(given))
     assert given == sorted(given)
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from appliance.calibrate.calibrations import Calibrations
 from appliance.calibrate.health_file import HealthFile
-from appliance.store.calibration_file import load_calibration
+from appliance.store.instrument import load_calibration
 from appliance.store.library import Library, LibraryFolder
 from tests.appliance.store.scenes import ORIGIN, frames, record
 from tests.crash.life import CALIBRATIONS, HASH, OLD, SERIAL, live

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.measure.accept.ball_bar import BallBar, find_ball_bar
 from appliance.measure.calibration.file import Calibration, encode_calibration
-from appliance.measure.light.sequence import PatternSequence
+from appliance.measure.light.patterns import PatternSequence
 from appliance.measure.points.pipeline import Pipeline
 from appliance.measure.points.quality import QualityLimits
 from appliance.store.config import Rig, load_rig

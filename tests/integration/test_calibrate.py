@@ -19,9 +19,8 @@ from appliance.calibrate.water.start import start_from_air
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.measure.calibration.file import Calibration, encode_calibration
 from appliance.measure.light.model import HousedCamera, StereoRig
-from appliance.store.calibration_file import load_calibration
 from appliance.store.config import Rig, load_rig
-from appliance.store.instrument import Instrument
+from appliance.store.instrument import Instrument, load_calibration
 from appliance.store.library import Library
 from hw_sim.scene import Scene
 from tests.integration.dived import Service, ball_bar_mm

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from appliance.cli import main
-from appliance.store.calibration_file import load_calibration
+from appliance.store.instrument import load_calibration
 from hw_sim.truth import draw_truth, in_air
 from tests.support.board_pictures import poses_in_air
 from tests.support.truth import WATER

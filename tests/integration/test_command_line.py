@@ -10,8 +10,7 @@ import pytest
 
 from appliance.calibrate.health import HealthTrend, TrendPoint
 from appliance.calibrate.health_file import HealthFile
-from appliance.store.calibration_file import load_calibration
-from appliance.store.instrument import CALIBRATION_FILE
+from appliance.store.instrument import CALIBRATION_FILE, load_calibration
 from appliance.store.lock import hold_lock
 from tests.support.commands import ROOT, Shell, kingfisher
 

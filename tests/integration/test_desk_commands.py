@@ -12,8 +12,8 @@ import pytest
 from scipy.spatial import cKDTree
 
 from appliance.measure.calibration import file as calibration_file
-from appliance.store.calibration_file import load_calibration
 from appliance.store.config import default_rig_path
+from appliance.store.instrument import load_calibration
 from appliance.store.ply import read_ply
 from tests.support.commands import Shell, kingfisher
 from tests.support.planes import small_rig, store_plane

@@ -16,7 +16,7 @@ from appliance.instrument.capture.grabber import Grabber
 from appliance.instrument.capture.scan import CaptureReport, ScanRecorder, ScanSettings
 from appliance.instrument.capture.store import FrameStore
 from appliance.measure.fault import Fault, FaultCode
-from appliance.measure.light.sequence import build_sequence
+from appliance.measure.light.patterns import build_sequence
 from drivers import rig as drivers_rig
 from drivers.api import Board, CameraSettings
 from hw_sim.wires import open as open_wires

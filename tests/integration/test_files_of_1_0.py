@@ -25,9 +25,8 @@ from appliance.desk.object_errors import errors_of
 from appliance.instrument.service.beams import BeamsFile
 from appliance.instrument.service.choices import ChoicesFile
 from appliance.instrument.service.settings import pointers_of, standard_choices
-from appliance.store.calibration_file import load_calibration
 from appliance.store.config import load_rig
-from appliance.store.instrument import Instrument
+from appliance.store.instrument import Instrument, load_calibration
 from appliance.store.library import Library, LibraryFolder
 from appliance.store.manifest import Stage
 

@@ -15,7 +15,7 @@ from appliance.instrument.machine.words import english
 from appliance.instrument.screens.painter import Painter
 from appliance.instrument.screens.views import AimView, AnyView, MenuView, ReviewView
 from appliance.instrument.service.app import run
-from appliance.instrument.service.keys import KeyReader
+from appliance.instrument.service.devices import KeyReader
 from appliance.measure.guidance import LEAST_GOOD, MOST_GOOD
 from appliance.store.config import Rig
 from appliance.store.library import Library, LibraryFolder

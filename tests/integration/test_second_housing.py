@@ -21,14 +21,14 @@ from appliance.instrument.service.app import run
 from appliance.instrument.service.settings import live_light_of, machine_settings
 from appliance.measure.calibration.file import Calibration, encode_calibration
 from appliance.measure.fault import FaultCode
-from appliance.measure.light.sequence import DARK_CODE, PatternSequence, build_sequence
+from appliance.measure.light.patterns import DARK_CODE, PatternSequence, build_sequence
 from appliance.measure.light.volume import STANDARD
 from appliance.measure.points.pipeline import Pipeline
 from appliance.measure.procedure import SequenceProcessor
 from appliance.store.config import Rig, load_rig
 from appliance.store.instrument import Instrument
 from appliance.store.library import Library, LibraryFolder
-from appliance.store.record import ScanRecord, SequenceInfo
+from appliance.store.manifest import ScanRecord, SequenceInfo
 from hw_sim.options import options_from
 from hw_sim.rendering.render import Renderer
 from hw_sim.truth import TrueRig, in_air

@@ -9,7 +9,7 @@ import pytest
 
 from appliance.calibrate.health import HealthTrend, judge_health
 from appliance.measure.cloud import PatchGaps
-from appliance.measure.light.sequence import build_sequence
+from appliance.measure.light.patterns import build_sequence
 from appliance.measure.light.sides import SIDES
 from appliance.measure.points.pipeline import Pipeline
 from hw_sim.mount_shift import MountShift, with_mount_shifted

@@ -19,7 +19,7 @@ from appliance.measure.calibration.file import encode_calibration
 from appliance.store.config import Rig, load_rig
 from appliance.store.instrument import Instrument
 from appliance.store.library import Library
-from appliance.store.record import ScanRecord, SequenceInfo
+from appliance.store.manifest import ScanRecord, SequenceInfo
 from hw_sim.scene import Scene
 from tests.support.calibrating import air_of, hidden_rig
 from tests.support.rendered import render_scan

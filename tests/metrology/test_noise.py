@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from appliance.calibrate.photon_transfer import NoiseError, measure_noise
-from appliance.measure.light.sequence import build_sequence
+from appliance.measure.light.patterns import build_sequence
 from hw_sim.rendering.sensor import E_PER_DN, FULL_WELL_E, OFFSET_DN, READ_NOISE_E
 from hw_sim.scene import Imaging, Scene
 from tests.support.bias import depth_errors, rms

@@ -40,7 +40,7 @@ from appliance.instrument.service.app import run
 from appliance.store.config import load_rig
 from appliance.store.instrument import Instrument
 from appliance.store.library import Library, LibraryFolder
-from appliance.store.record import ScanRecord
+from appliance.store.manifest import ScanRecord
 
 SMALL = {"width_px": "400", "height_px": "300", "truth": "nominal", "object": "plane", "stills": "true"}
 SHELVES = {"saved": LibraryFolder.SCANS, "rejected": LibraryFolder.REJECTED, "set-aside": LibraryFolder.SET_ASIDE}

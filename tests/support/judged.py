@@ -11,7 +11,7 @@ from appliance.measure.calibration.file import Calibration
 from appliance.measure.light.acquisition import AcquisitionSettings
 from appliance.measure.light.exposure import Exposure
 from appliance.measure.light.noise import StereoNoise, camera_noise
-from appliance.measure.light.sequence import build_sequence
+from appliance.measure.light.patterns import build_sequence
 from appliance.measure.light.water import Water
 from appliance.measure.points.images import ScanImages
 from appliance.measure.points.pipeline import Cloud, Pipeline

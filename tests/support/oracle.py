@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from appliance.measure.calibration.file import Calibration
-from appliance.measure.light.gray import inverse_gray
-from appliance.measure.light.sequence import Direction, PatternSequence
+from appliance.measure.light.patterns import Direction, PatternSequence, inverse_gray
 
 Array = NDArray[np.float64]
 

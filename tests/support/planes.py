@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from appliance.measure.light.sequence import build_sequence
+from appliance.measure.light.patterns import build_sequence
 from appliance.measure.points.pipeline import Pipeline
 from appliance.store.config import Rig, load_rig
 from appliance.store.config.load import default_rig_path
 from appliance.store.instrument import Instrument
 from appliance.store.library import Library
-from appliance.store.record import ScanRecord, SequenceInfo
+from appliance.store.manifest import ScanRecord, SequenceInfo
 from tests.support import synthetic
 
 NORMAL = np.array([0.0, 0.1, 1.0]) / np.hypot(0.1, 1.0)

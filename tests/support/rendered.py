@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.measure.calibration.file import Calibration
+from appliance.measure.light.patterns import Direction, PatternSequence, build_sequence
 from appliance.measure.light.response import Response
-from appliance.measure.light.sequence import Direction, PatternSequence, build_sequence
 from appliance.measure.light.sides import SIDES
 from appliance.measure.points.pipeline import Cloud, Pipeline
 from hw_sim.rendering.render import LightSlice, Renderer

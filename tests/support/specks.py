@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.measure.light.sequence import Kind, PatternSequence
+from appliance.measure.light.patterns import Kind, PatternSequence
 
 
 def add_specks(

@@ -8,7 +8,7 @@ from pathlib import Path
 from appliance.measure.calibration import file as calibration_file
 from appliance.measure.light.exposure import Exposure
 from appliance.store.filesystem import LocalFileSystem
-from appliance.store.record import ScanRecord, SequenceInfo
+from appliance.store.manifest import ScanRecord, SequenceInfo
 from appliance.store.scan import ScanOrigin, write_raw
 from hw_sim.truth import TrueRig
 from hw_sim.water.medium import GREEN_NM

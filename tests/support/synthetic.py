@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from appliance.measure.calibration.design import Design, design_calibration
 from appliance.measure.calibration.file import Calibration
 from appliance.measure.light.model import HousedCamera
+from appliance.measure.light.patterns import Direction, PatternSequence
 from appliance.measure.light.pinhole import Lens
 from appliance.measure.light.port import Port
-from appliance.measure.light.sequence import Direction, PatternSequence
 from appliance.measure.light.water import Water
 
 WATER = Water(20.0, 0.0, 530.0)

@@ -2,7 +2,7 @@
 
 Image k shows I_k = A + B cos(φ + δ_k) = A + C cos δ_k − S sin δ_k with C = B cos φ and S = B sin φ: linear in A, C and S, so that
 their best values are fixed weights times the images (the pseudo-inverse of the columns 1, cos δ_k, −sin δ_k). The kernel that does it
-stands beside the instrument's own for four steps (``appliance/measure/decode/steps.py``;
+stands beside the instrument's own for four steps (``appliance/measure/decode/phase.py``;
 ``docs/adr/0057-foreign-frames-are-decoded-beside-our-own.md``).
 Source: Greivenkamp, Opt. Eng. 23 (1984) 350.
 

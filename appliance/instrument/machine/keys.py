@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import assert_never
 
-from appliance.instrument.machine import acknowledge, asking, calibrate, gallery, menu, safety, scanning, start
+from appliance.instrument.machine import asking, calibrate, gallery, menu, safety, scanning, start
 from appliance.instrument.machine.moves import Result
 from appliance.instrument.machine.permissions import second_exposure
 from appliance.instrument.machine.states import Machine, State
@@ -30,7 +30,7 @@ def meaning(machine: Machine, key: Key) -> Key:
 def pressed(machine: Machine, key: Key) -> Result:
     """Do what a key that went down means; ``key`` is what it stands for."""
     # Asked before the notice is taken away: the press is about what was on the screen when the finger came down.
-    known = acknowledge.pending(machine) if key is Key.BACK else None
+    known = asking.pending_fault(machine) if key is Key.BACK else None
     machine = replace(machine, notice=None, just_saved=None, last_key_ns=machine.now_ns)
     if key is Key.BACK:
         # That a key is held is known 0.8 s after the press. In between the state may change by itself (a capture
@@ -40,7 +40,7 @@ def pressed(machine: Machine, key: Key) -> Result:
     if key is Key.DOWN:
         machine = replace(machine, add_offered=second_exposure(machine) is not None)
     if known is not None:
-        return acknowledge.acknowledged(machine, known), ()
+        return asking.with_acknowledged(machine, known), ()
     if key is not Key.SCAN:
         # To insist is to press SCAN twice in a row: any other key takes the first press back.
         machine = replace(machine, insists_until_ns=None)

@@ -13,7 +13,7 @@ from enum import Enum
 from types import MappingProxyType
 
 from appliance.instrument.machine.alerts import RULES, Alert, Severity, alert_of, lasting, notice_of, seen
-from appliance.instrument.machine.overlaps import OverlapSaid
+from appliance.instrument.machine.guiding import OverlapSaid
 from appliance.instrument.machine.states import Machine, State
 from appliance.instrument.ranging.reach import Reach
 from appliance.measure import SPOILS_POINTS, SPOILS_SCAN, FaultCode

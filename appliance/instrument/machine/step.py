@@ -11,7 +11,6 @@ from dataclasses import replace
 from typing import assert_never
 
 from appliance.instrument.machine import (
-    acknowledge,
     asking,
     calibrate,
     gallery,
@@ -42,7 +41,7 @@ def step(machine: Machine, event: on.Event) -> Result:
     after, more = safety.forced(after)
     if after.insists_until_ns is not None and after.now_ns >= after.insists_until_ns:
         after = replace(after, insists_until_ns=None, notice=None)  # the question was not answered
-    after = acknowledge.forgotten(asking.unanswered(after))
+    after = asking.without_acknowledged(asking.unanswered(after))
     return _settle(machine, _without_answered_refusal(after), (*wanted, *more))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import assert_never
 
-from appliance.instrument.machine import acknowledge, asking, calibrate, gallery, menu, start
+from appliance.instrument.machine import asking, calibrate, gallery, menu, start
 from appliance.instrument.machine import effects as do
 from appliance.instrument.machine.permissions import other_exposure, second_exposure
 from appliance.instrument.machine.states import Answer, Machine, NoticeKind, State
@@ -16,7 +16,7 @@ from drivers.api import Key
 def labels(machine: Machine) -> Mapping[Key, Label]:
     """Return the label per physical key; a key without one does nothing now. A stuck key's label moves to its stand-in."""
     meant = _meant(machine)
-    if acknowledge.pending(machine) is not None:
+    if asking.pending_fault(machine) is not None:
         meant[Key.BACK] = Text.SEEN
     for broken, stand_in in ((Key.SCAN, Key.UP), (Key.BACK, Key.DOWN)):
         if broken in machine.stuck:

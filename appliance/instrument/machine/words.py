@@ -1,8 +1,7 @@
 """Owns every word that the screens write, each beside its translation and known by its name.
 
 The machine says what its keys mean by these names, the screens put them into the diver's language. Only the sentences of faults are
-elsewhere: in the table that says what each fault does (``appliance.instrument.machine.alerts``), in both languages there, too.
-"""
+elsewhere: in the table that says what each fault does (``appliance.instrument.machine.alerts``), in both languages there, too."""
 
 from __future__ import annotations
 

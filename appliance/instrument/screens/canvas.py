@@ -17,8 +17,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.instrument.screens.colours import colour_table
-from appliance.instrument.screens.theme import BODY, BOLD, CAPTION, DESIGN_SIZE_PX, WHITE, Colour
+from appliance.instrument.screens.theme import BODY, BOLD, CAPTION, DESIGN_SIZE_PX, WHITE, Colour, colour_table
 from drivers.api import DeviceGone
 
 MAX_WORDS = 192

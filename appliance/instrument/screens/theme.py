@@ -4,6 +4,8 @@ Made for arm's length through a mask: on a display of 5 inches, 800 px wide, cap
 those of body type 2.9 mm (at 650 mm, 16 arc minutes are 3.0 mm), and captions, which only name numbers that keep
 their place, 2.2 mm. Colours as dive computers use them: white is normal, solid yellow a warning, flashing red
 critical; brightness, shape and words alone tell them apart, too.
+
+It also owns the colours of values: one table, ordered by lightness.
 """
 
 from __future__ import annotations
@@ -13,7 +15,22 @@ from dataclasses import dataclass
 from enum import Enum
 from types import MappingProxyType
 
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
 from drivers.api import Key
+
+
+def colour_table() -> NDArray[np.uint8]:
+    """Return 256 colours (256, 3) uint8 RGB from dark to bright, even to the eye: viridis without its darkest eighth.
+
+    Lightness alone orders it, so that it can be read in grey and by the colour-blind.
+    """
+    ramp = np.linspace(32, 255, 256).astype(np.uint8)[np.newaxis, :]
+    bgr = np.asarray(cv2.applyColorMap(ramp, cv2.COLORMAP_VIRIDIS), np.uint8)
+    return np.ascontiguousarray(bgr[0, :, ::-1])
+
 
 DESIGN_SIZE_PX = (800, 480)
 """All positions are laid out on this size and scaled to the display's."""

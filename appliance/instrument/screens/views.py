@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from appliance.calibrate import Session, Step
 from appliance.instrument.machine.alerts import Alert
-from appliance.instrument.machine.guiding import GuidanceSaid
-from appliance.instrument.machine.overlaps import OverlapSaid
+from appliance.instrument.machine.guiding import GuidanceSaid, OverlapSaid
 from appliance.instrument.machine.states import Calibrating
 from appliance.instrument.machine.words import Label, Text
 from appliance.instrument.ranging.marks import Marks

@@ -24,12 +24,11 @@ from appliance.instrument.machine.words import Language, Text
 from appliance.instrument.screens.painter import Painter
 from appliance.instrument.service.inputs import Inputs
 from appliance.instrument.service.live import LiveViews
-from appliance.instrument.service.menu_view import Facts
 from appliance.instrument.service.parts import Beginning, Parts
 from appliance.instrument.service.recording import DrawnPatterns, SequenceRecorder
 from appliance.instrument.service.settings import machine_settings
 from appliance.instrument.service.status import StatusFile
-from appliance.instrument.service.view import Surroundings, held_against, view_of
+from appliance.instrument.service.view import Facts, Surroundings, held_against, view_of
 from appliance.instrument.service.watchdog import Watchdog
 from appliance.measure import GRADE_NAME as GRADE
 from appliance.measure import (

@@ -22,13 +22,11 @@ from appliance.instrument.capture.ledger import Ledger, agreed_frames
 from appliance.instrument.capture.scan import CaptureReport
 from appliance.instrument.capture.store import FrameStore
 from appliance.instrument.machine import events as on
-from appliance.instrument.service.disk import DiskQueue
 from appliance.instrument.service.health import CalibrationWatch, write_trend
-from appliance.instrument.service.room import ScanRoom
-from appliance.instrument.service.scan_files import ScanFiles
-from appliance.instrument.service.scan_in_memory import ScanInMemory, SecondInMemory
+from appliance.instrument.service.room import DiskQueue, ScanRoom
+from appliance.instrument.service.scan_files import ScanFiles, ScanInMemory, SecondInMemory
 from appliance.instrument.service.worker_reports import WorkerReports
-from appliance.instrument.worker.order import WorkLimits, WorkOrder
+from appliance.instrument.worker.messages import WorkLimits, WorkOrder
 from appliance.instrument.worker.process import ReconstructionWorker
 from appliance.measure import (
     SIDES,

@@ -1,10 +1,40 @@
-"""Owns whether a process gets on, by one rule: while it owes an answer, it shows progress within a limit."""
+"""Owns whether a process gets on, by one rule: while it owes an answer, it shows progress within a limit.
+
+It also owns what a process takes of the machine, as Linux tells it.
+"""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
+from pathlib import Path
 
 from drivers.api import Clock
+
+
+def own_memory_mb(pid: int) -> float | None:
+    """Return the resident memory of a process without what it shares with others, MB; ``None`` when it is not there any
+    more."""
+    status = _read(pid, "status")
+    kb = {line.split(":")[0]: line.split()[1] for line in status.splitlines() if line.startswith("Rss")}
+    # proc(5): VmRSS = RssAnon + RssFile + RssShmem; the last one is the frame store and the points.
+    return (int(kb.get("RssAnon", "0")) + int(kb.get("RssFile", "0"))) / 1000.0 if kb else None
+
+
+def cpu_s(pid: int) -> float | None:
+    """Return the processor time of a process so far, all its threads; ``None`` when it is not there any more."""
+    fields = _read(pid, "stat").rpartition(")")[2].split()  # the name before may hold spaces
+    if len(fields) < 13:
+        return None
+    return (int(fields[11]) + int(fields[12])) / float(os.sysconf("SC_CLK_TCK"))  # proc(5): utime, stime
+
+
+def _read(pid: int, name: str) -> str:
+    try:
+        return Path(f"/proc/{pid}/{name}").read_text(encoding="ascii", errors="replace")
+    except OSError:
+        return ""
+
 
 LOOK_S = 2.0
 """Least time between two looks at the processor time."""

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from appliance.instrument.capture.store import FrameStore
 from appliance.instrument.worker.child import ChildGone, ChildProcess
-from appliance.instrument.worker.liveness import Liveness
+from appliance.instrument.worker.liveness import Liveness, cpu_s, own_memory_mb
 from appliance.instrument.worker.looking import Looking
+from appliance.instrument.worker.memory import ParentMemory
 from appliance.instrument.worker.messages import (
     Begin,
     CloudCopied,
@@ -28,11 +29,10 @@ from appliance.instrument.worker.messages import (
     Pong,
     Ready,
     ToWorker,
+    WorkLimits,
+    WorkOrder,
 )
-from appliance.instrument.worker.order import WorkLimits, WorkOrder
-from appliance.instrument.worker.parent_memory import ParentMemory
 from appliance.instrument.worker.serve import work
-from appliance.instrument.worker.usage import cpu_s, own_memory_mb
 from appliance.measure import (
     SIDES,
     AcquisitionSettings,

@@ -21,6 +21,7 @@ import numpy as np
 
 from appliance.instrument.capture.store import FrameStore
 from appliance.instrument.worker.live_picture import LivePicture
+from appliance.instrument.worker.memory import SharedPoints, give_back_memory, limit_memory, share_freed_memory
 from appliance.instrument.worker.messages import (
     Begin,
     CloudCopied,
@@ -37,8 +38,6 @@ from appliance.instrument.worker.messages import (
 )
 from appliance.instrument.worker.neighbours import Neighbours
 from appliance.instrument.worker.onlooker import Onlooker
-from appliance.instrument.worker.own_memory import give_back_memory, limit_memory, share_freed_memory
-from appliance.instrument.worker.shared_points import SharedPoints
 from appliance.measure import (
     SIDES,
     AcquisitionSettings,

@@ -27,10 +27,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.measure.decode.gray_code import periods, plain_number
-from appliance.measure.decode.neighbours import ask_neighbours
-from appliance.measure.decode.pieces import find_pieces, tell_pieces
+from appliance.measure.decode.pieces import ask_neighbours, find_pieces, tell_pieces
 from appliance.measure.light.noise import FULL_DN, CameraNoise
-from appliance.measure.light.sequence import Direction, PatternSequence
+from appliance.measure.light.patterns import Direction, PatternSequence
 
 Floats = NDArray[np.float32]
 

@@ -13,9 +13,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.measure.decode.borrowed import borrowed
 from appliance.measure.decode.phase import AxisDecoding, close_row
-from appliance.measure.decode.scratch import COORDINATE, DECODING_SIZE
+from appliance.measure.decode.scratch import COORDINATE, DECODING_SIZE, borrowed
 
 EDGE = np.uint8(5)
 _NAN, _ZERO = np.float32(np.nan), np.float32(0.0)

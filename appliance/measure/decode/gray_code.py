@@ -9,7 +9,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.measure.decode.borrowed import borrowed
+from appliance.measure.decode.scratch import borrowed
 
 BITS_AT_ONCE = 7
 """Number of images read in one loop: with the threshold, eight inputs to one output are the most of which LLVM checks that

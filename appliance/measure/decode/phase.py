@@ -9,17 +9,125 @@ first-level cache. Numbers in a loop have 32 bits, also where eight would do: mi
 
 Symbols: cosine = I0 − I2, sine = I3 − I1; a, b are their sizes, t = min/max of them, r an angle in turns. P is the period,
 middle the middle of the Gray half period in periods, off the phase less middle; the coordinate is p = P (middle + off) − ½ px.
+
+It also owns the phase of any number of steps as a kernel; that of four steps of 90°, our own sequence, has one of its own (``phase``).
+
+Both turn cosine and sine into a phase by the same function, and C = (I0 − I2) / 2, S = (I3 − I1) / 2 of four steps of 90° are exact in
+float32: the same four images give the same phase, byte for byte.
+
+Symbols: image k shows I_k = A + B cos(φ + δ_k) = A + C cos δ_k − S sin δ_k; A, C and S are weights times the images.
+
+It also owns which of the finest fringes agrees best with what other periods say, as a kernel: all of them are tried.
+
+Symbols: e = P (own + k) is the place of fringe k, P the finest period and ``own`` its phase in turns, 0 … 1; another period Q has there the
+phase e / Q + begin.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from appliance.measure.decode.scratch import COORDINATE, MODULATION_HALF_DN
+
+_ZERO = np.float32(0.0)
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
+def fit_steps(
+    images: NDArray[Any],
+    weights: NDArray[np.float32],
+    columns: NDArray[np.float32],
+    white: np.float32,
+    found: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
+    saturated: NDArray[np.bool_],
+) -> None:
+    """Fit sines to ``images`` (n, h, w), of any type of numbers, by ``weights`` (3, n), which make A, C and S; ``columns`` (2, n) are cos δ_k and sin δ_k.
+
+    Writes phase in turns, modulation B, offset A and the root mean square that is left into ``found``, four (h, w), and whether an
+    image reaches ``white`` into ``saturated`` (h, w). What is left of three steps is 0.
+    """
+    count, height, width = images.shape
+    mean, cosine = np.empty(width, np.float32), np.empty(width, np.float32)
+    sine, left = np.empty(width, np.float32), np.empty(width, np.float32)
+    phase, modulation, offset, misfit = found
+    freedom = np.float32(max(count - 3, 1))
+    for y in range(height):
+        mean[:], cosine[:], sine[:], left[:] = _ZERO, _ZERO, _ZERO, _ZERO
+        saturated[y] = False
+        # Image by image along the row: sums of weights times images.
+        for k in range(count):
+            a, c, s = weights[0, k], weights[1, k], weights[2, k]
+            for x in range(width):
+                value = np.float32(images[k, y, x])
+                mean[x] += a * value
+                cosine[x] += c * value
+                sine[x] += s * value
+                saturated[y, x] |= value >= white
+        # What is left: I_k − A − C cos δ_k + S sin δ_k.
+        for k in range(count):
+            along, across = columns[0, k], columns[1, k]
+            for x in range(width):
+                off = np.float32(images[k, y, x]) - mean[x] - along * cosine[x] + across * sine[x]
+                left[x] += off * off
+        for x in range(width):
+            phase[y, x] = turns_of(cosine[x], sine[x])
+            modulation[y, x] = np.sqrt(cosine[x] * cosine[x] + sine[x] * sine[x])
+            offset[y, x] = mean[x]
+            misfit[y, x] = np.sqrt(left[x] / freedom)
+
+
+_FAR = np.float32(np.inf)
+_TURN = np.float32(2.0 * math.pi)
+_TURNS_OF_COSINE = np.float32(2.0**0.5 / (2.0 * math.pi))
+"""A cosine's slope is 2π / √2 to a turn, on the mean."""
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def choose_fringes(
+    own: NDArray[np.float32],
+    period_px: np.float32,
+    end_px: np.float32,
+    fringes: int,
+    others: NDArray[np.float32],
+    conventions: NDArray[np.float32],
+    cosines: bool,
+    found: NDArray[np.float32],
+) -> None:
+    """Write the places in px of the best fringes that begin before ``end_px``, and the sum of the squares, in turns, by which others disagree
+    there, into ``found`` (2, n).
+
+    ``others`` (m, n) are the others' phases in turns, or their ``cosines``; ``conventions`` (2, m) their periods in px and beginnings in turns.
+    """
+    best_px, best = found
+    best_px[:], best[:] = _ZERO, _FAR
+    edge_px, apart = np.empty_like(own), np.empty_like(own)
+    for fringe in range(fringes):
+        for x in range(own.size):
+            edge_px[x] = period_px * (own[x] + np.float32(fringe))
+            apart[x] = _ZERO
+        # Each loop is short, and of one kind: so LLVM makes vector instructions of it.
+        for k in range(len(others)):
+            seen, other_px, begin = others[k], conventions[0, k], conventions[1, k]
+            if cosines:
+                for x in range(own.size):
+                    if apart[x] < best[x]:
+                        off = (np.cos(_TURN * (edge_px[x] / other_px + begin)) - seen[x]) * _TURNS_OF_COSINE
+                        apart[x] += off * off
+            else:
+                for x in range(own.size):
+                    off = edge_px[x] / other_px + begin - seen[x]
+                    off -= np.rint(off)
+                    apart[x] += off * off
+        # What lies beyond the pattern looks like its other end where one fringe covers it.
+        for x in range(own.size):
+            if apart[x] < best[x] and edge_px[x] < end_px:
+                best[x], best_px[x] = apart[x], edge_px[x]
+
 
 ATAN_TURNS = tuple(
     np.float32(c)
@@ -38,7 +146,7 @@ ATAN_TURNS = tuple(
 In float32 it is right to 5.3e-8 turns, 8.5e-7 px of a 16-px period.
 """
 
-_HALF, _QUARTER, _TINY, _ZERO = np.float32(0.5), np.float32(0.25), np.float32(1e-30), np.float32(0.0)
+_HALF, _QUARTER, _TINY = np.float32(0.5), np.float32(0.25), np.float32(1e-30)
 _ONE, _MOST, _NAN = np.float32(1.0), np.float32(255.0), np.float32(np.nan)
 _SATURATED, _WEAK, _CONTRADICTION, _VALID = np.int32(2), np.int32(3), np.int32(4), np.int32(0)
 _C0, _C1, _C2, _C3, _C4, _C5, _C6 = ATAN_TURNS

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from appliance.measure.decode.decoder import CameraDecoder, Mask
 from appliance.measure.light.noise import CameraNoise
-from appliance.measure.light.sequence import Direction, PatternSequence
+from appliance.measure.light.patterns import Direction, PatternSequence
 
 SIGMAS = 6.0
 SHARE = 0.12

@@ -9,8 +9,8 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.measure.light.patterns import Direction, PatternSequence
 from appliance.measure.light.response import Response
-from appliance.measure.light.sequence import Direction, PatternSequence
 
 _VERTEX = """
 #version 330

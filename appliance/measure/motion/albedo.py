@@ -24,7 +24,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.measure.light.sequence import Direction, PatternSequence
+from appliance.measure.light.patterns import Direction, PatternSequence
 from appliance.measure.motion.displacement import (
     FIRST_FRAME,
     FRAME_COEFFICIENTS,

@@ -23,7 +23,7 @@ from appliance.measure.calibration.file import Calibration
 from appliance.measure.decode.decoder import Mask
 from appliance.measure.light.model import HousedCamera
 from appliance.measure.light.noise import MAD_TO_SIGMA
-from appliance.measure.light.sequence import Direction, PatternSequence
+from appliance.measure.light.patterns import Direction, PatternSequence
 from appliance.measure.light.sides import SIDES, of_side
 from appliance.measure.light.water import Water
 from appliance.measure.motion.displacement import linearise

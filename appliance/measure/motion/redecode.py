@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from appliance.measure.calibration.file import Calibration
 from appliance.measure.decode.decoder import MIN_MODULATION_DN, edge_limits_px
 from appliance.measure.decode.edges import keep_smooth
-from appliance.measure.light.sequence import Direction
+from appliance.measure.light.patterns import Direction
 from appliance.measure.light.sides import SIDES, of_side
 from appliance.measure.light.water import Water
 from appliance.measure.motion.albedo import known_mean, scaled_window, with_albedo

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.measure.light.noise import MAD_TO_SIGMA
-from appliance.measure.light.sequence import Direction, PatternSequence
+from appliance.measure.light.patterns import Direction, PatternSequence
 from appliance.measure.motion.prior import Trajectory, parameters_of
 from appliance.measure.motion.residuals import CAUCHY, FRAME_UNKNOWNS, Samples, read_cubic
 

@@ -12,7 +12,7 @@ from appliance.measure.calibration.file import Calibration
 from appliance.measure.cloud import CloudSummary
 from appliance.measure.decode.decoder import CameraDecoder, edge_limits_px
 from appliance.measure.light.noise import CameraNoise, StereoNoise
-from appliance.measure.light.sequence import Direction, PatternSequence
+from appliance.measure.light.patterns import Direction, PatternSequence
 from appliance.measure.light.sides import SIDES, of_side
 from appliance.measure.light.water import Water
 from appliance.measure.points.one_direction import OneDirectionLimits, UncheckedPoints, match_along_curves

@@ -27,7 +27,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.measure.decode.borrowed import borrowed
+from appliance.measure.decode.scratch import borrowed
 from appliance.measure.light.epipolar import RAY_TERMS, EpipolarCurves, epipolar_curves, inverse_depths
 from appliance.measure.light.model import HousedCamera, StereoRig
 from appliance.measure.points.reach import TOGETHER, places, reach_along

@@ -25,15 +25,13 @@ from appliance.measure.cloud import Found
 from appliance.measure.decode.decoder import CameraDecoder
 from appliance.measure.decode.scratch import MAX_WIDTH_PX
 from appliance.measure.light.noise import TYPICAL_PAIR, StereoNoise
+from appliance.measure.light.patterns import PatternSequence
 from appliance.measure.light.rays import ray_lattice
-from appliance.measure.light.sequence import PatternSequence
 from appliance.measure.light.sides import SIDES, of_side
 from appliance.measure.light.water import Water
 from appliance.measure.points.crew import Crew, WorkList, answers
-from appliance.measure.points.gaps import GapSampler
 from appliance.measure.points.match import RightMaps, fill_inverse_map, right_maps
-from appliance.measure.points.quality import QualityLimits, summarise
-from appliance.measure.points.ripple import STILL, measure_ripple
+from appliance.measure.points.quality import STILL, GapSampler, QualityLimits, measure_ripple, summarise
 from appliance.measure.points.rows import LeftMaps, reconstruct_rows, scratch_rows
 from appliance.measure.points.select import PointLimits
 from appliance.measure.points.sigma import SigmaFactors, read_between, sigma_factors

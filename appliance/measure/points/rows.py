@@ -15,8 +15,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.measure.decode.borrowed import borrowed
-from appliance.measure.decode.scratch import MODULATION, OFFSET, PHASE_VARIANCE, SIZE, P, Q, Z
+from appliance.measure.decode.scratch import MODULATION, OFFSET, PHASE_VARIANCE, SIZE, P, Q, Z, borrowed
 from appliance.measure.points.match import NO_VARIANCE, RightMaps, match_row
 from appliance.measure.points.select import PointLimits, Points, append, judge
 from appliance.measure.points.sigma import SigmaFactors, expect_row

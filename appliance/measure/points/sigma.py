@@ -40,7 +40,7 @@ from appliance.measure.decode.scratch import (
     P,
 )
 from appliance.measure.light.noise import CameraNoise, StereoNoise
-from appliance.measure.points.ripple import KNEE, STILL, Ripple
+from appliance.measure.points.quality import KNEE, STILL, Ripple
 
 BLUR_PX2 = 0.2
 """Variance of what one pixel sees, in px²: its own area and the lens."""

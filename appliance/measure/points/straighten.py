@@ -1,7 +1,7 @@
 """Owns taking out of decoded coordinates what the projector's response bends them by, as the scan itself shows it.
 
 The harmonics of the recorded fringes make a four-step phase wrong by a function of the phase alone, with 4, 8, 12 … cycles a
-period (``appliance.measure.light.response.phase_error_rad``): e(p) = Σ b_k sin kθ, θ = 8π (p + ½)/P, of the coordinate p as it was
+period (``appliance.measure.light.patterns.phase_error_rad``): e(p) = Σ b_k sin kθ, θ = 8π (p + ½)/P, of the coordinate p as it was
 decoded. It has no cosines, as light is an even function of the fringe's phase, and it is the same for both directions and both
 cameras. Of a smooth surface the second difference of p is that of e, whose regressors sin kθ are known at all three places: least
 squares over samples of all four maps give the b_k, and each that noise cannot have made is taken out of every coordinate.

@@ -27,8 +27,8 @@ from numpy.typing import NDArray
 
 from appliance.measure.calibration.gaps import VeilGaps
 from appliance.measure.light.model import HousedCamera, StereoRig
+from appliance.measure.light.patterns import Direction, PatternSequence
 from appliance.measure.light.port import Port, air_directions
-from appliance.measure.light.sequence import Direction, PatternSequence
 from appliance.measure.points.table import Cloud
 
 Array = NDArray[np.float64]

@@ -19,11 +19,10 @@ from dataclasses import dataclass, replace
 from appliance.measure.cloud import CloudSummary
 from appliance.measure.decode.decoder import MIN_MODULATION_DN
 from appliance.measure.fault import Fault, FaultCode
-from appliance.measure.grading import USABLE_COVERAGE_PERCENT, USABLE_NOISE_MM, is_usable
 from appliance.measure.light.exposure import Exposure
 from appliance.measure.light.sides import SIDES
 from appliance.measure.light.water import sight_m
-from appliance.measure.verdict import Judgement, Verdict
+from appliance.measure.verdict import USABLE_COVERAGE_PERCENT, USABLE_NOISE_MM, Judgement, Verdict, is_usable
 from appliance.measure.verdicts.water.judge import MOST_SIGHT_M, hides_object
 
 CAUSES_NAME = "causes"

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.measure.fault import Fault, FaultCode
-from appliance.measure.light.sequence import Direction, PatternSequence
+from appliance.measure.light.patterns import Direction, PatternSequence
 from appliance.measure.light.sides import SIDES
 from appliance.measure.verdict import Judgement, Verdict
 from appliance.measure.verdicts.light.levels import Sample

@@ -4,7 +4,7 @@ Fog, a scratch, dirt on a window throw light aside: fringes lose contrast there,
 on the object (light from one part of it on another, a soft projector) and in the water. But what happens on the object both
 cameras see, at the same pattern coordinates; so each camera is compared with the other one, place by place on the object. The
 water's backscatter differs between them, and smoothly over the image; a smooth surface is therefore taken off first. What is left in
-one cell of the image is the window's, if it stays there while the scene changes: that is ``appliance.instrument.service.windows``.
+one cell of the image is the window's, if it stays there while the scene changes: that is ``appliance.instrument.service.worker_reports``.
 """
 
 from __future__ import annotations
@@ -19,10 +19,9 @@ from numpy.typing import NDArray
 
 from appliance.measure.decode.decoder import Mask
 from appliance.measure.light.noise import FULL_DN
-from appliance.measure.light.sequence import Direction, PatternSequence
+from appliance.measure.light.patterns import Direction, PatternSequence
 from appliance.measure.light.sides import SIDES
-from appliance.measure.points.grid import PixelGrid
-from appliance.measure.points.images import ScanImages
+from appliance.measure.points.images import PixelGrid, ScanImages
 from appliance.measure.verdict import Verdict
 from appliance.measure.verdicts.light.fit import medians_of
 

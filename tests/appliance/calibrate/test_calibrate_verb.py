@@ -13,7 +13,7 @@ from appliance.cli import main
 from appliance.measure.calibration.file import encode_calibration
 from appliance.measure.light.model import StereoRig
 from appliance.measure.light.port import Port
-from appliance.store.calibration_file import load_calibration
+from appliance.store.instrument import load_calibration
 from hw_sim.objects.shapes import BALL_RADIUS_MM
 from hw_sim.scene import Scene
 from hw_sim.truth import TrueRig

@@ -25,12 +25,11 @@ from appliance.measure.calibration.response_file import RESPONSE as RESPONSE_SEA
 from appliance.measure.calibration.response_file import StoredResponse
 from appliance.measure.light.correction import ImageCorrection
 from appliance.measure.light.exposure import Exposure
+from appliance.measure.light.patterns import build_sequence
 from appliance.measure.light.ray_shift import RayShift
-from appliance.measure.light.sequence import build_sequence
 from appliance.measure.light.volume import WorkingVolume
-from appliance.store.calibration_file import load_calibration
 from appliance.store.config import Rig, load_rig, parse_rig
-from appliance.store.instrument import NOISE_FILE, RESPONSE_FILE, Instrument
+from appliance.store.instrument import NOISE_FILE, RESPONSE_FILE, Instrument, load_calibration
 from tests.appliance.cli.test_measure import RIG
 from tests.support.calibrating import DESIGN
 from tests.support.golden_texts import Says

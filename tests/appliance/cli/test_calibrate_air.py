@@ -11,9 +11,8 @@ import pytest
 
 from appliance.cli import main
 from appliance.measure.calibration.file import IN_AIR
-from appliance.store.calibration_file import load_calibration
 from appliance.store.config import parse_rig
-from appliance.store.instrument import Instrument
+from appliance.store.instrument import Instrument, load_calibration
 from hw_sim.rendering.render import Renderer
 from hw_sim.scene import Scene
 from hw_sim.truth import TrueRig, draw_truth, in_air

@@ -19,7 +19,7 @@ from appliance.cli import main
 from appliance.desk.foreign.cameras import read_rig
 from appliance.desk.foreign.description import parse_description
 from appliance.measure.light.pinhole import Lens
-from appliance.store.calibration_file import load_calibration
+from appliance.store.instrument import load_calibration
 from tests.support.any_boards import BASE_MM, F_PX, HEIGHT_PX, WIDTH_PX, Printed, poses, write_pairs
 from tests.support.commands import Shell
 

@@ -11,9 +11,8 @@ import pytest
 from appliance.cli.output import UsageError
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.cli.simtruth import bring_calibration, true_calibration
-from appliance.store.calibration_file import load_calibration
 from appliance.store.config import Rig, load_rig
-from appliance.store.instrument import CALIBRATION_FILE, Instrument
+from appliance.store.instrument import CALIBRATION_FILE, Instrument, load_calibration
 from hw_sim.truth import project
 from hw_sim.world import true_rig
 

@@ -11,11 +11,11 @@ from appliance.measure.calibration.design import Design, design_calibration
 from appliance.measure.cloud import CloudSummary, Found
 from appliance.measure.decode.decoder import Mask
 from appliance.measure.fault import Fault, FaultCode
-from appliance.measure.light.sequence import Direction, build_sequence
+from appliance.measure.light.patterns import Direction, build_sequence
 from appliance.measure.light.water import Water
 from appliance.measure.points.pipeline import Pipeline
 from appliance.measure.verdict import Judgement, Verdict
-from appliance.store.empty import Empty, why_empty
+from appliance.store.reprocess import Empty, why_empty
 
 WATER = Water(20.0, 0.0, 530.0)
 WIDTH_PX, HEIGHT_PX = 160, 120

@@ -13,11 +13,11 @@ from appliance.calibrate.photon_transfer import MeasuredNoise, NoiseError
 from appliance.desk.measuring import ExposureFound, noise_to_store
 from appliance.measure.light.exposure import Exposure
 from appliance.measure.light.noise import CameraNoise
-from appliance.measure.light.sequence import build_sequence
+from appliance.measure.light.patterns import build_sequence
 from appliance.store.config import Rig, load_rig
 from appliance.store.filesystem import LocalFileSystem
 from appliance.store.instrument import Instrument
-from appliance.store.record import ScanRecord, SequenceInfo
+from appliance.store.manifest import ScanRecord, SequenceInfo
 from appliance.store.scan import load_scan, write_raw
 from tests.appliance.store.scenes import ORIGIN
 

@@ -11,9 +11,9 @@ import pytest
 from appliance.desk.merging import merge_scans, merged_cloud_of
 from appliance.measure.calibration.file import encode_calibration
 from appliance.store import scan as stored
-from appliance.store.calibration_file import load_calibration
 from appliance.store.config import Rig, load_rig
 from appliance.store.config.load import default_rig_path
+from appliance.store.instrument import load_calibration
 from appliance.store.origin import one_calibration, open_source
 from appliance.store.ply import read_ply
 from appliance.store.scan import ScanError

@@ -19,9 +19,8 @@ from appliance.cli.main import main
 from appliance.desk import object_store as objects
 from appliance.measure.calibration.depth_error import DEPTH_ERROR_TERMS
 from appliance.measure.calibration.file import encode_calibration
-from appliance.store.calibration_file import load_calibration
 from appliance.store.config import default_rig_path, load_rig
-from appliance.store.instrument import Instrument
+from appliance.store.instrument import Instrument, load_calibration
 from appliance.store.library import Library
 from appliance.store.ply import PlyError, read_ply
 from hw_sim.objects.motion import pose_matrix

@@ -22,11 +22,9 @@ from appliance.desk.scripting import export, open_dive, open_scan, save_calibrat
 from appliance.desk.surface.fusion import PlacedScan, fuse
 from appliance.desk.surface.mesh import mesh_of_scan
 from appliance.measure.calibration.file import CalibrationError, encode_calibration
-from appliance.measure.grading import Grade
 from appliance.measure.light.water import Water
-from appliance.measure.verdict import Verdict
-from appliance.store.calibration_file import load_calibration
-from appliance.store.instrument import Instrument
+from appliance.measure.verdict import Grade, Verdict
+from appliance.store.instrument import Instrument, load_calibration
 from appliance.store.library import Library, UnknownScan
 from appliance.store.scan import ScanError
 from tests.appliance.store.scenes import ORIGIN, frames, record

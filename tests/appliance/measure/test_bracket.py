@@ -18,7 +18,6 @@ from appliance.measure.bracket import (
     _refusal,
 )
 from appliance.measure.fault import Fault, FaultCode
-from appliance.measure.grading import faults_of_both
 from appliance.measure.light.acquisition import AcquisitionSettings
 from appliance.measure.light.exposure import Exposure
 from appliance.measure.news import Bracket
@@ -26,7 +25,7 @@ from appliance.measure.points.pipeline import Pipeline
 from appliance.measure.points.register import Registration
 from appliance.measure.points.table import Cloud
 from appliance.measure.procedure import SequenceProcessor
-from appliance.measure.verdict import Judgement, Verdict, faults_in
+from appliance.measure.verdict import Judgement, Verdict, faults_in, faults_of_both
 from hw_sim.scene import Scene
 from tests.support.rendered import RenderedScan, render_scan
 from tests.support.truth import WATER, true_calibration

@@ -11,7 +11,7 @@ import pytest
 from appliance.measure.fault import FaultCode
 from appliance.measure.judges import JUDGES
 from appliance.measure.light.acquisition import AcquisitionSettings
-from appliance.measure.light.sequence import build_sequence
+from appliance.measure.light.patterns import build_sequence
 from appliance.measure.news import Bracket, CoarseCloud, FullCloud, PatternIdentity, Verdicts, WorkProgress
 from appliance.measure.points.pipeline import Pipeline
 from appliance.measure.procedure import SequenceProcessor, _specks_count

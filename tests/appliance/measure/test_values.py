@@ -11,13 +11,12 @@ import pytest
 
 from appliance.instrument.machine.alerts import RULES, Severity
 from appliance.measure.fault import Fault, FaultCode
-from appliance.measure.grading import SPOILS_POINTS, TOLD_BESIDE_GOOD, Grade, grade, is_usable
 from appliance.measure.guidance import LOST, UNKNOWN, Guidance, Move, Overlap
 from appliance.measure.light.acquisition import AcquisitionSettings
 from appliance.measure.light.exposure import NOMINAL, Exposure, Span, ladder
 from appliance.measure.light.noise import MAD_TO_SIGMA, TYPICAL, CameraNoise, StereoNoise, camera_noise
 from appliance.measure.light.sides import SIDES, of_side
-from appliance.measure.verdict import Verdict
+from appliance.measure.verdict import SPOILS_POINTS, TOLD_BESIDE_GOOD, Grade, Verdict, grade, is_usable
 from appliance.store.config.load import default_rig_path, load_rig
 
 CAMERA = CameraNoise(read_dn=0.9, dn_per_e=0.05, black_dn=3.0)

@@ -15,8 +15,8 @@ from appliance.store import manifest as form
 from appliance.store import scan
 from appliance.store.filesystem import Bytes, LocalFileSystem, WritableFile
 from appliance.store.library import LibraryFolder
+from appliance.store.manifest import ScanRecord, SecondSequence, SequenceInfo
 from appliance.store.ply import StoredCloud
-from appliance.store.record import ScanRecord, SecondSequence, SequenceInfo
 from appliance.store.room import plan_room
 from appliance.store.scan import ScanOrigin
 from tests.support.sealing import sealed

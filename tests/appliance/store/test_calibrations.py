@@ -11,7 +11,7 @@ from appliance.calibrate.calibrations import Calibrations, SessionError
 from appliance.calibrate.guide import USED, AdjustmentSummary, RecordingCheck, Session, Step, Verified
 from appliance.measure.calibration.design import design_calibration
 from appliance.measure.calibration.file import Calibration, CalibrationError, encode_calibration
-from appliance.store.calibration_file import load_calibration
+from appliance.store.instrument import load_calibration
 from tests.appliance.store.scenes import padded
 from tests.support.calibrating import DESIGN
 from tests.support.sealing import opened, sealed

@@ -41,7 +41,7 @@ from appliance.measure.calibration.response_file import StoredResponse
 from appliance.measure.light.correction import ImageCorrection, node_count
 from appliance.measure.light.exposure import Exposure
 from appliance.measure.light.ray_shift import RayShift
-from appliance.store import counter, incomplete, packed
+from appliance.store import incomplete, names, packed
 from appliance.store import label as labels
 from appliance.store import manifest as form
 from appliance.store.atomic import Stamp, StorageError
@@ -227,11 +227,11 @@ def read_packed(data: bytes, folder: Path) -> None:
 
 
 def read_count(data: bytes, folder: Path) -> None:
-    (folder / counter.FILE_NAME).write_bytes(data)
-    number = counter.take(LocalFileSystem(), folder, [7])
+    (folder / names.NUMBER_FILE).write_bytes(data)
+    number = names.take_number(LocalFileSystem(), folder, [7])
     assert number >= 8, "a number that a scan on the disk has"
-    assert len(counter.spell_id(number)) <= 12
-    assert counter.take(LocalFileSystem(), folder, [7]) == number + 1
+    assert len(names.spell_id(number)) <= 12
+    assert names.take_number(LocalFileSystem(), folder, [7]) == number + 1
 
 
 def read_manifest(data: bytes, _: Path) -> None:

@@ -13,7 +13,7 @@ from appliance.store import scan as stored
 from appliance.store.atomic import StorageError
 from appliance.store.filesystem import FileSystem, LocalFileSystem
 from appliance.store.library import Library, LibraryFolder
-from appliance.store.record import SequenceInfo
+from appliance.store.manifest import SequenceInfo
 from tests.appliance.store.scenes import ORIGIN, BadDisk, SoFull, record
 
 RECORD = record(sequence=SequenceInfo(16, 1024, 768, ("bright", "dark", "gray-x-0", "sine-x-0", "gray-y-0")))

@@ -17,17 +17,15 @@ from appliance.desk import object_store as objects
 from appliance.desk.object_store import CloudFacts, MemberScan, ObjectError, StoredObject
 from appliance.instrument.service.gallery import read
 from appliance.measure.fault import FaultCode
-from appliance.measure.grading import GRADE_NAME, Grade
 from appliance.measure.light.exposure import Exposure
-from appliance.measure.verdict import Verdict
+from appliance.measure.verdict import GRADE_NAME, Grade, Verdict
 from appliance.store import incomplete
 from appliance.store import manifest as form
 from appliance.store.atomic import Stamp
 from appliance.store.filesystem import LocalFileSystem
 from appliance.store.library import Library, UnknownScan
-from appliance.store.manifest import Decision, Manifest, Stage, manifest_json
+from appliance.store.manifest import Decision, Manifest, ScanRecord, SecondSequence, Stage, manifest_json
 from appliance.store.names import is_component
-from appliance.store.record import ScanRecord, SecondSequence
 from appliance.store.scan import ScanError, cloud_bytes, frames_bytes, load_scan, map_frames, write_raw
 from tests.appliance.store.scenes import ORIGIN, cloud, frames, record, second_sequence
 from tests.appliance.store.test_objects import PLACE, PLACES

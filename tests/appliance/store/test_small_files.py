@@ -25,7 +25,7 @@ from appliance.instrument.service.choices import FILE, ChoicesFile
 from appliance.measure.calibration.patches import PATCH_COUNT
 from appliance.measure.fault import FaultCode
 from appliance.measure.light.exposure import Exposure
-from appliance.store import counter, label
+from appliance.store import label, names
 from appliance.store.atomic import StorageError
 from appliance.store.filesystem import LocalFileSystem
 from appliance.store.label import Label
@@ -239,19 +239,19 @@ def sealed_number(number: int) -> bytes:
 
 
 def test_numbers_begin_with_one_never_repeat_and_end(tmp_path: Path) -> None:
-    assert [counter.take(FS, tmp_path, ()) for _ in range(3)] == [1, 2, 3]
-    assert counter.take(FS, tmp_path, (1, 9, 4)) == 10, "a folder's number counts as well"
-    assert counter.take(FS, tmp_path, (3,)) == 11, "and the higher of the two wins"
-    assert (tmp_path / counter.FILE_NAME).read_bytes() == sealed_number(12)
+    assert [names.take_number(FS, tmp_path, ()) for _ in range(3)] == [1, 2, 3]
+    assert names.take_number(FS, tmp_path, (1, 9, 4)) == 10, "a folder's number counts as well"
+    assert names.take_number(FS, tmp_path, (3,)) == 11, "and the higher of the two wins"
+    assert (tmp_path / names.NUMBER_FILE).read_bytes() == sealed_number(12)
     for damage in (b"", b"700\n", b"700 00000000\n", sealed_number(700) + b"x", b"7x0 01234567\n"):
-        (tmp_path / counter.FILE_NAME).write_bytes(damage)
-        assert counter.take(FS, tmp_path, (41, 5)) == 42, "left to the folders"
-    (tmp_path / counter.FILE_NAME).write_bytes(sealed_number(counter.LARGEST))
-    assert counter.take(FS, tmp_path, ()) == counter.LARGEST == 999_999_999_999
-    for taken in ((), (counter.LARGEST,)):
+        (tmp_path / names.NUMBER_FILE).write_bytes(damage)
+        assert names.take_number(FS, tmp_path, (41, 5)) == 42, "left to the folders"
+    (tmp_path / names.NUMBER_FILE).write_bytes(sealed_number(names.LARGEST_NUMBER))
+    assert names.take_number(FS, tmp_path, ()) == names.LARGEST_NUMBER == 999_999_999_999
+    for taken in ((), (names.LARGEST_NUMBER,)):
         with pytest.raises(StorageError, match="last number"):
-            counter.take(FS, tmp_path, taken)
-    assert [counter.spell_id(number) for number in (1, 123456, 1234567)] == ["000001", "123456", "1234567"]
+            names.take_number(FS, tmp_path, taken)
+    assert [names.spell_id(number) for number in (1, 123456, 1234567)] == ["000001", "123456", "1234567"]
 
 
 @pytest.mark.parametrize(("what", "longest"), [("name", 60), ("note", 1000)])

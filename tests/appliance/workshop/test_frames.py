@@ -18,7 +18,7 @@ from appliance.instrument.capture.grabber import SideRecording
 from appliance.instrument.capture.ledger import Ledger
 from appliance.instrument.capture.scan import CaptureReport
 from appliance.measure.light.exposure import Exposure
-from appliance.measure.light.sequence import build_sequence
+from appliance.measure.light.patterns import build_sequence
 from appliance.store import scan as stored
 from appliance.store.config import load_rig, rig_text
 from appliance.store.instrument import Instrument

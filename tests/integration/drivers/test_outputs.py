@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from appliance.measure.light.draw import draw_sequence
-from appliance.measure.light.sequence import build_sequence
+from appliance.measure.light.patterns import build_sequence
 from drivers.api import DeviceRefused, Flip
 from drivers.output.gl import open_gl
 from drivers.output.outputs import Outputs, open_outputs

@@ -90,7 +90,7 @@ if TYPE_CHECKING:  # for editors and type checkers; at run time ``__getattr__`` 
 
 _HOMES = {
     "appliance.measure.calibration.file": ("Calibration", "CalibrationError"),
-    "appliance.store.calibration_file": ("load_calibration",),
+    "appliance.store.instrument": ("load_calibration",),
     "appliance.store.config": ("ConfigError",),
     "appliance.desk.export.suffixes": ("ExportError",),
     "appliance.desk.comparing": ("Comparison", "NominalSurface", "compare"),
@@ -109,7 +109,7 @@ _HOMES = {
         "Report", "ReportBudget", "ReportNominal", "ReportPair", "ReportScan", "ReportTerm", "ReportVerdict",
     ),
     "appliance.desk.report.page": ("write_report",),
-    "appliance.measure.grading": ("Grade",),
+    "appliance.measure.verdict": ("Grade",),
     "appliance.store.atomic": ("StorageError",),
     "appliance.store.library": ("UnknownScan",),
     "appliance.desk.object_store": ("ObjectError", "StoredObject"),

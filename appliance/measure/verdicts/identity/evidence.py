@@ -17,20 +17,259 @@ elsewhere  all of it lies about as far from there: where two such images are exc
 
 Steps that cross an outline, a printed edge or a place that something moved over are left out by what the fringes themselves do
 there: phase that bends, swings that differ, a bright frame that is not bright.
+
+It also owns what is counted along the lines of an image: whether fringes and stripes follow each other as they were drawn.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from enum import IntEnum
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from appliance.measure.decode.gray_code import periods, plain_number
 from appliance.measure.light.noise import CameraNoise
-from appliance.measure.light.sequence import Direction, PatternSequence
-from appliance.measure.verdicts.identity.counts import COUNTS, OFF_REFERENCE, PLACES, Count, follow
+from appliance.measure.light.patterns import Direction, PatternSequence
 from appliance.measure.verdicts.identity.lines import Lines, thresholds
+
+
+class Count(IntEnum):
+    """Places in the table of sums."""
+
+    ILLUMINATED = 0
+    """Samples that see the projector."""
+    FRINGE = 1
+    """… with enough modulation in both directions."""
+    NOT_BRIGHT = 2
+    """Illuminated samples that are not bright in the bright frame."""
+    NOT_DARK = 3
+    """Illuminated samples that are not dark in the dark frame."""
+    STEPS = 4
+    """Steps from one sample to the next on the same surface."""
+    FORWARD = 5
+    """… with the phase growing, as it must wherever camera and projector are the same way up."""
+    EDGES = 6
+    """Steps in which one Gray image changes."""
+    IN_ORDER = 7
+    """… to the next half period."""
+    IN_PHASE = 8
+    """Sum of cosines: +1 for each edge at the phase where it must be, −1 half a period away."""
+    SINES = 9
+    """Samples with fringes and both references, of which the following are sums."""
+    SINE_0 = 10
+    """The first step's share of the swing; the following rows: the others'."""
+    SQUARE_0 = 14
+    """First of the rows with the sums of those shares' squares."""
+    PRODUCT_02 = 18
+    PRODUCT_13 = 19
+    NUMBER = 20
+    """Sum over the steps of the half period's number, by the Gray code alone."""
+    PLACE = 21
+    """Sum over the steps of the place along the line, 0 … 1."""
+
+
+COUNTS = 22
+PLACES = 128
+"""Number of bins, over twice the field, in which steps are counted by how far they lie beside their place in the design."""
+OFF_REFERENCE = np.float32(0.3)
+"""Bright and dark are the ends of each sample's swing, to this share of it."""
+_MIN_SWING_SHARE = np.float32(0.15)
+"""Least difference of a fringe's opposite steps, as a share of the swing over all frames: less is backscatter, in
+which only broad stripes are seen."""
+_MAX_STEP_COS = np.float32(-0.74)
+"""A phase that grows by more than 138° from sample to sample might as well have shrunk."""
+_MAX_OTHER_COS = np.float32(0.5)
+"""Largest change of the phase across a row from sample to sample, 60°, as a cosine; beyond, the surface ends here."""
+_LEAST_RATIO, _MOST_RATIO = np.float32(0.6), np.float32(1.67)
+"""Limits of the ratio of neighbours' swings, and of the modulations of the two directions."""
+_AT_AN_EDGE = np.float32(0.7)
+"""Outlines meet the fringes at any phase, a Gray image's edges within 45° of 0° or 180°, wrong place or not."""
+_BEND = np.float32(0.25)
+"""A step may differ from its neighbours by this much (rad), and by a third of itself."""
+
+
+# Symbols of the kernel. Along a line with samples x: (re, im) is 2 B (cos φ, sin φ) of the fringes along the line, with
+# the phase φ and the amplitude B; (other_re, other_im) the same of the fringes across it. mine and others are their
+# lengths, the differences of opposite steps. g is the Gray code of the bits at a sample, h the number of the half
+# period that it stands for, soft the bits that are too near to their threshold to be certain.
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def follow(
+    values: NDArray[np.uint8],
+    low: NDArray[np.uint8],
+    high: NDArray[np.uint8],
+    illuminated: NDArray[np.bool_],
+    middle: NDArray[np.float32],
+    doubt_dn: NDArray[np.float32],
+    least_dn: NDArray[np.float32],
+    order: NDArray[np.int64],
+    references: tuple[int, int],
+    gray: NDArray[np.int64],
+    sine: NDArray[np.int64],
+    other_sine: NDArray[np.int64],
+    half_period: float,
+    sums: NDArray[np.float64],
+    edges: NDArray[np.float64],
+    places: NDArray[np.float64],
+) -> None:
+    """Add what lines (n, lines, samples) show to ``sums`` (COUNTS,), ``edges`` (len(gray), 2) and ``places`` (PLACES,).
+
+    ``order[k]`` is the row of ``values`` that is taken for pattern k; ``references``: bright and dark; ``gray`` and
+    ``sine``: the patterns along the lines; ``middle`` (1 or len(gray), lines, samples): thresholds of the Gray images, NaN
+    where there is none, and ``doubt_dn`` (lines, samples) how near to them a bit is in doubt; ``least_dn`` (256,): a fringe's least difference at a grey value.
+    ``half_period``: its width as a share of the field. ``places``: number of steps that lie −1 to 1 fields beside their place.
+    ``edges``: of each Gray image, its edges (where it changes, or another changes in its place), and how many of them are
+    out of order although an edge of some pattern is there.
+    """
+    samples = values.shape[2]
+    bits = gray.size
+    re, im = np.empty(samples, np.float32), np.empty(samples, np.float32)
+    other_re, other_im = np.empty(samples, np.float32), np.empty(samples, np.float32)
+    good = np.empty(samples, np.bool_)
+    code, number = np.empty(samples, np.int64), np.empty(samples, np.int64)
+    smooth, step = np.empty(samples, np.bool_), np.empty(samples, np.float32)
+    share = np.empty(4, np.float32)
+    a0, a1, a2, a3 = order[sine[0]], order[sine[1]], order[sine[2]], order[sine[3]]
+    b0, b1, b2, b3 = order[other_sine[0]], order[other_sine[1]], order[other_sine[2]], order[other_sine[3]]
+    bright, dark = order[references[0]], order[references[1]]
+    for line in range(values.shape[1]):
+        # First pass along a line: what each sample says by itself, and whether it can be compared with its neighbours.
+        for x in range(samples):
+            good[x] = False
+            if not illuminated[line, x]:
+                continue
+            least, most = np.float32(low[line, x]), np.float32(high[line, x])
+            swing = most - least
+            sums[0] += 1.0
+            not_bright = np.float32(values[bright, line, x]) < most - OFF_REFERENCE * swing
+            not_dark = np.float32(values[dark, line, x]) > least + OFF_REFERENCE * swing
+            sums[2] += 1.0 if not_bright else 0.0
+            sums[3] += 1.0 if not_dark else 0.0
+            # Four steps I0..I3 of 90° give (I0 − I2, I3 − I1) = 2 B (cos φ, sin φ).
+            re[x] = np.float32(values[a0, line, x]) - np.float32(values[a2, line, x])
+            im[x] = np.float32(values[a3, line, x]) - np.float32(values[a1, line, x])
+            other_re[x] = np.float32(values[b0, line, x]) - np.float32(values[b2, line, x])
+            other_im[x] = np.float32(values[b3, line, x]) - np.float32(values[b1, line, x])
+            mine = np.sqrt(re[x] * re[x] + im[x] * im[x])
+            others = np.sqrt(other_re[x] * other_re[x] + other_im[x] * other_im[x])
+            # Fringes count when they are stronger than noise and than what the water alone can show.
+            needed = max(_MIN_SWING_SHARE * swing, least_dn[high[line, x]])
+            judged = not (not_bright or not_dark)  # at the outline of what moves, it is another surface than before
+            for k in range(4):
+                share[k] = (np.float32(values[order[sine[k]], line, x]) - least) / swing
+            # Not the fringes' difference, which depends on the order of the sines, but the spread of all eight, which does not:
+            # where fringes are weak and chosen by what a wrong order makes of them, an x-sine in the place of a y-sine is the
+            # opposite of its partner at just the samples that are left.
+            others_most = max(
+                max(values[b0, line, x], values[b1, line, x]), max(values[b2, line, x], values[b3, line, x])
+            )
+            others_least = min(
+                min(values[b0, line, x], values[b1, line, x]), min(values[b2, line, x], values[b3, line, x])
+            )
+            own_most = max(max(share[0], share[1]), max(share[2], share[3])) * swing
+            own_least = min(min(share[0], share[1]), min(share[2], share[3])) * swing
+            spread = max(own_most, np.float32(others_most) - least) - min(own_least, np.float32(others_least) - least)
+            # Sums for the correlation of opposite steps: I0 with I2, I1 with I3. Against what the water adds, which differs from place
+            # to place and is alike in all of them: the middle one of the three other pairs' means. Not the mean of their six, into
+            # which a coarse stripe in the place of a single sine would bring the same large step for all pairs.
+            if judged and spread >= needed:
+                sums[9] += 1.0
+                half, scale = np.float32(0.5), np.float32(0.5) / swing
+                of_02, of_13 = half * (share[0] + share[2]), half * (share[1] + share[3])
+                across_02 = scale * (np.float32(values[b0, line, x]) + np.float32(values[b2, line, x]) - least - least)
+                across_13 = scale * (np.float32(values[b1, line, x]) + np.float32(values[b3, line, x]) - least - least)
+                lower, upper = min(across_02, across_13), max(across_02, across_13)
+                beside_02, beside_13 = max(lower, min(upper, of_13)), max(lower, min(upper, of_02))
+                for k in range(4):
+                    share[k] -= beside_02 if k % 2 == 0 else beside_13
+                    sums[10 + k] += share[k]
+                    sums[14 + k] += share[k] * share[k]
+                sums[18] += share[0] * share[2]
+                sums[19] += share[1] * share[3]
+            if mine < needed or others < needed:
+                continue
+            sums[1] += 1.0
+            if not judged:
+                continue
+            # From Gray code to number: each bit of the number is that of the code xor the bit before.
+            g, h, bit, soft, decided = 0, 0, 0, 0, True
+            for j in range(bits):
+                threshold = middle[min(j, middle.shape[0] - 1), line, x]
+                off = np.float32(values[order[gray[j]], line, x]) - threshold
+                now = 1 if off > np.float32(0.0) else 0
+                # A threshold that is NaN decides no bit.
+                decided = decided & (off == off)
+                soft = 2 * soft + (1 if abs(off) < doubt_dn[line, x] else 0)
+                g = 2 * g + now
+                bit ^= now
+                h = 2 * h + bit
+            code[x], number[x] = g, h
+            if soft != 0:  # at a stripe's own edge, its phase tells; elsewhere, the bit says nothing
+                turns = np.float32(0.5 / np.pi) * np.arctan2(im[x], re[x])
+                decided = decided and periods(h, turns) == periods(plain_number(g ^ soft), turns)
+            # Both directions have the same amplitude on one surface; at an outline they have not.
+            good[x] = decided and _LEAST_RATIO * others < mine < _MOST_RATIO * others
+            re[x], im[x] = re[x] / mine, im[x] / mine
+            other_re[x], other_im[x] = other_re[x] / others, other_im[x] / others
+        # Second pass: the phase steps between neighbours that lie on one surface.
+        for x in range(samples - 1):
+            smooth[x] = False
+            if not (good[x] and good[x + 1]):
+                continue
+            mine = np.float32(high[line, x]) - np.float32(low[line, x])
+            next_ = np.float32(high[line, x + 1]) - np.float32(low[line, x + 1])
+            if not _LEAST_RATIO * mine < next_ < _MOST_RATIO * mine:
+                continue
+            # The cosine and sine of the phase step, as the product of one unit phasor with the conjugate of the other.
+            cosine = re[x] * re[x + 1] + im[x] * im[x + 1]
+            across = other_re[x] * other_re[x + 1] + other_im[x] * other_im[x + 1]
+            if cosine < _MAX_STEP_COS or across < _MAX_OTHER_COS:
+                continue
+            smooth[x] = True
+            step[x] = np.arctan2(re[x] * im[x + 1] - im[x] * re[x + 1], cosine)
+        # Third pass: steps that go on like their neighbours are counted, and whether code and phase agree there.
+        for x in range(1, samples - 2):
+            if not (smooth[x - 1] and smooth[x] and smooth[x + 1]):
+                continue
+            before = abs(step[x] - step[x - 1]) - np.float32(0.35) * max(abs(step[x]), abs(step[x - 1]))
+            after = abs(step[x] - step[x + 1]) - np.float32(0.35) * max(abs(step[x]), abs(step[x + 1]))
+            if before > _BEND or after > _BEND:
+                continue
+            # Where the line is, by the code and by the sample: their means are compared with the design.
+            place = (x + 0.5) / samples
+            sums[20] += number[x]
+            sums[21] += place
+            beside = (number[x] + 0.5) * half_period - place
+            places[min(max(int(0.5 * PLACES * (beside + 1.0)), 0), PLACES - 1)] += 1.0
+            sums[4] += 1.0
+            sums[5] += 1.0 if step[x] > 0.0 else 0.0
+            changed = code[x] ^ code[x + 1]
+            # An edge of a Gray code changes exactly one bit.
+            if changed == 0 or changed & (changed - 1) != 0:
+                continue
+            in_order = number[x + 1] == number[x] + 1
+            # The phase in the middle of the step; odd half periods begin at 180°.
+            x_, y_ = re[x] + re[x + 1], im[x] + im[x + 1]
+            cosine = x_ / np.sqrt(x_ * x_ + y_ * y_)
+            if number[x + 1] & 1:
+                cosine = -cosine
+            sums[6] += 1.0
+            sums[7] += 1.0 if in_order else 0.0
+            sums[8] += cosine
+            # The bit that changes where the number goes on by one; a wrong image is blamed for edges of its own and for
+            # missing ones.
+            expected = (number[x] ^ (number[x] >> 1)) ^ ((number[x] + 1) ^ ((number[x] + 1) >> 1))
+            for k in range(bits):
+                mask = 1 << (bits - 1 - k)
+                if changed == mask or expected == mask:
+                    edges[k, 0] += 1.0
+                    edges[k, 1] += 0.0 if in_order or abs(cosine) < _AT_AN_EDGE else 1.0
+
 
 DECIDED = 1.0
 """A doubt of this size is an alarm. The limits below are half way, in its own measure, between what good scans of moving,

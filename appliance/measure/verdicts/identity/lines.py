@@ -29,7 +29,7 @@ from appliance.measure.decode.backscatter import (
     scale_of_backscatter,
 )
 from appliance.measure.light.noise import CameraNoise
-from appliance.measure.light.sequence import Direction, PatternSequence
+from appliance.measure.light.patterns import Direction, PatternSequence
 
 LINES = 32
 """Rows, and columns: each crosses each stripe's edge once."""

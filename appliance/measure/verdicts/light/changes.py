@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 
 from appliance.measure.decode.decoder import MIN_CONTRAST_DN, MIN_MODULATION_DN
 from appliance.measure.light.noise import FULL_DN, MAD_TO_SIGMA, CameraNoise
-from appliance.measure.light.sequence import Direction, PatternSequence
-from appliance.measure.points.quantile import median
+from appliance.measure.light.patterns import Direction, PatternSequence
+from appliance.measure.points.quality import median
 from appliance.measure.verdicts.light.fit import (
     CLIP,
     COSINE,

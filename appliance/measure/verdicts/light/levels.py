@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from appliance.measure.decode.decoder import MIN_CONTRAST_DN, MIN_MODULATION_DN
 from appliance.measure.light.noise import FULL_DN, CameraNoise
-from appliance.measure.light.sequence import Direction, PatternSequence
+from appliance.measure.light.patterns import Direction, PatternSequence
 from appliance.measure.light.sine import AMPLITUDE_CODE, MEAN_CODE
-from appliance.measure.points.quantile import median, quantile
+from appliance.measure.points.quality import median, quantile
 
 SAMPLES = 25_000
 """Lit pixels that are asked, about; shares of a hundredth are then known to a twentieth of themselves."""

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.measure.decode.decoder import CameraDecoder
-from appliance.measure.light.sequence import Direction, PatternSequence
+from appliance.measure.light.patterns import Direction, PatternSequence
 
 BESIDE_PX = 8.0
 """Pattern px from an edge of the stripes: nearer, the image is neither bright nor dark."""

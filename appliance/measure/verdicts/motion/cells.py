@@ -14,7 +14,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.measure.light.sequence import Direction, PatternSequence
+from appliance.measure.light.patterns import Direction, PatternSequence
 
 CELL_PX = 64
 """Side of a cell in pattern px: 16 mm; one fringe of the longest period."""

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.measure.light.noise import MAD_TO_SIGMA
-from appliance.measure.light.sequence import Direction, PatternSequence
+from appliance.measure.light.patterns import Direction, PatternSequence
 from appliance.measure.verdicts.motion.drift import DriftMap
 from appliance.measure.verdicts.motion.harm import Harm
 from appliance.measure.verdicts.motion.scores import EDGE_FLOOR_PX, drift_unit

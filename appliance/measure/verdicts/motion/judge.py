@@ -26,8 +26,7 @@ from appliance.measure.verdict import Judgement, Verdict
 from appliance.measure.verdicts.motion.albedo import AlbedoShifts, albedo_shifts
 from appliance.measure.verdicts.motion.cells import RunSums
 from appliance.measure.verdicts.motion.course import steps2
-from appliance.measure.verdicts.motion.drift import DriftMap, drift_map
-from appliance.measure.verdicts.motion.edges import edge_shifts
+from appliance.measure.verdicts.motion.drift import DriftMap, drift_map, edge_shifts
 from appliance.measure.verdicts.motion.harm import Harm, Place, place_of, predict, surface_map
 from appliance.measure.verdicts.motion.scores import (
     EDGE_FLOOR_PX,

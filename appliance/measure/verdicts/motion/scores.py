@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.measure.light.noise import MAD_TO_SIGMA
-from appliance.measure.verdicts.motion.edges import EdgeShifts
+from appliance.measure.verdicts.motion.drift import EdgeShifts
 from appliance.measure.verdicts.motion.harm import Harm
 from appliance.measure.verdicts.motion.texture import TextureShift
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from appliance.measure.decode.decoder import CameraDecoder, Mask
 from appliance.measure.light.noise import MAD_TO_SIGMA
-from appliance.measure.light.sequence import Direction, PatternSequence
+from appliance.measure.light.patterns import Direction, PatternSequence
 
 WIDTH_PX = 400
 """Images are binned to about this width."""

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from appliance.measure.decode.decoder import CameraDecoder, Mask
 from appliance.measure.light.noise import FULL_DN, MAD_TO_SIGMA, CameraNoise
-from appliance.measure.light.sequence import Direction, PatternSequence
-from appliance.measure.points.grid import PixelGrid
-from appliance.measure.points.quantile import median
+from appliance.measure.light.patterns import Direction, PatternSequence
+from appliance.measure.points.images import PixelGrid
+from appliance.measure.points.quality import median
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]

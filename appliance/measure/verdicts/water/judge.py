@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from appliance.measure.fault import Fault, FaultCode
 from appliance.measure.light.model import StereoRig
 from appliance.measure.light.water import sight_m
-from appliance.measure.points.grid import PixelGrid
-from appliance.measure.points.images import ScanImages
+from appliance.measure.points.images import PixelGrid, ScanImages
 from appliance.measure.points.table import Cloud
 from appliance.measure.verdict import Judgement, Verdict
 from appliance.measure.verdicts.water.backscatter import (

@@ -19,7 +19,7 @@ from appliance.desk.foreign.problem import ForeignError, Table
 from appliance.measure.decode.decoder import CameraDecoder
 from appliance.measure.decode.phase import phase
 from appliance.measure.decode.scratch import COORDINATE, DECODING_SIZE, MODULATION_HALF_DN
-from appliance.measure.light.sequence import PatternSequence, build_sequence
+from appliance.measure.light.patterns import PatternSequence, build_sequence
 from tests.support.synthetic import calibration, frames, plane_points, projector
 
 NORMAL = np.array([0.05, -0.02, 0.998])

@@ -17,7 +17,7 @@ from appliance.instrument.capture.ledger import audit
 from appliance.instrument.capture.scan import Arming, CaptureReport, ScanRecorder, ScanSettings, device_fault
 from appliance.instrument.capture.store import FrameStore
 from appliance.measure.fault import Fault, FaultCode
-from appliance.measure.light.sequence import build_sequence
+from appliance.measure.light.patterns import build_sequence
 from drivers import api
 from drivers.native import MonotonicClock
 

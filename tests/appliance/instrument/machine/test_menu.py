@@ -8,14 +8,14 @@ from dataclasses import replace
 import pytest
 
 from appliance.calibrate.guide import Step
-from appliance.instrument.machine import acknowledge, asking, calibrate, choices, gallery, menu, scanning
+from appliance.instrument.machine import asking, calibrate, choices, gallery, menu, scanning
 from appliance.instrument.machine import effects as do
 from appliance.instrument.machine import events as on
 from appliance.instrument.machine.menu import Row, row_of, shown
 from appliance.instrument.machine.states import Calibrating, Machine, Page, Settings, State, boot
 from appliance.instrument.machine.transfer import NOT_TOLD, Serving, Transfer
 from appliance.instrument.machine.words import Text
-from appliance.instrument.service.menu_view import Facts, menu_view, value_of
+from appliance.instrument.service.view import Facts, menu_view, value_of
 from appliance.measure.light.exposure import Exposure
 from drivers.api import Key
 from tests.appliance.instrument.machine.courses import BACK, DOWN, SCAN, UP, Then, course, seen
@@ -262,7 +262,7 @@ def test_where_nothing_is_asked_there_is_nothing_to_answer() -> None:
         assert calibrate.neighbour(aim(), key) is None
         assert not menu.may_move(aim(), key)
         assert not gallery.may_move(aim(), key)
-    assert asking.unanswered(aim()) == acknowledge.forgotten(aim()) == aim()
+    assert asking.unanswered(aim()) == asking.without_acknowledged(aim()) == aim()
     assert calibrate.decision(aim()) is None
     assert not menu.may_choose(aim())
     assert not calibrate.records(aim())

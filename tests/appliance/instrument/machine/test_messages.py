@@ -15,9 +15,8 @@ from appliance.instrument.machine import alerts as rules
 from appliance.instrument.machine import effects as do
 from appliance.instrument.machine import events as on
 from appliance.instrument.machine.ashore import ASHORE
-from appliance.instrument.machine.guiding import guidance_said
+from appliance.instrument.machine.guiding import OverlapSaid, guidance_said, overlap_said
 from appliance.instrument.machine.leading import Leader, alerts, in_full, leader, on_screen, passing, urgency
-from appliance.instrument.machine.overlaps import OverlapSaid, overlap_said
 from appliance.instrument.machine.permissions import may_light, refusal
 from appliance.instrument.machine.start import waits_for_ok
 from appliance.instrument.machine.states import Device, Machine, Notice, NoticeKind, State, boot
@@ -25,9 +24,9 @@ from appliance.instrument.machine.words import Language, Text, english
 from appliance.instrument.ranging.reach import Reach
 from appliance.instrument.screens.texts import worded
 from appliance.measure.fault import Fault, FaultCode
-from appliance.measure.grading import SPOILS_SCAN
 from appliance.measure.guidance import LOST, NO_OVERLAP, UNKNOWN, Guidance, Overlap
 from appliance.measure.news import LiveGuidance
+from appliance.measure.verdict import SPOILS_SCAN
 from drivers.api import Key
 from tests.appliance.instrument.machine import walks as at
 from tests.appliance.instrument.machine.courses import (

@@ -14,8 +14,8 @@ from hypothesis import given, settings
 from appliance.calibrate.guide import HELD
 from appliance.instrument.machine import effects as do
 from appliance.instrument.machine import events as on
-from appliance.instrument.machine.acknowledge import pending
 from appliance.instrument.machine.alerts import RULES, Severity, lasting
+from appliance.instrument.machine.asking import pending_fault
 from appliance.instrument.machine.leading import alerts
 from appliance.instrument.machine.permissions import interruption, may_lase, may_light, may_shine, refusal
 from appliance.instrument.machine.states import NEEDED_FOR_A_SCAN, Answer, Machine, State, Task
@@ -205,7 +205,7 @@ def nothing_becomes_known_but_by_its_key(before: Machine, event: on.Event, machi
     if gained:
         assert isinstance(event, on.KeyPressed)
         assert labels(replace(before, stuck=before.stuck - {event.key}))[event.key] == "SEEN"
-        assert gained == {pending(before)} or before.stuck
+        assert gained == {pending_fault(before)} or before.stuck
     there = {(fault.code, fault.device) for fault in lasting(machine)}
     assert all((was.code, was.device) in there for was in machine.seen)
     assert not any(alert.seen and RULES[alert.code].severity is Severity.CRITICAL for alert in alerts(machine))

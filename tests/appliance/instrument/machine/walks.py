@@ -21,10 +21,10 @@ from appliance.instrument.machine.words import english
 from appliance.instrument.ranging.reach import Range
 from appliance.measure.cloud import CloudSummary
 from appliance.measure.fault import Fault, FaultCode
-from appliance.measure.grading import SPOILS_SCAN
 from appliance.measure.guidance import LOST, NO_OVERLAP, UNKNOWN, Guidance, Overlap
 from appliance.measure.light.exposure import Exposure
 from appliance.measure.news import LiveGuidance, News, SequenceFact, WorkProgress
+from appliance.measure.verdict import SPOILS_SCAN
 from drivers.api import Key, LaserState, Telemetry
 from tests.support import news
 from tests.support.typed import built

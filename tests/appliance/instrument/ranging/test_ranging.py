@@ -9,7 +9,7 @@ import pytest
 
 from appliance.instrument.ranging.witness import SURELY_A_DOT_DN, shines_in_the_dark
 from appliance.instrument.service.settings import live_light_of
-from appliance.measure.light.sequence import BRIGHT_CODE
+from appliance.measure.light.patterns import BRIGHT_CODE
 from appliance.store.config import load_rig
 from hw_sim.rendering.render import Renderer
 from hw_sim.scene import Scene

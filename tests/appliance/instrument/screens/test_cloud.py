@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.instrument.screens.cloud import MAX_POINTS, CloudPainter, spread, thin
-from appliance.instrument.screens.colours import colour_table
-from appliance.instrument.screens.relief import Relief
+from appliance.instrument.screens.cloud import MAX_POINTS, CloudPainter, Relief, spread, thin
+from appliance.instrument.screens.theme import colour_table
 
 Cloud = NDArray[np.float32]
 

@@ -22,7 +22,7 @@ from appliance.instrument.screens.frame import words_of
 from appliance.instrument.screens.texts import worded
 from appliance.instrument.screens.views import AnyView
 from appliance.measure.fault import FaultCode
-from appliance.measure.grading import SPOILS_POINTS, SPOILS_SCAN
+from appliance.measure.verdict import SPOILS_POINTS, SPOILS_SCAN
 from drivers.api import Key
 from tests.appliance.instrument.screens.golden import card
 from tests.appliance.instrument.screens.golden.pictures import (

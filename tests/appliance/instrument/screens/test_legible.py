@@ -28,10 +28,10 @@ from appliance.instrument.screens.frame import alerts_top, draw_alerts, draw_key
 from appliance.instrument.screens.painter import Painter, said_once
 from appliance.instrument.screens.texts import worded
 from appliance.instrument.screens.views import AimView, AnyView, CalibrateView, Gauge, MenuView, ShutdownView
-from appliance.instrument.service.menu_view import Facts, menu_view
+from appliance.instrument.service.view import Facts, menu_view
 from appliance.measure.fault import Fault, FaultCode
-from appliance.measure.grading import Grade
 from appliance.measure.light.exposure import Exposure, Span, ladder
+from appliance.measure.verdict import Grade
 from drivers.api import Key
 from tests.appliance.instrument.machine.walks import STARTS, armed, in_gallery, reviewing, run
 from tests.appliance.instrument.screens.golden.scenes import AIM, ALERTS, GALLERY, REVIEW, SCENES, Scene, alert, keys
@@ -351,8 +351,8 @@ def test_every_label_with_every_value_is_whole_large_enough_and_within_its_own_f
     canvas: Canvas, language: Language
 ) -> None:
     rooms: dict[Key, list[tuple[float, float]]] = {key: [] for key in Key}
-    for key, words in labels().items():
-        for label in words:
+    for key, shown in labels().items():
+        for label in shown:
             canvas.begin(theme.INK)
             draw_key_labels(canvas, {key: label}, language)
             left, right = room_between(canvas, {key: label}, language, theme.KEY_CORNERS[key].value[1])

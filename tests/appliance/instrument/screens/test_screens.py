@@ -23,14 +23,13 @@ from appliance.instrument.machine.states import Calibrating, Task
 from appliance.instrument.machine.words import Label, Language, Text
 from appliance.instrument.ranging.reach import Reach
 from appliance.instrument.screens import theme, views
-from appliance.instrument.screens.calibrate import refusal_words
+from appliance.instrument.screens.calibrate import refusal_words, sketch_depth, sketch_front
 from appliance.instrument.screens.canvas import MAX_WORDS, Canvas
 from appliance.instrument.screens.painter import Painter
-from appliance.instrument.screens.sketch import sketch_depth, sketch_front
 from appliance.instrument.screens.unchanged import MOVES_HZ, FrugalPainter
 from appliance.measure.fault import FaultCode
-from appliance.measure.grading import Grade
 from appliance.measure.light.volume import STANDARD, WorkingVolume
+from appliance.measure.verdict import Grade
 from drivers.api import Key
 from tests.appliance.instrument.screens.golden.scenes import SCENES
 

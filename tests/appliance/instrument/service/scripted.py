@@ -21,9 +21,8 @@ from appliance.instrument.machine.states import Device
 from appliance.instrument.service.aiming import AimingController
 from appliance.instrument.service.calibrating import CalibrationController
 from appliance.instrument.service.device_supervisor import DeviceSupervisor
-from appliance.instrument.service.devices import Devices
+from appliance.instrument.service.devices import Devices, KeyReader
 from appliance.instrument.service.gallery import GalleryController
-from appliance.instrument.service.keys import KeyReader
 from appliance.instrument.service.parts import Parts
 from appliance.instrument.service.ranging import RangingController
 from appliance.instrument.service.scans import MeasuringSetup, ScanController, ScanStorage

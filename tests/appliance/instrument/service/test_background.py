@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from appliance.calibrate.recordings import NotConverged
-from appliance.instrument.service.background import Background, Done, Failed, Progressed
+from appliance.instrument.service.calibrating import Background, Done, Failed, Progressed
 from drivers.native import MonotonicClock
 
 

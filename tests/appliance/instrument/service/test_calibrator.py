@@ -17,7 +17,7 @@ from appliance.calibrate.guide import USED, AdjustmentSummary, RecordingCheck, R
 from appliance.calibrate.recordings import RecordingError
 from appliance.instrument.machine import events as on
 from appliance.instrument.machine.failure import FailureKind
-from appliance.instrument.service.background import Done, Failed, Progressed
+from appliance.instrument.service.calibrating import Done, Failed, Progressed
 from appliance.measure.calibration.file import Calibration, CalibrationError, encode_calibration
 from appliance.measure.fault import FaultCode
 from appliance.measure.light.correction import CORRECTION_INTERVALS, ImageCorrection, node_count
@@ -26,7 +26,7 @@ from appliance.measure.light.model import StereoRig
 from appliance.store.config import Rig
 from appliance.store.instrument import Instrument
 from appliance.store.library import UnknownScan
-from appliance.store.record import SequenceInfo
+from appliance.store.manifest import SequenceInfo
 from tests.appliance.instrument.capture.test_course_of_a_scan import SEQUENCE
 from tests.appliance.instrument.service.scripted import Desk, a_desk, small_rig
 from tests.appliance.instrument.worker.test_parents_end import Machine

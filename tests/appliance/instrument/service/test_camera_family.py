@@ -20,7 +20,7 @@ from appliance.instrument.capture.store import FrameStore
 from appliance.instrument.service.air_live import opened
 from appliance.instrument.service.checkup import check
 from appliance.instrument.service.devices import Devices
-from appliance.measure.light.sequence import build_sequence
+from appliance.measure.light.patterns import build_sequence
 from appliance.store.config import ConfigError, Rig, parse_rig
 from drivers import api, camera_families
 from drivers.camera import UsbVisionCamera

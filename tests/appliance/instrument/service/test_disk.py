@@ -17,12 +17,11 @@ from appliance.instrument.machine import events as on
 from appliance.instrument.machine.alerts import RULES
 from appliance.instrument.machine.states import Part
 from appliance.instrument.machine.words import Text
-from appliance.instrument.service.disk import DiskQueue
-from appliance.instrument.service.room import ASK_AGAIN_S, CountedRoom, steady
+from appliance.instrument.service.room import ASK_AGAIN_S, CountedRoom, DiskQueue, steady
 from appliance.instrument.service.scans import MeasuringSetup, ScanController, ScanStorage
 from appliance.measure.fault import FaultCode
 from appliance.measure.light.exposure import Exposure
-from appliance.measure.light.sequence import build_sequence
+from appliance.measure.light.patterns import build_sequence
 from appliance.store.filesystem import LocalFileSystem
 from appliance.store.instrument import Instrument
 from appliance.store.library import Library

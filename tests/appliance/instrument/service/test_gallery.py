@@ -13,8 +13,7 @@ import pytest
 
 from appliance.instrument.machine import events as on
 from appliance.instrument.service.gallery import GalleryController, read
-from appliance.measure.grading import GRADE_NAME, LENGTHS_DOUBTFUL, Grade
-from appliance.measure.verdict import Verdict
+from appliance.measure.verdict import GRADE_NAME, LENGTHS_DOUBTFUL, Grade, Verdict
 from appliance.store.library import Library
 from tests.appliance.store.scenes import ORIGIN, cloud, frames, record
 

@@ -16,8 +16,7 @@ from appliance.instrument.machine import events as on
 from appliance.instrument.machine.states import Part
 from appliance.instrument.machine.words import Text
 from appliance.instrument.service.room import ScanRoom
-from appliance.instrument.service.scan_files import ScanFiles
-from appliance.instrument.service.scan_in_memory import ScanInMemory, SecondInMemory
+from appliance.instrument.service.scan_files import ScanFiles, ScanInMemory, SecondInMemory
 from appliance.instrument.service.scans import ScanController
 from appliance.instrument.service.worker_reports import WorkerReports
 from appliance.instrument.worker.messages import Ready
@@ -26,7 +25,7 @@ from appliance.measure.cloud import Found
 from appliance.measure.fault import Fault, FaultCode
 from appliance.measure.guidance import Overlap
 from appliance.measure.light.exposure import Exposure
-from appliance.measure.light.sequence import PatternSequence, build_sequence
+from appliance.measure.light.patterns import PatternSequence, build_sequence
 from appliance.measure.light.sides import SIDES
 from appliance.measure.news import (
     Bracket,

@@ -16,9 +16,16 @@ import pytest
 
 from appliance.instrument.machine.states import Device
 from appliance.instrument.service.air_live import opened
-from appliance.instrument.service.app import _signals, ask_power_off, run, take_back_power_off
+from appliance.instrument.service.app import (
+    _signals,
+    ask_power_off,
+    installation,
+    recovered,
+    run,
+    take_back_power_off,
+    this_run,
+)
 from appliance.instrument.service.device_supervisor import DeviceSupervisor
-from appliance.instrument.service.starts import installation, recovered, this_run
 from appliance.measure.fault import FaultCode
 from appliance.measure.light.exposure import Exposure
 from appliance.store.library import Library

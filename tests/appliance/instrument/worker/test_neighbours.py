@@ -14,7 +14,7 @@ from appliance.instrument.worker.neighbours import Neighbours
 from appliance.instrument.worker.onlooker import Onlooker
 from appliance.measure.cloud import CloudSummary
 from appliance.measure.guidance import Move, Overlap
-from appliance.measure.light.sequence import build_sequence
+from appliance.measure.light.patterns import build_sequence
 from appliance.measure.news import LiveGuidance
 from appliance.measure.points.table import Cloud
 from tests.support import synthetic

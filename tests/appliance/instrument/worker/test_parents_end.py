@@ -19,9 +19,9 @@ import numpy as np
 import pytest
 
 from appliance.instrument.capture.store import FrameStore
+from appliance.instrument.worker import liveness
 from appliance.instrument.worker import messages as say
-from appliance.instrument.worker import usage
-from appliance.instrument.worker.order import WorkOrder
+from appliance.instrument.worker.messages import WorkOrder
 from appliance.instrument.worker.process import ReconstructionWorker, WorkerEvent
 from appliance.measure.cloud import CloudSummary, Found
 from appliance.measure.fault import Fault, FaultCode
@@ -165,7 +165,7 @@ def desk(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Desk]:
                 made.asked.append(time.ns)
             return tmp_path / path.removeprefix("/proc/")
 
-        monkeypatch.setattr(usage, "Path", below)
+        monkeypatch.setattr(liveness, "Path", below)
         with worker:
             yield made
             last = made.child if worker.pid is not None else None

@@ -18,8 +18,8 @@ import pytest
 
 from appliance.base.process_start import BLAS_THREADS
 from appliance.instrument.worker.child import ChildGone, ChildProcess
-from appliance.instrument.worker.own_memory import COMPILER, unwritten
-from appliance.instrument.worker.usage import cpu_s, own_memory_mb
+from appliance.instrument.worker.liveness import cpu_s, own_memory_mb
+from appliance.instrument.worker.memory import COMPILER, unwritten
 
 
 def echo(pipe: Connection, first: str) -> None:
@@ -124,7 +124,7 @@ from pathlib import Path
 from multiprocessing.shared_memory import SharedMemory
 import llvmlite.binding as llvm
 import numpy as np
-from appliance.instrument.worker.own_memory import give_back_memory, limit_memory
+from appliance.instrument.worker.memory import give_back_memory, limit_memory
 
 def compiled():
     module = llvm.parse_assembly("define i32 @f(i32 %a) { %b = mul i32 %a, 7  ret i32 %b }")

@@ -21,7 +21,7 @@ from appliance.instrument.worker.live_picture import LivePicture, behind_picture
 from appliance.instrument.worker.serve import Server
 from appliance.measure.guidance import Overlap
 from appliance.measure.light.acquisition import AcquisitionSettings
-from appliance.measure.light.sequence import build_sequence
+from appliance.measure.light.patterns import build_sequence
 from appliance.measure.light.sides import SIDES
 from appliance.measure.news import FullCloud, LiveGuidance, News, PatternIdentity, ReconstructionFailure, ScanOverlap
 from appliance.measure.points.pipeline import Pipeline

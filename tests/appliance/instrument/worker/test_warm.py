@@ -12,7 +12,7 @@ import pytest
 from numba.core.registry import CPUDispatcher
 
 from appliance.measure.light.acquisition import AcquisitionSettings
-from appliance.measure.light.sequence import build_sequence
+from appliance.measure.light.patterns import build_sequence
 from appliance.measure.light.sides import SIDES
 from appliance.measure.points.pipeline import Pipeline
 from appliance.measure.procedure import SequenceProcessor

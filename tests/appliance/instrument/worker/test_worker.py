@@ -11,12 +11,11 @@ import numpy as np
 import pytest
 
 from appliance.instrument.capture.store import FrameStore
-from appliance.instrument.worker.messages import Ready
-from appliance.instrument.worker.order import WorkOrder
+from appliance.instrument.worker.messages import Ready, WorkOrder
 from appliance.instrument.worker.process import ReconstructionWorker, WorkerEvent
 from appliance.measure.light.acquisition import AcquisitionSettings
 from appliance.measure.light.exposure import Exposure
-from appliance.measure.light.sequence import build_sequence
+from appliance.measure.light.patterns import build_sequence
 from appliance.measure.light.sides import SIDES
 from appliance.measure.news import Bracket, CoarseCloud, FullCloud, News, PatternIdentity, Verdicts, WorkerFailure
 from appliance.measure.points.pipeline import Pipeline

@@ -9,7 +9,7 @@ from appliance.measure.decode.decoder import CameraDecoder, Mask
 from appliance.measure.decode.gray_code import threshold
 from appliance.measure.decode.phase import AxisDecoding, close_row
 from appliance.measure.decode.scratch import COORDINATE, DECODING_SIZE
-from appliance.measure.light.sequence import build_sequence
+from appliance.measure.light.patterns import build_sequence
 
 f = np.float32
 PERIOD_PX, SIZE_PX = 16.0, 64.0

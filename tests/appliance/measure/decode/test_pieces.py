@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.measure.decode.neighbours import ask_neighbours
-from appliance.measure.decode.pieces import find_pieces, tell_pieces
+from appliance.measure.decode.pieces import ask_neighbours, find_pieces, tell_pieces
 
 IMAGES, COARSE = 7, 4
 OPEN = 2

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from appliance.measure.decode.backscatter import read_through_backscatter
 from appliance.measure.decode.decoder import CameraDecoder, Mask
 from appliance.measure.light.noise import camera_noise
-from appliance.measure.light.sequence import Direction, Kind, PatternSequence, build_sequence
+from appliance.measure.light.patterns import Direction, Kind, PatternSequence, build_sequence
 
 SEQUENCE = build_sequence(16)
 ROWS, COLUMNS = 150, 400

@@ -11,9 +11,16 @@ import pytest
 from numpy.polynomial import chebyshev
 
 from appliance.measure.light.draw import draw_patterns, draw_sequence
-from appliance.measure.light.gray import inverse_gray
+from appliance.measure.light.patterns import (
+    PERIODS_PX,
+    Direction,
+    Kind,
+    Pattern,
+    PatternSequence,
+    build_sequence,
+    inverse_gray,
+)
 from appliance.measure.light.response import Response, phase_error_rad
-from appliance.measure.light.sequence import PERIODS_PX, Direction, Kind, Pattern, PatternSequence, build_sequence
 from drivers.output.gl import open_gl
 
 FRAMES = {(16, 1024, 768): 24, (32, 1024, 768): 22, (64, 1024, 768): 20, (21, 1024, 768): 24, (16, 1280, 720): 25, (64, 1280, 720): 21}  # fmt: skip

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from appliance.measure.light.sequence import Direction, build_sequence
+from appliance.measure.light.patterns import Direction, build_sequence
 from appliance.measure.motion.albedo import denoised
 from appliance.measure.motion.attempt import is_better
 from appliance.measure.motion.displacement import FIRST_FRAME, FRAME_COEFFICIENTS, OF_PHASE, DisplacementField

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from appliance.measure.decode.decoder import MIN_MODULATION_DN
-from appliance.measure.light.sequence import Direction, build_sequence
+from appliance.measure.light.patterns import Direction, build_sequence
 from appliance.measure.motion import row_solver as at
 from appliance.measure.motion.displacement import (
     FIRST_FRAME,

@@ -12,7 +12,7 @@ from appliance.measure.decode.decoder import (
     CameraDecoder,
     Mask,
 )
-from appliance.measure.light.sequence import Direction, build_sequence
+from appliance.measure.light.patterns import Direction, build_sequence
 from tests.support import oracle, synthetic
 
 NORMAL = np.array([-0.2, 0.15, 1.0]) / np.linalg.norm([-0.2, 0.15, 1.0])

@@ -22,7 +22,7 @@ from appliance.measure.decode.scratch import (
     P,
 )
 from appliance.measure.light.noise import CameraNoise, StereoNoise, camera_noise
-from appliance.measure.points.ripple import Ripple
+from appliance.measure.points.quality import Ripple
 from appliance.measure.points.sigma import SigmaFactors, expect_row, sigma_factors
 
 LEFT = CameraNoise(read_dn=0.6, dn_per_e=0.02, black_dn=2.0)

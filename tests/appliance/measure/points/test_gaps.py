@@ -12,7 +12,7 @@ from appliance.measure.calibration import parameters
 from appliance.measure.calibration.file import Calibration
 from appliance.measure.calibration.gaps import signed_gap_mm
 from appliance.measure.calibration.patches import PATCH_COUNT
-from appliance.measure.light.sequence import build_sequence
+from appliance.measure.light.patterns import build_sequence
 from appliance.measure.light.sides import SIDES
 from appliance.measure.points.pipeline import Cloud, Pipeline
 from tests.support import synthetic

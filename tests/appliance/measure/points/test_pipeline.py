@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from appliance.measure.decode.decoder import Mask
-from appliance.measure.light.sequence import build_sequence
+from appliance.measure.light.patterns import build_sequence
 from appliance.measure.points.pipeline import Pipeline
 from tests.support import synthetic
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from appliance.measure.light.sequence import build_sequence
+from appliance.measure.light.patterns import build_sequence
 from appliance.measure.points.pipeline import Pipeline
-from appliance.measure.points.ripple import measure_ripple
+from appliance.measure.points.quality import measure_ripple
 from appliance.measure.points.rows import LeftMaps
 from tests.support import synthetic
 

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from appliance.measure.calibration.gaps import VeilGaps
-from appliance.measure.light.sequence import Direction, build_sequence
+from appliance.measure.light.patterns import Direction, build_sequence
 from appliance.measure.points.veil import SideVeil, VeilFringes, looks_veiled, remove_veil, sample_side
 
 Array = NDArray[np.float64]

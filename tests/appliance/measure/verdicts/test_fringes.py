@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from appliance.measure.fault import FaultCode
 from appliance.measure.light.acquisition import AcquisitionSettings
 from appliance.measure.light.exposure import Exposure
-from appliance.measure.light.sequence import build_sequence
+from appliance.measure.light.patterns import build_sequence
 from appliance.measure.light.sides import SIDES
 from appliance.measure.news import FullCloud
 from appliance.measure.points.pipeline import Pipeline

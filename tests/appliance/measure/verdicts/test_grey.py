@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from appliance.measure.fault import FaultCode
-from appliance.measure.light.sequence import Direction, build_sequence
+from appliance.measure.light.patterns import Direction, build_sequence
 from appliance.measure.verdict import Judgement
 from appliance.measure.verdicts.grey import judge_grey
 from appliance.measure.verdicts.light.levels import sample

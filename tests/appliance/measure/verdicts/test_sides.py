@@ -9,10 +9,9 @@ import pytest
 from numpy.typing import NDArray
 
 from appliance.measure.fault import FaultCode
-from appliance.measure.grading import Grade, grade
 from appliance.measure.light.model import StereoRig
 from appliance.measure.light.volume import STANDARD, WorkingVolume
-from appliance.measure.verdict import Judgement
+from appliance.measure.verdict import Grade, Judgement, grade
 from appliance.measure.verdicts.medium import AIR, FEWEST, judge_medium
 from appliance.measure.verdicts.sides import judge_sides
 from hw_sim.truth import draw_truth, in_air

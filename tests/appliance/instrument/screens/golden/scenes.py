@@ -10,15 +10,14 @@ from typing import NamedTuple
 from appliance.calibrate.guide import USED, AdjustmentSummary, RecordingCheck, Refusal, Session, Step, Verified
 from appliance.instrument.machine.alerts import RULES, Alert, alert_of
 from appliance.instrument.machine.failure import Failure, FailureKind
-from appliance.instrument.machine.guiding import GuidanceSaid
-from appliance.instrument.machine.overlaps import OverlapSaid
+from appliance.instrument.machine.guiding import GuidanceSaid, OverlapSaid
 from appliance.instrument.machine.states import Calibrating, Task
 from appliance.instrument.machine.words import Label, Text
 from appliance.instrument.ranging.reach import Reach
 from appliance.instrument.screens import views
 from appliance.measure.fault import Fault, FaultCode
-from appliance.measure.grading import Grade
 from appliance.measure.guidance import Move
+from appliance.measure.verdict import Grade
 from drivers.api import Key
 from tests.appliance.instrument.screens.golden import seabed
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.instrument.ranging.marks import Marks, Track
-from appliance.instrument.screens.colours import colour_table
+from appliance.instrument.screens.theme import colour_table
 
 MIDDLE_MM = 505.0
 _HALF_MM = (100.0, 78.0)

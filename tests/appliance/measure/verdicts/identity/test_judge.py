@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from appliance.measure.fault import FaultCode
 from appliance.measure.light.exposure import Exposure
 from appliance.measure.light.noise import TYPICAL
-from appliance.measure.light.sequence import Direction, build_sequence
+from appliance.measure.light.patterns import Direction, build_sequence
 from appliance.measure.light.sides import SIDES
 from appliance.measure.verdict import Judgement
-from appliance.measure.verdicts.identity.counts import follow
-from appliance.measure.verdicts.identity.evidence import Witness
+from appliance.measure.verdicts.identity.evidence import Witness, follow
 from appliance.measure.verdicts.identity.judge import judge_identity
 from appliance.measure.verdicts.identity.lines import take_lines
 from hw_sim.light.daylight import Daylight

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from appliance.measure.light.exposure import Exposure
 from appliance.measure.light.noise import TYPICAL
-from appliance.measure.light.sequence import Direction
+from appliance.measure.light.patterns import Direction
 from appliance.measure.verdicts.light.changes import fit_early, measure_changes
 from appliance.measure.verdicts.light.levels import sample
 from tests.support.photographed import Wall, photograph, wall

@@ -11,13 +11,12 @@ from appliance.measure.fault import FaultCode
 from appliance.measure.light.acquisition import AcquisitionSettings
 from appliance.measure.light.exposure import NOMINAL, Exposure, Span, ladder
 from appliance.measure.light.noise import TYPICAL, StereoNoise, camera_noise
-from appliance.measure.light.sequence import Direction, build_sequence
+from appliance.measure.light.patterns import Direction, build_sequence
 from appliance.measure.points.images import ScanImages
 from appliance.measure.verdict import Judgement
 from appliance.measure.verdicts.light.changes import LightLevel, find_frequency_hz
 from appliance.measure.verdicts.light.fit import quantile_of
-from appliance.measure.verdicts.light.judge import judge_light
-from appliance.measure.verdicts.light.propose import LEAST_COMMON, LEAST_GAINED, propose_second
+from appliance.measure.verdicts.light.judge import LEAST_COMMON, LEAST_GAINED, judge_light, propose_second
 from hw_sim.rendering.sensor import FULL_WELL_E, OFFSET_DN, READ_NOISE_E
 from hw_sim.scene import Scene
 from tests.support.photographed import HEIGHT_PX, WHITE_DN_PER_US, WIDTH_PX, Wall, coordinates, light, photograph, wall

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from appliance.measure.decode.decoder import CameraDecoder
-from appliance.measure.light.sequence import Direction, build_sequence
-from appliance.measure.verdicts.motion import edges as motion_edges
+from appliance.measure.light.patterns import Direction, build_sequence
+from appliance.measure.verdicts.motion import drift as motion_drift
 from appliance.measure.verdicts.motion.albedo import AlbedoShifts, albedo_shifts
 from appliance.measure.verdicts.motion.cells import COLUMNS as SUMS
 from appliance.measure.verdicts.motion.cells import COUNT, RunSums, _collect, cell_sums, run_sums
-from appliance.measure.verdicts.motion.edges import edge_shifts
+from appliance.measure.verdicts.motion.drift import edge_shifts
 
 SEQUENCE = build_sequence(16, 320, 200)
 ROWS, COLUMNS = 4, 5
@@ -131,7 +131,7 @@ def added(inner: float = 20.0, low: float = 12.0, high: float = 12.0, height: fl
 
 def test_an_edge_that_moved_is_known_from_ten_pixels_of_each_part_and_from_enough_contrast() -> None:
     def shift(**parts: float) -> float:
-        return float(motion_edges._solve(added(**parts))[0])
+        return float(motion_drift._shifts_of_sums(added(**parts))[0])
 
     assert shift() == pytest.approx(0.9)
     for part in ("inner", "low", "high"):
@@ -144,10 +144,10 @@ def test_an_edge_that_moved_is_known_from_ten_pixels_of_each_part_and_from_enoug
 
 def test_edges_of_what_lies_below_the_last_row_of_cells_are_added_nowhere() -> None:
     frames, decoder = striped(160, 120)
-    edges_px, rises = motion_edges.edges_of(SEQUENCE)
+    edges_px, rises = motion_drift.edges_of(SEQUENCE)
     gray = np.array(GRAY_X, np.int64)
     sums = np.zeros((len(GRAY_X), ROWS + 1, COLUMNS, 8))
-    motion_edges._accumulate(frames, (0, 1), gray, decoder.p_px, decoder.q_px, edges_px, rises, 1, 64.0, sums[:, :ROWS])
+    motion_drift._accumulate(frames, (0, 1), gray, decoder.p_px, decoder.q_px, edges_px, rises, 1, 64.0, sums[:, :ROWS])
     assert (decoder.q_px > 256.0).any()
     assert (sums[:, :ROWS] > 0.0).any()
     assert (sums[:, ROWS] == 0.0).all()

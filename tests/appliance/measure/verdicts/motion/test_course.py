@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from appliance.measure.light.sequence import Direction, build_sequence
+from appliance.measure.light.patterns import Direction, build_sequence
 from appliance.measure.verdicts.motion.course import steps2
 from appliance.measure.verdicts.motion.drift import DriftMap
 from appliance.measure.verdicts.motion.harm import Harm

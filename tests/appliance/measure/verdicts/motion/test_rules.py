@@ -10,10 +10,9 @@ import pytest
 
 from appliance.measure.decode.decoder import CameraDecoder, Mask
 from appliance.measure.fault import FaultCode
-from appliance.measure.light.sequence import build_sequence
+from appliance.measure.light.patterns import build_sequence
 from appliance.measure.verdicts.motion.albedo import AlbedoShifts
-from appliance.measure.verdicts.motion.drift import DriftMap
-from appliance.measure.verdicts.motion.edges import EdgeShifts
+from appliance.measure.verdicts.motion.drift import DriftMap, EdgeShifts
 from appliance.measure.verdicts.motion.harm import Harm, Place, place_of
 from appliance.measure.verdicts.motion.judge import (
     MotionKind,

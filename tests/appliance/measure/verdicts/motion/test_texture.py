@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from appliance.measure.decode.decoder import CameraDecoder, Mask
-from appliance.measure.light.sequence import Direction, build_sequence
+from appliance.measure.light.patterns import Direction, build_sequence
 from appliance.measure.verdicts.motion.scores import MOVED, texture_score
 from appliance.measure.verdicts.motion.texture import TextureShift, texture_shift
 

@@ -10,19 +10,19 @@ import pytest
 
 from appliance.measure.cloud import CloudSummary, Found
 from appliance.measure.light.noise import TYPICAL_PAIR, CameraNoise
-from appliance.measure.light.sequence import Direction, build_sequence
+from appliance.measure.light.patterns import Direction, build_sequence
 from appliance.measure.points.quality import QualityLimits
 from appliance.measure.points.table import PointTable
-from appliance.measure.verdicts.sight.distance import (
+from appliance.measure.verdicts.sight.judge import (
     COLUMNS,
     ROWS,
     _clear_everywhere,
     _likeness,
     _strongest,
+    find_depths_by_stripes_mm,
     find_depths_mm,
+    look,
 )
-from appliance.measure.verdicts.sight.judge import look
-from appliance.measure.verdicts.sight.stripes import find_depths_by_stripes_mm
 from hw_sim.scene import Scene
 from hw_sim.water.medium import Water
 from tests.support.rendered import RenderedScan, render_scan

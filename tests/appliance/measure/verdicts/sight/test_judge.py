@@ -7,7 +7,7 @@ import pytest
 
 from appliance.measure.cloud import CloudSummary
 from appliance.measure.light.noise import CameraNoise, StereoNoise
-from appliance.measure.light.sequence import Direction, build_sequence
+from appliance.measure.light.patterns import Direction, build_sequence
 from appliance.measure.points.quality import QualityLimits
 from appliance.measure.points.table import Cloud
 from appliance.measure.verdicts.sight.judge import distance_of, look, see

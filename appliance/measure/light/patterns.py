@@ -1,9 +1,4 @@
-"""Owns the list of frames of one scan: what each shows, in which order.
-
-Drawing, the ledger, the identity check and decoding all read this list; nothing else knows the order.
-Source: paper, section 4 (Gray code 7/6/5 images and 4 sine images per direction for periods 16/32/64 px, two
-orthogonal directions); the two images the paper leaves unnamed are a bright and a dark reference.
-"""
+"""Owns the patterns that are projected and their sequence: Gray code and sine fringes in two directions, bright and dark."""
 
 from __future__ import annotations
 
@@ -15,9 +10,45 @@ from typing import assert_never
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.measure.light.gray import bit_count, gray_bit
 from appliance.measure.light.response import Response
-from appliance.measure.light.sine import PHASE_STEPS, STEP_DEG, sine_codes
+from appliance.measure.light.sine import AMPLITUDE_CODE, MEAN_CODE, PHASE_STEPS, fringe
+
+
+def bit_count(size_px: int, period_px: int) -> int:
+    """Return the number of Gray-code images that number all half periods over ``size_px``: 7, 6, 5 for 16, 32, 64 on 1024,
+    and one more of each on 1280."""
+    # Rounded up: a rest of a period at the far edge has its own number.
+    half_periods = -(-2 * size_px // period_px)
+    return max(1, (half_periods - 1).bit_length())
+
+
+def gray_bit(size_px: int, period_px: int, bit: int) -> NDArray[np.bool_]:
+    """Return which places of ``size_px`` are illuminated in the image of bit ``bit`` (0 = most significant) of the reflected
+    binary code: shape (size_px,) bool."""
+    # By the pixels' left edges, while `sine.fringe` takes their centres: for even periods both change between the same
+    # pixels.
+    half_period = 2 * np.arange(size_px, dtype=np.int64) // period_px
+    # Reflected binary code: n xor n/2.
+    code = half_period ^ (half_period >> 1)
+    shift = bit_count(size_px, period_px) - 1 - bit
+    return (code >> shift & 1).astype(np.bool_)
+
+
+def inverse_gray(bits: int) -> NDArray[np.int16]:
+    """Return the table from Gray code to half-period number: shape (2**bits,) int16."""
+    number = np.arange(1 << bits, dtype=np.int64)
+    table = np.empty(1 << bits, dtype=np.int16)
+    table[number ^ (number >> 1)] = number.astype(np.int16)
+    return table
+
+
+STEP_DEG = 360 // PHASE_STEPS
+
+
+def sine_codes(size_px: int, period_px: int, step: int) -> NDArray[np.uint8]:
+    """Return the codes of step ``step`` (0..3) of a fringe pattern: shape (size_px,) uint8, rounded to nearest."""
+    return np.rint(MEAN_CODE + AMPLITUDE_CODE * fringe(size_px, period_px, step)).astype(np.uint8)
+
 
 PERIODS_PX = (16, 32, 64)
 BRIGHT_CODE = 247
