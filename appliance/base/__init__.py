@@ -1,4 +1,5 @@
-"""Ground of all rooms: compiled kernels and their place, how a process starts, sealed files, libraries that may be missing."""
+"""Ground of all rooms: compiled kernels and their place, how a process starts, sealed files, libraries that may be
+missing."""
 
 from __future__ import annotations
 

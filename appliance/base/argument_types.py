@@ -1,7 +1,9 @@
-"""Owns how a function for scripts refuses an argument of a wrong type: in one sentence that names what was given and what is wanted.
+"""Owns how a function for scripts refuses an argument of a wrong type: in one sentence that names what was given and
+what is wanted.
 
-A type checker says the same before the call, to those who run one. The types are those of the annotations, so that none is written twice:
-classes, unions, numbers, texts, arrays, functions, and lists of one kind of thing. What an annotation says beyond that is not looked at.
+A type checker says the same before the call, to those who run one. The types are those of the annotations, so that none
+is written twice: classes, unions, numbers, texts, arrays, functions, and lists of one kind of thing. What an annotation
+says beyond that is not looked at.
 """
 
 from __future__ import annotations
@@ -22,16 +24,23 @@ R = TypeVar("R")
 _NUMBERS = {float: numbers.Real, int: numbers.Integral}
 """NumPy's numbers count as Python's, as they do in its arithmetic."""
 _WORDS = {
-    float: "a number", int: "a whole number", str: "a text", bool: "True or False", Path: "a path", NoneType: "None", np.ndarray: "a NumPy array",
+    float: "a number",
+    int: "a whole number",
+    str: "a text",
+    bool: "True or False",
+    Path: "a path",
+    NoneType: "None",
+    np.ndarray: "a NumPy array",
     Callable: "a function",
-}  # fmt: skip
+}
 _UNIONS = (typing.Union, UnionType)
 _SHOWN = 40
 """Characters of a value that are shown."""
 
 
 def refuse_wrong_types(function: Callable[P, R], name: str | None = None) -> Callable[P, R]:
-    """Return ``function`` with its arguments compared with its annotations at every call; TypeError says which is wrong.
+    """Return ``function`` with its arguments compared with its annotations at every call; TypeError says which is
+    wrong.
 
     ``name``: what callers know it by; default: its own.
     """
@@ -67,7 +76,8 @@ def _annotations(function: Callable[..., Any]) -> Mapping[str, Any]:
 
 
 def fits(value: object, wanted: Any) -> bool:
-    """Return True if ``value`` is what the annotation ``wanted`` says; True also where an annotation says nothing that can be seen."""
+    """Return True if ``value`` is what the annotation ``wanted`` says; True also where an annotation says nothing that
+    can be seen."""
     origin, inner = typing.get_origin(wanted), typing.get_args(wanted)
     kind = origin or wanted
     if kind in _UNIONS:

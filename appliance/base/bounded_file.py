@@ -1,8 +1,8 @@
 """Owns how a file is read that somebody else wrote: a regular one, at once, of no more than a stated number of bytes.
 
-Descriptions, lists, rig files, tables, cameras' files, calibrations and pictures have names that people type. A pipe would be waited for, a
-device or a film read until memory ends; both are refused before a byte is read. What is refused is an ``OSError`` with its reason
-in ``strerror``, like whatever else a file system refuses.
+Descriptions, lists, rig files, tables, cameras' files, calibrations and pictures have names that people type. A pipe
+would be waited for, a device or a film read until memory ends; both are refused before a byte is read. What is refused
+is an ``OSError`` with its reason in ``strerror``, like whatever else a file system refuses.
 """
 
 from __future__ import annotations
@@ -16,15 +16,22 @@ from pathlib import Path
 from typing import Any
 
 _KINDS = (
-    (stat.S_ISFIFO, "a pipe"), (stat.S_ISCHR, "a device"), (stat.S_ISBLK, "a device"), (stat.S_ISSOCK, "a socket"),
+    (stat.S_ISFIFO, "a pipe"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+    (stat.S_ISSOCK, "a socket"),
     (stat.S_ISDIR, "a folder"),
-)  # fmt: skip
+)
 MOST_INTEGER = 2**63 - 1
-"""Largest whole number of TOML 1.0, which has 64 bits; Python would read one of any length, and fail when it is computed with."""
+"""Largest whole number of TOML 1.0, which has 64 bits; Python would read one of any length, and fail when it is
+computed with."""
 
 
 def read_bounded(path: Path, most_bytes: int) -> bytes:
-    """Return the bytes of a regular file. Raises OSError for any other kind, and for one of more than ``most_bytes``."""
+    """Return the bytes of a regular file.
+
+    Raises OSError for any other kind, and for one of more than ``most_bytes``.
+    """
     # Without waiting: opening a pipe that nobody writes to would last for ever.
     number = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     with os.fdopen(number, "rb") as file:
@@ -38,7 +45,8 @@ def read_bounded(path: Path, most_bytes: int) -> bytes:
 
 
 def refuse_irregular(path: Path, most_bytes: int | None = None) -> None:
-    """Raise OSError for anything but a regular file, and for one of more than ``most_bytes``; for libraries that open a file themselves."""
+    """Raise OSError for anything but a regular file, and for one of more than ``most_bytes``; for libraries that open a
+    file themselves."""
     about = path.stat()
     _refuse_kind(path, about.st_mode)
     if most_bytes is not None and about.st_size > most_bytes:
@@ -60,7 +68,10 @@ def read_text(path: Path, most_bytes: int) -> str:
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """Return what TOML 1.0 holds. Raises ValueError, also for whole numbers of more than 64 bits and for tables too deep to be read."""
+    """Return what TOML 1.0 holds.
+
+    Raises ValueError, also for whole numbers of more than 64 bits and for tables too deep to be read.
+    """
     try:
         content = tomllib.loads(text)
     except RecursionError as error:

@@ -1,7 +1,8 @@
 """Owns the name that pip knows this program by, and whether another program of its import name is installed beside it.
 
-`kingfisher` on PyPI is a program for DNA reads. It has the same command and the same import name, so that of the two the one that was
-installed last is called, and the files of both lie in one folder. Ours is therefore called something else there.
+`kingfisher` on PyPI is a program for DNA reads. It has the same command and the same import name, so that of the two
+the one that was installed last is called, and the files of both lie in one folder. Ours is therefore called something
+else there.
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ _OURS = Path(__file__).parents[1].name
 
 
 def other_program() -> str | None:
-    """Return one sentence about another distribution that has our command and import name; ``None`` where there is none."""
+    """Return one sentence about another distribution that has our command and import name; ``None`` where there is
+    none."""
     from importlib import metadata  # late: it takes longer to load than all else that `kingfisher version` needs
 
     try:

@@ -1,7 +1,8 @@
 """The face of a room: the names that others may import from it, loaded when somebody asks for one.
 
-A room's ``__init__`` lists them under ``if TYPE_CHECKING:``, as ``from .module import Name as Name  # a sentence``, where type checkers,
-import contracts and readers find them. Loading all of them at once would load every kernel before a verb's first mistake is told.
+A room's ``__init__`` lists them under ``if TYPE_CHECKING:``, as ``from .module import Name as Name  # a sentence``,
+where type checkers, import contracts and readers find them. Loading all of them at once would load every kernel before
+a verb's first mistake is told.
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ __all__ = ["lazy_face"]
 
 
 def lazy_face(room: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
-    """Return ``__getattr__``, ``__dir__`` and ``__all__`` of the package ``room``, after the imports in its ``__init__``'s type-checking block."""
+    """Return ``__getattr__``, ``__dir__`` and ``__all__`` of the package ``room``, after the imports in its
+    ``__init__``'s type-checking block."""
     package = sys.modules[room]
     modules = {
         alias.asname or alias.name: f"{room}.{statement.module}"

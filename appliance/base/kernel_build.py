@@ -1,9 +1,9 @@
 """Owns how kernels are compiled before somebody waits for a picture: in pieces, on all cores, each piece once.
 
-A piece is a function that runs some kernels on next to nothing; numba compiles what it has not in its cache. Each piece runs
-in one of several processes, which share the cache's folder, so that a computer with two cores needs half the time. A mark
-in the folder remembers the piece; it holds until a kernel's file is written anew. Pieces are stated by whoever has
-kernels: ``appliance.measure.warm`` those of the product.
+A piece is a function that runs some kernels on next to nothing; numba compiles what it has not in its cache. Each piece
+runs in one of several processes, which share the cache's folder, so that a computer with two cores needs half the time.
+A mark in the folder remembers the piece; it holds until a kernel's file is written anew. Pieces are stated by whoever
+has kernels: ``appliance.measure.warm`` those of the product.
 """
 
 from __future__ import annotations
@@ -84,8 +84,8 @@ def compile_pieces(
     """Compile what ``folder`` has not of ``pieces``, the first ones first, for ``processor`` (default: this one).
 
     Waits where another process is compiling into the same folder, and then does what is left. ``said`` is called at the
-    beginning, at each change, and at least every ``TICK_S``; ``processes`` defaults to the cores that this process may use.
-    Raises CompileError after everything else was compiled, OSError when the folder cannot be written.
+    beginning, at each change, and at least every ``TICK_S``; ``processes`` defaults to the cores that this process may
+    use. Raises CompileError after everything else was compiled, OSError when the folder cannot be written.
     """
     if not missing_kernels(folder, pieces):
         return
@@ -221,8 +221,9 @@ def _serve(pipe: Connection, folder: Path, processor: Processor | None) -> None:
     """Serve as a compiling process: the name of a piece's function in, ``None`` or an error's text out, until the
     pipe closes."""
     point_at(folder, processor)
-    # A compiler makes millions of objects, and most of what is still there when garbage is looked for stays: looking while it works
-    # costs a tenth of its time. So it is looked for between pieces, and what stays is not looked at again.
+    # A compiler makes millions of objects, and most of what is still there when garbage is looked for stays: looking
+    # while it works costs a tenth of its time. So it is looked for between pieces, and what stays is not looked at
+    # again.
     gc.disable()
     try:
         while True:

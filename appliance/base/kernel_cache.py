@@ -1,17 +1,18 @@
 """Owns where compiled kernels are kept, so that they are never compiled before a diver's eyes and never out of date.
 
 numba looks only at the file of the kernel itself to see whether what it compiled before still holds: not at other files
-whose functions were built in, not at its own version's flags. So each state of the program has a folder of its own, named
-after everything that goes into a kernel. What an installation has compiled (``kernel_build``) may lie on a read-only disk,
-where numba refuses to read; it is copied to a place that can be written, once per start of the machine. A source tree has its
-kernels in ``.cache/numba`` beside its packages, whichever command needs them (``python -m appliance.base.kernel_cache`` names it).
+whose functions were built in, not at its own version's flags. So each state of the program has a folder of its own,
+named after everything that goes into a kernel. What an installation has compiled (``kernel_build``) may lie on a
+read-only disk, where numba refuses to read; it is copied to a place that can be written, once per start of the machine.
+A source tree has its kernels in ``.cache/numba`` beside its packages, whichever command needs them (``python -m
+appliance.base.kernel_cache`` names it).
 
-numba runs whatever machine code it finds in its folder. So a folder is only used when nobody but this user and root can have
-written to it, or can exchange it later: it belongs to the user, is closed to everybody else, and every folder above it belongs to
-the user or to root, and is sticky (as /tmp is) where others may write to it.
+numba runs whatever machine code it finds in its folder. So a folder is only used when nobody but this user and root can
+have written to it, or can exchange it later: it belongs to the user, is closed to everybody else, and every folder
+above it belongs to the user or to root, and is sticky (as /tmp is) where others may write to it.
 
-Kernels are compiled for one processor. An image that is made here and started there brings them for a level of processors
-that is common enough (``COMMON``), and they are used where none were compiled for the processor itself.
+Kernels are compiled for one processor. An image that is made here and started there brings them for a level of
+processors that is common enough (``COMMON``), and they are used where none were compiled for the processor itself.
 """
 
 from __future__ import annotations
@@ -101,7 +102,8 @@ def fingerprint(processor: Processor | None = None) -> str:
 
 
 def _fingerprints(*processors: Processor) -> list[str]:
-    """Return the fingerprint for each of ``processors``; the kernel files are read once for all, which takes most of the time."""
+    """Return the fingerprint for each of ``processors``; the kernel files are read once for all, which takes most of
+    the time."""
     files = hashlib.sha256()
     for name, path in _kernel_files():
         files.update(name.encode() + b"\0" + path.read_bytes() + b"\0")
@@ -194,8 +196,8 @@ def use_kernel_cache(shipped: Path | None = None, writable: Path | None = None) 
 
 
 def _shipped(own: Path, common: Path) -> tuple[Path, Processor | None]:
-    """Return the best that an installation has compiled: for this processor (``own``), else for the common level; where both
-    miss, the first. With it, whom numba must be told to compile for; ``None``: this processor, which it finds by
+    """Return the best that an installation has compiled: for this processor (``own``), else for the common level; where
+    both miss, the first. With it, whom numba must be told to compile for; ``None``: this processor, which it finds by
     itself."""
     if (own / COMPLETE).exists() or not (common / COMPLETE).exists():
         return own, None
@@ -204,7 +206,8 @@ def _shipped(own: Path, common: Path) -> tuple[Path, Processor | None]:
 
 
 def point_at(folder: Path, processor: Processor | None = None) -> None:
-    """Let numba use ``folder``, and compile for ``processor`` (``None``: this one), in this process and those it starts."""
+    """Let numba use ``folder``, and compile for ``processor`` (``None``: this one), in this process and those it
+    starts."""
     os.environ[VARIABLE] = str(folder)
     if processor is not None:
         os.environ.update(zip(CPU_VARIABLES, (processor.name, processor.features), strict=True))
@@ -254,14 +257,15 @@ def _refuse_unless_private(folder: Path) -> None:
 
 
 def others_may_exchange(owner: int, mode: int, user: int) -> bool:
-    """Return True if somebody else than ``user`` and root may rename what of theirs lies in a folder of ``owner`` with ``mode``.
+    """Return True if somebody else than ``user`` and root may rename what of theirs lies in a folder of ``owner`` with
+    ``mode``.
 
     A link in the place of a folder counts as one that others may exchange, since what it leads to was not looked at.
     """
     if not stat.S_ISDIR(mode) or owner not in (0, user):
         return True
-    # In a sticky folder an entry is renamed by its own owner or by the folder's, and by nobody else. Its group is not asked: on a Debian
-    # the groups that share a folder of root's are those of its administrators.
+    # In a sticky folder an entry is renamed by its own owner or by the folder's, and by nobody else. Its group is not
+    # asked: on a Debian the groups that share a folder of root's are those of its administrators.
     return bool(mode & stat.S_IWOTH) and not mode & stat.S_ISVTX
 
 

@@ -1,4 +1,5 @@
-"""Owns what is said where a library of the desk is absent: an instrument has none of them, and a computer at the desk may.
+"""Owns what is said where a library of the desk is absent: an instrument has none of them, and a computer at the desk
+may.
 
 So they are imported where they are used, by what is asked for there and by nothing else.
 """

@@ -1,4 +1,5 @@
-"""Owns how a process of the instrument begins, without processor time and heat that nobody gains anything from; and how it is interrupted.
+"""Owns how a process of the instrument begins, without processor time and heat that nobody gains anything from; and how
+it is interrupted.
 
 Both helpers for the beginning come before the modules that they concern are imported, and neither changes a result.
 """
@@ -18,8 +19,9 @@ BLAS_THREADS = "OPENBLAS_NUM_THREADS"
 def use_one_blas_thread(environment: MutableMapping[str, str]) -> None:
     """Let linear algebra take one thread in processes of this ``environment``, unless it says otherwise already.
 
-    The matrices of a scan are small: OpenBLAS's other threads gain nothing on them, but each turns in a busy loop for tens of
-    milliseconds after every product, in wait for the next. In a scan's worker that was a seventh of all processor time.
+    The matrices of a scan are small: OpenBLAS's other threads gain nothing on them, but each turns in a busy loop for
+    tens of milliseconds after every product, in wait for the next. In a scan's worker that was a seventh of all
+    processor time.
     """
     environment.setdefault(BLAS_THREADS, "1")
 
@@ -28,8 +30,8 @@ def use_one_blas_thread(environment: MutableMapping[str, str]) -> None:
 def importing() -> Iterator[None]:
     """Import modules inside without the garbage collector, and keep it from what they made ever after.
 
-    What an import makes stays: some hundred thousand objects, through which the collector would go again and again while they
-    become more (a fifth of the time that the imports take), and later in the midst of the heartbeat.
+    What an import makes stays: some hundred thousand objects, through which the collector would go again and again
+    while they become more (a fifth of the time that the imports take), and later in the midst of the heartbeat.
     """
     if not gc.isenabled():
         yield  # whoever switched it off will look after it
@@ -44,7 +46,8 @@ def importing() -> Iterator[None]:
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Let an interruption (Ctrl-C) wait for the end of what is inside: libigl, amidst its loading, makes an ``ImportError`` of it."""
+    """Let an interruption (Ctrl-C) wait for the end of what is inside: libigl, amidst its loading, makes an
+    ``ImportError`` of it."""
     if threading.current_thread() is not threading.main_thread():
         yield  # only the main thread is interrupted
         return
@@ -61,8 +64,9 @@ def uninterrupted() -> Iterator[None]:
 def interrupts(error: BaseException) -> bool:
     """Return True if ``error`` is an interruption (Ctrl-C), or was made of one.
 
-    It may strike between any two bytecodes of the main thread. Within a callback of a compiled library it arrives as what that library
-    makes of it: inside numba's unpickling, as ``SystemError: … returned a result with an exception set``.
+    It may strike between any two bytecodes of the main thread. Within a callback of a compiled library it arrives as
+    what that library makes of it: inside numba's unpickling, as ``SystemError: … returned a result with an exception
+    set``.
     """
     seen: set[int] = set()
     at: BaseException | None = error
@@ -70,7 +74,8 @@ def interrupts(error: BaseException) -> bool:
         if isinstance(at, KeyboardInterrupt):
             return True
         seen.add(id(at))
-        # The interpreter's own error has the interruption as its cause; any other error may well have happened while one was handled.
+        # The interpreter's own error has the interruption as its cause; any other error may well have happened while
+        # one was handled.
         at = at.__cause__ if isinstance(at, SystemError) else None
     return False
 

@@ -1,11 +1,14 @@
-"""Owns what a small JSON file of the instrument is: of one schema, no larger than it may be, with the checksum of everything else in it.
+"""Owns what a small JSON file of the instrument is: of one schema, no larger than it may be, with the checksum of
+everything else in it.
 
-A format is a frozen dataclass and one ``SealedFile`` of it. Values are of the fields' annotated types, and within the ranges that stand
-there as ``Annotated[float, Within(…)]``; what they mean for each other is asked by the dataclass's constructor, or by ``check``.
-It takes what JSON makes of the written values: a whole number where a fraction is expected, and a fraction that is whole where a whole
-number is. Keys that no field has are left alone: a later version may have written them.
+A format is a frozen dataclass and one ``SealedFile`` of it. Values are of the fields' annotated types, and within the
+ranges that stand there as ``Annotated[float, Within(…)]``; what they mean for each other is asked by the dataclass's
+constructor, or by ``check``. It takes what JSON makes of the written values: a whole number where a fraction is
+expected, and a fraction that is whole where a whole number is. Keys that no field has are left alone: a later version
+may have written them.
 
-Without pydantic: a list of scans, which reads hundreds of manifests and labels, should answer at once (``docs/adr/0035``).
+Without pydantic: a list of scans, which reads hundreds of manifests and labels, should answer at once
+(``docs/adr/0035``).
 """
 
 from __future__ import annotations
@@ -42,7 +45,10 @@ LEFT_OUT: Mapping[str, Any] = MappingProxyType({"left out": True})
 
 
 class ContentError(Exception):
-    """Reason why a file cannot be used. ``what``: the file; ``value``: its key and the value there, or what else is wrong."""
+    """Reason why a file cannot be used.
+
+    ``what``: the file; ``value``: its key and the value there, or what else is wrong.
+    """
 
     def __init__(self, what: str, value: str, allowed: str = "", remedy: str = "") -> None:
         super().__init__(what, value, allowed, remedy)
@@ -124,7 +130,10 @@ class SealedFile(Generic[T]):
         return {"schema": self.schema, **of, **plain(stored)}
 
     def encode(self, stored: T, of: Mapping[str, Any] = OF_ANYBODY) -> bytes:
-        """Return the file's bytes. Raises TypeError for a value that JSON cannot hold; NaN and infinity become null: not known."""
+        """Return the file's bytes.
+
+        Raises TypeError for a value that JSON cannot hold; NaN and infinity become null: not known.
+        """
         content = self.content(stored, of)
         if self.checksum:
             content["sha256"] = digest(content)
@@ -203,7 +212,10 @@ def _not_finite(text: str) -> float:
 
 
 def plain(value: Any) -> Any:
-    """Convert a value to what JSON holds: plain numbers, None for what is not finite. Raises TypeError for what it cannot hold."""
+    """Convert a value to what JSON holds: plain numbers, None for what is not finite.
+
+    Raises TypeError for what it cannot hold.
+    """
     match value:
         case None | bool() | int() | str():
             return value
@@ -233,7 +245,10 @@ def plain(value: Any) -> Any:
 
 
 def shaped(kind: type[T], value: object) -> T:
-    """Return the dataclass ``kind`` with the fields of a JSON object. Raises ContentError for the first that is wrong, by its path."""
+    """Return the dataclass ``kind`` with the fields of a JSON object.
+
+    Raises ContentError for the first that is wrong, by its path.
+    """
     made: T = _shaped(kind, value, "")
     return made
 

@@ -1,6 +1,7 @@
 """Owns how values with arrays are shown where somebody looks at them in a notebook: in one line, arrays by their shape.
 
-A dataclass of a cloud prints whole arrays of NaN otherwise, over many lines, and a cell that ends in its name is a wall.
+A dataclass of a cloud prints whole arrays of NaN otherwise, over many lines, and a cell that ends in its name is a
+wall.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""The running instrument: capture, laser pointers, the reconstruction's process, the machine, its screens, and the service that ties them."""
+"""The running instrument: capture, laser pointers, the reconstruction's process, the machine, its screens, and the
+service that ties them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The measuring core: images and a calibration become points, errors and verdicts. It knows no file, clock, device or screen."""
+"""The measuring core: images and a calibration become points, errors and verdicts.
+
+It knows no file, clock, device or screen.
+"""
 
 from __future__ import annotations
 

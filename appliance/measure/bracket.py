@@ -1,7 +1,8 @@
 """Owns two sequences of one scene as one scan: whether they show the same, how far it moved in between, and one cloud.
 
-At rest, the decoded maps are merged, pixel by pixel, before points are found. After a small movement each sequence gets its
-own points, and the second cloud is laid against the first. Anything else is refused: the first sequence is a scan by itself.
+At rest, the decoded maps are merged, pixel by pixel, before points are found. After a small movement each sequence gets
+its own points, and the second cloud is laid against the first. Anything else is refused: the first sequence is a scan
+by itself.
 """
 
 from __future__ import annotations
@@ -69,7 +70,8 @@ class _Story:
 
 
 def merge_bracket(pipeline: Pipeline, first: ProcessedSequence, second: ProcessedSequence) -> Bracket:
-    """Return the cloud of both in the frame of the first, and their judgement; after ``pipeline`` found the second one's full cloud.
+    """Return the cloud of both in the frame of the first, and their judgement; after ``pipeline`` found the second
+    one's full cloud.
 
     The pipeline's maps are changed. The same two sequences give the same points, bit by bit.
     """
@@ -113,8 +115,8 @@ def merge_bracket(pipeline: Pipeline, first: ProcessedSequence, second: Processe
 def _merge_maps(
     pipeline: Pipeline, first: ProcessedSequence, second: ProcessedSequence
 ) -> tuple[dict[str, Agreement], dict[str, NDArray[np.float32]]]:
-    """Merge both sequences' maps into the pipeline's, which are the second one's; return how they agree, and the variance of
-    the merged coordinates in px², by side."""
+    """Merge both sequences' maps into the pipeline's, which are the second one's; return how they agree, and the
+    variance of the merged coordinates in px², by side."""
     agreements, variance_px2 = {}, {}
     for side in SIDES:
         maps, noise = pipeline.decoded(side), (of_side(second.noise, side), of_side(first.noise, side))

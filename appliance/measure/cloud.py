@@ -42,7 +42,10 @@ class PatchGaps:
     water_index: float
     """Refractive index of the water in which the rays were traced."""
     veil_um: NDArray[np.float64] | None = None
-    """(k,) what backscatter with fringes of its own added to the gap; ``gap_um`` is without it. ``None``, as the next two: there is none."""
+    """(k,) what backscatter with fringes of its own added to the gap; ``gap_um`` is without it.
+
+    ``None``, as the next two: there is none.
+    """
     doubts_um: NDArray[np.float64] | None = None
     """(k, DOUBTS) by how much that may be wrong, one standard deviation of each cause, all patches together."""
     shape_um: NDArray[np.float64] | None = None

@@ -1,7 +1,7 @@
 """Owns the names of everything that can go wrong, and what is known about one case of it.
 
-Detectors (ledger, drivers' errors, storage, worker) make a ``Fault``; ``appliance.instrument.machine.alerts`` says what the
-diver reads. Numbers are evidence: they are stored in the manifest and filled into headlines.
+Detectors (ledger, drivers' errors, storage, worker) make a ``Fault``; ``appliance.instrument.machine.alerts`` says what
+the diver reads. Numbers are evidence: they are stored in the manifest and filled into headlines.
 """
 
 from __future__ import annotations
@@ -56,7 +56,8 @@ class FaultCode(Enum):
     LIGHT_FLICKERS = "LIGHT_FLICKERS"
     """Light that is not the projector's changed from frame to frame, enough to bias phases (harmed_percent)."""
     FRINGES_BENT = "FRINGES_BENT"
-    """The exposure shows too few of the projector's bits for fringes to be sines; points are noisier for it (noise_percent)."""
+    """The exposure shows too few of the projector's bits for fringes to be sines; points are noisier for it
+    (noise_percent)."""
     GREY_BENT = "GREY_BENT"
     """One camera bends grey values, by a gamma or a table: what is told from them is wrong."""
     SCAN_NEAR = "SCAN_NEAR"
@@ -82,7 +83,8 @@ class FaultCode(Enum):
     CAMERA_SLOW_LINK = "CAMERA_SLOW_LINK"
     """A camera's link negotiated less than SuperSpeed (link_mbps)."""
     CAMERA_TOO_SLOW = "CAMERA_TOO_SLOW"
-    """A camera answers only each n-th pulse: it does not take 60 images a second as it is set (received, expected, every)."""
+    """A camera answers only each n-th pulse: it does not take 60 images a second as it is set (received, expected,
+    every)."""
     CAMERA_SILENT = "CAMERA_SILENT"
     """Every pulse was fired, and a camera took no image (received, expected)."""
     CAMERA_REFUSED = "CAMERA_REFUSED"

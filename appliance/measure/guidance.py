@@ -1,4 +1,5 @@
-"""Owns the words for what two scans have in common: a share, none, or that nobody can tell; and for where to take the next one from."""
+"""Owns the words for what two scans have in common: a share, none, or that nobody can tell; and for where to take the
+next one from."""
 
 from __future__ import annotations
 
@@ -11,7 +12,8 @@ class Overlap:
     """Overlap of a scan with the one before."""
 
     share: float | None
-    """Share, 0..1, of this scan's surface that the other one has, too; ``None``: it cannot be told (a smooth pipe fits everywhere)."""
+    """Share, 0..1, of this scan's surface that the other one has, too; ``None``: it cannot be told (a smooth pipe fits
+    everywhere)."""
 
     @property
     def none(self) -> bool:
@@ -49,7 +51,8 @@ class Guidance:
     expected: Overlap
     """Overlap that it would have. Its share is never ``None``: what cannot be told is no guidance."""
     toward: tuple[float, float] | None = None
-    """Direction of a good view in the left picture, right and down, of length 1; ``None``: any will do, or it is not known."""
+    """Direction of a good view in the left picture, right and down, of length 1; ``None``: any will do, or it is not
+    known."""
 
     def __post_init__(self) -> None:
         """Raises ValueError for an overlap without a share."""

@@ -1,14 +1,15 @@
 """Owns the table of judges: what is said of a whole sequence once its coarse cloud is known, and by whom.
 
-A new verdict is one file in ``appliance/measure/verdicts``, one row in ``JUDGES``, and one row in the alerts' table where the diver is
-to be told. The judge of identity is not among them: it runs before any cloud, since points of wrong patterns mean nothing.
+A new verdict is one file in ``appliance/measure/verdicts``, one row in ``JUDGES``, and one row in the alerts' table
+where the diver is to be told. The judge of identity is not among them: it runs before any cloud, since points of wrong
+patterns mean nothing.
 
 It also owns what is taken from each frame for the judges while the next ones are being recorded.
 
-After the last frame somebody waits, before it nobody does. So whatever a judge needs of single frames, or of one direction alone, is
-read as soon as it is there; what is left for afterwards is what needs both directions or the coordinates. There is no other way: a
-stored sequence is pushed frame by frame as well. A gatherer serves one sequence and is dropped with it, so that nothing of a scan that
-was cut off can come into the next one's verdicts.
+After the last frame somebody waits, before it nobody does. So whatever a judge needs of single frames, or of one
+direction alone, is read as soon as it is there; what is left for afterwards is what needs both directions or the
+coordinates. There is no other way: a stored sequence is pushed frame by frame as well. A gatherer serves one sequence
+and is dropped with it, so that nothing of a scan that was cut off can come into the next one's verdicts.
 """
 
 from __future__ import annotations
@@ -111,7 +112,7 @@ class Gatherer:
         light, visible, runs = self._of_x
         return Gathered(
             self._lines.finish(), self._sampler.finish(), light, visible, self._averager.finish(), runs, *self._grids
-        )  # fmt: skip
+        )
 
 
 def gather(
@@ -171,12 +172,17 @@ def _look(given: JudgeInput, _: Earlier) -> Judgement:
     stride = math.ceil((left.width_px * left.height_px / SIGHT_POINTS) ** 0.5)
     return Judgement(
         look(
-            given.images.frames, given.images.sequence, given.images.noise, given.rig, given.water_index,
-            given.pipeline.sample(stride, any_depth=True), given.pipeline.limits,
+            given.images.frames,
+            given.images.sequence,
+            given.images.noise,
+            given.rig,
+            given.water_index,
+            given.pipeline.sample(stride, any_depth=True),
+            given.pipeline.limits,
             given.identity.verdict.numbers.get("parallax_percent"),
             {side: one.visible for side, one in given.gathered.items()},
         )
-    )  # fmt: skip
+    )
 
 
 def _look_at_windows(given: JudgeInput, earlier: Earlier) -> Judgement | None:
@@ -214,7 +220,8 @@ def _judge_motion(given: JudgeInput, _: Earlier) -> Judgement:
 
 
 def _judge_grey(given: JudgeInput, earlier: Earlier) -> Judgement | None:
-    """Judge the cameras' grey; nothing where something moved, or other light changed: either makes sines that do not belong to the bright."""
+    """Judge the cameras' grey; nothing where something moved, or other light changed: either makes sines that do not
+    belong to the bright."""
     if any(one is not None and one.fault is not None and one.fault.code in CHANGES for one in earlier.values()):
         return None
     return judge_grey({side: one.sample for side, one in given.gathered.items()}, given.images.sequence)
@@ -256,7 +263,8 @@ class OneSaid:
 
 
 def judged_by_all(given: JudgeInput, tasks: WorkList) -> Iterator[OneSaid]:
-    """Ask every judge, those that need others last; yields what each one says as soon as it and those before it have said it.
+    """Ask every judge, those that need others last; yields what each one says as soon as it and those before it have
+    said it.
 
     Whoever else works on ``tasks`` begins at the table's end; it may do so from now on, before anything is yielded.
     """
@@ -267,7 +275,8 @@ def judged_by_all(given: JudgeInput, tasks: WorkList) -> Iterator[OneSaid]:
     def ask(judge: Judge) -> Judgement | None:
         return judge.judge(given, {name: asked[name].answer() for name in judge.needs})
 
-    # Two that go towards each other share the work evenly, whatever each judge takes. What is needed is added before what needs it.
+    # Two that go towards each other share the work evenly, whatever each judge takes. What is needed is added before
+    # what needs it.
     by_name = {judge.name: judge for judge in JUDGES}
     for judge in reversed(order):
         for name in (*judge.needs, judge.name):

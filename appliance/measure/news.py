@@ -15,7 +15,10 @@ from appliance.measure.verdict import Judgement
 
 @dataclass(frozen=True, slots=True)
 class PatternIdentity:
-    """Judgement whether each frame shows the pattern it should. With a fault, points would mean nothing, and none follow."""
+    """Judgement whether each frame shows the pattern it should.
+
+    With a fault, points would mean nothing, and none follow.
+    """
 
     judgement: Judgement
 
@@ -31,7 +34,8 @@ class CoarseCloud:
 
 @dataclass(frozen=True, slots=True)
 class WorkProgress:
-    """One step more of the work, of which nothing else is to be told: a judge has spoken, or a step of a second exposure is done."""
+    """One step more of the work, of which nothing else is to be told: a judge has spoken, or a step of a second
+    exposure is done."""
 
     step: str
 
@@ -116,6 +120,7 @@ class LiveGuidance:
 
 @dataclass(frozen=True, slots=True)
 class WorkerFailure:
-    """Failure of the worker's process, in words: its own last ones, or its parent's, which starts it again or has given up."""
+    """Failure of the worker's process, in words: its own last ones, or its parent's, which starts it again or has given
+    up."""
 
     text: str

@@ -1,7 +1,7 @@
 """Owns what happens to a sequence: identify → coarse cloud → judge → compensate → full cloud.
 
-It is written once, as the generator ``SequenceProcessor.steps``. The instrument's worker, the desk, the warm-up, the benches
-and the tests all run it, so that the same frames get the same points and the same verdicts everywhere.
+It is written once, as the generator ``SequenceProcessor.steps``. The instrument's worker, the desk, the warm-up, the
+benches and the tests all run it, so that the same frames get the same points and the same verdicts everywhere.
 """
 
 from __future__ import annotations
@@ -45,15 +45,16 @@ from appliance.measure.verdicts.holes import grid_step_px, judge_distance, judge
 from appliance.measure.verdicts.identity.judge import judge_identity
 
 WORTH_MASKING_PERCENT = 0.02
-"""Share of the pixels with coordinates; where specks disturb fewer, they are not looked for one by one: 20 ms of a scan."""
+"""Share of the pixels with coordinates; where specks disturb fewer, they are not looked for one by one: 20 ms of a
+scan."""
 
 
 class SequenceProcessor:
     """Takes one sequence after the other through ``pipeline`` and past the judges.
 
-    ``begin``, ``push`` for every frame of both sides as they come, then all ``steps``. A second sequence with another exposure
-    follows in the same way between ``hold`` and ``merge_with``. The pipeline's helpers work beside the caller from the last
-    frame on, and on nothing any more once the steps have been left, or another sequence was begun.
+    ``begin``, ``push`` for every frame of both sides as they come, then all ``steps``. A second sequence with another
+    exposure follows in the same way between ``hold`` and ``merge_with``. The pipeline's helpers work beside the caller
+    from the last frame on, and on nothing any more once the steps have been left, or another sequence was begun.
     """
 
     def __init__(self, pipeline: Pipeline, calibration: Calibration, water: Water) -> None:
@@ -86,8 +87,8 @@ class SequenceProcessor:
         self._pipeline.reset()
 
     def push(self, side: str, frames: NDArray[np.uint8], index: int) -> None:
-        """Decode frame ``index`` of one side's ``frames`` (n, h, w) uint8, which must not change until the last step, and take what
-        judges want of it.
+        """Decode frame ``index`` of one side's ``frames`` (n, h, w) uint8, which must not change until the last step,
+        and take what judges want of it.
 
         Raises ValueError unless frames come as 0, 1, …; of the last frame, with the first step.
         """
@@ -103,17 +104,19 @@ class SequenceProcessor:
         self._gatherers[side].push(frames, index)
 
     def push_all(self, frames: Mapping[str, NDArray[np.uint8]]) -> Iterator[int]:
-        """Push all ``frames`` of a stored sequence, both sides of one index after the other; yields each index before its frames."""
+        """Push all ``frames`` of a stored sequence, both sides of one index after the other; yields each index before
+        its frames."""
         for index in range(len(self._pipeline.sequence)):
             yield index
             for side in SIDES:
                 self.push(side, frames[side], index)
 
     def steps(self, *, even_if_wrong: bool = False) -> Iterator[SequenceFact]:
-        """Work on the sequence after its last frame; yields each fact as soon as it is known. It may be left at any of them.
+        """Work on the sequence after its last frame; yields each fact as soon as it is known. It may be left at any of
+        them.
 
-        Where a frame shows another pattern than it should, nothing follows ``PatternIdentity`` unless ``even_if_wrong``. Raises
-        ValueError where frames are missing.
+        Where a frame shows another pattern than it should, nothing follows ``PatternIdentity`` unless
+        ``even_if_wrong``. Raises ValueError where frames are missing.
         """
         begun_s = time.process_time()
         with self._tasks as tasks:
@@ -126,8 +129,8 @@ class SequenceProcessor:
         gathered = {side: gatherer.finish() for side, gatherer in self._gatherers.items()}
         lines = {side: one.lines for side, one in gathered.items()}
 
-        # Identity first of all: with a wrong pattern every coordinate would be wrong, and so every other verdict. The coarse cloud is
-        # begun beside it, and then was made in vain.
+        # Identity first of all: with a wrong pattern every coordinate would be wrong, and so every other verdict. The
+        # coarse cloud is begun beside it, and then was made in vain.
         finding = tasks.add(pipeline.find_coarse)
         identity = judge_identity(self._frames, pipeline.sequence, settings.noise, settings.exposure, lines)
         yield PatternIdentity(identity)
@@ -150,8 +153,9 @@ class SequenceProcessor:
         for one in judging:
             spoken[one.name] = one.judgement
             judged_s += one.cpu_s
-            # The full cloud need not wait for judges that have nothing to do with it: compensation, too, starts from the plain one. Where
-            # coordinates are changed first, specks masked or a bend taken out, it waits: judges read them.
+            # The full cloud need not wait for judges that have nothing to do with it: compensation, too, starts from
+            # the plain one. Where coordinates are changed first, specks masked or a bend taken out, it waits: judges
+            # read them.
             if one.name == "water" and not bend.counts and not _specks_count(one.judgement):
                 begun = pipeline.begin_full(tasks)
             yield WorkProgress(one.name)
@@ -191,7 +195,8 @@ class SequenceProcessor:
         yield FullCloud(full, weighed, time.process_time() - told_s)
 
     def bracket_steps(self, first: ProcessedSequence) -> Iterator[SequenceFact]:
-        """Work on the second sequence of a scan after its last frame, and merge it with the ``first``; the last fact is the ``Bracket``.
+        """Work on the second sequence of a scan after its last frame, and merge it with the ``first``; the last fact is
+        the ``Bracket``.
 
         It may be left at any of them. Raises ValueError where frames are missing.
         """
@@ -233,12 +238,16 @@ class SequenceProcessor:
         mask_specks(self._pipeline.sequence, self._frames[side], decoded, noise)
 
     def run(self, *, even_if_wrong: bool = False) -> FullCloud | None:
-        """Take all ``steps`` at once; returns the last one, ``None`` where wrong patterns ended them. Raises ValueError."""
+        """Take all ``steps`` at once; returns the last one, ``None`` where wrong patterns ended them.
+
+        Raises ValueError.
+        """
         (last,) = deque(self.steps(even_if_wrong=even_if_wrong), maxlen=1)
         return last if isinstance(last, FullCloud) else None
 
     def process(self, frames: Mapping[str, NDArray[np.uint8]], settings: AcquisitionSettings) -> FullCloud:
-        """Do everything with a whole sequence, also where it shows wrong patterns: ``begin``, ``push`` and all ``steps``.
+        """Do everything with a whole sequence, also where it shows wrong patterns: ``begin``, ``push`` and all
+        ``steps``.
 
         Raises ValueError where ``frames`` are not of the sequence.
         """
@@ -271,9 +280,14 @@ class SequenceProcessor:
             raise ValueError("the sequence has no full cloud yet; ask for it before another one is begun")
         bright = self._frames["left"][self._pipeline.sequence.bright]
         return ProcessedSequence(
-            self._pipeline.table.cloud(self._full), maps, bright, self._settings.exposure, self._settings.noise,
-            moved=self._moved, spoilt=self._moved and not self._compensated,
-        )  # fmt: skip
+            self._pipeline.table.cloud(self._full),
+            maps,
+            bright,
+            self._settings.exposure,
+            self._settings.noise,
+            moved=self._moved,
+            spoilt=self._moved and not self._compensated,
+        )
 
     def _weighed(self, said: Mapping[str, Judgement], summary: CloudSummary) -> tuple[Judgement, ...]:
         """Return what the judges said, with the causes of a poor scan weighed against each other."""

@@ -2,8 +2,8 @@
 
 It also owns the grade of a scan: the one word that the screen, the gallery, lists, pages and scripts have for it.
 
-It is made once, on board, from the numbers of the cloud and what the judges hold against the scan, and kept in the manifest as the verdict
-``NAME``. See ``docs/causes.md``.
+It is made once, on board, from the numbers of the cloud and what the judges hold against the scan, and kept in the
+manifest as the verdict ``NAME``. See ``docs/causes.md``.
 """
 
 from __future__ import annotations
@@ -34,7 +34,10 @@ class Verdict:
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """A verdict, and the fault to tell the diver of; ``None``: nothing to tell. The alerts' table says what it spoils."""
+    """A verdict, and the fault to tell the diver of; ``None``: nothing to tell.
+
+    The alerts' table says what it spoils.
+    """
 
     verdict: Verdict
     fault: Fault | None = None
@@ -85,9 +88,13 @@ SPOILS_SCAN = frozenset(
 SPOILS_POINTS = frozenset(
     {FaultCode.MOVED, FaultCode.LIGHT_FLICKERS, FaultCode.SIDES_EXCHANGED, FaultCode.NOT_IN_WATER}
 )
-"""Faults that make points of a recorded scan wrong: the diver may keep the scan, but is never told it is good or usable."""
+"""Faults that make points of a recorded scan wrong: the diver may keep the scan, but is never told it is good or
+usable."""
 TOLD_BESIDE_GOOD = frozenset({FaultCode.COMPENSATED})
-"""Faults that are told of a scan and ask for nothing. Anything else that is held against one asks the diver to repeat it, or to change something."""
+"""Faults that are told of a scan and ask for nothing.
+
+Anything else that is held against one asks the diver to repeat it, or to change something.
+"""
 MADE_UP_FOR = frozenset({FaultCode.TOO_BRIGHT, FaultCode.TOO_DARK})
 """Faults of one sequence that a second one with another exposure makes up for."""
 
@@ -101,7 +108,8 @@ class Grade(Enum):
 
 
 def grade(coverage_percent: float | None, noise_mm: float | None, held_against: Collection[FaultCode]) -> Grade:
-    """Return the grade of a scan whose cloud covers so much of what is lit, with that median sigma, and has these faults.
+    """Return the grade of a scan whose cloud covers so much of what is lit, with that median sigma, and has these
+    faults.
 
     No warning stands beside GOOD: whoever is told to repeat a scan is not told that it is good.
     """
@@ -123,8 +131,8 @@ def _within(coverage_percent: float | None, noise_mm: float | None, least: float
 
 
 def faults_of_both(faults: Iterable[Fault]) -> tuple[Fault, ...]:
-    """Return the faults of a scan of two exposures, given those held against either sequence and against the pair: but for too much
-    or too little light, which the other exposure makes up for."""
+    """Return the faults of a scan of two exposures, given those held against either sequence and against the pair: but
+    for too much or too little light, which the other exposure makes up for."""
     # The first one of a code stands: the order is that in which they were found.
     codes: dict[FaultCode, Fault] = {}
     for fault in faults:

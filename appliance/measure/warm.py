@@ -1,8 +1,9 @@
 """Owns a scan of nothing, which runs every kernel once: at installation to compile them, at start to load them.
 
 ``run_every_kernel`` is the whole; ``PIECES`` are the same in pieces that can be compiled side by side
-(``appliance.base.kernel_build``), the longest first. What a piece forgets is compiled when it is first needed, as without pieces;
-the tests compare both ways kernel by kernel. They serve stored scans as well: their frames are arrays of the same kind.
+(``appliance.base.kernel_build``), the longest first. What a piece forgets is compiled when it is first needed, as
+without pieces; the tests compare both ways kernel by kernel. They serve stored scans as well: their frames are arrays
+of the same kind.
 """
 
 from __future__ import annotations
@@ -56,8 +57,9 @@ _ALONG_MM = -0.67
 def what_an_empty_scan_does_not_run(
     sequence: PatternSequence,
 ) -> tuple[Callable[[], object], ...]:
-    """Return what runs the kernels for bent fringes, changing light, backscatter, specks, motion and a second exposure; else the first scan
-    that has some would wait for a compiler. Each loads for a fraction of a second; what more scans need comes first."""
+    """Return what runs the kernels for bent fringes, changing light, backscatter, specks, motion and a second exposure;
+    else the first scan that has some would wait for a compiler. Each loads for a fraction of a second; what more scans
+    need comes first."""
     # Types decide what is loaded, not sizes: large pictures of nothing would only have to be paged in.
     frames = np.zeros((len(sequence), *reversed(_SIZE_PX)), np.uint8)
     return (

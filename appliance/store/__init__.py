@@ -1,4 +1,5 @@
-"""Everything that is kept: formats and their promises, the library of scans, the rig file, and a stored scan processed again."""
+"""Everything that is kept: formats and their promises, the library of scans, the rig file, and a stored scan processed
+again."""
 
 from __future__ import annotations
 

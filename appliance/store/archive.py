@@ -1,4 +1,5 @@
-"""Owns how scans come into an archive and out of it: whole or not at all, compared byte for byte, and no source goes before that.
+"""Owns how scans come into an archive and out of it: whole or not at all, compared byte for byte, and no source goes
+before that.
 
 An archive is a storage root like any other, with the frames of its scans packed (``appliance.store.packed``):
 
@@ -6,8 +7,8 @@ An archive is a storage root like any other, with the frames of its scans packed
     <archive>/scans/.000123.packing   being written; the next call removes it
     <source>/scans/.000123.archived   a source that was compared and is being removed; the next call goes on with it
 
-Nothing that is there is replaced, in an archive or in a root that is unpacked into: people work in both. One process writes to each
-(``appliance.store.lock``).
+Nothing that is there is replaced, in an archive or in a root that is unpacked into: people work in both. One process
+writes to each (``appliance.store.lock``).
 """
 
 from __future__ import annotations
@@ -72,7 +73,8 @@ def scan_folders(root: Path, shelves: Iterable[LibraryFolder]) -> list[Path]:
 
 
 def make_shelves(fs: FileSystem, root: Path, shelves: Iterable[LibraryFolder]) -> None:
-    """Make the folders that scans come into, and remove what an interrupted call left half written. Raises StorageError.
+    """Make the folders that scans come into, and remove what an interrupted call left half written. Raises
+    StorageError.
 
     Under the lock of ``root`` alone: what another call has half written is no leftover.
     """
@@ -83,9 +85,11 @@ def make_shelves(fs: FileSystem, root: Path, shelves: Iterable[LibraryFolder]) -
 
 
 def copy_beside(fs: FileSystem, source: Path, target: Path) -> list[BesideFile]:
-    """Copy calibrations and objects from one storage root to another, and return what is another one there. Raises StorageError.
+    """Copy calibrations and objects from one storage root to another, and return what is another one there. Raises
+    StorageError.
 
-    Nothing is replaced: the target's calibration stays in use, and what was worked out in it stays; the source's file lies beside it.
+    Nothing is replaced: the target's calibration stays in use, and what was worked out in it stays; the source's file
+    lies beside it.
     """
     different = []
     for name in _BESIDE:
@@ -143,7 +147,8 @@ def unpack_scan(fs: FileSystem, source: Path, target: Path) -> Copied:
 
 
 def problems_of(folder: Path) -> dict[str, str]:
-    """Return what is wrong with a scan, by file, every frame decoded and its bytes compared with the checksum of before it was packed.
+    """Return what is wrong with a scan, by file, every frame decoded and its bytes compared with the checksum of before
+    it was packed.
 
     Raises ScanError without a readable manifest, MissingLibraryError.
     """
@@ -163,13 +168,15 @@ def problems_of(folder: Path) -> dict[str, str]:
 
 
 def remove_source(fs: FileSystem, source: Path, copy: Path) -> None:
-    """Remove the scan in ``source`` after everything in it was found in ``copy``, byte for byte; frames are decoded for it.
+    """Remove the scan in ``source`` after everything in it was found in ``copy``, byte for byte; frames are decoded for
+    it.
 
     Raises ScanError, and nothing is removed, where anything differs; StorageError.
     """
     compared = _refuse_difference(source, copy)
     leaving = source.with_name(f".{source.name}.{_LEAVING}")
-    # Under its new name it is in no list, so that half of it is never taken for a scan; what is left is removed by the next call.
+    # Under its new name it is in no list, so that half of it is never taken for a scan; what is left is removed by the
+    # next call.
     move_folder(fs, source, leaving)
     with refused("cannot list", leaving):
         now = sorted(path.name for path in leaving.iterdir())
@@ -253,7 +260,10 @@ def _published(fs: FileSystem, source: Path, draft: Path, target: Path) -> Copie
 
 
 def _refuse_difference(source: Path, copy: Path) -> list[Path]:
-    """Return the files of ``source``. Raises ScanError where one has not the same bytes in ``copy``, frames as they decode."""
+    """Return the files of ``source``.
+
+    Raises ScanError where one has not the same bytes in ``copy``, frames as they decode.
+    """
     files = _files(source)
     for path in files:
         name = path.name.removesuffix(packed.SUFFIX)

@@ -113,7 +113,10 @@ def replace_file(fs: FileSystem, path: Path, *parts: Bytes) -> Stamp:
 
 
 def replace_parts(fs: FileSystem, path: Path, parts: Iterable[Bytes]) -> Stamp:
-    """Replace (or make) a file as ``replace_file`` does, whose parts are made one after the other. Raises StorageError."""
+    """Replace (or make) a file as ``replace_file`` does, whose parts are made one after the other.
+
+    Raises StorageError.
+    """
     draft = draft_of(path)
     # An interrupted attempt left its draft; it is in the way of the exclusive creation below.
     discard(fs, draft)
@@ -134,8 +137,8 @@ def replace_parts(fs: FileSystem, path: Path, parts: Iterable[Bytes]) -> Stamp:
 
 
 def replace_by(fs: FileSystem, path: Path, write: Callable[[Path], None]) -> None:
-    """Replace (or make) a file by what ``write`` leaves at the name that it is given: as ``replace_file``, for libraries that
-    open their files themselves.
+    """Replace (or make) a file by what ``write`` leaves at the name that it is given: as ``replace_file``, for
+    libraries that open their files themselves.
 
     Raises StorageError, and whatever ``write`` raises but OSError; no draft is left then.
     """
@@ -194,10 +197,11 @@ def make_folders(fs: FileSystem, folder: Path) -> None:
 
 
 def add_beside(fs: FileSystem, path: Path, data: bytes) -> tuple[Path | None, bool]:
-    """Write a file that comes from elsewhere, and replace nothing: where ``path`` has other content, under a name with a checksum.
+    """Write a file that comes from elsewhere, and replace nothing: where ``path`` has other content, under a name with
+    a checksum.
 
-    Returns the file that has the content now, and whether it was written; ``None`` where that name has other content, too.
-    Raises StorageError.
+    Returns the file that has the content now, and whether it was written; ``None`` where that name has other content,
+    too. Raises StorageError.
     """
     other = path.with_name(f"{path.stem}.{hashlib.sha256(data).hexdigest()[:CHECKSUM_DIGITS]}{path.suffix}")
     for copy in (path, other):

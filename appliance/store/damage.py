@@ -127,8 +127,10 @@ def _shape(folder: Path, manifest: Manifest, count: int) -> tuple[int, int] | No
 
 
 def refuse_damaged_frames(folder: Path) -> None:
-    """Compare every byte of a scan's frames with its checksum. Raises ScanError that names every damaged file, and the frame
-    where that is known."""
+    """Compare every byte of a scan's frames with its checksum.
+
+    Raises ScanError that names every damaged file, and the frame where that is known.
+    """
     manifest = stored.manifest_of(folder)
     damaged = damaged_frames(folder, manifest)
     if damaged:

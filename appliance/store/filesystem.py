@@ -52,7 +52,10 @@ class AllocatingFileSystem(FileSystem, Protocol):
     """A file system that can give space before there is anything to write. Every call raises OSError on failure."""
 
     def allocate(self, path: Path, length_bytes: int) -> None:
-        """Make one file of that length, all of whose blocks are taken; it must not exist. What is in it means nothing."""
+        """Make one file of that length, all of whose blocks are taken; it must not exist.
+
+        What is in it means nothing.
+        """
 
     def reopen(self, path: Path) -> WritableFile:
         """Write an existing file anew from its start, into the blocks it has; ``sync`` cuts it to what was written."""

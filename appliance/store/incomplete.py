@@ -3,8 +3,9 @@
     <root>/incomplete/000001    frames_left.npy, frames_right.npy, calibration.json, rig.toml, incomplete.json
     <root>/incomplete/.000002   being written; what a loss of power left of it is taken away when the next one is kept
 
-Numbers are of their own. The folder has no ``manifest.json``, so that nothing takes it for a scan; ``incomplete.json`` has the same
-content, with the frames that are missing and why. No finished recording is ever deleted; when there are ``MOST``, no more are kept.
+Numbers are of their own. The folder has no ``manifest.json``, so that nothing takes it for a scan; ``incomplete.json``
+has the same content, with the frames that are missing and why. No finished recording is ever deleted; when there are
+``MOST``, no more are kept.
 """
 
 from __future__ import annotations
@@ -89,9 +90,9 @@ def keep_incomplete(
 ) -> Path:
     """Make the first frames of a sequence durable, all or nothing, and return their folder.
 
-    ``frames``: by side, (n, h, w) uint8, those of both sides of the same patterns. Raises ValueError for frames that are a whole
-    sequence or of different number, and where ``MOST`` are kept already; StorageError, also where the disk would then have no room for
-    a scan above ``reserve_bytes``. Nothing is left then.
+    ``frames``: by side, (n, h, w) uint8, those of both sides of the same patterns. Raises ValueError for frames that
+    are a whole sequence or of different number, and where ``MOST`` are kept already; StorageError, also where the disk
+    would then have no room for a scan above ``reserve_bytes``. Nothing is left then.
     """
     patterns = record.sequence.patterns
     shapes = {frames[side].shape for side in SIDES}

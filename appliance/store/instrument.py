@@ -106,9 +106,9 @@ class Instrument:
     def calibration(self) -> tuple[Calibration, tuple[Fault, ...]]:
         """Return the instrument's calibration.
 
-        Where the file in use is damaged, missing, of another instrument or of other cameras: the one before that is kept and
-        fits, else the design's; either with the condition UNCALIBRATED, whose detail says which, and whose device
-        is the camera that was exchanged (``cameras``: both).
+        Where the file in use is damaged, missing, of another instrument or of other cameras: the one before that is
+        kept and fits, else the design's; either with the condition UNCALIBRATED, whose detail says which, and whose
+        device is the camera that was exchanged (``cameras``: both).
         """
         calibration, problem = self._usable(self.calibration_file)
         if problem is None:
@@ -117,7 +117,8 @@ class Instrument:
         # Their names begin with a number that only grows, so that the latest that fits is found first.
         for kept in sorted(self.kept_folder.glob("*.json"), reverse=True):
             found, unfit = self._usable(kept)
-            # After a camera was exchanged, one that does not say which cameras it is of is most likely of those that left.
+            # After a camera was exchanged, one that does not say which cameras it is of is most likely of those that
+            # left.
             if found is not None and unfit is None and (found.camera_serials is not None or not problem.exchanged):
                 calibration, detail = found, f"{detail}; {kept.name}, which was in use before, is used"
                 break
@@ -153,22 +154,28 @@ class Instrument:
             log.warning(
                 "patterns are drawn without compensation: response %s is of instrument %s; this one is %s; "
                 "measure its own, or remove the file",
-                path, stored.rig_serial, self.rig.rig.serial,
-            )  # fmt: skip
+                path,
+                stored.rig_serial,
+                self.rig.rig.serial,
+            )
             return None
         if stored.trigger_delay_us not in (None, self.rig.board.trigger_delay_us):
             # Bit planes: what begins at another moment of the frame sees other bits, and another response.
             log.warning(
                 "patterns are drawn without compensation: response %s was measured with board.trigger_delay_us = %d, not %d; "
                 "measure it again, or remove the file",
-                path, stored.trigger_delay_us, self.rig.board.trigger_delay_us,
-            )  # fmt: skip
+                path,
+                stored.trigger_delay_us,
+                self.rig.board.trigger_delay_us,
+            )
             return None
         if stored.exposure_us not in (None, self.exposure.time_us):
             log.warning(
                 "response %s was measured at %s; the rig file's exposure is %s, at which it may be another",
-                path, Exposure(stored.exposure_us or 0).label, self.exposure.label,
-            )  # fmt: skip
+                path,
+                Exposure(stored.exposure_us or 0).label,
+                self.exposure.label,
+            )
         log.info("patterns are drawn for the projector's measured response")
         return stored.response
 
@@ -211,10 +218,11 @@ class Instrument:
         return StereoNoise(of(self.rig.camera.left), of(self.rig.camera.right))
 
     def with_measured_noise(self) -> Rig:
-        """Return the rig with the cameras' noise as it was measured in place of their data sheets'; the rig itself where it was not, or
-        the file cannot be used, which is logged.
+        """Return the rig with the cameras' noise as it was measured in place of their data sheets'; the rig itself
+        where it was not, or the file cannot be used, which is logged.
 
-        A scan carries its rig file as it was understood, so that whoever makes its points again expects the same errors.
+        A scan carries its rig file as it was understood, so that whoever makes its points again expects the same
+        errors.
         """
         path = self.noise_file
         try:
@@ -226,14 +234,21 @@ class Instrument:
             return self.rig
         cameras, known = self.rig.camera, stored.cameras
         if (stored.rig_serial, known.left.serial, known.right.serial) != (
-            self.rig.rig.serial, cameras.left.serial, cameras.right.serial,
-        ):  # fmt: skip
+            self.rig.rig.serial,
+            cameras.left.serial,
+            cameras.right.serial,
+        ):
             log.warning(
                 "the data sheets' noise is believed: %s is of instrument %s with cameras %s and %s, this one is %s with %s and %s; "
                 "measure its own, or remove the file",
-                path, stored.rig_serial, known.left.serial, known.right.serial,
-                self.rig.rig.serial, cameras.left.serial, cameras.right.serial,
-            )  # fmt: skip
+                path,
+                stored.rig_serial,
+                known.left.serial,
+                known.right.serial,
+                self.rig.rig.serial,
+                cameras.left.serial,
+                cameras.right.serial,
+            )
             return self.rig
 
         def measured(camera: CameraRig, found: CameraFigures) -> CameraRig:
@@ -264,7 +279,10 @@ class Instrument:
         return first if record.second is None else f"{first}, then {record.second.exposure.label}"
 
     def settings(self, exposure: Exposure) -> AcquisitionSettings:
-        """Return how a sequence is taken with ``exposure``. Raises ValueError for a rig that has no time for any exposure."""
+        """Return how a sequence is taken with ``exposure``.
+
+        Raises ValueError for a rig that has no time for any exposure.
+        """
         return AcquisitionSettings(exposure, 1.0 / self.rig.projector.refresh_hz, self.noise(exposure), self.exposures)
 
     def settings_of_scan(self, record: ScanRecord) -> AcquisitionSettings:
@@ -291,19 +309,24 @@ class Instrument:
         return ScanOrigin(encode_calibration(calibration), rig_text(self.rig).encode())
 
     def misfit(self, calibration: Calibration) -> str | None:
-        """Return why a calibration, in air or in water, is not of this instrument and its cameras; ``None`` where it is."""
+        """Return why a calibration, in air or in water, is not of this instrument and its cameras; ``None`` where it
+        is."""
         found = owner_misfit(calibration, self.owner)
         return None if found is None else found.reason
 
     @property
     def owner(self) -> Owner:
-        """Serial numbers and image sizes that tell the instrument from others. A camera with another serial number is never opened."""
+        """Serial numbers and image sizes that tell the instrument from others.
+
+        A camera with another serial number is never opened.
+        """
         left, right = self.rig.camera.left, self.rig.camera.right
         sizes_px = ((left.width_px, left.height_px), (right.width_px, right.height_px))
         return Owner(self.rig.rig.serial, sizes_px, (left.serial, right.serial))
 
     def with_volume(self, calibration: Calibration) -> Calibration:
-        """Return the calibration with the volume that the rig file states: the file is its home, a calibration only carries it along."""
+        """Return the calibration with the volume that the rig file states: the file is its home, a calibration only
+        carries it along."""
         volume = self.volume
         if calibration.rig.volume == volume:
             return calibration

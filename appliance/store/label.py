@@ -2,8 +2,8 @@
 
     {"schema": 1, "name": "bollard 3", "note": "north side, before cleaning", "sha256": "…"}
 
-A file of its own: the manifest's bytes stay those of the dive, and a version that knows no labels reads the scan as before. It
-travels with the folder. A damaged label is no damage to the scan.
+A file of its own: the manifest's bytes stay those of the dive, and a version that knows no labels reads the scan as
+before. It travels with the folder. A damaged label is no damage to the scan.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ LABEL = SealedFile(Label, schema=1, max_bytes=16_384)
 def checked_label(what: str, text: str, longest: int) -> str | None:
     """Return ``text`` in Unicode's composed form without blanks around it; ``None`` where nothing is left.
 
-    ``what``: ``name`` or ``note``, for the message. Raises ContentError for control characters, among them line ends and
-    those that turn the direction of writing, and for more than ``longest`` characters.
+    ``what``: ``name`` or ``note``, for the message. Raises ContentError for control characters, among them line ends
+    and those that turn the direction of writing, and for more than ``longest`` characters.
     """
     plain = unicodedata.normalize("NFC", text).strip()
     for at, character in enumerate(plain):

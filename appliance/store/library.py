@@ -183,7 +183,8 @@ class Library:
         return replace(manifest, files=files, recovered=True)
 
     def add_cloud(self, scan_id: str, cloud: PointCloud, preview_png: bytes | None, record: ScanRecord) -> Manifest:
-        """Give a published scan that has no cloud one (reconstructed later). Raises StorageError, UnknownScan, ScanError.
+        """Give a published scan that has no cloud one (reconstructed later). Raises StorageError, UnknownScan,
+        ScanError.
 
         A scan with a cloud keeps it: what was seen at the time of the dive is not rewritten.
         """
@@ -213,7 +214,8 @@ class Library:
     def restore(self, scan_id: str) -> Path:
         """Take a scan out of the trash, to where its manifest says that it belongs. Answers its folder.
 
-        Raises UnknownScan for one that is not in the trash, ScanError where another of its number lies there, StorageError.
+        Raises UnknownScan for one that is not in the trash, ScanError where another of its number lies there,
+        StorageError.
         """
         folder = self._find_on(LibraryFolder.TRASH, scan_id)
         if folder is None:
@@ -231,7 +233,10 @@ class Library:
         return target
 
     def set_label(self, scan_id: str, label: Label) -> None:
-        """Give a scan a name and a note, durably; nothing else in its folder changes. Raises UnknownScan, StorageError."""
+        """Give a scan a name and a note, durably; nothing else in its folder changes.
+
+        Raises UnknownScan, StorageError.
+        """
         labels.write(self._fs, self._find(scan_id)[1], label)
 
     # ------------------------------------------------------------------------------------- reading
@@ -317,7 +322,8 @@ class Library:
 
     def _find_on(self, shelf: LibraryFolder, scan_id: str) -> Path | None:
         for folder in self._sorted(shelf):
-            # isascii: digits of other scripts are digits, too, and no folder has any. As texts: int() refuses thousands of them.
+            # isascii: digits of other scripts are digits, too, and no folder has any. As texts: int() refuses thousands
+            # of them.
             plain_number = (
                 scan_id.isascii() and scan_id.isdigit() and (scan_id.lstrip("0") or "0") == str(_number(folder))
             )
@@ -338,8 +344,8 @@ def _belongs(folder: Path) -> LibraryFolder:
 def entry_of(folder: Path, *, checksums: bool) -> ScanEntry:
     """Return one scan by its folder, be it in a library or copied elsewhere; ``checksums``: every byte is read.
 
-    A folder outside of any library counts as one of published scans, and may have any name. A number as its name must be
-    the scan's own.
+    A folder outside of any library counts as one of published scans, and may have any name. A number as its name must
+    be the scan's own.
     """
     whole = folder.absolute()
     shelf = next((one for one in LibraryFolder if one.value == whole.parent.name), LibraryFolder.SCANS)

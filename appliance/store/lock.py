@@ -19,7 +19,10 @@ _LOOK_S = 0.02
 
 @contextmanager
 def hold_lock(root: Path, wait_s: float = 0.0) -> Iterator[None]:
-    """Hold the lock of ``root``; the kernel releases it however the process ends. Raises StorageError if it is taken, and still is after ``wait_s``."""
+    """Hold the lock of ``root``; the kernel releases it however the process ends.
+
+    Raises StorageError if it is taken, and still is after ``wait_s``.
+    """
     path = root / "run" / FILE_NAME
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

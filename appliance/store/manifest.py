@@ -91,8 +91,9 @@ class ScanRecord:
     stage_times_s: Mapping[str, float] = field(default_factory=dict)
     """Monotonic, from ``recorded_ns``: ``first_pattern`` is on the scene, ``recording``: the last frame is in memory,
     ``coarse`` and ``full``: that cloud is ready to be shown, ``saved``: raw frames and ledger survive a loss of power.
-    ``pair``: the cloud of two exposures is ready; it includes the time the diver took to ask for it.
-    ``coarse_cpu``, ``full_cpu``, ``judged_cpu`` and ``overlap_cpu`` are the worker's CPU time for that step alone. What did not happen is not there.
+    ``pair``: the cloud of two exposures is ready; it includes the time the diver took to ask for it. ``coarse_cpu``,
+    ``full_cpu``, ``judged_cpu`` and ``overlap_cpu`` are the worker's CPU time for that step alone. What did not happen
+    is not there.
     """
 
     @property
@@ -103,7 +104,8 @@ class ScanRecord:
 
     @property
     def held_against(self) -> tuple[FaultCode, ...]:
-        """Faults that were told of the scan, the one that takes most first; of a pair, but for the light that the other sequence made up for."""
+        """Faults that were told of the scan, the one that takes most first; of a pair, but for the light that the other
+        sequence made up for."""
         pair = self._verdict("pair")
         whole = pair is not None and pair.passed is True
         verdicts = (*self.verdicts, *(self.second.verdicts if whole and self.second is not None else ()))
@@ -123,7 +125,8 @@ class ScanRecord:
 
     @property
     def gap_mm(self) -> float | None:
-        """Median ray gap; ``None`` where it is not known, as of a compensated scan: its rows come from the model, and meet whatever is wrong."""
+        """Median ray gap; ``None`` where it is not known, as of a compensated scan: its rows come from the model, and
+        meet whatever is wrong."""
         return None if self.compensated else self.cloud.get("gap_mm")
 
     def _verdict(self, name: str) -> Verdict | None:
@@ -166,13 +169,14 @@ class Manifest:
     recovered: bool = False
     """True if the scan was found unpublished at a start and published then."""
     frame_crc32: Mapping[str, tuple[str, ...]] = field(kw_only=True)
-    """CRC-32 (hexadecimal) of each frame, by the name of the file of frames, so that it can be said which one is damaged."""
+    """CRC-32 (hexadecimal) of each frame, by the name of the file of frames, so that it can be said which one is
+    damaged."""
 
 
 def refuse_names(manifest: Manifest) -> None:
     """Raises ValueError where a manifest names something that no part of a path may be called."""
-    # Scans are copied around and come from strangers, too: a name must not lead out of the scan's folder, nor out of one that is named
-    # after the scan.
+    # Scans are copied around and come from strangers, too: a name must not lead out of the scan's folder, nor out of
+    # one that is named after the scan.
     component(manifest.scan_id, "scan_id")
     for file_name in manifest.files:
         if not is_component(file_name) or file_name == MANIFEST_FILE:

@@ -1,7 +1,9 @@
-"""Owns which names become part of a path, wherever they come from: a manifest, an object, an archive, another root, another computer.
+"""Owns which names become part of a path, wherever they come from: a manifest, an object, an archive, another root,
+another computer.
 
-What lies on a disk was not always written by this program. So a name is looked at where it is read, before anybody joins it to a folder:
-it is one component, neither hidden nor read as an option by other programs, and a folder of every file system can be called so.
+What lies on a disk was not always written by this program. So a name is looked at where it is read, before anybody
+joins it to a folder: it is one component, neither hidden nor read as an option by other programs, and a folder of every
+file system can be called so.
 
 It also owns the number of the next scan: it never repeats, not even when its file or the newest scans are gone.
 
@@ -60,7 +62,8 @@ def _stored(path: Path) -> int:
 
 
 CALIBRATIONS, CURRENT_CALIBRATION, CALIBRATION_IN_AIR = "calibration", "current.json", "air.json"
-"""Folder below a storage root with its calibrations, the file in it that is in use, and the one in air that others begin with."""
+"""Folder below a storage root with its calibrations, the file in it that is in use, and the one in air that others
+begin with."""
 OBJECTS = "objects"
 """Folder below a storage root with its objects."""
 MOST_CHARACTERS, MOST_BYTES = 100, 200
@@ -77,7 +80,10 @@ class NameShapeError(ValueError):
 
 
 def component(name: str, what: str) -> str:
-    """Return ``name``, which is one component of a path. ``what`` it is the name of is for the message. Raises NameShapeError."""
+    """Return ``name``, which is one component of a path.
+
+    ``what`` it is the name of is for the message. Raises NameShapeError.
+    """
     if not is_component(name):
         raise NameShapeError(
             f"{what} is {name!r:.60}; allowed are 1 to {MOST_CHARACTERS} characters that can be read, none of {' '.join(sorted(_RESERVED))}, "
@@ -102,7 +108,10 @@ def is_component(name: str) -> bool:
 
 
 def scan_number(folder: str) -> str | None:
-    """Return the number in the name of a scan's folder; ``None`` for any other. The ending of ``000007-2`` tells apart two of one number."""
+    """Return the number in the name of a scan's folder; ``None`` for any other.
+
+    The ending of ``000007-2`` tells apart two of one number.
+    """
     found = _SCAN_FOLDER.fullmatch(folder)
     return None if found is None else found[1]
 

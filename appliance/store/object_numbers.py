@@ -1,7 +1,7 @@
 """Owns which object the scans on a disk belong to, as the diver said it: numbers that the manifests carry.
 
-A number is given once. ``choices.json`` remembers the largest one; where that file was lost, or came from elsewhere, the manifests
-tell. Numbers ascend with the scans', so that the newest scan that carries one carries the largest.
+A number is given once. ``choices.json`` remembers the largest one; where that file was lost, or came from elsewhere,
+the manifests tell. Numbers ascend with the scans', so that the newest scan that carries one carries the largest.
 """
 
 from __future__ import annotations
@@ -15,7 +15,10 @@ LOOKED_AT = 500
 
 
 def largest_number(library: Library) -> int:
-    """Return the largest number that one of the newest scans carries, wherever it lies; 0 where none does. Raises OSError."""
+    """Return the largest number that one of the newest scans carries, wherever it lies; 0 where none does.
+
+    Raises OSError.
+    """
     for folder in library.newest_first()[:LOOKED_AT]:
         try:
             number = form.read(folder).record.object

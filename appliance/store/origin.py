@@ -1,4 +1,5 @@
-"""Owns what a scan was taken with: every scan carries its calibration and its rig file; another one is refused where it does not fit."""
+"""Owns what a scan was taken with: every scan carries its calibration and its rig file; another one is refused where it
+does not fit."""
 
 from __future__ import annotations
 
@@ -52,7 +53,8 @@ class Chosen:
 def open_source(folder: Path, wish: Wish, scan: StoredScan | None = None) -> SourceScan:
     """Open a scan and the rig it was taken with: ``--rig``, else its own.
 
-    ``scan``: what was opened of it already. Raises ScanError, also for a rig file that is damaged or whose cameras are of another size.
+    ``scan``: what was opened of it already. Raises ScanError, also for a rig file that is damaged or whose cameras are
+    of another size.
     """
     scan = scan or stored.load_scan(folder, only_raw=True)
     root = wish.root or root_of(folder)
@@ -73,7 +75,10 @@ def open_source(folder: Path, wish: Wish, scan: StoredScan | None = None) -> Sou
 
 
 def instrument_of(scans: Sequence[SourceScan], wish: Wish) -> Rig:
-    """Return the instrument that all ``scans`` (one or more) are of, with its storage root. Raises ScanError for scans of several instruments."""
+    """Return the instrument that all ``scans`` (one or more) are of, with its storage root.
+
+    Raises ScanError for scans of several instruments.
+    """
     rig = wish.rig or scans[0].rig
     for one in scans:
         # Not `rig_hash`: exposure and folders may differ from scan to scan, cameras and raster may not.
@@ -129,8 +134,8 @@ def refuse_misfit(
 def misfit(calibration: Calibration, scan: SourceScan, *, foreign: bool = False, start: bool = False) -> str | None:
     """Return why a scan cannot be measured with a calibration, and what to do; ``None`` where it can.
 
-    The images must have its size. Instrument and cameras must be those of the rig file too, unless ``foreign``. ``start``: it is what a
-    calibration begins with.
+    The images must have its size. Instrument and cameras must be those of the rig file too, unless ``foreign``.
+    ``start``: it is what a calibration begins with.
     """
     option = "--start" if start else "--calibration"
     remedy = f"give the one of the instrument that recorded it with {option} FILE"
@@ -173,7 +178,8 @@ def _of_the_scan(scan: StoredScan) -> Chosen:
 
 
 def lost(folder: Path, manifest: Manifest, name: str) -> str | None:
-    """Return what is wrong with one of a scan's files, its bytes compared with their checksum; ``None`` where it is whole."""
+    """Return what is wrong with one of a scan's files, its bytes compared with their checksum; ``None`` where it is
+    whole."""
     if name not in manifest.files:
         return "not in the manifest"
     alone = replace(manifest, files={name: manifest.files[name]})

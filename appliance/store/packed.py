@@ -1,4 +1,5 @@
-"""Owns the packed form of a file of frames: every frame a JPEG-LS stream of its own, found and decoded without the others.
+"""Owns the packed form of a file of frames: every frame a JPEG-LS stream of its own, found and decoded without the
+others.
 
 ``frames_left.npy`` becomes ``frames_left.npy.jls``, and its bytes can be had again one for one:
 
@@ -10,8 +11,9 @@
     streams     one after another, each a whole JPEG-LS file (ISO/IEC 14495-1), lossless
     32 bytes    sha256 of everything before
 
-Checksums are those of the decoded pixels: the same frames provably give the same points, whatever packed them. The codec is
-``imagecodecs``, of the desk: an instrument knows the form and has no codec, so that it neither packs nor reads what is packed.
+Checksums are those of the decoded pixels: the same frames provably give the same points, whatever packed them. The
+codec is ``imagecodecs``, of the desk: an instrument knows the form and has no codec, so that it neither packs nor reads
+what is packed.
 """
 
 from __future__ import annotations
@@ -147,7 +149,8 @@ def packed_path(path: Path) -> Path:
 def pack(header: bytes, frames: NDArray[np.uint8], stamp: Stamp, name: str) -> Sequence[Bytes]:
     """Return the parts of the packed file of ``frames`` (n, h, w) uint8, whose unpacked file begins with ``header``.
 
-    ``stamp``: the unpacked file's; ``name``: for messages. Takes memory for the packed frames. Raises MissingLibraryError.
+    ``stamp``: the unpacked file's; ``name``: for messages. Takes memory for the packed frames. Raises
+    MissingLibraryError.
     """
     codec = _codec(name)
     with ThreadPoolExecutor(THREADS) as pool:
@@ -199,7 +202,8 @@ def _index(path: Path, content: dict[str, Any], at: int, file: BinaryIO) -> Pack
         or not isinstance(content["sha256"], str)
     ):
         raise ValueError("another number of streams than of checksums")
-    # What is unpacked must be as long as its own header and frames: nothing is allocated on the word of a damaged index.
+    # What is unpacked must be as long as its own header and frames: nothing is allocated on the word of a damaged
+    # index.
     if length != len(header) + len(streams) * height * width or not all(
         isinstance(one, str) for one in (*sums, *stream_sums)
     ):

@@ -1,8 +1,8 @@
 """Owns how large and how deep a picture says it is, read from the first bytes of its file, before anything is decoded.
 
-A file of some kilobytes can promise thousands of millions of pixels, which a decoder would make room for. Formats: PNG (ISO/IEC
-15948, IHDR), JPEG (ITU-T T.81, SOF), TIFF 6.0 (first directory), BMP (BITMAPINFOHEADER and BITMAPCOREHEADER), PGM and PPM
-(Netpbm).
+A file of some kilobytes can promise thousands of millions of pixels, which a decoder would make room for. Formats: PNG
+(ISO/IEC 15948, IHDR), JPEG (ITU-T T.81, SOF), TIFF 6.0 (first directory), BMP (BITMAPINFOHEADER and BITMAPCOREHEADER),
+PGM and PPM (Netpbm).
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ def size_px(data: bytes | mmap) -> tuple[int, int] | None:
 
 
 def picture_head(data: bytes | mmap) -> Head | None:
-    """Return width, height and bits that the header states; ``None`` for a damaged header or a format that is not read here."""
+    """Return width, height and bits that the header states; ``None`` for a damaged header or a format that is not read
+    here."""
     try:
         if data[:8] == b"\x89PNG\r\n\x1a\n" and data[12:16] == b"IHDR":
             width_px, height_px, bits = struct.unpack_from(">IIB", data, 16)
@@ -78,5 +79,6 @@ def _jpeg(data: bytes | mmap) -> Head | None:
         elif marker in _WITHOUT_LENGTH:
             at += 2
         else:
-            # The length counts its own two bytes; at least those are skipped, so that a damaged 0 does not loop for ever.
+            # The length counts its own two bytes; at least those are skipped, so that a damaged 0 does not loop for
+            # ever.
             at += 2 + max(struct.unpack_from(">H", data, at + 2)[0], 2)

@@ -90,8 +90,10 @@ class StoredCloud:
 
 
 def encode_ply(cloud: PointCloud, salvaged: str | None = None, unchecked: str | None = None) -> tuple[bytes, Bytes]:
-    """Return the header and body of the file; ``salvaged`` and ``unchecked`` are written into it. Raises ValueError where lengths
-    differ or a coordinate is not finite."""
+    """Return the header and body of the file; ``salvaged`` and ``unchecked`` are written into it.
+
+    Raises ValueError where lengths differ or a coordinate is not finite.
+    """
     n = len(cloud.points_mm)
     if cloud.points_mm.shape != (n, 3):
         raise ValueError(f"points_mm has shape {cloud.points_mm.shape}; (n, 3) is needed")
@@ -131,7 +133,10 @@ def _header(crc: int, points: int, salvaged: str | None, unchecked: str | None) 
 
 
 def write_ply(path: Path, cloud: PointCloud) -> None:
-    """Write a cloud for a desk, whole or not at all; scans are written by ``Library``. Raises StorageError, ValueError."""
+    """Write a cloud for a desk, whole or not at all; scans are written by ``Library``.
+
+    Raises StorageError, ValueError.
+    """
     replace_file(LocalFileSystem(), path, *encode_ply(cloud))
 
 

@@ -1,6 +1,8 @@
-"""Owns a stored scan run through the instrument's procedure once more: its clouds, its judgements, and why it may have no points.
+"""Owns a stored scan run through the instrument's procedure once more: its clouds, its judgements, and why it may have
+no points.
 
-It also owns why a reconstruction leaves no points, or nearly none: what was recorded, or the calibration that does not fit it.
+It also owns why a reconstruction leaves no points, or nearly none: what was recorded, or the calibration that does not
+fit it.
 """
 
 from __future__ import annotations
@@ -38,9 +40,12 @@ from appliance.measure import (
 from appliance.store import scan as stored
 
 LEAST_SHARE = 0.05
-"""Least share of the left pixels that were decoded which become points. A calibration that fits leaves more than half of them even in turbid water. One that
-does not makes the rays of a point miss each other by millimetres; where that amount changes sign across the picture, a band
-of a few hundredths of the pixels passes by chance."""
+"""Least share of the left pixels that were decoded which become points.
+
+A calibration that fits leaves more than half of them even in turbid water. One that does not makes the rays of a point
+miss each other by millimetres; where that amount changes sign across the picture, a band of a few hundredths of the
+pixels passes by chance.
+"""
 LEAST_DECODED_SHARE = 0.001
 """Least share of the left picture that is decoded: fewer pixels show nothing that could be measured."""
 SAMPLED_PIXELS = 5_000
@@ -65,8 +70,8 @@ def why_empty(pipeline: Pipeline, cloud: Cloud, judgements: Sequence[Judgement])
     decoded, points = int(np.count_nonzero(mask == Mask.VALID)), cloud.summary.points
     if points > LEAST_SHARE * decoded:
         return None
-    # The order of blame: nothing was seen; frames of other patterns, in which no rays can meet; rays that do not meet (the calibration);
-    # points that meet and were masked.
+    # The order of blame: nothing was seen; frames of other patterns, in which no rays can meet; rays that do not meet
+    # (the calibration); points that meet and were masked.
     if decoded < LEAST_DECODED_SHARE * mask.size:
         return Empty(
             f"shows no pattern on anything: {decoded} of {mask.size} pixels of the left camera could be decoded"
@@ -124,7 +129,10 @@ class ReprocessedScan:
 
     @property
     def unfit(self) -> Fault | None:
-        """Reason why its decoded maps must not calibrate; ``None`` where they may. They are those of before any compensation."""
+        """Reason why its decoded maps must not calibrate; ``None`` where they may.
+
+        They are those of before any compensation.
+        """
         return next((fault for fault in self.faults if _spoils_maps(fault)), None)
 
 
@@ -141,8 +149,8 @@ def reprocess_scan(
 ) -> ReprocessedScan:
     """Reconstruct and judge a stored scan with ``calibration``, as the instrument does; of a pair, its first sequence.
 
-    ``settings``: how it was taken (``settings_of_scan``). ``limits`` ``None``: those of the instrument. Frames that are not
-    what they should be give their points all the same: the judgements say so.
+    ``settings``: how it was taken (``settings_of_scan``). ``limits`` ``None``: those of the instrument. Frames that are
+    not what they should be give their points all the same: the judgements say so.
     """
     water = water_of_scan(scan, calibration)
     with Pipeline(calibration, water, sequence_of_scan(scan), limits, noise=settings.noise) as pipeline:
@@ -212,7 +220,8 @@ def _work_through(
     count: int,
     progress: Callable[[str], None],
 ) -> FullCloud:
-    """Take every step with one stored sequence of ``count`` frames, also where it shows wrong patterns; return the last one."""
+    """Take every step with one stored sequence of ``count`` frames, also where it shows wrong patterns; return the last
+    one."""
     progress("loading")
     processor.begin(settings)
     for index in processor.push_all(frames):

@@ -1,11 +1,13 @@
-"""Owns the space that is allocated on the disk before it is needed: what was recorded can be written whatever else fills it.
+"""Owns the space that is allocated on the disk before it is needed: what was recorded can be written whatever else
+fills it.
 
     <root>/room/frames-left      as long as one camera's frames; becomes frames_left.npy, block by block the same file
     <root>/room/...              one for each file that a scan's way to the shelf makes, and its folder
     <root>/room/slack            for a folder that grows by a block: given up at the first refusal for want of space
 
-A file that is written into allocated blocks cannot be refused for want of space. So ``create`` hands out such a file under
-the new name instead of an empty one; it is cut to what was written when it is synced. Nothing in the room is ever read.
+A file that is written into allocated blocks cannot be refused for want of space. So ``create`` hands out such a file
+under the new name instead of an empty one; it is cut to what was written when it is synced. Nothing in the room is ever
+read.
 """
 
 from __future__ import annotations
@@ -79,7 +81,8 @@ class Room:
         """True until this file system refuses to allocate; where it does, space is only counted."""
 
     def hold(self, lengths: Mapping[str, int]) -> None:
-        """Allocate what is missing of ``lengths`` (by name, in bytes). What is there, also from an earlier start, stays.
+        """Allocate what is missing of ``lengths`` (by name, in bytes). What is there, also from an earlier start,
+        stays.
 
         Raises StorageError, with the cause; what was allocated until then is kept.
         """

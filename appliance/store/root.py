@@ -1,4 +1,5 @@
-"""Owns how a storage root is found where none was named: around the folder in which somebody stands, or in the environment.
+"""Owns how a storage root is found where none was named: around the folder in which somebody stands, or in the
+environment.
 
 Only for what is done with stored scans. An instrument keeps its scans where its rig file says, wherever it is started.
 """
@@ -18,7 +19,8 @@ _BESIDE = ("calibration", "next-id")
 
 
 def is_root(folder: Path) -> bool:
-    """Return True if ``folder`` is a storage root: ``scans/`` in it, and a scan in that or an instrument's own files beside it."""
+    """Return True if ``folder`` is a storage root: ``scans/`` in it, and a scan in that or an instrument's own files
+    beside it."""
     # `scans` alone may be anybody's folder.
     scans = folder / _SCANS
     try:
@@ -35,7 +37,8 @@ def root_around(folder: Path) -> Path | None:
 
 
 def standing_root(environment: Mapping[str, str]) -> Path | None:
-    """Return the storage root around the working directory, else that of ``KINGFISHER_ROOT``; ``None`` where neither says one.
+    """Return the storage root around the working directory, else that of ``KINGFISHER_ROOT``; ``None`` where neither
+    says one.
 
     Raises NotADirectoryError for a ``KINGFISHER_ROOT`` that is no folder.
     """

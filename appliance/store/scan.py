@@ -1,12 +1,12 @@
 """Owns the content of a scan's folder: which files it has, when each is written, and how it is read back.
 
-Two steps. ``write_raw``: frames, what they were taken with (``ScanOrigin``) and a first manifest, durable before the diver
-decides. ``finish``: cloud and preview, then the manifest that lists them. In between, ``add_second`` may add the frames
-of a second exposure. Each manifest replaces the one before atomically, so that at any instant the folder holds a manifest
-and every file it lists, or no manifest at all.
+Two steps. ``write_raw``: frames, what they were taken with (``ScanOrigin``) and a first manifest, durable before the
+diver decides. ``finish``: cloud and preview, then the manifest that lists them. In between, ``add_second`` may add the
+frames of a second exposure. Each manifest replaces the one before atomically, so that at any instant the folder holds a
+manifest and every file it lists, or no manifest at all.
 
-At a desk a file of frames may lie in its packed form instead (``appliance.store.packed``); the manifest is the same, and
-whatever opens the scan reads it as it reads others.
+At a desk a file of frames may lie in its packed form instead (``appliance.store.packed``); the manifest is the same,
+and whatever opens the scan reads it as it reads others.
 """
 
 from __future__ import annotations
@@ -292,8 +292,8 @@ def load_scan(folder: Path, *, only_raw: bool = False) -> StoredScan:
 
 
 def read_header(data: bytes) -> tuple[int, tuple[int, int, int]] | None:
-    """Return the length of the header of a file of frames that begins with ``data``, and (n, h, w); ``None`` for anything
-    else.
+    """Return the length of the header of a file of frames that begins with ``data``, and (n, h, w); ``None`` for
+    anything else.
 
     It is compared with the one that ``npy_parts`` writes, nothing in it is executed.
     """
@@ -306,7 +306,8 @@ def read_header(data: bytes) -> tuple[int, tuple[int, int, int]] | None:
 def read_frame(folder: Path, side: str, k: int, *, second: bool = False) -> NDArray[np.uint8]:
     """Return frame ``k`` of one camera, (h, w) uint8, compared with its checksum.
 
-    Nothing else of the frames is read, packed or not. ``second``: of the second exposure. Raises ScanError, MissingLibraryError.
+    Nothing else of the frames is read, packed or not. ``second``: of the second exposure. Raises ScanError,
+    MissingLibraryError.
     """
     import numpy as np
 
@@ -347,8 +348,10 @@ def _as_scan_error(path: Path) -> Iterator[None]:
 
 
 def map_frames(path: Path, count: int) -> NDArray[np.uint8]:
-    """Return the ``count`` frames of a file, (n, h, w) uint8: mapped, or decoded into memory where it is packed. What is written to
-    them never reaches the file. Raises ScanError, MissingLibraryError."""
+    """Return the ``count`` frames of a file, (n, h, w) uint8: mapped, or decoded into memory where it is packed.
+
+    What is written to them never reaches the file. Raises ScanError, MissingLibraryError.
+    """
     import numpy as np
 
     if is_packed(path.parent, path.name):
@@ -364,8 +367,8 @@ def map_frames(path: Path, count: int) -> NDArray[np.uint8]:
         header_bytes, shape = header
         if not 0 < shape[0] * shape[1] * shape[2] == path.stat().st_size - header_bytes:
             raise ScanError(f"{path}: {path.stat().st_size} bytes are not {count} frames of {shape[2]} x {shape[1]} px")
-        # Copied on writing: nothing can change the file, and still they are the same kind of array as frames that were just
-        # recorded. numba would compile each kernel a second time for arrays that cannot be written.
+        # Copied on writing: nothing can change the file, and still they are the same kind of array as frames that were
+        # just recorded. numba would compile each kernel a second time for arrays that cannot be written.
         return np.memmap(path, np.uint8, "c", header_bytes, shape)
 
 

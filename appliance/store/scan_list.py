@@ -1,4 +1,5 @@
-"""Owns the list of scans that a metrologist writes down: which scan shows which artefact, and what its certificate states.
+"""Owns the list of scans that a metrologist writes down: which scan shows which artefact, and what its certificate
+states.
 
 Read alone, without anything that computes: a wrong word in it is the usual end of a first try.
 """
@@ -85,7 +86,8 @@ def read_list(path: Path) -> ScanList:
 
 
 def refuse_repeats(path: Path, entries: Sequence[ListedScan], folders: Sequence[Path]) -> None:
-    """Raise ListError for an artefact that the list at ``path`` names twice in one of the scans' ``folders``: it would count twice."""
+    """Raise ListError for an artefact that the list at ``path`` names twice in one of the scans' ``folders``: it would
+    count twice."""
     seen: dict[tuple[Path, Artefact], int] = {}
     for k, (entry, folder) in enumerate(zip(entries, folders, strict=True)):
         before = seen.setdefault((folder.resolve(), entry.artefact), k)

@@ -1,4 +1,5 @@
-"""Owns the options that were given beside a scan, and the storage root that it lies in: light, so that a wrong one is told before anything that computes is loaded."""
+"""Owns the options that were given beside a scan, and the storage root that it lies in: light, so that a wrong one is
+told before anything that computes is loaded."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Owns the instrument on the bench: pictures are played and recorded through the shipped drivers, as any scan is, and given out as images."""
+"""Owns the instrument on the bench: pictures are played and recorded through the shipped drivers, as any scan is, and
+given out as images."""
 
 from __future__ import annotations
 
@@ -47,10 +48,14 @@ class Bench(Protocol):
         """The projector's raster, (width, height)."""
 
     def load(self, pictures: Sequence[Image], *, all_channels: bool) -> None:
-        """Take pictures (height, width) uint8 into the projector's memory, numbered from 0. Raises BringupError, DeviceError."""
+        """Take pictures (height, width) uint8 into the projector's memory, numbered from 0.
+
+        Raises BringupError, DeviceError.
+        """
 
     def take(self, order: Sequence[int], shot: Shot) -> Mapping[str, Image]:
-        """Play the pictures ``order``, one per vertical blank, then dark, and return what each camera saw, (n, h, w), by side.
+        """Play the pictures ``order``, one per vertical blank, then dark, and return what each camera saw, (n, h, w),
+        by side.
 
         Raises BringupError where it cannot be recorded, DeviceError where a device is lost.
         """
@@ -63,7 +68,8 @@ def flat_pictures(size_px: tuple[int, int], codes: Sequence[int]) -> list[Image]
 
 
 def lit_part(white: Image, black: Image, share: float = 0.5, most_dn: float = 240.0) -> NDArray[np.bool_]:
-    """Return which pixels (h, w) the projector lights well: from ``share`` of the brightest on, and none that is near saturation."""
+    """Return which pixels (h, w) the projector lights well: from ``share`` of the brightest on, and none that is near
+    saturation."""
     # Signed: where a reflection moves, black may be the brighter one.
     light = white.astype(np.float32) - black
     usable = white < most_dn
@@ -177,7 +183,10 @@ def _nothing(_projector: Projector) -> None:
 
 @contextmanager
 def light_bench(rig: Rig) -> Iterator[LightBench]:
-    """Inside: the bench on the rig's devices, which no instrument may be using. Raises DeviceError, BringupError, StorageError."""
+    """Inside: the bench on the rig's devices, which no instrument may be using.
+
+    Raises DeviceError, BringupError, StorageError.
+    """
     with (
         hold_lock(rig.storage.root),
         drivers_rig.open_wires(rig.rig.wires, rig.rig.wires_options) as wires,
@@ -188,7 +197,10 @@ def light_bench(rig: Rig) -> Iterator[LightBench]:
 
 @contextmanager
 def bench_on(rig: Rig, wires: Wires) -> Iterator[LightBench]:
-    """Inside: the same for whoever holds the instrument's lock and its wires already. Raises DeviceError, BringupError."""
+    """Inside: the same for whoever holds the instrument's lock and its wires already.
+
+    Raises DeviceError, BringupError.
+    """
     left = rig.camera.left
     with FrameStore(MOST_FRAMES, left.height_px, left.width_px) as store:
         bench = LightBench(rig, wires, store)

@@ -15,7 +15,8 @@ from drivers.api import BoardBooted, BoardTime, Clock, LaserState, Telemetry
 from drivers.board import TriggerBoard
 
 LISTENED_S = 20.0
-"""Time for which the board is listened to: two clocks' brackets of a millisecond leave some ten ppm of their drift open."""
+"""Time for which the board is listened to: two clocks' brackets of a millisecond leave some ten ppm of their drift
+open."""
 ASKED_EVERY_S = 0.4
 SETTLED_S = 0.05
 """Time after which a laser's current has settled, and is read a second time."""
@@ -71,7 +72,10 @@ def _findings(at: Workplace, board: TriggerBoard) -> tuple[Finding, ...]:
 
 
 def _laser(board: TriggerBoard, side: str, clock: Clock) -> tuple[LaserState, LaserState, LaserState]:
-    """Return the read-backs before one laser is switched on, while it is, and after. It is off at the end, whatever happens."""
+    """Return the read-backs before one laser is switched on, while it is, and after.
+
+    It is off at the end, whatever happens.
+    """
     states = []
     try:
         for on in (False, True, False):
@@ -195,7 +199,10 @@ def judge_laser(side: str, states: tuple[LaserState, LaserState, LaserState]) ->
 
 
 def judge_sensor(name: str, fitted: bool, value: float | None, supply_low_v: float | None = None) -> Finding:
-    """Judge one sensor; what is not fitted is said and is no fault. ``supply_low_v`` is the rig file's limit of the supply."""
+    """Judge one sensor; what is not fitted is said and is no fault.
+
+    ``supply_low_v`` is the rig file's limit of the supply.
+    """
     low, high, unit = _LIMITS[name]
     if name == "SUPPLY" and supply_low_v is not None:
         low = supply_low_v

@@ -180,7 +180,8 @@ def _pictures(last: Mapping[str, Image]) -> dict[str, tuple[str, bytes]]:
 
 
 def see_dark(frames: Image, short: Image) -> DarkSeen:
-    """Return the figures of images (n, h, w) uint8 of one camera, n >= 2; ``short`` (m, h, w) were exposed for a fraction of the time."""
+    """Return the figures of images (n, h, w) uint8 of one camera, n >= 2; ``short`` (m, h, w) were exposed for a
+    fraction of the time."""
     total, squares = np.zeros((2, *frames.shape[1:]))
     # One after the other: as floating numbers all of them would fill a gigabyte.
     for frame in frames:

@@ -1,7 +1,8 @@
-"""Owns the step ``endurance``: for minutes at the projector's rate, every pulse is a frame, every frame whole and stamped, nothing too warm.
+"""Owns the step ``endurance``: for minutes at the projector's rate, every pulse is a frame, every frame whole and
+stamped, nothing too warm.
 
-The board fires 64 reported pulses, is armed anew, and so on; the cameras stream through all of it. Frames are written over each
-other in one slot: how many there are would fill any memory, and what they show is of no interest.
+The board fires 64 reported pulses, is armed anew, and so on; the cameras stream through all of it. Frames are written
+over each other in one slot: how many there are would fill any memory, and what they show is of no interest.
 """
 
 from __future__ import annotations

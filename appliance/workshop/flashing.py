@@ -31,13 +31,16 @@ SYNCS: Mapping[tuple[int, int, int], bool] = {
     (1280, 960, 60): POSITIVE,
     (1280, 1024, 60): POSITIVE,
 }
-"""Sign of the vertical sync, by width, height and rate of a mode whose published timings all agree about it
-(VESA DMT 1.13, CTA-861). They do not about 1280x800, 1920x1080 or 1920x1200: reduced blanking, or the other standard, has the
+"""Sign of the vertical sync, by width, height and rate of a mode whose published timings all agree about it (VESA DMT
+1.13, CTA-861). They do not about 1280x800, 1920x1080 or 1920x1200: reduced blanking, or the other standard, has the
 other sign."""
 
 
 def sync_rises(projector: ProjectorRig) -> bool:
-    """Return whether the sync at the board's pin begins with a rising edge. Raises BringupError where nobody has said so."""
+    """Return whether the sync at the board's pin begins with a rising edge.
+
+    Raises BringupError where nobody has said so.
+    """
     if projector.sync is not None:
         return projector.sync == "positive"
     mode = (projector.width_px, projector.height_px, round(projector.refresh_hz))

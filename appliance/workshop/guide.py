@@ -62,9 +62,9 @@ def walk(
 ) -> Walked:
     """Walk the steps from where the last call ended, and stop at the first that is not good.
 
-    ``told`` is called with each step that was done. State and page are written after each: whatever interrupts it, the next call
-    goes on. Raises ConfigError, StorageError (also where an instrument is running), DeviceError without wires, BringupError for
-    a damaged state.
+    ``told`` is called with each step that was done. State and page are written after each: whatever interrupts it, the
+    next call goes on. Raises ConfigError, StorageError (also where an instrument is running), DeviceError without
+    wires, BringupError for a damaged state.
     """
     rig = load_rig(rig_file)
     place = GuideFolder(folder)
@@ -141,7 +141,10 @@ class _Walk:
             self.told(one.name, self.state.steps[one.name])
 
     def _outcomes(self, step: GuideStep) -> dict[GuideStep, StepOutcome]:
-        """Do a step, and those of the same measurement; what ends it early is a finding like any other. Raises GivenUp, StorageError."""
+        """Do a step, and those of the same measurement; what ends it early is a finding like any other.
+
+        Raises GivenUp, StorageError.
+        """
         rig = load_rig(self.rig_file)
         plane_mm = self.options.plane_mm or rig.volume.working_mm
         at = Workplace(rig, self.wires, self.person, self.say, self.options.minutes, plane_mm)

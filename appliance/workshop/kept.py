@@ -1,4 +1,5 @@
-"""Owns the folder of a guided bring-up: what was found in each step, what that rests on, the page about it, and its pictures."""
+"""Owns the folder of a guided bring-up: what was found in each step, what that rests on, the page about it, and its
+pictures."""
 
 from __future__ import annotations
 
@@ -65,7 +66,10 @@ STATE_FILE = SealedFile(
 
 
 class GuideFolder:
-    """Reads and writes the folder. Every file is replaced whole, so that a cut-off call leaves the old one or the new one."""
+    """Reads and writes the folder.
+
+    Every file is replaced whole, so that a cut-off call leaves the old one or the new one.
+    """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder

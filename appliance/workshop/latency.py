@@ -42,8 +42,8 @@ def measure_latency(bench: Bench) -> tuple[int, dict[str, NDArray[np.bool_]]]:
 def latency_of(levels: NDArray[np.float64]) -> int:
     """Return the first exposed frame that a single white picture lights, in vertical blanks after its flip.
 
-    ``levels`` (n,) are the mean grey values of n exposures, each nearly a whole frame, the first at the picture's own blank.
-    Raises BringupError where nothing, or everything, is lit, or the light comes later than a rig file can say.
+    ``levels`` (n,) are the mean grey values of n exposures, each nearly a whole frame, the first at the picture's own
+    blank. Raises BringupError where nothing, or everything, is lit, or the light comes later than a rig file can say.
     """
     dark = float(np.median(levels))
     light = levels - dark

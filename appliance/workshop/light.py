@@ -1,7 +1,8 @@
-"""Owns the step ``light``: when the lamp is lit within a frame, which exposures see grey as it was drawn, and the keys that follow.
+"""Owns the step ``light``: when the lamp is lit within a frame, which exposures see grey as it was drawn, and the keys
+that follow.
 
-A profile is the light of one picture in slices of ``SLICE_US`` that follow each other without a gap, from a vertical blank on. Its
-time 0 is the blank of the picture's flip.
+A profile is the light of one picture in slices of ``SLICE_US`` that follow each other without a gap, from a vertical
+blank on. Its time 0 is the blank of the picture's flip.
 """
 
 from __future__ import annotations
@@ -30,9 +31,11 @@ SLICE_US = 250
 ON_SHARE = 0.25
 """Share of the brightest slice from which the lamp is on."""
 EARLY_US = 500.0
-"""Light that begins so much before a blank belongs to it: the tap of the vertical sync and the controller differ by that."""
+"""Light that begins so much before a blank belongs to it: the tap of the vertical sync and the controller differ by
+that."""
 OVERHANG_US = 100.0
-"""Light that goes on so much beyond the next blank belongs to a picture that begins late: slices place an edge to some 60 µs."""
+"""Light that goes on so much beyond the next blank belongs to a picture that begins late: slices place an edge to some
+60 µs."""
 MOST_SUB_FRAMES = 8
 EQUAL = 0.05
 """Largest difference of the light of equal sub-frames from their mean."""
@@ -49,7 +52,8 @@ MARGIN_US = 100
 FEWEST = 6
 """Number of combinations that are measured however little the light of single bits promises."""
 UNPROMISING = 0.06
-"""Worst distance from a straight line, as single bits foretell it, from which a combination is not tried: dim bits are uncertain by some percent."""
+"""Worst distance from a straight line, as single bits foretell it, from which a combination is not tried: dim bits are
+uncertain by some percent."""
 NOT_ADDED = 0.1
 """Largest difference of all bits together from white, as a share."""
 BRIGHTER = 1.1
@@ -57,9 +61,15 @@ BRIGHTER = 1.1
 PATTERN_MODE = "use a pattern mode of the controller (8 bits, equal sub-frames, one LED) or a mode in which one exposure holds the light of the whole frame"
 MOST_CURVES = 5
 KEYS = (
-    "projector.latency_blanks", "projector.light_begins_us", "projector.channels", "projector.sub_frames",
-    "board.trigger_delay_us", "scan.exposures_ms", "camera.left.exposure_ms", "camera.right.exposure_ms",
-)  # fmt: skip
+    "projector.latency_blanks",
+    "projector.light_begins_us",
+    "projector.channels",
+    "projector.sub_frames",
+    "board.trigger_delay_us",
+    "scan.exposures_ms",
+    "camera.left.exposure_ms",
+    "camera.right.exposure_ms",
+)
 """Keys that follow from it."""
 
 
@@ -120,7 +130,8 @@ class Lamp:
 
 
 def windows_of(profile: Profile) -> tuple[LightWindow, ...]:
-    """Return when the lamp is on, edges interpolated between slices; ``profile`` (n,) begins with the blank of the flip."""
+    """Return when the lamp is on, edges interpolated between slices; ``profile`` (n,) begins with the blank of the
+    flip."""
     threshold = ON_SHARE * float(np.quantile(profile, 1.0 - 2.0 / len(profile)))
     on = np.concatenate([[False], profile > threshold, [False]])
     edges = np.flatnonzero(np.diff(on.astype(np.int8)))
@@ -137,7 +148,10 @@ def windows_of(profile: Profile) -> tuple[LightWindow, ...]:
 
 
 def timing_of(profile: Profile, period_us: float) -> LightTiming:
-    """Return the timing of the light whose ``profile`` over several frames begins with the blank of the flip. Raises BringupError for no light."""
+    """Return the timing of the light whose ``profile`` over several frames begins with the blank of the flip.
+
+    Raises BringupError for no light.
+    """
     windows = windows_of(profile)
     if not windows:
         raise BringupError("no light was seen in any slice of the frame: check the lamp, and the cameras' gain")
@@ -157,10 +171,12 @@ def light_within(profile: Profile, begins_us: float, ends_us: float) -> float:
 
 
 def sub_frames_of(profiles: Sequence[Profile], begins_us: float, period_us: float) -> int:
-    """Return into how many equal sub-frames the light of a frame falls; 1 where it does not repeat, or has no course at all.
+    """Return into how many equal sub-frames the light of a frame falls; 1 where it does not repeat, or has no course at
+    all.
 
-    ``profiles`` are those of several codes, each (n,) from the blank of the flip on; the frame begins at ``begins_us``. Each code's
-    bits must come alike in each sub-frame, or a part of the frame would weigh greys otherwise than the whole.
+    ``profiles`` are those of several codes, each (n,) from the blank of the flip on; the frame begins at ``begins_us``.
+    Each code's bits must come alike in each sub-frame, or a part of the frame would weigh greys otherwise than the
+    whole.
     """
     edges_us = np.asarray(SLICE_US * np.arange(len(profiles[0]) + 1), np.float64)
     courses: list[tuple[Profile, Profile]] = []
@@ -231,8 +247,8 @@ def trials(timing: LightTiming, sub_frames: int, period_us: float) -> tuple[Tria
 def promising(wanted: Sequence[Trial], profiles: Mapping[int, Profile], first_us: float) -> tuple[Trial, ...]:
     """Return those of ``wanted`` that may be straight by the light of each bit in their window, and at least a few.
 
-    ``profiles`` are those of codes, from the blank of the flip on; delays count from ``first_us``. Where a bit was not measured, or bits do
-    not add up to white, nothing can be foretold, and all are returned.
+    ``profiles`` are those of codes, from the blank of the flip on; delays count from ``first_us``. Where a bit was not
+    measured, or bits do not add up to white, nothing can be foretold, and all are returned.
     """
     bits = [2**k for k in range(8)]
     if any(bit not in profiles for bit in bits) or len(wanted) <= FEWEST:
@@ -258,7 +274,8 @@ def promising(wanted: Sequence[Trial], profiles: Mapping[int, Profile], first_us
 def offered(measured: Mapping[Trial, ResponseShape], light_of: Callable[[Trial], float]) -> Offer | None:
     """Return the delay with the most good exposures, and those of them that differ in light; ``None``: none is good.
 
-    ``light_of`` tells how much of a white picture's light a trial sees, in any unit: images that are partly saturated cannot.
+    ``light_of`` tells how much of a white picture's light a trial sees, in any unit: images that are partly saturated
+    cannot.
     """
     offers = []
     for delay_us in sorted({trial.delay_us for trial in measured}):

@@ -21,7 +21,10 @@ _WORDS = {"WRONG": "no", "good": "good", "not yet": "yet"}
 
 
 def guide_page(state: GuideState, steps: Sequence[GuideStep], rig_text: str, pictures: Mapping[str, bytes]) -> str:
-    """Return the page about a guided bring-up as HTML. ``pictures`` are PNG by the name that the state has; one that is missing is left out."""
+    """Return the page about a guided bring-up as HTML.
+
+    ``pictures`` are PNG by the name that the state has; one that is missing is left out.
+    """
     title = page_head("Kingfisher: from a box of parts to the first plane")
     parts = [title, _STYLE, _next(state, steps), _summary(state, steps)]
     for number, step in enumerate(steps, 1):
@@ -39,7 +42,8 @@ def guide_page(state: GuideState, steps: Sequence[GuideStep], rig_text: str, pic
 
 
 def outcomes_page(title: str, findings: Sequence[Finding], outcomes: Sequence[StepOutcome]) -> str:
-    """Return a page about steps that were done outside of the guide as HTML; ``findings`` are theirs, and all pictures are in it."""
+    """Return a page about steps that were done outside of the guide as HTML; ``findings`` are theirs, and all pictures
+    are in it."""
     parts = [page_head(title), _findings_table(findings)]
     keys = {f"[{place.table}] {place.key}": value for one in outcomes for place, value in one.keys.items()}
     if keys:

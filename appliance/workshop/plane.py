@@ -1,13 +1,15 @@
 """Owns the step ``plane``: one scan of a plane, recorded, stored and worked through as any scan is.
 
-Its fringes must be sines, its light neither cut off nor missing, its cloud flat. A plane's coordinate is a smooth function of the pixel; fringes are not smooth. So what is left of a polynomial and goes with
-the fringe's phase θ = 2π (p + ½)/P is the fringes' own error:
+Its fringes must be sines, its light neither cut off nor missing, its cloud flat. A plane's coordinate is a smooth
+function of the pixel; fringes are not smooth. So what is left of a polynomial and goes with the fringe's phase θ = 2π
+(p + ½)/P is the fringes' own error:
 
     k = 1   light that is added to some of the four images: ambient light that flickers, images of a lamp that dims
     k = 2   images of unequal brightness or phase: a picture that is seen in the next one's exposure, unequal exposures
     k = 4   a light that is no sine, by its third and fifth harmonic: a curved response, clipping, cut bit planes
 
-(Zuo et al., Opt. Lasers Eng. 109, 2018, section 3: errors of four steps.) Symbols: r are the residuals, c_k, s_k the regressors cos kθ and sin kθ.
+(Zuo et al., Opt. Lasers Eng. 109, 2018, section 3: errors of four steps.) Symbols: r are the residuals, c_k, s_k the
+regressors cos kθ and sin kθ.
 """
 
 from __future__ import annotations
@@ -49,13 +51,17 @@ LEAST_LIT = 0.2
 """Share of a bright image that must be lit; else the plane is asked for again."""
 Frames = dict[str, NDArray[np.uint8]]
 LIMITS_PER_PERIOD = (1.0 / 800.0, 1.0 / 800.0, 1.0 / 128.0)
-"""Largest amplitudes at one, two and four cycles a period, in periods. The last is larger, as each scan straightens it."""
+"""Largest amplitudes at one, two and four cycles a period, in periods.
+
+The last is larger, as each scan straightens it.
+"""
 MOST_SATURATED = 0.01
 SATURATED_DN = 254
 LEAST_FILLED = 0.3
 """Least share of the image that must see the plane: the rest is not known."""
 MOST_FLATNESS = 0.02
-"""Largest flatness error of a plane, as a share of the reference length: a calibration that is of this instrument is better by far."""
+"""Largest flatness error of a plane, as a share of the reference length: a calibration that is of this instrument is
+better by far."""
 CODES = 64
 """Parts of the codes for which the light is averaged."""
 FEWEST_IN_CODE = 8
@@ -72,11 +78,13 @@ _CURVED = {
 }
 CYCLES = (1, 2, 4)
 DEGREE = 5
-"""Degree of the polynomial in column and row: a plane through a lens and a window is smooth to some thousandths of a px with it."""
+"""Degree of the polynomial in column and row: a plane through a lens and a window is smooth to some thousandths of a px
+with it."""
 MOST_PIXELS = 40_000
 FEWEST_PIXELS = 400
 ROUNDS, BELONGS = 4, 5.0
-"""Rounds in which pixels are left out that lie beyond so many robust standard deviations: edges, dust, what is no plane."""
+"""Rounds in which pixels are left out that lie beyond so many robust standard deviations: edges, dust, what is no
+plane."""
 FURTHEST = 1.0 / 16.0
 """Largest residual that a ripple makes, in periods: beyond is another surface, or a pixel with a wrong period."""
 
@@ -335,7 +343,8 @@ def _worked_through(at: Workplace, scan_id: str) -> tuple[Flatness | None, str, 
 
 
 def smooth_plane(coordinate_px: NDArray[np.float32], period_px: int) -> SmoothPlane | None:
-    """Fit a coordinate (h, w), NaN where there is none, by a polynomial; ``None`` where too few pixels lie on anything smooth."""
+    """Fit a coordinate (h, w), NaN where there is none, by a polynomial; ``None`` where too few pixels lie on anything
+    smooth."""
     rows, columns = np.nonzero(np.isfinite(coordinate_px))
     # Every so many: normal equations of some ten thousand pixels leave nothing to be wished for.
     step = max(1, len(rows) // MOST_PIXELS)
@@ -365,7 +374,8 @@ def smooth_plane(coordinate_px: NDArray[np.float32], period_px: int) -> SmoothPl
 
 
 def ripple_of(plane: SmoothPlane, period_px: int) -> CoordinateRipple:
-    """Return the amplitudes of what in a plane's residuals goes with its fringes: r = Σ_k (a_k c_k + b_k s_k), by least squares."""
+    """Return the amplitudes of what in a plane's residuals goes with its fringes: r = Σ_k (a_k c_k + b_k s_k), by least
+    squares."""
     theta = 2.0 * np.pi * (plane.smooth_px + 0.5) / period_px
     regressors = np.column_stack([f(k * theta) for k in CYCLES for f in (np.cos, np.sin)])
     solved, *_ = np.linalg.lstsq(regressors, plane.residual_px, rcond=None)
@@ -378,9 +388,11 @@ def ripple_of(plane: SmoothPlane, period_px: int) -> CoordinateRipple:
 
 
 def next_exposure(exposures: Sequence[Exposure], now: Exposure, saturated: float) -> Exposure | None:
-    """Return the exposure to try after one that saturated so much of the lit image; ``None``: none is needed, or none is left.
+    """Return the exposure to try after one that saturated so much of the lit image; ``None``: none is needed, or none
+    is left.
 
-    ``exposures`` are those that the rig file allows. Half of the light at most: how far beyond saturation it was, nobody knows.
+    ``exposures`` are those that the rig file allows. Half of the light at most: how far beyond saturation it was,
+    nobody knows.
     """
     if saturated <= MOST_SATURATED:
         return None
@@ -394,7 +406,8 @@ def next_exposure(exposures: Sequence[Exposure], now: Exposure, saturated: float
 def curve_of(
     sequence: PatternSequence, frames: Image, planes: Mapping[Direction, SmoothPlane]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return codes (n,) and the light that was seen of them, as shares of bright over dark, (n,), by even and by odd rows.
+    """Return codes (n,) and the light that was seen of them, as shares of bright over dark, (n,), by even and by odd
+    rows.
 
     ``frames`` (count, h, w) are one camera's of a sequence drawn without a response. n is 0 where too little was seen.
     """
@@ -427,7 +440,8 @@ def curve_of(
 def judge_curve(
     codes: NDArray[np.float64], even: NDArray[np.float64], odd: NDArray[np.float64]
 ) -> ResponseShape | None:
-    """Judge light (n,) by codes (n,), rising, that two halves of an image saw; ``None`` where codes are too few to tell."""
+    """Judge light (n,) by codes (n,), rising, that two halves of an image saw; ``None`` where codes are too few to
+    tell."""
     if len(codes) < CODES // 2:
         return None
     # Fringes use the codes between their ends, and blur makes the range smaller: of those they make 0 and 255.

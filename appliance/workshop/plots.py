@@ -1,4 +1,5 @@
-"""Owns what steps put on the page: curves, photographs as PNG in memory, and tables with a column each for what is compared."""
+"""Owns what steps put on the page: curves, photographs as PNG in memory, and tables with a column each for what is
+compared."""
 
 from __future__ import annotations
 
@@ -63,7 +64,8 @@ def png(image: NDArray[np.uint8]) -> bytes:
 
 
 def side_by_side(name: str, columns: Mapping[str, Mapping[str, str]]) -> tuple[Mapping[str, object], ...]:
-    """Return the rows of a table with one column for each of ``columns``, and every key that one of them has under ``name``."""
+    """Return the rows of a table with one column for each of ``columns``, and every key that one of them has under
+    ``name``."""
     keys = dict.fromkeys(key for column in columns.values() for key in column)
     return tuple({name: key, **{title: column.get(key) for title, column in columns.items()}} for key in keys)
 

@@ -1,7 +1,8 @@
-"""Owns the measurement of a projector by the instrument's own cameras: its latency, its light, its response, its raster, its orientation.
+"""Owns the measurement of a projector by the instrument's own cameras: its latency, its light, its response, its
+raster, its orientation.
 
-Order matters: the light can only be sampled once it is known which frame shows it, and responses only once it is known when
-light comes. Nothing is judged by a single image or by one camera.
+Order matters: the light can only be sampled once it is known which frame shows it, and responses only once it is known
+when light comes. Nothing is judged by a single image or by one camera.
 """
 
 from __future__ import annotations
@@ -35,8 +36,8 @@ from appliance.workshop.step import MOST_ASKED, Say, StepOutcome, Workplace, num
 
 BIT_CODES = (255, 128, 64, 32, 16, 8, 4, 2, 1)
 WHITE_FRAMES, CODE_FRAMES = 4, 2
-"""Frames of white in the sweep: one before, its own, and two that its light may still reach; and of other codes, whose frame is known
-by then: their own, and the one that light may overhang into."""
+"""Frames of white in the sweep: one before, its own, and two that its light may still reach; and of other codes, whose
+frame is known by then: their own, and the one that light may overhang into."""
 LAST_DELAY_US = 15_000
 """Largest delay of the board; what lies behind is the difference of longer exposures."""
 MORE_LIGHT = 1.5
@@ -44,13 +45,15 @@ MORE_LIGHT = 1.5
 ALL_OF_IT = 0.98
 """Share of a frame's light from which an exposure is taken to hold all of it."""
 CURVES_ALIKE, FEWEST_ALIKE = 0.01, 4
-"""Largest distance of two curves that are one, share of white; and how many exposures must have it where none holds all light."""
+"""Largest distance of two curves that are one, share of white; and how many exposures must have it where none holds all
+light."""
 HOPELESS = 0.06
 """RMS distance from a straight line of a first pass from which no second one is taken."""
 LEAST_HZ, MOST_HZ = 35.0, 240.0
 """Rates at which slices and the differences behind them reach the end of a frame."""
 WALL_FRAMES = 12
-"""Frames of white, as of black before them, by which a wall is looked for: more than the most blanks that a picture's light comes late."""
+"""Frames of white, as of black before them, by which a wall is looked for: more than the most blanks that a picture's
+light comes late."""
 LEAST_LIGHT_DN = 4.0
 """Difference of an image's mean between black and white pictures from which something that is lit is seen."""
 PROJECTOR_PAGE = "projector.html"
@@ -63,7 +66,8 @@ class ProjectorMeasured:
 
     lamp: Lamp
     skew_us: float
-    """Time by which the light begins later in the right camera's images than in the left one's: that much earlier it exposes."""
+    """Time by which the light begins later in the right camera's images than in the left one's: that much earlier it
+    exposes."""
     lines: Mapping[str, LineLight]
     """Single lines, compared, by ``columns`` and ``rows``."""
     seen: Mapping[str, SeenPicture]
@@ -73,7 +77,8 @@ class ProjectorMeasured:
 
 
 def outcomes_in_order(outcomes: Iterable[StepOutcome]) -> tuple[list[StepOutcome], list[Finding]]:
-    """Return the outcomes of the projector's steps and all their findings, each in the order in which they are measured."""
+    """Return the outcomes of the projector's steps and all their findings, each in the order in which they are
+    measured."""
 
     def place(finding: Finding) -> int:
         return _MEASURED.index(finding.name)
@@ -90,7 +95,8 @@ def measure_on_wall(at: Workplace) -> ProjectorMeasured:
 
 
 def _before_white(at: Workplace, bench: Bench) -> None:
-    """Ask for a white wall until the projector's light is seen on it by both cameras; at most so often, then it is tried as it is."""
+    """Ask for a white wall until the projector's light is seen on it by both cameras; at most so often, then it is
+    tried as it is."""
     for turn in range(MOST_ASKED):
         at.person.ask(numbered(f"{wall(at)}, and darken the room", turn))
         at.say("looking for the projector's light", None)
@@ -129,7 +135,8 @@ def measure_projector(bench: Bench, gain_db: float, say: Say) -> ProjectorMeasur
         both, _ = _swept(bench, latency, parts, gain_db, few, True, lambda part: say("all channels", 0.32 + 0.1 * part))
         all_timing = timing_of(both[255], period_us)
         all_frames = _sub_frames(both, all_timing, period_us)
-        # Equal sub-frames are one lamp thrice; another number of equal ones would be chance, and unequal ones are colours.
+        # Equal sub-frames are one lamp thrice; another number of equal ones would be chance, and unequal ones are
+        # colours.
         if all_frames > 1 and float(both[255].sum()) > MORE_LIGHT * float(profiles[255].sum()):
             channels, sub_frames, timing, profiles = "all", all_frames, all_timing, both
     wanted = promising(trials(timing, sub_frames, period_us), profiles, timing.latency_blanks * period_us)
@@ -191,7 +198,8 @@ def _swept(
     all_channels: bool,
     say: Callable[[float], None],
 ) -> tuple[dict[int, Profile], float]:
-    """Return the light of each code in slices from the blank of its flip on, mean of both cameras, and their skew in µs."""
+    """Return the light of each code in slices from the blank of its flip on, mean of both cameras, and their skew in
+    µs."""
     bench.load(flat_pictures(bench.size_px, (*codes, 0)), all_channels=all_channels)
     period_us = 1e6 / bench.refresh_hz
     dark = len(codes)
@@ -232,7 +240,8 @@ def _swept(
 
 
 def _joined(frames: NDArray[np.float64], period_us: float, blanks: int) -> Profile:
-    """Return the slices of frames that follow each other (k, n), resampled to slices on one time axis from the flip's blank on."""
+    """Return the slices of frames that follow each other (k, n), resampled to slices on one time axis from the flip's
+    blank on."""
     n = frames.shape[1]
     times, light = [np.array([0.0])], [np.array([0.0])]
     total = 0.0
@@ -289,9 +298,11 @@ def _confirmed(
     light_of: Callable[[Trial], float],
     whole: float,
 ) -> dict[Trial, ResponseShape]:
-    """Return the responses, curved ones only where the lamp itself is curved so: like an exposure that holds all of its light."""
+    """Return the responses, curved ones only where the lamp itself is curved so: like an exposure that holds all of its
+    light."""
     full = [trial for trial, shape in responses.items() if shape.usable and light_of(trial) > ALL_OF_IT * whole]
-    # Cut bit planes may look smooth by chance; but then each exposure has a curve of its own, and steady lamps have one.
+    # Cut bit planes may look smooth by chance; but then each exposure has a curve of its own, and steady lamps have
+    # one.
     reference = max(full, key=light_of, default=None) or _alike(responses, ramps)
     confirmed = {}
     for trial, shape in responses.items():
@@ -304,7 +315,8 @@ def _confirmed(
 
 
 def _alike(responses: Mapping[Trial, ResponseShape], ramps: Mapping[Trial, NDArray[np.float64]]) -> Trial | None:
-    """Return a trial whose curve is that of most others, where none holds all of the light; ``None``: there is no such curve."""
+    """Return a trial whose curve is that of most others, where none holds all of the light; ``None``: there is no such
+    curve."""
     curved = [trial for trial, shape in responses.items() if shape.usable]
     for trial in curved:
         like = sum(float(np.abs(ramps[trial] - ramps[other]).max()) < CURVES_ALIKE for other in curved)

@@ -1,8 +1,10 @@
-"""Owns the step ``raster``: whether the picture lies upright for both cameras, and each of its pixels is one of the projector's panel.
+"""Owns the step ``raster``: whether the picture lies upright for both cameras, and each of its pixels is one of the
+projector's panel.
 
-The upper left of the projector's picture must be the upper left of both images: projector and cameras look the same way.
-A picture that is scaled to another raster gives some lines more of the panel's pixels than others, with the period at which the two
-rasters meet (beating). Lines are judged by all of their light, so that it does not matter whether a camera resolves them.
+The upper left of the projector's picture must be the upper left of both images: projector and cameras look the same
+way. A picture that is scaled to another raster gives some lines more of the panel's pixels than others, with the period
+at which the two rasters meet (beating). Lines are judged by all of their light, so that it does not matter whether a
+camera resolves them.
 """
 
 from __future__ import annotations
@@ -59,7 +61,8 @@ class SeenPicture:
 
     orientation: Orientation
     scale_ratio: float | None
-    """Width of the second quarter of the picture over that of the third, as the camera sees them; ``None``: not told."""
+    """Width of the second quarter of the picture over that of the third, as the camera sees them; ``None``: not told.
+    """
     px_per_px: float | None = None
     """Camera pixels per projector pixel across."""
 
@@ -87,7 +90,10 @@ class LineLight:
 def measure_orientation(
     bench: Bench, shot: Shot, *, all_channels: bool
 ) -> tuple[dict[str, SeenPicture], dict[str, Image]]:
-    """Tell which way round each camera sees the picture, and photograph an L, by name. Raises BringupError, DeviceError."""
+    """Tell which way round each camera sees the picture, and photograph an L, by name.
+
+    Raises BringupError, DeviceError.
+    """
     # In one take: nothing must move between the halves that are compared.
     pictures = marker_pictures(bench.size_px)
     bench.load(pictures, all_channels=all_channels)
@@ -97,7 +103,10 @@ def measure_orientation(
 
 
 def measure_lines(bench: Bench, shot: Shot, *, all_channels: bool) -> tuple[dict[str, LineLight], dict[str, Image]]:
-    """Compare single columns and single rows, by name; and photograph a checker, by name. Raises BringupError, DeviceError."""
+    """Compare single columns and single rows, by name; and photograph a checker, by name.
+
+    Raises BringupError, DeviceError.
+    """
     found: dict[str, LineLight] = {}
     grey: dict[str, Image] = {}
     for name, rows in (("columns", False), ("rows", True)):
@@ -130,7 +139,8 @@ def _line_light(images: Image, turns: int) -> NDArray[np.float64]:
 
 
 def marker_pictures(size_px: tuple[int, int]) -> list[NDArray[np.uint8]]:
-    """Return white, black, the left quarter, half and three quarters, the upper half, and an L for a person's eyes, each (h, w)."""
+    """Return white, black, the left quarter, half and three quarters, the upper half, and an L for a person's eyes,
+    each (h, w)."""
     width, height = size_px
     white, black = np.full((height, width), 255, np.uint8), np.zeros((height, width), np.uint8)
     pictures = [white, black]
@@ -159,7 +169,8 @@ def see_orientation(frames: Image, width_px: int) -> SeenPicture:
         found: NDArray[np.float64] = np.where(lit, np.clip((part - black) / np.where(lit, light, 1.0), 0.0, 1.0), 0.0)
         return found
 
-    # Centres of light instead of borders: they tell the side however oblique, blurred or partly outside the picture lies.
+    # Centres of light instead of borders: they tell the side however oblique, blurred or partly outside the picture
+    # lies.
     left, top = share(half), share(upper)
     across, down = _towards(left, lit), _towards(top, lit)
     if abs(across[1]) > abs(across[0]) or abs(down[0]) > abs(down[1]):
@@ -227,7 +238,8 @@ def compare_lines(first: NDArray[np.float64], second: NDArray[np.float64]) -> Li
 def judge(
     seen: Mapping[str, SeenPicture], lines: Mapping[str, LineLight], photographs: Mapping[str, Image]
 ) -> StepOutcome:
-    """Judge the picture as each camera sees it, and its single lines by direction; ``photographs`` are keyed by what and side."""
+    """Judge the picture as each camera sees it, and its single lines by direction; ``photographs`` are keyed by what
+    and side."""
     pictures = {}
     for name, image in photographs.items():
         what, side = name.split("_")
@@ -249,7 +261,8 @@ def _orientation(seen: Mapping[str, SeenPicture]) -> Finding:
 
 
 def raster_finding(lines: Mapping[str, LineLight], seen: Mapping[str, SeenPicture]) -> Finding:
-    """Return what single ``lines``, by direction, say of the picture's raster, by cameras that have ``seen`` the picture so large."""
+    """Return what single ``lines``, by direction, say of the picture's raster, by cameras that have ``seen`` the
+    picture so large."""
     resolved = [one.px_per_px for one in seen.values()]
     numbers: dict[str, float | None] = {
         **{f"{name}_beating_percent": 100.0 * line.beating for name, line in lines.items()},

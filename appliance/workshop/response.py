@@ -1,7 +1,7 @@
 """Owns the judgement whether an exposure sees grey as it was drawn: straight, rising, and the same each time.
 
-Of the sine that a code makes only what the exposure lets through is light. Where it cuts bit planes, some codes come out darker
-than lower ones; where a gamma bends it, all of it is smooth and still no sine.
+Of the sine that a code makes only what the exposure lets through is light. Where it cuts bit planes, some codes come
+out darker than lower ones; where a gamma bends it, all of it is smooth and still no sine.
 """
 
 from __future__ import annotations
@@ -19,11 +19,13 @@ MOST_OFF = 0.01
 REPEATS = 0.01
 """Largest RMS difference of two passes."""
 FALLS_SIGMAS, FALLS = 4.0, 0.002
-"""A code may come out darker than a lower one by so many standard deviations of what passes differ by, and never less than this share."""
+"""A code may come out darker than a lower one by so many standard deviations of what passes differ by, and never less
+than this share."""
 SMOOTH, SMOOTH_DEGREE = 0.006, 4
 """RMS distance from a polynomial of this degree, or from a power, below which a response is one smooth curve."""
 LEAST_POWER, MOST_POWER = 0.7, 1.5
-"""Exponents between which a smooth response may be called that of the lamp and its optics; others are a gamma that somebody set."""
+"""Exponents between which a smooth response may be called that of the lamp and its optics; others are a gamma that
+somebody set."""
 LEAST_LIGHT_DN = 8.0
 RAMP_CODES = 62
 """Number of codes in a take: with white and black of its own, as many frames as it may have."""
@@ -100,7 +102,8 @@ def judge_response(
 
 
 def ramp_codes(count: int) -> NDArray[np.int64]:
-    """Return ``count`` different codes, 0 and 255 among them, half of them pairs on both sides of a step of the upper bits."""
+    """Return ``count`` different codes, 0 and 255 among them, half of them pairs on both sides of a step of the upper
+    bits."""
     pairs = [(k, k - 1) for k in range(16, 256, 16)]
     wanted = {0, 255} | {code for pair in pairs for code in pair}
     spare = [int(c) for c in np.linspace(4, 251, 4 * count)]
@@ -111,8 +114,8 @@ def ramp_codes(count: int) -> NDArray[np.int64]:
 
 
 def shuffled(count: int, seed: int) -> NDArray[np.int64]:
-    """Return the numbers 0 … count − 1 in a fixed disorder: neighbours in time must not be neighbours in grey, or an exposure that
-    sees two pictures at once would pass for a straight one."""
+    """Return the numbers 0 … count − 1 in a fixed disorder: neighbours in time must not be neighbours in grey, or an
+    exposure that sees two pictures at once would pass for a straight one."""
     return np.random.default_rng(seed).permutation(count)
 
 

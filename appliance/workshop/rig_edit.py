@@ -1,4 +1,5 @@
-"""Owns changing keys of a rig file as a person would: line by line, comments and order kept, and read back before it counts."""
+"""Owns changing keys of a rig file as a person would: line by line, comments and order kept, and read back before it
+counts."""
 
 from __future__ import annotations
 
@@ -28,8 +29,8 @@ class KeyValue(NamedTuple):
 def with_keys(text: str, values: Mapping[KeyValue, Value]) -> str:
     """Return the text of a rig file with ``values``, everything else as it was.
 
-    Raises BringupError where a key cannot be changed in its line (a value over several lines, an inline table), or what comes out
-    is no rig file.
+    Raises BringupError where a key cannot be changed in its line (a value over several lines, an inline table), or what
+    comes out is no rig file.
     """
     lines = text.split("\n")
     # One after the other: each may add a line and so move what follows.
@@ -48,7 +49,10 @@ def with_keys(text: str, values: Mapping[KeyValue, Value]) -> str:
 
 
 def replace_rig(path: Path, old: str, new: str) -> Path:
-    """Replace a rig file and return where its old text is kept: beside it, under the first free number. Raises StorageError."""
+    """Replace a rig file and return where its old text is kept: beside it, under the first free number.
+
+    Raises StorageError.
+    """
     number = 1
     while (kept := path.with_name(f"{path.name}.before-{number}")).exists():
         number += 1

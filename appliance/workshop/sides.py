@@ -1,6 +1,7 @@
 """Owns the step ``sides``: which of the two cameras is the left one.
 
-Of two cameras that are turned inwards the left one is nearer to the left part of what lies before them, and sees it larger.
+Of two cameras that are turned inwards the left one is nearer to the left part of what lies before them, and sees it
+larger.
 """
 
 from __future__ import annotations
@@ -33,8 +34,8 @@ def judge(seen: Mapping[str, SeenPicture]) -> StepOutcome:
 def exchanged(left: SeenPicture, right: SeenPicture) -> bool | None:
     """Return whether left and right camera are exchanged; ``None``: it cannot be told.
 
-    A picture that both see mirrored is taken for mirrored by the projector, as cameras mirror only where they are told to. One that is turned by 180° may be
-    turned by either.
+    A picture that both see mirrored is taken for mirrored by the projector, as cameras mirror only where they are told
+    to. One that is turned by 180° may be turned by either.
     """
     if left.scale_ratio is None or right.scale_ratio is None or left.orientation is not right.orientation:
         return None

@@ -1,4 +1,5 @@
-"""Owns what a step of the guided bring-up is: what it rests on, what it works with, how it is done, and what comes of it."""
+"""Owns what a step of the guided bring-up is: what it rests on, what it works with, how it is done, and what comes of
+it."""
 
 from __future__ import annotations
 
@@ -97,7 +98,10 @@ class GuideStep:
     uses: tuple[str, ...]
     """Tables and keys of the rig file that it depends on."""
     do: Callable[[Workplace], Any]
-    """Works with the devices. Steps with the same one are done together, from one measurement. Raises DeviceError, BringupError, GivenUp."""
+    """Works with the devices.
+
+    Steps with the same one are done together, from one measurement. Raises DeviceError, BringupError, GivenUp.
+    """
     judge: Callable[[Any, Rig], StepOutcome] = outcome_itself
     """Judges what ``do`` returned."""
     uses_written: bool = False

@@ -1,4 +1,5 @@
-"""Owns the list of the steps of the guided bring-up, in the order in which they are walked: a row each, and a module of its own."""
+"""Owns the list of the steps of the guided bring-up, in the order in which they are walked: a row each, and a module of
+its own."""
 
 from __future__ import annotations
 
@@ -25,9 +26,11 @@ _BOARD = ("rig.wires", "board.url", "board.firmware", "limits.supply_low_v")
 _VSYNC = ("rig.wires", "board.url", "projector")
 
 _ON_A_WALL = (("trigger",), _LIGHT_PATH, projector.measure_on_wall)
-"""Columns of the steps that are read from one measurement of the projector: each by itself would take two minutes again."""
+"""Columns of the steps that are read from one measurement of the projector: each by itself would take two minutes
+again."""
 
-# Name, title, steps that must be good before, keys of the rig file that it depends on, how it is done, how that is judged.
+# Name, title, steps that must be good before, keys of the rig file that it depends on, how it is done, how that is
+# judged.
 STEPS: tuple[GuideStep, ...] = (
     GuideStep("board", "The trigger board alone", (), _BOARD, board.do),
     GuideStep("pad", "The key pad", (), ("rig.wires", "keys"), pad.do),

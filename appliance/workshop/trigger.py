@@ -1,4 +1,5 @@
-"""Owns the step ``trigger``: 64 pulses as the rig file says, what board and cameras make of them, and how their times compare."""
+"""Owns the step ``trigger``: 64 pulses as the rig file says, what board and cameras make of them, and how their times
+compare."""
 
 from __future__ import annotations
 
@@ -22,7 +23,8 @@ NEAR = 0.1
 ALL_BUT = 2
 """Frames that may be missing from every second one: where the first or the last falls is chance."""
 MOST_JITTER_US = 20.0
-"""Largest distance of a stamp from the straight line: an opto-coupler rises within some µs, and light is skewed by this much at most."""
+"""Largest distance of a stamp from the straight line: an opto-coupler rises within some µs, and light is skewed by this
+much at most."""
 MOST_DRIFT_PPM = 200.0
 """Largest difference of rate of two clocks of 100 ppm each."""
 FEWEST_STAMPS = 8
@@ -46,7 +48,8 @@ def do(at: Workplace) -> StepOutcome:
 
 
 def fired(bench: LightBench, rig: Rig, exposure_us: int | None = None) -> CaptureReport:
-    """Fire ``PULSES`` triggers with delay, exposure (unless another one is given) and gain of the rig file, the projector black.
+    """Fire ``PULSES`` triggers with delay, exposure (unless another one is given) and gain of the rig file, the
+    projector black.
 
     Raises DeviceError, BringupError.
     """
@@ -76,7 +79,8 @@ def trigger_findings(ledger: Ledger) -> tuple[Finding, ...]:
 
 
 def judge_triggers(pulses: int, cameras: Mapping[str, FiredFrames], period_ns: float) -> tuple[Finding, ...]:
-    """Judge a sequence of ``PULSES`` triggers, of which the board reported ``pulses``: the board first, then each camera."""
+    """Judge a sequence of ``PULSES`` triggers, of which the board reported ``pulses``: the board first, then each
+    camera."""
     said, limits = f"the board fired {pulses} of {PULSES} pulses", f"{PULSES} of {PULSES}"
     remedy = "check the tap of the projector's vertical sync, and that the projector's output is lit"
     board = judged("pulses", pulses == PULSES, said, limits, remedy, pulses=pulses)
@@ -128,7 +132,8 @@ def _steps(times_ns: Sequence[int | None], period_ns: float) -> list[float]:
 
 
 def judge_stamps(pulses_us: Sequence[int], cameras: Mapping[str, Sequence[int | None]]) -> tuple[Finding, ...]:
-    """Compare the board's times of pulses with the cameras' of the frames that they made, ns by each camera's clock; by side.
+    """Compare the board's times of pulses with the cameras' of the frames that they made, ns by each camera's clock; by
+    side.
 
     Where there are not as many of both nothing can be compared: counting says so.
     """

@@ -1,4 +1,5 @@
-"""Owns the step ``vsync``: the tap of the projector's vertical sync, its rate, its jitter, its count, and that it ends with the picture.
+"""Owns the step ``vsync``: the tap of the projector's vertical sync, its rate, its jitter, its count, and that it ends
+with the picture.
 
 The board's syncs are compared with a clock, with 600 flips, and with an output that is dark.
 """
@@ -28,7 +29,8 @@ COUNTED = 0xFFFF_FFFF
 MOST_OFF_HZ = 0.1
 MOST_JITTER_US = 5.0
 FLIPS = 600
-"""Flips over which syncs are counted: ten seconds, in which one lost in a minute would still hide, but none of noise."""
+"""Flips over which syncs are counted: ten seconds, in which one lost in a minute would still hide, but none of noise.
+"""
 FEWEST_STAMPS = 20
 
 

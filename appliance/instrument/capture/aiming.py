@@ -1,13 +1,17 @@
-"""Owns what one camera's live images say of a scan that would be taken now: too dark, too turbid, other light, moving too fast.
+"""Owns what one camera's live images say of a scan that would be taken now: too dark, too turbid, other light, moving
+too fast.
 
-A scan lives on fringes, that is on contrast that the object shows. Whatever lies before the instrument shows some in the live
-views, too: its paint and its outline, and the dark lanes of the live light (``appliance.instrument.ranging.expected_light``) on anything. The water's glow
-shows none. So the *detail* of a live image, in grey values, is about the light that fringes would have; where it is missing, what is
-left tells darkness from turbid water. The live light's dark lanes make a *shade* that the projector reaches at no distance
-(``appliance.instrument.ranging.expected_light``): an even brightness there is the water's, and strong light is another lamp's. How fast hands move follows from corners that are followed from one image to the
-next. What the live light makes (its lanes, its border) stays where it is in the image and is not followed.
+A scan lives on fringes, that is on contrast that the object shows. Whatever lies before the instrument shows some in
+the live views, too: its paint and its outline, and the dark lanes of the live light
+(``appliance.instrument.ranging.expected_light``) on anything. The water's glow shows none. So the *detail* of a live
+image, in grey values, is about the light that fringes would have; where it is missing, what is left tells darkness from
+turbid water. The live light's dark lanes make a *shade* that the projector reaches at no distance
+(``appliance.instrument.ranging.expected_light``): an even brightness there is the water's, and strong light is another
+lamp's. How fast hands move follows from corners that are followed from one image to the next. What the live light makes
+(its lanes, its border) stays where it is in the image and is not followed.
 
-Limits are such that a scan beyond them gives few points or none (``docs/causes.md``); an ordinary scene is far from them.
+Limits are such that a scan beyond them gives few points or none (``docs/causes.md``); an ordinary scene is far from
+them.
 """
 
 from __future__ import annotations
@@ -30,15 +34,18 @@ DETAIL_SHARE = 0.02
 LEAST_DETAIL_DN = 5.0
 """Fringes of a scan have about this amplitude then, and fewer are decoded the less there is of it."""
 LEAST_GLOW_DN, GLOW_OVER_DETAIL = 5.0, 5.0
-"""Smooth light from here on, and so many times the detail, is the water's: an object that is merely dark has 2 to 3 times."""
+"""Smooth light from here on, and so many times the detail, is the water's: an object that is merely dark has 2 to 3
+times."""
 MILKY_SHARE = 0.22
-"""The shade's even brightness as a share of the brightest smooth part, from which on the judge of water, too, would call it dirty."""
+"""The shade's even brightness as a share of the brightest smooth part, from which on the judge of water, too, would
+call it dirty."""
 EVEN_SHARE, BRIGHT_SHARE = 0.9, 0.1
-"""Shares of the shade's pixels that must have so much light: what the water sends back is everywhere, a torch's spot is not."""
+"""Shares of the shade's pixels that must have so much light: what the water sends back is everywhere, a torch's spot is
+not."""
 FOREIGN_DN, SPOILING_DN, MOST_DN = 0.5 * FULL_DN, 40.0, 240.0
-"""Light of other lamps in the shade, in grey values at no more than the nominal exposure: half of the scale, as the judge of
-light has it; the second counts where the
-picture is saturated as well. At longer exposures both grow with them, for the water's part does, up to the third."""
+"""Light of other lamps in the shade, in grey values at no more than the nominal exposure: half of the scale, as the
+judge of light has it; the second counts where the picture is saturated as well. At longer exposures both grow with
+them, for the water's part does, up to the third."""
 SPOILT_SHARE = 0.05
 """Share of the picture's pixels that are saturated, from which on other light is held against it."""
 FAST_MM_S = 70.0
@@ -84,8 +91,10 @@ class Aimed:
     """Share of the pixels that are saturated."""
 
     def fault(self, longer: float = 1.0) -> Fault | None:
-        """Return the reason why a scan in this light would be poor; ``None``: it may be good. ``longer``: light of the exposure
-        as a multiple of the nominal one's."""
+        """Return the reason why a scan in this light would be poor; ``None``: it may be good.
+
+        ``longer``: light of the exposure as a multiple of the nominal one's.
+        """
         numbers = {"detail_dn": self.detail_dn, "glow_dn": self.glow_dn}
         if self.shade is not None:
             numbers["shade_dn"] = self.shade.bright_dn
@@ -108,8 +117,10 @@ class Aimed:
 
 
 def look(image: NDArray[np.uint8], black_dn: float, shade: NDArray[np.bool_] | None = None) -> Aimed:
-    """Look at a live image (h, w) uint8 that the live light lights; about 1 ms at full size. ``shade`` (h, ``WIDTH_PX``) bool:
-    pixels of the reduced image that this light does not reach."""
+    """Look at a live image (h, w) uint8 that the live light lights; about 1 ms at full size.
+
+    ``shade`` (h, ``WIDTH_PX``) bool: pixels of the reduced image that this light does not reach.
+    """
     height = max(1, round(WIDTH_PX * image.shape[0] / image.shape[1]))
     small = cv2.resize(image, (WIDTH_PX, height), interpolation=cv2.INTER_AREA)
     light = small.astype(np.float32)
@@ -120,9 +131,12 @@ def look(image: NDArray[np.uint8], black_dn: float, shade: NDArray[np.bool_] | N
         dark = light[shade]
         shaded = Shade(_upper(dark, EVEN_SHARE) - black_dn, _upper(dark, BRIGHT_SHARE) - black_dn)
     return Aimed(
-        np.asarray(small, np.uint8), _upper(cv2.absdiff(light, glow), DETAIL_SHARE), _upper(glow, DETAIL_SHARE) - black_dn,
-        shaded, float(np.count_nonzero(image >= FULL_DN) / image.size),
-    )  # fmt: skip
+        np.asarray(small, np.uint8),
+        _upper(cv2.absdiff(light, glow), DETAIL_SHARE),
+        _upper(glow, DETAIL_SHARE) - black_dn,
+        shaded,
+        float(np.count_nonzero(image >= FULL_DN) / image.size),
+    )
 
 
 def moved_px(before: Aimed, after: Aimed) -> float | None:

@@ -122,7 +122,10 @@ class Grabber:
             return self._live_count, self._live[self._live_count % 2].copy()
 
     def record(self, slots: NDArray[np.uint8], on_frame: Callable[[int], None]) -> SideRecording:
-        """Start recording ``len(slots)`` frames; returns at once. Wait for ``ready`` before arming, then for ``done``."""
+        """Start recording ``len(slots)`` frames; returns at once.
+
+        Wait for ``ready`` before arming, then for ``done``.
+        """
         recording = SideRecording(slots, on_frame)
         with self._changed:
             # A camera that is lost ends the recording here: its thread is over, and nobody else would.

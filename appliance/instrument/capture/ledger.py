@@ -99,12 +99,14 @@ def audit(ledger: Ledger) -> Fault | None:
 
 
 def agreed_frames(ledger: Ledger) -> int:
-    """Return how many of the first frames all four witnesses agree on, however the rest of the sequence ended; 0 for none."""
+    """Return how many of the first frames all four witnesses agree on, however the rest of the sequence ended; 0 for
+    none."""
     most = min(
         len(ledger.flips), len(ledger.pulses), *(len(frames) for frames in ledger.frames.values()), ledger.expected
     )
     for count in range(most, 0, -1):
-        # What a sequence of so many frames would have been told: nothing that came later can make an earlier frame right.
+        # What a sequence of so many frames would have been told: nothing that came later can make an earlier frame
+        # right.
         begun = replace(
             ledger,
             expected=count,
@@ -310,7 +312,8 @@ def _times(ledger: Ledger) -> Fault | None:
 
 
 def _apart(ledger: Ledger) -> Fault | None:
-    """A camera that is late by the same time in every frame is seen by nothing but the host's clock beside the cameras'.
+    """A camera that is late by the same time in every frame is seen by nothing but the host's clock beside the
+    cameras'.
 
     Only the two are compared: which moment of an exposure a time stamp means is the maker's choice, and they are alike.
     """

@@ -180,8 +180,8 @@ class ScanRecorder:
         *,
         second: bool = False,
     ) -> Arming:
-        """Begin to make ready for one sequence into ``store``, the ``second`` one in the place for it; ``poll`` the answer
-        until it is done, then ``play``.
+        """Begin to make ready for one sequence into ``store``, the ``second`` one in the place for it; ``poll`` the
+        answer until it is done, then ``play``.
 
         ``on_frame(side, index)`` is called in the camera threads as frames arrive.
         """

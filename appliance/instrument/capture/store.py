@@ -1,7 +1,7 @@
 """Owns the memory of a scan's raw frames: one shared block that camera threads fill and the worker process reads.
 
-Where it has room for two sequences, the second one is for another exposure of the same scene: 2 · 2 · 24 frames of
-1600 × 1200 are 184 MB, the whole of a scan's memory. The first one's frames stay while the second one is recorded, so that
+Where it has room for two sequences, the second one is for another exposure of the same scene: 2 · 2 · 24 frames of 1600
+× 1200 are 184 MB, the whole of a scan's memory. The first one's frames stay while the second one is recorded, so that
 nothing of the first is lost with it.
 """
 

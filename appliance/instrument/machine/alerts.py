@@ -1,7 +1,8 @@
-"""Owns the diver's words for every fault, in each language: one row each. Which of them leads: ``appliance.instrument.machine.leading``.
+"""Owns the diver's words for every fault, in each language: one row each. Which of them leads:
+``appliance.instrument.machine.leading``.
 
-A headline has at most 16 characters (in German 21), an action at most 32; both are read under water, in grey. Whether they fit
-their room is measured.
+A headline has at most 16 characters (in German 21), an action at most 32; both are read under water, in grey. Whether
+they fit their room is measured.
 """
 
 from __future__ import annotations
@@ -76,7 +77,8 @@ class Rule:
 _I, _W, _C = Severity.INFO, Severity.WARNING, Severity.CRITICAL
 _INCOMPLETE = Words("INCOMPLETE {received:.0f}/{expected:.0f}", "UNVOLLSTÄNDIG {received:.0f}/{expected:.0f}")
 _REPEAT = Words("REPEAT", "NOCHMAL")
-# What a diver can do about anything inside of the housing; what to look at ashore is in `appliance.instrument.machine.ashore`.
+# What a diver can do about anything inside of the housing; what to look at ashore is in
+# `appliance.instrument.machine.ashore`.
 _SWITCH = Words("OFF AND ON, OR END DIVE", "AUS/EIN ODER AUFSTIEG")
 _RESTART = Words("REPEAT; IF AGAIN: OFF AND ON", "NOCHMAL; SONST EINMAL AUS/EIN")
 _UNCOVER = Words("LIGHT COVERED? ELSE OFF AND ON", "LICHT VERDECKT? SONST AUS/EIN")

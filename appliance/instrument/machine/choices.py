@@ -1,4 +1,5 @@
-"""Owns what the diver may choose: exposure, fringe period, water and object, the steps of each, and what one key changes."""
+"""Owns what the diver may choose: exposure, fringe period, water and object, the steps of each, and what one key
+changes."""
 
 from __future__ import annotations
 
@@ -92,8 +93,8 @@ def another_language(chosen: Choices, by: int) -> Choices:
 def another_object(draft: Choices, chosen: Choices, used: int | None, by: int) -> Choices:
     """Choose, upwards, no object, the one that is ``chosen`` now, or a new one; stays at the ends.
 
-    ``used``: the largest number that the scans on the disk carry. While it is not known (``None``), no new one is offered: a
-    number that is given twice would join two things at the desk.
+    ``used``: the largest number that the scans on the disk carry. While it is not known (``None``), no new one is
+    offered: a number that is given twice would join two things at the desk.
     """
     steps: list[int | None] = [None]
     if chosen.object is not None:

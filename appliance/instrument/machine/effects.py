@@ -34,7 +34,10 @@ class LightsOff:
 
 @dataclass(frozen=True, slots=True)
 class Arm:
-    """Make ready for one sequence: lasers off and proven off, cameras flushed and waiting. Answer Armed or CaptureFailed."""
+    """Make ready for one sequence: lasers off and proven off, cameras flushed and waiting.
+
+    Answer Armed or CaptureFailed.
+    """
 
     number: int
     period_px: int
@@ -61,16 +64,19 @@ class AbortCapture:
 
 @dataclass(frozen=True, slots=True)
 class StoreRaw:
-    """Make the raw frames durable in a hidden folder, those of a second sequence beside the first one's; answer RawStored
-    or SaveFailed."""
+    """Make the raw frames durable in a hidden folder, those of a second sequence beside the first one's; answer
+    RawStored or SaveFailed."""
 
     number: int
 
 
 @dataclass(frozen=True, slots=True)
 class StartReconstruction:
-    """Reconstruct a sequence. Answer News, the last of which is a FullCloud, a PatternIdentity with a fault, or a ReconstructionFailure; of
-    a second sequence a Bracket or a ReconstructionFailure."""
+    """Reconstruct a sequence.
+
+    Answer News, the last of which is a FullCloud, a PatternIdentity with a fault, or a ReconstructionFailure; of a
+    second sequence a Bracket or a ReconstructionFailure.
+    """
 
     number: int
 

@@ -1,7 +1,7 @@
 """Owns what can happen to the instrument: every input of ``step`` as a frozen value.
 
-What a scan's frames give comes as ``News``, as the worker tells it. Events about a scan carry the ``number`` of the Capture effect that began it, so that an answer that comes too late
-is recognised and ignored.
+What a scan's frames give comes as ``News``, as the worker tells it. Events about a scan carry the ``number`` of the
+Capture effect that began it, so that an answer that comes too late is recognised and ignored.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""Owns why something wanted for the calibration came to nothing: a kind that the screen has words for, and the log's sentence."""
+"""Owns why something wanted for the calibration came to nothing: a kind that the screen has words for, and the log's
+sentence."""
 
 from __future__ import annotations
 

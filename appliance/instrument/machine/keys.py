@@ -1,5 +1,6 @@
-"""Owns what the four keys mean: in each state one press has one meaning; holding is for what cannot be taken back or wants
-a still hand: rejecting a scan, a second exposure, putting a calibration away, and asking whether to switch off."""
+"""Owns what the four keys mean: in each state one press has one meaning; holding is for what cannot be taken back or
+wants a still hand: rejecting a scan, a second exposure, putting a calibration away, and asking whether to switch off.
+"""
 
 from __future__ import annotations
 
@@ -74,8 +75,8 @@ def pressed(machine: Machine, key: Key) -> Result:
 
 
 def held(machine: Machine, key: Key) -> Result:
-    """BACK held rejects the scan in hand, or asks whether to switch off; DOWN held adds a second exposure to the scan in review,
-    and at the calibration's result puts that away for a new one."""
+    """BACK held rejects the scan in hand, or asks whether to switch off; DOWN held adds a second exposure to the scan
+    in review, and at the calibration's result puts that away for a new one."""
     if machine.off_question is not None:
         return machine, ()
     if key is Key.DOWN and calibrate.may_begin_session(machine):

@@ -1,8 +1,9 @@
-"""Owns which messages a screen shows, and which one of them leads: the one that is read first, in full, with what to do.
+"""Owns which messages a screen shows, and which one of them leads: the one that is read first, in full, with what to
+do.
 
-The graver leads. Among equally grave ones the order is that of remedies: what keeps the instrument dark, what forbids a scan, what
-made the scan worthless or wrong; then the place from the outside in: how far, whose light, how still, what water, and the
-exposure last, for each of them changes what is right for those behind it. All else follows, small.
+The graver leads. Among equally grave ones the order is that of remedies: what keeps the instrument dark, what forbids a
+scan, what made the scan worthless or wrong; then the place from the outside in: how far, whose light, how still, what
+water, and the exposure last, for each of them changes what is right for those behind it. All else follows, small.
 """
 
 from __future__ import annotations
@@ -20,10 +21,16 @@ from appliance.measure import SPOILS_POINTS, SPOILS_SCAN, FaultCode
 
 _TESTED = frozenset(
     {
-        FaultCode.CAMERA_LOST, FaultCode.CAMERA_SLOW_LINK, FaultCode.CAMERA_REFUSED, FaultCode.PROJECTOR_LOST,
-        FaultCode.DISPLAY_LOST, FaultCode.BOARD_LOST, FaultCode.KEYS_LOST, FaultCode.UNCALIBRATED,
+        FaultCode.CAMERA_LOST,
+        FaultCode.CAMERA_SLOW_LINK,
+        FaultCode.CAMERA_REFUSED,
+        FaultCode.PROJECTOR_LOST,
+        FaultCode.DISPLAY_LOST,
+        FaultCode.BOARD_LOST,
+        FaultCode.KEYS_LOST,
+        FaultCode.UNCALIBRATED,
     }
-)  # fmt: skip
+)
 """Faults that have a line of their own in the self-test."""
 QUIET: Mapping[State, frozenset[FaultCode]] = MappingProxyType(
     {

@@ -243,11 +243,17 @@ def _second_known(machine: Machine, scan: ScanInHand, bracket: Bracket) -> Resul
         return machine, ()
     summary = bracket.found.summary
     scan = replace(
-        scan, full=summary, coarse=summary, added=scan.second, second=None,
+        scan,
+        full=summary,
+        coarse=summary,
+        added=scan.second,
+        second=None,
         warnings=faults_of_both((*scan.warnings, *faults_in((*bracket.second, bracket.pair)))),
         # The second frames are in memory only until StoreRaw is answered; durable is said of all of the scan.
-        adding=None, proposal=None, raw_durable=False,
-    )  # fmt: skip
+        adding=None,
+        proposal=None,
+        raw_durable=False,
+    )
     return replace(enter(machine, State.REVIEW), scan=scan), (do.StoreRaw(scan.number),)
 
 
@@ -320,8 +326,8 @@ def review_key(machine: Machine, key: Key) -> Result:
         case Key.UP:
             return replace(machine, scan=replace(scan, turn=scan.turn + 1)), ()
         case Key.DOWN:
-            # DOWN is about the exposure, whatever the scan: a press changes the next scan's, and a second sequence, which shines
-            # and must be held still for, wants it held.
+            # DOWN is about the exposure, whatever the scan: a press changes the next scan's, and a second sequence,
+            # which shines and must be held still for, wants it held.
             other = None if second_exposure(machine) is not None else other_exposure(machine)
             if other is None:
                 return machine, ()

@@ -1,7 +1,7 @@
 """Owns everything the instrument knows about itself at one moment, as one frozen value.
 
-Nothing here decides; ``appliance.instrument.machine.step`` does. Times are ns of the host's monotonic clock, as last told by a
-``Tick``.
+Nothing here decides; ``appliance.instrument.machine.step`` does. Times are ns of the host's monotonic clock, as last
+told by a ``Tick``.
 """
 
 from __future__ import annotations

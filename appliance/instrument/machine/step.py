@@ -1,8 +1,9 @@
 """Owns every decision of the instrument: ``step(machine, event) -> (machine, effects)``, pure and total.
 
 It does no I/O, never raises and never waits. The decisions themselves lie with their subjects: ``start``, ``keys``,
-``asking``, ``acknowledge``, ``menu``, ``gallery``, ``scanning``, ``saving``, ``calibrate``, ``safety``. Light is granted in one place (``_settle``), from
-the state and the conditions after the event, so that no path to a new state can forget to switch it off.
+``asking``, ``acknowledge``, ``menu``, ``gallery``, ``scanning``, ``saving``, ``calibrate``, ``safety``. Light is
+granted in one place (``_settle``), from the state and the conditions after the event, so that no path to a new state
+can forget to switch it off.
 """
 
 from __future__ import annotations

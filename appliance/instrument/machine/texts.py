@@ -14,7 +14,10 @@ from drivers.api import Key
 
 
 def labels(machine: Machine) -> Mapping[Key, Label]:
-    """Return the label per physical key; a key without one does nothing now. A stuck key's label moves to its stand-in."""
+    """Return the label per physical key; a key without one does nothing now.
+
+    A stuck key's label moves to its stand-in.
+    """
     meant = _meant(machine)
     if asking.pending_fault(machine) is not None:
         meant[Key.BACK] = Text.SEEN

@@ -1,6 +1,8 @@
-"""Owns what warmth decides: bands with hysteresis, when light rests, how it is rationed without a sensor, how long to cool.
+"""Owns what warmth decides: bands with hysteresis, when light rests, how it is rationed without a sensor, how long to
+cool.
 
-Nothing here switches anything: conditions follow from ``felt``, light from ``may_aim_lit``, and ``safety`` and ``step`` ask.
+Nothing here switches anything: conditions follow from ``felt``, light from ``may_aim_lit``, and ``safety`` and ``step``
+ask.
 """
 
 from __future__ import annotations

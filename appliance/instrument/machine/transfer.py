@@ -1,4 +1,5 @@
-"""Owns what the instrument knows of the transfer of scans to a desk: whether it is served, where, and for how many keys.
+"""Owns what the instrument knows of the transfer of scans to a desk: whether it is served, where, and for how many
+keys.
 
 The diver switches it with the menu's TRANSFER (``Choices.transfer``); another program serves, and tells.
 """

@@ -1,7 +1,8 @@
 """Owns every word that the screens write, each beside its translation and known by its name.
 
-The machine says what its keys mean by these names, the screens put them into the diver's language. Only the sentences of faults are
-elsewhere: in the table that says what each fault does (``appliance.instrument.machine.alerts``), in both languages there, too."""
+The machine says what its keys mean by these names, the screens put them into the diver's language. Only the sentences
+of faults are elsewhere: in the table that says what each fault does (``appliance.instrument.machine.alerts``), in both
+languages there, too."""
 
 from __future__ import annotations
 
@@ -298,8 +299,8 @@ STEP_NAMES: Mapping[Step, Text] = {
 """Name of each step of the calibration."""
 
 Label = Text | str | tuple[Text | str, ...]
-"""Words that a screen writes in one place: an entry, something that is the same in every language (a number with its unit), or such parts
-with a space between them: (EXPOSE, "8 ms")."""
+"""Words that a screen writes in one place: an entry, something that is the same in every language (a number with its
+unit), or such parts with a space between them: (EXPOSE, "8 ms")."""
 
 
 def english(label: Label) -> str:

@@ -96,9 +96,11 @@ class Lane:
             inside_row[:] = (off <= 0.0).any(axis=1)
         # A ring must fit around a dot: what is nearer to the image's border is not looked at.
         for edge, rim in (
-            (self._x0 == 0, np.s_[:, :EDGE_PX]), (self._x1 == w, np.s_[:, -EDGE_PX:]),
-            (self._y0 == 0, np.s_[:EDGE_PX]), (self._y1 == h, np.s_[-EDGE_PX:]),
-        ):  # fmt: skip
+            (self._x0 == 0, np.s_[:, :EDGE_PX]),
+            (self._x1 == w, np.s_[:, -EDGE_PX:]),
+            (self._y0 == 0, np.s_[:EDGE_PX]),
+            (self._y1 == h, np.s_[-EDGE_PX:]),
+        ):
             if edge:
                 self._band[rim] = False
 

@@ -1,4 +1,5 @@
-"""Owns the light of the live views: white, but dark where the laser dots can fall, so that they are seen at any exposure.
+"""Owns the light of the live views: white, but dark where the laser dots can fall, so that they are seen at any
+exposure.
 
 Bright light can saturate a surface, and on what is saturated no dot is brighter. The projector needs no calibration for
 this: where a beam passes before it follows from the drawing, with room for how beams and projector may lean.
@@ -22,10 +23,11 @@ LEAN_SIGMAS = 3.0
 AROUND_MM = 5.0
 """Around a dot's middle: what it is compared with."""
 SHADE_DEPTHS, SHADE_STEP_PX, SHADE_RIM_PX = 9, 2, 1
-"""Depths, and pixels of the reduced picture, at which the shade is looked up; and how far it is kept from its border, for a
-projector that leans."""
+"""Depths, and pixels of the reduced picture, at which the shade is looked up; and how far it is kept from its border,
+for a projector that leans."""
 SHADE_BEYOND_MM = 60.0
-"""Length by which these depths go on beyond both ends of the standard housing's volume: what is too near is lit, too."""
+"""Length by which these depths go on beyond both ends of the standard housing's volume: what is too near is lit, too.
+"""
 LEAST_SHADE_PX = 100
 """A shade of fewer pixels of the reduced picture tells nothing."""
 
@@ -57,8 +59,8 @@ class DrawnLight:
     volume: WorkingVolume = STANDARD
 
     def shade(self, rig: StereoRig, water_index: float, width_px: int) -> NDArray[np.bool_] | None:
-        """Return the pixels (h, ``width_px``) of the left camera's reduced picture that this light reaches at no distance of the
-        volume and somewhat beyond; ``None``: too few.
+        """Return the pixels (h, ``width_px``) of the left camera's reduced picture that this light reaches at no
+        distance of the volume and somewhat beyond; ``None``: too few.
 
         Whatever is bright there is the water's, or another lamp's.
         """

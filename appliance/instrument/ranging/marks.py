@@ -1,4 +1,5 @@
-"""Owns where the laser dots are going to be seen in the live pictures: marks for the diver to aim at what is to be measured."""
+"""Owns where the laser dots are going to be seen in the live pictures: marks for the diver to aim at what is to be
+measured."""
 
 from __future__ import annotations
 

@@ -3,10 +3,12 @@
 A dot counts when both cameras see it and agree: their rays meet, and they meet on the pointer's beam. Where only one
 sees it, its ray meets the beam, which is good enough as soon as the beam was learned. What is ambiguous is left out.
 
-It also owns the second camera's testimony on a dot that only one camera sees: that it sees nothing like it anywhere on that ray.
+It also owns the second camera's testimony on a dot that only one camera sees: that it sees nothing like it anywhere on
+that ray.
 
-What is bright and no dot is seen by both cameras: a lit corner, a print, a speck in the water near the cameras. Then the
-other one has it somewhere on the image of the first one's ray. Where that image is not in its picture it cannot tell.
+What is bright and no dot is seen by both cameras: a lit corner, a print, a speck in the water near the cameras. Then
+the other one has it somewhere on the image of the first one's ray. Where that image is not in its picture it cannot
+tell.
 """
 
 from __future__ import annotations
@@ -28,12 +30,15 @@ from appliance.measure import StereoRig
 Array = NDArray[np.float64]
 
 _BEGIN_MM = 150.0
-"""Depth, of the standard housing, in the rig frame from which the ray is searched; what is nearer is out of focus and before one camera alone."""
+"""Depth, of the standard housing, in the rig frame from which the ray is searched; what is nearer is out of focus and
+before one camera alone."""
 _NEAR_MM, _FAR_MM = 330.0, 620.0
-"""Depths, of the standard housing, between which the other camera must see the ray; nearer and farther, as far as its picture goes."""
+"""Depths, of the standard housing, between which the other camera must see the ray; nearer and farther, as far as its
+picture goes."""
 _STEP_MM = 4.0
 HALF_PX = 3
-"""Half width of the band that is looked at along the ray's image, coarse px: a calibration's error, and the size of what is looked for."""
+"""Half width of the band that is looked at along the ray's image, coarse px: a calibration's error, and the size of
+what is looked for."""
 LIKE = 0.25
 """Share of the contrast from which a spot is like the dot."""
 
@@ -49,9 +54,13 @@ class OtherCamera:
         self._in_volume = (self._depths_mm >= volume.scaled(_NEAR_MM)) & (self._depths_mm <= volume.scaled(_FAR_MM))
 
     def sees_nothing_like(
-        self, side: int, start_mm: Array, ahead: Array, images: tuple[NDArray[np.uint8], NDArray[np.uint8]],
+        self,
+        side: int,
+        start_mm: Array,
+        ahead: Array,
+        images: tuple[NDArray[np.uint8], NDArray[np.uint8]],
         contrast_dn: float,
-    ) -> bool:  # fmt: skip
+    ) -> bool:
         """Tell whether the camera that is not ``side`` (0 left, 1 right) looks all along the ray from ``start_mm`` in
         the direction ``ahead`` (3,), rig frame, as far as the volume goes, and sees nothing of ``LIKE`` times the
         contrast."""
@@ -102,8 +111,8 @@ STEADY_PAIRS, STEADY_MM = 4, 8.0
 """Number of pairs in a row that must show a dot, each as near to the one before: specks drift by, and hands and objects
 do not jump."""
 LONE_DN, FAINT_DN, FAINT_MM = 7.0, 15.0, 2.5
-"""Contrast of a dot that is believed without the other; below ``FAINT_DN`` only if its depth is as certain as ``FAINT_MM``.
-Two faint ones on one surface bear each other out."""
+"""Contrast of a dot that is believed without the other; below ``FAINT_DN`` only if its depth is as certain as
+``FAINT_MM``. Two faint ones on one surface bear each other out."""
 DRAWN_LEAST_DN = 20.0
 """Contrast of a dot with a calibration that was never measured: rays meet nearly everywhere then."""
 MOST_SIGMA_MM = 5.0

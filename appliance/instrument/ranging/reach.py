@@ -37,8 +37,8 @@ class Reach(Enum):
 
 
 def reach_of(measured: Range | None, before: Reach = Reach.UNKNOWN, volume: WorkingVolume = STANDARD) -> Reach:
-    """Return the word for a distance in a housing's volume; ``before``, the word shown now, is kept while the distance is within
-    ``HYSTERESIS_MM`` of the limit it crossed."""
+    """Return the word for a distance in a housing's volume; ``before``, the word shown now, is kept while the distance
+    is within ``HYSTERESIS_MM`` of the limit it crossed."""
     if measured is None:
         return Reach.UNKNOWN
     distance_mm = measured.distance_mm

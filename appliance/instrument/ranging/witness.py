@@ -1,4 +1,5 @@
-"""Owns the proof from images that no laser shone in a sequence: its dark frame has no dot that its bright one does not explain.
+"""Owns the proof from images that no laser shone in a sequence: its dark frame has no dot that its bright one does not
+explain.
 
 What prints and pebbles reflect of ambient light looks like a dot too. But then the projector's light makes it brighter
 still, in the ratio of both lights, which the surroundings tell; a laser's dot stays as bright as it is.

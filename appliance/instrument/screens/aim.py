@@ -2,7 +2,8 @@
 
 It also owns the picture of a distance: how far the object is, how it is turned, and in a word what to do about it.
 
-It also owns how the way to the next view is drawn on the left live picture: an arrow at its border, and words at its lower edge.
+It also owns how the way to the next view is drawn on the left live picture: an arrow at its border, and words at its
+lower edge.
 """
 
 from __future__ import annotations
@@ -45,8 +46,10 @@ _ICON_DETAIL = 4
 def draw_gauge(
     canvas: Canvas, gauge: Gauge | None, middle: float, language: Language, right_colour: theme.Colour = theme.GREEN
 ) -> None:
-    """Draw a row of 54 px around ``middle``: word, scale, mm, and the surface as seen from above with its tilt. ``right_colour``: of a
-    distance that is right."""
+    """Draw a row of 54 px around ``middle``: word, scale, mm, and the surface as seen from above with its tilt.
+
+    ``right_colour``: of a distance that is right.
+    """
     left, right = SCALE_PX
     word = None if gauge is None else gauge.word
     colour = theme.MUTED if word is None else right_colour if word is Reach.OK else ADVICE[word][1]
@@ -217,7 +220,8 @@ def _leads(view: AimView) -> Leader:
 
 
 def _title(canvas: Canvas, view: AimView, language: Language) -> None:
-    """Draw READY, or what a scan would fail for now; nothing where an alert in full or the distance says what is to be done."""
+    """Draw READY, or what a scan would fail for now; nothing where an alert in full or the distance says what is to be
+    done."""
     leads, told = _leads(view), passing(view.alerts)
     if not view.scan_allowed:
         draw_title(canvas, Text.NOT_READY.in_language(language), view.keys, language, theme.YELLOW)
@@ -241,7 +245,8 @@ def _live(
     height: float,
     language: Language,
 ) -> None:
-    """Draw a camera's (h, w) picture into its half of the screen, as high as an alert leaves room for, or say that there is none."""
+    """Draw a camera's (h, w) picture into its half of the screen, as high as an alert leaves room for, or say that
+    there is none."""
     width = LIVE_PX[0]
     if pixels is not None:
         canvas.image(side, pixels, left, top, width, height)

@@ -1,6 +1,7 @@
 """Owns the screens of the calibration: a step that records, the adjustment, and what it gave.
 
-It also owns the drawings of how an artefact is held: as the instrument sees it, and beside that from above or from the side.
+It also owns the drawings of how an artefact is held: as the instrument sees it, and beside that from above or from the
+side.
 """
 
 from __future__ import annotations
@@ -278,9 +279,15 @@ def _how(canvas: Canvas, view: CalibrateView, bottom: float, language: Language)
     ):
         canvas.image(slot, picture, left, _TOP_PX, _SKETCH_PX, size)
         canvas.words(
-            caption.in_language(language), left + _SKETCH_PX / 2, _TOP_PX + size + 22, CAPTION, REGULAR,
-            theme.MUTED, Align.CENTRE, _SKETCH_PX,
-        )  # fmt: skip
+            caption.in_language(language),
+            left + _SKETCH_PX / 2,
+            _TOP_PX + size + 22,
+            CAPTION,
+            REGULAR,
+            theme.MUTED,
+            Align.CENTRE,
+            _SKETCH_PX,
+        )
     # The words and the drawing say the same from two tables: this holds them together.
     assert (depth is Text.FROM_THE_SIDE) == (step in FROM_THE_SIDE)
     numbers = (plane_place(step, view.volume).wanted_mm,) if HELD[step] is ArtefactKind.PLANE else ()
@@ -317,9 +324,14 @@ def _live(canvas: Canvas, view: CalibrateView, bottom: float, language: Language
         return
     canvas.box(canvas.width - width, _TOP_PX, width, height, theme.DEEP, 10, theme.YELLOW, 4)
     canvas.words(
-        Text.NO_IMAGE.in_language(language), canvas.width - width / 2, _TOP_PX + height / 2, TITLE, BLACK,
-        theme.YELLOW, Align.CENTRE,
-    )  # fmt: skip
+        Text.NO_IMAGE.in_language(language),
+        canvas.width - width / 2,
+        _TOP_PX + height / 2,
+        TITLE,
+        BLACK,
+        theme.YELLOW,
+        Align.CENTRE,
+    )
 
 
 def _latest(canvas: Canvas, view: CalibrateView, bottom: float, language: Language, time_s: float) -> None:
@@ -502,6 +514,6 @@ def _ticks(canvas: Canvas, view: CalibrateView) -> None:
             canvas.box(x - size, y - size / 2 - 6, 2 * size, size + 12, theme.PANEL, 10, theme.WHITE, 3)
         canvas.box(
             x - size / 2, y - size / 2, size, size, theme.GREEN if done else theme.LINE, size / 2 if not done else 5
-        )  # fmt: skip
+        )
         if done:
             canvas.words("✓", x, y + 9, CAPTION, BLACK, theme.INK, Align.CENTRE)

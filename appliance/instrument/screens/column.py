@@ -1,4 +1,5 @@
-"""Owns the numbers that a scan is judged by, as a column: name, value, unit, and which are left out where room is short."""
+"""Owns the numbers that a scan is judged by, as a column: name, value, unit, and which are left out where room is
+short."""
 
 from __future__ import annotations
 
@@ -68,10 +69,11 @@ def many(number: int) -> str:
 def draw_verdict(
     canvas: Canvas, grade: Grade, doubtful: bool, top: float, language: Language, *, led: bool = False
 ) -> float:
-    """Draw the verdict as a word beside the colour of its grade, a bad one on a ground of that colour. Returns its lower end.
+    """Draw the verdict as a word beside the colour of its grade, a bad one on a ground of that colour. Returns its
+    lower end.
 
-    ``doubtful``: lengths are not to be trusted. Then no word stands alone, and the ground is that of a warning. ``led``: another
-    message leads, and a good grade has no colour.
+    ``doubtful``: lengths are not to be trusted. Then no word stands alone, and the ground is that of a warning.
+    ``led``: another message leads, and a good grade has no colour.
     """
     left, right = LEFT_PX, canvas.width - RIGHT_MARGIN_PX
     word, colour = GRADES[grade]

@@ -31,7 +31,8 @@ LABEL_PX = 54
 _PAD_PX = 22
 _RADIUS_PX = 20
 ALERT_PX, CRITICAL_PX, MARKS_PX = 95, 106, 34
-"""Heights of the band of the one alert in full, and of the row of marks above it, which holds the names of all others."""
+"""Heights of the band of the one alert in full, and of the row of marks above it, which holds the names of all others.
+"""
 
 
 def draw_title(
@@ -185,7 +186,10 @@ def words_of(alert: Alert, language: Language) -> tuple[str, str]:
 
 
 def alerts_top(canvas: Canvas, alerts: Sequence[Alert]) -> float:
-    """Return the upper edge of what these alerts cover, or that of the lower bar where there are none. What is above is free."""
+    """Return the upper edge of what these alerts cover, or that of the lower bar where there are none.
+
+    What is above is free.
+    """
     bottom = canvas.height - BAR_PX
     gravest = in_full(alerts)
     if gravest is None:

@@ -1,4 +1,5 @@
-"""Owns the marks in the live pictures where the laser dots are going to be seen: what the diver lays on what is measured."""
+"""Owns the marks in the live pictures where the laser dots are going to be seen: what the diver lays on what is
+measured."""
 
 from __future__ import annotations
 
@@ -17,13 +18,19 @@ _NOTHING = theme.INK.faded(0.0)
 
 
 def draw_marks(
-    canvas: Canvas, tracks: Sequence[Track], pixels: NDArray[np.uint8], left: float, top: float, width: float,
-    height: float, seen: bool,
-) -> None:  # fmt: skip
+    canvas: Canvas,
+    tracks: Sequence[Track],
+    pixels: NDArray[np.uint8],
+    left: float,
+    top: float,
+    width: float,
+    height: float,
+    seen: bool,
+) -> None:
     """Draw a ring for each dot at the working distance, and two points where it is at the ends of the measuring volume.
 
-    ``pixels`` (h, w) is the picture in the box, in its middle and as large as fits; ``seen``: a dot was found, so that the
-    marks need not call for attention.
+    ``pixels`` (h, w) is the picture in the box, in its middle and as large as fits; ``seen``: a dot was found, so that
+    the marks need not call for attention.
     """
     shape = pixels.shape[1] / pixels.shape[0]
     shown_width, shown_height = min(width, height * shape), min(height, width / shape)

@@ -55,7 +55,8 @@ def draw_coarse(canvas: Canvas, view: ReviewView, language: Language) -> None:
 
 
 def _legend(canvas: Canvas, span: tuple[float, float], view: ReviewView, language: Language) -> None:
-    """Draw what the colours mean: a bar with the values of its two ends in mm, the bright end first, between the lower labels."""
+    """Draw what the colours mean: a bar with the values of its two ends in mm, the bright end first, between the lower
+    labels."""
     unit = "mm"
     low, high = (f"{value:.0f}" for value in span)
     left, right = room_between(canvas, view.keys, language, bottom=True)

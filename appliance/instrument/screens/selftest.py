@@ -48,7 +48,10 @@ def _banner(canvas: Canvas, word: Text, colour: theme.Colour, version: str, lang
 
 
 def _devices(canvas: Canvas, devices: Sequence[DeviceLine], bottom: float, language: Language) -> None:
-    """Draw the devices in two columns; why one failed stands below its name. Where room is short, only such lines are higher."""
+    """Draw the devices in two columns; why one failed stands below its name.
+
+    Where room is short, only such lines are higher.
+    """
     top = _BANNER_PX + (10 if bottom > 380 else 4)
     column_px = canvas.width / 2
     for column in range(2):

@@ -41,7 +41,8 @@ def draw_cooling(canvas: Canvas, view: CoolingView, language: Language) -> None:
 
 
 def _thermometer(canvas: Canvas, view: CoolingView, left: float, right: float, top: float) -> None:
-    """Draw the temperature as a bar that begins at the limit (left, where it is ready again) and empties towards that mark."""
+    """Draw the temperature as a bar that begins at the limit (left, where it is ready again) and empties towards that
+    mark."""
     canvas.box(left, top, right - left, 34, theme.PANEL, 17)
     if view.temperature_c is not None:
         part = min(1.0, max(0.0, (view.temperature_c - view.limit_c) / HOTTER_C))

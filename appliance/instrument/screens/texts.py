@@ -1,4 +1,7 @@
-"""Owns how words and numbers become what a screen writes in a language. The words are in ``appliance.instrument.machine.words``."""
+"""Owns how words and numbers become what a screen writes in a language.
+
+The words are in ``appliance.instrument.machine.words``.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
-"""Owns the painter that draws nothing twice: where a view would look as the one before, the picture that stands is shown again.
+"""Owns the painter that draws nothing twice: where a view would look as the one before, the picture that stands is
+shown again.
 
-A screen is presented at each beat, sixty times a second, and seldom is anything new on it: live images come ten times a second,
-words at a key. Drawing all the same would keep a graphics card, and a battery, at work for nothing.
+A screen is presented at each beat, sixty times a second, and seldom is anything new on it: live images come ten times a
+second, words at a key. Drawing all the same would keep a graphics card, and a battery, at work for nothing.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ from appliance.instrument.screens.painter import Painter
 from appliance.instrument.screens.views import AnyView
 
 MOVES_HZ = 20.0
-"""Pictures per second of what moves by itself: fringes that drift, a bar that swings, a cloud that nods in ten seconds."""
+"""Pictures per second of what moves by itself: fringes that drift, a bar that swings, a cloud that nods in ten seconds.
+"""
 
 
 class FrugalPainter(Painter):
@@ -31,10 +33,14 @@ class FrugalPainter(Painter):
     ) -> None:
         super().__init__(context, size_px, language)
         self._drawn: tuple[tuple[AnyView, Language, tuple[bool, int]], NDArray[np.uint8]] | None = None
-        """View, language and moment that the picture which stands was drawn for, and the picture; ``None``: it has to be drawn."""
+        """View, language and moment that the picture which stands was drawn for, and the picture; ``None``: it has to
+        be drawn."""
 
     def draw(self, view: AnyView, time_s: float) -> NDArray[np.uint8]:
-        """Return the picture of ``view`` as ``Painter.draw`` does; it may be as old as 1 / ``MOVES_HZ``. Raises DeviceGone."""
+        """Return the picture of ``view`` as ``Painter.draw`` does; it may be as old as 1 / ``MOVES_HZ``.
+
+        Raises DeviceGone.
+        """
         asked = (view, self.language, moment(view, time_s))
         if self._drawn is not None and same(self._drawn[0], asked):
             return self._drawn[1]
@@ -55,7 +61,8 @@ def moment(view: AnyView, time_s: float) -> tuple[bool, int]:
 
 
 def same(a: object, b: object) -> bool:
-    """Return True if two views show the same: equal values, and the very same arrays, which must not change while shown."""
+    """Return True if two views show the same: equal values, and the very same arrays, which must not change while
+    shown."""
     if a is b:
         return True
     if type(a) is not type(b) or isinstance(a, np.ndarray):

@@ -55,7 +55,8 @@ class DeviceResult(Enum):
 
 @dataclass(frozen=True, slots=True)
 class DeviceLine:
-    """One device of the self-test, named as in the rig file; ``detail`` is one short line, or empty: of an alert what to do."""
+    """One device of the self-test, named as in the rig file; ``detail`` is one short line, or empty: of an alert what
+    to do."""
 
     device: str
     result: DeviceResult
@@ -116,7 +117,8 @@ class AimView(View):
     overlap: OverlapSaid | None = None
     """Words about the overlap of the latest scan with the one before; ``None``: nothing is said."""
     guidance: GuidanceSaid | None = None
-    """Words about the overlap that a scan from here would have, and the way to a better one, in place of ``overlap``; ``None``: nothing is said."""
+    """Words about the overlap that a scan from here would have, and the way to a better one, in place of ``overlap``;
+    ``None``: nothing is said."""
     object: int | None = None
     """Number of the object that scans belong to; ``None``: of none."""
     scan_allowed: bool = True
@@ -158,9 +160,9 @@ class ReconstructView(View):
 class ReviewView(View):
     """A scan and its verdict. The coarse cloud comes first; the full one replaces it in a later view.
 
-    ``points_mm`` is (n, 3) float32 in the left camera frame, ``values`` (n,) float32 their distance in mm, which is what the
-    colours mean. The arrays must not change while they are shown; the same memory in the next view is not copied again.
-    No points: (0, 3), (0,).
+    ``points_mm`` is (n, 3) float32 in the left camera frame, ``values`` (n,) float32 their distance in mm, which is
+    what the colours mean. The arrays must not change while they are shown; the same memory in the next view is not
+    copied again. No points: (0, 3), (0,).
     """
 
     points_mm: NDArray[np.float32]

@@ -1,7 +1,8 @@
 """Owns the warnings of the live views: what a scan taken now would fail for, from the images that are there anyway.
 
-Every image of the left camera is looked at in a thread of its own, ``kf-aiming``, one at a time (2 ms); what comes meanwhile is left
-out. A warning comes with the third image in a row that says so, and goes with the third that does not. It forbids nothing.
+Every image of the left camera is looked at in a thread of its own, ``kf-aiming``, one at a time (2 ms); what comes
+meanwhile is left out. A warning comes with the third image in a row that says so, and goes with the third that does
+not. It forbids nothing.
 """
 
 from __future__ import annotations
@@ -27,7 +28,8 @@ SIDE = "left"
 DEVICE = "live view"
 """Named in the conditions, which no other witness clears."""
 SETTLE_S, SETTLE_IMAGES = 0.3, 3.0
-"""Time after the light was switched in which images may still be from before: so long, and longer where they come more slowly."""
+"""Time after the light was switched in which images may still be from before: so long, and longer where they come more
+slowly."""
 VOTES = 3
 """Images in a row."""
 MOST_APART = 3
@@ -48,8 +50,8 @@ class AimingController:
     """Judges live images. A context manager; called by the heartbeat only."""
 
     def __init__(self, clock: Clock, live_s: float, black_dn: float, light: DrawnLight) -> None:
-        """``live_s``: from one live image to the next; ``black_dn``: the cameras' level without light; ``light``: of the live
-        views."""
+        """``live_s``: from one live image to the next; ``black_dn``: the cameras' level without light; ``light``: of
+        the live views."""
         self._clock, self._live_s, self._black_dn, self._light = clock, live_s, black_dn, light
         self._settle_ns = round(1e9 * max(SETTLE_S, SETTLE_IMAGES * live_s))
         # One thread and one image at a time: a warning that comes late by an image costs nothing, a queue of images

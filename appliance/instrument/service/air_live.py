@@ -30,7 +30,8 @@ from drivers.api import Board, Clock, DeviceError, Projector, Wires
 Image = NDArray[np.uint8]
 
 PICTURES = 4
-"""Pictures of each camera in a take: their mean has half the noise, and between first and last (50 ms) a board shows its motion."""
+"""Pictures of each camera in a take: their mean has half the noise, and between first and last (50 ms) a board shows
+its motion."""
 OPEN_TIMEOUT_S = 20.0
 POLL_S = 0.05
 BETWEEN_TAKES_S = 0.3
@@ -58,8 +59,8 @@ class LiveOptions:
 def record_views(rig: Rig, target: ViewFolder, options: LiveOptions, say: Callable[[str], None]) -> int:
     """Fill ``target`` up to the wanted number of views; how many are new. What was recorded before counts.
 
-    ``say`` is told of every view, what is wrong with the board, and what is still missing. Raises LiveError, DeviceError,
-    StorageError.
+    ``say`` is told of every view, what is wrong with the board, and what is still missing. Raises LiveError,
+    DeviceError, StorageError.
     """
     if options.exposure_ms is not None:
         left, right = (replace(c, exposure_ms=options.exposure_ms) for c in (rig.camera.left, rig.camera.right))

@@ -73,7 +73,8 @@ def this_run(environment: Mapping[str, str], prefix: Path) -> Iterator[tuple[Fau
 
 
 def recovered(scans: Sequence[str]) -> tuple[Fault, ...]:
-    """Return what the diver is told of scans that an earlier run, or a loss of power, left unpublished and that were whole."""
+    """Return what the diver is told of scans that an earlier run, or a loss of power, left unpublished and that were
+    whole."""
     return (Fault(FaultCode.SCAN_RECOVERED, f"scan {', '.join(scans)}"),) if scans else ()
 
 

@@ -1,4 +1,5 @@
-"""Owns what was learned of the laser pointers' beams, as it is remembered on the disk over a restart: one small checksummed file.
+"""Owns what was learned of the laser pointers' beams, as it is remembered on the disk over a restart: one small
+checksummed file.
 
     <root>/calibration/beams.json
 
@@ -94,6 +95,6 @@ class BeamsFile:
         )
 
     def _learned_with(self, calibration_hash: str) -> dict[str, Any]:
-        """Return what a file must say: a beam is a correction of the drawing in the frame of one calibration, and means nothing with
-        another of either."""
+        """Return what a file must say: a beam is a correction of the drawing in the frame of one calibration, and means
+        nothing with another of either."""
         return {"calibration": calibration_hash, "drawn": plain(self._pointers)}

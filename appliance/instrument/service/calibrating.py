@@ -1,9 +1,11 @@
-"""Owns the calibration under way: its session on the disk, its long computations in the background, and what they answer.
+"""Owns the calibration under way: its session on the disk, its long computations in the background, and what they
+answer.
 
-It also owns one process for long computations, so that neither keys nor screen wait for them. It does one job at a time.
+It also owns one process for long computations, so that neither keys nor screen wait for them. It does one job at a
+time.
 
-A job is a function of a module, its arguments, and a way to say how far it is; all of them travel between processes. The
-process stays warm for the next job. One that dies, or is no longer wanted, is killed; the next job starts another.
+A job is a function of a module, its arguments, and a way to say how far it is; all of them travel between processes.
+The process stays warm for the next job. One that dies, or is no longer wanted, is killed; the next job starts another.
 """
 
 from __future__ import annotations

@@ -18,7 +18,8 @@ THERE, NOTHING = "there", "nothing"
 
 
 def check(rig: Rig) -> list[Health]:
-    """Open every device once, one after the other, through the shipped drivers, and collect what each says about itself.
+    """Open every device once, one after the other, through the shipped drivers, and collect what each says about
+    itself.
 
     A device that is missing, refused, or not what the rig file states is not ``ok``; its summary says why, and what to
     do. Raises DeviceError where the wires themselves cannot be had, or the running instrument has the devices.
@@ -82,7 +83,8 @@ def _wanted_firmware(rig: Rig) -> Mapping[str, str | None]:
 
 
 def _compared(health: Health, firmware: str | None) -> Health:
-    """Return ``health``, not ok where the firmware is another than the rig file states: the device is not the one that was tested."""
+    """Return ``health``, not ok where the firmware is another than the rig file states: the device is not the one that
+    was tested."""
     there = health.details.get("firmware")
     if not health.ok or firmware is None or there == firmware:
         return health

@@ -82,6 +82,12 @@ class ChoicesFile:
 
 def _spelled(choices: Choices) -> _Chosen:
     return _Chosen(
-        choices.exposure.time_us, choices.exposure.gain_db, choices.period_px, choices.salinity_psu, choices.water_c,
-        choices.language, choices.object, choices.objects,
-    )  # fmt: skip
+        choices.exposure.time_us,
+        choices.exposure.gain_db,
+        choices.period_px,
+        choices.salinity_psu,
+        choices.water_c,
+        choices.language,
+        choices.object,
+        choices.objects,
+    )

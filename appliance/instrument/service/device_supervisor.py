@@ -87,7 +87,8 @@ class DeviceSupervisor(Generic[T]):
         return DeviceUp(self.device)
 
     def lose(self, reason: str) -> list[DeviceDown]:
-        """Close a device that no longer works and begin anew; return that it went, or nothing when that is known already."""
+        """Close a device that no longer works and begin anew; return that it went, or nothing when that is known
+        already."""
         context, self._context, self._value = self._context, None, None
         if context is None:
             return []

@@ -190,9 +190,14 @@ class Devices:
         """Open one camera once, for whoever only wants to look at it: it is not set."""
         camera = self._camera_rig(side)
         spec = drivers_rig.CameraSpec(
-            f"camera.{side}", camera.serial, camera.trigger_source, camera.pixel_format, camera.offset_x_px, camera.offset_y_px,
+            f"camera.{side}",
+            camera.serial,
+            camera.trigger_source,
+            camera.pixel_format,
+            camera.offset_x_px,
+            camera.offset_y_px,
             tuple(camera.features.items()),
-        )  # fmt: skip
+        )
         return drivers_rig.open_camera(spec, self._wires, self._rig.camera.kind)
 
     def _camera_rig(self, side: str) -> CameraRig:

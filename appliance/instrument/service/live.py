@@ -28,7 +28,8 @@ class LiveViews:
         """Number of the object that the diver is guided for; ``None``: there is none, or nothing lights it."""
 
     def begin(self, wanted: do.GoLive, *, aiming: bool, belongs_to: int | None) -> None:
-        """Light and fire the cameras as ``wanted``, with the lasers off; ``aiming``: the diver aims by it, at an object of that number."""
+        """Light and fire the cameras as ``wanted``, with the lasers off; ``aiming``: the diver aims by it, at an object
+        of that number."""
         devices, scans = self._parts.devices, self._parts.scans
         shown = len(scans.sequence) + (1 if wanted.light else 0)  # behind the patterns: dark, live light
         devices.expose(wanted.exposure)
@@ -41,7 +42,8 @@ class LiveViews:
         with devices.board.watched(self._inbox):
             board = devices.board.value
             if board is not None:
-                # Stopped before it fires anew, and dark before it is lit: a sequence or lasers of before must not go on.
+                # Stopped before it fires anew, and dark before it is lit: a sequence or lasers of before must not go
+                # on.
                 board.stop()
                 board.set_lasers(False, False)
                 board.live(self._rig.board.live_every_vsyncs, self._rig.board.trigger_delay_us, wanted.exposure.time_us)

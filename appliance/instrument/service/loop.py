@@ -84,7 +84,10 @@ class Service:
             clock.now_ns(), machine_settings(rig, replace(chosen, transfer=parts.transfer.wanted))
         )
         self._inbox: list[on.Event] = []
-        """Events for the next heartbeat. Everybody who works within one adds to the same list: it is emptied, never replaced."""
+        """Events for the next heartbeat.
+
+        Everybody who works within one adds to the same list: it is emptied, never replaced.
+        """
         self._inputs = Inputs(parts.devices, parts.ranging)
         self._live = LiveViews(rig, parts, self._inbox)
         self._recorder = SequenceRecorder(rig, parts, patterns, self._inputs, clock, self._inbox)
@@ -308,7 +311,8 @@ class Service:
 
 
 def spoken(event: on.Event) -> tuple[int, str] | None:
-    """Return level and text of a log line; ``None`` for what needs none: it is seen in the states, or comes all the time."""
+    """Return level and text of a log line; ``None`` for what needs none: it is seen in the states, or comes all the
+    time."""
     match event:
         case on.DeviceUp(device):
             return logging.INFO, f"{device.value} works"

@@ -33,7 +33,8 @@ class ServiceManager:
 
     @classmethod
     def of(cls, environment: MutableMapping[str, str]) -> Self:
-        """Read what the manager told this process; it is taken out of ``environment``, for no child is to speak in its name."""
+        """Read what the manager told this process; it is taken out of ``environment``, for no child is to speak in its
+        name."""
         address = environment.pop(SOCKET, None)
         usec, pid = environment.pop(WATCHDOG_US, ""), environment.pop(WATCHDOG_PID, "")
         # The variables are inherited: a pid that is not ours says that they were meant for a parent.

@@ -1,8 +1,8 @@
 """Owns the measuring of the distance on live images: which pairs are measured, when the lasers may go on, who is told.
 
 The work is done in a thread of its own, ``kf-ranging``, on one pair at a time; a pair that comes while it works is left
-out, since the next one comes a tenth of a second later. Every live view begins with the lasers off: what looks like a dot
-then is remembered, and is a laser that ignores its switch if it looks no brighter with the lasers on.
+out, since the next one comes a tenth of a second later. Every live view begins with the lasers off: what looks like a
+dot then is remembered, and is a laser that ignores its switch if it looks no brighter with the lasers on.
 """
 
 from __future__ import annotations
@@ -45,7 +45,8 @@ CLEAR_PAIRS = 10
 HEARTBEATS_NS = 1_000_000_000
 """Two heartbeats of the board."""
 SHINING_TIMEOUT_S = 3.0
-"""Longest wait for one pair of images, behind another one: a hundred times what they take, and shorter than the watchdog's patience."""
+"""Longest wait for one pair of images, behind another one: a hundred times what they take, and shorter than the
+watchdog's patience."""
 STALE_NS, STALE_IMAGES = 1_000_000_000, 10.0
 IMAGES = "images"
 """The witness named in the fault, besides the board's read-back, which clears only its own."""
@@ -76,8 +77,11 @@ class RangingController:
         memory: BeamsFile | None = None,
         submit: Callable[[Callable[[], None]], object] | None = None,
     ) -> None:
-        """Nothing is measured without ``pointers``. ``live_s``: from one live image to the next. ``memory``: of the beams, over
-        a restart; written to in ``submit``'s thread whenever live views end."""
+        """Nothing is measured without ``pointers``.
+
+        ``live_s``: from one live image to the next. ``memory``: of the beams, over a restart; written to in
+        ``submit``'s thread whenever live views end.
+        """
         live_ns = live_s * 1e9
         self._settle_ns = round(max(SETTLE_NS, SETTLE_IMAGES * live_ns))
         self._pair_ns = round(max(PAIR_NS, PAIR_IMAGES * live_ns))
@@ -204,7 +208,8 @@ class RangingController:
         return []
 
     def shining(self, bright: dict[str, NDArray[np.uint8]], dark: dict[str, NDArray[np.uint8]]) -> Fault | None:
-        """Return the fault of a laser that shone in a sequence although it was switched off, from its bright and its dark frames.
+        """Return the fault of a laser that shone in a sequence although it was switched off, from its bright and its
+        dark frames.
 
         One of two witnesses: where it comes to no result, that is logged, and the board's read-back stands alone.
         """
@@ -235,9 +240,7 @@ class RangingController:
         return _Measured(live, lit, dots, ranger.range_of(dots) if lit else None)
 
     def _shining(self, bright: dict[str, NDArray[np.uint8]], dark: dict[str, NDArray[np.uint8]]) -> Fault | None:
-        found = shines_in_the_dark(
-            self._made(), (bright["left"], bright["right"]), (dark["left"], dark["right"])
-        )  # fmt: skip
+        found = shines_in_the_dark(self._made(), (bright["left"], bright["right"]), (dark["left"], dark["right"]))
         if not found:
             return None
         return Fault(FaultCode.LASER_ON, f"dot of the {' and '.join(found)} laser in the dark frame", device=IMAGES)

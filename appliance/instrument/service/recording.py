@@ -1,4 +1,5 @@
-"""Owns the way from the wish for a sequence to its frames: patterns of the wished period, room in memory, devices armed, played.
+"""Owns the way from the wish for a sequence to its frames: patterns of the wished period, room in memory, devices
+armed, played.
 
     WAITING   until the scan before is on the disk and the wished patterns are drawn; the machine gives up when that takes too long
     ARMING    lasers off and proven off, cameras waiting for the first pulse; one step per heartbeat, nothing blocks
@@ -52,8 +53,8 @@ class DrawnPatterns:
         return self.sequence
 
     def load(self, projector: Projector) -> None:
-        """Load the projector's scan-out memory, with a dark picture behind the last pattern, which is shown, and the live
-        views' light behind that. Raises DeviceError."""
+        """Load the projector's scan-out memory, with a dark picture behind the last pattern, which is shown, and the
+        live views' light behind that. Raises DeviceError."""
         dark = np.zeros((self.sequence.height_px, self.sequence.width_px), np.uint8)
         # Dark directly behind the last pattern: `play` ends on it whatever happens.
         projector.load([*self._pictures, dark, live_light_of(self._rig)])
@@ -157,8 +158,8 @@ class SequenceRecorder:
         return on.CaptureFinished(number)
 
     def _change_period(self) -> None:
-        # Patterns, frame memory and worker are changed together, and only while nothing of the last scan is on its way to
-        # the disk, which reads that memory, and no camera is armed to write into it.
+        # Patterns, frame memory and worker are changed together, and only while nothing of the last scan is on its way
+        # to the disk, which reads that memory, and no camera is armed to write into it.
         if self._period_px is None or self._parts.scans.busy or isinstance(self._phase, _Arming | _Armed):
             return
         period_px, self._period_px = self._period_px, None

@@ -1,6 +1,8 @@
-"""Owns whether there is room for the next scan: allocated before the shot, counted, and asked for again where there is none.
+"""Owns whether there is room for the next scan: allocated before the shot, counted, and asked for again where there is
+none.
 
-It also owns the disk's thread, ``kf-storage``: one task after the other, and the events that answer those that were asked for.
+It also owns the disk's thread, ``kf-storage``: one task after the other, and the events that answer those that were
+asked for.
 """
 
 from __future__ import annotations
@@ -32,8 +34,8 @@ from drivers.api import Clock
 
 Answer = TypeVar("Answer")
 NICENESS = 10
-"""Steps of priority behind the heartbeat, and so behind the worker, too: where processors are short, the diver has the cloud first, and the frames are durable
-at about the same time, since both have to be done."""
+"""Steps of priority behind the heartbeat, and so behind the worker, too: where processors are short, the diver has the
+cloud first, and the frames are durable at about the same time, since both have to be done."""
 
 
 class DiskQueue:
@@ -85,8 +87,8 @@ log = logging.getLogger("kingfisher")
 ASK_AGAIN_S = 5.0
 """Time between two questions to a full disk whether there is room for a scan by now."""
 FREED_SCANS = 3
-"""Number of scans from whose room on it is told that some came from nowhere: logs and other programs take and give some all the
-time, and a number that goes up after a save would not be believed."""
+"""Number of scans from whose room on it is told that some came from nowhere: logs and other programs take and give some
+all the time, and a number that goes up after a save would not be believed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +106,8 @@ class CountedRoom:
 def steady(before: CountedRoom | None, now: CountedRoom) -> CountedRoom:
     """Return what to tell after ``before``: ``now``, but no more scans than before while nothing noticeable was freed.
 
-    Scans that were taken away, scans of another size, a disk that was full, and room for ``FREED_SCANS`` more count as freed.
+    Scans that were taken away, scans of another size, a disk that was full, and room for ``FREED_SCANS`` more count as
+    freed.
     """
     if before is None or before.scan_bytes != now.scan_bytes or now.scans < before.scans or before.left == 0:
         return now

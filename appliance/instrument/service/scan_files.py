@@ -1,6 +1,7 @@
 """Owns what the disk's thread does with a scan: write its frames, publish or reject it, and say what came of that.
 
-It also owns what is known of the scan in hand, from its first frame to its folder: values only; ``ScanController``, ``WorkerReports`` and ``ScanFiles`` change them.
+It also owns what is known of the scan in hand, from its first frame to its folder: values only; ``ScanController``,
+``WorkerReports`` and ``ScanFiles`` change them.
 """
 
 from __future__ import annotations

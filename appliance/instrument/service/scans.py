@@ -1,7 +1,7 @@
 """Owns the scan in hand: what was recorded of it, with what, and which work on it is under way.
 
-Points are computed in the worker process and read by ``WorkerReports``; files are written in the disk's thread by ``ScanFiles``.
-Both answer through ``poll``.
+Points are computed in the worker process and read by ``WorkerReports``; files are written in the disk's thread by
+``ScanFiles``. Both answer through ``poll``.
 """
 
 from __future__ import annotations
@@ -115,7 +115,8 @@ class ScanController:
         self._files = ScanFiles(storage.library, self.room, self.store, clock)
         self.scan: ScanInMemory | None = None
         self.preview: NDArray[np.uint8] | None = None
-        """The scan's cloud as it was reviewed, (h, w, 3) RGB uint8; ``None`` until it was, and when the next one begins."""
+        """The scan's cloud as it was reviewed, (h, w, 3) RGB uint8; ``None`` until it was, and when the next one
+        begins."""
 
     def __enter__(self) -> Self:
         self.worker.__enter__()
@@ -143,14 +144,14 @@ class ScanController:
 
     @property
     def settled(self) -> bool:
-        """The frames in memory may be overwritten, as they are on the disk, or nobody wants them; and the disk has said whether
-        there is room for the next ones."""
+        """The frames in memory may be overwritten, as they are on the disk, or nobody wants them; and the disk has said
+        whether there is room for the next ones."""
         scan = self.scan
         return (scan is None or scan.raw is None or scan.raw.done()) and not self.busy
 
     def begin(self, number: int, exposure: Exposure, belongs_to: int | None = None) -> Fault | None:
-        """Make room in memory for a new scan's frames; a fault when the previous ones are still only there, or there is no room
-        for new ones on the disk. ``belongs_to``: the number of its object. Call when ``settled``."""
+        """Make room in memory for a new scan's frames; a fault when the previous ones are still only there, or there is
+        no room for new ones on the disk. ``belongs_to``: the number of its object. Call when ``settled``."""
         if self.room.missing is not None:
             return self.room.missing
         scan = self.scan
@@ -167,7 +168,8 @@ class ScanController:
         return None
 
     def begin_second(self, number: int, exposure: Exposure) -> Fault | None:
-        """Make ready for a second sequence, whose frames go to a place of their own: nothing of the scan in hand is touched."""
+        """Make ready for a second sequence, whose frames go to a place of their own: nothing of the scan in hand is
+        touched."""
         scan = self.scan
         if scan is None:
             return Fault(FaultCode.INTERNAL, "a second exposure was wanted without a scan")
@@ -199,10 +201,11 @@ class ScanController:
         scan.record = self._record(scan, ledger, temperatures_c, self._ledger_verdict())
 
     def keep_incomplete(self, report: CaptureReport, fault: Fault, temperatures_c: dict[str, float | None]) -> None:
-        """Keep the first frames of a sequence that broke, where the rig file asks for it and they hold a whole direction.
+        """Keep the first frames of a sequence that broke, where the rig file asks for it and they hold a whole
+        direction.
 
-        Call before ``drop``; the frames are written from where they are, and ``busy`` keeps others away meanwhile. A second sequence
-        is not kept: the first one is a whole scan.
+        Call before ``drop``; the frames are written from where they are, and ``busy`` keeps others away meanwhile. A
+        second sequence is not kept: the first one is a whole scan.
         """
         scan = self.scan
         if not self._rig.storage.keep_incomplete or scan is None or scan.second is not None:
@@ -247,8 +250,10 @@ class ScanController:
         return Verdict("ledger", True, {"frames": float(len(self.sequence))}, "all four witnesses agree")
 
     def drop(self) -> None:
-        """Give up what is being recorded: it failed, or is not wanted; its frames may be overwritten. A scan stays whose
-        second sequence it is."""
+        """Give up what is being recorded: it failed, or is not wanted; its frames may be overwritten.
+
+        A scan stays whose second sequence it is.
+        """
         if self.scan is not None and self.scan.second is not None and not self.scan.second.merged:
             self.scan.second = None
         else:
@@ -271,8 +276,10 @@ class ScanController:
         self._disk.ask(partial(self._files.raw_stored, scan))
 
     def publish(self, number: int, preview: NDArray[np.uint8] | None, verdict: Verdict | None = None) -> None:
-        """Publish with whatever cloud there is; answer Saved or SaveFailed. ``preview`` (h, w, 3) RGB uint8. ``verdict``:
-        what the diver was told of it."""
+        """Publish with whatever cloud there is; answer Saved or SaveFailed.
+
+        ``preview`` (h, w, 3) RGB uint8. ``verdict``: what the diver was told of it.
+        """
         scan = self._current(number)
         if scan is not None:
             if verdict is not None:
@@ -336,7 +343,10 @@ class ScanController:
         self.worker.change(replace(self.worker.order, water=self.water))
 
     def use_sequence(self, sequence: PatternSequence) -> None:
-        """Record another sequence from the next scan on. Call when nothing is ``busy``: the frames in memory are given up."""
+        """Record another sequence from the next scan on.
+
+        Call when nothing is ``busy``: the frames in memory are given up.
+        """
         left = self._rig.camera.left
         old, self.store = self.store, FrameStore(len(sequence), left.height_px, left.width_px, sequences=2)
         self.sequence, self.scan = sequence, None
@@ -367,7 +377,8 @@ class ScanController:
 
     def _write_trend(self, scan: ScanInMemory) -> None:
         """Write the trend of the ray gaps down as soon as its latest scan has a number on the disk."""
-        # Either may come first, the cloud or the number, hence this is called after both: the second call finds both there.
+        # Either may come first, the cloud or the number, hence this is called after both: the second call finds both
+        # there.
         stored = scan.raw is not None and scan.raw.done() and scan.raw.exception() is None
         pending = scan.raw.result() if stored and scan.raw is not None else scan.pending
         if scan.full is None or pending is None:

@@ -52,7 +52,10 @@ def standard_choices(rig: Rig) -> Choices:
 
 
 def machine_settings(rig: Rig, choices: Choices | None = None) -> Settings:
-    """Return what the rig file says to the machine. ``choices``: what the diver chose before the start, if it is remembered."""
+    """Return what the rig file says to the machine.
+
+    ``choices``: what the diver chose before the start, if it is remembered.
+    """
     limits = rig.limits
     choices = standard_choices(rig) if choices is None else _allowed(rig, choices)
     width_px, height_px = rig.projector.width_px, rig.projector.height_px
@@ -74,7 +77,8 @@ def machine_settings(rig: Rig, choices: Choices | None = None) -> Settings:
 
 
 def _allowed(rig: Rig, choices: Choices) -> Choices:
-    """Return choices of before with an exposure that this rig file allows: the nearest, where it names some and theirs is none of them."""
+    """Return choices of before with an exposure that this rig file allows: the nearest, where it names some and theirs
+    is none of them."""
     if rig.scan.exposures_ms is None and rig.projector.sub_frames == 1:
         return choices
     steps = [Instrument(rig).exposure, *Instrument(rig).exposures]

@@ -90,7 +90,8 @@ def _overlap(machine: Machine) -> str | None:
 
 
 def _guidance(machine: Machine) -> dict[str, Any] | None:
-    """Return what the screen says of the place that the diver aims at, and the direction of its arrow; ``None``: nothing."""
+    """Return what the screen says of the place that the diver aims at, and the direction of its arrow; ``None``:
+    nothing."""
     said = guidance_said(machine)
     if said is None:
         return None
@@ -131,7 +132,10 @@ class StatusFile:
         self._written: dict[str, Any] | None = None
 
     def update(self, machine: Machine, worker_pid: int | None = None, gallery: Mapping[str, Any] | None = None) -> bool:
-        """Write if anything changed; whether it did. A disk that refuses is not an error here: False, and tried again."""
+        """Write if anything changed; whether it did.
+
+        A disk that refuses is not an error here: False, and tried again.
+        """
         content = describe(machine, self._pid, self._version, worker_pid, gallery)
         if content == self._written:
             return False

@@ -24,8 +24,10 @@ MAX_BYTES = 65_536
 LOOK_NS = 1_000_000_000
 """Time between two looks at what is told."""
 LONGEST = 26
-"""Greatest length of an address in characters that is shown: a longer one would be cut, and half of one is of no use. An instrument with a
-cable always has a short one."""
+"""Greatest length of an address in characters that is shown: a longer one would be cut, and half of one is of no use.
+
+An instrument with a cable always has a short one.
+"""
 MOST_KEYS = 1000
 """Largest number of keys that is believed."""
 
@@ -34,7 +36,8 @@ class TransferSwitch:
     """The switch, and the latest word of the program that serves. One thread."""
 
     def __init__(self, environment: Mapping[str, str]) -> None:
-        """``environment``: that of the process, with the folder of notes in ``RUNTIME_DIRECTORY``; without it, all this is nothing."""
+        """``environment``: that of the process, with the folder of notes in ``RUNTIME_DIRECTORY``; without it, all this
+        is nothing."""
         folder = environment.get("RUNTIME_DIRECTORY")
         notes = None if not folder else Path(folder.split(":")[0])
         self._note = None if notes is None else notes / NOTE

@@ -310,8 +310,8 @@ def held_against(machine: Machine) -> frozenset[FaultCode]:
 
 
 def _gauge(machine: Machine) -> Gauge | None:
-    """Return the reading of the laser dots; ``None`` while the lasers are not on, or a camera is gone: no scan can be taken from
-    there, however far it is."""
+    """Return the reading of the laser dots; ``None`` while the lasers are not on, or a camera is gone: no scan can be
+    taken from there, however far it is."""
     if machine.lasers_off_since_ns is not None or not {Device.CAMERA_LEFT, Device.CAMERA_RIGHT} <= machine.up:
         return None
     measured = machine.range

@@ -1,7 +1,8 @@
 """Owns what the running service tells its manager: ready, alive, what it does, and how its self-test ended.
 
 A sign of life is earned: it is sent from the heartbeat only, after a beat that came to its end, and only while the
-worker process answers or is known not to be there. A loop that hangs, or that has lost sight of its worker, falls silent.
+worker process answers or is known not to be there. A loop that hangs, or that has lost sight of its worker, falls
+silent.
 """
 
 from __future__ import annotations
@@ -76,7 +77,10 @@ class Watchdog:
         self._manager.alive()
 
     def _test(self, machine: Machine) -> None:
-        """Write what failed, named as on the screen, whenever it changes. A disk that refuses has failed the test by that."""
+        """Write what failed, named as on the screen, whenever it changes.
+
+        A disk that refuses has failed the test by that.
+        """
         parts = [part.value for part, test in machine.parts.items() if not test.passed]
         failed = sorted([device.value for device in machine.lost] + parts)
         if failed == self._failed:

@@ -1,10 +1,12 @@
-"""Owns what the worker's news mean for the scan in hand. What they mean for the instrument, the machine says, which gets them as they are.
+"""Owns what the worker's news mean for the scan in hand. What they mean for the instrument, the machine says, which
+gets them as they are.
 
-It also owns the watch over the cameras' windows: what stays soft at one place of the image while the scene changes is the window.
+It also owns the watch over the cameras' windows: what stays soft at one place of the image while the scene changes is
+the window.
 
-Of each cell of each camera's image a sum is kept of how far its fall exceeds what is forgiven, per scan at most so much that
-three scans are needed; a scan that shows it clean takes away. Kept in memory only: a window is wiped between two dives, and three
-scans find a scratch again.
+Of each cell of each camera's image a sum is kept of how far its fall exceeds what is forgiven, per scan at most so much
+that three scans are needed; a scan that shows it clean takes away. Kept in memory only: a window is wiped between two
+dives, and three scans find a scratch again.
 """
 
 from __future__ import annotations
@@ -61,8 +63,8 @@ CLEAN = 0.12
 CAP = 0.34
 """Largest sum: three clean scans end an alarm, however long it lasted."""
 CHANGED = 0.05
-"""Least relative change of the light in the median cell from one scan to the next one that counts: else the scene is the same, and what is soft may
-be part of it."""
+"""Least relative change of the light in the median cell from one scan to the next one that counts: else the scene is
+the same, and what is soft may be part of it."""
 _ACROSS = ("left", "middle", "right")
 _DOWN = ("upper", "middle", "lower")
 
@@ -78,10 +80,11 @@ class WindowWatch:
         self._counted: int | None = None
 
     def count(self, scan: int, windows: Windows) -> tuple[Verdict, list[on.Event]] | None:
-        """Judge scan number ``scan`` and return its verdict and what holds from now on; ``None`` where it was counted before.
+        """Judge scan number ``scan`` and return its verdict and what holds from now on; ``None`` where it was counted
+        before.
 
-        A scan counts once, however often the worker judges it: a process that was started again, or a compensated cloud,
-        must not make three scans of one.
+        A scan counts once, however often the worker judges it: a process that was started again, or a compensated
+        cloud, must not make three scans of one.
         """
         if scan == self._counted:
             return None
@@ -155,7 +158,10 @@ class WorkerReports:
     def __init__(
         self, worker: ReconstructionWorker, calibration: CalibrationWatch, clock: Clock, drop: Callable[[], None]
     ) -> None:
-        """``calibration`` judges every full cloud. ``drop`` gives up what was recorded last (``ScanController.drop``)."""
+        """``calibration`` judges every full cloud.
+
+        ``drop`` gives up what was recorded last (``ScanController.drop``).
+        """
         self._worker, self._calibration, self._clock, self._drop = worker, calibration, clock, drop
         self._windows = WindowWatch()
         self.settled = False
@@ -193,7 +199,8 @@ class WorkerReports:
                     self._without_second(scan, fault)
                 return [report, *self._given_up(fault.detail)]
             case News():
-                # The worker may still tell of a scan that was dropped or published meanwhile: nobody wants that any more.
+                # The worker may still tell of a scan that was dropped or published meanwhile: nobody wants that any
+                # more.
                 if scan is None or scan.number != report.number:
                     return []
                 conditions = self._entered(report.fact, scan)
@@ -202,7 +209,8 @@ class WorkerReports:
                 assert_never(unknown)
 
     def _given_up(self, why: str) -> list[on.Event]:
-        """Return what is told of a process that stays down until the next scan begins: frames can still be recorded and saved."""
+        """Return what is told of a process that stays down until the next scan begins: frames can still be recorded and
+        saved."""
         if self._worker.pid is not None:
             return []
         self.settled = True
@@ -224,7 +232,8 @@ class WorkerReports:
             case FullCloud():
                 self._see("full", fact.cpu_s, scan)
                 conditions = self._judged(fact.judgements, scan)
-                # Only the first full cloud of a scan counts for the calibration: its gaps are one sample, however often it is made.
+                # Only the first full cloud of a scan counts for the calibration: its gaps are one sample, however often
+                # it is made.
                 again, scan.full = scan.full is not None, self._worker.full
                 return (
                     conditions if again or scan.full is None else conditions + self._judge_calibration(scan, scan.full)
@@ -291,8 +300,8 @@ class WorkerReports:
 def _only_tells(report: WorkerEvent) -> bool:
     """Tell whether another report may be read at the same heartbeat.
 
-    A full cloud was copied, which took its time, and the next heartbeat comes soon; and what ends a scan, or the process, is
-    answered by the machine before anything else is heard.
+    A full cloud was copied, which took its time, and the next heartbeat comes soon; and what ends a scan, or the
+    process, is answered by the machine before anything else is heard.
     """
     match report:
         case News(_, PatternIdentity(judgement)):

@@ -1,4 +1,5 @@
-"""Owns the life of a child process: started with a pipe, spoken to, listened to, ended, and killed where it does not end."""
+"""Owns the life of a child process: started with a pipe, spoken to, listened to, ended, and killed where it does not
+end."""
 
 from __future__ import annotations
 
@@ -33,8 +34,8 @@ def _begin(module: str, function: str, pipe: Connection, packed: bytes) -> None:
 
 
 class ChildProcess:
-    """One process at a time that runs ``main(pipe, *arguments)``, a function of a module, in a fresh interpreter until its
-    pipe closes.
+    """One process at a time that runs ``main(pipe, *arguments)``, a function of a module, in a fresh interpreter until
+    its pipe closes.
 
     One thread starts, listens and stops; ``send`` may be called by any.
     """
@@ -58,7 +59,10 @@ class ChildProcess:
         return self._process.pid if self._process is not None else None
 
     def start(self, *arguments: Any) -> None:
-        """Start the process, with these arguments after its end of the pipe. Raises OSError where there is no room for one."""
+        """Start the process, with these arguments after its end of the pipe.
+
+        Raises OSError where there is no room for one.
+        """
         packed = pickle.dumps(arguments)
         ours, theirs = self._context.Pipe()
         main = (self._main.__module__, self._main.__name__)

@@ -1,7 +1,8 @@
-"""Owns the place in shared memory where a live picture lies while the worker looks at it: one picture, behind the points.
+"""Owns the place in shared memory where a live picture lies while the worker looks at it: one picture, behind the
+points.
 
-The parent writes it and says so by ``LookAt``; the child copies it when it reads that. Not before the answer, or a scan, or so long that none is
-expected any more, another one is written: so one place is enough, and nothing is queued.
+The parent writes it and says so by ``LookAt``; the child copies it when it reads that. Not before the answer, or a
+scan, or so long that none is expected any more, another one is written: so one place is enough, and nothing is queued.
 """
 
 from __future__ import annotations

@@ -43,8 +43,11 @@ SHARE = 0.05
 
 
 class Liveness:
-    """Judge of one process. Progress is a message, or processor time; the latter alone counts for so long only, since a computation
-    may go on for ever. Called by one thread."""
+    """Judge of one process.
+
+    Progress is a message, or processor time; the latter alone counts for so long only, since a computation may go on
+    for ever. Called by one thread.
+    """
 
     def __init__(self, clock: Clock, used_s: Callable[[], float]) -> None:
         """``used_s`` returns the processor time of the process so far."""
@@ -71,7 +74,8 @@ class Liveness:
         return (self._clock.now_ns() - self._since_ns) / 1e9 if self._limits_s is None else 0.0
 
     def late(self, grace_s: float = 0.0) -> str | None:
-        """Return in words why the process does not get on, for longer than it may by ``grace_s``; ``None``: it does, or owes nothing."""
+        """Return in words why the process does not get on, for longer than it may by ``grace_s``; ``None``: it does, or
+        owes nothing."""
         if self._limits_s is None:
             return None
         self._look()

@@ -1,5 +1,5 @@
-"""Owns when a live picture is handed to the worker, and which answer counts: one picture at a time, the latest, and a third of a processor at
-most."""
+"""Owns when a live picture is handed to the worker, and which answer counts: one picture at a time, the latest, and a
+third of a processor at most."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Owns the memory that a cloud passes through from the worker to the service, what the worker may take, and what the parent holds."""
+"""Owns the memory that a cloud passes through from the worker to the service, what the worker may take, and what the
+parent holds."""
 
 from __future__ import annotations
 
@@ -24,7 +25,10 @@ _POOL_ALONE = 2
 
 
 class CloudMemory:
-    """Blocks for up to ``capacity`` points each, the first of them touched at once. Used by one thread; clouds may be dropped by any."""
+    """Blocks for up to ``capacity`` points each, the first of them touched at once.
+
+    Used by one thread; clouds may be dropped by any.
+    """
 
     def __init__(self, capacity: int) -> None:
         self._capacity = capacity
@@ -32,13 +36,17 @@ class CloudMemory:
         self._add()
 
     def copied(self, table: PointTable, found: Found) -> Cloud:
-        """Return a copy of the points found. It stays as it is as long as anybody has one of its arrays, or a part of one."""
+        """Return a copy of the points found.
+
+        It stays as it is as long as anybody has one of its arrays, or a part of one.
+        """
         return table.cloud(found, self._free())
 
     def _free(self) -> NDArray[np.uint8] | None:
         """Return a block of which nobody has a part; ``None``: there is none, and no more are kept."""
         for k in range(len(self._blocks)):
-            # Each array that lies in a block refers to it, however it was cut out of another one. Where nobody has one, nobody can get one.
+            # Each array that lies in a block refers to it, however it was cut out of another one. Where nobody has one,
+            # nobody can get one.
             if sys.getrefcount(self._blocks[k]) <= _POOL_ALONE:
                 return self._blocks[k]
         return self._add() if len(self._blocks) < MOST_BLOCKS else None
@@ -70,11 +78,17 @@ class SharedPoints:
         return self._coarse_first + self._coarse_capacity * POINT_BYTES
 
     def full(self, memory: memoryview | None) -> PointTable:
-        """Return the full cloud's table. While it lives, ``memory`` cannot be closed. Raises ValueError where it is (``None``)."""
+        """Return the full cloud's table.
+
+        While it lives, ``memory`` cannot be closed. Raises ValueError where it is (``None``).
+        """
         return PointTable(self.capacity, _open(memory))
 
     def coarse(self, memory: memoryview | None) -> PointTable:
-        """Return the coarse cloud's table. While it lives, ``memory`` cannot be closed. Raises ValueError where it is (``None``)."""
+        """Return the coarse cloud's table.
+
+        While it lives, ``memory`` cannot be closed. Raises ValueError where it is (``None``).
+        """
         return PointTable(self._coarse_capacity, _open(memory)[self._coarse_first :])
 
 
@@ -87,7 +101,8 @@ def _open(memory: memoryview | None) -> memoryview:
 M_ARENA_MAX = -8
 """glibc's number of that option (malloc.h)."""
 MADV_DONTNEED = 4
-"""Linux's number of that advice (madvise(2)): of a private mapping of a file, what was not written to is read from the file again."""
+"""Linux's number of that advice (madvise(2)): of a private mapping of a file, what was not written to is read from the
+file again."""
 COMPILER = "libllvmlite.so"
 _PART = re.compile(r"(?P<first>[0-9a-f]+)-(?P<stop>[0-9a-f]+) (?P<may>\S{4}) \S+ \S+ \d+ *(?P<file>/.*)?$")
 
@@ -95,18 +110,20 @@ _PART = re.compile(r"(?P<first>[0-9a-f]+)-(?P<stop>[0-9a-f]+) (?P<may>\S{4}) \S+
 def share_freed_memory() -> None:
     """Let all threads of this process take memory from one heap, so that what one of them has freed serves the other.
 
-    glibc gives each thread a heap of its own, which keeps 10 MB and more of what judges needed in passing. Elsewhere than with glibc nothing
-    happens.
+    glibc gives each thread a heap of its own, which keeps 10 MB and more of what judges needed in passing. Elsewhere
+    than with glibc nothing happens.
     """
     with suppress(AttributeError, OSError):
         ctypes.CDLL(None).mallopt(M_ARENA_MAX, 1)
 
 
 def give_back_memory() -> None:
-    """Give pages that were needed to make tables and to load kernels, and that nothing lies in any more, back to the machine.
+    """Give pages that were needed to make tables and to load kernels, and that nothing lies in any more, back to the
+    machine.
 
-    glibc keeps what was freed between two things that stay: 40 MB after the start. Of the compiler's library 65 MB were read to load kernels that
-    were compiled before; nobody reads them again. Elsewhere than with glibc and Linux nothing happens.
+    glibc keeps what was freed between two things that stay: 40 MB after the start. Of the compiler's library 65 MB were
+    read to load kernels that were compiled before; nobody reads them again. Elsewhere than with glibc and Linux nothing
+    happens.
     """
     with suppress(AttributeError, OSError):
         ctypes.CDLL(None).malloc_trim(0)
@@ -115,7 +132,10 @@ def give_back_memory() -> None:
 
 
 def _forget_pages(library: str) -> None:
-    """Take the pages of a library out of this process that nobody has written to. Whoever reads one gets it again from the file."""
+    """Take the pages of a library out of this process that nobody has written to.
+
+    Whoever reads one gets it again from the file.
+    """
     advise = ctypes.CDLL(None, use_errno=True).madvise
     advise.argtypes = (ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int)
     for first, stop in unwritten(Path("/proc/self/smaps").read_text(encoding="utf-8", errors="replace"), library):
@@ -123,7 +143,8 @@ def _forget_pages(library: str) -> None:
 
 
 def unwritten(smaps: str, library: str) -> Iterator[tuple[int, int]]:
-    """Yield first and last address of each part of a file of that name, as proc(5) lists them, that is as the file has it."""
+    """Yield first and last address of each part of a file of that name, as proc(5) lists them, that is as the file has
+    it."""
     # A page that the loader has written an address into would come back without it.
     part: re.Match[str] | None = None
     for line in smaps.splitlines():
@@ -150,7 +171,10 @@ def limit_memory(headroom_mb: float) -> None:
 
 
 class ParentMemory:
-    """Shared memory for a left camera of ``width_px`` × ``height_px``, made here. No view of it outlives a call: it could not be closed."""
+    """Shared memory for a left camera of ``width_px`` × ``height_px``, made here.
+
+    No view of it outlives a call: it could not be closed.
+    """
 
     def __init__(self, width_px: int, height_px: int) -> None:
         self._places = SharedPoints(width_px, height_px)

@@ -1,4 +1,5 @@
-"""Owns the messages between the worker process and its parent, pickled on one pipe: orders to it, its signs of life, and ``News``.
+"""Owns the messages between the worker process and its parent, pickled on one pipe: orders to it, its signs of life,
+and ``News``.
 
 A ticket numbers the sequences that were begun; news of an earlier one are of no interest any more. Pixels and points
 are never in a message: frames lie in the shared store, clouds in shared memory, where ``Found`` says which part.
@@ -42,7 +43,8 @@ class WorkLimits:
     start_s: float = 240.0
     """A cold start without compiled kernels takes most of a minute, and more on a busy machine."""
     cloud_s: float = 10.0
-    """Longest time from one step to the next of those that lead from the last frame to the full cloud; a hundred times what they take."""
+    """Longest time from one step to the next of those that lead from the last frame to the full cloud; a hundred times
+    what they take."""
     computing_s: float = 60.0
     """The same where it is seen to compute: on a processor that is throttled, or shared."""
     alive_s: float = 5.0
@@ -62,7 +64,8 @@ class Begin:
     second: bool = False
     """True if the frames are the second exposure of the scan begun last, and lie in the second place of the store."""
     belongs_to: int | None = None
-    """Number of the scan's object: it is compared with the scan before where that is of the same one, or both are of none."""
+    """Number of the scan's object: it is compared with the scan before where that is of the same one, or both are of
+    none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +95,8 @@ class Keep:
 
 @dataclass(frozen=True, slots=True)
 class LookAt:
-    """The order to the worker: the diver aims at what the live picture in the shared memory shows, and wants to be guided."""
+    """The order to the worker: the diver aims at what the live picture in the shared memory shows, and wants to be
+    guided."""
 
     taken_ns: int
     """Time at which the picture was put there; ``LiveGuidance``, the answer, carries it."""

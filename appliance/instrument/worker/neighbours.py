@@ -1,7 +1,9 @@
-"""Owns what the worker keeps of the scan before, to tell how much of a new one lies on it: small copies, never frames or full clouds.
+"""Owns what the worker keeps of the scan before, to tell how much of a new one lies on it: small copies, never frames
+or full clouds.
 
-Nothing here is done while a scan is recorded or computed: the new scan is noted in passing (25 ms at 1600 × 1200, behind the full cloud) and compared piece by piece while there
-is nothing else to do. A message that comes waits for one piece at most, and a new scan ends the comparison for good.
+Nothing here is done while a scan is recorded or computed: the new scan is noted in passing (25 ms at 1600 × 1200,
+behind the full cloud) and compared piece by piece while there is nothing else to do. A message that comes waits for one
+piece at most, and a new scan ends the comparison for good.
 """
 
 from __future__ import annotations
@@ -52,11 +54,13 @@ class Neighbours:
         self._coarse = cloud
 
     def whole(self, frames: NDArray[np.uint8]) -> None:
-        """Note the left ``frames`` (n, h, w) of the scan in hand, all of whose work is done, and get ready to compare it."""
+        """Note the left ``frames`` (n, h, w) of the scan in hand, all of whose work is done, and get ready to compare
+        it."""
         if self._coarse is None:
             return
         begun_s = time.process_time()
-        # The four steps of a sine add up to even light: another picture like the bright one, some tenths of a second later.
+        # The four steps of a sine add up to even light: another picture like the bright one, some tenths of a second
+        # later.
         others = frames[list(self._sequence.axis(Direction.X).sine)]
         self._new = coarse_view(self._coarse, self._stride_px, frames[self._sequence.bright], others, self._projection)
         self._coarse = None

@@ -1,8 +1,9 @@
 """Owns the warm process in which scans are reconstructed, so that computing never delays a vertical blank.
 
-The parent sends small messages; pixels stay in the shared frame store and points come back through shared memory.
-A worker that dies, does not get on or takes too much memory is killed and started again, and the scan it had is
-processed again from the raw frames, which are untouched by all of that. The child's side is ``serve``; ``Liveness`` judges whether it gets on.
+The parent sends small messages; pixels stay in the shared frame store and points come back through shared memory. A
+worker that dies, does not get on or takes too much memory is killed and started again, and the scan it had is processed
+again from the raw frames, which are untouched by all of that. The child's side is ``serve``; ``Liveness`` judges
+whether it gets on.
 """
 
 from __future__ import annotations
@@ -58,7 +59,8 @@ MEMORY_CHECK_S = 0.5
 MOST_ATTEMPTS = 2
 """Largest number of attempts at one scan."""
 MOST_FRUITLESS_STARTS = 4
-"""Largest number of starts in a row without a cloud in between; then the worker stays down until the next scan begins."""
+"""Largest number of starts in a row without a cloud in between; then the worker stays down until the next scan begins.
+"""
 POLL_S = 0.002
 MOST_PASSED_OVER = 32
 """Largest number of messages that one poll passes over because nothing is to be told of them; a scan has some ten."""
@@ -101,7 +103,8 @@ class ReconstructionWorker:
         self.coarse: Cloud | None = None
         """The points of the last ``CoarseCloud``, until another scan begins."""
         self.full: Cloud | None = None
-        """The points of the last ``FullCloud`` or ``Bracket``, until another scan begins; ``None`` also where both are no cloud."""
+        """The points of the last ``FullCloud`` or ``Bracket``, until another scan begins; ``None`` also where both are
+        no cloud."""
         self._store, self._clock = store, clock
         left = order.calibration.rig.left
         self._memory = ParentMemory(left.width_px, left.height_px)
@@ -196,7 +199,8 @@ class ReconstructionWorker:
             self._send(FrameStored(side, index))
 
     def finish(self) -> None:
-        """Ask for the facts, as all frames are there and the ledger agrees: the last is the full cloud, or that the scan is lost."""
+        """Ask for the facts, as all frames are there and the ledger agrees: the last is the full cloud, or that the
+        scan is lost."""
         scan = self._scan
         if not scan.wanted:
             return
@@ -228,11 +232,11 @@ class ReconstructionWorker:
         self.finish()
 
     def look(self, picture: NDArray[np.uint8], belongs_to: int) -> bool:
-        """Hand over the latest live picture, (h, w) uint8, of a diver who aims at the next scan of an object; ``LiveGuidance`` answers, unless a scan
-        begins before.
+        """Hand over the latest live picture, (h, w) uint8, of a diver who aims at the next scan of an object;
+        ``LiveGuidance`` answers, unless a scan begins before.
 
-        Returns False where it was not taken: the process is not ready, has something else to do, still looks at the last one, or has taken as much
-        of a processor as it may.
+        Returns False where it was not taken: the process is not ready, has something else to do, still looks at the
+        last one, or has taken as much of a processor as it may.
         """
         now_ns = self._clock.now_ns()
         if not self._looking.may(now_ns) or not self._child.runs or self._starting or self._scan.finishing:
@@ -267,7 +271,8 @@ class ReconstructionWorker:
             return self._give_up(self._scan.given_up)
         if not self._child.runs:
             return self._restart(self._not_started) if self._not_started is not None else None
-        # What needs no answer is passed over here and now: at a heartbeat for each, an answer behind ten of them would come 0.2 s late.
+        # What needs no answer is passed over here and now: at a heartbeat for each, an answer behind ten of them would
+        # come 0.2 s late.
         for _ in range(MOST_PASSED_OVER):
             try:
                 message = self._child.receive()
@@ -281,7 +286,8 @@ class ReconstructionWorker:
         return None
 
     def wait(self, timeout_s: float) -> WorkerEvent | None:
-        """Poll for up to ``timeout_s``, for programs without a heartbeat; return the first event, ``None``: there was none."""
+        """Poll for up to ``timeout_s``, for programs without a heartbeat; return the first event, ``None``: there was
+        none."""
         end_ns = self._clock.now_ns() + int(timeout_s * 1e9)
         while True:
             event = self.poll()
@@ -344,7 +350,8 @@ class ReconstructionWorker:
             self._liveness.rest()
 
     def _check(self) -> WorkerFailure | News | None:
-        """Restart a process that does not get on, or takes too much memory; ask one that has nothing to do whether it is there."""
+        """Restart a process that does not get on, or takes too much memory; ask one that has nothing to do whether it
+        is there."""
         why = self._liveness.late() or self._too_large()
         if why is not None:
             return self._restart(why)
@@ -359,7 +366,8 @@ class ReconstructionWorker:
         if self.pid is None or now_ns < self._memory_check_ns:
             return None
         self._memory_check_ns = now_ns + int(MEMORY_CHECK_S * 1e9)
-        # A process that has to compile does so before it is ready; loading what is compiled takes no more than scans do.
+        # A process that has to compile does so before it is ready; loading what is compiled takes no more than scans
+        # do.
         most_mb = self.limits.start_memory_mb if self._starting else self.limits.memory_mb
         # None: it has just ended, which the pipe will say.
         used_mb = own_memory_mb(self.pid)
@@ -386,7 +394,8 @@ class ReconstructionWorker:
         self._liveness.owe(self.limits.start_s, self.limits.start_s)
 
     def _start_again(self) -> None:
-        """Start, where a machine that has no room for another process now is a failure of this start, not of the service."""
+        """Start, where a machine that has no room for another process now is a failure of this start, not of the
+        service."""
         try:
             self._start()
             self._not_started = None
@@ -417,7 +426,10 @@ class ReconstructionWorker:
         return WorkerFailure(why)
 
     def _give_up(self, why: str) -> WorkerFailure | News:
-        """Give up the scan in work. That it is lost is told once its frames are all there: before, nobody waits for its points."""
+        """Give up the scan in work.
+
+        That it is lost is told once its frames are all there: before, nobody waits for its points.
+        """
         scan = self._scan
         scan.given_up = why
         if not scan.finishing:

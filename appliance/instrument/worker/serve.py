@@ -179,9 +179,12 @@ class Server:
         neighbours: Neighbours | None = None,
         aiming: tuple[Onlooker, LivePicture] | None = None,
     ) -> None:
-        """``coarse``: where coarse clouds are left for the parent. ``left``: what remains to be loaded; done piece by piece while nothing else is. ``neighbours``: what
-        scans are compared by; ``None``: they are not. ``aiming``: what live pictures are looked at by, and where they lie; ``None``: they
-        are not."""
+        """``coarse``: where coarse clouds are left for the parent.
+
+        ``left``: what remains to be loaded; done piece by piece while nothing else is. ``neighbours``: what scans are
+        compared by; ``None``: they are not. ``aiming``: what live pictures are looked at by, and where they lie;
+        ``None``: they are not.
+        """
         self._pipe, self._processor, self._store = pipe, processor, store
         self._coarse = coarse
         self._neighbours = neighbours
@@ -211,8 +214,8 @@ class Server:
                 self._tell(ReconstructionFailure(Fault(FaultCode.RECONSTRUCTION_FAILED, str(error))))
 
     def _hear(self) -> ToWorker:
-        """Return the next message; while there is none, and no sequence in hand, load what is left, then compare scans, then look at what the
-        diver aims at."""
+        """Return the next message; while there is none, and no sequence in hand, load what is left, then compare scans,
+        then look at what the diver aims at."""
         while not self._in_hand and not self._pipe.poll(0.0) and self._did_one_piece():
             pass
         message: ToWorker = self._pipe.recv()

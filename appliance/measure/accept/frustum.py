@@ -157,18 +157,13 @@ def _arranged(planes: list[tuple[Plane, int]]) -> list[Plane] | NotFound:
         (planes[i][1] + planes[j][1], i, j)
         for i in range(len(planes))
         for j in range(i + 1, len(planes))
-        if cos[i, j] > PARALLEL_COS
-        and ((cos[i] > INCLINED_COS[0]) & (cos[i] < INCLINED_COS[1])).sum() >= 3
-    ]  # fmt: skip
+        if cos[i, j] > PARALLEL_COS and ((cos[i] > INCLINED_COS[0]) & (cos[i] < INCLINED_COS[1])).sum() >= 3
+    ]
     if not pairs:
         return NotFound("top and plate of the frustum were not both found; turn its top towards the instrument")
     _, i, j = max(pairs)
     top, plate = sorted((i, j), key=lambda k: float(planes[k][0].distance_mm(np.zeros((1, 3)))[0]), reverse=True)
-    sides = [
-        k
-        for k in range(len(planes))
-        if INCLINED_COS[0] < cos[top, k] < INCLINED_COS[1]
-    ][:4]  # fmt: skip
+    sides = [k for k in range(len(planes)) if INCLINED_COS[0] < cos[top, k] < INCLINED_COS[1]][:4]
     if len(sides) < 4:
         return NotFound(
             f"only {len(sides)} of the frustum's four sides were found; turn it so that all are lit and seen"

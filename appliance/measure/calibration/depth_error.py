@@ -1,9 +1,10 @@
 """Owns the shapes of a smooth depth error that all scans of one calibration share: numbers that no residual shows.
 
-The error is along the ray, in mm at 525 mm distance (of the standard housing; of another one in proportion), and grows with the square of the distance, as any error of a disparity does; where lens and
-window err together it grows a little faster or slower, so that some shapes go with the distance besides. Symbols:
-u, v  direction (x/z, y/z) over its value at the border of the view;  w  distance from 525 mm, over a tenth of it;
-c  coefficients, mm;  φ  their shapes uⁱ vʲ wᵏ (z/525 mm)².
+The error is along the ray, in mm at 525 mm distance (of the standard housing; of another one in proportion), and grows
+with the square of the distance, as any error of a disparity does; where lens and window err together it grows a little
+faster or slower, so that some shapes go with the distance besides. Symbols: u, v  direction (x/z, y/z) over its value
+at the border of the view;  w  distance from 525 mm, over a tenth of it; c  coefficients, mm;  φ  their shapes uⁱ vʲ wᵏ
+(z/525 mm)².
 """
 
 from __future__ import annotations

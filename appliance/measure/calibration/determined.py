@@ -1,4 +1,5 @@
-"""Owns whether normal equations determine their unknowns: their solution, or the names of the unknowns that are left free."""
+"""Owns whether normal equations determine their unknowns: their solution, or the names of the unknowns that are left
+free."""
 
 from __future__ import annotations
 

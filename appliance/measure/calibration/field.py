@@ -1,8 +1,10 @@
-"""Owns what is supposed of the field of a lens or a window before it was measured, and how the data say how strong it is.
+"""Owns what is supposed of the field of a lens or a window before it was measured, and how the data say how strong it
+is.
 
-A field is what a pixel is off beyond every formula: coefficients of a bicubic B-spline over the image. It is supposed to be a
-sum of Gaussian processes of three lengths (Matérn 3/2), each with a variance that the data choose: variance components by
-restricted maximum likelihood, as in geostatistics. So few data give a smooth field, and many resolve a fine one.
+A field is what a pixel is off beyond every formula: coefficients of a bicubic B-spline over the image. It is supposed
+to be a sum of Gaussian processes of three lengths (Matérn 3/2), each with a variance that the data choose: variance
+components by restricted maximum likelihood, as in geostatistics. So few data give a smooth field, and many resolve a
+fine one.
 """
 
 from __future__ import annotations
@@ -21,9 +23,13 @@ from appliance.measure.light.correction import node_count
 Array = NDArray[np.float64]
 
 FIELD_CELLS = (16, 12)
-"""Intervals across and down the image: square on 4:3. A twelfth of the width is followed to within a tenth of its height."""
+"""Intervals across and down the image: square on 4:3.
+
+A twelfth of the width is followed to within a tenth of its height.
+"""
 REACHES = (0.5, 0.2, 0.07)
-"""Lengths of the processes, as shares of the image's width: from what bends the whole image to what a flaw of a window does."""
+"""Lengths of the processes, as shares of the image's width: from what bends the whole image to what a flaw of a window
+does."""
 EYES = 4
 """Blocks of nodes of a rig: left across, left down, right across, right down."""
 AIR_VALUES = 22
@@ -36,7 +42,8 @@ MOST_PER_ROUND = 10.0
 JITTER_PX2 = 1e-9
 """Added to each node's variance: keeps the smooth covariance invertible, a thousand times below anything measured."""
 ROUNDED = 1e-6
-"""Share of each variance that is added where rounding has left a covariance without a factor: a thousandth of a standard deviation."""
+"""Share of each variance that is added where rounding has left a covariance without a factor: a thousandth of a
+standard deviation."""
 
 
 def kernels(size_px: tuple[int, int], intervals: tuple[int, int]) -> tuple[Array, ...]:
@@ -56,7 +63,8 @@ def kernels(size_px: tuple[int, int], intervals: tuple[int, int]) -> tuple[Array
 class FieldPrior:
     """Mean and covariance of unknowns of which the last ``EYES`` blocks are nodes of fields.
 
-    The covariance is what was known, ``known`` (m, m), plus the processes, with a variance each that ``refit`` estimates.
+    The covariance is what was known, ``known`` (m, m), plus the processes, with a variance each that ``refit``
+    estimates.
     """
 
     def __init__(self, known: Array, mean: Array, size_px: tuple[int, int], intervals: tuple[int, int]) -> None:
@@ -73,8 +81,8 @@ class FieldPrior:
         self.information = self._information()
 
     def refit(self, hessian: Array, gradient: Array, x: Array, rounds: int) -> None:
-        """Estimate the variances from the data's quadratic cost about ``x``: ``hessian`` (n, n), ``gradient`` (n,), n ≥ m,
-        without the prior."""
+        """Estimate the variances from the data's quadratic cost about ``x``: ``hessian`` (n, n), ``gradient`` (n,), n ≥
+        m, without the prior."""
         m = len(self.mean)
         for _ in range(rounds):
             P = self.information
@@ -129,7 +137,8 @@ def _inverse(matrix: Array) -> Array:
 
 
 def _rounded_root(covariance: Array) -> Array:
-    """Return the Cholesky factor (m, m) of a covariance that rounding has left with variances of nothing or less than nothing.
+    """Return the Cholesky factor (m, m) of a covariance that rounding has left with variances of nothing or less than
+    nothing.
 
     Raises LinAlgError for what is none by more than rounding.
     """

@@ -3,8 +3,8 @@
 The text is JSON with sorted keys; ``sha256`` is that of the compact form of everything else. Lengths are mm, image
 coordinates px, angles never appear (rotations are matrices).
 
-``air_covariance``, ``air_field``, ``depth_error_mm2`` and ``camera_serials`` are there where they are known; a camera's ``correction``,
-``ray_shift`` and ``lens_in_water`` where its model has them.
+``air_covariance``, ``air_field``, ``depth_error_mm2`` and ``camera_serials`` are there where they are known; a camera's
+``correction``, ``ray_shift`` and ``lens_in_water`` where its model has them.
 """
 
 from __future__ import annotations
@@ -62,8 +62,8 @@ class Calibration:
     """The lenses' fields as boards in air tell of them: with it, the prior of an adjustment with an image correction.
     ``None``: not known."""
     depth_error_mm2: Rows | None = None
-    """Covariance (n, n) of the smooth depth error that all its scans share (``calibration.depth_error``), as the adjustment in water left
-    it; ``None``: not known."""
+    """Covariance (n, n) of the smooth depth error that all its scans share (``calibration.depth_error``), as the
+    adjustment in water left it; ``None``: not known."""
     camera_serials: tuple[str, str] | None = None
     """Serial numbers of the left and the right camera; ``None``: not known, as in a drawing."""
 
@@ -158,12 +158,18 @@ class _WrittenCamera:
         """Return what is written of a camera."""
         lens, port, correction, shift = camera.lens, camera.port, camera.correction, camera.ray_shift
         return cls(
-            camera.width_px, camera.height_px, lens.f_px, lens.c_px, lens.distortion, camera.rotation, camera.translation_mm,
+            camera.width_px,
+            camera.height_px,
+            lens.f_px,
+            lens.c_px,
+            lens.distortion,
+            camera.rotation,
+            camera.translation_mm,
             _WrittenPort(port.normal, port.distance_mm, port.thickness_mm, port.glass_index),
             None if correction is None else _WrittenCorrection(correction.intervals, correction.coefficients_px),
             None if shift is None else _WrittenShift(shift.intervals, shift.coefficients_mm),
             camera.lens_in_water,
-        )  # fmt: skip
+        )
 
     def camera(self) -> HousedCamera:
         """Return the camera. Raises ValueError for one that cannot be."""
@@ -177,11 +183,17 @@ class _WrittenCamera:
         if len(self.distortion) != 5:
             raise ValueError(f"distortion is {self.distortion!r:.80}; allowed: a list of 5")
         return HousedCamera(
-            *size_px, Lens(self.f_px, self.c_px, self.distortion), Port(*astuple(self.port)), self.rotation, self.translation_mm,
-            None if correction is None else ImageCorrection(*size_px, _whole(correction.intervals), correction.coefficients_px),
+            *size_px,
+            Lens(self.f_px, self.c_px, self.distortion),
+            Port(*astuple(self.port)),
+            self.rotation,
+            self.translation_mm,
+            None
+            if correction is None
+            else ImageCorrection(*size_px, _whole(correction.intervals), correction.coefficients_px),
             None if shift is None else RayShift(*size_px, _whole(shift.intervals), shift.coefficients_mm),
             self.lens_in_water,
-        )  # fmt: skip
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -248,7 +260,10 @@ class _Written:
         """Return what is written of a calibration."""
         rig, of_air, serials = calibration.rig, calibration.air_field, calibration.camera_serials
         return cls(
-            calibration.rig_serial, calibration.method, calibration.made_at, calibration.made_from,
+            calibration.rig_serial,
+            calibration.method,
+            calibration.made_at,
+            calibration.made_from,
             _WrittenWater(**asdict(calibration.water)),
             _WrittenCameras(_WrittenCamera.of(rig.left), _WrittenCamera.of(rig.right)),
             _WrittenVolume(**asdict(rig.volume)),
@@ -257,13 +272,16 @@ class _Written:
             None if of_air is None else _WrittenField(of_air.intervals, of_air.mean, of_air.text),
             calibration.depth_error_mm2,
             None if serials is None else _WrittenSerials(*serials),
-        )  # fmt: skip
+        )
 
     def calibration(self) -> Calibration:
         """Return the calibration. Raises ValueError for what no instrument is."""
         serials = self.camera_serials
         return Calibration(
-            self.rig_serial, self.method, self.made_at, self.made_from,
+            self.rig_serial,
+            self.method,
+            self.made_at,
+            self.made_from,
             Water(**asdict(self.water)),
             StereoRig(*self.cameras.cameras(), WorkingVolume(**asdict(self.volume))),
             self.residual_px,
@@ -271,7 +289,7 @@ class _Written:
             None if self.air_field is None else self.air_field.field(),
             _covariance("depth_error_mm2", self.depth_error_mm2, DEPTH_ERRORS),
             None if serials is None else (serials.left, serials.right),
-        )  # fmt: skip
+        )
 
 
 def _whole(intervals: tuple[float, float]) -> tuple[int, int]:
@@ -292,5 +310,9 @@ def _covariance(key: str, rows: _Covariance | None, size: int) -> _Covariance | 
 
 
 CALIBRATION = SealedFile(
-    _Written, schema=1, max_bytes=16 * 1024 * 1024, what="calibration", remedy="restore the previous calibration or calibrate again"
-)  # fmt: skip
+    _Written,
+    schema=1,
+    max_bytes=16 * 1024 * 1024,
+    what="calibration",
+    remedy="restore the previous calibration or calibrate again",
+)

@@ -4,9 +4,9 @@ A true correspondence's rays meet if the calibration is right. If it is not, the
 the image: the gap is the only quantity of a scan of an unknown object that must be zero. Its sign is that of the left
 ray below the right one (+y of the left camera frame).
 
-The pattern of the gap over the image tells changes apart only as far as their patterns differ. Four patterns carry nearly
-all that mechanics and water can do (``docs/calibration-health.md``); each is the answer of the model itself to a change of
-the right camera, freed of the earlier ones:
+The pattern of the gap over the image tells changes apart only as far as their patterns differ. Four patterns carry
+nearly all that mechanics and water can do (``docs/calibration-health.md``); each is the answer of the model itself to a
+change of the right camera, freed of the earlier ones:
 
     height   turn about x: both ends of the image alike
     twist    turn about z: opposite at left and right
@@ -38,7 +38,8 @@ WATER_INDEX = "water index"
 TURNS = tuple(f"right camera's turn {axis} (rad)" for axis in "xyz")
 FIELD_NODES = (12, 9)
 FIELD_DEPTHS_MM = (460.0, 525.0, 590.0)
-"""Depths, of the standard housing, of the lattice over the image on which amplitudes are normalised, inside the measuring volume."""
+"""Depths, of the standard housing, of the lattice over the image on which amplitudes are normalised, inside the
+measuring volume."""
 INDEX_STEP = 1e-5
 
 
@@ -57,8 +58,8 @@ class VeilGaps:
 
 
 DOUBTS = 3
-"""Causes for which what backscatter adds may be wrong everywhere at once: its strength, and two directions in which the projector may
-stand elsewhere."""
+"""Causes for which what backscatter adds may be wrong everywhere at once: its strength, and two directions in which the
+projector may stand elsewhere."""
 
 
 def signed_gap_mm(rig: StereoRig, water_index: float, left_px: Array, right_px: Array) -> Array:

@@ -20,8 +20,10 @@ PATCHES = (8, 6)
 """Patches across and down the left image over which residuals are averaged."""
 FEWEST_IN_PATCH = 10
 _COUPLED = (" k1", " k2", " k3", " p1", " p2")
-"""Distortion coefficients follow what a lens does beyond them, and each other: alone they mean nothing. What they miss is in
-the systematic rest."""
+"""Distortion coefficients follow what a lens does beyond them, and each other: alone they mean nothing.
+
+What they miss is in the systematic rest.
+"""
 SYSTEMATIC_SHARE = 0.5
 """Share of the noise from which a systematic residual is worth a warning."""
 

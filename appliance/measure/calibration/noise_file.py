@@ -44,6 +44,9 @@ class StoredNoise:
 
 
 NOISE = SealedFile(
-    StoredNoise, schema=1, max_bytes=64 * 1024, what="noise",
+    StoredNoise,
+    schema=1,
+    max_bytes=64 * 1024,
+    what="noise",
     remedy="measure the noise again, or remove the file: the rig file's data sheets are then believed",
-)  # fmt: skip
+)

@@ -1,7 +1,7 @@
 """Owns whether a calibration is of an instrument: of its serial number, of its cameras, of their image size.
 
-A calibration describes two lenses behind two windows. With another camera in the housing it describes something that is not
-there any more, and lengths are wrong by percents while every picture looks right.
+A calibration describes two lenses behind two windows. With another camera in the housing it describes something that is
+not there any more, and lengths are wrong by percents while every picture looks right.
 """
 
 from __future__ import annotations

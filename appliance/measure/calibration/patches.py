@@ -22,7 +22,10 @@ calibration."""
 
 
 def without_veil(gaps: PatchGaps, veil: VeilGaps, size_px: tuple[int, int]) -> PatchGaps:
-    """Return ``gaps`` less what backscatter is expected to have added, with what is not known of that. ``size_px`` is the image's."""
+    """Return ``gaps`` less what backscatter is expected to have added, with what is not known of that.
+
+    ``size_px`` is the image's.
+    """
     patch = _patch_of(veil.left_px, size_px)
     counts = np.bincount(patch, minlength=PATCH_COUNT)
 

@@ -38,6 +38,9 @@ class StoredResponse:
 
 
 RESPONSE = SealedFile(
-    StoredResponse, schema=1, max_bytes=64 * 1024, what="response",
+    StoredResponse,
+    schema=1,
+    max_bytes=64 * 1024,
+    what="response",
     remedy="measure the response again, or remove the file: patterns are then drawn without compensation",
-)  # fmt: skip
+)

@@ -1,19 +1,22 @@
-"""Owns the Gray code where water scatters more light back than the object reflects: threshold by threshold, pixel by pixel.
+"""Owns the Gray code where water scatters more light back than the object reflects: threshold by threshold, pixel by
+pixel.
 
-In a Gray image a pixel shows G = b O + f V over the dark frame: the object's light O where its bit b is set, and the share f
-of the backscatter V that illuminated stripes make on the ray's way to it. The middle between bright and dark decides rightly
-as long as V is less than O. Beyond, coarse stripes may light most of that way (f near 1) before a dark pixel, or next to none
-of it before a bright one: bits then follow the water, and whole patches would become smooth surfaces that are nowhere.
+In a Gray image a pixel shows G = b O + f V over the dark frame: the object's light O where its bit b is set, and the
+share f of the backscatter V that illuminated stripes make on the ray's way to it. The middle between bright and dark
+decides rightly as long as V is less than O. Beyond, coarse stripes may light most of that way (f near 1) before a dark
+pixel, or next to none of it before a bright one: bits then follow the water, and whole patches would become smooth
+surfaces that are nowhere.
 
-O is told by the fringes, which backscatter cannot have: a ray crosses many of them. So V = (bright − dark) − O is known for
-each pixel, and f is smooth over the image: it is read off pixels whose bit is beyond doubt (G < O: not set; G > V: set), and
-carried from there to their neighbours, whose bits it tells in turn. Where V is many times O hardly any pixel is beyond doubt;
-of fine stripes f is then ½ to begin with, since a ray crosses many of them; and whole pieces of the surface are told by all of their sure bits
-together (``pieces``). A pixel whose bit remains in doubt asks its neighbours (``neighbours``) and is masked if they do not tell,
-unless it lies on the border of that bit's stripes, where the phase tells the half period anyway.
+O is told by the fringes, which backscatter cannot have: a ray crosses many of them. So V = (bright − dark) − O is known
+for each pixel, and f is smooth over the image: it is read off pixels whose bit is beyond doubt (G < O: not set; G > V:
+set), and carried from there to their neighbours, whose bits it tells in turn. Where V is many times O hardly any pixel
+is beyond doubt; of fine stripes f is then ½ to begin with, since a ray crosses many of them; and whole pieces of the
+surface are told by all of their sure bits together (``pieces``). A pixel whose bit remains in doubt asks its neighbours
+(``neighbours``) and is masked if they do not tell, unless it lies on the border of that bit's stripes, where the phase
+tells the half period anyway.
 
-Symbols, per pixel and in grey values: G ``gray_dn``, O ``object_dn`` and ``own``, bright − dark ``light_dn``, V ``veil``,
-f ``share`` (per block of the image) and ``lit``, σ ``noise_dn`` and ``sigma``.
+Symbols, per pixel and in grey values: G ``gray_dn``, O ``object_dn`` and ``own``, bright − dark ``light_dn``, V
+``veil``, f ``share`` (per block of the image) and ``lit``, σ ``noise_dn`` and ``sigma``.
 """
 
 from __future__ import annotations
@@ -44,12 +47,14 @@ SPREAD_BLOCKS = 1.5
 LEAST_KNOWN = 0.03
 """Share of that neighbourhood that must be known for f to be known."""
 LEVEL = 2.0
-"""Strength of the prior that f is level, in blocks squared: about what a neighbourhood known on all sides says of a slope."""
+"""Strength of the prior that f is level, in blocks squared: about what a neighbourhood known on all sides says of a
+slope."""
 ROUNDS = 48
 SETTLED = 0.0002
 """Share of the pixels: where a round decides no more, the next one would not either."""
 SURE = 0.75
-"""Share of the fringes' estimate of O that is certainly there: blur and the projector's response differ from place to place."""
+"""Share of the fringes' estimate of O that is certainly there: blur and the projector's response differ from place to
+place."""
 CONTINUOUS_SIGMAS = 6.0
 """O in σ from which on a sample's phase is good enough to be followed to the next."""
 PIECE_ROUNDS = 8
@@ -58,20 +63,24 @@ NOISE_SIGMAS = 3.0
 MARGIN = 0.25
 """A pixel tells its neighbours where G is farther from the threshold than this, in O, and than ``NOISE_SIGMAS``."""
 MARGIN_OF_VEIL = 0.15
-"""Uncertainty of f: a bit is in doubt where G is nearer to the threshold than this share of V, and at most ``MARGIN`` of O."""
+"""Uncertainty of f: a bit is in doubt where G is nearer to the threshold than this share of V, and at most ``MARGIN``
+of O."""
 APART_SIGMAS = 5.0
-"""Distance from the threshold, in σ, beyond which noise does not carry the other value of the bit; nearer, it is in doubt."""
+"""Distance from the threshold, in σ, beyond which noise does not carry the other value of the bit; nearer, it is in
+doubt."""
 BEYOND = 0.6
 """Distance, in O, beyond what either value of the bit makes, from which on f is taken as unknown here."""
 FINE_IMAGES = 3
-"""Number of finest Gray images: one of them has no border near a given pixel; they light half of the water everywhere."""
+"""Number of finest Gray images: one of them has no border near a given pixel; they light half of the water everywhere.
+"""
 CLEAR_MODULATION_DN = 8.0
 """Modulation from which on a pixel's fringes tell which share of the object's light they are."""
 MIN_LIGHT_DN, MIN_MODULATION_DN = 8.0, 5.0
 """Least contrast that decoding demands of a pixel, and least modulation where nothing is known of the noise."""
 MAX_PHASE_ERROR_PERIODS = 1 / 20
-"""Expected phase error of the weakest fringes that are used where backscatter takes the scale: five such errors are the quarter of
-a period that lies between the phase and a wrong order. A weak fringe there says nothing of the surface, as a shadow or an edge would."""
+"""Expected phase error of the weakest fringes that are used where backscatter takes the scale: five such errors are the
+quarter of a period that lies between the phase and a wrong order. A weak fringe there says nothing of the surface, as a
+shadow or an edge would."""
 MIN_CLEAR = 20
 """Least number of clear pixels from which anything is concluded."""
 HALF_VEIL, FEW = 0.5, 0.005
@@ -101,7 +110,8 @@ class FringeScale(NamedTuple):
     per_half_dn: np.float32
     """O per half grey value of modulation."""
     light_per_sines: np.float32
-    """Bright minus dark, over the sum of the four sines less four times dark: replaces it where the bright frame is saturated."""
+    """Bright minus dark, over the sum of the four sines less four times dark: replaces it where the bright frame is
+    saturated."""
     dark_dn2: np.float32
     """Variance at no light."""
     shot_dn: np.float32
@@ -116,12 +126,13 @@ def read_through_backscatter(
     half_period: NDArray[np.uint8],
     doubtful: NDArray[np.uint8],
 ) -> float | None:
-    """Write the half periods of the pattern columns (h, w) uint8, and into ``doubtful`` (h, w) uint8 ``DOUBT`` where a bit cannot be told,
-    ``UNSEEN`` where there is too little light to ask.
+    """Write the half periods of the pattern columns (h, w) uint8, and into ``doubtful`` (h, w) uint8 ``DOUBT`` where a
+    bit cannot be told, ``UNSEEN`` where there is too little light to ask.
 
-    Too little is a modulation below the weakest one that noise allows, where backscatter is half of the object's light and more, and below
-    ``MIN_MODULATION_DN`` elsewhere. ``frames`` (n, h, w) uint8 are one camera's; ``mask`` (h, w) is as decoding them left it.
-    Returns the weakest modulation, in grey values; ``None``, with nothing written, where the backscatter is too weak to have turned a bit.
+    Too little is a modulation below the weakest one that noise allows, where backscatter is half of the object's light
+    and more, and below ``MIN_MODULATION_DN`` elsewhere. ``frames`` (n, h, w) uint8 are one camera's; ``mask`` (h, w) is
+    as decoding them left it. Returns the weakest modulation, in grey values; ``None``, with nothing written, where the
+    backscatter is too weak to have turned a bit.
     """
     scale = scale_of_backscatter(sequence, frames, mask, noise)
     if scale is None:
@@ -134,10 +145,12 @@ def read_through_backscatter(
 def _weakest_modulation_dn(
     sequence: PatternSequence, frames: NDArray[np.uint8], mask: NDArray[np.uint8], noise: CameraNoise
 ) -> float:
-    """Return the modulation at which the phase of one camera's pixels has ``MAX_PHASE_ERROR_PERIODS``, at most ``MIN_MODULATION_DN``.
+    """Return the modulation at which the phase of one camera's pixels has ``MAX_PHASE_ERROR_PERIODS``, at most
+    ``MIN_MODULATION_DN``.
 
-    Four steps with noise σ and modulation B give the phase an error of σ / (√2 B) rad. The noise is that of the mean light of the
-    lit pixels, most of which is the water's: one limit for all of them. ``frames`` and ``mask`` as in ``read_through_backscatter``.
+    Four steps with noise σ and modulation B give the phase an error of σ / (√2 B) rad. The noise is that of the mean
+    light of the lit pixels, most of which is the water's: one limit for all of them. ``frames`` and ``mask`` as in
+    ``read_through_backscatter``.
     """
     at = _few(mask.shape)
     lit = mask[at] != _SHADOW
@@ -178,7 +191,8 @@ def _read(
 def _shares(
     sequence: PatternSequence, frames: NDArray[np.uint8], at: tuple[slice, slice], pixels: SampledPixels
 ) -> Floats:
-    """Return f of all Gray images of the columns in each block, (images, rows, columns) float32; NaN where it is not known."""
+    """Return f of all Gray images of the columns in each block, (images, rows, columns) float32; NaN where it is not
+    known."""
     across = sequence.axis(Direction.X)
     coarse = len(across.gray) - FINE_IMAGES
     dark = frames[sequence.dark][at].astype(np.float32)
@@ -229,7 +243,8 @@ class ExaminedPixels(NamedTuple):
 
 
 def examine(sequence: PatternSequence, frames: NDArray[np.uint8], mask: NDArray[np.uint8]) -> ExaminedPixels:
-    """Examine one pixel in so many of one camera's ``frames`` (n, h, w) uint8, of which ``mask`` (h, w) is the decoder's."""
+    """Examine one pixel in so many of one camera's ``frames`` (n, h, w) uint8, of which ``mask`` (h, w) is the
+    decoder's."""
     at, across = _few(mask.shape)[0], sequence.axis(Direction.X)
     shown = np.array([sequence.bright, sequence.dark, *across.sine, *across.gray[-FINE_IMAGES:]], np.int64)
     room = len(range(at.start, mask.shape[0], at.step)) * len(range(at.start, mask.shape[1], at.step))
@@ -248,7 +263,8 @@ def _examine(
     reason: NDArray[np.uint8],
     levels: Floats,
 ) -> None:
-    """Write to ``reason`` (n,) and ``levels`` (5, n) what ``ExaminedPixels`` holds; ``shown``: bright, dark, sines of X and fine Gray images."""
+    """Write to ``reason`` (n,) and ``levels`` (5, n) what ``ExaminedPixels`` holds; ``shown``: bright, dark, sines of X
+    and fine Gray images."""
     n = 0
     for y in range(first, mask.shape[0], stride):
         for x in range(first, mask.shape[1], stride):
@@ -273,16 +289,15 @@ def fringe_scale(seen: ExaminedPixels, noise: CameraNoise, clear_dn: float = CLE
     clear &= (seen.reason != _SHADOW) & (seen.reason != _SATURATED) & (seen.bright_dn < FULL_DN)
     if np.count_nonzero(clear) < MIN_CLEAR:
         return None
-    # Contrast: 2B over the swing of a fine Gray image about its middle, (2b − 1) O + (2f − 1) V, which is ± O since f is ½
-    # there. Swings are whole numbers: float32 has them exactly.
+    # Contrast: 2B over the swing of a fine Gray image about its middle, (2b − 1) O + (2f − 1) V, which is ± O since f
+    # is ½ there. Swings are whole numbers: float32 has them exactly.
     contrast = _median(seen.double_dn[clear] / seen.swing_dn[clear].astype(np.float64))
-    return scale_of(
-        contrast, _median(seen.light_dn[clear] / np.maximum(seen.sines_dn[clear], np.float32(1.0))), noise
-    )  # fmt: skip
+    return scale_of(contrast, _median(seen.light_dn[clear] / np.maximum(seen.sines_dn[clear], np.float32(1.0))), noise)
 
 
 def _median(values: NDArray[Any]) -> float:
-    """Return what ``numpy.median`` returns of finite values, in a third of its time: it sorts for two ranks, this one for one."""
+    """Return what ``numpy.median`` returns of finite values, in a third of its time: it sorts for two ranks, this one
+    for one."""
     half = values.size // 2
     parted = np.partition(values, half)
     if values.size % 2:
@@ -303,8 +318,8 @@ def scale_of(contrast: float, light_per_sines: float, noise: CameraNoise) -> Fri
 def any_backscatter(seen: ExaminedPixels, scale: FringeScale) -> bool:
     """Tell whether enough decoded pixels show backscatter of half their object's light for a bit to be wrong.
 
-    What moves between the images shows some pixels more light than their fringes tell, too, and others as much less; water shows
-    none less. So pixels of the second kind are taken off.
+    What moves between the images shows some pixels more light than their fringes tell, too, and others as much less;
+    water shows none less. So pixels of the second kind are taken off.
     """
     object_dn, noise_dn = _object_and_noise_dn(seen.bright_dn, seen.double_dn, scale)
     valid = seen.reason == np.uint8(0)
@@ -321,8 +336,8 @@ def scale_of_backscatter(
     noise: CameraNoise,
     clear_dn: float = CLEAR_MODULATION_DN,
 ) -> FringeScale | None:
-    """Return the scale of one camera's ``frames``, ``None`` where no backscatter worth speaking of asks for it; see ``fringe_scale`` and
-    ``any_backscatter``."""
+    """Return the scale of one camera's ``frames``, ``None`` where no backscatter worth speaking of asks for it; see
+    ``fringe_scale`` and ``any_backscatter``."""
     seen = examine(sequence, frames, mask)
     scale = fringe_scale(seen, noise, clear_dn)
     return scale if scale is not None and any_backscatter(seen, scale) else None
@@ -354,8 +369,8 @@ def _object_and_noise_dn(bright_dn: Floats, double_dn: Floats, scale: FringeScal
 def illuminated_share(gray_dn: Floats, pixels: SampledPixels, fine: bool = False) -> Floats:
     """Return f of one Gray image in each block, (rows, columns) float32; NaN where it is not known.
 
-    Alternates between fitting f to the pixels whose bit is known, and deciding the bits that this f tells. ``fine``: the image
-    has so narrow stripes that f is ½ as far as no pixel says otherwise.
+    Alternates between fitting f to the pixels whose bit is known, and deciding the bits that this f tells. ``fine``:
+    the image has so narrow stripes that f is ½ as far as no pixel says otherwise.
     """
     block = SAMPLES_PER_BLOCK
     state = np.empty(gray_dn.shape, np.uint8)
@@ -376,8 +391,8 @@ def illuminated_share(gray_dn: Floats, pixels: SampledPixels, fine: bool = False
 
 
 def _smooth_share(sums: Floats) -> Floats:
-    """Return f (rows, columns) float32 of blocks from their ``sums`` (``_gather``), as a plane fitted to the neighbourhood of each;
-    NaN where too little of that is known.
+    """Return f (rows, columns) float32 of blocks from their ``sums`` (``_gather``), as a plane fitted to the
+    neighbourhood of each; NaN where too little of that is known.
 
     A plane, for f is carried on into parts of the image where no bit is known yet: a mean would lag behind there.
     """
@@ -397,7 +412,8 @@ def _smooth_share(sums: Floats) -> Floats:
         syy - np.float32(2.0) * y * sy + y * y * s,
     )
     sx, sy, gx, gy, sxx, syy = sx - x * s, sy - y * s, gx - x * g, gy - y * g, sxx + prior, syy + prior
-    # Cramer's rule for f. What the plane leaves of the weight: all of it where neighbours lie around, little at the end of a lever.
+    # Cramer's rule for f. What the plane leaves of the weight: all of it where neighbours lie around, little at the end
+    # of a lever.
     down, across, both = sxx * syy - sxy * sxy, sx * syy - sxy * sy, sx * sxy - sxx * sy
     weight = s * down - sx * across + sy * both
     share = (g * down - gx * across + gy * both) / np.maximum(weight, np.float32(1e-9))
@@ -414,7 +430,8 @@ def _seed(
     usable: NDArray[np.bool_],
     state: NDArray[np.uint8],
 ) -> None:
-    """Write the bits that are beyond doubt for any f between 0 and 1 into ``state``; _OPEN for the others, _NONE if unusable."""
+    """Write the bits that are beyond doubt for any f between 0 and 1 into ``state``; _OPEN for the others, _NONE if
+    unusable."""
     for y in range(state.shape[0]):
         for x in range(state.shape[1]):
             state[y, x] = _NONE
@@ -494,7 +511,8 @@ def _number(
     """Write half periods, bits in doubt, and whether they matter (DOUBT; UNSEEN where nothing is seen), (h, w) each."""
     rows, columns = half_period.shape
     last_y, last_x = shares.shape[1] - 1, shares.shape[2] - 1
-    # The vector of both differences is twice the modulation. Where fringes are weak though hardly any light is the water's, it is dark.
+    # The vector of both differences is twice the modulation. Where fringes are weak though hardly any light is the
+    # water's, it is dark.
     weak, dark_weak = np.float32(4.0) * weakest_dn * weakest_dn, np.float32((2.0 * MIN_MODULATION_DN) ** 2)
     own = np.empty(columns, np.float32)
     veil = np.empty(columns, np.float32)
@@ -519,8 +537,8 @@ def _number(
             told = scale.per_half_dn * np.sqrt(cosine * cosine + quadrature * quadrature)
             own[x] = min(told, light)
             veil[x] = light - own[x]
-            # A bit is in doubt nearer to its threshold than a share of V, at most one of O, and what noise exceeds O/2 by;
-            # beyond room, a value is neither that of a set bit nor of one that is not.
+            # A bit is in doubt nearer to its threshold than a share of V, at most one of O, and what noise exceeds O/2
+            # by; beyond room, a value is neither that of a set bit nor of one that is not.
             apart = np.float32(APART_SIGMAS) * sigma
             doubt[x] = min(np.float32(MARGIN_OF_VEIL) * veil[x], np.float32(MARGIN) * own[x])
             doubt[x] += max(apart - np.float32(0.5) * own[x], np.float32(0.0))

@@ -1,12 +1,13 @@
 """Owns decoding: the frames of one camera become pattern coordinates (p, q), modulation and a reason where not.
 
-Frames are worked on in the order of the sequence: the references give the Gray threshold and the illuminated part of each
-row, beyond which nothing is read or written again; the last Gray image of a direction gives its half periods, for which seven
-images are read once and one byte per pixel is written once; and the fourth sine image closes it: phase, fringe order, masks and
-edges, row by row in the cache, a coordinate being written once, when its row has been judged. So little is left to do after the
-last frame.
+Frames are worked on in the order of the sequence: the references give the Gray threshold and the illuminated part of
+each row, beyond which nothing is read or written again; the last Gray image of a direction gives its half periods, for
+which seven images are read once and one byte per pixel is written once; and the fourth sine image closes it: phase,
+fringe order, masks and edges, row by row in the cache, a coordinate being written once, when its row has been judged.
+So little is left to do after the last frame.
 
-It also owns which part of each row the projector illuminates: from the first illuminated pixel to the last. Nothing else is worked on.
+It also owns which part of each row the projector illuminates: from the first illuminated pixel to the last. Nothing
+else is worked on.
 
 Parts begin and end at whole blocks, so that vector instructions have no rest to do pixel by pixel.
 """
@@ -42,7 +43,8 @@ def _any_illuminated(mask: NDArray[np.uint8]) -> bool:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _ends(mask: NDArray[np.uint8]) -> tuple[int, int]:
-    """Return the first column of the first block of a row that is not all masked, and the one behind the last such block."""
+    """Return the first column of the first block of a row that is not all masked, and the one behind the last such
+    block."""
     first, stop = 0, mask.size
     while first < stop and not _any_illuminated(mask[first : first + _BLOCK]):
         first += _BLOCK
@@ -66,8 +68,8 @@ def find_illuminated_columns(
 ) -> int:
     """Enter the first column of each row's illuminated part, and the one behind it, in ``illuminated`` (h, 2).
 
-    Returns how many pixels are illuminated. ``mask`` (h, w): 1 in the shadow, else 0. Coordinates (h, w) that the scan before
-    left outside become NaN: those outside of its own part are NaN already.
+    Returns how many pixels are illuminated. ``mask`` (h, w): 1 in the shadow, else 0. Coordinates (h, w) that the scan
+    before left outside become NaN: those outside of its own part are NaN already.
     """
     pixels = 0
     for y in range(mask.shape[0]):
@@ -88,8 +90,9 @@ MIN_MODULATION_DN = 5.0
 MAX_GRAY_DISAGREEMENT = 0.36
 """Distance between phase and the middle of its Gray half period, in periods; ¼ is perfect, ½ is a wrong order."""
 MAX_VEILED_DISAGREEMENT = 0.46
-"""The same along the rows where backscatter outshines the object: there its own stripes, which lie up to a quarter of a period beside the
-object's, decide the Gray bits, and less so the phase. A row of the wrong order has a ray gap of millimetres and makes no point."""
+"""The same along the rows where backscatter outshines the object: there its own stripes, which lie up to a quarter of a
+period beside the object's, decide the Gray bits, and less so the phase. A row of the wrong order has a ray gap of
+millimetres and makes no point."""
 MAX_GRAY_BITS = 8
 OFFSET_SAMPLES = 1_500
 """Number of pixels of which the mean of the sine images is compared with the Gray threshold."""
@@ -104,13 +107,15 @@ class Mask(IntEnum):
     WEAK = 3
     """Too little modulation."""
     CONTRADICTION = 4
-    """Gray code and phase disagree, or the water hides what the Gray code is: a mixed pixel, or something that moved."""
+    """Gray code and phase disagree, or the water hides what the Gray code is: a mixed pixel, or something that moved.
+    """
     EDGE = 5
     """The pixel lies at a jump of the coordinates and sees two surfaces."""
 
 
 def edge_limits_px(period_px: int, width_px: int, pattern_px: int) -> tuple[np.float32, np.float32]:
-    """Return how much a coordinate may jump to the next pixel, and bend there, for a camera of ``width_px`` and patterns of ``pattern_px``."""
+    """Return how much a coordinate may jump to the next pixel, and bend there, for a camera of ``width_px`` and
+    patterns of ``pattern_px``."""
     # A pixel spans about 0.63 pattern px at full resolution, more on a small camera; steep surfaces double it.
     step_px = float(pattern_px) / width_px
     noise_px = period_px / 45.0
@@ -162,9 +167,11 @@ class CameraDecoder:
         self.illuminated_pixels = 0
         """Number of pixels that are not in the shadow."""
         self.backscatter_pixels = 0
-        """Number of pixels without coordinates since backscatter hides what their Gray code is; their mask is CONTRADICTION."""
+        """Number of pixels without coordinates since backscatter hides what their Gray code is; their mask is
+        CONTRADICTION."""
         self.offset_per_threshold = 1.0
-        """Mean of the sine images over ``gray_threshold``: what the projector's response makes of the middle of its codes."""
+        """Mean of the sine images over ``gray_threshold``: what the projector's response makes of the middle of its
+        codes."""
         self.variance_factor = 1.0
         """Variance of the coordinates over that of four steps: what taking a bend out of them multiplied it by."""
         self._next = 0
@@ -246,9 +253,11 @@ class CameraDecoder:
         return mean / half_way if half_way else 1.0
 
     def read_again_through_backscatter(self, frames: NDArray[np.uint8], noise: CameraNoise) -> bool:
-        """Decode anew, bit by bit, where backscatter outshines the object; call after the last of ``frames`` (n, h, w) uint8.
+        """Decode anew, bit by bit, where backscatter outshines the object; call after the last of ``frames`` (n, h, w)
+        uint8.
 
-        Returns False, with the maps as they were, where it does so nowhere; this takes a millisecond. See ``backscatter``.
+        Returns False, with the maps as they were, where it does so nowhere; this takes a millisecond. See
+        ``backscatter``.
         """
         columns, doubtful = np.empty((2, *self._shape), np.uint8)
         weakest_dn = read_through_backscatter(self._sequence, frames, self.mask, noise, columns, doubtful)

@@ -1,10 +1,11 @@
 """Owns which pixels see an edge: where a coordinate jumps, or bends more than noise and curvature can.
 
-Such a pixel's grey values are a mixture of two surfaces, and so would be its point. A jump is a first difference to one of
-the four neighbours, a bend a second difference across the pixel, along a row or a column.
+Such a pixel's grey values are a mixture of two surfaces, and so would be its point. A jump is a first difference to one
+of the four neighbours, a bend a second difference across the pixel, along a row or a column.
 
-Symbols, of one coordinate c at row y, column x: left = c(x) − c(x − 1), right = c(x + 1) − c(x), up and down the same along the
-column; jump is the greatest of their sizes, bend the greater of |right − left| and |down − up|, all in px of the pattern.
+Symbols, of one coordinate c at row y, column x: left = c(x) − c(x − 1), right = c(x + 1) − c(x), up and down the same
+along the column; jump is the greatest of their sizes, bend the greater of |right − left| and |down − up|, all in px of
+the pattern.
 """
 
 from __future__ import annotations
@@ -30,10 +31,11 @@ def keep_smooth(
     coordinate: NDArray[np.float32],
     edge: NDArray[np.uint8],
 ) -> bool:
-    """Write into ``coordinate`` what is no edge, NaN for the others, and 1 into ``edge`` there; return whether there was one.
+    """Write into ``coordinate`` what is no edge, NaN for the others, and 1 into ``edge`` there; return whether there
+    was one.
 
-    All are (n,), but for ``around`` (n + 2,), which begins one column before. In the form ``a if a > m else m`` a missing
-    neighbour (NaN) says nothing.
+    All are (n,), but for ``around`` (n + 2,), which begins one column before. In the form ``a if a > m else m`` a
+    missing neighbour (NaN) says nothing.
     """
     found = np.int32(0)
     for x in range(coordinate.size):
@@ -84,12 +86,13 @@ def close_axis(
     half_dn: NDArray[np.uint8],
     mask: NDArray[np.uint8],
 ) -> None:
-    """Close the illuminated part (h, 2) of one direction's (h, w) maps and mask its edges, while each row is in the cache.
+    """Close the illuminated part (h, 2) of one direction's (h, w) maps and mask its edges, while each row is in the
+    cache.
 
     ``other`` is the map of the direction that was closed before (in the second one): what fails now loses its
     coordinate there too. Each pixel is judged by its four neighbours as they were before edges were masked: three rows
-    wait in scratch, and row y − 1 is judged, and written, when row y is closed. Beyond its illuminated part, a row in scratch is
-    NaN.
+    wait in scratch, and row y − 1 is judged, and written, when row y is closed. Beyond its illuminated part, a row in
+    scratch is NaN.
     """
     # Each row takes a dozen views.
     i0, i1, i2, i3, half_period = borrowed(i0), borrowed(i1), borrowed(i2), borrowed(i3), borrowed(half_period)
@@ -121,9 +124,14 @@ def close_axis(
             above, around = scratch[(y - 2) % 3, COORDINATE:], scratch[(y - 1) % 3, COORDINATE - 1 :]
             done, judged = slice(begin, end), edge[: end - begin]
             if keep_smooth(
-                above[begin:end], around[begin:], s[COORDINATE + begin : COORDINATE + end], jump_px, bend_px,
-                coordinate[y - 1, done], judged,
-            ):  # fmt: skip
+                above[begin:end],
+                around[begin:],
+                s[COORDINATE + begin : COORDINATE + end],
+                jump_px,
+                bend_px,
+                coordinate[y - 1, done],
+                judged,
+            ):
                 _name(judged, mask[y - 1, done])
                 if axis.second:
                     _drop(judged, other[y - 1, done])

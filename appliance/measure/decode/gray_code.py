@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from appliance.measure.decode.scratch import borrowed
 
 BITS_AT_ONCE = 7
-"""Number of images read in one loop: with the threshold, eight inputs to one output are the most of which LLVM checks that
-they do not overlap."""
+"""Number of images read in one loop: with the threshold, eight inputs to one output are the most of which LLVM checks
+that they do not overlap."""
 _SHADOW = np.uint8(1)
 _ONE, _ZERO = np.uint8(1), np.uint8(0)
 
@@ -26,7 +26,8 @@ def threshold(
     gray_threshold: NDArray[np.uint8],
     mask: NDArray[np.uint8],
 ) -> None:
-    """Write the middle between bright and dark, rounded up, and 1 into ``mask`` where they differ too little; arrays (n,) uint8."""
+    """Write the middle between bright and dark, rounded up, and 1 into ``mask`` where they differ too little; arrays
+    (n,) uint8."""
     for i in range(gray_threshold.size):
         gray_threshold[i] = np.uint8((np.uint16(bright[i]) + np.uint16(dark[i]) + np.uint16(1)) >> np.uint16(1))
         # Wraps around where bright is below dark, which is asked first.
@@ -48,7 +49,8 @@ def _number(
 ) -> None:
     """Write the half-period number of each pixel of a row.
 
-    A bit of the number is the Gray bit, inverted when the bit before is set (b_k = g_k xor b_{k−1}): no table is needed.
+    A bit of the number is the Gray bit, inverted when the bit before is set (b_k = g_k xor b_{k−1}): no table is
+    needed.
     """
     for x in range(half_period.size):
         m = gray_threshold[x]

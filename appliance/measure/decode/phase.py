@@ -1,26 +1,29 @@
 """Owns the phase of a pixel: four sine images and a Gray code become a pattern coordinate, a modulation and a mask.
 
-Step k shows I_k = A + B cos(φ + k·90°), so that I0 − I2 = 2B cos φ and I3 − I1 = 2B sin φ: the length of that vector is the
-modulation B in half grey values, its angle the phase. The Gray code numbers half periods; its middle tells the fringe order.
+Step k shows I_k = A + B cos(φ + k·90°), so that I0 − I2 = 2B cos φ and I3 − I1 = 2B sin φ: the length of that vector is
+the modulation B in half grey values, its angle the phase. The Gray code numbers half periods; its middle tells the
+fringe order.
 
 Written for the machine that has to do it: row by row, each row in short loops whose floats lie in one array at constant
-distances, which is what LLVM turns into vector instructions (see ``scratch``); what passes between the loops stays in the
-first-level cache. Numbers in a loop have 32 bits, also where eight would do: mixed widths cost more than they save.
+distances, which is what LLVM turns into vector instructions (see ``scratch``); what passes between the loops stays in
+the first-level cache. Numbers in a loop have 32 bits, also where eight would do: mixed widths cost more than they save.
 
-Symbols: cosine = I0 − I2, sine = I3 − I1; a, b are their sizes, t = min/max of them, r an angle in turns. P is the period,
-middle the middle of the Gray half period in periods, off the phase less middle; the coordinate is p = P (middle + off) − ½ px.
+Symbols: cosine = I0 − I2, sine = I3 − I1; a, b are their sizes, t = min/max of them, r an angle in turns. P is the
+period, middle the middle of the Gray half period in periods, off the phase less middle; the coordinate is p = P (middle
++ off) − ½ px.
 
-It also owns the phase of any number of steps as a kernel; that of four steps of 90°, our own sequence, has one of its own (``phase``).
+It also owns the phase of any number of steps as a kernel; that of four steps of 90°, our own sequence, has one of its
+own (``phase``).
 
-Both turn cosine and sine into a phase by the same function, and C = (I0 − I2) / 2, S = (I3 − I1) / 2 of four steps of 90° are exact in
-float32: the same four images give the same phase, byte for byte.
+Both turn cosine and sine into a phase by the same function, and C = (I0 − I2) / 2, S = (I3 − I1) / 2 of four steps of
+90° are exact in float32: the same four images give the same phase, byte for byte.
 
 Symbols: image k shows I_k = A + B cos(φ + δ_k) = A + C cos δ_k − S sin δ_k; A, C and S are weights times the images.
 
 It also owns which of the finest fringes agrees best with what other periods say, as a kernel: all of them are tried.
 
-Symbols: e = P (own + k) is the place of fringe k, P the finest period and ``own`` its phase in turns, 0 … 1; another period Q has there the
-phase e / Q + begin.
+Symbols: e = P (own + k) is the place of fringe k, P the finest period and ``own`` its phase in turns, 0 … 1; another
+period Q has there the phase e / Q + begin.
 """
 
 from __future__ import annotations
@@ -46,10 +49,11 @@ def fit_steps(
     found: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
     saturated: NDArray[np.bool_],
 ) -> None:
-    """Fit sines to ``images`` (n, h, w), of any type of numbers, by ``weights`` (3, n), which make A, C and S; ``columns`` (2, n) are cos δ_k and sin δ_k.
+    """Fit sines to ``images`` (n, h, w), of any type of numbers, by ``weights`` (3, n), which make A, C and S;
+    ``columns`` (2, n) are cos δ_k and sin δ_k.
 
-    Writes phase in turns, modulation B, offset A and the root mean square that is left into ``found``, four (h, w), and whether an
-    image reaches ``white`` into ``saturated`` (h, w). What is left of three steps is 0.
+    Writes phase in turns, modulation B, offset A and the root mean square that is left into ``found``, four (h, w), and
+    whether an image reaches ``white`` into ``saturated`` (h, w). What is left of three steps is 0.
     """
     count, height, width = images.shape
     mean, cosine = np.empty(width, np.float32), np.empty(width, np.float32)
@@ -98,10 +102,11 @@ def choose_fringes(
     cosines: bool,
     found: NDArray[np.float32],
 ) -> None:
-    """Write the places in px of the best fringes that begin before ``end_px``, and the sum of the squares, in turns, by which others disagree
-    there, into ``found`` (2, n).
+    """Write the places in px of the best fringes that begin before ``end_px``, and the sum of the squares, in turns, by
+    which others disagree there, into ``found`` (2, n).
 
-    ``others`` (m, n) are the others' phases in turns, or their ``cosines``; ``conventions`` (2, m) their periods in px and beginnings in turns.
+    ``others`` (m, n) are the others' phases in turns, or their ``cosines``; ``conventions`` (2, m) their periods in px
+    and beginnings in turns.
     """
     best_px, best = found
     best_px[:], best[:] = _ZERO, _FAR
@@ -171,8 +176,8 @@ def phase(
 ) -> None:
     """Write the wrapped phase atan2(i3 − i1, i0 − i2)/2π in turns, −½ … ½, within 6e-8, into COORDINATE of ``s``.
 
-    Into MODULATION_HALF_DN goes the length of that vector, which is the modulation in half grey values. Without modulation the
-    phase is 0.
+    Into MODULATION_HALF_DN goes the length of that vector, which is the modulation in half grey values. Without
+    modulation the phase is 0.
     """
     for x in range(i0.size):
         cosine, sine = np.float32(i0[x]) - np.float32(i2[x]), np.float32(i3[x]) - np.float32(i1[x])
@@ -206,17 +211,22 @@ class AxisDecoding(NamedTuple):
     size_px: np.float32
     min_modulation_half_dn: np.float32
     max_offset: np.float32
-    """Largest distance of the phase from the middle of its half period, in periods; beyond, Gray code and phase disagree."""
+    """Largest distance of the phase from the middle of its half period, in periods; beyond, Gray code and phase
+    disagree."""
     second: bool
     """True if the other direction has been closed: the smaller modulation of both counts."""
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
 def _place(
-    half_period: NDArray[np.uint8], axis: AxisDecoding, s: NDArray[np.float32], half_dn: NDArray[np.uint8],
+    half_period: NDArray[np.uint8],
+    axis: AxisDecoding,
+    s: NDArray[np.float32],
+    half_dn: NDArray[np.uint8],
     mask: NDArray[np.uint8],
-) -> bool:  # fmt: skip
-    """Turn COORDINATE from turns into px: the middle of the Gray half period, in periods, tells the fringe order at any phase.
+) -> bool:
+    """Turn COORDINATE from turns into px: the middle of the Gray half period, in periods, tells the fringe order at any
+    phase.
 
     Writes mask and modulation. Returns whether any pixel is masked that was not.
     """
@@ -257,7 +267,8 @@ def close_row(
     half_dn: NDArray[np.uint8],
     mask: NDArray[np.uint8],
 ) -> bool:
-    """Close one row: COORDINATE of ``s`` in px (NaN where the mask says why), modulation in half grey values, mask; arrays (n,).
+    """Close one row: COORDINATE of ``s`` in px (NaN where the mask says why), modulation in half grey values, mask;
+    arrays (n,).
 
     Returns whether any pixel is masked that was not.
     """

@@ -1,21 +1,25 @@
-"""Owns the half periods of whole pieces of a surface: phases continue from pixel to pixel, and bits beyond doubt tell the rest together.
+"""Owns the half periods of whole pieces of a surface: phases continue from pixel to pixel, and bits beyond doubt tell
+the rest together.
 
-Where backscatter outshines the object hardly a pixel is beyond doubt in all of its Gray images, but nearly each in some. Within a piece, in
-which the wrapped phase goes on from neighbour to neighbour, all pixels share one unknown: the number of whole periods that the first of them is off.
-Each bit beyond doubt, of whichever image and pixel, votes on it. What an image alone leaves open (is more of the water lit, or is it the
-object?) the others decide, and nothing is carried on by extrapolation.
+Where backscatter outshines the object hardly a pixel is beyond doubt in all of its Gray images, but nearly each in
+some. Within a piece, in which the wrapped phase goes on from neighbour to neighbour, all pixels share one unknown: the
+number of whole periods that the first of them is off. Each bit beyond doubt, of whichever image and pixel, votes on it.
+What an image alone leaves open (is more of the water lit, or is it the object?) the others decide, and nothing is
+carried on by extrapolation.
 
-Symbols: c a pixel's coordinate in periods, from the piece's first pixel's own phase on; K the number that makes it the pattern's. r is twice c, whole:
-a half period. States are those of ``backscatter``: a bit 0 or 1, _OPEN where it is in doubt, _NONE where nothing is seen.
+Symbols: c a pixel's coordinate in periods, from the piece's first pixel's own phase on; K the number that makes it the
+pattern's. r is twice c, whole: a half period. States are those of ``backscatter``: a bit 0 or 1, _OPEN where it is in
+doubt, _NONE where nothing is seen.
 
 It also owns the half periods that a pixel's neighbours tell where its own Gray bits leave it in doubt.
 
-Noise in milk may carry a Gray bit across its threshold, while the fringes' phase is known to a hundredth of a period: what is in doubt is only
-which of a few periods it is, and the next period is farther off on the pattern than neighbours on one surface are from each other.
-So a pixel in doubt takes the period in which its phase continues theirs, if its own bits, apart from those in doubt, name it, too.
-Neighbours that were told so tell others: two sweeps, down and up again.
+Noise in milk may carry a Gray bit across its threshold, while the fringes' phase is known to a hundredth of a period:
+what is in doubt is only which of a few periods it is, and the next period is farther off on the pattern than neighbours
+on one surface are from each other. So a pixel in doubt takes the period in which its phase continues theirs, if its own
+bits, apart from those in doubt, name it, too. Neighbours that were told so tell others: two sweeps, down and up again.
 
-Symbols, in periods of the pattern: ``turns`` wrapped phase −½ … ½, c a neighbour's coordinate, whole the number of whole periods of a pixel's.
+Symbols, in periods of the pattern: ``turns`` wrapped phase −½ … ½, c a neighbour's coordinate, whole the number of
+whole periods of a pixel's.
 """
 
 from __future__ import annotations
@@ -109,11 +113,13 @@ Floats = NDArray[np.float32]
 
 """Largest step of the phase, in periods, from one sample to the next of a piece: half a period could be either way."""
 INSIDE = 0.3
-"""Distance from the middle of a half period, in half periods, within which a sample's bits are not those of a stripe's blurred border."""
+"""Distance from the middle of a half period, in half periods, within which a sample's bits are not those of a stripe's
+blurred border."""
 LEAST_AHEAD = 20
 """Least number of votes by which K must be ahead of any other."""
 MOST_AGAINST = 0.1
-"""Largest share of the votes of coarse images against it: pieces that run over a step of the surface contradict themselves."""
+"""Largest share of the votes of coarse images against it: pieces that run over a step of the surface contradict
+themselves."""
 REACH = 128
 """Half periods to either side of a piece's first pixel."""
 UNTOLD = -1000
@@ -125,7 +131,8 @@ _ONE_BIT, _OPEN, _NONE = np.uint8(1), np.uint8(2), np.uint8(3)
 def _grow(
     first: int, turns: Floats, ahead: Floats, piece: NDArray[np.int32], mine: int, queue: NDArray[np.int32]
 ) -> int:
-    """Write c of all samples that hang together with ``first`` into ``ahead``, and ``mine`` into ``piece``; return how many are queued."""
+    """Write c of all samples that hang together with ``first`` into ``ahead``, and ``mine`` into ``piece``; return how
+    many are queued."""
     columns = turns.shape[1]
     y, x = first // columns, first % columns
     ahead[y, x], piece[y, x], queue[0] = turns[y, x], mine, first
@@ -156,7 +163,8 @@ def _settle(
 ) -> int:
     """Return K of a piece, as its members' bits beyond doubt name it; UNTOLD where they do not agree on one.
 
-    ``states`` (images, h, w), of which the first ``coarse`` are those of wide stripes; ``votes`` (images, 2 REACH, 2) is room.
+    ``states`` (images, h, w), of which the first ``coarse`` are those of wide stripes; ``votes`` (images, 2 REACH, 2)
+    is room.
     """
     images, columns = states.shape[0], ahead.shape[1]
     # Tally the bits beyond doubt by image and half period r.
@@ -204,7 +212,8 @@ def _settle(
 def find_pieces(turns: Floats) -> tuple[Floats, NDArray[np.int32], NDArray[np.int32]]:
     """Return c (h, w), the samples' flat indices piece by piece, and where in these each piece ends.
 
-    ``turns`` (h, w) float32 is the wrapped phase in periods, NaN where it is unknown. Pieces too small to be told are left out.
+    ``turns`` (h, w) float32 is the wrapped phase in periods, NaN where it is unknown. Pieces too small to be told are
+    left out.
     """
     rows, columns = turns.shape
     piece, ahead = np.zeros((rows, columns), np.int32), np.zeros((rows, columns), np.float32)
@@ -232,7 +241,8 @@ def tell_pieces(
     states: NDArray[np.uint8],
     coarse: int,
 ) -> int:
-    """Complete ``states`` (images, h, w) uint8 in pieces (``find_pieces``) whose K is told and was not; return how many are.
+    """Complete ``states`` (images, h, w) uint8 in pieces (``find_pieces``) whose K is told and was not; return how many
+    are.
 
     ``told`` (pieces,) says of which K is known. Samples whose fine bits do not all
     say the same as the piece, or that lie on a stripe's border, get _OPEN in all images.

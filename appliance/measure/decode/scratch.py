@@ -1,19 +1,20 @@
 """Owns the scratch row: one float32 buffer in which a row's quantities lie at constant distances.
 
 LLVM turns a loop into vector instructions only when it knows that what is written is not what is read next. Separate
-arrays need a test at run time for each pair, and beyond eight pairs it gives up. Within one array, at distances that are
-constants, it needs none, so that a loop may have as many inputs and outputs as the formula has.
+arrays need a test at run time for each pair, and beyond eight pairs it gives up. Within one array, at distances that
+are constants, it needs none, so that a loop may have as many inputs and outputs as the formula has.
 
 ``s[GAP + x]`` is then what ``gap[x]`` would be. A row that needs those above it has a scratch row of its own: they take
-turns, and nothing is copied from one to the next. What only the chunk in work needs lies in one more such buffer, always at its
-beginning: it stays in the first-level cache, while the rows' own quantities, of all columns, fit into the second one.
+turns, and nothing is copied from one to the next. What only the chunk in work needs lies in one more such buffer,
+always at its beginning: it stays in the first-level cache, while the rows' own quantities, of all columns, fit into the
+second one.
 
 It also owns arrays without reference counts: what a kernel cuts views of by the thousand.
 
-numba counts a reference for each view, also inside a kernel: two atomic instructions on one number in memory that both threads of
-a reconstruction share, whose cache line they take from each other. A row cut into its chunks has dozens of views; they took a
-sixth of the full cloud's time. An array that is borrowed has no number to count in. The caller's own reference, which holds until
-the kernel returns, keeps its memory alive.
+numba counts a reference for each view, also inside a kernel: two atomic instructions on one number in memory that both
+threads of a reconstruction share, whose cache line they take from each other. A row cut into its chunks has dozens of
+views; they took a sixth of the full cloud's time. An array that is borrowed has no number to count in. The caller's own
+reference, which holds until the kernel returns, keeps its memory alive.
 """
 
 from __future__ import annotations
@@ -60,15 +61,18 @@ def _borrowed(_typing: Any, given: Any) -> Any:
 borrowed = cast(_Borrowed, intrinsic(_borrowed))
 """Returns an array, or a named tuple with all of its arrays, whose views count no references; inside of kernels only.
 
-To be asked of a kernel's arguments: what a kernel allocates is freed when its own name is last used. Nothing that is borrowed may leave
-the kernel: it keeps no memory alive.
+To be asked of a kernel's arguments: what a kernel allocates is freed when its own name is last used. Nothing that is
+borrowed may leave the kernel: it keeps no memory alive.
 """
 
 
 MAX_WIDTH_PX = 4096
 _SLOT = MAX_WIDTH_PX + 272
-"""Places between two quantities: 17 cache lines more than a multiple of 4096 bytes. Equal places in different slots must
-not compete for the same lines, nor may a load look, by its last 12 bits, like a store that has just been made."""
+"""Places between two quantities: 17 cache lines more than a multiple of 4096 bytes.
+
+Equal places in different slots must not compete for the same lines, nor may a load look, by its last 12 bits, like a
+store that has just been made.
+"""
 _NAMES = 44
 (
     P, Q,  # left coordinates

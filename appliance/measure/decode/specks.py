@@ -1,8 +1,9 @@
-"""Owns which pixels something passed by while their fringes were recorded: their phase is wrong, and nothing else shows it.
+"""Owns which pixels something passed by while their fringes were recorded: their phase is wrong, and nothing else shows
+it.
 
-Of four steps of a quarter period, opposite ones have the same sum, I0 + I2 = I1 + I3 = 2A, and both directions have the same
-mean. What comes and goes within a scan breaks one or the other. An even harmonic of the projector's response breaks the first
-everywhere alike, by an amount times cos 2φ: it is measured, and allowed for.
+Of four steps of a quarter period, opposite ones have the same sum, I0 + I2 = I1 + I3 = 2A, and both directions have the
+same mean. What comes and goes within a scan breaks one or the other. An even harmonic of the projector's response
+breaks the first everywhere alike, by an amount times cos 2φ: it is measured, and allowed for.
 
 Symbols: cosine = I0 − I2 = 2B cos φ, sine = I3 − I1 = 2B sin φ, twice = 2B, off = I0 − I1 + I2 − I3.
 """
@@ -21,7 +22,8 @@ from appliance.measure.light.patterns import Direction, PatternSequence
 
 SIGMAS = 6.0
 SHARE = 0.12
-"""Disagreement allowed beside noise, as a share of the modulation: what soft fringes leave of the harmonic here and there."""
+"""Disagreement allowed beside noise, as a share of the modulation: what soft fringes leave of the harmonic here and
+there."""
 MEAN_SHARE = 0.25
 """The same share for the two directions' means: motion and flicker are judged elsewhere, and are no specks."""
 SAMPLES = 20_000
@@ -58,7 +60,8 @@ def warm_up(frames: NDArray[np.uint8]) -> None:
 def mask_specks(
     sequence: PatternSequence, frames: NDArray[np.uint8], decoded: CameraDecoder, noise: CameraNoise
 ) -> int:
-    """Take the coordinates from pixels of ``decoded`` that something passed by in ``frames`` (n, h, w) uint8; return how many.
+    """Take the coordinates from pixels of ``decoded`` that something passed by in ``frames`` (n, h, w) uint8; return
+    how many.
 
     Call after the last frame. Their mask becomes CONTRADICTION.
     """
@@ -69,7 +72,7 @@ def mask_specks(
     a, b, c, d, e, f, g, h = steps
     return int(
         _mask(a, b, c, d, e, f, g, h, decoded.illuminated_columns, allowed, decoded.p_px, decoded.q_px, decoded.mask)
-    )  # fmt: skip
+    )
 
 
 def _allowed(steps: list[NDArray[np.uint8]], mask: NDArray[np.uint8], noise: CameraNoise) -> Allowed | None:
@@ -121,8 +124,8 @@ def _flag(
     length: NDArray[np.float32],
     struck: NDArray[np.uint8],
 ) -> None:
-    """Examine one direction of a row: write its sum of steps to ``total``, twice its modulation to ``length``, and add 1 to
-    ``struck`` where opposite steps disagree."""
+    """Examine one direction of a row: write its sum of steps to ``total``, twice its modulation to ``length``, and add
+    1 to ``struck`` where opposite steps disagree."""
     for x in range(struck.size):
         a, b, c, d = np.float32(i0[x]), np.float32(i1[x]), np.float32(i2[x]), np.float32(i3[x])
         cosine, sine = a - c, d - b

@@ -23,7 +23,8 @@ TOLERANCE_PX = 1e-11
 class ImageCorrection:
     """A shift of pixels as a bicubic B-spline, in px.
 
-    ``coefficients_px`` holds (s_u, s_v) per node, row by row: (down+3)·(across+3)·2. Raises ValueError for another number.
+    ``coefficients_px`` holds (s_u, s_v) per node, row by row: (down+3)·(across+3)·2. Raises ValueError for another
+    number.
     """
 
     width_px: int

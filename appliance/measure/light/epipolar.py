@@ -1,8 +1,9 @@
 """Owns the refracted epipolar curves: where the right camera sees the points along each ray of the left one.
 
-Behind plane ports they are no lines. Along a ray both image coordinates are smooth functions of 1/z: polynomials of degree 4 to 12
-in s, which runs from −1 at the nearest to 1 at the farthest depth and is linear in 1/z. Polynomials and rays are traced exactly at
-nodes about ``NODE_PX`` apart, and interpolated between them by cubics, whose error is far below that of a ten thousandth of a pixel.
+Behind plane ports they are no lines. Along a ray both image coordinates are smooth functions of 1/z: polynomials of
+degree 4 to 12 in s, which runs from −1 at the nearest to 1 at the farthest depth and is linear in 1/z. Polynomials and
+rays are traced exactly at nodes about ``NODE_PX`` apart, and interpolated between them by cubics, whose error is far
+below that of a ten thousandth of a pixel.
 """
 
 from __future__ import annotations
@@ -24,18 +25,19 @@ NODE_PX = 16.0
 LEAST_NODES = 4
 """Least number of nodes across or down: a cubic needs four."""
 DEPTHS, FIRST_DEPTHS = 25, 129
-"""Number of depths at which each node's ray is projected into the right image, and at which some rays are at first, to learn which
-depths the right camera sees at all."""
+"""Number of depths at which each node's ray is projected into the right image, and at which some rays are at first, to
+learn which depths the right camera sees at all."""
 FIRST_NODES = 9
 """Number of these rays across and down."""
 DEGREES = (4, 5, 6, 8, 10, 12)
 """Degrees that are tried, the lowest first."""
 GOAL_PX, TOLERANCE_PX = 3e-4, 3e-3
-"""Distance of a polynomial from what it stands for, in px of the right image, with which a degree is taken, and which the last one may
-have: 0.1 and 1 µm in depth on the default rig. Refraction alone needs degree 6; a rough image correction has 0.001 px at degree 8."""
+"""Distance of a polynomial from what it stands for, in px of the right image, with which a degree is taken, and which
+the last one may have: 0.1 and 1 µm in depth on the default rig. Refraction alone needs degree 6; a rough image
+correction has 0.001 px at degree 8."""
 MARGIN = 0.25
-"""Share of the right image's size by which a curve is followed beyond its edges, so that polynomials of neighbouring rays
-know the same piece of it."""
+"""Share of the right image's size by which a curve is followed beyond its edges, so that polynomials of neighbouring
+rays know the same piece of it."""
 OUTSIDE = 1e-3
 """Weight of what lies beyond the image's edge, over that of what lies in it."""
 RAY_TERMS = 4
@@ -52,13 +54,15 @@ class EpipolarCurves:
 
     size_px: tuple[int, int]
     z_mm: tuple[float, float]
-    """Nearest and farthest depth, left camera frame: of those asked for, the ones that the right camera sees of any ray."""
+    """Nearest and farthest depth, left camera frame: of those asked for, the ones that the right camera sees of any
+    ray."""
     degree: int
     nodes: Array
-    """(rows, columns, 4 + 2·(degree + 1)) float64: x0, y0, sx, sy of the left ray, then the coefficients of u and those of v in
-    px, the constant first. NaN where the right camera does not see the ray."""
+    """(rows, columns, 4 + 2·(degree + 1)) float64: x0, y0, sx, sy of the left ray, then the coefficients of u and those
+    of v in px, the constant first. NaN where the right camera does not see the ray."""
     seen: Array
-    """(rows, columns, 2) float64: least and greatest s at which the right image, or what lies a little beyond it, shows the ray."""
+    """(rows, columns, 2) float64: least and greatest s at which the right image, or what lies a little beyond it, shows
+    the ray."""
     error_px: float
     """Largest distance of a polynomial from what it stands for."""
 
@@ -82,9 +86,9 @@ def inverse_depths(z_mm: tuple[float, float]) -> tuple[float, float]:
 def epipolar_curves(rig: StereoRig, water_index: float, z_mm: tuple[float, float]) -> EpipolarCurves:
     """Trace the curves of ``rig`` between two depths of the left camera frame.
 
-    Cameras in air are the same with ``lens_in_water``, or with ``water_index`` 1 and ports of index 1. Raises CurveError for depths
-    that are no range, that lie behind the left port, that the right camera sees nothing of, or along which curves bend more than
-    polynomials do.
+    Cameras in air are the same with ``lens_in_water``, or with ``water_index`` 1 and ports of index 1. Raises
+    CurveError for depths that are no range, that lie behind the left port, that the right camera sees nothing of, or
+    along which curves bend more than polynomials do.
     """
     near_mm, far_mm = z_mm
     if not 0.0 < near_mm < far_mm < math.inf:
@@ -111,9 +115,7 @@ def epipolar_curves(rig: StereoRig, water_index: float, z_mm: tuple[float, float
     coefficients, degree, error_px = _fit(s, seen_uv, known, _in_image(right, seen_uv), z_mm)
     nodes = np.concatenate([start, slope, coefficients.reshape(*uv.shape[:2], -1)], axis=-1)
     seen = _range(s, known & np.isfinite(coefficients[..., :1, 0]))
-    return EpipolarCurves(
-        (left.width_px, left.height_px), z_mm, degree, np.ascontiguousarray(nodes), seen, error_px
-    )  # fmt: skip
+    return EpipolarCurves((left.width_px, left.height_px), z_mm, degree, np.ascontiguousarray(nodes), seen, error_px)
 
 
 def _depths(s: Array, z_mm: tuple[float, float]) -> Array:
@@ -123,7 +125,10 @@ def _depths(s: Array, z_mm: tuple[float, float]) -> Array:
 
 
 def _left_rays(camera: HousedCamera, water_index: float, uv_px: Array, near_mm: float) -> tuple[Array, Array]:
-    """Return x0, y0 in mm and sx, sy (..., 2) each of the rays (x, y) = (x0, y0) + (sx, sy)·z of pixels. Raises CurveError."""
+    """Return x0, y0 in mm and sx, sy (..., 2) each of the rays (x, y) = (x0, y0) + (sx, sy)·z of pixels.
+
+    Raises CurveError.
+    """
     origin, direction = camera.rays(uv_px, water_index)
     if float(np.nanmin(direction[..., 2])) < 1e-3 or float(np.nanmax(origin[..., 2])) >= near_mm:
         raise CurveError(
@@ -136,8 +141,8 @@ def _left_rays(camera: HousedCamera, water_index: float, uv_px: Array, near_mm: 
 def _seen(
     camera: HousedCamera, water_index: float, start_mm: Array, slope: Array, z_mm: Array
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Return where ``camera`` sees the points of rays (rows, columns, 2) at depths, (rows, columns, depths, 2) px, and what of it is in
-    its view."""
+    """Return where ``camera`` sees the points of rays (rows, columns, 2) at depths, (rows, columns, depths, 2) px, and
+    what of it is in its view."""
     flat = start_mm[..., None, :] + slope[..., None, :] * z_mm[:, None]
     points = np.concatenate([flat, np.broadcast_to(z_mm[:, None], (*flat.shape[:-1], 1))], axis=-1)
     uv = camera.project(points, water_index)
@@ -156,7 +161,8 @@ def _node_pixels(camera: HousedCamera) -> Array:
 
 
 def _in_view(camera: HousedCamera, water_index: float, points_mm: Array, uv_px: Array) -> NDArray[np.bool_]:
-    """Tell of points (..., depths, 3) seen at ``uv_px`` which lie in the image or within ``MARGIN`` of it, in one piece per ray.
+    """Tell of points (..., depths, 3) seen at ``uv_px`` which lie in the image or within ``MARGIN`` of it, in one piece
+    per ray.
 
     A strong distortion folds what lies far outside of the field back into the image; that is not seen there.
     """
@@ -190,8 +196,8 @@ def _in_image(camera: HousedCamera, uv_px: Array, margin: float = 0.0) -> NDArra
 def _fit(
     s: Array, uv_px: Array, known: NDArray[np.bool_], inside: NDArray[np.bool_], z_mm: tuple[float, float]
 ) -> tuple[Array, int, float]:
-    """Return coefficients (rows, columns, 2, degree + 1) in px, their degree and their largest error in the image itself; NaN where no
-    depth is known."""
+    """Return coefficients (rows, columns, 2, degree + 1) in px, their degree and their largest error in the image
+    itself; NaN where no depth is known."""
     count = known.sum(axis=-1)
     target = np.where(known[..., None], uv_px, 0.0)
     # Beyond its edge an image correction stays as it is at the edge: a bend that the image itself need not follow.
@@ -217,7 +223,8 @@ def _fit(
 
 
 def _range(s: Array, known: NDArray[np.bool_]) -> Array:
-    """Return least and greatest s of each node's known depths; the ends of the range where the first or last depth is known."""
+    """Return least and greatest s of each node's known depths; the ends of the range where the first or last depth is
+    known."""
     low = np.where(known, s, np.inf).min(axis=-1)
     high = np.where(known, s, -np.inf).max(axis=-1)
     low, high = np.where(known[..., 0], -1.0, low), np.where(known[..., -1], 1.0, high)

@@ -30,16 +30,18 @@ class HousedCamera:
     rotation: Matrix3 = IDENTITY
     translation_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     correction: ImageCorrection | None = None
-    """Image correction for what lens and window do beyond their formulas; ``None`` if the calibration could not see it."""
+    """Image correction for what lens and window do beyond their formulas; ``None`` if the calibration could not see it.
+    """
     ray_shift: RayShift | None = None
-    """Ray shift for the part of it that depends on depth: how far each ray passes beside where port and correction put it;
-    ``None`` if the calibration could not see it."""
+    """Ray shift for the part of it that depends on depth: how far each ray passes beside where port and correction put
+    it; ``None`` if the calibration could not see it."""
     lens_in_water: bool = False
     """True if the lens was calibrated in water, as a pinhole: rays leave the projection centre straight, the port means
     nothing, and in other water the calibration is wrong."""
 
     def rays(self, uv_px: Array, water_index: float) -> tuple[Array, Array]:
-        """Return the water rays of pixels (..., 2): (origins on the outer glass face, unit directions), left camera frame, mm."""
+        """Return the water rays of pixels (..., 2): (origins on the outer glass face, unit directions), left camera
+        frame, mm."""
         ideal = uv_px if self.correction is None else self.correction.to_ideal(uv_px)
         direction = self.lens.to_directions(ideal)
         if self.lens_in_water:
@@ -99,8 +101,8 @@ class StereoRig:
     """Range in which they measure, as the rig file states it."""
 
     def volume_centre_mm(self, water_index: float) -> Array:
-        """Return the point (3,) in the left camera frame, in mm, where the two central rays come nearest: the middle of the
-        measuring volume. Raises ValueError if they are parallel."""
+        """Return the point (3,) in the left camera frame, in mm, where the two central rays come nearest: the middle of
+        the measuring volume. Raises ValueError if they are parallel."""
         centres = []
         for camera in (self.left, self.right):
             uv = np.array([(camera.width_px - 1) / 2.0, (camera.height_px - 1) / 2.0])

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 FULL_DN = 255
-"""Largest grey value of a camera's eight bits: a pixel that has it is saturated, and how far beyond it the light goes is unknown."""
+"""Largest grey value of a camera's eight bits: a pixel that has it is saturated, and how far beyond it the light goes
+is unknown."""
 QUANTISATION_DN2 = 1.0 / 12.0
 """Variance of rounding to whole grey values."""
 # 1 / Φ⁻¹(3/4), with Φ the normal distribution.
@@ -46,7 +47,8 @@ class CameraNoise:
     @overload
     def variance_dn2(self, grey_dn: NDArray[Float]) -> NDArray[Float]: ...
     def variance_dn2(self, grey_dn: float | NDArray[Float]) -> float | NDArray[Float]:
-        """Return the variance of grey values whose mean is ``grey_dn``, of any shape and in its type; below black, that of black."""
+        """Return the variance of grey values whose mean is ``grey_dn``, of any shape and in its type; below black, that
+        of black."""
         # Light cannot be negative: below black the photons' part is zero, not below it.
         if isinstance(grey_dn, np.ndarray):
             return np.asarray(self.read_dn**2 + self.dn_per_e * np.maximum(grey_dn - self.black_dn, 0.0), grey_dn.dtype)

@@ -1,4 +1,5 @@
-"""Owns the patterns that are projected and their sequence: Gray code and sine fringes in two directions, bright and dark."""
+"""Owns the patterns that are projected and their sequence: Gray code and sine fringes in two directions, bright and
+dark."""
 
 from __future__ import annotations
 
@@ -15,16 +16,16 @@ from appliance.measure.light.sine import AMPLITUDE_CODE, MEAN_CODE, PHASE_STEPS,
 
 
 def bit_count(size_px: int, period_px: int) -> int:
-    """Return the number of Gray-code images that number all half periods over ``size_px``: 7, 6, 5 for 16, 32, 64 on 1024,
-    and one more of each on 1280."""
+    """Return the number of Gray-code images that number all half periods over ``size_px``: 7, 6, 5 for 16, 32, 64 on
+    1024, and one more of each on 1280."""
     # Rounded up: a rest of a period at the far edge has its own number.
     half_periods = -(-2 * size_px // period_px)
     return max(1, (half_periods - 1).bit_length())
 
 
 def gray_bit(size_px: int, period_px: int, bit: int) -> NDArray[np.bool_]:
-    """Return which places of ``size_px`` are illuminated in the image of bit ``bit`` (0 = most significant) of the reflected
-    binary code: shape (size_px,) bool."""
+    """Return which places of ``size_px`` are illuminated in the image of bit ``bit`` (0 = most significant) of the
+    reflected binary code: shape (size_px,) bool."""
     # By the pixels' left edges, while `sine.fringe` takes their centres: for even periods both change between the same
     # pixels.
     half_period = 2 * np.arange(size_px, dtype=np.int64) // period_px
@@ -100,7 +101,8 @@ class Pattern:
     def codes(self, response: Response | None = None) -> NDArray[np.uint8]:
         """Return the 8-bit codes along the varying axis: shape (size_px,) uint8. Gray stripes use the bright code.
 
-        ``response`` is the projector's, if it was measured; the light of sine fringes is then a sine, else their codes are.
+        ``response`` is the projector's, if it was measured; the light of sine fringes is then a sine, else their codes
+        are.
         """
         match self.kind:
             case Kind.BRIGHT:
@@ -133,7 +135,8 @@ class Axis:
 class PatternSequence:
     """All patterns of a scan in the order of projection.
 
-    Whoever decodes, judges or compensates a scan may rely on this, and on nothing else (``docs/adr/0039-what-a-sequence-promises.md``):
+    Whoever decodes, judges or compensates a scan may rely on this, and on nothing else
+    (``docs/adr/0039-what-a-sequence-promises.md``):
 
     * the bright and the dark reference are the first two frames, in whichever order;
     * there are two directions: every frame that varies along X comes before every one that varies along Y, and the last
@@ -174,7 +177,8 @@ class PatternSequence:
         return 1 - self.bright
 
     def __hash__(self) -> int:
-        # The promise leaves nothing else to choose; hashing two dozen patterns would cost every judge's look into a cache.
+        # The promise leaves nothing else to choose; hashing two dozen patterns would cost every judge's look into a
+        # cache.
         return hash((self.period_px, self.width_px, self.height_px, self.bright))
 
     def axis(self, direction: Direction) -> Axis:
@@ -190,7 +194,8 @@ class PatternSequence:
 
 
 def build_sequence(period_px: int, width_px: int = 1024, height_px: int = 768) -> PatternSequence:
-    """Return the sequence for a fringe period: 24, 22 or 20 frames for 16, 32 or 64 px on 1024 × 768, one more on 1280 × 720.
+    """Return the sequence for a fringe period: 24, 22 or 20 frames for 16, 32 or 64 px on 1024 × 768, one more on 1280
+    × 720.
 
     Any period ≥ 4 px is accepted here (also no power of two); the rig file restricts what a diver may choose.
     Raises ValueError for a period outside 4..size.

@@ -46,7 +46,8 @@ class FoldingLens(Lens):
     __slots__ = ()
 
     def to_normalised(self, uv: Array) -> Array:
-        """Return what ``Lens.to_normalised`` does; NaN where the distortion cannot be inverted, or only beyond its fold."""
+        """Return what ``Lens.to_normalised`` does; NaN where the distortion cannot be inverted, or only beyond its
+        fold."""
         xy_distorted = (np.asarray(uv, np.float64) - np.asarray(self.c_px)) / np.asarray(self.f_px)
         # Newton's method runs away there.
         with np.errstate(invalid="ignore", over="ignore"):
@@ -93,7 +94,10 @@ def _radial(r2: Array, distortion: tuple[float, ...]) -> tuple[Array, Array]:
 
 
 def undistort(xy_distorted: Array, distortion: tuple[float, ...], *, strict: bool = True) -> Array:
-    """Invert ``distort`` by Newton's method. Where the lens folds over within the image: raises ValueError, or NaN unless ``strict``."""
+    """Invert ``distort`` by Newton's method.
+
+    Where the lens folds over within the image: raises ValueError, or NaN unless ``strict``.
+    """
     target = np.asarray(xy_distorted, np.float64)
     if not any(distortion):
         return target.copy()
@@ -107,7 +111,8 @@ def undistort(xy_distorted: Array, distortion: tuple[float, ...], *, strict: boo
         x, y = xy[..., 0], xy[..., 1]
         r2 = x * x + y * y
         radial, slope = _radial(r2, distortion)
-        # Jacobian of ``distort``: xx, xy_, yy are ∂x_d/∂x, ∂x_d/∂y = ∂y_d/∂x, ∂y_d/∂y; what prisms do to it is too little to matter.
+        # Jacobian of ``distort``: xx, xy_, yy are ∂x_d/∂x, ∂x_d/∂y = ∂y_d/∂x, ∂y_d/∂y; what prisms do to it is too
+        # little to matter.
         xx = radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
         xy_ = slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y
         yy = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x

@@ -41,7 +41,8 @@ def refract(incident: Array, normal: Array, ratio: float) -> Array:
 
 
 def water_rays(port: Port, water_index: float, air_directions: Array) -> tuple[Array, Array]:
-    """Return the rays in water of air directions (..., 3): (points on the outer face, unit directions), camera frame, mm."""
+    """Return the rays in water of air directions (..., 3): (points on the outer face, unit directions), camera frame,
+    mm."""
     n = np.asarray(port.normal, np.float64)
     a = np.asarray(air_directions, np.float64)
     # Both from air: a plane-parallel glass does not change the direction in water.
@@ -55,7 +56,8 @@ def water_rays(port: Port, water_index: float, air_directions: Array) -> tuple[A
 
 
 def air_directions(port: Port, water_index: float, points_mm: Array) -> Array:
-    """Return the directions in air (..., 3), not normalised, under which water points (..., 3) in the camera frame are seen.
+    """Return the directions in air (..., 3), not normalised, under which water points (..., 3) in the camera frame are
+    seen.
 
     Points not beyond the outer face give NaN. Converges from any point in 3–4 Newton steps to 1e-12 px, because
     the left side of the equation is increasing and concave.

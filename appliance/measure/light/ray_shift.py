@@ -1,8 +1,9 @@
 """Owns the ray shift: how far a ray in water passes beside where port and image correction put it.
 
-An image correction turns rays; it cannot say that a ray is right at one depth and wrong at another. A window that is not
-quite flat or plane-parallel does that. The shift moves the ray, without turning it: a bicubic B-spline over the image, in mm
-across the camera's axis, some hundredths at most. Both together are a free field of rays about the refractive model.
+An image correction turns rays; it cannot say that a ray is right at one depth and wrong at another. A window that is
+not quite flat or plane-parallel does that. The shift moves the ray, without turning it: a bicubic B-spline over the
+image, in mm across the camera's axis, some hundredths at most. Both together are a free field of rays about the
+refractive model.
 """
 
 from __future__ import annotations

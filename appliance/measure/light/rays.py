@@ -38,9 +38,11 @@ def usual_step_px(camera: HousedCamera) -> int:
 def ray_lattice(
     camera: HousedCamera, water_index: float, plane_z_mm: float, step_px: int | None = None, *, partial: bool = False
 ) -> RayLattice:
-    """Trace the lattice of one camera, every ``step_px`` px or as its width wants it; two lattices that work together have equal steps.
+    """Trace the lattice of one camera, every ``step_px`` px or as its width wants it; two lattices that work together
+    have equal steps.
 
-    Where a ray runs parallel to the plane or away from it: raises ValueError, or NaN where the lattice may be ``partial``.
+    Where a ray runs parallel to the plane or away from it: raises ValueError, or NaN where the lattice may be
+    ``partial``.
     """
     step_px = step_px or usual_step_px(camera)
     columns = (camera.width_px - 1) // step_px + 2

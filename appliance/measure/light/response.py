@@ -42,8 +42,8 @@ class Response:
         return np.asarray(chebyshev.chebval((codes - MEAN_CODE) / AMPLITUDE_CODE, self.harmonics))
 
     def sine_codes(self, size_px: int, period_px: int, step: int) -> NDArray[np.uint8]:
-        """Return the codes of step ``step`` as ``patterns.sine.sine_codes`` does, so that light instead of codes is the sine, between
-        the light of the same ends: shape (size_px,) uint8."""
+        """Return the codes of step ``step`` as ``patterns.sine.sine_codes`` does, so that light instead of codes is the
+        sine, between the light of the same ends: shape (size_px,) uint8."""
         # Invert the response by interpolation: the code that makes the light wanted.
         fine = np.linspace(*CODES, _FINE)
         light = self.light(fine)
@@ -63,8 +63,8 @@ CODES = (MEAN_CODE - AMPLITUDE_CODE, MEAN_CODE + AMPLITUDE_CODE)
 def phase_error_rad(harmonics: NDArray[np.floating] | tuple[float, ...]) -> float:
     """Return the largest error of a four-step phase on fringes with these harmonics, in radians.
 
-    The phasor (I0 − I2) + i(I3 − I1) is 2 e^{iφ} (b₁ + b₃ e^{−4iφ} + b₅ e^{4iφ} + b₇ e^{−8iφ} + …): the phase is wrong by
-    its argument less φ, which repeats four times a period.
+    The phasor (I0 − I2) + i(I3 − I1) is 2 e^{iφ} (b₁ + b₃ e^{−4iφ} + b₅ e^{4iφ} + b₇ e^{−8iφ} + …): the phase is wrong
+    by its argument less φ, which repeats four times a period.
     """
     b = np.asarray(harmonics, np.float64)
     phi = np.linspace(0.0, 2.0 * np.pi, 720, endpoint=False)

@@ -1,4 +1,5 @@
-"""Owns rotations as numbers: from a rotation vector to a matrix and back, and from a matrix to the value that a camera keeps."""
+"""Owns rotations as numbers: from a rotation vector to a matrix and back, and from a matrix to the value that a camera
+keeps."""
 
 from __future__ import annotations
 

@@ -5,7 +5,10 @@ from __future__ import annotations
 from typing import Protocol, TypeVar
 
 SIDES = ("left", "right")
-"""Left as the diver sees it. The cloud is in the left camera's frame and has at most one point for each of its pixels."""
+"""Left as the diver sees it.
+
+The cloud is in the left camera's frame and has at most one point for each of its pixels.
+"""
 
 Part_co = TypeVar("Part_co", covariant=True)
 

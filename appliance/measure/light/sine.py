@@ -1,9 +1,9 @@
 """Owns the sine fringes: the intensity of each 90° step, and the phase convention.
 
-Phase of pattern coordinate p (px, pixel centres at integers) is φ = 2π (p + ½) / period, so that a phase of zero
-lies on the edge between two pixels, where the Gray code changes. Step k shows A + B cos(φ + k·90°); therefore
-I0 − I2 = 2B cos φ and I3 − I1 = 2B sin φ. Even harmonics of the projector's response cancel in both differences; odd ones
-do not (``patterns.response``).
+Phase of pattern coordinate p (px, pixel centres at integers) is φ = 2π (p + ½) / period, so that a phase of zero lies
+on the edge between two pixels, where the Gray code changes. Step k shows A + B cos(φ + k·90°); therefore I0 − I2 = 2B
+cos φ and I3 − I1 = 2B sin φ. Even harmonics of the projector's response cancel in both differences; odd ones do not
+(``patterns.response``).
 """
 
 from __future__ import annotations

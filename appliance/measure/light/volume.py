@@ -1,8 +1,8 @@
 """Owns the working range of a housing: between which distances it measures, and what else goes with its size.
 
-Distances are counted along the instrument's axis, from the middle between both cameras' projection centres. The rig file states
-the range (``[volume]``), a calibration carries it with the cameras (``StereoRig``), and whoever needs a distance or
-a length that belongs to the housing asks here (``docs/adr/0065-a-housing-states-its-volume.md``).
+Distances are counted along the instrument's axis, from the middle between both cameras' projection centres. The rig
+file states the range (``[volume]``), a calibration carries it with the cameras (``StereoRig``), and whoever needs a
+distance or a length that belongs to the housing asks here (``docs/adr/0065-a-housing-states-its-volume.md``).
 """
 
 from __future__ import annotations
@@ -10,7 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 STANDARD_MM = 500.0
-"""Working distance of the housing that this software's lengths were found on; ``WorkingVolume.scaled`` takes them to another."""
+"""Working distance of the housing that this software's lengths were found on; ``WorkingVolume.scaled`` takes them to
+another."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +34,8 @@ class WorkingVolume:
             )
 
     def scaled(self, standard_mm: float) -> float:
-        """Return the length of this housing that is ``standard_mm`` in the standard one: a housing for half the distance is half as large.
+        """Return the length of this housing that is ``standard_mm`` in the standard one: a housing for half the
+        distance is half as large.
 
         In the standard housing it is ``standard_mm`` to the last bit.
         """

@@ -53,6 +53,6 @@ BLACK_DISK = 4.8
 
 
 def sight_m(attenuation_per_m: float) -> float | None:
-    """Return how far one sees in water of that beam attenuation, in m: a black disk's distance, 4.8 / c, Davies-Colley, Limnology
-    and Oceanography 33 (1988) 616; ``None`` where nothing is swallowed."""
+    """Return how far one sees in water of that beam attenuation, in m: a black disk's distance, 4.8 / c, Davies-Colley,
+    Limnology and Oceanography 33 (1988) 616; ``None`` where nothing is swallowed."""
     return BLACK_DISK / attenuation_per_m if attenuation_per_m > 0.0 else None

@@ -1,7 +1,8 @@
 """Owns who works on a scan: the thread that asks, and helpers that take what it has not begun yet.
 
-Whoever waits for a task that nobody has begun does it. So nothing waits for a thread to be free, tasks may ask for others, and without
-helpers all is done by the caller, in the order in which it asks. What a task returns must not depend on who does it, or when.
+Whoever waits for a task that nobody has begun does it. So nothing waits for a thread to be free, tasks may ask for
+others, and without helpers all is done by the caller, in the order in which it asks. What a task returns must not
+depend on who does it, or when.
 """
 
 from __future__ import annotations
@@ -23,13 +24,16 @@ Item = TypeVar("Item")
 
 
 class Crew:
-    """The caller's thread and ``helpers`` more; tasks begin in the order in which they were added. ``close`` ends the threads."""
+    """The caller's thread and ``helpers`` more; tasks begin in the order in which they were added.
+
+    ``close`` ends the threads.
+    """
 
     def __init__(self, helpers: int = 1) -> None:
         self.helpers = helpers
         self._pool = ThreadPoolExecutor(helpers, "kf-decode") if helpers else None
-        # The lock itself is entered and left, which takes one step of the interpreter each; a condition's own way takes several, and an
-        # interruption between them would leave it locked for ever.
+        # The lock itself is entered and left, which takes one step of the interpreter each; a condition's own way takes
+        # several, and an interruption between them would leave it locked for ever.
         self._lock = threading.Lock()
         """Guards what follows, and the state of all tasks."""
         self._changed = threading.Condition(self._lock)
@@ -48,7 +52,10 @@ class Crew:
             yield tasks
 
     def each(self, work: Callable[[Item], T], items: Iterable[Item]) -> list[T]:
-        """Return what ``work`` returns for each item, in their order. Raises what the first of them raised that failed."""
+        """Return what ``work`` returns for each item, in their order.
+
+        Raises what the first of them raised that failed.
+        """
         with self.tasks() as tasks:
             return answers([tasks.add(partial(work, item)) for item in items])
 
@@ -103,8 +110,8 @@ class Crew:
                 raise TimeoutError(f"a part of the reconstruction has not ended for {MOST_S:g} s")
 
     def end_left(self, task: WorkItem[object]) -> None:
-        """Note that ``task`` is done where this thread has taken it and left it: an interruption (Ctrl-C) may strike between the taking and
-        the work, or between the work and its end, and others would wait for it."""
+        """Note that ``task`` is done where this thread has taken it and left it: an interruption (Ctrl-C) may strike
+        between the taking and the work, or between the work and its end, and others would wait for it."""
         with self._lock:
             if task.taken_by == threading.get_ident() and not task.is_done and task not in self._open:
                 task.raised = RuntimeError("it was interrupted; begin the scan again")
@@ -193,7 +200,8 @@ class WorkItem(Generic[T]):
 
 
 class WorkList:
-    """Tasks that belong together: when the list is closed, those that nobody has begun are dropped and the others awaited."""
+    """Tasks that belong together: when the list is closed, those that nobody has begun are dropped and the others
+    awaited."""
 
     def __init__(self, crew: Crew) -> None:
         self._crew = crew
@@ -224,8 +232,10 @@ class WorkList:
 
 
 def answers(tasks: Sequence[WorkItem[T]]) -> list[T]:
-    """Return what all of ``tasks`` returned. The caller does what nobody has begun before it waits for any; of several errors, that of
-    the first is raised."""
+    """Return what all of ``tasks`` returned.
+
+    The caller does what nobody has begun before it waits for any; of several errors, that of the first is raised.
+    """
     for task in tasks:
         task.do_unless_begun()
     return [task.answer() for task in tasks]

@@ -1,4 +1,5 @@
-"""Owns the cloud of the first direction alone: decoded as ever, matched along epipolar curves, chosen by the limits of any cloud."""
+"""Owns the cloud of the first direction alone: decoded as ever, matched along epipolar curves, chosen by the limits of
+any cloud."""
 
 from __future__ import annotations
 
@@ -29,11 +30,12 @@ def first_direction_cloud(
     noise: StereoNoise,
     limits: QualityLimits | None = None,
 ) -> tuple[Cloud, UncheckedPoints]:
-    """Return the cloud of a sequence's frames up to the last of X, and why other pixels have none. Nothing has checked its points.
+    """Return the cloud of a sequence's frames up to the last of X, and why other pixels have none. Nothing has checked
+    its points.
 
-    ``frames``: by side, (n, h, w) uint8, n at least up to the last frame of X; later ones are left alone. Gaps of the cloud are NaN: one
-    direction has none. What the projector's response bends coordinates by stays in them; it moves both cameras' alike. Raises ValueError
-    for too few frames, OneDirectionError.
+    ``frames``: by side, (n, h, w) uint8, n at least up to the last frame of X; later ones are left alone. Gaps of the
+    cloud are NaN: one direction has none. What the projector's response bends coordinates by stays in them; it moves
+    both cameras' alike. Raises ValueError for too few frames, OneDirectionError.
     """
     volume = calibration.rig.volume
     kept = (limits or QualityLimits()).of(volume)

@@ -1,10 +1,12 @@
 """Owns two clouds of one surface as one, once it is known how they lie against each other.
 
-The first cloud's pixels are the lattice. Where both have the surface, the point goes along its normal to their mean, each
-weighted by its expected error; where only the second has it, its point is taken; where they contradict, neither is.
+The first cloud's pixels are the lattice. Where both have the surface, the point goes along its normal to their mean,
+each weighted by its expected error; where only the second has it, its point is taken; where they contradict, neither
+is.
 
-Symbols: s1 (``mine``) and s2 (``theirs``) are the expected errors of two points, d (``apart``) the distance of the second one
-from the first one's surface, along its normal n. Their mean is x1 + s1² / (s1² + s2²) · d n, with error s1 s2 / √(s1² + s2²).
+Symbols: s1 (``mine``) and s2 (``theirs``) are the expected errors of two points, d (``apart``) the distance of the
+second one from the first one's surface, along its normal n. Their mean is x1 + s1² / (s1² + s2²) · d n, with error s1
+s2 / √(s1² + s2²).
 """
 
 from __future__ import annotations
@@ -24,7 +26,8 @@ from appliance.measure.points.table import Cloud
 MAX_SIGMA = 5.0
 """Largest distance over its noise of two points of one surface: they are farther apart once in a million."""
 OTHER_SURFACE_MM = 1.0
-"""Distance in mm beyond which two points belong to two surfaces, one seen past an edge of the other, and do not contradict."""
+"""Distance in mm beyond which two points belong to two surfaces, one seen past an edge of the other, and do not
+contradict."""
 _SHARED, _MASKED = np.uint8(1), np.uint8(2)
 
 

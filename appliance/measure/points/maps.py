@@ -1,8 +1,8 @@
-"""Points from maps of the pattern's coordinates in both images, whoever decoded them: where two directions were, by the instrument's own
-kernels.
+"""Points from maps of the pattern's coordinates in both images, whoever decoded them: where two directions were, by the
+instrument's own kernels.
 
-Symbols: the coordinates are scaled so that one camera pixel sees about as much of the pattern as on the instrument, for which the
-search for neighbours was made; no point depends on their scale.
+Symbols: the coordinates are scaled so that one camera pixel sees about as much of the pattern as on the instrument, for
+which the search for neighbours was made; no point depends on their scale.
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ Floats = NDArray[np.float32]
 USUAL_STEP_PX = 0.63
 """Change of a coordinate from one pixel to the next on the instrument, for images 1600 px wide."""
 STRIP_PX = 512
-"""Left columns that are reconstructed together: fewer than a scratch row has room for (``scratch.MAX_WIDTH_PX``), and copies that need little."""
+"""Left columns that are reconstructed together: fewer than a scratch row has room for (``scratch.MAX_WIDTH_PX``), and
+copies that need little."""
 _ALL = PointLimits(*np.array([np.inf, np.inf, -np.inf, np.inf, np.inf, 0.0], np.float32))
 """Limits that every point keeps: which one it breaks is told afterwards."""
 
@@ -59,15 +60,16 @@ def points_of_maps(
 ) -> OrganisedCloud:
     """Return the points where rays meet, without any limit.
 
-    ``left``, ``right``: keyed ``x`` and ``y``. ``index``: the water's refractive index. ``grey``, ``modulation_dn``: (h, w), the left
-    image's. ``depths_mm``: nearest and farthest, between which rays are computed best.
+    ``left``, ``right``: keyed ``x`` and ``y``. ``index``: the water's refractive index. ``grey``, ``modulation_dn``:
+    (h, w), the left image's. ``depths_mm``: nearest and farthest, between which rays are computed best.
     """
     low_px, size_px = [], []
     for name in "xy":
         both = [one[name].coordinate_px for one in (left, right)]
         low_px.append(min(float(np.nanmin(one)) for one in both))
         size_px.append(max(float(np.nanmax(one)) for one in both) - low_px[-1])
-    # So large is the pattern that one pixel sees as much of it as on the instrument, and no larger than its map has room for.
+    # So large is the pattern that one pixel sees as much of it as on the instrument, and no larger than its map has
+    # room for.
     scale = min(
         USUAL_STEP_PX * 1600.0 / rig.right.width_px / max(right["x"].step_px, right["y"].step_px),
         4.0 * math.sqrt(rig.right.width_px * rig.right.height_px / (size_px[0] * size_px[1] + 1.0)),
@@ -120,7 +122,8 @@ def pixels_without_ray(camera: HousedCamera, index: float) -> NDArray[np.bool_]:
 def _scaled(
     maps: Mapping[str, CoordinateMap], low_px: list[float], scale: float, part: Any = ...
 ) -> tuple[Floats, Floats, Floats]:
-    """Return a part of both coordinates from the lowest on, NaN where one is missing, and the mean of their variances, in scaled px."""
+    """Return a part of both coordinates from the lowest on, NaN where one is missing, and the mean of their variances,
+    in scaled px."""
     both = [maps[name] for name in "xy"]
     p, q = (
         (one.coordinate_px[part] - np.float32(low)) * np.float32(scale) for one, low in zip(both, low_px, strict=True)

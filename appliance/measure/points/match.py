@@ -6,12 +6,14 @@ That holds for nearly all pixels and is written as short loops over a row. The o
 first row) start from an inverse map (pattern node → pixel) and go a slower way, one by one.
 
 The last step is of second order: a parabola through three pixels in each direction. It follows curved surfaces and, as
-its weights on noise are smaller than those of a straight line, it scatters less: 0.80 instead of 1.08 of one pixel's variance.
+its weights on noise are smaller than those of a straight line, it scatters less: 0.80 instead of 1.08 of one pixel's
+variance.
 
 Symbols: (u, v) is a right column and row in px, (du, dv) the step from a pixel to the point. pu, pv, qu, qv are ∂p/∂u …
 ∂q/∂v, puu … qvv second differences, det = pu qv − pv qu. up, uq, vp, vq are the inverse derivatives up to their signs:
 du = up dp − uq dq, dv = vq dq − vp dp. In the scratch row, PC, PL, PR, PT, PB are p at the pixel (centre) and at its
-neighbours to the left, right, top and bottom; QC … QB the same of q. s is the row's scratch, w what lasts for its chunk.
+neighbours to the left, right, top and bottom; QC … QB the same of q. s is the row's scratch, w what lasts for its
+chunk.
 """
 
 from __future__ import annotations
@@ -53,8 +55,10 @@ from appliance.measure.points.prefetch import LINE_BYTES, prefetch
 
 MAX_STEPS = 4
 MAX_FINAL_STEP_PX = np.float32(0.75)
-"""Longest last step in px. Noise can make two neighbours point at each other for ever; a little more than half a pixel is
-as good."""
+"""Longest last step in px.
+
+Noise can make two neighbours point at each other for ever; a little more than half a pixel is as good.
+"""
 MAX_FIRST_STEP_PX = np.float32(4.0)
 """Longest step in px from the pixel that the inverse map knows."""
 MIN_DETERMINANT = np.float32(1e-4)
@@ -86,7 +90,8 @@ class RightMaps(NamedTuple):
     max_derivative_sum_px: np.float32
     """Largest sum of the absolute derivatives of p and q; beyond, the neighbours lie on another surface."""
     variance_px2: NDArray[np.float32] = NO_VARIANCE
-    """(h, w): variance of either coordinate, in px² of the pattern, where it is known better than by modulation and light."""
+    """(h, w): variance of either coordinate, in px² of the pattern, where it is known better than by modulation and
+    light."""
 
 
 def right_maps(
@@ -106,9 +111,14 @@ def right_maps(
     shape = (projector_height_px // node_px + 4, projector_width_px // node_px + 4)
     limit_px = 10.0 * max(1.0, 1600.0 / width_px)
     return RightMaps(
-        p_px, q_px, modulation_half_dn, np.zeros(shape, np.uint32), np.float32(1.0 / node_px), np.float32(limit_px),
+        p_px,
+        q_px,
+        modulation_half_dn,
+        np.zeros(shape, np.uint32),
+        np.float32(1.0 / node_px),
+        np.float32(limit_px),
         variance_px2,
-    )  # fmt: skip
+    )
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -160,7 +170,8 @@ def _predict(
     height: np.int32,
     at: NDArray[np.int32],
 ) -> None:
-    """Choose the pixel nearest to where the point above moves, by its own derivatives; some pixel where nothing is known."""
+    """Choose the pixel nearest to where the point above moves, by its own derivatives; some pixel where nothing is
+    known."""
     last_u, last_v = np.float32(width) - np.float32(2.0), np.float32(height) - np.float32(2.0)
     for x in range(n):
         # (u, v) = (u, v)_above + J⁻¹ (dp, dq), with the derivatives of the row above.
@@ -219,7 +230,8 @@ def _gather(
     n: int,
     w: NDArray[np.float32],
 ) -> None:
-    """Load the pixels chosen and their neighbours. ``at`` names the neighbour to the upper left: so all else lies behind it.
+    """Load the pixels chosen and their neighbours. ``at`` names the neighbour to the upper left: so all else lies
+    behind it.
 
     One quantity after the other: a loop with ten places to load from and ten to store to takes a third longer.
     """
@@ -240,8 +252,8 @@ def _gather(
 def _take_modulation(
     half_dn: NDArray[np.uint8], width: int, at: NDArray[np.int32], n: int, w: NDArray[np.float32]
 ) -> None:
-    """Write MODULATION_RIGHT of the pixels chosen, and their half grey values in place of ``at``: to collect them one by one and make
-    floats of many at once takes half as long."""
+    """Write MODULATION_RIGHT of the pixels chosen, and their half grey values in place of ``at``: to collect them one
+    by one and make floats of many at once takes half as long."""
     here = half_dn[width + 1 :]
     for x in range(n):
         at[x] = here[np.uint32(at[x])]
@@ -435,10 +447,11 @@ def _search(
     missing: NDArray[np.int32],
     count: int,
 ) -> None:
-    """Match ``count`` places that have no match yet, the slower way: walk from the pixel's node or, when lost, once more from a
-    neighbour of it.
+    """Match ``count`` places that have no match yet, the slower way: walk from the pixel's node or, when lost, once
+    more from a neighbour of it.
 
-    Where walks begin is asked for beforehand: each is a chain of steps that waits for memory, and none can be begun before the last.
+    Where walks begin is asked for beforehand: each is a chain of steps that waits for memory, and none can be begun
+    before the last.
     """
     width = p_px.shape[1]
     nodes, p, q = inverse.reshape(-1), p_px.reshape(-1), q_px.reshape(-1)
@@ -486,7 +499,8 @@ def _prefetch_below(
     at: NDArray[np.int32],
     n: int,
 ) -> None:
-    """Ask for what the left row after the next will be the first to read: it sees right pixels two rows below those of this one."""
+    """Ask for what the left row after the next will be the first to read: it sees right pixels two rows below those of
+    this one."""
     centre, bottom = 3 * width + 1, 4 * width + 1
     for x in range(0, n, _LINE):
         prefetch(p, at[x] + bottom)
@@ -508,10 +522,10 @@ def match_row(
     """Match ``n`` left pixels of a row whose coordinates are in P and Q (NaN: none).
 
     Writes U, V: right column and row in px, U = NaN where there is no match; SLOPE, the gradient of p across right
-    columns in px/px, and all of UP … VP; MODULATION_RIGHT; BEND_RIGHT, half the second differences of p in px, NaN where a
-    neighbour is missing; RIGHT_SHARE, the variance of p there, of that of one pixel; PHASE_VARIANCE_RIGHT, where the maps
-    carry variances. ``coherent``: ``above`` is the matched row above. ``at`` (n,) int32 is scratch. ``w``, laid out as ``s``, takes
-    what the next row does not ask for (``scratch``).
+    columns in px/px, and all of UP … VP; MODULATION_RIGHT; BEND_RIGHT, half the second differences of p in px, NaN
+    where a neighbour is missing; RIGHT_SHARE, the variance of p there, of that of one pixel; PHASE_VARIANCE_RIGHT,
+    where the maps carry variances. ``coherent``: ``above`` is the matched row above. ``at`` (n,) int32 is scratch.
+    ``w``, laid out as ``s``, takes what the next row does not ask for (``scratch``).
     """
     height, width = right.p_px.shape
     p, q, modulation = right.p_px.reshape(-1), right.q_px.reshape(-1), right.modulation_half_dn.reshape(-1)

@@ -1,8 +1,8 @@
 """Owns two exposures of one scene as one: the maps of two decoded sequences, merged pixel by pixel.
 
-Each coordinate has a variance that follows from modulation, offset and camera noise; where both sequences have one, they are
-weighted by it, and must agree within it. Where only one has one, because the other is saturated or too dark there, that
-one is taken. What disagrees is masked: something moved in between.
+Each coordinate has a variance that follows from modulation, offset and camera noise; where both sequences have one,
+they are weighted by it, and must agree within it. Where only one has one, because the other is saturated or too dark
+there, that one is taken. What disagrees is masked: something moved in between.
 
 Symbols: V1, V2 are the variances of a pixel's coordinates in the first and in the second sequence; their mean is
 (V2 x1 + V1 x2)/(V1 + V2), with variance V1 V2/(V1 + V2). a and b say which sequence has a coordinate to be believed.
@@ -21,13 +21,15 @@ from appliance.measure.points.sigma import four_step_variance_px2
 
 Maps = CameraDecoder | DecodedMaps
 MAX_SIGMA = 5.0
-"""Largest distance of two coordinates over its noise: those of one surface point differ by more in one pixel of a million."""
+"""Largest distance of two coordinates over its noise: those of one surface point differ by more in one pixel of a
+million."""
 ROWS = 64
 """Number of rows that are merged at once: the whole stays small."""
 SAMPLE_ROWS = 8
 """Distance of the rows that tell which sequence is the clearer one."""
 BLOCK_ROWS, BLOCK_COLUMNS, LEAST_SHARED = 6, 8, 100
-"""Parts of the image each of which is asked whether it has moved, and the least number of pixels both sequences must share in it."""
+"""Parts of the image each of which is asked whether it has moved, and the least number of pixels both sequences must
+share in it."""
 MAX_SHIFT = 0.5
 """Shift common to the image, over the noise of a difference, from which on what has moved is seen in the surface."""
 
@@ -44,8 +46,8 @@ class Agreement:
     masked: float
     """Pixels in which the two disagreed."""
     shift: float | None
-    """Movement of the whole image from the first sequence to the second: median over its parts of what the coordinates of
-    neighbours have in common, over their noise; ``None`` where too few pixels are shared to tell."""
+    """Movement of the whole image from the first sequence to the second: median over its parts of what the coordinates
+    of neighbours have in common, over their noise; ``None`` where too few pixels are shared to tell."""
 
     @property
     def agrees(self) -> bool | None:
@@ -62,10 +64,10 @@ def merge(
 ) -> Agreement:
     """Write the merged maps into those of ``first``, after the last frame of both and before any point is found.
 
-    ``noise`` is that of the camera in either sequence. ``variance_px2`` (h, w) float32 is filled with the variance of each
-    pixel's coordinates, in px² of the pattern. Modulation and Gray threshold are, where both sequences have a coordinate,
-    those of the sequence whose coordinates have the smaller variance in most of the image; else those of the one that has.
-    Raises ValueError for maps of different size.
+    ``noise`` is that of the camera in either sequence. ``variance_px2`` (h, w) float32 is filled with the variance of
+    each pixel's coordinates, in px² of the pattern. Modulation and Gray threshold are, where both sequences have a
+    coordinate, those of the sequence whose coordinates have the smaller variance in most of the image; else those of
+    the one that has. Raises ValueError for maps of different size.
     """
     if first.mask.shape != second.mask.shape:
         raise ValueError(
@@ -87,8 +89,8 @@ def merge(
 def _second_is_clearer(first: Maps, second: Maps, noise: tuple[CameraNoise, CameraNoise], period_px: int) -> bool:
     """Tell whether the second sequence has the smaller variance in most of the pixels of every ``SAMPLE_ROWS``-th row.
 
-    One answer for the image: a modulation that went to and fro between two exposures, from pixel to pixel, would look like
-    an edge of the albedo everywhere, and points would expect more error than they have.
+    One answer for the image: a modulation that went to and fro between two exposures, from pixel to pixel, would look
+    like an edge of the albedo everywhere, and points would expect more error than they have.
     """
     rows = slice(0, None, SAMPLE_ROWS)
     shared = (first.mask[rows] == Mask.VALID) & (second.mask[rows] == Mask.VALID)
@@ -97,7 +99,8 @@ def _second_is_clearer(first: Maps, second: Maps, noise: tuple[CameraNoise, Came
 
 
 def _shift(differences: NDArray[np.float32]) -> float | None:
-    """Return the shift of the differences (2, h, w) of both coordinates over their noise, NaN where only one sequence has one."""
+    """Return the shift of the differences (2, h, w) of both coordinates over their noise, NaN where only one sequence
+    has one."""
     shifts = []
     for strip in np.array_split(differences, BLOCK_ROWS, axis=1):
         for block in np.array_split(strip, BLOCK_COLUMNS, axis=2):

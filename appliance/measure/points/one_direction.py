@@ -1,19 +1,19 @@
-"""Owns points from fringes of one direction: a left pixel's partner lies where the right image, along the pixel's refracted epipolar
-curve, has the same coordinate.
+"""Owns points from fringes of one direction: a left pixel's partner lies where the right image, along the pixel's
+refracted epipolar curve, has the same coordinate.
 
-Nothing checks such points. With two directions the rays of a wrong calibration pass each other, and the gap shows it; here they meet
-whatever the calibration says. Whoever keeps such a cloud says so (``UNCHECKED``); it is never used to calibrate, to evaluate or to
-watch the calibration.
+Nothing checks such points. With two directions the rays of a wrong calibration pass each other, and the gap shows it;
+here they meet whatever the calibration says. Whoever keeps such a cloud says so (``UNCHECKED``); it is never used to
+calibrate, to evaluate or to watch the calibration.
 
-The way: curves are cut into pieces of ``reach.PIECE_PX``, and each cell of the left image knows of each piece the least and the greatest
-coordinate that the right image has about it. Only pieces that can have the pixel's coordinate are walked, pixel by pixel. There Newton
-steps along the curve, on the surface of second order that fits a pixel and its neighbours, find the crossing. No piece is left out: two
-crossings are not told apart, and refused.
+The way: curves are cut into pieces of ``reach.PIECE_PX``, and each cell of the left image knows of each piece the least
+and the greatest coordinate that the right image has about it. Only pieces that can have the pixel's coordinate are
+walked, pixel by pixel. There Newton steps along the curve, on the surface of second order that fits a pixel and its
+neighbours, find the crossing. No piece is left out: two crossings are not told apart, and refused.
 
-Symbols: s runs along the curve from −1 at the nearest to 1 at the farthest depth (``measure/light/epipolar.py``), (u, v) is the place in the
-right image, (us, vs) its derivative by s. p is the left pixel's coordinate; c, l, r, t, b are the right map's at a pixel and at its
-neighbours to the left, right, top and bottom; pu, puu, pv, pvv their first and second differences; (du, dv) the way from the pixel
-to (u, v).
+Symbols: s runs along the curve from −1 at the nearest to 1 at the farthest depth (``measure/light/epipolar.py``), (u,
+v) is the place in the right image, (us, vs) its derivative by s. p is the left pixel's coordinate; c, l, r, t, b are
+the right map's at a pixel and at its neighbours to the left, right, top and bottom; pu, puu, pv, pvv their first and
+second differences; (du, dv) the way from the pixel to (u, v).
 """
 
 from __future__ import annotations
@@ -35,26 +35,32 @@ from appliance.measure.points.reach import TOGETHER, places, reach_along
 UNCHECKED = "unchecked: fringes of one direction only, no ray gap tells whether the calibration fits"
 """The note that every file of such a cloud carries."""
 MAX_STEPS, LAST_STEPS = 11, 3
-"""Most Newton steps of one search; the last ones stay at their pixel up to ``MAX_HOME_PX`` away: noise can make two neighbours point
-at each other for ever."""
+"""Most Newton steps of one search; the last ones stay at their pixel up to ``MAX_HOME_PX`` away: noise can make two
+neighbours point at each other for ever."""
 MAX_STEP_PX = 3.0
 """Longest step along the curve in px: far from the crossing, derivatives are those of another place."""
 HOME_PX, MAX_HOME_PX = 0.5, 0.75
-"""Largest distance of a crossing from the pixel whose neighbours it is read from, and that which the last steps allow."""
+"""Largest distance of a crossing from the pixel whose neighbours it is read from, and that which the last steps allow.
+"""
 CONVERGED_PX = 1e-5
 SAME_PX = 3.0
 """Crossings nearer to each other than this along the curve are one: noise makes several of it."""
 MIN_ANGLE_DEG = 10.0
-"""Least angle between the curve and the lines of equal coordinate. Below it, an error of the coordinate is six times as large in
-depth, and an error of the calibration moves the crossing at will."""
+"""Least angle between the curve and the lines of equal coordinate.
+
+Below it, an error of the coordinate is six times as large in depth, and an error of the calibration moves the crossing
+at will.
+"""
 ANGLE_SAMPLES = 2_000
 """Number of left pixels whose curves are asked for their angle with the fringes."""
 STEPS_OF_SURFACE, STEPS_OF_BEND = 6.0, 1.5
-"""Multiples of the coordinate's usual difference between neighbours beyond which a difference is a jump, and a second one an edge."""
+"""Multiples of the coordinate's usual difference between neighbours beyond which a difference is a jump, and a second
+one an edge."""
 NOISE_OF_STEP = 8.0
 """Multiple of the noise that a difference may have besides."""
 SPREAD_OF_POINTS = 9.4
-"""Allowed distance in depth of two neighbours of one surface, over the distance of their rays: 1.5 mm on the default rig."""
+"""Allowed distance in depth of two neighbours of one surface, over the distance of their rays: 1.5 mm on the default
+rig."""
 _NO_NOISE = np.zeros((0, 0), np.float32)
 
 
@@ -101,12 +107,16 @@ class OneDirectionLimits:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UncheckedPoints:
-    """Points of one direction on the left image's pixels, left camera frame. Nothing has checked them (``UNCHECKED``)."""
+    """Points of one direction on the left image's pixels, left camera frame.
+
+    Nothing has checked them (``UNCHECKED``).
+    """
 
     points_mm: NDArray[np.float32]
     """(h, w, 3) float32; NaN where there is none."""
     sigma_mm: NDArray[np.float32]
-    """(h, w) float32: expected standard deviation along the ray by the noise that was given; NaN without it and without a point."""
+    """(h, w) float32: expected standard deviation along the ray by the noise that was given; NaN without it and without
+    a point."""
     reason: NDArray[np.uint8]
     """(h, w) uint8, values of ``NoPoint``."""
     right_px: NDArray[np.float32]
@@ -143,8 +153,8 @@ class _Curves(NamedTuple):
     first_cell: int
     """Number of the first row of cells, between four nodes each, in the next ones."""
     reach_px: NDArray[np.float32]
-    """(cells down, across, 2, pieces): least and greatest coordinate that the right image has about a piece of a curve of the cell; NaN
-    where it has none. Pieces are of equal length in s."""
+    """(cells down, across, 2, pieces): least and greatest coordinate that the right image has about a piece of a curve
+    of the cell; NaN where it has none. Pieces are of equal length in s."""
     together_px: NDArray[np.float32]
     """The same of ``TOGETHER`` pieces each."""
 
@@ -191,12 +201,12 @@ def match_along_curves(
 ) -> UncheckedPoints:
     """Find the point of each left pixel whose coordinate the right image has along the pixel's epipolar curve.
 
-    ``left_px`` and ``right_px`` (h, w) float32 are coordinates of one direction, X or Y, that are absolute in px of the pattern; NaN
-    where there is none. ``z_mm`` are nearest and farthest depth in the left camera frame. ``noise_px`` are the standard
-    deviations of left and right coordinates, each a number or a map (h, w). Cameras may be of different size; in air they are the same
-    with ``lens_in_water``. Without ``partners``, ``right_px`` is empty: it needs much room. Raises OneDirectionError for maps that are
-    not of the rig's cameras, for maps without coordinates, and where the fringes run along the curves; CurveError for depths that have
-    no curves.
+    ``left_px`` and ``right_px`` (h, w) float32 are coordinates of one direction, X or Y, that are absolute in px of the
+    pattern; NaN where there is none. ``z_mm`` are nearest and farthest depth in the left camera frame. ``noise_px`` are
+    the standard deviations of left and right coordinates, each a number or a map (h, w). Cameras may be of different
+    size; in air they are the same with ``lens_in_water``. Without ``partners``, ``right_px`` is empty: it needs much
+    room. Raises OneDirectionError for maps that are not of the rig's cameras, for maps without coordinates, and where
+    the fringes run along the curves; CurveError for depths that have no curves.
     """
     wish = limits or OneDirectionLimits()
     left, right = _checked(left_px, rig.left, "left"), _checked(right_px, rig.right, "right")
@@ -205,7 +215,8 @@ def match_along_curves(
     typical_px = 0.0
     if noise_px is not None:
         sigmas = (_noise(noise_px[0], left.shape), _noise(noise_px[1], right.shape))
-        # A pixel without a coordinate has hardly any light, and the noise of that: it says nothing of those that have one.
+        # A pixel without a coordinate has hardly any light, and the noise of that: it says nothing of those that have
+        # one.
         typical_px = float(np.nanmedian(sigmas[1][np.isfinite(right)]))
     step_px = _usual_step(right)
     angle_deg = _angle(curves, left, right)
@@ -226,9 +237,7 @@ def match_along_curves(
     cell = np.minimum(np.arange(len(left)) / curves.spacing_px[1], len(curves.nodes) - 2).astype(int)
     for first, reach_px, together_px in reach_along(curves, right, step_px):
         start, stop = np.searchsorted(cell, (first, first + len(reach_px)))
-        cut = _Curves(
-            curves.nodes, curves.degree, *curves.spacing_px, middle, half, first, reach_px, together_px
-        )  # fmt: skip
+        cut = _Curves(curves.nodes, curves.degree, *curves.spacing_px, middle, half, first, reach_px, together_px)
         _match_rows(left, sigmas[0], seen, cut, int(start), int(stop), points_mm, sigma_mm, partner_px, reason)
     if wish.min_neighbours or wish.max_sigma_mm < math.inf:
         lonely = _lonely(points_mm[..., 2], sigma_mm, wish, curves)
@@ -240,7 +249,8 @@ def match_along_curves(
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _cubic(at: float, count: int) -> tuple[int, float, float, float, float]:
-    """Return the first of the four of ``count`` nodes that are asked at place ``at``, and their weights: Lagrange's cubic."""
+    """Return the first of the four of ``count`` nodes that are asked at place ``at``, and their weights: Lagrange's
+    cubic."""
     first = min(max(int(at) - 1, 0), count - 4)
     a = at - first
     b, c, d = a - 1.0, a - 2.0, a - 3.0
@@ -260,8 +270,8 @@ def _place(terms: NDArray[np.float64], degree: int, s: float) -> tuple[float, fl
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _differences(before: float, here: float, after: float, jump_px: float) -> tuple[float, float, int]:
-    """Return first and second difference, and from which sides: 2 both, −1 or 1 from one, where the other neighbour has no coordinate
-    or that of another surface; 0 from none."""
+    """Return first and second difference, and from which sides: 2 both, −1 or 1 from one, where the other neighbour has
+    no coordinate or that of another surface; 0 from none."""
     a, b = here - before, after - here
     has_before, has_after = abs(a) <= jump_px, abs(b) <= jump_px
     if has_before and has_after:
@@ -273,7 +283,8 @@ def _differences(before: float, here: float, after: float, jump_px: float) -> tu
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _share(d: float, sides: int) -> tuple[float, float]:
-    """Return what reading ``d`` px beside a pixel adds to the weight of that pixel, and the sum of its neighbours' squared weights."""
+    """Return what reading ``d`` px beside a pixel adds to the weight of that pixel, and the sum of its neighbours'
+    squared weights."""
     # The parabola's weights are 1 − d², (d² − d)/2, (d² + d)/2; the straight line's 1 ± d and ∓d.
     if sides == 2:
         return -d * d, 0.5 * (d**4 + d * d)
@@ -284,16 +295,22 @@ def _share(d: float, sides: int) -> tuple[float, float]:
 def _fitted(
     p_px: NDArray[np.float32], x: int, y: int, jump_px: float
 ) -> tuple[float, float, float, float, float, float]:
-    """Return c, pu, puu, pv, pvv, puv of the least squares fit to a pixel and its eight neighbours; c is NaN where a corner has no
-    coordinate, or that of another surface."""
+    """Return c, pu, puu, pv, pvv, puv of the least squares fit to a pixel and its eight neighbours; c is NaN where a
+    corner has no coordinate, or that of another surface."""
     c = float(p_px[y, x])
     left, right, above, below = (
-        float(p_px[y, x - 1]) - c, float(p_px[y, x + 1]) - c, float(p_px[y - 1, x]) - c, float(p_px[y + 1, x]) - c
-    )  # fmt: skip
+        float(p_px[y, x - 1]) - c,
+        float(p_px[y, x + 1]) - c,
+        float(p_px[y - 1, x]) - c,
+        float(p_px[y + 1, x]) - c,
+    )
     # Corners, clockwise from the upper left; each lies two steps away.
     k, l, m, n = (
-        float(p_px[y - 1, x - 1]) - c, float(p_px[y - 1, x + 1]) - c, float(p_px[y + 1, x + 1]) - c, float(p_px[y + 1, x - 1]) - c
-    )  # fmt: skip
+        float(p_px[y - 1, x - 1]) - c,
+        float(p_px[y - 1, x + 1]) - c,
+        float(p_px[y + 1, x + 1]) - c,
+        float(p_px[y + 1, x - 1]) - c,
+    )
     if not (
         abs(k) <= 2.0 * jump_px and abs(l) <= 2.0 * jump_px and abs(m) <= 2.0 * jump_px and abs(n) <= 2.0 * jump_px
     ):
@@ -323,7 +340,8 @@ def _cross(right: _Right, terms: NDArray[np.float64], degree: int, p: float, s: 
             c = float(right.p_px[y, x])
             pu, puu, in_u = _differences(right.p_px[y, x - 1], c, right.p_px[y, x + 1], right.jump_px)
             pv, pvv, in_v = _differences(right.p_px[y - 1, x], c, right.p_px[y + 1, x], right.jump_px)
-            # Alone, or at an edge: what lies between its neighbours is no surface. NaN at the pixel itself ends here, too.
+            # Alone, or at an edge: what lies between its neighbours is no surface. NaN at the pixel itself ends here,
+            # too.
             if in_u == 0 or in_v == 0 or max(abs(puu), abs(pvv)) > right.bend_px:
                 return _NONE
             # With all nine pixels, the surface of second order that fits them best: it has two thirds of the noise.
@@ -345,7 +363,8 @@ def _cross(right: _Right, terms: NDArray[np.float64], degree: int, p: float, s: 
         speed = max(abs(us), abs(vs))
         if abs(way) * speed <= CONVERGED_PX:
             if whole:
-                # Σ φ_k² of the orthonormal polynomials 1/3, i/√6, j/√6, (3 i² − 2)/√18, (3 j² − 2)/√18, i j/2 of the nine.
+                # Σ φ_k² of the orthonormal polynomials 1/3, i/√6, j/√6, (3 i² − 2)/√18, (3 j² − 2)/√18, i j/2 of the
+                # nine.
                 even = (3.0 * du * du - 2.0) ** 2 + (3.0 * dv * dv - 2.0) ** 2
                 share = 1.0 / 9.0 + (du * du + dv * dv) / 6.0 + even / 18.0 + 0.25 * du * du * dv * dv
             else:
@@ -370,8 +389,13 @@ def _more(right: _Right, p: float, u: float, v: float) -> float:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _search(
-    right: _Right, terms: NDArray[np.float64], degree: int, p: float, reach_px: NDArray[np.float32], together_px: NDArray[np.float32]
-) -> tuple[_Crossing, int]:  # fmt: skip
+    right: _Right,
+    terms: NDArray[np.float64],
+    degree: int,
+    p: float,
+    reach_px: NDArray[np.float32],
+    together_px: NDArray[np.float32],
+) -> tuple[_Crossing, int]:
     """Walk the pieces that may have ``p``; return the only crossing and FOUND, or none and the reason."""
     pieces = reach_px.shape[1]
     found, crossings, reason = _NONE, 0, 2
@@ -511,7 +535,10 @@ def _noise(noise_px: float | NDArray[np.float32], shape: tuple[int, ...]) -> NDA
 
 
 def _usual_step(coordinate_px: NDArray[np.float32]) -> float:
-    """Return the median difference of neighbours, across plus down, in px of the pattern. Raises OneDirectionError where none are."""
+    """Return the median difference of neighbours, across plus down, in px of the pattern.
+
+    Raises OneDirectionError where none are.
+    """
     here = coordinate_px[:-1, :-1]
     # In place: a large image's differences need much room.
     step, down = coordinate_px[:-1, 1:] - here, coordinate_px[1:, :-1] - here
@@ -523,7 +550,8 @@ def _usual_step(coordinate_px: NDArray[np.float32]) -> float:
 
 
 def _angle(curves: EpipolarCurves, left_px: NDArray[np.float32], right_px: NDArray[np.float32]) -> float:
-    """Return the median angle in degrees between curves and lines of equal coordinate; NaN where no curve passes any coordinate."""
+    """Return the median angle in degrees between curves and lines of equal coordinate; NaN where no curve passes any
+    coordinate."""
     v, u = np.nonzero(np.isfinite(left_px))
     some = slice(None, None, max(1, v.size // ANGLE_SAMPLES))
     across_px, down_px = curves.spacing_px

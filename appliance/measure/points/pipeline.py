@@ -2,10 +2,10 @@
 
 All buffers are allocated when the pipeline is made, none during a scan.
 
-After the last frame only the second direction of both cameras remains to be decoded, then the inverse map and every eighth row
-and column: the coarse cloud. The full cloud follows in two blocks of rows, which two threads share (``crew``), each row in chunks
-of 256 columns that pass through matching and triangulation in the first-level cache. Sixteen neighbours ask one node of the right
-camera's rays: its series of second order is within 0.1 µm.
+After the last frame only the second direction of both cameras remains to be decoded, then the inverse map and every
+eighth row and column: the coarse cloud. The full cloud follows in two blocks of rows, which two threads share
+(``crew``), each row in chunks of 256 columns that pass through matching and triangulation in the first-level cache.
+Sixteen neighbours ask one node of the right camera's rays: its series of second order is within 0.1 µm.
 """
 
 from __future__ import annotations
@@ -49,16 +49,19 @@ LOOSE_GAP_MM = np.float32(5.0)
 VEIL_POINTS = 1_500
 """Number of left pixels that are asked for the fringes of backscatter."""
 BLOCKS = 2
-"""Number of blocks of rows that are reconstructed side by side. Points depend on it a little: a block's first row has none above it."""
+"""Number of blocks of rows that are reconstructed side by side.
+
+Points depend on it a little: a block's first row has none above it.
+"""
 __all__ = ["Cloud", "Pipeline"]
 
 
 class Pipeline:
     """A reconstruction of scans of one sequence with one calibration in one water; reusable, not thread-safe.
 
-    Points are left in ``table``, by default one of its own. ``noise`` makes their expected errors; ``helpers`` threads work beside
-    the caller's, and change nothing in what is found. Raises ValueError for cameras
-    wider than 4096 px and for a table that is too small.
+    Points are left in ``table``, by default one of its own. ``noise`` makes their expected errors; ``helpers`` threads
+    work beside the caller's, and change nothing in what is found. Raises ValueError for cameras wider than 4096 px and
+    for a table that is too small.
     """
 
     def __init__(
@@ -198,8 +201,8 @@ class Pipeline:
         """Find the full cloud anew, after ``coarse`` and after the maps of the decoders were changed.
 
         ``bright`` (h, w) uint8 is the left image whose grey values the points get, in place of the sequence's own.
-        ``variance_px2`` holds for each side the variance (h, w) float32 of the changed coordinates, in px² of the pattern;
-        without it, the variance follows from modulation, light and camera noise.
+        ``variance_px2`` holds for each side the variance (h, w) float32 of the changed coordinates, in px² of the
+        pattern; without it, the variance follows from modulation, light and camera noise.
         """
         self._bright = self._bright if bright is None else bright
         # Maps that were merged are those of two scans, each straightened by itself.
@@ -250,15 +253,16 @@ class Pipeline:
     def find_full(self, *, straightened: bool = True) -> Found:
         """Find the full cloud, as ``full`` does, and leave the points in the table.
 
-        ``straightened``: what the projector's response bends coordinates by is taken out of the decoders' maps first, where it
-        counts. Whoever goes on to look at the frames beside the maps wants them as they were decoded.
+        ``straightened``: what the projector's response bends coordinates by is taken out of the decoders' maps first,
+        where it counts. Whoever goes on to look at the frames beside the maps wants them as they were decoded.
         """
         if straightened and not self._straight:
             self._straighten()
         return self._with_gaps(self._find(1))
 
     def begin_full(self, tasks: WorkList) -> Callable[[], Found]:
-        """Add to ``tasks`` what finds the full cloud of the maps as they are, and return what waits for it and returns it.
+        """Add to ``tasks`` what finds the full cloud of the maps as they are, and return what waits for it and returns
+        it.
 
         Until then the maps must stay as they are, and nothing else may be found in the table.
         """
@@ -269,14 +273,15 @@ class Pipeline:
         return lambda: self._with_gaps(self._found(answers(added), 1, self.table))
 
     def bend(self) -> PhaseBend:
-        """Return what the projector's response bends the decoders' coordinates by, as they were decoded; call after ``coarse``
-        and before the full cloud."""
+        """Return what the projector's response bends the decoders' coordinates by, as they were decoded; call after
+        ``coarse`` and before the full cloud."""
         if self._bend is None:
             self._bend = measure_bend(list(self._decoders.values()), self._sequence.period_px)
         return self._bend
 
     def masked(self) -> None:
-        """Note that pixels have lost their coordinates since ``bend`` was asked: the full cloud's is measured without them."""
+        """Note that pixels have lost their coordinates since ``bend`` was asked: the full cloud's is measured without
+        them."""
         self._bend = None
 
     def _straighten(self) -> None:
@@ -311,10 +316,11 @@ class Pipeline:
         return self._asked.matches(decoder.p_px, decoder.q_px, self._right, self._rays)
 
     def sample(self, stride: int, any_depth: bool = False) -> Cloud:
-        """Return every ``stride``-th left pixel's point, also where its rays miss each other by far; call after ``coarse``.
+        """Return every ``stride``-th left pixel's point, also where its rays miss each other by far; call after
+        ``coarse``.
 
-        With ``any_depth``, points outside of the depths that are measured are among them. It is for what asks why they are. The
-        table is left as it is.
+        With ``any_depth``, points outside of the depths that are measured are among them. It is for what asks why they
+        are. The table is left as it is.
         """
         height_px, width_px = self._decoders["left"].p_px.shape
         table = PointTable(-(-width_px // stride) * -(-height_px // stride))
@@ -327,12 +333,13 @@ class Pipeline:
         return table.cloud(self._found([block() for block in blocks], stride, table))
 
     def find_replaced(self, left: LeftMaps, right: LeftMaps) -> Found:
-        """Find the full cloud of other maps than the decoded ones, which stay as they are, and leave the points in the table.
+        """Find the full cloud of other maps than the decoded ones, which stay as they are, and leave the points in the
+        table.
 
-        They were read between pixels. What the projector's response bends them by is taken out of them, where it counts. Gaps are not
-        sampled: they would not be those of a scan at rest, and points have none: rows come from a model of both cameras, and their rays
-        meet whatever is wrong. Raises ValueError for maps without variances: what reading between
-        pixels leaves of the noise does not follow from their modulation.
+        They were read between pixels. What the projector's response bends them by is taken out of them, where it
+        counts. Gaps are not sampled: they would not be those of a scan at rest, and points have none: rows come from a
+        model of both cameras, and their rays meet whatever is wrong. Raises ValueError for maps without variances: what
+        reading between pixels leaves of the noise does not follow from their modulation.
         """
         if not (left.variance_px2.size and right.variance_px2.size):
             raise ValueError("maps read between pixels came without variances; give both sides' variance_px2")
@@ -365,9 +372,14 @@ class Pipeline:
             raise ValueError("no bright frame was pushed; push the whole sequence before asking for a cloud")
         decoder = self._decoders["left"]
         return LeftMaps(
-            decoder.p_px, decoder.q_px, decoder.modulation_half_dn, self._bright, decoder.gray_threshold, decoder.illuminated_columns,
+            decoder.p_px,
+            decoder.q_px,
+            decoder.modulation_half_dn,
+            self._bright,
+            decoder.gray_threshold,
+            decoder.illuminated_columns,
             np.float32(decoder.offset_per_threshold),
-        )  # fmt: skip
+        )
 
     def _find_in(
         self,
@@ -417,8 +429,8 @@ class Pipeline:
         limits = self._limits
         # Limits on what noise makes grow with it; a coarse fringe has noisier coordinates.
         noise = max(1.0, self._sequence.period_px / 16.0)
-        # What is not known of the veil's fringes opens gaps without making a point wrong: rays pass beside each other along the rows.
-        # Two standard deviations, in mm.
+        # What is not known of the veil's fringes opens gaps without making a point wrong: rays pass beside each other
+        # along the rows. Two standard deviations, in mm.
         veil_mm = 2.0e-3 * self._veil.doubt_um if self._veil is not None and self._veil.removable else 0.0
         return PointLimits(
             max_gap_mm=np.float32(limits.max_gap_mm * noise + veil_mm),

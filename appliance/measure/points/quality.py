@@ -2,28 +2,28 @@
 
 It also owns medians and other quantiles of many values: what NumPy's own functions find, in a seventh of their time.
 
-``numpy.median`` and ``numpy.quantile`` ask for several ranks at once, which sorts value by value; one rank alone is found with the
-processor's vector instructions, and its neighbour is the least of what lies above it.
+``numpy.median`` and ``numpy.quantile`` ask for several ranks at once, which sorts value by value; one rank alone is
+found with the processor's vector instructions, and its neighbour is the least of what lies above it.
 
 It also owns the sample of signed ray gaps of a scan: matched like all points, but before any limit could hide a knock.
 
-The gap is w · n / |n|, w the offset of the two rays on the lattice's plane and n the cross product of their directions; its
-sign is that of the side on which the right ray passes.
+The gap is w · n / |n|, w the offset of the two rays on the lattice's plane and n the cross product of their directions;
+its sign is that of the side on which the right ray passes.
 
-Symbols: the left ray goes along (ax, ay, 1), the right one along (bx, by, 1), and n = (cx, cy, cz); (u, v) and (u', v') are the
-left pixel and its match in px.
+Symbols: the left ray goes along (ax, ay, 1), the right one along (bx, by, 1), and n = (cx, cy, cz); (u, v) and (u', v')
+are the left pixel and its match in px.
 
 It also owns how much the projector's response ripples a coordinate, as a scan itself shows it.
 
-A third harmonic in the recorded fringes bends a four-step phase four times a period. Surfaces know nothing of fringes: what
-of the second differences of p along rows goes with the fringe's phase is ripple, and nothing else. Measured where it acts:
-behind lens and water, in pictures as large as they are; patterns drawn for the response leave next to none.
+A third harmonic in the recorded fringes bends a four-step phase four times a period. Surfaces know nothing of fringes:
+what of the second differences of p along rows goes with the fringe's phase is ripple, and nothing else. Measured where
+it acts: behind lens and water, in pictures as large as they are; patterns drawn for the response leave next to none.
 
-A ripple a cos θ + b sin θ, θ = 8π (p + ½)/P, has the second difference (2 cos ω − 2)(a cos θ + b sin θ), ω its phase per
-pixel: two regressors c and s, and least squares.
+A ripple a cos θ + b sin θ, θ = 8π (p + ½)/P, has the second difference (2 cos ω − 2)(a cos θ + b sin θ), ω its phase
+per pixel: two regressors c and s, and least squares.
 
-Symbols: y is the second difference of p at a pixel, cycle_rad = 8π/P, share = 2 cos ω − 2; cc, ss, cs, cy, sy, yy are the sums of
-products of c, s and y, lost that of ω⁶/(ω⁶ + KNEE), the share that is lost between pixels.
+Symbols: y is the second difference of p at a pixel, cycle_rad = 8π/P, share = 2 cos ω − 2; cc, ss, cs, cy, sy, yy are
+the sums of products of c, s and y, lost that of ω⁶/(ω⁶ + KNEE), the share that is lost between pixels.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ from appliance.measure.points.triangulate import Rays, triangulate_row
 
 
 def quantile(values: NDArray[Any], share: float) -> float:
-    """Return the value below which ``share``, 0 to 1, of finite ``values`` (n,) lie, interpolated between two of them as
-    ``numpy.quantile`` does. Raises ValueError of none."""
+    """Return the value below which ``share``, 0 to 1, of finite ``values`` (n,) lie, interpolated between two of them
+    as ``numpy.quantile`` does. Raises ValueError of none."""
     if not values.size:
         raise ValueError("no values came; quantiles of none do not exist")
     place = share * (values.size - 1)
@@ -66,7 +66,8 @@ def median(values: NDArray[Any]) -> float:
 
 
 GAP_SAMPLES = 5_000
-"""Number of left pixels that are asked: a hundred in each patch of a lit image, so that noise is a tenth of that of a point."""
+"""Number of left pixels that are asked: a hundred in each patch of a lit image, so that noise is a tenth of that of a
+point."""
 MAX_GAP_MM = np.float32(20.0)
 """Largest gap in mm; beyond, it is a false match: no camera that still sees the fringes is knocked so far."""
 _DEPTHS_MM = (300.0, 900.0)
@@ -180,15 +181,16 @@ class Ripple:
 
 STILL = Ripple(0.0)
 KNEE = 2500.0
-"""Constant of the share t³/(t³ + KNEE) of the squared amplitude that is lost between pixels, t the square of its phase per px."""
+"""Constant of the share t³/(t³ + KNEE) of the squared amplitude that is lost between pixels, t the square of its phase
+per px."""
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _sums(
     p_px: NDArray[np.float32], illuminated: NDArray[np.int32], cycle_rad: float, stride: int, most_px: float
 ) -> tuple[int, float, float, float, float, float, float, float]:
-    """Return the count, and sums of products of the second difference y and its regressors c and s: cc, ss, cs, cy, sy, yy;
-    and of the lost share."""
+    """Return the count, and sums of products of the second difference y and its regressors c and s: cc, ss, cs, cy, sy,
+    yy; and of the lost share."""
     count = 0
     cc, ss, cs, cy, sy, yy, lost = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     columns = p_px.shape[1]
@@ -258,7 +260,8 @@ SAMPLE = 8_000
 
 
 def summarise(illuminated_pixels: int, points: Points, pieces: tuple[tuple[int, int], ...]) -> CloudSummary:
-    """Return the numbers of the cloud in ``pieces`` (first, stop) of a table; ``illuminated_pixels`` at the same stride."""
+    """Return the numbers of the cloud in ``pieces`` (first, stop) of a table; ``illuminated_pixels`` at the same
+    stride."""
     n = sum(stop - first for first, stop in pieces)
     coverage = 100.0 * n / illuminated_pixels if illuminated_pixels else None
     if n == 0:

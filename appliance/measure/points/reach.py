@@ -1,4 +1,5 @@
-"""Owns which coordinates the right image can have about each piece of an epipolar curve: only pieces that may have a pixel's are walked.
+"""Owns which coordinates the right image can have about each piece of an epipolar curve: only pieces that may have a
+pixel's are walked.
 
 Symbols: s runs along the curve from −1 to 1 (``measure/light/epipolar.py``), (u, v) is a place in the right image.
 """
@@ -16,7 +17,8 @@ from scipy import ndimage
 from appliance.measure.light.epipolar import RAY_TERMS, EpipolarCurves
 
 PIECE_PX = 8
-"""Length of a curve's pieces in the right image, and size of the blocks of which least and greatest coordinate are taken."""
+"""Length of a curve's pieces in the right image, and size of the blocks of which least and greatest coordinate are
+taken."""
 CUBIC_REACH = 5
 """Nodes across and down that are asked for the pixels about one."""
 REACH_ROWS = 4
@@ -30,9 +32,10 @@ MOST_PIECES = 2_000
 def reach_along(
     curves: EpipolarCurves, coordinate_px: NDArray[np.float32], step_px: float
 ) -> Iterator[tuple[int, NDArray[np.float32], NDArray[np.float32]]]:
-    """Yield of some rows of cells after the other the first one's number, and (rows, across, 2, pieces) float32: least and greatest
-    coordinate that the right image has about a piece of a curve of the cell between four nodes, from blocks about it; NaN where it has
-    none. Pieces are of equal length in s. Besides, the same of ``TOGETHER`` pieces each.
+    """Yield of some rows of cells after the other the first one's number, and (rows, across, 2, pieces) float32: least
+    and greatest coordinate that the right image has about a piece of a curve of the cell between four nodes, from
+    blocks about it; NaN where it has none. Pieces are of equal length in s. Besides, the same of ``TOGETHER`` pieces
+    each.
 
     ``coordinate_px`` (h, w) is the right image's map, ``step_px`` what it usually changes by from pixel to pixel.
     """
@@ -64,7 +67,8 @@ def _fill_reach(
     step_px: np.float32,
     reach: NDArray[np.float32],
 ) -> None:
-    """Write the reach of each cell between four of the places ``at`` (rows, columns, ends of pieces, 2); it is NaN where there is none."""
+    """Write the reach of each cell between four of the places ``at`` (rows, columns, ends of pieces, 2); it is NaN
+    where there is none."""
     for j in range(reach.shape[0]):
         for i in range(reach.shape[1]):
             for k in range(reach.shape[3]):
@@ -100,8 +104,8 @@ def _pieces(curves: EpipolarCurves) -> int:
 
 
 def places(curves: EpipolarCurves, s: NDArray[np.float64], rows: slice = slice(None)) -> NDArray[np.float64]:
-    """Return the places (rows, columns, len(s), 2) in px of the nodes' curves; NaN where the right camera does not see all that a
-    pixel near the node is interpolated from."""
+    """Return the places (rows, columns, len(s), 2) in px of the nodes' curves; NaN where the right camera does not see
+    all that a pixel near the node is interpolated from."""
     terms = curves.nodes[rows, :, RAY_TERMS:]
     terms = terms.reshape(*terms.shape[:2], 2, curves.degree + 1)
     place = np.moveaxis(terms @ s ** np.arange(curves.degree + 1)[:, None], 2, -1)

@@ -1,11 +1,11 @@
 """Owns where one cloud lies against another of the same surface: the rigid motion between two sequences of one scene.
 
-Point to plane on the lattice of the left pixels, robust, from rest; what the surface does not show (a plane that slides in
-itself) is left at rest, where it does no harm.
+Point to plane on the lattice of the left pixels, robust, from rest; what the surface does not show (a plane that slides
+in itself) is left at rest, where it does no harm.
 
-Each point p of the second cloud has a distance d along the normal n of the surface below it. A small translation x and turn
-ω about the cloud's middle change it by n·x + ((p − middle) × n)·ω: weighted least squares on d, round by round. Turns are
-counted in mm at the cloud's mean distance from its middle, so that all six unknowns have one unit.
+Each point p of the second cloud has a distance d along the normal n of the surface below it. A small translation x and
+turn ω about the cloud's middle change it by n·x + ((p − middle) × n)·ω: weighted least squares on d, round by round.
+Turns are counted in mm at the cloud's mean distance from its middle, so that all six unknowns have one unit.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ WEAKEST = 1e-4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Registration:
-    """A rigid motion: ``rotation`` @ p + ``translation_mm`` is where a point p of the second cloud lies in the first one's
-    frame."""
+    """A rigid motion: ``rotation`` @ p + ``translation_mm`` is where a point p of the second cloud lies in the first
+    one's frame."""
 
     rotation: Array
     """(3, 3)."""
@@ -117,7 +117,8 @@ def register(surface: Surface, second: Cloud) -> Registration | None:
 
 
 def _near(found: Below, reach_mm: float) -> NDArray[np.intp]:
-    """Return the numbers of the points with the surface below, closer than that; where there is none, nothing is said of it."""
+    """Return the numbers of the points with the surface below, closer than that; where there is none, nothing is said
+    of it."""
     known = np.flatnonzero(found.known)
     return known[np.abs(found.apart_mm[known]) < reach_mm]
 

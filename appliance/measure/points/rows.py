@@ -1,10 +1,11 @@
 """Owns the way of one block of left rows to points: match, triangulate, choose, row by row, all in one cache.
 
-Three scratch rows take turns: while a row is matched and triangulated, the one above it, whose neighbours are complete now,
-is judged and appended to the points.
+Three scratch rows take turns: while a row is matched and triangulated, the one above it, whose neighbours are complete
+now, is judged and appended to the points.
 
-Symbols: y is the row that is matched, done the one that is judged; s, row and above are the scratch rows of y, of done and of the
-one above it, w that of the chunk in work. Places count in the grid of every stride-th pixel: first … end − 1 are those that the projector illuminates.
+Symbols: y is the row that is matched, done the one that is judged; s, row and above are the scratch rows of y, of done
+and of the one above it, w that of the chunk in work. Places count in the grid of every stride-th pixel: first … end − 1
+are those that the projector illuminates.
 """
 
 from __future__ import annotations
@@ -47,8 +48,8 @@ class LeftMaps(NamedTuple):
 
 
 def scratch_rows() -> NDArray[np.float32]:
-    """Return the scratch memory of one thread for ``reconstruct_rows``: (4, SIZE), for a row and the two above it in turns, and for
-    one chunk."""
+    """Return the scratch memory of one thread for ``reconstruct_rows``: (4, SIZE), for a row and the two above it in
+    turns, and for one chunk."""
     return np.full((4, SIZE), _NAN, np.float32)
 
 
@@ -105,7 +106,8 @@ def reconstruct_rows(
         borrowed(points),
     )
     rows, columns = left.p_px.shape
-    # Noise follows from the maps' variances only where both cameras have some: one of them alone is no sum V_left + V_right.
+    # Noise follows from the maps' variances only where both cameras have some: one of them alone is no sum V_left +
+    # V_right.
     variances_given = left.variance_px2.size > 0 and right.variance_px2.size > 0
     n = (columns + stride - 1) // stride
     at, good = np.empty(CHUNK, np.int32), np.empty((n + 7) // 8 * 8, np.uint8)

@@ -2,8 +2,9 @@
 
 A point needs neighbours at nearly its own depth: eight differences of Z, in the rows above and below and beside it.
 
-Symbols: z is the point's depth, near the number of its neighbours on the same surface. A run is source … source + size − 1 of the
-scratch row, and goes to target … of the table; pixel is the flat index of the row's first column in the image.
+Symbols: z is the point's depth, near the number of its neighbours on the same surface. A run is source … source + size
+− 1 of the scratch row, and goes to target … of the table; pixel is the flat index of the row's first column in the
+image.
 """
 
 from __future__ import annotations
@@ -58,7 +59,10 @@ def judge(
     limits: PointLimits,
     good: NDArray[np.uint8],
 ) -> None:
-    """Write 1 into ``good`` for the points of scratch row ``row`` that keep all limits, else 0. NaN is near to nothing."""
+    """Write 1 into ``good`` for the points of scratch row ``row`` that keep all limits, else 0.
+
+    NaN is near to nothing.
+    """
     max_gap_mm, max_sigma_mm, min_depth_mm, max_depth_mm, max_step_mm, min_neighbours = limits
     for x in range(n):
         z = row[Z + x]

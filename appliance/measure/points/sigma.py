@@ -1,7 +1,7 @@
 """Owns the expected error of a correspondence: what noise, footprints, ripple and missing neighbours do to it.
 
-It is that of the right image point across the baseline, in px; ``triangulate.py`` makes millimetres along the ray of it. The
-parts add as variances (``docs/uncertainty.md``):
+It is that of the right image point across the baseline, in px; ``triangulate.py`` makes millimetres along the ray of
+it. The parts add as variances (``docs/uncertainty.md``):
 
 - *noise*: the four-step phase noise P·σ/(2π·√2·B) of both cameras at their own light, or what the maps say of it where they
   carry variances; the right one's in the share that reading off between pixels leaves;
@@ -12,8 +12,9 @@ parts add as variances (``docs/uncertainty.md``):
 - *border*: a neighbour has no coordinate, so that nobody knows how the surface bends.
 
 Symbols, at a left pixel and its match: m1, m2 are the modulations B of the left and the right camera, light is the left
-fringes' offset, left_slope and slope are p_u of the left and of the right map, left2 and slope2 their squares, up and uq the
-inverse derivatives ∂u/∂p and ∂u/∂q (up to the sign) of the right map. scale2 = P²/8π²; dark + shot · light = σ² in DN².
+fringes' offset, left_slope and slope are p_u of the left and of the right map, left2 and slope2 their squares, up and
+uq the inverse derivatives ∂u/∂p and ∂u/∂q (up to the sign) of the right map. scale2 = P²/8π²; dark + shot · light = σ²
+in DN².
 """
 
 from __future__ import annotations
@@ -49,8 +50,8 @@ SPLINE_BLUR_PX2 = 1.0 / 3.0
 BORDER_PX = 0.07
 """Expected error, in px, where a neighbour has no coordinate."""
 SHARED = np.float32(1.17)
-"""Variance of a coordinate read between pixels where neighbours have half of their noise in common, as the B-spline leaves
-it, over that of independent ones; mean over all places."""
+"""Variance of a coordinate read between pixels where neighbours have half of their noise in common, as the B-spline
+leaves it, over that of independent ones; mean over all places."""
 SURE = np.float32(20.0)
 """Multiple of a coordinate's variance beyond which a bend counts: noise alone makes 5 in the mean."""
 RIPPLE_KNEE = np.float32(KNEE)
@@ -70,17 +71,20 @@ class SigmaFactors(NamedTuple):
     dark_right: np.float32
     shot_right: np.float32
     ripple_px2: np.float32
-    """Squared amplitude of what the projector's response does to a coordinate, four times a period; 0 where that does not
-    count."""
+    """Squared amplitude of what the projector's response does to a coordinate, four times a period; 0 where that does
+    not count."""
     ripple_rad: np.float32
     """Phase of the ripple per px of the pattern."""
     blur2_px4: np.float32
-    """Square of the variance of what one place of the maps sees: of ``BLUR_PX2``, and of the spline's where they were read by it."""
+    """Square of the variance of what one place of the maps sees: of ``BLUR_PX2``, and of the spline's where they were
+    read by it."""
     border_px2: np.float32
     """``BORDER_PX`` squared."""
     right_correlation: np.float32 = np.float32(1.0)
-    """``SHARED`` where right pixels share noise with their neighbours, else 1. It multiplies a variance that the right maps
-    carry."""
+    """``SHARED`` where right pixels share noise with their neighbours, else 1.
+
+    It multiplies a variance that the right maps carry.
+    """
 
 
 def sigma_factors(period_px: int, noise: StereoNoise, ripple: Ripple = STILL) -> SigmaFactors:
@@ -103,8 +107,8 @@ def sigma_factors(period_px: int, noise: StereoNoise, ripple: Ripple = STILL) ->
 def read_between(factors: SigmaFactors, fringe_px: float) -> SigmaFactors:
     """Return the factors for maps with variances whose grey values were read between pixels by the cubic B-spline.
 
-    What is read is blurred by the spline's spot as well, neighbours share noise, and of fringes ``fringe_px`` long the third
-    harmonic, which makes the ripple, is lost more than the first.
+    What is read is blurred by the spline's spot as well, neighbours share noise, and of fringes ``fringe_px`` long the
+    third harmonic, which makes the ripple, is lost more than the first.
     """
     lost = float((np.sinc(3.0 / fringe_px) / np.sinc(1.0 / fringe_px)) ** 4)
     return factors._replace(
@@ -158,7 +162,8 @@ def _expect(factors: SigmaFactors, s: NDArray[np.float32], w: NDArray[np.float32
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
 def _expect_given(factors: SigmaFactors, s: NDArray[np.float32], w: NDArray[np.float32], n: int) -> None:
-    """Write POINT_VARIANCE as ``_expect`` does, with the noise that the maps carry instead of that of modulation and light."""
+    """Write POINT_VARIANCE as ``_expect`` does, with the noise that the maps carry instead of that of modulation and
+    light."""
     blur2, border2, correlation = factors.blur2_px4, factors.border_px2, factors.right_correlation
     for x in range(n):
         modulation, slope = s[MODULATION + x], w[SLOPE + x]
@@ -203,10 +208,10 @@ def expect_row(
 ) -> None:
     """Write POINT_VARIANCE in px² of ``n`` matched left pixels. Where there is no match it means nothing.
 
-    ``next_to``: places of ``s`` are neighbours in the image, whose footprints can be told. ``variances_given``: the noise
-    of the coordinates is in PHASE_VARIANCE and PHASE_VARIANCE_RIGHT; else it follows from MODULATION, MODULATION_RIGHT and
-    OFFSET, the right camera's offset being the left one's in proportion to their modulations. Also reads P, UP, UQ, SLOPE,
-    MODULATION, RIGHT_SHARE, BEND_RIGHT.
+    ``next_to``: places of ``s`` are neighbours in the image, whose footprints can be told. ``variances_given``: the
+    noise of the coordinates is in PHASE_VARIANCE and PHASE_VARIANCE_RIGHT; else it follows from MODULATION,
+    MODULATION_RIGHT and OFFSET, the right camera's offset being the left one's in proportion to their modulations. Also
+    reads P, UP, UQ, SLOPE, MODULATION, RIGHT_SHARE, BEND_RIGHT.
     """
     used = factors if next_to else without_neighbours(factors)
     if variances_given:

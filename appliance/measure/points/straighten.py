@@ -1,17 +1,18 @@
 """Owns taking out of decoded coordinates what the projector's response bends them by, as the scan itself shows it.
 
-The harmonics of the recorded fringes make a four-step phase wrong by a function of the phase alone, with 4, 8, 12 … cycles a
-period (``appliance.measure.light.patterns.phase_error_rad``): e(p) = Σ b_k sin kθ, θ = 8π (p + ½)/P, of the coordinate p as it was
-decoded. It has no cosines, as light is an even function of the fringe's phase, and it is the same for both directions and both
-cameras. Of a smooth surface the second difference of p is that of e, whose regressors sin kθ are known at all three places: least
-squares over samples of all four maps give the b_k, and each that noise cannot have made is taken out of every coordinate.
+The harmonics of the recorded fringes make a four-step phase wrong by a function of the phase alone, with 4, 8, 12 …
+cycles a period (``appliance.measure.light.patterns.phase_error_rad``): e(p) = Σ b_k sin kθ, θ = 8π (p + ½)/P, of the
+coordinate p as it was decoded. It has no cosines, as light is an even function of the fringe's phase, and it is the
+same for both directions and both cameras. Of a smooth surface the second difference of p is that of e, whose regressors
+sin kθ are known at all three places: least squares over samples of all four maps give the b_k, and each that noise
+cannot have made is taken out of every coordinate.
 
-A projector that makes grey by bit planes has another response for each exposure that takes a part of its frame (``docs/response.md``);
-what is measured here is that of the exposure the scan was taken with, through the cameras that took it, blur and their own
-response included.
+A projector that makes grey by bit planes has another response for each exposure that takes a part of its frame
+(``docs/response.md``); what is measured here is that of the exposure the scan was taken with, through the cameras that
+took it, blur and their own response included.
 
-Symbols: y = p₋ + p₊ − 2 p is the second difference over a distance of d pixels; r_k that of sin kθ; m the normal equations'
-matrix Σ r_j r_k, v their right side Σ r_k y; rate = 4/P turns of θ per px.
+Symbols: y = p₋ + p₊ − 2 p is the second difference over a distance of d pixels; r_k that of sin kθ; m the normal
+equations' matrix Σ r_j r_k, v their right side Σ r_k y; rate = 4/P turns of θ per px.
 """
 
 from __future__ import annotations
@@ -75,8 +76,8 @@ class PhaseBend:
     def variance_factor(self, period_px: int) -> float:
         """Return by how much taking it out multiplies the variance of a coordinate, in the mean over the pixels.
 
-        Where p is decoded, p − e(p) has (1 − e')² times its variance; and of pixels spread evenly over the fringe, 1 − e' times as
-        many are decoded there.
+        Where p is decoded, p − e(p) has (1 − e')² times its variance; and of pixels spread evenly over the fringe, 1 −
+        e' times as many are decoded there.
         """
         theta = np.linspace(0.0, 2.0 * np.pi, PHASES, endpoint=False)
         orders = np.arange(1, ORDERS + 1)
@@ -198,7 +199,8 @@ def _add_sums(
     clip_px: float,
     sums: NDArray[np.float64],
 ) -> None:
-    """Add m (row by row), v, Σ y² and the count of one map to ``sums``; left out is what lies ``clip_px`` beyond ``terms``."""
+    """Add m (row by row), v, Σ y² and the count of one map to ``sums``; left out is what lies ``clip_px`` beyond
+    ``terms``."""
     rows, columns = p_px.shape
     # Neighbours lie along the direction in which this coordinate grows.
     down, right = (apart, 0) if axis == 0 else (0, apart)

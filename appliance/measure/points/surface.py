@@ -1,10 +1,10 @@
 """Owns a cloud as a surface over the left camera's pixels: what lies below a point that was seen a moment later.
 
-Which pixel sees a point near the surface is told by the clouds themselves, whose points know their pixels: that relation is
-smooth, whatever refraction makes of it, and is fitted by a cubic.
+Which pixel sees a point near the surface is told by the clouds themselves, whose points know their pixels: that
+relation is smooth, whatever refraction makes of it, and is fitted by a cubic.
 
-Symbols: a, b, t are x/z, y/z, 1/z of a point, less ``centre``, over ``spread``; ``terms`` their 17 products; ``projection``
-turns them into column and row.
+Symbols: a, b, t are x/z, y/z, 1/z of a point, less ``centre``, over ``spread``; ``terms`` their 17 products;
+``projection`` turns them into column and row.
 """
 
 from __future__ import annotations
@@ -60,7 +60,8 @@ class Below(NamedTuple):
 
 
 def surface_of(cloud: Cloud, other: Cloud, shape: tuple[int, int]) -> Surface:
-    """Return ``cloud`` (not empty) as a surface, with ``other`` as a second witness of what the camera's (h, w) pixels see."""
+    """Return ``cloud`` (not empty) as a surface, with ``other`` as a second witness of what the camera's (h, w) pixels
+    see."""
     at = np.full(shape[0] * shape[1], -1, np.int32)
     at[cloud.pixel] = np.arange(len(cloud.pixel), dtype=np.int32)
     parts = [(one, thinned(len(one.pixel), FIT_SAMPLES)) for one in (cloud, other)]
@@ -100,9 +101,7 @@ def _terms(a: float, b: float, t: float, out: Array) -> None:
 def pixel_of(surface: Surface, x: float, y: float, z: float, terms: Array) -> tuple[float, float]:
     """Return the column and row, in px, that see a point; ``terms`` (17,) is scratch."""
     centre, spread = surface.centre, surface.spread
-    _terms(
-        (x / z - centre[0]) / spread[0], (y / z - centre[1]) / spread[1], (1.0 / z - centre[2]) / spread[2], terms
-    )  # fmt: skip
+    _terms((x / z - centre[0]) / spread[0], (y / z - centre[1]) / spread[1], (1.0 / z - centre[2]) / spread[2], terms)
     column = row = 0.0
     for k in range(TERMS):
         column += terms[k] * surface.projection[k, 0]
@@ -137,7 +136,10 @@ def _tangent(surface: Surface, row: int, column: int, down: int, across: int, ou
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def normal_at(surface: Surface, row: int, column: int, a: Array, b: Array, normal: Array) -> bool:
-    """Write the unit normal at a pixel with a point to ``normal`` (3,); False: there is none. ``a``, ``b`` (3,) are scratch."""
+    """Write the unit normal at a pixel with a point to ``normal`` (3,); False: there is none.
+
+    ``a``, ``b`` (3,) are scratch.
+    """
     step = surface.step
     if not (_tangent(surface, row, column, 0, step, a) and _tangent(surface, row, column, step, 0, b)):
         return False

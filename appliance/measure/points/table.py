@@ -39,9 +39,14 @@ class Cloud:
         """Return at most about ``most`` of its points, evenly over the image; numbers are those of all."""
         k = slice(None, None, max(1, -(-len(self.pixel) // most)))
         return Cloud(
-            self.points_mm[k], self.intensity[k], self.modulation_dn[k], self.ray_gap_mm[k], self.sigma_mm[k],
-            self.pixel[k], self.summary,
-        )  # fmt: skip
+            self.points_mm[k],
+            self.intensity[k],
+            self.modulation_dn[k],
+            self.ray_gap_mm[k],
+            self.sigma_mm[k],
+            self.pixel[k],
+            self.summary,
+        )
 
 
 class PointTable:
@@ -72,7 +77,8 @@ class PointTable:
         return Found(((0, n),), cloud.summary, cloud.gaps)
 
     def cloud(self, found: Found, block: NDArray[np.uint8] | None = None) -> Cloud:
-        """Copy the points out, in one piece: into ``block``, ``CLOUD_BYTES`` for each at least, or into memory of their own."""
+        """Copy the points out, in one piece: into ``block``, ``CLOUD_BYTES`` for each at least, or into memory of their
+        own."""
         count = sum(stop - first for first, stop in found.pieces)
         # Columns of four bytes first, so that all are aligned.
         ends = np.cumsum([_XYZ_BYTES, _FLOAT_BYTES, _FLOAT_BYTES, _FLOAT_BYTES, _PIXEL_BYTES, 1]) * count

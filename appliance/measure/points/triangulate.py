@@ -1,8 +1,8 @@
 """Owns the intersection of refracted rays: point half way between the two rays, their gap, and the expected error.
 
 Symbols: a ray in water is (x, y) = (x0, y0) + (sx, sy)·(z − plane_z_mm), the left one with suffix 1, the right one with
-suffix 2. h and t are the depths, above the plane, of the nearest points of the left and of the right ray. SHIFT is ∂x0/∂u of
-the right ray and SHIFT_SLOPE ∂sx/∂u: so far moves it per px of the right image.
+suffix 2. h and t are the depths, above the plane, of the nearest points of the left and of the right ray. SHIFT is
+∂x0/∂u of the right ray and SHIFT_SLOPE ∂sx/∂u: so far moves it per px of the right image.
 """
 
 from __future__ import annotations
@@ -61,8 +61,8 @@ class Rays(NamedTuple):
 def rays_of(left: RayLattice, right: RayLattice, left_width_px: int) -> Rays:
     """Lay out two lattices of equal step and plane. Raises ValueError when they differ.
 
-    The left camera is asked at whole pixels, row by row: its rows of nodes are spread over all columns. The right one is
-    asked anywhere: the second-order series about a near node.
+    The left camera is asked at whole pixels, row by row: its rows of nodes are spread over all columns. The right one
+    is asked anywhere: the second-order series about a near node.
     """
     if left.step_px != right.step_px or left.plane_z_mm != right.plane_z_mm:
         raise ValueError("left and right ray lattices differ in step or plane; make both with the same arguments")
@@ -90,7 +90,10 @@ def rays_of(left: RayLattice, right: RayLattice, left_width_px: int) -> Rays:
 def _rays_one_by_one(
     nodes: NDArray[np.float32], step_px: int, n: int, s: NDArray[np.float32], w: NDArray[np.float32]
 ) -> None:
-    """Compute the right ray of each pixel from the node nearest to it, to first order. Where there is no match, some node."""
+    """Compute the right ray of each pixel from the node nearest to it, to first order.
+
+    Where there is no match, some node.
+    """
     rows, columns = nodes.shape[0], nodes.shape[1]
     flat = nodes.reshape(-1)
     step = np.float32(step_px)
@@ -119,9 +122,13 @@ def _rays_one_by_one(
 def _series(flat: NDArray[np.float32], k: np.uint32) -> tuple[np.float32, ...]:
     """Return the six coefficients of one quantity."""
     return (
-        flat[k], flat[np.uint32(k + 4)], flat[np.uint32(k + 8)],
-        flat[np.uint32(k + 12)], flat[np.uint32(k + 16)], flat[np.uint32(k + 20)],
-    )  # fmt: skip
+        flat[k],
+        flat[np.uint32(k + 4)],
+        flat[np.uint32(k + 8)],
+        flat[np.uint32(k + 12)],
+        flat[np.uint32(k + 16)],
+        flat[np.uint32(k + 20)],
+    )
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
@@ -134,18 +141,20 @@ def _expand(c: tuple[np.float32, ...], du: np.float32, dv: np.float32) -> np.flo
 def _rays_by_blocks(
     nodes: NDArray[np.float32], step_px: int, n: int, s: NDArray[np.float32], w: NDArray[np.float32]
 ) -> None:
-    """Compute the right rays block by block: neighbours see neighbouring points, so that one node serves all pixels of a block.
+    """Compute the right rays block by block: neighbours see neighbouring points, so that one node serves all pixels of
+    a block.
 
     Where it is too far from one of them, each asks its own. The last block may end beyond ``n``: there is room in a
-    slot, which is filled with the row's last pixel. A slice for each block would count references; unsigned places need no
-    check for negative ones.
+    slot, which is filled with the row's last pixel. A slice for each block would count references; unsigned places need
+    no check for negative ones.
     """
     rows, columns = np.int32(nodes.shape[0]), np.int32(nodes.shape[1])
     flat = nodes.reshape(-1)
     step = np.float32(step_px)
     per_px = _ONE / step
     last_i, last_j = np.float32(columns - 1), np.float32(rows - 1)
-    # What an earlier row left behind the end would have a say in the last block: in its node, and in whether it serves all.
+    # What an earlier row left behind the end would have a say in the last block: in its node, and in whether it serves
+    # all.
     for behind in range(n, (n + RAY_BLOCK - 1) // RAY_BLOCK * RAY_BLOCK):
         s[_U + np.uint64(behind)], s[_V + np.uint64(behind)] = s[_U + np.uint64(n - 1)], s[_V + np.uint64(n - 1)]
     for begin in range(0, n, RAY_BLOCK):
@@ -167,8 +176,8 @@ def _rays_by_blocks(
         # A node's 24 numbers: coefficient after coefficient, each of x0, y0, sx, sy.
         x, y = _series(flat, k), _series(flat, np.uint32(k + 1))
         sx, sy = _series(flat, np.uint32(k + 2)), _series(flat, np.uint32(k + 3))
-        # The rays of the block by the series c0 + c1 du + c2 dv + …; their shift per px is its derivative c1. Whether any pixel
-        # is too far from the node is gathered without a branch, so that the loop stays vector instructions.
+        # The rays of the block by the series c0 + c1 du + c2 dv + …; their shift per px is its derivative c1. Whether
+        # any pixel is too far from the node is gathered without a branch, so that the loop stays vector instructions.
         far = np.int32(0)
         for place in range(RAY_BLOCK):
             at = first + np.uint64(place)

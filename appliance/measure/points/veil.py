@@ -1,8 +1,10 @@
-"""Owns the fringes that backscatter keeps along the pattern's rows: where they lie, how strong they are, what they do to rows.
+"""Owns the fringes that backscatter keeps along the pattern's rows: where they lie, how strong they are, what they do
+to rows.
 
-A camera's ray crosses a thousand columns of the projected pattern but hardly a row. Backscatter so averages fringes across the
-baseline away and keeps those along it: the phasor of the rows is the object's plus the veil's, Z = B e^{iφ} + A e^{iψ}, while that of
-the columns is the object's alone. The rows found are then off by P/2π arg(1 + A/B e^{i(ψ − φ)}), towards the veil's.
+A camera's ray crosses a thousand columns of the projected pattern but hardly a row. Backscatter so averages fringes
+across the baseline away and keeps those along it: the phasor of the rows is the object's plus the veil's, Z = B e^{iφ}
++ A e^{iψ}, while that of the columns is the object's alone. The rows found are then off by P/2π arg(1 + A/B e^{i(ψ −
+φ)}), towards the veil's.
 
 - *Where*: ψ is the mean row that the ray sees of the water on its way to the surface. Which row lights which point of the water is read
   off the scan's own points: rows are a smooth function of the direction in which the projector sends light, as if it
@@ -41,25 +43,30 @@ TRACED = 100
 NODES = 8
 """Places on each of these rays (Gauss and Legendre)."""
 ATTENUATION_PER_M = 1.5
-"""Attenuation that is supposed along the rays: turbid water. It moves the middle of what a ray gathers by a few per cent."""
+"""Attenuation that is supposed along the rays: turbid water.
+
+It moves the middle of what a ray gathers by a few per cent.
+"""
 STRIPES_PX = (32.0, 64.0)
 """Widths of the Gray stripes in whose middles backscatter is measured."""
 MIDDLE = 0.15
 """Distance from a stripe's middle, in widths, within which a point is asked."""
 KEPT = 0.05
-"""Share of the light between the stripes that keeps fringes along the rows: 0.9 of light scattered once, nothing of light scattered
-often, nor of what reaches the object's dark stripes from its bright ones."""
+"""Share of the light between the stripes that keeps fringes along the rows: 0.9 of light scattered once, nothing of
+light scattered often, nor of what reaches the object's dark stripes from its bright ones."""
 KEPT_SPREAD = 0.7
 """Standard deviation of that share, of it."""
 RATIO_SPREAD = 0.004
 """Standard deviation of the rows' modulation over the columns' where there is no veil, after ``PIXEL_PX2``."""
 PIXEL_PX2 = 0.1
-"""Variance of what one pixel sees, in px²: it takes more of the fringes of the direction in which the surface slopes."""
+"""Variance of what one pixel sees, in px²: it takes more of the fringes of the direction in which the surface slopes.
+"""
 START_SPREAD_MM = (0.7, 2.5)
-"""Standard deviations of the projector's place across the rows and along its axis: mount, frame of a calibration against the drawing,
-and a window that may be 5 mm nearer to it than a camera's."""
+"""Standard deviations of the projector's place across the rows and along its axis: mount, frame of a calibration
+against the drawing, and a window that may be 5 mm nearer to it than a camera's."""
 SHAPE_SPREAD = 0.4
-"""Standard deviation, smooth over the image, of what the veil moves, of what it moves per px of rows between it and the object."""
+"""Standard deviation, smooth over the image, of what the veil moves, of what it moves per px of rows between it and the
+object."""
 TELLING = 0.002
 """A veil of less than this share of the object's fringes is none: it moves rows by 0.005 px."""
 REMOVED = 0.06
@@ -151,7 +158,8 @@ def sample_side(
         total += np.where(middle, half, 0.0)
         count += middle
     backscatter = np.where(count > 0, 2.0 * total / np.maximum(count, 1.0), np.nan)
-    # A pixel of variance s takes exp(−2π² s |∇|²/P²) of fringes that so many px of the pattern pass per px of the image.
+    # A pixel of variance s takes exp(−2π² s |∇|²/P²) of fringes that so many px of the pattern pass per px of the
+    # image.
     steeper = _steepness(q_px, u, v) - _steepness(p_px, u, v)
     even = np.exp(2.0 * math.pi**2 * PIXEL_PX2 / sequence.period_px**2 * np.nan_to_num(steeper))
     place_xy = np.stack([2.0 * u / width - 1.0, (2.0 * v - height) / width], -1)
@@ -169,7 +177,8 @@ def _steepness(px: Floats, u: NDArray[np.intp], v: NDArray[np.intp]) -> Array:
 
 
 def looks_veiled(sequence: PatternSequence, frames: NDArray[np.uint8], p_px: Floats, q_px: Floats) -> bool:
-    """Tell by a look at some pixels of one camera whether backscatter is so bright that its fringes count; arguments as ``sample_side``."""
+    """Tell by a look at some pixels of one camera whether backscatter is so bright that its fringes count; arguments as
+    ``sample_side``."""
     stride = max(1, int((p_px.size / MOST_POINTS) ** 0.5))
     v, u = np.nonzero(np.isfinite(p_px[::stride, ::stride]))
     sample = sample_side(sequence, frames, p_px, q_px, stride * np.stack([u, v], -1).astype(np.float64))
@@ -215,7 +224,8 @@ def find_veil(
         sides[side], moves[side] = _side_veil(
             samples[side], points, origins, projector, rows, float(sequence.period_px)
         )
-    # A row that is too high a number in the right camera lets the right ray pass above: gap = mm per row (right − left).
+    # A row that is too high a number in the right camera lets the right ray pass above: gap = mm per row (right −
+    # left).
     per_row_um = 1000.0 * projector.mm_per_row(points, rows)
     move, *doubts = (per_row_um * (r - n) for r, n in zip(moves["right"][:-1], moves["left"][:-1], strict=True))
     shape = SHAPE_SPREAD * per_row_um * np.hypot(moves["right"][-1], moves["left"][-1])
@@ -258,13 +268,19 @@ def remove_veil(
     modulation_half_dn: NDArray[np.uint8],
     mask: NDArray[np.uint8],
 ) -> int:
-    """Take the veil out of one camera's rows ``q_px`` (h, w); mask pixels in which it cannot be told; return how many these are."""
+    """Take the veil out of one camera's rows ``q_px`` (h, w); mask pixels in which it cannot be told; return how many
+    these are."""
     return int(
         _remove(
-            np.array(veil.rows_px, np.float32), np.array(veil.strength_dn, np.float32), np.float32(period_px), q_px, p_px,
-            modulation_half_dn, mask,
+            np.array(veil.rows_px, np.float32),
+            np.array(veil.strength_dn, np.float32),
+            np.float32(period_px),
+            q_px,
+            p_px,
+            modulation_half_dn,
+            mask,
         )
-    )  # fmt: skip
+    )
 
 
 def warm_up() -> None:
@@ -317,7 +333,8 @@ def _remove(
 
 
 class _Projector:
-    """The projector as drawn: half way between the cameras, looking at the middle of the volume, behind a window like theirs."""
+    """The projector as drawn: half way between the cameras, looking at the middle of the volume, behind a window like
+    theirs."""
 
     def __init__(self, rig: StereoRig, water_index: float) -> None:
         between = np.asarray(rig.right.translation_mm)
@@ -362,8 +379,9 @@ class _Projector:
     def rows_ahead(
         self, points_mm: Array, row_px: Array, origins_mm: Array, rows: Array, period_px: float
     ) -> tuple[Array, Array, Array]:
-        """Return how many rows the veil's fringes lie ahead of those of points (n, 3) seen from ``origins_mm`` (n, 3): (n,) each,
-        with the projector as drawn, and with it moved by ``START_SPREAD_MM`` along its rows' normal and along its axis."""
+        """Return how many rows the veil's fringes lie ahead of those of points (n, 3) seen from ``origins_mm`` (n, 3):
+        (n,) each, with the projector as drawn, and with it moved by ``START_SPREAD_MM`` along its rows' normal and
+        along its axis."""
         places, shares = np.polynomial.legendre.leggauss(NODES)
         way = points_mm - origins_mm
         along = 0.5 * (places + 1.0)
@@ -377,7 +395,8 @@ class _Projector:
             tangents, depth = self._tangents(nodes, off)
             end, _ = self._tangents(points_mm, off)
             face = self._port.distance_mm + self._port.thickness_mm
-            # Light there: inverse square of the distance, what the way to and fro leaves, none beyond the pattern's sides.
+            # Light there: inverse square of the distance, what the way to and fro leaves, none beyond the pattern's
+            # sides.
             reach = np.quantile(end[:, 0], (0.01, 0.99))
             lit = (tangents[..., 0] > 1.1 * reach[0]) & (tangents[..., 0] < 1.1 * reach[1]) & (depth > face + 2.0)
             path_m = depth / 1000.0 + along * length_m[:, None]
@@ -423,7 +442,8 @@ def _backscatter(sample: SideSample) -> Array:
 
 
 def _strength(sample: SideSample, rows_px: Array, backscatter_dn: Array, period_px: float) -> Array:
-    """Fit the polynomial of A: by the law of cosines point by point, and by the backscatter's usual share, as each is known."""
+    """Fit the polynomial of A: by the law of cosines point by point, and by the backscatter's usual share, as each is
+    known."""
     own, both = sample.own_dn, sample.both_dn
     turned = 2.0 * math.pi / period_px * (rows_px - sample.row_px)
     # δ is against the phase of both: B² = |Z|² + A² − 2 |Z| A cos δ. The root nearer to none.
@@ -432,8 +452,8 @@ def _strength(sample: SideSample, rows_px: Array, backscatter_dn: Array, period_
     told = cosine - np.sqrt(np.maximum(own * own - sine * sine, 0.0))
     usual = 0.5 * KEPT * backscatter_dn
     basis = _powers(sample.place, _TERMS_STRENGTH)
-    # What all points share (a ratio that is off everywhere, a share kept that is another) is no noise: whole polynomials, each with
-    # the weight of one look.
+    # What all points share (a ratio that is off everywhere, a share kept that is another) is no noise: whole
+    # polynomials, each with the weight of one look.
     ratio = _fitted(basis[known], told[known])
     prior = _fitted(basis, usual)
     if np.count_nonzero(known) < 20 * _TERMS_STRENGTH:
@@ -446,8 +466,8 @@ def _strength(sample: SideSample, rows_px: Array, backscatter_dn: Array, period_
 def _moves(
     sample: SideSample, fits: list[Array], size_dn: Array, backscatter_dn: Array, period_px: float
 ) -> list[Array]:
-    """Return what moves the rows of a camera's points, (n,) px each: the veil, one standard deviation of its strength and of the
-    projector's place both ways, and how far it would move them per px of rows ahead."""
+    """Return what moves the rows of a camera's points, (n,) px each: the veil, one standard deviation of its strength
+    and of the projector's place both ways, and how far it would move them per px of rows ahead."""
     basis, own = _powers(sample.place, _TERMS_ROWS), sample.own_dn
     turn = 2.0 * math.pi / period_px
 

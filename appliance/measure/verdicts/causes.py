@@ -1,13 +1,13 @@
 """Owns the naming of causes: why a scan is poor, the cause that explains most of it first.
 
-Judges look at one thing each, and one thing looks like another: what moves changes grey values as flickering light does, and
-disturbs pixels as specks do; what is saturated has weak fringes as in milk; darkness is a short exposure's doing or the
-water's. Here all judgements are weighed against each other, in one currency: the share of the scan's information that a cause
-takes. Points count by the inverse of their variance; a pixel that gives no point has lost all of it, and noise that grows by a
-factor f leaves 1/f².
+Judges look at one thing each, and one thing looks like another: what moves changes grey values as flickering light
+does, and disturbs pixels as specks do; what is saturated has weak fringes as in milk; darkness is a short exposure's
+doing or the water's. Here all judgements are weighed against each other, in one currency: the share of the scan's
+information that a cause takes. Points count by the inverse of their variance; a pixel that gives no point has lost all
+of it, and noise that grows by a factor f leaves 1/f².
 
-A cause is named where it exceeds its own limit, or where the scan is not usable and nothing explains more. A scan that is
-not usable has at least one cause: what remains unexplained is said to be so. See ``docs/causes.md``.
+A cause is named where it exceeds its own limit, or where the scan is not usable and nothing explains more. A scan that
+is not usable has at least one cause: what remains unexplained is said to be so. See ``docs/causes.md``.
 """
 
 from __future__ import annotations
@@ -30,20 +30,23 @@ MOVED_LIKE_FLICKER = 2.4
 """Largest multiple of the motion's ripple that the judge of light may see and that is still motion: 1.5 to 1.7 times
 is usual where something moves. What exceeds it is light."""
 PAINT_LIKE_FLICKER = 4.0
-"""The same of what the parts of the picture have not in common: printed squares that move make up to 2.4 times the motion's ripple."""
+"""The same of what the parts of the picture have not in common: printed squares that move make up to 2.4 times the
+motion's ripple."""
 LAMP_IN_COMMON = 0.5
-"""Share of the squares of the changes that all parts of the picture have in common: before a lamp 0.9 and more, where something
-moves before paint of any kind mostly below 0.3."""
+"""Share of the squares of the changes that all parts of the picture have in common: before a lamp 0.9 and more, where
+something moves before paint of any kind mostly below 0.3."""
 CLEAR_WATER_PERCENT = 12.0
 """Pixels that are lost where a smaller share is hidden by backscatter are not lost to the water."""
 OUTSHINES_PERCENT = 40.0
-"""Share of the light that carries fringes, below which the backscatter outshines the object: fringes carry 0.8 of an object's own. Only
-from there on does it turn bits of the Gray code over."""
+"""Share of the light that carries fringes, below which the backscatter outshines the object: fringes carry 0.8 of an
+object's own. Only from there on does it turn bits of the Gray code over."""
 LEAST_SHARE = 0.05
 """A cause that explains less is not named where its judge would not have raised it."""
 ENOUGH_FRINGE_DN = 8.0
-"""Fringes of this amplitude give points. The ninth tenth of the cells must reach it with the longest exposure, or no exposure
-helps."""
+"""Fringes of this amplitude give points.
+
+The ninth tenth of the cells must reach it with the longest exposure, or no exposure helps.
+"""
 RUSHING_FRINGE_DN = 10.0
 """Fringes of this amplitude and more are decoded, unless something moves fast."""
 FOLLOWED_FRINGE_DN = MIN_MODULATION_DN
@@ -103,13 +106,17 @@ def find_causes(
     found = _once(sorted(_all(of, summary, present, steps), key=lambda cause: -cause.share))
     found += [
         Cause(one.fault, 0.01 * one.fault.numbers.get("hole_percent", 0.0), certain=True)
-        for one in judgements if one.fault is not None and not _is_weighed(one)
-    ]  # fmt: skip
+        for one in judgements
+        if one.fault is not None and not _is_weighed(one)
+    ]
     usable = is_usable(summary.coverage_percent, summary.noise_mm)
-    named = _once([
-        cause for k, cause in enumerate(found)
-        if cause.certain or (not usable and (cause.share >= LEAST_SHARE or k == 0) and cause.share > 0.0)
-    ])  # fmt: skip
+    named = _once(
+        [
+            cause
+            for k, cause in enumerate(found)
+            if cause.certain or (not usable and (cause.share >= LEAST_SHARE or k == 0) and cause.share > 0.0)
+        ]
+    )
     # A part is missing for a reason; that it is missing is told where no other is known.
     unexplained = {FaultCode.PART_MISSING, FaultCode.COMPENSATED}.issuperset(cause.fault.code for cause in named)
     named = [cause for cause in named if unexplained or cause.fault.code is not FaultCode.PART_MISSING]
@@ -255,8 +262,8 @@ def _rushing(motion: Numbers, sight: Numbers, light: Numbers, water: Numbers, su
     each other.
 
     A lamp that flickers leaves the Gray code readable, and what is saturated, behind backscatter, faint or outside is
-    distinguished from this. Backscatter is measured at pixels that are decoded, of which movement leaves few that are right: where
-    something was seen to move, the fringes tell by themselves whether it outshines the object.
+    distinguished from this. Backscatter is measured at pixels that are decoded, of which movement leaves few that are
+    right: where something was seen to move, the fringes tell by themselves whether it outshines the object.
     """
     fringe = sight.get("fringe_dn")
     followed = _is_followed(motion)
@@ -282,8 +289,8 @@ def _moved_ripple(motion: Numbers) -> float:
 
 
 def _flicker(light: Numbers, of: Mapping[str, Judgement], motion: Numbers) -> Iterator[Cause]:
-    """A lamp changes the whole picture alike, from frame to frame; what moves changes each part by its own paint, and so does sun
-    through waves. So where anything moves, the two are weighed apart."""
+    """A lamp changes the whole picture alike, from frame to frame; what moves changes each part by its own paint, and
+    so does sun through waves. So where anything moves, the two are weighed apart."""
     judged = of.get("light")
     if judged is None or judged.fault is None or judged.fault.code is not FaultCode.LIGHT_FLICKERS:
         return
@@ -337,8 +344,8 @@ def _outside(sight: Numbers, saturated: float) -> Cause | None:
     what = f"{100.0 * share:.0f} % of what is seen lies {word} than is measured, most at {distance:.0f} mm"
     fringe = sight.get("fringe_dn")
     faint = fringe is not None and fringe < ENOUGH_FRINGE_DN and saturated <= MOST_SATURATED
-    # So near and still too faint: farther away it is fainter. What is too far, coming closer mends in either case. All else
-    # outside gives no points, however bright or still it is.
+    # So near and still too faint: farther away it is fainter. What is too far, coming closer mends in either case. All
+    # else outside gives no points, however bright or still it is.
     share = min(share, FAINT_AND_NEAR) if code is FaultCode.SCAN_NEAR and faint else ALL
     return Cause(Fault(code, what, {"distance_mm": distance}), share, True)
 
@@ -368,8 +375,8 @@ def _levels(
 
 
 def _saturated(light: Numbers, water: Numbers, *, burnt: bool = True) -> float:
-    """Return the saturated share of the illuminated pixels of the brighter camera; or of the object's, where the left camera
-    sees more of these saturated. ``burnt``: with what another lamp saturates, where no exposure helps.
+    """Return the saturated share of the illuminated pixels of the brighter camera; or of the object's, where the left
+    camera sees more of these saturated. ``burnt``: with what another lamp saturates, where no exposure helps.
 
     Illuminated water shows no object, and would dilute the share that is lost of one.
     """
@@ -388,8 +395,8 @@ def _water(of: Mapping[str, Judgement], water: Numbers, moved: float, saturated:
     """Yield what the water takes, as shares of the object's pixels that are not saturated: ``saturated`` of them all
     are.
 
-    Its judge may have been moved by specks alone, which say nothing where something moves (``moved``): what backscatter there is
-    besides is then named only for a scan that is not usable.
+    Its judge may have been moved by specks alone, which say nothing where something moves (``moved``): what backscatter
+    there is besides is then named only for a scan that is not usable.
     """
     judged = of.get("water")
     if judged is None or judged.fault is None:
@@ -437,11 +444,11 @@ def _room(present: Exposure, steps: Sequence[Exposure]) -> float:
 
 
 def _best_fringe_dn(sight: Numbers, present: Exposure, steps: Sequence[Exposure]) -> float | None:
-    """Return the amplitude of the fringes with the longest exposure that the projector's own light allows, ``None``: no fringes
-    are seen; less where they are not worth as much, so that ``ENOUGH_FRINGE_DN`` of it give points.
+    """Return the amplitude of the fringes with the longest exposure that the projector's own light allows, ``None``: no
+    fringes are seen; less where they are not worth as much, so that ``ENOUGH_FRINGE_DN`` of it give points.
 
-    Gain makes grey values but no photons: the noise of light grows with its root, and of fringes at a gain of g only 1/√g counts
-    against it, of which a pixel needs ``MIN_MODULATION_DN`` as at rest without gain.
+    Gain makes grey values but no photons: the noise of light grows with its root, and of fringes at a gain of g only
+    1/√g counts against it, of which a pixel needs ``MIN_MODULATION_DN`` as at rest without gain.
     """
     fringe, top = sight.get("fringe_dn"), sight.get("top_dn") or 0.0
     if fringe is None:

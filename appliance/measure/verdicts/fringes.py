@@ -1,9 +1,9 @@
 """Owns the judgement whether a scan's fringes were sines: how much noisier its points are because they were not.
 
-A projector that makes grey by bit planes shows an exposure that takes a part of its frame some of its bits longer than others. What
-that bends coordinates by is taken out of them (``appliance.measure.points.straighten``), but where a coordinate hardly changes
-with the phase, straightening it multiplies its noise; and where the bend folds, no coordinate is right. Light that
-flickers cannot be told from such fringes either.
+A projector that makes grey by bit planes shows an exposure that takes a part of its frame some of its bits longer than
+others. What that bends coordinates by is taken out of them (``appliance.measure.points.straighten``), but where a
+coordinate hardly changes with the phase, straightening it multiplies its noise; and where the bend folds, no coordinate
+is right. Light that flickers cannot be told from such fringes either.
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
 """Owns the judgement whether both cameras see grey alike: which of them bends it, by a gamma or a table.
 
-The mean of a fringe's four steps lies at the same share of the way from dark to bright in every pixel of every camera whose grey
-values are proportional to light: surface, water, blur and other light only add and multiply light, and the share is the
-projector's alone. It differs between the cameras where one of them bends grey. Such a camera scans, and its points look good; but its
-fringes ripple otherwise than the other one's, and whatever is told from grey values (light, water, noise) is wrong.
+The mean of a fringe's four steps lies at the same share of the way from dark to bright in every pixel of every camera
+whose grey values are proportional to light: surface, water, blur and other light only add and multiply light, and the
+share is the projector's alone. It differs between the cameras where one of them bends grey. Such a camera scans, and
+its points look good; but its fringes ripple otherwise than the other one's, and whatever is told from grey values
+(light, water, noise) is wrong.
 """
 
 from __future__ import annotations
@@ -23,8 +24,11 @@ from appliance.measure.verdicts.light.levels import Sample
 
 NAME = "grey"
 MOST_APART = 0.015
-"""Largest difference of the cameras' shares. In twenty scenes at rest, moving by up to 60 mm/s, in milk, behind drift, with torches and flickering
-light, with drawn sensors that bend by up to 2 %, it was 0.005; Gamma 0.8 in one camera makes 0.02 to 0.04, Gamma 0.45 0.08 to 0.11."""
+"""Largest difference of the cameras' shares.
+
+In twenty scenes at rest, moving by up to 60 mm/s, in milk, behind drift, with torches and flickering light, with drawn
+sensors that bend by up to 2 %, it was 0.005; Gamma 0.8 in one camera makes 0.02 to 0.04, Gamma 0.45 0.08 to 0.11.
+"""
 LEAST_LIGHT_DN, MOST_DN = 40.0, 245.0
 """Bright minus dark, and bright: what is fainter is noise, and what is brighter may be saturated."""
 FEWEST = 200
@@ -45,10 +49,12 @@ class _Share:
 
 
 def judge_grey(samples: Mapping[str, Sample], sequence: PatternSequence) -> Judgement:
-    """Judge whether both cameras see the mean of the sines at the same share of their light, by the ``samples`` of ``left`` and ``right``.
+    """Judge whether both cameras see the mean of the sines at the same share of their light, by the ``samples`` of
+    ``left`` and ``right``.
 
-    Failed with GREY_BENT: one of them, the fault's device, has more of it. ``None``: too little well-lit is seen, or the directions
-    contradict each other. Numbers: each camera's share, mean of both directions, and ``limit``, of their difference.
+    Failed with GREY_BENT: one of them, the fault's device, has more of it. ``None``: too little well-lit is seen, or
+    the directions contradict each other. Numbers: each camera's share, mean of both directions, and ``limit``, of their
+    difference.
     """
     shares = {side: _share(samples[side], sequence) for side in SIDES}
     numbers: dict[str, float | None] = {

@@ -1,9 +1,10 @@
 """Owns the judgement whether the cloud has holes where the left camera saw a surface, and what made them.
 
-Coverage counts pixels, and cannot tell a hole in the middle from what no scan can give: shadow, dark paint, and what the right camera does not
-see. A surface is *seen* without a point where pixels are saturated, where their Gray code contradicts their phase or jumps, and,
-of a scan that moved, where rays that meet within the volume gave a point before its motion was undone. Single pixels and lines
-of them are edges; what a square of three grid places fits into is a hole.
+Coverage counts pixels, and cannot tell a hole in the middle from what no scan can give: shadow, dark paint, and what
+the right camera does not see. A surface is *seen* without a point where pixels are saturated, where their Gray code
+contradicts their phase or jumps, and, of a scan that moved, where rays that meet within the volume gave a point before
+its motion was undone. Single pixels and lines of them are edges; what a square of three grid places fits into is a
+hole.
 """
 
 from __future__ import annotations
@@ -23,8 +24,11 @@ NAME = "holes"
 GRID_PX = 400
 """Places of the grid across the left image: a hole is 3 of them wide, 2 mm in the standard housing."""
 MOST_HOLES = 0.03
-"""Largest share of the seen surface that may lie in holes. At rest 0.1 % and less of eleven well exposed scenes did; of the metre-long pipe
-at 4, 18, 33 and 72 mm/s 1.0, 3.6, 8.2 and 7.4 %, the latter two without their flange; before a torch 12 % and more."""
+"""Largest share of the seen surface that may lie in holes.
+
+At rest 0.1 % and less of eleven well exposed scenes did; of the metre-long pipe at 4, 18, 33 and 72 mm/s 1.0, 3.6, 8.2
+and 7.4 %, the latter two without their flange; before a torch 12 % and more.
+"""
 _LIGHT = 0.5
 """Share of the holes' pixels that are saturated, from which on light made them."""
 _WITHOUT_COORDINATE = (Mask.SATURATED, Mask.CONTRADICTION, Mask.EDGE)
@@ -40,10 +44,12 @@ def grid_step_px(width_px: int) -> int:
 def judge_holes(
     mask: NDArray[np.uint8], dark: NDArray[np.uint8], there: Mask2D, before: Mask2D | None = None
 ) -> Judgement:
-    """Judge the left image's grid places (h, w): their ``mask`` and ``dark`` image, and whether they are ``there`` in the cloud.
+    """Judge the left image's grid places (h, w): their ``mask`` and ``dark`` image, and whether they are ``there`` in
+    the cloud.
 
-    ``before``: places that gave a point before the motion was undone; ``None``: nothing moved. Numbers: ``hole_percent`` and
-    ``largest_percent``, all holes and the largest one, of the seen surface; ``saturated_percent`` of the holes' pixels.
+    ``before``: places that gave a point before the motion was undone; ``None``: nothing moved. Numbers:
+    ``hole_percent`` and ``largest_percent``, all holes and the largest one, of the seen surface; ``saturated_percent``
+    of the holes' pixels.
     """
     # Where the dark image is saturated, the projector adds nothing, and decoding takes it for shadow.
     burnt = dark >= np.uint8(FULL_DN)
@@ -82,7 +88,8 @@ def judge_holes(
 
 
 def judge_distance(summary: CloudSummary, volume: WorkingVolume) -> Judgement:
-    """Judge whether the middle of the cloud lies in the range for which the housing states its accuracy; number: ``distance_mm``."""
+    """Judge whether the middle of the cloud lies in the range for which the housing states its accuracy; number:
+    ``distance_mm``."""
     name, distance_mm = "distance", summary.distance_mm
     if distance_mm is None:
         return Judgement(Verdict(name, None, {}, "no points"))

@@ -1,9 +1,10 @@
 """Owns the judgement whether left is left: which of the two orders of the cameras brings the rays of a scan together.
 
-Cameras that are toed in see what lies aside of the axis at different heights: each sees larger what is nearer to it. If the pictures of
-the two are exchanged, rays of one point pass each other above the axis in one sense at the left and in the other at the right,
-by centimetres at the corners, however the object lies; depths come out mirrored about where the axes cross, and most
-points are lost to the limit on gaps. No mounting error does that: with the other order the rays meet, or nearly.
+Cameras that are toed in see what lies aside of the axis at different heights: each sees larger what is nearer to it. If
+the pictures of the two are exchanged, rays of one point pass each other above the axis in one sense at the left and in
+the other at the right, by centimetres at the corners, however the object lies; depths come out mirrored about where the
+axes cross, and most points are lost to the limit on gaps. No mounting error does that: with the other order the rays
+meet, or nearly.
 """
 
 from __future__ import annotations
@@ -23,18 +24,21 @@ MOST_ASKED = 600
 """Matches that are looked at: a median of so many is good to some percent."""
 FEWEST = 60
 LEAST_APART_MM = 1.0
-"""Distance in the standard housing by which both orders must differ, in the median: what is seen near the axis alone tells nothing."""
+"""Distance in the standard housing by which both orders must differ, in the median: what is seen near the axis alone
+tells nothing."""
 MEETS, MISSES = 0.4, 0.6
-"""Shares of that distance: below the first the rays of an order meet, from the second on they do not. A drawing that nobody has compared
-with the instrument misses by up to a fifth."""
+"""Shares of that distance: below the first the rays of an order meet, from the second on they do not.
+
+A drawing that nobody has compared with the instrument misses by up to a fifth.
+"""
 
 
 def judge_sides(left_px: Array, right_px: Array, rig: StereoRig, water_index: float) -> Judgement:
     """Judge matched pixels (n, 2) of the cameras that are taken for left and right.
 
-    Failed with SIDES_EXCHANGED: they are exchanged. Passed: they are not. ``None``: what is seen tells nothing. Numbers, in mm and medians:
-    ``gap_mm``, by how far rays miss each other; ``exchanged_mm``, the same with the cameras exchanged; ``apart_mm``, what
-    exchanging them changes.
+    Failed with SIDES_EXCHANGED: they are exchanged. Passed: they are not. ``None``: what is seen tells nothing.
+    Numbers, in mm and medians: ``gap_mm``, by how far rays miss each other; ``exchanged_mm``, the same with the cameras
+    exchanged; ``apart_mm``, what exchanging them changes.
     """
     step = max(1, len(left_px) // MOST_ASKED)
     left_px, right_px = left_px[::step], right_px[::step]

@@ -1,10 +1,11 @@
 """Owns what a scan says about the cameras' windows: where fringes are softer than the other camera sees them.
 
-Fog, a scratch, dirt on a window throw light aside: fringes lose contrast there, mean light hardly does. Contrast is also lost
-on the object (light from one part of it on another, a soft projector) and in the water. But what happens on the object both
-cameras see, at the same pattern coordinates; so each camera is compared with the other one, place by place on the object. The
-water's backscatter differs between them, and smoothly over the image; a smooth surface is therefore taken off first. What is left in
-one cell of the image is the window's, if it stays there while the scene changes: that is ``appliance.instrument.service.worker_reports``.
+Fog, a scratch, dirt on a window throw light aside: fringes lose contrast there, mean light hardly does. Contrast is
+also lost on the object (light from one part of it on another, a soft projector) and in the water. But what happens on
+the object both cameras see, at the same pattern coordinates; so each camera is compared with the other one, place by
+place on the object. The water's backscatter differs between them, and smoothly over the image; a smooth surface is
+therefore taken off first. What is left in one cell of the image is the window's, if it stays there while the scene
+changes: that is ``appliance.instrument.service.worker_reports``.
 """
 
 from __future__ import annotations
@@ -96,7 +97,10 @@ def window_grid(sequence: PatternSequence) -> PixelGrid:
 
 
 def look_at_windows(images: ScanImages, grids: Mapping[str, PixelGrid] | None = None) -> Windows:
-    """Compare the cameras' fringes place by place. ``grids`` of both sides, where they were taken while the frames arrived."""
+    """Compare the cameras' fringes place by place.
+
+    ``grids`` of both sides, where they were taken while the frames arrived.
+    """
     grids = grids or {side: window_grid(images.sequence).taken(images.frames[side]) for side in SIDES}
     seen = {side: _look(images, side, grids[side]) for side in SIDES}
     falls: dict[str, Array] = {}
@@ -128,7 +132,7 @@ def _look(images: ScanImages, side: str, grid: PixelGrid) -> _Seen:
     places_per_px = (np.float32(PLACES[0] / sequence.width_px), np.float32(PLACES[1] / sequence.height_px))
     contrast, cell, place, total = ask(
         grid.grey, mask, decoded.p_px[grid.at], decoded.q_px[grid.at], CELLS[0] * row, column, places_per_px
-    )  # fmt: skip
+    )
     return _Seen(contrast, cell, place, total / max(1.0, mask.size / len(total)))
 
 
@@ -142,7 +146,8 @@ def ask(
     cell_column: NDArray[np.int64],
     places_per_px: tuple[np.float32, np.float32],
 ) -> tuple[Floats, NDArray[np.int64], NDArray[np.int64], Array]:
-    """Return contrast, cell and place of the pixels (h, w) with coordinates and enough light, (n,) each, and each cell's sum of light.
+    """Return contrast, cell and place of the pixels (h, w) with coordinates and enough light, (n,) each, and each
+    cell's sum of light.
 
     ``grey`` (10, h, w): bright, dark, sines. The cell is the sum of ``cell_row`` and ``cell_column``.
     """

@@ -13,7 +13,8 @@ from drivers.registered_wires import NATIVE, REGISTERED
 BOUNDARY_US = 100
 """Largest distance of a trigger from the beginning of a sub-frame."""
 WHOLE_MS = 0.02
-"""Largest difference of an exposure from whole sub-frames: what rounding to hundredths of a millisecond makes, and a little more."""
+"""Largest difference of an exposure from whole sub-frames: what rounding to hundredths of a millisecond makes, and a
+little more."""
 MOST_DELAY_US = 15_000
 """Largest delay that the board takes (ARM)."""
 
@@ -114,8 +115,8 @@ def _exposures_fit(rig: Rig) -> Iterator[Complaint]:
 
 
 def into_light_us(rig: Rig) -> int:
-    """Return how long after a picture's light begins an exposure does: the trigger's delay, less the light's own where that is known and not
-    longer."""
+    """Return how long after a picture's light begins an exposure does: the trigger's delay, less the light's own where
+    that is known and not longer."""
     delay_us, begins_us = rig.board.trigger_delay_us, rig.projector.light_begins_us
     return delay_us - begins_us if delay_us >= begins_us else delay_us
 

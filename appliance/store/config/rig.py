@@ -68,14 +68,16 @@ class CameraRig:
     firmware: _Text | None = None
     """The version that this instrument was tested with; another one is named by ``kingfisher check``."""
     trigger_source: _Text | None = None
-    """Input that the board's trigger line is wired to, as the camera calls it; ``None``: the first line that it offers."""
+    """Input that the board's trigger line is wired to, as the camera calls it; ``None``: the first line that it offers.
+    """
     pixel_format: Literal["Mono8", "Mono10", "Mono10p", "Mono10Packed", "Mono12", "Mono12p", "Mono12Packed"] = "Mono8"
     """Format on the wire; of more than 8 bits the upper 8 are used."""
     offset_x_px: Annotated[_Whole, Field(ge=0, le=8192)] | None = None
     """First column on the sensor; ``None``: the image lies in its middle."""
     offset_y_px: Annotated[_Whole, Field(ge=0, le=8192)] | None = None
     features: Mapping[str, bool | int | float | str] = field(default_factory=dict, hash=False)
-    """Settings of this maker's cameras by their names, in order (``drivers.camera.setup``); a leading ``?``: may be missing."""
+    """Settings of this maker's cameras by their names, in order (``drivers.camera.setup``); a leading ``?``: may be
+    missing."""
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
@@ -126,11 +128,13 @@ class OutputRig:
 @dataclass(frozen=True, slots=True, config=_CONFIG)
 class ProjectorRig(OutputRig):
     latency_blanks: Annotated[_Whole, Field(ge=0, le=5)] = 0
-    """Vertical blanks from a flip until the projector throws its picture: controllers that buffer a frame show it one later."""
+    """Vertical blanks from a flip until the projector throws its picture: controllers that buffer a frame show it one
+    later."""
     light_begins_us: Annotated[_Whole, Field(ge=0, le=15000)] = 0
     """Time from that blank until its light begins, where the light goes on beyond the next blank."""
     channels: Literal["green", "all"] = "green"
-    """Channels that a picture is drawn into: a projector that shows red, green and blue with one lamp gets the same in all."""
+    """Channels that a picture is drawn into: a projector that shows red, green and blue with one lamp gets the same in
+    all."""
     sub_frames: Annotated[_Whole, Field(ge=1, le=8)] = 1
     """Equal sub-frames that a frame's light consists of; only whole ones give every grey its weight."""
 
@@ -160,9 +164,11 @@ class ScanRig:
     longest_exposure_ms: Annotated[_Real, Field(ge=2.0, le=16.6)] = 16.0
     """Longest exposure that the instrument may propose, and not beyond the projector's period."""
     most_gain_db: Annotated[_Real, Field(ge=0.0, le=48.0)] = 12.0
-    """Largest gain that may be proposed, and only where the longest exposure is not enough, or between exposures far apart."""
+    """Largest gain that may be proposed, and only where the longest exposure is not enough, or between exposures far
+    apart."""
     exposures_ms: Annotated[tuple[_ExposureMs, ...], Field(min_length=1, max_length=32)] | None = None
-    """The only exposures that may be proposed, as ``kingfisher measure exposures`` finds them; ``None``: the usual steps."""
+    """The only exposures that may be proposed, as ``kingfisher measure exposures`` finds them; ``None``: the usual
+    steps."""
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
@@ -180,7 +186,8 @@ class StorageRig:
     reserve_mb: Annotated[_Whole, Field(ge=0, le=1_000_000)] = 500
     """Space that scans never use, so that logs, updates and the save in progress always fit."""
     keep_incomplete: bool = False
-    """Keep what was recorded of a scan that broke after its first direction, apart from the scans (``store/incomplete.py``)."""
+    """Keep what was recorded of a scan that broke after its first direction, apart from the scans
+    (``store/incomplete.py``)."""
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
@@ -200,7 +207,8 @@ class DesignRig:
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)
 class VolumeRig:
-    """``[volume]`` (optional): between which distances the housing measures, along its axis from between the projection centres.
+    """``[volume]`` (optional): between which distances the housing measures, along its axis from between the projection
+    centres.
 
     Without it, those of the standard housing.
     """

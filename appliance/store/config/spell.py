@@ -1,4 +1,5 @@
-"""Owns the way back from a ``Rig`` to the text of a rig file: what a scan was taken with, options and defaults included.
+"""Owns the way back from a ``Rig`` to the text of a rig file: what a scan was taken with, options and defaults
+included.
 
 Every key is spelled out, also where the file that was loaded left it to its default: a later version may have another
 default, and a stored scan must keep the one it was taken with. Comments are not kept. Source: TOML 1.0.0.

@@ -15,10 +15,11 @@ place      the middle of what is seen lies about where the design puts it: nothi
 elsewhere  all of it lies about as far from there: where two such images are exchanged, quarters of the field change places and
            their middle stays
 
-Steps that cross an outline, a printed edge or a place that something moved over are left out by what the fringes themselves do
-there: phase that bends, swings that differ, a bright frame that is not bright.
+Steps that cross an outline, a printed edge or a place that something moved over are left out by what the fringes
+themselves do there: phase that bends, swings that differ, a bright frame that is not bright.
 
-It also owns what is counted along the lines of an image: whether fringes and stripes follow each other as they were drawn.
+It also owns what is counted along the lines of an image: whether fringes and stripes follow each other as they were
+drawn.
 """
 
 from __future__ import annotations
@@ -74,7 +75,8 @@ class Count(IntEnum):
 
 COUNTS = 22
 PLACES = 128
-"""Number of bins, over twice the field, in which steps are counted by how far they lie beside their place in the design."""
+"""Number of bins, over twice the field, in which steps are counted by how far they lie beside their place in the
+design."""
 OFF_REFERENCE = np.float32(0.3)
 """Bright and dark are the ends of each sample's swing, to this share of it."""
 _MIN_SWING_SHARE = np.float32(0.15)
@@ -120,11 +122,11 @@ def follow(
     """Add what lines (n, lines, samples) show to ``sums`` (COUNTS,), ``edges`` (len(gray), 2) and ``places`` (PLACES,).
 
     ``order[k]`` is the row of ``values`` that is taken for pattern k; ``references``: bright and dark; ``gray`` and
-    ``sine``: the patterns along the lines; ``middle`` (1 or len(gray), lines, samples): thresholds of the Gray images, NaN
-    where there is none, and ``doubt_dn`` (lines, samples) how near to them a bit is in doubt; ``least_dn`` (256,): a fringe's least difference at a grey value.
-    ``half_period``: its width as a share of the field. ``places``: number of steps that lie −1 to 1 fields beside their place.
-    ``edges``: of each Gray image, its edges (where it changes, or another changes in its place), and how many of them are
-    out of order although an edge of some pattern is there.
+    ``sine``: the patterns along the lines; ``middle`` (1 or len(gray), lines, samples): thresholds of the Gray images,
+    NaN where there is none, and ``doubt_dn`` (lines, samples) how near to them a bit is in doubt; ``least_dn`` (256,):
+    a fringe's least difference at a grey value. ``half_period``: its width as a share of the field. ``places``: number
+    of steps that lie −1 to 1 fields beside their place. ``edges``: of each Gray image, its edges (where it changes, or
+    another changes in its place), and how many of them are out of order although an edge of some pattern is there.
     """
     samples = values.shape[2]
     bits = gray.size
@@ -162,9 +164,9 @@ def follow(
             judged = not (not_bright or not_dark)  # at the outline of what moves, it is another surface than before
             for k in range(4):
                 share[k] = (np.float32(values[order[sine[k]], line, x]) - least) / swing
-            # Not the fringes' difference, which depends on the order of the sines, but the spread of all eight, which does not:
-            # where fringes are weak and chosen by what a wrong order makes of them, an x-sine in the place of a y-sine is the
-            # opposite of its partner at just the samples that are left.
+            # Not the fringes' difference, which depends on the order of the sines, but the spread of all eight, which
+            # does not: where fringes are weak and chosen by what a wrong order makes of them, an x-sine in the place of
+            # a y-sine is the opposite of its partner at just the samples that are left.
             others_most = max(
                 max(values[b0, line, x], values[b1, line, x]), max(values[b2, line, x], values[b3, line, x])
             )
@@ -174,9 +176,10 @@ def follow(
             own_most = max(max(share[0], share[1]), max(share[2], share[3])) * swing
             own_least = min(min(share[0], share[1]), min(share[2], share[3])) * swing
             spread = max(own_most, np.float32(others_most) - least) - min(own_least, np.float32(others_least) - least)
-            # Sums for the correlation of opposite steps: I0 with I2, I1 with I3. Against what the water adds, which differs from place
-            # to place and is alike in all of them: the middle one of the three other pairs' means. Not the mean of their six, into
-            # which a coarse stripe in the place of a single sine would bring the same large step for all pairs.
+            # Sums for the correlation of opposite steps: I0 with I2, I1 with I3. Against what the water adds, which
+            # differs from place to place and is alike in all of them: the middle one of the three other pairs' means.
+            # Not the mean of their six, into which a coarse stripe in the place of a single sine would bring the same
+            # large step for all pairs.
             if judged and spread >= needed:
                 sums[9] += 1.0
                 half, scale = np.float32(0.5), np.float32(0.5) / swing
@@ -272,19 +275,27 @@ def follow(
 
 
 DECIDED = 1.0
-"""A doubt of this size is an alarm. The limits below are half way, in its own measure, between what good scans of moving,
-dark and turbid scenes show at most and what a wrong frame shows (docs/identity.md has both)."""
+"""A doubt of this size is an alarm.
+
+The limits below are half way, in its own measure, between what good scans of moving, dark and turbid scenes show at
+most and what a wrong frame shows (docs/identity.md has both).
+"""
 LEAST_FORWARD = 0.7
 MOST_DISPLACED = {Direction.X: 0.2, Direction.Y: 0.15}
 """Largest distance, in widths of the field, between where the stripes are in the image, on average, and where the
 design puts them. Along the base line they wander with distance: by 0.08 in the measuring volume, 0.15 well before
 it."""
 APART = {Direction.X: 0.2, Direction.Y: 0.1}
-"""Distance, in widths of the field, from where most of the stripes are, beyond which one is elsewhere. Along the base line, the near
-and the far end of the measuring volume are 0.16 apart; down it distance shifts nothing."""
+"""Distance, in widths of the field, from where most of the stripes are, beyond which one is elsewhere.
+
+Along the base line, the near and the far end of the measuring volume are 0.16 apart; down it distance shifts nothing.
+"""
 MOST_ELSEWHERE = {Direction.X: 0.2, Direction.Y: 0.3}
-"""Largest share of the steps that may be elsewhere. Before printed squares that move 0.04 have a wrong code across the base line, 0.16
-along it; of two exchanged images of which no edge is seen, a quarter to a half."""
+"""Largest share of the steps that may be elsewhere.
+
+Before printed squares that move 0.04 have a wrong code across the base line, 0.16 along it; of two exchanged images of
+which no edge is seen, a quarter to a half.
+"""
 LEAST_IN_PHASE = 0.6
 """Mean cosine; a fifth of the edges half a period off, where only a part of the surface shows a frame to be wrong."""
 MOST_OUT_OF_ORDER = 0.3
@@ -300,9 +311,9 @@ of them."""
 MOST_OFF_REFERENCE = 0.8
 LEAST_BESIDE_REFERENCE, MOST_BESIDE_REFERENCE = 0.05, 0.08
 MOST_OF_OFF, NEARLY_ALL_OF_OFF = 0.5, 0.75
-"""Share of samples, or of those off the reference, by which another frame may be the better bright (or dark) one: over what
-moves, a frame from the middle of the sequence halves them. Fewer samples, down to the least that show a wrong order, speak where the
-other frame is right at nearly all of these: nothing that moves leaves one that is."""
+"""Share of samples, or of those off the reference, by which another frame may be the better bright (or dark) one: over
+what moves, a frame from the middle of the sequence halves them. Fewer samples, down to the least that show a wrong
+order, speak where the other frame is right at nearly all of these: nothing that moves leaves one that is."""
 MIN_FRINGE = 60
 """Samples with fringes in both directions, or there is nothing to judge by."""
 MIN_EDGES = 12
@@ -322,8 +333,8 @@ class LineEvidence:
     """Samples with fringes; below ``MIN_FRINGE`` no doubt means anything."""
     edges: int
     steps: int = 0
-    """Steps along the lines of the direction with fewer: where a camera reads the stripes of one direction only, nothing is said
-    of the frames of the other."""
+    """Steps along the lines of the direction with fewer: where a camera reads the stripes of one direction only,
+    nothing is said of the frames of the other."""
     displaced: float = 0.0
     """Distance of the stripes across the base line from the design's place, in widths of the field: with opposite
     signs in both cameras where the object is near or far, with the same sign where a Gray image is wrong."""
@@ -351,7 +362,8 @@ class LineEvidence:
 
 
 def _elsewhere(places: NDArray[np.float64], apart: float) -> float:
-    """Return the share of the steps that lie farther than ``apart`` widths of the field from where the middle one of them lies.
+    """Return the share of the steps that lie farther than ``apart`` widths of the field from where the middle one of
+    them lies.
 
     ``places``: (PLACES,) steps by how far beside their place they lie, −1 to 1.
     """
@@ -397,10 +409,14 @@ class Witness:
         self._reference_doubts(order, total, doubts, suspects)
         doubts = {name: float(doubt) for name, doubt in doubts.items()}
         return LineEvidence(
-            doubts, suspects, int(total[Count.ILLUMINATED]), int(total[Count.FRINGE]), int(total[Count.EDGES]),
+            doubts,
+            suspects,
+            int(total[Count.ILLUMINATED]),
+            int(total[Count.FRINGE]),
+            int(total[Count.EDGES]),
             min(int(sums[Count.STEPS]) for sums in all_sums.values()),
             self._displaced(all_sums),
-        )  # fmt: skip
+        )
 
     def _half_period(self, along: Direction) -> float:
         """Return the width of half a period as a share of the field."""

@@ -2,10 +2,10 @@
 
 It also owns the explanations of a camera's frames: which of them is taken for which pattern, and which speaks best.
 
-A swap, frames that all come one late or one early, and a repeat with everything after it one late put frames and patterns
-into another order, under which no doubt is left; so is a picture that lies the wrong way round, once it is read backwards; the missing pattern of a late sequence is foretold by the others, since four sines
-add up in pairs. A frame that repeats another, or an image that stays, is seen in the
-frames themselves.
+A swap, frames that all come one late or one early, and a repeat with everything after it one late put frames and
+patterns into another order, under which no doubt is left; so is a picture that lies the wrong way round, once it is
+read backwards; the missing pattern of a late sequence is foretold by the others, since four sines add up in pairs. A
+frame that repeats another, or an image that stays, is seen in the frames themselves.
 """
 
 from __future__ import annotations
@@ -100,8 +100,8 @@ def explain(witness: Witness, sequence: PatternSequence, noise: CameraNoise, dou
 def still(witness: Witness, sequence: PatternSequence, noise: CameraNoise) -> Explanation | None:
     """Return the explanation of frames without fringes across both directions, if it is that the image stays.
 
-    Mere backscatter shows broad stripes only, so that all later frames are alike in it. A still image must have begun before
-    the second stripe image of the last direction, or the fringes of the first one have been seen.
+    Mere backscatter shows broad stripes only, so that all later frames are alike in it. A still image must have begun
+    before the second stripe image of the last direction, or the fringes of the first one have been seen.
     """
     same = differences(witness, sequence, noise)
     first = still_from(same)
@@ -273,36 +273,47 @@ LEAST_BACKSCATTER_DN_PER_MS = 0.03
 the clearest water: a tenth of what clear coastal water adds. An exposure so short that this would not be seen cannot
 tell that the projector is dark."""
 MOST_MOVED = 0.25
-"""Share of samples that are not the same from one direction's fringes to the other's. At rest it is below 0.01; beyond this,
-doubts that no order of the frames explains are the motion's, which has a judge of its own."""
+"""Share of samples that are not the same from one direction's fringes to the other's.
+
+At rest it is below 0.01; beyond this, doubts that no order of the frames explains are the motion's, which has a judge
+of its own.
+"""
 LEAST_MOVED, LARGE_DOUBT = 0.03, 1.5
 """Share of moved samples from which on a doubt below the second value is the motion's as well: a fish before what
 the first frames saw."""
 DOUBT_PER_MOVED, LARGER_DOUBT = 10.0, 2.5
 """Growth of that doubt, beyond 1, with the share that moves, and its most: an object that comes nearer by 60 mm/s."""
 MOST_TOTAL, RUSHING = 6.0, 0.34
-"""Sum of all doubts, each counted as at most two, from which on movement alone has not made them unless more than the second value, a share of the
-samples, moves. What moves spoils some of the tests, a wrong frame nearly all of them: good views before hands of up to 60 mm/s have 5.4 at most, 2.9
-where one is decided; of 20 wrong orders that had been left to the judge of motion 14 have more. Before hands of 84 to 242 mm/s
-good views have up to 20, but then 0.37 of the samples and more move (development scenes)."""
+"""Sum of all doubts, each counted as at most two, from which on movement alone has not made them unless more than the
+second value, a share of the samples, moves. What moves spoils some of the tests, a wrong frame nearly all of them: good
+views before hands of up to 60 mm/s have 5.4 at most, 2.9 where one is decided; of 20 wrong orders that had been left to
+the judge of motion 14 have more. Before hands of 84 to 242 mm/s good views have up to 20, but then 0.37 of the samples
+and more move (development scenes)."""
 LARGE_RELIEF = 3.0
-"""Drop of that sum under another order from which on that order is believed whatever moves. Of 32 good views that hands of 60 to 250 mm/s spoilt none
-had such an order."""
+"""Drop of that sum under another order from which on that order is believed whatever moves.
+
+Of 32 good views that hands of 60 to 250 mm/s spoilt none had such an order.
+"""
 LEAST_PARALLAX = 0.1
 """Least distance of the stripes from their place in either camera, to opposite sides, in widths of the field: the
 object is far from the measuring volume. That alone is no wrong pattern."""
 BOTH_ELSEWHERE = 0.5
-"""Doubt of both cameras that stripes across the base line are elsewhere from which on that is depth, unless another order explains it:
-from 250 mm to far behind the volume they wander by 0.44 of the field."""
+"""Doubt of both cameras that stripes across the base line are elsewhere from which on that is depth, unless another
+order explains it: from 250 mm to far behind the volume they wander by 0.44 of the field."""
 PARALLAX_DOUBTS = frozenset({"place x", "elsewhere x"})
 """Doubts that distance raises."""
 
 MOST_SATURATED = 0.5
-"""Share of the illuminated samples at which two of the four steps of a direction or more are saturated. Beyond, what is left are
-borders of the picture and of stripes. Where these lie, and doubts about them that no order of the frames explains, is no wrong
-pattern: the picture is too bright."""
+"""Share of the illuminated samples at which two of the four steps of a direction or more are saturated.
+
+Beyond, what is left are borders of the picture and of stripes. Where these lie, and doubts about them that no order of
+the frames explains, is no wrong pattern: the picture is too bright.
+"""
 MOST_FLOODED = 0.05
-"""Share of all samples that are saturated even in the darkest frame. Beyond, that all images are alike proves nothing."""
+"""Share of all samples that are saturated even in the darkest frame.
+
+Beyond, that all images are alike proves nothing.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -339,10 +350,11 @@ def judge_identity(
 
     Passed: every frame is its pattern. None: too little of the projector's light is seen to say so, or too much moves.
     Failed, with a fault: ``CAMERA_STUCK`` (device), ``PROJECTOR_TIMING`` (shift_frames), ``PATTERN_WRONG`` (frame;
-    device projector if both cameras say it), ``PICTURE_MIRRORED`` (device, likewise), ``PROJECTOR_DARK`` (only where the illuminated water would have been
-    seen). Numbers: ``doubt``, the largest of all doubts, which alarm from 1 on; of each camera the same, the samples
-    with fringes, and the projector's light; ``parallax_percent``, by which both see the stripes beside their place, to
-    opposite sides. Raises ValueError for a number of frames that is not the sequence's.
+    device projector if both cameras say it), ``PICTURE_MIRRORED`` (device, likewise), ``PROJECTOR_DARK`` (only where
+    the illuminated water would have been seen). Numbers: ``doubt``, the largest of all doubts, which alarm from 1 on;
+    of each camera the same, the samples with fringes, and the projector's light; ``parallax_percent``, by which both
+    see the stripes beside their place, to opposite sides. Raises ValueError for a number of frames that is not the
+    sequence's.
     """
     for side, mine in frames.items():
         if len(mine) != len(sequence):
@@ -450,7 +462,8 @@ def _may_be_motion(explanation: Explanation, evidence: LineEvidence) -> bool:
 
 def _without_parallax(cameras: list[_Camera]) -> list[_Camera]:
     """Return the cameras, unjudged where their only doubt is where the stripes lie and both see them displaced to
-    opposite sides, or both some of them elsewhere: what is seen is far from the volume, or reaches from before it to behind it."""
+    opposite sides, or both some of them elsewhere: what is seen is far from the volume, or reaches from before it to
+    behind it."""
     if len(cameras) != 2:
         return cameras
     aside = [camera.evidence.displaced for camera in cameras]
@@ -507,7 +520,8 @@ def _fault(cameras: list[_Camera]) -> Fault | None:
 
 
 def _turned(what: What, device: str) -> Fault:
-    """Return the fault of a picture that lies the wrong way round: in one camera, or, where all see it so, in the projector."""
+    """Return the fault of a picture that lies the wrong way round: in one camera, or, where all see it so, in the
+    projector."""
     if device == "projector":
         detail = f"both cameras see the picture {what.value}: switch rear projection, ceiling projection and flips off in the projector"
     else:

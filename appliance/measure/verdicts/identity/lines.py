@@ -1,10 +1,11 @@
 """Owns the samples that the identity check looks at, and the thresholds by which their Gray bits are told.
 
-The samples lie along a few whole rows and columns, where one stripe follows the next. Half way between a sample's darkest and
-brightest value a Gray image's bit is told only as long as the water's backscatter is fainter than the object. Beyond, coarse
-stripes that illuminate the water turn bits over, in good scans too. What decoding does about that (``reconstruct.decode.backscatter``) is
-done here along the lines: the fringes give the object's light, and sure samples how much of the backscatter each image
-illuminates. Across the base line nothing need be done: there the water is illuminated by the same stripe as what it hides.
+The samples lie along a few whole rows and columns, where one stripe follows the next. Half way between a sample's
+darkest and brightest value a Gray image's bit is told only as long as the water's backscatter is fainter than the
+object. Beyond, coarse stripes that illuminate the water turn bits over, in good scans too. What decoding does about
+that (``reconstruct.decode.backscatter``) is done here along the lines: the fringes give the object's light, and sure
+samples how much of the backscatter each image illuminates. Across the base line nothing need be done: there the water
+is illuminated by the same stripe as what it hides.
 """
 
 from __future__ import annotations
@@ -69,8 +70,8 @@ def can_follow(sequence: PatternSequence, width_px: int) -> bool:
 
 
 class LineTaker:
-    """Takes rows and columns of one camera's sequence over what is illuminated, frame by frame; a sixth of a fringe or less between
-    samples. ``noise`` is the camera's."""
+    """Takes rows and columns of one camera's sequence over what is illuminated, frame by frame; a sixth of a fringe or
+    less between samples. ``noise`` is the camera's."""
 
     def __init__(self, sequence: PatternSequence, noise: CameraNoise) -> None:
         self._sequence, self._noise = sequence, noise

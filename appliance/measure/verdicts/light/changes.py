@@ -1,13 +1,15 @@
-"""Owns whether light that is not the projector's changed during a sequence, where, how often, and what that does to phases.
+"""Owns whether light that is not the projector's changed during a sequence, where, how often, and what that does to
+phases.
 
-Of four sine images I0..I3, (I0 − I2, I3 − I1) is 2B (cos φ, sin φ): a circle about the origin whose radius is known from
-bright and dark. Extra light δ that differs between the images shifts the circle by (δ0 − δ2, δ3 − δ1), and by just that it
-biases the phase. So the shift is fitted in blocks of the image, from the length of the vector over its direction; the
-fringes themselves, motion along them and the projector's harmonics have no such term. Beside it are fitted smooth terms, the
-projector's third harmonic, and the water's backscatter, which is in the light but not in the fringes and so shortens the circle
-of dark surfaces more than that of bright ones. What is finer than a block (a net of caustics) is in I0 − I1 + I2 − I3, which has
-neither fringe nor texture, and gives the third difference of a direction: what neighbouring pixels have there in common is light,
-for noise they have not. A level common to all four images of a direction is neither seen nor harmful.
+Of four sine images I0..I3, (I0 − I2, I3 − I1) is 2B (cos φ, sin φ): a circle about the origin whose radius is known
+from bright and dark. Extra light δ that differs between the images shifts the circle by (δ0 − δ2, δ3 − δ1), and by just
+that it biases the phase. So the shift is fitted in blocks of the image, from the length of the vector over its
+direction; the fringes themselves, motion along them and the projector's harmonics have no such term. Beside it are
+fitted smooth terms, the projector's third harmonic, and the water's backscatter, which is in the light but not in the
+fringes and so shortens the circle of dark surfaces more than that of bright ones. What is finer than a block (a net of
+caustics) is in I0 − I1 + I2 − I3, which has neither fringe nor texture, and gives the third difference of a direction:
+what neighbouring pixels have there in common is light, for noise they have not. A level common to all four images of a
+direction is neither seen nor harmful.
 """
 
 from __future__ import annotations
@@ -43,8 +45,8 @@ BLOCK_ROWS, BLOCK_COLUMNS = 6, 8
 MIN_PIXELS = 100
 """Least number of pixels of a block for its light to be judged."""
 FINE_FACTOR = 1.5
-"""Squares of both differences that bias phases, over that of the third: 1 for light that changes at random from image to
-image, 2 for light that drifts."""
+"""Squares of both differences that bias phases, over that of the third: 1 for light that changes at random from image
+to image, 2 for light that drifts."""
 CLEAR_DN = 248.0
 """No image of the pixel may be brighter."""
 SURE = 0.5
@@ -109,8 +111,8 @@ class _Fit:
     """The sigma that there would be with a noise of one grey value in each difference: how well the phases are
     spread."""
     fine: Floats
-    """Mean square of the third difference within the block, less its mean, that neighbours have in common: light of finer grain
-    than a block."""
+    """Mean square of the third difference within the block, less its mean, that neighbours have in common: light of
+    finer grain than a block."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +140,7 @@ def fit_early(grey: NDArray[np.uint8], sequence: PatternSequence) -> EarlyFit:
         steps, light = (values.reshape(*values.shape[:-2], -1)[..., pixels] for values in (four, contrast))
         of_blocks, of_pixels = fit_blocks(
             np.ascontiguousarray(steps, np.float64), light.astype(np.float64), rows, columns, order, ends
-        )  # fmt: skip
+        )
         found[:, _numbers(rows, columns, order, ends, good.shape)] = of_blocks
         rest[pixels] = of_pixels
     return EarlyFit(good, found, rest)
@@ -245,8 +247,8 @@ def find_frequency_hz(levels: tuple[LightLevel, ...], frame_s: float) -> tuple[f
 
 @lru_cache(maxsize=4)
 def _waves(frame: tuple[float, ...], group: tuple[int, ...], frame_s: float) -> tuple[Floats, Floats, Floats]:
-    """Return frequencies that levels in these frames, of these groups, may tell, their waves (frequencies, frames, 2) and the inverses
-    of these. They are the same in every scan, and not to be written to."""
+    """Return frequencies that levels in these frames, of these groups, may tell, their waves (frequencies, frames, 2)
+    and the inverses of these. They are the same in every scan, and not to be written to."""
     candidates = np.arange(2.0, 0.5 / frame_s + 0.01, 0.25)
     # A cosine and a sine of each candidate, without the mean of each group, as the levels are.
     angle = 2.0 * np.pi * frame_s * np.outer(candidates, frame)
@@ -265,7 +267,8 @@ def _fit_the_rest(
     order: NDArray[np.intp],
     ends: NDArray[np.intp],
 ) -> tuple[Floats, Floats]:
-    """Return what ``fit_blocks`` does, of which only those blocks are fitted that have lost a pixel since the ``early`` fit."""
+    """Return what ``fit_blocks`` does, of which only those blocks are fitted that have lost a pixel since the ``early``
+    fit."""
     numbers = _numbers(rows, columns, order, ends, good.shape)
     v, u = np.nonzero(good != early.good)
     lost = np.bincount(
@@ -292,7 +295,8 @@ def _fit(
     order: NDArray[np.intp],
     ends: NDArray[np.intp],
 ) -> _Fit:
-    """Fit ``four`` (4, n) sine images of the pixels at ``places`` (row and column) by ``fit``, in blocks as ``fit_blocks`` takes them."""
+    """Fit ``four`` (4, n) sine images of the pixels at ``places`` (row and column) by ``fit``, in blocks as
+    ``fit_blocks`` takes them."""
     found, third = fit(four, contrast, *places, order, ends)
     # Light that is usual before dark pixels is many grey values before bright ones; noise is not. Either is no edge.
     usual = CLIP * MAD_TO_SIGMA

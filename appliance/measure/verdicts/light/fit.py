@@ -1,7 +1,7 @@
 """Owns the fit, block by block, of how far light that is not the projector's shifts the circle of the sine images.
 
-A weighted robust regression in each of some fifty blocks and either direction: small systems, for which calling a library
-costs more than solving them. ``changes`` says what is fitted and why.
+A weighted robust regression in each of some fifty blocks and either direction: small systems, for which calling a
+library costs more than solving them. ``changes`` says what is fitted and why.
 """
 
 from __future__ import annotations
@@ -53,8 +53,9 @@ def warm_up() -> None:
 def in_blocks(
     good: NDArray[np.bool_], blocks: tuple[int, int], least: int
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
-    """Return the pixels (n,) that are ``good``, of an image (rows, columns), their rows and columns, and which of them lie in each of rows and
-    columns of ``blocks`` that has at least so many: ``order`` and ``ends`` as ``fit_blocks`` takes them."""
+    """Return the pixels (n,) that are ``good``, of an image (rows, columns), their rows and columns, and which of them
+    lie in each of rows and columns of ``blocks`` that has at least so many: ``order`` and ``ends`` as ``fit_blocks``
+    takes them."""
     height, width = good.shape
     counts = np.zeros(blocks[0] * blocks[1], np.intp)
     # The block of each row and column, so that no pixel has to be divided.
@@ -161,8 +162,8 @@ def fit_blocks(
         usual = np.mean(light)
         for j in range(n):
             shift[10, j] = usual / light[j]
-        # Harmonics 2, 6 and 10: those that four steps of 90° leave in the third difference. Beyond the second they come from
-        # an exposure that sees a part of the projector's bit planes, which makes steps of the sine.
+        # Harmonics 2, 6 and 10: those that four steps of 90° leave in the third difference. Beyond the second they come
+        # from an exposure that sees a part of the projector's bit planes, which makes steps of the sine.
         twice[0] = 1.0
         _sum_of_angles(c4, s4, c2, s2, twice[3], twice[4])
         _sum_of_angles(twice[3], twice[4], c4, s4, twice[5], twice[6])
@@ -273,8 +274,9 @@ def stripe_levels(
     for i in range(pixels.size):
         black[i] = grey[dark, pixels[i]]
     for j in range(numbers.size):
-        # Two histograms in one array: dark stripes in its first half, illuminated ones in the second; behind them, what is neither.
-        # Which it is changes from pixel to pixel: a number that is chosen costs less than a branch that is foreseen wrongly.
+        # Two histograms in one array: dark stripes in its first half, illuminated ones in the second; behind them, what
+        # is neither. Which it is changes from pixel to pixel: a number that is chosen costs less than a branch that is
+        # foreseen wrongly.
         count[:] = 0
         image = grey[numbers[j]]
         # Divided several at once, which counting could not.
@@ -321,8 +323,8 @@ def _span(place: NDArray[np.intp], block: NDArray[np.intp]) -> tuple[int, int]:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def regress(value: Floats, terms: Floats, contrast: Floats, weight: Floats) -> tuple[Floats, float, float]:
-    """Return the coefficients of a robust fit of ``terms`` (k, n), weighted by ``weight`` (n,), the larger sigma of the first two,
-    and what that would be for ``value`` · ``contrast`` (n,) with a noise of 1."""
+    """Return the coefficients of a robust fit of ``terms`` (k, n), weighted by ``weight`` (n,), the larger sigma of the
+    first two, and what that would be for ``value`` · ``contrast`` (n,) with a noise of 1."""
     size, n = terms.shape
     # Normal equations of weighted least squares: X W Xᵀ b = X W y, with the terms X and the values y.
     normal, right = _normal(value, terms, weight)
@@ -339,8 +341,8 @@ def regress(value: Floats, terms: Floats, contrast: Floats, weight: Floats) -> t
                 residual[j] -= coefficients[a] * terms[a, j]
         if again == ROUNDS - 1:
             break
-        # What is far off, at an edge of the texture, is left out, and the fit repeated. Few are: taking their part out of the
-        # normal equations is quicker than summing all others anew.
+        # What is far off, at an edge of the texture, is left out, and the fit repeated. Few are: taking their part out
+        # of the normal equations is quicker than summing all others anew.
         for j in range(n):
             off[j] = abs(residual[j]) * contrast[j]
         limit = CLIP * max(MAD_TO_SIGMA * quantile_of(off, 0.5), 1e-3)
@@ -381,8 +383,8 @@ def _dot(a: Floats, b: Floats) -> float:
 def quantile_of(values: Floats, share: float) -> float:
     """Return the value below which ``share`` of the finite ``values`` lie, interpolated between two of them.
 
-    Values are counted into bins, and only the wanted one is looked at again: a partition's exchanges cannot be predicted, and cost a
-    block of some hundred pixels more than its fit.
+    Values are counted into bins, and only the wanted one is looked at again: a partition's exchanges cannot be
+    predicted, and cost a block of some hundred pixels more than its fit.
     """
     place = share * (values.size - 1)
     rank = int(place)
@@ -450,7 +452,8 @@ def _ends(values: Floats) -> tuple[float, float]:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _bin(value: float, low: float, scale: float, bins: int) -> int:
-    """Return the bin of a value; the last one for the greatest, and for what is no number, which must not lead out of the table."""
+    """Return the bin of a value; the last one for the greatest, and for what is no number, which must not lead out of
+    the table."""
     place = (value - low) * scale
     return int(place) if place < bins else bins - 1
 

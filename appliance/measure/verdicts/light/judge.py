@@ -2,10 +2,10 @@
 
 It also owns which exposure the next scan should have, and which second one would show what a single one cannot.
 
-The aim is a share of the scale; the band in which nothing is proposed reaches well beyond one step above and below it, so
-that a proposal, once applied, proposes nothing more. Each illuminated pixel's light at other exposures follows from what it is
-at this one; what is saturated here is known from the darkest of its sine images. A step of the table loses the pixels that
-would be saturated or whose fringes would be too weak.
+The aim is a share of the scale; the band in which nothing is proposed reaches well beyond one step above and below it,
+so that a proposal, once applied, proposes nothing more. Each illuminated pixel's light at other exposures follows from
+what it is at this one; what is saturated here is known from the darkest of its sine images. A step of the table loses
+the pixels that would be saturated or whose fringes would be too weak.
 """
 
 from __future__ import annotations
@@ -68,7 +68,8 @@ LEAST_GAINED = 0.05
 LEAST_COMMON = 0.1
 """Least share of the illuminated pixels that both must show, or nothing tells how they lie to each other."""
 ALIKE = 0.01
-"""Pairs that differ by so few of the illuminated pixels are as good as each other: the second one that loses least itself is taken."""
+"""Pairs that differ by so few of the illuminated pixels are as good as each other: the second one that loses least
+itself is taken."""
 
 Light = tuple[NDArray[np.float32], NDArray[np.float32]]
 """One camera's illuminated pixels: their brightest level over black in any image, which may be above the scale, and
@@ -122,8 +123,8 @@ MAX_AMBIENT_BEYOND = 0.25
 """Largest share of the illuminated pixels that may get more light from elsewhere than from the projector. It takes
 half of the scale, and with it half of the fringes' amplitude, at any exposure."""
 BEND_AS_LIGHT = 0.5
-"""Largest ripple that fringes which are no sines are taken for, over their bend: up to 0.37 in the sixteen of 30 scans that
-looked like it, of six projectors of bit planes seen for 2 to 8 ms (development seeds 10001 to 10010)."""
+"""Largest ripple that fringes which are no sines are taken for, over their bend: up to 0.37 in the sixteen of 30 scans
+that looked like it, of six projectors of bit planes seen for 2 to 8 ms (development seeds 10001 to 10010)."""
 FLICKER_ALIAS_HZ = (18.5, 21.5)
 """Frequencies at which lamps on 50 Hz mains show up at 60 frames per second."""
 
@@ -139,8 +140,9 @@ def judge_light(
     """Return the verdict ``light`` with its numbers, at most one fault, and what to expose the next scan with.
 
     From the frames alone. ``present``: what they were exposed with; ``steps``: what may be proposed, from dark to
-    bright (``scan.exposure.ladder``). ``bend_px``: RMS by which fringes that are no sines bend coordinates; they look like light that
-    changes by a part of that. ``samples`` of both sides, and what ``fit_early`` says of them, where they were taken while the frames arrived.
+    bright (``scan.exposure.ladder``). ``bend_px``: RMS by which fringes that are no sines bend coordinates; they look
+    like light that changes by a part of that. ``samples`` of both sides, and what ``fit_early`` says of them, where
+    they were taken while the frames arrived.
     """
     noise = {side: of_side(images.noise, side) for side in SIDES}
     samples = samples or {side: sample(images.frames[side], images.sequence) for side in SIDES}

@@ -57,8 +57,8 @@ class Sample:
 
 
 class Sampler:
-    """Takes about ``SAMPLES`` illuminated pixels of one camera's sequence, frame by frame; fewer where they are rare among
-    ``MOST_PIXELS``."""
+    """Takes about ``SAMPLES`` illuminated pixels of one camera's sequence, frame by frame; fewer where they are rare
+    among ``MOST_PIXELS``."""
 
     def __init__(self, sequence: PatternSequence) -> None:
         self._sequence = sequence
@@ -99,9 +99,13 @@ class Sampler:
         flags = np.empty((2, *self._places.shape), np.bool_)
         pixels = (len(self._grey), -1)
         _describe(
-            self._grey.reshape(pixels), self._sequence.bright, self._sequence.dark, self._sines, sums.reshape(5, -1),
+            self._grey.reshape(pixels),
+            self._sequence.bright,
+            self._sequence.dark,
+            self._sines,
+            sums.reshape(5, -1),
             flags.reshape(2, -1),
-        )  # fmt: skip
+        )
         return Sample(self._grey, *sums, *flags)
 
 
@@ -117,8 +121,8 @@ def sample(frames: NDArray[np.uint8], sequence: PatternSequence) -> Sample:
 def _describe(
     grey: NDArray[np.uint8], bright: int, dark: int, sines: NDArray[np.int64], sums: Floats, flags: NDArray[np.bool_]
 ) -> None:
-    """Write to ``sums`` (5, pixels) and ``flags`` (2, pixels) what ``Sample`` has beside its images ``grey`` (n, pixels), in its
-    order."""
+    """Write to ``sums`` (5, pixels) and ``flags`` (2, pixels) what ``Sample`` has beside its images ``grey`` (n,
+    pixels), in its order."""
     for i in range(grey.shape[1]):
         light, black = np.float32(grey[bright, i]), np.float32(grey[dark, i])
         top, least = light, np.float32(np.inf)

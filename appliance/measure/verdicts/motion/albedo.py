@@ -1,8 +1,8 @@
 """Owns how far the albedo had moved in each Gray image, as a whole, against the bright one.
 
-Where a Gray image is illuminated, it shows what the bright frame shows, some frames later: least squares of their difference on the
-bright frame's gradients tell the way between. One vector for the whole image is little, but there is one for each frame, so
-that shaking hands are seen to shake.
+Where a Gray image is illuminated, it shows what the bright frame shows, some frames later: least squares of their
+difference on the bright frame's gradients tell the way between. One vector for the whole image is little, but there is
+one for each frame, so that shaking hands are seen to shake.
 """
 
 from __future__ import annotations
@@ -67,9 +67,9 @@ def _accumulate(
     noise_dn2: tuple[float, float],
     sums: Array,
 ) -> None:
-    """Add every ``stride``-th row and column to ``sums`` (images, …): of each of the images ``gray`` the upper triangle of the normal
-    matrix of light, 1 and both gradients, their products with the image, its square, and the count. ``references``: bright and dark;
-    ``illuminated`` (images, pattern px).
+    """Add every ``stride``-th row and column to ``sums`` (images, …): of each of the images ``gray`` the upper triangle
+    of the normal matrix of light, 1 and both gradients, their products with the image, its square, and the count.
+    ``references``: bright and dark; ``illuminated`` (images, pattern px).
 
     All images at once: what is the same for all of them, a dozen places in memory that are far apart, is read once.
     """
@@ -130,17 +130,24 @@ def albedo_shifts(
         gray = sequence.axis(direction).gray
         sums = np.zeros((len(gray), _TERMS * (_TERMS + 1) // 2 + _TERMS + 3))
         _accumulate(
-            frames, (sequence.bright, sequence.dark), np.array(gray, np.int64), coordinate_px,
-            well_illuminated(sequence, direction), reach, stride, variance_dn2, sums,
-        )  # fmt: skip
+            frames,
+            (sequence.bright, sequence.dark),
+            np.array(gray, np.int64),
+            coordinate_px,
+            well_illuminated(sequence, direction),
+            reach,
+            stride,
+            variance_dn2,
+            sums,
+        )
         shift[list(gray)], sd[list(gray)] = _solve(sums)
     return AlbedoShifts(shift, sd)
 
 
 @lru_cache(maxsize=8)
 def well_illuminated(sequence: PatternSequence, direction: Direction) -> NDArray[np.bool_]:
-    """Return (images, pattern px) where each Gray image of a direction is light, and far enough from all edges of its stripes. It is
-    the same in every scan, and not to be written to."""
+    """Return (images, pattern px) where each Gray image of a direction is light, and far enough from all edges of its
+    stripes. It is the same in every scan, and not to be written to."""
     return np.stack([_well_illuminated(sequence.patterns[k].codes()) for k in sequence.axis(direction).gray])
 
 
@@ -159,7 +166,8 @@ def _well_illuminated(codes: NDArray[np.uint8]) -> NDArray[np.bool_]:
 
 
 def _solve(sums: Array) -> tuple[Array, Array]:
-    """Return how far the albedo had moved in each image, (images, 2), and its standard deviation (images,); NaN: not known."""
+    """Return how far the albedo had moved in each image, (images, 2), and its standard deviation (images,); NaN: not
+    known."""
     shift, sd = np.full((len(sums), 2), np.nan), np.full(len(sums), np.nan)
     products = _TERMS * (_TERMS + 1) // 2
     count = sums[:, products + _TERMS + 1]

@@ -1,8 +1,9 @@
 """Owns the sums over the pixels of each cell of the pattern, from which the drift of the fringes is solved.
 
-The sine images of X say everything but the row of cells, which is known when Y is decoded. So the sums are made of short runs of pixels
-along the image's rows as soon as X is there, while Y is being recorded; afterwards each run whose pixels all lie in one cell and have
-kept their coordinates is added to the cell's sums as a whole. The pixels of other runs, at borders of cells and of surfaces, are summed anew.
+The sine images of X say everything but the row of cells, which is known when Y is decoded. So the sums are made of
+short runs of pixels along the image's rows as soon as X is there, while Y is being recorded; afterwards each run whose
+pixels all lie in one cell and have kept their coordinates is added to the cell's sums as a whole. The pixels of other
+runs, at borders of cells and of surfaces, are summed anew.
 """
 
 from __future__ import annotations
@@ -24,10 +25,10 @@ RUN = 32
 """Most pixels of a run: sums of so few are exact enough in 32 bits."""
 TERMS = 8
 # Symbols of the kernels. At a pixel (u, v) with pattern coordinates (p, q): a, b, c, d are the four sine images I₀..I₃,
-# (cosine, sine) = B (cos φ, sin φ), and C = a − b + c − d. x holds the terms that C is fitted by: B, B cos
-# φ, B sin φ, B cos 2φ, B sin 2φ, the mean light, B cos 6φ and B sin 6φ; and behind them C. A row of sums holds the lower triangle of
-# Σ x xᵀ, each of its rows filled up to a multiple of three; the same of what x differs by from the pixel to the one below; and the sums
-# named by the constants below.
+# (cosine, sine) = B (cos φ, sin φ), and C = a − b + c − d. x holds the terms that C is fitted by: B, B cos φ, B sin φ,
+# B cos 2φ, B sin 2φ, the mean light, B cos 6φ and B sin 6φ; and behind them C. A row of sums holds the lower triangle
+# of Σ x xᵀ, each of its rows filled up to a multiple of three; the same of what x differs by from the pixel to the one
+# below; and the sums named by the constants below.
 
 _SIZE = TERMS + 1
 _AT_ONCE = 3
@@ -37,12 +38,13 @@ COUNT, U, V, INVERSE, LIGHT, SLOPE, SLOPES, TEXTURE, TEXTURES, APART_NOISE, APAR
     2 * _PRODUCTS + k for k in range(11)
 )
 COLUMNS = APART_SCALE + 1
-# A pixel's code: 0 for one that does not count; else its column of cells plus 1, shifted by two bits, one of which says that both
-# neighbours along the row have coordinates, the other that the one below has.
+# A pixel's code: 0 for one that does not count; else its column of cells plus 1, shifted by two bits, one of which says
+# that both neighbours along the row have coordinates, the other that the one below has.
 _BESIDE, _BELOW, _SHIFT = 2, 1, 2
-# Rows of numbers that the kernel works in, one for each pixel of a run: the four values of the pixel and of the one below, side by side; the
-# sums of the four of both neighbours, and their coordinates; whether the pixel, its neighbours and the one below count, as 1 or 0; and x
-# of the pixel and of the one below. All in one array at known distances, or the compiler would not make vectors of loops over them.
+# Rows of numbers that the kernel works in, one for each pixel of a run: the four values of the pixel and of the one
+# below, side by side; the sums of the four of both neighbours, and their coordinates; whether the pixel, its neighbours
+# and the one below count, as 1 or 0; and x of the pixel and of the one below. All in one array at known distances, or
+# the compiler would not make vectors of loops over them.
 _BOTH = 2 * RUN
 _VALUES = 0
 _BEFORE, _AFTER, _P_BEFORE, _P_AFTER, _GOOD, _SLOPED, _PAIRED = (4 * _BOTH + RUN * k for k in range(7))
@@ -82,7 +84,8 @@ class CellSums:
 def run_sums(
     frames: NDArray[np.uint8], p_px: NDArray[np.float32], sequence: PatternSequence, variance_dn2: tuple[float, float]
 ) -> RunSums:
-    """Sum up one camera's sine images of X, of ``frames`` (n, h, w) uint8, run by run; ``p_px`` (h, w) as decoded so far."""
+    """Sum up one camera's sine images of X, of ``frames`` (n, h, w) uint8, run by run; ``p_px`` (h, w) as decoded so
+    far."""
     images = _sines(frames, sequence)
     stride, shape = _stride(p_px.shape), cells_of(sequence)
     height, width = p_px.shape
@@ -100,16 +103,17 @@ def cell_sums(
     variance_dn2: tuple[float, float],
     runs: RunSums | None = None,
 ) -> CellSums:
-    """Sum up one camera's sine images of X, of ``frames`` (n, h, w) uint8, cell by cell; ``p_px`` and ``q_px`` (h, w) float32.
+    """Sum up one camera's sine images of X, of ``frames`` (n, h, w) uint8, cell by cell; ``p_px`` and ``q_px`` (h, w)
+    float32.
 
-    ``variance_dn2``: of the camera's noise as (dark, per grey value). ``runs``: what ``run_sums`` returned, where it was asked while the
-    frames arrived.
+    ``variance_dn2``: of the camera's noise as (dark, per grey value). ``runs``: what ``run_sums`` returned, where it
+    was asked while the frames arrived.
     """
     runs = runs or run_sums(frames, p_px, sequence, variance_dn2)
     sums = np.zeros((*cells_of(sequence), COLUMNS))
     _collect(
         _sines(frames, sequence), p_px, q_px, _stride(p_px.shape), _single(variance_dn2), runs.code, runs.sums, sums
-    )  # fmt: skip
+    )
     row, column = np.tril_indices(_SIZE)
     at = _PLACES[row] + column
     full = np.empty((2, *sums.shape[:2], _SIZE, _SIZE))
@@ -145,7 +149,8 @@ def _encode_row(
     columns: int,
     code: NDArray[np.int16],
 ) -> None:
-    """Write the codes of every ``stride``-th pixel of one row of coordinates; ``under`` is the row below it, if it is not the ``last``."""
+    """Write the codes of every ``stride``-th pixel of one row of coordinates; ``under`` is the row below it, if it is
+    not the ``last``."""
     begin, most = stride // 2 + 1, np.float32(columns * CELL_PX)
     for i in range(code.size):
         u = begin + i * stride
@@ -292,7 +297,8 @@ def _add(
     x: NDArray[np.float32],
     sums: NDArray[np.float32],
 ) -> None:
-    """Add the pixels of row ``j`` from the ``first`` one on, as many as ``code`` has and of which it is not 0, to ``sums`` (COLUMNS,).
+    """Add the pixels of row ``j`` from the ``first`` one on, as many as ``code`` has and of which it is not 0, to
+    ``sums`` (COLUMNS,).
 
     ``work`` (_WORK,) and ``x`` (2, _SIZE + _AT_ONCE, RUN), whose last rows are zeros, are written to.
     """
@@ -316,7 +322,8 @@ def _add(
             work[_VALUES + RUN + i], work[_VALUES + _BOTH + RUN + i] = i0[below, u], i1[below, u]
             work[_VALUES + 2 * _BOTH + RUN + i], work[_VALUES + 3 * _BOTH + RUN + i] = i2[below, u], i3[below, u]
         if code[i] & _BESIDE:
-            # Coordinate and I₀ + I₁ + I₂ + I₃ on both sides: their difference is twice the slope, or eight times the light's.
+            # Coordinate and I₀ + I₁ + I₂ + I₃ on both sides: their difference is twice the slope, or eight times the
+            # light's.
             work[_SLOPED + i] = _ONE
             work[_P_BEFORE + i], work[_P_AFTER + i] = p_px[v, u - 1], p_px[v, u + 1]
             work[_BEFORE + i] = np.int32(i0[v, u - 1]) + i1[v, u - 1] + i2[v, u - 1] + i3[v, u - 1]

@@ -1,13 +1,15 @@
 """Owns what part of the fringes' drift makes the ripple, where the movement is not steady.
 
-With x₀ … x₃ where the fringes stand in the four x-sines, the ripple that four steps of 90° leave goes with the mean of the first and
-the last step, s = (x₁ − x₀ + x₃ − x₂)/2, while the combination that holds no phase tells the two double steps alone,
-x₂ − x₀ and x₃ − x₁ (``drift``), whose mean per frame is ε. Of a steady movement, or one that gathers speed evenly, both are the same. Of a shake of ω per
-frame that passes its middle just then, s/ε = cos ω / cos² (ω/2): 0.95 at 4 Hz and 60 frames/s, 0.8 at 8 Hz, 0.5 at 12 Hz.
+With x₀ … x₃ where the fringes stand in the four x-sines, the ripple that four steps of 90° leave goes with the mean of
+the first and the last step, s = (x₁ − x₀ + x₃ − x₂)/2, while the combination that holds no phase tells the two double
+steps alone, x₂ − x₀ and x₃ − x₁ (``drift``), whose mean per frame is ε. Of a steady movement, or one that gathers speed
+evenly, both are the same. Of a shake of ω per frame that passes its middle just then, s/ε = cos ω / cos² (ω/2): 0.95 at
+4 Hz and 60 frames/s, 0.8 at 8 Hz, 0.5 at 12 Hz.
 
-The step between the two is not in the x-sines, but the Gray images before them show the way there (``edges``): is it a shake, and how quick?
-The way is taken for a steady one that gathers speed, with a shake of unknown strength and of a frequency that hands have. Each of
-a number of frequencies and strengths explains what was seen more or less well; s² is the mean over all, each counted as likely as it is.
+The step between the two is not in the x-sines, but the Gray images before them show the way there (``edges``): is it a
+shake, and how quick? The way is taken for a steady one that gathers speed, with a shake of unknown strength and of a
+frequency that hands have. Each of a number of frequencies and strengths explains what was seen more or less well; s² is
+the mean over all, each counted as likely as it is.
 """
 
 from __future__ import annotations
@@ -47,7 +49,8 @@ def steps2(
 ) -> float | None:
     """Return s² over ε²; ``None`` where the drift is too small to be followed.
 
-    ``course`` is the shift of the Gray edges and its standard deviation (``scores.edge_course``), in units of the same typical drift.
+    ``course`` is the shift of the Gray edges and its standard deviation (``scores.edge_course``), in units of the same
+    typical drift.
     """
     unit = drift_unit(harm)
     if unit is None:
@@ -61,7 +64,8 @@ def steps2(
     frames = np.array([*axis.gray, *axis.sine], np.float64)
     at = frames - frames[-4:].mean()
     grays = len(axis.gray)
-    # What is seen, as combinations of where the fringes stand in the frames: of the Gray images against the mean of the sines, then both double steps.
+    # What is seen, as combinations of where the fringes stand in the frames: of the Gray images against the mean of the
+    # sines, then both double steps.
     seen = np.zeros((grays + 2, grays + 4))
     seen[:grays, :grays] = np.eye(grays)
     seen[:grays, grays:] = -0.25
@@ -88,8 +92,8 @@ def _doubt2(steps: Array) -> float:
 def _expected2(seen: Array, values: Array, variance: Array, wanted: Array, at: Array, omega: Array) -> float:
     """Return the expected square of ``wanted`` · x, given that ``seen`` · x (n,) is ``values`` with ``variance``.
 
-    x is where the fringes stand ``at`` frames from the middle of the sines, in units of the typical drift per frame. Of ``omega``, radians
-    per frame, the first is 0: no shake.
+    x is where the fringes stand ``at`` frames from the middle of the sines, in units of the typical drift per frame. Of
+    ``omega``, radians per frame, the first is 0: no shake.
     """
     # Ways (shakes, frames, 4): steady, gathering speed, and two phases of a shake whose speed is 1.
     ways = np.stack(

@@ -1,19 +1,21 @@
 """Owns the map of phase drift: how far the fringes move from one sine image to the next, place by place.
 
-Four steps of 90° leave one combination that holds no phase, C = I₀ − I₁ + I₂ − I₃. On a thing at rest it is noise, but for
-what daylight adds between images (in proportion to the modulation) and for the second harmonic of the projector's light
-(cos 2φ). A fringe that drifts by ε from image to image makes C = 2 ε B (sin φ − cos φ). Least squares over a cell of the
-pattern therefore tell ε, signed. Flickering and drifting daylight adds a part of the mean light and of the modulation to each image, and the
-projector's second harmonic a cos 2φ: all three are terms of the fit. So is its sixth, the only other one below the tenth that is
-left in C: a light that is made of bit planes and seen for a part of a frame has steps, and these have harmonics. Depth steps, shadows and edges of albedo at rest give the same
-C as any other pixel: nothing. Cells are squares of the *pattern*, so that both cameras' cells are the same place on the
-thing, whatever its shape.
+Four steps of 90° leave one combination that holds no phase, C = I₀ − I₁ + I₂ − I₃. On a thing at rest it is noise, but
+for what daylight adds between images (in proportion to the modulation) and for the second harmonic of the projector's
+light (cos 2φ). A fringe that drifts by ε from image to image makes C = 2 ε B (sin φ − cos φ). Least squares over a cell
+of the pattern therefore tell ε, signed. Flickering and drifting daylight adds a part of the mean light and of the
+modulation to each image, and the projector's second harmonic a cos 2φ: all three are terms of the fit. So is its sixth,
+the only other one below the tenth that is left in C: a light that is made of bit planes and seen for a part of a frame
+has steps, and these have harmonics. Depth steps, shadows and edges of albedo at rest give the same C as any other
+pixel: nothing. Cells are squares of the *pattern*, so that both cameras' cells are the same place on the thing,
+whatever its shape.
 
-It also owns where the edges of the Gray stripes stood, frame by frame, against the phase that the sine images found afterwards.
+It also owns where the edges of the Gray stripes stood, frame by frame, against the phase that the sine images found
+afterwards.
 
 A pixel's grey value between dark and bright says on which side of a stripe's edge it is, and near the edge how far. The
-phase says the same, some frames later. What the edges have moved in between is the movement over that time: less precise
-than the drift within the sine images, but frame by frame, so that a tremor differs from a steady movement.
+phase says the same, some frames later. What the edges have moved in between is the movement over that time: less
+precise than the drift within the sine images, but frame by frame, so that a tremor differs from a steady movement.
 """
 
 from __future__ import annotations
@@ -89,8 +91,8 @@ def drift_map(
     """Measure the drift in one camera's frames (n, h, w) uint8, by the sine images across which depth moves the
     pattern.
 
-    ``variance_dn2``: of the cameras' noise as (dark, per grey value), see ``CameraNoise``. ``runs``: what ``cells.run_sums`` returned,
-    where it was asked while the frames arrived.
+    ``variance_dn2``: of the cameras' noise as (dark, per grey value), see ``CameraNoise``. ``runs``: what
+    ``cells.run_sums`` returned, where it was asked while the frames arrived.
     """
     sums = cell_sums(frames, decoded.p_px, decoded.q_px, sequence, variance_dn2, runs)
     return _drift_of_sums(sums, sequence.period_px / (2.0 * np.pi), variance_dn2)
@@ -108,15 +110,17 @@ def _drift_of_sums(sums: CellSums, px_per_rad: float, variance_dn2: tuple[float,
     fit = (inverse @ right[..., None])[..., 0]
     # Residual variance of the fit: (Σ C² − fit · right) / degrees of freedom.
     rest = np.maximum(sums.here[..., TERMS, TERMS] - np.sum(fit * right, -1), 0.0) / np.maximum(count - TERMS, 1.0)
-    # C = 2 ε B (sin φ − cos φ): the coefficients of B sin φ and B cos φ are 2 ε and −2 ε; ε is a quarter of their difference.
+    # C = 2 ε B (sin φ − cos φ): the coefficients of B sin φ and B cos φ are 2 ε and −2 ε; ε is a quarter of their
+    # difference.
     drift = 0.25 * (fit[..., 2] - fit[..., 1])
     # A second harmonic κ puts 4 κ cos 2φ into C, and a drift bends φ itself, by 2 ε κ sin 2φ (cos φ − sin φ): of the
     # drift's own terms, 4 κ² are then missing from C.
     second2 = (fit[..., 3] ** 2 + fit[..., 4] ** 2) / 16.0
     px = px_per_rad / np.maximum(1.0 - 4.0 * second2, LEAST_LEFT)
     variance = rest * 0.0625 * (inverse[..., 1, 1] + inverse[..., 2, 2] - 2.0 * inverse[..., 1, 2])
-    # Σ (C − fit · x)² of differences from one pixel to that below, which a drift does not make: down an x-fringe the phase hardly
-    # changes. What the light's own steps leave of the fit, which follows the phase, is none of it, and neither is noise.
+    # Σ (C − fit · x)² of differences from one pixel to that below, which a drift does not make: down an x-fringe the
+    # phase hardly changes. What the light's own steps leave of the fit, which follows the phase, is none of it, and
+    # neither is noise.
     left = np.concatenate([-fit, np.ones((*count.shape, 1))], -1)
     apart = np.sum(left * (sums.apart @ left[..., None])[..., 0], -1)
 
@@ -141,14 +145,14 @@ def _drift_of_sums(sums: CellSums, px_per_rad: float, variance_dn2: tuple[float,
 
 
 INNER_PX, REACH_PX = 4.5, 7.5
-"""Pattern px beside an edge: within the first, the light that an edge has moved is added up; from there to the second, how
-dark and how light its sides are. Blur stays within the first; the next edge is 16 px away at least."""
+"""Pattern px beside an edge: within the first, the light that an edge has moved is added up; from there to the second,
+how dark and how light its sides are. Blur stays within the first; the next edge is 16 px away at least."""
 SAMPLES = 60_000
 """Pixels of a camera that are looked at, about."""
 # Symbols of the kernel. way is +1 where light begins at the edge, −1 where it ends; beside is the distance from the
-# edge towards the light, pattern px; brightness is the image's value from dark (0) to bright (1). The sums hold, for the inner
-# part and for the dark and the bright side, how many pixels there are and their light; and the light of an ideal,
-# unmoved edge.
+# edge towards the light, pattern px; brightness is the image's value from dark (0) to bright (1). The sums hold, for
+# the inner part and for the dark and the bright side, how many pixels there are and their light; and the light of an
+# ideal, unmoved edge.
 
 _COLUMNS = 8
 _INNER, _INNER_LIT, _INNER_STEP, _INNER_WAY, _LOW, _LOW_LIT, _HIGH, _HIGH_LIT = range(_COLUMNS)
@@ -178,9 +182,9 @@ def _accumulate(
     cell_px: float,
     sums: NDArray[np.float64],
 ) -> None:
-    """Add every ``stride``-th row and column of the images ``gray`` to ``sums`` (images, rows, columns, _COLUMNS); ``edges_px`` and
-    ``rises`` (images, width) are each pattern column's nearest edge (NaN: too far) and +1 where light begins there, −1 where it ends.
-    ``references``: bright and dark.
+    """Add every ``stride``-th row and column of the images ``gray`` to ``sums`` (images, rows, columns, _COLUMNS);
+    ``edges_px`` and ``rises`` (images, width) are each pattern column's nearest edge (NaN: too far) and +1 where light
+    begins there, −1 where it ends. ``references``: bright and dark.
 
     All images at once: the maps and the references, which lie in memory far apart from pixel to pixel, are read once.
     """
@@ -209,7 +213,8 @@ def _accumulate(
                 beside = way * (np.float64(p) - edge)
                 # Both sides of an edge belong to its cell: edges of the coarse bits lie where cells meet.
                 s = sums[k, row, int(edge / cell_px)]
-                # Around the edge: Σ ±light, and beside it Σ ±1 on the illuminated side, what an edge gives that did not move.
+                # Around the edge: Σ ±light, and beside it Σ ±1 on the illuminated side, what an edge gives that did not
+                # move.
                 if abs(beside) <= INNER_PX:
                     s[_INNER] += 1.0
                     s[_INNER_LIT] += way * brightness
@@ -242,8 +247,10 @@ def edge_shifts(frames: NDArray[np.uint8], decoded: CameraDecoder, sequence: Pat
 
 @lru_cache(maxsize=4)
 def edges_of(sequence: PatternSequence) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the nearest edges and their ways (images, width) of all Gray images across which depth moves the pattern. They are
-    the same in every scan, and not to be written to."""
+    """Return the nearest edges and their ways (images, width) of all Gray images across which depth moves the pattern.
+
+    They are the same in every scan, and not to be written to.
+    """
     edges_px, rises = zip(*(_edges(sequence.patterns[k].codes()) for k in sequence.axis(Direction.X).gray), strict=True)
     return np.stack(edges_px), np.stack(rises)
 

@@ -1,8 +1,9 @@
 """Owns what a movement adds to the noise of the points, as it follows from the drift maps of both cameras.
 
-Lateral movement of a surface that faces the instrument changes only what albedo a pixel sees, for both cameras alike: their
-coordinates are wrong together, and points stay right. Depth moves the fringes in both cameras *against each other*. With
-E = ε left − ε right, in pattern px per frame, the ripple of the difference of both coordinates has a mean square of
+Lateral movement of a surface that faces the instrument changes only what albedo a pixel sees, for both cameras alike:
+their coordinates are wrong together, and points stay right. Depth moves the fringes in both cameras *against each
+other*. With E = ε left − ε right, in pattern px per frame, the ripple of the difference of both coordinates has a mean
+square of
 
 - E² (s²/8 + 2 κ²): four steps of 90° (their error is s E/2 · cos 2φ, with s = 1 of a steady movement, see ``course``), and what the
   projector's second harmonic, κ of the first, adds as it drifts along (2 E κ · sin 2φ (cos φ − sin φ)). The right coordinate is read off
@@ -11,8 +12,9 @@ E = ε left − ε right, in pattern px per frame, the ripple of the difference 
   (E · g · P/2π · (cos φ + sin φ)); where it goes to and fro, with half the way from an image to the next but one;
 - what is uneven in the phase error that moving albedo makes in both cameras alike: they sample it at different places.
 
-Where the way from image to image is not steady, each counts with the way between the two images that matter to it. Noise is that
-of four steps in both cameras' light. Both are taken across the surface (``SurfaceMap``), so harm is a ratio of two known things.
+Where the way from image to image is not steady, each counts with the way between the two images that matter to it.
+Noise is that of four steps in both cameras' light. Both are taken across the surface (``SurfaceMap``), so harm is a
+ratio of two known things.
 """
 
 from __future__ import annotations
@@ -84,7 +86,8 @@ def facing(cloud: Cloud, width_px: int) -> tuple[NDArray[np.float32], NDArray[np
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _step(there: NDArray[np.bool_]) -> tuple[int, int, int]:
-    """Return the first and the last of the places that are there, and the greatest step that leads to all of them; 0: there is but one."""
+    """Return the first and the last of the places that are there, and the greatest step that leads to all of them; 0:
+    there is but one."""
     first, last, step = -1, -1, 0
     for place in range(there.size):
         if there[place]:
@@ -106,7 +109,8 @@ def _face(
     cosine: NDArray[np.float32],
     inside: NDArray[np.intp],
 ) -> int:
-    """Write ``facing`` of ``points_mm`` (n, 3) to the beginnings of ``cosine`` and ``inside`` (n,); return how many there are."""
+    """Write ``facing`` of ``points_mm`` (n, 3) to the beginnings of ``cosine`` and ``inside`` (n,); return how many
+    there are."""
     wide_px, n = np.uint32(width_px), pixel.size
     # Rows and columns that any point lies in, and the grid that has them all.
     highest = np.uint32(0)
@@ -164,7 +168,8 @@ def _sum_cells(
     columns: int,
     sums: Array,
 ) -> None:
-    """Add to ``sums`` (3, cells) the points ``inside``, cos² θ and variance · cos² θ: errors along a ray count across the surface by cos θ."""
+    """Add to ``sums`` (3, cells) the points ``inside``, cos² θ and variance · cos² θ: errors along a ray count across
+    the surface by cos θ."""
     for k in range(inside.size):
         p, q = p_px[pixel[inside[k]]], q_px[pixel[inside[k]]]
         if not (p >= 0.0 and q >= 0.0 and p < columns * CELL_PX and q < rows * CELL_PX and np.isfinite(cosine[k])):
@@ -179,14 +184,14 @@ def _sum_cells(
 UNSURE = 4.0
 """Cells whose drift is this many times less certain than the median cell's are left out."""
 UNEVEN_LEFT = 0.3
-"""Phase errors that albedo makes in both cameras alike cancel, but for what differs from one pixel to the next: so much of
-that is left. From training scans."""
+"""Phase errors that albedo makes in both cameras alike cancel, but for what differs from one pixel to the next: so much
+of that is left. From training scans."""
 NOISE_UNCERTAINTY = 0.1
 """Share of its variance by which the noise may exceed what is stated, before what is over counts as moving albedo."""
 MIN_CELLS = 4
 READ_NOISE = 0.8
-"""Share of a right coordinate's variance that is left where it is read off between pixels, along a parabola through three of them:
-its mean over all places."""
+"""Share of a right coordinate's variance that is left where it is read off between pixels, along a parabola through
+three of them: its mean over all places."""
 _PLACES, _SHARES = (x / 2.0 for x in np.polynomial.legendre.leggauss(5))
 """Places between pixels, from −½ to ½, and their weights in a mean over all of them."""
 
@@ -235,7 +240,8 @@ def predict(
     from ``double_step2``, the mean square way of the albedo over the left image in two frames, px² (``None``: there
     is none to see).
 
-    ``steps2`` is the square of the mean first and last step of the x-sines over that of their drift (``course.steps2``).
+    ``steps2`` is the square of the mean first and last step of the x-sines over that of their drift
+    (``course.steps2``).
     """
     px_per_rad = period_px / (2.0 * np.pi)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -290,8 +296,8 @@ def predict(
 
 
 def _noisier(left: DriftMap, right: DriftMap) -> float:
-    """Return the variance of the right coordinates over that of the left ones: of most cells, since where the pattern ends each camera sees another
-    part of one."""
+    """Return the variance of the right coordinates over that of the left ones: of most cells, since where the pattern
+    ends each camera sees another part of one."""
     ratio = right.noise_rad2 / left.noise_rad2
     known = np.isfinite(ratio)
     return float(np.median(ratio[known])) if known.any() else np.nan

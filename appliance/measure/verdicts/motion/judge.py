@@ -43,8 +43,11 @@ from appliance.measure.verdicts.motion.texture import Means, TextureShift, textu
 
 NAME = "motion"
 MOST_ADDED = 0.07
-"""Largest fraction of the noise that a movement may add. Between what nobody notices (0.05) and what must not be kept (0.10) it lies half-way, as a
-ratio of what is added to the square of the noise: predictions of that are as often too large as too small."""
+"""Largest fraction of the noise that a movement may add.
+
+Between what nobody notices (0.05) and what must not be kept (0.10) it lies half-way, as a ratio of what is added to the
+square of the noise: predictions of that are as often too large as too small.
+"""
 
 _SHADOW, _SATURATED, _CONTRADICTION = (np.uint8(m) for m in (Mask.SHADOW, Mask.SATURATED, Mask.CONTRADICTION))
 
@@ -97,8 +100,8 @@ def judge_motion(
     means: Mapping[str, Means] | None = None,
     runs: Mapping[str, RunSums] | None = None,
 ) -> MotionJudgement:
-    """Judge a whole sequence with its coarse ``cloud``; ``rig`` and ``water_index`` turn px into mm. About 40 ms of CPU at
-    full size.
+    """Judge a whole sequence with its coarse ``cloud``; ``rig`` and ``water_index`` turn px into mm. About 40 ms of CPU
+    at full size.
 
     ``means`` of both sides and ``runs`` of X, where they were taken while the frames arrived.
     """
@@ -120,7 +123,7 @@ def judge_motion(
     double_step2 = _double_step2(albedo, flow, texture)
     harm = predict(
         drift["left"], drift["right"], surface, double_step2, rig, water_index, sequence.period_px, images.frame_s
-    )  # fmt: skip
+    )
     trend = drift_trend(harm)
     course = edge_course(edges, harm)
     shaken = steps2(course, drift["left"], drift["right"], harm, sequence, images.frame_s)
@@ -156,7 +159,8 @@ def judge_motion(
 
 
 def _double_step2(albedo: Mapping[str, AlbedoShifts], flow: float | None, texture: float | None) -> float | None:
-    """Return the mean over the cameras that see any albedo; ``None`` unless the scores of ``flow`` or ``texture`` say that it moved.
+    """Return the mean over the cameras that see any albedo; ``None`` unless the scores of ``flow`` or ``texture`` say
+    that it moved.
 
     The water's light goes with the stripes, and looks like a way of what is lit by them.
     """
@@ -180,8 +184,8 @@ def _lost_share(decoded: CameraDecoder) -> float:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _count(mask: NDArray[np.uint8]) -> tuple[np.int64, np.int64]:
-    """Return how many pixels of ``mask`` (h, w) are illuminated and not saturated, and how many lost their coordinates at an edge or
-    by a contradiction."""
+    """Return how many pixels of ``mask`` (h, w) are illuminated and not saturated, and how many lost their coordinates
+    at an edge or by a contradiction."""
     illuminated = lost = np.int64(0)
     for v in range(mask.shape[0]):
         in_light, without = _count_row(mask[v])
@@ -192,7 +196,8 @@ def _count(mask: NDArray[np.uint8]) -> tuple[np.int64, np.int64]:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def _count_row(row: NDArray[np.uint8]) -> tuple[np.uint16, np.uint16]:
-    """Return the same of one ``row`` (w,) of less than 65,536 pixels: the processor adds many numbers of 16 bits at once."""
+    """Return the same of one ``row`` (w,) of less than 65,536 pixels: the processor adds many numbers of 16 bits at
+    once."""
     in_light = without = np.uint16(0)
     for u in range(row.size):
         in_light = np.uint16(in_light + np.uint16((row[u] != _SHADOW) & (row[u] != _SATURATED)))

@@ -1,7 +1,7 @@
 """Owns whether anything moved at all: each sign of movement as a score, scaled by what scans at rest make of it.
 
-A score is a statistic over its own standard deviation and what it may be off at rest. The scales below were chosen on scans
-at rest (seeds from 10,000) so that no score of theirs exceeds 3.5; ``MOVED`` leaves room above that.
+A score is a statistic over its own standard deviation and what it may be off at rest. The scales below were chosen on
+scans at rest (seeds from 10,000) so that no score of theirs exceeds 3.5; ``MOVED`` leaves room above that.
 """
 
 from __future__ import annotations
@@ -22,10 +22,11 @@ MOVED = 4.5
 DRIFT_FLOOR_PX, EDGE_FLOOR_PX, FLOW_FLOOR_PX = 0.001, 0.025, 0.01
 """Errors of the statistics at rest beside their noise: pattern px per frame, pattern px, binned px."""
 CHANGE, EARLY_CHANGE = (1.045, 0.020), (1.10, 0.07)
-"""The differences of means at rest, in units of noise, and their standard deviations: rounding, and the projector's bends."""
+"""The differences of means at rest, in units of noise, and their standard deviations: rounding, and the projector's
+bends."""
 LOCKED_LEFT = 0.04
-"""Share of what was taken out of a change, as following the phase, by which the rest may still be wrong: a light that has steps is
-seen through an optics that changes over the picture."""
+"""Share of what was taken out of a change, as following the phase, by which the rest may still be wrong: a light that
+has steps is seen through an optics that changes over the picture."""
 MIN_EDGE_CELLS = 6
 
 Array = NDArray[np.float64]
@@ -72,8 +73,8 @@ def drift_trend(harm: Harm) -> DriftTrend | None:
     normal = basis.T @ (weight[:, None] * basis) + 1e-9 * np.eye(3)
     inverse = np.linalg.inv(normal)
     fit = inverse @ (basis.T @ (weight * harm.drift_px[known]))
-    # Birge's ratio: cells that scatter about the trend more than they say know it less well, all of them. Light from the next
-    # surface in a corner, for one, has harmonics of its own.
+    # Birge's ratio: cells that scatter about the trend more than they say know it less well, all of them. Light from
+    # the next surface in a corner, for one, has harmonics of its own.
     beside = weight * (harm.drift_px[known] - basis @ fit) ** 2
     birge = np.sqrt(max(1.0, float(np.sum(beside)) / max(beside.size - basis.shape[1], 1)))
     sd = np.sqrt(np.diag(inverse)) * birge
@@ -107,8 +108,8 @@ def edge_course(edges: Mapping[str, EdgeShifts], harm: Harm) -> tuple[Array, Arr
 
 
 def drift_unit(harm: Harm) -> tuple[NDArray[np.bool_], float] | None:
-    """Return the cells that are certain of their drift and have a good part of the typical one, and that one in pattern px per
-    frame; ``None`` where most cells are not certain."""
+    """Return the cells that are certain of their drift and have a good part of the typical one, and that one in pattern
+    px per frame; ``None`` where most cells are not certain."""
     size = np.abs(harm.drift_px)
     sure = (size > 3.0 * harm.sd_px) & (harm.weight > 0.0)
     if not np.count_nonzero(sure) >= 0.5 * np.count_nonzero(harm.weight > 0.0) > 0.0:

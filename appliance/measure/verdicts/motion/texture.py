@@ -1,9 +1,11 @@
-"""Owns whether the texture stood still: the fringes' mean of one direction against that of the other, and how it flowed.
+"""Owns whether the texture stood still: the fringes' mean of one direction against that of the other, and how it
+flowed.
 
-Four steps of 90° add up to an image without fringes. The one of the x-sines and the one of the y-sines are eleven frames
-apart; at rest they differ by noise, once the daylight's change is fitted as a gain, and by what is left of the fringes: four
-steps take out all harmonics of a light that is no pure sine but each fourth one. That part follows the phase, and is taken out by it. Texture is divided by its surroundings
-before it is followed: the projector's light stays with the instrument, only albedo moves.
+Four steps of 90° add up to an image without fringes. The one of the x-sines and the one of the y-sines are eleven
+frames apart; at rest they differ by noise, once the daylight's change is fitted as a gain, and by what is left of the
+fringes: four steps take out all harmonics of a light that is no pure sine but each fourth one. That part follows the
+phase, and is taken out by it. Texture is divided by its surroundings before it is followed: the projector's light stays
+with the instrument, only albedo moves.
 """
 
 from __future__ import annotations
@@ -34,7 +36,8 @@ MIN_POINTS = 6
 LEAST_PIXELS = 200
 """Binned pixels that show the object, away from its outline; of fewer nothing is said."""
 LOCKED_FROM = 1.1
-"""A difference, in units of noise, from which on its part that follows the phase is looked for: at rest there is none below it."""
+"""A difference, in units of noise, from which on its part that follows the phase is looked for: at rest there is none
+below it."""
 LOCKED_BINS, LOCKED_ROUNDS = 24, 2
 """Bins of a quarter of a fringe, and rounds in which both directions' parts are found in turn."""
 CLIP, CLIPPED = 2.5, 0.986
@@ -78,7 +81,8 @@ def _add_row(row: NDArray[np.uint8], line: NDArray[np.uint16]) -> None:
 def _add_binned(image: NDArray[np.uint8], bin_px: int, stride: int, sums: NDArray[np.uint32]) -> None:
     """Add the sums over squares of ``bin_px`` (of which each ``stride``-th row counts).
 
-    Whole rows are added up first, which is what vector instructions do best; so are four neighbours, if their number is known.
+    Whole rows are added up first, which is what vector instructions do best; so are four neighbours, if their number is
+    known.
     """
     line = np.zeros(sums.shape[1] * bin_px, np.uint16)
     for j in range(sums.shape[0]):
@@ -217,7 +221,8 @@ def _flow(
 
 @dataclass(frozen=True, slots=True)
 class _Fringes:
-    """Places in a quarter of a fringe at which the pixels lie, for both directions: (pixels inside,) each, 0..``LOCKED_BINS`` − 1."""
+    """Places in a quarter of a fringe at which the pixels lie, for both directions: (pixels inside,) each,
+    0..``LOCKED_BINS`` − 1."""
 
     bins: tuple[NDArray[np.int64], NDArray[np.int64]]
 
@@ -301,8 +306,8 @@ def _subtract(
 def _clipped_sd(
     rest: NDArray[np.float32], smooth: NDArray[np.float32], around: NDArray[np.float32], inside: NDArray[np.bool_]
 ) -> float:
-    """Return the standard deviation of rest − smooth / around inside, clipped at ``CLIP`` times what it would be without; ``rest`` is written
-    to."""
+    """Return the standard deviation of rest − smooth / around inside, clipped at ``CLIP`` times what it would be
+    without; ``rest`` is written to."""
     count, total, squares = 0, 0.0, 0.0
     for j in range(rest.shape[0]):
         for i in range(rest.shape[1]):
@@ -348,7 +353,8 @@ def _write_levels(
     picture: NDArray[np.uint8],
     scale: NDArray[np.float32],
 ) -> None:
-    """Write levels around 128, of valid pixels, and levels per grey value; ``around`` over ``weights`` is the mean light about each pixel."""
+    """Write levels around 128, of valid pixels, and levels per grey value; ``around`` over ``weights`` is the mean
+    light about each pixel."""
     for j in range(image.shape[0]):
         for i in range(image.shape[1]):
             weight, least = weights[j, i], np.float32(1e-3)
@@ -410,7 +416,8 @@ def _mirrored(place: int, size: int) -> int:
 def _structure(
     picture: NDArray[np.uint8], inside: NDArray[np.bool_], at: NDArray[np.int64], tensors: NDArray[np.float32]
 ) -> None:
-    """Write the means of gx², gy², gx gy and of ``inside`` over the windows around each place ``at`` (n, 2) to ``tensors`` (n, 4).
+    """Write the means of gx², gy², gx gy and of ``inside`` over the windows around each place ``at`` (n, 2) to
+    ``tensors`` (n, 4).
 
     Gradients are those of Sobel, per px, inside only: silhouettes are not followed, for they bend with the view.
     """

@@ -1,23 +1,27 @@
-"""Owns what the frames say of the object by themselves: whether it shows fringes, how much light it sends, where it lies.
+"""Owns what the frames say of the object by themselves: whether it shows fringes, how much light it sends, where it
+lies.
 
 It is asked where decoding comes to nothing: a pixel needs 5 grey values of modulation, but the mean over a cell of some
-hundred pixels tells fringes of half a grey value from noise. Fringes across the baseline are the object's alone: a ray crosses
-many of them in the water, so that the water's light has none. Points are asked where they lie before any limit of depth; where
-there are none, the stripes that a saturated object still shows (``stripes``), or else the fringes themselves (``distance``).
+hundred pixels tells fringes of half a grey value from noise. Fringes across the baseline are the object's alone: a ray
+crosses many of them in the water, so that the water's light has none. Points are asked where they lie before any limit
+of depth; where there are none, the stripes that a saturated object still shows (``stripes``), or else the fringes
+themselves (``distance``).
 
-It also owns how far away something lies that is saturated: by the stripes of the Gray images, which are dark however bright the
-object is.
+It also owns how far away something lies that is saturated: by the stripes of the Gray images, which are dark however
+bright the object is.
 
-A saturated pixel has lost the fringes' phase, but not the Gray code: a white stripe saturates it, a black one does not. So both
-cameras still read which half period of the fringes lights each pixel. A pixel of the left camera is laid over the right image
-where each depth would put it, and lies at the depth at which the right camera reads the same number there.
+A saturated pixel has lost the fringes' phase, but not the Gray code: a white stripe saturates it, a black one does not.
+So both cameras still read which half period of the fringes lights each pixel. A pixel of the left camera is laid over
+the right image where each depth would put it, and lies at the depth at which the right camera reads the same number
+there.
 
-It also owns how far something lies whose fringes are too faint to be decoded: at which depth both cameras see the same patterns.
+It also owns how far something lies whose fringes are too faint to be decoded: at which depth both cameras see the same
+patterns.
 
-A pixel must tell 5 grey values of fringes from noise before it is decoded; a small window over all images across the baseline
-tells a seventh of that. So windows of the left camera are laid over the right one where each depth would put them, and their
-changes from image to image compared. Of Gray images only what changes within the window counts: an edge is the object's, what
-is smooth may be the water's.
+A pixel must tell 5 grey values of fringes from noise before it is decoded; a small window over all images across the
+baseline tells a seventh of that. So windows of the left camera are laid over the right one where each depth would put
+them, and their changes from image to image compared. Of Gray images only what changes within the window counts: an edge
+is the object's, what is smooth may be the water's.
 """
 
 from __future__ import annotations
@@ -44,15 +48,19 @@ Floats = NDArray[np.float32]
 ASKED = 600
 """Pixels of the left camera, at most."""
 STRIPE_SWING_DN = 60.0
-"""Least difference from the dark image to the bright one: with less, other light than the projector's saturates the pixel."""
+"""Least difference from the dark image to the bright one: with less, other light than the projector's saturates the
+pixel."""
 BESIDE_MIDDLE = 0.2
-"""A Gray image's grey value is neither black nor white that is so near to the middle between dark and bright, in parts of
-their difference: a stripe's edge crosses the pixel, or the object moved."""
+"""A Gray image's grey value is neither black nor white that is so near to the middle between dark and bright, in parts
+of their difference: a stripe's edge crosses the pixel, or the object moved."""
 MOST_STEPS = 3
 """Most steps of depth over which the right camera may read the same number: a half period is as wide as two of them."""
 LEAST_FOUND = 0.3
-"""Least share of the pixels asked that must be found again. Of an object at the near end a third lies outside of the right
-image; what scattered light makes of the stripes in silt is found again in one pixel of forty."""
+"""Least share of the pixels asked that must be found again.
+
+Of an object at the near end a third lies outside of the right image; what scattered light makes of the stripes in silt
+is found again in one pixel of forty.
+"""
 MIN_FOUND = 40
 ALIKE, LEAST_ALIKE = 0.15, 0.5
 """Half of the depths found must lie so near to their median, in parts of it: numbers that are wrong meet anywhere."""
@@ -61,8 +69,11 @@ ALIKE, LEAST_ALIKE = 0.15, 0.5
 def find_depths_by_stripes_mm(
     frames: Mapping[str, NDArray[np.uint8]], sequence: PatternSequence, rig: StereoRig, water_index: float
 ) -> Array:
-    """Return the depth of each saturated pixel that is found again, in the left camera's frame; to 2 %. Empty where
-    too few are. ``frames``: (n, h, w) uint8 of ``left`` and ``right``; 65 to 95 ms of CPU for ``ASKED`` pixels, at any size."""
+    """Return the depth of each saturated pixel that is found again, in the left camera's frame; to 2 %.
+
+    Empty where too few are. ``frames``: (n, h, w) uint8 of ``left`` and ``right``; 65 to 95 ms of CPU for ``ASKED``
+    pixels, at any size.
+    """
     none = np.empty(0)
     factor = max(1, rig.left.width_px // WIDTH_PX)
     small = {side: frames[side][:, factor // 2 :: factor, factor // 2 :: factor] for side in ("left", "right")}
@@ -119,17 +130,18 @@ at its ends."""
 WINDOWS = 120
 """Those with the strongest fringes."""
 LEAST_SWING_DN, LEAST_SHARE = 0.8, 0.1
-"""Twice the amplitude of a window's fringes, at least, and as a share of what the projector's white adds there: less may be what is
-left of long fringes in the illuminated water, which is near."""
+"""Twice the amplitude of a window's fringes, at least, and as a share of what the projector's white adds there: less
+may be what is left of long fringes in the illuminated water, which is near."""
 CLEAR_DN = 250.0
-"""No image of a window may be brighter anywhere; nor of any place where the right camera might see it, for what is saturated
-there may be the window itself, and the likest of the other places is then a wrong fringe."""
+"""No image of a window may be brighter anywhere; nor of any place where the right camera might see it, for what is
+saturated there may be the window itself, and the likest of the other places is then a wrong fringe."""
 _NEAREST_MM, _FARTHEST_MM = 250.0, 1500.0
 """Depths, of the standard housing, between which windows are looked for."""
 STEP_PX = 1.5
 """Distance from depth to depth, as the right camera sees it: a fifth of a fringe."""
 LEAST_LIKE = 0.25
-"""Correlation from which on a window is found again; chance makes 0.1 over all depths at most, fringes of 0.7 grey values 0.4."""
+"""Correlation from which on a window is found again; chance makes 0.1 over all depths at most, fringes of 0.7 grey
+values 0.4."""
 BESIDE, DISTINCT = 3, 1.1
 """And by so much more than at any depth that is farther away than these steps: fringes repeat, Gray edges do not."""
 MIN_WINDOWS = 12
@@ -156,9 +168,7 @@ def find_depths_mm(
     half = 0.5 * np.array([COLUMNS, ROWS])
     seen = seen_at_depths(rig, water_index, factor * (np.stack([u, v], -1) + half) - 0.5, depths_mm)
     places = (seen + 0.5) / factor - half
-    like = np.stack([
-        _likeness(left, right, (int(v[k]), int(u[k])), places[k]) for k in range(len(v))
-    ])  # fmt: skip
+    like = np.stack([_likeness(left, right, (int(v[k]), int(u[k])), places[k]) for k in range(len(v))])
     best = like.argmax(axis=1)
     beside = abs(np.arange(len(depths_mm)) - best[:, None]) > BESIDE
     sure = like.max(axis=1) >= np.maximum(LEAST_LIKE, DISTINCT * np.where(beside, like, 0.0).max(axis=1))
@@ -222,7 +232,8 @@ def _windows(images: Floats) -> Floats:
 
 
 def _within(places: Array, corners: tuple[int, ...]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Return ``places`` as whole numbers, and which of them are among so many ``corners`` (rows, columns); 0 for the others."""
+    """Return ``places`` as whole numbers, and which of them are among so many ``corners`` (rows, columns); 0 for the
+    others."""
     at = np.rint(places)
     inside = np.asarray(((at >= 0.0) & (at < corners[::-1])).all(axis=-1))
     return np.where(inside[..., None], at, 0.0).astype(np.int64), inside
@@ -325,8 +336,8 @@ def look(
     limits of depth.
 
     It passes nothing and fails nothing: ``causes`` weighs its numbers. ``fringe_dn`` and ``object_percent`` are
-    ``None`` where no fringes are seen, ``glow_per_m`` (attenuation as the glow's shape suggests it) where any are. ``visible``:
-    what ``see`` said of both sides, where it was asked while the frames arrived.
+    ``None`` where no fringes are seen, ``glow_per_m`` (attenuation as the glow's shape suggests it) where any are.
+    ``visible``: what ``see`` said of both sides, where it was asked while the frames arrived.
     """
     both = visible or {side: see(frames[side], sequence, of_side(noise, side)) for side in SIDES}
     best = max(both.values(), key=lambda one: one.cells)
@@ -388,11 +399,11 @@ def _sum_cells(
     sums: Array,
     added: Floats,
 ) -> None:
-    """Add every ``step``-th pixel of ``frames`` (n, h, w) that is clear to its cell's row of ``sums`` (cells, _SUMS), and write to ``added`` (rows,
-    columns) what the projector's white adds to each, clear or not.
+    """Add every ``step``-th pixel of ``frames`` (n, h, w) that is clear to its cell's row of ``sums`` (cells, _SUMS),
+    and write to ``added`` (rows, columns) what the projector's white adds to each, clear or not.
 
-    ``shown``: bright, dark and the four sines. ``levels``: black, variance without light, variance per grey value. The cell is the sum of
-    ``cell_row`` and ``cell_column``.
+    ``shown``: bright, dark and the four sines. ``levels``: black, variance without light, variance per grey value. The
+    cell is the sum of ``cell_row`` and ``cell_column``.
     """
     black, least, per_dn = levels
     bright, dark = frames[shown[0]], frames[shown[1]]

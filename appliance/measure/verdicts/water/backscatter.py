@@ -1,10 +1,11 @@
-"""Owns the backscatter of a scan: light that the water throws back, told from the object's by what Gray stripes do to both.
+"""Owns the backscatter of a scan: light that the water throws back, told from the object's by what Gray stripes do to
+both.
 
-A camera's ray crosses the projector's beam for hundreds of millimetres, so that fine stripes across the baseline light half
-of the water along it, whatever pixel they light at its end. In the middle of a dark stripe a pixel shows half of its backscatter
-(above the dark reference), in the middle of an illuminated one half of it is missing (below the bright one): no projector's
-response, no soft fringe, no albedo and no steady daylight is in these differences. Fringes of the other direction run along
-the rays' way through the beam and are not asked.
+A camera's ray crosses the projector's beam for hundreds of millimetres, so that fine stripes across the baseline light
+half of the water along it, whatever pixel they light at its end. In the middle of a dark stripe a pixel shows half of
+its backscatter (above the dark reference), in the middle of an illuminated one half of it is missing (below the bright
+one): no projector's response, no soft fringe, no albedo and no steady daylight is in these differences. Fringes of the
+other direction run along the rays' way through the beam and are not asked.
 """
 
 from __future__ import annotations
@@ -38,7 +39,8 @@ OUTLIER_SIGMAS = 4.0
 MIN_OBJECT_DN = 6.0
 """Stripes that change a pixel by less light no object that could be measured."""
 OBJECT_SIGMAS = 4.0
-"""Standard deviations of noise that stripes must change a pixel by: in bright light photons alone scatter by ``MIN_OBJECT_DN``."""
+"""Standard deviations of noise that stripes must change a pixel by: in bright light photons alone scatter by
+``MIN_OBJECT_DN``."""
 USUAL_CONTRAST = 0.8
 """Contrast of fringes in turbid water, where no pixel tells."""
 SPECK_SIGMAS = 6.0
@@ -93,7 +95,8 @@ class BackscatterSample:
 
 
 def water_grid(sequence: PatternSequence) -> PixelGrid:
-    """Return the grid of pixels by which the water is judged: bright, dark, the Gray images that are asked, the sines of X and Y."""
+    """Return the grid of pixels by which the water is judged: bright, dark, the Gray images that are asked, the sines
+    of X and Y."""
     across = sequence.axis(Direction.X)
     gray = [across.gray[bit] for bit, _ in _useful_stripes(sequence.period_px, len(across.gray))]
     sines = [k for direction in Direction for k in sequence.axis(direction).sine]
@@ -108,7 +111,8 @@ def water_grid(sequence: PatternSequence) -> PixelGrid:
 def measure_backscatter(
     sequence: PatternSequence, grid: PixelGrid, decoded: CameraDecoder, noise: CameraNoise
 ) -> BackscatterSample:
-    """Sample one camera's sequence, of which ``grid`` was taken (``water_grid``) and whose grey values scatter by ``noise``."""
+    """Sample one camera's sequence, of which ``grid`` was taken (``water_grid``) and whose grey values scatter by
+    ``noise``."""
     mask, p_px = decoded.mask[grid.at], decoded.p_px[grid.at]
     stripes = _useful_stripes(sequence.period_px, len(sequence.axis(Direction.X).gray))
     widths_px = np.array([width_px for _, width_px in stripes], np.float32)
@@ -121,7 +125,7 @@ def measure_backscatter(
     cell_row, cell_column = (np.arange(n) * m // n for n, m in zip(mask.shape, CELLS[::-1], strict=True))
     objects, lost, cell, steps, between = _ask(
         grid.grey, mask, p_px, widths_px, least_dn, CELLS[0] * cell_row, cell_column
-    )  # fmt: skip
+    )
     cells = _by_cell(between, grid)
     # All projected light on the object's pixels: its own and the backscatter.
     of_light = float(cells.pixels @ (cells.signal_dn + cells.backscatter_dn))
@@ -152,11 +156,13 @@ def _ask(
     cell_row: NDArray[np.int64],
     cell_column: NDArray[np.int64],
 ) -> tuple[int, Floats, NDArray[np.int64], NDArray[np.uint8], Floats]:
-    """Return how many pixels (h, w) show an object; of those without coordinates twice the modulation and the light, (2, n); of those
-    with coordinates the cell (m,) and the sines (8, m); and of those between stripes (6, k): cell, column, row, backscatter, light, dark.
+    """Return how many pixels (h, w) show an object; of those without coordinates twice the modulation and the light,
+    (2, n); of those with coordinates the cell (m,) and the sines (8, m); and of those between stripes (6, k): cell,
+    column, row, backscatter, light, dark.
 
-    ``grey`` (2 + stripes + 8, h, w): bright, dark, Gray images with stripes of ``widths_px``, sines. ``least_dn`` (511,): the swing that an
-    object's pixel has at least, by the sum of bright and dark. The cell is the sum of ``cell_row`` and ``cell_column``.
+    ``grey`` (2 + stripes + 8, h, w): bright, dark, Gray images with stripes of ``widths_px``, sines. ``least_dn``
+    (511,): the swing that an object's pixel has at least, by the sum of bright and dark. The cell is the sum of
+    ``cell_row`` and ``cell_column``.
     """
     rows, columns = mask.shape
     stripes, room = widths_px.size, mask.size
@@ -236,8 +242,9 @@ def _by_cell(between: Floats, grid: PixelGrid) -> Cells:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def sum_cells(between: Floats, cells: int) -> tuple[Array, Array, Array]:
-    """Return of each cell the number of pixels, the sums (5, cells) of the rows of ``between`` (6, n) behind its first one, which
-    names their cells, and that of the backscatter's squares; pixels too far from their cell's mean are left out."""
+    """Return of each cell the number of pixels, the sums (5, cells) of the rows of ``between`` (6, n) behind its first
+    one, which names their cells, and that of the backscatter's squares; pixels too far from their cell's mean are left
+    out."""
     total, number, scatter = np.zeros(cells), np.zeros(cells), np.zeros(cells)
     n = between.shape[1]
     for i in range(n):
@@ -296,8 +303,8 @@ def _passing(
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def disagreement(steps: NDArray[np.uint8], cell: NDArray[np.intp], cells: int) -> tuple[float, Floats]:
-    """Return how far the opposite ``steps`` (4, n) have different sums in the median, and what of that each pixel has beyond
-    median and second harmonic, over the root of its light (n,)."""
+    """Return how far the opposite ``steps`` (4, n) have different sums in the median, and what of that each pixel has
+    beyond median and second harmonic, over the root of its light (n,)."""
     n = cell.size
     # I0 + I2 − I1 − I3 is a whole number, whose median is counted.
     off, count = np.empty(n, np.int64), np.zeros(2 * _MOST_OFF + 1, np.int64)

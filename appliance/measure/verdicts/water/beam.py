@@ -1,12 +1,13 @@
 """Owns what each camera ray gathers of the projector's beam in water of a given attenuation, by single scattering.
 
-The projector stands half way between the cameras and looks at the middle of the volume. How far its beam opens is read off
-the scan, where points say where pattern coordinates went; else it is taken as designed, with the cameras' field of view.
+The projector stands half way between the cameras and looks at the middle of the volume. How far its beam opens is read
+off the scan, where points say where pattern coordinates went; else it is taken as designed, with the cameras' field of
+view.
 
-Where nothing but water is illuminated, the beam's glow still gives the attenuation, roughly: in clear water a ray gathers
-light all along its way through the beam; where the water swallows light, only from where the ray is nearest to both windows.
-Nobody's albedo is in the shape of that glow. An object that the water blurs beyond recognition still adds light that is spread evenly and
-so flattens it: that light is fitted beside the glow.
+Where nothing but water is illuminated, the beam's glow still gives the attenuation, roughly: in clear water a ray
+gathers light all along its way through the beam; where the water swallows light, only from where the ray is nearest to
+both windows. Nobody's albedo is in the shape of that glow. An object that the water blurs beyond recognition still adds
+light that is spread evenly and so flattens it: that light is fitted beside the glow.
 """
 
 from __future__ import annotations
@@ -157,9 +158,9 @@ def shape_of_glow(glow_dn: Array, cells: tuple[int, int], rig: StereoRig, water_
     """Return the attenuation per metre that explains the left camera's ``glow_dn`` (cells[0] · cells[1],) best;
     ``None``: too little light.
 
-    Beside the glow a surface across the middle of the volume is supposed, of any brightness: in water that scatters, an object sends back
-    light although none of its fringes arrives. Where more than ``MOST_OF_OBJECT`` of the light were such a surface's, its own
-    shape, which nobody knows, would decide, and the glow is asked alone.
+    Beside the glow a surface across the middle of the volume is supposed, of any brightness: in water that scatters, an
+    object sends back light although none of its fringes arrives. Where more than ``MOST_OF_OBJECT`` of the light were
+    such a surface's, its own shape, which nobody knows, would decide, and the glow is asked alone.
     """
     known = np.isfinite(glow_dn)
     if np.count_nonzero(known) < MIN_CELLS or float(np.mean(glow_dn[known])) < LEAST_GLOW_DN:
@@ -190,8 +191,8 @@ def shape_of_glow(glow_dn: Array, cells: tuple[int, int], rig: StereoRig, water_
 
 
 def _fit(models: Array, seen: Array, weight: Array) -> tuple[Array, float]:
-    """Return how much of each column of ``models`` (n, 1 or 2) explains ``seen`` (n,), none of them negative, and the weighted
-    squared misfit."""
+    """Return how much of each column of ``models`` (n, 1 or 2) explains ``seen`` (n,), none of them negative, and the
+    weighted squared misfit."""
     scale = np.maximum(np.sqrt(np.einsum("n,nk,nk->k", weight, models, models)), 1e-300)
     root = np.sqrt(weight)
     parts = np.linalg.lstsq(root[:, None] * models / scale, root * seen, rcond=None)[0]

@@ -1,8 +1,10 @@
-"""Owns what a scan says about the water it was taken in: attenuation, backscatter, specks, and whether they made the scan poor.
+"""Owns what a scan says about the water it was taken in: attenuation, backscatter, specks, and whether they made the
+scan poor.
 
-The backscatter's *share* of the light is measured. Attenuation follows from how the backscatter grows over the image: a ray that enters the
-beam farther out gathers light that has come a longer way. What the object sends back says nothing about attenuation, for
-nobody knows its albedo; so backscatter as a fraction of the light of an object is stated for a supposed one.
+The backscatter's *share* of the light is measured. Attenuation follows from how the backscatter grows over the image: a
+ray that enters the beam farther out gathers light that has come a longer way. What the object sends back says nothing
+about attenuation, for nobody knows its albedo; so backscatter as a fraction of the light of an object is stated for a
+supposed one.
 """
 
 from __future__ import annotations
@@ -33,17 +35,20 @@ Array = NDArray[np.float64]
 
 NAME = "water"
 MIN_ENTRY_MM = 195.0
-"""Rays of the standard housing that enter the beam nearer to the projector's window tell little: there, the backscatter depends on the beam's very edge."""
+"""Rays of the standard housing that enter the beam nearer to the projector's window tell little: there, the backscatter
+depends on the beam's very edge."""
 MIN_CELLS = 12
 MODEL_SHARE, MODEL_DN = 0.02, 0.05
 """Standard deviation of the model of single scattering, relative and absolute, beside the cells' own scatter."""
 LEAK = 0.001
-"""Standard deviation, before the scan is looked at, of object's light from beyond a stripe's border, as a share of it."""
+"""Standard deviation, before the scan is looked at, of object's light from beyond a stripe's border, as a share of it.
+"""
 STEADY_DN, FLICKERS = 0.02, 2.0
 """The same of ambient light that differs between the references: so much in steady light, and so many times the flicker
 that the sines show."""
 HALO, HALO_SIGMAS = 0.05, 5.0
-"""Least share of the object's light, and least number of standard errors of it, from which on a halo is told from backscatter."""
+"""Least share of the object's light, and least number of standard errors of it, from which on a halo is told from
+backscatter."""
 HALO_CANDIDATES_PER_M = np.arange(0.0, 8.01, 0.25)
 MAX_ATTENUATION_PER_M = 12.0
 MOST_SIGHT_M = 10.0
@@ -59,8 +64,8 @@ MIN_POINTS = 3
 """Least number of points in a cell for its depth to be known."""
 
 DIRTY_MASKED, DIRTY_BACKSCATTER, DIRTY_SPECKS = 0.25, 0.25, 0.02
-"""A scan is poor because of the water when so much of the object has no coordinates and so much of the light is backscatter, or when
-specks disturb so much of it."""
+"""A scan is poor because of the water when so much of the object has no coordinates and so much of the light is
+backscatter, or when specks disturb so much of it."""
 MOST_BACKSCATTER = 0.30
 """Share of backscatter from which on the scan is poor however much of it has coordinates: here and there the
 backscatter outshines the object, and the Gray code has to be read through it (``reconstruct.decode.backscatter``)."""
@@ -79,10 +84,11 @@ class WaterJudgement:
     veil_percent: float | None
     """Percent of the projected light on the object's pixels that the water sent back, without the halo."""
     halo_percent: float | None
-    """Percent of it that is the object's own, turned by small angles on its way, so that dark stripes beside bright ones are not dark."""
+    """Percent of it that is the object's own, turned by small angles on its way, so that dark stripes beside bright
+    ones are not dark."""
     backscatter_percent: float | None
-    """Backscatter of a white pattern before the middle of the volume in otherwise clear water, in percent of what a surface there
-    sends back: as if the brighter parts of what is seen had an albedo of 0.6."""
+    """Backscatter of a white pattern before the middle of the volume in otherwise clear water, in percent of what a
+    surface there sends back: as if the brighter parts of what is seen had an albedo of 0.6."""
     expected_noise_mm: float | None
     """Median of the points' expected errors."""
     object_percent: float | None
@@ -190,10 +196,11 @@ def fit_attenuation(
 
 
 def halo_share(cells: Cells, gathered: GatheredLight) -> float:
-    """Return the share of the projected light that reaches dark stripes from the object itself; 0 where it cannot be told.
+    """Return the share of the projected light that reaches dark stripes from the object itself; 0 where it cannot be
+    told.
 
-    Light turned by small angles follows the object's picture, backscatter the way of the ray through the beam: both are fitted to what
-    is seen between the stripes, for the attenuation that explains it best.
+    Light turned by small angles follows the object's picture, backscatter the way of the ray through the beam: both are
+    fitted to what is seen between the stripes, for the attenuation that explains it best.
     """
     sigma = np.sqrt(cells.sigma_dn**2 + (MODEL_SHARE * cells.backscatter_dn) ** 2 + MODEL_DN**2)
     seen, best, leak, leak_sigma = cells.backscatter_dn / sigma, np.inf, 0.0, np.inf
@@ -247,8 +254,8 @@ def text_of(numbers: dict[str, float | None]) -> str:
 
 
 def hides_object(masked: float, backscatter: float, hidden: float) -> bool:
-    """Say whether a scan is poor because of backscatter, by shares of 0 to 1: of the object's pixels without coordinates, of the light
-    that is backscatter, and of the pixels at which it outshines the object."""
+    """Say whether a scan is poor because of backscatter, by shares of 0 to 1: of the object's pixels without
+    coordinates, of the light that is backscatter, and of the pixels at which it outshines the object."""
     much = backscatter > MOST_BACKSCATTER or (backscatter > DIRTY_BACKSCATTER and masked > DIRTY_MASKED)
     return much or hidden > HIDDEN
 
