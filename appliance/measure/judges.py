@@ -172,9 +172,7 @@ def _look(given: JudgeInput, _: Earlier) -> Judgement:
     stride = math.ceil((left.width_px * left.height_px / SIGHT_POINTS) ** 0.5)
     return Judgement(
         look(
-            given.images.frames,
-            given.images.sequence,
-            given.images.noise,
+            given.images,
             given.rig,
             given.water_index,
             given.pipeline.sample(stride, any_depth=True),

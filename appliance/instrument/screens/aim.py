@@ -55,14 +55,16 @@ def draw_gauge(
     colour = theme.MUTED if word is None else right_colour if word is Reach.OK else ADVICE[word][1]
     if word is Reach.UNKNOWN:
         hint = Text.DOT_ON_IT.in_language(language)
-        canvas.words(hint, (left + right) / 2, middle + 10, CAPTION + 2, BOLD, theme.YELLOW, Align.CENTRE, right - left)
+        canvas.words(
+            hint, ((left + right) / 2, middle + 10), CAPTION + 2, BOLD, theme.YELLOW, Align.CENTRE, right - left
+        )
     else:
         # Without a dot the scale has no mark: its place is used to say what makes one.
         _scale(canvas, word, middle, WorkingVolume() if gauge is None else gauge.volume, right_colour)
     distance_mm = None if gauge is None else gauge.distance_mm
     if word is not None:
         said = ADVICE[word][0].in_language(language)
-        canvas.words(said, 16, middle + 13, TITLE - 4, BLACK, colour, max_width=left - 32)
+        canvas.words(said, (16, middle + 13), TITLE - 4, BLACK, colour, max_width=left - 32)
     if gauge is not None and distance_mm is not None:
         low, high = _ends_mm(gauge.volume)
         # Held at the end of the scale, while the number beside it goes on: the mark shows the way back.
@@ -71,13 +73,13 @@ def draw_gauge(
         canvas.box(at - 7, middle - 21, 14, 42, theme.WHITE if word is Reach.OK else theme.YELLOW, 7)
     ink = theme.WHITE if word in (None, Reach.OK) else theme.YELLOW
     number = "—" if distance_mm is None else f"{distance_mm:.0f}"
-    unit_px = canvas.words("mm", 660, middle + 12, CAPTION, BOLD, theme.MUTED, Align.RIGHT)
-    canvas.words(number, 654 - unit_px, middle + 12, TITLE, BLACK, ink, Align.RIGHT)
+    unit_px = canvas.words("mm", (660, middle + 12), CAPTION, BOLD, theme.MUTED, Align.RIGHT)
+    canvas.words(number, (654 - unit_px, middle + 12), TITLE, BLACK, ink, Align.RIGHT)
     tilt_deg = None if gauge is None else gauge.tilt_deg
     tilt = None if tilt_deg is None else round(tilt_deg)
     canvas.image("tilt", tilt_icon(tilt), 676, middle - _ICON_PX / 2, _ICON_PX, _ICON_PX)
     said = "—" if tilt is None else f"{abs(tilt)}°"
-    canvas.words(said, canvas.width - 14, middle + 12, BODY, BOLD, theme.WHITE, Align.RIGHT)
+    canvas.words(said, (canvas.width - 14, middle + 12), BODY, BOLD, theme.WHITE, Align.RIGHT)
 
 
 def _ends_mm(volume: WorkingVolume) -> tuple[float, float]:
@@ -97,7 +99,13 @@ def _scale(
     inside = word is Reach.OK
     x, width = left + (volume.nearest_mm - low) * per_mm, (volume.farthest_mm - volume.nearest_mm) * per_mm
     canvas.box(
-        x, middle - 13, width, 26, right_colour if inside else theme.INK, 8, right_colour if inside else theme.MUTED, 3
+        x,
+        middle - 13,
+        width,
+        26,
+        right_colour if inside else theme.INK,
+        8,
+        (right_colour if inside else theme.MUTED, 3),
     )
     canvas.box(left + (volume.working_mm - low) * per_mm - 2, middle - 13, 4, 26, theme.INK if inside else theme.MUTED)
 
@@ -154,7 +162,7 @@ def draw_guidance(
         words = worded(label, language)
         wide = canvas.measure(words, size, BLACK) + 28
         canvas.box(left + 10, bottom - plate, wide, plate, ground, 10)
-        canvas.words(words, left + 10 + wide / 2, bottom - 0.26 * plate, size, BLACK, ink, Align.CENTRE)
+        canvas.words(words, (left + 10 + wide / 2, bottom - 0.26 * plate), size, BLACK, ink, Align.CENTRE)
         bottom -= plate + 2
     if said.toward is None:
         return
@@ -252,10 +260,10 @@ def _live(
         canvas.image(side, pixels, left, top, width, height)
         return
     name = Text.LEFT_CAMERA if side == "left" else Text.RIGHT_CAMERA
-    canvas.box(left, top, width, height, theme.DEEP, 10, theme.YELLOW, 4)
+    canvas.box(left, top, width, height, theme.DEEP, 10, (theme.YELLOW, 4))
     middle, level = left + width / 2, top + 0.5 * (height + _PLATE_PX + 10)
-    canvas.words(name.in_language(language), middle, level - 6, TITLE - 6, BOLD, theme.WHITE, Align.CENTRE)
-    canvas.words(Text.NO_IMAGE.in_language(language), middle, level + 36, TITLE, BLACK, theme.YELLOW, Align.CENTRE)
+    canvas.words(name.in_language(language), (middle, level - 6), TITLE - 6, BOLD, theme.WHITE, Align.CENTRE)
+    canvas.words(Text.NO_IMAGE.in_language(language), (middle, level + 36), TITLE, BLACK, theme.YELLOW, Align.CENTRE)
 
 
 def _plate(
@@ -272,7 +280,7 @@ def _plate(
     width = max(_PLATE_PX, canvas.measure(words, CAPTION + 2, BLACK) + 20)
     left = x - align.value * width
     canvas.box(left, top, width, _PLATE_PX, ground, 10)
-    canvas.words(words, left + width / 2, top + 31, CAPTION + 2, BLACK, ink, Align.CENTRE)
+    canvas.words(words, (left + width / 2, top + 31), CAPTION + 2, BLACK, ink, Align.CENTRE)
 
 
 def _temperature(canvas: Canvas, view: AimView, top: float, language: Language) -> None:
@@ -307,5 +315,5 @@ def _numbers(canvas: Canvas, view: AimView, language: Language) -> None:
         )
     x, baseline = (left + right - total) / 2, canvas.height - 16
     for number, unit in cells:
-        x += canvas.words(number, x, baseline, size, BLACK) + space
-        x += canvas.words(unit, x, baseline, CAPTION, REGULAR, theme.MUTED) + gap
+        x += canvas.words(number, (x, baseline), size, BLACK) + space
+        x += canvas.words(unit, (x, baseline), CAPTION, REGULAR, theme.MUTED) + gap

@@ -280,8 +280,7 @@ def _how(canvas: Canvas, view: CalibrateView, bottom: float, language: Language)
         canvas.image(slot, picture, left, _TOP_PX, _SKETCH_PX, size)
         canvas.words(
             caption.in_language(language),
-            left + _SKETCH_PX / 2,
-            _TOP_PX + size + 22,
+            (left + _SKETCH_PX / 2, _TOP_PX + size + 22),
             CAPTION,
             REGULAR,
             theme.MUTED,
@@ -295,8 +294,7 @@ def _how(canvas: Canvas, view: CalibrateView, bottom: float, language: Language)
     for number, line in enumerate(lines):
         canvas.words(
             line,
-            _WORDS_PX / 2,
-            _TOP_PX + size + 52 + 33 * number,
+            (_WORDS_PX / 2, _TOP_PX + size + 52 + 33 * number),
             BODY,
             BOLD,
             align=Align.CENTRE,
@@ -320,13 +318,12 @@ def _live(canvas: Canvas, view: CalibrateView, bottom: float, language: Language
             wide = canvas.measure(said, CAPTION + 2, BLACK) + 20
             canvas.box(left + 10, _TOP_PX + 10, wide, 42, theme.INK, 10)
             ink = theme.WHITE if known else theme.YELLOW
-            canvas.words(said, left + 20, _TOP_PX + 41, CAPTION + 2, BLACK, ink)
+            canvas.words(said, (left + 20, _TOP_PX + 41), CAPTION + 2, BLACK, ink)
         return
-    canvas.box(canvas.width - width, _TOP_PX, width, height, theme.DEEP, 10, theme.YELLOW, 4)
+    canvas.box(canvas.width - width, _TOP_PX, width, height, theme.DEEP, 10, (theme.YELLOW, 4))
     canvas.words(
         Text.NO_IMAGE.in_language(language),
-        canvas.width - width / 2,
-        _TOP_PX + height / 2,
+        (canvas.width - width / 2, _TOP_PX + height / 2),
         TITLE,
         BLACK,
         theme.YELLOW,
@@ -361,7 +358,7 @@ def _latest(canvas: Canvas, view: CalibrateView, bottom: float, language: Langua
         _band(canvas, theme.YELLOW, words.in_language(language), why.filled(language, *numbers), number, bottom)
     elif view.step is Step.SOLVE:
         said = Text.SOME_SECONDS.in_language(language)
-        canvas.words(said, canvas.width / 2, bottom - 16, CAPTION, REGULAR, theme.MUTED, Align.CENTRE)
+        canvas.words(said, (canvas.width / 2, bottom - 16), CAPTION, REGULAR, theme.MUTED, Align.CENTRE)
 
 
 def _band(canvas: Canvas, fill: theme.Colour, what: str, why: str, number: str, bottom: float) -> None:
@@ -369,9 +366,9 @@ def _band(canvas: Canvas, fill: theme.Colour, what: str, why: str, number: str, 
     canvas.box(0, top, canvas.width, _BAND_PX, fill)
     right = canvas.width - 16
     if number:
-        right -= canvas.words(number, right, top + 39, TITLE - 4, BLACK, ink, Align.RIGHT) + 18
-    canvas.words(what, 16, top + 39, TITLE - 4, BLACK, ink, max_width=right - 16)
-    canvas.words(why, 16, top + 72, CAPTION + 2, BOLD, ink, max_width=canvas.width - 32)
+        right -= canvas.words(number, (right, top + 39), TITLE - 4, BLACK, ink, Align.RIGHT) + 18
+    canvas.words(what, (16, top + 39), TITLE - 4, BLACK, ink, max_width=right - 16)
+    canvas.words(why, (16, top + 72), CAPTION + 2, BOLD, ink, max_width=canvas.width - 32)
 
 
 def _working(
@@ -379,7 +376,7 @@ def _working(
 ) -> None:
     top = bottom - _WORKING_PX
     canvas.box(0, top, canvas.width, _WORKING_PX, theme.INK)
-    canvas.words(_TASKS[task].in_language(language), 16, top + 38, BODY, BLACK, max_width=300)
+    canvas.words(_TASKS[task].in_language(language), (16, top + 38), BODY, BLACK, max_width=300)
     left, width = 330.0, canvas.width - 346.0
     canvas.box(left, top + 12, width, 28, theme.PANEL, 14)
     if progress is not None:
@@ -395,7 +392,7 @@ def _solve(canvas: Canvas, view: CalibrateView, bottom: float, language: Languag
     if view.at.failed is None:
         top, low, size = (top + 84.0, 24.0, TITLE) if room > 240 else (top + 38.0, 7.0, TITLE - 6)
         said = Text.FOUR_READY.in_language(language)
-        canvas.words(said, middle, top - low, size, BLACK, align=Align.CENTRE, max_width=760)
+        canvas.words(said, (middle, top - low), size, BLACK, align=Align.CENTRE, max_width=760)
     # Rows move together where an alert needs room; all four stay, as the diver compares them.
     pitch = min(40.0, (bottom - top - 4) / len(USED))
     size = BODY if pitch > 34 else CAPTION
@@ -404,18 +401,17 @@ def _solve(canvas: Canvas, view: CalibrateView, bottom: float, language: Languag
         if check is None:
             continue
         baseline = top + pitch * (row + 0.75)
-        canvas.words(STEP_NAMES[step].in_language(language), 120, baseline, size, BOLD)
+        canvas.words(STEP_NAMES[step].in_language(language), (120, baseline), size, BOLD)
         canvas.words(
             f"{check.points} {Text.POINTS.in_language(language)}",
-            560,
-            baseline,
+            (560, baseline),
             CAPTION,
             REGULAR,
             theme.MUTED,
             Align.RIGHT,
         )
         if check.number is not None:
-            canvas.words(f"{1000.0 * check.number:.0f} µm", 690, baseline, size, BOLD, align=Align.RIGHT)
+            canvas.words(f"{1000.0 * check.number:.0f} µm", (690, baseline), size, BOLD, align=Align.RIGHT)
 
 
 @dataclass(frozen=True, slots=True)
@@ -431,23 +427,23 @@ class _Box:
     def draw(self, canvas: Canvas, name: Text, error: float | None, language: Language) -> None:
         """Draw the name above, the error in percent in the middle."""
         edge, width = (theme.AQUA, 6) if self.used else (theme.LINE, 3)
-        canvas.box(self.left, self.top, _BOX_PX, self.height, theme.DEEP, 20, edge, width)
-        canvas.words(name.in_language(language), self.left + 24, self.name_at, BODY, BLACK, theme.MUTED)
+        canvas.box(self.left, self.top, _BOX_PX, self.height, theme.DEEP, 20, (edge, width))
+        canvas.words(name.in_language(language), (self.left + 24, self.name_at), BODY, BLACK, theme.MUTED)
         text = "—" if error is None else numbered(f"{100.0 * abs(error):.3f} %", language)
         # 76 units are the lines of name and verdict, between which the number stands.
         size = round(min(HUGE - 18.0, 0.8 * (self.height - 76)))
         # Figures are 0.72 of the type size high: half of that below the middle is where their baseline has to be.
         level = 0.5 * (self.name_at + self.verdict_at - 26) + 0.36 * size
-        canvas.words(text, self.left + _BOX_PX / 2, level, size, BLACK, align=Align.CENTRE, max_width=340)
+        canvas.words(text, (self.left + _BOX_PX / 2, level), size, BLACK, align=Align.CENTRE, max_width=340)
 
     def judge(
         self, canvas: Canvas, word: Text, colour: theme.Colour, verified: Verified | None, language: Language
     ) -> None:
         """Draw the verdict in a word, and how sure it is."""
-        canvas.words(word.in_language(language), self.left + 24, self.verdict_at, BODY, BLACK, colour)
+        canvas.words(word.in_language(language), (self.left + 24, self.verdict_at), BODY, BLACK, colour)
         if verified is not None:
             said = numbered(f"± {100.0 * verified.sigma:.3f} %", language)
-            canvas.words(said, self.left + 346, self.verdict_at, CAPTION, BOLD, theme.MUTED, Align.RIGHT)
+            canvas.words(said, (self.left + 346, self.verdict_at), CAPTION, BOLD, theme.MUTED, Align.RIGHT)
 
     @property
     def name_at(self) -> float:
@@ -466,7 +462,7 @@ def _result(canvas: Canvas, view: CalibrateView, bottom: float, language: Langua
     height = min(190.0, bottom - top - 34)
     below = top + height + 27
     canvas.words(
-        Text.LENGTH_ERROR.in_language(language), canvas.width / 2, top - 9, BODY, BOLD, theme.MUTED, Align.CENTRE
+        Text.LENGTH_ERROR.in_language(language), (canvas.width / 2, top - 9), BODY, BOLD, theme.MUTED, Align.CENTRE
     )
     verified = session.verified
     # Without anything solved the bar has checked the calibration in use: there is nothing to compare it with.
@@ -481,16 +477,16 @@ def _result(canvas: Canvas, view: CalibrateView, bottom: float, language: Langua
         box.draw(canvas, name, value, language)
         if box.used:
             said = Text.IN_USE.in_language(language)
-            canvas.words(said, box.left + 346, box.name_at, CAPTION, BOLD, theme.AQUA, Align.RIGHT)
+            canvas.words(said, (box.left + 346, box.name_at), CAPTION, BOLD, theme.AQUA, Align.RIGHT)
     if verified is not None:
         verdict, colour = _VERDICTS[verified.better]
         boxes[1].judge(canvas, verdict, colour, verified, language)
     if session.solved is not None:
         said = f"{Text.RESIDUAL.in_language(language)} {numbered(f'{session.solved.residual_px:.3f}', language)} px"
-        canvas.words(said, 20, below, CAPTION, BOLD, max_width=370)
+        canvas.words(said, (20, below), CAPTION, BOLD, max_width=370)
         if session.solved.warnings:
             said = f"{Text.WARNINGS.in_language(language)}: {len(session.solved.warnings)}"
-            canvas.words(said, canvas.width - 20, below, CAPTION, BOLD, theme.YELLOW, Align.RIGHT, 370)
+            canvas.words(said, (canvas.width - 20, below), CAPTION, BOLD, theme.YELLOW, Align.RIGHT, 370)
 
 
 def _checked(canvas: Canvas, session: Session, box: _Box, below: float, language: Language) -> None:
@@ -500,7 +496,7 @@ def _checked(canvas: Canvas, session: Session, box: _Box, below: float, language
     box.judge(canvas, word, colour, session.verified, language)
     if session.wrong:
         said = Text.CHECK_WATER.in_language(language)
-        canvas.words(said, canvas.width / 2, below, CAPTION + 2, BOLD, theme.YELLOW, Align.CENTRE, canvas.width - 40)
+        canvas.words(said, (canvas.width / 2, below), CAPTION + 2, BOLD, theme.YELLOW, Align.CENTRE, canvas.width - 40)
 
 
 def _ticks(canvas: Canvas, view: CalibrateView) -> None:
@@ -511,9 +507,9 @@ def _ticks(canvas: Canvas, view: CalibrateView) -> None:
         x = left + pitch * number
         done, here = view.session.done(step), step is view.step
         if here:
-            canvas.box(x - size, y - size / 2 - 6, 2 * size, size + 12, theme.PANEL, 10, theme.WHITE, 3)
+            canvas.box(x - size, y - size / 2 - 6, 2 * size, size + 12, theme.PANEL, 10, (theme.WHITE, 3))
         canvas.box(
             x - size / 2, y - size / 2, size, size, theme.GREEN if done else theme.LINE, size / 2 if not done else 5
         )
         if done:
-            canvas.words("✓", x, y + 9, CAPTION, BLACK, theme.INK, Align.CENTRE)
+            canvas.words("✓", (x, y + 9), CAPTION, BLACK, theme.INK, Align.CENTRE)

@@ -224,14 +224,17 @@ class Canvas:
         height: float,
         fill: Colour,
         radius: float | Sequence[float] = 0.0,
-        edge: Colour | None = None,
-        edge_width: float = 0.0,
+        edge: tuple[Colour, float] | None = None,
     ) -> None:
-        """Draw a box, rounded by ``radius`` (all corners, or top left, top right, bottom right, bottom left)."""
+        """Draw a box, rounded by ``radius`` (all corners, or top left, top right, bottom right, bottom left).
+
+        ``edge``: colour and width of a line around it.
+        """
+        edge_colour, edge_width = edge or (fill, 0.0)
         radii = [radius] * 4 if isinstance(radius, int | float) else list(radius)
         program = self._box
         program["fill"] = fill.as_tuple()
-        program["edge"] = (edge or fill).as_tuple()
+        program["edge"] = edge_colour.as_tuple()
         program["edge_width"] = edge_width * self.scale
         program["radii"] = tuple(r * self.scale for r in radii)
         self._place(program, left, top, width, height)
@@ -259,21 +262,21 @@ class Canvas:
     def words(
         self,
         words: str,
-        x: float,
-        baseline: float,
+        at: tuple[float, float],
         size: int = BODY,
         weight: int = BOLD,
         colour: Colour = WHITE,
         align: Align = Align.LEFT,
         max_width: float | None = None,
     ) -> float:
-        """Write one line of text on ``baseline``; smaller where it would be wider than ``max_width``. Returns its
-        width.
+        """Write one line of text ``at`` a place on its baseline; smaller where it would be wider than ``max_width``.
 
+        Returns its width.
         It is never smaller than a caption, which is the least that can be read: what does not fit then is cut.
         """
         if not words:
             return 0.0
+        x, baseline = at
         cut = False
         if max_width is not None:
             width = self.measure(words, size, weight)

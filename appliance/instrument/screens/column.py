@@ -87,13 +87,15 @@ def draw_verdict(
             (Text.LENGTHS_DOUBTFUL, top + 62, CAPTION, BOLD),
         ):
             canvas.words(
-                said.in_language(language), left + 10, baseline, size, weight, theme.INK, max_width=right - left - 16
+                said.in_language(language), (left + 10, baseline), size, weight, theme.INK, max_width=right - left - 16
             )
         return top + DOUBTFUL_PX
     bad = grade is Grade.BAD
     canvas.box(left, top, right - left if bad else 10, VERDICT_PX, colour, 5)
     ink = theme.INK if bad else theme.WHITE
-    canvas.words(word.in_language(language), left + 24, top + 49, HEADLINE - 6, BLACK, ink, max_width=right - left - 32)
+    canvas.words(
+        word.in_language(language), (left + 24, top + 49), HEADLINE - 6, BLACK, ink, max_width=right - left - 32
+    )
     return top + VERDICT_PX
 
 
@@ -108,9 +110,9 @@ def draw_figures(canvas: Canvas, rows: Sequence[Figure], top: float, bottom: flo
     size = BODY + 2 if pitch > 44 else BODY if pitch > 34 else CAPTION + 2
     for number, row in enumerate(rows[:fit]):
         baseline = top + pitch * (number + 1) - 0.26 * pitch
-        unit_px = canvas.words(row.unit, right, baseline, CAPTION, REGULAR, theme.MUTED, Align.RIGHT)
+        unit_px = canvas.words(row.unit, (right, baseline), CAPTION, REGULAR, theme.MUTED, Align.RIGHT)
         value_right = right - unit_px - (6 if row.unit else 0)
         name, value = row.name.in_language(language), numbered(row.value, language)
         room = value_right - left - 6 - canvas.measure(name, CAPTION, REGULAR)
-        canvas.words(value, value_right, baseline, size, BOLD, theme.WHITE, Align.RIGHT, room)
-        canvas.words(name, left, baseline, CAPTION, REGULAR, theme.MUTED)
+        canvas.words(value, (value_right, baseline), size, BOLD, theme.WHITE, Align.RIGHT, room)
+        canvas.words(name, (left, baseline), CAPTION, REGULAR, theme.MUTED)

@@ -46,7 +46,7 @@ def draw_title(
     # In the middle of the screen where possible: titles of different screens then stand in the same place.
     if not left + width / 2 <= middle <= right - width / 2:
         middle = (left + right) / 2
-    canvas.words(words, middle, 42, size, BLACK, colour, Align.CENTRE, right - left)
+    canvas.words(words, (middle, 42), size, BLACK, colour, Align.CENTRE, right - left)
 
 
 def room_between(canvas: Canvas, keys: KeyLabels, language: Language, bottom: bool) -> tuple[float, float]:
@@ -84,7 +84,7 @@ def draw_key_labels(
         inner = [0.0, 0.0, 0.0, 0.0]  # only the corner that points into the picture is round
         inner[(0 if bottom else 3) if right else (1 if bottom else 2)] = _RADIUS_PX
         if key in dim:
-            canvas.box(left, top, width, LABEL_PX, theme.INK, inner, theme.LINE, 3)
+            canvas.box(left, top, width, LABEL_PX, theme.INK, inner, (theme.LINE, 3))
             ink, mark = theme.MUTED, theme.LINE
         else:
             main = key is Key.SCAN or key in urgent
@@ -96,10 +96,10 @@ def draw_key_labels(
         middle = left + width / 2 + (-3 if right else 3)
         lines = _label_lines(canvas, words)
         if words in _ARROWS:  # the font's own are small
-            canvas.words(words, middle, top + 44, HUGE - 20, BLACK, ink, Align.CENTRE)
+            canvas.words(words, (middle, top + 44), HUGE - 20, BLACK, ink, Align.CENTRE)
             continue
         for baseline, line in zip((38,) if len(lines) == 1 else (24, 48), lines, strict=True):
-            canvas.words(line, middle, top + baseline, _LABEL_SIZES[len(lines)], BLACK, ink, Align.CENTRE)
+            canvas.words(line, (middle, top + baseline), _LABEL_SIZES[len(lines)], BLACK, ink, Align.CENTRE)
 
 
 _ARROWS = (Text.ARROW_UP.english, Text.ARROW_DOWN.english)
@@ -139,23 +139,22 @@ def draw_alerts(canvas: Canvas, alerts: Sequence[Alert], language: Language, tim
     top = canvas.height - BAR_PX - height
     fill, ink, edge = alert_colours(gravest.severity, time_s)
     _marks(canvas, others, language, top)
-    canvas.box(0, top, canvas.width, height, fill, edge=edge, edge_width=7)
+    canvas.box(0, top, canvas.width, height, fill, edge=(edge, 7))
     badge = height - 32
     canvas.box(22, top + 16, badge, badge, ink, badge / 2)
-    canvas.words("!", 22 + badge / 2, top + 16 + badge * 0.86, round(badge), BLACK, fill, Align.CENTRE)
+    canvas.words("!", (22 + badge / 2, top + 16 + badge * 0.86), round(badge), BLACK, fill, Align.CENTRE)
     left = 22 + badge + 20
     room = canvas.width - left - 20
     headline, action = words_of(gravest, language)
     canvas.words(
         headline,
-        left,
-        top + (57 if critical else 47),
+        (left, top + (57 if critical else 47)),
         HEADLINE + 4 if critical else HEADLINE - 6,
         BLACK,
         ink,
         max_width=room,
     )
-    canvas.words(action, left, top + height - 12, BODY + 2, BOLD, ink, max_width=room)
+    canvas.words(action, (left, top + height - 12), BODY + 2, BOLD, ink, max_width=room)
 
 
 def _marks(canvas: Canvas, others: Sequence[Alert], language: Language, bottom: float) -> None:
@@ -172,10 +171,10 @@ def _marks(canvas: Canvas, others: Sequence[Alert], language: Language, bottom: 
         more = len(ranked) - place
         # The last mark may go to the edge; before it, room is left for the count of those that did not fit.
         if x + 26 + canvas.measure(headline, CAPTION, BLACK) > canvas.width - (16 if more == 1 else count_px):
-            canvas.words(f"+{more}", x, bottom - 8, CAPTION, BLACK, colour)
+            canvas.words(f"+{more}", (x, bottom - 8), CAPTION, BLACK, colour)
             return
         canvas.box(x, middle - 8, 16, 16, theme.RED if alert.severity is Severity.CRITICAL else colour, 3)
-        x += 26 + canvas.words(headline, x + 26, bottom - 8, CAPTION, BLACK, colour) + 24
+        x += 26 + canvas.words(headline, (x + 26, bottom - 8), CAPTION, BLACK, colour) + 24
 
 
 def words_of(alert: Alert, language: Language) -> tuple[str, str]:

@@ -30,11 +30,11 @@ def draw_gallery(canvas: Canvas, view: GalleryView, language: Language) -> None:
         draw_title(canvas, Text.GALLERY.in_language(language), view.keys, language)
         said = Text.NO_SCANS.in_language(language)
         middle = (BAR_PX + bottom) / 2 + 18
-        canvas.words(said, canvas.width / 2, middle, HEADLINE, BLACK, theme.MUTED, Align.CENTRE, canvas.width - 80)
+        canvas.words(said, (canvas.width / 2, middle), HEADLINE, BLACK, theme.MUTED, Align.CENTRE, canvas.width - 80)
         return
     draw_title(canvas, f"{view.index + 1}/{view.count}", view.keys, language)
     # SCAN means nothing here: its place is free.
-    canvas.words(view.scan_id, canvas.width - RIGHT_MARGIN_PX, 42, BODY + 2, BOLD, theme.MUTED, Align.RIGHT)
+    canvas.words(view.scan_id, (canvas.width - RIGHT_MARGIN_PX, 42), BODY + 2, BOLD, theme.MUTED, Align.RIGHT)
     width, height = LEFT_PX - 32, bottom - _TOP_PX - 6
     if view.preview is not None:
         canvas.image("gallery", view.preview, 16, _TOP_PX, width, height)
@@ -42,12 +42,12 @@ def draw_gallery(canvas: Canvas, view: GalleryView, language: Language) -> None:
         canvas.box(16, _TOP_PX, width, height, theme.DEEP, 10)
         said = Text.NO_PICTURE.in_language(language)
         middle = _TOP_PX + height / 2 + 14
-        canvas.words(said, 16 + width / 2, middle, TITLE, BOLD, theme.MUTED, Align.CENTRE, width - 40)
+        canvas.words(said, (16 + width / 2, middle), TITLE, BOLD, theme.MUTED, Align.CENTRE, width - 40)
     _column(canvas, view, bottom, language)
     left, right = room_between(canvas, view.keys, language, bottom=True)
     said = f"{Text.DATE.in_language(language)} ?" if view.taken is None else to_the_minute(view.taken)
     canvas.words(
-        said, (left + right) / 2, canvas.height - 20, CAPTION, REGULAR, theme.MUTED, Align.CENTRE, right - left
+        said, ((left + right) / 2, canvas.height - 20), CAPTION, REGULAR, theme.MUTED, Align.CENTRE, right - left
     )
 
 
@@ -58,13 +58,13 @@ def _column(canvas: Canvas, view: GalleryView, bottom: float, language: Language
     if view.damaged:
         canvas.box(left, top, right - left, VERDICT_PX, theme.YELLOW, 5)
         said = Text.DAMAGED.in_language(language)
-        canvas.words(said, left + 16, top + 45, TITLE - 2, BLACK, theme.INK, max_width=right - left - 24)
+        canvas.words(said, (left + 16, top + 45), TITLE - 2, BLACK, theme.INK, max_width=right - left - 24)
     elif view.grade is not None:
         led = leader(view.alerts) is not Leader.SCREEN
         below = draw_verdict(canvas, view.grade, view.lengths_doubtful, top, language, led=led)
     if view.corrected and not view.damaged:
         said = RULES[FaultCode.COMPENSATED].headline.in_language(language)
-        canvas.words(said, left, below + 22, CAPTION, BOLD, theme.MUTED, max_width=right - left)
+        canvas.words(said, (left, below + 22), CAPTION, BOLD, theme.MUTED, max_width=right - left)
         below += 26
     rows = figures(view.points, view.coverage_percent, view.noise_mm, view.distance_mm)
     draw_figures(canvas, rows, below + 4, bottom, language)

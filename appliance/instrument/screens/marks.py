@@ -35,20 +35,17 @@ def draw_marks(
     shape = pixels.shape[1] / pixels.shape[0]
     shown_width, shown_height = min(width, height * shape), min(height, width / shape)
     left, top = left + (width - shown_width) / 2, top + (height - shown_height) / 2
-    width, height = shown_width, shown_height
     colour = theme.WHITE if seen else theme.YELLOW
+
+    def dot(at: Place, size: float, fill: theme.Colour, rim: theme.Colour | None = None) -> None:
+        x, y = left + at[0] * shown_width, top + at[1] * shown_height
+        edge = None if rim is None else (rim, _RIM_PX)
+        canvas.box(x - size / 2, y - size / 2, size, size, fill, size / 2, edge)
+
     for track in tracks:
         for end in (track.near, track.far):
             # Each mark has a dark rim: the live picture behind it may be white or black.
-            _dot(canvas, end, left, top, width, height, _END_PX + 2 * 2.0, theme.INK, None)
-            _dot(canvas, end, left, top, width, height, _END_PX, colour, None)
-        _dot(canvas, track.middle, left, top, width, height, _RING_PX + 2.0, _NOTHING, theme.INK)
-        _dot(canvas, track.middle, left, top, width, height, _RING_PX, _NOTHING, colour)
-
-
-def _dot(
-    canvas: Canvas, at: Place, left: float, top: float, width: float, height: float, size: float,
-    fill: theme.Colour, edge: theme.Colour | None,
-) -> None:  # fmt: skip
-    x, y = left + at[0] * width, top + at[1] * height
-    canvas.box(x - size / 2, y - size / 2, size, size, fill, size / 2, edge, 0.0 if edge is None else _RIM_PX)
+            dot(end, _END_PX + 2 * 2.0, theme.INK)
+            dot(end, _END_PX, colour)
+        dot(track.middle, _RING_PX + 2.0, _NOTHING, theme.INK)
+        dot(track.middle, _RING_PX, _NOTHING, colour)

@@ -51,14 +51,14 @@ def _row(
         mark, lower = (TITLE + 8, 5.0) if height > 40 else (TITLE - 6, 2.0)
         width = min(room - 72, canvas.measure(value, large, BLACK)) + 112
         canvas.box(right - width, top, width, height - 5, theme.AQUA, 12)
-        canvas.words("▲", right - width + 8, baseline + lower, mark, BLACK, theme.INK)
-        canvas.words("▼", right - 8, baseline + lower, mark, BLACK, theme.INK, Align.RIGHT)
-        canvas.words(value, right - width / 2, baseline, large, BLACK, theme.INK, Align.CENTRE, width - 104)
+        canvas.words("▲", (right - width + 8, baseline + lower), mark, BLACK, theme.INK)
+        canvas.words("▼", (right - 8, baseline + lower), mark, BLACK, theme.INK, Align.RIGHT)
+        canvas.words(value, (right - width / 2, baseline), large, BLACK, theme.INK, Align.CENTRE, width - 104)
         value_px = width
     else:
-        value_px = canvas.words(value, right - _PAD_PX, baseline, said, BOLD, ink, Align.RIGHT, room) + _PAD_PX
+        value_px = canvas.words(value, (right - _PAD_PX, baseline), said, BOLD, ink, Align.RIGHT, room) + _PAD_PX
     name_px = right - value_px - 16 - left - _PAD_PX
-    canvas.words(text, left + _PAD_PX, baseline, name, BLACK, ink, max_width=name_px)
+    canvas.words(text, (left + _PAD_PX, baseline), name, BLACK, ink, max_width=name_px)
 
 
 def first_shown(rows: int, selected: int, fit: int) -> int:

@@ -55,12 +55,12 @@ def draw_saving(canvas: Canvas, view: SavingView, language: Language, time_s: fl
     middle = canvas.width / 2
     if view.saved:
         top, bottom = word_at - 92, more_at + 14
-        canvas.box(middle - 340, top, 680, bottom - top, theme.DEEP, 36, theme.GREEN, 8)
+        canvas.box(middle - 340, top, 680, bottom - top, theme.DEEP, 36, (theme.GREEN, 8))
     _word(canvas, Text.SAVED if view.saved else Text.SAVING, word_at, language, 600)
-    canvas.words(view.scan_id, middle, line_at, TITLE, BOLD, align=Align.CENTRE, max_width=600)
+    canvas.words(view.scan_id, (middle, line_at), TITLE, BOLD, align=Align.CENTRE, max_width=600)
     if view.saved:
         said = Text.SAFE_ON_DISK.in_language(language)
-        canvas.words(said, middle, more_at - 8, BODY, BOLD, theme.GREEN, Align.CENTRE, 620)
+        canvas.words(said, (middle, more_at - 8), BODY, BOLD, theme.GREEN, Align.CENTRE, 620)
     else:
         _waiting(canvas, more_at, time_s)
 
@@ -71,12 +71,12 @@ def draw_shutdown(canvas: Canvas, view: ShutdownView, language: Language, time_s
     middle = canvas.width / 2
     if view.saving:
         said = f"{Text.SAVING.in_language(language)}: {Text.WAIT_FOR_DARK.in_language(language)}"
-        canvas.words(said, middle, line_at, BODY, BLACK, theme.YELLOW, Align.CENTRE, canvas.width - 40)
+        canvas.words(said, (middle, line_at), BODY, BLACK, theme.YELLOW, Align.CENTRE, canvas.width - 40)
     if view.reason is not None:
         ground, ink, edge = alert_colours(view.reason.severity, time_s)
-        canvas.box(_EDGE_PX, more_at - 50, canvas.width - 2 * _EDGE_PX, 90, ground, 24, edge, 7)
+        canvas.box(_EDGE_PX, more_at - 50, canvas.width - 2 * _EDGE_PX, 90, ground, 24, (edge, 7))
         headline, _ = words_of(view.reason, language)
-        canvas.words(headline, middle, more_at + 13, HEADLINE - 4, BLACK, ink, Align.CENTRE, canvas.width - 180)
+        canvas.words(headline, (middle, more_at + 13), HEADLINE - 4, BLACK, ink, Align.CENTRE, canvas.width - 180)
 
 
 def _places(canvas: Canvas, view: View) -> tuple[float, float, float]:
@@ -90,13 +90,13 @@ def _places(canvas: Canvas, view: View) -> tuple[float, float, float]:
 def _word(canvas: Canvas, text: Text, baseline: float, language: Language, room: float | None = None) -> None:
     words = text.in_language(language)
     canvas.words(
-        words, canvas.width / 2, baseline, HUGE, BLACK, align=Align.CENTRE, max_width=room or canvas.width - 60
+        words, (canvas.width / 2, baseline), HUGE, BLACK, align=Align.CENTRE, max_width=room or canvas.width - 60
     )
 
 
 def _sentence(canvas: Canvas, text: Text, baseline: float, language: Language) -> None:
     words = text.in_language(language)
-    canvas.words(words, canvas.width / 2, baseline, BODY + 2, BOLD, align=Align.CENTRE, max_width=canvas.width - 60)
+    canvas.words(words, (canvas.width / 2, baseline), BODY + 2, BOLD, align=Align.CENTRE, max_width=canvas.width - 60)
 
 
 def _waiting(canvas: Canvas, bottom: float, time_s: float) -> None:

@@ -26,7 +26,7 @@ def draw_review(canvas: Canvas, cloud: CloudPainter, view: ReviewView, language:
     if cloud.empty:
         middle = (BAR_PX + bottom) / 2 + 14
         said = Text.NO_POINTS.in_language(language)
-        canvas.words(said, CLOUD_PX / 2, middle, TITLE, BOLD, theme.MUTED, Align.CENTRE, CLOUD_PX - 40)
+        canvas.words(said, (CLOUD_PX / 2, middle), TITLE, BOLD, theme.MUTED, Align.CENTRE, CLOUD_PX - 40)
     else:
         low = canvas.height - BAR_PX + 8 if not view.alerts else bottom
         room = canvas.pixels(0, BAR_PX - 14, CLOUD_PX, low - BAR_PX + 14)
@@ -69,8 +69,8 @@ def _legend(canvas: Canvas, span: tuple[float, float], view: ReviewView, languag
     canvas.box(left - 8, canvas.height - 54, right - left + 16, 54, theme.INK)
     total = canvas.measure(low, CAPTION, BOLD) + 8 + bar_px + 8 + high_px + 6 + unit_px
     x = (left + right - total) / 2
-    x += canvas.words(low, x, baseline, CAPTION, BOLD) + 8
+    x += canvas.words(low, (x, baseline), CAPTION, BOLD) + 8
     canvas.colours(x, baseline - 17, bar_px, 16)
     x += bar_px + 8
-    x += canvas.words(high, x, baseline, CAPTION, BOLD) + 6
-    canvas.words(unit, x, baseline, CAPTION, REGULAR, theme.MUTED)
+    x += canvas.words(high, (x, baseline), CAPTION, BOLD) + 6
+    canvas.words(unit, (x, baseline), CAPTION, REGULAR, theme.MUTED)

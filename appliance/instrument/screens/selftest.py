@@ -41,10 +41,10 @@ def _banner(canvas: Canvas, word: Text, colour: theme.Colour, version: str, lang
     """Draw the banner up to the upper edge: the only key label there is GO ON, on the right."""
     canvas.water(0, 0, canvas.width, _BANNER_PX, _FRINGE_SPEED * time_s, 0.5)
     canvas.box(0, 0, 450, _BANNER_PX, theme.INK, (0, 0, 40, 0))
-    canvas.words("KINGFISHER", 24, 52, HEADLINE - 8, BLACK)
+    canvas.words("KINGFISHER", (24, 52), HEADLINE - 8, BLACK)
     name_px = canvas.measure("KINGFISHER", HEADLINE - 8, BLACK)
-    canvas.words(version, 24 + name_px + 14, 52, CAPTION, REGULAR, theme.MUTED, max_width=412 - name_px)
-    canvas.words(word.in_language(language), 24, 91, BODY + 2, BLACK, colour, max_width=410)
+    canvas.words(version, (24 + name_px + 14, 52), CAPTION, REGULAR, theme.MUTED, max_width=412 - name_px)
+    canvas.words(word.in_language(language), (24, 91), BODY + 2, BLACK, colour, max_width=410)
 
 
 def _devices(canvas: Canvas, devices: Sequence[DeviceLine], bottom: float, language: Language) -> None:
@@ -80,12 +80,22 @@ def _line(
     baseline = top + (0.5 * pitch + (7 if tight else 10) if not detail else 20 if tight else 26)
     # A square, not a dot, where it failed: the shape says it without colour.
     canvas.box(left, baseline - 20, 20, 20, mark, 3 if line.result is DeviceResult.FAILED else 10)
-    word_px = canvas.words(word.in_language(language), right, baseline, BODY, BLACK, result_ink, Align.RIGHT)
+    word_px = canvas.words(word.in_language(language), (right, baseline), BODY, BLACK, result_ink, Align.RIGHT)
     canvas.words(
-        name, left + 32, baseline, CAPTION + 2 if tight else BODY - 2, BOLD, ink, max_width=right - word_px - left - 44
+        name,
+        (left + 32, baseline),
+        CAPTION + 2 if tight else BODY - 2,
+        BOLD,
+        ink,
+        max_width=right - word_px - left - 44,
     )
     canvas.words(
-        detail, left + 32, baseline + (27 if tight else 28), CAPTION, REGULAR, theme.MUTED, max_width=right - left - 32
+        detail,
+        (left + 32, baseline + (27 if tight else 28)),
+        CAPTION,
+        REGULAR,
+        theme.MUTED,
+        max_width=right - left - 32,
     )
 
 

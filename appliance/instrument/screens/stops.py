@@ -25,19 +25,24 @@ def draw_cooling(canvas: Canvas, view: CoolingView, language: Language) -> None:
     x = 40.0
     baseline = top + room * (0.36 if high else 0.52)
     canvas.words(
-        number, x, baseline, round(min(HUGE + 16.0, 0.38 * room)) if high else HUGE, BLACK, theme.YELLOW, max_width=360
+        number,
+        (x, baseline),
+        round(min(HUGE + 16.0, 0.38 * room)) if high else HUGE,
+        BLACK,
+        theme.YELLOW,
+        max_width=360,
     )
     until = f"{Text.UNTIL.in_language(language)} {view.limit_c:.0f} °C"
     right = canvas.width - 40
-    canvas.words(until, right, baseline - 52, BODY + 2, BOLD, theme.WHITE, Align.RIGHT, 370)
+    canvas.words(until, (right, baseline - 52), BODY + 2, BOLD, theme.WHITE, Align.RIGHT, 370)
     if view.remaining_s is not None:
         still = f"{Text.SOME_MORE.in_language(language)} {minutes(view.remaining_s)}"
-        canvas.words(still, right, baseline, BODY + 2, BOLD, theme.WHITE, Align.RIGHT, 370)
+        canvas.words(still, (right, baseline), BODY + 2, BOLD, theme.WHITE, Align.RIGHT, 370)
     _thermometer(canvas, view, 40, right, top + room * (0.56 if high else 0.72))
     if high:
         middle = canvas.width / 2
         said = Text.NO_LIGHT.in_language(language)
-        canvas.words(said, middle, top + room * 0.86, TITLE - 4, BLACK, theme.WHITE, Align.CENTRE, canvas.width - 80)
+        canvas.words(said, (middle, top + room * 0.86), TITLE - 4, BLACK, theme.WHITE, Align.CENTRE, canvas.width - 80)
 
 
 def _thermometer(canvas: Canvas, view: CoolingView, left: float, right: float, top: float) -> None:
@@ -61,20 +66,19 @@ def draw_safe(canvas: Canvas, view: SafeView, language: Language, time_s: float)
     middle, top = canvas.width / 2, float(BAR_PX)
     bottom = alerts_top(canvas, view.alerts)
     height = bottom - top - (96 if not view.alerts else 62)
-    canvas.box(0, top, canvas.width, height, ground, edge=edge, edge_width=12)
+    canvas.box(0, top, canvas.width, height, ground, edge=(edge, 12))
     headline, to_do = words_of(view.alert, language)
     canvas.words(
         headline,
-        middle,
-        top + 0.56 * height,
+        (middle, top + 0.56 * height),
         HUGE + 20 if not view.alerts else HUGE - 10,
         BLACK,
         ink,
         Align.CENTRE,
         canvas.width - 70,
     )
-    canvas.words(to_do, middle, top + 0.84 * height, TITLE, BOLD, ink, Align.CENTRE, canvas.width - 60)
+    canvas.words(to_do, (middle, top + 0.84 * height), TITLE, BOLD, ink, Align.CENTRE, canvas.width - 60)
     said, colour = (Text.ALL_SAVED, theme.GREEN) if view.saved else (Text.SAVING, theme.YELLOW)
     baseline = bottom - (34 if not view.alerts else 18)
     words = said.in_language(language)
-    canvas.words(words, middle, baseline, HEADLINE - 10, BLACK, colour, Align.CENTRE, canvas.width - 60)
+    canvas.words(words, (middle, baseline), HEADLINE - 10, BLACK, colour, Align.CENTRE, canvas.width - 60)

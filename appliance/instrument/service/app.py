@@ -24,7 +24,7 @@ from appliance.instrument.service.calibrating import CalibrationController
 from appliance.instrument.service.choices import ChoicesFile
 from appliance.instrument.service.devices import Devices
 from appliance.instrument.service.gallery import GalleryController
-from appliance.instrument.service.loop import Service
+from appliance.instrument.service.loop import Drawing, Service
 from appliance.instrument.service.notify import ServiceManager
 from appliance.instrument.service.parts import Beginning, Parts
 from appliance.instrument.service.ranging import RangingController
@@ -156,7 +156,9 @@ def run(rig: Rig) -> int:
         gallery = GalleryController(library, scans.submit)
         parts = Parts(devices, scans, calibrating, gallery, ranging, aiming, TransferSwitch(os.environ))
         beginning = Beginning(choices, conditions, news)
-        service = Service(rig, parts, patterns, painter, status, wires.clock, beginning, lambda: stopping.reason)
+        service = Service(
+            rig, parts, Drawing(patterns, painter), status, wires.clock, beginning, lambda: stopping.reason
+        )
         ended = service.run(Watchdog(manager, rig.storage.root, installation(Path(sys.prefix))))
         if ended.power_off:
             ask_power_off(os.environ)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import assert_never
 
@@ -57,6 +57,14 @@ BEAT_WITHOUT_DISPLAY_S = 0.05
 QUIT_TIMEOUT_S = 30.0
 
 
+@dataclass(frozen=True, slots=True)
+class Drawing:
+    """Pictures of both displays, drawn by one graphics processor."""
+
+    patterns: DrawnPatterns
+    painter: Painter
+
+
 class Service:
     """The running instrument. ``run`` returns when it was switched off."""
 
@@ -64,8 +72,7 @@ class Service:
         self,
         rig: Rig,
         parts: Parts,
-        patterns: DrawnPatterns,
-        painter: Painter,
+        drawing: Drawing,
         status: StatusFile,
         clock: Clock,
         beginning: Beginning,
@@ -76,7 +83,7 @@ class Service:
         self._rig = rig
         self._parts = parts
         self._choices = beginning.choices
-        self._painter = painter
+        self._painter = drawing.painter
         self._status = status
         self._clock = clock
         self._stop_reason = stop_reason
@@ -90,7 +97,7 @@ class Service:
         """
         self._inputs = Inputs(parts.devices, parts.ranging)
         self._live = LiveViews(rig, parts, self._inbox)
-        self._recorder = SequenceRecorder(rig, parts, patterns, self._inputs, clock, self._inbox)
+        self._recorder = SequenceRecorder(rig, parts, drawing.patterns, self._inputs, clock, self._inbox)
         raised = [*beginning.conditions, parts.scans.watch.fault, lost]
         self._inbox += [on.ConditionRaised(fault) for fault in raised if fault is not None]
         self._inbox += [on.Told(fault) for fault in beginning.news]

@@ -19,6 +19,7 @@ ratio of two known things.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numba
@@ -226,8 +227,7 @@ class Harm:
 
 
 def predict(
-    left: DriftMap,
-    right: DriftMap,
+    drift: Mapping[str, DriftMap],
     surface: SurfaceMap,
     double_step2: float | None,
     rig: StereoRig,
@@ -236,16 +236,17 @@ def predict(
     frame_s: float,
     steps2: float = 1.0,
 ) -> Harm:
-    """Predict the harm from the drift across the x-fringes that both cameras saw, from how the surface stands, and
-    from ``double_step2``, the mean square way of the albedo over the left image in two frames, px² (``None``: there
-    is none to see).
+    """Predict the harm of a movement.
 
-    ``steps2`` is the square of the mean first and last step of the x-sines over that of their drift
+    It follows from the ``drift`` across the x-fringes that both cameras saw (keyed by side), from how the surface
+    stands, and from ``double_step2``, the mean square way of the albedo over the left image in two frames, px²
+    (``None``: there is none to see). ``steps2`` is the square of the mean first and last step of the x-sines over that of their drift
     (``course.steps2``).
     """
+    left, right = drift["left"], drift["right"]
     px_per_rad = period_px / (2.0 * np.pi)
     with np.errstate(invalid="ignore", divide="ignore"):
-        drift = left.drift_px - right.drift_px
+        apart_px = left.drift_px - right.drift_px
         variance = left.sd_px**2 + right.sd_px**2
         depth = depth_per_px(left, right, rig, water_index)
         across = np.abs(depth) * surface.across
@@ -268,7 +269,7 @@ def predict(
         ripple2 = 0.125 * steps2 * (second - variance) + second2 * (first + third - 2.0 * variance)
         # E² (P/2π)² g² of both halves of the fringe, and what moving albedo leaves.
         ripple2 += px_per_rad**2 * ((double2 - 2.0 * variance) * texture + albedo_rad2)
-        known = np.isfinite(drift) & np.isfinite(across) & np.isfinite(noise_mm2) & np.isfinite(ripple2)
+        known = np.isfinite(apart_px) & np.isfinite(across) & np.isfinite(noise_mm2) & np.isfinite(ripple2)
         if known.any():
             known &= variance < UNSURE**2 * np.median(variance[known])
     weight = np.where(known, surface.points, 0.0)
@@ -281,9 +282,9 @@ def predict(
         ripple = ripple_mm / noise_mm
     with np.errstate(invalid="ignore"):
         return Harm(
-            drift,
+            apart_px,
             np.sqrt(variance),
-            depth * drift / frame_s,
+            depth * apart_px / frame_s,
             across * np.sqrt(np.where(known & (ripple2 > 0.0), ripple2, np.nan)),
             np.sqrt(noise_mm2),
             weight,

@@ -121,15 +121,13 @@ def judge_motion(
     surface = surface_map(cloud, left.p_px, left.q_px, variance_px2, drift["left"].drift_px.shape)
     flow, texture = flow_score(textures), texture_score(textures)
     double_step2 = _double_step2(albedo, flow, texture)
-    harm = predict(
-        drift["left"], drift["right"], surface, double_step2, rig, water_index, sequence.period_px, images.frame_s
-    )
+    harm = predict(drift, surface, double_step2, rig, water_index, sequence.period_px, images.frame_s)
     trend = drift_trend(harm)
     course = edge_course(edges, harm)
     shaken = steps2(course, drift["left"], drift["right"], harm, sequence, images.frame_s)
     if shaken is not None:
         harm = predict(
-            drift["left"], drift["right"], surface, double_step2, rig, water_index, sequence.period_px, images.frame_s, shaken
+            drift, surface, double_step2, rig, water_index, sequence.period_px, images.frame_s, shaken
         )  # fmt: skip
     scores = Scores(
         None if trend is None else trend.score,

@@ -37,6 +37,7 @@ from appliance.measure.light.model import StereoRig
 from appliance.measure.light.noise import FULL_DN, CameraNoise, StereoNoise
 from appliance.measure.light.patterns import Direction, PatternSequence
 from appliance.measure.light.sides import SIDES, of_side
+from appliance.measure.points.images import ScanImages
 from appliance.measure.points.quality import QualityLimits
 from appliance.measure.points.table import Cloud
 from appliance.measure.verdict import Verdict
@@ -322,9 +323,7 @@ class VisibleFringes:
 
 
 def look(
-    frames: Mapping[str, NDArray[np.uint8]],
-    sequence: PatternSequence,
-    noise: StereoNoise,
+    images: ScanImages,
     rig: StereoRig,
     water_index: float,
     loose: Cloud,
@@ -332,13 +331,14 @@ def look(
     parallax_percent: float | None = None,
     visible: Mapping[str, VisibleFringes] | None = None,
 ) -> Verdict:
-    """Return the verdict ``sight`` on ``frames`` (n, h, w) uint8 by side, and on the points of ``loose``, found without
+    """Return the verdict ``sight`` on the images, and on the points of ``loose``, found without
     limits of depth.
 
     It passes nothing and fails nothing: ``causes`` weighs its numbers. ``fringe_dn`` and ``object_percent`` are
     ``None`` where no fringes are seen, ``glow_per_m`` (attenuation as the glow's shape suggests it) where any are.
     ``visible``: what ``see`` said of both sides, where it was asked while the frames arrived.
     """
+    frames, sequence, noise = images.frames, images.sequence, images.noise
     both = visible or {side: see(frames[side], sequence, of_side(noise, side)) for side in SIDES}
     best = max(both.values(), key=lambda one: one.cells)
     numbers: dict[str, float | None] = {

@@ -73,7 +73,7 @@ def test_other_displays_are_filled_to_their_edges(context: moderngl.Context, siz
 def test_the_same_memory_is_used_each_time_and_new_numbers_do_not_fill_it(painter: Painter, canvas: Canvas) -> None:
     canvas.begin(theme.INK)
     for number in range(3 * MAX_WORDS):
-        canvas.words(f"{number} mm", 10, 100)
+        canvas.words(f"{number} mm", (10, 100))
     assert len(canvas._words) == MAX_WORDS
     assert painter.draw(AIM, 0.0) is painter.draw(replace(AIM, scans_taken=13), 0.1)
 

@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import moderngl
 import pytest
 
 from appliance.instrument.machine import effects as do
@@ -21,7 +20,7 @@ from appliance.instrument.screens.unchanged import FrugalPainter
 from appliance.instrument.service.choices import ChoicesFile
 from appliance.instrument.service.inputs import Inputs
 from appliance.instrument.service.live import LiveViews
-from appliance.instrument.service.loop import Service
+from appliance.instrument.service.loop import Drawing, Service
 from appliance.instrument.service.notify import ServiceManager
 from appliance.instrument.service.parts import Beginning
 from appliance.instrument.service.recording import DrawnPatterns, SequenceRecorder
@@ -43,21 +42,12 @@ EXPOSURE = Exposure(8_000, 6.0)
 WANTED = do.Arm(7, 16, EXPOSURE, object=5)
 
 
-@dataclass
-class Drawing:
-    """GL and what draws by it, once for all tests here."""
-
-    gl: moderngl.Context
-    patterns: DrawnPatterns
-    painter: FrugalPainter
-
-
 @pytest.fixture(scope="module")
 def drawing(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Drawing]:
     rig = small_rig(tmp_path_factory.mktemp("rig"))
     size_px = rig.display.width_px, rig.display.height_px
     with open_gl() as gl, FrugalPainter(gl, size_px, Language.ENGLISH) as painter:
-        yield Drawing(gl, DrawnPatterns(gl, rig, 64, None), painter)
+        yield Drawing(DrawnPatterns(gl, rig, 64, None), painter)
 
 
 @pytest.fixture
@@ -276,7 +266,7 @@ def running(desk: Desk, drawing: Drawing, clock: api.Clock | None = None) -> Run
     beginning = Beginning(ChoicesFile(rig.storage.root, standard_choices(rig)), (), ())
     status = StatusFile(rig.storage.root, 7, "1.0")
     service = Service(
-        rig, desk.parts, drawing.patterns, drawing.painter, status, clock or desk.script.clock, beginning,
+        rig, desk.parts, drawing, status, clock or desk.script.clock, beginning,
         lambda: stop[0] if stop else None,
     )  # fmt: skip
     return Running(desk, service, stop)

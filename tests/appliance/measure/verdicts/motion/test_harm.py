@@ -49,7 +49,7 @@ def surface(shape: tuple[int, ...]) -> SurfaceMap:
 
 
 def harm_of(left: DriftMap, right: DriftMap, steps2: float = 1.0) -> Harm:
-    return predict(left, right, surface(left.u_px.shape), None, CAL.rig, INDEX, 16, 1 / 60, steps2)
+    return predict({"left": left, "right": right}, surface(left.u_px.shape), None, CAL.rig, INDEX, 16, 1 / 60, steps2)
 
 
 def test_an_even_drift_is_that_of_left_less_right_and_a_speed_and_makes_a_ripple_over_noise() -> None:
@@ -93,7 +93,8 @@ def test_paint_that_moves_to_and_fro_harms_although_the_fringes_stand_still() ->
     painted = replace(left, texture_per_px2=np.full(left.u_px.shape, 0.02), sd_px=np.full(left.u_px.shape, 1e-6))
     per_px = depth_per_px(left, right, CAL.rig, INDEX)
     calm, shaken = (
-        predict(painted, right, surface(per_px.shape), s2, CAL.rig, INDEX, 16, 1 / 60) for s2 in (None, 0.36)
+        predict({"left": painted, "right": right}, surface(per_px.shape), s2, CAL.rig, INDEX, 16, 1 / 60)
+        for s2 in (None, 0.36)
     )
     assert calm.ripple == pytest.approx(0.0, abs=1e-3)
     expected_px = 16.0 / (2.0 * np.pi) * np.sqrt(0.01 * 0.5 * (2.0**2 + 2.5**2) * 0.25 * 0.36)

@@ -11,6 +11,7 @@ import pytest
 from appliance.measure.cloud import CloudSummary, Found
 from appliance.measure.light.noise import TYPICAL_PAIR, CameraNoise
 from appliance.measure.light.patterns import Direction, build_sequence
+from appliance.measure.points.images import ScanImages
 from appliance.measure.points.quality import QualityLimits
 from appliance.measure.points.table import PointTable
 from appliance.measure.verdicts.sight.judge import (
@@ -181,6 +182,6 @@ def test_a_saturated_plane_that_is_too_near_is_said_to_be_near() -> None:
     rig = true_calibration(scan.renderer.truth).rig
     assert len(depths_mm(scan)) == 0
     nothing = PointTable(1).cloud(Found(((0, 0),), CloudSummary(0, 0.0, None, None, None)))
-    seen = look(scan.frames, scan.sequence, TYPICAL_PAIR, rig, WATER.index, nothing, QualityLimits())
+    seen = look(ScanImages(scan.sequence, scan.frames, {}), rig, WATER.index, nothing, QualityLimits())
     assert seen.numbers["near_percent"] == pytest.approx(100.0, abs=5.0)
     assert seen.numbers["distance_mm"] == pytest.approx(330.0, rel=0.07)

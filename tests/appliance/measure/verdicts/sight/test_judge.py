@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from appliance.measure.cloud import CloudSummary
+from appliance.measure.light.acquisition import AcquisitionSettings
 from appliance.measure.light.noise import CameraNoise, StereoNoise
 from appliance.measure.light.patterns import Direction, build_sequence
+from appliance.measure.points.images import ScanImages
 from appliance.measure.points.quality import QualityLimits
 from appliance.measure.points.table import Cloud
 from appliance.measure.verdicts.sight.judge import distance_of, look, see
@@ -103,7 +105,8 @@ GLOW = frames_of(even(0.0), 2.0 + 3.0 * np.tile(np.linspace(0.0, 1.0, 16), (12, 
 
 def seen(left: np.ndarray, right: np.ndarray, loose: Cloud, parallax: float | None = None) -> dict[str, float | None]:
     frames = {"left": left, "right": right}
-    said = look(frames, SEQUENCE, NOISE, CAL.rig, INDEX, loose, LIMITS, parallax)
+    images = ScanImages(SEQUENCE, frames, {}, AcquisitionSettings(noise=NOISE))
+    said = look(images, CAL.rig, INDEX, loose, LIMITS, parallax)
     assert (said.name, said.passed) == ("sight", None)
     return dict(said.numbers)
 
