@@ -183,7 +183,7 @@ def in_words(summary: Mapping[str, Any], scanned: str, out: Path) -> list[str]:
         ),
         f"Look at   {out / 'display.png'} (what the diver saw), {out / 'contact_sheet.png'} (every image),",
         f"          {out / 'cloud.ply'} (the cloud, in any viewer), {out / 'summary.json'} (all numbers)",
-        "Next      ./dev run kingfisher sim --window --truth nominal --size 800x600   (dive yourself)",
+        "Next      ./dev run kingfisher sim --window truth=nominal size=800x600   (dive yourself)",
     ]
 
 

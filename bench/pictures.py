@@ -74,7 +74,7 @@ def dive(folder: Path, scanned: str, size: str) -> tuple[dict[str, Image], NDArr
     script = folder / "dive.script"
     script.write_text(SCRIPT.format(folder=folder), encoding="utf-8")
     root = folder / "root"
-    command = [sys.executable, "-m", "appliance.cli", "sim", "--truth", "nominal", "--object", scanned, "--size", size]
+    command = [sys.executable, "-m", "appliance.cli", "sim", "truth=nominal", f"object={scanned}", f"size={size}"]
     subprocess.run([*command, "--script", str(script), "--root", str(root)], check=True)
     library = Library(root)
     last = library.last_id()

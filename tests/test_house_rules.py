@@ -287,9 +287,9 @@ RULES = [
         except_in={
             "drivers/wall_clock.py": "the instrument's calendar, by which nothing is decided",
             "hw_sim/timing/calendar.py": "the simulated one begins today",
-            "appliance/cli/calibrate.py": "the date in a calibration file",
+            "appliance/cli/calibration.py": "the date in a calibration file",
             "appliance/cli/calibrate_air.py": "the same",
-            "appliance/cli/calibrate_pair.py": "the same",
+            "appliance/cli/calibrate_water.py": "the same",
         },
     ),
     Rule(

@@ -20,7 +20,7 @@ _OURS = Path(__file__).parents[1].name
 def other_program() -> str | None:
     """Return one sentence about another distribution that has our command and import name; ``None`` where there is
     none."""
-    from importlib import metadata  # late: it takes longer to load than all else that `kingfisher version` needs
+    from importlib import metadata  # late: it takes longer to load than all else that `kingfisher --version` needs
 
     try:
         found = metadata.distribution(_OTHER)

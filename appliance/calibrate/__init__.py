@@ -48,8 +48,7 @@ if TYPE_CHECKING:
         solve_calibration,  # Adjust to the scans of the session; compare with the one of VERIFY where there is one
     )
     from .files import (
-        describe_calibration,  # Return what a calibration file says (None
-        write_nominal_calibration,  # Write the design's calibration to out (None
+        describe_calibration,  # Return what a calibration says
     )
     from .guide import (
         HELD,  # The steps with a recording, and what is held before the instrument

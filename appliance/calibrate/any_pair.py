@@ -46,7 +46,7 @@ FLAT_MM = 1e-6
 """Standard deviation of the shapes of a board that is known to be flat."""
 EXCHANGED = (
     "left and right are exchanged: the camera called right stands to the left of the other; name the pictures the other way round "
-    "(--left, --right) before anything is measured with them"
+    "(--sides) before anything is measured with them"
 )
 CHECKED_AT = (8, 16, 32)
 """Numbers of views after which a missing picture is asked for, since looking at all others takes longest."""

@@ -89,7 +89,7 @@ def named_pictures(folder: Path, patterns: Patterns | None) -> NamedPictures:
         raise PicturesError(f"FOLDER {folder}: no pictures in it; read are {', '.join(ANY_KINDS)}")
     if patterns is not None:
         sides = _by_patterns(names, patterns)
-        told = f"--left {patterns.left}, --right {patterns.right}"
+        told = f"--sides {patterns.left},{patterns.right}"
     else:
         # The words that make most pairs: a name may have several ("l" and "left", or "cam1" of both numberings).
         sides, words = max(((_by_words(names, w), w) for w in WORDS), key=lambda one: _complete(one[0]))
@@ -98,7 +98,7 @@ def named_pictures(folder: Path, patterns: Patterns | None) -> NamedPictures:
         listed = ", ".join(list(names)[:4])
         raise PicturesError(
             f"FOLDER {folder}: no name of a picture ({listed}, …) tells a left picture from the right one of its pair; say how with "
-            f"--left PATTERN --right PATTERN, for example --left 'a/*.png' --right 'b/*.png'"
+            "--sides LEFT,RIGHT, for example --sides 'a/*.png,b/*.png'"
         )
     pairs: dict[str, dict[str, Path]] = {}
     for name, (side, key) in sides.items():
@@ -208,7 +208,7 @@ def _by_patterns(names: Iterable[str], patterns: Patterns) -> _Sides:
             shared = re.fullmatch(re.escape(before) + "(.+)" + re.escape(after), name)
             if shared is not None:
                 if name in found:
-                    raise PicturesError(f"{name} fits both --left {patterns.left} and --right {patterns.right}")
+                    raise PicturesError(f"{name} fits both sides of --sides {patterns.left},{patterns.right}")
                 found[name] = (side, shared[1])
     return found
 

@@ -1,18 +1,15 @@
-"""Owns what is done with calibration files away from the instrument: describe one, write the drawing's."""
+"""Owns what a calibration file says, for people."""
 
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
-from appliance.measure import Calibration, encode_calibration, of_side
-from appliance.store import Instrument, LocalFileSystem, Rig, load_calibration, make_folders, replace_file
+from appliance.measure import Calibration, of_side
 
 
-def describe_calibration(rig: Rig, path: Path | None) -> dict[str, Any]:
-    """Return what a calibration file says (``None``: the instrument's own). Raises CalibrationError."""
-    calibration = load_calibration(path) if path is not None else Instrument(rig).calibration()[0]
+def describe_calibration(calibration: Calibration) -> dict[str, Any]:
+    """Return what a calibration says."""
     left, right = calibration.rig.left, calibration.rig.right
     # A lens calibrated in water has swallowed its port: distance and tilt are numbers without a meaning then.
     has_ports = not (left.lens_in_water or right.lens_in_water)
@@ -33,17 +30,6 @@ def describe_calibration(rig: Rig, path: Path | None) -> dict[str, Any]:
         "baseline_mm": sum(x * x for x in right.translation_mm) ** 0.5,
         "hash": calibration.hash,
     }
-
-
-def write_nominal_calibration(rig: Rig, out: Path | None) -> Path:
-    """Write the design's calibration to ``out`` (``None``: ``calibration/nominal.json`` below the storage root).
-
-    Raises StorageError.
-    """
-    path = out if out is not None else Instrument(rig).nominal_file
-    make_folders(LocalFileSystem(), path.parent)
-    replace_file(LocalFileSystem(), path, encode_calibration(Instrument(rig).design()))
-    return path
 
 
 def _tilt_deg(calibration: Calibration, side: str) -> float:

@@ -35,6 +35,6 @@ def refuse_drawing(rig: Rig, path: Path | None) -> None:
     """Raises CalibrationError where calibrating in water would begin with the drawing without anybody having said so."""
     if path is None and not (Instrument(rig).air_file).exists() and not (Instrument(rig).calibration_file).exists():
         raise CalibrationError(
-            f"{Instrument(rig).air_file}: missing; calibrate in air (`kingfisher calibrate air`), or give with --start FILE "
-            "what to begin with, be it the drawing (`kingfisher calibration nominal`)"
+            f"{Instrument(rig).air_file}: missing; calibrate in air (`kingfisher calibration air`), or give with --calibration FILE "
+            "what to begin with, be it the drawing (`kingfisher calibration show nominal --out FILE`)"
         )

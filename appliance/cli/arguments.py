@@ -1,4 +1,4 @@
-"""Owns how a verb declares what may be typed after it: once, as the fields of a frozen dataclass.
+"""Declarations of what may be typed after a verb: once, as the fields of a frozen dataclass.
 
 A field's name, type and default are those of the value that the verb works with; ``option``, ``switch``, ``operand`` and
 ``operands`` add how it is typed and what ``--help`` says about it. ``declare`` hands the fields to ``argparse``, ``collect``
@@ -8,12 +8,13 @@ makes the dataclass from what was typed. Nothing of the product is imported here
 from __future__ import annotations
 
 import argparse
+import difflib
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar, TypeVar
 
-from appliance.cli.output import Exit
+from appliance.cli.output import Exit, say, say_json
 
 _KEY = "typed"
 """Key in a field's metadata under which its ``_Typed`` is found."""
@@ -48,10 +49,25 @@ class Verb:
         metadata={_KEY: _Typed("--json", {"action": "store_true", "help": "print one JSON document"}, None)},
     )
 
+    named_words: ClassVar[Sequence[str]] = ()
+    """Names that are typed as ``NAME=VALUE``, for whoever types ``--NAME``."""
+
     @property
     def says_news(self) -> bool:
         """True if what it logs besides warnings is printed, too."""
         return self.service
+
+    def tell(self, result: Any, lines: Iterable[str] | None = None) -> None:
+        """Print what came of it: with ``--json`` as one document, else in ``lines``, or one value a line where none are given."""
+        if self.json:
+            say_json(result)
+        elif lines is None:
+            from appliance.cli.listing import say_report
+
+            say_report(result)
+        else:
+            for line in lines:
+                say(line)
 
     def run(self) -> Exit:
         """Do it. Errors that a person can do something about are raised (``appliance.cli.failures``)."""
@@ -89,9 +105,18 @@ def switch(flag: str, text: str, *, either: str | None = None) -> Any:
     return field(default=False, metadata={_KEY: _Typed(flag, {"action": "store_true", "help": text}, either)})
 
 
-def operand(metavar: str, text: str | None, *, parse: Callable[[str], Any] = str, optional: bool = False) -> Any:
+def operand(
+    metavar: str,
+    text: str | None,
+    *,
+    parse: Callable[[str], Any] = str,
+    optional: bool = False,
+    choices: Sequence[str] | None = None,
+) -> Any:
     """Return a field that its place names; ``optional``: ``None`` where nothing stands there."""
-    settings = {"metavar": metavar, "help": text, "type": parse, **({"nargs": "?"} if optional else {})}
+    settings = {"metavar": metavar, "help": text, "type": parse, "choices": choices}
+    if optional:
+        settings["nargs"] = "?"
     typed = {_KEY: _Typed(None, settings, None)}
     return field(default=None, metadata=typed) if optional else field(metadata=typed)
 
@@ -132,6 +157,12 @@ def collect(verb: type[V], typed: argparse.Namespace) -> V:
     return verb(**found)
 
 
+def meant(word: str, there: Iterable[str]) -> str:
+    """Return a question for what a mistyped word is near to; empty where it is near to nothing."""
+    near = difflib.get_close_matches(word, list(there), n=2)
+    return f"; did you mean {' or '.join(near)}?" if near else ""
+
+
 # ------------------------------------------------------------------------------------------ numbers
 
 
@@ -170,6 +201,17 @@ def _judged(fits: Callable[[float], bool], allowed: str) -> Callable[[str], floa
         if not fits(value):
             raise argparse.ArgumentTypeError(f"{text}: allowed are {allowed}")
         return value
+
+    return parse
+
+
+def one_of(allowed: Sequence[str]) -> Callable[[str], str]:
+    """Return a parser of the words ``allowed``."""
+
+    def parse(text: str) -> str:
+        if text not in allowed:
+            raise argparse.ArgumentTypeError(f"{text}: allowed are {', '.join(allowed)}")
+        return text
 
     return parse
 

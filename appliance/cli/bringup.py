@@ -1,4 +1,4 @@
-"""Owns the verbs ``bringup``: what a new instrument measures of itself before its first scan, and how they speak with whoever stands at it."""
+"""The verbs ``setup guide`` and ``setup measure``: what a new instrument measures of itself before its first scan, and how they speak with a person at it."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ from io import UnsupportedOperation
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
-from appliance.cli.arguments import number, option, repeated, switch
-from appliance.cli.desk import writing
-from appliance.cli.output import Exit, Progress, UsageError, complain, say, say_json, table
+from appliance.cli.arguments import number, operand, operands, option, switch
+from appliance.cli.desk import new_folder, writing
+from appliance.cli.output import Exit, Progress, UsageError, complain, say, table
 from appliance.cli.places import WithRig
 
 if TYPE_CHECKING:  # these bring OpenCV, which `--help` can do without
+    from appliance.store import Rig
     from appliance.workshop import Finding, StepRecord, Walked
 
 ANSWERED_WITHIN_S = 3600.0
@@ -24,12 +25,15 @@ ANSWERED_WITHIN_S = 3600.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class BringupGuide(WithRig):
+class SetupGuide(WithRig):
     """Walk from a box of parts to the first plane in twelve steps, each checked; a second call goes on where the first one stopped."""
 
     out: Path | None = option("--out", "folder for state, page and pictures", parse=Path, metavar="FOLDER")
-    only: Sequence[str] = repeated("--only", "this step and no other; may be repeated", metavar="STEP")
-    again: Sequence[str] = repeated("--again", "this step although it is good; may be repeated", metavar="STEP")
+    steps: Sequence[str] = operands(
+        "STEP",
+        "these and no others, although they are good (default: on from the first that is not)",
+        at_least_one=False,
+    )
     endurance_minutes: float = option(
         "--endurance-minutes",
         "length of the step endurance (default: %(default)g)",
@@ -49,16 +53,15 @@ class BringupGuide(WithRig):
             raise UsageError("--rig: not given, and the packaged rig file is never changed; give the instrument's")
         if self.out is None:
             raise UsageError("--out: not given; give a folder, in which state, page and pictures are kept")
-        _check_folder(self.out)
+        new_folder(self.out)
         self.read_rig()
         from appliance.workshop import STEPS, BringupError, GuideOptions, walk
 
         names = [step.name for step in STEPS]
-        for flag, wanted in (("--only", self.only), ("--again", self.again)):
-            for name in wanted:
-                if name not in names:
-                    raise UsageError(f"{flag} {name}: no such step; allowed are {', '.join(names)}")
-        options = GuideOptions(tuple(self.only), tuple(self.again), self.endurance_minutes, self.plane_mm)
+        for name in self.steps:
+            if name not in names:
+                raise UsageError(f"STEP {name}: no such step; allowed are {', '.join(names)}")
+        options = GuideOptions(tuple(self.steps), self.endurance_minutes, self.plane_mm)
         try:
             with Progress() as progress:
                 walked = walk(self.rig, self.out, options, AtTheTerminal(sys.stdin, sys.stderr), progress, self._tell)
@@ -68,34 +71,47 @@ class BringupGuide(WithRig):
         # On stderr, where errors are looked for: findings are results, this is why there are no more.
         if walked.stopped is not None:
             complain(walked.stopped, as_json=self.json)
-        if self.json:
-            say_json(report_of(walked))
-        else:
-            say(_end(walked, self.out, len(names)))
+        self.tell(report_of(walked), [_end(walked, self.out, len(names))])
         return Exit.OK if walked.good else Exit.FAILED
 
     def _tell(self, name: str, record: StepRecord) -> None:
         if not self.json:
-            say(f"\n{name}: {'good' if record.good else 'WRONG'}")
-            say_findings(record.findings)
+            for line in (f"\n{name}: {'good' if record.good else 'WRONG'}", *lines_of(record.findings)):
+                say(line)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class BringupProjector(WithRig):
-    """Measure the projector before a white wall with the instrument's own cameras, and write what follows into the rig file."""
+class SetupMeasure(WithRig):
+    """Measure the projector before a white wall with the instrument's own cameras, or fire 64 triggers and count what board and
+    cameras make of them; FAILED where anything is wrong."""
 
-    out: Path | None = option("--out", "folder for the page and its pictures", parse=Path, metavar="FOLDER")
-    dry_run: bool = switch("--dry-run", "measure and report; leave the rig file as it is")
+    what: str = operand("WHAT", "projector or trigger", choices=("projector", "trigger"))
+    out: Path | None = option(
+        "--out", "of the projector: folder for the page and its pictures", parse=Path, metavar="FOLDER"
+    )
+    install: bool = switch("--install", "of the projector: write what follows into the rig file")
 
     def run(self) -> Exit:
         rig = self.read_rig()
-        if self.rig is None and not self.dry_run:
-            raise UsageError(
-                "--rig: not given, and the packaged rig file is never changed; give the instrument's, or measure with --dry-run"
-            )
+        if self.what == "projector":
+            return self._projector(rig)
+        if self.out is not None or self.install:
+            raise UsageError("--out and --install: are for the projector")
+        from appliance.workshop import fired, light_bench, trigger_findings
+
+        with Progress() as progress, light_bench(rig) as bench:
+            progress("firing")
+            findings = trigger_findings(fired(bench, rig).ledger)
+        self.tell([one.as_dict() for one in findings], lines_of(findings))
+        return Exit.OK if all(one.ok for one in findings) else Exit.FAILED
+
+    def _projector(self, rig: Rig) -> Exit:
+        path = self.rig
+        if path is None and self.install:
+            raise UsageError("--rig: not given, and the packaged rig file is never changed; give the instrument's")
         # Before minutes of measuring, not after them.
         if self.out is not None:
-            _check_folder(self.out)
+            new_folder(self.out)
         from appliance.workshop import (
             PROJECTOR_PAGE,
             STEPS,
@@ -113,7 +129,6 @@ class BringupProjector(WithRig):
         )
 
         # Read before the long measurement, so that a file that cannot be edited is known by then.
-        path = None if self.rig is None else self.rig
         text = "" if path is None else path.read_text(encoding="utf-8-sig")
         try:
             with Progress() as progress, light_bench(rig) as bench:
@@ -134,7 +149,7 @@ class BringupProjector(WithRig):
                 folder.prepare()
                 written += folder.write({PROJECTOR_PAGE: page.encode(), **pictures})
         kept, timing = None, measured.lamp.timing
-        if keys and path is not None and not self.dry_run and changed != text:
+        if keys and path is not None and self.install and changed != text:
             kept = replace_rig(path, text, changed)
         report = {
             "good": good,
@@ -150,40 +165,26 @@ class BringupProjector(WithRig):
             "before": None if kept is None else str(kept),
             "written": [str(one) for one in written],
         }
-        if self.json:
-            say_json(report)
-        else:
-            say_findings(findings)
-            for place, value in keys.items():
-                say(f"[{place.table}] {place.key} = {list(value) if isinstance(value, tuple) else value}")
-            say(f"written into {path}; as it was: {kept}" if kept is not None else "the rig file was not changed")
+        lines = [
+            f"[{place.table}] {place.key} = {list(value) if isinstance(value, tuple) else value}"
+            for place, value in keys.items()
+        ]
+        end = f"written into {path}; as it was: {kept}" if kept is not None else "the rig file was not changed"
+        self.tell(report, [*lines_of(findings), *lines, end])
         return Exit.OK if good else Exit.FAILED
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BringupTrigger(WithRig):
-    """Fire 64 triggers as the rig file says and count what board and cameras make of them; FAILED where anything is missing."""
-
-    def run(self) -> Exit:
-        rig = self.read_rig()
-        from appliance.workshop import fired, light_bench, trigger_findings
-
-        with Progress() as progress, light_bench(rig) as bench:
-            progress("firing")
-            findings = trigger_findings(fired(bench, rig).ledger)
-        if self.json:
-            say_json([one.as_dict() for one in findings])
-        else:
-            say_findings(findings)
-        return Exit.OK if all(one.ok for one in findings) else Exit.FAILED
-
-
-def say_findings(findings: Sequence[Finding]) -> None:
-    """Print findings as a table, and remedies below it."""
-    say(table(("CHECK", "", "SEEN"), [(one.name, "ok" if one.ok else "WRONG", one.said) for one in findings]))
-    for one in findings:
-        if not one.ok:
-            say(f"{one.name}: {one.remedy}" + (f" (allowed: {one.limits})" if one.limits else ""))
+def lines_of(findings: Sequence[Finding]) -> list[str]:
+    """Return findings as a table, and remedies below it."""
+    rows = [(one.name, "ok" if one.ok else "WRONG", one.said) for one in findings]
+    return [
+        table(("CHECK", "", "SEEN"), rows),
+        *(
+            f"{one.name}: {one.remedy}" + (f" (allowed: {one.limits})" if one.limits else "")
+            for one in findings
+            if not one.ok
+        ),
+    ]
 
 
 class AtTheTerminal:
@@ -246,8 +247,3 @@ def _end(walked: Walked, folder: Path, count: int) -> str:
     if walked.good and good == count:
         return f"\nall {count} steps are good; the page is {page}; next: calibrate (docs/calibration.md)"
     return f"\n{good} of {count} steps are good; the page to send to somebody who helps is {page}"
-
-
-def _check_folder(folder: Path) -> None:
-    if folder.exists() and not folder.is_dir():
-        raise UsageError(f"--out {folder}: is a file; give a folder, which is made if it is not there")

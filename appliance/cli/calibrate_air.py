@@ -1,8 +1,9 @@
-"""Owns the verb ``calibrate air``: the pair of cameras in air, from pictures of a board, or with a board before it."""
+"""The verb ``calibration air``: a pair of cameras in air, from pictures of a board: the instrument's, or anybody's."""
 
 from __future__ import annotations
 
 import logging
+import re
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from appliance.cli.arguments import number, operand, option, switch, whole
 from appliance.cli.desk import existing, writable, writing
-from appliance.cli.output import Exit, Progress, UsageError, complain, say, say_json, table
+from appliance.cli.output import Exit, Progress, UsageError, complain, table
 from appliance.cli.places import WithRoot
 
 if TYPE_CHECKING:  # imported inside the verb: a wrong word can do without
@@ -18,47 +19,71 @@ if TYPE_CHECKING:  # imported inside the verb: a wrong word can do without
     from appliance.store import Rig
 
 log = logging.getLogger(__name__)
-
-DEFAULT_NAME = "air.json"
-"""Name of the file that is written into the folder of pictures unless ``--out`` names another."""
+_BOARD = re.compile(r"(?:(\d{1,2})x(\d{1,2})x)?(\d+(?:\.\d+)?)(?:x(\d+(?:\.\d+)?))?")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibrateAir(WithRoot):
-    """Calibrate from a folder of pictures; FAILED where they do not suffice, with the reason for each."""
+    """Calibrate the instrument's cameras, or with --pair any two, from a folder of pictures; FAILED where they do not suffice, with the reason for each."""
 
     folder: Path = operand(
-        "FOLDER", "pairs NAME_left.png, NAME_right.png, or folders of --live or of scans", parse=Path
+        "FOLDER",
+        "pairs NAME_left.png, NAME_right.png, or folders of --live or of scans; of --pair pictures whose names tell left from right",
+        parse=Path,
     )
     board: str | None = option(
-        "--board", "squares across and down, their size and the markers' in mm", metavar="15x12x18x13.5"
+        "--board",
+        "squares across and down, their size and the markers' in mm (default: 15x12x18x13.5); of --pair 18, 18x13.5 or 15x12x18 will do: "
+        "the rest is found, but for the size of a square, which no picture tells",
+        metavar="15x12x18x13.5",
     )
     """Design of the board; ``None``: that of the folder, else the usual one."""
-    out: Path | None = option("--out", "default: air.json in FOLDER; pictures go beside it", parse=Path, metavar="FILE")
-    install: bool = switch("--install", "make it the start of this instrument's calibrations")
-    live: bool = switch("--live", "record the views first, with this instrument, into FOLDER")
-    views: int = option("--views", "default: %(default)s", default=20, parse=whole(6, 200), metavar="N")
-    room_light: bool = switch("--room-light", "the projector stays dark")
-    exposure_ms: float | None = option(
-        "--exposure-ms", "default: the rig file's", parse=number(0.05, 16.0), metavar="MS"
+    out: Path | None = option(
+        "--out", "default: air.json or pair.json in FOLDER; pictures and more go beside it", parse=Path, metavar="FILE"
     )
-    patience_s: float = option(
-        "--patience-s",
-        "without a new view, default: %(default)g",
+    install: bool = switch("--install", "make it the start of this instrument's calibrations")
+    live: int | None = option(
+        "--live", "record up to N views first, with this instrument, into FOLDER", parse=whole(6, 200), metavar="N"
+    )
+    room_light: bool = switch("--room-light", "of --live: the projector stays dark")
+    exposure_ms: float | None = option(
+        "--exposure-ms", "of --live, default: the rig file's", parse=number(0.05, 16.0), metavar="MS"
+    )
+    timeout_s: float = option(
+        "--timeout-s",
+        "of --live: without a new view, default: %(default)g",
         default=300.0,
         parse=number(1.0, 86400.0),
         metavar="S",
     )
+    pair: str | None = option("--pair", "any two cameras, called NAME; no rig file is read", metavar="NAME")
+    sides: str | None = option(
+        "--sides",
+        "of --pair: which pictures are the left and the right camera's, with one * each",
+        metavar="'a/*.png,b/*.png'",
+    )
+    flat: bool = switch("--flat", "of --pair: the board is known to be flat: its shape is not adjusted")
 
     @property
     def says_news(self) -> bool:
         """True with ``--live``, which makes it the instrument for a while."""
-        return self.live
+        return self.live is not None
 
     def run(self) -> Exit:
-        rig = self.rooted_rig()
         writable(self.out)
-        if not self.live:  # which makes it
+        if self.pair is not None:
+            if self.live is not None or self.install:
+                raise UsageError("--pair: is of cameras that are not the instrument's; leave --live and --install out")
+            return self._of_pair(self.pair)
+        if self.sides is not None or self.flat:
+            raise UsageError("--sides and --flat: are for --pair")
+        return self._of_instrument()
+
+    # ------------------------------------------------------------------------------------- the instrument's
+
+    def _of_instrument(self) -> Exit:
+        rig = self.rooted_rig()
+        if self.live is None:  # which makes it
             existing("FOLDER", self.folder, "the pictures of the board")
         from appliance.base import ContentError
         from appliance.calibrate import (
@@ -72,11 +97,11 @@ class CalibrateAir(WithRoot):
         )
         from appliance.calibrate import install as install_air
 
-        target = self.out or self.folder / DEFAULT_NAME
+        target = self.out or self.folder / "air.json"
         try:
             design = None if self.board is None else parse_board(self.board)
-            if self.live:
-                self._record(rig, design)
+            if self.live is not None:
+                self._record(rig, self.live, design)
             # The board that the views were recorded with is written beside them, so that nobody has to remember its
             # size.
             begun = read_session(self.folder)
@@ -91,45 +116,130 @@ class CalibrateAir(WithRoot):
         if self.install:
             installed, before = install_air(rig, target)
             report |= {"installed": str(installed), "before": None if before is None else str(before)}
-        if self.json:
-            say_json(report)
-        else:
-            _tell(report)
+        self.tell(report, _lines_of_instrument(report))
         return Exit.OK
 
-    def _record(self, rig: Rig, design: BoardDesign | None) -> None:
+    def _record(self, rig: Rig, views: int, design: BoardDesign | None) -> None:
         from appliance.calibrate import ViewFolder
         from appliance.instrument import LiveError, LiveOptions, record_views
 
-        wanted = LiveOptions(self.views, not self.room_light, self.exposure_ms, self.patience_s)
+        wanted = LiveOptions(views, not self.room_light, self.exposure_ms, self.timeout_s)
         try:
             record_views(rig, ViewFolder(self.folder, rig.rig.serial, design), wanted, log.info)
         except LiveError as error:
             raise LiveFailed(str(error)) from error
+
+    # ------------------------------------------------------------------------------------- anybody's
+
+    def _of_pair(self, name: str) -> Exit:
+        """Look at the pictures, adjust, write and say what came out."""
+        sizes_mm = self._sizes_mm()
+        left, comma, right = (self.sides or "").partition(",")
+        if self.sides is not None and not comma:
+            raise UsageError(f"--sides {self.sides}: give two with a comma between them, for example 'a/*.png,b/*.png'")
+        existing("FOLDER", self.folder, "the pictures of the board")
+        from appliance.calibrate import (
+            AirCalibrationError,
+            BoardNotFoundError,
+            Patterns,
+            PicturesError,
+            Wanted,
+            calibrate_pictures,
+            named_pictures,
+        )
+
+        across, down, square_mm, marker_mm = sizes_mm
+        wanted = Wanted(square_mm, across, down, marker_mm)
+        target = self.out or self.folder / "pair.json"
+        try:
+            pictures = named_pictures(self.folder, Patterns(left, right) if comma else None)
+            with Progress() as progress, writing(target):
+                report = calibrate_pictures(name, pictures, wanted, self.flat, target, datetime.now(UTC), progress)
+        except PicturesError as error:
+            raise UsageError(str(error)) from error
+        except (AirCalibrationError, BoardNotFoundError) as error:
+            complain(str(error), as_json=self.json)
+            return Exit.FAILED
+        for text in report["warnings"]:
+            log.warning(text)
+        self.tell(report, _lines_of_pair(report))
+        return Exit.OK
+
+    def _sizes_mm(self) -> tuple[int | None, int | None, float, float | None]:
+        """Return squares across and down, their size and the markers'; ``None``: it is to be found. Raises UsageError."""
+        if self.board is None:
+            raise UsageError(
+                "--board is missing: no picture tells how large a board is; measure a row of squares, and give --board 18"
+            )
+        found = _BOARD.fullmatch(self.board)
+        if found is not None:
+            across, down = (None if text is None else int(text) for text in found.groups()[:2])
+            square_mm, marker_mm = float(found[3]), None if found[4] is None else float(found[4])
+            fits = all(text is None or 3 <= text <= 60 for text in (across, down)) and 0.1 <= square_mm <= 1000.0
+            if fits and (marker_mm is None or 0.05 <= marker_mm < square_mm):
+                return across, down, square_mm, marker_mm
+        raise UsageError(
+            f"--board {self.board}: give SQUARE, SQUARExMARKER, ACROSSxDOWNxSQUARE or all four, squares 3..60, sizes 0.1..1000 mm, markers "
+            "smaller; for example 15x12x18x13.5"
+        )
 
 
 class LiveFailed(Exception):
     """Recording ended before there were enough views; the text says why."""
 
 
-def _tell(report: dict[str, Any]) -> None:
+def _lines_of_instrument(report: dict[str, Any]) -> list[str]:
     rows = [
         (view["name"], str(view["corners"]), f"{view['residual_px']:.3f}", "; ".join(view["remarks"]))
         for view in report["views"]
     ]
-    say(table(("VIEW", "CORNERS", "RESIDUAL PX", ""), rows))
-    for key in ("left_out", "missing"):
-        for text in report[key]:
-            say(f"{key.replace('_', ' ')}: {text}")
+    return [
+        table(("VIEW", "CORNERS", "RESIDUAL PX", ""), rows),
+        *(f"{key.replace('_', ' ')}: {text}" for key in ("left_out", "missing") for text in report[key]),
+        *_figures(
+            report,
+            ("board's bow", f"{report['board_bow_mm']:.3f} mm"),
+            ("file", report["file"]),
+            *(("picture", path) for path in report["pictures"]),
+            *(("installed", report[key]) for key in ("installed",) if report.get(key)),
+            *(("the one before is", report[key]) for key in ("before",) if report.get(key)),
+        ),
+    ]
+
+
+def _lines_of_pair(report: dict[str, Any]) -> list[str]:
+    rows = [
+        (
+            view["name"],
+            " / ".join(str(n or "-") for n in view["corners"]),
+            f"{view['residual_px']:.3f}",
+            " / ".join("-" if sd is None else f"{sd:.3f}" for sd in view["noise_px"]),
+            "; ".join(view["remarks"]),
+        )
+        for view in report["views"]
+    ]
+    return [
+        table(("VIEW", "CORNERS", "RESIDUAL PX", "NOISE PX", ""), rows),
+        *(f"left out: {text}" for text in report["left_out"]),
+        *(f"neither left nor right by its name: {text}" for text in report["unnamed"]),
+        *_figures(
+            report,
+            ("board found", report["board"]),
+            ("left and right told by", report["told_by"]),
+            ("pairs", f"{len(report['pairs'])} of {len(report['views'])} views used"),
+            ("board's bow, saddle, twist", ", ".join(f"{v:.3f}" for v in report["board_shapes_mm"][:3]) + " mm"),
+            ("file", report["file"]),
+            ("for OpenCV", report["opencv_file"]),
+            *(("picture", path) for path in report["pictures"]),
+        ),
+    ]
+
+
+def _figures(report: dict[str, Any], *more: tuple[str, Any]) -> list[str]:
     f, sd = report["principal_distance_px"], report["principal_distance_sd_px"]
-    for name, value in (
+    figures = (
         ("residual", f"{report['residual_px']:.4f} px"),
         ("principal distances", f"{f[0]:.2f} ± {sd[0]:.2f} / {f[1]:.2f} ± {sd[1]:.2f} px"),
         ("baseline", f"{report['baseline_mm']:.3f} ± {report['baseline_sd_mm']:.3f} mm"),
-        ("board's bow", f"{report['board_bow_mm']:.3f} mm"),
-        ("file", report["file"]),
-        *(("picture", path) for path in report["pictures"]),
-        *(("installed", report[key]) for key in ("installed",) if report.get(key)),
-        *(("the one before is", report[key]) for key in ("before",) if report.get(key)),
-    ):
-        say(f"{name:<24} {value}")
+    )
+    return [f"{name:<27} {value}" for name, value in (*figures, *more)]

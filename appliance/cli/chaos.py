@@ -1,15 +1,15 @@
-"""Owns ``kingfisher sim --chaos``: what an unlucky dive was told is compared with what lies on the disk."""
+"""``kingfisher sim chaos=SEED``: what an unlucky dive was told is compared with what lies on the disk."""
 
 from __future__ import annotations
 
 import json as json_format
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from appliance.cli.output import Exit, Progress, UsageError, say, say_json
+from appliance.cli.output import Exit, Progress, UsageError
 from appliance.cli.simrig import SimOptions, simulated
 from appliance.store import Library, UnknownScan
 
@@ -28,13 +28,19 @@ class Chaos:
     scans: int
 
 
-def chaos(rig: Rig, options: SimOptions, wanted: Chaos, dive: Callable[[Rig, SimOptions], Exit], *, json: bool) -> Exit:
+def chaos(
+    rig: Rig,
+    options: SimOptions,
+    wanted: Chaos,
+    dive: Callable[[Rig, SimOptions], Exit],
+    tell: Callable[[Any, Iterable[str]], None],
+) -> Exit:
     """Dive while devices come and go; FAILED if an accepted scan is lost or damaged or a refusal had no reason.
 
     ``dive`` runs the instrument of a rig in its simulated world until that ends.
     """
     if options.script is not None or options.window:
-        raise UsageError("--chaos: its diver holds the instrument; leave --script and --window out")
+        raise UsageError("chaos: its diver holds the instrument; leave --script and --window out")
     root = options.root or rig.storage.root
     # Scans of before would be counted as saved by this dive, and its losses would be hidden among them.
     if (root / "scans").exists():
@@ -50,11 +56,7 @@ def chaos(rig: Rig, options: SimOptions, wanted: Chaos, dive: Callable[[Rig, Sim
         ended = dive(replace(rig, rig=world), options)
         told: dict[str, Any] = json_format.loads(report.read_text(encoding="utf-8"))
     result = told | _compared(simulated(replace(rig, rig=world), options), told["accepted"])
-    if json:
-        say_json(result)
-    else:
-        for key, value in result.items():
-            say(f"{key:<12} {_short(value)}")
+    tell(result, (f"{key:<12} {_short(value)}" for key, value in result.items()))
     whole = not (result["lost"] or result["damaged"] or result["unexplained"])
     # How the service ended comes before what the comparison found: after a crash the rest is its consequence.
     return ended if ended is not Exit.OK else Exit.OK if whole else Exit.FAILED

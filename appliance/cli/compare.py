@@ -1,4 +1,4 @@
-"""Owns the verbs that compare: a scan, or an object, with what it was to be."""
+"""The verb ``compare``: how far a scan, or an object, lies from what it was to be."""
 
 from __future__ import annotations
 
@@ -8,9 +8,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from appliance.cli.arguments import number, operand, option, repeated
-from appliance.cli.desk import library_root, measuring, scan_in, whole_scan, writable, writing
+from appliance.cli.cloud import SPACING_MM
+from appliance.cli.desk import (
+    PAGE_SUFFIX,
+    library_root,
+    measuring,
+    object_named,
+    opened_scans,
+    scan_in,
+    writable_as,
+    writing,
+)
 from appliance.cli.kernels import compile_kernels
-from appliance.cli.output import Exit, Progress, UsageError, say, say_json
+from appliance.cli.output import Exit, Progress
 from appliance.cli.places import WithCalibration
 
 if TYPE_CHECKING:
@@ -19,30 +29,7 @@ if TYPE_CHECKING:
     from appliance.store import Wish
 
 _PLACE = 6
-_NOMINAL = "a CAD model in mm (.stl .obj .ply), or the name of another object"
 _FARTHEST_MM = 1e11
-_FILES = tuple(
-    f".{one}"
-    for one in [
-        "stl",
-        "obj",
-        "ply",
-        "step",
-        "stp",
-        "iges",
-        "igs",
-        "3mf",
-        "off",
-        "glb",
-        "gltf",
-        "dxf",
-        "x_t",
-        "sldprt",
-        "ipt",
-        "brep",
-    ]
-)
-"""Suffixes of CAD models, and of those that must be converted first: an object's name may have a dot, too."""
 
 
 def _six(text: str) -> tuple[float, ...]:
@@ -57,14 +44,12 @@ def _six(text: str) -> tuple[float, ...]:
     return values
 
 
-def _is_file(nominal: str) -> bool:
-    """Tell whether ``nominal`` is a CAD model's file, and no object's name."""
-    path = Path(nominal)
-    return path.suffix.lower() in _FILES or path.exists()
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Comparing(WithCalibration):
+class Compare(WithCalibration):
+    """Measure the distances of a scan's points, or of a solved object's surface, from a CAD model or another object."""
+
+    what: str = operand("WHAT", "a scan, by its number or folder, or object:NAME")
+    nominal: str = operand("NOMINAL", "a CAD model in mm (.stl .obj .ply), or object:NAME")
     out: tuple[str, ...] = repeated(
         "--out",
         "points with their deviation, in the CAD model's frame (.ply .e57 .las), or a page with map and histogram (.html); may be repeated",
@@ -89,65 +74,61 @@ class _Comparing(WithCalibration):
     spacing: float = option(
         "--spacing",
         "mm between the points that are compared (0.3)",
-        default=0.3,
+        default=SPACING_MM,
         parse=number(0.02, 20.0, "mm"),
         metavar="MM",
     )
 
-    def compared(self, nominal: NominalSurface, surface: FusedCloud, about: About, stored: StoredObject | None) -> Exit:
-        """Compare, write what was asked for, and say what came of it."""
+    def run(self) -> Exit:
+        wish = self.wish()
+        measuring(wish.calibration)
+        root, name = library_root(wish), object_named(self.what)
+        if name is None:
+            scan_in(wish, self.what)
+        self._check(root)
+        from appliance.desk import read_object
+
+        stored = None if name is None else read_object(root, name)
+        compile_kernels()
         from appliance.desk import compare, errors_of, figures_of, write_comparison
 
         with Progress() as progress:
+            nominal = self._nominal_surface(root, wish, progress)
+            surface, about = self._surface(root, stored, wish, progress)
             progress(f"laying it onto {nominal.name}")
             found = compare(surface, nominal, self.limit, self._start(), None if stored is None else errors_of(stored))
-            for out in self.out:
+            for out in map(Path, self.out):
                 progress(f"writing {out}")
-                with writing(Path(out)):
-                    write_comparison(Path(out), found, about, self.tolerance, stored)
+                with writing(out):
+                    write_comparison(out, found, about, self.tolerance, stored)
         figures = figures_of(found, self.tolerance)
-        if self.json:
-            say_json(figures)
-            return Exit.OK
         summary = found.deviation.summary
-        say(
-            f"{about.title} against {nominal.name}: {summary.points} points, {summary.beyond} of them farther than {self.limit:g} mm, "
-            f"{summary.beside} beside an open border"
-        )
+        first = f"{about.title} against {nominal.name}: {summary.points} points, {summary.beyond} of them farther than {self.limit:g} mm"
+        lines = [f"{first}, {summary.beside} beside an open border"]
         if summary.rms_mm is not None:
-            say(
+            lines.append(
                 f"deviation: mean {summary.mean_mm:+.3f}, RMS {summary.rms_mm:.3f}, {summary.least_mm:+.3f} to {summary.most_mm:+.3f} mm"
             )
         if self.tolerance is not None:
-            say(f"out of ± {self.tolerance:g} mm: {figures['out_of_tolerance_percent']:.2f} %")
-        for one in found.warnings:
-            say(f"warning: {one}")
+            lines.append(f"out of ± {self.tolerance:g} mm: {figures['out_of_tolerance_percent']:.2f} %")
+        self.tell(figures, [*lines, *(f"warning: {one}" for one in found.warnings)])
         return Exit.OK
 
-    def checked(self, nominal: str, root: Path) -> None:
-        """Raises ObjectError for an object under ``root`` that is not there, UsageError for files that cannot be written, and MissingLibraryError where what reads ``nominal`` or writes them is absent: before
-        minutes of work."""
+    def _check(self, root: Path) -> None:
+        """Raises ObjectError for an object under ``root`` that is not there, NominalError for a CAD model that is not, UsageError for
+        files that cannot be written, and MissingLibraryError where what reads or writes them is absent: before minutes of work."""
         from appliance.base import require
-        from appliance.desk import SURFACE_SUFFIXES, ExportError, checked_drawing, checked_suffix, require_library
+        from appliance.desk import SURFACE_SUFFIXES, checked_drawing, read_object
 
         require("igl", "libigl", "a comparison")
-        if _is_file(nominal):
-            # Before a scan is opened: a format that is not read, a file that is not there.
-            if checked_drawing(Path(nominal)) != ".stl":
-                require("trimesh", "trimesh", "a CAD model")
-        else:
+        name = object_named(self.nominal)
+        if name is not None:
             require("skimage.measure", "scikit-image", "the mesh of an object")
-            from appliance.desk import read_object
-
-            read_object(root, nominal)
-
+            read_object(root, name)
+        elif checked_drawing(Path(self.nominal)) != ".stl":
+            require("trimesh", "trimesh", "a CAD model")
         for out in map(Path, self.out):
-            writable(out)
-            try:
-                checked_suffix(out, (*SURFACE_SUFFIXES, ".html"), "a comparison")
-            except ExportError as error:
-                raise UsageError(f"--out {error}") from error
-            require_library(out)
+            writable_as(out, (*SURFACE_SUFFIXES, PAGE_SUFFIX), "a comparison")
 
     def _start(self) -> Rigid | None:
         import numpy as np
@@ -158,8 +139,25 @@ class _Comparing(WithCalibration):
             return None
         return Rigid(rotation_matrix(np.radians(self.start[3:])), np.array(self.start[:3]))
 
-    def surface_named(self, named: str, root: Path, wish: Wish, progress: Progress) -> NominalSurface:
-        """Return the CAD model or the object called ``named``. Raises NominalError, ObjectError."""
+    def _surface(
+        self, root: Path, stored: StoredObject | None, wish: Wish, progress: Progress
+    ) -> tuple[FusedCloud, About]:
+        """Return the points that are compared, of the object or of the scan."""
+        import numpy as np
+
+        from appliance.desk import CAMERA_FRAME, About, PlacedScan, about_object, fuse, organised_scan, surface_of
+        from appliance.store import calibration_for
+
+        if stored is not None:
+            return surface_of(root, stored, wish, progress, self.spacing), about_object(stored)
+        with opened_scans(wish, (self.what,)) as ((source,), _):
+            made = organised_scan(source, calibration_for(source, wish), progress)
+        # One scan has no other to be placed beside.
+        placed = PlacedScan(made.cloud, np.eye(3), np.zeros(3), pose_sigma_mm=0.0)
+        return fuse([placed], self.spacing), About(f"scan {source.scan.manifest.scan_id}", CAMERA_FRAME)
+
+    def _nominal_surface(self, root: Path, wish: Wish, progress: Progress) -> NominalSurface:
+        """Return what is compared with. Raises NominalError, ObjectError."""
         from appliance.desk import (
             VOXEL_MM,
             NominalSurface,
@@ -172,65 +170,11 @@ class _Comparing(WithCalibration):
             surface_of,
         )
 
-        path = Path(named)
-        if _is_file(named):
-            return NominalSurface(path.name, read_nominal(path))
-        other = read_object(root, named)
+        name = object_named(self.nominal)
+        if name is None:
+            return NominalSurface(Path(self.nominal).name, read_nominal(Path(self.nominal)))
+        other = read_object(root, name)
         # What the two are laid onto each other by, no error of the other's frame is left in.
         surface = laid_onto_something(surface_of(root, other, wish, progress, self.spacing), errors_of(other))
         mesh = mesh_of_surface(surface, max(VOXEL_MM, 2.0 * self.spacing))
         return NominalSurface(f"object {other.name}", nominal_of_mesh(mesh), mesh.sigma_mm)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CompareObject(_Comparing):
-    """The distances of a solved object's surface from a CAD model, or from another object."""
-
-    name: str = operand("NAME", "the object's name")
-    nominal: str = operand("MODEL", _NOMINAL)
-
-    def run(self) -> Exit:
-        from appliance.desk import read_object
-
-        wish = self.wish()
-        measuring(wish.calibration)
-        root = library_root(wish)
-        self.checked(self.nominal, root)
-        stored = read_object(root, self.name)
-        compile_kernels()
-        from appliance.desk import about_object, surface_of
-
-        with Progress() as progress:
-            nominal = self.surface_named(self.nominal, root, wish, progress)
-            surface = surface_of(root, stored, wish, progress, self.spacing)
-        return self.compared(nominal, surface, about_object(stored), stored)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CompareScan(_Comparing):
-    """The distances of one scan's points from a CAD model, or from an object."""
-
-    scan: str = operand("SCAN", "its number or its folder")
-    nominal: str = operand("MODEL", _NOMINAL)
-
-    def run(self) -> Exit:
-        wish = self.wish()
-        measuring(wish.calibration)
-        root = library_root(wish)
-        scan_in(wish, self.scan)
-        self.checked(self.nominal, root)
-        with Progress() as progress:
-            folder = whole_scan(wish, self.scan)
-            compile_kernels()
-            import numpy as np
-
-            from appliance.desk import CAMERA_FRAME, About, PlacedScan, fuse, organised_scan
-            from appliance.store import calibration_for, open_source
-
-            nominal = self.surface_named(self.nominal, root, wish, progress)
-            source = open_source(folder, wish)
-            made = organised_scan(source, calibration_for(source, wish), progress)
-            # One scan has no other to be placed beside.
-            placed = PlacedScan(made.cloud, np.eye(3), np.zeros(3), pose_sigma_mm=0.0)
-            surface = fuse([placed], self.spacing)
-        return self.compared(nominal, surface, About(f"scan {source.scan.manifest.scan_id}", CAMERA_FRAME), None)

@@ -1,33 +1,30 @@
-"""Owns what the desk asks for before it works: a scan whose frames are whole, a file to write.
+"""Steps that the desk's verbs share: which scan or object is meant, files that can be written, scans opened, files written.
 
 Whatever a wrong word could need is imported where it is needed: a mistake is told before anything that computes is loaded.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from appliance.cli.output import UsageError
+from appliance.cli.output import Progress, UsageError
 from appliance.cli.places import root_of_rig, scan_folder
-from appliance.store import Library, StorageError, Wish, remedy_for
+from appliance.store import Library, LocalFileSystem, StorageError, Wish, remedy_for, replace_file
 
-CLOUD_SUFFIX, PAGE_SUFFIX = ".ply", ".html"
+if TYPE_CHECKING:  # brings NumPy
+    from appliance.store import SourceScan
+
+PAGE_SUFFIX = ".html"
+OBJECT = "object:"
+"""Prefix that tells an object's name from a scan's number and a file."""
 
 
-def whole_scan(wish: Wish, scan: str) -> Path:
-    """Return the folder of ``scan``, its number or its folder, whose frames are whole: every byte is compared with
-    its checksum.
-
-    What can be made again from the frames (cloud, preview), and what may be found elsewhere (calibration, rig file), need
-    not be whole. Raises UnknownScan, ScanError, UsageError.
-    """
-    folder = scan_in(wish, scan)
-    from appliance.store import refuse_damaged_frames
-
-    refuse_damaged_frames(folder)
-    return folder
+def object_named(word: str) -> str | None:
+    """Return NAME of ``object:NAME``; ``None`` where ``word`` is no object."""
+    return word.removeprefix(OBJECT) if word.startswith(OBJECT) else None
 
 
 def scan_in(wish: Wish, scan: str) -> Path:
@@ -45,6 +42,31 @@ def place_of(listed: Path, scan: str) -> str:
     return str(listed.parent / scan) if "/" in scan else scan
 
 
+@contextmanager
+def opened_scans(
+    wish: Wish, scans: Sequence[str], share: float = 1.0, check: Callable[[], None] = lambda: None
+) -> Iterator[tuple[Sequence[SourceScan], Progress]]:
+    """Open ``scans``, by their numbers or folders, whose frames are whole: every byte is compared with its checksum.
+
+    Comparing has the ``share`` of the progress; ``check`` is called before it, and may load what computes. What can be made again from the frames (cloud, preview), and what may be found
+    elsewhere (calibration, rig file), need not be whole. Raises UnknownScan, ScanError, UsageError.
+    """
+    from appliance.cli.kernels import compile_kernels
+
+    folders = [scan_in(wish, scan) for scan in scans]  # a wrong number is told before minutes of compiling
+    compile_kernels()
+    check()
+    from appliance.store import open_source, refuse_damaged_frames
+
+    with Progress() as progress:
+        sources = []
+        for k, folder in enumerate(folders):
+            progress(f"comparing checksums of {folder.name}", share * k / len(folders))
+            refuse_damaged_frames(folder)
+            sources.append(open_source(folder, wish))
+        yield sources, progress
+
+
 def measuring(calibration: Path | None) -> None:
     """Raises UsageError for a ``--calibration`` in air: what the windows do is not in it. Raises CalibrationError."""
     if calibration is None:
@@ -55,7 +77,7 @@ def measuring(calibration: Path | None) -> None:
     if load_calibration(calibration).method == IN_AIR:
         raise UsageError(
             f"--calibration {calibration}: is one in air, which only calibrating in water begins with; "
-            "give one made in water (`kingfisher calibrate water`)"
+            "give one made in water (`kingfisher calibration water`)"
         )
 
 
@@ -77,6 +99,19 @@ def writable(out: Path | None, name: str = "--out") -> None:
         raise UsageError(f"{name} {out}: there is no folder {out.parent}; make it first, or give another one")
 
 
+def writable_as(out: Path, allowed: tuple[str, ...], what: str) -> None:
+    """Raises UsageError for a name that ``writable`` refuses or whose suffix is none of those ``allowed`` for ``what``, and
+    MissingLibraryError where what writes it is absent: before minutes of work."""
+    writable(out)
+    from appliance.desk import ExportError, checked_suffix, require_library
+
+    try:
+        checked_suffix(out, allowed, what)
+    except ExportError as error:
+        raise UsageError(f"--out {error}") from error
+    require_library(out)
+
+
 def writable_page(out: Path) -> None:
     """Raises UsageError for a name that ``writable`` refuses or that promises another format than a page."""
     writable(out)
@@ -84,14 +119,10 @@ def writable_page(out: Path) -> None:
         raise UsageError(f"--out {out}: a page is written as {PAGE_SUFFIX}; give {out.with_suffix(PAGE_SUFFIX).name}")
 
 
-def writable_cloud(out: Path | None) -> None:
-    """Raises UsageError for a name that ``writable`` refuses or that promises another format than the one written."""
-    writable(out)
-    if out is not None and out.suffix.lower() != CLOUD_SUFFIX:
-        raise UsageError(
-            f"--out {out}: a cloud is written as PLY, and {out.suffix or 'no suffix'} promises something else; allowed: "
-            f"{CLOUD_SUFFIX}; give {out.with_suffix(CLOUD_SUFFIX)}, which other programs convert"
-        )
+def new_folder(out: Path) -> None:
+    """Raises UsageError for a folder of ``--out`` that cannot be made."""
+    if out.exists() and not out.is_dir():
+        raise UsageError(f"--out {out}: is a file; give a folder, which is made if it is not there")
 
 
 @contextmanager
@@ -106,3 +137,10 @@ def writing(path: Path) -> Iterator[None]:
         else:
             reason, remedy = error.strerror or str(error), remedy_for(error)
         raise StorageError("cannot write", path, reason, f"{remedy}; --out FILE writes elsewhere") from error
+
+
+def write_files(files: Mapping[Path, bytes]) -> None:
+    """Write ``files`` in their order, each whole or not at all. Raises StorageError."""
+    for path, content in files.items():
+        with writing(path):
+            replace_file(LocalFileSystem(), path, content)

@@ -1,4 +1,4 @@
-"""Owns the verb ``evaluate``: artefacts in stored scans, measured and written down as a page and as JSON."""
+"""The verb ``evaluate``: artefacts in stored scans, measured and written down as a page and as JSON."""
 
 from __future__ import annotations
 
@@ -8,11 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from appliance.cli.arguments import operand, option
-from appliance.cli.desk import measuring, place_of, scan_in, whole_scan, writable, writable_page, writing
-from appliance.cli.kernels import compile_kernels
-from appliance.cli.output import Exit, Progress, UsageError, say, say_json, table
+from appliance.cli.desk import measuring, opened_scans, place_of, scan_in, writable, writable_page, write_files
+from appliance.cli.output import Exit, UsageError, table
 from appliance.cli.places import WithCalibration
-from appliance.store import LocalFileSystem, replace_file
 
 DEFAULT_OUT = Path("evaluation.html")
 SCANS_CHECKED = 0.1
@@ -43,51 +41,39 @@ class Evaluate(WithCalibration):
         from appliance.store import read_list, refuse_repeats
 
         scans = read_list(self.list)
-        # A wrong number is told before minutes of compiling, and of comparing checksums.
-        folders = [scan_in(wish, place_of(self.list, entry.scan)) for entry in scans.entries]
-        refuse_repeats(self.list, scans.entries, folders)
-        compile_kernels()
-        from appliance.desk import run_evaluation
-        from appliance.measure import as_html, as_json
-        from appliance.store import instrument_of, one_calibration, open_source
-
-        with Progress() as progress:
-            sources = []
-            for k, entry in enumerate(scans.entries):
-                progress(f"comparing checksums of {entry.scan}", SCANS_CHECKED * k / len(scans.entries))
-                sources.append(open_source(whole_scan(wish, place_of(self.list, entry.scan)), wish))
+        places = [place_of(self.list, entry.scan) for entry in scans.entries]
+        refuse_repeats(self.list, scans.entries, [scan_in(wish, place) for place in places])
+        with opened_scans(wish, places, SCANS_CHECKED) as (sources, progress):
+            from appliance.desk import run_evaluation
+            from appliance.store import instrument_of, one_calibration
 
             def step(what: str, part: float) -> None:
                 progress(what, SCANS_CHECKED + (1.0 - SCANS_CHECKED) * part)
 
             instrument_of(sources, wish)  # refuses two
             evaluation = run_evaluation(scans, sources, one_calibration(sources, wish).calibration, step)
+        from appliance.measure import as_html, as_json
+
         content = as_json(evaluation)
         text = json_form.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-        for path, written in ((page, as_html(evaluation)), (data, text)):
-            with writing(path):
-                replace_file(LocalFileSystem(), path, written.encode())
-        if self.json:
-            say_json(content)
-        else:
-            _tell(content, page)
+        write_files({page: as_html(evaluation).encode(), data: text.encode()})
+        self.tell(content, _lines(content, page))
         # The report is there either way; a program that only looks at the code must not take a missing artefact for a
         # good one.
         return Exit.OK if evaluation.complete else Exit.FAILED
 
 
-def _tell(content: dict[str, Any], page: Path) -> None:
-    for scan in content["scans"]:
-        if scan["reason"] is not None:
-            say(f"{scan['scan']}  {scan['artefact']}: {scan['reason']}")
+def _lines(content: dict[str, Any], page: Path) -> list[str]:
+    lines = [
+        f"{one['scan']}  {one['artefact']}: {one['reason']}" for one in content["scans"] if one["reason"] is not None
+    ]
     measured = [(scan["scan"], q) for scan in content["scans"] for q in scan["quantities"]]
     if measured:
         columns = ("SCAN", "QUANTITY", "OF", "VALUE mm", "U (k=2) mm", "LIMIT mm", "POINTS", "")
-        say(table(columns, [(scan, *_row(quantity)) for scan, quantity in measured]))
+        lines.append(table(columns, [(scan, *_row(quantity)) for scan, quantity in measured]))
     for key, value in content["summary"].items():
-        say(f"{key:<24} {'-' if value is None else f'{value:.4f}'}")
-    say(f"{'limits':<24} {content['limits_kept']}")
-    say(f"{'report':<24} {page}")
+        lines.append(f"{key:<24} {'-' if value is None else f'{value:.4f}'}")
+    return [*lines, f"{'limits':<24} {content['limits_kept']}", f"{'report':<24} {page}"]
 
 
 def _row(quantity: dict[str, Any]) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""Owns which errors end a verb with which exit code, known by their names, so that telling a mistake loads nobody who may make one."""
+"""Errors that end a verb, and their exit codes, known by their names, so that telling a mistake loads nobody who may make one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Owns the verb ``import``: images that some other rig took, as points or as a scan folder."""
+"""The verb ``import``: images that some other rig took, as points or as a scan folder."""
 
 from __future__ import annotations
 
@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from appliance.cli.arguments import Verb, operand, option, switch
-from appliance.cli.desk import writable, writing
+from appliance.cli.desk import writable, writable_as, writing
 from appliance.cli.kernels import compile_point_kernels
-from appliance.cli.listing import say_report
 from appliance.cli.output import Exit, Progress, UsageError
 
 
@@ -31,7 +30,9 @@ class Import(Verb):
     def run(self) -> Exit:
         out = self.out or Path(f"{self.source.absolute().stem}.ply")
         if out.suffix:
-            self._check_cloud(out)
+            from appliance.desk import SCAN_SUFFIXES
+
+            writable_as(out, SCAN_SUFFIXES, "a cloud")
         writable(self.reasons, "--reasons")
         if self.source.is_dir():
             return self._of_folder(out)
@@ -50,18 +51,8 @@ class Import(Verb):
             with writing(out):
                 make = import_cloud if out.suffix else import_scan
                 report = make(self.source, out, progress, as_described=self.as_described, reasons=self.reasons)
-        say_report(report, as_json=self.json)
+        self.tell(report)
         return Exit.OK
-
-    def _check_cloud(self, out: Path) -> None:
-        writable(out)
-        from appliance.desk import SCAN_SUFFIXES, ExportError, checked_suffix, require_library
-
-        try:
-            checked_suffix(out, SCAN_SUFFIXES, "a cloud")
-            require_library(out)
-        except ExportError as error:
-            raise UsageError(f"--out {error}") from error
 
     def _of_folder(self, out: Path) -> Exit:
         if self.as_described or not out.suffix:
@@ -78,5 +69,5 @@ class Import(Verb):
             compile_point_kernels()
             with writing(out):
                 report = import_folder(self.source, out, progress, self.reasons)
-        say_report(report, as_json=self.json)
+        self.tell(report)
         return Exit.OK

@@ -1,4 +1,4 @@
-"""Owns the verbs ``run`` and ``check``, and how the instrument's service is started, also in a simulated world."""
+"""The verbs ``run`` and ``check``, and how the instrument's service is started, also in a simulated world."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
 from appliance.base import importing
-from appliance.cli.output import Exit, Progress, say, say_json, table
+from appliance.cli.output import Exit, Progress, table
 from appliance.cli.places import WithRig, WithRoot
 
 if TYPE_CHECKING:
@@ -43,19 +43,19 @@ class Check(WithRig):
         with Progress() as progress:
             progress("asking the devices")
             found = check(rig)
-        if self.json:
-            say_json(
-                [{"device": h.device, "ok": h.ok, "summary": h.summary, "details": dict(h.details)} for h in found]
-            )
-        else:
-            facts = ("serial", "link", "firmware")
-            rows = [
-                (h.device, "ok" if h.ok else "FAILED", *(h.details.get(fact, "-") for fact in facts), h.summary)
-                for h in found
-            ]
-            say(table(("DEVICE", "", *(fact.upper() for fact in facts), "WHAT IT IS, OR WHAT IS WRONG"), rows))
-            say("")
-            say(table(("BUS", "WHAT IS THERE"), _buses(found)))
+        facts = ("serial", "link", "firmware")
+        rows = [
+            (h.device, "ok" if h.ok else "FAILED", *(h.details.get(fact, "-") for fact in facts), h.summary)
+            for h in found
+        ]
+        self.tell(
+            [{"device": h.device, "ok": h.ok, "summary": h.summary, "details": dict(h.details)} for h in found],
+            [
+                table(("DEVICE", "", *(fact.upper() for fact in facts), "WHAT IT IS, OR WHAT IS WRONG"), rows),
+                "",
+                table(("BUS", "WHAT IS THERE"), _buses(found)),
+            ],
+        )
         return Exit.OK if all(h.ok for h in found) else Exit.FAILED
 
 

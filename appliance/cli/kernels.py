@@ -1,4 +1,4 @@
-"""Owns what the command line does before a verb that needs compiled kernels: find them, or compile them and say so.
+"""Kernels are found before a verb that needs them, or compiled; and the verb ``setup compile``.
 
 What is waited for is said on stderr, how much and for how long: on a terminal in one line that changes, elsewhere in lines
 at most ten seconds apart.
@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from types import TracebackType
-from typing import TextIO
+from typing import ClassVar, TextIO
 
 from appliance.base import (
     CompileError,
@@ -23,7 +25,8 @@ from appliance.base import (
     use_kernel_cache,
 )
 from appliance.cli import output
-from appliance.cli.output import Progress
+from appliance.cli.arguments import Verb, option, switch
+from appliance.cli.output import Exit, Progress, UsageError
 
 log = logging.getLogger(__name__)
 service_log = logging.getLogger("kingfisher")
@@ -94,3 +97,32 @@ def _sentence(now: Compiling) -> str:
     if not now.what:
         return f"another process is compiling the same kernels; waiting for it, {now.seconds:.0f} s"
     return f"compiling, once: {now.done} of {now.of} done; {', '.join(now.what)}; {now.seconds:.0f} s"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CompileKernels(Verb):
+    """Compile the kernels for this processor, or for the common level, as an installation does."""
+
+    kernels: ClassVar[bool] = False
+
+    out: Path | None = option("--out", "default: within the installed environment", parse=Path, metavar="DIR")
+    common: bool = switch("--common", "for every x86-64-v3 processor instead of this one: for images")
+
+    def run(self) -> Exit:
+        from appliance.base import COMMON_KERNELS, build_kernels, shipped_kernels
+        from appliance.cli.desk import new_folder
+        from appliance.store import remedy_for
+
+        target = self.out or shipped_kernels()
+        new_folder(target)
+        from appliance.measure import PIECES
+
+        with CompileProgress() as progress:
+            try:
+                folder = build_kernels(target, PIECES, progress, COMMON_KERNELS if self.common else None)
+            except OSError as error:
+                raise UsageError(
+                    f"{target}: {error.strerror or error}; {remedy_for(error)}; --out DIR writes elsewhere"
+                ) from error
+        self.tell({"folder": str(folder)}, [f"kernels are in {folder}"])
+        return Exit.OK

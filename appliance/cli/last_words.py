@@ -1,4 +1,4 @@
-"""Owns what a service that ends with an error leaves behind for the safe screen, which has nothing else to go by."""
+"""Last words of a service that ends with an error, for the safe screen, which has nothing else to go by."""
 
 from __future__ import annotations
 

@@ -1,11 +1,11 @@
-"""Owns how values are printed for people: rounded to what they mean, one per line. ``--json`` prints them as they are."""
+"""Values printed for people: rounded to what they mean, one per line. ``--json`` prints them as they are."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
 
-from appliance.cli.output import say, say_json
+from appliance.cli.output import say
 
 DIGITS = 4
 """Significant digits of a measured value: a noise of 0.02489 mm is known to two, a distance of 500.13 mm to four."""
@@ -48,11 +48,8 @@ def number(key: str, value: float) -> str:
     return f"{value:.{digits}g}"
 
 
-def say_report(report: Mapping[str, object], *, as_json: bool) -> None:
-    """Print one line per value, the names in a column; with ``as_json`` the values as they are."""
-    if as_json:
-        say_json(report)
-        return
+def say_report(report: Mapping[str, object]) -> None:
+    """Print one line per value, the names in a column."""
     width = max(24, *(len(key) for key in report))
     for key, value in report.items():
         say(f"{key:<{width}} {shown(key, value)}")

@@ -1,4 +1,4 @@
-"""Owns how a command line is taken apart, and how a verb ends: its exit code, or one line that says what is wrong."""
+"""A command line is taken apart, and a verb run to its end: its exit code, or one line that says what is wrong."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ import difflib
 import os
 import re
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any, NoReturn
 
 from appliance import __version__
-from appliance.cli.arguments import Verb, collect, declare
-from appliance.cli.output import Exit, complain, flush, log_lines, use_any_encoding, write
-from appliance.cli.verbs import SECTIONS, VERBS, Group, Listed
+from appliance.cli.arguments import Verb, collect, declare, meant
+from appliance.cli.output import Exit, complain, flush, log_lines, say, use_any_encoding, write
+from appliance.cli.verbs import SECTIONS, SOUGHT, VERBS, Group, Listed
 
 _MISSING = "the following arguments are required: "
 _VALUELESS = re.compile(r"argument ([^:]+): expected (?:one|at least one) arguments?")
@@ -90,18 +90,20 @@ class _Parser(argparse.ArgumentParser):
     def __init__(self, *, listed: Listed | None = None, **settings: Any) -> None:
         super().__init__(allow_abbrev=False, **settings)
         self._listed = listed
+        self._named_words: Sequence[str] = ()
         # argparse takes "-5x3x1x1" for an option and says "expected one argument": let the value be judged instead.
         self._negative_number_matcher = _NEGATIVE
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Parse like the base class, once the verb is loaded and its arguments are declared; ``--help`` comes here, too."""
         if self._listed is not None:
-            # Not before: with every verb loaded, `kingfisher version` took half a second of CPU (ADR 0035).
+            # Not before: with every verb loaded, `kingfisher --version` took half a second of CPU (ADR 0035).
             verb = self._listed.load()
             self._listed = None
             self.epilog = _exit_codes(*verb.codes)
             declare(verb, self)
             self.set_defaults(verb=verb)
+            self._named_words = verb.named_words
         typed, beyond = super().parse_known_args(args, namespace)
         if beyond:
             # Here and not in the parser above, which knows nothing of this verb's options.
@@ -112,7 +114,9 @@ class _Parser(argparse.ArgumentParser):
         option = word.partition("=")[0]
         if not option.startswith("-"):
             return f"{word}: one word too many"
-        return f"{option}: no such option" + _meant(
+        if option.removeprefix("--") in self._named_words:
+            return f"{option}: is written {option.removeprefix('--')}=VALUE"
+        return f"{option}: no such option" + meant(
             option, (text for one in self._actions for text in one.option_strings)
         )
 
@@ -128,6 +132,13 @@ class _Parser(argparse.ArgumentParser):
         complain(f"{self._in_our_words(message)}; see `{self.prog} --help`", as_json="--json" in sys.argv[1:])
         raise SystemExit(Exit.USAGE)
 
+    def _sought(self, word: str) -> str:
+        """Return what does what somebody means by ``word``, who knows no verb of that name; empty where nothing is known of it."""
+        group = self.prog.removeprefix("kingfisher").strip()
+        words = {key.rpartition(" ")[2]: verb for key, verb in SOUGHT.items() if key.rpartition(" ")[0] == group}
+        near = difflib.get_close_matches(word, words, n=1)
+        return f"; it is `kingfisher {words[near[0]]}`" if near else ""
+
     def _in_our_words(self, message: str) -> str:
         """Return what is missing with what it is, where argparse only counts arguments; any other message as it is."""
         missing = message.removeprefix(_MISSING)
@@ -140,7 +151,7 @@ class _Parser(argparse.ArgumentParser):
                 one for one in self._actions if unknown[1] in ("/".join(one.option_strings), _placeholder(one))
             )
             allowed = [str(one) for one in action.choices or ()]
-            near = _meant(unknown[2], allowed)
+            near = meant(unknown[2], allowed) or self._sought(unknown[2])
             # A long list says less than one near word.
             return f"{unknown[1]} {unknown[2]}: there is none" + (near or f"; there are: {', '.join(allowed)}")
         valueless = _VALUELESS.fullmatch(message)
@@ -150,12 +161,6 @@ class _Parser(argparse.ArgumentParser):
             (one for one in self._actions if valueless[1] in ("/".join(one.option_strings), _placeholder(one))), None
         )
         return f"{valueless[1]} {_placeholder(option)}: the value is missing; {_meaning(option)}"
-
-
-def _meant(word: str, there: Iterable[str]) -> str:
-    """Return a question for what a mistyped word is near to; empty where it is near to nothing."""
-    near = difflib.get_close_matches(word, list(there), n=2)
-    return f"; did you mean {' or '.join(near)}?" if near else ""
 
 
 def _placeholder(action: argparse.Action | None) -> str:
@@ -181,7 +186,7 @@ def _parser() -> _Parser:
         epilog=_exit_codes(Exit.SCRIPT_FAILED, Exit.DAMAGED, Exit.LEFT_OUT),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    top.add_argument("--version", action="version", version=f"kingfisher {__version__}")
+    top.add_argument("--version", action=_Version, nargs=0, help="print the version and end")
     commands = top.add_subparsers(required=True, metavar="VERB", parser_class=_Parser)
     for one in VERBS:
         if isinstance(one, Listed):
@@ -192,6 +197,17 @@ def _parser() -> _Parser:
         for listed in one.verbs:
             inner.add_parser(listed.name, help=listed.text, description=listed.text, listed=listed)
     return top
+
+
+class _Version(argparse.Action):
+    def __call__(self, *_: object) -> NoReturn:
+        from appliance.base import other_program
+
+        say(f"kingfisher {__version__}")
+        other = other_program()
+        if other is not None:
+            complain(other, as_json="--json" in sys.argv[1:])
+        raise SystemExit(Exit.OK)
 
 
 def _overview() -> str:

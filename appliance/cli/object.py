@@ -1,20 +1,19 @@
-"""Owns the verbs of an object: many scans that become one thing."""
+"""The verbs of an object: many scans that become one thing."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from appliance.base import use_one_blas_thread
 from appliance.cli.arguments import operand, operands, option, switch, whole
 from appliance.cli.desk import library_root, measuring, scan_in
 from appliance.cli.kernels import compile_kernels
-from appliance.cli.object_files import ObjectFiles
-from appliance.cli.output import Exit, Progress, UsageError, complain, say, say_json
-from appliance.cli.places import WithRoot
+from appliance.cli.output import Exit, Progress, UsageError, complain
+from appliance.cli.places import WithCalibration, WithRoot
 
 if TYPE_CHECKING:
     from appliance.desk import MemberScan, Places, StoredObject
@@ -26,47 +25,25 @@ _TAKEN_AS = "all scans that the instrument took as object N, in their order, bes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class NewObject(WithRoot):
-    """A new object, of no or some scans."""
+class AddToObject(WithRoot):
+    """Add scans to an object, which is made where there is none; without scans an empty one is made."""
 
     name: str = operand("NAME", _NAME)
     scans: tuple[str, ...] = operands(
         "SCAN", "their numbers or folders, in the order they were taken", at_least_one=False
     )
-    taken_as: int | None = option("--taken-as", _TAKEN_AS, default=None, parse=whole(1, 999_999), metavar="N")
-
-    def run(self) -> Exit:
-        from appliance.desk import StoredObject
-
-        root = library_root(self.wish())
-
-        def none_yet(now: StoredObject | None) -> StoredObject:
-            if now is not None:
-                raise UsageError(
-                    f"object '{self.name}': there is one under {root}; add to it with `kingfisher object add`"
-                )
-            return StoredObject(self.name)
-
-        _say_object(_added(self, root, none_yet), as_json=self.json)
-        return Exit.OK
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AddToObject(WithRoot):
-    """More scans for an object."""
-
-    name: str = operand("NAME", _NAME)
-    scans: tuple[str, ...] = operands("SCAN", "their numbers or folders", at_least_one=False)
     taken_as: int | None = option("--taken-as", _TAKEN_AS, parse=whole(1, 999_999), metavar="N")
 
     def run(self) -> Exit:
-        from appliance.desk import read_object
+        from appliance.desk import object_exists
 
-        if not self.scans and self.taken_as is None:
-            raise UsageError("which scans? Give their numbers or folders, or --taken-as N")
         root = library_root(self.wish())
-        added = _added(self, root, lambda now: read_object(root, self.name) if now is None else now)
-        _say_object(added, as_json=self.json)
+        new = not object_exists(root, self.name)
+        if not new and not self.scans and self.taken_as is None:
+            raise UsageError("which scans? Give their numbers or folders, or --taken-as N")
+        added = _added(self, root)
+        # A name that was mistyped makes an object, too.
+        self.tell(_document(added), [*([f"new object under {root}"] if new else []), *_lines(added)])
         return Exit.OK
 
 
@@ -84,21 +61,19 @@ class ShowObject(WithRoot):
         root = library_root(self.wish())
         if self.name is None:
             found = object_names(root)
-            if self.json:
-                say_json({"objects": found})
-            else:
-                for one in found:
-                    say(one)
-                if not found:
-                    say(f"no objects under {root}; make one: kingfisher object new NAME SCAN...")
-            return Exit.OK
-        _say_object(read_object(root, self.name), as_json=self.json)
+            self.tell(
+                {"objects": found},
+                found or [f"no objects under {root}; make one: kingfisher object add NAME SCAN..."],
+            )
+        else:
+            stored = read_object(root, self.name)
+            self.tell(_document(stored), _lines(stored))
         return Exit.OK
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SolveObject(ObjectFiles):
-    """Find where every scan of an object lies relative to the first, or why it is left out."""
+class SolveObject(WithCalibration):
+    """Find where every scan of an object lies relative to the first, or why it is left out; `kingfisher cloud object:NAME` writes files."""
 
     codes: ClassVar[Sequence[Exit]] = (Exit.LEFT_OUT,)
 
@@ -116,14 +91,11 @@ class SolveObject(ObjectFiles):
         use_one_blas_thread(os.environ)
         wish = self.wish()
         measuring(wish.calibration)
-        outs = self.checked_outs([Path(one) for one in self.out])
-        from appliance.desk import StoredObject, published_object, read_object, update_object
+        from appliance.desk import published_object, read_object, update_object
 
         root = library_root(wish)
-        if self.scans or self.taken_as is not None:
-            found = _added(self, root, lambda now: StoredObject(self.name) if now is None else now)
-        else:
-            found = read_object(root, self.name)
+        more = self.scans or self.taken_as is not None
+        found = _added(self, root) if more else read_object(root, self.name)
         compile_kernels()
         from appliance.desk import solve_object
 
@@ -132,53 +104,12 @@ class SolveObject(ObjectFiles):
         # What was added in these minutes stays.
         solved = update_object(root, self.name, lambda now: published_object(now, answer))
         _tell_health(root, solved, as_json=self.json)
+        self.tell(_document(solved), _lines(solved))
         placed = 0 if solved.places is None else len(solved.places.places)
-        if placed >= LEAST_SCANS:
-            self.write(root, solved, wish, outs)
-        _say_object(solved, as_json=self.json)
         if placed < LEAST_SCANS:
             return Exit.FAILED
-        # What was placed is written, and whoever calls this from a program must notice what was not.
+        # Whoever calls this from a program must notice what was not placed.
         return Exit.OK if placed == len(solved.scans) else Exit.LEFT_OUT
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ExportObject(ObjectFiles):
-    """Files of a solved object, without solving it again."""
-
-    name: str = operand("NAME", _NAME)
-
-    def run(self) -> Exit:
-        wish = self.wish()
-        measuring(wish.calibration)
-        outs = self.checked_outs([Path(one) for one in self.out or (f"{self.name}.ply",)])
-        from appliance.desk import read_object
-
-        root = library_root(wish)
-        solved = read_object(root, self.name)
-        from appliance.desk import errors_of
-
-        # Says at once where it is not solved.
-        errors_of(solved)
-        _warn_of_added(solved, as_json=self.json)
-        compile_kernels()
-        self.write(root, solved, wish, outs)
-        if self.json:
-            say_json({"object": solved.name, "files": [str(out) for out in outs]})
-        else:
-            for out in outs:
-                say(str(out))
-        return Exit.OK
-
-
-def _warn_of_added(solved: StoredObject, *, as_json: bool) -> None:
-    """Say which scans are in no file, since they were added after the others were placed."""
-    from appliance.desk import ADDED_SINCE
-
-    left_out = {} if solved.places is None else solved.places.left_out
-    since = ", ".join(name for name, why in left_out.items() if why == ADDED_SINCE)
-    if since:
-        complain(f"object '{solved.name}': without {since}, {ADDED_SINCE}", as_json=as_json)
 
 
 def _tell_health(root: Path, solved: StoredObject, *, as_json: bool) -> None:
@@ -201,28 +132,25 @@ def _tell_health(root: Path, solved: StoredObject, *, as_json: bool) -> None:
         complain(f"not written to the calibration's health: {error}", as_json=as_json)
 
 
-def _added(
-    verb: NewObject | AddToObject | SolveObject, root: Path, begin: Callable[[StoredObject | None], StoredObject]
-) -> StoredObject:
-    """Return the object with the verb's scans added, those named and those of the instrument's object ``taken_as`` that it has not.
+def _added(verb: AddToObject | SolveObject, root: Path) -> StoredObject:
+    """Return the object with the verb's scans added, those named and those of the instrument's object ``taken_as`` that it has not;
+    it is made where there is none. Raises UsageError, ScanError, ObjectError."""
+    from appliance.desk import StoredObject, object_exists, read_object, update_object, with_scans
 
-    ``begin``: the object to add to, of what is stored under its name. Raises what it raises, UsageError, ScanError, ObjectError.
-    """
-    from appliance.desk import object_exists, read_object, update_object, with_scans
-
-    stored = begin(read_object(root, verb.name) if object_exists(root, verb.name) else None)
+    stored = read_object(root, verb.name) if object_exists(root, verb.name) else None
     # All of them are looked up before the first byte is read, and before what reads them is imported.
     folders = [scan_in(verb.wish(), scan) for scan in verb.scans]
     folders_taken = [scan_in(verb.wish(), scan) for scan in _taken_as(root, verb.taken_as)]
     named = tuple(_member(root, folder) for folder in folders)
     taken = [_member(root, folder) for folder in folders_taken]
 
-    def more(stored: StoredObject) -> StoredObject:
-        have = {one.frames_sha256 for one in (*stored.scans, *named)}
-        return with_scans(stored, (*named, *(one for one in taken if one.frames_sha256 not in have)))
+    def more(now: StoredObject | None) -> StoredObject:
+        begun = StoredObject(verb.name) if now is None else now
+        have = {one.frames_sha256 for one in (*begun.scans, *named)}
+        return with_scans(begun, (*named, *(one for one in taken if one.frames_sha256 not in have)))
 
     more(stored)  # a scan that is refused leaves no folder behind
-    return update_object(root, verb.name, lambda now: more(begin(now)))
+    return update_object(root, verb.name, more)
 
 
 def _member(root: Path, folder: Path) -> MemberScan:
@@ -248,23 +176,24 @@ def _taken_as(root: Path, number: int | None) -> Sequence[str]:
     return scans
 
 
-def _say_object(stored: StoredObject, *, as_json: bool) -> None:
-    if as_json:
-        from pydantic import TypeAdapter
+def _document(stored: StoredObject) -> Any:
+    from pydantic import TypeAdapter
 
-        from appliance.desk import StoredObject as Kind
+    from appliance.desk import StoredObject as Kind
 
-        # The joint errors are for programs that compute lengths (import kingfisher), and megabytes of text for everybody else.
-        say_json(TypeAdapter(Kind).dump_python(stored, mode="json", exclude={"places": {"joint"}}))
-        return
-    say(f"object {stored.name}: {len(stored.scans)} scans")
-    if stored.places is None:
-        say("not solved yet: kingfisher object solve")
-        for one in stored.scans:
-            say(f"  {one.name:<10} {one.folder}")
-        return
-    for line in lines_of(stored.places):
-        say(line)
+    # The joint errors are for programs that compute lengths (import kingfisher), and megabytes of text for everybody else.
+    return TypeAdapter(Kind).dump_python(stored, mode="json", exclude={"places": {"joint"}})
+
+
+def _lines(stored: StoredObject) -> list[str]:
+    begin = f"object {stored.name}: {len(stored.scans)} scans"
+    if stored.places is not None:
+        return [begin, *lines_of(stored.places)]
+    return [
+        begin,
+        "not solved yet: kingfisher object solve",
+        *(f"  {one.name:<10} {one.folder}" for one in stored.scans),
+    ]
 
 
 def lines_of(places: Places) -> list[str]:

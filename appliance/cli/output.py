@@ -1,4 +1,4 @@
-"""Owns what the command line prints: results on stdout, progress and errors on stderr, one line per error.
+"""Printing: results on stdout, progress and errors on stderr, one line per error.
 
 Texts come from manifests, objects and names of files that strangers wrote. All text goes out through here (``plain``), so that no
 character of theirs moves a cursor, turns the direction of writing, or begins a line.

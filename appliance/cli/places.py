@@ -1,4 +1,4 @@
-"""Owns the options that many verbs share: which rig file, storage root, calibration and scan."""
+"""The options that many verbs share: which rig file, storage root, calibration and scan."""
 
 from __future__ import annotations
 

@@ -1,8 +1,9 @@
-"""Owns the verb ``pull``: scans off an instrument, or off its disk, onto a desk."""
+"""The verb ``archive pull``: scans off an instrument, or off its disk, onto a desk."""
 
 from __future__ import annotations
 
 import os
+import re
 import threading
 import time
 from contextlib import nullcontext
@@ -11,8 +12,9 @@ from pathlib import Path
 from typing import ClassVar
 
 from appliance.base import require
-from appliance.cli.arguments import Verb, number, operand, option, switch, whole
-from appliance.cli.output import Exit, Progress, UsageError, say, say_json, time_text
+from appliance.cli.archive import target_folder
+from appliance.cli.arguments import Verb, number, operand, option, switch
+from appliance.cli.output import Exit, Progress, UsageError, time_text
 from appliance.desk import (
     ANSWER_S,
     LIBRARY,
@@ -33,19 +35,25 @@ from appliance.store import LibraryFolder, LocalFileSystem, hold_lock, make_fold
 ROOTS = (".", "lib/kingfisher", "var/lib/kingfisher")
 """Places of the scans below a folder that is given: the storage root itself, the instrument's data partition, its whole disk."""
 
+_WITH_PORT = re.compile(r"((?:[^@]*@)?(?:[^:@\[\]]+|\[[^\]]+\])):(\d{1,5})")
+"""``address:port``; an address of IPv6, which has colons of its own, stands in brackets then."""
+_BRACKETS = str.maketrans("", "", "[]")
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pull(Verb):
-    """Take what is on the instrument and not in DIR; FAILED if anything finished there is not here afterwards."""
+    """Take what is on the instrument and not in ``--out``; FAILED if anything finished there is not here afterwards."""
 
     kernels: ClassVar[bool] = False
 
-    host: str = operand("HOST", "[user@]address of the instrument, or a folder: its mounted disk, a copy")
-    dir: Path = operand(
-        "DIR", "storage root at the desk, made where it is not there; one for each instrument", parse=Path
+    host: str = operand("HOST", "[user@]address[:port] of the instrument, or a folder: its mounted disk, a copy")
+    out: Path | None = option(
+        "--out",
+        "storage root at the desk, made where it is not there; one for each instrument",
+        parse=Path,
+        metavar="DIR",
     )
     identity: Path | None = option("--identity", "private key (default: those of ssh)", parse=Path, metavar="FILE")
-    port: int | None = option("--port", f"of the instrument ({PORT})", parse=whole(1, 65_535), metavar="N")
     known_hosts: Path | None = option(
         "--known-hosts", "file of the host keys that are trusted (default: that of ssh)", parse=Path, metavar="FILE"
     )
@@ -56,8 +64,11 @@ class Pull(Verb):
 
     def run(self) -> Exit:
         """Raises UsageError, PullError, StorageError, MissingLibraryError."""
-        opened = self._opened()
-        target = self._target()
+        target = target_folder(self.out, None)
+        opened = self._opened(target)
+        make_folders(LocalFileSystem(), target)
+        if not os.access(target, os.W_OK | os.X_OK):
+            raise UsageError(f"--out {target}: this user may not write there; give another folder, or change its owner")
         with hold_lock(target), Progress() as progress:
             begun_s = time.monotonic()
             # An Event that nobody sets: it waits, and Ctrl-C ends the wait.
@@ -66,52 +77,44 @@ class Pull(Verb):
         self._tell(done, time.monotonic() - begun_s)
         return Exit.OK if done.whole else Exit.FAILED
 
-    def _opened(self) -> Open:
+    def _opened(self, target: Path) -> Open:
         """Return how the instrument is reached. Raises UsageError, MissingLibraryError."""
         if "/" in self.host or Path(self.host).is_dir():
             root = _root_below(Path(self.host))
-            if self.identity is not None or self.port is not None:
-                raise UsageError(
-                    f"HOST {self.host}: a folder; --identity and --port are for an instrument on the network"
-                )
-            if root.resolve() == self.dir.resolve():
-                raise UsageError(f"DIR {self.dir}: is where the scans are read from; give another folder")
+            if self.identity is not None:
+                raise UsageError(f"HOST {self.host}: a folder; --identity is for an instrument on the network")
+            if root.resolve() == target.resolve():
+                raise UsageError(f"--out {self.out}: is where the scans are read from; give another folder")
             return lambda: nullcontext(FolderSource(root))
         if self.host.startswith("-") or not self.host.isprintable() or " " in self.host or not self.host:
-            raise UsageError(f"HOST {self.host!r}: give an address, [user@]address, or the path of a folder")
+            raise UsageError(f"HOST {self.host!r}: give an address, [user@]address[:port], or the path of a folder")
         if self.identity is not None and not self.identity.is_file():
             raise UsageError(f"--identity {self.identity}: no such file; give the private key's")
         require(LIBRARY, LIBRARY, NEEDS_IT)
-        return SshLink(Host(self.host, self.port or PORT, self.identity, self.known_hosts), self.timeout_s)
-
-    def _target(self) -> Path:
-        """Return DIR, which is a folder then. Raises UsageError, StorageError."""
-        target = self.dir.absolute()
-        if target.exists() and not target.is_dir():
-            raise UsageError(f"DIR {self.dir}: is a file; give a folder")
-        if not target.parent.is_dir():
-            raise UsageError(f"DIR {self.dir}: there is no folder {target.parent}; make it first")
-        make_folders(LocalFileSystem(), target)
-        if not os.access(target, os.W_OK | os.X_OK):
-            raise UsageError(f"DIR {self.dir}: this user may not write there; give another folder, or change its owner")
-        return target
+        found = _WITH_PORT.fullmatch(self.host)
+        name, port = (self.host, PORT) if found is None else (found[1], int(found[2]))
+        if not 0 < port < 65_536:
+            raise UsageError(f"HOST {self.host}: port {port}; allowed are 1..65535")
+        return SshLink(Host(name.translate(_BRACKETS), port, self.identity, self.known_hosts), self.timeout_s)
 
     def _tell(self, done: Pulled, took_s: float) -> None:
         counts = {outcome: len(done.of(outcome)) for outcome in PullOutcome}
-        if self.json:
-            items = [
-                {"path": one.what, "outcome": one.outcome.name.lower(), "reason": one.reason, "bytes": one.size_bytes}
-                for one in done.of(*PullOutcome)
-            ]
-            facts = {"being_written": done.being_written, "bytes": done.taken_bytes, "links": done.links, "s": took_s}
-            say_json({**{outcome.name.lower(): count for outcome, count in counts.items()}, **facts, "items": items})
-            return
-        for one in done.of(PullOutcome.LATER, PullOutcome.DIFFERS, PullOutcome.FAILED):
-            say(f"{one.what}  {one.outcome.value}: {one.reason}")
+        items = [
+            {"path": one.what, "outcome": one.outcome.name.lower(), "reason": one.reason, "bytes": one.size_bytes}
+            for one in done.of(*PullOutcome)
+        ]
+        facts = {"being_written": done.being_written, "bytes": done.taken_bytes, "links": done.links, "s": took_s}
+        lines = [
+            f"{one.what}  {one.outcome.value}: {one.reason}"
+            for one in done.of(PullOutcome.LATER, PullOutcome.DIFFERS, PullOutcome.FAILED)
+        ]
         if done.being_written:
-            say(f"{done.being_written} still being written or undecided there; left for next time")
+            lines.append(f"{done.being_written} still being written or undecided there; left for next time")
         told = ", ".join(f"{count} {outcome.value}" for outcome, count in counts.items() if count)
-        say(f"{told or 'nothing there'}; {done.taken_bytes / 1e6:.1f} MB in {time_text(took_s)}")
+        lines.append(f"{told or 'nothing there'}; {done.taken_bytes / 1e6:.1f} MB in {time_text(took_s)}")
+        self.tell(
+            {**{outcome.name.lower(): count for outcome, count in counts.items()}, **facts, "items": items}, lines
+        )
 
 
 def _root_below(folder: Path) -> Path:

@@ -1,33 +1,59 @@
-"""Owns the verb ``report``: one page about the scans of a dive."""
+"""The verb ``report``: one page about a dive, about a table of reprocessed scans, or about an object."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
 
-from appliance.cli.arguments import operands, option
-from appliance.cli.desk import writable_page, writing
-from appliance.cli.output import Exit, Progress, UsageError, say, say_json
-from appliance.cli.places import WithRoot
+from appliance.cli.arguments import number, operands, option
+from appliance.cli.cloud import SPACING_MM, warn_of_added
+from appliance.cli.desk import library_root, measuring, object_named, writable_page, write_files, writing
+from appliance.cli.kernels import compile_kernels
+from appliance.cli.output import Exit, Progress, UsageError
+from appliance.cli.places import WithCalibration
+
+TABLE = ".csv"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DiveReport(WithRoot):
-    """One page about the scans of a dive: verdicts, figures and a picture of each; it asks for nothing from outside. No scans: all."""
+class MakeReport(WithCalibration):
+    """One page, which asks for nothing from outside: verdicts, figures and a picture of each scan of a dive, or what comes of the other."""
 
-    scans: tuple[str, ...] = operands("SCAN", "their numbers (default: all that were kept)", at_least_one=False)
-    out: Path | None = option("--out", "the page, .html (default: dive.html here)", parse=Path, metavar="FILE")
+    what: tuple[str, ...] = operands(
+        "WHAT",
+        "scans of a dive by their numbers (default: all that were kept), the table.csv of `kingfisher archive reprocess`, or object:NAME",
+        at_least_one=False,
+    )
+    out: Path | None = option(
+        "--out", "the page, .html (default: dive.html, season.html or NAME.html here)", parse=Path, metavar="FILE"
+    )
+    spacing: float = option(
+        "--spacing",
+        "mm between an object's points (0.3)",
+        default=SPACING_MM,
+        parse=number(0.02, 20.0, "mm"),
+        metavar="MM",
+    )
 
     def run(self) -> Exit:
-        """Raises UnknownScan, UsageError, StorageError."""
-        out = self.out or Path("dive.html")
+        """Raises UnknownScan, UsageError, ResultsError, ObjectError, StorageError."""
+        name = next((name for name in map(object_named, self.what) if name is not None), None)
+        table = name is None and any(Path(one).suffix.lower() == TABLE for one in self.what)
+        if len(self.what) > 1 and (name is not None or table):
+            raise UsageError(f"{' '.join(self.what)}: give scans, or one table, or one object")
+        out = self.out or Path(f"{name or ('season' if table else 'dive')}.html")
         writable_page(out)
+        if name is not None:
+            return self._of_object(name, out)
+        return self._of_table(Path(self.what[0]), out) if table else self._of_dive(out)
+
+    def _of_dive(self, out: Path) -> Exit:
         from appliance.store import Library
 
         root = self.existing_root()
         library = Library(root)
         # In the order in which they were typed; without any, in that of their numbers.
-        entries = [library.entry(scan) for scan in self.scans] or library.entries()
+        entries = [library.entry(scan) for scan in self.what] or library.entries()
         if not entries:
             raise UsageError(
                 f"--root {root}: holds no scans; give the storage root of a dive, the folder that holds scans/"
@@ -38,14 +64,38 @@ class DiveReport(WithRoot):
             report = report_of_dive(root, entries, progress)
             with writing(out):
                 write_report(out, report)
-        if self.json:
-            words = {
-                "file": str(out),
-                "scans": [{"scan": one.name, "verdict": one.word} for one in report.scans],
-            }
-            say_json({**words, "warnings": list(report.warnings)})
-            return Exit.OK
-        for line in report.warnings:
-            say(f"warning: {line}")
-        say(f"{out}: {report.subtitle}")
+        scans = [{"scan": one.name, "verdict": one.word} for one in report.scans]
+        lines = [*(f"warning: {line}" for line in report.warnings), f"{out}: {report.subtitle}"]
+        self.tell({"file": str(out), "scans": scans, "warnings": list(report.warnings)}, lines)
+        return Exit.OK
+
+    def _of_table(self, table: Path, out: Path) -> Exit:
+        from appliance.desk import read_table, season_page
+
+        rows = read_table(table)
+        write_files({out: season_page(rows, str(table)).encode()})
+        self.tell({"page": str(out), "scans": len(rows)}, [f"{out}  {len(rows)} scans"])
+        return Exit.OK
+
+    def _of_object(self, name: str, out: Path) -> Exit:
+        wish = self.wish()
+        measuring(wish.calibration)
+        from appliance.base import require
+        from appliance.desk import read_object
+
+        root = library_root(wish)
+        solved = read_object(root, name)
+        from appliance.desk import errors_of
+
+        errors_of(solved)  # says at once where it is not solved
+        require("plotly", "plotly", "a page with a surface that can be turned")
+        warn_of_added(solved, as_json=self.json)
+        compile_kernels()
+        from appliance.desk import report_of, surface_of, write_report
+
+        with Progress() as progress:
+            surface = surface_of(root, solved, wish, progress, self.spacing)
+            with writing(out):
+                write_report(out, report_of(solved, surface))
+        self.tell({"object": solved.name, "files": [str(out)]}, [str(out)])
         return Exit.OK

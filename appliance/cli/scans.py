@@ -1,71 +1,103 @@
-"""Owns the verbs ``scans list``, ``scans show`` and ``scans verify``: reading only, also beside a running service."""
+"""The verbs ``scans``: stored scans are looked at, also beside a running service, and labelled or put away where none runs.
+
+Nothing is deleted.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, ClassVar
 
-from appliance.cli.arguments import operand, operands, switch
+from appliance.base import ContentError
+from appliance.cli.arguments import operand, operands, option, switch
+from appliance.cli.desk import writable, write_files
 from appliance.cli.listing import shown
-from appliance.cli.output import Exit, Progress, say, say_json, table
+from appliance.cli.output import Exit, Progress, UsageError, table
 from appliance.cli.places import WithRoot, scan_folder
 from appliance.instrument import ASHORE
-from appliance.measure import FaultCode
-from appliance.store import Library, LibraryFolder, ScanEntry, Stage, entry_of, manifest_json
+from appliance.measure import SIDES, FaultCode
+from appliance.store import (
+    LONGEST_NAME,
+    LONGEST_NOTE,
+    Label,
+    Library,
+    LibraryFolder,
+    ScanEntry,
+    Stage,
+    checked_label,
+    entry_of,
+    hold_lock,
+    manifest_json,
+    read_label,
+)
 
-EVERY = "also those rejected, set aside or in the trash"
+SHELVES = tuple(one.value for one in LibraryFolder)
+COLUMNS = ("SCAN", "STATE", "GRADE", "TIME", "POINTS", "OBJECT", "MB", "NAME", "REMARK", "NOTE")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ListScans(WithRoot):
-    """All scans, damaged ones marked. ``all``: also those rejected, set aside or in the trash; ``trash``: only these."""
+class OfScans(WithRoot):
+    """A verb of stored scans, without kernels."""
 
     kernels: ClassVar[bool] = False
 
-    all: bool = switch("--all", EVERY, either="shelves")
-    trash: bool = switch("--trash", "only those in the trash", either="shelves")
+    def folder_of(self, scan: str) -> Path:
+        """Return the folder of ``scan``; one that was copied somewhere wants no storage root or rig file. Raises UnknownScan, UsageError."""
+        return scan_folder(scan) or Library(self.existing_root()).entry(scan).folder
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ListScans(OfScans):
+    """List scans, damaged ones marked."""
+
+    shelf: str = operand("SHELF", f"one of {', '.join(SHELVES)} (default: scans)", optional=True, parse=str)
+    all: bool = switch("--all", "of every shelf")
 
     def run(self) -> Exit:
+        shelf = self.shelf or LibraryFolder.SCANS.value
+        if shelf not in SHELVES:
+            raise UsageError(f"SHELF {shelf}: there is none; there are: {', '.join(SHELVES)}")
         root = self.existing_root()
-        entries = Library(root).entries(LibraryFolder.TRASH) if self.trash else _entries(Library(root), self.all)
-        if self.json:
-            say_json([_brief(entry) for entry in entries])
-        elif not entries:
-            say(f"no scans under {root}")
-        else:
-            rows = [
-                (
-                    entry.scan_id,
-                    _state(entry),
-                    _grade(entry),
-                    _when(entry),
-                    _points(entry),
-                    _object(entry),
-                    f"{entry.size_bytes / 1e6:.1f}",
-                    entry.label.name or "-",
-                    _remark(entry),
-                    entry.label.note or "",
-                )
-                for entry in entries
-            ]
-            say(table(("SCAN", "STATE", "GRADE", "TIME", "POINTS", "OBJECT", "MB", "NAME", "REMARK", "NOTE"), rows))
+        entries = [
+            entry for one in LibraryFolder if self.all or one.value == shelf for entry in Library(root).entries(one)
+        ]
+        rows = [
+            (
+                entry.scan_id,
+                _state(entry),
+                _grade(entry),
+                _when(entry),
+                _points(entry),
+                _object(entry),
+                f"{entry.size_bytes / 1e6:.1f}",
+                entry.label.name or "-",
+                _remark(entry),
+                entry.label.note or "",
+            )
+            for entry in entries
+        ]
+        self.tell([_brief(entry) for entry in entries], [table(COLUMNS, rows) if rows else f"no scans under {root}"])
         return Exit.OK
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ShowScan(WithRoot):
-    """Everything a scan's manifest says."""
-
-    kernels: ClassVar[bool] = False
+class ShowScan(OfScans):
+    """Show everything that a scan's manifest says, or one of its frames as a picture; no other is decoded."""
 
     scan: str = operand("SCAN", "its number or its folder")
+    side: str | None = operand("SIDE", "left or right: a frame instead", optional=True)
+    pattern: str | None = operand("PATTERN", "which, for example bright or sine-x-90", optional=True)
+    out: Path | None = option("--out", "of a frame: default SCAN-SIDE-PATTERN.png here", parse=Path, metavar="FILE")
 
     def run(self) -> Exit:
-        """Raises UnknownScan, UsageError."""
-        # A folder that was copied somewhere is shown without any storage root or rig file.
-        folder = scan_folder(self.scan) or Library(self.existing_root()).entry(self.scan).folder
-        entry = entry_of(folder, checksums=False)
+        """Raises UnknownScan, UsageError, ScanError, StorageError, MissingLibraryError."""
+        if self.side is not None:
+            return self._frame(self.side)
+        if self.out is not None:
+            raise UsageError(f"--out {self.out}: is for a frame; say which, for example left bright")
+        entry = entry_of(self.folder_of(self.scan), checksums=False)
         told = [] if entry.manifest is None else entry.manifest.record.held_against
         ashore = {code.value: ASHORE[code] for code in told if code in ASHORE}
         full = {
@@ -73,51 +105,149 @@ class ShowScan(WithRoot):
             "ashore": ashore,
             "manifest": None if entry.manifest is None else manifest_json(entry.manifest),
         }
-        if self.json:
-            say_json(full)
-            return Exit.OK
-        if entry.manifest is not None:
+        if not self.json and entry.manifest is not None:
             # Verdicts by their names, so that their numbers are lines of their own.
             record = full["manifest"]["record"]
             record["verdicts"] = {verdict.pop("name"): verdict for verdict in record["verdicts"]}
         lines = _flat(full)
         width = max(len(key) for key, _ in lines)
-        for key, value in lines:
-            say(f"{key:<{width}} {value}")
+        self.tell(full, (f"{key:<{width}} {value}" for key, value in lines))
+        return Exit.OK
+
+    def _frame(self, side: str) -> Exit:
+        from appliance.store import manifest_of, read_frame
+
+        folder = self.folder_of(self.scan)
+        if side not in SIDES:
+            raise UsageError(f"SIDE {side}: allowed are {' and '.join(SIDES)}")
+        names = manifest_of(folder).record.sequence.patterns
+        if self.pattern not in names:
+            raise UsageError(f"PATTERN {self.pattern or 'is missing'}: this scan has {', '.join(names)}")
+        out = self.out or Path(f"{folder.name}-{side}-{self.pattern}.png")
+        writable(out)
+        if out.suffix.lower() != ".png":
+            raise UsageError(f"--out {out}: the picture is a PNG; give {out.with_suffix('.png')}")
+        frame = read_frame(folder, side, names.index(self.pattern))
+        import cv2  # late: the other verbs need no pictures
+
+        write_files({out: cv2.imencode(".png", frame)[1].tobytes()})
+        height_px, width_px = frame.shape
+        facts = {"file": str(out), "width_px": width_px, "height_px": height_px}
+        self.tell(facts, [f"{out}  {width_px} x {height_px} px"])
         return Exit.OK
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class VerifyScans(WithRoot):
-    """Read every byte and compare checksums; DAMAGED if any does not fit. No scans: all.
+class VerifyScans(OfScans):
+    """Read every byte and compare checksums, of packed frames decoded; DAMAGED if any does not fit."""
 
-    ``scans``: numbers under the root, or folders, wherever they were copied to.
-    """
-
-    kernels: ClassVar[bool] = False
     codes: ClassVar[Sequence[Exit]] = (Exit.DAMAGED,)
 
     scans: Sequence[str] = operands("SCAN", "numbers or folders (default: all)", at_least_one=False)
-    all: bool = switch("--all", EVERY)
+    all: bool = switch("--all", "of every shelf: also those rejected, set aside or in the trash")
 
     def run(self) -> Exit:
-        """Raises UnknownScan, UsageError."""
-        folders = [scan_folder(scan) or Library(self.existing_root()).entry(scan).folder for scan in self.scans]
+        """Raises UnknownScan, UsageError, MissingLibraryError."""
+        folders = [self.folder_of(scan) for scan in self.scans]
         if not self.scans:
-            folders = [entry.folder for entry in _entries(Library(self.existing_root()), self.all)]
+            library = Library(self.existing_root())
+            shelves = tuple(LibraryFolder) if self.all else (LibraryFolder.SCANS,)
+            folders = [entry.folder for shelf in shelves for entry in library.entries(shelf)]
         checked: list[ScanEntry] = []
         with Progress() as progress:
             for k, folder in enumerate(folders):
                 progress(f"verifying {folder.name}", k / len(folders))
-                checked.append(_with_frames_named(entry_of(folder, checksums=True)))
-        damaged = [entry for entry in checked if not entry.ok]
-        if self.json:
-            say_json({"checked": len(checked), "damaged": len(damaged), "scans": [_brief(entry) for entry in checked]})
-        else:
-            for entry in checked:
-                say(f"{entry.scan_id}  {'ok' if entry.ok else 'DAMAGED: ' + '; '.join(entry.problems)}")
-            say(f"{len(checked)} checked, {len(damaged)} damaged")
+                checked.append(_with_frames_named(_decoded(entry_of(folder, checksums=True))))
+        damaged = sum(not entry.ok for entry in checked)
+        lines = [f"{one.scan_id}  {'ok' if one.ok else 'DAMAGED: ' + '; '.join(one.problems)}" for one in checked]
+        self.tell(
+            {"checked": len(checked), "damaged": damaged, "scans": [_brief(entry) for entry in checked]},
+            [*lines, f"{len(checked)} checked, {damaged} damaged"],
+        )
         return Exit.DAMAGED if damaged else Exit.OK
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LabelScan(OfScans):
+    """Call a scan something, and write a note about it; an empty text takes either away."""
+
+    scan: str = operand("SCAN", "its number")
+    name: str | None = option("--name", f"up to {LONGEST_NAME} characters", metavar="TEXT")
+    note: str | None = option("--note", f"up to {LONGEST_NOTE} characters", metavar="TEXT")
+
+    def run(self) -> Exit:
+        """Raises UsageError, UnknownScan, StorageError."""
+        if self.name is None and self.note is None:
+            raise UsageError("what is written about it? Give --name TEXT or --note TEXT, or both")
+        root, library = self.existing_root(), Library(self.existing_root())
+        name = _checked("--name", self.name, LONGEST_NAME)
+        note = _checked("--note", self.note, LONGEST_NOTE)
+        with hold_lock(root):
+            entry = library.entry(self.scan)
+            try:
+                before = read_label(entry.folder)
+            except ContentError:
+                before = Label()  # a damaged one is written anew: that is what the person wants
+            label = Label(before.name if self.name is None else name, before.note if self.note is None else note)
+            library.set_label(entry.scan_id, label)
+        self.tell(
+            {"scan": entry.scan_id, "name": label.name, "note": label.note},
+            [f"{entry.scan_id}  name: {label.name or '-'}; note: {label.note or '-'}"],
+        )
+        return Exit.OK
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _MoveScans(OfScans):
+    move: ClassVar[Callable[[Library, str], Path]]
+
+    scans: Sequence[str] = operands("SCAN", "numbers", at_least_one=True)
+
+    def run(self) -> Exit:
+        """Raises UnknownScan before any was moved, ScanError, StorageError."""
+        root = self.existing_root()
+        library = Library(root)
+        with hold_lock(root):
+            for scan_id in self.scans:
+                # All numbers before the first move: a typing error in the last one must not leave half of them moved.
+                library.entry(scan_id)
+            moved = [type(self).move(library, scan_id) for scan_id in self.scans]
+        self.tell(
+            [{"scan": folder.name, "folder": str(folder)} for folder in moved],
+            (f"{folder.name}  is in {folder}" for folder in moved),
+        )
+        return Exit.OK
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrashScans(_MoveScans):
+    """Put scans away; nothing is deleted."""
+
+    move: ClassVar[Callable[[Library, str], Path]] = Library.trash
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RestoreScans(_MoveScans):
+    """Take scans out of the trash."""
+
+    move: ClassVar[Callable[[Library, str], Path]] = Library.restore
+
+
+def _checked(what: str, text: str | None, longest: int) -> str | None:
+    try:
+        return None if text is None else checked_label(what, text, longest)
+    except ContentError as error:
+        raise UsageError(str(error)) from error
+
+
+def _decoded(entry: ScanEntry) -> ScanEntry:
+    """Return ``entry`` with what is wrong with its packed frames, each of which is decoded and compared with the checksum of before."""
+    if entry.manifest is None or not any(entry.folder.glob("*.jls")):
+        return entry
+    from appliance.store import problems_of
+
+    wrong = (f"{name}: {what}" for name, what in problems_of(entry.folder).items())
+    return replace(entry, problems=tuple(dict.fromkeys((*entry.problems, *wrong))))
 
 
 def _with_frames_named(entry: ScanEntry) -> ScanEntry:
@@ -129,11 +259,6 @@ def _with_frames_named(entry: ScanEntry) -> ScanEntry:
     # The checksum of the file said that something is wrong; the CRC of each frame says in which image (ADR 0033).
     frames = {one.file: str(one) for one in damaged_frames(entry.folder, entry.manifest)}
     return replace(entry, problems=tuple(frames.get(text.partition(":")[0], text) for text in entry.problems))
-
-
-def _entries(library: Library, every: bool) -> list[ScanEntry]:
-    shelves = tuple(LibraryFolder) if every else (LibraryFolder.SCANS,)
-    return [entry for shelf in shelves for entry in library.entries(shelf)]
 
 
 def _brief(entry: ScanEntry) -> dict[str, Any]:

@@ -1,18 +1,19 @@
-"""Owns the verb ``sim``: the instrument in a simulated world, held by a person, a script, or an unlucky diver."""
+"""The verb ``sim``: the instrument in a simulated world, held by a person, a script, or an unlucky diver."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from argparse import ArgumentTypeError
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
-from appliance.cli.arguments import option, repeated, switch, whole
+from appliance.cli.arguments import meant, one_of, operands, option, switch, whole
 from appliance.cli.chaos import Chaos, chaos
 from appliance.cli.instrument import serve
 from appliance.cli.kernels import compile_kernels
-from appliance.cli.output import Exit
+from appliance.cli.output import Exit, UsageError
 from appliance.cli.places import WithRoot
 from appliance.cli.simrig import (
     OBJECTS,
@@ -31,6 +32,19 @@ if TYPE_CHECKING:  # brings pydantic, which `--help` can do without
     from appliance.store import Rig
 
 SEED = whole(0, 999_999_999)
+SETTINGS: Mapping[str, Callable[[str], Any]] = {
+    "object": one_of(OBJECTS),
+    "texture": one_of(TEXTURES),
+    "truth": str,
+    "world": one_of(WORLDS),
+    "seed": SEED,
+    "size": str,
+    "pace": one_of(PACES),
+    "fault": str,
+    "chaos": SEED,
+    "scans": whole(1, 100_000),
+}
+"""Settings of the world, and what reads the value of each; only ``fault`` may be given more than once."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,45 +53,62 @@ class Sim(WithRoot):
 
     codes: ClassVar[Sequence[Exit]] = (Exit.SCRIPT_FAILED,)
     service: ClassVar[bool] = True
+    named_words: ClassVar[Sequence[str]] = tuple(SETTINGS)
 
-    object: str | None = option("--object", "what lies before the scanner", choices=OBJECTS)
-    texture: str | None = option("--texture", "its albedo", choices=TEXTURES)
-    truth: str | None = option("--truth", f"the true rig: {', '.join(TRUTHS)}, or a truth.toml", metavar="SET")
-    world: str | None = option("--world", "outside: a harsher one, drawn by --seed", choices=WORLDS)
-    seed: int | None = option("--seed", "seeds the truth and all noise", parse=SEED)
-    size: str | None = option("--size", "camera size in px, for example 800x600", metavar="WxH")
-    pace: str | None = option("--pace", "how world time passes", choices=PACES)
-    script: Path | None = option("--script", "a diver's script; exit code 3 if it fails", parse=Path, metavar="FILE")
-    faults: Sequence[str] = repeated("--fault", "a fault; may be repeated", metavar="SENTENCE")
-    chaos: int | None = option("--chaos", "a dive on which devices come and go, seeded", parse=SEED, metavar="SEED")
-    scans: int = option(
-        "--scans", "of --chaos: how often SCAN is pressed (default 200)", default=200, parse=whole(1, 100_000)
+    settings: Sequence[str] = operands(
+        "SETTING=VALUE",
+        f"object: {', '.join(OBJECTS)}; texture: {', '.join(TEXTURES)}; truth, the true rig: {', '.join(TRUTHS)}, or a truth.toml; "
+        f"world: {', '.join(WORLDS)} (a harsher one, drawn by seed); seed of the truth and all noise; size of the cameras, for example 800x600; "
+        f"pace of world time: {', '.join(PACES)}; fault=SENTENCE, which may be repeated; chaos=SEED: a dive on which devices come and go, "
+        "with scans=N (200): how often SCAN is pressed",
+        at_least_one=False,
     )
+    script: Path | None = option("--script", "a diver's script; exit code 3 if it fails", parse=Path, metavar="FILE")
     console: bool = switch("--console", "commands on standard input; as --window on a terminal has it")
     window: bool = switch("--window", "show both screens in windows; the keyboard is the key pad")
 
     def run(self) -> Exit:
+        given, faults = self._given()
+        chaos_seed, scans = given.pop("chaos", None), given.pop("scans", 200)
+        if "object" in given:
+            given["object_name"] = given.pop("object")
         from appliance.store import load_rig
 
         rig = load_rig(self.rig or default_sim_rig())
         options = SimOptions(
             root=self.new_root(),
-            object_name=self.object,
-            texture=self.texture,
-            truth=self.truth,
-            world=self.world,
-            seed=self.seed,
-            size=self.size,
-            pace=self.pace,
+            **given,
             script=self.script,
-            faults=self.faults,
+            faults=faults,
             window=self.window,
             # Without a terminal standard input may be closed, or somebody else's text.
             console=self.console or (self.window and sys.stdin.isatty()),
         )
-        if self.chaos is None:
+        if chaos_seed is None:
             return dive(rig, options)
-        return chaos(rig, options, Chaos(self.chaos, self.scans), dive, json=self.json)
+        return chaos(rig, options, Chaos(chaos_seed, scans), dive, self.tell)
+
+    def _given(self) -> tuple[dict[str, Any], Sequence[str]]:
+        """Return what each setting was given as, but for the faults, and these. Raises UsageError."""
+        given: dict[str, Any] = {}
+        faults = []
+        for word in self.settings:
+            name, equals, text = word.partition("=")
+            if not equals or name not in SETTINGS:
+                raise UsageError(
+                    f"{word}: is no SETTING=VALUE{meant(name, SETTINGS)}; there are: {', '.join(SETTINGS)}"
+                )
+            if name in given:
+                raise UsageError(f"{word}: {name} was given before; give one value")
+            try:
+                value = SETTINGS[name](text)
+            except ArgumentTypeError as error:
+                raise UsageError(f"{name}={error}") from error
+            if name == "fault":
+                faults.append(text)
+            else:
+                given[name] = value
+        return given, faults
 
 
 def dive(rig: Rig, options: SimOptions) -> Exit:

@@ -1,4 +1,4 @@
-"""Owns the rig of ``kingfisher sim``: a rig file whose wires lead to a simulated world, changed by the options.
+"""The rig of ``kingfisher sim``: a rig file whose wires lead to a simulated world, changed by the options.
 
 The simulator is found by name, as a folder with a rig file in it; nothing of it is imported here. The options are
 those of ``docs/protocols/world.md`` and go into ``[rig.wires_options]``, unread by the product.
@@ -83,7 +83,7 @@ def simulated(rig: Rig, options: SimOptions) -> Rig:
         rig = _resized(rig, options.size)
         wires |= {"width_px": rig.camera.left.width_px, "height_px": rig.camera.left.height_px}
     if options.truth is not None and options.truth not in TRUTHS:
-        wires["truth"] = str(_existing("--truth", Path(options.truth), f"one of {', '.join(TRUTHS)}, or a truth.toml"))
+        wires["truth"] = str(_existing("truth=", Path(options.truth), f"one of {', '.join(TRUTHS)}, or a truth.toml"))
     elif options.truth is not None:
         wires["truth"] = options.truth
     if options.world == "ordinary":
@@ -91,7 +91,7 @@ def simulated(rig: Rig, options: SimOptions) -> Rig:
     elif options.world is not None:
         wires["outside"] = {"seed": options.seed if options.seed is not None else wires.get("seed", DEFAULT_SEED)}
     if options.script is not None:
-        wires["script"] = str(_existing("--script", options.script, "the path of a diver's script"))
+        wires["script"] = str(_existing("--script ", options.script, "the path of a diver's script"))
     chosen: dict[str, Any] = {
         "object": options.object_name,
         "texture": options.texture,
@@ -110,7 +110,7 @@ def simulated(rig: Rig, options: SimOptions) -> Rig:
 
 def _existing(option: str, path: Path, allowed: str) -> Path:
     if not path.is_file():
-        raise UsageError(f"{option} {path}: no such file; allowed: {allowed}")
+        raise UsageError(f"{option}{path}: no such file; allowed: {allowed}")
     return path.absolute()
 
 
@@ -122,7 +122,7 @@ def _resized(rig: Rig, size: str) -> Rig:
     width_px, height_px = (int(found[1]), int(found[2])) if found else (0, 0)
     if not (64 <= width_px <= 8192 and width_px * old.height_px == height_px * old.width_px):
         raise UsageError(
-            f"--size {size}: allowed are WIDTHxHEIGHT from 64 to 8192 px in the ratio {old.width_px}:{old.height_px}; "
+            f"size={size}: allowed are WIDTHxHEIGHT from 64 to 8192 px in the ratio {old.width_px}:{old.height_px}; "
             f"for example {old.width_px // 2}x{old.height_px // 2}"
         )
     cameras = replace(

@@ -1,4 +1,4 @@
-"""Owns the calibration that ``kingfisher sim --truth nominal`` brings: what the simulator says its true rig is.
+"""The calibration that ``kingfisher sim truth=nominal`` brings: what the simulator says its true rig is.
 
 The other sets of true rigs are there to be calibrated. The simulator is found by name, as in ``simrig``; what it says is
 the JSON of ``docs/protocols/world.md``, in the rig frame. A calibration that lies in the storage root is never touched.
@@ -93,8 +93,8 @@ def _refuse_nominal(rig: Rig) -> None:
         return  # the service says what is wrong with it
     if found.method == METHOD and any(one.endswith(f"rig: {KNOWN_SET}") for one in found.made_from):
         raise UsageError(
-            f"--root {rig.storage.root}: its calibration is that of --truth {KNOWN_SET}, this start has another true rig and "
-            f"would measure wrong lengths; give another folder, --truth {KNOWN_SET}, or remove {path}"
+            f"--root {rig.storage.root}: its calibration is that of truth={KNOWN_SET}, this start has another true rig and "
+            f"would measure wrong lengths; give another folder, truth={KNOWN_SET}, or remove {path}"
         )
 
 

@@ -103,7 +103,7 @@ def _scan(entry: ScanEntry) -> ReportScan:
             found,
             verdict=ReportVerdict.REFUSED,
             grade=None,
-            warnings=(*found.warnings, "raw frames only: kingfisher reconstruct"),
+            warnings=(*found.warnings, "raw frames only: kingfisher cloud"),
         )
     return replace(
         found,

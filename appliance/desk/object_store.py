@@ -247,7 +247,7 @@ def read_object(root: Path, name: str) -> StoredObject:
         raise ObjectError(str(error)) from error
     if found is None:
         known = ", ".join(object_names(root)) or "none yet"
-        raise ObjectError(f"object '{name}': there is none under {root} ({known}); make it: kingfisher object new")
+        raise ObjectError(f"object '{name}': there is none under {root} ({known}); make it: kingfisher object add")
     # The folder's name is the object's, also where somebody renamed it: what is written next must not go to another's folder.
     return replace(found, name=name)
 

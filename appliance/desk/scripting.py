@@ -249,7 +249,7 @@ def export(
     notes: tuple[str, ...] = (),
     frame: str | None = None,
 ) -> None:
-    """Write points or a mesh for other programs; the suffix says how, as for ``kingfisher export``.
+    """Write points or a mesh for other programs; the suffix says how, as for ``kingfisher cloud``.
 
     ``frame``: the frame of reference in words; by default the object's of a fused surface, else the left camera's. Raises
     ExportError for a suffix that is not allowed, MissingLibraryError, StorageError.

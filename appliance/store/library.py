@@ -220,7 +220,7 @@ class Library:
         folder = self._find_on(LibraryFolder.TRASH, scan_id)
         if folder is None:
             raise UnknownScan(
-                f"no scan {scan_id!r} in the trash of {self.root}; `kingfisher scans list --trash --root {self.root}` shows it"
+                f"no scan {scan_id!r} in the trash of {self.root}; `kingfisher scans list trash --root {self.root}` shows it"
             )
         return self._moved(folder, self._shelf(_belongs(folder)) / folder.name)
 

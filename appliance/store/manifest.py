@@ -214,6 +214,6 @@ def read(folder: Path) -> Manifest:
         raise ContentError(
             str(folder),
             "an incomplete recording is no scan, and nothing is measured, evaluated or calibrated with it",
-            remedy="`kingfisher rescue` makes an unchecked cloud of it",
+            remedy="`kingfisher cloud incomplete:N` makes an unchecked cloud of it",
         )
     raise ContentError(str(path), "missing")

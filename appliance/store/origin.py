@@ -137,8 +137,7 @@ def misfit(calibration: Calibration, scan: SourceScan, *, foreign: bool = False,
     The images must have its size. Instrument and cameras must be those of the rig file too, unless ``foreign``.
     ``start``: it is what a calibration begins with.
     """
-    option = "--start" if start else "--calibration"
-    remedy = f"give the one of the instrument that recorded it with {option} FILE"
+    remedy = "give the one of the instrument that recorded it with --calibration FILE"
     for side in SIDES:
         eye = of_side(calibration.rig, side)
         height_px, width_px = scan.scan.frames[side].shape[1:]

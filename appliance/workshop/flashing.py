@@ -70,7 +70,7 @@ def laid_out(part: Part, rig: Rig) -> dict[str, bytes]:
     if not sources:
         raise BringupError(
             f"{folder}: the firmware's sources are not part of an installation; "
-            f"call it within the source tree: ./dev run kingfisher firmware {part}"
+            f"call it within the source tree: ./dev run kingfisher setup firmware {part}"
         )
     files: dict[str, bytes] = {}
     for source in sources:

@@ -28,9 +28,7 @@ class GuideOptions:
     """Wishes for one call of the guide."""
 
     only: tuple[str, ...] = ()
-    """Steps to be done and no others; empty: on from the first that is not good."""
-    again: tuple[str, ...] = ()
-    """Steps to be done although they are good."""
+    """Steps to be done, although they are good, and no others; empty: on from the first that is not."""
     minutes: float = 10.0
     """Length of the endurance run."""
     plane_mm: float | None = None
@@ -119,9 +117,8 @@ class _Walk:
             # Here and not before: what stands is asked anew after each step that may have changed the rig file.
             if self.options.only and step.name not in self.options.only:
                 continue
-            anew = step.name in self.options.again or step.name in self.options.only
             # Steps of one measurement are done together: the first of them does it for all.
-            if step.name not in self.done and (anew or not self._stands(step)):
+            if step.name not in self.done and (self.options.only or not self._stands(step)):
                 yield step
 
     def _do(self, step: GuideStep) -> None:

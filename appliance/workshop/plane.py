@@ -72,7 +72,7 @@ _RIPPLES = {
 }
 """Remedies of a ripple at one and two cycles; four have the causes of a light that is no sine."""
 _CURVED = {
-    Shape.GAMMA: "gamma: switch it off in the projector and in the graphics driver, or measure it with `kingfisher measure response {scan}`",
+    Shape.GAMMA: "gamma: switch it off in the projector and in the graphics driver, or measure it with `kingfisher calibration measure response {scan} --install`",
     Shape.BIT_PLANES: "cut bit planes: take only exposures that step light found, and do step light again after any change of the projector's mode",
     Shape.RESTLESS: "light that differs from place to place or image to image: dynamic contrast and dither off, no other light, a still plane",
 }
@@ -513,7 +513,7 @@ def _cause(seen: PlaneSeen) -> str:
         return "clipping: a shorter exposure, less gain, a duller plane"
     if seen.response is not None and seen.response.shape in _CURVED:
         return _CURVED[seen.response.shape].format(scan=seen.scan)
-    return f"the light is no sine: measure its response (`kingfisher measure response {seen.scan}`), and see gamma, exposures and focus"
+    return f"the light is no sine: measure its response (`kingfisher calibration measure response {seen.scan} --install`), and see gamma, exposures and focus"
 
 
 def _flat(seen: PlaneSeen) -> Finding:

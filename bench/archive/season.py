@@ -2,7 +2,7 @@
 
 Two scans a day on three weeks, of a frustum with a certificate and of other things, in water that gets colder. On the eighth day the right
 camera is knocked; on the fifteenth the instrument is calibrated anew. Two scans are too dark, in one the hands moved, two are damaged on
-the disk. What the page says of them is what `kingfisher reprocess` and `kingfisher season` make of the frames. Chromium takes the picture.
+the disk. What the page says of them is what `kingfisher archive reprocess` and `kingfisher report` make of the frames. Chromium takes the picture.
 """
 
 from __future__ import annotations
@@ -70,9 +70,9 @@ def draw_season(folder: Path) -> Season:
 
 def season_page(season: Season, folder: Path) -> Path:
     """Return the page that the two verbs make of it, below ``folder``."""
-    words = ("reprocess", season.root, "--out", folder / "out", "--table-only", "--list", season.artefacts, "--json")
+    words = ("archive", "reprocess", season.root, season.artefacts, "--out", folder / "out", "--table-only", "--json")
     table = Path(_said(folder, *words)["table"]).relative_to(folder)
-    _said(folder, "season", table, "--out", "season.html", "--json")
+    _said(folder, "report", table, "--out", "season.html", "--json")
     return folder / "season.html"
 
 

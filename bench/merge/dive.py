@@ -33,7 +33,7 @@ from tests.support.truth import left_to_rig
 
 SCANS = 14
 RIG_SET = "realistic"
-NAME, FILES = "pipe", ("object.e57", "object.stl", "report.html")
+NAME, FILES, PAGE = "pipe", ("object.e57", "object.stl"), "report.html"
 MOST_SIGMAS = 3.0
 
 
@@ -51,10 +51,14 @@ def measure(seed: int, size_px: tuple[int, int], keep: Path | None) -> list[Meas
         names = [f"{number:06}" for number in range(1, SCANS + 1)]
         name = NAME if not (root / "objects" / NAME).exists() else f"{NAME} {len(objects.object_names(root)) + 1}"
         words = ["object", "solve", name, *names, "--root", str(root), "--calibration", str(calibration)]
-        words += ["--foreign-calibration", *(word for one in FILES for word in ("--out", str(root / one)))]
+        words.append("--foreign-calibration")
+        files = [word for one in FILES for word in ("--out", str(root / one))]
         begun = time.process_time()
         with contextlib.redirect_stdout(io.StringIO()):
             code = int(main(words))
+            of_object = (f"object:{name}", *words[3 + len(names) :])
+            main(["cloud", *of_object, *files])
+            main(["report", *of_object, "--out", str(root / PAGE)])
         spent = time.process_time() - begun
         return [
             Measured("dive: exit code", code, "", at_most=0.0),
@@ -62,7 +66,7 @@ def measure(seed: int, size_px: tuple[int, int], keep: Path | None) -> list[Meas
             Measured("dive: CPU of one call, raw frames to files", spent, "s"),
             *(
                 Measured(f"dive: {one}", (root / one).stat().st_size / 1e6, "MB")
-                for one in FILES
+                for one in (*FILES, PAGE)
                 if (root / one).exists()
             ),
         ]

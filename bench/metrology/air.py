@@ -1,6 +1,6 @@
 """Owns what is known of a hidden rig before anything was scanned: its calibration in air, and the drawing of its ports.
 
-Boards are found in pictures that the simulated cameras take of them, as ``kingfisher calibrate air`` finds them.
+Boards are found in pictures that the simulated cameras take of them, as ``kingfisher calibration air`` finds them.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ the families of that world put on, by the seed of each scene.
 What hands do comes from the family ``hands`` on top of the scene's own movement, so a scene at rest is without it. The exposure is
 one that suits the scene, by the brightest of its bright frame, times what the draw says (a quarter are underexposed): a
 diver chooses it, and other whites, sensors and spots would else turn most scenes black or white. The cameras' noise is stated
-as an instrument finds it that has measured its own (``measure noise``); the water is of the index that the LED's light truly has.
+as an instrument finds it that has measured its own (``calibration measure noise``); the water is of the index that the LED's light truly has.
 """
 
 from __future__ import annotations

@@ -86,7 +86,7 @@ def build(layout: Layout, tree: Path, wheels: Path | None, say: Say) -> str:
         _whole_seconds(folder)
     say("kernels (a minute)")
     # An image is started on another processor.
-    target.run(layout, [f"{inside}/bin/kingfisher", "warm", *([] if layout.live else ["--common"])])
+    target.run(layout, [f"{inside}/bin/kingfisher", "setup", "compile", *([] if layout.live else ["--common"])])
     target.run(layout, [f"{inside}/bin/python", "-m", "compileall", "-q", f"{inside}/lib", f"{inside}/systemd"])
     say("checks")
     target.run(layout, [f"{inside}/bin/python", "-c", CHECK, "/etc/kingfisher/rig.toml"])

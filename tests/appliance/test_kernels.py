@@ -250,7 +250,7 @@ def test_an_image_brings_kernels_for_processors_it_has_never_seen(tmp_path: Path
     if not kernel_cache.runs_common(kernel_cache.this_processor()):
         pytest.skip("this processor is below x86-64-v3, which images are made for")
     shipped = tmp_path / "image"
-    made = called("-m", "appliance.cli", "warm", "--json", "--out", shipped, "--common", timeout_s=900.0)
+    made = called("-m", "appliance.cli", "setup", "compile", "--json", "--out", shipped, "--common", timeout_s=900.0)
     assert (Path(made["folder"]) / COMPLETE).exists()
     said = started(shipped, tmp_path / "cache", tmp_path)
     assert (said["origin"], said["compiled"]) == ("shipped", [])

@@ -219,7 +219,7 @@ def dive(rig_file: Path, root: Path, text: str, seed: int) -> None:
     script = rig_file.with_suffix(".script")
     script.write_text(text, encoding="utf-8")
     sim = (sys.executable, "-m", "appliance.cli", "sim", "--rig", str(rig_file), "--root", str(root))
-    words = ("--truth", "nominal", "--seed", str(seed), "--script", str(script))
+    words = ("truth=nominal", f"seed={seed}", "--script", str(script))
     subprocess.run((*sim, *words), check=True, timeout=1800)
     script.unlink()
 

@@ -75,19 +75,18 @@ def test_a_damaged_archive_is_told_with_the_frame_and_without_the_codec_what_to_
     data = bytearray(path.read_bytes())
     data[-40] ^= 1
     path.write_bytes(data)
-    said = desk("archive", "verify", packed)
-    assert (said.code, "000003  DAMAGED: frames_right.npy" in said.out) == (4, True)
-    assert "gray-x-0" in desk("scans", "verify", "--root", packed).out
+    said = desk("scans", "verify", "--all", "--root", packed)
+    assert (said.code, "000003  DAMAGED: frames_right.npy" in said.out, "gray-x-0" in said.out) == (4, True, True)
     assert desk("archive", "pack", root, "--out", packed, "--remove").code == 1
     assert [path.name for path in (root / "scans").iterdir()] == ["000003"], "only what has a good copy is removed"
     again = desk("archive", "unpack", packed, "--out", tmp_path / "back")
     assert (again.code, "2 written, 0 already there, 1 failed" in again.out) == (1, True)
     scan, missing = packed / "scans" / "000001", tmp_path / "pictures" / "dark.png"
-    assert "bright, dark, gray-x-0" in desk("archive", "frame", scan, "left", "sine").error
-    said = desk("archive", "frame", scan, "left", "dark", "--out", missing)
+    assert "bright, dark, gray-x-0" in desk("scans", "show", scan, "left", "sine").error
+    said = desk("scans", "show", scan, "left", "dark", "--out", missing)
     assert (said.code, f"--out {missing}" in said.error, ".draft" in said.error) == (2, True, False)
     monkeypatch.setitem(sys.modules, "imagecodecs", None)
-    said = desk("archive", "verify", packed)
+    said = desk("scans", "verify", "--all", "--root", packed)
     assert (said.code, "kingfisher-3d[desk]" in said.error) == (1, True)
 
 

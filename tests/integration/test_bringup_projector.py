@@ -1,4 +1,4 @@
-"""``kingfisher bringup projector`` through the shipped drivers: what a simulated projector does is found, written, and kept apart.
+"""``kingfisher setup measure projector`` through the shipped drivers: what a simulated projector does is found, written, and kept apart.
 
 Colours in turn; ``test_box_of_parts`` has one that repeats, and is mirrored and bent; ``tests/appliance/workshop`` has every kind.
 """
@@ -24,8 +24,9 @@ def test_a_video_projector_is_measured_as_it_is_built_and_written(
 ) -> None:
     rig = at_the_bench(tmp_path, (96, 72), 'idle_speed = 2.0\nprojector = "video"')
     before = rig.read_text(encoding="utf-8")
+    out = ("--out", str(tmp_path / "page"), "--json")
     with World(options_from(load_rig(rig).rig.wires_options)) as world:
-        assert main(["bringup", "projector", "--rig", str(rig), "--out", str(tmp_path / "page"), "--json"]) == 0
+        assert main(["setup", "measure", "projector", "--rig", str(rig), "--install", *out]) == 0
         truth = world.projector_truth
     said = json.loads(capsys.readouterr().out)
     now = load_rig(rig)
@@ -44,5 +45,5 @@ def test_a_video_projector_is_measured_as_it_is_built_and_written(
 
 
 def test_the_packaged_rig_file_is_never_changed(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["bringup", "projector"]) == 2
-    assert "--dry-run" in capsys.readouterr().err
+    assert main(["setup", "measure", "projector", "--install"]) == 2
+    assert "is never changed" in capsys.readouterr().err

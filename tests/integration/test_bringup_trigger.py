@@ -1,4 +1,4 @@
-"""``kingfisher bringup trigger`` through the shipped drivers: triggers that are wrong on purpose are named."""
+"""``kingfisher setup measure trigger`` through the shipped drivers: triggers that are wrong on purpose are named."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ BLACKFLIES = 'cameras = { left = { personality = "blackfly" }, right = { persona
 
 def found(rig: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, dict[str, Any]]:
     """Return the findings by name; the exit code says whether all are good."""
-    code = main(["bringup", "trigger", "--rig", str(rig), "--json"])
+    code = main(["setup", "measure", "trigger", "--rig", str(rig), "--json"])
     said = {one["name"]: one for one in json.loads(capsys.readouterr().out)}
     assert code == (0 if all(one["ok"] for one in said.values()) else 1)
     return said

@@ -55,8 +55,8 @@ def test_views_are_recorded_kept_and_gone_on_with(tmp_path: Path, caplog: pytest
     for k, pose in enumerate(poses[:BEFORE]):
         lines += [board_at(pose), f"wait result VIEW_{k + 1:02} 300"]
     first = rig_file(tmp_path, "first", "\n".join(lines), far)
-    common = ["calibrate", "air", str(folder), "--live", "--exposure-ms", "6.5"]
-    assert main([*common, "--rig", str(first), "--views", "6", "--patience-s", "15"]) == 1, "the fourth never came"
+    common = ["calibration", "air", str(folder), "--live", "6", "--exposure-ms", "6.5"]
+    assert main([*common, "--rig", str(first), "--timeout-s", "15"]) == 1, "the fourth never came"
     said = [record.getMessage() for record in caplog.records]
     assert said[0] == "the left image is dark; more light, or a longer exposure", "too far for the projector"
     views = [line for line in said if line.startswith("view ")]
@@ -73,7 +73,7 @@ def test_views_are_recorded_kept_and_gone_on_with(tmp_path: Path, caplog: pytest
     for k, pose in enumerate(poses[BEFORE:VIEWS], BEFORE + 1):
         lines += [board_at(pose), f"wait result VIEW_{k:02} 300"]
     then = rig_file(tmp_path, "then", "\n".join(lines), poses[0])
-    assert main([*common, "--rig", str(then), "--views", "6", "--install"]) == 0
+    assert main([*common, "--rig", str(then), "--install"]) == 0
     said = [record.getMessage() for record in caplog.records]
     assert said[0] == "3 views are there already"
     assert any(line.startswith("view 06") for line in said)

@@ -12,8 +12,8 @@ SCANS = 7
 
 
 def dive(root: Path) -> tuple[int, dict[str, Any]]:
-    words = ["sim", "--object", "plane", "--truth", "nominal", "--size", "320x240", "--root", str(root)]
-    words += ["--chaos", "3", "--scans", str(SCANS), "--json"]
+    words = ["sim", "object=plane", "truth=nominal", "size=320x240", "--root", str(root)]
+    words += ["chaos=3", f"scans={SCANS}", "--json"]
     ended = subprocess.run([sys.executable, "-m", "appliance.cli", *words], capture_output=True, text=True, check=False)
     assert ended.stdout, ended.stderr[-2000:]
     return ended.returncode, json.loads(ended.stdout)

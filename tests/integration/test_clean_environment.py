@@ -140,16 +140,17 @@ def test_a_desk_does_all_of_it_from_a_wheel_and_from_another_folder(desk: Desk, 
     desk("archive", "unpack", packed, "--out", back)
     files = [path.relative_to(dive) for path in dive.rglob("scans/*/*")]
     assert all((back / name).read_bytes() == (dive / name).read_bytes() for name in files)
-    desk("archive", "frame", packed / "scans" / "000002", "left", "bright", "--out", "frame.png")
-    here = desk.json("reprocess", packed, "--out", "out")
+    desk("scans", "show", packed / "scans" / "000002", "left", "bright", "--out", "frame.png")
+    here = desk.json("archive", "reprocess", packed, "--out", "out")
     assert (here["done"], here["failed"], here["left"]) == (2, 0, 0)
-    desk("season", here["table"], "--out", "season.html")
-    for name, more in (("scan.e57", ()), ("scan.las", ()), ("scan.npz", ()), ("scan.stl", ("--mesh",))):
-        desk("export", packed / "scans" / "000001", *more, "--out", name)
+    desk("report", here["table"], "--out", "season.html")
+    for name, more in (("scan.e57", ()), ("scan.las", ()), ("scan.npz", ()), ("scan.stl", ())):
+        desk("cloud", packed / "scans" / "000001", *more, "--out", name)
     foreign = make_set(convention("three-steps"), tmp_path / "foreign", 240)
     assert desk.json("import", foreign.description, "--out", "foreign.ply")["points"] > 5000
-    outs = ("--out", "shell.ply", "--out", "shell.html")
-    desk("object", "solve", "shell", "000001", "000002", "--root", back, "--spacing", "1", *outs)
+    desk("object", "solve", "shell", "000001", "000002", "--root", back)
+    desk("cloud", "object:shell", "--root", back, "--spacing", "1", "--out", "shell.ply")
+    desk("report", "object:shell", "--root", back, "--spacing", "1", "--out", "shell.html")
     made = (
         "frame.png",
         "season.html",

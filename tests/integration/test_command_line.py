@@ -90,7 +90,7 @@ def test_an_alarm_is_taken_back_by_a_length_check_that_is_an_answer_to_it(shell:
     path = root / CALIBRATION_FILE
     for folder in (root / "scans", path.parent):
         folder.mkdir(parents=True)
-    nominal = ("calibration", "nominal", "--rig", SMALL_RIG, "--root", root, "--out", path)
+    nominal = ("calibration", "show", "nominal", "--rig", SMALL_RIG, "--root", root, "--out", path)
     assert shell(*nominal).code == 0
     before, again = path.read_bytes(), shell(*nominal)
     assert (again.code, str(path) in again.error, path.read_bytes() == before) == (2, True, True), "never replaced"
@@ -105,11 +105,11 @@ def test_an_alarm_is_taken_back_by_a_length_check_that_is_an_answer_to_it(shell:
             "summary": {"e_l_ball_bar_percent": e_l_percent},
         }  # fmt: skip
         report.write_text(json.dumps(content))
-        done = shell("health", "accept", report, "--root", root)
+        done = shell("calibration", "accept", report, "--root", root)
         return done.code, done.err
 
     def alarm() -> object:
-        return shell("health", "show", "--json", "--root", root).document["alarm"]
+        return shell("calibration", "show", "--json", "--root", root).document["health"]["alarm"]
 
     for refused, word in (
         (accepted(calibration="0" * 64), "the one in use"),

@@ -96,7 +96,7 @@ def test_what_was_kept_is_whole_lies_on_the_pipe_and_is_the_same_at_the_desk(
     assert len(off_mm) > 40_000
     assert np.sqrt(np.mean(off_mm**2)) < 0.06
     assert set(library.load(kept).manifest.record.stage_times_s) >= {"recording", "coarse", "full", "saved"}
-    said = Shell(capsys)("reconstruct", kept, "--root", library.root, "--out", tmp_path / "again.ply", "--json")
+    said = Shell(capsys)("cloud", kept, "--root", library.root, "--out", tmp_path / "again.ply", "--json")
     assert said.document["stored_cloud"] == "the same, byte for byte"
 
 

@@ -161,7 +161,15 @@ def test_everything_comes_through_the_server(
     served: Served, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     here = tmp_path / "desk"
-    typed = ["pull", f"{USER}@127.0.0.1", str(here), "--port", str(served.port), "--identity", str(served.identity)]
+    typed = [
+        "archive",
+        "pull",
+        f"{USER}@127.0.0.1:{served.port}",
+        "--out",
+        str(here),
+        "--identity",
+        str(served.identity),
+    ]
     typed += ["--known-hosts", str(served.known_hosts), "--all", "--json"]
     assert main(typed) == 0
     said = json.loads(capsys.readouterr().out)

@@ -87,7 +87,9 @@ def test_one_command_calibrates_from_at_least_twelve_of_thirteen_pairs(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "pair.json"
-    assert main(["calibrate", "pair", str(folder), "--square-mm", "7.5", "--out", str(out), "--json"]) == 0
+    assert (
+        main(["calibration", "air", str(folder), "--pair", "NAME", "--board", "7.5", "--out", str(out), "--json"]) == 0
+    )
     report = json.loads(capsys.readouterr().out)
     assert report["board_squares"] == [25, 18]
     assert report["legacy_layout"]

@@ -44,14 +44,14 @@ def test_every_scan_has_one_result_or_a_reason_and_a_second_call_does_nothing_bu
     data = bytearray(damaged.read_bytes())
     data[-100] ^= 1
     damaged.write_bytes(data)
-    said = desk("reprocess", packed, *words).document
+    said = desk("archive", "reprocess", packed, *words).document
     assert (said["done"], said["failed"], said["left"]) == (1, 1, 0)
     table = {row["scan"]: row for row in read_table(Path(said["table"]))}
     assert sorted(table) == ["000001", "000002"]
     assert "frames_left.npy: damaged" in table["000002"]["reason"]
     results = Path(said["table"]).parent / "results"
     # The points of the frames that were packed are those of the frames as they were recorded, byte for byte.
-    assert desk("reconstruct", root / "scans" / "000001", "--out", tmp_path / "x.ply").code == 0
+    assert desk("cloud", root / "scans" / "000001", "--out", tmp_path / "x.ply").code == 0
     (cloud,) = results.glob("*/cloud.ply")
     assert cloud.read_bytes() == (tmp_path / "x.ply").read_bytes()
 
@@ -60,9 +60,9 @@ def test_every_scan_has_one_result_or_a_reason_and_a_second_call_does_nothing_bu
     shutil.rmtree(packed / "scans" / "000002")
     shutil.copytree(root / "scans" / "000002", packed / "scans" / "000002")
     with hold_lock(results.parent):
-        refused = desk("reprocess", packed, *words)
+        refused = desk("archive", "reprocess", packed, *words)
     assert (refused.code, "another instance" in refused.err) == (1, True)
-    again = desk("reprocess", packed, *words)
+    again = desk("archive", "reprocess", packed, *words)
     assert (again.code, again.document["key"], len(list(results.iterdir()))) == (0, said["key"], 2)
     assert {path: path.stat().st_mtime_ns for path in before} == before
     assert list((results.parent / "failed").iterdir()) == []
@@ -72,8 +72,8 @@ def test_lengths_are_those_that_evaluate_says(root: Path, tmp_path: Path, desk: 
     shutil.copytree(root / "scans" / "000001", tmp_path / "one" / "scans" / "000001")
     listed = tmp_path / "list.toml"
     listed.write_text(f'[[scan]]\nscan = "{root / "scans" / "000001"}"\n{LISTED}', encoding="utf-8")
-    words = ("--out", tmp_path / "out", "--workers", "1", "--table-only", "--json", "--list", listed)
-    (row,) = desk("reprocess", tmp_path / "one", *words).document["rows"]
+    words = ("--out", tmp_path / "out", "--workers", "1", "--table-only", "--json")
+    (row,) = desk("archive", "reprocess", tmp_path / "one", listed, *words).document["rows"]
     assert desk("evaluate", listed, "--out", tmp_path / "x.html").code == 0
     (said,) = json.loads((tmp_path / "x.json").read_text(encoding="utf-8"))["scans"]
     assert row["e_l_percent"] == max(abs(length["e_l_percent"]) for length in said["lengths"])

@@ -104,7 +104,7 @@ def reaches(service: Service, state: str) -> None:
 
 def test_a_scan_by_keyboard_is_seen_in_the_windows_and_a_key_ends_the_service(screen: Xvfb, tmp_path: Path) -> None:
     root = tmp_path / "dive"
-    with windowed(root, screen.name, "--truth", "nominal", "--seed", "5") as it:
+    with windowed(root, screen.name, "truth=nominal", "seed=5") as it:
         reaches(it, "AIM")
         screen.point(window(screen, DISPLAY))
         until(lambda: np.median(picture(screen, PROJECTOR)[:, :, 1]) > 240, "the projector lights the scene")

@@ -156,7 +156,7 @@ def main(out: Path) -> None:
         for dive in under_it:
             script = out / "dive.script"
             script.write_text(dive, encoding="utf-8")
-            words = ("--truth", "nominal", "--seed", str(3 + k), "--object", "frustum", "--texture", "labels")
+            words = ("truth=nominal", f"seed={3 + k}", "object=frustum", "texture=labels")
             sim = (sys.executable, "-m", "appliance.cli", "sim", "--rig", str(rig_file), "--root", str(root))
             subprocess.run((*sim, *words, "--script", str(script)), check="power cut" not in dive, timeout=900)
             script.unlink()
@@ -164,7 +164,7 @@ def main(out: Path) -> None:
             calibrations.install(replace(made, made_from=("kept only",)), day)
     shutil.rmtree(root / "room")
     at_the_desk: tuple[tuple[str, ...], ...] = (
-        ("object", "new", "frustum"),
+        ("object", "add", "frustum"),
         ("object", "add", "frustum", "1", "6"),
         ("object", "solve", "frustum"),
         ("archive", "pack", str(root), "--out", str(out / "archive")),
@@ -187,7 +187,7 @@ def expected(root: Path) -> dict[str, Any]:
     }
     out = root.parent / "cloud.ply"
     for folder in sorted(path.parent for path in root.glob("*/*/manifest.json")):
-        again = (sys.executable, "-m", "appliance.cli", "reconstruct", str(folder), "--out", str(out), "--json")
+        again = (sys.executable, "-m", "appliance.cli", "cloud", str(folder), "--out", str(out), "--json")
         said = json.loads(subprocess.run(again, check=True, timeout=600, capture_output=True).stdout)
         found["scans"][str(folder.relative_to(root))] = {
             "points": said["points"],

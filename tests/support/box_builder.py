@@ -60,7 +60,7 @@ class BoxBuilder:
             patch.setattr(sys, "stdin", io.StringIO("\n" * MOST_ENTERS))
             patch.setattr(sys, "stderr", ears)
             patch.setattr(sys, "stdout", said)
-            code = main(["bringup", "guide", "--rig", str(self.rig), "--out", str(self.folder), "--json", *arguments])
+            code = main(["setup", "guide", "--rig", str(self.rig), "--out", str(self.folder), "--json", *arguments])
         self.asked += ears.asked
         report: dict[str, Any] = json.loads(said.getvalue())
         assert code == (0 if report["good"] else 1)

@@ -72,7 +72,7 @@ def test_a_version_is_whole_and_made_where_it_stays(there: Pretended) -> None:
         "/usr/bin/python3 -m venv @",
         "--require-hashes --find-links @/wheels -r @/packages.txt",
         "--no-build-isolation @/source",
-        "@/bin/kingfisher warm --common",
+        "@/bin/kingfisher setup compile --common",
         "@/bin/python -m compileall -q @/lib @/systemd",
     ]
     assert checked.startswith("@/bin/python -c")

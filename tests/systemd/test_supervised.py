@@ -50,7 +50,7 @@ class Supervised:
 def supervised(folder: Path) -> Iterator[Supervised]:
     """``kingfisher sim`` with a manager's environment."""
     address = folder / "notify"
-    words = ("sim", "--rig", SMALL_RIG, "--root", folder / "root", "--seed", "3")
+    words = ("sim", "--rig", SMALL_RIG, "--root", folder / "root", "seed=3")
     environment = {"NOTIFY_SOCKET": str(address), "WATCHDOG_USEC": str(int(WATCHDOG_S * 1e6))}
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listening, (folder / "stderr").open("w") as stderr:
         listening.bind(str(address))

@@ -258,7 +258,7 @@ def _described(every: Sequence[Markers], family: str, wanted: Wanted) -> FoundBo
     size = best.marker if wanted.marker_mm is None else wanted.marker_mm / wanted.square_mm
     if abs(size - best.marker) > SIZE_OFF:
         raise BoardNotFoundError(
-            f"--marker-mm {wanted.marker_mm:g}: in the pictures a marker's side is {best.marker:.3f} of a square's, which are "
+            f"--board: markers of {wanted.marker_mm:g} mm: in the pictures a marker's side is {best.marker:.3f} of a square's, which are "
             f"{best.marker * wanted.square_mm:.3g} mm of {wanted.square_mm:g} mm; measure the board, or leave it out"
         )
     plain = BoardDesign(best.across, max(down, SQUARES[0]), wanted.square_mm, size * wanted.square_mm)

@@ -157,11 +157,11 @@ def read_table(path: Path) -> list[dict[str, str]]:
         with path.open(encoding="utf-8", newline="") as file:
             reader = csv.DictReader(file)
             if not {"scan", "state"} <= set(reader.fieldnames or ()):
-                raise ResultsError(f"TABLE {path}: is no table of `kingfisher reprocess`: give its {TABLE}")
+                raise ResultsError(f"TABLE {path}: is no table of `kingfisher archive reprocess`: give its {TABLE}")
             return sorted(({name: row.get(name) or "" for name in COLUMNS} for row in reader), key=_order)
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise ResultsError(
-            f"TABLE {path}: cannot be read ({error}); give a {TABLE} of `kingfisher reprocess`"
+            f"TABLE {path}: cannot be read ({error}); give a {TABLE} of `kingfisher archive reprocess`"
         ) from error
 
 

@@ -1,6 +1,6 @@
 """Owns the page about a season: lengths over time, health of the calibration, water, and which scans were refused and why.
 
-Made from a table of ``kingfisher reprocess`` alone; it asks for nothing from outside, on a screen and on paper.
+Made from a table of ``kingfisher archive reprocess`` alone; it asks for nothing from outside, on a screen and on paper.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def _tiles(rows: Sequence[Cells]) -> list[tuple[str, str, str]]:
     grades = Counter(row["grade"] for row in used)
     counts = [f"{grades[grade.value]} {grade.value}" for grade in Grade if grades[grade.value]]
     counts += [f"{len(done) - len(used)} spoilt", f"{len(rows) - len(done)} without points"]
-    of_lists = f"{len(errors)} scans of artefacts" if errors else "no scan is in a --list"
+    of_lists = f"{len(errors)} scans of artefacts" if errors else "no scan is in a list"
     return [
         ("Scans with points", f"{len(used)} of {len(rows)}", ", ".join(counts)),
         ("Points", f"{sum(points) / 1e6:.1f} million", f"{median(points):,.0f} a scan (median)" if points else ""),

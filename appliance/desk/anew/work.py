@@ -116,7 +116,7 @@ def _find_kernels() -> None:
 
     # Each worker would compile all of them by itself, at the same time, for longer than a scan's limit.
     if kernels.origin is not KernelOrigin.GIVEN and missing_kernels(kernels.path, PIECES):
-        raise Again("its kernels are not compiled; call `kingfisher warm` there, once")
+        raise Again("its kernels are not compiled; call `kingfisher setup compile` there, once")
 
 
 def _client(dask: Any, scheduler: str | None, processes: int | None) -> Any:
@@ -133,7 +133,7 @@ def _client(dask: Any, scheduler: str | None, processes: int | None) -> Any:
     except (OSError, TimeoutError, ValueError, TypeError, RuntimeError) as error:
         # The last two: files for TLS are missing, or the address is without it where Dask's settings require it.
         raise SchedulerError(
-            f"--scheduler {scheduler}: cannot be reached, or has no worker ({error}); start `dask scheduler` and `dask worker`, "
+            f"--workers {scheduler}: cannot be reached, or has no worker ({error}); start `dask scheduler` and `dask worker`, "
             "with the same settings of TLS (docs/archive.md)"
         ) from error
     return client

@@ -207,7 +207,7 @@ def _our_own(description: Description, sizes_px: Mapping[str, tuple[int, int]]) 
         one.port.distance_mm or one.port.thickness_mm or one.correction or one.ray_shift or one.lens_in_water
         for one in cameras.values()
     ):
-        # Of `calibrate pair`: like OpenCV's files it knows neither windows nor water.
+        # Of `calibration air --pair`: like OpenCV's files it knows neither windows nor water.
         return replace(_behind_ports(description, ours.rig), stated_px=stated_px)
     if description.ports is not None:
         raise ForeignError(f"[ports] is there, and {path.name} has its own; take [ports] out")

@@ -28,7 +28,7 @@ def judge_fringes(bend: PhaseBend, period_px: int) -> Judgement:
     percent = 100.0 * (noisier - 1.0)
     text = (
         f"this exposure bends the fringes by {bend.rms_px:.2f} px; straightened, points are {percent:.0f} % noisier. Take another "
-        "exposure; kingfisher measure exposures tells which are good"
+        "exposure; kingfisher calibration measure exposures tells which are good"
     )
     return Judgement(
         Verdict(NAME, False, numbers, text), Fault(FaultCode.FRINGES_BENT, text, {"noise_percent": percent})

@@ -108,7 +108,7 @@ def _exposures_fit(rig: Rig) -> Iterator[Complaint]:
             left_ms,
             "is none of scan.exposures_ms",
             ", ".join(f"{one:g}" for one in allowed_ms),
-            "choose one of them, or measure this one with `kingfisher measure exposures`",
+            "choose one of them, or measure this one with `kingfisher calibration measure exposures`",
         )
     if rig.projector.sub_frames > 1:
         yield from _whole_sub_frames(rig)
@@ -132,7 +132,7 @@ def _whole_sub_frames(rig: Rig) -> Iterator[Complaint]:
             delay_us,
             f"is not where one of projector.sub_frames {projector.sub_frames} begins",
             ", ".join(str(one) for one in begins_us if one <= MOST_DELAY_US) + f" us, each to {BOUNDARY_US} us",
-            "begin with a sub-frame, or measure the projector with `kingfisher bringup projector`",
+            "begin with a sub-frame, or measure the projector with `kingfisher setup measure projector`",
         )
     left_ms, right_ms = rig.camera.left.exposure_ms, rig.camera.right.exposure_ms
     asked = [("camera.left.exposure_ms", left_ms), *(("scan.exposures_ms", one) for one in rig.scan.exposures_ms or ())]

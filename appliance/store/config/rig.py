@@ -167,8 +167,8 @@ class ScanRig:
     """Largest gain that may be proposed, and only where the longest exposure is not enough, or between exposures far
     apart."""
     exposures_ms: Annotated[tuple[_ExposureMs, ...], Field(min_length=1, max_length=32)] | None = None
-    """The only exposures that may be proposed, as ``kingfisher measure exposures`` finds them; ``None``: the usual
-    steps."""
+    """The only exposures that may be proposed, as ``kingfisher calibration measure exposures`` finds them;
+    ``None``: the usual steps."""
 
 
 @dataclass(frozen=True, slots=True, config=_CONFIG)

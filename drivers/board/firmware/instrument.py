@@ -1,6 +1,6 @@
 """Owns what one instrument's rig file says to its board: the USB identity, and which way the projector's sync goes.
 
-In the source tree it is what the packaged rig file says; ``kingfisher firmware board`` writes it for any other.
+In the source tree it is what the packaged rig file says; ``kingfisher setup firmware board`` writes it for any other.
 """
 
 VENDOR = 0x1209

@@ -45,11 +45,11 @@ def test_usual_ways_to_name_pairs_are_understood(left: str, right: str, name: st
 
 def test_any_other_names_are_told_by_patterns(tmp_path: Path) -> None:
     folder = folder_of(tmp_path, *(f"{name}.png" for k in (1, 2) for name in (f"2041_{k}_x", f"2077_{k}_y")))
-    with pytest.raises(PicturesError, match=r"2041_1_x.png, .*--left PATTERN --right PATTERN"):
+    with pytest.raises(PicturesError, match=r"2041_1_x.png, .*--sides LEFT,RIGHT"):
         named_pictures(folder, None)
     pairs = {k: (f"2041_{k}_x.png", f"2077_{k}_y.png") for k in ("1", "2")}
     assert listed(folder, Patterns("2041_*_x.png", "2077_*_y.png")) == pairs
-    with pytest.raises(PicturesError, match="--left 2041"):
+    with pytest.raises(PicturesError, match="--sides 2041"):
         named_pictures(folder, Patterns("2041", "2077_*_y.png"))
 
 

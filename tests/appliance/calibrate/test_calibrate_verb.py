@@ -1,4 +1,4 @@
-"""`kingfisher calibrate water` on stored scans of a hidden rig: its ports are found, and the report says how well."""
+"""`kingfisher calibration water` on stored scans of a hidden rig: its ports are found, and the report says how well."""
 
 from __future__ import annotations
 
@@ -60,8 +60,8 @@ def listed(truth: TrueRig, *names: str) -> str:
 
 
 def calibrate(folder: Path, *more: str, name: str = "list.toml", start: str = "air.json") -> int:
-    words = ["--root", str(folder), "--start", str(folder / start)]
-    return main(["calibrate", "water", str(folder / name), *words, *more])
+    words = ["--root", str(folder), "--calibration", str(folder / start)]
+    return main(["calibration", "water", str(folder / name), *words, *more])
 
 
 def tilt_deg(normal: tuple[float, float, float]) -> np.ndarray:
@@ -71,7 +71,7 @@ def tilt_deg(normal: tuple[float, float, float]) -> np.ndarray:
 def test_the_ports_of_a_hidden_rig_are_found_installed_and_taken_back(bench: Bench) -> None:
     folder, truth = bench
     out, current = folder / "found.json", folder / "calibration" / "current.json"
-    restore = ["calibrate", "restore", "--root", str(folder)]
+    restore = ["calibration", "use", "--root", str(folder)]
     current.parent.mkdir()
     before = (folder / "air.json").read_bytes()
     current.write_bytes(before)

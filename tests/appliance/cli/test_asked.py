@@ -64,8 +64,7 @@ def test_nobody_is_waited_for_without_end() -> None:
         ([], "--rig: not given"),
         (["--rig", "RIG"], "--out: not given"),
         (["--rig", "RIG", "--out", "RIG"], "is a file; give a folder"),
-        (["--rig", "RIG", "--out", "new", "--only", "pads"], "no such step; allowed are board, pad, vsync"),
-        (["--rig", "RIG", "--out", "new", "--again", "all"], "no such step"),
+        (["--rig", "RIG", "--out", "new", "pads"], "no such step; allowed are board, pad, vsync"),
     ],
 )
 def test_wrong_arguments_are_told_before_anything_is_opened(
@@ -73,6 +72,6 @@ def test_wrong_arguments_are_told_before_anything_is_opened(
 ) -> None:
     given = [str(default_rig_path()) if one == "RIG" else one for one in arguments]
     given = [str(tmp_path / one) if one == "new" else one for one in given]
-    assert main(["bringup", "guide", *given]) == 2
+    assert main(["setup", "guide", *given]) == 2
     assert said in capsys.readouterr().err
     assert not (tmp_path / "new").exists()

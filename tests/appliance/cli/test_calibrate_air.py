@@ -1,4 +1,4 @@
-"""``kingfisher calibrate air`` turns a folder of pictures into a calibration that water can start from, or says why not."""
+"""``kingfisher calibration air`` turns a folder of pictures into a calibration that water can start from, or says why not."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_a_folder_becomes_a_start_for_water_and_the_one_before_is_kept(
     out, shell, kept = tmp_path / "mine.json", Shell(capsys), tmp_path / "root" / "calibration"
     kept.mkdir()
     (kept / "air.json").write_bytes(b"of before")
-    said = shell("calibrate", "air", recorded, "--rig", rig, "--out", out, "--install", "--json")
+    said = shell("calibration", "air", recorded, "--rig", rig, "--out", out, "--install", "--json")
     report = said.document
     assert (said.code, len(report["views"]), report["left_out"][0][:28]) == (0, COUNT, "99: the left image is dark; ")
     assert report["residual_px"] < 0.06
@@ -84,7 +84,7 @@ def test_a_folder_becomes_a_start_for_water_and_the_one_before_is_kept(
     shutil.copy(out, kept / "current.json")
     used, (condition,) = Instrument(parse_rig(rig.read_text(encoding="utf-8"))).calibration()
     assert (used.method, "in air" in condition.detail) == ("design", True)
-    said = shell("reconstruct", "1", "--rig", rig, "--calibration", kept / "current.json")
+    said = shell("cloud", "1", "--rig", rig, "--calibration", kept / "current.json")
     assert (said.code, "in air" in said.error) == (2, True)
 
 
@@ -121,12 +121,12 @@ def test_what_cannot_be_used_is_named(
             cv2.imwrite(str(folder / "01_right.png"), np.zeros((300, 400), np.uint8))
         case "colour":
             cv2.imwrite(str(folder / "00_left.png"), RED)
-    said = Shell(capsys)("calibrate", "air", folder, "--rig", rig)
+    said = Shell(capsys)("calibration", "air", folder, "--rig", rig)
     assert (said.code, words in said.err.splitlines()[-1]) == (code, True), said.err
     assert not (folder / "air.json").exists()
 
 
 def test_impossible_boards_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for board in ("15x12", "15x12x13x18", "2x2x18x13", "15x12x18x13.5x1", "60x60x18x13"):
-        assert main(["calibrate", "air", str(tmp_path), "--rig", str(RIG), "--board", board]) == 2
+        assert main(["calibration", "air", str(tmp_path), "--rig", str(RIG), "--board", board]) == 2
         assert f"board {board}" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""``kingfisher calibrate pair`` calibrates two cameras of others from their pictures by one command, or says why not."""
+"""``kingfisher calibration air --pair NAME`` calibrates two cameras of others from their pictures by one command, or says why not."""
 
 from __future__ import annotations
 
@@ -45,7 +45,10 @@ def mine(tmp_path_factory: pytest.TempPathFactory) -> CalibratedPair:
     (folder / f"v{COUNT}_right.png").unlink()
     said, told = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(said), contextlib.redirect_stderr(told):
-        assert main(["calibrate", "pair", str(folder), "--square-mm", "15", "--out", str(out), "--json"]) == 0
+        assert (
+            main(["calibration", "air", str(folder), "--pair", "theirs", "--board", "15", "--out", str(out), "--json"])
+            == 0
+        )
     return CalibratedPair(folder, out, json.loads(said.getvalue()), told.getvalue())
 
 
@@ -66,7 +69,7 @@ def test_a_folder_of_others_becomes_a_calibration(mine: CalibratedPair) -> None:
         assert sd_px < 3.0
     assert report["baseline_mm"] == pytest.approx(BASE_MM, rel=5e-3)
     start = load_calibration(mine.file)
-    assert (start.method, start.rig_serial) == ("air", mine.pictures.name)
+    assert (start.method, start.rig_serial) == ("air", "theirs")
     assert (start.rig.left.width_px, start.rig.left.height_px) == (WIDTH_PX, HEIGHT_PX)
     assert all(cv2.imread(path) is not None for path in report["pictures"])
 
@@ -124,8 +127,8 @@ def test_cameras_the_wrong_way_round_and_a_picture_of_another_size_are_named(
     image = cv2.imread(str(folder / "v1_left.png"), cv2.IMREAD_UNCHANGED)
     assert image is not None
     cv2.imwrite(str(folder / "v1_left.png"), np.ascontiguousarray(image[:, ::-1]))
-    words = ("--left", "v*_right.png", "--right", "v*_left.png", "--board", "8x11", "--marker-mm", "11.25", "--flat")
-    said = Shell(capsys)("calibrate", "pair", folder, "--square-mm", "15", "--json", *words)
+    words = ("--sides", "v*_right.png,v*_left.png", "--board", "8x11x15x11.25", "--flat")
+    said = Shell(capsys)("calibration", "air", folder, "--pair", "theirs", "--json", *words)
     report = said.document
     assert (said.code, report["exchanged"], "left and right are exchanged" in said.err) == (0, True, True)
     # A picture that cannot be decoded costs itself alone, and is told with its place before anything else is looked at.
@@ -141,15 +144,17 @@ def test_cameras_the_wrong_way_round_and_a_picture_of_another_size_are_named(
 @pytest.mark.parametrize(
     ("words", "message", "code"),
     [
-        ("--square-mm 15 --board 12x8", "11 squares across", 1), ("--square-mm 15 --left v*_left.png", "--left and --right", 2),
-        ("--square-mm 15 --marker-mm 16", "--square-mm 15", 2), ("--square-mm 15 --left v0*_left.png --right v*_right.png", "left picture from the right", 2),
-        ("", "how large a board is", 2), ("--square-mm 15 --board 2x8", "2x8", 2),
+        ("--board 12x8x15", "11 squares across", 1), ("--board 15 --sides v*_left.png", "a comma between them", 2), ("--board 15x16", "markers smaller", 2),
+        ("--board 15 --sides v0*_left.png,v*_right.png", "left picture from the right", 2), ("", "how large a board is", 2), ("--board 2x8x15", "2x8", 2),
+        ("--board 15 --install", "not the instrument's", 2),
     ],
 )  # fmt: skip
 def test_what_cannot_be_is_named(
     words: str, message: str, code: int, mine: CalibratedPair, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    said = Shell(capsys)("calibrate", "pair", mine.pictures, "--out", tmp_path / "a.json", *words.split())
+    said = Shell(capsys)(
+        "calibration", "air", mine.pictures, "--pair", "theirs", "--out", tmp_path / "a.json", *words.split()
+    )
     assert (said.code, message in said.err, (tmp_path / "a.json").exists()) == (code, True, False), said.err
 
 
@@ -158,5 +163,5 @@ def test_pictures_without_a_board_are_counted_as_they_were_looked_at(
 ) -> None:
     for name in (f"v{k}_{side}.png" for k in range(8) for side in ("left", "right")):
         cv2.imwrite(str(tmp_path / name), np.full((64, 96), 128, np.uint8))
-    said = Shell(capsys)("calibrate", "pair", tmp_path, "--square-mm", "15")
+    said = Shell(capsys)("calibration", "air", tmp_path, "--pair", "theirs", "--board", "15")
     assert (said.code, "4 of 16 pictures that were looked at (v0_left.png, v2_left.png," in said.err) == (1, True)

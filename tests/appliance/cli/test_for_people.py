@@ -22,24 +22,24 @@ def error_of(argv: list[str], capsys: pytest.CaptureFixture[str], code: int = 2)
     return said.error
 
 
-@pytest.mark.parametrize("verb", [["reconstruct", "1"], ["scans", "merge", "1", "2"]])
-@pytest.mark.parametrize("name", ["c.stl", "c", "c.ply.gz"])
+@pytest.mark.parametrize("verb", [["cloud", "1"], ["cloud", "object:1"]])
+@pytest.mark.parametrize("name", ["c.step", "c", "c.ply.gz"])
 def test_a_cloud_is_not_written_under_a_name_that_promises_another_format(
     verb: list[str], name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     error = error_of([*verb, "--root", str(tmp_path), "--out", str(tmp_path / name)], capsys)
-    assert "allowed: .ply" in error
+    assert "is written as .ply, .e57, .las" in error
     assert not (tmp_path / name).exists()
 
 
 def test_garbage_as_a_script_is_one_line_and_no_traceback(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     script = tmp_path / "garbage.bin"
     script.write_bytes(np.random.default_rng(1).bytes(100_000))
-    said = Shell(capfd)("sim", "--script", script, "--size", "400x300", "--root", tmp_path / "root")
+    said = Shell(capfd)("sim", "--script", script, "size=400x300", "--root", tmp_path / "root")
     assert (said.code, "garbage.bin: byte" in said.err.splitlines()[-1]) == (2, True)
 
 
-@pytest.mark.parametrize("verb", [["run"], ["sim"], ["scans", "list"], ["reconstruct", "1"]])
+@pytest.mark.parametrize("verb", [["run"], ["sim"], ["scans", "list"], ["cloud", "1"]])
 def test_a_file_as_storage_root_is_called_a_file(
     verb: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -54,7 +54,7 @@ def test_the_instrument_runs_on_a_root_of_its_own_and_a_board_that_begins_with_a
     """At a developer's desk it must not make /var/lib/kingfisher; a taken root shows that the given one is used."""
     with hold_lock(tmp_path):
         assert f"cannot use {tmp_path}" in error_of(["run", "--root", str(tmp_path)], capfd, 1)
-    error = error_of(["calibrate", "air", str(tmp_path), "--board", "-5x3x1x1"], capfd)
+    error = error_of(["calibration", "air", str(tmp_path), "--board", "-5x3x1x1"], capfd)
     assert ("expected one argument" in error, "-5x3x1x1" in error) == (False, True)
 
 
@@ -104,7 +104,7 @@ def test_rounding_never_changes_a_number_by_more_than_its_digits_and_names_stand
     chance = np.random.default_rng(3)
     for value in chance.normal(0, 1, 200) * 10.0 ** chance.integers(-6, 9, 200):
         assert float(number("noise_mm", float(value))) == pytest.approx(float(value), rel=6e-4)
-    say_report({"points": 12.0, "a_name_that_is_longer_than_the_others": 1.23456}, as_json=False)
+    say_report({"points": 12.0, "a_name_that_is_longer_than_the_others": 1.23456})
     first, second = capsys.readouterr().out.splitlines()
     assert first.split() == ["points", "12"]
     assert first.index("12") == second.index("1.235")

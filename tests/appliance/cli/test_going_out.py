@@ -28,7 +28,7 @@ ESCAPES = "\x1b[2J\x1b]0;gone\x07 \x9b31m \u202e evil"
 """Clear the screen, name the window, turn red by a C1 code, and write from right to left."""
 
 
-QUICK = {"firmware", "shelves", "calibrations", "health"}
+QUICK = {"firmware", "calibration"}
 """Modules of verbs that read and write some small files."""
 
 
@@ -97,7 +97,7 @@ def test_what_is_not_to_be_read_is_written_as_an_escape_of_json(text: str, writt
 def test_results_that_cannot_be_written_are_one_line_and_an_exit_code(
     shell: str, code: Exit, lines: int, environment: dict[str, str], root: Path
 ) -> None:
-    assert main(["scans", "name", "1", "Straße 東", "--root", str(root)]) == 0
+    assert main(["scans", "label", "1", "--name", "Straße 東", "--root", str(root)]) == 0
     command = f"{sys.executable} -m appliance.cli {shell.replace('R', str(root), 1)}"
     ran = subprocess.run(
         ["bash", "-c", command], capture_output=True, text=True, timeout=60, check=False, cwd=ROOT, env={**os.environ, **environment}
@@ -152,5 +152,5 @@ def test_an_interruption_within_a_compiled_library_is_one() -> None:
 def test_every_verb_that_may_take_long_says_how_far_it_is(words: tuple[str, ...], listed: Listed) -> None:
     """Off a terminal, too: by the one class that does it."""
     source = inspect.getsource(sys.modules[listed.load().__module__])
-    says = "Progress(" in source or "import ObjectFiles" in source
+    says = "Progress(" in source or "opened_scans(" in source
     assert says or listed.at.partition(":")[0] in QUICK or listed.load().service

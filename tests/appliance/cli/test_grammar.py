@@ -28,20 +28,20 @@ def code_of(argv: list[str]) -> int:
 
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
-    assert (main(["version"]), capsys.readouterr().out) == (0, "kingfisher 1.0.0rc1\n")
-    assert main(["version", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == {"version": "1.0.0rc1", "other_program": None}
+    assert (code_of(["--version"]), capsys.readouterr().out) == (0, "kingfisher 1.0.0rc1\n")
 
 
 @pytest.mark.parametrize(
     ("argv", "words", "near"),
     [
         ("fly", "run", None), ("scans", "VERB is missing, give it: one of list, show,", None), ("scans list --al --root /nowhere", "--al", None),
-        ("sim --object fish", "pipe", None), ("sim --seed -1", "--seed", None), ("sim --seed x", "0..999999999", None), ("reconstruct", "SCAN", None),
-        ("rescue", "RECORDING is missing, give it: its number", None), ("pull pi", "DIR is missing, give it", None), ("reconstruct /none", "SCAN", None),
-        ("rescue 1 --out", "--out FILE: the value is missing", None), ("exprot", "VERB exprot", "export"), ("scans lst", "VERB lst", "list"),
+        ("sim object=fish", "pipe", None), ("sim seed=-1", "seed=-1", None), ("sim seed=x", "0..999999999", None), ("cloud", "WHAT is missing, give it: scans, by", None),
+        ("archive pull pi", "--out is missing; give", None), ("cloud /none", "SCAN", None), ("cloud 1 --out", "--out FILE: the value is missing", None),
+        ("exprot", "VERB exprot: there is none; it is `kingfisher cloud`", None), ("clod", "VERB clod", "cloud"),
+        ("scans merge", "it is `kingfisher cloud SCAN+SCAN`", None), ("calibrate air x", "VERB calibrate", "calibration"),
+        ("sim --truth nominal", "--truth: is written truth=VALUE", None), ("sim truht=hard", "truht=hard: is no SETTING=VALUE", "truth"), ("scans lst", "VERB lst", "list"),
         ("scans list --rooot=/x", "--rooot: no such option", "--root"), ("compare 1 a.stl --tolerence 0.1", "0.1: one word too many", "--tolerance"),
-        ("version 1", "1: one word too many", None), ("scans xyzzy", "there are: list, show", None),
+        ("check 1", "1: one word too many", None), ("scans xyzzy", "there are: list, show", None),
     ],
 )  # fmt: skip
 def test_wrong_words_are_one_line_that_says_what_is_right(
@@ -67,7 +67,7 @@ def test_help_lists_every_verb_under_a_heading_and_every_exit_code(capsys: pytes
     assert code_of(["help"]) == 0
     assert capsys.readouterr().out == text
     assert code_of(["help", "scans", "list"]) == 0
-    assert "--trash" in capsys.readouterr().out
+    assert "SHELF" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("verb", [["run"], ["check"], ["sim"], ["scans", "list"], ["calibration", "show"]])

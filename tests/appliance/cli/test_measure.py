@@ -36,20 +36,20 @@ def test_the_file_lies_where_the_instrument_looks_and_is_never_replaced(
     plane: RenderedScan, tmp_path: Path, shell: Shell
 ) -> None:
     words, of_gone = ("--rig", RIG, "--root", tmp_path), store(plane, tmp_path / "gone", response_hash="cd" * 32)
-    said = shell("measure", "response", of_gone, *words)
+    said = shell("calibration", "measure", "response", of_gone, *words, "--install")
     assert (said.code, "drawn for another response" in said.err) == (1, True)
     assert not (tmp_path / "calibration").exists()
     scan = store(plane, tmp_path / "plane")
-    report = shell("measure", "response", scan, *words, "--json").document
+    report = shell("calibration", "measure", "response", scan, *words, "--install", "--json").document
     path = tmp_path / "calibration" / "response.json"
     stored = RESPONSE.load(path)
     assert stored is not None
     assert stored is not None
     assert (report["file"], report["hash"], stored.made_from) == (str(path), stored.response.hash, ("plane",))
     assert report["harmonics_percent"][1] == pytest.approx(-3.5, abs=0.3), "the third, of which the phase knows"
-    said = shell("measure", "response", scan, *words)
+    said = shell("calibration", "measure", "response", scan, *words, "--install")
     assert (said.code, "never replaced" in said.err) == (2, True)
-    assert shell("measure", "response", scan, *words, "--out", tmp_path / "other.json").code == 0
+    assert shell("calibration", "measure", "response", scan, *words, "--out", tmp_path / "other.json").code == 0
 
 
 def test_installed_noise_is_what_the_instrument_expects_from_then_on(
@@ -59,13 +59,13 @@ def test_installed_noise_is_what_the_instrument_expects_from_then_on(
     rig, its_own = replace(rig, storage=replace(rig.storage, root=root)), tmp_path / "rig.toml"
     its_own.write_text(rig_text(rig))
     for words in (("--rig", RIG, "--root", root), ("--rig", its_own)):
-        said = shell("measure", "noise", scan, "--install", *words)
+        said = shell("calibration", "measure", "noise", scan, "--install", *words)
         assert (said.code, f"--root {root}: no such folder" in said.err, root.exists()) == (2, True, False)
     root.mkdir()
-    said = shell("measure", "noise", scan, "--rig", its_own)
+    said = shell("calibration", "measure", "noise", scan, "--rig", its_own)
     assert (said.code, said.out.split()[:3]) == (0, ["left", "right", "light_dn"])
     assert not (root / NOISE_FILE).exists(), "only on demand"
-    report = shell("measure", "noise", scan, "--install", "--rig", its_own, "--json").document
+    report = shell("calibration", "measure", "noise", scan, "--install", "--rig", its_own, "--json").document
     used = Instrument(rig).with_measured_noise()
     assert used.camera.left.full_well_e == report["left"]["full_well_e"] != rig.camera.left.full_well_e
     for side in ("left", "right"):
@@ -77,10 +77,10 @@ def test_installed_noise_is_what_the_instrument_expects_from_then_on(
         expected_dn2 = of_side(Instrument(used).noise(), side).variance_dn2(one["light_dn"])
         assert expected_dn2 == pytest.approx(one["noise_dn"] ** 2)
     kept = (root / NOISE_FILE).read_bytes()
-    said = shell("measure", "noise", scan, "--install", "--rig", its_own)
+    said = shell("calibration", "measure", "noise", scan, "--install", "--rig", its_own)
     assert (said.code, "the cameras' noise is never replaced; move it away" in said.err) == (2, True)
     assert (root / NOISE_FILE).read_bytes() == kept
-    assert shell("measure", "noise", scan, "--rig", its_own).code == 0, "it may always be looked at"
+    assert shell("calibration", "measure", "noise", scan, "--rig", its_own).code == 0, "it may always be looked at"
 
 
 def test_the_exposures_that_leave_fringes_straight_are_told_from_scans_at_each(
@@ -96,7 +96,7 @@ def test_the_exposures_that_leave_fringes_straight_are_told_from_scans_at_each(
         store(whole, tmp_path / "whole", exposure_ms=16.0, gain_db=2.0, origin=origin),
         store(plane, tmp_path / "plane", exposure_ms=12.0, origin=origin),
     ]
-    said = shell("measure", "exposures", *scans, "--json").document
+    said = shell("calibration", "measure", "exposures", *scans, "--json").document
     assert (said["exposures_ms"], said["trigger_delay_us"]) == ([12.0, 16.0], 500)
     assert [(one["scan"], one["exposure_ms"], one["gain_db"], one["straight"]) for one in said["scans"]] == [
         ("short", 3.2, 0.0, False), ("plane", 12.0, 0.0, True), ("whole", 16.0, 2.0, True)
@@ -111,9 +111,9 @@ def test_the_exposures_that_leave_fringes_straight_are_told_from_scans_at_each(
     # An exposure is as good as its worst scan, in whatever order they are given.
     again = store(whole, tmp_path / "again", exposure_ms=3.2, origin=origin)
     for both in ((scans[0], again), (again, scans[0])):
-        worst = shell("measure", "exposures", *both, "--json")
+        worst = shell("calibration", "measure", "exposures", *both, "--json")
         assert (worst.code, worst.document["exposures_ms"]) == (1, [])
-    shown = shell("measure", "exposures", scans[0], scans[2]).out
+    shown = shell("calibration", "measure", "exposures", scans[0], scans[2]).out
     assert "exposures_ms = [12.0]" in shown
     assert " ".join(shown.splitlines()[0].split()) == "SCAN EXPOSURE MS GAIN DB BEND PX NOISE PX NOISIER STRAIGHT"
 
@@ -122,11 +122,11 @@ def test_exposures_are_not_told_from_a_dark_scan_or_from_scans_that_begin_at_oth
     plane: RenderedScan, tmp_path: Path, shell: Shell
 ) -> None:
     dark = replace(plane, frames={side: np.minimum(frames, 9) for side, frames in plane.frames.items()})
-    said = shell("measure", "exposures", store(dark, tmp_path / "dark", exposure_ms=12.0))
+    said = shell("calibration", "measure", "exposures", store(dark, tmp_path / "dark", exposure_ms=12.0))
     assert (said.code, "too few points" in said.err) == (1, True)
     rig, scans = load_rig(RIG), list[Path]()
     for delay_us in (700, 500):
         other = rig_text(replace(rig, board=replace(rig.board, trigger_delay_us=delay_us))).encode()
         scans.append(store(plane, tmp_path / str(delay_us), exposure_ms=12.0, origin=ScanOrigin(b"{}", other)))
-    said = shell("measure", "exposures", *scans)
+    said = shell("calibration", "measure", "exposures", *scans)
     assert (said.code, "500 and 700 us" in said.err) == (1, True)

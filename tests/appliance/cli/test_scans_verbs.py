@@ -73,7 +73,7 @@ def test_the_list_says_what_the_screen_said_and_notes_are_the_users(root: Path, 
     for word, causes in (("good", ()), ("usable", (told,))):
         kept = record(cloud=numbers, verdicts=(*moved, *causes, Verdict("grade", True, {}, word)))
         Library(root).begin(frames(), kept, ORIGIN).publish(kept, cloud())
-    scans(shell, root, "note", "000005", "the bow")
+    scans(shell, root, "label", "000005", "--note", "the bow")
     *_, good, usable = scans(shell, root, "list").out.splitlines()
     assert (good.split()[2], usable.split()[2]) == ("GOOD", "USABLE")
     assert ("MOTION CORRECTED" in good, good.endswith("the bow")) == (True, True)
@@ -110,18 +110,17 @@ def test_show_prints_the_manifest_and_what_to_look_at_ashore(root: Path, shell: 
 def test_a_name_and_a_note_are_listed_and_shown_and_a_damaged_label_is_told(root: Path, shell: Shell) -> None:
     folder = root / "scans" / "000002"
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
-    scans(shell, root, "name", "2", "bollard 3")
-    scans(shell, root, "note", "2", "north side, before cleaning")
+    scans(shell, root, "label", "2", "--name", "bollard 3", "--note", "north side, before cleaning")
     after = {path.name: path.read_bytes() for path in folder.iterdir()}
     assert {name: after[name] for name in before} == before, "the manifest's bytes are those of the dive"
     line = scans(shell, root, "list").out.splitlines()[2]
     assert ("bollard 3" in line, line.endswith("north side, before cleaning")) == (True, True)
     (folder / "label.json").write_bytes(after["label.json"].replace(b"bollard", b"ballard"))
     assert "label.json" in scans(shell, root, "verify", "2", code=4).out
-    scans(shell, root, "name", "2", "bollard 3")
+    scans(shell, root, "label", "2", "--name", "bollard 3")
     scans(shell, root, "verify", "2")
-    scans(shell, root, "note", "2", "south")
-    assert scans(shell, root, "name", "2", "").out == "000002  name: -; note: south\n"
+    scans(shell, root, "label", "2", "--note", "south")
+    assert scans(shell, root, "label", "2", "--name", "").out == "000002  name: -; note: south\n"
     assert labels.read_label(folder) == Label(None, "south")
 
 
@@ -130,7 +129,7 @@ def test_a_trashed_scan_is_gone_from_the_lists_and_comes_back_whole(root: Path, 
     scans(shell, root, "trash", "2", "4")
     assert library.ids() == ["000001", "000003"], "what the diver's gallery lists"
     assert "000002" not in scans(shell, root, "list").out
-    for option in ("--trash", "--all"):
+    for option in ("trash", "--all"):
         assert "000002  trash" in scans(shell, root, "list", option).out
     scans(shell, root, "restore", "2", "4")
     assert (library.ids(), library.entry("4").shelf) == (["000001", "000002", "000003"], LibraryFolder.REJECTED)
@@ -140,9 +139,10 @@ def test_a_trashed_scan_is_gone_from_the_lists_and_comes_back_whole(root: Path, 
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
-        (("show", "99"), 1, "'99'"), (("trash", "1", "77"), 1, "'77'"), (("restore", "1"), 1, "'1'"), (("name", "77", "x"), 1, "'77'"),
-        (("name", "1", "x" * 61), 2, "NAME: 61"), (("note", "1", "x" * 1001), 2, "NOTE: 1001"), (("name", "1", "a\x1b[31mb"), 2, "U+001B"),
-        (("note", "1", "two\nlines"), 2, "U+000A"), (("name", "1", "a\udcffb"), 2, "U+DCFF"),
+        (("show", "99"), 1, "'99'"), (("trash", "1", "77"), 1, "'77'"), (("restore", "1"), 1, "'1'"), (("label", "77", "--name", "x"), 1, "'77'"),
+        (("label", "1", "--name", "x" * 61), 2, "--name: 61"), (("label", "1", "--note", "x" * 1001), 2, "--note: 1001"),
+        (("label", "1", "--name", "a\x1b[31mb"), 2, "U+001B"), (("label", "1", "--note", "two\nlines"), 2, "U+000A"),
+        (("label", "1", "--name", "a\udcffb"), 2, "U+DCFF"), (("label", "1"), 2, "--name TEXT or --note TEXT"), (("list", "rejcted"), 2, "rejected, set-aside"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_done_is_one_line_and_changes_nothing(
@@ -152,7 +152,7 @@ def test_what_cannot_be_done_is_one_line_and_changes_nothing(
     assert (said in error, error.count("\n")) == (True, 1)
     assert said in json.loads(scans(shell, root, *words, "--json", code=code).err)["error"]
     with hold_lock(root):  # beside a running instrument nothing is moved or named
-        for changes in (("trash", "1"), ("restore", "1"), ("name", "1", "x"), ("note", "1", "x")):
+        for changes in (("trash", "1"), ("restore", "1"), ("label", "1", "--name", "x")):
             assert "another instance" in scans(shell, root, *changes, code=1).error
     assert Library(root).ids() == ["000001", "000002", "000003"]
     assert not list(root.glob("scans/*/label.json"))
@@ -186,14 +186,14 @@ def test_the_root_is_the_one_that_somebody_stands_in_or_else_that_of_the_environ
         monkeypatch.setenv("KINGFISHER_ROOT", named)
         assert shell("scans", "list", "--json").document[0]["folder"] == str(scan)
         assert open_dive().root == root
-    assert f"--root {root}" in shell("reconstruct", "7").error
+    assert f"--root {root}" in shell("cloud", "7").error
     monkeypatch.setenv("KINGFISHER_ROOT", gone)
     said = shell("scans", "list")
     assert (said.code, f"KINGFISHER_ROOT={gone}" in said.error) == (2, True)
 
 
 @pytest.mark.skipif(DEFAULT_ROOT.exists(), reason="this computer has the default root, as an instrument does")
-@pytest.mark.parametrize("verb", [["scans", "list"], ["reconstruct", "1"], ["object", "show", "thing"]])
+@pytest.mark.parametrize("verb", [["scans", "list"], ["cloud", "1"], ["object", "show", "thing"]])
 def test_where_there_is_no_root_it_is_said_where_was_looked(
     verb: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shell: Shell
 ) -> None:

@@ -79,6 +79,10 @@ def run(root: Path, *words: str) -> int:
     return main(["object", *words, "--root", str(root)])
 
 
+def cloud(root: Path, name: str, *words: str) -> int:
+    return main(["cloud", f"object:{name}", *words, "--spacing", "1", "--root", str(root), *calibrated(root)])
+
+
 def calibrated(root: Path) -> tuple[str, ...]:
     return ("--calibration", str(root / "calibration" / "truth.json"), "--foreign-calibration")
 
@@ -87,10 +91,10 @@ def calibrated(root: Path) -> tuple[str, ...]:
 def test_scans_of_a_shell_are_placed_and_a_bare_plane_is_left_out(
     dive: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run(dive, "new", "find", "000001", "000002") == 0
+    assert run(dive, "add", "find", "000001", "000002") == 0
     capsys.readouterr()
     out = dive / "find.ply"
-    code = run(dive, "solve", "find", "000003", BARE, "--out", str(out), "--spacing", "1", "--json", *calibrated(dive))
+    code = run(dive, "solve", "find", "000003", BARE, "--json", *calibrated(dive))
     assert code == 5, "a scan is left out, and a program notices"
     solved = objects.read_object(dive, "find")
     assert solved.places is not None
@@ -98,6 +102,7 @@ def test_scans_of_a_shell_are_placed_and_a_bare_plane_is_left_out(
     assert list(solved.places.left_out) == [BARE]
     printed = json.loads(capsys.readouterr().out)
     assert printed["places"]["left_out"] == solved.places.left_out
+    assert cloud(dive, "find", "--out", str(out)) == 0
     with np.load(dive / "frame.npz") as kept:
         origin, axes = kept["origin"], kept["axes"]
     middle = np.array([0.0, 0.0, 530.0])
@@ -127,19 +132,17 @@ def vertices_of(path: Path) -> Any:
 def test_a_solved_object_is_written_again_in_every_form_without_solving(
     dive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def export(*words: str) -> int:
-        return run(dive, "export", "kept", *words, "--spacing", "1", *calibrated(dive))
-
-    assert run(dive, "new", "kept", *sorted(POSES)) == 0
-    assert export("--out", str(tmp_path / "x.ply")) == 1
+    assert run(dive, "add", "kept", *sorted(POSES)) == 0
+    assert cloud(dive, "kept", "--out", str(tmp_path / "x.ply")) == 1
     assert "is not solved: kingfisher object solve 'kept'" in capsys.readouterr().err
-    solved, again, grid_file, mesh = (tmp_path / name for name in ("solved.ply", "again.ply", "grids.npz", "mesh.ply"))
-    assert run(dive, "solve", "kept", "--out", str(solved), "--spacing", "1", *calibrated(dive)) == 0
+    again, grid_file, mesh, page = (tmp_path / name for name in ("again.ply", "grids.npz", "mesh.ply", "page.html"))
+    assert run(dive, "solve", "kept", *calibrated(dive)) == 0
     before = (dive / "objects" / "kept" / "object.json").read_bytes()
-    assert export("--out", str(again), "--out", str(grid_file)) == 0
-    assert export("--out", str(mesh), "--mesh", "--close-holes", "30") == 0
+    assert cloud(dive, "kept", "--out", str(again), "--out", str(grid_file)) == 0
+    assert cloud(dive, "kept", "--out", str(mesh), "--mesh", "--close-holes", "30") == 0
+    words = ("object:kept", "--out", str(page), "--spacing", "1", "--root", str(dive), *calibrated(dive))
+    assert (main(["report", *words]), "kept" in page.read_text(encoding="utf-8")) == (0, True)
     assert (dive / "objects" / "kept" / "object.json").read_bytes() == before
-    assert again.read_bytes() == solved.read_bytes()
     read: Any = trimesh.load(mesh, process=False)
     assert len(read.faces) > 5_000
 
@@ -164,7 +167,7 @@ def test_a_solved_object_is_written_again_in_every_form_without_solving(
 def test_the_notebook_about_objects_runs_from_the_first_cell_to_the_last(
     dive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert run(dive, "new", "book", "000001", "000002") == 0
+    assert run(dive, "add", "book", "000001", "000002") == 0
     assert run(dive, "solve", "book", *calibrated(dive)) == 0
     monkeypatch.setenv("KINGFISHER_ROOT", str(dive))
     monkeypatch.setenv("KINGFISHER_OBJECT", "book")
@@ -184,18 +187,20 @@ def test_the_notebook_about_objects_runs_from_the_first_cell_to_the_last(
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
-        ("show nothing", 1, "object 'nothing': there is none"), ("new alone", 2, "there is one"), ("add alone 000001", 1, "already"),
-        ("solve alone", 1, "at least 2"), ("solve alone --out x.xyz", 2, ".ply, .e57, .las"), ("solve alone --out x.las --close-holes 5", 2, "--close-holes"),
-        ("solve alone --out x.las --scans", 2, "--scans"), ("solve alone --mesh", 2, "--out FILE.ply --mesh"), ("new none --taken-as 7", 2, "there are 2, 3"),
-        ("add alone", 2, "--taken-as"), ("compare alone none.stl", 1, "none.stl"),
+        ("object show nothing", 1, "object 'nothing': there is none"), ("object add alone 000001", 1, "already"), ("object solve alone", 1, "at least 2"),
+        ("cloud object:alone --out x.xyz", 2, ".ply, .e57, .las"), ("cloud object:alone --out x.las --close-holes 5", 2, "--close-holes"),
+        ("cloud object:alone --out x.las --scans", 2, "--scans"), ("cloud object:alone --mesh --out x.las", 2, "--out FILE.ply --mesh"),
+        ("cloud object:alone --out x.html", 2, "kingfisher report"), ("object add none --taken-as 7", 2, "there are 2, 3"),
+        ("object add alone", 2, "--taken-as"), ("compare object:alone none.stl", 1, "none.stl"), ("cloud 1 object:alone", 2, "give it alone"),
+        ("report 1 object:alone", 2, "or one object"), ("cloud 1 --spacing 1", 2, "--spacing: is for objects"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_done_with_an_object_is_refused_in_a_line(
     words: str, code: int, said: str, small: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run(small, "new", "alone", "000001") == 0
-    more = calibrated(small) if words.startswith("solve") else ()
-    assert run(small, *words.split(), *more) == code
+    assert run(small, "add", "alone", "000001") == 0
+    more = calibrated(small) if words.startswith("object solve") else ()
+    assert main([*words.split(), "--root", str(small), *more]) == code
     assert said in capsys.readouterr().err
 
 
@@ -206,7 +211,7 @@ def members(root: Path, name: str) -> list[str]:
 def test_the_scans_of_an_object_of_the_dive_are_collected_by_its_number(
     small: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run(small, "new", "two", "--taken-as", "2") == 0
+    assert run(small, "add", "two", "--taken-as", "2") == 0
     assert members(small, "two") == ["000001", "000003"]
     assert run(small, "add", "two", "000002", "--taken-as", "2") == 0
     assert members(small, "two") == ["000001", "000003", "000002"], "what it has is not added again"
@@ -237,8 +242,8 @@ def test_what_overlaps_tell_of_the_calibration_goes_into_its_health(
         assert run(dive, "solve", name, *sorted(POSES), *words) == 0
         score = json.loads(capsys.readouterr().out)["places"]["shared_error_score"]
         assert (score > OVERLAP_LIMIT) is alarms
-        assert main(["health", "show", "--root", str(dive), "--json"]) == 0
-        shown = json.loads(capsys.readouterr().out)
+        assert main(["calibration", "show", "--root", str(dive), "--json"]) == 0
+        shown = json.loads(capsys.readouterr().out)["health"]
     finally:
         used.unlink()
     assert [one["object"] for one in shown["overlaps"]] == [name]
@@ -256,11 +261,12 @@ def test_a_solved_object_and_a_scan_are_compared_with_a_drawing(dive: Path, caps
     vertices[:, 2] += dimple_mm * (vertices[:, 2] < np.median(vertices[:, 2]))
     file, out, page = dive / "shell.stl", dive / "off.ply", dive / "off.html"
     trimesh.Trimesh(vertices, faces, process=False).export(file)
-    assert run(dive, "new", "drawn", "000001", "000002") == 0
+    assert run(dive, "add", "drawn", "000001", "000002") == 0
     assert run(dive, "solve", "drawn", *calibrated(dive)) == 0
     capsys.readouterr()
+    of_dive = ("--root", str(dive), *calibrated(dive))
     outs = ("--tolerance", "0.3", "--out", str(out), "--out", str(page))
-    assert run(dive, "compare", "drawn", str(file), "--json", "--spacing", "0.8", *outs, *calibrated(dive)) == 0
+    assert main(["compare", "object:drawn", str(file), "--json", "--spacing", "0.8", *outs, *of_dive]) == 0
     said = json.loads(capsys.readouterr().out)
     assert (said["fitting_percent"] > 95.0, said["warnings"], said["rms_mm"] < 0.15) == (True, [], True)
     assert 0.4 < said["percentiles_mm"]["99.5"] < 0.7, "of the dimple"
@@ -274,15 +280,14 @@ def test_a_solved_object_and_a_scan_are_compared_with_a_drawing(dive: Path, caps
     assert "shell.stl" in page.read_text()
 
     # An object may stand for a drawing, and a scan be compared with it; a thing of another form is told.
-    of_scan = ("--root", str(dive), *calibrated(dive))
-    assert main(["compare", "000003", "drawn", "--json", "--spacing", "0.8", *of_scan]) == 0
+    assert main(["compare", "000003", "object:drawn", "--json", "--spacing", "0.8", *of_dive]) == 0
     measured = json.loads(capsys.readouterr().out)
     assert measured["nominal"] == "object drawn"
     # Nine tenths of a millimetre between its pixels: most of it follows the surface, and borders do not.
     assert measured["percentiles_mm"]["84"] - measured["percentiles_mm"]["16"] < 0.12
     wrong = dive / "wrong.stl"
     trimesh.creation.box((40.0, 40.0, 40.0)).export(wrong)
-    assert main(["compare", "000001", str(wrong), *of_scan]) == 1
+    assert main(["compare", "000001", str(wrong), *of_dive]) == 1
     assert "is it the same thing" in capsys.readouterr().err
     assert run(dive, "solve", "alone", "000001", BARE, *calibrated(dive)) == 1
     assert "left out" in capsys.readouterr().out
@@ -292,7 +297,7 @@ def test_what_cannot_be_compared_is_refused_in_a_line(small: Path, capsys: pytes
     wrong = str(small / "wrong.stl")
     trimesh.creation.box((40.0, 40.0, 40.0)).export(wrong)
     for words, code, said in (
-        ((str(small / "none.stl"),), 1, "none.stl"), (("nobody",), 1, "object 'nobody'"), ((wrong, "--out", str(small / "x.stl")), 2, ".stl"),
+        ((str(small / "none.stl"),), 1, "none.stl"), (("object:nobody",), 1, "object 'nobody'"), ((wrong, "--out", str(small / "x.stl")), 2, ".stl"),
     ):  # fmt: skip
         assert main(["compare", "000001", *words, "--root", str(small), *calibrated(small)]) == code
         assert said in capsys.readouterr().err

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from appliance.calibrate.calibrations import Calibrations
-from appliance.calibrate.files import describe_calibration, write_nominal_calibration
+from appliance.calibrate.files import describe_calibration
 from appliance.desk.reconstruct import reconstruct_scan
-from appliance.measure.calibration.file import CalibrationError, encode_calibration
+from appliance.measure.calibration.file import encode_calibration
 from appliance.measure.light.model import StereoRig
 from appliance.store.config import Rig
 from appliance.store.instrument import Instrument
@@ -77,18 +77,12 @@ def test_a_calibration_that_fits_is_used_and_else_the_design(rig: Rig, change: s
     assert complaint in conditions[0].detail
 
 
-def test_a_calibration_is_described_and_a_lens_calibrated_in_water_has_no_port_to_show(
-    rig: Rig, tmp_path: Path
-) -> None:
-    described = describe_calibration(rig, write_nominal_calibration(rig, tmp_path / "nominal.json"))
+def test_a_calibration_is_described_and_a_lens_calibrated_in_water_has_no_port_to_show(rig: Rig) -> None:
+    described = describe_calibration(Instrument(rig).design())
     assert (described["method"], described["interface_distance_mm"] is None) == ("design", False)
     assert described["baseline_mm"] == pytest.approx(230.0)
-    with pytest.raises(CalibrationError, match="cannot be read"):
-        describe_calibration(rig, tmp_path / "nothing.json")
     drawn = Instrument(rig).design()
     left, right = (replace(camera, lens_in_water=True) for camera in (drawn.rig.left, drawn.rig.right))
-    path = tmp_path / "wet.json"
-    path.write_bytes(encode_calibration(replace(drawn, method="pinhole, in water", rig=StereoRig(left, right))))
-    described = describe_calibration(rig, path)
+    described = describe_calibration(replace(drawn, method="pinhole, in water", rig=StereoRig(left, right)))
     assert (described["interface_distance_mm"], described["port_tilt_deg"]) == (None, None)
     assert described["baseline_mm"] == pytest.approx(230.0)

@@ -91,9 +91,8 @@ def test_nobody_who_measures_takes_it(
     folder, shell, root = broken(rig, whole, OF_X).scan.folder, Shell(capsys), rig.storage.root
     (tmp_path / "list.toml").write_text(f'[[scan]]\nscan = "{folder}"\nartefact = "plane"\n')
     for words in (
-        ("evaluate", tmp_path / "list.toml"), ("calibrate", "water", tmp_path / "list.toml", "--root", root),
-        ("reconstruct", folder), ("reconstruct", folder, "--salvage"),
+        ("evaluate", tmp_path / "list.toml"), ("calibration", "water", tmp_path / "list.toml", "--root", root),
     ):  # fmt: skip
         said = shell(*words)
-        assert (said.code != 0, "`kingfisher rescue`" in said.error) == (True, True)
-    assert "no incomplete recording '3'" in shell("rescue", "3", "--root", root).error
+        assert (said.code != 0, "`kingfisher cloud incomplete:N`" in said.error) == (True, True)
+    assert "no incomplete recording '3'" in shell("cloud", "incomplete:3", "--root", root).error

@@ -61,7 +61,7 @@ def test_it_is_no_scan_for_anybody(tmp_path: Path) -> None:
     assert library.recover().set_aside == ()
     assert library.begin(frames(5), RECORD, ORIGIN).scan_id == "000001", "its number is none of the scans'"
     # This is what evaluate, calibrate and reconstruct ask first.
-    with pytest.raises(stored.ScanError, match=r"incomplete recording is no scan.*kingfisher rescue"):
+    with pytest.raises(stored.ScanError, match=r"incomplete recording is no scan.*kingfisher cloud incomplete:N"):
         stored.manifest_of(folder)
 
 

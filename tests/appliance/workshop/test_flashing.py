@@ -84,11 +84,11 @@ def test_a_mode_of_either_sign_is_refused_with_the_key_to_set(width_px: int, hei
 def test_it_is_laid_out_again_as_a_whole(tmp_path: Path, capsys: pytest.CaptureFixture[str], says: Says) -> None:
     out, rig = tmp_path / "made" / "board", tmp_path / "rig.toml"
     rig.write_text(TEXT)
-    assert main(["firmware", "board", "--rig", str(rig), "--out", str(out)]) == Exit.OK
+    assert main(["setup", "firmware", "board", "--rig", str(rig), "--out", str(out)]) == Exit.OK
     says(capsys.readouterr().out)
     rig.write_text(TEXT.replace("0x4B42", "0x4B43"))
     (out / "main.py").unlink()
-    assert main(["firmware", "board", "--rig", str(rig), "--out", str(out), "--json"]) == Exit.OK
+    assert main(["setup", "firmware", "board", "--rig", str(rig), "--out", str(out), "--json"]) == Exit.OK
     said = json.loads(capsys.readouterr().out)
     there = sorted(path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file())
     assert there == said["files"]
@@ -98,6 +98,6 @@ def test_it_is_laid_out_again_as_a_whole(tmp_path: Path, capsys: pytest.CaptureF
 
 def test_a_folder_with_something_else_in_it_is_left_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "thesis.txt").write_text("years")
-    assert main(["firmware", "keys", "--out", str(tmp_path)]) == Exit.USAGE
+    assert main(["setup", "firmware", "keys", "--out", str(tmp_path)]) == Exit.USAGE
     assert "thesis.txt, which is not of this firmware" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]

@@ -88,7 +88,7 @@ def test_the_first_that_is_not_good_ends_it_and_the_next_call_goes_on_there(benc
 
 def test_only_these_and_again_those(bench: Bench) -> None:
     bench.walk()
-    assert bench.walk(again=("pad",)).done == ("pad",)
+    assert bench.walk(only=("pad",)).done == ("pad",)
     walked = bench.walk(scripted("pad"), only=("pad",))
     assert (walked.done, walked.good) == (("pad",), False)
     walked = bench.walk(only=("board",))
@@ -118,7 +118,7 @@ def test_keys_are_written_all_or_none_and_steps_rest_on_the_file_as_it_is_then(b
     light = walked.steps["light"]
     assert light.written["projector.latency_blanks"] == light.inputs["projector.latency_blanks"] == 1
     assert bench.walk(listed).done == (), "what it wrote undoes nothing"
-    bench.walk(listed, again=("light",))
+    bench.walk(listed, only=("light",))
     assert not kept.with_name("rig.toml.before-2").exists(), "what is right already is not written again"
 
 
@@ -253,7 +253,7 @@ def test_a_new_step_is_a_row_and_is_in_the_guide_on_the_page_and_in_the_json(
     bench = Bench(tmp_path)
     monkeypatch.setattr(steps, "STEPS", (*STEPS, GuideStep("pool", "The pool", (), ("rig",), do)))
     monkeypatch.setattr(drivers_rig, "open_wires", lambda *_: nothing(SteppedClock()))
-    given = ["bringup", "guide", "--rig", str(bench.rig_file), "--out", str(tmp_path / "out"), "--only", "pool"]
+    given = ["setup", "guide", "--rig", str(bench.rig_file), "--out", str(tmp_path / "out"), "pool"]
     assert main([*given, "--json"]) == 0
     told = capsys.readouterr()
     assert "DO: dip it into the pool" in told.err

@@ -84,7 +84,7 @@ def test_what_was_told_and_is_not_so_is_named_with_what_was_seen() -> None:
     for wanted, words in (
         (Wanted(15.0, 10, 8), "11 squares across and 8"),
         (Wanted(15.0, 11, 9), "--board 11x9"),
-        (Wanted(15.0, 11, 8, 14.0), "--marker-mm 14: in the pictures a marker's side is 0.7"),
+        (Wanted(15.0, 11, 8, 14.0), "--board: markers of 14 mm: in the pictures a marker's side is 0.7"),
     ):
         with pytest.raises(BoardNotFoundError, match=words):
             searched(image, wanted=wanted)

@@ -209,7 +209,7 @@ def test_nothing_of_a_table_becomes_an_element_of_the_page() -> None:
 
 
 def test_a_page_under_another_formats_name_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    said = Shell(capsys)("season", tmp_path / "table.csv", "--out", tmp_path / "s.pdf")
+    said = Shell(capsys)("report", tmp_path / "table.csv", "--out", tmp_path / "s.pdf")
     assert (said.code, "s.html" in said.error) == (2, True)
     assert not (tmp_path / "s.pdf").exists()
 

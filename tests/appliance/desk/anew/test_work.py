@@ -83,7 +83,7 @@ def test_a_worker_without_kernels_refuses_and_says_what_to_do(tmp_path: Path, mo
     monkeypatch.setenv(kernel_cache.VARIABLE, str(tmp_path / "given"))
     work._find_kernels.__wrapped__()  # whoever gave the folder keeps it
     monkeypatch.setenv(kernel_cache.VARIABLE, str(tmp_path / kernel_cache.fingerprint()))
-    with pytest.raises(Again, match="call `kingfisher warm` there"):
+    with pytest.raises(Again, match="call `kingfisher setup compile` there"):
         work._find_kernels.__wrapped__()
 
 
@@ -96,7 +96,7 @@ def test_a_scheduler_that_is_not_there_or_has_no_certificate_or_worker_is_one_cl
     monkeypatch.setattr(work, "CONNECT_S", 0.5)
     with distributed.LocalCluster(n_workers=0, processes=False, dashboard_address=None) as cluster:
         asked = address or cluster.scheduler_address
-        with pytest.raises(SchedulerError, match=rf"--scheduler {asked}.*{said}"):
+        with pytest.raises(SchedulerError, match=rf"--workers {asked}.*{said}"):
             next(work_through_all([], asked, None, LIMIT_S))
 
 

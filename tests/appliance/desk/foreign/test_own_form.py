@@ -34,7 +34,7 @@ def test_two_directions_of_four_steps_become_a_scan_folder(shell: Shell, foreign
     assert (said.code, said.err) == (Exit.OK, "")
     assert (said.document["frames"], said.document["period_px"]) == (22, 32)
     # The instrument's own reconstruction, with its own four-step kernels, of the images in its own order.
-    own = shell("reconstruct", tmp_path / "000001", "--out", tmp_path / "own.ply", "--json")
+    own = shell("cloud", tmp_path / "000001", "--out", tmp_path / "own.ply", "--json")
     assert own.code == Exit.OK, own.err
     points_mm = read_ply(tmp_path / "own.ply").points_mm
     distance = made.renderer.surface(0.0).distance_mm(left_to_rig(made.renderer.truth, points_mm))

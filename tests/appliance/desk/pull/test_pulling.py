@@ -446,7 +446,7 @@ def test_a_linked_folder_on_a_strange_disk_does_not_lead_to_the_desks_own_files(
 
 
 def test_the_verb_takes_from_a_mounted_disk(there: Path, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["pull", str(there.parent.parent), str(here)]
+    words = ["archive", "pull", str(there.parent.parent), "--out", str(here)]
     assert main([*words, "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
     assert (said["taken"], said["failed"], said["being_written"]) == (7, 0, 1)
@@ -459,15 +459,16 @@ def test_the_verb_takes_from_a_mounted_disk(there: Path, here: Path, capsys: pyt
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--", "./nowhere", "desk"], "scans"),
-        (["--", "-oProxyCommand=touch evil", "desk"], "HOST"),
-        (["instrument", "desk", "--identity", "missing"], "no such file"),
+        (["./nowhere"], "scans"),
+        (["--", "-oProxyCommand=touch evil"], "HOST"),
+        (["instrument", "--identity", "missing"], "no such file"),
+        (["instrument:0"], "1..65535"),
     ],
 )
 def test_what_cannot_be_meant_is_said_before_anything_is_made(
     words: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert main(["pull", *words]) == 2
+    assert main(["archive", "pull", "--out", "desk", *words]) == 2
     assert said in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

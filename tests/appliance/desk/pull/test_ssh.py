@@ -199,6 +199,6 @@ def test_without_the_library_one_sentence_says_what_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(sys.modules, "asyncssh", None)
-    assert main(["pull", "reef", str(tmp_path / "desk")]) == 1
+    assert main(["archive", "pull", "reef", "--out", str(tmp_path / "desk")]) == 1
     assert "pip install 'kingfisher-3d[desk]'" in capsys.readouterr().err
     assert not (tmp_path / "desk").exists()

@@ -40,7 +40,7 @@ def test_a_bend_counts_by_the_noise_that_straightening_costs(first_px: float, be
     if judged.fault is not None:
         assert judged.fault.code is FaultCode.FRINGES_BENT
         assert judged.fault.numbers["noise_percent"] == pytest.approx(100.0 * (factor - 1.0), rel=1e-2)
-        assert "kingfisher measure exposures" in judged.fault.detail
+        assert "kingfisher calibration measure exposures" in judged.fault.detail
 
 
 def test_a_bend_that_noise_hides_is_none() -> None:

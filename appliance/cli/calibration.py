@@ -1,0 +1,269 @@
+"""The verbs ``calibration show``, ``use`` and ``accept``: a calibration with how its ray gaps have behaved, another one, the answer to an alarm."""
+
+from __future__ import annotations
+
+import json as json_form
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from appliance.cli.arguments import number_above, operand, option
+from appliance.cli.desk import writable, write_files
+from appliance.cli.listing import say_report
+from appliance.cli.output import Exit, UsageError, table
+from appliance.cli.places import WithRoot
+from appliance.store import CALIBRATIONS, CURRENT_CALIBRATION, hold_lock
+
+if TYPE_CHECKING:  # imported in the verbs, after what a wrong word needs
+    from appliance.calibrate import HealthTrend
+    from appliance.measure import Calibration
+    from appliance.store import Rig
+
+NOMINAL = "nominal"
+SHOWN = 20
+"""Latest scans in the table; ``--json`` has all that are remembered."""
+AT_MOST_PERCENT = 0.1
+"""Length error up to which a check is accepted, unless another is given."""
+MAX_BYTES = 64_000_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShowCalibration(WithRoot):
+    """Show the calibration in use, or that of a file, and whether it still holds; or the one that follows from the rig file's design."""
+
+    file: str | None = operand(
+        "FILE", f"a calibration's file, or {NOMINAL}: that of the design (default: the one in use)", optional=True
+    )
+    out: Path | None = option("--out", "write it to a file, which is never replaced", parse=Path, metavar="FILE")
+
+    def run(self) -> Exit:
+        rig = self.rooted_rig()
+        writable(self.out)
+        if self.out is not None and self.out.exists():
+            raise UsageError(f"--out {self.out}: exists already; a calibration is never replaced; give a new name")
+        calibration = self._calibration(rig)
+        if self.out is not None:
+            from appliance.measure import encode_calibration
+
+            write_files({self.out: encode_calibration(calibration)})
+            self.tell({"file": str(self.out)}, [str(self.out)])
+            return Exit.OK
+        from appliance.calibrate import HealthFile, describe_calibration
+
+        content = describe_calibration(calibration)
+        trend = HealthFile(rig.storage.root, calibration.hash).read()
+        if self.json:
+            self.tell({**content, "health": _health(calibration, trend)})
+        else:
+            say_report(content)
+            self.tell(None, ["", *_health_lines(calibration, trend)])
+        return Exit.OK
+
+    def _calibration(self, rig: Rig) -> Calibration:
+        from appliance.store import Instrument, load_calibration
+
+        if self.file is not None:
+            return Instrument(rig).design() if self.file == NOMINAL else load_calibration(Path(self.file))
+        root = self.named_root()
+        if root is not None and self.rig is None:
+            # Whoever names a root asks for what lies there, whichever instrument the packaged rig file draws.
+            return load_calibration(root / CALIBRATIONS / CURRENT_CALIBRATION)
+        return Instrument(rig).calibration()[0]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UseCalibration(WithRoot):
+    """Put a calibration of before, or that of a file, in use; what was in use is kept, so that the same verb undoes it."""
+
+    kernels: ClassVar[bool] = False
+
+    name: str | None = operand(
+        "NAME", "a file of calibration/kept, or with a slash any file (default: the last one kept)", optional=True
+    )
+
+    def run(self) -> Exit:
+        rig = self.rooted_rig()
+        from appliance.calibrate import Calibrations, SessionError
+        from appliance.measure import IN_AIR
+        from appliance.store import load_calibration
+
+        root, today = rig.storage.root, datetime.now(UTC).date().isoformat()
+        calibrations = Calibrations(root, rig.rig.serial)
+        if self.name is not None and "/" in self.name:
+            path = Path(self.name)
+            found = load_calibration(path)
+            if found.rig_serial != rig.rig.serial or found.method == IN_AIR:
+                raise UsageError(
+                    f"NAME {path}: is of instrument {found.rig_serial}, method {found.method}; wanted is one in water of {rig.rig.serial}"
+                )
+            with hold_lock(root):
+                calibrations.install(found, today)
+        else:
+            with hold_lock(root):
+                try:
+                    path = calibrations.bring_back(self.name, today)
+                except SessionError as error:
+                    raise UsageError(f"calibration use: {error}") from error
+            found = load_calibration(path)
+        self.tell(
+            {"file": str(path), "calibration": found.hash, "method": found.method, "made_at": found.made_at},
+            [f"in use: {path}, {found.method}, made {found.made_at}"],
+        )
+        return Exit.OK
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AcceptHealth(WithRoot):
+    """Take an alarm back, as the length check in REPORT found the lengths right."""
+
+    kernels: ClassVar[bool] = False
+
+    report: Path = operand("REPORT", "the .json that `kingfisher evaluate` wrote", parse=Path)
+    at_most_percent: float | None = operand(
+        "PERCENT",
+        f"largest length error that is accepted (default: {AT_MOST_PERCENT:g})",
+        parse=number_above(0.0, 10.0),
+        optional=True,
+    )
+
+    def run(self) -> Exit:
+        """Raises UsageError for a report that does not show that, StorageError while the service runs."""
+        rig = self.rooted_rig()
+        root = rig.storage.root
+        from appliance.store import load_calibration
+
+        calibration = load_calibration(root / CALIBRATIONS / CURRENT_CALIBRATION)
+        content = _content(self.report, calibration.hash)
+        worst, at_most = _worst_percent(self.report, content), self.at_most_percent or AT_MOST_PERCENT
+        if worst > at_most:
+            raise UsageError(
+                f"REPORT {self.report}: largest E_L of the ball bar is {worst:.3f} %; allowed are up to {at_most:g} %: "
+                "calibrate again, or state another limit after REPORT"
+            )
+        from appliance.calibrate import HealthFile, answered
+
+        # The running service keeps the trend in memory and would write it over this answer.
+        with hold_lock(root):
+            file = HealthFile(root, calibration.hash)
+            trend = file.read()
+            if trend.alarm is None:
+                raise UsageError(f"REPORT {self.report}: there is no alarm to be taken back; nothing was changed")
+            # Under the lock: the alarm that is answered is the one that stands now.
+            _recorded_since(self.report, content, trend)
+            said = f"{self.report.name}: largest E_L of the ball bar {worst:.3f} %, after: {trend.alarm}"
+            file.write(answered(trend, said))
+        self.tell({"accepted": said}, [f"accepted: {said}"])
+        return Exit.OK
+
+
+def _health(calibration: Calibration, trend: HealthTrend) -> dict[str, Any]:
+    """Return how the ray gaps have behaved since it is in use, JSON-ready."""
+    from appliance.calibrate import UNMEASURED
+    from appliance.measure import MODES
+
+    return {
+        "calibration": calibration.hash,
+        "method": calibration.method,
+        "measured": calibration.method not in UNMEASURED,
+        "judged": trend.judged,
+        "alarm": trend.alarm,
+        "answers": list(trend.answers),
+        "reference_scans": len(trend.reference.rests_um),
+        "overlaps": [
+            {
+                "object": one.object,
+                "scans": one.scans,
+                "bend_um": one.bend_um,
+                "sigma_um": one.sigma_um,
+                "score": one.score,
+                "alarm": one.alarm,
+            }
+            for one in trend.overlaps
+        ],
+        "scans": [
+            {
+                "scan": point.scan,
+                **{f"{name}_um": value for name, value in zip(MODES, point.amplitudes_um, strict=True)},
+                **{f"{name}_sigma_um": value for name, value in zip(MODES, point.sigma_um, strict=True)},
+                "rest_um": point.rest_um,
+                "score": point.score,
+                "sum": point.total,
+                "alarm": point.alarm,
+            }
+            for point in trend.points
+        ],
+    }
+
+
+def _health_lines(calibration: Calibration, trend: HealthTrend) -> list[str]:
+    from appliance.calibrate import LEARNT_SCANS, UNMEASURED
+
+    if calibration.method in UNMEASURED:
+        return [f"uncalibrated: this calibration ({calibration.method}) was never measured in water; no trend"]
+    return [
+        f"whether it still holds: {trend.judged} scans judged",
+        f"reference   {len(trend.reference.rests_um)} of {LEARNT_SCANS} scans",
+        f"alarm       {trend.alarm or 'none'}",
+        *(f"accepted    {answer}" for answer in trend.answers),
+        *(
+            f"overlaps    object {one.object}, {one.scans} scans: bent by {one.bend_um:.0f} ± {one.sigma_um:.0f} µm, score {one.score:.1f}"
+            f"{'  ALARM' if one.alarm else ''}"
+            for one in trend.overlaps
+        ),
+        *([_points(trend)] if trend.points else []),
+    ]
+
+
+def _content(report: Path, calibration_hash: str) -> dict[str, Any]:
+    wanted = "give the .json that `kingfisher evaluate` wrote"
+    try:
+        with report.open("rb") as file:
+            content: dict[str, Any] = json_form.loads(file.read(MAX_BYTES))
+        used = content["about"]["calibration"]
+        # Read and thrown away: what is missing is found here, under this error, and not by whoever needs it later.
+        content["summary"]["e_l_ball_bar_percent"], [(one["scan"], one["artefact"]) for one in content["scans"]]
+    except OSError as error:
+        raise UsageError(f"REPORT {report}: cannot be read ({error.strerror}); {wanted}") from error
+    except (ValueError, KeyError, TypeError) as error:
+        raise UsageError(f"REPORT {report}: is no report of an evaluation; {wanted}") from error
+    # A length that is right with another calibration says nothing about the one the alarm is about.
+    if used != calibration_hash:
+        raise UsageError(f"REPORT {report}: it was made with calibration {used!s:.16}; evaluate with the one in use")
+    return content
+
+
+def _worst_percent(report: Path, content: dict[str, Any]) -> float:
+    worst = content["summary"]["e_l_ball_bar_percent"]
+    # JSON's true is a bool, which Python counts among the integers: it would pass as an error of 1 %.
+    if isinstance(worst, bool) or not isinstance(worst, int | float) or content.get("complete") is not True:
+        raise UsageError(f"REPORT {report}: no ball bar was measured in it; scan the ball bar and evaluate again")
+    return float(worst)
+
+
+def _recorded_since(report: Path, content: dict[str, Any], trend: HealthTrend) -> None:
+    """Raise UsageError for lengths of before the alarm: they say nothing about the instrument of now."""
+    from appliance.measure import Artefact
+
+    # Scans are numbered in the order of recording, and the clock may be wrong: before and after go by the number.
+    first = next((point.scan for point in trend.points if point.alarm and point.scan is not None), None)
+    bars = [str(one["scan"]) for one in content["scans"] if one["artefact"] == Artefact.BALL_BAR.value]
+    old = [scan for scan in bars if first is not None and not (scan.isdigit() and int(scan) >= int(first))]
+    if old:
+        raise UsageError(
+            f"REPORT {report}: scan {', '.join(old)} was recorded before the alarm of scan {first}; scan the ball bar "
+            "again and evaluate that"
+        )
+
+
+def _points(trend: HealthTrend) -> str:
+    from appliance.measure import MODES
+
+    rows = []
+    for point in trend.points[-SHOWN:]:
+        amplitudes = [
+            f"{value:+.1f} ± {sigma:.1f}" for value, sigma in zip(point.amplitudes_um, point.sigma_um, strict=True)
+        ]
+        last = f"{point.total:.1f}{'  ALARM' if point.alarm else ''}"
+        rows.append((point.scan or "?", *amplitudes, f"{point.rest_um:.1f}", f"{point.score:.1f}", last))
+    return table(("SCAN", *(f"{name} µm" for name in MODES), "rest µm", "score", "sum"), rows)
