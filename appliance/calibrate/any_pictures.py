@@ -201,7 +201,7 @@ def _by_patterns(names: Iterable[str], patterns: Patterns) -> _Sides:
     for side, pattern in (("left", patterns.left), ("right", patterns.right)):
         if pattern.count("*") != 1:
             raise PicturesError(
-                f"--{side} {pattern}: a pattern has one *, which stands for what both pictures of a pair share"
+                f"--sides {patterns.left},{patterns.right}: each has one *, which stands for what both pictures of a pair share"
             )
         before, after = pattern.split("*")
         for name in names:

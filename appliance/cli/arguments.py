@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar, TypeVar
 
-from appliance.cli.output import Exit, say, say_json
+from appliance.cli.output import Exit, say, say_json, say_report
 
 _KEY = "typed"
 """Key in a field's metadata under which its ``_Typed`` is found."""
@@ -62,8 +62,6 @@ class Verb:
         if self.json:
             say_json(result)
         elif lines is None:
-            from appliance.cli.listing import say_report
-
             say_report(result)
         else:
             for line in lines:

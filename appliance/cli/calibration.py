@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from appliance.cli.arguments import number_above, operand, option
 from appliance.cli.desk import writable, write_files
-from appliance.cli.listing import say_report
-from appliance.cli.output import Exit, UsageError, table
+from appliance.cli.output import Exit, UsageError, say_report, table
 from appliance.cli.places import WithRoot
 from appliance.store import CALIBRATIONS, CURRENT_CALIBRATION, hold_lock
 

@@ -9,7 +9,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from appliance.cli.arguments import number, operands, option, repeated, switch
-from appliance.cli.desk import library_root, measuring, object_named, scan_in, writable, writable_as, writing
+from appliance.cli.desk import (
+    checked_as,
+    library_root,
+    measuring,
+    object_named,
+    scan_in,
+    writable,
+    writable_as,
+    writing,
+)
 from appliance.cli.kernels import compile_kernels
 from appliance.cli.output import Exit, Progress, UsageError, complain
 from appliance.cli.places import WithCalibration
@@ -112,7 +121,9 @@ class MakeCloud(WithCalibration):
             path = Path(wanted)
             suffix = path.suffix.lower()
             meshed = suffix in TRIANGLES or self.mesh
-            writable_as(path.with_name("x" + path.suffix), MESH_SUFFIXES if meshed else (*SCAN_SUFFIXES, *TRIANGLES), "a mesh" if meshed else "a scan")  # fmt: skip
+            allowed, kind = (MESH_SUFFIXES, "a mesh") if meshed else ((*SCAN_SUFFIXES, *TRIANGLES), "a scan")
+            # The folder, too, may have the scan's name in it.
+            writable_as(path, allowed, kind) if NAME not in wanted else checked_as(path, allowed, kind)
             if len(self.what) > 1 and NAME not in wanted:
                 raise UsageError(
                     f"--out {wanted}: is one file, for {len(self.what)} scans; put {NAME} where the scan's name "

@@ -103,6 +103,11 @@ def writable_as(out: Path, allowed: tuple[str, ...], what: str) -> None:
     """Raises UsageError for a name that ``writable`` refuses or whose suffix is none of those ``allowed`` for ``what``, and
     MissingLibraryError where what writes it is absent: before minutes of work."""
     writable(out)
+    checked_as(out, allowed, what)
+
+
+def checked_as(out: Path, allowed: tuple[str, ...], what: str) -> None:
+    """Raises what ``writable_as`` raises of the suffix alone, where the rest of the name is not known yet."""
     from appliance.desk import ExportError, checked_suffix, require_library
 
     try:

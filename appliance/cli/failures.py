@@ -1,6 +1,11 @@
-"""Errors that end a verb, and their exit codes, known by their names, so that telling a mistake loads nobody who may make one."""
+"""Errors that end a verb: their exit codes, and the last words of a service for the safe screen. They are known by their names, so that telling a mistake loads nobody who may make one."""
 
 from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
 
 from appliance.cli.output import Exit
 
@@ -51,3 +56,42 @@ def is_one_of(error: BaseException, names: frozenset[str]) -> bool:
     """Return True if ``error`` is of one of the classes ``names`` (``module:class``), or of one derived from them."""
     # Whatever was raised is imported; asking for its class instead would import everything else that might have been.
     return any(f"{kind.__module__}:{kind.__qualname__}" in names for kind in type(error).__mro__)
+
+
+# ------------------------------------------------------------------------------------------ last words
+
+FILE_NAME = "last-words.json"
+"""Name of the file in the service's run-time folder, which is memory: a full disk is one of the errors."""
+MOST_CHARACTERS = 600
+
+
+@contextmanager
+def last_words(environment: Mapping[str, str]) -> Iterator[None]:
+    """Write down the error that ends the block, and let it go on. Nothing where ``environment`` is not a service's."""
+    folder, invocation = environment.get("RUNTIME_DIRECTORY"), environment.get("INVOCATION_ID")
+    # Both are set by systemd; a person who starts the service reads the error on the terminal.
+    if not folder or not invocation:
+        yield
+        return
+    path = Path(folder.split(":")[0]) / FILE_NAME
+    with suppress(OSError):
+        path.unlink(missing_ok=True)  # of an earlier start
+    try:
+        yield
+    except Exception as error:
+        # With systemd's number of this start, so that the safe screen never shows the words of an earlier one.
+        said = {"invocation": invocation, "kind": _kind(error), "text": _text(error)}
+        with suppress(OSError):
+            path.write_text(json.dumps(said) + "\n", encoding="utf-8")
+        raise
+
+
+def _kind(error: Exception) -> str:
+    kinds = {"config": CONFIG, "storage": STORAGE, "device": DEVICE}
+    return next((kind for kind, name in kinds.items() if is_one_of(error, frozenset((name,)))), "program")
+
+
+def _text(error: Exception) -> str:
+    said = " ".join(str(error).split())
+    named = said if _kind(error) != "program" else f"{type(error).__name__}: {said}"
+    return named[:MOST_CHARACTERS]

@@ -74,7 +74,7 @@ def _last_words(verb: Verb) -> Iterator[None]:
         yield
         return
     from appliance.base import use_one_blas_thread
-    from appliance.cli.last_words import last_words
+    from appliance.cli.failures import last_words
 
     use_one_blas_thread(os.environ)
     with last_words(os.environ):
@@ -104,6 +104,9 @@ class _Parser(argparse.ArgumentParser):
             declare(verb, self)
             self.set_defaults(verb=verb)
             self._named_words = verb.named_words
+        if self._named_words:
+            # Argparse takes operands from one place: settings may stand anywhere.
+            args = sorted(args, key=lambda word: word.partition("=")[0] not in self._named_words)
         typed, beyond = super().parse_known_args(args, namespace)
         if beyond:
             # Here and not in the parser above, which knows nothing of this verb's options.

@@ -62,8 +62,7 @@ class ShowObject(WithRoot):
         if self.name is None:
             found = object_names(root)
             self.tell(
-                {"objects": found},
-                found or [f"no objects under {root}; make one: kingfisher object add NAME SCAN..."],
+                {"objects": found}, found or [f"no objects under {root}; make one: kingfisher object add NAME SCAN..."]
             )
         else:
             stored = read_object(root, self.name)

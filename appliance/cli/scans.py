@@ -13,8 +13,7 @@ from typing import Any, ClassVar
 from appliance.base import ContentError
 from appliance.cli.arguments import operand, operands, option, switch
 from appliance.cli.desk import writable, write_files
-from appliance.cli.listing import shown
-from appliance.cli.output import Exit, Progress, UsageError, table
+from appliance.cli.output import Exit, Progress, UsageError, shown, table
 from appliance.cli.places import WithRoot, scan_folder
 from appliance.instrument import ASHORE
 from appliance.measure import SIDES, FaultCode
@@ -63,22 +62,8 @@ class ListScans(OfScans):
         entries = [
             entry for one in LibraryFolder if self.all or one.value == shelf for entry in Library(root).entries(one)
         ]
-        rows = [
-            (
-                entry.scan_id,
-                _state(entry),
-                _grade(entry),
-                _when(entry),
-                _points(entry),
-                _object(entry),
-                f"{entry.size_bytes / 1e6:.1f}",
-                entry.label.name or "-",
-                _remark(entry),
-                entry.label.note or "",
-            )
-            for entry in entries
-        ]
-        self.tell([_brief(entry) for entry in entries], [table(COLUMNS, rows) if rows else f"no scans under {root}"])
+        lines = [table(COLUMNS, map(_row, entries)) if entries else f"no scans under {root}"]
+        self.tell([_brief(entry) for entry in entries], lines)
         return Exit.OK
 
 
@@ -263,6 +248,7 @@ def _with_frames_named(entry: ScanEntry) -> ScanEntry:
 
 def _brief(entry: ScanEntry) -> dict[str, Any]:
     record = None if entry.manifest is None else entry.manifest.record
+    points = None if record is None else record.cloud.get("points")
     return {
         "scan": entry.scan_id,
         "shelf": entry.shelf.value,
@@ -275,7 +261,7 @@ def _brief(entry: ScanEntry) -> dict[str, Any]:
         "grade": None if record is None or record.grade is None else record.grade.value,
         "corrected": None if record is None else record.compensated,
         "told": None if record is None else [code.value for code in record.held_against],
-        "points": _point_count(entry),
+        "points": None if points is None else round(points),
         "object": None if record is None else record.object,
         "size_bytes": entry.size_bytes,
         "name": entry.label.name,
@@ -291,31 +277,22 @@ def _state(entry: ScanEntry) -> str:
     return "recovered" if entry.manifest.recovered else "saved"
 
 
-def _when(entry: ScanEntry) -> str:
-    if entry.manifest is None or entry.manifest.record.wall_time is None:
-        return "?"
-    record = entry.manifest.record
-    return f"{record.wall_time}" if record.clock_trusted else f"{record.wall_time} ?"
-
-
-def _points(entry: ScanEntry) -> str:
-    points = _point_count(entry)
-    return "-" if points is None else str(points)
-
-
-def _point_count(entry: ScanEntry) -> int | None:
-    points = None if entry.manifest is None else entry.manifest.record.cloud.get("points")
-    return None if points is None else round(points)
-
-
-def _object(entry: ScanEntry) -> str:
-    number = None if entry.manifest is None else entry.manifest.record.object
-    return "-" if number is None else str(number)
-
-
-def _grade(entry: ScanEntry) -> str:
-    grade = None if entry.manifest is None else entry.manifest.record.grade
-    return "-" if grade is None else grade.value.upper()
+def _row(entry: ScanEntry) -> tuple[str, ...]:
+    said = _brief(entry)
+    when = "?" if said["wall_time"] is None else f"{said['wall_time']}{'' if said['clock_trusted'] else ' ?'}"
+    known = [shown("", said[key]) for key in ("points", "object")]
+    size = f"{entry.size_bytes / 1e6:.1f}"
+    return (
+        entry.scan_id,
+        _state(entry),
+        shown("", said["grade"]).upper(),
+        when,
+        *known,
+        size,
+        said["name"] or "-",
+        _remark(entry),
+        said["note"] or "",
+    )
 
 
 def _remark(entry: ScanEntry) -> str:

@@ -26,14 +26,7 @@ from appliance.measure import (
     Water,
     encode_calibration,
 )
-from appliance.store import (
-    Instrument,
-    LocalFileSystem,
-    Rig,
-    load_calibration,
-    make_folders,
-    replace_file,
-)
+from appliance.store import Instrument, LocalFileSystem, Rig, load_calibration, make_folders, replace_file
 
 METHOD = "truth"
 KNOWN_SET = "nominal"

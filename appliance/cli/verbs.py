@@ -99,9 +99,9 @@ VERBS: tuple[Listed | Group, ...] = (
         "setup",
         "build a new instrument, install this program",
         (
-            Listed("guide", "from a box of parts to the first plane, in twelve steps", "bringup:SetupGuide"),
-            Listed("measure", "the projector by its own cameras, or the trigger lines", "bringup:SetupMeasure"),
-            Listed("firmware", "what goes onto trigger board or key pad", "firmware:LayOutFirmware"),
+            Listed("guide", "from a box of parts to the first plane, in twelve steps", "setup:SetupGuide"),
+            Listed("measure", "the projector by its own cameras, or the trigger lines", "setup:SetupMeasure"),
+            Listed("firmware", "what goes onto trigger board or key pad", "setup:LayOutFirmware"),
             Listed(
                 "compile", "compile the kernels for this processor (an installation does)", "kernels:CompileKernels"
             ),

@@ -70,7 +70,8 @@ def test_somebody_elses_program_beside_this_one_is_named(
     assert str(refused.value).endswith(said)
     with pytest.raises(AttributeError, match=r"'opendive'.*another program called kingfisher"):
         _ = importlib.import_module("kingfisher").opendive
-    assert main(["--version"]) == 0
+    with pytest.raises(SystemExit):
+        main(["--version"])
     assert capsys.readouterr().err == f"kingfisher: {said}\n"
 
 

@@ -20,7 +20,7 @@ from appliance.calibrate.calibrations import Calibrations
 from appliance.calibrate.health import HealthTrend
 from appliance.calibrate.health_file import HealthFile
 from appliance.calibrate.view_folder import ViewFolder
-from appliance.cli.firmware import _write as write_firmware
+from appliance.cli.setup import _write as write_firmware
 from appliance.desk.anew.results import Results
 from appliance.desk.export.content import CAMERA_FRAME, About
 from appliance.desk.export.files import write_scan
@@ -229,7 +229,7 @@ def test_a_writer_that_keeps_no_order_is_found(tmp_path: Path, work: Callable[[P
 
 
 JUDGED = {
-    "appliance/cli/firmware.py": "firmware",
+    "appliance/cli/setup.py": "firmware",
     "appliance/desk/anew/results.py": "results",
     "appliance/calibrate/view_folder.py": "recordings",
     "appliance/desk/foreign_import.py": "recordings",
@@ -251,7 +251,7 @@ JUDGED = {
 OTHERWISE = {
     "appliance/base/kernel_build.py": "compiled kernels: made again",
     "appliance/base/kernel_cache.py": "compiled kernels: made again",
-    "appliance/cli/last_words.py": "in memory: for the safe screen of this start",
+    "appliance/cli/failures.py": "in memory: for the safe screen of this start",
     "appliance/desk/export/npz.py": "bytes for replace_file",
     "appliance/desk/export/placed.py": "under the draft's name, from replace_by",
     "appliance/instrument/service/air_live.py": "run/status.json: worthless after a restart",

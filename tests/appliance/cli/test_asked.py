@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from appliance.cli import main
-from appliance.cli.bringup import AtTheTerminal, _line
+from appliance.cli.setup import AtTheTerminal, _line
 from appliance.store.config import default_rig_path
 from appliance.workshop.step import GivenUp
 

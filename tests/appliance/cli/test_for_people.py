@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from appliance.cli.listing import number, say_report, shown
+from appliance.cli.output import number, say_report, shown
 from appliance.store.lock import hold_lock
 from tests.support.commands import Shell
 

@@ -28,7 +28,7 @@ ESCAPES = "\x1b[2J\x1b]0;gone\x07 \x9b31m \u202e evil"
 """Clear the screen, name the window, turn red by a C1 code, and write from right to left."""
 
 
-QUICK = {"firmware", "calibration"}
+QUICK = {"calibration"}
 """Modules of verbs that read and write some small files."""
 
 

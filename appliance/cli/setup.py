@@ -1,24 +1,26 @@
-"""The verbs ``setup guide`` and ``setup measure``: what a new instrument measures of itself before its first scan, and how they speak with a person at it."""
+"""The verbs ``setup guide``, ``measure`` and ``firmware``: a new instrument before its first scan, and the person at it."""
 
 from __future__ import annotations
 
 import os
 import select
+import shutil
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from io import UnsupportedOperation
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, Any, ClassVar, TextIO
 
 from appliance.cli.arguments import number, operand, operands, option, switch
 from appliance.cli.desk import new_folder, writing
 from appliance.cli.output import Exit, Progress, UsageError, complain, say, table
 from appliance.cli.places import WithRig
+from appliance.store import LocalFileSystem, make_folders, move_folder, replace_file
 
 if TYPE_CHECKING:  # these bring OpenCV, which `--help` can do without
     from appliance.store import Rig
-    from appliance.workshop import Finding, StepRecord, Walked
+    from appliance.workshop import Finding, Part, StepRecord, Walked
 
 ANSWERED_WITHIN_S = 3600.0
 """Time for which an Enter is waited for: whoever is away for longer calls again, and goes on where he was."""
@@ -247,3 +249,62 @@ def _end(walked: Walked, folder: Path, count: int) -> str:
     if walked.good and good == count:
         return f"\nall {count} steps are good; the page is {page}; next: calibrate (docs/calibration.md)"
     return f"\n{good} of {count} steps are good; the page to send to somebody who helps is {page}"
+
+
+# ------------------------------------------------------------------------------------------ firmware
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LayOutFirmware(WithRig):
+    """Lay out the firmware of the trigger board or the key pad for the instrument of a rig file: its USB identity, and which way its sync goes."""
+
+    kernels: ClassVar[bool] = False
+
+    part: Part = operand("PART", "board or keys", choices=("board", "keys"))
+    out: Path | None = option("--out", "default: build/board or build/keys", parse=Path, metavar="FOLDER")
+
+    def run(self) -> Exit:
+        rig = self.read_rig()
+        from appliance.workshop import commands, instrument_values, laid_out
+
+        folder = self.out or Path("build") / self.part
+        files = laid_out(self.part, rig)
+        _check(folder, files)
+        with writing(folder):
+            _write(folder, files)
+        values, typed = instrument_values(self.part, rig), commands(self.part, folder)
+        lines = [f"{len(files)} files in {folder}; USB identity {values['VENDOR']:04x}:{values['PRODUCT']:04x}"]
+        if "SYNC_RISES" in values:
+            mode = f"{rig.projector.width_px}x{rig.projector.height_px} at {rig.projector.refresh_hz:g} Hz"
+            lines.append(f"the sync of {mode} begins with a {'rising' if values['SYNC_RISES'] else 'falling'} edge")
+        lines.append("with MicroPython on the module and SERVICE to ground:")
+        self.tell(
+            {"folder": str(folder), "files": sorted(files), "instrument": values, "commands": list(typed)},
+            [*lines, *(f"    {command}" for command in typed)],
+        )
+        return Exit.OK
+
+
+def _check(folder: Path, files: dict[str, bytes]) -> None:
+    """Refuse a folder with anything of another origin: it is replaced as a whole. Raises UsageError."""
+    new_folder(folder)
+    there = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if not path.is_dir()}
+    if strange := sorted(there - files.keys()):
+        raise UsageError(f"--out {folder}: holds {strange[0]}, which is not of this firmware; give an empty folder")
+
+
+def _write(folder: Path, files: dict[str, bytes]) -> None:
+    fs, draft = LocalFileSystem(), folder.with_name(f".{folder.name}.draft")
+    shutil.rmtree(draft, ignore_errors=True)
+    for name, content in files.items():
+        make_folders(fs, (draft / name).parent)
+        replace_file(fs, draft / name, content)
+    # Whole or not at all: half a firmware would be copied like a whole one.
+    if folder.exists():
+        old = folder.with_name(f".{folder.name}.old")
+        shutil.rmtree(old, ignore_errors=True)
+        move_folder(fs, folder, old)
+        move_folder(fs, draft, folder)
+        shutil.rmtree(old)
+    else:
+        move_folder(fs, draft, folder)
