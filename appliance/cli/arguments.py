@@ -119,9 +119,9 @@ def operand(
     return field(default=None, metadata=typed) if optional else field(metadata=typed)
 
 
-def operands(metavar: str, text: str, *, at_least_one: bool) -> Any:
+def operands(metavar: str, text: str, *, at_least_one: bool, parse: Callable[[str], Any] = str) -> Any:
     """Return a tuple of all words that stand there."""
-    settings = {"metavar": metavar, "help": text, "nargs": "+" if at_least_one else "*"}
+    settings = {"metavar": metavar, "help": text, "type": parse, "nargs": "+" if at_least_one else "*"}
     return field(metadata={_KEY: _Typed(None, settings, None)})
 
 

@@ -105,6 +105,10 @@ class _Parser(argparse.ArgumentParser):
             self.set_defaults(verb=verb)
             self._named_words = verb.named_words
         if self._named_words:
+            for word in args:
+                name = word.partition("=")[0].removeprefix("--")
+                if word.startswith("--") and name in self._named_words:
+                    self.error(f"--{name}: is written {name}=VALUE")
             # Argparse takes operands from one place: settings may stand anywhere.
             args = sorted(args, key=lambda word: word.partition("=")[0] not in self._named_words)
         typed, beyond = super().parse_known_args(args, namespace)
@@ -117,8 +121,6 @@ class _Parser(argparse.ArgumentParser):
         option = word.partition("=")[0]
         if not option.startswith("-"):
             return f"{word}: one word too many"
-        if option.removeprefix("--") in self._named_words:
-            return f"{option}: is written {option.removeprefix('--')}=VALUE"
         return f"{option}: no such option" + meant(
             option, (text for one in self._actions for text in one.option_strings)
         )

@@ -34,6 +34,7 @@ if TYPE_CHECKING:  # brings pydantic, which `--help` can do without
     from appliance.store import Rig
 
 SEED = whole(0, 999_999_999)
+FAULT = "fault"
 SETTINGS: Mapping[str, Callable[[str], Any]] = {
     "object": one_of(OBJECTS),
     "texture": one_of(TEXTURES),
@@ -42,11 +43,23 @@ SETTINGS: Mapping[str, Callable[[str], Any]] = {
     "seed": SEED,
     "size": str,
     "pace": one_of(PACES),
-    "fault": str,
+    FAULT: str,
     "chaos": SEED,
     "scans": whole(1, 100_000),
 }
 """Settings of the world, and what reads the value of each; only ``fault`` may be given more than once."""
+
+
+def _setting(word: str) -> tuple[str, Any]:
+    """Read ``NAME=VALUE``. Raises ArgumentTypeError."""
+    name, equals, text = word.partition("=")
+    if not equals or name not in SETTINGS:
+        near = meant(name, SETTINGS) or f"; there are: {', '.join(SETTINGS)}"
+        raise ArgumentTypeError(f"{word}: is no SETTING=VALUE{near}")
+    try:
+        return name, SETTINGS[name](text)
+    except ArgumentTypeError as error:
+        raise ArgumentTypeError(f"{name}={error}") from error
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,13 +70,14 @@ class Sim(WithRoot):
     service: ClassVar[bool] = True
     named_words: ClassVar[Sequence[str]] = tuple(SETTINGS)
 
-    settings: Sequence[str] = operands(
+    settings: Sequence[tuple[str, Any]] = operands(
         "SETTING=VALUE",
         f"object: {', '.join(OBJECTS)}; texture: {', '.join(TEXTURES)}; truth, the true rig: {', '.join(TRUTHS)}, or a truth.toml; "
         f"world: {', '.join(WORLDS)} (a harsher one, drawn by seed); seed of the truth and all noise; size of the cameras, for example 800x600; "
         f"pace of world time: {', '.join(PACES)}; fault=SENTENCE, which may be repeated; chaos=SEED: a dive on which devices come and go, "
         "with scans=N (200): how often SCAN is pressed",
         at_least_one=False,
+        parse=_setting,
     )
     script: Path | None = option("--script", "a diver's script; exit code 3 if it fails", parse=Path, metavar="FILE")
     console: bool = switch("--console", "commands on standard input; as --window on a terminal has it")
@@ -93,24 +107,12 @@ class Sim(WithRoot):
     def _given(self) -> tuple[dict[str, Any], Sequence[str]]:
         """Return what each setting was given as, but for the faults, and these. Raises UsageError."""
         given: dict[str, Any] = {}
-        faults = []
-        for word in self.settings:
-            name, equals, text = word.partition("=")
-            if not equals or name not in SETTINGS:
-                raise UsageError(
-                    f"{word}: is no SETTING=VALUE{meant(name, SETTINGS)}; there are: {', '.join(SETTINGS)}"
-                )
+        for name, value in self.settings:
             if name in given:
-                raise UsageError(f"{word}: {name} was given before; give one value")
-            try:
-                value = SETTINGS[name](text)
-            except ArgumentTypeError as error:
-                raise UsageError(f"{name}={error}") from error
-            if name == "fault":
-                faults.append(text)
-            else:
+                raise UsageError(f"{name}={value}: {name} was given before; give one value")
+            if name != FAULT:
                 given[name] = value
-        return given, faults
+        return given, [value for name, value in self.settings if name == FAULT]
 
 
 def dive(rig: Rig, options: SimOptions) -> Exit:
