@@ -1,4 +1,4 @@
-"""`kingfisher measure`: from a stored scan to the response the patterns are drawn for, and to the cameras' noise."""
+"""`kingfisher calibration measure`: from a stored scan to the response the patterns are drawn for, and to the cameras' noise."""
 
 from __future__ import annotations
 
