@@ -1,18 +1,18 @@
 """Owns how bright each surface element is under full light: its albedo, from Gray images, read where the element was.
 
-A Gray image shows every element either full light or none, and the motion says which. So it tells the albedo without asking for
-a phase: what the sines need when a point that moves along with the fringes sees nearly the same phase in all of them. With the
-albedo known, the offset of the four sines is known but for the albedo's noise, and four values within 90° tell the phase nearly
-as well as four around the circle. The Gray images around the x-sines tell it; those in which an element was dark tell what the
-water and the surroundings send: the backscatter.
+A Gray image shows every element either full light or none, and the motion says which. So it tells the albedo without
+asking for a phase: what the sines need when a point that moves along with the fringes sees nearly the same phase in all
+of them. With the albedo known, the offset of the four sines is known but for the albedo's noise, and four values within
+90° tell the phase nearly as well as four around the circle. The Gray images around the x-sines tell it; those in which
+an element was dark tell what the water and the surroundings send: the backscatter.
 
-Legend of the kernel, per pixel (column x, row)::
+Legend of the kernel, per pixel number i of a list, in column x of its row::
 
-    t, c       depth, and coefficients of the pixel's parabolas (``displacement``)
+    t          depth
     p, q       place in the pattern that lights the pixel at the reference time
     m          number of a Gray image, in the order in which they are asked
-    bright, weights, squares   Σ w y, Σ w, Σ w² over the images that lit it; at last mean and number
-    dim, dims                  Σ y and their number over those that did not; at last mean and number
+    bright, weights, squares   Σ w y, Σ w, Σ w² over the images that lit it
+    dim, dims                  Σ y and their number over those that did not
 """
 
 from __future__ import annotations
@@ -29,17 +29,13 @@ from appliance.measure.motion.displacement import (
     FIRST_FRAME,
     FRAME_COEFFICIENTS,
     OF_PHASE,
-    OF_V,
     P_OF_T,
     Q_OF_T,
     DisplacementField,
-    interpolate_pixel,
     interpolate_row,
-    parabola_at,
-    read_spline,
 )
 from appliance.measure.motion.phase_solver import BRIGHT, FIRST_GRAY, MAX_T, Sources, Terms
-from appliance.measure.motion.row_reader import parabola_row, place_row, read_row, shares_of
+from appliance.measure.motion.row_reader import Pictures, locate, parabola_row, places_in_frame, read_row
 from appliance.measure.motion.stripes import Stripes, illuminated_at, stripes_of
 
 Map = NDArray[np.float32]
@@ -47,13 +43,15 @@ Map = NDArray[np.float32]
 CLEAR_PX = 3.0
 """Nearer to a stripe's border in the pattern nothing is read: defocus and motion during an exposure blur it."""
 NEAR_IMAGES = 4
-"""Gray images so near to the x-sines, before and after, come first: the farther, the less the element's place is known."""
+"""Gray images so near to the x-sines, before and after, come first: the farther, the less the element's place is known.
+"""
 ENOUGH = np.float32(3.0)
 """Weight of the images from which on the others are needless."""
 FAR_WEIGHT = np.float32(0.25)
 """Weight of the other images."""
 EVEN_PX, NEAR_PX, BACKSCATTER_PX = 5, 20, 31
-"""Windows in px of pictures 800 px wide: over which noise is taken out, gaps are filled, and the backscatter is smoothed."""
+"""Windows in px of pictures 800 px wide: over which noise is taken out, gaps are filled, and the backscatter is
+smoothed."""
 WIDE_PX = 8
 """Pixels that are left of a wide window in the smaller picture that its mean is taken in."""
 FILLED_SD = 0.03
@@ -79,7 +77,8 @@ class GrayImages(NamedTuple):
 
 
 class GrayMeans(NamedTuple):
-    """Mean grey values (h, w) of an element when it was lit and when it was dark, and of how many images; NaN and 0: of none."""
+    """Mean grey values (h, w) of an element when it was lit and when it was dark, and of how many images; NaN and 0: of
+    none."""
 
     lit: Map
     lit_count: Map
@@ -104,15 +103,16 @@ def with_albedo(
     sequence: PatternSequence, sources: Sources, terms: Terms, field: DisplacementField, lateral_sd_px: float,
     stride: int = 1,
 ) -> Sources:  # fmt: skip
-    """Return ``sources`` with the albedo of what is at its rough depth, which may lie ``lateral_sd_px`` beside its place.
+    """Return ``sources`` with the albedo of what is at its rough depth, which may lie ``lateral_sd_px`` beside its
+    place.
 
-    With a ``stride``, only every so many rows are read and serve their neighbours, too: a row knows nothing of those between
-    then, and windows are so much higher.
+    With a ``stride``, only every so many rows are read and serve their neighbours, too: a row knows nothing of those
+    between then, and windows are so much higher.
     """
     height, width = sources.p_px.shape
     rows = -(-height // stride)
     means = GrayMeans(*(np.empty((rows, width), np.float32) for _ in range(4)))
-    gather(sources.frames, gray_images(sequence), field, sources.rough_t, terms.period_px, 0, height, stride, means)
+    gather(sources.frames, gray_images(sequence), field, sources.rough_t, terms.period_px, stride, means)
     backscatter = np.nan_to_num(wide_mean(means.dark, scaled_window(BACKSCATTER_PX, width)))
     full_dn2 = terms.dark_dn2 + terms.shot_dn * np.maximum(means.lit, _ZERO)
     noise_dn2 = np.asarray(MEAN_NOISE_SHARE * full_dn2 / np.maximum(means.lit_count, _ONE), np.float32)
@@ -123,7 +123,8 @@ def with_albedo(
     unseen = ~np.isfinite(albedo)
     albedo = np.where(unseen, near, albedo)
     variance = np.where(unseen, np.float32(FILLED_SD**2) * near**2, variance)
-    # On a slope of albedo, an uncertain place is an uncertain albedo; beside what is not known, the slope is not either.
+    # On a slope of albedo, an uncertain place is an uncertain albedo; beside what is not known, the slope is not
+    # either.
     slopes = np.gradient(albedo, stride, 1) if stride > 1 else np.gradient(albedo)
     uneven = sum(np.asarray(one, np.float32) ** 2 for one in slopes)
     misplaced = np.float32((PLACE_PX * width / 800.0) ** 2 + lateral_sd_px**2) * uneven
@@ -142,124 +143,95 @@ def scaled_window(px: int, width: int) -> int:
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def gather(
-    frames: NDArray[np.uint8], images: GrayImages, field: DisplacementField, depth: Map, period_px: np.float32, start: int,
-    stop: int, stride: int, means: GrayMeans,
+    frames: NDArray[np.uint8], images: GrayImages, field: DisplacementField, depth: Map, period_px: np.float32, stride: int,
+    means: GrayMeans,
 ) -> None:  # fmt: skip
-    """Read every ``stride``-th row from ``start`` to ``stop`` − 1 of pixels at ``depth`` (h, w) in t, one row of ``means`` each.
+    """Read every ``stride``-th row of pixels at ``depth`` (h, w) in t, one row of ``means`` each.
 
     A pixel without a depth, or in no image, has neither albedo nor backscatter.
     """
     stripes, places, near = images
-    lit, lit_count, dark, dark_count = means
-    height, width = depth.shape
-    pixels = frames.reshape(frames.size)
-    at_row = np.empty((field.nodes.shape[1], field.nodes.shape[2]), np.float32)
-    shares = shares_of(field.step_px)
-    t, p, q, shown = (
-        np.empty(width, np.float32),
-        np.empty(width, np.float32),
-        np.empty(width, np.float32),
-        np.empty(width, np.float32),
-    )
-    u, v, grey = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
-    light, cell = np.empty(width, np.int32), np.empty(width, np.int32)
-    c = np.empty(field.nodes.shape[2], np.float32)
-    for row in range(start, stop, stride):
+    (height, width), (_, nodes, coefficients) = depth.shape, field.nodes.shape
+    pictures = Pictures(frames.reshape(frames.size), stripes.frames * (height * width), height, width)
+    at_row = np.empty((nodes, coefficients), np.float32)
+    share, begins = np.empty(width, np.float32), np.empty(nodes, np.int64)
+    column, cell, light = np.empty(width, np.int32), np.empty(width, np.int32), np.empty(width, np.int32)
+    # Per pixel of the list: depth, places in the pattern and in the image, grey value, and the sums so far.
+    rows = np.empty((12, width), np.float32)
+    t, p, q, shown, u, v, grey = rows[0], rows[1], rows[2], rows[3], rows[4], rows[5], rows[6]
+    bright, weights, squares, dim, dims = rows[7], rows[8], rows[9], rows[10], rows[11]
+    for row in range(0, height, stride):
         interpolate_row(field.nodes, field.step_px, row, at_row)
-        line = (row - start) // stride
-        bright, weights, dim, dims = lit[line], lit_count[line], dark[line], dark_count[line]
-        first, last = width, _NONE
+        n, line = _NONE, row // stride
         for x in range(width):
-            bright[x], weights[x], dim[x], dims[x] = _ZERO, _ZERO, _ZERO, _ZERO
-            # Only pixels between the first and the last one with a depth are read.
-            known = abs(depth[row, x]) < MAX_T
-            t[x] = depth[row, x] if known else _NAN
-            first, last = min(first, x) if known else first, x + 1 if known else last
+            means.lit[line, x], means.lit_count[line, x] = _NAN, _ZERO
+            means.dark[line, x], means.dark_count[line, x] = _NAN, _ZERO
+            if abs(depth[row, x]) < MAX_T:
+                column[n], t[n] = x, depth[row, x]
+                bright[n], weights[n], squares[n], dim[n], dims[n] = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
+                n += 1
+        chosen = locate(column[:n], field.step_px, share, begins)
         # Where the projector lights them at the reference time: (p, q)(t).
-        if first < last:
-            parabola_row(at_row, shares, _P, t, first, last, p)
-            parabola_row(at_row, shares, _Q, t, first, last, q)
-        # The images around the x-sines, whole rows at once.
-        for m in range(near if first < last else 0):
-            at = FIRST_FRAME + FRAME_COEFFICIENTS * places[m]
-            # Where the points were in this image: (x, row) + (u, v)(t) of its frame; and by how many periods the pattern moved.
-            parabola_row(at_row, shares, at + OF_PHASE, t, first, last, shown)
-            parabola_row(at_row, shares, at, t, first, last, u)
-            parabola_row(at_row, shares, at + OF_V, t, first, last, v)
-            place_row(row, first, last, u, v)
-            read_row(pixels, stripes.frames[m] * (height * width), height, width, u, v, first, last, cell, grey)
-            _illuminated_row(
-                p if stripes.axes[m] == 0 else q, shown, period_px, stripes.widths_px[m], first, last, light
-            )
-            for x in range(first, last):
-                # Σ y and number of what was lit, and of what was dark.
-                known = grey[x] == grey[x]
-                is_lit, is_dark = known & (light[x] == 1), known & (light[x] == 0)
-                bright[x] += grey[x] if is_lit else _ZERO
-                weights[x] += _ONE if is_lit else _ZERO
-                dim[x] += grey[x] if is_dark else _ZERO
-                dims[x] += _ONE if is_dark else _ZERO
-        for x in range(width):
-            # NaN: no depth, no albedo.
-            if not first <= x < last or t[x] != t[x]:
-                bright[x], dim[x] = _NAN, _NAN
-                continue
-            squares = weights[x]
-            if weights[x] < ENOUGH:
-                # The others are asked only until there is enough, and tell nothing of the backscatter.
-                interpolate_pixel(at_row, field.step_px, x, 0, c)
-                for m in range(near, places.size):
-                    if weights[x] >= ENOUGH:
-                        break
-                    # Where the point was in this image: (x, row) + (u, v)(t) of its frame.
-                    at = FIRST_FRAME + FRAME_COEFFICIENTS * places[m]
-                    u_px = np.float32(x) + parabola_at(c, at, t[x])
-                    v_px = np.float32(row) + parabola_at(c, at + OF_V, t[x])
-                    if not (u_px >= 1.0 and v_px >= 1.0 and u_px < width - 2.0 and v_px < height - 2.0):
+        parabola_row(at_row, chosen, _P, t[:n], p[:n])
+        parabola_row(at_row, chosen, _Q, t[:n], q[:n])
+        for m in range(places.size):
+            if m >= near:
+                # The images farther off are asked only until there is enough.
+                left = _NONE
+                for i in range(n):
+                    if weights[i] >= ENOUGH:
+                        _mean(means, line, column[i], bright[i], weights[i], squares[i], dim[i], dims[i])
                         continue
-                    if stripes.axes[m] >= 0:
-                        place = (
-                            (p[x] if stripes.axes[m] == 0 else q[x])
-                            + _HALF
-                            + period_px * parabola_at(c, at + OF_PHASE, t[x])
-                        )
-                        if illuminated_at(float(place), stripes.widths_px[m], CLEAR_PX) != 1:
-                            continue
-                    # Lit: it counts with less weight, for its place is known less well.
-                    one = read_spline(pixels, stripes.frames[m] * (height * width), width, u_px, v_px)
-                    if one == one:
-                        bright[x] += FAR_WEIGHT * one
-                        weights[x] += FAR_WEIGHT
-                        squares += FAR_WEIGHT * FAR_WEIGHT
-            # A weighted mean has the noise of (Σ w)² / Σ w² images.
-            if weights[x] > _ZERO:
-                bright[x], weights[x] = bright[x] / weights[x], weights[x] * weights[x] / squares
-            else:
-                bright[x] = _NAN
-            dim[x] = dim[x] / dims[x] if dims[x] > _ZERO else _NAN
+                    column[left] = column[i]
+                    for k in range(rows.shape[0]):
+                        rows[k, left] = rows[k, i]
+                    left += 1
+                n, chosen = left, locate(column[:left], field.step_px, share, begins)
+            if n == 0:
+                break
+            # Where the points were in this image, and by how many periods the pattern moved on them.
+            at = FIRST_FRAME + FRAME_COEFFICIENTS * places[m]
+            parabola_row(at_row, chosen, at + OF_PHASE, t[:n], shown[:n])
+            places_in_frame(at_row, chosen, at, row, t[:n], u[:n], v[:n])
+            read_row(pictures, m, u[:n], v[:n], cell, grey[:n])
+            place_px = p if stripes.axes[m] == 0 else q
+            for i in range(n):
+                shown_px = float((place_px[i] + _HALF) + period_px * shown[i])
+                light[i] = illuminated_at(shown_px, stripes.widths_px[m], CLEAR_PX) if stripes.axes[m] >= 0 else 1
+            # Those farther off count with less weight, for the place is known less well, and tell nothing of the
+            # backscatter.
+            weight = _ONE if m < near else FAR_WEIGHT
+            dark_weight = _ONE if m < near else _ZERO
+            for i in range(n):
+                known = grey[i] == grey[i]
+                is_lit, is_dark = known & (light[i] == 1), known & (light[i] == 0)
+                # Σ w y, Σ w and Σ w² of what was lit, sum and number of what was dark.
+                bright[i] += weight * grey[i] if is_lit else _ZERO
+                weights[i] += weight if is_lit else _ZERO
+                squares[i] += weight * weight if is_lit else _ZERO
+                dim[i] += dark_weight * grey[i] if is_dark else _ZERO
+                dims[i] += dark_weight if is_dark else _ZERO
+        for i in range(n):
+            _mean(means, line, column[i], bright[i], weights[i], squares[i], dim[i], dims[i])
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def _illuminated_row(
-    place_px: NDArray[np.float32], turns: NDArray[np.float32], period_px: np.float32, width_px: float, first: int, stop: int,
-    light: NDArray[np.int32],
+def _mean(
+    means: GrayMeans, line: int, x: int, bright: np.float32, weights: np.float32, squares: np.float32, dim: np.float32,
+    dims: np.float32,
 ) -> None:  # fmt: skip
-    """Write what ``illuminated_at`` says of columns ``first`` to ``stop`` − 1 into ``light`` (w,).
-
-    They are at ``place_px`` (w,) of the pattern, in whose direction motion took them ``turns`` (w,) periods on.
-    """
-    for x in range(first, stop):
-        shown = (place_px[x] + _HALF) + period_px * turns[x]
-        stripe = float(shown) / width_px + 0.5
-        number = np.floor(stripe)
-        inside = stripe - number
-        odd = number - 2.0 * np.floor(0.5 * number)
-        clear = min(inside, 1.0 - inside) * width_px >= CLEAR_PX
-        light[x] = np.int32(odd) if clear else np.int32(-1)
+    """Write one pixel's means of its sums; NaN where there is nothing to add up."""
+    if weights > _ZERO:
+        # A weighted mean has the noise of (Σ w)² / Σ w² images.
+        means.lit[line, x], means.lit_count[line, x] = bright / weights, weights * weights / squares
+    if dims > _ZERO:
+        means.dark[line, x] = dim / dims
+    means.dark_count[line, x] = dims
 
 
 def known_mean(values: Map, window_px: int) -> Map:
-    """Return the mean (h, w) of what is known within ``window_px`` around each pixel of ``values``; NaN where nothing is."""
+    """Return the mean (h, w) of what is known within ``window_px`` around each pixel of ``values``; NaN where nothing
+    is."""
     known = np.isfinite(values)
     share = cv2.boxFilter(known.astype(np.float32), -1, (window_px, window_px))
     total = cv2.boxFilter(np.where(known, values, _ZERO), -1, (window_px, window_px))
@@ -286,7 +258,8 @@ def wide_mean(values: Map, window_px: int) -> Map:
 
 
 def denoised(grey: Map, variance: Map, window_px: int) -> tuple[Map, Map]:
-    """Return ``grey`` (h, w) without noise of ``variance`` where it varies no more than that, and the variance that is left.
+    """Return ``grey`` (h, w) without noise of ``variance`` where it varies no more than that, and the variance that is
+    left.
 
     ``variance`` is known where ``grey`` is. The local-statistics filter: J.-S. Lee, IEEE PAMI 2 (1980) 165.
     """

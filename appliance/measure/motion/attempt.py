@@ -1,4 +1,5 @@
-"""Owns the decision on compensation: a scan's motion is estimated, and undone where that makes the scan clearly better, and useful."""
+"""Owns the decision on compensation: a scan's motion is estimated, and undone where that makes the scan clearly better,
+and useful."""
 
 from __future__ import annotations
 
@@ -21,17 +22,19 @@ LEAST_KEPT = 0.8
 MOST_ERROR = 1.2
 """Root mean square error over that of a scan at rest, beyond which a scan is better repeated."""
 DOUBT, DOUBT_ALONG = 1.2, 1.7
-"""Factors by which the error may exceed what is expected of it; the second one where phases advanced by less than ``FEW_STEPS_DEG``. The largest of
-25 scans in development, where the expected error was 0.8 or more, were 1.19 and 1.7."""
+"""Factors by which the error may exceed what is expected of it; the second one where phases advanced by less than
+``FEW_STEPS_DEG``. The largest of 25 scans in development, where the expected error was 0.8 or more, were 1.19 and 1.7.
+"""
 FEW_STEPS_DEG = 45.0
-"""Advance of a point's phase from sine to sine below which its paint tells the phase, more than its steps do: where the paint was, follows from a motion
-whose errors points share, and their sigmas do not know."""
+"""Advance of a point's phase from sine to sine below which its paint tells the phase, more than its steps do: where the
+paint was, follows from a motion whose errors points share, and their sigmas do not know."""
 NEARLY_EQUAL = 1.05
-"""Factor by which a compensated scan may err more than the plain one: where only borders of albedo suffer, ripple says nothing of them."""
+"""Factor by which a compensated scan may err more than the plain one: where only borders of albedo suffer, ripple says
+nothing of them."""
 
 LEAST_STEP_DEG = 15.0
-"""Least advance of a point's phase from sine to sine: below, no method tells its phase, and of a faster hand, points are taken for
-those a fringe beside."""
+"""Least advance of a point's phase from sine to sine: below, no method tells its phase, and of a faster hand, points
+are taken for those a fringe beside."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,18 +44,20 @@ class Attempt:
     motion: MotionEstimate | None
     """``None``: too little was seen to estimate one."""
     found: Found | None
-    """The compensated cloud, in the pipeline's table; ``None``: the plain one is to be found anew, the table's points mean nothing."""
+    """The compensated cloud, in the pipeline's table; ``None``: the plain one is to be found anew, the table's points
+    mean nothing."""
     why: str
     """One sentence for the manifest."""
     error_after: float | None = None
-    """Expected error of the compensated points, root mean square of their own sigmas, against a scan at rest; ``None``: none were made."""
+    """Expected error of the compensated points, root mean square of their own sigmas, against a scan at rest; ``None``:
+    none were made."""
 
 
 def attempt(pipeline: Pipeline, plain: Found, images: ScanImages, calibration: Calibration, water: Water) -> Attempt:
     """Compensate a scan if that makes it better, after ``pipeline.find_full`` gave ``plain``.
 
-    ``calibration`` and ``water`` are those of the pipeline. Its table then holds the compensated cloud where there is one to be shown;
-    where there is none, whoever asked finds the plain one anew, straightened as it is shown.
+    ``calibration`` and ``water`` are those of the pipeline. Its table then holds the compensated cloud where there is
+    one to be shown; where there is none, whoever asked finds the plain one anew, straightened as it is shown.
     """
     sample = pipeline.sample(pipeline.coarse_stride)
     try:
@@ -87,8 +92,8 @@ def attempt(pipeline: Pipeline, plain: Found, images: ScanImages, calibration: C
 
 
 def is_better(error_before: float, error_after: float, doubt: float = DOUBT) -> bool:
-    """Return whether points that are expected to have ``error_after``, or up to ``doubt`` times of that, are to be shown in place of those with
-    ``error_before``.
+    """Return whether points that are expected to have ``error_after``, or up to ``doubt`` times of that, are to be
+    shown in place of those with ``error_before``.
 
     Both are in units of the error of a scan at rest. Such a scan is graded by its own noise.
     """
@@ -96,7 +101,8 @@ def is_better(error_before: float, error_after: float, doubt: float = DOUBT) -> 
 
 
 def _sigmas_mm(pipeline: Pipeline, found: Found) -> NDArray[np.float32]:
-    """Return a copy of the expected errors of the cloud in the pipeline's table, by left pixel (h, w); 0 where there is no point."""
+    """Return a copy of the expected errors of the cloud in the pipeline's table, by left pixel (h, w); 0 where there is
+    no point."""
     points, shape = pipeline.table.points, pipeline.decoded("left").p_px.shape
     sigma_mm = np.zeros(shape, np.float32)
     for first, stop in found.pieces:
@@ -105,13 +111,13 @@ def _sigmas_mm(pipeline: Pipeline, found: Found) -> NDArray[np.float32]:
 
 
 def _over(after_mm: NDArray[np.float32], at_rest_mm: NDArray[np.float32]) -> float:
-    """Return the root mean square of ``after_mm`` (h, w) over that of ``at_rest_mm``, at the pixels that have a point in both, as have their
-    four neighbours; infinite without any.
+    """Return the root mean square of ``after_mm`` (h, w) over that of ``at_rest_mm``, at the pixels that have a point
+    in both, as have their four neighbours; infinite without any.
 
-    The plain cloud states the noise of a scan at rest, for its sigmas know nothing of motion. The median point of printed squares lies inside
-    of one; those at borders, which reading between pixels spoils, make the error. What lies beside a missing pixel expects the error of
-    an object's edge. Compensation leaves out many single pixels, where Gray images contradict each other, beside which there is no edge: it would
-    be thought six times as noisy there as it is.
+    The plain cloud states the noise of a scan at rest, for its sigmas know nothing of motion. The median point of
+    printed squares lies inside of one; those at borders, which reading between pixels spoils, make the error. What lies
+    beside a missing pixel expects the error of an object's edge. Compensation leaves out many single pixels, where Gray
+    images contradict each other, beside which there is no edge: it would be thought six times as noisy there as it is.
     """
     there = (after_mm > 0.0) & (at_rest_mm > 0.0)
     both = np.zeros_like(there)

@@ -1,16 +1,14 @@
-"""Owns where the scene's points go in a picture when the scene moves: exactly at nodes, and linearised at single points.
+"""Owns where the scene's points go in a picture when the scene moves: exactly at nodes, and linearised at single
+points.
 
-A **displacement field** says, for every pixel of one camera and every frame, how far from the pixel the point lies that the
-pixel shows at the reference time, and by how much of a period its phase changed. Both follow exactly from the motion at nodes a
-twentieth of the image apart, at three depths; between nodes the field is bilinear, and in depth a parabola in
+A **displacement field** says, for every pixel of one camera and every frame, how far from the pixel the point lies that
+the pixel shows at the reference time, and by how much of a period its phase changed. Both follow exactly from the
+motion at nodes a twentieth of the image apart, at three depths; between nodes the field is bilinear, and in depth a
+parabola in
 
     t = linear in 1/z, −1 at ``NEAR_MM`` and 1 at ``FAR_MM`` of the standard housing.
 
 The depth of a pixel follows from its pattern column p by the same nodes: p is a parabola in t, too.
-
-Grey values between pixels are read with the cubic B-spline, which does not pass through them: it sees a spot of 0.6 px (σ)
-wherever it is read. Sharper kernels see a border of albedo differently by where between pixels it lies, and of four sine images
-in which it lies differently they make a wrong phase.
 """
 
 from __future__ import annotations
@@ -39,8 +37,6 @@ OF_V, OF_PHASE = 3, 6
 """Places of the second and third parabola of a frame."""
 _STEP_MM = 0.5
 """Half the way over which a derivative is taken."""
-_NAN, _HALF, _ONE = np.float32(np.nan), np.float32(0.5), np.float32(1.0)
-_SIXTH, _TWO_THIRDS = np.float32(1.0 / 6.0), np.float32(2.0 / 3.0)
 
 
 class DisplacementField(NamedTuple):
@@ -129,18 +125,6 @@ def without_corrections(camera: HousedCamera) -> HousedCamera:
     return replace(camera, correction=None, ray_shift=None)
 
 
-# Legend of the kernels:
-#   c            coefficients of all parabolas at one pixel; c[k], c[k + 1], c[k + 2] are those of t⁰, t¹, t²
-#   u, v         place in the picture, px; i, j the pixel up to the left of it; s, r the rest in 0 … 1
-#   a0 … a3      weights of the four columns i − 1 … i + 2; b0 … b3 those of the rows
-
-
-@numba.njit(nogil=True, cache=True, error_model="numpy")
-def parabola_at(c: NDArray[np.float32], k: int, t: np.float32) -> np.float32:
-    """Return the value at ``t`` of the parabola whose coefficients begin at place ``k``."""
-    return np.float32(c[k] + t * (c[k + 1] + t * c[k + 2]))
-
-
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def interpolate_row(nodes: NDArray[np.float32], step: int, row: int, at_row: NDArray[np.float32]) -> None:
     """Write the nodes of a row of pixels, between those above and below it, into ``at_row`` (columns, coefficients)."""
@@ -149,56 +133,3 @@ def interpolate_row(nodes: NDArray[np.float32], step: int, row: int, at_row: NDA
     for i in range(nodes.shape[1]):
         for k in range(nodes.shape[2]):
             at_row[i, k] = nodes[j, i, k] + share * (nodes[j + 1, i, k] - nodes[j, i, k])
-
-
-@numba.njit(nogil=True, cache=True, error_model="numpy")
-def interpolate_pixel(at_row: NDArray[np.float32], step: int, x: int, first: int, c: NDArray[np.float32]) -> None:
-    """Write the coefficients from place ``first`` on of the pixel in column ``x``, between its row's nodes, into all of ``c``."""
-    i = x // step
-    share = np.float32((x - i * step) / step)
-    for k in range(c.size):
-        c[k] = at_row[i, first + k] + share * (at_row[i + 1, first + k] - at_row[i, first + k])
-
-
-@numba.njit(nogil=True, cache=True, error_model="numpy")
-def spline_weights(s: np.float32) -> tuple[np.float32, np.float32, np.float32, np.float32]:
-    """Return the cubic B-spline's weights of the pixels at −1, 0, 1, 2 for a place ``s`` in 0 … 1."""
-    r = _ONE - s
-    a0, a3 = _SIXTH * r * r * r, _SIXTH * s * s * s
-    a1 = _TWO_THIRDS - s * s * (_ONE - _HALF * s)
-    return a0, a1, _ONE - a0 - a1 - a3, a3
-
-
-@numba.njit(nogil=True, cache=True, error_model="numpy")
-def read_spline(pixels: NDArray[np.uint8], start: int, width: int, u: np.float32, v: np.float32) -> np.float32:
-    """Return the grey value at (u, v), at least 1 px inside, of the picture that begins at ``start``; NaN where it is saturated.
-
-    ``pixels`` are all pictures of a sequence in one row, each ``width`` px wide.
-    """
-    i, j = int(u), int(v)
-    s, r = u - np.float32(i), v - np.float32(j)
-    a0, a1, a2, a3 = spline_weights(s)
-    b0, b1, b2, b3 = spline_weights(r)
-    value = np.float32(0.0)
-    # Unsigned, for of an index that may be negative numba asks each time whether it is.
-    at, stride = np.uint64(start + (j - 1) * width + i - 1), np.uint64(width)
-    for m in range(4):
-        b = b0 if m == 0 else (b1 if m == 1 else (b2 if m == 2 else b3))
-        value += b * (
-            a0 * np.float32(pixels[at])
-            + a1 * np.float32(pixels[at + np.uint64(1)])
-            + a2 * np.float32(pixels[at + np.uint64(2)])
-            + a3 * np.float32(pixels[at + np.uint64(3)])
-        )
-        at += stride
-    # Of the sixteen pixels the nearest one decides whether light was cut off.
-    nearest = np.uint64(start + (j + int(r > _HALF)) * width + i + int(s > _HALF))
-    return value if pixels[nearest] != np.uint8(255) else _NAN
-
-
-@numba.njit(nogil=True, cache=True, error_model="numpy")
-def spline_noise_share(u: np.float32, v: np.float32) -> np.float32:
-    """Return the variance of what ``read_spline`` reads at (u, v), as a share of one pixel's: Σ a² · Σ b² of the weights."""
-    a0, a1, a2, a3 = spline_weights(u - np.floor(u))
-    b0, b1, b2, b3 = spline_weights(v - np.floor(v))
-    return np.float32((a0 * a0 + a1 * a1 + a2 * a2 + a3 * a3) * (b0 * b0 + b1 * b1 + b2 * b2 + b3 * b3))

@@ -1,10 +1,11 @@
-"""Owns the answer to "how did the hand move": the most likely smooth motion, from what the frames say against every other.
+"""Owns the answer to "how did the hand move": the most likely smooth motion, from what the frames say against every
+other.
 
-Robust Gauss-Newton goes from coarse to fine (``STAGES``). It begins with the x-sines alone, in blurred pictures: they tell
-velocity and acceleration well enough that the extrapolation finds the other images up to 15 mm away, so that no optical flow is
-needed. Then the Gray images make one Gaussian of the motion of all frames (``stripes``), which is the prior of what follows:
-the y-sines and the texture, ever sharper. Pictures are never looked at finer than 3 px: there the second harmonic of the fringes,
-which four steps of 90° do not see, would speak.
+Robust Gauss-Newton goes from coarse to fine (``STAGES``). It begins with the x-sines alone, in blurred pictures: they
+tell velocity and acceleration well enough that the extrapolation finds the other images up to 15 mm away, so that no
+optical flow is needed. Then the Gray images make one Gaussian of the motion of all frames (``stripes``), which is the
+prior of what follows: the y-sines and the texture, ever sharper. Pictures are never looked at finer than 3 px: there
+the second harmonic of the fringes, which four steps of 90° do not see, would speak.
 """
 
 from __future__ import annotations
@@ -80,11 +81,14 @@ units of σ, both as root mean squares."""
 
 @dataclass(frozen=True, slots=True)
 class SearchStage:
-    """One stage of the search, from coarse to fine. Blurs are sigmas in px of pictures of ``WORKING_WIDTH_PX``, whose fringes are about
-    13 px long."""
+    """One stage of the search, from coarse to fine.
+
+    Blurs are sigmas in px of pictures of ``WORKING_WIDTH_PX``, whose fringes are about 13 px long.
+    """
 
     steps_blur_px: float
-    """Blur of the pictures in which phase steps are compared: less than the fringes, more than their second harmonic."""
+    """Blur of the pictures in which phase steps are compared: less than the fringes, more than their second harmonic.
+    """
     texture_blur_px: float
     """Blur of those in which textures are: as much as they may be apart."""
     kinds: tuple[int, ...]
@@ -114,7 +118,8 @@ class MotionEstimate:
     trajectory_mm: Array
     """(n, 6) mm: the displacements of all frames."""
     motion_mm: Array
-    """(8, 6) mm: those of the sine frames; shift of the middle of the volume, and turn as mm at ``LEVER_MM`` from it."""
+    """(8, 6) mm: those of the sine frames; shift of the middle of the volume, and turn as mm at ``LEVER_MM`` from it.
+    """
     covariance_mm2: Array
     """(48, 48): covariance of ``motion_mm``, row by row."""
     lateral_sd_mm: float
@@ -127,17 +132,20 @@ class MotionEstimate:
     """The time to which the cloud will belong: middle of the x-sines, from frame 0 on."""
     projector: FittedProjector
     ripple_before: float
-    """Ripple of the points that motion makes when nothing is done, in units of their noise: what of the x-sines' contradiction
-    this motion explains. From the frames alone."""
+    """Ripple of the points that motion makes when nothing is done, in units of their noise: what of the x-sines'
+    contradiction this motion explains. From the frames alone."""
     ripple_after: float
     """Ripple that remains with this motion: a light that is no pure sine makes one at rest, too."""
     texture_px: float
     """Median way of the picture from the first to the last x-sine, in px of the left camera."""
     step_deg: float
-    """Median advance of a point's phase from one x-sine to the next: 90 at rest, 0 where it moved along with the fringes."""
+    """Median advance of a point's phase from one x-sine to the next: 90 at rest, 0 where it moved along with the
+    fringes."""
     noise_factor: float
-    """Noise of phases against that of steps of 90° where points are followed all the way. Large where the hand moved along
-    with the fringes: a point then saw nearly the same phase in all steps."""
+    """Noise of phases against that of steps of 90° where points are followed all the way.
+
+    Large where the hand moved along with the fringes: a point then saw nearly the same phase in all steps.
+    """
     converged: bool
 
     @property
@@ -279,7 +287,8 @@ class _Solver:
         self._mean = np.zeros(PARAMETERS)
 
     def information(self) -> tuple[Array, Array]:
-        """Return the normal equations of the motion alone, by the residuals of the last step: matrix (48, 48), vector (48,)."""
+        """Return the normal equations of the motion alone, by the residuals of the last step: matrix (48, 48), vector
+        (48,)."""
         own = self._matrix - self._prior
         vector = own @ self._linearised_at - self._vector
         # Gains are eliminated (Schur complement), their prior included.
@@ -312,7 +321,8 @@ class _Solver:
         self._known = known
 
     def step(self, kinds: tuple[int, ...]) -> float:
-        """Take one step on residuals of these kinds; return its largest part among the x-sines, which make the depth, in mm."""
+        """Take one step on residuals of these kinds; return its largest part among the x-sines, which make the depth,
+        in mm."""
         residual_dn, _ = self._accumulate(self.values, kinds)
         for kind in range(3):
             known = residual_dn[np.isfinite(residual_dn[:, kind]), kind]
@@ -323,7 +333,8 @@ class _Solver:
         return float(np.abs(step[: MOTIONS // 2]).max())
 
     def contradiction(self, values: Array, noise_dn: float) -> float:
-        """Return the robust standard deviation of the x-sines' contradiction at ``values``, as a share of the modulation.
+        """Return the robust standard deviation of the x-sines' contradiction at ``values``, as a share of the
+        modulation.
 
         The noise of the pictures that are looked at, ``noise_dn``, is taken out.
         """
@@ -403,7 +414,8 @@ def _displaced_mm(samples: Samples, values: Array) -> Array:
 
 
 def noise_dn(images: ScanImages, side: str) -> float:
-    """Return the noise (σ) of one camera's grey values at the median light on the object; that of black where there is none."""
+    """Return the noise (σ) of one camera's grey values at the median light on the object; that of black where there is
+    none."""
     decoder, camera = images.decoded[side], of_side(images.noise, side)
     valid = decoder.gray_threshold[::4, ::4][decoder.mask[::4, ::4] == Mask.VALID]
     return math.sqrt(camera.variance_dn2(float(np.median(valid)) if valid.size else 0.0))

@@ -1,8 +1,8 @@
 """Owns what is known of the motion before and after it is measured: the prior of a hand, and the trajectory of a scan.
 
-A displacement is six numbers in mm: the shift (x, y, z) of the middle of the volume, and the turn about it, as the way of a
-point ``LEVER_MM`` from the middle, so that all six have one unit. Each of the six is a Gaussian process in time: a steady
-velocity, a steady acceleration, and the tremor of muscles, which lies between 4 and 12 Hz.
+A displacement is six numbers in mm: the shift (x, y, z) of the middle of the volume, and the turn about it, as the way
+of a point ``LEVER_MM`` from the middle, so that all six have one unit. Each of the six is a Gaussian process in time: a
+steady velocity, a steady acceleration, and the tremor of muscles, which lies between 4 and 12 Hz.
 """
 
 from __future__ import annotations
@@ -54,7 +54,8 @@ class Trajectory:
         return self.mean_mm[at], self.covariance_mm2[np.ix_(at, at)]
 
     def conditional_mm(self, frames: tuple[int, ...], motion_mm: Array) -> Array:
-        """Return the most likely displacements (n, 6) of all frames when those of the m ``frames`` are ``motion_mm`` (m, 6)."""
+        """Return the most likely displacements (n, 6) of all frames when those of the m ``frames`` are ``motion_mm``
+        (m, 6)."""
         at = parameters_of(frames)
         mean, covariance = self.marginal(frames)
         # Conditional mean of a Gaussian: μ + Σ_am Σ_mm⁻¹ (d − μ_m).
@@ -75,7 +76,8 @@ class Trajectory:
 
 
 def trajectory_prior_precision(times_s: Array, reference_s: float) -> Array:
-    """Return the precision (6 n, 6 n) in mm⁻² of displacements at ``times_s`` (n,) against ``reference_s``, by the prior alone."""
+    """Return the precision (6 n, 6 n) in mm⁻² of displacements at ``times_s`` (n,) against ``reference_s``, by the
+    prior alone."""
     n = len(times_s)
     precision = np.zeros((6 * n, 6 * n))
     for prior, components in ((TRANSLATION, (0, 1, 2)), (ROTATION, (3, 4, 5))):
@@ -87,7 +89,8 @@ def trajectory_prior_precision(times_s: Array, reference_s: float) -> Array:
 
 
 def displacement_covariance_mm2(prior: MotionPrior, times_s: Array, reference_s: float) -> Array:
-    """Return the covariance (n, n) of one component's displacements at ``times_s`` (n,) against its place at ``reference_s``."""
+    """Return the covariance (n, n) of one component's displacements at ``times_s`` (n,) against its place at
+    ``reference_s``."""
     t = np.append(np.asarray(times_s, np.float64) - reference_s, 0.0)
     apart = t[:, None] - t[None, :]
     # The tremor: a band around tremor_hz, as wide as it is short-lived.

@@ -1,8 +1,9 @@
 """Owns where the projector is: fitted to what one scan says of it, so that nobody has to calibrate it.
 
-The projector is modelled as a camera that sends. The fit starts from the drawing (in the middle between the cameras, towards
-the middle of the volume, behind the same port), whose tolerances are its prior, and the pattern coordinates of the scan's own
-points do the rest. On the surface the model is then as good as the points; off it, within the tolerances of the mounting.
+The projector is modelled as a camera that sends. The fit starts from the drawing (in the middle between the cameras,
+towards the middle of the volume, behind the same port), whose tolerances are its prior, and the pattern coordinates of
+the scan's own points do the rest. On the surface the model is then as good as the points; off it, within the tolerances
+of the mounting.
 """
 
 from __future__ import annotations
@@ -23,11 +24,13 @@ Array = NDArray[np.float64]
 MIN_POINTS = 200
 ITERATIONS = 6
 NOISE_PX = 0.1
-"""Least standard deviation of a coordinate, for the weight of points against the priors: noise, and what is smooth beyond the model."""
+"""Least standard deviation of a coordinate, for the weight of points against the priors: noise, and what is smooth
+beyond the model."""
 CAUCHY_SIGMAS = 3.0
 """Residuals beyond so many robust standard deviations count less."""
-# The unknowns: rotation vector (rad), place (mm), log focal length, principal point (px), k1 k2 p1 p2, port distance (mm),
-# port tilt. Standard deviations of their priors, by the drawing's tolerances, and steps of their difference quotients.
+# The unknowns: rotation vector (rad), place (mm), log focal length, principal point (px), k1 k2 p1 p2, port distance
+# (mm), port tilt. Standard deviations of their priors, by the drawing's tolerances, and steps of their difference
+# quotients.
 _PRIOR_SD = np.array([0.02, 0.02, 0.02, 1.5, 1.5, 1.5, 0.2, 15.0, 15.0, 0.1, 0.1, 1e-3, 1e-3, 3.0, 0.01, 0.01])
 _STEP = np.array([1e-5] * 3 + [1e-3] * 3 + [1e-5] + [1e-2] * 2 + [1e-4] * 4 + [1e-2] + [1e-5] * 2)
 

@@ -1,9 +1,9 @@
 """Owns the corrected maps: what both cameras would have decoded had nothing moved since the reference time.
 
-Every pixel of both cameras is followed through the x-sines and the Gray images (``displacement``) and solved for its true phase
-steps (``phase_solver``), with its albedo (``albedo``) where the steps alone do not suffice. Then what is an edge, or is not
-confirmed beside a hole, is dropped, and what the frames contradict is counted as noise: the maps carry the variance of each
-coordinate beside the modulation that the camera saw.
+Every pixel of both cameras is followed through the x-sines and the Gray images (``displacement``) and solved for its
+true phase steps (``phase_solver``), with its albedo (``albedo``) where the steps alone do not suffice. Then what is an
+edge, or is not confirmed beside a hole, is dropped, and what the frames contradict is counted as noise: the maps carry
+the variance of each coordinate beside the modulation that the camera saw.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from appliance.measure.decode.decoder import MIN_MODULATION_DN, edge_limits_px
 from appliance.measure.decode.edges import keep_smooth
 from appliance.measure.light.patterns import Direction
 from appliance.measure.light.sides import SIDES, of_side
+from appliance.measure.light.sine import PHASE_STEPS
 from appliance.measure.light.water import Water
 from appliance.measure.motion.albedo import known_mean, scaled_window, with_albedo
 from appliance.measure.motion.displacement import (
@@ -31,14 +32,15 @@ from appliance.measure.motion.displacement import (
     displacement_field,
 )
 from appliance.measure.motion.estimate import WORKING_WIDTH_PX, MotionEstimate, noise_dn
-from appliance.measure.motion.phase_solver import MAX_T, SINES, RedecodedMaps, Sources, Terms, depth_rows, solve_rows
+from appliance.measure.motion.phase_solver import MAX_T, RedecodedMaps, Sources, Terms, depth_rows, solve_rows
 from appliance.measure.points.images import ScanImages
 from appliance.measure.points.rows import LeftMaps
 
 Map = NDArray[np.float32]
 
 FILL_SHARE = 0.03
-"""Distance, as a share of the image's width, over which a depth is carried to pixels that motion left without coordinates."""
+"""Distance, as a share of the image's width, over which a depth is carried to pixels that motion left without
+coordinates."""
 PROBE_ROWS = 16
 """Every so many rows of pictures 800 px wide tell the fringes' second harmonic and the sines' mean light."""
 MAX_HARMONIC = 0.3
@@ -58,7 +60,8 @@ MOST_MISFIT = 100.0
 BY_CHANCE = 1.3
 """Mean misfits up to so many times the usual are noise, which neighbours share."""
 MISFIT_SHARE = 0.5
-"""Share of the misfit beyond noise that is in the phase: half of what wrong steps contradict, all of what a wrong albedo does."""
+"""Share of the misfit beyond noise that is in the phase: half of what wrong steps contradict, all of what a wrong
+albedo does."""
 BLOCKS_ACROSS = 100
 """Blocks across the image whose depths make the rough surface."""
 FEWEST = 3
@@ -80,7 +83,7 @@ def compensate(
     sequence = images.sequence
     x, y = sequence.axis(Direction.X), sequence.axis(Direction.Y)
     followed = (*x.sine, sequence.bright, *x.gray, *y.gray)
-    axes = (0,) * (SINES + 1 + len(x.gray)) + (1,) * len(y.gray)
+    axes = (0,) * (PHASE_STEPS + 1 + len(x.gray)) + (1,) * len(y.gray)
     moved_mm = motion.trajectory_mm[list(followed)]
     rig = calibration.rig
 
@@ -117,12 +120,12 @@ def _redecode(
     unused = np.zeros((0, 0), np.float32)
     rough_t = rough_depth(decoder.p_px, field)
     rough_t[~sees_fringes(frames[list(sequence.axis(Direction.X).sine)], field)] = np.nan
-    sources = Sources(frames, np.asarray(followed, np.int64), decoder.p_px, rough_t, unused, unused, unused)
+    gains = (1.0 / (1.0 + motion.gains)).astype(np.float32)
+    sources = Sources(frames, np.asarray(followed, np.int64), gains, decoder.p_px, rough_t, unused, unused, unused)
     terms = Terms(
         period_px=np.float32(sequence.period_px),
         width_px=np.float32(sequence.width_px),
         height_px=np.float32(sequence.height_px),
-        min_modulation_dn=np.float32(MIN_MODULATION_DN),
         noise_dn=np.float32(noise_dn(images, side)),
         dark_dn2=np.float32(noise.dark_variance_dn2),
         shot_dn=np.float32(noise.dn_per_e),
@@ -137,17 +140,16 @@ def _redecode(
     if phase_variance(field) > GOOD_VARIANCE:
         sources = with_albedo(sequence, sources, terms, field, lateral_sd_px, rough_rows)
     solved = empty_maps(height, width)
-    gains = (1.0 / (1.0 + motion.gains)).astype(np.float32)
     # First of the light, then, with that, of harmonics.
     for _ in range(2 if sources.albedo_dn.size else 1):
-        terms = _probed(sources, field, gains, terms, solved)
+        terms = _probed(sources, field, terms, solved)
     if sources.albedo_dn.size:
         # Where the albedo lies follows from the depth: once more, with that of the depth that the first one leads to.
-        solve_rows(sources, field, gains, terms, 0, height, rough_rows, solved, np.zeros((2, 2)))
+        solve_rows(sources, field, terms, 0, rough_rows, solved, np.zeros((2, 2)))
         nearer = sources._replace(rough_t=_nearest_rows(solved.p_px, sources.rough_t, field, rough_rows))
         sources = with_albedo(sequence, nearer, terms, field, lateral_sd_px)
-        terms = _probed(sources, field, gains, terms, solved)
-    solve_rows(sources, field, gains, terms, 0, height, 1, solved, np.zeros((2, 2)))
+        terms = _probed(sources, field, terms, solved)
+    solve_rows(sources, field, terms, 0, 1, solved, np.zeros((2, 2)))
     jump_px, bend_px = edge_limits_px(sequence.period_px, width, sequence.width_px)
     drop_edges(solved.p_px, solved.q_px, jump_px, bend_px)
     drop_new_borders(solved.p_px, solved.q_px, decoder.p_px)
@@ -179,7 +181,9 @@ def sees_fringes(sines: NDArray[np.uint8], field: DisplacementField) -> NDArray[
     ``MIN_MODULATION_DN`` within reach of a point's way, the solver would find too little modulation.
     """
     swing = cv2.subtract(np.asarray(sines.max(0)), np.asarray(sines.min(0)))
-    ways = np.abs(field.nodes[..., FIRST_FRAME : FIRST_FRAME + SINES * FRAME_COEFFICIENTS].reshape(-1, SINES, 3, 3))
+    ways = np.abs(
+        field.nodes[..., FIRST_FRAME : FIRST_FRAME + PHASE_STEPS * FRAME_COEFFICIENTS].reshape(-1, PHASE_STEPS, 3, 3)
+    )
     # Of the parabola's coefficients, for any depth between t = −1 and 1.
     reach = 2 * (BESIDE_PX + math.ceil(float(ways[:, :, :2].sum(-1).max()))) + 1
     lit = (swing >= MIN_MODULATION_DN).astype(np.uint8)
@@ -187,22 +191,23 @@ def sees_fringes(sines: NDArray[np.uint8], field: DisplacementField) -> NDArray[
 
 
 def _nearest_rows(p_px: Map, rough_t: Map, field: DisplacementField, every: int) -> Map:
-    """Return the depth t (h, w) by every ``every``-th row of columns ``p_px``; ``rough_t`` where they say nothing, or it is NaN."""
+    """Return the depth t (h, w) by every ``every``-th row of columns ``p_px``; ``rough_t`` where they say nothing, or
+    it is NaN."""
     height, width = p_px.shape
     depth = np.empty_like(rough_t)
-    depth_rows(np.repeat(p_px[::every], every, axis=0)[:height], field, round(FILL_SHARE * width), 0, height, depth)
+    depth_rows(np.repeat(p_px[::every], every, axis=0)[:height], field, round(FILL_SHARE * width), depth)
     return np.asarray(np.where((np.abs(depth) < MAX_T) & np.isfinite(rough_t), depth, rough_t), np.float32)
 
 
 def rough_depth(p_px: Map, field: DisplacementField) -> Map:
     """Return where the surface roughly is, t (h, w), everywhere in a picture, by decoded columns ``p_px`` (h, w).
 
-    Medians of blocks, where a block has none those of larger ones, and linear between. Zero, the middle of the volume, where no
-    column is known at all.
+    Medians of blocks, where a block has none those of larger ones, and linear between. Zero, the middle of the volume,
+    where no column is known at all.
     """
     height, width = p_px.shape
     depth = np.empty((height, width), np.float32)
-    depth_rows(p_px, field, 0, 0, height, depth)
+    depth_rows(p_px, field, 0, depth)
     step = max(2, width // BLOCKS_ACROSS)
     rows, columns = height // step, width // step
     # Up: blocks of blocks, until one is left. Down: each fills what the finer one does not know.
@@ -239,8 +244,8 @@ def phase_variance(field: DisplacementField) -> float:
     In the middle of the volume (t = 0), median over the image, mean over all phases.
     """
     first = FIRST_FRAME + OF_PHASE
-    moved = field.nodes[..., first : first + SINES * FRAME_COEFFICIENTS : FRAME_COEFFICIENTS].astype(np.float64)
-    steps = 2.0 * np.pi * (moved + 0.25 * np.arange(SINES))
+    moved = field.nodes[..., first : first + PHASE_STEPS * FRAME_COEFFICIENTS : FRAME_COEFFICIENTS].astype(np.float64)
+    steps = 2.0 * np.pi * (moved + 0.25 * np.arange(PHASE_STEPS))
     # Covariance (AᵀA)⁻¹ of y = a + c cos ψ − s sin ψ; the mean over phases is the trace of its part of c and s.
     A = np.stack([np.ones_like(steps), np.cos(steps), -np.sin(steps)], -1)
     inverse = np.linalg.inv(np.einsum("...ki,...kj->...ij", A, A) + 1e-9 * np.eye(3))
@@ -252,19 +257,17 @@ def settled_t(field: DisplacementField) -> float:
 
     No sine moves by more than ``EXACT_PX``, no step by more than ``EXACT_TURNS``.
     """
-    sines = np.abs(field.nodes[..., FIRST_FRAME : FIRST_FRAME + SINES * FRAME_COEFFICIENTS])
-    by_t = sines.reshape(-1, SINES, 3, 3)[..., 1].max((0, 1))
+    sines = np.abs(field.nodes[..., FIRST_FRAME : FIRST_FRAME + PHASE_STEPS * FRAME_COEFFICIENTS])
+    by_t = sines.reshape(-1, PHASE_STEPS, 3, 3)[..., 1].max((0, 1))
     return float(min(MAX_SETTLED_T, EXACT_PX / max(by_t[:2].max(), 1e-9), EXACT_TURNS / max(by_t[2], 1e-9)))
 
 
-def _probed(
-    sources: Sources, field: DisplacementField, gains: NDArray[np.float32], terms: Terms, solved: RedecodedMaps
-) -> Terms:
+def _probed(sources: Sources, field: DisplacementField, terms: Terms, solved: RedecodedMaps) -> Terms:
     """Return ``terms`` with what some rows tell of fringes and light."""
-    height, width = sources.p_px.shape
+    _, width = sources.p_px.shape
     every = PROBE_ROWS * max(1, width // WORKING_WIDTH_PX)
     sums = np.zeros((2, 2))
-    solve_rows(sources, field, gains, terms, every // 2, height, every, solved, sums)
+    solve_rows(sources, field, terms, every // 2, every, solved, sums)
     harmonic, mean = sums[:, 0] / np.maximum(sums[:, 1], 1e-9)
     return terms._replace(
         harmonic=np.float32(np.clip(harmonic, -MAX_HARMONIC, MAX_HARMONIC)),
@@ -275,8 +278,8 @@ def _probed(
 def drop_new_borders(p_px: Map, q_px: Map, plain_px: Map) -> None:
     """Drop (NaN) what the plain decoding ``plain_px`` does not confirm beside what has no coordinate; all (h, w).
 
-    A spot between pixels reaches over an edge by one pixel more than a pixel does: without this rule, holes are filled with bad
-    points.
+    A spot between pixels reaches over an edge by one pixel more than a pixel does: without this rule, holes are filled
+    with bad points.
     """
     beside = cv2.dilate(np.isnan(p_px).astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
     dropped = beside & np.isnan(plain_px)
@@ -287,8 +290,9 @@ def drop_new_borders(p_px: Map, q_px: Map, plain_px: Map) -> None:
 def misfit_factor(misfit: Map, ripple: float, width: int) -> Map:
     """Return by how many times (h, w) a coordinate's variance is that of noise, where the frames contradict each other.
 
-    It grows by ``MISFIT_SHARE`` of the misfit (h, w; NaN: no column) beyond the usual, averaged around each pixel. The median
-    misfit is the fringes' harmonics, which depth does not see; ``ripple``, in units of noise, is what the motion leaves of its own.
+    It grows by ``MISFIT_SHARE`` of the misfit (h, w; NaN: no column) beyond the usual, averaged around each pixel. The
+    median misfit is the fringes' harmonics, which depth does not see; ``ripple``, in units of noise, is what the motion
+    leaves of its own.
     """
     around = known_mean(np.minimum(misfit, np.float32(MOST_MISFIT)), scaled_window(MISFIT_PX, width))
     known = around[np.isfinite(around)]

@@ -1,11 +1,11 @@
 """Owns what the sine frames say against a motion: each sample's disagreements, and the normal equations of all of them.
 
-Per sample and camera there are three. The four x-sines, read where the motion takes the point and with the phase steps that
-it makes, leave one of four degrees of freedom: what contradicts every offset, modulation and phase. So do the four y-sines.
-And the offsets of the two are the same texture, but for a gain that is smooth over the picture.
+Per sample and camera there are three. The four x-sines, read where the motion takes the point and with the phase steps
+that it makes, leave one of four degrees of freedom: what contradicts every offset, modulation and phase. So do the four
+y-sines. And the offsets of the two are the same texture, but for a gain that is smooth over the picture.
 
-Parameters: for each of the 8 sine frames 3 mm of shift and 3 mm of turn (at the lever), a gain for each, and six coefficients
-of the smooth gain per camera.
+Parameters: for each of the 8 sine frames 3 mm of shift and 3 mm of turn (at the lever), a gain for each, and six
+coefficients of the smooth gain per camera.
 
 Legend of the kernels, per sample i and frame k (block 0: x-sines, 1: y-sines; m = 0 … 3 within a block)::
 
@@ -44,7 +44,8 @@ FRAME_UNKNOWNS = 7
 _ROW = FRAME_UNKNOWNS * FRAMES + SMOOTH_TERMS
 """Length of ``row``: the unknowns of all frames, then the smooth gain."""
 CAUCHY = 0.16
-"""A residual of r times the scale σ counts with the weight 1 / (σ² (1 + ``CAUCHY`` r²)), as if it were Cauchy distributed."""
+"""A residual of r times the scale σ counts with the weight 1 / (σ² (1 + ``CAUCHY`` r²)), as if it were Cauchy
+distributed."""
 
 
 class Samples(NamedTuple):
@@ -101,8 +102,8 @@ def invert_steps(cosine: Array, sine: Array, weights: Array) -> None:
 
     Writes into ``weights`` (4, 4) how a, c and s follow from y, and the unit vector that contradicts them all.
     """
-    # The contradiction n is orthogonal to (1, cos, −sin): n_k = ± the minor without row k, which is twice the area of the
-    # triangle that the three other steps make on the unit circle.
+    # The contradiction n is orthogonal to (1, cos, −sin): n_k = ± the minor without row k, which is twice the area of
+    # the triangle that the three other steps make on the unit circle.
     size = 0.0
     for k in range(4):
         i, j, l = (1, 2, 3) if k == 0 else ((0, 2, 3) if k == 1 else ((0, 1, 3) if k == 2 else (0, 1, 2)))
@@ -169,12 +170,14 @@ def accumulate(
     modulation_dn: Array,
     variance: Array,
 ) -> None:
-    """Add one camera's samples to the normal equations ``matrix`` (P, P), ``vector`` (P,) at the parameters ``values`` (P,).
+    """Add one camera's samples to the normal equations ``matrix`` (P, P), ``vector`` (P,) at the parameters ``values``
+    (P,).
 
     ``pictures`` (8, h, w) float32; ``side`` is the camera's number; ``kinds``: bit k lets residuals of kind k count.
-    ``scale_dn`` (3,) are the kinds' robust scales. Per sample, ``residual_dn`` (n, 3) gets the residuals, NaN where a point
-    leaves the picture; ``modulation_dn`` (n, 2) the modulations, and ``variance`` (n, 2) that of the phases over that by steps
-    of 90°. Where only x-sines count, the other frames are not read, and what belongs to them stays as it was.
+    ``scale_dn`` (3,) are the kinds' robust scales. Per sample, ``residual_dn`` (n, 3) gets the residuals, NaN where a
+    point leaves the picture; ``modulation_dn`` (n, 2) the modulations, and ``variance`` (n, 2) that of the phases over
+    that by steps of 90°. Where only x-sines count, the other frames are not read, and what belongs to them stays as it
+    was.
     """
     uv, J, e, G, eg, lever, basis = samples
     height, width = pictures.shape[1], pictures.shape[2]
@@ -236,8 +239,8 @@ def accumulate(
         mean, doubt = 0.0, 0.0
         if blocks == 2:
             residual_dn[i, Y_STEPS] = along[1]
-            # Texture: a_y − (1 + smooth gain) a_x, over its noise (1 by steps of 90°). Moving sideways, a point may see nearly equal phases in
-            # all steps: its offset is then hardly known.
+            # Texture: a_y − (1 + smooth gain) a_x, over its noise (1 by steps of 90°). Moving sideways, a point may see
+            # nearly equal phases in all steps: its offset is then hardly known.
             for t in range(SMOOTH_TERMS):
                 mean += basis[i, t] * values[SMOOTH_GAIN + SMOOTH_TERMS * side + t]
             for m in range(4):
@@ -277,7 +280,8 @@ def accumulate(
                 sums[a] += wa * r
                 for b in range(first, a + 1):
                     products[a, b] += wa * row[b]
-    # From the order of ``row`` to that of the parameters, where the two cameras share the motion but not the smooth gain.
+    # From the order of ``row`` to that of the parameters, where the two cameras share the motion but not the smooth
+    # gain.
     for a in range(_ROW):
         vector[_parameter(a, side)] += sums[a]
         for b in range(a + 1):

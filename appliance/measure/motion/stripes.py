@@ -1,9 +1,10 @@
 """Owns what the Gray images say of the motion: under full light, an element is as bright in one as in another.
 
-Sine frames whose steps have shrunk can tell albedo from phase no longer, and those of the two directions lie far apart in time.
-The Gray images lie between and around them. In which of them an element is illuminated, away from stripes' borders, follows
-from where it is; its mean over those is its albedo, and what each differs from it says where the element truly was. Together
-with the prior of a hand they make one Gaussian of the motion of all frames: the ``Trajectory``.
+Sine frames whose steps have shrunk can tell albedo from phase no longer, and those of the two directions lie far apart
+in time. The Gray images lie between and around them. In which of them an element is illuminated, away from stripes'
+borders, follows from where it is; its mean over those is its albedo, and what each differs from it says where the
+element truly was. Together with the prior of a hand they make one Gaussian of the motion of all frames: the
+``Trajectory``.
 
 Legend of the kernel, per sample i and image k (the symbols of ``residuals`` apply)::
 
@@ -81,9 +82,8 @@ def illuminated_at(shown_px: float, width_px: float, clear_px: float) -> int:
     turns = shown_px / width_px + 0.5
     number = np.floor(turns)
     inside = turns - number
-    if min(inside, 1.0 - inside) * width_px < clear_px:
-        return -1
-    return int(number) & 1
+    lit = int(number - 2.0 * np.floor(0.5 * number))
+    return lit if min(inside, 1.0 - inside) * width_px >= clear_px else -1
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -91,11 +91,12 @@ def accumulate_gray(
     samples: Samples, pattern_px: Array, pictures: NDArray[np.float32], stripes: Stripes, period_px: float,
     clear_px: float, motion_mm: Array, gains: Array, scale: float, matrix: Array, vector: Array, residual: Array,
 ) -> None:  # fmt: skip
-    """Add one camera's samples to the normal equations ``matrix`` (7 n, 7 n), ``vector`` (7 n,) of n images' displacements
-    ``motion_mm`` (n, 6) and ``gains`` (n,).
+    """Add one camera's samples to the normal equations ``matrix`` (7 n, 7 n), ``vector`` (7 n,) of n images'
+    displacements ``motion_mm`` (n, 6) and ``gains`` (n,).
 
-    ``pattern_px`` (m, 2) is where the projector lights the samples, ``pictures`` (n, h, w) are the blurred images, ``scale`` is
-    the robust scale of r; ``residual`` (m,) gets the root mean square of r per sample, NaN where nothing was compared.
+    ``pattern_px`` (m, 2) is where the projector lights the samples, ``pictures`` (n, h, w) are the blurred images,
+    ``scale`` is the robust scale of r; ``residual`` (m,) gets the root mean square of r per sample, NaN where nothing
+    was compared.
     """
     uv, J, e, G, eg, lever, _basis = samples
     height, width = pictures.shape[1], pictures.shape[2]
@@ -186,7 +187,8 @@ def trajectory_from_stripes(
     """Return the trajectory that the Gray images and the precision ``prior`` (6 n, 6 n) together make likely.
 
     ``images`` are the sequence of each side (n, h, w); the px of ``samples`` are those of images shrunk to 800 px, and
-    ``pattern_px`` (m, 2) is where the projector lights them. ``sines`` only shows where to begin: it is no part of the result.
+    ``pattern_px`` (m, 2) is where the projector lights them. ``sines`` only shows where to begin: it is no part of the
+    result.
     """
     stripes, pattern = stripes_of(sequence), np.ascontiguousarray(pattern_px[::EVERY])
     names = tuple(int(k) for k in stripes.frames)
@@ -244,7 +246,8 @@ def _without_gains(
 ) -> tuple[Array, Array, Callable[[Array], Array]]:
     """Eliminate the gains from normal equations (Schur complement).
 
-    Returns the information on the motion alone, matrix (6 n, 6 n) and vector (6 n,), and the gains that belong to a motion.
+    Returns the information on the motion alone, matrix (6 n, 6 n) and vector (6 n,), and the gains that belong to a
+    motion.
     """
     at = np.arange(FRAME_UNKNOWNS * n).reshape(n, FRAME_UNKNOWNS)
     m, g = at[:, :6].ravel(), at[:, 6]

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from appliance.measure.light.patterns import Direction, build_sequence
+from appliance.measure.light.sine import PHASE_STEPS
 from appliance.measure.motion.albedo import denoised
 from appliance.measure.motion.attempt import is_better
 from appliance.measure.motion.displacement import FIRST_FRAME, FRAME_COEFFICIENTS, OF_PHASE, DisplacementField
-from appliance.measure.motion.phase_solver import SINES, weigh_offset
 from appliance.measure.motion.redecode import GOOD_VARIANCE, drop_new_borders, misfit_factor, phase_variance
 from appliance.measure.motion.stripes import illuminated_at, stripes_of
 
@@ -41,8 +41,8 @@ def test_even_albedo_loses_its_noise_and_borders_stay() -> None:
 
 def field_with(turns_per_frame: float) -> DisplacementField:
     """Return the field of points that move by so much of a period in every sine frame."""
-    nodes = np.zeros((3, 3, FIRST_FRAME + FRAME_COEFFICIENTS * SINES), np.float32)
-    for k in range(SINES):
+    nodes = np.zeros((3, 3, FIRST_FRAME + FRAME_COEFFICIENTS * PHASE_STEPS), np.float32)
+    for k in range(PHASE_STEPS):
         nodes[..., FIRST_FRAME + FRAME_COEFFICIENTS * k + OF_PHASE] = turns_per_frame * k
     return DisplacementField(nodes, 20)
 
@@ -52,19 +52,6 @@ def test_albedo_is_asked_where_steps_shrink_or_grow() -> None:
     assert phase_variance(field_with(-0.02)) < GOOD_VARIANCE
     assert phase_variance(field_with(-60.0 / 360.0)) > 15.0, "steps of 30° make four times the noise"
     assert phase_variance(field_with(85.0 / 360.0)) > GOOD_VARIANCE, "steps of 175° are hardly more than two values"
-
-
-@pytest.mark.parametrize("steps_deg", [10.0, 30.0, 90.0, 150.0])
-@pytest.mark.parametrize("weight", [0.1, 30.0])
-def test_a_known_offset_is_one_more_value_of_the_least_squares(steps_deg: float, weight: float) -> None:
-    psi = np.radians(steps_deg) * np.arange(4.0)
-    y, offset = np.array([101.0, 87.0, 60.0, 72.0]), 80.0
-    A = np.stack([np.ones(4), np.cos(psi), -np.sin(psi)], -1)
-    row = np.sqrt(weight)
-    expected, *_ = np.linalg.lstsq(np.vstack([A, [row, 0.0, 0.0]]), np.append(y, row * offset))
-    weights = np.zeros((4, 4))
-    by_offset = np.array(weigh_offset(np.cos(psi), np.sin(psi), weight, weights))
-    assert weights[:3] @ y + by_offset * offset == pytest.approx(expected, rel=1e-6)
 
 
 def test_a_variance_grows_by_half_of_what_the_frames_contradict_beyond_noise() -> None:
