@@ -9,7 +9,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar
 
-from appliance.cli.arguments import Verb, operand, operands, option, switch
+from appliance.cli.arguments import Verb, operand, operands, path_option, switch
 from appliance.cli.desk import new_folder
 from appliance.cli.output import Exit, Progress, UsageError
 from appliance.store import (
@@ -40,7 +40,7 @@ class PackArchive(Verb):
     kernels: ClassVar[bool] = False
 
     source: Path = operand("SOURCE", "storage root with the scans", parse=Path)
-    out: Path | None = option("--out", "the archive, made where it is not there", parse=Path, metavar="ARCHIVE")
+    out: Path | None = path_option("--out", "the archive, made where it is not there", metavar="ARCHIVE")
     all: bool = switch("--all", "also the rejected ones")
     remove: bool = switch("--remove", "remove each scan from SOURCE once its packed copy was compared with it")
 
@@ -78,7 +78,7 @@ class UnpackArchive(Verb):
 
     archive: Path = operand("ARCHIVE", "storage root with packed scans", parse=Path)
     scans: Sequence[str] = operands("SCAN", "numbers (default: all)", at_least_one=False)
-    out: Path | None = option("--out", "storage root, made where it is not there", parse=Path, metavar="ROOT")
+    out: Path | None = path_option("--out", "storage root, made where it is not there", metavar="ROOT")
 
     def run(self) -> Exit:
         """Raises UsageError, UnknownScan, StorageError, MissingLibraryError."""

@@ -12,6 +12,7 @@ import difflib
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
 from appliance.cli.output import Exit, say, say_json, say_report
@@ -90,6 +91,11 @@ def option(
     settings = {"help": text, "type": parse, "metavar": metavar, "choices": choices}
     given = {name: value for name, value in settings.items() if value is not None}
     return field(default=default, metadata={_KEY: _Typed(flag, given, either)})
+
+
+def path_option(flag: str, text: str, *, metavar: str = "FILE", either: str | None = None) -> Any:
+    """Return a field whose value is the path that is typed after ``flag``; ``None`` where it was not typed."""
+    return option(flag, text, parse=Path, metavar=metavar, either=either)
 
 
 def repeated(flag: str, text: str, *, metavar: str) -> Any:

@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from appliance.cli.arguments import number, operand, option, switch, whole
+from appliance.cli.arguments import number, operand, option, path_option, switch, whole
 from appliance.cli.desk import existing, writable, writing
 from appliance.cli.output import Exit, Progress, UsageError, complain, table
 from appliance.cli.places import WithRoot
@@ -38,9 +38,7 @@ class CalibrateAir(WithRoot):
         metavar="15x12x18x13.5",
     )
     """Design of the board; ``None``: that of the folder, else the usual one."""
-    out: Path | None = option(
-        "--out", "default: air.json or pair.json in FOLDER; pictures and more go beside it", parse=Path, metavar="FILE"
-    )
+    out: Path | None = path_option("--out", "default: air.json or pair.json in FOLDER; pictures and more go beside it")
     install: bool = switch("--install", "make it the start of this instrument's calibrations")
     live: int | None = option(
         "--live", "record up to N views first, with this instrument, into FOLDER", parse=whole(6, 200), metavar="N"

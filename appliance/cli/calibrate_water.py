@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from appliance.calibrate import BEFORE_OPERATOR, Method
-from appliance.cli.arguments import operand, option, switch
+from appliance.cli.arguments import operand, option, path_option, switch
 from appliance.cli.desk import opened_scans, place_of, writable, write_files
 from appliance.cli.output import Exit, UsageError
 from appliance.cli.places import WithRoot
@@ -31,12 +31,8 @@ class CalibrateWater(WithRoot):
         default=Method.SPLINE.value,
         choices=[m.value for m in Method],
     )
-    calibration: Path | None = option(
-        "--calibration", "the one to begin with (default: the instrument's in air)", parse=Path, metavar="FILE"
-    )
-    out: Path | None = option(
-        "--out", "the calibration; beside it FILE-report.html and .json", parse=Path, metavar="FILE"
-    )
+    calibration: Path | None = path_option("--calibration", "the one to begin with (default: the instrument's in air)")
+    out: Path | None = path_option("--out", "the calibration; beside it FILE-report.html and .json")
     install: bool = switch("--install", "use it from now on; the one of before is kept")
 
     def run(self) -> Exit:

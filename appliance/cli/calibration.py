@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from appliance.cli.arguments import number_above, operand, option
+from appliance.cli.arguments import number_above, operand, path_option
 from appliance.cli.desk import writable, write_files
 from appliance.cli.output import Exit, UsageError, say_report, table
 from appliance.cli.places import WithRoot
@@ -34,7 +34,7 @@ class ShowCalibration(WithRoot):
     file: str | None = operand(
         "FILE", f"a calibration's file, or {NOMINAL}: that of the design (default: the one in use)", optional=True
     )
-    out: Path | None = option("--out", "write it to a file, which is never replaced", parse=Path, metavar="FILE")
+    out: Path | None = path_option("--out", "write it to a file, which is never replaced")
 
     def run(self) -> Exit:
         rig = self.rooted_rig()

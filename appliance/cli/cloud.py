@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from appliance.cli.arguments import number, operands, option, repeated, switch
 from appliance.cli.desk import (
+    SPACING_MM,
+    WithObjects,
     checked_as,
     library_root,
-    measuring,
     object_named,
     scan_in,
     writable,
@@ -20,8 +21,7 @@ from appliance.cli.desk import (
     writing,
 )
 from appliance.cli.kernels import compile_kernels
-from appliance.cli.output import Exit, Progress, UsageError, complain
-from appliance.cli.places import WithCalibration
+from appliance.cli.output import Exit, Progress, UsageError
 
 if TYPE_CHECKING:
     from appliance.desk import PlacedGrid, StoredObject
@@ -32,13 +32,11 @@ NAME = "{}"
 INCOMPLETE = "incomplete:"
 """Prefix that tells the number of a recording that broke from that of a scan."""
 OWN, GRIDS, POSED, TRIANGLES, PAGE = ".ply", ".npz", ".e57", (".stl", ".obj"), ".html"
-SPACING_MM = 0.3
-"""Distance of an object's points: that of a scan's in the middle of the volume is 0.16."""
 log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MakeCloud(WithCalibration):
+class MakeCloud(WithObjects):
     """Make points or meshes of stored scans from their raw frames, or of a solved object one surface.
 
     What is made of a damaged scan says so in the file, on stderr and by the exit code; it is not to be measured in.
@@ -62,9 +60,6 @@ class MakeCloud(WithCalibration):
     normals: bool = switch(
         "--normals", "normals, and grey as colour, in .ply files of scans, instead of the instrument's own form"
     )
-    spacing: float | None = option(
-        "--spacing", "mm between an object's points (0.3)", parse=number(0.02, 20.0, "mm"), metavar="MM"
-    )
     single_scans: bool = switch(
         "--scans", "an object's single scans in .e57 files, each with its pose, instead of one surface of all"
     )
@@ -77,7 +72,6 @@ class MakeCloud(WithCalibration):
 
     def run(self) -> Exit:
         wish = self.wish()
-        measuring(wish.calibration)
         name = next((name for name in map(object_named, self.what) if name is not None), None)
         if name is None:
             return self._of_scans(wish)
@@ -89,9 +83,9 @@ class MakeCloud(WithCalibration):
 
     def _of_scans(self, wish: Wish) -> Exit:
         for given, flag in (
-            (self.spacing, "--spacing"), (self.single_scans or None, "--scans"), (self.close_holes, "--close-holes"),
+            (self.spacing != SPACING_MM, "--spacing"), (self.single_scans, "--scans"), (self.close_holes is not None, "--close-holes"),
         ):  # fmt: skip
-            if given is not None:
+            if given:
                 raise UsageError(f"{flag}: is for objects; give object:NAME")
         works = self._works(wish)
         reports: list[dict[str, Any]] = []
@@ -167,14 +161,7 @@ class MakeCloud(WithCalibration):
     def _of_object(self, wish: Wish, name: str) -> Exit:
         outs = [Path(out) for out in self.out or (f"{name}{OWN}",)]
         self._check_files(outs)
-        from appliance.desk import read_object
-
-        root = library_root(wish)
-        solved = read_object(root, name)
-        from appliance.desk import errors_of
-
-        errors_of(solved)  # says at once where it is not solved
-        warn_of_added(solved, as_json=self.json)
+        root, solved = self.solved(wish, name)
         compile_kernels()
         self._write(root, solved, wish, outs)
         self.tell({"object": solved.name, "files": [str(out) for out in outs]}, map(str, outs))
@@ -214,7 +201,6 @@ class MakeCloud(WithCalibration):
             write_surface,
         )
 
-        spacing_mm = self.spacing or SPACING_MM
         with Progress() as progress:
             surface = mesh = None
             for out in outs:
@@ -222,11 +208,11 @@ class MakeCloud(WithCalibration):
                     with writing(out):
                         write_placed(out, _grids(root, solved, wish, progress), about_object(solved))
                     continue
-                surface = surface_of(root, solved, wish, progress, spacing_mm) if surface is None else surface
+                surface = surface_of(root, solved, wish, progress, self.spacing) if surface is None else surface
                 progress(f"writing {out.name}")
                 if self._meshed(out) and mesh is None:
                     # It takes as long as everything before.
-                    mesh = mesh_of_surface(surface, max(VOXEL_MM, 2.0 * spacing_mm), self.close_holes or 0.0)
+                    mesh = mesh_of_surface(surface, max(VOXEL_MM, 2.0 * self.spacing), self.close_holes or 0.0)
                 with writing(out):
                     if mesh is not None and self._meshed(out):
                         write_mesh(out, mesh, about_object(solved))
@@ -283,16 +269,6 @@ def _rescued(folder: Path, out: Path, wish: Wish, progress: Progress) -> dict[st
     recording = load_incomplete(folder)
     source = open_source(folder, wish, recording.scan)
     return rescue_recording(recording, source, calibration_for(source, wish), out, progress)
-
-
-def warn_of_added(solved: StoredObject, *, as_json: bool) -> None:
-    """Say which scans are in no file, since they were added after the others were placed."""
-    from appliance.desk import ADDED_SINCE
-
-    left_out = {} if solved.places is None else solved.places.left_out
-    since = ", ".join(name for name, why in left_out.items() if why == ADDED_SINCE)
-    if since:
-        complain(f"object '{solved.name}': without {since}, {ADDED_SINCE}", as_json=as_json)
 
 
 def _grids(root: Path, solved: StoredObject, wish: Wish, progress: Progress) -> Iterator[PlacedGrid]:

@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from appliance.cli.arguments import number, operand, option, repeated
-from appliance.cli.cloud import SPACING_MM
 from appliance.cli.desk import (
     PAGE_SUFFIX,
+    WithObjects,
     library_root,
-    measuring,
     object_named,
     opened_scans,
     scan_in,
@@ -21,7 +20,6 @@ from appliance.cli.desk import (
 )
 from appliance.cli.kernels import compile_kernels
 from appliance.cli.output import Exit, Progress
-from appliance.cli.places import WithCalibration
 
 if TYPE_CHECKING:
     from appliance.desk import About, FusedCloud, NominalSurface, StoredObject
@@ -45,7 +43,7 @@ def _six(text: str) -> tuple[float, ...]:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Compare(WithCalibration):
+class Compare(WithObjects):
     """Measure the distances of a scan's points, or of a solved object's surface, from a CAD model or another object."""
 
     what: str = operand("WHAT", "a scan, by its number or folder, or object:NAME")
@@ -71,24 +69,14 @@ class Compare(WithCalibration):
         parse=_six,
         metavar="X,Y,Z,RX,RY,RZ",
     )
-    spacing: float = option(
-        "--spacing",
-        "mm between the points that are compared (0.3)",
-        default=SPACING_MM,
-        parse=number(0.02, 20.0, "mm"),
-        metavar="MM",
-    )
 
     def run(self) -> Exit:
         wish = self.wish()
-        measuring(wish.calibration)
         root, name = library_root(wish), object_named(self.what)
         if name is None:
             scan_in(wish, self.what)
         self._check(root)
-        from appliance.desk import read_object
-
-        stored = None if name is None else read_object(root, name)
+        stored = None if name is None else self.solved(wish, name)[1]
         compile_kernels()
         from appliance.desk import compare, errors_of, figures_of, write_comparison
 

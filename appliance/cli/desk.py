@@ -7,19 +7,53 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from appliance.cli.output import Progress, UsageError
-from appliance.cli.places import root_of_rig, scan_folder
+from appliance.cli.arguments import number, option
+from appliance.cli.output import Progress, UsageError, complain
+from appliance.cli.places import WithCalibration, root_of_rig, scan_folder
 from appliance.store import Library, LocalFileSystem, StorageError, Wish, remedy_for, replace_file
 
 if TYPE_CHECKING:  # brings NumPy
+    from appliance.desk import StoredObject
     from appliance.store import SourceScan
 
 PAGE_SUFFIX = ".html"
+SPACING_MM = 0.3
+"""Distance of an object's points: that of a scan's in the middle of the volume is 0.16."""
 OBJECT = "object:"
 """Prefix that tells an object's name from a scan's number and a file."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WithObjects(WithCalibration):
+    """A verb of scans and of objects."""
+
+    spacing: float = option(
+        "--spacing",
+        "mm between points of an object, or of what is compared (0.3)",
+        default=SPACING_MM,
+        parse=number(0.02, 20.0, "mm"),
+        metavar="MM",
+    )
+
+    def solved(self, wish: Wish, name: str) -> tuple[Path, StoredObject]:
+        """Return the storage root and a solved object, and say which scans are in none of its files, since they were added later. Raises
+        ObjectError, before anything that computes is loaded where there is none."""
+        from appliance.desk import ADDED_SINCE, read_object
+
+        root = library_root(wish)
+        found = read_object(root, name)
+        from appliance.desk import errors_of
+
+        errors_of(found)  # says where it is not solved
+        left_out = {} if found.places is None else found.places.left_out
+        since = ", ".join(scan for scan, why in left_out.items() if why == ADDED_SINCE)
+        if since:
+            complain(f"object '{found.name}': without {since}, {ADDED_SINCE}", as_json=self.json)
+        return root, found
 
 
 def object_named(word: str) -> str | None:
@@ -65,20 +99,6 @@ def opened_scans(
             refuse_damaged_frames(folder)
             sources.append(open_source(folder, wish))
         yield sources, progress
-
-
-def measuring(calibration: Path | None) -> None:
-    """Raises UsageError for a ``--calibration`` in air: what the windows do is not in it. Raises CalibrationError."""
-    if calibration is None:
-        return
-    from appliance.measure import IN_AIR
-    from appliance.store import load_calibration
-
-    if load_calibration(calibration).method == IN_AIR:
-        raise UsageError(
-            f"--calibration {calibration}: is one in air, which only calibrating in water begins with; "
-            "give one made in water (`kingfisher calibration water`)"
-        )
 
 
 def existing(what: str, folder: Path, holds: str) -> None:

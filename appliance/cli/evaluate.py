@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from appliance.cli.arguments import operand, option
-from appliance.cli.desk import measuring, opened_scans, place_of, scan_in, writable, writable_page, write_files
+from appliance.cli.arguments import operand, path_option
+from appliance.cli.desk import opened_scans, place_of, scan_in, writable, writable_page, write_files
 from appliance.cli.output import Exit, UsageError, table
 from appliance.cli.places import WithCalibration
 
@@ -22,7 +22,7 @@ class Evaluate(WithCalibration):
     """Measure every artefact of the list; FAILED if one was not found, after the report was written all the same."""
 
     list: Path = operand("LIST", "which artefact each scan shows (TOML or JSON)", parse=Path)
-    out: Path | None = option("--out", "the page, and beside it FILE with .json", parse=Path, metavar="FILE")
+    out: Path | None = path_option("--out", "the page, and beside it FILE with .json")
 
     def run(self) -> Exit:
         wish = self.wish()
@@ -37,7 +37,6 @@ class Evaluate(WithCalibration):
             raise UsageError(f"--out {page}: {data} is the list itself; give another name")
         writable_page(page)
         writable(data)
-        measuring(wish.calibration)
         from appliance.store import read_list, refuse_repeats
 
         scans = read_list(self.list)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from appliance.cli.arguments import Verb, operand, option, switch
+from appliance.cli.arguments import Verb, operand, path_option, switch
 from appliance.cli.desk import writable, writable_as, writing
 from appliance.cli.kernels import compile_point_kernels
 from appliance.cli.output import Exit, Progress, UsageError
@@ -18,14 +18,11 @@ class Import(Verb):
     source: Path = operand(
         "FOLDER | DESCRIPTION", "the images of one pose with the cameras' files, or what they show (TOML)", parse=Path
     )
-    out: Path | None = option(
-        "--out",
-        "a cloud: .ply .e57 .las .npz (default: NAME.ply here); a folder: a scan like our own",
-        parse=Path,
-        metavar="FILE",
+    out: Path | None = path_option(
+        "--out", "a cloud: .ply .e57 .las .npz (default: NAME.ply here); a folder: a scan like our own"
     )
     as_described: bool = switch("--as-described", "import it also where the images contradict the description")
-    reasons: Path | None = option("--reasons", "draw why pixels have no point (PNG)", parse=Path, metavar="PICTURE")
+    reasons: Path | None = path_option("--reasons", "draw why pixels have no point (PNG)", metavar="PICTURE")
 
     def run(self) -> Exit:
         out = self.out or Path(f"{self.source.absolute().stem}.ply")

@@ -25,7 +25,7 @@ from appliance.base import (
     use_kernel_cache,
 )
 from appliance.cli import output
-from appliance.cli.arguments import Verb, option, switch
+from appliance.cli.arguments import Verb, path_option, switch
 from appliance.cli.output import Exit, Progress, UsageError
 
 log = logging.getLogger(__name__)
@@ -105,7 +105,7 @@ class CompileKernels(Verb):
 
     kernels: ClassVar[bool] = False
 
-    out: Path | None = option("--out", "default: within the installed environment", parse=Path, metavar="DIR")
+    out: Path | None = path_option("--out", "default: within the installed environment", metavar="DIR")
     common: bool = switch("--common", "for every x86-64-v3 processor instead of this one: for images")
 
     def run(self) -> Exit:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from appliance.cli.arguments import operand, operands, option, switch
+from appliance.cli.arguments import operand, operands, path_option, switch
 from appliance.cli.desk import opened_scans, writable, writing
 from appliance.cli.output import Exit, Progress, UsageError, table
 from appliance.cli.places import WithRoot
@@ -32,7 +32,7 @@ class MeasureInstrument(WithRoot):
         "SCAN", "its number or its folder; for exposures several of a surface that fills the image", at_least_one=True
     )
     install: bool = switch("--install", "used by this instrument from its next start on", either="file")
-    out: Path | None = option("--out", "write noise or response to a file", parse=Path, metavar="FILE", either="file")
+    out: Path | None = path_option("--out", "write noise or response to a file", either="file")
 
     def run(self) -> Exit:
         wish = self.wish()

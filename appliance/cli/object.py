@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from appliance.base import use_one_blas_thread
 from appliance.cli.arguments import operand, operands, option, switch, whole
-from appliance.cli.desk import library_root, measuring, scan_in
+from appliance.cli.desk import library_root, scan_in
 from appliance.cli.kernels import compile_kernels
 from appliance.cli.output import Exit, Progress, UsageError, complain
 from appliance.cli.places import WithCalibration, WithRoot
@@ -89,7 +89,6 @@ class SolveObject(WithCalibration):
     def run(self) -> Exit:
         use_one_blas_thread(os.environ)
         wish = self.wish()
-        measuring(wish.calibration)
         from appliance.desk import published_object, read_object, update_object
 
         root = library_root(wish)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from appliance.cli.arguments import Verb, option, switch
+from appliance.cli.arguments import Verb, path_option, switch
 from appliance.cli.output import UsageError
 from appliance.store import VARIABLE, standing_root, where_none_was_found
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:  # imported where they are needed: a verb that needs neither l
 class WithRig(Verb):
     """A verb of one instrument, which a rig file describes."""
 
-    rig: Path | None = option("--rig", "rig file (default: the packaged one)", parse=Path, metavar="PATH")
+    rig: Path | None = path_option("--rig", "rig file (default: the packaged one)", metavar="PATH")
 
     def read_rig(self) -> Rig:
         """Read the rig file that was given, else the packaged one. Raises ConfigError."""
@@ -32,11 +32,8 @@ class WithRig(Verb):
 class WithRoot(WithRig):
     """A verb of what lies under a storage root."""
 
-    root: Path | None = option(
-        "--root",
-        f"storage root (default: the one you stand in, {VARIABLE}, the rig file's)",
-        parse=Path,
-        metavar="PATH",
+    root: Path | None = path_option(
+        "--root", f"storage root (default: the one you stand in, {VARIABLE}, the rig file's)", metavar="PATH"
     )
 
     def named_root(self) -> Path | None:
@@ -79,14 +76,15 @@ class WithRoot(WithRig):
 class WithCalibration(WithRoot):
     """A verb that makes points: by default with each scan's own calibration."""
 
-    calibration: Path | None = option(
-        "--calibration", "default: the one the scan was taken with", parse=Path, metavar="FILE", either="calibration"
+    calibration: Path | None = path_option(
+        "--calibration", "default: the one the scan was taken with", either="calibration"
     )
     current: bool = switch("--current", "the one in use under the storage root", either="calibration")
     foreign_calibration: bool = switch("--foreign-calibration", "also if it is another instrument's")
 
     def wish(self) -> Wish:
-        """Return the wish of ``WithRoot`` with the choice of a calibration. Raises ConfigError, UsageError."""
+        """Return the wish of ``WithRoot`` with the choice of a calibration. Raises ConfigError, CalibrationError, UsageError."""
+        measuring(self.calibration)
         return replace(
             # By name: a dataclass with slots is made anew, so that `super()` without arguments would look in the class
             # of before.
@@ -94,6 +92,20 @@ class WithCalibration(WithRoot):
             calibration=self.calibration,
             current=self.current,
             foreign=self.foreign_calibration,
+        )
+
+
+def measuring(calibration: Path | None) -> None:
+    """Raises UsageError for a ``--calibration`` in air: what the windows do is not in it. Raises CalibrationError."""
+    if calibration is None:
+        return
+    from appliance.measure import IN_AIR
+    from appliance.store import load_calibration
+
+    if load_calibration(calibration).method == IN_AIR:
+        raise UsageError(
+            f"--calibration {calibration}: is one in air, which only calibrating in water begins with; "
+            "give one made in water (`kingfisher calibration water`)"
         )
 
 

@@ -13,7 +13,7 @@ from typing import ClassVar
 
 from appliance.base import require
 from appliance.cli.archive import target_folder
-from appliance.cli.arguments import Verb, number, operand, option, switch
+from appliance.cli.arguments import Verb, number, operand, option, path_option, switch
 from appliance.cli.output import Exit, Progress, UsageError, time_text
 from appliance.desk import (
     ANSWER_S,
@@ -47,15 +47,12 @@ class Pull(Verb):
     kernels: ClassVar[bool] = False
 
     host: str = operand("HOST", "[user@]address[:port] of the instrument, or a folder: its mounted disk, a copy")
-    out: Path | None = option(
-        "--out",
-        "storage root at the desk, made where it is not there; one for each instrument",
-        parse=Path,
-        metavar="DIR",
+    out: Path | None = path_option(
+        "--out", "storage root at the desk, made where it is not there; one for each instrument", metavar="DIR"
     )
-    identity: Path | None = option("--identity", "private key (default: those of ssh)", parse=Path, metavar="FILE")
-    known_hosts: Path | None = option(
-        "--known-hosts", "file of the host keys that are trusted (default: that of ssh)", parse=Path, metavar="FILE"
+    identity: Path | None = path_option("--identity", "private key (default: those of ssh)")
+    known_hosts: Path | None = path_option(
+        "--known-hosts", "file of the host keys that are trusted (default: that of ssh)"
     )
     timeout_s: float = option(
         "--timeout-s", f"longest silence of the link ({ANSWER_S:g})", default=ANSWER_S, parse=number(2, 3600)

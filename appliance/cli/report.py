@@ -5,18 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from appliance.cli.arguments import number, operands, option
-from appliance.cli.cloud import SPACING_MM, warn_of_added
-from appliance.cli.desk import library_root, measuring, object_named, writable_page, write_files, writing
+from appliance.cli.arguments import operands, path_option
+from appliance.cli.desk import WithObjects, object_named, writable_page, write_files, writing
 from appliance.cli.kernels import compile_kernels
 from appliance.cli.output import Exit, Progress, UsageError
-from appliance.cli.places import WithCalibration
 
 TABLE = ".csv"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MakeReport(WithCalibration):
+class MakeReport(WithObjects):
     """One page, which asks for nothing from outside: verdicts, figures and a picture of each scan of a dive, or what comes of the other."""
 
     what: tuple[str, ...] = operands(
@@ -24,16 +22,7 @@ class MakeReport(WithCalibration):
         "scans of a dive by their numbers (default: all that were kept), the table.csv of `kingfisher archive reprocess`, or object:NAME",
         at_least_one=False,
     )
-    out: Path | None = option(
-        "--out", "the page, .html (default: dive.html, season.html or NAME.html here)", parse=Path, metavar="FILE"
-    )
-    spacing: float = option(
-        "--spacing",
-        "mm between an object's points (0.3)",
-        default=SPACING_MM,
-        parse=number(0.02, 20.0, "mm"),
-        metavar="MM",
-    )
+    out: Path | None = path_option("--out", "the page, .html (default: dive.html, season.html or NAME.html here)")
 
     def run(self) -> Exit:
         """Raises UnknownScan, UsageError, ResultsError, ObjectError, StorageError."""
@@ -79,17 +68,10 @@ class MakeReport(WithCalibration):
 
     def _of_object(self, name: str, out: Path) -> Exit:
         wish = self.wish()
-        measuring(wish.calibration)
+        root, solved = self.solved(wish, name)
         from appliance.base import require
-        from appliance.desk import read_object
 
-        root = library_root(wish)
-        solved = read_object(root, name)
-        from appliance.desk import errors_of
-
-        errors_of(solved)  # says at once where it is not solved
         require("plotly", "plotly", "a page with a surface that can be turned")
-        warn_of_added(solved, as_json=self.json)
         compile_kernels()
         from appliance.desk import report_of, surface_of, write_report
 

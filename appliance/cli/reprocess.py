@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING
 
 from appliance.base import require
 from appliance.cli.archive import shelves_of, storage_root
-from appliance.cli.arguments import Verb, number, operand, option, switch, whole
-from appliance.cli.desk import measuring
+from appliance.cli.arguments import Verb, number, operand, option, path_option, switch, whole
 from appliance.cli.kernels import compile_kernels
 from appliance.cli.output import Exit, Progress, UsageError, time_text
+from appliance.cli.places import measuring
 from appliance.store import hold_lock, scan_folders
 
 if TYPE_CHECKING:  # brings NumPy
@@ -36,8 +36,8 @@ class Reprocess(Verb):
     list: Path | None = operand(
         "LIST", "which artefacts are shown, as for `kingfisher evaluate`", parse=Path, optional=True
     )
-    out: Path | None = option("--out", "folder of results, one below it for each setting", parse=Path, metavar="DIR")
-    calibration: Path | None = option("--calibration", "default: each scan's own", parse=Path, metavar="FILE")
+    out: Path | None = path_option("--out", "folder of results, one below it for each setting", metavar="DIR")
+    calibration: Path | None = path_option("--calibration", "default: each scan's own")
     foreign_calibration: bool = switch("--foreign-calibration", "also if it is another instrument's")
     water: tuple[float, float] | None = option(
         "--water", "temperature in °C and salinity in PSU of the water, not the recorded", parse=_water, metavar="C,PSU"

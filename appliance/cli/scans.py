@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from appliance.base import ContentError
-from appliance.cli.arguments import operand, operands, option, switch
+from appliance.cli.arguments import operand, operands, option, path_option, switch
 from appliance.cli.desk import writable, write_files
 from appliance.cli.output import Exit, Progress, UsageError, shown, table
 from appliance.cli.places import WithRoot, scan_folder
@@ -74,7 +74,7 @@ class ShowScan(OfScans):
     scan: str = operand("SCAN", "its number or its folder")
     side: str | None = operand("SIDE", "left or right: a frame instead", optional=True)
     pattern: str | None = operand("PATTERN", "which, for example bright or sine-x-90", optional=True)
-    out: Path | None = option("--out", "of a frame: default SCAN-SIDE-PATTERN.png here", parse=Path, metavar="FILE")
+    out: Path | None = path_option("--out", "of a frame: default SCAN-SIDE-PATTERN.png here")
 
     def run(self) -> Exit:
         """Raises UnknownScan, UsageError, ScanError, StorageError, MissingLibraryError."""

@@ -12,7 +12,7 @@ from io import UnsupportedOperation
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, TextIO
 
-from appliance.cli.arguments import number, operand, operands, option, switch
+from appliance.cli.arguments import number, operand, operands, option, path_option, switch
 from appliance.cli.desk import new_folder, writing
 from appliance.cli.output import Exit, Progress, UsageError, complain, say, table
 from appliance.cli.places import WithRig
@@ -30,7 +30,7 @@ ANSWERED_WITHIN_S = 3600.0
 class SetupGuide(WithRig):
     """Walk from a box of parts to the first plane in twelve steps, each checked; a second call goes on where the first one stopped."""
 
-    out: Path | None = option("--out", "folder for state, page and pictures", parse=Path, metavar="FOLDER")
+    out: Path | None = path_option("--out", "folder for state, page and pictures", metavar="FOLDER")
     steps: Sequence[str] = operands(
         "STEP",
         "these and no others, although they are good (default: on from the first that is not)",
@@ -88,9 +88,7 @@ class SetupMeasure(WithRig):
     cameras make of them; FAILED where anything is wrong."""
 
     what: str = operand("WHAT", "projector or trigger", choices=("projector", "trigger"))
-    out: Path | None = option(
-        "--out", "of the projector: folder for the page and its pictures", parse=Path, metavar="FOLDER"
-    )
+    out: Path | None = path_option("--out", "of the projector: folder for the page and its pictures", metavar="FOLDER")
     install: bool = switch("--install", "of the projector: write what follows into the rig file")
 
     def run(self) -> Exit:
@@ -261,7 +259,7 @@ class LayOutFirmware(WithRig):
     kernels: ClassVar[bool] = False
 
     part: Part = operand("PART", "board or keys", choices=("board", "keys"))
-    out: Path | None = option("--out", "default: build/board or build/keys", parse=Path, metavar="FOLDER")
+    out: Path | None = path_option("--out", "default: build/board or build/keys", metavar="FOLDER")
 
     def run(self) -> Exit:
         rig = self.read_rig()

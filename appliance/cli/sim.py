@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from appliance.cli.arguments import meant, one_of, operands, option, switch, whole
+from appliance.cli.arguments import meant, one_of, operands, path_option, switch, whole
 from appliance.cli.instrument import serve
 from appliance.cli.kernels import compile_kernels
 from appliance.cli.output import Exit, Progress, UsageError
@@ -79,7 +79,7 @@ class Sim(WithRoot):
         at_least_one=False,
         parse=_setting,
     )
-    script: Path | None = option("--script", "a diver's script; exit code 3 if it fails", parse=Path, metavar="FILE")
+    script: Path | None = path_option("--script", "a diver's script; exit code 3 if it fails")
     console: bool = switch("--console", "commands on standard input; as --window on a terminal has it")
     window: bool = switch("--window", "show both screens in windows; the keyboard is the key pad")
 

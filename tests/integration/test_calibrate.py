@@ -125,7 +125,7 @@ def dive(rig: Rig, folder: Path, script: str) -> Service:
     """Start the service in a process of its own, with a diver who follows ``script``."""
     path = folder / "dive.script"
     path.write_text(script)
-    words = f"--size {SIZE} --object ballbar --texture none --truth realistic --seed {SEED} --script"
+    words = f"size={SIZE} object=ballbar texture=none truth=realistic seed={SEED} --script"
     return Service(rig.storage.root, *words.split(), str(path))
 
 
