@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibrate.water.shapes import triangulate
+from appliance.calibrate.water.artefact import triangulate
 from appliance.measure.light.model import StereoRig
 from appliance.measure.light.water import Water
 from hw_sim.mount_shift import MountShift, with_mount_shifted

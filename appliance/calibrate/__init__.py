@@ -31,10 +31,8 @@ if TYPE_CHECKING:
         view_of,  # Return the board in pictures (n, h, w) uint8 that both cameras took one after the other
     )
     from .any_pair import (
-        calibrate_pictures,  # Calibrate the cameras name from pictures, write out and what goes beside it
-    )
-    from .any_pictures import (
         Patterns,  # Patterns of paths in the folder with one * each
+        calibrate_pictures,  # Calibrate the cameras name from pictures, write out and what goes beside it
         named_pictures,  # Return the pictures in a folder and in the folders in it, told apart. Raises PicturesError
     )
     from .calibrations import (
@@ -45,7 +43,10 @@ if TYPE_CHECKING:
         Examined,  # A recording, judged; with what it says about lengths if it verifies
         Solution,  # The calibration that the recordings gave
         examine_recording,  # Judge a stored scan as a recording of step
+        plane_place,  # Return where the plane of step (M3 or M4) belongs before a housing of that volume
+        refuse_drawing,  # Raises CalibrationError where calibrating in water would begin with the drawing without
         solve_calibration,  # Adjust to the scans of the session; compare with the one of VERIFY where there is one
+        start_of,  # Return what a calibration in water begins with
     )
     from .files import (
         describe_calibration,  # Return what a calibration says
@@ -65,6 +66,7 @@ if TYPE_CHECKING:
         LEARNT_SCANS,  # Scans that teach a patch its reference
         OVERLAP_LIMIT,  # Score of an object's overlaps that alarms
         UNMEASURED,  # Methods of calibrations whose ports nobody measured: their rays miss each other anyway
+        HealthFile,  # The memory of one calibration. One process writes, any number may read
         HealthJudgement,  # Findings of one scan about the calibration
         HealthTrend,  # Everything remembered about one calibration
         OverlapNews,  # The word of one object's overlaps on the smooth depth error
@@ -73,15 +75,14 @@ if TYPE_CHECKING:
         likeliest,  # Return the one change that explains amplitudes best
         told_by_overlaps,  # Return the trend after an object was solved
     )
-    from .health_file import (
-        HealthFile,  # The memory of one calibration. One process writes, any number may read
-    )
     from .in_air import (
         PicturesError,  # A folder of pictures cannot be used; the text names the file, what is wrong and the remedy
+        ViewFolder,  # A folder for views of one board by one instrument
         calibrate_folder,  # Calibrate in air from a folder, write out and beside it both pictures
         find_boards,  # Look at every pair. Raises PicturesError, ScanError
         install,  # Make a calibration in air the instrument's: where it lies, and where the one before it now does
         pairs_of,  # Return the pairs of a folder, by name. Raises PicturesError
+        read_session,  # Return instrument and board of a folder that --live filled
     )
     from .in_water import (
         check_list,  # Raises ListError for what cannot calibrate, before the work is done
@@ -92,8 +93,11 @@ if TYPE_CHECKING:
         NoiseError,  # A scan does not tell the noise; the text says why and what to do
         measure_noise,  # Return the noise of the camera that recorded frames (n, h, w) uint8
     )
-    from .poses import (
-        plane_place,  # Return where the plane of step (M3 or M4) belongs before a housing of that volume
+    from .projector_response import (
+        CameraImages,  # Images of one camera: frames (n, h, w) uint8 of the whole sequence
+        MeasuredResponse,  # Projector response as one scan shows it
+        ResponseError,  # A scan does not tell the response; the text says why and what to do
+        measure_response,  # Return the response of the projector that lit a scan of a smooth surface
     )
     from .recordings import (
         ArtefactKind,  # Kind of the recorded artefact
@@ -101,20 +105,6 @@ if TYPE_CHECKING:
         CertificateMissing,  # The artefact's certificate, or a number of it, is not stated
         NotConverged,  # The recordings can be used one by one, and no calibration fits all of them
         RecordingError,  # Recordings cannot be used for a calibration; the text says which, why and what to do
-    )
-    from .response.measure import (
-        CameraImages,  # Images of one camera: frames (n, h, w) uint8 of the whole sequence
-        MeasuredResponse,  # Projector response as one scan shows it
-        ResponseError,  # A scan does not tell the response; the text says why and what to do
-        measure_response,  # Return the response of the projector that lit a scan of a smooth surface
-    )
-    from .start import (
-        refuse_drawing,  # Raises CalibrationError where calibrating in water would begin with the drawing without
-        start_of,  # Return what a calibration in water begins with
-    )
-    from .view_folder import (
-        ViewFolder,  # A folder for views of one board by one instrument
-        read_session,  # Return instrument and board of a folder that --live filled
     )
     from .water.method import (
         BEFORE_OPERATOR,  # Names of the models that the published way goes through

@@ -130,6 +130,7 @@ if TYPE_CHECKING:
     )
     from .reconstruct import (
         reconstruct_scan,  # Make the cloud of a stored scan from its raw frames, written as PLY to out (None
+        salvage,  # Open a scan, damaged or not. Raises ScanError that names what cannot be done without
         work_through,  # Reconstruct and judge a scan, one sequence or both. Raises ScanError
     )
     from .report.page import (
@@ -137,9 +138,6 @@ if TYPE_CHECKING:
     )
     from .rescue import (
         rescue_recording,  # Make the cloud of recording, which source is of, written as PLY to out (None
-    )
-    from .salvaging import (
-        salvage,  # Open a scan, damaged or not. Raises ScanError that names what cannot be done without
     )
     from .scan_export import (
         export_scan,  # Write the points of a stored scan, or with mesh its triangles, to out; the suffix says how

@@ -1,4 +1,7 @@
-"""Owns the import of images that another rig took: a file of points, or a scan folder like our own, and the report of both."""
+"""Owns the import of images that another rig took: a file of points, or a scan folder like our own, and the report of both.
+
+It also owns the picture of reasons: of each left pixel in which colour it is said why it has no point; where there is one, what the camera saw.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,7 +27,7 @@ from appliance.desk.foreign.own_form import own_frames, own_sequence
 from appliance.desk.foreign.points import MOST_PX, ForeignCloud, find_points
 from appliance.desk.foreign.problem import ForeignError
 from appliance.desk.foreign.reading import ForeignScan, read_foreign
-from appliance.desk.reason_picture import draw_reasons
+from appliance.desk.foreign.reasons import Reason
 from appliance.desk.report.still import picture_of_scan
 from appliance.measure import (
     JUDGES,
@@ -288,3 +292,32 @@ def _rig(scan: ForeignScan, calibration: Calibration) -> Rig:
         camera=replace(rig.camera, left=camera("left", serials[0]), right=camera("right", serials[1])),
         projector=replace(rig.projector, width_px=width_px, height_px=height_px),
     )
+
+
+COLOURS = {
+    Reason.SATURATED: (255, 255, 0), Reason.WEAK: (16, 16, 72), Reason.CONTRADICTION: (214, 39, 40), Reason.OUTSIDE: (148, 103, 189),
+    Reason.NO_RAY: (140, 86, 75), Reason.NO_MATCH: (31, 119, 180), Reason.GAP: (255, 127, 14), Reason.SIGMA: (44, 160, 44),
+    Reason.DEPTH: (23, 190, 207), Reason.NEIGHBOURS: (227, 119, 194),
+}  # fmt: skip
+"""Red, green, blue of each reason."""
+LINE_PX = 24
+
+
+def draw_reasons(cloud: ForeignCloud, path: Path) -> None:
+    """Write the picture as PNG, with the reasons and their numbers of pixels below it. Raises StorageError."""
+    grey = cloud.cloud.grey
+    picture = np.repeat(grey[..., None], 3, axis=-1)
+    for reason, colour in COLOURS.items():
+        picture[cloud.reason_map == reason] = colour
+    counts = cloud.reasons
+    legend = np.full((LINE_PX * (len(counts) + 1), max(grey.shape[1], 12 * LINE_PX), 3), 255, np.uint8)
+    picture = np.pad(picture, ((0, 0), (0, legend.shape[1] - grey.shape[1]), (0, 0)), constant_values=255)
+    named = [((128, 128, 128), f"point: {cloud.points}")]
+    named += [(COLOURS[one], f"{one.word}: {counts[one.word]}") for one in COLOURS if one.word in counts]
+    for line, (colour, text) in enumerate(named):
+        top = line * LINE_PX
+        cv2.rectangle(legend, (4, top + 4), (LINE_PX - 4, top + LINE_PX - 4), colour, cv2.FILLED)
+        cv2.putText(legend, text, (LINE_PX + 4, top + 17), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (0, 0, 0), 1, cv2.LINE_AA)
+    # OpenCV counts colours from blue.
+    made = cv2.imencode(".png", np.vstack([picture, legend])[..., ::-1])[1]
+    replace_file(LocalFileSystem(), path, made.tobytes())

@@ -1,7 +1,6 @@
 """The measuring core: images and a calibration become points, errors and verdicts.
 
-It knows no file, clock, device or screen.
-"""
+It knows no file, clock, device or screen."""
 
 from __future__ import annotations
 
@@ -181,7 +180,6 @@ if TYPE_CHECKING:
     from .light.model import (
         IDENTITY,
         HousedCamera,  # A camera in its housing. rotation and translation_mm map its frame into the left camera
-        Matrix3,
         StereoRig,  # Both cameras; the left one's frame is the frame of everything measured
     )
     from .light.noise import (
@@ -210,7 +208,6 @@ if TYPE_CHECKING:
     )
     from .light.port import (
         Port,  # A plane-parallel window in front of a camera
-        air_directions,  # Return the directions in air (..., 3), not normalised, under which water points (...
     )
     from .light.response import (
         CODES,  # First and last code of sine fringes

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 
+from appliance.calibrate.water.artefact import nearest_points
 from appliance.calibrate.water.calibrate import calibrate
 from appliance.calibrate.water.method import Method
-from appliance.calibrate.water.shapes import nearest_points
 from appliance.measure.calibration.depth_error import BORDER
 from appliance.measure.points.organised import OrganisedCloud
 from bench.outside.rigs import SETS, drawn, recorded

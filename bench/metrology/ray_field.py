@@ -11,9 +11,16 @@ from scipy.linalg import block_diag
 
 from appliance.calibrate.recordings import Recording
 from appliance.calibrate.water.artefact import Place
-from appliance.calibrate.water.bundle import BundleSettings, Problem, adjusted, smoothness
+from appliance.calibrate.water.bundle import (
+    BundleSettings,
+    NodeBasis,
+    NodeSlopes,
+    Problem,
+    Slopes,
+    adjusted,
+    smoothness,
+)
 from appliance.calibrate.water.method import Method
-from appliance.calibrate.water.slopes import NodeBasis, NodeSlopes, Slopes
 from appliance.measure.calibration.file import Calibration
 from appliance.measure.light.model import HousedCamera, StereoRig
 from appliance.measure.light.ray_shift import INTERVALS, RayShift

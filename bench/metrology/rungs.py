@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibrate.air.adjustment import BoardView, calibrate_air
+from appliance.calibrate.air.adjustment import calibrate_air
+from appliance.calibrate.air.linearised import BoardView
 from appliance.calibrate.recordings import Recording
+from appliance.calibrate.water.artefact import fit_plane
 from appliance.calibrate.water.bundle import BundleSettings, adjust
 from appliance.calibrate.water.calibrate import calibrate
 from appliance.calibrate.water.method import Method
 from appliance.calibrate.water.paper import FIELD_MM, cubic, mapped_through_ports, search_distances
-from appliance.calibrate.water.shapes import fit_plane
 from appliance.measure.calibration.file import Calibration
 from appliance.measure.light.water import Water
 from bench.metrology.air import boards_in_water

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibrate.response.measure import CameraImages, MeasuredResponse, measure_response
+from appliance.calibrate.projector_response import CameraImages, MeasuredResponse, measure_response
 from appliance.measure.accept.flatness import cubic_of
 from appliance.measure.light.response import Response
 from appliance.measure.points.pipeline import Cloud, Pipeline

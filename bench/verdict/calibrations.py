@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibrate.water.shapes import triangulate
+from appliance.calibrate.water.artefact import triangulate
 from appliance.measure.calibration.file import Calibration
 from appliance.measure.light.model import HousedCamera, StereoRig
 from appliance.measure.light.water import Water

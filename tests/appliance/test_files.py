@@ -14,9 +14,8 @@ import numpy as np
 import pytest
 
 from appliance.base.bounded_file import parse_toml, read_bounded, read_text
-from appliance.calibrate.any_pictures import common_size, read_grey
-from appliance.calibrate.in_air import Pair, read_pair
-from appliance.calibrate.view_folder import read_session
+from appliance.calibrate.any_pair import common_size, read_grey
+from appliance.calibrate.in_air import Pair, read_pair, read_session
 from appliance.desk.foreign.camera_files import camera_numbers, numbers_in
 from appliance.desk.foreign.description import load_description
 from appliance.desk.foreign.frames import Frame, FrameReader, frames_in

@@ -10,8 +10,7 @@ from pathlib import Path
 
 from appliance.calibrate.calibrations import Calibrations
 from appliance.calibrate.guide import USED, AdjustmentSummary, RecordingCheck, Session
-from appliance.calibrate.health import HealthTrend, TrendPoint
-from appliance.calibrate.health_file import HealthFile
+from appliance.calibrate.health import HealthFile, HealthTrend, TrendPoint
 from appliance.measure.calibration.design import Design, design_calibration
 from appliance.measure.light.water import Water
 from appliance.store.filesystem import Bytes, WritableFile

@@ -13,8 +13,7 @@ import pytest
 
 from appliance.calibrate.calibrations import Calibrations
 from appliance.calibrate.guide import USED, AdjustmentSummary, RecordingCheck, Session
-from appliance.calibrate.health import HealthTrend
-from appliance.calibrate.health_file import HealthFile
+from appliance.calibrate.health import HealthFile, HealthTrend
 from appliance.instrument.machine.choices import Choices
 from appliance.instrument.service.choices import ChoicesFile
 from appliance.measure.light.exposure import Exposure

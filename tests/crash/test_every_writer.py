@@ -17,9 +17,8 @@ import pytest
 
 from appliance.calibrate.air.board import BoardDesign
 from appliance.calibrate.calibrations import Calibrations
-from appliance.calibrate.health import HealthTrend
-from appliance.calibrate.health_file import HealthFile
-from appliance.calibrate.view_folder import ViewFolder
+from appliance.calibrate.health import HealthFile, HealthTrend
+from appliance.calibrate.in_air import ViewFolder
 from appliance.cli.setup import _write as write_firmware
 from appliance.desk.anew.results import Results
 from appliance.desk.export.content import CAMERA_FRAME, About
@@ -231,14 +230,14 @@ def test_a_writer_that_keeps_no_order_is_found(tmp_path: Path, work: Callable[[P
 JUDGED = {
     "appliance/cli/setup.py": "firmware",
     "appliance/desk/anew/results.py": "results",
-    "appliance/calibrate/view_folder.py": "recordings",
+    "appliance/calibrate/in_air.py": "recordings",
     "appliance/desk/foreign_import.py": "recordings",
     "appliance/desk/pull/taking.py": "pulling",
     "appliance/store/archive.py": "packed",
     "appliance/store/atomic.py": "files",
     "appliance/calibrate/calibrations.py": "calibrations",
     "appliance/store/filesystem.py": "files",
-    "appliance/calibrate/health_file.py": "calibrations",
+    "appliance/calibrate/health.py": "calibrations",
     "appliance/store/incomplete.py": "recordings",
     "appliance/store/library.py": "scans and labels",
     "appliance/store/room.py": "scans and labels",

@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 
 from appliance.calibrate.calibrations import Calibrations
-from appliance.calibrate.health_file import HealthFile
+from appliance.calibrate.health import HealthFile
 from appliance.store.instrument import load_calibration
 from appliance.store.library import Library, LibraryFolder
 from tests.appliance.store.scenes import ORIGIN, frames, record

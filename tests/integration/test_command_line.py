@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from appliance.calibrate.health import HealthTrend, TrendPoint
-from appliance.calibrate.health_file import HealthFile
+from appliance.calibrate.health import HealthFile, HealthTrend, TrendPoint
 from appliance.store.instrument import CALIBRATION_FILE, load_calibration
 from appliance.store.lock import hold_lock
 from tests.support.commands import ROOT, Shell, kingfisher

@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from appliance.calibrate.air.adjustment import BoardTolerance
 from appliance.calibrate.air.any_board import FoundBoard, find_corners_of
 from appliance.calibrate.air.any_views import calibrate_any, has, view_of
 from appliance.calibrate.air.board import BoardDesign, NoBoard
-from appliance.calibrate.air.joint import BoardTolerance
 from appliance.calibrate.air.linearised import BoardView, bend_of
 from appliance.cli import main
 

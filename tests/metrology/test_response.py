@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from appliance.calibrate.response.measure import CameraImages, MeasuredResponse, ResponseError, measure_response
+from appliance.calibrate.projector_response import CameraImages, MeasuredResponse, ResponseError, measure_response
 from appliance.measure.light.response import Response, phase_error_rad
 from appliance.measure.points.pipeline import Pipeline
 from hw_sim.objects.motion import Motion

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibrate.air.adjustment import BoardView
 from appliance.calibrate.air.board import BoardDesign, NoBoard, find_board
+from appliance.calibrate.air.linearised import BoardView
 from hw_sim.objects.motion import pose_matrix
 from hw_sim.objects.print import corners_mm
 from hw_sim.objects.shapes import BOARD_HALF_X_MM

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibrate.air.adjustment import BoardView
 from appliance.calibrate.air.board import BoardDesign, NoBoard, find_board, find_corners
+from appliance.calibrate.air.linearised import BoardView
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.calibrate.water.residuals import Residuals
+from appliance.calibrate.water.artefact import Residuals
 from appliance.measure import Estimate
 
 Array = NDArray[np.float64]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibrate.recordings import ArtefactKind, Recording
-from appliance.calibrate.water.shapes import nearest_points
+from appliance.calibrate.water.artefact import nearest_points
 from appliance.measure import (
     BORDER,
     DISTANCE_MM,

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.calibrate.recordings import ArtefactKind, Recording, RecordingError, thinned
+from appliance.calibrate.water.artefact import fit_plane, fit_sphere, nearest_points, triangulate
 from appliance.calibrate.water.method import BEFORE_OPERATOR, Method, WaterResult
-from appliance.calibrate.water.shapes import fit_plane, fit_sphere, nearest_points, triangulate
 from appliance.measure import (
     CORRECTION_INTERVALS,
     IDENTITY,

@@ -3,6 +3,18 @@
 Hypotheses are data: the sequences of known programs (``sequences``), and what each image looks like by itself. Looks choose a few of
 them; each of these is decoded, what its tests find instead is taken over, and it counts how much of the images it explains
 (``expectation``). Of a rig whose numbers are known, rays decide which camera is which and where the pattern lies.
+
+It also owns how well a description explains its images: each is predicted from the coordinates that all of them make, and compared.
+
+Coordinates are smoothed first: those of a wrong order are noise, and predict nothing. The share of an image's variation that its
+prediction explains is near 1 where the description is right, near 0 where an image shows something else, and near 0, too, for
+stripes that the camera does not resolve: these vary little, and weigh so much less.
+
+It also owns which periods several sets of fringes have, by their phases alone: how fast each runs, and on which whole numbers all agree.
+
+From a pixel to the next, phase k runs r_k times as fast as that of the finest fringes: r_k is the ratio of their numbers. Of all whole
+numbers in such ratios those are right with which the phases agree on one fringe; that they do so by chance is the less likely
+the fewer fringes there are.
 """
 
 from __future__ import annotations
@@ -18,7 +30,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.desk.foreign.appearance import Looks, agreement, look_at, words_by_looks
+from appliance.desk.foreign.appearance import Looks, agreement, look_at, share_of_range, words_by_looks
 from appliance.desk.foreign.arrangement import WHICH_IS_LEFT
 from appliance.desk.foreign.assumptions import (
     MOST_MISFIT,
@@ -31,17 +43,151 @@ from appliance.desk.foreign.assumptions import (
 from appliance.desk.foreign.camera import DecodedCamera, decode_camera
 from appliance.desk.foreign.camera_files import camera_numbers, cameras_in
 from appliance.desk.foreign.cameras import read_rig
+from appliance.desk.foreign.decode import by_periods, chance_misfit
 from appliance.desk.foreign.description import EACH, LEAST_STEPS, AxisConvention, Description
-from appliance.desk.foreign.expectation import explained_shares
 from appliance.desk.foreign.files import CameraFiles, camera_files, in_halves, other_way_round, taken_in_turns
 from appliance.desk.foreign.frames import Frame, FrameReader
 from appliance.desk.foreign.images import CHANNEL_NUMBER, FULL_SCALES, ImageSet, Pictures, of_channel
-from appliance.desk.foreign.order import FRINGES, ShownImage, Shows, numbered
-from appliance.desk.foreign.periods import periods_by_phases
+from appliance.desk.foreign.order import FRINGES, ProjectedSequence, ShownImage, Shows, hypotheses, numbered
+from appliance.desk.foreign.phase import Floats, fit_sine
 from appliance.desk.foreign.problem import ForeignError, Table
 from appliance.desk.foreign.reading import examine
-from appliance.desk.foreign.sequences import ProjectedSequence, hypotheses
 from appliance.desk.foreign.writing import joined
+
+SMOOTHED_PX = 5
+LEAST_PIXELS = 500
+NOWHERE = -1e6
+
+
+def explained_shares(
+    description: Description, camera: DecodedCamera
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return for each image the share of its variation that is explained, 1 at most, and the weight it has (n,)."""
+    shares, lit = share_of_range(np.stack(list(camera.images.images)))
+    smooth = {axis.name: _smoothed(camera.placed[axis.name].coordinate_px, lit) for axis in description.axes}
+    explained, weights = np.zeros(len(shares)), np.zeros(len(shares))
+    for k, one in enumerate(camera.images.shown):
+        axis = description.axis(one.axis)
+        if axis is None:
+            seen = shares[k][lit] - 0.5
+            expected = np.full_like(seen, 0.5 if one.shows is Shows.BRIGHT else -0.5)
+            weights[k] = 0.25
+        else:
+            coordinate_px, usable = smooth[axis.name]
+            modulated = one.shows is Shows.MODULATED
+            # Of one that a carrier multiplies, the mean over the carrier's steps.
+            steps = axis.carriers[one.period] if modulated else 1
+            first = k - one.index % steps
+            seen = shares[first : first + steps, usable].mean(axis=0)
+            seen = seen - (seen.mean() if modulated else np.float32(0.5))
+            if len(seen) < LEAST_PIXELS:
+                continue
+            expected = expected_values(axis, one, coordinate_px[usable] + 0.5)
+            # Blur takes contrast from stripes and sines, and explains nothing away.
+            contrast = max(0.0, float(expected @ seen) / max(float(expected @ expected), 1e-9))
+            expected = contrast * expected
+            weights[k] = float(np.mean(np.square(seen)))
+        explained[k] = 1.0 - float(np.mean(np.square(seen - expected))) / max(float(np.mean(np.square(seen))), 1e-9)
+    return explained, weights
+
+
+def expected_values(axis: AxisConvention, one: ShownImage, edge_px: NDArray[Any]) -> NDArray[Any]:
+    """Return what an image of ``axis`` shows at places ``edge_px`` from the edge of the pattern, −½ … ½."""
+    if one.shows in (Shows.GRAY, Shows.INVERSE):
+        number = np.floor((edge_px - axis.code_offset_px) / axis.stripe_px).astype(np.int64)
+        digit = one.index if axis.fine_first else axis.bits - 1 - one.index
+        bit = ((number if axis.plain_binary else number ^ (number >> 1)) >> digit) & 1
+        return (bit - 0.5) * (-1.0 if axis.inverted != (one.shows is Shows.INVERSE) else 1.0)
+    period, step = one.period, one.index
+    if one.shows is Shows.MICRO:
+        period, step = [(k, n) for k, steps in enumerate(axis.steps_deg) for n in range(len(steps))][one.index]
+    elif one.shows is Shows.MODULATED:
+        step = one.index // axis.carriers[period]
+    turns = edge_px / axis.periods_px[period] + (axis.begins_deg[period] + axis.signed_deg[period][step]) / 360.0
+    return np.asarray(0.5 * np.cos(2.0 * np.pi * turns))
+
+
+def _smoothed(coordinate_px: Floats, lit: NDArray[np.bool_]) -> tuple[Floats, NDArray[np.bool_]]:
+    known = np.isfinite(coordinate_px)
+    # A median needs all of its neighbours, or the border of the thing itself would count as an error.
+    whole = cv2.erode(known.astype(np.uint8), np.ones((SMOOTHED_PX, SMOOTHED_PX), np.uint8)) > 0
+    filled = np.where(known, coordinate_px, NOWHERE).astype(np.float32)
+    return np.asarray(cv2.medianBlur(filled, SMOOTHED_PX)), whole & lit
+
+
+MOST_FRINGES = 200
+RATIO_SLACK = 0.03
+"""Allowed relative error of a ratio of speeds."""
+LEAST_RUN_TURNS = 0.004
+"""Slowest phase of the finest fringes, from a pixel to the next, that a ratio is taken of."""
+LAGS_PX = (1, 4, 16)
+"""Distances over which phases are compared; the longest over which the finest fringes run less than half a turn counts."""
+PIXELS = 1000
+STRONG = 0.5
+
+
+def periods_by_phases(
+    images: Sequence[NDArray[Any]], steps_deg: Sequence[tuple[float, ...]], name: str, size_px: float
+) -> tuple[float, ...]:
+    """Return the periods in px of the direction ``name``, along which the pattern is ``size_px`` long.
+
+    ``images`` (n, h, w) are those of each period in the order of its steps.
+    """
+    if len(images) < 2:
+        return (size_px,) * len(images)
+    fits = [fit_sine(list(one), steps, np.inf) for one, steps in zip(images, steps_deg, strict=True)]
+    strong = np.logical_and.reduce([fit.modulation > STRONG * np.quantile(fit.modulation, 0.9) for fit in fits])
+    finest = int(np.argmax([_speed(fit.turns, strong, name) for fit in fits]))
+    # A lag of several pixels tells slow phases better, and wraps fast ones.
+    ratios = np.array([_ratio(fit.turns, fits[finest].turns, strong, name) for fit in fits])
+    ratios[finest] = 1.0
+    places = np.flatnonzero(strong)
+    places = places[:: max(1, len(places) // PIXELS)]
+    few = [fit.turns.ravel()[places] for fit in fits]
+    best, best_share = tuple(float(size_px * (k + 1) / len(fits)) for k in range(len(fits)))[::-1], np.inf
+    for count in range(len(fits), MOST_FRINGES + 1):
+        wanted = count * ratios
+        fringes = np.rint(wanted)
+        if fringes.min() < 1.0 or len(set(fringes)) < len(fits) or np.abs(fringes / wanted - 1.0).max() >= RATIO_SLACK:
+            continue  # no whole numbers, all different, are near
+        axis = AxisConvention(name, size_px, tuple(float(size_px / one) for one in fringes), tuple(steps_deg))
+        share = float(np.median(by_periods(few, axis)[1])) / chance_misfit(axis)
+        if share < 0.9 * best_share:
+            best, best_share = axis.periods_px, share
+    return best
+
+
+def _differences(turns: NDArray[Any], strong: NDArray[np.bool_], name: str, lag: int) -> NDArray[np.float64]:
+    """Return by how much phases differ over ``lag`` px along the direction, wrapped, NaN where they are weak."""
+    values, known = (turns, strong) if name == "x" else (turns.T, strong.T)
+    step = (values[:, lag:] - values[:, :-lag]).astype(np.float64)
+    step -= np.rint(step)
+    return np.where(known[:, lag:] & known[:, :-lag], step, np.nan)
+
+
+def _speed(turns: NDArray[Any], strong: NDArray[np.bool_], name: str) -> float:
+    step = np.abs(_differences(turns, strong, name, LAGS_PX[0]))
+    known = step[np.isfinite(step)]
+    return float(np.median(known)) if known.size else 0.0
+
+
+def _ratio(slow: NDArray[Any], fast: NDArray[Any], strong: NDArray[np.bool_], name: str) -> float:
+    """Return how fast one phase runs over how fast another does: the longest lag whose whole turns the shorter one tells."""
+    ratio, near = 1.0, None
+    for lag in LAGS_PX:
+        of_slow, of_fast = (_differences(one, strong, name, lag) for one in (slow, fast))
+        if near is not None:
+            # What a quarter of the lag told says how many whole turns were wrapped away.
+            length = LAGS_PX[1] // LAGS_PX[0]
+            for step, before in ((of_slow, near[0]), (of_fast, near[1])):
+                expected = length * before[:, : step.shape[1]]
+                step += np.rint(expected - step)
+        near = of_slow, of_fast
+        usable = np.isfinite(of_slow) & np.isfinite(of_fast) & (np.abs(of_fast) > LEAST_RUN_TURNS * lag)
+        if np.count_nonzero(usable) > 100:
+            ratio = float(np.median(of_slow[usable] / of_fast[usable]))
+    return max(ratio, 1e-4)
+
 
 MOST_PIXELS = 400_000
 """Pixels of an image on which hypotheses are tried; larger ones are reduced."""

@@ -18,21 +18,262 @@ pose, ripple and part of their noise. So sigma is right where a disc holds about
 
 Points whose normal is not known (alone, or at the border of nothing) are left out: nobody knows which side they lie on.
 ``surfels.py`` says which points belong together.
+
+It also owns how points of many scans find those of the surface that they belong to: small discs in a hash table of cells.
+
+A disc has a place, a normal and a radius, the spacing. A point belongs to the nearest disc, across the surface, that
+
+    faces the same way       n_p · n_d ≥ ½, so that both sides of a thin plate stay two surfaces,
+    is near on it            its ray meets the plane of the disc at most the spacing from the disc,
+    and lies as deep         |h| ≤ 4 √(v_p + v_d), at most the depth limit; v: variances along the normal
+
+where h = d · (n_p + n_d) / |n_p + n_d| is the depth of the point over the disc, d the way from the disc to it. The mean of both
+normals makes h zero for two points of one sphere, however far apart: a bent surface is not moved inwards (S. Rusinkiewicz, "A
+symmetric objective function for ICP", 2019). A point that belongs to none founds a disc of its own.
+Where its ray meets the disc is free of the point's own noise, and of two discs equally far the older is taken. By the distance
+across the normal, discs that noise moved one way would collect more points than those that it moved the other way, and the mean
+of their places would lie 1.5 µm off for noise of 20 µm.
+
+Cells are cubes of twice the reach, so that whatever is in reach of a point lies in the eight cells about its nearest corner.
+Symbols: u is the ray, m is the number of discs, key a cell's three numbers in one, head the first disc of a cell, after the next one of the same.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from appliance.base import one_line, refuse_wrong_fields
 from appliance.desk.surface.normals import normals
-from appliance.desk.surface.surfels import EMPTY, CellTable, Discs, PointsOfScan, absorb, assign, rehash
 from appliance.measure import OrganisedCloud
+
+SURE2 = 16.0
+"""Square of the standard deviations by which points of one surface may differ in depth."""
+SAME_SIDE = 0.5
+"""Least cosine between the normals of one surface: 60°."""
+LEAST_COSINE = 0.2
+"""Least cosine between ray and normal with which a ray's way is followed to a plane: 78°."""
+TIE = 0.96
+"""Square of the share by which a disc must be nearer than another one."""
+EMPTY = np.int64(-1)
+_HALF_RANGE = np.int64(1 << 20)
+_MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)
+"""2⁶⁴ by the golden ratio: neighbouring keys spread over the table (D. Knuth, The Art of Computer Programming 3, 6.4)."""
+
+
+class Discs(NamedTuple):
+    """The surface so far; each array has room for more than the discs that there are."""
+
+    place_mm: NDArray[np.float32]
+    """(room, 3)."""
+    normal: NDArray[np.float32]
+    """(room, 3), unit vectors."""
+    information: NDArray[np.float32]
+    """(room,): 1 over the variance along the normal, in 1/mm²."""
+    grey: NDArray[np.float32]
+    views: NDArray[np.uint16]
+    """(room,): scans that a disc was seen in; 0: founded in the one that is being added."""
+    after: NDArray[np.int32]
+    slot: NDArray[np.int32]
+    """(room,): row in ``Sums`` during one scan, else -1."""
+
+
+class CellTable(NamedTuple):
+    """Hash table with open addressing, a power of two in length and at most half full."""
+
+    key: NDArray[np.int64]
+    head: NDArray[np.int32]
+
+
+class PointsOfScan(NamedTuple):
+    """Points of one scan in the object's frame."""
+
+    place_mm: NDArray[np.float32]
+    normal: NDArray[np.float32]
+    variance_mm2: NDArray[np.float32]
+    """(n,): along the normal."""
+    grey: NDArray[np.uint8]
+    eye_mm: NDArray[np.float64]
+    """(3,): the camera, from where all rays come."""
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _key(i: int, j: int, k: int) -> np.int64:
+    """Return the cell's numbers, each of 21 bits, as one."""
+    return np.int64(
+        ((np.int64(i) + _HALF_RANGE) << np.int64(42))
+        | ((np.int64(j) + _HALF_RANGE) << np.int64(21))
+        | (np.int64(k) + _HALF_RANGE)
+    )
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def _find(key: NDArray[np.int64], wanted: np.int64) -> np.int64:
+    """Return the place of ``wanted`` in the table, or the empty one where it would go."""
+    mask = np.uint64(len(key) - 1)
+    at = (np.uint64(wanted) * _MULTIPLIER) >> np.uint64(20) & mask
+    while key[at] != wanted and key[at] != EMPTY:
+        at = (at + np.uint64(1)) & mask
+    return np.int64(at)
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def rehash(old: CellTable, new: CellTable) -> None:
+    """Enter all cells of ``old`` into ``new``, which is empty."""
+    for k in range(len(old.key)):
+        if old.key[k] != EMPTY:
+            at = _find(new.key, old.key[k])
+            new.key[at], new.head[at] = old.key[k], old.head[k]
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def assign(
+    points: PointsOfScan,
+    first: int,
+    discs: Discs,
+    count: int,
+    cells: CellTable,
+    cell_count: int,
+    spacing_mm: float,
+    depth_mm: float,
+    owner: NDArray[np.int32],
+) -> tuple[int, int, int]:
+    """Write the disc of each point from ``first`` on to ``owner``, founding discs where there are none.
+
+    Return the number of discs, that of cells, and the first point that is still to do: where the table is half full, it ends
+    early. There must be room for a disc a point.
+    """
+    cell_mm = 2.0 * np.sqrt(spacing_mm**2 + depth_mm**2)
+    most = len(cells.key) // 2 - 8
+    for n in range(first, len(owner)):
+        # A table more than half full is slow to search; the caller makes a larger one and comes back.
+        if cell_count > most:
+            return count, cell_count, n
+        px, py, pz = float(points.place_mm[n, 0]), float(points.place_mm[n, 1]), float(points.place_mm[n, 2])
+        nx, ny, nz = float(points.normal[n, 0]), float(points.normal[n, 1]), float(points.normal[n, 2])
+        variance = float(points.variance_mm2[n])
+        # u: from the camera to the point.
+        ux, uy, uz = px - points.eye_mm[0], py - points.eye_mm[1], pz - points.eye_mm[2]
+        norm = 1.0 / np.sqrt(ux * ux + uy * uy + uz * uz)
+        ux, uy, uz = ux * norm, uy * norm, uz * norm
+        # The lowest of the eight cells: the one below the nearest corner in each direction.
+        i, j, k = (
+            int(np.floor(px / cell_mm - 0.5)),
+            int(np.floor(py / cell_mm - 0.5)),
+            int(np.floor(pz / cell_mm - 0.5)),
+        )
+        best, best2 = -1, 0.0
+        for corner in range(8):
+            at = _find(cells.key, _key(i + (corner & 1), j + (corner >> 1 & 1), k + (corner >> 2)))
+            if cells.key[at] == EMPTY:
+                continue
+            one = cells.head[at]
+            while one >= 0:
+                dx, dy, dz = px - discs.place_mm[one, 0], py - discs.place_mm[one, 1], pz - discs.place_mm[one, 2]
+                ox, oy, oz = discs.normal[one, 0], discs.normal[one, 1], discs.normal[one, 2]
+                # Back along the ray to the disc's plane: d − u (d · n) / (u · n); u · n < 0, since both sides face each other.
+                along = dx * ox + dy * oy + dz * oz
+                back = along / min(ux * ox + uy * oy + uz * oz, -LEAST_COSINE)
+                ax, ay, az = dx - back * ux, dy - back * uy, dz - back * uz
+                across2 = ax * ax + ay * ay + az * az
+                cosine = nx * ox + ny * oy + nz * oz
+                # Of equally far ones the oldest: neither a hair's breadth of noise decides, nor the cell that noise put a disc in.
+                nearer = best < 0 or across2 < TIE * best2 or (one < best and TIE * across2 <= best2)
+                if nearer and across2 <= spacing_mm**2 and cosine >= SAME_SIDE:
+                    # |n_p + n_d|² = 2 + 2 cos.
+                    h = (along + dx * nx + dy * ny + dz * nz) / np.sqrt(2.0 + 2.0 * cosine)
+                    if abs(h) <= depth_mm and h * h <= SURE2 * (variance + 1.0 / discs.information[one]):
+                        best, best2 = one, across2
+                one = discs.after[one]
+        # It is founded here, as good as the one point.
+        if best < 0:
+            best = count
+            count += 1
+            discs.place_mm[best, 0], discs.place_mm[best, 1], discs.place_mm[best, 2] = px, py, pz
+            discs.normal[best, 0], discs.normal[best, 1], discs.normal[best, 2] = nx, ny, nz
+            discs.information[best] = 1.0 / variance
+            discs.views[best], discs.slot[best] = 0, -1
+            # First in its own cell, so that the chain needs no end to be looked for.
+            at = _find(
+                cells.key, _key(int(np.floor(px / cell_mm)), int(np.floor(py / cell_mm)), int(np.floor(pz / cell_mm)))
+            )
+            if cells.key[at] == EMPTY:
+                cells.key[at] = _key(
+                    int(np.floor(px / cell_mm)), int(np.floor(py / cell_mm)), int(np.floor(pz / cell_mm))
+                )
+                cells.head[at] = -1
+                cell_count += 1
+            discs.after[best] = cells.head[at]
+            cells.head[at] = best
+        owner[n] = best
+    return count, cell_count, len(owner)
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def absorb(
+    points: PointsOfScan, owner: NDArray[np.int32], discs: Discs, sums: NDArray[np.float64], touched: NDArray[np.int32]
+) -> None:
+    """Move each disc that points of one scan belong to, along its normal, to the mean of what was seen of it before and now.
+
+    ``sums`` is (n, 7) zeros, ``touched`` (n,): room for a row a point. A scan counts as one observation of the disc, however
+    many of its pixels belong to it: what they have in common (the pose, ripple, half of their noise) no mean takes away.
+    """
+    rows = 0
+    # Sums over the points of each disc, in rows by the order of appearance: a table as long as all discs would be mostly zeros.
+    for n in range(len(owner)):
+        one = owner[n]
+        row = discs.slot[one]
+        if row < 0:
+            row = rows
+            rows += 1
+            discs.slot[one] = row
+            touched[row] = one
+        # d from disc to point, m = n_p + n_d.
+        dx = float(points.place_mm[n, 0] - discs.place_mm[one, 0])
+        dy = float(points.place_mm[n, 1] - discs.place_mm[one, 1])
+        dz = float(points.place_mm[n, 2] - discs.place_mm[one, 2])
+        mx = float(points.normal[n, 0] + discs.normal[one, 0])
+        my = float(points.normal[n, 1] + discs.normal[one, 1])
+        mz = float(points.normal[n, 2] + discs.normal[one, 2])
+        # Weight 1/σ²; the depth by the mean of both normals, as at the module's head.
+        weight = 1.0 / float(points.variance_mm2[n])
+        sums[row, 0] += 1.0
+        sums[row, 1] += weight
+        sums[row, 2] += weight * (dx * mx + dy * my + dz * mz) / np.sqrt(mx * mx + my * my + mz * mz)
+        sums[row, 3] += weight * points.normal[n, 0]
+        sums[row, 4] += weight * points.normal[n, 1]
+        sums[row, 5] += weight * points.normal[n, 2]
+        sums[row, 6] += weight * points.grey[n]
+    for row in range(rows):
+        one = touched[row]
+        # The information of one mean pixel, not of all of them; a new disc has none from before.
+        weight = sums[row, 1]
+        now = weight / sums[row, 0]
+        before = float(discs.information[one]) if discs.views[one] > 0 else 0.0
+        share = now / (now + before)
+        depth = share * sums[row, 2] / weight
+        # Kalman's update of a scalar: the new mean by the share of the information that is new.
+        ox, oy, oz = float(discs.normal[one, 0]), float(discs.normal[one, 1]), float(discs.normal[one, 2])
+        discs.place_mm[one, 0] += depth * ox
+        discs.place_mm[one, 1] += depth * oy
+        discs.place_mm[one, 2] += depth * oz
+        # Normal and grey by the same shares.
+        ox = (1.0 - share) * ox + share * sums[row, 3] / weight
+        oy = (1.0 - share) * oy + share * sums[row, 4] / weight
+        oz = (1.0 - share) * oz + share * sums[row, 5] / weight
+        norm = 1.0 / np.sqrt(ox * ox + oy * oy + oz * oz)
+        discs.normal[one, 0], discs.normal[one, 1], discs.normal[one, 2] = ox * norm, oy * norm, oz * norm
+        grey = float(discs.grey[one]) if discs.views[one] > 0 else 0.0
+        discs.grey[one] = (1.0 - share) * grey + share * sums[row, 6] / weight
+        discs.information[one] = now + before
+        discs.views[one] += 1
+        discs.slot[one] = -1
+
 
 SPACING_MM = 0.25
 POSE_SIGMA_MM = 0.03

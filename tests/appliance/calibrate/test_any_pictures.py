@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from appliance.calibrate.any_pictures import Patterns, common_size, named_pictures, read_grey
+from appliance.calibrate.any_pair import Patterns, common_size, named_pictures, read_grey
 from appliance.calibrate.in_air import PicturesError
 
 GREY = np.tile(np.linspace(10, 200, 100, dtype=np.uint8), (80, 1))

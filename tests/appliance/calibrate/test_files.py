@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from appliance.base.sealed_file import ContentError
-from appliance.calibrate.response.measure import CameraImages, ResponseError, measure_response
+from appliance.calibrate.projector_response import CameraImages, ResponseError, measure_response
 from appliance.measure.calibration.depth_error import DEPTH_ERROR_TERMS
 from appliance.measure.calibration.design import design_calibration
 from appliance.measure.calibration.field import AirField

@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from appliance.calibrate.calibrator import FoundBar, FoundPlane, judge_bar, judge_plane, rig_axes
 from appliance.calibrate.guide import HELD, AdjustmentSummary, RecordingCheck, Refusal, Session, Step, Verified
-from appliance.calibrate.poses import FoundBar, FoundPlane, judge_bar, judge_plane, rig_axes
 from appliance.calibrate.recordings import ArtefactKind
 from appliance.calibrate.water.calibrate import calibrate
-from appliance.calibrate.water.method import Method
-from appliance.calibrate.water.start import start_from_air
+from appliance.calibrate.water.method import Method, start_from_air
 from appliance.measure.calibration.design import design_calibration
 from appliance.measure.light.volume import WorkingVolume
 from tests.support import calibrating

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from appliance.base.sealed_file import ContentError
 from appliance.calibrate.air.board import BoardDesign
-from appliance.calibrate.view_folder import ViewFolder, read_session
+from appliance.calibrate.in_air import ViewFolder, read_session
 from appliance.store.atomic import StorageError
 
 LEFT: NDArray[np.uint8] = np.arange(64, dtype=np.uint8).reshape(8, 8)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.desk.salvaging import _make_up, salvage
+from appliance.desk.reconstruct import _make_up, salvage
 from appliance.measure.light.exposure import Exposure
 from appliance.measure.light.noise import CameraNoise, StereoNoise
 from appliance.measure.light.patterns import Direction, build_sequence

@@ -22,11 +22,9 @@ from hypothesis import strategies as st
 from appliance.base.sealed_file import ContentError
 from appliance.calibrate.calibrations import Calibrations
 from appliance.calibrate.guide import USED, AdjustmentSummary, RecordingCheck, Session, Step, Verified
-from appliance.calibrate.health import HealthTrend, TrendPoint
-from appliance.calibrate.health_file import HealthFile
-from appliance.calibrate.in_air import Pair, PicturesError, read_pair
-from appliance.calibrate.view_folder import ViewFolder
-from appliance.calibrate.view_folder import read_session as read_views
+from appliance.calibrate.health import HealthFile, HealthTrend, TrendPoint
+from appliance.calibrate.in_air import Pair, PicturesError, ViewFolder, read_pair
+from appliance.calibrate.in_air import read_session as read_views
 from appliance.desk import object_store as objects
 from appliance.instrument.machine.choices import Choices
 from appliance.instrument.ranging.beams import Pointers

@@ -16,8 +16,7 @@ import numpy as np
 import pytest
 
 from appliance.base.sealed_file import ContentError
-from appliance.calibrate.health import MOST_POINTS, HealthTrend, Reference, TrendPoint
-from appliance.calibrate.health_file import HealthFile
+from appliance.calibrate.health import MOST_POINTS, HealthFile, HealthTrend, Reference, TrendPoint
 from appliance.instrument.machine.choices import Choices
 from appliance.instrument.ranging.beams import PointerBeam, Pointers
 from appliance.instrument.service.beams import BeamsFile

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.calibrate.air.adjustment import AirCalibrationError, calibrate_air
+from appliance.calibrate.air.adjustment import AirCalibrationError, BoardTolerance, calibrate_air
 from appliance.calibrate.air.any_views import AnyCalibration, calibrate_any, view_of
-from appliance.calibrate.air.joint import BoardTolerance
 from appliance.calibrate.air.linearised import BoardView
 from appliance.measure.calibration.parameters import AIR, PARAMETER_NAMES
 from hw_sim.truth import TrueRig, in_air

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.calibrate.air.adjustment import AirCalibration, BoardView, calibrate_air
+from appliance.calibrate.air.adjustment import AirCalibration, calibrate_air
 from appliance.calibrate.air.board import NoBoard, find_board
 from appliance.calibrate.air.coverage import EDGES, coverage, covered
+from appliance.calibrate.air.linearised import BoardView
 from appliance.calibrate.air.rest import NEW_PLACE, REST_PX, view_of
-from appliance.calibrate.water.shapes import triangulate
+from appliance.calibrate.water.artefact import triangulate
 from hw_sim.rendering.render import Renderer
 from hw_sim.scene import Scene
 from hw_sim.truth import TrueRig, draw_truth, in_air, project

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from appliance.calibrate.air.adjustment import NO_PORT
-from appliance.calibrate.air.free_form import adjust_with_field
+from appliance.calibrate.air.adjustment import NO_PORT, adjust_with_field
 from appliance.calibrate.air.linearised import SHAPES, BoardView, bend_of, each_changed, slopes
 from appliance.measure.calibration.field import AIR_VALUES, FIELD_CELLS, AirField
 from appliance.measure.calibration.parameters import AIR, PARAMETER_COUNT, rig_with

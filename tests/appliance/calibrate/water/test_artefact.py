@@ -9,8 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from appliance.calibrate.recordings import ArtefactKind, Recording, RecordingError
-from appliance.calibrate.water.artefact import BarPlace, PlanePlace, first_place
-from appliance.calibrate.water.shapes import fit_sphere, nearest_points
+from appliance.calibrate.water.artefact import BarPlace, PlanePlace, first_place, fit_sphere, nearest_points
 from appliance.measure.calibration.design import design_calibration
 from tests.support.calibrating import SMALL
 from tests.support.truth import WATER

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from appliance.calibrate.recordings import ArtefactKind, Recording
+from appliance.calibrate.water.artefact import Residuals, residuals_of
 from appliance.calibrate.water.drawings import cost_svg, residual_svg, seen_svg
 from appliance.calibrate.water.method import Method, WaterResult
 from appliance.calibrate.water.report import as_html, as_json
-from appliance.calibrate.water.residuals import Residuals, residuals_of
 from appliance.measure.calibration.design import design_calibration
 from appliance.measure.calibration.judgement import Estimate
 from appliance.measure.light.model import StereoRig

@@ -11,8 +11,8 @@ import scipy.io
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from appliance.calibrate.water.slab import fit_slab
 from appliance.measure.light.pinhole import Lens
+from tests.support.slab import fit_slab
 
 Array = NDArray[np.float64]
 

@@ -16,10 +16,9 @@ import numpy as np
 import pytest
 
 from appliance.desk.anew import results as module
-from appliance.desk.anew import task
+from appliance.desk.anew import work as task
 from appliance.desk.anew.results import COLUMNS, Results, ResultsError, Row, name_of, program_digits, read_table
-from appliance.desk.anew.task import attempt
-from appliance.desk.anew.work import AGAIN, DONE, FAILED, Again, Job
+from appliance.desk.anew.work import AGAIN, DONE, FAILED, Again, Job, attempt
 from appliance.measure.calibration import file as calibration_file
 from appliance.store.atomic import StorageError
 from appliance.store.filesystem import LocalFileSystem

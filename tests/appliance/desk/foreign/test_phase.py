@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from appliance.desk.foreign.camera import decode_camera
 from appliance.desk.foreign.description import AxisConvention, Description, ImageFiles
+from appliance.desk.foreign.guess import periods_by_phases
 from appliance.desk.foreign.images import ImageSet
 from appliance.desk.foreign.order import parse_order
-from appliance.desk.foreign.periods import periods_by_phases
 from appliance.desk.foreign.phase import fit_sine, step_weights
 from appliance.desk.foreign.problem import ForeignError, Table
 from appliance.measure.decode.decoder import CameraDecoder

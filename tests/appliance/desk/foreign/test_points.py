@@ -18,8 +18,7 @@ from appliance.desk.foreign.images import ImageSet
 from appliance.desk.foreign.points import ForeignCloud, depths_of, find_points
 from appliance.desk.foreign.problem import ForeignError, Table
 from appliance.desk.foreign.reasons import REASONS, Reason
-from appliance.desk.foreign_import import check_import
-from appliance.desk.reason_picture import COLOURS, draw_reasons
+from appliance.desk.foreign_import import COLOURS, check_import, draw_reasons
 from appliance.measure.light.model import HousedCamera, StereoRig
 from appliance.measure.light.pinhole import Lens
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from appliance.desk.registration.candidates import by_features
+from appliance.desk.registration.solve import by_features
 from appliance.measure.light.rotation import rotation_matrix
 from appliance.measure.overlap.coarse import guess_by_features, in_common, matches, same
 from appliance.measure.overlap.features import Features, points_below

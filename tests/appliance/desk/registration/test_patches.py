@@ -8,9 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from appliance.desk.registration.candidates import by_place, overlap
-from appliance.desk.registration.pair import ReadyScan
-from appliance.desk.registration.repeats import repeats_of
+from appliance.desk.registration.pair import ReadyScan, repeats_of
+from appliance.desk.registration.solve import by_place, overlap
 from appliance.measure.overlap.albedo import Paint, patch_pitch_mm
 from appliance.measure.overlap.equations import EXTRA_PAINT, Laid, moved, resistance_of, step_of, system_of
 from appliance.measure.overlap.fine import Prepared

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from appliance.desk.surface.fusion import FusedCloud, PlacedScan, _Surface, fuse, with_places
-from appliance.desk.surface.surfels import PointsOfScan
+from appliance.desk.surface.fusion import FusedCloud, PlacedScan, PointsOfScan, _Surface, fuse, with_places
 from tests.support.solids import Ball, Box, Pose, looking, seen
 
 BALL = Ball((0.0, 0.0, 0.0), 30.0)

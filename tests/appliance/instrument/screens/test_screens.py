@@ -14,8 +14,8 @@ import pytest
 from numpy.typing import NDArray
 
 import appliance
+from appliance.calibrate.calibrator import plane_place
 from appliance.calibrate.guide import HELD, USED, AdjustmentSummary, RecordingCheck, Refusal, Session, Step, Verified
-from appliance.calibrate.poses import plane_place
 from appliance.calibrate.recordings import ArtefactKind
 from appliance.instrument.machine.alerts import Alert, Severity
 from appliance.instrument.machine.failure import Failure, FailureKind

@@ -1,10 +1,4 @@
-"""Owns how the projector's response is found in a recorded scan: fringes on a smooth surface show every code at once.
-
-A pixel of known pattern coordinate was lit by known codes: what it saw, less the dark and over the bright frame, is their
-light. The coordinate that the scan's own phases give is bent by the very harmonics that are looked for. On a smooth
-surface the mean over a whole period is not: the error repeats four times a period. So coordinates are smoothed over one
-period, and the fringes' harmonics follow by least squares.
-"""
+"""Owns the projector's response: how much light it makes of a code, as one scan of a smooth surface shows it."""
 
 from __future__ import annotations
 

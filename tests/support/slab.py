@@ -12,7 +12,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.measure import Lens, Matrix3, Port, air_directions, matrix3, rotation_matrix
+from appliance.measure.light.model import Matrix3
+from appliance.measure.light.pinhole import Lens
+from appliance.measure.light.port import Port, air_directions
+from appliance.measure.light.rotation import matrix3, rotation_matrix
 
 Array = NDArray[np.float64]
 
