@@ -28,7 +28,8 @@ from appliance.calibrate.stored_recordings import cameras_of, recording_of_scan
 from appliance.calibrate.water import report as report_of
 from appliance.calibrate.water.calibrate import calibrate
 from appliance.calibrate.water.extract import CALIBRATING_GAP_MM, BarCertificate, extract
-from appliance.calibrate.water.method import Method, check_start
+from appliance.calibrate.water.method import Method
+from appliance.calibrate.water.start import check_start
 from appliance.measure import (
     BallBar,
     Calibration,

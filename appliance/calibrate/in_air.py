@@ -33,7 +33,7 @@ from appliance.calibrate.air.board import BoardDesign, NoBoard, find_board, pars
 from appliance.calibrate.air.coverage import Coverage, coverage
 from appliance.calibrate.air.linearised import BoardView
 from appliance.calibrate.air.pictures import coverage_picture, residual_picture
-from appliance.calibrate.water.method import start_from_air
+from appliance.calibrate.water.start import start_from_air
 from appliance.measure import (
     AIR,
     IN_AIR,

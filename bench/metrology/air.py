@@ -11,7 +11,7 @@ from dataclasses import replace
 from appliance.calibrate.air.adjustment import AirCalibration, calibrate_air
 from appliance.calibrate.air.board import find_board
 from appliance.calibrate.air.linearised import BoardView
-from appliance.calibrate.water.method import start_from_air
+from appliance.calibrate.water.start import start_from_air
 from appliance.measure.calibration.design import design_calibration
 from appliance.measure.calibration.file import Calibration
 from hw_sim.rendering.render import Renderer

@@ -15,7 +15,7 @@ import pytest
 from appliance.calibrate.air.adjustment import AirCalibration
 from appliance.calibrate.calibrations import Calibrations
 from appliance.calibrate.guide import Step
-from appliance.calibrate.water.method import start_from_air
+from appliance.calibrate.water.start import start_from_air
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.measure.calibration.file import Calibration, encode_calibration
 from appliance.measure.light.model import HousedCamera, StereoRig

@@ -14,7 +14,7 @@ from appliance.calibrate.air.adjustment import AirCalibration, calibrate_air
 from appliance.calibrate.calibrations import Calibrations
 from appliance.calibrate.calibrator import Solution, examine_recording, solve_calibration
 from appliance.calibrate.guide import USED, RecordingCheck, Refusal, Session, Step
-from appliance.calibrate.water.method import start_from_air
+from appliance.calibrate.water.start import start_from_air
 from appliance.cli.simrig import SimOptions, default_sim_rig, simulated
 from appliance.cli.simtruth import bring_calibration, true_calibration
 from appliance.instrument.service.app import run

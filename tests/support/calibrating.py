@@ -13,7 +13,7 @@ from appliance.calibrate.air.adjustment import AirCalibration, calibrate_air
 from appliance.calibrate.air.linearised import BoardView
 from appliance.calibrate.recordings import ArtefactKind, Recording
 from appliance.calibrate.water.artefact import fit_plane, fit_sphere, triangulate
-from appliance.calibrate.water.method import start_from_air
+from appliance.calibrate.water.start import start_from_air
 from appliance.measure.accept.frustum import EDGE_MM, Face, Frustum
 from appliance.measure.accept.plane import Plane, orthogonal_plane
 from appliance.measure.accept.points import Used

@@ -1,18 +1,13 @@
-"""Owns the methods of calibrating in water, and what each gives: a calibration, and what one should know before trusting it.
-
-It also owns what is known before any recording in water: lenses and pose from air, ports from the drawing.
-"""
+"""Owns the methods of calibrating in water, and what each gives: a calibration, and what one should know before trusting it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import TYPE_CHECKING
 
-from appliance.calibrate.air.adjustment import AirCalibration
-from appliance.calibrate.recordings import RecordingError
-from appliance.measure import IN_AIR, Calibration
+from appliance.measure import Calibration
 
 if TYPE_CHECKING:
     from appliance.calibrate.water.artefact import Residuals
@@ -60,34 +55,3 @@ class WaterResult:
     def unobserved(self) -> tuple[str, ...]:
         """Names of the parameters that stayed at their prior because the recordings say nothing about them."""
         return tuple(estimate.name for estimate in self.estimates if estimate.at_prior)
-
-
-def start_from_air(
-    air: AirCalibration, drawn: Calibration, made_from: tuple[str, ...] = ("boards in air",)
-) -> Calibration:
-    """Return the calibration that every adjustment in water begins with: ``drawn``'s ports, all else, its
-    covariance and the lenses' fields from air."""
-    left, right = (
-        replace(measured, port=design.port)
-        for measured, design in ((air.rig.left, drawn.rig.left), (air.rig.right, drawn.rig.right))
-    )
-    symmetric = 0.5 * (air.covariance + air.covariance.T)
-    return replace(
-        drawn,
-        method=IN_AIR,
-        made_from=made_from,
-        rig=replace(drawn.rig, left=left, right=right),
-        residual_px=air.residual_px,
-        air_covariance=tuple(tuple(float(v) for v in row) for row in symmetric),
-        air_field=air.field,
-    )
-
-
-def check_start(start: Calibration) -> None:
-    """Raises RecordingError unless ``start`` has plain lenses behind ports, as a calibration in air and a drawing have."""
-    for side, camera in (("left", start.rig.left), ("right", start.rig.right)):
-        if camera.lens_in_water or camera.correction is not None or camera.ray_shift is not None:
-            raise RecordingError(
-                f"the {side} camera of {start.method} is no plain lens behind a port, as a start must have; put the "
-                f"one in air at calibration/air.json, or name it"
-            )

@@ -12,7 +12,8 @@ from appliance.calibrate.calibrator import FoundBar, FoundPlane, judge_bar, judg
 from appliance.calibrate.guide import HELD, AdjustmentSummary, RecordingCheck, Refusal, Session, Step, Verified
 from appliance.calibrate.recordings import ArtefactKind
 from appliance.calibrate.water.calibrate import calibrate
-from appliance.calibrate.water.method import Method, start_from_air
+from appliance.calibrate.water.method import Method
+from appliance.calibrate.water.start import start_from_air
 from appliance.measure.calibration.design import design_calibration
 from appliance.measure.light.volume import WorkingVolume
 from tests.support import calibrating
