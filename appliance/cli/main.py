@@ -120,7 +120,10 @@ class _Parser(argparse.ArgumentParser):
     def _not_known(self, word: str) -> str:
         option = word.partition("=")[0]
         if not option.startswith("-"):
-            return f"{word}: one word too many"
+            apart = any(one.nargs in ("*", "+") for one in self._actions if not one.option_strings)
+            return f"{word}: one word too many" + (
+                "; give it beside the others, with no option between" if apart else ""
+            )
         return f"{option}: no such option" + meant(
             option, (text for one in self._actions for text in one.option_strings)
         )

@@ -136,6 +136,6 @@ def refuse_damaged_frames(folder: Path) -> None:
     if damaged:
         told = "; ".join(str(one) for one in damaged)
         raise ScanError(
-            f"{folder}: {told}; bring the scan's folder back from a copy, or see with `kingfisher cloud` what "
-            "can be made without"
+            f"{folder}: {told}; bring the scan's folder back from a copy, or see what `kingfisher cloud` makes without "
+            "(.ply)"
         )

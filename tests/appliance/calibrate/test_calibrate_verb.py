@@ -95,8 +95,11 @@ def test_the_ports_of_a_hidden_rig_are_found_installed_and_taken_back(bench: Ben
     assert load_calibration(current) == found
     assert main(restore) == 0
     assert current.read_bytes() == before
-    assert main(restore) == 0
+    assert main([*restore, str(folder / "air.json")]) == 2, "nothing measures with one in air"
+    assert main([*restore, str(out)]) == 0
     assert load_calibration(current) == found
+    assert main(restore) == 0
+    assert current.read_bytes() == before
 
 
 def test_the_published_way_writes_its_three_models_and_replaces_none(bench: Bench, capsys: Capture) -> None:

@@ -40,6 +40,9 @@ def test_points_of_one_scan_are_the_instruments_in_the_formats_unit(
     monkeypatch.chdir(tmp_path)
     unnamed = shell("cloud", folder, "--calibration", calibration)
     assert (unnamed.code, unnamed.lines["file"]) == (Exit.OK, f"{folder.name}.ply"), "the scan's name, in this folder"
+    for more, wanted in ((), False), (("--normals",), True):
+        assert shell("cloud", folder, *more, "--calibration", calibration, "--out", "plane.ply").code == Exit.OK
+        assert (b"property float nx" in (tmp_path / "plane.ply").read_bytes()[:900]) == wanted
     said = shell("cloud", folder, "--calibration", calibration, "--out", "plane.e57", "--json")
     # On a busy machine it says what it is at.
     assert (said.code, "error" in said.err or "warning" in said.err) == (Exit.OK, False)
