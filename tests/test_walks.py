@@ -21,7 +21,7 @@ MOST = {
     "A family of cameras": 3,
     "A verdict": 3,
     "A sequence of patterns": 1,
-    "A screen with a state of its own": 10,
+    "A screen with a state of its own": 8,
     "A step of the guided bring-up": 2,
     "A fault": 2,
 }

@@ -1,16 +1,19 @@
 """Owns what the four keys mean: in each state one press has one meaning; holding is for what cannot be taken back or
 wants a still hand: rejecting a scan, a second exposure, putting a calibration away, and asking whether to switch off.
+
+It also owns the labels beside the four keys: what a press would do now.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import assert_never
 
-from appliance.instrument.machine import asking, calibrate, gallery, menu, safety, scanning, start
+from appliance.instrument.machine import asking, by_state, calibrate, scanning
 from appliance.instrument.machine.moves import Result
 from appliance.instrument.machine.permissions import second_exposure
-from appliance.instrument.machine.states import Machine, State
+from appliance.instrument.machine.states import Answer, Machine, State
+from appliance.instrument.machine.words import Label, Text
 from drivers.api import Key
 
 HELD_TO_SWITCH_OFF = (State.BOOT, State.SELF_TEST, State.AIM, State.SAFE)
@@ -47,31 +50,7 @@ def pressed(machine: Machine, key: Key) -> Result:
         machine = replace(machine, insists_until_ns=None)
     if machine.off_question is not None:
         return asking.pressed(machine, key)
-    match machine.state:
-        case State.SELF_TEST:
-            return start.pressed(machine, key)
-        case State.AIM:
-            return _aim_key(machine, key)
-        case State.MENU:
-            return menu.pressed(machine, key)
-        case State.GALLERY:
-            return gallery.pressed(machine, key)
-        case State.ARMED | State.CAPTURE:
-            return scanning.abandon(machine, None) if key is Key.BACK else (machine, ())
-        case State.CHECK | State.RECONSTRUCT:
-            return scanning.stopped_adding(machine) if key is Key.BACK else (machine, ())
-        case State.REVIEW:
-            return scanning.review_key(machine, key)
-        case State.CALIBRATE:
-            return _calibrate_key(machine, key)
-        case State.COOLING:
-            return safety.cooling_key(machine, key)
-        case State.SAFE:
-            return safety.safe_key(machine, key)
-        case State.BOOT | State.SAVING | State.SHUTDOWN:
-            return machine, ()
-        case _:
-            assert_never(machine.state)
+    return by_state.pressed(machine, key)
 
 
 def held(machine: Machine, key: Key) -> Result:
@@ -94,22 +73,34 @@ def held(machine: Machine, key: Key) -> Result:
     return machine, ()
 
 
-def _aim_key(machine: Machine, key: Key) -> Result:
-    match key:
-        case Key.SCAN:
-            return scanning.wanted(machine)
-        case Key.UP:
-            return menu.open_menu(machine)
-        case Key.DOWN:
-            return gallery.open_gallery(machine)
-        case Key.BACK:
-            return machine, ()
-        case _:
-            assert_never(key)
+def labels(machine: Machine) -> Mapping[Key, Label]:
+    """Return the label per physical key; a key without one does nothing now.
+
+    A stuck key's label moves to its stand-in.
+    """
+    meant = _meant(machine)
+    if asking.pending_fault(machine) is not None:
+        meant[Key.BACK] = Text.SEEN
+    for broken, stand_in in ((Key.SCAN, Key.UP), (Key.BACK, Key.DOWN)):
+        if broken in machine.stuck:
+            label = meant.pop(broken, None)
+            # The stand-in's own meaning goes with it: a key has one meaning, and the stuck one's is needed more.
+            meant.pop(stand_in, None)
+            if label is not None:
+                meant[stand_in] = label
+    return meant
 
 
-def _calibrate_key(machine: Machine, key: Key) -> Result:
-    at = machine.calibrating
-    if key is not Key.SCAN or at is None or at.task is not None or not calibrate.records(machine):
-        return calibrate.pressed(machine, key)
-    return scanning.wanted(replace(machine, calibrating=replace(at, latest=None, failed=None)))
+def _meant(machine: Machine) -> dict[Key, Label]:
+    if machine.off_question is not None:
+        return _question(machine)
+    return by_state.labels(machine)
+
+
+def _question(machine: Machine) -> dict[Key, Label]:
+    meant: dict[Key, Label] = {Key.SCAN: Text.OK, Key.BACK: Text.BACK}
+    for key in (Key.UP, Key.DOWN):
+        other = asking.other_answer(machine, key)
+        if other is not None:
+            meant[key] = Text.ARROW_UP if other is Answer.STAY_ON else Text.ARROW_DOWN
+    return meant

@@ -13,6 +13,7 @@ from typing import assert_never
 
 from appliance.instrument.machine import (
     asking,
+    by_state,
     calibrate,
     gallery,
     keys,
@@ -211,26 +212,7 @@ def _tick(machine: Machine, now_ns: int) -> Result:
     machine = start.passed_by(machine)
     if machine.deadline_ns is None or machine.now_ns < machine.deadline_ns:
         return saving.retry(machine)
-    match machine.state:
-        case State.BOOT | State.SELF_TEST:
-            return start.late(machine)
-        case State.ARMED | State.CAPTURE:
-            return scanning.late(machine)
-        case State.CHECK | State.RECONSTRUCT:
-            return scanning.no_cloud_in_time(machine)
-        case State.SAVING | State.SAFE:
-            scan = machine.scan
-            if scan is None or scan.publishing:
-                return saving.late(machine)
-            if scan.settled and scan.retry_ns is not None:  # the disk refused before there was a cloud to wait for
-                return saving.retry(replace(machine, deadline_ns=None))
-            return scanning.no_cloud_in_time(machine)  # the diver kept it before the cloud was there
-        case State.CALIBRATE:
-            return calibrate.late(machine)
-        case State.AIM | State.MENU | State.GALLERY | State.REVIEW | State.COOLING | State.SHUTDOWN:
-            return replace(machine, deadline_ns=None), ()
-        case _:
-            assert_never(machine.state)
+    return by_state.late(machine)
 
 
 def _counted(machine: Machine, scans: int, last_scan: str | None, scans_left: int | None) -> Machine:

@@ -16,6 +16,7 @@ from appliance.calibrate import HELD
 from appliance.instrument.machine import menu, safety, start, thermal
 from appliance.instrument.machine.alerts import alert_of, lengths_doubtful
 from appliance.instrument.machine.guiding import guidance_said, overlap_said
+from appliance.instrument.machine.keys import labels
 from appliance.instrument.machine.leading import alerts, on_screen
 from appliance.instrument.machine.menu import Row
 from appliance.instrument.machine.permissions import refusal
@@ -30,7 +31,6 @@ from appliance.instrument.machine.states import (
     Part,
     State,
 )
-from appliance.instrument.machine.texts import labels
 from appliance.instrument.machine.transfer import Serving
 from appliance.instrument.machine.words import Label, Text
 from appliance.instrument.ranging.marks import Marks

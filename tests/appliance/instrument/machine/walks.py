@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from appliance.calibrate.guide import HELD, USED, AdjustmentSummary, RecordingCheck, Session, Step, Verified
 from appliance.instrument.machine import effects as do
 from appliance.instrument.machine import events as on
-from appliance.instrument.machine import texts
+from appliance.instrument.machine import keys
 from appliance.instrument.machine.alerts import RULES
 from appliance.instrument.machine.failure import Failure, FailureKind
 from appliance.instrument.machine.states import Device, Machine, Part, State, boot
@@ -52,7 +52,7 @@ def after(machine: Machine, *events: on.Event) -> tuple[Machine, list[do.Effect]
 
 def labels(machine: Machine) -> Mapping[Key, str]:
     """What is written beside each key, in English as the status file has it."""
-    return {key: english(label) for key, label in texts.labels(machine).items()}
+    return {key: english(label) for key, label in keys.labels(machine).items()}
 
 
 UPS = tuple(on.DeviceUp(device) for device in Device)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from appliance.calibrate.guide import HELD, RecordingCheck, Refusal, Session
 from appliance.instrument.machine import events as on
-from appliance.instrument.machine import texts
+from appliance.instrument.machine import keys as machine_keys
 from appliance.instrument.machine.alerts import Alert, Severity, alert_of
 from appliance.instrument.machine.choices import COLDEST_C, WARMEST_C
 from appliance.instrument.machine.leading import alerts
@@ -323,7 +323,7 @@ def moments() -> Iterator[tuple[str, dict[Key, Label]]]:
     )
     for machine in (*(start() for start in STARTS), *more):
         asked = machine.off_question is not None
-        yield Text.POWER_OFF_ASKED.english if asked else machine.state.value, dict(texts.labels(machine))
+        yield Text.POWER_OFF_ASKED.english if asked else machine.state.value, dict(machine_keys.labels(machine))
 
 
 def labels() -> dict[Key, set[Label]]:

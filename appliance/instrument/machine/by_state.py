@@ -1,39 +1,77 @@
-"""Owns the labels beside the four keys: what a press would do now."""
+"""Owns what each state does when its time is over, what a key does in it, and which labels the keys have then.
+
+Three closed matches over the states, side by side: a new state needs a row in each.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from dataclasses import replace
 from typing import assert_never
 
-from appliance.instrument.machine import asking, calibrate, gallery, menu, start
+from appliance.instrument.machine import calibrate, gallery, menu, safety, saving, scanning, start
 from appliance.instrument.machine import effects as do
+from appliance.instrument.machine.moves import Result
 from appliance.instrument.machine.permissions import other_exposure, second_exposure
-from appliance.instrument.machine.states import Answer, Machine, NoticeKind, State
+from appliance.instrument.machine.states import Machine, NoticeKind, State
 from appliance.instrument.machine.words import STEP_NAMES, Label, Text
 from drivers.api import Key
 
 
-def labels(machine: Machine) -> Mapping[Key, Label]:
-    """Return the label per physical key; a key without one does nothing now.
+def late(machine: Machine) -> Result:
+    """Do what follows from a deadline that has passed."""
+    match machine.state:
+        case State.BOOT | State.SELF_TEST:
+            return start.late(machine)
+        case State.ARMED | State.CAPTURE:
+            return scanning.late(machine)
+        case State.CHECK | State.RECONSTRUCT:
+            return scanning.no_cloud_in_time(machine)
+        case State.SAVING | State.SAFE:
+            scan = machine.scan
+            if scan is None or scan.publishing:
+                return saving.late(machine)
+            if scan.settled and scan.retry_ns is not None:  # the disk refused before there was a cloud to wait for
+                return saving.retry(replace(machine, deadline_ns=None))
+            return scanning.no_cloud_in_time(machine)  # the diver kept it before the cloud was there
+        case State.CALIBRATE:
+            return calibrate.late(machine)
+        case State.AIM | State.MENU | State.GALLERY | State.REVIEW | State.COOLING | State.SHUTDOWN:
+            return replace(machine, deadline_ns=None), ()
+        case _:
+            assert_never(machine.state)
 
-    A stuck key's label moves to its stand-in.
-    """
-    meant = _meant(machine)
-    if asking.pending_fault(machine) is not None:
-        meant[Key.BACK] = Text.SEEN
-    for broken, stand_in in ((Key.SCAN, Key.UP), (Key.BACK, Key.DOWN)):
-        if broken in machine.stuck:
-            label = meant.pop(broken, None)
-            # The stand-in's own meaning goes with it: a key has one meaning, and the stuck one's is needed more.
-            meant.pop(stand_in, None)
-            if label is not None:
-                meant[stand_in] = label
-    return meant
+
+def pressed(machine: Machine, key: Key) -> Result:
+    """Do what a key means in this state; ``key`` is what it stands for."""
+    match machine.state:
+        case State.SELF_TEST:
+            return start.pressed(machine, key)
+        case State.AIM:
+            return _aim_key(machine, key)
+        case State.MENU:
+            return menu.pressed(machine, key)
+        case State.GALLERY:
+            return gallery.pressed(machine, key)
+        case State.ARMED | State.CAPTURE:
+            return scanning.abandon(machine, None) if key is Key.BACK else (machine, ())
+        case State.CHECK | State.RECONSTRUCT:
+            return scanning.stopped_adding(machine) if key is Key.BACK else (machine, ())
+        case State.REVIEW:
+            return scanning.review_key(machine, key)
+        case State.CALIBRATE:
+            return _calibrate_key(machine, key)
+        case State.COOLING:
+            return safety.cooling_key(machine, key)
+        case State.SAFE:
+            return safety.safe_key(machine, key)
+        case State.BOOT | State.SAVING | State.SHUTDOWN:
+            return machine, ()
+        case _:
+            assert_never(machine.state)
 
 
-def _meant(machine: Machine) -> dict[Key, Label]:
-    if machine.off_question is not None:
-        return _question(machine)
+def labels(machine: Machine) -> dict[Key, Label]:
+    """Return what each key means in this state; a key without a label does nothing."""
     match machine.state:
         case State.AIM:
             failed = machine.notice is not None and machine.notice.kind is NoticeKind.FAILURE
@@ -72,13 +110,25 @@ def _meant(machine: Machine) -> dict[Key, Label]:
             assert_never(machine.state)
 
 
-def _question(machine: Machine) -> dict[Key, Label]:
-    meant: dict[Key, Label] = {Key.SCAN: Text.OK, Key.BACK: Text.BACK}
-    for key in (Key.UP, Key.DOWN):
-        other = asking.other_answer(machine, key)
-        if other is not None:
-            meant[key] = Text.ARROW_UP if other is Answer.STAY_ON else Text.ARROW_DOWN
-    return meant
+def _aim_key(machine: Machine, key: Key) -> Result:
+    match key:
+        case Key.SCAN:
+            return scanning.wanted(machine)
+        case Key.UP:
+            return menu.open_menu(machine)
+        case Key.DOWN:
+            return gallery.open_gallery(machine)
+        case Key.BACK:
+            return machine, ()
+        case _:
+            assert_never(key)
+
+
+def _calibrate_key(machine: Machine, key: Key) -> Result:
+    at = machine.calibrating
+    if key is not Key.SCAN or at is None or at.task is not None or not calibrate.records(machine):
+        return calibrate.pressed(machine, key)
+    return scanning.wanted(replace(machine, calibrating=replace(at, latest=None, failed=None)))
 
 
 def _add(machine: Machine) -> Label | None:
