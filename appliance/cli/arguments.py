@@ -1,9 +1,9 @@
 """Declarations of what may be typed after a verb: once, as the fields of a frozen dataclass.
 
-A field's name, type and default are those of the value that the verb works with; ``option``, ``switch``, ``operand`` and
-``operands`` add how it is typed and what ``--help`` says about it. ``declare`` hands the fields to ``argparse``, ``collect``
-makes the dataclass from what was typed. Nothing of the product is imported here: every call of ``kingfisher`` loads this file.
-"""
+A field's name, type and default are those of the value that the verb works with; ``option``, ``switch``, ``operand``
+and ``operands`` add how it is typed and what ``--help`` says about it. ``declare`` hands the fields to ``argparse``,
+``collect`` makes the dataclass from what was typed. Nothing of the product is imported here: every call of
+``kingfisher`` loads this file."""
 
 from __future__ import annotations
 
@@ -41,7 +41,8 @@ class Verb:
     codes: ClassVar[Sequence[Exit]] = ()
     """Exit codes that only this verb has, for ``--help``."""
     service: ClassVar[bool] = False
-    """True if the verb is the instrument itself: it says its news, and an error that ends it is kept for the safe screen."""
+    """True if the verb is the instrument itself: it says its news, and an error that ends it is kept for the safe
+    screen."""
     kernels: ClassVar[bool] = True
     """False: nothing that the verb may import has compiled kernels, so that nobody looks where they are kept."""
 
@@ -59,7 +60,8 @@ class Verb:
         return self.service
 
     def tell(self, result: Any, lines: Iterable[str] | None = None) -> None:
-        """Print what came of it: with ``--json`` as one document, else in ``lines``, or one value a line where none are given."""
+        """Print what came of it: with ``--json`` as one document, else in ``lines``, or one value a line where none are
+        given."""
         if self.json:
             say_json(result)
         elif lines is None:

@@ -24,17 +24,19 @@ _BOARD = re.compile(r"(?:(\d{1,2})x(\d{1,2})x)?(\d+(?:\.\d+)?)(?:x(\d+(?:\.\d+)?
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibrateAir(WithRoot):
-    """Calibrate the instrument's cameras, or with --pair any two, from a folder of pictures; FAILED where they do not suffice, with the reason for each."""
+    """Calibrate the instrument's cameras, or with --pair any two, from a folder of pictures; FAILED where they do not
+    suffice, with the reason for each."""
 
     folder: Path = operand(
         "FOLDER",
-        "pairs NAME_left.png, NAME_right.png, or folders of --live or of scans; of --pair pictures whose names tell left from right",
+        "pairs NAME_left.png, NAME_right.png, or folders of --live or of scans; of --pair pictures whose names tell "
+        "left from right",
         parse=Path,
     )
     board: str | None = option(
         "--board",
-        "squares across and down, their size and the markers' in mm (default: 15x12x18x13.5); of --pair 18, 18x13.5 or 15x12x18 will do: "
-        "the rest is found, but for the size of a square, which no picture tells",
+        "squares across and down, their size and the markers' in mm (default: 15x12x18x13.5); of --pair 18, 18x13.5 or "
+        "15x12x18 will do: the rest is found, but for the size of a square, which no picture tells",
         metavar="15x12x18x13.5",
     )
     """Design of the board; ``None``: that of the folder, else the usual one."""
@@ -164,10 +166,12 @@ class CalibrateAir(WithRoot):
         return Exit.OK
 
     def _sizes_mm(self) -> tuple[int | None, int | None, float, float | None]:
-        """Return squares across and down, their size and the markers'; ``None``: it is to be found. Raises UsageError."""
+        """Return squares across and down, their size and the markers'; ``None``: it is to be found. Raises
+        UsageError."""
         if self.board is None:
             raise UsageError(
-                "--board is missing: no picture tells how large a board is; measure a row of squares, and give --board 18"
+                "--board is missing: no picture tells how large a board is; measure a row of squares, and give --board "
+                "18"
             )
         found = _BOARD.fullmatch(self.board)
         if found is not None:
@@ -177,7 +181,8 @@ class CalibrateAir(WithRoot):
             if fits and (marker_mm is None or 0.05 <= marker_mm < square_mm):
                 return across, down, square_mm, marker_mm
         raise UsageError(
-            f"--board {self.board}: give SQUARE, SQUARExMARKER, ACROSSxDOWNxSQUARE or all four, squares 3..60, sizes 0.1..1000 mm, markers "
+            f"--board {self.board}: give SQUARE, SQUARExMARKER, ACROSSxDOWNxSQUARE or all four, squares 3..60, sizes "
+            f"0.1..1000 mm, markers "
             "smaller; for example 15x12x18x13.5"
         )
 

@@ -27,7 +27,8 @@ class CalibrateWater(WithRoot):
     list: Path = operand("LIST", "which artefact each scan shows, as for evaluate", parse=Path)
     method: str = option(
         "--method",
-        "paper as published, for comparison: beside FILE its pinholes FILE-pm.json and its ports FILE-rm.json; default: %(default)s",
+        "paper as published, for comparison: beside FILE its pinholes FILE-pm.json and its ports FILE-rm.json; "
+        "default: %(default)s",
         default=Method.SPLINE.value,
         choices=[m.value for m in Method],
     )
@@ -110,7 +111,8 @@ def _lines(content: dict[str, Any], page: Path, calibration: Path) -> list[str]:
         *(f"{one['name']:<24} {one['points']} points, {one['residual_px']:.4f} px" for one in content["recordings"]),
         *(f"{key:<24} {'-' if content[key] is None else f'{content[key]:.4f}'}" for key in numbers),
         *(
-            f"{side + ' port':<24} d {port['distance_mm']:.3f} mm, tilt {port['tilt_x_deg']:+.3f}° {port['tilt_y_deg']:+.3f}°"
+            f"{side + ' port':<24} d {port['distance_mm']:.3f} mm, tilt {port['tilt_x_deg']:+.3f}° "
+            f"{port['tilt_y_deg']:+.3f}°"
             for side, port in ports.items()
         ),
         *([f"{'not seen':<24} {', '.join(content['unobserved'])}"] if content["unobserved"] else []),

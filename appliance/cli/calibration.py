@@ -1,9 +1,10 @@
-"""The verbs ``calibration show``, ``use`` and ``accept``: a calibration with how its ray gaps have behaved, another one, the answer to an alarm."""
+"""The verbs ``calibration show``, ``use`` and ``accept``: a calibration with how its ray gaps have behaved, another
+one, the answer to an alarm."""
 
 from __future__ import annotations
 
 import json as json_form
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -29,7 +30,8 @@ MAX_BYTES = 64_000_000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShowCalibration(WithRoot):
-    """Show the calibration in use, or that of a file, and whether it still holds; or the one that follows from the rig file's design."""
+    """Show the calibration in use, or that of a file, and whether it still holds; or the one that follows from the rig
+    file's design."""
 
     file: str | None = operand(
         "FILE", f"a calibration's file, or {NOMINAL}: that of the design (default: the one in use)", optional=True
@@ -73,7 +75,8 @@ class ShowCalibration(WithRoot):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UseCalibration(WithRoot):
-    """Put a calibration of before, or that of a file, in use; what was in use is kept, so that the same verb undoes it."""
+    """Put a calibration of before, or that of a file, in use; what was in use is kept, so that the same verb undoes
+    it."""
 
     kernels: ClassVar[bool] = False
 
@@ -94,7 +97,8 @@ class UseCalibration(WithRoot):
             found = load_calibration(path)
             if found.rig_serial != rig.rig.serial or found.method == IN_AIR:
                 raise UsageError(
-                    f"NAME {path}: is of instrument {found.rig_serial}, method {found.method}; wanted is one in water of {rig.rig.serial}"
+                    f"NAME {path}: is of instrument {found.rig_serial}, method {found.method}; wanted is one in water "
+                    f"of {rig.rig.serial}"
                 )
             with hold_lock(root):
                 calibrations.install(found, today)
@@ -169,17 +173,7 @@ def _health(calibration: Calibration, trend: HealthTrend) -> dict[str, Any]:
         "alarm": trend.alarm,
         "answers": list(trend.answers),
         "reference_scans": len(trend.reference.rests_um),
-        "overlaps": [
-            {
-                "object": one.object,
-                "scans": one.scans,
-                "bend_um": one.bend_um,
-                "sigma_um": one.sigma_um,
-                "score": one.score,
-                "alarm": one.alarm,
-            }
-            for one in trend.overlaps
-        ],
+        "overlaps": [{**asdict(one), "alarm": one.alarm} for one in trend.overlaps],
         "scans": [
             {
                 "scan": point.scan,
@@ -206,8 +200,8 @@ def _health_lines(calibration: Calibration, trend: HealthTrend) -> list[str]:
         f"alarm       {trend.alarm or 'none'}",
         *(f"accepted    {answer}" for answer in trend.answers),
         *(
-            f"overlaps    object {one.object}, {one.scans} scans: bent by {one.bend_um:.0f} ± {one.sigma_um:.0f} µm, score {one.score:.1f}"
-            f"{'  ALARM' if one.alarm else ''}"
+            f"overlaps    object {one.object}, {one.scans} scans: bent by {one.bend_um:.0f} ± {one.sigma_um:.0f} µm, "
+            f"score {one.score:.1f}{'  ALARM' if one.alarm else ''}"
             for one in trend.overlaps
         ),
         *([_points(trend)] if trend.points else []),

@@ -46,14 +46,14 @@ class MakeCloud(WithObjects):
 
     what: Sequence[str] = operands(
         "WHAT",
-        "scans, by numbers or folders; SCAN+SCAN: one cloud of two exposures from the same place; incomplete:N: an unchecked cloud of a "
-        "recording that broke after its first direction; object:NAME",
+        "scans, by numbers or folders; SCAN+SCAN: one cloud of two exposures from the same place; incomplete:N: an "
+        "unchecked cloud of a recording that broke after its first direction; object:NAME",
         at_least_one=True,
     )
     out: tuple[str, ...] = repeated(
         "--out",
-        "points: .ply .e57 .las, on the pixel grid .npz; meshes: .stl .obj; may be repeated; {} stands for the scan's name, and must "
-        "where there are many (default: {}.ply)",
+        "points: .ply .e57 .las, on the pixel grid .npz; meshes: .stl .obj; may be repeated; {} stands for the scan's "
+        "name, and must where there are many (default: {}.ply)",
         metavar="FILE",
     )
     mesh: bool = switch("--mesh", "triangles instead of points in .ply files")
@@ -82,9 +82,12 @@ class MakeCloud(WithObjects):
     # ------------------------------------------------------------------------------------- scans
 
     def _of_scans(self, wish: Wish) -> Exit:
-        for given, flag in (
-            (self.spacing != SPACING_MM, "--spacing"), (self.single_scans, "--scans"), (self.close_holes is not None, "--close-holes"),
-        ):  # fmt: skip
+        of_objects = {
+            "--spacing": self.spacing != SPACING_MM,
+            "--scans": self.single_scans,
+            "--close-holes": self.close_holes is not None,
+        }
+        for flag, given in of_objects.items():
             if given:
                 raise UsageError(f"{flag}: is for objects; give object:NAME")
         works = self._works(wish)
@@ -133,7 +136,8 @@ class MakeCloud(WithObjects):
         return works
 
     def _work(self, wish: Wish, word: str, meshed: bool, suffix: str) -> tuple[str, _Work]:
-        """Return the name of what ``word`` means and how its file is made. Raises UsageError, UnknownScan, ScanError."""
+        """Return the name of what ``word`` means and how its file is made. Raises UsageError, UnknownScan,
+        ScanError."""
         from appliance.store import INCOMPLETE_MANIFEST_FILE, find_incomplete
 
         if word.startswith(INCOMPLETE):
@@ -190,7 +194,8 @@ class MakeCloud(WithObjects):
             raise UsageError("--scans: is for .e57 files, and none is written; give --out FILE.e57")
 
     def _write(self, root: Path, solved: StoredObject, wish: Wish, outs: Sequence[Path]) -> None:
-        """Write the files of a solved object; the surface and its mesh are made once, when they are first wanted. Raises StorageError, ScanError."""
+        """Write the files of a solved object; the surface and its mesh are made once, when they are first wanted.
+        Raises StorageError, ScanError."""
         from appliance.desk import (  # fmt: skip
             VOXEL_MM,
             about_object,

@@ -50,7 +50,8 @@ class Compare(WithObjects):
     nominal: str = operand("NOMINAL", "a CAD model in mm (.stl .obj .ply), or object:NAME")
     out: tuple[str, ...] = repeated(
         "--out",
-        "points with their deviation, in the CAD model's frame (.ply .e57 .las), or a page with map and histogram (.html); may be repeated",
+        "points with their deviation, in the CAD model's frame (.ply .e57 .las), or a page with map and histogram "
+        "(.html); may be repeated",
         metavar="FILE",
     )
     tolerance: float | None = option(
@@ -65,7 +66,8 @@ class Compare(WithObjects):
     )
     start: tuple[float, ...] | None = option(
         "--start",
-        "roughly where it lies in the CAD model's frame, instead of searching: x,y,z in mm, turn as axis times angle in degrees",
+        "roughly where it lies in the CAD model's frame, instead of searching: x,y,z in mm, turn as axis times angle "
+        "in degrees",
         parse=_six,
         metavar="X,Y,Z,RX,RY,RZ",
     )
@@ -91,11 +93,12 @@ class Compare(WithObjects):
                     write_comparison(out, found, about, self.tolerance, stored)
         figures = figures_of(found, self.tolerance)
         summary = found.deviation.summary
-        first = f"{about.title} against {nominal.name}: {summary.points} points, {summary.beyond} of them farther than {self.limit:g} mm"
-        lines = [f"{first}, {summary.beside} beside an open border"]
+        counts = f"{summary.beyond} of them farther than {self.limit:g} mm, {summary.beside} beside an open border"
+        lines = [f"{about.title} against {nominal.name}: {summary.points} points, {counts}"]
         if summary.rms_mm is not None:
             lines.append(
-                f"deviation: mean {summary.mean_mm:+.3f}, RMS {summary.rms_mm:.3f}, {summary.least_mm:+.3f} to {summary.most_mm:+.3f} mm"
+                f"deviation: mean {summary.mean_mm:+.3f}, RMS {summary.rms_mm:.3f}, {summary.least_mm:+.3f} to "
+                f"{summary.most_mm:+.3f} mm"
             )
         if self.tolerance is not None:
             lines.append(f"out of ± {self.tolerance:g} mm: {figures['out_of_tolerance_percent']:.2f} %")
@@ -103,8 +106,9 @@ class Compare(WithObjects):
         return Exit.OK
 
     def _check(self, root: Path) -> None:
-        """Raises ObjectError for an object under ``root`` that is not there, NominalError for a CAD model that is not, UsageError for
-        files that cannot be written, and MissingLibraryError where what reads or writes them is absent: before minutes of work."""
+        """Raises ObjectError for an object under ``root`` that is not there, NominalError for a CAD model that is not,
+        UsageError for files that cannot be written, and MissingLibraryError where what reads or writes them is absent:
+        before minutes of work."""
         from appliance.base import require
         from appliance.desk import SURFACE_SUFFIXES, checked_drawing, read_object
 

@@ -1,7 +1,8 @@
-"""Steps that the desk's verbs share: which scan or object is meant, files that can be written, scans opened, files written.
+"""Steps that the desk's verbs share: which scan or object is meant, files that can be written, scans opened, files
+written.
 
-Whatever a wrong word could need is imported where it is needed: a mistake is told before anything that computes is loaded.
-"""
+Whatever a wrong word could need is imported where it is needed: a mistake is told before anything that computes is
+loaded."""
 
 from __future__ import annotations
 
@@ -40,8 +41,8 @@ class WithObjects(WithCalibration):
     )
 
     def solved(self, wish: Wish, name: str) -> tuple[Path, StoredObject]:
-        """Return the storage root and a solved object, and say which scans are in none of its files, since they were added later. Raises
-        ObjectError, before anything that computes is loaded where there is none."""
+        """Return the storage root and a solved object, and say which scans are in none of its files, since they were
+        added later. Raises ObjectError, before anything that computes is loaded where there is none."""
         from appliance.desk import ADDED_SINCE, read_object
 
         root = library_root(wish)
@@ -82,9 +83,9 @@ def opened_scans(
 ) -> Iterator[tuple[Sequence[SourceScan], Progress]]:
     """Open ``scans``, by their numbers or folders, whose frames are whole: every byte is compared with its checksum.
 
-    Comparing has the ``share`` of the progress; ``check`` is called before it, and may load what computes. What can be made again from the frames (cloud, preview), and what may be found
-    elsewhere (calibration, rig file), need not be whole. Raises UnknownScan, ScanError, UsageError.
-    """
+    Comparing has the ``share`` of the progress; ``check`` is called before it, and may load what computes. What can be
+    made again from the frames (cloud, preview), and what may be found elsewhere (calibration, rig file), need not be
+    whole. Raises UnknownScan, ScanError, UsageError."""
     from appliance.cli.kernels import compile_kernels
 
     folders = [scan_in(wish, scan) for scan in scans]  # a wrong number is told before minutes of compiling
@@ -102,7 +103,8 @@ def opened_scans(
 
 
 def existing(what: str, folder: Path, holds: str) -> None:
-    """Raises UsageError where ``folder``, the operand ``what``, is none; ``holds``: what it is to hold, for the remedy."""
+    """Raises UsageError where ``folder``, the operand ``what``, is none; ``holds``: what it is to hold, for the
+    remedy."""
     if not folder.is_dir():
         raise UsageError(f"{what} {folder}: no such folder; give the one that holds {holds}")
 
@@ -120,8 +122,8 @@ def writable(out: Path | None, name: str = "--out") -> None:
 
 
 def writable_as(out: Path, allowed: tuple[str, ...], what: str) -> None:
-    """Raises UsageError for a name that ``writable`` refuses or whose suffix is none of those ``allowed`` for ``what``, and
-    MissingLibraryError where what writes it is absent: before minutes of work."""
+    """Raises UsageError for a name that ``writable`` refuses or whose suffix is none of those ``allowed`` for ``what``,
+    and MissingLibraryError where what writes it is absent: before minutes of work."""
     writable(out)
     checked_as(out, allowed, what)
 

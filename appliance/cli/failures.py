@@ -1,4 +1,5 @@
-"""Errors that end a verb: their exit codes, and the last words of a service for the safe screen. They are known by their names, so that telling a mistake loads nobody who may make one."""
+"""Errors that end a verb: their exit codes, and the last words of a service for the safe screen. They are known by
+their names, so that telling a mistake loads nobody who may make one."""
 
 from __future__ import annotations
 

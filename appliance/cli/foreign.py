@@ -13,7 +13,8 @@ from appliance.cli.output import Exit, Progress, UsageError
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Import(Verb):
-    """Points of images that another rig took: a folder of them, or a description of what they show (docs/foreign.md)."""
+    """Points of images that another rig took: a folder of them, or a description of what they show
+    (docs/foreign.md)."""
 
     source: Path = operand(
         "FOLDER | DESCRIPTION", "the images of one pose with the cameras' files, or what they show (TOML)", parse=Path
@@ -35,7 +36,8 @@ class Import(Verb):
             return self._of_folder(out)
         from appliance.desk import load_description
 
-        # A wrong word is the usual end of a first try, as is a picture that is not there: told before anything that computes is loaded, and before a minute of compiling.
+        # A wrong word is the usual end of a first try, as is a picture that is not there: told before anything that
+        # computes is loaded, and before a minute of compiling.
         load_description(self.source)
         from appliance.desk import look_first
 
@@ -54,7 +56,8 @@ class Import(Verb):
     def _of_folder(self, out: Path) -> Exit:
         if self.as_described or not out.suffix:
             raise UsageError(
-                "import: of a folder a cloud is made (.ply .e57 .las .npz), and nothing is described yet; import the description that it writes"
+                "import: of a folder a cloud is made (.ply .e57 .las .npz), and nothing is described yet; import the "
+                "description that it writes"
             )
         description = out.with_suffix(".toml")
         if description.exists():

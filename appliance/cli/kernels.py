@@ -1,8 +1,7 @@
 """Kernels are found before a verb that needs them, or compiled; and the verb ``setup compile``.
 
-What is waited for is said on stderr, how much and for how long: on a terminal in one line that changes, elsewhere in lines
-at most ten seconds apart.
-"""
+What is waited for is said on stderr, how much and for how long: on a terminal in one line that changes, elsewhere in
+lines at most ten seconds apart."""
 
 from __future__ import annotations
 
@@ -40,7 +39,8 @@ def find_kernels() -> None:
 
 
 def compile_kernels(more: Callable[[], Iterable[tuple[str, str]]] = tuple) -> None:
-    """Have everything compiled that a scan needs, recorded or stored, and the pieces (what for, function) of ``more``."""
+    """Have everything compiled that a scan needs, recorded or stored, and the pieces (what for, function) of
+    ``more``."""
     cache = use_kernel_cache()  # before numba is imported
     with importing():
         from appliance.measure import PIECES
@@ -50,7 +50,8 @@ def compile_kernels(more: Callable[[], Iterable[tuple[str, str]]] = tuple) -> No
 
 
 def compile_point_kernels() -> None:
-    """Have compiled what makes points of coordinates, without anything that judges a scan: most of what imported images need."""
+    """Have compiled what makes points of coordinates, without anything that judges a scan: most of what imported images
+    need."""
     cache = use_kernel_cache()
     with importing():
         from appliance.measure import POINT_PIECES

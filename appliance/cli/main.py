@@ -63,7 +63,8 @@ def _run(words: Sequence[str]) -> Exit:
         if kind.kernels:
             from appliance.cli.kernels import find_kernels
 
-            # Before any verb, since numba takes the folder of its cache from the first kernel that is imported, wherever that is.
+            # Before any verb, since numba takes the folder of its cache from the first kernel that is imported,
+            # wherever that is.
             find_kernels()
         return verb.run()
 
@@ -95,7 +96,8 @@ class _Parser(argparse.ArgumentParser):
         self._negative_number_matcher = _NEGATIVE
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Parse like the base class, once the verb is loaded and its arguments are declared; ``--help`` comes here, too."""
+        """Parse like the base class, once the verb is loaded and its arguments are declared; ``--help`` comes here,
+        too."""
         if self._listed is not None:
             # Not before: with every verb loaded, `kingfisher --version` took half a second of CPU (ADR 0035).
             verb = self._listed.load()
@@ -141,7 +143,8 @@ class _Parser(argparse.ArgumentParser):
         raise SystemExit(Exit.USAGE)
 
     def _sought(self, word: str) -> str:
-        """Return what does what somebody means by ``word``, who knows no verb of that name; empty where nothing is known of it."""
+        """Return what does what somebody means by ``word``, who knows no verb of that name; empty where nothing is
+        known of it."""
         group = self.prog.removeprefix("kingfisher").strip()
         words = {key.rpartition(" ")[2]: verb for key, verb in SOUGHT.items() if key.rpartition(" ")[0] == group}
         near = difflib.get_close_matches(word, words, n=1)

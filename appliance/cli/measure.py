@@ -24,8 +24,9 @@ NAMES = {"noise": "the cameras' noise", "response": "a response", "exposures": "
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeasureInstrument(WithRoot):
-    """Measure both cameras' noise, beside what their data sheets make expect; the projector's response, from a scan of a plane; or which
-    exposures leave this projector's fringes straight, from a scan at each (FAILED where none does). A file is never replaced."""
+    """Measure both cameras' noise, beside what their data sheets make expect; the projector's response, from a scan of
+    a plane; or which exposures leave this projector's fringes straight, from a scan at each (FAILED where none does). A
+    file is never replaced."""
 
     what: str = operand("WHAT", ", ".join(NAMES), choices=tuple(NAMES))
     scans: Sequence[str] = operands(
@@ -128,7 +129,8 @@ class MeasureInstrument(WithRoot):
         delays_us = sorted({one.trigger_delay_us for one in found})
         if len(delays_us) > 1:
             raise ScanError(
-                f"{', '.join(self.scans)}: taken with trigger delays of {' and '.join(map(str, delays_us))} us; an exposure sees other "
+                f"{', '.join(self.scans)}: taken with trigger delays of {' and '.join(map(str, delays_us))} us; an "
+                f"exposure sees other "
                 "bits where it begins at another moment; give scans of one board.trigger_delay_us"
             )
         # An exposure is as good as its worst scan.
@@ -173,7 +175,8 @@ class MeasureInstrument(WithRoot):
         if path.exists():
             remedy = "move it away" if self.install else "move it away, or give a new name"
             raise UsageError(
-                f"{'--install' if self.install else '--out'} {path}: exists already; {NAMES[self.what]} is never replaced; {remedy}"
+                f"{'--install' if self.install else '--out'} {path}: exists already; {NAMES[self.what]} is never "
+                f"replaced; {remedy}"
             )
 
 

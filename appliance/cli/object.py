@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 LEAST_SCANS = 2
 """Placed scans that make an object."""
 _NAME = "the object's name; a folder objects/NAME is made under the storage root"
-_TAKEN_AS = "all scans that the instrument took as object N, in their order, besides those named; what it has already is left out"
+_TAKEN_AS = "all scans that the instrument took as object N, besides those named; what it has already is left out"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,7 +49,8 @@ class AddToObject(WithRoot):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShowObject(WithRoot):
-    """Show where the scans of an object lie, how certain that is, and what was refused; without NAME list all objects."""
+    """Show where the scans of an object lie, how certain that is, and what was refused; without NAME list all
+    objects."""
 
     kernels: ClassVar[bool] = False
 
@@ -72,7 +73,8 @@ class ShowObject(WithRoot):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SolveObject(WithCalibration):
-    """Find where every scan of an object lies relative to the first, or why it is left out; `kingfisher cloud object:NAME` writes files."""
+    """Find where every scan of an object lies relative to the first, or why it is left out; `kingfisher cloud
+    object:NAME` writes files."""
 
     codes: ClassVar[Sequence[Exit]] = (Exit.LEFT_OUT,)
 
@@ -111,7 +113,8 @@ class SolveObject(WithCalibration):
 
 
 def _tell_health(root: Path, solved: StoredObject, *, as_json: bool) -> None:
-    """Write what the overlaps tell of the calibration beside what its scans told; the instrument reads it at its next start."""
+    """Write what the overlaps tell of the calibration beside what its scans told; the instrument reads it at its next
+    start."""
     from appliance.calibrate import HealthFile, told_by_overlaps
     from appliance.desk import overlap_news
     from appliance.store import StorageError, hold_lock
@@ -131,8 +134,8 @@ def _tell_health(root: Path, solved: StoredObject, *, as_json: bool) -> None:
 
 
 def _added(verb: AddToObject | SolveObject, root: Path) -> StoredObject:
-    """Return the object with the verb's scans added, those named and those of the instrument's object ``taken_as`` that it has not;
-    it is made where there is none. Raises UsageError, ScanError, ObjectError."""
+    """Return the object with the verb's scans added, those named and those of the instrument's object ``taken_as`` that
+    it has not; it is made where there is none. Raises UsageError, ScanError, ObjectError."""
     from appliance.desk import StoredObject, object_exists, read_object, update_object, with_scans
 
     stored = read_object(root, verb.name) if object_exists(root, verb.name) else None
@@ -161,7 +164,8 @@ def _member(root: Path, folder: Path) -> MemberScan:
 
 
 def _taken_as(root: Path, number: int | None) -> Sequence[str]:
-    """Return the scans of an object by the number that the diver began it under. Raises UsageError for one that no scan carries."""
+    """Return the scans of an object by the number that the diver began it under. Raises UsageError for one that no scan
+    carries."""
     if number is None:
         return ()
     from appliance.store import Library, numbers_of_object, scans_of_object
@@ -179,7 +183,8 @@ def _document(stored: StoredObject) -> Any:
 
     from appliance.desk import StoredObject as Kind
 
-    # The joint errors are for programs that compute lengths (import kingfisher), and megabytes of text for everybody else.
+    # The joint errors are for programs that compute lengths (import kingfisher), and megabytes of text for everybody
+    # else.
     return TypeAdapter(Kind).dump_python(stored, mode="json", exclude={"places": {"joint"}})
 
 
@@ -195,14 +200,16 @@ def _lines(stored: StoredObject) -> list[str]:
 
 
 def lines_of(places: Places) -> list[str]:
-    """Return what solving found, for people: places, then pairs that were refused, then warnings and the bending budget."""
+    """Return what solving found, for people: places, then pairs that were refused, then warnings and the bending
+    budget."""
     lines = [
         f"{'centre of':<10} {'x':>9} {'y':>9} {'z mm':>9} {'± mm':>7}   bending, part of ±, mm (with --with-estimate)"
     ]
     for name, place in places.places.items():
         x, y, z = place.middle_mm
         lines.append(
-            f"{name:<10} {x:9.2f} {y:9.2f} {z:9.2f} {place.sigma_mm:7.3f}   {place.bending_mm:.3f} ({place.bending_aided_mm:.3f})"
+            f"{name:<10} {x:9.2f} {y:9.2f} {z:9.2f} {place.sigma_mm:7.3f}   {place.bending_mm:.3f} "
+            f"({place.bending_aided_mm:.3f})"
         )
     lines += [f"{name:<10} left out: {why}" for name, why in places.left_out.items()]
     used = [pair for pair in places.pairs if pair.used]

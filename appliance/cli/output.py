@@ -1,8 +1,7 @@
 """Printing: results on stdout, progress and errors on stderr, one line per error.
 
-Texts come from manifests, objects and names of files that strangers wrote. All text goes out through here (``plain``), so that no
-character of theirs moves a cursor, turns the direction of writing, or begins a line.
-"""
+Texts come from manifests, objects and names of files that strangers wrote. All text goes out through here (``plain``),
+so that no character of theirs moves a cursor, turns the direction of writing, or begins a line."""
 
 from __future__ import annotations
 
@@ -20,7 +19,8 @@ from typing import Any, TextIO
 
 PROGRESS_AFTER_S = 1.0
 LINE_AFTER_S, LINE_EVERY_S = 4.0, 8.0
-"""Time in seconds before the first line of progress, and between two, where there is no terminal; calls come every second or two."""
+"""Time in seconds before the first line of progress, and between two, where there is no terminal; calls come every
+second or two."""
 DIGITS = 4
 """Significant digits of a measured value: a noise of 0.02489 mm is known to two, a distance of 500.13 mm to four."""
 _MORE = {"index": 6, "baseline": 6, "principal": 6, "latitude": 6}
@@ -69,7 +69,8 @@ def plain(text: str, *, lines: bool = False) -> str:
 
 
 def _readable(one: str, *, lines: bool) -> str:
-    # Not printable are Unicode's controls, formats, surrogates, unassigned ones and line ends; and blanks of other widths, which may stay.
+    # Not printable are Unicode's controls, formats, surrogates, unassigned ones and line ends; and blanks of other
+    # widths, which may stay.
     if one.isprintable() or unicodedata.category(one) == "Zs" or (lines and one == "\n"):
         return one
     return _escaped(one)
@@ -141,7 +142,8 @@ def complain(text: str, *, as_json: bool) -> None:
             plain(json.dumps({"error": line}, ensure_ascii=False) if as_json else f"kingfisher: {line}") + "\n"
         )
     except OSError:
-        # There is nobody to tell, and the exit code says it: what is left in the buffer would turn that into another one.
+        # There is nobody to tell, and the exit code says it: what is left in the buffer would turn that into another
+        # one.
         with suppress(OSError):
             sys.stderr.close()
 
@@ -231,7 +233,8 @@ class _PlainLine(logging.Formatter):
 
 
 class Progress:
-    """Says what work is at: on a terminal in one line that changes, elsewhere in lines some seconds apart. A context manager."""
+    """Says what work is at: on a terminal in one line that changes, elsewhere in lines some seconds apart. A context
+    manager."""
 
     def __init__(
         self,

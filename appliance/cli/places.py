@@ -37,8 +37,8 @@ class WithRoot(WithRig):
     )
 
     def named_root(self) -> Path | None:
-        """Return the root that was given with ``--root``, else, without ``--rig``, the one that the folder one stands in or the environment
-        names; ``None``: the rig file says it. Raises UsageError."""
+        """Return the root that was given with ``--root``, else, without ``--rig``, the one that the folder one stands
+        in or the environment names; ``None``: the rig file says it. Raises UsageError."""
         return given_root(self.root) if self.root is not None else None if self.rig is not None else _standing()
 
     def existing_root(self) -> Path:
@@ -62,7 +62,8 @@ class WithRoot(WithRig):
         return self.root.absolute()
 
     def wish(self) -> Wish:
-        """Return what was asked for beside a scan. Reads a rig file only where one was given. Raises ConfigError, UsageError."""
+        """Return what was asked for beside a scan. Reads a rig file only where one was given. Raises ConfigError,
+        UsageError."""
         from appliance.store import Wish
 
         return Wish(
@@ -83,7 +84,8 @@ class WithCalibration(WithRoot):
     foreign_calibration: bool = switch("--foreign-calibration", "also if it is another instrument's")
 
     def wish(self) -> Wish:
-        """Return the wish of ``WithRoot`` with the choice of a calibration. Raises ConfigError, CalibrationError, UsageError."""
+        """Return the wish of ``WithRoot`` with the choice of a calibration. Raises ConfigError, CalibrationError,
+        UsageError."""
         measuring(self.calibration)
         return replace(
             # By name: a dataclass with slots is made anew, so that `super()` without arguments would look in the class
@@ -119,11 +121,10 @@ def given_root(root: Path) -> Path:
 
 
 def root_of_rig(rig: Rig | None) -> Path:
-    """Return the storage root where ``--root`` names none: that of the rig file that was given; where none was (``None``), the one around the
-    folder one stands in, else that of ``KINGFISHER_ROOT``, else the packaged rig file's.
+    """Return the storage root where ``--root`` names none: that of the rig file that was given; where none was
+    (``None``), the one around the folder one stands in, else that of ``KINGFISHER_ROOT``, else the packaged rig file's.
 
-    Raises UsageError for a packaged one that is not there, as on every computer that is no instrument.
-    """
+    Raises UsageError for a packaged one that is not there, as on every computer that is no instrument."""
     if rig is not None:
         return rig.storage.root
     found = _standing()

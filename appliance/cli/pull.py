@@ -33,7 +33,8 @@ from appliance.desk import (
 from appliance.store import LibraryFolder, LocalFileSystem, hold_lock, make_folders
 
 ROOTS = (".", "lib/kingfisher", "var/lib/kingfisher")
-"""Places of the scans below a folder that is given: the storage root itself, the instrument's data partition, its whole disk."""
+"""Places of the scans below a folder that is given: the storage root itself, the instrument's data partition, its whole
+disk."""
 
 _WITH_PORT = re.compile(r"((?:[^@]*@)?(?:[^:@\[\]]+|\[[^\]]+\])):(\d{1,5})")
 """``address:port``; an address of IPv6, which has colons of its own, stands in brackets then."""

@@ -15,11 +15,13 @@ TABLE = ".csv"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MakeReport(WithObjects):
-    """One page, which asks for nothing from outside: verdicts, figures and a picture of each scan of a dive, or what comes of the other."""
+    """One page, which asks for nothing from outside: verdicts, figures and a picture of each scan of a dive, or what
+    comes of the other."""
 
     what: tuple[str, ...] = operands(
         "WHAT",
-        "scans of a dive by their numbers (default: all that were kept), the table.csv of `kingfisher archive reprocess`, or object:NAME",
+        "scans of a dive by their numbers (default: all that were kept), the table.csv of `kingfisher archive "
+        "reprocess`, or object:NAME",
         at_least_one=False,
     )
     out: Path | None = path_option("--out", "the page, .html (default: dive.html, season.html or NAME.html here)")

@@ -121,11 +121,13 @@ class Reprocess(Verb):
             raise UsageError(f"--workers {error}, or the address of a scheduler") from error
 
     def _scans(self) -> tuple[Sequence[Path], ScanList | None, Mapping[str, ListedScan]]:
-        """Return the folders of the scans, and the list of artefacts with its entries by their number. Raises UsageError, ListError, before any work."""
+        """Return the folders of the scans, and the list of artefacts with its entries by their number. Raises
+        UsageError, ListError, before any work."""
         folders = scan_folders(self.source, shelves_of(every=self.all))
         if not folders:
             raise UsageError(
-                f"SOURCE {self.source}: there is no scan in it{'' if self.all else '; --all takes the rejected ones, too'}"
+                f"SOURCE {self.source}: there is no scan in "
+                f"it{'' if self.all else '; --all takes the rejected ones, too'}"
             )
         from appliance.store import read_list
 
@@ -133,7 +135,8 @@ class Reprocess(Verb):
         listed = {} if scans is None else {_number(Path(one.scan)): one for one in scans.entries}
         if unknown := sorted(listed.keys() - {_number(folder) for folder in folders}):
             raise UsageError(
-                f"LIST {self.list}: scan {', '.join(unknown)} is not below {self.source}; name the scans by their numbers"
+                f"LIST {self.list}: scan {', '.join(unknown)} is not below {self.source}; name the scans by their "
+                f"numbers"
             )
         return folders, scans, listed
 

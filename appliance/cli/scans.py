@@ -1,7 +1,7 @@
-"""The verbs ``scans``: stored scans are looked at, also beside a running service, and labelled or put away where none runs.
+"""The verbs ``scans``: stored scans are looked at, also beside a running service, and labelled or put away where none
+runs.
 
-Nothing is deleted.
-"""
+Nothing is deleted."""
 
 from __future__ import annotations
 
@@ -43,7 +43,8 @@ class OfScans(WithRoot):
     kernels: ClassVar[bool] = False
 
     def folder_of(self, scan: str) -> Path:
-        """Return the folder of ``scan``; one that was copied somewhere wants no storage root or rig file. Raises UnknownScan, UsageError."""
+        """Return the folder of ``scan``; one that was copied somewhere wants no storage root or rig file. Raises
+        UnknownScan, UsageError."""
         return scan_folder(scan) or Library(self.existing_root()).entry(scan).folder
 
 
@@ -226,7 +227,8 @@ def _checked(what: str, text: str | None, longest: int) -> str | None:
 
 
 def _decoded(entry: ScanEntry) -> ScanEntry:
-    """Return ``entry`` with what is wrong with its packed frames, each of which is decoded and compared with the checksum of before."""
+    """Return ``entry`` with what is wrong with its packed frames, each of which is decoded and compared with the
+    checksum of before."""
     if entry.manifest is None or not any(entry.folder.glob("*.jls")):
         return entry
     from appliance.store import problems_of

@@ -1,4 +1,5 @@
-"""The verbs ``setup guide``, ``measure`` and ``firmware``: a new instrument before its first scan, and the person at it."""
+"""The verbs ``setup guide``, ``measure`` and ``firmware``: a new instrument before its first scan, and the person at
+it."""
 
 from __future__ import annotations
 
@@ -28,7 +29,8 @@ ANSWERED_WITHIN_S = 3600.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SetupGuide(WithRig):
-    """Walk from a box of parts to the first plane in twelve steps, each checked; a second call goes on where the first one stopped."""
+    """Walk from a box of parts to the first plane in twelve steps, each checked; a second call goes on where the first
+    one stopped."""
 
     out: Path | None = path_option("--out", "folder for state, page and pictures", metavar="FOLDER")
     steps: Sequence[str] = operands(
@@ -84,8 +86,8 @@ class SetupGuide(WithRig):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SetupMeasure(WithRig):
-    """Measure the projector before a white wall with the instrument's own cameras, or fire 64 triggers and count what board and
-    cameras make of them; FAILED where anything is wrong."""
+    """Measure the projector before a white wall with the instrument's own cameras, or fire 64 triggers and count what
+    board and cameras make of them; FAILED where anything is wrong."""
 
     what: str = operand("WHAT", "projector or trigger", choices=("projector", "trigger"))
     out: Path | None = path_option("--out", "of the projector: folder for the page and its pictures", metavar="FOLDER")
@@ -254,7 +256,8 @@ def _end(walked: Walked, folder: Path, count: int) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LayOutFirmware(WithRig):
-    """Lay out the firmware of the trigger board or the key pad for the instrument of a rig file: its USB identity, and which way its sync goes."""
+    """Lay out the firmware of the trigger board or the key pad for the instrument of a rig file: its USB identity, and
+    which way its sync goes."""
 
     kernels: ClassVar[bool] = False
 

@@ -72,9 +72,12 @@ class Sim(WithRoot):
 
     settings: Sequence[tuple[str, Any]] = operands(
         "SETTING=VALUE",
-        f"object: {', '.join(OBJECTS)}; texture: {', '.join(TEXTURES)}; truth, the true rig: {', '.join(TRUTHS)}, or a truth.toml; "
-        f"world: {', '.join(WORLDS)} (a harsher one, drawn by seed); seed of the truth and all noise; size of the cameras, for example 800x600; "
-        f"pace of world time: {', '.join(PACES)}; fault=SENTENCE, which may be repeated; chaos=SEED: a dive on which devices come and go, "
+        f"object: {', '.join(OBJECTS)}; texture: {', '.join(TEXTURES)}; truth, the true rig: {', '.join(TRUTHS)}, or "
+        f"a truth.toml; "
+        f"world: {', '.join(WORLDS)} (a harsher one, drawn by seed); seed of the truth and all noise; size of the "
+        f"cameras, for example 800x600; "
+        f"pace of world time: {', '.join(PACES)}; fault=SENTENCE, which may be repeated; chaos=SEED: a dive on which "
+        f"devices come and go, "
         "with scans=N (200): how often SCAN is pressed",
         at_least_one=False,
         parse=_setting,
@@ -116,7 +119,8 @@ class Sim(WithRoot):
 
 
 def dive(rig: Rig, options: SimOptions) -> Exit:
-    """Run the instrument of ``rig`` in its simulated world until that ends. Raises UsageError for options that do not fit."""
+    """Run the instrument of ``rig`` in its simulated world until that ends. Raises UsageError for options that do not
+    fit."""
     wanted = simulated(with_simulated_wires(rig), options)
     compile_kernels(simulator_kernels)
     from appliance.cli.simtruth import bring_calibration
@@ -174,7 +178,8 @@ def chaos(
 
 
 def _compared(rig: Rig, accepted: list[str]) -> dict[str, Any]:
-    """Verify the scans that the screen called saved. Return the lost ones, the damaged ones and how many scans there are."""
+    """Verify the scans that the screen called saved. Return the lost ones, the damaged ones and how many scans there
+    are."""
     library = Library(rig.storage.root)
     lost, damaged = [], []
     with Progress() as progress:

@@ -1,8 +1,8 @@
 """The calibration that ``kingfisher sim truth=nominal`` brings: what the simulator says its true rig is.
 
-The other sets of true rigs are there to be calibrated. The simulator is found by name, as in ``simrig``; what it says is
-the JSON of ``docs/protocols/world.md``, in the rig frame. A calibration that lies in the storage root is never touched.
-"""
+The other sets of true rigs are there to be calibrated. The simulator is found by name, as in ``simrig``; what it says
+is the JSON of ``docs/protocols/world.md``, in the rig frame. A calibration that lies in the storage root is never
+touched."""
 
 from __future__ import annotations
 
@@ -36,10 +36,11 @@ log = logging.getLogger("kingfisher")
 
 
 def bring_calibration(rig: Rig) -> None:
-    """Give the storage root of a simulated ``rig`` its calibration, if its true rig is the nominal one and there is none yet.
+    """Give the storage root of a simulated ``rig`` its calibration, if its true rig is the nominal one and there is
+    none yet.
 
-    Raises UsageError where the one that lies there was brought for a rig that is not the one of this start, StorageError.
-    """
+    Raises UsageError where the one that lies there was brought for a rig that is not the one of this start,
+    StorageError."""
     path = Instrument(rig).calibration_file
     options = rig.rig.wires_options
     # In air the windows refract otherwise: what is true there is no calibration to measure in water with.
@@ -86,13 +87,14 @@ def _refuse_nominal(rig: Rig) -> None:
         return  # the service says what is wrong with it
     if found.method == METHOD and any(one.endswith(f"rig: {KNOWN_SET}") for one in found.made_from):
         raise UsageError(
-            f"--root {rig.storage.root}: its calibration is that of truth={KNOWN_SET}, this start has another true rig and "
-            f"would measure wrong lengths; give another folder, truth={KNOWN_SET}, or remove {path}"
+            f"--root {rig.storage.root}: its calibration is that of truth={KNOWN_SET}, this start has another true rig "
+            f"and would measure wrong lengths; give another folder, truth={KNOWN_SET}, or remove {path}"
         )
 
 
 def _camera(eye: Mapping[str, Any], left: Mapping[str, Any]) -> HousedCamera:
-    """Return ``eye`` in the left camera's frame, lengths in mm. R, then t_mm, turn a camera's points into the rig frame."""
+    """Return ``eye`` in the left camera's frame, lengths in mm. R, then t_mm, turn a camera's points into the rig
+    frame."""
     to_left: NDArray[np.float64] = np.array(left["R"]).T
     rotation = to_left @ np.array(eye["R"])
     t_mm = to_left @ (np.array(eye["t_mm"]) - np.array(left["t_mm"]))

@@ -116,11 +116,12 @@ SECTIONS = {
 }
 """Headings of ``kingfisher --help`` with the verbs and groups below them, in that order."""
 SOUGHT = {
-    "reconstruct": "cloud", "export": "cloud", "merge": "cloud SCAN+SCAN", "rescue": "cloud incomplete:N", "season": "report TABLE",
-    "pull": "archive pull", "reprocess": "archive reprocess", "calibrate": "calibration", "measure": "calibration measure",
-    "health": "calibration show", "bringup": "setup", "firmware": "setup firmware", "warm": "setup compile", "version": "--version",
-    "scans merge": "cloud SCAN+SCAN", "scans name": "scans label", "scans note": "scans label", "object new": "object add",
-    "object export": "cloud object:NAME", "object compare": "compare object:NAME", "archive verify": "scans verify",
+    "reconstruct": "cloud", "export": "cloud", "merge": "cloud SCAN+SCAN", "rescue": "cloud incomplete:N",
+    "season": "report TABLE", "pull": "archive pull", "reprocess": "archive reprocess", "calibrate": "calibration",
+    "measure": "calibration measure", "health": "calibration show", "bringup": "setup", "firmware": "setup firmware",
+    "warm": "setup compile", "version": "--version", "scans merge": "cloud SCAN+SCAN", "scans name": "scans label",
+    "scans note": "scans label", "object new": "object add", "object export": "cloud object:NAME",
+    "object compare": "compare object:NAME", "archive verify": "scans verify",
     "archive frame": "scans show SCAN SIDE PATTERN", "calibration nominal": "calibration show nominal",
 }  # fmt: skip
 """Words that people type for a verb, and what does it."""
