@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib
 import inspect
 import re
 from functools import cache
@@ -10,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from appliance.desk.export.formats import FORMATS, Format
 from appliance.instrument.machine.alerts import RULES, Rule
 from appliance.measure.fault import FaultCode
 from appliance.measure.judges import JUDGES, Judge
@@ -23,6 +25,7 @@ MOST = {
     "A sequence of patterns": 1,
     "A screen with a state of its own": 8,
     "A step of the guided bring-up": 2,
+    "A format of clouds or meshes": 2,
     "A fault": 2,
 }
 
@@ -130,6 +133,15 @@ def test_a_step_of_the_bring_up_is_named_in_its_row_and_nowhere_above() -> None:
     folder, rows = walks()["A step of the guided bring-up"]
     assert folder == "appliance/workshop/<name>.py"
     assert naming(r"pad\.do") == {rows}
+
+
+def test_a_format_is_named_in_its_row_and_writes_what_the_row_says() -> None:
+    folder, rows = walks()["A format of clouds or meshes"]
+    assert source_of(Format) == ROOT / rows
+    assert naming("encode_las|laspy") == {folder.replace("<name>", "las")}
+    for one in FORMATS:
+        module = importlib.import_module(f"appliance.desk.export.{one.module}")
+        assert one.contents == tuple(name for name in ("points", "grid", "mesh") if hasattr(module, f"write_{name}"))
 
 
 def test_every_fault_has_its_row() -> None:

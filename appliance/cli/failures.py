@@ -23,7 +23,7 @@ FAILED = frozenset(
         "appliance.measure.calibration.file:CalibrationError",
         "appliance.calibrate.recordings:RecordingError",
         "appliance.cli.output:OutputError",
-        "appliance.desk.export.suffixes:ExportError",
+        "appliance.desk.export.formats:ExportError",
         "appliance.desk.foreign.problem:ForeignError",
         "appliance.base.kernel_build:CompileError",
         "appliance.desk.anew.results:ResultsError",

@@ -42,17 +42,17 @@ if TYPE_CHECKING:
         write_mesh,  # Write a mesh (MESH_SUFFIXES). Raises ExportError, StorageError,
         write_surface,  # Write the points of a fused surface (SURFACE_SUFFIXES)
     )
-    from .export.placed import (
-        PlacedGrid,  # One scan of an object and where it lies
-        write_placed,  # Write the scans (SUFFIXES), whole or not at all; one is held at a time
-    )
-    from .export.suffixes import (
+    from .export.formats import (
         MESH_SUFFIXES,
         SCAN_SUFFIXES,
         SURFACE_SUFFIXES,
         ExportError,  # A file cannot be made; the text says which, why, and what to do
         checked_suffix,  # Return the suffix of path in lower case. Raises ExportError for one
         require_library,  # Raises MissingLibraryError
+    )
+    from .export.placed import (
+        PlacedGrid,  # One scan of an object and where it lies
+        write_placed,  # Write the scans (SUFFIXES), whole or not at all; one is held at a time
     )
     from .foreign.description import (
         load_description,  # Read and check a description. Raises ForeignError for whatever the file holds

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from appliance import __version__
 from appliance.desk.export.content import CAMERA_FRAME, About
 from appliance.desk.export.files import write_scan
-from appliance.desk.export.suffixes import SCAN_SUFFIXES, checked_suffix, require_library
+from appliance.desk.export.formats import SCAN_SUFFIXES, checked_suffix, require_library
 from appliance.desk.foreign.assumptions import Outcome
 from appliance.desk.foreign.description import Description
 from appliance.desk.foreign.first_look import look_first

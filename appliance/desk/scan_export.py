@@ -8,7 +8,7 @@ from typing import Any
 
 from appliance.desk.export.content import CAMERA_FRAME, About
 from appliance.desk.export.files import write_mesh, write_scan
-from appliance.desk.export.suffixes import MESH_SUFFIXES, SCAN_SUFFIXES, checked_suffix
+from appliance.desk.export.formats import MESH_SUFFIXES, SCAN_SUFFIXES, checked_suffix
 from appliance.desk.organised import organised_scan
 from appliance.desk.surface.mesh import mesh_of_scan
 from appliance.store import Chosen, SourceScan

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.desk.export.suffixes import ExportError
+from appliance.desk.export.formats import ExportError
 from appliance.desk.surface.drawings import COARSEST_MM
 from appliance.desk.surface.fusion import FusedCloud
 from appliance.desk.surface.mesh import Mesh
@@ -122,3 +122,12 @@ def finite(values: NDArray[Any]) -> NDArray[Any]:
     """Return the values with 0 for what is unknown: formats have no word for it, and most readers stumble over NaN."""
     known: NDArray[Any] = np.nan_to_num(values, nan=0.0)
     return known
+
+
+def in_mm(points: ExportedPoints, about: About) -> ExportedPoints:
+    """Return points for a format that divides by 1000 for its metres; where a cloud's scale is not known, its numbers stay as they are."""
+    if not about.unit:
+        return points
+    return replace(
+        points, points_mm=points.points_mm * np.float32(MM_PER_M), sigma_mm=points.sigma_mm * np.float32(MM_PER_M)
+    )

@@ -12,6 +12,7 @@ import uuid
 import zlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from appliance.base import needed
-from appliance.desk.export.content import MM_PER_M, About, ExportedPoints, finite
+from appliance.desk.export.content import MM_PER_M, About, ExportedPoints, finite, in_mm
+from appliance.store import LocalFileSystem, replace_by
 
 NORMALS = ("nor", "http://www.libe57.org/E57_NOR_surface_normals.txt")
 OWN = ("kf", "urn:kingfisher:e57:1")
@@ -40,6 +42,13 @@ class E57Scan:
     title: str
     rotation: NDArray[np.float64] = field(default_factory=lambda: np.eye(3))
     """(3, 3) float64."""
+
+
+def write_points(path: Path, points: ExportedPoints, about: About) -> None:
+    """Write one scan or surface. Raises StorageError, ValueError for one without points, MissingLibraryError where pye57 is absent."""
+    scans = [E57Scan(in_mm(points, about), about.title)]
+    # The library wants a name to write to, and gets that of the draft.
+    replace_by(LocalFileSystem(), path, partial(write_e57, scans=scans, about=about))
 
 
 def write_e57(path: Path, scans: Iterable[E57Scan], about: About) -> None:

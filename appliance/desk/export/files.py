@@ -2,46 +2,32 @@
 
 from __future__ import annotations
 
+import importlib
+from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.desk.export.content import (
-    MM_PER_M,
-    About,
-    ExportedPoints,
-    points_of_mesh,
-    points_of_scan,
-    points_of_surface,
-)
-from appliance.desk.export.e57 import E57Scan, write_e57
-from appliance.desk.export.las import encode_las
-from appliance.desk.export.npz import encode_npz
-from appliance.desk.export.ply import encode_surface
-from appliance.desk.export.suffixes import MESH_SUFFIXES, SCAN_SUFFIXES, SURFACE_SUFFIXES, checked_suffix
-from appliance.desk.export.triangles import encode_obj, encode_stl
+from appliance.desk.export.content import About, points_of_scan, points_of_surface
+from appliance.desk.export.formats import FORMATS, MESH_SUFFIXES, SCAN_SUFFIXES, SURFACE_SUFFIXES, checked_suffix
 from appliance.desk.surface.fusion import FusedCloud
 from appliance.desk.surface.mesh import Mesh
 from appliance.measure import OrganisedCloud
-from appliance.store import LocalFileSystem, replace_by, replace_file, replace_parts
 
 
 def write_scan(path: Path, cloud: OrganisedCloud, about: About) -> None:
-    """Write the points of one scan; the suffix says how (``SCAN_SUFFIXES``). Raises ExportError, StorageError,
-    ValueError, and MissingLibraryError where the format's library is absent."""
-    if checked_suffix(path, SCAN_SUFFIXES, "a scan") == ".npz":
-        replace_file(LocalFileSystem(), path, encode_npz(cloud, about))
-        return
-    points = points_of_scan(cloud, about.unit or "mm")
-    if about.unit and path.suffix.lower() in (".e57", ".las"):
-        # These divide by 1000 for their metres: without a scale, numbers are as they are.
-        points = replace(
-            points, points_mm=points.points_mm * np.float32(MM_PER_M), sigma_mm=points.sigma_mm * np.float32(MM_PER_M)
-        )
-    _write_points(path, points, about)
+    """Write the points of one scan; the suffix says how (``SCAN_SUFFIXES``).
+
+    Raises ExportError, StorageError, ValueError, and MissingLibraryError where the format's library is absent.
+    """
+    suffix = checked_suffix(path, SCAN_SUFFIXES, "a scan")
+    if any(one.suffix == suffix and "grid" in one.contents for one in FORMATS):
+        _writer(suffix, "grid")(path, cloud, about)
+    else:
+        _writer(suffix, "points")(path, points_of_scan(cloud, about.unit or "mm"), about)
 
 
 def write_surface(
@@ -56,32 +42,23 @@ def write_surface(
 
     Raises ExportError, StorageError, ValueError, and MissingLibraryError where the format's library is absent.
     """
-    checked_suffix(path, SURFACE_SUFFIXES, "a surface of points")
+    suffix = checked_suffix(path, SURFACE_SUFFIXES, "a surface of points")
     points = points_of_surface(cloud, origin_mm)
     if deviation_mm is not None:
         points = replace(points, more={**points.more, "deviation_mm": deviation_mm})
-    _write_points(path, points, about)
+    _writer(suffix, "points")(path, points, about)
 
 
 def write_mesh(path: Path, mesh: Mesh, about: About) -> None:
     """Write a mesh (``MESH_SUFFIXES``). Raises ExportError, StorageError,
     ValueError, and MissingLibraryError where the format's library is absent."""
-    match checked_suffix(path, MESH_SUFFIXES, "a mesh"):
-        case ".ply":
-            parts = list(encode_surface(points_of_mesh(mesh), about, mesh.faces))
-        case ".stl":
-            parts = list(encode_stl(mesh, about))
-        case _:
-            parts = encode_obj(mesh, about)
-    replace_file(LocalFileSystem(), path, *parts)
+    _writer(checked_suffix(path, MESH_SUFFIXES, "a mesh"), "mesh")(path, mesh, about)
 
 
-def _write_points(path: Path, points: ExportedPoints, about: About) -> None:
-    match path.suffix.lower():
-        case ".e57":
-            # The library wants a name to write to, and gets that of the draft.
-            replace_by(LocalFileSystem(), path, partial(write_e57, scans=[E57Scan(points, about.title)], about=about))
-        case ".las":
-            replace_file(LocalFileSystem(), path, encode_las(points, about))
-        case _:
-            replace_parts(LocalFileSystem(), path, encode_surface(points, about))
+def _writer(suffix: str, content: str) -> Callable[[Path, Any, About], None]:
+    """Return the function of the format's module."""
+    module = next(one.module for one in FORMATS if one.suffix == suffix)
+    found: Callable[[Path, Any, About], None] = getattr(
+        importlib.import_module(f"appliance.desk.export.{module}"), f"write_{content}"
+    )
+    return found

@@ -9,12 +9,14 @@ Source: ASPRS, "LAS Specification 1.4 - R15" (2019). Written by laspy (BSD).
 from __future__ import annotations
 
 import io
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from appliance.base import needed
-from appliance.desk.export.content import MM_PER_M, About, ExportedPoints, finite
+from appliance.desk.export.content import MM_PER_M, About, ExportedPoints, finite, in_mm
+from appliance.store import LocalFileSystem, replace_file
 
 SCALE_M = 1e-7
 _MM = "_mm"
@@ -28,6 +30,11 @@ _TEXT_AREA = ("LASF_Spec", 3)
 _MOST_TEXT = 65_534
 _DATE = slice(90, 94)
 """Bytes of the head with the day and year of creation (table 3)."""
+
+
+def write_points(path: Path, points: ExportedPoints, about: About) -> None:
+    """Write the file. Raises StorageError, MissingLibraryError where laspy is absent."""
+    replace_file(LocalFileSystem(), path, encode_las(in_mm(points, about), about))
 
 
 def encode_las(points: ExportedPoints, about: About) -> bytes:

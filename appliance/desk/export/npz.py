@@ -13,6 +13,7 @@ from __future__ import annotations
 import io
 import json
 import zipfile
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,10 +21,15 @@ from numpy.typing import NDArray
 
 from appliance.desk.export.content import About
 from appliance.measure import OrganisedCloud
-from appliance.store import Bytes
+from appliance.store import Bytes, LocalFileSystem, replace_file
 
 LEVEL = 1
 """Level of compression: noise has little to be found, and the usual one takes six times as long for a tenth less."""
+
+
+def write_grid(path: Path, cloud: OrganisedCloud, about: About) -> None:
+    """Write the archive. Raises StorageError."""
+    replace_file(LocalFileSystem(), path, encode_npz(cloud, about))
 
 
 def encode_npz(cloud: OrganisedCloud, about: About) -> Bytes:

@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 
 from appliance.desk.export.content import About, points_of_scan
 from appliance.desk.export.e57 import E57Scan, write_e57
+from appliance.desk.export.formats import checked_suffix
 from appliance.desk.export.npz import arrays_of
-from appliance.desk.export.suffixes import checked_suffix
 from appliance.measure import OrganisedCloud
 from appliance.store import LocalFileSystem, replace_by
 

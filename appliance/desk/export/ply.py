@@ -8,11 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import chain
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.desk.export.content import About, ExportedPoints, finite, single_precision
+from appliance.desk.export.content import About, ExportedPoints, finite, points_of_mesh, single_precision
+from appliance.desk.surface.mesh import Mesh
+from appliance.store import LocalFileSystem, replace_file, replace_parts
 
 _FIXED = (
     ("x", "<f4", "float"),
@@ -29,6 +32,16 @@ _FIXED = (
 _AT_ONCE = 1 << 16
 """Vertices that are encoded together."""
 _FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
+
+
+def write_points(path: Path, points: ExportedPoints, about: About) -> None:
+    """Write points alone. Raises StorageError, ExportError."""
+    replace_parts(LocalFileSystem(), path, encode_surface(points, about))
+
+
+def write_mesh(path: Path, mesh: Mesh, about: About) -> None:
+    """Write a mesh. Raises StorageError, ExportError."""
+    replace_file(LocalFileSystem(), path, *encode_surface(points_of_mesh(mesh), about, mesh.faces))
 
 
 def encode_surface(points: ExportedPoints, about: About, faces: NDArray[np.int32] | None = None) -> Iterator[bytes]:

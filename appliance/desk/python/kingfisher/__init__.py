@@ -34,7 +34,7 @@ if TYPE_CHECKING:  # for editors and type checkers; at run time ``__getattr__`` 
     from appliance.desk.comparing import Comparison as Comparison
     from appliance.desk.comparing import NominalSurface as NominalSurface
     from appliance.desk.comparing import compare as compare
-    from appliance.desk.export.suffixes import ExportError as ExportError
+    from appliance.desk.export.formats import ExportError as ExportError
     from appliance.desk.object_scripting import ObjectOfDive as ObjectOfDive
     from appliance.desk.object_scripting import open_object as open_object
     from appliance.desk.object_store import ObjectError as ObjectError
@@ -92,7 +92,7 @@ _HOMES = {
     "appliance.measure.calibration.file": ("Calibration", "CalibrationError"),
     "appliance.store.instrument": ("load_calibration",),
     "appliance.store.config": ("ConfigError",),
-    "appliance.desk.export.suffixes": ("ExportError",),
+    "appliance.desk.export.formats": ("ExportError",),
     "appliance.desk.comparing": ("Comparison", "NominalSurface", "compare"),
     "appliance.desk.object_scripting": ("ObjectOfDive", "open_object"),
     "appliance.desk.objects": ("ready_scan",),

@@ -22,8 +22,8 @@ from scipy.spatial.transform import Rotation
 from appliance.base.libraries import MissingLibraryError
 from appliance.desk.export.content import CAMERA_FRAME, About
 from appliance.desk.export.files import write_mesh, write_scan, write_surface
+from appliance.desk.export.formats import ExportError, require_library
 from appliance.desk.export.placed import PlacedGrid, write_placed
-from appliance.desk.export.suffixes import ExportError, require_library
 from appliance.desk.surface.fusion import FusedCloud, PlacedScan, fuse, with_places
 from appliance.desk.surface.mesh import Mesh, mesh_of_scan
 from appliance.measure.points.organised import OrganisedCloud

@@ -14,7 +14,7 @@ import pytest
 
 from appliance.base import kernel_cache
 from appliance.cli.output import Exit
-from appliance.desk.export.suffixes import ExportError
+from appliance.desk.export.formats import ExportError
 from appliance.desk.foreign.problem import ForeignError
 from appliance.desk.foreign_import import check_import
 from tests.support.commands import ROOT, Shell

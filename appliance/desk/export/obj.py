@@ -1,12 +1,12 @@
-"""Owns the STL and OBJ files of a mesh: mm, as is the custom, and said in the file since neither format has a unit.
+"""Owns the OBJ file of a mesh: mm, as is the custom, and said in the file since the format has no unit.
 
-STL is binary: 80 bytes of text that do not begin with ``solid``, and 50 bytes a triangle. OBJ has vertices with grey as colour
-(three numbers after the place, as MeshLab and most others read them) and normals. Neither has room for sigma.
-Sources: 3D Systems, "StereoLithography Interface Specification" (1989); Wavefront, "Object Files (.obj)" (1990s).
+It has vertices with grey as colour (three numbers after the place, as MeshLab and most others read them) and normals. It has no
+room for sigma. Source: Wavefront, "Object Files (.obj)" (1990s).
 """
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,25 +14,15 @@ from numpy.typing import NDArray
 
 from appliance.desk.export.content import About, finite
 from appliance.desk.surface.mesh import Mesh
+from appliance.store import LocalFileSystem, replace_file
 
-_FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-_STL_TEXT = 80
 _ROWS = 20_000
 """Lines that are written at once: a list of all numbers of a large mesh would take gigabytes."""
 
 
-def encode_stl(mesh: Mesh, about: About) -> tuple[bytes, bytes]:
-    """Return the head and the triangles of a binary STL file; normals are those of the triangles. Raises ValueError for
-    more than 2³² - 1 of them."""
-    facets = np.zeros(len(mesh.faces), _FACET)
-    corners = mesh.vertices_mm[mesh.faces]
-    facets["corners"] = corners
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    length = np.linalg.norm(across, axis=1, keepdims=True)
-    # A triangle without area has no normal; (0, 0, 0) asks the reader to find one.
-    facets["normal"] = np.divide(across, length, out=np.zeros_like(across), where=length > 0)
-    text = f"Kingfisher {about.lines('mm')[0]}".encode("ascii")[:_STL_TEXT].ljust(_STL_TEXT)
-    return text + np.uint32(len(facets)).tobytes(), facets.tobytes()
+def write_mesh(path: Path, mesh: Mesh, about: About) -> None:
+    """Write the file. Raises StorageError."""
+    replace_file(LocalFileSystem(), path, *encode_obj(mesh, about))
 
 
 def encode_obj(mesh: Mesh, about: About) -> list[bytes]:
