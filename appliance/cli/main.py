@@ -167,7 +167,7 @@ class _Parser(argparse.ArgumentParser):
             return f"{unknown[1]} {unknown[2]}: there is none" + (near or f"; there are: {', '.join(allowed)}")
         valueless = _VALUELESS.fullmatch(message)
         if valueless is None:
-            return message
+            return message.removeprefix("argument ")
         option = next(
             (one for one in self._actions if valueless[1] in ("/".join(one.option_strings), _placeholder(one))), None
         )

@@ -1,4 +1,4 @@
-"""What a stranger types first at the desk gets one clear line: a wrong suffix, a wrong root, garbage, a disk that refuses."""
+"""What a stranger types first at the desk gets one clear line: a wrong root, garbage, a disk that refuses."""
 
 from __future__ import annotations
 
@@ -20,16 +20,6 @@ def error_of(argv: list[str], capsys: pytest.CaptureFixture[str], code: int = 2)
     said = Shell(capsys)(*argv)
     assert said.code == code
     return said.error
-
-
-@pytest.mark.parametrize("verb", [["cloud", "1"], ["cloud", "object:1"]])
-@pytest.mark.parametrize("name", ["c.step", "c", "c.ply.gz"])
-def test_a_cloud_is_not_written_under_a_name_that_promises_another_format(
-    verb: list[str], name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    error = error_of([*verb, "--root", str(tmp_path), "--out", str(tmp_path / name)], capsys)
-    assert "is written as .ply, .e57, .las" in error
-    assert not (tmp_path / name).exists()
 
 
 def test_garbage_as_a_script_is_one_line_and_no_traceback(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
