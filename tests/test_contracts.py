@@ -106,3 +106,9 @@ def test_a_face_hands_out_no_name_that_a_module_of_its_room_has(room: str) -> No
     assert not {module.name for module in pkgutil.iter_modules(face.__path__)} & {*face.__all__}
     with pytest.raises(AttributeError, match="its face has"):
         getattr(face, "no_such_name")  # noqa: B009
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_each_name_in_a_face_has_its_sentence(room: str) -> None:
+    lines = (ROOT / "appliance" / room / "__init__.py").read_text(encoding="utf-8").splitlines()
+    assert not [line for line in lines if line.startswith("        ") and line.rstrip().endswith(",")]

@@ -9,7 +9,7 @@ from .face import lazy_face
 
 if TYPE_CHECKING:
     from .argument_types import (
-        refuse_wrong_fields,  # Return a dataclass whose constructor compares its arguments with the fields'
+        refuse_wrong_fields,  # Return a dataclass whose constructor compares its arguments with the annotations
         refuse_wrong_types,  # Return function with its arguments compared with its annotations at every call
     )
     from .bounded_file import (
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
         KernelCache,  # The folder that numba uses from now on
         KernelOrigin,  # The source of the kernels in use
         shipped_kernels,  # Return the folder of what an installation compiled
-        use_kernel_cache,  # Point numba at kernels of exactly this program. Call before any module with kernels is
+        use_kernel_cache,  # Point numba at kernels of exactly this program, before any of their modules is imported
     )
     from .libraries import (
         MissingLibraryError,  # A library of the desk is not installed
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
         use_one_blas_thread,  # Let linear algebra take one thread in processes of this environment
     )
     from .sealed_file import (
-        FINITE,
+        FINITE,  # Range of every finite number
         LEFT_OUT,  # Metadata of a field that is not written while it has its default
         Among,  # The only values that are taken
         ContentError,  # Reason why a file cannot be used. what: the file
@@ -56,7 +56,7 @@ if TYPE_CHECKING:
         Within,  # Range of a number, both ends included. A truth value is none
         digest,  # Return SHA-256 (hex) of the compact form with sorted keys
         plain,  # Convert a value to what JSON holds
-        shaped,  # Return the dataclass kind with the fields of a JSON object. Raises ContentError for the first
+        shaped,  # Return a dataclass with the fields of a JSON object; ContentError for the first wrong one
     )
     from .text import (
         one_line,  # Return a dataclass in one line, for __repr__: Mesh(vertices_mm=(8100, 3) float32, …)

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
         Solution,  # The calibration that the recordings gave
         examine_recording,  # Judge a stored scan as a recording of step
         plane_place,  # Return where the plane of step (M3 or M4) belongs before a housing of that volume
-        refuse_drawing,  # Raises CalibrationError where calibrating in water would begin with the drawing without
+        refuse_drawing,  # Raise CalibrationError where a calibration would begin with the drawing unasked
         solve_calibration,  # Adjust to the scans of the session; compare with the one of VERIFY where there is one
         start_of,  # Return what a calibration in water begins with
     )
@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     )
     from .guide import (
         HELD,  # The steps with a recording, and what is held before the instrument
-        STEPS,
+        STEPS,  # Steps of the guided calibration in their order
         UNITS,  # Unit of the number that is shown with a refusal
         USED,  # The recordings that the adjustment uses
         RecordingCheck,  # One recording of one step, judged. refusal None: it will do
@@ -69,7 +69,7 @@ if TYPE_CHECKING:
         HealthFile,  # The memory of one calibration. One process writes, any number may read
         HealthJudgement,  # Findings of one scan about the calibration
         HealthTrend,  # Everything remembered about one calibration
-        OverlapNews,  # The word of one object's overlaps on the smooth depth error
+        OverlapNews,  # What one object's overlaps say of the smooth depth error
         answered,  # Return the trend after an accepted length check
         judge_health,  # Return the trend after one more scan (its number, where it has one already)
         likeliest,  # Return the one change that explains amplitudes best

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
         NominalSurface,  # A surface that others are compared with
         compare,  # Lay surface onto nominal by shape alone and return how far each point lies from it
         figures_of,  # Return a comparison in numbers, JSON-ready; lengths in mm
-        write_comparison,  # Write a comparison: points with their deviation (.ply .e57 .las) in the nominal
+        write_comparison,  # Write a comparison: points with their deviation, or a page
     )
     from .dive_report import (
         report_of_dive,  # Return the page's content for scans under a storage root
@@ -35,20 +35,20 @@ if TYPE_CHECKING:
         run_evaluation,  # Reconstruct and measure every scan of the list
     )
     from .export.content import (
-        CAMERA_FRAME,
+        CAMERA_FRAME,  # Words for the left camera frame
         About,  # Description of a file in it, as far as its format has room
     )
     from .export.files import (
-        write_mesh,  # Write a mesh (MESH_SUFFIXES). Raises ExportError, StorageError,
+        write_mesh,  # Write a mesh; the suffix says how
         write_surface,  # Write the points of a fused surface (SURFACE_SUFFIXES)
     )
     from .export.formats import (
-        MESH_SUFFIXES,
-        SCAN_SUFFIXES,
-        SURFACE_SUFFIXES,
+        MESH_SUFFIXES,  # Suffixes that a mesh is written with
+        SCAN_SUFFIXES,  # Suffixes that a scan's points are written with
+        SURFACE_SUFFIXES,  # Suffixes that a surface's points are written with
         ExportError,  # A file cannot be made; the text says which, why, and what to do
-        checked_suffix,  # Return the suffix of path in lower case. Raises ExportError for one
-        require_library,  # Raises MissingLibraryError
+        checked_suffix,  # Return the suffix of a path in lower case; ExportError for one that is not allowed
+        require_library,  # Raise MissingLibraryError where a suffix's library is absent, before minutes of work
     )
     from .export.placed import (
         PlacedGrid,  # One scan of an object and where it lies
@@ -79,10 +79,10 @@ if TYPE_CHECKING:
     )
     from .object_errors import (
         errors_of,  # Return the joint errors of an object's places, scans in the order of places
-        laid_onto_something,  # Return the surface with the sigma
+        laid_onto_something,  # Return the surface with the sigma that is left once it lies on something by its shape
     )
     from .object_report import (
-        report_of,  # Return the page's content for a solved object and its fused surface. Raises ValueError for one
+        report_of,  # Return the content of the page about a solved object
     )
     from .object_store import (
         ADDED_SINCE,  # Reason why a scan has no place yet
@@ -91,7 +91,7 @@ if TYPE_CHECKING:
         StoredObject,  # An object: its scans, and where they lie if that was found out
         object_exists,  # Return whether there is an object of that name
         object_names,  # Return the names of all objects under a storage root, in order
-        published_object,  # Return the object as it is stored now with the places
+        published_object,  # Return an object as stored now, with the places that were found for it
         read_object,  # Read an object. Raises ObjectError for one that is not there or is damaged
         update_object,  # Replace an object by change of what is stored now (None: there is none), under its lock
         with_scans,  # Return the object with scans added
@@ -99,7 +99,7 @@ if TYPE_CHECKING:
     from .objects import (
         about_object,  # Return what a file of the object says of it
         member_of,  # Return a stored scan as a member of an object. Raises ScanError
-        overlap_news,  # Return the hash of the calibration
+        overlap_news,  # Return what an object's overlaps tell of its calibration
         placed_scans,  # Yield the scans that have a place, each with how certain it is beside its neighbours
         solve_object,  # Find where every scan of an object lies and return the object with its places
         surface_of,  # Return one surface of all scans that have a place, a point about every spacing_mm
@@ -109,7 +109,7 @@ if TYPE_CHECKING:
     )
     from .pull.pulling import (
         HowFar,  # State of a call
-        Open,
+        Open,  # Way to open a source of scans
         Pulled,  # Result of a call
         pull_scans,  # Take what is finished there and not here to the storage root target, which is there. every
     )
@@ -119,8 +119,8 @@ if TYPE_CHECKING:
     )
     from .pull.ssh import (
         ANSWER_S,  # Longest silence before a link counts as broken
-        LIBRARY,
-        NEEDS_IT,
+        LIBRARY,  # Library that speaks SSH
+        NEEDS_IT,  # What needs that library, in words
         PORT,  # Port of the instrument's server; not 22, which a Debian with a login of its own may use
         Host,  # An instrument on the network
         SshLink,  # Opens links to one instrument, one after the other
@@ -143,7 +143,7 @@ if TYPE_CHECKING:
         export_scan,  # Write the points of a stored scan, or with mesh its triangles, to out; the suffix says how
     )
     from .surface.drawing_file import (
-        checked_drawing,  # Return the suffix of a CAD model in lower case. Raises NominalError for a format
+        checked_drawing,  # Return a CAD model's suffix; NominalError for one that cannot be read
     )
     from .surface.fusion import (
         FusedCloud,  # Points of one surface, in the object's frame; all arrays have the same length n
@@ -151,11 +151,11 @@ if TYPE_CHECKING:
         fuse,  # Return one surface of all scans, a point about every spacing_mm. One scan is held at a time
     )
     from .surface.nominal import (
-        nominal_of_mesh,  # Return a mesh as the surface
+        nominal_of_mesh,  # Return a mesh as the surface that others are compared with
         read_nominal,  # Read a nominal surface in mm about a local origin. Raises NominalError
     )
     from .surface.object_mesh import (
-        VOXEL_MM,
+        VOXEL_MM,  # Edge of a cell of a mesh, mm
         mesh_of_surface,  # Return the mesh of a fused surface, whose points should be about half a voxel apart
     )
 else:

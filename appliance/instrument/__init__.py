@@ -32,7 +32,7 @@ if TYPE_CHECKING:
         Timeouts,  # Time limits of a sequence. At 60 Hz and faster the seconds count, at slower rates the periods
     )
     from .machine.ashore import (
-        ASHORE,
+        ASHORE,  # What to do ashore about a fault, by its code
     )
     from .service.air_live import (
         LiveError,  # No more views can be recorded; the text says why and what to do. Those that were are kept

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from .accept.ball_bar import (
         Ball,  # One ball: the sphere and the points it rests on
         BallBar,  # Two balls, the one with the smaller x first
-        find_ball_bar,  # Return the two balls of nearly equal radius (5..40 mm)
+        find_ball_bar,  # Return the two balls of nearly equal radius that most of a cloud's points agree on
     )
     from .accept.flatness import (
         REFERENCE_MM,  # d_r: a constant of the instrument, fixed by its measuring field
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
         flatness,  # Return E_F, E_F,sys and noise of a plane; the 0.3 % outliers are out already
     )
     from .accept.page import (
-        PAGE_END,
+        PAGE_END,  # End of a page that page_head began
         drawing,  # Return a drawing, a whole svg element, with what it shows
         figure,  # Return a picture with what it shows
         page_head,  # Return the page down to its title
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from .accept.result import (
         LENGTHS,  # The calibrated lengths that an artefact may have
         Artefact,  # Artefacts that can be evaluated
-        evaluate,  # Find artefact in cloud and compare it with its calibrated lengths (names in LENGTHS) and
+        evaluate,  # Find an artefact in a cloud and compare it with its calibrated lengths
     )
     from .accept.sphere import (
         STEEPEST_COS,  # Least cosine between the view and the sphere's normal
@@ -58,14 +58,14 @@ if TYPE_CHECKING:
     )
     from .calibration.depth_error import (
         BORDER,  # x/z at the border of the view
-        DEPTH_ERROR_TERMS,
+        DEPTH_ERROR_TERMS,  # Number of coefficients of the smooth depth error
         DISTANCE_MM,  # Distance in the standard housing at which coefficients are mm
         along_ray,  # Return the vectors (…, 3) by which points move per mm of depth
         coefficients_of,  # Return the coefficients (COUNT, …) of depth errors (n, …) at points (n, 3)
         shapes,  # Return φ (…, COUNT) at points (…, 3) of a scan's own frame
     )
     from .calibration.design import (
-        METHOD,
+        METHOD,  # Method of a calibration that is the drawing
         Design,  # The optical design: two equal cameras, toed in symmetrically
         design_calibration,  # Return the calibration of an instrument built exactly to the drawing
     )
@@ -80,7 +80,7 @@ if TYPE_CHECKING:
         FieldPrior,  # Mean and covariance of unknowns of which the last EYES blocks are nodes of fields
     )
     from .calibration.file import (
-        CALIBRATION,
+        CALIBRATION,  # File of a calibration
         IN_AIR,  # Method of a calibration in air, which only calibrating in water begins with
         Calibration,  # The instrument as measured. hash identifies it in every scan made with it
         CalibrationError,  # A calibration file cannot be used; the text says which, why and what to do
@@ -89,9 +89,9 @@ if TYPE_CHECKING:
     )
     from .calibration.gaps import (
         DOUBTS,  # Causes for which what backscatter adds may be wrong everywhere at once
-        MODES,
-        TURNS,
-        GapModes,  # The four patterns of one calibration in one water. Amplitudes are µm RMS over the measuring
+        MODES,  # Names of the patterns of ray gaps that a calibration cannot tell from water or pose
+        TURNS,  # Names of the right camera's turns, as changes
+        GapModes,  # The four patterns of ray gaps of one calibration in one water
         in_words,  # Return a turn of the right camera in a technician's words
     )
     from .calibration.judgement import (
@@ -103,7 +103,7 @@ if TYPE_CHECKING:
     )
     from .calibration.noise_file import (
         LIMITS,  # Range of each figure, within that of the rig file's key of the same name
-        NOISE,
+        NOISE,  # File of the cameras' measured noise
         BothFigures,  # The figures of both cameras
         CameraFigures,  # One camera's figures as the rig file has them, measured instead of read in a data sheet
         StoredNoise,  # The noise of both cameras and where it comes from
@@ -115,18 +115,18 @@ if TYPE_CHECKING:
         owner_misfit,  # Return why calibration is not of owner; None where it is, as far as is known
     )
     from .calibration.parameters import (
-        AIR,
-        PARAMETER_COUNT,
+        AIR,  # Places of the parameters that a calibration in air tells
+        PARAMETER_COUNT,  # Number of parameters of a rig
         PARAMETER_NAMES,  # All parameters: the ports' six, then the twenty-two that a calibration in air delivers
         PARAMETER_STEPS,  # Increments for difference quotients
-        PORT_PARAMETERS,
+        PORT_PARAMETERS,  # Places of the ports' parameters
         rig_with,  # Return rig changed by the increments x (28,), in the order of NAMES
     )
     from .calibration.patches import (
-        PATCH_COUNT,
+        PATCH_COUNT,  # Number of patches of the left image
     )
     from .calibration.response_file import (
-        RESPONSE,
+        RESPONSE,  # File of the projector's measured response
         StoredResponse,  # A response and where it comes from. Raises ValueError for harmonics that no response has
     )
     from .cloud import (
@@ -135,7 +135,7 @@ if TYPE_CHECKING:
         PatchGaps,  # Mean signed ray gaps of one scan
     )
     from .decode.decoder import (
-        CameraDecoder,  # Decodes one camera's sequence as its frames arrive. Buffers are allocated once and reused
+        CameraDecoder,  # Decodes one camera's sequence as its frames arrive
         Mask,  # Reason why a pixel has no coordinates; the first that applies
     )
     from .decode.phase import (
@@ -172,31 +172,31 @@ if TYPE_CHECKING:
     )
     from .light.exposure import (
         NOMINAL,  # Exposure of an instrument whose rig file nobody has read
-        STEPS_MS,  # Exposure times, about a quarter more light each. 10 ms is a whole period of lamps on 50 Hz
+        STEPS_MS,  # Exposure times, about a quarter more light each
         Exposure,  # Exposure of both cameras, which share one trigger pulse
         Span,  # Exposures that may be proposed, whatever the projector's period allows
         ladder,  # Return all steps from dark to bright for a projector's vertical period
     )
     from .light.model import (
-        IDENTITY,
-        HousedCamera,  # A camera in its housing. rotation and translation_mm map its frame into the left camera
+        IDENTITY,  # Rotation that turns nothing
+        HousedCamera,  # A camera in its housing, at its place in the left camera frame
         StereoRig,  # Both cameras; the left one's frame is the frame of everything measured
     )
     from .light.noise import (
         FULL_DN,  # Largest grey value of a camera's eight bits
-        MAD_TO_SIGMA,  # The standard deviation of normally distributed values over the median of their distances
+        MAD_TO_SIGMA,  # Standard deviation over the median distance from the mean, of normal values
         QUANTISATION_DN2,  # Variance of rounding to whole grey values
-        TYPICAL_PAIR,
+        TYPICAL_PAIR,  # Noise of two cameras of which nothing is known
         CameraNoise,  # One camera's temporal noise: variance = read_dn² + dn_per_e · (grey value − black_dn)
         StereoNoise,  # The temporal noise of both cameras
-        camera_noise,  # Build the noise model from the figures of a data sheet after EMVA 1288 (saturation
+        camera_noise,  # Build the noise model from a data sheet's figures after EMVA 1288
     )
     from .light.patterns import (
-        BRIGHT_CODE,
-        DARK_CODE,
-        PERIODS_PX,
+        BRIGHT_CODE,  # Code of white
+        DARK_CODE,  # Code of black
+        PERIODS_PX,  # Periods of fringes that sequences are built for, px
         Direction,  # The pattern coordinate along which a pattern varies
-        Kind,
+        Kind,  # What a pattern shows
         Pattern,  # One frame of the sequence. index is the Gray bit (0 = most significant) or the sine step (0..3)
         PatternSequence,  # All patterns of a scan in the order of projection
         build_sequence,  # Return the sequence for a fringe period
@@ -220,12 +220,12 @@ if TYPE_CHECKING:
         rotation_vector,  # Return the vector (3,), rad, of a rotation matrix, for turns of less than 180°
     )
     from .light.sides import (
-        SIDES,  # Left as the diver sees it. The cloud is in the left camera's frame and has at most one point for
+        SIDES,  # The two cameras, left as the diver sees it
         of_side,  # Return the part of both that belongs to the camera side
     )
     from .light.sine import (
         AMPLITUDE_CODE,  # Codes run from 8 to 247: clear of the ends of the scale, where projectors clip
-        MEAN_CODE,
+        MEAN_CODE,  # Mean code of sine fringes
         PHASE_STEPS,  # Number of phase steps, 90° apart; PatternSequence says what relies on it
         fringe,  # Return cos(φ + step·90°) at the pixels' centres: shape (size_px,), −1 … 1
     )
@@ -247,7 +247,7 @@ if TYPE_CHECKING:
         PatternIdentity,  # Judgement whether each frame shows the pattern it should. With a fault
         ReconstructionFailure,  # Fault for which the frames get no points now; the next scan's may
         ScanOverlap,  # Overlap of the scan with the one before of its object, found some time after the full cloud
-        SequenceFact,
+        SequenceFact,  # Every fact about one sequence
         Verdicts,  # All judgements of the scan, identity first, in place of those before
         WorkerFailure,  # Failure of the worker's process, in words
         WorkProgress,  # One step more of the work, of which nothing else is to be told
@@ -278,7 +278,7 @@ if TYPE_CHECKING:
         System,  # The equations of one round
         moved,  # Return pose displaced by δ (6,)
         resistance_of,  # Return what resists a displacement in equations at the pose that solves them
-        spread,  # Return the standard deviation of most of the values (1.4826 times the median distance from their
+        spread,  # Return the standard deviation of most of the values
         step_of,  # Return the displacement δ (6,) that makes the residuals least; none along what nothing holds
         system_of,  # Return the equations of patches as they lie; with_paint: paint's beside those of the planes
     )
@@ -289,7 +289,7 @@ if TYPE_CHECKING:
     from .overlap.fine import (
         Fit,  # A fine pose with what is known about it
         Prepared,  # One scan at one resolution, ready to be registered
-        own_resistance,  # Return what resists a displacement of a scan's shape laid upon itself. A pair has part of
+        own_resistance,  # Return what resists a displacement of a scan's shape laid upon itself
         refine,  # Return the fine pose that start leads to; None where too little overlaps to tell
     )
     from .overlap.guidance import (
@@ -302,7 +302,7 @@ if TYPE_CHECKING:
         compare,  # Find how much of b lies on a
     )
     from .overlap.patches import (
-        Array,
+        Array,  # Array of float64
         Patches,  # A scan as patches; arrays are (gh, gw, …), NaN where there is none
         Projection,  # The pixel in which a point is seen, as a polynomial of its direction and inverse depth
         coarser,  # Join factor × factor patches to one, for searching from afar
@@ -325,7 +325,7 @@ if TYPE_CHECKING:
         NoPoint,  # Reason why a left pixel has no point; the first that applies
         OneDirectionError,  # One direction cannot do with these maps; says why, and what would help
         OneDirectionLimits,  # Limits of a search. What is None follows from the maps themselves
-        match_along_curves,  # Find the point of each left pixel whose coordinate the right image has along the
+        match_along_curves,  # Find the point of each left pixel whose coordinate lies on its epipolar curve
     )
     from .points.organised import (
         OrganisedCloud,  # A full cloud of one scan, left camera frame
@@ -345,7 +345,7 @@ if TYPE_CHECKING:
     )
     from .points.table import (
         CLOUD_BYTES,  # Bytes of one point of a Cloud
-        POINT_BYTES,
+        POINT_BYTES,  # Bytes of one point in a table
         Cloud,  # Points in the left camera frame, with what is known about each. All arrays have the same length n
         PointTable,  # Room for capacity points in memory (POINT_BYTES each), or in memory of its own
     )
@@ -354,7 +354,7 @@ if TYPE_CHECKING:
     )
     from .verdict import (
         GRADE_NAME,  # Name of the verdict whose text is the grade's value
-        LENGTHS_DOUBTFUL,  # Name of that verdict's number that is 1
+        LENGTHS_DOUBTFUL,  # Name of the number that is 1 where lengths were not to be trusted
         MADE_UP_FOR,  # Faults of one sequence that a second one with another exposure makes up for
         SPOILS_POINTS,  # Faults that make points of a recorded scan wrong
         SPOILS_SCAN,  # Faults that make a recorded scan worthless: it is not kept
@@ -366,10 +366,10 @@ if TYPE_CHECKING:
         grade,  # Return the grade of a scan whose cloud covers so much of what is lit, with that median sigma
     )
     from .verdicts.causes import (
-        CAUSES_NAME,
+        CAUSES_NAME,  # Name of the verdict causes
     )
     from .verdicts.identity.judge import (
-        IDENTITY_NAME,
+        IDENTITY_NAME,  # Name of the verdict identity
     )
     from .verdicts.window import (
         CELLS,  # Columns and rows of cells over each image
@@ -379,7 +379,7 @@ if TYPE_CHECKING:
     from .warm import (
         PIECES,  # Everything that a scan may need, just recorded or stored
         POINT_PIECES,  # All that points need where the images were decoded by something else
-        compiler_watched,  # Watch numba inside; yields what tells whether it had to compile anything
+        compiler_watched,  # Watch numba; yields what tells whether it had to compile
         what_an_empty_scan_does_not_run,  # Return what runs the kernels for bent fringes, changing light
     )
 else:

@@ -46,22 +46,22 @@ if TYPE_CHECKING:
     from .config.rig import (
         CameraRig,  # [camera.left] and [camera.right]
         OutputRig,  # [projector], and most of [display]: a connector of a graphics card, or a window on a desk
-        ProjectorRig,
+        ProjectorRig,  # [projector]
     )
     from .damage import (
         damaged_frames,  # Compare every byte of the frames with its checksum; empty where all are whole
         frames_as_they_are,  # Return the frames of a damaged file, (n, h, w) uint8
-        refuse_damaged_frames,  # Compare every byte of a scan's frames with its checksum. Raises ScanError
+        refuse_damaged_frames,  # Compare every byte of a scan's frames with its checksum; ScanError if any differs
     )
     from .filesystem import (
-        AppendingFileSystem,  # A file system on which a file
-        Bytes,
+        AppendingFileSystem,  # A file system on which a file that was begun can be gone on with
+        Bytes,  # Content of a file in memory
         FileSystem,  # The operations that storage needs of a file system. Every call raises OSError on failure
         LocalFileSystem,  # The disk of this machine (POSIX)
     )
     from .incomplete import (
-        INCOMPLETE,
-        INCOMPLETE_FOLDER,
+        INCOMPLETE,  # File that says what there is of a recording that broke off
+        INCOMPLETE_FOLDER,  # Folder of recordings that broke off
         INCOMPLETE_OF,  # Kind of the file, which tells it from a scan's manifest
         IncompleteRecording,  # An incomplete recording as it lies on disk
         find_incomplete,  # Return the folder of a recording by its number. Raises ScanError
@@ -73,8 +73,8 @@ if TYPE_CHECKING:
         load_calibration,  # Read a calibration file. Raises CalibrationError also for a missing or unreadable file
     )
     from .label import (
-        LABEL,
-        LABEL_FILE,
+        LABEL,  # File of a scan's name and note
+        LABEL_FILE,  # Name of that file
         LONGEST_NAME,  # Greatest lengths in characters: a name is a column of a list, a note a paragraph
         LONGEST_NOTE,  # Greatest lengths in characters: a name is a column of a list, a note a paragraph
         Label,  # Name and note of a scan; None: there is none
@@ -84,22 +84,22 @@ if TYPE_CHECKING:
     from .library import (
         Library,  # The scans under one root. Raises StorageError for whatever the disk refuses
         LibraryFolder,  # Folders that a finished scan can lie in; the values are folder names
-        PendingScan,  # A scan whose raw frames are durable and
+        PendingScan,  # A scan whose raw frames are durable and that waits for the diver's decision
         ScanEntry,  # One scan in the list. A damaged one is listed like the others, with its problems
         UnknownScan,  # There is no scan of that number
         entry_of,  # Return one scan by its folder, be it in a library or copied elsewhere
     )
     from .lock import (
-        hold_lock,  # Hold the lock of root; the kernel releases it however the process ends. Raises StorageError if
-        holder,  # Return the process that holds the lock of root; None where nobody does. Changes nothing, and never
+        hold_lock,  # Hold the lock of root; StorageError if another process has it
+        holder,  # Return the process that holds the lock of root; None where nobody does
     )
     from .manifest import (
         INCOMPLETE_MANIFEST_FILE,  # The file that stands in its place where a scan broke off (incomplete)
-        MANIFEST,
-        MANIFEST_FILE,
+        MANIFEST,  # File that makes a folder a scan
+        MANIFEST_FILE,  # Name of that file
         Decision,  # Decisions of the diver about a scan
-        Manifest,  # The whole manifest. files maps the name of every file but the manifest to its length and
-        ScanRecord,  # Everything known about a scan but its files. Complete it with dataclasses.replace as more is
+        Manifest,  # The whole manifest
+        ScanRecord,  # Everything known about a scan but its files
         SecondSequence,  # A second sequence of the same scene with another exposure
         SequenceInfo,  # Pattern that each frame shows
         Stage,  # Stages that a scan goes through
@@ -112,8 +112,8 @@ if TYPE_CHECKING:
         OBJECTS,  # Folder below a storage root with its objects
         NameShapeError,  # A name cannot be part of a path; the text says which and what is allowed
         by_number,  # Return what orders names of scans as they were taken, 1000000 after 999999
-        component,  # Return name, which is one component of a path. what it is the name of is for the message.
-        is_component,  # Return True if name is one component of a path
+        component,  # Return name, which is one component of a path; NameShapeError otherwise
+        is_component,  # Tell whether name is one component of a path, neither hidden nor like an option
         is_kept_calibration,  # Return True if name is that of a kept calibration, and of nothing outside its folder
         is_object,  # Return True if name can name an object, whose folder and files are called so
         scan_number,  # Return the number in the name of a scan's folder
@@ -129,7 +129,7 @@ if TYPE_CHECKING:
         calibration_for,  # Return the calibration for a scan: the one asked for, else its own
         instrument_of,  # Return the instrument that all scans (one or more) are of
         lost,  # Return what is wrong with one of a scan's files, its bytes compared with their checksum
-        one_calibration,  # Return the calibration for several scans at once. Raises CalibrationError also
+        one_calibration,  # Return the calibration for several scans at once
         open_source,  # Open a scan and the rig it was taken with: --rig, else its own
         refuse_misfit,  # Raises CalibrationError where misfit has a reason. whose
     )
@@ -138,7 +138,7 @@ if TYPE_CHECKING:
         packed_path,  # Return where the packed form of a file of frames lies
     )
     from .picture_size import (
-        KNOWN,
+        KNOWN,  # Formats of pictures whose size is read, in words
         picture_head,  # Return width, height and bits that the header states
         size_px,  # Return the width and height that the header states; None as picture_head
     )
@@ -161,22 +161,22 @@ if TYPE_CHECKING:
         plan_room,  # Return lengths in bytes of what one scan needs
     )
     from .root import (
-        VARIABLE,
+        VARIABLE,  # Environment variable with the storage root
         standing_root,  # Return the storage root around the working directory, else that of KINGFISHER_ROOT
         where_none_was_found,  # Return where standing_root looked in vain, in words
     )
     from .scan import (
-        CLOUD_FILE,
-        PREVIEW_FILE,
-        RAW_FILES,
-        RIG_FILE,
-        SECOND_FILES,
+        CLOUD_FILE,  # Name of a scan's file of points
+        PREVIEW_FILE,  # Name of a scan's picture
+        RAW_FILES,  # Names of a scan's files of frames
+        RIG_FILE,  # Name of a scan's rig file
+        SECOND_FILES,  # Names of the files of frames of a second exposure
         ScanError,  # A stored scan cannot be used; the text says which and why
         ScanOrigin,  # The means a scan was taken with, as the bytes of the files that describe them
         StoredScan,  # A scan as it lies on disk. frames by side: (n, h, w) uint8, mapped
         cloud_bytes,  # Return the length that the file with the points has at most: one for every left pixel
         discard_raw,  # Take back a write_raw that failed, whose frames are still in memory. Raises StorageError
-        finish_scan,  # Add what there is to add and write the final manifest. May be repeated after a failure.
+        finish_scan,  # Add what there is to add and write the final manifest
         frames_bytes,  # Return the length of the file with one camera's frames
         frames_file,  # Name of the file with one camera's frames
         load_scan,  # Open a scan; its files' lengths are checked
@@ -192,7 +192,7 @@ if TYPE_CHECKING:
         ListError,  # The list of scans cannot be used
         ScanList,  # A list of scans as the metrologist wrote it down
         read_list,  # Read a list, TOML or (by its name) JSON: docs/evaluation.md. Raises ListError
-        refuse_repeats,  # Raise ListError for an artefact
+        refuse_repeats,  # Raise ListError for an artefact that a list names twice in one scan
     )
     from .wish import (
         Wish,  # The options that were given beside the scan itself; None: nothing was said

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
         Finding,  # Outcome of one check
     )
     from .flashing import (
-        Part,
+        Part,  # Boards that have firmware of ours
         commands,  # Return what is typed to bring folder onto a module with MicroPython; each may be repeated
         instrument_values,  # Return what stands in the firmware's instrument.py, by name. Raises BringupError
         laid_out,  # Return every file of one firmware by its path on the microcontroller
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
         outcomes_page,  # Return a page about steps that were done outside of the guide as HTML
     )
     from .projector import (
-        PROJECTOR_PAGE,
+        PROJECTOR_PAGE,  # Name of the projector's page
         measure_on_wall,  # Ask for a white wall, and measure the projector on it. Raises DeviceError, BringupError
         measure_projector,  # Measure everything; gain_db is that of the short exposures. Raises BringupError
         outcomes_in_order,  # Return the outcomes of the projector's steps and all their findings
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
         GivenUp,  # The person gave up, or nobody is there: the guide ends, and what was done stays done
     )
     from .steps import (
-        STEPS,
+        STEPS,  # The steps of the guided bring-up in their order
     )
     from .trigger import (
         fired,  # Fire PULSES triggers with delay, exposure (unless another one is given) and gain of the rig file
