@@ -171,7 +171,7 @@ class Places:
     """Reason, for each scan that has no place."""
     warnings: tuple[str, ...]
     shared_error_mm: tuple[float, ...]
-    """Coefficients of the depth error that all scans share (appliance.measure.overlap.bow)."""
+    """Coefficients of the depth error that all scans share (appliance.desk.registration.bow)."""
     shared_error_spread_mm: float
     """Standard deviation of that error in the points as they are, RMS over the view: after the estimate where it is taken out, else
     what the calibration leaves."""

@@ -26,12 +26,12 @@ from appliance.desk.object_store import (
     StoredObject,
 )
 from appliance.desk.organised import OrganisedScan, organised_scan
+from appliance.desk.registration.bow import bow_score, corrected, known_before, spread_mm
 from appliance.desk.registration.graph import Edge, Placed
 from appliance.desk.registration.joint import JointErrors, joint_errors
-from appliance.desk.registration.pair import ReadyScan, ready
 from appliance.desk.registration.solve import Compared, Solved, middle_of, solve
 from appliance.desk.surface.fusion import POSE_SIGMA_MM, FusedCloud, PlacedScan, fuse
-from appliance.measure import Calibration, OrganisedCloud, bow_score, corrected, known_before, matrix3, spread_mm
+from appliance.measure import Calibration, OrganisedCloud, ReadyScan, matrix3, ready
 from appliance.store import (
     RAW_FILES,
     SECOND_FILES,

@@ -60,6 +60,7 @@ if TYPE_CHECKING:
         BORDER,  # x/z at the border of the view
         DEPTH_ERROR_TERMS,  # Number of coefficients of the smooth depth error
         DISTANCE_MM,  # Distance in the standard housing at which coefficients are mm
+        POWERS,  # Exponents i, j, k of u, v and w. What is constant or tilts only moves or turns a scan
         along_ray,  # Return the vectors (…, 3) by which points move per mm of depth
         coefficients_of,  # Return the coefficients (COUNT, …) of depth errors (n, …) at points (n, 3)
         shapes,  # Return φ (…, COUNT) at points (…, 3) of a scan's own frame
@@ -252,45 +253,12 @@ if TYPE_CHECKING:
         WorkerFailure,  # Failure of the worker's process, in words
         WorkProgress,  # One step more of the work, of which nothing else is to be told
     )
-    from .overlap.albedo import (
-        Paint,  # Paint over the grid of Patches; arrays (gh, gw) and (gh, gw, 3), NaN where it is not known
-        paint_of,  # Return the paint of patches that are lit from light_mm (3,) in the scan's frame
-        patch_pitch_mm,  # Return the median distance of neighbouring patches, mm
-    )
-    from .overlap.bow import (
-        PRIOR_MM2,  # Covariance before any overlap is seen, of a calibration that states none
-        bow_score,  # Return how far an estimate (k,) lies from what was known before, in standard deviations
-        corrected,  # Return points (…, 3) of a scan's own frame with the shared error taken out
-        known_before,  # Return the covariance (k, k), mm²
-        spread_mm,  # Return the RMS depth over the view that coefficients of this covariance (k, k) may have
-    )
-    from .overlap.coarse import (
-        Guess,  # A coarse pose of B in A's frame
-        guess_by_features,  # Return at most most distinct poses that enough features agree on, the best first
-        guess_by_shape,  # Return at most most distinct poses of B on A that fit by shape, the best first
-        in_common,  # Return the points (n, 3) in A's frame of the features that two scans have in common
-        same,  # Return whether two poses of B put points around the middle of the volume to the same place
-    )
     from .overlap.equations import (
         FEWEST,  # Fewest patches in common
-        Laid,  # Patches of B laid upon A: n of them that meet a patch of A, in A's frame
-        Resistance,  # The resistance to a displacement of the pose found, and how certain that pose is
         System,  # The equations of one round
-        moved,  # Return pose displaced by δ (6,)
-        resistance_of,  # Return what resists a displacement in equations at the pose that solves them
-        spread,  # Return the standard deviation of most of the values
-        step_of,  # Return the displacement δ (6,) that makes the residuals least; none along what nothing holds
-        system_of,  # Return the equations of patches as they lie; with_paint: paint's beside those of the planes
-    )
-    from .overlap.features import (
-        Features,  # n features
-        features_of,  # Find at most most features of the bright image that have a point below them
     )
     from .overlap.fine import (
         Fit,  # A fine pose with what is known about it
-        Prepared,  # One scan at one resolution, ready to be registered
-        own_resistance,  # Return what resists a displacement of a scan's shape laid upon itself
-        refine,  # Return the fine pose that start leads to; None where too little overlaps to tell
     )
     from .overlap.guidance import (
         Guide,  # Follows live pictures of one kept scan after another. Used by one thread
@@ -301,12 +269,14 @@ if TYPE_CHECKING:
         coarse_view,  # Keep what a scan is compared by. cloud: every stride_px-th pixel's point
         compare,  # Find how much of b lies on a
     )
+    from .overlap.pair import (
+        PairRefusal,  # Reason why two scans are not placed relative to each other
+        ReadyScan,  # A scan as registration wants it; made once per scan
+        RegisteredPair,  # Two scans that were compared, and what came of it
+        ready,  # Prepare a scan for registration
+        register,  # Find the pose of B in A's frame
+    )
     from .overlap.patches import (
-        Array,  # Array of float64
-        Patches,  # A scan as patches; arrays are (gh, gw, …), NaN where there is none
-        Projection,  # The pixel in which a point is seen, as a polynomial of its direction and inverse depth
-        coarser,  # Join factor × factor patches to one, for searching from afar
-        patches_of,  # Cut cloud into patches of block_px pixels a side (None: of about PATCH_MM)
         projection_of,  # Fit the projection of a camera in water of water_index to its own refracted rays
     )
     from .overlap.rigid import (

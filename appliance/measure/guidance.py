@@ -27,7 +27,7 @@ class Overlap:
 
 
 LEAST_SHARE = 0.08
-"""Smaller overlaps hold no pair of scans together (``appliance.desk.registration.pair``)."""
+"""Smaller overlaps hold no pair of scans together (``appliance.measure.overlap.pair``)."""
 SCANT_SHARE = 0.25
 """Overlaps of 40 to 60 % are good: enough to hold, and new surface in every scan."""
 NO_OVERLAP, UNKNOWN = Overlap(0.0), Overlap(None)

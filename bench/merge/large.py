@@ -20,13 +20,13 @@ from appliance.desk.export.content import OBJECT_FRAME, About
 from appliance.desk.export.files import write_mesh, write_surface
 from appliance.desk.export.placed import PlacedGrid, write_placed
 from appliance.desk.objects import light_of
-from appliance.desk.registration.pair import ready
 from appliance.desk.registration.solve import solve
 from appliance.desk.surface.deviation import deviations
 from appliance.desk.surface.fusion import FusedCloud, PlacedScan, fuse
 from appliance.desk.surface.mesh import Mesh
 from appliance.desk.surface.nominal import nominal_of_mesh
 from appliance.desk.surface.object_mesh import mesh_of_surface
+from appliance.measure.overlap.pair import ready
 from appliance.measure.overlap.rigid import Rigid
 from appliance.measure.points.organised import OrganisedCloud
 from bench.merge.row import poses_along

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 
 from appliance.calibrate.health import OVERLAP_LIMIT
+from appliance.desk.registration.bow import PRIOR_MM2, bow_score, known_before
 from appliance.desk.registration.graph import Edge, place
-from appliance.desk.registration.pair import ReadyScan
 from appliance.desk.registration.solve import edges_of, middle_of, solve
 from appliance.measure.light.rotation import rotation_matrix
-from appliance.measure.overlap.bow import PRIOR_MM2, bow_score, known_before
+from appliance.measure.overlap.pair import ReadyScan
 from appliance.measure.overlap.rigid import Rigid
 from bench.merge.pairs import ready_of
 from bench.merge.row import FORTH, drawn

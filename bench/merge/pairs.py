@@ -10,9 +10,9 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from appliance.desk.objects import light_of
-from appliance.desk.registration.pair import ReadyScan, ready, register
 from appliance.measure.light.rotation import rotation_matrix
 from appliance.measure.overlap.fine import lay
+from appliance.measure.overlap.pair import ReadyScan, ready, register
 from appliance.measure.overlap.rigid import Rigid
 from bench.merge.views import Array, PlacedView, Wanted, view_of
 from bench.progress import Progress

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from appliance.desk.registration.bow import bow_score, known_before
 from appliance.desk.registration.graph import Placed, place
 from appliance.desk.registration.solve import Compared, edges_of, middle_of, solve
 from appliance.measure.calibration.depth_error import DEPTH_ERROR_TERMS, along_ray, shapes
 from appliance.measure.light.rotation import rotation_matrix
-from appliance.measure.overlap.bow import bow_score, known_before
 from appliance.measure.points.organised import OrganisedCloud
 from bench.merge.calibrated import Distortion, distortion
 from bench.merge.pairs import angles_deg, ready_of

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from appliance.desk.registration.pair import ReadyScan, ready_with
 from appliance.measure.calibration.file import Calibration
+from appliance.measure.overlap.pair import ReadyScan, ready_with
 from appliance.measure.overlap.patches import projection_of
 from appliance.measure.overlap.rigid import Rigid
 from appliance.measure.points.organised import OrganisedCloud

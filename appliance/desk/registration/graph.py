@@ -15,7 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from appliance.measure import DEPTH_ERROR_TERMS, PRIOR_MM2, Array, Fit, Rigid, rotation_matrix, rotation_vector
+from appliance.desk.registration.bow import PRIOR_MM2, Array
+from appliance.measure import DEPTH_ERROR_TERMS, Fit, Rigid, rotation_matrix, rotation_vector
 
 FLOOR_MM = 0.015
 """Standard deviation that every pair has besides its own: what calibrations leave between places of the image."""

@@ -19,8 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.base import one_line
+from appliance.desk.registration.bow import Array
 from appliance.desk.registration.graph import Placed
-from appliance.measure import STANDARD, Array, Rigid, WorkingVolume, along_ray, shapes
+from appliance.measure import STANDARD, Rigid, WorkingVolume, along_ray, shapes
 
 _BLOCK = 20_000
 """Points that are worked on at once: their shapes take some megabytes."""

@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 
-from appliance.measure import FEWEST, Array, Laid, Rigid, System, moved, resistance_of, spread, step_of, system_of
+from appliance.desk.registration.bow import Array
+from appliance.measure import FEWEST, Rigid, System
 
 USED = 12_000
 """Points of the measured surface that lead the fit."""
@@ -180,16 +181,16 @@ def lay_onto(measured: OrientedPoints, reference: ReferenceSurface, start: Rigid
 
 
 def _described(best: _Fit, fits: list[_Fit], used: OrientedPoints, ways: tuple[FreeWay, ...]) -> LaidOnto:
-    resistance = resistance_of(best.system)
+    resistance = best.system.resistance()
     value, vector = np.linalg.eigh(resistance.stiffness)
     loose = resistance.held < HELD
     kept = vector[:, ~loose]
     inverse = kept @ np.diag(1.0 / value[~loose]) @ kept.T
-    close = fits[0].close(best.scatter_mm)
+    close = fits[0].close(best.system.scatter_mm)
     as_good = [
         fit
         for fit in fits[1:]
-        if fit.close(best.scatter_mm) > AS_GOOD * close and not _is_slid(fit.pose, best, kept, used)
+        if fit.close(best.system.scatter_mm) > AS_GOOD * close and not _is_slid(fit.pose, best, kept, used)
     ]
     return LaidOnto(
         pose=best.pose,
@@ -199,7 +200,7 @@ def _described(best: _Fit, fits: list[_Fit], used: OrientedPoints, ways: tuple[F
         free=ways,
         fitting=best.fitting,
         rms_mm=best.rms_mm,
-        scatter_mm=best.scatter_mm,
+        scatter_mm=best.system.scatter_mm,
         elsewhere=tuple(fit.pose for fit in as_good),
     )
 
@@ -248,7 +249,7 @@ def _slid_apart(fits: list[_Fit], few: OrientedPoints, slid: OrientedPoints, rou
     tried: list[tuple[_Fit, Array]] = []
     for fit in fits:
         if len(tried) < _LED and not any(_is_slid(fit.pose, one, kept, few) for one, kept in tried):
-            resistance = resistance_of(fit.system)
+            resistance = fit.system.resistance()
             tried.append((fit, resistance.directions[:, resistance.held >= HELD]))
     return [_slid_along(fit, few, slid, rough) for fit, _ in tried]
 
@@ -273,7 +274,7 @@ def _settled(fit: _Fit, some: OrientedPoints, reference: ReferenceSurface) -> _F
     loose = fit.loose
     if not loose:
         return fit
-    width_mm = max(3.0 * fit.scatter_mm, 0.1)
+    width_mm = max(3.0 * fit.system.scatter_mm, 0.1)
 
     def lost(amounts: Array) -> float:
         (pose,) = _along(fit, np.tensordot(amounts, loose, 1), np.ones(1))
@@ -344,7 +345,6 @@ class _Fit:
     system: System
     apart_mm: Array
     """(n,): distance of every used point from the reference; infinite where there is none near."""
-    scatter_mm: float
 
     @property
     def fitting(self) -> float:
@@ -363,7 +363,7 @@ class _Fit:
     @property
     def loose(self) -> list[Array]:
         """The directions (6,) of δ that nothing holds: shifts, and turns with the shift that belongs to them."""
-        resistance = resistance_of(self.system)
+        resistance = self.system.resistance()
         vectors = resistance.directions[:, resistance.held < HELD]
         if not vectors.shape[1]:
             return []
@@ -411,44 +411,36 @@ def _led(measured: OrientedPoints, reference: _Sampled | ReferenceSurface, guess
     """Return the fit that ``guess`` leads to, unmoved along what nothing holds; ``None`` where too little lies on the reference to tell."""
     pose, gate = guess, gate_mm
     for _ in range(ROUNDS):
-        laid, _ = _lay(measured, reference, pose, gate)
-        if len(laid.source) < FEWEST:
+        system, _ = _lay(measured, reference, pose, gate)
+        if system is None:
             return None
-        system = system_of(laid, with_paint=False)
-        resistance = resistance_of(system)
+        resistance = system.resistance()
         held = resistance.directions[:, resistance.held >= HELD]
-        step = held @ (held.T @ step_of(system))
-        pose = moved(pose, system, step)
-        gate = max(LAST_GATE_MM, min(0.7 * gate, max(6.0 * spread(laid.apart_mm), 0.35 * gate)))
+        step = held @ (held.T @ system.step())
+        pose = system.moved(pose, step)
+        gate = max(LAST_GATE_MM, min(0.7 * gate, max(6.0 * system.scatter_mm, 0.35 * gate)))
         if gate <= LAST_GATE_MM and float(np.linalg.norm(step)) < 2e-4:
             break
-    laid, apart = _lay(measured, reference, pose, LAST_GATE_MM)
-    if len(laid.source) < FEWEST:
-        return None
-    return _Fit(pose, system_of(laid, with_paint=False), apart, spread(laid.apart_mm))
+    system, apart = _lay(measured, reference, pose, LAST_GATE_MM)
+    return None if system is None else _Fit(pose, system, apart)
 
 
 def _lay(
     measured: OrientedPoints, reference: _Sampled | ReferenceSurface, pose: Rigid, gate_mm: float
-) -> tuple[Laid, Array]:
-    """Lay the measured points upon the reference, each on the plane of its nearest place; return with it the distance (n,) of all
-    points, infinite where there is nothing like them."""
+) -> tuple[System | None, Array]:
+    """Lay the measured points upon the reference, each on the plane of its nearest place; return the equations, ``None`` of too few, and
+    the distance (n,) of all points, infinite where there is nothing like them."""
     x, m = pose.of(measured.points_mm), measured.normals @ pose.rotation.T
     on = reference.nearest(x, max(gate_mm, FITS_MM))
     alike = (on.normals * m).sum(1) > MIN_ALIKE
     apart = np.where(alike, on.distance_mm, np.inf)
     index = np.flatnonzero(apart < gate_mm)
+    if len(index) < FEWEST:
+        return None, apart
     plane = on.normals[index]
     off = (plane * (x[index] - on.places_mm[index])).sum(1)
-    n = len(index)
-    nothing, flat = np.full(n, np.nan), np.zeros((n, 3))
-    laid = Laid(
-        x_mm=x[index], source=index, tile=_cells(x[index], TILE_MM), apart_mm=off,
-        normal_a=plane, normal_b=m[index], sigma_mm=np.hypot(measured.sigma_mm[index], on.sigma_mm[index]),
-        paint=nothing, gradient_a=flat, gradient_b=flat, paint_noise=nothing, paint_a=nothing, paint_b=nothing,
-        unmet=np.ones(0, bool), front=np.ones(0, bool), tried=len(x),
-    )  # fmt: skip
-    return laid, apart
+    sigma_mm = np.hypot(measured.sigma_mm[index], on.sigma_mm[index])
+    return System.of_planes(x[index], off, (plane, m[index]), sigma_mm, _cells(x[index], TILE_MM)), apart
 
 
 # ------------------------------------------------------------------------------------------------ guesses by pairs of points

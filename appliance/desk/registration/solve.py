@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.base import one_line
+from appliance.desk.registration.bow import Array, known_before
 from appliance.desk.registration.graph import Edge, Placed, place
-from appliance.desk.registration.pair import PairRefusal, ReadyScan, RegisteredPair, register
-from appliance.measure import Array, Features, Rigid, in_common, known_before
+from appliance.measure import PairRefusal, ReadyScan, RegisteredPair, Rigid, register
 
 VOTERS = 400
 """Features of a scan that vote, its strongest ones."""
@@ -33,12 +33,12 @@ def by_time(count: int) -> list[tuple[int, int]]:
     return [(k, k + 1) for k in range(count - 1)]
 
 
-def by_features(features: Sequence[Features]) -> list[tuple[int, int]]:
-    """Return the pairs, ascending, whose features vote for each other, at most ``PER_SCAN`` of each scan.
+def by_features(descriptors: Sequence[NDArray[np.float32]]) -> list[tuple[int, int]]:
+    """Return the pairs, ascending, of scans whose features (n, 128), the strongest first, vote for each other, at most ``PER_SCAN`` of each scan.
 
     Every voter finds its best match in each other scan at once; a match counts for the scan in which it is best.
     """
-    votes = _votes([one.descriptors[:VOTERS] for one in features])
+    votes = _votes([one[:VOTERS] for one in descriptors])
     chosen = set()
     for k, row in enumerate(votes):
         for other in np.argsort(-row, kind="stable")[:PER_SCAN]:
@@ -154,7 +154,7 @@ def solve(
     (``Calibration.depth_error_mm2``). Pairs: each scan with the next, with those its features vote for, then with all that the places found so far put beside it.
     """
     wanted: dict[tuple[int, int], Rigid | None] = dict.fromkeys(by_time(len(scans)))
-    wanted |= dict.fromkeys(by_features([scan.features for scan in scans]))
+    wanted |= dict.fromkeys(by_features([scan.features.descriptors for scan in scans]))
     compared: list[Compared] = []
     tried: set[tuple[int, int]] = set()
 
@@ -179,8 +179,7 @@ def _compared(scans: Sequence[ReadyScan], first: int, second: int, near: Rigid |
     pair = register(scans[first], scans[second], near)
     if not pair.accepted or pair.fit is None:
         return Compared(first, second, pair)
-    common = in_common(scans[first].features, scans[second].features, pair.fit.pose)
-    return Compared(first, second, pair, len(common))
+    return Compared(first, second, pair, scans[first].marks_in_common(scans[second], pair.fit.pose))
 
 
 def middle_of(scan: ReadyScan) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from appliance.measure.calibration.depth_error import DEPTH_ERROR_TERMS
+from appliance.measure.calibration.depth_error import DEPTH_ERROR_TERMS, along_ray, shapes
+from appliance.measure.light.volume import STANDARD, WorkingVolume
 from appliance.measure.overlap.albedo import Paint, patch_pitch_mm
-from appliance.measure.overlap.bow import BowNews, derivatives, news_of
 from appliance.measure.overlap.equations import (
     EXTRA_MM,
     EXTRA_PAINT,
@@ -19,10 +19,7 @@ from appliance.measure.overlap.equations import (
     Laid,
     Resistance,
     System,
-    moved,
-    resistance_of,
     spread,
-    step_of,
     system_of,
 )  # fmt: skip
 from appliance.measure.overlap.patches import Array, Bools, Patches
@@ -37,6 +34,18 @@ FIRST_GATE_MM, LAST_GATE_MM = 3.0, 0.25
 """Largest distance at which patches are taken for the same place, in the first round and the least in the last."""
 FAINT = 0.025
 """Paint whose logarithm varies by less than this is none: what light leaves would be taken for it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BowNews:
+    """Equations of one pair for the shared error."""
+
+    response: Array
+    """(6, k): by how much the pair's pose is wrong per mm of each coefficient."""
+    information: Array
+    """(k, k), 1/mm²: of the residuals that no pose takes away."""
+    gradient: Array
+    """(k,), 1/mm: of half the sum of squares, at zero coefficients."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -179,10 +188,10 @@ def refine(
         if len(laid.source) < FEWEST:
             return None
         system = system_of(laid, with_paint and k >= 2)
-        step = step_of(system)
-        pose = moved(pose, system, step)
+        step = system.step()
+        pose = system.moved(pose, step)
         moved_mm = float(np.linalg.norm(step))
-        gate = max(LAST_GATE_MM, min(gate, 5.0 * spread(laid.apart_mm)), 0.6 * gate if gate > 1.0 else 0.0)
+        gate = max(LAST_GATE_MM, min(gate, 5.0 * system.scatter_mm), 0.6 * gate if gate > 1.0 else 0.0)
         if moved_mm < 2e-4 and k >= 5:
             break
     return _judged(a, b, pose, with_paint)
@@ -200,17 +209,8 @@ def own_resistance(scan: Prepared) -> Resistance:
         beside /= np.linalg.norm(beside, axis=-1)[..., None]
         used = patches.valid & ((beside * patches.normal).sum(-1) > MIN_ALIKE)
     index, n = np.flatnonzero(used), int(np.count_nonzero(used))
-    nothing, flat, at_once = np.full(n, np.nan), np.zeros((n, 3)), np.ones(0, bool)
-    return resistance_of(
-        system_of(
-            Laid(
-                x_mm=patches.centre_mm[used], source=index, tile=index, apart_mm=np.zeros(n), normal_a=patches.normal[used], normal_b=beside[used],
-                sigma_mm=patches.sigma_mm[used], paint=nothing, gradient_a=flat, gradient_b=flat, paint_noise=nothing, paint_a=nothing,
-                paint_b=nothing, unmet=at_once, front=at_once, tried=n,
-            ),
-            with_paint=False,
-        )
-    )  # fmt: skip
+    normals = patches.normal[used], beside[used]
+    return System.of_planes(patches.centre_mm[used], np.zeros(n), normals, patches.sigma_mm[used], index).resistance()
 
 
 def _judged(a: Prepared, b: Prepared, pose: Rigid, with_paint: bool) -> Fit | None:
@@ -223,7 +223,7 @@ def _judged(a: Prepared, b: Prepared, pose: Rigid, with_paint: bool) -> Fit | No
     if len(kept.source) < FEWEST:
         return None
     system = system_of(kept, with_paint)
-    resistance = resistance_of(system)
+    resistance = system.resistance()
     good = np.abs(laid.apart_mm) < limit
     # What A has where B's camera looks must be there, too.
     back = lay(b, a, pose.inverse, 1.0)
@@ -256,6 +256,31 @@ def _bow(system: System, laid: Laid, b: Prepared, pose: Rigid, resistance: Resis
     independent = np.einsum("ni,ni,n->", J, J, (system.w * system.r) ** 2)
     overdispersion = max(float(np.trace(resistance.meat)) / max(float(independent), 1e-12), 1.0)
     return news_of(J, resistance.inverse, B, system.w, system.r, overdispersion)
+
+
+def derivatives(
+    normal_a: Array, at_a_mm: Array, at_b_mm: Array, rotation: Array, volume: WorkingVolume = STANDARD
+) -> Array:
+    """Return ∂r/∂c (n, k): how the distance of B's patches from A's planes changes with the shared error.
+
+    ``at_a_mm``: the places (n, 3) in A's frame, ``at_b_mm``: the same in B's, ``rotation``: from B's frame into A's.
+    """
+    of_b = (normal_a * (along_ray(at_b_mm) @ rotation.T)).sum(-1)
+    of_a = (normal_a * along_ray(at_a_mm)).sum(-1)
+    return np.asarray(of_b[:, None] * shapes(at_b_mm, volume) - of_a[:, None] * shapes(at_a_mm, volume))
+
+
+def news_of(J: Array, S_inverse: Array, B: Array, w: Array, r: Array, overdispersion: float) -> BowNews:
+    """Return a pair's news from its equations.
+
+    ``J`` (n, 6) and ``B`` (n, k) derivatives of residuals ``r`` (n,) by pose and coefficients, ``w`` weights, all of planes alone or
+    with zeros in ``B`` where a residual is paint's. ``overdispersion``: variance of sums of residuals over that of independent ones.
+    """
+    C = J.T @ (w[:, None] * B)
+    response = -S_inverse @ C
+    rest = B + J @ response
+    # Residuals are those at the pose found, where J' w r = 0: what is left for the coefficients alone.
+    return BowNews(response, rest.T @ (w[:, None] * rest) / overdispersion, -rest.T @ (w * r) / overdispersion)
 
 
 def _share(of: Bools) -> float:

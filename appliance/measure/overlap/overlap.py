@@ -49,7 +49,7 @@ AGREEING = 0.85
 BLOCK = 4
 """Points of a coarse cloud a side of a patch."""
 HELD, MAX_OUTLIERS, MAX_FRONT, MAX_UNMET = 5.0, 0.05, 0.02, 0.1
-"""Bounds of a pose that shape alone tells, as in ``appliance.desk.registration.pair``."""
+"""Bounds of a pose that shape alone tells, as in ``appliance.measure.overlap.pair``."""
 LOOKED_AT = 1_500
 """Points that the share is told from."""
 

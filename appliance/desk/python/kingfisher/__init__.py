@@ -43,9 +43,6 @@ if TYPE_CHECKING:  # for editors and type checkers; at run time ``__getattr__`` 
     from appliance.desk.organised import OrganisedScan as OrganisedScan
     from appliance.desk.registration.joint import JointErrors as JointErrors
     from appliance.desk.registration.joint import LengthSigma as LengthSigma
-    from appliance.desk.registration.pair import ReadyScan as ReadyScan
-    from appliance.desk.registration.pair import RegisteredPair as RegisteredPair
-    from appliance.desk.registration.pair import register as register
     from appliance.desk.registration.reference import SurfaceMatchError as SurfaceMatchError
     from appliance.desk.registration.solve import Solved as Solved
     from appliance.desk.registration.solve import solve as solve
@@ -80,8 +77,11 @@ if TYPE_CHECKING:  # for editors and type checkers; at run time ``__getattr__`` 
     from appliance.measure import CalibrationError as CalibrationError
     from appliance.measure import Grade as Grade
     from appliance.measure import OrganisedCloud as OrganisedCloud
+    from appliance.measure import ReadyScan as ReadyScan
+    from appliance.measure import RegisteredPair as RegisteredPair
     from appliance.measure import Rigid as Rigid
     from appliance.measure import Water as Water
+    from appliance.measure import register as register
     from appliance.store import ConfigError as ConfigError
     from appliance.store import ScanError as ScanError
     from appliance.store import StorageError as StorageError
@@ -101,7 +101,7 @@ _HOMES = {
     "appliance.measure.light.water": ("Water",),
     "appliance.measure.points.organised": ("OrganisedCloud",),
     "appliance.desk.registration.joint": ("JointErrors", "LengthSigma"),
-    "appliance.desk.registration.pair": ("ReadyScan", "RegisteredPair", "register"),
+    "appliance.measure.overlap.pair": ("ReadyScan", "RegisteredPair", "register"),
     "appliance.desk.registration.reference": ("SurfaceMatchError",),
     "appliance.measure.overlap.rigid": ("Rigid",),
     "appliance.desk.registration.solve": ("Solved", "solve"),

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from appliance.desk.registration.bow import PRIOR_MM2, bow_score, known_before
 from appliance.measure.calibration.depth_error import DEPTH_ERROR_TERMS, POWERS, along_ray, shapes
 from appliance.measure.light.rotation import rotation_vector
-from appliance.measure.overlap.bow import PRIOR_MM2, bow_score, known_before
 from appliance.measure.overlap.fine import Fit, refine
 from tests.support.views import SeenView, between, view
 

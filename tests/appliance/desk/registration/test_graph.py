@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 from appliance.desk.registration.graph import Edge, place
-from appliance.desk.registration.pair import PairRefusal, RegisteredPair
 from appliance.desk.registration.solve import Compared, _left_out, _thinned, edges_of
 from appliance.measure.calibration.depth_error import DEPTH_ERROR_TERMS
 from appliance.measure.light.rotation import rotation_matrix
-from appliance.measure.overlap.bow import BowNews
-from appliance.measure.overlap.fine import Fit
+from appliance.measure.overlap.fine import BowNews, Fit
+from appliance.measure.overlap.pair import PairRefusal, RegisteredPair
 from appliance.measure.overlap.rigid import Rigid
 
 STEP_MM = 60.0

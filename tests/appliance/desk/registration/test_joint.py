@@ -12,7 +12,7 @@ from appliance.desk.registration.graph import FLOOR_MM, Placed, place
 from appliance.desk.registration.joint import joint_errors
 from appliance.measure.calibration.depth_error import DEPTH_ERROR_TERMS, along_ray, shapes
 from appliance.measure.light.rotation import rotation_matrix, rotation_vector
-from appliance.measure.overlap.bow import BowNews
+from appliance.measure.overlap.fine import BowNews
 from appliance.measure.overlap.rigid import Rigid
 from tests.appliance.desk.registration.test_graph import edge
 

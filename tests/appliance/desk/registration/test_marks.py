@@ -45,19 +45,19 @@ FEW = np.eye(8, 128, dtype=np.float32)
 
 @pytest.mark.parametrize(("cosine", "count", "voted"), [(0.89, 8, True), (0.87, 8, False), (0.89, 7, False)])
 def test_a_pair_is_compared_where_eight_marks_look_alike(cosine: float, count: int, voted: bool) -> None:
-    pairs = by_features([of_look(FEW[:count]), beside(FEW[:count], cosine), of_look(looks(0))])
+    pairs = by_features([FEW[:count], beside(FEW[:count], cosine).descriptors, looks(0)])
     assert pairs == ([(0, 1)] if voted else [])
 
 
 @pytest.mark.parametrize(("cosine", "voted"), [(0.975, True), (0.965, False)])
 def test_a_scan_that_shows_a_mark_nearly_as_well_as_the_best_gets_its_vote(cosine: float, voted: bool) -> None:
-    near = beside(FEW, cosine)
-    pairs = by_features([of_look(FEW), of_look(FEW), near, near])
+    near = beside(FEW, cosine).descriptors
+    pairs = by_features([FEW, FEW, near, near])
     assert pairs == ([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)] if voted else [(0, 1), (2, 3)])
 
 
 def test_a_scan_is_compared_with_four_others_for_its_marks() -> None:
-    pairs = by_features([of_look(FEW)] * 6)
+    pairs = by_features([FEW] * 6)
     assert sorted({(i, j) for i in range(6) for j in range(i + 1, 6)} - set(pairs)) == [(4, 5)]
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from appliance.desk.registration.pair import HELD, PairRefusal, RegisteredPair, _as_good, freedom, refusal_of, register
 from appliance.measure.overlap.fine import Fit, refine
+from appliance.measure.overlap.pair import HELD, PairRefusal, RegisteredPair, _as_good, freedom, refusal_of, register
 from appliance.measure.overlap.rigid import Rigid
 from tests.appliance.desk.registration.test_graph import edge
 from tests.support.views import SeenView, between, displacement_mm, view

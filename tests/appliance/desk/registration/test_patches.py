@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from appliance.desk.registration.pair import ReadyScan, repeats_of
 from appliance.desk.registration.solve import by_place, overlap
 from appliance.measure.overlap.albedo import Paint, patch_pitch_mm
-from appliance.measure.overlap.equations import EXTRA_PAINT, Laid, moved, resistance_of, step_of, system_of
+from appliance.measure.overlap.equations import EXTRA_PAINT, Laid, system_of
 from appliance.measure.overlap.fine import Prepared
+from appliance.measure.overlap.pair import ReadyScan, repeats_of
 from appliance.measure.overlap.patches import Patches, block_size_px, patches_of
 from appliance.measure.overlap.rigid import Rigid
 from appliance.measure.points.organised import OrganisedCloud
@@ -136,7 +136,7 @@ def ready(cloud: OrganisedCloud) -> ReadyScan:
     nothing = np.full(patches.valid.shape, np.nan)
     prepared = Prepared(patches, Paint(nothing, np.full((*nothing.shape, 3), np.nan), nothing))
     system = system_of(laid(np.zeros(6)), with_paint=False)
-    return ReadyScan(prepared, prepared, of_look(np.zeros((0, 128), np.float32)), (), resistance_of(system))
+    return ReadyScan(prepared, prepared, of_look(np.zeros((0, 128), np.float32)), (), system.resistance())
 
 
 SMALL = replace(PROJECTION, terms=PROJECTION.terms / 4.0, size_px=(120, 160))
@@ -231,12 +231,12 @@ DELTA = np.array([0.1, -0.2, 0.15, 0.3, -0.1, 0.05])
 
 def test_a_step_undoes_the_displacement_and_is_eight_millimetres_at_most() -> None:
     system = system_of(laid(DELTA), with_paint=False)
-    np.testing.assert_allclose(step_of(system), -DELTA, atol=1e-9)
+    np.testing.assert_allclose(system.step(), -DELTA, atol=1e-9)
     x = laid(DELTA).x_mm
-    off = moved(shifted(0.0, 0.0, 0.0), system, DELTA).of(x) - x
+    off = system.moved(shifted(0.0, 0.0, 0.0), DELTA).of(x) - x
     np.testing.assert_allclose(off, np.cross(DELTA[:3] / system.lever, x - system.middle) + DELTA[3:], atol=1e-3)
     for factor, size in ((10.0, 10.0 * float(np.linalg.norm(DELTA))), (40.0, 8.0)):
-        assert np.linalg.norm(step_of(system_of(laid(factor * DELTA), with_paint=False))) == pytest.approx(size)
+        assert np.linalg.norm(system_of(laid(factor * DELTA), with_paint=False).step()) == pytest.approx(size)
 
 
 @pytest.mark.parametrize(("known", "used"), [(119, False), (120, True)])

@@ -15,33 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from appliance.base import one_line
-from appliance.measure import (
-    STANDARD,
-    Array,
-    Features,
-    Fit,
-    Guess,
-    HousedCamera,
-    OrganisedCloud,
-    Paint,
-    Patches,
-    Prepared,
-    Projection,
-    Resistance,
-    Rigid,
-    WorkingVolume,
-    coarser,
-    features_of,
-    guess_by_features,
-    guess_by_shape,
-    own_resistance,
-    paint_of,
-    patch_pitch_mm,
-    patches_of,
-    projection_of,
-    refine,
-    same,
-)
+from appliance.measure.light.model import HousedCamera
+from appliance.measure.light.volume import STANDARD, WorkingVolume
+from appliance.measure.overlap.albedo import Paint, paint_of, patch_pitch_mm
+from appliance.measure.overlap.coarse import Guess, guess_by_features, guess_by_shape, in_common, same
+from appliance.measure.overlap.equations import Resistance
+from appliance.measure.overlap.features import Features, features_of
+from appliance.measure.overlap.fine import Fit, Prepared, own_resistance, refine
+from appliance.measure.overlap.patches import Array, Patches, Projection, coarser, patches_of, projection_of
+from appliance.measure.overlap.rigid import Rigid
+from appliance.measure.points.organised import OrganisedCloud
 
 ALIKE = 0.55
 """Correlation of the paint with itself, moved, from which on it repeats."""
@@ -176,6 +159,10 @@ class ReadyScan:
     def holds(self) -> bool:
         """Its shape alone holds every direction; where it does not, no pair with it can be told by shape."""
         return bool(self.own.held.min() >= HELD)
+
+    def marks_in_common(self, other: ReadyScan, pose: Rigid) -> int:
+        """Return the number of features that both show, where ``pose`` lays those of ``other`` on its own."""
+        return len(in_common(self.features, other.features, pose))
 
     __repr__ = one_line
 

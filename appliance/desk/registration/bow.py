@@ -9,13 +9,12 @@ overlaps tell about it (turned or nearer views, loops that close) makes it small
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+from numpy.typing import NDArray
 
-from appliance.measure.calibration.depth_error import BORDER, DISTANCE_MM, POWERS, along_ray, shapes
-from appliance.measure.light.volume import STANDARD, WorkingVolume
-from appliance.measure.overlap.patches import Array
+from appliance.measure import BORDER, DISTANCE_MM, POWERS, STANDARD, WorkingVolume, along_ray, shapes
+
+Array = NDArray[np.float64]
 
 _USUAL_MM = {2: 0.030, 3: 0.020, 4: 0.010, 5: 0.007}
 """Standard deviations of coefficients by their order in u and v."""
@@ -34,18 +33,6 @@ def known_before(stated_mm2: Array | None) -> Array:
     """Return the covariance (k, k), mm², of the shared error before any overlap is seen. ``stated_mm2``: the calibration's own
     (``Calibration.depth_error_mm2``); ``None``: it states none."""
     return PRIOR_MM2 if stated_mm2 is None else np.asarray(stated_mm2 + LEAST_MM**2 * np.eye(len(PRIOR_MM2)))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class BowNews:
-    """Equations of one pair for the shared error."""
-
-    response: Array
-    """(6, k): by how much the pair's pose is wrong per mm of each coefficient."""
-    information: Array
-    """(k, k), 1/mm²: of the residuals that no pose takes away."""
-    gradient: Array
-    """(k,), 1/mm: of half the sum of squares, at zero coefficients."""
 
 
 def bow_score(found_mm: Array, known_mm2: Array, left_mm2: Array) -> float | None:
@@ -80,28 +67,3 @@ def corrected(points_mm: Array, coefficients_mm: Array, volume: WorkingVolume = 
     """Return points (…, 3) of a scan's own frame with the shared error taken out."""
     error = shapes(points_mm, volume) @ coefficients_mm
     return np.asarray(points_mm - along_ray(points_mm) * error[..., None])
-
-
-def derivatives(
-    normal_a: Array, at_a_mm: Array, at_b_mm: Array, rotation: Array, volume: WorkingVolume = STANDARD
-) -> Array:
-    """Return ∂r/∂c (n, k): how the distance of B's patches from A's planes changes with the shared error.
-
-    ``at_a_mm``: the places (n, 3) in A's frame, ``at_b_mm``: the same in B's, ``rotation``: from B's frame into A's.
-    """
-    of_b = (normal_a * (along_ray(at_b_mm) @ rotation.T)).sum(-1)
-    of_a = (normal_a * along_ray(at_a_mm)).sum(-1)
-    return np.asarray(of_b[:, None] * shapes(at_b_mm, volume) - of_a[:, None] * shapes(at_a_mm, volume))
-
-
-def news_of(J: Array, S_inverse: Array, B: Array, w: Array, r: Array, overdispersion: float) -> BowNews:
-    """Return a pair's news from its equations.
-
-    ``J`` (n, 6) and ``B`` (n, k) derivatives of residuals ``r`` (n,) by pose and coefficients, ``w`` weights, all of planes alone or
-    with zeros in ``B`` where a residual is paint's. ``overdispersion``: variance of sums of residuals over that of independent ones.
-    """
-    C = J.T @ (w[:, None] * B)
-    response = -S_inverse @ C
-    rest = B + J @ response
-    # Residuals are those at the pose found, where J' w r = 0: what is left for the coefficients alone.
-    return BowNews(response, rest.T @ (w[:, None] * rest) / overdispersion, -rest.T @ (w * r) / overdispersion)
