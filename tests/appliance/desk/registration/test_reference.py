@@ -12,7 +12,7 @@ import pytest
 import trimesh
 
 from appliance.desk.comparing import NominalReference, NominalSurface, compare
-from appliance.desk.registration.reference import OrientedPoints, SurfaceMatchError, lay_onto
+from appliance.desk.registration.reference import OrientedPoints, SurfaceMatchError, _led, _settled, lay_onto
 from appliance.desk.surface.deviation import NominalTree, spread_over
 from appliance.desk.surface.nominal import Nominal, nominal_of
 from appliance.measure.light.rotation import rotation_matrix, rotation_vector
@@ -110,3 +110,27 @@ def test_another_thing_or_a_drawing_in_metres_is_refused_with_both_sizes() -> No
         lay_onto(view([stone]), reference(HERE))
     with pytest.raises(SurfaceMatchError, match=r"0\.2 x 0\.15 x 0\.05 mm; is the CAD model in metres"):
         lay_onto(view(block()), reference(HERE, 0.001))
+
+
+def test_what_slides_settles_by_most_of_what_it_shows_and_a_rib_beside_its_place_does_not_draw_it() -> None:
+    ribs = [box((10.0, 60.0, 8.0), (x, 0.0, 4.0)) for x in (-60.0, 60.0)]
+    drawing = NominalReference(NominalTree.of(heap([box((240.0, 160.0, 20.0), (0.0, 0.0, -10.0)), *ribs])))
+    rng = np.random.default_rng(1)
+    # A noisy plate, and a few points of one side of each rib: too few to hold it. The second rib is 0.45 mm off.
+    plate = np.column_stack([rng.uniform(-50.0, 50.0, 3_000), rng.uniform(-60.0, 60.0, 3_000), np.zeros(3_000)])
+    sides = [
+        np.column_stack([np.full(count, x), rng.uniform(-25.0, 25.0, count), rng.uniform(2.0, 7.0, count)])
+        for x, count in ((-55.0, 20), (65.45, 8))
+    ]
+    plate[:, 2] += rng.normal(0.0, 0.1, len(plate))
+    normals = np.repeat([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]], [len(plate), 28], axis=0)
+    normals = normals + 0.25 * rng.normal(size=normals.shape)
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    points = OrientedPoints(np.concatenate([plate, *sides]), normals, np.full(len(normals), 0.1))
+    begun = _led(points, drawing, Rigid(np.eye(3), np.array([0.1, 0.0, 0.0])), 1.0)
+    assert begun is not None
+    assert begun.pose.translation_mm[0] == pytest.approx(0.1, abs=0.01), "nothing holds it"
+    settled = _settled(begun, points, drawing)
+    assert settled is not None
+    assert settled.pose.translation_mm[0] == pytest.approx(0.0, abs=0.03)
+    assert settled.pose.translation_mm[2] == pytest.approx(0.0, abs=0.02)
