@@ -275,18 +275,14 @@ def solve_rows(
             found_t[x] = _NAN
             rough = sources.rough_t[row, x]
             if rough != rough:
+                farther[x] = _ZERO
                 continue
             if not (abs(decoded_t[x]) < MAX_T):
                 decoded_t[x] = rough
             column[n], rounds[n], begun[n] = x, 1, 0 if farther[x] != _ZERO else 1
-            s[DEPTH + n] = decoded_t[x] + farther[x]
+            t = decoded_t[x] + farther[x]
+            s[DEPTH + n] = t if abs(t) < MAX_T else _NAN
             n += 1
-        if n > 0:
-            for x in range(column[0], column[n - 1]):
-                if sources.rough_t[row, x] != sources.rough_t[row, x]:
-                    farther[x] = _ZERO
-        for i in range(n):
-            s[DEPTH + i] = s[DEPTH + i] if abs(s[DEPTH + i]) < MAX_T else _NAN
         _expect_offsets(sources, terms, row, column[:n], s)
         for turn in range(BEGINNINGS * MAX_ROUNDS):
             if n == 0:
